@@ -1,0 +1,129 @@
+//! Two cameras' epipolar geometry, eq. (1): `p_iᵀ F p_j = 0`.
+
+use super::Camera;
+use nalgebra::{Matrix3, Point2, Vector2, Vector3};
+
+/// A line `normal · p + offset = 0` in pixels; the normal has unit length, so that
+/// [`Line::distance`] is in pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Line {
+    pub normal: Vector2<f64>,
+    pub offset: f64,
+}
+
+impl Line {
+    /// Signed distance of a point, pixels.
+    pub fn distance(&self, p: &Point2<f64>) -> f64 {
+        self.normal.dot(&p.coords) + self.offset
+    }
+
+    /// The point of the line nearest to `p`.
+    pub fn nearest(&self, p: &Point2<f64>) -> Point2<f64> {
+        p - self.normal * self.distance(p)
+    }
+}
+
+/// The fundamental matrix of an ordered pair of cameras, in distortion-free pixels
+/// ([`super::CameraModel::ideal_from_pixel`]).
+#[derive(Clone, Debug)]
+pub struct EpipolarGeometry {
+    /// `line in j = j_from_i · p_i`.
+    j_from_i: Matrix3<f64>,
+}
+
+/// Baselines shorter than this share of the centres' distance from the world's origin are
+/// rounding, not geometry.
+const MIN_BASELINE_SHARE: f64 = 1e-12;
+
+impl EpipolarGeometry {
+    /// `None` for cameras with the same centre: their images are related by a homography, and
+    /// every point is on every epipolar line.
+    pub fn new(camera_i: &Camera, camera_j: &Camera) -> Option<Self> {
+        let (ci, cj) = (camera_i.center(), camera_j.center());
+        let baseline = cj - ci;
+        let scale = ci.coords.norm().max(cj.coords.norm());
+        if !(baseline.norm() > MIN_BASELINE_SHARE * scale) || baseline.norm() == 0.0 {
+            return None;
+        }
+        // Of unit length: F is used up to scale, and so it neither under- nor overflows.
+        let t = -(camera_j.cam_from_world.rotation * baseline.normalize());
+        let rotation = (camera_j.cam_from_world.rotation
+            * camera_i.cam_from_world.rotation.inverse())
+        .to_rotation_matrix();
+        let essential = t.cross_matrix() * rotation.matrix();
+        let k_inv = |camera: &Camera| {
+            let (fx, fy, cx, cy) = camera.model.intrinsics();
+            Matrix3::new(
+                1.0 / fx,
+                0.0,
+                -cx / fx, //
+                0.0,
+                1.0 / fy,
+                -cy / fy, //
+                0.0,
+                0.0,
+                1.0,
+            )
+        };
+        Some(Self { j_from_i: k_inv(camera_j).transpose() * essential * k_inv(camera_i) })
+    }
+
+    /// The epipolar line in camera j of a pixel of camera i, both without distortion.
+    ///
+    /// `None` if the pixel is the epipole, whose line is undefined.
+    pub fn line_in_j(&self, p_i: &Point2<f64>) -> Option<Line> {
+        let l = self.j_from_i * Vector3::new(p_i.x, p_i.y, 1.0);
+        let length = l.xy().norm();
+        // Relative to the matrix: at the epipole, l is rounding of its largest entries.
+        if !(length > 1e-12 * self.j_from_i.norm()) {
+            return None;
+        }
+        Some(Line { normal: l.xy() / length, offset: l.z / length })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::pinhole_at;
+    use super::*;
+    use nalgebra::{Point3, UnitQuaternion};
+
+    #[test]
+    fn a_line_rig_has_horizontal_epipolar_lines() {
+        let (a, b) = (pinhole_at([0.0; 3]), pinhole_at([0.06, 0.0, 0.0]));
+        let line =
+            EpipolarGeometry::new(&a, &b).unwrap().line_in_j(&Point2::new(100.0, 77.0)).unwrap();
+        assert!(line.normal.x.abs() < 1e-12 && (line.normal.y.abs() - 1.0).abs() < 1e-12);
+        assert!(line.distance(&Point2::new(300.0, 77.0)).abs() < 1e-9);
+        assert!((line.distance(&Point2::new(300.0, 80.0)).abs() - 3.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn images_of_one_point_satisfy_it() {
+        let mut a = pinhole_at([0.1, -0.3, 0.2]);
+        let mut b = pinhole_at([0.5, 0.2, -0.1]);
+        a.cam_from_world.rotation = UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3);
+        b.cam_from_world.rotation = UnitQuaternion::from_euler_angles(-0.1, 0.05, 0.2);
+        let pair = EpipolarGeometry::new(&a, &b).unwrap();
+        for k in 0..50 {
+            let k = f64::from(k);
+            let p = Point3::new((k * 0.7).sin(), (k * 1.3).cos(), 4.0 + (k * 0.4).sin());
+            let (pa, pb) = (a.project(&p).unwrap(), b.project(&p).unwrap());
+            assert!(pair.line_in_j(&pa).unwrap().distance(&pb).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn coincident_cameras_have_no_epipolar_geometry() {
+        let a = pinhole_at([1e7, 0.0, 0.0]);
+        assert!(EpipolarGeometry::new(&a, &a).is_none());
+    }
+
+    #[test]
+    fn the_epipole_has_no_line() {
+        let (a, b) = (pinhole_at([0.0; 3]), pinhole_at([0.0, 0.0, 1.0]));
+        let pair = EpipolarGeometry::new(&a, &b).unwrap();
+        assert_eq!(pair.line_in_j(&Point2::new(320.0, 240.0)), None);
+        assert!(pair.line_in_j(&Point2::new(321.0, 240.0)).is_some());
+    }
+}

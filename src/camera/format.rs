@@ -1,0 +1,150 @@
+//! A camera object as it stands in JSON: in a capture, and as a view to render.
+
+use super::{Camera, CameraModel};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use serde::{Deserialize, Serialize};
+
+/// A pose in JSON: quaternion `wxyz` of unit length, translation in metres.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PoseFormat {
+    pub rotation_wxyz: [f64; 4],
+    pub translation: [f64; 3],
+}
+
+/// A view to render, in JSON: COLMAP's model name and parameters, image size in pixels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraFormat {
+    pub width: u32,
+    pub height: u32,
+    pub model: String,
+    pub params: Vec<f64>,
+    pub cam_from_world: PoseFormat,
+}
+
+/// What can be wrong with a camera object. The message starts with the field.
+#[derive(Debug, thiserror::Error, PartialEq)]
+pub enum CameraFormatError {
+    #[error("{field}: is {value}, must be from 1 to {max}")]
+    Size { field: &'static str, value: u32, max: u32 },
+    #[error(
+        "model: '{name}' with {count} params is not a known model (PINHOLE has 4, OPENCV has 8)"
+    )]
+    Model { name: String, count: usize },
+    #[error("params: must be finite, and the focal lengths positive")]
+    Params,
+    #[error("cam_from_world.rotation_wxyz: has length {length}, must be of unit length to 1e-3")]
+    Quaternion { length: f64 },
+    #[error("cam_from_world.translation: must be finite")]
+    Translation,
+}
+
+/// Larger images than any sensor; a bound so that a typing error can't ask for terabytes.
+const MAX_SIZE_PX: u32 = 65_536;
+/// Blender's quaternions are single precision; what is further off is not a rotation.
+const MAX_QUATERNION_ERROR: f64 = 1e-3;
+
+impl CameraFormat {
+    /// The camera, checked.
+    pub fn camera(&self) -> Result<Camera, CameraFormatError> {
+        for (field, value) in [("width", self.width), ("height", self.height)] {
+            if value == 0 || value > MAX_SIZE_PX {
+                return Err(CameraFormatError::Size { field, value, max: MAX_SIZE_PX });
+            }
+        }
+        let model = CameraModel::from_params(&self.model, &self.params).ok_or_else(|| {
+            CameraFormatError::Model { name: self.model.clone(), count: self.params.len() }
+        })?;
+        let (fx, fy, ..) = model.intrinsics();
+        if self.params.iter().any(|p| !p.is_finite()) || fx <= 0.0 || fy <= 0.0 {
+            return Err(CameraFormatError::Params);
+        }
+        Ok(Camera {
+            width: self.width as usize,
+            height: self.height as usize,
+            model,
+            cam_from_world: self.cam_from_world.isometry()?,
+        })
+    }
+}
+
+impl PoseFormat {
+    /// The pose, its quaternion normalized.
+    pub fn isometry(&self) -> Result<Isometry3<f64>, CameraFormatError> {
+        let [w, x, y, z] = self.rotation_wxyz;
+        let q = Quaternion::new(w, x, y, z);
+        let length = q.norm();
+        if !((length - 1.0).abs() <= MAX_QUATERNION_ERROR) {
+            return Err(CameraFormatError::Quaternion { length });
+        }
+        if self.translation.iter().any(|t| !t.is_finite()) {
+            return Err(CameraFormatError::Translation);
+        }
+        let [tx, ty, tz] = self.translation;
+        Ok(Isometry3::from_parts(Translation3::new(tx, ty, tz), UnitQuaternion::from_quaternion(q)))
+    }
+}
+
+impl From<&Camera> for CameraFormat {
+    fn from(camera: &Camera) -> Self {
+        let q = camera.cam_from_world.rotation;
+        let t = camera.cam_from_world.translation;
+        Self {
+            width: camera.width as u32,
+            height: camera.height as u32,
+            model: camera.model.name().to_owned(),
+            params: camera.model.params(),
+            cam_from_world: PoseFormat {
+                rotation_wxyz: [q.w, q.i, q.j, q.k],
+                translation: [t.x, t.y, t.z],
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn format() -> CameraFormat {
+        serde_json::from_str(
+            r#"{"width": 640, "height": 480, "model": "PINHOLE",
+                "params": [686.24, 686.24, 320.0, 240.0],
+                "cam_from_world": {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]}}"#,
+        )
+        .unwrap()
+    }
+
+    #[test]
+    fn round_trips() {
+        let camera = format().camera().unwrap();
+        assert_eq!(CameraFormat::from(&camera), format());
+    }
+
+    #[test]
+    fn refuses_what_is_no_camera() {
+        type Break = fn(&mut CameraFormat);
+        let cases: [(Break, &str); 6] = [
+            (|c| c.width = 0, "width"),
+            (|c| c.model = "FISHEYE".into(), "model"),
+            (|c| c.params.push(0.0), "model"),
+            (|c| c.params[0] = -1.0, "params"),
+            (|c| c.cam_from_world.rotation_wxyz = [0.9, 0.0, 0.0, 0.0], "cam_from_world.rotation"),
+            (|c| c.cam_from_world.translation[1] = f64::NAN, "cam_from_world.translation"),
+        ];
+        for (make_wrong, field) in cases {
+            let mut wrong = format();
+            make_wrong(&mut wrong);
+            let message = wrong.camera().unwrap_err().to_string();
+            assert!(message.starts_with(field), "{message}");
+        }
+    }
+
+    #[test]
+    fn single_precision_quaternions_are_normalized() {
+        let mut f = format();
+        f.cam_from_world.rotation_wxyz = [0.999_4, 0.0, 0.0, 0.0];
+        assert_eq!(f.camera().unwrap().cam_from_world.rotation, UnitQuaternion::identity());
+    }
+}

@@ -1,0 +1,138 @@
+//! Calibrated cameras, and the conventions that everything else follows.
+//!
+//! - World: metres, seconds, right-handed.
+//! - Camera: COLMAP's axes, +x right, +y down, +z forward; poses are `cam_from_world`.
+//! - Pixels: the centre of the top-left pixel is (0.5, 0.5).
+//! - Models: COLMAP's names and parameter order.
+//!
+//! Known limit: a view ray is one point of the normalized plane z = 1, so fields of view reach
+//! 180° only in the limit.
+
+mod epipolar;
+mod format;
+mod model;
+
+pub use epipolar::{EpipolarGeometry, Line};
+pub use format::{CameraFormat, CameraFormatError, PoseFormat};
+pub use model::CameraModel;
+
+use nalgebra::{Isometry3, Point2, Point3, Vector3};
+
+/// One calibrated camera: image size in pixels, lens model, and pose.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {
+    pub width: usize,
+    pub height: usize,
+    pub model: CameraModel,
+    pub cam_from_world: Isometry3<f64>,
+}
+
+/// Points nearer to the camera's plane z = 0 than this share of their distance have no image:
+/// they are seen at over 89.9999° and their coordinates carry no information.
+const MIN_DEPTH_SHARE: f64 = 1e-6;
+
+impl Camera {
+    /// The pixel that a world point (metres) falls on; it may lie outside the image.
+    ///
+    /// `None` behind the camera, at its centre, or so far aside that the division by depth would
+    /// mean nothing.
+    pub fn project(&self, point_world: &Point3<f64>) -> Option<Point2<f64>> {
+        let p = self.cam_from_world * point_world;
+        self.project_cam(&p)
+    }
+
+    /// As [`Self::project`], for a point in this camera's frame.
+    pub fn project_cam(&self, p: &Point3<f64>) -> Option<Point2<f64>> {
+        if !(p.z > MIN_DEPTH_SHARE * p.coords.norm()) {
+            return None;
+        }
+        let pixel = self.model.pixel_from_normalized(&Point2::new(p.x / p.z, p.y / p.z));
+        (pixel.x.is_finite() && pixel.y.is_finite()).then_some(pixel)
+    }
+
+    /// The direction, with z = 1 in this camera's frame, that a pixel looks along.
+    ///
+    /// `None` where the lens model can't be inverted (far outside the image of a distorted lens).
+    pub fn ray(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
+        let n = self.model.normalized_from_pixel(pixel)?;
+        Some(Vector3::new(n.x, n.y, 1.0))
+    }
+
+    /// [`Self::ray`] in the world's axes (not of unit length: its z in the camera's frame is 1).
+    pub fn ray_world(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
+        Some(self.cam_from_world.rotation.inverse_transform_vector(&self.ray(pixel)?))
+    }
+
+    /// The centre of projection, metres in the world.
+    pub fn center(&self) -> Point3<f64> {
+        self.cam_from_world.inverse_transform_point(&Point3::origin())
+    }
+
+    /// The optical axis, unit length, in the world.
+    pub fn axis(&self) -> Vector3<f64> {
+        self.cam_from_world.rotation.inverse_transform_vector(&Vector3::z())
+    }
+
+    /// Whether a pixel position lies on the image.
+    pub fn contains(&self, pixel: &Point2<f64>) -> bool {
+        pixel.x >= 0.0
+            && pixel.y >= 0.0
+            && pixel.x <= self.width as f64
+            && pixel.y <= self.height as f64
+    }
+
+    /// Mean focal length in pixels: what one radian near the axis spans.
+    pub fn focal_px(&self) -> f64 {
+        self.model.focal_px()
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use nalgebra::{Translation3, UnitQuaternion};
+
+    /// A 640×480 pinhole camera at `center`, looking along +z of the world.
+    pub(crate) fn pinhole_at(center: [f64; 3]) -> Camera {
+        Camera {
+            width: 640,
+            height: 480,
+            model: CameraModel::Pinhole { fx: 686.0, fy: 686.0, cx: 320.0, cy: 240.0 },
+            cam_from_world: Isometry3::from_parts(
+                Translation3::new(-center[0], -center[1], -center[2]),
+                UnitQuaternion::identity(),
+            ),
+        }
+    }
+
+    #[test]
+    fn axis_point_is_at_the_principal_point() {
+        let cam = pinhole_at([1.0, 2.0, 3.0]);
+        let p = cam.project(&Point3::new(1.0, 2.0, 5.0)).unwrap();
+        assert_eq!((p.x, p.y), (320.0, 240.0));
+    }
+
+    #[test]
+    fn y_points_down_and_x_right() {
+        let cam = pinhole_at([0.0; 3]);
+        let p = cam.project(&Point3::new(0.1, 0.2, 1.0)).unwrap();
+        assert!((p.x - (320.0 + 68.6)).abs() < 1e-12 && (p.y - (240.0 + 137.2)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_behind_or_beside_has_no_image() {
+        let cam = pinhole_at([0.0; 3]);
+        for p in [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, f64::NAN]] {
+            assert_eq!(cam.project(&Point3::from(p)), None, "{p:?}");
+        }
+    }
+
+    #[test]
+    fn rays_and_projection_are_inverse() {
+        let mut cam = pinhole_at([0.3, -0.2, 0.1]);
+        cam.cam_from_world.rotation = UnitQuaternion::from_euler_angles(0.2, -0.4, 0.1);
+        let pixel = Point2::new(101.5, 402.25);
+        let p = cam.center() + cam.ray_world(&pixel).unwrap() * 3.7;
+        assert!((cam.project(&p).unwrap() - pixel).norm() < 1e-9);
+    }
+}

@@ -1,0 +1,89 @@
+//! A camera's own clock.
+
+/// When a camera's frames were exposed, on its own clock.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Clock {
+    /// The middle of every frame's exposure, seconds, strictly ascending, one a frame; re-based to
+    /// the capture's start.
+    pub times_s: Vec<f64>,
+    /// Whether this is the reference's clock too, so that there is nothing to estimate.
+    pub shared: bool,
+    /// Whether its rate may be off.
+    pub drift: bool,
+    /// Whether frames may be missing without a trace.
+    pub lost: bool,
+}
+
+impl Clock {
+    /// Subtracts the capture's start. Done once, where times are read: 1.8e9 s (Unix time) leaves
+    /// an f64 2.4e-7 s, a capture's own seconds leave it 1e-16 s.
+    pub(super) fn rebase(&mut self, origin_s: f64) {
+        for t in &mut self.times_s {
+            *t -= origin_s;
+        }
+    }
+
+    /// Median time between frames; 0 for a single frame.
+    pub fn frame_s(&self) -> f64 {
+        let mut gaps: Vec<f64> = self.times_s.windows(2).map(|w| w[1] - w[0]).collect();
+        gaps.sort_by(f64::total_cmp);
+        gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
+    }
+
+    /// The frames on both sides of a time: the last one at or before it, and the first one at or
+    /// after it (the same one, if a frame is at that very time). `None` outside what was filmed.
+    pub fn bracket(&self, time_s: f64) -> Option<(usize, usize)> {
+        let after = self.times_s.partition_point(|&t| t < time_s);
+        let at_or_before = self.times_s.partition_point(|&t| t <= time_s);
+        (after < self.times_s.len() && at_or_before > 0).then(|| (at_or_before - 1, after))
+    }
+
+    /// The frame nearest to a time.
+    pub fn nearest(&self, time_s: f64) -> usize {
+        let after = self.times_s.partition_point(|&t| t < time_s);
+        if after == 0 {
+            return 0;
+        }
+        if after == self.times_s.len() {
+            return after - 1;
+        }
+        if time_s - self.times_s[after - 1] <= self.times_s[after] - time_s {
+            after - 1
+        } else {
+            after
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn clock() -> Clock {
+        Clock { times_s: vec![0.0, 1.0, 2.5, 3.5], shared: false, drift: false, lost: false }
+    }
+
+    #[test]
+    fn bracketing_frames() {
+        let c = clock();
+        assert_eq!(c.bracket(0.25), Some((0, 1)));
+        assert_eq!(c.bracket(1.0), Some((1, 1)));
+        assert_eq!(c.bracket(3.5), Some((3, 3)));
+        assert_eq!(c.bracket(-0.1), None);
+        assert_eq!(c.bracket(3.6), None);
+        assert_eq!(c.bracket(f64::NAN), None);
+    }
+
+    #[test]
+    fn nearest_frame() {
+        let c = clock();
+        let at: Vec<usize> = [-9.0, 0.4, 0.6, 1.75, 1.76, 99.0].map(|t| c.nearest(t)).into();
+        assert_eq!(at, [0, 0, 1, 1, 2, 3]);
+    }
+
+    #[test]
+    fn frame_duration_is_the_median() {
+        assert_eq!(clock().frame_s(), 1.0);
+        assert_eq!(Clock { times_s: vec![3.0], ..clock() }.frame_s(), 0.0);
+    }
+}

@@ -1,0 +1,180 @@
+//! `capture.json`, as it stands in the file.
+
+use super::{BitDepth, CaptureError, Clock, FilmedCamera, frames};
+use crate::camera::{CameraFormat, PoseFormat};
+use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
+use std::path::Path;
+
+/// The whole file.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CaptureFormat {
+    pub format: String,
+    pub version: u32,
+    pub name: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reference: Option<String>,
+    pub cameras: Vec<FilmedCameraFormat>,
+}
+
+/// A camera with its frames.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FilmedCameraFormat {
+    pub id: String,
+    pub frames: String,
+    pub width: u32,
+    pub height: u32,
+    pub model: String,
+    pub params: Vec<f64>,
+    pub cam_from_world: PoseFormat,
+    #[serde(default)]
+    pub color: Color,
+    pub clock: ClockFormat,
+}
+
+/// What a camera sees.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Color {
+    #[default]
+    Rgb,
+    Gray,
+}
+
+/// `rate_hz` and `first_s`, or `times_s`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClockFormat {
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rate_hz: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub first_s: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub times_s: Option<Vec<f64>>,
+    pub shared: bool,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub drift: bool,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub lost: bool,
+}
+
+impl CaptureFormat {
+    pub(super) fn check(&self, path: &Path) -> Result<(), CaptureError> {
+        let wrong = |field: &str, reason: String| {
+            Err(CaptureError::Field { path: path.to_owned(), field: field.into(), reason })
+        };
+        if self.format != "stlfr-capture" {
+            return wrong("format", format!("is '{}', must be 'stlfr-capture'", self.format));
+        }
+        if self.version != 1 {
+            return wrong("version", format!("is {}, this program reads version 1", self.version));
+        }
+        if self.cameras.is_empty() {
+            return wrong("cameras", "a capture has at least one camera".into());
+        }
+        let mut ids = HashSet::new();
+        for camera in &self.cameras {
+            if camera.id.is_empty() {
+                return wrong("cameras", "a camera's id is empty".into());
+            }
+            if !ids.insert(&camera.id) {
+                return wrong("cameras", format!("two cameras have the id '{}'", camera.id));
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn reference_index(&self, path: &Path) -> Result<usize, CaptureError> {
+        let Some(id) = &self.reference else { return Ok((self.cameras.len() - 1) / 2) };
+        self.cameras.iter().position(|c| &c.id == id).ok_or_else(|| CaptureError::Field {
+            path: path.to_owned(),
+            field: "reference".into(),
+            reason: format!("no camera has the id '{id}'"),
+        })
+    }
+}
+
+impl FilmedCameraFormat {
+    pub(super) fn open(
+        &self,
+        path: &Path,
+        root: &Path,
+        index: usize,
+    ) -> Result<FilmedCamera, CaptureError> {
+        let wrong = |field: &str, reason: String| CaptureError::Field {
+            path: path.to_owned(),
+            field: format!("cameras[{index}] ({}).{field}", self.id),
+            reason,
+        };
+        let camera = CameraFormat {
+            width: self.width,
+            height: self.height,
+            model: self.model.clone(),
+            params: self.params.clone(),
+            cam_from_world: self.cam_from_world.clone(),
+        }
+        .camera()
+        .map_err(|source| CaptureError::Camera {
+            path: path.to_owned(),
+            camera: format!("cameras[{index}] ({})", self.id),
+            source,
+        })?;
+        let found = frames::find(root, &self.frames).map_err(|e| wrong("frames", e))?;
+        let mut bit_depth = BitDepth::Eight;
+        for frame in &found {
+            let header = super::image_io::read_header(frame)?;
+            if (header.width, header.height) != (self.width, self.height) {
+                return Err(CaptureError::Image {
+                    path: frame.clone(),
+                    reason: format!(
+                        "is {}×{} pixels, its camera {}×{}",
+                        header.width, header.height, self.width, self.height
+                    ),
+                });
+            }
+            bit_depth = bit_depth.max(header.bit_depth);
+        }
+        let clock = self.clock.open(found.len()).map_err(|e| wrong("clock", e))?;
+        Ok(FilmedCamera {
+            id: self.id.clone(),
+            camera,
+            color: self.color,
+            clock,
+            frames: found,
+            bit_depth,
+        })
+    }
+}
+
+impl ClockFormat {
+    /// The clock of a camera with that many frames; the error is a reason.
+    fn open(&self, frames: usize) -> Result<Clock, String> {
+        let times_s = match (self.rate_hz, self.first_s, &self.times_s) {
+            (Some(rate), Some(first), None) => {
+                if !(rate.is_finite() && rate > 0.0 && first.is_finite()) {
+                    return Err("rate_hz must be positive and first_s finite".into());
+                }
+                (0..frames).map(|k| first + k as f64 / rate).collect()
+            }
+            (None, None, Some(times)) => {
+                if times.len() != frames {
+                    return Err(format!("times_s has {} entries for {frames} frames", times.len()));
+                }
+                times.clone()
+            }
+            _ => return Err("needs either rate_hz and first_s, or times_s".into()),
+        };
+        if let Some(k) = times_s.windows(2).position(|w| !(w[0] < w[1])) {
+            return Err(format!("the times of frames {k} and {} do not ascend", k + 1));
+        }
+        if times_s.iter().any(|t| !t.is_finite()) {
+            return Err("the times must be finite".into());
+        }
+        if self.shared && (self.drift || self.lost) {
+            return Err("a shared clock can't have drift or lost frames".into());
+        }
+        Ok(Clock { times_s, shared: self.shared, drift: self.drift, lost: self.lost })
+    }
+}

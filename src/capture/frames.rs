@@ -1,0 +1,119 @@
+//! Finding a camera's frame files, inside the capture's folder and nowhere else.
+
+use std::path::{Component, Path, PathBuf};
+
+/// A printf pattern with one integer field, split at it: `cam0/%04d.png` is `cam0/`, 4, `.png`.
+#[derive(Debug, PartialEq)]
+struct Pattern<'a> {
+    before: &'a str,
+    digits: usize,
+    after: &'a str,
+}
+
+impl<'a> Pattern<'a> {
+    fn parse(text: &'a str) -> Result<Self, String> {
+        let wrong = || {
+            format!(
+                "'{text}' is not an image sequence such as cam0/%04d.png, the kind that this version reads"
+            )
+        };
+        let (before, rest) = text.split_once('%').ok_or_else(wrong)?;
+        let (width, after) = rest.split_once('d').ok_or_else(wrong)?;
+        let padded = width.is_empty() || width.starts_with('0');
+        let digits = if width.is_empty() { 0 } else { width.parse().map_err(|_| wrong())? };
+        if !padded || digits > 18 || after.contains('%') {
+            return Err(wrong());
+        }
+        Ok(Self { before, digits, after })
+    }
+
+    fn name(&self, index: usize) -> String {
+        format!("{}{index:0digits$}{}", self.before, self.after, digits = self.digits)
+    }
+}
+
+/// The files of a pattern, numbered from 0 without gaps; the error is a reason. `root` is the
+/// capture's folder, links followed.
+pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
+    let parsed = Pattern::parse(pattern)?;
+    let relative = Path::new(pattern);
+    if relative.components().any(|c| !matches!(c, Component::Normal(_) | Component::CurDir)) {
+        return Err(format!("'{pattern}' must be relative to the capture and stay inside it"));
+    }
+    let mut files = Vec::new();
+    loop {
+        let path = root.join(parsed.name(files.len()));
+        let Ok(real) = path.canonicalize() else { break };
+        if !real.starts_with(root) {
+            return Err(format!("'{}' leads out of the capture", parsed.name(files.len())));
+        }
+        if !real.is_file() {
+            return Err(format!("'{}' is not a file", parsed.name(files.len())));
+        }
+        files.push(real);
+    }
+    if files.is_empty() {
+        return Err(format!("'{}' does not exist", parsed.name(0)));
+    }
+    if let Some(beyond) = number_beyond(root, &parsed, files.len()) {
+        return Err(format!(
+            "'{}' is missing although '{}' exists",
+            parsed.name(files.len()),
+            parsed.name(beyond)
+        ));
+    }
+    Ok(files)
+}
+
+/// A file of the pattern with a higher number than the first missing one: the sequence has a gap.
+fn number_beyond(root: &Path, pattern: &Pattern, missing: usize) -> Option<usize> {
+    let sample = root.join(pattern.name(0));
+    let file_before = Path::new(pattern.before)
+        .file_name()
+        .map_or("", |_| pattern.before.rsplit('/').next().unwrap_or(""));
+    let file_before = if pattern.before.ends_with('/') { "" } else { file_before };
+    std::fs::read_dir(sample.parent()?)
+        .ok()?
+        .filter_map(|entry| {
+            let name = entry.ok()?.file_name().into_string().ok()?;
+            let number: usize =
+                name.strip_prefix(file_before)?.strip_suffix(pattern.after)?.parse().ok()?;
+            (number > missing && root.join(pattern.name(number)).exists()).then_some(number)
+        })
+        .min()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns() {
+        let p = Pattern::parse("a/b%04d.png").unwrap();
+        assert_eq!((p.name(7), p.name(12345)), ("a/b0007.png".into(), "a/b12345.png".into()));
+        assert_eq!(Pattern::parse("%d.png").unwrap().name(3), "3.png");
+        for wrong in ["cam0.mkv", "%04x.png", "%s", "%4d.png", "%04d/%04d.png", "%0999d"] {
+            assert!(Pattern::parse(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn gaps_and_ways_out_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().canonicalize().unwrap();
+        std::fs::create_dir(root.join("c")).unwrap();
+        for k in [0, 1, 3] {
+            std::fs::write(root.join(format!("c/f{k}.png")), "").unwrap();
+        }
+        assert!(find(&root, "c/f%d.png").unwrap_err().contains("'c/f2.png' is missing"));
+        std::fs::remove_file(root.join("c/f3.png")).unwrap();
+        assert_eq!(find(&root, "c/f%d.png").unwrap().len(), 2);
+        assert!(find(&root, "../x%d.png").unwrap_err().contains("stay inside"));
+        assert!(find(&root, "/x%d.png").unwrap_err().contains("stay inside"));
+        assert!(find(&root, "d/%d.png").unwrap_err().contains("does not exist"));
+
+        let outside = tempfile::NamedTempFile::new().unwrap();
+        std::os::unix::fs::symlink(outside.path(), root.join("c/f2.png")).unwrap();
+        assert!(find(&root, "c/f%d.png").unwrap_err().contains("leads out"));
+    }
+}

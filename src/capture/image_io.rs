@@ -1,0 +1,207 @@
+//! Image files in and out.
+
+use super::CaptureError;
+use crate::raster::Image;
+use image::{ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits};
+use std::io::Write;
+use std::path::Path;
+
+/// Bits a channel, of the files read and written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum BitDepth {
+    Eight,
+    Sixteen,
+}
+
+pub(super) struct Header {
+    pub width: u32,
+    pub height: u32,
+    pub bit_depth: BitDepth,
+}
+
+/// Memory that one file may make the decoder take: a 16-bit RGBA image of 8192×8192 and its
+/// working space. What asks for more is refused rather than believed.
+const MAX_DECODE_BYTES: u64 = 2 << 30;
+
+fn image_error(path: &Path, reason: impl std::fmt::Display) -> CaptureError {
+    CaptureError::Image { path: path.to_owned(), reason: reason.to_string() }
+}
+
+fn decoder(path: &Path) -> Result<impl ImageDecoder, CaptureError> {
+    let mut reader = ImageReader::open(path)
+        .and_then(ImageReader::with_guessed_format)
+        .map_err(|source| CaptureError::Read { path: path.to_owned(), source })?;
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(MAX_DECODE_BYTES);
+    reader.limits(limits);
+    reader.into_decoder().map_err(|e| image_error(path, e))
+}
+
+pub(super) fn read_header(path: &Path) -> Result<Header, CaptureError> {
+    let decoder = decoder(path)?;
+    let (width, height) = decoder.dimensions();
+    Ok(Header { width, height, bit_depth: bit_depth(decoder.color_type()) })
+}
+
+fn bit_depth(color: ColorType) -> BitDepth {
+    if color.bytes_per_pixel() / color.channel_count() > 1 {
+        BitDepth::Sixteen
+    } else {
+        BitDepth::Eight
+    }
+}
+
+/// Reads an image of any kind that `image` decodes: grey stays grey, the rest becomes RGB, alpha
+/// is ignored. Samples are the file's divided by their largest value.
+pub fn read_image(path: &Path) -> Result<(Image, BitDepth), CaptureError> {
+    let decoded = DynamicImage::from_decoder(decoder(path)?).map_err(|e| image_error(path, e))?;
+    let depth = bit_depth(decoded.color());
+    let (w, h) = (decoded.width() as usize, decoded.height() as usize);
+    if w == 0 || h == 0 {
+        return Err(image_error(path, "has no pixels"));
+    }
+    let gray = decoded.color().channel_count() <= 2;
+    let data: Vec<f32> = match (gray, depth) {
+        (true, BitDepth::Eight) => unit(decoded.into_luma8().into_raw()),
+        (true, BitDepth::Sixteen) => unit16(decoded.into_luma16().into_raw()),
+        (false, BitDepth::Eight) => unit(decoded.into_rgb8().into_raw()),
+        (false, BitDepth::Sixteen) => unit16(decoded.into_rgb16().into_raw()),
+    };
+    Ok((Image::from_data(w, h, if gray { 1 } else { 3 }, data), depth))
+}
+
+fn unit(raw: Vec<u8>) -> Vec<f32> {
+    raw.into_iter().map(|v| f32::from(v) / 255.0).collect()
+}
+
+fn unit16(raw: Vec<u16>) -> Vec<f32> {
+    raw.into_iter().map(|v| f32::from(v) / 65535.0).collect()
+}
+
+/// Writes a PNG in the given depth; with `coverage` (one value a pixel, row by row) an alpha
+/// channel is written too, 0 where it is false.
+pub fn write_image(
+    path: &Path,
+    image: &Image,
+    coverage: Option<&[bool]>,
+    depth: BitDepth,
+) -> Result<(), CaptureError> {
+    let bytes = encode_png(image, coverage, depth).map_err(|e| image_error(path, e))?;
+    write_atomically(path, &bytes)
+        .map_err(|source| CaptureError::Read { path: path.to_owned(), source })
+}
+
+fn encode_png(
+    image: &Image,
+    coverage: Option<&[bool]>,
+    depth: BitDepth,
+) -> image::ImageResult<Vec<u8>> {
+    let mut samples = Vec::with_capacity(image.width() * image.height() * 4);
+    for (k, pixel) in image.data().chunks_exact(image.channels()).enumerate() {
+        let covered = coverage.is_none_or(|c| c[k]);
+        samples.extend(pixel.iter().map(|&v| if covered { v } else { 0.0 }));
+        if coverage.is_some() {
+            samples.push(if covered { 1.0 } else { 0.0 });
+        }
+    }
+    let (w, h) = (image.width() as u32, image.height() as u32);
+    let channels = image.channels() + usize::from(coverage.is_some());
+    // `f32 as integer` saturates and takes NaN to 0; adding 0.5 rounds.
+    let dynamic = match depth {
+        BitDepth::Eight => {
+            let raw: Vec<u8> = samples.iter().map(|v| (v * 255.0 + 0.5) as u8).collect();
+            match channels {
+                1 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLuma8),
+                2 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLumaA8),
+                3 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgb8),
+                _ => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgba8),
+            }
+        }
+        BitDepth::Sixteen => {
+            let raw: Vec<u16> = samples.iter().map(|v| (v * 65535.0 + 0.5) as u16).collect();
+            match channels {
+                1 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLuma16),
+                2 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLumaA16),
+                3 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgb16),
+                _ => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgba16),
+            }
+        }
+    }
+    .expect("the buffer was made for these dimensions");
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    dynamic.write_to(&mut bytes, image::ImageFormat::Png)?;
+    Ok(bytes.into_inner())
+}
+
+/// Writes a whole file or none: a temporary name in the same folder, then a rename. Folders on
+/// the way are made.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder)?;
+    let name = path
+        .file_name()
+        .ok_or_else(|| std::io::Error::new(std::io::ErrorKind::InvalidInput, "names no file"))?;
+    let mut temporary = std::ffi::OsString::from(".");
+    temporary.push(name);
+    temporary.push(format!(".{}.tmp", std::process::id()));
+    let temporary = folder.join(temporary);
+    let result = std::fs::File::create(&temporary)
+        .and_then(|mut file| {
+            file.write_all(bytes)?;
+            file.sync_all()
+        })
+        .and_then(|()| std::fs::rename(&temporary, path));
+    if result.is_err() {
+        let _ = std::fs::remove_file(&temporary);
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gradient(channels: usize) -> Image {
+        let data = (0..6 * 5 * channels).map(|k| k as f32 / (6 * 5 * channels) as f32).collect();
+        Image::from_data(6, 5, channels, data)
+    }
+
+    #[test]
+    fn round_trips_in_every_kind() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("sub/a.png");
+        for channels in [1, 3] {
+            for (depth, step) in
+                [(BitDepth::Eight, 1.0 / 255.0), (BitDepth::Sixteen, 1.0 / 65535.0)]
+            {
+                let image = gradient(channels);
+                write_image(&path, &image, None, depth).unwrap();
+                let (back, back_depth) = read_image(&path).unwrap();
+                assert_eq!((back.channels(), back_depth), (channels, depth));
+                let worst = image.data().iter().zip(back.data()).map(|(a, b)| (a - b).abs());
+                assert!(worst.fold(0.0, f32::max) <= 0.5001 * step);
+            }
+        }
+        assert_eq!(std::fs::read_dir(folder.path().join("sub")).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn uncovered_pixels_are_transparent_black() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let coverage: Vec<bool> = (0..30).map(|k| k != 7).collect();
+        write_image(&path, &gradient(3), Some(&coverage), BitDepth::Eight).unwrap();
+        let back = image::open(&path).unwrap().into_rgba8();
+        assert_eq!(back.get_pixel(1, 1).0, [0; 4]);
+        assert_eq!(back.get_pixel(2, 1).0[3], 255);
+    }
+
+    #[test]
+    fn what_is_not_an_image_is_one_sentence() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        std::fs::write(&path, b"not a picture").unwrap();
+        assert!(read_image(&path).unwrap_err().to_string().contains("a.png"));
+        assert!(read_image(&folder.path().join("none.png")).is_err());
+    }
+}

@@ -1,0 +1,144 @@
+//! What was filmed: a folder with `capture.json` and the cameras' frames.
+//!
+//! Everything that a user's file decides is checked when the folder is opened, so that the
+//! stages see cameras, clocks and image sizes that hold. Pixels are decoded when they are used.
+//!
+//! Known limit: frames are image sequences; a video file is refused with one sentence.
+
+mod clock;
+mod format;
+mod frames;
+mod image_io;
+mod truth;
+
+pub use clock::Clock;
+pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
+pub use image_io::{BitDepth, read_image, write_atomically, write_image};
+pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};
+
+use crate::camera::{Camera, CameraFormatError};
+use crate::raster::Image;
+use std::path::{Path, PathBuf};
+
+/// The file in a capture's folder that describes it.
+pub const CAPTURE_FILE: &str = "capture.json";
+
+/// A capture: its folder, and its cameras in the order of `capture.json`.
+#[derive(Clone, Debug)]
+pub struct Capture {
+    pub name: String,
+    pub folder: PathBuf,
+    /// Index of the reference camera, whose clock is everybody's time.
+    pub reference: usize,
+    pub cameras: Vec<FilmedCamera>,
+    /// The reference's first time stamp, seconds: what its file says minus what is used inside.
+    pub time_origin_s: f64,
+}
+
+/// One camera of a capture, with what it filmed.
+#[derive(Clone, Debug)]
+pub struct FilmedCamera {
+    pub id: String,
+    pub camera: Camera,
+    pub color: Color,
+    pub clock: Clock,
+    /// Frame files in order, inside the capture's folder.
+    pub frames: Vec<PathBuf>,
+    pub bit_depth: BitDepth,
+}
+
+/// What can be wrong with a capture's folder. Every message is one sentence with file and field.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    #[error("{path}: {source}")]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{path}: {source}")]
+    Json { path: PathBuf, source: serde_json::Error },
+    #[error("{path}: {field}: {reason}")]
+    Field { path: PathBuf, field: String, reason: String },
+    #[error("{path}: {camera}.{source}")]
+    Camera { path: PathBuf, camera: String, source: CameraFormatError },
+    #[error("{path}: {reason}")]
+    Image { path: PathBuf, reason: String },
+}
+
+impl Capture {
+    /// Opens and checks a capture's folder.
+    pub fn open(folder: &Path) -> Result<Self, CaptureError> {
+        let path = folder.join(CAPTURE_FILE);
+        let text = std::fs::read_to_string(&path)
+            .map_err(|source| CaptureError::Read { path: path.clone(), source })?;
+        let format: CaptureFormat = serde_json::from_str(&text)
+            .map_err(|source| CaptureError::Json { path: path.clone(), source })?;
+        format.check(&path)?;
+
+        let root = folder
+            .canonicalize()
+            .map_err(|source| CaptureError::Read { path: folder.to_owned(), source })?;
+        let reference = format.reference_index(&path)?;
+        let mut cameras = Vec::with_capacity(format.cameras.len());
+        for (index, filmed) in format.cameras.iter().enumerate() {
+            cameras.push(filmed.open(&path, &root, index)?);
+        }
+        let time_origin_s = cameras[reference].clock.times_s[0];
+        for camera in &mut cameras {
+            camera.clock.rebase(time_origin_s);
+        }
+        Ok(Self { name: format.name, folder: folder.to_owned(), reference, cameras, time_origin_s })
+    }
+
+    /// The camera of that id.
+    pub fn camera_index(&self, id: &str) -> Option<usize> {
+        self.cameras.iter().position(|c| c.id == id)
+    }
+
+    /// Decodes one frame, as RGB or grey as the camera's `color` says.
+    pub fn read_frame(&self, camera: usize, frame: usize) -> Result<Image, CaptureError> {
+        let filmed = &self.cameras[camera];
+        let path = &filmed.frames[frame];
+        let (image, _) = read_image(path)?;
+        let (w, h) = (filmed.camera.width, filmed.camera.height);
+        if (image.width(), image.height()) != (w, h) {
+            return Err(CaptureError::Image {
+                path: path.clone(),
+                reason: format!(
+                    "is {}×{} pixels, its camera {w}×{h}",
+                    image.width(),
+                    image.height()
+                ),
+            });
+        }
+        Ok(match filmed.color {
+            Color::Rgb => image.to_rgb(),
+            Color::Gray => image.to_gray(),
+        })
+    }
+
+    /// The duration between two frames of the reference camera: the unit "frame".
+    pub fn frame_s(&self) -> f64 {
+        self.cameras[self.reference].clock.frame_s()
+    }
+
+    /// The bit depth that results are written in: the largest of the inputs'.
+    pub fn bit_depth(&self) -> BitDepth {
+        self.cameras.iter().map(|c| c.bit_depth).max().unwrap_or(BitDepth::Eight)
+    }
+
+    /// A hash of everything that an estimate from this capture rests on: `capture.json` and the
+    /// frames' bytes.
+    pub fn content_hash(&self) -> Result<String, CaptureError> {
+        let mut hasher = blake3::Hasher::new();
+        let own = self.folder.join(CAPTURE_FILE);
+        let files = std::iter::once(&own).chain(self.cameras.iter().flat_map(|c| &c.frames));
+        for path in files {
+            let bytes = std::fs::read(path)
+                .map_err(|source| CaptureError::Read { path: path.clone(), source })?;
+            hasher.update(&(bytes.len() as u64).to_le_bytes());
+            hasher.update(&bytes);
+        }
+        Ok(hasher.finalize().to_hex().to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,73 @@
+use super::*;
+use serde_json::{Value, json};
+
+/// A capture of two cameras with three frames each, made in a temporary folder.
+fn written(change: impl FnOnce(&mut Value)) -> (tempfile::TempDir, Result<Capture, CaptureError>) {
+    let folder = tempfile::tempdir().unwrap();
+    let camera = |id: &str| {
+        json!({"id": id, "frames": format!("{id}/%02d.png"), "width": 8, "height": 6,
+            "model": "PINHOLE", "params": [8.0, 8.0, 4.0, 3.0],
+            "cam_from_world": {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]},
+            "clock": {"rate_hz": 30.0, "first_s": 100.0, "shared": false}})
+    };
+    let mut json = json!({"format": "stlfr-capture", "version": 1, "name": "two",
+        "cameras": [camera("a"), camera("b")]});
+    for id in ["a", "b"] {
+        for k in 0..3 {
+            let path = folder.path().join(format!("{id}/{k:02}.png"));
+            write_image(&path, &Image::filled(8, 6, 3, 0.5), None, BitDepth::Eight).unwrap();
+        }
+    }
+    change(&mut json);
+    std::fs::write(folder.path().join(CAPTURE_FILE), json.to_string()).unwrap();
+    let capture = Capture::open(folder.path());
+    (folder, capture)
+}
+
+#[test]
+fn opens_with_the_defaults() {
+    let (_folder, capture) = written(|_| ());
+    let capture = capture.unwrap();
+    assert_eq!((capture.reference, capture.cameras.len()), (0, 2));
+    assert_eq!((capture.time_origin_s, capture.cameras[1].clock.times_s[0]), (100.0, 0.0));
+    assert!((capture.frame_s() - 1.0 / 30.0).abs() < 1e-12);
+    assert_eq!(capture.read_frame(1, 2).unwrap().pixel(3, 3), [128.0 / 255.0; 3]);
+}
+
+#[test]
+fn every_wrong_field_is_named() {
+    type Break = fn(&mut Value);
+    let cases: &[(Break, &str)] = &[
+        (|j| j["format"] = json!("x"), "format"),
+        (|j| j["version"] = json!(2), "version"),
+        (|j| j["extra"] = json!(2), "extra"),
+        (|j| j["cameras"] = json!([]), "cameras"),
+        (|j| j["reference"] = json!("zz"), "reference"),
+        (|j| j["cameras"][1]["id"] = json!("a"), "two cameras"),
+        (|j| j["cameras"][1]["frames"] = json!("../b/%02d.png"), "(b).frames"),
+        (|j| j["cameras"][1]["frames"] = json!("b.mkv"), "(b).frames"),
+        (|j| j["cameras"][1]["width"] = json!(9), "00.png"),
+        (|j| j["cameras"][1]["params"] = json!([1]), "(b).model"),
+        (|j| j["cameras"][1]["clock"] = json!({"shared": false}), "(b).clock"),
+        (|j| j["cameras"][1]["clock"] = json!({"shared": false, "times_s": [0, 1]}), "2 entries"),
+        (|j| j["cameras"][1]["clock"] = json!({"shared": false, "times_s": [0, 1, 1]}), "ascend"),
+        (|j| j["cameras"][1]["clock"]["rate_hz"] = json!(0), "rate_hz"),
+        (|j| j["cameras"][1]["clock"]["first_s"] = json!(1e300), "ascend"),
+    ];
+    for (make_wrong, expected) in cases {
+        let (_folder, capture) = written(make_wrong);
+        let message = capture.unwrap_err().to_string();
+        assert!(message.contains(expected) && !message.contains('\n'), "{expected}: {message}");
+    }
+}
+
+#[test]
+fn the_hash_follows_the_content() {
+    let (folder, capture) = written(|_| ());
+    let capture = capture.unwrap();
+    let before = capture.content_hash().unwrap();
+    assert_eq!(before, capture.content_hash().unwrap());
+    let frame = folder.path().join("b/01.png");
+    write_image(&frame, &Image::filled(8, 6, 3, 0.4), None, BitDepth::Eight).unwrap();
+    assert_ne!(before, capture.content_hash().unwrap());
+}

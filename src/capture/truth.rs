@@ -1,0 +1,160 @@
+//! `truth/`: what only a simulator knows. The method never reads it; `compare` does.
+
+use crate::camera::{Camera, CameraFormat, CameraFormatError};
+use serde::{Deserialize, Serialize};
+use std::path::{Component, Path, PathBuf};
+
+/// `truth/truth.json`, as it stands in the file. Paths in it are relative to `truth/`; times are
+/// on the reference camera's clock.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Truth {
+    pub format: String,
+    pub version: u32,
+    pub scene: String,
+    pub rig: String,
+    pub offsets: Vec<TruthOffset>,
+    pub shutter: Vec<TruthShutter>,
+    pub views: Vec<TruthView>,
+    #[serde(default)]
+    pub video: Option<TruthVideo>,
+    #[serde(skip)]
+    folder: PathBuf,
+}
+
+/// The true offset of one camera, seconds.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TruthOffset {
+    pub id: String,
+    pub offset_s: f64,
+}
+
+/// The true middle of every exposure of one camera, seconds on the reference's clock.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TruthShutter {
+    pub id: String,
+    pub times_s: Vec<f64>,
+}
+
+/// A true image from a camera at an instant; `like` names the filming camera that stands there.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TruthView {
+    pub id: String,
+    pub time_s: f64,
+    pub like: Option<String>,
+    pub camera: CameraFormat,
+    pub image: String,
+    /// npy, f32, H×W: metres along the camera's +z.
+    pub depth: String,
+    /// npy, f32, H×W: pixels that the surface point moves within ±1 frame.
+    pub motion: String,
+}
+
+/// True images of one view over time.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TruthVideo {
+    pub view: String,
+    pub times_s: Vec<f64>,
+    pub camera: CameraFormat,
+    pub images: String,
+}
+
+/// What can be wrong with `truth/`.
+#[derive(Debug, thiserror::Error)]
+pub enum TruthError {
+    #[error("{path}: {source}")]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{path}: {source}")]
+    Json { path: PathBuf, source: serde_json::Error },
+    #[error("{path}: {reason}")]
+    Content { path: PathBuf, reason: String },
+    #[error("{path}: views[{index}].camera.{source}")]
+    Camera { path: PathBuf, index: usize, source: CameraFormatError },
+}
+
+impl Truth {
+    /// Reads `CAPTURE/truth/truth.json`; `None` if the capture has no truth.
+    pub fn open(capture: &Path) -> Result<Option<Self>, TruthError> {
+        let folder = capture.join("truth");
+        let path = folder.join("truth.json");
+        let text = match std::fs::read_to_string(&path) {
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(source) => return Err(TruthError::Read { path, source }),
+            Ok(text) => text,
+        };
+        let mut truth: Self = serde_json::from_str(&text)
+            .map_err(|source| TruthError::Json { path: path.clone(), source })?;
+        if truth.format != "stlfr-truth" || truth.version != 1 {
+            return Err(TruthError::Content {
+                path,
+                reason: "format and version must be 'stlfr-truth' and 1".into(),
+            });
+        }
+        for (index, view) in truth.views.iter().enumerate() {
+            view.camera().map_err(|source| TruthError::Camera {
+                path: path.clone(),
+                index,
+                source,
+            })?;
+        }
+        truth.folder = folder;
+        Ok(Some(truth))
+    }
+
+    /// The true offset of a camera.
+    pub fn offset_s(&self, id: &str) -> Option<f64> {
+        self.offsets.iter().find(|o| o.id == id).map(|o| o.offset_s)
+    }
+
+    /// A file of the truth, which must lie inside `truth/`.
+    pub fn file(&self, relative: &str) -> Result<PathBuf, TruthError> {
+        let path = self.folder.join(relative);
+        let inside = Path::new(relative).components().all(|c| matches!(c, Component::Normal(_)));
+        let root = self.folder.canonicalize();
+        let real = path.canonicalize();
+        match (inside, root, real) {
+            (true, Ok(root), Ok(real)) if real.starts_with(&root) => Ok(real),
+            (true, _, Err(source)) => Err(TruthError::Read { path, source }),
+            _ => Err(TruthError::Content { path, reason: "must stay inside truth/".into() }),
+        }
+    }
+}
+
+impl TruthView {
+    pub fn camera(&self) -> Result<Camera, CameraFormatError> {
+        self.camera.camera()
+    }
+}
+
+/// Reads an H×W array of little-endian f32 in numpy's format, version 1; returns (width, height,
+/// values row by row).
+pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), TruthError> {
+    let wrong =
+        |reason: &str| TruthError::Content { path: path.to_owned(), reason: reason.to_owned() };
+    let bytes =
+        std::fs::read(path).map_err(|source| TruthError::Read { path: path.to_owned(), source })?;
+    let rest = bytes.strip_prefix(b"\x93NUMPY\x01\x00").ok_or_else(|| wrong("is no npy file"))?;
+    let (length, rest) = rest.split_first_chunk().ok_or_else(|| wrong("is cut short"))?;
+    let (header, data) = rest
+        .split_at_checked(usize::from(u16::from_le_bytes(*length)))
+        .ok_or_else(|| wrong("is cut short"))?;
+    let header = std::str::from_utf8(header).map_err(|_| wrong("has no readable header"))?;
+    if !header.contains("'<f4'") || !header.contains("'fortran_order': False") {
+        return Err(wrong("must hold little-endian float32 in C order"));
+    }
+    let shape: Vec<usize> = header
+        .split_once('(')
+        .and_then(|(_, rest)| rest.split_once(')'))
+        .map(|(shape, _)| shape.split(',').filter_map(|n| n.trim().parse().ok()).collect())
+        .unwrap_or_default();
+    let &[height, width] = shape.as_slice() else { return Err(wrong("must have two axes")) };
+    if width.checked_mul(height).and_then(|n| n.checked_mul(4)) != Some(data.len()) {
+        return Err(wrong("has another size than its header says"));
+    }
+    let (values, _) = data.as_chunks::<4>();
+    Ok((width, height, values.iter().map(|b| f32::from_le_bytes(*b)).collect()))
+}

@@ -1,0 +1,7 @@
+//! Space-time light field rendering (Wang, Sun, Yang, IEEE TVCG 13(4), 2007): the view from
+//! anywhere, at any instant, from the videos of cameras that are not synchronized.
+
+pub mod camera;
+pub mod capture;
+pub mod progress;
+pub mod raster;
