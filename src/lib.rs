@@ -5,3 +5,4 @@ pub mod camera;
 pub mod capture;
 pub mod progress;
 pub mod raster;
+pub mod registration;
