@@ -3,6 +3,8 @@
 
 pub mod camera;
 pub mod capture;
+pub mod interpolation;
+pub mod offset;
 pub mod progress;
 pub mod raster;
 pub mod registration;

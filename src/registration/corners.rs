@@ -206,7 +206,8 @@ mod tests {
                 image.data_mut()[y * 60 + x] = 0.9;
             }
         }
-        let options = CornerOptions { min_distance_px: 8.0, min_quality: 0.2, ..Default::default() };
+        let options =
+            CornerOptions { min_distance_px: 8.0, min_quality: 0.2, ..Default::default() };
         let mut points = found(&image, &options);
         points.sort_by(|a, b| (a.y > 25.0, a.x).partial_cmp(&(b.y > 25.0, b.x)).unwrap());
         let expected = [(20.0, 15.0), (40.0, 15.0), (20.0, 35.0), (40.0, 35.0)];

@@ -40,13 +40,9 @@ pub fn select_references(
     options: &RegistrationOptions,
 ) -> Vec<Reference> {
     let here = capture.cameras[i].camera.center();
-    let baselines: Vec<_> =
-        capture.cameras.iter().map(|c| c.camera.center() - here).collect();
-    let nearest = baselines
-        .iter()
-        .map(|b| b.norm())
-        .filter(|&d| d > 0.0)
-        .fold(f64::INFINITY, f64::min);
+    let baselines: Vec<_> = capture.cameras.iter().map(|c| c.camera.center() - here).collect();
+    let nearest =
+        baselines.iter().map(|b| b.norm()).filter(|&d| d > 0.0).fold(f64::INFINITY, f64::min);
     let frame_s = t2 - t1;
     if !(nearest.is_finite() && frame_s > 0.0) {
         return Vec::new();
@@ -70,9 +66,8 @@ pub fn select_references(
     for (_, candidate) in candidates {
         let direction = baselines[candidate.camera].normalize();
         // 45°: a row's and a column's neighbour are 90° apart, a row's two neighbours 0°.
-        let across = chosen
-            .iter()
-            .all(|c| baselines[c.camera].normalize().dot(&direction).abs() < 0.707);
+        let across =
+            chosen.iter().all(|c| baselines[c.camera].normalize().dot(&direction).abs() < 0.707);
         if across && chosen.len() < options.max_references {
             chosen.push(candidate);
         }
@@ -102,13 +97,10 @@ pub fn epipolar_test(
     let interval = [own_times[k], own_times[k + 1]];
     // The forward flow's errors show at its far end, t + Δt; the backward flow's at t.
     for (backward, source, t) in [(false, k, interval[1]), (true, k + 1, interval[0])] {
-        let chosen: Vec<usize> = (0..tracks.len())
-            .filter(|&n| (tracks[n].run == Run::Backward) == backward)
-            .collect();
+        let chosen: Vec<usize> =
+            (0..tracks.len()).filter(|&n| (tracks[n].run == Run::Backward) == backward).collect();
         let source_frame = frames.get(i, source)?;
-        for reference in
-            select_references(frames.capture(), times_s, i, interval, t, options)
-        {
+        for reference in select_references(frames.capture(), times_s, i, interval, t, options) {
             let target_frame = frames.get(reference.camera, reference.frame)?;
             let cameras = &frames.capture().cameras;
             let pair = Pair {
@@ -154,10 +146,8 @@ impl Pair<'_> {
         features: impl Iterator<Item = (&'t Track, Path, Point2<f64>)>,
     ) -> Vec<Tested<'t>> {
         let features: Vec<_> = features.collect();
-        let starts: Vec<_> = features
-            .iter()
-            .map(|(_, path, at)| (*at, path.at(self.time_s)))
-            .collect();
+        let starts: Vec<_> =
+            features.iter().map(|(_, path, at)| (*at, path.at(self.time_s))).collect();
         flow(source, target, &starts, self.options)
             .into_iter()
             .zip(features)

@@ -71,6 +71,9 @@ impl Track {
     }
 }
 
+/// Pyramid levels on the way back, whose answer should be where it started: the coarse levels
+/// would cost as much again and only help a track that is wrong.
+const BACK_LEVELS: usize = 2;
 /// Points tracked by one worker at a time.
 const CHUNK: usize = 128;
 
@@ -90,8 +93,13 @@ pub fn flow(
                 .iter()
                 .map(|&(from, guess)| {
                     let found = tracker.track(&source.pyramid, &target.pyramid, from, guess)?;
-                    let back =
-                        tracker.track(&target.pyramid, &source.pyramid, found.position, from)?;
+                    let back = tracker.track_levels(
+                        &target.pyramid,
+                        &source.pyramid,
+                        found.position,
+                        from,
+                        BACK_LEVELS,
+                    )?;
                     let back_error_px = (back.position - from).norm();
                     (back_error_px <= options.max_back_error_px).then_some(Match {
                         source: from,

@@ -93,7 +93,19 @@ impl<'a> Tracker<'a> {
         from: Point2<f64>,
         guess: Point2<f64>,
     ) -> Option<Tracked> {
-        let levels = source.levels().len().min(target.levels().len());
+        self.track_levels(source, target, from, guess, self.options.levels)
+    }
+
+    /// As [`Self::track`], on so many of the finest levels only, for a guess that is near.
+    pub fn track_levels(
+        &mut self,
+        source: &Pyramid,
+        target: &Pyramid,
+        from: Point2<f64>,
+        guess: Point2<f64>,
+        levels: usize,
+    ) -> Option<Tracked> {
+        let levels = levels.min(source.levels().len()).min(target.levels().len()).max(1);
         let mut flow = (guess - from) / f64::from(1_u32 << (levels - 1));
         let mut residual = 0.0;
         for k in (0..levels).rev() {
@@ -125,6 +137,22 @@ impl<'a> Tracker<'a> {
     /// Cuts the template and its gradients out around `p` (relative to pixel centres); returns
     /// the structure tensor xx, xy, yy, summed.
     fn take_template(&mut self, level: &Level, p: &Vector2<f64>) -> [f64; 3] {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has the feature. The code is the same, so are its results.
+            return unsafe { self.take_template_avx2(level, p) };
+        }
+        self.take_template_any(level, p)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn take_template_avx2(&mut self, level: &Level, p: &Vector2<f64>) -> [f64; 3] {
+        self.take_template_any(level, p)
+    }
+
+    #[inline(always)]
+    fn take_template_any(&mut self, level: &Level, p: &Vector2<f64>) -> [f64; 3] {
         // Outside the padded border there is nothing to cut; the caller's points are in the image.
         let (base, weights) = match corner(level, p, self.options.radius_px) {
             Some(found) => found,
@@ -134,7 +162,13 @@ impl<'a> Tracker<'a> {
         for y in 0..self.side {
             let at = base + y * level.stride;
             let out = y * self.row;
-            interpolate(&level.value, at, level.stride, weights, &mut self.value[out..][..self.row]);
+            interpolate(
+                &level.value,
+                at,
+                level.stride,
+                weights,
+                &mut self.value[out..][..self.row],
+            );
             interpolate(&level.dx, at, level.stride, weights, &mut self.dx[out..][..self.side]);
             interpolate(&level.dy, at, level.stride, weights, &mut self.dy[out..][..self.side]);
             let (gx, _) = self.dx[out..][..self.row].as_chunks::<LANES>();
@@ -172,8 +206,7 @@ impl<'a> Tracker<'a> {
                 *flow = start;
                 return Outcome::Outside;
             };
-            let delta =
-                Vector2::new(xy * by - yy * bx, xy * bx - xx * by) / determinant;
+            let delta = Vector2::new(xy * by - yy * bx, xy * bx - xx * by) / determinant;
             *flow += delta;
             if delta.norm() < self.options.epsilon_px {
                 break;
@@ -190,6 +223,22 @@ impl<'a> Tracker<'a> {
 
     /// Σ (J − I)·∇I over the window, J cut out of the target around `q`.
     fn mismatch(&self, target: &Level, q: &Vector2<f64>) -> Option<(f64, f64)> {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has the feature. The code is the same, so are its results.
+            return unsafe { self.mismatch_avx2(target, q) };
+        }
+        self.mismatch_any(target, q)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn mismatch_avx2(&self, target: &Level, q: &Vector2<f64>) -> Option<(f64, f64)> {
+        self.mismatch_any(target, q)
+    }
+
+    #[inline(always)]
+    fn mismatch_any(&self, target: &Level, q: &Vector2<f64>) -> Option<(f64, f64)> {
         let (base, [w00, w01, w10, w11]) = corner(target, q, self.options.radius_px)?;
         let mut sum_x = [0.0_f32; LANES];
         let mut sum_y = [0.0_f32; LANES];
@@ -244,11 +293,11 @@ fn corner(level: &Level, p: &Vector2<f64>, radius: usize) -> Option<(usize, [f32
     let (x, y) = (p.x.floor(), p.y.floor());
     let (fx, fy) = ((p.x - x) as f32, (p.y - y) as f32);
     let base = level.index(x as isize - radius as isize, y as isize - radius as isize);
-    let weights =
-        [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
+    let weights = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
     Some((base, weights))
 }
 
+#[inline(always)]
 fn interpolate(plane: &[f32], at: usize, stride: usize, w: [f32; 4], out: &mut [f32]) {
     let top = &plane[at..at + out.len() + 1];
     let bottom = &plane[at + stride..at + stride + out.len() + 1];
@@ -257,6 +306,7 @@ fn interpolate(plane: &[f32], at: usize, stride: usize, w: [f32; 4], out: &mut [
     }
 }
 
+#[inline(always)]
 fn lanes(row: &[f32], at: usize) -> &[f32; LANES] {
     row[at..].first_chunk().expect("rows are padded to whole lanes")
 }

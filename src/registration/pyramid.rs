@@ -115,9 +115,8 @@ fn halved(data: &[f32], width: usize, height: usize) -> (Vec<f32>, usize, usize)
     for y in 0..height {
         let row = &data[y * width..(y + 1) * width];
         for x in 0..w2 {
-            narrow[y * w2 + x] = (0..5)
-                .map(|k| TAPS[k] * row[mirror(2 * x as isize + k as isize - 2, width)])
-                .sum();
+            narrow[y * w2 + x] =
+                (0..5).map(|k| TAPS[k] * row[mirror(2 * x as isize + k as isize - 2, width)]).sum();
         }
     }
     let mut half = vec![0.0; w2 * h2];
