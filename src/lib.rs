@@ -3,5 +3,6 @@
 
 pub mod camera;
 pub mod capture;
+pub mod lumigraph;
 pub mod progress;
 pub mod raster;
