@@ -18,6 +18,7 @@ mod plane;
 mod proxy;
 mod rasterize;
 mod rays;
+mod reproject;
 mod triangulate;
 mod ulr;
 mod weights;

@@ -22,8 +22,8 @@ const ON_EDGE: f64 = 1e-11;
 /// Triangles that fill a smaller solid angle (about, sr) are seen edge-on: it is what rounding
 /// leaves of unit vectors' products.
 const MIN_VOLUME: f64 = 1e-15;
-/// A triangle's part nearer than this share of its farthest depth counts as behind the camera;
-/// it bounds how far aside the remaining part can project.
+/// A triangle's part nearer than this share of its nearest vertex in front counts as behind the
+/// camera; it bounds how far aside the remaining part can project.
 const NEAR_SHARE: f64 = 1e-4;
 /// Points tried along each edge to bound a triangle's image through a lens that bends it.
 const BEND_STEPS: usize = 8;
@@ -118,9 +118,9 @@ type Range = (usize, usize);
 
 /// Columns and rows that may see the triangle; `None` if none.
 fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range, Range)> {
-    let farthest = v.iter().map(|p| p.z).fold(0.0, f64::max);
-    let near = farthest * NEAR_SHARE;
-    if !(near > 0.0) {
+    let in_front = v.iter().map(|p| p.z).filter(|z| *z > 0.0);
+    let near = in_front.fold(f64::INFINITY, f64::min) * NEAR_SHARE;
+    if !(near > 0.0 && near.is_finite()) {
         return None;
     }
     let (mut low, mut high) = (Point2::new(f64::MAX, f64::MAX), Point2::new(f64::MIN, f64::MIN));

@@ -119,7 +119,8 @@ fn naive(sources: &[Source], depth: &DepthMap, target: &Camera, o: &BlendOptions
                 seen.push((penalty, value));
             }
             seen.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let threshold = seen.get(o.cameras).map_or(f64::INFINITY, |s| s.0 * 1.02);
+            let threshold =
+                seen.get(o.cameras).map_or(f64::INFINITY, |s| s.0.max(seen[0].0 * 1.05));
             let (mut sum, mut total) = ([0.0; 3], 0.0);
             for (penalty, value) in &seen {
                 let weight = (1.0 - penalty / threshold).max(0.0) / penalty;

@@ -2,9 +2,9 @@
 //!
 //! Buehler et al.: the k best cameras by penalty, weights `(1 − p / p_{k+1}) / p`. As written,
 //! that is discontinuous where the k+1 best are equally good (0/0: the middle of a square of
-//! four cameras with k = 3). Here the threshold is a little above p_{k+1}, so that the best k+1
-//! never all reach zero, and every camera under it counts: weights are then continuous
-//! functions of the penalties, whatever ties there are.
+//! four cameras with k = 3). Here the threshold is at least a little above the best penalty, so
+//! that the best cameras never all reach zero: weights are then continuous functions of the
+//! penalties, whatever ties there are.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,78 +18,96 @@ pub enum BlendRung {
     Lumigraph,
 }
 
-/// How far above the (k+1)-th penalty the weights reach zero, as a share of it. Larger lets the
-/// (k+1)-th camera in (its weight is about this share of the others'); smaller sharpens the
-/// passage between cameras that tie, to a jump at 0.
-const SOFT: f32 = 0.02;
+/// The threshold's least distance above the best penalty, as a share of it. Larger blends more
+/// than k cameras that almost tie; smaller sharpens the passage between them, to a jump at 0.
+const SOFT: f32 = 0.05;
 
-/// Writes the weights, which sum to 1; false (and all 0) if no camera has a finite penalty.
+/// The weights of a row of pixels, source by source.
 ///
-/// `penalties`: angular deviation, raised by poor resolution and towards the image's border;
+/// Penalties are angular deviations, raised by poor resolution and towards the image's border;
 /// infinite where the camera doesn't see the point. A penalty of 0 is the target's own centre:
-/// then only such cameras count, in proportion to `trust` (0 at the image's border to 1).
-/// `nearest` is scratch space.
-pub(super) fn lumigraph_weights(
-    penalties: &[f32],
-    trust: &[f32],
-    k: usize,
-    nearest: &mut Vec<f32>,
-    weights: &mut [f32],
-) -> bool {
-    smallest(penalties, k.max(1) + 1, nearest);
-    weights.fill(0.0);
-    let Some(&best) = nearest.first().filter(|p| p.is_finite()) else { return false };
-    let mut sum = 0.0;
-    if best == 0.0 {
-        for ((w, &p), &t) in weights.iter_mut().zip(penalties).zip(trust) {
-            if p == 0.0 {
-                *w = t;
-                sum += t;
-            }
+/// then only such cameras count, in proportion to their trust (0 at the image's border to 1).
+pub(super) struct WeightRow {
+    width: usize,
+    /// Weights, source by source; they sum to 1, or to 0 where no camera sees the point.
+    pub weights: Vec<f32>,
+    /// The k+1 smallest penalties, ascending: rank by rank, pixel by pixel.
+    ranks: Vec<f32>,
+    sum: Vec<f32>,
+}
+
+impl WeightRow {
+    pub fn new(width: usize, sources: usize) -> Self {
+        Self {
+            width,
+            weights: vec![0.0; width * sources],
+            ranks: Vec::new(),
+            sum: vec![0.0; width],
         }
-    } else {
-        // With k cameras or fewer in sight nothing need fade out: the threshold is infinite.
-        let threshold = nearest
-            .get(k.max(1))
-            .map_or(f32::INFINITY, |p| p * (1.0 + SOFT))
-            .max(best * (1.0 + SOFT));
-        for (w, &p) in weights.iter_mut().zip(penalties) {
-            if p < threshold {
+    }
+
+    /// Of the k best cameras; `k` = 0 counts as 1.
+    pub fn lumigraph(&mut self, penalties: &[f32], trust: &[f32], k: usize) {
+        let width = self.width;
+        let k = k.clamp(1, (self.weights.len() / width).max(1));
+        self.rank(penalties, k + 1);
+        self.sum.fill(0.0);
+        let (best, next) = (&self.ranks[..width], &self.ranks[k * width..]);
+        let rows = self.weights.chunks_exact_mut(width);
+        for (weights, (p, trust)) in
+            rows.zip(penalties.chunks_exact(width).zip(trust.chunks_exact(width)))
+        {
+            for x in 0..width {
+                // Infinite where k cameras or fewer are in sight: nothing need fade out.
+                let threshold = next[x].max(best[x] * (1.0 + SOFT));
                 // best / p instead of 1 / p: at most 1, and never an overflow.
-                *w = (1.0 - p / threshold) * (best / p);
-                sum += *w;
+                let blended = (1.0 - p[x] / threshold) * (best[x] / p[x]);
+                let alone = if p[x] == 0.0 { trust[x] } else { 0.0 };
+                let counted = if p[x] < threshold { blended } else { 0.0 };
+                weights[x] = if best[x] == 0.0 { alone } else { counted };
+                self.sum[x] += weights[x];
+            }
+        }
+        self.normalize();
+    }
+
+    /// Equal weights for the cameras that see the point, less towards their borders.
+    pub fn uniform(&mut self, trust: &[f32]) {
+        self.weights.copy_from_slice(trust);
+        self.sum.fill(0.0);
+        for row in trust.chunks_exact(self.width) {
+            for (sum, t) in self.sum.iter_mut().zip(row) {
+                *sum += t;
+            }
+        }
+        self.normalize();
+    }
+
+    fn rank(&mut self, penalties: &[f32], count: usize) {
+        let width = self.width;
+        self.ranks.clear();
+        self.ranks.resize(count * width, f32::INFINITY);
+        // Insertion by exchanges, side by side for all pixels.
+        let mut moving = vec![0.0; width];
+        for row in penalties.chunks_exact(width) {
+            moving.copy_from_slice(row);
+            for rank in self.ranks.chunks_exact_mut(width) {
+                for (rank, moving) in rank.iter_mut().zip(&mut moving) {
+                    let (a, b) = (*rank, *moving);
+                    *rank = if b < a { b } else { a };
+                    *moving = if b < a { a } else { b };
+                }
             }
         }
     }
-    if !(sum > 0.0) {
-        return false;
-    }
-    weights.iter_mut().for_each(|w| *w /= sum);
-    true
-}
 
-/// Writes equal weights for the cameras that see the point, less towards their borders; false
-/// (and all 0) if none does.
-pub(super) fn uniform_weights(trust: &[f32], weights: &mut [f32]) -> bool {
-    let sum: f32 = trust.iter().sum();
-    for (w, t) in weights.iter_mut().zip(trust) {
-        *w = if sum > 0.0 { t / sum } else { 0.0 };
-    }
-    sum > 0.0
-}
-
-/// The `count` smallest values (or all there are), ascending.
-fn smallest(values: &[f32], count: usize, out: &mut Vec<f32>) {
-    out.clear();
-    for &v in values {
-        if out.len() == count {
-            if v >= out[count - 1] {
-                continue;
+    fn normalize(&mut self) {
+        for weights in self.weights.chunks_exact_mut(self.width) {
+            for (w, &sum) in weights.iter_mut().zip(&self.sum) {
+                let share = *w / sum;
+                *w = if sum > 0.0 { share } else { 0.0 };
             }
-            out.pop();
         }
-        let at = out.iter().position(|&o| v < o).unwrap_or(out.len());
-        out.insert(at, v);
     }
 }
 
@@ -99,19 +117,47 @@ mod tests {
     use super::*;
 
     fn weights(penalties: &[f32], k: usize) -> Vec<f32> {
-        let mut out = vec![0.0; penalties.len()];
-        lumigraph_weights(penalties, &vec![1.0; penalties.len()], k, &mut Vec::new(), &mut out);
-        out
+        let mut row = WeightRow::new(1, penalties.len());
+        row.lumigraph(penalties, &vec![1.0; penalties.len()], k);
+        row.weights
+    }
+
+    /// The formula, one pixel, with a sort.
+    fn naive(penalties: &[f32], k: usize) -> Vec<f32> {
+        let mut sorted = penalties.to_vec();
+        sorted.sort_by(f32::total_cmp);
+        let threshold = sorted.get(k).copied().unwrap_or(INF).max(sorted[0] * (1.0 + SOFT));
+        let weight = |p: &f32| if *p < threshold { (1.0 - p / threshold) / p } else { 0.0 };
+        let sum: f32 = penalties.iter().map(weight).sum();
+        penalties.iter().map(|p| if sum > 0.0 { weight(p) / sum } else { 0.0 }).collect()
     }
 
     const INF: f32 = f32::INFINITY;
 
     #[test]
+    fn rows_equal_the_formula() {
+        let mut random = Random::new(20);
+        for k in 1..6 {
+            let (width, n) = (37, 7);
+            let level = |r: &mut Random| if r.unit() < 0.2 { INF } else { r.unit() as f32 + 0.01 };
+            let penalties: Vec<f32> = (0..width * n).map(|_| level(&mut random)).collect();
+            let mut row = WeightRow::new(width, n);
+            row.lumigraph(&penalties, &vec![1.0; width * n], k);
+            for x in 0..width {
+                let at = |v: &[f32]| (0..n).map(|i| v[i * width + x]).collect::<Vec<_>>();
+                for (a, b) in at(&row.weights).iter().zip(naive(&at(&penalties), k)) {
+                    assert!((a - b).abs() < 1e-5, "{a} {b}");
+                }
+            }
+        }
+    }
+
+    #[test]
     fn weights_fall_with_the_penalty_and_end_at_the_next_camera() {
         let w = weights(&[0.1, 0.2, 0.3, 0.4], 2);
-        assert!(w[0] > w[1] && w[1] > w[2] && w[2] < 0.01 && w[3] == 0.0, "{w:?}");
+        assert!(w[0] > w[1] && w[1] > w[2] && w[2] == 0.0 && w[3] == 0.0, "{w:?}");
         let formula = (1.0 - 0.2 / 0.3) / 0.2 / ((1.0 - 0.1 / 0.3) / 0.1);
-        assert!((w[1] / w[0] - formula).abs() < 0.02, "{w:?}");
+        assert!((w[1] / w[0] - formula).abs() < 1e-5, "{w:?}");
     }
 
     #[test]
@@ -128,6 +174,7 @@ mod tests {
     fn ties_are_shared() {
         assert_eq!(weights(&[0.2; 4], 3), [0.25; 4]);
         assert_eq!(weights(&[0.2; 4], 1), [0.25; 4]);
+        assert_eq!(weights(&[0.0; 4], 1), [0.25; 4]);
     }
 
     #[test]
