@@ -5,6 +5,7 @@ pub mod camera;
 pub mod capture;
 pub mod interpolation;
 pub mod offset;
+pub mod lumigraph;
 pub mod progress;
 pub mod raster;
 pub mod registration;
