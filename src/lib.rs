@@ -3,5 +3,6 @@
 
 pub mod camera;
 pub mod capture;
+pub mod compare;
 pub mod progress;
 pub mod raster;

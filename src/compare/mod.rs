@@ -1,0 +1,6 @@
+//! §8.
+mod filter;
+pub mod flip;
+pub mod mask;
+pub mod metrics;
+pub mod ssim;
