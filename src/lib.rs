@@ -6,6 +6,7 @@ pub mod capture;
 pub mod interpolation;
 pub mod offset;
 pub mod lumigraph;
+pub mod compare;
 pub mod progress;
 pub mod raster;
 pub mod registration;
