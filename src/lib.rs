@@ -10,3 +10,4 @@ pub mod compare;
 pub mod progress;
 pub mod raster;
 pub mod registration;
+pub mod render;
