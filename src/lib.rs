@@ -1,12 +1,33 @@
 //! Space-time light field rendering (Wang, Sun, Yang, IEEE TVCG 13(4), 2007): the view from
 //! anywhere, at any instant, from the videos of cameras that are not synchronized.
+//!
+//! | paper | module |
+//! |---|---|
+//! | the calibrated array, and all conventions | [`camera`] |
+//! | its videos, and a simulator's truth | [`capture`] |
+//! | §4 image registration | [`registration`] |
+//! | §7 temporal offsets | [`offset`] |
+//! | §5 temporal interpolation | [`interpolation`] |
+//! | §6 view synthesis | [`lumigraph`] |
+//! | Fig. 2, the whole pipeline | [`render`] |
+//! | §8 results, beside the truth | [`compare`] |
+//!
+//! Beside these: [`raster`] holds images as the stages work on them, [`progress`] reports long
+//! work.
+//!
+//! # Conventions
+//!
+//! Metres, seconds, right-handed world; COLMAP's camera axes and models; the centre of the
+//! top-left pixel is (0.5, 0.5); transforms are named `target_from_source`; units are suffixes
+//! (`_px`, `_s`, `_m`, `_deg`). f64 for geometry and time, f32 for pixels. Time is seconds on the
+//! reference camera's clock, inside the program from the capture's start.
 
 pub mod camera;
 pub mod capture;
-pub mod interpolation;
-pub mod offset;
-pub mod lumigraph;
 pub mod compare;
+pub mod interpolation;
+pub mod lumigraph;
+pub mod offset;
 pub mod progress;
 pub mod raster;
 pub mod registration;

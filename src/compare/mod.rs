@@ -28,6 +28,7 @@
 
 mod driver;
 mod encoder;
+mod field;
 mod filter;
 pub mod flip;
 mod instant;
@@ -44,6 +45,7 @@ pub mod video;
 mod views;
 
 pub use driver::compare;
+pub use field::ComparedField;
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError, TruthError};
