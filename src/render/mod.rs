@@ -52,7 +52,9 @@ pub enum RenderError {
     Time { time_s: f64, first_s: f64, last_s: f64 },
     #[error("no camera of this capture has a known clock")]
     NoClock,
-    #[error("no point of the scene could be triangulated; set proxy.plane_depth_m to focus by hand")]
+    #[error(
+        "no point of the scene could be triangulated; set proxy.plane_depth_m to focus by hand"
+    )]
     NoPoints,
     #[error("no camera sees any pixel of this view")]
     NothingSeen,

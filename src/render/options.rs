@@ -38,9 +38,7 @@ pub struct ProxyOptions {
 }
 
 /// The proxies, cheapest first.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum,
-)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum ProxyRung {
     /// One plane, fitted or at a set depth

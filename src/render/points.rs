@@ -24,7 +24,8 @@ impl LightField {
         let options = &self.options().proxy;
         let usable = self.usable(time_s);
         let mut points = Vec::new();
-        for &camera in nearest(&self.capture().cameras, &usable, target).iter().take(options.cameras)
+        for &camera in
+            nearest(&self.capture().cameras, &usable, target).iter().take(options.cameras)
         {
             let own = &self.capture().cameras[camera].camera;
             let mut partners = nearest(&self.capture().cameras, &usable, own);
@@ -155,7 +156,14 @@ impl LightField {
                     0.0
                 };
                 let limited = moved * share;
-                (p, if disparities[n].norm() > 0.0 && limited.norm() < 30.0 { p + limited } else { p })
+                (
+                    p,
+                    if disparities[n].norm() > 0.0 && limited.norm() < 30.0 {
+                        p + limited
+                    } else {
+                        p
+                    },
+                )
             })
             .collect();
         let followed = flow(&near_frame, &far_frame, &starts, registration);
