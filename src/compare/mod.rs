@@ -28,7 +28,6 @@
 
 mod driver;
 mod encoder;
-mod field;
 mod filter;
 pub mod flip;
 mod instant;
@@ -45,7 +44,6 @@ pub mod video;
 mod views;
 
 pub use driver::compare;
-pub use field::ComparedField;
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError, TruthError};
