@@ -38,16 +38,6 @@ pub fn compare(
     }
     drop(task);
 
-    let video = match (encoder, &options.video) {
-        (Some(encoder), Some(video_options)) => {
-            let plan = video::Plan::new(renderer, Some(truth), video_options)?;
-            let write =
-                || plan.write(renderer, &options.sync, &encoder, &out.join("review"), reporter);
-            Some(stages.time("video", write)?)
-        }
-        _ => None,
-    };
-
     let offsets = offset_results(renderer, truth);
     let metrics = Metrics {
         format: "stlfr-metrics",
@@ -62,15 +52,26 @@ pub fn compare(
         views: found.views,
     };
     write_json(&out.join("metrics.json"), &metrics)?;
+    // A failing video is told once everything else is written.
+    let video = match (encoder, &options.video) {
+        (Some(encoder), Some(video_options)) => stages
+            .time("video", || {
+                let plan = video::Plan::new(renderer, Some(truth), video_options)?;
+                plan.write(renderer, &options.sync, &encoder, &out.join("review"), reporter)
+            })
+            .map(Some),
+        _ => Ok(None),
+    };
     stages.0.push(StageTime {
         stage: "comparison in all".into(),
         seconds: start.elapsed().as_secs_f64(),
     });
     write_json(&out.join("timings.json"), &serde_json::json!({ "stages": stages.0 }))?;
     let report = out.join("report.html");
-    let html = report::html(&metrics, &stages.0, &found.figures, video.as_deref())?;
+    let made = video.as_ref().ok().and_then(|v| v.as_deref());
+    let html = report::html(&metrics, &stages.0, &found.figures, made)?;
     write(&report, html.as_bytes())?;
-    Ok(Summary { headline: metrics.headline, report, video })
+    Ok(Summary { headline: metrics.headline, report, video: video? })
 }
 
 /// Times of the stages, each the sum of its parts.

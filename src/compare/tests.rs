@@ -332,7 +332,9 @@ fn a_video_is_written_whole_or_not_at_all() {
 
     std::fs::write(&program, script.replace("${FAIL:-0}", "3")).unwrap();
     std::fs::remove_file(&path).unwrap();
+    std::fs::remove_file(&summary.report).unwrap();
     assert!(set.compare(&options).unwrap_err().to_string().contains("could not write"));
+    assert!(summary.report.is_file(), "the numbers are not lost with the video");
     let left = std::fs::read_dir(set.out()).unwrap().flatten();
     assert!(left.map(|e| e.file_name()).all(|n| !n.to_string_lossy().contains("review.")));
 }
