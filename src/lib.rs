@@ -4,4 +4,7 @@
 pub mod camera;
 pub mod capture;
 pub mod progress;
+#[cfg(feature = "python")]
+mod python;
 pub mod raster;
+pub mod toolchain;

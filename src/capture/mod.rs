@@ -92,6 +92,12 @@ impl Capture {
         self.cameras.iter().position(|c| c.id == id)
     }
 
+    /// The times of a camera's frames as its file has them (to the last digits), seconds on its own
+    /// clock.
+    pub fn times_in_file_s(&self, camera: usize) -> Vec<f64> {
+        self.cameras[camera].clock.times_s.iter().map(|t| t + self.time_origin_s).collect()
+    }
+
     /// Decodes one frame, as RGB or grey as the camera's `color` says.
     pub fn read_frame(&self, camera: usize, frame: usize) -> Result<Image, CaptureError> {
         let filmed = &self.cameras[camera];

@@ -1,0 +1,28 @@
+//! `stlfr check`
+
+use super::CliError;
+use std::path::PathBuf;
+use stlfr::capture::Capture;
+use stlfr::progress::Reporter;
+use stlfr::toolchain::{check, ensure_environment, project_root};
+
+/// Check a capture's calibration against COLMAP: projections, and a reconstruction from the pixels
+/// of one instant.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr check .captures/demo\n  \
+    stlfr check .captures/demo --json check.json")]
+pub struct Args {
+    /// The capture's folder.
+    capture: PathBuf,
+    /// Write the measured values into this file too.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    Capture::open(&args.capture)?; // said before a set-up that may take minutes
+    let environment = ensure_environment(&project_root()?, reporter)?;
+    check(&environment, &args.capture, args.json.as_deref(), reporter, |line| println!("{line}"))?;
+    Ok(())
+}
