@@ -1,8 +1,9 @@
 //! `stlfr capture`
 
 use super::CliError;
+use super::files::{must_be_a_file, must_be_writable};
 use super::values::Size;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use stlfr::progress::Reporter;
 use stlfr::toolchain::{FilmOptions, Scene, ensure_environment, film, project_root};
 
@@ -50,6 +51,7 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     for file in std::iter::once(&args.rig).chain(&args.blend) {
         must_be_a_file(file)?;
     }
+    must_be_writable(&args.output)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     film(&environment, &args.options(), reporter)?;
     println!("{}", args.output.display());
@@ -72,13 +74,5 @@ impl Args {
             truth_video: self.truth_video,
             truth: !self.no_truth,
         }
-    }
-}
-
-fn must_be_a_file(path: &Path) -> Result<(), CliError> {
-    match std::fs::metadata(path) {
-        Ok(metadata) if metadata.is_file() => Ok(()),
-        Ok(_) => Err(CliError::BadInput(format!("{}: is no file", path.display()))),
-        Err(error) => Err(CliError::BadInput(format!("{}: {error}", path.display()))),
     }
 }

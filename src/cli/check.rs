@@ -1,6 +1,7 @@
 //! `stlfr check`
 
 use super::CliError;
+use super::files::must_be_writable;
 use std::path::PathBuf;
 use stlfr::capture::Capture;
 use stlfr::progress::Reporter;
@@ -22,7 +23,17 @@ pub struct Args {
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     Capture::open(&args.capture)?; // said before a set-up that may take minutes
+    args.json.as_deref().map_or(Ok(()), must_be_writable)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
-    check(&environment, &args.capture, args.json.as_deref(), reporter, |line| println!("{line}"))?;
-    Ok(())
+    let check = check(&environment, &args.capture, args.json.as_deref(), reporter)?;
+    for line in &check.table {
+        println!("{line}");
+    }
+    match (check.values.ok, check.values.reason) {
+        (true, _) => Ok(()),
+        (false, reason) => Err(CliError::Failure(format!(
+            "the calibration is off: {}",
+            reason.unwrap_or_default()
+        ))),
+    }
 }

@@ -2,7 +2,17 @@
 
 mod capture;
 mod check;
+#[allow(dead_code)] // until it is wired
+mod compare;
+#[allow(dead_code)] // until it is wired
+mod demo;
 mod error;
+#[allow(dead_code)] // until `render` is wired
+mod files;
+#[allow(dead_code)] // until it is wired
+mod offsets;
+#[allow(dead_code)] // until it is wired
+mod render;
 mod setup;
 #[allow(dead_code)] // until `render` is wired
 mod span;

@@ -9,6 +9,12 @@ pub struct Size {
     pub height: u32,
 }
 
+impl std::fmt::Display for Size {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)
+    }
+}
+
 impl FromStr for Size {
     type Err = String;
 

@@ -62,7 +62,8 @@ pub(super) fn run(
     verdict(&name, &ended)
 }
 
-fn verdict(name: &str, ended: &Ended) -> Result<(), ScriptError> {
+/// Success, or what the script's end says.
+pub(super) fn verdict(name: &str, ended: &Ended) -> Result<(), ScriptError> {
     let sentence = || ended.stderr.lines().rev().find(|l| !l.trim().is_empty()).map(str::to_owned);
     match ended.status.code() {
         Some(0) => Ok(()),
