@@ -26,7 +26,16 @@ def capture_dir(program: Path) -> Path:
         return Path(filmed)
     folder = ROOT / "target/test-captures"
     folder.mkdir(parents=True, exist_ok=True)
-    options = ["--scene", "magazine", "--size", "160x120", "--frames", "6", "--instants", "1"]
+    options = [
+        "--scene",
+        "magazine",
+        "--size",
+        "160x120",
+        "--frames",
+        "6",
+        "--instants",
+        "1",
+    ]
     with (folder / "tiny.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         command: list[str | Path] = [program, "capture", "rigs/linear8.json", *options]

@@ -20,11 +20,15 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def described(capture_dir: Path) -> list[dict[str, Any]]:
     """The cameras as capture.json has them."""
-    cameras: list[dict[str, Any]] = json.loads((capture_dir / "capture.json").read_text())["cameras"]
+    cameras: list[dict[str, Any]] = json.loads(
+        (capture_dir / "capture.json").read_text()
+    )["cameras"]
     return cameras
 
 
-def project_by_hand(camera: dict[str, Any], points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def project_by_hand(
+    camera: dict[str, Any], points: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
     """The pinhole formula, with the quaternion written out."""
     w, x, y, z = np.array(camera["cam_from_world"]["rotation_wxyz"])
     rotation = np.array(
@@ -58,7 +62,9 @@ def test_a_capture_is_what_its_file_says(capture_dir: Path) -> None:
     for camera in cameras:
         times_s = capture.times(camera["id"])
         assert times_s.dtype == np.float64
-        np.testing.assert_allclose(times_s, camera["clock"]["times_s"], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            times_s, camera["clock"]["times_s"], rtol=0, atol=1e-12
+        )
 
 
 def test_points_are_projected_as_by_hand(capture_dir: Path) -> None:
@@ -83,7 +89,9 @@ def test_what_is_like_an_array_is_taken(capture_dir: Path) -> None:
     points = np.array([[0.1, 2.0, 0.2], [0.3, 3.0, -0.1]])
     expected = capture.project("cam0", points)
     np.testing.assert_array_equal(capture.project("cam0", points.tolist()), expected)
-    np.testing.assert_allclose(capture.project("cam0", points.astype(np.float32)), expected, rtol=1e-5)
+    np.testing.assert_allclose(
+        capture.project("cam0", points.astype(np.float32)), expected, rtol=1e-5
+    )
     doubled = np.repeat(points, 2, axis=1)[:, ::2]
     np.testing.assert_array_equal(capture.project("cam0", doubled), expected)
     assert capture.project("cam0", np.empty((0, 3))).shape == (0, 2)
@@ -101,12 +109,18 @@ def test_bad_input_is_a_value_error(capture_dir: Path) -> None:
 
 def test_errors_are_the_command_lines(tmp_path: Path, program: Path) -> None:
     """The same sentence from both."""
-    for text in [None, "{", '{"format": "x", "version": 1, "name": "n", "cameras": []}']:
+    for text in [
+        None,
+        "{",
+        '{"format": "x", "version": 1, "name": "n", "cameras": []}',
+    ]:
         if text is not None:
             (tmp_path / "capture.json").write_text(text)
         with pytest.raises(ValueError, match=r"capture\.json") as raised:
             stlfr.open(tmp_path)
-        printed = subprocess.run([program, "check", tmp_path], capture_output=True, text=True)
+        printed = subprocess.run(
+            [program, "check", tmp_path], capture_output=True, text=True
+        )
         assert (printed.returncode, printed.stderr) == (2, f"{raised.value}\n")
 
 
