@@ -3,8 +3,13 @@
 
 pub mod camera;
 pub mod capture;
+pub mod interpolation;
+pub mod offset;
+pub mod lumigraph;
+pub mod compare;
 pub mod progress;
 #[cfg(feature = "python")]
 mod python;
 pub mod raster;
+pub mod registration;
 pub mod toolchain;

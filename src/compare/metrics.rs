@@ -1,0 +1,194 @@
+//! How far an image is from the truth: PSNR, SSIM and FLIP, over any set of pixels.
+
+use super::flip::{FlipImage, flip_map};
+use super::ssim::{has_full_window, ssim_map};
+use crate::raster::Image;
+use serde::{Deserialize, Serialize};
+
+/// The three metrics over one set of pixels. A `None` is written as null: there is no NaN and no
+/// infinity in any file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scores {
+    /// How many pixels were measured.
+    pub pixels: usize,
+    /// 10·log₁₀(1/MSE) over all channels, decibels. `None` without pixels, and with pixels if the
+    /// images are identical there (it would be infinite).
+    pub psnr_db: Option<f64>,
+    /// Mean SSIM of the luma, −1..=1; `None` if no pixel has a full window.
+    pub ssim: Option<f64>,
+    /// Mean FLIP, 0..=1, 0 the best; `None` without pixels.
+    pub flip: Option<f64>,
+}
+
+/// The scores of one image: over all measured pixels, and over the moving part of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RegionScores {
+    pub whole: Scores,
+    pub moving: Scores,
+}
+
+/// A true image, with what all comparisons with it share.
+pub struct Reference {
+    image: Image,
+    gray: Image,
+    flip: FlipImage,
+    pixels_per_degree: f64,
+}
+
+/// Errors at every pixel, row by row.
+pub struct ErrorMaps {
+    width: usize,
+    height: usize,
+    /// Squared error, the mean of the channels.
+    squared: Vec<f32>,
+    ssim: Vec<f32>,
+    flip: Vec<f32>,
+}
+
+impl Reference {
+    /// `pixels_per_degree` is FLIP's viewing condition.
+    pub fn new(image: Image, pixels_per_degree: f64) -> Self {
+        let (gray, flip) = (image.to_gray(), FlipImage::new(&image, pixels_per_degree));
+        Self { image, gray, flip, pixels_per_degree }
+    }
+
+    pub fn image(&self) -> &Image {
+        &self.image
+    }
+
+    /// Compares an image of the same size and channels.
+    ///
+    /// # Panics
+    /// If its size or channels differ.
+    pub fn compare(&self, test: &Image) -> ErrorMaps {
+        let truth = &self.image;
+        assert_eq!(
+            (truth.width(), truth.height(), truth.channels()),
+            (test.width(), test.height(), test.channels()),
+            "an image is compared with one of its size"
+        );
+        let n = truth.channels();
+        let pixels = truth.data().chunks_exact(n).zip(test.data().chunks_exact(n));
+        let squared = pixels
+            .map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f32>() / n as f32)
+            .collect();
+        ErrorMaps {
+            width: truth.width(),
+            height: truth.height(),
+            squared,
+            ssim: ssim_map(&self.gray, &test.to_gray()),
+            flip: flip_map(&self.flip, &FlipImage::new(test, self.pixels_per_degree)),
+        }
+    }
+}
+
+impl ErrorMaps {
+    /// The metrics over the pixels where `mask` is true, or over all. Sums run in row order in
+    /// f64, so that the result doesn't depend on the number of threads.
+    ///
+    /// # Panics
+    /// If the mask has another number of pixels.
+    pub fn scores(&self, mask: Option<&[bool]>) -> Scores {
+        assert!(mask.is_none_or(|m| m.len() == self.squared.len()), "a mask of the image's size");
+        let (mut pixels, mut windows) = (0usize, 0usize);
+        let (mut squared, mut ssim, mut flip) = (0.0f64, 0.0f64, 0.0f64);
+        for k in (0..self.squared.len()).filter(|k| mask.is_none_or(|m| m[*k])) {
+            pixels += 1;
+            squared += f64::from(self.squared[k]);
+            flip += f64::from(self.flip[k]);
+            if has_full_window(k % self.width, k / self.width, self.width, self.height) {
+                windows += 1;
+                ssim += f64::from(self.ssim[k]);
+            }
+        }
+        let mean = |sum: f64, n: usize| (n > 0).then(|| sum / n as f64).filter(|v| v.is_finite());
+        Scores {
+            pixels,
+            psnr_db: mean(squared, pixels).filter(|mse| *mse > 0.0).map(|mse| -10.0 * mse.log10()),
+            ssim: mean(ssim, windows),
+            flip: mean(flip, pixels),
+        }
+    }
+
+    /// Over the pixels of `covered`, and over those of them that move.
+    pub fn regions(&self, covered: Option<&[bool]>, moving: &[bool]) -> RegionScores {
+        let both: Option<Vec<bool>> =
+            covered.map(|c| c.iter().zip(moving).map(|(c, m)| *c && *m).collect());
+        RegionScores {
+            whole: self.scores(covered),
+            moving: self.scores(Some(both.as_deref().unwrap_or(moving))),
+        }
+    }
+}
+
+/// The median (the mean of the middle two of an even number); `None` of nothing.
+pub fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let n = values.len();
+    (n > 0).then(|| 0.5 * (values[(n - 1) / 2] + values[n / 2]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::flip::DEFAULT_PIXELS_PER_DEGREE;
+    use super::*;
+
+    fn textured() -> Image {
+        let data = (0..16 * 12 * 3).map(|k| 0.2 + ((k * 13) % 29) as f32 / 58.0).collect();
+        Image::from_data(16, 12, 3, data)
+    }
+
+    fn with_error(error: f32, at: impl Fn(usize) -> bool) -> ErrorMaps {
+        let truth = textured();
+        let mut test = truth.clone();
+        for (k, v) in test.data_mut().iter_mut().enumerate() {
+            *v += if at(k / 3) { error } else { 0.0 };
+        }
+        Reference::new(truth, DEFAULT_PIXELS_PER_DEGREE).compare(&test)
+    }
+
+    #[test]
+    fn an_error_of_a_tenth_everywhere_is_20_db() {
+        let scores = with_error(0.1, |_| true).scores(None);
+        assert!((scores.psnr_db.unwrap() - 20.0).abs() < 1e-4);
+        assert_eq!(scores.pixels, 192);
+    }
+
+    #[test]
+    fn an_error_in_the_left_half_is_measured_there_only() {
+        let maps = with_error(0.1, |k| k % 16 < 8);
+        let left: Vec<bool> = (0..192).map(|k| k % 16 < 8).collect();
+        let right: Vec<bool> = left.iter().map(|l| !l).collect();
+        assert!((maps.scores(Some(&left)).psnr_db.unwrap() - 20.0).abs() < 1e-4);
+        assert!((maps.scores(None).psnr_db.unwrap() - 20.0 - 10.0 * 2f64.log10()).abs() < 1e-4);
+        let untouched = maps.scores(Some(&right));
+        assert_eq!((untouched.pixels, untouched.psnr_db), (96, None));
+        let regions = maps.regions(Some(&left), &right);
+        assert_eq!((regions.whole.pixels, regions.moving.pixels), (96, 0));
+    }
+
+    #[test]
+    fn identical_images_have_no_finite_psnr() {
+        let scores = with_error(0.0, |_| true).scores(None);
+        assert_eq!((scores.psnr_db, scores.flip), (None, Some(0.0)));
+        assert!((scores.ssim.unwrap() - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn nothing_to_measure_is_null() {
+        let maps = with_error(0.1, |_| true);
+        assert_eq!(maps.scores(Some(&[false; 192])), Scores::default());
+        let tiny = Image::filled(4, 4, 1, 0.5);
+        let maps = Reference::new(tiny.clone(), 67.0).compare(&tiny);
+        assert_eq!(maps.scores(None).ssim, None);
+    }
+
+    #[test]
+    fn medians() {
+        assert_eq!(median(vec![]), None);
+        assert_eq!(median(vec![3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median(vec![4.0, 1.0]), Some(2.5));
+    }
+}

@@ -1,0 +1,400 @@
+//! §8: the results beside the truth.
+//!
+//! [`compare`] renders what the truth has images of, measures it, and writes into one folder
+//!
+//! - `metrics.json`: every number; the same bytes from run to run, whatever the thread count
+//! - `timings.json`: how long the stages took
+//! - `report.html`: all of it for a reader, in one file
+//! - `sheets/`: truth, methods and their differences side by side
+//! - `images/`: the rendered images, in the input's bit depth
+//! - `review.mp4`, if asked for
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod.rs` | the interface to the renderer, options, the driver |
+//! | `instant.rs` | one instant: synchronize, blend, measure |
+//! | `truths.rs` | the truth's images and moving parts |
+//! | `metrics.rs`, `ssim.rs`, `flip.rs`, `filter.rs` | the metrics |
+//! | `mask.rs` | the moving part |
+//! | `results.rs` | what is found, as it is written; the headline |
+//! | `sheet.rs`, `lettering.rs` | pictures with labels |
+//! | `report.rs`, `report.html`, `plots.rs` | the report |
+//! | `video.rs` | the review video |
+//!
+//! Known limits: what is measured is what the files hold, after rounding to their bit depth. The
+//! noise of the truth itself, which bounds every PSNR, is not known here.
+
+mod filter;
+pub mod flip;
+mod instant;
+mod lettering;
+pub mod mask;
+pub mod metrics;
+mod plots;
+mod report;
+pub mod results;
+pub mod sheet;
+pub mod ssim;
+mod truths;
+pub mod video;
+
+use crate::camera::Camera;
+use crate::capture::{Capture, CaptureError, Truth, TruthError, write_atomically};
+use crate::progress::Reporter;
+use crate::raster::Image;
+use results::{CaptureFacts, Headline, Metrics, OffsetResult, StageTime};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// The sync rung of traditional light field rendering, which everything is compared with.
+pub const NEAREST: &str = "nearest";
+
+/// What is compared: a light field of one capture, with its preparation (registration, offsets)
+/// done. Calls come from one thread, one after the other, so that an implementation may use all
+/// cores and keep caches.
+///
+/// Times are seconds on the reference's clock, from the capture's start
+/// ([`Capture::time_origin_s`] subtracted). An `Err` is one sentence for the report: why this
+/// image can't be made. It leaves out the camera or the view, and ends nothing.
+pub trait Renderer {
+    fn capture(&self) -> &Capture;
+
+    /// Every camera's offset, as `offsets --json` states it.
+    fn offsets(&self) -> Vec<CameraOffset>;
+
+    /// The sync rungs, cheapest first.
+    fn sync_rungs(&self) -> Vec<String>;
+
+    /// The proxy rungs, cheapest first.
+    fn proxies(&self) -> Vec<String>;
+
+    /// A filming camera's image at a time, by one of [`Self::sync_rungs`].
+    fn synchronized(&self, sync: &str, camera: usize, time_s: f64) -> Result<Image, String>;
+
+    /// A view blended from one image a filming camera (`None`: left out), through the proxy of
+    /// that index. The proxy must not depend on the images, only on the view and the time.
+    fn view(
+        &self,
+        images: &[Option<Image>],
+        proxy: usize,
+        target: &Camera,
+        time_s: f64,
+    ) -> Result<RenderedView, String>;
+
+    /// The first and the last time at which all cameras can give an image.
+    fn covered_span_s(&self) -> Option<(f64, f64)>;
+
+    /// The options of all stages, to be written beside the numbers.
+    fn options(&self) -> serde_json::Value;
+
+    /// What the preparation took.
+    fn timings(&self) -> Vec<StageTime>;
+}
+
+/// A rendered image, and which of its pixels a camera sees, row by row.
+#[derive(Clone, Debug)]
+pub struct RenderedView {
+    pub image: Image,
+    pub coverage: Vec<bool>,
+}
+
+/// An estimated offset: time on the reference's clock = time on the camera's clock + `offset_s`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraOffset {
+    pub id: String,
+    pub offset_s: Option<f64>,
+    pub std_err_s: Option<f64>,
+    /// Why there is no offset.
+    pub reason: Option<String>,
+}
+
+/// What is compared, and how it is measured.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CompareOptions {
+    /// The sync rung of ST-LFR.
+    pub sync: String,
+    /// Measure all sync rungs on the filming cameras, not only `nearest` and `sync`.
+    pub all_rungs: bool,
+    /// A surface point that moves more than this within ±1 frame belongs to the moving part.
+    /// Larger: slow motion isn't measured apart. Smaller: the moving part fills with what any
+    /// method renders well.
+    pub moving_threshold_px: f32,
+    /// What the moving part is dilated by. Smaller: ghosts beside a moving edge are missed.
+    /// Larger: the still background dilutes the numbers.
+    pub moving_dilation_px: usize,
+    /// FLIP's viewing condition; its authors' by default.
+    pub pixels_per_degree: f64,
+    /// What the difference images of the sheets are multiplied by.
+    pub difference_gain: f32,
+    /// How many views the report holds the pictures of; the sheets have all.
+    pub report_views: usize,
+    /// A side-by-side video too.
+    pub video: Option<video::VideoOptions>,
+}
+
+impl Default for CompareOptions {
+    fn default() -> Self {
+        Self {
+            sync: "edge-morph".into(),
+            all_rungs: false,
+            moving_threshold_px: 0.5,
+            moving_dilation_px: 2,
+            pixels_per_degree: flip::DEFAULT_PIXELS_PER_DEGREE,
+            difference_gain: 4.0,
+            report_views: 12,
+            video: None,
+        }
+    }
+}
+
+/// Why there is no comparison. Every message is one sentence.
+#[derive(Debug, thiserror::Error)]
+pub enum CompareError {
+    #[error("{folder} has no truth/truth.json to compare with")]
+    NoTruth { folder: PathBuf },
+    #[error(transparent)]
+    Truth(#[from] TruthError),
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    #[error("truth/truth.json: views[{index}] ({id}): {reason}")]
+    View { index: usize, id: String, reason: String },
+    #[error("sync '{name}' is not one of {known}")]
+    Rung { name: String, known: String },
+    #[error("{field} is {value}, must be {wanted}")]
+    Option { field: &'static str, value: f64, wanted: &'static str },
+    #[error("{path}: {source}")]
+    Write { path: PathBuf, source: std::io::Error },
+    #[error("the report could not be filled in: {0}")]
+    Report(#[from] minijinja::Error),
+    #[error(transparent)]
+    Video(#[from] video::VideoError),
+}
+
+/// The numbers that matter, and where the rest is.
+#[derive(Clone, Debug)]
+pub struct Summary {
+    pub headline: Headline,
+    pub report: PathBuf,
+    pub video: Option<PathBuf>,
+}
+
+/// Compares what the renderer makes with the truth, and writes the folder `out`.
+///
+/// Views of the truth that stand where a filming camera does measure its synchronized image; the
+/// others are blended from each camera's nearest frame (traditional LFR), from the synchronized
+/// images (ST-LFR), and from the true ones (perfect sync).
+pub fn compare(
+    renderer: &dyn Renderer,
+    truth: Option<&Truth>,
+    out: &Path,
+    options: &CompareOptions,
+    reporter: &Reporter,
+) -> Result<Summary, CompareError> {
+    let start = Instant::now();
+    let capture = renderer.capture();
+    let truth =
+        truth.ok_or_else(|| CompareError::NoTruth { folder: capture.folder.clone() })?;
+    options.check(renderer)?;
+    let instants = truths::instants(truth, capture)?;
+    let encoder = options.video.as_ref().map(video::Encoder::find).transpose()?;
+
+    let mut stages = Stages(renderer.timings());
+    let task = reporter.task("Comparing with the truth", truth.views.len());
+    let rungs = options.rungs(renderer);
+    let mut found = instant::Found::default();
+    let work = instant::Work { renderer, truth, options, out, rungs: &rungs };
+    for instant in &instants {
+        work.compare(instant, &mut found, &mut stages)?;
+        task.advance(instant.views.len());
+    }
+    drop(task);
+
+    let video = match (encoder, &options.video) {
+        (Some(encoder), Some(video_options)) => {
+            let plan = video::Plan::new(renderer, Some(truth), video_options)?;
+            let write = || {
+                plan.write(renderer, &options.sync, &encoder, &out.join("review"), reporter)
+            };
+            Some(stages.time("video", write)?)
+        }
+        _ => None,
+    };
+
+    let offsets = offset_results(renderer, truth);
+    let metrics = Metrics {
+        format: "stlfr-metrics",
+        version: 1,
+        stlfr: env!("CARGO_PKG_VERSION"),
+        capture: facts(capture, truth),
+        options: options.clone(),
+        renderer: renderer.options(),
+        headline: results::headline(options, &offsets, &found.sync, &found.views),
+        offsets,
+        sync: found.sync,
+        views: found.views,
+    };
+    write_json(&out.join("metrics.json"), &metrics)?;
+    stages.0.push(StageTime {
+        stage: "comparison in all".into(),
+        seconds: start.elapsed().as_secs_f64(),
+    });
+    write_json(&out.join("timings.json"), &serde_json::json!({ "stages": stages.0 }))?;
+    let report = out.join("report.html");
+    let html = report::html(&metrics, &stages.0, &found.figures, video.as_deref())?;
+    write(&report, html.as_bytes())?;
+    Ok(Summary { headline: metrics.headline, report, video })
+}
+
+impl CompareOptions {
+    fn check(&self, renderer: &dyn Renderer) -> Result<(), CompareError> {
+        let known = renderer.sync_rungs();
+        if !known.contains(&self.sync) {
+            let known = known.join(", ");
+            return Err(CompareError::Rung { name: self.sync.clone(), known });
+        }
+        let positive = [
+            ("pixels_per_degree", self.pixels_per_degree),
+            ("difference_gain", f64::from(self.difference_gain)),
+        ];
+        for (field, value) in positive {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(CompareError::Option { field, value, wanted: "positive" });
+            }
+        }
+        let threshold = f64::from(self.moving_threshold_px);
+        if !(threshold.is_finite() && threshold >= 0.0) {
+            let field = "moving_threshold_px";
+            return Err(CompareError::Option { field, value: threshold, wanted: "0 or more" });
+        }
+        Ok(())
+    }
+
+    /// The rungs to measure, in the ladder's order.
+    fn rungs(&self, renderer: &dyn Renderer) -> Vec<String> {
+        let wanted = |r: &String| self.all_rungs || *r == NEAREST || *r == self.sync;
+        renderer.sync_rungs().into_iter().filter(wanted).collect()
+    }
+}
+
+/// Times of the stages, each the sum of its parts.
+struct Stages(Vec<StageTime>);
+
+impl Stages {
+    fn time<T>(&mut self, stage: &str, work: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = work();
+        let seconds = start.elapsed().as_secs_f64();
+        match self.0.iter_mut().find(|s| s.stage == stage) {
+            Some(known) => known.seconds += seconds,
+            None => self.0.push(StageTime { stage: stage.to_owned(), seconds }),
+        }
+        result
+    }
+}
+
+fn offset_results(renderer: &dyn Renderer, truth: &Truth) -> Vec<OffsetResult> {
+    let capture = renderer.capture();
+    let estimated = renderer.offsets();
+    let frame_s = Some(capture.frame_s()).filter(|f| *f > 0.0);
+    let finite = |v: Option<f64>| v.filter(|v| v.is_finite());
+    capture
+        .cameras
+        .iter()
+        .enumerate()
+        .map(|(index, filmed)| {
+            let row = estimated.iter().find(|o| o.id == filmed.id);
+            let offset_s = finite(row.and_then(|r| r.offset_s));
+            let std_err_s = finite(row.and_then(|r| r.std_err_s));
+            let truth_s = finite(truth.offset_s(&filmed.id));
+            let error_s = offset_s.zip(truth_s).map(|(o, t)| o - t);
+            let frames = |s: Option<f64>| s.zip(frame_s).map(|(s, f)| s / f);
+            OffsetResult {
+                camera: filmed.id.clone(),
+                shares_clock: filmed.clock.shared || index == capture.reference,
+                offset_s,
+                std_err_s,
+                truth_s,
+                error_frames: frames(error_s),
+                std_err_frames: frames(std_err_s),
+                z: error_s.zip(std_err_s).filter(|(_, s)| *s > 0.0).map(|(e, s)| e / s),
+                reason: row.and_then(|r| r.reason.clone()),
+            }
+        })
+        .collect()
+}
+
+fn facts(capture: &Capture, truth: &Truth) -> CaptureFacts {
+    let reference = &capture.cameras[capture.reference];
+    let counts = || capture.cameras.iter().map(|c| c.frames.len());
+    CaptureFacts {
+        name: capture.name.clone(),
+        scene: truth.scene.clone(),
+        rig: truth.rig.clone(),
+        reference: reference.id.clone(),
+        cameras: capture.cameras.len(),
+        frames: (counts().min().unwrap_or(0), counts().max().unwrap_or(0)),
+        size_px: (reference.camera.width, reference.camera.height),
+        frame_s: capture.frame_s(),
+        bits: truths::bits(capture.bit_depth()),
+    }
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), CompareError> {
+    write_atomically(path, bytes)
+        .map_err(|source| CompareError::Write { path: path.to_owned(), source })
+}
+
+fn write_json(path: &Path, value: &impl Serialize) -> Result<(), CompareError> {
+    let mut text = serde_json::to_string_pretty(value)
+        .map_err(|e| CompareError::Write { path: path.to_owned(), source: e.into() })?;
+    text.push('\n');
+    write(path, text.as_bytes())
+}
+
+impl std::fmt::Display for Summary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let number = |v: Option<f64>, digits: usize| match v {
+            Some(v) => format!("{v:.digits$}"),
+            None => "unknown".into(),
+        };
+        let h = &self.headline;
+        writeln!(
+            f,
+            "offsets    error {} frame in the median, {} at worst; {} of {} unknown clocks estimated",
+            number(h.offset.median_frames, 4),
+            number(h.offset.worst_frames, 4),
+            h.offset.estimated,
+            h.offset.unknown_clocks,
+        )?;
+        writeln!(
+            f,
+            "sync       {} {} dB above the nearest frame on the moving part (median of {} images, least {} dB)",
+            h.sync.rung,
+            number(h.sync.median_gain_db, 1),
+            h.sync.images,
+            number(h.sync.least_gain_db, 1),
+        )?;
+        for view in &h.views {
+            writeln!(
+                f,
+                "{:10} {} dB above traditional LFR, {} dB below perfect sync on the moving part (median of {} views)",
+                view.proxy,
+                number(view.gain_moving_db, 1),
+                number(view.gap_moving_db, 1),
+                view.views,
+            )?;
+        }
+        if h.left_out > 0 {
+            writeln!(f, "left out   {} images that could not be made; the report says why", h.left_out)?;
+        }
+        if let Some(video) = &self.video {
+            writeln!(f, "video      {}", video.display())?;
+        }
+        write!(f, "report     {}", self.report.display())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,254 @@
+//! What a comparison found, as `metrics.json` and `timings.json` hold it.
+
+use super::CompareOptions;
+use super::metrics::{RegionScores, median};
+use serde::Serialize;
+
+/// `metrics.json`: every number but the times that the work took, so that two runs write the same
+/// bytes.
+#[derive(Clone, Debug, Serialize)]
+pub struct Metrics {
+    pub format: &'static str,
+    pub version: u32,
+    /// This program's version.
+    pub stlfr: &'static str,
+    pub capture: CaptureFacts,
+    pub options: CompareOptions,
+    /// The options of the stages, as the renderer states them.
+    pub renderer: serde_json::Value,
+    pub headline: Headline,
+    pub offsets: Vec<OffsetResult>,
+    pub sync: Vec<SyncResult>,
+    pub views: Vec<ViewResult>,
+}
+
+/// What was filmed.
+#[derive(Clone, Debug, Serialize)]
+pub struct CaptureFacts {
+    pub name: String,
+    pub scene: String,
+    pub rig: String,
+    pub reference: String,
+    pub cameras: usize,
+    /// Frames of the camera that has the fewest, and of the one that has the most.
+    pub frames: (usize, usize),
+    /// Image size of the reference camera, pixels.
+    pub size_px: (usize, usize),
+    /// The reference's time from frame to frame, seconds: the unit "frame".
+    pub frame_s: f64,
+    pub bits: u32,
+}
+
+/// The numbers that matter most. Gains are medians over images, in decibels of PSNR.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Headline {
+    pub offset: OffsetHeadline,
+    pub sync: SyncHeadline,
+    pub views: Vec<ViewHeadline>,
+    /// How many times a camera had no synchronized image for a view, or a view no image at all.
+    pub left_out: usize,
+}
+
+/// Errors of the estimated offsets against the truth, in frames.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct OffsetHeadline {
+    pub median_frames: Option<f64>,
+    pub worst_frames: Option<f64>,
+    /// Cameras whose clock is not the reference's, and how many of them have an offset.
+    pub unknown_clocks: usize,
+    pub estimated: usize,
+}
+
+/// What the chosen sync rung gains over the nearest frame on the moving part.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct SyncHeadline {
+    pub rung: String,
+    pub median_gain_db: Option<f64>,
+    pub least_gain_db: Option<f64>,
+    pub images: usize,
+}
+
+/// What ST-LFR gains over traditional LFR, and lacks to perfect sync, through one proxy.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct ViewHeadline {
+    pub proxy: String,
+    pub gain_whole_db: Option<f64>,
+    pub gain_moving_db: Option<f64>,
+    /// Negative where ST-LFR came out above perfect sync.
+    pub gap_whole_db: Option<f64>,
+    pub gap_moving_db: Option<f64>,
+    pub views: usize,
+}
+
+/// One camera's offset beside the truth.
+#[derive(Clone, Debug, Serialize)]
+pub struct OffsetResult {
+    pub camera: String,
+    pub shares_clock: bool,
+    pub offset_s: Option<f64>,
+    pub std_err_s: Option<f64>,
+    pub truth_s: Option<f64>,
+    pub error_frames: Option<f64>,
+    pub std_err_frames: Option<f64>,
+    /// The error in standard errors.
+    pub z: Option<f64>,
+    /// Why there is none.
+    pub reason: Option<String>,
+}
+
+/// A filming camera's image at an instant, made by one sync rung.
+#[derive(Clone, Debug, Serialize)]
+pub struct SyncResult {
+    pub view: String,
+    pub camera: String,
+    /// On the capture's clock, as the truth states it.
+    pub time_s: f64,
+    pub rung: String,
+    pub scores: Option<RegionScores>,
+    pub image: Option<String>,
+    /// Why there is no image.
+    pub reason: Option<String>,
+}
+
+/// Where the images that a view is blended from come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// Each camera's nearest frame.
+    TraditionalLfr,
+    /// The chosen sync rung.
+    StLfr,
+    /// The true images of all cameras at the instant: what no sync can exceed, but by luck.
+    PerfectSync,
+}
+
+impl Method {
+    pub const ALL: [Self; 3] = [Self::TraditionalLfr, Self::StLfr, Self::PerfectSync];
+
+    /// As people write it.
+    pub fn title(self) -> &'static str {
+        match self {
+            Self::TraditionalLfr => "Traditional LFR",
+            Self::StLfr => "ST-LFR",
+            Self::PerfectSync => "Perfect sync",
+        }
+    }
+
+    pub(super) fn slug(self) -> &'static str {
+        match self {
+            Self::TraditionalLfr => "traditional-lfr",
+            Self::StLfr => "st-lfr",
+            Self::PerfectSync => "perfect-sync",
+        }
+    }
+}
+
+/// A new view at an instant, by one method through one proxy.
+#[derive(Clone, Debug, Serialize)]
+pub struct ViewResult {
+    pub view: String,
+    pub time_s: f64,
+    pub proxy: String,
+    pub method: Method,
+    /// Cameras that gave an image, and those left out.
+    pub cameras: usize,
+    pub left_out: Vec<LeftOut>,
+    /// Share of the view's pixels that were measured: those that every method covers.
+    pub measured: Option<f64>,
+    pub scores: Option<RegionScores>,
+    pub image: Option<String>,
+    pub reason: Option<String>,
+}
+
+/// A camera that gave no image.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LeftOut {
+    pub camera: String,
+    pub reason: String,
+}
+
+/// Wall-clock time of one stage.
+#[derive(Clone, Debug, Serialize)]
+pub struct StageTime {
+    pub stage: String,
+    pub seconds: f64,
+}
+
+/// Sums the results up.
+pub(super) fn headline(
+    options: &CompareOptions,
+    offsets: &[OffsetResult],
+    sync: &[SyncResult],
+    views: &[ViewResult],
+) -> Headline {
+    let own: Vec<_> = offsets.iter().filter(|o| !o.shares_clock).collect();
+    let errors: Vec<f64> = own.iter().filter_map(|o| o.error_frames.map(f64::abs)).collect();
+    let gains = sync_gains(options, sync);
+    let cameras_out: usize = views.iter().map(|v| v.left_out.len()).sum();
+    let images_out = sync.iter().filter(|s| s.scores.is_none()).count()
+        + views.iter().filter(|v| v.scores.is_none()).count();
+    Headline {
+        offset: OffsetHeadline {
+            worst_frames: errors.iter().copied().max_by(f64::total_cmp),
+            median_frames: median(errors),
+            unknown_clocks: own.len(),
+            estimated: own.iter().filter(|o| o.offset_s.is_some()).count(),
+        },
+        sync: SyncHeadline {
+            rung: options.sync.clone(),
+            images: gains.len(),
+            least_gain_db: gains.iter().copied().min_by(f64::total_cmp),
+            median_gain_db: median(gains),
+        },
+        views: view_headlines(views),
+        left_out: cameras_out + images_out,
+    }
+}
+
+/// The chosen rung's PSNR above the nearest frame's on the moving part, for every image that has
+/// both.
+fn sync_gains(options: &CompareOptions, sync: &[SyncResult]) -> Vec<f64> {
+    let psnr = |view: &str, rung: &str| {
+        let found = sync.iter().find(|s| s.view == view && s.rung == rung)?;
+        found.scores?.moving.psnr_db
+    };
+    let chosen = sync.iter().filter(|s| s.rung == options.sync);
+    chosen.filter_map(|s| Some(psnr(&s.view, &s.rung)? - psnr(&s.view, super::NEAREST)?)).collect()
+}
+
+fn view_headlines(views: &[ViewResult]) -> Vec<ViewHeadline> {
+    let mut proxies: Vec<&str> = Vec::new();
+    for view in views {
+        if !proxies.contains(&view.proxy.as_str()) {
+            proxies.push(&view.proxy);
+        }
+    }
+    let scores = |view: &str, proxy: &str, method: Method| {
+        let found =
+            views.iter().find(|v| v.view == view && v.proxy == proxy && v.method == method);
+        found.and_then(|v| v.scores)
+    };
+    proxies
+        .into_iter()
+        .map(|proxy| {
+            let ours: Vec<&ViewResult> =
+                views.iter().filter(|v| v.proxy == proxy && v.method == Method::StLfr).collect();
+            let over = |other: Method, psnr: fn(&RegionScores) -> Option<f64>| {
+                let difference = |v: &&ViewResult| {
+                    Some(psnr(&v.scores?)? - psnr(&scores(&v.view, proxy, other)?)?)
+                };
+                median(ours.iter().filter_map(difference).collect())
+            };
+            let (whole, moving): (fn(&RegionScores) -> _, fn(&RegionScores) -> _) =
+                (|s| s.whole.psnr_db, |s| s.moving.psnr_db);
+            ViewHeadline {
+                proxy: proxy.to_owned(),
+                gain_whole_db: over(Method::TraditionalLfr, whole),
+                gain_moving_db: over(Method::TraditionalLfr, moving),
+                gap_whole_db: over(Method::PerfectSync, whole).map(|v| 0.0 - v),
+                gap_moving_db: over(Method::PerfectSync, moving).map(|v| 0.0 - v),
+                views: ours.iter().filter(|v| v.scores.is_some()).count(),
+            }
+        })
+        .collect()
+}

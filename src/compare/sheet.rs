@@ -1,0 +1,195 @@
+//! Comparison sheets: the truth and what each method made of it side by side, labelled, with the
+//! amplified differences beneath.
+
+use super::lettering::{LINE_PX, Weight, width_px, write};
+use super::metrics::{RegionScores, Scores};
+use crate::raster::Image;
+
+const BACKGROUND: f32 = 0.09;
+const INK: [f32; 3] = [0.93; 3];
+const FAINT: [f32; 3] = [0.65; 3];
+/// What marks the moving part.
+const MOVING: [f32; 3] = [1.0, 0.62, 0.18];
+const MARGIN_PX: usize = 12;
+/// Panels narrower than this are enlarged by whole factors, so that their labels fit.
+const MIN_PANEL_PX: usize = 352;
+
+/// One result beside the truth.
+pub struct Panel<'a> {
+    pub title: &'a str,
+    /// `None` where the method has no image; `note` says why.
+    pub image: Option<&'a Image>,
+    pub scores: Option<&'a RegionScores>,
+    pub note: &'a str,
+}
+
+/// A sheet's truth and its panels, all images of one size.
+pub struct Sheet<'a> {
+    pub title: &'a str,
+    pub truth: &'a Image,
+    /// Row by row; it is shown beneath the truth.
+    pub moving: &'a [bool],
+    pub panels: &'a [Panel<'a>],
+    /// What differences are multiplied by.
+    pub gain: f32,
+}
+
+impl Sheet<'_> {
+    /// The sheet as an RGB image.
+    pub fn draw(&self) -> Image {
+        let scale = MIN_PANEL_PX.div_ceil(self.truth.width());
+        let (w, h) = (self.truth.width() * scale, self.truth.height() * scale);
+        let columns = 1 + self.panels.len();
+        let head = MARGIN_PX + LINE_PX;
+        let pictures = head + MARGIN_PX + 3 * LINE_PX + 4;
+        let labels = pictures + h + 6;
+        let differences = labels + LINE_PX;
+        let width = (MARGIN_PX + w) * columns + MARGIN_PX;
+        let mut sheet = Image::filled(width, differences + h + MARGIN_PX, 3, BACKGROUND);
+        write(&mut sheet, (MARGIN_PX, MARGIN_PX), width, self.title, Weight::Bold, INK);
+
+        let label = |sheet: &mut Image, x: usize, lines: [&str; 3], below: &str| {
+            for (k, (line, weight, ink)) in [
+                (lines[0], Weight::Bold, INK),
+                (lines[1], Weight::Regular, FAINT),
+                (lines[2], Weight::Regular, FAINT),
+            ]
+            .into_iter()
+            .enumerate()
+            {
+                write(sheet, (x, head + MARGIN_PX + k * LINE_PX), w, line, weight, ink);
+            }
+            write(sheet, (x, labels), w, below, Weight::Regular, FAINT);
+        };
+        label(&mut sheet, MARGIN_PX, ["Truth", "", ""], "Moving part (measured apart)");
+        paste(&mut sheet, (MARGIN_PX, pictures), self.truth, scale);
+        paste(&mut sheet, (MARGIN_PX, differences), &self.marked(), scale);
+        for (k, panel) in self.panels.iter().enumerate() {
+            let x = MARGIN_PX + (k + 1) * (w + MARGIN_PX);
+            let (whole, moving) = match panel.scores {
+                Some(s) => (scores_line("all ", &s.whole), scores_line("move", &s.moving)),
+                None => (panel.note.to_owned(), String::new()),
+            };
+            let below = format!("|difference from truth| × {}", self.gain);
+            label(&mut sheet, x, [panel.title, &whole, &moving], &below);
+            if let Some(image) = panel.image {
+                paste(&mut sheet, (x, pictures), image, scale);
+                paste(&mut sheet, (x, differences), &difference(self.truth, image, self.gain), scale);
+            }
+        }
+        sheet
+    }
+
+    /// The truth, grey and dark, with its moving part tinted.
+    fn marked(&self) -> Image {
+        let gray = self.truth.to_gray();
+        let pixels = gray.data().iter().zip(self.moving).flat_map(|(v, moves)| {
+            let tint = if *moves { MOVING } else { [0.45; 3] };
+            tint.map(|t| (0.15 + 0.85 * v) * t)
+        });
+        Image::from_data(gray.width(), gray.height(), 3, pixels.collect())
+    }
+}
+
+/// |a − b| times `gain`, in 0..=1.
+///
+/// # Panics
+/// If the images differ in size or channels.
+pub fn difference(a: &Image, b: &Image, gain: f32) -> Image {
+    assert_eq!((a.width(), a.channels()), (b.width(), b.channels()), "images of one kind");
+    let data = a.data().iter().zip(b.data()).map(|(a, b)| ((a - b).abs() * gain).min(1.0));
+    Image::from_data(a.width(), a.height(), a.channels(), data.collect())
+}
+
+fn scores_line(region: &str, scores: &Scores) -> String {
+    let number = |v: Option<f64>, digits: usize| match v {
+        Some(v) => format!("{v:.digits$}"),
+        None => "-".to_owned(),
+    };
+    let psnr = match scores.psnr_db {
+        None if scores.pixels > 0 => "same".to_owned(),
+        other => number(other, 1) + " dB",
+    };
+    let (ssim, flip) = (number(scores.ssim, 3), number(scores.flip, 3));
+    format!("{region} {psnr}  SSIM {ssim}  FLIP {flip}")
+}
+
+/// Copies an image into an RGB one at (x, y), every pixel `scale` × `scale` times.
+pub(super) fn paste(sheet: &mut Image, (x, y): (usize, usize), image: &Image, scale: usize) {
+    let stride = sheet.width();
+    for row in 0..image.height() * scale {
+        for column in 0..image.width() * scale {
+            let pixel = image.pixel(column / scale, row / scale);
+            let at = ((y + row) * stride + x + column) * 3;
+            for (c, out) in sheet.data_mut()[at..at + 3].iter_mut().enumerate() {
+                *out = pixel[c.min(pixel.len() - 1)];
+            }
+        }
+    }
+}
+
+/// Images side by side with a title each and a line above: a frame of the review video. Width and
+/// height are even, as H.264 wants them.
+pub(super) fn strip(heading: &str, panels: &[(&str, &Image)]) -> Image {
+    let widest = panels.iter().map(|(_, i)| i.width()).max().unwrap_or(1);
+    let tallest = panels.iter().map(|(_, i)| i.height()).max().unwrap_or(1);
+    let scale = MIN_PANEL_PX.div_ceil(widest).min(2);
+    let (w, h) = (widest * scale, tallest * scale);
+    let top = 2 * (LINE_PX + 3);
+    let width = ((w + 4) * panels.len()).saturating_sub(4).max(width_px(heading) + 8);
+    let even = |n: usize| n + n % 2;
+    let mut strip = Image::filled(even(width), even(top + h), 3, BACKGROUND);
+    write(&mut strip, (4, 3), width, heading, Weight::Regular, FAINT);
+    for (k, (title, image)) in panels.iter().enumerate() {
+        let x = k * (w + 4);
+        write(&mut strip, (x + 4, LINE_PX + 3), w, title, Weight::Bold, INK);
+        paste(&mut strip, (x, top), image, scale);
+    }
+    strip
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn differences_are_amplified_and_bounded() {
+        let (a, b) = (Image::filled(2, 1, 1, 0.5), Image::from_data(2, 1, 1, vec![0.45, 0.9]));
+        let d = difference(&a, &b, 10.0);
+        assert!((d.data()[0] - 0.5).abs() < 1e-6 && d.data()[1] == 1.0);
+    }
+
+    #[test]
+    fn a_sheet_holds_truth_panels_and_their_differences() {
+        let (truth, made) = (Image::filled(200, 100, 3, 0.5), Image::filled(200, 100, 3, 0.6));
+        let panel =
+            |image| Panel { title: "method", image, scores: None, note: "no camera has a frame" };
+        let sheet = Sheet {
+            title: "a sheet",
+            truth: &truth,
+            moving: &vec![false; 200 * 100],
+            panels: &[panel(Some(&made)), panel(None)],
+            gain: 4.0,
+        };
+        let drawn = sheet.draw();
+        assert_eq!(drawn.width(), 3 * 412 - 24 + 24);
+        let count = |v: f32| {
+            drawn.data().chunks(3).filter(|p| p.iter().all(|c| (c - v).abs() < 1e-6)).count()
+        };
+        assert!(count(0.5) >= 400 * 200 && count(0.6) >= 400 * 200 && count(0.4) >= 400 * 200);
+    }
+
+    #[test]
+    fn identical_and_empty_regions_have_words() {
+        let same = Scores { pixels: 4, psnr_db: None, ssim: Some(1.0), flip: Some(0.0) };
+        assert_eq!(scores_line("all", &same), "all same  SSIM 1.000  FLIP 0.000");
+        assert_eq!(scores_line("move", &Scores::default()), "move - dB  SSIM -  FLIP -");
+    }
+
+    #[test]
+    fn video_frames_are_even() {
+        let image = Image::filled(401, 33, 1, 0.5);
+        let strip = strip("t", &[("a", &image), ("b", &image)]);
+        assert_eq!((strip.width() % 2, strip.height() % 2), (0, 0));
+    }
+}

@@ -1,0 +1,171 @@
+//! The truth's images, checked before anything is rendered.
+
+use super::mask::moving_part;
+use super::{CompareError, CompareOptions};
+use crate::camera::Camera;
+use crate::capture::{BitDepth, Capture, Color, Truth, TruthError, read_array, read_image};
+use crate::raster::Image;
+
+/// Times of the truth that are nearer than this are one instant; a microsecond is a thousandth of
+/// the fastest exposures.
+const SAME_INSTANT_S: f64 = 1e-6;
+
+/// One instant that the truth has images of.
+pub(super) struct TrueInstant {
+    /// As the truth states it.
+    pub time_s: f64,
+    /// From the capture's start, as the renderer takes it.
+    pub inner_s: f64,
+    pub views: Vec<TrueView>,
+}
+
+/// One true image of an instant.
+pub(super) struct TrueView {
+    /// Its index in `truth.views`.
+    pub index: usize,
+    /// The filming camera that stands there.
+    pub like: Option<usize>,
+    pub camera: Camera,
+    /// A name for files, unlike all others'.
+    pub stem: String,
+}
+
+/// A true image with its moving part.
+pub(super) struct TrueImage {
+    pub image: Image,
+    pub moving: Vec<bool>,
+}
+
+/// Groups the truth's views by instant, in the order of the file, and checks that their files are
+/// there.
+pub(super) fn instants(truth: &Truth, capture: &Capture) -> Result<Vec<TrueInstant>, CompareError> {
+    let mut instants: Vec<TrueInstant> = Vec::new();
+    for (index, view) in truth.views.iter().enumerate() {
+        let wrong = |reason: String| CompareError::View { index, id: view.id.clone(), reason };
+        if truth.views[..index].iter().any(|v| v.id == view.id) {
+            return Err(wrong("has the id of an earlier view".into()));
+        }
+        if !view.time_s.is_finite() {
+            return Err(wrong(format!("time_s is {}", view.time_s)));
+        }
+        for file in [&view.image, &view.motion] {
+            truth.file(file)?;
+        }
+        let like = match &view.like {
+            None => None,
+            Some(id) => Some(
+                capture
+                    .camera_index(id)
+                    .ok_or_else(|| wrong(format!("like: no camera has the id '{id}'")))?,
+            ),
+        };
+        let camera = view.camera().map_err(|e| wrong(format!("camera.{e}")))?;
+        let entry = TrueView { index, like, camera, stem: stem(truth, index) };
+        let time_s = view.time_s;
+        match instants.iter_mut().find(|i| (i.time_s - time_s).abs() < SAME_INSTANT_S) {
+            Some(instant) => instant.views.push(entry),
+            None => instants.push(TrueInstant {
+                time_s,
+                inner_s: time_s - capture.time_origin_s,
+                views: vec![entry],
+            }),
+        }
+    }
+    Ok(instants)
+}
+
+/// A file name from a view's id: letters, digits, `-` and `_`; with the index where that makes two
+/// the same.
+fn stem(truth: &Truth, index: usize) -> String {
+    let own = slug(&truth.views[index].id);
+    let alike = truth.views.iter().filter(|v| slug(&v.id).eq_ignore_ascii_case(&own)).count();
+    if alike > 1 || own.is_empty() { format!("{own}-{index}") } else { own }
+}
+
+/// What of a name is safe in a file name.
+pub(super) fn slug(name: &str) -> String {
+    let keep = |c: char| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' };
+    name.chars().take(60).map(keep).collect()
+}
+
+impl TrueView {
+    /// Reads the image, grey if what it is compared with is, and its moving part.
+    pub fn read(
+        &self,
+        truth: &Truth,
+        capture: &Capture,
+        options: &CompareOptions,
+    ) -> Result<TrueImage, CompareError> {
+        let view = &truth.views[self.index];
+        let size = (self.camera.width, self.camera.height);
+        let path = truth.file(&view.image)?;
+        let (image, _) = read_image(&path)?;
+        if (image.width(), image.height()) != size {
+            let reason = other_size((image.width(), image.height()), size);
+            return Err(TruthError::Content { path, reason }.into());
+        }
+        let path = truth.file(&view.motion)?;
+        let (width, height, motion) = read_array(&path)?;
+        if (width, height) != size {
+            return Err(TruthError::Content { path, reason: other_size((width, height), size) }.into());
+        }
+        let gray = match self.like {
+            Some(camera) => capture.cameras[camera].color == Color::Gray,
+            None => capture.cameras.iter().all(|c| c.color == Color::Gray),
+        };
+        Ok(TrueImage {
+            image: if gray { image.to_gray() } else { image.to_rgb() },
+            moving: moving_part(
+                &motion,
+                width,
+                options.moving_threshold_px,
+                options.moving_dilation_px,
+            ),
+        })
+    }
+}
+
+fn other_size(is: (usize, usize), wanted: (usize, usize)) -> String {
+    format!("is {}×{} pixels, its camera {}×{}", is.0, is.1, wanted.0, wanted.1)
+}
+
+/// What a file of that depth holds of an image: bounded and rounded, grey or RGB.
+pub(super) fn as_written(image: &Image, channels: usize, depth: BitDepth) -> Image {
+    let mut image = if channels == 1 { image.to_gray() } else { image.to_rgb() };
+    let most = ((1u32 << bits(depth)) - 1) as f32;
+    for v in image.data_mut() {
+        // As `write_image` rounds; NaN becomes 0.
+        *v = ((*v * most + 0.5) as u32).min(most as u32) as f32 / most;
+    }
+    image
+}
+
+pub(super) fn bits(depth: BitDepth) -> u32 {
+    match depth {
+        BitDepth::Eight => 8,
+        BitDepth::Sixteen => 16,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_measured_is_what_is_written() {
+        let odd = [-0.3, 0.0, 0.123_456, 0.5, 1.0, 7.0, f32::NAN, f32::INFINITY, 0.998];
+        let image = Image::from_data(3, 3, 1, odd.to_vec());
+        let folder = tempfile::tempdir().unwrap();
+        for depth in [BitDepth::Eight, BitDepth::Sixteen] {
+            let path = folder.path().join("a.png");
+            crate::capture::write_image(&path, &image, None, depth).unwrap();
+            assert_eq!(read_image(&path).unwrap().0, as_written(&image, 1, depth));
+        }
+    }
+
+    #[test]
+    fn slugs_stay_in_their_folder() {
+        assert_eq!(slug("../<script>"), "----script-");
+        assert_eq!(slug("t0-cam_3"), "t0-cam_3");
+    }
+}

@@ -1,0 +1,244 @@
+//! §5.2: the edge set: real edges without crossings, and the virtual edges of a constrained
+//! Delaunay triangulation around them.
+
+use super::edges::{Feature, RealEdge};
+use crate::registration::Neighbors;
+use nalgebra::{Point2, Vector2, center};
+use spade::{
+    ConstrainedDelaunayTriangulation, InsertionError, Point2 as SpadePoint, Triangulation,
+};
+use std::collections::HashMap;
+
+/// An edge that guides the morph.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Edge {
+    pub ends: [Feature; 2],
+    /// f̄ of a real edge; `None` for a virtual one.
+    pub mean_fitness: Option<f64>,
+}
+
+/// A piece of a real edge between two crossings; vertices by index.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    ends: [usize; 2],
+    mean_fitness: f64,
+}
+
+/// The edge set of an image: real edges, then the virtual ones that a triangulation of the given
+/// vertices adds. `vertices` beyond the real edges' ends and the image's corners are optional:
+/// `loose` says which of the features take part.
+pub fn edge_set(
+    features: &[Feature],
+    real: &[RealEdge],
+    loose: bool,
+    width: usize,
+    height: usize,
+) -> Vec<Edge> {
+    let mut vertices = features.to_vec();
+    let pieces = without_crossings(&mut vertices, real);
+    let mut used = vec![loose; features.len()];
+    used.resize(vertices.len(), true);
+    for end in pieces.iter().flat_map(|p| p.ends) {
+        used[end] = true;
+    }
+    for (x, y) in [(0, 0), (width, 0), (0, height), (width, height)] {
+        let p = Point2::new(x as f64, y as f64);
+        vertices.push(Feature { source: p, other: p, target: p });
+        used.push(true);
+    }
+
+    let mut edges: Vec<Edge> = pieces
+        .iter()
+        .map(|p| Edge { ends: p.ends.map(|k| vertices[k]), mean_fitness: Some(p.mean_fitness) })
+        .collect();
+    let constraints: Vec<[usize; 2]> = pieces.iter().map(|p| p.ends).collect();
+    let mesh = Mesh::new(&vertices, &used, &constraints);
+    edges.extend(
+        mesh.virtual_edges()
+            .map(|ends| Edge { ends: ends.map(|k| vertices[k]), mean_fitness: None }),
+    );
+    edges
+}
+
+/// The triangles (by vertex index) of the Delaunay triangulation of features and image corners in
+/// the source frame; the corners are appended to `vertices`.
+pub fn triangles(vertices: &mut Vec<Feature>, width: usize, height: usize) -> Vec<[usize; 3]> {
+    for (x, y) in [(0, 0), (width, 0), (0, height), (width, height)] {
+        let p = Point2::new(x as f64, y as f64);
+        vertices.push(Feature { source: p, other: p, target: p });
+    }
+    let used = vec![true; vertices.len()];
+    Mesh::new(vertices, &used, &[]).triangles().collect()
+}
+
+/// A triangulation that remembers which vertex each of its points is.
+struct Mesh {
+    cdt: ConstrainedDelaunayTriangulation<SpadePoint<f64>>,
+    /// From the triangulation's vertex to ours.
+    index: HashMap<usize, usize>,
+}
+
+impl Mesh {
+    fn new(vertices: &[Feature], used: &[bool], constraints: &[[usize; 2]]) -> Self {
+        let mut cdt = ConstrainedDelaunayTriangulation::new();
+        let mut index = HashMap::new();
+        let mut handles = vec![None; vertices.len()];
+        for (k, vertex) in vertices.iter().enumerate().filter(|&(k, _)| used[k]) {
+            if let Ok(handle) = insert(&mut cdt, vertex.source) {
+                // Of vertices at one place the first stays.
+                index.entry(handle.index()).or_insert(k);
+                handles[k] = Some(handle);
+            }
+        }
+        for [a, b] in constraints {
+            if let (Some(a), Some(b)) = (handles[*a], handles[*b])
+                && a != b
+            {
+                // Where rounding left a crossing the constraint is not added; the edge still
+                // guides the morph.
+                let _ = cdt.try_add_constraint(a, b);
+            }
+        }
+        Self { cdt, index }
+    }
+
+    fn virtual_edges(&self) -> impl Iterator<Item = [usize; 2]> {
+        self.cdt
+            .undirected_edges()
+            .filter(|e| !e.is_constraint_edge())
+            .map(|e| e.vertices().map(|v| self.index[&v.fix().index()]))
+    }
+
+    fn triangles(&self) -> impl Iterator<Item = [usize; 3]> {
+        self.cdt.inner_faces().map(|f| f.vertices().map(|v| self.index[&v.fix().index()]))
+    }
+}
+
+fn insert(
+    cdt: &mut ConstrainedDelaunayTriangulation<SpadePoint<f64>>,
+    p: Point2<f64>,
+) -> Result<spade::handles::FixedVertexHandle, InsertionError> {
+    // spade takes 0 or magnitudes of at least 2⁻¹⁴²; a coordinate this small is the border.
+    let safe = |v: f64| if v.abs() < 1e-30 { 0.0 } else { v };
+    cdt.insert(SpadePoint::new(safe(p.x), safe(p.y)))
+}
+
+/// Splits edges where they cross: the less fit edge is split, and the new vertex, appended to
+/// `vertices`, follows the fitter one. The fitter edge is split there too, which does not bend it.
+fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<Piece> {
+    let mut order: Vec<usize> = (0..real.len()).collect();
+    order.sort_by(|&a, &b| real[b].mean_fitness.total_cmp(&real[a].mean_fitness).then(a.cmp(&b)));
+    let ends = |k: usize| real[order[k]].ends.map(|v| vertices[v].source);
+    let middles: Vec<_> = (0..order.len()).map(|k| center(&ends(k)[0], &ends(k)[1])).collect();
+    let longest = (0..order.len()).map(|k| (ends(k)[1] - ends(k)[0]).norm()).fold(0.0, f64::max);
+    let neighbors = Neighbors::new(middles.iter().copied());
+
+    // Where each edge is split: shares along it, and the vertex there.
+    let mut splits: Vec<Vec<(f64, usize)>> = vec![Vec::new(); order.len()];
+    for k in 0..order.len() {
+        let [a, b] = real[order[k]].ends;
+        for fitter in neighbors.within(&middles[k], longest) {
+            let [c, d] = real[order[fitter]].ends;
+            if fitter >= k || [c, d].contains(&a) || [c, d].contains(&b) {
+                continue;
+            }
+            let Some((share, share_fitter)) = crossing(
+                [vertices[a].source, vertices[b].source],
+                [vertices[c].source, vertices[d].source],
+            ) else {
+                continue;
+            };
+            let vertex = vertices[c].lerp(&vertices[d], share_fitter);
+            splits[k].push((share, vertices.len()));
+            splits[fitter].push((share_fitter, vertices.len()));
+            vertices.push(vertex);
+        }
+    }
+    let mut pieces = Vec::with_capacity(real.len());
+    for (k, mut cuts) in splits.into_iter().enumerate() {
+        let edge = &real[order[k]];
+        cuts.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
+        let mut from = edge.ends[0];
+        for to in cuts.into_iter().map(|(_, vertex)| vertex).chain([edge.ends[1]]) {
+            pieces.push(Piece { ends: [from, to], mean_fitness: edge.mean_fitness });
+            from = to;
+        }
+    }
+    pieces
+}
+
+/// Where two segments cross inside both, as shares along each; `None` if they are parallel, or
+/// only touch at an end.
+fn crossing([a, b]: [Point2<f64>; 2], [c, d]: [Point2<f64>; 2]) -> Option<(f64, f64)> {
+    let (u, v) = (b - a, d - c);
+    let cross = |p: Vector2<f64>, q: Vector2<f64>| p.x * q.y - p.y * q.x;
+    let determinant = cross(u, v);
+    // sin of the angle below 1e-9: on one line, they have no crossing point.
+    if !(determinant.abs() > 1e-9 * u.norm() * v.norm()) {
+        return None;
+    }
+    let (s, t) = (cross(c - a, v) / determinant, cross(c - a, u) / determinant);
+    let inside = |x: f64| x > 1e-6 && x < 1.0 - 1e-6;
+    (inside(s) && inside(t)).then_some((s, t))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn feature(x: f64, y: f64, dx: f64) -> Feature {
+        let p = Point2::new(x, y);
+        let q = Point2::new(x + dx, y);
+        Feature { source: p, other: q, target: q }
+    }
+
+    #[test]
+    fn without_features_the_corners_and_a_diagonal_remain() {
+        let edges = edge_set(&[], &[], true, 40, 30);
+        assert_eq!(edges.len(), 5);
+        assert!(edges.iter().all(|e| e.mean_fitness.is_none()));
+    }
+
+    #[test]
+    fn a_crossing_follows_the_fitter_edge() {
+        let features = [
+            feature(10.0, 10.0, 2.0),
+            feature(20.0, 20.0, 2.0),
+            feature(10.0, 20.0, 0.0),
+            feature(20.0, 10.0, 0.0),
+        ];
+        let real = [
+            RealEdge { ends: [0, 1], mean_fitness: 0.9 },
+            RealEdge { ends: [2, 3], mean_fitness: 0.5 },
+        ];
+        let edges = edge_set(&features, &real, true, 40, 30);
+        let pieces: Vec<_> = edges.iter().filter(|e| e.mean_fitness.is_some()).collect();
+        assert_eq!(pieces.len(), 4);
+        let middle = Point2::new(15.0, 15.0);
+        for piece in pieces {
+            let at = piece.ends.iter().find(|f| (f.source - middle).norm() < 1e-9).unwrap();
+            assert_eq!(at.target, Point2::new(17.0, 15.0));
+        }
+    }
+
+    #[test]
+    fn collinear_duplicate_and_hundreds_of_random_edges_are_no_trouble() {
+        let line: Vec<_> = (0..20).map(|k| feature(f64::from(k % 10), 5.0, 0.0)).collect();
+        assert!(edge_set(&line, &[], true, 40, 30).len() >= 5);
+        let mut state = 7_u32;
+        let mut random = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f64::from(state >> 12) / f64::from(1 << 20)
+        };
+        for _ in 0..20 {
+            let features: Vec<_> =
+                (0..60).map(|_| feature((random() * 40.0).round(), random() * 30.0, 1.0)).collect();
+            let real: Vec<_> = (0..120)
+                .map(|k| RealEdge { ends: [k % 60, (k * 7 + 1) % 60], mean_fitness: random() })
+                .filter(|e| e.ends[0] != e.ends[1])
+                .collect();
+            let edges = edge_set(&features, &real, false, 40, 30);
+            assert!(edges.iter().flat_map(|e| e.ends).all(|f| f.target.x.is_finite()));
+        }
+    }
+}

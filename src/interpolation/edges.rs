@@ -1,0 +1,213 @@
+//! §5.1: real edges: segments between two features that follow an image edge in both frames.
+
+use super::EdgeOptions;
+use crate::registration::{Level, Neighbors};
+use nalgebra::{Point2, Vector2};
+use rayon::prelude::*;
+
+/// A feature as the morph uses it: where it is in the warped frame, in the other frame, and at
+/// the instant that is made. Pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Feature {
+    pub source: Point2<f64>,
+    pub other: Point2<f64>,
+    pub target: Point2<f64>,
+}
+
+impl Feature {
+    /// The point at a share of the way to another feature, in all three images.
+    pub fn lerp(&self, to: &Self, share: f64) -> Self {
+        let mix = |a: Point2<f64>, b: Point2<f64>| a + (b - a) * share;
+        Self {
+            source: mix(self.source, to.source),
+            other: mix(self.other, to.other),
+            target: mix(self.target, to.target),
+        }
+    }
+}
+
+/// A real edge between two features, by index, with its mean fitness f̄ in the source frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RealEdge {
+    pub ends: [usize; 2],
+    pub mean_fitness: f64,
+}
+
+/// The real edges among features: long enough, fit in both frames, of constant length, and each
+/// image edge once (the longest).
+pub fn real_edges(
+    features: &[Feature],
+    source: &Level,
+    other: &Level,
+    options: &EdgeOptions,
+) -> Vec<RealEdge> {
+    let neighbors = Neighbors::new(features.iter().map(|f| f.source));
+    let candidates: Vec<RealEdge> = (0..features.len())
+        .into_par_iter()
+        .flat_map_iter(|a| {
+            neighbors
+                .within(&features[a].source, options.max_length_px)
+                .into_iter()
+                .filter(move |&b| b > a)
+                .filter_map(|b| {
+                    real_edge([a, b], [&features[a], &features[b]], source, other, options)
+                })
+                .collect::<Vec<_>>()
+        })
+        .collect();
+    without_duplicates(candidates, features, options)
+}
+
+fn real_edge(
+    ends: [usize; 2],
+    [a, b]: [&Feature; 2],
+    source: &Level,
+    other: &Level,
+    options: &EdgeOptions,
+) -> Option<RealEdge> {
+    let length = (b.source - a.source).norm();
+    let change = ((b.other - a.other).norm() - length).abs();
+    if change > options.max_length_change * length + options.max_length_change_px {
+        return None;
+    }
+    let (fitness, mean_fitness) = fitness(source, a.source, b.source, options)?;
+    if fitness <= options.min_fitness {
+        return None;
+    }
+    let (fitness, _) = self::fitness(other, a.other, b.other, options)?;
+    (fitness > options.min_fitness).then_some(RealEdge { ends, mean_fitness })
+}
+
+/// Eq. (6), and the mean of what it takes the least of. `None` for edges shorter than a pixel,
+/// which have no direction to speak of.
+fn fitness(
+    level: &Level,
+    a: Point2<f64>,
+    b: Point2<f64>,
+    options: &EdgeOptions,
+) -> Option<(f64, f64)> {
+    let along = b - a;
+    let length = along.norm();
+    if !(length >= 1.0) {
+        return None;
+    }
+    let normal = Vector2::new(-along.y, along.x) / length;
+    let steps = (length / options.sample_step_px.max(0.25)).ceil().max(1.0) as usize;
+    let (mut least, mut sum) = (f64::INFINITY, 0.0);
+    for k in 0..=steps {
+        let p = a + along * (k as f64 / steps as f64);
+        let clamp = |v: f64, size: usize| (v.max(0.0) as usize).min(size - 1);
+        let (gx, gy) = level.gradient(clamp(p.x, level.width), clamp(p.y, level.height));
+        let gradient = Vector2::new(f64::from(gx), f64::from(gy));
+        let magnitude = gradient.norm();
+        // Without a gradient there is no direction to agree with: the second term is 0.
+        let agreement =
+            if magnitude > 0.0 { (gradient.dot(&normal) / magnitude).abs() } else { 0.0 };
+        let f = magnitude + options.beta * agreement;
+        least = least.min(f);
+        sum += f;
+    }
+    Some((least, sum / (steps + 1) as f64))
+}
+
+/// Of near-parallel edges that lie on each other, keeps the longest (Fig. 8).
+fn without_duplicates(
+    mut edges: Vec<RealEdge>,
+    features: &[Feature],
+    options: &EdgeOptions,
+) -> Vec<RealEdge> {
+    let ends = |e: &RealEdge| e.ends.map(|k| features[k].source);
+    let length = |e: &RealEdge| {
+        let [a, b] = ends(e);
+        (b - a).norm()
+    };
+    edges.sort_by(|x, y| length(y).total_cmp(&length(x)).then(x.ends.cmp(&y.ends)));
+    let middle = |e: &RealEdge| nalgebra::center(&ends(e)[0], &ends(e)[1]);
+    let neighbors = Neighbors::new(edges.iter().map(middle));
+    let min_cosine = options.duplicate_angle_deg.to_radians().cos();
+
+    let mut kept = vec![true; edges.len()];
+    for k in 0..edges.len() {
+        if !kept[k] {
+            continue;
+        }
+        let [a, b] = ends(&edges[k]);
+        let long = length(&edges[k]);
+        let direction = (b - a) / long;
+        // A shorter edge on this one has its middle within half this one's length of its middle.
+        let reach = 0.5 * long + options.duplicate_distance_px;
+        for n in neighbors.within(&middle(&edges[k]), reach) {
+            if n <= k || !kept[n] {
+                continue;
+            }
+            let [c, d] = ends(&edges[n]);
+            let parallel = ((d - c).dot(&direction) / (d - c).norm()).abs() >= min_cosine;
+            let near = |p: Point2<f64>| {
+                let along = (p - a).dot(&direction).clamp(0.0, long);
+                (p - (a + direction * along)).norm() <= options.duplicate_distance_px
+            };
+            if parallel && near(c) && near(d) {
+                kept[n] = false;
+            }
+        }
+    }
+    let mut kept = kept.into_iter();
+    edges.retain(|_| kept.next().unwrap_or(true));
+    edges
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::raster::Image;
+    use crate::registration::Pyramid;
+
+    /// Dark left of x = 30, bright right of it.
+    fn step() -> Pyramid {
+        let data = (0..60 * 50).map(|k| if k % 60 < 30 { 0.2 } else { 0.9 }).collect();
+        Pyramid::new(&Image::from_data(60, 50, 1, data), 1, 4)
+    }
+
+    fn still(x: f64, y: f64) -> Feature {
+        let p = Point2::new(x, y);
+        Feature { source: p, other: p, target: p }
+    }
+
+    fn found(features: &[Feature]) -> Vec<[usize; 2]> {
+        let pyramid = step();
+        let level = &pyramid.levels()[0];
+        let edges = real_edges(features, level, level, &EdgeOptions::default());
+        edges.iter().map(|e| e.ends).collect()
+    }
+
+    #[test]
+    fn segments_on_the_step_are_edges_and_others_are_not() {
+        assert_eq!(found(&[still(30.0, 10.0), still(30.0, 25.0)]), [[0, 1]]);
+        assert!(found(&[still(10.0, 10.0), still(10.0, 25.0)]).is_empty());
+        assert!(found(&[still(22.0, 10.0), still(38.0, 25.0)]).is_empty());
+        assert!(found(&[still(30.0, 5.0), still(30.0, 45.0)]).is_empty(), "longer than L_max");
+    }
+
+    #[test]
+    fn of_three_points_on_one_edge_the_longest_pair_is_kept() {
+        assert_eq!(found(&[still(30.0, 10.0), still(30.3, 18.0), still(30.0, 28.0)]), [[0, 2]]);
+    }
+
+    #[test]
+    fn an_edge_whose_length_changes_is_no_edge() {
+        let mut moved = still(30.0, 25.0);
+        moved.other.y += 4.0;
+        assert!(found(&[still(30.0, 10.0), moved]).is_empty());
+    }
+
+    #[test]
+    fn zero_gradients_have_no_direction_and_duplicates_no_length() {
+        let flat = Pyramid::new(&Image::filled(60, 50, 1, 0.5), 1, 4);
+        let level = &flat.levels()[0];
+        let options = EdgeOptions::default();
+        let (a, b) = (Point2::new(10.0, 10.0), Point2::new(20.0, 10.0));
+        assert_eq!(fitness(level, a, b, &options), Some((0.0, 0.0)));
+        assert_eq!(fitness(level, a, a, &options), None);
+        assert!(found(&[still(30.0, 10.0), still(30.0, 10.0)]).is_empty());
+    }
+}

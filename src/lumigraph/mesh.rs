@@ -1,0 +1,373 @@
+//! The mesh proxy: "a backplane based on the reconstructed 3D vertices. The plane is positioned
+//! and oriented so that all the vertices are in the front. Finally, all the vertices (including
+//! the four corners of the plane) are triangulated to create a 3D mesh."
+//!
+//! Beyond the paper: mismatched points are dropped, and a triangle that spans a depth edge can
+//! be laid on the surface behind it (or in front, or cut in the middle) instead of being
+//! stretched between the two ([`DepthEdges`]).
+//!
+//! Known limit: a mesh is made for one view. Seen from elsewhere, one cut at depth edges has
+//! gaps there.
+
+use super::inverse_depth::{Seen, Through, fit_plane};
+use super::rays::ViewBounds;
+use crate::camera::Camera;
+use nalgebra::{Point2, Point3, Vector3};
+use serde::{Deserialize, Serialize};
+use spade::{DelaunayTriangulation, HasPosition, Triangulation};
+
+/// Triangles in the world, metres.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mesh {
+    pub vertices: Vec<Point3<f64>>,
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// What becomes of a triangle whose vertices lie on two surfaces.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DepthEdges {
+    /// It stretches from one to the other (the paper).
+    Stretch,
+    /// It lies on the one behind: right where the features of the one in front reach its outline.
+    Back,
+    /// It lies on the one in front.
+    Front,
+    /// It is cut between the two.
+    Cut,
+}
+
+/// How a mesh is made from points.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MeshOptions {
+    pub depth_edges: DepthEdges,
+    /// A triangle spans a depth edge if its vertices' inverse depths differ by more than this
+    /// share of the largest. Larger leaves edges stretched; smaller turns slanted surfaces into
+    /// steps.
+    pub edge_share: f64,
+    /// A point's neighbours support it if their inverse depths differ by less than this share of
+    /// its own. Larger keeps mismatches; smaller drops points of slanted or rough surfaces.
+    pub support_share: f64,
+    /// Supporting neighbours (next or next but one in the triangulation) that a point needs.
+    /// Larger drops small objects with few features; 0 keeps every mismatch.
+    pub min_support: usize,
+    /// How far the corners lie outside the image, as a share of its size. Larger makes the
+    /// triangles at the border longer; at 0 they could miss the outermost pixels by rounding.
+    pub margin: f64,
+}
+
+impl Default for MeshOptions {
+    fn default() -> Self {
+        Self {
+            depth_edges: DepthEdges::Stretch,
+            edge_share: 0.1,
+            support_share: 0.05,
+            min_support: 2,
+            margin: 0.05,
+        }
+    }
+}
+
+/// Points that fall into one square of this size, in pixels, are one vertex, the nearest of
+/// them. Larger loses detail; smaller lets noise of two images of one point stand as a spike.
+const CELL_PX: f64 = 0.5;
+/// Weight of vertices in front of the back plane, over those behind it. Larger tilts it along
+/// the foreground; smaller lets a single far point turn it.
+const FRONT_SHARE: f64 = 0.02;
+/// The back plane's inverse depth under its hindmost vertex's, so that all are in front of it.
+const BEHIND: f64 = 0.999;
+
+struct Site {
+    position: spade::Point2<f64>,
+    index: u32,
+}
+
+impl HasPosition for Site {
+    type Scalar = f64;
+    fn position(&self) -> spade::Point2<f64> {
+        self.position
+    }
+}
+
+type Sites = DelaunayTriangulation<Site>;
+
+impl Mesh {
+    /// The mesh of points (metres, world) as a view sees them; it covers the whole view.
+    ///
+    /// Points behind the view, outside it, or not finite don't count, nor do those that their
+    /// neighbours contradict. `None` if none is left, or no ray of the view can be computed. One
+    /// point, points on a line and duplicates are meshed with the corners like any others.
+    pub fn build(points: &[Point3<f64>], target: &Camera, options: &MeshOptions) -> Option<Self> {
+        let bounds = ViewBounds::of(target)?.enlarged(options.margin.max(0.0));
+        let focal = target.focal_px();
+        let seen = supported(seen_from(points, target, &bounds, focal), focal, options);
+        let plane = back_plane(&seen, &bounds)?;
+        let mut all = seen;
+        all.extend(bounds.corners().map(|at| Seen {
+            at,
+            inverse_depth: plane.dot(&Vector3::new(at.x, at.y, 1.0)),
+            weight: 1.0,
+        }));
+        let sites = triangulated(&all, focal);
+        let mut builder = Builder { corners: Vec::new(), triangles: Vec::new() };
+        builder.corners.extend(all.iter().copied());
+        for face in sites.inner_faces() {
+            let triangle = face.vertices().map(|v| v.data().index);
+            builder.add(triangle, options);
+        }
+        let world_from_cam = target.cam_from_world.inverse();
+        let vertices = builder
+            .corners
+            .iter()
+            .map(|s| world_from_cam * Point3::from(s.ray() / s.inverse_depth))
+            .collect();
+        Some(Self { vertices, triangles: builder.triangles })
+    }
+}
+
+/// The points in the view's bounds, sorted by position, one a cell.
+fn seen_from(
+    points: &[Point3<f64>],
+    target: &Camera,
+    bounds: &ViewBounds,
+    focal: f64,
+) -> Vec<Seen> {
+    let cell = |s: &Seen| {
+        let size = CELL_PX / focal;
+        ((s.at.y / size).floor() as i64, (s.at.x / size).floor() as i64)
+    };
+    let mut seen: Vec<Seen> = points
+        .iter()
+        .filter_map(|point| {
+            let p = target.cam_from_world * point;
+            let at = Point2::new(p.x / p.z, p.y / p.z);
+            let inverse_depth = 1.0 / p.z;
+            let counts = inverse_depth > 0.0 && inverse_depth.is_finite() && bounds.contains(&at);
+            counts.then_some(Seen { at, inverse_depth, weight: 1.0 })
+        })
+        .collect();
+    let order = |a: &Seen, b: &Seen| {
+        let near_first = b.inverse_depth.total_cmp(&a.inverse_depth);
+        let position = a.at.y.total_cmp(&b.at.y).then(a.at.x.total_cmp(&b.at.x));
+        cell(a).cmp(&cell(b)).then(near_first).then(position)
+    };
+    seen.sort_by(order);
+    seen.dedup_by_key(|s| cell(s));
+    seen
+}
+
+/// Delaunay's triangulation in pixels. Sites that can't be inserted are left out.
+fn triangulated(seen: &[Seen], focal: f64) -> Sites {
+    let mut sites = Sites::new();
+    // spade takes coordinates that are 0 or in [2⁻¹⁴², 2²⁰¹]; a millionth of a pixel is 0.
+    let coordinate = |v: f64| if (v * focal).abs() < 1e-6 { 0.0 } else { v * focal };
+    for (index, s) in seen.iter().enumerate() {
+        let position = spade::Point2::new(coordinate(s.at.x), coordinate(s.at.y));
+        let _ = sites.insert(Site { position, index: index as u32 });
+    }
+    sites
+}
+
+/// The points that enough of their neighbours in the triangulation agree with. If a triangulation
+/// is too small to tell (under four points), all of them.
+fn supported(seen: Vec<Seen>, focal: f64, options: &MeshOptions) -> Vec<Seen> {
+    if seen.len() < 4 || options.min_support == 0 {
+        return seen;
+    }
+    let sites = triangulated(&seen, focal);
+    let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); seen.len()];
+    for edge in sites.undirected_edges() {
+        let [a, b] = edge.vertices().map(|v| v.data().index);
+        neighbours[a as usize].push(b);
+        neighbours[b as usize].push(a);
+    }
+    let agrees = |a: usize, b: usize| {
+        let (a, b) = (seen[a].inverse_depth, seen[b].inverse_depth);
+        (a - b).abs() <= options.support_share * a
+    };
+    let keeps = |k: usize| {
+        let mut around: Vec<u32> = neighbours[k].clone();
+        around.extend(neighbours[k].iter().flat_map(|&n| &neighbours[n as usize]));
+        around.sort_unstable();
+        around.dedup();
+        let support = around.iter().filter(|&&n| n as usize != k && agrees(k, n as usize)).count();
+        support >= options.min_support
+    };
+    let kept: Vec<Seen> = (0..seen.len()).filter(|&k| keeps(k)).map(|k| seen[k]).collect();
+    // All contradict all: then there is nothing to trust more than the rest.
+    if kept.is_empty() { seen } else { kept }
+}
+
+/// The back plane's inverse depth as a linear function of the ray: along the hindmost points, and
+/// behind all of them. `None` without points.
+fn back_plane(seen: &[Seen], bounds: &ViewBounds) -> Option<Vector3<f64>> {
+    let g = fit_plane(seen, Through::Back(FRONT_SHARE), bounds)?;
+    // The plane is positive in all the bounds, so the ratio is.
+    let behind = seen.iter().map(|s| s.inverse_depth / g.dot(&s.ray())).fold(1.0, f64::min);
+    Some(g * (behind * BEHIND))
+}
+
+struct Builder {
+    corners: Vec<Seen>,
+    triangles: Vec<[u32; 3]>,
+}
+
+impl Builder {
+    fn vertex(&mut self, at: Point2<f64>, inverse_depth: f64) -> u32 {
+        self.corners.push(Seen { at, inverse_depth, weight: 1.0 });
+        (self.corners.len() - 1) as u32
+    }
+
+    fn add(&mut self, triangle: [u32; 3], options: &MeshOptions) {
+        // Nearest first.
+        let mut v = triangle.map(|k| (k, self.corners[k as usize]));
+        v.sort_by(|a, b| b.1.inverse_depth.total_cmp(&a.1.inverse_depth));
+        let [a, b, c] = v.map(|(_, s)| s.inverse_depth);
+        if options.depth_edges == DepthEdges::Stretch || a - c <= options.edge_share * a {
+            self.triangles.push(triangle);
+            return;
+        }
+        // One vertex is in front of two, or two are in front of one.
+        let one_in_front = a - b > b - c;
+        let (front, back) = if one_in_front { (a, 0.5 * (b + c)) } else { (0.5 * (a + b), c) };
+        let at = v.map(|(_, s)| s.at);
+        match options.depth_edges {
+            DepthEdges::Stretch => {}
+            DepthEdges::Back => self.flat(at, back),
+            DepthEdges::Front => self.flat(at, front),
+            DepthEdges::Cut => {
+                let [alone, p, q] = if one_in_front { at } else { [at[2], at[0], at[1]] };
+                let (own, other) = if one_in_front { (front, back) } else { (back, front) };
+                let (half_p, half_q) = (nalgebra::center(&alone, &p), nalgebra::center(&alone, &q));
+                self.flat([alone, half_p, half_q], own);
+                self.flat([half_p, p, q], other);
+                self.flat([half_p, q, half_q], other);
+            }
+        }
+    }
+
+    fn flat(&mut self, at: [Point2<f64>; 3], inverse_depth: f64) {
+        let triangle = at.map(|at| self.vertex(at, inverse_depth));
+        self.triangles.push(triangle);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::Random;
+    use super::super::{Proxy, tests::assert_covered};
+    use super::*;
+    use crate::camera::tests::pinhole_at;
+
+    const ALL: [DepthEdges; 4] =
+        [DepthEdges::Stretch, DepthEdges::Back, DepthEdges::Front, DepthEdges::Cut];
+
+    fn options(depth_edges: DepthEdges) -> MeshOptions {
+        MeshOptions { depth_edges, ..MeshOptions::default() }
+    }
+
+    fn on_ray(camera: &Camera, x: f64, y: f64, z: f64) -> Point3<f64> {
+        camera.center() + camera.ray_world(&Point2::new(x, y)).unwrap() * z
+    }
+
+    #[test]
+    fn points_of_a_plane_give_back_the_plane() {
+        let camera = pinhole_at([0.2, 0.1, -0.3]);
+        let mut random = Random::new(11);
+        let points: Vec<_> = (0..300)
+            .map(|_| {
+                let (x, y) = (random.in_range(0.0, 640.0), random.in_range(0.0, 480.0));
+                on_ray(&camera, x, y, 2.0)
+            })
+            .collect();
+        for depth_edges in ALL {
+            let mesh = Mesh::build(&points, &camera, &options(depth_edges)).unwrap();
+            let map = Proxy::Mesh(mesh).depth_map(&camera);
+            assert!(map.data().iter().all(|z| (z - 2.0).abs() < 0.01));
+        }
+    }
+
+    #[test]
+    fn mismatches_are_dropped_and_a_foreground_object_stays() {
+        let camera = pinhole_at([0.0; 3]);
+        let mut points = Vec::new();
+        for y in (10..480).step_by(20) {
+            for x in (10..640).step_by(20) {
+                let front = (200..300).contains(&x) && (200..300).contains(&y);
+                let z = if front { 1.0 } else { 3.0 };
+                points.push(on_ray(&camera, f64::from(x), f64::from(y), z));
+            }
+        }
+        points.push(on_ray(&camera, 500.0, 100.0, 0.4));
+        points.push(on_ray(&camera, 100.0, 400.0, 20.0));
+        let mesh = Mesh::build(&points, &camera, &options(DepthEdges::Back)).unwrap();
+        let map = Proxy::Mesh(mesh).depth_map(&camera);
+        let at = |x: usize, y: usize| map.row(y)[x];
+        assert!((at(500, 100) - 3.0).abs() < 0.05 && (at(100, 400) - 3.0).abs() < 0.05);
+        assert!((at(250, 250) - 1.0).abs() < 0.01 && (at(320, 250) - 3.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn every_vertex_is_in_front_of_the_back_plane() {
+        let camera = pinhole_at([0.0; 3]);
+        let mut random = Random::new(12);
+        let points: Vec<_> = (0..200)
+            .map(|_| {
+                let (x, y) = (random.in_range(50.0, 590.0), random.in_range(50.0, 430.0));
+                on_ray(&camera, x, y, random.in_range(1.0, 5.0))
+            })
+            .collect();
+        let bounds = ViewBounds::of(&camera).unwrap();
+        let seen = seen_from(&points, &camera, &bounds, camera.focal_px());
+        assert_eq!(seen.len(), 200);
+        let g = back_plane(&seen, &bounds).unwrap();
+        assert!(seen.iter().all(|s| g.dot(&s.ray()) < s.inverse_depth));
+        assert!(bounds.corners().iter().all(|c| g.dot(&Vector3::new(c.x, c.y, 1.0)) > 0.0));
+    }
+
+    #[test]
+    fn any_points_cover_the_whole_view() {
+        let camera = pinhole_at([0.0; 3]);
+        let line: Vec<_> =
+            (0..9).map(|k| on_ray(&camera, 70.0 * f64::from(k), 240.0, 2.0)).collect();
+        let cases = [
+            vec![on_ray(&camera, 320.0, 240.0, 2.0)],
+            vec![on_ray(&camera, 320.0, 240.0, 2.0); 7],
+            line,
+            vec![on_ray(&camera, 0.0, 0.0, 1e-3), on_ray(&camera, 640.0, 480.0, 1e9)],
+            vec![on_ray(&camera, 100.0, 100.0, 1.0), on_ray(&camera, 100.0 + 1e-9, 100.0, 5.0)],
+        ];
+        for (case, points) in cases.iter().enumerate() {
+            for depth_edges in ALL {
+                println!("case {case}, {depth_edges:?}");
+                let mesh = Mesh::build(points, &camera, &options(depth_edges)).unwrap();
+                assert_covered(&Proxy::Mesh(mesh).depth_map(&camera));
+            }
+        }
+    }
+
+    #[test]
+    fn no_point_in_the_view_gives_none() {
+        let camera = pinhole_at([0.0; 3]);
+        let build = |p: &[Point3<f64>]| Mesh::build(p, &camera, &MeshOptions::default());
+        assert_eq!(build(&[]), None);
+        assert_eq!(build(&[Point3::new(0.0, 0.0, -1.0), Point3::new(f64::NAN, 0.0, 1.0)]), None);
+        assert_eq!(build(&[Point3::new(9.0, 0.0, 1.0)]), None);
+    }
+
+    #[test]
+    fn the_order_of_the_points_does_not_matter() {
+        let camera = pinhole_at([0.0; 3]);
+        let mut random = Random::new(13);
+        let mut points: Vec<_> = (0..100)
+            .map(|_| {
+                let (x, y) = (random.in_range(0.0, 640.0), random.in_range(0.0, 480.0));
+                on_ray(&camera, x, y, random.in_range(1.0, 1.2))
+            })
+            .collect();
+        let forward = Mesh::build(&points, &camera, &MeshOptions::default());
+        points.reverse();
+        assert_eq!(Mesh::build(&points, &camera, &MeshOptions::default()), forward);
+    }
+}

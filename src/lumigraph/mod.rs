@@ -1,0 +1,35 @@
+//! §6, view synthesis: a proxy of the scene's shape, and the synchronized images blended over it
+//! by unstructured lumigraph rendering (Buehler et al., SIGGRAPH 2001).
+//!
+//! - [`triangulate`]: 3D points from correspondences at one instant.
+//! - [`Plane`], [`Mesh`]: the paper's two proxies; [`Proxy`] turns either into a [`DepthMap`] of
+//!   the view to render.
+//! - [`blend`]: the view, from the images and the depth map.
+//!
+//! ```text
+//! points ── Plane::fit ──┐
+//!        └─ Mesh::build ─┴─ Proxy::depth_map(target) ── blend(sources, depth, target)
+//! ```
+
+mod depth_map;
+mod inverse_depth;
+mod mesh;
+mod plane;
+mod proxy;
+mod rasterize;
+mod rays;
+mod reproject;
+mod triangulate;
+mod ulr;
+mod weights;
+
+pub use depth_map::DepthMap;
+pub use mesh::{DepthEdges, Mesh, MeshOptions};
+pub use plane::Plane;
+pub use proxy::Proxy;
+pub use triangulate::{Triangulated, triangulate};
+pub use ulr::{BlendOptions, Rendered, Sampling, Source, blend};
+pub use weights::BlendRung;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,147 @@
+//! The plane proxy: the paper's "3D planar proxy in which the plane's depth can be interactively
+//! controlled by the user. Its placement determines which region of the scene is in focus."
+
+use super::inverse_depth::{Seen, Through, fit_plane};
+use super::rays::ViewBounds;
+use crate::camera::Camera;
+use nalgebra::{Point2, Point3, Vector3};
+
+/// The points with `normal · x = d` in the world; the normal has unit length, d is in metres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plane {
+    pub normal: Vector3<f64>,
+    pub d: f64,
+}
+
+/// How far a camera sees beyond its own image: points there still place a plane.
+const MARGIN: f64 = 0.5;
+
+impl Plane {
+    /// The plane at a depth in metres along the camera's axis, at right angles to it.
+    pub fn fronto_parallel(camera: &Camera, depth_m: f64) -> Self {
+        let normal = camera.axis();
+        Self { normal, d: normal.dot(&camera.center().coords) + depth_m }
+    }
+
+    /// The plane nearest to the points in inverse depth as `camera` sees them (a camera amid the
+    /// rig), outliers discounted: what blurs the blended view least. Points have weights (1, or
+    /// how much of the view they stand for).
+    ///
+    /// Points behind the camera, far outside its image, not finite or without positive weight
+    /// don't count. `None` if none counts. One point, or points on a line, give a plane through
+    /// them that faces the camera as far as it can; and no plane is tilted so far that the view
+    /// looks past it.
+    pub fn fit(points: &[(Point3<f64>, f64)], camera: &Camera) -> Option<Self> {
+        let bounds = ViewBounds::of(camera)?;
+        let counted = bounds.enlarged(MARGIN);
+        let seen: Vec<Seen> = points
+            .iter()
+            .filter_map(|(point, weight)| {
+                let p = camera.cam_from_world * point;
+                let at = Point2::new(p.x / p.z, p.y / p.z);
+                let counts = p.z > 0.0
+                    && (1.0 / p.z) > 0.0
+                    && (1.0 / p.z).is_finite()
+                    && counted.contains(&at)
+                    && *weight > 0.0
+                    && weight.is_finite();
+                counts.then_some(Seen { at, inverse_depth: 1.0 / p.z, weight: *weight })
+            })
+            .collect();
+        let g = fit_plane(&seen, Through::Middle, &bounds)?;
+        // g · (R x + t) = 1. |g| is at least its inverse depth amid the view, which is positive.
+        let length = g.norm();
+        let normal = camera.cam_from_world.rotation.inverse_transform_vector(&g) / length;
+        let d = (1.0 - g.dot(&camera.cam_from_world.translation.vector)) / length;
+        (normal.iter().all(|v| v.is_finite()) && d.is_finite()).then_some(Self { normal, d })
+    }
+
+    /// `g` of [`super::inverse_depth`] as the camera sees it; `None` if the plane goes through
+    /// the camera's centre (it is then a line in the image, or all of it at depth 0).
+    pub(super) fn inverse_depth(&self, camera: &Camera) -> Option<Vector3<f64>> {
+        let distance = self.d - self.normal.dot(&camera.center().coords);
+        let g = camera.cam_from_world.rotation * self.normal / distance;
+        g.iter().all(|v| v.is_finite()).then_some(g)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::Random;
+    use super::*;
+    use crate::camera::tests::pinhole_at;
+
+    fn distance(plane: &Plane, p: &Point3<f64>) -> f64 {
+        (plane.normal.dot(&p.coords) - plane.d).abs()
+    }
+
+    #[test]
+    fn fronto_parallel_is_at_its_depth() {
+        let camera = pinhole_at([1.0, 2.0, 3.0]);
+        let plane = Plane::fronto_parallel(&camera, 2.0);
+        assert_eq!(plane, Plane { normal: Vector3::z(), d: 5.0 });
+    }
+
+    #[test]
+    fn a_tilted_plane_is_found_among_outliers() {
+        let mut random = Random::new(4);
+        let camera = pinhole_at([0.1, -0.2, 0.3]);
+        let truth = Plane { normal: Vector3::new(0.2, -0.3, 0.9).normalize(), d: 2.5 };
+        let points: Vec<_> = (0..400)
+            .map(|k| {
+                let ray = Vector3::new(random.in_range(-0.4, 0.4), random.in_range(-0.3, 0.3), 1.0);
+                let center = camera.center().coords;
+                let on_plane = (truth.d - truth.normal.dot(&center)) / truth.normal.dot(&ray);
+                let z = if k % 5 == 0 { random.in_range(1.0, 9.0) } else { on_plane };
+                (Point3::from(center + ray * z), 1.0)
+            })
+            .collect();
+        let got = Plane::fit(&points, &camera).unwrap();
+        assert!((got.normal - truth.normal).norm() < 1e-3, "{got:?}");
+        assert!((got.d - truth.d).abs() < 2e-3, "{got:?}");
+    }
+
+    #[test]
+    fn few_points_give_a_plane_that_faces_the_camera() {
+        let camera = pinhole_at([0.0; 3]);
+        let one = Point3::new(0.1, 0.2, 2.0);
+        let plane = Plane::fit(&[(one, 1.0)], &camera).unwrap();
+        assert!(distance(&plane, &one) < 1e-9 && (plane.normal - Vector3::z()).norm() < 1e-9);
+
+        let line: Vec<_> =
+            (0..9).map(|k| (Point3::new(0.05 * f64::from(k), 0.0, 2.0), 1.0)).collect();
+        let plane = Plane::fit(&line, &camera).unwrap();
+        assert!((plane.normal - Vector3::z()).norm() < 1e-6, "collinear: {plane:?}");
+        let plane = Plane::fit(&[(one, 1.0); 5], &camera).unwrap();
+        assert!(distance(&plane, &one) < 1e-9, "duplicates: {plane:?}");
+    }
+
+    #[test]
+    fn what_does_not_count_gives_none() {
+        let camera = pinhole_at([0.0; 3]);
+        assert_eq!(Plane::fit(&[], &camera), None);
+        for p in [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [f64::NAN, 0.0, 1.0], [9.0, 0.0, 1.0]] {
+            assert_eq!(Plane::fit(&[(Point3::from(p), 1.0)], &camera), None, "{p:?}");
+        }
+        assert_eq!(Plane::fit(&[(Point3::new(0.0, 0.0, 1.0), 0.0)], &camera), None);
+    }
+
+    #[test]
+    fn a_plane_too_steep_is_flattened_until_the_view_sees_it_all() {
+        let camera = pinhole_at([0.0; 3]);
+        // A floor 0.3 m below the camera: it fills only the lower half of the image.
+        let floor: Vec<_> = (0..50)
+            .map(|k| (Point3::new(0.1 * f64::from(k % 5), 0.3, 1.0 + 0.1 * f64::from(k)), 1.0))
+            .collect();
+        let g = Plane::fit(&floor, &camera).unwrap().inverse_depth(&camera).unwrap();
+        for corner in ViewBounds::of(&camera).unwrap().corners() {
+            assert!(g.dot(&Vector3::new(corner.x, corner.y, 1.0)) > 0.0);
+        }
+    }
+
+    #[test]
+    fn a_plane_through_the_centre_has_no_inverse_depth() {
+        let camera = pinhole_at([0.0; 3]);
+        assert_eq!(Plane { normal: Vector3::x(), d: 0.0 }.inverse_depth(&camera), None);
+    }
+}

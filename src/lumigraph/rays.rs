@@ -1,0 +1,84 @@
+//! The rays of a view's pixel centres, a row at a time.
+
+use crate::camera::{Camera, CameraModel};
+use nalgebra::Point2;
+
+/// Directions (x, y, 1) in the camera's frame of one row's pixel centres. Where the lens can't
+/// be inverted both are NaN.
+pub(super) struct RayRow {
+    pub x: Vec<f64>,
+    pub y: Vec<f64>,
+}
+
+impl RayRow {
+    pub fn new(camera: &Camera) -> Self {
+        Self { x: vec![0.0; camera.width], y: vec![0.0; camera.width] }
+    }
+
+    /// Makes this the rays of `row`.
+    pub fn set(&mut self, camera: &Camera, row: usize) {
+        let v = row as f64 + 0.5;
+        if let CameraModel::Pinhole { fx, fy, cx, cy } = camera.model {
+            self.y.fill((v - cy) / fy);
+            for (column, x) in self.x.iter_mut().enumerate() {
+                *x = (column as f64 + 0.5 - cx) / fx;
+            }
+            return;
+        }
+        for (column, (x, y)) in self.x.iter_mut().zip(&mut self.y).enumerate() {
+            let pixel = Point2::new(column as f64 + 0.5, v);
+            let n = camera.model.normalized_from_pixel(&pixel);
+            (*x, *y) = n.map_or((f64::NAN, f64::NAN), |n| (n.x, n.y));
+        }
+    }
+}
+
+/// What a view covers of the plane z = 1: a box around the rays of its border.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ViewBounds {
+    pub min: Point2<f64>,
+    pub max: Point2<f64>,
+}
+
+/// Positions tried along each side of the border; a lens bends a side little between two.
+const STEPS: usize = 32;
+
+impl ViewBounds {
+    /// `None` if no ray of the border can be computed.
+    pub fn of(camera: &Camera) -> Option<Self> {
+        let (w, h) = (camera.width as f64, camera.height as f64);
+        let mut bounds: Option<Self> = None;
+        for k in 0..=STEPS {
+            let s = k as f64 / STEPS as f64;
+            for (x, y) in [(s * w, 0.0), (s * w, h), (0.0, s * h), (w, s * h)] {
+                let Some(n) = camera.model.normalized_from_pixel(&Point2::new(x, y)) else {
+                    continue;
+                };
+                let b = bounds.get_or_insert(Self { min: n, max: n });
+                b.min = b.min.inf(&n);
+                b.max = b.max.sup(&n);
+            }
+        }
+        bounds
+    }
+
+    /// Larger on every side by a share of the size.
+    pub fn enlarged(&self, share: f64) -> Self {
+        let by = (self.max - self.min) * share;
+        Self { min: self.min - by, max: self.max + by }
+    }
+
+    pub fn contains(&self, n: &Point2<f64>) -> bool {
+        n.x >= self.min.x && n.y >= self.min.y && n.x <= self.max.x && n.y <= self.max.y
+    }
+
+    pub fn corners(&self) -> [Point2<f64>; 4] {
+        let (a, b) = (self.min, self.max);
+        [a, Point2::new(b.x, a.y), b, Point2::new(a.x, b.y)]
+    }
+
+    /// Largest squared distance from the optical axis.
+    pub fn max_radius2(&self) -> f64 {
+        self.corners().iter().map(|c| c.coords.norm_squared()).fold(0.0, f64::max)
+    }
+}

@@ -1,0 +1,196 @@
+//! Where each camera saw the points of a row of the view, and how far that camera is to be
+//! trusted with them.
+//!
+//! The points are `r / ρ`, r = (x, y, 1) the pixel's ray and ρ its inverse depth. Everything is
+//! computed up to the factor 1/ρ, so that points at infinity are like any others. What is the
+//! same for all pixels is computed in f64 once; the rows are f32, whose rounding moves positions
+//! by less than 1e-3 px in images up to 4000 px wide.
+
+use super::rays::ViewBounds;
+use super::{BlendOptions, Source};
+use crate::camera::{Camera, CameraModel};
+use nalgebra::{Matrix3, Point2, Vector3};
+
+/// A camera whose centre is this close to the view's, as a share of the farthest camera's
+/// distance from it, stands at the view's centre.
+const SAME_CENTER_SHARE: f64 = 1e-6;
+/// What a hidden camera's trust is multiplied by. It answers only where all are hidden. Larger
+/// lets foreground shine through; 0 would leave holes.
+const HIDDEN_TRUST: f32 = 1e-3;
+/// Points this far (as a share) outside the cone of a camera's border rays have no image: there
+/// a lens polynomial may fold back into the image.
+const CONE_MARGIN: f64 = 0.02;
+
+/// A row of the view to render, as the reprojection needs it.
+pub(super) struct TargetRow<'a> {
+    /// Rays (x, y, 1) and their lengths.
+    pub x: &'a [f32],
+    pub y: &'a [f32],
+    pub length: &'a [f32],
+    /// 1/m; 0 where the proxy is nowhere.
+    pub inverse_depth: &'a [f32],
+}
+
+/// What one source sees of a row's points.
+pub(super) struct Hits<'a> {
+    /// Position in the source's image, pixels.
+    pub x: &'a mut [f32],
+    pub y: &'a mut [f32],
+    /// `2 tan(θ/2) · (1 + β · coarseness) / trust`; infinite where the source doesn't see it.
+    pub penalty: &'a mut [f32],
+    /// 0 where it doesn't, falling towards the border of the image and behind other surfaces.
+    pub trust: &'a mut [f32],
+}
+
+/// One source relative to the view to render.
+pub(super) struct Reprojection {
+    /// Source axes from the view's.
+    rotation: Matrix3<f32>,
+    /// The view's centre minus the source's: in the source's axes, and in the view's.
+    shift: Vector3<f32>,
+    shift_target: Vector3<f32>,
+    model: CameraModel,
+    width: f32,
+    height: f32,
+    /// Focal length of the view over the source's.
+    focal_ratio: f32,
+    max_radius2: f32,
+    inverse_feather: f32,
+    resolution: f32,
+    hidden_share: f32,
+}
+
+impl Reprojection {
+    /// Of all sources.
+    pub fn of_all(sources: &[Source], target: &Camera, options: &BlendOptions) -> Vec<Self> {
+        let center = target.center();
+        let extent =
+            sources.iter().map(|s| (s.camera.center() - center).norm()).fold(0.0, f64::max);
+        sources.iter().map(|s| Self::new(s.camera, target, extent, options)).collect()
+    }
+
+    fn new(camera: &Camera, target: &Camera, extent: f64, options: &BlendOptions) -> Self {
+        let mut shift_world = target.center() - camera.center();
+        if shift_world.norm() <= SAME_CENTER_SHARE * extent {
+            shift_world = Vector3::zeros();
+        }
+        let target_axes = target.cam_from_world.rotation;
+        let rotation = camera.cam_from_world.rotation * target_axes.inverse();
+        let widen = (1.0 + CONE_MARGIN).powi(2);
+        let radius2 = ViewBounds::of(camera).map_or(0.0, |b| b.max_radius2() * widen);
+        Self {
+            rotation: rotation.to_rotation_matrix().into_inner().cast(),
+            shift: (camera.cam_from_world.rotation * shift_world).cast(),
+            shift_target: (target_axes * shift_world).cast(),
+            model: camera.model,
+            width: camera.width as f32,
+            height: camera.height as f32,
+            focal_ratio: (target.focal_px() / camera.focal_px()) as f32,
+            max_radius2: radius2 as f32,
+            // Narrower than a hundredth of a pixel is no feather.
+            inverse_feather: (1.0 / options.feather_px.max(0.01)) as f32,
+            resolution: options.resolution.max(0.0) as f32,
+            hidden_share: options.hidden_share.max(1e-6) as f32,
+        }
+    }
+
+    /// Whether the view's centre is this source's: then it sees the pixel's colour whatever the
+    /// depth, and even without one.
+    pub fn at_center(&self) -> bool {
+        self.shift_target == Vector3::zeros()
+    }
+
+    /// Fills `hits`. `source` is the one that this was made of.
+    pub fn row(&self, row: &TargetRow, source: &Source, hits: &mut Hits) {
+        match self.model {
+            CameraModel::Pinhole { fx, fy, cx, cy } => {
+                let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v as f32);
+                self.measure(row, hits, |nx, ny| (fx * nx + cx, fy * ny + cy));
+            }
+            model => self.measure(row, hits, |nx, ny| {
+                let pixel = model.pixel_from_normalized(&Point2::new(f64::from(nx), f64::from(ny)));
+                (pixel.x as f32, pixel.y as f32)
+            }),
+        }
+        // A source at the view's centre looks along the same rays: nothing is hidden from it.
+        if source.depth.is_some() && !self.at_center() {
+            self.hide(row, source, hits);
+        }
+    }
+
+    #[inline(always)]
+    fn measure(&self, row: &TargetRow, hits: &mut Hits, pixel: impl Fn(f32, f32) -> (f32, f32)) {
+        let n = row.x.len();
+        // One length for all slices lets the loop run without bounds checks.
+        let (xs, ys, lengths, inverse) =
+            (&row.x[..n], &row.y[..n], &row.length[..n], &row.inverse_depth[..n]);
+        let (out_x, out_y) = (&mut hits.x[..n], &mut hits.y[..n]);
+        let (penalty, trust) = (&mut hits.penalty[..n], &mut hits.trust[..n]);
+        let at_center = self.at_center();
+        let d = self.shift_target;
+        for k in 0..n {
+            let (x, y, length, inverse) = (xs[k], ys[k], lengths[k], inverse[k]);
+            let q = self.direction(x, y, inverse);
+            // Behind the source q.z is not positive, and what comes of it is thrown away below.
+            let inverse_z = 1.0 / q.z;
+            let (nx, ny) = (q.x * inverse_z, q.y * inverse_z);
+            let (px, py) = pixel(nx, ny);
+            let inside = px.min(self.width - px).min(py.min(self.height - py));
+            let sees = (q.z > 0.0)
+                & (nx * nx + ny * ny <= self.max_radius2)
+                & (inside > 0.0)
+                & ((inverse > 0.0) | at_center);
+
+            // tan(θ/2) = |a × b| / (|a||b| + a · b) of the directions a and b from the view's
+            // and the source's centre; b = a + shift, so a × b = a × shift: no cancellation.
+            let cross = Vector3::new(y * d.z - d.y, d.x - x * d.z, x * d.y - y * d.x);
+            let cross = (cross.x * cross.x + cross.y * cross.y + cross.z * cross.z).sqrt();
+            let dot = length * length + inverse * (x * d.x + y * d.y + d.z);
+            let q_length = (q.x * q.x + q.y * q.y + q.z * q.z).sqrt();
+            // The sum is 0 only where θ is 180° or the point is the source's centre: then ∞ or
+            // NaN, and the camera doesn't count.
+            let angle = 2.0 * inverse * cross / (length * q_length + dot);
+            let coarseness = (q_length * self.focal_ratio / length - 1.0).max(0.0);
+
+            let t = (inside * self.inverse_feather).min(1.0);
+            let border = t * t * (3.0 - 2.0 * t);
+            let counts = sees & (angle < f32::INFINITY) & (border > 0.0);
+            let raised = angle * (1.0 + self.resolution * coarseness) / border;
+            out_x[k] = px;
+            out_y[k] = py;
+            penalty[k] = if counts { raised } else { f32::INFINITY };
+            trust[k] = if counts { border } else { 0.0 };
+        }
+    }
+
+    /// The pixel's point times its inverse depth, in the source's axes.
+    #[inline(always)]
+    fn direction(&self, x: f32, y: f32, inverse_depth: f32) -> Vector3<f32> {
+        let (m, s) = (&self.rotation, &self.shift);
+        Vector3::new(
+            m[(0, 0)] * x + m[(0, 1)] * y + m[(0, 2)] + inverse_depth * s.x,
+            m[(1, 0)] * x + m[(1, 1)] * y + m[(1, 2)] + inverse_depth * s.y,
+            m[(2, 0)] * x + m[(2, 1)] * y + m[(2, 2)] + inverse_depth * s.z,
+        )
+    }
+
+    /// Lowers trust where the point lies behind the surface that the source sees: from 1 at the
+    /// tolerance to [`HIDDEN_TRUST`] at twice that.
+    fn hide(&self, row: &TargetRow, source: &Source, hits: &mut Hits) {
+        let Some(map) = source.depth else { return };
+        for k in 0..row.x.len() {
+            if hits.trust[k] > 0.0 {
+                let inverse = row.inverse_depth[k];
+                let depth = self.direction(row.x[k], row.y[k], inverse).z / inverse;
+                let surface = map.farthest_around(hits.x[k], hits.y[k]);
+                let behind = (depth / surface - 1.0) / self.hidden_share - 1.0;
+                // NaN, where the source sees nothing, hides nothing.
+                if behind > 0.0 {
+                    let visible = (1.0 - behind).max(HIDDEN_TRUST);
+                    hits.trust[k] *= visible;
+                    hits.penalty[k] /= visible;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,390 @@
+//! What the stage as a whole promises, on scenes known in closed form.
+
+use super::*;
+use crate::camera::tests::pinhole_at;
+use crate::camera::{Camera, CameraModel};
+use crate::raster::Image;
+use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
+
+/// SplitMix64 (Steele et al. 2014): the same numbers everywhere.
+pub(super) struct Random(u64);
+
+impl Random {
+    pub fn new(seed: u64) -> Self {
+        Self(seed)
+    }
+
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// In 0..1.
+    pub fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    pub fn in_range(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.unit()
+    }
+}
+
+pub(super) fn assert_covered(map: &DepthMap) {
+    let missing = map.data().iter().filter(|z| !z.is_finite()).count();
+    assert_eq!(missing, 0, "pixels without depth");
+}
+
+/// 96×72 pixels, 46° wide.
+fn camera_at(center: [f64; 3]) -> Camera {
+    let model = CameraModel::Pinhole { fx: 112.0, fy: 112.0, cx: 48.0, cy: 36.0 };
+    Camera { width: 96, height: 72, model, ..pinhole_at(center) }
+}
+
+/// A rig of eight on a line, as the paper's, 60 mm apart.
+fn rig() -> Vec<Camera> {
+    (0..8).map(|k| camera_at([0.06 * (f64::from(k) - 3.5), 0.0, 0.0])).collect()
+}
+
+/// A smooth texture, metres in.
+fn texture(p: &Point3<f64>) -> [f32; 3] {
+    let wave = |a: f64, b: f64, c: f64| (0.5 + 0.4 * (a * p.x + b * p.y + c).sin()) as f32;
+    [wave(7.0, 3.0, 0.3), wave(-4.0, 8.0, 1.0), wave(5.0, 5.0, 2.0)]
+}
+
+/// The image of a textured plane.
+fn film(camera: &Camera, plane: &Plane) -> Image {
+    let mut data = Vec::new();
+    for y in 0..camera.height {
+        for x in 0..camera.width {
+            let ray = camera.ray_world(&Point2::new(x as f64 + 0.5, y as f64 + 0.5)).unwrap();
+            let center = camera.center();
+            let z = (plane.d - plane.normal.dot(&center.coords)) / plane.normal.dot(&ray);
+            data.extend(texture(&(center + ray * z)));
+        }
+    }
+    Image::from_data(camera.width, camera.height, 3, data)
+}
+
+fn noise(camera: &Camera, channels: usize, random: &mut Random) -> Image {
+    let count = camera.width * camera.height * channels;
+    let data = (0..count).map(|_| (random.unit() * 255.0).round() as f32 / 255.0).collect();
+    Image::from_data(camera.width, camera.height, channels, data)
+}
+
+fn sources<'a>(cameras: &'a [Camera], images: &'a [Image]) -> Vec<Source<'a>> {
+    cameras.iter().zip(images).map(|(c, i)| Source::new(c, i)).collect()
+}
+
+fn tilted() -> Plane {
+    Plane { normal: Vector3::new(0.2, -0.1, 0.95).normalize(), d: 2.0 }
+}
+
+fn turned(mut camera: Camera, angles: [f64; 3]) -> Camera {
+    let center = camera.center();
+    let turn = UnitQuaternion::from_euler_angles(angles[0], angles[1], angles[2]);
+    camera.cam_from_world =
+        Isometry3::from_parts(Translation3::from(-(turn * center.coords)), turn);
+    camera
+}
+
+/// As simple as possible: Buehler's rules, pixel by pixel, from the camera's own functions.
+fn naive(sources: &[Source], depth: &DepthMap, target: &Camera, o: &BlendOptions) -> Vec<[f32; 3]> {
+    let mut out = Vec::new();
+    for y in 0..target.height {
+        for x in 0..target.width {
+            let ray = target.ray_world(&Point2::new(x as f64 + 0.5, y as f64 + 0.5)).unwrap();
+            let point = target.center() + ray * f64::from(depth.row(y)[x]);
+            let to_target = target.center() - point;
+            let mut seen: Vec<(f64, [f32; 3])> = Vec::new();
+            for s in sources {
+                let Some(at) = s.camera.project(&point) else { continue };
+                let (w, h) = (s.camera.width as f64, s.camera.height as f64);
+                let inside = at.x.min(at.y).min(w - at.x).min(h - at.y);
+                if inside <= 0.0 {
+                    continue;
+                }
+                let to_source = s.camera.center() - point;
+                let angle = to_target.angle(&to_source);
+                let footprint = |camera: &Camera, to: &Vector3<f64>| to.norm() / camera.focal_px();
+                let ratio = footprint(s.camera, &to_source) / footprint(target, &to_target);
+                let t = (inside / o.feather_px).min(1.0);
+                let penalty =
+                    2.0 * (angle / 2.0).tan() * (1.0 + o.resolution * (ratio - 1.0).max(0.0))
+                        / (t * t * (3.0 - 2.0 * t));
+                let mut value = [0.0; 3];
+                s.image.sample_cubic(at.x as f32, at.y as f32, &mut value);
+                seen.push((penalty, value));
+            }
+            seen.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let threshold =
+                seen.get(o.cameras).map_or(f64::INFINITY, |s| s.0.max(seen[0].0 * 1.05));
+            let (mut sum, mut total) = ([0.0; 3], 0.0);
+            for (penalty, value) in &seen {
+                let weight = (1.0 - penalty / threshold).max(0.0) / penalty;
+                total += weight;
+                for (sum, v) in sum.iter_mut().zip(value) {
+                    *sum += weight * f64::from(*v);
+                }
+            }
+            out.push(sum.map(|s| (s / total) as f32));
+        }
+    }
+    out
+}
+
+#[test]
+fn equals_the_naive_one() {
+    let mut random = Random::new(31);
+    for round in 0..6 {
+        let cameras: Vec<Camera> = rig()
+            .into_iter()
+            .map(|c| turned(c, [0.0; 3].map(|_: f64| random.in_range(-0.05, 0.05))))
+            .collect();
+        let images: Vec<Image> = cameras.iter().map(|c| noise(c, 3, &mut random)).collect();
+        let sources = sources(&cameras, &images);
+        let target = turned(
+            camera_at([random.in_range(-0.2, 0.2), random.in_range(-0.1, 0.1), 0.1]),
+            [0.02, -0.03, 0.1],
+        );
+        let options = BlendOptions { cameras: 1 + round, ..BlendOptions::default() };
+        let depth = Proxy::Plane(tilted()).depth_map(&target);
+        let got = blend(&sources, &depth, &target, &options);
+        let want = naive(&sources, &depth, &target, &options);
+        for ((pixel, want), covered) in got.image.data().chunks(3).zip(want).zip(got.coverage) {
+            if covered {
+                for (a, b) in pixel.iter().zip(want) {
+                    assert!((a - b.clamp(0.0, 1.0)).abs() < 2e-3, "{a} {b}");
+                }
+            } else {
+                assert!(want[0].is_nan());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_plane_scene_over_its_plane_is_exact_to_the_sampling() {
+    let plane = tilted();
+    let cameras = rig();
+    let images: Vec<Image> = cameras.iter().map(|c| film(c, &plane)).collect();
+    let target = turned(camera_at([0.03, 0.05, 0.2]), [0.02, 0.03, 0.1]);
+    let truth = film(&target, &plane);
+    let depth = Proxy::Plane(plane).depth_map(&target);
+    let rendered = blend(&sources(&cameras, &images), &depth, &target, &BlendOptions::default());
+    let covered = rendered.coverage.iter().filter(|c| **c).count();
+    assert!(covered > 96 * 72 * 9 / 10, "{covered}");
+    // The outermost pixels may be read at an image's border, where the filter has no neighbours.
+    for y in 12..60 {
+        for x in 12..84 {
+            for (a, b) in rendered.image.pixel(x, y).iter().zip(truth.pixel(x, y)) {
+                assert!((a - b).abs() < 2e-3, "{x} {y}: {a} {b}");
+            }
+        }
+    }
+}
+
+#[test]
+fn inputs_are_reproduced_whatever_the_proxy() {
+    let mut random = Random::new(32);
+    let cameras: Vec<Camera> =
+        rig().into_iter().map(|c| turned(c, [0.03, random.in_range(-0.2, 0.2), 0.4])).collect();
+    let images: Vec<Image> = cameras.iter().map(|c| noise(c, 3, &mut random)).collect();
+    let sources = sources(&cameras, &images);
+    let n = 96 * 72;
+    let wild = (0..n).map(|_| random.in_range(-0.1, 5.0) as f32).collect();
+    for depths in [vec![f32::NAN; n], vec![f32::INFINITY; n], vec![0.3; n], wild] {
+        let depth = DepthMap::from_data(96, 72, depths);
+        for sampling in [Sampling::Bilinear, Sampling::Cubic] {
+            let options = BlendOptions { sampling, ..BlendOptions::default() };
+            for (camera, image) in cameras.iter().zip(&images) {
+                let rendered = blend(&sources, &depth, camera, &options);
+                assert!(rendered.coverage.iter().all(|c| *c));
+                for (a, b) in rendered.image.data().iter().zip(image.data()) {
+                    assert!((a - b).abs() < 1e-4, "{a} {b}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_view_changes_continuously_as_it_moves() {
+    let plane = Plane { normal: Vector3::z(), d: 1.5 };
+    let mut random = Random::new(33);
+    let cameras = rig();
+    // Images that differ all over, so that any jump of a weight shows.
+    let images: Vec<Image> =
+        cameras.iter().map(|c| Image::filled(c.width, c.height, 3, random.unit() as f32)).collect();
+    let sources = sources(&cameras, &images);
+    for k in [1, 2, 4] {
+        let options = BlendOptions { cameras: k, ..BlendOptions::default() };
+        let view = |x: f64| {
+            let target = camera_at([x, 0.021, 0.0]);
+            let depth = Proxy::Plane(plane).depth_map(&target);
+            blend(&sources, &depth, &target, &options)
+        };
+        let mut last = view(-0.25);
+        let mut largest: f32 = 0.0;
+        for step in 1..200 {
+            let next = view(-0.25 + 0.0004 * f64::from(step));
+            for (k, (a, b)) in next.image.data().iter().zip(last.image.data()).enumerate() {
+                if next.coverage[k / 3] && last.coverage[k / 3] {
+                    largest = largest.max((a - b).abs());
+                }
+            }
+            last = next;
+        }
+        assert!(largest < 0.4, "k = {k}: {largest}");
+    }
+}
+
+#[test]
+fn the_order_of_the_cameras_does_not_matter() {
+    let mut random = Random::new(34);
+    let mut cameras = rig();
+    let mut images: Vec<Image> = cameras.iter().map(|c| noise(c, 3, &mut random)).collect();
+    // The middle of the rig, where cameras tie in pairs.
+    let target = camera_at([0.0; 3]);
+    let depth = Proxy::Plane(tilted()).depth_map(&target);
+    let options = BlendOptions::default();
+    let forward = blend(&sources(&cameras, &images), &depth, &target, &options);
+    cameras.reverse();
+    images.reverse();
+    let backward = blend(&sources(&cameras, &images), &depth, &target, &options);
+    for (a, b) in forward.image.data().iter().zip(backward.image.data()) {
+        assert!((a - b).abs() < 1e-5);
+    }
+}
+
+#[test]
+fn uniform_is_the_mean() {
+    let cameras = rig();
+    let images: Vec<Image> = (0..8).map(|k| Image::filled(96, 72, 1, k as f32 / 8.0)).collect();
+    let target = camera_at([0.0; 3]);
+    let options = BlendOptions { rung: BlendRung::Uniform, ..BlendOptions::default() };
+    let depth = Proxy::Plane(Plane { normal: Vector3::z(), d: 9.0 }).depth_map(&target);
+    let rendered = blend(&sources(&cameras, &images), &depth, &target, &options);
+    assert_eq!(rendered.image.channels(), 1);
+    assert!((rendered.image.pixel(48, 36)[0] - 3.5 / 8.0).abs() < 1e-6);
+}
+
+#[test]
+fn gray_cameras_give_luma_and_colored_ones_color() {
+    let plane = tilted();
+    let cameras = rig();
+    let images: Vec<Image> = cameras
+        .iter()
+        .enumerate()
+        .map(|(k, c)| if k % 3 == 0 { film(c, &plane) } else { film(c, &plane).to_gray() })
+        .collect();
+    let sources = sources(&cameras, &images);
+    let options = BlendOptions::default();
+    // Between cameras, at a coloured one and at a grey one.
+    for x in [0.013, cameras[3].center().x, cameras[4].center().x] {
+        let target = camera_at([x, 0.0, 0.0]);
+        let depth = Proxy::Plane(plane).depth_map(&target);
+        let rendered = blend(&sources, &depth, &target, &options);
+        let truth = film(&target, &plane);
+        for y in 0..72 {
+            for x in 20..76 {
+                for (a, b) in rendered.image.pixel(x, y).iter().zip(truth.pixel(x, y)) {
+                    assert!((a - b).abs() < 0.01, "{x} {y}: {a} {b}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_hidden_camera_does_not_answer() {
+    // A wall at 2 m and a small screen at 1 m. The left camera sees the screen where the view
+    // sees the wall.
+    let cameras = vec![camera_at([-0.2, 0.0, 0.0]), camera_at([0.3, 0.0, 0.0])];
+    let images = vec![Image::filled(96, 72, 1, 1.0), Image::filled(96, 72, 1, 0.25)];
+    let target = camera_at([0.0; 3]);
+    let wall = Proxy::Plane(Plane { normal: Vector3::z(), d: 2.0 });
+    let screen = DepthMap::from_data(96, 72, vec![1.0; 96 * 72]);
+    let mut sources = sources(&cameras, &images);
+    let depth = wall.depth_map(&target);
+    let middle = |sources: &[Source]| {
+        blend(sources, &depth, &target, &BlendOptions::default()).image.pixel(48, 36)[0]
+    };
+    assert!(middle(&sources) > 0.5);
+    sources[0].depth = Some(&screen);
+    assert!((middle(&sources) - 0.25).abs() < 0.01);
+    let own = wall.depth_map(&cameras[0]);
+    sources[0].depth = Some(&own);
+    assert!(middle(&sources) > 0.5, "what it sees itself is not hidden");
+}
+
+#[test]
+fn degenerate_views() {
+    let cameras = rig();
+    let images: Vec<Image> = cameras.iter().map(|c| film(c, &tilted())).collect();
+    let sources = sources(&cameras, &images);
+    let options = BlendOptions::default();
+
+    let away = turned(camera_at([0.0; 3]), [0.0, std::f64::consts::PI, 0.0]);
+    let depth = DepthMap::from_data(96, 72, vec![2.0; 96 * 72]);
+    let none = blend(&sources, &depth, &away, &options);
+    assert!(none.coverage.iter().all(|c| !c) && none.image.data().iter().all(|v| *v == 0.0));
+
+    let none = blend(&[], &depth, &cameras[0], &options);
+    assert!(none.coverage.iter().all(|c| !c), "no cameras");
+
+    let mut one = camera_at([0.01, 0.0, 0.0]);
+    one.model = CameraModel::Pinhole { fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
+    (one.width, one.height) = (1, 1);
+    let depth = Proxy::Plane(tilted()).depth_map(&one);
+    assert_eq!(blend(&sources, &depth, &one, &options).coverage, [true], "1×1");
+
+    let sky = DepthMap::from_data(96, 72, vec![f32::INFINITY; 96 * 72]);
+    let rendered = blend(&sources, &sky, &camera_at([0.01, 0.0, 0.0]), &options);
+    assert!(rendered.image.data().iter().all(|v| v.is_finite()));
+    assert!(rendered.coverage.iter().all(|c| *c));
+
+    for options in [
+        BlendOptions { cameras: 0, feather_px: 0.0, resolution: 0.0, ..options.clone() },
+        BlendOptions { cameras: 99, feather_px: 1e9, resolution: 1e9, ..options.clone() },
+    ] {
+        let target = camera_at([0.01, 0.0, 0.0]);
+        let depth = Proxy::Plane(tilted()).depth_map(&target);
+        let rendered = blend(&sources, &depth, &target, &options);
+        assert!(rendered.image.data().iter().all(|v| v.is_finite()));
+        assert!(rendered.coverage[36 * 96 + 48]);
+    }
+}
+
+#[test]
+fn the_number_of_threads_does_not_matter() {
+    let mut random = Random::new(35);
+    let cameras = rig();
+    let images: Vec<Image> = cameras.iter().map(|c| noise(c, 3, &mut random)).collect();
+    let target = camera_at([0.02, 0.01, 0.0]);
+    let points: Vec<Point3<f64>> = (0..200)
+        .map(|_| {
+            let at = [random.in_range(-0.6, 0.6), random.in_range(-0.5, 0.5)];
+            Point3::new(at[0], at[1], random.in_range(1.5, 1.6))
+        })
+        .collect();
+    let render = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mesh = Mesh::build(&points, &target, &MeshOptions::default()).unwrap();
+            let depth = Proxy::Mesh(mesh).depth_map(&target);
+            blend(&sources(&cameras, &images), &depth, &target, &BlendOptions::default())
+        })
+    };
+    assert_eq!(render(1), render(3));
+}
+
+#[test]
+fn options_round_trip_and_refuse_unknown_fields() {
+    let text = serde_json::to_string(&BlendOptions::default()).unwrap();
+    assert_eq!(serde_json::from_str::<BlendOptions>(&text).unwrap(), BlendOptions::default());
+    assert_eq!(serde_json::from_str::<MeshOptions>("{}").unwrap(), MeshOptions::default());
+    assert!(serde_json::from_str::<BlendOptions>(r#"{"camera": 3}"#).is_err());
+}

@@ -1,0 +1,360 @@
+//! Unstructured lumigraph rendering (Buehler, Bosse, McMillan, Gortler, Cohen, SIGGRAPH 2001):
+//! every pixel of the view is a weighted mean of the cameras' images of its point of the proxy.
+//!
+//! The penalty of camera i at the pixel's point X, seen from the view's centre C:
+//!
+//! `p_i = 2 tan(θ_i / 2) · (1 + β · coarseness_i) / (border_i · visible_i)`
+//!
+//! with θ_i the angle at X between C and C_i. Buehler adds the three parts; multiplied, the
+//! penalty is exactly 0 where the view's centre is the camera's, so that camera alone answers,
+//! up to its border; and infinite outside its image, so that ranks change smoothly there.
+//! [`super::weights`] turns penalties into weights.
+//!
+//! A grey camera among coloured ones gives its luma: luma is blended from all cameras, and the
+//! difference between colour and luma from the coloured ones alone (with weights of their own),
+//! fading to grey where none of them sees the point.
+//!
+//! Known limit: where a point of the proxy is hidden from a camera by another part of it, the
+//! camera still answers unless its own [`Source::depth`] is given.
+
+use super::DepthMap;
+use super::rays::RayRow;
+use super::reproject::{Hits, Reprojection, TargetRow};
+use super::weights::{BlendRung, WeightRow};
+use crate::camera::Camera;
+use crate::raster::Image;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// One camera with its image at the instant that is rendered.
+#[derive(Clone, Copy, Debug)]
+pub struct Source<'a> {
+    pub camera: &'a Camera,
+    pub image: &'a Image,
+    /// The proxy as this camera sees it; what lies behind it is hidden. `None`: nothing is.
+    pub depth: Option<&'a DepthMap>,
+}
+
+impl<'a> Source<'a> {
+    /// A source from which nothing is hidden.
+    pub fn new(camera: &'a Camera, image: &'a Image) -> Self {
+        Self { camera, image, depth: None }
+    }
+}
+
+/// How images are read between pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Sampling {
+    Bilinear,
+    Cubic,
+}
+
+/// How the view is blended.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BlendOptions {
+    pub rung: BlendRung,
+    /// Cameras that a pixel is blended from. Larger averages the noise of more images and blurs
+    /// by the proxy's error; smaller shows every camera's own errors. At least 1.
+    pub cameras: usize,
+    /// Width over which a camera fades out towards its image's border, px. Larger wastes the
+    /// image's outer part; smaller makes the border of an image visible.
+    pub feather_px: f64,
+    /// β: weight of coarser resolution. Larger avoids cameras that are farther away or have a
+    /// shorter lens than the view even if they see it from the right angle; at 0 their blur shows.
+    pub resolution: f64,
+    pub sampling: Sampling,
+    /// How much deeper than [`Source::depth`] a point must be to count as hidden, as a share.
+    /// Larger shows the foreground's edge twice; smaller hides slanted surfaces from themselves.
+    pub hidden_share: f64,
+}
+
+impl Default for BlendOptions {
+    fn default() -> Self {
+        Self {
+            rung: BlendRung::Lumigraph,
+            cameras: 4,
+            feather_px: 12.0,
+            resolution: 1.0,
+            sampling: Sampling::Cubic,
+            hidden_share: 0.03,
+        }
+    }
+}
+
+/// A view, and which of its pixels any camera sees (row by row). The others are 0.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rendered {
+    pub image: Image,
+    pub coverage: Vec<bool>,
+}
+
+/// Nothing is farther than this, 1/m: at 1e8 m, the images in two cameras a kilometre apart
+/// differ by a hundredth of a pixel. It keeps the angles of the sky's points apart from 0.
+const MIN_INVERSE_DEPTH: f32 = 1e-8;
+
+/// Renders the view from its depths (of the proxy, [`super::Proxy::depth_map`]).
+///
+/// Pixels without depth are answered only by cameras that stand at the view's centre. No sources
+/// give no coverage. The image has 3 channels if any source has, else 1.
+///
+/// # Panics
+/// If the size of the depth map is not the view's, or that of an image or of a source's depth
+/// map not its camera's.
+pub fn blend(
+    sources: &[Source],
+    depth: &DepthMap,
+    target: &Camera,
+    options: &BlendOptions,
+) -> Rendered {
+    let (w, h) = (target.width, target.height);
+    assert_eq!((depth.width(), depth.height()), (w, h), "size of the view's depths");
+    for source in sources {
+        let size = (source.camera.width, source.camera.height);
+        assert_eq!((source.image.width(), source.image.height()), size, "size of an image");
+        if let Some(d) = source.depth {
+            assert_eq!((d.width(), d.height()), size, "size of a source's depths");
+        }
+    }
+    let reprojections = Reprojection::of_all(sources, target, options);
+    let colored = sources.iter().filter(|s| s.image.channels() == 3).count();
+    let channels = if colored > 0 { 3 } else { 1 };
+    let mut image = Image::filled(w, h, channels, 0.0);
+    let mut coverage = vec![false; w * h];
+    image
+        .data_mut()
+        .par_chunks_exact_mut(w * channels)
+        .zip(coverage.par_chunks_exact_mut(w))
+        .enumerate()
+        .for_each_init(
+            || Row::new(sources, &reprojections, target, options),
+            |row, (y, (pixels, covered))| {
+                row.measure(y, depth.row(y));
+                match (channels, colored == sources.len()) {
+                    (1, _) => row.blend::<1>(pixels),
+                    (_, true) => row.blend::<3>(pixels),
+                    (_, false) => row.blend_mixed(pixels),
+                }
+                row.cover(covered);
+            },
+        );
+    Rendered { image, coverage }
+}
+
+/// One row's geometry in all sources, and scratch space. What has a value for every pixel in
+/// every source is stored source by source.
+struct Row<'a> {
+    sources: &'a [Source<'a>],
+    reprojections: &'a [Reprojection],
+    target: &'a Camera,
+    options: &'a BlendOptions,
+    rays: RayRow,
+    x: Vec<f32>,
+    y: Vec<f32>,
+    penalty: Vec<f32>,
+    trust: Vec<f32>,
+    weights: WeightRow,
+}
+
+impl<'a> Row<'a> {
+    fn new(
+        sources: &'a [Source],
+        reprojections: &'a [Reprojection],
+        target: &'a Camera,
+        options: &'a BlendOptions,
+    ) -> Self {
+        let size = sources.len() * target.width;
+        let zeros = || vec![0.0; size];
+        Self {
+            sources,
+            reprojections,
+            target,
+            options,
+            rays: RayRow::new(target),
+            x: zeros(),
+            y: zeros(),
+            penalty: zeros(),
+            trust: zeros(),
+            weights: WeightRow::new(target.width, sources.len()),
+        }
+    }
+
+    /// Finds the row's points in all sources.
+    fn measure(&mut self, y: usize, depths: &[f32]) {
+        self.rays.set(self.target, y);
+        let narrow = |v: &[f64]| v.iter().map(|&v| v as f32).collect::<Vec<f32>>();
+        let (x, y) = (narrow(&self.rays.x), narrow(&self.rays.y));
+        let length: Vec<f32> =
+            x.iter().zip(&y).map(|(x, y)| (x * x + y * y + 1.0).sqrt()).collect();
+        let inverse = |z: &f32| if z.is_nan() { 0.0 } else { (1.0 / z).max(MIN_INVERSE_DEPTH) };
+        let inverse_depth: Vec<f32> = depths.iter().map(inverse).collect();
+        let row = TargetRow { x: &x, y: &y, length: &length, inverse_depth: &inverse_depth };
+        let width = self.target.width;
+        let hits = self.x.chunks_exact_mut(width).zip(self.y.chunks_exact_mut(width));
+        let hits = hits.zip(self.penalty.chunks_exact_mut(width));
+        let hits = hits.zip(self.trust.chunks_exact_mut(width));
+        for ((((x, y), penalty), trust), (reprojection, source)) in
+            hits.zip(self.reprojections.iter().zip(self.sources))
+        {
+            reprojection.row(&row, source, &mut Hits { x, y, penalty, trust });
+        }
+    }
+
+    fn weigh(&mut self) {
+        match self.options.rung {
+            BlendRung::Uniform => self.weights.uniform(&self.trust),
+            BlendRung::Lumigraph => {
+                self.weights.lumigraph(&self.penalty, &self.trust, self.options.cameras);
+            }
+        }
+    }
+
+    /// All sources have C channels.
+    fn blend<const C: usize>(&mut self, pixels: &mut [f32]) {
+        self.weigh();
+        let width = self.target.width;
+        for (i, source) in self.sources.iter().enumerate() {
+            let row = i * width..(i + 1) * width;
+            let at = self.x[row.clone()].iter().zip(&self.y[row.clone()]);
+            let weights = &self.weights.weights[row];
+            for ((pixel, &weight), (&x, &y)) in pixels.chunks_exact_mut(C).zip(weights).zip(at) {
+                if weight > 0.0 {
+                    let value: [f32; C] = sample(source.image, x, y, self.options.sampling);
+                    for (out, v) in pixel.iter_mut().zip(value) {
+                        *out += weight * v;
+                    }
+                }
+            }
+        }
+        // Cubic lobes overshoot.
+        pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+    }
+
+    /// Some sources are grey: luma from all, colour from the others.
+    fn blend_mixed(&mut self, pixels: &mut [f32]) {
+        let width = self.target.width;
+        let sources = self.sources;
+        let is_colored = |i: usize| sources[i].image.channels() == 3;
+        self.weigh();
+        let (mut colored_share, mut seen) = (vec![0.0; width], vec![0.0_f32; width]);
+        for i in 0..sources.len() {
+            for x in 0..width {
+                let (k, weight) = (i * width + x, self.weights.weights[i * width + x]);
+                seen[x] = seen[x].max(self.trust[k]);
+                if weight > 0.0 {
+                    let gray = luma(self.sample_rgb(k, i));
+                    pixels[3 * x..3 * x + 3].iter_mut().for_each(|v| *v += weight * gray);
+                    colored_share[x] += if is_colored(i) { weight } else { 0.0 };
+                }
+            }
+        }
+        let trust = self.trust.clone();
+        for i in (0..sources.len()).filter(|&i| !is_colored(i)) {
+            self.penalty[i * width..(i + 1) * width].fill(f32::INFINITY);
+            self.trust[i * width..(i + 1) * width].fill(0.0);
+        }
+        self.weigh();
+        let mut seen_colored = vec![0.0_f32; width];
+        for row in self.trust.chunks_exact(width) {
+            for (seen, t) in seen_colored.iter_mut().zip(row) {
+                *seen = seen.max(*t);
+            }
+        }
+        for i in (0..sources.len()).filter(|&i| is_colored(i)) {
+            for x in 0..width {
+                // Colour fades as the last coloured camera loses the point that others see,
+                // unless the luma is that camera's too. Where there is a weight, one sees it.
+                let fade = colored_share[x].max(seen_colored[x] / seen[x]);
+                let weight = self.weights.weights[i * width + x];
+                if weight > 0.0 {
+                    let value = self.sample_rgb(i * width + x, i);
+                    let gray = luma(value);
+                    for (out, v) in pixels[3 * x..3 * x + 3].iter_mut().zip(value) {
+                        *out += weight * fade * (v - gray);
+                    }
+                }
+            }
+        }
+        self.trust = trust;
+        pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+    }
+
+    fn sample_rgb(&self, k: usize, source: usize) -> [f32; 3] {
+        let (image, x, y) = (self.sources[source].image, self.x[k], self.y[k]);
+        if image.channels() == 3 {
+            return sample(image, x, y, self.options.sampling);
+        }
+        let [gray] = sample(image, x, y, self.options.sampling);
+        [gray; 3]
+    }
+
+    fn cover(&self, covered: &mut [bool]) {
+        for trust in self.trust.chunks_exact(covered.len()) {
+            for (covered, &t) in covered.iter_mut().zip(trust) {
+                *covered |= t > 0.0;
+            }
+        }
+    }
+}
+
+/// Rec. 709's luma of encoded values, as [`Image::to_gray`].
+fn luma(rgb: [f32; 3]) -> f32 {
+    0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
+}
+
+/// The image of C channels at a position in pixels, as [`Image::sample_cubic`] and
+/// [`Image::sample_bilinear`], with a shorter way where the filter lies inside the image.
+#[inline(always)]
+fn sample<const C: usize>(image: &Image, x: f32, y: f32, sampling: Sampling) -> [f32; C] {
+    let mut out = [0.0; C];
+    let (w, h) = (image.width(), image.height());
+    let (left, top) = (x - 0.5, y - 0.5);
+    let inside = left >= 1.0 && top >= 1.0 && left < w as f32 - 2.0 && top < h as f32 - 2.0;
+    match (sampling, inside) {
+        (Sampling::Bilinear, false) => image.sample_bilinear(x, y, &mut out),
+        (Sampling::Cubic, false) => image.sample_cubic(x, y, &mut out),
+        (Sampling::Bilinear, true) => {
+            let (i, j) = (left as usize, top as usize);
+            let (fx, fy) = (left - i as f32, top - j as f32);
+            let at = (j * w + i) * C;
+            let (a, b) = (&image.data()[at..][..2 * C], &image.data()[at + w * C..][..2 * C]);
+            for k in 0..C {
+                let upper = a[k] + (a[C + k] - a[k]) * fx;
+                let lower = b[k] + (b[C + k] - b[k]) * fx;
+                out[k] = upper + (lower - upper) * fy;
+            }
+        }
+        (Sampling::Cubic, true) => {
+            let (i, j) = (left as usize, top as usize);
+            let (wx, wy) = (catmull_rom(left - i as f32), catmull_rom(top - j as f32));
+            let mut columns = [[0.0; C]; 4];
+            for (row, wy) in wy.into_iter().enumerate() {
+                let at = ((j + row - 1) * w + i - 1) * C;
+                let (cells, _) = image.data()[at..][..4 * C].as_chunks::<C>();
+                for (sum, cell) in columns.iter_mut().zip(cells) {
+                    for (sum, v) in sum.iter_mut().zip(cell) {
+                        *sum += wy * v;
+                    }
+                }
+            }
+            for (column, wx) in columns.iter().zip(wx) {
+                for (out, v) in out.iter_mut().zip(column) {
+                    *out += wx * v;
+                }
+            }
+        }
+    }
+    out
+}
+
+/// The four weights of Catmull-Rom's cubic at a fraction between the middle two samples.
+fn catmull_rom(f: f32) -> [f32; 4] {
+    let (f2, f3) = (f * f, f * f * f);
+    [
+        0.5 * (-f + 2.0 * f2 - f3),
+        0.5 * (2.0 - 5.0 * f2 + 3.0 * f3),
+        0.5 * (f + 4.0 * f2 - 3.0 * f3),
+        0.5 * (f3 - f2),
+    ]
+}

@@ -1,0 +1,203 @@
+//! How much each camera contributes to a pixel.
+//!
+//! Buehler et al.: the k best cameras by penalty, weights `(1 − p / p_{k+1}) / p`. As written,
+//! that is discontinuous where the k+1 best are equally good (0/0: the middle of a square of
+//! four cameras with k = 3). Here the threshold is at least a little above the best penalty, so
+//! that the best cameras never all reach zero: weights are then continuous functions of the
+//! penalties, whatever ties there are.
+
+use serde::{Deserialize, Serialize};
+
+/// The rungs of the blend.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum BlendRung {
+    /// Every camera that sees the point, all alike (the paper's Fig. 14: 1/8 each).
+    Uniform,
+    /// Unstructured lumigraph.
+    Lumigraph,
+}
+
+/// The threshold's least distance above the best penalty, as a share of it. Larger blends more
+/// than k cameras that almost tie; smaller sharpens the passage between them, to a jump at 0.
+const SOFT: f32 = 0.05;
+
+/// The weights of a row of pixels, source by source.
+///
+/// Penalties are angular deviations, raised by poor resolution and towards the image's border;
+/// infinite where the camera doesn't see the point. A penalty of 0 is the target's own centre:
+/// then only such cameras count, in proportion to their trust (0 at the image's border to 1).
+pub(super) struct WeightRow {
+    width: usize,
+    /// Weights, source by source; they sum to 1, or to 0 where no camera sees the point.
+    pub weights: Vec<f32>,
+    /// The k+1 smallest penalties, ascending: rank by rank, pixel by pixel.
+    ranks: Vec<f32>,
+    sum: Vec<f32>,
+}
+
+impl WeightRow {
+    pub fn new(width: usize, sources: usize) -> Self {
+        Self {
+            width,
+            weights: vec![0.0; width * sources],
+            ranks: Vec::new(),
+            sum: vec![0.0; width],
+        }
+    }
+
+    /// Of the k best cameras; `k` = 0 counts as 1.
+    pub fn lumigraph(&mut self, penalties: &[f32], trust: &[f32], k: usize) {
+        let width = self.width;
+        let k = k.clamp(1, (self.weights.len() / width).max(1));
+        self.rank(penalties, k + 1);
+        self.sum.fill(0.0);
+        let (best, next) = (&self.ranks[..width], &self.ranks[k * width..]);
+        let rows = self.weights.chunks_exact_mut(width);
+        for (weights, (p, trust)) in
+            rows.zip(penalties.chunks_exact(width).zip(trust.chunks_exact(width)))
+        {
+            for x in 0..width {
+                // Infinite where k cameras or fewer are in sight: nothing need fade out.
+                let threshold = next[x].max(best[x] * (1.0 + SOFT));
+                // best / p instead of 1 / p: at most 1, and never an overflow.
+                let blended = (1.0 - p[x] / threshold) * (best[x] / p[x]);
+                let alone = if p[x] == 0.0 { trust[x] } else { 0.0 };
+                let counted = if p[x] < threshold { blended } else { 0.0 };
+                weights[x] = if best[x] == 0.0 { alone } else { counted };
+                self.sum[x] += weights[x];
+            }
+        }
+        self.normalize();
+    }
+
+    /// Equal weights for the cameras that see the point, less towards their borders.
+    pub fn uniform(&mut self, trust: &[f32]) {
+        self.weights.copy_from_slice(trust);
+        self.sum.fill(0.0);
+        for row in trust.chunks_exact(self.width) {
+            for (sum, t) in self.sum.iter_mut().zip(row) {
+                *sum += t;
+            }
+        }
+        self.normalize();
+    }
+
+    fn rank(&mut self, penalties: &[f32], count: usize) {
+        let width = self.width;
+        self.ranks.clear();
+        self.ranks.resize(count * width, f32::INFINITY);
+        // Insertion by exchanges, side by side for all pixels.
+        let mut moving = vec![0.0; width];
+        for row in penalties.chunks_exact(width) {
+            moving.copy_from_slice(row);
+            for rank in self.ranks.chunks_exact_mut(width) {
+                for (rank, moving) in rank.iter_mut().zip(&mut moving) {
+                    let (a, b) = (*rank, *moving);
+                    *rank = if b < a { b } else { a };
+                    *moving = if b < a { a } else { b };
+                }
+            }
+        }
+    }
+
+    fn normalize(&mut self) {
+        for weights in self.weights.chunks_exact_mut(self.width) {
+            for (w, &sum) in weights.iter_mut().zip(&self.sum) {
+                let share = *w / sum;
+                *w = if sum > 0.0 { share } else { 0.0 };
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::Random;
+    use super::*;
+
+    fn weights(penalties: &[f32], k: usize) -> Vec<f32> {
+        let mut row = WeightRow::new(1, penalties.len());
+        row.lumigraph(penalties, &vec![1.0; penalties.len()], k);
+        row.weights
+    }
+
+    /// The formula, one pixel, with a sort.
+    fn naive(penalties: &[f32], k: usize) -> Vec<f32> {
+        let mut sorted = penalties.to_vec();
+        sorted.sort_by(f32::total_cmp);
+        let threshold = sorted.get(k).copied().unwrap_or(INF).max(sorted[0] * (1.0 + SOFT));
+        let weight = |p: &f32| if *p < threshold { (1.0 - p / threshold) / p } else { 0.0 };
+        let sum: f32 = penalties.iter().map(weight).sum();
+        penalties.iter().map(|p| if sum > 0.0 { weight(p) / sum } else { 0.0 }).collect()
+    }
+
+    const INF: f32 = f32::INFINITY;
+
+    #[test]
+    fn rows_equal_the_formula() {
+        let mut random = Random::new(20);
+        for k in 1..6 {
+            let (width, n) = (37, 7);
+            let level = |r: &mut Random| if r.unit() < 0.2 { INF } else { r.unit() as f32 + 0.01 };
+            let penalties: Vec<f32> = (0..width * n).map(|_| level(&mut random)).collect();
+            let mut row = WeightRow::new(width, n);
+            row.lumigraph(&penalties, &vec![1.0; width * n], k);
+            for x in 0..width {
+                let at = |v: &[f32]| (0..n).map(|i| v[i * width + x]).collect::<Vec<_>>();
+                for (a, b) in at(&row.weights).iter().zip(naive(&at(&penalties), k)) {
+                    assert!((a - b).abs() < 1e-5, "{a} {b}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn weights_fall_with_the_penalty_and_end_at_the_next_camera() {
+        let w = weights(&[0.1, 0.2, 0.3, 0.4], 2);
+        assert!(w[0] > w[1] && w[1] > w[2] && w[2] == 0.0 && w[3] == 0.0, "{w:?}");
+        let formula = (1.0 - 0.2 / 0.3) / 0.2 / ((1.0 - 0.1 / 0.3) / 0.1);
+        assert!((w[1] / w[0] - formula).abs() < 1e-5, "{w:?}");
+    }
+
+    #[test]
+    fn few_or_no_cameras() {
+        assert!(weights(&[], 4).is_empty());
+        assert_eq!(weights(&[INF, INF], 4), [0.0, 0.0]);
+        assert_eq!(weights(&[INF, 0.3], 4), [0.0, 1.0]);
+        assert_eq!(weights(&[INF, 0.0, 0.1], 4), [0.0, 1.0, 0.0]);
+        assert_eq!(weights(&[0.3], 0), [1.0], "k = 0 is k = 1");
+        assert_eq!(weights(&[1e-38, 1e38], 1), [1.0, 0.0]);
+    }
+
+    #[test]
+    fn ties_are_shared() {
+        assert_eq!(weights(&[0.2; 4], 3), [0.25; 4]);
+        assert_eq!(weights(&[0.2; 4], 1), [0.25; 4]);
+        assert_eq!(weights(&[0.0; 4], 1), [0.25; 4]);
+    }
+
+    #[test]
+    fn continuous_in_the_penalties() {
+        let mut random = Random::new(21);
+        for _ in 0..3000 {
+            let n = 1 + (random.unit() * 8.0) as usize;
+            let k = 1 + (random.unit() * 5.0) as usize;
+            // Many ties, and cameras that leave the image.
+            let level = |r: &mut Random| (r.unit() * 4.0).ceil() as f32 * 0.1;
+            let p: Vec<f32> = (0..n)
+                .map(|_| if random.unit() < 0.1 { 1e6 } else { level(&mut random) })
+                .collect();
+            let q: Vec<f32> =
+                p.iter().map(|p| p * (1.0 + random.in_range(-1e-5, 1e-5) as f32)).collect();
+            let gone: Vec<f32> = q.iter().map(|&p| if p > 1e5 { INF } else { p }).collect();
+            let a = weights(&p, k);
+            if p.iter().any(|&p| p < 1e5) {
+                for b in [weights(&q, k), weights(&gone, k)] {
+                    let moved: f32 = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).sum();
+                    assert!(moved < 0.01, "{p:?} {a:?} {b:?}");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,169 @@
+//! Eq. (10): one candidate a feature, from three frames.
+
+use crate::camera::{Camera, EpipolarGeometry};
+use crate::registration::{Path, Track};
+use nalgebra::Point2;
+
+/// The time that one feature gives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Candidate {
+    /// `t̃`: from camera i's earlier frame to camera j's frame, seconds.
+    pub time_s: f64,
+    /// How fast the feature crosses the epipolar line there, pixels a second: the inverse of what
+    /// a pixel of error costs in time.
+    pub across_px_s: f64,
+}
+
+/// Camera i's frames and camera j's.
+pub struct ThreeFrames<'a> {
+    pub camera_i: &'a Camera,
+    pub camera_j: &'a Camera,
+    /// Frame times of camera i on its own clock, and the index of the earlier of its two frames.
+    pub times_i: &'a [f64],
+    pub index_i: usize,
+    /// Whether paths may be curved.
+    pub curved: bool,
+    /// Least motion across the line between the two frames, pixels.
+    pub min_across_px: f64,
+}
+
+impl ThreeFrames<'_> {
+    /// The crossings of the features' paths with the epipolar lines of their images in camera j.
+    ///
+    /// Features without a correspondence, at the epipole, or with too little motion across the
+    /// line have none.
+    pub fn candidates(&self, tracks: &[&Track], in_j: &[Option<Point2<f64>>]) -> Vec<Candidate> {
+        let Some(geometry) = EpipolarGeometry::new(self.camera_j, self.camera_i) else {
+            return Vec::new();
+        };
+        tracks
+            .iter()
+            .zip(in_j)
+            .filter_map(|(track, p_j)| self.candidate(&geometry, track, (*p_j)?))
+            .collect()
+    }
+
+    fn candidate(
+        &self,
+        i_from_j: &EpipolarGeometry,
+        track: &Track,
+        p_j: Point2<f64>,
+    ) -> Option<Candidate> {
+        let line = i_from_j.line_in_j(&self.camera_j.model.ideal_from_pixel(&p_j)?)?;
+        let path = self.path(track)?;
+        let start = self.times_i[self.index_i];
+        let interval = self.times_i[self.index_i + 1] - start;
+        let distance = |t: f64| line.distance(&path.at(start + t));
+        let (near, far) = (distance(0.0), distance(interval));
+        if (far - near).abs() < self.min_across_px {
+            return None;
+        }
+        // The chord's crossing; its slope is bounded from below by the check above.
+        let mut time_s = interval * near / (near - far);
+        // A path through four frames says nothing beyond them.
+        if !(-interval..=2.0 * interval).contains(&time_s) {
+            return None;
+        }
+        for _ in 0..4 {
+            let slope = line.normal.dot(&path.velocity(start + time_s));
+            // Where the path turns back along the line there is no crossing to follow.
+            if slope.abs() * interval < 0.5 * self.min_across_px {
+                return None;
+            }
+            let step = distance(time_s) / slope;
+            time_s -= step;
+            if step.abs() < 1e-9 * interval {
+                break;
+            }
+        }
+        if !(-interval..=2.0 * interval).contains(&time_s) {
+            return None;
+        }
+        let across_px_s = line.normal.dot(&path.velocity(start + time_s)).abs();
+        Some(Candidate { time_s, across_px_s })
+    }
+
+    /// The path in distortion-free pixels.
+    fn path(&self, track: &Track) -> Option<Path> {
+        let ideal = |p: Point2<f64>| self.camera_i.model.ideal_from_pixel(&p);
+        let (before, after) = if self.curved { (track.before, track.after) } else { (None, None) };
+        Track {
+            before: before.and_then(ideal),
+            earlier: ideal(track.earlier)?,
+            later: ideal(track.later)?,
+            after: after.and_then(ideal),
+            ..track.clone()
+        }
+        .path(self.times_i, self.index_i)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraModel;
+    use crate::registration::Run;
+    use nalgebra::{Isometry3, Point3};
+
+    fn camera(x: f64) -> Camera {
+        Camera {
+            width: 640,
+            height: 480,
+            model: CameraModel::Pinhole { fx: 686.0, fy: 686.0, cx: 320.0, cy: 240.0 },
+            cam_from_world: Isometry3::translation(-x, 0.0, 0.0),
+        }
+    }
+
+    fn track(at: impl Fn(f64) -> Point2<f64>) -> Track {
+        Track {
+            run: Run::Forward,
+            before: Some(at(-1.0)),
+            earlier: at(0.0),
+            later: at(1.0),
+            after: Some(at(2.0)),
+            residual: 0.0,
+            back_error_px: 0.0,
+        }
+    }
+
+    #[test]
+    fn true_times_come_back_straight_and_curved() {
+        let (i, j) = (camera(0.0), camera(0.06));
+        for (curve, curved, tolerance) in [(0.0, false, 1e-12), (0.02, true, 1e-9)] {
+            for k in 0..20 {
+                let k = f64::from(k);
+                let at = move |t: f64| {
+                    Point3::new(0.1 * (k * 0.7).sin() + 0.01 * t, 0.03 * t + curve * t * t, 1.8)
+                };
+                let t = 0.05 * k;
+                let frames = ThreeFrames {
+                    camera_i: &i,
+                    camera_j: &j,
+                    times_i: &[-1.0, 0.0, 1.0, 2.0],
+                    index_i: 1,
+                    curved,
+                    min_across_px: 1.0,
+                };
+                let track = track(|t| i.project(&at(t)).unwrap());
+                let found = frames.candidates(&[&track], &[j.project(&at(t))])[0];
+                assert!((found.time_s - t).abs() < tolerance, "{} {t}", found.time_s);
+            }
+        }
+    }
+
+    #[test]
+    fn motion_along_the_line_gives_no_time() {
+        let (i, j) = (camera(0.0), camera(0.06));
+        let frames = ThreeFrames {
+            camera_i: &i,
+            camera_j: &j,
+            times_i: &[-1.0, 0.0, 1.0, 2.0],
+            index_i: 1,
+            curved: true,
+            min_across_px: 1.0,
+        };
+        let along = track(|t| Point2::new(100.0 + 20.0 * t, 100.0));
+        assert!(frames.candidates(&[&along], &[Some(Point2::new(90.0, 100.0))]).is_empty());
+        assert!(frames.candidates(&[&along], &[None]).is_empty());
+    }
+}

@@ -1,0 +1,85 @@
+//! The paper's robust mean of candidates: exhaustive RANSAC, then WLS, eqs. (11) to (13).
+
+/// The largest set of values within `tolerance` of one of them, as a range of the sorted values.
+/// Every value is tried. `values` must be sorted; the first of equally large sets wins.
+pub fn ransac(values: &[f64], tolerance: f64) -> std::ops::Range<usize> {
+    let mut best = 0..0;
+    let (mut low, mut high) = (0, 0);
+    for &candidate in values {
+        while values[low] < candidate - tolerance {
+            low += 1;
+        }
+        while high < values.len() && values[high] <= candidate + tolerance {
+            high += 1;
+        }
+        if high - low > best.len() {
+            best = low..high;
+        }
+    }
+    best
+}
+
+/// Eqs. (11)–(13): from the mean, weights `exp(−γ|t̃ − t̃_k|)` and their weighted mean, until it
+/// rests. `None` for no values. The sum of the weights is positive: a value nearest to the mean
+/// keeps the largest, and if all underflow the mean rests where it is.
+pub fn weighted_least_squares(values: &[f64], gamma: f64) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let mut mean = values.iter().sum::<f64>() / values.len() as f64;
+    for _ in 0..100 {
+        let (mut sum, mut weights) = (0.0, 0.0);
+        for v in values {
+            let w = (-gamma * (mean - v).abs()).exp();
+            sum += w * v;
+            weights += w;
+        }
+        if weights <= 0.0 {
+            break;
+        }
+        let next = sum / weights;
+        let rests = (next - mean).abs() * gamma < 1e-9;
+        mean = next;
+        if rests {
+            break;
+        }
+    }
+    Some(mean)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_largest_set_is_found_by_trying_all() {
+        let mut values: Vec<f64> = (0..200).map(|k| (f64::from(k) * 12.9898).sin() * 3.0).collect();
+        values.extend((0..30).map(|k| 0.7 + 0.001 * f64::from(k)));
+        values.sort_by(f64::total_cmp);
+        let naive = values
+            .iter()
+            .map(|c| values.iter().filter(|v| (*v - c).abs() <= 0.05).count())
+            .max()
+            .unwrap();
+        let range = ransac(&values, 0.05);
+        assert_eq!(range.len(), naive);
+        assert!(values[range].contains(&0.7));
+    }
+
+    #[test]
+    fn no_values_and_equal_values() {
+        assert_eq!(ransac(&[], 0.1), 0..0);
+        assert_eq!(ransac(&[2.0; 5], 0.0), 0..5);
+        assert_eq!(weighted_least_squares(&[], 70.0), None);
+        assert_eq!(weighted_least_squares(&[2.0; 5], 70.0), Some(2.0));
+        assert!(weighted_least_squares(&[0.0, 1e9], 70.0).unwrap().is_finite());
+    }
+
+    #[test]
+    fn wls_leans_to_the_many() {
+        let mut values = vec![0.300, 0.301, 0.299, 0.3005, 0.2995];
+        values.push(0.34);
+        let mean = weighted_least_squares(&values, 70.0).unwrap();
+        assert!((mean - 0.3).abs() < 0.003, "{mean}");
+    }
+}

@@ -1,0 +1,64 @@
+//! How offsets are estimated.
+
+use serde::{Deserialize, Serialize};
+
+/// Options of §7.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct OffsetOptions {
+    /// Which estimator combines the features' candidates.
+    pub rung: OffsetRung,
+    /// Every camera is paired with this many nearest ones. More pairs are more redundant, and the
+    /// far ones harder to match.
+    pub neighbors: usize,
+    /// Frames of a camera used at most, evenly spread.
+    pub max_frames: usize,
+    /// Corners a frame used at most, the strongest first: in place of registration's own, which
+    /// an interpolation needs many more of.
+    pub max_features: usize,
+    /// RANSAC's tolerance d, as a share of Δt.
+    pub tolerance_share: f64,
+    /// γ of eq. (12), times Δt.
+    pub gamma: f64,
+    /// A feature has a candidate only if it moves at least this much across the epipolar line
+    /// from frame to frame, pixels. Smaller: noise over almost nothing is any time at all.
+    pub min_across_px: f64,
+    /// A pair with fewer inliers than this is not used.
+    pub min_inliers: usize,
+    /// Nor one with a smaller share of inliers: by chance alone, candidates spread over a few
+    /// frames put 2 × tolerance into any window.
+    pub min_inlier_share: f64,
+    /// A pair, or a camera, less certain than this share of a frame is not used, or unknown.
+    pub max_std_err_frames: f64,
+}
+
+/// The estimators, cheapest first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum OffsetRung {
+    /// The paper's: straight motion, each camera against the reference camera, RANSAC and WLS per
+    /// frame, the mean over the frames
+    Pairwise,
+    /// Straight motion, all pairs together, weighted by their information
+    Joint,
+    /// Motion on curves through four frames, all pairs together
+    #[default]
+    JointCurved,
+}
+
+impl Default for OffsetOptions {
+    fn default() -> Self {
+        Self {
+            rung: OffsetRung::default(),
+            neighbors: 2,
+            max_frames: 30,
+            max_features: 600,
+            tolerance_share: 0.05,
+            gamma: 70.0,
+            min_across_px: 1.0,
+            min_inliers: 12,
+            min_inlier_share: 0.15,
+            max_std_err_frames: 0.1,
+        }
+    }
+}

@@ -1,0 +1,248 @@
+//! §4.1: corners by the structure tensor's smaller eigenvalue, kept apart by a minimum distance.
+
+use super::pyramid::Level;
+use nalgebra::Point2;
+use serde::{Deserialize, Serialize};
+
+/// How corners are chosen.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CornerOptions {
+    /// Corners an image at most, the strongest first. More cost time in proportion.
+    pub max_corners: usize,
+    /// Least distance between two corners, pixels. Larger: small things get none; smaller: the
+    /// strongest textures get them all.
+    pub min_distance_px: f64,
+    /// Least eigenvalue as a share of the image's largest. Larger: faint texture gets no corner;
+    /// smaller: noise does.
+    pub min_quality: f32,
+    /// Half the side of the box that the tensor is averaged over, twice, pixels. Larger: corners
+    /// drift off the structure that made them; smaller: noise decides.
+    pub radius_px: usize,
+}
+
+impl Default for CornerOptions {
+    fn default() -> Self {
+        Self { max_corners: 4000, min_distance_px: 4.0, min_quality: 1e-3, radius_px: 1 }
+    }
+}
+
+/// Below this eigenvalue (per pixel, values 0..=1) there is no structure at all: 0.05 of an 8-bit
+/// step a pixel.
+const MIN_EIGENVALUE: f32 = 4e-8;
+
+/// The corners of an image, strongest first, sub-pixel, in pixels. None on constant images.
+pub fn corners(level: &Level, options: &CornerOptions) -> Vec<Point2<f64>> {
+    let (w, h) = (level.width, level.height);
+    let strength = min_eigenvalues(level, options.radius_px);
+    let largest = strength.iter().fold(0.0_f32, |a, &b| a.max(b));
+    let floor = (largest * options.min_quality).max(MIN_EIGENVALUE);
+
+    let mut peaks: Vec<(f32, usize)> = Vec::new();
+    for y in 0..h {
+        for x in 0..w {
+            let at = y * w + x;
+            let s = strength[at];
+            if s < floor || !is_peak(&strength, w, h, x, y) {
+                continue;
+            }
+            peaks.push((s, at));
+        }
+    }
+    peaks.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+
+    let mut kept = Spaced::new(w, h, options.min_distance_px);
+    for (_, at) in peaks {
+        if kept.points.len() >= options.max_corners {
+            break;
+        }
+        kept.insert(refined(&strength, w, h, at % w, at / w));
+    }
+    kept.points
+}
+
+/// A local maximum; of equal neighbours the first in reading order.
+fn is_peak(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> bool {
+    let s = strength[y * w + x];
+    for ny in y.saturating_sub(1)..=(y + 1).min(h - 1) {
+        for nx in x.saturating_sub(1)..=(x + 1).min(w - 1) {
+            let other = strength[ny * w + nx];
+            let earlier = (ny, nx) < (y, x);
+            if other > s || (other == s && earlier) {
+                return false;
+            }
+        }
+    }
+    true
+}
+
+/// The peak's position from parabolas through its neighbours, each way.
+fn refined(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> Point2<f64> {
+    let vertex = |before: f32, here: f32, after: f32| {
+        let curvature = f64::from(before) - 2.0 * f64::from(here) + f64::from(after);
+        // A flat top has its middle here; a peak's vertex is never over half a pixel away.
+        if curvature < 0.0 {
+            (0.5 * (f64::from(before) - f64::from(after)) / curvature).clamp(-0.5, 0.5)
+        } else {
+            0.0
+        }
+    };
+    let s = |x: usize, y: usize| strength[y * w + x];
+    let dx = if x > 0 && x + 1 < w { vertex(s(x - 1, y), s(x, y), s(x + 1, y)) } else { 0.0 };
+    let dy = if y > 0 && y + 1 < h { vertex(s(x, y - 1), s(x, y), s(x, y + 1)) } else { 0.0 };
+    Point2::new(x as f64 + 0.5 + dx, y as f64 + 0.5 + dy)
+}
+
+/// The structure tensor's smaller eigenvalue a pixel, averaged over the window.
+fn min_eigenvalues(level: &Level, radius: usize) -> Vec<f32> {
+    let (w, h) = (level.width, level.height);
+    let mut xx = vec![0.0; w * h];
+    let mut xy = vec![0.0; w * h];
+    let mut yy = vec![0.0; w * h];
+    for y in 0..h {
+        let from = level.index(0, y as isize);
+        for x in 0..w {
+            let (gx, gy) = (level.dx[from + x], level.dy[from + x]);
+            let at = y * w + x;
+            (xx[at], xy[at], yy[at]) = (gx * gx, gx * gy, gy * gy);
+        }
+    }
+    // Twice: a triangular window, whose response has a peak where a box's has a plateau.
+    for plane in [&mut xx, &mut xy, &mut yy] {
+        box_mean(plane, w, h, radius);
+        box_mean(plane, w, h, radius);
+    }
+    (0..w * h)
+        .map(|k| {
+            let (a, b, c) = (xx[k], xy[k], yy[k]);
+            // λ_min of [a b; b c]. The root is of a sum of squares; rounding may leave λ at −ε.
+            0.5 * ((a + c) - ((a - c) * (a - c) + 4.0 * b * b).sqrt())
+        })
+        .collect()
+}
+
+/// Mean over a (2·radius + 1)² window, borders repeated, in place.
+fn box_mean(plane: &mut [f32], w: usize, h: usize, radius: usize) {
+    let norm = 1.0 / (2 * radius + 1) as f32;
+    let clamp = |v: isize, size: usize| v.clamp(0, size as isize - 1) as usize;
+    let mut out = vec![0.0; plane.len()];
+    for y in 0..h {
+        let row = &plane[y * w..(y + 1) * w];
+        for x in 0..w {
+            out[y * w + x] = (-(radius as isize)..=radius as isize)
+                .map(|k| row[clamp(x as isize + k, w)])
+                .sum::<f32>()
+                * norm;
+        }
+    }
+    plane.fill(0.0);
+    for y in 0..h {
+        for k in -(radius as isize)..=radius as isize {
+            let from = clamp(y as isize + k, h) * w;
+            for (sum, v) in plane[y * w..(y + 1) * w].iter_mut().zip(&out[from..from + w]) {
+                *sum += v * norm;
+            }
+        }
+    }
+}
+
+/// Points that keep a minimum distance, found by a grid of that cell size.
+struct Spaced {
+    points: Vec<Point2<f64>>,
+    min_distance: f64,
+    cell: f64,
+    columns: usize,
+    rows: usize,
+    cells: Vec<Vec<u32>>,
+}
+
+impl Spaced {
+    fn new(width: usize, height: usize, min_distance: f64) -> Self {
+        let cell = min_distance.max(1.0);
+        let columns = (width as f64 / cell) as usize + 1;
+        let rows = (height as f64 / cell) as usize + 1;
+        Self {
+            points: Vec::new(),
+            min_distance,
+            cell,
+            columns,
+            rows,
+            cells: vec![Vec::new(); columns * rows],
+        }
+    }
+
+    fn insert(&mut self, p: Point2<f64>) {
+        let (cx, cy) = ((p.x / self.cell) as usize, (p.y / self.cell) as usize);
+        let reach = |c: usize, n: usize| c.saturating_sub(1)..=(c + 1).min(n - 1);
+        let too_near = reach(cy, self.rows).any(|y| {
+            reach(cx, self.columns).any(|x| {
+                self.cells[y * self.columns + x]
+                    .iter()
+                    .any(|&k| (self.points[k as usize] - p).norm() < self.min_distance)
+            })
+        });
+        if !too_near {
+            self.cells[cy * self.columns + cx].push(self.points.len() as u32);
+            self.points.push(p);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::pyramid::Pyramid;
+    use super::*;
+    use crate::raster::Image;
+
+    fn found(image: &Image, options: &CornerOptions) -> Vec<Point2<f64>> {
+        corners(&Pyramid::new(image, 1, 8).levels()[0], options)
+    }
+
+    #[test]
+    fn a_square_has_four_corners() {
+        let mut image = Image::filled(60, 50, 1, 0.2);
+        for y in 15..35 {
+            for x in 20..40 {
+                image.data_mut()[y * 60 + x] = 0.9;
+            }
+        }
+        let options =
+            CornerOptions { min_distance_px: 8.0, min_quality: 0.2, ..Default::default() };
+        let mut points = found(&image, &options);
+        points.sort_by(|a, b| (a.y > 25.0, a.x).partial_cmp(&(b.y > 25.0, b.x)).unwrap());
+        let expected = [(20.0, 15.0), (40.0, 15.0), (20.0, 35.0), (40.0, 35.0)];
+        assert_eq!(points.len(), 4);
+        for (p, (x, y)) in points.iter().zip(expected) {
+            assert!((p - Point2::new(x, y)).norm() < 2.0, "{p} {x} {y}");
+        }
+    }
+
+    #[test]
+    fn constant_images_have_none() {
+        for (w, h) in [(1, 1), (2, 7), (64, 48)] {
+            assert!(found(&Image::filled(w, h, 1, 0.5), &CornerOptions::default()).is_empty());
+        }
+    }
+
+    #[test]
+    fn the_minimum_distance_holds_and_the_count_is_bounded() {
+        let mut state = 1_u32;
+        let data = (0..90 * 70)
+            .map(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (state >> 8) as f32 / (1 << 24) as f32
+            })
+            .collect();
+        let image = Image::from_data(90, 70, 1, data);
+        let options = CornerOptions { min_distance_px: 6.0, ..Default::default() };
+        let points = found(&image, &options);
+        assert!(points.len() > 50);
+        for (k, a) in points.iter().enumerate() {
+            for b in &points[..k] {
+                assert!((a - b).norm() >= 6.0);
+            }
+        }
+        let few = found(&image, &CornerOptions { max_corners: 7, ..options });
+        assert_eq!(few[..], points[..7]);
+    }
+}

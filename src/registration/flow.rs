@@ -1,0 +1,279 @@
+//! §4.1: sparse flow between two frames, of one camera (temporal) or two (spatial), by the same
+//! code; and the bidirectional temporal flow with its two labelled sets.
+
+use super::{Frame, FrameStore, Neighbors, Path, RegistrationOptions, Tracker};
+use crate::capture::CaptureError;
+use nalgebra::Point2;
+use rayon::prelude::*;
+
+/// A correspondence between two frames, pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Match {
+    pub source: Point2<f64>,
+    pub target: Point2<f64>,
+    /// Mean absolute difference of the windows, values 0..=1.
+    pub residual: f64,
+    /// Distance from the source to where the target is tracked back to.
+    pub back_error_px: f64,
+}
+
+/// Which run of the bidirectional flow found a correspondence. Eq. (9) warps the earlier frame
+/// with what the forward run found, and the later one with what the backward run found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Run {
+    Forward,
+    Backward,
+    /// Both did, within the merging distance at both ends.
+    Both,
+}
+
+/// A temporal correspondence of one camera between its frames k and k + 1, with the positions in
+/// the frames around, where the feature could be followed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Track {
+    pub run: Run,
+    /// In frame k − 1.
+    pub before: Option<Point2<f64>>,
+    /// In frame k.
+    pub earlier: Point2<f64>,
+    /// In frame k + 1.
+    pub later: Point2<f64>,
+    /// In frame k + 2.
+    pub after: Option<Point2<f64>>,
+    pub residual: f64,
+    pub back_error_px: f64,
+}
+
+impl Track {
+    pub fn in_forward_set(&self) -> bool {
+        self.run != Run::Backward
+    }
+
+    pub fn in_backward_set(&self) -> bool {
+        self.run != Run::Forward
+    }
+
+    /// The motion from frame k to k + 1, pixels.
+    pub fn motion(&self) -> nalgebra::Vector2<f64> {
+        self.later - self.earlier
+    }
+
+    /// The track's path; `times_s` are the camera's frame times and `k` the earlier frame.
+    pub fn path(&self, times_s: &[f64], k: usize) -> Option<Path> {
+        let before = self.before.zip(k.checked_sub(1)).map(|(p, k)| (times_s[k], p));
+        let after = self.after.filter(|_| k + 2 < times_s.len()).map(|p| (times_s[k + 2], p));
+        Path::new(
+            before
+                .into_iter()
+                .chain([(times_s[k], self.earlier), (times_s[k + 1], self.later)])
+                .chain(after),
+        )
+    }
+}
+
+/// Pyramid levels on the way back, whose answer should be where it started: the coarse levels
+/// would cost as much again and only help a track that is wrong.
+const BACK_LEVELS: usize = 2;
+/// Points tracked by one worker at a time.
+const CHUNK: usize = 128;
+
+/// Tracks points from one frame to another, each from its own starting guess, and back again;
+/// `None` where a point is lost or does not come back to where it started.
+pub fn flow(
+    source: &Frame,
+    target: &Frame,
+    starts: &[(Point2<f64>, Point2<f64>)],
+    options: &RegistrationOptions,
+) -> Vec<Option<Match>> {
+    starts
+        .par_chunks(CHUNK)
+        .flat_map_iter(|chunk| {
+            let mut tracker = Tracker::new(&options.klt);
+            chunk
+                .iter()
+                .map(|&(from, guess)| {
+                    let found = tracker.track(&source.pyramid, &target.pyramid, from, guess)?;
+                    let back = tracker.track_levels(
+                        &target.pyramid,
+                        &source.pyramid,
+                        found.position,
+                        from,
+                        BACK_LEVELS,
+                    )?;
+                    let back_error_px = (back.position - from).norm();
+                    (back_error_px <= options.max_back_error_px).then_some(Match {
+                        source: from,
+                        target: found.position,
+                        residual: found.residual,
+                        back_error_px,
+                    })
+                })
+                .collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+/// §4.1: the bidirectional flow between frames `k` and `k + 1` of a camera, correspondences that
+/// both runs found merged, each followed one frame further at both ends.
+pub fn temporal_flow(
+    frames: &FrameStore,
+    camera: usize,
+    k: usize,
+) -> Result<Vec<Track>, CaptureError> {
+    let options = frames.options();
+    let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
+    let run = |from: &Frame, to: &Frame| -> Vec<Match> {
+        let starts: Vec<_> = from.corners(options).iter().map(|&p| (p, p)).collect();
+        flow(from, to, &starts, options).into_iter().flatten().collect()
+    };
+    let forward = run(&earlier, &later);
+    let backward = run(&later, &earlier);
+    let mut tracks = merged(&forward, &backward, options.merge_distance_px);
+    drop_outvoted(&mut tracks, options);
+
+    let count = frames.capture().cameras[camera].frames.len();
+    if let Some(before) = k.checked_sub(1) {
+        let frame = frames.get(camera, before)?;
+        let guess = |t: &Track| t.earlier - t.motion();
+        for (track, p) in extended(&tracks, &earlier, &frame, |t| t.earlier, guess, options) {
+            tracks[track].before = Some(p);
+        }
+    }
+    if k + 2 < count {
+        let frame = frames.get(camera, k + 2)?;
+        let guess = |t: &Track| t.later + t.motion();
+        for (track, p) in extended(&tracks, &later, &frame, |t| t.later, guess, options) {
+            tracks[track].after = Some(p);
+        }
+    }
+    Ok(tracks)
+}
+
+/// Where tracks go one frame further, as (track, position); only where the change of motion is
+/// one that a body makes, not a mismatch.
+fn extended(
+    tracks: &[Track],
+    source: &Frame,
+    target: &Frame,
+    from: impl Fn(&Track) -> Point2<f64>,
+    guess: impl Fn(&Track) -> Point2<f64>,
+    options: &RegistrationOptions,
+) -> Vec<(usize, Point2<f64>)> {
+    let starts: Vec<_> = tracks.iter().map(|t| (from(t), guess(t))).collect();
+    flow(source, target, &starts, options)
+        .into_iter()
+        .enumerate()
+        .filter_map(|(k, found)| {
+            let position = found?.target;
+            let change = (position - starts[k].1).norm();
+            let limit = options.max_motion_change_px
+                + options.max_motion_change_share * tracks[k].motion().norm();
+            (change <= limit).then_some((k, position))
+        })
+        .collect()
+}
+
+/// Both runs' correspondences, those found twice kept once.
+fn merged(forward: &[Match], backward: &[Match], distance_px: f64) -> Vec<Track> {
+    let track = |run, m: &Match| {
+        let (earlier, later) =
+            if run == Run::Backward { (m.target, m.source) } else { (m.source, m.target) };
+        Track {
+            run,
+            before: None,
+            earlier,
+            later,
+            after: None,
+            residual: m.residual,
+            back_error_px: m.back_error_px,
+        }
+    };
+    let mut tracks: Vec<Track> = forward.iter().map(|m| track(Run::Forward, m)).collect();
+    let at_earlier = Neighbors::new(forward.iter().map(|m| m.source));
+    for m in backward {
+        let twin = at_earlier
+            .within(&m.target, distance_px)
+            .into_iter()
+            .filter(|&k| (forward[k].target - m.source).norm() <= distance_px)
+            .min_by(|&a, &b| {
+                let gap = |k: usize| (forward[k].source - m.target).norm();
+                gap(a).total_cmp(&gap(b))
+            });
+        match twin {
+            Some(k) => tracks[k].run = Run::Both,
+            None => tracks.push(track(Run::Backward, m)),
+        }
+    }
+    tracks
+}
+
+/// Drops tracks that move like none of their neighbours: a body has more than one feature.
+fn drop_outvoted(tracks: &mut Vec<Track>, options: &RegistrationOptions) {
+    let neighbors = Neighbors::new(tracks.iter().map(|t| t.earlier));
+    let keep: Vec<bool> = tracks
+        .par_iter()
+        .enumerate()
+        .map(|(k, track)| {
+            let near = neighbors.within(&track.earlier, options.support_radius_px);
+            let others = near.len().saturating_sub(1);
+            let agreeing = near
+                .iter()
+                .filter(|&&n| {
+                    n != k
+                        && (tracks[n].motion() - track.motion()).norm()
+                            <= options.support_px + options.support_share * track.motion().norm()
+                })
+                .count();
+            others < options.min_support || agreeing >= options.min_support
+        })
+        .collect();
+    let mut keep = keep.into_iter();
+    tracks.retain(|_| keep.next().unwrap_or(true));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn a_match(x: f64, dx: f64) -> Match {
+        Match {
+            source: Point2::new(x, 10.0),
+            target: Point2::new(x + dx, 10.0),
+            residual: 0.01,
+            back_error_px: 0.1,
+        }
+    }
+
+    #[test]
+    fn found_twice_is_kept_once_and_labelled() {
+        let forward = [a_match(10.0, 3.0), a_match(20.0, 3.0)];
+        // The first is the forward one reversed; the second starts there but goes elsewhere.
+        let backward = [a_match(13.2, -3.1), a_match(23.1, -9.0)];
+        let tracks = merged(&forward, &backward, 1.0);
+        let runs: Vec<Run> = tracks.iter().map(|t| t.run).collect();
+        assert_eq!(runs, [Run::Both, Run::Forward, Run::Backward]);
+        assert!((tracks[2].earlier - Point2::new(14.1, 10.0)).norm() < 1e-9);
+        assert!(tracks[0].in_backward_set() && !tracks[1].in_backward_set());
+    }
+
+    #[test]
+    fn a_track_unlike_its_neighbours_is_dropped() {
+        let matches: Vec<Match> =
+            (0..9).map(|k| a_match(f64::from(k) * 4.0, if k == 4 { 30.0 } else { 5.0 })).collect();
+        let mut tracks = merged(&matches, &[], 1.0);
+        drop_outvoted(&mut tracks, &RegistrationOptions::default());
+        assert_eq!(tracks.len(), 8);
+        assert!(tracks.iter().all(|t| (t.motion().x - 5.0).abs() < 1e-9));
+    }
+
+    #[test]
+    fn paths_use_the_samples_that_exist() {
+        let mut track = merged(&[a_match(10.0, 3.0)], &[], 1.0).remove(0);
+        track.before = Some(Point2::new(8.0, 10.0));
+        let times = [0.0, 1.0, 2.0];
+        let curved = track.path(&times, 1).unwrap();
+        assert!((curved.at(1.5).x - 11.375).abs() < 1e-12);
+        // Frame 0 has no frame before it, whatever the track says.
+        assert!((track.path(&times, 0).unwrap().at(0.5).x - 11.5).abs() < 1e-12);
+    }
+}

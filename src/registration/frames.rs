@@ -1,0 +1,103 @@
+//! Frames as registration uses them: decoded, with pyramid and corners, made once and shared.
+
+use super::{Pyramid, RegistrationOptions, corners};
+use crate::capture::{Capture, CaptureError};
+use crate::raster::Image;
+use nalgebra::Point2;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, OnceLock};
+
+/// One frame.
+#[derive(Debug)]
+pub struct Frame {
+    pub image: Image,
+    pub pyramid: Pyramid,
+    corners: OnceLock<Vec<Point2<f64>>>,
+}
+
+impl Frame {
+    pub fn new(image: Image, options: &RegistrationOptions) -> Self {
+        let pyramid = Pyramid::new(&image, options.klt.levels, options.klt.pad_px());
+        Self { image, pyramid, corners: OnceLock::new() }
+    }
+
+    /// The frame's corners, found when they are first asked for.
+    pub fn corners(&self, options: &RegistrationOptions) -> &[Point2<f64>] {
+        self.corners.get_or_init(|| corners(&self.pyramid.levels()[0], &options.corners))
+    }
+
+    fn bytes(&self) -> usize {
+        let level: usize = self.pyramid.levels().iter().map(|l| l.value.len() * 3).sum();
+        size_of::<f32>() * (self.image.data().len() + level)
+    }
+}
+
+/// The frames of a capture that were used last, within a bound of memory.
+pub struct FrameStore<'a> {
+    capture: &'a Capture,
+    options: RegistrationOptions,
+    kept: Mutex<Kept>,
+}
+
+#[derive(Default)]
+struct Kept {
+    frames: HashMap<(usize, usize), (u64, Arc<Frame>)>,
+    bytes: usize,
+    clock: u64,
+}
+
+/// What the store may hold, bytes: 25 frames of 640×480, the window that eight cameras need at one
+/// instant. More only saves decoding.
+const MAX_BYTES: usize = 256 << 20;
+
+impl<'a> FrameStore<'a> {
+    pub fn new(capture: &'a Capture, options: &RegistrationOptions) -> Self {
+        Self { capture, options: options.clone(), kept: Mutex::default() }
+    }
+
+    pub fn capture(&self) -> &'a Capture {
+        self.capture
+    }
+
+    pub fn options(&self) -> &RegistrationOptions {
+        &self.options
+    }
+
+    /// One frame of one camera.
+    pub fn get(&self, camera: usize, index: usize) -> Result<Arc<Frame>, CaptureError> {
+        if let Some(frame) = self.kept().find((camera, index)) {
+            return Ok(frame);
+        }
+        let image = self.capture.read_frame(camera, index)?;
+        let frame = Arc::new(Frame::new(image, &self.options));
+        self.kept().insert((camera, index), &frame);
+        Ok(frame)
+    }
+
+    fn kept(&self) -> std::sync::MutexGuard<'_, Kept> {
+        // Nothing in there panics half-way, so a poisoned lock still guards a whole store.
+        self.kept.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+    }
+}
+
+impl Kept {
+    fn find(&mut self, key: (usize, usize)) -> Option<Arc<Frame>> {
+        self.clock += 1;
+        let (used, frame) = self.frames.get_mut(&key)?;
+        *used = self.clock;
+        Some(frame.clone())
+    }
+
+    fn insert(&mut self, key: (usize, usize), frame: &Arc<Frame>) {
+        self.clock += 1;
+        if self.frames.insert(key, (self.clock, frame.clone())).is_none() {
+            self.bytes += frame.bytes();
+        }
+        while self.bytes > MAX_BYTES && self.frames.len() > 1 {
+            let oldest = self.frames.iter().min_by_key(|(_, (used, _))| *used).map(|(k, _)| *k);
+            if let Some((_, frame)) = oldest.and_then(|k| self.frames.remove(&k)) {
+                self.bytes -= frame.bytes();
+            }
+        }
+    }
+}

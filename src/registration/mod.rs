@@ -1,0 +1,30 @@
+//! §4: image registration: sparse correspondences within a camera (temporal) and between cameras
+//! (spatial), with the wrong ones found by the epipolar constraint.
+//!
+//! | paper | here |
+//! |---|---|
+//! | 4.1 corners | [`corners`] |
+//! | 4.1 pyramidal KLT | [`Tracker`], on [`Pyramid`]s |
+//! | 4.1 bidirectional flow, merging | [`temporal_flow`], [`flow`] |
+//! | 4.2 eq. (2), and curved motion | [`Path`] |
+//! | 4.2 eq. (3), 4.3 eqs. (4), (5) | [`epipolar_test`], [`select_references`] |
+
+mod corners;
+mod epipolar_test;
+mod flow;
+mod frames;
+mod klt;
+mod neighbors;
+mod options;
+mod path;
+mod pyramid;
+
+pub use corners::{CornerOptions, corners};
+pub use epipolar_test::{Reference, Verdict, epipolar_test, select_references};
+pub use flow::{Match, Run, Track, flow, temporal_flow};
+pub use frames::{Frame, FrameStore};
+pub use klt::{KltOptions, Tracked, Tracker};
+pub use neighbors::Neighbors;
+pub use options::RegistrationOptions;
+pub use path::Path;
+pub use pyramid::{Level, Pyramid};

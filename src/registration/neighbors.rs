@@ -1,0 +1,63 @@
+//! Points near a point, by a k-d tree.
+
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use nalgebra::Point2;
+
+/// A set of points of the image plane to ask for neighbours.
+pub struct Neighbors {
+    tree: Option<ImmutableKdTree<f64, 2>>,
+}
+
+impl Neighbors {
+    /// Points that are not finite are nobody's neighbours, and must not be given.
+    pub fn new(points: impl IntoIterator<Item = Point2<f64>>) -> Self {
+        let points: Vec<[f64; 2]> = points.into_iter().map(|p| [p.x, p.y]).collect();
+        let tree = (!points.is_empty()).then(|| {
+            ImmutableKdTree::new_from_slice(&points).expect("fewer points than a u32 counts")
+        });
+        Self { tree }
+    }
+
+    /// Indices of the points within a radius, ascending.
+    pub fn within(&self, p: &Point2<f64>, radius: f64) -> Vec<usize> {
+        let Some(tree) = &self.tree else { return Vec::new() };
+        let mut found: Vec<usize> = tree
+            .query(&[p.x, p.y])
+            .within::<SquaredEuclidean<f64>>(radius * radius)
+            .unsorted()
+            .execute()
+            .into_iter()
+            .map(|item| item.item as usize)
+            .collect();
+        found.sort_unstable();
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_same_points_as_by_looking_at_all() {
+        let points: Vec<Point2<f64>> = (0..300)
+            .map(|k| {
+                let k = f64::from(k);
+                Point2::new((k * 12.9898).sin() * 50.0, (k * 78.233).sin() * 50.0)
+            })
+            .collect();
+        let neighbors = Neighbors::new(points.iter().copied());
+        for p in &points[..40] {
+            let all: Vec<usize> =
+                (0..points.len()).filter(|&k| (points[k] - p).norm() <= 9.0).collect();
+            assert_eq!(neighbors.within(p, 9.0), all);
+        }
+    }
+
+    #[test]
+    fn none_and_many_duplicates() {
+        assert!(Neighbors::new([]).within(&Point2::origin(), 1.0).is_empty());
+        let same = Neighbors::new((0..1000).map(|_| Point2::new(1.0, 2.0)));
+        assert_eq!(same.within(&Point2::new(1.0, 2.5), 1.0).len(), 1000);
+    }
+}

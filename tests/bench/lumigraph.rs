@@ -1,0 +1,298 @@
+//! View synthesis alone, synchronization perfect: the true images of all cameras at one instant,
+//! blended to the true views between them, over each proxy and with each option.
+//!
+//! `cargo bench --bench lumigraph -- CAPTURE [OUT]`: a filmed capture with `truth/`; rendered
+//! views go to OUT. Prints PSNR (of all pixels that any camera sees; mean and
+//! worst of the views) and ms per view.
+
+use nalgebra::{Point2, Point3};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+use stlfr::camera::Camera;
+use stlfr::capture::{BitDepth, Truth, TruthView, read_array, read_image, write_image};
+use stlfr::lumigraph::{
+    BlendOptions, BlendRung, DepthEdges, DepthMap, Mesh, MeshOptions, Plane, Proxy, Rendered,
+    Sampling, Source, blend, triangulate,
+};
+use stlfr::raster::Image;
+
+struct View {
+    id: String,
+    like: Option<String>,
+    camera: Camera,
+    image: Image,
+    depth: DepthMap,
+}
+
+/// One view to render, and what to render it from.
+struct Problem<'a> {
+    view: &'a View,
+    cameras: Vec<&'a View>,
+    points: Vec<Point3<f64>>,
+}
+
+fn load(truth: &Truth, view: &TruthView) -> View {
+    let path = |p: &str| truth.file(p).expect("file of the truth");
+    let (width, height, depths) = read_array(&path(&view.depth)).expect("depth");
+    View {
+        id: view.id.clone(),
+        like: view.like.clone(),
+        camera: view.camera().expect("camera"),
+        image: read_image(&path(&view.image)).expect("image").0,
+        depth: DepthMap::from_data(width, height, depths),
+    }
+}
+
+/// A fixed sequence of numbers in 0..1.
+struct Random(u64);
+
+impl Random {
+    fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.unit()).sum::<f64>() - 6.0
+    }
+}
+
+/// The strongest corners (smaller eigenvalue of the structure tensor), `gap` pixels apart.
+fn corners(image: &Image, count: usize, gap: i64) -> Vec<(usize, usize)> {
+    let gray = image.to_gray();
+    let (w, h) = (gray.width(), gray.height());
+    let gradient = |x: usize, y: usize| {
+        let at = |x: usize, y: usize| gray.pixel(x, y)[0];
+        (at(x + 1, y) - at(x - 1, y), at(x, y + 1) - at(x, y - 1))
+    };
+    let mut strength = Vec::new();
+    for y in 3..h - 3 {
+        for x in 3..w - 3 {
+            let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+            for v in y - 2..=y + 2 {
+                for u in x - 2..=x + 2 {
+                    let (gx, gy) = gradient(u, v);
+                    xx += gx * gx;
+                    xy += gx * gy;
+                    yy += gy * gy;
+                }
+            }
+            let half: f32 = 0.5 * (xx - yy);
+            strength.push((0.5 * (xx + yy) - half.hypot(xy), x, y));
+        }
+    }
+    strength.sort_by(|a, b| b.0.total_cmp(&a.0).then((a.2, a.1).cmp(&(b.2, b.1))));
+    let mut taken: Vec<(usize, usize)> = Vec::new();
+    let mut blocked = vec![false; w * h];
+    for (s, x, y) in strength {
+        if taken.len() == count || s < 1e-3 {
+            break;
+        }
+        if blocked[y * w + x] {
+            continue;
+        }
+        taken.push((x, y));
+        for v in (y as i64 - gap).max(0)..=(y as i64 + gap).min(h as i64 - 1) {
+            for u in (x as i64 - gap).max(0)..=(x as i64 + gap).min(w as i64 - 1) {
+                blocked[v as usize * w + u as usize] = true;
+            }
+        }
+    }
+    taken
+}
+
+/// Corners of the two nearest cameras, found again in four with 0.2 px of noise, 2 % of them
+/// anywhere; triangulated.
+fn points(view: &View, cameras: &[&View], count: usize) -> Vec<Point3<f64>> {
+    let mut random = Random(5);
+    let mut nearest = cameras.to_vec();
+    let distance = |v: &View| (v.camera.center() - view.camera.center()).norm();
+    nearest.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+    nearest.truncate(4);
+    let mut out = Vec::new();
+    for from in &nearest[..2] {
+        for (x, y) in corners(&from.image, count / 2, 3) {
+            let pixel = Point2::new(x as f64 + 0.5, y as f64 + 0.5);
+            let Some(ray) = from.camera.ray_world(&pixel) else { continue };
+            let point = from.camera.center() + ray * f64::from(from.depth.row(y)[x]);
+            let wrong = random.unit() < 0.02;
+            let seen: Vec<_> = nearest
+                .iter()
+                .filter_map(|v| {
+                    let mut at = v.camera.project(&point)?;
+                    at.x += 0.2 * random.normal();
+                    at.y += 0.2 * random.normal();
+                    if wrong {
+                        at.x += 20.0 * random.normal();
+                    }
+                    Some((&v.camera, at))
+                })
+                .collect();
+            if let Some(t) = triangulate(&seen)
+                && t.rms_px < 1.0
+            {
+                out.push(t.point);
+            }
+        }
+    }
+    out
+}
+
+/// Of the pixels that any camera sees.
+fn psnr(rendered: &Rendered, truth: &Image) -> f64 {
+    let pixels = rendered.image.data().chunks(3).zip(truth.data().chunks(3));
+    let (mut sum, mut count) = (0.0, 0);
+    for ((a, b), _) in pixels.zip(&rendered.coverage).filter(|(_, covered)| **covered) {
+        sum += a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+        count += 3;
+    }
+    -10.0 * (sum / f64::from(count)).log10()
+}
+
+struct Bench<'a> {
+    problems: &'a [Problem<'a>],
+    out: Option<PathBuf>,
+}
+
+impl Bench<'_> {
+    /// One line of the table; also writes the pictures if it has a file name.
+    fn line(
+        &self,
+        name: &str,
+        file: Option<&str>,
+        options: &BlendOptions,
+        hidden: Option<usize>,
+        proxy: &dyn Fn(&Problem) -> Proxy,
+    ) {
+        let (mut scores, mut proxy_ms, mut blend_ms) = (Vec::new(), 0.0, 0.0);
+        for p in self.problems {
+            let start = Instant::now();
+            let shape = proxy(p);
+            let depth = shape.depth_map(&p.view.camera);
+            proxy_ms += start.elapsed().as_secs_f64() * 1e3;
+            // 0: the proxy rasterized in every camera. 1: the true depth of every camera.
+            let maps: Vec<DepthMap> = match hidden {
+                Some(0) => p.cameras.iter().map(|c| shape.depth_map(&c.camera)).collect(),
+                Some(_) => p.cameras.iter().map(|c| c.depth.clone()).collect(),
+                None => Vec::new(),
+            };
+            let sources: Vec<Source> = p
+                .cameras
+                .iter()
+                .enumerate()
+                .map(|(k, c)| Source { camera: &c.camera, image: &c.image, depth: maps.get(k) })
+                .collect();
+            let start = Instant::now();
+            let rendered = blend(&sources, &depth, &p.view.camera, options);
+            blend_ms += start.elapsed().as_secs_f64() * 1e3;
+            scores.push(psnr(&rendered, &p.view.image));
+            if let (Some(out), Some(file)) = (&self.out, file) {
+                let path = out.join(format!("{}-{file}.png", p.view.id));
+                write_image(&path, &rendered.image, None, BitDepth::Eight).expect("picture");
+                let near = depth.data().iter().copied().fold(f32::INFINITY, f32::min);
+                let gray = depth.data().iter().map(|z| near / z).collect();
+                let map = Image::from_data(depth.width(), depth.height(), 1, gray);
+                let path = out.join(format!("{}-{file}-depth.png", p.view.id));
+                write_image(&path, &map, None, BitDepth::Eight).expect("picture");
+            }
+        }
+        let n = scores.len() as f64;
+        let mean = scores.iter().sum::<f64>() / n;
+        let worst = scores.iter().copied().fold(f64::INFINITY, f64::min);
+        println!("{name:44} {mean:6.2} {worst:6.2} {:8.1} {:8.1}", proxy_ms / n, blend_ms / n);
+    }
+}
+
+fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
+    println!("\n{name}: {} views of {} cameras", problems.len(), problems[0].cameras.len());
+    println!("{:44} {:>6} {:>6} {:>8} {:>8}", "", "dB", "worst", "proxy ms", "blend ms");
+    let bench = Bench { problems, out };
+    let base = BlendOptions::default();
+    let depth = |p: &Problem| Proxy::Depth(p.view.depth.clone());
+    let weighted = |p: &Problem| p.points.iter().map(|p| (*p, 1.0)).collect::<Vec<_>>();
+    let plane =
+        |p: &Problem| Proxy::Plane(Plane::fit(&weighted(p), &p.view.camera).expect("points"));
+    let mesh_of = |p: &Problem, options: &MeshOptions| {
+        Proxy::Mesh(Mesh::build(&p.points, &p.view.camera, options).expect("points"))
+    };
+    let mesh = |p: &Problem| mesh_of(p, &MeshOptions::default());
+
+    bench.line("true depth", Some("depth"), &base, None, &depth);
+    bench.line("true depth, hidden by true depth", Some("depth-hidden"), &base, Some(1), &depth);
+    bench.line("plane", Some("plane"), &base, None, &plane);
+    bench.line("mesh", Some("mesh"), &base, None, &mesh);
+    bench.line("mesh, hidden by mesh", None, &base, Some(0), &mesh);
+    bench.line("mesh, hidden by true depth", None, &base, Some(1), &mesh);
+    for depth_edges in [DepthEdges::Stretch, DepthEdges::Back, DepthEdges::Front, DepthEdges::Cut] {
+        for edge_share in [0.05, 0.1, 0.2] {
+            let options = MeshOptions { depth_edges, edge_share, ..MeshOptions::default() };
+            let name = format!("mesh, {depth_edges:?} {edge_share}");
+            bench.line(
+                &name,
+                Some(&format!("mesh-{depth_edges:?}-{edge_share}")),
+                &base,
+                None,
+                &|p| mesh_of(p, &options),
+            );
+        }
+    }
+    for (support_share, min_support) in [(0.05, 0), (0.02, 2), (0.05, 2), (0.1, 2), (0.05, 4)] {
+        let options = MeshOptions { support_share, min_support, ..MeshOptions::default() };
+        let name = format!("mesh, support {support_share} {min_support}");
+        bench.line(&name, None, &base, None, &|p| mesh_of(p, &options));
+    }
+    let mut blends: Vec<(String, BlendOptions)> =
+        vec![("uniform".into(), BlendOptions { rung: BlendRung::Uniform, ..base.clone() })];
+    for cameras in [1, 2, 3, 4, 5, 8] {
+        blends.push((format!("k {cameras}"), BlendOptions { cameras, ..base.clone() }));
+    }
+    blends.push(("bilinear".into(), BlendOptions { sampling: Sampling::Bilinear, ..base.clone() }));
+    for feather_px in [0.0, 2.0, 6.0, 12.0, 24.0, 48.0] {
+        blends.push((format!("feather {feather_px}"), BlendOptions { feather_px, ..base.clone() }));
+    }
+    for (name, options) in &blends {
+        bench.line(&format!("true depth hidden, {name}"), None, options, Some(1), &depth);
+        bench.line(&format!("mesh, {name}"), None, options, None, &mesh);
+        bench.line(&format!("plane, {name}"), None, options, None, &plane);
+    }
+    for hidden_share in [0.005, 0.01, 0.03, 0.06] {
+        let options = BlendOptions { hidden_share, ..base.clone() };
+        let name = format!("true depth, hidden by true depth {hidden_share}");
+        bench.line(&name, None, &options, Some(1), &depth);
+    }
+}
+
+fn main() {
+    let mut arguments = std::env::args().skip(1).filter(|a| !a.starts_with("--"));
+    let Some(capture) = arguments.next() else {
+        println!("usage: cargo bench --bench lumigraph -- CAPTURE [OUT]");
+        return;
+    };
+    let out = arguments.next().map(PathBuf::from);
+    if let Some(out) = &out {
+        std::fs::create_dir_all(out).expect("folder");
+    }
+    let truth = Truth::open(Path::new(&capture)).expect("truth").expect("a capture with truth");
+    let mut instants: BTreeMap<u64, Vec<View>> = BTreeMap::new();
+    for view in &truth.views {
+        // Times are positive, and so ordered as their bits are.
+        instants.entry(view.time_s.to_bits()).or_default().push(load(&truth, view));
+    }
+    let (mut between, mut held_out) = (Vec::new(), Vec::new());
+    for views in instants.values() {
+        let filmed: Vec<&View> = views.iter().filter(|v| v.like.is_some()).collect();
+        for view in views {
+            let like = view.like.is_some();
+            let cameras: Vec<&View> =
+                filmed.iter().copied().filter(|v| v.like != view.like).collect();
+            let points = points(view, &cameras, 1500);
+            let problem = Problem { view, cameras, points };
+            if like { &mut held_out } else { &mut between }.push(problem);
+        }
+    }
+    sweep("views between the cameras", &between, out);
+    if std::env::var_os("HELD_OUT").is_some() {
+        sweep("each camera from the others", &held_out, None);
+    }
+}
