@@ -84,15 +84,12 @@ impl FlipImage {
 /// If the images differ in size.
 pub fn flip_map(reference: &FlipImage, test: &FlipImage) -> Vec<f32> {
     assert_eq!(reference.color.len(), test.color.len(), "images of one size");
-    let most =
-        hyab(hunt_lab([0.0, 1.0, 0.0]), hunt_lab([0.0, 0.0, 1.0])).powf(COLOR_EXPONENT);
+    let most = hyab(hunt_lab([0.0, 1.0, 0.0]), hunt_lab([0.0, 0.0, 1.0])).powf(COLOR_EXPONENT);
     (0..reference.color.len())
         .into_par_iter()
         .map(|k| {
-            let color = redistributed(
-                hyab(reference.color[k], test.color[k]).powf(COLOR_EXPONENT),
-                most,
-            );
+            let color =
+                redistributed(hyab(reference.color[k], test.color[k]).powf(COLOR_EXPONENT), most);
             let edges = (reference.edges[k] - test.edges[k]).abs();
             let points = (reference.points[k] - test.points[k]).abs();
             let feature =
@@ -275,8 +272,7 @@ mod tests {
                 &FlipImage::new(&image(&case.reference), ppd),
                 &FlipImage::new(&image(&case.test), ppd),
             );
-            let worst =
-                ours.iter().zip(&case.map).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            let worst = ours.iter().zip(&case.map).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             let mean = ours.iter().map(|v| f64::from(*v)).sum::<f64>() / ours.len() as f64;
             assert_eq!(ours.len(), case.map.len());
             assert!(worst < 2e-4, "{}: a pixel differs by {worst}", case.name);

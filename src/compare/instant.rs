@@ -27,7 +27,10 @@ pub(super) struct Work<'a> {
 pub(super) struct Found {
     pub sync: Vec<SyncResult>,
     pub views: Vec<ViewResult>,
+    /// The pictures of the report, and how many of them are of filming cameras and of views.
     pub figures: Vec<Figure>,
+    pub sync_figures: usize,
+    pub view_figures: usize,
 }
 
 /// An image or the sentence that says why there is none.
@@ -57,43 +60,38 @@ impl Work<'_> {
     ) -> Result<(), CompareError> {
         let capture = self.renderer.capture();
         let read = |view: &TrueView| view.read(self.truth, capture, self.options);
-        let truths: Vec<TrueImage> = stages.time(MEASURING, || {
-            instant.views.par_iter().map(read).collect::<Result<_, _>>()
-        })?;
+        let truths: Vec<TrueImage> = stages
+            .time(MEASURING, || instant.views.par_iter().map(read).collect::<Result<_, _>>())?;
         let images = stages.time(RENDERING, || self.synchronize(instant));
 
-        let pairs = || instant.views.iter().zip(&truths);
-        let mut most_moving: Option<(usize, Figure)> = None;
+        let (like, free): (Vec<_>, Vec<_>) =
+            instant.views.iter().zip(&truths).partition(|(view, _)| view.like.is_some());
+        let most_moving = like.iter().map(|(_, truth)| truth.moving_pixels()).max();
+        let shown = like.iter().position(|(_, t)| Some(t.moving_pixels()) == most_moving);
+        let shown = shown.filter(|_| found.sync_figures < self.options.report_views);
         let measured: Vec<_> = stages.time(MEASURING, || {
-            pairs()
-                .filter(|(view, _)| view.like.is_some())
-                .collect::<Vec<_>>()
-                .into_par_iter()
-                .map(|(view, truth)| self.measure_sync(instant, view, truth, &images))
+            like.par_iter()
+                .enumerate()
+                .map(|(k, (view, truth))| {
+                    self.measure_sync(instant, view, truth, &images, Some(k) == shown)
+                })
                 .collect::<Result<_, _>>()
         })?;
-        for (rows, moving, figure) in measured {
+        for (rows, figure) in measured {
             found.sync.extend(rows);
-            if most_moving.as_ref().is_none_or(|(most, _)| moving > *most) {
-                most_moving = Some((moving, figure));
-            }
+            found.sync_figures += usize::from(figure.is_some());
+            found.figures.extend(figure);
         }
 
-        let mut figures = Vec::new();
-        for (view, truth) in pairs().filter(|(view, _)| view.like.is_none()) {
-            let blends =
-                stages.time(BLENDING, || self.blend(instant, view, &truths, &images));
-            let (rows, figure) =
-                stages.time(MEASURING, || self.measure_view(instant, view, truth, blends))?;
+        for (view, truth) in free {
+            let blends = stages.time(BLENDING, || self.blend(instant, view, &truths, &images));
+            let shown = found.view_figures < self.options.report_views;
+            let (rows, figure) = stages
+                .time(MEASURING, || self.measure_view(instant, view, truth, blends, shown))?;
             found.views.extend(rows);
-            figures.push(figure);
+            found.view_figures += usize::from(figure.is_some());
+            found.figures.extend(figure);
         }
-        let shown = found.figures.iter().filter(|f| f.is_view).count();
-        figures.truncate(self.options.report_views.saturating_sub(shown));
-        if shown < self.options.report_views {
-            found.figures.extend(most_moving.map(|(_, figure)| figure));
-        }
-        found.figures.extend(figures);
         Ok(())
     }
 
@@ -114,14 +112,15 @@ impl Work<'_> {
         self.rungs.iter().map(|rung| (0..cameras).map(|c| one(rung, c)).collect()).collect()
     }
 
-    /// All rungs of one filming camera; with the size of its moving part.
+    /// All rungs of one filming camera, and if it is to be `shown` the report's pictures of it.
     fn measure_sync(
         &self,
         instant: &TrueInstant,
         view: &TrueView,
         truth: &TrueImage,
         images: &[Vec<Made>],
-    ) -> Result<(Vec<SyncResult>, usize, Figure), CompareError> {
+        shown: bool,
+    ) -> Result<(Vec<SyncResult>, Option<Figure>), CompareError> {
         let capture = self.renderer.capture();
         let (camera, depth) = (view.like.unwrap_or_default(), capture.bit_depth());
         let id = &self.truth.views[view.index].id;
@@ -167,14 +166,9 @@ impl Work<'_> {
             capture.name, capture.cameras[camera].id, instant.time_s
         );
         self.write_sheet(&title, &view.stem, truth, &panels)?;
-        let figure = figure(
-            format!("Camera {} at {:.4} s", capture.cameras[camera].id, instant.time_s),
-            false,
-            truth,
-            &panels,
-        );
-        let moving = truth.moving.iter().filter(|m| **m).count();
-        Ok((rows, moving, figure))
+        let title = format!("Camera {} at {:.4} s", capture.cameras[camera].id, instant.time_s);
+        let figure = shown.then(|| figure(title, false, truth, &panels));
+        Ok((rows, figure))
     }
 
     /// One view through every proxy, by every method.
@@ -232,7 +226,8 @@ impl Work<'_> {
         view: &TrueView,
         truth: &TrueImage,
         blends: Vec<Blend>,
-    ) -> Result<(Vec<ViewResult>, Figure), CompareError> {
+        in_report: bool,
+    ) -> Result<(Vec<ViewResult>, Option<Figure>), CompareError> {
         let depth = self.renderer.capture().bit_depth();
         let id = &self.truth.views[view.index].id;
         let names = self.renderer.proxies();
@@ -298,7 +293,8 @@ impl Work<'_> {
             self.write_sheet(&title, &stem, truth, &shown(Some(proxy)))?;
         }
         let title = format!("View {id} at {:.4} s", instant.time_s);
-        Ok((rows, figure(title, true, truth, &shown(None))))
+        let figure = in_report.then(|| figure(title, true, truth, &shown(None)));
+        Ok((rows, figure))
     }
 
     fn write_sheet(
@@ -388,8 +384,7 @@ fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
 
 fn figure(title: String, is_view: bool, truth: &TrueImage, shown: &[Shown]) -> Figure {
     let mut pictures = vec![Picture::new("Truth", &truth.image, None)];
-    pictures.extend(
-        shown.iter().filter_map(|s| Some(Picture::new(&s.title, s.made.ok()?, s.scores))),
-    );
+    pictures
+        .extend(shown.iter().filter_map(|s| Some(Picture::new(&s.title, s.made.ok()?, s.scores))));
     Figure { title, is_view, pictures }
 }

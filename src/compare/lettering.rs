@@ -49,7 +49,7 @@ pub(super) fn write(
         let raster = get_raster(letter, weight.font(), RasterHeight::Size16)
             .or_else(|| get_raster('?', weight.font(), RasterHeight::Size16));
         let Some(raster) = raster else { continue };
-        for (dy, row) in raster.raster().iter().enumerate() {
+        for (dy, row) in raster.rows().enumerate() {
             for (dx, ink) in row.iter().enumerate() {
                 blend(image, x + k * advance + dx, y + dy, f32::from(*ink) / 255.0, color);
             }
@@ -74,10 +74,7 @@ mod tests {
     fn inked(text: &str, room_px: usize) -> Vec<(usize, usize)> {
         let mut image = Image::filled(64, 20, 3, 0.0);
         write(&mut image, (2, 1), room_px, text, Weight::Regular, [1.0; 3]);
-        (0..64 * 20)
-            .filter(|k| image.data()[3 * k] > 0.0)
-            .map(|k| (k % 64, k / 64))
-            .collect()
+        (0..64 * 20).filter(|k| image.data()[3 * k] > 0.0).map(|k| (k % 64, k / 64)).collect()
     }
 
     #[test]

@@ -9,8 +9,7 @@ pub fn moving_part(
     threshold_px: f32,
     dilation_px: usize,
 ) -> Vec<bool> {
-    let moves: Vec<bool> =
-        motion_px.iter().map(|m| m.is_finite() && *m > threshold_px).collect();
+    let moves: Vec<bool> = motion_px.iter().map(|m| m.is_finite() && *m > threshold_px).collect();
     if width == 0 {
         return moves;
     }

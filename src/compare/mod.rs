@@ -57,7 +57,7 @@ pub const NEAREST: &str = "nearest";
 /// Times are seconds on the reference's clock, from the capture's start
 /// ([`Capture::time_origin_s`] subtracted). An `Err` is one sentence for the report: why this
 /// image can't be made. It leaves out the camera or the view, and ends nothing.
-pub trait Renderer {
+pub trait Renderer: Sync {
     fn capture(&self) -> &Capture;
 
     /// Every camera's offset, as `offsets --json` states it.
@@ -194,8 +194,7 @@ pub fn compare(
 ) -> Result<Summary, CompareError> {
     let start = Instant::now();
     let capture = renderer.capture();
-    let truth =
-        truth.ok_or_else(|| CompareError::NoTruth { folder: capture.folder.clone() })?;
+    let truth = truth.ok_or_else(|| CompareError::NoTruth { folder: capture.folder.clone() })?;
     options.check(renderer)?;
     let instants = truths::instants(truth, capture)?;
     let encoder = options.video.as_ref().map(video::Encoder::find).transpose()?;
@@ -214,9 +213,8 @@ pub fn compare(
     let video = match (encoder, &options.video) {
         (Some(encoder), Some(video_options)) => {
             let plan = video::Plan::new(renderer, Some(truth), video_options)?;
-            let write = || {
-                plan.write(renderer, &options.sync, &encoder, &out.join("review"), reporter)
-            };
+            let write =
+                || plan.write(renderer, &options.sync, &encoder, &out.join("review"), reporter);
             Some(stages.time("video", write)?)
         }
         _ => None,
@@ -355,39 +353,41 @@ fn write_json(path: &Path, value: &impl Serialize) -> Result<(), CompareError> {
 
 impl std::fmt::Display for Summary {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let number = |v: Option<f64>, digits: usize| match v {
-            Some(v) => format!("{v:.digits$}"),
-            None => "unknown".into(),
-        };
+        let number = |v: Option<f64>| v.map_or("unknown".into(), |v| format!("{v:.4}"));
+        let gain = |v: Option<f64>| v.map_or("unknown".into(), |v| format!("{v:+.1} dB"));
         let h = &self.headline;
         writeln!(
             f,
             "offsets    error {} frame in the median, {} at worst; {} of {} unknown clocks estimated",
-            number(h.offset.median_frames, 4),
-            number(h.offset.worst_frames, 4),
+            number(h.offset.median_frames),
+            number(h.offset.worst_frames),
             h.offset.estimated,
             h.offset.unknown_clocks,
         )?;
         writeln!(
             f,
-            "sync       {} {} dB above the nearest frame on the moving part (median of {} images, least {} dB)",
+            "sync       {}: {} against the nearest frame on the moving part (median of {} images, worst {})",
             h.sync.rung,
-            number(h.sync.median_gain_db, 1),
+            gain(h.sync.median_gain_db),
             h.sync.images,
-            number(h.sync.least_gain_db, 1),
+            gain(h.sync.least_gain_db),
         )?;
         for view in &h.views {
             writeln!(
                 f,
-                "{:10} {} dB above traditional LFR, {} dB below perfect sync on the moving part (median of {} views)",
+                "views      {}: {} against traditional LFR, {} against perfect sync on the moving part (median of {})",
                 view.proxy,
-                number(view.gain_moving_db, 1),
-                number(view.gap_moving_db, 1),
+                gain(view.gain_moving_db),
+                gain(view.gap_moving_db.map(|gap| 0.0 - gap)),
                 view.views,
             )?;
         }
         if h.left_out > 0 {
-            writeln!(f, "left out   {} images that could not be made; the report says why", h.left_out)?;
+            writeln!(
+                f,
+                "left out   {} images that could not be made; the report says why",
+                h.left_out
+            )?;
         }
         if let Some(video) = &self.video {
             writeln!(f, "video      {}", video.display())?;

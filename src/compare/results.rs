@@ -224,8 +224,7 @@ fn view_headlines(views: &[ViewResult]) -> Vec<ViewHeadline> {
         }
     }
     let scores = |view: &str, proxy: &str, method: Method| {
-        let found =
-            views.iter().find(|v| v.view == view && v.proxy == proxy && v.method == method);
+        let found = views.iter().find(|v| v.view == view && v.proxy == proxy && v.method == method);
         found.and_then(|v| v.scores)
     };
     proxies

@@ -12,7 +12,7 @@ const FAINT: [f32; 3] = [0.65; 3];
 const MOVING: [f32; 3] = [1.0, 0.62, 0.18];
 const MARGIN_PX: usize = 12;
 /// Panels narrower than this are enlarged by whole factors, so that their labels fit.
-const MIN_PANEL_PX: usize = 352;
+const MIN_PANEL_PX: usize = 300;
 
 /// One result beside the truth.
 pub struct Panel<'a> {
@@ -41,40 +41,40 @@ impl Sheet<'_> {
         let (w, h) = (self.truth.width() * scale, self.truth.height() * scale);
         let columns = 1 + self.panels.len();
         let head = MARGIN_PX + LINE_PX;
-        let pictures = head + MARGIN_PX + 3 * LINE_PX + 4;
+        let pictures = head + MARGIN_PX + 4 * LINE_PX + 4;
         let labels = pictures + h + 6;
         let differences = labels + LINE_PX;
         let width = (MARGIN_PX + w) * columns + MARGIN_PX;
         let mut sheet = Image::filled(width, differences + h + MARGIN_PX, 3, BACKGROUND);
         write(&mut sheet, (MARGIN_PX, MARGIN_PX), width, self.title, Weight::Bold, INK);
 
-        let label = |sheet: &mut Image, x: usize, lines: [&str; 3], below: &str| {
-            for (k, (line, weight, ink)) in [
-                (lines[0], Weight::Bold, INK),
-                (lines[1], Weight::Regular, FAINT),
-                (lines[2], Weight::Regular, FAINT),
-            ]
-            .into_iter()
-            .enumerate()
-            {
-                write(sheet, (x, head + MARGIN_PX + k * LINE_PX), w, line, weight, ink);
+        let label = |sheet: &mut Image, x: usize, title: &str, lines: &[String], below: &str| {
+            let y = head + MARGIN_PX;
+            write(sheet, (x, y), w, title, Weight::Bold, INK);
+            for (k, line) in lines.iter().enumerate() {
+                write(sheet, (x, y + (k + 1) * LINE_PX), w, line, Weight::Regular, FAINT);
             }
             write(sheet, (x, labels), w, below, Weight::Regular, FAINT);
         };
-        label(&mut sheet, MARGIN_PX, ["Truth", "", ""], "Moving part (measured apart)");
+        label(&mut sheet, MARGIN_PX, "Truth", &[], "Moving part (measured apart)");
         paste(&mut sheet, (MARGIN_PX, pictures), self.truth, scale);
         paste(&mut sheet, (MARGIN_PX, differences), &self.marked(), scale);
         for (k, panel) in self.panels.iter().enumerate() {
             let x = MARGIN_PX + (k + 1) * (w + MARGIN_PX);
-            let (whole, moving) = match panel.scores {
-                Some(s) => (scores_line("all ", &s.whole), scores_line("move", &s.moving)),
-                None => (panel.note.to_owned(), String::new()),
+            let lines = match panel.scores {
+                Some(scores) => score_lines(scores).to_vec(),
+                None => vec![panel.note.to_owned()],
             };
             let below = format!("|difference from truth| × {}", self.gain);
-            label(&mut sheet, x, [panel.title, &whole, &moving], &below);
+            label(&mut sheet, x, panel.title, &lines, &below);
             if let Some(image) = panel.image {
                 paste(&mut sheet, (x, pictures), image, scale);
-                paste(&mut sheet, (x, differences), &difference(self.truth, image, self.gain), scale);
+                paste(
+                    &mut sheet,
+                    (x, differences),
+                    &difference(self.truth, image, self.gain),
+                    scale,
+                );
             }
         }
         sheet
@@ -101,17 +101,25 @@ pub fn difference(a: &Image, b: &Image, gain: f32) -> Image {
     Image::from_data(a.width(), a.height(), a.channels(), data.collect())
 }
 
-fn scores_line(region: &str, scores: &Scores) -> String {
+/// One line a metric, of the whole image and of its moving part.
+fn score_lines(scores: &RegionScores) -> [String; 3] {
     let number = |v: Option<f64>, digits: usize| match v {
         Some(v) => format!("{v:.digits$}"),
         None => "-".to_owned(),
     };
-    let psnr = match scores.psnr_db {
-        None if scores.pixels > 0 => "same".to_owned(),
-        other => number(other, 1) + " dB",
+    let psnr = |s: &Scores| match s.psnr_db {
+        None if s.pixels > 0 => "same".to_owned(),
+        db => number(db, 1),
     };
-    let (ssim, flip) = (number(scores.ssim, 3), number(scores.flip, 3));
-    format!("{region} {psnr}  SSIM {ssim}  FLIP {flip}")
+    let (whole, moving) = (&scores.whole, &scores.moving);
+    let line = |metric: &str, whole: String, moving: String| {
+        format!("{metric} {whole:>5}  moving part {moving:>5}")
+    };
+    [
+        line("PSNR", psnr(whole), psnr(moving)),
+        line("SSIM", number(whole.ssim, 3), number(moving.ssim, 3)),
+        line("FLIP", number(whole.flip, 3), number(moving.flip, 3)),
+    ]
 }
 
 /// Copies an image into an RGB one at (x, y), every pixel `scale` × `scale` times.
@@ -172,7 +180,7 @@ mod tests {
             gain: 4.0,
         };
         let drawn = sheet.draw();
-        assert_eq!(drawn.width(), 3 * 412 - 24 + 24);
+        assert_eq!(drawn.width(), 3 * 400 + 4 * 12);
         let count = |v: f32| {
             drawn.data().chunks(3).filter(|p| p.iter().all(|c| (c - v).abs() < 1e-6)).count()
         };
@@ -182,8 +190,9 @@ mod tests {
     #[test]
     fn identical_and_empty_regions_have_words() {
         let same = Scores { pixels: 4, psnr_db: None, ssim: Some(1.0), flip: Some(0.0) };
-        assert_eq!(scores_line("all", &same), "all same  SSIM 1.000  FLIP 0.000");
-        assert_eq!(scores_line("move", &Scores::default()), "move - dB  SSIM -  FLIP -");
+        let lines = score_lines(&RegionScores { whole: same, moving: Scores::default() });
+        assert_eq!(lines[0], "PSNR  same  moving part     -");
+        assert_eq!(lines[1], "SSIM 1.000  moving part     -");
     }
 
     #[test]

@@ -88,6 +88,12 @@ pub(super) fn slug(name: &str) -> String {
     name.chars().take(60).map(keep).collect()
 }
 
+impl TrueImage {
+    pub fn moving_pixels(&self) -> usize {
+        self.moving.iter().filter(|m| **m).count()
+    }
+}
+
 impl TrueView {
     /// Reads the image, grey if what it is compared with is, and its moving part.
     pub fn read(
@@ -107,7 +113,9 @@ impl TrueView {
         let path = truth.file(&view.motion)?;
         let (width, height, motion) = read_array(&path)?;
         if (width, height) != size {
-            return Err(TruthError::Content { path, reason: other_size((width, height), size) }.into());
+            return Err(
+                TruthError::Content { path, reason: other_size((width, height), size) }.into()
+            );
         }
         let gray = match self.like {
             Some(camera) => capture.cameras[camera].color == Color::Gray,

@@ -1,0 +1,222 @@
+//! `report.html`: one file that needs nothing else, neither network nor the program's source.
+//!
+//! The page is the template `report.html` beside this file, filled in by minijinja, which escapes
+//! whatever comes from files; pictures are inlined as 8-bit PNG.
+
+use super::metrics::RegionScores;
+use super::plots::{Point, Row, dot_plot};
+use super::results::{Method, Metrics, StageTime};
+use crate::raster::Image;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD as BASE64;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use minijinja::value::{Serde, Value};
+use minijinja::{Environment, UndefinedBehavior, context};
+use serde::Serialize;
+use std::path::Path;
+
+/// Pictures of one thing, the truth first, between which the reader slides.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Figure {
+    pub title: String,
+    /// A new view, not a filming camera's image.
+    pub is_view: bool,
+    pub pictures: Vec<Picture>,
+}
+
+/// One picture, ready to be inlined.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Picture {
+    label: String,
+    width: usize,
+    height: usize,
+    png_base64: String,
+    scores: Option<RegionScores>,
+}
+
+impl Picture {
+    pub fn new(label: &str, image: &Image, scores: Option<RegionScores>) -> Self {
+        let (width, height) = (image.width(), image.height());
+        Self {
+            label: label.to_owned(),
+            width,
+            height,
+            png_base64: BASE64.encode(png(image)),
+            scores,
+        }
+    }
+}
+
+/// 8 bits a channel, as small as PNG gets.
+fn png(image: &Image) -> Vec<u8> {
+    let raw: Vec<u8> = image.data().iter().map(|v| (v * 255.0 + 0.5) as u8).collect();
+    let color = if image.channels() == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
+    let mut bytes = Vec::new();
+    PngEncoder::new_with_quality(&mut bytes, CompressionType::Best, FilterType::Adaptive)
+        .write_image(&raw, image.width() as u32, image.height() as u32, color)
+        .expect("a buffer takes any image of 1 or 3 channels");
+    bytes
+}
+
+/// The whole page.
+pub(super) fn html(
+    metrics: &Metrics,
+    stages: &[StageTime],
+    figures: &[Figure],
+    video: Option<&Path>,
+) -> Result<String, minijinja::Error> {
+    let mut env = Environment::new();
+    env.set_undefined_behavior(UndefinedBehavior::Strict);
+    env.add_filter("num", num);
+    env.add_filter("signed", signed);
+    env.add_filter("psnr", psnr);
+    env.add_template("report.html", include_str!("report.html"))?;
+    let video_name = video.and_then(|v| v.file_name()).map(|n| n.to_string_lossy().into_owned());
+    env.get_template("report.html")?.render(context! {
+        m => Value::from(Serde(metrics)),
+        stages => Value::from(Serde(stages)),
+        figures => Value::from(Serde(figures)),
+        video => video_name,
+        compare_options => serde_json::to_string_pretty(&metrics.options).unwrap_or_default(),
+        renderer_options => serde_json::to_string_pretty(&metrics.renderer).unwrap_or_default(),
+        offset_plot => Value::from_safe_string(offset_plot(metrics)),
+        sync_plot => Value::from_safe_string(sync_plot(metrics)),
+        view_plot => Value::from_safe_string(view_plot(metrics)),
+        rungs => sync_rungs(metrics),
+        measured => measured_percent(metrics),
+    })
+}
+
+/// A number with that many decimals and a proper minus; what is unknown is a dash.
+fn num(value: Value, digits: usize) -> String {
+    match f64::try_from(value) {
+        Ok(v) if v.is_finite() => rounded(v, digits).replace('-', "−"),
+        _ => "–".into(),
+    }
+}
+
+/// As [`num`], with a plus where it isn't 0.
+fn signed(value: Value, digits: usize) -> String {
+    let plus = f64::try_from(value.clone())
+        .is_ok_and(|v| v.is_finite() && v > 0.0 && rounded(v, digits) != rounded(0.0, digits));
+    format!("{}{}", if plus { "+" } else { "" }, num(value, digits))
+}
+
+/// Rounded, without a minus before 0.
+fn rounded(v: f64, digits: usize) -> String {
+    let text = format!("{v:.digits$}");
+    let zero = text.chars().all(|c| matches!(c, '-' | '0' | '.'));
+    if zero { text.trim_start_matches('-').to_owned() } else { text }
+}
+
+/// The PSNR of [`super::metrics::Scores`]; identical pixels have a word instead.
+fn psnr(scores: Value) -> Result<String, minijinja::Error> {
+    let (pixels, psnr_db) = (scores.get_attr("pixels")?, scores.get_attr("psnr_db")?);
+    let same = psnr_db.is_none() && u64::try_from(pixels).unwrap_or(0) > 0;
+    Ok(if same { "identical".into() } else { num(psnr_db, 1) })
+}
+
+/// The least and the largest share of a view that was measured, in percent.
+fn measured_percent(metrics: &Metrics) -> Option<[String; 2]> {
+    let shares = || metrics.views.iter().filter_map(|v| v.measured);
+    let (least, most) = (shares().min_by(f64::total_cmp)?, shares().max_by(f64::total_cmp)?);
+    Some([least, most].map(|share| format!("{:.1}", 100.0 * share)))
+}
+
+fn sync_rungs(metrics: &Metrics) -> Vec<String> {
+    let mut rungs: Vec<String> = Vec::new();
+    for row in &metrics.sync {
+        if !rungs.contains(&row.rung) {
+            rungs.push(row.rung.clone());
+        }
+    }
+    rungs
+}
+
+/// Errors in thousandths of a frame with two standard errors to either side.
+fn offset_plot(metrics: &Metrics) -> String {
+    let rows: Vec<Row> = metrics
+        .offsets
+        .iter()
+        .filter(|o| !o.shares_clock)
+        .map(|o| {
+            let point = o.error_frames.map(|error| Point {
+                value: 1e3 * error,
+                bar: o.std_err_frames.map(|s| 2e3 * s),
+                series: 1,
+                title: format!("{}: {:+.3} thousandths of a frame", o.camera, 1e3 * error),
+            });
+            Row { label: o.camera.clone(), points: point.into_iter().collect() }
+        })
+        .collect();
+    dot_plot(&rows, "error, thousandths of a frame (bar: ±2 standard errors)", true)
+}
+
+/// PSNR of the moving part of each camera's image, one row a camera, one colour a rung.
+fn sync_plot(metrics: &Metrics) -> String {
+    let rungs = sync_rungs(metrics);
+    let mut rows: Vec<Row> = Vec::new();
+    for result in &metrics.sync {
+        let Some(db) = result.scores.and_then(|s| s.moving.psnr_db) else { continue };
+        let point = Point {
+            value: db,
+            bar: None,
+            series: rungs.iter().position(|r| *r == result.rung).unwrap_or(0),
+            title: format!("{}, {}: {db:.2} dB", result.view, result.rung),
+        };
+        match rows.iter_mut().find(|r| r.label == result.camera) {
+            Some(row) => row.points.push(point),
+            None => rows.push(Row { label: result.camera.clone(), points: vec![point] }),
+        }
+    }
+    dot_plot(&rows, "PSNR on the moving part, dB (a dot per instant)", false)
+}
+
+/// PSNR of the moving part of each view, one row a view and proxy, one colour a method.
+fn view_plot(metrics: &Metrics) -> String {
+    let mut rows: Vec<Row> = Vec::new();
+    for result in &metrics.views {
+        let Some(db) = result.scores.and_then(|s| s.moving.psnr_db) else { continue };
+        let label = format!("{}, {}", result.view, result.proxy);
+        let point = Point {
+            value: db,
+            bar: None,
+            series: Method::ALL.iter().position(|m| *m == result.method).unwrap_or(0),
+            title: format!("{label}, {}: {db:.2} dB", result.method.title()),
+        };
+        match rows.iter_mut().find(|r| r.label == label) {
+            Some(row) => row.points.push(point),
+            None => rows.push(Row { label, points: vec![point] }),
+        }
+    }
+    dot_plot(&rows, "PSNR on the moving part, dB", false)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_for_readers() {
+        assert_eq!(num(Value::from(-1.25), 1), "−1.2");
+        assert_eq!(num(Value::from(()), 1), "–");
+        assert_eq!(signed(Value::from(3.14159), 2), "+3.14");
+        assert_eq!(signed(Value::from(-3.0), 0), "−3");
+        assert_eq!(
+            (signed(Value::from(-0.01), 1), num(Value::from(-0.0), 2)),
+            ("0.0".into(), "0.00".into())
+        );
+        let scores = |pixels: usize, psnr_db: Option<f64>| context! { pixels, psnr_db };
+        assert_eq!(psnr(scores(4, None)).unwrap(), "identical");
+        assert_eq!(psnr(scores(0, None)).unwrap(), "–");
+        assert_eq!(psnr(scores(4, Some(31.26))).unwrap(), "31.3");
+    }
+
+    #[test]
+    fn pictures_decode_to_what_they_were() {
+        let image = Image::from_data(2, 1, 3, vec![0.0, 0.2, 0.4, 0.6, 0.8, 1.0]);
+        let decoded = image::load_from_memory(&png(&image)).unwrap().into_rgb8();
+        assert_eq!(decoded.into_raw(), [0, 51, 102, 153, 204, 255]);
+    }
+}
