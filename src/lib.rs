@@ -3,10 +3,10 @@
 
 pub mod camera;
 pub mod capture;
-pub mod interpolation;
-pub mod offset;
-pub mod lumigraph;
 pub mod compare;
+pub mod interpolation;
+pub mod lumigraph;
+pub mod offset;
 pub mod progress;
 #[cfg(feature = "python")]
 mod python;
