@@ -12,4 +12,5 @@ pub mod progress;
 mod python;
 pub mod raster;
 pub mod registration;
+pub mod render;
 pub mod toolchain;

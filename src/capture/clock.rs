@@ -30,13 +30,6 @@ impl Clock {
         gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// The frames on both sides of a time: the last one at or before it, and the first one at or
-    /// after it (the same one, if a frame is at that very time). `None` outside what was filmed.
-    pub fn bracket(&self, time_s: f64) -> Option<(usize, usize)> {
-        let after = self.times_s.partition_point(|&t| t < time_s);
-        let at_or_before = self.times_s.partition_point(|&t| t <= time_s);
-        (after < self.times_s.len() && at_or_before > 0).then(|| (at_or_before - 1, after))
-    }
 
     /// The frame nearest to a time.
     pub fn nearest(&self, time_s: f64) -> usize {
@@ -55,6 +48,14 @@ impl Clock {
     }
 }
 
+/// The frames on both sides of a time: the last one at or before it, and the first one at or
+/// after it (the same one, if a frame is at that very time). `None` outside what was filmed.
+pub fn bracket(times_s: &[f64], time_s: f64) -> Option<(usize, usize)> {
+    let after = times_s.partition_point(|&t| t < time_s);
+    let at_or_before = times_s.partition_point(|&t| t <= time_s);
+    (after < times_s.len() && at_or_before > 0).then(|| (at_or_before - 1, after))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -65,13 +66,13 @@ mod tests {
 
     #[test]
     fn bracketing_frames() {
-        let c = clock();
-        assert_eq!(c.bracket(0.25), Some((0, 1)));
-        assert_eq!(c.bracket(1.0), Some((1, 1)));
-        assert_eq!(c.bracket(3.5), Some((3, 3)));
-        assert_eq!(c.bracket(-0.1), None);
-        assert_eq!(c.bracket(3.6), None);
-        assert_eq!(c.bracket(f64::NAN), None);
+        let c = clock().times_s;
+        assert_eq!(bracket(&c, 0.25), Some((0, 1)));
+        assert_eq!(bracket(&c, 1.0), Some((1, 1)));
+        assert_eq!(bracket(&c, 3.5), Some((3, 3)));
+        assert_eq!(bracket(&c, -0.1), None);
+        assert_eq!(bracket(&c, 3.6), None);
+        assert_eq!(bracket(&c, f64::NAN), None);
     }
 
     #[test]

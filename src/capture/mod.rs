@@ -11,7 +11,7 @@ mod frames;
 mod image_io;
 mod truth;
 
-pub use clock::Clock;
+pub use clock::{Clock, bracket};
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
 pub use image_io::{BitDepth, read_image, write_atomically, write_image};
 pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};

@@ -201,7 +201,7 @@ mod tests {
     fn numbers_for_readers() {
         assert_eq!(num(Value::from(-1.25), 1), "−1.2");
         assert_eq!(num(Value::from(()), 1), "–");
-        assert_eq!(signed(Value::from(3.14159), 2), "+3.14");
+        assert_eq!(signed(Value::from(2.714), 2), "+2.71");
         assert_eq!(signed(Value::from(-3.0), 0), "−3");
         assert_eq!(
             (signed(Value::from(-0.01), 1), num(Value::from(-0.0), 2)),

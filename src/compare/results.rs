@@ -216,6 +216,9 @@ fn sync_gains(options: &CompareOptions, sync: &[SyncResult]) -> Vec<f64> {
     chosen.filter_map(|s| Some(psnr(&s.view, &s.rung)? - psnr(&s.view, super::NEAREST)?)).collect()
 }
 
+/// The PSNR of one region.
+type Psnr = fn(&RegionScores) -> Option<f64>;
+
 fn view_headlines(views: &[ViewResult]) -> Vec<ViewHeadline> {
     let mut proxies: Vec<&str> = Vec::new();
     for view in views {
@@ -232,14 +235,14 @@ fn view_headlines(views: &[ViewResult]) -> Vec<ViewHeadline> {
         .map(|proxy| {
             let ours: Vec<&ViewResult> =
                 views.iter().filter(|v| v.proxy == proxy && v.method == Method::StLfr).collect();
-            let over = |other: Method, psnr: fn(&RegionScores) -> Option<f64>| {
+            let over = |other: Method, psnr: Psnr| {
                 let difference = |v: &&ViewResult| {
                     Some(psnr(&v.scores?)? - psnr(&scores(&v.view, proxy, other)?)?)
                 };
                 median(ours.iter().filter_map(difference).collect())
             };
-            let (whole, moving): (fn(&RegionScores) -> _, fn(&RegionScores) -> _) =
-                (|s| s.whole.psnr_db, |s| s.moving.psnr_db);
+            let whole: Psnr = |s| s.whole.psnr_db;
+            let moving: Psnr = |s| s.moving.psnr_db;
             ViewHeadline {
                 proxy: proxy.to_owned(),
                 gain_whole_db: over(Method::TraditionalLfr, whole),

@@ -1,7 +1,8 @@
 //! The driver on a tiny capture, with a renderer whose errors are known.
 
 use super::*;
-use crate::capture::{BitDepth, CAPTURE_FILE, read_image, write_image};
+use crate::capture::{BitDepth, CAPTURE_FILE, Truth, read_image, write_image};
+use crate::progress::Reporter;
 use serde_json::{Value, json};
 
 const W: usize = 24;
@@ -320,7 +321,10 @@ fn a_video_is_written_whole_or_not_at_all() {
     let path = summary.video.unwrap();
     assert_eq!(path, set.out().join("review.mkv"));
     let bytes = std::fs::metadata(&path).unwrap().len();
-    assert!(bytes > 0 && bytes % (3 * 3) == 0, "three frames of three bytes a pixel: {bytes}");
+    assert!(
+        bytes > 0 && bytes.is_multiple_of(3 * 3),
+        "three frames of three bytes a pixel: {bytes}"
+    );
     let html = std::fs::read_to_string(&summary.report).unwrap();
     assert!(html.contains("href=\"review.mkv\""));
     let metrics = std::fs::read_to_string(set.out().join("metrics.json")).unwrap();

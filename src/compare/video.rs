@@ -1,8 +1,8 @@
 //! The review video: truth, traditional LFR and ST-LFR side by side over time.
 //!
-//! ffmpeg is spawned with arguments, never through a shell, and gets raw frames on its standard
-//! input. The file has a temporary name until it is whole.
+//! The file has a temporary name until it is whole.
 
+pub use super::encoder::Encoder;
 use super::results::Method;
 use super::sheet::strip;
 use super::{NEAREST, Renderer};
@@ -11,9 +11,7 @@ use crate::capture::{Truth, TruthError, read_image};
 use crate::progress::Reporter;
 use crate::raster::Image;
 use serde::{Deserialize, Serialize};
-use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 
 /// What video is made.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -53,48 +51,6 @@ pub enum VideoError {
     Truth(#[from] TruthError),
     #[error(transparent)]
     Capture(#[from] crate::capture::CaptureError),
-}
-
-/// An ffmpeg, and what it can encode.
-pub struct Encoder {
-    program: PathBuf,
-    /// H.264 that browsers play; without it FFV1 in Matroska, which is lossless.
-    h264: bool,
-}
-
-impl Encoder {
-    /// Asks ffmpeg for its encoders, so that a missing one is known before anything is rendered.
-    pub fn find(options: &VideoOptions) -> Result<Self, VideoError> {
-        let program = options.ffmpeg.clone();
-        let output = Command::new(&program)
-            .args(["-hide_banner", "-encoders"])
-            .stdin(Stdio::null())
-            .output()
-            .map_err(|source| VideoError::Start { program: program.clone(), source })?;
-        let h264 = String::from_utf8_lossy(&output.stdout).contains(" libx264 ");
-        Ok(Self { program, h264 })
-    }
-
-    /// The suffix of what it writes.
-    fn suffix(&self) -> &'static str {
-        if self.h264 { "mp4" } else { "mkv" }
-    }
-
-    fn command(&self, (width, height): (usize, usize), rate_hz: f64, path: &Path) -> Command {
-        let mut command = Command::new(&self.program);
-        command.args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y"]);
-        command.args(["-f", "rawvideo", "-pix_fmt", "rgb24"]);
-        command.args(["-s", &format!("{width}x{height}"), "-r", &rate_hz.to_string(), "-i", "-"]);
-        if self.h264 {
-            // Browsers play 4:2:0 only; 16 is visually lossless.
-            command.args(["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "16"]);
-            command.args(["-movflags", "+faststart", "-f", "mp4"]);
-        } else {
-            command.args(["-c:v", "ffv1", "-f", "matroska"]);
-        }
-        command.arg(path);
-        command
-    }
 }
 
 /// What is shown, and when.
@@ -209,54 +165,17 @@ impl Plan {
     ) -> Result<(), VideoError> {
         let task = reporter.task("Review video", self.times_s.len());
         let first = self.frame(renderer, sync, 0)?;
-        let program = encoder.program.clone();
-        let start = |source| VideoError::Start { program: program.clone(), source };
-        let mut child = encoder
-            .command((first.width(), first.height()), self.rate_hz, path)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .map_err(start)?;
-        // Read beside the writing, so that neither side waits for the other.
-        let mut errors = child.stderr.take();
-        let said = std::thread::spawn(move || {
-            let mut text = Vec::new();
-            if let Some(errors) = &mut errors {
-                let _ = errors.read_to_end(&mut text);
-            }
-            String::from_utf8_lossy(&text).into_owned()
-        });
-        let mut input = child.stdin.take();
-        let mut fed = feed(&mut input, &first);
+        let mut encoding = encoder.start((first.width(), first.height()), self.rate_hz, path)?;
+        let mut fed = encoding.feed(&first);
         task.advance(1);
-        let mut made = Ok(());
         for k in 1..self.times_s.len() {
-            if fed.is_err() {
+            if !fed {
                 break;
             }
-            match self.frame(renderer, sync, k) {
-                Ok(frame) => fed = feed(&mut input, &frame),
-                Err(error) => {
-                    made = Err(error);
-                    break;
-                }
-            }
+            fed = encoding.feed(&self.frame(renderer, sync, k)?);
             task.advance(1);
         }
-        drop(input);
-        let status = child.wait().map_err(start)?;
-        let said = said.join().unwrap_or_default();
-        made?;
-        if fed.is_ok() && status.success() {
-            return Ok(());
-        }
-        let said = said.lines().last().unwrap_or("it stopped early").to_owned();
-        Err(VideoError::Encode {
-            program: encoder.program.clone(),
-            path: path.into(),
-            reason: said,
-        })
+        encoding.finish()
     }
 
     fn frame(&self, renderer: &dyn Renderer, sync: &str, k: usize) -> Result<Image, VideoError> {
@@ -293,14 +212,6 @@ impl Plan {
         let heading = format!("{}   {:8.4} s", self.view, time_s + self.origin_s);
         let panels: Vec<(&str, &Image)> = panels.iter().map(|(t, i)| (t.as_str(), i)).collect();
         Ok(strip(&heading, &panels))
-    }
-}
-
-fn feed(input: &mut Option<std::process::ChildStdin>, frame: &Image) -> std::io::Result<()> {
-    let raw: Vec<u8> = frame.data().iter().map(|v| (v * 255.0 + 0.5) as u8).collect();
-    match input {
-        Some(input) => input.write_all(&raw),
-        None => Err(std::io::ErrorKind::BrokenPipe.into()),
     }
 }
 

@@ -32,6 +32,7 @@ use crate::capture::{Capture, CaptureError};
 use crate::progress::Reporter;
 use crate::registration::{FrameStore, RegistrationOptions, temporal_flow};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Offsets with what they were made of.
 #[derive(Clone, Debug)]
@@ -40,16 +41,40 @@ pub struct Estimate {
     pub pairs: Vec<PairEstimate>,
 }
 
+/// The offsets of a capture: none to estimate if all clocks are shared; those kept in its folder
+/// if they are of the same capture, frames and options; else estimated now, and kept. Says which.
+pub fn known_or_kept_or_estimated(
+    capture: &Arc<Capture>,
+    options: &OffsetOptions,
+    registration: &RegistrationOptions,
+    reporter: &Reporter,
+) -> Result<Offsets, CaptureError> {
+    if clocks(capture).1 == 1 {
+        reporter.note("The cameras share one clock: no offsets to estimate.");
+        return Ok(Offsets::known(capture));
+    }
+    let all_options = (options, registration);
+    let hash = Offsets::hash(capture, &all_options)?;
+    if let Some(kept) = Offsets::load(capture, &hash) {
+        reporter.note("Offsets are those kept in offsets.json.");
+        return Ok(kept);
+    }
+    let offsets = estimate(capture, options, registration, reporter)?.offsets;
+    offsets.save(capture, &all_options, &hash)?;
+    reporter.note("Offsets were estimated from the images and kept in offsets.json.");
+    Ok(offsets)
+}
+
 /// Estimates all offsets of a capture from its pixels.
 pub fn estimate(
-    capture: &Capture,
+    capture: &Arc<Capture>,
     options: &OffsetOptions,
     registration: &RegistrationOptions,
     reporter: &Reporter,
 ) -> Result<Estimate, CaptureError> {
     let mut registration = registration.clone();
     registration.corners.max_corners = registration.corners.max_corners.min(options.max_features);
-    let frames = &FrameStore::new(capture, &registration);
+    let frames = &FrameStore::new(capture.clone(), &registration);
     let (clock, clocks) = clocks(capture);
     if clocks == 1 {
         return Ok(Estimate { offsets: Offsets::known(capture), pairs: Vec::new() });

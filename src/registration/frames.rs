@@ -33,8 +33,8 @@ impl Frame {
 }
 
 /// The frames of a capture that were used last, within a bound of memory.
-pub struct FrameStore<'a> {
-    capture: &'a Capture,
+pub struct FrameStore {
+    capture: Arc<Capture>,
     options: RegistrationOptions,
     kept: Mutex<Kept>,
 }
@@ -50,13 +50,13 @@ struct Kept {
 /// instant. More only saves decoding.
 const MAX_BYTES: usize = 256 << 20;
 
-impl<'a> FrameStore<'a> {
-    pub fn new(capture: &'a Capture, options: &RegistrationOptions) -> Self {
+impl FrameStore {
+    pub fn new(capture: Arc<Capture>, options: &RegistrationOptions) -> Self {
         Self { capture, options: options.clone(), kept: Mutex::default() }
     }
 
-    pub fn capture(&self) -> &'a Capture {
-        self.capture
+    pub fn capture(&self) -> &Capture {
+        &self.capture
     }
 
     pub fn options(&self) -> &RegistrationOptions {

@@ -11,7 +11,7 @@ use stlfr::registration::RegistrationOptions;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folders = std::env::args().skip(1).filter(|a| !a.starts_with("--"));
     for folder in folders {
-        let capture = Capture::open(folder.as_ref())?;
+        let capture = std::sync::Arc::new(Capture::open(folder.as_ref())?);
         let truth = Truth::open(folder.as_ref())?.ok_or("has no truth")?;
         println!("{folder}: errors in frames");
         for rung in [OffsetRung::Pairwise, OffsetRung::Joint, OffsetRung::JointCurved] {

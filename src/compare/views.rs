@@ -1,0 +1,188 @@
+//! One view at an instant: blended by every method through every proxy, then measured.
+
+use super::CompareError;
+use super::instant::{Made, Shown, Work, figure};
+use super::metrics::Reference;
+use super::report::Figure;
+use super::results::{LeftOut, Method, ViewResult};
+use super::truths::{TrueImage, TrueInstant, TrueView, slug};
+use super::{NEAREST, RenderedView};
+use crate::capture::{BitDepth, write_image};
+use crate::raster::Image;
+use rayon::prelude::*;
+
+type ViewMade = Result<RenderedView, String>;
+
+/// One view through one proxy by one method, before it is measured.
+pub(super) struct Blend {
+    proxy: usize,
+    method: Method,
+    cameras: usize,
+    left_out: Vec<LeftOut>,
+    made: ViewMade,
+}
+
+impl Work<'_> {
+    /// One view through every proxy, by every method.
+    pub(super) fn blend(
+        &self,
+        instant: &TrueInstant,
+        view: &TrueView,
+        truths: &[TrueImage],
+        images: &[Vec<Made>],
+    ) -> Vec<Blend> {
+        let capture = self.renderer.capture();
+        let of_rung = |rung: &str| match self.rungs.iter().position(|r| r == rung) {
+            Some(k) => images[k].clone(),
+            None => vec![Err(format!("there is no sync rung '{rung}'")); capture.cameras.len()],
+        };
+        let true_image = |camera: usize| {
+            let at = instant.views.iter().position(|v| v.like == Some(camera));
+            at.map(|k| truths[k].image.clone())
+                .ok_or_else(|| "the truth has no image of it at this instant".to_owned())
+        };
+        let mut blends = Vec::new();
+        for method in Method::ALL {
+            let made: Vec<Made> = match method {
+                Method::TraditionalLfr => of_rung(NEAREST),
+                Method::StLfr => of_rung(&self.options.sync),
+                Method::PerfectSync => (0..capture.cameras.len()).map(true_image).collect(),
+            };
+            let left_out: Vec<LeftOut> = made
+                .iter()
+                .zip(&capture.cameras)
+                .filter_map(|(m, camera)| {
+                    let reason = m.as_ref().err()?.clone();
+                    Some(LeftOut { camera: camera.id.clone(), reason })
+                })
+                .collect();
+            let made: Vec<Option<Image>> = made.into_iter().map(Result::ok).collect();
+            for proxy in 0..self.renderer.proxies().len() {
+                let cameras = made.iter().flatten().count();
+                let rendered = if cameras == 0 {
+                    Err("no camera has an image at this instant".to_owned())
+                } else {
+                    self.renderer.view(&made, proxy, &view.camera, instant.inner_s)
+                };
+                let left_out = left_out.clone();
+                blends.push(Blend { proxy, method, cameras, left_out, made: rendered });
+            }
+        }
+        blends.sort_by_key(|b| b.proxy);
+        blends
+    }
+
+    /// Measures all blends of one view on the pixels that all of them cover; with the report's
+    /// pictures if it is `in_report`.
+    pub(super) fn measure_view(
+        &self,
+        instant: &TrueInstant,
+        view: &TrueView,
+        truth: &TrueImage,
+        blends: Vec<Blend>,
+        in_report: bool,
+    ) -> Result<(Vec<ViewResult>, Option<Figure>), CompareError> {
+        let depth = self.renderer.capture().bit_depth();
+        let id = &self.truth.views[view.index].id;
+        let names = self.renderer.proxies();
+        let made: Vec<Made> = blends
+            .iter()
+            .map(|b| self.checked_view(b.made.as_ref(), &truth.image, depth))
+            .collect();
+        let covered = common_coverage(&blends, &made, truth.moving.len());
+        let share = covered.iter().filter(|c| **c).count() as f64 / covered.len() as f64;
+        let reference = Reference::new(truth.image.clone(), self.options.pixels_per_degree);
+        let rows: Vec<ViewResult> = blends
+            .par_iter()
+            .zip(&made)
+            .map(|(blend, made)| {
+                let proxy = &names[blend.proxy];
+                let mut row = ViewResult {
+                    view: id.clone(),
+                    time_s: instant.time_s,
+                    proxy: proxy.clone(),
+                    method: blend.method,
+                    cameras: blend.cameras,
+                    left_out: blend.left_out.clone(),
+                    measured: None,
+                    scores: None,
+                    image: None,
+                    reason: made.as_ref().err().cloned(),
+                };
+                if let (Ok(image), Ok(rendered)) = (made, &blend.made) {
+                    let filled = filled_with(&truth.image, image, &covered);
+                    let maps = reference.compare(&filled);
+                    row.scores = Some(maps.regions(Some(&covered), &truth.moving));
+                    row.measured = Some(share);
+                    let file = format!("{}-{}.png", slug(proxy), blend.method.slug());
+                    let name = format!("images/{}/{file}", view.stem);
+                    let all = rendered.coverage.iter().all(|c| *c);
+                    let alpha = (!all).then_some(rendered.coverage.as_slice());
+                    write_image(&self.out.join(&name), image, alpha, depth)?;
+                    row.image = Some(name);
+                }
+                Ok(row)
+            })
+            .collect::<Result<_, CompareError>>()?;
+        let name = format!("images/{}/truth.png", view.stem);
+        write_image(&self.out.join(name), &truth.image, None, depth)?;
+
+        let shown = |proxy: Option<usize>| -> Vec<Shown> {
+            let all = blends.iter().zip(&made).zip(&rows);
+            all.filter(|((b, _), _)| proxy.is_none_or(|p| b.proxy == p))
+                .map(|((b, made), row)| Shown {
+                    title: format!("{}, {}", b.method.title(), names[b.proxy]),
+                    made: made.as_ref(),
+                    scores: row.scores,
+                })
+                .collect()
+        };
+        for (proxy, name) in names.iter().enumerate() {
+            let title = format!(
+                "{}: view {id} at {:.4} s, proxy {name}",
+                self.renderer.capture().name,
+                instant.time_s
+            );
+            let stem = format!("{}-{}", view.stem, slug(name));
+            self.write_sheet(&title, &stem, truth, &shown(Some(proxy)))?;
+        }
+        let title = format!("View {id} at {:.4} s", instant.time_s);
+        let figure = in_report.then(|| figure(title, true, truth, &shown(None)));
+        Ok((rows, figure))
+    }
+
+    fn checked_view(
+        &self,
+        made: Result<&RenderedView, &String>,
+        truth: &Image,
+        depth: BitDepth,
+    ) -> Made {
+        let view = made.map_err(Clone::clone)?;
+        self.checked(&Ok(view.image.clone()), truth, depth)
+    }
+}
+
+/// The pixels that every method covers through every proxy, so that all are measured on the same.
+fn common_coverage(blends: &[Blend], made: &[Made], pixels: usize) -> Vec<bool> {
+    let mut covered = vec![true; pixels];
+    for blend in blends.iter().zip(made).filter(|(_, m)| m.is_ok()).map(|(b, _)| b) {
+        if let Ok(view) = &blend.made {
+            for (c, own) in covered.iter_mut().zip(&view.coverage) {
+                *c &= own;
+            }
+        }
+    }
+    covered
+}
+
+/// The truth where a pixel isn't measured, so that the metrics' windows see no black there.
+fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
+    let n = image.channels();
+    let mut filled = image.clone();
+    for (k, pixel) in filled.data_mut().chunks_exact_mut(n).enumerate() {
+        if !covered[k] {
+            pixel.copy_from_slice(&truth.data()[k * n..(k + 1) * n]);
+        }
+    }
+    filled
+}

@@ -1,0 +1,296 @@
+//! The pipeline (Fig. 2): registration, offsets, synchronized images, the view.
+
+mod options;
+mod points;
+
+pub use options::{ProxyOptions, ProxyRung, RenderOptions};
+
+use crate::camera::Camera;
+use crate::capture::{Capture, CaptureError};
+use crate::interpolation::{FramePair, Sync};
+use crate::lumigraph::{Mesh, Plane, Proxy, Rendered, Source, blend};
+use crate::offset::{self, Offsets};
+use crate::progress::Reporter;
+use crate::raster::Image;
+use crate::registration::{FrameStore, Track, Verdict, epipolar_test, temporal_flow};
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// A capture's light field, continuous in space and time.
+///
+/// Times are seconds on the reference camera's clock, from the capture's start
+/// ([`Capture::time_origin_s`]).
+pub struct LightField {
+    frames: FrameStore,
+    offsets: Offsets,
+    times_s: Vec<Option<Vec<f64>>>,
+    options: RenderOptions,
+    tracks: Mutex<KeptTracks>,
+}
+
+/// Registered frame pairs that were used last.
+#[derive(Default)]
+struct KeptTracks {
+    pairs: HashMap<(usize, usize), (u64, Arc<Vec<Track>>)>,
+    clock: u64,
+}
+
+/// Frame pairs whose tracks are kept: several of each camera of a large rig, some 0.2 MB each.
+const MAX_KEPT_PAIRS: usize = 256;
+
+/// Why an image can't be rendered. Every message is one sentence.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    #[error("{camera} has no frames around {time_s} s: it covers {first_s} to {last_s} s")]
+    CameraTime { camera: String, time_s: f64, first_s: f64, last_s: f64 },
+    #[error("{camera}'s clock is unknown: {reason}")]
+    CameraClock { camera: String, reason: String },
+    #[error("no camera has frames around {time_s} s: they cover {first_s} to {last_s} s")]
+    Time { time_s: f64, first_s: f64, last_s: f64 },
+    #[error("no camera of this capture has a known clock")]
+    NoClock,
+    #[error("no point of the scene could be triangulated; set proxy.plane_depth_m to focus by hand")]
+    NoPoints,
+    #[error("no camera sees any pixel of this view")]
+    NothingSeen,
+}
+
+impl LightField {
+    pub fn new(capture: Arc<Capture>, offsets: Offsets, options: RenderOptions) -> Self {
+        let times_s = offsets.common_times_s(&capture);
+        let frames = FrameStore::new(capture, &options.registration);
+        Self { frames, offsets, times_s, options, tracks: Mutex::default() }
+    }
+
+    /// With the offsets that the capture needs: known clocks, else those kept in its folder, else
+    /// estimated now and kept. Says which on the reporter.
+    pub fn open(
+        capture: Arc<Capture>,
+        options: RenderOptions,
+        reporter: &Reporter,
+    ) -> Result<Self, CaptureError> {
+        let offsets = offset::known_or_kept_or_estimated(
+            &capture,
+            &options.offset,
+            &options.registration,
+            reporter,
+        )?;
+        Ok(Self::new(capture, offsets, options))
+    }
+
+    pub fn capture(&self) -> &Capture {
+        self.frames.capture()
+    }
+
+    pub fn offsets(&self) -> &Offsets {
+        &self.offsets
+    }
+
+    pub fn options(&self) -> &RenderOptions {
+        &self.options
+    }
+
+    fn frames(&self) -> &FrameStore {
+        &self.frames
+    }
+
+    /// The cameras that can give an image at a time.
+    pub fn usable(&self, time_s: f64) -> Vec<usize> {
+        (0..self.times_s.len()).filter(|&c| self.bracket(c, time_s).is_ok()).collect()
+    }
+
+    /// The first and the last time at which a camera can give an image.
+    pub fn span_s(&self, camera: usize) -> Option<(f64, f64)> {
+        let times = self.times_s[camera].as_ref()?;
+        Some((*times.first()?, *times.last()?))
+    }
+
+    /// The first and the last time at which every camera with a known clock can give an image;
+    /// `None` if there is none.
+    pub fn common_span_s(&self) -> Option<(f64, f64)> {
+        let spans = || (0..self.times_s.len()).filter_map(|c| self.span_s(c));
+        let first = spans().map(|s| s.0).fold(f64::NEG_INFINITY, f64::max);
+        let last = spans().map(|s| s.1).fold(f64::INFINITY, f64::min);
+        (first.is_finite() && first <= last).then_some((first, last))
+    }
+
+    /// A camera's image at a time, by the rung of the options.
+    pub fn synchronized(&self, camera: usize, time_s: f64) -> Result<Image, RenderError> {
+        self.synchronized_by(self.options.sync, camera, time_s)
+    }
+
+    /// A camera's image at a time, by any rung.
+    pub fn synchronized_by(
+        &self,
+        sync: Sync,
+        camera: usize,
+        time_s: f64,
+    ) -> Result<Image, RenderError> {
+        let (k, later) = self.bracket(camera, time_s)?;
+        let earlier_frame = self.frames.get(camera, k)?;
+        if k == later {
+            return Ok(earlier_frame.image.clone());
+        }
+        let later_frame = self.frames.get(camera, later)?;
+        let tracks = if sync.needs_tracks() { self.tracks(camera, k)? } else { Arc::default() };
+        let pair = FramePair {
+            earlier: &earlier_frame,
+            later: &later_frame,
+            tracks: &tracks,
+            times_s: self.times(camera),
+            index: k,
+        };
+        Ok(pair.interpolate(time_s, sync, &self.options.interpolation))
+    }
+
+    /// The images of all cameras at a time, by any rung; `None` for cameras that can't give one.
+    pub fn synchronized_all(
+        &self,
+        sync: Sync,
+        time_s: f64,
+    ) -> Result<Vec<Option<Image>>, RenderError> {
+        (0..self.times_s.len())
+            .into_par_iter()
+            .map(|c| match self.synchronized_by(sync, c, time_s) {
+                Ok(image) => Ok(Some(image)),
+                Err(RenderError::CameraTime { .. } | RenderError::CameraClock { .. }) => Ok(None),
+                Err(error) => Err(error),
+            })
+            .collect()
+    }
+
+    /// The view from anywhere at a time.
+    pub fn view(&self, target: &Camera, time_s: f64) -> Result<Rendered, RenderError> {
+        if self.usable(time_s).is_empty() {
+            return Err(self.no_camera_at(time_s));
+        }
+        let images = self.synchronized_all(self.options.sync, time_s)?;
+        let proxy = self.proxy(self.options.proxy.rung, target, time_s)?;
+        let rendered = self.blend(&images, &proxy, target);
+        if rendered.coverage.iter().any(|c| *c) {
+            Ok(rendered)
+        } else {
+            Err(RenderError::NothingSeen)
+        }
+    }
+
+    /// The scene's shape at a time, for one view.
+    pub fn proxy(
+        &self,
+        rung: ProxyRung,
+        target: &Camera,
+        time_s: f64,
+    ) -> Result<Proxy, RenderError> {
+        let options = &self.options.proxy;
+        if let (ProxyRung::Plane, Some(depth_m)) = (rung, options.plane_depth_m) {
+            return Ok(Proxy::Plane(Plane::fronto_parallel(target, depth_m)));
+        }
+        let points = self.points(target, time_s)?;
+        let proxy = match rung {
+            ProxyRung::Plane => {
+                let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
+                Plane::fit(&weighted, target).map(Proxy::Plane)
+            }
+            ProxyRung::Mesh => Mesh::build(&points, target, &options.mesh).map(Proxy::Mesh),
+        };
+        proxy.ok_or(RenderError::NoPoints)
+    }
+
+    /// Blends a view from one image a camera.
+    pub fn blend(&self, images: &[Option<Image>], proxy: &Proxy, target: &Camera) -> Rendered {
+        let sources: Vec<Source> = self
+            .capture()
+            .cameras
+            .iter()
+            .zip(images)
+            .filter_map(|(camera, image)| Some(Source::new(&camera.camera, image.as_ref()?)))
+            .collect();
+        blend(&sources, &proxy.depth_map(target), target, &self.options.blend)
+    }
+
+    /// The tracks between frames `k` and `k + 1` of a camera that the epipolar test leaves.
+    pub fn tracks(&self, camera: usize, k: usize) -> Result<Arc<Vec<Track>>, CaptureError> {
+        if let Some(found) = self.kept().find((camera, k)) {
+            return Ok(found);
+        }
+        let mut tracks = temporal_flow(&self.frames, camera, k)?;
+        if self.options.registration.epipolar_test {
+            let verdicts = epipolar_test(&self.frames, &self.times_s, camera, k, &tracks)?;
+            let mut verdicts = verdicts.into_iter();
+            tracks.retain(|_| verdicts.next() != Some(Verdict::Rejected));
+        }
+        let tracks = Arc::new(tracks);
+        self.kept().insert((camera, k), &tracks);
+        Ok(tracks)
+    }
+
+    fn kept(&self) -> MutexGuard<'_, KeptTracks> {
+        // Nothing in there panics half-way.
+        self.tracks.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The camera's frame times on the reference's clock; empty if they are unknown.
+    fn times(&self, camera: usize) -> &[f64] {
+        self.times_s[camera].as_deref().unwrap_or_default()
+    }
+
+    /// The frames on both sides of a time (the same one twice if it is at that very time). A
+    /// camera with one frame is a static light field: it has that frame at any time.
+    fn bracket(&self, camera: usize, time_s: f64) -> Result<(usize, usize), RenderError> {
+        let id = || self.capture().cameras[camera].id.clone();
+        let Some(times) = &self.times_s[camera] else {
+            let reason = self.offsets.cameras[camera].reason.clone().unwrap_or_default();
+            return Err(RenderError::CameraClock { camera: id(), reason });
+        };
+        if times.len() == 1 {
+            return Ok((0, 0));
+        }
+        crate::capture::bracket(times, time_s).ok_or_else(|| {
+            let origin_s = self.capture().time_origin_s;
+            RenderError::CameraTime {
+                camera: id(),
+                time_s: time_s + origin_s,
+                first_s: times[0] + origin_s,
+                last_s: times[times.len() - 1] + origin_s,
+            }
+        })
+    }
+
+    fn no_camera_at(&self, time_s: f64) -> RenderError {
+        let origin_s = self.capture().time_origin_s;
+        let spans = || (0..self.times_s.len()).filter_map(|c| self.span_s(c));
+        let first_s = spans().map(|s| s.0).fold(f64::INFINITY, f64::min);
+        let last_s = spans().map(|s| s.1).fold(f64::NEG_INFINITY, f64::max);
+        if first_s > last_s {
+            return RenderError::NoClock;
+        }
+        RenderError::Time {
+            time_s: time_s + origin_s,
+            first_s: first_s + origin_s,
+            last_s: last_s + origin_s,
+        }
+    }
+}
+
+impl KeptTracks {
+    fn find(&mut self, key: (usize, usize)) -> Option<Arc<Vec<Track>>> {
+        self.clock += 1;
+        let (used, tracks) = self.pairs.get_mut(&key)?;
+        *used = self.clock;
+        Some(tracks.clone())
+    }
+
+    fn insert(&mut self, key: (usize, usize), tracks: &Arc<Vec<Track>>) {
+        self.clock += 1;
+        self.pairs.insert(key, (self.clock, tracks.clone()));
+        while self.pairs.len() > MAX_KEPT_PAIRS {
+            let oldest = self.pairs.iter().min_by_key(|(_, (used, _))| *used).map(|(k, _)| *k);
+            if let Some(key) = oldest {
+                self.pairs.remove(&key);
+            }
+        }
+    }
+}

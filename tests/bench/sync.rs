@@ -1,0 +1,161 @@
+//! Synchronized images against the truth, rung by rung and option by option: PSNR over the whole
+//! image and over its moving part, and milliseconds an image.
+//!
+//! `cargo bench --bench sync -- CAPTURE [--sweep]`
+
+use std::sync::Arc;
+use std::time::Instant;
+use stlfr::capture::{Capture, Truth, read_array, read_image};
+use stlfr::compare::mask::moving_part;
+use stlfr::interpolation::Sync;
+use stlfr::offset::{CameraOffset, Offsets};
+use stlfr::raster::Image;
+use stlfr::render::{LightField, RenderOptions};
+
+struct Target {
+    camera: usize,
+    time_s: f64,
+    image: Image,
+    moving: Vec<bool>,
+}
+
+fn mean_square(a: &Image, b: &Image, mask: Option<&[bool]>) -> (f64, f64) {
+    let (mut sum, mut n) = (0.0, 0.0);
+    let channels = a.channels();
+    for (k, (x, y)) in a.data().iter().zip(b.data()).enumerate() {
+        if mask.is_none_or(|m| m[k / channels]) {
+            sum += f64::from(x - y).powi(2);
+            n += 1.0;
+        }
+    }
+    (sum, n)
+}
+
+fn score(field: &LightField, sync: Sync, targets: &[Target]) -> (f64, f64, f64) {
+    let (mut whole, mut moving, mut seconds) = ((0.0, 0.0), (0.0, 0.0), 0.0);
+    for t in targets {
+        field.synchronized_by(sync, t.camera, t.time_s).expect("the truth is inside the film");
+        let start = Instant::now();
+        let image = field.synchronized_by(sync, t.camera, t.time_s).expect("as before");
+        seconds += start.elapsed().as_secs_f64();
+        let (s, n) = mean_square(&image, &t.image, None);
+        whole = (whole.0 + s, whole.1 + n);
+        let (s, n) = mean_square(&image, &t.image, Some(&t.moving));
+        moving = (moving.0 + s, moving.1 + n);
+    }
+    let psnr = |(s, n): (f64, f64)| -10.0 * (s / n).log10();
+    (psnr(whole), psnr(moving), 1e3 * seconds / targets.len() as f64)
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let sweep = std::env::args().any(|a| a == "--sweep");
+    for folder in std::env::args().skip(1).filter(|a| !a.starts_with("--")) {
+        let capture = Arc::new(Capture::open(folder.as_ref())?);
+        let truth = Truth::open(folder.as_ref())?.ok_or("has no truth")?;
+        let mut targets = Vec::new();
+        for view in &truth.views {
+            let Some(camera) = view.like.as_ref().and_then(|id| capture.camera_index(id)) else {
+                continue;
+            };
+            let (image, _) = read_image(&truth.file(&view.image)?)?;
+            let (w, _, motion) = read_array(&truth.file(&view.motion)?)?;
+            let moving = moving_part(&motion, w, 0.5, 2);
+            let time_s = view.time_s - capture.time_origin_s;
+            targets.push(Target { camera, time_s, image, moving });
+        }
+        // The truth's offsets: this benchmark is about interpolation alone.
+        let offsets = Offsets {
+            reference: capture.cameras[capture.reference].id.clone(),
+            cameras: capture
+                .cameras
+                .iter()
+                .map(|c| CameraOffset {
+                    id: c.id.clone(),
+                    offset_s: truth.offset_s(&c.id),
+                    std_err_s: Some(0.0),
+                    reason: None,
+                })
+                .collect(),
+        };
+        let field = |change: &dyn Fn(&mut RenderOptions)| {
+            let mut options = RenderOptions::default();
+            change(&mut options);
+            LightField::new(capture.clone(), offsets.clone(), options)
+        };
+        println!("{folder}: PSNR whole, moving [dB]; ms an image, registration cached");
+        let default = field(&|_| ());
+        for sync in
+            [Sync::Nearest, Sync::Crossfade, Sync::Triangulation, Sync::Morph, Sync::EdgeMorph]
+        {
+            let (whole, moving, ms) = score(&default, sync, &targets);
+            println!("  {:32} {whole:6.2} {moving:6.2} {ms:8.1}", format!("{sync:?}"));
+        }
+        if !sweep {
+            continue;
+        }
+        type Change = Box<dyn Fn(&mut RenderOptions)>;
+        let mut cases: Vec<(String, Change)> = Vec::new();
+        cases.push(("straight".into(), Box::new(|o| o.interpolation.curved = false)));
+        cases.push(("no epipolar".into(), Box::new(|o| o.registration.epipolar_test = false)));
+        cases.push(("ends only".into(), Box::new(|o| o.interpolation.edges.all_features = false)));
+        for b in [2.0, 3.0, 4.0] {
+            for a in [0.5, 1.0, 2.0, 4.0] {
+                cases.push((
+                    format!("a {a} b {b}"),
+                    Box::new(move |o| {
+                        o.interpolation.morph.a = a;
+                        o.interpolation.morph.b = b;
+                    }),
+                ));
+            }
+        }
+        for tau in [0.0, 2.0, 4.0, 6.0] {
+            cases.push((format!("tau {tau}"), Box::new(move |o| o.interpolation.morph.tau = tau)));
+        }
+        for grid in [1, 2, 8] {
+            cases.push((
+                format!("grid {grid}"),
+                Box::new(move |o| o.interpolation.morph.grid_px = grid),
+            ));
+        }
+        for f in [0.04, 0.12, 0.2] {
+            cases.push((
+                format!("fitness {f}"),
+                Box::new(move |o| o.interpolation.edges.min_fitness = f),
+            ));
+        }
+        for r in [3, 4, 7] {
+            cases
+                .push((format!("radius {r}"), Box::new(move |o| o.registration.klt.radius_px = r)));
+        }
+        for d in [3.0, 6.0] {
+            cases.push((
+                format!("distance {d}"),
+                Box::new(move |o| o.registration.corners.min_distance_px = d),
+            ));
+        }
+        for q in [1e-4, 1e-2] {
+            cases.push((
+                format!("quality {q}"),
+                Box::new(move |o| o.registration.corners.min_quality = q),
+            ));
+        }
+        for e in [1.0, 1.5, 5.0] {
+            cases.push((format!("epsilon {e}"), Box::new(move |o| o.registration.epsilon_px = e)));
+        }
+        for e in [0.3, 1.5] {
+            cases.push((
+                format!("back error {e}"),
+                Box::new(move |o| o.registration.max_back_error_px = e),
+            ));
+        }
+        for s in [0, 4] {
+            cases.push((format!("support {s}"), Box::new(move |o| o.registration.min_support = s)));
+        }
+        for (name, change) in cases {
+            let (whole, moving, ms) = score(&field(&change), Sync::EdgeMorph, &targets);
+            println!("  {name:32} {whole:6.2} {moving:6.2} {ms:8.1}");
+        }
+    }
+    Ok(())
+}
