@@ -30,7 +30,6 @@ impl Clock {
         gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
     }
 
-
     /// The frame nearest to a time.
     pub fn nearest(&self, time_s: f64) -> usize {
         let after = self.times_s.partition_point(|&t| t < time_s);

@@ -1,14 +1,13 @@
 //! `stlfr demo`
 
-use super::CliError;
 use super::files::must_be_writable;
 use super::values::Size;
+use super::{CliError, compare};
 use std::path::{Path, PathBuf};
 use stlfr::capture::Capture;
 use stlfr::progress::Reporter;
-use stlfr::toolchain::{
-    Environment, FilmOptions, Scene, check, ensure_environment, film, project_root,
-};
+use stlfr::render::RenderOptions;
+use stlfr::toolchain::{FilmOptions, Scene, check, ensure_environment, film, project_root};
 
 /// The main job, end to end: set up, film a scene with eight cameras that are not synchronized,
 /// check the calibration, reconstruct, and compare with the truth.
@@ -42,15 +41,19 @@ const DEFAULT_SIZE: Size = Size { width: 320, height: 240 };
 /// Frames of the true slow motion that `--video` shows.
 const VIDEO_FRAMES: u32 = 48;
 
-/// What the demo works with, once it is set up, filmed and checked.
-pub struct Filmed {
-    pub environment: Environment,
-    pub capture: Capture,
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    let capture = args.film(reporter)?;
+    reporter.note("Reconstructing, and comparing with the truth.");
+    let ffmpeg = args.video.then(compare::ffmpeg).transpose()?;
+    let review = capture.folder.join("review");
+    let options = RenderOptions::default();
+    compare::print(&compare::with_truth(capture, options, &review, ffmpeg, reporter)?);
+    Ok(())
 }
 
 impl Args {
     /// Set-up, film and check.
-    pub fn film(&self, reporter: &Reporter) -> Result<Filmed, CliError> {
+    fn film(&self, reporter: &Reporter) -> Result<Capture, CliError> {
         let root = project_root()?;
         let folder =
             self.output.clone().unwrap_or_else(|| root.join(".captures").join(self.name()));
@@ -67,7 +70,7 @@ impl Args {
         if let Some(reason) = check.values.reason {
             return Err(CliError::Failure(format!("the calibration is off: {reason}")));
         }
-        Ok(Filmed { environment, capture })
+        Ok(capture)
     }
 
     /// A capture is of one film: what is filmed otherwise has another name.

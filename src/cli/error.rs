@@ -2,8 +2,10 @@
 
 use clap::error::ErrorKind;
 use std::process::ExitCode;
-use stlfr::capture::CaptureError;
-use stlfr::toolchain::{ScriptError, SetupError};
+use stlfr::capture::{CaptureError, TruthError};
+use stlfr::compare::CompareError;
+use stlfr::render::RenderError;
+use stlfr::toolchain::{ScriptError, SetupError, VideoError};
 
 /// What ends a command.
 #[derive(Debug, thiserror::Error)]
@@ -34,6 +36,34 @@ impl From<ScriptError> for CliError {
 impl From<CaptureError> for CliError {
     fn from(error: CaptureError) -> Self {
         Self::BadInput(error.to_string())
+    }
+}
+
+impl From<TruthError> for CliError {
+    fn from(error: TruthError) -> Self {
+        Self::BadInput(error.to_string())
+    }
+}
+
+/// What can't be rendered was asked for wrongly: a time outside, a view of nothing.
+impl From<RenderError> for CliError {
+    fn from(error: RenderError) -> Self {
+        Self::BadInput(error.to_string())
+    }
+}
+
+impl From<VideoError> for CliError {
+    fn from(error: VideoError) -> Self {
+        Self::Failure(error.to_string())
+    }
+}
+
+impl From<CompareError> for CliError {
+    fn from(error: CompareError) -> Self {
+        match error {
+            CompareError::Report(_) | CompareError::Video(_) => Self::Failure(error.to_string()),
+            _ => Self::BadInput(error.to_string()),
+        }
     }
 }
 

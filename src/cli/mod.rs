@@ -2,19 +2,13 @@
 
 mod capture;
 mod check;
-#[allow(dead_code)] // until it is wired
 mod compare;
-#[allow(dead_code)] // until it is wired
 mod demo;
 mod error;
-#[allow(dead_code)] // until `render` is wired
 mod files;
-#[allow(dead_code)] // until it is wired
 mod offsets;
-#[allow(dead_code)] // until it is wired
 mod render;
 mod setup;
-#[allow(dead_code)] // until `render` is wired
 mod span;
 mod values;
 
@@ -44,9 +38,13 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Demo(demo::Args),
     Setup(setup::Args),
     Capture(capture::Args),
     Check(check::Args),
+    Offsets(offsets::Args),
+    Render(Box<render::Args>),
+    Compare(compare::Args),
 }
 
 impl Cli {
@@ -54,9 +52,13 @@ impl Cli {
     pub fn run(&self) -> Result<(), CliError> {
         let reporter = Reporter::new(self.quiet);
         match &self.command {
+            Command::Demo(args) => demo::run(args, &reporter),
             Command::Setup(args) => setup::run(args, &reporter),
             Command::Capture(args) => capture::run(args, &reporter),
             Command::Check(args) => check::run(args, &reporter),
+            Command::Offsets(args) => offsets::run(args, &reporter),
+            Command::Render(args) => render::run(args, &reporter),
+            Command::Compare(args) => compare::run(args, &reporter),
         }
     }
 }

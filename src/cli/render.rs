@@ -1,10 +1,17 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::files::read_view;
+use super::files::{must_be_writable, options_or_default, read_view};
 use super::span::{Output, Times};
 use std::path::PathBuf;
+use std::sync::Arc;
 use stlfr::camera::Camera;
+use stlfr::capture::{BitDepth, Capture, write_image};
+use stlfr::interpolation::Sync;
+use stlfr::progress::Reporter;
+use stlfr::raster::Image;
+use stlfr::render::{LightField, ProxyRung, RenderOptions};
+use stlfr::toolchain::{VideoWriter, find_ffmpeg, project_root};
 
 /// Render the view of any camera at any instant, or over a span of time.
 #[derive(Debug, clap::Args)]
@@ -45,7 +52,13 @@ pub struct Args {
     /// The image, for --times a pattern such as out/%04d.png or a video such as out.mkv.
     #[arg(short, long, value_name = "FILE")]
     output: Output,
-    /// Options of all stages, a JSON file.
+    /// How each camera's image at the instant is made.
+    #[arg(long, value_name = "RUNG", value_enum)]
+    sync: Option<Sync>,
+    /// What stands for the scene's shape.
+    #[arg(long, value_name = "RUNG", value_enum)]
+    proxy: Option<ProxyRung>,
+    /// Options of all stages, a JSON file; --sync and --proxy go before it.
     #[arg(long, value_name = "FILE")]
     options: Option<PathBuf>,
 }
@@ -56,6 +69,12 @@ pub struct Request {
     pub view: View,
     /// Seconds on the reference's clock as its file has it: subtract the capture's origin.
     pub times_s: Vec<f64>,
+}
+
+/// Where finished images go.
+enum Writer<'a> {
+    Files(&'a Output),
+    Video { path: PathBuf, ffmpeg: PathBuf, rate_hz: f64, video: Option<VideoWriter> },
 }
 
 /// From where.
@@ -85,6 +104,101 @@ impl Args {
             (None, None) => return wrong("--camera or --like must be given"),
         };
         Ok(Request { view, times_s })
+    }
+}
+
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    let request = args.request()?;
+    let mut options: RenderOptions = options_or_default(args.options.as_deref())?;
+    options.sync = args.sync.unwrap_or(options.sync);
+    options.proxy.rung = args.proxy.unwrap_or(options.proxy.rung);
+    let capture = Arc::new(Capture::open(&args.capture)?);
+    let like = match &request.view {
+        View::Like(id) => Some(capture.camera_index(id).ok_or_else(|| {
+            CliError::BadInput(format!("--like: no camera of this capture has the id '{id}'"))
+        })?),
+        View::Camera(_) => None,
+    };
+    let first = args.output.file(0).unwrap_or_default();
+    must_be_writable(&first)?;
+    let mut writer = Writer::new(&args.output, &capture)?;
+    let depth = capture.bit_depth();
+
+    let field = LightField::open(capture.clone(), options, reporter)?;
+    warn_of_unknown_clocks(&field, reporter);
+    let task = reporter.task("rendering", request.times_s.len());
+    for (index, time_s) in request.times_s.iter().enumerate() {
+        let time_s = time_s - capture.time_origin_s;
+        match (&request.view, like) {
+            (View::Camera(camera), _) => {
+                let rendered = field.view(camera, time_s)?;
+                writer.write(index, &rendered.image, Some(&rendered.coverage), depth)?;
+            }
+            (View::Like(_), camera) => {
+                let image = field.synchronized(camera.unwrap_or_default(), time_s)?;
+                writer.write(index, &image, None, depth)?;
+            }
+        }
+        task.advance(1);
+    }
+    drop(task);
+    writer.finish()
+}
+
+fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
+    let unknown: Vec<&str> = field
+        .offsets()
+        .cameras
+        .iter()
+        .filter(|c| c.offset_s.is_none())
+        .map(|c| c.id.as_str())
+        .collect();
+    if !unknown.is_empty() {
+        reporter.note(&format!("Left out, their clocks being unknown: {}.", unknown.join(", ")));
+    }
+}
+
+impl<'a> Writer<'a> {
+    fn new(output: &'a Output, capture: &Capture) -> Result<Self, CliError> {
+        let Output::Video(path) = output else { return Ok(Self::Files(output)) };
+        let ffmpeg = project_root().ok().and_then(|root| find_ffmpeg(&root)).ok_or_else(|| {
+            CliError::Failure("a video needs ffmpeg: install it, or run stlfr setup".into())
+        })?;
+        let frame_s = capture.frame_s();
+        let rate_hz = if frame_s > 0.0 { 1.0 / frame_s } else { 30.0 };
+        Ok(Self::Video { path: path.clone(), ffmpeg, rate_hz, video: None })
+    }
+
+    fn write(
+        &mut self,
+        index: usize,
+        image: &Image,
+        coverage: Option<&[bool]>,
+        depth: BitDepth,
+    ) -> Result<(), CliError> {
+        match self {
+            Self::Files(output) => {
+                let path = output.file(index).unwrap_or_default();
+                let coverage = coverage.filter(|c| c.contains(&false));
+                Ok(write_image(&path, image, coverage, depth)?)
+            }
+            Self::Video { path, ffmpeg, rate_hz, video } => {
+                let video = match video {
+                    Some(video) => video,
+                    None => {
+                        video.insert(VideoWriter::create(ffmpeg, path, image, depth, *rate_hz)?)
+                    }
+                };
+                Ok(video.push(image)?)
+            }
+        }
+    }
+
+    fn finish(self) -> Result<(), CliError> {
+        match self {
+            Self::Video { video: Some(video), .. } => Ok(video.finish()?),
+            _ => Ok(()),
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 //! converts back. Bad input is a `ValueError` with the sentence that the command line prints.
 
 mod capture;
+mod convert;
 
 use pyo3::prelude::*;
 

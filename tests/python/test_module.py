@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import threading
@@ -10,6 +11,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -166,3 +168,92 @@ def test_threads_run_while_it_works(capture_dir: Path) -> None:
         sys.setswitchinterval(interval_s)
         worker.join()
     assert count > 3
+
+
+@pytest.fixture(scope="module")
+def own_capture(capture_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy to write offsets.json into."""
+    return Path(
+        shutil.copytree(capture_dir, tmp_path_factory.mktemp("captures") / "own")
+    )
+
+
+def test_offsets_are_the_command_lines(own_capture: Path, program: Path) -> None:
+    """Estimated here, and printed there from a copy without them: the same numbers."""
+    offsets = stlfr.open(own_capture).offsets()
+    assert offsets["reference"] == "cam3"
+    (own_capture / "offsets.json").unlink()
+    printed = subprocess.run(
+        [program, "-q", "offsets", own_capture, "--json"],
+        capture_output=True,
+        check=True,
+    )
+    assert json.loads(printed.stdout) == offsets
+
+
+def test_images_are_the_command_lines(
+    own_capture: Path, program: Path, tmp_path: Path
+) -> None:
+    """A view, one that is partly seen, and a synchronized image: the same samples."""
+    capture = stlfr.open(own_capture)
+    time_s = float(np.mean(capture.times("cam3")))
+    view = {
+        k: described(own_capture)[3][k]
+        for k in ("width", "height", "model", "params", "cam_from_world")
+    }
+    aside = json.loads(json.dumps(view))
+    aside["cam_from_world"]["translation"][0] -= 0.6
+    file, image = tmp_path / "view.json", tmp_path / "image.png"
+    for given, alpha in [(view, False), (aside, True), (None, False)]:
+        file.write_text(json.dumps(given))
+        if given:
+            where, rendered = (
+                ["--camera", str(file)],
+                capture.render(time_s, camera=given),
+            )
+        else:
+            where, rendered = ["--like", "cam3"], capture.render(time_s, like="cam3")
+        command = [
+            program,
+            "-q",
+            "render",
+            own_capture,
+            *where,
+            "--time",
+            repr(time_s),
+            "-o",
+            image,
+        ]
+        subprocess.run(command, check=True)
+        written = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
+        assert written is not None
+        order = [2, 1, 0, 3] if written.shape[2] == 4 else [2, 1, 0]
+        np.testing.assert_array_equal(rendered, written[:, :, order])
+        assert not alpha or rendered.shape[2] == 4
+
+
+def test_what_cannot_be_rendered_is_a_value_error(
+    own_capture: Path, program: Path, tmp_path: Path
+) -> None:
+    """With the command line's sentence."""
+    capture = stlfr.open(own_capture)
+    with pytest.raises(ValueError, match="either camera or like"):
+        capture.render(0.0)
+    with pytest.raises(ValueError, match="options: unknown field `speed`"):
+        capture.render(0.0, like="cam3", options={"speed": 11})
+    with pytest.raises(ValueError, match="cam3") as raised:
+        capture.render(99.0, like="cam3")
+    command = [
+        program,
+        "-q",
+        "render",
+        own_capture,
+        "--like",
+        "cam3",
+        "--time",
+        "99",
+        "-o",
+        tmp_path / "x.png",
+    ]
+    printed = subprocess.run(command, capture_output=True, text=True)
+    assert (printed.returncode, printed.stderr) == (2, f"{raised.value}\n")
