@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 #[test]
 fn every_command_has_help_with_an_example() {
     let help = String::from_utf8(run(&["--help"]).stdout).unwrap();
-    for command in ["setup", "capture", "check"] {
+    for command in ["demo", "setup", "capture", "check", "offsets", "render", "compare"] {
         assert!(help.contains(&format!("\n  {command} ")), "{help}");
         let output = run(&[command, "--help"]);
         let text = String::from_utf8(output.stdout).unwrap();

@@ -105,7 +105,9 @@ def test_bad_input_is_a_value_error(capture_dir: Path) -> None:
     for shape in [(3,), (4, 2), (2, 3, 3)]:
         with pytest.raises(ValueError, match=r"points: .*must be \(N, 3\)"):
             capture.project("cam0", np.zeros(shape))
-    with pytest.raises(ValueError, match="no camera has the id 'cam99'"):
+    with pytest.raises(
+        ValueError, match="no camera of this capture has the id 'cam99'"
+    ):
         capture.times("cam99")
 
 
@@ -213,7 +215,7 @@ def test_images_are_the_command_lines(
             )
         else:
             where, rendered = ["--like", "cam3"], capture.render(time_s, like="cam3")
-        command = [
+        command: list[str | Path] = [
             program,
             "-q",
             "render",
@@ -243,7 +245,7 @@ def test_what_cannot_be_rendered_is_a_value_error(
         capture.render(0.0, like="cam3", options={"speed": 11})
     with pytest.raises(ValueError, match="cam3") as raised:
         capture.render(99.0, like="cam3")
-    command = [
+    command: list[str | Path] = [
         program,
         "-q",
         "render",

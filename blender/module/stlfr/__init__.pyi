@@ -1,13 +1,14 @@
 """Space-time light field rendering: open a capture, project points, estimate offsets, render."""
 
 from os import PathLike
-from typing import Any, TypedDict, final
+from typing import Any, TypedDict, final, type_check_only
 
 import numpy as np
 import numpy.typing as npt
 
 __version__: str
 
+@type_check_only
 class CameraOffset(TypedDict, total=False):
     """Time on the reference's clock = time on the camera's clock + offset_s; None is unknown."""
 
@@ -16,6 +17,7 @@ class CameraOffset(TypedDict, total=False):
     std_err_s: float | None
     reason: str
 
+@type_check_only
 class Offsets(TypedDict):
     """The offset of every camera."""
 
