@@ -29,6 +29,9 @@ pub mod interpolation;
 pub mod lumigraph;
 pub mod offset;
 pub mod progress;
+#[cfg(feature = "python")]
+mod python;
 pub mod raster;
 pub mod registration;
 pub mod render;
+pub mod toolchain;

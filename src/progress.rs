@@ -1,6 +1,7 @@
 //! Progress with time left, on a terminal; nothing elsewhere.
 
 use indicatif::{ProgressBar, ProgressStyle};
+use std::time::Duration;
 
 /// Where long work reports to: standard error, and only if that is a terminal.
 #[derive(Clone, Copy, Debug)]
@@ -10,6 +11,9 @@ pub struct Reporter {
 
 /// One piece of long work; its bar vanishes when it is dropped.
 pub struct Task(ProgressBar);
+
+/// How often a phase shows that it is alive.
+const TICK: Duration = Duration::from_millis(200);
 
 impl Reporter {
     pub fn new(quiet: bool) -> Self {
@@ -36,6 +40,18 @@ impl Reporter {
         Task(ProgressBar::new(total as u64).with_style(style).with_message(label.to_owned()))
     }
 
+    /// Starts work whose steps can't be counted: its time so far is shown.
+    pub fn phase(&self, label: &str) -> Task {
+        if self.quiet {
+            return Task(ProgressBar::hidden());
+        }
+        let style = ProgressStyle::with_template("{spinner} {msg}  {elapsed}")
+            .expect("the template is a constant");
+        let bar = ProgressBar::new_spinner().with_style(style).with_message(label.to_owned());
+        bar.enable_steady_tick(TICK);
+        Task(bar)
+    }
+
     /// One sentence for the user.
     pub fn note(&self, sentence: &str) {
         if !self.quiet {
@@ -51,6 +67,22 @@ impl Task {
 
     pub fn set(&self, done: usize) {
         self.0.set_position(done as u64);
+    }
+
+    /// Says that `done` steps were there before, which tells nothing about the time left.
+    pub fn resume_at(&self, done: usize) {
+        self.0.set_position(done as u64);
+        self.0.reset_eta();
+    }
+
+    /// Replaces the label.
+    pub fn describe(&self, label: &str) {
+        self.0.set_message(label.to_owned());
+    }
+
+    /// Takes it off the terminal before its end.
+    pub fn hide(&self) {
+        self.0.finish_and_clear();
     }
 }
 

@@ -91,12 +91,18 @@ pub fn write_image(
         .map_err(|source| CaptureError::Read { path: path.to_owned(), source })
 }
 
-fn encode_png(
-    image: &Image,
-    coverage: Option<&[bool]>,
-    depth: BitDepth,
-) -> image::ImageResult<Vec<u8>> {
-    let mut samples = Vec::with_capacity(image.width() * image.height() * 4);
+/// Samples as a file holds them, row by row, channels interleaved.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Samples {
+    Eight(Vec<u8>),
+    Sixteen(Vec<u16>),
+}
+
+/// An image in a file's depth: the number of channels, and the samples. With `coverage` (one value
+/// a pixel, row by row) an alpha channel is among them; where it is false, all of them are 0.
+pub fn quantize(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> (usize, Samples) {
+    let channels = image.channels() + usize::from(coverage.is_some());
+    let mut samples = Vec::with_capacity(image.width() * image.height() * channels);
     for (k, pixel) in image.data().chunks_exact(image.channels()).enumerate() {
         let covered = coverage.is_none_or(|c| c[k]);
         samples.extend(pixel.iter().map(|&v| if covered { v } else { 0.0 }));
@@ -104,27 +110,40 @@ fn encode_png(
             samples.push(if covered { 1.0 } else { 0.0 });
         }
     }
-    let (w, h) = (image.width() as u32, image.height() as u32);
-    let channels = image.channels() + usize::from(coverage.is_some());
     // `f32 as integer` saturates and takes NaN to 0; adding 0.5 rounds.
-    let dynamic = match depth {
+    let samples = match depth {
         BitDepth::Eight => {
-            let raw: Vec<u8> = samples.iter().map(|v| (v * 255.0 + 0.5) as u8).collect();
-            match channels {
-                1 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLuma8),
-                2 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLumaA8),
-                3 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgb8),
-                _ => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgba8),
-            }
+            Samples::Eight(samples.iter().map(|v| (v * 255.0 + 0.5) as u8).collect())
         }
         BitDepth::Sixteen => {
-            let raw: Vec<u16> = samples.iter().map(|v| (v * 65535.0 + 0.5) as u16).collect();
-            match channels {
-                1 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLuma16),
-                2 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLumaA16),
-                3 => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgb16),
-                _ => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgba16),
-            }
+            Samples::Sixteen(samples.iter().map(|v| (v * 65535.0 + 0.5) as u16).collect())
+        }
+    };
+    (channels, samples)
+}
+
+fn encode_png(
+    image: &Image,
+    coverage: Option<&[bool]>,
+    depth: BitDepth,
+) -> image::ImageResult<Vec<u8>> {
+    let (w, h) = (image.width() as u32, image.height() as u32);
+    let dynamic = match quantize(image, coverage, depth) {
+        (1, Samples::Eight(raw)) => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLuma8),
+        (2, Samples::Eight(raw)) => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLumaA8),
+        (3, Samples::Eight(raw)) => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgb8),
+        (_, Samples::Eight(raw)) => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgba8),
+        (1, Samples::Sixteen(raw)) => {
+            ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLuma16)
+        }
+        (2, Samples::Sixteen(raw)) => {
+            ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLumaA16)
+        }
+        (3, Samples::Sixteen(raw)) => {
+            ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgb16)
+        }
+        (_, Samples::Sixteen(raw)) => {
+            ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgba16)
         }
     }
     .expect("the buffer was made for these dimensions");

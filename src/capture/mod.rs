@@ -13,7 +13,7 @@ mod truth;
 
 pub use clock::{Clock, bracket};
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
-pub use image_io::{BitDepth, read_image, write_atomically, write_image};
+pub use image_io::{BitDepth, Samples, quantize, read_image, write_atomically, write_image};
 pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};
 
 use crate::camera::{Camera, CameraFormatError};
@@ -90,6 +90,24 @@ impl Capture {
     /// The camera of that id.
     pub fn camera_index(&self, id: &str) -> Option<usize> {
         self.cameras.iter().position(|c| c.id == id)
+    }
+
+    /// The times of a camera's frames as its file has them (to the last digits), seconds on its own
+    /// clock.
+    pub fn times_in_file_s(&self, camera: usize) -> Vec<f64> {
+        self.cameras[camera].clock.times_s.iter().map(|t| t + self.time_origin_s).collect()
+    }
+
+    /// Refuses a capture of one camera, which has no offsets.
+    pub fn require_two_cameras(&self) -> Result<(), CaptureError> {
+        if self.cameras.len() > 1 {
+            return Ok(());
+        }
+        Err(CaptureError::Field {
+            path: self.folder.join(CAPTURE_FILE),
+            field: "cameras".into(),
+            reason: "there is one, and an offset is between two".into(),
+        })
     }
 
     /// Decodes one frame, as RGB or grey as the camera's `color` says.

@@ -32,6 +32,7 @@ mod filter;
 pub mod flip;
 mod instant;
 mod lettering;
+mod light_field;
 pub mod mask;
 pub mod metrics;
 mod plots;
@@ -44,6 +45,8 @@ pub mod video;
 mod views;
 
 pub use driver::compare;
+
+pub use light_field::{ComparedLightField, sync_name};
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError, TruthError};

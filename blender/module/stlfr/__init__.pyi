@@ -1,0 +1,72 @@
+"""Space-time light field rendering: open a capture, project points, estimate offsets, render."""
+
+from os import PathLike
+from typing import Any, TypedDict, final, type_check_only
+
+import numpy as np
+import numpy.typing as npt
+
+__version__: str
+
+@type_check_only
+class CameraOffset(TypedDict, total=False):
+    """Time on the reference's clock = time on the camera's clock + offset_s; None is unknown."""
+
+    id: str
+    offset_s: float | None
+    std_err_s: float | None
+    reason: str
+
+@type_check_only
+class Offsets(TypedDict):
+    """The offset of every camera."""
+
+    reference: str
+    cameras: list[CameraOffset]
+
+def open(path: str | PathLike[str]) -> Capture:
+    """Open and check a capture's folder. Raises ValueError with one sentence where it is wrong."""
+
+@final
+class Capture:
+    """A capture: calibrated cameras and what they filmed."""
+
+    @property
+    def name(self) -> str:
+        """The capture's name."""
+
+    @property
+    def camera_ids(self) -> list[str]:
+        """The cameras' ids, in the order of capture.json."""
+
+    @property
+    def reference(self) -> str:
+        """The id of the camera whose clock is everybody's time."""
+
+    def project(self, camera_id: str, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """The pixels, (N, 2), that world points, (N, 3) in metres, fall on.
+
+        The top-left pixel's centre is (0.5, 0.5). A point that has no image (behind the camera)
+        gives a row of NaN. Pixels may lie outside the image.
+        """
+
+    def times(self, camera_id: str) -> npt.NDArray[np.float64]:
+        """The middle of every frame's exposure, seconds on the camera's own clock."""
+
+    def offsets(self, options: dict[str, Any] | None = None) -> Offsets:
+        """Every camera's offset: those kept in the capture's folder, else estimated and kept there."""
+
+    def render(
+        self,
+        time_s: float,
+        *,
+        camera: dict[str, Any] | None = None,
+        like: str | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
+        """The view of a camera object as in capture.json, or of a filming camera (`like` its id).
+
+        An array (H, W, channels) in the input's bit depth. Channels are RGB or grey; where no camera
+        sees some of the pixels, alpha comes after them. Time is seconds on the reference's clock.
+        `options` is what a file for `stlfr render --options` holds.
+        """

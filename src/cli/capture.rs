@@ -1,0 +1,78 @@
+//! `stlfr capture`
+
+use super::CliError;
+use super::files::{must_be_a_file, must_be_writable};
+use super::values::Size;
+use std::path::PathBuf;
+use stlfr::progress::Reporter;
+use stlfr::toolchain::{FilmOptions, Scene, ensure_environment, film, project_root};
+
+/// Film a scene in Blender with a simulated camera rig. Stopped at any time, the same command goes
+/// on where it was.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr capture rigs/linear8.json --scene magazine -o .captures/magazine --size 320x240\n  \
+    stlfr capture rigs/linear8.json --blend my-scene.blend -o .captures/mine --frames 30\n\n\
+    In a .blend, an object named `rig` (or else the scene's camera) says where the rig stands.")]
+pub struct Args {
+    /// The rig's file, such as rigs/linear8.json.
+    rig: PathBuf,
+    /// A scene of blender/scenes.
+    #[arg(long, value_name = "NAME", required_unless_present = "blend", conflicts_with = "blend")]
+    scene: Option<String>,
+    /// A .blend file of your own.
+    #[arg(long, value_name = "FILE")]
+    blend: Option<PathBuf>,
+    /// The capture's folder.
+    #[arg(short, long = "output", value_name = "CAPTURE")]
+    output: PathBuf,
+    /// Film all cameras at this size, of the same aspect as in the rig.
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
+    /// Frames a camera [default: 9].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    frames: Option<u32>,
+    /// Samples a pixel, four times as many for truth [default: 16].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    samples: Option<u32>,
+    /// Instants at which the truth is rendered [default: 3].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    instants: Option<u32>,
+    /// Frames of true slow motion from the rig's first view [default: 0].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    truth_video: Option<u32>,
+    /// Film without truth.
+    #[arg(long)]
+    no_truth: bool,
+}
+
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    // Said before a set-up that may take minutes.
+    for file in std::iter::once(&args.rig).chain(&args.blend) {
+        must_be_a_file(file)?;
+    }
+    must_be_writable(&args.output)?;
+    let environment = ensure_environment(&project_root()?, reporter)?;
+    film(&environment, &args.options(), reporter)?;
+    println!("{}", args.output.display());
+    Ok(())
+}
+
+impl Args {
+    fn options(&self) -> FilmOptions {
+        FilmOptions {
+            rig: self.rig.clone(),
+            scene: match (&self.scene, &self.blend) {
+                (_, Some(file)) => Scene::Blend(file.clone()),
+                (name, None) => Scene::Named(name.clone().unwrap_or_default()),
+            },
+            capture: self.output.clone(),
+            size_px: self.size.map(|s| (s.width, s.height)),
+            frames: self.frames,
+            samples: self.samples,
+            instants: self.instants,
+            truth_video: self.truth_video,
+            truth: !self.no_truth,
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! `stlfr compare`
+
+use super::CliError;
+use super::files::{must_be_writable, options_or_default};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use stlfr::capture::{Capture, Truth};
+use stlfr::compare::results::Headline;
+use stlfr::compare::video::VideoOptions;
+use stlfr::compare::{CompareOptions, ComparedLightField, Summary, compare, sync_name};
+use stlfr::progress::Reporter;
+use stlfr::render::RenderOptions;
+use stlfr::toolchain::{find_ffmpeg, project_root};
+
+/// Render what the capture has truth of, and set it beside the truth and beside traditional light
+/// field rendering: pictures, metrics.json and report.html.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr compare .captures/demo\n  \
+    stlfr compare .captures/demo --video -o review")]
+pub struct Args {
+    /// The capture's folder; it must have truth.
+    capture: PathBuf,
+    /// Where the report goes [default: CAPTURE/review].
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// A video too: truth, traditional and space-time light field side by side.
+    #[arg(long)]
+    video: bool,
+    /// Options of all stages, a JSON file.
+    #[arg(long, value_name = "FILE")]
+    options: Option<PathBuf>,
+}
+
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    let options = options_or_default(args.options.as_deref())?;
+    let capture = Capture::open(&args.capture)?;
+    let out = args.output.clone().unwrap_or_else(|| args.capture.join("review"));
+    let ffmpeg = args.video.then(ffmpeg).transpose()?;
+    print(&with_truth(capture, options, &out, ffmpeg, reporter)?);
+    Ok(())
+}
+
+/// An ffmpeg, or what to do.
+pub fn ffmpeg() -> Result<PathBuf, CliError> {
+    find_ffmpeg(&project_root()?).ok_or_else(|| {
+        CliError::Failure("--video needs ffmpeg: install it, or run stlfr setup".into())
+    })
+}
+
+/// Reconstructs and compares; with a video if there is an ffmpeg for it.
+pub fn with_truth(
+    capture: Capture,
+    options: RenderOptions,
+    out: &Path,
+    ffmpeg: Option<PathBuf>,
+    reporter: &Reporter,
+) -> Result<Summary, CliError> {
+    must_be_writable(&out.join("report.html"))?;
+    let truth = Truth::open(&capture.folder)?;
+    let compare_options = CompareOptions {
+        sync: sync_name(options.sync),
+        video: ffmpeg.map(|ffmpeg| VideoOptions { ffmpeg, ..VideoOptions::default() }),
+        ..CompareOptions::default()
+    };
+    let field = ComparedLightField::open(Arc::new(capture), options, reporter)?;
+    Ok(compare(&field, truth.as_ref(), out, &compare_options, reporter)?)
+}
+
+/// The numbers that matter, and where the rest is.
+pub fn print(summary: &Summary) {
+    for line in lines(&summary.headline) {
+        println!("{line}");
+    }
+    if let Some(video) = &summary.video {
+        println!("video: {}", video.display());
+    }
+    println!("report: {}", summary.report.display());
+}
+
+fn lines(headline: &Headline) -> Vec<String> {
+    let shown = |value: Option<f64>, unit: &str, decimals: usize| match value {
+        Some(value) => format!("{value:.decimals$} {unit}"),
+        None => "unknown".to_owned(),
+    };
+    let (offset, sync) = (&headline.offset, &headline.sync);
+    let mut lines = vec![
+        format!(
+            "offsets: worst error {}, median {}; {} of {} unknown clocks estimated",
+            shown(offset.worst_frames, "frame", 4),
+            shown(offset.median_frames, "frame", 4),
+            offset.estimated,
+            offset.unknown_clocks,
+        ),
+        format!(
+            "synchronized images, {}: {} over the nearest frame on the moving part (median of {}; least {})",
+            sync.rung,
+            shown(sync.median_gain_db, "dB", 2),
+            sync.images,
+            shown(sync.least_gain_db, "dB", 2),
+        ),
+    ];
+    lines.extend(headline.views.iter().map(|view| {
+        format!(
+            "views, {} proxy: {} over traditional LFR on the moving part, {} below perfect sync",
+            view.proxy,
+            shown(view.gain_moving_db, "dB", 2),
+            shown(view.gap_moving_db, "dB", 2),
+        )
+    }));
+    if headline.left_out > 0 {
+        lines.push(format!("left out {} times; the report says what and why", headline.left_out));
+    }
+    lines
+}

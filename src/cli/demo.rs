@@ -1,0 +1,103 @@
+//! `stlfr demo`
+
+use super::files::must_be_writable;
+use super::values::Size;
+use super::{CliError, compare};
+use std::path::{Path, PathBuf};
+use stlfr::capture::Capture;
+use stlfr::progress::Reporter;
+use stlfr::render::RenderOptions;
+use stlfr::toolchain::{FilmOptions, Scene, check, ensure_environment, film, project_root};
+
+/// The main job, end to end: set up, film a scene with eight cameras that are not synchronized,
+/// check the calibration, reconstruct, and compare with the truth.
+///
+/// Stopped at any time, it goes on where it was; what is filmed is kept.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr demo\n  \
+    stlfr demo --size 640x480 --video -o .captures/demo-large")]
+pub struct Args {
+    /// Size of the images.
+    #[arg(long, value_name = "WxH", default_value_t = DEFAULT_SIZE)]
+    size: Size,
+    /// Frames a camera [default: 9].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=100_000))]
+    frames: Option<u32>,
+    /// Samples a pixel [default: 16].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    samples: Option<u32>,
+    /// A video too: truth, traditional and space-time light field side by side.
+    #[arg(long)]
+    video: bool,
+    /// The capture's folder [default: .captures/demo in the source folder; what is filmed with
+    /// other options than the defaults has a folder of its own beside it].
+    #[arg(short, long, value_name = "CAPTURE")]
+    output: Option<PathBuf>,
+}
+
+const DEFAULT_SIZE: Size = Size { width: 320, height: 240 };
+
+/// Frames of the true slow motion that `--video` shows.
+const VIDEO_FRAMES: u32 = 48;
+
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    let capture = args.film(reporter)?;
+    reporter.note("Reconstructing, and comparing with the truth.");
+    let ffmpeg = args.video.then(compare::ffmpeg).transpose()?;
+    let review = capture.folder.join("review");
+    let options = RenderOptions::default();
+    compare::print(&compare::with_truth(capture, options, &review, ffmpeg, reporter)?);
+    Ok(())
+}
+
+impl Args {
+    /// Set-up, film and check.
+    fn film(&self, reporter: &Reporter) -> Result<Capture, CliError> {
+        let root = project_root()?;
+        let folder =
+            self.output.clone().unwrap_or_else(|| root.join(".captures").join(self.name()));
+        must_be_writable(&folder)?;
+        let environment = ensure_environment(&root, reporter)?;
+        reporter.note(&format!("Filming the scene magazine into {}.", folder.display()));
+        film(&environment, &self.options(&root, folder.clone()), reporter)?;
+        let capture = Capture::open(&folder)?;
+        reporter.note("Checking the calibration with COLMAP.");
+        let check = check(&environment, &folder, None, reporter)?;
+        for line in &check.table {
+            reporter.note(line);
+        }
+        if let Some(reason) = check.values.reason {
+            return Err(CliError::Failure(format!("the calibration is off: {reason}")));
+        }
+        Ok(capture)
+    }
+
+    /// A capture is of one film: what is filmed otherwise has another name.
+    fn name(&self) -> String {
+        let mut name = "demo".to_owned();
+        if self.size != DEFAULT_SIZE {
+            name += &format!("-{}x{}", self.size.width, self.size.height);
+        }
+        name += &self.frames.map_or(String::new(), |n| format!("-{n}frames"));
+        name += &self.samples.map_or(String::new(), |n| format!("-{n}samples"));
+        if self.video {
+            name += "-video";
+        }
+        name
+    }
+
+    fn options(&self, root: &Path, capture: PathBuf) -> FilmOptions {
+        FilmOptions {
+            rig: root.join("rigs/linear8.json"),
+            scene: Scene::Named("magazine".into()),
+            capture,
+            size_px: Some((self.size.width, self.size.height)),
+            frames: self.frames,
+            samples: self.samples,
+            instants: None,
+            truth_video: self.video.then_some(VIDEO_FRAMES),
+            truth: true,
+        }
+    }
+}

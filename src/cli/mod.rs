@@ -1,0 +1,75 @@
+//! The commands: what they take, and the one call that each makes.
+
+mod capture;
+mod check;
+mod compare;
+mod demo;
+mod error;
+mod files;
+mod offsets;
+mod render;
+mod setup;
+mod span;
+mod values;
+
+pub use error::{exit, usage};
+
+use clap::{Parser, Subcommand};
+use error::CliError;
+use stlfr::progress::Reporter;
+
+/// The view from anywhere, at any instant, from cameras that are not synchronized.
+#[derive(Debug, Parser)]
+#[command(
+    name = "stlfr",
+    version,
+    propagate_version = true,
+    arg_required_else_help = true,
+    after_help = "Exit codes: 0 done, 2 something given is wrong, 1 the work failed.\n\
+                  Times are seconds on the reference camera's clock."
+)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// No progress and no notes; errors still go to stderr.
+    #[arg(long, short, global = true)]
+    quiet: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Demo(demo::Args),
+    Setup(setup::Args),
+    Capture(capture::Args),
+    Check(check::Args),
+    Offsets(offsets::Args),
+    Render(Box<render::Args>),
+    Compare(compare::Args),
+}
+
+impl Cli {
+    /// Does what was asked for.
+    pub fn run(&self) -> Result<(), CliError> {
+        let reporter = Reporter::new(self.quiet);
+        match &self.command {
+            Command::Demo(args) => demo::run(args, &reporter),
+            Command::Setup(args) => setup::run(args, &reporter),
+            Command::Capture(args) => capture::run(args, &reporter),
+            Command::Check(args) => check::run(args, &reporter),
+            Command::Offsets(args) => offsets::run(args, &reporter),
+            Command::Render(args) => render::run(args, &reporter),
+            Command::Compare(args) => compare::run(args, &reporter),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_definitions_hold() {
+        Cli::command().debug_assert();
+    }
+}

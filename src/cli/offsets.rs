@@ -1,0 +1,63 @@
+//! `stlfr offsets`
+
+use super::CliError;
+use super::files::options_or_default;
+use std::path::PathBuf;
+use std::sync::Arc;
+use stlfr::capture::Capture;
+use stlfr::offset::{Offsets, known_or_kept_or_estimated};
+use stlfr::progress::Reporter;
+use stlfr::render::RenderOptions;
+
+/// Estimate how far each camera's clock is off the reference's, with its standard error, from the
+/// pixels alone.
+///
+/// Time on the reference's clock = time on the camera's clock + offset.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr offsets .captures/demo\n  \
+    stlfr offsets .captures/demo --json > offsets.json")]
+pub struct Args {
+    /// The capture's folder.
+    capture: PathBuf,
+    /// Print JSON and nothing else.
+    #[arg(long)]
+    json: bool,
+    /// Options of all stages, a JSON file.
+    #[arg(long, value_name = "FILE")]
+    options: Option<PathBuf>,
+}
+
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    let options: RenderOptions = options_or_default(args.options.as_deref())?;
+    let capture = Arc::new(Capture::open(&args.capture)?);
+    capture.require_two_cameras()?;
+    let offsets =
+        known_or_kept_or_estimated(&capture, &options.offset, &options.registration, reporter)?;
+    if args.json {
+        let json = serde_json::to_string_pretty(&offsets);
+        println!("{}", json.map_err(|e| CliError::Failure(e.to_string()))?);
+    } else {
+        print_table(&offsets, capture.frame_s());
+    }
+    Ok(())
+}
+
+fn print_table(offsets: &Offsets, frame_s: f64) {
+    println!("{:<12} {:>12} {:>12} {:>10}", "camera", "offset", "std. error", "frames");
+    for camera in &offsets.cameras {
+        match (camera.offset_s, camera.std_err_s) {
+            (Some(offset_s), std_err_s) => println!(
+                "{:<12} {:>9.4} ms {:>9.4} ms {:>10.4}",
+                camera.id,
+                1e3 * offset_s,
+                1e3 * std_err_s.unwrap_or(f64::NAN),
+                if frame_s > 0.0 { offset_s / frame_s } else { 0.0 },
+            ),
+            _ => {
+                println!("{:<12} unknown: {}", camera.id, camera.reason.as_deref().unwrap_or("-"));
+            }
+        }
+    }
+    println!("Time on {}'s clock = time on the camera's clock + offset.", offsets.reference);
+}

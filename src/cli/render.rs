@@ -1,0 +1,252 @@
+//! `stlfr render`
+
+use super::CliError;
+use super::files::{must_be_writable, options_or_default, read_view};
+use super::span::{Output, Times};
+use std::path::PathBuf;
+use std::sync::Arc;
+use stlfr::camera::Camera;
+use stlfr::capture::{BitDepth, Capture, write_image};
+use stlfr::interpolation::Sync;
+use stlfr::progress::Reporter;
+use stlfr::raster::Image;
+use stlfr::render::{LightField, ProxyRung, RenderOptions};
+use stlfr::toolchain::{VideoWriter, find_ffmpeg, project_root};
+
+/// Render the view of any camera at any instant, or over a span of time.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr render .captures/demo --like cam3 --time 0.1 -o cam3.png\n  \
+    stlfr render .captures/demo --camera view.json --time 0.1 -o view.png\n  \
+    stlfr render .captures/demo --camera view.json --times 0.05:0.25:60 -o out/%04d.png\n  \
+    stlfr render .captures/demo --like cam3 --times 0.05:0.25:60 -o slow.mkv\n\n\
+    A view is a camera object as in capture.json:\n  \
+    {\"width\": 640, \"height\": 480, \"model\": \"PINHOLE\", \"params\": [686.2, 686.2, 320, 240],\n   \
+    \"cam_from_world\": {\"rotation_wxyz\": [1, 0, 0, 0], \"translation\": [0, 0, 0]}}")]
+pub struct Args {
+    /// The capture's folder.
+    capture: PathBuf,
+    /// The view, a JSON file.
+    #[arg(
+        long,
+        value_name = "VIEW.json",
+        required_unless_present = "like",
+        conflicts_with = "like"
+    )]
+    camera: Option<PathBuf>,
+    /// The place of a camera that filmed: its image at an instant at which it took none.
+    #[arg(long, value_name = "CAMERA")]
+    like: Option<String>,
+    /// The instant, seconds on the reference camera's clock.
+    #[arg(
+        long,
+        value_name = "SECONDS",
+        allow_negative_numbers = true,
+        required_unless_present = "times",
+        conflicts_with = "times"
+    )]
+    time: Option<f64>,
+    /// N instants evenly from START to END, both included: slow motion in one run.
+    #[arg(long, value_name = "START:END:N", allow_hyphen_values = true)]
+    times: Option<Times>,
+    /// The image, for --times a pattern such as out/%04d.png or a video such as out.mkv.
+    #[arg(short, long, value_name = "FILE")]
+    output: Output,
+    /// How each camera's image at the instant is made.
+    #[arg(long, value_name = "RUNG", value_enum)]
+    sync: Option<Sync>,
+    /// What stands for the scene's shape.
+    #[arg(long, value_name = "RUNG", value_enum)]
+    proxy: Option<ProxyRung>,
+    /// Options of all stages, a JSON file; --sync and --proxy go before it.
+    #[arg(long, value_name = "FILE")]
+    options: Option<PathBuf>,
+}
+
+/// What is to be rendered, checked as far as it can be without the capture.
+#[derive(Debug)]
+pub struct Request {
+    pub view: View,
+    /// Seconds on the reference's clock as its file has it: subtract the capture's origin.
+    pub times_s: Vec<f64>,
+}
+
+/// Where finished images go.
+enum Writer<'a> {
+    Files(&'a Output),
+    Video { path: PathBuf, ffmpeg: PathBuf, rate_hz: f64, video: Option<VideoWriter> },
+}
+
+/// From where.
+#[derive(Debug)]
+pub enum View {
+    Camera(Box<Camera>),
+    Like(String),
+}
+
+impl Args {
+    /// What is asked for.
+    pub fn request(&self) -> Result<Request, CliError> {
+        let wrong = |sentence: &str| Err(CliError::BadInput(sentence.to_owned()));
+        let times_s = match (self.time, &self.times, &self.output) {
+            (Some(time_s), _, _) if !time_s.is_finite() => return wrong("--time: must be finite"),
+            (Some(time_s), _, Output::Image(_)) => vec![time_s],
+            (Some(_), ..) => return wrong("--time gives one image: -o must name a .png"),
+            (None, Some(_), Output::Image(_)) => {
+                return wrong("--times gives many images: -o must be like out/%04d.png or out.mkv");
+            }
+            (None, Some(times), _) => times.instants_s(),
+            (None, None, _) => return wrong("--time or --times must be given"),
+        };
+        let view = match (&self.camera, &self.like) {
+            (Some(file), _) => View::Camera(Box::new(read_view(file)?)),
+            (None, Some(id)) => View::Like(id.clone()),
+            (None, None) => return wrong("--camera or --like must be given"),
+        };
+        Ok(Request { view, times_s })
+    }
+}
+
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    let request = args.request()?;
+    let mut options: RenderOptions = options_or_default(args.options.as_deref())?;
+    options.sync = args.sync.unwrap_or(options.sync);
+    options.proxy.rung = args.proxy.unwrap_or(options.proxy.rung);
+    let capture = Arc::new(Capture::open(&args.capture)?);
+    let like = match &request.view {
+        View::Like(id) => Some(capture.camera_index(id).ok_or_else(|| {
+            CliError::BadInput(format!("--like: no camera of this capture has the id '{id}'"))
+        })?),
+        View::Camera(_) => None,
+    };
+    let first = args.output.file(0).unwrap_or_default();
+    must_be_writable(&first)?;
+    let mut writer = Writer::new(&args.output, &capture)?;
+    let depth = capture.bit_depth();
+
+    let field = LightField::open(capture.clone(), options, reporter)?;
+    warn_of_unknown_clocks(&field, reporter);
+    let task = reporter.task("rendering", request.times_s.len());
+    for (index, time_s) in request.times_s.iter().enumerate() {
+        let time_s = time_s - capture.time_origin_s;
+        match (&request.view, like) {
+            (View::Camera(camera), _) => {
+                let rendered = field.view(camera, time_s)?;
+                writer.write(index, &rendered.image, Some(&rendered.coverage), depth)?;
+            }
+            (View::Like(_), camera) => {
+                let image = field.synchronized(camera.unwrap_or_default(), time_s)?;
+                writer.write(index, &image, None, depth)?;
+            }
+        }
+        task.advance(1);
+    }
+    drop(task);
+    writer.finish()
+}
+
+fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
+    let unknown: Vec<&str> = field
+        .offsets()
+        .cameras
+        .iter()
+        .filter(|c| c.offset_s.is_none())
+        .map(|c| c.id.as_str())
+        .collect();
+    if !unknown.is_empty() {
+        reporter.note(&format!("Left out, their clocks being unknown: {}.", unknown.join(", ")));
+    }
+}
+
+impl<'a> Writer<'a> {
+    fn new(output: &'a Output, capture: &Capture) -> Result<Self, CliError> {
+        let Output::Video(path) = output else { return Ok(Self::Files(output)) };
+        let ffmpeg = project_root().ok().and_then(|root| find_ffmpeg(&root)).ok_or_else(|| {
+            CliError::Failure("a video needs ffmpeg: install it, or run stlfr setup".into())
+        })?;
+        let frame_s = capture.frame_s();
+        let rate_hz = if frame_s > 0.0 { 1.0 / frame_s } else { 30.0 };
+        Ok(Self::Video { path: path.clone(), ffmpeg, rate_hz, video: None })
+    }
+
+    fn write(
+        &mut self,
+        index: usize,
+        image: &Image,
+        coverage: Option<&[bool]>,
+        depth: BitDepth,
+    ) -> Result<(), CliError> {
+        match self {
+            Self::Files(output) => {
+                let path = output.file(index).unwrap_or_default();
+                let coverage = coverage.filter(|c| c.contains(&false));
+                Ok(write_image(&path, image, coverage, depth)?)
+            }
+            Self::Video { path, ffmpeg, rate_hz, video } => {
+                let video = match video {
+                    Some(video) => video,
+                    None => {
+                        video.insert(VideoWriter::create(ffmpeg, path, image, depth, *rate_hz)?)
+                    }
+                };
+                Ok(video.push(image)?)
+            }
+        }
+    }
+
+    fn finish(self) -> Result<(), CliError> {
+        match self {
+            Self::Video { video: Some(video), .. } => Ok(video.finish()?),
+            _ => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Debug, Parser)]
+    struct Program {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    fn request(line: &str) -> Result<Request, String> {
+        let words = std::iter::once("render").chain(line.split(' '));
+        let program = Program::try_parse_from(words).map_err(|e| e.to_string())?;
+        program.args.request().map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn one_image_or_many() {
+        let one = request("c --like cam3 --time -0.1 -o a.png").unwrap();
+        assert_eq!(one.times_s, [-0.1]);
+        assert!(matches!(one.view, View::Like(id) if id == "cam3"));
+        assert_eq!(
+            request("c --like a --times -1:1:3 -o o/%d.png").unwrap().times_s,
+            [-1.0, 0.0, 1.0]
+        );
+        assert_eq!(request("c --like a --times 0:1:2 -o o.mkv").unwrap().times_s, [0.0, 1.0]);
+    }
+
+    #[test]
+    fn what_does_not_go_together_is_refused() {
+        for (line, words) in [
+            ("c --time 0 -o a.png", "--camera"),
+            ("c --like a --camera b --time 0 -o a.png", "cannot be used with"),
+            ("c --like a -o a.png", "--time"),
+            ("c --like a --time 0 --times 0:1:2 -o a.png", "cannot be used with"),
+            ("c --like a --time nan -o a.png", "finite"),
+            ("c --like a --time 0 -o a.mkv", "must name a .png"),
+            ("c --like a --times 0:1:2 -o a.png", "%04d"),
+            ("c --like a --times 0:1 -o a.mkv", "0.1:0.4:30"),
+            ("c --like a --time 0 -o a.jpg", ".mkv"),
+            ("c --camera /nowhere.json --time 0 -o a.png", "/nowhere.json"),
+        ] {
+            let message = request(line).unwrap_err();
+            assert!(message.contains(words), "{line}: {message}");
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! `stlfr.open` and `stlfr.Capture`.
+
+use super::convert::{from_python, image_to_python, to_python, value_error};
+use crate::camera::CameraFormat;
+use crate::capture::Capture;
+use crate::offset::known_or_kept_or_estimated;
+use crate::progress::Reporter;
+use crate::render::{LightField, RenderError, RenderOptions};
+use nalgebra::Point3;
+use numpy::{AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArrayLikeDyn, ndarray};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Opens and checks a capture's folder.
+#[pyfunction]
+pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
+    let capture = py.detach(|| Capture::open(&path)).map_err(value_error)?;
+    Ok(PyCapture { capture: Arc::new(capture), field: Mutex::default() })
+}
+
+/// A capture: calibrated cameras and what they filmed.
+#[pyclass(name = "Capture", module = "stlfr", frozen)]
+pub struct PyCapture {
+    capture: Arc<Capture>,
+    /// The light field that was rendered from last: its registered frames serve the next view.
+    field: Mutex<Option<Arc<LightField>>>,
+}
+
+#[pymethods]
+impl PyCapture {
+    #[getter]
+    fn name(&self) -> &str {
+        &self.capture.name
+    }
+
+    #[getter]
+    fn camera_ids(&self) -> Vec<&str> {
+        self.capture.cameras.iter().map(|c| c.id.as_str()).collect()
+    }
+
+    #[getter]
+    fn reference(&self) -> &str {
+        &self.capture.cameras[self.capture.reference].id
+    }
+
+    /// Pixels of world points; NaN where a point has no image.
+    fn project<'py>(
+        &self,
+        py: Python<'py>,
+        camera_id: &str,
+        points: PyArrayLikeDyn<'py, f64, AllowTypeChange>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let camera = &self.capture.cameras[self.index(camera_id)?].camera;
+        let points = points.as_array();
+        let wrong =
+            || value_error(format!("points: have the shape {:?}, must be (N, 3)", points.shape()));
+        let points = points.view().into_dimensionality::<ndarray::Ix2>().map_err(|_| wrong())?;
+        if points.ncols() != 3 {
+            return Err(wrong());
+        }
+        let pixels = py.detach(|| {
+            let mut pixels = ndarray::Array2::from_elem((points.nrows(), 2), f64::NAN);
+            for (point, mut pixel) in points.rows().into_iter().zip(pixels.rows_mut()) {
+                if let Some(p) = camera.project(&Point3::new(point[0], point[1], point[2])) {
+                    (pixel[0], pixel[1]) = (p.x, p.y);
+                }
+            }
+            pixels
+        });
+        Ok(pixels.into_pyarray(py))
+    }
+
+    /// The middle of every frame's exposure, seconds on the camera's own clock.
+    fn times<'py>(&self, py: Python<'py>, camera_id: &str) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        Ok(self.capture.times_in_file_s(self.index(camera_id)?).into_pyarray(py))
+    }
+
+    /// Every camera's offset, as `stlfr offsets --json` prints it.
+    #[pyo3(signature = (options=None))]
+    fn offsets<'py>(
+        &self,
+        py: Python<'py>,
+        options: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let options: RenderOptions = from_python(options, "options")?.unwrap_or_default();
+        let offsets = py.detach(|| {
+            self.capture.require_two_cameras()?;
+            known_or_kept_or_estimated(
+                &self.capture,
+                &options.offset,
+                &options.registration,
+                &Reporter::silent(),
+            )
+        });
+        to_python(py, &offsets.map_err(value_error)?)
+    }
+
+    /// The image that `stlfr render` writes, (H, W, channels).
+    #[pyo3(signature = (time_s, *, camera=None, like=None, options=None))]
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        time_s: f64,
+        camera: Option<&Bound<'py, PyAny>>,
+        like: Option<&str>,
+        options: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let options: RenderOptions = from_python(options, "options")?.unwrap_or_default();
+        let camera: Option<CameraFormat> = from_python(camera, "camera")?;
+        let time_s = time_s - self.capture.time_origin_s;
+        let (image, coverage) = match (camera, like) {
+            (Some(camera), None) => {
+                let camera = camera.camera().map_err(|e| value_error(format!("camera: {e}")))?;
+                let rendered = py.detach(|| self.field(options)?.view(&camera, time_s));
+                let rendered = rendered.map_err(value_error)?;
+                let partly = rendered.coverage.contains(&false);
+                (rendered.image, partly.then_some(rendered.coverage))
+            }
+            (None, Some(id)) => {
+                let index = self.index(id)?;
+                let image = py.detach(|| self.field(options)?.synchronized(index, time_s));
+                (image.map_err(value_error)?, None)
+            }
+            _ => return Err(value_error("either camera or like must be given")),
+        };
+        image_to_python(py, &image, coverage.as_deref(), self.capture.bit_depth())
+    }
+
+    fn __repr__(&self) -> String {
+        format!("<stlfr.Capture '{}': {} cameras>", self.capture.name, self.capture.cameras.len())
+    }
+}
+
+impl PyCapture {
+    /// The light field with these options, kept for the next call.
+    fn field(&self, options: RenderOptions) -> Result<Arc<LightField>, RenderError> {
+        let mut kept = self.field.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(field) = kept.as_ref().filter(|field| *field.options() == options) {
+            return Ok(field.clone());
+        }
+        let field = LightField::open(self.capture.clone(), options, &Reporter::silent())?;
+        Ok(kept.insert(Arc::new(field)).clone())
+    }
+
+    fn index(&self, camera_id: &str) -> PyResult<usize> {
+        self.capture.camera_index(camera_id).ok_or_else(|| {
+            value_error(format!("no camera of this capture has the id '{camera_id}'"))
+        })
+    }
+}

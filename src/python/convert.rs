@@ -1,0 +1,46 @@
+//! Between Rust's values and Python's.
+
+use crate::capture::{BitDepth, Samples, quantize};
+use crate::raster::Image;
+use numpy::{IntoPyArray, PyArrayMethods};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+/// Bad input, with the sentence that the command line prints.
+pub fn value_error(error: impl std::fmt::Display) -> PyErr {
+    PyValueError::new_err(error.to_string())
+}
+
+/// A value of Python's dicts, lists, numbers and strings, as its JSON is read.
+pub fn from_python<T: DeserializeOwned>(
+    value: Option<&Bound<'_, PyAny>>,
+    what: &str,
+) -> PyResult<Option<T>> {
+    let Some(value) = value else { return Ok(None) };
+    let json = value.py().import("json")?.call_method1("dumps", (value,))?;
+    let parsed = serde_json::from_str(json.extract::<&str>()?);
+    parsed.map(Some).map_err(|e| value_error(format!("{what}: {e}")))
+}
+
+/// A value as Python reads its JSON.
+pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound<'py, PyAny>> {
+    let json = serde_json::to_string(value).map_err(value_error)?;
+    py.import("json")?.call_method1("loads", (json,))
+}
+
+/// An array (H, W, channels) of the samples that a PNG of this image would hold.
+pub fn image_to_python<'py>(
+    py: Python<'py>,
+    image: &Image,
+    coverage: Option<&[bool]>,
+    depth: BitDepth,
+) -> PyResult<Bound<'py, PyAny>> {
+    let (channels, samples) = py.detach(|| quantize(image, coverage, depth));
+    let shape = [image.height(), image.width(), channels];
+    Ok(match samples {
+        Samples::Eight(raw) => raw.into_pyarray(py).reshape(shape)?.into_any(),
+        Samples::Sixteen(raw) => raw.into_pyarray(py).reshape(shape)?.into_any(),
+    })
+}

@@ -1,0 +1,20 @@
+//! The Python module `stlfr` (feature `python`): converts, releases the GIL, makes one call, and
+//! converts back. Bad input is a `ValueError` with the sentence that the command line prints.
+
+mod capture;
+mod convert;
+
+use pyo3::prelude::*;
+
+/// The compiled half of the module; `blender/module/stlfr` gives it its name and its types.
+#[pymodule(name = "_native")]
+mod native {
+    #[pymodule_export]
+    use super::capture::{PyCapture, open};
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

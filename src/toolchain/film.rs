@@ -1,0 +1,68 @@
+//! Filming a capture in Blender.
+
+use super::script::{self, ScriptError};
+use super::setup::Environment;
+use crate::progress::Reporter;
+use std::path::PathBuf;
+
+/// What to film, and how. `None` leaves a value to the filming script's default.
+#[derive(Clone, Debug)]
+pub struct FilmOptions {
+    /// The rig's file.
+    pub rig: PathBuf,
+    pub scene: Scene,
+    /// The capture's folder; if a film of the same kind was begun there, it goes on.
+    pub capture: PathBuf,
+    /// Width and height in pixels, for all cameras.
+    pub size_px: Option<(u32, u32)>,
+    /// Frames a camera.
+    pub frames: Option<u32>,
+    /// Samples a pixel.
+    pub samples: Option<u32>,
+    /// Instants with truth.
+    pub instants: Option<u32>,
+    /// Frames of the true slow motion.
+    pub truth_video: Option<u32>,
+    /// Whether to write `truth/` at all.
+    pub truth: bool,
+}
+
+/// Where a scene comes from.
+#[derive(Clone, Debug)]
+pub enum Scene {
+    /// A scene of `blender/scenes`.
+    Named(String),
+    /// A `.blend` file.
+    Blend(PathBuf),
+}
+
+/// Films what isn't filmed yet; a finished capture is left as it is.
+pub fn film(
+    environment: &Environment,
+    options: &FilmOptions,
+    reporter: &Reporter,
+) -> Result<(), ScriptError> {
+    let mut command = script::command(environment, "capture.py");
+    command.arg(&options.rig).arg("-o").arg(&options.capture);
+    match &options.scene {
+        Scene::Named(name) => command.arg("--scene").arg(name),
+        Scene::Blend(file) => command.arg("--blend").arg(file),
+    };
+    if let Some((width, height)) = options.size_px {
+        command.arg("--size").arg(format!("{width}x{height}"));
+    }
+    for (flag, value) in [
+        ("--frames", options.frames),
+        ("--samples", options.samples),
+        ("--instants", options.instants),
+        ("--truth-video", options.truth_video),
+    ] {
+        if let Some(value) = value {
+            command.arg(flag).arg(value.to_string());
+        }
+    }
+    if !options.truth {
+        command.arg("--no-truth");
+    }
+    script::run(&mut command, "filming", reporter, |line| reporter.note(line))
+}

@@ -1,0 +1,18 @@
+//! The Python side, run from here: the environment that it needs, filming, and the check of the
+//! calibration. Each is a process of its own that reports progress on stdout and says what is
+//! wrong in one sentence on stderr.
+//!
+//! Known limit: Linux and macOS; a child that outlives a killed parent is ended on Linux only.
+
+mod check;
+mod film;
+mod process;
+mod script;
+mod setup;
+mod video;
+
+pub use check::{Check, CheckValues, CheckedCamera, check};
+pub use film::{FilmOptions, Scene, film};
+pub use script::ScriptError;
+pub use setup::{Environment, SetupError, ensure_environment, project_root};
+pub use video::{VideoError, VideoWriter, find_ffmpeg};

@@ -1,0 +1,126 @@
+//! A child process that never outlives its use.
+
+use std::io::{BufRead, BufReader, Read};
+use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::thread::JoinHandle;
+
+/// A running child. Dropping it ends it: it is asked to (SIGTERM), and waited for. If this process
+/// is killed, the child is asked to end too (Linux).
+pub(super) struct Process {
+    child: Child,
+    stderr: Option<JoinHandle<String>>,
+}
+
+/// How a child ended.
+pub(super) struct Ended {
+    pub status: ExitStatus,
+    pub stderr: String,
+}
+
+impl Process {
+    /// Starts a command with stdout to read from; stderr is collected.
+    pub fn start(command: &mut Command, stdin: Stdio) -> std::io::Result<Self> {
+        end_with_parent(command);
+        let mut child =
+            command.stdin(stdin).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
+        let stderr = child.stderr.take().map(|mut pipe| {
+            std::thread::spawn(move || {
+                let mut bytes = Vec::new();
+                // What can't be read any more can't be reported either.
+                let _ = pipe.read_to_end(&mut bytes);
+                String::from_utf8_lossy(&bytes).into_owned()
+            })
+        });
+        Ok(Self { child, stderr })
+    }
+
+    /// Gives every line of stdout to `on_line` until it ends.
+    pub fn read_lines(&mut self, mut on_line: impl FnMut(&str)) -> std::io::Result<()> {
+        let Some(stdout) = self.child.stdout.take() else { return Ok(()) };
+        let mut reader = BufReader::new(stdout);
+        let mut line = Vec::new();
+        while reader.read_until(b'\n', &mut line)? > 0 {
+            on_line(String::from_utf8_lossy(&line).trim_end());
+            line.clear();
+        }
+        Ok(())
+    }
+
+    /// The child's standard input, if it was piped and not taken before.
+    pub fn take_stdin(&mut self) -> Option<ChildStdin> {
+        self.child.stdin.take()
+    }
+
+    /// Waits for the end.
+    pub fn wait(mut self) -> std::io::Result<Ended> {
+        let status = self.child.wait()?;
+        let stderr = self.stderr.take().and_then(|t| t.join().ok()).unwrap_or_default();
+        Ok(Ended { status, stderr })
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if matches!(self.child.try_wait(), Ok(None)) {
+            ask_to_end(&self.child);
+            // It ended or can't be reached; in neither case is there anything left to do.
+            let _ = self.child.wait();
+        }
+    }
+}
+
+/// Runs a command to its end, with nothing on stdin.
+pub(super) fn run(command: &mut Command, on_line: impl FnMut(&str)) -> std::io::Result<Ended> {
+    let mut process = Process::start(command, Stdio::null())?;
+    process.read_lines(on_line)?;
+    process.wait()
+}
+
+fn ask_to_end(child: &Child) {
+    if let Ok(pid) = i32::try_from(child.id()) {
+        // SAFETY: the child has not been waited for, so its id is still its own.
+        unsafe { libc::kill(pid, libc::SIGTERM) };
+    }
+}
+
+/// The kernel ends the child when the thread that started it ends: that thread waits for the child
+/// in all of this module's uses.
+#[cfg(target_os = "linux")]
+fn end_with_parent(command: &mut Command) {
+    use std::os::unix::process::CommandExt;
+    // SAFETY: between fork and exec only async-signal-safe functions may run; prctl is one.
+    unsafe {
+        command.pre_exec(|| match libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGTERM) {
+            0 => Ok(()),
+            _ => Err(std::io::Error::last_os_error()),
+        });
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn end_with_parent(_: &mut Command) {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::{Duration, Instant};
+
+    #[test]
+    fn lines_status_and_stderr_come_back() {
+        let mut lines = Vec::new();
+        let ended = run(
+            Command::new("sh").args(["-c", "echo one; echo two; echo wrong >&2; exit 3"]),
+            |line| lines.push(line.to_owned()),
+        )
+        .unwrap();
+        assert_eq!(lines, ["one", "two"]);
+        assert_eq!((ended.status.code(), ended.stderr.as_str()), (Some(3), "wrong\n"));
+    }
+
+    #[test]
+    fn a_dropped_child_is_ended() {
+        let start = Instant::now();
+        drop(Process::start(Command::new("sleep").arg("60"), Stdio::null()).unwrap());
+        assert!(start.elapsed() < Duration::from_secs(10));
+    }
+}

@@ -1,0 +1,110 @@
+//! Running a script of `blender/`: JSON lines `{"done", "total", "what"}` on stdout are progress,
+//! other lines are for the user, and an error is one sentence on stderr, with exit code 2 for bad
+//! input.
+
+use super::process::{self, Ended};
+use super::setup::Environment;
+use crate::progress::{Reporter, Task};
+use serde::Deserialize;
+use std::process::Command;
+
+/// A script that did not succeed.
+#[derive(Debug, thiserror::Error)]
+pub enum ScriptError {
+    /// What the user gave is wrong.
+    #[error("{0}")]
+    BadInput(String),
+    /// The work failed.
+    #[error("{0}")]
+    Failure(String),
+}
+
+#[derive(Deserialize)]
+struct Progress {
+    done: usize,
+    total: usize,
+    what: String,
+}
+
+/// A Python that sees its own packages and the script's arguments, nothing of the user's.
+pub(super) fn command(environment: &Environment, script: &str) -> Command {
+    let mut command = Command::new(&environment.python);
+    command.arg("-I").arg(environment.project_root.join("blender").join(script));
+    command
+}
+
+/// Runs a script to its end with a progress bar; lines that are not progress go to `on_text`.
+pub(super) fn run(
+    command: &mut Command,
+    label: &str,
+    reporter: &Reporter,
+    mut on_text: impl FnMut(&str),
+) -> Result<(), ScriptError> {
+    let waiting = reporter.phase(label);
+    let mut bar: Option<Task> = None;
+    let ended = process::run(command, |line| match serde_json::from_str::<Progress>(line) {
+        Ok(progress) => {
+            let bar = bar.get_or_insert_with(|| {
+                waiting.hide();
+                let bar = reporter.task(label, progress.total);
+                bar.resume_at(progress.done);
+                bar
+            });
+            bar.describe(&format!("{label}: {}", progress.what));
+            bar.set(progress.done);
+        }
+        Err(_) => on_text(line),
+    });
+    drop(bar);
+    drop(waiting);
+    let name = command.get_args().nth(1).unwrap_or_default().to_string_lossy().into_owned();
+    let ended = ended.map_err(|e| ScriptError::Failure(format!("{name}: {e}")))?;
+    verdict(&name, &ended)
+}
+
+/// Success, or what the script's end says.
+pub(super) fn verdict(name: &str, ended: &Ended) -> Result<(), ScriptError> {
+    let sentence = || ended.stderr.lines().rev().find(|l| !l.trim().is_empty()).map(str::to_owned);
+    match ended.status.code() {
+        Some(0) => Ok(()),
+        Some(2) => {
+            Err(ScriptError::BadInput(sentence().unwrap_or_else(|| format!("{name}: bad input"))))
+        }
+        Some(code) => Err(ScriptError::Failure(
+            sentence().unwrap_or_else(|| format!("{name}: ended with status {code}")),
+        )),
+        None => Err(ScriptError::Failure(format!("{name}: was stopped ({})", ended.status))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(script: &str) -> (Result<(), ScriptError>, Vec<String>) {
+        let mut text = Vec::new();
+        let result =
+            run(Command::new("sh").arg("-c").arg(script), "test", &Reporter::silent(), |l| {
+                text.push(l.to_owned());
+            });
+        (result, text)
+    }
+
+    #[test]
+    fn progress_is_told_from_text() {
+        let (result, text) =
+            of(r#"echo '{"done": 1, "total": 2, "what": "x"}'; echo table; echo '{"done": 2}'"#);
+        result.unwrap();
+        assert_eq!(text, ["table", r#"{"done": 2}"#]);
+    }
+
+    #[test]
+    fn errors_are_the_scripts_sentence_and_kind() {
+        let bad = of("echo traceback >&2; echo 'rig.json: no cameras' >&2; exit 2").0.unwrap_err();
+        assert!(matches!(&bad, ScriptError::BadInput(s) if s == "rig.json: no cameras"), "{bad}");
+        let failed = of("echo 'disk is full' >&2; exit 1").0.unwrap_err();
+        assert!(matches!(&failed, ScriptError::Failure(s) if s == "disk is full"), "{failed}");
+        assert!(of("exit 7").0.unwrap_err().to_string().contains("status 7"));
+        assert!(of("kill -9 $$").0.unwrap_err().to_string().contains("was stopped"));
+    }
+}

@@ -1,0 +1,107 @@
+//! The pinned Python environment `.venv` of the project: made once, and its `stlfr` module built
+//! again when the library's sources change.
+//!
+//! Two stamps, written last, say what is whole: one names the pins, Python and folder that the
+//! packages were installed for, the other the sources of the module. A file lock keeps a second
+//! set-up waiting. What was interrupted has no stamp and is done again.
+
+mod install;
+mod interpreter;
+mod module;
+mod stamp;
+mod system;
+
+use super::video::find_ffmpeg;
+use crate::progress::Reporter;
+use stamp::Stamps;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// The environment, ready to run.
+#[derive(Clone, Debug)]
+pub struct Environment {
+    pub project_root: PathBuf,
+    /// Its Python interpreter.
+    pub python: PathBuf,
+}
+
+/// Why there is no environment. Each is one sentence, with the line to run where one helps.
+#[derive(Debug, thiserror::Error)]
+pub enum SetupError {
+    #[error("{0} is not stlfr's source folder; set STLFR_HOME to where it is")]
+    NoProject(PathBuf),
+    #[error("Python 3.11 is not installed; on Debian: {0}")]
+    NoPython(String),
+    #[error("{python} can't make environments; on Debian: {line}")]
+    NoVenv { python: String, line: String },
+    #[error("{0} can't be written to; make it yours with: sudo chown -R \"$USER\" '{0}'")]
+    NotWritable(PathBuf),
+    #[error("{path}: {source}")]
+    File { path: PathBuf, source: std::io::Error },
+    #[error("Blender needs {library}, which this system lacks; on Debian: {line}")]
+    NoLibrary { library: String, line: String },
+    #[error("{what} failed: {reason} (all of its output is in {log})")]
+    Step { what: &'static str, reason: String, log: PathBuf },
+}
+
+impl SetupError {
+    /// A file operation that failed; the right to write is a case of its own.
+    fn file(path: &Path, source: std::io::Error) -> Self {
+        use std::io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
+        match source.kind() {
+            PermissionDenied | ReadOnlyFilesystem => {
+                Self::NotWritable(path.parent().unwrap_or(path).to_owned())
+            }
+            _ => Self::File { path: path.to_owned(), source },
+        }
+    }
+}
+
+impl Environment {
+    /// An ffmpeg to run: the system's, or the one that the environment brings.
+    pub fn ffmpeg(&self) -> Option<PathBuf> {
+        find_ffmpeg(&self.project_root)
+    }
+}
+
+/// The folder of stlfr's sources: `STLFR_HOME`, or where this program was built.
+pub fn project_root() -> Result<PathBuf, SetupError> {
+    let root = std::env::var_os("STLFR_HOME")
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
+    match root.canonicalize() {
+        Ok(real) if real.join("blender/requirements.txt").is_file() => Ok(real),
+        _ => Err(SetupError::NoProject(root)),
+    }
+}
+
+/// Makes the environment, or what is missing of it. Where it is whole, this takes some milliseconds
+/// and starts no Python.
+pub fn ensure_environment(
+    project_root: &Path,
+    reporter: &Reporter,
+) -> Result<Environment, SetupError> {
+    let environment = Environment {
+        project_root: project_root.to_owned(),
+        python: project_root.join(".venv/bin/python"),
+    };
+    if Stamps::read(project_root)?.is_whole() {
+        return Ok(environment);
+    }
+    let _lock = lock(project_root, reporter)?;
+    let stamps = Stamps::read(project_root)?; // the one who held the lock may have done it
+    if !stamps.is_whole() {
+        install::install(&environment, &stamps, reporter)?;
+    }
+    Ok(environment)
+}
+
+/// Held until the file is dropped, by one process at a time.
+fn lock(project_root: &Path, reporter: &Reporter) -> Result<File, SetupError> {
+    let path = project_root.join(".venv.lock");
+    let file = File::create(&path).map_err(|e| SetupError::file(&path, e))?;
+    if file.try_lock().is_err() {
+        let _phase = reporter.phase("waiting for another set-up");
+        file.lock().map_err(|e| SetupError::file(&path, e))?;
+    }
+    Ok(file)
+}

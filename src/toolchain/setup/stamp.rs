@@ -1,0 +1,186 @@
+//! What the environment was made from, by hashes: no Python is started to find out.
+
+use super::SetupError;
+use crate::capture::write_atomically;
+use std::path::{Path, PathBuf};
+
+/// The stamps as they should be, and whether they are there.
+pub(super) struct Stamps {
+    packages: Stamp,
+    module: Stamp,
+}
+
+struct Stamp {
+    path: PathBuf,
+    expected: String,
+    found: bool,
+}
+
+impl Stamp {
+    fn new(path: PathBuf, expected: String) -> Self {
+        let found = std::fs::read_to_string(&path).is_ok_and(|text| text == expected);
+        Self { path, expected, found }
+    }
+
+    fn write(&self) -> Result<(), SetupError> {
+        write_atomically(&self.path, self.expected.as_bytes())
+            .map_err(|e| SetupError::file(&self.path, e))
+    }
+}
+
+impl Stamps {
+    pub fn read(root: &Path) -> Result<Self, SetupError> {
+        let venv = root.join(".venv");
+        // A venv names the Python it was made with, and its scripts the folder they lie in.
+        let python = std::fs::read(venv.join("pyvenv.cfg")).unwrap_or_default();
+        let mut packages = blake3::Hasher::new();
+        add(&mut packages, root.as_os_str().as_encoded_bytes());
+        add(&mut packages, &python);
+        add_file(&mut packages, &root.join("blender/requirements.txt"))?;
+        let packages = packages.finalize();
+
+        // Packages made anew are a new folder, without this stamp.
+        let mut module = blake3::Hasher::new();
+        for file in module_sources(root)? {
+            add(&mut module, file.as_os_str().as_encoded_bytes());
+            add_file(&mut module, &file)?;
+        }
+        let mut stamps = Self {
+            packages: Stamp::new(venv.join(".stlfr-packages"), packages.to_hex().to_string()),
+            module: Stamp::new(venv.join(".stlfr-module"), module.finalize().to_hex().to_string()),
+        };
+        // The interpreter is a link to the system's, which may be gone.
+        stamps.packages.found &= venv.join("bin/python").exists();
+        Ok(stamps)
+    }
+
+    pub fn has_packages(&self) -> bool {
+        self.packages.found
+    }
+
+    pub fn is_whole(&self) -> bool {
+        self.packages.found && self.module.found
+    }
+
+    pub fn write_packages(&self) -> Result<(), SetupError> {
+        self.packages.write()
+    }
+
+    pub fn write_module(&self) -> Result<(), SetupError> {
+        self.module.write()
+    }
+
+    /// To be called before the module is replaced.
+    pub fn remove_module(&self) -> Result<(), SetupError> {
+        match std::fs::remove_file(&self.module.path) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                Err(SetupError::file(&self.module.path, e))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The files that the Python module is built from, in a fixed order: everything but the program.
+fn module_sources(root: &Path) -> Result<Vec<PathBuf>, SetupError> {
+    let mut files: Vec<PathBuf> =
+        ["Cargo.toml", "Cargo.lock", "blender/pyproject.toml"].map(|f| root.join(f)).into();
+    walk(&root.join("src"), &mut files)?;
+    walk(&root.join("blender/module"), &mut files)?;
+    let program = [root.join("src/main.rs"), root.join("src/cli")];
+    files.retain(|f| !program.iter().any(|p| f.starts_with(p)));
+    files.sort();
+    Ok(files)
+}
+
+fn walk(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), SetupError> {
+    let failed = |e| SetupError::file(folder, e);
+    for entry in std::fs::read_dir(folder).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if path.is_dir() {
+            if path.file_name().is_some_and(|name| name != "__pycache__") {
+                walk(&path, files)?;
+            }
+        } else {
+            files.push(path);
+        }
+    }
+    Ok(())
+}
+
+fn add(hasher: &mut blake3::Hasher, bytes: &[u8]) {
+    hasher.update(&(bytes.len() as u64).to_le_bytes());
+    hasher.update(bytes);
+}
+
+fn add_file(hasher: &mut blake3::Hasher, path: &Path) -> Result<(), SetupError> {
+    let bytes = std::fs::read(path).map_err(|e| SetupError::file(path, e))?;
+    add(hasher, &bytes);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A source tree with a finished environment.
+    fn finished() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for file in [
+            "Cargo.toml",
+            "Cargo.lock",
+            "src/lib.rs",
+            "src/main.rs",
+            "src/cli/mod.rs",
+            "blender/pyproject.toml",
+            "blender/requirements.txt",
+            "blender/module/stlfr/__init__.py",
+            ".venv/pyvenv.cfg",
+            ".venv/bin/python",
+        ] {
+            write_atomically(&folder.path().join(file), file.as_bytes()).unwrap();
+        }
+        let stamps = Stamps::read(folder.path()).unwrap();
+        assert!(!stamps.has_packages() && !stamps.is_whole());
+        stamps.write_packages().unwrap();
+        stamps.write_module().unwrap();
+        folder
+    }
+
+    /// Whether the packages, and all, are still good after a change to a file.
+    fn after(file: &str) -> (bool, bool) {
+        let folder = finished();
+        std::fs::write(folder.path().join(file), "changed").unwrap();
+        let stamps = Stamps::read(folder.path()).unwrap();
+        (stamps.has_packages(), stamps.is_whole())
+    }
+
+    #[test]
+    fn what_is_finished_stays_so() {
+        assert_eq!(after("README.md"), (true, true));
+        assert_eq!(after("src/main.rs"), (true, true));
+        assert_eq!(after("src/cli/mod.rs"), (true, true));
+    }
+
+    #[test]
+    fn sources_need_the_module_anew() {
+        for file in ["src/lib.rs", "Cargo.lock", "blender/pyproject.toml", "blender/module/x.pyi"] {
+            assert_eq!(after(file), (true, false), "{file}");
+        }
+    }
+
+    #[test]
+    fn pins_and_python_need_all_anew() {
+        assert_eq!(after("blender/requirements.txt"), (false, false));
+        assert_eq!(after(".venv/pyvenv.cfg"), (false, false));
+        let folder = finished();
+        std::fs::remove_file(folder.path().join(".venv/bin/python")).unwrap();
+        assert!(!Stamps::read(folder.path()).unwrap().is_whole());
+    }
+
+    #[test]
+    fn half_written_stamps_do_not_count() {
+        assert_eq!(after(".venv/.stlfr-packages"), (false, false));
+        assert_eq!(after(".venv/.stlfr-module"), (true, false));
+    }
+}

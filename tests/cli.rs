@@ -1,0 +1,141 @@
+//! The command line: help, bad input, and work that was interrupted.
+
+mod common;
+
+use common::{assert_refused, run, stderr, stlfr};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+#[test]
+fn every_command_has_help_with_an_example() {
+    let help = String::from_utf8(run(&["--help"]).stdout).unwrap();
+    for command in ["demo", "setup", "capture", "check", "offsets", "render", "compare"] {
+        assert!(help.contains(&format!("\n  {command} ")), "{help}");
+        let output = run(&[command, "--help"]);
+        let text = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success() && text.contains("Example"), "{text}");
+        assert!(text.contains(&format!("\n  stlfr {command}")), "{text}");
+    }
+}
+
+#[test]
+fn a_wrong_command_line_is_one_sentence() {
+    let rig = "rigs/linear8.json";
+    let capture = |more: &[&str]| run(&[&["capture", rig, "-o", "target/none"], more].concat());
+    assert_refused(&run(&["fly"]), 2, "fly");
+    assert_refused(&run(&["check"]), 2, "<CAPTURE>");
+    assert_refused(&run(&["capture", rig, "--scene", "magazine"]), 2, "--output");
+    assert_refused(&capture(&[]), 2, "--scene");
+    assert_refused(&capture(&["--scene", "a", "--blend", "b"]), 2, "--blend");
+    assert_refused(&capture(&["--scene", "magazine", "--size", "320"]), 2, "320x240");
+    assert_refused(&capture(&["--scene", "magazine", "--frames", "0"]), 2, "--frames");
+    assert_refused(&capture(&["--scene", "magazine", "--samples", "-3"]), 2, "-3");
+}
+
+#[test]
+fn missing_files_are_named() {
+    let capture = ["capture", "no-rig.json", "--scene", "magazine", "-o", "target/none"];
+    assert_refused(&run(&capture), 2, "no-rig.json");
+    let blend = ["capture", "rigs/linear8.json", "--blend", "no.blend", "-o", "target/none"];
+    assert_refused(&run(&blend), 2, "no.blend");
+    let unwritable = ["capture", "rigs/linear8.json", "--scene", "magazine", "-o", "/proc/none/c"];
+    assert_refused(&run(&unwritable), 2, "/proc/none/c");
+    assert_refused(&run(&["check", "/nowhere/capture"]), 2, "/nowhere/capture/capture.json");
+}
+
+#[test]
+fn what_the_filming_script_refuses_is_refused_here() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = folder.path().join("capture");
+    let film = |rig: &str, scene: &str| {
+        run(&["-q", "capture", rig, "--scene", scene, "-o", output.to_str().unwrap()])
+    };
+    assert_refused(&film("rigs/linear8.json", "no-such-scene"), 2, "no-such-scene");
+    let rig = folder.path().join("rig.json");
+    std::fs::write(&rig, r#"{"format": "stlfr-rig", "version": 1}"#).unwrap();
+    assert_refused(&film(rig.to_str().unwrap(), "magazine"), 2, "rig.json");
+    assert!(!output.join("capture.json").exists());
+}
+
+#[test]
+fn a_folder_that_is_no_source_tree_is_named() {
+    let output = stlfr().arg("setup").env("STLFR_HOME", "/nowhere").output().unwrap();
+    assert_refused(&output, 1, "/nowhere");
+}
+
+#[test]
+fn a_second_setup_does_nothing() {
+    let first = run(&["setup", "--quiet"]);
+    assert!(first.status.success(), "{}", stderr(&first));
+    let python = String::from_utf8(first.stdout).unwrap();
+    assert!(Path::new(python.trim()).exists(), "{python}");
+    let start = Instant::now();
+    let second = run(&["setup"]);
+    assert!(start.elapsed() < Duration::from_millis(500), "{:?}", start.elapsed());
+    assert_eq!((stderr(&second).as_str(), second.status.code()), ("", Some(0)));
+}
+
+#[test]
+fn check_prints_a_table_and_writes_its_values() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("check.json");
+    let capture = common::tiny_capture().to_str().unwrap();
+    let output = run(&["check", capture, "--json", json.to_str().unwrap()]);
+    let table = String::from_utf8_lossy(&output.stdout);
+    for k in 0..8 {
+        assert!(table.contains(&format!("\ncam{k} ")), "{table}{}", stderr(&output));
+    }
+    let values: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(json).unwrap()).unwrap();
+    assert!(values["model_max_px"].as_f64().unwrap() < 1e-9);
+    // At this size the pixels place a camera to about the tolerance; the demo's size has room.
+    let ok = values["ok"].as_bool().unwrap();
+    assert_eq!(output.status.code(), Some(if ok { 0 } else { 1 }), "{}", stderr(&output));
+}
+
+/// Whole frames there, by name and time of writing.
+fn frames(capture: &Path) -> Vec<(String, std::time::SystemTime)> {
+    let mut found = Vec::new();
+    for k in 0..8 {
+        let Ok(folder) = std::fs::read_dir(capture.join(format!("cam{k}"))) else { continue };
+        for entry in folder.map(Result::unwrap) {
+            let name = entry.file_name().into_string().unwrap();
+            if name.ends_with(".png") && !name.starts_with('.') {
+                let written = entry.metadata().unwrap().modified().unwrap();
+                found.push((format!("cam{k}/{name}"), written));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn a_killed_capture_goes_on_where_it_was() {
+    drop(run(&["setup", "--quiet"])); // so that the time below is the filming's
+    let folder = tempfile::tempdir().unwrap();
+    let capture = folder.path().join("capture");
+    let mut command = stlfr();
+    command
+        .args(["-q", "capture", "rigs/linear8.json", "--scene", "magazine", "--size", "64x48"])
+        .args(["--frames", "3", "--samples", "1", "--no-truth", "-o"])
+        .arg(&capture);
+    let mut child = command.spawn().unwrap();
+    let start = Instant::now();
+    while frames(&capture).len() < 3 && start.elapsed() < Duration::from_secs(120) {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    std::thread::sleep(Duration::from_secs(2)); // Blender ends with its parent
+    let before = frames(&capture);
+    std::thread::sleep(Duration::from_secs(1));
+    assert_eq!(before, frames(&capture), "filming went on without its parent");
+    assert!(before.len() >= 3 && !capture.join("capture.json").exists(), "{before:?}");
+
+    assert!(command.status().unwrap().success());
+    let after = frames(&capture);
+    assert_eq!(after.len(), 24);
+    assert!(before.iter().all(|frame| after.contains(frame)), "a whole frame was filmed again");
+    stlfr::capture::Capture::open(&capture).unwrap();
+}

@@ -1,0 +1,92 @@
+//! What the integration tests share: the program, and the tiny capture that is filmed once.
+
+#![allow(dead_code)] // each test binary uses some of it
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+/// The project's folder.
+pub fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The program under test.
+pub fn stlfr() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_stlfr"));
+    command.current_dir(root());
+    command
+}
+
+/// Runs the program; its output.
+pub fn run(arguments: &[&str]) -> Output {
+    stlfr().args(arguments).output().expect("the program starts")
+}
+
+/// What went to stderr.
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Asserts that a command ends with this exit code, one sentence on stderr that contains `words`,
+/// and nothing on stdout.
+#[track_caller]
+pub fn assert_refused(output: &Output, code: i32, words: &str) {
+    let message = stderr(output);
+    assert_eq!(output.status.code(), Some(code), "{message}");
+    assert!(message.contains(words), "{words}: {message}");
+    assert_eq!(message.trim_end().lines().count(), 1, "{message}");
+    assert!(output.stdout.is_empty(), "{}", String::from_utf8_lossy(&output.stdout));
+}
+
+/// The tiny capture: the demo's scene and rig, 8 cameras of 160×120 with 6 frames, truth at one
+/// instant. Filmed once, by whichever test process comes first, and kept in the target folder; not
+/// to be written to (see [`tiny_copy`]).
+pub fn tiny_capture() -> &'static Path {
+    static CAPTURE: OnceLock<PathBuf> = OnceLock::new();
+    CAPTURE.get_or_init(|| {
+        let folder = root().join("target/test-captures");
+        std::fs::create_dir_all(&folder).expect("the target folder can be written to");
+        let lock = File::create(folder.join("tiny.lock")).expect("the lock can be made");
+        lock.lock().expect("the lock can be taken");
+        let capture = folder.join("tiny");
+        let mut output = film_tiny(&capture);
+        if output.status.code() == Some(2) && capture.exists() {
+            // Another version of scene, rig or film code filmed it.
+            std::fs::remove_dir_all(&capture).expect("the old film can be removed");
+            output = film_tiny(&capture);
+        }
+        assert!(output.status.success(), "filming: {}", stderr(&output));
+        capture
+    })
+}
+
+fn film_tiny(capture: &Path) -> Output {
+    stlfr()
+        .args(["capture", "rigs/linear8.json", "--scene", "magazine", "--size", "160x120"])
+        .args(["--frames", "6", "--instants", "1", "-o"])
+        .arg(capture)
+        .output()
+        .expect("the program starts")
+}
+
+/// A copy of the tiny capture, to change.
+pub fn tiny_copy() -> tempfile::TempDir {
+    let copy = tempfile::tempdir().expect("a temporary folder can be made");
+    copy_folder(tiny_capture(), copy.path());
+    copy
+}
+
+fn copy_folder(from: &Path, to: &Path) {
+    for entry in std::fs::read_dir(from).expect("a folder of the capture") {
+        let path = entry.expect("an entry of the capture").path();
+        let target = to.join(path.file_name().expect("entries have names"));
+        if path.is_dir() {
+            std::fs::create_dir(&target).expect("the copy can be written");
+            copy_folder(&path, &target);
+        } else {
+            std::fs::copy(&path, &target).expect("the copy can be written");
+        }
+    }
+}

@@ -1,0 +1,261 @@
+"""The module `stlfr`: what it gives, what it refuses, and that it lives beside Blender."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import threading
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+import stlfr
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def described(capture_dir: Path) -> list[dict[str, Any]]:
+    """The cameras as capture.json has them."""
+    cameras: list[dict[str, Any]] = json.loads(
+        (capture_dir / "capture.json").read_text()
+    )["cameras"]
+    return cameras
+
+
+def project_by_hand(
+    camera: dict[str, Any], points: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """The pinhole formula, with the quaternion written out."""
+    w, x, y, z = np.array(camera["cam_from_world"]["rotation_wxyz"])
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    in_camera = points @ rotation.T + np.array(camera["cam_from_world"]["translation"])
+    fx, fy, cx, cy = camera["params"]
+    pixels = in_camera[:, :2] / in_camera[:, 2:] * (fx, fy) + (cx, cy)
+    pixels[in_camera[:, 2] <= 0] = np.nan
+    return np.asarray(pixels, dtype=np.float64)
+
+
+def test_it_is_this_trees_version() -> None:
+    """The module is built from this tree."""
+    with (ROOT / "Cargo.toml").open("rb") as file:
+        assert stlfr.__version__ == tomllib.load(file)["package"]["version"]
+    assert Path(stlfr.__file__).is_relative_to(sys.prefix)  # not blender/stlfr
+
+
+def test_a_capture_is_what_its_file_says(capture_dir: Path) -> None:
+    """Names, ids and times."""
+    capture = stlfr.open(capture_dir)
+    cameras = described(capture_dir)
+    assert capture.camera_ids == [c["id"] for c in cameras]
+    assert capture.reference == "cam3"
+    assert capture.name in repr(capture)
+    for camera in cameras:
+        times_s = capture.times(camera["id"])
+        assert times_s.dtype == np.float64
+        np.testing.assert_allclose(
+            times_s, camera["clock"]["times_s"], rtol=0, atol=1e-12
+        )
+
+
+def test_points_are_projected_as_by_hand(capture_dir: Path) -> None:
+    """A thousand points around the rig, some of them behind it."""
+    capture = stlfr.open(str(capture_dir))
+    points = np.random.default_rng(5).uniform(-4, 4, (1000, 3))
+    seen = 0
+    for camera in described(capture_dir):
+        expected = project_by_hand(camera, points)
+        pixels = capture.project(camera["id"], points)
+        assert pixels.shape == (1000, 2)
+        np.testing.assert_array_equal(np.isnan(pixels), np.isnan(expected))
+        # Quaternions in files are normalized to 1e-16, and points near the camera's plane land far out.
+        np.testing.assert_allclose(pixels, expected, rtol=1e-9, atol=1e-7)
+        seen += int(np.sum(~np.isnan(pixels[:, 0])))
+    assert 1000 < seen < 7000
+
+
+def test_what_is_like_an_array_is_taken(capture_dir: Path) -> None:
+    """Lists, single precision, strided views and no points at all."""
+    capture = stlfr.open(capture_dir)
+    points = np.array([[0.1, 2.0, 0.2], [0.3, 3.0, -0.1]])
+    expected = capture.project("cam0", points)
+    np.testing.assert_array_equal(capture.project("cam0", points.tolist()), expected)
+    np.testing.assert_allclose(
+        capture.project("cam0", points.astype(np.float32)), expected, rtol=1e-5
+    )
+    doubled = np.repeat(points, 2, axis=1)[:, ::2]
+    np.testing.assert_array_equal(capture.project("cam0", doubled), expected)
+    assert capture.project("cam0", np.empty((0, 3))).shape == (0, 2)
+
+
+def test_bad_input_is_a_value_error(capture_dir: Path) -> None:
+    """One sentence each."""
+    capture = stlfr.open(capture_dir)
+    for shape in [(3,), (4, 2), (2, 3, 3)]:
+        with pytest.raises(ValueError, match=r"points: .*must be \(N, 3\)"):
+            capture.project("cam0", np.zeros(shape))
+    with pytest.raises(
+        ValueError, match="no camera of this capture has the id 'cam99'"
+    ):
+        capture.times("cam99")
+
+
+def test_errors_are_the_command_lines(tmp_path: Path, program: Path) -> None:
+    """The same sentence from both."""
+    for text in [
+        None,
+        "{",
+        '{"format": "x", "version": 1, "name": "n", "cameras": []}',
+    ]:
+        if text is not None:
+            (tmp_path / "capture.json").write_text(text)
+        with pytest.raises(ValueError, match=r"capture\.json") as raised:
+            stlfr.open(tmp_path)
+        printed = subprocess.run(
+            [program, "check", tmp_path], capture_output=True, text=True
+        )
+        assert (printed.returncode, printed.stderr) == (2, f"{raised.value}\n")
+
+
+def test_it_runs_beside_blender(capture_dir: Path) -> None:
+    """Both in one process, arrays to and from both."""
+    script = (
+        "import sys, bpy, numpy as np, stlfr\n"
+        "mesh = bpy.data.meshes.new('points')\n"
+        "mesh.from_pydata([(0.1, 2.0, 0.2), (0.3, 3.0, -0.1)], [], [])\n"
+        "points = np.empty(6, dtype=np.float32)\n"
+        "mesh.vertices.foreach_get('co', points)\n"
+        "pixels = stlfr.open(sys.argv[1]).project('cam0', points.reshape(-1, 3))\n"
+        "image = bpy.data.images.new('i', 2, 1, float_buffer=True)\n"
+        "image.pixels.foreach_set(np.pad(pixels, ((0, 0), (0, 2))).astype(np.float32).ravel())\n"
+        "print(pixels.tolist())\n"
+    )
+    command = [sys.executable, "-I", "-c", script, str(capture_dir)]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    points = np.array([[0.1, 2.0, 0.2], [0.3, 3.0, -0.1]], dtype=np.float32)
+    expected = stlfr.open(capture_dir).project("cam0", points)
+    np.testing.assert_array_equal(json.loads(printed.splitlines()[-1]), expected)
+
+
+def test_threads_run_while_it_works(capture_dir: Path) -> None:
+    """A long projection releases the GIL: another thread counts on meanwhile."""
+    capture = stlfr.open(capture_dir)
+    points = np.random.default_rng(1).uniform(-4, 4, (3_000_000, 3))
+    ended = threading.Event()
+
+    def work() -> None:
+        capture.project("cam0", points)
+        ended.set()
+
+    worker = threading.Thread(target=work)
+    interval_s = sys.getswitchinterval()
+    sys.setswitchinterval(10)  # so that Python itself hands the GIL over to no one
+    try:
+        worker.start()
+        count = 0
+        while not ended.wait(0.0005):
+            count += 1
+    finally:
+        sys.setswitchinterval(interval_s)
+        worker.join()
+    assert count > 3
+
+
+@pytest.fixture(scope="module")
+def own_capture(capture_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy to write offsets.json into."""
+    return Path(
+        shutil.copytree(capture_dir, tmp_path_factory.mktemp("captures") / "own")
+    )
+
+
+def test_offsets_are_the_command_lines(own_capture: Path, program: Path) -> None:
+    """Estimated here, and printed there from a copy without them: the same numbers."""
+    offsets = stlfr.open(own_capture).offsets()
+    assert offsets["reference"] == "cam3"
+    (own_capture / "offsets.json").unlink()
+    printed = subprocess.run(
+        [program, "-q", "offsets", own_capture, "--json"],
+        capture_output=True,
+        check=True,
+    )
+    assert json.loads(printed.stdout) == offsets
+
+
+def test_images_are_the_command_lines(
+    own_capture: Path, program: Path, tmp_path: Path
+) -> None:
+    """A view, one that is partly seen, and a synchronized image: the same samples."""
+    capture = stlfr.open(own_capture)
+    time_s = float(np.mean(capture.times("cam3")))
+    view = {
+        k: described(own_capture)[3][k]
+        for k in ("width", "height", "model", "params", "cam_from_world")
+    }
+    aside = json.loads(json.dumps(view))
+    aside["cam_from_world"]["translation"][0] -= 0.6
+    file, image = tmp_path / "view.json", tmp_path / "image.png"
+    for given, alpha in [(view, False), (aside, True), (None, False)]:
+        file.write_text(json.dumps(given))
+        if given:
+            where, rendered = (
+                ["--camera", str(file)],
+                capture.render(time_s, camera=given),
+            )
+        else:
+            where, rendered = ["--like", "cam3"], capture.render(time_s, like="cam3")
+        command: list[str | Path] = [
+            program,
+            "-q",
+            "render",
+            own_capture,
+            *where,
+            "--time",
+            repr(time_s),
+            "-o",
+            image,
+        ]
+        subprocess.run(command, check=True)
+        written = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
+        assert written is not None
+        order = [2, 1, 0, 3] if written.shape[2] == 4 else [2, 1, 0]
+        np.testing.assert_array_equal(rendered, written[:, :, order])
+        assert not alpha or rendered.shape[2] == 4
+
+
+def test_what_cannot_be_rendered_is_a_value_error(
+    own_capture: Path, program: Path, tmp_path: Path
+) -> None:
+    """With the command line's sentence."""
+    capture = stlfr.open(own_capture)
+    with pytest.raises(ValueError, match="either camera or like"):
+        capture.render(0.0)
+    with pytest.raises(ValueError, match="options: unknown field `speed`"):
+        capture.render(0.0, like="cam3", options={"speed": 11})
+    with pytest.raises(ValueError, match="cam3") as raised:
+        capture.render(99.0, like="cam3")
+    command: list[str | Path] = [
+        program,
+        "-q",
+        "render",
+        own_capture,
+        "--like",
+        "cam3",
+        "--time",
+        "99",
+        "-o",
+        tmp_path / "x.png",
+    ]
+    printed = subprocess.run(command, capture_output=True, text=True)
+    assert (printed.returncode, printed.stderr) == (2, f"{raised.value}\n")
