@@ -1,0 +1,216 @@
+"""Film a scene with a simulated camera rig, into a capture folder.
+
+Run as `python -I blender/capture.py RIG --scene NAME -o CAPTURE`. Stdout carries JSON lines with the
+progress and nothing else; an error is one sentence on stderr, with exit code 2 for bad input and 1
+for a failure. Stopped at any time, the same command goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import json
+import os
+import re
+import shutil
+import signal
+import sys
+from pathlib import Path
+from typing import Any, NoReturn
+
+HERE = Path(__file__).resolve()
+
+
+def load_extension() -> None:
+    """Import the folder stlfr/ as `stlfr_extension`: `stlfr` is the compiled module's name."""
+    folder = HERE.parent / "stlfr"
+    spec = importlib.util.spec_from_file_location(
+        "stlfr_extension",
+        folder / "__init__.py",
+        submodule_search_locations=[str(folder)],
+    )
+    assert spec is not None and spec.loader is not None
+    package = importlib.util.module_from_spec(spec)
+    sys.modules["stlfr_extension"] = package
+    spec.loader.exec_module(package)
+
+
+load_extension()
+errors, plans, folder = (
+    importlib.import_module(f"stlfr_extension.{name}")
+    for name in ("errors", "plan", "folder")
+)
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one sentence, without the usage."""
+
+    def error(self, message: str) -> NoReturn:
+        raise errors.BadInputError(message)
+
+
+def size(text: str) -> tuple[int, int]:
+    """`320x240`."""
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if not match or min(int(match[1]), int(match[2])) < 8:
+        raise argparse.ArgumentTypeError(
+            f"{text} isn't a size like 320x240, at least 8x8"
+        )
+    return int(match[1]), int(match[2])
+
+
+def count(minimum: int) -> Any:
+    """A whole number from `minimum` on."""
+
+    def parse(text: str) -> int:
+        if not text.isdecimal() or not minimum <= int(text) <= 100_000:
+            raise argparse.ArgumentTypeError(
+                f"{text} isn't a whole number from {minimum} to 100000"
+            )
+        return int(text)
+
+    return parse
+
+
+def parse_arguments(arguments: list[str]) -> argparse.Namespace:
+    """The command line."""
+    parser = Parser(
+        prog="capture.py", description="Film a scene with a simulated camera rig."
+    )
+    parser.add_argument("rig", type=Path, metavar="RIG", help="rig file")
+    scene = parser.add_mutually_exclusive_group(required=True)
+    scene.add_argument("--scene", metavar="NAME", help="a scene of blender/scenes")
+    scene.add_argument(
+        "--blend",
+        metavar="FILE",
+        type=Path,
+        help="a .blend; its object `rig` or its camera holds the rig",
+    )
+    parser.add_argument(
+        "-o",
+        dest="capture",
+        metavar="CAPTURE",
+        type=Path,
+        required=True,
+        help="capture folder",
+    )
+    parser.add_argument(
+        "--size",
+        type=size,
+        metavar="WxH",
+        help="film all cameras at this size (same aspect)",
+    )
+    parser.add_argument(
+        "--frames", type=count(1), default=9, metavar="N", help="frames per camera (9)"
+    )
+    parser.add_argument(
+        "--samples",
+        type=count(1),
+        default=16,
+        metavar="N",
+        help="samples per pixel (16), four times as many for truth",
+    )
+    parser.add_argument(
+        "--instants",
+        type=count(0),
+        default=3,
+        metavar="N",
+        help="instants with truth (3)",
+    )
+    parser.add_argument(
+        "--truth-video",
+        type=count(0),
+        default=0,
+        metavar="N",
+        help="frames of slow motion from the rig's first view (0)",
+    )
+    parser.add_argument("--no-truth", action="store_true", help="film without truth")
+    parser.add_argument(
+        "--workers", type=count(1), metavar="N", help="filming processes (one per core)"
+    )
+    return parser.parse_args(arguments)
+
+
+def capture(arguments: argparse.Namespace) -> None:
+    """Film what isn't there yet."""
+    plan = plans.make(
+        plans.Options(
+            rig_file=arguments.rig.resolve(),
+            scene_name=arguments.scene,
+            blend_file=arguments.blend.resolve() if arguments.blend else None,
+            size_px=arguments.size,
+            frames=arguments.frames,
+            samples=arguments.samples,
+            instants=arguments.instants,
+            truth_video=arguments.truth_video,
+            truth=not arguments.no_truth,
+        )
+    )
+    target = arguments.capture.resolve()
+    plans.claim(plan, target)
+    jobs = [job for job in plan.jobs if not job.is_finished(target)]
+    total = len(plan.jobs)
+    done = total - len(jobs)
+    if not jobs and (target / plans.CAPTURE_FILE).is_file():
+        report(done, total, "already filmed")
+        return
+    (target / plans.CAPTURE_FILE).unlink(missing_ok=True)  # not whole any more
+
+    def on_done(job: Any) -> None:
+        nonlocal done
+        done += 1
+        report(done, total, job.what)
+
+    report(done, total, "starting Blender")
+    scratch = folder.scratch_folder(target)
+    shutil.rmtree(scratch, ignore_errors=True)
+    scratch.mkdir()
+    cores = (
+        len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count() or 1
+    )
+    workers = min(arguments.workers or cores, max(1, len(jobs)))
+    crews = importlib.import_module("stlfr_extension.workers")
+    command = [sys.executable, "-I", str(HERE), "--worker"]
+    with crews.Crew(plan, target, scratch, command, workers, cores) as crew:
+        cameras = crew.film(jobs, on_done)
+    shutil.rmtree(scratch)
+    folder.write_all(plan, cameras, target)
+
+
+def report(done: int, total: int, what: str) -> None:
+    """One line of progress."""
+    print(json.dumps({"done": done, "total": total, "what": what}), flush=True)
+
+
+def stop(*_: object) -> NoReturn:
+    """On a signal: leave through the `with` that ends the workers."""
+    raise errors.FailureError(
+        "filming was stopped; the same command goes on where it was"
+    )
+
+
+def main() -> int:
+    """Run, and say what went wrong in one sentence."""
+    if sys.argv[1:] == ["--worker"]:
+        importlib.import_module("stlfr_extension.workers").work()
+        return 0
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    try:
+        capture(parse_arguments(sys.argv[1:]))
+    except (errors.BadInputError, errors.FailureError) as error:
+        print(error, file=sys.stderr)
+        return int(error.exit_code)
+    except OSError as error:
+        print(
+            f"{error.filename or 'filming'}: {error.strerror or error}", file=sys.stderr
+        )
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,285 @@
+"""What scenes are built from: matt materials, printed sheets, simple bodies, motion, light.
+
+Every surface is diffuse, so that a point looks alike from every camera. Textures are painted (see
+`paint`) and kept in the file: many times faster to render than shader noise. Motion is by drivers on the frame number, in expressions that
+Blender evaluates itself (no Python, no permission to ask for), so it is exact at sub-frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import bpy
+import mathutils
+import numpy as np
+
+from . import paint
+
+FPS = 30
+SECONDS = f"((frame - 1) / {FPS})"
+"""World time in a driver's expression."""
+
+
+def ink(name: str, code: str) -> Any:
+    """A plain matt colour (sRGB code)."""
+    material, diffuse = _matt(name)
+    diffuse.inputs["Color"].default_value = (*_linear(paint.color(code)), 1.0)
+    return material
+
+
+def printed(name: str, picture: paint.Image) -> Any:
+    """A matt material that shows a picture over the surface's UV square."""
+    height, width = picture.shape[:2]
+    image = bpy.data.images.new(name, width, height)
+    pixels = np.ones((height, width, 4), dtype=np.float32)
+    pixels[..., :3] = picture
+    image.pixels.foreach_set(pixels.ravel())
+    image.pack()
+    material, diffuse = _matt(name)
+    texture = material.node_tree.nodes.new("ShaderNodeTexImage")
+    texture.image, texture.extension = image, "EXTEND"
+    material.node_tree.links.new(texture.outputs["Color"], diffuse.inputs["Color"])
+    return material
+
+
+def _matt(name: str) -> tuple[Any, Any]:
+    """A material with nothing but a diffuse shader, and that shader."""
+    material = bpy.data.materials.new(name)
+    nodes = material.node_tree.nodes
+    nodes.clear()
+    diffuse = nodes.new("ShaderNodeBsdfDiffuse")
+    output = nodes.new("ShaderNodeOutputMaterial")
+    material.node_tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
+    return material, diffuse
+
+
+def _linear(srgb: paint.Image) -> list[float]:
+    return [
+        s / 12.92 if s <= 0.04045 else ((s + 0.055) / 1.055) ** 2.4
+        for s in srgb.tolist()
+    ]
+
+
+class Sheet:
+    """A printed sheet: rectangles and text in page coordinates, metres.
+
+    x runs right and y up, seen from the front; the front faces -Y, the page's y is the world's Z.
+    Each print layer stands 0.4 mm above the one below, which no camera here can resolve.
+    """
+
+    LAYER_M = 0.0004
+
+    def __init__(self) -> None:
+        self.materials: list[Any] = []
+        self.vertices: list[tuple[float, float, int]] = []
+        self.uvs: list[tuple[float, float]] = []
+        self.faces: list[tuple[list[int], int]] = []
+
+    def _slot(self, material: Any) -> int:
+        if material not in self.materials:
+            self.materials.append(material)
+        return self.materials.index(material)
+
+    def rectangle(
+        self,
+        material: Any,
+        x: float,
+        y: float,
+        width: float,
+        height: float,
+        layer: int = 0,
+    ) -> None:
+        """A rectangle from its lower left corner, cut into columns so that it can bend."""
+        columns = max(1, math.ceil(width / 0.012))
+        first = len(self.vertices)
+        for i in range(columns + 1):
+            column_x = x + width * i / columns
+            self.vertices += [(column_x, y, layer), (column_x, y + height, layer)]
+            self.uvs += [(i / columns, 0.0), (i / columns, 1.0)]
+        for i in range(columns):
+            a = first + 2 * i
+            self.faces.append(([a, a + 2, a + 3, a + 1], self._slot(material)))
+
+    def text(
+        self,
+        material: Any,
+        body: str,
+        x: float,
+        y: float,
+        size: float,
+        align: str = "LEFT",
+        layer: int = 2,
+    ) -> None:
+        """Text in Blender's built-in font; (x, y) is the first line's baseline, `size` its height."""
+        curve = bpy.data.curves.new("text", "FONT")
+        curve.body, curve.size, curve.align_x = body, size, align
+        curve.resolution_u = 3
+        text_object = bpy.data.objects.new("text", curve)
+        mesh = text_object.to_mesh()
+        first = len(self.vertices)
+        self.vertices += [(x + v.co.x, y + v.co.y, layer) for v in mesh.vertices]
+        self.uvs += [(0.0, 0.0)] * len(mesh.vertices)
+        for polygon in mesh.polygons:
+            self.faces.append(
+                ([first + v for v in polygon.vertices], self._slot(material))
+            )
+        text_object.to_mesh_clear()
+        bpy.data.objects.remove(text_object)
+        bpy.data.curves.remove(curve)
+
+    def build(
+        self, name: str, bend: Callable[[float, float], float] = lambda x, y: 0.0
+    ) -> Any:
+        """The finished object; `bend(x, y)` is how far a point comes forward, towards -Y."""
+        points = [
+            (x, -bend(x, y) - self.LAYER_M * layer, y) for x, y, layer in self.vertices
+        ]
+        faces = [indices for indices, _ in self.faces]
+        mesh = _mesh(
+            name, points, faces, [[self.uvs[v] for v in indices] for indices in faces]
+        )
+        for material in self.materials:
+            mesh.materials.append(material)
+        for polygon, (_, slot) in zip(mesh.polygons, self.faces, strict=True):
+            polygon.material_index = slot
+        mesh.shade_smooth()
+        return add(bpy.data.objects.new(name, mesh))
+
+
+def _mesh(
+    name: str,
+    points: Sequence[Sequence[float]],
+    faces: Sequence[Sequence[int]],
+    face_uvs: Sequence[Sequence[tuple[float, float]]],
+) -> Any:
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(points, [], faces)
+    mesh.uv_layers.new().data.foreach_set(
+        "uv", [c for uvs in face_uvs for uv in uvs for c in uv]
+    )
+    return mesh
+
+
+def add(new_object: Any) -> Any:
+    """Put an object into the scene."""
+    bpy.context.scene.collection.objects.link(new_object)
+    return new_object
+
+
+def box(
+    name: str,
+    material: Any,
+    size_m: Sequence[float],
+    base_m: Sequence[float],
+    turn_deg: float = 0.0,
+) -> Any:
+    """An upright box; `base_m` is the middle of its underside."""
+    w, d, h = size_m[0] / 2, size_m[1] / 2, size_m[2]
+    corners = [(x, y, z) for z in (0.0, h) for y in (-d, d) for x in (-w, w)]
+    faces = [
+        (0, 1, 5, 4),
+        (1, 3, 7, 5),
+        (3, 2, 6, 7),
+        (2, 0, 4, 6),
+        (4, 5, 7, 6),
+        (0, 2, 3, 1),
+    ]  # front first
+    square = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
+    mesh = _mesh(name, corners, faces, [square] * 6)
+    mesh.materials.append(material)
+    new_object = add(bpy.data.objects.new(name, mesh))
+    new_object.location = base_m
+    new_object.rotation_euler.z = math.radians(turn_deg)
+    return new_object
+
+
+def turned(
+    name: str,
+    material: Any,
+    profile_m: Sequence[tuple[float, float]],
+    segments: int = 48,
+) -> Any:
+    """A body of revolution about its own Z: (radius, height) from bottom to top; UV is angle and ring."""
+    rings = len(profile_m)
+    points = [
+        (
+            r * math.cos(math.tau * s / segments),
+            r * math.sin(math.tau * s / segments),
+            z,
+        )
+        for r, z in profile_m
+        for s in range(segments)
+    ]
+    faces, face_uvs = [], []
+    for ring in range(rings - 1):
+        for s in range(segments):
+            a, b = ring * segments + s, ring * segments + (s + 1) % segments
+            left, right = s / segments, (s + 1) / segments
+            low, high = ring / (rings - 1), (ring + 1) / (rings - 1)
+            faces.append((a, b, b + segments, a + segments))
+            face_uvs.append([(left, low), (right, low), (right, high), (left, high)])
+    mesh = _mesh(name, points, faces, face_uvs)
+    mesh.materials.append(material)
+    mesh.shade_smooth()
+    return add(bpy.data.objects.new(name, mesh))
+
+
+def sphere_profile(
+    radius_m: float, centre_height_m: float, rings: int = 24
+) -> list[tuple[float, float]]:
+    """A sphere for `turned`."""
+    angles = [-math.pi / 2 + math.pi * i / rings for i in range(rings + 1)]
+    return [
+        (radius_m * math.cos(a) + 1e-5, centre_height_m + radius_m * math.sin(a))
+        for a in angles
+    ]
+
+
+def drive(target: Any, path: str, axis: int, expression: str) -> None:
+    """Animate one component; `{t}` in the expression is world time in seconds."""
+    curve = target.driver_add(path, axis)
+    curve.driver.type = "SCRIPTED"
+    curve.driver.expression = expression.replace("{t}", SECONDS)
+
+
+def sky(brightness: float, contrast: float, brightest: Sequence[float]) -> None:
+    """All the light there is: a smooth sky, `brightness` on average, brightest in one direction.
+
+    It runs from `1 - contrast` times the average on one side to `1 + contrast` times on the other.
+    Shading and soft contact shadows come from it alone: half the render time of a sun, less noise.
+    """
+    world = bpy.data.worlds.new("sky")
+    world.cycles.sampling_method = "NONE"  # smooth enough to be met by chance
+    nodes, links = world.node_tree.nodes, world.node_tree.links
+    direction = nodes.new("ShaderNodeTexCoord").outputs["Generated"]
+    towards = nodes.new("ShaderNodeVectorMath")
+    towards.operation = "DOT_PRODUCT"
+    towards.inputs[1].default_value = mathutils.Vector(brightest).normalized()
+    links.new(direction, towards.inputs[0])
+    strength = nodes.new("ShaderNodeMath")
+    strength.operation = "MULTIPLY_ADD"
+    strength.inputs[1].default_value = brightness * contrast
+    strength.inputs[2].default_value = brightness
+    links.new(towards.outputs["Value"], strength.inputs[0])
+    background = nodes["Background"]
+    background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    links.new(strength.outputs["Value"], background.inputs["Strength"])
+    bpy.context.scene.world = world
+
+
+def place_rig(location_m: Sequence[float], target_m: Sequence[float]) -> None:
+    """Say where the rig stands and what it looks at, upright."""
+    rig = add(bpy.data.objects.new("rig", None))
+    look = mathutils.Vector(target_m) - mathutils.Vector(location_m)
+    rig.location = location_m
+    rig.rotation_euler = look.to_track_quat("-Z", "Y").to_euler()
+    rig.empty_display_size = 0.1
+
+
+def start_scene() -> None:
+    """The clock: world time 0 is frame 1, 30 frames a second, three seconds to look at."""
+    scene = bpy.context.scene
+    scene.render.fps, scene.render.fps_base = FPS, 1.0
+    scene.frame_start, scene.frame_end = 1, 1 + 3 * FPS

@@ -1,0 +1,194 @@
+"""A person waves an open magazine, a ball swings, and a vase hides part of the wall behind them.
+
+Depths from the rig: vase 1.40 m, magazine 1.55 to 1.75 m, ball 1.85 m, wall 2.1 m. At 640x480 the
+magazine moves 10 to 20 pixels a frame, mostly up and down, so across a horizontal rig's epipolar
+lines; it also turns and its swing is never a straight line.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from . import kit, paint
+
+RIG_HEIGHT_M = 1.2
+
+HEADLINE = "LIGHT FIELDS"
+COLUMN_FRONT = "Eight cameras stood in a\nline, each with a clock"
+COLUMN_LEFT = (
+    "of its own. No two\nopened together,\nand yet the page\nthey saw was one\npage, in one place,\n"
+    "at one moment. The\nline looked on, and\nso do we. Find the\nhour of each eye,\nand time is space."
+)
+COLUMN_RIGHT = (
+    "Give every camera its\nown offset, and follow\neach corner as it moves.\nThen ask for the image\n"
+    "at any instant, from\nany place between."
+)
+
+
+def magazine() -> Any:
+    """The open magazine: 62 x 42 cm, two bulging pages."""
+    paper, black, red = (
+        kit.ink("paper", "f2efe4"),
+        kit.ink("black", "161412"),
+        kit.ink("red", "b3261e"),
+    )
+    harbour = photo(
+        "harbour",
+        (0.275, 0.20),
+        ("12324a", "2f7fa8", "e8dcc0", "d98b3a", "7a2f1c"),
+        0.020,
+    )
+    garden = photo(
+        "garden",
+        (0.14, 0.145),
+        ("16361b", "4f8f2f", "d8d46a", "e6e0e8", "b03a72"),
+        0.017,
+    )
+    page = kit.Sheet()
+    page.rectangle(paper, -0.31, -0.21, 0.62, 0.42)
+    page.rectangle(harbour, -0.295, -0.195, 0.275, 0.20, layer=1)
+    page.rectangle(garden, 0.155, -0.045, 0.14, 0.145, layer=1)
+    page.rectangle(red, -0.295, 0.185, 0.59, 0.012, layer=1)
+    page.rectangle(red, 0.02, -0.075, 0.275, 0.006, layer=1)
+    page.text(black, HEADLINE, -0.158, 0.130, 0.047, align="CENTER")
+    page.text(black, "in space and time", -0.158, 0.092, 0.031, align="CENTER")
+    page.text(black, COLUMN_FRONT, -0.29, 0.055, 0.0215)
+    page.text(black, COLUMN_LEFT, 0.02, 0.160, 0.0145)
+    page.text(red, "No. 4", 0.16, 0.122, 0.05)
+    page.text(black, COLUMN_RIGHT, 0.02, -0.1, 0.02)
+
+    def bulge_m(x: float, _y: float) -> float:
+        return 0.035 * math.sin(math.pi * min(1.0, abs(x) / 0.31) ** 0.7) + 0.06 * abs(
+            x
+        )
+
+    return page.build("magazine", bulge_m)
+
+
+def photo(
+    name: str, size_m: tuple[float, float], codes: tuple[str, ...], feature_m: float
+) -> Any:
+    """A material like a photograph, painted at 1.5 mm a texel: finer than any camera here sees."""
+    texel_m = 0.0015
+    shape = (round(size_m[1] / texel_m), round(size_m[0] / texel_m))
+    return kit.printed(name, paint.photo(name, shape, codes, feature_m / texel_m))
+
+
+def wave(held: Any) -> None:
+    """A person's swing: up and down once a second, sideways and turning at other periods."""
+    kit.drive(held, "location", 0, "-0.10 + 0.070*sin(5.10*{t} + 1.9)")
+    kit.drive(held, "location", 1, "1.66 + 0.045*sin(4.30*{t} + 0.4)")
+    kit.drive(
+        held,
+        "location",
+        2,
+        f"{RIG_HEIGHT_M} + 0.04 + 0.145*sin(6.28*{{t}} - 1.1) + 0.020*sin(13.1*{{t}})",
+    )
+    kit.drive(held, "rotation_euler", 0, "-0.10 + 0.22*sin(5.70*{t} - 0.3)")
+    kit.drive(held, "rotation_euler", 1, "0.06 + 0.20*sin(6.28*{t} + 0.5)")
+    kit.drive(held, "rotation_euler", 2, "0.12 + 0.24*sin(4.70*{t} + 2.2)")
+
+
+def ball() -> Any:
+    """A patterned ball on a string; its origin is the hook that it swings from."""
+    material = kit.printed(
+        "ball",
+        paint.patchwork(
+            "ball", (220, 440), ("d9412b", "f3c531", "f7f4ec", "2b62b8", "3f8f4f"), 26
+        ),
+    )
+    hung = kit.turned("ball", material, kit.sphere_profile(0.105, -0.62))
+    string = kit.turned(
+        "string",
+        kit.ink("string", "3a3028"),
+        [(0.004, -0.52), (0.004, 0.0)],
+        segments=8,
+    )
+    string.parent = hung
+    return hung
+
+
+def swing(hung: Any) -> None:
+    """A pendulum of 0.62 m: 1.58 s to and fro, across and a little towards the rig, spinning."""
+    hung.location = (0.46, 1.86, RIG_HEIGHT_M + 0.62)
+    hung.rotation_mode = "ZXY"
+    kit.drive(hung, "rotation_euler", 0, "0.16*sin(3.98*{t} + 1.3)")
+    kit.drive(hung, "rotation_euler", 1, "0.40*sin(3.98*{t} - 0.2)")
+    kit.drive(hung, "rotation_euler", 2, "0.9*sin(2.10*{t} + 0.7)")
+
+
+def wall() -> None:
+    """Bricks of many colours with posters on them, and crates before them."""
+    texel_m = 0.003
+    picture = paint.bricks(
+        "bricks",
+        (round(2.6 / texel_m), round(3.2 / texel_m)),
+        (0.075 / texel_m, 0.17 / texel_m),
+        ("8a4020", "b5602f", "d9a878", "9c5a3c", "c98a5a"),
+        "e4ddd0",
+    )
+    plane = kit.Sheet()
+    plane.rectangle(kit.printed("bricks", picture), -1.6, -1.3, 3.2, 2.6)
+    plane.build("wall").location = (0, 2.1, RIG_HEIGHT_M)
+
+    poster(
+        "SPACE\nTIME", ("1b1b3a", "693668", "f4d35e", "ee964b", "f95738"), (-0.72, 0.32)
+    )
+    poster(
+        "EIGHT\nEYES", ("0b3948", "2a9d8f", "e9ecef", "e9c46a", "9b2226"), (0.14, 0.40)
+    )
+    poster(
+        "KEEP\nSYNC", ("101418", "3a5a40", "dad7cd", "588157", "bc4749"), (0.68, -0.22)
+    )
+    crate = photo(
+        "crate", (0.42, 0.40), ("2b1d0e", "7f5530", "e0b878", "a06a3a", "4a3018"), 0.030
+    )
+    tin = photo(
+        "tin", (0.2, 0.3), ("0d2b45", "3d6fa5", "f0f0e8", "c9a227", "7d1d1d"), 0.022
+    )
+    kit.box("crate", crate, (0.42, 0.26, 0.40), (-0.62, 1.93, RIG_HEIGHT_M - 0.75), 18)
+    kit.box("tin", tin, (0.20, 0.20, 0.30), (0.10, 1.95, RIG_HEIGHT_M - 0.75), -25)
+
+
+def poster(title: str, codes: tuple[str, ...], centre_m: tuple[float, float]) -> None:
+    """A poster on the wall: a picture with two words over it."""
+    name = title.replace("\n", " ").lower()
+    sheet = kit.Sheet()
+    sheet.rectangle(kit.ink(f"{name} edge", "efe9dc"), -0.19, -0.25, 0.38, 0.50)
+    sheet.rectangle(
+        photo(name, (0.34, 0.28), codes, 0.028), -0.17, -0.23, 0.34, 0.28, layer=1
+    )
+    sheet.text(
+        kit.ink(f"{name} ink", "1a1a1a"), title, 0.0, 0.155, 0.10, align="CENTER"
+    )
+    sheet.build(name).location = (centre_m[0], 2.092, RIG_HEIGHT_M + centre_m[1])
+
+
+def foreground() -> None:
+    """A painted vase close to the rig, hiding part of what is behind it."""
+    glaze = photo(
+        "glaze", (0.6, 0.4), ("14213d", "2a6f97", "f1faee", "e9c46a", "9d0208"), 0.022
+    )
+    profile = [
+        (0.050, 0.0),
+        (0.085, 0.05),
+        (0.105, 0.13),
+        (0.092, 0.21),
+        (0.050, 0.28),
+        (0.040, 0.32),
+        (0.056, 0.36),
+    ]
+    vase = kit.turned("vase", glaze, profile)
+    vase.location = (0.22, 1.42, RIG_HEIGHT_M - 0.56)
+
+
+def build() -> None:
+    """Fill an empty Blender file."""
+    kit.start_scene()
+    kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
+    kit.sky(brightness=0.85, contrast=0.4, brightest=(-0.5, -0.6, 0.8))
+    wall()
+    foreground()
+    wave(magazine())
+    swing(ball())

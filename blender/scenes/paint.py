@@ -1,0 +1,145 @@
+"""Paint textures as arrays: smooth noise, cells, bricks, and pictures made of them. NumPy only.
+
+An image is height x width (x 3), row 0 at the bottom as in Blender, values sRGB-encoded 0 to 1.
+Everything is drawn from a seed, so the same call paints the same pixels.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+Image = npt.NDArray[np.float32]
+
+
+def generator(name: str) -> np.random.Generator:
+    """Random numbers of this texture's own."""
+    return np.random.default_rng(zlib.crc32(name.encode()))
+
+
+def color(hex_code: str) -> Image:
+    """The sRGB values of a code such as `d0a040`."""
+    return np.array(
+        [int(hex_code[i : i + 2], 16) / 255 for i in (0, 2, 4)], dtype=np.float32
+    )
+
+
+def noise(
+    shape: tuple[int, int], feature_px: float, octaves: int, random: np.random.Generator
+) -> Image:
+    """Smooth noise from 0 to 1 with features of about `feature_px`, each octave half as large and as strong."""
+    total = np.zeros(shape, dtype=np.float32)
+    for octave in range(octaves):
+        total += 0.5**octave * _smooth_lattice(
+            shape, max(1.0, feature_px * 0.5**octave), random
+        )
+    total -= total.min()
+    total /= total.max()
+    return total
+
+
+def _smooth_lattice(
+    shape: tuple[int, int], spacing_px: float, random: np.random.Generator
+) -> Image:
+    """Random values on a lattice, smoothly interpolated."""
+    y, x = (np.arange(n) / spacing_px for n in shape)
+    lattice = random.random((int(y[-1]) + 2, int(x[-1]) + 2), dtype=np.float32)
+    row, column = y.astype(int)[:, None], x.astype(int)[None, :]
+    v, u = (f * f * (3 - 2 * f) for f in ((y % 1)[:, None], (x % 1)[None, :]))
+    below = lattice[row, column] * (1 - u) + lattice[row, column + 1] * u
+    above = lattice[row + 1, column] * (1 - u) + lattice[row + 1, column + 1] * u
+    result: Image = (below * (1 - v) + above * v).astype(np.float32)
+    return result
+
+
+def cells(
+    shape: tuple[int, int], spacing_px: float, random: np.random.Generator
+) -> Image:
+    """Voronoi cells of about `spacing_px`, each one grey from 0 to 1: straight edges, sharp corners."""
+    y, x = np.meshgrid(
+        *(np.arange(n, dtype=np.float32) / spacing_px + 1 for n in shape), indexing="ij"
+    )
+    lattice_shape = (int(y.max()) + 3, int(x.max()) + 3)
+    shift_y, shift_x, grey = random.random((3, *lattice_shape), dtype=np.float32)
+    nearest = np.full(shape, np.inf, dtype=np.float32)
+    result = np.zeros(shape, dtype=np.float32)
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            row, column = y.astype(int) + dy, x.astype(int) + dx
+            distance = (row + shift_y[row, column] - y) ** 2 + (
+                column + shift_x[row, column] - x
+            ) ** 2
+            closer = distance < nearest
+            nearest[closer] = distance[closer]
+            result[closer] = grey[row, column][closer]
+    return result
+
+
+def ramp(factor: Image, stops: Sequence[float], codes: Sequence[str]) -> Image:
+    """Colours along a factor."""
+    colors = np.stack([color(code) for code in codes])
+    return np.stack(
+        [np.interp(factor, stops, colors[:, c]) for c in range(3)], axis=-1
+    ).astype(np.float32)
+
+
+def photo(
+    name: str, shape: tuple[int, int], codes: Sequence[str], feature_px: float
+) -> Image:
+    """Like a printed photograph: soft large shapes in five colours, hard small ones over them, grain."""
+    random = generator(name)
+    shapes = ramp(
+        noise(shape, 5 * feature_px, 4, random), (0.15, 0.38, 0.5, 0.62, 0.85), codes
+    )
+    patches = cells(shape, feature_px, random) - 0.5
+    grain = noise(shape, 0.45 * feature_px, 2, random) - 0.5
+    return shaded(shapes, 0.42 * patches + 0.38 * grain)
+
+
+def bricks(
+    name: str,
+    shape: tuple[int, int],
+    brick_px: tuple[float, float],
+    codes: Sequence[str],
+    mortar: str,
+) -> Image:
+    """A brick wall: rows of bricks in colours between `codes`, stained, chipped and grainy."""
+    random = generator(name)
+    y, x = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in shape), indexing="ij")
+    row = (y / brick_px[0]).astype(int)
+    along = x / brick_px[1] + 0.5 * (row % 2)
+    tint = random.random((int(row.max()) + 1, int(along.max()) + 1), dtype=np.float32)
+    base = ramp(
+        tint[row, along.astype(int)], np.linspace(0, 1, len(codes)).tolist(), codes
+    )
+    gap_px = np.minimum(
+        np.minimum(y % brick_px[0], -y % brick_px[0]),
+        np.minimum(along % 1, -along % 1) * brick_px[1],
+    )
+    is_brick = np.clip(gap_px - 0.055 * brick_px[0] + 0.5, 0, 1)[..., None]
+    wall = base * is_brick + color(mortar) * (1 - is_brick)
+    stains = noise(shape, 2.5 * brick_px[0], 3, random) - 0.5
+    chips = cells(shape, 0.32 * brick_px[0], random) - 0.5
+    grain = noise(shape, 0.16 * brick_px[0], 2, random) - 0.5
+    return shaded(wall, 0.25 * stains + 0.28 * chips + 0.28 * grain)
+
+
+def patchwork(
+    name: str, shape: tuple[int, int], codes: Sequence[str], feature_px: float
+) -> Image:
+    """Plain patches in the given colours with a speckle over them."""
+    random = generator(name)
+    grey = cells(shape, feature_px, random)
+    colors = np.stack([color(code) for code in codes])
+    patches = colors[np.minimum((grey * len(codes)).astype(int), len(codes) - 1)]
+    return shaded(patches, 0.5 * (noise(shape, 0.3 * feature_px, 2, random) - 0.5))
+
+
+def shaded(image: Image, amount: Image) -> Image:
+    """Lighter where `amount` is above 0, darker where below, inside the range that light leaves unclipped."""
+    return np.clip(
+        image + amount[..., None] * (0.35 + 0.65 * image), 0.04, 0.96
+    ).astype(np.float32)

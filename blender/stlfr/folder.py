@@ -1,0 +1,132 @@
+"""Write a capture's text files: capture.json, truth.json and the COLMAP model. No `bpy` here."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from typing import TYPE_CHECKING, Any
+
+from . import truth
+from .plan import CAPTURE_FILE, HIDDEN_FOLDER, Plan, frame_file, truth_files
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Camera = dict[str, Any]
+"""A camera as capture.json spells it: width, height, model, params, cam_from_world."""
+
+
+def write_all(plan: Plan, cameras: dict[str, Camera], capture: Path) -> None:
+    """Everything but the images; capture.json last, because its presence says that the film is whole."""
+    if plan.options.truth:
+        write_json(capture / "truth" / "truth.json", _truth_json(plan, cameras))
+    _write_colmap(plan, cameras, capture / "colmap")
+    write_json(capture / CAPTURE_FILE, _capture_json(plan, cameras))
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON file that is never seen half-written; a list of numbers takes one line."""
+    text = json.dumps(content, indent=1)
+    text = re.sub(
+        r"\[[^\[\]{}\"]*\]", lambda numbers: " ".join(numbers[0].split()), text
+    )
+    _write_text(path, text.replace("[ ", "[").replace(" ]", "]") + "\n")
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.partial")
+    with partial.open("w", encoding="utf-8") as stream:
+        stream.write(text)
+        stream.flush()
+        os.fsync(stream.fileno())
+    partial.replace(path)
+
+
+def _capture_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:
+    entries = []
+    for camera, shutter in zip(plan.rig.cameras, plan.shutters, strict=True):
+        if shutter.stamped:
+            clock: dict[str, Any] = {
+                "times_s": list(shutter.clock_times_s),
+                "shared": False,
+            }
+        else:
+            clock = {"rate_hz": camera.rate_hz, "first_s": 0.0, "shared": False}
+        entries.append(
+            {
+                "id": camera.id,
+                "frames": f"{camera.id}/%04d.png",
+                **cameras[camera.id],
+                "color": camera.color,
+                "clock": clock,
+            }
+        )
+    return {
+        "format": "stlfr-capture",
+        "version": 1,
+        "name": f"{plan.options.title}-{plan.rig.name}",
+        "reference": plan.rig.reference,
+        "cameras": entries,
+    }
+
+
+def _truth_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:
+    rig_camera_ids = {camera.id for camera in plan.rig.cameras}
+    views = [
+        {
+            "id": f"t{k}-{view.id}",
+            "time_s": time_s,
+            "like": view.id if view.id in rig_camera_ids else None,
+            "camera": cameras[view.id],
+            **truth_files(k, view.id),
+        }
+        for k, time_s in enumerate(plan.instants_s)
+        for view in (*plan.rig.cameras, *plan.rig.views)
+    ]
+    video = None
+    if plan.video_times_s:
+        view_id = plan.rig.views[0].id
+        video = {
+            "view": view_id,
+            "times_s": plan.video_times_s,
+            "camera": cameras[view_id],
+            "images": "video/%04d.png",
+        }
+    return truth.truth_json(plan.options.title, plan.rig, plan.shutters, views, video)
+
+
+def _write_colmap(plan: Plan, cameras: dict[str, Camera], folder: Path) -> None:
+    """COLMAP's text model: one camera and one image (its first frame) each, no points."""
+    camera_lines = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"]
+    image_lines = [
+        "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
+        "# POINTS2D[] as (X Y POINT3D_ID): none",
+    ]
+    for number, rig_camera in enumerate(plan.rig.cameras, start=1):
+        camera = cameras[rig_camera.id]
+        transform = camera["cam_from_world"]
+        intrinsics = [
+            camera["model"],
+            camera["width"],
+            camera["height"],
+            *camera["params"],
+        ]
+        pose = [*transform["rotation_wxyz"], *transform["translation"]]
+        camera_lines.append(" ".join(map(str, [number, *intrinsics])))
+        image_lines.append(
+            " ".join(map(str, [number, *pose, number, frame_file(rig_camera.id, 0)]))
+        )
+        image_lines.append("")
+    _write_text(folder / "cameras.txt", "\n".join(camera_lines) + "\n")
+    _write_text(folder / "images.txt", "\n".join(image_lines) + "\n")
+    _write_text(
+        folder / "points3D.txt",
+        "# POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX): none\n",
+    )
+
+
+def scratch_folder(capture: Path) -> Path:
+    """Where half-written images lie, on the same disk as the finished ones."""
+    return capture / HIDDEN_FOLDER / "partial"

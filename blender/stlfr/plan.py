@@ -1,0 +1,302 @@
+"""Which images a capture consists of, and which of them are there already. No `bpy` here.
+
+A capture folder belongs to one plan, whose fingerprint lies in the hidden folder `.film`: rig, scene,
+options and the sources that decide the pixels. Filming goes on where it stopped if the plan is the
+same, and refuses any other folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import png, scenes, truth
+from . import rig as rigs
+from .errors import BadInputError
+from .rig import Rig, Shutter
+
+HIDDEN_FOLDER = ".film"
+PLAN_FILE = "plan.txt"
+CAPTURE_FILE = "capture.json"
+
+TRUTH_SAMPLES_FACTOR = 4
+"""Truth has four times the samples, so half the noise."""
+
+PIXEL_SOURCES = (
+    "camera.py",
+    "exr.py",
+    "film.py",
+    "folder.py",
+    "plan.py",
+    "png.py",
+    "rig.py",
+    "scenes.py",
+    "truth.py",
+)
+"""The modules of this folder that decide what the files of a capture hold."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to film. `blend_file` or `scene_name`, not both."""
+
+    rig_file: Path
+    scene_name: str | None
+    blend_file: Path | None
+    size_px: tuple[int, int] | None
+    frames: int
+    samples: int
+    instants: int
+    truth_video: int
+    truth: bool
+
+    @property
+    def title(self) -> str:
+        """The scene's name for people."""
+        if self.scene_name is not None:
+            return self.scene_name
+        assert self.blend_file is not None
+        return self.blend_file.stem
+
+
+@dataclass(frozen=True)
+class Job:
+    """One picture to render, or one view's depth and motion. `files` are relative to the capture."""
+
+    what: str
+    view_id: str
+    width_px: int
+    height_px: int
+    world_time_s: float
+    samples: int
+    seed: int
+    files: tuple[str, ...]
+
+    @property
+    def is_geometry(self) -> bool:
+        """Whether it writes depth and motion instead of a picture."""
+        return self.files[0].endswith(".npy")
+
+    def is_finished(self, capture: Path) -> bool:
+        """Whether all its files are there and whole."""
+        check = is_whole_npy if self.is_geometry else png.is_whole
+        return all(
+            check(capture / file, self.width_px, self.height_px) for file in self.files
+        )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A whole capture, before anything is rendered."""
+
+    options: Options
+    rig: Rig
+    shutters: list[Shutter]
+    instants_s: list[float]
+    video_times_s: list[float]
+    jobs: list[Job]
+    fingerprint: str
+
+
+def make(options: Options) -> Plan:
+    """Check the options and list every image."""
+    rig = rigs.load(options.rig_file)
+    if options.size_px is not None:
+        rig = rigs.resized(rig, *options.size_px)
+    shutters = rigs.shutters(rig, options.frames)
+    instants_s = (
+        truth.instants_s(rig, shutters, options.instants) if options.truth else []
+    )
+    video_times_s = (
+        truth.video_times_s(rig, shutters, options.truth_video) if options.truth else []
+    )
+    if video_times_s and not rig.views:
+        raise BadInputError(
+            f"--truth-video: rig {rig.name} has no views to film it from"
+        )
+    return Plan(
+        options=options,
+        rig=rig,
+        shutters=shutters,
+        instants_s=instants_s,
+        video_times_s=video_times_s,
+        jobs=[
+            *_frame_jobs(rig, shutters, options.samples),
+            *_truth_jobs(rig, shutters, instants_s, options.samples),
+            *_video_jobs(rig, shutters, video_times_s, options.samples),
+        ],
+        fingerprint=_fingerprint(options, rig),
+    )
+
+
+def frame_file(camera_id: str, index: int) -> str:
+    """Where a camera's frame lies."""
+    return f"{camera_id}/{index:04d}.png"
+
+
+def truth_files(instant: int, view_id: str) -> dict[str, str]:
+    """Where an instant's truth lies, relative to truth/."""
+    stem = f"views/t{instant}-{view_id}"
+    return {
+        "image": f"{stem}.png",
+        "depth": f"{stem}.depth.npy",
+        "motion": f"{stem}.motion.npy",
+    }
+
+
+def _frame_jobs(rig: Rig, shutters: list[Shutter], samples: int) -> list[Job]:
+    return [
+        _job(
+            rig,
+            f"{camera.id} frame {k}",
+            camera,
+            time_s,
+            samples,
+            "frame",
+            k,
+            (frame_file(camera.id, k),),
+        )
+        for camera, shutter in zip(rig.cameras, shutters, strict=True)
+        for k, time_s in enumerate(shutter.world_times_s)
+    ]
+
+
+def _truth_jobs(
+    rig: Rig, shutters: list[Shutter], instants_s: list[float], samples: int
+) -> list[Job]:
+    zero_s = truth.reference_zero_s(rig, shutters)
+    images, geometry = [], []
+    for k, time_s in enumerate(instants_s):
+        for view in (*rig.cameras, *rig.views):
+            files = {
+                name: f"truth/{file}" for name, file in truth_files(k, view.id).items()
+            }
+            what = f"truth {k} {view.id}"
+            world_s = time_s + zero_s
+            images.append(
+                _job(
+                    rig,
+                    what,
+                    view,
+                    world_s,
+                    samples * TRUTH_SAMPLES_FACTOR,
+                    "truth",
+                    k,
+                    (files["image"],),
+                )
+            )
+            both = (files["depth"], files["motion"])
+            geometry.append(
+                _job(rig, f"{what} depth", view, world_s, 1, "geometry", k, both)
+            )
+    return (
+        geometry + images
+    )  # passes change once only, since each change rebuilds the scene in Cycles
+
+
+def _video_jobs(
+    rig: Rig, shutters: list[Shutter], times_s: list[float], samples: int
+) -> list[Job]:
+    zero_s = truth.reference_zero_s(rig, shutters)
+    return [
+        _job(
+            rig,
+            f"truth video frame {k}",
+            rig.views[0],
+            time_s + zero_s,
+            samples * TRUTH_SAMPLES_FACTOR,
+            "video",
+            k,
+            (f"truth/video/{k:04d}.png",),
+        )
+        for k, time_s in enumerate(times_s)
+    ]
+
+
+def _job(
+    rig: Rig,
+    what: str,
+    view: rigs.RigView,
+    world_time_s: float,
+    samples: int,
+    purpose: str,
+    index: int,
+    files: tuple[str, ...],
+) -> Job:
+    digest = hashlib.sha256(f"{rig.seed}/{purpose}/{view.id}/{index}".encode()).digest()
+    return Job(
+        what=what,
+        view_id=view.id,
+        width_px=view.width_px,
+        height_px=view.height_px,
+        world_time_s=world_time_s,
+        samples=samples,
+        seed=struct.unpack("<I", digest[:4])[0]
+        & 0x7FFFFFFF,  # its own for every image; Cycles takes 31 bits
+        files=files,
+    )
+
+
+def _fingerprint(options: Options, rig: Rig) -> str:
+    here = Path(__file__).resolve().parent
+    if options.scene_name is not None:
+        files = scenes.sources(options.scene_name)
+    else:
+        assert options.blend_file is not None
+        if not options.blend_file.is_file():
+            raise BadInputError(f"--blend {options.blend_file}: no such file")
+        files = [options.blend_file]
+    digest = hashlib.sha256()
+    wanted = (
+        options.frames,
+        options.samples,
+        options.truth,
+        options.instants,
+        options.truth_video,
+    )
+    digest.update(f"{options.title} {wanted} {rig!r}".encode())
+    for file in (*files, *(here / name for name in PIXEL_SOURCES)):
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def claim(plan: Plan, capture: Path) -> None:
+    """Make the folder this plan's, or refuse it: filming never overwrites what it didn't write."""
+    plan_file = capture / HIDDEN_FOLDER / PLAN_FILE
+    if capture.exists() and not capture.is_dir():
+        raise BadInputError(f"{capture} is a file, not a folder for a capture")
+    if plan_file.is_file():
+        if plan_file.read_text(encoding="utf-8").strip() != plan.fingerprint:
+            raise BadInputError(
+                f"{capture} holds a film of another rig, scene or options (or made by another version); "
+                "choose another folder or delete it"
+            )
+        return
+    if capture.is_dir() and any(
+        entry.name != HIDDEN_FOLDER for entry in capture.iterdir()
+    ):
+        raise BadInputError(
+            f"{capture} already holds files that aren't a film of ours; choose another folder"
+        )
+    plan_file.parent.mkdir(parents=True, exist_ok=True)
+    partial = plan_file.with_suffix(".partial")
+    partial.write_text(plan.fingerprint + "\n", encoding="utf-8")
+    partial.replace(plan_file)
+
+
+def is_whole_npy(path: Path, width_px: int, height_px: int) -> bool:
+    """Whether a file is a float32 .npy array of this size, by its header and its length."""
+    try:
+        with path.open("rb") as stream:
+            start = stream.read(128)
+            length = stream.seek(0, 2)
+    except OSError:
+        return False
+    header = f"'descr': '<f4', 'fortran_order': False, 'shape': ({height_px}, {width_px})".encode()
+    return (
+        start.startswith(b"\x93NUMPY")
+        and header in start
+        and length == 128 + 4 * width_px * height_px
+    )

@@ -1,0 +1,349 @@
+"""The rig file: cameras, when their shutters open, and the virtual views that truth is rendered from.
+
+The rig frame has COLMAP's axes (+x right, +y down, +z forward) at the rig's centre; metres and seconds.
+World time 0 is the scene's start. The middle of frame k's exposure, in world time, is
+
+    delay_s + k / rate_hz + jitter_k
+
+and the camera's own clock reads that minus delay_s. A camera that stamps its frames writes the
+jitter into its times; where it doesn't, the jitter is hidden and its mean is part of the offset.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from .camera import RigidTransform
+from .errors import BadInputError
+
+FORMAT = "stlfr-rig"
+VERSION = 1
+
+UNIT_QUATERNION_TOLERANCE = 1e-3
+"""How far from 1 a quaternion's length may be: Blender's single precision passes, a typing error doesn't."""
+
+MAX_JITTER_FRAMES = 0.1
+"""Largest jitter deviation, in frame periods: above, two frames of one camera could swap."""
+
+RESERVED_IDS = {"truth", "colmap", "review"}
+"""A camera's id names its folder in the capture, beside these."""
+
+
+@dataclass(frozen=True)
+class RigView:
+    """A pinhole camera on the rig. Lens as Blender's, sensor fit `AUTO`, square pixels."""
+
+    id: str
+    width_px: int
+    height_px: int
+    lens_mm: float
+    sensor_width_mm: float
+    shift_x: float
+    shift_y: float
+    cam_from_rig: RigidTransform
+
+
+@dataclass(frozen=True)
+class RigCamera(RigView):
+    """A real camera: a view with a shutter. `delay_s` is after the scene's start."""
+
+    rate_hz: float
+    delay_s: float
+    jitter_s: float
+    jitter_stamped: bool
+    color: str
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A camera array with one reference camera, whose clock all times are on."""
+
+    name: str
+    reference: str
+    seed: int
+    cameras: tuple[RigCamera, ...]
+    views: tuple[RigView, ...]
+
+    @property
+    def reference_camera(self) -> RigCamera:
+        """The camera that keeps the time."""
+        return next(camera for camera in self.cameras if camera.id == self.reference)
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """When one camera's frames were exposed: the middle of each exposure."""
+
+    id: str
+    world_times_s: tuple[float, ...]
+    """Since the scene's start."""
+    clock_times_s: tuple[float, ...]
+    """True times on the camera's own clock, jitter included."""
+    stamped: bool
+    """Whether the camera's clock times are known to the capture, or only its nominal rate."""
+    zero_s: float
+    """World time at which the camera's clock reads 0, as far as its frames can tell."""
+
+
+def shutter(rig: Rig, camera_index: int, frame_count: int) -> Shutter:
+    """The shutter times of a camera's first `frame_count` frames.
+
+    Frame k's time doesn't depend on `frame_count`. With hidden jitter, `zero_s` holds the mean of
+    true minus nominal times, which is what the offset of such a camera means.
+    """
+    camera = rig.cameras[camera_index]
+    generator = random.Random(f"{rig.seed}/jitter/{camera_index}")
+    jitter_s = [generator.gauss(0.0, camera.jitter_s) for _ in range(frame_count)]
+    clock_times_s = tuple(
+        k / camera.rate_hz + jitter for k, jitter in enumerate(jitter_s)
+    )
+    hidden_mean_s = 0.0 if camera.jitter_stamped else sum(jitter_s) / frame_count
+    return Shutter(
+        id=camera.id,
+        world_times_s=tuple(camera.delay_s + time_s for time_s in clock_times_s),
+        clock_times_s=clock_times_s,
+        stamped=camera.jitter_stamped,
+        zero_s=camera.delay_s + hidden_mean_s,
+    )
+
+
+def shutters(rig: Rig, frame_count: int) -> list[Shutter]:
+    """The shutter times of every camera, in the rig's order."""
+    return [shutter(rig, index, frame_count) for index in range(len(rig.cameras))]
+
+
+def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
+    """The same rig at another resolution of the same aspect; lens and sensor stay, so the field of view does."""
+    for view in (*rig.cameras, *rig.views):
+        if view.width_px * height_px != view.height_px * width_px:
+            raise BadInputError(
+                f"--size {width_px}x{height_px} has another aspect than {view.id} "
+                f"of rig {rig.name} ({view.width_px}x{view.height_px})"
+            )
+    return replace(
+        rig,
+        cameras=tuple(
+            replace(c, width_px=width_px, height_px=height_px) for c in rig.cameras
+        ),
+        views=tuple(
+            replace(v, width_px=width_px, height_px=height_px) for v in rig.views
+        ),
+    )
+
+
+def load(path: Path) -> Rig:
+    """Read and check a rig file; a `BadInputError` names the file and the field."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise BadInputError(f"{path}: no such rig file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{path}: can't be read as a rig file ({error})") from None
+    try:
+        content = json.loads(text, object_pairs_hook=_object_without_duplicates)
+    except ValueError as error:
+        raise BadInputError(f"{path}: not valid JSON ({error})") from None
+    return _rig(_Fields(content, str(path), ""))
+
+
+def _object_without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    names = [name for name, _ in pairs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"field {name} appears twice")
+    return dict(pairs)
+
+
+class _Fields:
+    """One JSON object, read field by field; what is left over at `done` is an error."""
+
+    def __init__(self, content: Any, file: str, where: str) -> None:
+        self.file = file
+        self.where = where
+        if not isinstance(content, dict):
+            raise BadInputError(f"{file}: {where or 'the file'} must be a JSON object")
+        self.content = dict(content)
+
+    def name(self, field: str) -> str:
+        return f"{self.where}.{field}" if self.where else field
+
+    def error(self, field: str, problem: str) -> BadInputError:
+        return BadInputError(f"{self.file}: {self.name(field)} {problem}")
+
+    def take(self, field: str, default: Any = None) -> Any:
+        if field in self.content:
+            return self.content.pop(field)
+        if default is None:
+            raise self.error(field, "is missing")
+        return default
+
+    def text(self, field: str, default: str | None = None) -> str:
+        value = self.take(field, default)
+        if not isinstance(value, str) or not value:
+            raise self.error(field, f"must be text, not {json.dumps(value)}")
+        return value
+
+    def identifier(self, field: str) -> str:
+        value = self.text(field)
+        if (
+            not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", value)
+            or value in RESERVED_IDS
+        ):
+            raise self.error(
+                field,
+                f"can't be {json.dumps(value)}: it names a folder or file of the capture",
+            )
+        return value
+
+    def truth_value(self, field: str, default: bool) -> bool:
+        value = self.take(field, default)
+        if not isinstance(value, bool):
+            raise self.error(field, f"must be true or false, not {json.dumps(value)}")
+        return value
+
+    def whole_number(self, field: str, minimum: int, maximum: int) -> int:
+        value = self.take(field)
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int)
+            or not minimum <= value <= maximum
+        ):
+            raise self.error(
+                field,
+                f"must be a whole number from {minimum} to {maximum}, not {json.dumps(value)}",
+            )
+        return value
+
+    def number(
+        self, field: str, minimum: float, maximum: float, default: float | None = None
+    ) -> float:
+        value = self.take(field, default)
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, (int, float))
+            or not minimum <= value <= maximum
+        ):
+            raise self.error(
+                field,
+                f"must be a number from {minimum:g} to {maximum:g}, not {json.dumps(value)}",
+            )
+        return float(value)
+
+    def numbers(self, field: str, count: int) -> list[float]:
+        value = self.take(field)
+        if not isinstance(value, list) or len(value) != count:
+            raise self.error(field, f"must be {count} numbers")
+        for entry in value:
+            if (
+                isinstance(entry, bool)
+                or not isinstance(entry, (int, float))
+                or not abs(entry) <= 1e6
+            ):
+                raise self.error(
+                    field,
+                    f"must be {count} numbers within 1e6 of 0, not {json.dumps(entry)}",
+                )
+        return [float(entry) for entry in value]
+
+    def objects(self, field: str, default: list[Any] | None = None) -> list[_Fields]:
+        value = self.take(field, default)
+        if not isinstance(value, list):
+            raise self.error(field, "must be a list")
+        return [
+            _Fields(entry, self.file, f"{self.name(field)}[{i}]")
+            for i, entry in enumerate(value)
+        ]
+
+    def done(self) -> None:
+        for field in self.content:
+            raise self.error(field, "is not a field of this format")
+
+
+def _rig(fields: _Fields) -> Rig:
+    format_name, version = fields.take("format"), fields.take("version")
+    if format_name != FORMAT:
+        raise fields.error(
+            "format", f"must be {json.dumps(FORMAT)}, not {json.dumps(format_name)}"
+        )
+    if version != VERSION:
+        raise fields.error("version", f"must be {VERSION}, not {json.dumps(version)}")
+    rig = Rig(
+        name=fields.identifier("name"),
+        reference=fields.text("reference"),
+        seed=fields.whole_number("seed", 0, 2**53),
+        cameras=tuple(_camera(entry) for entry in fields.objects("cameras")),
+        views=tuple(_view(entry) for entry in fields.objects("views", default=[])),
+    )
+    fields.done()
+    if not rig.cameras:
+        raise fields.error("cameras", "must hold at least one camera")
+    ids = [view.id for view in (*rig.cameras, *rig.views)]
+    for index, view_id in enumerate(ids):
+        if view_id in ids[:index]:
+            raise fields.error(
+                "cameras and views", f"have two entries with id {json.dumps(view_id)}"
+            )
+    if rig.reference not in ids[: len(rig.cameras)]:
+        raise fields.error(
+            "reference", f"names no camera of the rig: {json.dumps(rig.reference)}"
+        )
+    return rig
+
+
+def _camera(fields: _Fields) -> RigCamera:
+    view = _take_view(fields)
+    rate_hz = fields.number("rate_hz", 1e-3, 1e5)
+    delay_s = fields.number("delay_s", -1e6, 1e6)
+    jitter_s = fields.number("jitter_s", 0.0, MAX_JITTER_FRAMES / rate_hz)
+    stamped = fields.truth_value("jitter_stamped", default=True)
+    color = fields.text("color", default="rgb")
+    if color not in ("rgb", "gray"):
+        raise fields.error("color", f'must be "rgb" or "gray", not {json.dumps(color)}')
+    fields.done()
+    return RigCamera(
+        **vars(view),
+        rate_hz=rate_hz,
+        delay_s=delay_s,
+        jitter_s=jitter_s,
+        jitter_stamped=stamped,
+        color=color,
+    )
+
+
+def _view(fields: _Fields) -> RigView:
+    view = _take_view(fields)
+    fields.done()
+    return view
+
+
+def _take_view(fields: _Fields) -> RigView:
+    return RigView(
+        id=fields.identifier("id"),
+        width_px=fields.whole_number("width", 8, 16384),
+        height_px=fields.whole_number("height", 8, 16384),
+        lens_mm=fields.number("lens_mm", 1.0, 5000.0),
+        sensor_width_mm=fields.number("sensor_width_mm", 1.0, 500.0),
+        shift_x=fields.number("shift_x", -10.0, 10.0, default=0.0),
+        shift_y=fields.number("shift_y", -10.0, 10.0, default=0.0),
+        cam_from_rig=_transform(fields),
+    )
+
+
+def _transform(fields: _Fields) -> RigidTransform:
+    entry = _Fields(
+        fields.take("cam_from_rig"), fields.file, fields.name("cam_from_rig")
+    )
+    w, x, y, z = entry.numbers("rotation_wxyz", 4)
+    length = (w * w + x * x + y * y + z * z) ** 0.5
+    if abs(length - 1.0) > UNIT_QUATERNION_TOLERANCE:
+        raise entry.error("rotation_wxyz", f"must have length 1, not {length:.6g}")
+    tx, ty, tz = entry.numbers("translation", 3)
+    entry.done()
+    return RigidTransform(
+        (w / length, x / length, y / length, z / length), (tx, ty, tz)
+    )

@@ -1,0 +1,103 @@
+"""Find a scene, build it or open a .blend, and say where the rig stands and how its time runs."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .camera import COLMAP_FROM_BLENDER_AXES, Array
+from .errors import BadInputError
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+SCENES_FOLDER = Path(__file__).resolve().parent.parent / "scenes"
+HELPERS = ("__init__", "kit", "paint")
+"""What all scenes are built with; the other modules of that folder are the scenes."""
+PACKAGE = "stlfr_scenes"
+"""The name that the scenes folder is imported under."""
+
+RIG_OBJECT = "rig"
+"""The object that says where the rig stands; without one, the scene's active camera does."""
+
+
+def names() -> list[str]:
+    """The scenes there are."""
+    return sorted(
+        file.stem for file in SCENES_FOLDER.glob("*.py") if file.stem not in HELPERS
+    )
+
+
+def sources(name: str) -> list[Path]:
+    """The files that decide what a scene looks like; the error for an unknown name lists the known ones."""
+    if name not in names():
+        raise BadInputError(
+            f"--scene {name}: no such scene; there are: {', '.join(names())}"
+        )
+    return [SCENES_FOLDER / f"{stem}.py" for stem in (*HELPERS, name)]
+
+
+def load(name: str) -> ModuleType:
+    """Import a scene module, which has `build()`."""
+    sources(name)
+    if PACKAGE not in sys.modules:
+        spec = importlib.util.spec_from_file_location(
+            PACKAGE,
+            SCENES_FOLDER / "__init__.py",
+            submodule_search_locations=[str(SCENES_FOLDER)],
+        )
+        assert spec is not None and spec.loader is not None
+        package = importlib.util.module_from_spec(spec)
+        sys.modules[PACKAGE] = package
+        spec.loader.exec_module(package)
+    return importlib.import_module(f"{PACKAGE}.{name}")
+
+
+def open_scene(scene_name: str | None, blend_file: Path | None) -> Any:
+    """Replace Blender's open file by a built scene or a .blend, and give its scene.
+
+    Only for headless use: whatever was open is gone.
+    """
+    import bpy
+
+    if scene_name is not None:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        load(scene_name).build()
+    else:
+        try:
+            bpy.ops.wm.open_mainfile(filepath=str(blend_file), load_ui=False)
+        except RuntimeError as error:
+            raise BadInputError(
+                f"{blend_file}: Blender can't open it ({error})"
+            ) from None
+    return bpy.context.scene
+
+
+def frame_at(scene: Any, world_time_s: float) -> tuple[int, float]:
+    """The Blender frame and sub-frame of a world time: 0 s is the scene's first frame."""
+    frame = scene.frame_start + world_time_s * scene.render.fps / scene.render.fps_base
+    whole = int(frame // 1)
+    return whole, frame - whole
+
+
+def world_from_rig(scene: Any) -> Array:
+    """Where the rig stands at world time 0: a 4x4 matrix from the rig's COLMAP axes to the world, in metres.
+
+    The object `rig`, else the active camera, read as a camera: it looks along its -Z, +Y is up.
+    """
+    import numpy as np
+
+    stand = scene.objects.get(RIG_OBJECT) or scene.camera
+    if stand is None:
+        raise BadInputError(
+            f"scene {scene.name} doesn't say where the rig stands: it has neither an object named "
+            f'"{RIG_OBJECT}" nor an active camera'
+        )
+    whole, subframe = frame_at(scene, 0.0)
+    scene.frame_set(whole, subframe=subframe)
+    matrix = np.array(stand.matrix_world, dtype=np.float64)
+    matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
+    matrix[:3, :3] = matrix[:3, :3] @ COLMAP_FROM_BLENDER_AXES
+    return matrix

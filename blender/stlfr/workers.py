@@ -1,0 +1,185 @@
+"""Film on several processes, each with a Blender of its own.
+
+One single-threaded process per core films 10 to 20 % faster than one process with a thread per core
+(measured at 320x240 on two cores): animation, scene update and PNG run on one thread either way.
+
+Parent and worker talk in JSON lines over the worker's stdin and stdout: the worker gets its setting,
+answers with its cameras, then gets one job at a time and answers when the job's files are in place.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any, Self
+
+from . import rig as rigs
+from .errors import BadInputError, FailureError
+from .plan import Job, Options, Plan
+
+Cameras = dict[str, dict[str, Any]]
+Answer = tuple["subprocess.Popen[str]", str]
+
+
+class Crew:
+    """The worker processes. Leaving the context ends them, whatever they are doing."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        capture: Path,
+        scratch: Path,
+        command: list[str],
+        workers: int,
+        cores: int,
+    ) -> None:
+        self.command = command
+        self.setting = json.dumps(
+            {
+                "options": {
+                    **dataclasses.asdict(plan.options),
+                    "rig_file": str(plan.options.rig_file),
+                    "blend_file": str(plan.options.blend_file)
+                    if plan.options.blend_file
+                    else None,
+                },
+                "capture": str(capture),
+                "scratch": str(scratch),
+                "threads": max(1, cores // workers),
+            }
+        )
+        self.size = workers
+        self.processes: list[subprocess.Popen[str]] = []
+
+    def __enter__(self) -> Self:
+        for _ in range(self.size):
+            process = subprocess.Popen(
+                self.command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                start_new_session=True,  # a Ctrl-C is the parent's to handle
+            )
+            self.processes.append(process)
+            _send(process, self.setting)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self.processes:
+            process.kill()
+        for process in self.processes:
+            process.wait()
+
+    def film(self, jobs: list[Job], on_done: Callable[[Job], None]) -> Cameras:
+        """Do all jobs, whichever worker is free; gives every view's camera as Blender has it."""
+        waiting = list(reversed(jobs))
+        busy: dict[int, Job] = {}
+        cameras: Cameras = {}
+        answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+        for process in self.processes:
+            threading.Thread(
+                target=_listen, args=(process, answers), daemon=True
+            ).start()
+        idle = 0
+        while idle < len(self.processes):
+            process, line = answers.get()
+            cameras.update(_content(process, line).get("cameras", {}))
+            if process.pid in busy:
+                on_done(busy.pop(process.pid))
+            if waiting:
+                job = busy[process.pid] = waiting.pop()
+                _send(process, json.dumps(dataclasses.asdict(job)))
+            else:
+                idle += 1
+        return cameras
+
+
+def _send(process: subprocess.Popen[str], line: str) -> None:
+    assert process.stdin is not None
+    # A worker that has ended is noticed when its answer is due.
+    with contextlib.suppress(BrokenPipeError):
+        process.stdin.write(line + "\n")
+        process.stdin.flush()
+
+
+def _listen(process: subprocess.Popen[str], answers: queue.SimpleQueue[Answer]) -> None:
+    """Pass on what a worker says, and an empty line when it has ended."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        answers.put((process, line))
+    answers.put((process, ""))
+
+
+def _content(process: subprocess.Popen[str], line: str) -> dict[str, Any]:
+    """What an answer says; a worker's error is ours."""
+    if not line:
+        raise FailureError(
+            f"a filming process ended unexpectedly (exit status {process.wait()})"
+        )
+    answer: dict[str, Any] = json.loads(line)
+    if "error" in answer:
+        raise (BadInputError if answer["exit_code"] == 2 else FailureError)(
+            answer["error"]
+        )
+    return answer
+
+
+def work() -> None:
+    """A worker process: until its stdin ends."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # Blender's chatter goes where stderr goes, from C as from Python
+
+    def answer(content: dict[str, Any]) -> None:
+        answers.write(json.dumps(content) + "\n")
+        answers.flush()
+
+    try:
+        _work(sys.stdin, answer)
+    except BadInputError as error:
+        answer({"error": str(error), "exit_code": 2})
+    except Exception as error:  # noqa: BLE001 - whatever it is, the parent has to hear of it
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        answer(
+            {
+                "error": f"filming failed: {error} ({type(error).__name__} in {Path(where.filename).name} "
+                f"line {where.lineno})",
+                "exit_code": 1,
+            }
+        )
+
+
+def _work(orders: IO[str], answer: Callable[[dict[str, Any]], None]) -> None:
+    setting = json.loads(orders.readline())
+    options = Options(**setting["options"])
+    from . import film, scenes
+
+    rig = rigs.load(Path(options.rig_file))
+    if options.size_px is not None:
+        rig = rigs.resized(rig, *options.size_px)
+    scene = scenes.open_scene(
+        options.scene_name, Path(options.blend_file) if options.blend_file else None
+    )
+    studio = film.Studio(scene, (*rig.cameras, *rig.views), setting["threads"])
+    answer({"cameras": {view_id: studio.describe(view_id) for view_id in studio.views}})
+    capture, scratch = Path(setting["capture"]), Path(setting["scratch"])
+    for line in orders:
+        job = Job(**json.loads(line))
+        image = film.Image(job.view_id, job.world_time_s, job.samples, job.seed)
+        files = [capture / file for file in job.files]
+        if job.is_geometry:
+            studio.render_geometry(
+                image, files[0], files[1], scratch, rig.reference_camera.rate_hz
+            )
+        else:
+            studio.render_image(image, files[0], scratch)
+        answer({})
