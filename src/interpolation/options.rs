@@ -81,6 +81,6 @@ pub struct MorphOptions {
 
 impl Default for MorphOptions {
     fn default() -> Self {
-        Self { a: 1.0, b: 4.0, rho: 0.0, tau: 10.0, grid_px: 4 }
+        Self { a: 0.5, b: 4.0, rho: 0.0, tau: 4.0, grid_px: 4 }
     }
 }
