@@ -60,7 +60,7 @@ pub struct MeshOptions {
 impl Default for MeshOptions {
     fn default() -> Self {
         Self {
-            depth_edges: DepthEdges::Stretch,
+            depth_edges: DepthEdges::Front,
             edge_share: 0.1,
             support_share: 0.05,
             min_support: 2,
