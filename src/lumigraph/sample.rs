@@ -25,7 +25,8 @@ pub(super) fn sample<const C: usize>(
     let mut out = [0.0; C];
     let (w, h) = (image.width(), image.height());
     let (left, top) = (x - 0.5, y - 0.5);
-    let inside = left >= 1.0 && top >= 1.0 && left < w as f32 - 2.0 && top < h as f32 - 2.0;
+    // One pixel further on the right than the filter reaches, for reading four values at a time.
+    let inside = left >= 1.0 && top >= 1.0 && left < w as f32 - 3.0 && top < h as f32 - 2.0;
     match (sampling, inside) {
         (Sampling::Bilinear, false) => image.sample_bilinear(x, y, &mut out),
         (Sampling::Cubic, false) => image.sample_cubic(x, y, &mut out),
@@ -43,26 +44,38 @@ pub(super) fn sample<const C: usize>(
         (Sampling::Cubic, true) => {
             let (i, j) = (left as usize, top as usize);
             let (wx, wy) = (catmull_rom(left - i as f32), catmull_rom(top - j as f32));
-            let at = ((j - 1) * w + i - 1) * C;
-            let rows: [&[f32]; 4] =
-                std::array::from_fn(|k| &image.data()[at + k * w * C..][..4 * C]);
-            // The columns first, all channels side by side: at most 12 values.
-            let mut columns = [0.0; 12];
-            for (k, column) in columns[..4 * C].iter_mut().enumerate() {
-                *column = wy[0] * rows[0][k]
-                    + wy[1] * rows[1][k]
-                    + wy[2] * rows[2][k]
-                    + wy[3] * rows[3][k];
+            let mut sum = [0.0; 4];
+            for (row, wy) in wy.into_iter().enumerate() {
+                let at = ((j + row - 1) * w + i - 1) * C;
+                let cells = &image.data()[at..][..if C == 1 { 4 } else { 13 }];
+                let mut across = [0.0; 4];
+                if C == 1 {
+                    // The four lanes are four pixels.
+                    across =
+                        [cells[0] * wx[0], cells[1] * wx[1], cells[2] * wx[2], cells[3] * wx[3]];
+                } else {
+                    // The lanes are the pixel's channels, and one that is thrown away.
+                    for (column, wx) in wx.into_iter().enumerate() {
+                        add(&mut across, wx, &cells[column * C..][..4]);
+                    }
+                }
+                add(&mut sum, wy, &across);
             }
-            for (k, out) in out.iter_mut().enumerate() {
-                *out = wx[0] * columns[k]
-                    + wx[1] * columns[C + k]
-                    + wx[2] * columns[2 * C + k]
-                    + wx[3] * columns[3 * C + k];
+            if C == 1 {
+                out[0] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
+            } else {
+                out.copy_from_slice(&sum[..C]);
             }
         }
     }
     out
+}
+
+#[inline(always)]
+fn add(sum: &mut [f32; 4], weight: f32, values: &[f32]) {
+    for (sum, v) in sum.iter_mut().zip(values) {
+        *sum += weight * v;
+    }
 }
 
 /// The four weights of Catmull-Rom's cubic at a fraction between the middle two samples.

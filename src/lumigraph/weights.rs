@@ -58,8 +58,7 @@ impl WeightRow {
         let threshold = &mut next[(k - 1) * width..];
         for (threshold, &best) in threshold.iter_mut().zip(&*best) {
             // Infinite where k cameras or fewer are in sight: nothing need fade out.
-            let least = best * (1.0 + SOFT);
-            *threshold = if *threshold < least { least } else { *threshold };
+            *threshold = threshold.max(best * (1.0 + SOFT));
         }
         for (sum, (best, threshold)) in self.sum.iter_mut().zip(best.iter().zip(&*threshold)) {
             // What the weights fall by until the threshold; the sum comes afterwards.
