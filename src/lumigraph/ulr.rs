@@ -49,7 +49,9 @@ impl<'a> Source<'a> {
 pub struct BlendOptions {
     pub rung: BlendRung,
     /// Cameras that a pixel is blended from. Larger averages the noise of more images and blurs
-    /// by the proxy's error; smaller shows every camera's own errors. At least 1.
+    /// by the proxy's error; smaller shows every camera's own errors. At least 1. (Magazine
+    /// scene: over true depth 2, 3, 4, 8 give 33.7, 33.8, 34.0, 34.2 dB, over a plane 25.9, 25.9,
+    /// 25.7, 24.4.)
     pub cameras: usize,
     /// Width over which a camera fades out towards its image's border, px. Larger wastes the
     /// image's outer part; smaller makes the border of an image visible.

@@ -247,16 +247,11 @@ fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
     bench.line("mesh, hidden by mesh", None, &base, Some(0), &mesh);
     bench.line("mesh, hidden by true depth", None, &base, Some(1), &mesh);
     for depth_edges in [DepthEdges::Stretch, DepthEdges::Back, DepthEdges::Front, DepthEdges::Cut] {
-        for edge_share in [0.05, 0.1, 0.2] {
-            let options = MeshOptions { depth_edges, edge_share, ..MeshOptions::default() };
-            let name = format!("mesh, {depth_edges:?} {edge_share}");
-            bench.line(
-                &name,
-                Some(&format!("mesh-{depth_edges:?}-{edge_share}")),
-                &base,
-                None,
-                &|p| mesh_of(p, &options),
-            );
+        for edge_px in [8.0, 16.0, 24.0, 32.0, 1e9] {
+            let options = MeshOptions { depth_edges, edge_px, ..MeshOptions::default() };
+            let name = format!("mesh, {depth_edges:?} {edge_px}");
+            let file = format!("mesh-{depth_edges:?}-{edge_px}");
+            bench.line(&name, Some(&file), &base, None, &|p| mesh_of(p, &options));
         }
     }
     let mut blends: Vec<(String, BlendOptions)> =
