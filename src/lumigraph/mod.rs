@@ -19,6 +19,7 @@ mod proxy;
 mod rasterize;
 mod rays;
 mod reproject;
+mod sample;
 mod triangulate;
 mod ulr;
 mod weights;
@@ -27,8 +28,9 @@ pub use depth_map::DepthMap;
 pub use mesh::{DepthEdges, Mesh, MeshOptions};
 pub use plane::Plane;
 pub use proxy::Proxy;
+pub use sample::Sampling;
 pub use triangulate::{Triangulated, triangulate};
-pub use ulr::{BlendOptions, Rendered, Sampling, Source, blend};
+pub use ulr::{BlendOptions, Rendered, Source, blend};
 pub use weights::BlendRung;
 
 #[cfg(test)]

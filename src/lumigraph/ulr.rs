@@ -17,10 +17,11 @@
 //! Known limit: where a point of the proxy is hidden from a camera by another part of it, the
 //! camera still answers unless its own [`Source::depth`] is given.
 
-use super::DepthMap;
 use super::rays::RayRow;
 use super::reproject::{Hits, Reprojection, TargetRow};
+use super::sample::sample;
 use super::weights::{BlendRung, WeightRow};
+use super::{DepthMap, Sampling};
 use crate::camera::Camera;
 use crate::raster::Image;
 use rayon::prelude::*;
@@ -42,21 +43,15 @@ impl<'a> Source<'a> {
     }
 }
 
-/// How images are read between pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Sampling {
-    Bilinear,
-    Cubic,
-}
-
 /// How the view is blended.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BlendOptions {
     pub rung: BlendRung,
     /// Cameras that a pixel is blended from. Larger averages the noise of more images and blurs
-    /// by the proxy's error; smaller shows every camera's own errors. At least 1.
+    /// by the proxy's error; smaller shows every camera's own errors. At least 1. (Magazine
+    /// scene: over true depth 2, 3, 4, 8 give 33.7, 33.8, 34.0, 34.2 dB, over a plane 25.9, 25.9,
+    /// 25.7, 24.4.)
     pub cameras: usize,
     /// Width over which a camera fades out towards its image's border, px. Larger wastes the
     /// image's outer part; smaller makes the border of an image visible.
@@ -74,8 +69,8 @@ impl Default for BlendOptions {
     fn default() -> Self {
         Self {
             rung: BlendRung::Lumigraph,
-            cameras: 4,
-            feather_px: 12.0,
+            cameras: 3,
+            feather_px: 4.0,
             resolution: 1.0,
             sampling: Sampling::Cubic,
             hidden_share: 0.03,
@@ -301,60 +296,4 @@ impl<'a> Row<'a> {
 /// Rec. 709's luma of encoded values, as [`Image::to_gray`].
 fn luma(rgb: [f32; 3]) -> f32 {
     0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
-}
-
-/// The image of C channels at a position in pixels, as [`Image::sample_cubic`] and
-/// [`Image::sample_bilinear`], with a shorter way where the filter lies inside the image.
-#[inline(always)]
-fn sample<const C: usize>(image: &Image, x: f32, y: f32, sampling: Sampling) -> [f32; C] {
-    let mut out = [0.0; C];
-    let (w, h) = (image.width(), image.height());
-    let (left, top) = (x - 0.5, y - 0.5);
-    let inside = left >= 1.0 && top >= 1.0 && left < w as f32 - 2.0 && top < h as f32 - 2.0;
-    match (sampling, inside) {
-        (Sampling::Bilinear, false) => image.sample_bilinear(x, y, &mut out),
-        (Sampling::Cubic, false) => image.sample_cubic(x, y, &mut out),
-        (Sampling::Bilinear, true) => {
-            let (i, j) = (left as usize, top as usize);
-            let (fx, fy) = (left - i as f32, top - j as f32);
-            let at = (j * w + i) * C;
-            let (a, b) = (&image.data()[at..][..2 * C], &image.data()[at + w * C..][..2 * C]);
-            for k in 0..C {
-                let upper = a[k] + (a[C + k] - a[k]) * fx;
-                let lower = b[k] + (b[C + k] - b[k]) * fx;
-                out[k] = upper + (lower - upper) * fy;
-            }
-        }
-        (Sampling::Cubic, true) => {
-            let (i, j) = (left as usize, top as usize);
-            let (wx, wy) = (catmull_rom(left - i as f32), catmull_rom(top - j as f32));
-            let mut columns = [[0.0; C]; 4];
-            for (row, wy) in wy.into_iter().enumerate() {
-                let at = ((j + row - 1) * w + i - 1) * C;
-                let (cells, _) = image.data()[at..][..4 * C].as_chunks::<C>();
-                for (sum, cell) in columns.iter_mut().zip(cells) {
-                    for (sum, v) in sum.iter_mut().zip(cell) {
-                        *sum += wy * v;
-                    }
-                }
-            }
-            for (column, wx) in columns.iter().zip(wx) {
-                for (out, v) in out.iter_mut().zip(column) {
-                    *out += wx * v;
-                }
-            }
-        }
-    }
-    out
-}
-
-/// The four weights of Catmull-Rom's cubic at a fraction between the middle two samples.
-fn catmull_rom(f: f32) -> [f32; 4] {
-    let (f2, f3) = (f * f, f * f * f);
-    [
-        0.5 * (-f + 2.0 * f2 - f3),
-        0.5 * (2.0 - 5.0 * f2 + 3.0 * f3),
-        0.5 * (f + 4.0 * f2 - 3.0 * f3),
-        0.5 * (f3 - f2),
-    ]
 }

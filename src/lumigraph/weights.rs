@@ -33,7 +33,9 @@ pub(super) struct WeightRow {
     pub weights: Vec<f32>,
     /// The k+1 smallest penalties, ascending: rank by rank, pixel by pixel.
     ranks: Vec<f32>,
+    /// Scratch space: a value for every pixel.
     sum: Vec<f32>,
+    moving: Vec<f32>,
 }
 
 impl WeightRow {
@@ -43,6 +45,7 @@ impl WeightRow {
             weights: vec![0.0; width * sources],
             ranks: Vec::new(),
             sum: vec![0.0; width],
+            moving: vec![0.0; width],
         }
     }
 
@@ -51,21 +54,27 @@ impl WeightRow {
         let width = self.width;
         let k = k.clamp(1, (self.weights.len() / width).max(1));
         self.rank(penalties, k + 1);
-        self.sum.fill(0.0);
-        let (best, next) = (&self.ranks[..width], &self.ranks[k * width..]);
-        let rows = self.weights.chunks_exact_mut(width);
-        for (weights, (p, trust)) in
-            rows.zip(penalties.chunks_exact(width).zip(trust.chunks_exact(width)))
-        {
-            for x in 0..width {
-                // Infinite where k cameras or fewer are in sight: nothing need fade out.
-                let threshold = next[x].max(best[x] * (1.0 + SOFT));
-                // best / p instead of 1 / p: at most 1, and never an overflow.
-                let blended = (1.0 - p[x] / threshold) * (best[x] / p[x]);
-                let alone = if p[x] == 0.0 { trust[x] } else { 0.0 };
-                let counted = if p[x] < threshold { blended } else { 0.0 };
-                weights[x] = if best[x] == 0.0 { alone } else { counted };
-                self.sum[x] += weights[x];
+        let (best, next) = self.ranks.split_at_mut(width);
+        let threshold = &mut next[(k - 1) * width..];
+        for (threshold, &best) in threshold.iter_mut().zip(&*best) {
+            // Infinite where k cameras or fewer are in sight: nothing need fade out.
+            *threshold = threshold.max(best * (1.0 + SOFT));
+        }
+        for (sum, (best, threshold)) in self.sum.iter_mut().zip(best.iter().zip(&*threshold)) {
+            // What the weights fall by until the threshold; the sum comes afterwards.
+            *sum = best / threshold;
+        }
+        let rows = penalties.chunks_exact(width).zip(trust.chunks_exact(width));
+        for (weights, (p, trust)) in self.weights.chunks_exact_mut(width).zip(rows) {
+            let pixels = weights.iter_mut().zip(p).zip(trust);
+            let limits = best.iter().zip(&*threshold).zip(&self.sum);
+            for (((w, &p), &trust), ((&best, &threshold), &fall)) in pixels.zip(limits) {
+                // (1 − p / threshold) / p, times the best p: at most 1, and never an overflow.
+                // Where no camera sees the point it is NaN, which is below no threshold.
+                let blended = best / p - fall;
+                let alone = if p == 0.0 { trust } else { 0.0 };
+                let counted = if p < threshold { blended } else { 0.0 };
+                *w = if best == 0.0 { alone } else { counted };
             }
         }
         self.normalize();
@@ -74,12 +83,6 @@ impl WeightRow {
     /// Equal weights for the cameras that see the point, less towards their borders.
     pub fn uniform(&mut self, trust: &[f32]) {
         self.weights.copy_from_slice(trust);
-        self.sum.fill(0.0);
-        for row in trust.chunks_exact(self.width) {
-            for (sum, t) in self.sum.iter_mut().zip(row) {
-                *sum += t;
-            }
-        }
         self.normalize();
     }
 
@@ -88,11 +91,10 @@ impl WeightRow {
         self.ranks.clear();
         self.ranks.resize(count * width, f32::INFINITY);
         // Insertion by exchanges, side by side for all pixels.
-        let mut moving = vec![0.0; width];
         for row in penalties.chunks_exact(width) {
-            moving.copy_from_slice(row);
+            self.moving.copy_from_slice(row);
             for rank in self.ranks.chunks_exact_mut(width) {
-                for (rank, moving) in rank.iter_mut().zip(&mut moving) {
+                for (rank, moving) in rank.iter_mut().zip(&mut self.moving) {
                     let (a, b) = (*rank, *moving);
                     *rank = if b < a { b } else { a };
                     *moving = if b < a { a } else { b };
@@ -102,6 +104,12 @@ impl WeightRow {
     }
 
     fn normalize(&mut self) {
+        self.sum.fill(0.0);
+        for weights in self.weights.chunks_exact(self.width) {
+            for (sum, w) in self.sum.iter_mut().zip(weights) {
+                *sum += w;
+            }
+        }
         for weights in self.weights.chunks_exact_mut(self.width) {
             for (w, &sum) in weights.iter_mut().zip(&self.sum) {
                 let share = *w / sum;
