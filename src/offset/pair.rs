@@ -6,7 +6,7 @@ use super::{OffsetOptions, OffsetRung};
 use crate::capture::CaptureError;
 use crate::registration::{FrameStore, Track, flow};
 use serde::Serialize;
-use std::collections::HashMap;
+use std::collections::{HashMap, hash_map::Entry};
 
 /// What one pair of cameras says: `offset_j − offset_i`, seconds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -42,6 +42,10 @@ struct Sample {
 /// The temporal tracks of every frame of every camera that is used; `None` where none was asked.
 pub type Tracks = Vec<Vec<Option<Vec<Track>>>>;
 
+/// Offsets and speeds across of the features of one triple of frames (camera a, camera b, frame k
+/// of a, frame m of b): rounds of the search share most triples.
+type KnownTriples = HashMap<(usize, usize, usize, usize), Vec<(f64, f64)>>;
+
 /// The pair (i, j) from both sides: camera i's tracks against camera j's frames, and the reverse.
 ///
 /// `None` if too few candidates agree.
@@ -54,7 +58,7 @@ pub fn estimate_pair(
     let mut guess_s = 0.0;
     let mut used_before = Vec::new();
     let mut estimate = None;
-    let mut known: HashMap<(usize, usize, usize, usize), Vec<(f64, f64)>> = HashMap::new();
+    let mut known = KnownTriples::new();
     // The right frame of j lies between two of i; which one that is depends on the offset itself.
     for _ in 0..4 {
         let used: Vec<_> = [[i, j, 0], [j, i, 1]]
@@ -72,11 +76,13 @@ pub fn estimate_pair(
         let mut samples = Vec::new();
         let mut frame_estimates = Vec::new();
         for (group, &(a, b, k, m, sign)) in used.iter().enumerate() {
-            let key = (a, b, k, m);
-            if !known.contains_key(&key) {
-                known.insert(key, from_three_frames(frames, tracks, [a, b], [k, m], options)?);
-            }
-            let found: Vec<Sample> = known[&key]
+            let found = match known.entry((a, b, k, m)) {
+                Entry::Occupied(entry) => entry.into_mut(),
+                Entry::Vacant(entry) => {
+                    entry.insert(from_three_frames(frames, tracks, [a, b], [k, m], options)?)
+                }
+            };
+            let found: Vec<Sample> = found
                 .iter()
                 .map(|&(offset_s, across_px_s)| Sample {
                     offset_s: sign * offset_s,

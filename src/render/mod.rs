@@ -29,10 +29,13 @@ pub struct LightField {
     tracks: Mutex<KeptTracks>,
 }
 
+type SharedTracks = Arc<Vec<Track>>;
+
 /// Registered frame pairs that were used last.
 #[derive(Default)]
 struct KeptTracks {
-    pairs: HashMap<(usize, usize), (u64, Arc<Vec<Track>>)>,
+    /// By camera and earlier frame, with when it was last used.
+    pairs: HashMap<(usize, usize), (u64, SharedTracks)>,
     clock: u64,
 }
 
