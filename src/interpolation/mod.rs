@@ -6,30 +6,34 @@
 //! | 5.2 the edge set | [`edge_set`] |
 //! | 5.3 the morph, eqs. (7), (8) | [`morph_warp`] |
 //! | 5.3 cross dissolve, eq. (9) | [`cross_dissolve`] |
+//! | beyond: visibility at outlines | [`refined`] |
 //!
 //! The rungs of [`Sync`] are one piece of code with more or less in it: `crossfade` dissolves
 //! without a warp, `triangulation` and the morphs differ in the warp, `morph` is `edge-morph`
 //! without the boost.
 //!
-//! Known limits: what one frame shows and the other hides is dissolved, not resolved; motion blur
-//! stays as it was filmed.
+//! Known limits: in the paper's rungs, what one frame shows and the other hides is dissolved, not
+//! resolved; motion blur stays as it was filmed.
 
 mod edge_set;
 mod edges;
 mod morph;
 mod options;
+mod refine;
 mod triangulation;
 mod warp;
 
 pub use edge_set::{Edge, edge_set};
 pub use edges::{Feature, RealEdge, real_edges};
 pub use morph::morph_warp;
-pub use options::{EdgeOptions, InterpolationOptions, MorphOptions};
+pub use options::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
+pub use refine::{FourFrames, Motion, refined};
 pub use triangulation::triangulation_warp;
 pub use warp::{Warp, cross_dissolve};
 
 use crate::raster::Image;
-use crate::registration::{Frame, Track};
+use crate::registration::{Frame, Path, Track};
+use nalgebra::{Point2, Vector2};
 use serde::{Deserialize, Serialize};
 
 /// How a synchronized image is made, cheapest first.
@@ -45,19 +49,23 @@ pub enum Sync {
     /// The morph along edges, all of them equal
     Morph,
     /// The paper's: the morph with real edges boosted
-    #[default]
     EdgeMorph,
+    /// Beyond the paper: the morph, with motion and visibility per pixel beside moving outlines
+    #[default]
+    Refined,
 }
 
 impl Sync {
     /// Whether it needs registered frames.
     pub fn needs_tracks(self) -> bool {
-        matches!(self, Self::Triangulation | Self::Morph | Self::EdgeMorph)
+        !matches!(self, Self::Nearest | Self::Crossfade)
     }
 }
 
 /// Two consecutive frames of one camera with their tracks.
 pub struct FramePair<'a> {
+    /// The frame before the earlier one, and the one after the later, where there are.
+    pub around: [Option<&'a Frame>; 2],
     pub earlier: &'a Frame,
     pub later: &'a Frame,
     pub tracks: &'a [Track],
@@ -77,7 +85,51 @@ impl FramePair<'_> {
             return images[usize::from(share > 0.5)].clone();
         }
         let warps = [true, false].map(|forward| self.warp(time_s, forward, sync, options));
-        cross_dissolve(images, [&warps[0], &warps[1]], share as f32)
+        let warps = [&warps[0], &warps[1]];
+        if sync == Sync::Refined {
+            let frames = FourFrames {
+                before: self.around[0].map(|f| &f.image),
+                earlier: images[0],
+                later: images[1],
+                after: self.around[1].map(|f| &f.image),
+                share: share as f32,
+            };
+            let motions = self.motions(time_s, options.curved);
+            return refined(&frames, warps, &motions, &options.refine);
+        }
+        cross_dissolve(images, warps, share as f32)
+    }
+
+    /// All tracks with where they are in the four frames around the instant.
+    fn motions(&self, time_s: f64, curved: bool) -> Vec<Motion> {
+        let time = |frame: Option<usize>| frame.and_then(|k| self.times_s.get(k)).copied();
+        let (before, after) = (time(self.index.checked_sub(1)), time(Some(self.index + 2)));
+        self.tracks
+            .iter()
+            .filter_map(|track| {
+                let path = self.path(track, curved)?;
+                let at = path.at(time_s);
+                // Where a track was not followed to a frame, its path says where it would be.
+                let beyond = |seen: Option<Point2<f64>>, time: Option<f64>| {
+                    seen.or_else(|| Some(path.at(time?))).map_or(Vector2::zeros(), |p| p - at)
+                };
+                let to = [
+                    beyond(track.before, before),
+                    track.earlier - at,
+                    track.later - at,
+                    beyond(track.after, after),
+                ];
+                Some(Motion { at, to })
+            })
+            .collect()
+    }
+
+    fn path(&self, track: &Track, curved: bool) -> Option<Path> {
+        if curved {
+            track.path(self.times_s, self.index)
+        } else {
+            Track { before: None, after: None, ..track.clone() }.path(self.times_s, self.index)
+        }
     }
 
     /// The warp of the earlier frame (forward) or the later one to the instant.
@@ -95,7 +147,7 @@ impl FramePair<'_> {
         let [source, other] = [source, other].map(|f| &f.pyramid.levels()[0]);
         let real = real_edges(&features, source, other, &options.edges);
         let edges = edge_set(&features, &real, options.edges.all_features, w, h);
-        let tau = if sync == Sync::EdgeMorph { options.morph.tau } else { 0.0 };
+        let tau = if sync == Sync::Morph { 0.0 } else { options.morph.tau };
         morph_warp(&edges, w, h, &MorphOptions { tau, ..options.morph.clone() })
     }
 
@@ -105,11 +157,7 @@ impl FramePair<'_> {
             .iter()
             .filter(|t| if forward { t.in_forward_set() } else { t.in_backward_set() })
             .filter_map(|t| {
-                let path = if curved {
-                    t.path(self.times_s, self.index)
-                } else {
-                    Track { before: None, after: None, ..t.clone() }.path(self.times_s, self.index)
-                }?;
+                let path = self.path(t, curved)?;
                 let target = path.at(time_s);
                 let (source, other) =
                     if forward { (t.earlier, t.later) } else { (t.later, t.earlier) };

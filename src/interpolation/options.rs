@@ -11,11 +11,17 @@ pub struct InterpolationOptions {
     pub curved: bool,
     pub edges: EdgeOptions,
     pub morph: MorphOptions,
+    pub refine: RefineOptions,
 }
 
 impl Default for InterpolationOptions {
     fn default() -> Self {
-        Self { curved: true, edges: EdgeOptions::default(), morph: MorphOptions::default() }
+        Self {
+            curved: true,
+            edges: EdgeOptions::default(),
+            morph: MorphOptions::default(),
+            refine: RefineOptions::default(),
+        }
     }
 }
 
@@ -82,5 +88,46 @@ pub struct MorphOptions {
 impl Default for MorphOptions {
     fn default() -> Self {
         Self { a: 0.5, b: 4.0, rho: 0.0, tau: 4.0, grid_px: 4 }
+    }
+}
+
+/// Beyond the paper: motion and visibility where the warped frames disagree.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RefineOptions {
+    /// Half the side of the window that a hypothesis is judged over, pixels. Larger: outlines grow
+    /// by as much; smaller: noise decides.
+    pub window_radius_px: usize,
+    /// How far around a place tracks are looked for, pixels. Smaller: in the gap between two
+    /// surfaces one of them is not tried.
+    pub search_radius_px: f64,
+    /// Motions within this of each other, pixels a frame, are one.
+    pub same_motion_px: f64,
+    /// Tracks that a motion needs. 1: mismatches are tried too.
+    pub min_tracks: usize,
+    /// Motions tried a place at most.
+    pub max_motions: usize,
+    /// The warped frames disagree where their mean difference over the window is more than this,
+    /// values 0..=1. Smaller costs time, and refines noise.
+    pub min_difference: f32,
+    /// A difference larger by this makes a hypothesis count 1/e as much. Larger: ghosts; smaller:
+    /// jagged outlines.
+    pub softness: f32,
+    /// What it costs a hypothesis to be seen in one frame only.
+    pub one_frame_cost: f32,
+}
+
+impl Default for RefineOptions {
+    fn default() -> Self {
+        Self {
+            window_radius_px: 2,
+            search_radius_px: 28.0,
+            same_motion_px: 1.5,
+            min_tracks: 2,
+            max_motions: 6,
+            min_difference: 0.03,
+            softness: 0.02,
+            one_frame_cost: 0.1,
+        }
     }
 }

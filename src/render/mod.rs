@@ -141,7 +141,15 @@ impl LightField {
         }
         let later_frame = self.frames.get(camera, later)?;
         let tracks = if sync.needs_tracks() { self.tracks(camera, k)? } else { Arc::default() };
+        let around = match sync {
+            Sync::Refined => [k.checked_sub(1), Some(later + 1)]
+                .map(|n| n.filter(|&n| n < self.times(camera).len())),
+            _ => [None, None],
+        };
+        let [before, after] = around.map(|n| n.map(|n| self.frames.get(camera, n)).transpose());
+        let (before, after) = (before?, after?);
         let pair = FramePair {
+            around: [before.as_deref(), after.as_deref()],
             earlier: &earlier_frame,
             later: &later_frame,
             tracks: &tracks,

@@ -1,7 +1,7 @@
 //! Synchronized images against the truth, rung by rung and option by option: PSNR over the whole
 //! image and over its moving part, and milliseconds an image.
 //!
-//! `cargo bench --bench sync -- CAPTURE [--sweep]`
+//! `cargo bench --bench sync -- CAPTURE [--sweep | --sweep=NAME]`
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -48,7 +48,8 @@ fn score(field: &LightField, sync: Sync, targets: &[Target]) -> (f64, f64, f64) 
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let sweep = std::env::args().any(|a| a == "--sweep");
+    let sweep = std::env::args().any(|a| a.starts_with("--sweep"));
+    let only = std::env::args().find_map(|a| a.strip_prefix("--sweep=").map(str::to_owned));
     for folder in std::env::args().skip(1).filter(|a| !a.starts_with("--")) {
         let capture = Arc::new(Capture::open(folder.as_ref())?);
         let truth = Truth::open(folder.as_ref())?.ok_or("has no truth")?;
@@ -84,9 +85,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         };
         println!("{folder}: PSNR whole, moving [dB]; ms an image, registration cached");
         let default = field(&|_| ());
-        for sync in
-            [Sync::Nearest, Sync::Crossfade, Sync::Triangulation, Sync::Morph, Sync::EdgeMorph]
-        {
+        for sync in [
+            Sync::Nearest,
+            Sync::Crossfade,
+            Sync::Triangulation,
+            Sync::Morph,
+            Sync::EdgeMorph,
+            Sync::Refined,
+        ] {
             let (whole, moving, ms) = score(&default, sync, &targets);
             println!("  {:32} {whole:6.2} {moving:6.2} {ms:8.1}", format!("{sync:?}"));
         }
@@ -98,6 +104,41 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         cases.push(("straight".into(), Box::new(|o| o.interpolation.curved = false)));
         cases.push(("no epipolar".into(), Box::new(|o| o.registration.epipolar_test = false)));
         cases.push(("ends only".into(), Box::new(|o| o.interpolation.edges.all_features = false)));
+        for s in [0.01, 0.02, 0.03] {
+            for c in [0.06, 0.1, 0.14] {
+                cases.push((
+                    format!("refine softness {s} one frame {c}"),
+                    Box::new(move |o| {
+                        o.interpolation.refine.softness = s;
+                        o.interpolation.refine.one_frame_cost = c;
+                    }),
+                ));
+            }
+        }
+        for r in [1, 3] {
+            cases.push((
+                format!("refine window {r}"),
+                Box::new(move |o| o.interpolation.refine.window_radius_px = r),
+            ));
+        }
+        for d in [0.02, 0.05] {
+            cases.push((
+                format!("refine difference {d}"),
+                Box::new(move |o| o.interpolation.refine.min_difference = d),
+            ));
+        }
+        for d in [0.75, 3.0] {
+            cases.push((
+                format!("refine same {d}"),
+                Box::new(move |o| o.interpolation.refine.same_motion_px = d),
+            ));
+        }
+        for r in [20.0, 40.0] {
+            cases.push((
+                format!("refine search {r}"),
+                Box::new(move |o| o.interpolation.refine.search_radius_px = r),
+            ));
+        }
         for b in [2.0, 3.0, 4.0] {
             for a in [0.5, 1.0, 2.0, 4.0] {
                 cases.push((
@@ -152,8 +193,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         for s in [0, 4] {
             cases.push((format!("support {s}"), Box::new(move |o| o.registration.min_support = s)));
         }
+        cases.retain(|(name, _)| only.as_ref().is_none_or(|only| name.contains(only)));
         for (name, change) in cases {
-            let (whole, moving, ms) = score(&field(&change), Sync::EdgeMorph, &targets);
+            let (whole, moving, ms) = score(
+                &field(&change),
+                if name.starts_with("refine") { Sync::Refined } else { Sync::EdgeMorph },
+                &targets,
+            );
             println!("  {name:32} {whole:6.2} {moving:6.2} {ms:8.1}");
         }
     }
