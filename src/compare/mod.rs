@@ -145,7 +145,7 @@ pub struct CompareOptions {
 impl Default for CompareOptions {
     fn default() -> Self {
         Self {
-            sync: "edge-morph".into(),
+            sync: "refined".into(),
             all_rungs: false,
             moving_threshold_px: 0.5,
             moving_dilation_px: 2,

@@ -96,11 +96,11 @@ impl Set {
     }
 }
 
-/// `nearest` is off by 0.1, `edge-morph` by 0.01; a view is the mean of its images.
+/// `nearest` is off by 0.1, `refined` by 0.01; a view is the mean of its images.
 struct Fake {
     capture: Capture,
     truth: Image,
-    /// A camera that can't give an image by `edge-morph`.
+    /// A camera that can't give an image by `refined`.
     broken: Option<usize>,
     /// How many pixels of a view are covered.
     covered: usize,
@@ -122,7 +122,7 @@ impl Renderer for Fake {
     }
 
     fn sync_rungs(&self) -> Vec<String> {
-        ["nearest", "crossfade", "edge-morph"].map(String::from).into()
+        ["nearest", "crossfade", "refined"].map(String::from).into()
     }
 
     fn proxies(&self) -> Vec<String> {

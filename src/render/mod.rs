@@ -13,6 +13,7 @@ use crate::offset::{self, Offsets};
 use crate::progress::Reporter;
 use crate::raster::Image;
 use crate::registration::{FrameStore, Track, Verdict, epipolar_test, temporal_flow};
+use nalgebra::Point3;
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -27,6 +28,14 @@ pub struct LightField {
     times_s: Vec<Option<Vec<f64>>>,
     options: RenderOptions,
     tracks: Mutex<KeptTracks>,
+    /// The points triangulated last, which every proxy of a view starts from.
+    points: Mutex<Option<KeptPoints>>,
+}
+
+struct KeptPoints {
+    target: Camera,
+    time_s: f64,
+    points: Arc<Vec<Point3<f64>>>,
 }
 
 type SharedTracks = Arc<Vec<Track>>;
@@ -67,7 +76,14 @@ impl LightField {
     pub fn new(capture: Arc<Capture>, offsets: Offsets, options: RenderOptions) -> Self {
         let times_s = offsets.common_times_s(&capture);
         let frames = FrameStore::new(capture, &options.registration);
-        Self { frames, offsets, times_s, options, tracks: Mutex::default() }
+        Self {
+            frames,
+            offsets,
+            times_s,
+            options,
+            tracks: Mutex::default(),
+            points: Mutex::default(),
+        }
     }
 
     /// With the offsets that the capture needs: known clocks, else those kept in its folder, else
@@ -210,6 +226,20 @@ impl LightField {
             ProxyRung::Mesh => Mesh::build(&points, target, &options.mesh).map(Proxy::Mesh),
         };
         proxy.ok_or(RenderError::NoPoints)
+    }
+
+    /// [`Self::triangulated`], kept for the next proxy of the same view.
+    fn points(&self, target: &Camera, time_s: f64) -> Result<Arc<Vec<Point3<f64>>>, RenderError> {
+        let mut kept = self.points.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(kept) = &*kept
+            && kept.time_s == time_s
+            && kept.target == *target
+        {
+            return Ok(kept.points.clone());
+        }
+        let points = Arc::new(self.triangulated(target, time_s)?);
+        *kept = Some(KeptPoints { target: target.clone(), time_s, points: points.clone() });
+        Ok(points)
     }
 
     /// Blends a view from one image a camera.

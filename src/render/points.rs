@@ -16,7 +16,7 @@ struct Feature {
 
 impl LightField {
     /// Points of the scene at a time, as the cameras nearest to the view see them; metres, world.
-    pub(super) fn points(
+    pub(super) fn triangulated(
         &self,
         target: &Camera,
         time_s: f64,
