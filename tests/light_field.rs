@@ -142,15 +142,8 @@ fn many_times_are_each_one_time_as_images_and_as_a_video() {
     let (start_s, end_s) = (1.25 / RATE_HZ, 3.75 / RATE_HZ);
     let times = format!("{start_s:?}:{end_s:?}:3");
     let render = |output: &Path, when: [&str; 2]| {
-        succeed(
-            &[
-                &["render", text(capture.path()), "--like", "cam1"],
-                when.as_slice(),
-                &["-o", text(output)],
-            ]
-            .concat()
-            .as_slice(),
-        );
+        let arguments = ["render", text(capture.path()), "--like", "cam1", when[0], when[1]];
+        succeed(&[arguments.as_slice(), &["-o", text(output)]].concat());
     };
     render(&out.path().join("new/%04d.png"), ["--times", &times]);
     let mut names: Vec<String> = std::fs::read_dir(out.path().join("new"))
