@@ -4,6 +4,7 @@ mod common;
 
 use common::{assert_refused, run, stderr, stlfr};
 use std::path::Path;
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 #[test]
@@ -88,6 +89,12 @@ fn check_prints_a_table_and_writes_its_values() {
     let values: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(json).unwrap()).unwrap();
     assert!(values["model_max_px"].as_f64().unwrap() < 1e-9);
+    for camera in values["cameras"].as_array().unwrap() {
+        let [rotation_deg, position_mm] =
+            ["rotation_deg", "position_mm"].map(|field| camera[field].as_f64().unwrap());
+        // What must be named when it is wrong: 0.2 degrees, 2 mm.
+        assert!(rotation_deg < 0.1 && position_mm < 2.0, "{camera}");
+    }
     // At this size the pixels place a camera to about the tolerance; the demo's size has room.
     let ok = values["ok"].as_bool().unwrap();
     assert_eq!(output.status.code(), Some(if ok { 0 } else { 1 }), "{}", stderr(&output));
@@ -138,4 +145,45 @@ fn a_killed_capture_goes_on_where_it_was() {
     assert_eq!(after.len(), 24);
     assert!(before.iter().all(|frame| after.contains(frame)), "a whole frame was filmed again");
     stlfr::capture::Capture::open(&capture).unwrap();
+}
+
+/// At this size the pixels can't confirm the calibration, so that the demo may end after the film.
+#[test]
+fn a_killed_demo_goes_on_where_it_was() {
+    drop(run(&["setup", "--quiet"])); // so that the time below is the filming's
+    let folder = tempfile::tempdir().unwrap();
+    let capture = folder.path().join("capture");
+    let mut command = stlfr();
+    command.args(["-q", "demo", "--size", "64x48", "--frames", "6", "--samples", "1", "-o"]);
+    command.arg(&capture);
+    let mut child = command.spawn().unwrap();
+    let start = Instant::now();
+    while frames(&capture).len() < 5 && start.elapsed() < Duration::from_secs(120) {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    std::thread::sleep(Duration::from_secs(2)); // Blender ends with its parent
+    let before = frames(&capture);
+    assert!(before.len() >= 5 && before.len() < 48, "{before:?}");
+    assert!(!capture.join("capture.json").exists());
+
+    let goes_on = |command: &mut Command| {
+        let output = command.output().unwrap();
+        let (code, message) = (output.status.code(), stderr(&output));
+        assert!(
+            code == Some(0) || (code == Some(1) && message.contains("the calibration is off")),
+            "{message}"
+        );
+    };
+    goes_on(&mut command);
+    let after = frames(&capture);
+    assert_eq!(after.len(), 48);
+    assert!(before.iter().all(|frame| after.contains(frame)), "a whole frame was filmed again");
+    let truth = stlfr::capture::Truth::open(&capture).unwrap().expect("the demo films truth");
+    assert_eq!(truth.views.len(), 30);
+    stlfr::capture::Capture::open(&capture).unwrap();
+
+    goes_on(&mut command);
+    assert_eq!(frames(&capture), after, "a second run filmed again");
 }

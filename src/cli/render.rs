@@ -150,8 +150,9 @@ fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
         .offsets()
         .cameras
         .iter()
-        .filter(|c| c.offset_s.is_none())
-        .map(|c| c.id.as_str())
+        .enumerate()
+        .filter(|(index, _)| field.span_s(*index).is_none())
+        .map(|(_, c)| c.id.as_str())
         .collect();
     if !unknown.is_empty() {
         reporter.note(&format!("Left out, their clocks being unknown: {}.", unknown.join(", ")));

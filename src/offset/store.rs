@@ -52,14 +52,16 @@ impl Offsets {
     }
 
     /// The frame times of every camera on the reference's clock; `None` for a camera whose offset
-    /// is unknown.
+    /// is unknown. A camera of one frame has that frame at any time, so that its offset doesn't
+    /// matter: an unknown one is taken for 0.
     pub fn common_times_s(&self, capture: &Capture) -> Vec<Option<Vec<f64>>> {
         capture
             .cameras
             .iter()
             .zip(&self.cameras)
             .map(|(camera, offset)| {
-                let offset_s = offset.offset_s?;
+                let is_static = camera.clock.times_s.len() == 1;
+                let offset_s = offset.offset_s.or(is_static.then_some(0.0))?;
                 Some(camera.clock.times_s.iter().map(|t| t + offset_s).collect())
             })
             .collect()

@@ -225,7 +225,14 @@ impl LightField {
             }
             ProxyRung::Mesh => Mesh::build(&points, target, &options.mesh).map(Proxy::Mesh),
         };
-        proxy.ok_or(RenderError::NoPoints)
+        let is_seen = |p| target.project(p).is_some_and(|pixel| target.contains(&pixel));
+        proxy.ok_or_else(|| {
+            if points.is_empty() || points.iter().any(is_seen) {
+                RenderError::NoPoints
+            } else {
+                RenderError::NothingSeen
+            }
+        })
     }
 
     /// [`Self::triangulated`], kept for the next proxy of the same view.

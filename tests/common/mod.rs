@@ -2,6 +2,8 @@
 
 #![allow(dead_code)] // each test binary uses some of it
 
+pub mod synthetic;
+
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

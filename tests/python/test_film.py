@@ -8,7 +8,6 @@ import importlib.util
 import itertools
 import json
 import math
-import os
 import signal
 import subprocess
 import sys
@@ -648,23 +647,23 @@ def test_an_interrupted_film_goes_on_where_it_was(
     uninterrupted: Path, small_rig: Path, tmp_path: Path, by: signal.Signals
 ) -> None:
     folder = tmp_path / "capture"
-    process = subprocess.Popen(
+    with subprocess.Popen(
         small_film(folder, small_rig),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-    )
-    assert process.stdout is not None and process.stderr is not None
-    for line in process.stdout:
-        if json.loads(line)["done"] >= 3:
-            process.send_signal(by)
-            break
-    status = process.wait(timeout=30)
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        for line in process.stdout:
+            if json.loads(line)["done"] >= 3:
+                process.send_signal(by)
+                break
+        status = process.wait(timeout=30)
+        complaint = process.stderr.read()
     if by == signal.SIGTERM:
         assert status == 1
         assert (
-            process.stderr.read()
-            == "filming was stopped; the same command goes on where it was\n"
+            complaint == "filming was stopped; the same command goes on where it was\n"
         )
     time.sleep(1.0)  # an orphaned worker finishes its image and ends
     assert not (folder / "capture.json").exists()
@@ -727,7 +726,7 @@ def test_another_plan_and_foreign_folders_are_refused(
     foreign = film(small_rig, "--scene", "magazine", "-o", tmp_path)
     assert foreign.returncode == 2
     assert "already holds files" in foreign.stderr and foreign.stderr.count("\n") == 1
-    assert os.listdir(tmp_path) == ["notes.txt"]
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,353 @@
+//! Offsets and images through the command line, against a scene in closed form.
+
+mod common;
+
+use common::synthetic::{self, HEIGHT, RATE_HZ, WIDTH};
+use common::{assert_refused, run, stderr};
+use serde_json::{Value, json};
+use std::path::Path;
+use std::process::Command;
+use stlfr::capture::{Capture, read_image};
+use stlfr::raster::Image;
+use stlfr::toolchain::find_ffmpeg;
+
+/// Frames after the scene's start, the reference (the middle one) not at 0.
+const DELAYS_FRAMES: [f64; 3] = [0.6, 0.2, -0.1];
+const FRAMES: usize = 6;
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("temporary folders have readable names")
+}
+
+/// Runs a command that must succeed; what it wrote to stdout and stderr.
+#[track_caller]
+fn succeed(arguments: &[&str]) -> (String, String) {
+    let output = run(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
+    (String::from_utf8(output.stdout.clone()).unwrap(), stderr(&output))
+}
+
+fn offsets(capture: &Path) -> Value {
+    serde_json::from_str(&succeed(&["-q", "offsets", text(capture), "--json"]).0).unwrap()
+}
+
+fn offset_s(offsets: &Value, camera: usize) -> f64 {
+    offsets["cameras"][camera]["offset_s"].as_f64().expect("the offset is known")
+}
+
+/// `render --like` at a time, decoded.
+#[track_caller]
+fn like(capture: &Path, camera: usize, time_s: f64) -> Image {
+    let out = tempfile::tempdir().unwrap();
+    let (file, id) = (out.path().join("like.png"), format!("cam{camera}"));
+    let time = format!("{time_s:?}");
+    let arguments = ["render", text(capture), "--like", &id, "--time", &time, "-o", text(&file)];
+    succeed(&[&["-q"], arguments.as_slice()].concat());
+    read_image(&file).unwrap().0
+}
+
+fn frame(capture: &Path, camera: usize, frame: usize) -> Image {
+    read_image(&capture.join(format!("cam{camera}/{frame:04}.png"))).unwrap().0
+}
+
+/// Over all but a border of `margin` pixels.
+fn psnr_db(a: &Image, b: &Image, margin: usize) -> f64 {
+    assert_eq!((a.width(), a.height(), a.channels()), (b.width(), b.height(), b.channels()));
+    let (mut sum, mut count) = (0.0, 0);
+    for y in margin..a.height() - margin {
+        for x in margin..a.width() - margin {
+            for (a, b) in a.pixel(x, y).iter().zip(b.pixel(x, y)) {
+                sum += f64::from(a - b).powi(2);
+                count += 1;
+            }
+        }
+    }
+    -10.0 * (sum / f64::from(count)).log10()
+}
+
+/// The sign of offsets: time on the reference's clock = time on the camera's + offset.
+#[test]
+fn a_camera_that_opens_later_has_a_positive_offset() {
+    let capture = synthetic::capture(&DELAYS_FRAMES, FRAMES);
+    let found = offsets(capture.path());
+    assert_eq!(found["reference"], "cam1");
+    assert_eq!(found["cameras"][1], json!({"id": "cam1", "offset_s": 0.0, "std_err_s": 0.0}));
+    for (camera, true_frames) in [(0, 0.4), (2, -0.3)] {
+        let (found_s, std_err_s) = (
+            offset_s(&found, camera),
+            found["cameras"][camera]["std_err_s"].as_f64().expect("with its standard error"),
+        );
+        let error_frames = (found_s * RATE_HZ - true_frames).abs();
+        assert!(error_frames < 0.01, "cam{camera}: off by {error_frames} frame");
+        assert!(std_err_s > 0.0 && std_err_s * RATE_HZ < 0.03, "cam{camera}: ±{std_err_s} s");
+    }
+    // 0.4 frame at 30 a second.
+    assert!((offset_s(&found, 0) - 0.0133).abs() < 4e-4);
+}
+
+#[test]
+fn at_the_time_of_a_frame_that_frame_is_rendered() {
+    let capture = synthetic::capture(&DELAYS_FRAMES, FRAMES);
+    let found = offsets(capture.path());
+    for camera in 0..3 {
+        for k in [0, 2, FRAMES - 1] {
+            let time_s = k as f64 / RATE_HZ + offset_s(&found, camera);
+            let rendered = like(capture.path(), camera, time_s);
+            assert_eq!(rendered, frame(capture.path(), camera, k), "cam{camera}, frame {k}");
+        }
+    }
+}
+
+#[test]
+fn between_frames_the_image_is_the_closed_form() {
+    let capture = synthetic::capture(&DELAYS_FRAMES, FRAMES);
+    for camera in 0..3 {
+        let time_s = 2.5 / RATE_HZ;
+        let world_s = time_s + DELAYS_FRAMES[1] / RATE_HZ;
+        let truth = synthetic::image(synthetic::place_m(camera, 3), 0.0, world_s);
+        let rendered = psnr_db(&like(capture.path(), camera, time_s), &truth, 8);
+        let nearest = (0..FRAMES)
+            .map(|k| psnr_db(&frame(capture.path(), camera, k), &truth, 8))
+            .fold(0.0, f64::max);
+        assert!(rendered > 30.0, "cam{camera}: {rendered} dB");
+        assert!(rendered > nearest + 10.0, "cam{camera}: {rendered} dB, nearest {nearest} dB");
+    }
+}
+
+#[test]
+fn a_new_view_is_the_closed_form() {
+    let capture = synthetic::capture(&DELAYS_FRAMES, FRAMES);
+    let time_s = 2.45 / RATE_HZ;
+    let world_s = time_s + DELAYS_FRAMES[1] / RATE_HZ;
+    let truth = synthetic::image(0.025, 0.0, world_s);
+    let (view, image) = (capture.path().join("view.json"), capture.path().join("view.png"));
+    std::fs::write(&view, synthetic::view(0.025, 0.0).to_string()).unwrap();
+    for proxy in ["plane", "mesh"] {
+        let time = format!("{time_s:?}");
+        let where_and_when = ["--camera", text(&view), "--time", &time, "--proxy", proxy];
+        let arguments = [&["render", text(capture.path())], where_and_when.as_slice()].concat();
+        succeed(&[arguments.as_slice(), &["-o", text(&image)]].concat());
+        let rendered = psnr_db(&read_image(&image).unwrap().0, &truth, 8);
+        assert!(rendered > 28.0, "{proxy}: {rendered} dB");
+        succeed(&[arguments.as_slice(), &["--sync", "nearest", "-o", text(&image)]].concat());
+        let traditional = psnr_db(&read_image(&image).unwrap().0, &truth, 8);
+        assert!(rendered > traditional + 6.0, "{proxy}: {rendered} dB, LFR {traditional} dB");
+    }
+}
+
+#[test]
+fn many_times_are_each_one_time_as_images_and_as_a_video() {
+    let capture = synthetic::capture(&DELAYS_FRAMES, FRAMES);
+    let out = tempfile::tempdir().unwrap();
+    let (start_s, end_s) = (1.25 / RATE_HZ, 3.75 / RATE_HZ);
+    let times = format!("{start_s:?}:{end_s:?}:3");
+    let render = |output: &Path, when: [&str; 2]| {
+        let arguments = ["render", text(capture.path()), "--like", "cam1", when[0], when[1]];
+        succeed(&[arguments.as_slice(), &["-o", text(output)]].concat());
+    };
+    render(&out.path().join("new/%04d.png"), ["--times", &times]);
+    let mut names: Vec<String> = std::fs::read_dir(out.path().join("new"))
+        .unwrap()
+        .map(|e| e.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    assert_eq!(names, ["0000.png", "0001.png", "0002.png"]);
+
+    let mut raw = Vec::new();
+    let mut all = Vec::new();
+    for (name, time_s) in names.iter().zip([start_s, start_s + (end_s - start_s) / 2.0, end_s]) {
+        let one = out.path().join("one.png");
+        render(&one, ["--time", &format!("{time_s:?}")]);
+        let bytes = std::fs::read(&one).unwrap();
+        assert_eq!(bytes, std::fs::read(out.path().join("new").join(name)).unwrap(), "{name}");
+        let image = read_image(&one).unwrap().0;
+        raw.extend(image.data().iter().map(|v| (255.0 * v).round() as u8));
+        all.push(bytes);
+    }
+    assert!(all[0] != all[1] && all[1] != all[2]);
+
+    let video = out.path().join("slow.mkv");
+    run(&["setup", "-q"]); // brings an ffmpeg where the system has none
+    render(&video, ["--times", &times]);
+    let ffmpeg = find_ffmpeg(common::root()).expect("an ffmpeg");
+    let decoded = Command::new(ffmpeg)
+        .args(["-v", "error", "-i", text(&video)])
+        .args(["-f", "rawvideo", "-pix_fmt", "rgb24", "-"])
+        .output()
+        .unwrap();
+    assert!(decoded.status.success(), "{}", stderr(&decoded));
+    assert_eq!(decoded.stdout.len(), 3 * WIDTH * HEIGHT * 3, "three frames");
+    assert!(decoded.stdout == raw, "the video holds other pixels than the images");
+}
+
+#[test]
+fn outside_of_what_was_filmed_the_range_is_told() {
+    let capture = synthetic::capture(&DELAYS_FRAMES, FRAMES);
+    let found = offsets(capture.path());
+    let view = capture.path().join("view.json");
+    std::fs::write(&view, synthetic::view(0.0, 0.0).to_string()).unwrap();
+    let out = capture.path().join("out.png");
+    let last_s = (FRAMES - 1) as f64 / RATE_HZ;
+    let refused = |where_from: [&str; 2], time: &str, range_s: (f64, f64)| {
+        let arguments = ["-q", "render", text(capture.path()), where_from[0], where_from[1]];
+        let output = run(&[arguments.as_slice(), &["--time", time, "-o", text(&out)]].concat());
+        assert_refused(&output, 2, &format!("around {time} s"));
+        let numbers: Vec<f64> =
+            stderr(&output).split(' ').filter_map(|word| word.trim().parse().ok()).collect();
+        let range = &numbers[numbers.len() - 2..];
+        assert!((range[0] - range_s.0).abs() < 1e-9, "{numbers:?}, not {range_s:?}");
+        assert!((range[1] - range_s.1).abs() < 1e-9, "{numbers:?}, not {range_s:?}");
+        assert!(!out.exists());
+    };
+    refused(["--like", "cam1"], "0.2", (0.0, last_s));
+    let offset = offset_s(&found, 0);
+    refused(["--like", "cam0"], "0.001", (offset, last_s + offset));
+    refused(["--camera", text(&view)], "-0.5", (offset_s(&found, 2), last_s + offset));
+}
+
+#[test]
+fn one_camera_is_slow_motion_of_a_video() {
+    let capture = synthetic::capture(&[0.0], FRAMES);
+    for at_frames in [0.0, 2.3, 4.5] {
+        let truth = synthetic::image(0.0, 0.0, at_frames / RATE_HZ);
+        let rendered = psnr_db(&like(capture.path(), 0, at_frames / RATE_HZ), &truth, 8);
+        assert!(rendered > 30.0, "{at_frames}: {rendered} dB");
+    }
+    assert_refused(&run(&["offsets", text(capture.path()), "--json"]), 2, "capture.json: cameras");
+}
+
+#[test]
+fn one_frame_a_camera_is_a_static_light_field() {
+    let capture = synthetic::capture(&[0.0; 3], 1);
+    let (view, out) = (capture.path().join("view.json"), capture.path().join("out.png"));
+    std::fs::write(&view, synthetic::view(0.025, 0.0).to_string()).unwrap();
+    let images = ["0", "-7.5", "1e6"].map(|time| {
+        let camera = ["--camera", text(&view), "--time", time, "-o", text(&out)];
+        succeed(&[&["render", text(capture.path())], camera.as_slice()].concat());
+        assert_eq!(like(capture.path(), 2, time.parse().unwrap()), frame(capture.path(), 2, 0));
+        read_image(&out).unwrap().0
+    });
+    assert!(images[0] == images[1] && images[1] == images[2]);
+    let found = psnr_db(&images[0], &synthetic::image(0.025, 0.0, 0.0), 8);
+    assert!(found > 28.0, "{found} dB");
+}
+
+/// An offset written into offsets.json by hand shows whether the file was read.
+#[test]
+fn kept_offsets_serve_until_something_changes() {
+    let capture = synthetic::capture(&DELAYS_FRAMES, FRAMES);
+    let folder = capture.path();
+    let kept = folder.join("offsets.json");
+    let out = folder.join("out.png");
+    let render = ["render", text(folder), "--like", "cam0", "--time", "0.08", "-o", text(&out)];
+    assert!(succeed(&render).1.contains("estimated"));
+    let estimated = offset_s(&offsets(folder), 0);
+    let tamper = || {
+        let mut content: Value =
+            serde_json::from_str(&std::fs::read_to_string(&kept).unwrap()).unwrap();
+        content["cameras"][0]["offset_s"] = json!(0.0101);
+        std::fs::write(&kept, content.to_string()).unwrap();
+    };
+
+    tamper();
+    assert!(succeed(&render).1.contains("kept in offsets.json"));
+    assert_eq!(offset_s(&offsets(folder), 0), 0.0101, "nothing has changed");
+
+    // Other options, those of rendering aside.
+    let options = folder.join("options.json");
+    std::fs::write(&options, r#"{"sync": "crossfade"}"#).unwrap();
+    succeed(&[render.as_slice(), &["--options", text(&options)]].concat());
+    assert_eq!(offset_s(&offsets(folder), 0), 0.0101, "how to render is no matter");
+    std::fs::write(&options, r#"{"offset": {"rung": "joint"}}"#).unwrap();
+    let (_, notes) = succeed(&[render.as_slice(), &["--options", text(&options)]].concat());
+    assert!(notes.contains("estimated"), "{notes}");
+    assert_eq!(offset_s(&offsets(folder), 0), estimated);
+
+    // One byte of one frame: here the pixel's, the file stays a PNG.
+    tamper();
+    assert_eq!(offset_s(&offsets(folder), 0), 0.0101);
+    let changed = folder.join("cam2/0003.png");
+    let mut image = read_image(&changed).unwrap().0;
+    image.data_mut()[0] = 1.0 - image.data()[0];
+    let depth = stlfr::capture::BitDepth::Eight;
+    stlfr::capture::write_image(&changed, &image, None, depth).unwrap();
+    assert!(succeed(&render).1.contains("estimated"));
+    let again = offset_s(&offsets(folder), 0);
+    assert!(again != 0.0101 && (again - estimated).abs() < 1e-4, "{again} s, {estimated} s");
+
+    // Half of a file is none.
+    std::fs::write(&kept, &std::fs::read(&kept).unwrap()[..40]).unwrap();
+    assert!(succeed(&render).1.contains("estimated"));
+}
+
+/// Each is one sentence with file and field, exit code 2; nothing is written, nothing is lost.
+#[test]
+fn bad_input_is_refused() {
+    let capture = synthetic::capture(&[0.0, 0.3], 3);
+    let folder = capture.path();
+    let (out, view) = (folder.join("out.png"), folder.join("view.json"));
+    let json_file = folder.join("capture.json");
+    let good = std::fs::read_to_string(&json_file).unwrap();
+    let render =
+        |more: &[&str]| run(&[&["-q", "render", text(folder)], more, &["-o", text(&out)]].concat());
+    let like = ["--like", "cam0", "--time", "0.01"];
+
+    type Break = fn(&mut Value);
+    let cases: &[(Break, &str)] = &[
+        (|j| j["cameras"] = json!([]), "capture.json: cameras"),
+        (|j| j["cameras"][1]["id"] = json!("cam0"), "two cameras have the id 'cam0'"),
+        (|j| j["speed"] = json!(1), "capture.json: unknown field `speed`"),
+        (|j| j["cameras"][1]["clock"]["speed"] = json!(1), "capture.json: unknown field `speed`"),
+        (|j| j["cameras"][1]["frames"] = json!("../%04d.png"), "(cam1).frames"),
+        (|j| j["cameras"][1]["frames"] = json!("cam9/%04d.png"), "(cam1).frames"),
+        (|j| j["cameras"][1]["params"][0] = json!(-1), "(cam1).params"),
+        (|j| j["cameras"][1]["cam_from_world"]["rotation_wxyz"][0] = json!(0.9), "rotation_wxyz"),
+        (|j| j["cameras"][1]["cam_from_world"]["translation"][0] = json!(null), "capture.json"),
+        (|j| j["cameras"][1]["width"] = json!(161), "cam1/0000.png"),
+    ];
+    for (make_wrong, words) in cases {
+        let mut wrong: Value = serde_json::from_str(&good).unwrap();
+        make_wrong(&mut wrong);
+        std::fs::write(&json_file, wrong.to_string()).unwrap();
+        assert_refused(&render(&like), 2, words);
+    }
+    std::fs::write(&json_file, good.replacen("170.0", "NaN", 1)).unwrap();
+    assert_refused(&render(&like), 2, "capture.json");
+    std::fs::write(&json_file, &good).unwrap();
+
+    // Frames: missing within, cut short, and none at all.
+    let moved = folder.join("aside");
+    let middle = folder.join("cam1/0001.png");
+    std::fs::rename(&middle, &moved).unwrap();
+    assert_refused(&render(&like), 2, "(cam1)");
+    let whole = std::fs::read(&moved).unwrap();
+    std::fs::write(&middle, &whole[..whole.len() / 2]).unwrap();
+    assert_refused(&render(&like), 2, "cam1/0001.png");
+    std::fs::write(&middle, b"").unwrap();
+    assert_refused(&render(&like), 2, "cam1/0001.png");
+    std::fs::rename(&moved, &middle).unwrap();
+    std::fs::rename(folder.join("cam1"), &moved).unwrap();
+    std::fs::create_dir(folder.join("cam1")).unwrap();
+    assert_refused(&render(&like), 2, "(cam1).frames");
+    std::fs::remove_dir(folder.join("cam1")).unwrap();
+    std::fs::rename(&moved, folder.join("cam1")).unwrap();
+
+    // Views, ids and outputs.
+    assert_refused(&render(&["--like", "cam9", "--time", "0.01"]), 2, "'cam9'");
+    let mut away = synthetic::view(0.0, 0.0);
+    away["cam_from_world"]["rotation_wxyz"] = json!([0, 0, 1, 0]);
+    std::fs::write(&view, away.to_string()).unwrap();
+    let camera = ["--camera", text(&view), "--time", "0.02"];
+    assert_refused(&render(&camera), 2, "sees");
+    away["params"] = json!([1]);
+    std::fs::write(&view, away.to_string()).unwrap();
+    assert_refused(&render(&camera), 2, "view.json: model");
+    let nowhere = ["-q", "render", text(folder), "--like", "cam0", "--time", "0.01"];
+    assert_refused(&run(&[nowhere.as_slice(), &["-o", "/proc/none/x.png"]].concat()), 2, "/proc");
+
+    assert!(!out.exists());
+    assert_eq!(std::fs::read_to_string(&json_file).unwrap(), good);
+    assert!(Capture::open(folder).is_ok());
+    assert!(render(&like).status.success(), "with everything as it was, it works");
+    assert!(out.exists());
+}
