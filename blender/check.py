@@ -48,6 +48,10 @@ POSITION_TOLERANCE_MM = 1.0
 right cameras came out within 0.014 deg and 0.4 mm; a camera turned by 0.2 deg or moved by 2 mm must
 stand out from that. Larger, and such a camera passes; smaller, and right ones fail on poorer images."""
 
+REFERENCE_WIDTH_PX = 320
+"""Smaller images resolve positions less finely, in proportion (1.1 mm at 160x120): below this width
+the tolerances grow with the size of a pixel."""
+
 MOVING_LEVELS = 10.0
 """A pixel counts as moving where the frames before and after differ by this much (of 255), averaged over
 `MOVING_WINDOW_PX`. Larger, and slow things stay in; smaller, and noise takes out what stands still."""
@@ -87,12 +91,13 @@ class Residual:
     rotation_deg: float
     position_mm: float
 
-    @property
-    def is_off(self) -> bool:
-        """Whether it exceeds a tolerance."""
+    def exceeds(
+        self, rotation_tolerance_deg: float, position_tolerance_mm: float
+    ) -> bool:
+        """Whether it is off by more than either."""
         return (
-            self.rotation_deg > ROTATION_TOLERANCE_DEG
-            or self.position_mm > POSITION_TOLERANCE_MM
+            self.rotation_deg > rotation_tolerance_deg
+            or self.position_mm > position_tolerance_mm
         )
 
 
@@ -420,11 +425,16 @@ def check(folder: Path, project: Projector, pycolmap: Any) -> dict[str, Any]:
     """Both questions; the result as it is printed."""
     cameras: list[dict[str, Any]] = read_json(folder / "capture.json")["cameras"]
     model_max_px = model_difference_px(folder, cameras, project, pycolmap)
+    coarseness = max(1.0, REFERENCE_WIDTH_PX / min(c["width"] for c in cameras))
+    tolerances = (
+        coarseness * ROTATION_TOLERANCE_DEG,
+        coarseness * POSITION_TOLERANCE_MM,
+    )
     result: dict[str, Any] = {
         "model_max_px": model_max_px if np.isfinite(model_max_px) else None,
         "model_tolerance_px": MODEL_TOLERANCE_PX,
-        "rotation_tolerance_deg": ROTATION_TOLERANCE_DEG,
-        "position_tolerance_mm": POSITION_TOLERANCE_MM,
+        "rotation_tolerance_deg": tolerances[0],
+        "position_tolerance_mm": tolerances[1],
         "image_source": None,
         "cameras": [
             {"id": c["id"], "rotation_deg": None, "position_mm": None} for c in cameras
@@ -452,7 +462,7 @@ def check(folder: Path, project: Projector, pycolmap: Any) -> dict[str, Any]:
             problems.append(
                 f"pycolmap could not place {', '.join(missing)} from the images"
             )
-        off = [r.id for r in found if r.is_off]
+        off = [r.id for r in found if r.exceeds(*tolerances)]
         if off:
             problems.append(
                 f"the images put {', '.join(off)} elsewhere than the capture does"
@@ -475,7 +485,8 @@ def table(result: dict[str, Any]) -> str:
             )
             lines.append(f"{camera['id']:<12} {rotation:>10} {position:>10}")
     lines.append(
-        f"{'tolerance':<12} {ROTATION_TOLERANCE_DEG:>6.3f} deg {POSITION_TOLERANCE_MM:>7.2f} mm"
+        f"{'tolerance':<12} {result['rotation_tolerance_deg']:>6.3f} deg"
+        f" {result['position_tolerance_mm']:>7.2f} mm"
         f"   images: {result['image_source'] or 'none'}"
     )
     difference = result["model_max_px"]
