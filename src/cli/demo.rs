@@ -22,7 +22,7 @@ pub struct Args {
     #[arg(long, value_name = "WxH", default_value_t = DEFAULT_SIZE)]
     size: Size,
     /// Frames a camera [default: 9]; 3 instants between them are compared.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(6..=100_000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(5..=100_000))]
     frames: Option<u32>,
     /// Samples a pixel [default: 16].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
