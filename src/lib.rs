@@ -13,7 +13,7 @@
 //! | §8 results, beside the truth | [`compare`] |
 //!
 //! Beside these: [`raster`] holds images as the stages work on them, [`progress`] reports long
-//! work.
+//! work, [`json`] reads files.
 //!
 //! # Conventions
 //!
@@ -26,6 +26,7 @@ pub mod camera;
 pub mod capture;
 pub mod compare;
 pub mod interpolation;
+pub mod json;
 pub mod lumigraph;
 pub mod offset;
 pub mod progress;

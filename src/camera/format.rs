@@ -28,6 +28,8 @@ pub struct CameraFormat {
 pub enum CameraFormatError {
     #[error("{field}: is {value}, must be from 1 to {max}")]
     Size { field: &'static str, value: u32, max: u32 },
+    #[error("width: {width}×{height} are more pixels than {max}")]
+    Pixels { width: u32, height: u32, max: u64 },
     #[error(
         "model: '{name}' with {count} params is not a known model (PINHOLE has 4, OPENCV has 8)"
     )]
@@ -42,6 +44,9 @@ pub enum CameraFormatError {
 
 /// Larger images than any sensor; a bound so that a typing error can't ask for terabytes.
 const MAX_SIZE_PX: u32 = 65_536;
+/// Pixels of one image: 8192×8192, as much as a frame may hold that is decoded. A view takes some
+/// 25 bytes a pixel.
+const MAX_PIXELS: u64 = 1 << 26;
 /// Blender's quaternions are single precision; what is further off is not a rotation.
 const MAX_QUATERNION_ERROR: f64 = 1e-3;
 
@@ -52,6 +57,10 @@ impl CameraFormat {
             if value == 0 || value > MAX_SIZE_PX {
                 return Err(CameraFormatError::Size { field, value, max: MAX_SIZE_PX });
             }
+        }
+        if u64::from(self.width) * u64::from(self.height) > MAX_PIXELS {
+            let (width, height) = (self.width, self.height);
+            return Err(CameraFormatError::Pixels { width, height, max: MAX_PIXELS });
         }
         let model = CameraModel::from_params(&self.model, &self.params).ok_or_else(|| {
             CameraFormatError::Model { name: self.model.clone(), count: self.params.len() }
@@ -125,8 +134,9 @@ mod tests {
     #[test]
     fn refuses_what_is_no_camera() {
         type Break = fn(&mut CameraFormat);
-        let cases: [(Break, &str); 6] = [
+        let cases: [(Break, &str); 7] = [
             (|c| c.width = 0, "width"),
+            (|c| (c.width, c.height) = (65_536, 65_536), "width"),
             (|c| c.model = "FISHEYE".into(), "model"),
             (|c| c.params.push(0.0), "model"),
             (|c| c.params[0] = -1.0, "params"),

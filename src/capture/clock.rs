@@ -1,5 +1,11 @@
 //! A camera's own clock.
 
+/// Less than this between two frames, seconds, is no camera's but a wrong unit; offsets and paths
+/// divide by it.
+const MIN_FRAME_S: f64 = 1e-9;
+/// Times beyond this, seconds (3000 years), are a wrong unit.
+pub(super) const MAX_TIME_S: f64 = 1e11;
+
 /// When a camera's frames were exposed, on its own clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clock {
@@ -20,6 +26,17 @@ impl Clock {
     pub(super) fn rebase(&mut self, origin_s: f64) {
         for t in &mut self.times_s {
             *t -= origin_s;
+        }
+    }
+
+    /// Refuses times that do not ascend; the error is a reason.
+    pub(super) fn ascends(&self) -> Result<(), String> {
+        match self.times_s.windows(2).position(|w| !(w[1] - w[0] >= MIN_FRAME_S)) {
+            None => Ok(()),
+            Some(k) => Err(format!(
+                "the times of frames {k} and {} do not ascend by at least {MIN_FRAME_S:?} s",
+                k + 1
+            )),
         }
     }
 

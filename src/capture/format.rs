@@ -1,5 +1,6 @@
 //! `capture.json`, as it stands in the file.
 
+use super::clock::MAX_TIME_S;
 use super::{BitDepth, CaptureError, Clock, FilmedCamera, frames};
 use crate::camera::{CameraFormat, PoseFormat};
 use serde::{Deserialize, Serialize};
@@ -166,15 +167,14 @@ impl ClockFormat {
             }
             _ => return Err("needs either rate_hz and first_s, or times_s".into()),
         };
-        if let Some(k) = times_s.windows(2).position(|w| !(w[0] < w[1])) {
-            return Err(format!("the times of frames {k} and {} do not ascend", k + 1));
-        }
-        if times_s.iter().any(|t| !t.is_finite()) {
-            return Err("the times must be finite".into());
+        if times_s.iter().any(|t| !(t.abs() <= MAX_TIME_S)) {
+            return Err(format!("the times must be within {MAX_TIME_S:?} s of 0"));
         }
         if self.shared && (self.drift || self.lost) {
             return Err("a shared clock can't have drift or lost frames".into());
         }
-        Ok(Clock { times_s, shared: self.shared, drift: self.drift, lost: self.lost })
+        let clock = Clock { times_s, shared: self.shared, drift: self.drift, lost: self.lost };
+        clock.ascends()?;
+        Ok(clock)
     }
 }

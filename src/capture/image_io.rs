@@ -88,7 +88,7 @@ pub fn write_image(
 ) -> Result<(), CaptureError> {
     let bytes = encode_png(image, coverage, depth).map_err(|e| image_error(path, e))?;
     write_atomically(path, &bytes)
-        .map_err(|source| CaptureError::Read { path: path.to_owned(), source })
+        .map_err(|source| CaptureError::Write { path: path.to_owned(), source })
 }
 
 /// Samples as a file holds them, row by row, channels interleaved.

@@ -17,6 +17,7 @@ pub use image_io::{BitDepth, Samples, quantize, read_image, write_atomically, wr
 pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};
 
 use crate::camera::{Camera, CameraFormatError};
+use crate::json::{self, JsonError};
 use crate::raster::Image;
 use std::path::{Path, PathBuf};
 
@@ -53,7 +54,9 @@ pub enum CaptureError {
     #[error("{path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
     #[error("{path}: {source}")]
-    Json { path: PathBuf, source: serde_json::Error },
+    Json { path: PathBuf, source: JsonError },
+    #[error("{path}: can't be written ({source})")]
+    Write { path: PathBuf, source: std::io::Error },
     #[error("{path}: {field}: {reason}")]
     Field { path: PathBuf, field: String, reason: String },
     #[error("{path}: {camera}.{source}")]
@@ -66,9 +69,7 @@ impl Capture {
     /// Opens and checks a capture's folder.
     pub fn open(folder: &Path) -> Result<Self, CaptureError> {
         let path = folder.join(CAPTURE_FILE);
-        let text = std::fs::read_to_string(&path)
-            .map_err(|source| CaptureError::Read { path: path.clone(), source })?;
-        let format: CaptureFormat = serde_json::from_str(&text)
+        let format: CaptureFormat = json::read(&path)
             .map_err(|source| CaptureError::Json { path: path.clone(), source })?;
         format.check(&path)?;
 
@@ -81,8 +82,13 @@ impl Capture {
             cameras.push(filmed.open(&path, &root, index)?);
         }
         let time_origin_s = cameras[reference].clock.times_s[0];
-        for camera in &mut cameras {
+        for (index, camera) in cameras.iter_mut().enumerate() {
             camera.clock.rebase(time_origin_s);
+            camera.clock.ascends().map_err(|reason| CaptureError::Field {
+                path: path.clone(),
+                field: format!("cameras[{index}] ({}).clock", camera.id),
+                reason,
+            })?;
         }
         Ok(Self { name: format.name, folder: folder.to_owned(), reference, cameras, time_origin_s })
     }
@@ -96,6 +102,11 @@ impl Capture {
     /// clock.
     pub fn times_in_file_s(&self, camera: usize) -> Vec<f64> {
         self.cameras[camera].clock.times_s.iter().map(|t| t + self.time_origin_s).collect()
+    }
+
+    /// Whether every camera took one frame: a static light field, which is the same at any time.
+    pub fn is_static(&self) -> bool {
+        self.cameras.iter().all(|c| c.frames.len() == 1)
     }
 
     /// Refuses a capture of one camera, which has no offsets.

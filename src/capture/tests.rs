@@ -52,7 +52,22 @@ fn every_wrong_field_is_named() {
         (|j| j["cameras"][1]["clock"] = json!({"shared": false, "times_s": [0, 1]}), "2 entries"),
         (|j| j["cameras"][1]["clock"] = json!({"shared": false, "times_s": [0, 1, 1]}), "ascend"),
         (|j| j["cameras"][1]["clock"]["rate_hz"] = json!(0), "rate_hz"),
-        (|j| j["cameras"][1]["clock"]["first_s"] = json!(1e300), "ascend"),
+        (
+            |j| j["cameras"][1]["clock"]["first_s"] = json!(1e300),
+            "(b).clock: the times must be within",
+        ),
+        (|j| j["cameras"][1]["clock"]["rate_hz"] = json!(1e300), "ascend by at least"),
+        // Apart in the file, but not any more after the reference's start is subtracted.
+        (
+            |j| {
+                j["cameras"][0]["clock"]["first_s"] = json!(-1e11);
+                j["cameras"][1]["clock"] = json!({"shared": false, "times_s": [0, 1e-8, 2e-8]});
+            },
+            "(b).clock",
+        ),
+        (|j| j["cameras"][0]["version"] = json!(1), "cameras[0].version"),
+        (|j| j["cameras"][1]["clock"]["shared"] = json!(null), "cameras[1].clock.shared"),
+        (|j| j["version"] = json!("1"), "version: "),
     ];
     for (make_wrong, expected) in cases {
         let (_folder, capture) = written(make_wrong);

@@ -1,6 +1,7 @@
 //! `truth/`: what only a simulator knows. The method never reads it; `compare` does.
 
 use crate::camera::{Camera, CameraFormat, CameraFormatError};
+use crate::json::{self, JsonError};
 use serde::{Deserialize, Serialize};
 use std::path::{Component, Path, PathBuf};
 
@@ -69,7 +70,7 @@ pub enum TruthError {
     #[error("{path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
     #[error("{path}: {source}")]
-    Json { path: PathBuf, source: serde_json::Error },
+    Json { path: PathBuf, source: JsonError },
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },
     #[error("{path}: views[{index}].camera.{source}")]
@@ -81,13 +82,11 @@ impl Truth {
     pub fn open(capture: &Path) -> Result<Option<Self>, TruthError> {
         let folder = capture.join("truth");
         let path = folder.join("truth.json");
-        let text = match std::fs::read_to_string(&path) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(source) => return Err(TruthError::Read { path, source }),
-            Ok(text) => text,
+        let mut truth: Self = match json::read(&path) {
+            Err(JsonError::Read(e)) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(source) => return Err(TruthError::Json { path, source }),
+            Ok(truth) => truth,
         };
-        let mut truth: Self = serde_json::from_str(&text)
-            .map_err(|source| TruthError::Json { path: path.clone(), source })?;
         if truth.format != "stlfr-truth" || truth.version != 1 {
             return Err(TruthError::Content {
                 path,

@@ -1,9 +1,11 @@
 //! Errors of the command line: one sentence on stderr, and an exit code.
 
-use clap::error::ErrorKind;
+use clap::error::ErrorKind as UsageKind;
+use std::io::ErrorKind;
 use std::process::ExitCode;
 use stlfr::capture::{CaptureError, TruthError};
 use stlfr::compare::CompareError;
+use stlfr::json::JsonError;
 use stlfr::render::RenderError;
 use stlfr::toolchain::{ScriptError, SetupError, VideoError};
 
@@ -33,22 +35,51 @@ impl From<ScriptError> for CliError {
     }
 }
 
+/// What is missing, may not be read or is no file was given wrongly; what fails otherwise while it
+/// is read or written is a failure.
+fn of_io(sentence: String, source: &std::io::Error) -> CliError {
+    match source.kind() {
+        ErrorKind::NotFound
+        | ErrorKind::PermissionDenied
+        | ErrorKind::NotADirectory
+        | ErrorKind::IsADirectory
+        | ErrorKind::InvalidFilename
+        | ErrorKind::InvalidData
+        | ErrorKind::InvalidInput => CliError::BadInput(sentence),
+        _ => CliError::Failure(sentence),
+    }
+}
+
 impl From<CaptureError> for CliError {
     fn from(error: CaptureError) -> Self {
-        Self::BadInput(error.to_string())
+        let sentence = error.to_string();
+        match &error {
+            CaptureError::Read { source, .. }
+            | CaptureError::Write { source, .. }
+            | CaptureError::Json { source: JsonError::Read(source), .. } => of_io(sentence, source),
+            _ => Self::BadInput(sentence),
+        }
     }
 }
 
 impl From<TruthError> for CliError {
     fn from(error: TruthError) -> Self {
-        Self::BadInput(error.to_string())
+        let sentence = error.to_string();
+        match &error {
+            TruthError::Read { source, .. }
+            | TruthError::Json { source: JsonError::Read(source), .. } => of_io(sentence, source),
+            _ => Self::BadInput(sentence),
+        }
     }
 }
 
 /// What can't be rendered was asked for wrongly: a time outside, a view of nothing.
 impl From<RenderError> for CliError {
     fn from(error: RenderError) -> Self {
-        Self::BadInput(error.to_string())
+        match error {
+            RenderError::Capture(error) => error.into(),
+            _ => Self::BadInput(error.to_string()),
+        }
     }
 }
 
@@ -61,6 +92,9 @@ impl From<VideoError> for CliError {
 impl From<CompareError> for CliError {
     fn from(error: CompareError) -> Self {
         match error {
+            CompareError::Capture(error) => error.into(),
+            CompareError::Truth(error) => error.into(),
+            CompareError::Write { ref source, .. } => of_io(error.to_string(), source),
             CompareError::Report(_) | CompareError::Video(_) => Self::Failure(error.to_string()),
             _ => Self::BadInput(error.to_string()),
         }
@@ -72,7 +106,7 @@ pub fn exit(result: Result<(), CliError>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("{error}");
+            eprintln!("{}", one_line(&error.to_string()));
             ExitCode::from(match error {
                 CliError::BadInput(_) => 2,
                 CliError::Failure(_) => 1,
@@ -81,16 +115,22 @@ pub fn exit(result: Result<(), CliError>) -> ExitCode {
     }
 }
 
+/// A sentence on one line, whatever names of files and cameras are in it.
+fn one_line(sentence: &str) -> String {
+    let shown = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.into() };
+    sentence.trim_end().chars().map(shown).collect()
+}
+
 /// Help and version as clap prints them; a wrong command line in one sentence.
 pub fn usage(error: &clap::Error) -> ExitCode {
     let wrong = !matches!(
         error.kind(),
-        ErrorKind::DisplayHelp
-            | ErrorKind::DisplayVersion
-            | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
+        UsageKind::DisplayHelp
+            | UsageKind::DisplayVersion
+            | UsageKind::DisplayHelpOnMissingArgumentOrSubcommand
     );
     if wrong {
-        eprintln!("{}", sentence(&error.to_string()));
+        eprintln!("{}", one_line(&sentence(&error.to_string())));
         return ExitCode::from(2);
     }
     // Where the help can't be printed (a closed pipe), there is no one to tell.
@@ -110,6 +150,21 @@ fn sentence(message: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_with_line_breaks_stay_on_the_line() {
+        assert_eq!(one_line("'a\n\u{1b}[0m' is missing"), "'a\\n\\u{1b}[0m' is missing");
+    }
+
+    #[test]
+    fn what_fails_in_mid_work_is_no_bad_input() {
+        let exit = |kind: ErrorKind| {
+            let source = std::io::Error::from(kind);
+            CliError::from(CaptureError::Write { path: "a".into(), source })
+        };
+        assert!(matches!(exit(ErrorKind::StorageFull), CliError::Failure(_)));
+        assert!(matches!(exit(ErrorKind::PermissionDenied), CliError::BadInput(_)));
+    }
 
     #[test]
     fn usage_errors_are_one_line() {

@@ -1,9 +1,11 @@
 //! Files that the command line names: checked before long work, in one sentence each.
 
 use super::CliError;
-use serde::de::DeserializeOwned;
 use std::path::Path;
 use stlfr::camera::{Camera, CameraFormat};
+use stlfr::capture::Capture;
+use stlfr::json;
+use stlfr::render::RenderOptions;
 
 /// Refuses what is no readable file.
 pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
@@ -17,8 +19,10 @@ pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
 /// Refuses an output whose folder, or the nearest one above that exists, can't be written to.
 pub fn must_be_writable(output: &Path) -> Result<(), CliError> {
     let absolute = std::path::absolute(output).map_err(|e| wrong(output, e))?;
-    // The output itself counts where it is a folder already.
-    let Some(folder) = absolute.ancestors().find(|p| p.is_dir()) else {
+    // The output itself counts where it is a folder already. What is there and is no folder can't
+    // have the output in it.
+    let nearest = absolute.ancestors().find(|p| p.is_dir() || (p.exists() && *p != absolute));
+    let Some(folder) = nearest.filter(|p| p.is_dir()) else {
         return Err(CliError::BadInput(format!("{}: has no folder to be in", output.display())));
     };
     let probe = folder.join(format!(".stlfr-{}.tmp", std::process::id()));
@@ -28,21 +32,34 @@ pub fn must_be_writable(output: &Path) -> Result<(), CliError> {
     })
 }
 
-/// A JSON file of options; the defaults without one.
-pub fn options_or_default<T: DeserializeOwned + Default>(
-    path: Option<&Path>,
-) -> Result<T, CliError> {
-    path.map_or_else(|| Ok(T::default()), read_json)
+/// Refuses an image that can't be written, or that would take the place of a frame of the capture.
+pub fn must_be_writable_image(output: &Path, capture: &Capture) -> Result<(), CliError> {
+    must_be_writable(output)?;
+    if output.is_dir() {
+        return Err(CliError::BadInput(format!("{}: is a folder", output.display())));
+    }
+    let there = output.canonicalize().ok();
+    if there.is_some_and(|path| capture.cameras.iter().any(|c| c.frames.contains(&path))) {
+        return Err(CliError::BadInput(format!(
+            "{}: is a frame of the capture, which is not written over",
+            output.display()
+        )));
+    }
+    Ok(())
+}
+
+/// A JSON file of options, checked; the defaults without one.
+pub fn options_or_default(path: Option<&Path>) -> Result<RenderOptions, CliError> {
+    let Some(path) = path else { return Ok(RenderOptions::default()) };
+    let options: RenderOptions = json::read(path).map_err(|error| wrong(path, error))?;
+    options.check().map_err(|error| wrong(path, error))?;
+    Ok(options)
 }
 
 /// A view to render.
 pub fn read_view(path: &Path) -> Result<Camera, CliError> {
-    read_json::<CameraFormat>(path)?.camera().map_err(|error| wrong(path, error))
-}
-
-fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, CliError> {
-    let text = std::fs::read_to_string(path).map_err(|error| wrong(path, error))?;
-    serde_json::from_str(&text).map_err(|error| wrong(path, error))
+    let format: CameraFormat = json::read(path).map_err(|error| wrong(path, error))?;
+    format.camera().map_err(|error| wrong(path, error))
 }
 
 fn wrong(path: &Path, error: impl std::fmt::Display) -> CliError {
@@ -81,5 +98,8 @@ mod tests {
         must_be_writable(&folder.path().join("a/b/c.png")).unwrap();
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
         assert!(must_be_writable(Path::new("/proc/none/c.png")).is_err());
+        std::fs::write(folder.path().join("file"), "").unwrap();
+        must_be_writable(&folder.path().join("file")).unwrap();
+        assert!(must_be_writable(&folder.path().join("file/c.png")).is_err());
     }
 }

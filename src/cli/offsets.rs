@@ -7,7 +7,6 @@ use std::sync::Arc;
 use stlfr::capture::Capture;
 use stlfr::offset::{Offsets, known_or_kept_or_estimated};
 use stlfr::progress::Reporter;
-use stlfr::render::RenderOptions;
 
 /// Estimate how far each camera's clock is off the reference's, with its standard error, from the
 /// pixels alone.
@@ -29,7 +28,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
-    let options: RenderOptions = options_or_default(args.options.as_deref())?;
+    let options = options_or_default(args.options.as_deref())?;
     let capture = Arc::new(Capture::open(&args.capture)?);
     capture.require_two_cameras()?;
     let offsets =

@@ -1,7 +1,7 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::files::{must_be_writable, options_or_default, read_view};
+use super::files::{must_be_writable_image, options_or_default, read_view};
 use super::span::{Output, Times};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use stlfr::capture::{BitDepth, Capture, write_image};
 use stlfr::interpolation::Sync;
 use stlfr::progress::Reporter;
 use stlfr::raster::Image;
-use stlfr::render::{LightField, ProxyRung, RenderOptions};
+use stlfr::render::{LightField, ProxyRung};
 use stlfr::toolchain::{VideoWriter, find_ffmpeg, project_root};
 
 /// Render the view of any camera at any instant, or over a span of time.
@@ -109,7 +109,7 @@ impl Args {
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let request = args.request()?;
-    let mut options: RenderOptions = options_or_default(args.options.as_deref())?;
+    let mut options = options_or_default(args.options.as_deref())?;
     options.sync = args.sync.unwrap_or(options.sync);
     options.proxy.rung = args.proxy.unwrap_or(options.proxy.rung);
     let capture = Arc::new(Capture::open(&args.capture)?);
@@ -119,8 +119,12 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
         })?),
         View::Camera(_) => None,
     };
-    let first = args.output.file(0).unwrap_or_default();
-    must_be_writable(&first)?;
+    for index in 0..request.times_s.len() {
+        must_be_writable_image(&args.output.file(index).unwrap_or_default(), &capture)?;
+        if !matches!(args.output, Output::Sequence(_)) {
+            break;
+        }
+    }
     let mut writer = Writer::new(&args.output, &capture)?;
     let depth = capture.bit_depth();
 
@@ -154,7 +158,7 @@ fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
         .filter(|(index, _)| field.span_s(*index).is_none())
         .map(|(_, c)| c.id.as_str())
         .collect();
-    if !unknown.is_empty() {
+    if !unknown.is_empty() && !field.capture().is_static() {
         reporter.note(&format!("Left out, their clocks being unknown: {}.", unknown.join(", ")));
     }
 }

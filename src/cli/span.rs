@@ -40,11 +40,10 @@ impl Times {
     /// The instants, seconds.
     pub fn instants_s(&self) -> Vec<f64> {
         let last = self.count - 1;
-        let step = if last == 0 { 0.0 } else { (self.end_s - self.start_s) / last as f64 };
-        (0..self.count)
-            // The last one is END itself, not END and a rounding error beyond what was filmed.
-            .map(|k| if k == last && k > 0 { self.end_s } else { self.start_s + step * k as f64 })
-            .collect()
+        // END's share is 1 exactly: the last one is END itself, not END and a rounding error beyond
+        // what was filmed. And no two times are too far apart to be subtracted.
+        let share = |k: usize| if last == 0 { 0.0 } else { k as f64 / last as f64 };
+        (0..self.count).map(|k| self.start_s * (1.0 - share(k)) + self.end_s * share(k)).collect()
     }
 }
 
@@ -104,6 +103,8 @@ mod tests {
         assert_eq!((instants.len(), instants[0], instants[3]), (4, 0.1, 0.4));
         assert!((instants[1] - 0.2).abs() < 1e-12);
         assert_eq!("-1:1:1".parse::<Times>().unwrap().instants_s(), [-1.0]);
+        let far: Times = "-1e308:1e308:3".parse().unwrap();
+        assert_eq!(far.instants_s(), [-1e308, 0.0, 1e308]);
         assert_eq!("1:0:2".parse::<Times>().unwrap().instants_s(), [1.0, 0.0]);
         for wrong in ["", "1:2", "1:2:0", "nan:1:2", "0:inf:2", "0:1:2:3", "0:1:-4", "0:1:9999999"]
         {

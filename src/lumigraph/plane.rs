@@ -56,6 +56,17 @@ impl Plane {
         (normal.iter().all(|v| v.is_finite()) && d.is_finite()).then_some(Self { normal, d })
     }
 
+    /// The plane that faces the camera at the median depth (in inverse depth) of the points before
+    /// it, in its view or beside: what is left where the view itself has none. `None` if all are
+    /// behind, or not finite.
+    pub fn amid(points: &[Point3<f64>], camera: &Camera) -> Option<Self> {
+        let mut inverse: Vec<f64> =
+            points.iter().map(|p| 1.0 / (camera.cam_from_world * p).z).collect();
+        inverse.retain(|v| *v > 0.0 && v.is_finite());
+        inverse.sort_by(f64::total_cmp);
+        Some(Self::fronto_parallel(camera, 1.0 / inverse.get(inverse.len() / 2)?))
+    }
+
     /// `g` of [`super::inverse_depth`] as the camera sees it; `None` if the plane goes through
     /// the camera's centre (it is then a line in the image, or all of it at depth 0).
     pub(super) fn inverse_depth(&self, camera: &Camera) -> Option<Vector3<f64>> {
@@ -114,6 +125,18 @@ mod tests {
         assert!((plane.normal - Vector3::z()).norm() < 1e-6, "collinear: {plane:?}");
         let plane = Plane::fit(&[(one, 1.0); 5], &camera).unwrap();
         assert!(distance(&plane, &one) < 1e-9, "duplicates: {plane:?}");
+    }
+
+    #[test]
+    fn beside_the_view_there_is_a_depth_too() {
+        let camera = pinhole_at([0.0; 3]);
+        let points = [[9.0, 0.0, 2.0], [-9.0, 0.0, 2.0], [0.0, 0.0, -1.0], [0.0, 0.0, f64::NAN]];
+        let plane = Plane::amid(&points.map(Point3::from), &camera).unwrap();
+        assert_eq!(plane, Plane { normal: Vector3::z(), d: 2.0 });
+        assert_eq!(
+            Plane::amid(&points[2..].iter().map(|p| Point3::from(*p)).collect::<Vec<_>>(), &camera),
+            None
+        );
     }
 
     #[test]

@@ -1,8 +1,10 @@
 //! The paper's robust mean of candidates: exhaustive RANSAC, then WLS, eqs. (11) to (13).
 
 /// The largest set of values within `tolerance` of one of them, as a range of the sorted values.
-/// Every value is tried. `values` must be sorted; the first of equally large sets wins.
+/// Every value is tried. `values` must be sorted; the first of equally large sets wins. A negative
+/// tolerance is none.
 pub fn ransac(values: &[f64], tolerance: f64) -> std::ops::Range<usize> {
+    let tolerance = tolerance.max(0.0);
     let mut best = 0..0;
     let (mut low, mut high) = (0, 0);
     for &candidate in values {
@@ -70,6 +72,7 @@ mod tests {
     fn no_values_and_equal_values() {
         assert_eq!(ransac(&[], 0.1), 0..0);
         assert_eq!(ransac(&[2.0; 5], 0.0), 0..5);
+        assert_eq!(ransac(&[1.0, 2.0], -1.0), 0..1);
         assert_eq!(weighted_least_squares(&[], 70.0), None);
         assert_eq!(weighted_least_squares(&[2.0; 5], 70.0), Some(2.0));
         assert!(weighted_least_squares(&[0.0, 1e9], 70.0).unwrap().is_finite());

@@ -60,8 +60,16 @@ pub fn known_or_kept_or_estimated(
         return Ok(kept);
     }
     let offsets = estimate(capture, options, registration, reporter)?.offsets;
-    offsets.save(capture, &all_options, &hash)?;
-    reporter.note("Offsets were estimated from the images and kept in offsets.json.");
+    // A capture that may only be read can be worked with all the same.
+    match offsets.save(capture, &all_options, &hash) {
+        Ok(()) => {
+            reporter.note("Offsets were estimated from the images and kept in offsets.json.");
+        }
+        Err(error) => {
+            reporter
+                .note(&format!("Offsets were estimated from the images but not kept: {error}."));
+        }
+    }
     Ok(offsets)
 }
 
@@ -104,7 +112,7 @@ pub fn estimate(
                 id: camera.id.clone(),
                 offset_s: found.map(|s| s.offset_s),
                 std_err_s: found.map(|s| s.std_err_s),
-                reason: found.is_none().then(|| reason(c, &pairs, &used)),
+                reason: found.is_none().then(|| reason(capture, c, &pairs, &used)),
             }
         })
         .collect();
@@ -112,15 +120,32 @@ pub fn estimate(
     Ok(Estimate { offsets: Offsets { reference, cameras }, pairs: used })
 }
 
-fn reason(camera: usize, pairs: &[[usize; 2]], used: &[PairEstimate]) -> String {
+fn reason(capture: &Capture, camera: usize, pairs: &[[usize; 2]], used: &[PairEstimate]) -> String {
     let of_camera = |pair: &[usize; 2]| pair.contains(&camera);
     if used.iter().any(|p| of_camera(&p.cameras)) {
         "its pairs are not connected to the reference camera, or disagree".into()
+    } else if capture.cameras[camera].frames.len() == 1 {
+        "it has one frame, which shows no motion".into()
+    } else if pairs.iter().any(of_camera)
+        && !pairs.iter().filter(|p| of_camera(p)).any(|p| overlap(capture, p))
+    {
+        "its neighbours filmed at other times, by its clock and theirs".into()
     } else if pairs.iter().any(of_camera) {
         "too few features move across the epipolar lines of its neighbours".into()
     } else {
         "no other camera stands at another place".into()
     }
+}
+
+/// Whether two cameras filmed at the same time to about a frame, by their own clocks.
+fn overlap(capture: &Capture, &[a, b]: &[usize; 2]) -> bool {
+    let span = |c: usize| {
+        let clock = &capture.cameras[c].clock;
+        let slack = clock.frame_s();
+        (clock.times_s[0] - slack, clock.times_s[clock.times_s.len() - 1] + slack)
+    };
+    let (a, b) = (span(a), span(b));
+    a.0 <= b.1 && b.0 <= a.1
 }
 
 /// The clock of each camera, the reference's being 0, and how many there are. The reference's

@@ -105,8 +105,8 @@ impl Offsets {
             hash: hash.to_owned(),
         };
         let text = serde_json::to_string_pretty(&kept)
-            .map_err(|source| CaptureError::Json { path: path.clone(), source })?;
+            .map_err(|error| CaptureError::Write { path: path.clone(), source: error.into() })?;
         write_atomically(&path, text.as_bytes())
-            .map_err(|source| CaptureError::Read { path, source })
+            .map_err(|source| CaptureError::Write { path, source })
     }
 }

@@ -83,7 +83,7 @@ impl PyCapture {
         py: Python<'py>,
         options: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let options: RenderOptions = from_python(options, "options")?.unwrap_or_default();
+        let options = checked(options)?;
         let offsets = py.detach(|| {
             self.capture.require_two_cameras()?;
             known_or_kept_or_estimated(
@@ -106,7 +106,7 @@ impl PyCapture {
         like: Option<&str>,
         options: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let options: RenderOptions = from_python(options, "options")?.unwrap_or_default();
+        let options = checked(options)?;
         let camera: Option<CameraFormat> = from_python(camera, "camera")?;
         let time_s = time_s - self.capture.time_origin_s;
         let (image, coverage) = match (camera, like) {
@@ -130,6 +130,13 @@ impl PyCapture {
     fn __repr__(&self) -> String {
         format!("<stlfr.Capture '{}': {} cameras>", self.capture.name, self.capture.cameras.len())
     }
+}
+
+/// The options of a call, checked as the command line checks its file.
+fn checked(options: Option<&Bound<'_, PyAny>>) -> PyResult<RenderOptions> {
+    let options: RenderOptions = from_python(options, "options")?.unwrap_or_default();
+    options.check().map_err(|e| value_error(format!("options: {e}")))?;
+    Ok(options)
 }
 
 impl PyCapture {

@@ -20,7 +20,7 @@ pub fn from_python<T: DeserializeOwned>(
 ) -> PyResult<Option<T>> {
     let Some(value) = value else { return Ok(None) };
     let json = value.py().import("json")?.call_method1("dumps", (value,))?;
-    let parsed = serde_json::from_str(json.extract::<&str>()?);
+    let parsed = crate::json::parse(json.extract::<&str>()?);
     parsed.map(Some).map_err(|e| value_error(format!("{what}: {e}")))
 }
 

@@ -1,8 +1,10 @@
 //! The pipeline (Fig. 2): registration, offsets, synchronized images, the view.
 
+mod check;
 mod options;
 mod points;
 
+pub use check::OptionError;
 pub use options::{ProxyOptions, ProxyRung, RenderOptions};
 
 use crate::camera::Camera;
@@ -56,16 +58,16 @@ const MAX_KEPT_PAIRS: usize = 256;
 pub enum RenderError {
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    #[error("{camera} has no frames around {time_s} s: it covers {first_s} to {last_s} s")]
+    #[error("{camera} has no frames around {time_s:?} s: it covers {first_s} to {last_s} s")]
     CameraTime { camera: String, time_s: f64, first_s: f64, last_s: f64 },
     #[error("{camera}'s clock is unknown: {reason}")]
     CameraClock { camera: String, reason: String },
-    #[error("no camera has frames around {time_s} s: they cover {first_s} to {last_s} s")]
+    #[error("no camera has frames around {time_s:?} s: they cover {first_s} to {last_s} s")]
     Time { time_s: f64, first_s: f64, last_s: f64 },
     #[error("no camera of this capture has a known clock")]
     NoClock,
     #[error(
-        "no point of the scene could be triangulated; set proxy.plane_depth_m to focus by hand"
+        "no point before this view could be triangulated; the plane proxy with proxy.plane_depth_m focuses by hand"
     )]
     NoPoints,
     #[error("no camera sees any pixel of this view")]
@@ -225,8 +227,10 @@ impl LightField {
             }
             ProxyRung::Mesh => Mesh::build(&points, target, &options.mesh).map(Proxy::Mesh),
         };
+        // A view of a bare spot, or of a single pixel, has no feature in it, but a depth.
+        let around = || Plane::amid(&points, target).map(Proxy::Plane);
         let is_seen = |p| target.project(p).is_some_and(|pixel| target.contains(&pixel));
-        proxy.ok_or_else(|| {
+        proxy.or_else(around).ok_or_else(|| {
             if points.is_empty() || points.iter().any(is_seen) {
                 RenderError::NoPoints
             } else {
@@ -288,16 +292,16 @@ impl LightField {
     }
 
     /// The frames on both sides of a time (the same one twice if it is at that very time). A
-    /// camera with one frame is a static light field: it has that frame at any time.
+    /// static light field has its frames at any time, whatever its clocks.
     fn bracket(&self, camera: usize, time_s: f64) -> Result<(usize, usize), RenderError> {
+        if self.capture().is_static() {
+            return Ok((0, 0));
+        }
         let id = || self.capture().cameras[camera].id.clone();
         let Some(times) = &self.times_s[camera] else {
             let reason = self.offsets.cameras[camera].reason.clone().unwrap_or_default();
             return Err(RenderError::CameraClock { camera: id(), reason });
         };
-        if times.len() == 1 {
-            return Ok((0, 0));
-        }
         crate::capture::bracket(times, time_s).ok_or_else(|| {
             let origin_s = self.capture().time_origin_s;
             RenderError::CameraTime {

@@ -126,8 +126,9 @@ impl LightField {
         let registration = &self.options().registration;
         let (k, later) = self.bracket(camera, time_s)?;
         let times = self.times(camera);
-        let (near, far) =
-            if times[later] - time_s < time_s - times[k] { (later, k) } else { (k, later) };
+        // A static light field may have no times.
+        let use_later = k != later && times[later] - time_s < time_s - times[k];
+        let (near, far) = if use_later { (later, k) } else { (k, later) };
         let near_frame = self.frames().get(camera, near)?;
         let starts: Vec<_> = features
             .iter()

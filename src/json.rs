@@ -1,0 +1,64 @@
+//! Files of JSON, as every stage reads them: what is wrong is one sentence that names the field.
+
+use serde::de::DeserializeOwned;
+use std::io::Read;
+use std::path::Path;
+
+/// Larger than any description of a capture (a hundred cameras' time stamps over a day are 200 MB);
+/// what goes on beyond it is a device or a mistake, and is not read into memory.
+const MAX_BYTES: u64 = 256 << 20;
+
+/// Why a file could not be read as JSON. The caller's message names the file.
+#[derive(Debug, thiserror::Error)]
+pub enum JsonError {
+    #[error(transparent)]
+    Read(#[from] std::io::Error),
+    /// Starts with the field, if it is known.
+    #[error("{0}")]
+    Content(String),
+}
+
+/// A value from a file.
+pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, JsonError> {
+    let mut text = String::new();
+    std::fs::File::open(path)?.take(MAX_BYTES + 1).read_to_string(&mut text)?;
+    if text.len() as u64 > MAX_BYTES {
+        return Err(JsonError::Content(format!("is larger than {} MiB", MAX_BYTES >> 20)));
+    }
+    parse(&text).map_err(JsonError::Content)
+}
+
+/// A value from text; the error is a sentence that starts with the field.
+pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
+    let mut deserializer = serde_json::Deserializer::from_str(text);
+    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|e| e.to_string())?;
+    deserializer.end().map_err(|e| e.to_string())?;
+    Ok(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::RenderOptions;
+
+    #[test]
+    fn the_field_is_named() {
+        for (text, field) in [
+            (r#"{"registration": {"klt": {"levels": -1}}}"#, "registration.klt.levels: "),
+            (r#"{"blend": {"feather_px": null}}"#, "blend.feather_px: "),
+            (r#"{"blend": {"feather_px": 1e999}}"#, "blend.feather_px: "),
+            (r#"{"sync": "none"}"#, "sync: "),
+        ] {
+            let message = parse::<RenderOptions>(text).unwrap_err();
+            assert!(message.starts_with(field), "{message}");
+        }
+        assert!(parse::<RenderOptions>("{} {}").unwrap_err().contains("trailing"));
+        assert!(parse::<RenderOptions>("").is_err());
+    }
+
+    #[test]
+    fn what_never_ends_is_not_read_to_its_end() {
+        let endless = read::<RenderOptions>(Path::new("/dev/zero")).unwrap_err();
+        assert!(endless.to_string().contains("larger than"), "{endless}");
+    }
+}

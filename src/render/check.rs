@@ -1,0 +1,251 @@
+//! Which options can be worked with. One table: outside it, a stage would divide by nothing, run
+//! for hours, or take the machine's memory.
+
+use super::{ProxyOptions, RenderOptions};
+use crate::interpolation::{EdgeOptions, InterpolationOptions, MorphOptions};
+use crate::lumigraph::{BlendOptions, MeshOptions};
+use crate::offset::OffsetOptions;
+use crate::registration::{CornerOptions, KltOptions, RegistrationOptions};
+use std::ops::RangeInclusive;
+
+/// An option out of its range.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{field}: is {value:?}, must be from {min:?} to {max:?}")]
+pub struct OptionError {
+    /// As in the file, such as `registration.klt.levels`.
+    pub field: String,
+    pub value: f64,
+    pub min: f64,
+    pub max: f64,
+}
+
+type Checked = Result<(), OptionError>;
+
+/// Lengths in an image, pixels.
+const PIXELS: RangeInclusive<f64> = 0.0..=1000.0;
+/// Shares of something that may be larger than the whole.
+const SHARE: RangeInclusive<f64> = 0.0..=100.0;
+/// Counts of things of which none is a way to say "off".
+const COUNT: RangeInclusive<f64> = 0.0..=1e6;
+/// Counts of things that are needed.
+const SOME: RangeInclusive<f64> = 1.0..=1e6;
+
+impl RenderOptions {
+    /// Refuses what no stage can work with. To be called where options come from outside: a file,
+    /// the command line, Python.
+    pub fn check(&self) -> Checked {
+        registration(&self.registration)?;
+        offset(&self.offset)?;
+        interpolation(&self.interpolation)?;
+        proxy(&self.proxy)?;
+        blend(&self.blend)
+    }
+}
+
+/// The options `prefix.name`, each with its value and the range that it must be in. NaN is in none.
+fn all_within(prefix: &str, options: &[(&str, f64, RangeInclusive<f64>)]) -> Checked {
+    match options.iter().find(|(_, value, range)| !range.contains(value)) {
+        None => Ok(()),
+        Some((name, value, range)) => Err(OptionError {
+            field: format!("{prefix}.{name}"),
+            value: *value,
+            min: *range.start(),
+            max: *range.end(),
+        }),
+    }
+}
+
+fn registration(o: &RegistrationOptions) -> Checked {
+    corners(&o.corners)?;
+    klt(&o.klt)?;
+    all_within(
+        "registration",
+        &[
+            ("max_back_error_px", o.max_back_error_px, PIXELS),
+            ("merge_distance_px", o.merge_distance_px, PIXELS),
+            ("max_motion_change_px", o.max_motion_change_px, PIXELS),
+            ("max_motion_change_share", o.max_motion_change_share, SHARE),
+            // Every feature asks all others within it: time grows with its square.
+            ("support_radius_px", o.support_radius_px, 0.0..=200.0),
+            ("support_px", o.support_px, PIXELS),
+            ("support_share", o.support_share, SHARE),
+            ("min_support", o.min_support as f64, COUNT),
+            ("epsilon_px", o.epsilon_px, PIXELS),
+            ("time_weight", o.time_weight, 0.0..=1e6),
+            ("max_references", o.max_references as f64, COUNT),
+            ("min_test_motion_px", o.min_test_motion_px, PIXELS),
+            ("min_across_share", o.min_across_share, 0.0..=1.0),
+        ],
+    )
+}
+
+fn corners(o: &CornerOptions) -> Checked {
+    all_within(
+        "registration.corners",
+        &[
+            ("max_corners", o.max_corners as f64, 1.0..=100_000.0),
+            ("min_distance_px", o.min_distance_px, PIXELS),
+            ("min_quality", f64::from(o.min_quality), 0.0..=1.0),
+            // 0: a single pixel's tensor has no second eigenvalue.
+            ("radius_px", o.radius_px as f64, 1.0..=16.0),
+        ],
+    )
+}
+
+fn klt(o: &KltOptions) -> Checked {
+    all_within(
+        "registration.klt",
+        &[
+            // 0: a single pixel has one gradient, and no translation can be solved from it.
+            ("radius_px", o.radius_px as f64, 1.0..=32.0),
+            ("levels", o.levels as f64, 1.0..=16.0),
+            ("iterations", o.iterations as f64, 1.0..=1000.0),
+            ("epsilon_px", o.epsilon_px, 0.0..=1.0),
+            ("min_eigenvalue", o.min_eigenvalue, 0.0..=1.0),
+            ("max_residual", o.max_residual, 0.0..=1.0),
+        ],
+    )
+}
+
+fn offset(o: &OffsetOptions) -> Checked {
+    all_within(
+        "offset",
+        &[
+            ("neighbors", o.neighbors as f64, SOME),
+            ("max_frames", o.max_frames as f64, SOME),
+            ("max_features", o.max_features as f64, 1.0..=100_000.0),
+            ("tolerance_share", o.tolerance_share, 1e-6..=1.0),
+            ("gamma", o.gamma, 0.0..=1e6),
+            ("min_across_px", o.min_across_px, 1e-3..=1000.0),
+            ("min_inliers", o.min_inliers as f64, SOME),
+            ("min_inlier_share", o.min_inlier_share, 0.0..=1.0),
+            ("max_std_err_frames", o.max_std_err_frames, 0.0..=100.0),
+        ],
+    )
+}
+
+fn interpolation(o: &InterpolationOptions) -> Checked {
+    edges(&o.edges)?;
+    morph(&o.morph)
+}
+
+fn edges(o: &EdgeOptions) -> Checked {
+    all_within(
+        "interpolation.edges",
+        &[
+            // Pairs of features that are tried: time and memory grow with its square.
+            ("max_length_px", o.max_length_px, 0.0..=200.0),
+            // Where every pair of features is an edge, their crossings take minutes and gigabytes.
+            ("beta", o.beta, 0.0..=1.0),
+            ("min_fitness", o.min_fitness, 0.01..=100.0),
+            ("sample_step_px", o.sample_step_px, 0.25..=1000.0),
+            ("max_length_change", o.max_length_change, SHARE),
+            ("max_length_change_px", o.max_length_change_px, PIXELS),
+            ("duplicate_angle_deg", o.duplicate_angle_deg, 0.0..=90.0),
+            ("duplicate_distance_px", o.duplicate_distance_px, PIXELS),
+        ],
+    )
+}
+
+fn morph(o: &MorphOptions) -> Checked {
+    all_within(
+        "interpolation.morph",
+        &[
+            ("a", o.a, PIXELS),
+            // An f32 holds the strength L^(ρb) · 2^τ of any edge of the largest image in these.
+            ("b", o.b, 0.0..=6.0),
+            ("rho", o.rho, 0.0..=1.0),
+            ("tau", o.tau, 0.0..=16.0),
+            ("grid_px", o.grid_px as f64, 1.0..=256.0),
+        ],
+    )
+}
+
+fn proxy(o: &ProxyOptions) -> Checked {
+    mesh(&o.mesh)?;
+    all_within(
+        "proxy",
+        &[
+            ("plane_depth_m", o.plane_depth_m.unwrap_or(1.0), 1e-9..=1e12),
+            ("cameras", o.cameras as f64, SOME),
+            ("partners", o.partners as f64, SOME),
+            ("max_epipolar_px", o.max_epipolar_px, PIXELS),
+            ("max_error_px", o.max_error_px, PIXELS),
+        ],
+    )
+}
+
+fn mesh(o: &MeshOptions) -> Checked {
+    all_within(
+        "proxy.mesh",
+        &[
+            ("edge_share", o.edge_share, 0.0..=1.0),
+            ("edge_px", o.edge_px, 0.0..=1e6),
+            ("support_share", o.support_share, SHARE),
+            ("min_support", o.min_support as f64, COUNT),
+            ("margin", o.margin, 0.0..=10.0),
+        ],
+    )
+}
+
+fn blend(o: &BlendOptions) -> Checked {
+    all_within(
+        "blend",
+        &[
+            ("cameras", o.cameras as f64, 1.0..=1000.0),
+            ("feather_px", o.feather_px, PIXELS),
+            ("resolution", o.resolution, 0.0..=1e6),
+            ("hidden_share", o.hidden_share, 0.0..=1000.0),
+        ],
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::Value;
+
+    /// The paths of all numbers in a JSON value.
+    fn numbers(value: &Value, path: &str, found: &mut Vec<String>) {
+        match value {
+            Value::Number(_) => found.push(path.to_owned()),
+            Value::Object(fields) => {
+                for (name, value) in fields {
+                    numbers(value, &format!("{path}/{name}"), found);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Every option that is a number has a range, also one that is added later.
+    #[test]
+    fn every_number_has_a_range() {
+        assert_eq!(RenderOptions::default().check(), Ok(()));
+        let mut options = RenderOptions::default();
+        options.proxy.plane_depth_m = Some(1.0);
+        let json = serde_json::to_value(&options).unwrap();
+        let mut paths = Vec::new();
+        numbers(&json, "", &mut paths);
+        assert!(paths.len() > 40, "{paths:?}");
+        for path in paths {
+            for extreme in [serde_json::json!(9_000_000_000_000_000_u64), serde_json::json!(-1.0)] {
+                let mut changed = json.clone();
+                *changed.pointer_mut(&path).unwrap() = extreme;
+                // Counts can't be negative: serde refuses those.
+                let Ok(changed) = serde_json::from_value::<RenderOptions>(changed) else {
+                    continue;
+                };
+                let error = changed.check().expect_err(&path).to_string();
+                assert!(error.starts_with(&path[1..].replace('/', ".")), "{error}");
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_is_in_no_range() {
+        let mut options = RenderOptions::default();
+        options.blend.feather_px = f64::NAN;
+        assert!(options.check().unwrap_err().to_string().starts_with("blend.feather_px: is NaN"));
+    }
+}
