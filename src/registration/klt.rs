@@ -6,6 +6,9 @@
 //! Known limits: pure translation, no gain change; windows that straddle a depth edge follow
 //! whichever side has more texture.
 
+#[cfg(target_arch = "x86_64")]
+use super::lanes::avx2;
+use super::lanes::{LANES, add, bilinear, interpolate, lanes, multiply, subtract, sum_lanes};
 use super::pyramid::{Level, Pyramid};
 use nalgebra::{Point2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -58,11 +61,6 @@ pub struct Tracked {
     /// Mean absolute difference of the two windows, values 0..=1.
     pub residual: f64,
 }
-
-/// Rows of a window are padded to a multiple of this many samples with zero gradients, which add
-/// nothing to the sums: fixed lanes make the sums the same on every machine, and let the compiler
-/// use its vectors.
-const LANES: usize = 8;
 
 /// Buffers of one window, reused from point to point.
 pub struct Tracker<'a> {
@@ -148,15 +146,26 @@ impl<'a> Tracker<'a> {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn take_template_avx2(&mut self, level: &Level, p: &Vector2<f64>) -> [f64; 3] {
-        self.take_template_any(level, p)
+        self.take_template_by(level, p, |plane, at, stride, w, out| {
+            avx2::interpolate(plane, at, stride, w, out);
+        })
     }
 
-    #[inline(always)]
     fn take_template_any(&mut self, level: &Level, p: &Vector2<f64>) -> [f64; 3] {
+        self.take_template_by(level, p, interpolate)
+    }
+
+    /// `interpolate` reads whole lanes of a plane between its samples.
+    #[inline(always)]
+    fn take_template_by(
+        &mut self,
+        level: &Level,
+        p: &Vector2<f64>,
+        interpolate: impl Fn(&[f32], usize, usize, [f32; 4], &mut [f32]),
+    ) -> [f64; 3] {
         // Outside the padded border there is nothing to cut; the caller's points are in the image.
-        let (base, weights) = match corner(level, p, self.options.radius_px) {
-            Some(found) => found,
-            None => return [0.0; 3],
+        let Some((base, weights)) = corner(level, p, self.options.radius_px) else {
+            return [0.0; 3];
         };
         let mut sums = [[0.0_f32; LANES]; 3];
         for y in 0..self.side {
@@ -225,15 +234,33 @@ impl<'a> Tracker<'a> {
         self.mismatch_any(target, q)
     }
 
+    /// [`Self::mismatch_any`] with the vectors spelled out: left to itself, the compiler makes
+    /// one load and shuffles of what should be two overlapping loads.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn mismatch_avx2(&self, target: &Level, q: &Vector2<f64>) -> Option<(f64, f64)> {
-        self.mismatch_any(target, q)
+        use std::arch::x86_64::{_mm256_add_ps, _mm256_mul_ps, _mm256_setzero_ps, _mm256_sub_ps};
+        let (base, weights) = corner(target, q, self.options.radius_px)?;
+        let (mut sum_x, mut sum_y) = (_mm256_setzero_ps(), _mm256_setzero_ps());
+        for y in 0..self.side {
+            let at = base + y * target.stride;
+            let top = &target.value[at..at + self.row + 1];
+            let bottom = &target.value[at + target.stride..at + target.stride + self.row + 1];
+            let from = y * self.row;
+            for x in (0..self.row).step_by(LANES) {
+                let found = avx2::bilinear(top, bottom, x, weights);
+                let mismatch = _mm256_sub_ps(found, avx2::load(&self.value, from + x));
+                let (gx, gy) = (avx2::load(&self.dx, from + x), avx2::load(&self.dy, from + x));
+                sum_x = _mm256_add_ps(sum_x, _mm256_mul_ps(mismatch, gx));
+                sum_y = _mm256_add_ps(sum_y, _mm256_mul_ps(mismatch, gy));
+            }
+        }
+        Some((sum_lanes(avx2::store(sum_x)), sum_lanes(avx2::store(sum_y))))
     }
 
     #[inline(always)]
     fn mismatch_any(&self, target: &Level, q: &Vector2<f64>) -> Option<(f64, f64)> {
-        let (base, [w00, w01, w10, w11]) = corner(target, q, self.options.radius_px)?;
+        let (base, weights) = corner(target, q, self.options.radius_px)?;
         let mut sum_x = [0.0_f32; LANES];
         let mut sum_y = [0.0_f32; LANES];
         for y in 0..self.side {
@@ -243,9 +270,8 @@ impl<'a> Tracker<'a> {
             let from = y * self.row;
             for x in (0..self.row).step_by(LANES) {
                 // One operation on all lanes at a time: in this shape the compiler uses vectors.
-                let upper = blend(lanes(top, x), w00, lanes(top, x + 1), w01);
-                let lower = blend(lanes(bottom, x), w10, lanes(bottom, x + 1), w11);
-                let mismatch = subtract(&add(&upper, &lower), lanes(&self.value, from + x));
+                let found = bilinear(top, bottom, x, weights);
+                let mismatch = subtract(&found, lanes(&self.value, from + x));
                 sum_x = add(&sum_x, &multiply(&mismatch, lanes(&self.dx, from + x)));
                 sum_y = add(&sum_y, &multiply(&mismatch, lanes(&self.dy, from + x)));
             }
@@ -285,52 +311,6 @@ fn corner(level: &Level, p: &Vector2<f64>, radius: usize) -> Option<(usize, [f32
     let base = level.index(x as isize - radius as isize, y as isize - radius as isize);
     let weights = [(1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy];
     Some((base, weights))
-}
-
-#[inline(always)]
-fn interpolate(plane: &[f32], at: usize, stride: usize, w: [f32; 4], out: &mut [f32]) {
-    let top = &plane[at..at + out.len() + 1];
-    let bottom = &plane[at + stride..at + stride + out.len() + 1];
-    let whole = out.len() - out.len() % LANES;
-    for k in (0..whole).step_by(LANES) {
-        let upper = blend(lanes(top, k), w[0], lanes(top, k + 1), w[1]);
-        let lower = blend(lanes(bottom, k), w[2], lanes(bottom, k + 1), w[3]);
-        out[k..k + LANES].copy_from_slice(&add(&upper, &lower));
-    }
-    for k in whole..out.len() {
-        out[k] = (w[0] * top[k] + w[1] * top[k + 1]) + (w[2] * bottom[k] + w[3] * bottom[k + 1]);
-    }
-}
-
-#[inline(always)]
-fn lanes(row: &[f32], at: usize) -> &[f32; LANES] {
-    row[at..].first_chunk().expect("rows are padded to whole lanes")
-}
-
-type Lanes = [f32; LANES];
-
-#[inline(always)]
-fn add(a: &Lanes, b: &Lanes) -> Lanes {
-    std::array::from_fn(|l| a[l] + b[l])
-}
-
-#[inline(always)]
-fn subtract(a: &Lanes, b: &Lanes) -> Lanes {
-    std::array::from_fn(|l| a[l] - b[l])
-}
-
-#[inline(always)]
-fn multiply(a: &Lanes, b: &Lanes) -> Lanes {
-    std::array::from_fn(|l| a[l] * b[l])
-}
-
-#[inline(always)]
-fn blend(a: &Lanes, weight_a: f32, b: &Lanes, weight_b: f32) -> Lanes {
-    std::array::from_fn(|l| weight_a * a[l] + weight_b * b[l])
-}
-
-fn sum_lanes(v: [f32; LANES]) -> f64 {
-    v.into_iter().map(f64::from).sum()
 }
 
 #[cfg(test)]
@@ -424,6 +404,8 @@ mod tests {
             let (p, q) = (Vector2::new(px, py), Vector2::new(px - 0.3, py + 0.2));
             let hessian = tracker.take_template(level, &p);
             let (bx, by) = tracker.mismatch(other, &q).unwrap();
+            assert_eq!(tracker.take_template_any(level, &p), hessian);
+            assert_eq!(tracker.mismatch_any(other, &q), Some((bx, by)));
             let mut expected = [0.0; 5];
             let r = options.radius_px as i32;
             for y in -r..=r {

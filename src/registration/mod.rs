@@ -14,6 +14,7 @@ mod epipolar_test;
 mod flow;
 mod frames;
 mod klt;
+mod lanes;
 mod neighbors;
 mod options;
 mod path;
