@@ -1,7 +1,7 @@
 //! Building the wheel of the Python module `stlfr` from this tree.
 //!
-//! It compiles in the project's own target folder, so that the crates already compiled there for
-//! the program serve again. Cargo holds no lock on it while a test or `cargo run` is running.
+//! It compiles in a target folder of its own: in the program's, the library with the Python feature
+//! and the one without would take turns under one name, and each build would undo the other's.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -14,6 +14,8 @@ pub(super) fn build_command(root: &Path, python: &Path, wheels: &Path) -> Comman
         .arg(python)
         .arg("--out")
         .arg(wheels)
+        .arg("--target-dir")
+        .arg(root.join("target/python"))
         .current_dir(root.join("blender"));
     command
 }
