@@ -2,7 +2,7 @@
 //! for hours, or take the machine's memory.
 
 use super::{ProxyOptions, RenderOptions};
-use crate::interpolation::{EdgeOptions, InterpolationOptions, MorphOptions};
+use crate::interpolation::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
 use crate::lumigraph::{BlendOptions, MeshOptions};
 use crate::offset::OffsetOptions;
 use crate::registration::{CornerOptions, KltOptions, RegistrationOptions};
@@ -126,7 +126,8 @@ fn offset(o: &OffsetOptions) -> Checked {
 
 fn interpolation(o: &InterpolationOptions) -> Checked {
     edges(&o.edges)?;
-    morph(&o.morph)
+    morph(&o.morph)?;
+    refine(&o.refine)
 }
 
 fn edges(o: &EdgeOptions) -> Checked {
@@ -157,6 +158,23 @@ fn morph(o: &MorphOptions) -> Checked {
             ("rho", o.rho, 0.0..=1.0),
             ("tau", o.tau, 0.0..=16.0),
             ("grid_px", o.grid_px as f64, 1.0..=256.0),
+        ],
+    )
+}
+
+fn refine(o: &RefineOptions) -> Checked {
+    all_within(
+        "interpolation.refine",
+        &[
+            ("window_radius_px", o.window_radius_px as f64, 0.0..=16.0),
+            ("search_radius_px", o.search_radius_px, 0.0..=200.0),
+            ("same_motion_px", o.same_motion_px, PIXELS),
+            ("min_tracks", o.min_tracks as f64, 1.0..=1000.0),
+            ("max_motions", o.max_motions as f64, 0.0..=32.0),
+            ("min_difference", f64::from(o.min_difference), 0.0..=1.0),
+            // A difference of 1 over the least softness is a weight of e^-1000, which is floored.
+            ("softness", f64::from(o.softness), 0.001..=1.0),
+            ("one_frame_cost", f64::from(o.one_frame_cost), 0.0..=1.0),
         ],
     )
 }
