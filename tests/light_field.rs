@@ -296,8 +296,8 @@ fn bad_input_is_refused() {
     let cases: &[(Break, &str)] = &[
         (|j| j["cameras"] = json!([]), "capture.json: cameras"),
         (|j| j["cameras"][1]["id"] = json!("cam0"), "two cameras have the id 'cam0'"),
-        (|j| j["speed"] = json!(1), "capture.json: unknown field `speed`"),
-        (|j| j["cameras"][1]["clock"]["speed"] = json!(1), "capture.json: unknown field `speed`"),
+        (|j| j["speed"] = json!(1), "capture.json: speed: unknown field `speed`"),
+        (|j| j["cameras"][1]["clock"]["speed"] = json!(1), "cameras[1].clock.speed: unknown field"),
         (|j| j["cameras"][1]["frames"] = json!("../%04d.png"), "(cam1).frames"),
         (|j| j["cameras"][1]["frames"] = json!("cam9/%04d.png"), "(cam1).frames"),
         (|j| j["cameras"][1]["params"][0] = json!(-1), "(cam1).params"),
