@@ -241,7 +241,7 @@ def test_what_cannot_be_rendered_is_a_value_error(
     capture = stlfr.open(own_capture)
     with pytest.raises(ValueError, match="either camera or like"):
         capture.render(0.0)
-    with pytest.raises(ValueError, match="options: unknown field `speed`"):
+    with pytest.raises(ValueError, match="options: speed: unknown field `speed`"):
         capture.render(0.0, like="cam3", options={"speed": 11})
     with pytest.raises(ValueError, match="cam3") as raised:
         capture.render(99.0, like="cam3")
