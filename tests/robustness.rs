@@ -312,7 +312,7 @@ fn a_view_without_a_feature_in_it_has_a_depth() {
     // Away from the scene there is none.
     let mut away = scene.camera(0.0);
     away["cam_from_world"]["rotation_wxyz"] = json!([0, 0, 1, 0]);
-    assert!(matches!(field.view(&view(&away), time_s), Err(RenderError::NoPoints)));
+    assert!(matches!(field.view(&view(&away), time_s), Err(RenderError::NothingSeen)));
 }
 
 #[test]
