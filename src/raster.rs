@@ -128,7 +128,7 @@ impl Image {
 }
 
 /// The four weights of Catmull-Rom's cubic at a fraction between the middle two samples.
-fn catmull_rom(f: f32) -> [f32; 4] {
+pub(crate) fn catmull_rom(f: f32) -> [f32; 4] {
     let (f2, f3) = (f * f, f * f * f);
     [
         0.5 * (-f + 2.0 * f2 - f3),

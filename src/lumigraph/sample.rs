@@ -1,6 +1,6 @@
 //! Images between their pixels, fast.
 
-use crate::raster::Image;
+use crate::raster::{Image, catmull_rom};
 use serde::{Deserialize, Serialize};
 
 /// How images are read between pixels.
@@ -76,17 +76,6 @@ fn add(sum: &mut [f32; 4], weight: f32, values: &[f32]) {
     for (sum, v) in sum.iter_mut().zip(values) {
         *sum += weight * v;
     }
-}
-
-/// The four weights of Catmull-Rom's cubic at a fraction between the middle two samples.
-fn catmull_rom(f: f32) -> [f32; 4] {
-    let (f2, f3) = (f * f, f * f * f);
-    [
-        0.5 * (-f + 2.0 * f2 - f3),
-        0.5 * (2.0 - 5.0 * f2 + 3.0 * f3),
-        0.5 * (f + 4.0 * f2 - 3.0 * f3),
-        0.5 * (f3 - f2),
-    ]
 }
 
 #[cfg(test)]
