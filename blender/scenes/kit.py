@@ -25,7 +25,9 @@ SECONDS = f"((frame - 1) / {FPS})"
 def ink(name: str, code: str) -> Any:
     """A plain matt colour (sRGB code)."""
     material, diffuse = _matt(name)
-    diffuse.inputs["Color"].default_value = (*_linear(paint.color(code)), 1.0)
+    linear = (*_linear(paint.color(code)), 1.0)
+    diffuse.inputs["Color"].default_value = linear
+    material.diffuse_color = linear  # what Workbench shows
     return material
 
 
@@ -40,6 +42,7 @@ def printed(name: str, picture: paint.Image) -> Any:
     material, diffuse = _matt(name)
     texture = material.node_tree.nodes.new("ShaderNodeTexImage")
     texture.image, texture.extension = image, "EXTEND"
+    material.node_tree.nodes.active = texture  # what Workbench shows
     material.node_tree.links.new(texture.outputs["Color"], diffuse.inputs["Color"])
     return material
 

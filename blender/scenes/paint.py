@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -45,13 +46,12 @@ def _smooth_lattice(
     shape: tuple[int, int], spacing_px: float, random: np.random.Generator
 ) -> Image:
     """Random values on a lattice, smoothly interpolated."""
-    y, x = (np.arange(n) / spacing_px for n in shape)
+    y, x = (np.arange(n, dtype=np.float32) / spacing_px for n in shape)
     lattice = random.random((int(y[-1]) + 2, int(x[-1]) + 2), dtype=np.float32)
-    row, column = y.astype(int)[:, None], x.astype(int)[None, :]
+    row, column = y.astype(int), x.astype(int)
     v, u = (f * f * (3 - 2 * f) for f in ((y % 1)[:, None], (x % 1)[None, :]))
-    below = lattice[row, column] * (1 - u) + lattice[row, column + 1] * u
-    above = lattice[row + 1, column] * (1 - u) + lattice[row + 1, column + 1] * u
-    result: Image = (below * (1 - v) + above * v).astype(np.float32)
+    along = lattice[:, column] * (1 - u) + lattice[:, column + 1] * u
+    result: Image = (along[row] * (1 - v) + along[row + 1] * v).astype(np.float32)
     return result
 
 
@@ -59,22 +59,25 @@ def cells(
     shape: tuple[int, int], spacing_px: float, random: np.random.Generator
 ) -> Image:
     """Voronoi cells of about `spacing_px`, each one grey from 0 to 1: straight edges, sharp corners."""
-    y, x = np.meshgrid(
-        *(np.arange(n, dtype=np.float32) / spacing_px + 1 for n in shape), indexing="ij"
-    )
-    lattice_shape = (int(y.max()) + 3, int(x.max()) + 3)
+    y, x = (np.arange(n, dtype=np.float32) / spacing_px + 1 for n in shape)
+    lattice_shape = (int(y[-1]) + 3, int(x[-1]) + 3)
     shift_y, shift_x, grey = random.random((3, *lattice_shape), dtype=np.float32)
+    rows, columns = (np.arange(n, dtype=np.float32) for n in lattice_shape)
+    centre_y, centre_x = rows[:, None] + shift_y, columns[None, :] + shift_x
     nearest = np.full(shape, np.inf, dtype=np.float32)
     result = np.zeros(shape, dtype=np.float32)
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             row, column = y.astype(int) + dy, x.astype(int) + dx
-            distance = (row + shift_y[row, column] - y) ** 2 + (
-                column + shift_x[row, column] - x
-            ) ** 2
+
+            def here(lattice: Image, row: Any = row, column: Any = column) -> Image:
+                return lattice[row][:, column]
+
+            distance = (here(centre_y) - y[:, None]) ** 2
+            distance += (here(centre_x) - x[None, :]) ** 2
             closer = distance < nearest
-            nearest[closer] = distance[closer]
-            result[closer] = grey[row, column][closer]
+            np.copyto(nearest, distance, where=closer)
+            np.copyto(result, here(grey), where=closer)
     return result
 
 
