@@ -141,6 +141,67 @@ def patchwork(
     return shaded(patches, 0.5 * (noise(shape, 0.3 * feature_px, 2, random) - 0.5))
 
 
+def planks(
+    name: str,
+    shape: tuple[int, int],
+    plank_px: float,
+    codes: Sequence[str],
+    upright: bool = False,
+) -> Image:
+    """Wooden boards that lie, or stand, side by side: grain along them, dark gaps between."""
+    random = generator(name)
+    height, width = shape[::-1] if upright else shape
+    y = np.arange(height, dtype=np.float32)
+    board = (y / plank_px).astype(int)
+    tint = random.random(int(board.max()) + 1, dtype=np.float32)
+    # Features eight times as long as wide, each board from another place of the same wood.
+    wood = noise((2 * height, width // 8 + 2), 0.3 * plank_px, 4, random)
+    rows = (np.arange(height) + 37 * board) % wood.shape[0]
+    columns = np.arange(width) / 8
+    left = columns.astype(int)
+    part = (columns - left).astype(np.float32)[None]
+    grain = wood[rows][:, left] * (1 - part) + wood[rows][:, left + 1] * part
+    factor = 0.3 * tint[board][:, None] + 0.7 * grain
+    boards = ramp(factor, np.linspace(0.15, 0.85, len(codes)).tolist(), codes)
+    gap = np.clip(np.minimum(y % plank_px, -y % plank_px) / 2.5, 0.25, 1)[:, None]
+    boards *= gap[..., None]
+    result = shaded(boards, 0.25 * (noise((height, width), 5, 2, random) - 0.5))
+    return np.ascontiguousarray(np.swapaxes(result, 0, 1)) if upright else result
+
+
+def wallpaper(
+    name: str, shape: tuple[int, int], tile_px: float, codes: Sequence[str]
+) -> Image:
+    """Flowers of petals in a staggered grid on a ground: ground, leaf, petal and heart in `codes`; a little faded."""
+    random = generator(name)
+    y, x = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in shape), indexing="ij")
+    row = np.floor(y / tile_px)
+    v = y / tile_px - row - 0.5
+    shifted = x / tile_px + 0.5 * (row % 2)
+    column = np.floor(shifted)
+    u = shifted - column - 0.5
+    turn = (2.4 * row + 1.7 * column) % (2 * np.pi)
+    radius, angle = np.hypot(u, v), np.arctan2(v, u) + turn
+    petals = 0.24 + 0.10 * np.cos(5 * angle)
+    leaves = 0.36 + 0.12 * np.cos(3 * angle + 1.0)
+    sharp = tile_px / 2
+    image = np.broadcast_to(color(codes[0]), (*shape, 3)).astype(np.float32)
+    for inside, code in (
+        (leaves - radius, codes[1]),
+        (petals - radius, codes[2]),
+        (0.09 - radius, codes[3]),
+    ):
+        image = blended(image, np.clip(inside * sharp + 0.5, 0, 1), code)
+    fade = noise(shape, 2 * tile_px, 3, random) - 0.5
+    grain = noise(shape, 0.08 * tile_px, 2, random) - 0.5
+    return shaded(image, 0.3 * fade + 0.25 * grain)
+
+
+def blended(image: Image, amount: Image, code: str) -> Image:
+    """Towards a colour, where and as far as `amount` (0 to 1) says."""
+    return (image + amount[..., None] * (color(code) - image)).astype(np.float32)
+
+
 def shaded(image: Image, amount: Image) -> Image:
     """Lighter where `amount` is above 0, darker where below, inside the range that light leaves unclipped."""
     return np.clip(
