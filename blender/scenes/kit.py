@@ -61,6 +61,21 @@ def _matt(name: str) -> tuple[Any, Any]:
     return material, diffuse
 
 
+def polished(name: str, code: str, roughness: float) -> Any:
+    """Metal of a colour: 0 a mirror, 0.3 satin. It looks different from every camera."""
+    material = bpy.data.materials.new(name)
+    nodes = material.node_tree.nodes
+    nodes.clear()
+    linear = (*_linear(paint.color(code)), 1.0)
+    glossy = nodes.new("ShaderNodeBsdfAnisotropic")
+    glossy.inputs["Color"].default_value = linear
+    glossy.inputs["Roughness"].default_value = roughness
+    output = nodes.new("ShaderNodeOutputMaterial")
+    material.node_tree.links.new(glossy.outputs[0], output.inputs["Surface"])
+    material.diffuse_color = linear  # what Workbench shows
+    return material
+
+
 def _linear(srgb: paint.Image) -> list[float]:
     return [
         s / 12.92 if s <= 0.04045 else ((s + 0.055) / 1.055) ** 2.4
@@ -303,14 +318,22 @@ def drive(target: Any, path: str, axis: int, expression: str) -> None:
     curve.driver.expression = expression.replace("{t}", SECONDS)
 
 
-def sky(brightness: float, contrast: float, brightest: Sequence[float]) -> None:
+def sky(
+    brightness: float,
+    contrast: float,
+    brightest: Sequence[float],
+    seen_in_mirrors: bool = False,
+) -> None:
     """All the light there is: a smooth sky, `brightness` on average, brightest in one direction.
 
     It runs from `1 - contrast` times the average on one side to `1 + contrast` times on the other.
     Shading and soft contact shadows come from it alone: half the render time of a sun, less noise.
+    Paths end at their second surface, so what a mirror shows is dark unless the sky is sampled there,
+    which takes half as long again.
     """
     world = bpy.data.worlds.new("sky")
-    world.cycles.sampling_method = "NONE"  # smooth enough to be met by chance
+    if not seen_in_mirrors:
+        world.cycles.sampling_method = "NONE"  # smooth enough to be met by chance
     nodes, links = world.node_tree.nodes, world.node_tree.links
     direction = nodes.new("ShaderNodeTexCoord").outputs["Generated"]
     towards = nodes.new("ShaderNodeVectorMath")
@@ -326,6 +349,15 @@ def sky(brightness: float, contrast: float, brightest: Sequence[float]) -> None:
     background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     links.new(strength.outputs["Value"], background.inputs["Strength"])
     bpy.context.scene.world = world
+
+
+def sun(strength: float, direction: Sequence[float], angle_deg: float) -> None:
+    """A light from far away that shines in `direction`; its shadows are as soft as its angle is wide."""
+    light = bpy.data.lights.new("sun", "SUN")
+    light.energy, light.angle = strength, math.radians(angle_deg)
+    lamp = add(bpy.data.objects.new("sun", light))
+    turn = mathutils.Vector(direction).to_track_quat("-Z", "Y")
+    lamp.rotation_euler = turn.to_euler()
 
 
 def place_rig(location_m: Sequence[float], target_m: Sequence[float]) -> None:

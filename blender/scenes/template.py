@@ -1,0 +1,57 @@
+"""A scene to start from: a card with text floats before a wall while a box turns.
+
+Copy this file under another name into this folder, and `stlfr capture RIG --scene NAME` films it. What a
+scene needs:
+
+- `build()` fills an empty Blender file. Everything that it makes is decided by this file and by what it
+  imports from this folder: no files to read, no time, no random numbers but those of
+  `paint.generator(NAME)`. The same pixels every time.
+- Metres, Z up. World time t seconds is Blender frame 1 + 30 t. `kit.drive` moves things by expressions
+  of `{t}`, exact at any instant between frames; keyframes would do as well.
+- An object named `rig` (`kit.place_rig`) says where the cameras stand and what they look at.
+- Matt surfaces with painted pictures (`kit.printed`) render fastest, and look alike from every camera.
+
+What makes a good one, for rigs such as `linear8`: what moves is 1 to 1.8 m away, what stands behind it
+2 to 2.4 m, for depth without leaving the outer cameras' view; at 640x480 a metre per second at 1.5 m is 15
+pixels a frame; some of the motion runs up and down, across the epipolar lines of a horizontal rig, for
+along them time and depth can't be told apart; textures have detail from 3 pixels up.
+
+Say in this comment what is where, and how fast it moves.
+
+Depths from the rig: card 1.4 m, box 1.7 m, wall 2.1 m. At 640x480 the card moves 6 to 14 pixels a frame.
+"""
+
+from __future__ import annotations
+
+from . import backdrop, kit, paint
+
+RIG_HEIGHT_M = 1.2
+
+
+def build() -> None:
+    """Fill an empty Blender file."""
+    kit.start_scene()
+    kit.place_rig((0, 0, RIG_HEIGHT_M), (0, 2, RIG_HEIGHT_M))
+    kit.sky(brightness=0.85, contrast=0.4, brightest=(-0.5, -0.6, 0.8))
+    backdrop.bricks(2.1, RIG_HEIGHT_M)
+
+    # A printed card: rectangles and text in page coordinates, each layer over the one below.
+    card = kit.Sheet()
+    card.rectangle(kit.ink("card", "f2efe4"), -0.22, -0.15, 0.44, 0.30)
+    picture = paint.photo(
+        "view", (130, 270), ("12324a", "2f7fa8", "e8dcc0", "d98b3a", "7a2f1c"), 14
+    )
+    card.rectangle(kit.printed("view", picture), -0.20, -0.13, 0.40, 0.15, layer=1)
+    card.text(kit.ink("black", "161412"), "YOUR SCENE", 0, 0.065, 0.062, align="CENTER")
+    floating = card.build("card", bend=lambda x, _y: 0.3 * x * x)
+    kit.drive(floating, "location", 0, "-0.08 + 0.05*sin(4.3*{t})")
+    kit.drive(floating, "location", 1, "1.4")
+    kit.drive(
+        floating, "location", 2, f"{RIG_HEIGHT_M} + 0.12 + 0.12*sin(5.6*{{t}} + 0.5)"
+    )
+    kit.drive(floating, "rotation_euler", 1, "0.15*sin(4.9*{t} + 1.0)")
+
+    patches = ("d9412b", "f3c531", "f7f4ec", "2b62b8", "3f8f4f")
+    parcel = kit.printed("parcel", paint.patchwork("parcel", (200, 200), patches, 26))
+    box = kit.box("box", parcel, (0.26, 0.26, 0.26), (0.38, 1.7, RIG_HEIGHT_M - 0.42))
+    kit.drive(box, "rotation_euler", 2, "0.4 + 0.9*{t}")
