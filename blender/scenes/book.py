@@ -1,7 +1,7 @@
 """An open book is held up and read from while one of its leaves is turned.
 
 Depths from the rig: book 1.15 to 1.35 m, cups 1.5 m, wallpaper 2.1 m. At 640x480 the book moves 6 to
-16 pixels a frame, mostly up and down; the leaf swings over in 1.1 s and bends as it goes.
+17 pixels a frame, mostly up and down; the leaf swings over in 1.1 s and bends as it goes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A hand waves, in a chequered sleeve, before wooden boards with pictures on them.
 
 Depths from the rig: hand and sleeve 1.0 to 1.1 m, plant pot 1.45 m, boards 2.0 m. At 640x480 the
-fingertips move up to 20 pixels a frame, in an arc with an up and down on top of it; the fingers bend
+fingertips move up to 25 pixels a frame, in an arc with an up and down on top of it; the fingers bend
 a little as they go.
 """
 

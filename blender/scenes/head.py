@@ -1,7 +1,7 @@
 """A head turns and talks before shelves of books.
 
 Depths from the rig: nose 0.95 m, shoulders 1.05 m, lamp 1.5 m, books 2.1 m. At 640x480 the face moves 8 to
-20 pixels a frame: it turns and nods, the shoulders sway, and the jaw opens and closes four times a
+18 pixels a frame: it turns and nods, the shoulders sway, and the jaw opens and closes four times a
 second, which stretches the skin around the mouth.
 """
 
@@ -293,10 +293,10 @@ def build() -> None:
     kit.drive(face, "rotation_euler", 0, "0.20*sin(6.9*{t} + 0.4)")
     kit.drive(face, "rotation_euler", 1, "0.07*sin(4.7*{t})")
     kit.drive(face, "rotation_euler", 2, "0.85*sin(4.2*{t} - 0.5)")
-    kit.drive(body, "location", 0, "-0.02 + 0.085*sin(5.0*{t} + 1.1)")
+    kit.drive(body, "location", 0, "-0.02 + 0.105*sin(5.2*{t} + 1.1)")
     kit.drive(body, "location", 1, "1.08 + 0.02*sin(3.1*{t})")
     kit.drive(
-        body, "location", 2, f"{RIG_HEIGHT_M} + 0.04 + 0.055*sin(7.3*{{t}} - 0.4)"
+        body, "location", 2, f"{RIG_HEIGHT_M} + 0.04 + 0.070*sin(7.3*{{t}} - 0.4)"
     )
     kit.drive(body, "rotation_euler", 1, "0.06*sin(3.7*{t} + 0.8)")
     shade = kit.printed(

@@ -370,7 +370,10 @@ def place_rig(location_m: Sequence[float], target_m: Sequence[float]) -> None:
 
 
 def start_scene() -> None:
-    """The clock: world time 0 is frame 1, 30 frames a second, three seconds to look at."""
+    """The clock: world time 0 is frame 1, 30 frames a second, three seconds to look at. One bounce of light."""
     scene = bpy.context.scene
+    cycles = scene.cycles
+    cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = 1
+    cycles.transmission_bounces = 1
     scene.render.fps, scene.render.fps_base = FPS, 1.0
     scene.frame_start, scene.frame_end = 1, 1 + 3 * FPS

@@ -18,7 +18,7 @@ along them time and depth can't be told apart; textures have detail from 3 pixel
 
 Say in this comment what is where, and how fast it moves.
 
-Depths from the rig: card 1.4 m, box 1.7 m, wall 2.1 m. At 640x480 the card moves 6 to 14 pixels a frame.
+Depths from the rig: card 1.4 m, box 1.7 m, wall 2.1 m. At 640x480 the card moves 5 to 12 pixels a frame.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Almost nothing to hold on to: plain bodies before a plain wall.
 
 Depths from the rig: cone 1.4 m, cylinder 1.7 m, sphere 1.9 m, wall 2.4 m. The wall has the faintest stains, and a
-single scratch; the bodies have only their outlines and their shading. At 640x480 the cylinder moves 8
-to 16 pixels a frame and the sphere as much.
+single scratch; the bodies have only their outlines and their shading. At 640x480 the cylinder moves 6
+to 14 pixels a frame and the sphere as much.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Thin things: a wheel's spokes, a wire fence, and cables, before boards.
 
 Depths from the rig: fence 1.35 m, wheel 1.6 m, swinging cables 1.8 m, boards 2.2 m. Spokes and wires are one to three pixels
-wide at 640x480. The wheel rolls up and down by up to 10 pixels a frame and turns, its rim by 20.
+wide at 640x480. The wheel moves up and down by up to 10 pixels a frame and turns, its rim by up to 30.
 """
 
 from __future__ import annotations

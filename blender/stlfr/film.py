@@ -1,7 +1,9 @@
 """Render one image, or the depth and motion of one view, exactly as every other one. The Blender side.
 
-Image: Cycles on the CPU, a fixed number of samples, no denoising, one bounce, no motion blur,
-`Standard` view without a look, no dither. Geometry: one sample at each pixel's centre.
+Image: Cycles on the CPU, a fixed number of samples, no denoising, as many bounces as the scene says,
+no motion blur, `Standard` view without a look, no dither. Or Workbench: the same cameras, geometry and
+textures under a fixed studio light, without shadows, reflections, highlights and noise.
+Geometry: Cycles with one sample at each pixel's centre.
 """
 
 from __future__ import annotations
@@ -163,7 +165,7 @@ def configure(scene: Any, threads: int) -> None:
     render.use_persistent_data = True
     render.use_motion_blur = render.use_border = render.use_multiview = False
     render.use_compositing = render.use_sequencer = False
-    render.use_file_extension = False
+    render.use_file_extension = render.use_stamp = render.use_freestyle = False
     render.dither_intensity = 0.0
     render.use_single_layer = True
     render.film_transparent = False
@@ -174,13 +176,14 @@ def configure(scene: Any, threads: int) -> None:
     view.use_curve_mapping = view.use_white_balance = False
     cycles.device = "CPU"
     cycles.use_denoising = cycles.use_adaptive_sampling = False
-    cycles.use_animated_seed = False
+    cycles.use_animated_seed = cycles.use_sample_subset = False
+    cycles.use_layer_samples = "IGNORE"
     cycles.film_exposure = 1.0
     cycles.pixel_filter_type = "BLACKMAN_HARRIS"
-    cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = 1
-    cycles.transmission_bounces = 1
     cycles.use_auto_tile = False
     cycles.time_limit = 0.0
+    for marker in scene.timeline_markers:
+        marker.camera = None  # or it would take the place of the rig's
 
 
 def configure_workbench(scene: Any) -> None:

@@ -65,14 +65,43 @@ def open_scene(scene_name: str | None, blend_file: Path | None) -> Any:
     if scene_name is not None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
         load(scene_name).build()
-    else:
-        try:
-            bpy.ops.wm.open_mainfile(filepath=str(blend_file), load_ui=False)
-        except RuntimeError as error:
-            raise BadInputError(
-                f"{blend_file}: Blender can't open it ({error})"
-            ) from None
-    return bpy.context.scene
+        return bpy.context.scene
+    try:
+        bpy.ops.wm.open_mainfile(
+            filepath=str(blend_file), load_ui=False, use_scripts=False
+        )
+    except RuntimeError as error:
+        raise BadInputError(
+            f"{blend_file}: Blender can't open it ({' '.join(str(error).split())})"
+        ) from None
+    scene = bpy.context.scene
+    whole, subframe = frame_at(scene, 0.0)
+    scene.frame_set(whole, subframe=subframe)
+    problem = _what_is_missing(bpy)
+    if problem:
+        raise BadInputError(f"{blend_file}: {problem}")
+    return scene
+
+
+def _what_is_missing(bpy: Any) -> str | None:
+    """What keeps the open file from looking as its author sees it."""
+    for library in bpy.data.libraries:
+        if not Path(bpy.path.abspath(library.filepath)).is_file():
+            return f"the library that it links, {library.filepath}, isn't there"
+    for image in bpy.data.images:
+        file = Path(bpy.path.abspath(image.filepath, library=image.library))
+        wanted = image.source == "FILE" and image.users and not image.packed_file
+        if wanted and not file.is_file():
+            return (
+                f"its image {image.name} isn't at {image.filepath}; mend the path, "
+                "or pack the image into the file"
+            )
+    if bpy.app.autoexec_fail:
+        return (
+            f"it runs Python ({bpy.app.autoexec_fail_message}), which filming doesn't; "
+            "bake such drivers to keyframes"
+        )
+    return None
 
 
 def frame_at(scene: Any, world_time_s: float) -> tuple[int, float]:

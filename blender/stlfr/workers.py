@@ -26,6 +26,12 @@ from . import rig as rigs
 from .errors import BadInputError, FailureError
 from .plan import Job, Options, Plan
 
+NO_OPENGL = (
+    "; Workbench needs OpenGL: apt-get install -y libegl1 libgl1-mesa-dri, "
+    "or film with --engine cycles"
+)
+"""Blender aborts where it finds none."""
+
 Cameras = dict[str, dict[str, Any]]
 Answer = tuple["subprocess.Popen[str]", str]
 
@@ -58,6 +64,7 @@ class Crew:
             }
         )
         self.size = workers
+        self.hint = NO_OPENGL if plan.options.engine == "workbench" else ""
         self.processes: list[subprocess.Popen[str]] = []
 
     def __enter__(self) -> Self:
@@ -93,7 +100,7 @@ class Crew:
         idle = 0
         while idle < len(self.processes):
             process, line = answers.get()
-            cameras.update(_content(process, line).get("cameras", {}))
+            cameras.update(_content(process, line, self.hint).get("cameras", {}))
             if process.pid in busy:
                 on_done(busy.pop(process.pid))
             if waiting:
@@ -120,11 +127,11 @@ def _listen(process: subprocess.Popen[str], answers: queue.SimpleQueue[Answer]) 
     answers.put((process, ""))
 
 
-def _content(process: subprocess.Popen[str], line: str) -> dict[str, Any]:
+def _content(process: subprocess.Popen[str], line: str, hint: str) -> dict[str, Any]:
     """What an answer says; a worker's error is ours."""
     if not line:
         raise FailureError(
-            f"a filming process ended unexpectedly (exit status {process.wait()})"
+            f"a filming process ended unexpectedly (exit status {process.wait()}){hint}"
         )
     answer: dict[str, Any] = json.loads(line)
     if "error" in answer:
@@ -145,8 +152,8 @@ def work() -> None:
 
     try:
         _work(sys.stdin, answer)
-    except BadInputError as error:
-        answer({"error": str(error), "exit_code": 2})
+    except (BadInputError, FailureError) as error:
+        answer({"error": str(error), "exit_code": error.exit_code})
     except Exception as error:  # noqa: BLE001 - whatever it is, the parent has to hear of it
         where = traceback.extract_tb(error.__traceback__)[-1]
         answer(

@@ -732,7 +732,10 @@ def test_another_plan_and_foreign_folders_are_refused(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["--scene", "nowhere"], "--scene nowhere: no such scene; there are: magazine"),
+        (
+            ["--scene", "nowhere"],
+            "--scene nowhere: no such scene; there are: along, ball,",
+        ),
         (["--blend", "nowhere.blend"], "nowhere.blend: no such file"),
         ([], "one of the arguments --scene --blend is required"),
         (

@@ -1,0 +1,158 @@
+"""One picture of every scene, laid out with names, and how fast each scene moves, as a table.
+
+    .venv/bin/python -I tests/bench/contact_sheet.py tests/golden/scenes.png
+
+Motion is read off the truth's motion maps of the view `between` of linear8 at the four instants below:
+per pixel the larger of the distances to the frames before and after, scaled to 640x480.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import struct
+import sys
+import tempfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+ROOT = Path(__file__).resolve().parents[2]
+spec = importlib.util.spec_from_file_location(
+    "stlfr_capture_script", ROOT / "blender" / "capture.py"
+)
+assert spec is not None and spec.loader is not None
+spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_extension
+film = importlib.import_module("stlfr_extension.film")
+rigs = importlib.import_module("stlfr_extension.rig")
+scenes = importlib.import_module("stlfr_extension.scenes")
+
+SIZE_PX = (160, 120)
+SAMPLES = 96
+SHOWN_S = 0.3
+MEASURED_S = (0.05, 0.15, 0.25, 0.35)
+MOVING_PX = 0.1
+COLUMNS = 4
+LABEL_PX = 20
+COLORS = 160
+
+Picture = npt.NDArray[np.uint8]
+
+
+def main(target: Path) -> None:
+    """Film, measure, lay out."""
+    rig = rigs.resized(rigs.load(ROOT / "rigs" / "linear8.json"), *SIZE_PX)
+    tiles, rows = [], []
+    with tempfile.TemporaryDirectory() as scratch:
+        for name in scenes.names():
+            with silence():
+                picture, row = look(name, rig, Path(scratch))
+            tiles.append(labelled(picture, name))
+            rows.append(row)
+    empty = np.full_like(tiles[0], 255)
+    tiles += [empty] * (-len(tiles) % COLUMNS)
+    sheet = np.vstack(
+        [np.hstack(tiles[i : i + COLUMNS]) for i in range(0, len(tiles), COLUMNS)]
+    )
+    target.write_bytes(palette_png(sheet))
+    print("| scene | depth, m | moving | median, px/frame | 90 % | most |")
+    print("|---|---|---|---|---|---|")
+    print("\n".join(rows))
+    print(f"{target}: {target.stat().st_size // 1000} kB", file=sys.stderr)
+
+
+def look(name: str, rig: Any, scratch: Path) -> tuple[Picture, str]:
+    """A scene's picture and its row of the table."""
+    scene = scenes.open_scene(name, None)
+    studio = film.Studio(
+        scene, (*rig.cameras, *rig.views), len(os.sched_getaffinity(0))
+    )
+    depths, motions = [], []
+    for time_s in MEASURED_S:
+        depth, motion = scratch / "depth.npy", scratch / "motion.npy"
+        image = film.Image("between", time_s, 1, 1)
+        studio.render_geometry(image, depth, motion, scratch, 30.0)
+        depths.append(np.load(depth))
+        motions.append(np.load(motion) * 640 / SIZE_PX[0])
+    studio.render_image(
+        film.Image("between", SHOWN_S, SAMPLES, 1), scratch / "shown.png", scratch
+    )
+    shown = np.asarray(cv2.imread(str(scratch / "shown.png")), dtype=np.uint8)
+    depth, motion = np.array(depths), np.array(motions)
+    moving = motion[motion > MOVING_PX]
+    median, most_of_it, most = np.percentile(moving, [50, 90, 100])
+    row = (
+        f"| `{name}` | {depth.min():.2f} to {depth.max():.2f} | "
+        f"{100 * moving.size / motion.size:.0f} % | "
+        f"{median:.1f} | {most_of_it:.1f} | {most:.1f} |"
+    )
+    return shown, row
+
+
+def labelled(picture: Picture, name: str) -> Picture:
+    """The picture over its name, on white, with a margin."""
+    tile = np.full((picture.shape[0] + LABEL_PX, picture.shape[1], 3), 255, np.uint8)
+    tile[: picture.shape[0]] = picture
+    tile[:, -2:] = 255
+    place, font = (2, tile.shape[0] - 6), cv2.FONT_HERSHEY_SIMPLEX
+    cv2.putText(tile, name, place, font, 0.42, (20, 20, 20), 1, cv2.LINE_AA)
+    return tile
+
+
+def palette_png(bgr: Picture) -> bytes:
+    """A PNG of few colours: a third of the size of one with all."""
+    height, width = bgr.shape[:2]
+    pixels = bgr.reshape(-1, 3).astype(np.float32)
+    cv2.setRNGSeed(1)
+    criteria = (cv2.TERM_CRITERIA_MAX_ITER, 12, 0.0)
+    _, _, centres = cv2.kmeans(
+        pixels[::7], COLORS, None, criteria, 1, cv2.KMEANS_PP_CENTERS
+    )
+    nearest = np.empty(len(pixels), dtype=np.uint8)
+    for start in range(0, len(pixels), 8192):
+        part = pixels[start : start + 8192, None] - centres
+        nearest[start : start + 8192] = np.argmin((part**2).sum(axis=2), axis=1)
+    rows = np.zeros(
+        (height, width + 1), dtype=np.uint8
+    )  # each row starts with filter 0
+    rows[:, 1:] = nearest.reshape(height, width)
+    palette = np.clip(np.round(centres[:, ::-1]), 0, 255).astype(np.uint8).tobytes()
+    header = struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)
+    chunks = (
+        (b"IHDR", header),
+        (b"PLTE", palette),
+        (b"IDAT", zlib.compress(rows.tobytes(), 9)),
+        (b"IEND", b""),
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data))
+        + kind
+        + data
+        + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
+
+
+class silence:  # noqa: N801 - used as a statement
+    """Blender's chatter goes nowhere, from C as from Python."""
+
+    def __enter__(self) -> None:
+        sys.stdout.flush()
+        self.kept = os.dup(1)
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.close(nowhere)
+
+    def __exit__(self, *_: object) -> None:
+        sys.stdout.flush()
+        os.dup2(self.kept, 1)
+        os.close(self.kept)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

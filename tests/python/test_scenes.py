@@ -1,0 +1,119 @@
+"""The scenes: each one films with linear8, moves as it says, and is the same every time."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+spec = importlib.util.spec_from_file_location(
+    "stlfr_capture_script", ROOT / "blender" / "capture.py"
+)
+assert spec is not None and spec.loader is not None
+spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_extension
+
+rigs = importlib.import_module("stlfr_extension.rig")
+scenes = importlib.import_module("stlfr_extension.scenes")
+
+WIDTH_PX, HEIGHT_PX = 80, 60
+
+# Pixels a frame at 640x480: from and to what the faster tenth of what moves goes, at the instants below.
+SPEEDS_PX = {
+    "along": (14, 22),
+    "ball": (10, 26),
+    "book": (8, 36),
+    "fast": (36, 52),
+    "hand": (8, 26),
+    "head": (6, 20),
+    "magazine": (8, 26),
+    "mirror": (5, 20),
+    "still": (0.1, 0.8),
+    "template": (5, 18),
+    "textureless": (6, 20),
+    "thin": (6, 32),
+}
+INSTANTS_S = (0.1, 0.3)
+
+
+def studio_of(name: str) -> Any:
+    """The scene with linear8 in it, tiny."""
+    pytest.importorskip("bpy")
+    film = importlib.import_module("stlfr_extension.film")
+    rig = rigs.resized(rigs.load(ROOT / "rigs" / "linear8.json"), WIDTH_PX, HEIGHT_PX)
+    return film.Studio(scenes.open_scene(name, None), (*rig.cameras, *rig.views), 2)
+
+
+def picture(studio: Any, view_id: str, time_s: float, folder: Path) -> Any:
+    """The view at a time, as BGR levels."""
+    cv2 = pytest.importorskip("cv2")
+    film = importlib.import_module("stlfr_extension.film")
+    target = folder / "picture.png"
+    studio.render_image(film.Image(view_id, time_s, 4, 1), target, folder)
+    return np.asarray(cv2.imread(str(target)), dtype=np.float64)
+
+
+def motion(
+    studio: Any, view_id: str, time_s: float, folder: Path
+) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Depth in metres, and motion in pixels a frame at 640x480."""
+    film = importlib.import_module("stlfr_extension.film")
+    files = folder / "depth.npy", folder / "motion.npy"
+    image = film.Image(view_id, time_s, 1, 1)
+    studio.render_geometry(image, *files, folder, 30.0)
+    return np.load(files[0]), np.load(files[1]) * 640 / WIDTH_PX
+
+
+def test_every_scene_is_known_here() -> None:
+    assert set(scenes.names()) == set(SPEEDS_PX)
+
+
+@pytest.mark.parametrize("name", sorted(SPEEDS_PX))
+def test_a_scene_films_and_moves_as_it_should(name: str, tmp_path: Path) -> None:
+    studio = studio_of(name)
+    geometry = [motion(studio, "cam3", time_s, tmp_path) for time_s in INSTANTS_S]
+    first, later = (
+        picture(studio, camera_id, time_s, tmp_path)
+        for camera_id, time_s in zip(("cam0", "cam7"), INSTANTS_S, strict=True)
+    )
+    for shown in (first, later):
+        assert shown.std() > 12
+        # Lit to the point: nearly nothing is burnt out, or black.
+        assert (shown.min(axis=2) >= 255).mean() < 0.05
+        assert (shown.max(axis=2) <= 2).mean() < 0.05
+    depth, speed = (np.array([entry[k] for entry in geometry]) for k in (0, 1))
+    assert np.isfinite(depth).all()  # no camera looks past the wall
+    assert depth.max() > 1.2 * depth.min() and depth.min() > 0.5
+    moving = speed[speed > 0.05]
+    assert 0.005 < moving.size / speed.size < 0.5
+    slowest, fastest = SPEEDS_PX[name]
+    assert slowest < np.percentile(moving, 90) < fastest
+
+
+def test_sideways_motion_is_along_the_epipolar_lines() -> None:
+    """In `along`, no vertex changes its height or its depth."""
+    bpy = pytest.importorskip("bpy")
+    scene = scenes.open_scene("along", None)
+
+    def places(time_s: float) -> np.ndarray[Any, Any]:
+        frame, subframe = scenes.frame_at(scene, time_s)
+        scene.frame_set(frame, subframe=subframe)
+        meshes = [o for o in bpy.data.objects if o.type == "MESH"]
+        return np.array(
+            [o.matrix_world @ v.co for o in meshes for v in o.data.vertices[:8]]
+        )
+
+    moved = places(0.31) - places(0.12)
+    assert np.abs(moved[:, 1:]).max() == 0.0
+    assert np.abs(moved[:, 0]).max() > 0.05
+
+
+@pytest.mark.parametrize("name", ["head", "thin"])
+def test_a_scene_is_the_same_every_time(name: str, tmp_path: Path) -> None:
+    first, again = (picture(studio_of(name), "cam3", 0.2, tmp_path) for _ in range(2))
+    assert (first == again).all()

@@ -1,0 +1,313 @@
+"""Point tracks against closed form, and against the depth and motion that Cycles renders; Workbench against Cycles."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+CAPTURE_SCRIPT = ROOT / "blender" / "capture.py"
+
+spec = importlib.util.spec_from_file_location("stlfr_capture_script", CAPTURE_SCRIPT)
+assert spec is not None and spec.loader is not None
+spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_extension
+
+IDENTITY = {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]}
+FRAMES, POINTS = 4, 200
+
+Array = np.ndarray[Any, Any]
+
+
+def rig_camera(camera_id: str, delay_s: float, x_m: float) -> dict[str, Any]:
+    return {
+        "id": camera_id,
+        "width": 64,
+        "height": 48,
+        "lens_mm": 36.0,
+        "sensor_width_mm": 36.0,
+        "cam_from_rig": {**IDENTITY, "translation": [-x_m, 0, 0]},
+        "rate_hz": 30.0,
+        "delay_s": delay_s,
+        "jitter_s": 0.0,
+    }
+
+
+@pytest.fixture(scope="module")
+def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two cameras, 10 cm and 0.37 frame apart."""
+    path = tmp_path_factory.mktemp("rig") / "rig.json"
+    content = {
+        "format": "stlfr-rig",
+        "version": 1,
+        "name": "pair",
+        "seed": 3,
+        "reference": "ref",
+        "cameras": [
+            rig_camera("ref", 0.003, 0.0),
+            rig_camera("late", 0.003 + 0.37 / 30, 0.1),
+        ],
+    }
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def film(*arguments: object) -> None:
+    command = [sys.executable, "-I", str(CAPTURE_SCRIPT), *map(str, arguments)]
+    result = subprocess.run(
+        command, check=False, capture_output=True, text=True, timeout=240
+    )
+    assert result.returncode == 0, result.stderr
+
+
+def wave_m(x: Array, time_s: float) -> Array:
+    """How far the bending sheet of the test scene comes towards the camera."""
+    share = 0.5 + 0.5 * math.sin(9.0 * time_s)
+    return share * 0.3 * x * x
+
+
+@pytest.fixture(scope="module")
+def tracked(rig_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The film of a bending sheet 2 m away, with a smaller plate that slides before it at 1.5 m."""
+    bpy = pytest.importorskip("bpy")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.fps, scene.frame_start = 30, 1
+    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(scene.camera)  # looks along -Z
+    columns = 40
+    xs = np.linspace(-1.5, 1.5, columns + 1)
+    points = [(x, y, -2.0) for x in xs for y in (-1.2, 1.2)]
+    faces = [(2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1) for i in range(columns)]
+    mesh = bpy.data.meshes.new("sheet")
+    mesh.from_pydata(points, [], faces)
+    sheet = bpy.data.objects.new("sheet", mesh)
+    scene.collection.objects.link(sheet)
+    sheet.shape_key_add(name="rest")
+    key = sheet.shape_key_add(name="bent")
+    for i, (x, y, z) in enumerate(points):
+        key.data[i].co = (x, y, z + 0.3 * x * x)
+    seconds = "((frame - 1) / 30)"
+    key.driver_add("value").driver.expression = f"0.5 + 0.5*sin(9.0*{seconds})"
+    mesh = bpy.data.meshes.new("plate")
+    mesh.from_pydata(
+        [(x, y, 0) for x, y in ((-0.3, -0.2), (0.3, -0.2), (0.3, 0.2), (-0.3, 0.2))],
+        [],
+        [(0, 1, 2, 3)],
+    )
+    plate = bpy.data.objects.new("plate", mesh)
+    scene.collection.objects.link(plate)
+    plate.location.z = -1.5
+    plate.driver_add("location", 0).driver.expression = f"2.0*{seconds} - 0.2"
+    # What isn't rendered hides nothing.
+    hidden = bpy.data.objects.new("hidden", mesh)
+    scene.collection.objects.link(hidden)
+    hidden.location.z, hidden.hide_render = -0.5, True
+    folder = tmp_path_factory.mktemp("tracks")
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "sheet.blend"))
+    options = ["--frames", FRAMES, "--samples", 1, "--tracks", POINTS]
+    # At the reference's second frame.
+    options += ["--instants-s", 1 / 30]
+    film(rig_file, "--blend", folder / "sheet.blend", "-o", folder / "film", *options)
+    return folder / "film"
+
+
+def read_tracks(capture: Path) -> tuple[dict[str, Any], dict[str, dict[str, Array]]]:
+    """tracks.json and each camera's arrays."""
+    content = json.loads((capture / "truth/tracks/tracks.json").read_text())
+    arrays = {
+        camera["id"]: {
+            name: np.load(capture / "truth/tracks" / camera[name])
+            for name in ("world", "pixels", "visible")
+        }
+        for camera in content["cameras"]
+    }
+    return content, arrays
+
+
+def projected(capture: Path, camera_id: str, world_m: Array) -> Array:
+    """Through the camera as capture.json has it."""
+    cameras = json.loads((capture / "capture.json").read_text())["cameras"]
+    entry = next(camera for camera in cameras if camera["id"] == camera_id)
+    w, *v = entry["cam_from_world"]["rotation_wxyz"]
+    axis = np.array(v)
+    turned = (
+        world_m
+        + 2 * w * np.cross(axis, world_m)
+        + 2 * np.cross(axis, np.cross(axis, world_m))
+    )
+    x, y, z = np.moveaxis(turned + entry["cam_from_world"]["translation"], -1, 0)
+    fx, fy, cx, cy = entry["params"]
+    return np.stack([fx * x / z + cx, fy * y / z + cy], axis=-1)
+
+
+def test_tracks_follow_what_moves_and_bends(tracked: Path) -> None:
+    content, arrays = read_tracks(tracked)
+    truth = json.loads((tracked / "truth/truth.json").read_text())
+    assert truth["tracks"] == "tracks/tracks.json"
+    assert content["objects"] == ["plate", "sheet"]
+    on_sheet = np.array(content["object"]) == 1
+    assert len(on_sheet) == POINTS and 0.05 < on_sheet.mean() < 0.95
+    for index, camera in enumerate(content["cameras"]):
+        assert camera["times_s"] == truth["shutter"][index]["times_s"]
+        world, pixels, visible = (
+            arrays[camera["id"]][name] for name in ("world", "pixels", "visible")
+        )
+        assert world.shape == (FRAMES, POINTS, 3) and world.dtype == np.float64
+        assert pixels.shape == (FRAMES, POINTS, 2) and pixels.dtype == np.float64
+        assert visible.shape == (FRAMES, POINTS) and visible.dtype == np.uint8
+        assert pixels == pytest.approx(
+            projected(tracked, camera["id"], world), abs=1e-9
+        )
+        for k, clock_s in enumerate(camera["times_s"]):
+            time_s = clock_s + 0.003  # the reference's clock reads 0 at its delay
+            plate, sheet = world[k][~on_sheet], world[k][on_sheet]
+            assert plate[:, 2] == pytest.approx(-1.5, abs=1e-6)
+            slid = plate[:, 0] - 2.0 * time_s
+            assert slid == pytest.approx(
+                world[0][~on_sheet][:, 0] - 2.0 * (camera["times_s"][0] + 0.003),
+                abs=2e-6,
+            )
+            # Between the sheet's 40 columns the chord lies up to 0.3 * 0.0375^2 before the curve.
+            assert sheet[:, 2] + 2.0 == pytest.approx(
+                wave_m(sheet[:, 0], time_s), abs=0.3 * 0.0375**2 + 1e-6
+            )
+            assert sheet[:, :2] == pytest.approx(world[0][on_sheet][:, :2], abs=1e-6)
+
+
+def test_visibility_is_what_stands_before_a_point(tracked: Path) -> None:
+    content, arrays = read_tracks(tracked)
+    on_sheet = np.array(content["object"]) == 1
+    sides = set()
+    for camera in content["cameras"]:
+        world, pixels, visible = (
+            arrays[camera["id"]][name] for name in ("world", "pixels", "visible")
+        )
+        centre = np.array([0.1 if camera["id"] == "late" else 0.0, 0.0, 0.0])
+        inside = ((pixels >= 0) & (pixels <= (64, 48))).all(axis=-1)
+        for k, clock_s in enumerate(camera["times_s"]):
+            # Where the way to the point passes the plate's plane.
+            share = (-1.5 - centre[2]) / (world[k][:, 2] - centre[2])
+            crossing = centre + share[:, None] * (world[k] - centre)
+            left = crossing[:, 0] - (2.0 * (clock_s + 0.003) - 0.2)
+            covered = (np.abs(left) < 0.3) & (np.abs(crossing[:, 1]) < 0.2) & on_sheet
+            margin = np.minimum(
+                abs(np.abs(left) - 0.3), abs(np.abs(crossing[:, 1]) - 0.2)
+            )
+            sure = margin > 1e-4
+            expected = inside[k] & ~covered
+            assert (visible[k].astype(bool) == expected)[sure].all()
+            sides |= {
+                (bool(s), bool(v)) for s, v in zip(on_sheet, expected, strict=True)
+            }
+    assert sides >= {(True, True), (True, False), (False, True)}
+
+
+def test_tracks_agree_with_the_rendered_depth_and_motion(tracked: Path) -> None:
+    """At an instant that is a frame of the reference: its depth map at the points, and how far they move."""
+    content, arrays = read_tracks(tracked)
+    truth = json.loads((tracked / "truth/truth.json").read_text())
+    view = next(v for v in truth["views"] if v["like"] == "ref")
+    assert content["cameras"][0]["times_s"][1] == pytest.approx(
+        view["time_s"], abs=1e-12
+    )
+    depth, motion = (
+        np.load(tracked / "truth" / view[name]) for name in ("depth", "motion")
+    )
+    ref = arrays["ref"]
+    pixels, visible = ref["pixels"][1], ref["visible"][1].astype(bool)
+    column, row = (
+        np.floor(pixels[:, i]).clip(0, side - 1).astype(int)
+        for i, side in ((0, 64), (1, 48))
+    )
+    z_m = -ref["world"][1][:, 2]  # the camera stands at the origin and looks along -Z
+    # Away from the plate's edges a pixel's depth and motion are those of all its points.
+    window = np.stack(
+        [
+            depth[(row + dy).clip(0, 47), (column + dx).clip(0, 63)]
+            for dy in (-1, 0, 1)
+            for dx in (-1, 0, 1)
+        ]
+    )
+    smooth = visible & (np.ptp(window, axis=0) < 0.05)
+    assert smooth.sum() > 0.4 * POINTS
+    slope_m = np.ptp(window, axis=0)
+    assert (np.abs(depth[row, column] - z_m) <= slope_m / 2 + 1e-4)[smooth].all()
+    plate = smooth & (np.array(content["object"]) == 0)
+    assert plate.sum() > 10
+    assert depth[row, column][plate] == pytest.approx(z_m[plate], abs=1e-5)
+    steps = np.linalg.norm(np.diff(ref["pixels"][:3], axis=0), axis=2).max(axis=0)
+    assert motion[row, column][plate] == pytest.approx(steps[plate], abs=0.01)
+
+
+def test_workbench_sees_the_same_geometry_as_cycles(
+    rig_file: Path, tmp_path: Path
+) -> None:
+    """A black disc on white that moves: its centroid is in the same place, and where it must be."""
+    bpy = pytest.importorskip("bpy")
+    cv2 = pytest.importorskip("cv2")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.fps, scene.frame_start = 30, 1
+    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(scene.camera)
+    for name, radius, z_m, grey in (("wall", 9.0, -3.0, 0.8), ("disc", 0.3, -2.0, 0.0)):
+        bpy.ops.mesh.primitive_circle_add(vertices=96, radius=radius, fill_type="NGON")
+        bpy.context.object.name = name
+        bpy.context.object.location.z = z_m
+        material = bpy.data.materials.new(name)
+        material.diffuse_color = (grey, grey, grey, 1.0)
+        nodes = material.node_tree.nodes
+        nodes.clear()
+        emission, output = (
+            nodes.new("ShaderNodeEmission"),
+            nodes.new("ShaderNodeOutputMaterial"),
+        )
+        emission.inputs["Color"].default_value = (grey, grey, grey, 1.0)
+        material.node_tree.links.new(emission.outputs[0], output.inputs[0])
+        bpy.context.object.data.materials.append(material)
+    for axis, speed in enumerate((1.8, -1.1)):
+        driver = bpy.data.objects["disc"].driver_add("location", axis).driver
+        driver.expression = f"{speed} * ((frame - 1) / 30 - 0.03)"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "disc.blend"))
+    grid = np.stack(np.meshgrid(np.arange(64) + 0.5, np.arange(48) + 0.5), axis=-1)
+    found = {}
+    for engine in ("cycles", "workbench"):
+        folder = tmp_path / engine
+        film(
+            rig_file,
+            *("--blend", tmp_path / "disc.blend", "-o", folder, "--frames", 2),
+            *("--samples", 32, "--no-truth", "--engine", engine),
+        )
+        centroids = []
+        for entry, offset_s, x0_m in zip(
+            json.loads((folder / "capture.json").read_text())["cameras"],
+            (0.003, 0.003 + 0.37 / 30),
+            (0.0, 0.1),
+            strict=True,
+        ):
+            for k in range(2):
+                file = folder / entry["id"] / f"{k:04d}.png"
+                s = np.asarray(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)) / 255
+                light = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
+                dark = np.clip(1 - light / light.max(), 0, 1)
+                centroid = (dark[..., None] * grid).sum(axis=(0, 1)) / dark.sum()
+                area_px = dark.sum()
+                fx, fy, cx, cy = entry["params"]
+                since_s = offset_s + k / 30 - 0.03
+                expected = (
+                    cx + fx * (1.8 * since_s - x0_m) / 2.0,
+                    cy - fy * (-1.1 * since_s) / 2.0,
+                )
+                assert centroid == pytest.approx(expected, abs=0.04), engine
+                centroids.append((*centroid, area_px))
+        found[engine] = np.array(centroids)
+    assert found["workbench"][:, :2] == pytest.approx(found["cycles"][:, :2], abs=0.03)
+    assert found["workbench"][:, 2] == pytest.approx(found["cycles"][:, 2], rel=0.02)
