@@ -77,6 +77,9 @@ def open_scene(scene_name: str | None, blend_file: Path | None) -> Any:
     scene = bpy.context.scene
     whole, subframe = frame_at(scene, 0.0)
     scene.frame_set(whole, subframe=subframe)
+    cuts = [m for m in scene.timeline_markers if m.camera and m.frame <= whole]
+    if cuts:
+        scene.camera = max(cuts, key=lambda marker: marker.frame).camera
     problem = _what_is_missing(bpy)
     if problem:
         raise BadInputError(f"{blend_file}: {problem}")

@@ -1,0 +1,195 @@
+"""A user's own .blend: filmed as it is animated, left as it was, whatever its settings for rendering are."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+CAPTURE_SCRIPT = ROOT / "blender" / "capture.py"
+
+
+def film(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the headless script."""
+    command = [sys.executable, "-I", str(CAPTURE_SCRIPT), *map(str, arguments)]
+    return subprocess.run(
+        command, check=False, capture_output=True, text=True, timeout=240
+    )
+
+
+@pytest.fixture(scope="module")
+def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One camera, tiny."""
+    path = tmp_path_factory.mktemp("rig") / "rig.json"
+    camera = {
+        "id": "only",
+        "width": 64,
+        "height": 48,
+        "lens_mm": 36.0,
+        "sensor_width_mm": 36.0,
+        "cam_from_rig": {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]},
+        "rate_hz": 30.0,
+        "delay_s": 0.01,
+        "jitter_s": 0.0,
+    }
+    content = {"format": "stlfr-rig", "version": 1, "name": "one", "seed": 1}
+    path.write_text(json.dumps({**content, "reference": "only", "cameras": [camera]}))
+    return path
+
+
+def own_scene() -> Any:
+    """A keyed cube that holds a driven one, under a lamp, before a plane; the camera is 4 m away."""
+    bpy = pytest.importorskip("bpy")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.fps, scene.frame_start, scene.frame_end = 25, 11, 60
+    scene.render.engine = "CYCLES"
+
+    def added(name: str, data: Any) -> Any:
+        new = bpy.data.objects.new(name, data)
+        scene.collection.objects.link(new)
+        return new
+
+    scene.camera = added("camera", bpy.data.cameras.new("camera"))
+    scene.camera.location.z = 4.0
+    lamp = added("lamp", bpy.data.lights.new("lamp", "SUN"))
+    lamp.data.energy, lamp.rotation_euler.x = 3.0, 0.5
+    bpy.ops.mesh.primitive_plane_add(size=12)
+    bpy.ops.mesh.primitive_cube_add(size=0.8, location=(0, 0, 1))
+    cube = bpy.context.object
+    for frame, x in ((11, -1.0), (31, 1.0)):
+        cube.location.x = x
+        cube.keyframe_insert("location", index=0, frame=frame)
+    bpy.ops.mesh.primitive_cube_add(size=0.4)
+    held = bpy.context.object
+    held.parent, held.location.y = cube, 0.8
+    held.driver_add("rotation_euler", 2).driver.expression = "frame * 0.1"
+    return scene
+
+
+def saved(path: Path) -> Path:
+    """Save the open file."""
+    bpy = pytest.importorskip("bpy")
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+def pictures(folder: Path) -> list[bytes]:
+    """The camera's frames."""
+    return [file.read_bytes() for file in sorted((folder / "only").glob("*.png"))]
+
+
+def test_a_blend_is_left_as_it_was_and_its_render_settings_do_not_show(
+    rig_file: Path, tmp_path: Path
+) -> None:
+    bpy = pytest.importorskip("bpy")
+    cv2 = pytest.importorskip("cv2")
+    scene = own_scene()
+    plain = saved(tmp_path / "plain.blend")
+
+    render, view, cycles = scene.render, scene.view_settings, scene.cycles
+    render.engine = "BLENDER_WORKBENCH"
+    render.resolution_x, render.resolution_percentage = 1920, 37
+    render.pixel_aspect_x = 2.0
+    render.use_stamp = render.use_border = render.use_crop_to_border = True
+    render.border_max_x = 0.3
+    render.use_motion_blur = render.use_freestyle = render.film_transparent = True
+    render.dither_intensity = 2.0
+    render.image_settings.file_format = "JPEG"
+    render.image_settings.color_mode = "BW"
+    view.view_transform, view.look = "AgX", "AgX - High Contrast"
+    view.exposure, view.gamma = 1.5, 2.0
+    cycles.samples, cycles.seed, cycles.use_animated_seed = 1, 99, True
+    cycles.use_denoising = cycles.use_adaptive_sampling = True
+    cycles.film_exposure, cycles.filter_width = 3.0, 5.0
+    bpy.context.view_layer.samples = 3
+    other = bpy.data.objects.new("other", bpy.data.cameras.new("other"))
+    scene.collection.objects.link(other)
+    other.location = (5.0, 5.0, 1.0)
+    # The rig stands where the active camera is when the scene begins; cuts to others don't show.
+    for name, frame, camera in (("begin", 11, scene.camera), ("cut", 12, other)):
+        scene.timeline_markers.new(name, frame=frame).camera = camera
+    scene.frame_current = 40
+    hostile = saved(tmp_path / "hostile.blend")
+
+    before = hostile.read_bytes(), hostile.stat().st_mtime_ns
+    for file in (plain, hostile):
+        result = film(
+            rig_file,
+            *("--blend", file, "-o", tmp_path / file.stem),
+            *("--frames", 4, "--samples", 4, "--instants", 1, "--tracks", 20),
+        )
+        assert result.returncode == 0, result.stderr
+    assert (hostile.read_bytes(), hostile.stat().st_mtime_ns) == before
+    assert not list(tmp_path.glob("*.blend1"))
+    frames = pictures(tmp_path / "hostile")
+    assert len(frames) == 4 and frames == pictures(tmp_path / "plain")
+
+    # It is the animation: the cube goes by 2 m from frame 11 to frame 31, eased.
+    tracks = tmp_path / "plain" / "truth" / "tracks"
+    content = json.loads((tracks / "tracks.json").read_text())
+    assert {"Cube", "Plane"} <= set(content["objects"])
+    world = np.load(tracks / "only.world.npy")
+    of_cube = np.array(content["object"]) == content["objects"].index("Cube")
+    steps_m = np.diff(world[:, of_cube, 0], axis=0)
+    assert (steps_m > 0).all() and np.ptp(steps_m, axis=1) == pytest.approx(0, abs=1e-5)
+    shown = cv2.imread(str(tmp_path / "plain" / "only" / "0000.png"))
+    assert shown.shape == (48, 64, 3) and shown.std() > 5
+
+
+def missing_picture(bpy: Any, _scene: Any, _folder: Path) -> None:
+    image = bpy.data.images.new("wood", 4, 4)
+    image.source, image.filepath = "FILE", "//wood.png"
+    material = bpy.data.materials.new("wooden")
+    material.node_tree.nodes.new("ShaderNodeTexImage").image = image
+    bpy.data.objects["Cube"].data.materials.append(material)
+
+
+def python_driver(bpy: Any, _scene: Any, _folder: Path) -> None:
+    driver = bpy.data.objects["Cube"].driver_add("location", 1).driver
+    driver.expression = "bpy.context.scene.frame_current * 0.01"
+
+
+def missing_library(bpy: Any, scene: Any, folder: Path) -> None:
+    block = bpy.data.objects.new("linked", bpy.data.meshes.new("linked"))
+    library = folder / "library.blend"
+    bpy.data.libraries.write(str(library), {block})
+    with bpy.data.libraries.load(str(library), link=True) as (_, wanted):
+        wanted.objects = ["linked"]
+    scene.collection.objects.link(wanted.objects[0])
+    library.unlink()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "complaint"),
+    [
+        (missing_picture, "its image wood isn't at //wood.png"),
+        (python_driver, "it runs Python"),
+        (missing_library, "library.blend, isn't there"),
+    ],
+)
+def test_what_a_blend_lacks_is_one_sentence(
+    rig_file: Path, tmp_path: Path, spoil: Any, complaint: str
+) -> None:
+    bpy = pytest.importorskip("bpy")
+    spoil(bpy, own_scene(), tmp_path)
+    file = saved(tmp_path / "own.blend")
+    result = film(rig_file, "--blend", file, "-o", tmp_path / "film", "--no-truth")
+    assert result.returncode == 2
+    assert complaint in result.stderr and result.stderr.count("\n") == 1
+    assert not (tmp_path / "film" / "capture.json").exists()
+
+
+def test_what_is_no_blend_is_refused(rig_file: Path, tmp_path: Path) -> None:
+    file = tmp_path / "own.blend"
+    file.write_bytes(b"BLENDER of something else")
+    result = film(rig_file, "--blend", file, "-o", tmp_path / "film", "--no-truth")
+    assert result.returncode == 2
+    assert f"{file}: Blender can't open it" in result.stderr
+    assert result.stderr.count("\n") == 1
