@@ -53,7 +53,7 @@ def build() -> None:
             "track", sleepers, (3.0, 0.2, 0.03), (0, depth_m, RIG_HEIGHT_M + height_m)
         )
 
-    train = kit.add(kit.bpy.data.objects.new("train", None))
+    train = kit.group("train")
     train.location = (0, 1.5, RIG_HEIGHT_M - 0.21)
     reds = ("5c0f16", "a3282f", "e8c07a", "d0503a", "3a0a10")
     greens = ("10301f", "2f6f4a", "e8dcb0", "5a9a6a", "0c2418")

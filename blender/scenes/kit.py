@@ -189,6 +189,11 @@ def add(new_object: Any) -> Any:
     return new_object
 
 
+def group(name: str) -> Any:
+    """Nothing to see: what has it as its parent moves with it."""
+    return add(bpy.data.objects.new(name, None))
+
+
 def box(
     name: str,
     material: Any,

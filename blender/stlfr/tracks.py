@@ -94,7 +94,7 @@ def write(
             inside & unoccluded(studio.scene, graph, centre_of(camera), paths[k])
         )
     names = sorted({point.object_name for point in points})
-    entries = []
+    entries: list[dict[str, Any]] = []
     for view_id in described:
         rows = sorted(
             (k for k, e in enumerate(exposures) if e.camera_id == view_id),

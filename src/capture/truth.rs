@@ -1,4 +1,23 @@
 //! `truth/`: what only a simulator knows. The method never reads it; `compare` does.
+//!
+//! # A benchmark of sub-frame synchronization
+//!
+//! A capture with its truth is a test case for any method that synchronizes cameras: the shutters
+//! are off by fractions of a frame, each with its jitter, as the rig's file says.
+//!
+//! | where | what |
+//! |---|---|
+//! | `capture.json` | all that a method may read: frames, cameras, nominal clocks |
+//! | `truth/truth.json` `offsets` | time on the reference's clock = time on the camera's + `offset_s` |
+//! | `shutter` | the true middle of every exposure, hidden jitter included |
+//! | `views` | images of all cameras and of views beside them at common instants, with depth (metres along +z, +inf where there is nothing) and motion (the pixels that a surface point moves within a frame, the larger of before and after) |
+//! | `video` | one view, evenly over time |
+//! | `tracks` | points of the surfaces in 3D, their pixels and their visibility at every frame of every camera: see [`Tracks`](super::Tracks) |
+//!
+//! Whoever wants to be scored writes `{"reference": "cam3", "cameras": [{"id": "cam0", "offset_s":
+//! 0.0123, "std_err_s": 0.0001}, …]}` (`null` for a camera that can't be told), and
+//! `stlfr compare CAPTURE --offsets FILE` prints each camera's error in frames, its error in
+//! standard errors, the median and the worst.
 
 use super::npy::{NpyError, read_npy};
 use crate::camera::{Camera, CameraFormat, CameraFormatError};

@@ -7,7 +7,11 @@ use std::sync::Arc;
 use stlfr::capture::{Capture, Truth};
 use stlfr::compare::results::Headline;
 use stlfr::compare::video::VideoOptions;
-use stlfr::compare::{CompareOptions, ComparedLightField, Summary, compare, sync_name};
+use stlfr::compare::{
+    CompareOptions, ComparedLightField, OffsetScore, Summary, compare, sync_name,
+};
+use stlfr::json;
+use stlfr::offset::Offsets;
 use stlfr::progress::Reporter;
 use stlfr::render::RenderOptions;
 use stlfr::toolchain::{find_ffmpeg, project_root};
@@ -17,7 +21,8 @@ use stlfr::toolchain::{find_ffmpeg, project_root};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr compare .captures/demo\n  \
-    stlfr compare .captures/demo --video -o review")]
+    stlfr compare .captures/demo --video -o review\n  \
+    stlfr compare .captures/demo --offsets mine.json")]
 pub struct Args {
     /// The capture's folder; it must have truth.
     capture: PathBuf,
@@ -27,17 +32,60 @@ pub struct Args {
     /// A video too: truth, traditional and space-time light field side by side.
     #[arg(long)]
     video: bool,
+    /// Only score the offsets in this file, of the form that `stlfr offsets --json` prints.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "video", "options"])]
+    offsets: Option<PathBuf>,
     /// Options of all stages, a JSON file.
     #[arg(long, value_name = "FILE")]
     options: Option<PathBuf>,
 }
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    if let Some(file) = &args.offsets {
+        return score_offsets(&args.capture, file);
+    }
     let options = options_or_default(args.options.as_deref())?;
     let capture = Capture::open(&args.capture)?;
     let out = args.output.clone().unwrap_or_else(|| args.capture.join("review"));
     let ffmpeg = args.video.then(ffmpeg).transpose()?;
     print(&with_truth(capture, options, &out, ffmpeg, reporter)?);
+    Ok(())
+}
+
+/// Anybody's offsets beside the truth.
+fn score_offsets(folder: &Path, file: &Path) -> Result<(), CliError> {
+    let capture = Capture::open(folder)?;
+    let truth = Truth::open(folder)?.ok_or_else(|| {
+        CliError::BadInput(format!("{}: has no truth to score against", folder.display()))
+    })?;
+    let wrong = |reason: String| CliError::BadInput(format!("{}: {reason}", file.display()));
+    let offsets: Offsets = json::read(file).map_err(|e| wrong(e.to_string()))?;
+    let reference = &capture.cameras[capture.reference].id;
+    let score = OffsetScore::new(&offsets, &truth, reference, capture.frame_s()).map_err(wrong)?;
+    println!("{:<12} {:>12} {:>12} {:>14} {:>8}", "camera", "true", "given", "error", "z");
+    for camera in &score.cameras {
+        let error = camera.error_s().map_or("unknown".to_owned(), |error_s| {
+            format!("{:+.5} frame", error_s / score.frame_s)
+        });
+        println!(
+            "{:<12} {:>9.4} ms {:>12} {:>14} {:>8}",
+            camera.id,
+            1e3 * camera.true_s,
+            camera.offset_s.map_or("-".to_owned(), |s| format!("{:.4} ms", 1e3 * s)),
+            error,
+            camera.z().map_or("-".to_owned(), |z| format!("{z:+.2}")),
+        );
+    }
+    let errors = score.errors_frames();
+    match errors.last() {
+        Some(worst) => println!(
+            "{} of {} cameras: median error {:.5} frame, worst {worst:.5}",
+            errors.len(),
+            score.cameras.len(),
+            errors[(errors.len() - 1) / 2],
+        ),
+        None => println!("0 of {} cameras", score.cameras.len()),
+    }
     Ok(())
 }
 

@@ -35,6 +35,7 @@ mod lettering;
 mod light_field;
 pub mod mask;
 pub mod metrics;
+mod offset_score;
 mod plots;
 mod report;
 pub mod results;
@@ -47,6 +48,7 @@ mod views;
 pub use driver::compare;
 
 pub use light_field::{ComparedLightField, sync_name};
+pub use offset_score::{OffsetScore, ScoredOffset};
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError, TruthError};

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import importlib
 import importlib.util
 import json
 import math
@@ -311,3 +313,28 @@ def test_workbench_sees_the_same_geometry_as_cycles(
         found[engine] = np.array(centroids)
     assert found["workbench"][:, :2] == pytest.approx(found["cycles"][:, :2], abs=0.03)
     assert found["workbench"][:, 2] == pytest.approx(found["cycles"][:, 2], rel=0.02)
+
+
+def test_a_film_never_mixes_engines_or_instants(rig_file: Path, tmp_path: Path) -> None:
+    plan = importlib.import_module("stlfr_extension.plan")
+    errors = importlib.import_module("stlfr_extension.errors")
+    options = plan.Options(rig_file, "template", None, None, 4, 1, 0, 0, True)
+    plan.claim(plan.make(options), tmp_path / "film")
+    plan.claim(plan.make(options), tmp_path / "film")
+    for change in ({"engine": "workbench"}, {"tracks": 5}, {"instants_s": (0.05,)}):
+        other = plan.make(dataclasses.replace(options, **change))
+        with pytest.raises(errors.BadInputError, match="another rig, scene or options"):
+            plan.claim(other, tmp_path / "film")
+
+
+@pytest.mark.parametrize("instant_s", [0.01, 0.2])
+def test_an_instant_that_not_all_cameras_film_is_refused(
+    rig_file: Path, instant_s: float
+) -> None:
+    plan = importlib.import_module("stlfr_extension.plan")
+    errors = importlib.import_module("stlfr_extension.errors")
+    options = plan.Options(
+        rig_file, "template", None, None, 4, 1, 0, 0, True, instants_s=(0.05, instant_s)
+    )
+    with pytest.raises(errors.BadInputError, match=r"film from 0\.0123 to 0\.1000 s"):
+        plan.make(options)
