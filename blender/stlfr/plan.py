@@ -26,6 +26,7 @@ TRUTH_SAMPLES_FACTOR = 4
 
 PIXEL_SOURCES = (
     "camera.py",
+    "distortion.py",
     "exr.py",
     "film.py",
     "folder.py",
@@ -33,6 +34,7 @@ PIXEL_SOURCES = (
     "png.py",
     "rig.py",
     "scenes.py",
+    "sensor.py",
     "truth.py",
 )
 """The modules of this folder that decide what the files of a capture hold."""
@@ -78,6 +80,11 @@ class Job:
     def is_geometry(self) -> bool:
         """Whether it writes depth and motion instead of a picture."""
         return self.files[0].endswith(".npy")
+
+    @property
+    def is_frame(self) -> bool:
+        """Whether a camera records it, with its sensor's noise; truth has none."""
+        return not self.files[0].startswith("truth/")
 
     def is_finished(self, capture: Path) -> bool:
         """Whether all its files are there and whole."""

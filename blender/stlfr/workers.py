@@ -174,12 +174,5 @@ def _work(orders: IO[str], answer: Callable[[dict[str, Any]], None]) -> None:
     capture, scratch = Path(setting["capture"]), Path(setting["scratch"])
     for line in orders:
         job = Job(**json.loads(line))
-        image = film.Image(job.view_id, job.world_time_s, job.samples, job.seed)
-        files = [capture / file for file in job.files]
-        if job.is_geometry:
-            studio.render_geometry(
-                image, files[0], files[1], scratch, rig.reference_camera.rate_hz
-            )
-        else:
-            studio.render_image(image, files[0], scratch)
+        studio.do(job, capture, scratch, rig.reference_camera.rate_hz)
         answer({})
