@@ -53,6 +53,7 @@ class Studio:
 
     def __init__(self, scene: Any, views: tuple[RigView, ...], threads: int) -> None:
         self.scene = scene
+        self.scenes_own_camera = scene.camera
         self.views = {view.id: view for view in views}
         configure(scene, threads)
         world_from_rig = scenes.world_from_rig(scene)
@@ -83,7 +84,8 @@ class Studio:
             self.render_image(image, files[0], scratch)
 
     def strike(self) -> None:
-        """Take the cameras out of the scene again."""
+        """Take the cameras out of the scene again, and look through its own."""
+        self.scene.camera = self.scenes_own_camera
         for camera_object in self.camera_objects.values():
             bpy.data.objects.remove(camera_object)
         self.camera_objects.clear()
@@ -159,7 +161,7 @@ class Studio:
         after = np.where(nothing, 0, frames * np.stack([-x1, y1])).transpose(1, 2, 0)
         if image.view_id in self.wides:
             wide = self.wides[image.view_id]
-            depth_m, moved_px = wide.depth(depth_m), wide.motion(before, after)
+            depth_m, moved_px = wide.geometry(depth_m, before, after)
         else:
             moved_px = np.maximum(
                 np.linalg.norm(before, axis=2), np.linalg.norm(after, axis=2)

@@ -29,7 +29,7 @@ FINENESS = 2
 MARGIN_PX = 4
 """Of the wide pinhole's image, all around: as far as the spline reaches, and some more."""
 
-REC709_LUMA = np.array([0.2126, 0.7152, 0.0722])
+REC709_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 SAME_SURFACE = 0.01
 """Inverse depths of neighbours that differ by less, as a share, lie on one surface."""
@@ -58,12 +58,13 @@ def encoded(light: Array) -> Array:
 def develop(light: Light, camera: RigCamera, noise_seed: int | None) -> Pixels:
     """What the camera records of the light: 8 or 16 bits, H x W x 3, or H x W if it is grey.
 
-    Grey is Rec. 709's luma of the encoded values, as everywhere here. The noise is drawn anew for
-    every seed; none without one.
+    A grey camera records Rec. 709's luminance, encoded, as Blender's grey pictures do. The noise is
+    drawn anew for every seed; none without one.
     """
-    values = encoded(camera.gain * light.astype(np.float64))
+    linear = camera.gain * light.astype(np.float64)
     if camera.color == "gray":
-        values = values @ REC709_LUMA
+        linear = linear @ REC709_LUMINANCE
+    values = encoded(linear)
     if noise_seed is not None and camera.noise > 0.0:
         generator = np.random.Generator(np.random.PCG64(noise_seed))
         values = values + camera.noise * generator.standard_normal(values.shape)
@@ -100,45 +101,48 @@ class Wide:
         size = (self.lens.height_px, self.lens.width_px, light.shape[2])
         return result.reshape(size).astype(np.float32)
 
-    def depth(self, depth_m: Light) -> Light:
-        """The distorted lens's depth from the wide pinhole's: exact on planes, the nearest beside edges."""
-        at = self._positions() - 0.5
-        whole = np.floor(at).astype(np.int64)
-        fraction = at - whole
-        inverse = 1.0 / depth_m.astype(np.float64)  # 0 where there is nothing
-        near = np.zeros(len(at))
-        corners = []
-        for j in (0, 1):
-            for i in (0, 1):
-                corner = inverse[whole[:, 1] + j, whole[:, 0] + i]
-                corners.append(corner)
-                near += corner * np.prod(
-                    np.abs(np.array([1 - i, 1 - j]) - fraction), axis=1
-                )
-        spread = np.max(corners, axis=0) - np.min(corners, axis=0)
-        x, y = self._nearest().T
-        smooth = spread <= SAME_SURFACE * np.max(corners, axis=0)
-        with np.errstate(divide="ignore"):
-            result = 1.0 / np.where(smooth, near, inverse[y, x])
-        return self._shaped(result)
+    def geometry(
+        self, depth_m: Light, before_px: Light, after_px: Light
+    ) -> tuple[Light, Light]:
+        """The distorted lens's depth and motion from the wide pinhole's.
 
-    def motion(self, before: Light, after: Light) -> Light:
-        """The larger of two motions (height x width x 2, wide pixels) in pixels of the image."""
-        x, y = self._nearest().T
-        start = np.stack([x + 0.5, y + 0.5], axis=1)
-        here = self._distorted(start)
+        The motions given are H x W x 2 in wide pixels, to where the point is a frame before and
+        after; the one returned is the larger of the two distances in pixels of the image.
+        On one surface everything is interpolated: depth, as its inverse, exactly on planes. Beside
+        edges, it is the nearest pixel's.
+        """
+        at = self._positions()
+        whole = np.floor(at - 0.5).astype(np.int64)
+        f = at - 0.5 - whole
+        nearest = np.round(f).astype(np.int64)
+        inverse = 1.0 / depth_m.astype(np.float64)  # 0 where there is nothing
+        values = np.concatenate(
+            [inverse[..., None], before_px.astype(np.float64), after_px], axis=2
+        )
+        corners = {
+            (i, j): values[whole[:, 1] + j, whole[:, 0] + i]
+            for j in (0, 1)
+            for i in (0, 1)
+        }
+        depths = [corner[:, 0] for corner in corners.values()]
+        least, most = np.min(depths, axis=0), np.max(depths, axis=0)
+        is_smooth = most - least <= SAME_SURFACE * most
+        mixed = np.zeros_like(corners[0, 0])
+        for (i, j), corner in corners.items():
+            weight = np.abs(1 - i - f[:, 0]) * np.abs(1 - j - f[:, 1])
+            is_nearest = (nearest[:, 0] == i) & (nearest[:, 1] == j)
+            mixed += np.where(is_smooth, weight, is_nearest)[:, None] * corner
+        here = self._distorted(at)
         steps = [
-            np.linalg.norm(self._distorted(start + moved[y, x]) - here, axis=1)
-            for moved in (before, after)
+            np.linalg.norm(self._distorted(at + mixed[:, k : k + 2]) - here, axis=1)
+            for k in (1, 3)
         ]
-        return self._shaped(np.maximum(*steps))
+        with np.errstate(divide="ignore"):
+            return self._shaped(1.0 / mixed[:, 0]), self._shaped(np.maximum(*steps))
 
     def _positions(self) -> Array:
         """Where in the wide image the centre of every pixel is, row by row."""
         return self.of_image(_ideal_grid(self.lens, self.distortion))
-
-    def _nearest(self) -> npt.NDArray[np.int64]:
-        return np.floor(self._positions()).astype(np.int64)
 
     def _distorted(self, wide: Array) -> Array:
         scale, shift = self._wide_from_ideal()

@@ -111,7 +111,7 @@ pub struct RigCamera {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = NOISE.min, max = NOISE.max))]
     pub noise: f64,
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "RigColor::is_rgb")]
     pub color: RigColor,
     /// Of the images: 8 or 16.
     #[serde(default = "eight", skip_serializing_if = "is_eight")]
@@ -156,7 +156,7 @@ pub struct Distortion {
     pub p2: f64,
 }
 
-/// What a camera sees: colours, or luma alone.
+/// What a camera sees: colours, or luminance alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum RigColor {
@@ -193,6 +193,12 @@ impl RigCamera {
         } else {
             CameraModel::OpenCv { fx: f, fy: f, cx, cy, k1, k2, p1, p2 }
         }
+    }
+}
+
+impl RigColor {
+    fn is_rgb(&self) -> bool {
+        *self == Self::Rgb
     }
 }
 

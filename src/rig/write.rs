@@ -1,4 +1,4 @@
-//! A rig as a file that people read: three lines a camera.
+//! A rig as a file that people read: three or four lines a camera.
 
 use super::Rig;
 use serde::Serialize;
@@ -32,8 +32,8 @@ fn entries(list: &[impl Serialize]) -> String {
         .iter()
         .map(|entry| {
             let mut text = spaced(entry);
-            // Where the lens, the place, and what comes after it begin.
-            for field in ["cam_from_rig", "rate_hz"] {
+            // Where its place, and what comes after it, begin.
+            for field in ["distortion", "cam_from_rig", "rate_hz"] {
                 let name = format!("\"{field}\": ");
                 text = text.replacen(&format!(", {name}"), &format!(",\n      {name}"), 1);
             }
