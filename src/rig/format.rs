@@ -29,10 +29,11 @@ pub struct Rig {
     /// What jitter and noise are drawn from.
     #[schemars(range(max = MAX_SEED))]
     pub seed: u64,
+    #[serde(deserialize_with = "json::objects")]
     #[schemars(length(min = 1))]
     pub cameras: Vec<RigCamera>,
     /// Where truth is rendered from besides the cameras.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty", deserialize_with = "json::objects")]
     pub views: Vec<RigView>,
 }
 
@@ -66,8 +67,13 @@ pub struct RigCamera {
     pub shift_y: f64,
     /// COLMAP's OPENCV model, about the pinhole that the lens amounts to. It must be invertible all
     /// along the image's border.
-    #[serde(default, skip_serializing_if = "Distortion::is_none")]
+    #[serde(
+        default,
+        skip_serializing_if = "Distortion::is_none",
+        deserialize_with = "json::object"
+    )]
     pub distortion: Distortion,
+    #[serde(deserialize_with = "json::object")]
     pub cam_from_rig: PoseFormat,
     #[schemars(range(min = RATE_HZ.min, max = RATE_HZ.max))]
     pub rate_hz: f64,
@@ -139,6 +145,7 @@ pub struct RigView {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
     pub shift_y: f64,
+    #[serde(deserialize_with = "json::object")]
     pub cam_from_rig: PoseFormat,
 }
 

@@ -122,11 +122,15 @@ def add_disc(at_m: tuple[float, float, float], radius_m: float, light: float) ->
     return disc
 
 
-def disc_points(at_m: Array, radius_m: float) -> Array:
-    """Points spread evenly over the disc: their images' mean is its image's centroid."""
-    k = np.arange(400) + 0.5
-    r, angle = radius_m * np.sqrt(k / 400), k * np.pi * (1 + 5**0.5)
-    return at_m + np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], axis=1)
+def disc_centroid(entry: dict[str, Any], at_m: Array, radius_m: float) -> Array:
+    """Where the centroid of the disc's image is in a camera of capture.json: its outline's, which knows lens and perspective."""
+    angle = 2 * np.pi * np.arange(64) / 64
+    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    here = project(entry, at_m + radius_m * rim)
+    next_one = np.roll(here, -1, axis=0)
+    twice_areas = here[:, 0] * next_one[:, 1] - here[:, 1] * next_one[:, 0]
+    corners = (here + next_one) * twice_areas[:, None]
+    return np.asarray(corners.sum(axis=0) / (3 * twice_areas.sum()))
 
 
 def centroid(light: Array, near: Array, reach_px: float) -> Array:

@@ -148,7 +148,8 @@ def test_both_readers_refuse_what_the_schema_refuses(
             at = at[int(step) if step.isdecimal() else step]
         del at[last]
         assert refusal(path, content) is not None, field
-        assert subprocess.run([program, "rig", "--check", path], capture_output=True)
+        checked = subprocess.run([program, "rig", "--check", path], capture_output=True)
+        assert checked.returncode == 2, field
     assert count > 120
 
 
@@ -299,8 +300,9 @@ def time_errors_frames(capture: Path, zero_s: float) -> dict[str, list[float]]:
 
         def at(time_s: float, entry: dict[str, Any] = entry) -> Any:
             moved = VELOCITY_M_S * (time_s + zero_s - CENTRAL_S)
-            points = filming.disc_points(moved - [0, 0, DISTANCE_M], RADIUS_M)
-            return filming.project(entry, points).mean(axis=0)
+            return filming.disc_centroid(
+                entry, moved - [0, 0, DISTANCE_M], RADIUS_M
+            )
 
         frame_s = np.median(np.diff(shutter["times_s"]))
         for k, time_s in enumerate(shutter["times_s"]):
@@ -411,15 +413,14 @@ def test_the_lens_is_distorted_as_told(tmp_path: Path) -> None:
     straight = {**entry, "model": "PINHOLE", "params": entry["params"][:4]}
     seen, moved_px = 0, []
     for place in places:
-        points = filming.disc_points(np.array(place), 0.02)
-        expected = filming.project(entry, points).mean(axis=0)
+        expected = filming.disc_centroid(entry, np.array(place), 0.02)
         if not (8 < expected[0] < 152 and 8 < expected[1] < 112):
             continue
         off_px = filming.centroid(light, expected, 7.0) - expected
         assert np.abs(off_px).max() < 0.05, place
         seen += 1
         moved_px.append(
-            np.linalg.norm(filming.project(straight, points).mean(axis=0) - expected)
+            np.linalg.norm(filming.disc_centroid(straight, np.array(place), 0.02) - expected)
         )
     assert seen >= 24 and max(moved_px) > 5.0
 
