@@ -1,9 +1,11 @@
 """From light to a camera's pixels: lens distortion, gain, display encoding, grey, noise, bit depth. No `bpy` here.
 
 Light is scene-linear, height x width x 3, as Cycles renders it for a pinhole. A distorted lens's
-image is resampled from a pinhole's that is larger and twice as fine, with a cubic B-spline: it
-reproduces ramps, so that nothing shifts, and has no negative lobes, so that no light rings. Its
-blur, 0.29 px in standard deviation, is a square pixel's.
+image is resampled from a pinhole's that is larger and twice as fine, with an image's pixel of four
+of its pixels and a cubic B-spline. They reproduce ramps, so that nothing shifts; have no negative
+lobes, so that no light rings; and let nothing through at one cycle a pixel, so that edges lie the
+same wherever they fall on the grid (the spline alone: up to 0.035 px off). Their blur is 0.38 px in
+standard deviation, a square pixel's being 0.29.
 """
 
 from __future__ import annotations
@@ -90,14 +92,16 @@ class Wide:
 
     def resample(self, light: Light) -> Light:
         """The distorted lens's light from the wide pinhole's."""
-        at = self._positions()
-        left, x_weights = _spline(at[:, 0] - 0.5)
-        top, y_weights = _spline(at[:, 1] - 0.5)
+        squares = (light[:-1] + light[1:]) / 2
+        squares = (squares[:, :-1] + squares[:, 1:]) / 2
+        at = self._positions() - 1.0  # the first square's centre is at (1, 1)
+        left, x_weights = _spline(at[:, 0])
+        top, y_weights = _spline(at[:, 1])
         result = np.zeros((len(at), light.shape[2]))
         for j in range(4):
             for i in range(4):
                 weight = y_weights[j] * x_weights[i]
-                result += weight[:, None] * light[top + j, left + i]
+                result += weight[:, None] * squares[top + j, left + i]
         size = (self.lens.height_px, self.lens.width_px, light.shape[2])
         return result.reshape(size).astype(np.float32)
 

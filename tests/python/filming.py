@@ -86,7 +86,7 @@ def read_light(path: Path) -> Array:
 
     picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     assert picture is not None, path
-    s = picture / np.iinfo(picture.dtype).max
+    s = picture / (255 if picture.dtype == np.uint8 else 65535)
     light = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
     return np.asarray(light.mean(axis=2) if light.ndim == 3 else light)
 

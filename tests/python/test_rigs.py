@@ -300,9 +300,7 @@ def time_errors_frames(capture: Path, zero_s: float) -> dict[str, list[float]]:
 
         def at(time_s: float, entry: dict[str, Any] = entry) -> Any:
             moved = VELOCITY_M_S * (time_s + zero_s - CENTRAL_S)
-            return filming.disc_centroid(
-                entry, moved - [0, 0, DISTANCE_M], RADIUS_M
-            )
+            return filming.disc_centroid(entry, moved - [0, 0, DISTANCE_M], RADIUS_M)
 
         frame_s = np.median(np.diff(shutter["times_s"]))
         for k, time_s in enumerate(shutter["times_s"]):
@@ -420,7 +418,9 @@ def test_the_lens_is_distorted_as_told(tmp_path: Path) -> None:
         assert np.abs(off_px).max() < 0.05, place
         seen += 1
         moved_px.append(
-            np.linalg.norm(filming.disc_centroid(straight, np.array(place), 0.02) - expected)
+            np.linalg.norm(
+                filming.disc_centroid(straight, np.array(place), 0.02) - expected
+            )
         )
     assert seen >= 24 and max(moved_px) > 5.0
 
@@ -450,7 +450,7 @@ def test_a_sensor_without_faults_records_blenders_picture(tmp_path: Path) -> Non
         picture = cv2.imread(str(tmp_path / f"{view.id}.png"), cv2.IMREAD_UNCHANGED)
         assert picture.dtype == (np.uint8 if view.bit_depth == 8 else np.uint16)
         assert picture.ndim == (3 if view.color == "rgb" else 2)
-        pictures[view.id] = picture.astype(np.float64) / np.iinfo(picture.dtype).max
+        pictures[view.id] = picture / (2.0**view.bit_depth - 1)
     for color in ("rgb", "gray"):
         difference = pictures[f"{color}8"] - pictures[f"{color}16"]
         assert np.abs(difference).max() < 1.01 / 255
@@ -492,10 +492,16 @@ def test_every_shipped_rig_is_filmed_and_reconstructed(
         for field in ("width", "height", "model", "params", "cam_from_world")
     }
     (tmp_path / "view.json").write_text(json.dumps(view))
-    target = ["--camera", tmp_path / "view.json", "--time", str(np.mean(times_s[1:3]))]
-    subprocess.run(
-        [program, "render", capture, *target, "-o", tmp_path / "view.png"], check=True
-    )
+    command: list[str | Path] = [
+        program,
+        "render",
+        capture,
+        "--camera",
+        tmp_path / "view.json",
+    ]
+    time_s = float(np.mean(times_s[1:3]))
+    command += ["--time", str(time_s), "-o", tmp_path / "view.png"]
+    subprocess.run(command, check=True)
     import cv2
 
     picture = cv2.imread(str(tmp_path / "view.png"), cv2.IMREAD_UNCHANGED)
