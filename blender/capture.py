@@ -114,7 +114,11 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
         help="film all cameras at this size (same aspect)",
     )
     parser.add_argument(
-        "--frames", type=count(1), default=9, metavar="N", help="frames per camera (9)"
+        "--frames",
+        type=count(1),
+        default=9,
+        metavar="N",
+        help="frames of the reference camera (9); the others film as long",
     )
     parser.add_argument(
         "--samples",

@@ -12,7 +12,7 @@
 //! | Fig. 2, the whole pipeline | [`render`] |
 //! | §8 results, beside the truth | [`compare`] |
 //!
-//! Beside these: [`raster`] holds images as the stages work on them, [`progress`] reports long
+//! Beside these: [`rig`] describes and generates simulated arrays, [`raster`] holds images as the stages work on them, [`progress`] reports long
 //! work, [`json`] reads files.
 //!
 //! # Conventions
@@ -35,4 +35,5 @@ mod python;
 pub mod raster;
 pub mod registration;
 pub mod render;
+pub mod rig;
 pub mod toolchain;

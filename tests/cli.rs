@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 #[test]
 fn every_command_has_help_with_an_example() {
     let help = String::from_utf8(run(&["--help"]).stdout).unwrap();
-    for command in ["demo", "setup", "capture", "check", "offsets", "render", "compare"] {
+    for command in ["demo", "setup", "rig", "capture", "check", "offsets", "render", "compare"] {
         assert!(help.contains(&format!("\n  {command} ")), "{help}");
         let output = run(&[command, "--help"]);
         let text = String::from_utf8(output.stdout).unwrap();

@@ -1,9 +1,10 @@
 """Render one image, or the depth and motion of one view, exactly as every other one. The Blender side.
 
 Image: Cycles on the CPU, a fixed number of samples, no denoising, as many bounces as the scene says,
-no motion blur, `Standard` view without a look, no dither. Or Workbench: the same cameras, geometry and
-textures under a fixed studio light, without shadows, reflections, highlights and noise.
-Geometry: Cycles with one sample at each pixel's centre.
+motion blur as long as the camera's exposure, `Standard` view without a look, no dither; then whatever
+lens and sensor do (`sensor`). Or Workbench: the same cameras, geometry and textures under a fixed studio
+light, without shadows, reflections, highlights, blur and noise.
+Geometry: Cycles with one sample at each pixel's centre, at an instant.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from . import camera as cameras
-from . import exr, png, scenes
+from . import exr, png, scenes, sensor
+from .plan import Job
 from .rig import RigCamera, RigView
 
 NARROWEST_FILTER_PX = 0.01
@@ -43,14 +45,22 @@ NOTHING_DEPTH_M = 1e9
 """Cycles writes 1e10 where a ray meets nothing."""
 
 
+WIDE_SUFFIX = ".wide"
+"""Of the second camera of a distorted one; no rig's id has a dot."""
+
+
 @dataclass(frozen=True)
 class Image:
-    """One picture to render: which view of the rig, when, how well, and with which noise."""
+    """One picture to render: which view of the rig, when, how well, and with which noise.
+
+    `seed` is the rendering's, `sensor_seed` the sensor's; without one, the sensor has no noise.
+    """
 
     view_id: str
     world_time_s: float
     samples: int
     seed: int
+    sensor_seed: int | None = None
 
 
 class Studio:
@@ -65,6 +75,7 @@ class Studio:
     ) -> None:
         self.scene = scene
         self.engine = engine
+        self.scenes_own_camera = scene.camera
         self.views = {view.id: view for view in views}
         configure(scene, threads)
         if engine == "workbench":
@@ -74,24 +85,73 @@ class Studio:
             view.id: _add_camera(scene, view, world_from_rig) for view in views
         }
         bpy.context.view_layer.update()
+        self.wides = {
+            view.id: self._add_wide(view)
+            for view in views
+            if isinstance(view, RigCamera) and not view.distortion.is_none
+        }
+        bpy.context.view_layer.update()
+
+    def do(self, job: Job, capture: Path, scratch: Path, rate_hz: float) -> None:
+        """Put a job's files in place; `rate_hz` is the reference camera's."""
+        image = Image(
+            view_id=job.view_id,
+            world_time_s=job.world_time_s,
+            samples=job.samples,
+            seed=job.seed,
+            sensor_seed=job.seed if job.is_frame else None,
+        )
+        files = [capture / file for file in job.files]
+        if job.is_geometry:
+            self.render_geometry(image, files[0], files[1], scratch, rate_hz)
+        else:
+            self.render_image(image, files[0], scratch)
+
+    def strike(self) -> None:
+        """Take the cameras out of the scene again, and look through its own."""
+        self.scene.camera = self.scenes_own_camera
+        for camera_object in self.camera_objects.values():
+            bpy.data.objects.remove(camera_object)
+        self.camera_objects.clear()
 
     def describe(self, view_id: str) -> dict[str, Any]:
         """The view's camera as capture.json spells it, read back from Blender."""
-        camera_object = self._look_through(view_id)
-        pinhole = cameras.pinhole_from_lens(cameras.lens_of(camera_object, self.scene))
+        view = self.views[view_id]
+        pinhole = self._pinhole(view_id, view.width_px, view.height_px)
+        model, more = "PINHOLE", []
+        if view_id in self.wides:
+            distortion = self.wides[view_id].distortion
+            model = "OPENCV"
+            more = [distortion.k1, distortion.k2, distortion.p1, distortion.p2]
+        transform = cameras.cam_from_world_of(self.camera_objects[view_id])
         return {
             "width": pinhole.width_px,
             "height": pinhole.height_px,
-            "model": "PINHOLE",
-            "params": pinhole.params,
-            "cam_from_world": cameras.cam_from_world_of(camera_object).to_json(),
+            "model": model,
+            "params": [*pinhole.params, *more],
+            "cam_from_world": transform.to_json(),
         }
 
     def render_image(self, image: Image, target: Path, scratch: Path) -> None:
-        """Write an 8-bit PNG, RGB or grey as the camera is. It gets its name only when it is whole and on the disk."""
-        self._aim(image.view_id, image.world_time_s, image.samples, image.seed)
+        """Write a PNG as the camera records it. It gets its name only when it is whole and on the disk."""
+        view = self.views[image.view_id]
+        camera = view if isinstance(view, RigCamera) else None
+        samples = image.samples
+        if image.view_id in self.wides:  # as many for each of the image's pixels
+            samples = max(1, round(samples / sensor.FINENESS**2))
+        self._aim(image.view_id, image.world_time_s, samples, image.seed)
+        self._expose(camera.exposure_s if camera else 0.0)
         self.scene.cycles.filter_width = 1.5
         _set_passes(geometry=False)
+        if camera and not sensor.is_plain(camera):
+            self.scene.render.engine = "CYCLES"  # `plan` lets no other come here
+            pixels = sensor.develop(
+                self._light(camera, scratch), camera, image.sensor_seed
+            )
+            partial = _scratch_file(scratch, ".png")
+            partial.write_bytes(png.encoded(pixels))
+            move_whole(partial, target)
+            return
         settings = self.scene.render.image_settings
         settings.media_type, settings.file_format = "IMAGE", "PNG"
         settings.color_mode = "BW" if self._is_gray(image.view_id) else "RGB"
@@ -115,8 +175,74 @@ class Studio:
         """
         self._aim(image.view_id, image.world_time_s, 1, image.seed)
         self.scene.render.engine = "CYCLES"
+        self._expose(0.0)
         self.scene.cycles.filter_width = NARROWEST_FILTER_PX
         _set_passes(geometry=True)
+        channels = self._render_channels(scratch)
+        layer = bpy.context.view_layer.name
+        depth_m = channels[f"{layer}.Depth.Z"]
+        x0, y0, x1, y1 = (channels[f"{layer}.Vector.{part}"] for part in "XYZW")
+        frames = self.scene.render.fps / self.scene.render.fps_base / rate_hz
+        nothing = depth_m > NOTHING_DEPTH_M
+        depth_m = np.where(nothing, np.float32(np.inf), depth_m)
+        # Blender's y points up. The second vector points from where the point comes to.
+        before = np.where(nothing, 0, frames * np.stack([x0, -y0])).transpose(1, 2, 0)
+        after = np.where(nothing, 0, frames * np.stack([-x1, y1])).transpose(1, 2, 0)
+        if image.view_id in self.wides:
+            wide = self.wides[image.view_id]
+            depth_m, moved_px = wide.geometry(depth_m, before, after)
+        else:
+            moved_px = np.maximum(
+                np.linalg.norm(before, axis=2), np.linalg.norm(after, axis=2)
+            )
+        save_whole(depth_m, depth, scratch)
+        save_whole(moved_px.astype(np.float32), motion, scratch)
+
+    def _add_wide(self, view: RigCamera) -> sensor.Wide:
+        """A second, larger camera in the same place, to resample the distorted lens's image from."""
+        lens = self._pinhole(view.id, view.width_px, view.height_px)
+        wanted = sensor.wide_pinhole(lens, view.distortion)
+        wide_id = view.id + WIDE_SUFFIX
+        camera_object = self.camera_objects[view.id].copy()
+        camera_object.data = camera_object.data.copy()
+        self.scene.collection.objects.link(camera_object)
+        self.camera_objects[wide_id] = camera_object
+        blender_lens = cameras.lens_from_pinhole(wanted, view.sensor_width_mm)
+        camera_object.data.sensor_fit = blender_lens.sensor_fit
+        camera_object.data.lens = blender_lens.lens_mm
+        camera_object.data.shift_x = blender_lens.shift_x
+        camera_object.data.shift_y = blender_lens.shift_y
+        found = self._pinhole(wide_id, wanted.width_px, wanted.height_px)
+        return sensor.Wide(lens, view.distortion, found)
+
+    def _pinhole(
+        self, camera_id: str, width_px: int, height_px: int
+    ) -> cameras.Pinhole:
+        """A camera's pinhole as Blender renders it at a size."""
+        render = self.scene.render
+        render.resolution_x, render.resolution_y = width_px, height_px
+        camera_object = self.camera_objects[camera_id]
+        return cameras.pinhole_from_lens(cameras.lens_of(camera_object, self.scene))
+
+    def _expose(self, exposure_s: float) -> None:
+        """Open the shutter for that long, around the current frame."""
+        render = self.scene.render
+        render.use_motion_blur = exposure_s > 0.0
+        if exposure_s > 0.0:
+            render.motion_blur_position = "CENTER"
+            render.motion_blur_shutter = exposure_s * render.fps / render.fps_base
+
+    def _light(self, camera: RigCamera, scratch: Path) -> sensor.Light:
+        """What the camera's lens lets through, scene-linear, height x width x 3."""
+        channels = self._render_channels(scratch)
+        layer = bpy.context.view_layer.name
+        light = np.stack([channels[f"{layer}.Combined.{c}"] for c in "RGB"], axis=2)
+        return (
+            self.wides[camera.id].resample(light) if camera.id in self.wides else light
+        )
+
+    def _render_channels(self, scratch: Path) -> dict[str, sensor.Light]:
+        """Render all passes that are on."""
         settings = self.scene.render.image_settings
         settings.media_type = "MULTI_LAYER_IMAGE"
         settings.file_format = "OPEN_EXR_MULTILAYER"
@@ -126,30 +252,21 @@ class Studio:
         partial = self._render(scratch, ".exr")
         channels = exr.read_channels(partial)
         partial.unlink()
-        layer = bpy.context.view_layer.name
-        depth_m = channels[f"{layer}.Depth.Z"]
-        vector = [channels[f"{layer}.Vector.{part}"] for part in "XYZW"]
-        frames = self.scene.render.fps / self.scene.render.fps_base / rate_hz
-        moved_px = frames * np.maximum(
-            np.hypot(vector[0], vector[1]), np.hypot(vector[2], vector[3])
-        )
-        nothing = depth_m > NOTHING_DEPTH_M
-        save_whole(np.where(nothing, np.float32(np.inf), depth_m), depth, scratch)
-        save_whole(
-            np.where(nothing, np.float32(0), moved_px.astype(np.float32)),
-            motion,
-            scratch,
-        )
+        return channels
 
     def _is_gray(self, view_id: str) -> bool:
         view = self.views[view_id]
         return isinstance(view, RigCamera) and view.color == "gray"
 
-    def _look_through(self, view_id: str) -> Any:
+    def _look_through(self, view_id: str) -> None:
         view, render = self.views[view_id], self.scene.render
-        render.resolution_x, render.resolution_y = view.width_px, view.height_px
+        size_px = (view.width_px, view.height_px)
+        if view_id in self.wides:
+            pinhole = self.wides[view_id].pinhole
+            size_px = (pinhole.width_px, pinhole.height_px)
+            view_id += WIDE_SUFFIX
+        render.resolution_x, render.resolution_y = size_px
         self.scene.camera = self.camera_objects[view_id]
-        return self.scene.camera
 
     def _aim(self, view_id: str, world_time_s: float, samples: int, seed: int) -> None:
         self._look_through(view_id)

@@ -13,6 +13,8 @@ from .plan import CAPTURE_FILE, HIDDEN_FOLDER, Plan, frame_file, truth_files
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from .rig import RigCamera, Shutter
+
 Camera = dict[str, Any]
 """A camera as capture.json spells it: width, height, model, params, cam_from_world."""
 
@@ -47,20 +49,13 @@ def _write_text(path: Path, text: str) -> None:
 def _capture_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:
     entries = []
     for camera, shutter in zip(plan.rig.cameras, plan.shutters, strict=True):
-        if shutter.stamped:
-            clock: dict[str, Any] = {
-                "times_s": list(shutter.clock_times_s),
-                "shared": False,
-            }
-        else:
-            clock = {"rate_hz": camera.rate_hz, "first_s": 0.0, "shared": False}
         entries.append(
             {
                 "id": camera.id,
                 "frames": f"{camera.id}/%04d.png",
                 **cameras[camera.id],
                 "color": camera.color,
-                "clock": clock,
+                "clock": _clock(camera, shutter),
             }
         )
     return {
@@ -70,6 +65,22 @@ def _capture_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:
         "reference": plan.rig.reference,
         "cameras": entries,
     }
+
+
+def _clock(camera: RigCamera, shutter: Shutter) -> dict[str, Any]:
+    """What the camera says of its times, and what is known of its clock."""
+    clock: dict[str, Any]
+    if shutter.stated_times_s is not None:
+        clock = {"times_s": list(shutter.stated_times_s)}
+    else:
+        first_s = camera.delay_s if camera.clock_shared else 0.0
+        clock = {"rate_hz": camera.rate_hz, "first_s": first_s}
+    clock["shared"] = camera.clock_shared
+    if camera.drift_ppm != 0.0:
+        clock["drift"] = True
+    if not camera.lost_stamped:
+        clock["lost"] = True
+    return clock
 
 
 def _truth_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import png, scenes, truth
+from . import png, scenes, sensor, truth
 from . import rig as rigs
 from .errors import BadInputError
 from .rig import Rig, Shutter
@@ -30,6 +30,7 @@ TRUTH_SAMPLES_FACTOR = 4
 
 PIXEL_SOURCES = (
     "camera.py",
+    "distortion.py",
     "exr.py",
     "film.py",
     "folder.py",
@@ -37,6 +38,7 @@ PIXEL_SOURCES = (
     "png.py",
     "rig.py",
     "scenes.py",
+    "sensor.py",
     "tracks.py",
     "truth.py",
 )
@@ -93,6 +95,11 @@ class Job:
         """Whether it writes the point tracks."""
         return self.files[0] == TRACKS_FILE
 
+    @property
+    def is_frame(self) -> bool:
+        """Whether a camera records it, with its sensor's noise; truth has none."""
+        return not self.files[0].startswith("truth/")
+
     def is_finished(self, capture: Path) -> bool:
         """Whether all its files are there and whole."""
         if self.is_tracks:  # written last of its folder
@@ -116,11 +123,23 @@ class Plan:
     fingerprint: str
 
 
+def _must_suit_workbench(rig: rigs.Rig) -> None:
+    """Workbench gives finished 8-bit pictures of an instant, not the light that a lens and a sensor start from."""
+    for camera in rig.cameras:
+        if camera.exposure_s > 0.0 or not sensor.is_plain(camera):
+            raise BadInputError(
+                f"--engine workbench can't film {camera.id} of rig {rig.name}: exposure, distortion, "
+                "gain, noise and 16 bits need --engine cycles"
+            )
+
+
 def make(options: Options) -> Plan:
     """Check the options and list every image."""
     rig = rigs.load(options.rig_file)
     if options.size_px is not None:
         rig = rigs.resized(rig, *options.size_px)
+    if options.engine == "workbench":
+        _must_suit_workbench(rig)
     shutters = rigs.shutters(rig, options.frames)
     if not options.truth:
         instants_s = []

@@ -1,12 +1,17 @@
-"""PNG files at the level of chunks: whole or not, and free of what isn't the picture. No `bpy` here."""
+"""PNG files at the level of chunks: whole or not, free of what isn't the picture, or made of one. No `bpy` here."""
 
 from __future__ import annotations
 
 import struct
+import zlib
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import numpy.typing as npt
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 START = SIGNATURE + b"\0\0\0\rIHDR"
@@ -35,3 +40,34 @@ def picture_only(data: bytes) -> bytes:
             kept.append(chunk)
         offset += len(chunk)
     return b"".join(kept)
+
+
+def encoded(
+    pixels: npt.NDArray[np.uint8] | npt.NDArray[np.uint16],
+) -> bytes:
+    """A picture as a PNG: 8 or 16 bits by its type, grey (H x W) or RGB (H x W x 3) by its shape."""
+    height_px, width_px = pixels.shape[:2]
+    depth, color = 8 * pixels.itemsize, 0 if pixels.ndim == 2 else 2
+    rows = np.frombuffer(pixels.astype(pixels.dtype.newbyteorder(">")).tobytes(), "u1")
+    rows = rows.reshape(height_px, -1)
+    up = rows.copy()  # filter 2: the difference from the row above
+    up[1:] -= rows[:-1]
+    lines = np.concatenate([np.full((height_px, 1), 2, "u1"), up], axis=1)
+    header = struct.pack(">IIBBBBB", width_px, height_px, depth, color, 0, 0, 0)
+    return b"".join(
+        [
+            SIGNATURE,
+            _chunk(b"IHDR", header),
+            _chunk(b"IDAT", zlib.compress(lines.tobytes())),
+            _chunk(b"IEND", b""),
+        ]
+    )
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return (
+        struct.pack(">I", len(data))
+        + kind
+        + data
+        + struct.pack(">I", zlib.crc32(kind + data))
+    )

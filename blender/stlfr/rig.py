@@ -1,24 +1,33 @@
 """The rig file: cameras, when their shutters open, and the virtual views that truth is rendered from.
 
 The rig frame has COLMAP's axes (+x right, +y down, +z forward) at the rig's centre; metres and seconds.
-World time 0 is the scene's start. The middle of frame k's exposure, in world time, is
+World time 0 is the scene's start. The middle of frame k's exposure is, on the camera's own clock and
+in world time,
 
-    delay_s + k / rate_hz + jitter_k
+    c_k = k / rate_hz + jitter_k
+    delay_s + c_k + (c_k - c_0) drift_ppm 1e-6
 
-and the camera's own clock reads that minus delay_s. A camera that stamps its frames writes the
-jitter into its times; where it doesn't, the jitter is hidden and its mean is part of the offset.
+with k the frame's nominal number, lost frames counted. A camera that stamps its frames writes c_k
+into its times; where it doesn't, the jitter is hidden and its mean is part of the offset. A clock
+that cameras share reads world time.
+
+The format's schema comes from the Rust types (`stlfr rig --schema rig`), whose reader refuses what
+this one refuses.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 import random
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from .camera import RigidTransform
+from .camera import BlenderLens, Pinhole, RigidTransform, pinhole_from_lens
+from .distortion import Distortion, ideal_border
 from .errors import BadInputError
 
 FORMAT = "stlfr-rig"
@@ -29,6 +38,9 @@ UNIT_QUATERNION_TOLERANCE = 1e-3
 
 MAX_JITTER_FRAMES = 0.1
 """Largest jitter deviation, in frame periods: above, two frames of one camera could swap."""
+
+MAX_SPREAD = 2.0
+"""How much wider than the image a pinhole's must be to hold all that a lens sees."""
 
 RESERVED_IDS = {"truth", "colmap", "review"}
 """A camera's id names its folder in the capture, beside these."""
@@ -47,16 +59,42 @@ class RigView:
     shift_y: float
     cam_from_rig: RigidTransform
 
+    @property
+    def lens(self) -> BlenderLens:
+        """The lens as Blender's."""
+        return BlenderLens(
+            width_px=self.width_px,
+            height_px=self.height_px,
+            lens_mm=self.lens_mm,
+            sensor_width_mm=self.sensor_width_mm,
+            shift_x=self.shift_x,
+            shift_y=self.shift_y,
+        )
+
 
 @dataclass(frozen=True)
 class RigCamera(RigView):
-    """A real camera: a view with a shutter. `delay_s` is after the scene's start."""
+    """A real camera: a view with a shutter and a sensor.
 
+    `delay_s` is after the scene's start. `drift_ppm` is positive if the reference's clock goes by
+    faster. `exposure_s` lies around the frame's time. `gain` multiplies light before it is encoded
+    for display; `noise` is a standard deviation in display-encoded units of 0 to 1.
+    """
+
+    distortion: Distortion
     rate_hz: float
     delay_s: float
     jitter_s: float
     jitter_stamped: bool
+    drift_ppm: float
+    lost_frames: tuple[int, ...]
+    lost_stamped: bool
+    clock_shared: bool
+    exposure_s: float
+    gain: float
+    noise: float
     color: str
+    bit_depth: int
 
 
 @dataclass(frozen=True)
@@ -77,21 +115,25 @@ class Rig:
 
 @dataclass(frozen=True)
 class Shutter:
-    """When one camera's frames were exposed: the middle of each exposure."""
+    """When one camera's images were exposed: the middle of each exposure."""
 
     id: str
     world_times_s: tuple[float, ...]
     """Since the scene's start."""
     clock_times_s: tuple[float, ...]
     """True times on the camera's own clock, jitter included."""
-    stamped: bool
-    """Whether the camera's clock times are known to the capture, or only its nominal rate."""
+    stated_times_s: tuple[float, ...] | None
+    """What the camera says of its times; `None` if it only says its nominal rate."""
     zero_s: float
-    """World time at which the camera's clock reads 0, as far as its frames can tell."""
+    """World time at which the camera's clock reads 0, as far as its images can tell."""
+    rate_ppm: float
+    """How much faster than its clock the reference's goes by, from its first image on."""
+    lost_before: tuple[int, ...]
+    """The numbers of the images before which a frame is missing, once for each frame."""
 
 
 def shutter(rig: Rig, camera_index: int, frame_count: int) -> Shutter:
-    """The shutter times of a camera's first `frame_count` frames.
+    """The shutter times of those of a camera's first `frame_count` frames that are recorded.
 
     Frame k's time doesn't depend on `frame_count`. With hidden jitter, `zero_s` holds the mean of
     true minus nominal times, which is what the offset of such a camera means.
@@ -99,22 +141,49 @@ def shutter(rig: Rig, camera_index: int, frame_count: int) -> Shutter:
     camera = rig.cameras[camera_index]
     generator = random.Random(f"{rig.seed}/jitter/{camera_index}")
     jitter_s = [generator.gauss(0.0, camera.jitter_s) for _ in range(frame_count)]
-    clock_times_s = tuple(
-        k / camera.rate_hz + jitter for k, jitter in enumerate(jitter_s)
-    )
-    hidden_mean_s = 0.0 if camera.jitter_stamped else sum(jitter_s) / frame_count
+    recorded = [k for k in range(frame_count) if k not in camera.lost_frames]
+    zero_s = 0.0 if camera.clock_shared else camera.delay_s
+    first_s = camera.delay_s - zero_s
+    nominal_s = [first_s + k / camera.rate_hz for k in recorded]
+    clock_s = [
+        time_s + jitter_s[k] for time_s, k in zip(nominal_s, recorded, strict=True)
+    ]
+    rate = camera.drift_ppm * 1e-6
+    world_s = [zero_s + time_s + (time_s - clock_s[0]) * rate for time_s in clock_s]
+    if not camera.jitter_stamped and not camera.clock_shared:
+        stretched_s = [t + (t - nominal_s[0]) * rate for t in nominal_s]
+        zero_s = sum(map(float.__sub__, world_s, stretched_s)) / len(recorded)
+    stated_s: list[float] | None = None
+    if camera.lost_stamped:
+        if camera.jitter_stamped:
+            stated_s = clock_s
+        elif camera.lost_frames:
+            stated_s = nominal_s
     return Shutter(
         id=camera.id,
-        world_times_s=tuple(camera.delay_s + time_s for time_s in clock_times_s),
-        clock_times_s=clock_times_s,
-        stamped=camera.jitter_stamped,
-        zero_s=camera.delay_s + hidden_mean_s,
+        world_times_s=tuple(world_s),
+        clock_times_s=tuple(clock_s),
+        stated_times_s=None if stated_s is None else tuple(stated_s),
+        zero_s=zero_s,
+        rate_ppm=camera.drift_ppm,
+        lost_before=tuple(
+            sum(k < lost for k in recorded)
+            for lost in camera.lost_frames
+            if lost < recorded[-1]
+        ),
     )
 
 
 def shutters(rig: Rig, frame_count: int) -> list[Shutter]:
-    """The shutter times of every camera, in the rig's order."""
-    return [shutter(rig, index, frame_count) for index in range(len(rig.cameras))]
+    """The shutter times of every camera, in the rig's order.
+
+    The reference camera takes `frame_count` frames (less those it loses), the others film as long.
+    """
+    per_frame = [c.rate_hz / rig.reference_camera.rate_hz for c in rig.cameras]
+    return [
+        shutter(rig, index, max(1, math.ceil(frame_count * rate - 1e-6)))
+        for index, rate in enumerate(per_frame)
+    ]
 
 
 def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
@@ -206,8 +275,10 @@ class _Fields:
             raise self.error(field, f"must be true or false, not {json.dumps(value)}")
         return value
 
-    def whole_number(self, field: str, minimum: int, maximum: int) -> int:
-        value = self.take(field)
+    def whole_number(
+        self, field: str, minimum: int, maximum: int, default: int | None = None
+    ) -> int:
+        value = self.take(field, default)
         if (
             isinstance(value, bool)
             or not isinstance(value, int)
@@ -218,6 +289,22 @@ class _Fields:
                 f"must be a whole number from {minimum} to {maximum}, not {json.dumps(value)}",
             )
         return value
+
+    def whole_numbers(self, field: str, minimum: int, maximum: int) -> tuple[int, ...]:
+        value = self.take(field, [])
+        if not isinstance(value, list):
+            raise self.error(field, "must be a list")
+        for entry in value:
+            if (
+                isinstance(entry, bool)
+                or not isinstance(entry, int)
+                or not minimum <= entry <= maximum
+            ):
+                raise self.error(
+                    field,
+                    f"must be whole numbers from {minimum} to {maximum}, not {json.dumps(entry)}",
+                )
+        return tuple(value)
 
     def number(
         self, field: str, minimum: float, maximum: float, default: float | None = None
@@ -272,11 +359,12 @@ def _rig(fields: _Fields) -> Rig:
         )
     if version != VERSION:
         raise fields.error("version", f"must be {VERSION}, not {json.dumps(version)}")
+    entries = fields.objects("cameras")
     rig = Rig(
         name=fields.identifier("name"),
         reference=fields.text("reference"),
         seed=fields.whole_number("seed", 0, 2**53),
-        cameras=tuple(_camera(entry) for entry in fields.objects("cameras")),
+        cameras=tuple(_camera(entry) for entry in entries),
         views=tuple(_view(entry) for entry in fields.objects("views", default=[])),
     )
     fields.done()
@@ -292,27 +380,94 @@ def _rig(fields: _Fields) -> Rig:
         raise fields.error(
             "reference", f"names no camera of the rig: {json.dumps(rig.reference)}"
         )
+    for entry, camera in zip(entries, rig.cameras, strict=True):
+        _check_clock(entry, camera, rig.reference)
     return rig
 
 
 def _camera(fields: _Fields) -> RigCamera:
     view = _take_view(fields)
     rate_hz = fields.number("rate_hz", 1e-3, 1e5)
-    delay_s = fields.number("delay_s", -1e6, 1e6)
-    jitter_s = fields.number("jitter_s", 0.0, MAX_JITTER_FRAMES / rate_hz)
-    stamped = fields.truth_value("jitter_stamped", default=True)
-    color = fields.text("color", default="rgb")
-    if color not in ("rgb", "gray"):
-        raise fields.error("color", f'must be "rgb" or "gray", not {json.dumps(color)}')
-    fields.done()
-    return RigCamera(
+    camera = RigCamera(
         **vars(view),
+        distortion=_distortion(fields),
         rate_hz=rate_hz,
-        delay_s=delay_s,
-        jitter_s=jitter_s,
-        jitter_stamped=stamped,
-        color=color,
+        delay_s=fields.number("delay_s", -1e6, 1e6),
+        jitter_s=fields.number(
+            "jitter_s", 0.0, MAX_JITTER_FRAMES / rate_hz, default=0.0
+        ),
+        jitter_stamped=fields.truth_value("jitter_stamped", default=True),
+        drift_ppm=fields.number("drift_ppm", -1e5, 1e5, default=0.0),
+        lost_frames=fields.whole_numbers("lost_frames", 1, 1_000_000_000),
+        lost_stamped=fields.truth_value("lost_stamped", default=True),
+        clock_shared=fields.truth_value("clock_shared", default=False),
+        exposure_s=fields.number("exposure_s", 0.0, 1.0 / rate_hz, default=0.0),
+        gain=fields.number("gain", 0.01, 100.0, default=1.0),
+        noise=fields.number("noise", 0.0, 0.5, default=0.0),
+        color=fields.text("color", default="rgb"),
+        bit_depth=fields.whole_number("bit_depth", 8, 16, default=8),
     )
+    if camera.color not in ("rgb", "gray"):
+        raise fields.error(
+            "color", f'must be "rgb" or "gray", not {json.dumps(camera.color)}'
+        )
+    if camera.bit_depth not in (8, 16):
+        raise fields.error("bit_depth", f"must be 8 or 16, not {camera.bit_depth}")
+    if any(b <= a for a, b in itertools.pairwise(camera.lost_frames)):
+        raise fields.error("lost_frames", "must ascend")
+    _check_distortion(fields, camera)
+    fields.done()
+    return camera
+
+
+def _distortion(fields: _Fields) -> Distortion:
+    entry = _Fields(
+        fields.take("distortion", {}), fields.file, fields.name("distortion")
+    )
+    coefficients = {
+        name: entry.number(name, -10.0, 10.0, default=0.0)
+        for name in ("k1", "k2", "p1", "p2")
+    }
+    entry.done()
+    return Distortion(**coefficients)
+
+
+def _check_distortion(fields: _Fields, camera: RigCamera) -> None:
+    if camera.distortion.is_none:
+        return
+    lens: Pinhole = pinhole_from_lens(camera.lens)
+    border, ideal = ideal_border(lens, camera.distortion)
+    for (x, y), (ideal_x, _) in zip(border.tolist(), ideal.tolist(), strict=True):
+        if math.isnan(ideal_x):
+            raise fields.error("distortion", f"has no inverse at pixel ({x:g}, {y:g})")
+    width_px, height_px = (ideal.max(axis=0) - ideal.min(axis=0)).tolist()
+    if (
+        width_px > MAX_SPREAD * camera.width_px
+        or height_px > MAX_SPREAD * camera.height_px
+    ):
+        raise fields.error(
+            "distortion",
+            f"sees more than a pinhole's image {MAX_SPREAD:g} times as large holds",
+        )
+
+
+def _check_clock(fields: _Fields, camera: RigCamera, reference: str) -> None:
+    """What can't be true of one clock together."""
+    if camera.id == reference or camera.clock_shared:
+        known = (
+            "the reference camera"
+            if camera.id == reference
+            else "a camera with a shared clock"
+        )
+        if camera.drift_ppm != 0.0:
+            raise fields.error("drift_ppm", f"must be 0 for {known}")
+        if not camera.lost_stamped:
+            raise fields.error("lost_stamped", f"must be true for {known}")
+    if not camera.lost_stamped and camera.jitter_stamped and camera.jitter_s > 0.0:
+        raise fields.error(
+            "lost_stamped",
+            "must be true where the jitter is stamped: stamps show what is lost",
+        )
 
 
 def _view(fields: _Fields) -> RigView:

@@ -35,7 +35,7 @@ def offsets_s(rig: Rig, shutters: list[Shutter]) -> dict[str, float]:
 def covered_span_s(rig: Rig, shutters: list[Shutter]) -> tuple[float, float]:
     """From where to where every camera has a frame on either side and one more beyond that."""
     zero_s = reference_zero_s(rig, shutters)
-    if len(shutters[0].world_times_s) < 4:
+    if min(len(s.world_times_s) for s in shutters) < 4:
         return (0.0, -1.0)
     start_s = max(s.world_times_s[1] for s in shutters) - zero_s
     end_s = min(s.world_times_s[-2] for s in shutters) - zero_s
@@ -110,14 +110,20 @@ def truth_json(
 ) -> dict[str, Any]:
     """truth/truth.json; `views` and `video` as the plan lists them, with their cameras."""
     zero_s = reference_zero_s(rig, shutters)
+    offsets = offsets_s(rig, shutters)
     content: dict[str, Any] = {
         "format": "stlfr-truth",
         "version": 1,
         "scene": scene_name,
         "rig": rig.name,
         "offsets": [
-            {"id": camera_id, "offset_s": offset_s}
-            for camera_id, offset_s in offsets_s(rig, shutters).items()
+            {
+                "id": s.id,
+                "offset_s": offsets[s.id],
+                "rate_ppm": s.rate_ppm,
+                "lost_before": list(s.lost_before),
+            }
+            for s in shutters
         ],
         "shutter": [
             {"id": s.id, "times_s": [time_s - zero_s for time_s in s.world_times_s]}

@@ -183,17 +183,10 @@ def _work(orders: IO[str], answer: Callable[[dict[str, Any]], None]) -> None:
     capture, scratch = Path(setting["capture"]), Path(setting["scratch"])
     for line in orders:
         job = Job(**json.loads(line))
-        image = film.Image(job.view_id, job.world_time_s, job.samples, job.seed)
-        files = [capture / file for file in job.files]
         if job.is_tracks:
             exposures = tracks.exposures(rig, options.frames)
-            tracks.write(
-                studio, exposures, options.tracks, rig.seed, files[0].parent, scratch
-            )
-        elif job.is_geometry:
-            studio.render_geometry(
-                image, files[0], files[1], scratch, rig.reference_camera.rate_hz
-            )
+            folder = (capture / job.files[0]).parent
+            tracks.write(studio, exposures, options.tracks, rig.seed, folder, scratch)
         else:
-            studio.render_image(image, files[0], scratch)
+            studio.do(job, capture, scratch, rig.reference_camera.rate_hz)
         answer({})

@@ -2,10 +2,11 @@
 
 use super::{Camera, CameraModel};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A pose in JSON: quaternion `wxyz` of unit length, translation in metres.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoseFormat {
     pub rotation_wxyz: [f64; 4],
@@ -13,7 +14,7 @@ pub struct PoseFormat {
 }
 
 /// A view to render, in JSON: COLMAP's model name and parameters, image size in pixels.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraFormat {
     pub width: u32,

@@ -3,12 +3,13 @@
 use super::clock::MAX_TIME_S;
 use super::{BitDepth, CaptureError, Clock, FilmedCamera, frames};
 use crate::camera::{CameraFormat, PoseFormat};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::path::Path;
 
 /// The whole file.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CaptureFormat {
     pub format: String,
@@ -20,7 +21,7 @@ pub struct CaptureFormat {
 }
 
 /// A camera with its frames.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FilmedCameraFormat {
     pub id: String,
@@ -36,7 +37,7 @@ pub struct FilmedCameraFormat {
 }
 
 /// What a camera sees.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Color {
     #[default]
@@ -45,7 +46,7 @@ pub enum Color {
 }
 
 /// `rate_hz` and `first_s`, or `times_s`.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClockFormat {
     #[serde(default, skip_serializing_if = "Option::is_none")]

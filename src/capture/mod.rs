@@ -69,6 +69,11 @@ pub enum CaptureError {
     Image { path: PathBuf, reason: String },
 }
 
+/// The JSON Schema of `capture.json`.
+pub fn schema() -> serde_json::Value {
+    schemars::schema_for!(CaptureFormat).into()
+}
+
 impl Capture {
     /// Opens and checks a capture's folder.
     pub fn open(folder: &Path) -> Result<Self, CaptureError> {

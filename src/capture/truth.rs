@@ -46,12 +46,19 @@ pub struct Truth {
     folder: PathBuf,
 }
 
-/// The true offset of one camera, seconds.
+/// The truth of one camera's clock: time_ref = time_cam + (time_cam − first_cam) · `rate_ppm` · 1e-6
+/// + `offset_s`, with first_cam the camera's first time.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthOffset {
     pub id: String,
     pub offset_s: f64,
+    #[serde(default)]
+    pub rate_ppm: f64,
+    /// The numbers of the images before which a frame is missing, once for each frame, whether the
+    /// camera's times show it or not.
+    #[serde(default)]
+    pub lost_before: Vec<u32>,
 }
 
 /// The true middle of every exposure of one camera, seconds on the reference's clock.
@@ -138,7 +145,17 @@ impl Truth {
 
     /// The true offset of a camera.
     pub fn offset_s(&self, id: &str) -> Option<f64> {
-        self.offsets.iter().find(|o| o.id == id).map(|o| o.offset_s)
+        self.clock(id).map(|o| o.offset_s)
+    }
+
+    /// The truth of a camera's clock.
+    pub fn clock(&self, id: &str) -> Option<&TruthOffset> {
+        self.offsets.iter().find(|o| o.id == id)
+    }
+
+    /// The true middle of every exposure of a camera, seconds on the reference's clock.
+    pub fn shutter_s(&self, id: &str) -> Option<&[f64]> {
+        self.shutter.iter().find(|s| s.id == id).map(|s| s.times_s.as_slice())
     }
 
     /// A file of the truth, which must lie inside `truth/`.

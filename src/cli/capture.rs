@@ -5,6 +5,7 @@ use super::files::{must_be_a_file, must_be_writable};
 use super::values::Size;
 use std::path::PathBuf;
 use stlfr::progress::Reporter;
+use stlfr::rig::Rig;
 use stlfr::toolchain::{FilmOptions, Scene, ensure_environment, film, project_root};
 
 /// Film a scene in Blender with a simulated camera rig. Stopped at any time, the same command goes
@@ -29,7 +30,7 @@ pub struct Args {
     /// Film all cameras at this size, of the same aspect as in the rig.
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
-    /// Frames a camera [default: 9].
+    /// Frames of the reference camera; the others film as long [default: 9].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: Option<u32>,
     /// Samples a pixel, four times as many for truth [default: 16].
@@ -66,6 +67,7 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     for file in std::iter::once(&args.rig).chain(&args.blend) {
         must_be_a_file(file)?;
     }
+    Rig::read(&args.rig)?;
     must_be_writable(&args.output)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     film(&environment, &args.options(), reporter)?;

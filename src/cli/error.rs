@@ -7,6 +7,7 @@ use stlfr::capture::{CaptureError, TruthError};
 use stlfr::compare::CompareError;
 use stlfr::json::JsonError;
 use stlfr::render::RenderError;
+use stlfr::rig::RigError;
 use stlfr::toolchain::{ScriptError, SetupError, VideoError};
 
 /// What ends a command.
@@ -57,6 +58,16 @@ impl From<CaptureError> for CliError {
             CaptureError::Read { source, .. }
             | CaptureError::Write { source, .. }
             | CaptureError::Json { source: JsonError::Read(source), .. } => of_io(sentence, source),
+            _ => Self::BadInput(sentence),
+        }
+    }
+}
+
+impl From<RigError> for CliError {
+    fn from(error: RigError) -> Self {
+        let sentence = error.to_string();
+        match &error {
+            RigError::Json { source: JsonError::Read(source), .. } => of_io(sentence, source),
             _ => Self::BadInput(sentence),
         }
     }

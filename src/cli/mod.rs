@@ -8,6 +8,7 @@ mod error;
 mod files;
 mod offsets;
 mod render;
+mod rig;
 mod setup;
 mod span;
 mod values;
@@ -40,6 +41,7 @@ pub struct Cli {
 enum Command {
     Demo(demo::Args),
     Setup(setup::Args),
+    Rig(Box<rig::Args>),
     Capture(capture::Args),
     Check(check::Args),
     Offsets(offsets::Args),
@@ -54,6 +56,7 @@ impl Cli {
         match &self.command {
             Command::Demo(args) => demo::run(args, &reporter),
             Command::Setup(args) => setup::run(args, &reporter),
+            Command::Rig(args) => rig::run(args),
             Command::Capture(args) => capture::run(args, &reporter),
             Command::Check(args) => check::run(args, &reporter),
             Command::Offsets(args) => offsets::run(args, &reporter),

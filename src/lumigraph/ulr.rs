@@ -10,9 +10,10 @@
 //! up to its border; and infinite outside its image, so that ranks change smoothly there.
 //! [`super::weights`] turns penalties into weights.
 //!
-//! A grey camera among coloured ones gives its luma: luma is blended from all cameras, and the
-//! difference between colour and luma from the coloured ones alone (with weights of their own),
-//! fading to grey where none of them sees the point.
+//! A grey camera among coloured ones gives its luminance: luminance is blended from all cameras, and
+//! the difference between colour and luminance from the coloured ones alone (with weights of their
+//! own), fading to grey where none of them sees the point. A coloured camera's luminance is what a
+//! grey one would have recorded in its place: summed before it is encoded.
 //!
 //! Known limit: where a point of the proxy is hidden from a camera by another part of it, the
 //! camera still answers unless its own [`Source::depth`] is given.
@@ -226,7 +227,7 @@ impl<'a> Row<'a> {
         pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     }
 
-    /// Some sources are grey: luma from all, colour from the others.
+    /// Some sources are grey: luminance from all, colour from the others.
     fn blend_mixed(&mut self, pixels: &mut [f32]) {
         let width = self.target.width;
         let sources = self.sources;
@@ -238,7 +239,7 @@ impl<'a> Row<'a> {
                 let (k, weight) = (i * width + x, self.weights.weights[i * width + x]);
                 seen[x] = seen[x].max(self.trust[k]);
                 if weight > 0.0 {
-                    let gray = luma(self.sample_rgb(k, i));
+                    let gray = luminance(self.sample_rgb(k, i));
                     pixels[3 * x..3 * x + 3].iter_mut().for_each(|v| *v += weight * gray);
                     colored_share[x] += if is_colored(i) { weight } else { 0.0 };
                 }
@@ -259,12 +260,12 @@ impl<'a> Row<'a> {
         for i in (0..sources.len()).filter(|&i| is_colored(i)) {
             for x in 0..width {
                 // Colour fades as the last coloured camera loses the point that others see,
-                // unless the luma is that camera's too. Where there is a weight, one sees it.
+                // unless the luminance is that camera's too. Where there is a weight, one sees it.
                 let fade = colored_share[x].max(seen_colored[x] / seen[x]);
                 let weight = self.weights.weights[i * width + x];
                 if weight > 0.0 {
                     let value = self.sample_rgb(i * width + x, i);
-                    let gray = luma(value);
+                    let gray = luminance(value);
                     for (out, v) in pixels[3 * x..3 * x + 3].iter_mut().zip(value) {
                         *out += weight * fade * (v - gray);
                     }
@@ -293,7 +294,10 @@ impl<'a> Row<'a> {
     }
 }
 
-/// Rec. 709's luma of encoded values, as [`Image::to_gray`].
-fn luma(rgb: [f32; 3]) -> f32 {
-    0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2]
+/// What a grey camera records of a colour, both display-encoded (sRGB): Rec. 709's luminance of the
+/// light. Values beyond 0..=1, of the cubic's lobes, go on as the curve does.
+pub(super) fn luminance(rgb: [f32; 3]) -> f32 {
+    let light = |v: f32| if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
+    let y = 0.2126 * light(rgb[0]) + 0.7152 * light(rgb[1]) + 0.0722 * light(rgb[2]);
+    if y <= 0.003_130_8 { 12.92 * y } else { 1.055 * y.powf(1.0 / 2.4) - 0.055 }
 }

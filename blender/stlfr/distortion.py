@@ -1,0 +1,118 @@
+"""Lens distortion: COLMAP's OPENCV model (Brown's radial and tangential distortion) and its inverse. No `bpy` here.
+
+On the plane z = 1, with r² = x² + y²:
+
+    x' = x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²)
+    y' = y (1 + k1 r² + k2 r⁴) + p1 (r² + 2 y²) + 2 p2 x y
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .camera import Array, Pinhole
+
+ITERATIONS = 25
+"""Newton converges in 3 to 6 steps where there is an inverse at all."""
+
+STEP = 1e-14
+"""A normalized unit is some hundreds of pixels: far below what matters."""
+
+LEAST_DETERMINANT = 1e-9
+"""Not positive, and the point lies past the lens's fold, where the model shows a pixel twice."""
+
+BORDER_STEPS = 16
+"""Points on each side of an image's border where a distortion is tried."""
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """The coefficients, without unit."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+    @property
+    def is_none(self) -> bool:
+        """Whether straight lines stay straight."""
+        return self == Distortion()
+
+    def distorted(self, points: Array) -> Array:
+        """Where points (N, 2) of the plane z = 1 go."""
+        x, y = points.T
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
+        return np.stack(
+            [
+                x * radial + 2.0 * self.p1 * x * y + self.p2 * (r2 + 2.0 * x * x),
+                y * radial + self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y,
+            ],
+            axis=1,
+        )
+
+    def undistorted(self, points: Array) -> Array:
+        """The points (N, 2) that go there, by Newton's method; NaN where there are none."""
+        found = points.copy()
+        step = np.full_like(points, np.inf)
+        with np.errstate(all="ignore"):
+            for _ in range(ITERATIONS):
+                step = self._newton_step(found, points)
+                found -= step
+                if np.all(_is_small(step, found) | np.isnan(step[:, 0])):
+                    break
+        found[~_is_small(step, found)] = np.nan
+        return found
+
+    def _newton_step(self, found: Array, wanted: Array) -> Array:
+        x, y = found.T
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
+        radial_r2 = self.k1 + 2.0 * self.k2 * r2
+        a = radial + 2.0 * x * x * radial_r2 + 2.0 * self.p1 * y + 6.0 * self.p2 * x
+        b = 2.0 * x * y * radial_r2 + 2.0 * self.p1 * x + 2.0 * self.p2 * y
+        d = radial + 2.0 * y * y * radial_r2 + 6.0 * self.p1 * y + 2.0 * self.p2 * x
+        determinant = a * d - b * b
+        determinant[~(determinant > LEAST_DETERMINANT)] = np.nan
+        u, v = (self.distorted(found) - wanted).T
+        return np.stack([d * u - b * v, a * v - b * u], axis=1) / determinant[:, None]
+
+
+def _is_small(step: Array, found: Array) -> Array:
+    # A few digits more than the step that Newton aims at: the last one may be rounding alone.
+    limit = 1e2 * STEP * (1.0 + np.linalg.norm(found, axis=1))
+    return np.asarray(np.linalg.norm(step, axis=1) < limit)
+
+
+def ideal_from_pixels(lens: Pinhole, distortion: Distortion, pixels: Array) -> Array:
+    """Where pixels (N, 2) would be without distortion; NaN where the lens has no inverse."""
+    scale, center = _scale_and_center(lens)
+    return distortion.undistorted((pixels - center) / scale) * scale + center
+
+
+def pixels_from_ideal(lens: Pinhole, distortion: Distortion, ideal: Array) -> Array:
+    """Where a pinhole's pixels (N, 2) are with distortion."""
+    scale, center = _scale_and_center(lens)
+    return distortion.distorted((ideal - center) / scale) * scale + center
+
+
+def ideal_border(lens: Pinhole, distortion: Distortion) -> tuple[Array, Array]:
+    """Points on the image's border, pixels, and where they would be without distortion."""
+    share = np.arange(BORDER_STEPS + 1) / BORDER_STEPS
+    x, y = share * lens.width_px, share * lens.height_px
+    zero = np.zeros_like(share)
+    sides = [
+        (x, zero),
+        (x, zero + lens.height_px),
+        (zero, y),
+        (zero + lens.width_px, y),
+    ]
+    border = np.concatenate([np.stack(side, axis=1) for side in sides])
+    return border, ideal_from_pixels(lens, distortion, border)
+
+
+def _scale_and_center(lens: Pinhole) -> tuple[Array, Array]:
+    return np.array([lens.fx_px, lens.fy_px]), np.array([lens.cx_px, lens.cy_px])

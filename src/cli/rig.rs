@@ -1,0 +1,270 @@
+//! `stlfr rig`
+
+use super::CliError;
+use super::files::must_be_writable;
+use super::values::Size;
+use std::num::NonZeroUsize;
+use std::path::PathBuf;
+use stlfr::capture::{self, write_atomically};
+use stlfr::rig::{self, Delays, Distortion, Layout, Loss, LossStamps, Rig, RigColor, RigOptions};
+
+/// Generate a rig: where cameras stand, and how their shutters and sensors are. The same command
+/// writes the same file.
+///
+/// Options that take a list give its entries to the cameras in turn.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr rig line --count 8 --seed 7 -o rigs/mine.json\n  \
+    stlfr rig grid --rows 3 --columns 3 --rate 24,25,30 --noise 0.01 -o rigs/mine.json\n  \
+    stlfr rig arc --count 5 --distance 1.5 --distortion=-0.2,0.05,0.001,0 -o rigs/mine.json\n  \
+    stlfr rig --check rigs/mine.json\n  \
+    stlfr rig --schema rig > rig.schema.json")]
+#[command(group = clap::ArgGroup::new("what").required(true).args(["layout", "check", "schema"]))]
+pub struct Args {
+    /// Where the cameras stand: from left to right, row by row, or on an arc whose cameras look at
+    /// one point.
+    layout: Option<LayoutName>,
+    /// Check a rig file instead.
+    #[arg(long, value_name = "FILE")]
+    check: Option<PathBuf>,
+    /// Print a format's JSON Schema instead.
+    #[arg(long, value_name = "FORMAT")]
+    schema: Option<SchemaName>,
+    #[command(flatten)]
+    place: Place,
+    #[command(flatten)]
+    clock: Clock,
+    #[command(flatten)]
+    sensor: Sensor,
+    /// What everything random is drawn from.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// The rig's name [default: the file's].
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// The file to write [default: standard output].
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum LayoutName {
+    Line,
+    Grid,
+    Arc,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum SchemaName {
+    Rig,
+    Capture,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Places and lenses")]
+struct Place {
+    /// Cameras of a line or an arc.
+    #[arg(long, value_name = "N", default_value = "8", value_parser = number_of)]
+    count: NonZeroUsize,
+    /// Rows of a grid.
+    #[arg(long, value_name = "N", default_value = "2", value_parser = number_of)]
+    rows: NonZeroUsize,
+    /// Columns of a grid.
+    #[arg(long, value_name = "N", default_value = "4", value_parser = number_of)]
+    columns: NonZeroUsize,
+    /// Between neighbours, metres.
+    #[arg(long, value_name = "M", default_value_t = 0.06)]
+    spacing: f64,
+    /// To the point that the cameras of an arc look at, metres.
+    #[arg(long, value_name = "M", default_value_t = 1.8)]
+    distance: f64,
+    /// Image sizes.
+    #[arg(long, value_name = "WxH,…", default_value = "640x480", value_delimiter = ',')]
+    size: Vec<Size>,
+    /// Focal lengths.
+    #[arg(long, value_name = "MM,…", default_value = "38.6", value_delimiter = ',')]
+    lens: Vec<f64>,
+    /// The sensor's longer side.
+    #[arg(long, value_name = "MM", default_value_t = 36.0)]
+    sensor: f64,
+    /// Lens distortion of all cameras, COLMAP's OPENCV model.
+    #[arg(long, value_name = "K1,K2,P1,P2", value_parser = distortion, allow_hyphen_values = true)]
+    distortion: Option<Distortion>,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Shutters and clocks")]
+struct Clock {
+    /// Frame rates.
+    #[arg(long, value_name = "HZ,…", default_value = "30", value_delimiter = ',')]
+    rate: Vec<f64>,
+    /// When the first frames are exposed: `random` within a frame, `none`, or seconds.
+    #[arg(long, value_name = "random|none|S,…", default_value = "random", value_parser = delays,
+        allow_hyphen_values = true)]
+    delays: Delays,
+    /// Standard deviations of the exposures' times, seconds.
+    #[arg(long, value_name = "S,…", default_value = "0.001", value_delimiter = ',')]
+    jitter: Vec<f64>,
+    /// The cameras don't stamp their frames: their jitter is hidden.
+    #[arg(long)]
+    hidden_jitter: bool,
+    /// Clocks run fast or slow by up to this, but the reference's.
+    #[arg(long, value_name = "PPM", default_value_t = 0.0)]
+    drift: f64,
+    /// Frames that each camera loses, but the reference.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    lost: usize,
+    /// The frames that they are among, from the second on.
+    #[arg(long, value_name = "N", default_value_t = 9, value_parser = 1..100_000)]
+    lost_within: i64,
+    /// What the cameras' times say of lost frames: a gap, nothing, or either in turn.
+    #[arg(long, value_name = "HOW", default_value = "stamped")]
+    lost_stamps: LostStamps,
+    /// All cameras share one clock: nothing to estimate.
+    #[arg(long)]
+    shared_clock: bool,
+    /// How long the shutters are open, seconds.
+    #[arg(long, value_name = "S,…", default_value = "0", value_delimiter = ',')]
+    exposure: Vec<f64>,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum LostStamps {
+    Stamped,
+    Hidden,
+    Mixed,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Sensors")]
+struct Sensor {
+    /// Colour or grey cameras.
+    #[arg(long, value_name = "COLOR,…", default_value = "rgb", value_delimiter = ',')]
+    color: Vec<ColorName>,
+    /// What light is multiplied by.
+    #[arg(long, value_name = "GAIN,…", default_value = "1", value_delimiter = ',')]
+    gain: Vec<f64>,
+    /// Standard deviations of the noise, of a full scale of 1.
+    #[arg(long, value_name = "SIGMA,…", default_value = "0", value_delimiter = ',')]
+    noise: Vec<f64>,
+    /// Bits a channel, 8 or 16.
+    #[arg(long, value_name = "N", default_value_t = 8)]
+    bit_depth: u32,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum ColorName {
+    Rgb,
+    Gray,
+}
+
+pub fn run(args: &Args) -> Result<(), CliError> {
+    if let Some(schema) = args.schema {
+        let schema = match schema {
+            SchemaName::Rig => rig::schema(),
+            SchemaName::Capture => capture::schema(),
+        };
+        println!("{schema:#}");
+        return Ok(());
+    }
+    if let Some(file) = &args.check {
+        let rig = Rig::read(file)?;
+        println!("{}: {} cameras, {} views", file.display(), rig.cameras.len(), rig.views.len());
+        return Ok(());
+    }
+    let rig = args.options().generate().map_err(|e| CliError::BadInput(e.to_string()))?;
+    let text = rig.to_json();
+    match &args.output {
+        None => print!("{text}"),
+        Some(file) => {
+            must_be_writable(file)?;
+            write_atomically(file, text.as_bytes()).map_err(|error| {
+                CliError::Failure(format!("{}: can't be written ({error})", file.display()))
+            })?;
+        }
+    }
+    Ok(())
+}
+
+impl Args {
+    fn options(&self) -> RigOptions {
+        let (place, clock, sensor) = (&self.place, &self.clock, &self.sensor);
+        RigOptions {
+            name: self.name(),
+            layout: match self.layout {
+                Some(LayoutName::Grid) => Layout::Grid { rows: place.rows, columns: place.columns },
+                Some(LayoutName::Arc) => {
+                    Layout::Arc { count: place.count, distance_m: place.distance }
+                }
+                Some(LayoutName::Line) | None => Layout::Line { count: place.count },
+            },
+            spacing_m: place.spacing,
+            sizes_px: place.size.iter().map(|s| (s.width, s.height)).collect(),
+            lenses_mm: place.lens.clone(),
+            sensor_width_mm: place.sensor,
+            distortion: place.distortion.unwrap_or_default(),
+            rates_hz: clock.rate.clone(),
+            delays: clock.delays.clone(),
+            jitters_s: clock.jitter.clone(),
+            jitter_stamped: !clock.hidden_jitter,
+            max_drift_ppm: clock.drift,
+            loss: (clock.lost > 0).then_some(Loss {
+                count: clock.lost,
+                within: clock.lost_within as usize,
+                stamps: match clock.lost_stamps {
+                    LostStamps::Stamped => LossStamps::Stamped,
+                    LostStamps::Hidden => LossStamps::Hidden,
+                    LostStamps::Mixed => LossStamps::Mixed,
+                },
+            }),
+            clock_shared: clock.shared_clock,
+            exposures_s: clock.exposure.clone(),
+            gains: sensor.gain.clone(),
+            noises: sensor.noise.clone(),
+            colors: sensor
+                .color
+                .iter()
+                .map(|color| match color {
+                    ColorName::Rgb => RigColor::Rgb,
+                    ColorName::Gray => RigColor::Gray,
+                })
+                .collect(),
+            bit_depth: sensor.bit_depth,
+            seed: self.seed,
+        }
+    }
+
+    fn name(&self) -> String {
+        let stem = || self.output.as_ref()?.file_stem()?.to_str().map(str::to_owned);
+        self.name.clone().or_else(stem).unwrap_or_else(|| "rig".into())
+    }
+}
+
+/// Larger rigs are a typing error.
+const MAX_CAMERAS: usize = 1000;
+
+fn number_of(text: &str) -> Result<NonZeroUsize, String> {
+    let number = text.parse().ok().filter(|n: &NonZeroUsize| n.get() <= MAX_CAMERAS);
+    number.ok_or_else(|| format!("is no number from 1 to {MAX_CAMERAS}"))
+}
+
+fn delays(text: &str) -> Result<Delays, String> {
+    match text {
+        "none" => Ok(Delays::None),
+        "random" => Ok(Delays::Random),
+        _ => numbers(text)
+            .map(Delays::Listed)
+            .ok_or_else(|| "is neither `random` nor `none` nor a list of seconds".into()),
+    }
+}
+
+fn distortion(text: &str) -> Result<Distortion, String> {
+    match numbers(text).as_deref() {
+        Some(&[k1, k2, p1, p2]) => Ok(Distortion { k1, k2, p1, p2 }),
+        _ => Err("is not four numbers such as -0.2,0.05,0.001,0".into()),
+    }
+}
+
+fn numbers(text: &str) -> Option<Vec<f64>> {
+    text.split(',').map(|n| n.trim().parse().ok()).collect()
+}

@@ -1,0 +1,189 @@
+//! What a rig file may hold. Python's reader (`blender/stlfr/rig.py`) refuses the same; a test puts
+//! one corpus through both.
+
+use super::limits::*;
+use super::{Rig, RigCamera, RigView};
+use crate::camera::PoseFormat;
+use crate::json::JsonError;
+use nalgebra::Point2;
+use std::fmt::Display;
+use std::path::PathBuf;
+
+/// What can be wrong with a rig file: one sentence with file and field.
+#[derive(Debug, thiserror::Error)]
+pub enum RigError {
+    #[error("{path}: {source}")]
+    Json { path: PathBuf, source: JsonError },
+    #[error("{path}: {wrong}")]
+    Field { path: PathBuf, wrong: FieldError },
+}
+
+/// A field and what is wrong with it.
+#[derive(Debug, PartialEq, thiserror::Error)]
+#[error("{field} {reason}")]
+pub struct FieldError {
+    pub field: String,
+    pub reason: String,
+}
+
+type Checked = Result<(), FieldError>;
+
+fn wrong(field: impl Into<String>, reason: impl Into<String>) -> Checked {
+    Err(FieldError { field: field.into(), reason: reason.into() })
+}
+
+fn within<T: PartialOrd + Display>(field: &str, value: T, range: &Range<T>) -> Checked {
+    // A NaN is in no range.
+    if value >= range.min && value <= range.max {
+        return Ok(());
+    }
+    wrong(field, format!("must be a number from {} to {}, not {value}", range.min, range.max))
+}
+
+fn identifier(field: &str, value: &str) -> Checked {
+    let word = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    let starts = value.starts_with(|c: char| c.is_ascii_alphanumeric());
+    if starts && value.chars().all(word) && !RESERVED.contains(&value) {
+        return Ok(());
+    }
+    wrong(field, format!("can't be {value:?}: it names a folder or file of the capture"))
+}
+
+pub(super) fn rig(rig: &Rig) -> Checked {
+    if rig.format != FORMAT {
+        return wrong("format", format!("must be {FORMAT:?}, not {:?}", rig.format));
+    }
+    if rig.version != VERSION {
+        return wrong("version", format!("must be {VERSION}, not {}", rig.version));
+    }
+    identifier("name", &rig.name)?;
+    within("seed", rig.seed, &Range { min: 0, max: MAX_SEED })?;
+    if rig.cameras.is_empty() {
+        return wrong("cameras", "must hold at least one camera");
+    }
+    for (index, camera) in rig.cameras.iter().enumerate() {
+        self::camera(&format!("cameras[{index}]"), camera, rig)?;
+    }
+    for (index, view) in rig.views.iter().enumerate() {
+        self::view(&format!("views[{index}]"), view)?;
+    }
+    let ids = || rig.cameras.iter().map(|c| &c.id).chain(rig.views.iter().map(|v| &v.id));
+    if let Some((_, twice)) = ids().enumerate().find(|(k, id)| ids().take(*k).any(|i| i == *id)) {
+        return wrong("cameras and views", format!("have two entries with id {twice:?}"));
+    }
+    if !rig.cameras.iter().any(|c| c.id == rig.reference) {
+        return wrong("reference", format!("names no camera of the rig: {:?}", rig.reference));
+    }
+    Ok(())
+}
+
+fn camera(at: &str, camera: &RigCamera, rig: &Rig) -> Checked {
+    let field = |name: &str| format!("{at}.{name}");
+    view(at, &camera.view())?;
+    within(&field("rate_hz"), camera.rate_hz, &RATE_HZ)?;
+    within(&field("delay_s"), camera.delay_s, &TIME_S)?;
+    let max = MAX_JITTER_FRAMES / camera.rate_hz;
+    within(&field("jitter_s"), camera.jitter_s, &Range { min: 0.0, max })?;
+    within(&field("drift_ppm"), camera.drift_ppm, &DRIFT_PPM)?;
+    let max = 1.0 / camera.rate_hz;
+    within(&field("exposure_s"), camera.exposure_s, &Range { min: 0.0, max })?;
+    within(&field("gain"), camera.gain, &GAIN)?;
+    within(&field("noise"), camera.noise, &NOISE)?;
+    if camera.bit_depth != 8 && camera.bit_depth != 16 {
+        return wrong(field("bit_depth"), format!("must be 8 or 16, not {}", camera.bit_depth));
+    }
+    for &lost in &camera.lost_frames {
+        within(&field("lost_frames"), lost, &LOST_FRAME)?;
+    }
+    if camera.lost_frames.windows(2).any(|w| w[0] >= w[1]) {
+        return wrong(field("lost_frames"), "must ascend");
+    }
+    clock(at, camera, rig)?;
+    distortion(at, camera)
+}
+
+/// What can't be true of one clock together.
+fn clock(at: &str, camera: &RigCamera, rig: &Rig) -> Checked {
+    let is_reference = camera.id == rig.reference;
+    let known = if is_reference { "the reference camera" } else { "a camera with a shared clock" };
+    if is_reference || camera.clock_shared {
+        if camera.drift_ppm != 0.0 {
+            return wrong(format!("{at}.drift_ppm"), format!("must be 0 for {known}"));
+        }
+        if !camera.lost_stamped {
+            return wrong(format!("{at}.lost_stamped"), format!("must be true for {known}"));
+        }
+    }
+    if !camera.lost_stamped && camera.jitter_stamped && camera.jitter_s > 0.0 {
+        let reason = "must be true where the jitter is stamped: stamps show what is lost";
+        return wrong(format!("{at}.lost_stamped"), reason);
+    }
+    Ok(())
+}
+
+fn distortion(at: &str, camera: &RigCamera) -> Checked {
+    let d = camera.distortion;
+    for (name, value) in [("k1", d.k1), ("k2", d.k2), ("p1", d.p1), ("p2", d.p2)] {
+        within(&format!("{at}.distortion.{name}"), value, &DISTORTION)?;
+    }
+    if d.is_none() {
+        return Ok(());
+    }
+    let (width, height) = (f64::from(camera.width), f64::from(camera.height));
+    let (mut least, mut most) = (Point2::new(width, height), Point2::new(0.0, 0.0));
+    let model = camera.model();
+    for k in 0..=BORDER_STEPS {
+        let share = f64::from(k) / f64::from(BORDER_STEPS);
+        let (x, y) = (share * width, share * height);
+        for pixel in [[x, 0.0], [x, height], [0.0, y], [width, y]] {
+            let Some(ideal) = model.ideal_from_pixel(&Point2::from(pixel)) else {
+                let reason = format!("has no inverse at pixel ({}, {})", pixel[0], pixel[1]);
+                return wrong(format!("{at}.distortion"), reason);
+            };
+            least = least.inf(&ideal);
+            most = most.sup(&ideal);
+        }
+    }
+    if most.x - least.x > MAX_SPREAD * width || most.y - least.y > MAX_SPREAD * height {
+        let reason = format!("sees more than a pinhole's image {MAX_SPREAD} times as large holds");
+        return wrong(format!("{at}.distortion"), reason);
+    }
+    Ok(())
+}
+
+fn view(at: &str, view: &RigView) -> Checked {
+    let field = |name: &str| format!("{at}.{name}");
+    identifier(&field("id"), &view.id)?;
+    within(&field("width"), view.width, &SIZE_PX)?;
+    within(&field("height"), view.height, &SIZE_PX)?;
+    within(&field("lens_mm"), view.lens_mm, &LENS_MM)?;
+    within(&field("sensor_width_mm"), view.sensor_width_mm, &SENSOR_MM)?;
+    within(&field("shift_x"), view.shift_x, &SHIFT)?;
+    within(&field("shift_y"), view.shift_y, &SHIFT)?;
+    pose(&field("cam_from_rig"), &view.cam_from_rig)
+}
+
+fn pose(at: &str, pose: &PoseFormat) -> Checked {
+    let [w, x, y, z] = pose.rotation_wxyz;
+    let length = (w * w + x * x + y * y + z * z).sqrt();
+    if !((length - 1.0).abs() <= MAX_QUATERNION_ERROR) {
+        return wrong(format!("{at}.rotation_wxyz"), format!("must have length 1, not {length}"));
+    }
+    pose.translation.iter().try_for_each(|t| within(&format!("{at}.translation"), *t, &LENGTH_M))
+}
+
+impl RigCamera {
+    /// Where it stands and what its lens is, as a view without distortion.
+    pub fn view(&self) -> RigView {
+        RigView {
+            id: self.id.clone(),
+            width: self.width,
+            height: self.height,
+            lens_mm: self.lens_mm,
+            sensor_width_mm: self.sensor_width_mm,
+            shift_x: self.shift_x,
+            shift_y: self.shift_y,
+            cam_from_rig: self.cam_from_rig.clone(),
+        }
+    }
+}

@@ -1,0 +1,239 @@
+//! A rig file (`rigs/*.json`), as it stands in the file.
+
+use super::check::{self, RigError};
+use super::limits::*;
+use crate::camera::{CameraModel, PoseFormat};
+use crate::json;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// A simulated camera array: cameras, their shutters and sensors, and virtual views that truth is
+/// rendered from.
+///
+/// The rig's frame has COLMAP's axes (x right, y down, z forward); metres and seconds. World time 0
+/// is the scene's start.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(title = "stlfr rig")]
+pub struct Rig {
+    #[schemars(extend("const" = FORMAT))]
+    pub format: String,
+    #[schemars(extend("const" = VERSION))]
+    pub version: u32,
+    #[schemars(regex(pattern = IDENTIFIER))]
+    pub name: String,
+    /// The camera whose clock is everybody's time. It neither drifts nor loses frames untold.
+    #[schemars(regex(pattern = IDENTIFIER))]
+    pub reference: String,
+    /// What jitter and noise are drawn from.
+    #[schemars(range(max = MAX_SEED))]
+    pub seed: u64,
+    #[serde(deserialize_with = "json::objects")]
+    #[schemars(length(min = 1))]
+    pub cameras: Vec<RigCamera>,
+    /// Where truth is rendered from besides the cameras.
+    #[serde(default, skip_serializing_if = "Vec::is_empty", deserialize_with = "json::objects")]
+    pub views: Vec<RigView>,
+}
+
+/// A camera that films: lens, place, shutter and sensor.
+///
+/// Frame k (its nominal number, lost frames counted) is exposed around `delay_s + c + (c − c_0) ·
+/// drift_ppm · 1e-6` in world time, where `c = k / rate_hz + jitter_k` is what the camera's own
+/// clock says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RigCamera {
+    /// Names the camera's folder in a capture.
+    #[schemars(regex(pattern = IDENTIFIER))]
+    pub id: String,
+    #[schemars(range(min = SIZE_PX.min, max = SIZE_PX.max))]
+    pub width: u32,
+    #[schemars(range(min = SIZE_PX.min, max = SIZE_PX.max))]
+    pub height: u32,
+    #[schemars(range(min = LENS_MM.min, max = LENS_MM.max))]
+    pub lens_mm: f64,
+    /// Of the image's longer side.
+    #[schemars(range(min = SENSOR_MM.min, max = SENSOR_MM.max))]
+    pub sensor_width_mm: f64,
+    /// Of the window over the image plane, to the right, as a share of the longer side.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
+    pub shift_x: f64,
+    /// As `shift_x`, upwards.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
+    pub shift_y: f64,
+    /// COLMAP's OPENCV model, about the pinhole that the lens amounts to. It must be invertible all
+    /// along the image's border.
+    #[serde(
+        default,
+        skip_serializing_if = "Distortion::is_none",
+        deserialize_with = "json::object"
+    )]
+    pub distortion: Distortion,
+    #[serde(deserialize_with = "json::object")]
+    pub cam_from_rig: PoseFormat,
+    #[schemars(range(min = RATE_HZ.min, max = RATE_HZ.max))]
+    pub rate_hz: f64,
+    /// Of the first frame, after the scene's start.
+    #[schemars(range(min = TIME_S.min, max = TIME_S.max))]
+    pub delay_s: f64,
+    /// Standard deviation of every exposure's time; a tenth of a frame at most, so that frames
+    /// don't swap.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0))]
+    pub jitter_s: f64,
+    /// Whether the camera stamps its frames with their jitter, or says its nominal rate only.
+    #[serde(default = "yes", skip_serializing_if = "is_yes")]
+    pub jitter_stamped: bool,
+    /// How much slower than the reference's its clock runs, in millionths: positive if time on the
+    /// reference's clock goes by faster.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(min = DRIFT_PPM.min, max = DRIFT_PPM.max))]
+    pub drift_ppm: f64,
+    /// Nominal numbers, ascending and from 1, of the frames that are never recorded.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schemars(inner(range(min = LOST_FRAME.min, max = LOST_FRAME.max)))]
+    pub lost_frames: Vec<u32>,
+    /// Whether a lost frame leaves a gap in the camera's times, or no trace.
+    #[serde(default = "yes", skip_serializing_if = "is_yes")]
+    pub lost_stamped: bool,
+    /// Whether its clock is the one that all such cameras share, so that its offset is known. The
+    /// shared clock reads world time.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub clock_shared: bool,
+    /// How long the shutter is open, around the frame's time; 0 is an instant. A frame's duration
+    /// at most.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(min = 0.0))]
+    pub exposure_s: f64,
+    /// What light is multiplied by, before it is encoded for display.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[schemars(range(min = GAIN.min, max = GAIN.max))]
+    pub gain: f64,
+    /// Standard deviation of the sensor's Gaussian noise, in display-encoded units of 0 to 1.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(min = NOISE.min, max = NOISE.max))]
+    pub noise: f64,
+    #[serde(default, skip_serializing_if = "RigColor::is_rgb")]
+    pub color: RigColor,
+    /// Of the images: 8 or 16.
+    #[serde(default = "eight", skip_serializing_if = "is_eight")]
+    #[schemars(extend("enum" = [8, 16]))]
+    pub bit_depth: u32,
+}
+
+/// A virtual pinhole camera on the rig.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RigView {
+    #[schemars(regex(pattern = IDENTIFIER))]
+    pub id: String,
+    #[schemars(range(min = SIZE_PX.min, max = SIZE_PX.max))]
+    pub width: u32,
+    #[schemars(range(min = SIZE_PX.min, max = SIZE_PX.max))]
+    pub height: u32,
+    #[schemars(range(min = LENS_MM.min, max = LENS_MM.max))]
+    pub lens_mm: f64,
+    #[schemars(range(min = SENSOR_MM.min, max = SENSOR_MM.max))]
+    pub sensor_width_mm: f64,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
+    pub shift_x: f64,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
+    pub shift_y: f64,
+    #[serde(deserialize_with = "json::object")]
+    pub cam_from_rig: PoseFormat,
+}
+
+/// Coefficients of COLMAP's OPENCV model; without unit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Distortion {
+    #[schemars(range(min = DISTORTION.min, max = DISTORTION.max))]
+    pub k1: f64,
+    #[schemars(range(min = DISTORTION.min, max = DISTORTION.max))]
+    pub k2: f64,
+    #[schemars(range(min = DISTORTION.min, max = DISTORTION.max))]
+    pub p1: f64,
+    #[schemars(range(min = DISTORTION.min, max = DISTORTION.max))]
+    pub p2: f64,
+}
+
+/// What a camera sees: colours, or luminance alone.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum RigColor {
+    #[default]
+    Rgb,
+    Gray,
+}
+
+impl Rig {
+    /// Reads and checks a rig file.
+    pub fn read(path: &Path) -> Result<Self, RigError> {
+        let rig: Self =
+            json::read(path).map_err(|source| RigError::Json { path: path.to_owned(), source })?;
+        rig.check().map_err(|wrong| RigError::Field { path: path.to_owned(), wrong })?;
+        Ok(rig)
+    }
+
+    /// What is wrong with it, if anything is.
+    pub fn check(&self) -> Result<(), check::FieldError> {
+        check::rig(self)
+    }
+}
+
+impl RigCamera {
+    /// The lens model in pixels: Blender's lens with sensor fit `AUTO`, and the distortion.
+    pub fn model(&self) -> CameraModel {
+        let side = f64::from(self.width.max(self.height));
+        let f = self.lens_mm / self.sensor_width_mm * side;
+        let cx = 0.5 * f64::from(self.width) - self.shift_x * side;
+        let cy = 0.5 * f64::from(self.height) + self.shift_y * side;
+        let Distortion { k1, k2, p1, p2 } = self.distortion;
+        if self.distortion.is_none() {
+            CameraModel::Pinhole { fx: f, fy: f, cx, cy }
+        } else {
+            CameraModel::OpenCv { fx: f, fy: f, cx, cy, k1, k2, p1, p2 }
+        }
+    }
+}
+
+impl RigColor {
+    fn is_rgb(&self) -> bool {
+        *self == Self::Rgb
+    }
+}
+
+impl Distortion {
+    /// Whether straight lines stay straight.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+fn yes() -> bool {
+    true
+}
+fn is_yes(value: &bool) -> bool {
+    *value
+}
+fn one() -> f64 {
+    1.0
+}
+fn is_one(value: &f64) -> bool {
+    *value == 1.0
+}
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+fn eight() -> u32 {
+    8
+}
+fn is_eight(value: &u32) -> bool {
+    *value == 8
+}

@@ -1,0 +1,341 @@
+//! Rigs from a few numbers. The same options give the same rig, to the byte.
+
+use super::check::FieldError;
+use super::format::{Distortion, Rig, RigCamera, RigColor, RigView};
+use super::limits::{FORMAT, VERSION};
+use super::random::Random;
+use crate::camera::PoseFormat;
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use std::num::NonZeroUsize;
+
+/// Where the cameras stand. All look along the rig's +z, but those of an arc.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Layout {
+    /// From left to right.
+    Line { count: NonZeroUsize },
+    /// Row by row, from the top left.
+    Grid { rows: NonZeroUsize, columns: NonZeroUsize },
+    /// From left to right on a circle about a point straight ahead, which all look at; the spacing
+    /// is along the arc.
+    Arc { count: NonZeroUsize, distance_m: f64 },
+}
+
+/// When the first frames are exposed, after the scene's start.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Delays {
+    /// All with the scene's start.
+    None,
+    /// Anywhere within a frame of each camera.
+    Random,
+    /// Seconds, the cameras in turn.
+    Listed(Vec<f64>),
+}
+
+/// Whether lost frames leave gaps in the cameras' times.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LossStamps {
+    Stamped,
+    Hidden,
+    /// Stamped and hidden, camera by camera.
+    Mixed,
+}
+
+/// Frames that every camera but the reference loses.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Loss {
+    /// How many each, of the frames 1 to `within − 1`.
+    pub count: usize,
+    pub within: usize,
+    pub stamps: LossStamps,
+}
+
+/// What a rig is generated from. A list's entries go to the cameras in turn, from its start again
+/// where it ends; none of them may be empty.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigOptions {
+    pub name: String,
+    pub layout: Layout,
+    /// Between neighbours' centres.
+    pub spacing_m: f64,
+    pub sizes_px: Vec<(u32, u32)>,
+    pub lenses_mm: Vec<f64>,
+    pub sensor_width_mm: f64,
+    pub distortion: Distortion,
+    pub rates_hz: Vec<f64>,
+    pub delays: Delays,
+    pub jitters_s: Vec<f64>,
+    pub jitter_stamped: bool,
+    /// Every camera's drift but the reference's lies within this of 0.
+    pub max_drift_ppm: f64,
+    pub loss: Option<Loss>,
+    pub clock_shared: bool,
+    pub exposures_s: Vec<f64>,
+    pub gains: Vec<f64>,
+    pub noises: Vec<f64>,
+    pub colors: Vec<RigColor>,
+    pub bit_depth: u32,
+    /// What random delays, drifts and losses are drawn from; the rig's own seed too.
+    pub seed: u64,
+}
+
+/// The paper's rig: eight cameras in a line, 60 mm apart, 640×480 at 30 Hz.
+impl Default for RigOptions {
+    fn default() -> Self {
+        Self {
+            name: "rig".into(),
+            layout: Layout::Line { count: NonZeroUsize::MIN.saturating_add(7) },
+            spacing_m: 0.06,
+            sizes_px: vec![(640, 480)],
+            lenses_mm: vec![38.6],
+            sensor_width_mm: 36.0,
+            distortion: Distortion::default(),
+            rates_hz: vec![30.0],
+            delays: Delays::Random,
+            jitters_s: vec![0.001],
+            jitter_stamped: true,
+            max_drift_ppm: 0.0,
+            loss: None,
+            clock_shared: false,
+            exposures_s: vec![0.0],
+            gains: vec![1.0],
+            noises: vec![0.0],
+            colors: vec![RigColor::Rgb],
+            bit_depth: 8,
+            seed: 0,
+        }
+    }
+}
+
+/// Why there is no such rig.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub enum GenerateError {
+    #[error("the {0} must not be empty")]
+    Empty(&'static str),
+    #[error("an arc needs a distance over half the array's width, not {distance_m} m")]
+    Arc { distance_m: f64 },
+    #[error("{count} lost frames don't fit among the frames 1 to {}", within.saturating_sub(1))]
+    Loss { count: usize, within: usize },
+    #[error(transparent)]
+    Field(#[from] FieldError),
+}
+
+/// Centre and rotation about the vertical of a camera in the rig's frame.
+#[derive(Clone, Copy)]
+struct Stand {
+    center: Vector3<f64>,
+    /// To the left, radians.
+    turned: f64,
+}
+
+/// A nanometre, and rotations as fine; delays a microsecond: numbers that a person reads, and that
+/// no platform's sine differs in.
+const PLACE_DIGITS: f64 = 1e9;
+const TIME_DIGITS: f64 = 1e6;
+
+impl RigOptions {
+    /// The rig.
+    pub fn generate(&self) -> Result<Rig, GenerateError> {
+        self.check()?;
+        let stands = self.stands();
+        let reference = reference(&stands);
+        let mut delays = Random::new(self.seed, "delays");
+        let mut drifts = Random::new(self.seed, "drifts");
+        let mut losses = Random::new(self.seed, "losses");
+        let cameras: Vec<RigCamera> = stands
+            .iter()
+            .enumerate()
+            .map(|(i, stand)| {
+                let rate_hz = turn(&self.rates_hz, i);
+                let within_frame = delays.unit() / rate_hz;
+                let drift_ppm = self.max_drift_ppm * (2.0 * drifts.unit() - 1.0);
+                let lost = self.loss.map(|loss| draw(&mut losses, loss)).unwrap_or_default();
+                let is_reference = i == reference;
+                RigCamera {
+                    rate_hz,
+                    delay_s: match &self.delays {
+                        Delays::None => 0.0,
+                        Delays::Random => round(within_frame, TIME_DIGITS),
+                        Delays::Listed(listed) => turn(listed, i),
+                    },
+                    drift_ppm: if is_reference { 0.0 } else { round(drift_ppm, 1e3) },
+                    lost_frames: if is_reference { Vec::new() } else { lost },
+                    lost_stamped: is_reference || !self.loss.is_some_and(|loss| loss.hides(i)),
+                    ..self.camera(i, stand)
+                }
+            })
+            .collect();
+        let rig = Rig {
+            format: FORMAT.into(),
+            version: VERSION,
+            name: self.name.clone(),
+            reference: cameras[reference].id.clone(),
+            seed: self.seed,
+            views: self.views(&cameras[reference], &stands, reference),
+            cameras,
+        };
+        rig.check()?;
+        Ok(rig)
+    }
+
+    fn check(&self) -> Result<(), GenerateError> {
+        let empty = [
+            ("list of sizes", self.sizes_px.is_empty()),
+            ("list of lenses", self.lenses_mm.is_empty()),
+            ("list of rates", self.rates_hz.is_empty()),
+            ("list of delays", self.delays == Delays::Listed(Vec::new())),
+            ("list of jitters", self.jitters_s.is_empty()),
+            ("list of exposures", self.exposures_s.is_empty()),
+            ("list of gains", self.gains.is_empty()),
+            ("list of noises", self.noises.is_empty()),
+            ("list of colours", self.colors.is_empty()),
+        ];
+        if let Some((name, _)) = empty.into_iter().find(|(_, empty)| *empty) {
+            return Err(GenerateError::Empty(name));
+        }
+        if let Layout::Arc { count, distance_m } = self.layout {
+            let half_width_m = 0.5 * self.spacing_m.abs() * (count.get() - 1) as f64;
+            if !(distance_m > half_width_m && distance_m.is_finite()) {
+                return Err(GenerateError::Arc { distance_m });
+            }
+        }
+        match self.loss {
+            Some(Loss { count, within, .. }) if count >= within => {
+                Err(GenerateError::Loss { count, within })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn stands(&self) -> Vec<Stand> {
+        let along = |k: usize, n: usize| (k as f64 - 0.5 * (n - 1) as f64) * self.spacing_m;
+        let ahead = |x: f64, y: f64| Stand { center: Vector3::new(x, y, 0.0), turned: 0.0 };
+        match self.layout {
+            Layout::Line { count } => {
+                (0..count.get()).map(|k| ahead(along(k, count.get()), 0.0)).collect()
+            }
+            Layout::Grid { rows, columns } => (0..rows.get() * columns.get())
+                .map(|k| (k / columns.get(), k % columns.get()))
+                .map(|(row, column)| ahead(along(column, columns.get()), along(row, rows.get())))
+                .collect(),
+            Layout::Arc { count, distance_m } => (0..count.get())
+                .map(|k| along(k, count.get()) / distance_m)
+                .map(|angle| on_arc(angle, distance_m))
+                .collect(),
+        }
+    }
+
+    /// The camera as it films in step with the scene's start.
+    fn camera(&self, i: usize, stand: &Stand) -> RigCamera {
+        let (width, height) = turn(&self.sizes_px, i);
+        RigCamera {
+            id: format!("cam{i}"),
+            width,
+            height,
+            lens_mm: turn(&self.lenses_mm, i),
+            sensor_width_mm: self.sensor_width_mm,
+            shift_x: 0.0,
+            shift_y: 0.0,
+            distortion: self.distortion,
+            cam_from_rig: stand.cam_from_rig(),
+            rate_hz: 0.0,
+            delay_s: 0.0,
+            jitter_s: turn(&self.jitters_s, i),
+            jitter_stamped: self.jitter_stamped,
+            drift_ppm: 0.0,
+            lost_frames: Vec::new(),
+            lost_stamped: true,
+            clock_shared: self.clock_shared,
+            exposure_s: turn(&self.exposures_s, i),
+            gain: turn(&self.gains, i),
+            noise: turn(&self.noises, i),
+            color: turn(&self.colors, i),
+            bit_depth: self.bit_depth,
+        }
+    }
+
+    /// One view between the cameras and one off their line, with the reference's lens.
+    fn views(&self, like: &RigCamera, stands: &[Stand], reference: usize) -> Vec<RigView> {
+        let beside = 0.5 * self.spacing_m;
+        let between = match self.layout {
+            // Where a camera stands in the middle: half-way to the next.
+            Layout::Line { count } if count.get() % 2 == 1 => {
+                Stand { center: Vector3::new(beside, 0.0, 0.0), turned: 0.0 }
+            }
+            Layout::Grid { rows, columns } => {
+                let aside = |n: usize| if n % 2 == 1 { beside } else { 0.0 };
+                let center = Vector3::new(aside(columns.get()), aside(rows.get()), 0.0);
+                Stand { center, turned: 0.0 }
+            }
+            Layout::Arc { count, distance_m } if count.get() % 2 == 1 => {
+                on_arc(beside / distance_m, distance_m)
+            }
+            _ => Stand { center: Vector3::zeros(), turned: 0.0 },
+        };
+        // Left of the middle, above and before it.
+        let off = Vector3::new(-1.0, -0.4, 0.5) * self.spacing_m;
+        let above = Stand { center: between.center + off, turned: stands[reference].turned };
+        [("between", between), ("above", above)]
+            .map(|(id, stand)| RigView {
+                id: id.into(),
+                cam_from_rig: stand.cam_from_rig(),
+                ..like.view()
+            })
+            .into()
+    }
+}
+
+impl Loss {
+    fn hides(&self, camera: usize) -> bool {
+        match self.stamps {
+            LossStamps::Stamped => false,
+            LossStamps::Hidden => true,
+            LossStamps::Mixed => camera % 2 == 1,
+        }
+    }
+}
+
+impl Stand {
+    fn cam_from_rig(&self) -> PoseFormat {
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), self.turned);
+        let translation = rotation * -self.center;
+        let digits = |v: f64| round(v, PLACE_DIGITS);
+        PoseFormat {
+            rotation_wxyz: [rotation.w, rotation.i, rotation.j, rotation.k].map(digits),
+            translation: [translation.x, translation.y, translation.z].map(digits),
+        }
+    }
+}
+
+/// On a circle about the point `distance_m` ahead of the rig's centre, looking at it.
+fn on_arc(angle: f64, distance_m: f64) -> Stand {
+    let center = Vector3::new(angle.sin(), 0.0, 1.0 - angle.cos()) * distance_m;
+    Stand { center, turned: angle }
+}
+
+/// The camera nearest to the rig's centre, the first of several.
+fn reference(stands: &[Stand]) -> usize {
+    let distance = |s: &Stand| (Point3::from(s.center) - Point3::origin()).norm();
+    let nearest = stands.iter().map(distance).fold(f64::INFINITY, f64::min);
+    // As near to rounding.
+    stands.iter().position(|s| distance(s) <= nearest * (1.0 + 1e-9)).unwrap_or(0)
+}
+
+/// Distinct frames of 1 to `within − 1`, ascending.
+fn draw(random: &mut Random, loss: Loss) -> Vec<u32> {
+    let mut left: Vec<u32> = (1..loss.within as u32).collect();
+    let mut lost: Vec<u32> = (0..loss.count)
+        .map(|_| left.swap_remove((random.unit() * left.len() as f64) as usize))
+        .collect();
+    lost.sort_unstable();
+    lost
+}
+
+/// The camera's entry of a list that isn't empty.
+fn turn<T: Clone>(list: &[T], camera: usize) -> T {
+    list[camera % list.len()].clone()
+}
+
+/// Without −0, which reads oddly.
+fn round(value: f64, digits: f64) -> f64 {
+    (value * digits).round() / digits + 0.0
+}

@@ -1,0 +1,64 @@
+//! A rig as a file that people read: three or four lines a camera.
+
+use super::Rig;
+use serde::Serialize;
+use serde_json::ser::{Formatter, Serializer};
+use std::io::{self, Write};
+
+/// JSON on one line, with a space after every comma and colon.
+struct Spaced;
+
+impl Formatter for Spaced {
+    fn begin_array_value<W: ?Sized + Write>(&mut self, w: &mut W, first: bool) -> io::Result<()> {
+        if first { Ok(()) } else { w.write_all(b", ") }
+    }
+    fn begin_object_key<W: ?Sized + Write>(&mut self, w: &mut W, first: bool) -> io::Result<()> {
+        if first { Ok(()) } else { w.write_all(b", ") }
+    }
+    fn begin_object_value<W: ?Sized + Write>(&mut self, w: &mut W) -> io::Result<()> {
+        w.write_all(b": ")
+    }
+}
+
+fn spaced(value: &impl Serialize) -> String {
+    let mut bytes = Vec::new();
+    // Neither numbers, texts nor lists of them can fail to be written to memory.
+    let _ = value.serialize(&mut Serializer::with_formatter(&mut bytes, Spaced));
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+fn entries(list: &[impl Serialize]) -> String {
+    let lines: Vec<String> = list
+        .iter()
+        .map(|entry| {
+            let mut text = spaced(entry);
+            // Where its place, and what comes after it, begin.
+            for field in ["distortion", "cam_from_rig", "rate_hz"] {
+                let name = format!("\"{field}\": ");
+                text = text.replacen(&format!(", {name}"), &format!(",\n      {name}"), 1);
+            }
+            format!("    {text}")
+        })
+        .collect();
+    lines.join(",\n")
+}
+
+impl Rig {
+    /// The file's text.
+    pub fn to_json(&self) -> String {
+        let head = [
+            ("format", spaced(&self.format)),
+            ("version", spaced(&self.version)),
+            ("name", spaced(&self.name)),
+            ("reference", spaced(&self.reference)),
+            ("seed", spaced(&self.seed)),
+        ]
+        .map(|(name, value)| format!("\"{name}\": {value}"))
+        .join(", ");
+        let mut text = format!("{{\n  {head},\n  \"cameras\": [\n{}\n  ]", entries(&self.cameras));
+        if !self.views.is_empty() {
+            text += &format!(",\n  \"views\": [\n{}\n  ]", entries(&self.views));
+        }
+        text + "\n}\n"
+    }
+}
