@@ -6,6 +6,7 @@
 //! Known limits: pure translation, no gain change; windows that straddle a depth edge follow
 //! whichever side has more texture.
 
+use super::affine::{AffineOptions, Refiner};
 #[cfg(target_arch = "x86_64")]
 use super::lanes::avx2;
 use super::lanes::{LANES, add, bilinear, interpolate, lanes, multiply, subtract, sum_lanes};
@@ -32,6 +33,8 @@ pub struct KltOptions {
     pub min_eigenvalue: f64,
     /// Largest mean absolute difference of the two windows, values 0..=1.
     pub max_residual: f64,
+    /// The last step, that allows the window to deform.
+    pub affine: AffineOptions,
 }
 
 impl Default for KltOptions {
@@ -43,6 +46,7 @@ impl Default for KltOptions {
             epsilon_px: 0.003,
             min_eigenvalue: 2e-6,
             max_residual: 0.06,
+            affine: AffineOptions::default(),
         }
     }
 }
@@ -50,7 +54,7 @@ impl Default for KltOptions {
 impl KltOptions {
     /// The border that a pyramid needs for these windows.
     pub fn pad_px(&self) -> usize {
-        self.radius_px + LANES + 3
+        (self.radius_px + LANES + 3).max(self.affine.pad_px())
     }
 }
 
@@ -70,6 +74,7 @@ pub struct Tracker<'a> {
     value: Vec<f32>,
     dx: Vec<f32>,
     dy: Vec<f32>,
+    refiner: Refiner,
 }
 
 impl<'a> Tracker<'a> {
@@ -77,7 +82,8 @@ impl<'a> Tracker<'a> {
         let side = 2 * options.radius_px + 1;
         let row = side.next_multiple_of(LANES);
         let zeros = vec![0.0; row * side];
-        Self { options, side, row, value: zeros.clone(), dx: zeros.clone(), dy: zeros }
+        let refiner = Refiner::new(&options.affine);
+        Self { options, side, row, value: zeros.clone(), dx: zeros.clone(), dy: zeros, refiner }
     }
 
     /// Finds the window around `from` in another image, starting at `guess`. Pixels, both.
@@ -91,7 +97,39 @@ impl<'a> Tracker<'a> {
         from: Point2<f64>,
         guess: Point2<f64>,
     ) -> Option<Tracked> {
-        self.track_levels(source, target, from, guess, self.options.levels)
+        let found = self.track_levels(source, target, from, guess, self.options.levels)?;
+        if self.options.affine.radius_px == 0 {
+            return Some(found);
+        }
+        let refined = self.refine(&source.levels()[0], &target.levels()[0], from, found.position);
+        Some(refined.map_or(found, |position| Tracked { position, ..found }))
+    }
+
+    fn refine(
+        &mut self,
+        source: &Level,
+        target: &Level,
+        from: Point2<f64>,
+        found: Point2<f64>,
+    ) -> Option<Point2<f64>> {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has the feature. The code is the same, so are its results.
+            return unsafe { self.refine_avx2(source, target, from, found) };
+        }
+        self.refiner.refine(source, target, from, found, &self.options.affine)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn refine_avx2(
+        &mut self,
+        source: &Level,
+        target: &Level,
+        from: Point2<f64>,
+        found: Point2<f64>,
+    ) -> Option<Point2<f64>> {
+        self.refiner.refine(source, target, from, found, &self.options.affine)
     }
 
     /// As [`Self::track`], on so many of the finest levels only, for a guess that is near.

@@ -9,6 +9,7 @@
 //! | 4.2 eq. (2), and curved motion | [`Path`] |
 //! | 4.2 eq. (3), 4.3 eqs. (4), (5) | [`epipolar_test`], [`select_references`] |
 
+mod affine;
 mod corners;
 mod epipolar_test;
 mod flow;
@@ -20,6 +21,7 @@ mod options;
 mod path;
 mod pyramid;
 
+pub use affine::AffineOptions;
 pub use corners::{CornerOptions, corners};
 pub use epipolar_test::{Reference, Verdict, epipolar_test, select_references};
 pub use flow::{Match, Run, Track, flow, temporal_flow};
