@@ -8,9 +8,8 @@
 //!
 //! Known limit: a window across an outline follows the body that has more texture in it.
 
-use super::lanes::{LANES, Lanes, add, lanes, multiply, sum_lanes};
+use super::lanes::{LANES, Vector, catmull_rom};
 use super::pyramid::Level;
-use crate::raster::catmull_rom;
 use nalgebra::{Cholesky, Const, Matrix2, Point2, SMatrix, SVector, Vector2};
 use serde::{Deserialize, Serialize};
 
@@ -70,6 +69,8 @@ const MAX_GAIN: f64 = 4.0;
 pub struct Refiner {
     radius: usize,
     row: usize,
+    /// Of each sample of a row, counted from the middle.
+    column: Vec<f32>,
     fall_off: Vec<f32>,
     weight: Vec<f32>,
     value: Vec<f32>,
@@ -108,6 +109,7 @@ impl Refiner {
         Self {
             radius,
             row,
+            column: (0..row).map(|x| x as f32 - radius as f32).collect(),
             weight: zeros(),
             value: zeros(),
             weighted_dx: zeros(),
@@ -121,7 +123,7 @@ impl Refiner {
     /// Where the point `from` of the source is in the target, which the translation found at
     /// `found`; pixels. `None` where the refinement does not converge near there.
     #[inline(always)]
-    pub fn refine(
+    pub fn refine<V: Vector>(
         &mut self,
         source: &Level,
         target: &Level,
@@ -142,9 +144,9 @@ impl Refiner {
             bias: 0.0,
         };
         let (normal, prior) =
-            self.take_template(source, pixel.x as usize, pixel.y as usize, options)?;
+            self.take_template::<V>(source, pixel.x as usize, pixel.y as usize, options)?;
         for _ in 0..options.iterations {
-            let mut right = self.mismatch(target, &warp)?;
+            let mut right = self.mismatch::<V>(target, &warp)?;
             // The prior pulls the whole deformation back to none. A step is taken in the template,
             // so it is the inverse of the target's, but for the gain.
             let a = warp.matrix - Matrix2::identity();
@@ -172,7 +174,7 @@ impl Refiner {
     /// Cuts the template out around a pixel; the normal equations, factorized, and what the prior
     /// added to their diagonal. `None` where the texture can't tell the shift.
     #[inline(always)]
-    fn take_template(
+    fn take_template<V: Vector>(
         &mut self,
         source: &Level,
         cx: usize,
@@ -185,7 +187,8 @@ impl Refiner {
         let columns = (r - cx).max(0)..(source.width as isize - cx + r).min(2 * r + 1);
         let rows = (r - cy).max(0)..(source.height as isize - cy + r).min(2 * r + 1);
         self.mean = source.value[source.index(cx, cy)];
-        let mut moments = Moments::default();
+        let mean = V::splat(self.mean);
+        let mut moments = Moments::<V>::new();
         for y in 0..2 * r + 1 {
             let out = y as usize * self.row;
             let all = out..out + self.row;
@@ -195,20 +198,19 @@ impl Refiner {
                 self.weight[used.clone()].copy_from_slice(&self.fall_off[used]);
             }
             let at = source.index(cx - r, cy + y - r);
-            self.value[all.clone()].copy_from_slice(&source.value[at..at + self.row]);
-            let mut of_row = RowMoments::default();
+            self.value[all].copy_from_slice(&source.value[at..at + self.row]);
+            let mut of_row = RowMoments::new();
             for x in (0..self.row).step_by(LANES) {
-                let (gx, gy) = (lanes(&source.dx, at + x), lanes(&source.dy, at + x));
-                let w = lanes(&self.weight, out + x);
-                let v: Lanes = std::array::from_fn(|l| self.value[out + x + l] - self.mean);
-                let (wx, wy, wv) = (multiply(w, gx), multiply(w, gy), multiply(w, &v));
-                let column = from_middle(x, self.radius);
-                of_row.add(&[gx, gy, &v], [&wx, &wy, &wv, w], &column);
-                self.weighted_dx[out + x..out + x + LANES].copy_from_slice(&wx);
-                self.weighted_dy[out + x..out + x + LANES].copy_from_slice(&wy);
-                self.weighted_value[out + x..out + x + LANES].copy_from_slice(&wv);
+                let (gx, gy) = (V::load(&source.dx, at + x), V::load(&source.dy, at + x));
+                let w = V::load(&self.weight, out + x);
+                let v = V::load(&self.value, out + x).sub(mean);
+                let (wx, wy, wv) = (w.mul(gx), w.mul(gy), w.mul(v));
+                of_row.add([gx, gy, v], [wx, wy, wv, w], V::load(&self.column, x));
+                wx.store(&mut self.weighted_dx, out + x);
+                wy.store(&mut self.weighted_dy, out + x);
+                wv.store(&mut self.weighted_value, out + x);
             }
-            moments.add(&of_row, (y - r) as f32);
+            moments.add(&of_row, V::splat((y - r) as f32));
         }
         let mut matrix = moments.matrix();
         let d = (NOISE / options.deformation).powi(2);
@@ -221,120 +223,111 @@ impl Refiner {
 
     /// Σ w·(what the target shows, in the template's light, less the template)·derivatives.
     #[inline(always)]
-    fn mismatch(&self, target: &Level, warp: &Warp) -> Option<SVector<f64, N>> {
-        let (gain, bias) = (1.0 / warp.gain as f32, warp.bias as f32);
+    fn mismatch<V: Vector>(&self, target: &Level, warp: &Warp) -> Option<SVector<f64, N>> {
+        let (gain, bias) = (V::splat(1.0 / warp.gain as f32), V::splat(warp.bias as f32));
         let sampler = Sampler::new(target, warp, self.radius, self.row)?;
-        let mut sums = [[0.0_f32; LANES]; N];
+        let mut sums = [V::zero(); N];
         for y in 0..2 * self.radius + 1 {
             let at = y * self.row;
             let down = y as f32 - self.radius as f32;
             // Shift x, y; their moments along the row; value; one.
-            let mut of_row = [[0.0_f32; LANES]; 6];
+            let mut of_row = [V::zero(); 6];
             for x in (0..self.row).step_by(LANES) {
-                let column = from_middle(x, self.radius);
-                let found = sampler.sample(&column, down);
-                let value = lanes(&self.value, at + x);
-                let e: Lanes = std::array::from_fn(|l| (found[l] - bias) * gain - value[l]);
-                let ex = multiply(&e, lanes(&self.weighted_dx, at + x));
-                let ey = multiply(&e, lanes(&self.weighted_dy, at + x));
-                let ev = multiply(&e, lanes(&self.weighted_value, at + x));
-                let ew = multiply(&e, lanes(&self.weight, at + x));
-                let terms = [ex, ey, multiply(&ex, &column), multiply(&ey, &column), ev, ew];
-                for (sum, term) in of_row.iter_mut().zip(terms) {
-                    *sum = add(sum, &term);
-                }
+                let column = V::load(&self.column, x);
+                let found = sampler.sample(column, down);
+                let e = found.sub(bias).mul(gain).sub(V::load(&self.value, at + x));
+                let ex = e.mul(V::load(&self.weighted_dx, at + x));
+                let ey = e.mul(V::load(&self.weighted_dy, at + x));
+                let ev = e.mul(V::load(&self.weighted_value, at + x));
+                let ew = e.mul(V::load(&self.weight, at + x));
+                accumulate(&mut of_row, [ex, ey, ex.mul(column), ey.mul(column), ev, ew]);
             }
             let [ex, ey, ex_x, ey_x, ev, ew] = of_row;
-            let terms = [ex, ey, ex_x, scaled(&ex, down), ey_x, scaled(&ey, down), ev, ew];
-            for (sum, term) in sums.iter_mut().zip(terms) {
-                *sum = add(sum, &term);
-            }
+            let y = V::splat(down);
+            accumulate(&mut sums, [ex, ey, ex_x, ex.mul(y), ey_x, ey.mul(y), ev, ew]);
         }
-        Some(SVector::from(sums.map(sum_lanes)))
+        Some(SVector::from(V::sums(&sums)))
+    }
+}
+
+/// Sums over a row of the products of two derivatives (with their moments along the row).
+struct RowMoments<V> {
+    /// dx·dx, dx·dy, dy·dy, each times 1, x, x².
+    tensor: [[V; 3]; 3],
+    /// dx·v, dy·v, dx, dy, each times 1, x.
+    mixed: [[V; 2]; 4],
+    /// v·v, v, 1.
+    light: [V; 3],
+}
+
+impl<V: Vector> RowMoments<V> {
+    #[inline(always)]
+    fn new() -> Self {
+        let zero = V::zero();
+        Self { tensor: [[zero; 3]; 3], mixed: [[zero; 2]; 4], light: [zero; 3] }
+    }
+
+    /// Derivatives by the position and the gain, and the same weighted, with the weights.
+    #[inline(always)]
+    fn add(&mut self, [gx, gy, v]: [V; 3], [wx, wy, wv, w]: [V; 4], x: V) {
+        let products = [wx.mul(gx), wx.mul(gy), wy.mul(gy)];
+        for k in 0..3 {
+            let px = products[k].mul(x);
+            accumulate(&mut self.tensor[k], [products[k], px, px.mul(x)]);
+        }
+        let products = [wx.mul(v), wy.mul(v), wx, wy];
+        for k in 0..4 {
+            accumulate(&mut self.mixed[k], [products[k], products[k].mul(x)]);
+        }
+        accumulate(&mut self.light, [wv.mul(v), wv, w]);
     }
 }
 
 #[inline(always)]
-fn scaled(a: &Lanes, factor: f32) -> Lanes {
-    a.map(|v| v * factor)
-}
-
-/// Columns of eight samples, counted from the window's middle.
-#[inline(always)]
-fn from_middle(x: usize, radius: usize) -> Lanes {
-    std::array::from_fn(|l| (x + l) as f32 - radius as f32)
-}
-
-/// Sums over a row of the products of two derivatives (with their moments along the row).
-#[derive(Default)]
-struct RowMoments {
-    /// dx·dx, dx·dy, dy·dy, each times 1, x, x².
-    tensor: [[Lanes; 3]; 3],
-    /// dx·v, dy·v, dx, dy, each times 1, x.
-    mixed: [[Lanes; 2]; 4],
-    /// v·v, v, 1.
-    light: [Lanes; 3],
-}
-
-impl RowMoments {
-    /// Derivatives by the position and the gain, and the same weighted, with the weights.
-    #[inline(always)]
-    fn add(&mut self, [gx, gy, v]: &[&Lanes; 3], [wx, wy, wv, w]: [&Lanes; 4], x: &Lanes) {
-        let pairs = [(wx, *gx), (wx, *gy), (wy, *gy)];
-        for (sums, (a, b)) in self.tensor.iter_mut().zip(pairs) {
-            let p = multiply(a, b);
-            let px = multiply(&p, x);
-            let pxx = multiply(&px, x);
-            for (sum, term) in sums.iter_mut().zip([p, px, pxx]) {
-                *sum = add(sum, &term);
-            }
-        }
-        let products = [multiply(wx, v), multiply(wy, v), *wx, *wy];
-        for (sums, p) in self.mixed.iter_mut().zip(products) {
-            sums[0] = add(&sums[0], &p);
-            sums[1] = add(&sums[1], &multiply(&p, x));
-        }
-        for (sum, term) in self.light.iter_mut().zip([multiply(wv, v), *wv, *w]) {
-            *sum = add(sum, &term);
-        }
+fn accumulate<V: Vector, const M: usize>(sums: &mut [V; M], terms: [V; M]) {
+    for k in 0..M {
+        sums[k] = sums[k].add(terms[k]);
     }
 }
 
 /// The same over the window: each times x^i y^j.
-#[derive(Default)]
-struct Moments {
+struct Moments<V> {
     /// dx·dx, dx·dy, dy·dy, each times 1, x, y, x², xy, y².
-    tensor: [[Lanes; 6]; 3],
+    tensor: [[V; 6]; 3],
     /// dx·v, dy·v, dx, dy, each times 1, x, y.
-    mixed: [[Lanes; 3]; 4],
-    light: [Lanes; 3],
+    mixed: [[V; 3]; 4],
+    light: [V; 3],
 }
 
-impl Moments {
+impl<V: Vector> Moments<V> {
     #[inline(always)]
-    fn add(&mut self, row: &RowMoments, y: f32) {
-        for (sums, [p, px, pxx]) in self.tensor.iter_mut().zip(&row.tensor) {
-            let py = scaled(p, y);
-            let terms = [*p, *px, py, *pxx, scaled(px, y), scaled(&py, y)];
-            for (sum, term) in sums.iter_mut().zip(terms) {
-                *sum = add(sum, &term);
-            }
+    fn new() -> Self {
+        let zero = V::zero();
+        Self { tensor: [[zero; 6]; 3], mixed: [[zero; 3]; 4], light: [zero; 3] }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, row: &RowMoments<V>, y: V) {
+        for k in 0..3 {
+            let [p, px, pxx] = row.tensor[k];
+            let py = p.mul(y);
+            accumulate(&mut self.tensor[k], [p, px, py, pxx, px.mul(y), py.mul(y)]);
         }
-        for (sums, [p, px]) in self.mixed.iter_mut().zip(&row.mixed) {
-            for (sum, term) in sums.iter_mut().zip([*p, *px, scaled(p, y)]) {
-                *sum = add(sum, &term);
-            }
+        for k in 0..4 {
+            let [p, px] = row.mixed[k];
+            accumulate(&mut self.mixed[k], [p, px, p.mul(y)]);
         }
-        for (sum, term) in self.light.iter_mut().zip(row.light) {
-            *sum = add(sum, &term);
-        }
+        accumulate(&mut self.light, row.light);
     }
 
     /// Derivatives in the order of the parameters: dx, dy, x·dx, y·dx, x·dy, y·dy, v, 1.
+    #[inline(always)]
     fn matrix(&self) -> SMatrix<f64, N, N> {
-        let tensor = self.tensor.map(|t| t.map(sum_lanes));
-        let mixed = self.mixed.map(|t| t.map(sum_lanes));
-        let light = self.light.map(sum_lanes);
+        let [a, b, c] = &self.tensor;
+        let tensor = [V::sums(a), V::sums(b), V::sums(c)];
+        let [a, b, c, d] = &self.mixed;
+        let mixed = [V::sums(a), V::sums(b), V::sums(c), V::sums(d)];
+        let light = V::sums(&self.light);
         // Which derivative of the image, and which moment: 1, x, y.
         const SHIFTS: [(usize, usize); 6] = [(0, 0), (1, 0), (0, 1), (0, 2), (1, 1), (1, 2)];
         // The product of two moments among 1, x, y, x², xy, y².
@@ -353,16 +346,13 @@ impl Moments {
 /// A level, sampled at window coordinates.
 struct Sampler<'a> {
     target: &'a Level,
-    base: isize,
+    /// Index of the top left of the 4×4 samples around the middle's pixel.
+    corner: isize,
     /// Target from window: the columns of the matrix, and the middle within its pixel.
     across: [f32; 2],
     down: [f32; 2],
     middle: [f32; 2],
 }
-
-/// Window coordinates and their images stay above the negative of this, so that cutting off
-/// decimals is rounding down.
-const ABOVE: f32 = 128.0;
 
 impl<'a> Sampler<'a> {
     /// `None` if the window leaves the padded image.
@@ -373,9 +363,7 @@ impl<'a> Sampler<'a> {
         let fits = |middle: f64, a: f64, b: f64, size: usize| {
             // Two more for the kernel, one for the middle's decimals.
             let extent = reach * (a.abs() + b.abs()) + 3.0;
-            extent < f64::from(ABOVE)
-                && middle - extent >= -pad
-                && middle + extent <= size as f64 + pad - 1.0
+            middle - extent >= -pad && middle + extent <= size as f64 + pad - 1.0
         };
         if !(fits(warp.middle.x, m.m11, m.m12, target.width)
             && fits(warp.middle.y, m.m21, m.m22, target.height))
@@ -386,36 +374,30 @@ impl<'a> Sampler<'a> {
         let within = warp.middle - whole;
         Some(Self {
             target,
-            base: target.index(whole.x as isize, whole.y as isize) as isize,
+            corner: target.index(whole.x as isize - 1, whole.y as isize - 1) as isize,
             across: [m.m11 as f32, m.m21 as f32],
             down: [m.m12 as f32, m.m22 as f32],
             middle: [within.x as f32, within.y as f32],
         })
     }
 
+    /// Where the samples are, along one axis.
+    #[inline(always)]
+    fn split<V: Vector>(&self, axis: usize, column: V, down: f32) -> ([i32; LANES], V) {
+        let start = self.middle[axis] + self.down[axis] * down;
+        V::splat(start).add(V::splat(self.across[axis]).mul(column)).split()
+    }
+
     /// Eight samples by cubic convolution.
     #[inline(always)]
-    fn sample(&self, column: &Lanes, down: f32) -> Lanes {
-        let place = |axis: usize| -> ([i32; LANES], Lanes) {
-            let start = self.middle[axis] + self.down[axis] * down;
-            let at: Lanes = std::array::from_fn(|l| start + self.across[axis] * column[l]);
-            let whole = at.map(|v| (v + ABOVE) as i32 - ABOVE as i32);
-            (whole, std::array::from_fn(|l| at[l] - whole[l] as f32))
-        };
-        let ((ix, fx), (iy, fy)) = (place(0), place(1));
-        std::array::from_fn(|l| {
-            let (wx, wy) = (catmull_rom(fx[l]), catmull_rom(fy[l]));
-            let stride = self.target.stride;
-            let first =
-                (self.base + (iy[l] as isize - 1) * stride as isize + ix[l] as isize - 1) as usize;
-            let mut columns = [0.0_f32; 4];
-            for (row, w) in wy.into_iter().enumerate() {
-                let from = first + row * stride;
-                let values: &[f32; 4] =
-                    self.target.value[from..].first_chunk().expect("the border is wide enough");
-                columns = std::array::from_fn(|c| columns[c] + w * values[c]);
-            }
-            (columns[0] * wx[0] + columns[1] * wx[1]) + (columns[2] * wx[2] + columns[3] * wx[3])
-        })
+    fn sample<V: Vector>(&self, column: V, down: f32) -> V {
+        let [(ix, fx), (iy, fy)] = [self.split(0, column, down), self.split(1, column, down)];
+        let stride = self.target.stride as isize;
+        let mut first = [0; LANES];
+        for l in 0..LANES {
+            first[l] = (self.corner + iy[l] as isize * stride + ix[l] as isize) as usize;
+        }
+        let (x, y) = (catmull_rom(fx), catmull_rom(fy));
+        V::gather_4x4(&self.target.value, &first, self.target.stride, x, y)
     }
 }
