@@ -11,6 +11,7 @@ import argparse
 import importlib
 import importlib.util
 import json
+import math
 import os
 import re
 import shutil
@@ -73,6 +74,17 @@ def count(minimum: int) -> Any:
     return parse
 
 
+def seconds(text: str) -> tuple[float, ...]:
+    """`0.1,0.15`."""
+    try:
+        times_s = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        times_s = ()
+    if not times_s or not all(map(math.isfinite, times_s)):
+        raise argparse.ArgumentTypeError(f"{text} isn't a list of times like 0.1,0.15")
+    return times_s
+
+
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     """The command line."""
     parser = Parser(
@@ -112,11 +124,32 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
         help="samples per pixel (16), four times as many for truth",
     )
     parser.add_argument(
+        "--engine",
+        choices=plans.ENGINES,
+        default="cycles",
+        help="what renders the pictures (cycles)",
+    )
+    instants = parser.add_mutually_exclusive_group()
+    instants.add_argument(
         "--instants",
         type=count(0),
         default=3,
         metavar="N",
         help="instants with truth (3)",
+    )
+    instants.add_argument(
+        "--instants-s",
+        type=seconds,
+        default=(),
+        metavar="T,T",
+        help="instants with truth, in seconds on the reference's clock",
+    )
+    parser.add_argument(
+        "--tracks",
+        type=count(0),
+        default=0,
+        metavar="N",
+        help="points of the scene whose tracks are written (0)",
     )
     parser.add_argument(
         "--truth-video",
@@ -145,6 +178,9 @@ def capture(arguments: argparse.Namespace) -> None:
             instants=arguments.instants,
             truth_video=arguments.truth_video,
             truth=not arguments.no_truth,
+            engine=arguments.engine,
+            tracks=arguments.tracks,
+            instants_s=arguments.instants_s,
         )
     )
     target = arguments.capture.resolve()

@@ -14,8 +14,11 @@ from typing import Any
 import bpy
 import mathutils
 import numpy as np
+import numpy.typing as npt
 
 from . import paint
+
+Points = npt.NDArray[np.float64]
 
 FPS = 30
 SECONDS = f"((frame - 1) / {FPS})"
@@ -25,7 +28,9 @@ SECONDS = f"((frame - 1) / {FPS})"
 def ink(name: str, code: str) -> Any:
     """A plain matt colour (sRGB code)."""
     material, diffuse = _matt(name)
-    diffuse.inputs["Color"].default_value = (*_linear(paint.color(code)), 1.0)
+    linear = (*_linear(paint.color(code)), 1.0)
+    diffuse.inputs["Color"].default_value = linear
+    material.diffuse_color = linear  # what Workbench shows
     return material
 
 
@@ -40,6 +45,7 @@ def printed(name: str, picture: paint.Image) -> Any:
     material, diffuse = _matt(name)
     texture = material.node_tree.nodes.new("ShaderNodeTexImage")
     texture.image, texture.extension = image, "EXTEND"
+    material.node_tree.nodes.active = texture  # what Workbench shows
     material.node_tree.links.new(texture.outputs["Color"], diffuse.inputs["Color"])
     return material
 
@@ -174,8 +180,10 @@ def box(
     size_m: Sequence[float],
     base_m: Sequence[float],
     turn_deg: float = 0.0,
+    part: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0),
 ) -> Any:
-    """An upright box; `base_m` is the middle of its underside."""
+    """An upright box; `base_m` is the middle of its underside. Each side shows `part` of the picture:
+    left, bottom, right, top, from 0 to 1."""
     w, d, h = size_m[0] / 2, size_m[1] / 2, size_m[2]
     corners = [(x, y, z) for z in (0.0, h) for y in (-d, d) for x in (-w, w)]
     faces = [
@@ -186,7 +194,8 @@ def box(
         (4, 5, 7, 6),
         (0, 2, 3, 1),
     ]  # front first
-    square = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
+    left, bottom, right, top = part
+    square = [(left, bottom), (right, bottom), (right, top), (left, top)]
     mesh = _mesh(name, corners, faces, [square] * 6)
     mesh.materials.append(material)
     new_object = add(bpy.data.objects.new(name, mesh))
@@ -202,28 +211,78 @@ def turned(
     segments: int = 48,
 ) -> Any:
     """A body of revolution about its own Z: (radius, height) from bottom to top; UV is angle and ring."""
-    rings = len(profile_m)
-    points = [
-        (
-            r * math.cos(math.tau * s / segments),
-            r * math.sin(math.tau * s / segments),
-            z,
-        )
-        for r, z in profile_m
-        for s in range(segments)
-    ]
-    faces, face_uvs = [], []
-    for ring in range(rings - 1):
-        for s in range(segments):
-            a, b = ring * segments + s, ring * segments + (s + 1) % segments
-            left, right = s / segments, (s + 1) / segments
+    angles = np.arange(segments) * math.tau / segments
+    circle = np.stack([np.cos(angles), np.sin(angles), np.zeros(segments)], axis=1)
+    rings = [r * circle + (0.0, 0.0, z) for r, z in profile_m]
+    return lofted(name, material, np.array(rings))
+
+
+def lofted(name: str, material: Any, rings_m: Points) -> Any:
+    """A skin over closed rings (rings, segments, 3); UV is how far around and which ring."""
+    return skinned(name, [(material, rings_m)])
+
+
+def skinned(name: str, parts: Sequence[tuple[Any, Points]]) -> Any:
+    """One object of several skins as `lofted` makes them, each with a material of its own."""
+    points: list[list[float]] = []
+    faces: list[tuple[int, ...]] = []
+    face_uvs: list[list[tuple[float, float]]] = []
+    slots: list[int] = []
+    for slot, (_, rings_m) in enumerate(parts):
+        rings, segments = rings_m.shape[:2]
+        first = len(points)
+        points += rings_m.reshape(-1, 3).tolist()
+        for ring in range(rings - 1):
             low, high = ring / (rings - 1), (ring + 1) / (rings - 1)
-            faces.append((a, b, b + segments, a + segments))
-            face_uvs.append([(left, low), (right, low), (right, high), (left, high)])
+            for s in range(segments):
+                a = first + ring * segments + s
+                b = first + ring * segments + (s + 1) % segments
+                left, right = s / segments, (s + 1) / segments
+                faces.append((a, b, b + segments, a + segments))
+                face_uvs.append(
+                    [(left, low), (right, low), (right, high), (left, high)]
+                )
+                slots.append(slot)
     mesh = _mesh(name, points, faces, face_uvs)
-    mesh.materials.append(material)
+    for material, _ in parts:
+        mesh.materials.append(material)
+    mesh.polygons.foreach_set("material_index", slots)
     mesh.shade_smooth()
     return add(bpy.data.objects.new(name, mesh))
+
+
+def tube(
+    centres_m: Sequence[Sequence[float]],
+    radii_m: Sequence[Sequence[float]],
+    upright: Sequence[float],
+    segments: int = 16,
+) -> Points:
+    """Rings around a path for `lofted`: half-width and half-thickness at each centre; thickness is along `upright`."""
+    path = np.array(centres_m, dtype=np.float64)
+    along = np.gradient(path, axis=0)
+    across = np.cross(along, np.array(upright, dtype=np.float64))
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    thick = np.cross(across, along)
+    thick /= np.linalg.norm(thick, axis=1, keepdims=True)
+    angles = np.arange(segments) * math.tau / segments
+    width, thickness = np.array(radii_m, dtype=np.float64).T[:, :, None, None]
+    rings: Points = (
+        path[:, None]
+        + width * np.cos(angles)[None, :, None] * across[:, None]
+        + thickness * np.sin(angles)[None, :, None] * thick[:, None]
+    )
+    return rings
+
+
+def bend(target: Any, name: str, points_m: Points, expression: str) -> None:
+    """A second shape of the object's mesh, its vertices in order; `expression` says how much of it, 0 to 1."""
+    if target.data.shape_keys is None:
+        target.shape_key_add(name="rest", from_mix=False)
+    key = target.shape_key_add(name=name, from_mix=False)
+    key.data.foreach_set("co", points_m.astype(np.float32).ravel())
+    curve = key.driver_add("value")
+    curve.driver.type = "SCRIPTED"
+    curve.driver.expression = expression.replace("{t}", SECONDS)
 
 
 def sphere_profile(

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from . import kit, paint
+from . import backdrop, kit, paint
+from .backdrop import photo
 
 RIG_HEIGHT_M = 1.2
 
@@ -66,15 +67,6 @@ def magazine() -> Any:
     return page.build("magazine", bulge_m)
 
 
-def photo(
-    name: str, size_m: tuple[float, float], codes: tuple[str, ...], feature_m: float
-) -> Any:
-    """A material like a photograph, painted at 1.5 mm a texel: finer than any camera here sees."""
-    texel_m = 0.0015
-    shape = (round(size_m[1] / texel_m), round(size_m[0] / texel_m))
-    return kit.printed(name, paint.photo(name, shape, codes, feature_m / texel_m))
-
-
 def wave(held: Any) -> None:
     """A person's swing: up and down once a second, sideways and turning at other periods."""
     kit.drive(held, "location", 0, "-0.10 + 0.070*sin(5.10*{t} + 1.9)")
@@ -120,26 +112,21 @@ def swing(hung: Any) -> None:
 
 def wall() -> None:
     """Bricks of many colours with posters on them, and crates before them."""
-    texel_m = 0.003
-    picture = paint.bricks(
-        "bricks",
-        (round(2.6 / texel_m), round(3.2 / texel_m)),
-        (0.075 / texel_m, 0.17 / texel_m),
-        ("8a4020", "b5602f", "d9a878", "9c5a3c", "c98a5a"),
-        "e4ddd0",
+    backdrop.bricks(2.1, RIG_HEIGHT_M)
+    backdrop.poster(
+        "SPACE\nTIME",
+        ("1b1b3a", "693668", "f4d35e", "ee964b", "f95738"),
+        (-0.72, 2.092, RIG_HEIGHT_M + 0.32),
     )
-    plane = kit.Sheet()
-    plane.rectangle(kit.printed("bricks", picture), -1.6, -1.3, 3.2, 2.6)
-    plane.build("wall").location = (0, 2.1, RIG_HEIGHT_M)
-
-    poster(
-        "SPACE\nTIME", ("1b1b3a", "693668", "f4d35e", "ee964b", "f95738"), (-0.72, 0.32)
+    backdrop.poster(
+        "EIGHT\nEYES",
+        ("0b3948", "2a9d8f", "e9ecef", "e9c46a", "9b2226"),
+        (0.14, 2.092, RIG_HEIGHT_M + 0.40),
     )
-    poster(
-        "EIGHT\nEYES", ("0b3948", "2a9d8f", "e9ecef", "e9c46a", "9b2226"), (0.14, 0.40)
-    )
-    poster(
-        "KEEP\nSYNC", ("101418", "3a5a40", "dad7cd", "588157", "bc4749"), (0.68, -0.22)
+    backdrop.poster(
+        "KEEP\nSYNC",
+        ("101418", "3a5a40", "dad7cd", "588157", "bc4749"),
+        (0.68, 2.092, RIG_HEIGHT_M - 0.22),
     )
     crate = photo(
         "crate", (0.42, 0.40), ("2b1d0e", "7f5530", "e0b878", "a06a3a", "4a3018"), 0.030
@@ -149,20 +136,6 @@ def wall() -> None:
     )
     kit.box("crate", crate, (0.42, 0.26, 0.40), (-0.62, 1.93, RIG_HEIGHT_M - 0.75), 18)
     kit.box("tin", tin, (0.20, 0.20, 0.30), (0.10, 1.95, RIG_HEIGHT_M - 0.75), -25)
-
-
-def poster(title: str, codes: tuple[str, ...], centre_m: tuple[float, float]) -> None:
-    """A poster on the wall: a picture with two words over it."""
-    name = title.replace("\n", " ").lower()
-    sheet = kit.Sheet()
-    sheet.rectangle(kit.ink(f"{name} edge", "efe9dc"), -0.19, -0.25, 0.38, 0.50)
-    sheet.rectangle(
-        photo(name, (0.34, 0.28), codes, 0.028), -0.17, -0.23, 0.34, 0.28, layer=1
-    )
-    sheet.text(
-        kit.ink(f"{name} ink", "1a1a1a"), title, 0.0, 0.155, 0.10, align="CENTER"
-    )
-    sheet.build(name).location = (centre_m[0], 2.092, RIG_HEIGHT_M + centre_m[1])
 
 
 def foreground() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -45,13 +46,12 @@ def _smooth_lattice(
     shape: tuple[int, int], spacing_px: float, random: np.random.Generator
 ) -> Image:
     """Random values on a lattice, smoothly interpolated."""
-    y, x = (np.arange(n) / spacing_px for n in shape)
+    y, x = (np.arange(n, dtype=np.float32) / spacing_px for n in shape)
     lattice = random.random((int(y[-1]) + 2, int(x[-1]) + 2), dtype=np.float32)
-    row, column = y.astype(int)[:, None], x.astype(int)[None, :]
+    row, column = y.astype(int), x.astype(int)
     v, u = (f * f * (3 - 2 * f) for f in ((y % 1)[:, None], (x % 1)[None, :]))
-    below = lattice[row, column] * (1 - u) + lattice[row, column + 1] * u
-    above = lattice[row + 1, column] * (1 - u) + lattice[row + 1, column + 1] * u
-    result: Image = (below * (1 - v) + above * v).astype(np.float32)
+    along = lattice[:, column] * (1 - u) + lattice[:, column + 1] * u
+    result: Image = (along[row] * (1 - v) + along[row + 1] * v).astype(np.float32)
     return result
 
 
@@ -59,22 +59,25 @@ def cells(
     shape: tuple[int, int], spacing_px: float, random: np.random.Generator
 ) -> Image:
     """Voronoi cells of about `spacing_px`, each one grey from 0 to 1: straight edges, sharp corners."""
-    y, x = np.meshgrid(
-        *(np.arange(n, dtype=np.float32) / spacing_px + 1 for n in shape), indexing="ij"
-    )
-    lattice_shape = (int(y.max()) + 3, int(x.max()) + 3)
+    y, x = (np.arange(n, dtype=np.float32) / spacing_px + 1 for n in shape)
+    lattice_shape = (int(y[-1]) + 3, int(x[-1]) + 3)
     shift_y, shift_x, grey = random.random((3, *lattice_shape), dtype=np.float32)
+    rows, columns = (np.arange(n, dtype=np.float32) for n in lattice_shape)
+    centre_y, centre_x = rows[:, None] + shift_y, columns[None, :] + shift_x
     nearest = np.full(shape, np.inf, dtype=np.float32)
     result = np.zeros(shape, dtype=np.float32)
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             row, column = y.astype(int) + dy, x.astype(int) + dx
-            distance = (row + shift_y[row, column] - y) ** 2 + (
-                column + shift_x[row, column] - x
-            ) ** 2
+
+            def here(lattice: Image, row: Any = row, column: Any = column) -> Image:
+                return lattice[row][:, column]
+
+            distance = (here(centre_y) - y[:, None]) ** 2
+            distance += (here(centre_x) - x[None, :]) ** 2
             closer = distance < nearest
-            nearest[closer] = distance[closer]
-            result[closer] = grey[row, column][closer]
+            np.copyto(nearest, distance, where=closer)
+            np.copyto(result, here(grey), where=closer)
     return result
 
 
@@ -136,6 +139,67 @@ def patchwork(
     colors = np.stack([color(code) for code in codes])
     patches = colors[np.minimum((grey * len(codes)).astype(int), len(codes) - 1)]
     return shaded(patches, 0.5 * (noise(shape, 0.3 * feature_px, 2, random) - 0.5))
+
+
+def planks(
+    name: str,
+    shape: tuple[int, int],
+    plank_px: float,
+    codes: Sequence[str],
+    upright: bool = False,
+) -> Image:
+    """Wooden boards that lie, or stand, side by side: grain along them, dark gaps between."""
+    random = generator(name)
+    height, width = shape[::-1] if upright else shape
+    y = np.arange(height, dtype=np.float32)
+    board = (y / plank_px).astype(int)
+    tint = random.random(int(board.max()) + 1, dtype=np.float32)
+    # Features eight times as long as wide, each board from another place of the same wood.
+    wood = noise((2 * height, width // 8 + 2), 0.3 * plank_px, 4, random)
+    rows = (np.arange(height) + 37 * board) % wood.shape[0]
+    columns = np.arange(width) / 8
+    left = columns.astype(int)
+    part = (columns - left).astype(np.float32)[None]
+    grain = wood[rows][:, left] * (1 - part) + wood[rows][:, left + 1] * part
+    factor = 0.3 * tint[board][:, None] + 0.7 * grain
+    boards = ramp(factor, np.linspace(0.15, 0.85, len(codes)).tolist(), codes)
+    gap = np.clip(np.minimum(y % plank_px, -y % plank_px) / 2.5, 0.25, 1)[:, None]
+    boards *= gap[..., None]
+    result = shaded(boards, 0.25 * (noise((height, width), 5, 2, random) - 0.5))
+    return np.ascontiguousarray(np.swapaxes(result, 0, 1)) if upright else result
+
+
+def wallpaper(
+    name: str, shape: tuple[int, int], tile_px: float, codes: Sequence[str]
+) -> Image:
+    """Flowers of petals in a staggered grid on a ground: ground, leaf, petal and heart in `codes`; a little faded."""
+    random = generator(name)
+    y, x = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in shape), indexing="ij")
+    row = np.floor(y / tile_px)
+    v = y / tile_px - row - 0.5
+    shifted = x / tile_px + 0.5 * (row % 2)
+    column = np.floor(shifted)
+    u = shifted - column - 0.5
+    turn = (2.4 * row + 1.7 * column) % (2 * np.pi)
+    radius, angle = np.hypot(u, v), np.arctan2(v, u) + turn
+    petals = 0.24 + 0.10 * np.cos(5 * angle)
+    leaves = 0.36 + 0.12 * np.cos(3 * angle + 1.0)
+    sharp = tile_px / 2
+    image = np.broadcast_to(color(codes[0]), (*shape, 3)).astype(np.float32)
+    for inside, code in (
+        (leaves - radius, codes[1]),
+        (petals - radius, codes[2]),
+        (0.09 - radius, codes[3]),
+    ):
+        image = blended(image, np.clip(inside * sharp + 0.5, 0, 1), code)
+    fade = noise(shape, 2 * tile_px, 3, random) - 0.5
+    grain = noise(shape, 0.08 * tile_px, 2, random) - 0.5
+    return shaded(image, 0.3 * fade + 0.25 * grain)
+
+
+def blended(image: Image, amount: Image, code: str) -> Image:
+    """Towards a colour, where and as far as `amount` (0 to 1) says."""
+    return (image + amount[..., None] * (color(code) - image)).astype(np.float32)
 
 
 def shaded(image: Image, amount: Image) -> Image:

@@ -24,6 +24,10 @@ from .rig import RigCamera, RigView
 NARROWEST_FILTER_PX = 0.01
 """Cycles' lower limit: the sample of a geometry render lies this close to the pixel's centre."""
 
+WORKBENCH_STEPS = (5, 8, 11, 16, 32)
+WORKBENCH_LIGHT = "paint.sl"
+"""Comes with Blender; the default light would be the user's own."""
+
 NOTHING_DEPTH_M = 1e9
 """Cycles writes 1e10 where a ray meets nothing."""
 
@@ -41,10 +45,19 @@ class Image:
 class Studio:
     """A scene with the rig's cameras and views set up in it."""
 
-    def __init__(self, scene: Any, views: tuple[RigView, ...], threads: int) -> None:
+    def __init__(
+        self,
+        scene: Any,
+        views: tuple[RigView, ...],
+        threads: int,
+        engine: str = "cycles",
+    ) -> None:
         self.scene = scene
+        self.engine = engine
         self.views = {view.id: view for view in views}
         configure(scene, threads)
+        if engine == "workbench":
+            configure_workbench(scene)
         world_from_rig = scenes.world_from_rig(scene)
         self.camera_objects = {
             view.id: _add_camera(scene, view, world_from_rig) for view in views
@@ -67,6 +80,9 @@ class Studio:
         """Write an 8-bit PNG, RGB or grey as the camera is. It gets its name only when it is whole and on the disk."""
         self._aim(image.view_id, image.world_time_s, image.samples, image.seed)
         self.scene.cycles.filter_width = 1.5
+        if self.engine == "workbench":
+            self.scene.render.engine = "BLENDER_WORKBENCH"
+            self.scene.display.render_aa = workbench_steps(image.samples)
         _set_passes(geometry=False)
         settings = self.scene.render.image_settings
         settings.media_type, settings.file_format = "IMAGE", "PNG"
@@ -87,6 +103,7 @@ class Studio:
         frame; at another frame rate than `rate_hz` that is scaled in proportion.
         """
         self._aim(image.view_id, image.world_time_s, 1, image.seed)
+        self.scene.render.engine = "CYCLES"
         self.scene.cycles.filter_width = NARROWEST_FILTER_PX
         _set_passes(geometry=True)
         settings = self.scene.render.image_settings
@@ -166,6 +183,25 @@ def configure(scene: Any, threads: int) -> None:
     cycles.time_limit = 0.0
 
 
+def configure_workbench(scene: Any) -> None:
+    """Textures under a studio's light that stays with the world, so that a point looks alike from every camera."""
+    scene.render.filter_size = 1.5
+    shading = scene.display.shading
+    shading.light, shading.studio_light = "STUDIO", WORKBENCH_LIGHT
+    shading.use_world_space_lighting, shading.studiolight_rotate_z = True, 0.0
+    shading.color_type = "TEXTURE"
+    shading.background_type = "VIEWPORT"
+    shading.background_color = (0.0, 0.0, 0.0)
+    shading.show_specular_highlight = False
+    shading.show_shadows = shading.show_cavity = shading.show_object_outline = False
+    shading.show_backface_culling = shading.show_xray = shading.use_dof = False
+
+
+def workbench_steps(samples: int) -> str:
+    """Workbench's anti-aliasing with at least so many samples a pixel, as far as it goes."""
+    return str(next((n for n in WORKBENCH_STEPS if n >= samples), WORKBENCH_STEPS[-1]))
+
+
 def move_whole(partial: Path, target: Path) -> None:
     """Give a finished scratch file its name, its bytes on the disk first."""
     with partial.open("r+b") as stream:
@@ -174,7 +210,7 @@ def move_whole(partial: Path, target: Path) -> None:
     partial.replace(target)
 
 
-def save_whole(array: npt.NDArray[np.float32], target: Path, scratch: Path) -> None:
+def save_whole(array: npt.NDArray[Any], target: Path, scratch: Path) -> None:
     """Write a .npy file that gets its name only when it is whole."""
     partial = _scratch_file(scratch, ".npy")
     np.save(partial, array)

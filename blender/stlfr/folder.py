@@ -94,7 +94,10 @@ def _truth_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:
             "camera": cameras[view_id],
             "images": "video/%04d.png",
         }
-    return truth.truth_json(plan.options.title, plan.rig, plan.shutters, views, video)
+    has_tracks = any(job.is_tracks for job in plan.jobs)
+    return truth.truth_json(
+        plan.options.title, plan.rig, plan.shutters, views, video, has_tracks
+    )
 
 
 def _write_colmap(plan: Plan, cameras: dict[str, Camera], folder: Path) -> None:

@@ -21,6 +21,10 @@ HIDDEN_FOLDER = ".film"
 PLAN_FILE = "plan.txt"
 CAPTURE_FILE = "capture.json"
 
+TRACKS_FILE = "truth/tracks/tracks.json"
+
+ENGINES = ("cycles", "workbench")
+
 TRUTH_SAMPLES_FACTOR = 4
 """Truth has four times the samples, so half the noise."""
 
@@ -33,6 +37,7 @@ PIXEL_SOURCES = (
     "png.py",
     "rig.py",
     "scenes.py",
+    "tracks.py",
     "truth.py",
 )
 """The modules of this folder that decide what the files of a capture hold."""
@@ -51,6 +56,10 @@ class Options:
     instants: int
     truth_video: int
     truth: bool
+    engine: str = "cycles"
+    tracks: int = 0
+    instants_s: tuple[float, ...] = ()
+    """Given ones, on the reference's clock; none: `instants` of the plan's choice."""
 
     @property
     def title(self) -> str:
@@ -79,8 +88,15 @@ class Job:
         """Whether it writes depth and motion instead of a picture."""
         return self.files[0].endswith(".npy")
 
+    @property
+    def is_tracks(self) -> bool:
+        """Whether it writes the point tracks."""
+        return self.files[0] == TRACKS_FILE
+
     def is_finished(self, capture: Path) -> bool:
         """Whether all its files are there and whole."""
+        if self.is_tracks:  # written last of its folder
+            return (capture / TRACKS_FILE).is_file()
         check = is_whole_npy if self.is_geometry else png.is_whole
         return all(
             check(capture / file, self.width_px, self.height_px) for file in self.files
@@ -106,9 +122,12 @@ def make(options: Options) -> Plan:
     if options.size_px is not None:
         rig = rigs.resized(rig, *options.size_px)
     shutters = rigs.shutters(rig, options.frames)
-    instants_s = (
-        truth.instants_s(rig, shutters, options.instants) if options.truth else []
-    )
+    if not options.truth:
+        instants_s = []
+    elif options.instants_s:
+        instants_s = truth.given_instants_s(rig, shutters, options.instants_s)
+    else:
+        instants_s = truth.instants_s(rig, shutters, options.instants)
     video_times_s = (
         truth.video_times_s(rig, shutters, options.truth_video) if options.truth else []
     )
@@ -123,6 +142,7 @@ def make(options: Options) -> Plan:
         instants_s=instants_s,
         video_times_s=video_times_s,
         jobs=[
+            *_tracks_jobs(rig, options),
             *_frame_jobs(rig, shutters, options.samples),
             *_truth_jobs(rig, shutters, instants_s, options.samples),
             *_video_jobs(rig, shutters, video_times_s, options.samples),
@@ -161,6 +181,14 @@ def _frame_jobs(rig: Rig, shutters: list[Shutter], samples: int) -> list[Job]:
         for camera, shutter in zip(rig.cameras, shutters, strict=True)
         for k, time_s in enumerate(shutter.world_times_s)
     ]
+
+
+def _tracks_jobs(rig: Rig, options: Options) -> list[Job]:
+    """One for all points and cameras: they share the evaluated scene."""
+    if not options.truth or options.tracks == 0:
+        return []
+    camera = rig.reference_camera
+    return [_job(rig, "point tracks", camera, 0.0, 1, "tracks", 0, (TRACKS_FILE,))]
 
 
 def _truth_jobs(
@@ -255,6 +283,9 @@ def _fingerprint(options: Options, rig: Rig) -> str:
         options.truth,
         options.instants,
         options.truth_video,
+        options.engine,
+        options.tracks,
+        options.instants_s,
     )
     digest.update(f"{options.title} {wanted} {rig!r}".encode())
     for file in (*files, *(here / name for name in PIXEL_SOURCES)):

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 SCENES_FOLDER = Path(__file__).resolve().parent.parent / "scenes"
-HELPERS = ("__init__", "kit", "paint")
+HELPERS = ("__init__", "backdrop", "kit", "paint")
 """What all scenes are built with; the other modules of that folder are the scenes."""
 PACKAGE = "stlfr_scenes"
 """The name that the scenes folder is imported under."""

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 from .errors import BadInputError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from .rig import Rig, Shutter
 
 MIN_GAP_FRAMES = 0.04
@@ -71,6 +73,21 @@ def instants_s(rig: Rig, shutters: list[Shutter], count: int) -> list[float]:
     return sorted(chosen)
 
 
+def given_instants_s(
+    rig: Rig, shutters: list[Shutter], times_s: Sequence[float]
+) -> list[float]:
+    """The given instants in order; every camera must have frames at or on both sides of each."""
+    zero_s = reference_zero_s(rig, shutters)
+    start_s = max(s.world_times_s[0] for s in shutters) - zero_s
+    end_s = min(s.world_times_s[-1] for s in shutters) - zero_s
+    for time_s in times_s:
+        if not start_s <= time_s <= end_s:
+            raise BadInputError(
+                f"--instants-s {time_s:g}: all cameras together film from {start_s:.4f} to {end_s:.4f} s"
+            )
+    return sorted(set(times_s))
+
+
 def video_times_s(rig: Rig, shutters: list[Shutter], count: int) -> list[float]:
     """`count` evenly spaced times over the covered span, ends included."""
     if count == 0:
@@ -89,6 +106,7 @@ def truth_json(
     shutters: list[Shutter],
     views: list[dict[str, Any]],
     video: dict[str, Any] | None,
+    has_tracks: bool = False,
 ) -> dict[str, Any]:
     """truth/truth.json; `views` and `video` as the plan lists them, with their cameras."""
     zero_s = reference_zero_s(rig, shutters)
@@ -109,4 +127,6 @@ def truth_json(
     }
     if video is not None:
         content["video"] = video
+    if has_tracks:
+        content["tracks"] = "tracks/tracks.json"
     return content

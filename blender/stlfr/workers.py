@@ -161,7 +161,7 @@ def work() -> None:
 def _work(orders: IO[str], answer: Callable[[dict[str, Any]], None]) -> None:
     setting = json.loads(orders.readline())
     options = Options(**setting["options"])
-    from . import film, scenes
+    from . import film, scenes, tracks
 
     rig = rigs.load(Path(options.rig_file))
     if options.size_px is not None:
@@ -169,14 +169,21 @@ def _work(orders: IO[str], answer: Callable[[dict[str, Any]], None]) -> None:
     scene = scenes.open_scene(
         options.scene_name, Path(options.blend_file) if options.blend_file else None
     )
-    studio = film.Studio(scene, (*rig.cameras, *rig.views), setting["threads"])
+    studio = film.Studio(
+        scene, (*rig.cameras, *rig.views), setting["threads"], options.engine
+    )
     answer({"cameras": {view_id: studio.describe(view_id) for view_id in studio.views}})
     capture, scratch = Path(setting["capture"]), Path(setting["scratch"])
     for line in orders:
         job = Job(**json.loads(line))
         image = film.Image(job.view_id, job.world_time_s, job.samples, job.seed)
         files = [capture / file for file in job.files]
-        if job.is_geometry:
+        if job.is_tracks:
+            exposures = tracks.exposures(rig, options.frames)
+            tracks.write(
+                studio, exposures, options.tracks, rig.seed, files[0].parent, scratch
+            )
+        elif job.is_geometry:
             studio.render_geometry(
                 image, files[0], files[1], scratch, rig.reference_camera.rate_hz
             )

@@ -9,11 +9,15 @@ mod clock;
 mod format;
 mod frames;
 mod image_io;
+mod npy;
+mod tracks;
 mod truth;
 
 pub use clock::{Clock, bracket};
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
 pub use image_io::{BitDepth, Samples, quantize, read_image, write_atomically, write_image};
+pub use npy::NpyError;
+pub use tracks::{CameraTracks, TrackedPoint, Tracks};
 pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};
 
 use crate::camera::{Camera, CameraFormatError};

@@ -1,5 +1,6 @@
 //! `truth/`: what only a simulator knows. The method never reads it; `compare` does.
 
+use super::npy::{NpyError, read_npy};
 use crate::camera::{Camera, CameraFormat, CameraFormatError};
 use crate::json::{self, JsonError};
 use serde::{Deserialize, Serialize};
@@ -19,6 +20,9 @@ pub struct Truth {
     pub views: Vec<TruthView>,
     #[serde(default)]
     pub video: Option<TruthVideo>,
+    /// `tracks.json` of the point tracks, see [`Tracks`](super::Tracks).
+    #[serde(default)]
+    pub tracks: Option<String>,
     #[serde(skip)]
     folder: PathBuf,
 }
@@ -77,6 +81,15 @@ pub enum TruthError {
     Camera { path: PathBuf, index: usize, source: CameraFormatError },
 }
 
+impl From<NpyError> for TruthError {
+    fn from(error: NpyError) -> Self {
+        match error {
+            NpyError::Read { path, source } => Self::Read { path, source },
+            NpyError::Content { path, reason } => Self::Content { path, reason },
+        }
+    }
+}
+
 impl Truth {
     /// Reads `CAPTURE/truth/truth.json`; `None` if the capture has no truth.
     pub fn open(capture: &Path) -> Result<Option<Self>, TruthError> {
@@ -132,28 +145,6 @@ impl TruthView {
 /// Reads an H×W array of little-endian f32 in numpy's format, version 1; returns (width, height,
 /// values row by row).
 pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), TruthError> {
-    let wrong =
-        |reason: &str| TruthError::Content { path: path.to_owned(), reason: reason.to_owned() };
-    let bytes =
-        std::fs::read(path).map_err(|source| TruthError::Read { path: path.to_owned(), source })?;
-    let rest = bytes.strip_prefix(b"\x93NUMPY\x01\x00").ok_or_else(|| wrong("is no npy file"))?;
-    let (length, rest) = rest.split_first_chunk().ok_or_else(|| wrong("is cut short"))?;
-    let (header, data) = rest
-        .split_at_checked(usize::from(u16::from_le_bytes(*length)))
-        .ok_or_else(|| wrong("is cut short"))?;
-    let header = std::str::from_utf8(header).map_err(|_| wrong("has no readable header"))?;
-    if !header.contains("'<f4'") || !header.contains("'fortran_order': False") {
-        return Err(wrong("must hold little-endian float32 in C order"));
-    }
-    let shape: Vec<usize> = header
-        .split_once('(')
-        .and_then(|(_, rest)| rest.split_once(')'))
-        .map(|(shape, _)| shape.split(',').filter_map(|n| n.trim().parse().ok()).collect())
-        .unwrap_or_default();
-    let &[height, width] = shape.as_slice() else { return Err(wrong("must have two axes")) };
-    if width.checked_mul(height).and_then(|n| n.checked_mul(4)) != Some(data.len()) {
-        return Err(wrong("has another size than its header says"));
-    }
-    let (values, _) = data.as_chunks::<4>();
-    Ok((width, height, values.iter().map(|b| f32::from_le_bytes(*b)).collect()))
+    let ([height, width], values) = read_npy(path)?;
+    Ok((width, height, values))
 }

@@ -35,9 +35,24 @@ pub struct Args {
     /// Samples a pixel, four times as many for truth [default: 16].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     samples: Option<u32>,
+    /// What renders the pictures. Workbench is many times faster, and lacks shadows and highlights.
+    #[arg(long, value_name = "ENGINE", value_parser = ["cycles", "workbench"])]
+    engine: Option<String>,
     /// Instants at which the truth is rendered [default: 3].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     instants: Option<u32>,
+    /// The instants themselves, in seconds on the reference camera's clock, such as 0.1,0.15.
+    #[arg(
+        long,
+        value_name = "T,T",
+        value_delimiter = ',',
+        conflicts_with = "instants",
+        allow_hyphen_values = true
+    )]
+    instants_s: Vec<f64>,
+    /// Points of the scene whose tracks belong to the truth [default: 0].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    tracks: Option<u32>,
     /// Frames of true slow motion from the rig's first view [default: 0].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     truth_video: Option<u32>,
@@ -70,7 +85,10 @@ impl Args {
             size_px: self.size.map(|s| (s.width, s.height)),
             frames: self.frames,
             samples: self.samples,
+            engine: self.engine.clone(),
             instants: self.instants,
+            instants_s: self.instants_s.clone(),
+            tracks: self.tracks,
             truth_video: self.truth_video,
             truth: !self.no_truth,
         }

@@ -95,7 +95,10 @@ impl Args {
             size_px: Some((self.size.width, self.size.height)),
             frames: self.frames,
             samples: self.samples,
+            engine: None,
             instants: None,
+            instants_s: Vec::new(),
+            tracks: None,
             truth_video: self.video.then_some(VIDEO_FRAMES),
             truth: true,
         }

@@ -19,8 +19,14 @@ pub struct FilmOptions {
     pub frames: Option<u32>,
     /// Samples a pixel.
     pub samples: Option<u32>,
+    /// `cycles` or `workbench`.
+    pub engine: Option<String>,
     /// Instants with truth.
     pub instants: Option<u32>,
+    /// The instants themselves, seconds on the reference's clock; none leaves them to `instants`.
+    pub instants_s: Vec<f64>,
+    /// Points with tracks.
+    pub tracks: Option<u32>,
     /// Frames of the true slow motion.
     pub truth_video: Option<u32>,
     /// Whether to write `truth/` at all.
@@ -56,10 +62,19 @@ pub fn film(
         ("--samples", options.samples),
         ("--instants", options.instants),
         ("--truth-video", options.truth_video),
+        ("--tracks", options.tracks),
     ] {
         if let Some(value) = value {
             command.arg(flag).arg(value.to_string());
         }
+    }
+    if let Some(engine) = &options.engine {
+        command.arg("--engine").arg(engine);
+    }
+    if !options.instants_s.is_empty() {
+        let times: Vec<String> = options.instants_s.iter().map(f64::to_string).collect();
+        // One argument: a leading minus is a number's.
+        command.arg(format!("--instants-s={}", times.join(",")));
     }
     if !options.truth {
         command.arg("--no-truth");

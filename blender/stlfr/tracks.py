@@ -1,0 +1,293 @@
+"""Point tracks: where points of the scene's surfaces are, and which camera sees them, at every frame. The Blender side.
+
+A point is a place on a triangle of an evaluated mesh: three vertices and their weights. It keeps
+that place while the mesh moves and deforms. Points are drawn through the cameras' pixels, so they
+lie where the film shows something; half of them on what moves, as far as there is any.
+
+What it can't follow: surfaces of instances, and meshes whose vertices or faces change in number;
+points there aren't drawn. What it doesn't know of: mirrors and glass, which it takes for solid, and
+objects that only some rays see.
+"""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+import numpy.typing as npt
+from mathutils import Vector
+from mathutils.geometry import intersect_point_tri
+
+from . import camera as cameras
+from . import film, scenes, truth
+from . import rig as rigs
+from .folder import write_json
+
+Array = npt.NDArray[np.float64]
+
+CANDIDATES = 4
+"""Points drawn for each one kept, so that enough of them move."""
+
+MOVING_M = 0.002
+"""How far a point goes at least, from end to end of its path, to count as moving."""
+
+SAME_DEPTH = 5e-5
+"""How much nearer than the point, relative to its distance, a ray may stop and still see it: above
+single precision, below the 0.4 mm between the layers of a printed sheet at 2 m."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """One frame of one camera. Times are in seconds: the world's, and the reference camera's clock's."""
+
+    camera_id: str
+    frame: int
+    world_time_s: float
+    clock_time_s: float
+
+
+@dataclass(frozen=True)
+class SurfacePoint:
+    """A point of an object's evaluated mesh."""
+
+    object_name: str
+    vertices: tuple[int, int, int]
+    weights: tuple[float, float, float]
+    vertex_count: int
+
+
+def write(
+    studio: film.Studio,
+    exposures: list[Exposure],
+    count: int,
+    seed: int,
+    folder: Path,
+    scratch: Path,
+) -> None:
+    """Write `tracks.json` and its arrays into `folder`; src/capture/tracks.rs says what they hold."""
+    evaluate_as_rendered(studio.scene)
+    exposures = sorted(exposures, key=lambda e: (e.world_time_s, e.camera_id))
+    candidates = draw(studio, exposures, CANDIDATES * count, seed)
+    paths = np.empty((len(exposures), len(candidates), 3))
+    for k, exposure in enumerate(exposures):
+        paths[k] = positions(evaluated_at(studio.scene, exposure), candidates)
+    chosen = choose(paths, count)
+    points = [candidates[i] for i in chosen]
+    paths = paths[:, chosen]
+    described = {e.camera_id: studio.describe(e.camera_id) for e in exposures}
+    pixels, visible = [], []
+    for k, exposure in enumerate(exposures):
+        camera = described[exposure.camera_id]
+        seen_px = project(camera, paths[k])
+        graph = evaluated_at(studio.scene, exposure)
+        inside = (
+            (seen_px >= 0).all(axis=1)
+            & (seen_px[:, 0] <= camera["width"])
+            & (seen_px[:, 1] <= camera["height"])
+        )
+        pixels.append(seen_px)
+        visible.append(
+            inside & unoccluded(studio.scene, graph, centre_of(camera), paths[k])
+        )
+    names = sorted({point.object_name for point in points})
+    entries = []
+    for view_id in described:
+        rows = sorted(
+            (k for k, e in enumerate(exposures) if e.camera_id == view_id),
+            key=lambda k: exposures[k].frame,
+        )
+        arrays = {
+            "world": paths[rows],
+            "pixels": np.array([pixels[k] for k in rows]),
+            "visible": np.array([visible[k] for k in rows], dtype=np.uint8),
+        }
+        files = {name: f"{view_id}.{name}.npy" for name in arrays}
+        for name, array in arrays.items():
+            film.save_whole(array, folder / files[name], scratch)
+        times_s = [exposures[k].clock_time_s for k in rows]
+        entries.append({"id": view_id, "times_s": times_s, **files})
+    order = [view_id for view_id in studio.views if view_id in described]
+    entries.sort(key=lambda entry: order.index(entry["id"]))
+    content = {
+        "format": "stlfr-tracks",
+        "version": 1,
+        "objects": names,
+        "object": [names.index(point.object_name) for point in points],
+        "cameras": entries,
+    }
+    write_json(folder / "tracks.json", content)
+
+
+def exposures(rig: rigs.Rig, frame_count: int) -> list[Exposure]:
+    """Every frame of every camera."""
+    shutters = rigs.shutters(rig, frame_count)
+    zero_s = truth.reference_zero_s(rig, shutters)
+    return [
+        Exposure(shutter.id, k, time_s, time_s - zero_s)
+        for shutter in shutters
+        for k, time_s in enumerate(shutter.world_times_s)
+    ]
+
+
+def evaluate_as_rendered(scene: Any) -> None:
+    """Let the viewport's evaluation, which rays are cast into, show what a render shows."""
+    for scene_object in scene.objects:
+        scene_object.hide_viewport = scene_object.hide_render
+        for modifier in scene_object.modifiers:
+            modifier.show_viewport = modifier.show_render
+            if hasattr(modifier, "render_levels"):
+                modifier.levels = modifier.render_levels
+    scene.render.use_simplify = False
+
+
+def evaluated_at(scene: Any, exposure: Exposure) -> Any:
+    """The scene as it is in the middle of the exposure."""
+    frame, subframe = scenes.frame_at(scene, exposure.world_time_s)
+    scene.frame_set(frame, subframe=subframe)
+    return bpy.context.evaluated_depsgraph_get()
+
+
+def draw(
+    studio: film.Studio, exposures: list[Exposure], count: int, seed: int
+) -> list[SurfacePoint]:
+    """Up to `count` points, each behind a random pixel at one of a few of the exposures, spread over time."""
+    generator = random.Random(f"{seed}/tracks")
+    groups = min(16, len(exposures))
+    points: list[SurfacePoint] = []
+    for group in range(groups):
+        exposure = exposures[(2 * group + 1) * len(exposures) // (2 * groups)]
+        camera = studio.describe(exposure.camera_id)
+        graph = evaluated_at(studio.scene, exposure)
+        wanted = (group + 1) * count // groups
+        for _ in range(2 * (wanted - len(points))):
+            x_px = generator.uniform(0, camera["width"])
+            y_px = generator.uniform(0, camera["height"])
+            point = _behind(studio.scene, graph, camera, x_px, y_px)
+            if point is not None and len(points) < wanted:
+                points.append(point)
+    return points
+
+
+def _behind(
+    scene: Any, graph: Any, camera: dict[str, Any], x_px: float, y_px: float
+) -> SurfacePoint | None:
+    fx, fy, cx, cy = camera["params"][:4]
+    ray = np.array([(x_px - cx) / fx, (y_px - cy) / fy, 1.0])
+    direction = rotation_of(camera).T @ ray
+    hit, place, _normal, face, hit_object, matrix = scene.ray_cast(
+        graph, Vector(centre_of(camera)), Vector(direction)
+    )
+    if not hit or hit_object.type != "MESH":
+        return None
+    evaluated = hit_object.evaluated_get(graph)
+    if matrix != evaluated.matrix_world:
+        return None  # an instance
+    mesh = evaluated.data
+    local = matrix.inverted() @ place
+    for triangle in _triangles(mesh, face):
+        corners = [mesh.vertices[v].co for v in triangle]
+        if intersect_point_tri(local, *corners):
+            weights = barycentric(np.array(local), np.array(corners))
+            if weights is not None:
+                return SurfacePoint(
+                    hit_object.name, triangle, weights, len(mesh.vertices)
+                )
+    return None
+
+
+def _triangles(mesh: Any, face: int) -> list[tuple[int, int, int]]:
+    """The face's triangles, as they are rendered."""
+    polygon = mesh.polygons[face]
+    if len(polygon.vertices) == 3:
+        return [tuple(polygon.vertices)]
+    # Blender stores a polygon's triangles together, in the polygons' order: two fewer than corners.
+    first = polygon.loop_start - 2 * face
+    return [
+        tuple(mesh.loop_triangles[i].vertices)
+        for i in range(first, first + len(polygon.vertices) - 2)
+    ]
+
+
+def barycentric(place: Array, corners: Array) -> tuple[float, float, float] | None:
+    """The weights of a triangle's corners (3, 3) that give a place on it; none for a triangle without area."""
+    edges = (corners[1:] - corners[0]).T
+    gram = edges.T @ edges
+    determinant = gram[0, 0] * gram[1, 1] - gram[0, 1] ** 2
+    if not determinant > 1e-14 * gram[0, 0] * gram[1, 1]:
+        return None
+    u, v = np.linalg.solve(gram, edges.T @ (place - corners[0]))
+    return (float(1 - u - v), float(u), float(v))
+
+
+def positions(graph: Any, points: list[SurfacePoint]) -> Array:
+    """Where the points are now, in metres (N, 3); NaN where the mesh isn't the one they were drawn on."""
+    result = np.full((len(points), 3), np.nan)
+    by_object: dict[str, list[int]] = {}
+    for i, point in enumerate(points):
+        by_object.setdefault(point.object_name, []).append(i)
+    for name, indices in by_object.items():
+        evaluated = bpy.data.objects[name].evaluated_get(graph)
+        mesh = evaluated.data
+        if any(points[i].vertex_count != len(mesh.vertices) for i in indices):
+            continue
+        coordinates = np.empty(3 * len(mesh.vertices), dtype=np.float32)
+        mesh.vertices.foreach_get("co", coordinates)
+        corners = coordinates.reshape(-1, 3)[[points[i].vertices for i in indices]]
+        weights = np.array([points[i].weights for i in indices])
+        local = np.einsum("nc,nci->ni", weights, corners.astype(np.float64))
+        matrix = np.array(evaluated.matrix_world, dtype=np.float64)
+        result[indices] = local @ matrix[:3, :3].T + matrix[:3, 3]
+    return result
+
+
+def choose(paths: Array, count: int) -> list[int]:
+    """Up to `count` of the points, half of them moving as far as there are such, in the order drawn."""
+    whole = np.isfinite(paths).all(axis=(0, 2))
+    reach_m = np.zeros(paths.shape[1])
+    reach_m[whole] = np.linalg.norm(np.ptp(paths[:, whole], axis=0), axis=1)
+    moving = [i for i in np.flatnonzero(whole) if reach_m[i] >= MOVING_M]
+    still = [i for i in np.flatnonzero(whole) if reach_m[i] < MOVING_M]
+    most_moving = max(count - count // 2, count - len(still))
+    kept = moving[:most_moving]
+    return sorted(int(i) for i in kept + still[: count - len(kept)])
+
+
+def unoccluded(
+    scene: Any, graph: Any, centre: Array, points_m: Array
+) -> npt.NDArray[np.bool_]:
+    """Whether the straight way from a camera's centre to each point is free."""
+    origin = Vector(centre)
+    result = np.zeros(len(points_m), dtype=bool)
+    for i, point in enumerate(points_m):
+        way = Vector(point) - origin
+        hit, place, *_ = scene.ray_cast(graph, origin, way, distance=2 * way.length)
+        result[i] = not hit or (place - origin).length > way.length * (1 - SAME_DEPTH)
+    return result
+
+
+def rotation_of(camera: dict[str, Any]) -> Array:
+    """The rotation of a described camera's `cam_from_world`."""
+    w, x, y, z = camera["cam_from_world"]["rotation_wxyz"]
+    return cameras.rotation_from_quaternion((w, x, y, z))
+
+
+def centre_of(camera: dict[str, Any]) -> Array:
+    """A described camera's centre in the world."""
+    return -rotation_of(camera).T @ np.array(camera["cam_from_world"]["translation"])
+
+
+def project(camera: dict[str, Any], points_m: Array) -> Array:
+    """A described camera's pixels (N, 2) of world points (N, 3); NaN behind it."""
+    pinhole = cameras.Pinhole(camera["width"], camera["height"], *camera["params"])
+    transform = camera["cam_from_world"]
+    return cameras.project(
+        pinhole,
+        cameras.RigidTransform(
+            tuple(transform["rotation_wxyz"]), tuple(transform["translation"])
+        ),
+        points_m,
+    )

@@ -1,0 +1,113 @@
+//! Arrays in numpy's file format, version 1: C order, little-endian.
+
+use std::path::{Path, PathBuf};
+
+/// What can be wrong with an array's file.
+#[derive(Debug, thiserror::Error)]
+pub enum NpyError {
+    #[error("{path}: {source}")]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{path}: {reason}")]
+    Content { path: PathBuf, reason: String },
+}
+
+/// A type of number that an array may hold.
+pub trait Element: Sized {
+    /// As numpy spells it: `<f4`.
+    const DESCR: &'static str;
+    const NAME: &'static str;
+    const BYTES: usize;
+    /// From exactly [`Self::BYTES`] bytes.
+    fn from_le(bytes: &[u8]) -> Self;
+}
+
+macro_rules! element {
+    ($type:ty, $descr:literal, $name:literal) => {
+        impl Element for $type {
+            const DESCR: &'static str = $descr;
+            const NAME: &'static str = $name;
+            const BYTES: usize = size_of::<$type>();
+            fn from_le(bytes: &[u8]) -> Self {
+                let mut exact = [0; size_of::<$type>()];
+                exact.copy_from_slice(bytes);
+                Self::from_le_bytes(exact)
+            }
+        }
+    };
+}
+element!(f32, "<f4", "little-endian float32");
+element!(f64, "<f8", "little-endian float64");
+element!(u8, "|u1", "8-bit unsigned integers");
+
+/// Reads an array of `AXES` axes: its shape, and its values with the last axis running fastest.
+pub fn read_npy<T: Element, const AXES: usize>(
+    path: &Path,
+) -> Result<([usize; AXES], Vec<T>), NpyError> {
+    let wrong = |reason: String| NpyError::Content { path: path.to_owned(), reason };
+    let bytes =
+        std::fs::read(path).map_err(|source| NpyError::Read { path: path.to_owned(), source })?;
+    let rest =
+        bytes.strip_prefix(b"\x93NUMPY\x01\x00").ok_or_else(|| wrong("is no npy file".into()))?;
+    let (length, rest) = rest.split_first_chunk().ok_or_else(|| wrong("is cut short".into()))?;
+    let (header, data) = rest
+        .split_at_checked(usize::from(u16::from_le_bytes(*length)))
+        .ok_or_else(|| wrong("is cut short".into()))?;
+    let header = std::str::from_utf8(header).map_err(|_| wrong("has no readable header".into()))?;
+    if !header.contains(&format!("'{}'", T::DESCR)) || !header.contains("'fortran_order': False") {
+        return Err(wrong(format!("must hold {} in C order", T::NAME)));
+    }
+    let shape: Vec<usize> = header
+        .split_once('(')
+        .and_then(|(_, rest)| rest.split_once(')'))
+        .map(|(shape, _)| shape.split(',').filter_map(|n| n.trim().parse().ok()).collect())
+        .unwrap_or_default();
+    let shape: [usize; AXES] =
+        shape.try_into().map_err(|_| wrong(format!("must have {AXES} axes")))?;
+    let size = shape.iter().try_fold(T::BYTES, |size, n| size.checked_mul(*n));
+    if size != Some(data.len()) {
+        return Err(wrong("has another size than its header says".into()));
+    }
+    Ok((shape, data.chunks_exact(T::BYTES).map(T::from_le).collect()))
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// A file as numpy writes it.
+    pub(crate) fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+        let mut header =
+            format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
+        while (header.len() + 11) % 64 != 0 {
+            header.push(' ');
+        }
+        header.push('\n');
+        let mut file = b"\x93NUMPY\x01\x00".to_vec();
+        file.extend(u16::try_from(header.len()).unwrap().to_le_bytes());
+        file.extend(header.as_bytes());
+        file.extend(data);
+        file
+    }
+
+    #[test]
+    fn an_array_is_read_and_a_wrong_one_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.npy");
+        let data: Vec<u8> = (0..6).flat_map(|i| f64::from(i).to_le_bytes()).collect();
+        std::fs::write(&path, npy("<f8", "1, 3, 2", &data)).unwrap();
+        let (shape, values) = read_npy::<f64, 3>(&path).unwrap();
+        assert_eq!((shape, values), ([1, 3, 2], vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0]));
+
+        let complaint = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            read_npy::<f64, 3>(&path).unwrap_err().to_string()
+        };
+        assert!(complaint(b"text").ends_with("is no npy file"));
+        assert!(complaint(&npy("<f4", "1, 3, 2", &data)).ends_with("float64 in C order"));
+        assert!(complaint(&npy("<f8", "3, 2", &data)).ends_with("must have 3 axes"));
+        assert!(complaint(&npy("<f8", "1, 3, 3", &data)).contains("another size"));
+        let huge = format!("{}, {}, 2", usize::MAX, usize::MAX);
+        assert!(complaint(&npy("<f8", &huge, &data)).contains("another size"));
+        assert!(complaint(&npy("<f8", "1, 3, 2", &data)[..40]).ends_with("is cut short"));
+    }
+}
