@@ -271,13 +271,13 @@ impl<V: Vector> RowMoments<V> {
     #[inline(always)]
     fn add(&mut self, [gx, gy, v]: [V; 3], [wx, wy, wv, w]: [V; 4], x: V) {
         let products = [wx.mul(gx), wx.mul(gy), wy.mul(gy)];
-        for k in 0..3 {
-            let px = products[k].mul(x);
-            accumulate(&mut self.tensor[k], [products[k], px, px.mul(x)]);
+        for (sums, p) in self.tensor.iter_mut().zip(products) {
+            let px = p.mul(x);
+            accumulate(sums, [p, px, px.mul(x)]);
         }
         let products = [wx.mul(v), wy.mul(v), wx, wy];
-        for k in 0..4 {
-            accumulate(&mut self.mixed[k], [products[k], products[k].mul(x)]);
+        for (sums, p) in self.mixed.iter_mut().zip(products) {
+            accumulate(sums, [p, p.mul(x)]);
         }
         accumulate(&mut self.light, [wv.mul(v), wv, w]);
     }
@@ -285,8 +285,8 @@ impl<V: Vector> RowMoments<V> {
 
 #[inline(always)]
 fn accumulate<V: Vector, const M: usize>(sums: &mut [V; M], terms: [V; M]) {
-    for k in 0..M {
-        sums[k] = sums[k].add(terms[k]);
+    for (sum, term) in sums.iter_mut().zip(terms) {
+        *sum = sum.add(term);
     }
 }
 
@@ -308,14 +308,12 @@ impl<V: Vector> Moments<V> {
 
     #[inline(always)]
     fn add(&mut self, row: &RowMoments<V>, y: V) {
-        for k in 0..3 {
-            let [p, px, pxx] = row.tensor[k];
+        for (sums, &[p, px, pxx]) in self.tensor.iter_mut().zip(&row.tensor) {
             let py = p.mul(y);
-            accumulate(&mut self.tensor[k], [p, px, py, pxx, px.mul(y), py.mul(y)]);
+            accumulate(sums, [p, px, py, pxx, px.mul(y), py.mul(y)]);
         }
-        for k in 0..4 {
-            let [p, px] = row.mixed[k];
-            accumulate(&mut self.mixed[k], [p, px, p.mul(y)]);
+        for (sums, &[p, px]) in self.mixed.iter_mut().zip(&row.mixed) {
+            accumulate(sums, [p, px, p.mul(y)]);
         }
         accumulate(&mut self.light, row.light);
     }
@@ -394,8 +392,8 @@ impl<'a> Sampler<'a> {
         let [(ix, fx), (iy, fy)] = [self.split(0, column, down), self.split(1, column, down)];
         let stride = self.target.stride as isize;
         let mut first = [0; LANES];
-        for l in 0..LANES {
-            first[l] = (self.corner + iy[l] as isize * stride + ix[l] as isize) as usize;
+        for (l, first) in first.iter_mut().enumerate() {
+            *first = (self.corner + iy[l] as isize * stride + ix[l] as isize) as usize;
         }
         let (x, y) = (catmull_rom(fx), catmull_rom(fy));
         V::gather_4x4(&self.target.value, &first, self.target.stride, x, y)

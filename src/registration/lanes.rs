@@ -53,8 +53,8 @@ pub trait Vector: Copy {
     #[inline(always)]
     fn splats<const N: usize>(values: [f32; N]) -> [Self; N] {
         let mut all = [Self::zero(); N];
-        for k in 0..N {
-            all[k] = Self::splat(values[k]);
+        for (vector, value) in all.iter_mut().zip(values) {
+            *vector = Self::splat(value);
         }
         all
     }
@@ -63,8 +63,8 @@ pub trait Vector: Copy {
     #[inline(always)]
     fn sums<const N: usize>(vectors: &[Self; N]) -> [f64; N] {
         let mut all = [0.0; N];
-        for k in 0..N {
-            all[k] = vectors[k].sum();
+        for (sum, vector) in all.iter_mut().zip(vectors) {
+            *sum = vector.sum();
         }
         all
     }
@@ -157,11 +157,11 @@ impl Vector for Plain {
         y: [Self; 4],
     ) -> Self {
         let mut out = [0.0; LANES];
-        for l in 0..LANES {
+        for (l, out) in out.iter_mut().enumerate() {
             let row = |r: usize| four(plane, first[l] + r * stride).map(|v| y[r].0[l] * v);
             let [a, b, c, d] = [row(0), row(1), row(2), row(3)];
             let column = |k: usize| ((a[k] + b[k]) + c[k]) + d[k];
-            out[l] = (column(0) * x[0].0[l] + column(1) * x[1].0[l])
+            *out = (column(0) * x[0].0[l] + column(1) * x[1].0[l])
                 + (column(2) * x[2].0[l] + column(3) * x[3].0[l]);
         }
         Self(out)
@@ -249,10 +249,10 @@ mod avx2 {
                 ($k:literal) => {{
                     const ALL: i32 = $k * 0b01_01_01_01;
                     let mut terms = [y[0].0; 4];
-                    for r in 0..4 {
+                    for (r, term) in terms.iter_mut().enumerate() {
                         let low = four(plane, first[$k] + r * stride);
                         let high = four(plane, first[$k + 4] + r * stride);
-                        terms[r] = unsafe {
+                        *term = unsafe {
                             let row = _mm256_set_m128(
                                 _mm_loadu_ps(high.as_ptr()),
                                 _mm_loadu_ps(low.as_ptr()),

@@ -1,6 +1,9 @@
 //! The tracker beside OpenCV's `calcOpticalFlowPyrLK`: the same points, window, levels and
 //! iterations. Times are processor time, taken in turns; their ratio is the median of ratios.
 //!
+//! And the registration of a pair of frames, everything included, beside dense flow (DIS, medium)
+//! in both directions.
+//!
 //! `cargo bench --bench klt`
 
 #[path = "../common/bodies.rs"]
@@ -15,10 +18,14 @@ use nalgebra::Point2;
 use peer::Peer;
 use rayon::prelude::*;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
-use stlfr::capture::read_image;
+use stlfr::capture::{Capture, read_image};
 use stlfr::raster::Image;
-use stlfr::registration::{CornerOptions, KltOptions, Pyramid, Tracker, corners};
+use stlfr::registration::{
+    CornerOptions, Frame, FrameStore, KltOptions, Pyramid, RegistrationOptions, Tracker, corners,
+    epipolar_test, temporal_flow,
+};
 
 const REPEATS: usize = 41;
 
@@ -94,9 +101,81 @@ fn errors(found: &Found, points: &[Point2<f64>], truth: &Truth) -> Vec<f64> {
     points.iter().zip(found).filter_map(|(p, q)| Some((truth(p)? - (*q)?).norm())).collect()
 }
 
+/// Milliseconds of one pair, both ways: processor time on one thread, wall time on two.
+fn pairs(folder: &Path, peer: &mut Peer) {
+    println!(
+        "one pair of 640×480, all included | tracks | 1 thread: ours, DIS medium both ways [ms] ratio | 2 threads (wall): ours, DIS, ratio"
+    );
+    for case in worlds::cases() {
+        let cameras = worlds::line_rig(2, 640);
+        let film = folder.join(format!("film-{}", case.name));
+        bodies::film(&case.world, &cameras, &[0.0, 0.4], 4, 0.009, &film);
+        let capture = Arc::new(Capture::open(&film).expect("a capture"));
+        let times: Vec<_> = capture.cameras.iter().map(|c| Some(c.clock.times_s.clone())).collect();
+        let options = RegistrationOptions::default();
+        let images = [1, 2].map(|k| capture.read_frame(0, k).expect("a frame"));
+        let store = FrameStore::new(capture, &options);
+        for (camera, k) in [(0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (1, 2)] {
+            store.get(camera, k).expect("a frame").corners(&options);
+        }
+        // Decoding is left out, as it is for the peer; pyramids and corners of both are not.
+        let register = || {
+            let prepared = images.each_ref().map(|i| {
+                let frame = Frame::new(i.clone(), &options);
+                frame.corners(&options).len()
+            });
+            assert!(prepared[0] > 0);
+            let tracks = temporal_flow(&store, 0, 1).expect("tracks");
+            epipolar_test(&store, &times, 0, 1, &tracks).expect("verdicts").len()
+        };
+        let listed = folder.join("none");
+        std::fs::write(&listed, []).expect("a file can be written");
+        let file = |k: usize| film.join(format!("cam0/{k:04}.png"));
+        peer.ask(&format!(
+            "images {} {} {}",
+            file(1).display(),
+            file(2).display(),
+            listed.display()
+        ));
+        let pool =
+            |n: usize| rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("a pool");
+        let (one, two) = (pool(1), pool(2));
+        let mut count = 0;
+        let mut ms = [vec![], vec![], vec![], vec![], vec![], vec![]];
+        for _ in 0..REPEATS / 4 {
+            peer.ask("threads 1");
+            let start = cpu::seconds();
+            count = one.install(register);
+            let own = 1e3 * (cpu::seconds() - start);
+            let theirs = peer.ask("dis").processor_ms;
+            peer.ask("threads 2");
+            let start = Instant::now();
+            two.install(register);
+            let own_wall = 1e3 * start.elapsed().as_secs_f64();
+            let their_wall = peer.ask("dis").wall_ms;
+            let row = [own, theirs, theirs / own, own_wall, their_wall, their_wall / own_wall];
+            for (all, v) in ms.iter_mut().zip(row) {
+                all.push(v);
+            }
+        }
+        let m = ms.map(|v| median(&v));
+        println!(
+            "{:22} | {count} | {:.0}, {:.0}, {:.2} | {:.0}, {:.0}, {:.2}",
+            case.name, m[0], m[1], m[2], m[3], m[4], m[5]
+        );
+    }
+}
+
 fn main() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut peer = Peer::start();
+    if !std::env::args().any(|a| a == "--pairs") {
+        same_points(folder.path(), &mut peer);
+    }
+    pairs(folder.path(), &mut peer);
+}
+
+fn same_points(folder: &Path, peer: &mut Peer) {
     let same = KltOptions {
         max_residual: 1.0,
         affine: stlfr::registration::AffineOptions { radius_px: 0, ..Default::default() },
@@ -107,7 +186,7 @@ fn main() {
         "{:22} | points both | ours-OpenCV median p90 [px] | error: ours, OpenCV, refined (median, within 0.1, within 1) | ms: ours, OpenCV, ratio | two threads: OpenCV/ours (wall) | our speed-up | refined ms",
         ""
     );
-    for problem in problems(folder.path()) {
+    for problem in problems(folder) {
         let images = [0, 1].map(|k| read_image(&problem.files[k]).expect("an image").0.to_gray());
         let corner_options = CornerOptions { max_corners: 2000, ..Default::default() };
         let points =
@@ -120,7 +199,7 @@ fn main() {
             .flat_map(|p| [p.x, p.y])
             .flat_map(|v| ((v - 0.5) as f32).to_le_bytes())
             .collect();
-        let listed = folder.path().join("points");
+        let listed = folder.join("points");
         std::fs::write(&listed, bytes).expect("a file can be written");
         let [a, b] = &problem.files;
         peer.ask(&format!("images {} {} {}", a.display(), b.display(), listed.display()));
@@ -148,7 +227,7 @@ fn main() {
             best = ours(&images, &points, &refined, false);
             refined_ms.push(1e3 * (cpu::seconds() - start));
         }
-        let answer = folder.path().join("answer");
+        let answer = folder.join("answer");
         peer.ask(&format!("tracked {}", answer.display()));
         let table = std::fs::read(&answer).expect("the peer's answer");
         let (numbers, _) = table.as_chunks::<4>();

@@ -1,150 +1,353 @@
-//! Tracks against the truth, scene by scene.
+//! Tracks against the truth, scene by scene: how accurate they are, before and after the epipolar
+//! test; what the checks remove of the wrong ones, and lose of the right ones.
 //!
-//! `cargo bench --bench tracks`
+//! `cargo bench --bench tracks [-- CAPTURE…]`: filmed captures with `truth/tracks`, whose points are
+//! tracked; without any, the five worlds of `tests/common/worlds.rs`, whose corners are.
 
 #[path = "../common/bodies.rs"]
 #[allow(dead_code)]
 mod bodies;
-mod cpu;
 #[path = "../common/worlds.rs"]
 mod worlds;
 
+use bodies::{Random, Surface};
 use nalgebra::{Point2, Vector2};
+use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
-use stlfr::camera::Camera;
-use stlfr::capture::Capture;
-use stlfr::registration::{FrameStore, RegistrationOptions, Run, Track, temporal_flow};
+use stlfr::camera::{Camera, EpipolarGeometry};
+use stlfr::capture::{Capture, Tracks, Truth};
+use stlfr::registration::{
+    FrameStore, RegistrationOptions, Run, Track, Verdict, agreeing, epipolar_test,
+    select_references, temporal_flow, temporal_flow_of,
+};
 use worlds::Case;
 
 const FRAMES: usize = 8;
 const DELAYS: [f64; 3] = [0.0, 0.37, 0.71];
 
-fn filmed(case: &Case) -> (PathBuf, Vec<Camera>) {
-    let cameras = worlds::line_rig(3, 640);
-    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(".captures/bodies").join(case.name);
-    if !folder.join("capture.json").exists() {
-        bodies::film(&case.world, &cameras, &DELAYS, FRAMES, 0.009, &folder);
-    }
-    (folder, cameras)
+/// Whose positions are known.
+enum Known {
+    World { case: Case, cameras: Vec<Camera> },
+    Film { points: Tracks },
 }
 
-/// Whether everything within a radius shows the same body.
-fn is_interior(case: &Case, camera: &Camera, p: &Point2<f64>, time: f64, radius: f64) -> bool {
-    let body = |p: &Point2<f64>| case.world.seen(camera, p, time).map(|s| s.body);
-    let middle = body(p);
-    (0..8).all(|k| {
-        let angle = f64::from(k) * std::f64::consts::FRAC_PI_4;
-        body(&(p + radius * Vector2::new(angle.cos(), angle.sin()))) == middle
-    })
+#[derive(Clone, Copy)]
+enum Point {
+    Surface(Surface),
+    Numbered(usize),
 }
 
-fn quantile(v: &mut [f64], q: f64) -> f64 {
-    if v.is_empty() {
-        return f64::NAN;
-    }
-    v.sort_by(f64::total_cmp);
-    v[((v.len() - 1) as f64 * q) as usize]
+/// A track, and the point that it started on.
+struct Sample {
+    track: Track,
+    point: Point,
 }
 
-struct Scores {
-    /// All, then interior of the moving body: end to end and at the middle.
-    all: Vec<f64>,
-    moving: Vec<f64>,
-    middle: Vec<f64>,
-    /// Path at the middle with the true positions: curvature's error alone.
-    ideal: Vec<f64>,
-    seconds: f64,
+struct Scene {
+    name: String,
+    known: Known,
+    capture: Arc<Capture>,
+    times_s: Vec<Option<Vec<f64>>>,
+    /// The pairs to score.
+    pairs: Vec<(usize, usize)>,
 }
 
-fn score(case: &Case, options: &RegistrationOptions) -> Scores {
-    let (folder, cameras) = filmed(case);
-    let capture = Arc::new(Capture::open(&folder).expect("a capture"));
-    let mut scores =
-        Scores { all: vec![], moving: vec![], middle: vec![], ideal: vec![], seconds: 0.0 };
-    let store = FrameStore::new(capture.clone(), options);
-    let (c, world) = (1, &case.world);
-    let times: Vec<f64> = (0..FRAMES).map(|k| DELAYS[c] + k as f64).collect();
-    for k in [2] {
-        for n in k - 1..=k + 2 {
-            let _ = store.get(c, n).expect("a frame").corners(options);
+impl Scene {
+    fn world(case: Case) -> Self {
+        let cameras = worlds::line_rig(3, 640);
+        let folder =
+            PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(".captures/bodies").join(case.name);
+        if !folder.join("capture.json").exists() {
+            bodies::film(&case.world, &cameras, &DELAYS, FRAMES, 0.009, &folder);
         }
-        let start = cpu::seconds();
-        let tracks = temporal_flow(&store, c, k).expect("tracks");
-        scores.seconds += cpu::seconds() - start;
-        for t in &tracks {
-            let (from, at, to) =
-                if t.run == Run::Backward { (k + 1, t.later, k) } else { (k, t.earlier, k + 1) };
-            let Some(surface) = world.seen(&cameras[c], &at, times[from]) else { continue };
-            let place = |time: f64| world.position(&surface, &cameras[c], time);
-            let found = if t.run == Run::Backward { t.earlier } else { t.later };
-            let Some(truth) = place(times[to]) else { continue };
-            let error = (found - truth).norm();
-            scores.all.push(error);
-            if surface.body == 0
-                || !is_interior(case, &cameras[c], &at, times[from], 14.0)
-                || !is_interior(case, &cameras[c], &truth, times[to], 14.0)
-            {
+        let capture = Arc::new(Capture::open(&folder).expect("a capture"));
+        let times_s = capture.cameras.iter().map(|c| Some(c.clock.times_s.clone())).collect();
+        let name = case.name.to_owned();
+        let known = Known::World { case, cameras };
+        Self { name, known, capture, times_s, pairs: vec![(1, 2), (0, 4), (2, 3)] }
+    }
+
+    fn film(folder: &str) -> Self {
+        let capture = Arc::new(Capture::open(folder.as_ref()).expect("a capture"));
+        let truth = Truth::open(folder.as_ref()).expect("readable truth").expect("truth");
+        let points = truth.tracks().expect("readable tracks").expect("tracks in the truth");
+        // True times: this is about tracks, not about offsets.
+        let times_s = points
+            .cameras
+            .iter()
+            .map(|c| Some(c.times_s.iter().map(|t| t - capture.time_origin_s).collect()))
+            .collect();
+        let last = capture.cameras[0].frames.len() - 2;
+        let pairs = [1, 3, 6].map(|c| (c % capture.cameras.len(), last / 2)).to_vec();
+        Self { name: folder.to_owned(), known: Known::Film { points }, capture, times_s, pairs }
+    }
+
+    /// Where the point is in a camera's frame, if it is in front; and whether it is seen.
+    fn place(&self, point: Point, camera: usize, frame: usize) -> Option<(Point2<f64>, bool)> {
+        match (&self.known, point) {
+            (Known::World { case, cameras }, Point::Surface(surface)) => {
+                let time = DELAYS[camera] + frame as f64;
+                let p = case.world.position(&surface, &cameras[camera], time)?;
+                Some((p, case.world.is_seen(&surface, &cameras[camera], time)))
+            }
+            (Known::Film { points }, Point::Numbered(n)) => {
+                let point = points.cameras[camera].frames.get(frame)?.get(n)?;
+                point.px.x.is_finite().then_some((point.px, point.visible))
+            }
+            _ => None,
+        }
+    }
+
+    /// The tracks between frames k and k + 1 whose point is seen in both.
+    fn tracks(&self, store: &FrameStore, camera: usize, k: usize) -> Vec<Sample> {
+        let all: Vec<Sample> = match &self.known {
+            Known::World { case, cameras } => temporal_flow(store, camera, k)
+                .expect("tracks")
+                .into_iter()
+                .filter_map(|track| {
+                    let (frame, p) = start(&track, k);
+                    let time = DELAYS[camera] + frame as f64;
+                    let surface = case.world.seen(&cameras[camera], &p, time)?;
+                    Some(Sample { track, point: Point::Surface(surface) })
+                })
+                .collect(),
+            Known::Film { points } => {
+                let seen: Vec<(usize, Point2<f64>)> = points.cameras[camera].frames[k]
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, p)| p.visible)
+                    .map(|(n, p)| (n, p.px))
+                    .collect();
+                let key = |p: &Point2<f64>| (p.x.to_bits(), p.y.to_bits());
+                let numbers: HashMap<_, _> = seen.iter().map(|(n, p)| (key(p), *n)).collect();
+                let starts: Vec<_> = seen.iter().map(|(_, p)| *p).collect();
+                temporal_flow_of(store, camera, k, [&starts, &[]])
+                    .expect("tracks")
+                    .into_iter()
+                    .map(|track| {
+                        let point = Point::Numbered(numbers[&key(&track.earlier)]);
+                        Sample { track, point }
+                    })
+                    .collect()
+            }
+        };
+        all.into_iter()
+            .filter(|s| {
+                [k, k + 1].iter().all(|&f| self.place(s.point, camera, f).is_some_and(|p| p.1))
+            })
+            .collect()
+    }
+
+    fn error(&self, sample: &Sample, camera: usize, k: usize) -> f64 {
+        let (frame, _) = start(&sample.track, k);
+        let (other, found) =
+            if frame == k { (k + 1, sample.track.later) } else { (k, sample.track.earlier) };
+        self.place(sample.point, camera, other).map_or(f64::NAN, |(p, _)| (p - found).norm())
+    }
+
+    fn motion(&self, sample: &Sample, camera: usize, k: usize) -> f64 {
+        let at = |frame| self.place(sample.point, camera, frame).map(|(p, _)| p);
+        at(k).zip(at(k + 1)).map_or(0.0, |(a, b)| (b - a).norm())
+    }
+
+    /// How far the track's path is off the epipolar line of its point's true position, in the
+    /// reference camera that tests it.
+    fn across(
+        &self,
+        sample: &Sample,
+        camera: usize,
+        k: usize,
+        options: &RegistrationOptions,
+    ) -> Option<f64> {
+        let times = self.times_s[camera].as_ref()?;
+        let interval = [times[k], times[k + 1]];
+        let t = if sample.track.run == Run::Backward { interval[0] } else { interval[1] };
+        let references =
+            select_references(&self.capture, &self.times_s, camera, interval, t, options);
+        let reference = references.first()?;
+        let [own, other] = [camera, reference.camera].map(|c| &self.capture.cameras[c].camera);
+        let at = own.model.ideal_from_pixel(&sample.track.path(times, k)?.at(reference.time_s))?;
+        let line = EpipolarGeometry::new(own, other)?.line_in_j(&at)?;
+        let (p, _) = self.place(sample.point, reference.camera, reference.frame)?;
+        Some(line.distance(&other.model.ideal_from_pixel(&p)?).abs())
+    }
+}
+
+/// The frame in which a track's own position is exact, and that position.
+fn start(track: &Track, k: usize) -> (usize, Point2<f64>) {
+    if track.run == Run::Backward { (k + 1, track.later) } else { (k, track.earlier) }
+}
+
+fn share(count: usize, of: usize) -> f64 {
+    if of == 0 { f64::NAN } else { 100.0 * count as f64 / of as f64 }
+}
+
+/// Number, median, and the shares within 0.1 and 1 pixel.
+fn row(errors: &[f64]) -> String {
+    let mut sorted = errors.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let at = |q: f64| sorted.get((q * (sorted.len() as f64 - 1.0)) as usize).copied();
+    let within = |b: f64| share(sorted.iter().filter(|e| **e <= b).count(), sorted.len());
+    let or_nan = |v: Option<f64>| v.unwrap_or(f64::NAN);
+    format!(
+        "{:6} {:.3} {:.3} {:5.1}% {:5.1}%",
+        sorted.len(),
+        or_nan(at(0.5)),
+        or_nan(at(0.99)),
+        within(0.1),
+        within(1.0)
+    )
+}
+
+#[derive(Default)]
+struct Counts {
+    before: Vec<f64>,
+    after: Vec<f64>,
+    moving: Vec<f64>,
+    moving_after: Vec<f64>,
+    untestable: usize,
+    /// Of right tracks: all, and those that the test rejects.
+    right: [usize; 2],
+    /// Of tracks off the line by over ε + 1 px: all, rejected, untestable. As they come, and made.
+    across: [usize; 3],
+    made: [usize; 3],
+    /// Of tracks wrong by over 3 px, before any check: all, and what stops them.
+    wrong: usize,
+    by_back: usize,
+    by_residual: usize,
+    by_vote: usize,
+    by_test: usize,
+    together: usize,
+}
+
+fn score(scene: &Scene, options: &RegistrationOptions) -> Counts {
+    let mut counts = Counts::default();
+    let mut unchecked = options.clone();
+    unchecked.max_back_error_px = 1000.0;
+    unchecked.min_support = 0;
+    unchecked.klt.max_residual = 1.0;
+    for &(camera, k) in &scene.pairs {
+        let store = FrameStore::new(scene.capture.clone(), options);
+        let samples = scene.tracks(&store, camera, k);
+        let test = |samples: &[Sample]| {
+            let tracks: Vec<Track> = samples.iter().map(|s| s.track.clone()).collect();
+            epipolar_test(&store, &scene.times_s, camera, k, &tracks).expect("verdicts")
+        };
+        for (sample, verdict) in samples.iter().zip(test(&samples)) {
+            let error = scene.error(sample, camera, k);
+            let kept = verdict != Verdict::Rejected;
+            let moving = scene.motion(sample, camera, k) > 0.5;
+            counts.before.push(error);
+            counts.after.extend(kept.then_some(error));
+            counts.moving.extend(moving.then_some(error));
+            counts.moving_after.extend((moving && kept).then_some(error));
+            counts.untestable += usize::from(verdict == Verdict::Untestable);
+            if error <= 1.0 {
+                counts.right[0] += 1;
+                counts.right[1] += usize::from(!kept);
+            }
+        }
+        // Errors of any direction, made in what was right.
+        let mut random = Random(5);
+        let made: Vec<Sample> = samples
+            .into_iter()
+            .filter(|s| scene.error(s, camera, k) < 1.0)
+            .map(|mut s| {
+                let (angle, size) = (6.2832 * random.uniform(), 3.0 + 17.0 * random.uniform());
+                let error = size * Vector2::new(angle.cos(), angle.sin());
+                if s.track.run == Run::Backward {
+                    s.track.earlier += error;
+                } else {
+                    s.track.later += error;
+                }
+                (s.track.before, s.track.after) = (None, None);
+                s
+            })
+            .collect();
+        let off = |sample: &Sample| {
+            scene.across(sample, camera, k, options).is_some_and(|d| d > options.epsilon_px + 1.0)
+        };
+        let count = |counts: &mut [usize; 3], verdict: Verdict| {
+            counts[0] += 1;
+            counts[1] += usize::from(verdict == Verdict::Rejected);
+            counts[2] += usize::from(verdict == Verdict::Untestable);
+        };
+        for (sample, verdict) in made.iter().zip(test(&made)) {
+            if off(sample) {
+                count(&mut counts.made, verdict);
+            }
+        }
+        let raw_store = FrameStore::new(scene.capture.clone(), &unchecked);
+        let raw = scene.tracks(&raw_store, camera, k);
+        let tracks: Vec<Track> = raw.iter().map(|s| s.track.clone()).collect();
+        let agree = agreeing(&tracks, options);
+        for ((sample, verdict), agrees) in raw.iter().zip(test(&raw)).zip(agree) {
+            if off(sample) {
+                count(&mut counts.across, verdict);
+            }
+            if !(scene.error(sample, camera, k) > 3.0) {
                 continue;
             }
-            scores.moving.push(error);
-            let mid = 0.5 * (times[k] + times[k + 1]);
-            let truth_mid = place(mid).expect("in front");
-            scores.middle.push((t.path(&times, k).expect("a path").at(mid) - truth_mid).norm());
-            let ideal = Track {
-                before: t.before.and(place(times[k - 1])),
-                earlier: place(times[k]).expect("in front"),
-                later: place(times[k + 1]).expect("in front"),
-                after: t.after.and(place(times[k + 2])),
-                ..t.clone()
-            };
-            scores.ideal.push((ideal.path(&times, k).expect("a path").at(mid) - truth_mid).norm());
+            let stops = [
+                sample.track.back_error_px > options.max_back_error_px,
+                sample.track.residual > options.klt.max_residual,
+                !agrees,
+                verdict == Verdict::Rejected,
+            ];
+            counts.wrong += 1;
+            counts.by_back += usize::from(stops[0]);
+            counts.by_residual += usize::from(stops[1]);
+            counts.by_vote += usize::from(stops[2]);
+            counts.by_test += usize::from(stops[3]);
+            counts.together += usize::from(stops.contains(&true));
         }
     }
-    scores
+    counts
 }
 
 fn main() {
-    let only = std::env::args().skip(1).find(|a| !a.starts_with("--"));
-    let cases = worlds::cases();
-    let mut variants: Vec<(String, RegistrationOptions)> =
-        vec![("default".into(), RegistrationOptions::default())];
-    let mut vary = |name: &str, change: &dyn Fn(&mut RegistrationOptions)| {
-        let mut o = RegistrationOptions::default();
-        change(&mut o);
-        variants.push((name.to_owned(), o));
+    let folders: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    let plain = std::env::args().any(|a| a == "--translation");
+    let scenes: Vec<Scene> = if folders.is_empty() {
+        worlds::cases().into_iter().map(Scene::world).collect()
+    } else {
+        folders.iter().map(|f| Scene::film(f)).collect()
     };
-    vary("off", &|o| o.klt.affine.radius_px = 0);
-    println!(
-        "{:10} {:18} | all n  median <.1 <1 | moving n median p90 p99 | middle median p90 p99 | ideal | ms",
-        "", ""
-    );
-    for case in &cases {
-        for (name, options) in &variants {
-            if only.as_ref().is_some_and(|o| !name.contains(o.as_str())) {
-                continue;
-            }
-            let mut s = score(case, options);
-            let share = |v: &[f64], b: f64| {
-                100.0 * v.iter().filter(|e| **e < b).count() as f64 / v.len() as f64
-            };
+    let mut options = RegistrationOptions::default();
+    if plain {
+        options.klt.affine.radius_px = 0;
+    }
+    println!("errors: number, median, 99 % [px], within 0.1 px, within 1 px");
+    for scene in &scenes {
+        let c = score(scene, &options);
+        println!("{}", scene.name);
+        println!("  all, before the epipolar test    {}", row(&c.before));
+        println!("  all, after                       {}", row(&c.after));
+        println!("  moving, before                   {}", row(&c.moving));
+        println!("  moving, after                    {}", row(&c.moving_after));
+        println!("  untestable                       {:.1}%", share(c.untestable, c.before.len()));
+        println!(
+            "  right ones rejected              {:.2}% of {}",
+            share(c.right[1], c.right[0]),
+            c.right[0]
+        );
+        for (name, [all, rejected, untestable]) in [("as they come", c.across), ("made", c.made)] {
             println!(
-                "{:10} {name:18} | {:5} {:.3} {:4.1} {:4.1} | {:4} {:.3} {:.3} {:.3} | {:.3} {:.3} {:.3} | {:.3} | {:.0}",
-                case.name,
-                s.all.len(),
-                quantile(&mut s.all.clone(), 0.5),
-                share(&s.all, 0.1),
-                share(&s.all, 1.0),
-                s.moving.len(),
-                quantile(&mut s.moving.clone(), 0.5),
-                quantile(&mut s.moving.clone(), 0.9),
-                quantile(&mut s.moving, 0.99),
-                quantile(&mut s.middle.clone(), 0.5),
-                quantile(&mut s.middle.clone(), 0.9),
-                quantile(&mut s.middle, 0.99),
-                quantile(&mut s.ideal, 0.5),
-                1e3 * s.seconds,
+                "  off the line by over ε + 1 px, {name}: {all}, rejected {:.1}%, untestable {:.1}%, of the testable rejected {:.1}%",
+                share(rejected, all),
+                share(untestable, all),
+                share(rejected, all - untestable)
             );
         }
+        println!(
+            "  wrong by over 3 px, unchecked: {}; stopped by way back {:.0}%, residual {:.0}%, neighbours {:.0}%, epipolar test {:.0}%, together {:.1}%",
+            c.wrong,
+            share(c.by_back, c.wrong),
+            share(c.by_residual, c.wrong),
+            share(c.by_vote, c.wrong),
+            share(c.by_test, c.wrong),
+            share(c.together, c.wrong)
+        );
     }
 }
