@@ -1,6 +1,6 @@
 //! §4.2 and §4.3: wrong correspondences found by the epipolar constraint, eqs. (1) to (5).
 
-use super::{Frame, FrameStore, Guide, Match, Path, RegistrationOptions, Run, Track, flow};
+use super::{Frame, FrameStore, Guide, Match, Path, RegistrationOptions, Run, Start, Track, flow};
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::{Capture, CaptureError};
 use nalgebra::Point2;
@@ -171,7 +171,7 @@ impl Pair<'_> {
         &self,
         source: &Frame,
         target: &Frame,
-        starts: &[(Point2<f64>, Point2<f64>)],
+        starts: &[Start],
         places: &[Point2<f64>],
         found: &mut [Option<Match>],
     ) {
@@ -192,7 +192,7 @@ impl Pair<'_> {
             .filter_map(|(place, found)| Some((*place, found.as_ref()?.target - place)))
             .collect();
         let guide = Guide::new(&trusted);
-        let again: Vec<(usize, (Point2<f64>, Point2<f64>))> = (0..places.len())
+        let again: Vec<(usize, Start)> = (0..places.len())
             .filter(|&k| is_off(&places[k], &found[k]))
             .filter_map(|k| {
                 let disparity = guide.near(&places[k], DISPARITY_RADIUS_PX)?;

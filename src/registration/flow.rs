@@ -77,12 +77,15 @@ const BACK_LEVELS: usize = 2;
 /// Points tracked by one worker at a time.
 const CHUNK: usize = 128;
 
+/// Where a point is in the source, and where to look for it in the target; pixels.
+pub type Start = (Point2<f64>, Point2<f64>);
+
 /// Tracks points from one frame to another, each from its own starting guess, and back again;
 /// `None` where a point is lost or does not come back to where it started.
 pub fn flow(
     source: &Frame,
     target: &Frame,
-    starts: &[(Point2<f64>, Point2<f64>)],
+    starts: &[Start],
     options: &RegistrationOptions,
 ) -> Vec<Option<Match>> {
     starts
@@ -180,7 +183,7 @@ fn run(
     let lost: Vec<usize> = (0..corners.len())
         .filter(|&k| found[k].is_none() || !agrees.next().unwrap_or(true))
         .collect();
-    let again: Vec<(usize, (Point2<f64>, Point2<f64>))> = lost
+    let again: Vec<(usize, Start)> = lost
         .into_iter()
         .filter_map(|k| {
             let guess = guide.near(&corners[k], options.support_radius_px)?;

@@ -9,7 +9,7 @@
 use super::affine::{AffineOptions, Refiner};
 #[cfg(target_arch = "x86_64")]
 use super::lanes::Avx2;
-use super::lanes::{LANES, Plain, Vector, bilinear};
+use super::lanes::{LANES, Plain, Vector, Window};
 use super::pyramid::{Level, Pyramid};
 use nalgebra::{Point2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -187,15 +187,17 @@ impl<'a> Tracker<'a> {
         };
         let weights = V::splats(weights);
         let mut sums = [V::zero(); 3];
+        let windows = [
+            Window::new(&level.value, base, level.stride, self.row, self.side),
+            Window::new(&level.dx, base, level.stride, self.row, self.side),
+            Window::new(&level.dy, base, level.stride, self.row, self.side),
+        ];
         for y in 0..self.side {
-            let (at, out) = (base + y * level.stride, y * self.row);
-            let planes = [&level.value, &level.dx, &level.dy];
+            let out = y * self.row;
             let buffers = [&mut self.value, &mut self.dx, &mut self.dy];
-            for (plane, buffer) in planes.into_iter().zip(buffers) {
-                let top = &plane[at..at + self.row + 1];
-                let bottom = &plane[at + level.stride..at + level.stride + self.row + 1];
+            for (window, buffer) in windows.iter().zip(buffers) {
                 for x in (0..self.row).step_by(LANES) {
-                    bilinear(top, bottom, x, &weights).store(buffer, out + x);
+                    window.bilinear(x, y, &weights).store(buffer, out + x);
                 }
             }
             self.dx[out + self.side..out + self.row].fill(0.0);
@@ -254,16 +256,23 @@ impl<'a> Tracker<'a> {
         let (base, weights) = corner(target, q, self.options.radius_px)?;
         let weights = V::splats(weights);
         let (mut sum_x, mut sum_y) = (V::zero(), V::zero());
+        let window = Window::new(&target.value, base, target.stride, self.row, self.side);
+        let size = self.row * self.side;
+        assert!([&self.value, &self.dx, &self.dy].iter().all(|plane| plane.len() == size));
         for y in 0..self.side {
-            let at = base + y * target.stride;
-            let top = &target.value[at..at + self.row + 1];
-            let bottom = &target.value[at + target.stride..at + target.stride + self.row + 1];
             let from = y * self.row;
             for x in (0..self.row).step_by(LANES) {
-                let found = bilinear(top, bottom, x, &weights);
-                let mismatch = found.sub(V::load(&self.value, from + x));
-                sum_x = sum_x.add(mismatch.mul(V::load(&self.dx, from + x)));
-                sum_y = sum_y.add(mismatch.mul(V::load(&self.dy, from + x)));
+                // SAFETY: rows are whole lanes, and the planes have `side` of them.
+                let [value, gx, gy] = unsafe {
+                    [
+                        V::load_unchecked(&self.value, from + x),
+                        V::load_unchecked(&self.dx, from + x),
+                        V::load_unchecked(&self.dy, from + x),
+                    ]
+                };
+                let mismatch = window.bilinear(x, y, &weights).sub(value);
+                sum_x = sum_x.add(mismatch.mul(gx));
+                sum_y = sum_y.add(mismatch.mul(gy));
             }
         }
         Some((sum_x.sum(), sum_y.sum()))
@@ -274,13 +283,11 @@ impl<'a> Tracker<'a> {
     fn residual<V: Vector>(&self, target: &Level, q: &Vector2<f64>) -> Option<f64> {
         let (base, weights) = corner(target, q, self.options.radius_px)?;
         let weights = V::splats(weights);
+        let window = Window::new(&target.value, base, target.stride, self.row, self.side);
         let mut sum = 0.0;
         for y in 0..self.side {
-            let at = base + y * target.stride;
-            let top = &target.value[at..at + self.row + 1];
-            let bottom = &target.value[at + target.stride..at + target.stride + self.row + 1];
             for x in (0..self.row).step_by(LANES) {
-                let found: V = bilinear(top, bottom, x, &weights);
+                let found: V = window.bilinear(x, y, &weights);
                 let differences = found.sub(V::load(&self.value, y * self.row + x)).abs();
                 let used = (self.side - x).min(LANES);
                 sum += differences.to_lanes()[..used].iter().sum::<f32>();

@@ -20,6 +20,11 @@ pub trait Vector: Copy {
     fn abs(self) -> Self;
     /// Whole numbers, rounded down, and what is left, in 0..1. For |v| below 2²³.
     fn split(self) -> ([i32; LANES], Self);
+    /// As [`Self::load`], unchecked.
+    ///
+    /// # Safety
+    /// `row` has eight values from `at` on.
+    unsafe fn load_unchecked(row: &[f32], at: usize) -> Self;
     /// `Σ_r Σ_c y[r]·x[c]·plane[first + r·stride + c]`, lane by lane, r and c from 0 to 3.
     fn gather_4x4(
         plane: &[f32],
@@ -46,7 +51,8 @@ pub trait Vector: Copy {
 
     #[inline(always)]
     fn sum(self) -> f64 {
-        self.to_lanes().into_iter().map(f64::from).sum()
+        let [a, b, c, d, e, f, g, h] = self.to_lanes();
+        f64::from(((a + e) + (c + g)) + ((b + f) + (d + h)))
     }
 
     /// [`Self::splat`] of each.
@@ -70,12 +76,44 @@ pub trait Vector: Copy {
     }
 }
 
-/// Eight bilinear samples; `weights` of top left, top right, bottom left and bottom right.
-#[inline(always)]
-pub fn bilinear<V: Vector>(top: &[f32], bottom: &[f32], at: usize, weights: &[V; 4]) -> V {
-    let upper = weights[0].mul(V::load(top, at)).add(weights[1].mul(V::load(top, at + 1)));
-    let lower = weights[2].mul(V::load(bottom, at)).add(weights[3].mul(V::load(bottom, at + 1)));
-    upper.add(lower)
+/// A window of a plane, `rows` rows of `row` samples and one more each way, checked once.
+#[derive(Clone, Copy)]
+pub struct Window<'a> {
+    plane: &'a [f32],
+    base: usize,
+    stride: usize,
+    row: usize,
+    rows: usize,
+}
+
+impl<'a> Window<'a> {
+    /// # Panics
+    /// If it is not inside the plane.
+    #[inline(always)]
+    pub fn new(plane: &'a [f32], base: usize, stride: usize, row: usize, rows: usize) -> Self {
+        assert!(base + rows * stride + row < plane.len(), "the border is wide enough");
+        Self { plane, base, stride, row, rows }
+    }
+
+    /// Eight bilinear samples; `weights` of top left, top right, bottom left and bottom right.
+    #[inline(always)]
+    pub fn bilinear<V: Vector>(&self, x: usize, y: usize, weights: &[V; 4]) -> V {
+        debug_assert!(x + LANES <= self.row && y < self.rows);
+        let top = self.base + y * self.stride + x;
+        let low = top + self.stride;
+        // SAFETY: the last is at base + rows·stride + row, which `new` found inside.
+        let [a, b, c, d] = unsafe {
+            [
+                V::load_unchecked(self.plane, top),
+                V::load_unchecked(self.plane, top + 1),
+                V::load_unchecked(self.plane, low),
+                V::load_unchecked(self.plane, low + 1),
+            ]
+        };
+        let upper = weights[0].mul(a).add(weights[1].mul(b));
+        let lower = weights[2].mul(c).add(weights[3].mul(d));
+        upper.add(lower)
+    }
 }
 
 /// Catmull and Rom's weights of the four samples around a fraction in 0..1.
@@ -112,6 +150,12 @@ impl Vector for Plain {
     #[inline(always)]
     fn from_lanes(lanes: &Lanes) -> Self {
         Self(*lanes)
+    }
+
+    #[inline(always)]
+    unsafe fn load_unchecked(row: &[f32], at: usize) -> Self {
+        // SAFETY: the caller's.
+        Self(unsafe { *row.as_ptr().add(at).cast::<Lanes>() })
     }
 
     #[inline(always)]
@@ -178,7 +222,7 @@ pub use avx2::Avx2;
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
-    use super::{LANES, Lanes, Vector, four};
+    use super::{LANES, Lanes, Vector};
     use std::arch::x86_64::*;
 
     /// A register. To be used only where the processor is known to have AVX2: every method here
@@ -197,6 +241,12 @@ mod avx2 {
         #[inline(always)]
         fn from_lanes(lanes: &Lanes) -> Self {
             unsafe { Self(_mm256_loadu_ps(lanes.as_ptr())) }
+        }
+
+        #[inline(always)]
+        unsafe fn load_unchecked(row: &[f32], at: usize) -> Self {
+            debug_assert!(at + LANES <= row.len());
+            unsafe { Self(_mm256_loadu_ps(row.as_ptr().add(at))) }
         }
 
         #[inline(always)]
@@ -244,19 +294,22 @@ mod avx2 {
             x: [Self; 4],
             y: [Self; 4],
         ) -> Self {
+            // One check for all loads below: of the last row of each lane.
+            let mut farthest = 0;
+            for &first in first {
+                farthest = farthest.max(first);
+            }
+            assert!(farthest + 3 * stride + 4 <= plane.len(), "the border is wide enough");
             // Lanes k and k + 4 share a register: a row of four samples each.
             macro_rules! summed {
                 ($k:literal) => {{
                     const ALL: i32 = $k * 0b01_01_01_01;
                     let mut terms = [y[0].0; 4];
                     for (r, term) in terms.iter_mut().enumerate() {
-                        let low = four(plane, first[$k] + r * stride);
-                        let high = four(plane, first[$k + 4] + r * stride);
                         *term = unsafe {
-                            let row = _mm256_set_m128(
-                                _mm_loadu_ps(high.as_ptr()),
-                                _mm_loadu_ps(low.as_ptr()),
-                            );
+                            let low = plane.as_ptr().add(first[$k] + r * stride);
+                            let high = plane.as_ptr().add(first[$k + 4] + r * stride);
+                            let row = _mm256_set_m128(_mm_loadu_ps(high), _mm_loadu_ps(low));
                             _mm256_mul_ps(_mm256_permute_ps::<ALL>(y[r].0), row)
                         };
                     }
@@ -318,7 +371,7 @@ mod tests {
             let v = V::from_lanes(values);
             let (whole, rest) = v.split();
             let weights = catmull_rom(rest);
-            let bilinear = bilinear(plane, &plane[30..], 5, &weights);
+            let bilinear = Window::new(plane, 5, 30, LANES, 1).bilinear(0, 0, &weights);
             let cubic = V::gather_4x4(plane, first, 20, weights, catmull_rom(rest.mul(rest)));
             let mut out = vec![rest.to_lanes(), whole.map(|w| w as f32), v.abs().to_lanes()];
             out.extend([bilinear, cubic, v.sub(rest)].map(V::to_lanes));

@@ -88,7 +88,7 @@ pub fn cases() -> Vec<Case> {
         light: steady,
     };
     let fast = rectangle(6, 1.0, |t| {
-        let (x, y) = around(t, 30.0, 0.45, 0.25);
+        let (x, y) = around(t, 30.0, 0.5, 0.25);
         pose([0.0, 5.0, 1.5 * t], [x, y, 1.7])
     });
     [
