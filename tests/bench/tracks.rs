@@ -254,7 +254,8 @@ fn score(scene: &Scene, options: &RegistrationOptions) -> Counts {
             .into_iter()
             .filter(|s| scene.error(s, camera, k) < 1.0)
             .map(|mut s| {
-                let (angle, size) = (6.2832 * random.uniform(), 3.0 + 17.0 * random.uniform());
+                let (angle, size) =
+                    (std::f64::consts::TAU * random.uniform(), 3.0 + 17.0 * random.uniform());
                 let error = size * Vector2::new(angle.cos(), angle.sin());
                 if s.track.run == Run::Backward {
                     s.track.earlier += error;
