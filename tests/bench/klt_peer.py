@@ -12,6 +12,7 @@ Every command is answered by a line with the milliseconds of processor time and 
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,15 +20,16 @@ import numpy as np
 
 def main() -> None:
     """Serve until stdin ends."""
+    opencv: Any = cv2  # its stubs know neither None nor the presets
     first = second = points = found = status = np.empty(0)
-    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    dis = opencv.DISOpticalFlow_create(opencv.DISOPTICAL_FLOW_PRESET_MEDIUM)
     for line in sys.stdin:
         command, *words = line.split()
         start = (time.process_time(), time.perf_counter())
         if command == "threads":
             cv2.setNumThreads(int(words[0]))
         elif command == "images":
-            first, second = (cv2.imread(w, cv2.IMREAD_GRAYSCALE) for w in words[:2])
+            first, second = (opencv.imread(w, cv2.IMREAD_GRAYSCALE) for w in words[:2])
             points = np.fromfile(words[2], np.float32).reshape(-1, 1, 2)
         elif command == "track":
             side, levels, iterations = (int(w) for w in words[:3])
@@ -37,7 +39,7 @@ def main() -> None:
                 float(words[3]),
             )
             start = (time.process_time(), time.perf_counter())
-            found, status, _ = cv2.calcOpticalFlowPyrLK(
+            found, status, _ = opencv.calcOpticalFlowPyrLK(
                 first,
                 second,
                 points,
