@@ -21,7 +21,11 @@ import numpy as np
 def main() -> None:
     """Serve until stdin ends."""
     opencv: Any = cv2  # its stubs know neither None nor the presets
-    first = second = points = found = status = np.empty(0)
+    first: Any = None
+    second: Any = None
+    points: Any = None
+    found: Any = None
+    status: Any = None
     dis = opencv.DISOpticalFlow_create(opencv.DISOPTICAL_FLOW_PRESET_MEDIUM)
     for line in sys.stdin:
         command, *words = line.split()
