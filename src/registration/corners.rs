@@ -147,7 +147,7 @@ fn box_mean(plane: &mut [f32], w: usize, h: usize, radius: usize) {
 }
 
 /// Points that keep a minimum distance, found by a grid of that cell size.
-struct Spaced {
+pub(super) struct Spaced {
     points: Vec<Point2<f64>>,
     min_distance: f64,
     cell: f64,
@@ -157,7 +157,7 @@ struct Spaced {
 }
 
 impl Spaced {
-    fn new(width: usize, height: usize, min_distance: f64) -> Self {
+    pub fn new(width: usize, height: usize, min_distance: f64) -> Self {
         let cell = min_distance.max(1.0);
         let columns = (width as f64 / cell) as usize + 1;
         let rows = (height as f64 / cell) as usize + 1;
@@ -171,7 +171,8 @@ impl Spaced {
         }
     }
 
-    fn insert(&mut self, p: Point2<f64>) {
+    /// Adds a point of the image unless one is too near; whether it did.
+    pub fn insert(&mut self, p: Point2<f64>) -> bool {
         let (cx, cy) = ((p.x / self.cell) as usize, (p.y / self.cell) as usize);
         let reach = |c: usize, n: usize| c.saturating_sub(1)..=(c + 1).min(n - 1);
         let too_near = reach(cy, self.rows).any(|y| {
@@ -185,6 +186,7 @@ impl Spaced {
             self.cells[cy * self.columns + cx].push(self.points.len() as u32);
             self.points.push(p);
         }
+        !too_near
     }
 }
 

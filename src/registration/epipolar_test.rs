@@ -1,6 +1,6 @@
 //! §4.2 and §4.3: wrong correspondences found by the epipolar constraint, eqs. (1) to (5).
 
-use super::{Frame, FrameStore, Path, RegistrationOptions, Run, Track, flow};
+use super::{Frame, FrameStore, Guide, Match, Path, RegistrationOptions, Run, Start, Track, flow};
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::{Capture, CaptureError};
 use nalgebra::Point2;
@@ -130,6 +130,9 @@ pub fn epipolar_test(
     Ok(verdicts)
 }
 
+/// Features this near have much the same disparity, where they are on one surface.
+const DISPARITY_RADIUS_PX: f64 = 40.0;
+
 struct Pair<'a> {
     camera_i: &'a Camera,
     camera_j: &'a Camera,
@@ -146,9 +149,12 @@ impl Pair<'_> {
         features: impl Iterator<Item = (&'t Track, Path, Point2<f64>)>,
     ) -> Vec<Tested<'t>> {
         let features: Vec<_> = features.collect();
+        let places: Vec<_> = features.iter().map(|(_, path, _)| path.at(self.time_s)).collect();
         let starts: Vec<_> =
-            features.iter().map(|(_, path, at)| (*at, path.at(self.time_s))).collect();
-        flow(source, target, &starts, self.options)
+            features.iter().zip(&places).map(|((_, _, at), place)| (*at, *place)).collect();
+        let mut found = flow(source, target, &starts, self.options);
+        self.find_again(source, target, &starts, &places, &mut found);
+        found
             .into_iter()
             .zip(features)
             .map(|(found, (track, path, _))| Tested {
@@ -157,6 +163,49 @@ impl Pair<'_> {
                 in_reference: found.map(|m| m.target),
             })
             .collect()
+    }
+
+    /// Looks once more for features that were not found, or not on their line: on it, by their
+    /// neighbours' disparity. The better fit stays.
+    fn find_again(
+        &self,
+        source: &Frame,
+        target: &Frame,
+        starts: &[Start],
+        places: &[Point2<f64>],
+        found: &mut [Option<Match>],
+    ) {
+        let Some(geometry) = EpipolarGeometry::new(self.camera_i, self.camera_j) else { return };
+        let off_line = |place: &Point2<f64>, p_j: &Point2<f64>| {
+            let line = geometry.line_in_j(&self.camera_i.model.ideal_from_pixel(place)?)?;
+            Some(line.distance(&self.camera_j.model.ideal_from_pixel(p_j)?).abs())
+        };
+        let is_off = |place: &Point2<f64>, found: &Option<Match>| {
+            found.as_ref().is_none_or(|m| {
+                off_line(place, &m.target).is_none_or(|d| d > self.options.epsilon_px)
+            })
+        };
+        let trusted: Vec<_> = places
+            .iter()
+            .zip(found.iter())
+            .filter(|(place, found)| !is_off(place, found))
+            .filter_map(|(place, found)| Some((*place, found.as_ref()?.target - place)))
+            .collect();
+        let guide = Guide::new(&trusted);
+        let again: Vec<(usize, Start)> = (0..places.len())
+            .filter(|&k| is_off(&places[k], &found[k]))
+            .filter_map(|k| {
+                let disparity = guide.near(&places[k], DISPARITY_RADIUS_PX)?;
+                Some((k, (starts[k].0, places[k] + disparity)))
+            })
+            .collect();
+        let starts: Vec<_> = again.iter().map(|(_, start)| *start).collect();
+        for ((k, _), retried) in again.iter().zip(flow(source, target, &starts, self.options)) {
+            let Some(retried) = retried else { continue };
+            if found[*k].as_ref().is_none_or(|first| retried.residual < first.residual) {
+                found[*k] = Some(retried);
+            }
+        }
     }
 
     /// Eq. (3) for each.

@@ -1,9 +1,9 @@
 //! §4.1: sparse flow between two frames, of one camera (temporal) or two (spatial), by the same
 //! code; and the bidirectional temporal flow with its two labelled sets.
 
-use super::{Frame, FrameStore, Neighbors, Path, RegistrationOptions, Tracker};
+use super::{Frame, FrameStore, Guide, Neighbors, Path, RegistrationOptions, Tracker};
 use crate::capture::CaptureError;
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
 
 /// A correspondence between two frames, pixels.
@@ -54,7 +54,7 @@ impl Track {
     }
 
     /// The motion from frame k to k + 1, pixels.
-    pub fn motion(&self) -> nalgebra::Vector2<f64> {
+    pub fn motion(&self) -> Vector2<f64> {
         self.later - self.earlier
     }
 
@@ -77,12 +77,15 @@ const BACK_LEVELS: usize = 2;
 /// Points tracked by one worker at a time.
 const CHUNK: usize = 128;
 
+/// Where a point is in the source, and where to look for it in the target; pixels.
+pub type Start = (Point2<f64>, Point2<f64>);
+
 /// Tracks points from one frame to another, each from its own starting guess, and back again;
 /// `None` where a point is lost or does not come back to where it started.
 pub fn flow(
     source: &Frame,
     target: &Frame,
-    starts: &[(Point2<f64>, Point2<f64>)],
+    starts: &[Start],
     options: &RegistrationOptions,
 ) -> Vec<Option<Match>> {
     starts
@@ -122,14 +125,23 @@ pub fn temporal_flow(
 ) -> Result<Vec<Track>, CaptureError> {
     let options = frames.options();
     let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
-    let run = |from: &Frame, to: &Frame| -> Vec<Match> {
-        let starts: Vec<_> = from.corners(options).iter().map(|&p| (p, p)).collect();
-        flow(from, to, &starts, options).into_iter().flatten().collect()
-    };
-    let forward = run(&earlier, &later);
-    let backward = run(&later, &earlier);
+    temporal_flow_of(frames, camera, k, [earlier.corners(options), later.corners(options)])
+}
+
+/// As [`temporal_flow`], of given points instead of corners: of frame `k`, and of frame `k + 1`.
+pub fn temporal_flow_of(
+    frames: &FrameStore,
+    camera: usize,
+    k: usize,
+    [of_earlier, of_later]: [&[Point2<f64>]; 2],
+) -> Result<Vec<Track>, CaptureError> {
+    let options = frames.options();
+    let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
+    let forward = run(&earlier, &later, of_earlier, options);
+    let backward = run(&later, &earlier, of_later, options);
     let mut tracks = merged(&forward, &backward, options.merge_distance_px);
-    drop_outvoted(&mut tracks, options);
+    let mut agreeing = agreeing(&tracks, options).into_iter();
+    tracks.retain(|_| agreeing.next().unwrap_or(true));
 
     let count = frames.capture().cameras[camera].frames.len();
     if let Some(before) = k.checked_sub(1) {
@@ -147,6 +159,45 @@ pub fn temporal_flow(
         }
     }
     Ok(tracks)
+}
+
+/// One run of the bidirectional flow: the source's points, sought where they are, and then, those
+/// that were lost or move like none of their neighbours, where their neighbours went.
+fn run(
+    source: &Frame,
+    target: &Frame,
+    corners: &[Point2<f64>],
+    options: &RegistrationOptions,
+) -> Vec<Match> {
+    let starts: Vec<_> = corners.iter().map(|&p| (p, p)).collect();
+    let mut found = flow(source, target, &starts, options);
+    let motions: Vec<_> = found.iter().flatten().map(|m| (m.source, m.target - m.source)).collect();
+    let agrees = votes(&motions, options);
+    let trusted: Vec<_> = motions
+        .iter()
+        .zip(&agrees)
+        .filter_map(|(motion, agrees)| agrees.then_some(*motion))
+        .collect();
+    let guide = Guide::new(&trusted);
+    let mut agrees = agrees.into_iter();
+    let lost: Vec<usize> = (0..corners.len())
+        .filter(|&k| found[k].is_none() || !agrees.next().unwrap_or(true))
+        .collect();
+    let again: Vec<(usize, Start)> = lost
+        .into_iter()
+        .filter_map(|k| {
+            let guess = guide.near(&corners[k], options.support_radius_px)?;
+            Some((k, (corners[k], corners[k] + guess)))
+        })
+        .collect();
+    let starts: Vec<_> = again.iter().map(|(_, start)| *start).collect();
+    for ((k, _), retried) in again.iter().zip(flow(source, target, &starts, options)) {
+        let Some(retried) = retried else { continue };
+        if found[*k].is_none_or(|first| retried.residual < first.residual) {
+            found[*k] = Some(retried);
+        }
+    }
+    found.into_iter().flatten().collect()
 }
 
 /// Where tracks go one frame further, as (track, position); only where the change of motion is
@@ -207,28 +258,26 @@ fn merged(forward: &[Match], backward: &[Match], distance_px: f64) -> Vec<Track>
     tracks
 }
 
-/// Drops tracks that move like none of their neighbours: a body has more than one feature.
-fn drop_outvoted(tracks: &mut Vec<Track>, options: &RegistrationOptions) {
-    let neighbors = Neighbors::new(tracks.iter().map(|t| t.earlier));
-    let keep: Vec<bool> = tracks
+/// For each track, whether it moves like some of its neighbours: a body has more than one feature.
+/// True where there are too few to ask.
+pub fn agreeing(tracks: &[Track], options: &RegistrationOptions) -> Vec<bool> {
+    votes(&tracks.iter().map(|t| (t.earlier, t.motion())).collect::<Vec<_>>(), options)
+}
+
+/// The same of places and their motions.
+fn votes(motions: &[(Point2<f64>, Vector2<f64>)], options: &RegistrationOptions) -> Vec<bool> {
+    let neighbors = Neighbors::new(motions.iter().map(|(p, _)| *p));
+    motions
         .par_iter()
         .enumerate()
-        .map(|(k, track)| {
-            let near = neighbors.within(&track.earlier, options.support_radius_px);
-            let others = near.len().saturating_sub(1);
-            let agreeing = near
-                .iter()
-                .filter(|&&n| {
-                    n != k
-                        && (tracks[n].motion() - track.motion()).norm()
-                            <= options.support_px + options.support_share * track.motion().norm()
-                })
-                .count();
-            others < options.min_support || agreeing >= options.min_support
+        .map(|(k, (p, motion))| {
+            let near = neighbors.within(p, options.support_radius_px);
+            let limit = options.support_px + options.support_share * motion.norm();
+            let agreeing =
+                near.iter().filter(|&&n| n != k && (motions[n].1 - motion).norm() <= limit).count();
+            near.len().saturating_sub(1) < options.min_support || agreeing >= options.min_support
         })
-        .collect();
-    let mut keep = keep.into_iter();
-    tracks.retain(|_| keep.next().unwrap_or(true));
+        .collect()
 }
 
 #[cfg(test)]
@@ -261,7 +310,8 @@ mod tests {
         let matches: Vec<Match> =
             (0..9).map(|k| a_match(f64::from(k) * 4.0, if k == 4 { 30.0 } else { 5.0 })).collect();
         let mut tracks = merged(&matches, &[], 1.0);
-        drop_outvoted(&mut tracks, &RegistrationOptions::default());
+        let mut keep = agreeing(&tracks, &RegistrationOptions::default()).into_iter();
+        tracks.retain(|_| keep.next().unwrap());
         assert_eq!(tracks.len(), 8);
         assert!(tracks.iter().all(|t| (t.motion().x - 5.0).abs() < 1e-9));
     }

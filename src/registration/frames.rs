@@ -37,6 +37,7 @@ pub struct FrameStore {
     capture: Arc<Capture>,
     options: RegistrationOptions,
     kept: Mutex<Kept>,
+    max_bytes: usize,
 }
 
 #[derive(Default)]
@@ -52,7 +53,21 @@ const MAX_BYTES: usize = 256 << 20;
 
 impl FrameStore {
     pub fn new(capture: Arc<Capture>, options: &RegistrationOptions) -> Self {
-        Self { capture, options: options.clone(), kept: Mutex::default() }
+        Self::with_bound(capture, options, MAX_BYTES)
+    }
+
+    /// One that holds no more than so many bytes of frames, though always the last one.
+    pub fn with_bound(
+        capture: Arc<Capture>,
+        options: &RegistrationOptions,
+        max_bytes: usize,
+    ) -> Self {
+        Self { capture, options: options.clone(), kept: Mutex::default(), max_bytes }
+    }
+
+    /// Bytes of the frames that are held.
+    pub fn bytes(&self) -> usize {
+        self.kept().bytes
     }
 
     pub fn capture(&self) -> &Capture {
@@ -70,7 +85,7 @@ impl FrameStore {
         }
         let image = self.capture.read_frame(camera, index)?;
         let frame = Arc::new(Frame::new(image, &self.options));
-        self.kept().insert((camera, index), &frame);
+        self.kept().insert((camera, index), &frame, self.max_bytes);
         Ok(frame)
     }
 
@@ -88,12 +103,12 @@ impl Kept {
         Some(frame.clone())
     }
 
-    fn insert(&mut self, key: (usize, usize), frame: &Arc<Frame>) {
+    fn insert(&mut self, key: (usize, usize), frame: &Arc<Frame>, max_bytes: usize) {
         self.clock += 1;
         if self.frames.insert(key, (self.clock, frame.clone())).is_none() {
             self.bytes += frame.bytes();
         }
-        while self.bytes > MAX_BYTES && self.frames.len() > 1 {
+        while self.bytes > max_bytes && self.frames.len() > 1 {
             let oldest = self.frames.iter().min_by_key(|(_, (used, _))| *used).map(|(k, _)| *k);
             if let Some((_, frame)) = oldest.and_then(|k| self.frames.remove(&k)) {
                 self.bytes -= frame.bytes();

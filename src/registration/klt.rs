@@ -6,9 +6,10 @@
 //! Known limits: pure translation, no gain change; windows that straddle a depth edge follow
 //! whichever side has more texture.
 
+use super::affine::{AffineOptions, Refiner};
 #[cfg(target_arch = "x86_64")]
-use super::lanes::avx2;
-use super::lanes::{LANES, add, bilinear, interpolate, lanes, multiply, subtract, sum_lanes};
+use super::lanes::Avx2;
+use super::lanes::{LANES, Plain, Vector, Window};
 use super::pyramid::{Level, Pyramid};
 use nalgebra::{Point2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -32,6 +33,8 @@ pub struct KltOptions {
     pub min_eigenvalue: f64,
     /// Largest mean absolute difference of the two windows, values 0..=1.
     pub max_residual: f64,
+    /// The last step, that allows the window to deform.
+    pub affine: AffineOptions,
 }
 
 impl Default for KltOptions {
@@ -43,6 +46,7 @@ impl Default for KltOptions {
             epsilon_px: 0.003,
             min_eigenvalue: 2e-6,
             max_residual: 0.06,
+            affine: AffineOptions::default(),
         }
     }
 }
@@ -50,7 +54,7 @@ impl Default for KltOptions {
 impl KltOptions {
     /// The border that a pyramid needs for these windows.
     pub fn pad_px(&self) -> usize {
-        self.radius_px + LANES + 3
+        (self.radius_px + LANES + 3).max(self.affine.pad_px())
     }
 }
 
@@ -70,6 +74,17 @@ pub struct Tracker<'a> {
     value: Vec<f32>,
     dx: Vec<f32>,
     dy: Vec<f32>,
+    refiner: Refiner,
+}
+
+/// What is to be tracked where.
+struct Job<'a> {
+    source: &'a Pyramid,
+    target: &'a Pyramid,
+    from: Point2<f64>,
+    guess: Point2<f64>,
+    levels: usize,
+    refine: bool,
 }
 
 impl<'a> Tracker<'a> {
@@ -77,7 +92,8 @@ impl<'a> Tracker<'a> {
         let side = 2 * options.radius_px + 1;
         let row = side.next_multiple_of(LANES);
         let zeros = vec![0.0; row * side];
-        Self { options, side, row, value: zeros.clone(), dx: zeros.clone(), dy: zeros }
+        let refiner = Refiner::new(&options.affine);
+        Self { options, side, row, value: zeros.clone(), dx: zeros.clone(), dy: zeros, refiner }
     }
 
     /// Finds the window around `from` in another image, starting at `guess`. Pixels, both.
@@ -91,10 +107,12 @@ impl<'a> Tracker<'a> {
         from: Point2<f64>,
         guess: Point2<f64>,
     ) -> Option<Tracked> {
-        self.track_levels(source, target, from, guess, self.options.levels)
+        let (levels, refine) = (self.options.levels, self.options.affine.radius_px > 0);
+        self.find(&Job { source, target, from, guess, levels, refine })
     }
 
-    /// As [`Self::track`], on so many of the finest levels only, for a guess that is near.
+    /// As [`Self::track`], on so many of the finest levels only, for a guess that is near, and
+    /// without the refinement.
     pub fn track_levels(
         &mut self,
         source: &Pyramid,
@@ -103,7 +121,28 @@ impl<'a> Tracker<'a> {
         guess: Point2<f64>,
         levels: usize,
     ) -> Option<Tracked> {
-        let levels = levels.min(source.levels().len()).min(target.levels().len()).max(1);
+        self.find(&Job { source, target, from, guess, levels, refine: false })
+    }
+
+    fn find(&mut self, job: &Job) -> Option<Tracked> {
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has the feature.
+            return unsafe { self.find_avx2(job) };
+        }
+        self.find_by::<Plain>(job)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn find_avx2(&mut self, job: &Job) -> Option<Tracked> {
+        self.find_by::<Avx2>(job)
+    }
+
+    #[inline(always)]
+    fn find_by<V: Vector>(&mut self, job: &Job) -> Option<Tracked> {
+        let &Job { source, target, from, guess, .. } = job;
+        let levels = job.levels.min(source.levels().len()).min(target.levels().len()).max(1);
         let mut flow = (guess - from) / f64::from(1_u32 << (levels - 1));
         let mut residual = 0.0;
         for k in (0..levels).rev() {
@@ -111,8 +150,8 @@ impl<'a> Tracker<'a> {
             // Levels are centred on even pixels, so positions relative to pixel centres scale.
             let p = (from.coords - Vector2::repeat(0.5)) / scale;
             let (level, other) = (&source.levels()[k], &target.levels()[k]);
-            let hessian = self.take_template(level, &p);
-            match self.iterate(other, &p, &mut flow, hessian) {
+            let tensor = self.take_template::<V>(level, &p);
+            match self.iterate::<V>(other, &p, &mut flow, tensor) {
                 Outcome::Converged => {}
                 // A coarse window may be blank or half outside where the fine one is good.
                 Outcome::Flat | Outcome::Outside if k > 0 => {}
@@ -121,10 +160,16 @@ impl<'a> Tracker<'a> {
             if k > 0 {
                 flow *= 2.0;
             } else {
-                residual = self.residual(other, &(p + flow))?;
+                residual = self.residual::<V>(other, &(p + flow))?;
             }
         }
-        let position = from + flow;
+        let mut position = from + flow;
+        if job.refine && residual <= self.options.max_residual {
+            let (level, other) = (&source.levels()[0], &target.levels()[0]);
+            let refined =
+                self.refiner.refine::<V>(level, other, from, position, &self.options.affine);
+            position = refined.unwrap_or(position);
+        }
         let inside = position.x >= 0.0
             && position.y >= 0.0
             && position.x <= target.width() as f64
@@ -134,61 +179,42 @@ impl<'a> Tracker<'a> {
 
     /// Cuts the template and its gradients out around `p` (relative to pixel centres); returns
     /// the structure tensor xx, xy, yy, summed.
-    fn take_template(&mut self, level: &Level, p: &Vector2<f64>) -> [f64; 3] {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has the feature. The code is the same, so are its results.
-            return unsafe { self.take_template_avx2(level, p) };
-        }
-        self.take_template_any(level, p)
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn take_template_avx2(&mut self, level: &Level, p: &Vector2<f64>) -> [f64; 3] {
-        self.take_template_by(level, p, |plane, at, stride, w, out| {
-            avx2::interpolate(plane, at, stride, w, out);
-        })
-    }
-
-    fn take_template_any(&mut self, level: &Level, p: &Vector2<f64>) -> [f64; 3] {
-        self.take_template_by(level, p, interpolate)
-    }
-
-    /// `interpolate` reads whole lanes of a plane between its samples.
     #[inline(always)]
-    fn take_template_by(
-        &mut self,
-        level: &Level,
-        p: &Vector2<f64>,
-        interpolate: impl Fn(&[f32], usize, usize, [f32; 4], &mut [f32]),
-    ) -> [f64; 3] {
+    fn take_template<V: Vector>(&mut self, level: &Level, p: &Vector2<f64>) -> [f64; 3] {
         // Outside the padded border there is nothing to cut; the caller's points are in the image.
         let Some((base, weights)) = corner(level, p, self.options.radius_px) else {
             return [0.0; 3];
         };
-        let mut sums = [[0.0_f32; LANES]; 3];
+        let weights = V::splats(weights);
+        let mut sums = [V::zero(); 3];
+        let windows = [
+            Window::new(&level.value, base, level.stride, self.row, self.side),
+            Window::new(&level.dx, base, level.stride, self.row, self.side),
+            Window::new(&level.dy, base, level.stride, self.row, self.side),
+        ];
         for y in 0..self.side {
-            let at = base + y * level.stride;
             let out = y * self.row;
-            let row = out..out + self.row;
-            interpolate(&level.value, at, level.stride, weights, &mut self.value[row.clone()]);
-            interpolate(&level.dx, at, level.stride, weights, &mut self.dx[row.clone()]);
-            interpolate(&level.dy, at, level.stride, weights, &mut self.dy[row]);
+            let buffers = [&mut self.value, &mut self.dx, &mut self.dy];
+            for (window, buffer) in windows.iter().zip(buffers) {
+                for x in (0..self.row).step_by(LANES) {
+                    window.bilinear(x, y, &weights).store(buffer, out + x);
+                }
+            }
             self.dx[out + self.side..out + self.row].fill(0.0);
             self.dy[out + self.side..out + self.row].fill(0.0);
             for x in (0..self.row).step_by(LANES) {
-                let (gx, gy) = (lanes(&self.dx, out + x), lanes(&self.dy, out + x));
-                sums[0] = add(&sums[0], &multiply(gx, gx));
-                sums[1] = add(&sums[1], &multiply(gx, gy));
-                sums[2] = add(&sums[2], &multiply(gy, gy));
+                let (gx, gy) = (V::load(&self.dx, out + x), V::load(&self.dy, out + x));
+                sums[0] = sums[0].add(gx.mul(gx));
+                sums[1] = sums[1].add(gx.mul(gy));
+                sums[2] = sums[2].add(gy.mul(gy));
             }
         }
-        sums.map(sum_lanes)
+        V::sums(&sums)
     }
 
     /// Newton steps on one level.
-    fn iterate(
+    #[inline(always)]
+    fn iterate<V: Vector>(
         &mut self,
         target: &Level,
         p: &Vector2<f64>,
@@ -205,7 +231,7 @@ impl<'a> Tracker<'a> {
         let start = *flow;
         let mut previous = Vector2::zeros();
         for step in 0..self.options.iterations {
-            let Some((bx, by)) = self.mismatch(target, &(p + *flow)) else {
+            let Some((bx, by)) = self.mismatch::<V>(target, &(p + *flow)) else {
                 *flow = start;
                 return Outcome::Outside;
             };
@@ -225,69 +251,47 @@ impl<'a> Tracker<'a> {
     }
 
     /// Σ (J − I)·∇I over the window, J cut out of the target around `q`.
-    fn mismatch(&self, target: &Level, q: &Vector2<f64>) -> Option<(f64, f64)> {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has the feature. The code is the same, so are its results.
-            return unsafe { self.mismatch_avx2(target, q) };
-        }
-        self.mismatch_any(target, q)
-    }
-
-    /// [`Self::mismatch_any`] with the vectors spelled out: left to itself, the compiler makes
-    /// one load and shuffles of what should be two overlapping loads.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn mismatch_avx2(&self, target: &Level, q: &Vector2<f64>) -> Option<(f64, f64)> {
-        use std::arch::x86_64::{_mm256_add_ps, _mm256_mul_ps, _mm256_setzero_ps, _mm256_sub_ps};
-        let (base, weights) = corner(target, q, self.options.radius_px)?;
-        let (mut sum_x, mut sum_y) = (_mm256_setzero_ps(), _mm256_setzero_ps());
-        for y in 0..self.side {
-            let at = base + y * target.stride;
-            let top = &target.value[at..at + self.row + 1];
-            let bottom = &target.value[at + target.stride..at + target.stride + self.row + 1];
-            let from = y * self.row;
-            for x in (0..self.row).step_by(LANES) {
-                let found = avx2::bilinear(top, bottom, x, weights);
-                let mismatch = _mm256_sub_ps(found, avx2::load(&self.value, from + x));
-                let (gx, gy) = (avx2::load(&self.dx, from + x), avx2::load(&self.dy, from + x));
-                sum_x = _mm256_add_ps(sum_x, _mm256_mul_ps(mismatch, gx));
-                sum_y = _mm256_add_ps(sum_y, _mm256_mul_ps(mismatch, gy));
-            }
-        }
-        Some((sum_lanes(avx2::store(sum_x)), sum_lanes(avx2::store(sum_y))))
-    }
-
     #[inline(always)]
-    fn mismatch_any(&self, target: &Level, q: &Vector2<f64>) -> Option<(f64, f64)> {
+    fn mismatch<V: Vector>(&self, target: &Level, q: &Vector2<f64>) -> Option<(f64, f64)> {
         let (base, weights) = corner(target, q, self.options.radius_px)?;
-        let mut sum_x = [0.0_f32; LANES];
-        let mut sum_y = [0.0_f32; LANES];
+        let weights = V::splats(weights);
+        let (mut sum_x, mut sum_y) = (V::zero(), V::zero());
+        let window = Window::new(&target.value, base, target.stride, self.row, self.side);
+        let size = self.row * self.side;
+        assert!([&self.value, &self.dx, &self.dy].iter().all(|plane| plane.len() == size));
         for y in 0..self.side {
-            let at = base + y * target.stride;
-            let top = &target.value[at..at + self.row + 1];
-            let bottom = &target.value[at + target.stride..at + target.stride + self.row + 1];
             let from = y * self.row;
             for x in (0..self.row).step_by(LANES) {
-                // One operation on all lanes at a time: in this shape the compiler uses vectors.
-                let found = bilinear(top, bottom, x, weights);
-                let mismatch = subtract(&found, lanes(&self.value, from + x));
-                sum_x = add(&sum_x, &multiply(&mismatch, lanes(&self.dx, from + x)));
-                sum_y = add(&sum_y, &multiply(&mismatch, lanes(&self.dy, from + x)));
+                // SAFETY: rows are whole lanes, and the planes have `side` of them.
+                let [value, gx, gy] = unsafe {
+                    [
+                        V::load_unchecked(&self.value, from + x),
+                        V::load_unchecked(&self.dx, from + x),
+                        V::load_unchecked(&self.dy, from + x),
+                    ]
+                };
+                let mismatch = window.bilinear(x, y, &weights).sub(value);
+                sum_x = sum_x.add(mismatch.mul(gx));
+                sum_y = sum_y.add(mismatch.mul(gy));
             }
         }
-        Some((sum_lanes(sum_x), sum_lanes(sum_y)))
+        Some((sum_x.sum(), sum_y.sum()))
     }
 
     /// Mean absolute difference of the windows.
-    fn residual(&self, target: &Level, q: &Vector2<f64>) -> Option<f64> {
+    #[inline(always)]
+    fn residual<V: Vector>(&self, target: &Level, q: &Vector2<f64>) -> Option<f64> {
         let (base, weights) = corner(target, q, self.options.radius_px)?;
-        let mut row = vec![0.0; self.side];
+        let weights = V::splats(weights);
+        let window = Window::new(&target.value, base, target.stride, self.row, self.side);
         let mut sum = 0.0;
         for y in 0..self.side {
-            interpolate(&target.value, base + y * target.stride, target.stride, weights, &mut row);
-            let value = &self.value[y * self.row..][..self.side];
-            sum += row.iter().zip(value).map(|(a, b)| (a - b).abs()).sum::<f32>();
+            for x in (0..self.row).step_by(LANES) {
+                let found: V = window.bilinear(x, y, &weights);
+                let differences = found.sub(V::load(&self.value, y * self.row + x)).abs();
+                let used = (self.side - x).min(LANES);
+                sum += differences.to_lanes()[..used].iter().sum::<f32>();
+            }
         }
         Some(f64::from(sum) / (self.side * self.side) as f64)
     }
@@ -402,10 +406,8 @@ mod tests {
         let mut tracker = Tracker::new(&options);
         for (px, py) in [(70.3, 40.8), (0.1, 0.2), (159.4, 119.3)] {
             let (p, q) = (Vector2::new(px, py), Vector2::new(px - 0.3, py + 0.2));
-            let hessian = tracker.take_template(level, &p);
-            let (bx, by) = tracker.mismatch(other, &q).unwrap();
-            assert_eq!(tracker.take_template_any(level, &p), hessian);
-            assert_eq!(tracker.mismatch_any(other, &q), Some((bx, by)));
+            let hessian = tracker.take_template::<Plain>(level, &p);
+            let (bx, by) = tracker.mismatch::<Plain>(other, &q).unwrap();
             let mut expected = [0.0; 5];
             let r = options.radius_px as i32;
             for y in -r..=r {

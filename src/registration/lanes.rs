@@ -1,102 +1,382 @@
-//! Eight samples at a time: the inner loops of the tracker, plain and spelled out for AVX2, with
-//! the same operations in the same order, so that both give the same bits.
+//! Eight samples at a time: the tracker's arithmetic, for plain arrays and for AVX2 registers. Both
+//! do the same operations in the same order, so that both give the same bits.
 
-/// Rows of a window are padded to a multiple of this many samples with zero gradients, which add
-/// nothing to the sums: fixed lanes make the sums the same on every machine, and let the compiler
-/// use its vectors.
+/// Rows of a window are padded to a multiple of this many samples without weight, which add
+/// nothing to the sums: fixed lanes make the sums the same on every machine.
 pub const LANES: usize = 8;
 
-#[inline(always)]
-pub fn bilinear(top: &[f32], bottom: &[f32], k: usize, w: [f32; 4]) -> Lanes {
-    let upper = blend(lanes(top, k), w[0], lanes(top, k + 1), w[1]);
-    let lower = blend(lanes(bottom, k), w[2], lanes(bottom, k + 1), w[3]);
-    add(&upper, &lower)
+pub type Lanes = [f32; LANES];
+
+/// Eight numbers. The kernels are written once, over this; they use it outside of closures, which
+/// are not compiled for the caller's instructions.
+pub trait Vector: Copy {
+    fn splat(value: f32) -> Self;
+    fn from_lanes(lanes: &Lanes) -> Self;
+    fn to_lanes(self) -> Lanes;
+    fn add(self, other: Self) -> Self;
+    fn sub(self, other: Self) -> Self;
+    fn mul(self, other: Self) -> Self;
+    /// Absolute values.
+    fn abs(self) -> Self;
+    /// Whole numbers, rounded down, and what is left, in 0..1. For |v| below 2²³.
+    fn split(self) -> ([i32; LANES], Self);
+    /// As [`Self::load`], unchecked.
+    ///
+    /// # Safety
+    /// `row` has eight values from `at` on.
+    unsafe fn load_unchecked(row: &[f32], at: usize) -> Self;
+    /// `Σ_r Σ_c y[r]·x[c]·plane[first + r·stride + c]`, lane by lane, r and c from 0 to 3.
+    fn gather_4x4(
+        plane: &[f32],
+        first: &[usize; LANES],
+        stride: usize,
+        x: [Self; 4],
+        y: [Self; 4],
+    ) -> Self;
+
+    #[inline(always)]
+    fn zero() -> Self {
+        Self::splat(0.0)
+    }
+
+    #[inline(always)]
+    fn load(row: &[f32], at: usize) -> Self {
+        Self::from_lanes(row[at..].first_chunk().expect("rows are padded to whole lanes"))
+    }
+
+    #[inline(always)]
+    fn store(self, row: &mut [f32], at: usize) {
+        row[at..at + LANES].copy_from_slice(&self.to_lanes());
+    }
+
+    #[inline(always)]
+    fn sum(self) -> f64 {
+        let [a, b, c, d, e, f, g, h] = self.to_lanes();
+        f64::from(((a + e) + (c + g)) + ((b + f) + (d + h)))
+    }
+
+    /// [`Self::splat`] of each.
+    #[inline(always)]
+    fn splats<const N: usize>(values: [f32; N]) -> [Self; N] {
+        let mut all = [Self::zero(); N];
+        for (vector, value) in all.iter_mut().zip(values) {
+            *vector = Self::splat(value);
+        }
+        all
+    }
+
+    /// [`Self::sum`] of each.
+    #[inline(always)]
+    fn sums<const N: usize>(vectors: &[Self; N]) -> [f64; N] {
+        let mut all = [0.0; N];
+        for (sum, vector) in all.iter_mut().zip(vectors) {
+            *sum = vector.sum();
+        }
+        all
+    }
 }
 
-/// The same operations in the same order as below, spelled out as vectors.
-#[cfg(target_arch = "x86_64")]
-pub mod avx2 {
-    use super::{LANES, Lanes, lanes};
-    use std::arch::x86_64::{
-        __m256, _mm256_add_ps, _mm256_loadu_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_storeu_ps,
-    };
+/// A window of a plane, `rows` rows of `row` samples and one more each way, checked once.
+#[derive(Clone, Copy)]
+pub struct Window<'a> {
+    plane: &'a [f32],
+    base: usize,
+    stride: usize,
+    row: usize,
+    rows: usize,
+}
 
-    #[inline]
-    #[target_feature(enable = "avx2")]
-    pub fn load(row: &[f32], at: usize) -> __m256 {
-        // SAFETY: the array has the eight values that are read.
-        unsafe { _mm256_loadu_ps(lanes(row, at).as_ptr()) }
+impl<'a> Window<'a> {
+    /// # Panics
+    /// If it is not inside the plane.
+    #[inline(always)]
+    pub fn new(plane: &'a [f32], base: usize, stride: usize, row: usize, rows: usize) -> Self {
+        assert!(base + rows * stride + row < plane.len(), "the border is wide enough");
+        Self { plane, base, stride, row, rows }
     }
 
-    #[inline]
-    #[target_feature(enable = "avx2")]
-    pub fn store(v: __m256) -> Lanes {
+    /// Eight bilinear samples; `weights` of top left, top right, bottom left and bottom right.
+    #[inline(always)]
+    pub fn bilinear<V: Vector>(&self, x: usize, y: usize, weights: &[V; 4]) -> V {
+        debug_assert!(x + LANES <= self.row && y < self.rows);
+        let top = self.base + y * self.stride + x;
+        let low = top + self.stride;
+        // SAFETY: the last is at base + rows·stride + row, which `new` found inside.
+        let [a, b, c, d] = unsafe {
+            [
+                V::load_unchecked(self.plane, top),
+                V::load_unchecked(self.plane, top + 1),
+                V::load_unchecked(self.plane, low),
+                V::load_unchecked(self.plane, low + 1),
+            ]
+        };
+        let upper = weights[0].mul(a).add(weights[1].mul(b));
+        let lower = weights[2].mul(c).add(weights[3].mul(d));
+        upper.add(lower)
+    }
+}
+
+/// Catmull and Rom's weights of the four samples around a fraction in 0..1.
+#[inline(always)]
+pub fn catmull_rom<V: Vector>(f: V) -> [V; 4] {
+    let c = V::splat;
+    let half = c(0.5);
+    let squared = f.mul(f);
+    [
+        f.mul(f.mul(c(1.0).sub(half.mul(f))).sub(half)),
+        c(1.0).add(squared.mul(c(1.5).mul(f).sub(c(2.5)))),
+        f.mul(half.add(f.mul(c(2.0).sub(c(1.5).mul(f))))),
+        half.mul(squared.mul(f.sub(c(1.0)))),
+    ]
+}
+
+/// What every processor has.
+#[derive(Clone, Copy)]
+pub struct Plain(Lanes);
+
+impl Plain {
+    #[inline(always)]
+    fn with(self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
+        Self(std::array::from_fn(|l| f(self.0[l], other.0[l])))
+    }
+}
+
+impl Vector for Plain {
+    #[inline(always)]
+    fn splat(value: f32) -> Self {
+        Self([value; LANES])
+    }
+
+    #[inline(always)]
+    fn from_lanes(lanes: &Lanes) -> Self {
+        Self(*lanes)
+    }
+
+    #[inline(always)]
+    unsafe fn load_unchecked(row: &[f32], at: usize) -> Self {
+        // SAFETY: the caller's.
+        Self(unsafe { *row.as_ptr().add(at).cast::<Lanes>() })
+    }
+
+    #[inline(always)]
+    fn to_lanes(self) -> Lanes {
+        self.0
+    }
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.with(other, |a, b| a + b)
+    }
+
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self.with(other, |a, b| a - b)
+    }
+
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self.with(other, |a, b| a * b)
+    }
+
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Self(self.0.map(f32::abs))
+    }
+
+    #[inline(always)]
+    fn split(self) -> ([i32; LANES], Self) {
+        let whole = self.0.map(|v| {
+            let cut = v as i32;
+            cut - i32::from(cut as f32 > v)
+        });
+        (whole, Self(std::array::from_fn(|l| self.0[l] - whole[l] as f32)))
+    }
+
+    #[inline(always)]
+    fn gather_4x4(
+        plane: &[f32],
+        first: &[usize; LANES],
+        stride: usize,
+        x: [Self; 4],
+        y: [Self; 4],
+    ) -> Self {
         let mut out = [0.0; LANES];
-        // SAFETY: the array has room for the eight values that are written.
-        unsafe { _mm256_storeu_ps(out.as_mut_ptr(), v) };
-        out
+        for (l, out) in out.iter_mut().enumerate() {
+            let row = |r: usize| four(plane, first[l] + r * stride).map(|v| y[r].0[l] * v);
+            let [a, b, c, d] = [row(0), row(1), row(2), row(3)];
+            let column = |k: usize| ((a[k] + b[k]) + c[k]) + d[k];
+            *out = (column(0) * x[0].0[l] + column(1) * x[1].0[l])
+                + (column(2) * x[2].0[l] + column(3) * x[3].0[l]);
+        }
+        Self(out)
     }
+}
 
-    #[inline]
-    #[target_feature(enable = "avx2")]
-    pub fn bilinear(top: &[f32], bottom: &[f32], k: usize, w: [f32; 4]) -> __m256 {
-        let part = |row: &[f32], at: usize, w: f32| _mm256_mul_ps(_mm256_set1_ps(w), load(row, at));
-        let upper = _mm256_add_ps(part(top, k, w[0]), part(top, k + 1, w[1]));
-        let lower = _mm256_add_ps(part(bottom, k, w[2]), part(bottom, k + 1, w[3]));
-        _mm256_add_ps(upper, lower)
-    }
+#[inline(always)]
+fn four(plane: &[f32], at: usize) -> &[f32; 4] {
+    plane[at..].first_chunk().expect("the border is wide enough")
+}
 
-    #[inline]
-    #[target_feature(enable = "avx2")]
-    pub fn interpolate(plane: &[f32], at: usize, stride: usize, w: [f32; 4], out: &mut [f32]) {
-        let top = &plane[at..at + out.len() + 1];
-        let bottom = &plane[at + stride..at + stride + out.len() + 1];
-        for k in (0..out.len()).step_by(LANES) {
-            out[k..k + LANES].copy_from_slice(&store(bilinear(top, bottom, k, w)));
+#[cfg(target_arch = "x86_64")]
+pub use avx2::Avx2;
+
+#[cfg(target_arch = "x86_64")]
+mod avx2 {
+    use super::{LANES, Lanes, Vector};
+    use std::arch::x86_64::*;
+
+    /// A register. To be used only where the processor is known to have AVX2: every method here
+    /// rests on that, and is inlined into a caller that is compiled for it.
+    #[derive(Clone, Copy)]
+    pub struct Avx2(__m256);
+
+    // SAFETY of all blocks below: the processor has AVX2, as the type demands; loads and stores
+    // are of arrays that have the values.
+    impl Vector for Avx2 {
+        #[inline(always)]
+        fn splat(value: f32) -> Self {
+            unsafe { Self(_mm256_set1_ps(value)) }
+        }
+
+        #[inline(always)]
+        fn from_lanes(lanes: &Lanes) -> Self {
+            unsafe { Self(_mm256_loadu_ps(lanes.as_ptr())) }
+        }
+
+        #[inline(always)]
+        unsafe fn load_unchecked(row: &[f32], at: usize) -> Self {
+            debug_assert!(at + LANES <= row.len());
+            unsafe { Self(_mm256_loadu_ps(row.as_ptr().add(at))) }
+        }
+
+        #[inline(always)]
+        fn to_lanes(self) -> Lanes {
+            let mut lanes = [0.0; LANES];
+            unsafe { _mm256_storeu_ps(lanes.as_mut_ptr(), self.0) };
+            lanes
+        }
+
+        #[inline(always)]
+        fn add(self, other: Self) -> Self {
+            unsafe { Self(_mm256_add_ps(self.0, other.0)) }
+        }
+
+        #[inline(always)]
+        fn sub(self, other: Self) -> Self {
+            unsafe { Self(_mm256_sub_ps(self.0, other.0)) }
+        }
+
+        #[inline(always)]
+        fn mul(self, other: Self) -> Self {
+            unsafe { Self(_mm256_mul_ps(self.0, other.0)) }
+        }
+
+        #[inline(always)]
+        fn abs(self) -> Self {
+            unsafe { Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0)) }
+        }
+
+        #[inline(always)]
+        fn split(self) -> ([i32; LANES], Self) {
+            let mut whole = [0; LANES];
+            unsafe {
+                let floor = _mm256_floor_ps(self.0);
+                _mm256_storeu_si256(whole.as_mut_ptr().cast(), _mm256_cvttps_epi32(floor));
+                (whole, Self(_mm256_sub_ps(self.0, floor)))
+            }
+        }
+
+        #[inline(always)]
+        fn gather_4x4(
+            plane: &[f32],
+            first: &[usize; LANES],
+            stride: usize,
+            x: [Self; 4],
+            y: [Self; 4],
+        ) -> Self {
+            // One check for all loads below: of the last row of each lane.
+            let mut farthest = 0;
+            for &first in first {
+                farthest = farthest.max(first);
+            }
+            assert!(farthest + 3 * stride + 4 <= plane.len(), "the border is wide enough");
+            // Lanes k and k + 4 share a register: a row of four samples each.
+            macro_rules! summed {
+                ($k:literal) => {{
+                    const ALL: i32 = $k * 0b01_01_01_01;
+                    let mut terms = [y[0].0; 4];
+                    for (r, term) in terms.iter_mut().enumerate() {
+                        *term = unsafe {
+                            let low = plane.as_ptr().add(first[$k] + r * stride);
+                            let high = plane.as_ptr().add(first[$k + 4] + r * stride);
+                            let row = _mm256_set_m128(_mm_loadu_ps(high), _mm_loadu_ps(low));
+                            _mm256_mul_ps(_mm256_permute_ps::<ALL>(y[r].0), row)
+                        };
+                    }
+                    let [a, b, c, d] = terms;
+                    unsafe { _mm256_add_ps(_mm256_add_ps(_mm256_add_ps(a, b), c), d) }
+                }};
+            }
+            let (a, b, c, d) = (summed!(0), summed!(1), summed!(2), summed!(3));
+            // Transposed: one register a column, lanes in order.
+            unsafe {
+                let (ab_low, ab_high) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
+                let (cd_low, cd_high) = (_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
+                let first = _mm256_shuffle_ps::<0b01_00_01_00>(ab_low, cd_low);
+                let second = _mm256_shuffle_ps::<0b11_10_11_10>(ab_low, cd_low);
+                let third = _mm256_shuffle_ps::<0b01_00_01_00>(ab_high, cd_high);
+                let fourth = _mm256_shuffle_ps::<0b11_10_11_10>(ab_high, cd_high);
+                Self(_mm256_add_ps(
+                    _mm256_add_ps(_mm256_mul_ps(first, x[0].0), _mm256_mul_ps(second, x[1].0)),
+                    _mm256_add_ps(_mm256_mul_ps(third, x[2].0), _mm256_mul_ps(fourth, x[3].0)),
+                ))
+            }
         }
     }
 }
 
-#[inline(always)]
-pub fn interpolate(plane: &[f32], at: usize, stride: usize, w: [f32; 4], out: &mut [f32]) {
-    let top = &plane[at..at + out.len() + 1];
-    let bottom = &plane[at + stride..at + stride + out.len() + 1];
-    let whole = out.len() - out.len() % LANES;
-    for k in (0..whole).step_by(LANES) {
-        out[k..k + LANES].copy_from_slice(&bilinear(top, bottom, k, w));
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_weights_are_catmull_and_roms() {
+        let fractions: Lanes = std::array::from_fn(|l| l as f32 / 8.0);
+        let found = catmull_rom(Plain(fractions));
+        for (l, &f) in fractions.iter().enumerate() {
+            for (found, expected) in found.iter().zip(crate::raster::catmull_rom(f)) {
+                assert!((found.0[l] - expected).abs() < 1e-6);
+            }
+        }
     }
-    for k in whole..out.len() {
-        out[k] = (w[0] * top[k] + w[1] * top[k + 1]) + (w[2] * bottom[k] + w[3] * bottom[k + 1]);
+
+    #[test]
+    fn splits_are_floors() {
+        let v = Plain([-1.5, -1.0, -0.25, 0.0, 0.25, 1.0, 2.75, 100.0]);
+        let (whole, rest) = v.split();
+        assert_eq!(whole, [-2, -1, -1, 0, 0, 1, 2, 100]);
+        assert_eq!(rest.0, [0.5, 0.0, 0.75, 0.0, 0.25, 0.0, 0.75, 0.0]);
     }
-}
 
-#[inline(always)]
-pub fn lanes(row: &[f32], at: usize) -> &[f32; LANES] {
-    row[at..].first_chunk().expect("rows are padded to whole lanes")
-}
-
-pub type Lanes = [f32; LANES];
-
-#[inline(always)]
-pub fn add(a: &Lanes, b: &Lanes) -> Lanes {
-    std::array::from_fn(|l| a[l] + b[l])
-}
-
-#[inline(always)]
-pub fn subtract(a: &Lanes, b: &Lanes) -> Lanes {
-    std::array::from_fn(|l| a[l] - b[l])
-}
-
-#[inline(always)]
-pub fn multiply(a: &Lanes, b: &Lanes) -> Lanes {
-    std::array::from_fn(|l| a[l] * b[l])
-}
-
-#[inline(always)]
-fn blend(a: &Lanes, weight_a: f32, b: &Lanes, weight_b: f32) -> Lanes {
-    std::array::from_fn(|l| weight_a * a[l] + weight_b * b[l])
-}
-
-pub fn sum_lanes(v: [f32; LANES]) -> f64 {
-    v.into_iter().map(f64::from).sum()
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn registers_give_the_bits_of_arrays() {
+        if !std::arch::is_x86_feature_detected!("avx2") {
+            return;
+        }
+        let plane: Vec<f32> = (0..400).map(|k| (k as f32 * 0.77).sin()).collect();
+        let values: Lanes = std::array::from_fn(|l| (l as f32 * 1.7).cos() * 3.0);
+        let first: [usize; LANES] = std::array::from_fn(|l| 17 * l + l * l);
+        fn all<V: Vector>(plane: &[f32], values: &Lanes, first: &[usize; LANES]) -> Vec<Lanes> {
+            let v = V::from_lanes(values);
+            let (whole, rest) = v.split();
+            let weights = catmull_rom(rest);
+            let bilinear = Window::new(plane, 5, 30, LANES, 1).bilinear(0, 0, &weights);
+            let cubic = V::gather_4x4(plane, first, 20, weights, catmull_rom(rest.mul(rest)));
+            let mut out = vec![rest.to_lanes(), whole.map(|w| w as f32), v.abs().to_lanes()];
+            out.extend([bilinear, cubic, v.sub(rest)].map(V::to_lanes));
+            out
+        }
+        assert_eq!(all::<Plain>(&plane, &values, &first), all::<Avx2>(&plane, &values, &first));
+    }
 }

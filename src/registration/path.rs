@@ -14,7 +14,8 @@ pub struct Path {
 }
 
 impl Path {
-    const MAX: usize = 4;
+    /// Samples at most.
+    pub const MAX: usize = 4;
 
     /// From samples in order of time.
     ///

@@ -90,12 +90,24 @@ fn scharr(data: &[f32], width: usize, height: usize) -> (Vec<f32>, Vec<f32>) {
     let row = |y: usize| &data[y * width..(y + 1) * width];
     for y in 0..height {
         let (up, mid, down) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1)));
-        let smooth = |x: usize| 3.0 * (up[x] + down[x]) + 10.0 * mid[x];
-        let differ = |x: usize| down[x] - up[x];
-        for x in 0..width {
-            let (l, r) = (x.saturating_sub(1), (x + 1).min(width - 1));
+        let mut set = |l: usize, x: usize, r: usize| {
+            let smooth = |x: usize| 3.0 * (up[x] + down[x]) + 10.0 * mid[x];
+            let differ = |x: usize| down[x] - up[x];
             dx[y * width + x] = (smooth(r) - smooth(l)) / 32.0;
             dy[y * width + x] = (3.0 * (differ(l) + differ(r)) + 10.0 * differ(x)) / 32.0;
+        };
+        set(0, 0, 1.min(width - 1));
+        set(width.saturating_sub(2), width - 1, width - 1);
+        if width < 3 {
+            continue;
+        }
+        let inner = y * width + 1..(y + 1) * width - 1;
+        let rows = up.windows(3).zip(mid.windows(3)).zip(down.windows(3));
+        for (((u, m), d), (dx, dy)) in rows.zip(dx[inner.clone()].iter_mut().zip(&mut dy[inner])) {
+            let smooth = |x: usize| 3.0 * (u[x] + d[x]) + 10.0 * m[x];
+            let differ = |x: usize| d[x] - u[x];
+            *dx = (smooth(2) - smooth(0)) / 32.0;
+            *dy = (3.0 * (differ(0) + differ(2)) + 10.0 * differ(1)) / 32.0;
         }
     }
     (dx, dy)
@@ -114,9 +126,16 @@ fn halved(data: &[f32], width: usize, height: usize) -> (Vec<f32>, usize, usize)
     let mut narrow = vec![0.0; w2 * height];
     for y in 0..height {
         let row = &data[y * width..(y + 1) * width];
-        for x in 0..w2 {
-            narrow[y * w2 + x] =
+        let out = &mut narrow[y * w2..(y + 1) * w2];
+        // Where all five are inside, in one go.
+        let inner = 1..((width.max(2) - 2) / 2).max(1);
+        for x in (0..w2).filter(|x| !inner.contains(x)) {
+            out[x] =
                 (0..5).map(|k| TAPS[k] * row[mirror(2 * x as isize + k as isize - 2, width)]).sum();
+        }
+        for (out, five) in out[inner.clone()].iter_mut().zip(row.windows(5).step_by(2)) {
+            let [a, b, c, d, e] = five else { continue };
+            *out = TAPS[0] * a + TAPS[1] * b + TAPS[2] * c + TAPS[3] * d + TAPS[4] * e;
         }
     }
     let mut half = vec![0.0; w2 * h2];

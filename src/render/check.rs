@@ -104,6 +104,19 @@ fn klt(o: &KltOptions) -> Checked {
             ("min_eigenvalue", o.min_eigenvalue, 0.0..=1.0),
             ("max_residual", o.max_residual, 0.0..=1.0),
         ],
+    )?;
+    let o = &o.affine;
+    all_within(
+        "registration.klt.affine",
+        &[
+            ("radius_px", o.radius_px as f64, 0.0..=32.0),
+            ("sigma_share", o.sigma_share, 0.1..=10.0),
+            ("iterations", o.iterations as f64, 1.0..=1000.0),
+            ("epsilon_px", o.epsilon_px, 0.0..=1.0),
+            // 0 divides; below 0.001 nothing deforms.
+            ("deformation", o.deformation, 1e-4..=10.0),
+            ("max_shift_px", o.max_shift_px, PIXELS),
+        ],
     )
 }
 

@@ -2,7 +2,9 @@
 
 #![allow(dead_code)] // each test binary uses some of it
 
+pub mod bodies;
 pub mod synthetic;
+pub mod worlds;
 
 use std::fs::File;
 use std::path::{Path, PathBuf};

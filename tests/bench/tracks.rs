@@ -1,0 +1,354 @@
+//! Tracks against the truth, scene by scene: how accurate they are, before and after the epipolar
+//! test; what the checks remove of the wrong ones, and lose of the right ones.
+//!
+//! `cargo bench --bench tracks [-- CAPTURE…]`: filmed captures with `truth/tracks`, whose points are
+//! tracked; without any, the five worlds of `tests/common/worlds.rs`, whose corners are.
+
+#[path = "../common/bodies.rs"]
+#[allow(dead_code)]
+mod bodies;
+#[path = "../common/worlds.rs"]
+mod worlds;
+
+use bodies::{Random, Surface};
+use nalgebra::{Point2, Vector2};
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use stlfr::camera::{Camera, EpipolarGeometry};
+use stlfr::capture::{Capture, Tracks, Truth};
+use stlfr::registration::{
+    FrameStore, RegistrationOptions, Run, Track, Verdict, agreeing, epipolar_test,
+    select_references, temporal_flow, temporal_flow_of,
+};
+use worlds::Case;
+
+const FRAMES: usize = 8;
+const DELAYS: [f64; 3] = [0.0, 0.37, 0.71];
+
+/// Whose positions are known.
+enum Known {
+    World { case: Case, cameras: Vec<Camera> },
+    Film { points: Tracks },
+}
+
+#[derive(Clone, Copy)]
+enum Point {
+    Surface(Surface),
+    Numbered(usize),
+}
+
+/// A track, and the point that it started on.
+struct Sample {
+    track: Track,
+    point: Point,
+}
+
+struct Scene {
+    name: String,
+    known: Known,
+    capture: Arc<Capture>,
+    times_s: Vec<Option<Vec<f64>>>,
+    /// The pairs to score.
+    pairs: Vec<(usize, usize)>,
+}
+
+impl Scene {
+    fn world(case: Case) -> Self {
+        let cameras = worlds::line_rig(3, 640);
+        let folder =
+            PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(".captures/bodies").join(case.name);
+        if !folder.join("capture.json").exists() {
+            bodies::film(&case.world, &cameras, &DELAYS, FRAMES, 0.009, &folder);
+        }
+        let capture = Arc::new(Capture::open(&folder).expect("a capture"));
+        let times_s = capture.cameras.iter().map(|c| Some(c.clock.times_s.clone())).collect();
+        let name = case.name.to_owned();
+        let known = Known::World { case, cameras };
+        Self { name, known, capture, times_s, pairs: vec![(1, 2), (0, 4), (2, 3)] }
+    }
+
+    fn film(folder: &str) -> Self {
+        let capture = Arc::new(Capture::open(folder.as_ref()).expect("a capture"));
+        let truth = Truth::open(folder.as_ref()).expect("readable truth").expect("truth");
+        let points = truth.tracks().expect("readable tracks").expect("tracks in the truth");
+        // True times: this is about tracks, not about offsets.
+        let times_s = points
+            .cameras
+            .iter()
+            .map(|c| Some(c.times_s.iter().map(|t| t - capture.time_origin_s).collect()))
+            .collect();
+        let last = capture.cameras[0].frames.len() - 2;
+        let pairs = [1, 3, 6].map(|c| (c % capture.cameras.len(), last / 2)).to_vec();
+        Self { name: folder.to_owned(), known: Known::Film { points }, capture, times_s, pairs }
+    }
+
+    /// Where the point is in a camera's frame, if it is in front; and whether it is seen.
+    fn place(&self, point: Point, camera: usize, frame: usize) -> Option<(Point2<f64>, bool)> {
+        match (&self.known, point) {
+            (Known::World { case, cameras }, Point::Surface(surface)) => {
+                let time = DELAYS[camera] + frame as f64;
+                let p = case.world.position(&surface, &cameras[camera], time)?;
+                Some((p, case.world.is_seen(&surface, &cameras[camera], time)))
+            }
+            (Known::Film { points }, Point::Numbered(n)) => {
+                let point = points.cameras[camera].frames.get(frame)?.get(n)?;
+                point.px.x.is_finite().then_some((point.px, point.visible))
+            }
+            _ => None,
+        }
+    }
+
+    /// The tracks between frames k and k + 1 whose point is seen in both.
+    fn tracks(&self, store: &FrameStore, camera: usize, k: usize) -> Vec<Sample> {
+        let all: Vec<Sample> = match &self.known {
+            Known::World { case, cameras } => temporal_flow(store, camera, k)
+                .expect("tracks")
+                .into_iter()
+                .filter_map(|track| {
+                    let (frame, p) = start(&track, k);
+                    let time = DELAYS[camera] + frame as f64;
+                    let surface = case.world.seen(&cameras[camera], &p, time)?;
+                    Some(Sample { track, point: Point::Surface(surface) })
+                })
+                .collect(),
+            Known::Film { points } => {
+                let seen: Vec<(usize, Point2<f64>)> = points.cameras[camera].frames[k]
+                    .iter()
+                    .enumerate()
+                    .filter(|(_, p)| p.visible)
+                    .map(|(n, p)| (n, p.px))
+                    .collect();
+                let key = |p: &Point2<f64>| (p.x.to_bits(), p.y.to_bits());
+                let numbers: HashMap<_, _> = seen.iter().map(|(n, p)| (key(p), *n)).collect();
+                let starts: Vec<_> = seen.iter().map(|(_, p)| *p).collect();
+                temporal_flow_of(store, camera, k, [&starts, &[]])
+                    .expect("tracks")
+                    .into_iter()
+                    .map(|track| {
+                        let point = Point::Numbered(numbers[&key(&track.earlier)]);
+                        Sample { track, point }
+                    })
+                    .collect()
+            }
+        };
+        all.into_iter()
+            .filter(|s| {
+                [k, k + 1].iter().all(|&f| self.place(s.point, camera, f).is_some_and(|p| p.1))
+            })
+            .collect()
+    }
+
+    fn error(&self, sample: &Sample, camera: usize, k: usize) -> f64 {
+        let (frame, _) = start(&sample.track, k);
+        let (other, found) =
+            if frame == k { (k + 1, sample.track.later) } else { (k, sample.track.earlier) };
+        self.place(sample.point, camera, other).map_or(f64::NAN, |(p, _)| (p - found).norm())
+    }
+
+    fn motion(&self, sample: &Sample, camera: usize, k: usize) -> f64 {
+        let at = |frame| self.place(sample.point, camera, frame).map(|(p, _)| p);
+        at(k).zip(at(k + 1)).map_or(0.0, |(a, b)| (b - a).norm())
+    }
+
+    /// How far the track's path is off the epipolar line of its point's true position, in the
+    /// reference camera that tests it.
+    fn across(
+        &self,
+        sample: &Sample,
+        camera: usize,
+        k: usize,
+        options: &RegistrationOptions,
+    ) -> Option<f64> {
+        let times = self.times_s[camera].as_ref()?;
+        let interval = [times[k], times[k + 1]];
+        let t = if sample.track.run == Run::Backward { interval[0] } else { interval[1] };
+        let references =
+            select_references(&self.capture, &self.times_s, camera, interval, t, options);
+        let reference = references.first()?;
+        let [own, other] = [camera, reference.camera].map(|c| &self.capture.cameras[c].camera);
+        let at = own.model.ideal_from_pixel(&sample.track.path(times, k)?.at(reference.time_s))?;
+        let line = EpipolarGeometry::new(own, other)?.line_in_j(&at)?;
+        let (p, _) = self.place(sample.point, reference.camera, reference.frame)?;
+        Some(line.distance(&other.model.ideal_from_pixel(&p)?).abs())
+    }
+}
+
+/// The frame in which a track's own position is exact, and that position.
+fn start(track: &Track, k: usize) -> (usize, Point2<f64>) {
+    if track.run == Run::Backward { (k + 1, track.later) } else { (k, track.earlier) }
+}
+
+fn share(count: usize, of: usize) -> f64 {
+    if of == 0 { f64::NAN } else { 100.0 * count as f64 / of as f64 }
+}
+
+/// Number, median, and the shares within 0.1 and 1 pixel.
+fn row(errors: &[f64]) -> String {
+    let mut sorted = errors.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let at = |q: f64| sorted.get((q * (sorted.len() as f64 - 1.0)) as usize).copied();
+    let within = |b: f64| share(sorted.iter().filter(|e| **e <= b).count(), sorted.len());
+    let or_nan = |v: Option<f64>| v.unwrap_or(f64::NAN);
+    format!(
+        "{:6} {:.3} {:.3} {:5.1}% {:5.1}%",
+        sorted.len(),
+        or_nan(at(0.5)),
+        or_nan(at(0.99)),
+        within(0.1),
+        within(1.0)
+    )
+}
+
+#[derive(Default)]
+struct Counts {
+    before: Vec<f64>,
+    after: Vec<f64>,
+    moving: Vec<f64>,
+    moving_after: Vec<f64>,
+    untestable: usize,
+    /// Of right tracks: all, and those that the test rejects.
+    right: [usize; 2],
+    /// Of tracks off the line by over ε + 1 px: all, rejected, untestable. As they come, and made.
+    across: [usize; 3],
+    made: [usize; 3],
+    /// Of tracks wrong by over 3 px, before any check: all, and what stops them.
+    wrong: usize,
+    by_back: usize,
+    by_residual: usize,
+    by_vote: usize,
+    by_test: usize,
+    together: usize,
+}
+
+fn score(scene: &Scene, options: &RegistrationOptions) -> Counts {
+    let mut counts = Counts::default();
+    let mut unchecked = options.clone();
+    unchecked.max_back_error_px = 1000.0;
+    unchecked.min_support = 0;
+    unchecked.klt.max_residual = 1.0;
+    for &(camera, k) in &scene.pairs {
+        let store = FrameStore::new(scene.capture.clone(), options);
+        let samples = scene.tracks(&store, camera, k);
+        let test = |samples: &[Sample]| {
+            let tracks: Vec<Track> = samples.iter().map(|s| s.track.clone()).collect();
+            epipolar_test(&store, &scene.times_s, camera, k, &tracks).expect("verdicts")
+        };
+        for (sample, verdict) in samples.iter().zip(test(&samples)) {
+            let error = scene.error(sample, camera, k);
+            let kept = verdict != Verdict::Rejected;
+            let moving = scene.motion(sample, camera, k) > 0.5;
+            counts.before.push(error);
+            counts.after.extend(kept.then_some(error));
+            counts.moving.extend(moving.then_some(error));
+            counts.moving_after.extend((moving && kept).then_some(error));
+            counts.untestable += usize::from(verdict == Verdict::Untestable);
+            if error <= 1.0 {
+                counts.right[0] += 1;
+                counts.right[1] += usize::from(!kept);
+            }
+        }
+        // Errors of any direction, made in what was right.
+        let mut random = Random(5);
+        let made: Vec<Sample> = samples
+            .into_iter()
+            .filter(|s| scene.error(s, camera, k) < 1.0)
+            .map(|mut s| {
+                let (angle, size) =
+                    (std::f64::consts::TAU * random.uniform(), 3.0 + 17.0 * random.uniform());
+                let error = size * Vector2::new(angle.cos(), angle.sin());
+                if s.track.run == Run::Backward {
+                    s.track.earlier += error;
+                } else {
+                    s.track.later += error;
+                }
+                (s.track.before, s.track.after) = (None, None);
+                s
+            })
+            .collect();
+        let off = |sample: &Sample| {
+            scene.across(sample, camera, k, options).is_some_and(|d| d > options.epsilon_px + 1.0)
+        };
+        let count = |counts: &mut [usize; 3], verdict: Verdict| {
+            counts[0] += 1;
+            counts[1] += usize::from(verdict == Verdict::Rejected);
+            counts[2] += usize::from(verdict == Verdict::Untestable);
+        };
+        for (sample, verdict) in made.iter().zip(test(&made)) {
+            if off(sample) {
+                count(&mut counts.made, verdict);
+            }
+        }
+        let raw_store = FrameStore::new(scene.capture.clone(), &unchecked);
+        let raw = scene.tracks(&raw_store, camera, k);
+        let tracks: Vec<Track> = raw.iter().map(|s| s.track.clone()).collect();
+        let agree = agreeing(&tracks, options);
+        for ((sample, verdict), agrees) in raw.iter().zip(test(&raw)).zip(agree) {
+            if off(sample) {
+                count(&mut counts.across, verdict);
+            }
+            if !(scene.error(sample, camera, k) > 3.0) {
+                continue;
+            }
+            let stops = [
+                sample.track.back_error_px > options.max_back_error_px,
+                sample.track.residual > options.klt.max_residual,
+                !agrees,
+                verdict == Verdict::Rejected,
+            ];
+            counts.wrong += 1;
+            counts.by_back += usize::from(stops[0]);
+            counts.by_residual += usize::from(stops[1]);
+            counts.by_vote += usize::from(stops[2]);
+            counts.by_test += usize::from(stops[3]);
+            counts.together += usize::from(stops.contains(&true));
+        }
+    }
+    counts
+}
+
+fn main() {
+    let folders: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    let plain = std::env::args().any(|a| a == "--translation");
+    let scenes: Vec<Scene> = if folders.is_empty() {
+        worlds::cases().into_iter().map(Scene::world).collect()
+    } else {
+        folders.iter().map(|f| Scene::film(f)).collect()
+    };
+    let mut options = RegistrationOptions::default();
+    if plain {
+        options.klt.affine.radius_px = 0;
+    }
+    println!("errors: number, median, 99 % [px], within 0.1 px, within 1 px");
+    for scene in &scenes {
+        let c = score(scene, &options);
+        println!("{}", scene.name);
+        println!("  all, before the epipolar test    {}", row(&c.before));
+        println!("  all, after                       {}", row(&c.after));
+        println!("  moving, before                   {}", row(&c.moving));
+        println!("  moving, after                    {}", row(&c.moving_after));
+        println!("  untestable                       {:.1}%", share(c.untestable, c.before.len()));
+        println!(
+            "  right ones rejected              {:.2}% of {}",
+            share(c.right[1], c.right[0]),
+            c.right[0]
+        );
+        for (name, [all, rejected, untestable]) in [("as they come", c.across), ("made", c.made)] {
+            println!(
+                "  off the line by over ε + 1 px, {name}: {all}, rejected {:.1}%, untestable {:.1}%, of the testable rejected {:.1}%",
+                share(rejected, all),
+                share(untestable, all),
+                share(rejected, all - untestable)
+            );
+        }
+        println!(
+            "  wrong by over 3 px, unchecked: {}; stopped by way back {:.0}%, residual {:.0}%, neighbours {:.0}%, epipolar test {:.0}%, together {:.1}%",
+            c.wrong,
+            share(c.by_back, c.wrong),
+            share(c.by_residual, c.wrong),
+            share(c.by_vote, c.wrong),
+            share(c.by_test, c.wrong),
+            share(c.together, c.wrong)
+        );
+    }
+}
