@@ -13,7 +13,7 @@
 //! | §8 results, beside the truth | [`compare`] |
 //!
 //! Beside these: [`raster`] holds images as the stages work on them, [`progress`] reports long
-//! work, [`json`] reads files.
+//! work, [`json`] reads files, [`video`] reads and writes video through an ffmpeg.
 //!
 //! # Conventions
 //!
@@ -36,3 +36,4 @@ pub mod raster;
 pub mod registration;
 pub mod render;
 pub mod toolchain;
+pub mod video;

@@ -10,7 +10,8 @@ use stlfr::compare::video::VideoOptions;
 use stlfr::compare::{CompareOptions, ComparedLightField, Summary, compare, sync_name};
 use stlfr::progress::Reporter;
 use stlfr::render::RenderOptions;
-use stlfr::toolchain::{find_ffmpeg, project_root};
+use stlfr::toolchain::project_root;
+use stlfr::video::find_ffmpeg;
 
 /// Render what the capture has truth of, and set it beside the truth and beside traditional light
 /// field rendering: pictures, metrics.json and report.html.

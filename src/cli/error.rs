@@ -7,7 +7,8 @@ use stlfr::capture::{CaptureError, TruthError};
 use stlfr::compare::CompareError;
 use stlfr::json::JsonError;
 use stlfr::render::RenderError;
-use stlfr::toolchain::{ScriptError, SetupError, VideoError};
+use stlfr::toolchain::{ScriptError, SetupError};
+use stlfr::video::VideoError;
 
 /// What ends a command.
 #[derive(Debug, thiserror::Error)]

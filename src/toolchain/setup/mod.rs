@@ -11,7 +11,7 @@ mod module;
 mod stamp;
 mod system;
 
-use super::video::find_ffmpeg;
+use crate::video::find_ffmpeg;
 use crate::progress::Reporter;
 use stamp::Stamps;
 use std::fs::File;
