@@ -58,6 +58,7 @@ impl From<CaptureError> for CliError {
             CaptureError::Read { source, .. }
             | CaptureError::Write { source, .. }
             | CaptureError::Json { source: JsonError::Read(source), .. } => of_io(sentence, source),
+            CaptureError::NoFfmpeg { .. } => Self::Failure(sentence),
             _ => Self::BadInput(sentence),
         }
     }

@@ -113,7 +113,7 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let mut options = options_or_default(args.options.as_deref())?;
     options.sync = args.sync.unwrap_or(options.sync);
     options.proxy.rung = args.proxy.unwrap_or(options.proxy.rung);
-    let capture = Arc::new(Capture::open(&args.capture)?);
+    let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
     let like = match &request.view {
         View::Like(id) => Some(capture.camera_index(id).ok_or_else(|| {
             CliError::BadInput(format!("--like: no camera of this capture has the id '{id}'"))

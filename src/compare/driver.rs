@@ -1,7 +1,9 @@
 //! The driver: every instant of the truth, then the folder's files.
 
 use super::results::{self, CaptureFacts, Metrics, OffsetResult, StageTime};
-use super::{CompareError, CompareOptions, Renderer, Summary, instant, report, review, truths, video};
+use super::{
+    CompareError, CompareOptions, Renderer, Summary, instant, report, review, truths, video,
+};
 use crate::capture::{Capture, Truth, write_atomically};
 use crate::progress::Reporter;
 use crate::video::Codec;

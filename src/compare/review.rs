@@ -68,9 +68,8 @@ pub(super) fn layout(metrics: &Metrics, made: Option<&video::Made>) -> Layout {
 
 fn movie_reel(made: &video::Made) -> Reel {
     let file = |slug: &str| made.movies.iter().find(|m| m.slug == slug).map(|m| m.file.clone());
-    let panel = |method: Method| {
-        Some(Panel { title: method.title().into(), file: file(method.slug())? })
-    };
+    let panel =
+        |method: Method| Some(Panel { title: method.title().into(), file: file(method.slug())? });
     let shot = Shot {
         label: made.view.clone(),
         frames: made.frames,

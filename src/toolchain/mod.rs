@@ -7,10 +7,12 @@
 mod check;
 mod film;
 pub(crate) mod process;
+mod review;
 mod script;
 mod setup;
 
 pub use check::{Check, CheckValues, CheckedCamera, check};
 pub use film::{FilmOptions, Scene, film};
+pub use review::review;
 pub use script::ScriptError;
 pub use setup::{Environment, SetupError, ensure_environment, project_root};

@@ -4,6 +4,7 @@
 mod reader;
 mod writer;
 
+pub(crate) use reader::frame_name;
 pub use reader::{Decoded, decode};
 pub use writer::{Codec, VideoWriter};
 
