@@ -13,8 +13,10 @@ use stlfr::video::{Codec, VideoWriter, find_ffmpeg};
 const FRAMES: usize = 5;
 
 fn ffmpeg() -> PathBuf {
-    run(&["setup", "-q"]); // brings an ffmpeg where the system has none
-    find_ffmpeg(common::root()).expect("an ffmpeg")
+    find_ffmpeg(common::root()).unwrap_or_else(|| {
+        run(&["setup", "-q"]); // brings one
+        find_ffmpeg(common::root()).expect("an ffmpeg")
+    })
 }
 
 fn encode(path: &Path, frames: &[Image], depth: BitDepth, rate_hz: f64) {

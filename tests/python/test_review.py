@@ -46,7 +46,8 @@ def panel(title: str, file: str) -> dict[str, str]:
 
 
 def review(layout: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-I", ROOT / "blender/review.py", layout]
+    script = str(ROOT / "blender/review.py")
+    command = [sys.executable, "-I", script, str(layout)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
