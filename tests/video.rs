@@ -132,7 +132,7 @@ fn depths_and_colours_survive() {
         let data =
             (0..64 * 48 * channels).map(|k| ((k * 7919) % (most as usize + 1)) as f32 / most);
         let image = Image::from_data(64, 48, channels, data.collect());
-        encode(&folder.path().join("video.mkv"), &[image.clone()], depth, 30.0);
+        encode(&folder.path().join("video.mkv"), std::slice::from_ref(&image), depth, 30.0);
         let capture = Capture::open(folder.path()).unwrap();
         assert_eq!(capture.bit_depth(), depth);
         let twin = folder.path().join("twin.png");

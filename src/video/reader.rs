@@ -96,7 +96,7 @@ fn times_s(listing: &str) -> Result<Vec<f64>, VideoError> {
         .filter(|line| !line.starts_with('#') && !line.trim().is_empty())
         .map(|line| {
             let time = stamp(line).ok_or_else(|| wrong("has frames without time stamps".into()))?;
-            Ok(time as f64 * 1e-6)
+            Ok(time as f64 / 1e6)
         })
         .collect()
 }
