@@ -38,9 +38,9 @@ def load_extension() -> None:
 
 
 load_extension()
-errors, plans, folder = (
+errors, plans, folder, videos = (
     importlib.import_module(f"stlfr_extension.{name}")
-    for name in ("errors", "plan", "folder")
+    for name in ("errors", "plan", "folder", "video")
 )
 
 
@@ -164,6 +164,11 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     )
     parser.add_argument("--no-truth", action="store_true", help="film without truth")
     parser.add_argument(
+        "--video",
+        action="store_true",
+        help="keep each camera's frames as one lossless video",
+    )
+    parser.add_argument(
         "--workers", type=count(1), metavar="N", help="filming processes (one per core)"
     )
     return parser.parse_args(arguments)
@@ -189,18 +194,23 @@ def capture(arguments: argparse.Namespace) -> None:
     )
     target = arguments.capture.resolve()
     plans.claim(plan, target)
-    jobs = [job for job in plan.jobs if not job.is_finished(target)]
-    total = len(plan.jobs)
-    done = total - len(jobs)
-    if not jobs and (target / plans.CAPTURE_FILE).is_file():
+    jobs = [
+        job
+        for job in plan.jobs
+        if not (videos.holds(job, target) or job.is_finished(target))
+    ]
+    unpacked = videos.unpacked(plan, target) if arguments.video else []
+    total = len(plan.jobs) + len(unpacked)
+    done = len(plan.jobs) - len(jobs)
+    if not jobs and not unpacked and (target / plans.CAPTURE_FILE).is_file():
         report(done, total, "already filmed")
         return
     (target / plans.CAPTURE_FILE).unlink(missing_ok=True)  # not whole any more
 
-    def on_done(job: Any) -> None:
+    def on_done(what: str) -> None:
         nonlocal done
         done += 1
-        report(done, total, job.what)
+        report(done, total, what)
 
     report(done, total, "starting Blender")
     scratch = folder.scratch_folder(target)
@@ -215,7 +225,9 @@ def capture(arguments: argparse.Namespace) -> None:
     crews = importlib.import_module("stlfr_extension.workers")
     command = [sys.executable, "-I", str(HERE), "--worker"]
     with crews.Crew(plan, target, scratch, command, workers, cores) as crew:
-        cameras = crew.film(jobs, on_done)
+        cameras = crew.film(jobs, lambda job: on_done(job.what))
+    if arguments.video:
+        videos.pack(plan, target, scratch, on_done)
     shutil.rmtree(scratch)
     folder.write_all(plan, cameras, target)
 

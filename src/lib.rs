@@ -12,8 +12,9 @@
 //! | Fig. 2, the whole pipeline | [`render`] |
 //! | §8 results, beside the truth | [`compare`] |
 //!
-//! Beside these: [`rig`] describes and generates simulated arrays, [`raster`] holds images as the stages work on them, [`progress`] reports long
-//! work, [`json`] reads files.
+//! Beside these: [`rig`] describes and generates simulated arrays, [`raster`] holds images as the
+//! stages work on them, [`progress`] reports long work, [`json`] reads files, [`video`] reads and
+//! writes video through an ffmpeg.
 //!
 //! # Conventions
 //!
@@ -37,3 +38,4 @@ pub mod registration;
 pub mod render;
 pub mod rig;
 pub mod toolchain;
+pub mod video;

@@ -9,7 +9,7 @@ use std::path::Path;
 use std::process::Command;
 use stlfr::capture::{Capture, read_image};
 use stlfr::raster::Image;
-use stlfr::toolchain::find_ffmpeg;
+use stlfr::video::find_ffmpeg;
 
 /// Frames after the scene's start, the reference (the middle one) not at 0.
 const DELAYS_FRAMES: [f64; 3] = [0.6, 0.2, -0.1];

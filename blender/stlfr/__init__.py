@@ -11,6 +11,7 @@ The extension and the headless scripts (`capture.py`, `check.py`) share these mo
 - `film`: render one image, or its depth and motion
 - `exr`: read the passes that Cycles wrote
 - `png`: whole files, without notes, and their writing
+- `video`: a camera's frames as one lossless video
 - `truth`: what only a simulator knows
 - `folder`: write the capture's files
 - `workers`: film on several processes

@@ -7,7 +7,7 @@ import os
 import re
 from typing import TYPE_CHECKING, Any
 
-from . import truth
+from . import truth, video
 from .plan import CAPTURE_FILE, HIDDEN_FOLDER, Plan, frame_file, truth_files
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def write_all(plan: Plan, cameras: dict[str, Camera], capture: Path) -> None:
     if plan.options.truth:
         write_json(capture / "truth" / "truth.json", _truth_json(plan, cameras))
     _write_colmap(plan, cameras, capture / "colmap")
-    write_json(capture / CAPTURE_FILE, _capture_json(plan, cameras))
+    write_json(capture / CAPTURE_FILE, _capture_json(plan, cameras, capture))
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
@@ -46,13 +46,15 @@ def _write_text(path: Path, text: str) -> None:
     partial.replace(path)
 
 
-def _capture_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:
+def _capture_json(
+    plan: Plan, cameras: dict[str, Camera], capture: Path
+) -> dict[str, Any]:
     entries = []
     for camera, shutter in zip(plan.rig.cameras, plan.shutters, strict=True):
         entries.append(
             {
                 "id": camera.id,
-                "frames": f"{camera.id}/%04d.png",
+                "frames": video.frames_of(camera.id, capture),
                 **cameras[camera.id],
                 "color": camera.color,
                 "clock": _clock(camera, shutter),
@@ -96,10 +98,10 @@ def _truth_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:
         for k, time_s in enumerate(plan.instants_s)
         for view in (*plan.rig.cameras, *plan.rig.views)
     ]
-    video = None
+    true_video = None
     if plan.video_times_s:
         view_id = plan.rig.views[0].id
-        video = {
+        true_video = {
             "view": view_id,
             "times_s": plan.video_times_s,
             "camera": cameras[view_id],
@@ -107,7 +109,7 @@ def _truth_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:
         }
     has_tracks = any(job.is_tracks for job in plan.jobs)
     return truth.truth_json(
-        plan.options.title, plan.rig, plan.shutters, views, video, has_tracks
+        plan.options.title, plan.rig, plan.shutters, views, true_video, has_tracks
     )
 
 

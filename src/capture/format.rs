@@ -1,8 +1,10 @@
 //! `capture.json`, as it stands in the file.
 
 use super::clock::MAX_TIME_S;
-use super::{BitDepth, CaptureError, Clock, FilmedCamera, frames};
+use super::video::VideoFile;
+use super::{BitDepth, CaptureError, Clock, FilmedCamera, frames, video};
 use crate::camera::{CameraFormat, PoseFormat};
+use crate::progress::Reporter;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
@@ -25,6 +27,7 @@ pub struct CaptureFormat {
 #[serde(deny_unknown_fields)]
 pub struct FilmedCameraFormat {
     pub id: String,
+    /// An image sequence such as `cam0/%04d.png`, or a video such as `cam0.mkv`.
     pub frames: String,
     pub width: u32,
     pub height: u32,
@@ -104,6 +107,7 @@ impl FilmedCameraFormat {
         path: &Path,
         root: &Path,
         index: usize,
+        reporter: &Reporter,
     ) -> Result<FilmedCamera, CaptureError> {
         let wrong = |field: &str, reason: String| CaptureError::Field {
             path: path.to_owned(),
@@ -123,28 +127,35 @@ impl FilmedCameraFormat {
             camera: format!("cameras[{index}] ({})", self.id),
             source,
         })?;
-        let found = frames::find(root, &self.frames).map_err(|e| wrong("frames", e))?;
+        let (video, found) = match frames::video(root, &self.frames) {
+            Some(path) => {
+                let path = path.map_err(|e| wrong("frames", e))?;
+                let (video, found) = video::open(root, &path, |e| wrong("frames", e), reporter)?;
+                (Some(video), found)
+            }
+            None => (None, frames::find(root, &self.frames).map_err(|e| wrong("frames", e))?),
+        };
         let mut bit_depth = BitDepth::Eight;
         for frame in &found {
             let header = super::image_io::read_header(frame)?;
             if (header.width, header.height) != (self.width, self.height) {
-                return Err(CaptureError::Image {
-                    path: frame.clone(),
-                    reason: format!(
-                        "is {}×{} pixels, its camera {}×{}",
-                        header.width, header.height, self.width, self.height
-                    ),
-                });
+                let path = video.as_ref().map_or(frame, |v| &v.path).clone();
+                let reason = format!(
+                    "is {}×{} pixels, its camera {}×{}",
+                    header.width, header.height, self.width, self.height
+                );
+                return Err(CaptureError::Image { path, reason });
             }
             bit_depth = bit_depth.max(header.bit_depth);
         }
-        let clock = self.clock.open(found.len()).map_err(|e| wrong("clock", e))?;
+        let clock = self.clock.open(found.len(), video.as_ref()).map_err(|e| wrong("clock", e))?;
         Ok(FilmedCamera {
             id: self.id.clone(),
             camera,
             color: self.color,
             clock,
             frames: found,
+            video,
             bit_depth,
         })
     }
@@ -152,21 +163,26 @@ impl FilmedCameraFormat {
 
 impl ClockFormat {
     /// The clock of a camera with that many frames; the error is a reason.
-    fn open(&self, frames: usize) -> Result<Clock, String> {
+    fn open(&self, frames: usize, video: Option<&VideoFile>) -> Result<Clock, String> {
+        let offer = || video.map_or(String::new(), |v| format!("; {}", v.offer()));
         let times_s = match (self.rate_hz, self.first_s, &self.times_s) {
             (Some(rate), Some(first), None) => {
                 if !(rate.is_finite() && rate > 0.0 && first.is_finite()) {
                     return Err("rate_hz must be positive and first_s finite".into());
                 }
+                video.map_or(Ok(()), |v| v.agrees_with_rate(rate))?;
                 (0..frames).map(|k| first + k as f64 / rate).collect()
             }
             (None, None, Some(times)) => {
                 if times.len() != frames {
-                    return Err(format!("times_s has {} entries for {frames} frames", times.len()));
+                    let (entries, offer) = (times.len(), offer());
+                    return Err(format!(
+                        "times_s has {entries} entries for {frames} frames{offer}"
+                    ));
                 }
                 times.clone()
             }
-            _ => return Err("needs either rate_hz and first_s, or times_s".into()),
+            _ => return Err(format!("needs either rate_hz and first_s, or times_s{}", offer())),
         };
         if times_s.iter().any(|t| !(t.abs() <= MAX_TIME_S)) {
             return Err(format!("the times must be within {MAX_TIME_S:?} s of 0"));

@@ -14,7 +14,7 @@ impl<'a> Pattern<'a> {
     fn parse(text: &'a str) -> Result<Self, String> {
         let wrong = || {
             format!(
-                "'{text}' is not an image sequence such as cam0/%04d.png, the kind that this version reads"
+                "'{text}' is neither an image sequence such as cam0/%04d.png nor a video such as cam0.mkv"
             )
         };
         let (before, rest) = text.split_once('%').ok_or_else(wrong)?;
@@ -36,10 +36,7 @@ impl<'a> Pattern<'a> {
 /// capture's folder, links followed.
 pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     let parsed = Pattern::parse(pattern)?;
-    let relative = Path::new(pattern);
-    if relative.components().any(|c| !matches!(c, Component::Normal(_) | Component::CurDir)) {
-        return Err(format!("'{pattern}' must be relative to the capture and stay inside it"));
-    }
+    must_be_relative(pattern)?;
     let mut files = Vec::new();
     loop {
         let path = root.join(parsed.name(files.len()));
@@ -63,6 +60,36 @@ pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
         ));
     }
     Ok(files)
+}
+
+/// The video file that a camera's `frames` name, if they don't name a sequence; the error is a
+/// reason.
+pub(super) fn video(root: &Path, name: &str) -> Option<Result<PathBuf, String>> {
+    (!name.contains('%')).then(|| {
+        must_be_relative(name)?;
+        let real =
+            root.join(name).canonicalize().map_err(|_| format!("'{name}' does not exist"))?;
+        if !real.starts_with(root) {
+            return Err(format!("'{name}' leads out of the capture"));
+        }
+        if !real.is_file() {
+            return Err(format!("'{name}' is not a file"));
+        }
+        if image::ImageFormat::from_path(&real).is_ok() {
+            return Err(format!(
+                "'{name}' is one image; a sequence is named like cam0/%04d.png, from 0 on"
+            ));
+        }
+        Ok(real)
+    })
+}
+
+fn must_be_relative(name: &str) -> Result<(), String> {
+    let inside = |c: Component| matches!(c, Component::Normal(_) | Component::CurDir);
+    if Path::new(name).components().all(inside) && !name.is_empty() {
+        return Ok(());
+    }
+    Err(format!("'{name}' must be relative to the capture and stay inside it"))
 }
 
 /// A file of the pattern with a higher number than the first missing one: the sequence has a gap.

@@ -3,7 +3,7 @@
 //! Everything that a user's file decides is checked when the folder is opened, so that the
 //! stages see cameras, clocks and image sizes that hold. Pixels are decoded when they are used.
 //!
-//! Known limit: frames are image sequences; a video file is refused with one sentence.
+//! Frames are an image sequence or a video file; a video is decoded once, into a cache.
 
 mod clock;
 mod format;
@@ -12,6 +12,7 @@ mod image_io;
 mod npy;
 mod tracks;
 mod truth;
+mod video;
 
 pub use clock::{Clock, bracket};
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
@@ -19,9 +20,11 @@ pub use image_io::{BitDepth, Samples, quantize, read_image, write_atomically, wr
 pub use npy::NpyError;
 pub use tracks::{CameraTracks, TrackedPoint, Tracks};
 pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};
+pub use video::VideoFile;
 
 use crate::camera::{Camera, CameraFormatError};
 use crate::json::{self, JsonError};
+use crate::progress::Reporter;
 use crate::raster::Image;
 use std::path::{Path, PathBuf};
 
@@ -47,8 +50,10 @@ pub struct FilmedCamera {
     pub camera: Camera,
     pub color: Color,
     pub clock: Clock,
-    /// Frame files in order, inside the capture's folder.
+    /// Frame files in order, inside the capture's folder: a video's lie in its cache.
     pub frames: Vec<PathBuf>,
+    /// The video that they were decoded from.
+    pub video: Option<VideoFile>,
     pub bit_depth: BitDepth,
 }
 
@@ -67,6 +72,8 @@ pub enum CaptureError {
     Camera { path: PathBuf, camera: String, source: CameraFormatError },
     #[error("{path}: {reason}")]
     Image { path: PathBuf, reason: String },
+    #[error("{path}: is a video, and reading one needs ffmpeg: install it, or run stlfr setup")]
+    NoFfmpeg { path: PathBuf },
 }
 
 /// The JSON Schema of `capture.json`.
@@ -77,6 +84,11 @@ pub fn schema() -> serde_json::Value {
 impl Capture {
     /// Opens and checks a capture's folder.
     pub fn open(folder: &Path) -> Result<Self, CaptureError> {
+        Self::open_reporting(folder, &Reporter::silent())
+    }
+
+    /// The same; says when a video is being decoded, which takes its time.
+    pub fn open_reporting(folder: &Path, reporter: &Reporter) -> Result<Self, CaptureError> {
         let path = folder.join(CAPTURE_FILE);
         let format: CaptureFormat = json::read(&path)
             .map_err(|source| CaptureError::Json { path: path.clone(), source })?;
@@ -88,7 +100,7 @@ impl Capture {
         let reference = format.reference_index(&path)?;
         let mut cameras = Vec::with_capacity(format.cameras.len());
         for (index, filmed) in format.cameras.iter().enumerate() {
-            cameras.push(filmed.open(&path, &root, index)?);
+            cameras.push(filmed.open(&path, &root, index, reporter)?);
         }
         let time_origin_s = cameras[reference].clock.times_s[0];
         for (index, camera) in cameras.iter_mut().enumerate() {
@@ -163,16 +175,23 @@ impl Capture {
     }
 
     /// A hash of everything that an estimate from this capture rests on: `capture.json` and the
-    /// frames' bytes.
+    /// frames' or videos' bytes.
     pub fn content_hash(&self) -> Result<String, CaptureError> {
         let mut hasher = blake3::Hasher::new();
-        let own = self.folder.join(CAPTURE_FILE);
-        let files = std::iter::once(&own).chain(self.cameras.iter().flat_map(|c| &c.frames));
-        for path in files {
-            let bytes = std::fs::read(path)
-                .map_err(|source| CaptureError::Read { path: path.clone(), source })?;
+        let mut add = |bytes: &[u8]| {
             hasher.update(&(bytes.len() as u64).to_le_bytes());
-            hasher.update(&bytes);
+            hasher.update(bytes);
+        };
+        let read = |path: &Path| {
+            std::fs::read(path)
+                .map_err(|source| CaptureError::Read { path: path.to_owned(), source })
+        };
+        add(&read(&self.folder.join(CAPTURE_FILE))?);
+        for camera in &self.cameras {
+            match &camera.video {
+                Some(video) => add(video.hash.as_bytes()),
+                None => camera.frames.iter().try_for_each(|f| read(f).map(|b| add(&b)))?,
+            }
         }
         Ok(hasher.finalize().to_hex().to_string())
     }

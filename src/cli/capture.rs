@@ -60,6 +60,9 @@ pub struct Args {
     /// Film without truth.
     #[arg(long)]
     no_truth: bool,
+    /// Keep each camera's frames as one lossless video (FFV1 in Matroska) in place of images.
+    #[arg(long)]
+    video: bool,
 }
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
@@ -93,6 +96,7 @@ impl Args {
             tracks: self.tracks,
             truth_video: self.truth_video,
             truth: !self.no_truth,
+            video: self.video,
         }
     }
 }

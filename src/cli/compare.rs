@@ -14,7 +14,8 @@ use stlfr::json;
 use stlfr::offset::Offsets;
 use stlfr::progress::Reporter;
 use stlfr::render::RenderOptions;
-use stlfr::toolchain::{find_ffmpeg, project_root};
+use stlfr::toolchain::{Environment, project_root, review};
+use stlfr::video::find_ffmpeg;
 
 /// Render what the capture has truth of, and set it beside the truth and beside traditional light
 /// field rendering: pictures, metrics.json and report.html.
@@ -45,7 +46,7 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
         return score_offsets(&args.capture, file);
     }
     let options = options_or_default(args.options.as_deref())?;
-    let capture = Capture::open(&args.capture)?;
+    let capture = Capture::open_reporting(&args.capture, reporter)?;
     let out = args.output.clone().unwrap_or_else(|| args.capture.join("review"));
     let ffmpeg = args.video.then(ffmpeg).transpose()?;
     print(&with_truth(capture, options, &out, ffmpeg, reporter)?);
@@ -112,7 +113,14 @@ pub fn with_truth(
         ..CompareOptions::default()
     };
     let field = ComparedLightField::open(Arc::new(capture), options, reporter)?;
-    Ok(compare(&field, truth.as_ref(), out, &compare_options, reporter)?)
+    let summary = compare(&field, truth.as_ref(), out, &compare_options, reporter)?;
+    match project_root().ok().and_then(|root| Environment::find(&root)) {
+        Some(environment) => {
+            review(&environment, &summary.review, reporter)?;
+        }
+        None => reporter.note("review.blend needs Blender's Python package: run stlfr setup."),
+    }
+    Ok(summary)
 }
 
 /// The numbers that matter, and where the rest is.
@@ -122,6 +130,10 @@ pub fn print(summary: &Summary) {
     }
     if let Some(video) = &summary.video {
         println!("video: {}", video.display());
+    }
+    let blend = summary.review.with_file_name("review.blend");
+    if blend.is_file() {
+        println!("review: {}", blend.display());
     }
     println!("report: {}", summary.report.display());
 }

@@ -61,7 +61,7 @@ impl Args {
         let environment = ensure_environment(&root, reporter)?;
         reporter.note(&format!("Filming the scene magazine into {}.", folder.display()));
         film(&environment, &self.options(&root, folder.clone()), reporter)?;
-        let capture = Capture::open(&folder)?;
+        let capture = Capture::open_reporting(&folder, reporter)?;
         reporter.note("Checking the calibration with COLMAP.");
         let check = check(&environment, &folder, None, reporter)?;
         for line in &check.table {
@@ -101,6 +101,7 @@ impl Args {
             tracks: None,
             truth_video: self.video.then_some(VIDEO_FRAMES),
             truth: true,
+            video: false,
         }
     }
 }

@@ -8,7 +8,8 @@ use stlfr::compare::CompareError;
 use stlfr::json::JsonError;
 use stlfr::render::RenderError;
 use stlfr::rig::RigError;
-use stlfr::toolchain::{ScriptError, SetupError, VideoError};
+use stlfr::toolchain::{ScriptError, SetupError};
+use stlfr::video::VideoError;
 
 /// What ends a command.
 #[derive(Debug, thiserror::Error)]
@@ -58,6 +59,7 @@ impl From<CaptureError> for CliError {
             CaptureError::Read { source, .. }
             | CaptureError::Write { source, .. }
             | CaptureError::Json { source: JsonError::Read(source), .. } => of_io(sentence, source),
+            CaptureError::NoFfmpeg { .. } => Self::Failure(sentence),
             _ => Self::BadInput(sentence),
         }
     }

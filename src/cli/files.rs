@@ -1,9 +1,9 @@
 //! Files that the command line names: checked before long work, in one sentence each.
 
 use super::CliError;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use stlfr::camera::{Camera, CameraFormat};
-use stlfr::capture::Capture;
+use stlfr::capture::{Capture, FilmedCamera};
 use stlfr::json;
 use stlfr::render::RenderOptions;
 
@@ -39,7 +39,13 @@ pub fn must_be_writable_image(output: &Path, capture: &Capture) -> Result<(), Cl
         return Err(CliError::BadInput(format!("{}: is a folder", output.display())));
     }
     let there = output.canonicalize().ok();
-    if there.is_some_and(|path| capture.cameras.iter().any(|c| c.frames.contains(&path))) {
+    let is_frame = |path: &PathBuf| {
+        let of = |c: &FilmedCamera| {
+            c.frames.contains(path) || c.video.as_ref().is_some_and(|v| v.path == *path)
+        };
+        capture.cameras.iter().any(of)
+    };
+    if there.is_some_and(|path| is_frame(&path)) {
         return Err(CliError::BadInput(format!(
             "{}: is a frame of the capture, which is not written over",
             output.display()

@@ -29,7 +29,7 @@ pub struct Args {
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let options = options_or_default(args.options.as_deref())?;
-    let capture = Arc::new(Capture::open(&args.capture)?);
+    let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
     capture.require_two_cameras()?;
     let offsets =
         known_or_kept_or_estimated(&capture, &options.offset, &options.registration, reporter)?;

@@ -11,7 +11,8 @@ use stlfr::interpolation::Sync;
 use stlfr::progress::Reporter;
 use stlfr::raster::Image;
 use stlfr::render::{LightField, ProxyRung};
-use stlfr::toolchain::{VideoWriter, find_ffmpeg, project_root};
+use stlfr::toolchain::project_root;
+use stlfr::video::{Codec, VideoWriter, find_ffmpeg};
 
 /// Render the view of any camera at any instant, or over a span of time.
 #[derive(Debug, clap::Args)]
@@ -112,7 +113,7 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let mut options = options_or_default(args.options.as_deref())?;
     options.sync = args.sync.unwrap_or(options.sync);
     options.proxy.rung = args.proxy.unwrap_or(options.proxy.rung);
-    let capture = Arc::new(Capture::open(&args.capture)?);
+    let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
     let like = match &request.view {
         View::Like(id) => Some(capture.camera_index(id).ok_or_else(|| {
             CliError::BadInput(format!("--like: no camera of this capture has the id '{id}'"))
@@ -191,7 +192,10 @@ impl<'a> Writer<'a> {
                 let video = match video {
                     Some(video) => video,
                     None => {
-                        video.insert(VideoWriter::create(ffmpeg, path, image, depth, *rate_hz)?)
+                        let (rate_hz, codec) = (*rate_hz, Codec::Ffv1);
+                        video.insert(VideoWriter::create(
+                            ffmpeg, path, image, depth, rate_hz, codec,
+                        )?)
                     }
                 };
                 Ok(video.push(image)?)

@@ -1,9 +1,12 @@
 //! The driver: every instant of the truth, then the folder's files.
 
 use super::results::{self, CaptureFacts, Metrics, OffsetResult, StageTime};
-use super::{CompareError, CompareOptions, Renderer, Summary, instant, report, truths, video};
+use super::{
+    CompareError, CompareOptions, Renderer, Summary, instant, report, review, truths, video,
+};
 use crate::capture::{Capture, Truth, write_atomically};
 use crate::progress::Reporter;
+use crate::video::Codec;
 use serde::Serialize;
 use std::path::Path;
 use std::time::Instant;
@@ -25,7 +28,8 @@ pub fn compare(
     let truth = truth.ok_or_else(|| CompareError::NoTruth { folder: capture.folder.clone() })?;
     options.check(renderer)?;
     let instants = truths::instants(truth, capture)?;
-    let encoder = options.video.as_ref().map(video::Encoder::find).transpose()?;
+    let codec = options.video.as_ref().map(|v| Codec::for_browsers(&v.ffmpeg)).transpose();
+    let codec = codec.map_err(video::VideoError::from)?;
 
     let mut stages = Stages(renderer.timings());
     let task = reporter.task("Comparing with the truth", truth.views.len());
@@ -53,11 +57,12 @@ pub fn compare(
     };
     write_json(&out.join("metrics.json"), &metrics)?;
     // A failing video is told once everything else is written.
-    let video = match (encoder, &options.video) {
-        (Some(encoder), Some(video_options)) => stages
+    let video = match (codec, &options.video) {
+        (Some(codec), Some(video_options)) => stages
             .time("video", || {
                 let plan = video::Plan::new(renderer, Some(truth), video_options)?;
-                plan.write(renderer, &options.sync, &encoder, &out.join("review"), reporter)
+                let ffmpeg = &video_options.ffmpeg;
+                plan.write(renderer, &options.sync, codec, ffmpeg, out, reporter)
             })
             .map(Some),
         _ => Ok(None),
@@ -68,10 +73,12 @@ pub fn compare(
     });
     write_json(&out.join("timings.json"), &serde_json::json!({ "stages": stages.0 }))?;
     let report = out.join("report.html");
-    let made = video.as_ref().ok().and_then(|v| v.as_deref());
-    let html = report::html(&metrics, &stages.0, &found.figures, made)?;
+    let made = video.as_ref().ok().and_then(Option::as_ref);
+    let html = report::html(&metrics, &stages.0, &found.figures, made.map(|m| m.path.as_path()))?;
     write(&report, html.as_bytes())?;
-    Ok(Summary { headline: metrics.headline, report, video: video? })
+    let review = out.join(review::FILE);
+    write_json(&review, &review::layout(&metrics, made))?;
+    Ok(Summary { headline: metrics.headline, report, review, video: video?.map(|v| v.path) })
 }
 
 /// Times of the stages, each the sum of its parts.

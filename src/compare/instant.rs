@@ -141,6 +141,8 @@ impl Work<'_> {
             });
             written.push(made);
         }
+        let name = format!("images/{}/truth.png", view.stem);
+        write_image(&self.out.join(name), &truth.image, None, depth)?;
         let panels: Vec<Shown> = self
             .rungs
             .iter()

@@ -7,7 +7,8 @@
 //! - `report.html`: all of it for a reader, in one file
 //! - `sheets/`: truth, methods and their differences side by side
 //! - `images/`: the rendered images, in the input's bit depth
-//! - `review.mp4`, if asked for
+//! - `review.json`: what stands beside what, for `review.blend`
+//! - `review.mp4` and the lossless movies in `video/`, if asked for
 //!
 //! | file | what |
 //! |---|---|
@@ -21,13 +22,13 @@
 //! | `results.rs` | what is found, as it is written; the headline |
 //! | `sheet.rs`, `lettering.rs` | pictures with labels |
 //! | `report.rs`, `report.html`, `plots.rs` | the report |
-//! | `video.rs`, `encoder.rs` | the review video, and the ffmpeg that writes it |
+//! | `video.rs` | the review video |
+//! | `review.rs` | what `review.blend` is laid out from |
 //!
 //! Known limits: what is measured is what the files hold, after rounding to their bit depth. The
 //! noise of the truth itself, which bounds every PSNR, is not known here.
 
 mod driver;
-mod encoder;
 mod filter;
 pub mod flip;
 mod instant;
@@ -39,6 +40,7 @@ mod offset_score;
 mod plots;
 mod report;
 pub mod results;
+mod review;
 pub mod sheet;
 pub mod ssim;
 mod truths;
@@ -187,6 +189,8 @@ pub enum CompareError {
 pub struct Summary {
     pub headline: Headline,
     pub report: PathBuf,
+    /// What `review.blend` is laid out from.
+    pub review: PathBuf,
     pub video: Option<PathBuf>,
 }
 

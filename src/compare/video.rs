@@ -1,15 +1,14 @@
-//! The review video: truth, traditional LFR and ST-LFR side by side over time.
-//!
-//! The file has a temporary name until it is whole.
+//! The review video: truth, traditional LFR and ST-LFR side by side over time, and each in a file
+//! of its own, without loss, for `review.blend`.
 
-pub use super::encoder::Encoder;
 use super::results::Method;
 use super::sheet::strip;
 use super::{NEAREST, Renderer};
 use crate::camera::Camera;
-use crate::capture::{Truth, TruthError, read_image};
+use crate::capture::{BitDepth, Truth, TruthError, read_image};
 use crate::progress::Reporter;
 use crate::raster::Image;
+use crate::video::{Codec, VideoWriter};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -35,12 +34,8 @@ impl Default for VideoOptions {
 /// Why there is no video. Every message is one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    #[error("{program}: {source}")]
-    Start { program: PathBuf, source: std::io::Error },
-    #[error("{program} could not write {path}: {reason}")]
-    Encode { program: PathBuf, path: PathBuf, reason: String },
-    #[error("{path}: {source}")]
-    Write { path: PathBuf, source: std::io::Error },
+    #[error(transparent)]
+    File(#[from] crate::video::VideoError),
     #[error("video.{field} is {value}, must be {wanted}")]
     Option { field: &'static str, value: f64, wanted: &'static str },
     #[error("truth/truth.json: video.{reason}")]
@@ -129,61 +124,72 @@ impl Plan {
         })
     }
 
-    /// Renders and encodes; `stem` is the file without its suffix, which the encoder decides.
-    /// Views go through the best proxy, the renderer's last.
+    /// Renders, and encodes into the folder `out`. Views go through the best proxy, the renderer's
+    /// last.
     pub fn write(
         &self,
         renderer: &dyn Renderer,
         sync: &str,
-        encoder: &Encoder,
-        stem: &Path,
+        codec: Codec,
+        ffmpeg: &Path,
+        out: &Path,
         reporter: &Reporter,
-    ) -> Result<PathBuf, VideoError> {
-        let path = stem.with_extension(encoder.suffix());
-        let failed = |source| VideoError::Write { path: path.clone(), source };
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        std::fs::create_dir_all(folder).map_err(failed)?;
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let temporary = folder.join(format!(".{name}.{}.tmp", std::process::id()));
-        let result = self.encode(renderer, sync, encoder, &temporary, reporter);
-        match result.and_then(|()| std::fs::rename(&temporary, &path).map_err(failed)) {
-            Ok(()) => Ok(path),
-            Err(error) => {
-                let _ = std::fs::remove_file(&temporary);
-                Err(error)
+    ) -> Result<Made, VideoError> {
+        let path = out.join("review").with_extension(codec.suffix());
+        let create = |path: &Path, like: &Image, depth, codec| {
+            VideoWriter::create(ffmpeg, path, like, depth, self.rate_hz, codec)
+        };
+        let task = reporter.task("Review video", self.times_s.len());
+        let mut movies: Vec<(Movie, VideoWriter)> = Vec::new();
+        let mut side_by_side: Option<VideoWriter> = None;
+        for k in 0..self.times_s.len() {
+            let panels = self.panels(renderer, sync, k)?;
+            let strip = self.strip(k, &panels);
+            if k == 0 {
+                for panel in &panels {
+                    let file = format!("video/{}.mkv", panel.slug);
+                    let depth = renderer.capture().bit_depth();
+                    let writer = create(&out.join(&file), &panel.image, depth, Codec::Ffv1)?;
+                    movies.push((Movie { slug: panel.slug, file }, writer));
+                }
+                side_by_side = Some(create(&path, &strip, BitDepth::Eight, codec)?);
             }
+            for ((_, writer), panel) in movies.iter_mut().zip(&panels) {
+                writer.push(&panel.image)?;
+            }
+            if let Some(writer) = &mut side_by_side {
+                writer.push(&strip)?;
+            }
+            task.advance(1);
         }
+        let mut made = Vec::new();
+        for (movie, writer) in movies {
+            writer.finish()?;
+            made.push(movie);
+        }
+        side_by_side.map_or(Ok(()), VideoWriter::finish)?;
+        Ok(Made {
+            path,
+            view: self.view.clone(),
+            size_px: (self.target.width, self.target.height),
+            frames: self.times_s.len(),
+            rate_hz: self.rate_hz,
+            movies: made,
+        })
     }
 
-    fn encode(
+    /// The truth, if there is any, and what the methods make of one time.
+    fn panels(
         &self,
         renderer: &dyn Renderer,
         sync: &str,
-        encoder: &Encoder,
-        path: &Path,
-        reporter: &Reporter,
-    ) -> Result<(), VideoError> {
-        let task = reporter.task("Review video", self.times_s.len());
-        let first = self.frame(renderer, sync, 0)?;
-        let mut encoding = encoder.start((first.width(), first.height()), self.rate_hz, path)?;
-        let mut fed = encoding.feed(&first);
-        task.advance(1);
-        for k in 1..self.times_s.len() {
-            if !fed {
-                break;
-            }
-            fed = encoding.feed(&self.frame(renderer, sync, k)?);
-            task.advance(1);
-        }
-        encoding.finish()
-    }
-
-    fn frame(&self, renderer: &dyn Renderer, sync: &str, k: usize) -> Result<Image, VideoError> {
+        k: usize,
+    ) -> Result<Vec<Panel>, VideoError> {
         let time_s = self.times_s[k];
         let size = (self.target.width, self.target.height);
         let dark = || Image::filled(size.0, size.1, 3, 0.0);
         let fits = |image: &Image| (image.width(), image.height()) == size;
-        let mut panels: Vec<(String, Image)> = Vec::new();
+        let mut panels = Vec::new();
         if let Some(path) = self.truth.get(k) {
             let (image, _) = read_image(path)?;
             if !fits(&image) {
@@ -197,7 +203,7 @@ impl Plan {
                 );
                 return Err(VideoError::Field { reason });
             }
-            panels.push(("Truth".into(), image));
+            panels.push(Panel { slug: "truth", title: "Truth".into(), image: image.to_rgb() });
         }
         for (method, rung) in [(Method::TraditionalLfr, NEAREST), (Method::StLfr, sync)] {
             let cameras = renderer.capture().cameras.len();
@@ -205,14 +211,49 @@ impl Plan {
                 (0..cameras).map(|c| renderer.synchronized(rung, c, time_s).ok()).collect();
             let proxy = renderer.proxies().len().saturating_sub(1);
             let view = renderer.view(&images, proxy, &self.target, time_s);
-            let view = view.ok().map(|v| v.image).filter(fits);
+            let view = view.ok().map(|v| v.image.to_rgb()).filter(fits);
             let none = if view.is_some() { "" } else { ": no image" };
-            panels.push((format!("{}{none}", method.title()), view.unwrap_or_else(dark)));
+            panels.push(Panel {
+                slug: method.slug(),
+                title: format!("{}{none}", method.title()),
+                image: view.unwrap_or_else(dark),
+            });
         }
-        let heading = format!("{}   {:8.4} s", self.view, time_s + self.origin_s);
-        let panels: Vec<(&str, &Image)> = panels.iter().map(|(t, i)| (t.as_str(), i)).collect();
-        Ok(strip(&heading, &panels))
+        Ok(panels)
     }
+
+    fn strip(&self, k: usize, panels: &[Panel]) -> Image {
+        let heading = format!("{}   {:8.4} s", self.view, self.times_s[k] + self.origin_s);
+        let panels: Vec<(&str, &Image)> =
+            panels.iter().map(|p| (p.title.as_str(), &p.image)).collect();
+        strip(&heading, &panels)
+    }
+}
+
+/// One method's image of one time.
+struct Panel {
+    slug: &'static str,
+    title: String,
+    image: Image,
+}
+
+/// The files that [`Plan::write`] made.
+pub struct Made {
+    /// All side by side.
+    pub path: PathBuf,
+    pub view: String,
+    pub size_px: (usize, usize),
+    pub frames: usize,
+    pub rate_hz: f64,
+    pub movies: Vec<Movie>,
+}
+
+/// One method over time, without loss.
+pub struct Movie {
+    /// `truth`, or the method's.
+    pub slug: &'static str,
+    /// Relative to the review's folder.
+    pub file: String,
 }
 
 /// The file of a printf pattern with one `%d` or `%0Nd`.
@@ -235,12 +276,5 @@ mod tests {
         for wrong in ["a.png", "%4d", "%0999d", "%04d%d", "%s"] {
             assert_eq!(numbered(wrong, 0), None, "{wrong}");
         }
-    }
-
-    #[test]
-    fn a_missing_ffmpeg_is_one_sentence() {
-        let options = VideoOptions { ffmpeg: "/no/such/ffmpeg".into(), ..Default::default() };
-        let message = Encoder::find(&options).err().unwrap().to_string();
-        assert!(message.starts_with("/no/such/ffmpeg: ") && !message.contains('\n'));
     }
 }

@@ -31,6 +31,8 @@ pub struct FilmOptions {
     pub truth_video: Option<u32>,
     /// Whether to write `truth/` at all.
     pub truth: bool,
+    /// Whether each camera's frames become one lossless video.
+    pub video: bool,
 }
 
 /// Where a scene comes from.
@@ -78,6 +80,9 @@ pub fn film(
     }
     if !options.truth {
         command.arg("--no-truth");
+    }
+    if options.video {
+        command.arg("--video");
     }
     script::run(&mut command, "filming", reporter, |line| reporter.note(line))
 }

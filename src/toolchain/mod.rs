@@ -6,13 +6,13 @@
 
 mod check;
 mod film;
-mod process;
+pub(crate) mod process;
+mod review;
 mod script;
 mod setup;
-mod video;
 
 pub use check::{Check, CheckValues, CheckedCamera, check};
 pub use film::{FilmOptions, Scene, film};
+pub use review::review;
 pub use script::ScriptError;
 pub use setup::{Environment, SetupError, ensure_environment, project_root};
-pub use video::{VideoError, VideoWriter, find_ffmpeg};

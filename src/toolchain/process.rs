@@ -6,13 +6,13 @@ use std::thread::JoinHandle;
 
 /// A running child. Dropping it ends it: it is asked to (SIGTERM), and waited for. If this process
 /// is killed, the child is asked to end too (Linux).
-pub(super) struct Process {
+pub(crate) struct Process {
     child: Child,
     stderr: Option<JoinHandle<String>>,
 }
 
 /// How a child ended.
-pub(super) struct Ended {
+pub(crate) struct Ended {
     pub status: ExitStatus,
     pub stderr: String,
 }
@@ -70,7 +70,7 @@ impl Drop for Process {
 }
 
 /// Runs a command to its end, with nothing on stdin.
-pub(super) fn run(command: &mut Command, on_line: impl FnMut(&str)) -> std::io::Result<Ended> {
+pub(crate) fn run(command: &mut Command, on_line: impl FnMut(&str)) -> std::io::Result<Ended> {
     let mut process = Process::start(command, Stdio::null())?;
     process.read_lines(on_line)?;
     process.wait()

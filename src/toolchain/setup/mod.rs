@@ -11,8 +11,8 @@ mod module;
 mod stamp;
 mod system;
 
-use super::video::find_ffmpeg;
 use crate::progress::Reporter;
+use crate::video::find_ffmpeg;
 use stamp::Stamps;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -58,6 +58,15 @@ impl SetupError {
 }
 
 impl Environment {
+    /// The environment, if its packages are there; nothing is installed.
+    pub fn find(project_root: &Path) -> Option<Self> {
+        let stamps = Stamps::read(project_root).ok()?;
+        stamps.has_packages().then(|| Self {
+            project_root: project_root.to_owned(),
+            python: project_root.join(".venv/bin/python"),
+        })
+    }
+
     /// An ffmpeg to run: the system's, or the one that the environment brings.
     pub fn ffmpeg(&self) -> Option<PathBuf> {
         find_ffmpeg(&self.project_root)

@@ -1,19 +1,62 @@
-//! Writing a video file, lossless (FFV1), through an ffmpeg.
+//! Writing a video file.
 
-use super::process::{Ended, Process};
+use super::VideoError;
 use crate::capture::BitDepth;
 use crate::raster::Image;
+use crate::toolchain::process::{Ended, Process};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
 
-/// Why there is no video.
-#[derive(Debug, thiserror::Error)]
-pub enum VideoError {
-    #[error("{path}: can't be written ({reason})")]
-    Ffmpeg { path: PathBuf, reason: String },
-    #[error("{path}: {source}")]
-    Write { path: PathBuf, source: std::io::Error },
+/// How frames are packed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Codec {
+    /// Lossless, in Matroska; every frame stands alone and carries its checksum.
+    Ffv1,
+    /// What browsers play, in MP4: 8 bits, 4:2:0, visually lossless.
+    H264,
+}
+
+impl Codec {
+    /// H.264 where that ffmpeg has it, else FFV1. This starts it, so that one that can't run is
+    /// known before anything is rendered.
+    pub fn for_browsers(ffmpeg: &Path) -> Result<Self, VideoError> {
+        let output = Command::new(ffmpeg)
+            .args(["-hide_banner", "-encoders"])
+            .stdin(Stdio::null())
+            .output()
+            .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })?;
+        let h264 = String::from_utf8_lossy(&output.stdout).contains(" libx264 ");
+        Ok(if h264 { Self::H264 } else { Self::Ffv1 })
+    }
+
+    /// The suffix of its files.
+    pub fn suffix(self) -> &'static str {
+        match self {
+            Self::Ffv1 => "mkv",
+            Self::H264 => "mp4",
+        }
+    }
+
+    fn arguments(self) -> &'static [&'static str] {
+        match self {
+            Self::Ffv1 => {
+                &["-c:v", "ffv1", "-level", "3", "-g", "1", "-slicecrc", "1", "-f", "matroska"]
+            }
+            Self::H264 => &[
+                "-c:v",
+                "libx264",
+                "-pix_fmt",
+                "yuv420p",
+                "-crf",
+                "16",
+                "-movflags",
+                "+faststart",
+                "-f",
+                "mp4",
+            ],
+        }
+    }
 }
 
 /// A video file in the making. It has its name only once it is finished.
@@ -26,19 +69,6 @@ pub struct VideoWriter {
     depth: BitDepth,
 }
 
-/// An ffmpeg to run: the system's, else the one that comes with the project's environment.
-pub fn find_ffmpeg(project_root: &Path) -> Option<PathBuf> {
-    let on_path = std::env::var_os("PATH").and_then(|paths| {
-        std::env::split_paths(&paths).map(|p| p.join("ffmpeg")).find(|p| p.is_file())
-    });
-    on_path.or_else(|| {
-        let lib = project_root.join(".venv/lib/python3.11/site-packages/imageio_ffmpeg/binaries");
-        std::fs::read_dir(lib).ok()?.filter_map(|entry| Some(entry.ok()?.path())).find(|path| {
-            path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("ffmpeg-"))
-        })
-    })
-}
-
 impl VideoWriter {
     /// Begins a video whose frames all have the size and channels (1 or 3) of `like`.
     pub fn create(
@@ -47,31 +77,36 @@ impl VideoWriter {
         like: &Image,
         depth: BitDepth,
         rate_hz: f64,
+        codec: Codec,
     ) -> Result<Self, VideoError> {
-        let wrong = |source| VideoError::Write { path: path.to_owned(), source };
+        let wrong = |source| VideoError::File { path: path.to_owned(), source };
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
         if let Some(folder) = folder {
             std::fs::create_dir_all(folder).map_err(wrong)?;
         }
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let temporary = path.with_file_name(format!(".{name}.{}.tmp.mkv", std::process::id()));
+        let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
         let format = match (like.channels(), depth) {
             (1, BitDepth::Eight) => "gray",
             (1, BitDepth::Sixteen) => "gray16le",
             (_, BitDepth::Eight) => "rgb24",
             (_, BitDepth::Sixteen) => "rgb48le",
         };
+        // A name may begin with `-`, or look like a protocol.
+        let mut output = std::ffi::OsString::from("file:");
+        output.push(&temporary);
         let mut command = Command::new(ffmpeg);
         command
             .args(["-hide_banner", "-loglevel", "error", "-y", "-f", "rawvideo"])
             .args(["-pixel_format", format])
             .args(["-video_size", &format!("{}x{}", like.width(), like.height())])
-            .args(["-framerate", &format!("{rate_hz}"), "-i", "pipe:0", "-c:v", "ffv1"])
+            .args(["-framerate", &format!("{rate_hz}"), "-i", "pipe:0"])
+            .args(codec.arguments())
             // The same frames give the same bytes, whatever the machine.
             .args(["-fflags", "+bitexact", "-flags:v", "+bitexact", "-threads", "1"])
-            .arg(&temporary);
+            .arg(output);
         let mut process = Process::start(&mut command, Stdio::piped())
-            .map_err(|source| VideoError::Write { path: ffmpeg.to_owned(), source })?;
+            .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })?;
         Ok(Self {
             path: path.to_owned(),
             temporary,
@@ -111,7 +146,7 @@ impl VideoWriter {
     pub fn finish(mut self) -> Result<(), VideoError> {
         self.end()?;
         std::fs::rename(&self.temporary, &self.path)
-            .map_err(|source| VideoError::Write { path: self.path.clone(), source })
+            .map_err(|source| VideoError::File { path: self.path.clone(), source })
     }
 
     fn end(&mut self) -> Result<(), VideoError> {
@@ -119,7 +154,7 @@ impl VideoWriter {
         let Some(process) = self.process.take() else { return Ok(()) };
         let Ended { status, stderr } = process
             .wait()
-            .map_err(|source| VideoError::Write { path: self.path.clone(), source })?;
+            .map_err(|source| VideoError::File { path: self.path.clone(), source })?;
         if status.success() {
             return Ok(());
         }
@@ -128,7 +163,7 @@ impl VideoWriter {
     }
 
     fn broken(&self, reason: &str) -> VideoError {
-        VideoError::Ffmpeg { path: self.path.clone(), reason: reason.to_owned() }
+        VideoError::Encode { path: self.path.clone(), reason: reason.to_owned() }
     }
 }
 

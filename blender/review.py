@@ -1,0 +1,286 @@
+"""Lay out a comparison in Blender's sequence editor: review.json to review.blend.
+
+Run as `python -I blender/review.py REVIEW/review.json`. Each reel (the video, new views, filming
+cameras) becomes a scene: truth, traditional LFR, ST-LFR and their difference in a 2 x 2 layout, each in
+a channel of its own with its label above it, a marker at every shot. The difference is |truth - ST-LFR|
+times a gain, computed by the sequencer, so that the gain can be changed there. An error is one
+sentence on stderr, with exit code 2 for bad input and 1 for a failure.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+GAP_PX = 8
+LABEL_PX = 28
+MIN_PANEL_PX = 480
+"""Smaller pictures are enlarged by whole factors: labels stay legible, pixels stay square."""
+
+BACKGROUND_CHANNEL = 1
+QUADRANTS = {
+    "truth": (0, 0),
+    "traditional": (1, 0),
+    "space_time": (0, 1),
+    "diff": (1, 1),
+}
+"""Column and row, from the top left."""
+
+CHANNELS = {"truth": 2, "traditional": 3, "space_time": 4, "diff": 5}
+CHANNEL_NAMES = {
+    "truth": "Truth",
+    "traditional": "Traditional LFR",
+    "space_time": "ST-LFR",
+    "diff": "Difference",
+}
+FIRST_LABEL_CHANNEL = 7
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Where the four pictures stand. Offsets are pixels from the middle, y up."""
+
+    panel_px: tuple[int, int]
+
+    @property
+    def cell_px(self) -> tuple[int, int]:
+        return (self.panel_px[0] + GAP_PX, self.panel_px[1] + LABEL_PX)
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Even, as encoders want it."""
+        width, height = (2 * side + GAP_PX for side in self.cell_px)
+        return (width + width % 2, height + height % 2)
+
+    def middle_px(self, panel: str) -> tuple[float, float]:
+        """The middle of a panel's picture."""
+        column, row = QUADRANTS[panel]
+        x = (column - 0.5) * self.cell_px[0]
+        y = (0.5 - row) * self.cell_px[1] - LABEL_PX / 2
+        return (x, y)
+
+    def label_at(self, panel: str) -> tuple[float, float]:
+        """The left end of a panel's label, in shares of the frame."""
+        x, y = self.middle_px(panel)
+        left = x - self.panel_px[0] / 2
+        above = y + self.panel_px[1] / 2 + LABEL_PX / 2
+        return (0.5 + left / self.size_px[0], 0.5 + above / self.size_px[1])
+
+
+def picture_strip(
+    strips: Any, name: str, file: Path, channel: int, start: int, shot: dict[str, Any]
+) -> Any:
+    """A still or a movie, as long as its shot."""
+    if shot["is_movie"]:
+        strip = strips.new_movie(name, str(file), channel, start, fit_method="ORIGINAL")
+    else:
+        strip = strips.new_image(name, str(file), channel, start, fit_method="ORIGINAL")
+    strip.frame_final_duration = shot["frames"]
+    return strip
+
+
+def place(strip: Any, grid: Grid, panel: str) -> None:
+    """Put a picture into its quadrant, enlarged without smoothing."""
+    element = strip.elements[0]
+    scale = min(
+        grid.panel_px[0] / max(1, element.orig_width),
+        grid.panel_px[1] / max(1, element.orig_height),
+    )
+    strip.transform.scale_x = strip.transform.scale_y = scale
+    strip.transform.offset_x, strip.transform.offset_y = grid.middle_px(panel)
+    strip.transform.filter = "NEAREST"
+
+
+def label(
+    strips: Any,
+    text: str,
+    at: tuple[float, float],
+    channel: int,
+    start: int,
+    length: int,
+) -> None:
+    """White text; `at` is the left end of its middle line."""
+    strip = strips.new_effect(text[:60], "TEXT", channel, start, length=length)
+    strip.text, strip.font_size = text, 18.0
+    strip.location = at
+    strip.anchor_x, strip.anchor_y, strip.alignment_x = "LEFT", "CENTER", "LEFT"
+    strip.color = (0.9, 0.9, 0.9, 1.0)
+    strip.blend_type = "ALPHA_OVER"
+
+
+def add_shot(
+    editor: Any, folder: Path, shot: dict[str, Any], start: int, grid: Grid, gain: float
+) -> None:
+    """One shot: up to four pictures and their labels."""
+    strips, length = editor.strips, shot["frames"]
+    files: dict[str, tuple[str, str]] = {}
+    if shot["truth"] is not None:
+        files["truth"] = ("Truth", shot["truth"])
+    for panel in ("traditional", "space_time"):
+        if shot[panel] is not None:
+            files[panel] = (shot[panel]["title"], shot[panel]["file"])
+    for panel, (title, file) in files.items():
+        name = f"{title}: {shot['label']}"[:60]
+        strip = picture_strip(strips, name, folder / file, CHANNELS[panel], start, shot)
+        strip.blend_type = "ALPHA_OVER"
+        place(strip, grid, panel)
+    titles = {
+        panel: f"{title}    {shot['label']}" for panel, (title, _) in files.items()
+    }
+    if "truth" in files and "space_time" in files:
+        add_difference(strips, folder, files, shot, start, grid, gain)
+        titles["diff"] = f"|Truth - ST-LFR| x {gain:g}"
+    for k, (panel, title) in enumerate(titles.items()):
+        label(
+            strips, title, grid.label_at(panel), FIRST_LABEL_CHANNEL + k, start, length
+        )
+
+
+def add_difference(
+    strips: Any,
+    folder: Path,
+    files: dict[str, tuple[str, str]],
+    shot: dict[str, Any],
+    start: int,
+    grid: Grid,
+    gain: float,
+) -> None:
+    """A meta strip of both pictures, the upper one blended as a difference; the gain is the meta's."""
+    meta = strips.new_meta(f"Difference: {shot['label']}"[:60], CHANNELS["diff"], start)
+    for channel, panel in enumerate(("truth", "space_time"), start=1):
+        title, file = files[panel]
+        strip = picture_strip(
+            meta.strips, f"{title} (difference)", folder / file, channel, start, shot
+        )
+        strip.blend_type = "DIFFERENCE" if channel == 2 else "REPLACE"
+        place(strip, grid, "diff")
+    meta.frame_final_duration = shot["frames"]
+    meta.color_multiply = gain
+    meta.blend_type = "ALPHA_OVER"
+
+
+def add_reel(scene: Any, folder: Path, reel: dict[str, Any], gain: float) -> None:
+    """A scene of all the shots of a reel, one after the other."""
+    largest = [
+        picture_size(folder / file) for shot in reel["shots"] for file in files_of(shot)
+    ]
+    width, height = (max(side) for side in zip(*largest, strict=True))
+    scale = -(-MIN_PANEL_PX // width)
+    grid = Grid((width * scale, height * scale))
+    configure(scene, reel["rate_hz"], grid)
+    editor = scene.sequence_editor_create()
+    start = 1
+    total = sum(shot["frames"] for shot in reel["shots"])
+    ground = editor.strips.new_effect(
+        "Background", "COLOR", BACKGROUND_CHANNEL, start, length=total
+    )
+    ground.color = (0.09, 0.09, 0.09)
+    for shot in reel["shots"]:
+        add_shot(editor, folder, shot, start, grid, gain)
+        scene.timeline_markers.new(shot["label"][:60], frame=start)
+        start += shot["frames"]
+    scene.frame_start, scene.frame_end = 1, total
+    scene.frame_set(1)
+    for panel, channel in CHANNELS.items():
+        editor.channels[channel].name = CHANNEL_NAMES[panel]
+    editor.channels[BACKGROUND_CHANNEL].name = "Background"
+
+
+def files_of(shot: dict[str, Any]) -> list[str]:
+    """The pictures that a shot shows."""
+    panels = [
+        shot[panel]["file"] for panel in ("traditional", "space_time") if shot[panel]
+    ]
+    return [*([shot["truth"]] if shot["truth"] else []), *panels]
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """Width and height of an image or a movie."""
+    if path.suffix == ".png":
+        image = bpy.data.images.load(str(path))
+        size = (image.size[0], image.size[1])
+        bpy.data.images.remove(image)
+    else:
+        clip = bpy.data.movieclips.load(str(path))
+        size = (clip.size[0], clip.size[1])
+        bpy.data.movieclips.remove(clip)
+    if min(size) < 1:
+        raise ValueError(f"{path}: can't be read as a picture")
+    return size
+
+
+def configure(scene: Any, rate_hz: float, grid: Grid) -> None:
+    """Size, rate and colours: pixels are shown as their files hold them."""
+    render = scene.render
+    render.resolution_x, render.resolution_y = grid.size_px
+    render.resolution_percentage = 100
+    rate = Fraction(rate_hz).limit_denominator(1001)
+    whole = max(1, round(rate))
+    render.fps, render.fps_base = whole, float(whole / rate)
+    render.use_sequencer, render.dither_intensity = True, 0.0
+    scene.display_settings.display_device = "sRGB"
+    scene.sequencer_colorspace_settings.name = "sRGB"
+    view = scene.view_settings
+    view.view_transform, view.look = "Standard", "None"
+    view.exposure, view.gamma = 0.0, 1.0
+
+
+def build(layout_file: Path) -> Path:
+    """Write review.blend beside review.json."""
+    layout = json.loads(layout_file.read_text(encoding="utf-8"))
+    folder = layout_file.resolve().parent
+    if layout.get("format") != "stlfr-review" or layout.get("version") != 1:
+        raise ValueError(f"{layout_file}: is no stlfr-review of version 1")
+    bpy.ops.wm.read_homefile(app_template="Video_Editing", use_factory_startup=True)
+    scenes = list(bpy.data.scenes)
+    for reel in layout["reels"]:
+        add_reel(
+            bpy.data.scenes.new(reel["name"]), folder, reel, layout["difference_gain"]
+        )
+    if not layout["reels"]:
+        raise ValueError(f"{layout_file}: reels is empty, so there is nothing to show")
+    first = bpy.data.scenes[layout["reels"][0]["name"]]
+    for window in bpy.context.window_manager.windows:
+        window.scene = first
+    for workspace in bpy.data.workspaces:
+        workspace.sequencer_scene = first
+    for scene in scenes:
+        bpy.data.scenes.remove(scene)
+    target = folder / "review.blend"
+    partial = folder / f".{target.name}.partial.blend"
+    bpy.context.preferences.filepaths.save_version = 0
+    bpy.ops.wm.save_as_mainfile(
+        filepath=str(partial), compress=True, relative_remap=False
+    )
+    bpy.ops.file.make_paths_relative()
+    bpy.ops.wm.save_as_mainfile(
+        filepath=str(partial), compress=True, relative_remap=False
+    )
+    partial.replace(target)
+    return target
+
+
+def main() -> int:
+    """Run, and say what went wrong in one sentence."""
+    if len(sys.argv) != 2:
+        print("review.py takes one argument, REVIEW/review.json", file=sys.stderr)
+        return 2
+    try:
+        build(Path(sys.argv[1]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    except RuntimeError as error:
+        print(f"review.blend: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

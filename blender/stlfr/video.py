@@ -1,0 +1,109 @@
+"""A camera's frames as one lossless video, FFV1 in Matroska, in place of its images. No `bpy` here."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .errors import FailureError
+from .plan import frame_file
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .plan import Job, Plan
+    from .rig import RigCamera
+
+
+def video_file(camera_id: str) -> str:
+    """Where a camera's video lies."""
+    return f"{camera_id}.mkv"
+
+
+def frames_of(camera_id: str, capture: Path) -> str:
+    """What capture.json says of a camera's frames: the video if it is there."""
+    if (capture / video_file(camera_id)).is_file():
+        return video_file(camera_id)
+    return f"{camera_id}/%04d.png"
+
+
+def holds(job: Job, capture: Path) -> bool:
+    """Whether a job's image went into its camera's video, which has its name only when it is whole."""
+    in_camera = job.files[0].split("/")[0] == job.view_id
+    return in_camera and (capture / video_file(job.view_id)).is_file()
+
+
+def unpacked(plan: Plan, capture: Path) -> list[RigCamera]:
+    """The cameras whose images still lie there."""
+    return [
+        camera
+        for camera in plan.rig.cameras
+        if (capture / camera.id).exists()
+        or not (capture / video_file(camera.id)).is_file()
+    ]
+
+
+def pack(
+    plan: Plan, capture: Path, scratch: Path, on_done: Callable[[str], None]
+) -> None:
+    """Make a video of every camera's images, then remove them. All images must be there.
+
+    A video gets its name when it decodes to the very pixels of the images, which go after that.
+    """
+    ffmpeg = find_ffmpeg()
+    for camera in unpacked(plan, capture):
+        target, images = capture / video_file(camera.id), capture / camera.id
+        if not target.is_file():
+            partial = scratch / target.name
+            pattern = Path(frame_file(camera.id, 0)).with_name("%04d.png")
+            rate = ["-framerate", repr(camera.rate_hz)]
+            source = ["-f", "image2", *rate, "-start_number", "0", "-i", str(pattern)]
+            codec = ["-c:v", "ffv1", "-level", "3", "-g", "1", "-slicecrc", "1"]
+            exact = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-threads", "1"]
+            output = ["-f", "matroska", f"file:{partial}"]
+            _run([ffmpeg, *source, *codec, *exact, *output], capture)
+            pixels = "gray" if camera.color == "gray" else "rgb24"
+            compared = [
+                _run([ffmpeg, *given, "-pix_fmt", pixels, "-f", "hash", "-"], capture)
+                for given in (source, ["-i", f"file:{partial}"])
+            ]
+            if compared[0] != compared[1]:
+                raise FailureError(
+                    f"{target}: the video has other pixels than {images}"
+                )
+            with partial.open("r+b") as stream:
+                os.fsync(stream.fileno())
+            partial.replace(target)
+        shutil.rmtree(images, ignore_errors=True)
+        on_done(target.name)
+
+
+def find_ffmpeg() -> str:
+    """The system's, or the one that the environment brings."""
+    system = shutil.which("ffmpeg")
+    if system is not None:
+        return system
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise FailureError(
+            "--video needs ffmpeg: install it, or run stlfr setup"
+        ) from None
+    return str(imageio_ffmpeg.get_ffmpeg_exe())
+
+
+def _run(command: list[str], folder: Path) -> str:
+    head, *rest = command
+    quiet = ["-hide_banner", "-loglevel", "error", "-nostdin", "-y"]
+    done = subprocess.run(
+        [head, *quiet, *rest], cwd=folder, capture_output=True, text=True, check=False
+    )
+    if done.returncode != 0:
+        said = done.stderr.strip().splitlines()
+        raise FailureError(
+            f"ffmpeg could not make a video: {said[0] if said else 'it was stopped'}"
+        )
+    return done.stdout

@@ -1,0 +1,222 @@
+//! A camera's video, decoded into `CAPTURE/.stlfr/video/` and read from there as an image sequence.
+//!
+//! A folder there is named after its video's content, appears when it is whole, and may be deleted
+//! at any time: that costs decoding anew. One process decodes a video, another one waits for it.
+//!
+//! Known limit: folders of videos that are no longer there stay.
+
+use super::{CaptureError, write_atomically};
+use crate::progress::Reporter;
+use crate::toolchain::project_root;
+use crate::video::{self, VideoError, find_ffmpeg, frame_name};
+use serde::{Deserialize, Serialize};
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// More is refused, so that no crafted file fills the disk without end.
+const MAX_FRAMES: usize = 100_000;
+
+/// Part of the key: to be changed whenever the same video is decoded to other pixels.
+const DECODING: &[u8] = b"stlfr-video-1";
+
+/// Lists a folder's frames; written last.
+const INDEX_FILE: &str = "frames.json";
+
+/// A camera's video file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VideoFile {
+    pub path: PathBuf,
+    /// Of its bytes.
+    pub(super) hash: String,
+    /// The file's own time stamps, seconds.
+    pub(super) stamps_s: Vec<f64>,
+    /// Where they are listed.
+    pub(super) index: PathBuf,
+}
+
+/// What is known of decoded frames.
+#[derive(Serialize, Deserialize)]
+struct Index {
+    /// The video's own time stamps.
+    times_s: Vec<f64>,
+    /// The length of every image file, so that one cut short is noticed.
+    bytes: Vec<u64>,
+}
+
+/// The frames of a video inside the capture's folder `root`; decoded if they aren't yet. `field` is
+/// what the video is of, for messages about `capture`'s file.
+pub(super) fn open(
+    root: &Path,
+    path: &Path,
+    wrong: impl Fn(String) -> CaptureError,
+    reporter: &Reporter,
+) -> Result<(VideoFile, Vec<PathBuf>), CaptureError> {
+    let hash = hash(path).map_err(|source| CaptureError::Read { path: path.to_owned(), source })?;
+    let cache = root.join(".stlfr/video");
+    let folder = cache.join(&hash[..32]);
+    let index = match whole(&folder) {
+        Some(index) => index,
+        None => decode(&cache, &folder, path, &wrong, reporter)?,
+    };
+    let frames = (0..index.bytes.len()).map(|k| folder.join(frame_name(k))).collect();
+    let video = VideoFile {
+        path: path.to_owned(),
+        hash,
+        stamps_s: index.times_s,
+        index: folder.join(INDEX_FILE),
+    };
+    Ok((video, frames))
+}
+
+fn hash(path: &Path) -> io::Result<String> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(DECODING);
+    hasher.update_reader(File::open(path)?)?;
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// The index of a folder whose files are all there.
+fn whole(folder: &Path) -> Option<Index> {
+    let text = std::fs::read_to_string(folder.join(INDEX_FILE)).ok()?;
+    let index: Index = serde_json::from_str(&text).ok()?;
+    let is_there = |(k, bytes): (usize, &u64)| {
+        std::fs::metadata(folder.join(frame_name(k))).is_ok_and(|m| m.len() == *bytes)
+    };
+    let all = index.bytes.iter().enumerate().all(is_there);
+    (all && !index.bytes.is_empty() && index.times_s.len() == index.bytes.len()).then_some(index)
+}
+
+fn decode(
+    cache: &Path,
+    folder: &Path,
+    path: &Path,
+    wrong: &impl Fn(String) -> CaptureError,
+    reporter: &Reporter,
+) -> Result<Index, CaptureError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let failed = |source| CaptureError::Write { path: folder.to_owned(), source };
+    let Some(ffmpeg) = project_root().ok().and_then(|root| find_ffmpeg(&root)) else {
+        return Err(CaptureError::NoFfmpeg { path: path.to_owned() });
+    };
+    std::fs::create_dir_all(cache).map_err(failed)?;
+    let lock = File::create(folder.with_extension("lock")).map_err(failed)?;
+    let _phase = reporter.phase(&format!("decoding {name}"));
+    lock.lock().map_err(failed)?;
+    if let Some(index) = whole(folder) {
+        return Ok(index); // the one who held the lock has done it
+    }
+    // Under the lock, so that nobody else is at either.
+    let partial = folder.with_extension("partial");
+    remove(folder).and_then(|()| remove(&partial)).map_err(failed)?;
+    std::fs::create_dir(&partial).map_err(failed)?;
+    let made = decode_into(&ffmpeg, &partial, path, &name, wrong);
+    let made = made.and_then(|index| {
+        std::fs::rename(&partial, folder).map_err(failed)?;
+        Ok(index)
+    });
+    if made.is_err() {
+        let _ = remove(&partial);
+    }
+    made
+}
+
+fn remove(folder: &Path) -> io::Result<()> {
+    match std::fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+fn decode_into(
+    ffmpeg: &Path,
+    partial: &Path,
+    path: &Path,
+    name: &str,
+    wrong: &impl Fn(String) -> CaptureError,
+) -> Result<Index, CaptureError> {
+    let failed = |source| CaptureError::Write { path: partial.to_owned(), source };
+    let decoded =
+        video::decode(ffmpeg, path, partial, MAX_FRAMES).map_err(|error| match error {
+            VideoError::File { path, source } => CaptureError::Write { path, source },
+            error => wrong(format!("'{name}' {error}")),
+        })?;
+    let mut index = Index { times_s: decoded.times_s, bytes: Vec::new() };
+    while let Ok(metadata) = std::fs::metadata(partial.join(frame_name(index.bytes.len()))) {
+        index.bytes.push(metadata.len());
+    }
+    if index.bytes.is_empty() || index.bytes.len() != index.times_s.len() {
+        return Err(wrong(format!("'{name}' has no frames, or some without a time stamp")));
+    }
+    let text = serde_json::to_string(&index).map_err(|e| failed(e.into()))?;
+    write_atomically(&partial.join(INDEX_FILE), text.as_bytes()).map_err(failed)?;
+    Ok(index)
+}
+
+impl VideoFile {
+    /// Refuses a constant rate that the file's own time stamps contradict: frames were dropped, or
+    /// the rate is another. Stamps are rounded (to a millisecond in Matroska) and may drift, so that
+    /// only what is off by half a frame from one to the next, or by 1 % over all, counts. The error
+    /// is a reason.
+    pub(super) fn agrees_with_rate(&self, rate_hz: f64) -> Result<(), String> {
+        const ROUNDING_S: f64 = 2e-3;
+        let frame_s = 1.0 / rate_hz;
+        let gaps = self.stamps_s.windows(2).map(|w| w[1] - w[0]);
+        let uneven =
+            gaps.clone().position(|gap| !((gap - frame_s).abs() <= 0.5 * frame_s + ROUNDING_S));
+        let all_s = gaps.clone().sum::<f64>();
+        let expected_s = gaps.count() as f64 * frame_s;
+        let off = !((all_s - expected_s).abs() <= 0.01 * expected_s + ROUNDING_S);
+        match (uneven, off) {
+            (None, false) => Ok(()),
+            (Some(k), _) => Err(format!(
+                "rate_hz is {rate_hz}, but the video's own time stamps of frames {k} and {} are {:.4} s apart; {}",
+                k + 1,
+                self.stamps_s[k + 1] - self.stamps_s[k],
+                self.offer()
+            )),
+            (None, true) => Err(format!(
+                "rate_hz is {rate_hz}, but the video's own time stamps say {:.4}; {}",
+                (self.stamps_s.len() - 1) as f64 / all_s,
+                self.offer()
+            )),
+        }
+    }
+
+    /// What to do where the clock and the file don't go together.
+    pub(super) fn offer(&self) -> String {
+        format!("give times_s (the video's own are in {})", self.index.display())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn stamped(stamps_s: &[f64]) -> VideoFile {
+        VideoFile {
+            path: "a.mkv".into(),
+            hash: String::new(),
+            stamps_s: stamps_s.to_vec(),
+            index: "frames.json".into(),
+        }
+    }
+
+    #[test]
+    fn rounded_time_stamps_agree_with_the_rate() {
+        stamped(&[0.0, 0.033, 0.067, 0.1]).agrees_with_rate(30.0).unwrap();
+        stamped(&[0.5]).agrees_with_rate(30.0).unwrap();
+        let fast: Vec<f64> = (0..600).map(|k| (k as f64 / 0.24).round() / 1e3).collect();
+        stamped(&fast).agrees_with_rate(240.0).unwrap();
+    }
+
+    #[test]
+    fn a_gap_and_another_rate_are_told() {
+        let gap = stamped(&[0.0, 0.033, 0.1, 0.133]).agrees_with_rate(30.0).unwrap_err();
+        assert!(gap.contains("frames 1 and 2") && gap.contains("frames.json"), "{gap}");
+        let rate: Vec<f64> = (0..30).map(|k| k as f64 / 25.0).collect();
+        let rate = stamped(&rate).agrees_with_rate(30.0).unwrap_err();
+        assert!(rate.contains("say 25.0000"), "{rate}");
+        assert!(stamped(&[0.0, 0.0]).agrees_with_rate(30.0).is_err());
+    }
+}

@@ -1,0 +1,132 @@
+//! `review.json`: what stands beside what, for whoever lays it out. `review.blend` is made from it.
+
+use super::results::{Method, Metrics};
+use super::{NEAREST, video};
+use serde::Serialize;
+
+/// The file's name in the review's folder.
+pub const FILE: &str = "review.json";
+
+/// How long a still is shown, seconds: long enough to compare two, short enough to step through.
+const STILL_S: f64 = 2.0;
+
+/// Frames shown a second where no video says otherwise.
+const STILL_RATE_HZ: f64 = 12.0;
+
+/// The whole file. Paths are relative to its folder.
+#[derive(Debug, Serialize)]
+pub(super) struct Layout {
+    format: &'static str,
+    version: u32,
+    title: String,
+    /// What differences are multiplied by.
+    difference_gain: f32,
+    reels: Vec<Reel>,
+}
+
+/// Pictures that are shown one after the other, at one rate.
+#[derive(Debug, Serialize)]
+struct Reel {
+    name: &'static str,
+    rate_hz: f64,
+    shots: Vec<Shot>,
+}
+
+/// The truth and the two methods, side by side for a number of frames. `None`: there is none.
+#[derive(Debug, Serialize)]
+struct Shot {
+    label: String,
+    frames: usize,
+    is_movie: bool,
+    truth: Option<String>,
+    traditional: Option<Panel>,
+    space_time: Option<Panel>,
+}
+
+#[derive(Debug, Serialize)]
+struct Panel {
+    title: String,
+    file: String,
+}
+
+/// New views, the filming cameras' images, and the video.
+pub(super) fn layout(metrics: &Metrics, made: Option<&video::Made>) -> Layout {
+    let mut reels: Vec<Reel> = made.map(movie_reel).into_iter().collect();
+    for (name, shots) in [("Views", view_shots(metrics)), ("Cameras", camera_shots(metrics))] {
+        if !shots.is_empty() {
+            reels.push(Reel { name, rate_hz: STILL_RATE_HZ, shots });
+        }
+    }
+    Layout {
+        format: "stlfr-review",
+        version: 1,
+        title: metrics.capture.name.clone(),
+        difference_gain: metrics.options.difference_gain,
+        reels,
+    }
+}
+
+fn movie_reel(made: &video::Made) -> Reel {
+    let file = |slug: &str| made.movies.iter().find(|m| m.slug == slug).map(|m| m.file.clone());
+    let panel =
+        |method: Method| Some(Panel { title: method.title().into(), file: file(method.slug())? });
+    let shot = Shot {
+        label: made.view.clone(),
+        frames: made.frames,
+        is_movie: true,
+        truth: file("truth"),
+        traditional: panel(Method::TraditionalLfr),
+        space_time: panel(Method::StLfr),
+    };
+    Reel { name: "Video", rate_hz: made.rate_hz, shots: vec![shot] }
+}
+
+/// The truth's picture lies beside what was made of it.
+fn truth_beside(file: &str) -> Option<String> {
+    Some(format!("{}/truth.png", file.rsplit_once('/')?.0))
+}
+
+fn still(label: String, traditional: Option<Panel>, space_time: Option<Panel>) -> Option<Shot> {
+    let any = traditional.as_ref().or(space_time.as_ref())?;
+    Some(Shot {
+        label,
+        frames: (STILL_S * STILL_RATE_HZ) as usize,
+        is_movie: false,
+        truth: truth_beside(&any.file),
+        traditional,
+        space_time,
+    })
+}
+
+fn view_shots(metrics: &Metrics) -> Vec<Shot> {
+    let rows = || metrics.views.iter();
+    rows()
+        .filter(|row| row.method == Method::StLfr)
+        .filter_map(|row| {
+            let panel = |method: Method| {
+                let same = |r: &&super::results::ViewResult| {
+                    r.view == row.view && r.proxy == row.proxy && r.method == method
+                };
+                let file = rows().find(same)?.image.clone()?;
+                Some(Panel { title: format!("{}, {}", method.title(), row.proxy), file })
+            };
+            let label = format!("{} at {:.4} s, {}", row.view, row.time_s, row.proxy);
+            still(label, panel(Method::TraditionalLfr), panel(Method::StLfr))
+        })
+        .collect()
+}
+
+fn camera_shots(metrics: &Metrics) -> Vec<Shot> {
+    let rows = || metrics.sync.iter();
+    rows()
+        .filter(|row| row.rung == metrics.options.sync)
+        .filter_map(|row| {
+            let panel = |rung: &str| {
+                let found = rows().find(|r| r.view == row.view && r.rung == rung)?;
+                Some(Panel { title: format!("{}, {rung}", row.camera), file: found.image.clone()? })
+            };
+            let label = format!("{} at {:.4} s", row.view, row.time_s);
+            still(label, panel(NEAREST), panel(&row.rung))
+        })
+        .collect()
+}

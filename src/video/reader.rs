@@ -1,0 +1,121 @@
+//! Decoding a video into numbered images.
+//!
+//! Colours are ffmpeg's conversion to full-range grey or RGB, in 8 bits where the video has 8 and
+//! in 16 where it has more; a rotation that the file asks for is done, as a player does.
+
+use super::VideoError;
+use crate::toolchain::process;
+use std::ffi::OsString;
+use std::path::Path;
+use std::process::Command;
+
+/// Containers that are read: those that hold their pictures themselves. A playlist or a script for
+/// ffmpeg would make it open other files.
+const CONTAINERS: &str =
+    "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,mxf,nut,yuv4mpegpipe,ogg,asf,flv,ivf";
+
+/// Where ffmpeg lists the time stamps, in microseconds.
+const STAMPS_FILE: &str = "stamps.txt";
+
+/// What a video holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Decoded {
+    /// The time stamp of every frame, seconds, as the file has them.
+    pub times_s: Vec<f64>,
+}
+
+/// The name of a decoded frame.
+pub(crate) fn frame_name(index: usize) -> String {
+    format!("{index:06}.png")
+}
+
+/// Decodes the first video stream into `folder` as 000000.png and on, in constant memory; fails
+/// where there are more than `max_frames`, and on any error in the file, so that no frame is made
+/// up. `path` must be absolute.
+pub fn decode(
+    ffmpeg: &Path,
+    path: &Path,
+    folder: &Path,
+    max_frames: usize,
+) -> Result<Decoded, VideoError> {
+    let mut input = OsString::from("file:");
+    input.push(path);
+    let frames = (max_frames + 1).to_string();
+    let mut command = Command::new(ffmpeg);
+    command
+        // Names of the outputs are relative, so that a `%` in the folder's own isn't a pattern.
+        .current_dir(folder)
+        .env_remove("FFREPORT")
+        .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y", "-xerror"])
+        .args(["-protocol_whitelist", "file", "-format_whitelist", CONTAINERS])
+        .args(["-err_detect", "explode", "-i"])
+        .arg(input)
+        .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-noautoscale"])
+        .args(["-frames:v", &frames])
+        .args(["-sws_flags", "accurate_rnd+full_chroma_int+bitexact"])
+        // Little is gained by packing what may be deleted at any time.
+        .args(["-c:v", "png", "-compression_level", "1"])
+        .args(["-start_number", "0", "-f", "image2", "%06d.png"])
+        .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-enc_time_base", "1/1000000"])
+        .args(["-frames:v", &frames, "-c:v", "rawvideo", "-f", "framecrc", STAMPS_FILE]);
+    let ended = process::run(&mut command, |_| ())
+        .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })?;
+    let said = ended.stderr.lines().map(plain).find(|line| !line.is_empty());
+    if !ended.status.success() || said.is_some() {
+        let said = said.unwrap_or("it was stopped").trim_end_matches('.');
+        return Err(wrong(format!("is not a whole video that ffmpeg can read ({said})")));
+    }
+    let stamps = folder.join(STAMPS_FILE);
+    let text = std::fs::read_to_string(&stamps)
+        .map_err(|source| VideoError::File { path: stamps, source })?;
+    let times_s = times_s(&text)?;
+    if times_s.len() > max_frames {
+        return Err(wrong(format!("has more than {max_frames} frames")));
+    }
+    Ok(Decoded { times_s })
+}
+
+fn wrong(reason: String) -> VideoError {
+    VideoError::Decode { reason }
+}
+
+/// A line of ffmpeg's without the "[name @ address]" before it.
+fn plain(line: &str) -> &str {
+    let mut line = line.trim();
+    while let Some((_, rest)) = line.strip_prefix('[').and_then(|l| l.split_once("] ")) {
+        line = rest;
+    }
+    line
+}
+
+/// The third column of a framecrc listing, whose time base is a microsecond.
+fn times_s(listing: &str) -> Result<Vec<f64>, VideoError> {
+    let stamp = |line: &str| line.split(',').nth(2)?.trim().parse::<i64>().ok();
+    listing
+        .lines()
+        .filter(|line| !line.starts_with('#') && !line.trim().is_empty())
+        .map(|line| {
+            let time = stamp(line).ok_or_else(|| wrong("has frames without time stamps".into()))?;
+            Ok(time as f64 / 1e6)
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn listings_of_time_stamps() {
+        let text =
+            "#tb 0: 1/1000000\n0, 0, 0, 33000, 9, 0xe6\n0,  -5,   67000,    33000,   9, 0x59\n";
+        assert_eq!(times_s(text).unwrap(), [0.0, 0.067]);
+        assert!(times_s("0, 0, NOPTS, 1, 1, 0x0\n").is_err());
+    }
+
+    #[test]
+    fn addresses_are_left_out_of_messages() {
+        assert_eq!(plain("[in#0 @ 0x5] [enc:png @ 0x6] Duplicate element"), "Duplicate element");
+        assert_eq!(plain("Truncating packet"), "Truncating packet");
+    }
+}
