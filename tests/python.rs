@@ -61,7 +61,13 @@ fn types() {
         python(&environment, "mypy")
             .args(["--config-file", "blender/pyproject.toml", "--cache-dir"])
             .arg(common::root().join("target/mypy"))
-            .args(["blender/capture.py", "blender/check.py", "blender/scenes", "blender/stlfr"])
+            .args([
+                "blender/capture.py",
+                "blender/check.py",
+                "blender/calibration",
+                "blender/scenes",
+                "blender/stlfr",
+            ])
             .arg("tests/python"),
     );
 }

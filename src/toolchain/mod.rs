@@ -11,7 +11,9 @@ mod script;
 mod setup;
 mod video;
 
-pub use check::{Check, CheckValues, CheckedCamera, check};
+pub use check::{
+    Check, CheckValues, CheckedCamera, CheckedFormat, CheckedLens, CheckedModel, check,
+};
 pub use film::{FilmOptions, Scene, film};
 pub use script::ScriptError;
 pub use setup::{Environment, SetupError, ensure_environment, project_root};
