@@ -29,16 +29,11 @@ def cases() -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Name -> reference, test."""
     random = np.random.default_rng(5)
     reference = scene()
-    noisy = np.clip(reference + random.normal(0, 12, reference.shape), 0, 255).astype(
-        np.uint8
-    )
+    noisy = np.clip(reference + random.normal(0, 12, reference.shape), 0, 255).astype(np.uint8)
     return {
         "shifted by a pixel": (reference, np.roll(reference, 1, axis=1)),
         "noise": (reference, noisy),
-        "darker and greener": (
-            reference,
-            (reference * [0.7, 0.9, 0.6]).astype(np.uint8),
-        ),
+        "darker and greener": (reference, (reference * [0.7, 0.9, 0.6]).astype(np.uint8)),
         "random against random": (
             random.integers(0, 256, reference.shape, dtype=np.uint8),
             random.integers(0, 256, reference.shape, dtype=np.uint8),
@@ -50,19 +45,14 @@ def cases() -> dict[str, tuple[np.ndarray, np.ndarray]]:
 def evaluate(name: str, reference: np.ndarray, test: np.ndarray) -> dict:
     """One case with its map, row by row."""
     images = [image.astype(np.float32) / np.float32(255) for image in (reference, test)]
-    flip_map, mean, parameters = flip_evaluator.evaluate(
-        *images, "LDR", applyMagma=False
-    )
+    flip_map, mean, parameters = flip_evaluator.evaluate(*images, "LDR", applyMagma=False)
     return {
         "name": name,
         "pixels_per_degree": float(parameters["ppd"]),
         "reference": reference.ravel().tolist(),
         "test": test.ravel().tolist(),
         "mean": round(float(mean), 7),
-        "map": [
-            round(float(v), 5)
-            for v in np.asarray(flip_map).reshape(HEIGHT, WIDTH, -1)[..., 0].ravel()
-        ],
+        "map": [round(float(v), 5) for v in np.asarray(flip_map).reshape(HEIGHT, WIDTH, -1)[..., 0].ravel()],
     }
 
 
@@ -73,15 +63,10 @@ def main() -> None:
         "width": WIDTH,
         "height": HEIGHT,
         "pixels_per_degree": evaluated[0]["pixels_per_degree"],
-        "cases": [
-            {k: v for k, v in case.items() if k != "pixels_per_degree"}
-            for case in evaluated
-        ],
+        "cases": [{k: v for k, v in case.items() if k != "pixels_per_degree"} for case in evaluated],
     }
     path = Path(__file__).with_name("flip_reference.json")
-    path.write_text(
-        json.dumps(golden, separators=(",", ":")).replace('{"name"', '\n{"name"') + "\n"
-    )
+    path.write_text(json.dumps(golden, separators=(",", ":")).replace('{"name"', '\n{"name"') + "\n")
 
 
 if __name__ == "__main__":
