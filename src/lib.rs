@@ -12,7 +12,7 @@
 //! | Fig. 2, the whole pipeline | [`render`] |
 //! | §8 results, beside the truth | [`compare`] |
 //!
-//! Beside these: [`raster`] holds images as the stages work on them, [`progress`] reports long
+//! Beside these: [`exchange`] reads and writes other programs' calibrations, [`raster`] holds images as the stages work on them, [`progress`] reports long
 //! work, [`json`] reads files.
 //!
 //! # Conventions
@@ -25,6 +25,7 @@
 pub mod camera;
 pub mod capture;
 pub mod compare;
+pub mod exchange;
 pub mod interpolation;
 pub mod json;
 pub mod lumigraph;
