@@ -12,9 +12,9 @@
 //! | Fig. 2, the whole pipeline | [`render`] |
 //! | §8 results, beside the truth | [`compare`] |
 //!
-//! Beside these: [`rig`] describes and generates simulated arrays, [`raster`] holds images as the
-//! stages work on them, [`progress`] reports long work, [`json`] reads files, [`video`] reads and
-//! writes video through an ffmpeg.
+//! Beside these: [`rig`] describes and generates simulated arrays, [`exchange`] reads and writes
+//! other programs' calibrations, [`raster`] holds images as the stages work on them, [`progress`]
+//! reports long work, [`json`] reads files, [`video`] reads and writes video through an ffmpeg.
 //!
 //! # Conventions
 //!
@@ -26,6 +26,7 @@
 pub mod camera;
 pub mod capture;
 pub mod compare;
+pub mod exchange;
 pub mod interpolation;
 pub mod json;
 pub mod lumigraph;

@@ -6,6 +6,7 @@ use common::{assert_refused, run, stderr, stlfr};
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
+use stlfr::camera::CameraModel;
 
 #[test]
 fn every_command_has_help_with_an_example() {
@@ -88,7 +89,11 @@ fn check_prints_a_table_and_writes_its_values() {
     }
     let values: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(json).unwrap()).unwrap();
-    assert!(values["model_max_px"].as_f64().unwrap() < 1e-9);
+    assert!(values["model"]["capture_px"].as_f64().unwrap() < 1e-9);
+    assert_eq!(values["model"]["lenses"].as_array().unwrap().len(), CameraModel::KNOWN.len());
+    for format in values["model"]["blender"].as_array().unwrap() {
+        assert!(format["blender_px"].as_f64().unwrap() < 3e-4, "{format}");
+    }
     for camera in values["cameras"].as_array().unwrap() {
         let [rotation_deg, position_mm] =
             ["rotation_deg", "position_mm"].map(|field| camera[field].as_f64().unwrap());

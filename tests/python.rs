@@ -65,6 +65,7 @@ fn types() {
                 "blender/capture.py",
                 "blender/check.py",
                 "blender/review.py",
+                "blender/calibration",
                 "blender/scenes",
                 "blender/stlfr",
             ])

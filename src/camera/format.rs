@@ -31,9 +31,7 @@ pub enum CameraFormatError {
     Size { field: &'static str, value: u32, max: u32 },
     #[error("width: {width}×{height} are more pixels than {max}")]
     Pixels { width: u32, height: u32, max: u64 },
-    #[error(
-        "model: '{name}' with {count} params is not a known model (PINHOLE has 4, OPENCV has 8)"
-    )]
+    #[error("model: '{name}' with {count} params is not a known model ({})", known_models())]
     Model { name: String, count: usize },
     #[error("params: must be finite, and the focal lengths positive")]
     Params,
@@ -41,6 +39,11 @@ pub enum CameraFormatError {
     Quaternion { length: f64 },
     #[error("cam_from_world.translation: must be finite")]
     Translation,
+}
+
+/// `PINHOLE has 4, …`.
+fn known_models() -> String {
+    CameraModel::KNOWN.map(|(name, _, count)| format!("{name} has {count}")).join(", ")
 }
 
 /// Larger images than any sensor; a bound so that a typing error can't ask for terabytes.

@@ -8,6 +8,7 @@
 //! Known limit: a view ray is one point of the normalized plane z = 1, so fields of view reach
 //! 180° only in the limit.
 
+mod distortion;
 mod epipolar;
 mod format;
 mod model;
@@ -34,8 +35,8 @@ const MIN_DEPTH_SHARE: f64 = 1e-6;
 impl Camera {
     /// The pixel that a world point (metres) falls on; it may lie outside the image.
     ///
-    /// `None` behind the camera, at its centre, or so far aside that the division by depth would
-    /// mean nothing.
+    /// `None` behind the camera, at its centre, so far aside that the division by depth would mean
+    /// nothing, and beyond the radius where the lens model folds back.
     pub fn project(&self, point_world: &Point3<f64>) -> Option<Point2<f64>> {
         let p = self.cam_from_world * point_world;
         self.project_cam(&p)
@@ -46,7 +47,11 @@ impl Camera {
         if !(p.z > MIN_DEPTH_SHARE * p.coords.norm()) {
             return None;
         }
-        let pixel = self.model.pixel_from_normalized(&Point2::new(p.x / p.z, p.y / p.z));
+        let n = Point2::new(p.x / p.z, p.y / p.z);
+        if !self.model.is_short_of_fold(&n) {
+            return None;
+        }
+        let pixel = self.model.pixel_from_normalized(&n);
         (pixel.x.is_finite() && pixel.y.is_finite()).then_some(pixel)
     }
 
@@ -125,6 +130,15 @@ pub(crate) mod tests {
         for p in [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, f64::NAN]] {
             assert_eq!(cam.project(&Point3::from(p)), None, "{p:?}");
         }
+    }
+
+    #[test]
+    fn what_the_lens_would_fold_back_has_no_image() {
+        let mut cam = pinhole_at([0.0; 3]);
+        let (f, cx, cy) = (686.0, 320.0, 240.0);
+        cam.model = CameraModel::SimpleRadial { f, cx, cy, k: -0.5 };
+        assert!(cam.project(&Point3::new(0.8, 0.0, 1.0)).is_some());
+        assert_eq!(cam.project(&Point3::new(0.9, 0.0, 1.0)), None);
     }
 
     #[test]

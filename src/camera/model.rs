@@ -1,59 +1,123 @@
 //! Lens models: normalized image plane (z = 1) to pixels and back.
 
-use nalgebra::{Matrix2, Point2, Vector2};
+use super::distortion::Distortion;
+use nalgebra::Point2;
 
 /// COLMAP's camera models, in its names and parameter order. Focal lengths and principal point
 /// are in pixels, distortion coefficients are unitless.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum CameraModel {
+    /// `SIMPLE_PINHOLE`: f, cx, cy.
+    SimplePinhole { f: f64, cx: f64, cy: f64 },
     /// `PINHOLE`: fx, fy, cx, cy.
     Pinhole { fx: f64, fy: f64, cx: f64, cy: f64 },
+    /// `SIMPLE_RADIAL`: f, cx, cy, k.
+    SimpleRadial { f: f64, cx: f64, cy: f64, k: f64 },
+    /// `RADIAL`: f, cx, cy, k1, k2.
+    Radial { f: f64, cx: f64, cy: f64, k: [f64; 2] },
     /// `OPENCV`: fx, fy, cx, cy, k1, k2, p1, p2 (Brown's radial and tangential distortion).
     OpenCv { fx: f64, fy: f64, cx: f64, cy: f64, k1: f64, k2: f64, p1: f64, p2: f64 },
+    /// `FULL_OPENCV`: fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 (its radial part a quotient).
+    FullOpenCv { fx: f64, fy: f64, cx: f64, cy: f64, k: [f64; 6], p: [f64; 2] },
+    /// `SIMPLE_RADIAL_FISHEYE`: f, cx, cy, k.
+    SimpleRadialFisheye { f: f64, cx: f64, cy: f64, k: f64 },
+    /// `RADIAL_FISHEYE`: f, cx, cy, k1, k2.
+    RadialFisheye { f: f64, cx: f64, cy: f64, k: [f64; 2] },
+    /// `OPENCV_FISHEYE`: fx, fy, cx, cy, k1, k2, k3, k4.
+    OpenCvFisheye { fx: f64, fy: f64, cx: f64, cy: f64, k: [f64; 4] },
 }
 
-/// Newton stops when a step is below this; a normalized unit is some hundreds of pixels, so this
-/// is far below what an f64 pixel coordinate resolves.
-const UNDISTORT_STEP: f64 = 1e-14;
-/// Newton converges in 3 to 6 steps where the distortion can be inverted at all.
-const UNDISTORT_ITERATIONS: usize = 25;
-
 impl CameraModel {
+    /// The models that are read: COLMAP's name, its number in COLMAP's binary files, and how many
+    /// parameters it has.
+    pub const KNOWN: [(&str, i32, usize); 9] = [
+        ("SIMPLE_PINHOLE", 0, 3),
+        ("PINHOLE", 1, 4),
+        ("SIMPLE_RADIAL", 2, 4),
+        ("RADIAL", 3, 5),
+        ("OPENCV", 4, 8),
+        ("OPENCV_FISHEYE", 5, 8),
+        ("FULL_OPENCV", 6, 12),
+        ("SIMPLE_RADIAL_FISHEYE", 8, 4),
+        ("RADIAL_FISHEYE", 9, 5),
+    ];
+
     /// COLMAP's name of the model.
     pub fn name(&self) -> &'static str {
         match self {
+            Self::SimplePinhole { .. } => "SIMPLE_PINHOLE",
             Self::Pinhole { .. } => "PINHOLE",
+            Self::SimpleRadial { .. } => "SIMPLE_RADIAL",
+            Self::Radial { .. } => "RADIAL",
             Self::OpenCv { .. } => "OPENCV",
+            Self::FullOpenCv { .. } => "FULL_OPENCV",
+            Self::SimpleRadialFisheye { .. } => "SIMPLE_RADIAL_FISHEYE",
+            Self::RadialFisheye { .. } => "RADIAL_FISHEYE",
+            Self::OpenCvFisheye { .. } => "OPENCV_FISHEYE",
         }
     }
 
     /// The parameters in COLMAP's order.
     pub fn params(&self) -> Vec<f64> {
         match *self {
+            Self::SimplePinhole { f, cx, cy } => vec![f, cx, cy],
             Self::Pinhole { fx, fy, cx, cy } => vec![fx, fy, cx, cy],
+            Self::SimpleRadial { f, cx, cy, k } | Self::SimpleRadialFisheye { f, cx, cy, k } => {
+                vec![f, cx, cy, k]
+            }
+            Self::Radial { f, cx, cy, k } | Self::RadialFisheye { f, cx, cy, k } => {
+                vec![f, cx, cy, k[0], k[1]]
+            }
             Self::OpenCv { fx, fy, cx, cy, k1, k2, p1, p2 } => {
                 vec![fx, fy, cx, cy, k1, k2, p1, p2]
+            }
+            Self::FullOpenCv { fx, fy, cx, cy, k, p } => {
+                vec![fx, fy, cx, cy, k[0], k[1], p[0], p[1], k[2], k[3], k[4], k[5]]
+            }
+            Self::OpenCvFisheye { fx, fy, cx, cy, k } => {
+                vec![fx, fy, cx, cy, k[0], k[1], k[2], k[3]]
             }
         }
     }
 
     /// From COLMAP's name and parameters; `None` if the name is unknown or the count is wrong.
     pub fn from_params(name: &str, params: &[f64]) -> Option<Self> {
-        match (name, params) {
-            ("PINHOLE", &[fx, fy, cx, cy]) => Some(Self::Pinhole { fx, fy, cx, cy }),
+        Some(match (name, params) {
+            ("SIMPLE_PINHOLE", &[f, cx, cy]) => Self::SimplePinhole { f, cx, cy },
+            ("PINHOLE", &[fx, fy, cx, cy]) => Self::Pinhole { fx, fy, cx, cy },
+            ("SIMPLE_RADIAL", &[f, cx, cy, k]) => Self::SimpleRadial { f, cx, cy, k },
+            ("RADIAL", &[f, cx, cy, k1, k2]) => Self::Radial { f, cx, cy, k: [k1, k2] },
             ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => {
-                Some(Self::OpenCv { fx, fy, cx, cy, k1, k2, p1, p2 })
+                Self::OpenCv { fx, fy, cx, cy, k1, k2, p1, p2 }
             }
-            _ => None,
-        }
+            ("FULL_OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6]) => {
+                Self::FullOpenCv { fx, fy, cx, cy, k: [k1, k2, k3, k4, k5, k6], p: [p1, p2] }
+            }
+            ("SIMPLE_RADIAL_FISHEYE", &[f, cx, cy, k]) => {
+                Self::SimpleRadialFisheye { f, cx, cy, k }
+            }
+            ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => {
+                Self::RadialFisheye { f, cx, cy, k: [k1, k2] }
+            }
+            ("OPENCV_FISHEYE", &[fx, fy, cx, cy, k1, k2, k3, k4]) => {
+                Self::OpenCvFisheye { fx, fy, cx, cy, k: [k1, k2, k3, k4] }
+            }
+            _ => return None,
+        })
     }
 
     /// fx, fy, cx, cy in pixels.
     pub fn intrinsics(&self) -> (f64, f64, f64, f64) {
         match *self {
-            Self::Pinhole { fx, fy, cx, cy } | Self::OpenCv { fx, fy, cx, cy, .. } => {
-                (fx, fy, cx, cy)
-            }
+            Self::SimplePinhole { f, cx, cy }
+            | Self::SimpleRadial { f, cx, cy, .. }
+            | Self::Radial { f, cx, cy, .. }
+            | Self::SimpleRadialFisheye { f, cx, cy, .. }
+            | Self::RadialFisheye { f, cx, cy, .. } => (f, f, cx, cy),
+            Self::Pinhole { fx, fy, cx, cy }
+            | Self::OpenCv { fx, fy, cx, cy, .. }
+            | Self::FullOpenCv { fx, fy, cx, cy, .. }
+            | Self::OpenCvFisheye { fx, fy, cx, cy, .. } => (fx, fy, cx, cy),
         }
     }
 
@@ -65,28 +129,32 @@ impl CameraModel {
 
     /// Whether straight lines of the scene are straight in the image.
     pub fn is_pinhole(&self) -> bool {
-        match *self {
-            Self::Pinhole { .. } => true,
-            Self::OpenCv { k1, k2, p1, p2, .. } => [k1, k2, p1, p2] == [0.0; 4],
-        }
+        self.distortion() == Distortion::None
     }
 
-    /// Pixel of a point of the plane z = 1.
+    /// Pixel of a point of the plane z = 1, by the model's formula: beyond
+    /// [`Self::is_short_of_fold`] it means nothing.
     pub fn pixel_from_normalized(&self, n: &Point2<f64>) -> Point2<f64> {
         let (fx, fy, cx, cy) = self.intrinsics();
-        let d = self.distorted(n);
+        let d = self.distortion().distorted(n);
         Point2::new(fx * d.x + cx, fy * d.y + cy)
     }
 
-    /// Point of the plane z = 1 that a pixel sees; `None` where Newton finds no inverse of the
-    /// distortion.
+    /// Whether a point of the plane z = 1 is nearer to the axis than where the distortion stops
+    /// growing and folds the scene back over the image.
+    pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
+        self.distortion().is_short_of_fold(n)
+    }
+
+    /// Point of the plane z = 1 that a pixel sees; `None` where the distortion reaches that far
+    /// nowhere short of its fold.
     pub fn normalized_from_pixel(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         let (fx, fy, cx, cy) = self.intrinsics();
-        self.undistorted(&Point2::new((pixel.x - cx) / fx, (pixel.y - cy) / fy))
+        self.distortion().undistorted(&Point2::new((pixel.x - cx) / fx, (pixel.y - cy) / fy))
     }
 
     /// Where the pixel would be if the lens had no distortion (same focal lengths): there,
-    /// epipolar curves are lines. The same pixel for `PINHOLE`.
+    /// epipolar curves are lines. The same pixel for a pinhole.
     pub fn ideal_from_pixel(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         if self.is_pinhole() {
             return Some(*pixel);
@@ -96,52 +164,23 @@ impl CameraModel {
         Some(Point2::new(fx * n.x + cx, fy * n.y + cy))
     }
 
-    fn distorted(&self, n: &Point2<f64>) -> Point2<f64> {
-        match *self {
-            Self::Pinhole { .. } => *n,
-            Self::OpenCv { k1, k2, p1, p2, .. } => {
-                let (x, y) = (n.x, n.y);
-                let r2 = x * x + y * y;
-                let radial = 1.0 + r2 * (k1 + r2 * k2);
-                Point2::new(
-                    x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                    y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-                )
+    /// What the lens does on the plane z = 1.
+    fn distortion(&self) -> Distortion {
+        let (k, p) = match *self {
+            Self::SimplePinhole { .. } | Self::Pinhole { .. } => return Distortion::None,
+            Self::SimpleRadialFisheye { k, .. } => {
+                return Distortion::Fisheye { k: [k, 0.0, 0.0, 0.0] };
             }
-        }
-    }
-
-    /// Newton on the distortion, from the distorted point itself.
-    fn undistorted(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
-        let Self::OpenCv { k1, k2, p1, p2, .. } = *self else {
-            return (d.x.is_finite() && d.y.is_finite()).then_some(*d);
+            Self::RadialFisheye { k: [k1, k2], .. } => {
+                return Distortion::Fisheye { k: [k1, k2, 0.0, 0.0] };
+            }
+            Self::OpenCvFisheye { k, .. } => return Distortion::Fisheye { k },
+            Self::SimpleRadial { k, .. } => ([k, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
+            Self::Radial { k: [k1, k2], .. } => ([k1, k2, 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
+            Self::OpenCv { k1, k2, p1, p2, .. } => ([k1, k2, 0.0, 0.0, 0.0, 0.0], [p1, p2]),
+            Self::FullOpenCv { k, p, .. } => (k, p),
         };
-        let mut n = *d;
-        for _ in 0..UNDISTORT_ITERATIONS {
-            let residual: Vector2<f64> = self.distorted(&n) - d;
-            let (x, y) = (n.x, n.y);
-            let r2 = x * x + y * y;
-            let radial = 1.0 + r2 * (k1 + r2 * k2);
-            let radial_r2 = k1 + 2.0 * k2 * r2;
-            let jacobian = Matrix2::new(
-                radial + 2.0 * x * x * radial_r2 + 2.0 * p1 * y + 6.0 * p2 * x,
-                2.0 * x * y * radial_r2 + 2.0 * p1 * x + 2.0 * p2 * y,
-                2.0 * x * y * radial_r2 + 2.0 * p1 * x + 2.0 * p2 * y,
-                radial + 2.0 * y * y * radial_r2 + 6.0 * p1 * y + 2.0 * p2 * x,
-            );
-            // A determinant that is not positive is past the lens's fold: there the model shows
-            // the same pixel twice and has no inverse.
-            if !(jacobian.determinant() > 1e-9) {
-                return None;
-            }
-            let step = jacobian.try_inverse()? * residual;
-            n -= step;
-            if step.norm() < UNDISTORT_STEP * (1.0 + n.coords.norm()) {
-                return Some(n);
-            }
-        }
-        let residual = (self.distorted(&n) - d).norm();
-        (residual < 1e-12).then_some(n)
+        if k == [0.0; 6] && p == [0.0; 2] { Distortion::None } else { Distortion::Brown { k, p } }
     }
 }
 
@@ -149,30 +188,73 @@ impl CameraModel {
 mod tests {
     use super::*;
 
+    /// One of each model, of a 640×480 image, distorted as real lenses are.
+    fn one_of_each() -> Vec<CameraModel> {
+        let (f, fx, fy, cx, cy) = (400.0, 686.0, 680.0, 321.0, 239.0);
+        let params: [&[f64]; 9] = [
+            &[f, cx, cy],
+            &[fx, fy, cx, cy],
+            &[fx, cx, cy, -0.15],
+            &[fx, cx, cy, -0.21, 0.07],
+            &[fx, fy, cx, cy, -0.21, 0.07, 1e-3, -2e-3],
+            &[f, f, cx, cy, 0.02, -0.01, 0.004, -0.001],
+            &[fx, fy, cx, cy, 0.3, -0.1, 1e-3, -2e-3, 0.02, 0.5, 0.1, -0.01],
+            &[f, cx, cy, -0.03],
+            &[f, cx, cy, 0.05, -0.02],
+        ];
+        CameraModel::KNOWN
+            .iter()
+            .zip(params)
+            .map(|((name, _, count), params)| {
+                assert_eq!(params.len(), *count, "{name}");
+                CameraModel::from_params(name, params).unwrap()
+            })
+            .collect()
+    }
+
+    #[test]
+    fn names_and_parameters_round_trip() {
+        for (model, (name, _, count)) in one_of_each().into_iter().zip(CameraModel::KNOWN) {
+            assert_eq!(model.name(), name);
+            let params: Vec<f64> = (1..=count).map(|k| k as f64).collect();
+            let back = CameraModel::from_params(name, &params).unwrap();
+            assert_eq!((back.name(), back.params()), (name, params.clone()));
+            assert_eq!(CameraModel::from_params(name, &params[1..]), None);
+        }
+        assert_eq!(CameraModel::from_params("FISHEYE", &[1.0; 4]), None);
+    }
+
     #[test]
     fn distortion_is_inverted_to_the_last_digits() {
-        let model = CameraModel::OpenCv {
-            fx: 686.0,
-            fy: 680.0,
-            cx: 321.0,
-            cy: 239.0,
-            k1: -0.21,
-            k2: 0.07,
-            p1: 1e-3,
-            p2: -2e-3,
-        };
-        for y in (0..=480).step_by(40) {
-            for x in (0..=640).step_by(40) {
-                let pixel = Point2::new(f64::from(x), f64::from(y));
-                let n = model.normalized_from_pixel(&pixel).unwrap();
-                assert!((model.pixel_from_normalized(&n) - pixel).norm() < 1e-9);
+        for model in one_of_each() {
+            for y in (0..=480).step_by(40) {
+                for x in (0..=640).step_by(40) {
+                    let pixel = Point2::new(f64::from(x), f64::from(y));
+                    let n = model.normalized_from_pixel(&pixel).unwrap();
+                    assert!(model.is_short_of_fold(&n), "{} {pixel}", model.name());
+                    let off = (model.pixel_from_normalized(&n) - pixel).norm();
+                    assert!(off < 1e-9, "{} {pixel}: {off}", model.name());
+                }
             }
         }
     }
 
+    /// A fisheye without coefficients is equidistant: f θ pixels from the middle.
     #[test]
-    fn past_the_fold_there_is_no_inverse() {
-        let model = CameraModel::OpenCv {
+    fn a_fisheye_measures_angles() {
+        let model = CameraModel::SimpleRadialFisheye { f: 300.0, cx: 0.0, cy: 0.0, k: 0.0 };
+        assert!(!model.is_pinhole());
+        let n = Point2::new(0.0, std::f64::consts::FRAC_PI_3.tan());
+        let pixel = model.pixel_from_normalized(&n);
+        assert!((pixel - Point2::new(0.0, 100.0 * std::f64::consts::PI)).norm() < 1e-12);
+        let beyond = Point2::new(0.0, 300.0 * std::f64::consts::FRAC_PI_2);
+        assert_eq!(model.normalized_from_pixel(&beyond), None);
+        assert_eq!(model.normalized_from_pixel(&Point2::origin()), Some(Point2::origin()));
+    }
+
+    #[test]
+    fn past_the_fold_there_is_no_inverse_and_no_image() {
+        let folding = CameraModel::OpenCv {
             fx: 100.0,
             fy: 100.0,
             cx: 0.0,
@@ -183,20 +265,50 @@ mod tests {
             p2: 0.0,
         };
         // r(1 − r²/2) has its maximum 0.544 at r = 0.816.
-        assert!(model.normalized_from_pixel(&Point2::new(50.0, 0.0)).is_some());
-        assert_eq!(model.normalized_from_pixel(&Point2::new(60.0, 0.0)), None);
+        assert!(folding.normalized_from_pixel(&Point2::new(50.0, 0.0)).is_some());
+        assert!(folding.normalized_from_pixel(&Point2::new(54.4, 0.0)).is_some());
+        assert_eq!(folding.normalized_from_pixel(&Point2::new(54.5, 0.0)), None);
+        assert_eq!(folding.normalized_from_pixel(&Point2::new(60.0, 0.0)), None);
+        assert!(folding.is_short_of_fold(&Point2::new(0.816, 0.0)));
+        assert!(!folding.is_short_of_fold(&Point2::new(0.817, 0.0)));
+        assert!(!folding.is_short_of_fold(&Point2::new(3.0, 4.0)));
+        assert!(!folding.is_short_of_fold(&Point2::new(f64::NAN, 0.0)));
     }
 
+    /// The slope is positive again further out, but what lies there is imaged twice already.
     #[test]
-    fn names_and_parameters_round_trip() {
-        for (name, params) in [
-            ("PINHOLE", vec![1.0, 2.0, 3.0, 4.0]),
-            ("OPENCV", vec![1.0, 2.0, 3.0, 4.0, 0.1, 0.2, 0.3, 0.4]),
-        ] {
-            let model = CameraModel::from_params(name, &params).unwrap();
-            assert_eq!((model.name(), model.params()), (name, params));
+    fn a_lens_that_folds_twice_ends_at_the_first() {
+        let model = CameraModel::Radial { f: 1.0, cx: 0.0, cy: 0.0, k: [-1.0, 0.3] };
+        // 1 − 3 s + 1.5 s² is negative from s = 0.42 to 1.58.
+        for (r, expected) in [(0.6, true), (0.7, false), (1.2, false), (1.4, false)] {
+            assert_eq!(model.is_short_of_fold(&Point2::new(r, 0.0)), expected, "{r}");
         }
-        assert_eq!(CameraModel::from_params("PINHOLE", &[1.0]), None);
-        assert_eq!(CameraModel::from_params("FISHEYE", &[1.0; 4]), None);
+        let seen = model.pixel_from_normalized(&Point2::new(1.4, 0.0));
+        let found = model.normalized_from_pixel(&seen);
+        assert!(found.is_none_or(|n| n.coords.norm() < 0.65), "{found:?}");
+    }
+
+    /// Right up to the fold, and with a pincushion whose own point is beyond its fold.
+    #[test]
+    fn strong_distortion_is_inverted_up_to_its_fold() {
+        let barrel = CameraModel::SimpleRadial { f: 1.0, cx: 0.0, cy: 0.0, k: -0.5 };
+        let pincushion = CameraModel::Radial { f: 1.0, cx: 0.0, cy: 0.0, k: [0.9, -0.6] };
+        let fisheye = CameraModel::OpenCvFisheye {
+            fx: 1.0,
+            fy: 1.0,
+            cx: 0.0,
+            cy: 0.0,
+            k: [-0.3, 0.0, 0.0, 0.0],
+        };
+        for (model, fold) in
+            [(barrel, (2.0_f64 / 3.0).sqrt()), (pincushion, 1.048), (fisheye, 1.054_f64.tan())]
+        {
+            for k in 1..1000 {
+                let r = fold * f64::from(k) / 1000.0;
+                let n = Point2::new(0.6 * r, -0.8 * r);
+                let back = model.normalized_from_pixel(&model.pixel_from_normalized(&n)).unwrap();
+                assert!((back - n).norm() < 1e-8, "{model:?} at {r}: {back}");
+            }
+        }
     }
 }

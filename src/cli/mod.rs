@@ -5,6 +5,7 @@ mod check;
 mod compare;
 mod demo;
 mod error;
+mod exchange;
 mod files;
 mod offsets;
 mod render;
@@ -47,6 +48,8 @@ enum Command {
     Offsets(offsets::Args),
     Render(Box<render::Args>),
     Compare(compare::Args),
+    Import(exchange::ImportArgs),
+    Export(exchange::ExportArgs),
 }
 
 impl Cli {
@@ -62,6 +65,8 @@ impl Cli {
             Command::Offsets(args) => offsets::run(args, &reporter),
             Command::Render(args) => render::run(args, &reporter),
             Command::Compare(args) => compare::run(args, &reporter),
+            Command::Import(args) => exchange::run_import(args),
+            Command::Export(args) => exchange::run_export(args),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The rays of a view's pixel centres, a row at a time.
 
-use crate::camera::{Camera, CameraModel};
+use crate::camera::Camera;
 use nalgebra::Point2;
 
 /// Directions (x, y, 1) in the camera's frame of one row's pixel centres. Where the lens can't
@@ -18,7 +18,8 @@ impl RayRow {
     /// Makes this the rays of `row`.
     pub fn set(&mut self, camera: &Camera, row: usize) {
         let v = row as f64 + 0.5;
-        if let CameraModel::Pinhole { fx, fy, cx, cy } = camera.model {
+        if camera.model.is_pinhole() {
+            let (fx, fy, cx, cy) = camera.model.intrinsics();
             self.y.fill((v - cy) / fy);
             for (column, x) in self.x.iter_mut().enumerate() {
                 *x = (column as f64 + 0.5 - cx) / fx;

@@ -102,15 +102,16 @@ impl Reprojection {
 
     /// Fills `hits`. `source` is the one that this was made of.
     pub fn row(&self, row: &TargetRow, source: &Source, hits: &mut Hits) {
-        match self.model {
-            CameraModel::Pinhole { fx, fy, cx, cy } => {
-                let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v as f32);
-                self.measure(row, hits, |nx, ny| (fx * nx + cx, fy * ny + cy));
-            }
-            model => self.measure(row, hits, |nx, ny| {
+        if self.model.is_pinhole() {
+            let (fx, fy, cx, cy) = self.model.intrinsics();
+            let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v as f32);
+            self.measure(row, hits, |nx, ny| (fx * nx + cx, fy * ny + cy));
+        } else {
+            let model = self.model;
+            self.measure(row, hits, |nx, ny| {
                 let pixel = model.pixel_from_normalized(&Point2::new(f64::from(nx), f64::from(ny)));
                 (pixel.x as f32, pixel.y as f32)
-            }),
+            });
         }
         // A source at the view's centre looks along the same rays: nothing is hidden from it.
         if source.depth.is_some() && !self.at_center() {

@@ -1,7 +1,7 @@
 //! `stlfr.open` and `stlfr.Capture`.
 
 use super::convert::{from_python, image_to_python, to_python, value_error};
-use crate::camera::CameraFormat;
+use crate::camera::{Camera, CameraFormat};
 use crate::capture::Capture;
 use crate::offset::known_or_kept_or_estimated;
 use crate::progress::Reporter;
@@ -52,28 +52,31 @@ impl PyCapture {
         points: PyArrayLikeDyn<'py, f64, AllowTypeChange>,
     ) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let camera = &self.capture.cameras[self.index(camera_id)?].camera;
-        let points = points.as_array();
-        let wrong =
-            || value_error(format!("points: have the shape {:?}, must be (N, 3)", points.shape()));
-        let points = points.view().into_dimensionality::<ndarray::Ix2>().map_err(|_| wrong())?;
-        if points.ncols() != 3 {
-            return Err(wrong());
-        }
-        let pixels = py.detach(|| {
-            let mut pixels = ndarray::Array2::from_elem((points.nrows(), 2), f64::NAN);
-            for (point, mut pixel) in points.rows().into_iter().zip(pixels.rows_mut()) {
-                if let Some(p) = camera.project(&Point3::new(point[0], point[1], point[2])) {
-                    (pixel[0], pixel[1]) = (p.x, p.y);
-                }
-            }
-            pixels
-        });
-        Ok(pixels.into_pyarray(py))
+        projected(py, camera, &points)
     }
 
     /// The middle of every frame's exposure, seconds on the camera's own clock.
     fn times<'py>(&self, py: Python<'py>, camera_id: &str) -> PyResult<Bound<'py, PyArray1<f64>>> {
         Ok(self.capture.times_in_file_s(self.index(camera_id)?).into_pyarray(py))
+    }
+
+    /// One frame as the stages see it, (H, W, channels).
+    fn frame<'py>(
+        &self,
+        py: Python<'py>,
+        camera_id: &str,
+        index: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let camera = self.index(camera_id)?;
+        let filmed = &self.capture.cameras[camera];
+        let count = filmed.clock.times_s.len();
+        if index >= count {
+            return Err(value_error(format!(
+                "index: is {index}, and {camera_id} has {count} frames"
+            )));
+        }
+        let image = py.detach(|| self.capture.read_frame(camera, index)).map_err(value_error)?;
+        image_to_python(py, &image, None, filmed.bit_depth)
     }
 
     /// Every camera's offset, as `stlfr offsets --json` prints it.
@@ -130,6 +133,42 @@ impl PyCapture {
     fn __repr__(&self) -> String {
         format!("<stlfr.Capture '{}': {} cameras>", self.capture.name, self.capture.cameras.len())
     }
+}
+
+/// Pixels of world points through a camera object; NaN where a point has no image.
+#[pyfunction]
+pub fn project<'py>(
+    py: Python<'py>,
+    camera: &Bound<'py, PyAny>,
+    points: PyArrayLikeDyn<'py, f64, AllowTypeChange>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let format: Option<CameraFormat> = from_python(Some(camera), "camera")?;
+    let camera = format.ok_or_else(|| value_error("camera: is missing"))?.camera();
+    projected(py, &camera.map_err(|e| value_error(format!("camera: {e}")))?, &points)
+}
+
+fn projected<'py>(
+    py: Python<'py>,
+    camera: &Camera,
+    points: &PyArrayLikeDyn<'py, f64, AllowTypeChange>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let points = points.as_array();
+    let wrong =
+        || value_error(format!("points: have the shape {:?}, must be (N, 3)", points.shape()));
+    let points = points.view().into_dimensionality::<ndarray::Ix2>().map_err(|_| wrong())?;
+    if points.ncols() != 3 {
+        return Err(wrong());
+    }
+    let pixels = py.detach(|| {
+        let mut pixels = ndarray::Array2::from_elem((points.nrows(), 2), f64::NAN);
+        for (point, mut pixel) in points.rows().into_iter().zip(pixels.rows_mut()) {
+            if let Some(p) = camera.project(&Point3::new(point[0], point[1], point[2])) {
+                (pixel[0], pixel[1]) = (p.x, p.y);
+            }
+        }
+        pixels
+    });
+    Ok(pixels.into_pyarray(py))
 }
 
 /// The options of a call, checked as the command line checks its file.

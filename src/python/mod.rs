@@ -10,7 +10,7 @@ use pyo3::prelude::*;
 #[pymodule(name = "_native")]
 mod native {
     #[pymodule_export]
-    use super::capture::{PyCapture, open};
+    use super::capture::{PyCapture, open, project};
     use pyo3::prelude::*;
 
     #[pymodule_init]

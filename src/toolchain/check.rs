@@ -1,4 +1,4 @@
-//! The calibration check against pycolmap.
+//! The calibration check against pycolmap and Blender.
 
 use super::process;
 use super::script::{self, ScriptError};
@@ -19,18 +19,54 @@ pub struct Check {
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CheckValues {
-    /// The largest distance between pycolmap's and our projection of a point; `None` where only one
-    /// of them sees some points.
-    pub model_max_px: Option<f64>,
-    pub model_tolerance_px: f64,
-    pub rotation_tolerance_deg: f64,
-    pub position_tolerance_mm: f64,
+    pub model: CheckedModel,
     /// Which images pycolmap worked from; `None` for a single camera.
     pub image_source: Option<String>,
+    pub rotation_tolerance_deg: f64,
+    pub position_tolerance_mm: f64,
     pub cameras: Vec<CheckedCamera>,
     pub ok: bool,
     /// What is not as it should be.
     pub reason: Option<String>,
+}
+
+/// The largest distances, in pixels, between our projection of a point and another's; `None` where
+/// only one of the two sees some points.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct CheckedModel {
+    /// pycolmap's, of this capture's cameras.
+    pub capture_px: Option<f64>,
+    /// Whether pycolmap read them from the capture's COLMAP model.
+    pub colmap_folder: bool,
+    /// pycolmap's, of every lens model.
+    pub lenses: Vec<CheckedLens>,
+    /// Blender's, of every image format and sensor fit.
+    pub blender: Vec<CheckedFormat>,
+    /// pycolmap's, of those Blender cameras.
+    pub blender_pycolmap_px: Option<f64>,
+    /// What pycolmap's may be at most.
+    pub tolerance_px: f64,
+    /// What Blender's may be at most.
+    pub blender_tolerance_px: f64,
+}
+
+/// A lens model of COLMAP's.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct CheckedLens {
+    pub model: String,
+    pub pycolmap_px: Option<f64>,
+}
+
+/// An image format (`landscape`, `portrait`, `square`) with a sensor fit of Blender's, over shifts,
+/// pixel aspects and resolution percentages.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct CheckedFormat {
+    pub format: String,
+    pub fit: String,
+    pub blender_px: Option<f64>,
 }
 
 /// How far a camera's pose is from where the pixels put it; `None` where they put it nowhere.

@@ -11,7 +11,9 @@ mod review;
 mod script;
 mod setup;
 
-pub use check::{Check, CheckValues, CheckedCamera, check};
+pub use check::{
+    Check, CheckValues, CheckedCamera, CheckedFormat, CheckedLens, CheckedModel, check,
+};
 pub use film::{FilmOptions, Scene, film};
 pub use review::review;
 pub use script::ScriptError;

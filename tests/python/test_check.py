@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import importlib
 import importlib.util
 import json
 import subprocess
@@ -16,25 +18,33 @@ ROOT = Path(__file__).resolve().parents[2]
 CHECK_SCRIPT = ROOT / "blender" / "check.py"
 
 pycolmap = pytest.importorskip("pycolmap")
+stlfr = pytest.importorskip("stlfr")
 spec = importlib.util.spec_from_file_location("stlfr_check_script", CHECK_SCRIPT)
 assert spec is not None and spec.loader is not None
-check = importlib.util.module_from_spec(spec)
-sys.modules["stlfr_check_script"] = check
-spec.loader.exec_module(check)
+spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads the packages
+
+calibration = importlib.import_module("stlfr_calibration.capture")
+model = importlib.import_module("stlfr_calibration.model")
+frames = importlib.import_module("stlfr_calibration.frames")
+mapping = importlib.import_module("stlfr_calibration.mapping")
+residuals = importlib.import_module("stlfr_calibration.residuals")
+conversion = importlib.import_module("stlfr_extension.camera")
+
+Array = np.ndarray[Any, Any]
 
 
-def rotation_about(axis: int, angle_deg: float) -> np.ndarray[Any, Any]:
+def rotation_about(axis: int, angle_deg: float) -> Array:
     """A turn about one axis."""
     vector = np.zeros(3)
     vector[axis] = np.radians(angle_deg)
-    matrix: np.ndarray[Any, Any] = pycolmap.Rotation3d(vector).matrix()
+    matrix: Array = pycolmap.Rotation3d(vector).matrix()
     return matrix
 
 
 def line_of_poses(count: int) -> dict[str, Any]:
     """Cameras 60 mm apart in a line, all looking along +z."""
     return {
-        f"cam{i}": check.Pose(np.eye(3), np.array([-0.06 * i, 0.0, 0.0]))
+        f"cam{i}": calibration.Pose(np.eye(3), np.array([-0.06 * i, 0.0, 0.0]))
         for i in range(count)
     }
 
@@ -46,13 +56,13 @@ def seen_elsewhere(poses: dict[str, Any]) -> dict[str, Any]:
     for camera_id, pose in poses.items():
         rotation = pose.rotation @ world_turn
         centre = 3.0 * world_turn.T @ pose.centre_m + np.array([1.0, -2.0, 0.5])
-        moved[camera_id] = check.Pose(rotation, -rotation @ centre)
+        moved[camera_id] = calibration.Pose(rotation, -rotation @ centre)
     return moved
 
 
 def test_right_poses_have_no_residual_whatever_the_estimate_calls_its_world() -> None:
     exported = line_of_poses(8)
-    for residual in check.residuals(exported, seen_elsewhere(exported)):
+    for residual in residuals.residuals(exported, seen_elsewhere(exported)):
         assert residual.rotation_deg < 1e-6
         assert residual.position_mm < 1e-6
 
@@ -63,8 +73,8 @@ def test_a_turned_camera_is_named_and_no_other(camera_id: str) -> None:
     exported = line_of_poses(8)
     right = exported[camera_id]
     turned = rotation_about(1, 0.2) @ right.rotation
-    exported[camera_id] = check.Pose(turned, -turned @ right.centre_m)
-    found = {r.id: r for r in check.residuals(exported, estimated)}
+    exported[camera_id] = calibration.Pose(turned, -turned @ right.centre_m)
+    found = {r.id: r for r in residuals.residuals(exported, estimated)}
     assert [r.id for r in found.values() if r.exceeds(0.05, 1.0)] == [camera_id]
     assert found[camera_id].rotation_deg == pytest.approx(0.2, abs=1e-4)
 
@@ -75,115 +85,253 @@ def test_a_moved_camera_is_named_and_no_other(camera_id: str, axis: int) -> None
     estimated = seen_elsewhere(line_of_poses(8))
     exported = line_of_poses(8)
     centre = exported[camera_id].centre_m + 0.002 * np.eye(3)[axis]
-    exported[camera_id] = check.Pose(np.eye(3), -centre)
-    found = {r.id: r for r in check.residuals(exported, estimated)}
+    exported[camera_id] = calibration.Pose(np.eye(3), -centre)
+    found = {r.id: r for r in residuals.residuals(exported, estimated)}
     assert [r.id for r in found.values() if r.exceeds(0.05, 1.0)] == [camera_id]
     assert found[camera_id].position_mm == pytest.approx(2.0, abs=0.1)
 
 
 def test_a_tiny_angle_is_measured_as_well_as_a_large_one() -> None:
     for angle_deg in (1e-6, 0.2, 90.0, 179.0):
-        assert check.angle_deg(rotation_about(2, angle_deg)) == pytest.approx(
+        assert residuals.angle_deg(rotation_about(2, angle_deg)) == pytest.approx(
             angle_deg, rel=1e-6
         )
 
 
-def pinhole_projector(folder: Path) -> Any:
-    """The formula, from capture.json."""
-    cameras = {
-        c["id"]: c for c in json.loads((folder / "capture.json").read_text())["cameras"]
+# Model
+
+
+@pytest.mark.parametrize("name", model.MODELS)
+def test_every_lens_model_projects_as_pycolmaps(name: str) -> None:
+    camera = {"width": 640, "height": 480, "model": name, "params": model.MODELS[name]}
+    camera["cam_from_world"] = model.POSE
+    lens = calibration.lens_of(camera, pycolmap)
+    pose = calibration.pose_of(camera, pycolmap)
+    difference_px = model.difference_px(camera, lens, pose, stlfr.project)
+    assert difference_px <= model.TOLERANCE_PX
+
+
+def test_every_blender_camera_projects_as_blender_and_pycolmap_do() -> None:
+    pytest.importorskip("bpy")
+    found = model.blender_differences_px(stlfr.project, pycolmap, conversion)
+    assert len(found) == 3 * 3 * 6
+    for difference in found:
+        assert difference.blender_px <= model.BLENDER_TOLERANCE_PX, difference
+        assert difference.pycolmap_px <= model.TOLERANCE_PX, difference
+
+
+def off_by_half_a_pixel(camera: Any, points: Array) -> Array:
+    """Pixel centres at whole numbers."""
+    pixels: Array = stlfr.project(camera, points) - 0.5
+    return pixels
+
+
+def never_behind(camera: Any, points: Array) -> Array:
+    """Sees what is behind it."""
+    return np.nan_to_num(stlfr.project(camera, points))
+
+
+def without_distortion(camera: Any, points: Array) -> Array:
+    """Knows the focal lengths alone."""
+    pinhole = {**camera, "model": "PINHOLE", "params": camera["params"][:4]}
+    pixels: Array = stlfr.project(pinhole, points)
+    return pixels
+
+
+@pytest.mark.parametrize(
+    ("wrong", "expected"),
+    [
+        (off_by_half_a_pixel, pytest.approx(np.sqrt(0.5))),
+        (never_behind, np.inf),
+        (without_distortion, pytest.approx(22.0, abs=8.0)),
+    ],
+)
+def test_another_convention_fails_the_model_check(wrong: Any, expected: Any) -> None:
+    name = "OPENCV"
+    camera = {"width": 640, "height": 480, "model": name, "params": model.MODELS[name]}
+    camera["cam_from_world"] = model.POSE
+    lens = calibration.lens_of(camera, pycolmap)
+    pose = calibration.pose_of(camera, pycolmap)
+    assert model.difference_px(camera, lens, pose, wrong) == expected
+
+
+def test_a_wrong_sensor_fit_fails_the_check_against_blender() -> None:
+    """A conversion that takes the sensor's height for portraits, as one would guess of `AUTO`."""
+    pytest.importorskip("bpy")
+
+    class Guess:
+        lens_of = staticmethod(conversion.lens_of)
+        cam_from_world_of = staticmethod(conversion.cam_from_world_of)
+
+        @staticmethod
+        def pinhole_from_lens(lens: Any) -> Any:
+            if lens.sensor_fit == "AUTO" and lens.height_px > lens.width_px:
+                lens = dataclasses.replace(lens, sensor_fit="VERTICAL")
+            return conversion.pinhole_from_lens(lens)
+
+    found = model.blender_differences_px(stlfr.project, pycolmap, Guess)
+    off = {
+        (d.camera.format, d.camera.fit)
+        for d in found
+        if d.blender_px > model.BLENDER_TOLERANCE_PX
     }
-
-    def project(
-        camera_id: str, points_world_m: np.ndarray[Any, Any]
-    ) -> np.ndarray[Any, Any]:
-        camera = cameras[camera_id]
-        pose = check.pose_of(camera, pycolmap)
-        x, y, z = (points_world_m @ pose.rotation.T + pose.translation_m).T
-        fx, fy, cx, cy = camera["params"]
-        pixels: np.ndarray[Any, Any] = np.stack(
-            [fx * x / z + cx, fy * y / z + cy], axis=1
-        )
-        pixels[z <= 0] = np.nan
-        return pixels
-
-    return project
+    assert off == {("portrait", "AUTO")}
 
 
-def test_the_exported_colmap_model_projects_as_the_formula_does(
-    capture_dir: Path,
-) -> None:
+def test_points_beyond_the_fold_have_no_pixel() -> None:
+    camera = {"width": 640, "height": 480, "model": "SIMPLE_RADIAL"}
+    camera |= {"params": [686.0, 320.0, 240.0, -0.5]}
+    camera["cam_from_world"] = {
+        "rotation_wxyz": [1, 0, 0, 0],
+        "translation": [0, 0, 0],
+    }
+    pixels = stlfr.project(camera, np.array([[0.8, 0.0, 1.0], [0.9, 0.0, 1.0]]))
+    assert np.isfinite(pixels[0]).all() and np.isnan(pixels[1]).all()
+
+
+def test_the_exported_colmap_model_is_the_captures(capture_dir: Path) -> None:
     cameras = json.loads((capture_dir / "capture.json").read_text())["cameras"]
-    difference_px = check.model_difference_px(
-        capture_dir, cameras, pinhole_projector(capture_dir), pycolmap
-    )
-    assert difference_px <= check.MODEL_TOLERANCE_PX
+    exported = calibration.exported_model(capture_dir, cameras, pycolmap)
+    assert set(exported) == {c["id"] for c in cameras}
+    for camera in cameras:
+        lens, pose = exported[camera["id"]]
+        assert lens.model.name == camera["model"]
+        assert lens.params.tolist() == camera["params"]
+        assert (lens.width, lens.height) == (camera["width"], camera["height"])
+        right = calibration.pose_of(camera, pycolmap)
+        np.testing.assert_allclose(pose.rotation, right.rotation, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(pose.translation_m, right.translation_m)
+        difference_px = model.difference_px(camera, lens, pose, stlfr.project)
+        assert difference_px <= model.TOLERANCE_PX
 
 
-@pytest.mark.parametrize("error", ["half a pixel", "never behind"])
-def test_another_convention_fails_the_model_check(
-    capture_dir: Path, error: str
-) -> None:
-    """A projector with pixel centres at whole numbers, or one that sees what is behind it."""
-    cameras = json.loads((capture_dir / "capture.json").read_text())["cameras"]
-    right = pinhole_projector(capture_dir)
-
-    def wrong(
-        camera_id: str, points_world_m: np.ndarray[Any, Any]
-    ) -> np.ndarray[Any, Any]:
-        pixels: np.ndarray[Any, Any] = right(camera_id, points_world_m)
-        return pixels - 0.5 if error == "half a pixel" else np.nan_to_num(pixels)
-
-    difference_px = check.model_difference_px(capture_dir, cameras, wrong, pycolmap)
-    expected = np.sqrt(0.5) if error == "half a pixel" else np.inf
-    assert difference_px == pytest.approx(expected)
-
-
-def test_our_module_projects_as_pycolmap_does(capture_dir: Path) -> None:
-    stlfr = pytest.importorskip("stlfr")
-    cameras = json.loads((capture_dir / "capture.json").read_text())["cameras"]
-    project = stlfr.open(str(capture_dir)).project
-    difference_px = check.model_difference_px(capture_dir, cameras, project, pycolmap)
-    assert difference_px <= check.MODEL_TOLERANCE_PX
+# Pixels
 
 
 def test_pictures_come_from_truth_at_one_instant(capture_dir: Path) -> None:
-    if not (capture_dir / "truth" / "truth.json").is_file():
-        pytest.skip("the shared capture has no truth")
+    capture = stlfr.open(str(capture_dir))
     cameras = json.loads((capture_dir / "capture.json").read_text())["cameras"]
-    pictures, source = check.pictures_of_one_instant(capture_dir, cameras, pycolmap)
-    assert set(pictures) == {c["id"] for c in cameras}
-    assert all(
-        picture.path.is_file() and picture.still is None
-        for picture in pictures.values()
+    pictures, source = frames.pictures_of_one_instant(
+        capture_dir, capture, cameras, pycolmap
     )
+    assert set(pictures) == {c["id"] for c in cameras}
+    for camera in cameras:
+        picture = pictures[camera["id"]]
+        assert picture.still is None
+        assert picture.pixels.shape == (camera["height"], camera["width"], 3)
     assert source.startswith("truth at ")
 
 
-def test_without_truth_what_moves_is_masked(tmp_path: Path) -> None:
-    """Three frames of a grey gradient over which a white square moves to the right."""
-    background = np.tile(np.linspace(40, 90, 160, dtype=np.uint8), (120, 1))
-    for k in range(3):
-        image = background.copy()
-        image[50:60, 60 + 8 * k : 70 + 8 * k] = 255
-        pycolmap.Bitmap.from_array(image).write(tmp_path / f"{k}.png")
-    picture = check.middle_frame(tmp_path, {"id": "a", "frames": "%d.png"}, pycolmap)
-    assert picture.path == tmp_path / "1.png"
+class Square:
+    """Frames of a grey gradient over which a white square moves to the right."""
+
+    def frame(self, _camera_id: str, index: int) -> Array:
+        image = np.tile(np.linspace(40, 90, 160, dtype=np.uint8), (120, 1))
+        image[50:60, 60 + 8 * index : 70 + 8 * index] = 255
+        return image[:, :, None]
+
+
+def test_without_truth_what_moves_is_masked() -> None:
+    picture = frames.picture_at(Square(), "a", np.array([0.0, 0.1, 0.2]), 0.12)
+    np.testing.assert_array_equal(picture.pixels, Square().frame("a", 1))
     assert not picture.still[50:60, 60:86].any()
     assert picture.still[:25].all() and picture.still[:, 110:].all()
     assert picture.still.mean() > 0.75
 
 
+def test_at_a_captures_end_what_moves_is_masked_too() -> None:
+    picture = frames.picture_at(Square(), "a", np.array([0.0, 0.1]), 0.3)
+    np.testing.assert_array_equal(picture.pixels, Square().frame("a", 1))
+    assert not picture.still[50:60, 60:78].any()
+    assert frames.picture_at(Square(), "a", np.array([0.0]), 0.3).still is None
+
+
+def test_frames_are_taken_at_one_instant_by_the_clocks(tmp_path: Path) -> None:
+    """Cameras of 10 and 25 frames a second: the middle is frame 2 of one, frame 5 of the other."""
+
+    class Two(Square):
+        def times(self, camera_id: str) -> Array:
+            return np.arange(5) / 10.0 if camera_id == "slow" else np.arange(11) / 25.0
+
+    pictures, source = frames.pictures_of_one_instant(
+        tmp_path, Two(), [{"id": "slow"}, {"id": "fast"}], pycolmap
+    )
+    for camera_id, index in (("slow", 2), ("fast", 5)):
+        expected = Square().frame(camera_id, index)
+        np.testing.assert_array_equal(pictures[camera_id].pixels, expected)
+    assert source == "frames nearest to 0.2000 s, what moves masked"
+
+
+def test_sixteen_bits_become_eight() -> None:
+    deep = np.array([[[0], [257], [65535]]], dtype=np.uint16)
+    assert frames.eight_bit(deep).ravel().tolist() == [0, 1, 255]
+
+
+@pytest.fixture(scope="module")
+def one_instant(
+    program: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[dict[str, Any], dict[str, Any], tuple[float, float]]:
+    """Poses as exported and as the pixels put them, of `linear8` opening at once; and the tolerances."""
+    pytest.importorskip("bpy")
+    folder = tmp_path_factory.mktemp("one-instant")
+    rig = json.loads((ROOT / "rigs" / "linear8.json").read_text())
+    for camera in rig["cameras"]:
+        camera["delay_s"] = camera["jitter_s"] = 0.0
+    (folder / "rig.json").write_text(json.dumps(rig))
+    command: list[str | Path] = [program, "--quiet", "capture", folder / "rig.json"]
+    command += ["--scene", "magazine", "--size", "320x240", "--frames", "1"]
+    command += ["--no-truth", "-o", folder / "capture"]
+    subprocess.run(command, cwd=ROOT, check=True)
+    cameras = json.loads((folder / "capture/capture.json").read_text())["cameras"]
+    pictures, _ = frames.pictures_of_one_instant(
+        folder / "capture", stlfr.open(str(folder / "capture")), cameras, pycolmap
+    )
+    exported = {c["id"]: calibration.pose_of(c, pycolmap) for c in cameras}
+    estimated = mapping.poses_from_pixels(pictures, cameras, pycolmap)
+    return exported, estimated, residuals.tolerances(cameras)
+
+
+def named(exported: Any, estimated: Any, tolerances: Any) -> list[str]:
+    return [
+        r.id for r in residuals.residuals(exported, estimated) if r.exceeds(*tolerances)
+    ]
+
+
+def test_right_cameras_are_not_accused(one_instant: Any) -> None:
+    exported, estimated, tolerances = one_instant
+    assert len(estimated) == len(exported) == 8
+    assert tolerances == (0.05, 1.0)
+    assert named(exported, estimated, tolerances) == []
+
+
+@pytest.mark.parametrize("camera_id", [f"cam{k}" for k in range(8)])
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_pixels_name_the_camera_that_is_turned_or_moved(
+    one_instant: Any, camera_id: str, axis: int, sign: int
+) -> None:
+    """By 0.2 degrees about each axis, by 2 mm along each: it is named and no other."""
+    exported, estimated, tolerances = one_instant
+    right = exported[camera_id]
+    turned = rotation_about(axis, sign * 0.2) @ right.rotation
+    centre = right.centre_m + sign * 0.002 * np.eye(3)[axis]
+    for wrong in (
+        calibration.Pose(turned, -turned @ right.centre_m),
+        calibration.Pose(right.rotation, -right.rotation @ centre),
+    ):
+        poses = {**exported, camera_id: wrong}
+        assert named(poses, estimated, tolerances) == [camera_id]
+
+
 def test_a_box_mean_is_the_mean_over_the_window() -> None:
     image = np.random.default_rng(0).uniform(0, 1, (9, 12))
-    mean = check.box_mean(image, 3)
+    mean = frames.box_mean(image, 3)
     assert mean.shape == image.shape
     assert mean[4, 5] == pytest.approx(image[3:6, 4:7].mean())
     assert mean[0, 0] == pytest.approx(np.pad(image, 1, mode="edge")[:3, :3].mean())
 
 
 def test_a_folder_that_is_no_capture_is_refused_in_one_sentence(tmp_path: Path) -> None:
-    pytest.importorskip("stlfr")
     result = subprocess.run(
         [sys.executable, "-I", str(CHECK_SCRIPT), str(tmp_path)],
         check=False,

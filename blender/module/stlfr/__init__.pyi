@@ -27,6 +27,9 @@ class Offsets(TypedDict):
 def open(path: str | PathLike[str]) -> Capture:
     """Open and check a capture's folder. Raises ValueError with one sentence where it is wrong."""
 
+def project(camera: dict[str, Any], points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """The pixels of world points in a camera object as in capture.json; as `Capture.project`."""
+
 @final
 class Capture:
     """A capture: calibrated cameras and what they filmed."""
@@ -46,12 +49,17 @@ class Capture:
     def project(self, camera_id: str, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """The pixels, (N, 2), that world points, (N, 3) in metres, fall on.
 
-        The top-left pixel's centre is (0.5, 0.5). A point that has no image (behind the camera)
-        gives a row of NaN. Pixels may lie outside the image.
+        The top-left pixel's centre is (0.5, 0.5). A point that has no image (behind the camera,
+        or beyond the radius where the lens model folds back) gives a row of NaN. Pixels may lie outside the image.
         """
 
     def times(self, camera_id: str) -> npt.NDArray[np.float64]:
         """The middle of every frame's exposure, seconds on the camera's own clock."""
+
+    def frame(
+        self, camera_id: str, index: int
+    ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
+        """A camera's frame, (H, W, channels): RGB or grey as `color` says, in the camera's bit depth."""
 
     def offsets(self, options: dict[str, Any] | None = None) -> Offsets:
         """Every camera's offset: those kept in the capture's folder, else estimated and kept there."""

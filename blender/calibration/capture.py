@@ -1,0 +1,102 @@
+"""Cameras and poses: of `capture.json`, and of the COLMAP model beside it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+Camera = dict[str, Any]
+"""A camera as capture.json spells it: width, height, model, params, cam_from_world."""
+
+
+class CheckError(Exception):
+    """Ends the check with one sentence."""
+
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
+@dataclass(frozen=True)
+class Pose:
+    """cam_from_world."""
+
+    rotation: Array
+    translation_m: Array
+
+    @property
+    def centre_m(self) -> Array:
+        """Where the camera stands in the world."""
+        centre: Array = -self.rotation.T @ self.translation_m
+        return centre
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object, or one sentence."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise CheckError(f"{path}: no such file", 2) from None
+    except (OSError, ValueError) as error:
+        raise CheckError(f"{path}: can't be read ({error})", 2) from None
+    if not isinstance(content, dict):
+        raise CheckError(f"{path}: must hold a JSON object", 2)
+    return content
+
+
+def pose_of(camera: Camera, pycolmap: Any) -> Pose:
+    """A camera entry's pose."""
+    w, x, y, z = camera["cam_from_world"]["rotation_wxyz"]
+    quaternion = np.array([x, y, z, w]) / np.linalg.norm([w, x, y, z])
+    rotation = pycolmap.Rotation3d(quaternion).matrix()
+    return Pose(
+        rotation, np.array(camera["cam_from_world"]["translation"], dtype=np.float64)
+    )
+
+
+def lens_of(camera: Camera, pycolmap: Any) -> Any:
+    """A camera entry's intrinsics as pycolmap's camera."""
+    return pycolmap.Camera(
+        model=camera["model"],
+        width=camera["width"],
+        height=camera["height"],
+        params=camera["params"],
+    )
+
+
+def view_of(camera: Camera) -> Camera:
+    """A camera entry without what it filmed: what the `stlfr` module takes as a camera."""
+    fields = ("width", "height", "model", "params", "cam_from_world")
+    return {name: camera[name] for name in fields}
+
+
+def exported_model(
+    folder: Path, cameras: list[Camera], pycolmap: Any
+) -> dict[str, tuple[Any, Pose]] | None:
+    """Every camera's intrinsics and pose as pycolmap reads them from `colmap/`; None without it."""
+    if not (folder / "colmap").is_dir():
+        return None
+    try:
+        model = pycolmap.Reconstruction(folder / "colmap")
+    except (ValueError, RuntimeError) as error:
+        raise CheckError(
+            f"{folder / 'colmap'}: pycolmap can't read it ({error})", 2
+        ) from None
+    found = {}
+    for image in model.images.values():
+        matrix = image.cam_from_world().matrix()
+        found[image.name.split("/")[0]] = (
+            model.cameras[image.camera_id],
+            Pose(matrix[:, :3], matrix[:, 3]),
+        )
+    for camera in cameras:
+        if camera["id"] not in found:
+            raise CheckError(f"{folder / 'colmap'}: has no image of {camera['id']}", 2)
+    return found

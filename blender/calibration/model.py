@@ -1,0 +1,234 @@
+"""Projections: the same points by Blender, by pycolmap and by the `stlfr` module.
+
+Each difference is the largest distance in pixels over `POINTS` random points of the image, in front
+of the camera and behind it; infinite where only one of two sees a point.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .capture import Array, Camera, Pose, lens_of, pose_of, view_of
+
+Projector = Callable[[Camera, Array], Array]
+"""A camera object and world points (N, 3) to pixels (N, 2), NaN where a point has no image."""
+
+SEED = 1
+POINTS = 2000
+
+TOLERANCE_PX = 1e-9
+"""pycolmap and stlfr compute the same formula in double precision; rounding is some 1e-13 px at these image
+sizes. Larger, and a difference in convention at the far end of the image could hide; smaller, and it is noise."""
+
+BLENDER_TOLERANCE_PX = 3e-4
+"""Blender's projection matrix is in single precision: 24 bits of coordinates up to 1000 px, some 6e-5 px.
+Larger, and a shift of the principal point by a wrong rounding could hide; smaller, and it is noise."""
+
+
+# Against pycolmap
+
+
+def difference_px(camera: Camera, lens: Any, pose: Pose, project: Projector) -> float:
+    """Between pycolmap's projection, by its lens and pose, and ours, by the camera object."""
+    points_world_m = seen_points(camera, lens, pose)
+    points_cam_m = points_world_m @ pose.rotation.T + pose.translation_m
+    theirs = np.asarray(lens.img_from_cam(points_cam_m), dtype=np.float64)
+    theirs[points_cam_m[:, 2] <= 0] = np.nan
+    return largest_px(theirs, project(view_of(camera), points_world_m))
+
+
+def seen_points(camera: Camera, lens: Any, pose: Pose) -> Array:
+    """World points (N, 3) on the rays of random pixels, one in ten of them behind the camera."""
+    random = np.random.default_rng(SEED)
+    pixels = random.uniform((0, 0), (camera["width"], camera["height"]), (POINTS, 2))
+    depth_m = random.uniform(0.2, 20.0, POINTS) * random.choice(
+        (-1, 1), POINTS, p=(0.1, 0.9)
+    )
+    rays = np.column_stack([lens.cam_from_img(pixels), np.ones(POINTS)])
+    points: Array = (rays * depth_m[:, None] - pose.translation_m) @ pose.rotation
+    return points
+
+
+def largest_px(theirs: Array, ours: Array) -> float:
+    """The largest distance; infinite where only one of the two has a pixel, or none has any."""
+    absent = np.isnan(theirs).any(axis=1)
+    if not np.array_equal(absent, np.isnan(ours).any(axis=1)) or absent.all():
+        return float("inf")
+    return float(np.linalg.norm((theirs - ours)[~absent], axis=1).max())
+
+
+# Every model
+
+
+MODELS: dict[str, list[float]] = {
+    "SIMPLE_PINHOLE": [400.0, 321.0, 239.0],
+    "PINHOLE": [686.0, 680.0, 321.0, 239.0],
+    "SIMPLE_RADIAL": [686.0, 321.0, 239.0, -0.15],
+    "RADIAL": [686.0, 321.0, 239.0, -0.21, 0.07],
+    "OPENCV": [686.0, 680.0, 321.0, 239.0, -0.21, 0.07, 1e-3, -2e-3],
+    "FULL_OPENCV": [
+        *(686.0, 680.0, 321.0, 239.0),
+        *(0.3, -0.1, 1e-3, -2e-3, 0.02, 0.5, 0.1, -0.01),
+    ],
+    "SIMPLE_RADIAL_FISHEYE": [400.0, 321.0, 239.0, -0.03],
+    "RADIAL_FISHEYE": [400.0, 321.0, 239.0, 0.05, -0.02],
+    "OPENCV_FISHEYE": [400.0, 396.0, 321.0, 239.0, 0.02, -0.01, 0.004, -0.001],
+}
+"""Every lens model that stlfr reads, distorted as real lenses are; images of 640x480."""
+
+POSE = {"rotation_wxyz": [0.8, -0.2, 0.4, 0.4], "translation": [0.3, -1.1, 2.0]}
+
+
+def model_differences_px(project: Projector, pycolmap: Any) -> dict[str, float]:
+    """Between pycolmap and stlfr, lens model by lens model."""
+    found = {}
+    for name, params in MODELS.items():
+        camera = {"width": 640, "height": 480, "model": name, "params": params}
+        camera["cam_from_world"] = POSE
+        lens, pose = lens_of(camera, pycolmap), pose_of(camera, pycolmap)
+        found[name] = difference_px(camera, lens, pose, project)
+    return found
+
+
+# Against Blender
+
+
+@dataclass(frozen=True)
+class BlenderCamera:
+    """What decides a projection in Blender: full size, resolution percentage, fit, shift, pixel aspect."""
+
+    size_px: tuple[int, int]
+    fit: str
+    shift: tuple[float, float]
+    aspect: tuple[float, float]
+    percentage: int
+
+    @property
+    def format(self) -> str:
+        """`landscape`, `portrait` or `square`."""
+        width, height = self.size_px
+        if width == height:
+            return "square"
+        return "landscape" if width > height else "portrait"
+
+
+def blender_cameras() -> Iterator[BlenderCamera]:
+    """Every format with every sensor fit, and shifts, pixel aspects and percentages with each."""
+    for size_px, fit, rest in itertools.product(
+        [(640, 480), (480, 640), (500, 500)],
+        ["AUTO", "HORIZONTAL", "VERTICAL"],
+        [
+            ((0.0, 0.0), (1.0, 1.0), 100),
+            ((0.11, 0.0), (1.0, 1.0), 50),
+            ((0.0, -0.07), (1.0, 1.0), 100),
+            ((-0.2, 0.13), (1.0, 1.5), 100),
+            ((0.05, 0.3), (2.0, 1.0), 25),
+            (
+                (0.0, 0.05),
+                (1.25, 1.1),
+                33,
+            ),  # no whole number of pixels: Blender truncates
+        ],
+    ):
+        yield BlenderCamera(size_px, fit, *rest)
+
+
+@dataclass(frozen=True)
+class BlenderDifference:
+    """One Blender camera's differences, in pixels."""
+
+    camera: BlenderCamera
+    blender_px: float
+    """Between Blender and stlfr."""
+    pycolmap_px: float
+    """Between pycolmap and stlfr."""
+
+
+def blender_differences_px(
+    project: Projector, pycolmap: Any, conversion: Any
+) -> list[BlenderDifference]:
+    """Of every Blender camera; `conversion` is the extension's module `camera`.
+
+    Makes a scene of its own in the running Blender, and removes it.
+    """
+    import bpy
+
+    scene = bpy.data.scenes.new("check")
+    data = bpy.data.cameras.new("check")
+    camera = bpy.data.objects.new("check", data)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    camera.location, camera.rotation_euler = (0.3, -2.0, 0.4), (1.45, 0.1, 0.05)
+    data.lens, data.sensor_width, data.sensor_height = 41.0, 33.0, 21.0
+    found = []
+    for wanted in blender_cameras():
+        render = scene.render
+        render.resolution_x, render.resolution_y = wanted.size_px
+        render.resolution_percentage = wanted.percentage
+        render.pixel_aspect_x, render.pixel_aspect_y = wanted.aspect
+        data.sensor_fit = wanted.fit
+        data.shift_x, data.shift_y = wanted.shift
+        scene.view_layers[0].update()
+        ours = described(camera, scene, conversion)
+        lens, pose = lens_of(ours, pycolmap), pose_of(ours, pycolmap)
+        points = seen_points(ours, lens, pose)
+        theirs = blender_pixels(camera, scene, points, ours["width"], ours["height"])
+        found.append(
+            BlenderDifference(
+                wanted,
+                largest_px(theirs, project(ours, points)),
+                difference_px(ours, lens, pose, project),
+            )
+        )
+    bpy.data.objects.remove(camera)
+    bpy.data.cameras.remove(data)
+    bpy.data.scenes.remove(scene)
+    return found
+
+
+def described(camera: Any, scene: Any, conversion: Any) -> Camera:
+    """The camera object that filming writes for a Blender camera."""
+    pinhole = conversion.pinhole_from_lens(conversion.lens_of(camera, scene))
+    return {
+        "width": pinhole.width_px,
+        "height": pinhole.height_px,
+        "model": "PINHOLE",
+        "params": pinhole.params,
+        "cam_from_world": conversion.cam_from_world_of(camera).to_json(),
+    }
+
+
+def blender_pixels(
+    camera: Any, scene: Any, points_world_m: Array, width_px: int, height_px: int
+) -> Array:
+    """Where Blender's own projection matrix puts points; NaN behind the camera.
+
+    The matrix is Blender's, in its single precision; the product is taken in double.
+    """
+    import bpy
+
+    render = scene.render
+    clip_from_camera = np.array(
+        camera.calc_matrix_camera(
+            bpy.context.evaluated_depsgraph_get(),
+            x=width_px,
+            y=height_px,
+            scale_x=render.pixel_aspect_x,
+            scale_y=render.pixel_aspect_y,
+        ),
+        dtype=np.float64,
+    )
+    world_from_camera = np.array(camera.matrix_world, dtype=np.float64)
+    homogeneous = np.column_stack([points_world_m, np.ones(len(points_world_m))])
+    camera_from_world = np.linalg.inv(world_from_camera)
+    x, y, _z, w = (homogeneous @ (clip_from_camera @ camera_from_world).T).T
+    pixels: Array = np.column_stack(
+        [(0.5 + 0.5 * x / w) * width_px, (0.5 - 0.5 * y / w) * height_px]
+    )
+    pixels[w <= 0] = np.nan
+    return pixels

@@ -1,0 +1,311 @@
+//! Lens distortion on the normalized plane z = 1, its inverse, and where it stops having one.
+
+use nalgebra::{Matrix2, Point2, Vector2};
+
+/// What a lens does to a point of the plane z = 1. Coefficients are unitless.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Distortion {
+    /// Straight lines stay straight.
+    None,
+    /// Brown's model with a rational radial part: with s = x² + y²,
+    /// (1 + k₁s + k₂s² + k₃s³) / (1 + k₄s + k₅s² + k₆s³), plus the tangential p₁, p₂.
+    Brown { k: [f64; 6], p: [f64; 2] },
+    /// Kannala and Brandt's: the angle θ from the axis goes to θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸).
+    Fisheye { k: [f64; 4] },
+}
+
+/// Newton stops when a step is below this; a normalized unit is some hundreds of pixels, so this
+/// is far below what an f64 pixel coordinate resolves.
+const STEP: f64 = 1e-14;
+/// Newton converges in 3 to 6 steps where the distortion can be inverted at all; next to the fold,
+/// where it is linear, in some 30.
+const ITERATIONS: usize = 60;
+/// A slope of the distortion, or a determinant of its derivative, below this is the fold itself:
+/// two branches meet, and a pixel's rounding decides which is found.
+const MIN_SLOPE: f64 = 1e-9;
+/// What a solution may be off by, in normalized units.
+const MAX_RESIDUAL: f64 = 1e-12;
+/// Rays further from the axis are taken as 90°, where the plane z = 1 has no point.
+const MAX_ANGLE: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;
+
+impl Distortion {
+    /// The formula, whether or not the point is short of the fold.
+    pub fn distorted(&self, n: &Point2<f64>) -> Point2<f64> {
+        match self {
+            Self::None => *n,
+            Self::Brown { k, p: [p1, p2] } => {
+                let (x, y) = (n.x, n.y);
+                let r2 = x * x + y * y;
+                let radial = numerator(k, r2) / denominator(k, r2);
+                Point2::new(
+                    x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                    y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+                )
+            }
+            Self::Fisheye { k } => {
+                let r = n.coords.norm();
+                if r == 0.0 {
+                    return *n;
+                }
+                let theta = r.atan();
+                n * (theta * polynomial(&angular(k), theta * theta) / r)
+            }
+        }
+    }
+
+    /// Whether the lens still spreads the points around this one as it does those nearer to the
+    /// axis. Beyond the radius where its radial part stops growing it folds the scene back over
+    /// the image, which no lens does: there the model means nothing.
+    pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
+        match self {
+            Self::None => true,
+            Self::Brown { k, .. } => {
+                let r2 = n.coords.norm_squared();
+                is_positive_up_to(&denominator_coefficients(k), r2)
+                    && is_positive_up_to(&radial_slope(k), r2)
+                    && self.derivative(n).determinant() > MIN_SLOPE
+            }
+            Self::Fisheye { k } => {
+                let theta = n.coords.norm().atan();
+                is_positive_up_to(&angular_slope(k), theta * theta)
+            }
+        }
+    }
+
+    /// The point short of the fold that is distorted to `d`; `None` where there is none.
+    pub fn undistorted(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
+        if !(d.x.is_finite() && d.y.is_finite()) {
+            return None;
+        }
+        match self {
+            Self::None => Some(*d),
+            Self::Brown { .. } => self.undistorted_brown(d),
+            Self::Fisheye { k } => undistorted_fisheye(k, d),
+        }
+    }
+
+    /// Newton in two dimensions, its steps halved where they would cross the fold.
+    fn undistorted_brown(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
+        // A pincushion's own point may be beyond its fold; nearer to the axis is always short of it.
+        let mut n = *d;
+        for _ in 0..ITERATIONS {
+            if self.is_short_of_fold(&n) {
+                break;
+            }
+            n *= 0.5;
+        }
+        for _ in 0..ITERATIONS {
+            let residual: Vector2<f64> = self.distorted(&n) - d;
+            let mut step = self.derivative(&n).try_inverse()? * residual;
+            let is_last = step.norm() < STEP * (1.0 + n.coords.norm());
+            let mut halvings = 0;
+            while !self.is_short_of_fold(&(n - step)) {
+                step *= 0.5;
+                halvings += 1;
+                if halvings == ITERATIONS {
+                    return None;
+                }
+            }
+            n -= step;
+            if is_last {
+                break;
+            }
+        }
+        ((self.distorted(&n) - d).norm() < MAX_RESIDUAL * (1.0 + d.coords.norm())).then_some(n)
+    }
+
+    /// ∂ distorted / ∂ n of Brown's model; the identity for the others, which don't need it.
+    fn derivative(&self, n: &Point2<f64>) -> Matrix2<f64> {
+        let Self::Brown { k, p: [p1, p2] } = self else { return Matrix2::identity() };
+        let (x, y) = (n.x, n.y);
+        let r2 = x * x + y * y;
+        let (above, below) = (numerator(k, r2), denominator(k, r2));
+        let above_r2 = k[0] + r2 * (2.0 * k[1] + 3.0 * k[2] * r2);
+        let below_r2 = k[3] + r2 * (2.0 * k[4] + 3.0 * k[5] * r2);
+        let radial = above / below;
+        let radial_r2 = (above_r2 - radial * below_r2) / below;
+        let mixed = 2.0 * (x * y * radial_r2 + p1 * x + p2 * y);
+        Matrix2::new(
+            radial + 2.0 * x * x * radial_r2 + 2.0 * p1 * y + 6.0 * p2 * x,
+            mixed,
+            mixed,
+            radial + 2.0 * y * y * radial_r2 + 6.0 * p1 * y + 2.0 * p2 * x,
+        )
+    }
+}
+
+/// Newton on the angle, kept inside a bracket; 90° and more have no point on the plane z = 1.
+fn undistorted_fisheye(k: &[f64; 4], d: &Point2<f64>) -> Option<Point2<f64>> {
+    let target = d.coords.norm();
+    if target == 0.0 {
+        return Some(*d);
+    }
+    let (value, slope) = (angular(k), angular_slope(k));
+    // Brackets: the slope is positive up to `high`, or the bracket shrinks until it is.
+    let (mut low, mut high) = (0.0, MAX_ANGLE);
+    let mut theta = target.min(0.99 * high);
+    for _ in 0..2 * ITERATIONS {
+        let t2 = theta * theta;
+        let residual = theta * polynomial(&value, t2) - target;
+        let is_rising = is_positive_up_to(&slope, t2);
+        if !is_rising || residual > 0.0 {
+            high = theta;
+        } else {
+            low = theta;
+        }
+        let newton = theta - residual / polynomial(&slope, t2);
+        let next = if is_rising && newton > low && newton < high {
+            newton
+        } else if is_rising && residual.abs() < MAX_RESIDUAL {
+            theta
+        } else {
+            0.5 * (low + high)
+        };
+        let step = (next - theta).abs();
+        theta = next;
+        if step < STEP * theta {
+            break;
+        }
+    }
+    let t2 = theta * theta;
+    let fits = (theta * polynomial(&value, t2) - target).abs() < MAX_RESIDUAL * (1.0 + target);
+    (fits && theta < MAX_ANGLE && is_positive_up_to(&slope, t2)).then(|| d * (theta.tan() / target))
+}
+
+/// The values of a polynomial of s, lowest power first.
+fn polynomial<const N: usize>(coefficients: &[f64; N], s: f64) -> f64 {
+    coefficients.iter().rev().fold(0.0, |sum, c| sum * s + c)
+}
+
+fn numerator(k: &[f64; 6], s: f64) -> f64 {
+    1.0 + s * (k[0] + s * (k[1] + s * k[2]))
+}
+
+fn denominator(k: &[f64; 6], s: f64) -> f64 {
+    1.0 + s * (k[3] + s * (k[4] + s * k[5]))
+}
+
+fn denominator_coefficients(k: &[f64; 6]) -> [f64; 4] {
+    [1.0, k[3], k[4], k[5]]
+}
+
+/// d(r N/D)/dr times D², in powers of s = r²: N D + 2 s (N′ D − N D′).
+fn radial_slope(k: &[f64; 6]) -> [f64; 7] {
+    let above = [1.0, k[0], k[1], k[2]];
+    let below = denominator_coefficients(k);
+    let mut slope = [0.0; 7];
+    for (i, a) in above.iter().enumerate() {
+        for (j, b) in below.iter().enumerate() {
+            slope[i + j] += a * b * (1.0 + 2.0 * (i as f64 - j as f64));
+        }
+    }
+    slope
+}
+
+/// 1 + k₁θ² + … in powers of θ².
+fn angular(k: &[f64; 4]) -> [f64; 5] {
+    [1.0, k[0], k[1], k[2], k[3]]
+}
+
+/// Its angle's derivative: 1 + 3 k₁θ² + 5 k₂θ⁴ + ….
+fn angular_slope(k: &[f64; 4]) -> [f64; 5] {
+    [1.0, 3.0 * k[0], 5.0 * k[1], 7.0 * k[2], 9.0 * k[3]]
+}
+
+/// Halvings of the interval before a polynomial that touches zero counts as crossing it.
+const MAX_DEPTH: usize = 40;
+
+/// Whether a polynomial (lowest power first, 1 at 0) is above [`MIN_SLOPE`] on all of [0, end].
+///
+/// Its Bernstein coefficients bound it on an interval (Farouki 2012, §3); where they don't decide,
+/// the interval is halved. False if a coefficient or `end` is not finite.
+fn is_positive_up_to<const N: usize>(coefficients: &[f64; N], end: f64) -> bool {
+    let mut scaled = *coefficients;
+    let mut power = 1.0;
+    for c in &mut scaled {
+        *c *= power;
+        power *= end;
+    }
+    // b_i = Σ_j≤i C(i, j) / C(n, j) c_j.
+    let degree = N - 1;
+    let mut bernstein = [0.0; N];
+    for (i, b) in bernstein.iter_mut().enumerate() {
+        let mut ratio = 1.0;
+        for (j, c) in scaled.iter().enumerate().take(i + 1) {
+            *b += ratio * c;
+            if j < degree {
+                ratio *= (i - j) as f64 / (degree - j) as f64;
+            }
+        }
+    }
+    bernstein.iter().all(|b| b.is_finite()) && is_bernstein_positive(bernstein, MAX_DEPTH)
+}
+
+fn is_bernstein_positive<const N: usize>(b: [f64; N], depth: usize) -> bool {
+    if b.iter().all(|&v| v > MIN_SLOPE) {
+        return true;
+    }
+    if depth == 0 || !(b[0] > MIN_SLOPE && b[N - 1] > MIN_SLOPE) {
+        return false;
+    }
+    // de Casteljau at the middle: the first of each row is the left half's, the last the right's.
+    let (mut left, mut right, mut row) = ([0.0; N], b, b);
+    for i in 0..N {
+        left[i] = row[0];
+        right[N - 1 - i] = row[N - 1 - i];
+        for j in 0..N - 1 - i {
+            row[j] = 0.5 * (row[j] + row[j + 1]);
+        }
+    }
+    is_bernstein_positive(left, depth - 1) && is_bernstein_positive(right, depth - 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn positivity_is_that_of_the_densely_sampled_polynomial() {
+        let mut state = 7_u64;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 11) as f64 / (1_u64 << 53) as f64
+        };
+        let (mut positive, mut negative) = (0, 0);
+        for _ in 0..2000 {
+            let k: [f64; 6] = std::array::from_fn(|_| 3.0 * (random() - 0.5));
+            let slope = radial_slope(&k);
+            let end = 1.5 * random();
+            let least = (0..=4000)
+                .map(|i| polynomial(&slope, end * f64::from(i) / 4000.0))
+                .fold(f64::INFINITY, f64::min);
+            if least.abs() < 1e-3 {
+                continue; // between two samples it may cross
+            }
+            assert_eq!(is_positive_up_to(&slope, end), least > 0.0, "{k:?} to {end}");
+            *if least > 0.0 { &mut positive } else { &mut negative } += 1;
+        }
+        assert!(positive > 200 && negative > 200, "{positive} {negative}");
+    }
+
+    #[test]
+    fn the_radial_slope_is_the_derivative() {
+        let k = [-0.3, 0.1, 0.02, 0.2, -0.05, 0.01];
+        let radial = |r: f64| r * numerator(&k, r * r) / denominator(&k, r * r);
+        for r in [0.1, 0.5, 1.1] {
+            let by_difference = (radial(r + 1e-5) - radial(r - 1e-5)) / 2e-5;
+            let d = denominator(&k, r * r);
+            assert!((polynomial(&radial_slope(&k), r * r) / (d * d) - by_difference).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn the_derivative_is_the_differences() {
+        let lens = Distortion::Brown { k: [-0.3, 0.1, 0.02, 0.2, -0.05, 0.01], p: [0.003, -0.002] };
+        let n = Point2::new(0.4, -0.7);
+        for (column, d) in [Vector2::new(1e-6, 0.0), Vector2::new(0.0, 1e-6)].iter().enumerate() {
+            let by_difference = (lens.distorted(&(n + d)) - lens.distorted(&(n - d))) / 2e-6;
+            assert!((lens.derivative(&n).column(column) - by_difference).norm() < 1e-9);
+        }
+    }
+}

@@ -1,0 +1,277 @@
+//! COLMAP's sparse model, `cameras`, `images` and `points3D`, as text or binary.
+
+use super::{ExchangeError, NamedCamera, checked, content, read_bytes, write};
+use crate::camera::CameraModel;
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
+use std::collections::HashMap;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::str::{FromStr, SplitWhitespace};
+
+struct Lens {
+    size: (u64, u64),
+    model: CameraModel,
+}
+
+struct Image {
+    name: String,
+    camera_id: u32,
+    rotation_wxyz: [f64; 4],
+    translation: [f64; 3],
+}
+
+/// The images of a model's folder in order of their numbers; binary files where there are any, as
+/// COLMAP does.
+pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
+    let binary = folder.join("cameras.bin");
+    let (images_path, lenses, mut images) = if binary.exists() {
+        let images_path = folder.join("images.bin");
+        let lenses = binary_lenses(&read_bytes(&binary)?).map_err(|e| content(&binary, e))?;
+        let images =
+            binary_images(&read_bytes(&images_path)?).map_err(|e| content(&images_path, e))?;
+        (images_path, lenses, images)
+    } else {
+        let (path, images_path) = (folder.join("cameras.txt"), folder.join("images.txt"));
+        let lenses = text_lenses(&text(&path)?).map_err(|e| content(&path, e))?;
+        let images = text_images(&text(&images_path)?).map_err(|e| content(&images_path, e))?;
+        (images_path, lenses, images)
+    };
+    if images.is_empty() {
+        return Err(content(&images_path, "holds no image"));
+    }
+    images.sort_by_key(|(number, _)| *number);
+    images
+        .into_iter()
+        .map(|(number, image)| {
+            named(&lenses, image)
+                .map_err(|reason| content(&images_path, format!("image {number}: {reason}")))
+        })
+        .collect()
+}
+
+fn named(lenses: &HashMap<u32, Lens>, image: Image) -> Result<NamedCamera, String> {
+    let lens = lenses
+        .get(&image.camera_id)
+        .ok_or_else(|| format!("there is no camera {}", image.camera_id))?;
+    let [w, x, y, z] = image.rotation_wxyz;
+    let rotation = Quaternion::new(w, x, y, z);
+    if !((rotation.norm() - 1.0).abs() < 1e-3) {
+        return Err(format!("its quaternion has length {}, must be of 1", rotation.norm()));
+    }
+    let [x, y, z] = image.translation;
+    let pose = Isometry3::from_parts(
+        Translation3::new(x, y, z),
+        UnitQuaternion::from_quaternion(rotation),
+    );
+    let camera = checked(lens.size, &lens.model, &pose).map_err(|e| e.to_string())?;
+    Ok(NamedCamera { name: image.name, camera })
+}
+
+fn text(path: &Path) -> Result<String, ExchangeError> {
+    String::from_utf8(read_bytes(path)?).map_err(|_| content(path, "is no text"))
+}
+
+/// The next value of a line.
+fn value<T: FromStr>(fields: &mut SplitWhitespace, what: &str) -> Result<T, String> {
+    let field = fields.next().ok_or_else(|| format!("{what} is missing"))?;
+    field.parse().map_err(|_| format!("{what} can't be '{field}'"))
+}
+
+fn text_lenses(text: &str) -> Result<HashMap<u32, Lens>, String> {
+    let mut lenses = HashMap::new();
+    for (k, line) in text.lines().enumerate() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let (id, lens) = text_lens(line).map_err(|e| format!("line {}: {e}", k + 1))?;
+        if lenses.insert(id, lens).is_some() {
+            return Err(format!("line {}: there are two cameras {id}", k + 1));
+        }
+    }
+    Ok(lenses)
+}
+
+fn text_lens(line: &str) -> Result<(u32, Lens), String> {
+    let fields = &mut line.split_whitespace();
+    let id = value(fields, "CAMERA_ID")?;
+    let name: String = value(fields, "MODEL")?;
+    let size = (value(fields, "WIDTH")?, value(fields, "HEIGHT")?);
+    let params: Vec<f64> = fields
+        .map(|p| p.parse().map_err(|_| format!("PARAMS can't be '{p}'")))
+        .collect::<Result<_, _>>()?;
+    Ok((id, Lens { size, model: model(&name, &params)? }))
+}
+
+fn model(name: &str, params: &[f64]) -> Result<CameraModel, String> {
+    CameraModel::from_params(name, params)
+        .ok_or_else(|| format!("the model {name} with {} parameters isn't known", params.len()))
+}
+
+/// Each image has two lines, the second its points, which may be empty.
+fn text_images(text: &str) -> Result<Vec<(u32, Image)>, String> {
+    let mut images = Vec::new();
+    let mut lines = text.lines().enumerate();
+    while let Some((k, line)) = lines.next() {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        images.push(text_image(line).map_err(|e| format!("line {}: {e}", k + 1))?);
+        lines.next();
+    }
+    Ok(images)
+}
+
+fn text_image(line: &str) -> Result<(u32, Image), String> {
+    let fields = &mut line.split_whitespace();
+    let number = value(fields, "IMAGE_ID")?;
+    let (mut rotation_wxyz, mut translation) = ([0.0; 4], [0.0; 3]);
+    for (v, what) in rotation_wxyz.iter_mut().zip(["QW", "QX", "QY", "QZ"]) {
+        *v = value(fields, what)?;
+    }
+    for (v, what) in translation.iter_mut().zip(["TX", "TY", "TZ"]) {
+        *v = value(fields, what)?;
+    }
+    let camera_id = value(fields, "CAMERA_ID")?;
+    let name = fields.collect::<Vec<_>>().join(" ");
+    if name.is_empty() {
+        return Err("NAME is missing".into());
+    }
+    Ok((number, Image { name, camera_id, rotation_wxyz, translation }))
+}
+
+/// Little-endian values off the front of a file.
+struct Bytes<'a>(&'a [u8]);
+
+impl Bytes<'_> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], String> {
+        let (head, rest) = self.0.split_first_chunk().ok_or("is cut short")?;
+        self.0 = rest;
+        Ok(*head)
+    }
+
+    fn u32(&mut self) -> Result<u32, String> {
+        Ok(u32::from_le_bytes(self.take()?))
+    }
+
+    fn u64(&mut self) -> Result<u64, String> {
+        Ok(u64::from_le_bytes(self.take()?))
+    }
+
+    fn f64s<const N: usize>(&mut self) -> Result<[f64; N], String> {
+        let mut values = [0.0; N];
+        for v in &mut values {
+            *v = f64::from_le_bytes(self.take()?);
+        }
+        Ok(values)
+    }
+
+    fn name(&mut self) -> Result<String, String> {
+        let end = self.0.iter().position(|&b| b == 0).ok_or("is cut short")?;
+        let name = std::str::from_utf8(&self.0[..end]).map_err(|_| "a name is no text")?;
+        self.0 = &self.0[end + 1..];
+        Ok(name.to_owned())
+    }
+
+    /// Passes over `count` records of `size` bytes.
+    fn skip(&mut self, count: u64, size: u64) -> Result<(), String> {
+        let bytes = count.checked_mul(size).and_then(|n| usize::try_from(n).ok());
+        self.0 = bytes.and_then(|n| self.0.get(n..)).ok_or("is cut short")?;
+        Ok(())
+    }
+
+    fn is_at_end(&self) -> Result<(), String> {
+        if self.0.is_empty() { Ok(()) } else { Err("goes on after its last entry".into()) }
+    }
+}
+
+fn binary_lenses(bytes: &[u8]) -> Result<HashMap<u32, Lens>, String> {
+    let mut bytes = Bytes(bytes);
+    let mut lenses = HashMap::new();
+    for _ in 0..bytes.u64()? {
+        let id = bytes.u32()?;
+        let number = bytes.u32()?;
+        let &(name, _, count) = CameraModel::KNOWN
+            .iter()
+            .find(|(_, known, _)| u32::try_from(*known) == Ok(number))
+            .ok_or_else(|| format!("camera {id}: the model number {number} isn't known"))?;
+        let size = (bytes.u64()?, bytes.u64()?);
+        let mut params = Vec::with_capacity(count);
+        for _ in 0..count {
+            params.extend(bytes.f64s::<1>()?);
+        }
+        let lens = Lens { size, model: model(name, &params)? };
+        if lenses.insert(id, lens).is_some() {
+            return Err(format!("there are two cameras {id}"));
+        }
+    }
+    bytes.is_at_end()?;
+    Ok(lenses)
+}
+
+fn binary_images(bytes: &[u8]) -> Result<Vec<(u32, Image)>, String> {
+    let mut bytes = Bytes(bytes);
+    let mut images = Vec::new();
+    for _ in 0..bytes.u64()? {
+        let number = bytes.u32()?;
+        let (rotation_wxyz, translation) = (bytes.f64s()?, bytes.f64s()?);
+        let camera_id = bytes.u32()?;
+        let name = bytes.name()?;
+        let points = bytes.u64()?;
+        bytes.skip(points, 24)?; // x, y, and the point's number
+        images.push((number, Image { name, camera_id, rotation_wxyz, translation }));
+    }
+    bytes.is_at_end()?;
+    Ok(images)
+}
+
+/// Writes `cameras.txt`, `images.txt` and an empty `points3D.txt`, one camera an image, numbered
+/// from 1. Numbers are written so that they read back as they are.
+pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
+    let mut lenses = String::from("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n");
+    let mut images = String::from(
+        "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME\n# POINTS2D[] as (X Y POINT3D_ID): none\n",
+    );
+    for (k, NamedCamera { name, camera }) in cameras.iter().enumerate() {
+        let (n, q, t) = (k + 1, camera.cam_from_world.rotation, camera.cam_from_world.translation);
+        let params: Vec<String> = camera.model.params().iter().map(f64::to_string).collect();
+        let (w, h) = (camera.width, camera.height);
+        // Writing to a string can't fail.
+        let _ = writeln!(lenses, "{n} {} {w} {h} {}", camera.model.name(), params.join(" "));
+        let _ = writeln!(
+            images,
+            "{n} {} {} {} {} {} {} {} {n} {name}\n",
+            q.w, q.i, q.j, q.k, t.x, t.y, t.z
+        );
+    }
+    write(&folder.join("cameras.txt"), lenses.as_bytes())?;
+    write(&folder.join("images.txt"), images.as_bytes())?;
+    write(&folder.join("points3D.txt"), b"# POINT3D_ID X Y Z R G B ERROR TRACK[]: none\n")
+}
+
+/// The same in COLMAP's binary files.
+pub fn write_colmap_binary(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
+    let count = (cameras.len() as u64).to_le_bytes();
+    let (mut lenses, mut images) = (count.to_vec(), count.to_vec());
+    for (number, NamedCamera { name, camera }) in (1_u32..).zip(cameras) {
+        let model = camera.model.name();
+        let id = CameraModel::KNOWN.iter().find(|(known, ..)| *known == model);
+        lenses.extend(number.to_le_bytes());
+        lenses.extend(id.map_or(-1, |(_, id, _)| *id).to_le_bytes());
+        for side in [camera.width, camera.height] {
+            lenses.extend((side as u64).to_le_bytes());
+        }
+        lenses.extend(camera.model.params().iter().flat_map(|p| p.to_le_bytes()));
+        let (q, t) = (camera.cam_from_world.rotation, camera.cam_from_world.translation);
+        images.extend(number.to_le_bytes());
+        images.extend([q.w, q.i, q.j, q.k, t.x, t.y, t.z].iter().flat_map(|v| v.to_le_bytes()));
+        images.extend(number.to_le_bytes());
+        images.extend(name.as_bytes());
+        images.push(0);
+        images.extend(0_u64.to_le_bytes());
+    }
+    write(&folder.join("cameras.bin"), &lenses)?;
+    write(&folder.join("images.bin"), &images)?;
+    write(&folder.join("points3D.bin"), &0_u64.to_le_bytes())
+}

@@ -1,0 +1,124 @@
+//! LLFF's `poses_bounds.npy`: 17 numbers a camera. A 3×5 matrix, row by row: the camera's axes
+//! down, right and back in the world, its centre, and height, width and focal length in pixels;
+//! then the nearest and the farthest depth. Cameras have no names; order is all there is.
+
+use super::{ExchangeError, NamedCamera, axes_and_center, checked, content, pose_from_axes};
+use super::{read_bytes, write};
+use crate::camera::CameraModel;
+use nalgebra::{Matrix3, Vector3};
+use std::path::Path;
+
+const COLUMNS: usize = 17;
+/// Pixels that a principal point may lie from the middle, or two focal lengths apart, and still be
+/// what this file can say.
+const MAX_OFF_PX: f64 = 1e-6;
+
+/// The cameras in the file's order, named `0`, `1` and so on.
+pub fn read_llff(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
+    let rows = rows(&read_bytes(path)?).map_err(|reason| content(path, reason))?;
+    let cameras = rows.iter().enumerate().map(|(k, row)| {
+        camera(row)
+            .map(|camera| NamedCamera { name: k.to_string(), camera })
+            .map_err(|reason| content(path, format!("row {k}: {reason}")))
+    });
+    cameras.collect()
+}
+
+fn camera(row: &[f64; COLUMNS]) -> Result<crate::camera::Camera, String> {
+    let column = |c: usize| Vector3::new(row[c], row[5 + c], row[10 + c]);
+    let (down, right, back, center) = (column(0), column(1), column(2), column(3));
+    let [height, width, f] = [row[4], row[9], row[14]];
+    for side in [height, width] {
+        if !(side >= 1.0 && side <= f64::from(u32::MAX) && side.fract() == 0.0) {
+            return Err(format!("an image can't be {width}×{height} pixels"));
+        }
+    }
+    let pose = pose_from_axes(&Matrix3::from_columns(&[right, down, -back]), center)?;
+    let model = CameraModel::Pinhole { fx: f, fy: f, cx: 0.5 * width, cy: 0.5 * height };
+    checked((width as u64, height as u64), &model, &pose).map_err(|e| e.to_string())
+}
+
+/// The rows of an npy file of float32 or float64.
+fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
+    let (rest, version) = match bytes {
+        [0x93, b'N', b'U', b'M', b'P', b'Y', version @ 1..=3, _, rest @ ..] => (rest, *version),
+        _ => return Err("is no npy file".into()),
+    };
+    let (length, rest) = if version == 1 {
+        let (length, rest) = rest.split_first_chunk().ok_or("is cut short")?;
+        (usize::from(u16::from_le_bytes(*length)), rest)
+    } else {
+        let (length, rest) = rest.split_first_chunk().ok_or("is cut short")?;
+        (u32::from_le_bytes(*length) as usize, rest)
+    };
+    let (header, data) = rest.split_at_checked(length).ok_or("is cut short")?;
+    let header = std::str::from_utf8(header).map_err(|_| "has no readable header")?;
+    if !header.contains("'fortran_order': False") {
+        return Err("must be in C order".into());
+    }
+    let values: Vec<f64> = if header.contains("'<f8'") {
+        let (values, rest) = data.as_chunks();
+        whole(rest)?;
+        values.iter().map(|b| f64::from_le_bytes(*b)).collect()
+    } else if header.contains("'<f4'") {
+        let (values, rest) = data.as_chunks();
+        whole(rest)?;
+        values.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect()
+    } else {
+        return Err("must hold little-endian floats".into());
+    };
+    let shape = header.split_once('(').and_then(|(_, rest)| rest.split_once(')'));
+    let shape: Vec<usize> = shape
+        .map(|(shape, _)| shape.split(',').filter_map(|n| n.trim().parse().ok()).collect())
+        .unwrap_or_default();
+    let (rows, rest) = values.as_chunks::<COLUMNS>();
+    if shape != [rows.len(), COLUMNS] || !rest.is_empty() || rows.is_empty() {
+        return Err(format!("has the shape {shape:?}, must be (cameras, {COLUMNS})"));
+    }
+    Ok(rows.to_vec())
+}
+
+fn whole(rest: &[u8]) -> Result<(), String> {
+    if rest.is_empty() { Ok(()) } else { Err("is cut short".into()) }
+}
+
+/// Writes the cameras, all with these nearest and farthest depths in metres.
+///
+/// Refuses a lens that the file can't describe: distorted, of two focal lengths, or off centre.
+pub fn write_llff(
+    path: &Path,
+    cameras: &[NamedCamera],
+    (near_m, far_m): (f64, f64),
+) -> Result<(), ExchangeError> {
+    let mut data = Vec::new();
+    for NamedCamera { name, camera } in cameras {
+        let (fx, fy, cx, cy) = camera.model.intrinsics();
+        let (width, height) = (camera.width as f64, camera.height as f64);
+        let off = [fx - fy, cx - 0.5 * width, cy - 0.5 * height];
+        if !camera.model.is_pinhole() || off.iter().any(|d| d.abs() > MAX_OFF_PX) {
+            return Err(content(
+                path,
+                format!("can't describe {name}: it knows one focal length and a centred image"),
+            ));
+        }
+        let (axes, center) = axes_and_center(camera);
+        for (row, size) in [height, width, fx].into_iter().enumerate() {
+            data.extend([axes[(row, 1)], axes[(row, 0)], -axes[(row, 2)], center[row], size]);
+        }
+        data.extend([near_m, far_m]);
+    }
+    let mut header = format!(
+        "{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, {COLUMNS}), }}",
+        cameras.len()
+    );
+    // Magic, version and length take 10 bytes; the data starts at a multiple of 64.
+    while !(10 + header.len() + 1).is_multiple_of(64) {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes()); // some 80 characters and the padding
+    bytes.extend(header.as_bytes());
+    bytes.extend(data.iter().flat_map(|v| v.to_le_bytes()));
+    write(path, &bytes)
+}

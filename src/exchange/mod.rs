@@ -1,0 +1,123 @@
+//! Calibrations in other programs' files: COLMAP's model, LLFF's `poses_bounds.npy`, NeRF's
+//! `transforms.json`.
+//!
+//! | file | camera axes | pose | lens | pixels |
+//! |---|---|---|---|---|
+//! | COLMAP | x right, y down, z forward | camera from world | all of [`crate::camera::CameraModel`] | centre of the first at 0.5 |
+//! | `poses_bounds.npy` | columns down, right, back | world from camera | one focal length, centred | no principal point |
+//! | `transforms.json` | x right, y up, z back | world from camera | pinhole, OpenCV, OpenCV fisheye | as COLMAP |
+//!
+//! World axes and metres are kept as they are. Every count and size that a file states is checked
+//! against the file's length before memory is taken for it.
+//!
+//! Known limit: no points and no tracks are read or written.
+
+mod colmap;
+mod import;
+mod llff;
+mod nerf;
+
+pub use colmap::{read_colmap, write_colmap_binary, write_colmap_text};
+pub use import::{ImportClock, import};
+pub use llff::{read_llff, write_llff};
+pub use nerf::{read_nerf, write_nerf};
+
+use crate::camera::{Camera, CameraFormat, CameraFormatError, CameraModel, PoseFormat};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// A camera with the name that its file gives it: of an image, or a number.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NamedCamera {
+    pub name: String,
+    pub camera: Camera,
+}
+
+/// What is wrong with a calibration's file: one sentence with the file.
+#[derive(Debug, thiserror::Error)]
+pub enum ExchangeError {
+    #[error("{path}: {source}")]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{path}: can't be written ({source})")]
+    Write { path: PathBuf, source: std::io::Error },
+    #[error("{path}: {reason}")]
+    Content { path: PathBuf, reason: String },
+}
+
+/// Larger than any calibration: half a million images with their points in text.
+const MAX_BYTES: u64 = 2 << 30;
+/// A rotation matrix whose entries are further from orthonormal is not one; single precision is
+/// off by 1e-7, a few printed digits by 1e-4.
+const MAX_ROTATION_ERROR: f64 = 1e-3;
+
+fn content(path: &Path, reason: impl std::fmt::Display) -> ExchangeError {
+    ExchangeError::Content { path: path.to_owned(), reason: reason.to_string() }
+}
+
+fn read_bytes(path: &Path) -> Result<Vec<u8>, ExchangeError> {
+    let wrong = |source| ExchangeError::Read { path: path.to_owned(), source };
+    let mut bytes = Vec::new();
+    let file = std::fs::File::open(path).map_err(wrong)?;
+    file.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(wrong)?;
+    if bytes.len() as u64 > MAX_BYTES {
+        return Err(content(path, format!("is larger than {} GiB", MAX_BYTES >> 30)));
+    }
+    Ok(bytes)
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), ExchangeError> {
+    crate::capture::write_atomically(path, bytes)
+        .map_err(|source| ExchangeError::Write { path: path.to_owned(), source })
+}
+
+/// A camera from numbers of a file, checked as a capture's are.
+fn checked(
+    (width, height): (u64, u64),
+    model: &CameraModel,
+    cam_from_world: &Isometry3<f64>,
+) -> Result<Camera, CameraFormatError> {
+    let (q, t) = (cam_from_world.rotation, cam_from_world.translation);
+    let size = |v: u64| u32::try_from(v).unwrap_or(u32::MAX); // refused as too large
+    CameraFormat {
+        width: size(width),
+        height: size(height),
+        model: model.name().to_owned(),
+        params: model.params(),
+        cam_from_world: PoseFormat {
+            rotation_wxyz: [q.w, q.i, q.j, q.k],
+            translation: [t.x, t.y, t.z],
+        },
+    }
+    .camera()
+}
+
+/// `cam_from_world` of a camera that stands at `center` with its axes right, down and forward as
+/// columns in the world; the error is a reason.
+fn pose_from_axes(axes: &Matrix3<f64>, center: Vector3<f64>) -> Result<Isometry3<f64>, String> {
+    if !axes.iter().chain(center.iter()).all(|v| v.is_finite()) {
+        return Err("a pose must be finite".into());
+    }
+    let error = (axes.transpose() * axes - Matrix3::identity()).amax();
+    if error > MAX_ROTATION_ERROR || axes.determinant() < 0.0 {
+        return Err(format!("a pose's rotation is no rotation (off by {error:.1e})"));
+    }
+    // The nearest rotation: U Vᵀ of the singular values' decomposition.
+    let svd = axes.svd(true, true);
+    let (Some(u), Some(vt)) = (svd.u, svd.v_t) else {
+        return Err("a pose's rotation is no rotation".into());
+    };
+    let world_from_cam =
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * vt));
+    let cam_from_world = world_from_cam.inverse();
+    Ok(Isometry3::from_parts(Translation3::from(-(cam_from_world * center)), cam_from_world))
+}
+
+/// The inverse of [`pose_from_axes`].
+fn axes_and_center(camera: &Camera) -> (Matrix3<f64>, Vector3<f64>) {
+    let world_from_cam = camera.cam_from_world.rotation.inverse().to_rotation_matrix();
+    (world_from_cam.into_inner(), camera.center().coords)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,243 @@
+use super::*;
+use crate::camera::tests::pinhole_at;
+use nalgebra::{Point2, Point3, UnitQuaternion};
+
+/// A camera 1 m right of, 2 m below and 3 m behind the origin, turned by 90° about its own x, so
+/// that it looks up: right = +x, down = +z, forward = −y of the world.
+fn looking_up() -> NamedCamera {
+    let axes = Matrix3::from_columns(&[Vector3::x(), Vector3::z(), -Vector3::y()]);
+    let pose = pose_from_axes(&axes, Vector3::new(1.0, 2.0, 3.0)).unwrap();
+    let model = CameraModel::Pinhole { fx: 700.0, fy: 700.0, cx: 320.0, cy: 240.0 };
+    let camera = Camera { width: 640, height: 480, model, cam_from_world: pose };
+    NamedCamera { name: "cam0".into(), camera }
+}
+
+/// Cameras with every known model in odd places.
+fn one_of_each() -> Vec<NamedCamera> {
+    CameraModel::KNOWN
+        .iter()
+        .enumerate()
+        .map(|(k, (name, _, count))| {
+            let params: Vec<f64> = (0..*count).map(|p| 500.1 / (1.0 + p as f64).powi(4)).collect();
+            let mut camera = pinhole_at([0.1 * k as f64, -0.3, 1.0 / 3.0]);
+            let turn = UnitQuaternion::from_euler_angles(0.3 * k as f64, -0.7, 2.0 + k as f64);
+            camera.cam_from_world = Isometry3::from_parts([0.1, -1.0 / 7.0, k as f64].into(), turn);
+            camera.model = CameraModel::from_params(name, &params).unwrap();
+            NamedCamera { name: format!("cam{k}/0000.png"), camera }
+        })
+        .collect()
+}
+
+fn assert_same(a: &[NamedCamera], b: &[NamedCamera]) {
+    assert_eq!(a.len(), b.len());
+    for (a, b) in a.iter().zip(b) {
+        assert_eq!(a.name, b.name);
+        let (a, b) = (&a.camera, &b.camera);
+        assert_eq!((a.width, a.height), (b.width, b.height));
+        let [pa, pb] = [a, b].map(|c| c.model.params());
+        assert_eq!(a.model.name(), b.model.name());
+        assert!(pa.iter().zip(&pb).all(|(x, y)| (x - y).abs() <= 1e-12 * x.abs()), "{pa:?} {pb:?}");
+        let (a, b) = (&a.cam_from_world, &b.cam_from_world);
+        assert!((a.to_homogeneous() - b.to_homogeneous()).amax() < 1e-12, "{a} {b}");
+    }
+}
+
+#[test]
+fn colmap_models_round_trip() {
+    let cameras = one_of_each();
+    let folder = tempfile::tempdir().unwrap();
+    write_colmap_text(&folder.path().join("text"), &cameras).unwrap();
+    assert_same(&read_colmap(&folder.path().join("text")).unwrap(), &cameras);
+    write_colmap_binary(&folder.path().join("binary"), &cameras).unwrap();
+    assert_same(&read_colmap(&folder.path().join("binary")).unwrap(), &cameras);
+}
+
+#[test]
+fn colmap_points_are_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("cameras.txt"), "# c\n7 SIMPLE_RADIAL 64 48 60 32 24 -0.1\n")
+        .unwrap();
+    let images = "# i\n2 1 0 0 0 0 0 5 7 b c.png\n1.5 2.5 -1 3 4 9\n1 1 0 0 0 1 2 3 7 a.png\n\n";
+    std::fs::write(folder.path().join("images.txt"), images).unwrap();
+    let cameras = read_colmap(folder.path()).unwrap();
+    assert_eq!((cameras[0].name.as_str(), cameras[1].name.as_str()), ("a.png", "b c.png"));
+    assert_eq!(cameras[0].camera.center(), Point3::new(-1.0, -2.0, -3.0));
+    assert_eq!(cameras[1].camera.model.name(), "SIMPLE_RADIAL");
+}
+
+/// LLFF's rows by hand: columns down (0, 0, 1), right (1, 0, 0), back (0, 1, 0), centre, and
+/// height, width, focal length.
+#[test]
+fn llff_is_down_right_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("poses_bounds.npy");
+    write_llff(&path, &[looking_up()], (0.5, 8.0)).unwrap();
+    let bytes = std::fs::read(&path).unwrap();
+    assert_eq!(bytes.len(), 128 + 17 * 8);
+    let values: Vec<f64> =
+        bytes[128..].as_chunks().0.iter().map(|b| f64::from_le_bytes(*b)).collect();
+    let expected =
+        [[0.0, 1.0, 0.0, 1.0, 480.0], [0.0, 0.0, 1.0, 2.0, 640.0], [1.0, 0.0, 0.0, 3.0, 700.0]];
+    for (value, expected) in values.iter().zip(expected.as_flattened().iter().chain(&[0.5, 8.0])) {
+        assert!((value - expected).abs() < 1e-12, "{values:?}");
+    }
+    let mut back = read_llff(&path).unwrap();
+    assert_eq!(back[0].name, "0");
+    back[0].name = "cam0".into();
+    assert_same(&back, &[looking_up()]);
+}
+
+#[test]
+fn llff_refuses_what_it_cannot_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("poses_bounds.npy");
+    for params in [[700.0, 701.0, 320.0, 240.0], [700.0, 700.0, 319.5, 239.5]] {
+        let mut camera = looking_up();
+        camera.camera.model = CameraModel::from_params("PINHOLE", &params).unwrap();
+        let message = write_llff(&path, &[camera], (1.0, 2.0)).unwrap_err().to_string();
+        assert!(message.contains("can't describe cam0"), "{message}");
+    }
+}
+
+/// OpenGL's axes by hand: columns right (1, 0, 0), up (0, 0, −1), back (0, 1, 0), centre.
+#[test]
+fn transforms_have_opengls_axes() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("transforms.json");
+    write_nerf(&path, &[looking_up()]).unwrap();
+    let json: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&path).unwrap()).unwrap();
+    let frame = &json["frames"][0];
+    let expected =
+        [[1.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 2.0], [0.0, -1.0, 0.0, 3.0], [0.0, 0.0, 0.0, 1.0]];
+    for (row, expected) in expected.iter().enumerate() {
+        for (column, expected) in expected.iter().enumerate() {
+            let value = frame["transform_matrix"][row][column].as_f64().unwrap();
+            assert!((value - expected).abs() < 1e-12, "{frame}");
+        }
+    }
+    assert_eq!((frame["cx"].as_f64(), frame["fl_x"].as_f64()), (Some(320.0), Some(700.0)));
+    assert_same(&read_nerf(&path).unwrap(), &[looking_up()]);
+}
+
+#[test]
+fn transforms_round_trip_with_distortion() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("transforms.json");
+    let cameras: Vec<_> = one_of_each()
+        .into_iter()
+        .filter(|c| ["PINHOLE", "OPENCV", "OPENCV_FISHEYE"].contains(&c.camera.model.name()))
+        .collect();
+    write_nerf(&path, &cameras).unwrap();
+    assert_same(&read_nerf(&path).unwrap(), &cameras);
+}
+
+/// NeRF's synthetic scenes give an angle for all: 2 atan(320/700) spans 640 pixels at 700.
+#[test]
+fn a_lens_for_all_frames_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("transforms.json");
+    let angle = 2.0 * (320.0_f64 / 700.0).atan();
+    let text = format!(
+        r#"{{"camera_angle_x": {angle}, "w": 640, "h": 480, "aabb_scale": 4, "frames": [
+            {{"file_path": "a", "sharpness": 3, "transform_matrix":
+            [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]}}]}}"#
+    );
+    std::fs::write(&path, text).unwrap();
+    let camera = &read_nerf(&path).unwrap()[0].camera;
+    assert!((camera.focal_px() - 700.0).abs() < 1e-9);
+    // It stands on +z and looks to −z; world +x is right, world +y is up.
+    let pixel = camera.project(&Point3::new(0.2, 0.1, 0.0)).unwrap();
+    assert!((pixel - Point2::new(390.0, 205.0)).norm() < 1e-9, "{pixel}");
+}
+
+#[test]
+fn damaged_files_are_one_sentence() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    write_colmap_binary(dir, &one_of_each()).unwrap();
+    let images = std::fs::read(dir.join("images.bin")).unwrap();
+    for end in 0..images.len() {
+        std::fs::write(dir.join("images.bin"), &images[..end]).unwrap();
+        let message = read_colmap(dir).unwrap_err().to_string();
+        assert!(message.contains("images.bin: ") && !message.contains('\n'), "{end}: {message}");
+    }
+    // A count of points that would take all memory.
+    let mut huge = images.clone();
+    let name = images.windows(10).position(|w| w == b"/0000.png\0").unwrap() + 10;
+    huge[name..name + 8].fill(0xff);
+    std::fs::write(dir.join("images.bin"), &huge).unwrap();
+    assert!(read_colmap(dir).unwrap_err().to_string().contains("cut short"));
+
+    let npy = dir.join("poses_bounds.npy");
+    write_llff(&npy, &[looking_up()], (1.0, 2.0)).unwrap();
+    let whole = std::fs::read(&npy).unwrap();
+    for end in 0..whole.len() {
+        std::fs::write(&npy, &whole[..end]).unwrap();
+        assert!(read_llff(&npy).is_err(), "{end}");
+    }
+    let json = dir.join("transforms.json");
+    for (text, field) in [
+        ("{}", "frames"),
+        (r#"{"frames": []}"#, "frames"),
+        (r#"{"frames": [{"file_path": "a", "transform_matrix": [[1]]}]}"#, "frames"),
+    ] {
+        std::fs::write(&json, text).unwrap();
+        let message = read_nerf(&json).unwrap_err().to_string();
+        assert!(message.contains(field), "{message}");
+    }
+}
+
+#[test]
+fn what_is_no_rotation_is_refused() {
+    for axes in [Matrix3::zeros(), Matrix3::identity() * 1.01, -Matrix3::identity()] {
+        assert!(pose_from_axes(&axes, Vector3::zeros()).is_err(), "{axes}");
+    }
+    assert!(pose_from_axes(&Matrix3::identity(), Vector3::new(f64::NAN, 0.0, 0.0)).is_err());
+}
+
+#[test]
+fn a_model_and_sequences_become_a_capture() {
+    use crate::capture::{BitDepth, Capture, write_image};
+    let folder = tempfile::tempdir().unwrap();
+    let (images, target) = (folder.path().join("images"), folder.path().join("capture"));
+    let mut cameras: Vec<NamedCamera> = Vec::new();
+    for id in ["left", "right"] {
+        for k in [8, 9, 10] {
+            let shade = crate::raster::Image::filled(8, 6, 3, k as f32 / 10.0);
+            let path = images.join(format!("{id}/f{k}.png"));
+            write_image(&path, &shade, None, BitDepth::Eight).unwrap();
+            let mut camera = pinhole_at([if id == "left" { 0.0 } else { 0.1 }, 0.0, 0.0]);
+            (camera.width, camera.height) = (8, 6);
+            cameras.push(NamedCamera { name: format!("{id}/f{k}.png"), camera });
+        }
+    }
+    let clock = ImportClock { rate_hz: 25.0, first_s: 2.0, shared: false };
+    import(&cameras, &images, clock, &target).unwrap();
+    let capture = Capture::open(&target).unwrap();
+    assert_eq!(capture.cameras.len(), 2);
+    assert!((capture.cameras[1].camera.center() - Point3::new(0.1, 0.0, 0.0)).norm() < 1e-12);
+    assert_eq!(capture.cameras[1].frames.len(), 3);
+    // f8, f9, f10: by number, not by name.
+    assert_eq!(capture.read_frame(0, 2).unwrap().pixel(0, 0), [1.0; 3]);
+    assert_eq!(capture.times_in_file_s(0), [2.0, 2.04, 2.08]);
+    let again = import(&cameras, &images, clock, &target).unwrap_err().to_string();
+    assert!(again.contains("not written over"), "{again}");
+
+    cameras[1].camera.cam_from_world.translation.x += 0.01;
+    let moving = import(&cameras, &images, clock, &folder.path().join("other")).unwrap_err();
+    assert!(moving.to_string().contains("must not move"), "{moving}");
+}
+
+#[test]
+fn names_that_lead_elsewhere_are_refused() {
+    let clock = ImportClock { rate_hz: 25.0, first_s: 0.0, shared: false };
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["../a.png", "", "/", "a%d/0.png", ".x/0.png"] {
+        let mut camera = looking_up();
+        camera.name = name.into();
+        let message =
+            import(&[camera], folder.path(), clock, &folder.path().join("c")).unwrap_err();
+        assert!(message.to_string().contains("can't name a camera"), "{name}: {message}");
+    }
+}

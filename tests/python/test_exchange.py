@@ -1,0 +1,112 @@
+"""Calibrations written for other programs, read by one of them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pycolmap = pytest.importorskip("pycolmap")
+
+
+def run(program: Path, *arguments: object) -> None:
+    """Run the program; it must succeed."""
+    subprocess.run([program, *map(str, arguments)], check=True, timeout=120)
+
+
+def colmap_cameras(folder: Path) -> dict[str, tuple[Any, Any]]:
+    """Lens and 3x4 cam_from_world of each image, as pycolmap reads them."""
+    model = pycolmap.Reconstruction(folder)
+    return {
+        image.name: (model.cameras[image.camera_id], image.cam_from_world().matrix())
+        for image in model.images.values()
+    }
+
+
+@pytest.mark.parametrize("file_format", ["colmap", "colmap-text"])
+def test_pycolmap_reads_what_we_export(
+    program: Path, capture_dir: Path, tmp_path: Path, file_format: str
+) -> None:
+    run(program, "export", capture_dir, "--format", file_format, "-o", tmp_path)
+    found = colmap_cameras(tmp_path)
+    cameras = json.loads((capture_dir / "capture.json").read_text())["cameras"]
+    assert set(found) == {f"{c['id']}/0000.png" for c in cameras}
+    for camera in cameras:
+        lens, matrix = found[f"{camera['id']}/0000.png"]
+        assert (lens.model.name, lens.width, lens.height) == (
+            camera["model"],
+            camera["width"],
+            camera["height"],
+        )
+        np.testing.assert_allclose(lens.params, camera["params"], rtol=1e-15)
+        w, x, y, z = camera["cam_from_world"]["rotation_wxyz"]
+        rotation = pycolmap.Rotation3d(np.array([x, y, z, w])).matrix()
+        np.testing.assert_allclose(matrix[:, :3], rotation, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            matrix[:, 3], camera["cam_from_world"]["translation"], rtol=0, atol=1e-12
+        )
+
+
+@pytest.mark.parametrize("file_format", ["colmap", "colmap-text", "llff", "nerf"])
+def test_what_is_exported_imports_as_the_same_capture(
+    program: Path, capture_dir: Path, tmp_path: Path, file_format: str
+) -> None:
+    name = {"llff": "poses_bounds.npy", "nerf": "transforms.json"}.get(file_format, "m")
+    bounds = ["--near", 1, "--far", 6] if file_format == "llff" else []
+    exported, imported = tmp_path / name, tmp_path / "capture"
+    command = ["export", capture_dir, "--format", file_format, "-o", exported, *bounds]
+    run(program, *command)
+    (tmp_path / "images").mkdir()
+    cameras = json.loads((capture_dir / "capture.json").read_text())["cameras"]
+    for camera in cameras:
+        (tmp_path / "images" / camera["id"]).symlink_to(capture_dir / camera["id"])
+    command = ["import", exported, "--images", tmp_path / "images", "--rate", 30]
+    run(program, *command, "-o", imported)
+    again = json.loads((imported / "capture.json").read_text())["cameras"]
+    for before, after in zip(cameras, again, strict=True):
+        if file_format != "llff":  # has no names
+            assert after["id"] == before["id"]
+        assert after["params"] == pytest.approx(before["params"], rel=1e-12)
+        first, second = (c["cam_from_world"] for c in (before, after))
+        assert second["translation"] == pytest.approx(first["translation"], abs=1e-12)
+        alignment = np.dot(first["rotation_wxyz"], second["rotation_wxyz"])
+        assert abs(alignment) == pytest.approx(1.0, abs=1e-12)
+        for k in (0, 5):
+            source = capture_dir / (before["frames"] % k)
+            copied = imported / (after["frames"] % k)
+            assert copied.read_bytes() == source.read_bytes()
+
+
+def test_pycolmaps_own_files_are_read(program: Path, tmp_path: Path) -> None:
+    """Both of its formats, written by pycolmap, with points seen in the images."""
+    model = pycolmap.synthesize_dataset(pycolmap.SyntheticDatasetOptions())
+    images = {Path(image.name).stem: image for image in model.images.values()}
+    assert all(image.num_points2D() > 0 for image in images.values())
+    for name, image in images.items():
+        (tmp_path / "images" / name).mkdir(parents=True)
+        lens = model.cameras[image.camera_id]
+        blank = np.zeros((lens.height, lens.width), np.uint8)
+        path = tmp_path / "images" / name / "0.png"
+        pycolmap.Bitmap.from_array(blank).write(path)
+    for kind, write in (("text", model.write_text), ("binary", model.write_binary)):
+        (tmp_path / kind).mkdir()
+        write(tmp_path / kind)
+        target = tmp_path / f"capture-{kind}"
+        command = ["import", tmp_path / kind, "--images", tmp_path / "images"]
+        run(program, *command, "--rate", 30, "-o", target)
+        cameras = json.loads((target / "capture.json").read_text())["cameras"]
+        assert {c["id"] for c in cameras} == set(images)
+        for camera in cameras:
+            image = images[camera["id"]]
+            lens, pose = model.cameras[image.camera_id], image.cam_from_world()
+            assert camera["model"] == lens.model.name
+            assert camera["params"] == pytest.approx(lens.params, rel=1e-12)
+            translation = camera["cam_from_world"]["translation"]
+            assert translation == pytest.approx(pose.translation, abs=1e-12)
+            w, x, y, z = camera["cam_from_world"]["rotation_wxyz"]
+            alignment = np.dot(pose.rotation.quat, [x, y, z, w])
+            assert abs(alignment) == pytest.approx(1.0, abs=1e-12)
