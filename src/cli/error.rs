@@ -7,7 +7,7 @@ use stlfr::capture::{CaptureError, TruthError};
 use stlfr::compare::CompareError;
 use stlfr::json::JsonError;
 use stlfr::render::RenderError;
-use stlfr::toolchain::{ScriptError, SetupError, VideoError};
+use stlfr::toolchain::{ExtensionError, ScriptError, SetupError, VideoError};
 
 /// What ends a command.
 #[derive(Debug, thiserror::Error)]
@@ -31,6 +31,15 @@ impl From<ScriptError> for CliError {
         match error {
             ScriptError::BadInput(sentence) => Self::BadInput(sentence),
             ScriptError::Failure(sentence) => Self::Failure(sentence),
+        }
+    }
+}
+
+impl From<ExtensionError> for CliError {
+    fn from(error: ExtensionError) -> Self {
+        match error {
+            ExtensionError::Wheel(error) => error.into(),
+            ExtensionError::Package(error) => error.into(),
         }
     }
 }
@@ -78,6 +87,7 @@ impl From<RenderError> for CliError {
     fn from(error: RenderError) -> Self {
         match error {
             RenderError::Capture(error) => error.into(),
+            RenderError::Stopped => Self::Failure(error.to_string()),
             _ => Self::BadInput(error.to_string()),
         }
     }

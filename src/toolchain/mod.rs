@@ -5,6 +5,7 @@
 //! Known limit: Linux and macOS; a child that outlives a killed parent is ended on Linux only.
 
 mod check;
+mod extension;
 mod film;
 mod process;
 mod script;
@@ -12,6 +13,7 @@ mod setup;
 mod video;
 
 pub use check::{Check, CheckValues, CheckedCamera, check};
+pub use extension::{ExtensionError, build_extension};
 pub use film::{FilmOptions, Scene, film};
 pub use script::ScriptError;
 pub use setup::{Environment, SetupError, ensure_environment, project_root};
