@@ -1,5 +1,5 @@
 """Space-time light field rendering: the compiled module, under its name."""
 
-from ._native import Capture, __version__, open
+from ._native import Capture, __version__, ladders, open
 
-__all__ = ["Capture", "__version__", "open"]
+__all__ = ["Capture", "__version__", "ladders", "open"]
