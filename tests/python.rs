@@ -61,7 +61,8 @@ fn types() {
         python(&environment, "mypy")
             .args(["--config-file", "blender/pyproject.toml", "--cache-dir"])
             .arg(common::root().join("target/mypy"))
-            .args(["blender/capture.py", "blender/check.py", "blender/scenes", "blender/stlfr"])
+            .args(["blender/capture.py", "blender/check.py", "blender/package.py"])
+            .args(["blender/scenes", "blender/stlfr"])
             .arg("tests/python"),
     );
 }

@@ -19,16 +19,17 @@ Of the extension alone:
 
 - `engine`: the render engine `STLFR`
 - `view`: which image of the light field a frame of the scene shows
-- `fields`: the captures that are open
+- `fields`: the capture that is open
 - `properties`, `panels`, `operators`: what the user sees and presses
 - `rig_objects`: a rig file as camera objects, and back
 - `rig_layout`: a new rig
 - `filming`: what lies in a folder that is being filmed into
 - `jobs`: long work in a process of its own; `estimate` is one
+- `paths`: `//` and what is absolute
 - `wheel`: the compiled module has to be this extension's
 
-`film`, `scenes`, and of the extension `engine`, `properties`, `panels`, `operators` and
-`rig_objects` import `bpy`; everything else starts at once and tests anywhere. Importing this
+`film`, `scenes`, and of the extension `engine`, `properties`, `panels`, `operators`,
+`paths` and `rig_objects` import `bpy`; everything else starts at once and tests anywhere. Importing this
 package registers nothing and imports none of them.
 """
 

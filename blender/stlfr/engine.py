@@ -10,6 +10,7 @@ import bpy
 
 from . import fields, view
 from .errors import BadInputError, FailureError
+from .paths import absolute
 
 POLL_S = 0.05
 """How long Escape may go unnoticed."""
@@ -110,7 +111,7 @@ def capture_folder(scene: Any) -> Path:
         raise BadInputError(
             "no capture is chosen: name its folder in the render properties, under Light Field"
         )
-    return Path(bpy.path.abspath(scene.stlfr.capture)).resolve()
+    return absolute(scene.stlfr.capture)
 
 
 def _camera(engine: StlfrEngine, scene: Any) -> Any:

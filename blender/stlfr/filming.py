@@ -14,7 +14,7 @@ from typing import Any
 from . import folder, truth
 from . import rig as rigs
 from .errors import BadInputError
-from .plan import CAPTURE_FILE, HIDDEN_FOLDER
+from .plan import CAPTURE_FILE, HIDDEN_FOLDER, PLAN_FILE
 
 RIG_COPY = "rig.json"
 OPTIONS_COPY = "options.json"
@@ -53,10 +53,17 @@ def begin(capture: Path, rig_content: dict[str, Any], options: Options) -> Path:
     return options.blend_copy(capture)
 
 
-def abandon(capture: Path, options: Options) -> None:
-    """Undo `begin`, before anything was filmed."""
+def tidy(capture: Path) -> None:
+    """Undo `begin` where nothing was filmed after it: the rig or the options were refused."""
     hidden = capture / HIDDEN_FOLDER
-    for file in (hidden / RIG_COPY, hidden / OPTIONS_COPY, options.blend_copy(capture)):
+    options = _options(capture)
+    if options is None or (hidden / PLAN_FILE).exists():
+        return
+    for file in (
+        hidden / RIG_COPY,
+        hidden / OPTIONS_COPY,
+        options.blend_copy(capture),
+    ):
         file.unlink(missing_ok=True)
     hidden.rmdir()
     capture.rmdir()

@@ -19,6 +19,7 @@ import stlfr
 
 from . import engine, filming, jobs, rig_layout, rig_objects
 from .errors import BadInputError, FailureError
+from .paths import absolute
 from .rig_layout import shortest
 
 POLL_S = 0.2
@@ -97,7 +98,7 @@ class STLFR_OT_rig_load(bpy.types.Operator):
 
     @reported
     def execute(self, context: Any) -> Result:
-        content = rig_objects.read(Path(bpy.path.abspath(self.filepath)))
+        content = rig_objects.read(absolute(self.filepath))
         rig_objects.build(context.scene, content)
         return {"FINISHED"}
 
@@ -142,6 +143,9 @@ class LongWork:
         """Take over what was found; gives the kind of a report, and its sentence."""
         raise NotImplementedError
 
+    def tidy(self) -> None:
+        """After a job that found nothing."""
+
     @reported
     def execute(self, context: Any) -> Result:
         self._begin(context)
@@ -185,6 +189,8 @@ class LongWork:
 
     def _end(self, _context: Any) -> Result:
         job = self.job
+        if job.cancelled or job.error is not None:
+            self.tidy()
         if job.cancelled:
             self.report({"WARNING"}, f"{job.title} was cancelled")
             return {"CANCELLED"}
@@ -222,6 +228,9 @@ class STLFR_OT_film(LongWork, bpy.types.Operator):
         scene.stlfr.capture = str(self.capture)
         scene.stlfr.offsets.clear()
         return "INFO", f"Filmed into {self.capture}"
+
+    def tidy(self) -> None:
+        filming.tidy(self.capture)
 
 
 class STLFR_OT_offsets(LongWork, bpy.types.Operator):
@@ -289,15 +298,6 @@ def python() -> list[str]:
     return [sys.executable, *(bpy.app.python_args or ("-I",))]
 
 
-def absolute(path: str) -> Path:
-    """A path, `//` being the folder of the .blend."""
-    if path.startswith("//") and not bpy.data.filepath:
-        raise BadInputError(
-            f"{path} lies beside the .blend, which isn't saved yet: save it, or name a whole path"
-        )
-    return Path(bpy.path.abspath(path)).resolve()
-
-
 def prepare_film(scene: Any, capture: Path) -> None:
     """Check the rig, and lay down what is filmed: copies of the rig and of the .blend as they are now."""
     settings = scene.stlfr
@@ -319,7 +319,7 @@ def prepare_film(scene: Any, capture: Path) -> None:
             filepath=str(blend), copy=True, check_existing=False, relative_remap=True
         )
     except BaseException:
-        filming.abandon(capture, options)
+        filming.tidy(capture)
         raise
 
 

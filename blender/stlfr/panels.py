@@ -6,8 +6,9 @@ from typing import Any
 
 import bpy
 
-from . import engine, filming, jobs, operators, rig_objects, view
+from . import engine, filming, jobs, rig_objects, view
 from .errors import BadInputError
+from .paths import absolute
 
 
 class Sidebar:
@@ -249,7 +250,7 @@ def duration(seconds: float) -> str:
 
 def _can_resume(settings: Any) -> bool:
     try:
-        return filming.is_begun(operators.absolute(settings.film_folder))
+        return filming.is_begun(absolute(settings.film_folder))
     except BadInputError:
         return False
 

@@ -117,6 +117,9 @@ def film(folder: str) -> dict[str, Any]:
     settings.film_frames, settings.film_samples, settings.film_truth = 2, 1, False
     settings.film_folder, settings.film_workers = "//capture", 1
     before = described(scene)
+    settings.film_folder, settings.film_truth = "//refused", True
+    sentences["too few frames"] = refused(bpy.ops.stlfr.film)
+    settings.film_folder, settings.film_truth = "//capture", False
 
     capture = work / "capture"
     operators, filming, jobs = part("operators"), part("filming"), part("jobs")
@@ -259,6 +262,8 @@ def errors(capture: str, folder: str) -> dict[str, Any]:
     scene.render.resolution_x, scene.render.resolution_y = 32, 24
     found = {"no capture": refused(bpy.ops.render.render)}
     found["offsets without"] = refused(bpy.ops.stlfr.offsets)
+    settings.capture = "//beside"
+    found["beside nothing"] = refused(bpy.ops.render.render)
     settings.capture = folder
     found["no such"] = refused(bpy.ops.render.render)
     found["offsets of none"] = refused(bpy.ops.stlfr.offsets)
@@ -381,7 +386,7 @@ def modal(capture: str) -> dict[str, Any]:
     )
     step = operators.LongWork.modal
     first = step(operator, context, SimpleNamespace(type="MOUSEMOVE"))
-    results = []
+    results: list[set[str]] = []
     while results[-1:] != [{"FINISHED"}]:
         results.append(step(operator, context, SimpleNamespace(type="TIMER")))
         time.sleep(0.05)

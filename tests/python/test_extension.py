@@ -250,6 +250,7 @@ def test_from_rig_to_picture(blender_user: Path, program: Path, tmp_path: Path) 
         "busy": "Filming is under way",
         "stopped": "resume it",
         "there": "isn't empty",
+        "too few frames": "film more --frames",
         "nothing to resume": "holds no film",
     }.items():
         assert words in sentences[name], (name, sentences[name])
@@ -257,6 +258,9 @@ def test_from_rig_to_picture(blender_user: Path, program: Path, tmp_path: Path) 
     assert 1 <= found["frames when stopped"] < 6
     assert len(list(capture.glob("cam*/*.png"))) == 6
     assert not list(capture.rglob("*.blend"))
+    assert not (
+        tmp_path / "refused"
+    ).exists()  # nothing is left of a film that can't be
     cameras = found["rig"]["cameras"]
     reference = next(c for c in cameras if c["id"] == found["rig"]["reference"])
     assert found["time_offset_s"] == pytest.approx(-reference["delay_s"], abs=1e-7)
@@ -365,6 +369,7 @@ def test_what_is_wrong_is_one_sentence(
     for name, words in {
         "no capture": "no capture is chosen",
         "offsets without": "no capture is chosen",
+        "beside nothing": "isn't saved yet",
         "no such": "capture.json",
         "offsets of none": "capture.json",
         "no review": "stlfr compare",
@@ -560,7 +565,7 @@ def test_filming_begins_in_an_empty_folder(tmp_path: Path) -> None:
         filming.begin(folder, content, options)
     command = filming.command(folder, ["python"], "/opt/blender")
     assert command[-2:] == ["--blender", "/opt/blender"] and "--no-truth" in command
-    filming.abandon(folder, options)
+    filming.tidy(folder)
     assert not folder.exists()
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(errors.BadInputError, match="isn't empty"):
