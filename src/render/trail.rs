@@ -71,8 +71,9 @@ impl LightField {
     /// trail, [`Self::view`] or [`Self::synchronized`] itself.
     ///
     /// A trail is as long as what was filmed: instants before that, and those at which no camera
-    /// sees anything, are left out, but not the last one, whose error is the result. A pixel is
-    /// covered if it is at any of the instants, and integrates over those.
+    /// sees anything or too few do to tell its shape, are left out, but not the last one, whose
+    /// error is the result. A pixel is covered if it is at any of the instants, and integrates
+    /// over those.
     ///
     /// `proceed` is asked before every instant, with the number of those that are done and of all;
     /// if it says no, the result is [`RenderError::Stopped`].
@@ -116,7 +117,10 @@ impl LightField {
 impl RenderError {
     /// Whether another instant may be better.
     fn is_of_the_instant(&self) -> bool {
-        matches!(self, Self::Time { .. } | Self::CameraTime { .. } | Self::NothingSeen)
+        matches!(
+            self,
+            Self::Time { .. } | Self::CameraTime { .. } | Self::NoPoints | Self::NothingSeen
+        )
     }
 }
 
