@@ -24,8 +24,12 @@ HERE = Path(__file__).resolve()
 
 
 def load_extension() -> None:
-    """Import the folder stlfr/ as `stlfr_extension`: `stlfr` is the compiled module's name."""
+    """Import the folder stlfr/ as `stlfr_extension`: `stlfr` is the compiled module's name.
+
+    In an installed extension, this script lies in that folder.
+    """
     folder = HERE.parent / "stlfr"
+    folder = folder if folder.is_dir() else HERE.parent
     spec = importlib.util.spec_from_file_location(
         "stlfr_extension",
         folder / "__init__.py",
@@ -38,9 +42,9 @@ def load_extension() -> None:
 
 
 load_extension()
-errors, plans, folder, videos = (
+errors, plans, folder, videos, in_blender = (
     importlib.import_module(f"stlfr_extension.{name}")
-    for name in ("errors", "plan", "folder", "video")
+    for name in ("errors", "plan", "folder", "video", "in_blender")
 )
 
 
@@ -171,6 +175,11 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--workers", type=count(1), metavar="N", help="filming processes (one per core)"
     )
+    parser.add_argument(
+        "--blender",
+        metavar="FILE",
+        help="film in this program of Blender's (in this Python, which has bpy)",
+    )
     return parser.parse_args(arguments)
 
 
@@ -224,6 +233,8 @@ def capture(arguments: argparse.Namespace) -> None:
     workers = min(arguments.workers or cores, max(1, len(jobs)))
     crews = importlib.import_module("stlfr_extension.workers")
     command = [sys.executable, "-I", str(HERE), "--worker"]
+    if arguments.blender:
+        command[-1:] = ["--worker-in", arguments.blender]
     with crews.Crew(plan, target, scratch, command, workers, cores) as crew:
         cameras = crew.film(jobs, lambda job: on_done(job.what))
     if arguments.video:
@@ -246,13 +257,20 @@ def stop(*_: object) -> NoReturn:
 
 def main() -> int:
     """Run, and say what went wrong in one sentence."""
-    if sys.argv[1:] == ["--worker"]:
+    arguments = in_blender.own_arguments()
+    match arguments:
+        case ["--worker-in", blender]:
+            in_blender.become(blender, HERE)
+        case ["--worker-answers", number]:
+            in_blender.take_answers(number)
+            arguments = ["--worker"]
+    if arguments == ["--worker"]:
         importlib.import_module("stlfr_extension.workers").work()
         return 0
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     try:
-        capture(parse_arguments(sys.argv[1:]))
+        capture(parse_arguments(arguments))
     except (errors.BadInputError, errors.FailureError) as error:
         print(error, file=sys.stderr)
         return int(error.exit_code)

@@ -351,3 +351,64 @@ fn bad_input_is_refused() {
     assert!(render(&like).status.success(), "with everything as it was, it works");
     assert!(out.exists());
 }
+
+/// A trail is the overlay of the images at its instants, of a view as of a filming camera's image:
+/// the brightest values are theirs exactly, and their mean light is to the rounding of 8 bits.
+#[test]
+fn a_trail_overlays_the_images_of_its_instants() {
+    let capture = synthetic::capture(&[0.0, 0.0, 0.0], FRAMES);
+    let out = tempfile::tempdir().unwrap();
+    let (file, view) = (out.path().join("image.png"), out.path().join("view.json"));
+    std::fs::write(&view, synthetic::view(0.02, 0.0).to_string()).unwrap();
+    let image = |from: [&str; 2], time_s: f64, more: &[&str]| {
+        let time = format!("{time_s:?}");
+        let always = ["-q", "render", text(capture.path()), from[0], from[1], "--time", &time];
+        succeed(&[always.as_slice(), &["--proxy", "plane", "-o", text(&file)], more].concat());
+        read_image(&file).unwrap().0
+    };
+    let trail = |from: [&str; 2], mode: &str, duration: &str| {
+        let more = ["--trail", duration, "--trail-instants", "4", "--trail-mode", mode];
+        image(from, 0.1, &more)
+    };
+    for from in [["--camera", text(&view)], ["--like", "cam1"]] {
+        let instants = [0.1, 0.08, 0.06, 0.04].map(|time_s| image(from, time_s, &[]));
+        let brightest = trail(from, "lighten", "0.06");
+        let mean = trail(from, "mean", "0.06");
+        for k in 0..brightest.data().len() {
+            let values = instants.each_ref().map(|i| i.data()[k]);
+            assert_eq!(brightest.data()[k], values.iter().copied().fold(0.0, f32::max));
+            let light = values.map(linear).iter().sum::<f32>() / 4.0;
+            // Each of the four is rounded by half a level, and so is their mean.
+            assert!((mean.data()[k] - encoded(light)).abs() < 1.6 / 255.0, "{k} {values:?}");
+        }
+        assert!(psnr_db(&mean, &instants[0], 8) < 30.0);
+        // What was not filmed is not in it: of 0.1, 0.02, -0.06 and -0.14, the first two.
+        let long = trail(from, "lighten", "0.24");
+        let (last, first) = (image(from, 0.1, &[]), image(from, 0.02, &[]));
+        let both = last.data().iter().zip(first.data()).map(|(a, b)| a.max(*b));
+        assert!(long.data().iter().zip(both).all(|(found, expected)| *found == expected));
+    }
+}
+
+fn linear(v: f32) -> f32 {
+    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+fn encoded(v: f32) -> f32 {
+    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+}
+
+#[test]
+fn trails_out_of_range_are_refused() {
+    let capture = synthetic::capture(&[0.0, 0.0], 2);
+    let out = tempfile::tempdir().unwrap();
+    let file = out.path().join("image.png");
+    let render = |more: &[&str]| {
+        let always = ["render", text(capture.path()), "--like", "cam0", "--time", "0.01"];
+        run(&[always.as_slice(), &["-o", text(&file)], more].concat())
+    };
+    assert_refused(&render(&["--trail=-0.1"]), 2, "trail.duration_s: is -0.1");
+    assert_refused(&render(&["--trail", "0.1", "--trail-instants", "0"]), 2, "trail.instants");
+    assert_refused(&render(&["--trail", "0.1", "--trail-mode", "max"]), 2, "--trail-mode");
+    assert!(!file.exists());
+}

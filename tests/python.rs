@@ -64,6 +64,7 @@ fn types() {
             .args([
                 "blender/capture.py",
                 "blender/check.py",
+                "blender/package.py",
                 "blender/review.py",
                 "blender/calibration",
                 "blender/scenes",

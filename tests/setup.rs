@@ -32,6 +32,9 @@ case "$*" in
     if [ -e "$STLFR_HOME/offline" ]; then echo "ERROR: no network" >&2; exit 1; fi
     note packages ;;
 *--no-deps*) note module ;;
+*package.py*)
+    note package
+    if [ -e "$STLFR_HOME/unpackable" ]; then echo "the manifest is wrong" >&2; exit 1; fi ;;
 *bpy*)
     note import
     if [ -e "$STLFR_HOME/bare" ]; then
@@ -168,4 +171,20 @@ fn without_a_network_pips_own_reason_is_given() {
     assert_refused(&run(folder.path()), 1, "no network");
     std::fs::remove_file(folder.path().join("offline")).unwrap();
     assert!(run(folder.path()).status.success());
+}
+
+#[test]
+fn the_extension_is_packed_from_a_wheel_of_its_own() {
+    let folder = source_folder();
+    run(folder.path());
+    log(folder.path());
+    let zip = folder.path().join("out.zip");
+    let pack = || setup(folder.path()).arg("--extension").arg(&zip).output().unwrap();
+    assert!(pack().status.success());
+    assert_eq!(log(folder.path()), ["build", "package"]);
+    assert!(!folder.path().join(".venv/wheels").exists());
+    std::fs::write(folder.path().join("unpackable"), "").unwrap();
+    assert_refused(&pack(), 1, "the manifest is wrong");
+    let tar = setup(folder.path()).args(["--extension", "out.tar"]).output().unwrap();
+    assert_refused(&tar, 2, "must name a .zip");
 }

@@ -1,4 +1,4 @@
-"""stlfr in Blender: rigs, cameras, filming and truth as plain functions.
+"""stlfr in Blender: the extension, and rigs, cameras, filming and truth as plain functions.
 
 The extension and the headless scripts (`capture.py`, `check.py`) share these modules:
 
@@ -15,7 +15,46 @@ The extension and the headless scripts (`capture.py`, `check.py`) share these mo
 - `truth`: what only a simulator knows
 - `folder`: write the capture's files
 - `workers`: film on several processes
+- `in_blender`: a filming process inside Blender's own program
 - `errors`: one sentence for the user
 
-Only `film` and `scenes` import `bpy`, so that everything else starts at once and tests anywhere.
+Of the extension alone:
+
+- `engine`: the render engine `STLFR`
+- `view`: which image of the light field a frame of the scene shows
+- `fields`: the capture that is open
+- `properties`, `panels`, `operators`: what the user sees and presses
+- `rig_objects`: a rig file as camera objects, and back
+- `rig_layout`: a new rig
+- `filming`: what lies in a folder that is being filmed into
+- `jobs`: long work in a process of its own; `estimate` is one
+- `paths`: `//` and what is absolute
+- `wheel`: the compiled module has to be this extension's
+
+`film`, `scenes`, and of the extension `engine`, `properties`, `panels`, `operators`,
+`paths` and `rig_objects` import `bpy`; everything else starts at once and tests anywhere. Importing this
+package registers nothing and imports none of them.
 """
+
+from __future__ import annotations
+
+
+def register() -> None:
+    """Blender enables the extension. A module of another version is refused before anything is registered."""
+    from . import wheel
+
+    wheel.require()
+    from . import engine, operators, panels, properties
+
+    for module in (properties, operators, panels, engine):
+        module.register()
+
+
+def unregister() -> None:
+    """Blender disables the extension: work under way is ended, and nothing is left."""
+    from . import engine, fields, jobs, operators, panels, properties
+
+    jobs.end_all()
+    fields.close()
+    for module in (engine, panels, operators, properties):
+        module.unregister()

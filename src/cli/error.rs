@@ -8,7 +8,7 @@ use stlfr::compare::CompareError;
 use stlfr::json::JsonError;
 use stlfr::render::RenderError;
 use stlfr::rig::RigError;
-use stlfr::toolchain::{ScriptError, SetupError};
+use stlfr::toolchain::{ExtensionError, ScriptError, SetupError};
 use stlfr::video::VideoError;
 
 /// What ends a command.
@@ -33,6 +33,15 @@ impl From<ScriptError> for CliError {
         match error {
             ScriptError::BadInput(sentence) => Self::BadInput(sentence),
             ScriptError::Failure(sentence) => Self::Failure(sentence),
+        }
+    }
+}
+
+impl From<ExtensionError> for CliError {
+    fn from(error: ExtensionError) -> Self {
+        match error {
+            ExtensionError::Wheel(error) => error.into(),
+            ExtensionError::Package(error) => error.into(),
         }
     }
 }
@@ -91,6 +100,7 @@ impl From<RenderError> for CliError {
     fn from(error: RenderError) -> Self {
         match error {
             RenderError::Capture(error) => error.into(),
+            RenderError::Stopped => Self::Failure(error.to_string()),
             _ => Self::BadInput(error.to_string()),
         }
     }

@@ -10,7 +10,7 @@ use stlfr::capture::{BitDepth, Capture, write_image};
 use stlfr::interpolation::Sync;
 use stlfr::progress::Reporter;
 use stlfr::raster::Image;
-use stlfr::render::{LightField, ProxyRung};
+use stlfr::render::{LightField, ProxyRung, RenderOptions, TrailMode, Viewpoint};
 use stlfr::toolchain::project_root;
 use stlfr::video::{Codec, VideoWriter, find_ffmpeg};
 
@@ -20,7 +20,8 @@ use stlfr::video::{Codec, VideoWriter, find_ffmpeg};
     stlfr render .captures/demo --like cam3 --time 0.1 -o cam3.png\n  \
     stlfr render .captures/demo --camera view.json --time 0.1 -o view.png\n  \
     stlfr render .captures/demo --camera view.json --times 0.05:0.25:60 -o out/%04d.png\n  \
-    stlfr render .captures/demo --like cam3 --times 0.05:0.25:60 -o slow.mkv\n\n\
+    stlfr render .captures/demo --like cam3 --times 0.05:0.25:60 -o slow.mkv\n  \
+    stlfr render .captures/demo --like cam3 --time 0.2 --trail 0.15 --trail-instants 31 -o trail.png\n\n\
     A view is a camera object as in capture.json:\n  \
     {\"width\": 640, \"height\": 480, \"model\": \"PINHOLE\", \"params\": [686.2, 686.2, 320, 240],\n   \
     \"cam_from_world\": {\"rotation_wxyz\": [1, 0, 0, 0], \"translation\": [0, 0, 0]}}")]
@@ -59,7 +60,16 @@ pub struct Args {
     /// What stands for the scene's shape.
     #[arg(long, value_name = "RUNG", value_enum)]
     proxy: Option<ProxyRung>,
-    /// Options of all stages, a JSON file; --sync and --proxy go before it.
+    /// Overlay what moved in this many seconds before the instant: temporal integration.
+    #[arg(long, value_name = "SECONDS")]
+    trail: Option<f64>,
+    /// Instants that a trail overlays [default: 16].
+    #[arg(long, value_name = "N")]
+    trail_instants: Option<usize>,
+    /// How a trail overlays them [default: mean].
+    #[arg(long, value_name = "MODE", value_enum)]
+    trail_mode: Option<TrailMode>,
+    /// Options of all stages, a JSON file; --sync, --proxy and --trail go before it.
     #[arg(long, value_name = "FILE")]
     options: Option<PathBuf>,
 }
@@ -86,6 +96,20 @@ pub enum View {
 }
 
 impl Args {
+    /// The file's options, and those of the command line before them.
+    fn render_options(&self) -> Result<RenderOptions, CliError> {
+        let mut options = options_or_default(self.options.as_deref())?;
+        options.sync = self.sync.unwrap_or(options.sync);
+        options.proxy.rung = self.proxy.unwrap_or(options.proxy.rung);
+        let trail = &mut options.trail;
+        trail.duration_s = self.trail.unwrap_or(trail.duration_s);
+        trail.instants = self.trail_instants.unwrap_or(trail.instants);
+        trail.mode = self.trail_mode.unwrap_or(trail.mode);
+        // A file was checked; what the command line says is yet to be.
+        options.check().map_err(|error| CliError::BadInput(error.to_string()))?;
+        Ok(options)
+    }
+
     /// What is asked for.
     pub fn request(&self) -> Result<Request, CliError> {
         let wrong = |sentence: &str| Err(CliError::BadInput(sentence.to_owned()));
@@ -110,9 +134,7 @@ impl Args {
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let request = args.request()?;
-    let mut options = options_or_default(args.options.as_deref())?;
-    options.sync = args.sync.unwrap_or(options.sync);
-    options.proxy.rung = args.proxy.unwrap_or(options.proxy.rung);
+    let options = args.render_options()?;
     let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
     let like = match &request.view {
         View::Like(id) => Some(capture.camera_index(id).ok_or_else(|| {
@@ -131,20 +153,19 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
 
     let field = LightField::open(capture.clone(), options, reporter)?;
     warn_of_unknown_clocks(&field, reporter);
-    let task = reporter.task("rendering", request.times_s.len());
+    let from = match &request.view {
+        View::Camera(camera) => Viewpoint::View(camera),
+        View::Like(_) => Viewpoint::Like(like.unwrap_or_default()),
+    };
+    let instants = field.options().trail.count();
+    let task = reporter.task("rendering", request.times_s.len() * instants);
     for (index, time_s) in request.times_s.iter().enumerate() {
         let time_s = time_s - capture.time_origin_s;
-        match (&request.view, like) {
-            (View::Camera(camera), _) => {
-                let rendered = field.view(camera, time_s)?;
-                writer.write(index, &rendered.image, Some(&rendered.coverage), depth)?;
-            }
-            (View::Like(_), camera) => {
-                let image = field.synchronized(camera.unwrap_or_default(), time_s)?;
-                writer.write(index, &image, None, depth)?;
-            }
-        }
-        task.advance(1);
+        let rendered = field.with_trail(from, time_s, |done, _| {
+            task.set(index * instants + done);
+            true
+        })?;
+        writer.write(index, &rendered.image, Some(&rendered.coverage), depth)?;
     }
     drop(task);
     writer.finish()

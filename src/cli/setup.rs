@@ -1,16 +1,35 @@
 //! `stlfr setup`
 
 use super::CliError;
+use super::files::must_be_writable;
+use std::path::PathBuf;
 use stlfr::progress::Reporter;
-use stlfr::toolchain::{ensure_environment, project_root};
+use stlfr::toolchain::{build_extension, ensure_environment, project_root};
 
 /// Set up the pinned Python environment, once; `demo`, `capture` and `check` do it by themselves.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  stlfr setup")]
-pub struct Args {}
+#[command(after_help = "Examples:\n  \
+    stlfr setup\n  \
+    stlfr setup --extension stlfr.zip")]
+pub struct Args {
+    /// Also build the Blender extension, to be installed from disk in Blender's preferences.
+    #[arg(long, value_name = "FILE.zip")]
+    extension: Option<PathBuf>,
+}
 
-pub fn run(_: &Args, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    if let Some(zip) = &args.extension {
+        if zip.extension().is_none_or(|e| e != "zip") {
+            return Err(CliError::BadInput("--extension: must name a .zip".into()));
+        }
+        must_be_writable(zip)?;
+    }
     let environment = ensure_environment(&project_root()?, reporter)?;
-    println!("{}", environment.python.display());
+    let Some(zip) = &args.extension else {
+        println!("{}", environment.python.display());
+        return Ok(());
+    };
+    build_extension(&environment, zip, reporter)?;
+    println!("{}", zip.display());
     Ok(())
 }

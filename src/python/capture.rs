@@ -5,9 +5,10 @@ use crate::camera::{Camera, CameraFormat};
 use crate::capture::Capture;
 use crate::offset::known_or_kept_or_estimated;
 use crate::progress::Reporter;
-use crate::render::{LightField, RenderError, RenderOptions};
+use crate::render::{LightField, RenderError, RenderOptions, Viewpoint};
 use nalgebra::Point3;
 use numpy::{AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArrayLikeDyn, ndarray};
+use pyo3::exceptions::PyInterruptedError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -100,7 +101,10 @@ impl PyCapture {
     }
 
     /// The image that `stlfr render` writes, (H, W, channels).
-    #[pyo3(signature = (time_s, *, camera=None, like=None, options=None))]
+    ///
+    /// `proceed(done, total)` is called before every instant of a trail (of one without a trail);
+    /// rendering stops with an `InterruptedError` where it returns something false.
+    #[pyo3(signature = (time_s, *, camera=None, like=None, options=None, proceed=None))]
     fn render<'py>(
         &self,
         py: Python<'py>,
@@ -108,26 +112,36 @@ impl PyCapture {
         camera: Option<&Bound<'py, PyAny>>,
         like: Option<&str>,
         options: Option<&Bound<'py, PyAny>>,
+        proceed: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let options = checked(options)?;
         let camera: Option<CameraFormat> = from_python(camera, "camera")?;
         let time_s = time_s - self.capture.time_origin_s;
-        let (image, coverage) = match (camera, like) {
-            (Some(camera), None) => {
-                let camera = camera.camera().map_err(|e| value_error(format!("camera: {e}")))?;
-                let rendered = py.detach(|| self.field(options)?.view(&camera, time_s));
-                let rendered = rendered.map_err(value_error)?;
-                let partly = rendered.coverage.contains(&false);
-                (rendered.image, partly.then_some(rendered.coverage))
-            }
-            (None, Some(id)) => {
-                let index = self.index(id)?;
-                let image = py.detach(|| self.field(options)?.synchronized(index, time_s));
-                (image.map_err(value_error)?, None)
-            }
+        let camera = camera.map(|c| c.camera()).transpose();
+        let camera = camera.map_err(|e| value_error(format!("camera: {e}")))?;
+        let from = match (&camera, like) {
+            (Some(camera), None) => Viewpoint::View(camera),
+            (None, Some(id)) => Viewpoint::Like(self.index(id)?),
             _ => return Err(value_error("either camera or like must be given")),
         };
-        image_to_python(py, &image, coverage.as_deref(), self.capture.bit_depth())
+        let mut failed = None;
+        let rendered = py.detach(|| {
+            self.field(options)?.with_trail(from, time_s, |done, total| {
+                asked(proceed.as_ref(), done, total).unwrap_or_else(|error| {
+                    failed = Some(error);
+                    false
+                })
+            })
+        });
+        let rendered = match (failed, rendered) {
+            (Some(error), _) => return Err(error),
+            (None, Err(RenderError::Stopped)) => {
+                return Err(PyInterruptedError::new_err(RenderError::Stopped.to_string()));
+            }
+            (None, rendered) => rendered.map_err(value_error)?,
+        };
+        let coverage = rendered.coverage.contains(&false).then_some(rendered.coverage.as_slice());
+        image_to_python(py, &rendered.image, coverage, self.capture.bit_depth())
     }
 
     fn __repr__(&self) -> String {
@@ -176,6 +190,12 @@ fn checked(options: Option<&Bound<'_, PyAny>>) -> PyResult<RenderOptions> {
     let options: RenderOptions = from_python(options, "options")?.unwrap_or_default();
     options.check().map_err(|e| value_error(format!("options: {e}")))?;
     Ok(options)
+}
+
+/// Whether to go on, by the caller's function.
+fn asked(proceed: Option<&Py<PyAny>>, done: usize, total: usize) -> PyResult<bool> {
+    let Some(proceed) = proceed else { return Ok(true) };
+    Python::attach(|py| proceed.call1(py, (done, total))?.is_truthy(py))
 }
 
 impl PyCapture {

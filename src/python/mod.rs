@@ -3,6 +3,7 @@
 
 mod capture;
 mod convert;
+mod ladders;
 
 use pyo3::prelude::*;
 
@@ -11,6 +12,8 @@ use pyo3::prelude::*;
 mod native {
     #[pymodule_export]
     use super::capture::{PyCapture, open, project};
+    #[pymodule_export]
+    use super::ladders::ladders;
     use pyo3::prelude::*;
 
     #[pymodule_init]

@@ -1,7 +1,7 @@
 //! Which options can be worked with. One table: outside it, a stage would divide by nothing, run
 //! for hours, or take the machine's memory.
 
-use super::{ProxyOptions, RenderOptions};
+use super::{ProxyOptions, RenderOptions, TrailOptions};
 use crate::interpolation::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
 use crate::lumigraph::{BlendOptions, MeshOptions};
 use crate::offset::OffsetOptions;
@@ -38,7 +38,8 @@ impl RenderOptions {
         offset(&self.offset)?;
         interpolation(&self.interpolation)?;
         proxy(&self.proxy)?;
-        blend(&self.blend)
+        blend(&self.blend)?;
+        trail(&self.trail)
     }
 }
 
@@ -227,6 +228,17 @@ fn blend(o: &BlendOptions) -> Checked {
             ("feather_px", o.feather_px, PIXELS),
             ("resolution", o.resolution, 0.0..=1e6),
             ("hidden_share", o.hidden_share, 0.0..=1000.0),
+        ],
+    )
+}
+
+fn trail(o: &TrailOptions) -> Checked {
+    all_within(
+        "trail",
+        &[
+            ("duration_s", o.duration_s, 0.0..=1e6),
+            // Each is a view of its own.
+            ("instants", o.instants as f64, 1.0..=10_000.0),
         ],
     )
 }

@@ -3,9 +3,11 @@
 mod check;
 mod options;
 mod points;
+mod trail;
 
 pub use check::OptionError;
 pub use options::{ProxyOptions, ProxyRung, RenderOptions};
+pub use trail::{TrailMode, TrailOptions, Viewpoint};
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError};
@@ -72,6 +74,8 @@ pub enum RenderError {
     NoPoints,
     #[error("no camera sees any pixel of this view")]
     NothingSeen,
+    #[error("rendering was stopped")]
+    Stopped,
 }
 
 impl LightField {

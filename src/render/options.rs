@@ -1,5 +1,6 @@
 //! How a view is rendered: the rung of every stage, and the stages' own options.
 
+use super::TrailOptions;
 use crate::interpolation::{InterpolationOptions, Sync};
 use crate::lumigraph::{BlendOptions, MeshOptions};
 use crate::offset::OffsetOptions;
@@ -16,6 +17,8 @@ pub struct RenderOptions {
     pub offset: OffsetOptions,
     pub interpolation: InterpolationOptions,
     pub blend: BlendOptions,
+    /// Of `render` only: what is compared with the truth is an instant.
+    pub trail: TrailOptions,
 }
 
 /// What stands for the scene's shape.

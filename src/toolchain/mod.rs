@@ -5,6 +5,7 @@
 //! Known limit: Linux and macOS; a child that outlives a killed parent is ended on Linux only.
 
 mod check;
+mod extension;
 mod film;
 pub(crate) mod process;
 mod review;
@@ -14,6 +15,7 @@ mod setup;
 pub use check::{
     Check, CheckValues, CheckedCamera, CheckedFormat, CheckedLens, CheckedModel, check,
 };
+pub use extension::{ExtensionError, build_extension};
 pub use film::{FilmOptions, Scene, film};
 pub use review::review;
 pub use script::ScriptError;

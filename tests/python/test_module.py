@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -259,3 +260,54 @@ def test_what_cannot_be_rendered_is_a_value_error(
     ]
     printed = subprocess.run(command, capture_output=True, text=True)
     assert (printed.returncode, printed.stderr) == (2, f"{raised.value}\n")
+
+
+def test_the_ladders_hold_what_render_takes(capture_dir: Path) -> None:
+    """Every rung of the options, and no other."""
+    capture = stlfr.open(capture_dir)
+    ladders = stlfr.ladders()
+    assert set(ladders) == {"sync", "proxy", "trail"}
+    paths = {"sync": ["sync"], "proxy": ["proxy", "rung"], "trail": ["trail", "mode"]}
+    for name, path in paths.items():
+
+        def options(rung: str, path: list[str] = path) -> dict[str, Any]:
+            value: Any = rung
+            for field in reversed(path):
+                value = {field: value}
+            return dict(value)
+
+        rungs = [rung["name"] for rung in ladders[name]["rungs"]]
+        assert ladders[name]["default"] in rungs and all(
+            r["help"] for r in ladders[name]["rungs"]
+        )
+        for rung in rungs:
+            with pytest.raises(ValueError, match="no camera of this capture"):
+                capture.render(0.0, like="none", options=options(rung))
+        with pytest.raises(ValueError, match="unknown variant") as raised:
+            capture.render(0.0, like="none", options=options("unbuilt"))
+        assert sorted(re.findall("`([a-z-]+)`", str(raised.value))[1:]) == sorted(rungs)
+
+
+def test_a_trail_can_be_stopped(own_capture: Path) -> None:
+    """Before any of its instants; what the caller's function raises is raised."""
+    capture = stlfr.open(own_capture)
+    time_s = float(np.mean(capture.times("cam3")))
+    options = {"sync": "nearest", "trail": {"duration_s": 0.01, "instants": 3}}
+    asked: list[tuple[int, int]] = []
+
+    def proceed(done: int, total: int) -> bool:
+        asked.append((done, total))
+        return True
+
+    whole = capture.render(time_s, like="cam3", options=options, proceed=proceed)
+    assert asked == [(0, 3), (1, 3), (2, 3)] and whole.shape == (120, 160, 3)
+    with pytest.raises(InterruptedError, match="rendering was stopped"):
+        capture.render(
+            time_s, like="cam3", options=options, proceed=lambda done, _: done < 1
+        )
+
+    def fail(done: int, total: int) -> bool:
+        raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        capture.render(time_s, like="cam3", options=options, proceed=fail)

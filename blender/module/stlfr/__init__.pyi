@@ -1,5 +1,6 @@
 """Space-time light field rendering: open a capture, project points, estimate offsets, render."""
 
+from collections.abc import Callable
 from os import PathLike
 from typing import Any, TypedDict, final, type_check_only
 
@@ -23,6 +24,23 @@ class Offsets(TypedDict):
 
     reference: str
     cameras: list[CameraOffset]
+
+@type_check_only
+class Rung(TypedDict):
+    """A rung by its name in the options, and what it is."""
+
+    name: str
+    help: str
+
+@type_check_only
+class Ladder(TypedDict):
+    """The rungs of one stage, cheapest first."""
+
+    default: str
+    rungs: list[Rung]
+
+def ladders() -> dict[str, Ladder]:
+    """The rungs there are: `sync`, `proxy`, and `trail` (its modes)."""
 
 def open(path: str | PathLike[str]) -> Capture:
     """Open and check a capture's folder. Raises ValueError with one sentence where it is wrong."""
@@ -71,10 +89,13 @@ class Capture:
         camera: dict[str, Any] | None = None,
         like: str | None = None,
         options: dict[str, Any] | None = None,
+        proceed: Callable[[int, int], object] | None = None,
     ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
         """The view of a camera object as in capture.json, or of a filming camera (`like` its id).
 
         An array (H, W, channels) in the input's bit depth. Channels are RGB or grey; where no camera
         sees some of the pixels, alpha comes after them. Time is seconds on the reference's clock.
         `options` is what a file for `stlfr render --options` holds.
+        `proceed(done, total)` is called before every instant of a trail, once without a trail; where
+        it returns something false, rendering stops with an InterruptedError.
         """

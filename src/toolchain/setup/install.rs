@@ -27,16 +27,7 @@ pub(super) fn install(
     stamps: &Stamps,
     reporter: &Reporter,
 ) -> Result<(), SetupError> {
-    let root = environment.project_root.as_path();
-    let venv = root.join(".venv");
-    let installer = Installer {
-        root,
-        python: &environment.python,
-        wheels: venv.join("wheels"),
-        venv,
-        requirements: root.join("blender/requirements.txt"),
-        reporter,
-    };
+    let installer = Installer::new(environment, reporter);
     if stamps.has_packages() {
         reporter.note("Building the Python module stlfr: its sources have changed.");
         stamps.remove_module()?;
@@ -55,7 +46,40 @@ pub(super) fn install(
     Ok(())
 }
 
-impl Installer<'_> {
+/// Builds the wheel of the Python module, into an environment's folder that is the caller's to
+/// remove. The caller holds the lock.
+pub(super) fn build_wheel(
+    environment: &Environment,
+    reporter: &Reporter,
+) -> Result<PathBuf, SetupError> {
+    let installer = Installer::new(environment, reporter);
+    installer.build_module()?;
+    installer.wheel()
+}
+
+impl<'a> Installer<'a> {
+    fn new(environment: &'a Environment, reporter: &'a Reporter) -> Self {
+        let root = environment.project_root.as_path();
+        let venv = root.join(".venv");
+        Self {
+            root,
+            python: &environment.python,
+            wheels: venv.join("wheels"),
+            venv,
+            requirements: root.join("blender/requirements.txt"),
+            reporter,
+        }
+    }
+
+    /// The wheel that was built.
+    fn wheel(&self) -> Result<PathBuf, SetupError> {
+        module::wheel_in(&self.wheels).ok_or_else(|| SetupError::Step {
+            what: "building the Python module stlfr",
+            reason: "it made no wheel".into(),
+            log: self.wheels.clone(),
+        })
+    }
+
     /// An empty environment, whatever was there before.
     fn make_venv(&self) -> Result<(), SetupError> {
         let base_python = interpreter::find()?;
@@ -96,11 +120,7 @@ impl Installer<'_> {
     }
 
     fn install_module(&self) -> Result<(), SetupError> {
-        let wheel = module::wheel_in(&self.wheels).ok_or_else(|| SetupError::Step {
-            what: "building the Python module stlfr",
-            reason: "it made no wheel".into(),
-            log: self.wheels.clone(),
-        })?;
+        let wheel = self.wheel()?;
         let mut command = self.pip();
         command.args(["--no-deps", "--force-reinstall"]).arg(wheel);
         self.step("installing the Python module stlfr", &mut command)?;

@@ -104,6 +104,26 @@ pub fn ensure_environment(
     Ok(environment)
 }
 
+/// The wheel of the Python module, built from this tree, while it is there.
+pub(super) struct Wheel {
+    pub path: PathBuf,
+    _lock: File,
+}
+
+impl Wheel {
+    pub fn build(environment: &Environment, reporter: &Reporter) -> Result<Self, SetupError> {
+        let lock = lock(&environment.project_root, reporter)?;
+        Ok(Self { path: install::build_wheel(environment, reporter)?, _lock: lock })
+    }
+}
+
+impl Drop for Wheel {
+    fn drop(&mut self) {
+        // What is left is made anew by the next build.
+        let _ = self.path.parent().map(std::fs::remove_dir_all);
+    }
+}
+
 /// Held until the file is dropped, by one process at a time.
 fn lock(project_root: &Path, reporter: &Reporter) -> Result<File, SetupError> {
     let path = project_root.join(".venv.lock");

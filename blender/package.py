@@ -1,0 +1,126 @@
+"""Pack the Blender extension: `python -I blender/package.py WHEEL -o OUT.zip`.
+
+The zip holds the folder stlfr/, the filming script, the wheel of the compiled module, and the manifest
+with that wheel and its platform. Blender's own tool validates it. An error is one sentence on stderr,
+with exit code 2 for bad input and 1 for a failure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+
+PLATFORMS = {
+    r"(many)?linux.*_x86_64": "linux-x64",
+    r"(many)?linux.*_aarch64": "linux-arm64",
+    r"macosx_.*_x86_64": "macos-x64",
+    r"macosx_.*_arm64": "macos-arm64",
+    r"win_amd64": "windows-x64",
+    r"win_arm64": "windows-arm64",
+}
+"""Blender's name for a wheel's platform."""
+
+
+class PackageError(Exception):
+    """One sentence for the user."""
+
+
+def pack(wheel: Path, output: Path) -> None:
+    """Write the zip; it has its name only when it is whole and valid."""
+    manifest = manifest_with(wheel, (HERE / "stlfr" / "blender_manifest.toml"))
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "stlfr"
+        shutil.copytree(
+            HERE / "stlfr",
+            folder,
+            ignore=shutil.ignore_patterns("__pycache__", "*.pyc"),
+        )
+        shutil.copyfile(HERE / "capture.py", folder / "capture.py")
+        (folder / "wheels").mkdir()
+        shutil.copyfile(wheel, folder / "wheels" / wheel.name)
+        (folder / "blender_manifest.toml").write_text(manifest, encoding="utf-8")
+        zip_file = Path(scratch) / "stlfr.zip"
+        blender_tool("build", "--source-dir", folder, "--output-filepath", zip_file)
+        blender_tool("validate", zip_file)
+        output.parent.mkdir(parents=True, exist_ok=True)
+        partial = output.with_name(f".{output.name}.partial")
+        try:
+            shutil.copyfile(zip_file, partial)
+            partial.replace(output)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+def manifest_with(wheel: Path, manifest: Path) -> str:
+    """The manifest that lists the wheel and its platform; their versions have to be the same."""
+    text = manifest.read_text(encoding="utf-8")
+    name, version, *_, platform = wheel.stem.split("-")
+    expected = tomllib.loads(text)["version"]
+    if (name, version) != ("stlfr", expected):
+        raise PackageError(
+            f"{wheel.name} is not the wheel of stlfr {expected}, the version in {manifest.name}"
+        )
+    platforms = {
+        ours
+        for part in platform.split(".")
+        for pattern, ours in PLATFORMS.items()
+        if re.fullmatch(pattern, part)
+    }
+    if len(platforms) != 1:
+        raise PackageError(f"{wheel.name} is of no platform that Blender runs on")
+    added = f'platforms = ["{platforms.pop()}"]\nwheels = ["./wheels/{wheel.name}"]\n'
+    head, tables, rest = text.partition("\n[permissions]")
+    return f"{head}{added}{tables}{rest}"
+
+
+def blender_tool(*arguments: str | Path) -> None:
+    """Run Blender's command line tool for extensions, which comes with `bpy` and needs no Blender."""
+    spec = importlib.util.find_spec("bpy")
+    if spec is None or not spec.submodule_search_locations:
+        raise PackageError("bpy isn't installed, which brings Blender's extension tool")
+    root = Path(spec.submodule_search_locations[0])
+    tools = sorted(root.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
+    if not tools:
+        raise PackageError(f"{root} has no extension tool of Blender's")
+    command = [sys.executable, "-I", "-B", str(tools[-1]), *map(str, arguments)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    if ended.returncode != 0:
+        said = [line for line in (ended.stdout + ended.stderr).splitlines() if line]
+        raise PackageError(
+            f"Blender's extension tool refuses it: {said[-1] if said else ended.returncode}"
+        )
+
+
+def main() -> int:
+    """Run, and say what went wrong in one sentence."""
+    parser = argparse.ArgumentParser(description="Pack the Blender extension.")
+    parser.add_argument("wheel", type=Path, help="wheel of the Python module stlfr")
+    parser.add_argument("-o", dest="output", type=Path, required=True, metavar="ZIP")
+    arguments = parser.parse_args()
+    if not arguments.wheel.is_file():
+        print(f"{arguments.wheel}: no such wheel", file=sys.stderr)
+        return 2
+    try:
+        pack(arguments.wheel, arguments.output)
+    except PackageError as error:
+        print(error, file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(
+            f"{error.filename or arguments.output}: {error.strerror}", file=sys.stderr
+        )
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

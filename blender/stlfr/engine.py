@@ -1,0 +1,141 @@
+"""The render engine `STLFR`: F12 renders the scene camera's view of the light field."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from . import fields, view
+from .errors import BadInputError, FailureError
+from .paths import absolute
+
+POLL_S = 0.05
+"""How long Escape may go unnoticed."""
+
+
+class StlfrEngine(bpy.types.RenderEngine):
+    """Renders the chosen capture's light field from the scene's camera, at the scene's time.
+
+    The picture is scene-linear: under the view transform `Standard`, without a look and without
+    dither, it is what `stlfr render` writes. Pixels that no camera sees are transparent.
+    Known limits: final renders only, perspective cameras, one eye, no depth of field.
+    """
+
+    bl_idname = "STLFR"
+    bl_label = "Light Field (stlfr)"
+    bl_use_preview = False
+    bl_use_eevee_viewport = True
+
+    def render(self, depsgraph: Any) -> None:
+        scene = depsgraph.scene
+        try:
+            work = _Work(
+                view.request(scene, _camera(self, scene), capture_folder(scene))
+            )
+            self._wait(work)
+            if work.error is not None:
+                raise work.error
+        except fields.StoppedError:
+            return
+        except (BadInputError, FailureError) as error:
+            # Nothing is written then. With `error_set` the sentence would be said twice.
+            self.report({"ERROR"}, str(error))
+            return
+        assert work.samples is not None
+        self._show(view.scene_linear(work.samples), depsgraph)
+
+    def _wait(self, work: _Work) -> None:
+        """Until the work has ended, or the user has had enough of it.
+
+        What is being rendered then ends by itself, unseen: an instant can't be interrupted.
+        """
+        work.start()
+        while not work.ended.wait(POLL_S):
+            if self.test_break():
+                work.stop.set()
+                raise fields.StoppedError
+            done, total = work.progress
+            self.update_stats(
+                "", f"Light field, instant {min(done + 1, total)} of {total}"
+            )
+            self.update_progress(done / total)
+
+    def _show(self, pixels: Any, depsgraph: Any) -> None:
+        height, width = pixels.shape[:2]
+        left, right, bottom, top = view.border_px(depsgraph.scene.render, width, height)
+        shown = pixels[bottom:top, left:right]
+        result = self.begin_result(
+            0, 0, right - left, top - bottom, layer=depsgraph.view_layer.name
+        )
+        # Blender gives no result where rendering was cancelled meanwhile.
+        if result is not None:
+            result.layers[0].passes["Combined"].rect.foreach_set(shown.ravel())
+            self.end_result(result)
+
+
+class _Work(threading.Thread):
+    """One image in a thread of its own: the module works without Python's lock."""
+
+    def __init__(self, request: view.Request) -> None:
+        super().__init__(daemon=True)
+        self.request = request
+        self.stop = threading.Event()
+        self.ended = threading.Event()
+        self.progress = (0, 1)
+        self.samples: view.Samples | None = None
+        self.error: Exception | None = None
+
+    def run(self) -> None:
+        try:
+            self.samples = fields.render(self.request, self._proceed)
+        except (BadInputError, FailureError, fields.StoppedError) as error:
+            self.error = error
+        except BaseException as error:  # noqa: BLE001 - a panic of the module is no Exception
+            self.error = FailureError(
+                f"rendering failed: {error} ({type(error).__name__})"
+            )
+        finally:
+            self.ended.set()
+
+    def _proceed(self, done: int, total: int) -> bool:
+        self.progress = (done, total)
+        return not self.stop.is_set()
+
+
+def capture_folder(scene: Any) -> Path:
+    """The chosen capture."""
+    if not scene.stlfr.capture:
+        raise BadInputError(
+            "no capture is chosen: name its folder in the render properties, under Light Field"
+        )
+    return absolute(scene.stlfr.capture)
+
+
+def _camera(engine: StlfrEngine, scene: Any) -> Any:
+    return engine.camera_override or scene.camera
+
+
+def _panels() -> list[Any]:
+    """Blender's own panels that serve any engine: output, lens, colour management."""
+    return [
+        panel
+        for panel in bpy.types.Panel.__subclasses__()
+        if "BLENDER_RENDER" in getattr(panel, "COMPAT_ENGINES", ())
+    ]
+
+
+def register() -> None:
+    """Make it known to Blender."""
+    bpy.utils.register_class(StlfrEngine)
+    for panel in _panels():
+        panel.COMPAT_ENGINES.add(StlfrEngine.bl_idname)
+
+
+def unregister() -> None:
+    """Leave nothing behind."""
+    for panel in _panels():
+        panel.COMPAT_ENGINES.discard(StlfrEngine.bl_idname)
+    bpy.utils.unregister_class(StlfrEngine)

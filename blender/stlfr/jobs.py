@@ -1,0 +1,164 @@
+"""Long work in a process of its own: it can be ended at any time, and Blender goes on meanwhile. No `bpy` here.
+
+The process says in JSON lines on stdout how far it is, `{"done", "total", "what"}`, and what it found,
+`{"result"}`; an error is its last line on stderr, one sentence.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import subprocess
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from .errors import FailureError
+
+PATIENCE_S = 20.0
+"""How long a process may take to end its own children before it is killed."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a job is. `total` 0: its steps can't be counted."""
+
+    done: int = 0
+    total: int = 0
+    what: str = ""
+
+
+class Job:
+    """A running process. Everything here returns at once, but `wait` and `cancel`."""
+
+    def __init__(self, title: str, command: list[str]) -> None:
+        self.title = title
+        self.progress = Progress()
+        self.result: Any = None
+        self.cancelled = False
+        self._first: tuple[float, int] | None = None
+        self._errors: list[str] = []
+        try:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                encoding="utf-8",
+                errors="replace",
+                start_new_session=True,  # a Ctrl-C is Blender's to handle
+            )
+        except OSError as error:
+            raise FailureError(f"{title} can't start: {error}") from None
+        self._readers = [
+            threading.Thread(target=read, daemon=True)
+            for read in (self._read_output, self._read_errors)
+        ]
+        for reader in self._readers:
+            reader.start()
+        _running.append(self)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it still works; what it found is there when it no longer does."""
+        return self._process.poll() is None or any(r.is_alive() for r in self._readers)
+
+    @property
+    def error(self) -> str | None:
+        """Why it failed, one sentence; None if it didn't, runs, or was cancelled."""
+        if self.is_running or self.cancelled or self._process.returncode == 0:
+            return None
+        sentences = [line.strip() for line in self._errors if line.strip()]
+        return (
+            sentences[-1]
+            if sentences
+            else f"{self.title} ended with status {self._process.returncode}"
+        )
+
+    @property
+    def time_left_s(self) -> float | None:
+        """From the pace so far; None where that says nothing yet."""
+        progress = self.progress
+        if self._first is None or progress.done <= self._first[1]:
+            return None
+        since_s, done_before = self._first
+        pace_s = (time.monotonic() - since_s) / (progress.done - done_before)
+        return pace_s * max(0, progress.total - progress.done)
+
+    def wait(self) -> None:
+        """Until it has ended; interrupted, it is ended."""
+        try:
+            self._process.wait()
+            self._finish()
+        except BaseException:
+            self.cancel()
+            raise
+
+    def cancel(self) -> None:
+        """End it, and what it has started."""
+        if self._process.poll() is None:
+            self.cancelled = True
+            self._process.send_signal(signal.SIGTERM)
+            try:
+                self._process.wait(PATIENCE_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        self._finish()
+
+    def _finish(self) -> None:
+        for reader in self._readers:
+            reader.join()
+        with contextlib.suppress(ValueError):
+            _running.remove(self)
+
+    def _read_output(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as lines:
+            for line in lines:
+                with contextlib.suppress(ValueError):
+                    said = json.loads(line)
+                    if isinstance(said, dict):
+                        self._hear(said)
+
+    def _hear(self, said: dict[str, Any]) -> None:
+        if "result" in said:
+            self.result = said["result"]
+        elif {"done", "total"} <= said.keys():
+            if self._first is None:
+                self._first = (time.monotonic(), said["done"])
+            self.progress = Progress(said["done"], said["total"], said.get("what", ""))
+
+    def _read_errors(self) -> None:
+        assert self._process.stderr is not None
+        with self._process.stderr as lines:
+            for line in lines:
+                self._errors = [*self._errors[-9:], line]
+
+
+_running: list[Job] = []
+
+
+def running() -> Job | None:
+    """The job that runs, if one does: there is one at a time."""
+    for job in _running[:]:
+        if job.is_running:
+            return job
+        job._finish()
+    return None
+
+
+def must_be_free() -> None:
+    """Refuse a second job."""
+    job = running()
+    if job is not None:
+        raise FailureError(f"{job.title} is under way: wait for its end or cancel it")
+
+
+def end_all() -> None:
+    """Cancel whatever runs."""
+    for job in _running[:]:
+        job.cancel()

@@ -1,0 +1,281 @@
+"""The sidebar of the 3D viewport, and the render tab."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from . import engine, filming, jobs, rig_objects, view
+from .errors import BadInputError
+from .paths import absolute
+
+
+class Sidebar:
+    """Where the steps from rig to comparison stand."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "STLFR"
+
+
+class STLFR_PT_job(Sidebar, bpy.types.Panel):
+    """Work under way."""
+
+    bl_label = "Under Way"
+
+    @classmethod
+    def poll(cls, _context: Any) -> bool:
+        return jobs.running() is not None
+
+    def draw(self, _context: Any) -> None:
+        job = jobs.running()
+        if job is None:
+            return
+        progress = job.progress
+        if progress.total:
+            self.layout.progress(
+                factor=progress.done / progress.total,
+                text=f"{progress.done} of {progress.total}: {progress.what}",
+            )
+            if job.time_left_s is not None:
+                self.layout.label(text=f"{duration(job.time_left_s)} left")
+        else:
+            self.layout.label(text=job.title)
+        self.layout.operator("stlfr.cancel", icon="CANCEL")
+
+
+class STLFR_PT_rig(Sidebar, bpy.types.Panel):
+    """The rig and its cameras."""
+
+    bl_label = "Rig"
+
+    def draw(self, context: Any) -> None:
+        layout, settings = self.layout, context.scene.stlfr
+        row = layout.row(align=True)
+        row.operator("stlfr.rig_create", icon="ADD")
+        row.operator("stlfr.rig_load", text="Load", icon="FILE_FOLDER")
+        cameras = rig_objects.members(context.scene, "CAMERA")
+        if not cameras:
+            layout.label(text="No rig in this scene", icon="INFO")
+            return
+        layout.operator("stlfr.rig_save", icon="FILE_TICK")
+        column = layout.column()
+        column.prop(settings, "rig_name")
+        column.prop(settings, "rig_reference")
+        column.prop(settings, "rig_seed")
+        if settings.rig_more:
+            column.prop(settings, "rig_more")
+        column.label(text=f"{len(cameras)} cameras; select one to edit it")
+
+
+class STLFR_PT_rig_camera(Sidebar, bpy.types.Panel):
+    """The selected camera of the rig."""
+
+    bl_label = "Rig Camera"
+    bl_parent_id = "STLFR_PT_rig"
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        active = context.object
+        return active is not None and active.stlfr.role in ("CAMERA", "VIEW")
+
+    def draw(self, context: Any) -> None:
+        active = context.object
+        own, lens, layout = active.stlfr, active.data, self.layout
+        layout.use_property_split = True
+        layout.prop(own, "camera_id")
+        column = layout.column(align=True)
+        column.prop(own, "width_px")
+        column.prop(own, "height_px")
+        column = layout.column(align=True)
+        for name in ("lens", "sensor_width", "shift_x", "shift_y"):
+            column.prop(lens, name)
+        if own.role == "CAMERA":
+            column = layout.column(align=True)
+            for name in ("rate_hz", "delay_s", "jitter_s", "jitter_stamped", "color"):
+                column.prop(own, name)
+        layout.prop(own, "more")
+
+
+class STLFR_PT_film(Sidebar, bpy.types.Panel):
+    """Filming."""
+
+    bl_label = "Film"
+
+    def draw(self, context: Any) -> None:
+        layout, settings = self.layout, context.scene.stlfr
+        layout.use_property_split = True
+        layout.prop(settings, "film_folder")
+        column = layout.column(align=True)
+        column.prop(settings, "film_frames")
+        column.prop(settings, "film_samples")
+        column.prop(settings, "film_workers")
+        layout.prop(settings, "film_truth")
+        if settings.film_truth:
+            layout.prop(settings, "film_instants")
+        row = layout.row(align=True)
+        row.enabled = jobs.running() is None
+        row.operator("stlfr.film", icon="RENDER_ANIMATION").resume = False
+        if _can_resume(settings):
+            row.operator("stlfr.film", text="Resume", icon="PLAY").resume = True
+
+
+class STLFR_UL_offsets(bpy.types.UIList):
+    """A camera and its offset, in milliseconds."""
+
+    def draw_item(
+        self,
+        _context: Any,
+        layout: Any,
+        _data: Any,
+        item: Any,
+        _icon: Any,
+        _active: Any,
+        _name: Any,
+    ) -> None:
+        row = layout.row()
+        row.label(text=item.camera_id)
+        row.label(text=offset_text(item))
+
+
+class STLFR_PT_offsets(Sidebar, bpy.types.Panel):
+    """The cameras' clocks."""
+
+    bl_label = "Offsets"
+
+    def draw(self, context: Any) -> None:
+        layout, settings = self.layout, context.scene.stlfr
+        layout.prop(settings, "capture")
+        row = layout.row()
+        row.enabled = bool(settings.capture) and jobs.running() is None
+        row.operator("stlfr.offsets", icon="TIME")
+        if not settings.offsets:
+            return
+        layout.template_list(
+            "STLFR_UL_offsets", "", settings, "offsets", settings, "offset_index"
+        )
+        index = settings.offset_index
+        if index < len(settings.offsets) and not settings.offsets[index].is_known:
+            layout.label(text=settings.offsets[index].reason, icon="ERROR")
+
+
+class STLFR_PT_comparison(Sidebar, bpy.types.Panel):
+    """The results beside the truth."""
+
+    bl_label = "Comparison"
+
+    def draw(self, context: Any) -> None:
+        column = self.layout.column()
+        column.enabled = bool(context.scene.stlfr.capture)
+        column.operator("stlfr.open_review", icon="SEQUENCE")
+        column.operator("stlfr.open_report", icon="URL")
+
+
+class RenderTab:
+    """In the render properties, while the engine is `STLFR`."""
+
+    bl_space_type = "PROPERTIES"
+    bl_region_type = "WINDOW"
+    bl_context = "render"
+    COMPAT_ENGINES = {engine.StlfrEngine.bl_idname}
+
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return context.engine in cls.COMPAT_ENGINES
+
+
+class STLFR_PT_light_field(RenderTab, bpy.types.Panel):
+    """Which light field, and when."""
+
+    bl_label = "Light Field"
+
+    def draw(self, context: Any) -> None:
+        layout, scene = self.layout, context.scene
+        layout.use_property_split = True
+        layout.prop(scene.stlfr, "capture")
+        column = layout.column(align=True)
+        column.prop(scene.stlfr, "time_offset_s")
+        column.prop(scene.stlfr, "speed")
+        layout.label(text=f"This frame: {view.capture_time_s(scene):.4f} s")
+
+
+class STLFR_PT_rungs(RenderTab, bpy.types.Panel):
+    """How well."""
+
+    bl_label = "Rungs"
+    bl_parent_id = "STLFR_PT_light_field"
+
+    def draw(self, context: Any) -> None:
+        layout, settings = self.layout, context.scene.stlfr
+        layout.use_property_split = True
+        layout.prop(settings, "sync")
+        layout.prop(settings, "proxy")
+        if settings.proxy == "plane":
+            layout.prop(settings, "use_plane_depth")
+            row = layout.row()
+            row.enabled = settings.use_plane_depth
+            row.prop(settings, "plane_depth_m")
+
+
+class STLFR_PT_trails(RenderTab, bpy.types.Panel):
+    """Temporal integration."""
+
+    bl_label = "Trails"
+    bl_parent_id = "STLFR_PT_light_field"
+
+    def draw_header(self, context: Any) -> None:
+        self.layout.prop(context.scene.stlfr, "use_trail", text="")
+
+    def draw(self, context: Any) -> None:
+        layout, settings = self.layout, context.scene.stlfr
+        layout.use_property_split = True
+        layout.enabled = settings.use_trail
+        for name in ("trail_duration_s", "trail_instants", "trail_mode"):
+            layout.prop(settings, name)
+
+
+def offset_text(item: Any) -> str:
+    """`+12.345 ± 0.012 ms`."""
+    if not item.is_known:
+        return "unknown"
+    return f"{1e3 * item.offset_s:+.3f} ± {1e3 * item.std_err_s:.3f} ms"
+
+
+def duration(seconds: float) -> str:
+    """`3 min 20 s`."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+
+
+def _can_resume(settings: Any) -> bool:
+    try:
+        return filming.is_begun(absolute(settings.film_folder))
+    except BadInputError:
+        return False
+
+
+CLASSES = (
+    STLFR_PT_job,
+    STLFR_PT_rig,
+    STLFR_PT_rig_camera,
+    STLFR_PT_film,
+    STLFR_UL_offsets,
+    STLFR_PT_offsets,
+    STLFR_PT_comparison,
+    STLFR_PT_light_field,
+    STLFR_PT_rungs,
+    STLFR_PT_trails,
+)
+
+
+def register() -> None:
+    """Make it known to Blender."""
+    for one in CLASSES:
+        bpy.utils.register_class(one)
+
+
+def unregister() -> None:
+    """Leave nothing behind."""
+    for one in reversed(CLASSES):
+        bpy.utils.unregister_class(one)

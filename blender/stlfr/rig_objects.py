@@ -1,0 +1,266 @@
+"""A rig file as camera objects, and back.
+
+The cameras and views are children of the empty `rig`, which is read as a camera: the rig looks along
+its -Z, and +Y is up. What the objects don't show (fields that only the file knows) is kept with them
+as JSON, so that a rig that is written back loses nothing; and a number that Blender, in single
+precision, still has as it came is written as it came.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import bpy
+import mathutils
+import numpy as np
+
+from . import camera as cameras
+from . import folder, scenes
+from . import rig as rigs
+from .errors import BadInputError
+from .rig_layout import Content, shortest
+
+COLLECTION = "stlfr rig"
+
+POSE_TOLERANCE = 2e-6
+"""Single precision of matrices near the rig: a pose that differs by less hasn't been moved."""
+
+SHOWN = {
+    "id",
+    "width",
+    "height",
+    "lens_mm",
+    "sensor_width_mm",
+    "shift_x",
+    "shift_y",
+    "cam_from_rig",
+    "rate_hz",
+    "delay_s",
+    "jitter_s",
+    "jitter_stamped",
+    "color",
+}
+"""Fields that are properties of the objects; the others are one line of JSON."""
+
+SHOWN_OF_RIG = {"format", "version", "name", "reference", "seed", "cameras", "views"}
+
+
+def read(path: Path) -> Content:
+    """A rig file, checked."""
+    rigs.load(path)
+    content: Content = json.loads(path.read_text(encoding="utf-8"))
+    return content
+
+
+def write(content: Content, path: Path) -> None:
+    """Check and write a rig file: a wrong one is never written."""
+    with tempfile.TemporaryDirectory() as scratch:
+        trial = Path(scratch) / "rig.json"
+        folder.write_json(trial, content)
+        try:
+            rigs.load(trial)
+        except BadInputError as error:
+            raise BadInputError(str(error).replace(str(trial), str(path))) from None
+    folder.write_json(path, content)
+
+
+def build(scene: Any, content: Content) -> Any:
+    """Set up a rig's objects in place of those of the rig before; gives the empty `rig`.
+
+    The empty stays where it is. A new one stands where the scene's camera does, else at the 3D cursor.
+    """
+    empty = _empty(scene)
+    for old in members(scene):
+        data = old.data
+        bpy.data.objects.remove(old)
+        if data is not None and data.users == 0:
+            bpy.data.cameras.remove(data)
+    settings = scene.stlfr
+    settings.rig_name, settings.rig_seed = content["name"], content["seed"]
+    settings.rig_reference = content["reference"]
+    settings.rig_more = _more(content, SHOWN_OF_RIG)
+    for role, entries in (
+        ("CAMERA", content["cameras"]),
+        ("VIEW", content.get("views", [])),
+    ):
+        for order, entry in enumerate(entries):
+            _add(empty, role, order, entry)
+    return empty
+
+
+def members(scene: Any, role: str | None = None) -> list[Any]:
+    """The objects of the scene's rig, of one role or both, in the rig's order."""
+    found = [
+        o
+        for o in scene.objects
+        if o.type == "CAMERA"
+        and o.stlfr.role in ((role,) if role else ("CAMERA", "VIEW"))
+    ]
+    return sorted(found, key=lambda o: (o.stlfr.role, o.stlfr.order, o.name))
+
+
+def describe(scene: Any) -> Content:
+    """The rig file of the scene's objects, as they stand now."""
+    shooting = members(scene, "CAMERA")
+    if not shooting:
+        raise BadInputError(
+            f"scene {scene.name} has no rig: create or load one in the sidebar, under STLFR"
+        )
+    empty = scene.objects.get(scenes.RIG_OBJECT)
+    if empty is None:
+        raise BadInputError(
+            f'scene {scene.name} has cameras of a rig but no object named "{scenes.RIG_OBJECT}" that says where it stands'
+        )
+    bpy.context.view_layer.update()
+    settings = scene.stlfr
+    return {
+        "format": rigs.FORMAT,
+        "version": rigs.VERSION,
+        "name": settings.rig_name,
+        "reference": settings.rig_reference,
+        "seed": settings.rig_seed,
+        **_fields_of(settings.rig_more, "the rig's other fields"),
+        "cameras": [_entry(empty, o) for o in shooting],
+        "views": [_entry(empty, o) for o in members(scene, "VIEW")],
+    }
+
+
+def _empty(scene: Any) -> Any:
+    """The empty that the rig hangs on."""
+    found = scene.objects.get(scenes.RIG_OBJECT)
+    if found is not None:
+        if found.stlfr.role != "RIG":
+            raise BadInputError(
+                f'an object of your own is named "{scenes.RIG_OBJECT}", the name that says where the rig stands; '
+                "give it another name"
+            )
+        return found
+    if scenes.RIG_OBJECT in bpy.data.objects:
+        raise BadInputError(
+            f'another scene of this file has the object "{scenes.RIG_OBJECT}": one rig a file'
+        )
+    empty = bpy.data.objects.new(scenes.RIG_OBJECT, None)
+    empty.empty_display_type, empty.empty_display_size = "ARROWS", 0.1
+    empty.stlfr.role = "RIG"
+    collection = bpy.data.collections.new(COLLECTION)
+    scene.collection.children.link(collection)
+    collection.objects.link(empty)
+    bpy.context.view_layer.update()
+    if scene.camera is not None:
+        location, rotation, _ = scene.camera.matrix_world.decompose()
+        empty.matrix_world = mathutils.Matrix.LocRotScale(location, rotation, None)
+    else:
+        empty.location = scene.cursor.location
+        empty.rotation_euler = (np.pi / 2, 0.0, 0.0)  # level, looking along +Y
+    return empty
+
+
+def _add(empty: Any, role: str, order: int, entry: Content) -> Any:
+    """One camera or view, with everything that its entry says."""
+    lens = bpy.data.cameras.new(entry["id"])
+    lens.sensor_fit = "AUTO"
+    lens.lens, lens.sensor_width = entry["lens_mm"], entry["sensor_width_mm"]
+    lens.shift_x, lens.shift_y = entry.get("shift_x", 0.0), entry.get("shift_y", 0.0)
+    lens.clip_start, lens.display_size = 0.01, 0.03
+    camera_object = bpy.data.objects.new(entry["id"], lens)
+    for collection in empty.users_collection:
+        collection.objects.link(camera_object)
+    camera_object.parent = empty
+    camera_object.rotation_mode = "QUATERNION"
+    camera_object.matrix_local = mathutils.Matrix(_local(entry).tolist())
+    own = camera_object.stlfr
+    own.role, own.order, own.camera_id = role, order, entry["id"]
+    own.width_px, own.height_px = entry["width"], entry["height"]
+    if role == "CAMERA":
+        own.rate_hz, own.delay_s = entry["rate_hz"], entry["delay_s"]
+        own.jitter_s = entry["jitter_s"]
+        own.jitter_stamped = entry.get("jitter_stamped", True)
+        own.color = entry.get("color", "rgb")
+    own.more = _more(entry, SHOWN)
+    own.entry = json.dumps(entry)
+    return camera_object
+
+
+def _local(entry: Content) -> cameras.Array:
+    """A camera's matrix beside the empty, both with Blender's axes: 4x4."""
+    transform = entry["cam_from_rig"]
+    rotation, translation = transform["rotation_wxyz"], transform["translation"]
+    cam_from_rig = cameras.RigidTransform(tuple(rotation), tuple(translation))
+    axes = np.diag([*np.diag(cameras.COLMAP_FROM_BLENDER_AXES), 1.0])
+    matrix: cameras.Array = axes @ np.linalg.inv(cam_from_rig.matrix()) @ axes
+    return matrix
+
+
+def _entry(empty: Any, camera_object: Any) -> Content:
+    """A camera or view as the rig file spells it."""
+    own, lens = camera_object.stlfr, camera_object.data
+    came: Content = json.loads(own.entry) if own.entry else {}
+    entry: Content = {
+        "id": own.camera_id or camera_object.name,
+        "width": own.width_px,
+        "height": own.height_px,
+        "lens_mm": _as_it_came(lens.lens, came.get("lens_mm")),
+        "sensor_width_mm": _as_it_came(lens.sensor_width, came.get("sensor_width_mm")),
+        "cam_from_rig": _pose(empty, camera_object, came.get("cam_from_rig")),
+    }
+    for name, value in (("shift_x", lens.shift_x), ("shift_y", lens.shift_y)):
+        if name in came or value != 0.0:
+            entry[name] = _as_it_came(value, came.get(name))
+    if own.role == "CAMERA":
+        for name in ("rate_hz", "delay_s", "jitter_s"):
+            entry[name] = _as_it_came(getattr(own, name), came.get(name))
+        if "jitter_stamped" in came or not own.jitter_stamped:
+            entry["jitter_stamped"] = own.jitter_stamped
+        if "color" in came or own.color != "rgb":
+            entry["color"] = own.color
+    return entry | _fields_of(own.more, f"{entry['id']}'s other fields")
+
+
+def _pose(empty: Any, camera_object: Any, came: Content | None) -> Content:
+    """`cam_from_rig`; as it came, if the object hasn't been moved beside the empty."""
+    axes = np.diag([*np.diag(cameras.COLMAP_FROM_BLENDER_AXES), 1.0])
+    world_from_rig = _rigid(empty) @ axes
+    world_from_cam = _rigid(camera_object) @ axes
+    if came is not None:
+        expected = axes @ _local({"cam_from_rig": came}) @ axes
+        found = np.linalg.inv(world_from_rig) @ world_from_cam
+        scale = (
+            1.0 + np.abs(world_from_rig[:3, 3]).max() + np.abs(expected[:3, 3]).max()
+        )
+        if np.abs(found - expected).max() < POSE_TOLERANCE * scale:
+            return came
+    # `matrix_world` of a camera in the rig's COLMAP axes instead of the world's.
+    beside = np.linalg.inv(world_from_rig) @ _rigid(camera_object)
+    return cameras.cam_from_world_of_matrix(beside).to_json()
+
+
+def _rigid(of: Any) -> cameras.Array:
+    """An object's `matrix_world` without its scale."""
+    matrix = np.array(of.matrix_world, dtype=np.float64)
+    matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
+    return matrix
+
+
+def _as_it_came(value: float, came: Any) -> float:
+    """The file's number, if Blender has it unchanged, else the shortest one that Blender has."""
+    if isinstance(came, (int, float)) and np.float32(came) == np.float32(value):
+        return came
+    return shortest(value)
+
+
+def _more(entry: Content, shown: set[str]) -> str:
+    rest = {name: value for name, value in entry.items() if name not in shown}
+    return json.dumps(rest) if rest else ""
+
+
+def _fields_of(text: str, what: str) -> Content:
+    try:
+        content = json.loads(text) if text.strip() else {}
+    except ValueError as error:
+        raise BadInputError(f"{what} aren't valid JSON ({error})") from None
+    if not isinstance(content, dict):
+        raise BadInputError(f'{what} must be a JSON object like {{"noise": 0.01}}')
+    return content

@@ -1,0 +1,111 @@
+"""Which image of the light field a frame of the scene shows. No `bpy` here: scenes and objects are read.
+
+Scene time starts at the scene's first frame, as in filming. The capture's time, seconds on its
+reference camera's clock, is `(frame - first frame) / fps * speed + time_offset_s`. After filming,
+the offset is minus the reference camera's delay, so that the light field and Cycles show the same
+instant. With the speed at 0 and the offset animated, time goes as one likes: it stands still
+(bullet time), slows down, or runs back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import camera as cameras
+from .errors import BadInputError
+
+Samples = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Request:
+    """An image of a light field, as the module `stlfr` takes it."""
+
+    capture: Path
+    time_s: float
+    camera: dict[str, Any]
+    options: dict[str, Any]
+
+
+def request(scene: Any, camera_object: Any, capture: Path) -> Request:
+    """What a scene at its current frame and sub-frame asks for, seen through a camera."""
+    if camera_object is None or camera_object.type != "CAMERA":
+        raise BadInputError("the scene has no camera to look through")
+    if camera_object.data.type != "PERSP":
+        raise BadInputError(
+            f"camera {camera_object.name} isn't a perspective camera, the only kind that the light field can show"
+        )
+    return Request(
+        capture=capture,
+        time_s=capture_time_s(scene),
+        camera=described(scene, camera_object),
+        options=options(scene.stlfr),
+    )
+
+
+def capture_time_s(scene: Any) -> float:
+    """The capture's time at the scene's current frame, seconds on the reference camera's clock."""
+    frames = scene.frame_current + scene.frame_subframe - scene.frame_start
+    scene_s = frames * scene.render.fps_base / scene.render.fps
+    settings = scene.stlfr
+    return float(scene_s * settings.speed + settings.time_offset_s)
+
+
+def described(scene: Any, camera_object: Any) -> dict[str, Any]:
+    """The scene's view through a camera object, as a view file has it."""
+    pinhole = cameras.pinhole_from_lens(cameras.lens_of(camera_object, scene))
+    return {
+        "width": pinhole.width_px,
+        "height": pinhole.height_px,
+        "model": "PINHOLE",
+        "params": pinhole.params,
+        "cam_from_world": cameras.cam_from_world_of(camera_object).to_json(),
+    }
+
+
+def options(settings: Any) -> dict[str, Any]:
+    """The render options that the render tab amounts to, as a file for `stlfr render --options` has them."""
+    proxy: dict[str, Any] = {"rung": settings.proxy}
+    if settings.proxy == "plane" and settings.use_plane_depth:
+        proxy["plane_depth_m"] = settings.plane_depth_m
+    result: dict[str, Any] = {"sync": settings.sync, "proxy": proxy}
+    if settings.use_trail:
+        result["trail"] = {
+            "duration_s": settings.trail_duration_s,
+            "instants": settings.trail_instants,
+            "mode": settings.trail_mode,
+        }
+    return result
+
+
+def border_px(render: Any, width_px: int, height_px: int) -> tuple[int, int, int, int]:
+    """What is rendered of the image: left, right, bottom, top, in pixels from the bottom left."""
+    if not render.use_border:
+        return 0, width_px, 0, height_px
+    return (
+        int(render.border_min_x * width_px),
+        int(render.border_max_x * width_px),
+        int(render.border_min_y * height_px),
+        int(render.border_max_y * height_px),
+    )
+
+
+def scene_linear(samples: Samples) -> npt.NDArray[np.float32]:
+    """RGBA as Blender has it, (H, W, 4): scene-linear, alpha premultiplied, the bottom row first.
+
+    From samples (H, W, 1 to 4), display-encoded (sRGB), grey or RGB, with or without alpha.
+    """
+    encoded = samples.astype(np.float64) / np.iinfo(samples.dtype).max
+    channels = encoded.shape[2]
+    alpha = (
+        encoded[:, :, -1:] if channels in (2, 4) else np.ones((*encoded.shape[:2], 1))
+    )
+    color = encoded[:, :, : 3 if channels >= 3 else 1]
+    linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+    rgb = np.broadcast_to(linear * alpha, (*encoded.shape[:2], 3))
+    return np.concatenate([rgb, alpha], axis=2)[::-1].astype(np.float32)

@@ -1,0 +1,251 @@
+//! Temporal integration (Fig. 1): the paths of what moves, in one picture.
+//!
+//! The paper overlays the images of every camera's sequence and blends the overlays. Here the
+//! finished views of the instants are overlaid, each with the proxy of its own instant: the same
+//! for a plane that stays where it is, and right for shapes that move with time as well. It costs a
+//! view for every instant; the registered frames are shared.
+
+use super::{LightField, RenderError};
+use crate::camera::Camera;
+use crate::lumigraph::Rendered;
+use crate::raster::Image;
+use serde::{Deserialize, Serialize};
+
+/// How far an image reaches back in time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrailOptions {
+    /// Length of the trail before the instant, seconds; 0: none.
+    pub duration_s: f64,
+    /// Instants that are overlaid, evenly spaced, the trail's first and last included. Fewer show
+    /// as separate images of what moves, more cost time in proportion.
+    pub instants: usize,
+    pub mode: TrailMode,
+}
+
+/// How the instants of a trail make one image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum TrailMode {
+    /// The mean of the light, as a long exposure has it
+    #[default]
+    Mean,
+    /// The brightest value: highlights leave full streaks
+    Lighten,
+}
+
+impl Default for TrailOptions {
+    fn default() -> Self {
+        Self { duration_s: 0.0, instants: 16, mode: TrailMode::Mean }
+    }
+}
+
+impl TrailOptions {
+    /// The instants of a trail that ends at a time, seconds, the last one first. Only that one
+    /// without a duration, or with one instant.
+    fn instants_s(&self, time_s: f64) -> Vec<f64> {
+        if self.duration_s <= 0.0 || self.instants < 2 {
+            return vec![time_s];
+        }
+        let step_s = self.duration_s / (self.instants - 1) as f64;
+        (0..self.instants).map(|k| time_s - step_s * k as f64).collect()
+    }
+
+    /// How many instants an image has.
+    pub fn count(&self) -> usize {
+        self.instants_s(0.0).len()
+    }
+}
+
+/// From where an image with a trail is seen.
+#[derive(Clone, Copy, Debug)]
+pub enum Viewpoint<'a> {
+    /// Any camera
+    View(&'a Camera),
+    /// A filming camera, by its index
+    Like(usize),
+}
+
+impl LightField {
+    /// A view, or a filming camera's image, integrated over the trail of the options; without a
+    /// trail, [`Self::view`] or [`Self::synchronized`] itself.
+    ///
+    /// A trail is as long as what was filmed: instants before that, and those at which no camera
+    /// sees anything or too few do to tell its shape, are left out, but not the last one, whose
+    /// error is the result. A pixel is covered if it is at any of the instants, and integrates
+    /// over those.
+    ///
+    /// `proceed` is asked before every instant, with the number of those that are done and of all;
+    /// if it says no, the result is [`RenderError::Stopped`].
+    pub fn with_trail(
+        &self,
+        from: Viewpoint,
+        time_s: f64,
+        mut proceed: impl FnMut(usize, usize) -> bool,
+    ) -> Result<Rendered, RenderError> {
+        let trail = &self.options().trail;
+        let instants_s = trail.instants_s(time_s);
+        let mut overlay: Option<Overlay> = None;
+        for (k, &instant_s) in instants_s.iter().enumerate() {
+            if !proceed(k, instants_s.len()) {
+                return Err(RenderError::Stopped);
+            }
+            let rendered = match (self.instant(from, instant_s), &mut overlay) {
+                (Err(error), Some(_)) if error.is_of_the_instant() => continue,
+                (rendered, _) => rendered?,
+            };
+            if instants_s.len() == 1 {
+                return Ok(rendered);
+            }
+            overlay.get_or_insert_with(|| Overlay::like(&rendered, trail.mode)).add(&rendered);
+        }
+        overlay.map(Overlay::finish).ok_or(RenderError::NothingSeen)
+    }
+
+    fn instant(&self, from: Viewpoint, time_s: f64) -> Result<Rendered, RenderError> {
+        match from {
+            Viewpoint::View(target) => self.view(target, time_s),
+            Viewpoint::Like(camera) => {
+                let image = self.synchronized(camera, time_s)?;
+                let coverage = vec![true; image.width() * image.height()];
+                Ok(Rendered { image, coverage })
+            }
+        }
+    }
+}
+
+impl RenderError {
+    /// Whether another instant may be better.
+    fn is_of_the_instant(&self) -> bool {
+        matches!(
+            self,
+            Self::Time { .. } | Self::CameraTime { .. } | Self::NoPoints | Self::NothingSeen
+        )
+    }
+}
+
+/// Instants of one trail, added up.
+struct Overlay {
+    mode: TrailMode,
+    size: (usize, usize, usize),
+    /// Sums of linear light, or the largest encoded values.
+    values: Vec<f64>,
+    /// How many instants cover a pixel.
+    counts: Vec<u32>,
+}
+
+impl Overlay {
+    fn like(rendered: &Rendered, mode: TrailMode) -> Self {
+        let image = &rendered.image;
+        Self {
+            mode,
+            size: (image.width(), image.height(), image.channels()),
+            values: vec![0.0; image.data().len()],
+            counts: vec![0; rendered.coverage.len()],
+        }
+    }
+
+    /// Adds an instant; all instants of a view have its size and channels.
+    fn add(&mut self, rendered: &Rendered) {
+        let channels = self.size.2;
+        let pixels = rendered.image.data().chunks_exact(channels);
+        for ((k, pixel), sums) in pixels.enumerate().zip(self.values.chunks_exact_mut(channels)) {
+            if !rendered.coverage[k] {
+                continue;
+            }
+            self.counts[k] += 1;
+            for (sum, &value) in sums.iter_mut().zip(pixel) {
+                match self.mode {
+                    TrailMode::Mean => *sum += linear_from_encoded(f64::from(value)),
+                    TrailMode::Lighten => *sum = sum.max(f64::from(value)),
+                }
+            }
+        }
+    }
+
+    fn finish(self) -> Rendered {
+        let (width, height, channels) = self.size;
+        let value = |k: usize, sum: f64| match (self.mode, self.counts[k / channels]) {
+            (_, 0) => 0.0,
+            (TrailMode::Mean, count) => encoded_from_linear(sum / f64::from(count)) as f32,
+            (TrailMode::Lighten, _) => sum as f32,
+        };
+        let data = self.values.iter().enumerate().map(|(k, &sum)| value(k, sum)).collect();
+        let coverage = self.counts.iter().map(|&count| count > 0).collect();
+        Rendered { image: Image::from_data(width, height, channels, data), coverage }
+    }
+}
+
+/// sRGB's decoding (IEC 61966-2-1). Below 0 it is 0: a power has no value there.
+fn linear_from_encoded(v: f64) -> f64 {
+    if v <= 0.04045 { v.max(0.0) / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+/// Its inverse.
+fn encoded_from_linear(v: f64) -> f64 {
+    if v <= 0.0031308 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rendered(values: &[f32], coverage: &[bool]) -> Rendered {
+        let image = Image::from_data(coverage.len(), 1, 1, values.to_vec());
+        Rendered { image, coverage: coverage.to_vec() }
+    }
+
+    fn overlaid(mode: TrailMode, all: &[Rendered]) -> Rendered {
+        let mut overlay = Overlay::like(&all[0], mode);
+        all.iter().for_each(|r| overlay.add(r));
+        overlay.finish()
+    }
+
+    #[test]
+    fn instants_reach_back_from_the_last() {
+        let trail = TrailOptions { duration_s: 0.3, instants: 4, mode: TrailMode::Mean };
+        let instants = trail.instants_s(1.0);
+        assert_eq!(instants[0], 1.0);
+        for (found, expected) in instants.iter().zip([1.0, 0.9, 0.8, 0.7]) {
+            assert!((found - expected).abs() < 1e-12);
+        }
+        assert_eq!(TrailOptions { duration_s: 0.0, ..trail.clone() }.instants_s(1.0), [1.0]);
+        assert_eq!(TrailOptions { instants: 1, ..trail.clone() }.instants_s(1.0), [1.0]);
+        assert_eq!(TrailOptions { instants: 0, ..trail }.count(), 1);
+    }
+
+    /// Black and white in turn are half the light, which is 0.735 in sRGB, not 0.5.
+    #[test]
+    fn the_mean_is_of_light() {
+        let all = [rendered(&[0.0, 0.25], &[true; 2]), rendered(&[1.0, 0.25], &[true; 2])];
+        let mean = overlaid(TrailMode::Mean, &all);
+        assert!((mean.image.data()[0] - 0.735_357).abs() < 1e-5, "{mean:?}");
+        assert!((mean.image.data()[1] - 0.25).abs() < 1e-6);
+        let brightest = overlaid(TrailMode::Lighten, &all);
+        assert_eq!(brightest.image.data(), [1.0, 0.25]);
+    }
+
+    #[test]
+    fn a_pixel_integrates_over_the_instants_that_cover_it() {
+        let all = [
+            rendered(&[0.5, 0.0, 0.0], &[true, false, false]),
+            rendered(&[0.5, 0.7, 0.0], &[true, true, false]),
+        ];
+        for mode in [TrailMode::Mean, TrailMode::Lighten] {
+            let result = overlaid(mode, &all);
+            assert_eq!(result.coverage, [true, true, false]);
+            for (found, expected) in result.image.data().iter().zip([0.5, 0.7, 0.0]) {
+                assert!((found - expected).abs() < 1e-6, "{mode:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn encoding_and_decoding_are_inverse() {
+        for k in 0..=1000 {
+            let v = f64::from(k) / 1000.0;
+            assert!((encoded_from_linear(linear_from_encoded(v)) - v).abs() < 1e-7, "{v}");
+        }
+        assert_eq!(linear_from_encoded(-0.01), 0.0);
+    }
+}

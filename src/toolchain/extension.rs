@@ -1,0 +1,32 @@
+//! The Blender extension as one file to install.
+
+use super::process;
+use super::script::{self, ScriptError};
+use super::setup::{Environment, SetupError, Wheel};
+use crate::progress::Reporter;
+use std::path::Path;
+
+/// Why there is no extension.
+#[derive(Debug, thiserror::Error)]
+pub enum ExtensionError {
+    #[error(transparent)]
+    Wheel(#[from] SetupError),
+    #[error(transparent)]
+    Package(#[from] ScriptError),
+}
+
+/// Writes the extension's zip, validated by Blender's own tool, with the wheel of the Python module
+/// in it. It is for the platform that it is built on.
+pub fn build_extension(
+    environment: &Environment,
+    zip: &Path,
+    reporter: &Reporter,
+) -> Result<(), ExtensionError> {
+    let wheel = Wheel::build(environment, reporter)?;
+    let mut command = script::command(environment, "package.py");
+    command.arg(&wheel.path).arg("-o").arg(zip);
+    let _phase = reporter.phase("packing the extension");
+    let ended = process::run(&mut command, |_| {});
+    let ended = ended.map_err(|e| ScriptError::Failure(format!("package.py: {e}")))?;
+    Ok(script::verdict("package.py", &ended)?)
+}

@@ -1,0 +1,589 @@
+"""What the tests of the extension do inside a Blender: `python -I extension_steps.py STEP ARGUMENTS`.
+
+Each step is a process of its own, with a user configuration of its own. What it finds is its last line
+on stdout, as JSON.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import bpy
+import numpy as np
+
+MODULE = "bl_ext.user_default.stlfr"
+
+
+def part(name: str) -> Any:
+    """A module of the installed extension."""
+    return importlib.import_module(f"{MODULE}.{name}")
+
+
+def enable() -> bool:
+    """As the preferences do; whether it is enabled then."""
+    addon_utils = importlib.import_module("addon_utils")
+    return addon_utils.enable(MODULE, default_set=True) is not None
+
+
+def refused(operator: Any, **properties: Any) -> str:
+    """The sentence with which an operator refuses."""
+    try:
+        operator(**properties)
+    except RuntimeError as error:
+        return str(error).strip()
+    raise AssertionError(f"{operator} isn't refused")
+
+
+# Steps
+
+
+def install(zip_file: str) -> dict[str, Any]:
+    """From the zip, by Blender's own operator."""
+    bpy.ops.extensions.package_install_files(
+        filepath=zip_file, repo="user_default", enable_on_install=True
+    )
+    return {
+        "enabled": MODULE in bpy.context.preferences.addons.keys(),  # noqa: SIM118 - a collection of Blender's
+        "engines": engine_items(),
+    }
+
+
+def traces() -> dict[str, Any]:
+    """Everything that the extension may have registered."""
+    names = {name for name in dir(bpy.types) if "stlfr" in name.lower()}
+    return {
+        "types": sorted(names),
+        "operators": dir(bpy.ops.stlfr),
+        "scene": hasattr(bpy.types.Scene, "stlfr"),
+        "object": hasattr(bpy.types.Object, "stlfr"),
+        "engine": "STLFR" in engine_items(),
+        "panels": sum(
+            panel.is_registered and "STLFR" in getattr(panel, "COMPAT_ENGINES", ())
+            for panel in bpy.types.Panel.__subclasses__()
+        ),
+    }
+
+
+def engine_items() -> list[str]:
+    """The engines that a scene can be set to."""
+    try:
+        bpy.context.scene.render.engine = "NO SUCH ENGINE"
+    except TypeError as error:
+        return [word.strip("'(), ") for word in str(error).split("'")[1::2]]
+    raise AssertionError("any engine is taken")
+
+
+def come_and_go() -> dict[str, Any]:
+    """Enabled and disabled, twice."""
+    addon_utils = importlib.import_module("addon_utils")
+    found = {"before": traces()}
+    for _ in range(2):
+        assert enable()
+        found["enabled"] = traces()
+        addon_utils.disable(MODULE, default_set=True)
+        found["after"] = traces()
+    return found
+
+
+def enable_only() -> dict[str, Any]:
+    """Whether it can be enabled, and what is there then."""
+    enabled = enable()
+    stlfr = importlib.import_module("stlfr")
+    return {
+        "enabled": enabled,
+        "module": stlfr.__file__,
+        "version": stlfr.__version__,
+        **traces(),
+    }
+
+
+def film(folder: str) -> dict[str, Any]:
+    """A rig through its operators, a film that is cancelled and resumed, offsets, a picture."""
+    assert enable()
+    work = Path(folder)
+    scene = moving_scene()
+    sentences = {"unsaved": refused(bpy.ops.stlfr.film)}
+    bpy.ops.wm.save_as_mainfile(filepath=str(work / "mine.blend"))
+    sentences["no rig"] = refused(bpy.ops.stlfr.film)
+    create_rig()
+    settings = scene.stlfr
+    settings.film_frames, settings.film_samples, settings.film_truth = 2, 1, False
+    settings.film_folder, settings.film_workers = "//capture", 1
+    before = described(scene)
+    settings.film_folder, settings.film_truth = "//refused", True
+    sentences["too few frames"] = refused(bpy.ops.stlfr.film)
+    settings.film_folder, settings.film_truth = "//capture", False
+
+    capture = work / "capture"
+    operators, filming, jobs = part("operators"), part("filming"), part("jobs")
+    operators.prepare_film(scene, capture)
+    job = jobs.Job("Filming", filming.command(capture, operators.python(), ""))
+    while job.is_running and job.progress.done < 1:
+        time.sleep(0.02)
+    sentences["busy"] = refused(bpy.ops.stlfr.offsets)
+    faked = drawn()  # with work under way
+    bpy.ops.stlfr.cancel()
+    stopped = sorted(capture.glob("cam*/*.png"))
+    times = [file.stat().st_mtime_ns for file in stopped]
+    sentences["stopped"] = refused(bpy.ops.stlfr.film)
+    faked += drawn()  # with a film to resume
+    bpy.ops.stlfr.film(resume=True)
+    kept = times == [file.stat().st_mtime_ns for file in stopped]
+    sentences["there"] = refused(bpy.ops.stlfr.film)
+    sentences["nothing to resume"] = refused(bpy.ops.stlfr.film, resume=True)
+
+    bpy.ops.stlfr.offsets()
+    offsets = [
+        {
+            "id": o.camera_id,
+            "known": o.is_known,
+            "offset_s": o.offset_s,
+            "reason": o.reason,
+        }
+        for o in settings.offsets
+    ]
+    faked += drawn()
+    return {
+        "sentences": sentences,
+        "cancelled": job.cancelled,
+        "frames when stopped": len(stopped),
+        "kept": kept,
+        "capture": settings.capture,
+        "time_offset_s": settings.time_offset_s,
+        "offsets": offsets,
+        "report": operators.show_offsets(settings.offsets, job_result(capture)),
+        "drawn": faked,
+        "untouched": before == described(scene),
+        "picture": picture(scene, work, 0.5 / 30.0),
+        "rig": part("rig_objects").describe(scene),
+    }
+
+
+def job_result(capture: Path) -> Any:
+    """What the estimation finds, in this process."""
+    return importlib.import_module("stlfr").open(capture).offsets()["cameras"]
+
+
+def film_again(folder: str) -> dict[str, Any]:
+    """A film in one go, of a rig that was loaded."""
+    assert enable()
+    work = Path(folder)
+    scene = moving_scene()
+    bpy.ops.wm.save_as_mainfile(filepath=str(work / "again.blend"))
+    create_rig()
+    bpy.ops.stlfr.rig_save(filepath=str(work / "rig.json"))
+    bpy.ops.stlfr.rig_load(filepath=str(work / "rig.json"))
+    settings = scene.stlfr
+    settings.film_frames, settings.film_samples, settings.film_truth = 1, 1, False
+    settings.film_folder = str(work / "again")
+    result = bpy.ops.stlfr.film()
+    return {
+        "result": sorted(result),
+        "frames": len(list((work / "again").glob("cam*/*.png"))),
+    }
+
+
+def pictures(capture: str, folder: str) -> dict[str, Any]:
+    """Of a capture with many cameras: from a filming camera's place, and from where some pixels are unseen."""
+    assert enable()
+    work, scene = Path(folder), bpy.context.scene
+    scene.render.engine = "STLFR"
+    plain(scene)
+    scene.stlfr.capture = capture
+    filmed = json.loads((Path(capture) / "capture.json").read_text())["cameras"]
+    place(scene, filmed[3])
+    time_s = middle_s(capture)
+    found = {"like": picture(scene, work, time_s, "like")}
+    scene.stlfr.proxy = "plane"
+    scene.stlfr.use_plane_depth, scene.stlfr.plane_depth_m = True, 1.8
+    scene.camera.location.x += 0.5
+    found["aside"] = picture(scene, work, time_s, "aside")
+    scene.camera.location.x -= 0.5
+    scene.stlfr.use_trail, scene.stlfr.trail_duration_s = True, 0.05
+    scene.stlfr.trail_instants, scene.stlfr.trail_mode = 4, "lighten"
+    found["trail"] = picture(scene, work, time_s, "trail")
+    scene.stlfr.use_trail = False
+    scene.render.use_border = scene.render.use_crop_to_border = True
+    scene.render.border_min_x, scene.render.border_max_x = 0.25, 0.75
+    scene.render.border_min_y, scene.render.border_max_y = 0.5, 1.0
+    found["border"] = picture(scene, work, time_s, "border")
+    scene.render.use_crop_to_border = False
+    found["uncropped"] = picture(scene, work, time_s, "uncropped")
+    return found
+
+
+def animation(capture: str, folder: str) -> dict[str, Any]:
+    """Slow motion, and bullet time: the camera moves and time stands still."""
+    assert enable()
+    scene = bpy.context.scene
+    scene.render.engine = "STLFR"
+    plain(scene)
+    settings = scene.stlfr
+    settings.capture = capture
+    filmed = json.loads((Path(capture) / "capture.json").read_text())["cameras"]
+    place(scene, filmed[3])
+    scene.frame_start, scene.frame_end = 1, 3
+    settings.proxy, settings.use_plane_depth = "plane", True
+    settings.time_offset_s = middle_s(capture) - 0.02
+    settings.speed = 0.25
+    scene.render.filepath = f"{folder}/slow-"
+    bpy.ops.render.render(animation=True)
+    times_s = []
+    for frame in (1, 2, 3):
+        scene.frame_set(frame)
+        times_s.append(part("view").capture_time_s(scene))
+    settings.speed = 0.0
+    for frame, x in ((1, 0.0), (3, 0.08)):
+        scene.camera.delta_location.x = x
+        scene.camera.keyframe_insert("delta_location", index=0, frame=frame)
+    scene.render.filepath = f"{folder}/bullet-"
+    bpy.ops.render.render(animation=True)
+    scene.frame_set(3)
+    return {
+        "times_s": times_s,
+        "offset_s": settings.time_offset_s,
+        "bullet_s": part("view").capture_time_s(scene),
+    }
+
+
+def errors(capture: str, folder: str) -> dict[str, Any]:
+    """What the engine and the operators refuse, each in one sentence."""
+    assert enable()
+    scene, settings = bpy.context.scene, bpy.context.scene.stlfr
+    scene.render.engine = "STLFR"
+    plain(scene)
+    scene.render.resolution_x, scene.render.resolution_y = 32, 24
+    found = {"no capture": refused(bpy.ops.render.render)}
+    found["offsets without"] = refused(bpy.ops.stlfr.offsets)
+    settings.capture = "//beside"
+    found["beside nothing"] = refused(bpy.ops.render.render)
+    settings.capture = folder
+    found["no such"] = refused(bpy.ops.render.render)
+    found["offsets of none"] = refused(bpy.ops.stlfr.offsets)
+    found["no review"] = refused(bpy.ops.stlfr.open_review)
+    found["no report"] = refused(bpy.ops.stlfr.open_report)
+    settings.capture = capture
+    settings.time_offset_s = 500.0
+    found["outside"] = refused(bpy.ops.render.render)
+    settings.time_offset_s = 0.0
+    scene.camera.data.type = "ORTHO"
+    found["orthographic"] = refused(bpy.ops.render.render)
+    mine = bpy.data.objects.new("rig", None)
+    scene.collection.objects.link(mine)
+    found["my rig"] = refused(bpy.ops.stlfr.rig_create)
+    bpy.data.objects.remove(mine)
+    wrong = Path(folder) / "wrong.json"
+    wrong.write_text("{}")
+    found["wrong rig"] = refused(bpy.ops.stlfr.rig_load, filepath=str(wrong))
+    create_rig()
+    scene.objects["cam0"].stlfr.more = '{"noise": '
+    found["more"] = refused(bpy.ops.stlfr.rig_save, filepath=str(wrong))
+    scene.objects["cam0"].stlfr.more = ""
+    scene.objects["cam0"].stlfr.jitter_s = 1.0
+    found["jitter"] = refused(bpy.ops.stlfr.rig_save, filepath=str(wrong))
+    return {"sentences": found, "written": wrong.read_text()}
+
+
+def stop_rendering(capture: str) -> dict[str, Any]:
+    """Escape pressed while the engine renders a long trail."""
+    assert enable()
+    scene, settings = bpy.context.scene, bpy.context.scene.stlfr
+    plain(scene)
+    filmed = json.loads((Path(capture) / "capture.json").read_text())["cameras"]
+    place(scene, filmed[3])
+    settings.capture = capture
+    settings.use_trail, settings.trail_instants = True, 10_000
+    settings.time_offset_s = middle_s(capture)
+    engine = part("engine")
+    seen: dict[str, Any] = {"progress": [], "results": 0, "errors": []}
+    pressed = iter([False, False, True])
+    fake = SimpleNamespace(
+        camera_override=None,
+        test_break=lambda: next(pressed),
+        update_stats=lambda _, text: seen.update(text=text),
+        update_progress=seen["progress"].append,
+        report=lambda _, text: seen["errors"].append(text),
+        begin_result=lambda *_, **__: seen.update(results=1),
+    )
+    fake._wait = lambda work: engine.StlfrEngine._wait(fake, work)
+    start_s = time.monotonic()
+    engine.StlfrEngine.render(fake, bpy.context.evaluated_depsgraph_get())
+    return {**seen, "seconds": time.monotonic() - start_s}
+
+
+def review(capture: str) -> dict[str, Any]:
+    """The scene of a comparison is added to the file, which otherwise stays as it is."""
+    assert enable()
+    folder = Path(capture) / "review"
+    folder.mkdir()
+    other = bpy.data.scenes.new("review")
+    other.sequence_editor_create()
+    strips = other.sequence_editor.strips
+    strips.new_effect("truth", "COLOR", channel=1, frame_start=1, length=10)
+    bpy.data.libraries.write(str(folder / "review.blend"), {other})
+    bpy.data.scenes.remove(other)
+    before = sorted(scene.name for scene in bpy.data.scenes)
+    bpy.context.scene.stlfr.capture = capture
+    bpy.ops.stlfr.open_review()
+    added = [scene for scene in bpy.data.scenes if scene.name not in before]
+    return {
+        "added": [scene.name for scene in added],
+        "strips": [s.name for scene in added for s in scene.sequence_editor.strips],
+        "there": all(name in bpy.data.scenes for name in before),
+    }
+
+
+def rigs(rig_file: str, folder: str) -> dict[str, Any]:
+    """A rig file there and back: as it came, after the rig was moved, and after an edit."""
+    assert enable()
+    scene, out = bpy.context.scene, Path(folder)
+    bpy.ops.stlfr.rig_load(filepath=rig_file)
+    bpy.ops.stlfr.rig_save(filepath=str(out / "same.json"))
+    scene.objects["rig"].location = (3.0, -2.0, 1.5)
+    scene.objects["rig"].rotation_euler = (1.2, 0.3, -0.7)
+    bpy.ops.stlfr.rig_save(filepath=str(out / "moved.json"))
+    camera = scene.objects["cam1"]
+    camera.stlfr.delay_s, camera.data.lens = 0.0125, 50.0
+    camera.location.x += 0.01
+    camera.stlfr.color, camera.stlfr.jitter_stamped = "gray", False
+    bpy.ops.stlfr.rig_save(filepath=str(out / "edited.json"))
+    moved = [list(row) for row in scene.objects["cam0"].matrix_world]
+    bpy.ops.stlfr.rig_load(filepath=rig_file)
+    back = [list(row) for row in scene.objects["cam0"].matrix_world]
+    return {
+        "stays": bool(np.allclose(moved, back, atol=1e-5)),
+        "cameras": [o.name for o in part("rig_objects").members(scene, "CAMERA")],
+        "data": len([c for c in bpy.data.cameras if c.name.startswith("cam")]),
+    }
+
+
+def modal(capture: str) -> dict[str, Any]:
+    """A job as a window would drive it: events pass through, news are drawn, the end is taken over."""
+    assert enable()
+    operators, jobs = part("operators"), part("jobs")
+    scene, seen = bpy.context.scene, []
+    scene.stlfr.capture = capture
+    windows = SimpleNamespace(event_timer_remove=lambda timer: seen.append(timer))
+    area = SimpleNamespace(tag_redraw=lambda: seen.append("redrawn"))
+    context = SimpleNamespace(
+        scene=scene,
+        window_manager=windows,
+        screen=SimpleNamespace(areas=[area]),
+    )
+    operator = SimpleNamespace(
+        job=operators.STLFR_OT_offsets.start(None, context),
+        timer="timer",
+        scene_name=scene.name,
+        report=lambda kind, text: seen.append(f"{kind}: {text}"),
+        take=lambda *arguments: operators.STLFR_OT_offsets.take(None, *arguments),
+    )
+    step = operators.LongWork.modal
+    first = step(operator, context, SimpleNamespace(type="MOUSEMOVE"))
+    results: list[set[str]] = []
+    while results[-1:] != [{"FINISHED"}]:
+        results.append(step(operator, context, SimpleNamespace(type="TIMER")))
+        time.sleep(0.05)
+    return {
+        "first": sorted(first),
+        "passed": all(r == {"PASS_THROUGH"} for r in results[:-1]),
+        "seen": seen,
+        "offsets": len(scene.stlfr.offsets),
+        "running": jobs.running() is not None,
+    }
+
+
+# What they use
+
+
+def plain(scene: Any) -> None:
+    """The picture as it is, in a PNG with alpha."""
+    scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"
+    scene.render.dither_intensity = 0.0
+    scene.render.image_settings.file_format = "PNG"
+    scene.render.image_settings.color_mode = "RGBA"
+    scene.render.resolution_percentage = 100
+
+
+def moving_scene() -> Any:
+    """A textured board that slides by, 1.5 m before the camera."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert enable()
+    scene = bpy.context.scene
+    scene.render.fps = 24
+    bpy.ops.mesh.primitive_plane_add(
+        size=3.0, location=(0, 1.5, 0), rotation=(math.pi / 2, 0, 0)
+    )
+    board = bpy.context.object
+    material = bpy.data.materials.new("board")
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    texture, light, output = (
+        nodes.new(f"ShaderNode{kind}")
+        for kind in ("TexVoronoi", "Emission", "OutputMaterial")
+    )
+    texture.inputs["Scale"].default_value = 18.0
+    links.new(texture.outputs["Color"], light.inputs["Color"])
+    links.new(light.outputs["Emission"], output.inputs["Surface"])
+    board.data.materials.append(material)
+    for frame, x in ((1, 0.0), (25, 1.0)):
+        board.location.x = x
+        board.keyframe_insert("location", index=0, frame=frame)
+    scene.camera = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    scene.collection.objects.link(scene.camera)
+    scene.camera.rotation_euler = (math.pi / 2, 0, 0)
+    return scene
+
+
+def create_rig() -> None:
+    """Three small cameras."""
+    bpy.ops.stlfr.rig_create(
+        rig_name="three",
+        columns=3,
+        width_px=64,
+        height_px=48,
+        lens_mm=36.0,
+        jitter_s=0.0005,
+    )
+
+
+def described(scene: Any) -> list[Any]:
+    """What filming must leave as it is."""
+    render = scene.render
+    return [
+        sorted(o.name for o in bpy.data.objects),
+        render.engine,
+        render.resolution_x,
+        scene.frame_current,
+        scene.camera.name,
+        bpy.data.filepath,
+    ]
+
+
+def middle_s(capture: str) -> float:
+    """A time between frames of the reference camera, in the middle of the film."""
+    opened = importlib.import_module("stlfr").open(capture)
+    times_s = opened.times(opened.reference)
+    half = len(times_s) // 2
+    return float(0.6 * times_s[half - 1] + 0.4 * times_s[half])
+
+
+def place(scene: Any, filmed: dict[str, Any]) -> None:
+    """The scene's camera where a filming camera is."""
+    camera = part("camera")
+    pinhole = camera.Pinhole(filmed["width"], filmed["height"], *filmed["params"])
+    lens = camera.lens_from_pinhole(pinhole)
+    transform = filmed["cam_from_world"]
+    pose = camera.RigidTransform(
+        tuple(transform["rotation_wxyz"]), tuple(transform["translation"])
+    )
+    data = scene.camera.data
+    data.sensor_fit, data.lens, data.sensor_width = "HORIZONTAL", lens.lens_mm, 36.0
+    data.shift_x, data.shift_y = lens.shift_x, lens.shift_y
+    scene.render.resolution_x, scene.render.resolution_y = lens.width_px, lens.height_px
+    scene.camera.matrix_world = importlib.import_module("mathutils").Matrix(
+        camera.blender_matrix(pose).tolist()
+    )
+
+
+def picture(
+    scene: Any, work: Path, time_s: float, name: str = "picture"
+) -> dict[str, Any]:
+    """F12 at a capture's time; where the PNG lies, and what `stlfr render` needs for the same."""
+    scene.render.engine = "STLFR"
+    if name == "picture":
+        plain(scene)
+        scene.render.resolution_x, scene.render.resolution_y = 64, 48
+        scene.camera.data.lens, scene.camera.location.x = 36.0, 0.01
+        scene.stlfr.proxy, scene.stlfr.use_plane_depth = "plane", True
+        scene.stlfr.plane_depth_m = 1.5
+    settings, view = scene.stlfr, part("view")
+    frame = scene.frame_start + (time_s - settings.time_offset_s) * scene.render.fps
+    scene.frame_set(int(frame // 1), subframe=frame % 1)
+    scene.render.filepath = str(work / f"{name}.png")
+    bpy.ops.render.render(write_still=True)
+    request = view.request(scene, scene.camera, Path(settings.capture))
+    return {
+        "file": scene.render.filepath,
+        "wanted_s": time_s,
+        "time_s": request.time_s,
+        "camera": request.camera,
+        "options": request.options,
+    }
+
+
+class Layout:
+    """Stands for Blender's layout, which this Blender can't show: refuses what isn't there."""
+
+    def __init__(self) -> None:
+        self.drawn: list[str] = []
+        self.enabled = True
+        self.use_property_split = False
+
+    def row(self, align: bool = False) -> Layout:
+        return self
+
+    column = row
+
+    def label(self, text: str = "", icon: str = "NONE") -> None:
+        self.drawn.append(text)
+
+    def prop(self, data: Any, name: str, text: str = "") -> None:
+        self.drawn.append(data.bl_rna.properties[name].name)
+
+    def operator(self, name: str, text: str = "", icon: str = "NONE") -> Any:
+        kind = getattr(bpy.ops.stlfr, name.removeprefix("stlfr.")).get_rna_type()
+        icons = (
+            bpy.types.UILayout.bl_rna.functions["prop"].parameters["icon"].enum_items
+        )
+        assert icon in icons.keys(), icon  # noqa: SIM118 - a collection of Blender's
+        self.drawn.append(text or kind.name)
+        return SimpleNamespace()
+
+    def progress(self, factor: float, text: str) -> None:
+        assert 0 <= factor <= 1
+        self.drawn.append(text)
+
+    def template_list(
+        self, kind: str, _: str, data: Any, name: str, index_data: Any, index: str
+    ) -> None:
+        assert isinstance(getattr(index_data, index), int)
+        for item in getattr(data, name):
+            line = Layout()
+            one = getattr(bpy.types, kind)
+            one.draw_item(None, None, line, data, item, None, None, "")
+            self.drawn.append(" ".join(line.drawn))
+
+
+def drawn() -> list[str]:
+    """All that the panels show now."""
+    scene = bpy.context.scene
+    found: list[str] = []
+    camera = next(
+        (o for o in scene.objects if o.type == "CAMERA" and o.stlfr.role == "CAMERA"),
+        None,
+    )
+    context = SimpleNamespace(scene=scene, object=camera, engine="STLFR")
+    for kind in part("panels").CLASSES:
+        if not issubclass(kind, bpy.types.Panel):
+            continue
+        layout = Layout()
+        fake = SimpleNamespace(layout=layout)
+        if not hasattr(kind, "poll") or kind.poll(context):
+            kind.draw(fake, context)
+            if hasattr(kind, "draw_header"):
+                kind.draw_header(fake, context)
+        found += [f"{kind.bl_label}: {text}" for text in layout.drawn]
+    return found
+
+
+if __name__ == "__main__":
+    step = globals()[sys.argv[1]]
+    answer = json.dumps(step(*sys.argv[2:]))
+    print(f"\n{answer}", flush=True)

@@ -1,0 +1,574 @@
+"""The Blender extension: built, installed into an empty Blender, and used, headless."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import time
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+STEPS = Path(__file__).resolve().parent / "extension_steps.py"
+MANIFEST = ROOT / "blender/stlfr/blender_manifest.toml"
+
+spec = importlib.util.spec_from_file_location(
+    "stlfr_capture", ROOT / "blender/capture.py"
+)
+assert spec is not None and spec.loader is not None
+spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_extension
+
+errors = importlib.import_module("stlfr_extension.errors")
+filming = importlib.import_module("stlfr_extension.filming")
+jobs = importlib.import_module("stlfr_extension.jobs")
+rig = importlib.import_module("stlfr_extension.rig")
+rig_layout = importlib.import_module("stlfr_extension.rig_layout")
+view = importlib.import_module("stlfr_extension.view")
+wheel = importlib.import_module("stlfr_extension.wheel")
+
+
+@pytest.fixture(scope="session")
+def extension_zip(program: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The extension, built by the command line from this tree."""
+    output = tmp_path_factory.mktemp("extension") / "stlfr.zip"
+    subprocess.run([program, "-q", "setup", "--extension", output], check=True)
+    return output
+
+
+@pytest.fixture(scope="session")
+def blender_user(extension_zip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A user's configuration with nothing but the extension in it."""
+    user = tmp_path_factory.mktemp("user")
+    (user / "found.json").write_text(json.dumps(step(user, "install", extension_zip)))
+    return user
+
+
+@pytest.fixture
+def own_capture(capture_dir: Path, tmp_path: Path) -> Path:
+    """A copy to write into, with its offsets known."""
+    capture = Path(shutil.copytree(capture_dir, tmp_path / "own"))
+    truth = json.loads((capture / "truth/truth.json").read_text())
+    offset_s = {o["id"]: o["offset_s"] for o in truth["offsets"]}
+    content = json.loads((capture / "capture.json").read_text())
+    for camera in content["cameras"]:
+        clock = camera["clock"]
+        clock["times_s"] = [t + offset_s[camera["id"]] for t in clock["times_s"]]
+        clock["shared"] = True
+    (capture / "capture.json").write_text(json.dumps(content))
+    return capture
+
+
+def environment(user: Path) -> dict[str, str]:
+    """Blender's folders of a user who has nothing else."""
+    folders = {
+        f"BLENDER_USER_{name}": str(user / name.lower())
+        for name in ("RESOURCES", "CONFIG", "SCRIPTS", "EXTENSIONS", "DATAFILES")
+    }
+    for folder in folders.values():
+        Path(folder).mkdir(exist_ok=True)
+    return {**os.environ, **folders, "HOME": str(user)}
+
+
+def run_step(
+    user: Path, name: str, *arguments: object
+) -> subprocess.CompletedProcess[str]:
+    """A step in a Blender of its own, however it ends."""
+    return subprocess.run(
+        [sys.executable, "-I", "-B", str(STEPS), name, *map(str, arguments)],
+        env=environment(user),
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+def step(user: Path, name: str, *arguments: object) -> Any:
+    """What a step finds."""
+    ended = run_step(user, name, *arguments)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    assert "Traceback" not in ended.stderr, ended.stderr
+    return json.loads(ended.stdout.splitlines()[-1])
+
+
+def pixels(file: str | Path) -> npt.NDArray[np.int32]:
+    """RGBA samples of a PNG; grey and alpha made explicit."""
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    assert image is not None and image.dtype == np.uint8, file
+    if image.ndim == 2:
+        image = np.repeat(image[:, :, None], 3, axis=2)
+    if image.shape[2] == 3:
+        image = np.concatenate([image, np.full_like(image[:, :, :1], 255)], axis=2)
+    return np.asarray(image[:, :, [2, 1, 0, 3]], dtype=np.int32)
+
+
+def by_command_line(
+    program: Path, capture: Path, wanted: dict[str, Any], tmp_path: Path
+) -> npt.NDArray[np.int32]:
+    """The same view at the same time, by `stlfr render`."""
+    camera, options, output = (
+        tmp_path / name for name in ("view.json", "options.json", "by-command-line.png")
+    )
+    camera.write_text(json.dumps(wanted["camera"]))
+    options.write_text(json.dumps(wanted["options"]))
+    command: list[str | Path] = [program, "-q", "render", capture, "--camera", camera]
+    command += ["--time", repr(wanted["time_s"]), "--options", options, "-o", output]
+    subprocess.run(command, check=True)
+    return pixels(output)
+
+
+def one_sentence(text: str) -> str:
+    """The sentence of an operator's error."""
+    lines = [line.removeprefix("Error: ").strip() for line in text.splitlines()]
+    assert len([line for line in lines if line]) == 1, text
+    assert not text.startswith("Error: Python") and "Traceback" not in text, text
+    return lines[0]
+
+
+# The package
+
+
+def test_the_zip_holds_what_it_needs(extension_zip: Path) -> None:
+    """Modules, the filming script, the wheel of this version, and the manifest that names it."""
+    with zipfile.ZipFile(extension_zip) as archive:
+        names = set(archive.namelist())
+        manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
+    for name in ("__init__.py", "engine.py", "rig.py", "capture.py"):
+        assert name in names
+    assert not any("__pycache__" in name for name in names)
+    (listed,) = manifest["wheels"]
+    assert listed.removeprefix("./") in names
+    assert f"stlfr-{manifest['version']}-cp311-abi3-" in listed
+    assert manifest["platforms"] and list(manifest["permissions"]) == ["files"]
+
+
+def test_the_versions_are_the_same() -> None:
+    """Of the manifest and of the library."""
+    with (ROOT / "Cargo.toml").open("rb") as file:
+        version = tomllib.load(file)["package"]["version"]
+    assert wheel.manifest_version(MANIFEST) == version
+
+
+def test_a_wheel_of_another_version_is_not_packed(tmp_path: Path) -> None:
+    other = tmp_path / "stlfr-9.9.9-cp311-abi3-linux_x86_64.whl"
+    other.write_bytes(b"")
+    command = [sys.executable, "-I", str(ROOT / "blender/package.py"), str(other)]
+    ended = subprocess.run(
+        [*command, "-o", str(tmp_path / "x.zip")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 1 and len(ended.stderr.splitlines()) == 1
+    assert "stlfr-9.9.9" in ended.stderr and not (tmp_path / "x.zip").exists()
+
+
+def test_an_output_that_is_no_zip_is_refused(program: Path) -> None:
+    ended = subprocess.run(
+        [program, "setup", "--extension", "stlfr.tar"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ended.returncode, len(ended.stderr.splitlines())) == (2, 1)
+    assert "must name a .zip" in ended.stderr
+
+
+# In Blender
+
+
+def test_it_installs_and_enables(blender_user: Path) -> None:
+    """With the module that it brings, not another one that lies about."""
+    found = json.loads((blender_user / "found.json").read_text())
+    assert found["enabled"] and "STLFR" in found["engines"]
+    found = step(blender_user, "enable_only")
+    assert Path(found["module"]).is_relative_to(blender_user / "extensions")
+    assert found["version"] == wheel.manifest_version(MANIFEST)
+
+
+def test_disabled_it_leaves_nothing(blender_user: Path) -> None:
+    found = step(blender_user, "come_and_go")
+    assert found["enabled"]["scene"] and found["enabled"]["object"]
+    assert found["enabled"]["engine"] and len(found["enabled"]["types"]) > 15
+    assert found["enabled"]["panels"] > 10  # Blender's own serve the engine
+    assert found["before"] == found["after"]
+    assert not found["after"]["types"] and not found["after"]["panels"]
+
+
+def test_a_module_of_another_version_is_refused(
+    blender_user: Path, tmp_path: Path
+) -> None:
+    user = Path(shutil.copytree(blender_user, tmp_path / "user"))
+    (manifest,) = user.rglob("user_default/stlfr/blender_manifest.toml")
+    text = manifest.read_text().replace('\nversion = "', '\nversion = "7')
+    manifest.write_text(text)
+    ended = run_step(user, "enable_only")
+    found = json.loads(ended.stdout.splitlines()[-1])
+    assert not found["enabled"] and not found["scene"] and not found["types"]
+    said = [
+        line
+        for line in (ended.stdout + ended.stderr).splitlines()
+        if "errors.FailureError: " in line
+    ]
+    (sentence,) = said
+    assert (
+        "can't be enabled: the module stlfr that is installed has version" in sentence
+    )
+
+
+def test_a_missing_module_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "stlfr", None)
+    with pytest.raises(errors.FailureError, match="can't be loaded"):
+        wheel.require(MANIFEST)
+
+
+def test_from_rig_to_picture(blender_user: Path, program: Path, tmp_path: Path) -> None:
+    """A rig, a film that is cancelled and resumed, offsets, and F12: what `stlfr render` writes."""
+    found = step(blender_user, "film", tmp_path)
+    capture = tmp_path / "capture"
+    assert Path(found["capture"]) == capture
+
+    # Filming
+    sentences = {name: one_sentence(text) for name, text in found["sentences"].items()}
+    for name, words in {
+        "unsaved": "isn't saved yet",
+        "no rig": "has no rig",
+        "busy": "Filming is under way",
+        "stopped": "resume it",
+        "there": "isn't empty",
+        "too few frames": "film more --frames",
+        "nothing to resume": "holds no film",
+    }.items():
+        assert words in sentences[name], (name, sentences[name])
+    assert found["cancelled"] and found["kept"] and found["untouched"]
+    assert 1 <= found["frames when stopped"] < 6
+    assert len(list(capture.glob("cam*/*.png"))) == 6
+    assert not list(capture.rglob("*.blend"))
+    assert not (
+        tmp_path / "refused"
+    ).exists()  # nothing is left of a film that can't be
+    cameras = found["rig"]["cameras"]
+    reference = next(c for c in cameras if c["id"] == found["rig"]["reference"])
+    assert found["time_offset_s"] == pytest.approx(-reference["delay_s"], abs=1e-7)
+
+    # Offsets
+    assert [o["id"] for o in found["offsets"]] == ["cam0", "cam1", "cam2"]
+    for offset in found["offsets"]:
+        assert offset["known"] != bool(offset["reason"])
+    assert found["offsets"][1]["known"] and found["offsets"][1]["offset_s"] == 0
+    unknown = [o["id"] for o in found["offsets"] if not o["known"]]
+    kind, sentence = found["report"]
+    assert kind == ("WARNING" if unknown else "INFO")
+    assert all(camera in sentence for camera in unknown)
+
+    # What is shown
+    for text in (
+        "of 6: cam",
+        "Film: Resume",
+        "Rig Camera: Delay",
+        "Under Way: Cancel",
+        "Trails: Mode",
+    ):
+        assert any(text in line for line in found["drawn"]), (text, found["drawn"])
+    assert any("Offsets: cam1 +0.000 ± 0.000 ms" in line for line in found["drawn"])
+
+    # The picture
+    picture = found["picture"]
+    assert picture["time_s"] == pytest.approx(picture["wanted_s"], abs=1e-6)
+    rendered = pixels(picture["file"])
+    expected = by_command_line(program, capture, picture, tmp_path)
+    assert np.abs(rendered - expected).max() <= 1
+    assert rendered[..., :3].std() > 20  # of the board, not of nothing
+
+
+def test_a_film_in_one_go(blender_user: Path, tmp_path: Path) -> None:
+    assert step(blender_user, "film_again", tmp_path) == {
+        "result": ["FINISHED"],
+        "frames": 3,
+    }
+    rig.load(tmp_path / "rig.json")
+
+
+def test_pictures_are_the_command_lines(
+    blender_user: Path, own_capture: Path, program: Path, tmp_path: Path
+) -> None:
+    """By the default rungs, aside where some pixels are unseen, with a trail, and a part of the picture."""
+    found = step(blender_user, "pictures", own_capture, tmp_path)
+    rendered = {name: pixels(wanted["file"]) for name, wanted in found.items()}
+    expected = {
+        name: by_command_line(program, own_capture, wanted, tmp_path)
+        for name, wanted in found.items()
+    }
+    for name in ("like", "aside", "trail"):
+        assert rendered[name].shape == expected[name].shape
+        assert np.abs(rendered[name] - expected[name]).max() <= 1, name
+    hidden = rendered["aside"][..., 3] == 0
+    assert hidden.any() and not hidden.all() and not rendered["aside"][hidden].any()
+    assert (rendered["like"][..., 3] == 255).all()
+    brighter = rendered["trail"].mean() - expected["like"].mean()
+    assert brighter > 0.5
+
+    height, width = expected["border"].shape[:2]
+    part = expected["border"][: height // 2, width // 4 : 3 * width // 4]
+    assert rendered["border"].shape == part.shape
+    assert np.abs(rendered["border"] - part).max() <= 1
+    uncropped = rendered["uncropped"]
+    assert uncropped.shape == expected["border"].shape
+    assert (
+        np.abs(uncropped[: height // 2, width // 4 : 3 * width // 4] - part).max() <= 1
+    )
+    assert not uncropped[height // 2 :].any()
+
+    # From a filming camera's place it is that camera's image: axes, lens and time are right.
+    like = tmp_path / "like-cam3.png"
+    command: list[str | Path] = [program, "-q", "render", own_capture, "--like", "cam3"]
+    command += ["--time", repr(found["like"]["time_s"]), "-o", like]
+    subprocess.run(command, check=True)
+    assert np.abs(rendered["like"] - pixels(like)).mean() < 1.0
+
+
+def test_animations(
+    blender_user: Path, own_capture: Path, program: Path, tmp_path: Path
+) -> None:
+    """Slow motion differs by frame, at the times that speed and offset say; so does bullet time, at one time."""
+    found = step(blender_user, "animation", own_capture, tmp_path)
+    seconds = [0.25 * frame / 24 for frame in range(3)]
+    expected = [found["offset_s"] + s for s in seconds]
+    np.testing.assert_allclose(found["times_s"], expected, rtol=0, atol=1e-9)
+    assert found["bullet_s"] == found["offset_s"]
+    for kind in ("slow", "bullet"):
+        frames = [pixels(tmp_path / f"{kind}-{n:04d}.png") for n in (1, 2, 3)]
+        for a, b in ((0, 1), (1, 2)):
+            assert np.abs(frames[a] - frames[b]).max() > 10, kind
+    slow, bullet = (
+        pixels(tmp_path / f"{kind}-0001.png") for kind in ("slow", "bullet")
+    )
+    np.testing.assert_array_equal(slow, bullet)  # the same place and time
+
+
+def test_what_is_wrong_is_one_sentence(
+    blender_user: Path, own_capture: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    found = step(blender_user, "errors", own_capture, folder)
+    for name, words in {
+        "no capture": "no capture is chosen",
+        "offsets without": "no capture is chosen",
+        "beside nothing": "isn't saved yet",
+        "no such": "capture.json",
+        "offsets of none": "capture.json",
+        "no review": "stlfr compare",
+        "no report": "stlfr compare",
+        "outside": "no camera has frames around",
+        "orthographic": "isn't a perspective camera",
+        "my rig": "give it another name",
+        "wrong rig": "wrong.json",
+        "more": "cam0's other fields aren't valid JSON",
+        "jitter": "cameras[0].jitter_s",
+    }.items():
+        assert words in one_sentence(found["sentences"][name]), name
+    assert found["written"] == "{}"
+
+
+def test_rendering_stops_when_asked(blender_user: Path, own_capture: Path) -> None:
+    found = step(blender_user, "stop_rendering", own_capture)
+    assert not found["errors"] and not found["results"]
+    assert found["seconds"] < 10 and "of 10000" in found["text"]
+    assert all(0 <= share <= 1 for share in found["progress"])
+
+
+def test_a_comparison_is_added_to_the_file(
+    blender_user: Path, own_capture: Path
+) -> None:
+    shutil.rmtree(own_capture / "review", ignore_errors=True)
+    found = step(blender_user, "review", own_capture)
+    assert found == {"added": ["review"], "strips": ["truth"], "there": True}
+
+
+def test_rigs_go_there_and_back(blender_user: Path, tmp_path: Path) -> None:
+    """A rig file is written as it was read, wherever the rig stands; an edit changes what it edits."""
+    source = ROOT / "rigs/linear8.json"
+    found = step(blender_user, "rigs", source, tmp_path)
+    given = json.loads(source.read_text())
+    same, moved, edited = (
+        json.loads((tmp_path / f"{name}.json").read_text())
+        for name in ("same", "moved", "edited")
+    )
+    assert same == given and moved == given
+    changed = edited["cameras"][1]
+    assert changed["delay_s"] == 0.0125 and changed["lens_mm"] == 50.0
+    assert (changed["color"], changed["jitter_stamped"]) == ("gray", False)
+    before, after = (
+        c["cam_from_rig"]["translation"] for c in (given["cameras"][1], changed)
+    )
+    np.testing.assert_allclose(np.subtract(after, before), [-0.01, 0, 0], atol=1e-6)
+    edited["cameras"][1] = given["cameras"][1]
+    assert edited == given
+    assert found["stays"] and found["data"] == 8
+    assert found["cameras"] == [f"cam{n}" for n in range(8)]
+
+
+def test_work_beside_blender_is_followed(blender_user: Path, own_capture: Path) -> None:
+    found = step(blender_user, "modal", own_capture)
+    assert found["first"] == ["PASS_THROUGH"] and found["passed"]
+    assert found["seen"][-2] == "timer" and found["seen"][-1].startswith(
+        "{'INFO'}: The offsets of all 8"
+    )
+    assert found["offsets"] == 8 and not found["running"]
+
+
+# What needs no Blender
+
+
+def talk(*lines: str) -> list[str]:
+    """A process that says these lines of Python."""
+    return [sys.executable, "-I", "-c", "import sys, time, json\n" + "\n".join(lines)]
+
+
+def test_jobs_tell_progress_and_result() -> None:
+    job = jobs.Job(
+        "Work",
+        talk(
+            'print("notes"); print(json.dumps({"done": 1, "total": 4, "what": "a"}), flush=True)',
+            "time.sleep(0.2)",
+            'print(json.dumps({"done": 2, "total": 4, "what": "b"})); print(json.dumps({"result": [5]}))',
+        ),
+    )
+    assert jobs.running() is job
+    with pytest.raises(errors.FailureError, match="Work is under way"):
+        jobs.must_be_free()
+    job.wait()
+    assert (job.progress.done, job.progress.what, job.result) == (2, "b", [5])
+    assert job.error is None and 0 < job.time_left_s < 60
+    assert jobs.running() is None
+
+
+def test_a_jobs_error_is_its_sentence() -> None:
+    job = jobs.Job("Work", talk('sys.exit("rig.json: has no cameras")'))
+    job.wait()
+    assert job.error == "rig.json: has no cameras"
+    silent = jobs.Job("Work", talk("sys.exit(7)"))
+    silent.wait()
+    assert silent.error == "Work ended with status 7"
+    with pytest.raises(errors.FailureError, match="Work can't start"):
+        jobs.Job("Work", ["/no/such/program"])
+
+
+def test_a_cancelled_job_ends() -> None:
+    job = jobs.Job(
+        "Work",
+        talk(
+            "print(json.dumps({'done': 0, 'total': 1}), flush=True)", "time.sleep(60)"
+        ),
+    )
+    start_s = time.monotonic()
+    jobs.end_all()
+    assert time.monotonic() - start_s < 10
+    assert job.cancelled and job.error is None and jobs.running() is None
+
+
+def test_a_layout_is_a_rig(tmp_path: Path) -> None:
+    """A grid, row by row, its middle camera the reference; the same seed gives the same delays."""
+    layout = rig_layout.Layout("grid", 4, 2, 0.06, 64, 48, 36.0, 36.0, 30.0, 0.001, 5)
+    file = tmp_path / "rig.json"
+    file.write_text(json.dumps(rig_layout.content(layout)))
+    made = rig.load(file)
+    assert made.reference == "cam3" and len(made.cameras) == 8
+    places = [-np.array(c.cam_from_rig.translation_m) for c in made.cameras]
+    np.testing.assert_allclose(places[0], [-0.09, -0.03, 0], atol=1e-9)
+    np.testing.assert_allclose(places[7], [0.09, 0.03, 0], atol=1e-9)
+    delays = [c.delay_s for c in made.cameras]
+    assert all(0 <= d < 1 / 30 for d in delays) and len(set(delays)) == 8
+    assert rig_layout.content(layout) == rig_layout.content(layout)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_samples_become_scene_linear(channels: int, kind: Any) -> None:
+    """Decoded, premultiplied, bottom row first; grey and opaque where there is no more."""
+    top = np.iinfo(kind).max
+    samples = np.full((2, 3, channels), top // 2, dtype=kind)
+    samples[0] = top
+    if channels in (2, 4):
+        samples[1, :, -1] = 0
+    linear = view.scene_linear(samples)
+    assert linear.shape == (2, 3, 4) and linear.dtype == np.float32
+    np.testing.assert_array_equal(linear[1], 1.0)
+    if channels in (2, 4):
+        assert not linear[0].any()
+    else:
+        np.testing.assert_allclose(linear[0, :, :3], 0.2126, atol=2e-3)
+        np.testing.assert_array_equal(linear[0, :, 3], 1.0)
+
+
+def test_filming_in_blenders_own_program(tmp_path: Path) -> None:
+    """With a stand-in that has `bpy`, chatters on stdout as Blender does, and runs the script that is named."""
+    program = tmp_path / "blender"
+    program.write_text(
+        f"#!{sys.executable} -I\n"
+        "import runpy, sys\n"
+        "assert sys.argv[1:3] == ['--background', '--factory-startup'], sys.argv\n"
+        "print('Blender 5.0.1 (hash of nothing)', flush=True)\n"
+        "runpy.run_path(sys.argv[sys.argv.index('--python') + 1], run_name='__main__')\n"
+    )
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    layout = rig_layout.Layout("one", 1, 1, 0.0, 32, 24, 36.0, 36.0, 30.0, 0.0, 1)
+    rig_file = tmp_path / "rig.json"
+    rig_file.write_text(json.dumps(rig_layout.content(layout)))
+    command = [sys.executable, "-I", str(ROOT / "blender/capture.py"), str(rig_file)]
+    command += ["--scene", "magazine", "-o", str(tmp_path / "film"), "--frames", "1"]
+    command += [
+        "--samples",
+        "1",
+        "--no-truth",
+        "--workers",
+        "1",
+        "--blender",
+        str(program),
+    ]
+    ended = subprocess.run(
+        command, capture_output=True, text=True, timeout=240, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    said = [json.loads(line) for line in ended.stdout.splitlines()]
+    assert said[-1]["done"] == said[-1]["total"] == 1
+    assert pixels(tmp_path / "film/cam0/0000.png").shape == (24, 32, 4)
+
+
+def test_filming_begins_in_an_empty_folder(tmp_path: Path) -> None:
+    """And never over anything; what was begun and not filmed is undone."""
+    options = filming.Options("mine", 1, 1, False, 0, 1)
+    content = rig_layout.content(
+        rig_layout.Layout("one", 1, 1, 0.0, 32, 24, 36.0, 36.0, 30.0, 0.0, 1)
+    )
+    folder = tmp_path / "film"
+    blend = filming.begin(folder, content, options)
+    assert not filming.is_begun(folder)
+    blend.write_bytes(b"")
+    assert filming.is_begun(folder)
+    with pytest.raises(errors.BadInputError, match="resume it"):
+        filming.begin(folder, content, options)
+    command = filming.command(folder, ["python"], "/opt/blender")
+    assert command[-2:] == ["--blender", "/opt/blender"] and "--no-truth" in command
+    filming.tidy(folder)
+    assert not folder.exists()
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(errors.BadInputError, match="isn't empty"):
+        filming.begin(tmp_path, content, options)
+    with pytest.raises(errors.BadInputError, match="holds no film"):
+        filming.command(tmp_path, ["python"], "")
