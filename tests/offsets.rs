@@ -1,6 +1,7 @@
 //! Clocks that are seconds apart, drift and lose frames; grids that see what a row does not; on
 //! films in closed form.
 
+mod common;
 #[allow(dead_code)] // the benchmark uses all of it
 #[path = "bench/offsets/random.rs"]
 mod random;
@@ -8,6 +9,7 @@ mod random;
 #[path = "bench/offsets/scene.rs"]
 mod scene;
 
+use common::{run, stderr};
 use scene::Film;
 use std::sync::Arc;
 use stlfr::capture::Capture;
@@ -83,4 +85,39 @@ fn motion_along_the_rows_is_seen_by_a_grids_columns() {
         let error = (camera.offset_s.expect(&camera.id) - truth_s) / capture.frame_s();
         assert!(error.abs() < 0.02, "{}: {error} frame", camera.id);
     }
+}
+
+#[test]
+fn the_command_prints_a_table_and_keeps_a_plot() {
+    let folder = tempfile::tempdir().unwrap();
+    let film = small(scene::rectangle([0.5, 0.7]), &[0.3, 0.0], 5);
+    film.write(folder.path()).unwrap();
+    let path = folder.path().to_str().unwrap();
+    let first = run(&["offsets", path]);
+    assert!(first.status.success(), "{}", stderr(&first));
+    let table = String::from_utf8_lossy(&first.stdout).into_owned();
+    assert!(table.contains("std. error") && table.contains("cam1"), "{table}");
+    assert!(stderr(&first).contains("were estimated"));
+    let plot = std::fs::read_to_string(folder.path().join("offsets.svg")).unwrap();
+    for title in ["Each pair alone", "Candidates that agree", "Single triples", "epipolar lines"] {
+        assert!(plot.contains(title), "{title}");
+    }
+    assert!(plot.matches("<circle").count() > 8 && !plot.contains("NaN"));
+    let again = run(&["offsets", path]);
+    assert_eq!(String::from_utf8_lossy(&again.stdout), table);
+    assert!(stderr(&again).contains("kept in offsets.json"));
+}
+
+#[test]
+fn a_static_capture_has_no_offsets_to_estimate() {
+    let folder = tempfile::tempdir().unwrap();
+    small(scene::rectangle([0.5, 0.7]), &[0.3, 0.0], 1).write(folder.path()).unwrap();
+    let output = run(&["offsets", folder.path().to_str().unwrap()]);
+    assert!(output.status.success());
+    let notes = stderr(&output);
+    assert!(
+        notes.contains("no offsets to estimate") && !notes.contains("were estimated"),
+        "{notes}"
+    );
+    assert!(!folder.path().join("offsets.json").exists());
 }

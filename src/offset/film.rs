@@ -83,6 +83,11 @@ impl<'a> Film<'a> {
         Self { frames, timelines, options, tracks, triples: Mutex::default() }
     }
 
+    /// The tracks of a camera between frames k and k + 1.
+    pub fn track(&self, camera: usize, k: usize) -> Result<Arc<Vec<Track>>, CaptureError> {
+        self.tracks.get(self.frames, camera, k)
+    }
+
     /// The image of camera b between frames k and k + 1 of camera a, or that near to them that the
     /// path can still be followed, if b's clock is `offset_s` behind a's.
     pub fn between(&self, [a, b]: [usize; 2], k: usize, offset_s: f64) -> Option<usize> {
@@ -117,7 +122,7 @@ impl<'a> Film<'a> {
     ) -> Result<Triple, CaptureError> {
         let cameras = &self.frames.capture().cameras;
         let (source, target) = (self.frames.get(a, k)?, self.frames.get(b, m)?);
-        let all = self.tracks.get(self.frames, a, k)?;
+        let all = self.track(a, k)?;
         // §7 starts from the features selected on I_i(t) itself.
         let chosen: Vec<&Track> = all.iter().filter(|t| t.in_forward_set()).collect();
         let times_i = &self.timelines.times_s[a];

@@ -259,7 +259,7 @@ impl Solution {
         let mut sandwich = Sandwich::new(n);
         let frame_s = unknowns.clocks.frame_s;
         for (k, pair) in used.iter().enumerate() {
-            // A single instant's estimate has a standard error already.
+            // What the pair weighs in the solution, shared out among its samples.
             let factor = systems[k].factor * self.weights[k];
             let one_number = unknowns.rate.iter().all(Option::is_none);
             let information = |(s, w): &(super::film::Sample, f64)| w * s.across_px_s.powi(2);

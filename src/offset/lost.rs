@@ -32,17 +32,28 @@ struct Seen {
     offset_s: f64,
 }
 
+/// Where an offset is looked for, in frames from where it was seen last,
+const STEPS: [f64; 4] = [0.0, 1.0, -1.0, 2.0];
+/// and at first.
+const FIRST_STEPS: [f64; 7] = [0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0];
+/// A single triple of frames needs this share of the inliers that a pair does: a wrong one is
+/// outvoted by the other triples and pairs,
+const OF_A_TRIPLE: f64 = 0.5;
+/// but this share of its candidates.
+const MIN_SHARE: f64 = 0.3;
 /// Jumps of a fraction of a frame beyond this are whole ones.
 const MIN_JUMP: f64 = 0.6;
 
 /// Follows the offset of the pair (a, b) along the film, from a guess at its main part.
 pub fn follow(film: &Film, [a, b]: [usize; 2], guess: Guess) -> Result<Witness, CaptureError> {
     let intervals = film.timelines.times_s[a].len() - 1;
-    let mut walk = Walk { film, cameras: [a, b], frame_s: film.timelines.frame_s(b) };
+    let walk = Walk { film, cameras: [a, b], frame_s: film.timelines.frame_s(b) };
     let mut seen: Vec<Seen> = Vec::new();
     let mut offset_s = guess.value_s;
     for k in super::spread(intervals, film.options.max_frames) {
-        if let Some(found) = walk.look(k, offset_s)? {
+        // The guess is the main part's; the film's start may be a few lost frames before it.
+        let steps: &[f64] = if seen.is_empty() { &FIRST_STEPS } else { &STEPS };
+        if let Some(found) = walk.look(k, offset_s, steps)? {
             offset_s = found.offset_s;
             seen.push(found);
         }
@@ -65,11 +76,11 @@ struct Walk<'a, 'b> {
 }
 
 impl Walk<'_, '_> {
-    /// The offset that frame k of camera a sees, near the expected one or a few frames more: the
-    /// one that most features agree with. `None` where too few do.
-    fn look(&mut self, k: usize, expected_s: f64) -> Result<Option<Seen>, CaptureError> {
+    /// The offset that frame k of camera a sees, near the expected one or `steps` frames from it:
+    /// the one that most features agree with. `None` where too few do.
+    fn look(&self, k: usize, expected_s: f64, steps: &[f64]) -> Result<Option<Seen>, CaptureError> {
         let mut best: Option<(f64, Seen)> = None;
-        for frames in [0.0, 1.0, -1.0, 2.0] {
+        for &frames in steps {
             // A frame that agrees where it was expected needs no rival.
             if frames != 0.0
                 && best.is_some_and(|(score, _)| score > 0.0)
@@ -109,13 +120,13 @@ impl Walk<'_, '_> {
         };
         let time_s = self.film.timelines.times_s[self.cameras[1]][m] + offset_s;
         let inside = time_s >= start - slack && time_s <= end + slack;
-        let enough = score >= options.min_inliers as f64
-            && score >= options.min_inlier_share * observations.len() as f64;
+        let enough = score >= OF_A_TRIPLE * options.min_inliers as f64
+            && score >= MIN_SHARE * observations.len() as f64;
         Ok((inside && enough).then_some((score, offset_s)))
     }
 
     /// Finds the images between two sightings before which the offset jumps.
-    fn bracket(&mut self, from: Seen, to: Seen, lost: &mut Vec<usize>) -> Result<(), CaptureError> {
+    fn bracket(&self, from: Seen, to: Seen, lost: &mut Vec<usize>) -> Result<(), CaptureError> {
         let jump = (to.offset_s - from.offset_s) / self.frame_s;
         if jump < MIN_JUMP || to.m <= from.m {
             return Ok(());
@@ -150,7 +161,7 @@ impl Walk<'_, '_> {
     }
 
     fn look_for_either(
-        &mut self,
+        &self,
         k: usize,
         old_s: f64,
         new_s: f64,

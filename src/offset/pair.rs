@@ -113,10 +113,10 @@ pub fn estimate_pair(
 }
 
 /// Cameras a and b, frame k of a, frame m of b.
-type Frames = ([usize; 2], [usize; 2]);
+pub type Frames = ([usize; 2], [usize; 2]);
 
 /// The frames to use for a pair, in both directions.
-fn triples(film: &Film, [i, j]: [usize; 2], guess: &Guess) -> Vec<Frames> {
+pub fn triples(film: &Film, [i, j]: [usize; 2], guess: &Guess) -> Vec<Frames> {
     let mut used = Vec::new();
     for (a, b, sign) in [(i, j, 1.0), (j, i, -1.0)] {
         let times = &film.timelines.times_s[a];
@@ -187,7 +187,7 @@ fn from_triples(
         .zip(found)
         .filter_map(|(&([a, _], [k, _]), t)| frame_estimate(film, a, k, &t.samples, a == i))
         .collect();
-    let fitted = fit(&observations, &residuals, guess, center_s, with_rate);
+    let fitted = fit(&observations, &residuals, guess, with_rate);
     let Some(mixture) = fitted.filter(|m| believable(m, options)) else {
         return Err(Blind::Discordant);
     };
@@ -213,13 +213,12 @@ fn from_triples(
     Ok(estimate)
 }
 
-/// The mixture from the start that most agree with, or, where the offset changes with time so
-/// that no single value is that of many, from the guess.
+/// The mixture from the start that most agree with, the guess's rate taken out: with it in, no
+/// single value would be that of many.
 fn fit(
     observations: &[Observation],
     residuals: &Residuals,
     guess: &Guess,
-    center_s: f64,
     with_rate: bool,
 ) -> Option<Mixture> {
     if !with_rate {
@@ -231,7 +230,6 @@ fn fit(
         .collect();
     let start_s = residuals.start(&along_guess)?.0;
     let relative = residuals.fit(&along_guess, start_s, true)?;
-    debug_assert!(center_s.is_finite());
     Some(Mixture { rate: relative.rate + guess.rate, ..relative })
 }
 

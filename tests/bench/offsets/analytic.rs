@@ -35,6 +35,7 @@ fn estimated(film: &Film) -> Result<(Estimate, Vec<Outcome>, usize, f64), Failur
 
 /// Error bars over films of random boards.
 fn calibration(films: u64) -> Result<(), Failure> {
+    println!("error bars: films of 320×240, 6 to 12 frames, 4 cameras");
     let mut all = Vec::new();
     let mut unknown = 0;
     for seed in 0..films {
@@ -44,11 +45,10 @@ fn calibration(films: u64) -> Result<(), Failure> {
         let (_, found, blind, _) = estimated(&film)?;
         all.extend(found);
         unknown += blind;
+        if (seed + 1) % 10 == 0 {
+            println!("{} films: {}; {unknown} unknown", seed + 1, summary(&all));
+        }
     }
-    println!(
-        "error bars, {films} films of 320×240, 6 to 12 frames: {}; {unknown} unknown",
-        summary(&all)
-    );
     Ok(())
 }
 
