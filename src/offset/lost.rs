@@ -115,7 +115,7 @@ impl Walk<'_, '_> {
             .iter()
             .map(|s| Observation { value_s: s.offset_s(), at_s: 0.0, across_px_s: s.across_px_s })
             .collect();
-        let Some((score, offset_s)) = residuals(end - start, options).start(&observations) else {
+        let Some((offset_s, score)) = residuals(end - start, options).start(&observations) else {
             return Ok(None);
         };
         let time_s = self.film.timelines.times_s[self.cameras[1]][m] + offset_s;

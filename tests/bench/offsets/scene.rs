@@ -312,8 +312,8 @@ pub fn rotating_magazine() -> Vec<Board> {
 pub fn restless(seed: u64) -> Vec<Board> {
     let random = &mut Random::new(seed);
     let mut boards = vec![wall()];
-    for (x, hz) in [(-0.3, 0.71), (0.05, 1.13), (0.35, 1.57)] {
-        let mut board = Board::still(Point3::new(x, 0.0, 1.8), [0.14, 0.16], [x, 0.3]);
+    for (x, hz) in [(-0.45, 0.71), (0.05, 1.13), (0.5, 1.57)] {
+        let mut board = Board::still(Point3::new(x, 0.0, 1.8), [0.22, 0.28], [x, 0.3]);
         board.swing = Vector3::new(0.08 * random.signed(), 0.16, 0.0);
         board.swing_hz = hz;
         board.phase = 6.0 * random.uniform();
