@@ -83,15 +83,14 @@ impl Sandwich {
     }
 }
 
-/// `Σ g gᵀ` over the clusters, corrected for their number: the variance of Student's distribution
-/// over a Gaussian's, so that two standard errors cover as much.
+/// `Σ g gᵀ` over the clusters, corrected for their number. (Student's wider tails for few clusters,
+/// tried too, made the error bars of filmed scenes a third too long.)
 fn summed<'a>(
     scores: impl ExactSizeIterator<Item = &'a DVector<f64>>,
     unknowns: usize,
 ) -> DMatrix<f64> {
     let n = scores.len() as f64;
-    let freedom = (n - 1.0).max(2.5);
-    let correction = n / (n - 1.0).max(1.0) * freedom / (freedom - 2.0);
+    let correction = n / (n - 1.0).max(1.0);
     let zero = DMatrix::zeros(unknowns, unknowns);
     scores.fold(zero, |sum, g| sum + g * g.transpose()) * correction
 }
@@ -102,7 +101,7 @@ mod tests {
     use crate::offset::tests::Random;
 
     /// A mean whose samples share an error by time and one by place: its scatter over thousands of
-    /// problems is the variance that it is given, within the correction for few clusters.
+    /// problems is the variance that it is given.
     #[test]
     fn shared_errors_are_counted() {
         let random = &mut Random::new(4);
@@ -123,7 +122,7 @@ mod tests {
             claimed += sandwich.variances().unwrap()[0];
         }
         let ratio = claimed / squares;
-        assert!((0.95..1.5).contains(&ratio), "{ratio}");
+        assert!((0.88..1.2).contains(&ratio), "{ratio}");
     }
 
     #[test]
