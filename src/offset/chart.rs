@@ -76,7 +76,7 @@ impl Axis {
     fn at(&self, value: f64) -> Option<f64> {
         let value = if self.log { value.log10() } else { value };
         let share = (value - self.low) / (self.high - self.low);
-        (0.0..=1.0).contains(&share).then(|| self.from + share * (self.to - self.from))
+        (0.0..=1.0).contains(&share).then_some(self.from + share * (self.to - self.from))
     }
 
     /// Round values, about six.

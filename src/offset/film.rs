@@ -52,7 +52,9 @@ pub struct Film<'a> {
 
 /// Tracks by camera and frame: two pairs of a camera, and two attempts, share them.
 #[derive(Default)]
-pub struct TrackCache(Mutex<HashMap<(usize, usize), Arc<Vec<Track>>>>);
+pub struct TrackCache(Mutex<TracksByFrame>);
+
+type TracksByFrame = HashMap<(usize, usize), Arc<Vec<Track>>>;
 
 impl TrackCache {
     /// Found now if they have not been. Two threads may both find them, to the same bits: waiting
@@ -110,16 +112,12 @@ impl<'a> Film<'a> {
         if let Some(triple) = kept().get(&[a, b, k, m]) {
             return Ok(triple.clone());
         }
-        let triple = Arc::new(self.from_three_frames([a, b], [k, m])?);
+        let triple = Arc::new(self.three_frames([a, b], [k, m])?);
         kept().insert([a, b, k, m], triple.clone());
         Ok(triple)
     }
 
-    fn from_three_frames(
-        &self,
-        [a, b]: [usize; 2],
-        [k, m]: [usize; 2],
-    ) -> Result<Triple, CaptureError> {
+    fn three_frames(&self, [a, b]: [usize; 2], [k, m]: [usize; 2]) -> Result<Triple, CaptureError> {
         let cameras = &self.frames.capture().cameras;
         let (source, target) = (self.frames.get(a, k)?, self.frames.get(b, m)?);
         let all = self.track(a, k)?;
