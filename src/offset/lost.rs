@@ -192,9 +192,9 @@ pub fn agreed(camera: usize, witnesses: &[Witness]) -> Vec<usize> {
             |w: &&&Witness| w.seen.is_some_and(|(first, last)| first < image && image <= last);
         let mut counts: Vec<usize> = own.iter().filter(looked).map(|w| times(&w)).collect();
         counts.sort_unstable();
-        // The upper median: one of two that looked is enough, as the other may have seen it an
-        // image later.
-        let count = counts.get(counts.len() / 2).copied().unwrap_or(0);
+        // The lower median: of two that looked, both must have seen it. A frame that is missed
+        // leaves a pair that disagrees; one that is made up moves all that follows.
+        let count = counts.get(counts.len().saturating_sub(1) / 2).copied().unwrap_or(0);
         lost.extend(std::iter::repeat_n(image, count));
     }
     lost
