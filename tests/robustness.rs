@@ -198,7 +198,7 @@ fn shared_and_own_clocks_mix() {
 fn motion_along_the_epipolar_lines_shows_no_offset() {
     let scene = Scene { velocity: [1.0, 0.0], ..Scene::default() };
     let folder = scene.film();
-    assert_unknown(&estimate(&open(&folder)), &[0, 2], "too few features move");
+    assert_unknown(&estimate(&open(&folder)), &[0, 2], "the motion runs along them");
 }
 
 #[test]
@@ -220,7 +220,7 @@ fn blank_frames_show_no_offset_and_no_view() {
         }
         let capture = open(&folder);
         let offsets = estimate(&capture);
-        assert_unknown(&offsets, &[0, 2], "too few features move");
+        assert_unknown(&offsets, &[0, 2], "too few features can be followed");
         let field = LightField::new(capture, offsets, RenderOptions::default());
         let image = field.synchronized(1, 0.03).unwrap();
         assert!(image.data().iter().all(|v| (v - value).abs() < 0.01));

@@ -11,7 +11,9 @@ use stlfr::progress::Reporter;
 /// Estimate how far each camera's clock is off the reference's, with its standard error, from the
 /// pixels alone.
 ///
-/// Time on the reference's clock = time on the camera's clock + offset.
+/// Time on the reference's clock = time on the camera's clock + offset. Clocks that drift, and
+/// cameras that may lose frames, are those that capture.json calls so. What is estimated is kept in
+/// the capture's folder: offsets.json, and offsets.svg, a plot of what it was made of.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr offsets .captures/demo\n  \
@@ -43,20 +45,43 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
 }
 
 fn print_table(offsets: &Offsets, frame_s: f64) {
-    println!("{:<12} {:>12} {:>12} {:>10}", "camera", "offset", "std. error", "frames");
+    let drifts = offsets.cameras.iter().any(|c| c.rate_ppm.is_some());
+    let loses = offsets.cameras.iter().any(|c| c.lost_before.is_some());
+    let mut header =
+        format!("{:<12} {:>12} {:>12} {:>10}", "camera", "offset", "std. error", "frames");
+    if drifts {
+        header += &format!(" {:>20}", "rate");
+    }
+    if loses {
+        header += "  lost before";
+    }
+    println!("{header}");
     for camera in &offsets.cameras {
-        match (camera.offset_s, camera.std_err_s) {
-            (Some(offset_s), std_err_s) => println!(
-                "{:<12} {:>9.4} ms {:>9.4} ms {:>10.4}",
-                camera.id,
-                1e3 * offset_s,
-                1e3 * std_err_s.unwrap_or(f64::NAN),
-                if frame_s > 0.0 { offset_s / frame_s } else { 0.0 },
-            ),
-            _ => {
-                println!("{:<12} unknown: {}", camera.id, camera.reason.as_deref().unwrap_or("-"));
-            }
+        let Some(offset_s) = camera.offset_s else {
+            println!("{:<12} unknown: {}", camera.id, camera.reason.as_deref().unwrap_or("-"));
+            continue;
+        };
+        let mut line = format!(
+            "{:<12} {:>9.4} ms {:>9.4} ms {:>10.4}",
+            camera.id,
+            1e3 * offset_s,
+            1e3 * camera.std_err_s.unwrap_or(f64::NAN),
+            if frame_s > 0.0 { offset_s / frame_s } else { 0.0 },
+        );
+        if drifts {
+            let rate = camera.rate_ppm.zip(camera.rate_std_err_ppm);
+            let text = rate.map(|(rate, error)| format!("{rate:.1} ± {error:.1} ppm"));
+            line += &format!(" {:>20}", text.unwrap_or_default());
         }
+        if loses {
+            let lost = camera.lost_before.as_deref().unwrap_or_default();
+            let images: Vec<String> = lost.iter().map(usize::to_string).collect();
+            line += &format!("  {}", images.join(", "));
+        }
+        println!("{}", line.trim_end());
     }
     println!("Time on {}'s clock = time on the camera's clock + offset.", offsets.reference);
+    if drifts {
+        println!("Offsets are those at each camera's first frame.");
+    }
 }

@@ -33,13 +33,23 @@ impl ThreeFrames<'_> {
     /// Features without a correspondence, at the epipole, or with too little motion across the
     /// line have none.
     pub fn candidates(&self, tracks: &[&Track], in_j: &[Option<Point2<f64>>]) -> Vec<Candidate> {
+        self.candidates_by_track(tracks, in_j).into_iter().map(|(_, c)| c).collect()
+    }
+
+    /// The same, each with its track's index.
+    pub fn candidates_by_track(
+        &self,
+        tracks: &[&Track],
+        in_j: &[Option<Point2<f64>>],
+    ) -> Vec<(usize, Candidate)> {
         let Some(geometry) = EpipolarGeometry::new(self.camera_j, self.camera_i) else {
             return Vec::new();
         };
         tracks
             .iter()
             .zip(in_j)
-            .filter_map(|(track, p_j)| self.candidate(&geometry, track, (*p_j)?))
+            .enumerate()
+            .filter_map(|(k, (track, p_j))| Some((k, self.candidate(&geometry, track, (*p_j)?)?)))
             .collect()
     }
 

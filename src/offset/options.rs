@@ -23,6 +23,15 @@ pub struct OffsetOptions {
     /// A feature has a candidate only if it moves at least this much across the epipolar line
     /// from frame to frame, pixels. Smaller: noise over almost nothing is any time at all.
     pub min_across_px: f64,
+    /// How far from its epipolar line a feature is expected, pixels: where the best rung's estimate
+    /// starts from. Larger lets outliers choose the start, smaller leaves inliers out of it.
+    pub residual_px: f64,
+    /// How far apart clocks may be, seconds, where films are long enough to find it. 0: they are
+    /// right to about a frame. Further takes longer, and meets more motion that looks alike.
+    pub search_s: f64,
+    /// The least overlap of two films that is searched for, seconds; shorter ones are not searched.
+    /// Less finds chance likeness.
+    pub min_overlap_s: f64,
     /// A pair with fewer inliers than this is not used.
     pub min_inliers: usize,
     /// Nor one with a smaller share of inliers: by chance alone, candidates spread over a few
@@ -56,6 +65,9 @@ impl Default for OffsetOptions {
             tolerance_share: 0.05,
             gamma: 70.0,
             min_across_px: 1.0,
+            residual_px: 0.5,
+            search_s: 5.0,
+            min_overlap_s: 2.0,
             min_inliers: 12,
             min_inlier_share: 0.15,
             max_std_err_frames: 0.1,

@@ -1,224 +1,294 @@
 //! The offset between two cameras, from all frames that see it.
 
-use super::candidates::ThreeFrames;
 use super::consensus::{ransac, weighted_least_squares};
+use super::film::{Film, Sample, Triple};
+use super::mixture::{Mixture, Observation, Residuals};
+use super::uncertainty::Sandwich;
 use super::{OffsetOptions, OffsetRung};
 use crate::capture::CaptureError;
-use crate::registration::{FrameStore, Track, flow};
 use serde::Serialize;
-use std::collections::{HashMap, hash_map::Entry};
+use std::sync::Arc;
 
 /// What one pair of cameras says: `offset_j − offset_i`, seconds.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PairEstimate {
     pub cameras: [usize; 2],
+    /// In the middle of what both filmed, where clocks drift.
     pub offset_s: f64,
     pub std_err_s: f64,
+    /// Change of the offset a second; 0 where neither clock drifts.
+    pub rate: f64,
+    /// The time that `offset_s` is at, on camera i's clock.
+    pub center_s: f64,
     pub inliers: usize,
     pub candidates: usize,
+    /// Standard deviation of the inliers' distances from their epipolar lines, pixels.
+    pub sigma_px: f64,
     /// The paper's estimate of every triple of frames.
     pub frames: Vec<FrameEstimate>,
+    #[serde(skip)]
+    pub(super) samples: Vec<(Sample, f64)>,
 }
 
-/// The estimate from three frames: two of `camera`, one of the other.
+/// The estimates from three frames: two of `camera`, one of the other.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FrameEstimate {
     pub camera: usize,
     pub frame: usize,
+    /// The paper's, RANSAC and WLS,
     pub offset_s: f64,
+    /// and the best rung's, by information.
+    pub by_information_s: f64,
+    pub std_err_s: f64,
     pub inliers: usize,
     pub candidates: usize,
 }
 
-/// A feature's candidate as an offset of the pair.
-#[derive(Clone, Copy, Debug)]
-struct Sample {
-    offset_s: f64,
-    across_px_s: f64,
-    /// Which triple of frames it is from: errors within one are not independent.
-    group: usize,
+/// Why a pair says nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Blind {
+    /// No frame of one is between two of the other.
+    Apart,
+    /// Too few features can be followed.
+    Featureless,
+    /// They can, and rest.
+    Still,
+    /// They move, along the epipolar lines.
+    Along,
+    /// Candidates don't agree with each other.
+    Discordant,
+    /// Several offsets, frames apart, agree as well with what is seen.
+    Repeating,
 }
 
-/// The temporal tracks of every frame of every camera that is used; `None` where none was asked.
-pub type Tracks = Vec<Vec<Option<Vec<Track>>>>;
+/// A pair's offset as far as it is known: `value_s` at `center_s` on camera i's clock.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Guess {
+    pub value_s: f64,
+    pub rate: f64,
+    pub center_s: f64,
+}
 
-/// Offsets and speeds across of the features of one triple of frames (camera a, camera b, frame k
-/// of a, frame m of b): rounds of the search share most triples.
-type KnownTriples = HashMap<(usize, usize, usize, usize), Vec<(f64, f64)>>;
+impl Guess {
+    pub fn constant(value_s: f64) -> Self {
+        Self { value_s, ..Self::default() }
+    }
 
-/// The pair (i, j) from both sides: camera i's tracks against camera j's frames, and the reverse.
-///
-/// `None` if too few candidates agree.
+    /// `offset_j − offset_i` at a time on camera i's clock.
+    pub fn at(&self, time_s: f64) -> f64 {
+        self.value_s + self.rate * (time_s - self.center_s)
+    }
+}
+
+/// Rounds of choosing frames by the estimate and estimating from them.
+const ROUNDS: usize = 5;
+
+/// The pair (i, j) from both sides: camera i's tracks against camera j's frames, and the reverse;
+/// `start` is its offset to about a frame. The error says why too few candidates agree.
 pub fn estimate_pair(
-    frames: &FrameStore,
-    tracks: &Tracks,
-    [i, j]: [usize; 2],
-    options: &OffsetOptions,
-) -> Result<Option<PairEstimate>, CaptureError> {
-    let mut guess_s = 0.0;
+    film: &Film,
+    cameras: [usize; 2],
+    start: Guess,
+    with_rate: bool,
+) -> Result<Result<PairEstimate, Blind>, CaptureError> {
+    let mut guess = start;
     let mut used_before = Vec::new();
-    let mut estimate = None;
-    let mut known = KnownTriples::new();
+    let mut estimate = Err(Blind::Apart);
     // The right frame of j lies between two of i; which one that is depends on the offset itself.
-    for _ in 0..4 {
-        let used: Vec<_> = [[i, j, 0], [j, i, 1]]
-            .into_iter()
-            .flat_map(|[a, b, reversed]| {
-                let sign = if reversed == 1 { -1.0 } else { 1.0 };
-                triples(frames, tracks, [a, b], sign * guess_s)
-                    .into_iter()
-                    .map(move |(k, m)| (a, b, k, m, sign))
-            })
-            .collect();
+    for _ in 0..ROUNDS {
+        let used = triples(film, cameras, &guess);
         if used.is_empty() || used == used_before {
             break;
         }
-        let mut samples = Vec::new();
-        let mut frame_estimates = Vec::new();
-        for (group, &(a, b, k, m, sign)) in used.iter().enumerate() {
-            let found = match known.entry((a, b, k, m)) {
-                Entry::Occupied(entry) => entry.into_mut(),
-                Entry::Vacant(entry) => {
-                    entry.insert(from_three_frames(frames, tracks, [a, b], [k, m], options)?)
-                }
-            };
-            let found: Vec<Sample> = found
-                .iter()
-                .map(|&(offset_s, across_px_s)| Sample {
-                    offset_s: sign * offset_s,
-                    across_px_s,
-                    group,
-                })
-                .collect();
-            frame_estimates.extend(frame_estimate(&found, a, k, frames, options));
-            samples.extend(found);
-        }
-        let frame_s = frames.capture().cameras[i].clock.frame_s();
-        let rough = combine([i, j], &samples, frame_estimates, frame_s, options);
-        let Some(found) = rough else { break };
-        guess_s = found.offset_s;
-        estimate = Some(found);
+        let found = used
+            .iter()
+            .map(|&(pair, frames)| film.triple(pair, frames))
+            .collect::<Result<Vec<_>, _>>()?;
+        estimate = from_triples(film, cameras, &guess, &used, &found, with_rate);
+        let Ok(pair) = &estimate else { break };
+        guess = Guess { value_s: pair.offset_s, rate: pair.rate, center_s: pair.center_s };
         used_before = used;
     }
     Ok(estimate)
 }
 
-/// Frames (k of a, m of b) with m between k and k + 1, for an offset of b against a.
-fn triples(
-    frames: &FrameStore,
-    tracks: &Tracks,
-    [a, b]: [usize; 2],
-    offset_s: f64,
-) -> Vec<(usize, usize)> {
-    let (clock_a, clock_b) =
-        (&frames.capture().cameras[a].clock, &frames.capture().cameras[b].clock);
-    (0..tracks[a].len())
-        .filter(|&k| tracks[a][k].is_some())
-        .filter_map(|k| {
-            let middle = 0.5 * (clock_a.times_s[k] + clock_a.times_s[k + 1]);
-            let m = clock_b.nearest(middle - offset_s);
-            let time_s = clock_b.times_s[m] + offset_s;
-            // Beyond by less than the path can be followed, for a guess that is still rough.
-            let slack = 0.5 * (clock_a.times_s[k + 1] - clock_a.times_s[k]);
-            (time_s >= clock_a.times_s[k] - slack && time_s <= clock_a.times_s[k + 1] + slack)
-                .then_some((k, m))
+/// Cameras a and b, frame k of a, frame m of b.
+pub type Frames = ([usize; 2], [usize; 2]);
+
+/// The frames to use for a pair, in both directions.
+pub fn triples(film: &Film, [i, j]: [usize; 2], guess: &Guess) -> Vec<Frames> {
+    let mut used = Vec::new();
+    for (a, b, sign) in [(i, j, 1.0), (j, i, -1.0)] {
+        let times = &film.timelines.times_s[a];
+        let offset_at = |k: usize| {
+            let middle = 0.5 * (times[k] + times[k + 1]);
+            // A rate this small is the same on either clock.
+            sign * guess.at(if sign > 0.0 { middle } else { middle + guess.value_s })
+        };
+        let possible: Vec<(usize, usize)> = (0..times.len() - 1)
+            .filter_map(|k| Some((k, film.between([a, b], k, offset_at(k))?)))
+            .collect();
+        // The same frames of a camera in all its pairs, so that its tracks are found once; where
+        // recordings overlap in part, what both have.
+        let common = super::spread(times.len() - 1, film.options.max_frames);
+        let mut chosen: Vec<(usize, usize)> =
+            possible.iter().filter(|(k, _)| common.binary_search(k).is_ok()).copied().collect();
+        if chosen.len() < possible.len().min(film.options.max_frames) / 2 {
+            let spread = super::spread(possible.len(), film.options.max_frames);
+            chosen = spread.into_iter().map(|n| possible[n]).collect();
+        }
+        used.extend(chosen.into_iter().map(|(k, m)| ([a, b], [k, m])));
+    }
+    used
+}
+
+/// How residuals are expected to be, for a pair whose frames are `frame_s` apart.
+pub fn residuals(frame_s: f64, options: &OffsetOptions) -> Residuals {
+    Residuals {
+        start_px: options.residual_px,
+        // Less is what no tracker resolves, and one perfect feature must not outweigh all others.
+        min_px: 0.02 * options.residual_px,
+        max_px: 4.0 * options.residual_px,
+        range_s: 3.0 * frame_s,
+    }
+}
+
+fn from_triples(
+    film: &Film,
+    [i, j]: [usize; 2],
+    guess: &Guess,
+    used: &[Frames],
+    found: &[Arc<Triple>],
+    with_rate: bool,
+) -> Result<PairEstimate, Blind> {
+    let options = film.options;
+    let sign = |s: &Sample| if s.cameras[0] == i { 1.0 } else { -1.0 };
+    let samples: Vec<Sample> = found.iter().flat_map(|t| t.samples.iter().copied()).collect();
+    let on_i = |s: &Sample| if s.cameras[0] == i { s.time_a_s } else { s.time_b_s };
+    let (first, last) = samples
+        .iter()
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(f, l), s| (f.min(on_i(s)), l.max(on_i(s))));
+    let center_s = 0.5 * (first + last);
+    let frame_s = film.timelines.frame_s(i).max(film.timelines.frame_s(j));
+    let observations: Vec<Observation> = samples
+        .iter()
+        .map(|s| Observation {
+            value_s: sign(s) * s.offset_s(),
+            at_s: on_i(s) - center_s,
+            across_px_s: s.across_px_s,
         })
-        .collect()
-}
-
-/// The offsets `offset_b − offset_a` of all features of a at frame k, with their speeds across.
-fn from_three_frames(
-    frames: &FrameStore,
-    tracks: &Tracks,
-    [a, b]: [usize; 2],
-    [k, m]: [usize; 2],
-    options: &OffsetOptions,
-) -> Result<Vec<(f64, f64)>, CaptureError> {
-    let cameras = &frames.capture().cameras;
-    let (source, target) = (frames.get(a, k)?, frames.get(b, m)?);
-    let Some(all) = &tracks[a][k] else { return Ok(Vec::new()) };
-    // §7 starts from the features selected on I_i(t) itself.
-    let chosen: Vec<&Track> = all.iter().filter(|t| t.in_forward_set()).collect();
-    let between = cameras[b].clock.times_s[m] - cameras[a].clock.times_s[k];
-    let interval = cameras[a].clock.times_s[k + 1] - cameras[a].clock.times_s[k];
-    let share = (between / interval).clamp(0.0, 1.0);
-    let starts: Vec<_> =
-        chosen.iter().map(|t| (t.earlier, t.earlier + t.motion() * share)).collect();
-    let in_b: Vec<_> = flow(&source, &target, &starts, frames.options())
-        .into_iter()
-        .map(|found| found.map(|f| f.target))
         .collect();
-    let three = ThreeFrames {
-        camera_i: &cameras[a].camera,
-        camera_j: &cameras[b].camera,
-        times_i: &cameras[a].clock.times_s,
-        index_i: k,
-        curved: options.rung == OffsetRung::JointCurved,
-        min_across_px: options.min_across_px,
+    if observations.len() < options.min_inliers {
+        return Err(why(found, options));
+    }
+    let residuals = residuals(frame_s, options);
+    let frames: Vec<FrameEstimate> = used
+        .iter()
+        .zip(found)
+        .filter_map(|(&([a, _], [k, _]), t)| frame_estimate(film, a, k, &t.samples, a == i))
+        .collect();
+    let fitted = fit(&observations, &residuals, guess, with_rate);
+    let Some(mixture) = fitted.filter(|m| believable(m, options)) else {
+        return Err(Blind::Discordant);
     };
-    // offset_b − offset_a = t̃ − (clock_b(t') − clock_a(t))
-    Ok(three
-        .candidates(&chosen, &in_b)
-        .into_iter()
-        .map(|c| (c.time_s - between, c.across_px_s))
-        .collect())
+    let mut estimate = PairEstimate {
+        cameras: [i, j],
+        offset_s: mixture.value_s,
+        std_err_s: f64::NAN,
+        rate: mixture.rate,
+        center_s,
+        inliers: mixture.inliers.round() as usize,
+        candidates: observations.len(),
+        sigma_px: mixture.sigma_px,
+        frames,
+        samples: samples.into_iter().zip(mixture.weights.iter().copied()).collect(),
+    };
+    if options.rung == OffsetRung::Pairwise {
+        let mean = mean_of_frames(&estimate.frames).ok_or(Blind::Discordant)?;
+        (estimate.offset_s, estimate.std_err_s) = mean;
+    } else {
+        estimate.std_err_s =
+            std_err(&estimate, &observations, frame_s, with_rate).ok_or(Blind::Discordant)?;
+    }
+    Ok(estimate)
 }
 
-/// RANSAC and WLS on one triple of frames.
+/// The mixture from the start that most agree with, the guess's rate taken out: with it in, no
+/// single value would be that of many.
+fn fit(
+    observations: &[Observation],
+    residuals: &Residuals,
+    guess: &Guess,
+    with_rate: bool,
+) -> Option<Mixture> {
+    if !with_rate {
+        return residuals.fit(observations, residuals.start(observations)?.0, false);
+    }
+    let along_guess: Vec<Observation> = observations
+        .iter()
+        .map(|o| Observation { value_s: o.value_s - guess.rate * o.at_s, ..*o })
+        .collect();
+    let start_s = residuals.start(&along_guess)?.0;
+    let relative = residuals.fit(&along_guess, start_s, true)?;
+    Some(Mixture { rate: relative.rate + guess.rate, ..relative })
+}
+
+fn believable(mixture: &Mixture, options: &OffsetOptions) -> bool {
+    mixture.inliers >= options.min_inliers as f64
+        && mixture.inlier_share >= options.min_inlier_share
+}
+
+fn why(found: &[Arc<Triple>], options: &OffsetOptions) -> Blind {
+    let most = |count: fn(&Triple) -> usize| found.iter().map(|t| count(t)).sum::<usize>();
+    let few = options.min_inliers;
+    if most(|t| t.tracks) < few {
+        Blind::Featureless
+    } else if most(|t| t.moving) < few {
+        Blind::Still
+    } else {
+        Blind::Along
+    }
+}
+
+/// The paper's RANSAC and WLS on one triple of frames, and the best rung's estimate beside it.
 fn frame_estimate(
-    samples: &[Sample],
+    film: &Film,
     camera: usize,
     frame: usize,
-    frames: &FrameStore,
-    options: &OffsetOptions,
+    samples: &[Sample],
+    forward: bool,
 ) -> Option<FrameEstimate> {
-    let times = &frames.capture().cameras[camera].clock.times_s;
+    let options = film.options;
+    let times = &film.timelines.times_s[camera];
     let interval = times[frame + 1] - times[frame];
-    let mut values: Vec<f64> = samples.iter().map(|s| s.offset_s).collect();
+    let sign = if forward { 1.0 } else { -1.0 };
+    let mut values: Vec<f64> = samples.iter().map(|s| sign * s.offset_s()).collect();
     values.sort_by(f64::total_cmp);
     let inliers = ransac(&values, options.tolerance_share * interval);
     let enough = inliers.len() >= options.min_inliers
         && inliers.len() as f64 >= options.min_inlier_share * values.len() as f64;
     let offset_s = weighted_least_squares(&values[inliers.clone()], options.gamma / interval)?;
+    let observations: Vec<Observation> = samples
+        .iter()
+        .map(|s| Observation {
+            value_s: sign * s.offset_s(),
+            at_s: 0.0,
+            across_px_s: s.across_px_s,
+        })
+        .collect();
+    let residuals = residuals(interval, options);
+    let mixture = residuals.fit(&observations, residuals.start(&observations)?.0, false)?;
+    let information: f64 =
+        observations.iter().zip(&mixture.weights).map(|(o, w)| w * o.across_px_s.powi(2)).sum();
     enough.then_some(FrameEstimate {
         camera,
         frame,
         offset_s,
+        by_information_s: mixture.value_s,
+        // Positive: the fit divided by it.
+        std_err_s: information.sqrt().recip(),
         inliers: inliers.len(),
         candidates: values.len(),
-    })
-}
-
-/// One estimate from all triples: the paper's mean of the frames' estimates, or all inliers
-/// together, each weighted by what it knows.
-fn combine(
-    cameras: [usize; 2],
-    samples: &[Sample],
-    frames: Vec<FrameEstimate>,
-    frame_s: f64,
-    options: &OffsetOptions,
-) -> Option<PairEstimate> {
-    let mut values: Vec<f64> = samples.iter().map(|s| s.offset_s).collect();
-    values.sort_by(f64::total_cmp);
-    let consensus = ransac(&values, options.tolerance_share * frame_s);
-    if consensus.len() < options.min_inliers
-        || (consensus.len() as f64) < options.min_inlier_share * values.len() as f64
-    {
-        return None;
-    }
-    let center = weighted_least_squares(&values[consensus.clone()], options.gamma / frame_s)?;
-    let (offset_s, std_err_s) = if options.rung == OffsetRung::Pairwise {
-        mean_of_frames(&frames)?
-    } else {
-        weighted_mean(samples, center, 3.0 * options.tolerance_share * frame_s)?
-    };
-    Some(PairEstimate {
-        cameras,
-        offset_s,
-        std_err_s,
-        inliers: consensus.len(),
-        candidates: values.len(),
-        frames,
     })
 }
 
@@ -233,99 +303,49 @@ fn mean_of_frames(frames: &[FrameEstimate]) -> Option<(f64, f64)> {
     Some((mean, (variance / n).sqrt()))
 }
 
-/// The robust mean of samples around `center`, each weighted by its information, the squared
-/// speed across the line; residuals in pixels, Tukey's weights on top. The standard error is the
-/// sandwich over groups, whose errors share their frames' errors.
-fn weighted_mean(samples: &[Sample], center: f64, reach_s: f64) -> Option<(f64, f64)> {
-    let near: Vec<&Sample> =
-        samples.iter().filter(|s| (s.offset_s - center).abs() <= reach_s).collect();
-    let mut mean = center;
-    let mut scale_px = 0.0;
-    let weight = |s: &Sample, mean: f64, scale_px: f64| {
-        let r = (s.offset_s - mean) * s.across_px_s / (4.685 * scale_px);
-        let robust = if r.abs() < 1.0 { (1.0 - r * r).powi(2) } else { 0.0 };
-        robust * s.across_px_s * s.across_px_s
-    };
-    for _ in 0..30 {
-        let mut residuals: Vec<f64> =
-            near.iter().map(|s| ((s.offset_s - mean) * s.across_px_s).abs()).collect();
-        residuals.sort_by(f64::total_cmp);
-        // 1.4826: the standard deviation of a Gaussian over its median absolute deviation. The
-        // floor is what a track can't resolve.
-        scale_px = (1.4826 * residuals.get(residuals.len() / 2)?).max(1e-3);
-        let (mut sum, mut total) = (0.0, 0.0);
-        for s in &near {
-            let w = weight(s, mean, scale_px);
-            sum += w * s.offset_s;
-            total += w;
-        }
-        if !(total > 0.0) {
-            return None;
-        }
-        let next = sum / total;
-        let rests = (next - mean).abs() < 1e-9 * reach_s;
-        mean = next;
-        if rests {
-            break;
-        }
+fn std_err(
+    estimate: &PairEstimate,
+    observations: &[Observation],
+    frame_s: f64,
+    with_rate: bool,
+) -> Option<f64> {
+    let unknowns = if with_rate { 2 } else { 1 };
+    let mut sandwich = Sandwich::new(unknowns);
+    for (o, (sample, weight)) in observations.iter().zip(&estimate.samples) {
+        let residual = o.value_s - estimate.offset_s - estimate.rate * o.at_s;
+        let row = [(0, 1.0), (1, o.at_s)];
+        let bin = (o.at_s / frame_s).round() as i64;
+        let information = weight * o.across_px_s * o.across_px_s;
+        sandwich.add(&row[..unknowns], information, residual, bin, sample.cell);
     }
-    let groups = near.iter().map(|s| s.group).max()? + 1;
-    let mut scores = vec![0.0; groups];
-    let mut seen = vec![false; groups];
-    let (mut total, mut independent) = (0.0, 0.0);
-    for s in &near {
-        let w = weight(s, mean, scale_px);
-        let score = w * (s.offset_s - mean);
-        scores[s.group] += score;
-        seen[s.group] = true;
-        independent += score * score;
-        total += w;
-    }
-    let n = seen.iter().filter(|&&s| s).count() as f64;
-    if n < 2.0 || !(total > 0.0) {
-        return None;
-    }
-    let clustered = scores.iter().map(|s| s * s).sum::<f64>() * n / (n - 1.0);
-    Some((mean, clustered.max(independent).sqrt() / total))
+    let variance = sandwich.variances()?[0];
+    (variance > 0.0).then(|| variance.sqrt())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn samples(noise: f64) -> Vec<Sample> {
-        (0..400)
-            .map(|k| {
-                let x = f64::from(k);
-                let across_px_s = 100.0 + 300.0 * (x * 0.37).sin().abs();
-                let error_px = noise * (x * 78.233).sin();
-                let outlier = k % 5 == 0;
-                Sample {
-                    offset_s: if outlier {
-                        0.03 * (x * 3.3).sin()
-                    } else {
-                        0.01 + error_px / across_px_s
-                    },
-                    across_px_s,
-                    group: (k / 40) as usize,
-                }
-            })
-            .collect()
+    #[test]
+    fn a_guess_changes_with_time() {
+        let guess = Guess { value_s: 0.01, rate: 1e-4, center_s: 5.0 };
+        assert!((guess.at(15.0) - 0.011).abs() < 1e-15);
+        assert_eq!(Guess::constant(0.2).at(99.0), 0.2);
     }
 
     #[test]
-    fn the_weighted_mean_ignores_outliers_and_knows_its_error() {
-        let (mean, std_err) = weighted_mean(&samples(0.1), 0.0101, 0.005).unwrap();
-        assert!((mean - 0.01).abs() < 3.0 * std_err, "{mean} {std_err}");
-        assert!(std_err < 1e-4);
+    fn too_few_candidates_have_a_reason() {
+        let options = OffsetOptions::default();
+        let of = |tracks, moving| {
+            why(&[Arc::new(Triple { samples: Vec::new(), tracks, moving })], &options)
+        };
+        assert_eq!(of(3, 3), Blind::Featureless);
+        assert_eq!(of(300, 3), Blind::Still);
+        assert_eq!(of(300, 300), Blind::Along);
     }
 
     #[test]
-    fn nothing_near_is_no_estimate() {
-        assert_eq!(weighted_mean(&[], 0.0, 1.0), None);
-        assert_eq!(weighted_mean(&samples(0.1), 9.0, 0.005), None);
-        let one_group: Vec<Sample> =
-            samples(0.1).into_iter().map(|s| Sample { group: 0, ..s }).collect();
-        assert_eq!(weighted_mean(&one_group, 0.01, 0.005), None);
+    fn one_frame_has_no_scatter() {
+        assert_eq!(mean_of_frames(&[]), None);
     }
 }

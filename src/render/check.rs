@@ -131,6 +131,10 @@ fn offset(o: &OffsetOptions) -> Checked {
             ("tolerance_share", o.tolerance_share, 1e-6..=1.0),
             ("gamma", o.gamma, 0.0..=1e6),
             ("min_across_px", o.min_across_px, 1e-3..=1000.0),
+            ("residual_px", o.residual_px, 1e-3..=100.0),
+            // Every shift within it is tried.
+            ("search_s", o.search_s, 0.0..=3600.0),
+            ("min_overlap_s", o.min_overlap_s, 0.0..=1e6),
             ("min_inliers", o.min_inliers as f64, SOME),
             ("min_inlier_share", o.min_inlier_share, 0.0..=1.0),
             ("max_std_err_frames", o.max_std_err_frames, 0.0..=100.0),

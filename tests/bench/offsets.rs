@@ -1,46 +1,63 @@
-//! Offset errors, rung by rung, on a capture with truth.
+//! Temporal offsets: the paper's experiments, and beyond them.
 //!
-//! `cargo bench --bench offsets -- CAPTURE`
+//! `cargo bench --bench offsets -- fig18`                 simulated tracks with outliers
+//! `cargo bench --bench offsets -- frames CAPTURE… `      Figs. 19 to 22, frame by frame
+//! `cargo bench --bench offsets -- captures CAPTURE…`     errors rung by rung, against the truth
+//! `cargo bench --bench offsets -- calibration CAPTURE…`  error bars over sub-sampled films
+//! `cargo bench --bench offsets -- analytic`              films in closed form: accuracy, error
+//!                                                        bars, noise, jitter, blur, bits, time
+//!
+//! Plots go to `.captures/bench-offsets/`.
 
-use std::time::Instant;
-use stlfr::capture::{Capture, Truth};
-use stlfr::offset::{OffsetOptions, OffsetRung, estimate};
-use stlfr::progress::Reporter;
-use stlfr::registration::RegistrationOptions;
+#[path = "offsets/analytic.rs"]
+mod analytic;
+#[path = "offsets/captures.rs"]
+mod captures;
+#[path = "offsets/fig18.rs"]
+mod fig18;
+#[path = "offsets/frames.rs"]
+mod frames;
+#[path = "offsets/random.rs"]
+mod random;
+#[path = "offsets/scene.rs"]
+mod scene;
+
+use std::path::{Path, PathBuf};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let folders = std::env::args().skip(1).filter(|a| !a.starts_with("--"));
-    for folder in folders {
-        let capture = std::sync::Arc::new(Capture::open(folder.as_ref())?);
-        let truth = Truth::open(folder.as_ref())?.ok_or("has no truth")?;
-        println!("{folder}: errors in frames");
-        for rung in [OffsetRung::Pairwise, OffsetRung::Joint, OffsetRung::JointCurved] {
-            let options = OffsetOptions { rung, ..Default::default() };
-            let start = Instant::now();
-            let estimate =
-                estimate(&capture, &options, &RegistrationOptions::default(), &Reporter::silent())?;
-            let seconds = start.elapsed().as_secs_f64();
-            let mut errors = Vec::new();
-            print!("  {rung:12?}");
-            for o in &estimate.offsets.cameras {
-                match (o.offset_s, truth.offset_s(&o.id)) {
-                    (Some(o_s), Some(t_s)) => {
-                        let error = (o_s - t_s) / capture.frame_s();
-                        let z = (o_s - t_s) / o.std_err_s.unwrap_or(0.0).max(1e-12);
-                        print!(" {}{error:+.4} ({z:+.1}σ)", if o_s == 0.0 { "=" } else { "" });
-                        if o_s != 0.0 {
-                            errors.push(error.abs());
-                        }
-                    }
-                    _ => print!(" unknown"),
-                }
-            }
-            errors.sort_by(f64::total_cmp);
-            if let Some(worst) = errors.last() {
-                print!("  median {:.4}, worst {worst:.4}", errors[errors.len() / 2]);
-            }
-            println!("  {} pairs, {seconds:.2} s", estimate.pairs.len());
-        }
+    let arguments: Vec<String> =
+        std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    let output = Path::new(env!("CARGO_MANIFEST_DIR")).join(".captures/bench-offsets");
+    let (what, rest) = match arguments.split_first() {
+        Some((what, rest)) => (what.as_str(), rest),
+        None => ("fig18", &[][..]),
+    };
+    match what {
+        "fig18" => fig18::run(&output),
+        "frames" => frames::run(rest, &output),
+        "captures" => captures::run(rest),
+        "calibration" => captures::calibration(rest),
+        "analytic" => analytic::run(rest, &output),
+        other => Err(format!("there is no '{other}'").into()),
     }
+}
+
+/// The value that this share of them is at or below; NaN for none.
+fn percentile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let last = sorted.len().saturating_sub(1);
+    sorted.get((share * last as f64).round() as usize).copied().unwrap_or(f64::NAN)
+}
+
+fn median(values: &[f64]) -> f64 {
+    percentile(values, 0.5)
+}
+
+fn save(folder: &Path, name: &str, text: &str) -> Result<(), Box<dyn std::error::Error>> {
+    std::fs::create_dir_all(folder)?;
+    let path: PathBuf = folder.join(name);
+    std::fs::write(&path, text)?;
+    println!("wrote {}", path.display());
     Ok(())
 }

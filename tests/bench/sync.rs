@@ -74,7 +74,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     id: c.id.clone(),
                     offset_s: truth.offset_s(&c.id),
                     std_err_s: Some(0.0),
-                    reason: None,
+                    ..CameraOffset::default()
                 })
                 .collect(),
         };

@@ -11,11 +11,18 @@ __version__: str
 
 @type_check_only
 class CameraOffset(TypedDict, total=False):
-    """Time on the reference's clock = time on the camera's clock + offset_s; None is unknown."""
+    """Time on the reference's clock = time on the camera's clock + offset_s; None is unknown.
+
+    rate_ppm and its standard error are there for a clock that drifts, lost_before for a camera that
+    may have lost frames: the images before which one is missing.
+    """
 
     id: str
     offset_s: float | None
     std_err_s: float | None
+    rate_ppm: float
+    rate_std_err_ppm: float
+    lost_before: list[int]
     reason: str
 
 @type_check_only

@@ -1,0 +1,217 @@
+//! What changes in a film, interval by interval, at a cost far below tracking: the signal that
+//! rough alignment compares.
+//!
+//! Of every two successive frames, at about 80 pixels across, a coarse grid of sums: the energy of
+//! the change, `Σ I_t²`, and its correlation with the gradient, `−Σ I_t ∇I`, which points where the
+//! texture goes. Cameras that stand near each other see the same of both across the epipolar lines,
+//! and its sign tells a motion from its reverse, which energy alone does not.
+
+use crate::camera::{Camera, EpipolarGeometry};
+use crate::capture::{Capture, CaptureError};
+use nalgebra::{Point2, Vector2};
+
+/// The grid's cells across and down.
+const COLUMNS: usize = 16;
+const ROWS: usize = 12;
+/// Width that frames are averaged down to, pixels.
+const WIDTH: usize = 80;
+/// Bands along the epipolar lines that a pair compares.
+pub const BANDS: usize = 6;
+
+/// One camera's activity.
+#[derive(Clone, Debug, Default)]
+pub struct Activity {
+    /// The middle of each interval on the camera's clock, seconds.
+    pub times_s: Vec<f64>,
+    /// Energy, and correlation with the gradient's x and y, by cell, a second's worth.
+    cells: Vec<[[f32; 3]; COLUMNS * ROWS]>,
+}
+
+impl Activity {
+    /// Reads all frames of a camera.
+    pub fn new(capture: &Capture, camera: usize) -> Result<Self, CaptureError> {
+        let times = &capture.cameras[camera].clock.times_s;
+        let mut activity = Self::default();
+        let mut before: Option<Small> = None;
+        for (k, &time_s) in times.iter().enumerate() {
+            let now = Small::new(&capture.read_frame(camera, k)?.to_gray());
+            if let Some(before) = before {
+                // Positive: the times ascend.
+                let interval = time_s - times[k - 1];
+                activity.times_s.push(time_s - 0.5 * interval);
+                activity.cells.push(cells(&before, &now, interval as f32));
+            }
+            before = Some(now);
+        }
+        Ok(activity)
+    }
+
+    /// All energy of an interval.
+    pub fn energy(&self, interval: usize) -> f64 {
+        self.cells[interval].iter().map(|c| f64::from(c[0])).sum()
+    }
+
+    /// Interval by interval, the signals of a camera's bands: the root of each one's energy, then
+    /// the signed root of its motion across.
+    pub fn signals(&self, bands: &Bands) -> Vec<[f32; 2 * BANDS]> {
+        self.cells
+            .iter()
+            .map(|cells| {
+                let mut sums = [0.0; 2 * BANDS];
+                for (cell, of_cell) in cells.iter().zip(&bands.of_cell) {
+                    let Some((band, across)) = of_cell else { continue };
+                    sums[*band] += cell[0];
+                    sums[BANDS + band] += cell[1] * across.x as f32 + cell[2] * across.y as f32;
+                }
+                sums.map(|s| s.signum() * s.abs().sqrt())
+            })
+            .collect()
+    }
+}
+
+/// A frame, small and grey.
+struct Small {
+    width: usize,
+    height: usize,
+    values: Vec<f32>,
+}
+
+impl Small {
+    fn new(gray: &crate::raster::Image) -> Self {
+        let step = (gray.width() / WIDTH).max(1);
+        let (width, height) = (gray.width() / step, gray.height() / step);
+        let mut values = vec![0.0; width * height];
+        let scale = 1.0 / (step * step) as f32;
+        for y in 0..height * step {
+            let row = &gray.row(y)[..width * step];
+            let out = &mut values[(y / step) * width..][..width];
+            for (sum, block) in out.iter_mut().zip(row.chunks_exact(step)) {
+                *sum += scale * block.iter().sum::<f32>();
+            }
+        }
+        Self { width, height, values }
+    }
+}
+
+fn cells(before: &Small, now: &Small, interval: f32) -> [[f32; 3]; COLUMNS * ROWS] {
+    let (w, h) = (now.width, now.height);
+    let mut cells = [[0.0; 3]; COLUMNS * ROWS];
+    // All pixels have neighbours; tinier images have no activity.
+    for y in 1..h.saturating_sub(1) {
+        for x in 1..w.saturating_sub(1) {
+            let at = y * w + x;
+            let both = |k: usize| before.values[k] + now.values[k];
+            let change = now.values[at] - before.values[at];
+            let gradient =
+                [0.25 * (both(at + 1) - both(at - 1)), 0.25 * (both(at + w) - both(at - w))];
+            let cell = &mut cells[(y * ROWS / h) * COLUMNS + x * COLUMNS / w];
+            cell[0] += change * change / (interval * interval);
+            cell[1] -= change * gradient[0] / interval;
+            cell[2] -= change * gradient[1] / interval;
+        }
+    }
+    cells
+}
+
+/// Which band each cell of a camera's grid is in, and the direction across the bands there, the
+/// same for both cameras of a pair.
+#[derive(Clone, Debug)]
+pub struct Bands {
+    of_cell: Vec<Option<(usize, Vector2<f64>)>>,
+}
+
+impl Bands {
+    /// Bands of the epipolar lines of two cameras, in each. `None` for cameras in one place.
+    pub fn of_pair(a: &Camera, b: &Camera) -> Option<[Self; 2]> {
+        let (b_from_a, a_from_b) = (EpipolarGeometry::new(a, b)?, EpipolarGeometry::new(b, a)?);
+        let middle = |c: &Camera| Point2::new(0.5 * c.width as f64, 0.5 * c.height as f64);
+        let (in_a, in_b) = (middle(a), middle(b));
+        // How far the line is from camera b's middle: the same number for both images of a point.
+        let of_a = |p: &Point2<f64>| Some(b_from_a.line_in_j(p)?.distance(&in_b));
+        let of_b = |q: &Point2<f64>| of_a(&a_from_b.line_in_j(q)?.nearest(&in_a));
+        let reach = cell_centers(b)
+            .filter_map(|q| of_b(&q))
+            .fold(0.0_f64, |reach, distance| reach.max(distance.abs()));
+        // The outermost lines are inside.
+        let reach = reach * (1.0 + 1e-3);
+        Some([Self::new(a, of_a, reach), Self::new(b, of_b, reach)])
+    }
+
+    fn new(camera: &Camera, distance: impl Fn(&Point2<f64>) -> Option<f64>, reach: f64) -> Self {
+        let of_cell = cell_centers(camera)
+            .map(|p| {
+                let at = distance(&p)?;
+                let band = ((at + reach) / (2.0 * reach) * BANDS as f64).floor();
+                let slope = |v: Vector2<f64>| Some(distance(&(p + v))? - distance(&(p - v))?);
+                let across = Vector2::new(slope(Vector2::x())?, slope(Vector2::y())?);
+                let inside = (0.0..BANDS as f64).contains(&band);
+                inside.then_some((band as usize, across.try_normalize(0.0)?))
+            })
+            .collect();
+        Self { of_cell }
+    }
+}
+
+fn cell_centers(camera: &Camera) -> impl Iterator<Item = Point2<f64>> {
+    let (w, h) = (camera.width as f64, camera.height as f64);
+    (0..COLUMNS * ROWS).map(move |k| {
+        let at = |n: usize, of: usize, size: f64| (n as f64 + 0.5) / of as f64 * size;
+        Point2::new(at(k % COLUMNS, COLUMNS, w), at(k / COLUMNS, ROWS, h))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraModel;
+    use crate::raster::Image;
+    use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+
+    fn camera(x: f64, roll: f64) -> Camera {
+        let turn = Isometry3::from_parts(
+            Translation3::identity(),
+            UnitQuaternion::from_euler_angles(0.0, 0.0, roll),
+        );
+        Camera {
+            width: 160,
+            height: 120,
+            model: CameraModel::Pinhole { fx: 170.0, fy: 170.0, cx: 80.0, cy: 60.0 },
+            cam_from_world: turn * Isometry3::translation(-x, 0.0, 0.0),
+        }
+    }
+
+    #[test]
+    fn bands_of_a_row_are_rows_and_turn_with_the_camera() {
+        let [a, b] = Bands::of_pair(&camera(0.0, 0.0), &camera(0.06, 0.0)).unwrap();
+        let upright: Vec<_> = a.of_cell.iter().map(|c| c.unwrap()).collect();
+        for (k, (band, across)) in upright.iter().enumerate() {
+            assert_eq!((*band, b.of_cell[k].unwrap().0), (b.of_cell[k].unwrap().0, *band));
+            assert!(across.x.abs() < 1e-6 && (across.y.abs() - 1.0).abs() < 1e-6);
+            assert!((b.of_cell[k].unwrap().1 - across).norm() < 1e-6);
+        }
+        // A camera that stands on its head has the bands the other way round.
+        let [a, b] =
+            Bands::of_pair(&camera(0.0, 0.0), &camera(0.06, std::f64::consts::PI)).unwrap();
+        for (k, cell) in a.of_cell.iter().enumerate() {
+            let opposite = b.of_cell[COLUMNS * ROWS - 1 - k].unwrap();
+            assert_eq!(cell.unwrap().0, opposite.0);
+            assert!((cell.unwrap().1 + opposite.1).norm() < 1e-6);
+        }
+        assert!(Bands::of_pair(&camera(0.0, 0.0), &camera(0.0, 0.3)).is_none());
+    }
+
+    #[test]
+    fn motion_has_the_sign_of_its_direction() {
+        let film = |shift: f32| {
+            let data = (0..160 * 120).map(|k| 0.5 + 0.4 * (((k / 160) as f32 - shift) * 0.2).sin());
+            Small::new(&Image::from_data(160, 120, 1, data.collect()))
+        };
+        for (shift, sign) in [(1.0, 1.0), (-1.0, -1.0)] {
+            let cells = cells(&film(0.0), &film(shift), 0.04);
+            let down: f32 = cells.iter().map(|c| c[2]).sum();
+            assert!(down * sign > 0.0, "{shift} {down}");
+        }
+        let still = cells(&film(0.0), &film(0.0), 0.04);
+        assert!(still.iter().flatten().all(|v| *v == 0.0));
+    }
+}

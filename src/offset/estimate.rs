@@ -1,0 +1,222 @@
+//! From a film to offsets: the stages in their order.
+
+use super::film::{Film, TrackCache};
+use super::pair::{Blind, Guess, PairEstimate, estimate_pair, triples};
+use super::pairing::{clocks, pairs};
+use super::timeline::Timelines;
+use super::{CameraOffset, Clocks, ONE_FRAME, OffsetOptions, Offsets, align, lost, solve};
+use crate::capture::{Capture, CaptureError};
+use crate::progress::Reporter;
+use crate::registration::{FrameStore, RegistrationOptions};
+use rayon::prelude::*;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+/// Offsets with what they were made of.
+#[derive(Clone, Debug)]
+pub struct Estimate {
+    pub offsets: Offsets,
+    pub pairs: Vec<PairEstimate>,
+}
+
+/// Estimates all offsets of a capture from its pixels.
+pub fn estimate(
+    capture: &Arc<Capture>,
+    options: &OffsetOptions,
+    registration: &RegistrationOptions,
+    reporter: &Reporter,
+) -> Result<Estimate, CaptureError> {
+    let mut registration = registration.clone();
+    registration.corners.max_corners = registration.corners.max_corners.min(options.max_features);
+    let frames = &FrameStore::new(capture.clone(), &registration);
+    let (clock, count) = clocks(capture);
+    if count == 1 {
+        return Ok(Estimate { offsets: Offsets::known(capture), pairs: Vec::new() });
+    }
+    let pairs = pairs(capture, &clock, options);
+    let tracks = TrackCache::default();
+    let mut film = Film::new(frames, Timelines::nominal(capture), &tracks, options);
+    let mut starts = aligned(&film, &pairs, reporter)?;
+    if capture.cameras.iter().any(|c| c.clock.lost) {
+        let timelines = without_losses(&film, &pairs, &mut starts, reporter)?;
+        film = Film::new(frames, timelines, &tracks, options);
+    }
+    let drifts = drifts(capture, &clock, count);
+    let found = pairwise(&film, &pairs, &starts, |c| drifts[clock[c]], reporter)?;
+    let certain_s = options.max_std_err_frames * capture.frame_s();
+    let used: Vec<PairEstimate> =
+        found.iter().flatten().filter(|p| p.std_err_s <= certain_s).cloned().collect();
+    let first_s = film.timelines.times_s.iter().map(|t| t[0]).collect();
+    let frame_s = capture.frame_s();
+    let solved = solve(&used, &Clocks { of_camera: clock.clone(), first_s, drifts, frame_s });
+    let cameras = capture
+        .cameras
+        .iter()
+        .enumerate()
+        .map(|(c, camera)| {
+            let found_one = solved[clock[c]].filter(|s| s.std_err_s <= certain_s);
+            let drifts = camera.clock.drift && c != capture.reference;
+            CameraOffset {
+                id: camera.id.clone(),
+                offset_s: found_one.map(|s| s.offset_s),
+                std_err_s: found_one.map(|s| s.std_err_s),
+                rate_ppm: found_one.filter(|_| drifts).map(|s| 1e6 * s.rate),
+                rate_std_err_ppm: found_one.filter(|_| drifts).map(|s| 1e6 * s.rate_std_err),
+                lost_before: camera.clock.lost.then(|| film.timelines.lost_before[c].clone()),
+                reason: found_one.is_none().then(|| reason(capture, c, &pairs, &found, &used)),
+            }
+        })
+        .collect();
+    let reference = capture.cameras[capture.reference].id.clone();
+    Ok(Estimate { offsets: Offsets { reference, cameras }, pairs: used })
+}
+
+/// Each pair's offset to about a frame.
+fn aligned(
+    film: &Film,
+    pairs: &[[usize; 2]],
+    reporter: &Reporter,
+) -> Result<Vec<Result<Guess, Blind>>, CaptureError> {
+    let activities = align::activities(film, pairs)?;
+    let task = reporter.task("Rough alignment", pairs.len());
+    pairs
+        .par_iter()
+        .map(|&pair| {
+            let has_motion = pair.iter().all(|&c| film.timelines.times_s[c].len() > 1);
+            let guess = if has_motion {
+                align::rough(film, pair, &activities)
+            } else {
+                Ok(Err(Blind::Still))
+            };
+            task.advance(1);
+            guess
+        })
+        .collect()
+}
+
+/// The times with the frames that were lost, and the pairs' guesses at the film's start.
+fn without_losses(
+    film: &Film,
+    pairs: &[[usize; 2]],
+    starts: &mut [Result<Guess, Blind>],
+    reporter: &Reporter,
+) -> Result<Timelines, CaptureError> {
+    let capture = film.frames.capture();
+    let task = reporter.task("Lost frames", 2 * pairs.len());
+    let directions: Vec<(usize, [usize; 2], Guess)> = pairs
+        .iter()
+        .zip(starts.iter())
+        .enumerate()
+        .filter_map(|(n, (pair, guess))| Some((n, pair, (*guess).ok()?)))
+        .flat_map(|(n, &[i, j], guess)| {
+            [(n, [i, j], guess), (n, [j, i], Guess::constant(-guess.value_s))]
+        })
+        .collect();
+    let witnesses = directions
+        .par_iter()
+        .map(|&(_, pair, guess)| {
+            let witness = lost::follow(film, pair, guess);
+            task.advance(1);
+            witness
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let lost =
+        (0..capture.cameras.len())
+            .map(|c| {
+                if capture.cameras[c].clock.lost { lost::agreed(c, &witnesses) } else { Vec::new() }
+            })
+            .collect();
+    for (&(n, pair, _), witness) in directions.iter().zip(&witnesses) {
+        if pair == pairs[n] && witness.seen.is_some() {
+            starts[n] = Ok(Guess::constant(witness.first_offset_s));
+        }
+    }
+    Ok(Timelines::with_lost(capture, lost))
+}
+
+fn pairwise(
+    film: &Film,
+    pairs: &[[usize; 2]],
+    starts: &[Result<Guess, Blind>],
+    drifts: impl Fn(usize) -> bool + Sync,
+    reporter: &Reporter,
+) -> Result<Vec<Result<PairEstimate, Blind>>, CaptureError> {
+    track(film, pairs, starts, reporter)?;
+    let task = reporter.task("Offsets", pairs.len());
+    pairs
+        .par_iter()
+        .zip(starts)
+        .map(|(&pair, &start)| {
+            let with_rate = pair.iter().any(|&c| drifts(c));
+            let estimate = match start {
+                Ok(guess) => estimate_pair(film, pair, guess, with_rate),
+                Err(blind) => Ok(Err(blind)),
+            };
+            task.advance(1);
+            estimate
+        })
+        .collect()
+}
+
+/// Finds the tracks that the pairs will ask for, each once.
+fn track(
+    film: &Film,
+    pairs: &[[usize; 2]],
+    starts: &[Result<Guess, Blind>],
+    reporter: &Reporter,
+) -> Result<(), CaptureError> {
+    let wanted: BTreeSet<(usize, usize)> = pairs
+        .iter()
+        .zip(starts)
+        .filter_map(|(&pair, start)| Some(triples(film, pair, start.as_ref().ok()?)))
+        .flatten()
+        .map(|([a, _], [k, _])| (a, k))
+        .collect();
+    let task = reporter.task("Tracks", wanted.len());
+    wanted.into_par_iter().try_for_each(|(camera, k)| {
+        film.track(camera, k)?;
+        task.advance(1);
+        Ok(())
+    })
+}
+
+/// Whether each clock's rate may be off; the reference's defines what a second is.
+fn drifts(capture: &Capture, clock: &[usize], count: usize) -> Vec<bool> {
+    let mut drifts = vec![false; count];
+    for (c, camera) in capture.cameras.iter().enumerate() {
+        drifts[clock[c]] |= camera.clock.drift && clock[c] != 0;
+    }
+    drifts
+}
+
+fn reason(
+    capture: &Capture,
+    camera: usize,
+    pairs: &[[usize; 2]],
+    found: &[Result<PairEstimate, Blind>],
+    used: &[PairEstimate],
+) -> String {
+    if capture.cameras[camera].frames.len() == 1 {
+        return ONE_FRAME.into();
+    }
+    if used.iter().any(|p| p.cameras.contains(&camera)) {
+        return "its pairs are not connected to the reference camera, or disagree".into();
+    }
+    let own = pairs.iter().zip(found).filter(|(pair, _)| pair.contains(&camera));
+    // What the pair that came furthest failed at.
+    let furthest = own.map(|(_, found)| found.as_ref().err().copied().unwrap_or(Blind::Discordant));
+    match furthest.max() {
+        None => "no other camera stands at another place",
+        Some(Blind::Apart) => "its neighbours filmed at other times, by its clock and theirs",
+        Some(Blind::Featureless) => "too few features can be followed from frame to frame",
+        Some(Blind::Still) => "too few features move",
+        Some(Blind::Along) => {
+            "too few features move across the epipolar lines of its neighbours: the motion runs along them"
+        }
+        Some(Blind::Discordant) => "too few features agree on one offset",
+        Some(Blind::Repeating) => {
+            "several offsets, frames apart, fit the motion equally well: it repeats itself"
+        }
+    }
+    .into()
+}
