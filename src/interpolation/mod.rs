@@ -17,6 +17,7 @@
 
 mod edge_set;
 mod edges;
+mod local_motion;
 mod morph;
 mod options;
 mod refine;
@@ -25,9 +26,10 @@ mod warp;
 
 pub use edge_set::{Edge, edge_set};
 pub use edges::{Feature, RealEdge, real_edges};
+pub use local_motion::Motion;
 pub use morph::morph_warp;
 pub use options::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
-pub use refine::{FourFrames, Motion, refined};
+pub use refine::{FourFrames, refined};
 pub use triangulation::triangulation_warp;
 pub use warp::{Warp, cross_dissolve};
 

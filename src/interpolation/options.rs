@@ -115,6 +115,15 @@ pub struct RefineOptions {
     pub softness: f32,
     /// What it costs a hypothesis to be seen in one frame only.
     pub one_frame_cost: f32,
+    /// How much the frames before and after are averaged in, halfway between two frames, where
+    /// they agree; 0: not at all, 1: as much as the middle two. Larger: less noise; smaller: less of
+    /// the blur that four tracks' errors make.
+    pub outer_share: f32,
+    /// The outer frames count in full up to this much more difference than the middle two have
+    /// between themselves, values 0..=1. Larger: what they show otherwise leaves a trace.
+    pub outer_slack: f32,
+    /// A difference larger by this makes an outer frame count 1/e as much.
+    pub outer_softness: f32,
 }
 
 impl Default for RefineOptions {
@@ -128,6 +137,9 @@ impl Default for RefineOptions {
             min_difference: 0.03,
             softness: 0.02,
             one_frame_cost: 0.1,
+            outer_share: 1.0,
+            outer_slack: 0.01,
+            outer_softness: 0.01,
         }
     }
 }

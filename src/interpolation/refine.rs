@@ -1,5 +1,5 @@
 //! Beyond the paper: where the two warped frames of a morph disagree, per-pixel motion and
-//! visibility.
+//! visibility; where the frames before and after agree too, their mean, which has less noise.
 //!
 //! Beside a moving outline the morph mixes the motions on both sides, and the cross dissolve mixes
 //! a frame that sees the background with one that doesn't. There, blocks of pixels try the motions
@@ -12,19 +12,12 @@
 //! Known limits: what is seen in none of the four frames is not found; a window of a few pixels
 //! decides, so outlines are right to about two pixels.
 
-use super::{RefineOptions, Warp};
+use super::local_motion::LocalMotion;
+use super::{Motion, RefineOptions, Warp};
 use crate::raster::Image;
 use crate::registration::Neighbors;
 use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
-
-/// A track at the instant, and the displacements from there to where it is in the four frames:
-/// before, earlier, later, after. Pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Motion {
-    pub at: Point2<f64>,
-    pub to: [Vector2<f64>; 4],
-}
 
 /// The frames around an instant, and where it lies between the middle two.
 pub struct FourFrames<'a> {
@@ -40,6 +33,9 @@ pub struct FourFrames<'a> {
 /// move differently; smaller: more blocks to try.
 const STEP: usize = 8;
 const BLOCK: usize = 2 * STEP;
+
+/// Motions that the outer frames are tried by where the middle ones agree. More costs time.
+const AGREEING_MOTIONS: usize = 2;
 
 /// The image at the instant: the warps' cross dissolve, refined where the warped frames disagree.
 pub fn refined(
@@ -119,11 +115,17 @@ struct Sums {
 }
 
 impl Work<'_> {
-    /// The refined block, row by row; `None` where the warped frames agree, or nothing is near.
+    /// The refined block, row by row; `None` where nothing is near.
     fn block(&self, bx: isize, by: isize) -> Option<Vec<f32>> {
         let (w, h) = (self.dissolved.width(), self.dissolved.height());
         let channels = self.dissolved.channels();
         let origin = [(bx - 1) * STEP as isize, (by - 1) * STEP as isize];
+        let center =
+            Point2::new((origin[0] + STEP as isize) as f64, (origin[1] + STEP as isize) as f64);
+        let mut candidates = self.candidates(&center);
+        if candidates.is_empty() {
+            return None;
+        }
         let pixel = |x: usize, y: usize| {
             let (x, y) = (origin[0] + x as isize, origin[1] + y as isize);
             let inside = x >= 0 && y >= 0 && (x as usize) < w && (y as usize) < h;
@@ -134,25 +136,31 @@ impl Work<'_> {
             .filter_map(|(x, y)| pixel(x, y))
             .map(|(x, y)| self.costs[y * w + x])
             .fold(0.0, f32::max);
-        if worst <= self.options.min_difference {
-            return None;
+        let agree = worst <= self.options.min_difference;
+        if agree {
+            candidates.truncate(AGREEING_MOTIONS);
         }
-        let center =
-            Point2::new((origin[0] + STEP as isize) as f64, (origin[1] + STEP as isize) as f64);
-        let candidates = self.candidates(&center);
-        if candidates.is_empty() {
-            return None;
-        }
+        let patches: Vec<[Option<Image>; 4]> =
+            candidates.iter().map(|c| self.patches(c, origin, !agree)).collect();
         let mut sums =
             Sums { colors: vec![0.0; BLOCK * BLOCK * channels], weights: vec![0.0; BLOCK * BLOCK] };
+        // The morph's own hypothesis.
+        let radius = self.options.window_radius_px;
+        let side = BLOCK + 2 * radius;
+        let (own, costs) = self.morphed(origin, side);
+        let outer: Vec<[Option<&Image>; 2]> =
+            patches.iter().map(|p| [p[0].as_ref(), p[3].as_ref()]).collect();
+        let fused = self.fused(&own, &outer, &costs);
         for (k, (x, y)) in places().enumerate() {
-            if let Some((x, y)) = pixel(x, y) {
-                let cost = self.costs[y * w + x];
-                sums.add(k, self.weight(cost), self.dissolved.pixel(x, y));
+            if pixel(x, y).is_some() {
+                let at = (y + radius) * side + x + radius;
+                sums.add(k, self.weight(costs[at]), fused.pixel(x + radius, y + radius));
             }
         }
-        for candidate in &candidates {
-            self.try_motion(candidate, origin, &mut sums);
+        if !agree {
+            for patches in &patches {
+                self.try_motion(patches, &mut sums);
+            }
         }
         for (color, &weight) in sums.colors.chunks_exact_mut(channels).zip(&sums.weights) {
             // Outside the image nothing was added; inside, the weights are at least MIN_WEIGHT.
@@ -163,13 +171,103 @@ impl Work<'_> {
         Some(sums.colors)
     }
 
+    /// The morph's image and costs over a block with the windows around it; beyond the image's
+    /// border its last pixels go on.
+    fn morphed(&self, origin: [isize; 2], side: usize) -> (Image, Vec<f32>) {
+        let (w, h) = (self.dissolved.width(), self.dissolved.height());
+        let channels = self.dissolved.channels();
+        let radius = self.options.window_radius_px as isize;
+        let clamp = |at: isize, size: usize| at.clamp(0, size as isize - 1) as usize;
+        let mut image = vec![0.0; side * side * channels];
+        let mut costs = vec![0.0; side * side];
+        for (k, color) in image.chunks_exact_mut(channels).enumerate() {
+            let x = clamp(origin[0] - radius + (k % side) as isize, w);
+            let y = clamp(origin[1] - radius + (k / side) as isize, h);
+            color.copy_from_slice(self.dissolved.pixel(x, y));
+            costs[k] = self.costs[y * w + x];
+        }
+        (Image::from_data(side, side, channels, image), costs)
+    }
+
+    /// The four frames around a block, moved to the instant.
+    fn patches(
+        &self,
+        motion: &LocalMotion,
+        origin: [isize; 2],
+        middle_too: bool,
+    ) -> [Option<Image>; 4] {
+        let radius = self.options.window_radius_px;
+        let side = BLOCK + 2 * radius;
+        let channels = self.dissolved.channels();
+        let middle = Vector2::repeat(STEP as f64);
+        let cut = |image: &Image, frame: usize| {
+            let mut patch = vec![0.0; side * side * channels];
+            for (k, out) in patch.chunks_exact_mut(channels).enumerate() {
+                let x = origin[0] - radius as isize + (k % side) as isize;
+                let y = origin[1] - radius as isize + (k / side) as isize;
+                let at = Vector2::new(x as f64 + 0.5, y as f64 + 0.5);
+                let from = at - Vector2::new(origin[0] as f64, origin[1] as f64) - middle;
+                let shift = motion.at(frame, from);
+                image.sample_cubic((at.x + shift.x) as f32, (at.y + shift.y) as f32, out);
+            }
+            Image::from_data(side, side, channels, patch)
+        };
+        let f = self.frames;
+        [
+            f.before.map(|image| cut(image, 0)),
+            middle_too.then(|| cut(f.earlier, 1)),
+            middle_too.then(|| cut(f.later, 2)),
+            f.after.map(|image| cut(image, 3)),
+        ]
+    }
+
+    /// The middle frames' dissolve, with the outer two frames averaged in where they agree with it
+    /// as well as the middle ones do with each other: four frames have half the noise of two. They
+    /// count in full halfway between two frames, and not at all at a frame, which stays as filmed.
+    /// `outer` holds the frames before and after, moved to the instant by several motions; each
+    /// pixel takes the one that fits best.
+    fn fused(&self, mixed: &Image, outer: &[[Option<&Image>; 2]], costs: &[f32]) -> Image {
+        let (side, channels) = (mixed.width(), mixed.channels());
+        let share = self.frames.share;
+        let full = self.options.outer_share * 4.0 * share * (1.0 - share);
+        let mut out = mixed.clone();
+        if full <= 0.0 {
+            return out;
+        }
+        for n in 0..2 {
+            let tried: Vec<(&Image, Vec<f32>)> = outer
+                .iter()
+                .filter_map(|pair| pair[n])
+                .map(|image| (image, self.window_mean(&difference(image, mixed), side)))
+                .collect();
+            for (k, out) in out.data_mut().chunks_exact_mut(channels).enumerate() {
+                let by_cost =
+                    |a: &&(&Image, Vec<f32>), b: &&(&Image, Vec<f32>)| a.1[k].total_cmp(&b.1[k]);
+                let Some((image, cost)) = tried.iter().min_by(by_cost) else { continue };
+                let excess = (cost[k] - costs[k] - self.options.outer_slack).max(0.0);
+                let weight = 0.25 * full * (-excess / self.options.outer_softness).exp();
+                let at = k * channels;
+                let (color, middle) = (&image.data()[at..], &mixed.data()[at..]);
+                for ((out, color), middle) in out.iter_mut().zip(color).zip(middle) {
+                    *out += weight * (color - middle);
+                }
+            }
+        }
+        out
+    }
+
+    /// Mean over the window of a patch that is `side` pixels wide and high.
+    fn window_mean(&self, values: &[f32], side: usize) -> Vec<f32> {
+        box_mean(values, side, side, self.options.window_radius_px)
+    }
+
     fn weight(&self, cost: f32) -> f32 {
         (-cost / self.options.softness).exp().max(MIN_WEIGHT)
     }
 
-    /// The motions around a place, nearest first: each the mean of the tracks that move alike,
+    /// The motions around a place, nearest first: each fitted to the tracks that move alike,
     /// weighted by nearness.
-    fn candidates(&self, center: &Point2<f64>) -> Vec<[Vector2<f64>; 4]> {
+    fn candidates(&self, center: &Point2<f64>) -> Vec<LocalMotion> {
         let mut near = self.neighbors.within(center, self.options.search_radius_px);
         let distance = |k: usize| (self.motions[k].at - center).norm();
         near.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
@@ -180,8 +278,7 @@ impl Work<'_> {
                 continue;
             }
             let own = &self.motions[near[seed]].to;
-            let (mut sum, mut total) = ([Vector2::zeros(); 4], 0.0);
-            let mut members = 0;
+            let mut members = Vec::new();
             for k in seed..near.len() {
                 let other = &self.motions[near[k]].to;
                 // Between the middle frames, whose tracks are the surest.
@@ -190,52 +287,33 @@ impl Work<'_> {
                     continue;
                 }
                 taken[k] = true;
-                members += 1;
-                let weight = 1.0 / (1.0 + distance(near[k])).powi(4);
-                for (sum, to) in sum.iter_mut().zip(other) {
-                    *sum += to * weight;
-                }
-                total += weight;
+                members.push(&self.motions[near[k]]);
             }
-            if members >= self.options.min_tracks {
-                candidates.push(sum.map(|s| s / total));
+            if members.len() >= self.options.min_tracks {
+                candidates.extend(LocalMotion::fit(&members, center));
             }
         }
         candidates
     }
 
     /// Adds a motion under its three hypotheses.
-    fn try_motion(&self, to: &[Vector2<f64>; 4], origin: [isize; 2], sums: &mut Sums) {
+    fn try_motion(&self, patches: &[Option<Image>; 4], sums: &mut Sums) {
         let radius = self.options.window_radius_px;
         let side = BLOCK + 2 * radius;
-        let channels = self.dissolved.channels();
-        let cut = |image: &Image, shift: &Vector2<f64>| {
-            let mut patch = vec![0.0; side * side * channels];
-            for (k, out) in patch.chunks_exact_mut(channels).enumerate() {
-                let x = origin[0] - radius as isize + (k % side) as isize;
-                let y = origin[1] - radius as isize + (k / side) as isize;
-                let (x, y) = (x as f32 + 0.5 + shift.x as f32, y as f32 + 0.5 + shift.y as f32);
-                image.sample_bilinear(x, y, out);
-            }
-            Image::from_data(side, side, channels, patch)
-        };
-        let earlier = cut(self.frames.earlier, &to[1]);
-        let later = cut(self.frames.later, &to[2]);
-        let cost = |a: &Image, b: &Image| box_mean(&difference(a, b), side, side, radius);
-        let both = cost(&earlier, &later);
-        let only_earlier = self.frames.before.map(|f| cost(&cut(f, &to[0]), &earlier));
-        let only_later = self.frames.after.map(|f| cost(&later, &cut(f, &to[3])));
-        let share = self.frames.share;
-        let mut mixed = [0.0; 3];
+        let [before, Some(earlier), Some(later), after] = patches else { return };
+        let cost = |a: &Image, b: &Image| self.window_mean(&difference(a, b), side);
+        let both = cost(earlier, later);
+        let only_earlier = before.as_ref().map(|p| cost(p, earlier));
+        let only_later = after.as_ref().map(|p| cost(later, p));
+        let mix = mixed(earlier, later, self.frames.share);
+        let mix = self.fused(&mix, &[[before.as_ref(), after.as_ref()]], &both);
         for k in 0..BLOCK * BLOCK {
             let (x, y) = (k % BLOCK + radius, k / BLOCK + radius);
             let at = y * side + x;
-            let (a, b) = (earlier.pixel(x, y), later.pixel(x, y));
-            for (out, (a, b)) in mixed.iter_mut().zip(a.iter().zip(b)) {
-                *out = a + (b - a) * share;
-            }
-            sums.add(k, self.weight(both[at]), &mixed[..channels]);
-            for (costs, color) in [(&only_earlier, a), (&only_later, b)] {
+            sums.add(k, self.weight(both[at]), mix.pixel(x, y));
+            for (costs, color) in
+                [(&only_earlier, earlier.pixel(x, y)), (&only_later, later.pixel(x, y))]
+            {
                 if let Some(costs) = costs {
                     let cost = costs[at] + self.options.one_frame_cost;
                     sums.add(k, self.weight(cost), color);
@@ -243,6 +321,11 @@ impl Work<'_> {
             }
         }
     }
+}
+
+fn mixed(a: &Image, b: &Image, share: f32) -> Image {
+    let data = (a.data().iter().zip(b.data())).map(|(a, b)| a + (b - a) * share).collect();
+    Image::from_data(a.width(), a.height(), a.channels(), data)
 }
 
 /// Keeps a sum of weights from being 0 where every hypothesis is far off.
@@ -378,6 +461,39 @@ mod tests {
         let result = refined(&four, [&still, &still], &motions(), &RefineOptions::default());
         let worst = (result.data().iter().zip(frame.data())).map(|(a, b)| (a - b).abs());
         assert!(worst.fold(0.0, f32::max) < 1e-6);
+    }
+
+    #[test]
+    fn four_frames_have_less_noise_than_two_and_a_frame_stays_as_filmed() {
+        let clean = scene(0.0);
+        let mut state = 1u64;
+        let mut noisy = || {
+            let mut noise = || {
+                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                ((state >> 40) as f32 / (1 << 24) as f32 - 0.5) * 0.06
+            };
+            let data = clean.data().iter().map(|v| v + noise()).collect();
+            Image::from_data(W, H, 1, data)
+        };
+        let frames = [noisy(), noisy(), noisy(), noisy()];
+        let still: Vec<Motion> =
+            motions().iter().map(|m| Motion { to: [Vector2::zeros(); 4], ..*m }).collect();
+        let warp = Warp::identity(W, H);
+        let at = |share: f32, outer_share: f32| {
+            let four = FourFrames {
+                before: Some(&frames[0]),
+                earlier: &frames[1],
+                later: &frames[2],
+                after: Some(&frames[3]),
+                share,
+            };
+            let options = RefineOptions { outer_share, ..RefineOptions::default() };
+            refined(&four, [&warp, &warp], &still, &options)
+        };
+        let (two, four) = (error(&at(0.5, 0.0), &clean), error(&at(0.5, 1.0), &clean));
+        assert!(four > two + 2.0, "{two} {four}");
+        let same = error(&at(0.0, 1.0), &frames[1]);
+        assert!(same > error(&at(0.0, 0.0), &frames[1]) - 1e-6);
     }
 
     #[test]

@@ -193,6 +193,9 @@ fn refine(o: &RefineOptions) -> Checked {
             // A difference of 1 over the least softness is a weight of e^-1000, which is floored.
             ("softness", f64::from(o.softness), 0.001..=1.0),
             ("one_frame_cost", f64::from(o.one_frame_cost), 0.0..=1.0),
+            ("outer_share", f64::from(o.outer_share), 0.0..=1.0),
+            ("outer_slack", f64::from(o.outer_slack), 0.0..=1.0),
+            ("outer_softness", f64::from(o.outer_softness), 0.001..=1.0),
         ],
     )
 }

@@ -1,0 +1,104 @@
+//! Motions of tracks, and the motion that tracks around a place have in common.
+
+use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Vector2, Vector3};
+
+/// A track at the instant, and the displacements from there to where it is in the four frames:
+/// before, earlier, later, after. Pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Motion {
+    pub at: Point2<f64>,
+    pub to: [Vector2<f64>; 4],
+}
+
+/// How fast a track's weight falls with its distance from the place. Larger: the nearest alone
+/// decide, their errors with them; smaller: the motion is that of everything around.
+const DISTANCE_POWER: i32 = 3;
+/// A gradient is believed as if the tracks stood this far apart at least, pixels. Larger: motion
+/// that turns or nears is taken for a shift; smaller: two close tracks' errors become a turn.
+const RIDGE_PX: f64 = 4.0;
+
+/// A motion around a place: the displacements there, and how they change with position.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct LocalMotion {
+    to: [Vector2<f64>; 4],
+    per_px: [Matrix2<f64>; 4],
+}
+
+impl LocalMotion {
+    /// Weighted least squares over tracks, the nearer the heavier. `None` without any, or where
+    /// they are not finite.
+    pub(super) fn fit(members: &[&Motion], center: &Point2<f64>) -> Option<Self> {
+        let mut normal = Matrix3::zeros();
+        let mut right = [Matrix3x2::zeros(); 4];
+        for motion in members {
+            let from = motion.at - center;
+            let weight = 1.0 / (1.0 + from.norm()).powi(DISTANCE_POWER);
+            let row = Vector3::new(1.0, from.x, from.y);
+            normal += weight * row * row.transpose();
+            for (right, to) in right.iter_mut().zip(&motion.to) {
+                *right += weight * row * to.transpose();
+            }
+        }
+        // Positive on the diagonal with any track at all, so that the solve is well-conditioned.
+        let ridge = normal[(0, 0)] * RIDGE_PX.powi(2);
+        normal[(1, 1)] += ridge;
+        normal[(2, 2)] += ridge;
+        let solver = normal.cholesky()?;
+        let solved = right.map(|r| solver.solve(&r));
+        Some(Self {
+            to: solved.map(|s| s.row(0).transpose()),
+            per_px: solved.map(|s| s.fixed_view::<2, 2>(1, 0).transpose()),
+        })
+    }
+
+    /// The displacement to one of the four frames, that far from the place.
+    pub(super) fn at(&self, frame: usize, from_center: Vector2<f64>) -> Vector2<f64> {
+        self.to[frame] + self.per_px[frame] * from_center
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn motion(x: f64, y: f64, to: Vector2<f64>) -> Motion {
+        Motion { at: Point2::new(x, y), to: [to * -1.5, to * -0.5, to * 0.5, to * 1.5] }
+    }
+
+    #[test]
+    fn a_shift_is_found_exactly() {
+        let shift = Vector2::new(3.0, -2.0);
+        let tracks = [(4.0, 9.0), (12.0, 7.0), (8.0, 1.0)].map(|(x, y)| motion(x, y, shift));
+        let fit = LocalMotion::fit(&tracks.each_ref(), &Point2::new(8.0, 8.0)).unwrap();
+        for from in [Vector2::zeros(), Vector2::new(6.0, -3.0)] {
+            assert!((fit.at(2, from) - 0.5 * shift).norm() < 1e-9);
+            assert!((fit.at(0, from) + 1.5 * shift).norm() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_turn_is_followed_better_than_by_a_shift() {
+        let center = Point2::new(20.0, 20.0);
+        let turn = |p: Point2<f64>| Vector2::new(-0.05 * (p.y - 20.0), 0.05 * (p.x - 20.0));
+        let tracks: Vec<Motion> = (0..49)
+            .map(|k| Point2::new(2.0 + 6.0 * (k % 7) as f64, 2.0 + 6.0 * (k / 7) as f64))
+            .map(|p| motion(p.x, p.y, turn(p)))
+            .collect();
+        let fit = LocalMotion::fit(&tracks.iter().collect::<Vec<_>>(), &center).unwrap();
+        let from = Vector2::new(8.0, 8.0);
+        let error = (fit.at(2, from) - 0.5 * turn(center + from)).norm();
+        assert!(error < 0.3 * 0.5 * turn(center + from).norm(), "{error}");
+    }
+
+    #[test]
+    fn no_tracks_no_motion() {
+        assert_eq!(LocalMotion::fit(&[], &Point2::origin()), None);
+    }
+
+    #[test]
+    fn a_single_track_is_a_shift() {
+        let one = motion(3.0, 3.0, Vector2::new(1.0, 0.0));
+        let fit = LocalMotion::fit(&[&one], &Point2::new(3.0, 3.0)).unwrap();
+        assert!((fit.at(3, Vector2::new(5.0, 5.0)) - Vector2::new(1.5, 0.0)).norm() < 1e-9);
+    }
+}
