@@ -282,7 +282,8 @@ fn deforming_windows_are_found() {
                 .track(&pa, &pb, from, from)
                 .map_or(f64::INFINITY, |t| (t.position - from - shift).norm())
         };
-        refined_px.push(error(&KltOptions { max_residual: 1.0, ..Default::default() }));
+        let affine = AffineOptions::default();
+        refined_px.push(error(&KltOptions { max_residual: 1.0, affine, ..Default::default() }));
         plain_px.push(error(&translation_only()));
     }
     for errors in [&mut refined_px, &mut plain_px] {

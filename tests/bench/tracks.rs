@@ -316,8 +316,8 @@ fn main() {
         folders.iter().map(|f| Scene::film(f)).collect()
     };
     let mut options = RegistrationOptions::default();
-    if plain {
-        options.klt.affine.radius_px = 0;
+    if !plain {
+        options.klt.affine = stlfr::registration::AffineOptions::default();
     }
     println!("errors: number, median, 99 % [px], within 0.1 px, within 1 px");
     for scene in &scenes {
