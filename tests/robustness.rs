@@ -3,6 +3,7 @@
 
 mod common;
 
+use clap::ValueEnum;
 use common::{assert_refused, run, stderr};
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
@@ -457,13 +458,7 @@ fn anything_that_opens_is_worked_with() {
             options.proxy.plane_depth_m = Some(2.0);
             let field = LightField::new(capture.clone(), offsets, options);
             for time_s in [0.0, 0.02, 0.04, -3.0, 1e9] {
-                for sync in [
-                    Sync::Nearest,
-                    Sync::Crossfade,
-                    Sync::Triangulation,
-                    Sync::Morph,
-                    Sync::EdgeMorph,
-                ] {
+                for &sync in Sync::value_variants() {
                     for image in field.synchronized_all(sync, time_s).unwrap().iter().flatten() {
                         images += 1;
                         let finite = image.data().iter().all(|v| (0.0..=1.0).contains(v));

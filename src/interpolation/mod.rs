@@ -23,6 +23,7 @@ mod options;
 mod refine;
 mod triangulation;
 mod warp;
+mod windows;
 
 pub use edge_set::{Edge, edge_set};
 pub use edges::{Feature, RealEdge, real_edges};

@@ -13,7 +13,9 @@
 //! decides, so outlines are right to about two pixels.
 
 use super::local_motion::LocalMotion;
-use super::{Motion, RefineOptions, Warp};
+use super::warp::{Warp, warped};
+use super::windows::{box_mean, difference, mixed};
+use super::{Motion, RefineOptions};
 use crate::raster::Image;
 use crate::registration::Neighbors;
 use nalgebra::{Point2, Vector2};
@@ -47,10 +49,7 @@ pub fn refined(
     let warped = [warped(frames.earlier, warps[0]), warped(frames.later, warps[1])];
     let (w, h, channels) =
         (frames.earlier.width(), frames.earlier.height(), frames.earlier.channels());
-    let dissolved: Vec<f32> = (warped[0].data().iter().zip(warped[1].data()))
-        .map(|(a, b)| a + (b - a) * frames.share)
-        .collect();
-    let dissolved = Image::from_data(w, h, channels, dissolved);
+    let dissolved = mixed(&warped[0], &warped[1], frames.share);
     let costs = box_mean(&difference(&warped[0], &warped[1]), w, h, options.window_radius_px);
 
     let neighbors = Neighbors::new(motions.iter().map(|m| m.at));
@@ -323,11 +322,6 @@ impl Work<'_> {
     }
 }
 
-fn mixed(a: &Image, b: &Image, share: f32) -> Image {
-    let data = (a.data().iter().zip(b.data())).map(|(a, b)| a + (b - a) * share).collect();
-    Image::from_data(a.width(), a.height(), a.channels(), data)
-}
-
 /// Keeps a sum of weights from being 0 where every hypothesis is far off.
 const MIN_WEIGHT: f32 = 1e-30;
 
@@ -339,51 +333,6 @@ impl Sums {
             *sum += weight * c;
         }
     }
-}
-
-fn warped(image: &Image, warp: &Warp) -> Image {
-    let channels = image.channels();
-    let mut data = vec![0.0; warp.source.len() * channels];
-    data.par_chunks_mut(warp.width * channels).enumerate().for_each(|(y, row)| {
-        for (x, out) in row.chunks_exact_mut(channels).enumerate() {
-            let [sx, sy] = warp.source[y * warp.width + x];
-            image.sample_cubic(sx, sy, out);
-        }
-    });
-    Image::from_data(warp.width, warp.height, channels, data)
-}
-
-/// Mean absolute difference of the channels, a pixel.
-fn difference(a: &Image, b: &Image) -> Vec<f32> {
-    let channels = a.channels();
-    (a.data().chunks_exact(channels).zip(b.data().chunks_exact(channels)))
-        .map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>() / channels as f32)
-        .collect()
-}
-
-/// Mean over a (2·radius + 1)² window, of what of it lies inside.
-fn box_mean(values: &[f32], w: usize, h: usize, radius: usize) -> Vec<f32> {
-    let span = |at: usize, size: usize| at.saturating_sub(radius)..(at + radius + 1).min(size);
-    let mut across = vec![0.0; values.len()];
-    for y in 0..h {
-        let row = &values[y * w..(y + 1) * w];
-        for x in 0..w {
-            let range = span(x, w);
-            let n = range.len() as f32;
-            across[y * w + x] = row[range].iter().sum::<f32>() / n;
-        }
-    }
-    let mut out = vec![0.0; values.len()];
-    for y in 0..h {
-        let range = span(y, h);
-        let n = range.len() as f32;
-        for from in range {
-            for (out, v) in out[y * w..(y + 1) * w].iter_mut().zip(&across[from * w..]) {
-                *out += v / n;
-            }
-        }
-    }
-    out
 }
 
 #[cfg(test)]

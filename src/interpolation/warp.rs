@@ -1,6 +1,7 @@
 //! Backward warps: for every pixel of the image to make, where in a frame it comes from; and the
 //! cross dissolve of two of them, eq. (9).
 
+use super::windows::mixed;
 use crate::raster::Image;
 use rayon::prelude::*;
 
@@ -22,6 +23,19 @@ impl Warp {
     }
 }
 
+/// The frame as the warp moves it. The cubic's lobes may leave 0..=1.
+pub(super) fn warped(image: &Image, warp: &Warp) -> Image {
+    let channels = image.channels();
+    let mut data = vec![0.0; warp.source.len() * channels];
+    data.par_chunks_mut(warp.width * channels).enumerate().for_each(|(y, row)| {
+        for (x, out) in row.chunks_exact_mut(channels).enumerate() {
+            let [sx, sy] = warp.source[y * warp.width + x];
+            image.sample_cubic(sx, sy, out);
+        }
+    });
+    Image::from_data(warp.width, warp.height, channels, data)
+}
+
 /// Eq. (9): `share` is (t' − t)/Δt, 0 at the earlier frame. Frames have the warps' size and the
 /// same channels.
 pub fn cross_dissolve(
@@ -29,20 +43,7 @@ pub fn cross_dissolve(
     [from_earlier, from_later]: [&Warp; 2],
     share: f32,
 ) -> Image {
-    let (w, h, channels) = (earlier.width(), earlier.height(), earlier.channels());
-    let mut data = vec![0.0; w * h * channels];
-    data.par_chunks_mut(w * channels).enumerate().for_each(|(y, row)| {
-        let (mut a, mut b) = ([0.0; 3], [0.0; 3]);
-        for (x, out) in row.chunks_exact_mut(channels).enumerate() {
-            let k = y * w + x;
-            let [ax, ay] = from_earlier.source[k];
-            let [bx, by] = from_later.source[k];
-            earlier.sample_cubic(ax, ay, &mut a[..channels]);
-            later.sample_cubic(bx, by, &mut b[..channels]);
-            for (out, (a, b)) in out.iter_mut().zip(a.iter().zip(&b)) {
-                *out = (a * (1.0 - share) + b * share).clamp(0.0, 1.0);
-            }
-        }
-    });
-    Image::from_data(w, h, channels, data)
+    let mut image = mixed(&warped(earlier, from_earlier), &warped(later, from_later), share);
+    image.data_mut().iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
+    image
 }

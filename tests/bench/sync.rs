@@ -3,12 +3,13 @@
 //!
 //! `cargo bench --bench sync -- CAPTURE [--sweep | --sweep=NAME]`
 
+use clap::ValueEnum;
 use std::sync::Arc;
 use std::time::Instant;
 use stlfr::capture::{Capture, Truth, read_array, read_image};
 use stlfr::compare::mask::moving_part;
 use stlfr::interpolation::Sync;
-use stlfr::offset::{CameraOffset, Offsets};
+use stlfr::offset::Offsets;
 use stlfr::raster::Image;
 use stlfr::render::{LightField, RenderOptions};
 
@@ -65,19 +66,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             targets.push(Target { camera, time_s, image, moving });
         }
         // The truth's offsets: this benchmark is about interpolation alone.
-        let offsets = Offsets {
-            reference: capture.cameras[capture.reference].id.clone(),
-            cameras: capture
-                .cameras
-                .iter()
-                .map(|c| CameraOffset {
-                    id: c.id.clone(),
-                    offset_s: truth.offset_s(&c.id),
-                    std_err_s: Some(0.0),
-                    ..CameraOffset::default()
-                })
-                .collect(),
-        };
+        let mut offsets = Offsets::known(&capture);
+        for camera in &mut offsets.cameras {
+            camera.offset_s = truth.offset_s(&camera.id);
+        }
         let field = |change: &dyn Fn(&mut RenderOptions)| {
             let mut options = RenderOptions::default();
             change(&mut options);
@@ -85,14 +77,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         };
         println!("{folder}: PSNR whole, moving [dB]; ms an image, registration cached");
         let default = field(&|_| ());
-        for sync in [
-            Sync::Nearest,
-            Sync::Crossfade,
-            Sync::Triangulation,
-            Sync::Morph,
-            Sync::EdgeMorph,
-            Sync::Refined,
-        ] {
+        for &sync in Sync::value_variants() {
             let (whole, moving, ms) = score(&default, sync, &targets);
             println!("  {:32} {whole:6.2} {moving:6.2} {ms:8.1}", format!("{sync:?}"));
         }
