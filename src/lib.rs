@@ -12,7 +12,7 @@
 //! | Fig. 2, the whole pipeline | [`render`] |
 //! | §8 results, beside the truth | [`compare`] |
 //!
-//! Beside these: [`rig`] describes and generates simulated arrays, [`exchange`] reads and writes
+//! [`plan`] chooses the rungs that a capture requires. Beside these: [`rig`] describes and generates simulated arrays, [`exchange`] reads and writes
 //! other programs' calibrations, [`raster`] holds images as the stages work on them, [`progress`]
 //! reports long work, [`json`] reads files, [`video`] reads and writes video through an ffmpeg.
 //!
@@ -31,6 +31,7 @@ pub mod interpolation;
 pub mod json;
 pub mod lumigraph;
 pub mod offset;
+pub mod plan;
 pub mod progress;
 #[cfg(feature = "python")]
 mod python;

@@ -4,148 +4,18 @@
 mod common;
 
 use clap::ValueEnum;
+use common::wall::{
+    FOCAL_PX, FRAME_S, H, Scene, W, edit, estimate, open, texture, view, write_json,
+};
 use common::{assert_refused, run, stderr};
 use serde_json::{Value, json};
-use std::f64::consts::TAU;
 use std::path::Path;
-use std::sync::Arc;
-use stlfr::camera::{Camera, CameraFormat};
-use stlfr::capture::{BitDepth, Capture, write_image};
+use stlfr::capture::{BitDepth, write_image};
 use stlfr::interpolation::Sync;
-use stlfr::offset::{self, Offsets};
-use stlfr::progress::Reporter;
+use stlfr::offset::Offsets;
 use stlfr::raster::Image;
 use stlfr::render::{LightField, ProxyRung, RenderError, RenderOptions};
 use tempfile::TempDir;
-
-/// A textured wall 2 m before three cameras in a row, 6 cm apart, that moves; analytic, so that
-/// every image is of the very instant.
-struct Scene {
-    /// Metres a second; 1 m/s is 2 px a frame.
-    velocity: [f64; 2],
-    /// True offsets, seconds.
-    offsets_s: [f64; 3],
-    shared: [bool; 3],
-    frames: usize,
-    /// Metres of the file a metre of the scene, and where the file has the scene's origin.
-    scale: f64,
-    origin_m: f64,
-    /// What all clocks show at the start.
-    start_s: f64,
-}
-
-const FRAME_S: f64 = 0.04;
-const FOCAL_PX: f64 = 100.0;
-const W: usize = 96;
-const H: usize = 72;
-
-impl Default for Scene {
-    fn default() -> Self {
-        Self {
-            velocity: [0.3, 1.0],
-            offsets_s: [0.3 * FRAME_S, 0.0, -0.4 * FRAME_S],
-            shared: [false; 3],
-            frames: 5,
-            scale: 1.0,
-            origin_m: 0.0,
-            start_s: 0.0,
-        }
-    }
-}
-
-/// Waves in many directions, 6 to 20 px long: corners everywhere, and nothing twice.
-fn texture(x: f64, y: f64) -> f64 {
-    let wave = |k: f64| {
-        let (direction, per_m) = (2.399 * k, 2.5 + 5.5 * (0.618 * k).fract());
-        (TAU * per_m * (x * direction.cos() + y * direction.sin()) + 1.7 * k).sin()
-    };
-    (0.5 + 0.09 * (1..=9).map(|k| wave(f64::from(k))).sum::<f64>()).clamp(0.0, 1.0)
-}
-
-impl Scene {
-    fn center_m(camera: usize) -> f64 {
-        0.06 * (camera as f64 - 1.0)
-    }
-
-    fn image(&self, camera: usize, time_s: f64) -> Image {
-        let data = (0..W * H).map(|k| {
-            let at = |v: usize, size: usize| (v as f64 + 0.5 - size as f64 / 2.0) * 2.0 / FOCAL_PX;
-            let (x, y) = (at(k % W, W) + Self::center_m(camera), at(k / W, H));
-            texture(x - self.velocity[0] * time_s, y - self.velocity[1] * time_s) as f32
-        });
-        Image::from_data(W, H, 1, data.collect())
-    }
-
-    fn camera(&self, x_m: f64) -> Value {
-        let o = self.origin_m;
-        json!({"width": W, "height": H, "model": "PINHOLE",
-            "params": [FOCAL_PX, FOCAL_PX, W as f64 / 2.0, H as f64 / 2.0],
-            "cam_from_world": {"rotation_wxyz": [1, 0, 0, 0],
-                "translation": [-(x_m * self.scale + o), -o, -o]}})
-    }
-
-    fn film(&self) -> TempDir {
-        let folder = tempfile::tempdir().unwrap();
-        let cameras: Vec<Value> = (0..3)
-            .map(|c| {
-                let mut camera = self.camera(Self::center_m(c));
-                camera["id"] = json!(format!("cam{c}"));
-                camera["frames"] = json!(format!("cam{c}/%d.png"));
-                camera["color"] = json!("gray");
-                camera["clock"] = json!({"rate_hz": 1.0 / FRAME_S, "first_s": self.start_s,
-                    "shared": self.shared[c]});
-                for k in 0..self.frames {
-                    let time_s = k as f64 * FRAME_S + self.offsets_s[c];
-                    let path = folder.path().join(format!("cam{c}/{k}.png"));
-                    let depth = BitDepth::Sixteen;
-                    write_image(&path, &self.image(c, time_s), None, depth).unwrap();
-                }
-                camera
-            })
-            .collect();
-        write_json(
-            folder.path(),
-            &json!({"format": "stlfr-capture", "version": 1, "name": "wall",
-            "cameras": cameras}),
-        );
-        folder
-    }
-}
-
-fn write_json(folder: &Path, json: &Value) {
-    std::fs::write(folder.join("capture.json"), json.to_string()).unwrap();
-}
-
-/// Changes the description of a capture.
-fn edit(folder: &TempDir, change: impl FnOnce(&mut Value)) {
-    let text = std::fs::read_to_string(folder.path().join("capture.json")).unwrap();
-    let mut json = serde_json::from_str(&text).unwrap();
-    change(&mut json);
-    write_json(folder.path(), &json);
-}
-
-fn open(folder: &TempDir) -> Arc<Capture> {
-    Arc::new(Capture::open(folder.path()).unwrap())
-}
-
-fn estimate(capture: &Arc<Capture>) -> Offsets {
-    let options = RenderOptions::default();
-    let silent = Reporter::silent();
-    let found = offset::estimate(capture, &options.offset, &options.registration, &silent);
-    let offsets = found.unwrap().offsets;
-    for camera in &offsets.cameras {
-        // Known with an error, or unknown with a reason.
-        let known = camera.offset_s.is_some();
-        assert_eq!((camera.std_err_s.is_some(), camera.reason.is_none()), (known, known));
-        assert!(camera.offset_s.is_none_or(f64::is_finite), "{camera:?}");
-        assert!(camera.std_err_s.is_none_or(f64::is_finite), "{camera:?}");
-    }
-    offsets
-}
-
-fn view(camera: &Value) -> Camera {
-    serde_json::from_value::<CameraFormat>(camera.clone()).unwrap().camera().unwrap()
-}
 
 #[track_caller]
 fn assert_offsets(scene: &Scene, found: &Offsets, tolerance_frames: f64) {
@@ -225,7 +95,7 @@ fn blank_frames_show_no_offset_and_no_view() {
         let field = LightField::new(capture, offsets, RenderOptions::default());
         let image = field.synchronized(1, 0.03).unwrap();
         assert!(image.data().iter().all(|v| (v - value).abs() < 0.01));
-        let lost = field.view(&view(&scene.camera(0.01)), 0.03);
+        let lost = field.view(&view(&scene.camera([0.01, 0.0, 0.0])), 0.03);
         assert!(matches!(lost, Err(RenderError::NoPoints)), "{lost:?}");
     }
 }
@@ -248,35 +118,6 @@ fn cameras_in_one_place_have_no_offset() {
     assert_unknown(&estimate(&open(&folder)), &[0, 2], "another place");
 }
 
-/// The view from beside the reference camera between two frames.
-fn beside(scene: &Scene) -> (Offsets, Image) {
-    let folder = scene.film();
-    let capture = open(&folder);
-    let offsets = estimate(&capture);
-    let field = LightField::new(capture, offsets.clone(), RenderOptions::default());
-    let rendered = field.view(&view(&scene.camera(0.02)), 1.6 * FRAME_S).unwrap();
-    (offsets, rendered.image)
-}
-
-#[test]
-fn units_and_origins_of_space_and_time_change_nothing() {
-    let (offsets, image) = beside(&Scene::default());
-    for (scale, origin_m, start_s) in
-        [(1e-6, 0.0, 0.0), (1e6, 0.0, 0.0), (1.0, 1e7, 0.0), (1.0, 0.0, 1.8e9), (1e-3, 1e3, -1e6)]
-    {
-        let case = (scale, origin_m, start_s);
-        let (moved, other) = beside(&Scene { scale, origin_m, start_s, ..Scene::default() });
-        for (a, b) in offsets.cameras.iter().zip(&moved.cameras) {
-            let change = (a.offset_s.unwrap() - b.offset_s.unwrap()) / FRAME_S;
-            assert!(change.abs() < 1e-4, "{case:?} {}: {change} frame", a.id);
-        }
-        let changes = image.data().iter().zip(other.data()).map(|(a, b)| (a - b).abs());
-        // A feature on the edge of a decision may be used in one and not in the other.
-        let many = changes.filter(|c| *c > 1.0 / 255.0).count();
-        assert!(many <= W * H / 100, "{case:?}: {many} pixels");
-    }
-}
-
 #[test]
 fn one_frame_a_camera_is_the_same_at_any_time() {
     let scene = Scene { frames: 1, offsets_s: [0.0; 3], ..Scene::default() };
@@ -285,7 +126,7 @@ fn one_frame_a_camera_is_the_same_at_any_time() {
     let offsets = estimate(&capture);
     assert_unknown(&offsets, &[0, 2], "one frame");
     let field = LightField::new(capture, offsets, RenderOptions::default());
-    let target = view(&scene.camera(0.02));
+    let target = view(&scene.camera([0.02, 0.0, 0.0]));
     let first = field.view(&target, 0.0).unwrap();
     assert!(first.coverage.iter().all(|c| *c));
     assert_eq!(field.view(&target, -1e6).unwrap(), first);
@@ -303,7 +144,7 @@ fn a_view_without_a_feature_in_it_has_a_depth() {
     let capture = open(&folder);
     let offsets = estimate(&capture);
     let field = LightField::new(capture, offsets, RenderOptions::default());
-    let mut pixel = scene.camera(0.02);
+    let mut pixel = scene.camera([0.02, 0.0, 0.0]);
     (pixel["width"], pixel["height"]) = (json!(1), json!(1));
     pixel["params"] = json!([FOCAL_PX, FOCAL_PX, 0.5, 0.5]);
     let rendered = field.view(&view(&pixel), 1.5 * FRAME_S).unwrap();
@@ -311,7 +152,7 @@ fn a_view_without_a_feature_in_it_has_a_depth() {
     let truth = texture(0.02 - 0.3 * time_s, -time_s);
     assert!((f64::from(rendered.image.data()[0]) - truth).abs() < 0.05);
     // Away from the scene there is none.
-    let mut away = scene.camera(0.0);
+    let mut away = scene.camera([0.0; 3]);
     away["cam_from_world"]["rotation_wxyz"] = json!([0, 0, 1, 0]);
     assert!(matches!(field.view(&view(&away), time_s), Err(RenderError::NothingSeen)));
 }
@@ -325,7 +166,7 @@ fn odd_views_are_rendered_or_refused() {
     let lens = [-0.3, 0.1, 1e-3, 1e-3];
     let mut views = Vec::new();
     for focal in [1e-300, 1e-3, 1.0, 1e3, 1e9, 1e300] {
-        let mut v = scene.camera(0.01);
+        let mut v = scene.camera([0.01, 0.0, 0.0]);
         v["params"] = json!([focal, focal, 48.0, 36.0]);
         views.push(v.clone());
         v["model"] = json!("OPENCV");
@@ -333,19 +174,19 @@ fn odd_views_are_rendered_or_refused() {
         views.push(v);
     }
     for distortion in [1e-300, -100.0, 1e9, 1e308] {
-        let mut v = scene.camera(0.01);
+        let mut v = scene.camera([0.01, 0.0, 0.0]);
         v["model"] = json!("OPENCV");
         v["params"] = json!([100.0, 100.0, 48.0, 36.0, distortion, distortion, 0.1, distortion]);
         views.push(v);
     }
     for at in [[0.0, 0.0, -2.0], [0.0, 0.0, -50.0], [1e300, 0.0, 0.0], [0.0, 0.0, 1e6], [1e154; 3]]
     {
-        let mut v = scene.camera(0.0);
+        let mut v = scene.camera([0.0; 3]);
         v["cam_from_world"]["translation"] = json!(at);
         views.push(v);
     }
     for (w, h) in [(1, 1), (1, 97), (513, 1), (5, 5)] {
-        let mut v = scene.camera(0.01);
+        let mut v = scene.camera([0.01, 0.0, 0.0]);
         (v["width"], v["height"]) = (json!(w), json!(h));
         views.push(v);
     }
@@ -537,7 +378,7 @@ fn a_frame_is_not_written_over() {
 #[test]
 fn a_view_of_terabytes_is_refused() {
     let folder = Scene { shared: [true; 3], ..Scene::default() }.film();
-    let mut v = Scene::default().camera(0.0);
+    let mut v = Scene::default().camera([0.0; 3]);
     (v["width"], v["height"]) = (json!(65_536), json!(65_536));
     let file = folder.path().join("view.json");
     std::fs::write(&file, v.to_string()).unwrap();

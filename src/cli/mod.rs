@@ -8,6 +8,7 @@ mod error;
 mod exchange;
 mod files;
 mod offsets;
+mod plan;
 mod render;
 mod rig;
 mod setup;
@@ -45,6 +46,7 @@ enum Command {
     Rig(Box<rig::Args>),
     Capture(capture::Args),
     Check(check::Args),
+    Plan(plan::Args),
     Offsets(offsets::Args),
     Render(Box<render::Args>),
     Compare(compare::Args),
@@ -62,6 +64,7 @@ impl Cli {
             Command::Rig(args) => rig::run(args),
             Command::Capture(args) => capture::run(args, &reporter),
             Command::Check(args) => check::run(args, &reporter),
+            Command::Plan(args) => plan::run(args, &reporter),
             Command::Offsets(args) => offsets::run(args, &reporter),
             Command::Render(args) => render::run(args, &reporter),
             Command::Compare(args) => compare::run(args, &reporter),

@@ -3,6 +3,7 @@
 use super::CliError;
 use super::files::{must_be_writable_image, options_or_default, read_view};
 use super::span::{Output, Times};
+use super::values::{Choice, choice};
 use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::camera::Camera;
@@ -21,6 +22,7 @@ use stlfr::video::{Codec, VideoWriter, find_ffmpeg};
     stlfr render .captures/demo --camera view.json --time 0.1 -o view.png\n  \
     stlfr render .captures/demo --camera view.json --times 0.05:0.25:60 -o out/%04d.png\n  \
     stlfr render .captures/demo --like cam3 --times 0.05:0.25:60 -o slow.mkv\n  \
+    stlfr render .captures/demo --like cam3 --time 0.1 --sync auto --proxy auto -o cam3.png\n  \
     stlfr render .captures/demo --like cam3 --time 0.2 --trail 0.15 --trail-instants 31 -o trail.png\n\n\
     A view is a camera object as in capture.json:\n  \
     {\"width\": 640, \"height\": 480, \"model\": \"PINHOLE\", \"params\": [686.2, 686.2, 320, 240],\n   \
@@ -55,11 +57,11 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: Output,
     /// How each camera's image at the instant is made.
-    #[arg(long, value_name = "RUNG", value_enum)]
-    sync: Option<Sync>,
+    #[arg(long, value_name = "RUNG", value_parser = choice::<Sync>())]
+    sync: Option<Choice<Sync>>,
     /// What stands for the scene's shape.
-    #[arg(long, value_name = "RUNG", value_enum)]
-    proxy: Option<ProxyRung>,
+    #[arg(long, value_name = "RUNG", value_parser = choice::<ProxyRung>())]
+    proxy: Option<Choice<ProxyRung>>,
     /// Overlay what moved in this many seconds before the instant: temporal integration.
     #[arg(long, value_name = "SECONDS")]
     trail: Option<f64>,
@@ -99,8 +101,14 @@ impl Args {
     /// The file's options, and those of the command line before them.
     fn render_options(&self) -> Result<RenderOptions, CliError> {
         let mut options = options_or_default(self.options.as_deref())?;
-        options.sync = self.sync.unwrap_or(options.sync);
-        options.proxy.rung = self.proxy.unwrap_or(options.proxy.rung);
+        if let Some(sync) = self.sync {
+            options.sync = sync.rung().unwrap_or(options.sync);
+            options.auto.sync = sync == Choice::Auto;
+        }
+        if let Some(proxy) = self.proxy {
+            options.proxy.rung = proxy.rung().unwrap_or(options.proxy.rung);
+            options.auto.proxy = proxy == Choice::Auto;
+        }
         let trail = &mut options.trail;
         trail.duration_s = self.trail.unwrap_or(trail.duration_s);
         trail.instants = self.trail_instants.unwrap_or(trail.instants);

@@ -1,6 +1,38 @@
 //! Values of the command line that are more than a number or a name.
 
+use clap::ValueEnum;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use std::str::FromStr;
+
+/// A rung, or what the capture requires.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Choice<T> {
+    Auto,
+    Rung(T),
+}
+
+impl<T: Copy> Choice<T> {
+    /// The rung, if it is one.
+    pub fn rung(&self) -> Option<T> {
+        match self {
+            Self::Auto => None,
+            Self::Rung(rung) => Some(*rung),
+        }
+    }
+}
+
+const AUTO: &str = "auto";
+
+/// A ladder's rungs, and `auto`.
+pub fn choice<T: ValueEnum + Clone + Send + Sync + 'static>()
+-> impl TypedValueParser<Value = Choice<T>> {
+    let auto =
+        PossibleValue::new(AUTO).help("The lowest that this capture requires: see stlfr plan");
+    let rungs = T::value_variants().iter().filter_map(T::to_possible_value);
+    PossibleValuesParser::new(std::iter::once(auto).chain(rungs)).try_map(|name| {
+        if name == AUTO { Ok(Choice::Auto) } else { T::from_str(&name, false).map(Choice::Rung) }
+    })
+}
 
 /// `320x240`: width and height in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,6 +62,20 @@ impl FromStr for Size {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rungs_and_auto() {
+        use clap::{Arg, Command};
+        use stlfr::render::ProxyRung;
+        let command = || Command::new("c").arg(Arg::new("p").value_parser(choice::<ProxyRung>()));
+        let parsed = |text: &str| {
+            let found = command().try_get_matches_from(["c", text]).ok()?;
+            found.get_one::<Choice<ProxyRung>>("p").copied()
+        };
+        assert_eq!(parsed("auto"), Some(Choice::Auto));
+        assert_eq!(parsed("plane"), Some(Choice::Rung(ProxyRung::Plane)));
+        assert_eq!(parsed("sphere"), None);
+    }
 
     #[test]
     fn sizes() {

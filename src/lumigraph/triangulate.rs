@@ -21,10 +21,10 @@ pub struct Triangulated {
     pub max_angle_rad: f64,
 }
 
-/// Rays that meet at a smaller angle count as parallel. It is 0.07 px at a focal length of 686
-/// px, less than trackers resolve: smaller, and the depth is noise; larger, and far background
-/// that is known to be far is lost.
-const MIN_ANGLE_RAD: f64 = 1e-4;
+/// Rays count as parallel if the angle at which they meet is less than this in the image of the
+/// longest lens among them, pixels: less than trackers resolve. Smaller, and the depth is noise;
+/// larger, and far background that is known to be far is lost.
+const MIN_PARALLAX_PX: f64 = 0.07;
 /// Levenberg–Marquardt converges in 2 to 5 steps, the problem being almost linear.
 const MAX_ITERATIONS: usize = 20;
 /// A step (radians, or shares of the inverse distance) below which nothing more is gained in f64.
@@ -61,8 +61,8 @@ impl Equation {
 /// removed), in the sense of least squares.
 ///
 /// `None` for fewer than two observations or distinct centres, pixels that a lens can't have
-/// seen, rays parallel to within `MIN_ANGLE_RAD` (1e-4), a point at infinity, and one behind any
-/// of its cameras.
+/// seen, rays that are parallel to within `MIN_PARALLAX_PX` (0.07 px), a point at infinity, and one
+/// behind any of its cameras.
 pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulated> {
     let rays: Vec<Vector3<f64>> = observations
         .iter()
@@ -74,8 +74,9 @@ pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulat
         .iter()
         .map(|(camera, _)| (camera.center() - center).norm())
         .fold(0.0, f64::max);
-    // Also false if any coordinate is NaN.
-    if !(max_angle_rad >= MIN_ANGLE_RAD && scale > 0.0 && scale.is_finite()) {
+    let focal_px = observations.iter().map(|(camera, _)| camera.focal_px()).fold(0.0, f64::max);
+    // Also false if any coordinate is NaN. Focal lengths are positive.
+    if !(max_angle_rad * focal_px >= MIN_PARALLAX_PX && scale > 0.0 && scale.is_finite()) {
         return None;
     }
 
@@ -96,9 +97,9 @@ pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulat
 
     let start = linear(&equations)?;
     let p = refine(&equations, start);
-    // 1/ρ is safe: a distance of more than s / MIN_ANGLE_RAD² could not have passed the test of
-    // the angle by less than the noise.
-    if !(p.z > MIN_ANGLE_RAD * MIN_ANGLE_RAD)
+    // 1/ρ is safe: a distance of more than s over the square of the least angle could not have
+    // passed the test of the angle by less than the noise.
+    if !(p.z > (MIN_PARALLAX_PX / focal_px).powi(2))
         || equations.iter().any(|e| !(e.direction(&p).z > 0.0))
     {
         return None;

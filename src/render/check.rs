@@ -39,7 +39,8 @@ impl RenderOptions {
         interpolation(&self.interpolation)?;
         proxy(&self.proxy)?;
         blend(&self.blend)?;
-        trail(&self.trail)
+        trail(&self.trail)?;
+        all_within("auto", &[("budget_px", self.auto.budget_px, PIXELS)])
     }
 }
 

@@ -14,6 +14,7 @@ use crate::capture::{Capture, CaptureError};
 use crate::interpolation::{FramePair, Sync};
 use crate::lumigraph::{Mesh, Plane, Proxy, Rendered, Source, blend};
 use crate::offset::{self, Offsets};
+use crate::plan;
 use crate::progress::Reporter;
 use crate::raster::Image;
 use crate::registration::{FrameStore, Track, Verdict, epipolar_test, temporal_flow};
@@ -80,8 +81,17 @@ pub enum RenderError {
 
 impl LightField {
     pub fn new(capture: Arc<Capture>, offsets: Offsets, options: RenderOptions) -> Self {
-        let times_s = offsets.common_times_s(&capture);
         let frames = FrameStore::new(capture, &options.registration);
+        Self::with_frames(frames, offsets, options)
+    }
+
+    /// With frames that are registered by the same options already.
+    pub(crate) fn with_frames(
+        frames: FrameStore,
+        offsets: Offsets,
+        options: RenderOptions,
+    ) -> Self {
+        let times_s = offsets.common_times_s(frames.capture());
         Self {
             frames,
             offsets,
@@ -92,13 +102,22 @@ impl LightField {
         }
     }
 
-    /// With the offsets that the capture needs: known clocks, else those kept in its folder, else
-    /// estimated now and kept. Says which on the reporter.
+    /// With the offsets that the capture needs (known clocks, else those kept in its folder, else
+    /// estimated now and kept), and the rungs that it requires, where `options.auto` leaves them to
+    /// it. Says which on the reporter.
     pub fn open(
         capture: Arc<Capture>,
         options: RenderOptions,
         reporter: &Reporter,
-    ) -> Result<Self, CaptureError> {
+    ) -> Result<Self, RenderError> {
+        if options.auto.any() {
+            let (plan, field) = plan::plan(&capture, &options, reporter)?;
+            for decision in plan.decisions.iter().filter(|d| ["sync", "proxy"].contains(&d.stage)) {
+                let plan::Decision { stage, rung, because, .. } = decision;
+                reporter.note(&format!("Auto: {stage} {rung}. {because}"));
+            }
+            return Ok(field);
+        }
         let offsets = offset::known_or_kept_or_estimated(
             &capture,
             &options.offset,
@@ -118,6 +137,23 @@ impl LightField {
 
     pub fn options(&self) -> &RenderOptions {
         &self.options
+    }
+
+    /// Other rungs over the same registered frames and offsets.
+    pub(crate) fn set_options(&mut self, options: RenderOptions) {
+        self.options = options;
+    }
+
+    /// The median distance of a camera from its nearest neighbour elsewhere, metres; 0 without one.
+    pub(crate) fn spacing_m(&self) -> f64 {
+        let centers: Vec<_> = self.capture().cameras.iter().map(|c| c.camera.center()).collect();
+        let nearest = |a: &Point3<f64>| {
+            let distances = centers.iter().map(|b| (a - b).norm()).filter(|d| *d > 0.0);
+            distances.min_by(f64::total_cmp)
+        };
+        let mut distances: Vec<f64> = centers.iter().filter_map(nearest).collect();
+        distances.sort_by(f64::total_cmp);
+        distances.get(distances.len() / 2).copied().unwrap_or(0.0)
     }
 
     fn frames(&self) -> &FrameStore {
@@ -244,7 +280,11 @@ impl LightField {
     }
 
     /// [`Self::triangulated`], kept for the next proxy of the same view.
-    fn points(&self, target: &Camera, time_s: f64) -> Result<Arc<Vec<Point3<f64>>>, RenderError> {
+    pub(crate) fn points(
+        &self,
+        target: &Camera,
+        time_s: f64,
+    ) -> Result<Arc<Vec<Point3<f64>>>, RenderError> {
         let mut kept = self.points.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(kept) = &*kept
             && kept.time_s == time_s

@@ -4,6 +4,7 @@ use super::TrailOptions;
 use crate::interpolation::{InterpolationOptions, Sync};
 use crate::lumigraph::{BlendOptions, MeshOptions};
 use crate::offset::OffsetOptions;
+use crate::plan::AutoOptions;
 use crate::registration::RegistrationOptions;
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +20,8 @@ pub struct RenderOptions {
     pub blend: BlendOptions,
     /// Of `render` only: what is compared with the truth is an instant.
     pub trail: TrailOptions,
+    /// Rungs that the capture decides, in place of those above.
+    pub auto: AutoOptions,
 }
 
 /// What stands for the scene's shape.

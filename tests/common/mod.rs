@@ -4,6 +4,7 @@
 
 pub mod bodies;
 pub mod synthetic;
+pub mod wall;
 pub mod worlds;
 
 use std::fs::File;

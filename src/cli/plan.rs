@@ -1,0 +1,69 @@
+//! `stlfr plan`
+
+use super::CliError;
+use super::files::{must_be_writable, options_or_default};
+use std::path::PathBuf;
+use std::sync::Arc;
+use stlfr::capture::{Capture, write_atomically};
+use stlfr::plan::{Plan, plan};
+use stlfr::progress::Reporter;
+
+/// What this capture requires, rung by rung, and why: for every stage the lowest rung that keeps
+/// its error within a budget.
+///
+/// `--sync auto` and `--proxy auto` of `render`, and `auto` in an options file, choose by it.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr plan .captures/demo\n  \
+    stlfr plan .captures/demo --budget-px 0.1 -o options.json\n  \
+    stlfr render .captures/demo --options options.json --like cam3 --time 0.1 -o cam3.png")]
+pub struct Args {
+    /// The capture's folder.
+    capture: PathBuf,
+    /// How far a lower rung may move what is seen, pixels [default: 0.25].
+    #[arg(long, value_name = "PX")]
+    budget_px: Option<f64>,
+    /// Print JSON and nothing else.
+    #[arg(long)]
+    json: bool,
+    /// Write the options of all stages, with the rungs chosen, into a file.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Options of all stages, a JSON file.
+    #[arg(long, value_name = "FILE")]
+    options: Option<PathBuf>,
+}
+
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    let mut options = options_or_default(args.options.as_deref())?;
+    options.auto.budget_px = args.budget_px.unwrap_or(options.auto.budget_px);
+    (options.auto.sync, options.auto.proxy) = (true, true);
+    options.check().map_err(|error| CliError::BadInput(error.to_string()))?;
+    if let Some(output) = &args.output {
+        must_be_writable(output)?;
+    }
+    let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
+    let (plan, _) = plan(&capture, &options, reporter)?;
+    if let Some(output) = &args.output {
+        write_atomically(output, json(&plan.options)?.as_bytes()).map_err(|error| {
+            CliError::Failure(format!("{}: can't be written ({error})", output.display()))
+        })?;
+    }
+    if args.json {
+        println!("{}", json(&plan)?);
+    } else {
+        print_table(&plan);
+    }
+    Ok(())
+}
+
+fn json(value: &impl serde::Serialize) -> Result<String, CliError> {
+    serde_json::to_string_pretty(value).map_err(|e| CliError::Failure(e.to_string()))
+}
+
+fn print_table(plan: &Plan) {
+    for decision in &plan.decisions {
+        println!("{:<11} {:<15} {}", decision.stage, decision.rung, decision.because);
+    }
+    println!("Budget: {} px.", plan.budget_px);
+}

@@ -1,0 +1,130 @@
+//! What a scene requires: for every stage, the lowest rung that holds an error budget, with the
+//! number that decided it.
+//!
+//! | question | measured | decided |
+//! |---|---|---|
+//! | whose clocks are known? | clocks in `capture.json` | whether offsets are estimated |
+//! | does anything move? | features' motion, blocks that change ([`Motion`]) | the sync rung |
+//! | on straight lines? | bend of the paths through four frames | curved paths |
+//! | is a plane enough? | points' parallax against it ([`Shape`]) | the proxy |
+//! | do lenses distort? | the largest shift of a pixel | resampling |
+//! | does the rig spread in two directions? | the camera centres' extent | references |
+//!
+//! The budget is a position error in pixels that a simplification may make. All that is measured is
+//! in the capture; its truth is never read.
+//!
+//! Known limits: one rung holds for the whole capture; frames at its start, middle and end stand for
+//! all; a body that shows fewer than a handful of corners and no changing block is not seen to move.
+
+mod decide;
+mod motion;
+mod rig;
+mod shape;
+
+pub use motion::Motion;
+pub use rig::{Clocks, extent_ratio, largest_distortion_px};
+pub use shape::Shape;
+
+use crate::capture::Capture;
+use crate::offset;
+use crate::progress::Reporter;
+use crate::registration::FrameStore;
+use crate::render::{LightField, RenderError, RenderOptions};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Which rungs are left to the capture, and how far they may be off.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AutoOptions {
+    /// The sync rung, and whether paths are curved.
+    pub sync: bool,
+    /// The proxy's rung.
+    pub proxy: bool,
+    /// How far a lower rung may move what is seen, pixels. Larger: cheaper rungs; at 0 none is
+    /// simplified.
+    pub budget_px: f64,
+}
+
+impl Default for AutoOptions {
+    fn default() -> Self {
+        Self { sync: false, proxy: false, budget_px: 0.25 }
+    }
+}
+
+impl AutoOptions {
+    /// Whether anything is left to the capture.
+    pub fn any(&self) -> bool {
+        self.sync || self.proxy
+    }
+}
+
+/// One stage's rung, and why.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Decision {
+    pub stage: &'static str,
+    pub rung: String,
+    /// What was measured, and the limit that it was held against; pixels unless `because` says
+    /// otherwise. `None` where the capture's description decides.
+    pub measured: Option<f64>,
+    pub limit: Option<f64>,
+    /// One sentence with the number.
+    pub because: String,
+}
+
+/// What a capture requires.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Plan {
+    pub budget_px: f64,
+    pub decisions: Vec<Decision>,
+    /// The options that were given, with the rungs that were decided.
+    pub options: RenderOptions,
+}
+
+impl Plan {
+    /// What a stage was given; `None` if there is no such stage.
+    pub fn decision(&self, stage: &str) -> Option<&Decision> {
+        self.decisions.iter().find(|d| d.stage == stage)
+    }
+}
+
+/// Plans a capture, and opens its light field by that plan. Only the stages that `options.auto`
+/// names are changed in the options; all are decided.
+pub fn plan(
+    capture: &Arc<Capture>,
+    options: &RenderOptions,
+    reporter: &Reporter,
+) -> Result<(Plan, LightField), RenderError> {
+    let budget_px = options.auto.budget_px;
+    let frames = FrameStore::new(capture.clone(), &options.registration);
+    let motion = Motion::survey(&frames, reporter)?;
+    let mut decided = options.clone();
+    let mut decisions = vec![decide::offsets(&Clocks::of(capture))];
+
+    let (sync, decision) = decide::sync(&motion, budget_px);
+    decisions.push(decision);
+    let (curved, decision) = decide::path(&motion, budget_px);
+    decisions.push(decision);
+    if options.auto.sync {
+        decided.sync = sync;
+        decided.interpolation.curved &= curved;
+    }
+
+    let offsets = offset::known_or_kept_or_estimated(
+        capture,
+        &options.offset,
+        &options.registration,
+        reporter,
+    )?;
+    let mut field = LightField::with_frames(frames, offsets, decided.clone());
+    let (proxy, decision) = decide::proxy(Shape::survey(&field)?.as_ref(), budget_px);
+    decisions.push(decision);
+    if options.auto.proxy {
+        decided.proxy.rung = proxy.unwrap_or(decided.proxy.rung);
+    }
+    decisions.push(decide::lenses(largest_distortion_px(capture)));
+    decisions.push(decide::references(extent_ratio(capture)));
+    decided.auto = AutoOptions { sync: false, proxy: false, budget_px };
+    field.set_options(decided.clone());
+    Ok((Plan { budget_px, decisions, options: decided }, field))
+}

@@ -1,0 +1,213 @@
+//! How things move in the images, from a few frame pairs of every camera.
+
+use crate::capture::CaptureError;
+use crate::progress::Reporter;
+use crate::raster::Image;
+use crate::registration::{
+    FrameStore, Neighbors, Path, RegistrationOptions, Track, agreeing, temporal_flow,
+};
+use nalgebra::Vector2;
+use rayon::prelude::*;
+
+/// Frame pairs a camera that are looked at: the first, the last, and between.
+const PAIRS: usize = 3;
+
+/// A motion counts as seen if so many tracks of one pair move at least as far: fewer are mismatches
+/// that agree by chance.
+const WITNESSES: usize = 5;
+
+/// Side of the blocks that are looked at for change, pixels. Larger hides small bodies, smaller
+/// mistakes noise for change.
+const BLOCK: usize = 8;
+
+/// A block changes if its mean difference is over so many times the quietest quarter's: noise
+/// differs between light and dark, flat and textured parts, by 2 to 4 times.
+const OVER_NOISE: f32 = 6.0;
+
+/// Nor does one change by less than this, values 0..=1: rounding to 8 bits.
+const LEAST_CHANGE: f32 = 1.5 / 255.0;
+
+/// How far around a track others foretell its motion, pixels, and how many of them.
+const AROUND_PX: f64 = 40.0;
+const FORETELLING: usize = 6;
+
+/// What the pairs show; each the largest of all pairs of all cameras. Pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Motion {
+    /// How far features move from one frame to the next.
+    pub largest_px: f64,
+    /// How far paths through four frames bend from the line through the middle two, halfway: the
+    /// 95th percentile of what moves.
+    pub bend_px: f64,
+    /// How far a feature, halfway, is from where its neighbours say: the 99th percentile. Outlines
+    /// of bodies that move apart show in it.
+    pub unevenness_px: f64,
+    /// The share of blocks that change by more than noise.
+    pub changed_share: f64,
+    /// Frame pairs that were looked at; 0 where every camera took one frame.
+    pub pairs: usize,
+}
+
+impl Motion {
+    /// Looks at the store's capture.
+    pub fn survey(frames: &FrameStore, reporter: &Reporter) -> Result<Self, CaptureError> {
+        let capture = frames.capture();
+        let pairs: Vec<(usize, usize)> = (0..capture.cameras.len())
+            .flat_map(|c| spread(capture.cameras[c].frames.len()).into_iter().map(move |k| (c, k)))
+            .collect();
+        let task = reporter.task("planning", pairs.len());
+        let mut all = Self::default();
+        for (camera, k) in pairs {
+            let pair = Self::of_pair(frames, camera, k)?;
+            all.largest_px = all.largest_px.max(pair.largest_px);
+            all.bend_px = all.bend_px.max(pair.bend_px);
+            all.unevenness_px = all.unevenness_px.max(pair.unevenness_px);
+            all.changed_share = all.changed_share.max(pair.changed_share);
+            all.pairs += 1;
+            task.advance(1);
+        }
+        Ok(all)
+    }
+
+    fn of_pair(frames: &FrameStore, camera: usize, k: usize) -> Result<Self, CaptureError> {
+        let options = frames.options();
+        let tracks = temporal_flow(frames, camera, k)?;
+        let kept = agreeing(&tracks, options);
+        let mut kept = kept.into_iter();
+        let tracks: Vec<Track> =
+            tracks.into_iter().filter(|_| kept.next().unwrap_or(false)).collect();
+        let times_s = &frames.capture().cameras[camera].clock.times_s;
+        let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
+        Ok(Self {
+            largest_px: largest(&tracks),
+            bend_px: bend(&tracks, times_s, k),
+            unevenness_px: unevenness(&tracks, options),
+            changed_share: changed_share(&earlier.image, &later.image),
+            pairs: 1,
+        })
+    }
+}
+
+/// The earlier frames of pairs spread over a film.
+fn spread(frames: usize) -> Vec<usize> {
+    let pairs = frames.saturating_sub(1);
+    let mut found: Vec<usize> = match pairs {
+        0 => Vec::new(),
+        _ => (0..PAIRS).map(|n| n * (pairs - 1) / (PAIRS - 1)).collect(),
+    };
+    found.dedup();
+    found
+}
+
+/// The motion that [`WITNESSES`] tracks have at least; 0 if there are fewer.
+fn largest(tracks: &[Track]) -> f64 {
+    let mut motions: Vec<f64> = tracks.iter().map(|t| t.motion().norm()).collect();
+    motions.sort_by(|a, b| b.total_cmp(a));
+    motions.get(WITNESSES - 1).copied().unwrap_or(0.0)
+}
+
+fn bend(tracks: &[Track], times_s: &[f64], k: usize) -> f64 {
+    let middle_s = 0.5 * (times_s[k] + times_s[k + 1]);
+    let bends = tracks.iter().filter(|t| t.before.is_some() && t.after.is_some()).filter_map(|t| {
+        let curve: Path = t.path(times_s, k)?;
+        let line = t.earlier + 0.5 * t.motion();
+        Some((curve.at(middle_s) - line).norm())
+    });
+    percentile(bends.collect(), 0.95)
+}
+
+/// Half of the motion that a track's neighbours don't foretell.
+fn unevenness(tracks: &[Track], options: &RegistrationOptions) -> f64 {
+    let neighbors = Neighbors::new(tracks.iter().map(|t| t.earlier));
+    let radius = AROUND_PX.max(options.support_radius_px);
+    let missed: Vec<f64> = tracks
+        .par_iter()
+        .enumerate()
+        .filter_map(|(n, track)| {
+            let mut near = neighbors.within(&track.earlier, radius);
+            near.retain(|&m| m != n);
+            let distance = |m: usize| (tracks[m].earlier - track.earlier).norm();
+            near.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
+            near.truncate(FORETELLING);
+            if near.len() < FORETELLING {
+                return None;
+            }
+            // Features stand apart, so no distance is 0; the pixel keeps one from deciding alone.
+            let weight = |m: usize| 1.0 / (distance(m) + 1.0);
+            let sum: f64 = near.iter().map(|&m| weight(m)).sum();
+            let mean: Vector2<f64> = near.iter().map(|&m| tracks[m].motion() * weight(m)).sum();
+            Some(0.5 * (track.motion() - mean / sum).norm())
+        })
+        .collect();
+    percentile(missed, 0.99)
+}
+
+/// The value that this share of them is not over; 0 of none.
+fn percentile(mut values: Vec<f64>, share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let last = values.len().saturating_sub(1);
+    values.get((share * last as f64).round() as usize).copied().unwrap_or(0.0)
+}
+
+fn changed_share(a: &Image, b: &Image) -> f64 {
+    let (a, b) = (a.to_gray(), b.to_gray());
+    let (across, down) = (a.width() / BLOCK, a.height() / BLOCK);
+    let mut blocks = vec![0.0_f32; across * down];
+    for y in 0..down * BLOCK {
+        let rows = a.row(y).iter().zip(b.row(y));
+        for (x, (a, b)) in rows.enumerate().take(across * BLOCK) {
+            blocks[y / BLOCK * across + x / BLOCK] += (a - b).abs() / (BLOCK * BLOCK) as f32;
+        }
+    }
+    let mut sorted = blocks.clone();
+    sorted.sort_by(f32::total_cmp);
+    let Some(quiet) = sorted.get(sorted.len() / 4) else { return 0.0 };
+    let limit = (OVER_NOISE * quiet).max(LEAST_CHANGE);
+    blocks.iter().filter(|d| **d > limit).count() as f64 / blocks.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pairs_are_spread_over_the_film() {
+        assert!(spread(0).is_empty() && spread(1).is_empty());
+        assert_eq!(spread(2), [0]);
+        assert_eq!(spread(3), [0, 1]);
+        assert_eq!(spread(31), [0, 14, 29]);
+    }
+
+    #[test]
+    fn noise_is_no_change_and_a_small_body_is() {
+        let mut state = 7_u64;
+        let mut noise = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            ((state >> 40) as f32 / (1 << 24) as f32 - 0.5) * 0.1
+        };
+        let mut still = || {
+            let data = (0..160 * 120).map(|k| {
+                let edge = if (k % 160) / 20 % 2 == 0 { 0.3 } else { 0.7 };
+                edge + noise()
+            });
+            Image::from_data(160, 120, 1, data.collect())
+        };
+        let (a, mut b) = (still(), still());
+        assert_eq!(changed_share(&a, &b), 0.0);
+        for y in 40..56 {
+            for x in 64..80 {
+                b.data_mut()[y * 160 + x] = 1.0;
+            }
+        }
+        assert!(changed_share(&a, &b) > 0.0);
+        let tiny = Image::filled(3, 3, 3, 0.5);
+        assert_eq!(changed_share(&tiny, &tiny), 0.0);
+    }
+
+    #[test]
+    fn percentiles_of_few_and_of_none() {
+        assert_eq!(percentile(vec![], 0.95), 0.0);
+        assert_eq!(percentile(vec![3.0], 0.95), 3.0);
+        assert_eq!(percentile((0..=100).map(f64::from).collect(), 0.95), 95.0);
+    }
+}

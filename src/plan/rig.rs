@@ -1,0 +1,64 @@
+//! What the rig's description alone decides.
+
+use crate::capture::Capture;
+use nalgebra::{DMatrix, Point2};
+
+/// Whose clocks are known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Clocks {
+    pub cameras: usize,
+    /// Cameras with a clock of their own, which is unknown.
+    pub unknown: usize,
+    /// Every camera took one frame.
+    pub one_frame: bool,
+}
+
+impl Clocks {
+    pub fn of(capture: &Capture) -> Self {
+        let reference = capture.reference;
+        let shared = capture.cameras[reference].clock.shared;
+        let unknown = (0..capture.cameras.len())
+            .filter(|&c| c != reference && !(shared && capture.cameras[c].clock.shared));
+        Self {
+            cameras: capture.cameras.len(),
+            unknown: unknown.count(),
+            one_frame: capture.is_static(),
+        }
+    }
+}
+
+/// Points a side of an image that its lens is looked at.
+const SIDE: usize = 17;
+
+/// How far lenses move a pixel from where a pinhole would have it, at most.
+pub fn largest_distortion_px(capture: &Capture) -> f64 {
+    let mut largest: f64 = 0.0;
+    for camera in capture.cameras.iter().map(|c| &c.camera) {
+        if camera.model.is_pinhole() {
+            continue;
+        }
+        let at = |k: usize, size: usize| size as f64 * k as f64 / (SIDE - 1) as f64;
+        for k in 0..SIDE * SIDE {
+            let pixel = Point2::new(at(k % SIDE, camera.width), at(k / SIDE, camera.height));
+            // Beyond what the lens can show there is nothing to move.
+            if let Some(ideal) = camera.model.ideal_from_pixel(&pixel) {
+                largest = largest.max((ideal - pixel).norm());
+            }
+        }
+    }
+    largest
+}
+
+/// The camera centres' extent across their main direction, as a share of that along it: 0 on a
+/// line, 1 on a square grid. 0 where all stand in one place.
+pub fn extent_ratio(capture: &Capture) -> f64 {
+    let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center().coords).collect();
+    let mean = centers.iter().sum::<nalgebra::Vector3<f64>>() / centers.len() as f64;
+    let offsets = DMatrix::from_fn(centers.len(), 3, |row, column| (centers[row] - mean)[column]);
+    let mut extents: Vec<f64> = offsets.singular_values().iter().copied().collect();
+    extents.sort_by(|a, b| b.total_cmp(a));
+    match extents.as_slice() {
+        [along, across, ..] if *along > 0.0 => across / along,
+        _ => 0.0,
+    }
+}

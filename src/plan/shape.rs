@@ -1,0 +1,67 @@
+//! How far a plane is from the scene's shape, as views between the cameras see it.
+
+use crate::lumigraph::{Plane, Proxy};
+use crate::render::{LightField, RenderError};
+
+/// Frames of the reference, evenly spread, at whose instants the shape is looked at.
+const INSTANTS: usize = 3;
+
+/// What the points of the scene show, in the reference camera's view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shape {
+    /// How far the best plane displaces a point in a view halfway between two neighbouring cameras,
+    /// pixels: the 95th percentile of the points, at the worst instant.
+    pub off_plane_px: f64,
+    /// Points that were triangulated, at the instant that has the fewest.
+    pub points: usize,
+}
+
+impl Shape {
+    /// `None` where no point could be triangulated, or no instant is covered.
+    pub fn survey(field: &LightField) -> Result<Option<Self>, RenderError> {
+        let capture = field.capture();
+        let reference = capture.reference;
+        let target = &capture.cameras[reference].camera;
+        let half_baseline_m = 0.5 * field.spacing_m();
+        let mut found: Option<Self> = None;
+        for time_s in instants_s(field) {
+            let points = field.points(target, time_s)?;
+            let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
+            let Some(plane) = Plane::fit(&weighted, target) else { continue };
+            let depths = Proxy::Plane(plane).depth_map(target);
+            let mut errors_px: Vec<f64> = points
+                .iter()
+                .filter_map(|point| {
+                    let pixel = target.project(point).filter(|p| target.contains(p))?;
+                    let plane_m = f64::from(depths.row(pixel.y as usize)[pixel.x as usize]);
+                    let depth_m = (target.cam_from_world * point).z;
+                    // A plane that the ray misses is infinitely far: 1/∞.
+                    let inverse = if plane_m > 0.0 { 1.0 / plane_m } else { 0.0 };
+                    // In view, so before the camera: its depth is positive.
+                    let apart = (1.0 / depth_m - inverse).abs();
+                    Some(apart * target.focal_px() * half_baseline_m)
+                })
+                .collect();
+            errors_px.sort_by(f64::total_cmp);
+            let last = errors_px.len().saturating_sub(1);
+            let Some(&off) = errors_px.get((0.95 * last as f64).round() as usize) else { continue };
+            found = Some(match found {
+                None => Self { off_plane_px: off, points: errors_px.len() },
+                Some(other) => Self {
+                    off_plane_px: off.max(other.off_plane_px),
+                    points: errors_px.len().min(other.points),
+                },
+            });
+        }
+        Ok(found)
+    }
+}
+
+/// Instants within what the cameras have in common.
+fn instants_s(field: &LightField) -> Vec<f64> {
+    if field.capture().is_static() {
+        return vec![0.0];
+    }
+    let Some((first, last)) = field.common_span_s() else { return Vec::new() };
+    (0..INSTANTS).map(|n| first + (last - first) * (n as f64 + 0.5) / INSTANTS as f64).collect()
+}

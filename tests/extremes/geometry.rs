@@ -1,0 +1,184 @@
+//! Degenerate geometry: the picture that is right all the same, or a reason.
+
+use crate::common::wall::{FRAME_S, H, Scene, W, estimate, open, view};
+use serde_json::{Value, json};
+use stlfr::camera::Camera;
+use stlfr::interpolation::Sync;
+use stlfr::raster::Image;
+use stlfr::render::{LightField, ProxyRung, RenderError, RenderOptions, Viewpoint};
+
+/// Clocks that are known and agree, so that only space is degenerate.
+fn simultaneous() -> Scene {
+    Scene { offsets_s: [0.0; 3], shared: [true; 3], ..Scene::default() }
+}
+
+/// What a view between two frames, or at the second one, is rendered to.
+fn rendered(
+    scene: &Scene,
+    rung: ProxyRung,
+    target: &Value,
+    frames: f64,
+) -> Result<Image, RenderError> {
+    let folder = scene.film();
+    let capture = open(&folder);
+    let offsets = estimate(&capture);
+    let mut options = RenderOptions::default();
+    options.proxy.rung = rung;
+    let field = LightField::new(capture, offsets, options);
+    let target: Camera = view(target);
+    let rendered = field.view(&target, scene.time_s(frames))?;
+    assert!(rendered.image.data().iter().all(|v| (0.0..=1.0).contains(v)), "finite values");
+    Ok(rendered.image)
+}
+
+/// Over all but a border, where the view sees what no camera does.
+fn psnr_db(a: &Image, b: &Image) -> f64 {
+    const MARGIN: usize = 8;
+    let pixels = (MARGIN..H - MARGIN).flat_map(|y| (MARGIN..W - MARGIN).map(move |x| (x, y)));
+    let squares: Vec<f64> =
+        pixels.map(|(x, y)| f64::from(a.pixel(x, y)[0] - b.pixel(x, y)[0]).powi(2)).collect();
+    -10.0 * (squares.iter().sum::<f64>() / squares.len() as f64).log10()
+}
+
+/// The view from there, by both proxies, is near the truth.
+#[track_caller]
+fn assert_right(scene: &Scene, place_m: [f64; 3], least_db: f64) {
+    for rung in [ProxyRung::Plane, ProxyRung::Mesh] {
+        let image = rendered(scene, rung, &scene.camera(place_m), 1.6);
+        let image = image.unwrap_or_else(|e| panic!("{rung:?}, {} px: {e}", scene.focal_px));
+        let db = psnr_db(&image, &scene.image(place_m, 1.6 * FRAME_S));
+        assert!(db > least_db, "{rung:?}: {db} dB");
+    }
+}
+
+#[test]
+fn a_view_at_an_input_camera_is_its_image() {
+    let scene = simultaneous();
+    let folder = scene.film();
+    let capture = open(&folder);
+    let offsets = estimate(&capture);
+    for rung in [ProxyRung::Plane, ProxyRung::Mesh] {
+        let mut options = RenderOptions::default();
+        options.proxy.rung = rung;
+        let field = LightField::new(capture.clone(), offsets.clone(), options);
+        let time_s = 1.5 * FRAME_S;
+        let rendered = field.view(&view(&scene.camera([0.0; 3])), time_s).unwrap();
+        let own = field.synchronized(1, time_s).unwrap();
+        let apart = rendered.image.data().iter().zip(own.data()).map(|(a, b)| (a - b).abs());
+        // A zero angle: that camera alone answers.
+        assert!(apart.fold(0.0, f32::max) < 1e-5);
+    }
+}
+
+#[test]
+fn cameras_in_one_place() {
+    let scene = Scene { centers_m: [[0.0; 3]; 3], ..simultaneous() };
+    // Nothing can be triangulated, so no proxy is made up.
+    for rung in [ProxyRung::Plane, ProxyRung::Mesh] {
+        let refused = rendered(&scene, rung, &scene.camera([0.0; 3]), 1.0);
+        assert!(matches!(refused, Err(RenderError::NoPoints)), "{rung:?}");
+    }
+    // A plane set by hand needs none.
+    let folder = scene.film();
+    let capture = open(&folder);
+    let mut options = RenderOptions { sync: Sync::Nearest, ..RenderOptions::default() };
+    (options.proxy.rung, options.proxy.plane_depth_m) = (ProxyRung::Plane, Some(2.0));
+    let field = LightField::new(capture.clone(), estimate(&capture), options);
+    let time_s = scene.time_s(1.0);
+    let image = field.view(&view(&scene.camera([0.0; 3])), time_s).unwrap().image;
+    assert!(psnr_db(&image, &scene.image([0.0; 3], FRAME_S)) > 60.0);
+}
+
+#[test]
+fn two_cameras_in_one_place_and_one_beside() {
+    let centers_m = [[0.0; 3], [0.0; 3], [0.06, 0.0, 0.0]];
+    assert_right(&Scene { centers_m, ..simultaneous() }, [0.02, 0.0, 0.0], 30.0);
+}
+
+#[test]
+fn the_epipole_inside_the_image() {
+    // Camera after camera along the axis that all look along.
+    let centers_m = [[0.0, 0.0, -0.3], [0.0; 3], [0.0, 0.0, 0.3]];
+    let scene = Scene { centers_m, ..simultaneous() };
+    assert_right(&scene, [0.0, 0.0, 0.1], 30.0);
+    // Epipolar lines run through the epipole in all directions: most motion crosses them.
+    let scene = Scene { centers_m, ..Scene::default() };
+    let offsets = estimate(&open(&scene.film()));
+    for (camera, truth_s) in offsets.cameras.iter().zip(scene.offsets_s) {
+        let error = (camera.offset_s.expect("is known") - truth_s).abs() / FRAME_S;
+        assert!(error < 0.02, "{camera:?}");
+    }
+}
+
+#[test]
+fn a_scene_at_infinity() {
+    let scene = Scene { depth_m: 1e9, ..simultaneous() };
+    // Rays are parallel up to the tracker's noise: wherever points are put, or if none are, all
+    // cameras see the same.
+    for rung in [ProxyRung::Plane, ProxyRung::Mesh] {
+        match rendered(&scene, rung, &scene.camera([0.02, 0.0, 0.0]), 1.6) {
+            Ok(image) => assert!(psnr_db(&image, &scene.image([0.0; 3], 1.6 * FRAME_S)) > 30.0),
+            Err(error) => assert!(matches!(error, RenderError::NoPoints), "{error}"),
+        }
+    }
+    let folder = scene.film();
+    let capture = open(&folder);
+    let mut options = RenderOptions::default();
+    (options.proxy.rung, options.proxy.plane_depth_m) = (ProxyRung::Plane, Some(1e9));
+    let field = LightField::new(capture.clone(), estimate(&capture), options);
+    let target = view(&scene.camera([0.02, 0.0, 0.0]));
+    let image = field.view(&target, scene.time_s(1.6)).unwrap().image;
+    assert!(psnr_db(&image, &scene.image([0.0; 3], 1.6 * FRAME_S)) > 30.0);
+}
+
+#[test]
+fn long_and_short_lenses() {
+    for focal_px in [10.0, 1e4, 1e6] {
+        // As many pixels of parallax as by default.
+        let scene = Scene { focal_px, depth_m: 0.02 * focal_px, ..simultaneous() };
+        assert_right(&scene, [0.02, 0.0, 0.0], 30.0);
+    }
+}
+
+#[test]
+fn a_plane_through_the_views_centre() {
+    let scene = simultaneous();
+    let folder = scene.film();
+    let capture = open(&folder);
+    let mut options = RenderOptions::default();
+    (options.proxy.rung, options.proxy.plane_depth_m) = (ProxyRung::Plane, Some(1e-300));
+    let field = LightField::new(capture.clone(), estimate(&capture), options);
+    let refused = field.view(&view(&scene.camera([0.02, 0.0, 0.0])), scene.time_s(1.0));
+    assert!(matches!(refused, Err(RenderError::NothingSeen)), "{:?}", refused.err());
+}
+
+#[test]
+fn fewer_cameras_than_a_pixel_is_blended_from() {
+    let scene = simultaneous();
+    let folder = scene.film();
+    crate::common::wall::edit(&folder, |json| {
+        json["cameras"].as_array_mut().expect("a list").truncate(2);
+    });
+    let capture = open(&folder);
+    let mut options = RenderOptions::default();
+    options.blend.cameras = 8;
+    let field = LightField::new(capture.clone(), estimate(&capture), options);
+    let place_m = [-0.02, 0.0, 0.0];
+    let image = field.view(&view(&scene.camera(place_m)), scene.time_s(1.0)).unwrap().image;
+    assert!(psnr_db(&image, &scene.image(place_m, FRAME_S)) > 30.0);
+}
+
+#[test]
+fn one_camera_is_slow_motion() {
+    let scene = simultaneous();
+    let folder = scene.film();
+    crate::common::wall::edit(&folder, |json| {
+        let cameras = json["cameras"].as_array_mut().expect("a list");
+        cameras.retain(|c| c["id"] == json!("cam1"));
+    });
+    let capture = open(&folder);
+    let offsets = stlfr::offset::Offsets::known(&capture);
+    let field = LightField::new(capture, offsets, RenderOptions::default());
+    let image = field.with_trail(Viewpoint::Like(0), scene.time_s(1.6), |_, _| true).unwrap();
+    assert!(psnr_db(&image.image, &scene.image([0.0; 3], 1.6 * FRAME_S)) > 30.0);
+}

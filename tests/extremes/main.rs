@@ -1,0 +1,7 @@
+//! What must hold at the ends of every scale, case by case.
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod geometry;
+mod invariance;

@@ -1,0 +1,135 @@
+//! What a capture requires, both ways for every decision; and `auto`, which goes by it.
+
+mod common;
+
+use common::wall::{self, FRAME_S, Scene, open};
+use common::{assert_refused, run, stderr};
+use serde_json::{Value, json};
+use stlfr::interpolation::Sync;
+use stlfr::plan::{Plan, plan};
+use stlfr::progress::Reporter;
+use stlfr::render::{LightField, ProxyRung, RenderOptions};
+
+fn planned(scene: &Scene, change: impl FnOnce(&mut Value)) -> Plan {
+    let folder = scene.film();
+    wall::edit(&folder, change);
+    let mut options = RenderOptions::default();
+    (options.auto.sync, options.auto.proxy) = (true, true);
+    plan(&open(&folder), &options, &Reporter::silent()).unwrap().0
+}
+
+#[track_caller]
+fn assert_rungs(plan: &Plan, rungs: &[(&str, &str)]) {
+    for (stage, rung) in rungs {
+        let decision = plan.decision(stage).expect("the stage is decided");
+        assert_eq!(decision.rung, *rung, "{decision:?}");
+    }
+}
+
+/// Nothing moves, and all clocks are one.
+fn still() -> Scene {
+    Scene { velocity: [0.0; 2], offsets_s: [0.0; 3], shared: [true; 3], ..Scene::default() }
+}
+
+#[test]
+fn a_still_synchronized_wall_requires_nothing_but_a_blend() {
+    let plan = planned(&still(), |_| ());
+    let stages = [
+        ("offsets", "known clocks"),
+        ("sync", "nearest"),
+        ("path", "straight"),
+        ("proxy", "plane"),
+        ("lenses", "pinhole"),
+        ("references", "one direction"),
+    ];
+    assert_rungs(&plan, &stages);
+    assert_eq!((plan.options.sync, plan.options.proxy.rung), (Sync::Nearest, ProxyRung::Plane));
+    assert!(!plan.options.interpolation.curved);
+}
+
+#[test]
+fn what_moves_alike_is_triangulated_and_what_moves_apart_refined() {
+    assert_rungs(
+        &planned(&Scene::default(), |_| ()),
+        &[("offsets", "estimated"), ("sync", "triangulation"), ("proxy", "plane")],
+    );
+    let scene = Scene { board: Some([-1.5, -0.8]), ..Scene::default() };
+    assert_rungs(&planned(&scene, |_| ()), &[("sync", "refined"), ("proxy", "mesh")]);
+    // A tenth of a pixel a frame is less than a budget, but more than nothing.
+    let scene = Scene { velocity: [0.02, 0.05], ..still() };
+    let plan = planned(&scene, |_| ());
+    assert!(["nearest", "crossfade"].contains(&plan.decision("sync").unwrap().rung.as_str()));
+}
+
+#[test]
+fn a_smaller_budget_asks_for_more() {
+    let folder = still().film();
+    let mut options = RenderOptions::default();
+    (options.auto.sync, options.auto.proxy) = (true, true);
+    options.auto.budget_px = 1e-9;
+    let (plan, _) = plan(&open(&folder), &options, &Reporter::silent()).unwrap();
+    assert_rungs(&plan, &[("proxy", "mesh")]);
+}
+
+#[test]
+fn lenses_and_a_second_direction_are_seen() {
+    let plan = planned(&still(), |json| {
+        for camera in json["cameras"].as_array_mut().expect("a list") {
+            let p = camera["params"].clone();
+            camera["model"] = json!("OPENCV");
+            camera["params"] = json!([p[0], p[1], p[2], p[3], -0.05, 0.0, 0.0, 0.0]);
+        }
+    });
+    assert_rungs(&plan, &[("lenses", "distorted")]);
+    assert!(plan.decision("lenses").unwrap().measured.unwrap() > 0.1);
+    let centers_m = [[-0.06, 0.0, 0.0], [0.0; 3], [0.0, 0.06, 0.0]];
+    let plan = planned(&Scene { centers_m, ..still() }, |_| ());
+    assert_rungs(&plan, &[("references", "two directions")]);
+}
+
+#[test]
+fn only_what_is_left_to_the_capture_is_chosen() {
+    let folder = still().film();
+    let mut options = RenderOptions::default();
+    options.auto.proxy = true;
+    let field = LightField::open(open(&folder), options, &Reporter::silent()).unwrap();
+    assert_eq!(field.options().sync, Sync::Refined);
+    assert_eq!(field.options().proxy.rung, ProxyRung::Plane);
+    assert!(!field.options().auto.any());
+}
+
+#[test]
+fn auto_renders_what_the_planned_options_do() {
+    let scene = Scene::default();
+    let folder = scene.film();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let capture = folder.path().to_str().unwrap();
+    let output = run(&["-q", "plan", capture, "-o", &path("options.json")]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(table.contains("triangulation") && table.contains("px a frame"), "{table}");
+    let time = format!("{}", 1.6 * FRAME_S);
+    let render = |choice: &[&str], image: &str| {
+        let arguments = ["-q", "render", capture, "--like", "cam1", "--time", &time, "-o", image];
+        let output = run(&[arguments.as_slice(), choice].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        std::fs::read(image).unwrap()
+    };
+    let auto = render(&["--sync", "auto", "--proxy", "auto"], &path("auto.png"));
+    let by_file = render(&["--options", &path("options.json")], &path("file.png"));
+    assert_eq!(auto, by_file);
+    let refined = render(&[], &path("refined.png"));
+    assert_ne!(auto, refined);
+}
+
+#[test]
+fn plan_speaks_json_and_refuses_a_bad_budget() {
+    let folder = still().film();
+    let capture = folder.path().to_str().unwrap();
+    let output = run(&["-q", "plan", capture, "--json"]);
+    let plan: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(plan["decisions"][1]["stage"], "sync");
+    assert_eq!(plan["options"]["sync"], "nearest");
+    let refused = run(&["-q", "plan", capture, "--budget-px", "nan"]);
+    assert_refused(&refused, 2, "auto.budget_px");
+}
