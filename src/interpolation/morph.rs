@@ -19,7 +19,9 @@ struct Line {
     map: [f32; 4],
     /// The displacement of p.
     shift: [f32; 2],
-    /// L^(ρb) times the boost of (8).
+    /// The logarithm of L^(ρb) times the boost of (8), which f64 holds for any exponents.
+    log_strength: f64,
+    /// The same, not its logarithm: for the usual exponents only.
     strength: f32,
 }
 
@@ -81,10 +83,12 @@ fn lines(edges: &[Edge], options: &MorphOptions) -> Vec<Line> {
                 e_source.y * e.x / along - e_source.x * e.y / across,
                 e_source.y * e.y / along + e_source.x * e.x / across - 1.0,
             ];
-            let boost = edge.mean_fitness.map_or(1.0, |f| {
+            let log_boost = edge.mean_fitness.map_or(0.0, |f| {
                 let ratio = if range > 0.0 { (f - least) / range } else { 0.0 };
-                (1.0 + ratio).powf(options.tau)
+                options.tau * ratio.ln_1p()
             });
+            // The length is at least MIN_LENGTH_PX, so its logarithm is finite.
+            let log_strength = options.rho * options.b * length.ln() + log_boost;
             let direction = e / length;
             let shift = a.source - a.target;
             Some(Line {
@@ -93,7 +97,8 @@ fn lines(edges: &[Edge], options: &MorphOptions) -> Vec<Line> {
                 length: length as f32,
                 map: map.map(|v| v as f32),
                 shift: [shift.x as f32, shift.y as f32],
-                strength: (length.powf(options.rho * options.b) * boost) as f32,
+                log_strength,
+                strength: log_strength.exp() as f32,
             })
         })
         .collect()
@@ -205,8 +210,7 @@ fn displacement_exact(lines: &[Line], x: f32, y: f32, options: &MorphOptions) ->
         let along = px * d[0] + py * d[1];
         let across = py * d[0] - px * d[1];
         let distance = (along - along.clamp(0.0, f64::from(line.length))).hypot(across);
-        f64::from(line.strength).ln()
-            - options.b * (options.a + distance).max(f64::from(MIN_DISTANCE_PX)).ln()
+        line.log_strength - options.b * (options.a + distance).max(f64::from(MIN_DISTANCE_PX)).ln()
     };
     let largest = lines.iter().map(log_weight).fold(f64::NEG_INFINITY, f64::max);
     let mut sums = [0.0; 3];
@@ -318,6 +322,9 @@ mod tests {
             (0.0, 4.0, 10.0, 0.5),
         ] {
             let options = MorphOptions { a, b, rho, tau, grid_px: 4 };
+            let mut edges = edges.clone();
+            // As long as the largest image: L^(ρb) is 1e128.
+            edges.push(edge([0.0, 0.0], [1e4, 0.0], Some(0.3), |p| p));
             let warp = morph_warp(&edges, 40, 30, &options);
             assert!(warp.source.iter().flatten().all(|v| v.is_finite()), "{options:?}");
         }

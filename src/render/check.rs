@@ -172,10 +172,9 @@ fn morph(o: &MorphOptions) -> Checked {
         "interpolation.morph",
         &[
             ("a", o.a, PIXELS),
-            // An f32 holds the strength L^(ρb) · 2^τ of any edge of the largest image in these.
-            ("b", o.b, 0.0..=6.0),
+            ("b", o.b, 0.0..=32.0),
             ("rho", o.rho, 0.0..=1.0),
-            ("tau", o.tau, 0.0..=16.0),
+            ("tau", o.tau, 0.0..=32.0),
             ("grid_px", o.grid_px as f64, 1.0..=256.0),
         ],
     )
