@@ -24,7 +24,7 @@ def check(
     pycolmap: Any,
     conversion: Any,
 ) -> dict[str, Any]:
-    """Model and pixels. `capture` is the `stlfr` module's, `conversion` the extension's module `camera`."""
+    """Model and pixels. `capture` is the `stlfr` module's, `conversion` the extension's module `described`."""
     cameras: list[Camera] = read_json(folder / "capture.json")["cameras"]
     checked_model, problems = check_model(
         folder, cameras, project, pycolmap, conversion

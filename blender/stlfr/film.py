@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from . import camera as cameras
 from . import exr, png, scenes, sensor
+from .described import Camera, describe
 from .plan import Job
 from .rig import RigCamera, RigView
 
@@ -114,23 +115,13 @@ class Studio:
             bpy.data.objects.remove(camera_object)
         self.camera_objects.clear()
 
-    def describe(self, view_id: str) -> dict[str, Any]:
+    def describe(self, view_id: str) -> Camera:
         """The view's camera as capture.json spells it, read back from Blender."""
         view = self.views[view_id]
         pinhole = self._pinhole(view_id, view.width_px, view.height_px)
-        model, more = "PINHOLE", []
-        if view_id in self.wides:
-            distortion = self.wides[view_id].distortion
-            model = "OPENCV"
-            more = [distortion.k1, distortion.k2, distortion.p1, distortion.p2]
         transform = cameras.cam_from_world_of(self.camera_objects[view_id])
-        return {
-            "width": pinhole.width_px,
-            "height": pinhole.height_px,
-            "model": model,
-            "params": [*pinhole.params, *more],
-            "cam_from_world": transform.to_json(),
-        }
+        distortion = view.distortion if isinstance(view, RigCamera) else None
+        return describe(pinhole, transform, distortion)
 
     def render_image(self, image: Image, target: Path, scratch: Path) -> None:
         """Write a PNG as the camera records it. It gets its name only when it is whole and on the disk."""

@@ -30,10 +30,12 @@ TRUTH_SAMPLES_FACTOR = 4
 
 PIXEL_SOURCES = (
     "camera.py",
+    "described.py",
     "distortion.py",
     "exr.py",
     "film.py",
     "folder.py",
+    "json_fields.py",
     "plan.py",
     "png.py",
     "rig.py",

@@ -28,7 +28,7 @@ model = importlib.import_module("stlfr_calibration.model")
 frames = importlib.import_module("stlfr_calibration.frames")
 mapping = importlib.import_module("stlfr_calibration.mapping")
 residuals = importlib.import_module("stlfr_calibration.residuals")
-conversion = importlib.import_module("stlfr_extension.camera")
+conversion = importlib.import_module("stlfr_extension.described")
 
 Array = np.ndarray[Any, Any]
 
@@ -155,21 +155,21 @@ def test_another_convention_fails_the_model_check(wrong: Any, expected: Any) -> 
     assert model.difference_px(camera, lens, pose, wrong) == expected
 
 
-def test_a_wrong_sensor_fit_fails_the_check_against_blender() -> None:
+def test_a_wrong_sensor_fit_fails_the_check_against_blender(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A conversion that takes the sensor's height for portraits, as one would guess of `AUTO`."""
     pytest.importorskip("bpy")
+    cameras = importlib.import_module("stlfr_extension.camera")
+    right = cameras.pinhole_from_lens
 
-    class Guess:
-        lens_of = staticmethod(conversion.lens_of)
-        cam_from_world_of = staticmethod(conversion.cam_from_world_of)
+    def guess(lens: Any) -> Any:
+        if lens.sensor_fit == "AUTO" and lens.height_px > lens.width_px:
+            lens = dataclasses.replace(lens, sensor_fit="VERTICAL")
+        return right(lens)
 
-        @staticmethod
-        def pinhole_from_lens(lens: Any) -> Any:
-            if lens.sensor_fit == "AUTO" and lens.height_px > lens.width_px:
-                lens = dataclasses.replace(lens, sensor_fit="VERTICAL")
-            return conversion.pinhole_from_lens(lens)
-
-    found = model.blender_differences_px(stlfr.project, pycolmap, Guess)
+    monkeypatch.setattr(cameras, "pinhole_from_lens", guess)
+    found = model.blender_differences_px(stlfr.project, pycolmap, conversion)
     off = {
         (d.camera.format, d.camera.fit)
         for d in found
@@ -203,6 +203,28 @@ def test_the_exported_colmap_model_is_the_captures(capture_dir: Path) -> None:
         np.testing.assert_array_equal(pose.translation_m, right.translation_m)
         difference_px = model.difference_px(camera, lens, pose, stlfr.project)
         assert difference_px <= model.TOLERANCE_PX
+
+
+@pytest.mark.parametrize(
+    "lens_error",
+    [
+        (),
+        (-0.21, 0.07, 1e-3, -2e-3),
+        (-0.5, 0.0, 0.0, 0.0),
+        (0.3, -0.4, 1e-3, -2e-3),
+        (-1.4, 0.8, 0.0, 0.0),  # folds, and further out folds back
+    ],
+    ids=str,
+)
+def test_filming_projects_as_the_module(lens_error: tuple[float, ...]) -> None:
+    """Points all around the camera, past a lens's fold and behind it."""
+    camera = {"width": 640, "height": 480, "cam_from_world": model.POSE}
+    camera["model"] = "OPENCV" if lens_error else "PINHOLE"
+    camera["params"] = [686.0, 680.0, 321.0, 239.0, *lens_error]
+    points = np.random.default_rng(2).uniform(-4, 4, (2000, 3))
+    ours, theirs = conversion.project(camera, points), stlfr.project(camera, points)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=model.TOLERANCE_PX)
+    assert 100 < np.isnan(ours[:, 0]).sum() < 1900
 
 
 # Pixels
