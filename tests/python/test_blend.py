@@ -3,44 +3,19 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-ROOT = Path(__file__).resolve().parents[2]
-CAPTURE_SCRIPT = ROOT / "blender" / "capture.py"
-
-
-def film(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the headless script."""
-    command = [sys.executable, "-I", str(CAPTURE_SCRIPT), *map(str, arguments)]
-    return subprocess.run(
-        command, check=False, capture_output=True, text=True, timeout=240
-    )
+from filming import by_script, rig_camera, write_rig
 
 
 @pytest.fixture(scope="module")
 def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One camera, tiny."""
-    path = tmp_path_factory.mktemp("rig") / "rig.json"
-    camera = {
-        "id": "only",
-        "width": 64,
-        "height": 48,
-        "lens_mm": 36.0,
-        "sensor_width_mm": 36.0,
-        "cam_from_rig": {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]},
-        "rate_hz": 30.0,
-        "delay_s": 0.01,
-        "jitter_s": 0.0,
-    }
-    content = {"format": "stlfr-rig", "version": 1, "name": "one", "seed": 1}
-    path.write_text(json.dumps({**content, "reference": "only", "cameras": [camera]}))
-    return path
+    folder = tmp_path_factory.mktemp("rig")
+    return write_rig(folder / "rig.json", rig_camera("only", delay_s=0.01), name="one")
 
 
 def own_scene() -> Any:
@@ -120,7 +95,7 @@ def test_a_blend_is_left_as_it_was_and_its_render_settings_do_not_show(
 
     before = hostile.read_bytes(), hostile.stat().st_mtime_ns
     for file in (plain, hostile):
-        result = film(
+        result = by_script(
             rig_file,
             *("--blend", file, "-o", tmp_path / file.stem),
             *("--frames", 4, "--samples", 4, "--instants", 1, "--tracks", 20),
@@ -180,7 +155,7 @@ def test_what_a_blend_lacks_is_one_sentence(
     bpy = pytest.importorskip("bpy")
     spoil(bpy, own_scene(), tmp_path)
     file = saved(tmp_path / "own.blend")
-    result = film(rig_file, "--blend", file, "-o", tmp_path / "film", "--no-truth")
+    result = by_script(rig_file, "--blend", file, "-o", tmp_path / "film", "--no-truth")
     assert result.returncode == 2
     assert complaint in result.stderr and result.stderr.count("\n") == 1
     assert not (tmp_path / "film" / "capture.json").exists()
@@ -189,7 +164,7 @@ def test_what_a_blend_lacks_is_one_sentence(
 def test_what_is_no_blend_is_refused(rig_file: Path, tmp_path: Path) -> None:
     file = tmp_path / "own.blend"
     file.write_bytes(b"BLENDER of something else")
-    result = film(rig_file, "--blend", file, "-o", tmp_path / "film", "--no-truth")
+    result = by_script(rig_file, "--blend", file, "-o", tmp_path / "film", "--no-truth")
     assert result.returncode == 2
     assert f"{file}: Blender can't open it" in result.stderr
     assert result.stderr.count("\n") == 1

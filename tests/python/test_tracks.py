@@ -3,69 +3,34 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
-import importlib.util
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from filming import by_script, errors, plan, rig_camera, right_of_centre, write_rig
 
-ROOT = Path(__file__).resolve().parents[2]
-CAPTURE_SCRIPT = ROOT / "blender" / "capture.py"
-
-spec = importlib.util.spec_from_file_location("stlfr_capture_script", CAPTURE_SCRIPT)
-assert spec is not None and spec.loader is not None
-spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_extension
-
-IDENTITY = {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]}
 FRAMES, POINTS = 4, 200
 
 Array = np.ndarray[Any, Any]
 
 
-def rig_camera(camera_id: str, delay_s: float, x_m: float) -> dict[str, Any]:
-    return {
-        "id": camera_id,
-        "width": 64,
-        "height": 48,
-        "lens_mm": 36.0,
-        "sensor_width_mm": 36.0,
-        "cam_from_rig": {**IDENTITY, "translation": [-x_m, 0, 0]},
-        "rate_hz": 30.0,
-        "delay_s": delay_s,
-        "jitter_s": 0.0,
-    }
-
-
 @pytest.fixture(scope="module")
 def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two cameras, 10 cm and 0.37 frame apart."""
-    path = tmp_path_factory.mktemp("rig") / "rig.json"
-    content = {
-        "format": "stlfr-rig",
-        "version": 1,
-        "name": "pair",
-        "seed": 3,
-        "reference": "ref",
-        "cameras": [
-            rig_camera("ref", 0.003, 0.0),
-            rig_camera("late", 0.003 + 0.37 / 30, 0.1),
-        ],
-    }
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return path
+    return write_rig(
+        tmp_path_factory.mktemp("rig") / "rig.json",
+        rig_camera("ref", delay_s=0.003),
+        rig_camera(
+            "late", delay_s=0.003 + 0.37 / 30, cam_from_rig=right_of_centre(0.1)
+        ),
+    )
 
 
 def film(*arguments: object) -> None:
-    command = [sys.executable, "-I", str(CAPTURE_SCRIPT), *map(str, arguments)]
-    result = subprocess.run(
-        command, check=False, capture_output=True, text=True, timeout=240
-    )
+    result = by_script(*arguments)
     assert result.returncode == 0, result.stderr
 
 
@@ -316,8 +281,6 @@ def test_workbench_sees_the_same_geometry_as_cycles(
 
 
 def test_a_film_never_mixes_engines_or_instants(rig_file: Path, tmp_path: Path) -> None:
-    plan = importlib.import_module("stlfr_extension.plan")
-    errors = importlib.import_module("stlfr_extension.errors")
     options = plan.Options(rig_file, "template", None, None, 4, 1, 0, 0, True)
     plan.claim(plan.make(options), tmp_path / "film")
     plan.claim(plan.make(options), tmp_path / "film")
@@ -331,8 +294,6 @@ def test_a_film_never_mixes_engines_or_instants(rig_file: Path, tmp_path: Path) 
 def test_an_instant_that_not_all_cameras_film_is_refused(
     rig_file: Path, instant_s: float
 ) -> None:
-    plan = importlib.import_module("stlfr_extension.plan")
-    errors = importlib.import_module("stlfr_extension.errors")
     options = plan.Options(
         rig_file, "template", None, None, 4, 1, 0, 0, True, instants_s=(0.05, instant_s)
     )
