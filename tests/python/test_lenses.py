@@ -12,7 +12,7 @@ from typing import Any
 import filming
 import numpy as np
 import pytest
-from filming import CORPUS, camera, distortion, loaded, rig, sensor
+from filming import CORPUS, camera, described, distortion, loaded, rig, sensor
 
 # Camera conversion
 
@@ -146,6 +146,19 @@ def test_distortion_and_its_inverse_agree() -> None:
     folded = distortion.Distortion(k1=-0.5)  # r (1 - r²/2) reaches 0.544 at most
     found = folded.undistorted(np.array([[0.5, 0.0], [0.6, 0.0]]))
     assert np.isfinite(found[0]).all() and np.isnan(found[1]).all()
+
+
+def test_a_pixel_looks_where_it_projects_from() -> None:
+    lens = camera.Pinhole(640, 480, 686.0, 680.0, 321.0, 239.0)
+    pose = camera.RigidTransform((0.8, -0.2, 0.4, 0.4), (0.3, -1.1, 2.0))
+    bent = distortion.Distortion(-0.21, 0.07, 1e-3, -2e-3)
+    for entry in (described.describe(lens, pose, bent), described.describe(lens, pose)):
+        for pixel in ((0.0, 0.0), (321.0, 239.0), (600.5, 30.25)):
+            place = described.centre_of(entry) + 3.0 * described.direction_of(
+                entry, pixel
+            )
+            (found,) = described.project(entry, place[None])
+            assert found == pytest.approx(pixel, abs=1e-9)
 
 
 def test_resampling_reproduces_ramps() -> None:
