@@ -139,7 +139,7 @@ def film(scene: Any, wanted: Any, capture: Path) -> Any:
     studios = importlib.import_module("stlfr_extension.film")
     whole = plan.make(wanted)
     views = (*whole.rig.cameras, *whole.rig.views)
-    studio = studios.Studio(scene, views, 2)
+    studio = studios.Studio(scene, views, 2, wanted.engine)
     with tempfile.TemporaryDirectory() as scratch:
         for job in whole.jobs:
             studio.do(job, capture, Path(scratch), whole.rig.reference_camera.rate_hz)
@@ -194,6 +194,7 @@ def add_disc(at_m: tuple[float, float, float], radius_m: float, light: float) ->
     )
     disc = bpy.context.object
     material = bpy.data.materials.new("glow")
+    material.diffuse_color = (light, light, light, 1.0)  # Workbench's
     nodes = material.node_tree.nodes
     nodes.clear()
     emission = nodes.new("ShaderNodeEmission")

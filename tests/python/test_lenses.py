@@ -203,7 +203,10 @@ def test_gain_multiplies_light_before_it_is_encoded(tmp_path: Path) -> None:
     assert gray.shape == (1, 1) and gray[0, 0] == expected
 
 
-def test_the_lens_is_distorted_as_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("engine", "samples"), [("cycles", 256), ("workbench", 32)])
+def test_the_lens_is_distorted_as_told(
+    tmp_path: Path, engine: str, samples: int
+) -> None:
     """Discs all over the image lie where COLMAP's model says, to 0.05 px, and nowhere near without it."""
     pytest.importorskip("bpy")
     scene = filming.black_scene()
@@ -222,7 +225,9 @@ def test_the_lens_is_distorted_as_told(tmp_path: Path) -> None:
     ]
     for place in places:
         filming.add_disc(place, 0.02, 0.5)
-    wanted = filming.options(rig_file, samples=256, frames=1, size_px=None)
+    wanted = filming.options(
+        rig_file, samples=samples, frames=1, size_px=None, engine=engine
+    )
     filming.film(scene, wanted, tmp_path / "capture")
     (entry,) = json.loads((tmp_path / "capture" / "capture.json").read_text())[
         "cameras"
@@ -230,23 +235,27 @@ def test_the_lens_is_distorted_as_told(tmp_path: Path) -> None:
     assert entry["model"] == "OPENCV" and entry["params"][4:] == list(bent.values())
     light = filming.read_light(tmp_path / "capture" / "a" / "0000.png")
     straight = {**entry, "model": "PINHOLE", "params": entry["params"][:4]}
-    seen, moved_px = 0, []
+    off, moved_px = [], []
     for place in places:
         expected = filming.disc_centroid(entry, np.array(place), 0.02)
         if not (8 < expected[0] < 152 and 8 < expected[1] < 112):
             continue
         off_px = filming.centroid(light, expected, 7.0) - expected
-        assert np.abs(off_px).max() < 0.05, place
-        seen += 1
+        off.append(np.abs(off_px).max())
         moved_px.append(
             np.linalg.norm(
                 filming.disc_centroid(straight, np.array(place), 0.02) - expected
             )
         )
-    assert seen >= 24 and max(moved_px) > 5.0
+    print(f"{engine}: {max(off):.4f} px at most, {np.median(off):.4f} px in the median")
+    assert max(off) < 0.05
+    assert len(off) >= 24 and max(moved_px) > 5.0
 
 
-def test_a_sensor_without_faults_records_blenders_picture(tmp_path: Path) -> None:
+@pytest.mark.parametrize("engine", ["cycles", "workbench"])
+def test_a_sensor_without_faults_records_blenders_picture(
+    tmp_path: Path, engine: str
+) -> None:
     """8 bits by Blender and 16 by us, in colour and grey, differ by an 8-bit step at most."""
     pytest.importorskip("bpy")
     scene = filming.scenes.open_scene("magazine", None)
@@ -261,7 +270,7 @@ def test_a_sensor_without_faults_records_blenders_picture(tmp_path: Path) -> Non
     rig_file.write_text(json.dumps(content))
     loaded_rig = rig.load(rig_file)
     studios = importlib.import_module("stlfr_extension.film")
-    studio = studios.Studio(scene, loaded_rig.cameras, 2)
+    studio = studios.Studio(scene, loaded_rig.cameras, 2, engine)
     import cv2
 
     pictures = {}

@@ -202,6 +202,16 @@ def test_bad_options_are_one_sentence(
     assert not (tmp_path / "capture").exists()
 
 
+def test_workbench_refuses_a_shutter_that_stays_open(tmp_path: Path) -> None:
+    rig_file = write_rig(tmp_path / "rig.json", rig_camera("slow", exposure_s=0.01))
+    scene = ("--scene", "magazine", "--engine", "workbench")
+    result = by_script(rig_file, *scene, "-o", tmp_path / "capture")
+    assert result.returncode == 2
+    assert result.stderr == (
+        "--engine workbench can't film slow of rig small: its exposure_s needs --engine cycles\n"
+    )
+
+
 def test_a_scene_without_a_place_for_the_rig_is_refused(
     small_rig: Path, tmp_path: Path
 ) -> None:

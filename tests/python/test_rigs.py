@@ -73,7 +73,9 @@ def test_every_frame_was_taken_when_its_stamp_says(
     filmed = filming.film(moving_disc, wanted, tmp_path)
     found = time_errors_frames(tmp_path, reference_zero_s(filmed))
     assert len(found) == 8
-    assert max(abs(e) for errors in found.values() for e in errors) < 0.01
+    off_frames = np.abs(np.concatenate([*found.values()]))
+    print(f"{path.stem}: {off_frames.max():.4f} frame at most of {off_frames.size}")
+    assert off_frames.max() < 0.01
     if path.stem == "lost-frames":
         assert sum(len(s.lost_before) for s in filmed.shutters) >= 4
 
