@@ -48,7 +48,7 @@ impl From<ExtensionError> for CliError {
 
 /// What is missing, may not be read or is no file was given wrongly; what fails otherwise while it
 /// is read or written is a failure.
-fn of_io(sentence: String, source: &std::io::Error) -> CliError {
+pub(super) fn of_io(sentence: String, source: &std::io::Error) -> CliError {
     match source.kind() {
         ErrorKind::NotFound
         | ErrorKind::PermissionDenied
