@@ -1,7 +1,7 @@
 """The calibration check of every shipped rig, as a table.
 
-Run as `.venv/bin/python -I tests/bench/residuals.py FOLDER [WIDTHxHEIGHT]`, with `cargo build --release`
-done. Each rig films 4 frames of `magazine` by Workbench into a folder of its own (what is there already
+Run as `.venv/bin/python -I tests/bench/residuals.py FOLDER [WIDTHxHEIGHT [RIG...]]`, with `cargo build
+--release` done. Each rig (all, if none is named) films 4 frames of `magazine` by Workbench into a folder of its own (what is there already
 isn't filmed again), and the truth of one instant, which `stlfr check` places the cameras from. Residuals
 and standard errors are the worst of a rig's cameras; the projection is the largest distance between
 pycolmap's pixels and stlfr's, of this rig's cameras.
@@ -23,10 +23,20 @@ INSTANT = ["--frames", "4", "--instants-s", "0.05"]
 
 def checked(rig: Path, folder: Path, size: str) -> dict[str, Any]:
     """What `stlfr check` finds of a rig's film."""
-    film = [PROGRAM, "capture", rig, "-o", folder, *SCENE, *INSTANT, "--size", size]
+    film: list[str | Path] = [
+        PROGRAM,
+        "capture",
+        rig,
+        "-o",
+        folder,
+        *SCENE,
+        *INSTANT,
+        "--size",
+        size,
+    ]
     subprocess.run(film, check=True, stdout=subprocess.DEVNULL)
     values = folder.with_suffix(".json")
-    check = [PROGRAM, "-q", "check", folder, "--json", values]
+    check: list[str | Path] = [PROGRAM, "-q", "check", folder, "--json", values]
     ended = subprocess.run(check, check=False, stdout=subprocess.DEVNULL)
     if ended.returncode not in (0, 1) or not values.is_file():
         raise SystemExit(f"{rig.name}: the check ended with status {ended.returncode}")
@@ -50,11 +60,12 @@ def row(name: str, found: dict[str, Any]) -> str:
 
 def main() -> None:
     """Film, check, print."""
-    folder, size = Path(sys.argv[1]), (sys.argv[2:] or ["640x480"])[0]
+    folder, size, *names = Path(sys.argv[1]), *(sys.argv[2:] or ["640x480"])
+    rigs = sorted((ROOT / "rigs").glob("*.json"))
     folder.mkdir(parents=True, exist_ok=True)
     print("| rig | rotation, ° | position, mm | projection, px | accused |")
     print("|---|---|---|---|---|")
-    for rig in sorted((ROOT / "rigs").glob("*.json")):
+    for rig in (rig for rig in rigs if not names or rig.stem in names):
         print(row(rig.stem, checked(rig, folder / rig.stem, size)), flush=True)
 
 

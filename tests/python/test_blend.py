@@ -191,6 +191,10 @@ def test_by_readmes_commands_alone(program: Path, tmp_path: Path) -> None:
     bpy.data.objects["camera"].location.z = 3.0
     for name, seed in (("Plane", 1), ("Cube", 2)):
         bpy.data.objects[name].data.materials.append(wallpaper(bpy, name, seed))
+    cube = bpy.data.objects["Cube"]  # slides along the rig: up and down as well, or
+    for frame, y in ((11, -0.5), (21, 0.4), (31, -0.5)):  # its cameras tell no times
+        cube.location.y = y
+        cube.keyframe_insert("location", index=1, frame=frame)
     saved(tmp_path / "my.blend")
     shutil.copytree(ROOT / "rigs", tmp_path / "rigs")
     section = (ROOT / "README.md").read_text().split("A scene of your own")[1]
