@@ -289,14 +289,12 @@ def test_sixteen_bits_become_eight() -> None:
     assert frames.eight_bit(deep).ravel().tolist() == [0, 1, 255]
 
 
-@pytest.fixture(scope="module")
-def one_instant(
-    program: Path, tmp_path_factory: pytest.TempPathFactory
+def placed(
+    program: Path, folder: Path, rig_file: Path
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Poses as exported and as the pixels put them, of `linear8` opening at once."""
+    """Poses as exported and as the pixels put them, of a rig whose cameras open at once."""
     pytest.importorskip("bpy")
-    folder = tmp_path_factory.mktemp("one-instant")
-    rig = json.loads((ROOT / "rigs" / "linear8.json").read_text())
+    rig = json.loads(rig_file.read_text())
     for camera in rig["cameras"]:
         camera["delay_s"] = camera["jitter_s"] = 0.0
     (folder / "rig.json").write_text(json.dumps(rig))
@@ -309,8 +307,16 @@ def one_instant(
         folder / "capture", stlfr.open(str(folder / "capture")), cameras, pycolmap
     )
     exported = {c["id"]: calibration.pose_of(c, pycolmap) for c in cameras}
-    estimated = mapping.poses_from_pixels(pictures, cameras, pycolmap)
-    return exported, estimated
+    return exported, mapping.poses_from_pixels(pictures, cameras, pycolmap)
+
+
+@pytest.fixture(scope="module")
+def one_instant(
+    program: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Of `linear8`."""
+    folder = tmp_path_factory.mktemp("one-instant")
+    return placed(program, folder, ROOT / "rigs/linear8.json")
 
 
 def named(exported: Any, estimated: Any) -> list[str]:
@@ -319,6 +325,12 @@ def named(exported: Any, estimated: Any) -> list[str]:
 
 def test_right_cameras_are_not_accused(one_instant: Any) -> None:
     exported, estimated = one_instant
+    assert len(estimated) == len(exported) == 8
+    assert named(exported, estimated) == []
+
+
+def test_distorted_cameras_are_not_accused(program: Path, tmp_path: Path) -> None:
+    exported, estimated = placed(program, tmp_path, ROOT / "rigs/distorted.json")
     assert len(estimated) == len(exported) == 8
     assert named(exported, estimated) == []
 
