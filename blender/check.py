@@ -70,7 +70,7 @@ def run(arguments: list[str]) -> int:
     if not folder.is_dir():
         raise CheckError(f"{options.capture}: no such folder", 2)
     report = importlib.import_module("stlfr_calibration.report")
-    conversion = importlib.import_module("stlfr_extension.camera")
+    conversion = importlib.import_module("stlfr_extension.described")
     try:
         capture = stlfr.open(str(folder))
         result = report.check(folder, capture, stlfr.project, pycolmap, conversion)

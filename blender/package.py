@@ -100,27 +100,19 @@ def blender_tool(*arguments: str | Path) -> None:
         )
 
 
-def main() -> int:
-    """Run, and say what went wrong in one sentence."""
+def main() -> None:
+    """Run; what went wrong is one sentence on stderr."""
     parser = argparse.ArgumentParser(description="Pack the Blender extension.")
     parser.add_argument("wheel", type=Path, help="wheel of the Python module stlfr")
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="ZIP")
     arguments = parser.parse_args()
     if not arguments.wheel.is_file():
-        print(f"{arguments.wheel}: no such wheel", file=sys.stderr)
-        return 2
+        parser.exit(2, f"{arguments.wheel}: no such wheel\n")
     try:
         pack(arguments.wheel, arguments.output)
-    except PackageError as error:
-        print(error, file=sys.stderr)
-        return 1
-    except OSError as error:
-        print(
-            f"{error.filename or arguments.output}: {error.strerror}", file=sys.stderr
-        )
-        return 1
-    return 0
+    except (PackageError, OSError) as error:
+        sys.exit(str(error))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -38,6 +38,15 @@ class Pose:
         return centre
 
 
+@dataclass(frozen=True)
+class EstimatedPose(Pose):
+    """A pose as images put it, in a world of their own, and how well they do, along the worst axis."""
+
+    rotation_std_err_deg: float = 0.0
+    centre_std_err: float = 0.0
+    """In that world's unit of length."""
+
+
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object, or one sentence."""
     try:

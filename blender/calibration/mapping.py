@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from .capture import Camera, Pose
+from .capture import Camera, EstimatedPose
 from .frames import Picture
+from .uncertainty import standard_errors
 
 SEED = 1
 
@@ -24,8 +25,8 @@ cameras by up to a millimetre at 320x240; smaller, and right matches go too wher
 
 def poses_from_pixels(
     pictures: dict[str, Picture], cameras: list[Camera], pycolmap: Any
-) -> dict[str, Pose]:
-    """Structure from motion with the intrinsics given; world and scale are its own. Cameras it can't place are missing."""
+) -> dict[str, EstimatedPose]:
+    """Structure from motion with the intrinsics given; world and scale are its own. Cameras it can't place are missing, all of them where there is too little to tell how well."""
     with tempfile.TemporaryDirectory(prefix="stlfr-check-") as scratch_name:
         scratch = Path(scratch_name)
         (scratch / "images").mkdir()
@@ -71,12 +72,16 @@ def poses_from_pixels(
     if not models:
         return {}
     model = max(models.values(), key=lambda m: m.num_reg_images())
-    poses = {}
-    for image in model.images.values():
-        if image.has_pose:
-            matrix = image.cam_from_world().matrix()
-            poses[names[image.name]] = Pose(matrix[:, :3], matrix[:, 3])
-    return poses
+    matrices = {
+        image.name: image.cam_from_world().matrix()
+        for image in model.images.values()
+        if image.has_pose
+    }
+    errors = standard_errors(model)
+    return {
+        names[name]: EstimatedPose(matrices[name][:, :3], matrices[name][:, 3], *found)
+        for name, found in errors.items()
+    }
 
 
 def mapping_options(pycolmap: Any) -> Any:

@@ -152,7 +152,7 @@ class BlenderDifference:
 def blender_differences_px(
     project: Projector, pycolmap: Any, conversion: Any
 ) -> list[BlenderDifference]:
-    """Of every Blender camera; `conversion` is the extension's module `camera`.
+    """Of every Blender camera; `conversion` is the extension's module `described`.
 
     Makes a scene of its own in the running Blender, and removes it.
     """
@@ -174,7 +174,7 @@ def blender_differences_px(
         data.sensor_fit = wanted.fit
         data.shift_x, data.shift_y = wanted.shift
         scene.view_layers[0].update()
-        ours = described(camera, scene, conversion)
+        ours = conversion.describe_object(camera, scene)
         lens, pose = lens_of(ours, pycolmap), pose_of(ours, pycolmap)
         points = seen_points(ours, lens, pose)
         theirs = blender_pixels(camera, scene, points, ours["width"], ours["height"])
@@ -189,18 +189,6 @@ def blender_differences_px(
     bpy.data.cameras.remove(data)
     bpy.data.scenes.remove(scene)
     return found
-
-
-def described(camera: Any, scene: Any, conversion: Any) -> Camera:
-    """The camera object that filming writes for a Blender camera."""
-    pinhole = conversion.pinhole_from_lens(conversion.lens_of(camera, scene))
-    return {
-        "width": pinhole.width_px,
-        "height": pinhole.height_px,
-        "model": "PINHOLE",
-        "params": pinhole.params,
-        "cam_from_world": conversion.cam_from_world_of(camera).to_json(),
-    }
 
 
 def blender_pixels(

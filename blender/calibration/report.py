@@ -11,7 +11,20 @@ from . import model
 from .capture import Camera, exported_model, lens_of, pose_of, read_json
 from .frames import pictures_of_one_instant
 from .mapping import poses_from_pixels
-from .residuals import residuals, tolerances
+from .residuals import (
+    POSITION_TOLERANCE_MM,
+    ROTATION_TOLERANCE_DEG,
+    STANDARD_ERRORS,
+    residuals,
+)
+
+PIXEL_FIELDS = (
+    "rotation_deg",
+    "rotation_std_err_deg",
+    "position_mm",
+    "position_std_err_mm",
+)
+"""What the pixels say of a camera."""
 
 FORMATS = ("landscape", "portrait", "square")
 FITS = ("AUTO", "HORIZONTAL", "VERTICAL")
@@ -24,7 +37,7 @@ def check(
     pycolmap: Any,
     conversion: Any,
 ) -> dict[str, Any]:
-    """Model and pixels. `capture` is the `stlfr` module's, `conversion` the extension's module `camera`."""
+    """Model and pixels. `capture` is the `stlfr` module's, `conversion` the extension's module `described`."""
     cameras: list[Camera] = read_json(folder / "capture.json")["cameras"]
     checked_model, problems = check_model(
         folder, cameras, project, pycolmap, conversion
@@ -111,14 +124,14 @@ def check_pixels(
     folder: Path, capture: Any, cameras: list[Camera], pycolmap: Any
 ) -> tuple[dict[str, Any], list[str]]:
     """Where the images of one instant put each camera, against where the capture does."""
-    rotation_deg, position_mm = tolerances(cameras)
     entries: list[dict[str, Any]] = [
-        {"id": c["id"], "rotation_deg": None, "position_mm": None} for c in cameras
+        {"id": c["id"], **dict.fromkeys(PIXEL_FIELDS)} for c in cameras
     ]
     found: dict[str, Any] = {
         "image_source": None,
-        "rotation_tolerance_deg": rotation_deg,
-        "position_tolerance_mm": position_mm,
+        "rotation_tolerance_deg": ROTATION_TOLERANCE_DEG,
+        "position_tolerance_mm": POSITION_TOLERANCE_MM,
+        "tolerance_std_errs": STANDARD_ERRORS,
         "cameras": entries,
     }
     if len(cameras) < 2:
@@ -133,15 +146,15 @@ def check_pixels(
         by_id = {r.id: r for r in residuals(exported, estimated)}
     for entry in entries:
         if entry["id"] in by_id:
-            entry["rotation_deg"] = by_id[entry["id"]].rotation_deg
-            entry["position_mm"] = by_id[entry["id"]].position_mm
+            residual = by_id[entry["id"]]
+            entry.update({name: getattr(residual, name) for name in PIXEL_FIELDS})
     problems = []
     missing = [c["id"] for c in cameras if c["id"] not in by_id]
     if missing:
         problems.append(
             f"pycolmap could not place {', '.join(missing)} from the images"
         )
-    off = [r.id for r in by_id.values() if r.exceeds(rotation_deg, position_mm)]
+    off = [r.id for r in by_id.values() if r.is_off]
     if off:
         problems.append(
             f"the images put {', '.join(off)} elsewhere than the capture does"
@@ -159,18 +172,22 @@ def table(result: dict[str, Any]) -> str:
 
 def pixels_table(result: dict[str, Any]) -> list[str]:
     """A camera a line."""
-    lines = [f"{'camera':<12} {'rotation':>10} {'position':>10}"]
+    lines = [
+        f"{'camera':<12} {'rotation':>10} {'std. error':>10} {'position':>10} {'std. error':>10}"
+    ]
     for camera in result["cameras"]:
-        rotation, position = "-", "-"
-        if camera["rotation_deg"] is not None:
-            rotation = f"{camera['rotation_deg']:.3f} deg"
-            position = f"{camera['position_mm']:.2f} mm"
-        lines.append(f"{camera['id']:<12} {rotation:>10} {position:>10}")
-    lines.append(
-        f"{'tolerance':<12} {result['rotation_tolerance_deg']:>6.3f} deg"
-        f" {result['position_tolerance_mm']:>7.2f} mm"
-        f"   images: {result['image_source'] or 'none'}"
-    )
+        values = [camera[name] for name in PIXEL_FIELDS]
+        cells = [" " * 9 + "-"] * 4
+        if values[0] is not None:
+            cells = [f"{v:>6.3f} deg" for v in values[:2]]
+            cells += [f"{v:>7.2f} mm" for v in values[2:]]
+        lines.append(" ".join([f"{camera['id']:<12}", *cells]))
+    lines += [
+        f"{'tolerance':<12} {result['rotation_tolerance_deg']:>6.3f} deg {'':>10}"
+        f" {result['position_tolerance_mm']:>7.2f} mm,"
+        f" or {result['tolerance_std_errs']:g} standard errors if that is more",
+        f"images: {result['image_source'] or 'none'}",
+    ]
     return lines
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .capture import Array, Camera, Pose
+from .capture import Array, EstimatedPose, Pose
 
 ROTATION_TOLERANCE_DEG = 0.05
 POSITION_TOLERANCE_MM = 1.0
@@ -14,36 +14,34 @@ POSITION_TOLERANCE_MM = 1.0
 right cameras came out within 0.014 deg and 0.4 mm; a camera turned by 0.2 deg or moved by 2 mm must
 stand out from that. Larger, and such a camera passes; smaller, and right ones fail on poorer images."""
 
-REFERENCE_WIDTH_PX = 320
-"""Smaller images resolve positions less finely, in proportion (1.1 mm at 160x120): below this width
-the tolerances grow with the size of a pixel."""
+STANDARD_ERRORS = 4.0
+"""Nor is a camera named that is off by fewer standard errors than these: small, noisy or distant images
+place it no better. Larger, and wrong ones pass there; smaller, and right ones are accused."""
 
 
 @dataclass(frozen=True)
 class Residual:
-    """How far one camera's exported pose is from where the pixels put it."""
+    """How far one camera's exported pose is from where the pixels put it, and how well they do."""
 
     id: str
     rotation_deg: float
     position_mm: float
+    rotation_std_err_deg: float
+    position_std_err_mm: float
 
-    def exceeds(
-        self, rotation_tolerance_deg: float, position_tolerance_mm: float
-    ) -> bool:
-        """Whether it is off by more than either."""
-        return (
-            self.rotation_deg > rotation_tolerance_deg
-            or self.position_mm > position_tolerance_mm
+    @property
+    def is_off(self) -> bool:
+        """Whether it is off by more than can be."""
+        return self.rotation_deg > max(
+            ROTATION_TOLERANCE_DEG, STANDARD_ERRORS * self.rotation_std_err_deg
+        ) or self.position_mm > max(
+            POSITION_TOLERANCE_MM, STANDARD_ERRORS * self.position_std_err_mm
         )
 
 
-def tolerances(cameras: list[Camera]) -> tuple[float, float]:
-    """Degrees and millimetres that a camera may be off by, as finely as these images can show it."""
-    coarseness = max(1.0, REFERENCE_WIDTH_PX / min(c["width"] for c in cameras))
-    return coarseness * ROTATION_TOLERANCE_DEG, coarseness * POSITION_TOLERANCE_MM
-
-
-def residuals(exported: dict[str, Pose], estimated: dict[str, Pose]) -> list[Residual]:
+def residuals(
+    exported: dict[str, Pose], estimated: dict[str, EstimatedPose]
+) -> list[Residual]:
     """Each camera's residual after the similarity that brings the estimate onto the exported poses.
 
     Positions alone don't fix a similarity for a rig in a line (it may turn about the line), so the
@@ -73,6 +71,8 @@ def residuals(exported: dict[str, Pose], estimated: dict[str, Pose]) -> list[Res
             camera_id,
             angle_deg(rotation.T @ relative[k]),
             1000.0 * float(distances_m[k]),
+            estimated[camera_id].rotation_std_err_deg,
+            1000.0 * float(scale) * estimated[camera_id].centre_std_err,
         )
         for k, camera_id in enumerate(ids)
     ]

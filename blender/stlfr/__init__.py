@@ -2,9 +2,10 @@
 
 The extension and the headless scripts (`capture.py`, `check.py`) share these modules:
 
-- `rig`: the rig file and its shutter times
+- `rig`: the rig file and its shutter times; `json_fields` reads it
 - `camera`: Blender's camera to COLMAP's `PINHOLE` and back
 - `distortion`: COLMAP's `OPENCV` lens
+- `described`: a camera as capture.json spells it
 - `sensor`: from rendered light to a camera's pixels
 - `scenes`: find a scene, build it or open a .blend, say where the rig stands
 - `plan`: which images a capture consists of, and which of them are there already

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from .camera import Array, Pinhole
 
@@ -42,7 +43,7 @@ class Distortion:
         return self == Distortion()
 
     def distorted(self, points: Array) -> Array:
-        """Where points (N, 2) of the plane z = 1 go."""
+        """Where points (N, 2) of the plane z = 1 go; past the lens's fold that means nothing."""
         x, y = points.T
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
@@ -52,6 +53,21 @@ class Distortion:
                 y * radial + self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y,
             ],
             axis=1,
+        )
+
+    def is_short_of_fold(self, points: Array) -> npt.NDArray[np.bool_]:
+        """Whether the lens spreads points (N, 2) as it does those nearer to the axis.
+
+        Past the radius where it stops, the model folds the scene back over the image, as no lens does.
+        """
+        r2 = (points**2).sum(axis=1)
+        # The radial slope, 1 + 3 k1 r² + 5 k2 r⁴, is least at an end or at its parabola's vertex.
+        vertex = -0.3 * self.k1 / self.k2 if self.k2 > 0.0 else 0.0
+        least_at = np.clip(vertex, 0.0, r2)
+        slopes = [1.0 + s * (3.0 * self.k1 + 5.0 * self.k2 * s) for s in (r2, least_at)]
+        a, b, d = self._derivative(points)
+        return np.asarray(
+            (np.minimum(*slopes) > 0.0) & (a * d - b * b > LEAST_DETERMINANT)
         )
 
     def undistorted(self, points: Array) -> Array:
@@ -67,14 +83,19 @@ class Distortion:
         found[~_is_small(step, found)] = np.nan
         return found
 
-    def _newton_step(self, found: Array, wanted: Array) -> Array:
-        x, y = found.T
+    def _derivative(self, points: Array) -> tuple[Array, Array, Array]:
+        """Of x' by x, of x' by y and of y' by x (they are the same), of y' by y."""
+        x, y = points.T
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
         radial_r2 = self.k1 + 2.0 * self.k2 * r2
         a = radial + 2.0 * x * x * radial_r2 + 2.0 * self.p1 * y + 6.0 * self.p2 * x
         b = 2.0 * x * y * radial_r2 + 2.0 * self.p1 * x + 2.0 * self.p2 * y
         d = radial + 2.0 * y * y * radial_r2 + 6.0 * self.p1 * y + 2.0 * self.p2 * x
+        return a, b, d
+
+    def _newton_step(self, found: Array, wanted: Array) -> Array:
+        a, b, d = self._derivative(found)
         determinant = a * d - b * b
         determinant[~(determinant > LEAST_DETERMINANT)] = np.nan
         u, v = (self.distorted(found) - wanted).T
@@ -94,9 +115,13 @@ def ideal_from_pixels(lens: Pinhole, distortion: Distortion, pixels: Array) -> A
 
 
 def pixels_from_ideal(lens: Pinhole, distortion: Distortion, ideal: Array) -> Array:
-    """Where a pinhole's pixels (N, 2) are with distortion."""
+    """Where a pinhole's pixels (N, 2) are with distortion; NaN past the lens's fold."""
     scale, center = _scale_and_center(lens)
-    return distortion.distorted((ideal - center) / scale) * scale + center
+    points = (ideal - center) / scale
+    pixels = distortion.distorted(points) * scale + center
+    if not distortion.is_none:
+        pixels[~distortion.is_short_of_fold(points)] = np.nan
+    return np.asarray(pixels)
 
 
 def ideal_border(lens: Pinhole, distortion: Distortion) -> tuple[Array, Array]:

@@ -2,15 +2,17 @@
 
 Image: Cycles on the CPU, a fixed number of samples, no denoising, as many bounces as the scene says,
 motion blur as long as the camera's exposure, `Standard` view without a look, no dither; then whatever
-lens and sensor do (`sensor`). Or Workbench: the same cameras, geometry and textures under a fixed studio
-light, without shadows, reflections, highlights, blur and noise.
+lens and sensor do (`sensor`). Or Workbench: the same cameras, geometry, textures, lenses and sensors under
+a fixed studio light, without shadows, reflections, highlights, motion blur and the noise of few samples.
 Geometry: Cycles with one sample at each pixel's centre, at an instant.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,7 @@ import numpy.typing as npt
 
 from . import camera as cameras
 from . import exr, png, scenes, sensor
+from .described import Camera, describe
 from .plan import Job
 from .rig import RigCamera, RigView
 
@@ -114,23 +117,13 @@ class Studio:
             bpy.data.objects.remove(camera_object)
         self.camera_objects.clear()
 
-    def describe(self, view_id: str) -> dict[str, Any]:
+    def describe(self, view_id: str) -> Camera:
         """The view's camera as capture.json spells it, read back from Blender."""
         view = self.views[view_id]
         pinhole = self._pinhole(view_id, view.width_px, view.height_px)
-        model, more = "PINHOLE", []
-        if view_id in self.wides:
-            distortion = self.wides[view_id].distortion
-            model = "OPENCV"
-            more = [distortion.k1, distortion.k2, distortion.p1, distortion.p2]
         transform = cameras.cam_from_world_of(self.camera_objects[view_id])
-        return {
-            "width": pinhole.width_px,
-            "height": pinhole.height_px,
-            "model": model,
-            "params": [*pinhole.params, *more],
-            "cam_from_world": transform.to_json(),
-        }
+        distortion = view.distortion if isinstance(view, RigCamera) else None
+        return describe(pinhole, transform, distortion)
 
     def render_image(self, image: Image, target: Path, scratch: Path) -> None:
         """Write a PNG as the camera records it. It gets its name only when it is whole and on the disk."""
@@ -141,10 +134,9 @@ class Studio:
             samples = max(1, round(samples / sensor.FINENESS**2))
         self._aim(image.view_id, image.world_time_s, samples, image.seed)
         self._expose(camera.exposure_s if camera else 0.0)
-        self.scene.cycles.filter_width = 1.5
+        self._use_engine(samples)
         _set_passes(geometry=False)
         if camera and not sensor.is_plain(camera):
-            self.scene.render.engine = "CYCLES"  # `plan` lets no other come here
             pixels = sensor.develop(
                 self._light(camera, scratch), camera, image.sensor_seed
             )
@@ -156,10 +148,7 @@ class Studio:
         settings.media_type, settings.file_format = "IMAGE", "PNG"
         settings.color_mode = "BW" if self._is_gray(image.view_id) else "RGB"
         settings.color_depth = "8"
-        if self.engine == "workbench":
-            partial = self._render_workbench(image, scratch)
-        else:
-            partial = self._render(scratch, ".png")
+        partial = self._render(scratch, ".png")
         partial.write_bytes(png.picture_only(partial.read_bytes()))
         move_whole(partial, target)
 
@@ -274,27 +263,38 @@ class Studio:
         frame, subframe = scenes.frame_at(self.scene, world_time_s)
         self.scene.frame_set(frame, subframe=subframe)
 
-    def _render_workbench(self, image: Image, scratch: Path) -> Path:
-        """With the lens shifted against Workbench's bias."""
+    def _use_engine(self, samples: int) -> None:
+        """Let the pictures' engine render next, geometry's being always Cycles."""
+        render = self.scene.render
+        if self.engine == "workbench":
+            render.engine = "BLENDER_WORKBENCH"
+            self.scene.display.render_aa = str(workbench_steps(samples))
+        else:
+            render.engine, self.scene.cycles.filter_width = "CYCLES", 1.5
+
+    def _render(self, scratch: Path, suffix: str) -> Path:
+        partial = _scratch_file(scratch, suffix)
+        self.scene.render.filepath = str(partial)
+        with self._unbiased():
+            bpy.ops.render.render(write_still=True, scene=self.scene.name)
+        return partial
+
+    @contextlib.contextmanager
+    def _unbiased(self) -> Iterator[None]:
+        """The lens is shifted against Workbench's bias within."""
         render, lens = self.scene.render, self.scene.camera.data
-        render.engine = "BLENDER_WORKBENCH"
-        steps = workbench_steps(image.samples)
-        self.scene.display.render_aa = str(steps)
-        right_px, down_px = WORKBENCH_BIAS_PX[steps]
+        if render.engine != "BLENDER_WORKBENCH":
+            yield
+            return
+        right_px, down_px = WORKBENCH_BIAS_PX[int(self.scene.display.render_aa)]
         side_px = max(render.resolution_x, render.resolution_y)
         shift = lens.shift_x, lens.shift_y
         lens.shift_x += right_px / side_px
         lens.shift_y -= down_px / side_px
         try:
-            return self._render(scratch, ".png")
+            yield
         finally:
             lens.shift_x, lens.shift_y = shift
-
-    def _render(self, scratch: Path, suffix: str) -> Path:
-        partial = _scratch_file(scratch, suffix)
-        self.scene.render.filepath = str(partial)
-        bpy.ops.render.render(write_still=True, scene=self.scene.name)
-        return partial
 
 
 def configure(scene: Any, threads: int) -> None:

@@ -129,19 +129,18 @@ class STLFR_OT_rig_save(bpy.types.Operator):
 
 
 class LongWork:
-    """An operator whose work is a job. `start` gives it, `take` does what its end is for."""
+    """An operator whose work is a job."""
 
     job: jobs.Job
     scene_name: str
     timer: Any = None
-    report: Any  # the operator's
 
-    def start(self, context: Any) -> jobs.Job:
-        raise NotImplementedError
-
-    def take(self, scene: Any, job: jobs.Job) -> tuple[str, str]:
-        """Take over what was found; gives the kind of a report, and its sentence."""
-        raise NotImplementedError
+    # The operator's own:
+    report: Callable[[set[str], str], None]
+    start: Callable[[Any], jobs.Job]
+    """Gives the job, for a context."""
+    take: Callable[[Any, jobs.Job], tuple[str, str]]
+    """Takes over into a scene what a job found; gives the kind of a report, and its sentence."""
 
     def tidy(self) -> None:
         """After a job that found nothing."""
@@ -374,14 +373,4 @@ CLASSES = (
     STLFR_OT_open_report,
 )
 
-
-def register() -> None:
-    """Make it known to Blender."""
-    for one in CLASSES:
-        bpy.utils.register_class(one)
-
-
-def unregister() -> None:
-    """Leave nothing behind."""
-    for one in reversed(CLASSES):
-        bpy.utils.unregister_class(one)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -268,14 +268,4 @@ CLASSES = (
     STLFR_PT_trails,
 )
 
-
-def register() -> None:
-    """Make it known to Blender."""
-    for one in CLASSES:
-        bpy.utils.register_class(one)
-
-
-def unregister() -> None:
-    """Leave nothing behind."""
-    for one in reversed(CLASSES):
-        bpy.utils.unregister_class(one)
+register, unregister = bpy.utils.register_classes_factory(CLASSES)

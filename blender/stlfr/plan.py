@@ -12,7 +12,7 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import png, scenes, sensor, truth
+from . import png, scenes, truth
 from . import rig as rigs
 from .errors import BadInputError
 from .rig import Rig, Shutter
@@ -30,10 +30,12 @@ TRUTH_SAMPLES_FACTOR = 4
 
 PIXEL_SOURCES = (
     "camera.py",
+    "described.py",
     "distortion.py",
     "exr.py",
     "film.py",
     "folder.py",
+    "json_fields.py",
     "plan.py",
     "png.py",
     "rig.py",
@@ -124,12 +126,12 @@ class Plan:
 
 
 def _must_suit_workbench(rig: rigs.Rig) -> None:
-    """Workbench gives finished 8-bit pictures of an instant, not the light that a lens and a sensor start from."""
+    """Workbench renders an instant."""
     for camera in rig.cameras:
-        if camera.exposure_s > 0.0 or not sensor.is_plain(camera):
+        if camera.exposure_s > 0.0:
             raise BadInputError(
-                f"--engine workbench can't film {camera.id} of rig {rig.name}: exposure, distortion, "
-                "gain, noise and 16 bits need --engine cycles"
+                f"--engine workbench can't film {camera.id} of rig {rig.name}: "
+                "its exposure_s needs --engine cycles"
             )
 
 

@@ -221,13 +221,14 @@ class StlfrScene(bpy.types.PropertyGroup):
     offset_index: IntProperty(name="Offset", options={"HIDDEN"})
 
 
-CLASSES = (StlfrOffset, StlfrObject, StlfrScene)
+register_classes, unregister_classes = bpy.utils.register_classes_factory(
+    (StlfrOffset, StlfrObject, StlfrScene)
+)
 
 
 def register() -> None:
     """Make it known to Blender."""
-    for one in CLASSES:
-        bpy.utils.register_class(one)
+    register_classes()
     bpy.types.Scene.stlfr = PointerProperty(type=StlfrScene)
     bpy.types.Object.stlfr = PointerProperty(type=StlfrObject)
 
@@ -235,5 +236,4 @@ def register() -> None:
 def unregister() -> None:
     """Leave nothing behind."""
     del bpy.types.Object.stlfr, bpy.types.Scene.stlfr
-    for one in reversed(CLASSES):
-        bpy.utils.unregister_class(one)
+    unregister_classes()

@@ -21,14 +21,13 @@ import itertools
 import json
 import math
 import random
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from .camera import BlenderLens, Pinhole, RigidTransform, pinhole_from_lens
 from .distortion import Distortion, ideal_border
 from .errors import BadInputError
+from .json_fields import Fields, read_fields
 
 FORMAT = "stlfr-rig"
 VERSION = 1
@@ -41,9 +40,6 @@ MAX_JITTER_FRAMES = 0.1
 
 MAX_SPREAD = 2.0
 """How much wider than the image a pinhole's must be to hold all that a lens sees."""
-
-RESERVED_IDS = {"truth", "colmap", "review"}
-"""A camera's id names its folder in the capture, beside these."""
 
 
 @dataclass(frozen=True)
@@ -207,151 +203,10 @@ def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
 
 def load(path: Path) -> Rig:
     """Read and check a rig file; a `BadInputError` names the file and the field."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise BadInputError(f"{path}: no such rig file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInputError(f"{path}: can't be read as a rig file ({error})") from None
-    try:
-        content = json.loads(text, object_pairs_hook=_object_without_duplicates)
-    except ValueError as error:
-        raise BadInputError(f"{path}: not valid JSON ({error})") from None
-    return _rig(_Fields(content, str(path), ""))
+    return _rig(read_fields(path, "rig file"))
 
 
-def _object_without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    names = [name for name, _ in pairs]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"field {name} appears twice")
-    return dict(pairs)
-
-
-class _Fields:
-    """One JSON object, read field by field; what is left over at `done` is an error."""
-
-    def __init__(self, content: Any, file: str, where: str) -> None:
-        self.file = file
-        self.where = where
-        if not isinstance(content, dict):
-            raise BadInputError(f"{file}: {where or 'the file'} must be a JSON object")
-        self.content = dict(content)
-
-    def name(self, field: str) -> str:
-        return f"{self.where}.{field}" if self.where else field
-
-    def error(self, field: str, problem: str) -> BadInputError:
-        return BadInputError(f"{self.file}: {self.name(field)} {problem}")
-
-    def take(self, field: str, default: Any = None) -> Any:
-        if field in self.content:
-            return self.content.pop(field)
-        if default is None:
-            raise self.error(field, "is missing")
-        return default
-
-    def text(self, field: str, default: str | None = None) -> str:
-        value = self.take(field, default)
-        if not isinstance(value, str) or not value:
-            raise self.error(field, f"must be text, not {json.dumps(value)}")
-        return value
-
-    def identifier(self, field: str) -> str:
-        value = self.text(field)
-        if (
-            not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", value)
-            or value in RESERVED_IDS
-        ):
-            raise self.error(
-                field,
-                f"can't be {json.dumps(value)}: it names a folder or file of the capture",
-            )
-        return value
-
-    def truth_value(self, field: str, default: bool) -> bool:
-        value = self.take(field, default)
-        if not isinstance(value, bool):
-            raise self.error(field, f"must be true or false, not {json.dumps(value)}")
-        return value
-
-    def whole_number(
-        self, field: str, minimum: int, maximum: int, default: int | None = None
-    ) -> int:
-        value = self.take(field, default)
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int)
-            or not minimum <= value <= maximum
-        ):
-            raise self.error(
-                field,
-                f"must be a whole number from {minimum} to {maximum}, not {json.dumps(value)}",
-            )
-        return value
-
-    def whole_numbers(self, field: str, minimum: int, maximum: int) -> tuple[int, ...]:
-        value = self.take(field, [])
-        if not isinstance(value, list):
-            raise self.error(field, "must be a list")
-        for entry in value:
-            if (
-                isinstance(entry, bool)
-                or not isinstance(entry, int)
-                or not minimum <= entry <= maximum
-            ):
-                raise self.error(
-                    field,
-                    f"must be whole numbers from {minimum} to {maximum}, not {json.dumps(entry)}",
-                )
-        return tuple(value)
-
-    def number(
-        self, field: str, minimum: float, maximum: float, default: float | None = None
-    ) -> float:
-        value = self.take(field, default)
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, (int, float))
-            or not minimum <= value <= maximum
-        ):
-            raise self.error(
-                field,
-                f"must be a number from {minimum:g} to {maximum:g}, not {json.dumps(value)}",
-            )
-        return float(value)
-
-    def numbers(self, field: str, count: int) -> list[float]:
-        value = self.take(field)
-        if not isinstance(value, list) or len(value) != count:
-            raise self.error(field, f"must be {count} numbers")
-        for entry in value:
-            if (
-                isinstance(entry, bool)
-                or not isinstance(entry, (int, float))
-                or not abs(entry) <= 1e6
-            ):
-                raise self.error(
-                    field,
-                    f"must be {count} numbers within 1e6 of 0, not {json.dumps(entry)}",
-                )
-        return [float(entry) for entry in value]
-
-    def objects(self, field: str, default: list[Any] | None = None) -> list[_Fields]:
-        value = self.take(field, default)
-        if not isinstance(value, list):
-            raise self.error(field, "must be a list")
-        return [
-            _Fields(entry, self.file, f"{self.name(field)}[{i}]")
-            for i, entry in enumerate(value)
-        ]
-
-    def done(self) -> None:
-        for field in self.content:
-            raise self.error(field, "is not a field of this format")
-
-
-def _rig(fields: _Fields) -> Rig:
+def _rig(fields: Fields) -> Rig:
     format_name, version = fields.take("format"), fields.take("version")
     if format_name != FORMAT:
         raise fields.error(
@@ -385,7 +240,7 @@ def _rig(fields: _Fields) -> Rig:
     return rig
 
 
-def _camera(fields: _Fields) -> RigCamera:
+def _camera(fields: Fields) -> RigCamera:
     view = _take_view(fields)
     rate_hz = fields.number("rate_hz", 1e-3, 1e5)
     camera = RigCamera(
@@ -420,8 +275,8 @@ def _camera(fields: _Fields) -> RigCamera:
     return camera
 
 
-def _distortion(fields: _Fields) -> Distortion:
-    entry = _Fields(
+def _distortion(fields: Fields) -> Distortion:
+    entry = Fields(
         fields.take("distortion", {}), fields.file, fields.name("distortion")
     )
     coefficients = {
@@ -432,7 +287,7 @@ def _distortion(fields: _Fields) -> Distortion:
     return Distortion(**coefficients)
 
 
-def _check_distortion(fields: _Fields, camera: RigCamera) -> None:
+def _check_distortion(fields: Fields, camera: RigCamera) -> None:
     if camera.distortion.is_none:
         return
     lens: Pinhole = pinhole_from_lens(camera.lens)
@@ -451,7 +306,7 @@ def _check_distortion(fields: _Fields, camera: RigCamera) -> None:
         )
 
 
-def _check_clock(fields: _Fields, camera: RigCamera, reference: str) -> None:
+def _check_clock(fields: Fields, camera: RigCamera, reference: str) -> None:
     """What can't be true of one clock together."""
     if camera.id == reference or camera.clock_shared:
         known = (
@@ -470,13 +325,13 @@ def _check_clock(fields: _Fields, camera: RigCamera, reference: str) -> None:
         )
 
 
-def _view(fields: _Fields) -> RigView:
+def _view(fields: Fields) -> RigView:
     view = _take_view(fields)
     fields.done()
     return view
 
 
-def _take_view(fields: _Fields) -> RigView:
+def _take_view(fields: Fields) -> RigView:
     return RigView(
         id=fields.identifier("id"),
         width_px=fields.whole_number("width", 8, 16384),
@@ -489,8 +344,8 @@ def _take_view(fields: _Fields) -> RigView:
     )
 
 
-def _transform(fields: _Fields) -> RigidTransform:
-    entry = _Fields(
+def _transform(fields: Fields) -> RigidTransform:
+    entry = Fields(
         fields.take("cam_from_rig"), fields.file, fields.name("cam_from_rig")
     )
     w, x, y, z = entry.numbers("rotation_wxyz", 4)

@@ -136,17 +136,20 @@ class Wide:
             weight = np.abs(1 - i - f[:, 0]) * np.abs(1 - j - f[:, 1])
             is_nearest = (nearest[:, 0] == i) & (nearest[:, 1] == j)
             mixed += np.where(is_smooth, weight, is_nearest)[:, None] * corner
-        here = self._distorted(at)
-        steps = [
-            np.linalg.norm(self._distorted(at + mixed[:, k : k + 2]) - here, axis=1)
-            for k in (1, 3)
-        ]
+        steps = [self._length_px(at, mixed[:, k : k + 2]) for k in (1, 3)]
         with np.errstate(divide="ignore"):
             return self._shaped(1.0 / mixed[:, 0]), self._shaped(np.maximum(*steps))
 
     def _positions(self) -> Array:
         """Where in the wide image the centre of every pixel is, row by row."""
         return self.of_image(_ideal_grid(self.lens, self.distortion))
+
+    def _length_px(self, at: Array, way: Array) -> Array:
+        """How far the distorted image goes along ways (N, 2) of the wide one; out of the lens's sight, as without it."""
+        step = self._distorted(at + way) - self._distorted(at)
+        scale, _ = self._wide_from_ideal()
+        step = np.where(np.isnan(step), way / scale, step)
+        return np.asarray(np.linalg.norm(step, axis=1))
 
     def _distorted(self, wide: Array) -> Array:
         scale, shift = self._wide_from_ideal()

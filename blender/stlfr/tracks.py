@@ -22,12 +22,11 @@ import numpy.typing as npt
 from mathutils import Vector
 from mathutils.geometry import intersect_point_tri
 
-from . import camera as cameras
 from . import film, scenes, truth
 from . import rig as rigs
+from .camera import Array
+from .described import Camera, centre_of, direction_of, project
 from .folder import write_json
-
-Array = npt.NDArray[np.float64]
 
 CANDIDATES = 4
 """Points drawn for each one kept, so that enough of them move."""
@@ -173,11 +172,9 @@ def draw(
 
 
 def _behind(
-    scene: Any, graph: Any, camera: dict[str, Any], x_px: float, y_px: float
+    scene: Any, graph: Any, camera: Camera, x_px: float, y_px: float
 ) -> SurfacePoint | None:
-    fx, fy, cx, cy = camera["params"][:4]
-    ray = np.array([(x_px - cx) / fx, (y_px - cy) / fy, 1.0])
-    direction = rotation_of(camera).T @ ray
+    direction = direction_of(camera, (x_px, y_px))
     hit, place, _normal, face, hit_object, matrix = scene.ray_cast(
         graph, Vector(centre_of(camera)), Vector(direction)
     )
@@ -267,27 +264,3 @@ def unoccluded(
         hit, place, *_ = scene.ray_cast(graph, origin, way, distance=2 * way.length)
         result[i] = not hit or (place - origin).length > way.length * (1 - SAME_DEPTH)
     return result
-
-
-def rotation_of(camera: dict[str, Any]) -> Array:
-    """The rotation of a described camera's `cam_from_world`."""
-    w, x, y, z = camera["cam_from_world"]["rotation_wxyz"]
-    return cameras.rotation_from_quaternion((w, x, y, z))
-
-
-def centre_of(camera: dict[str, Any]) -> Array:
-    """A described camera's centre in the world."""
-    return -rotation_of(camera).T @ np.array(camera["cam_from_world"]["translation"])
-
-
-def project(camera: dict[str, Any], points_m: Array) -> Array:
-    """A described camera's pixels (N, 2) of world points (N, 3); NaN behind it."""
-    pinhole = cameras.Pinhole(camera["width"], camera["height"], *camera["params"])
-    transform = camera["cam_from_world"]
-    return cameras.project(
-        pinhole,
-        cameras.RigidTransform(
-            tuple(transform["rotation_wxyz"]), tuple(transform["translation"])
-        ),
-        points_m,
-    )

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from . import camera as cameras
+from .described import describe_object
 from .errors import BadInputError
 
 Samples = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
@@ -43,7 +43,7 @@ def request(scene: Any, camera_object: Any, capture: Path) -> Request:
     return Request(
         capture=capture,
         time_s=capture_time_s(scene),
-        camera=described(scene, camera_object),
+        camera=describe_object(camera_object, scene),
         options=options(scene.stlfr),
     )
 
@@ -54,18 +54,6 @@ def capture_time_s(scene: Any) -> float:
     scene_s = frames * scene.render.fps_base / scene.render.fps
     settings = scene.stlfr
     return float(scene_s * settings.speed + settings.time_offset_s)
-
-
-def described(scene: Any, camera_object: Any) -> dict[str, Any]:
-    """The scene's view through a camera object, as a view file has it."""
-    pinhole = cameras.pinhole_from_lens(cameras.lens_of(camera_object, scene))
-    return {
-        "width": pinhole.width_px,
-        "height": pinhole.height_px,
-        "model": "PINHOLE",
-        "params": pinhole.params,
-        "cam_from_world": cameras.cam_from_world_of(camera_object).to_json(),
-    }
 
 
 def options(settings: Any) -> dict[str, Any]:

@@ -48,7 +48,7 @@ impl From<ExtensionError> for CliError {
 
 /// What is missing, may not be read or is no file was given wrongly; what fails otherwise while it
 /// is read or written is a failure.
-fn of_io(sentence: String, source: &std::io::Error) -> CliError {
+pub(super) fn of_io(sentence: String, source: &std::io::Error) -> CliError {
     match source.kind() {
         ErrorKind::NotFound
         | ErrorKind::PermissionDenied
@@ -173,6 +173,7 @@ fn sentence(message: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use stlfr::exchange::ExchangeError;
 
     #[test]
     fn names_with_line_breaks_stay_on_the_line() {
@@ -181,12 +182,21 @@ mod tests {
 
     #[test]
     fn what_fails_in_mid_work_is_no_bad_input() {
-        let exit = |kind: ErrorKind| {
-            let source = std::io::Error::from(kind);
-            CliError::from(CaptureError::Write { path: "a".into(), source })
-        };
-        assert!(matches!(exit(ErrorKind::StorageFull), CliError::Failure(_)));
-        assert!(matches!(exit(ErrorKind::PermissionDenied), CliError::BadInput(_)));
+        let path = || std::path::PathBuf::from("a");
+        let full = || std::io::Error::from(ErrorKind::StorageFull);
+        let refused = || std::io::Error::from(ErrorKind::PermissionDenied);
+        for failed in [
+            CliError::from(CaptureError::Write { path: path(), source: full() }),
+            CliError::from(ExchangeError::Write { path: path(), source: full() }),
+        ] {
+            assert!(matches!(failed, CliError::Failure(_)), "{failed:?}");
+        }
+        for wrong in [
+            CliError::from(CaptureError::Write { path: path(), source: refused() }),
+            CliError::from(ExchangeError::Read { path: path(), source: refused() }),
+        ] {
+            assert!(matches!(wrong, CliError::BadInput(_)), "{wrong:?}");
+        }
     }
 
     #[test]

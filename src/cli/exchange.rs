@@ -1,6 +1,7 @@
 //! `stlfr import` and `stlfr export`
 
 use super::CliError;
+use super::error::of_io;
 use super::files::must_be_writable;
 use std::path::{Path, PathBuf};
 use stlfr::capture::Capture;
@@ -34,7 +35,7 @@ pub struct ImportArgs {
     output: PathBuf,
 }
 
-/// Write a capture's calibration for another program.
+/// Write a capture's calibration for another program. Frames stay where they are.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr export .captures/demo --format colmap -o sparse/0\n  \
@@ -69,7 +70,13 @@ enum Format {
 
 impl From<ExchangeError> for CliError {
     fn from(error: ExchangeError) -> Self {
-        Self::BadInput(error.to_string())
+        let sentence = error.to_string();
+        match &error {
+            ExchangeError::Read { source, .. } | ExchangeError::Write { source, .. } => {
+                of_io(sentence, source)
+            }
+            ExchangeError::Content { .. } => Self::BadInput(sentence),
+        }
     }
 }
 

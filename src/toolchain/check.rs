@@ -24,6 +24,8 @@ pub struct CheckValues {
     pub image_source: Option<String>,
     pub rotation_tolerance_deg: f64,
     pub position_tolerance_mm: f64,
+    /// A camera may be off by so many of its standard errors, if that is more.
+    pub tolerance_std_errs: f64,
     pub cameras: Vec<CheckedCamera>,
     pub ok: bool,
     /// What is not as it should be.
@@ -69,13 +71,16 @@ pub struct CheckedFormat {
     pub blender_px: Option<f64>,
 }
 
-/// How far a camera's pose is from where the pixels put it; `None` where they put it nowhere.
+/// How far a camera's pose is from where the pixels put it, and the standard error of where that
+/// is along its worst axis; `None` where they put it nowhere.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CheckedCamera {
     pub id: String,
     pub rotation_deg: Option<f64>,
+    pub rotation_std_err_deg: Option<f64>,
     pub position_mm: Option<f64>,
+    pub position_std_err_mm: Option<f64>,
 }
 
 /// Checks a capture's calibration. A calibration that is found wrong is a result, not an error; the

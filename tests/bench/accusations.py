@@ -52,13 +52,11 @@ def main() -> int:
     )
     estimated = mapping.poses_from_pixels(pictures, cameras, pycolmap)
     exported = {c["id"]: calibration.pose_of(c, pycolmap) for c in cameras}
-    tolerances = residuals.tolerances(cameras)
-    print(
-        f"{folder.name}, {source}; tolerances {tolerances[0]} deg, {tolerances[1]} mm"
-    )
+    print(f"{folder.name}, {source}")
     for residual in residuals.residuals(exported, estimated):
         print(
             f"{residual.id:<12} {residual.rotation_deg:.3f} deg {residual.position_mm:.2f} mm"
+            f" (standard errors {residual.rotation_std_err_deg:.3f}, {residual.position_std_err_mm:.2f})"
         )
     random = np.random.default_rng(0)
     print(f"{'wrong':<12} {'kind':<8} {'named':>8} {'others named':>14}")
@@ -68,7 +66,7 @@ def main() -> int:
             for direction in random.normal(size=(count, 3)):
                 wrong = perturbed(pose, direction / np.linalg.norm(direction), kind)
                 found = residuals.residuals({**exported, camera_id: wrong}, estimated)
-                names = {r.id for r in found if r.exceeds(*tolerances)}
+                names = {r.id for r in found if r.is_off}
                 hits += camera_id in names
                 others += bool(names - {camera_id})
             print(f"{camera_id:<12} {kind:<8} {hits:>4}/{count} {others:>11}/{count}")

@@ -1,9 +1,13 @@
-"""Filming in this process: one Blender, one scene, many rigs, without the workers' start-up."""
+"""Rig files and filming for the tests: by the script, and in this process (one Blender, many rigs, no workers' start-up)."""
 
 from __future__ import annotations
 
+import copy
 import importlib
 import importlib.util
+import json
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -14,16 +18,17 @@ import numpy.typing as npt
 ROOT = Path(__file__).resolve().parents[2]
 Array = npt.NDArray[np.float64]
 
-spec = importlib.util.spec_from_file_location(
-    "stlfr_capture_script", ROOT / "blender" / "capture.py"
-)
+CAPTURE_SCRIPT = ROOT / "blender" / "capture.py"
+
+spec = importlib.util.spec_from_file_location("stlfr_capture_script", CAPTURE_SCRIPT)
 assert spec is not None and spec.loader is not None
 spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_extension
 
-camera, distortion, errors, folder, plan, rig, scenes, sensor = (
+camera, described, distortion, errors, folder, plan, rig, scenes, sensor, truth = (
     importlib.import_module(f"stlfr_extension.{name}")
     for name in (
         "camera",
+        "described",
         "distortion",
         "errors",
         "folder",
@@ -31,8 +36,86 @@ camera, distortion, errors, folder, plan, rig, scenes, sensor = (
         "rig",
         "scenes",
         "sensor",
+        "truth",
     )
 )
+
+SHIPPED = sorted((ROOT / "rigs").glob("*.json"))
+
+CORPUS = json.loads((ROOT / "tests" / "golden" / "rigs.json").read_text())
+"""A rig of two cameras, and what may and may not be changed in it; the Rust tests read it too."""
+
+IDENTITY = {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]}
+
+
+def rig_camera(camera_id: str, **changes: Any) -> dict[str, Any]:
+    """A camera of a rig file: 64x48, at the rig's centre, opening with the scene."""
+    return {
+        "id": camera_id,
+        "width": 64,
+        "height": 48,
+        "lens_mm": 36.0,
+        "sensor_width_mm": 36.0,
+        "cam_from_rig": IDENTITY,
+        "rate_hz": 30.0,
+        "delay_s": 0.0,
+        "jitter_s": 0.0,
+        **changes,
+    }
+
+
+def rig_content(*cameras: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    """A rig file."""
+    content = {
+        "format": "stlfr-rig",
+        "version": 1,
+        "name": "small",
+        "seed": 3,
+        "cameras": list(cameras),
+    }
+    return {**content, "reference": cameras[0]["id"], **changes}
+
+
+def write_rig(path: Path, *cameras: dict[str, Any], **changes: Any) -> Path:
+    """Save a rig file."""
+    path.write_text(json.dumps(rig_content(*cameras, **changes)), encoding="utf-8")
+    return path
+
+
+def changed(changes: dict[str, Any]) -> dict[str, Any]:
+    """The corpus's rig with fields changed; a field's path has dots."""
+    content: dict[str, Any] = copy.deepcopy(CORPUS["rig"])
+    for path, value in changes.items():
+        *parents, field = path.split(".")
+        at: Any = content
+        for step in parents:
+            at = at[int(step) if step.isdecimal() else step]
+        at[field] = value
+    return content
+
+
+def loaded(tmp_path: Path, changes: dict[str, Any]) -> Any:
+    """The corpus's rig with fields changed, read."""
+    path = tmp_path / "rig.json"
+    path.write_text(json.dumps(changed(changes)), encoding="utf-8")
+    return rig.load(path)
+
+
+def right_of_centre(x_m: float) -> dict[str, Any]:
+    """The `cam_from_rig` of a camera that stands beside the rig's centre and looks ahead."""
+    return {**IDENTITY, "translation": [-x_m, 0, 0]}
+
+
+def by_script(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Film by the headless script, however that ends."""
+    return run([sys.executable, "-I", str(CAPTURE_SCRIPT), *map(str, arguments)])
+
+
+def run(command: list[str]) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end, whatever its exit code."""
+    return subprocess.run(
+        command, check=False, capture_output=True, text=True, timeout=240
+    )
 
 
 def options(rig_file: Path, **changes: Any) -> Any:
@@ -56,7 +139,7 @@ def film(scene: Any, wanted: Any, capture: Path) -> Any:
     studios = importlib.import_module("stlfr_extension.film")
     whole = plan.make(wanted)
     views = (*whole.rig.cameras, *whole.rig.views)
-    studio = studios.Studio(scene, views, 2)
+    studio = studios.Studio(scene, views, 2, wanted.engine)
     with tempfile.TemporaryDirectory() as scratch:
         for job in whole.jobs:
             studio.do(job, capture, Path(scratch), whole.rig.reference_camera.rate_hz)
@@ -64,20 +147,6 @@ def film(scene: Any, wanted: Any, capture: Path) -> Any:
     folder.write_all(whole, described, capture)
     studio.strike()
     return whole
-
-
-def project(entry: dict[str, Any], points_m: Array) -> Array:
-    """World points (N, 3) in the pixels of a camera of capture.json."""
-    lens = camera.Pinhole(entry["width"], entry["height"], *entry["params"][:4])
-    pose = entry["cam_from_world"]
-    cam_from_world = camera.RigidTransform(
-        tuple(pose["rotation_wxyz"]), tuple(pose["translation"])
-    )
-    pixels: Array = camera.project(lens, cam_from_world, points_m)
-    if entry["model"] == "OPENCV":
-        lens_error = distortion.Distortion(*entry["params"][4:])
-        pixels = distortion.pixels_from_ideal(lens, lens_error, pixels)
-    return pixels
 
 
 def read_light(path: Path) -> Array:
@@ -89,6 +158,19 @@ def read_light(path: Path) -> Array:
     s = picture / (255 if picture.dtype == np.uint8 else 65535)
     light = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
     return np.asarray(light.mean(axis=2) if light.ndim == 3 else light)
+
+
+def pixels(file: str | Path) -> npt.NDArray[np.int32]:
+    """RGBA samples of a PNG; grey and alpha made explicit."""
+    import cv2
+
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    assert image is not None and image.dtype == np.uint8, file
+    if image.ndim == 2:
+        image = np.repeat(image[:, :, None], 3, axis=2)
+    if image.shape[2] == 3:
+        image = np.concatenate([image, np.full_like(image[:, :, :1], 255)], axis=2)
+    return np.asarray(image[:, :, [2, 1, 0, 3]], dtype=np.int32)
 
 
 def black_scene(fps: int = 30) -> Any:
@@ -112,6 +194,7 @@ def add_disc(at_m: tuple[float, float, float], radius_m: float, light: float) ->
     )
     disc = bpy.context.object
     material = bpy.data.materials.new("glow")
+    material.diffuse_color = (light, light, light, 1.0)  # Workbench's
     nodes = material.node_tree.nodes
     nodes.clear()
     emission = nodes.new("ShaderNodeEmission")
@@ -126,7 +209,7 @@ def disc_centroid(entry: dict[str, Any], at_m: Array, radius_m: float) -> Array:
     """Where the centroid of the disc's image is in a camera of capture.json: its outline's, which knows lens and perspective."""
     angle = 2 * np.pi * np.arange(64) / 64
     rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    here = project(entry, at_m + radius_m * rim)
+    here = described.project(entry, at_m + radius_m * rim)
     next_one = np.roll(here, -1, axis=0)
     twice_areas = here[:, 0] * next_one[:, 1] - here[:, 1] * next_one[:, 0]
     corners = (here + next_one) * twice_areas[:, None]

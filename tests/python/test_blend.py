@@ -3,44 +3,21 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-ROOT = Path(__file__).resolve().parents[2]
-CAPTURE_SCRIPT = ROOT / "blender" / "capture.py"
-
-
-def film(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run the headless script."""
-    command = [sys.executable, "-I", str(CAPTURE_SCRIPT), *map(str, arguments)]
-    return subprocess.run(
-        command, check=False, capture_output=True, text=True, timeout=240
-    )
+from filming import ROOT, by_script, rig_camera, write_rig
 
 
 @pytest.fixture(scope="module")
 def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One camera, tiny."""
-    path = tmp_path_factory.mktemp("rig") / "rig.json"
-    camera = {
-        "id": "only",
-        "width": 64,
-        "height": 48,
-        "lens_mm": 36.0,
-        "sensor_width_mm": 36.0,
-        "cam_from_rig": {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]},
-        "rate_hz": 30.0,
-        "delay_s": 0.01,
-        "jitter_s": 0.0,
-    }
-    content = {"format": "stlfr-rig", "version": 1, "name": "one", "seed": 1}
-    path.write_text(json.dumps({**content, "reference": "only", "cameras": [camera]}))
-    return path
+    folder = tmp_path_factory.mktemp("rig")
+    return write_rig(folder / "rig.json", rig_camera("only", delay_s=0.01), name="one")
 
 
 def own_scene() -> Any:
@@ -120,7 +97,7 @@ def test_a_blend_is_left_as_it_was_and_its_render_settings_do_not_show(
 
     before = hostile.read_bytes(), hostile.stat().st_mtime_ns
     for file in (plain, hostile):
-        result = film(
+        result = by_script(
             rig_file,
             *("--blend", file, "-o", tmp_path / file.stem),
             *("--frames", 4, "--samples", 4, "--instants", 1, "--tracks", 20),
@@ -180,16 +157,79 @@ def test_what_a_blend_lacks_is_one_sentence(
     bpy = pytest.importorskip("bpy")
     spoil(bpy, own_scene(), tmp_path)
     file = saved(tmp_path / "own.blend")
-    result = film(rig_file, "--blend", file, "-o", tmp_path / "film", "--no-truth")
+    result = by_script(rig_file, "--blend", file, "-o", tmp_path / "film", "--no-truth")
     assert result.returncode == 2
     assert complaint in result.stderr and result.stderr.count("\n") == 1
     assert not (tmp_path / "film" / "capture.json").exists()
 
 
+def wallpaper(bpy: Any, name: str, seed: int) -> Any:
+    """A material with blots all over, from a picture that is packed into the file."""
+    generator = np.random.default_rng(seed)
+    y, x = np.mgrid[:256, :256]
+    pixels = np.ones((256, 256, 4), dtype=np.float32)
+    for _ in range(300):
+        at_x, at_y, radius = generator.uniform((0, 0, 3), (256, 256, 14))
+        blot = (x - at_x) ** 2 + (y - at_y) ** 2 < radius**2
+        pixels[blot, :3] = generator.uniform(0.05, 0.95, 3)
+    image = bpy.data.images.new(name, 256, 256)
+    image.pixels.foreach_set(pixels.ravel())
+    image.pack()
+    material = bpy.data.materials.new(name)
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    texture = nodes.new("ShaderNodeTexImage")
+    texture.image, nodes.active = image, texture  # Workbench shows the active one
+    links.new(texture.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"])
+    return material
+
+
+def test_by_readmes_commands_alone(program: Path, tmp_path: Path) -> None:
+    """An own .blend, filmed, checked and reconstructed; at a size and by an engine that are quick."""
+    bpy = pytest.importorskip("bpy")
+    cv2 = pytest.importorskip("cv2")
+    own_scene()
+    bpy.data.objects["camera"].location.z = 3.0
+    for name, seed in (("Plane", 1), ("Cube", 2)):
+        bpy.data.objects[name].data.materials.append(wallpaper(bpy, name, seed))
+    cube = bpy.data.objects["Cube"]  # slides along the rig: up and down as well, or
+    for frame, y in ((11, -0.5), (21, 0.4), (31, -0.5)):  # its cameras tell no times
+        cube.location.y = y
+        cube.keyframe_insert("location", index=1, frame=frame)
+    saved(tmp_path / "my.blend")
+    shutil.copytree(ROOT / "rigs", tmp_path / "rigs")
+    section = (ROOT / "README.md").read_text().split("A scene of your own")[1]
+    commands = [line.split() for line in section.split("```")[1].strip().splitlines()]
+    assert [command[1] for command in commands] == [
+        *("capture", "check", "offsets", "render", "compare")
+    ]
+    for name, first, *rest in commands:
+        assert name == "stlfr"
+        arguments = ["240x180" if word == "320x240" else word for word in rest]
+        if first == "capture":
+            arguments += ["--engine", "workbench", "--samples", "8", "--instants", "1"]
+        ended = subprocess.run(
+            [program, "-q", first, *arguments],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert ended.returncode == 0, (first, ended.stdout, ended.stderr)
+    truth = json.loads((tmp_path / ".captures/mine/truth/truth.json").read_text())
+    found = json.loads((tmp_path / ".captures/mine/offsets.json").read_text())
+    true_s = {o["id"]: o["offset_s"] for o in truth["offsets"]}
+    assert len(found["cameras"]) == 8
+    for camera in found["cameras"]:
+        assert camera["offset_s"] == pytest.approx(true_s[camera["id"]], abs=0.03 / 30)
+    shown = cv2.imread(str(tmp_path / "cam3.png"))
+    assert shown.shape == (180, 240, 3) and shown.std() > 20
+    assert (tmp_path / ".captures/mine/review/report.html").is_file()
+
+
 def test_what_is_no_blend_is_refused(rig_file: Path, tmp_path: Path) -> None:
     file = tmp_path / "own.blend"
     file.write_bytes(b"BLENDER of something else")
-    result = film(rig_file, "--blend", file, "-o", tmp_path / "film", "--no-truth")
+    result = by_script(rig_file, "--blend", file, "-o", tmp_path / "film", "--no-truth")
     assert result.returncode == 2
     assert f"{file}: Blender can't open it" in result.stderr
     assert result.stderr.count("\n") == 1

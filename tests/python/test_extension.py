@@ -6,36 +6,21 @@ import importlib
 import json
 import os
 import shutil
-import stat
 import subprocess
 import sys
-import time
 import tomllib
 import zipfile
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
+from filming import ROOT, errors, pixels, rig
 
-ROOT = Path(__file__).resolve().parents[2]
 STEPS = Path(__file__).resolve().parent / "extension_steps.py"
 MANIFEST = ROOT / "blender/stlfr/blender_manifest.toml"
 
-spec = importlib.util.spec_from_file_location(
-    "stlfr_capture", ROOT / "blender/capture.py"
-)
-assert spec is not None and spec.loader is not None
-spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_extension
-
-errors = importlib.import_module("stlfr_extension.errors")
-filming = importlib.import_module("stlfr_extension.filming")
-jobs = importlib.import_module("stlfr_extension.jobs")
-rig = importlib.import_module("stlfr_extension.rig")
-rig_layout = importlib.import_module("stlfr_extension.rig_layout")
-view = importlib.import_module("stlfr_extension.view")
 wheel = importlib.import_module("stlfr_extension.wheel")
 
 
@@ -86,7 +71,8 @@ def run_step(
 ) -> subprocess.CompletedProcess[str]:
     """A step in a Blender of its own, however it ends."""
     return subprocess.run(
-        [sys.executable, "-I", "-B", str(STEPS), name, *map(str, arguments)],
+        # Isolated, but for its own folder, where what the steps use lies.
+        [sys.executable, "-E", "-s", "-B", str(STEPS), name, *map(str, arguments)],
         env=environment(user),
         capture_output=True,
         text=True,
@@ -101,17 +87,6 @@ def step(user: Path, name: str, *arguments: object) -> Any:
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "Traceback" not in ended.stderr, ended.stderr
     return json.loads(ended.stdout.splitlines()[-1])
-
-
-def pixels(file: str | Path) -> npt.NDArray[np.int32]:
-    """RGBA samples of a PNG; grey and alpha made explicit."""
-    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
-    assert image is not None and image.dtype == np.uint8, file
-    if image.ndim == 2:
-        image = np.repeat(image[:, :, None], 3, axis=2)
-    if image.shape[2] == 3:
-        image = np.concatenate([image, np.full_like(image[:, :, :1], 255)], axis=2)
-    return np.asarray(image[:, :, [2, 1, 0, 3]], dtype=np.int32)
 
 
 def by_command_line(
@@ -430,145 +405,3 @@ def test_work_beside_blender_is_followed(blender_user: Path, own_capture: Path) 
         "{'INFO'}: The offsets of all 8"
     )
     assert found["offsets"] == 8 and not found["running"]
-
-
-# What needs no Blender
-
-
-def talk(*lines: str) -> list[str]:
-    """A process that says these lines of Python."""
-    return [sys.executable, "-I", "-c", "import sys, time, json\n" + "\n".join(lines)]
-
-
-def test_jobs_tell_progress_and_result() -> None:
-    job = jobs.Job(
-        "Work",
-        talk(
-            'print("notes"); print(json.dumps({"done": 1, "total": 4, "what": "a"}), flush=True)',
-            "time.sleep(0.2)",
-            'print(json.dumps({"done": 2, "total": 4, "what": "b"})); print(json.dumps({"result": [5]}))',
-        ),
-    )
-    assert jobs.running() is job
-    with pytest.raises(errors.FailureError, match="Work is under way"):
-        jobs.must_be_free()
-    job.wait()
-    assert (job.progress.done, job.progress.what, job.result) == (2, "b", [5])
-    assert job.error is None and 0 < job.time_left_s < 60
-    assert jobs.running() is None
-
-
-def test_a_jobs_error_is_its_sentence() -> None:
-    job = jobs.Job("Work", talk('sys.exit("rig.json: has no cameras")'))
-    job.wait()
-    assert job.error == "rig.json: has no cameras"
-    silent = jobs.Job("Work", talk("sys.exit(7)"))
-    silent.wait()
-    assert silent.error == "Work ended with status 7"
-    with pytest.raises(errors.FailureError, match="Work can't start"):
-        jobs.Job("Work", ["/no/such/program"])
-
-
-def test_a_cancelled_job_ends() -> None:
-    job = jobs.Job(
-        "Work",
-        talk(
-            "print(json.dumps({'done': 0, 'total': 1}), flush=True)", "time.sleep(60)"
-        ),
-    )
-    start_s = time.monotonic()
-    jobs.end_all()
-    assert time.monotonic() - start_s < 10
-    assert job.cancelled and job.error is None and jobs.running() is None
-
-
-def test_a_layout_is_a_rig(tmp_path: Path) -> None:
-    """A grid, row by row, its middle camera the reference; the same seed gives the same delays."""
-    layout = rig_layout.Layout("grid", 4, 2, 0.06, 64, 48, 36.0, 36.0, 30.0, 0.001, 5)
-    file = tmp_path / "rig.json"
-    file.write_text(json.dumps(rig_layout.content(layout)))
-    made = rig.load(file)
-    assert made.reference == "cam3" and len(made.cameras) == 8
-    places = [-np.array(c.cam_from_rig.translation_m) for c in made.cameras]
-    np.testing.assert_allclose(places[0], [-0.09, -0.03, 0], atol=1e-9)
-    np.testing.assert_allclose(places[7], [0.09, 0.03, 0], atol=1e-9)
-    delays = [c.delay_s for c in made.cameras]
-    assert all(0 <= d < 1 / 30 for d in delays) and len(set(delays)) == 8
-    assert rig_layout.content(layout) == rig_layout.content(layout)
-
-
-@pytest.mark.parametrize("channels", [1, 2, 3, 4])
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_samples_become_scene_linear(channels: int, kind: Any) -> None:
-    """Decoded, premultiplied, bottom row first; grey and opaque where there is no more."""
-    top = np.iinfo(kind).max
-    samples = np.full((2, 3, channels), top // 2, dtype=kind)
-    samples[0] = top
-    if channels in (2, 4):
-        samples[1, :, -1] = 0
-    linear = view.scene_linear(samples)
-    assert linear.shape == (2, 3, 4) and linear.dtype == np.float32
-    np.testing.assert_array_equal(linear[1], 1.0)
-    if channels in (2, 4):
-        assert not linear[0].any()
-    else:
-        np.testing.assert_allclose(linear[0, :, :3], 0.2126, atol=2e-3)
-        np.testing.assert_array_equal(linear[0, :, 3], 1.0)
-
-
-def test_filming_in_blenders_own_program(tmp_path: Path) -> None:
-    """With a stand-in that has `bpy`, chatters on stdout as Blender does, and runs the script that is named."""
-    program = tmp_path / "blender"
-    program.write_text(
-        f"#!{sys.executable} -I\n"
-        "import runpy, sys\n"
-        "assert sys.argv[1:3] == ['--background', '--factory-startup'], sys.argv\n"
-        "print('Blender 5.0.1 (hash of nothing)', flush=True)\n"
-        "runpy.run_path(sys.argv[sys.argv.index('--python') + 1], run_name='__main__')\n"
-    )
-    program.chmod(program.stat().st_mode | stat.S_IXUSR)
-    layout = rig_layout.Layout("one", 1, 1, 0.0, 32, 24, 36.0, 36.0, 30.0, 0.0, 1)
-    rig_file = tmp_path / "rig.json"
-    rig_file.write_text(json.dumps(rig_layout.content(layout)))
-    command = [sys.executable, "-I", str(ROOT / "blender/capture.py"), str(rig_file)]
-    command += ["--scene", "magazine", "-o", str(tmp_path / "film"), "--frames", "1"]
-    command += [
-        "--samples",
-        "1",
-        "--no-truth",
-        "--workers",
-        "1",
-        "--blender",
-        str(program),
-    ]
-    ended = subprocess.run(
-        command, capture_output=True, text=True, timeout=240, check=False
-    )
-    assert ended.returncode == 0, ended.stderr
-    said = [json.loads(line) for line in ended.stdout.splitlines()]
-    assert said[-1]["done"] == said[-1]["total"] == 1
-    assert pixels(tmp_path / "film/cam0/0000.png").shape == (24, 32, 4)
-
-
-def test_filming_begins_in_an_empty_folder(tmp_path: Path) -> None:
-    """And never over anything; what was begun and not filmed is undone."""
-    options = filming.Options("mine", 1, 1, False, 0, 1)
-    content = rig_layout.content(
-        rig_layout.Layout("one", 1, 1, 0.0, 32, 24, 36.0, 36.0, 30.0, 0.0, 1)
-    )
-    folder = tmp_path / "film"
-    blend = filming.begin(folder, content, options)
-    assert not filming.is_begun(folder)
-    blend.write_bytes(b"")
-    assert filming.is_begun(folder)
-    with pytest.raises(errors.BadInputError, match="resume it"):
-        filming.begin(folder, content, options)
-    command = filming.command(folder, ["python"], "/opt/blender")
-    assert command[-2:] == ["--blender", "/opt/blender"] and "--no-truth" in command
-    filming.tidy(folder)
-    assert not folder.exists()
-    (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(errors.BadInputError, match="isn't empty"):
-        filming.begin(tmp_path, content, options)
-    with pytest.raises(errors.BadInputError, match="holds no film"):
-        filming.command(tmp_path, ["python"], "")

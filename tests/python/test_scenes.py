@@ -3,23 +3,12 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-ROOT = Path(__file__).resolve().parents[2]
-
-spec = importlib.util.spec_from_file_location(
-    "stlfr_capture_script", ROOT / "blender" / "capture.py"
-)
-assert spec is not None and spec.loader is not None
-spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_extension
-
-rigs = importlib.import_module("stlfr_extension.rig")
-scenes = importlib.import_module("stlfr_extension.scenes")
+from filming import ROOT, rig, scenes
 
 WIDTH_PX, HEIGHT_PX = 80, 60
 
@@ -45,8 +34,9 @@ def studio_of(name: str) -> Any:
     """The scene with linear8 in it, tiny."""
     pytest.importorskip("bpy")
     film = importlib.import_module("stlfr_extension.film")
-    rig = rigs.resized(rigs.load(ROOT / "rigs" / "linear8.json"), WIDTH_PX, HEIGHT_PX)
-    return film.Studio(scenes.open_scene(name, None), (*rig.cameras, *rig.views), 2)
+    whole = rig.load(ROOT / "rigs" / "linear8.json")
+    tiny = rig.resized(whole, WIDTH_PX, HEIGHT_PX)
+    return film.Studio(scenes.open_scene(name, None), (*tiny.cameras, *tiny.views), 2)
 
 
 def picture(studio: Any, view_id: str, time_s: float, folder: Path) -> Any:

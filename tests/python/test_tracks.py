@@ -4,68 +4,54 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-import importlib.util
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from filming import by_script, errors, plan, rig_camera, right_of_centre, write_rig
 
-ROOT = Path(__file__).resolve().parents[2]
-CAPTURE_SCRIPT = ROOT / "blender" / "capture.py"
-
-spec = importlib.util.spec_from_file_location("stlfr_capture_script", CAPTURE_SCRIPT)
-assert spec is not None and spec.loader is not None
-spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_extension
-
-IDENTITY = {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]}
 FRAMES, POINTS = 4, 200
 
 Array = np.ndarray[Any, Any]
 
 
-def rig_camera(camera_id: str, delay_s: float, x_m: float) -> dict[str, Any]:
-    return {
-        "id": camera_id,
-        "width": 64,
-        "height": 48,
-        "lens_mm": 36.0,
-        "sensor_width_mm": 36.0,
-        "cam_from_rig": {**IDENTITY, "translation": [-x_m, 0, 0]},
-        "rate_hz": 30.0,
-        "delay_s": delay_s,
-        "jitter_s": 0.0,
-    }
-
-
 @pytest.fixture(scope="module")
 def rig_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two cameras, 10 cm and 0.37 frame apart."""
-    path = tmp_path_factory.mktemp("rig") / "rig.json"
-    content = {
-        "format": "stlfr-rig",
-        "version": 1,
-        "name": "pair",
-        "seed": 3,
-        "reference": "ref",
-        "cameras": [
-            rig_camera("ref", 0.003, 0.0),
-            rig_camera("late", 0.003 + 0.37 / 30, 0.1),
-        ],
-    }
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return path
+    return write_rig(
+        tmp_path_factory.mktemp("rig") / "rig.json",
+        rig_camera("ref", delay_s=0.003),
+        rig_camera(
+            "late", delay_s=0.003 + 0.37 / 30, cam_from_rig=right_of_centre(0.1)
+        ),
+    )
+
+
+PLACES_M = {"ref": 0.0, "late": 0.1, "bent": -0.08}
+"""How far right of the rig's centre each camera stands."""
+
+
+@pytest.fixture(scope="module")
+def rig_with_a_bent_lens(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The two, and one whose picture's corners are off by 2 px."""
+    lens_error = {"k1": -0.25, "k2": 0.05, "p1": 0.004, "p2": -0.003}
+    cameras = [
+        rig_camera(
+            name,
+            delay_s=0.003 + late / 30,
+            cam_from_rig=right_of_centre(PLACES_M[name]),
+        )
+        for name, late in (("ref", 0.0), ("late", 0.37), ("bent", 0.7))
+    ]
+    cameras[2]["distortion"] = lens_error
+    return write_rig(tmp_path_factory.mktemp("rig") / "rig.json", *cameras)
 
 
 def film(*arguments: object) -> None:
-    command = [sys.executable, "-I", str(CAPTURE_SCRIPT), *map(str, arguments)]
-    result = subprocess.run(
-        command, check=False, capture_output=True, text=True, timeout=240
-    )
+    result = by_script(*arguments)
     assert result.returncode == 0, result.stderr
 
 
@@ -76,7 +62,9 @@ def wave_m(x: Array, time_s: float) -> Array:
 
 
 @pytest.fixture(scope="module")
-def tracked(rig_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def tracked(
+    rig_with_a_bent_lens: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     """The film of a bending sheet 2 m away, with a smaller plate that slides before it at 1.5 m."""
     bpy = pytest.importorskip("bpy")
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -117,7 +105,11 @@ def tracked(rig_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     options = ["--frames", FRAMES, "--samples", 1, "--tracks", POINTS]
     # At the reference's second frame.
     options += ["--instants-s", 1 / 30]
-    film(rig_file, "--blend", folder / "sheet.blend", "-o", folder / "film", *options)
+    film(
+        rig_with_a_bent_lens,
+        *("--blend", folder / "sheet.blend", "-o", folder / "film"),
+        *options,
+    )
     return folder / "film"
 
 
@@ -134,26 +126,11 @@ def read_tracks(capture: Path) -> tuple[dict[str, Any], dict[str, dict[str, Arra
     return content, arrays
 
 
-def projected(capture: Path, camera_id: str, world_m: Array) -> Array:
-    """Through the camera as capture.json has it."""
-    cameras = json.loads((capture / "capture.json").read_text())["cameras"]
-    entry = next(camera for camera in cameras if camera["id"] == camera_id)
-    w, *v = entry["cam_from_world"]["rotation_wxyz"]
-    axis = np.array(v)
-    turned = (
-        world_m
-        + 2 * w * np.cross(axis, world_m)
-        + 2 * np.cross(axis, np.cross(axis, world_m))
-    )
-    x, y, z = np.moveaxis(turned + entry["cam_from_world"]["translation"], -1, 0)
-    fx, fy, cx, cy = entry["params"]
-    return np.stack([fx * x / z + cx, fy * y / z + cy], axis=-1)
-
-
 def test_tracks_follow_what_moves_and_bends(tracked: Path) -> None:
     content, arrays = read_tracks(tracked)
     truth = json.loads((tracked / "truth/truth.json").read_text())
     assert truth["tracks"] == "tracks/tracks.json"
+    opened = importlib.import_module("stlfr").open(tracked)
     assert content["objects"] == ["plate", "sheet"]
     on_sheet = np.array(content["object"]) == 1
     assert len(on_sheet) == POINTS and 0.05 < on_sheet.mean() < 0.95
@@ -165,9 +142,8 @@ def test_tracks_follow_what_moves_and_bends(tracked: Path) -> None:
         assert world.shape == (FRAMES, POINTS, 3) and world.dtype == np.float64
         assert pixels.shape == (FRAMES, POINTS, 2) and pixels.dtype == np.float64
         assert visible.shape == (FRAMES, POINTS) and visible.dtype == np.uint8
-        assert pixels == pytest.approx(
-            projected(tracked, camera["id"], world), abs=1e-9
-        )
+        by_module = opened.project(camera["id"], world.reshape(-1, 3))
+        assert pixels.reshape(-1, 2) == pytest.approx(by_module, abs=1e-9, nan_ok=True)
         for k, clock_s in enumerate(camera["times_s"]):
             time_s = clock_s + 0.003  # the reference's clock reads 0 at its delay
             plate, sheet = world[k][~on_sheet], world[k][on_sheet]
@@ -192,7 +168,7 @@ def test_visibility_is_what_stands_before_a_point(tracked: Path) -> None:
         world, pixels, visible = (
             arrays[camera["id"]][name] for name in ("world", "pixels", "visible")
         )
-        centre = np.array([0.1 if camera["id"] == "late" else 0.0, 0.0, 0.0])
+        centre = np.array([PLACES_M[camera["id"]], 0.0, 0.0])
         inside = ((pixels >= 0) & (pixels <= (64, 48))).all(axis=-1)
         for k, clock_s in enumerate(camera["times_s"]):
             # Where the way to the point passes the plate's plane.
@@ -316,8 +292,6 @@ def test_workbench_sees_the_same_geometry_as_cycles(
 
 
 def test_a_film_never_mixes_engines_or_instants(rig_file: Path, tmp_path: Path) -> None:
-    plan = importlib.import_module("stlfr_extension.plan")
-    errors = importlib.import_module("stlfr_extension.errors")
     options = plan.Options(rig_file, "template", None, None, 4, 1, 0, 0, True)
     plan.claim(plan.make(options), tmp_path / "film")
     plan.claim(plan.make(options), tmp_path / "film")
@@ -331,8 +305,6 @@ def test_a_film_never_mixes_engines_or_instants(rig_file: Path, tmp_path: Path) 
 def test_an_instant_that_not_all_cameras_film_is_refused(
     rig_file: Path, instant_s: float
 ) -> None:
-    plan = importlib.import_module("stlfr_extension.plan")
-    errors = importlib.import_module("stlfr_extension.errors")
     options = plan.Options(
         rig_file, "template", None, None, 4, 1, 0, 0, True, instants_s=(0.05, instant_s)
     )

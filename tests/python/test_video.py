@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,8 @@ import cv2
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from filming import by_script, rig_camera, write_rig
 
-ROOT = Path(__file__).resolve().parents[2]
 FRAMES = 3
 
 
@@ -22,43 +21,19 @@ def film(rig: Path, folder: Path, *more: str) -> list[dict[str, Any]]:
     """What the filming script reports."""
     options = ["--scene", "magazine", "--frames", str(FRAMES), "--samples", "1"]
     options += ["--no-truth", "--workers", "1", *more]
-    script = str(ROOT / "blender/capture.py")
-    command = [sys.executable, "-I", script, str(rig), "-o", str(folder), *options]
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=True, timeout=240
-    )
+    done = by_script(rig, "-o", folder, *options)
+    assert done.returncode == 0, done.stderr
     return [json.loads(line) for line in done.stdout.splitlines()]
-
-
-def camera(camera_id: str, delay_s: float, color: str) -> dict[str, Any]:
-    return {
-        "id": camera_id,
-        "width": 64,
-        "height": 48,
-        "lens_mm": 36.0,
-        "sensor_width_mm": 36.0,
-        "cam_from_rig": {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]},
-        "rate_hz": 30.0,
-        "delay_s": delay_s,
-        "jitter_s": 0.0,
-        "color": color,
-    }
 
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A colour camera and a grey one."""
-    path = tmp_path_factory.mktemp("rig") / "two.json"
-    content = {
-        "format": "stlfr-rig",
-        "version": 1,
-        "name": "two",
-        "seed": 3,
-        "reference": "a",
-        "cameras": [camera("a", 0.0, "rgb"), camera("b", 0.01, "gray")],
-    }
-    path.write_text(json.dumps(content))
-    return path
+    return write_rig(
+        tmp_path_factory.mktemp("rig") / "two.json",
+        rig_camera("a"),
+        rig_camera("b", delay_s=0.01, color="gray"),
+    )
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,214 @@
+"""What the steps use: the installed extension's parts, a scene, pictures, and a stand-in for Blender's layout."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import bpy
+
+MODULE = "bl_ext.user_default.stlfr"
+
+
+def part(name: str) -> Any:
+    """A module of the installed extension."""
+    return importlib.import_module(f"{MODULE}.{name}")
+
+
+def enable() -> bool:
+    """As the preferences do; whether it is enabled then."""
+    addon_utils = importlib.import_module("addon_utils")
+    return addon_utils.enable(MODULE, default_set=True) is not None
+
+
+def refused(operator: Any, **properties: Any) -> str:
+    """The sentence with which an operator refuses."""
+    try:
+        operator(**properties)
+    except RuntimeError as error:
+        return str(error).strip()
+    raise AssertionError(f"{operator} isn't refused")
+
+
+def plain(scene: Any) -> None:
+    """The picture as it is, in a PNG with alpha."""
+    scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"
+    scene.render.dither_intensity = 0.0
+    scene.render.image_settings.file_format = "PNG"
+    scene.render.image_settings.color_mode = "RGBA"
+    scene.render.resolution_percentage = 100
+
+
+def moving_scene() -> Any:
+    """A textured board that slides by, 1.5 m before the camera."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert enable()
+    scene = bpy.context.scene
+    scene.render.fps = 24
+    bpy.ops.mesh.primitive_plane_add(
+        size=3.0, location=(0, 1.5, 0), rotation=(math.pi / 2, 0, 0)
+    )
+    board = bpy.context.object
+    material = bpy.data.materials.new("board")
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    texture, light, output = (
+        nodes.new(f"ShaderNode{kind}")
+        for kind in ("TexVoronoi", "Emission", "OutputMaterial")
+    )
+    texture.inputs["Scale"].default_value = 18.0
+    links.new(texture.outputs["Color"], light.inputs["Color"])
+    links.new(light.outputs["Emission"], output.inputs["Surface"])
+    board.data.materials.append(material)
+    for frame, x in ((1, 0.0), (25, 1.0)):
+        board.location.x = x
+        board.keyframe_insert("location", index=0, frame=frame)
+    scene.camera = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    scene.collection.objects.link(scene.camera)
+    scene.camera.rotation_euler = (math.pi / 2, 0, 0)
+    return scene
+
+
+def create_rig() -> None:
+    """Three small cameras."""
+    bpy.ops.stlfr.rig_create(
+        rig_name="three",
+        columns=3,
+        width_px=64,
+        height_px=48,
+        lens_mm=36.0,
+        jitter_s=0.0005,
+    )
+
+
+def described(scene: Any) -> list[Any]:
+    """What filming must leave as it is."""
+    render = scene.render
+    return [
+        sorted(o.name for o in bpy.data.objects),
+        render.engine,
+        render.resolution_x,
+        scene.frame_current,
+        scene.camera.name,
+        bpy.data.filepath,
+    ]
+
+
+def middle_s(capture: str) -> float:
+    """A time between frames of the reference camera, in the middle of the film."""
+    opened = importlib.import_module("stlfr").open(capture)
+    times_s = opened.times(opened.reference)
+    half = len(times_s) // 2
+    return float(0.6 * times_s[half - 1] + 0.4 * times_s[half])
+
+
+def place(scene: Any, filmed: dict[str, Any]) -> None:
+    """The scene's camera where a filming camera is."""
+    camera = part("camera")
+    pinhole = camera.Pinhole(filmed["width"], filmed["height"], *filmed["params"])
+    lens = camera.lens_from_pinhole(pinhole)
+    transform = filmed["cam_from_world"]
+    pose = camera.RigidTransform(
+        tuple(transform["rotation_wxyz"]), tuple(transform["translation"])
+    )
+    data = scene.camera.data
+    data.sensor_fit, data.lens, data.sensor_width = "HORIZONTAL", lens.lens_mm, 36.0
+    data.shift_x, data.shift_y = lens.shift_x, lens.shift_y
+    scene.render.resolution_x, scene.render.resolution_y = lens.width_px, lens.height_px
+    scene.camera.matrix_world = importlib.import_module("mathutils").Matrix(
+        camera.blender_matrix(pose).tolist()
+    )
+
+
+def picture(
+    scene: Any, work: Path, time_s: float, name: str = "picture"
+) -> dict[str, Any]:
+    """F12 at a capture's time; where the PNG lies, and what `stlfr render` needs for the same."""
+    scene.render.engine = "STLFR"
+    if name == "picture":
+        plain(scene)
+        scene.render.resolution_x, scene.render.resolution_y = 64, 48
+        scene.camera.data.lens, scene.camera.location.x = 36.0, 0.01
+        scene.stlfr.proxy, scene.stlfr.use_plane_depth = "plane", True
+        scene.stlfr.plane_depth_m = 1.5
+    settings, view = scene.stlfr, part("view")
+    frame = scene.frame_start + (time_s - settings.time_offset_s) * scene.render.fps
+    scene.frame_set(int(frame // 1), subframe=frame % 1)
+    scene.render.filepath = str(work / f"{name}.png")
+    bpy.ops.render.render(write_still=True)
+    request = view.request(scene, scene.camera, Path(settings.capture))
+    return {
+        "file": scene.render.filepath,
+        "wanted_s": time_s,
+        "time_s": request.time_s,
+        "camera": request.camera,
+        "options": request.options,
+    }
+
+
+class Layout:
+    """Stands for Blender's layout, which this Blender can't show: refuses what isn't there."""
+
+    def __init__(self) -> None:
+        self.drawn: list[str] = []
+        self.enabled = True
+        self.use_property_split = False
+
+    def row(self, align: bool = False) -> Layout:
+        return self
+
+    column = row
+
+    def label(self, text: str = "", icon: str = "NONE") -> None:
+        self.drawn.append(text)
+
+    def prop(self, data: Any, name: str, text: str = "") -> None:
+        self.drawn.append(data.bl_rna.properties[name].name)
+
+    def operator(self, name: str, text: str = "", icon: str = "NONE") -> Any:
+        kind = getattr(bpy.ops.stlfr, name.removeprefix("stlfr.")).get_rna_type()
+        icons = (
+            bpy.types.UILayout.bl_rna.functions["prop"].parameters["icon"].enum_items
+        )
+        assert icon in icons.keys(), icon  # noqa: SIM118 - a collection of Blender's
+        self.drawn.append(text or kind.name)
+        return SimpleNamespace()
+
+    def progress(self, factor: float, text: str) -> None:
+        assert 0 <= factor <= 1
+        self.drawn.append(text)
+
+    def template_list(
+        self, kind: str, _: str, data: Any, name: str, index_data: Any, index: str
+    ) -> None:
+        assert isinstance(getattr(index_data, index), int)
+        for item in getattr(data, name):
+            line = Layout()
+            one = getattr(bpy.types, kind)
+            one.draw_item(None, None, line, data, item, None, None, "")
+            self.drawn.append(" ".join(line.drawn))
+
+
+def drawn() -> list[str]:
+    """All that the panels show now."""
+    scene = bpy.context.scene
+    found: list[str] = []
+    camera = next(
+        (o for o in scene.objects if o.type == "CAMERA" and o.stlfr.role == "CAMERA"),
+        None,
+    )
+    context = SimpleNamespace(scene=scene, object=camera, engine="STLFR")
+    for kind in part("panels").CLASSES:
+        if not issubclass(kind, bpy.types.Panel):
+            continue
+        layout = Layout()
+        fake = SimpleNamespace(layout=layout)
+        if not hasattr(kind, "poll") or kind.poll(context):
+            kind.draw(fake, context)
+            if hasattr(kind, "draw_header"):
+                kind.draw_header(fake, context)
+        found += [f"{kind.bl_label}: {text}" for text in layout.drawn]
+    return found
