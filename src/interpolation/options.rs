@@ -95,11 +95,12 @@ impl Default for MorphOptions {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RefineOptions {
-    /// Half the side of the window that a hypothesis is judged over, pixels. Larger: outlines grow
-    /// by as much; smaller: noise decides.
+    /// Half the side of the window that a hypothesis is judged over, pixels of an image
+    /// [`Self::SIZE_PX`] large; in larger ones in proportion, as what they show is. Larger: outlines
+    /// grow by as much; smaller: noise decides.
     pub window_radius_px: usize,
-    /// How far around a place tracks are looked for, pixels. Smaller: in the gap between two
-    /// surfaces one of them is not tried.
+    /// How far around a place tracks are looked for, pixels of such an image. Smaller: in the gap
+    /// between two surfaces one of them is not tried.
     pub search_radius_px: f64,
     /// Motions within this of each other, pixels a frame, are one.
     pub same_motion_px: f64,
@@ -124,6 +125,12 @@ pub struct RefineOptions {
     pub outer_slack: f32,
     /// A difference larger by this makes an outer frame count 1/e as much.
     pub outer_softness: f32,
+}
+
+impl RefineOptions {
+    /// The longer side of the image that lengths are given for, pixels. (Magazine scene, moving
+    /// part: at 640×480 a radius of 2 gives 29.1 dB, of 4 30.0; at 320×240 2 is best.)
+    pub const SIZE_PX: f64 = 320.0;
 }
 
 impl Default for RefineOptions {

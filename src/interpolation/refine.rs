@@ -50,6 +50,7 @@ pub fn refined(
     let (w, h, channels) =
         (frames.earlier.width(), frames.earlier.height(), frames.earlier.channels());
     let dissolved = mixed(&warped[0], &warped[1], frames.share);
+    let options = &scaled(options, w.max(h));
     let costs = box_mean(&difference(&warped[0], &warped[1]), w, h, options.window_radius_px);
 
     let neighbors = Neighbors::new(motions.iter().map(|m| m.at));
@@ -83,6 +84,16 @@ pub fn refined(
         }
     });
     Image::from_data(w, h, channels, data)
+}
+
+/// The options with their lengths as they are in an image of this size.
+fn scaled(options: &RefineOptions, size_px: usize) -> RefineOptions {
+    let scale = (size_px as f64 / RefineOptions::SIZE_PX).max(1.0);
+    RefineOptions {
+        window_radius_px: (options.window_radius_px as f64 * scale).round() as usize,
+        search_radius_px: options.search_radius_px * scale,
+        ..options.clone()
+    }
 }
 
 /// The four blocks that a pixel lies in.
