@@ -39,14 +39,18 @@ mod naive {
         }
 
         fn scharr(&self, x: i64, y: i64) -> Vector2<f64> {
-            // Beyond the border the gradient is the border's.
-            let (x, y) = (x.clamp(0, self.w as i64 - 1), y.clamp(0, self.h as i64 - 1));
             let mut g = Vector2::zeros();
             for (k, weight) in [(-1, 3.0), (0, 10.0), (1, 3.0)] {
                 g.x += weight * (self.at(x + 1, y + k) - self.at(x - 1, y + k)) / 32.0;
                 g.y += weight * (self.at(x + k, y + 1) - self.at(x + k, y - 1)) / 32.0;
             }
             g
+        }
+
+        /// Of a sample, how much is not beyond the border.
+        fn share_inside(&self, p: &Vector2<f64>) -> f64 {
+            let along = |v: f64, n: usize| (v + 1.0).min(n as f64 - v).clamp(0.0, 1.0);
+            along(p.x, self.w) * along(p.y, self.h)
         }
 
         fn half(&self) -> Self {
@@ -107,7 +111,8 @@ mod naive {
             let template: Vec<_> = window()
                 .map(|o| {
                     let at = p + place(o);
-                    (between(&at, |x, y| a.at(x, y)), between(&at, |x, y| a.scharr(x, y)))
+                    let inside = a.share_inside(&at);
+                    (between(&at, |x, y| a.at(x, y)), between(&at, |x, y| a.scharr(x, y)) * inside)
                 })
                 .collect();
             let tensor: Matrix2<f64> = template.iter().map(|(_, g)| g * g.transpose()).sum();

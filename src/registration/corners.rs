@@ -100,9 +100,8 @@ fn min_eigenvalues(level: &Level, radius: usize) -> Vec<f32> {
     let mut xy = vec![0.0; w * h];
     let mut yy = vec![0.0; w * h];
     for y in 0..h {
-        let from = level.index(0, y as isize);
         for x in 0..w {
-            let (gx, gy) = (level.dx[from + x], level.dy[from + x]);
+            let (gx, gy) = level.gradient(x, y);
             let at = y * w + x;
             (xx[at], xy[at], yy[at]) = (gx * gx, gx * gy, gy * gy);
         }

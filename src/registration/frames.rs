@@ -27,7 +27,7 @@ impl Frame {
     }
 
     fn bytes(&self) -> usize {
-        let level: usize = self.pyramid.levels().iter().map(|l| l.value.len() * 3).sum();
+        let level: usize = self.pyramid.levels().iter().map(|l| l.value.len()).sum();
         size_of::<f32>() * (self.image.data().len() + level)
     }
 }
