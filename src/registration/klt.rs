@@ -127,12 +127,23 @@ impl<'a> Tracker<'a> {
         from: Point2<f64>,
         guess: Point2<f64>,
     ) -> Option<Tracked> {
-        let (levels, refine) = (self.options.levels, self.options.affine.radius_px > 0);
+        self.track_over(source, target, from, guess, self.options.levels)
+    }
+
+    /// As [`Self::track`], on so many of the finest levels only, for a guess that is near.
+    pub fn track_over(
+        &mut self,
+        source: &Pyramid,
+        target: &Pyramid,
+        from: Point2<f64>,
+        guess: Point2<f64>,
+        levels: usize,
+    ) -> Option<Tracked> {
+        let refine = self.options.affine.radius_px > 0;
         self.find(&Job { source, target, from, guess, levels, refine })
     }
 
-    /// As [`Self::track`], on so many of the finest levels only, for a guess that is near, and
-    /// without the refinement.
+    /// As [`Self::track_over`], without the refinement.
     pub fn track_levels(
         &mut self,
         source: &Pyramid,
