@@ -5,6 +5,7 @@ use super::{Frame, FrameStore, Guide, Neighbors, Path, RegistrationOptions, Trac
 use crate::capture::CaptureError;
 use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
+use std::ops::ControlFlow;
 
 /// A correspondence between two frames, pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -74,8 +75,8 @@ impl Track {
 /// Pyramid levels on the way back, whose answer should be where it started: the coarse levels
 /// would cost as much again and only help a track that is wrong.
 const BACK_LEVELS: usize = 2;
-/// Pyramid levels of one frame further, where the motion tells where to look.
-const NEXT_LEVELS: usize = 2;
+/// Pyramid levels of one frame further, where the motion tells where to look, and on the way back.
+const NEXT_LEVELS: [usize; 2] = [2, 1];
 /// Points are tracked in bands of this height, pixels. Larger: their windows don't fit the cache;
 /// smaller: neither do those above and below.
 const BAND_PX: f64 = 24.0;
@@ -93,15 +94,15 @@ pub fn flow(
     starts: &[Start],
     options: &RegistrationOptions,
 ) -> Vec<Option<Match>> {
-    flow_over(source, target, starts, options.klt.levels, options)
+    flow_over(source, target, starts, [options.klt.levels, BACK_LEVELS], options)
 }
 
-/// As [`flow`], on so many of the finest levels only.
+/// As [`flow`], on so many of the finest levels only, there and back.
 fn flow_over(
     source: &Frame,
     target: &Frame,
     starts: &[Start],
-    levels: usize,
+    [levels, back_levels]: [usize; 2],
     options: &RegistrationOptions,
 ) -> Vec<Option<Match>> {
     // Band by band, so that the windows of one point are still at hand for the next.
@@ -121,7 +122,7 @@ fn flow_over(
                     let [source, target] = [&source.pyramid, &target.pyramid];
                     let found = tracker.track_over(source, target, from, guess, levels)?;
                     let to = found.position;
-                    let back = tracker.track_levels(target, source, to, from, BACK_LEVELS)?;
+                    let back = tracker.track_levels(target, source, to, from, back_levels)?;
                     let back_error_px = (back.position - from).norm();
                     (back_error_px <= options.max_back_error_px).then_some(Match {
                         source: from,
@@ -297,11 +298,17 @@ fn votes(motions: &[(Point2<f64>, Vector2<f64>)], options: &RegistrationOptions)
         .par_iter()
         .enumerate()
         .map(|(k, (p, motion))| {
-            let near = neighbors.within(p, options.support_radius_px);
             let limit = options.support_px + options.support_share * motion.norm();
-            let agreeing =
-                near.iter().filter(|&&n| n != k && (motions[n].1 - motion).norm() <= limit).count();
-            near.len().saturating_sub(1) < options.min_support || agreeing >= options.min_support
+            let (mut asked, mut agreeing) = (0, 0);
+            neighbors.each_within(p, options.support_radius_px, |n| {
+                asked += usize::from(n != k);
+                agreeing += usize::from(n != k && (motions[n].1 - motion).norm() <= limit);
+                if agreeing >= options.min_support {
+                    return ControlFlow::Break(());
+                }
+                ControlFlow::Continue(())
+            });
+            agreeing >= options.min_support || asked < options.min_support
         })
         .collect()
 }
