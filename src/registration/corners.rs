@@ -1,5 +1,9 @@
 //! §4.1: corners by the structure tensor's smaller eigenvalue, kept apart by a minimum distance.
 
+#[cfg(target_arch = "x86_64")]
+use super::klt::has_registers;
+#[cfg(target_arch = "x86_64")]
+use super::lanes::Avx2;
 use super::lanes::{LANES, Plain, Vector, scharr};
 use super::pyramid::Level;
 use nalgebra::Point2;
@@ -97,6 +101,22 @@ fn refined(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> Point2<f
 /// The structure tensor's smaller eigenvalue a pixel, averaged over a box twice: a triangular
 /// window, whose response has a peak where a box's has a plateau. Borders repeated.
 fn min_eigenvalues(level: &Level, radius: usize) -> Vec<f32> {
+    #[cfg(target_arch = "x86_64")]
+    if has_registers() {
+        // SAFETY: the processor has the features.
+        return unsafe { min_eigenvalues_avx2(level, radius) };
+    }
+    min_eigenvalues_by::<Plain>(level, radius)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn min_eigenvalues_avx2(level: &Level, radius: usize) -> Vec<f32> {
+    min_eigenvalues_by::<Avx2>(level, radius)
+}
+
+#[inline(always)]
+fn min_eigenvalues_by<V: Vector>(level: &Level, radius: usize) -> Vec<f32> {
     let (w, h) = (level.width, level.height);
     let side = 2 * radius + 1;
     let taps: Vec<f32> =
@@ -109,7 +129,7 @@ fn min_eigenvalues(level: &Level, radius: usize) -> Vec<f32> {
     let mut sums = Tensor::zeros(w);
     for y in 0..h {
         while next <= (y + 2 * radius).min(h - 1) {
-            products.take(level, next, 2 * radius);
+            products.take::<V>(level, next, 2 * radius);
             rows[next % taps.len()].smooth_across(&products, &taps);
             next += 1;
         }
@@ -138,11 +158,13 @@ impl Tensor {
         Self { planes: std::array::from_fn(|_| vec![0.0; width]) }
     }
 
+    #[inline(always)]
     fn clear(&mut self) {
         self.planes.iter_mut().for_each(|plane| plane.fill(0.0));
     }
 
     /// Adds another row's values, from `shift` on, so many times.
+    #[inline(always)]
     fn add(&mut self, other: &Self, shift: usize, factor: f32) {
         for (plane, other) in self.planes.iter_mut().zip(&other.planes) {
             for (sum, v) in plane.iter_mut().zip(&other[shift..]) {
@@ -151,6 +173,7 @@ impl Tensor {
         }
     }
 
+    #[inline(always)]
     fn smooth_across(&mut self, products: &Self, taps: &[f32]) {
         self.clear();
         for (k, &tap) in taps.iter().enumerate() {
@@ -159,11 +182,12 @@ impl Tensor {
     }
 
     /// The products of a row's derivatives (times 32), its ends repeated `margin` times.
-    fn take(&mut self, level: &Level, y: usize, margin: usize) {
+    #[inline(always)]
+    fn take<V: Vector>(&mut self, level: &Level, y: usize, margin: usize) {
         let [xx, xy, yy] = &mut self.planes;
         for x in (0..level.width).step_by(LANES) {
             let at = level.index(x as isize, y as isize);
-            let [dx, dy] = scharr::<Plain>(&level.value, at, level.stride).map(Vector::to_lanes);
+            let [dx, dy] = scharr::<V>(&level.value, at, level.stride).map(Vector::to_lanes);
             let used = x + margin..(x + LANES).min(level.width) + margin;
             for (k, (dx, dy)) in used.zip(dx.iter().zip(dy)) {
                 (xx[k], xy[k], yy[k]) = (dx * dx, dx * dy, dy * dy);
