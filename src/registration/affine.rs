@@ -8,8 +8,9 @@
 //!
 //! Known limit: a window across an outline follows the body that has more texture in it.
 
-use super::lanes::{LANES, Vector, catmull_rom, scharr};
+use super::lanes::{LANES, Vector, catmull_rom};
 use super::pyramid::Level;
+use super::window::scharr;
 use nalgebra::{Cholesky, Const, Matrix2, Point2, SMatrix, SVector, Vector2};
 use serde::{Deserialize, Serialize};
 

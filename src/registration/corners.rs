@@ -4,8 +4,9 @@
 use super::klt::has_registers;
 #[cfg(target_arch = "x86_64")]
 use super::lanes::Avx2;
-use super::lanes::{LANES, Plain, Vector, scharr};
+use super::lanes::{LANES, Plain, Vector};
 use super::pyramid::Level;
+use super::window::scharr;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 

@@ -6,59 +6,14 @@
 //! Known limits: pure translation, no gain change; windows that straddle a depth edge follow
 //! whichever side has more texture.
 
-use super::affine::{AffineOptions, Refiner};
+use super::KltOptions;
+use super::affine::Refiner;
 #[cfg(target_arch = "x86_64")]
 use super::lanes::Avx2;
-use super::lanes::{LANES, Plain, Vector, Window, scharr};
+use super::lanes::{LANES, Plain, Vector};
 use super::pyramid::{Level, Pyramid};
+use super::window::{Window, corner, scharr, share_inside};
 use nalgebra::{Point2, Vector2};
-use serde::{Deserialize, Serialize};
-
-/// How windows are tracked.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct KltOptions {
-    /// Half the side of the window, pixels. Larger: steadier, but blends the motions on both
-    /// sides of an edge; smaller: noisier.
-    pub radius_px: usize,
-    /// Pyramid levels at most. More reach larger motion, and confuse small things with their
-    /// surroundings.
-    pub levels: usize,
-    /// Iterations a level at most.
-    pub iterations: usize,
-    /// A level has converged when a step is below this, pixels.
-    pub epsilon_px: f64,
-    /// Least eigenvalue of the window's structure tensor, per pixel, values 0..=1. Smaller: tracks
-    /// that slide along edges; larger: faint texture is lost.
-    pub min_eigenvalue: f64,
-    /// Largest mean absolute difference of the two windows, values 0..=1.
-    pub max_residual: f64,
-    /// The last step, that allows the window to deform; off unless asked for (`radius_px`). Inside
-    /// turning bodies it halves the error, but its larger window crosses outlines: on the magazine
-    /// film at 320×240 offsets, synchronized images and views all come out slightly worse with it.
-    pub affine: AffineOptions,
-}
-
-impl Default for KltOptions {
-    fn default() -> Self {
-        Self {
-            radius_px: 5,
-            levels: 4,
-            iterations: 20,
-            epsilon_px: 0.003,
-            min_eigenvalue: 2e-6,
-            max_residual: 0.06,
-            affine: AffineOptions { radius_px: 0, ..AffineOptions::default() },
-        }
-    }
-}
-
-impl KltOptions {
-    /// The border that a pyramid needs for these windows.
-    pub fn pad_px(&self) -> usize {
-        (self.radius_px + LANES + 3).max(self.affine.pad_px())
-    }
-}
 
 /// Coarse levels have converged when a step is below this, pixels of theirs. Larger: the finer
 /// levels take more steps; smaller: the coarse ones do.
@@ -371,13 +326,6 @@ impl<'a> Tracker<'a> {
     }
 }
 
-/// How much of a sample at `v` (0: the first pixel's centre) comes from inside the image: what is
-/// outside is a copy of the border, and has no say.
-#[inline(always)]
-fn share_inside(v: f64, size: usize) -> f32 {
-    (1.0 + v.min(size as f64 - 1.0 - v)).clamp(0.0, 1.0) as f32
-}
-
 /// Whether the processor has what [`Avx2`] needs.
 #[cfg(target_arch = "x86_64")]
 pub(super) fn has_registers() -> bool {
@@ -388,19 +336,6 @@ enum Outcome {
     Converged,
     Flat,
     Outside,
-}
-
-/// The padded index of a window's top-left sample and its place within that pixel; `None` if the
-/// window's middle is more than a pixel outside the image.
-#[inline(always)]
-fn corner(level: &Level, p: &Vector2<f64>, radius: usize) -> Option<(usize, [f32; 2])> {
-    let inside = |v: f64, size: usize| v >= -1.0 && v <= size as f64;
-    if !(inside(p.x, level.width) && inside(p.y, level.height)) {
-        return None;
-    }
-    let (x, y) = (p.x.floor(), p.y.floor());
-    let base = level.index(x as isize - radius as isize, y as isize - radius as isize);
-    Some((base, [(p.x - x) as f32, (p.y - y) as f32]))
 }
 
 #[cfg(test)]

@@ -3,7 +3,8 @@
 //! Only values are kept: gradients are taken where they are needed, from a window that has just
 //! been read, which costs less than planes of them.
 
-use super::lanes::{LANES, Plain, Vector, scharr};
+use super::lanes::{LANES, Plain, Vector};
+use super::window::scharr;
 use crate::raster::Image;
 
 /// A pyramid of half-sized levels, the full image first.
