@@ -39,14 +39,18 @@ mod naive {
         }
 
         fn scharr(&self, x: i64, y: i64) -> Vector2<f64> {
-            // Beyond the border the gradient is the border's.
-            let (x, y) = (x.clamp(0, self.w as i64 - 1), y.clamp(0, self.h as i64 - 1));
             let mut g = Vector2::zeros();
             for (k, weight) in [(-1, 3.0), (0, 10.0), (1, 3.0)] {
                 g.x += weight * (self.at(x + 1, y + k) - self.at(x - 1, y + k)) / 32.0;
                 g.y += weight * (self.at(x + k, y + 1) - self.at(x + k, y - 1)) / 32.0;
             }
             g
+        }
+
+        /// Of a sample, how much is not beyond the border.
+        fn share_inside(&self, p: &Vector2<f64>) -> f64 {
+            let along = |v: f64, n: usize| (v + 1.0).min(n as f64 - v).clamp(0.0, 1.0);
+            along(p.x, self.w) * along(p.y, self.h)
         }
 
         fn half(&self) -> Self {
@@ -107,7 +111,8 @@ mod naive {
             let template: Vec<_> = window()
                 .map(|o| {
                     let at = p + place(o);
-                    (between(&at, |x, y| a.at(x, y)), between(&at, |x, y| a.scharr(x, y)))
+                    let inside = a.share_inside(&at);
+                    (between(&at, |x, y| a.at(x, y)), between(&at, |x, y| a.scharr(x, y)) * inside)
                 })
                 .collect();
             let tensor: Matrix2<f64> = template.iter().map(|(_, g)| g * g.transpose()).sum();
@@ -443,6 +448,59 @@ fn the_epipolar_test_removes_what_is_off_its_line() {
         assert!(caught > 50 && missed * 20 <= caught, "{counts:?}");
         assert!(kept > 300 && harmed * 25 <= kept, "{counts:?}");
     }
+}
+
+/// A camera at half the rate has no frame in the interval; its own tracks tell what is between.
+#[test]
+fn a_slower_reference_is_interpolated() {
+    let cameras = worlds::line_rig(2, 320);
+    let (folder, full) = filmed(&case("magazine"), &cameras, &[0.0, 0.4], 4);
+    let path = |k: usize| folder.path().join(format!("cam1/{k:04}.png"));
+    std::fs::rename(path(2), path(1)).expect("its second frame");
+    for k in [2, 3] {
+        let _ = std::fs::remove_file(path(k));
+    }
+    let own = full.cameras[0].clock.times_s.clone();
+    let step = own[1] - own[0];
+    let file = folder.path().join("capture.json");
+    let text = std::fs::read_to_string(&file).expect("the capture");
+    let mut json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let first = full.cameras[1].clock.times_s[0] - own[0];
+    json["cameras"][1]["clock"] =
+        serde_json::json!({"times_s": [first, first + 2.0 * step], "shared": true});
+    std::fs::write(&file, json.to_string()).expect("the capture");
+    let capture = Arc::new(Capture::open(folder.path()).expect("a capture"));
+    let times = times(&capture);
+    let store = FrameStore::new(capture.clone(), &RegistrationOptions::default());
+    let own = times[0].as_ref().expect("known");
+    let slow = times[1].as_ref().expect("known");
+    assert!(slow[0] < own[1] && own[2] < slow[1], "{own:?} {slow:?}");
+    let chosen = select_references(&capture, &times, 0, [own[1], own[2]], own[2], store.options());
+    assert_eq!(chosen.len(), 1);
+    assert_eq!((chosen[0].frame, chosen[0].time_s), (0, own[2]));
+    assert_eq!(chosen[0].between, Some([slow[0], slow[1]]));
+    let tracks = temporal_flow(&store, 0, 1).expect("tracks");
+    let counts = |wrong: f64| {
+        let given: Vec<Track> = tracks
+            .iter()
+            .map(|t| {
+                let mut t = Track { before: None, after: None, ..t.clone() };
+                // At the end that was looked for.
+                if t.run == Run::Backward {
+                    t.earlier.y += wrong;
+                } else {
+                    t.later.y += wrong;
+                }
+                t
+            })
+            .collect();
+        let verdicts = epipolar_test(&store, &times, 0, 1, &given).expect("verdicts");
+        [Verdict::Passed, Verdict::Rejected].map(|v| verdicts.iter().filter(|w| **w == v).count())
+    };
+    let [passed, rejected] = counts(0.0);
+    assert!(passed > tracks.len() / 2 && rejected * 50 <= passed, "{passed} {rejected}");
+    let [passed, rejected] = counts(8.0);
+    assert!(rejected > tracks.len() / 2 && passed * 20 <= rejected, "{passed} {rejected}");
 }
 
 /// Without its clock, a camera is no reference, and its own tracks are not tested.

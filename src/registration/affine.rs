@@ -10,6 +10,7 @@
 
 use super::lanes::{LANES, Vector, catmull_rom};
 use super::pyramid::Level;
+use super::window::scharr;
 use nalgebra::{Cholesky, Const, Matrix2, Point2, SMatrix, SVector, Vector2};
 use serde::{Deserialize, Serialize};
 
@@ -187,7 +188,7 @@ impl Refiner {
         let columns = (r - cx).max(0)..(source.width as isize - cx + r).min(2 * r + 1);
         let rows = (r - cy).max(0)..(source.height as isize - cy + r).min(2 * r + 1);
         self.mean = source.value[source.index(cx, cy)];
-        let mean = V::splat(self.mean);
+        let (mean, scale) = (V::splat(self.mean), V::splat(1.0 / 32.0));
         let mut moments = Moments::<V>::new();
         for y in 0..2 * r + 1 {
             let out = y as usize * self.row;
@@ -201,7 +202,8 @@ impl Refiner {
             self.value[all].copy_from_slice(&source.value[at..at + self.row]);
             let mut of_row = RowMoments::new();
             for x in (0..self.row).step_by(LANES) {
-                let (gx, gy) = (V::load(&source.dx, at + x), V::load(&source.dy, at + x));
+                let [gx, gy] = scharr::<V>(&source.value, at + x, source.stride);
+                let (gx, gy) = (gx.mul(scale), gy.mul(scale));
                 let w = V::load(&self.weight, out + x);
                 let v = V::load(&self.value, out + x).sub(mean);
                 let (wx, wy, wv) = (w.mul(gx), w.mul(gy), w.mul(v));

@@ -1,6 +1,12 @@
 //! §4.1: corners by the structure tensor's smaller eigenvalue, kept apart by a minimum distance.
 
+#[cfg(target_arch = "x86_64")]
+use super::klt::has_registers;
+#[cfg(target_arch = "x86_64")]
+use super::lanes::Avx2;
+use super::lanes::{LANES, Plain, Vector};
 use super::pyramid::Level;
+use super::window::scharr;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
@@ -40,16 +46,16 @@ pub fn corners(level: &Level, options: &CornerOptions) -> Vec<Point2<f64>> {
 
     let mut peaks: Vec<(f32, usize)> = Vec::new();
     for y in 0..h {
-        for x in 0..w {
-            let at = y * w + x;
-            let s = strength[at];
-            if s < floor || !is_peak(&strength, w, h, x, y) {
-                continue;
+        let row = &strength[y * w..(y + 1) * w];
+        for (x, &s) in row.iter().enumerate() {
+            // The next ones along the row first: they settle most.
+            let along = s < floor || x > 0 && row[x - 1] >= s || x + 1 < w && row[x + 1] > s;
+            if !along && is_peak(&strength, w, h, x, y) {
+                peaks.push((s, y * w + x));
             }
-            peaks.push((s, at));
         }
     }
-    peaks.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    peaks.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
 
     let mut kept = Spaced::new(w, h, options.min_distance_px);
     for (_, at) in peaks {
@@ -93,55 +99,106 @@ fn refined(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> Point2<f
     Point2::new(x as f64 + 0.5 + dx, y as f64 + 0.5 + dy)
 }
 
-/// The structure tensor's smaller eigenvalue a pixel, averaged over the window.
+/// The structure tensor's smaller eigenvalue a pixel, averaged over a box twice: a triangular
+/// window, whose response has a peak where a box's has a plateau. Borders repeated.
 fn min_eigenvalues(level: &Level, radius: usize) -> Vec<f32> {
-    let (w, h) = (level.width, level.height);
-    let mut xx = vec![0.0; w * h];
-    let mut xy = vec![0.0; w * h];
-    let mut yy = vec![0.0; w * h];
-    for y in 0..h {
-        let from = level.index(0, y as isize);
-        for x in 0..w {
-            let (gx, gy) = (level.dx[from + x], level.dy[from + x]);
-            let at = y * w + x;
-            (xx[at], xy[at], yy[at]) = (gx * gx, gx * gy, gy * gy);
-        }
+    #[cfg(target_arch = "x86_64")]
+    if has_registers() {
+        // SAFETY: the processor has the features.
+        return unsafe { min_eigenvalues_avx2(level, radius) };
     }
-    // Twice: a triangular window, whose response has a peak where a box's has a plateau.
-    for plane in [&mut xx, &mut xy, &mut yy] {
-        box_mean(plane, w, h, radius);
-        box_mean(plane, w, h, radius);
-    }
-    (0..w * h)
-        .map(|k| {
-            let (a, b, c) = (xx[k], xy[k], yy[k]);
-            // λ_min of [a b; b c]. The root is of a sum of squares; rounding may leave λ at −ε.
-            0.5 * ((a + c) - ((a - c) * (a - c) + 4.0 * b * b).sqrt())
-        })
-        .collect()
+    min_eigenvalues_by::<Plain>(level, radius)
 }
 
-/// Mean over a (2·radius + 1)² window, borders repeated, in place.
-fn box_mean(plane: &mut [f32], w: usize, h: usize, radius: usize) {
-    let norm = 1.0 / (2 * radius + 1) as f32;
-    let clamp = |v: isize, size: usize| v.clamp(0, size as isize - 1) as usize;
-    let mut out = vec![0.0; plane.len()];
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn min_eigenvalues_avx2(level: &Level, radius: usize) -> Vec<f32> {
+    min_eigenvalues_by::<Avx2>(level, radius)
+}
+
+#[inline(always)]
+fn min_eigenvalues_by<V: Vector>(level: &Level, radius: usize) -> Vec<f32> {
+    let (w, h) = (level.width, level.height);
+    let side = 2 * radius + 1;
+    let taps: Vec<f32> =
+        (1..=side).chain((1..side).rev()).map(|k| k as f32 / (side * side) as f32 / 32.0).collect();
+    // The rows of the window, each smoothed across; row y is at y modulo their number.
+    let mut rows: Vec<Tensor> = vec![Tensor::zeros(w); taps.len()];
+    let mut products = Tensor::zeros(w + 4 * radius);
+    let mut next = 0;
+    let mut out = Vec::with_capacity(w * h);
+    let mut sums = Tensor::zeros(w);
     for y in 0..h {
-        let row = &plane[y * w..(y + 1) * w];
-        for x in 0..w {
-            out[y * w + x] = (-(radius as isize)..=radius as isize)
-                .map(|k| row[clamp(x as isize + k, w)])
-                .sum::<f32>()
-                * norm;
+        while next <= (y + 2 * radius).min(h - 1) {
+            products.take::<V>(level, next, 2 * radius);
+            rows[next % taps.len()].smooth_across(&products, &taps);
+            next += 1;
+        }
+        sums.clear();
+        for (k, &tap) in taps.iter().enumerate() {
+            let from = (y + k).saturating_sub(2 * radius).min(h - 1);
+            sums.add(&rows[from % taps.len()], 0, tap);
+        }
+        let [xx, xy, yy] = &sums.planes;
+        out.extend(xx.iter().zip(xy).zip(yy).map(|((a, b), c)| {
+            // λ_min of [a b; b c]. The root is of a sum of squares; rounding may leave λ at −ε.
+            0.5 * ((a + c) - ((a - c) * (a - c) + 4.0 * b * b).sqrt())
+        }));
+    }
+    out
+}
+
+/// A row of structure tensors: xx, xy, yy.
+#[derive(Clone)]
+struct Tensor {
+    planes: [Vec<f32>; 3],
+}
+
+impl Tensor {
+    fn zeros(width: usize) -> Self {
+        Self { planes: std::array::from_fn(|_| vec![0.0; width]) }
+    }
+
+    #[inline(always)]
+    fn clear(&mut self) {
+        self.planes.iter_mut().for_each(|plane| plane.fill(0.0));
+    }
+
+    /// Adds another row's values, from `shift` on, so many times.
+    #[inline(always)]
+    fn add(&mut self, other: &Self, shift: usize, factor: f32) {
+        for (plane, other) in self.planes.iter_mut().zip(&other.planes) {
+            for (sum, v) in plane.iter_mut().zip(&other[shift..]) {
+                *sum += factor * v;
+            }
         }
     }
-    plane.fill(0.0);
-    for y in 0..h {
-        for k in -(radius as isize)..=radius as isize {
-            let from = clamp(y as isize + k, h) * w;
-            for (sum, v) in plane[y * w..(y + 1) * w].iter_mut().zip(&out[from..from + w]) {
-                *sum += v * norm;
+
+    #[inline(always)]
+    fn smooth_across(&mut self, products: &Self, taps: &[f32]) {
+        self.clear();
+        for (k, &tap) in taps.iter().enumerate() {
+            self.add(products, k, tap);
+        }
+    }
+
+    /// The products of a row's derivatives (times 32), its ends repeated `margin` times.
+    #[inline(always)]
+    fn take<V: Vector>(&mut self, level: &Level, y: usize, margin: usize) {
+        let [xx, xy, yy] = &mut self.planes;
+        for x in (0..level.width).step_by(LANES) {
+            let at = level.index(x as isize, y as isize);
+            let [dx, dy] = scharr::<V>(&level.value, at, level.stride).map(Vector::to_lanes);
+            let used = x + margin..(x + LANES).min(level.width) + margin;
+            for (k, (dx, dy)) in used.zip(dx.iter().zip(dy)) {
+                (xx[k], xy[k], yy[k]) = (dx * dx, dx * dy, dy * dy);
             }
+        }
+        for plane in &mut self.planes {
+            let last = level.width + margin - 1;
+            let ends = [plane[margin], plane[last]];
+            plane[..margin].fill(ends[0]);
+            plane[last..].fill(ends[1]);
         }
     }
 }
@@ -246,5 +303,53 @@ mod tests {
         }
         let few = found(&image, &CornerOptions { max_corners: 7, ..options });
         assert_eq!(few[..], points[..7]);
+    }
+    /// The same strengths written as simply as possible, in f64.
+    #[test]
+    fn strengths_agree_with_a_naive_reference() {
+        let sizes = [(1, 1), (1, 7), (8, 1), (2, 2), (3, 5), (9, 8), (17, 12), (24, 31)];
+        for (case, (w, h)) in sizes.into_iter().cycle().take(48).enumerate() {
+            let steps = if case % 2 == 0 { 255.0 } else { 65535.0 };
+            let channels = if case % 3 == 0 { 3 } else { 1 };
+            let value = |k: usize| {
+                let v = 0.5 + 0.5 * ((k + case) as f64 * 12.9898 + (k * k % 97) as f64).sin();
+                ((v * steps).round() / steps) as f32
+            };
+            let image =
+                Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect());
+            let radius = case % 3;
+            let found = min_eigenvalues(&Pyramid::new(&image, 1, 4).levels()[0], radius);
+            for (k, found) in found.iter().enumerate() {
+                let expected = naive_strength(&image.to_gray(), k % w, k / w, radius as i64);
+                let error = (f64::from(*found) - expected).abs();
+                assert!(error < 1e-6 + 1e-5 * expected, "{w}×{h}, {k}: {found} {expected}");
+            }
+        }
+    }
+
+    fn naive_strength(gray: &Image, x: usize, y: usize, radius: i64) -> f64 {
+        let (w, h) = (gray.width() as i64, gray.height() as i64);
+        let at = |x: i64, y: i64| {
+            f64::from(gray.pixel(x.clamp(0, w - 1) as usize, y.clamp(0, h - 1) as usize)[0])
+        };
+        let mut tensor = [0.0; 3];
+        for j in -2 * radius..=2 * radius {
+            for i in -2 * radius..=2 * radius {
+                let (px, py) = ((x as i64 + i).clamp(0, w - 1), (y as i64 + j).clamp(0, h - 1));
+                let (mut gx, mut gy) = (0.0, 0.0);
+                for (k, weight) in [(-1, 3.0), (0, 10.0), (1, 3.0)] {
+                    gx += weight * (at(px + 1, py + k) - at(px - 1, py + k)) / 32.0;
+                    gy += weight * (at(px + k, py + 1) - at(px + k, py - 1)) / 32.0;
+                }
+                let side = (2 * radius + 1) as f64;
+                let along = |v: i64| (side - v.abs() as f64) / (side * side);
+                let weight = along(i) * along(j);
+                for (sum, v) in tensor.iter_mut().zip([gx * gx, gx * gy, gy * gy]) {
+                    *sum += weight * v;
+                }
+            }
+        }
+        let [a, b, c] = tensor;
+        0.5 * (a + c - ((a - c).powi(2) + 4.0 * b * b).sqrt())
     }
 }

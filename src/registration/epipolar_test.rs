@@ -22,7 +22,31 @@ pub enum Verdict {
 pub struct Reference {
     pub camera: usize,
     pub frame: usize,
+    /// When the test is made: the frame's time, unless `between`.
     pub time_s: f64,
+    /// Where the camera has no frame in the interval (a slower one): the times of `frame` and of
+    /// the frame after, around it; its own track between the two is interpolated.
+    pub between: Option<[f64; 2]>,
+}
+
+/// Frames further apart than this many of the tested camera's don't show what is between them.
+const MAX_GAP: f64 = 4.0;
+
+impl Reference {
+    /// The frame within `[t1, t2]` nearest to `t`, or those around it; and its distance in time
+    /// to `t`, seconds.
+    fn nearest(camera: usize, times: &[f64], [t1, t2]: [f64; 2], t: f64) -> Option<(f64, Self)> {
+        let within = times.iter().enumerate().filter(|&(_, &tj)| tj >= t1 && tj <= t2);
+        let nearest = within.min_by(|a, b| (a.1 - t).abs().total_cmp(&(b.1 - t).abs()));
+        if let Some((frame, &time_s)) = nearest {
+            return Some(((time_s - t).abs(), Self { camera, frame, time_s, between: None }));
+        }
+        let frame = times.partition_point(|&tj| tj < t1).checked_sub(1)?;
+        let (a, b) = (times[frame], *times.get(frame + 1)?);
+        let distance_s = (t - a).min(b - t);
+        (b - a <= MAX_GAP * (t2 - t1))
+            .then_some((distance_s, Self { camera, frame, time_s: t, between: Some([a, b]) }))
+    }
 }
 
 /// Chooses references for camera `i` and its frames at `t1` and `t2` (seconds, common time),
@@ -30,7 +54,8 @@ pub struct Reference {
 /// nearest one's, the time in frames. A grid gives two, across each other; a line one.
 ///
 /// `times_s[j]` are camera j's frames in common time, `None` if its clock is unknown. Only frames
-/// within `[t1, t2]` can test eq. (2).
+/// within `[t1, t2]` can test eq. (2); a camera that has none there, but around, is weighed by
+/// the nearer one.
 pub fn select_references(
     capture: &Capture,
     times_s: &[Option<Vec<f64>>],
@@ -52,14 +77,11 @@ pub fn select_references(
         let Some(times) = times.as_ref().filter(|_| j != i && baselines[j].norm() > 0.0) else {
             continue;
         };
-        let within = times.iter().enumerate().filter(|&(_, &tj)| tj >= t1 && tj <= t2);
-        let Some((frame, &time_s)) =
-            within.min_by(|a, b| (a.1 - t).abs().total_cmp(&(b.1 - t).abs()))
-        else {
+        let Some((distance_s, reference)) = Reference::nearest(j, times, [t1, t2], t) else {
             continue;
         };
-        let w = baselines[j].norm() / nearest + options.time_weight * (time_s - t).abs() / frame_s;
-        candidates.push((w, Reference { camera: j, frame, time_s }));
+        let w = baselines[j].norm() / nearest + options.time_weight * distance_s / frame_s;
+        candidates.push((w, reference));
     }
     candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.camera.cmp(&b.1.camera)));
     let mut chosen: Vec<Reference> = Vec::new();
@@ -109,15 +131,21 @@ pub fn epipolar_test(
                 time_s: reference.time_s,
                 options,
             };
-            let found: Vec<Tested> = pair.find(
+            let seen_s = reference.between.map_or(reference.time_s, |[first, _]| first);
+            let mut found: Vec<Tested> = pair.find(
                 &source_frame,
                 &target_frame,
+                seen_s,
                 chosen.iter().filter_map(|&n| {
                     let track = &tracks[n];
                     let at = if backward { track.later } else { track.earlier };
                     Some((track, track.path(own_times, k)?, at))
                 }),
             );
+            if let Some(between) = reference.between {
+                let next = frames.get(reference.camera, reference.frame + 1)?;
+                pair.interpolate(&target_frame, &next, between, &mut found);
+            }
             for (&n, verdict) in chosen.iter().zip(pair.judge(&found)) {
                 verdicts[n] = match (verdicts[n], verdict) {
                     (Verdict::Rejected, _) | (_, Verdict::Rejected) => Verdict::Rejected,
@@ -141,15 +169,17 @@ struct Pair<'a> {
 }
 
 impl Pair<'_> {
-    /// Spatial flow from where the features are in the source frame to the reference frame.
+    /// Spatial flow from where the features are in the source frame to the reference frame, which
+    /// is of `seen_s`.
     fn find<'t>(
         &self,
         source: &Frame,
         target: &Frame,
+        seen_s: f64,
         features: impl Iterator<Item = (&'t Track, Path, Point2<f64>)>,
     ) -> Vec<Tested<'t>> {
         let features: Vec<_> = features.collect();
-        let places: Vec<_> = features.iter().map(|(_, path, _)| path.at(self.time_s)).collect();
+        let places: Vec<_> = features.iter().map(|(_, path, _)| path.at(seen_s)).collect();
         let starts: Vec<_> =
             features.iter().zip(&places).map(|((_, _, at), place)| (*at, *place)).collect();
         let mut found = flow(source, target, &starts, self.options);
@@ -163,6 +193,30 @@ impl Pair<'_> {
                 in_reference: found.map(|m| m.target),
             })
             .collect()
+    }
+
+    /// Follows what was found in a frame of the reference camera to its next one, and puts it where
+    /// it is in between, at the time of the test, on a straight line; what is lost is untestable.
+    fn interpolate(
+        &self,
+        frame: &Frame,
+        next: &Frame,
+        [first_s, next_s]: [f64; 2],
+        found: &mut [Tested],
+    ) {
+        let seen: Vec<usize> =
+            (0..found.len()).filter(|&k| found[k].in_reference.is_some()).collect();
+        let starts: Vec<Start> = seen
+            .iter()
+            .filter_map(|&k| {
+                let (p, path) = (found[k].in_reference?, &found[k].path);
+                Some((p, p + (path.at(next_s) - path.at(first_s))))
+            })
+            .collect();
+        let share = (self.time_s - first_s) / (next_s - first_s);
+        for (k, followed) in seen.into_iter().zip(flow(frame, next, &starts, self.options)) {
+            found[k].in_reference = followed.map(|m| m.source + (m.target - m.source) * share);
+        }
     }
 
     /// Looks once more for features that were not found, or not on their line: on it, by their

@@ -74,6 +74,11 @@ impl Track {
 /// Pyramid levels on the way back, whose answer should be where it started: the coarse levels
 /// would cost as much again and only help a track that is wrong.
 const BACK_LEVELS: usize = 2;
+/// Pyramid levels of one frame further, where the motion tells where to look, and on the way back.
+const NEXT_LEVELS: [usize; 2] = [2, 1];
+/// Points are tracked in bands of this height, pixels. Larger: their windows don't fit the cache;
+/// smaller: neither do those above and below.
+const BAND_PX: f64 = 24.0;
 /// Points tracked by one worker at a time.
 const CHUNK: usize = 128;
 
@@ -88,21 +93,35 @@ pub fn flow(
     starts: &[Start],
     options: &RegistrationOptions,
 ) -> Vec<Option<Match>> {
-    starts
+    flow_over(source, target, starts, [options.klt.levels, BACK_LEVELS], options)
+}
+
+/// As [`flow`], on so many of the finest levels only, there and back.
+fn flow_over(
+    source: &Frame,
+    target: &Frame,
+    starts: &[Start],
+    [levels, back_levels]: [usize; 2],
+    options: &RegistrationOptions,
+) -> Vec<Option<Match>> {
+    // Band by band, so that the windows of one point are still at hand for the next.
+    let mut order: Vec<u32> = (0..starts.len() as u32).collect();
+    order.sort_by_cached_key(|&k| {
+        let p = starts[k as usize].0;
+        ((p.y / BAND_PX) as i32, p.x as i32)
+    });
+    let found: Vec<Option<Match>> = order
         .par_chunks(CHUNK)
         .flat_map_iter(|chunk| {
             let mut tracker = Tracker::new(&options.klt);
             chunk
                 .iter()
-                .map(|&(from, guess)| {
-                    let found = tracker.track(&source.pyramid, &target.pyramid, from, guess)?;
-                    let back = tracker.track_levels(
-                        &target.pyramid,
-                        &source.pyramid,
-                        found.position,
-                        from,
-                        BACK_LEVELS,
-                    )?;
+                .map(|&k| {
+                    let (from, guess) = starts[k as usize];
+                    let [source, target] = [&source.pyramid, &target.pyramid];
+                    let found = tracker.track_over(source, target, from, guess, levels)?;
+                    let to = found.position;
+                    let back = tracker.track_levels(target, source, to, from, back_levels)?;
                     let back_error_px = (back.position - from).norm();
                     (back_error_px <= options.max_back_error_px).then_some(Match {
                         source: from,
@@ -113,7 +132,12 @@ pub fn flow(
                 })
                 .collect::<Vec<_>>()
         })
-        .collect()
+        .collect();
+    let mut in_order = vec![None; starts.len()];
+    for (k, found) in order.into_iter().zip(found) {
+        in_order[k as usize] = found;
+    }
+    in_order
 }
 
 /// §4.1: the bidirectional flow between frames `k` and `k + 1` of a camera, correspondences that
@@ -125,7 +149,9 @@ pub fn temporal_flow(
 ) -> Result<Vec<Track>, CaptureError> {
     let options = frames.options();
     let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
-    temporal_flow_of(frames, camera, k, [earlier.corners(options), later.corners(options)])
+    let (of_earlier, of_later) =
+        rayon::join(|| earlier.corners(options), || later.corners(options));
+    temporal_flow_of(frames, camera, k, [of_earlier, of_later])
 }
 
 /// As [`temporal_flow`], of given points instead of corners: of frame `k`, and of frame `k + 1`.
@@ -211,7 +237,7 @@ fn extended(
     options: &RegistrationOptions,
 ) -> Vec<(usize, Point2<f64>)> {
     let starts: Vec<_> = tracks.iter().map(|t| (from(t), guess(t))).collect();
-    flow(source, target, &starts, options)
+    flow_over(source, target, &starts, NEXT_LEVELS, options)
         .into_iter()
         .enumerate()
         .filter_map(|(k, found)| {
@@ -271,10 +297,13 @@ fn votes(motions: &[(Point2<f64>, Vector2<f64>)], options: &RegistrationOptions)
         .par_iter()
         .enumerate()
         .map(|(k, (p, motion))| {
-            let near = neighbors.within(p, options.support_radius_px);
             let limit = options.support_px + options.support_share * motion.norm();
-            let agreeing =
-                near.iter().filter(|&&n| n != k && (motions[n].1 - motion).norm() <= limit).count();
+            let near = neighbors.unsorted_within(p, options.support_radius_px);
+            let agreeing = near
+                .iter()
+                .filter(|&&n| n != k && (motions[n].1 - motion).norm() <= limit)
+                .take(options.min_support)
+                .count();
             near.len().saturating_sub(1) < options.min_support || agreeing >= options.min_support
         })
         .collect()

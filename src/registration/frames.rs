@@ -27,7 +27,7 @@ impl Frame {
     }
 
     fn bytes(&self) -> usize {
-        let level: usize = self.pyramid.levels().iter().map(|l| l.value.len() * 3).sum();
+        let level: usize = self.pyramid.levels().iter().map(|l| l.value.len()).sum();
         size_of::<f32>() * (self.image.data().len() + level)
     }
 }
@@ -47,7 +47,7 @@ struct Kept {
     clock: u64,
 }
 
-/// What the store may hold, bytes: 25 frames of 640×480, the window that eight cameras need at one
+/// What the store may hold, bytes: 48 frames of 640×480, twice the window that eight cameras need at one
 /// instant. More only saves decoding.
 const MAX_BYTES: usize = 256 << 20;
 

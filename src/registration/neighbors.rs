@@ -20,17 +20,20 @@ impl Neighbors {
 
     /// Indices of the points within a radius, ascending.
     pub fn within(&self, p: &Point2<f64>, radius: f64) -> Vec<usize> {
+        let mut found = self.unsorted_within(p, radius);
+        found.sort_unstable();
+        found
+    }
+
+    /// The same in no particular order.
+    pub fn unsorted_within(&self, p: &Point2<f64>, radius: f64) -> Vec<usize> {
         let Some(tree) = &self.tree else { return Vec::new() };
-        let mut found: Vec<usize> = tree
+        let found = tree
             .query(&[p.x, p.y])
             .within::<SquaredEuclidean<f64>>(radius * radius)
             .unsorted()
-            .execute()
-            .into_iter()
-            .map(|item| item.item as usize)
-            .collect();
-        found.sort_unstable();
-        found
+            .execute();
+        found.into_iter().map(|item| item.item as usize).collect()
     }
 }
 

@@ -1,6 +1,7 @@
 //! How registration works.
 
-use super::{CornerOptions, KltOptions};
+use super::lanes::LANES;
+use super::{AffineOptions, CornerOptions};
 use serde::{Deserialize, Serialize};
 
 /// Options of §4.
@@ -61,5 +62,51 @@ impl Default for RegistrationOptions {
             min_test_motion_px: 1.0,
             min_across_share: 0.1,
         }
+    }
+}
+
+/// How windows are tracked.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct KltOptions {
+    /// Half the side of the window, pixels. Larger: steadier, but blends the motions on both
+    /// sides of an edge; smaller: noisier.
+    pub radius_px: usize,
+    /// Pyramid levels at most. More reach larger motion, and confuse small things with their
+    /// surroundings.
+    pub levels: usize,
+    /// Iterations a level at most.
+    pub iterations: usize,
+    /// A level has converged when a step is below this, pixels.
+    pub epsilon_px: f64,
+    /// Least eigenvalue of the window's structure tensor, per pixel, values 0..=1. Smaller: tracks
+    /// that slide along edges; larger: faint texture is lost.
+    pub min_eigenvalue: f64,
+    /// Largest mean absolute difference of the two windows, values 0..=1.
+    pub max_residual: f64,
+    /// The last step, that allows the window to deform; off unless asked for (`radius_px`). Inside
+    /// turning bodies it halves the error, but its larger window crosses outlines: on the magazine
+    /// film at 320×240 offsets, synchronized images and views all come out slightly worse with it.
+    pub affine: AffineOptions,
+}
+
+impl Default for KltOptions {
+    fn default() -> Self {
+        Self {
+            radius_px: 5,
+            levels: 4,
+            iterations: 20,
+            epsilon_px: 0.003,
+            min_eigenvalue: 2e-6,
+            max_residual: 0.06,
+            affine: AffineOptions { radius_px: 0, ..AffineOptions::default() },
+        }
+    }
+}
+
+impl KltOptions {
+    /// The border that a pyramid needs for these windows.
+    pub fn pad_px(&self) -> usize {
+        (self.radius_px + LANES + 3).max(self.affine.pad_px())
     }
 }

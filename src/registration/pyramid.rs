@@ -1,6 +1,10 @@
-//! Grey image pyramids with their gradients: made once an image, shared by everything that tracks
-//! in it.
+//! Grey image pyramids: made once an image, shared by everything that tracks in it.
+//!
+//! Only values are kept: gradients are taken where they are needed, from a window that has just
+//! been read, which costs less than planes of them.
 
+use super::lanes::{LANES, Plain, Vector};
+use super::window::scharr;
 use crate::raster::Image;
 
 /// A pyramid of half-sized levels, the full image first.
@@ -9,8 +13,8 @@ pub struct Pyramid {
     levels: Vec<Level>,
 }
 
-/// One level: values and Scharr gradients (per pixel of this level), with the border repeated
-/// `pad` pixels outwards so that a window needs no bounds checks.
+/// One level, with the border repeated `pad` pixels outwards so that a window needs no bounds
+/// checks.
 #[derive(Clone, Debug)]
 pub struct Level {
     pub width: usize,
@@ -18,8 +22,6 @@ pub struct Level {
     pub(super) pad: usize,
     pub(super) stride: usize,
     pub(super) value: Vec<f32>,
-    pub(super) dx: Vec<f32>,
-    pub(super) dy: Vec<f32>,
 }
 
 /// Levels smaller than this hold nothing to track.
@@ -29,13 +31,9 @@ impl Pyramid {
     /// `levels` of them at most; fewer where the image gets too small. `pad` is the border that
     /// the largest window needs.
     pub fn new(image: &Image, levels: usize, pad: usize) -> Self {
-        let gray = image.to_gray();
-        let (mut w, mut h) = (gray.width(), gray.height());
-        let mut data = gray.data().to_vec();
-        let mut all = vec![Level::new(&data, w, h, pad)];
-        while all.len() < levels && w.min(h) >= 2 * MIN_LEVEL_PX {
-            (data, w, h) = halved(&data, w, h);
-            all.push(Level::new(&data, w, h, pad));
+        let mut all = vec![Level::of_image(image, pad)];
+        while all.len() < levels && all[all.len() - 1].may_be_halved() {
+            all.push(all[all.len() - 1].halved());
         }
         Self { levels: all }
     }
@@ -54,100 +52,113 @@ impl Pyramid {
 }
 
 impl Level {
-    fn new(data: &[f32], width: usize, height: usize, pad: usize) -> Self {
-        let stride = width + 2 * pad;
-        let padded = |plane: &[f32]| -> Vec<f32> {
-            let mut out = Vec::with_capacity(stride * (height + 2 * pad));
-            for y in 0..height + 2 * pad {
-                let row = &plane[y.saturating_sub(pad).min(height - 1) * width..][..width];
-                out.extend(std::iter::repeat_n(row[0], pad));
-                out.extend_from_slice(row);
-                out.extend(std::iter::repeat_n(row[width - 1], pad));
-            }
-            out
-        };
-        let (dx, dy) = scharr(data, width, height);
-        Self { width, height, pad, stride, value: padded(data), dx: padded(&dx), dy: padded(&dy) }
+    fn of_image(image: &Image, pad: usize) -> Self {
+        let mut level = Self::empty(image.width(), image.height(), pad);
+        for y in 0..image.height() {
+            level.push_row(|row| match image.channels() {
+                1 => row.extend_from_slice(image.row(y)),
+                _ => row.extend(image.row(y).chunks_exact(image.channels()).map(luma)),
+            });
+        }
+        level.close()
     }
 
-    /// Index of a pixel in the padded planes; both may be `pad` outside the image.
+    /// One that awaits its rows. A gradient needs a pixel more than its place.
+    fn empty(width: usize, height: usize, pad: usize) -> Self {
+        let pad = pad.max(LANES);
+        let stride = width + 2 * pad;
+        let mut value = Vec::with_capacity(stride * (height + 2 * pad));
+        value.resize(pad * stride, 0.0);
+        Self { width, height, pad, stride, value }
+    }
+
+    fn push_row(&mut self, write: impl FnOnce(&mut Vec<f32>)) {
+        let left = self.value.len();
+        self.value.resize(left + self.pad, 0.0);
+        write(&mut self.value);
+        let last = self.value[self.value.len() - 1];
+        self.value.resize(left + self.stride, last);
+        let first = self.value[left + self.pad];
+        self.value[left..left + self.pad].fill(first);
+    }
+
+    /// The border above and below, when all rows are there.
+    fn close(mut self) -> Self {
+        let (pad, stride) = (self.pad, self.stride);
+        for y in 0..pad {
+            self.value.copy_within(pad * stride..(pad + 1) * stride, y * stride);
+        }
+        let last = (pad + self.height - 1) * stride;
+        for _ in 0..pad {
+            self.value.extend_from_within(last..last + stride);
+        }
+        self
+    }
+
+    fn may_be_halved(&self) -> bool {
+        self.width.min(self.height) >= 2 * MIN_LEVEL_PX
+    }
+
+    /// Smoothed by [1 4 6 4 1]/16 both ways, every second pixel kept: pixel i of the half-sized
+    /// level has its centre at pixel 2i of the large one. Borders are mirrored, as OpenCV's are.
+    fn halved(&self) -> Self {
+        let mut half = Self::empty(self.width.div_ceil(2), self.height.div_ceil(2), self.pad);
+        let width = self.width;
+        // A row smoothed downwards, with two more columns on the left and up to three on the right.
+        let mut smooth = vec![0.0; 2 * half.width + 4];
+        for y in 0..half.height {
+            let row = |k: isize| {
+                let y = mirrored(2 * y as isize + k, self.height);
+                &self.value[self.index(0, y as isize)..][..width]
+            };
+            smooth_down([row(-2), row(-1), row(0), row(1), row(2)], &mut smooth[2..width + 2]);
+            for k in [-2, -1, width as isize, width as isize + 1] {
+                smooth[(k + 2) as usize] = smooth[mirrored(k, width) + 2];
+            }
+            half.push_row(|row| {
+                let (pairs, _) = smooth.as_chunks::<2>();
+                let triples = pairs.iter().zip(&pairs[1..]).zip(&pairs[2..]);
+                row.extend(
+                    triples.map(|(([a, b], [c, d]), [e, _])| {
+                        (6.0 * c + 4.0 * (b + d) + (a + e)) / 256.0
+                    }),
+                );
+            });
+        }
+        half.close()
+    }
+
+    /// Index of a pixel in the padded plane; it may be `pad` outside the image.
     pub(super) fn index(&self, x: isize, y: isize) -> usize {
         let at = |v: isize| (v + self.pad as isize) as usize;
         at(y) * self.stride + at(x)
     }
 
-    /// Gradient at a pixel (not padded), per pixel.
+    /// Gradient at a pixel (not padded), per pixel, by Scharr's 3×3 derivatives.
     pub fn gradient(&self, x: usize, y: usize) -> (f32, f32) {
-        let at = self.index(x as isize, y as isize);
-        (self.dx[at], self.dy[at])
+        let [dx, dy] =
+            scharr::<Plain>(&self.value, self.index(x as isize, y as isize), self.stride);
+        (dx.to_lanes()[0] / 32.0, dy.to_lanes()[0] / 32.0)
     }
 }
 
-/// Scharr's 3×3 derivatives, normalized to value per pixel; borders repeated.
-fn scharr(data: &[f32], width: usize, height: usize) -> (Vec<f32>, Vec<f32>) {
-    let mut dx = vec![0.0; data.len()];
-    let mut dy = vec![0.0; data.len()];
-    let row = |y: usize| &data[y * width..(y + 1) * width];
-    for y in 0..height {
-        let (up, mid, down) = (row(y.saturating_sub(1)), row(y), row((y + 1).min(height - 1)));
-        let mut set = |l: usize, x: usize, r: usize| {
-            let smooth = |x: usize| 3.0 * (up[x] + down[x]) + 10.0 * mid[x];
-            let differ = |x: usize| down[x] - up[x];
-            dx[y * width + x] = (smooth(r) - smooth(l)) / 32.0;
-            dy[y * width + x] = (3.0 * (differ(l) + differ(r)) + 10.0 * differ(x)) / 32.0;
-        };
-        set(0, 0, 1.min(width - 1));
-        set(width.saturating_sub(2), width - 1, width - 1);
-        if width < 3 {
-            continue;
-        }
-        let inner = y * width + 1..(y + 1) * width - 1;
-        let rows = up.windows(3).zip(mid.windows(3)).zip(down.windows(3));
-        for (((u, m), d), (dx, dy)) in rows.zip(dx[inner.clone()].iter_mut().zip(&mut dy[inner])) {
-            let smooth = |x: usize| 3.0 * (u[x] + d[x]) + 10.0 * m[x];
-            let differ = |x: usize| d[x] - u[x];
-            *dx = (smooth(2) - smooth(0)) / 32.0;
-            *dy = (3.0 * (differ(0) + differ(2)) + 10.0 * differ(1)) / 32.0;
-        }
-    }
-    (dx, dy)
+/// By Rec. 709, as [`Image::to_gray`].
+fn luma(pixel: &[f32]) -> f32 {
+    0.2126 * pixel[0] + 0.7152 * pixel[1] + 0.0722 * pixel[2]
 }
 
-/// Smoothed by [1 4 6 4 1]/16 both ways, every second pixel kept: pixel i of the half-sized image
-/// has its centre at pixel 2i of the large one. Borders are mirrored, as OpenCV's are.
-fn halved(data: &[f32], width: usize, height: usize) -> (Vec<f32>, usize, usize) {
-    let (w2, h2) = (width.div_ceil(2), height.div_ceil(2));
-    let mirror = |v: isize, size: usize| {
-        let last = size as isize - 1;
-        let v = v.abs();
-        (if v > last { (2 * last - v).max(0) } else { v }) as usize
-    };
-    const TAPS: [f32; 5] = [1.0 / 16.0, 4.0 / 16.0, 6.0 / 16.0, 4.0 / 16.0, 1.0 / 16.0];
-    let mut narrow = vec![0.0; w2 * height];
-    for y in 0..height {
-        let row = &data[y * width..(y + 1) * width];
-        let out = &mut narrow[y * w2..(y + 1) * w2];
-        // Where all five are inside, in one go.
-        let inner = 1..((width.max(2) - 2) / 2).max(1);
-        for x in (0..w2).filter(|x| !inner.contains(x)) {
-            out[x] =
-                (0..5).map(|k| TAPS[k] * row[mirror(2 * x as isize + k as isize - 2, width)]).sum();
-        }
-        for (out, five) in out[inner.clone()].iter_mut().zip(row.windows(5).step_by(2)) {
-            let [a, b, c, d, e] = five else { continue };
-            *out = TAPS[0] * a + TAPS[1] * b + TAPS[2] * c + TAPS[3] * d + TAPS[4] * e;
-        }
+/// A place in `0..size` for one beyond its ends, which are not repeated.
+fn mirrored(v: isize, size: usize) -> usize {
+    let last = size as isize - 1;
+    let v = v.abs();
+    (if v > last { (2 * last - v).max(0) } else { v }) as usize
+}
+
+/// Five rows, weighted by 1 4 6 4 1.
+fn smooth_down([a, b, c, d, e]: [&[f32]; 5], out: &mut [f32]) {
+    for (x, out) in out.iter_mut().enumerate() {
+        *out = 6.0 * c[x] + 4.0 * (b[x] + d[x]) + (a[x] + e[x]);
     }
-    let mut half = vec![0.0; w2 * h2];
-    for y in 0..h2 {
-        for (k, tap) in TAPS.iter().enumerate() {
-            let from = mirror(2 * y as isize + k as isize - 2, height) * w2;
-            for (out, v) in half[y * w2..(y + 1) * w2].iter_mut().zip(&narrow[from..from + w2]) {
-                *out += tap * v;
-            }
-        }
-    }
-    (half, w2, h2)
 }
 
 #[cfg(test)]
