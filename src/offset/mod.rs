@@ -26,6 +26,7 @@ mod candidates;
 pub mod chart;
 mod consensus;
 mod estimate;
+mod features;
 mod film;
 mod joint;
 mod lost;

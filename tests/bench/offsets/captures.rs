@@ -156,3 +156,46 @@ fn parts(whole: &Capture, frames: usize) -> Vec<Capture> {
     }
     parts
 }
+
+/// Every pair of the best rung: its error against the truth, in frames and in its standard errors.
+pub fn pairs(folders: &[String]) -> Result<(), Box<dyn std::error::Error>> {
+    for folder in folders {
+        let capture = Arc::new(Capture::open(Path::new(folder))?);
+        let truth = Truth::open(Path::new(folder))?.ok_or("has no truth")?;
+        let start = Instant::now();
+        let found = estimate(
+            &capture,
+            &OffsetOptions::default(),
+            &RegistrationOptions::default(),
+            &Reporter::silent(),
+        )?;
+        let (known, unknown) = outcomes(&found.offsets, capture.frame_s(), |id| truth.offset_s(id));
+        println!(
+            "{folder}: {}; {unknown} unknown; {:.1} s",
+            summary(&known),
+            start.elapsed().as_secs_f64()
+        );
+        let each: Vec<String> =
+            known.iter().map(|o| format!("{:+.4} ({:+.1}σ)", o.error_frames, o.z())).collect();
+        println!("    {}", each.join(" "));
+        for camera in &found.offsets.cameras {
+            if let Some(reason) = &camera.reason {
+                println!("    {}: {reason}", camera.id);
+            }
+        }
+        for pair in &found.pairs {
+            let [i, j] = pair.cameras.map(|c| &capture.cameras[c].id);
+            let (Some(of_i), Some(of_j)) = (truth.offset_s(i), truth.offset_s(j)) else { continue };
+            let error = (pair.offset_s - (of_j - of_i)) / capture.frame_s();
+            println!(
+                "    {i}–{j}: {:+.4} ± {:.4} frame, {} of {} candidates, {:.3} px",
+                error,
+                pair.std_err_s / capture.frame_s(),
+                pair.inliers,
+                pair.candidates,
+                pair.sigma_px
+            );
+        }
+    }
+    Ok(())
+}
