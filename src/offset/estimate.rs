@@ -113,7 +113,8 @@ fn without_losses(
     let witnesses = directions
         .par_iter()
         .map(|&(_, pair, guess)| {
-            let witness = lost::follow(film, pair, guess);
+            let drifts = pair.iter().any(|&c| capture.cameras[c].clock.drift);
+            let witness = lost::follow(film, pair, guess, drifts);
             task.advance(1);
             witness
         })

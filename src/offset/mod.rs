@@ -35,6 +35,7 @@ mod options;
 mod pair;
 mod pairing;
 mod plot;
+mod steps;
 mod store;
 mod timeline;
 mod uncertainty;

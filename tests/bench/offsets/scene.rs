@@ -65,6 +65,8 @@ pub struct Film {
     pub drift_ppm: Vec<f64>,
     /// Frames that each camera loses, by their number had none been lost.
     pub lost: Vec<Vec<usize>>,
+    /// Whether the capture says that frames may be lost, even if none is.
+    pub may_lose: bool,
     /// Standard deviation of every frame's time about its due one, seconds, and whether the clock
     /// says so.
     pub jitter_s: f64,
@@ -90,6 +92,7 @@ impl Film {
             rate_hz: 30.0,
             drift_ppm: vec![0.0; delays_frames.len()],
             lost: vec![Vec::new(); delays_frames.len()],
+            may_lose: false,
             jitter_s: 0.0,
             stamped: true,
             noise: 0.002,
@@ -135,7 +138,7 @@ impl Film {
                 if self.stamped { 0.0 } else { errors.iter().sum::<f64>() / self.frames as f64 };
             means.push(delay_s + hidden);
             let drift = self.drift_ppm.iter().any(|d| *d != 0.0);
-            let lost = self.lost.iter().any(|l| !l.is_empty());
+            let lost = self.may_lose || self.lost.iter().any(|l| !l.is_empty());
             let clock = if self.stamped && self.jitter_s > 0.0 {
                 let times: Vec<f64> = errors.iter().enumerate().map(|(k, e)| due(k) + e).collect();
                 json!({"times_s": times, "shared": false})
