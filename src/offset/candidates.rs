@@ -1,6 +1,6 @@
 //! Eq. (10): one candidate a feature, from three frames.
 
-use crate::camera::{Camera, EpipolarGeometry};
+use crate::camera::{Camera, EpipolarGeometry, Line};
 use crate::registration::{Path, Track};
 use nalgebra::Point2;
 
@@ -55,24 +55,32 @@ impl ThreeFrames<'_> {
     /// Features without a correspondence, at the epipole, or with too little motion across the
     /// line have none.
     pub fn candidates(&self, tracks: &[&Track], in_j: &[Option<Point2<f64>>]) -> Vec<Candidate> {
-        self.candidates_by_track(tracks, in_j).into_iter().map(|(_, c)| c).collect()
+        self.crossings(tracks, in_j).into_iter().filter_map(|(_, c)| c).collect()
     }
 
-    /// The same, each with its track's index.
-    pub fn candidates_by_track(
+    /// Of every feature that moves enough across its line, its index and its candidate: none where
+    /// it crosses the line at no time near to the two frames, or was not found in camera j.
+    pub fn crossings(
         &self,
         tracks: &[&Track],
         in_j: &[Option<Point2<f64>>],
-    ) -> Vec<(usize, Candidate)> {
-        let Some(geometry) = EpipolarGeometry::new(self.camera_j, self.camera_i) else {
-            return Vec::new();
+    ) -> Vec<(usize, Option<Candidate>)> {
+        let i_from_j = EpipolarGeometry::new(self.camera_j, self.camera_i);
+        let j_from_i = EpipolarGeometry::new(self.camera_i, self.camera_j);
+        let Some((i_from_j, j_from_i)) = i_from_j.zip(j_from_i) else { return Vec::new() };
+        let line = |track: &Track, p_j: Option<Point2<f64>>| match p_j {
+            Some(p_j) => i_from_j.line_in_j(&self.camera_j.model.ideal_from_pixel(&p_j)?),
+            // As good as any point of the line that it is on.
+            None => {
+                let p_i = self.camera_i.model.ideal_from_pixel(&track.earlier)?;
+                i_from_j.line_in_j(&j_from_i.line_in_j(&p_i)?.nearest(&p_i))
+            }
         };
-        tracks
-            .iter()
-            .zip(in_j)
-            .enumerate()
-            .filter_map(|(k, (track, p_j))| Some((k, self.candidate(&geometry, track, (*p_j)?)?)))
-            .collect()
+        let crossing = |(k, (track, p_j)): (usize, (&&Track, &Option<Point2<f64>>))| {
+            let candidate = self.crossing(&line(track, *p_j)?, track)?;
+            Some((k, candidate.filter(|_| p_j.is_some())))
+        };
+        tracks.iter().zip(in_j).enumerate().filter_map(crossing).collect()
     }
 
     /// Whether a feature's path is known well enough to have a candidate, wherever it leads.
@@ -80,26 +88,34 @@ impl ThreeFrames<'_> {
         self.samples(track).is_some()
     }
 
-    fn candidate(
-        &self,
-        i_from_j: &EpipolarGeometry,
-        track: &Track,
-        p_j: Point2<f64>,
-    ) -> Option<Candidate> {
-        let line = i_from_j.line_in_j(&self.camera_j.model.ideal_from_pixel(&p_j)?)?;
+    /// `None` for too little motion across the line; then the candidate, if there is one.
+    fn crossing(&self, line: &Line, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
         let path = Path::new(samples.iter().copied())?;
         let start = self.times_i[self.index_i];
         let interval = self.times_i[self.index_i + 1] - start;
-        let distance = |t: f64| line.distance(&path.at(start + t));
-        let (near, far) = (distance(0.0), distance(interval));
+        let [near, far] = [0.0, interval].map(|t| line.distance(&path.at(start + t)));
         if (far - near).abs() < self.min_across_px {
             return None;
         }
         // The chord's crossing; its slope is bounded from below by the check above.
-        let mut time_s = interval * near / (near - far);
+        let guess_s = interval * near / (near - far);
+        Some(self.candidate(line, &path, &samples, guess_s))
+    }
+
+    fn candidate(
+        &self,
+        line: &Line,
+        path: &Path,
+        samples: &[(f64, Point2<f64>)],
+        guess_s: f64,
+    ) -> Option<Candidate> {
+        let start = self.times_i[self.index_i];
+        let interval = self.times_i[self.index_i + 1] - start;
         // A path through four frames says nothing beyond them.
-        if !(-interval..=2.0 * interval).contains(&time_s) {
+        let known = -interval..=2.0 * interval;
+        let mut time_s = guess_s;
+        if !known.contains(&time_s) {
             return None;
         }
         for _ in 0..4 {
@@ -108,23 +124,21 @@ impl ThreeFrames<'_> {
             if slope.abs() * interval < 0.5 * self.min_across_px {
                 return None;
             }
-            let step = distance(time_s) / slope;
+            let step = line.distance(&path.at(start + time_s)) / slope;
             time_s -= step;
             if step.abs() < 1e-9 * interval {
                 break;
             }
         }
-        if !(-interval..=2.0 * interval).contains(&time_s) {
+        if !known.contains(&time_s) {
             return None;
         }
         let across_px_s = line.normal.dot(&path.velocity(start + time_s));
-        let path_error_px = match self.curved.then(|| without_farthest(&samples, start + time_s)) {
-            Some(Some(lower)) => {
-                let change = path.at(start + time_s) - lower.at(start + time_s);
-                NEXT_ORDER * line.normal.dot(&change).abs()
-            }
-            _ => 0.0,
-        };
+        let lower = without_farthest(samples, start + time_s).filter(|_| self.curved);
+        let path_error_px = lower.map_or(0.0, |lower| {
+            let change = path.at(start + time_s) - lower.at(start + time_s);
+            NEXT_ORDER * line.normal.dot(&change).abs()
+        });
         Some(Candidate { time_s, across_px_s, path_error_px })
     }
 

@@ -38,6 +38,8 @@ pub struct Triple {
     pub tracks: usize,
     /// and those of them that move, as bodies do, and are seen by camera b.
     pub moving: usize,
+    /// Those of them that move across their epipolar lines, whether they cross them or not.
+    pub across: usize,
 }
 
 /// Cells of an image's grid, across and down.
@@ -146,9 +148,10 @@ impl<'a> Film<'a> {
             curved: self.options.rung == OffsetRung::JointCurved,
             min_across_px: self.options.min_across_px,
         };
-        let samples = three
-            .candidates_by_track(&chosen, &in_b)
-            .into_iter()
+        let crossings = three.crossings(&chosen, &in_b);
+        let samples = crossings
+            .iter()
+            .filter_map(|(track, candidate)| Some((*track, (*candidate)?)))
             .map(|(track, candidate)| Sample {
                 cameras: [a, b],
                 time_a_s: times_i[k] + candidate.time_s,
@@ -163,7 +166,7 @@ impl<'a> Film<'a> {
                 && three.follows(track)
         };
         let moving = chosen.iter().zip(&in_b).filter(|(track, seen)| moves(track, seen)).count();
-        Ok(Triple { samples, tracks: chosen.len(), moving })
+        Ok(Triple { samples, tracks: chosen.len(), moving, across: crossings.len() })
     }
 
     fn cell(&self, camera: usize, track: &Track) -> usize {

@@ -196,6 +196,11 @@ fn from_triples(
     if mixture.inliers < least {
         return Err(Blind::Along);
     }
+    let across: usize = found.iter().map(|t| t.across).sum();
+    let unforeseen = mixture.value_s.abs() > OWN_CLOCKS_FRAMES * frame_s;
+    if unforeseen && mixture.inliers < MIN_AGREEMENT * across as f64 {
+        return Err(Blind::Discordant);
+    }
     let mut estimate = PairEstimate {
         cameras: [i, j],
         offset_s: mixture.value_s,
@@ -238,6 +243,12 @@ fn fit(
     Some(Mixture { rate: relative.rate + guess.rate, ..relative })
 }
 
+/// Clocks that are off by no more frames than this are as right as they claim.
+pub const OWN_CLOCKS_FRAMES: f64 = 1.5;
+/// An offset that the clocks don't say needs the agreement of this share of all features that move
+/// across their epipolar lines: a part of the scene that swings agrees with itself a period later.
+/// Larger: not where many are hidden from one of the cameras; smaller: one swing of two is enough.
+pub const MIN_AGREEMENT: f64 = 0.5;
 /// Fewer moving features than this share of all that were followed are mismatches.
 const MIN_MOVING_SHARE: f64 = 0.01;
 /// What moves across the epipolar lines must be this share of all that moves: where motion runs
@@ -368,7 +379,7 @@ mod tests {
     fn too_few_candidates_have_a_reason() {
         let options = OffsetOptions::default();
         let of = |tracks, moving| {
-            why(&[Arc::new(Triple { samples: Vec::new(), tracks, moving })], &options)
+            why(&[Arc::new(Triple { tracks, moving, ..Triple::default() })], &options)
         };
         assert_eq!(of(3, 3), Blind::Featureless);
         assert_eq!(of(300, 3), Blind::Still);
