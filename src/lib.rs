@@ -14,7 +14,8 @@
 //!
 //! Beside these: [`rig`] describes and generates simulated arrays, [`exchange`] reads and writes
 //! other programs' calibrations, [`raster`] holds images as the stages work on them, [`progress`]
-//! reports long work, [`json`] reads files, [`video`] reads and writes video through an ffmpeg.
+//! reports long work, [`json`] reads files, [`video`] reads and writes video through an ffmpeg,
+//! [`random`] makes numbers that are the same everywhere.
 //!
 //! # Conventions
 //!
@@ -34,6 +35,7 @@ pub mod offset;
 pub mod progress;
 #[cfg(feature = "python")]
 mod python;
+pub mod random;
 pub mod raster;
 pub mod registration;
 pub mod render;

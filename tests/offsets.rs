@@ -3,9 +3,6 @@
 
 mod common;
 #[allow(dead_code)] // the benchmark uses all of it
-#[path = "bench/offsets/random.rs"]
-mod random;
-#[allow(dead_code)]
 #[path = "bench/offsets/scene.rs"]
 mod scene;
 

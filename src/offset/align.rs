@@ -227,7 +227,7 @@ fn correlation([a, b]: &[Signal; 2], offset_s: f64, min_overlap_s: f64) -> Optio
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::offset::tests::Random;
+    use crate::random::Random;
 
     /// A smooth random signal, sampled by two cameras at rates of their own.
     fn filmed(
@@ -237,7 +237,7 @@ mod tests {
         duration_s: f64,
     ) -> (Vec<f64>, Vec<[f32; 2 * BANDS]>) {
         let random = &mut Random::new(seed);
-        let waves: Vec<[f64; 4]> = (0..12).map(|_| [0; 4].map(|_| random.uniform())).collect();
+        let waves: Vec<[f64; 4]> = (0..12).map(|_| [0; 4].map(|_| random.unit())).collect();
         let times: Vec<f64> =
             (0..(duration_s * rate_hz) as usize).map(|k| k as f64 / rate_hz).collect();
         let values = times
@@ -260,9 +260,9 @@ mod tests {
         let random = &mut Random::new(6);
         for seed in 0..100 {
             // Started up to 5 s apart, overlapping by 2 s or more.
-            let late_s = 10.0 * random.uniform() - 5.0;
-            let rates = [30.0, 15.0 + 15.0 * random.uniform()];
-            let duration_s = late_s.abs() + 2.2 + 3.0 * random.uniform();
+            let late_s = 10.0 * random.unit() - 5.0;
+            let rates = [30.0, 15.0 + 15.0 * random.unit()];
+            let duration_s = late_s.abs() + 2.2 + 3.0 * random.unit();
             let signals = [(rates[0], 20.0), (rates[1], 20.0 + late_s)]
                 .map(|(rate, start)| filmed(seed, rate, start, duration_s));
             let signals = signals

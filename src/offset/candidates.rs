@@ -184,18 +184,9 @@ fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::CameraModel;
+    use crate::offset::tests::camera;
     use crate::registration::Run;
-    use nalgebra::{Isometry3, Point3};
-
-    fn camera(x: f64) -> Camera {
-        Camera {
-            width: 640,
-            height: 480,
-            model: CameraModel::Pinhole { fx: 686.0, fy: 686.0, cx: 320.0, cy: 240.0 },
-            cam_from_world: Isometry3::translation(-x, 0.0, 0.0),
-        }
-    }
+    use nalgebra::Point3;
 
     fn track(at: impl Fn(f64) -> Point2<f64>) -> Track {
         Track {

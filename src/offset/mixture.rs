@@ -209,7 +209,7 @@ fn weighted_line(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::offset::tests::Random;
+    use crate::random::Random;
 
     const RESIDUALS: Residuals =
         Residuals { start_px: 0.5, min_px: 1e-3, max_px: 2.0, range_s: 3.0 };
@@ -222,12 +222,12 @@ mod tests {
     ) -> Vec<Observation> {
         (0..inliers + outliers)
             .map(|k| {
-                let across_px_s = 1.0 + 15.0 * random.uniform();
-                let at_s = 10.0 * random.uniform();
+                let across_px_s = 1.0 + 15.0 * random.unit();
+                let at_s = 10.0 * random.unit();
                 let value_s = if k < inliers {
                     0.3 + rate * at_s + 0.3 * random.gaussian() / across_px_s
                 } else {
-                    3.0 * random.uniform() - 1.0
+                    3.0 * random.unit() - 1.0
                 };
                 Observation { value_s, at_s, across_px_s }
             })

@@ -150,7 +150,7 @@ fn mean_frame_s(levels: &[Level]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::offset::tests::Random;
+    use crate::random::Random;
 
     const FRAME_S: f64 = 1.0 / 30.0;
 
@@ -166,11 +166,8 @@ mod tests {
             .map(|m| {
                 let time_s = m as f64 * FRAME_S;
                 let passed = lost.iter().filter(|&&n| n <= m).count() as f64;
-                let mistake = if random.uniform() < wrong {
-                    (4.0 * random.uniform()).floor() - 2.0
-                } else {
-                    0.0
-                };
+                let mistake =
+                    if random.unit() < wrong { (4.0 * random.unit()).floor() - 2.0 } else { 0.0 };
                 let frames =
                     0.3 + passed + rate * time_s / FRAME_S + mistake + 0.02 * random.gaussian();
                 Level { images: [m, m], time_s, frames }
@@ -214,7 +211,7 @@ mod tests {
         let random = &mut Random::new(9);
         for n in 0..300 {
             let count = 16 + n % 30;
-            let at = 5 + (random.uniform() * (count - 10) as f64) as usize;
+            let at = 5 + (random.unit() * (count - 10) as f64) as usize;
             let rate = 3e-4 * random.gaussian();
             let levels = course(random, count, &[at], rate, 0.0);
             assert_eq!(found(&levels, true), [at], "{n}");

@@ -18,8 +18,6 @@ mod captures;
 mod fig18;
 #[path = "offsets/frames.rs"]
 mod frames;
-#[path = "offsets/random.rs"]
-mod random;
 #[path = "offsets/scene.rs"]
 mod scene;
 

@@ -100,6 +100,7 @@ pub fn run(folders: &[String]) -> Result<(), Box<dyn std::error::Error>> {
 /// with truth.
 pub fn calibration(folders: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     let mut all = Vec::new();
+    println!("folder, offsets; errors and standard errors, frames");
     for folder in folders {
         let whole = Capture::open(Path::new(folder))?;
         let truth = Truth::open(Path::new(folder))?.ok_or("has no truth")?;
@@ -122,17 +123,22 @@ pub fn calibration(folders: &[String]) -> Result<(), Box<dyn std::error::Error>>
             unknown += blind;
         }
         println!("{folder}: {}; {unknown} unknown", summary(&of_one));
+        let wrong = of_one.iter().filter(|o| o.z().abs() > 3.0);
+        for o in wrong {
+            println!("    over 3: {:+.5} ± {:.5}", o.error_frames, o.std_err_frames);
+        }
         all.extend(of_one);
     }
     println!("all: {}", summary(&all));
     Ok(())
 }
 
-/// Sub-sampled films: windows of a third and of two thirds of the frames, of the even and of the odd
-/// cameras.
+/// Sub-sampled films: windows of a third, half, two thirds and all of the frames, of the even and of
+/// the odd cameras.
 fn parts(whole: &Capture, frames: usize) -> Vec<Capture> {
     let mut parts = Vec::new();
-    for length in [frames.div_ceil(3).max(4), frames.div_ceil(3).max(4) * 2] {
+    for thirds in [2, 3, 4, 6] {
+        let length = (frames * thirds / 6).max(4);
         let starts = (0..).map(|n| n * length).take_while(|s| s + length <= frames);
         for start in starts {
             for parity in 0..2 {
