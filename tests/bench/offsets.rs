@@ -14,6 +14,7 @@
 mod analytic;
 #[path = "offsets/captures.rs"]
 mod captures;
+mod cpu;
 #[path = "offsets/fig18.rs"]
 mod fig18;
 #[path = "offsets/frames.rs"]
