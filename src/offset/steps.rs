@@ -38,8 +38,9 @@ pub struct Steps {
 const SIGMA_FRAMES: f64 = 0.08;
 /// A clock that drifts does so by about this much.
 const RATE: f64 = 5e-4;
-/// Sightings that are wrong without a jump and right with it, for it to be believed. Larger leaves
-/// frames that were lost near a film's ends unfound; smaller makes some up where motion repeats.
+/// Sightings that are wrong without a jump and right with it, for it to be believed by one pair of
+/// several. Larger leaves frames that were lost near a film's ends unfound; smaller makes some up
+/// where motion repeats.
 const MIN_SUPPORT: f64 = 1.8;
 const ITERATIONS: usize = 30;
 
@@ -54,7 +55,7 @@ impl Steps {
                 let mut others = jumps.clone();
                 others.drain(n..n + count);
                 let saved = Course::fit(levels, &others, drifts).cost - with_all.cost;
-                (others, saved)
+                (others, saved / count as f64)
             };
             let singles = (0..jumps.len()).map(|n| without(n, 1));
             let reversed = (1..jumps.len())
