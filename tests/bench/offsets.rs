@@ -3,7 +3,7 @@
 //! `cargo bench --bench offsets -- fig18`                 simulated tracks with outliers
 //! `cargo bench --bench offsets -- frames CAPTURE… `      Figs. 19 to 22, frame by frame
 //! `cargo bench --bench offsets -- captures CAPTURE…`     errors rung by rung, against the truth
-//! `cargo bench --bench offsets -- pairs CAPTURE…`        pair by pair, the best rung
+//! `cargo bench --bench offsets -- pairs [FRAMES] CAPTURE…`  pair by pair, the best rung
 //! `cargo bench --bench offsets -- calibration CAPTURE…`  error bars over sub-sampled films
 //! `cargo bench --bench offsets -- analytic`              films in closed form: accuracy, error
 //!                                                        bars, noise, jitter, blur, bits, time

@@ -152,10 +152,7 @@ fn parts(whole: &Capture, frames: usize) -> Vec<Capture> {
                     continue;
                 }
                 part.reference = (part.cameras.len() - 1) / 2;
-                for camera in &mut part.cameras {
-                    camera.frames = camera.frames[start..start + length].to_vec();
-                    camera.clock.times_s = camera.clock.times_s[start..start + length].to_vec();
-                }
+                keep_frames(&mut part, start..start + length);
                 parts.push(part);
             }
         }
@@ -163,10 +160,29 @@ fn parts(whole: &Capture, frames: usize) -> Vec<Capture> {
     parts
 }
 
+/// Leaves out all other frames; every camera must have these.
+fn keep_frames(capture: &mut Capture, frames: std::ops::Range<usize>) {
+    for camera in &mut capture.cameras {
+        camera.frames = camera.frames[frames.clone()].to_vec();
+        camera.clock.times_s = camera.clock.times_s[frames.clone()].to_vec();
+    }
+}
+
 /// Every pair of the best rung: its error against the truth, in frames and in its standard errors.
-pub fn pairs(folders: &[String]) -> Result<(), Box<dyn std::error::Error>> {
-    for folder in folders {
-        let capture = Arc::new(Capture::open(Path::new(folder))?);
+/// A number among the folders: only as many frames of those after it, from the first.
+pub fn pairs(arguments: &[String]) -> Result<(), Box<dyn std::error::Error>> {
+    let mut count = usize::MAX;
+    for folder in arguments {
+        if let Ok(frames) = folder.parse() {
+            count = frames;
+            continue;
+        }
+        let mut capture = Capture::open(Path::new(folder))?;
+        let frames = capture.cameras.iter().map(|c| c.frames.len()).min().unwrap_or(0);
+        if count < frames {
+            keep_frames(&mut capture, 0..count);
+        }
+        let capture = Arc::new(capture);
         let truth = Truth::open(Path::new(folder))?.ok_or("has no truth")?;
         let start = Instant::now();
         let found = estimate(
