@@ -14,7 +14,8 @@
 //!
 //! [`plan`] chooses the rungs that a capture requires. Beside these: [`rig`] describes and generates simulated arrays, [`exchange`] reads and writes
 //! other programs' calibrations, [`raster`] holds images as the stages work on them, [`progress`]
-//! reports long work, [`json`] reads files, [`video`] reads and writes video through an ffmpeg.
+//! reports long work, [`json`] reads files, [`video`] reads and writes video through an ffmpeg,
+//! [`random`] makes numbers that are the same everywhere.
 //!
 //! # Conventions
 //!
@@ -35,6 +36,7 @@ pub mod plan;
 pub mod progress;
 #[cfg(feature = "python")]
 mod python;
+pub mod random;
 pub mod raster;
 pub mod registration;
 pub mod render;

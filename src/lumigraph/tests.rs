@@ -3,34 +3,9 @@
 use super::*;
 use crate::camera::tests::pinhole_at;
 use crate::camera::{Camera, CameraModel};
+pub(super) use crate::random::Random;
 use crate::raster::Image;
 use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
-
-/// SplitMix64 (Steele et al. 2014): the same numbers everywhere.
-pub(super) struct Random(u64);
-
-impl Random {
-    pub fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// In 0..1.
-    pub fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    pub fn in_range(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * self.unit()
-    }
-}
 
 pub(super) fn assert_covered(map: &DepthMap) {
     let missing = map.data().iter().filter(|z| !z.is_finite()).count();

@@ -5,7 +5,7 @@
 use super::activity::{Activity, BANDS, Bands};
 use super::film::Film;
 use super::mixture::Observation;
-use super::pair::{Blind, Guess, residuals};
+use super::pair::{Blind, Guess, MIN_AGREEMENT, OWN_CLOCKS_FRAMES, residuals};
 use crate::capture::CaptureError;
 use rayon::prelude::*;
 
@@ -91,11 +91,14 @@ fn choose(agreed: &[(f64, f64)], frame_s: f64) -> Result<Guess, Blind> {
     let most = agreed.iter().map(|a| a.1).fold(0.0, f64::max);
     let good: Vec<f64> =
         agreed.iter().filter(|a| a.1 > 0.0 && a.1 >= AS_GOOD * most).map(|a| a.0).collect();
-    let near = |x: f64, y: f64| (x - y).abs() <= 1.5 * frame_s;
+    let near = |x: f64, y: f64| (x - y).abs() <= OWN_CLOCKS_FRAMES * frame_s;
     if let Some(own) = good.iter().find(|&&offset| near(offset, 0.0)) {
         return Ok(Guess::constant(*own));
     }
     let Some(best) = agreed.iter().find(|a| a.1 == most) else { return Err(Blind::Apart) };
+    if most > 0.0 && most < MIN_AGREEMENT {
+        return Err(Blind::Discordant);
+    }
     if most == 0.0 {
         // Nothing is seen at any offset; the pair itself says why.
         return Ok(Guess::default());
@@ -104,7 +107,7 @@ fn choose(agreed: &[(f64, f64)], frame_s: f64) -> Result<Guess, Blind> {
     if alone { Ok(Guess::constant(best.0)) } else { Err(Blind::Repeating) }
 }
 
-/// The share of moving features whose epipolar lines cross their paths at one offset near the
+/// The share of features that move across their epipolar lines whose epipolar lines cross their paths at one offset near the
 /// given one, on frames of camera a with much activity, spread over what both filmed.
 fn agreement(
     film: &Film,
@@ -117,14 +120,14 @@ fn agreement(
         .filter_map(|k| Some((k, film.between([a, b], k, offset_s)?)))
         .collect();
     let mut observations = Vec::new();
-    let mut moving = 0;
+    let mut across = 0;
     for part in possible.chunks(possible.len().div_ceil(TESTED_FRAMES).max(1)) {
         let most = part.iter().max_by(|x, y| {
             activity.energy(x.0).total_cmp(&activity.energy(y.0)).then(y.0.cmp(&x.0))
         });
         let Some(&(k, m)) = most else { continue };
         let triple = film.triple([a, b], [k, m])?;
-        moving += triple.moving;
+        across += triple.across;
         observations.extend(triple.samples.iter().map(|s| Observation {
             value_s: s.offset_s(),
             at_s: 0.0,
@@ -134,7 +137,7 @@ fn agreement(
     let residuals = residuals(film.timelines.frame_s(a), film.options);
     let score = residuals.start(&observations).map_or(0.0, |(_, score)| score);
     let enough = score >= film.options.min_inliers as f64;
-    Ok(if enough { score / moving.max(1) as f64 } else { 0.0 })
+    Ok(if enough { score / across.max(1) as f64 } else { 0.0 })
 }
 
 struct Signal<'a> {
@@ -224,7 +227,7 @@ fn correlation([a, b]: &[Signal; 2], offset_s: f64, min_overlap_s: f64) -> Optio
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::offset::tests::Random;
+    use crate::random::Random;
 
     /// A smooth random signal, sampled by two cameras at rates of their own.
     fn filmed(
@@ -234,7 +237,7 @@ mod tests {
         duration_s: f64,
     ) -> (Vec<f64>, Vec<[f32; 2 * BANDS]>) {
         let random = &mut Random::new(seed);
-        let waves: Vec<[f64; 4]> = (0..12).map(|_| [0; 4].map(|_| random.uniform())).collect();
+        let waves: Vec<[f64; 4]> = (0..12).map(|_| [0; 4].map(|_| random.unit())).collect();
         let times: Vec<f64> =
             (0..(duration_s * rate_hz) as usize).map(|k| k as f64 / rate_hz).collect();
         let values = times
@@ -257,9 +260,9 @@ mod tests {
         let random = &mut Random::new(6);
         for seed in 0..100 {
             // Started up to 5 s apart, overlapping by 2 s or more.
-            let late_s = 10.0 * random.uniform() - 5.0;
-            let rates = [30.0, 15.0 + 15.0 * random.uniform()];
-            let duration_s = late_s.abs() + 2.2 + 3.0 * random.uniform();
+            let late_s = 10.0 * random.unit() - 5.0;
+            let rates = [30.0, 15.0 + 15.0 * random.unit()];
+            let duration_s = late_s.abs() + 2.2 + 3.0 * random.unit();
             let signals = [(rates[0], 20.0), (rates[1], 20.0 + late_s)]
                 .map(|(rate, start)| filmed(seed, rate, start, duration_s));
             let signals = signals
@@ -292,6 +295,8 @@ mod tests {
         let frame_s = 0.04;
         assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.45)], frame_s), Ok(Guess::constant(0.02)));
         assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.1)], frame_s), Ok(Guess::constant(1.0)));
+        assert_eq!(choose(&[(1.0, 0.4), (0.02, 0.1)], frame_s), Err(Blind::Discordant));
+        assert_eq!(choose(&[(1.0, 0.1), (0.02, 0.4)], frame_s), Ok(Guess::constant(0.02)));
         assert_eq!(choose(&[(1.0, 0.5), (2.0, 0.45)], frame_s), Err(Blind::Repeating));
         assert_eq!(choose(&[(1.0, 0.5), (1.02, 0.45)], frame_s), Ok(Guess::constant(1.0)));
         assert_eq!(choose(&[(1.0, 0.0)], frame_s), Ok(Guess::default()));

@@ -1,6 +1,6 @@
 //! Eq. (10): one candidate a feature, from three frames.
 
-use crate::camera::{Camera, EpipolarGeometry};
+use crate::camera::{Camera, EpipolarGeometry, Line};
 use crate::registration::{Path, Track};
 use nalgebra::Point2;
 
@@ -10,9 +10,31 @@ pub struct Candidate {
     /// `t̃`: from camera i's earlier frame to camera j's frame, seconds.
     pub time_s: f64,
     /// How fast the feature crosses the epipolar line there, pixels a second: the inverse of what
-    /// a pixel of error costs in time.
+    /// a pixel of error costs in time. Negative on the way to the line's negative side.
     pub across_px_s: f64,
+    /// How far its path may be off across the line, because motion is no polynomial, pixels.
+    pub path_error_px: f64,
 }
+
+impl Candidate {
+    /// Its speed, less where the path itself is uncertain: squared, its information.
+    pub fn certain_px_s(&self) -> f64 {
+        self.across_px_s / 1.0_f64.hypot(self.path_error_px / PATH_SCALE_PX)
+    }
+}
+
+/// A path error of this much halves a candidate's information: what good features are off by.
+/// Larger lets the film's ends, where paths are quadratic, bias all; smaller leaves curved motion out.
+const PATH_SCALE_PX: f64 = 0.03;
+/// How far a path is off, as a share of what its last order changes: motion at film rates adds
+/// about this much of each order to the next.
+const NEXT_ORDER: f64 = 0.2;
+/// A sample may be this far from where the others put it, pixels,
+const MAX_SURPRISE_PX: f64 = 1.0;
+/// and this share of its path's largest step. Larger keeps features that sit on what rests and are
+/// lost behind what moves: their candidates agree, on the time of the frame they were last seen in.
+/// Smaller drops what swings fast.
+const MAX_SURPRISE_SHARE: f64 = 0.3;
 
 /// Camera i's frames and camera j's.
 pub struct ThreeFrames<'a> {
@@ -33,45 +55,67 @@ impl ThreeFrames<'_> {
     /// Features without a correspondence, at the epipole, or with too little motion across the
     /// line have none.
     pub fn candidates(&self, tracks: &[&Track], in_j: &[Option<Point2<f64>>]) -> Vec<Candidate> {
-        self.candidates_by_track(tracks, in_j).into_iter().map(|(_, c)| c).collect()
+        self.crossings(tracks, in_j).into_iter().filter_map(|(_, c)| c).collect()
     }
 
-    /// The same, each with its track's index.
-    pub fn candidates_by_track(
+    /// Of every feature that moves enough across its line, its index and its candidate: none where
+    /// it crosses the line at no time near to the two frames, or was not found in camera j.
+    pub fn crossings(
         &self,
         tracks: &[&Track],
         in_j: &[Option<Point2<f64>>],
-    ) -> Vec<(usize, Candidate)> {
-        let Some(geometry) = EpipolarGeometry::new(self.camera_j, self.camera_i) else {
-            return Vec::new();
+    ) -> Vec<(usize, Option<Candidate>)> {
+        let i_from_j = EpipolarGeometry::new(self.camera_j, self.camera_i);
+        let j_from_i = EpipolarGeometry::new(self.camera_i, self.camera_j);
+        let Some((i_from_j, j_from_i)) = i_from_j.zip(j_from_i) else { return Vec::new() };
+        let line = |track: &Track, p_j: Option<Point2<f64>>| match p_j {
+            Some(p_j) => i_from_j.line_in_j(&self.camera_j.model.ideal_from_pixel(&p_j)?),
+            // As good as any point of the line that it is on.
+            None => {
+                let p_i = self.camera_i.model.ideal_from_pixel(&track.earlier)?;
+                i_from_j.line_in_j(&j_from_i.line_in_j(&p_i)?.nearest(&p_i))
+            }
         };
-        tracks
-            .iter()
-            .zip(in_j)
-            .enumerate()
-            .filter_map(|(k, (track, p_j))| Some((k, self.candidate(&geometry, track, (*p_j)?)?)))
-            .collect()
+        let crossing = |(k, (track, p_j)): (usize, (&&Track, &Option<Point2<f64>>))| {
+            let candidate = self.crossing(&line(track, *p_j)?, track)?;
+            Some((k, candidate.filter(|_| p_j.is_some())))
+        };
+        tracks.iter().zip(in_j).enumerate().filter_map(crossing).collect()
     }
 
-    fn candidate(
-        &self,
-        i_from_j: &EpipolarGeometry,
-        track: &Track,
-        p_j: Point2<f64>,
-    ) -> Option<Candidate> {
-        let line = i_from_j.line_in_j(&self.camera_j.model.ideal_from_pixel(&p_j)?)?;
-        let path = self.path(track)?;
+    /// Whether a feature's path is known well enough to have a candidate, wherever it leads.
+    pub fn follows(&self, track: &Track) -> bool {
+        self.samples(track).is_some()
+    }
+
+    /// `None` for too little motion across the line; then the candidate, if there is one.
+    fn crossing(&self, line: &Line, track: &Track) -> Option<Option<Candidate>> {
+        let samples = self.samples(track)?;
+        let path = Path::new(samples.iter().copied())?;
         let start = self.times_i[self.index_i];
         let interval = self.times_i[self.index_i + 1] - start;
-        let distance = |t: f64| line.distance(&path.at(start + t));
-        let (near, far) = (distance(0.0), distance(interval));
+        let [near, far] = [0.0, interval].map(|t| line.distance(&path.at(start + t)));
         if (far - near).abs() < self.min_across_px {
             return None;
         }
         // The chord's crossing; its slope is bounded from below by the check above.
-        let mut time_s = interval * near / (near - far);
+        let guess_s = interval * near / (near - far);
+        Some(self.candidate(line, &path, &samples, guess_s))
+    }
+
+    fn candidate(
+        &self,
+        line: &Line,
+        path: &Path,
+        samples: &[(f64, Point2<f64>)],
+        guess_s: f64,
+    ) -> Option<Candidate> {
+        let start = self.times_i[self.index_i];
+        let interval = self.times_i[self.index_i + 1] - start;
         // A path through four frames says nothing beyond them.
-        if !(-interval..=2.0 * interval).contains(&time_s) {
+        let known = -interval..=2.0 * interval;
+        let mut time_s = guess_s;
+        if !known.contains(&time_s) {
             return None;
         }
         for _ in 0..4 {
@@ -80,49 +124,69 @@ impl ThreeFrames<'_> {
             if slope.abs() * interval < 0.5 * self.min_across_px {
                 return None;
             }
-            let step = distance(time_s) / slope;
+            let step = line.distance(&path.at(start + time_s)) / slope;
             time_s -= step;
             if step.abs() < 1e-9 * interval {
                 break;
             }
         }
-        if !(-interval..=2.0 * interval).contains(&time_s) {
+        if !known.contains(&time_s) {
             return None;
         }
-        let across_px_s = line.normal.dot(&path.velocity(start + time_s)).abs();
-        Some(Candidate { time_s, across_px_s })
+        let across_px_s = line.normal.dot(&path.velocity(start + time_s));
+        let lower = without_farthest(samples, start + time_s).filter(|_| self.curved);
+        let path_error_px = lower.map_or(0.0, |lower| {
+            let change = path.at(start + time_s) - lower.at(start + time_s);
+            NEXT_ORDER * line.normal.dot(&change).abs()
+        });
+        Some(Candidate { time_s, across_px_s, path_error_px })
     }
 
-    /// The path in distortion-free pixels.
-    fn path(&self, track: &Track) -> Option<Path> {
-        let ideal = |p: Point2<f64>| self.camera_i.model.ideal_from_pixel(&p);
-        let (before, after) = if self.curved { (track.before, track.after) } else { (None, None) };
-        Track {
-            before: before.and_then(ideal),
-            earlier: ideal(track.earlier)?,
-            later: ideal(track.later)?,
-            after: after.and_then(ideal),
-            ..track.clone()
+    /// The path's samples in distortion-free pixels. `None` for a feature that could not be
+    /// followed to the frames around, if there are any, or that moves there like no body.
+    fn samples(&self, track: &Track) -> Option<Vec<(f64, Point2<f64>)>> {
+        let k = self.index_i;
+        let last = self.times_i.len() - 1;
+        let mut at = vec![(k, track.earlier), (k + 1, track.later)];
+        if self.curved {
+            at.extend(track.before.filter(|_| k > 0).map(|p| (k.wrapping_sub(1), p)));
+            at.extend(track.after.filter(|_| k + 1 < last).map(|p| (k + 2, p)));
+            at.sort_by_key(|(k, _)| *k);
         }
-        .path(self.times_i, self.index_i)
+        let samples = at
+            .into_iter()
+            .map(|(k, p)| Some((self.times_i[k], self.camera_i.model.ideal_from_pixel(&p)?)))
+            .collect::<Option<Vec<_>>>()?;
+        let alone = last == 1 || !self.curved;
+        (alone || (samples.len() > 2 && is_smooth(&samples))).then_some(samples)
     }
+}
+
+/// The path through all samples but the one furthest from a time; `None` for two samples.
+fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Path> {
+    let away = |s: &(f64, Point2<f64>)| (s.0 - time_s).abs();
+    let (first, last) = (samples.first()?, samples.last()?);
+    Path::new(if away(first) > away(last) {
+        samples[1..].iter().copied()
+    } else {
+        samples[..samples.len() - 1].iter().copied()
+    })
+}
+
+/// Whether the last of three or four samples is near to where the others lead.
+fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
+    let Some(((time_s, position), others)) = samples.split_last() else { return false };
+    let Some(path) = Path::new(others.iter().copied()) else { return false };
+    let step = samples.windows(2).map(|w| (w[1].1 - w[0].1).norm()).fold(0.0, f64::max);
+    (position - path.at(*time_s)).norm() <= MAX_SURPRISE_PX + MAX_SURPRISE_SHARE * step
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::CameraModel;
+    use crate::offset::tests::camera;
     use crate::registration::Run;
-    use nalgebra::{Isometry3, Point3};
-
-    fn camera(x: f64) -> Camera {
-        Camera {
-            width: 640,
-            height: 480,
-            model: CameraModel::Pinhole { fx: 686.0, fy: 686.0, cx: 320.0, cy: 240.0 },
-            cam_from_world: Isometry3::translation(-x, 0.0, 0.0),
-        }
-    }
+    use nalgebra::Point3;
 
     fn track(at: impl Fn(f64) -> Point2<f64>) -> Track {
         Track {

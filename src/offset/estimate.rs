@@ -26,9 +26,7 @@ pub fn estimate(
     registration: &RegistrationOptions,
     reporter: &Reporter,
 ) -> Result<Estimate, CaptureError> {
-    let mut registration = registration.clone();
-    registration.corners.max_corners = registration.corners.max_corners.min(options.max_features);
-    let frames = &FrameStore::new(capture.clone(), &registration);
+    let frames = &FrameStore::new(capture.clone(), registration);
     let (clock, count) = clocks(capture);
     if count == 1 {
         return Ok(Estimate { offsets: Offsets::known(capture), pairs: Vec::new() });
@@ -115,7 +113,8 @@ fn without_losses(
     let witnesses = directions
         .par_iter()
         .map(|&(_, pair, guess)| {
-            let witness = lost::follow(film, pair, guess);
+            let drifts = pair.iter().any(|&c| capture.cameras[c].clock.drift);
+            let witness = lost::follow(film, pair, guess, drifts);
             task.advance(1);
             witness
         })

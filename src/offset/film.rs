@@ -1,10 +1,11 @@
 //! What pairs are estimated from: frames, tracks and times, and the samples of three frames.
 
 use super::candidates::ThreeFrames;
+use super::features;
 use super::timeline::Timelines;
 use super::{OffsetOptions, OffsetRung};
 use crate::capture::CaptureError;
-use crate::registration::{FrameStore, Track, flow, temporal_flow};
+use crate::registration::{FrameStore, Track, flow, temporal_flow_of};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -15,7 +16,8 @@ pub struct Sample {
     pub cameras: [usize; 2],
     pub time_a_s: f64,
     pub time_b_s: f64,
-    /// How fast the feature crosses the epipolar line, pixels a second.
+    /// How fast the feature crosses the epipolar line, pixels a second, less where its path is
+    /// uncertain.
     pub across_px_s: f64,
     /// Where in camera a's image it is, on a coarse grid: features that lie together err together.
     pub cell: usize,
@@ -34,8 +36,10 @@ pub struct Triple {
     pub samples: Vec<Sample>,
     /// Features followed from frame to frame in camera a,
     pub tracks: usize,
-    /// and those of them that move.
+    /// and those of them that move, as bodies do, and are seen by camera b.
     pub moving: usize,
+    /// Those of them that move across their epipolar lines, whether they cross them or not.
+    pub across: usize,
 }
 
 /// Cells of an image's grid, across and down.
@@ -64,12 +68,17 @@ impl TrackCache {
         frames: &FrameStore,
         camera: usize,
         k: usize,
+        max_features: usize,
     ) -> Result<Arc<Vec<Track>>, CaptureError> {
         let kept = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(tracks) = kept().get(&(camera, k)) {
             return Ok(tracks.clone());
         }
-        let tracks = Arc::new(temporal_flow(frames, camera, k)?);
+        let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
+        let corners = earlier.corners(frames.options());
+        let chosen = features::changing(&earlier, &later, corners, max_features);
+        // §7 starts from the features selected on I_i(t) itself.
+        let tracks = Arc::new(temporal_flow_of(frames, camera, k, [&chosen, &[]])?);
         kept().insert((camera, k), tracks.clone());
         Ok(tracks)
     }
@@ -87,7 +96,7 @@ impl<'a> Film<'a> {
 
     /// The tracks of a camera between frames k and k + 1.
     pub fn track(&self, camera: usize, k: usize) -> Result<Arc<Vec<Track>>, CaptureError> {
-        self.tracks.get(self.frames, camera, k)
+        self.tracks.get(self.frames, camera, k, self.options.max_features)
     }
 
     /// The image of camera b between frames k and k + 1 of camera a, or that near to them that the
@@ -120,9 +129,8 @@ impl<'a> Film<'a> {
     fn three_frames(&self, [a, b]: [usize; 2], [k, m]: [usize; 2]) -> Result<Triple, CaptureError> {
         let cameras = &self.frames.capture().cameras;
         let (source, target) = (self.frames.get(a, k)?, self.frames.get(b, m)?);
-        let all = self.track(a, k)?;
-        // §7 starts from the features selected on I_i(t) itself.
-        let chosen: Vec<&Track> = all.iter().filter(|t| t.in_forward_set()).collect();
+        let tracks = self.track(a, k)?;
+        let chosen: Vec<&Track> = tracks.iter().collect();
         let times_i = &self.timelines.times_s[a];
         let time_b_s = self.timelines.times_s[b][m];
         // Half-way is nowhere far off while the offset is a guess.
@@ -140,19 +148,25 @@ impl<'a> Film<'a> {
             curved: self.options.rung == OffsetRung::JointCurved,
             min_across_px: self.options.min_across_px,
         };
-        let samples = three
-            .candidates_by_track(&chosen, &in_b)
-            .into_iter()
+        let crossings = three.crossings(&chosen, &in_b);
+        let samples = crossings
+            .iter()
+            .filter_map(|(track, candidate)| Some((*track, (*candidate)?)))
             .map(|(track, candidate)| Sample {
                 cameras: [a, b],
                 time_a_s: times_i[k] + candidate.time_s,
                 time_b_s,
-                across_px_s: candidate.across_px_s,
+                across_px_s: candidate.certain_px_s(),
                 cell: self.cell(a, chosen[track]),
             })
             .collect();
-        let moves = |t: &&&Track| t.motion().norm() >= self.options.min_across_px;
-        Ok(Triple { samples, tracks: chosen.len(), moving: chosen.iter().filter(moves).count() })
+        let moves = |track: &&Track, seen: &Option<_>| {
+            seen.is_some()
+                && track.motion().norm() >= self.options.min_across_px
+                && three.follows(track)
+        };
+        let moving = chosen.iter().zip(&in_b).filter(|(track, seen)| moves(track, seen)).count();
+        Ok(Triple { samples, tracks: chosen.len(), moving, across: crossings.len() })
     }
 
     fn cell(&self, camera: usize, track: &Track) -> usize {

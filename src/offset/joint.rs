@@ -306,7 +306,7 @@ fn connected_to_reference(pairs: &[&PairEstimate], clocks: &Clocks) -> Vec<bool>
 mod tests {
     use super::*;
     use crate::offset::film::Sample;
-    use crate::offset::tests::Random;
+    use crate::random::Random;
 
     fn pair(a: usize, b: usize, offset_s: f64) -> PairEstimate {
         PairEstimate { cameras: [a, b], offset_s, std_err_s: 1e-4, ..PairEstimate::default() }
@@ -387,7 +387,7 @@ mod tests {
                             let noise = 0.2 * random.gaussian() / 150.0;
                             let time_a_s = guess - ahead(a, guess - ahead(a, guess)) + noise;
                             let cameras = [a, b];
-                            let cell = (random.uniform() * 40.0) as usize;
+                            let cell = (random.unit() * 40.0) as usize;
                             (Sample { cameras, time_a_s, time_b_s, across_px_s: 150.0, cell }, 25.0)
                         })
                         .collect(),

@@ -1,13 +1,16 @@
 //! Lost frames, found: a camera that drops one without a trace is a frame later from there on.
 //!
-//! Three frames show an offset; followed along the film, the offset of a pair jumps by a whole
-//! frame where the camera that gives the single frame lost one. The jump is bracketed by halving,
-//! and reported if most of the camera's pairs see it at the same image. (A camera's own tracks
-//! across its gap are two frames long and say nothing; the pair's other direction sees that one.)
+//! Three frames show an offset; followed along the film, the offset of a pair jumps up by a whole
+//! frame where the camera that gives the single frame lost one, and down where the other one did.
+//! Jumps are bracketed by halving; those stay that what was seen before and after them needs
+//! ([`Steps`]), and a lost frame is reported if most of the camera's pairs see it at the same
+//! image. (A camera's own tracks across its gap are two frames long and say nothing; the pair's
+//! other direction sees that one.)
 
 use super::film::Film;
 use super::mixture::Observation;
 use super::pair::{Guess, residuals};
+use super::steps::{Jump, Level, Steps};
 use crate::capture::CaptureError;
 
 /// What one direction of one pair says about the camera that gives the single frames.
@@ -44,8 +47,14 @@ const MIN_SHARE: f64 = 0.3;
 /// Jumps of a fraction of a frame beyond this are whole ones.
 const MIN_JUMP: f64 = 0.6;
 
-/// Follows the offset of the pair (a, b) along the film, from a guess at its main part.
-pub fn follow(film: &Film, [a, b]: [usize; 2], guess: Guess) -> Result<Witness, CaptureError> {
+/// Follows the offset of the pair (a, b) along the film, from a guess at its main part; `drifts`
+/// says whether the offset may change between the jumps.
+pub fn follow(
+    film: &Film,
+    [a, b]: [usize; 2],
+    guess: Guess,
+    drifts: bool,
+) -> Result<Witness, CaptureError> {
     let intervals = film.timelines.times_s[a].len() - 1;
     let walk = Walk { film, cameras: [a, b], frame_s: film.timelines.frame_s(b) };
     let mut seen: Vec<Seen> = Vec::new();
@@ -61,10 +70,15 @@ pub fn follow(film: &Film, [a, b]: [usize; 2], guess: Guess) -> Result<Witness, 
     let mut witness = Witness { camera: b, ..Witness::default() };
     let (Some(first), Some(last)) = (seen.first(), seen.last()) else { return Ok(witness) };
     witness.seen = Some((first.m, last.m));
-    witness.first_offset_s = first.offset_s;
+    let (mut jumps, mut between) = (Vec::new(), Vec::new());
     for pair in seen.windows(2) {
-        walk.bracket(pair[0], pair[1], &mut witness.lost_before)?;
+        walk.bracket(pair[0], pair[1], &mut jumps, &mut between)?;
     }
+    seen.extend(between);
+    let levels: Vec<Level> = seen.iter().map(|s| walk.level(s)).collect();
+    let steps = Steps::supported(&levels, &jumps, drifts);
+    witness.first_offset_s = walk.frame_s * steps.first;
+    witness.lost_before = steps.jumps.iter().filter(|j| j.frames > 0.0).map(|j| j.image).collect();
     Ok(witness)
 }
 
@@ -125,39 +139,59 @@ impl Walk<'_, '_> {
         Ok((inside && enough).then_some((score, offset_s)))
     }
 
-    /// Finds the images between two sightings before which the offset jumps.
-    fn bracket(&self, from: Seen, to: Seen, lost: &mut Vec<usize>) -> Result<(), CaptureError> {
+    fn level(&self, seen: &Seen) -> Level {
+        Level {
+            images: [seen.k, seen.m],
+            time_s: self.film.timelines.times_s[self.cameras[1]][seen.m],
+            frames: seen.offset_s / self.frame_s,
+        }
+    }
+
+    /// Finds the images between two sightings before which the offset jumps, and what else it sees
+    /// on the way.
+    fn bracket(
+        &self,
+        from: Seen,
+        to: Seen,
+        jumps: &mut Vec<Jump>,
+        on_the_way: &mut Vec<Seen>,
+    ) -> Result<(), CaptureError> {
         let jump = (to.offset_s - from.offset_s) / self.frame_s;
-        if jump < MIN_JUMP || to.m <= from.m {
+        if jump.abs() < MIN_JUMP || to.m <= from.m {
             return Ok(());
         }
-        let mut between = None;
-        // The middle first; where nothing is seen there, its neighbours.
+        match self.between(from, to)? {
+            Some(between) => {
+                on_the_way.push(between);
+                self.bracket(from, between, jumps, on_the_way)?;
+                self.bracket(between, to, jumps, on_the_way)
+            }
+            None => {
+                // Nothing in between shows which image it was before: the first that is late.
+                let one = if jump > 0.0 {
+                    Jump { camera: 1, image: to.m, frames: 1.0 }
+                } else {
+                    Jump { camera: 0, image: to.k, frames: -1.0 }
+                };
+                jumps.extend(std::iter::repeat_n(one, jump.abs().round() as usize));
+                Ok(())
+            }
+        }
+    }
+
+    /// A sighting between two others: in the middle, or where there is none, near to it.
+    fn between(&self, from: Seen, to: Seen) -> Result<Option<Seen>, CaptureError> {
         let middle = usize::midpoint(from.k, to.k);
         for away in 0..(to.k - from.k) {
             let candidates = [middle.checked_sub(away), Some(middle + away)];
             for k in candidates.into_iter().flatten().filter(|k| (from.k + 1..to.k).contains(k)) {
-                let near = |s: &Seen| s.m > from.m && s.m < to.m;
-                between = self.look_for_either(k, from.offset_s, to.offset_s)?.filter(near);
-                if between.is_some() {
-                    break;
+                let found = self.look_for_either(k, from.offset_s, to.offset_s)?;
+                if let Some(found) = found.filter(|s| s.m > from.m && s.m < to.m) {
+                    return Ok(Some(found));
                 }
             }
-            if between.is_some() {
-                break;
-            }
         }
-        match between {
-            Some(between) => {
-                self.bracket(from, between, lost)?;
-                self.bracket(between, to, lost)
-            }
-            None => {
-                // Nothing in between shows which image it was before: the first that is late.
-                lost.extend(std::iter::repeat_n(to.m, jump.round() as usize));
-                Ok(())
-            }
-        }
+        Ok(None)
     }
 
     fn look_for_either(

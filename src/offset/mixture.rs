@@ -4,7 +4,7 @@
 //! RANSAC counts candidates within a tolerance in time, although a slow feature's candidate is far
 //! less certain than a fast one's; eqs. (11) to (13) weight by agreement alone. Here a candidate's
 //! error is Gaussian in pixels, so that it weighs with the square of its speed across the epipolar
-//! line, and an outlier's time is uniform over what candidates may be: the mixture of narrow, wide
+//! line, and an outlier's time is uniform over what candidates may be: the mixture of narrow, wider
 //! and uniform errors is fitted by expectation maximization, from the start that most candidates
 //! agree with (scored as MSAC scores: truncated squares).
 
@@ -52,9 +52,10 @@ pub struct Residuals {
     pub range_s: f64,
 }
 
-/// The wide component's standard deviation, in the narrow one's: features on depth edges and
-/// under changing light are off by several times of what the others are.
-const WIDE: f64 = 4.0;
+/// The inliers' components' standard deviations, in the narrow one's: features on depth edges and
+/// under changing light are off by several times of what the others are, and where all is thin, by
+/// many times. Without the widest, those would set the scale and weigh as much as good ones.
+const SCALES: [f64; 3] = [1.0, 4.0, 16.0];
 const ITERATIONS: usize = 60;
 /// Starts that are scored against all observations.
 const MAX_STARTS: usize = 400;
@@ -99,8 +100,8 @@ impl Residuals {
     ) -> Option<Mixture> {
         let mut line = Vector2::new(start_s, 0.0);
         let mut sigma = self.start_px;
-        // Shares of narrow, wide and outliers.
-        let mut shares = [0.5, 0.2, 0.3];
+        // Shares of the components, and of outliers.
+        let mut shares = [0.5, 0.15, 0.05, 0.3];
         let mut weights = vec![0.0; observations.len()];
         for _ in 0..ITERATIONS {
             let sums = self.expect(observations, &line, sigma, shares, &mut weights);
@@ -110,7 +111,7 @@ impl Residuals {
             shares = sums.counts.map(|c| (c / n).max(1e-3));
             let total: f64 = shares.iter().sum();
             shares = shares.map(|s| s / total);
-            let variance = sums.squares / (sums.counts[0] + sums.counts[1]).max(1e-12);
+            let variance = sums.squares / sums.inliers().max(1e-12);
             let next_sigma = variance.sqrt().clamp(self.min_px, self.max_px);
             let rests = (next - line).amax() < 1e-9 * self.range_s
                 && (next_sigma - sigma).abs() < 1e-4 * sigma;
@@ -120,7 +121,7 @@ impl Residuals {
             }
         }
         let sums = self.expect(observations, &line, sigma, shares, &mut weights);
-        let inliers = sums.counts[0] + sums.counts[1];
+        let inliers = sums.inliers();
         Some(Mixture {
             value_s: line.x,
             rate: line.y,
@@ -138,39 +139,50 @@ impl Residuals {
         observations: &[Observation],
         line: &Vector2<f64>,
         sigma: f64,
-        shares: [f64; 3],
+        shares: Shares,
         weights: &mut [f64],
     ) -> Sums {
         let mut sums = Sums::default();
-        let outlier = shares[2] / self.range_s;
+        let outlier = shares[SCALES.len()] / self.range_s;
         for (o, weight) in observations.iter().zip(weights) {
             let r = (o.value_s - line.x - line.y * o.at_s) * o.across_px_s;
-            // Densities in time; all share the factor 1/√2π.
-            let density = |scale: f64| {
-                let z = r / scale;
-                o.across_px_s / scale * (-0.5 * z * z).exp() * std::f64::consts::FRAC_1_SQRT_2
-                    / std::f64::consts::PI.sqrt()
-            };
-            let narrow = shares[0] * density(sigma);
-            let wide = shares[1] * density(WIDE * sigma);
+            // Densities in time.
+            let at_peak = o.across_px_s.abs() / (sigma * std::f64::consts::TAU.sqrt());
+            let z = r / sigma;
+            let densities: [f64; SCALES.len()] = std::array::from_fn(|k| {
+                let z = z / SCALES[k];
+                shares[k] * at_peak / SCALES[k] * (-0.5 * z * z).exp()
+            });
             // The outliers' part is positive: the shares are.
-            let total = narrow + wide + outlier;
-            let (p, q) = (narrow / total, wide / total);
-            sums.counts[0] += p;
-            sums.counts[1] += q;
-            sums.counts[2] += 1.0 - p - q;
-            sums.squares += (p + q / (WIDE * WIDE)) * r * r;
-            *weight = (p + q / (WIDE * WIDE)) / (sigma * sigma);
+            let total = outlier + densities.iter().sum::<f64>();
+            // Of the squared residual's weight, in units of the narrow component's.
+            let mut part = 0.0;
+            for (k, density) in densities.iter().enumerate() {
+                sums.counts[k] += density / total;
+                part += density / total / (SCALES[k] * SCALES[k]);
+            }
+            sums.counts[SCALES.len()] += outlier / total;
+            sums.squares += part * r * r;
+            *weight = part / (sigma * sigma);
         }
         sums
     }
 }
 
+/// One number for each component, and for the outliers.
+type Shares = [f64; SCALES.len() + 1];
+
 #[derive(Default)]
 struct Sums {
-    counts: [f64; 3],
+    counts: Shares,
     /// Squared residuals, each in units of its component's variance over the narrow one's.
     squares: f64,
+}
+
+impl Sums {
+    fn inliers(&self) -> f64 {
+        self.counts[..SCALES.len()].iter().sum()
+    }
 }
 
 /// The line of least weighted squares; `None` where it is not determined.
@@ -197,7 +209,7 @@ fn weighted_line(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::offset::tests::Random;
+    use crate::random::Random;
 
     const RESIDUALS: Residuals =
         Residuals { start_px: 0.5, min_px: 1e-3, max_px: 2.0, range_s: 3.0 };
@@ -210,12 +222,12 @@ mod tests {
     ) -> Vec<Observation> {
         (0..inliers + outliers)
             .map(|k| {
-                let across_px_s = 1.0 + 15.0 * random.uniform();
-                let at_s = 10.0 * random.uniform();
+                let across_px_s = 1.0 + 15.0 * random.unit();
+                let at_s = 10.0 * random.unit();
                 let value_s = if k < inliers {
                     0.3 + rate * at_s + 0.3 * random.gaussian() / across_px_s
                 } else {
-                    3.0 * random.uniform() - 1.0
+                    3.0 * random.unit() - 1.0
                 };
                 Observation { value_s, at_s, across_px_s }
             })

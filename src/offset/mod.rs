@@ -26,6 +26,7 @@ mod candidates;
 pub mod chart;
 mod consensus;
 mod estimate;
+mod features;
 mod film;
 mod joint;
 mod lost;
@@ -34,6 +35,7 @@ mod options;
 mod pair;
 mod pairing;
 mod plot;
+mod steps;
 mod store;
 mod timeline;
 mod uncertainty;
@@ -114,27 +116,16 @@ const ONE_FRAME: &str = "it has one frame, which shows no motion";
 
 #[cfg(test)]
 mod tests {
-    /// Numbers that look random, the same in every run (splitmix64).
-    pub struct Random(u64);
+    use crate::camera::{Camera, CameraModel};
+    use nalgebra::Isometry3;
 
-    impl Random {
-        pub fn new(seed: u64) -> Self {
-            Self(seed)
-        }
-
-        /// From 0 to 1.
-        pub fn uniform(&mut self) -> f64 {
-            self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-            let mut z = self.0;
-            z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-            z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-            ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-        }
-
-        /// Of mean 0 and standard deviation 1 (Box and Muller).
-        pub fn gaussian(&mut self) -> f64 {
-            let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
-            radius * (std::f64::consts::TAU * self.uniform()).cos()
+    /// Of a row of cameras, the one at x metres.
+    pub fn camera(x: f64) -> Camera {
+        Camera {
+            width: 640,
+            height: 480,
+            model: CameraModel::Pinhole { fx: 686.0, fy: 686.0, cx: 320.0, cy: 240.0 },
+            cam_from_world: Isometry3::translation(-x, 0.0, 0.0),
         }
     }
 }

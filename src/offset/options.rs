@@ -13,8 +13,8 @@ pub struct OffsetOptions {
     pub neighbors: usize,
     /// Frames of a camera used at most, evenly spread.
     pub max_frames: usize,
-    /// Corners a frame used at most, the strongest first: in place of registration's own, which
-    /// an interpolation needs many more of.
+    /// Corners a frame followed at most, the strongest first of those around which the image
+    /// changes: an interpolation needs many more.
     pub max_features: usize,
     /// RANSAC's tolerance d, as a share of Δt.
     pub tolerance_share: f64,

@@ -98,7 +98,7 @@ fn summed<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::offset::tests::Random;
+    use crate::random::Random;
 
     /// A mean whose samples share an error by time and one by place: its scatter over thousands of
     /// problems is the variance that it is given.

@@ -65,18 +65,9 @@ fn symmetric(s1: f64, s2: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::CameraModel;
-    use crate::offset::tests::Random;
-    use nalgebra::{Isometry3, Point3, Vector3};
-
-    fn camera(x: f64) -> Camera {
-        Camera {
-            width: 640,
-            height: 480,
-            model: CameraModel::Pinhole { fx: 686.0, fy: 686.0, cx: 320.0, cy: 240.0 },
-            cam_from_world: Isometry3::translation(-x, 0.0, 0.0),
-        }
-    }
+    use crate::offset::tests::camera;
+    use crate::random::Random;
+    use nalgebra::{Point3, Vector3};
 
     fn seen(
         cameras: [&Camera; 2],
@@ -98,7 +89,7 @@ mod tests {
         let (i, j) = (camera(0.0), camera(0.06));
         let random = &mut Random::new(3);
         for _ in 0..5000 {
-            let mut signed = || 2.0 * random.uniform() - 1.0;
+            let mut signed = || 2.0 * random.unit() - 1.0;
             let (p, v) = (
                 Point3::new(0.3 * signed(), 0.3 * signed(), 2.0 + 0.4 * signed()),
                 Vector3::new(signed(), 0.4 + 0.5 * signed().abs(), 0.5 * signed()),

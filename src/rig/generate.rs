@@ -3,8 +3,8 @@
 use super::check::FieldError;
 use super::format::{Distortion, Rig, RigCamera, RigColor, RigView};
 use super::limits::{FORMAT, VERSION};
-use super::random::Random;
 use crate::camera::PoseFormat;
+use crate::random::Random;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use std::num::NonZeroUsize;
 
@@ -138,9 +138,9 @@ impl RigOptions {
         self.check()?;
         let stands = self.stands();
         let reference = reference(&stands);
-        let mut delays = Random::new(self.seed, "delays");
-        let mut drifts = Random::new(self.seed, "drifts");
-        let mut losses = Random::new(self.seed, "losses");
+        let mut delays = Random::stream(self.seed, "delays");
+        let mut drifts = Random::stream(self.seed, "drifts");
+        let mut losses = Random::stream(self.seed, "losses");
         let cameras: Vec<RigCamera> = stands
             .iter()
             .enumerate()

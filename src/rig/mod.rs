@@ -8,7 +8,6 @@ mod check;
 mod format;
 mod generate;
 mod limits;
-mod random;
 mod write;
 
 pub use check::{FieldError, RigError};

@@ -3,6 +3,7 @@
 //! `cargo bench --bench offsets -- fig18`                 simulated tracks with outliers
 //! `cargo bench --bench offsets -- frames CAPTURE… `      Figs. 19 to 22, frame by frame
 //! `cargo bench --bench offsets -- captures CAPTURE…`     errors rung by rung, against the truth
+//! `cargo bench --bench offsets -- pairs [FRAMES] CAPTURE…`  pair by pair, the best rung
 //! `cargo bench --bench offsets -- calibration CAPTURE…`  error bars over sub-sampled films
 //! `cargo bench --bench offsets -- analytic`              films in closed form: accuracy, error
 //!                                                        bars, noise, jitter, blur, bits, time
@@ -13,12 +14,11 @@
 mod analytic;
 #[path = "offsets/captures.rs"]
 mod captures;
+mod cpu;
 #[path = "offsets/fig18.rs"]
 mod fig18;
 #[path = "offsets/frames.rs"]
 mod frames;
-#[path = "offsets/random.rs"]
-mod random;
 #[path = "offsets/scene.rs"]
 mod scene;
 
@@ -36,6 +36,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "fig18" => fig18::run(&output),
         "frames" => frames::run(rest, &output),
         "captures" => captures::run(rest),
+        "pairs" => captures::pairs(rest),
         "calibration" => captures::calibration(rest),
         "analytic" => analytic::run(rest, &output),
         other => Err(format!("there is no '{other}'").into()),

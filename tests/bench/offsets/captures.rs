@@ -100,6 +100,7 @@ pub fn run(folders: &[String]) -> Result<(), Box<dyn std::error::Error>> {
 /// with truth.
 pub fn calibration(folders: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     let mut all = Vec::new();
+    println!("folder, offsets; errors and standard errors, frames");
     for folder in folders {
         let whole = Capture::open(Path::new(folder))?;
         let truth = Truth::open(Path::new(folder))?.ok_or("has no truth")?;
@@ -122,17 +123,22 @@ pub fn calibration(folders: &[String]) -> Result<(), Box<dyn std::error::Error>>
             unknown += blind;
         }
         println!("{folder}: {}; {unknown} unknown", summary(&of_one));
+        let wrong = of_one.iter().filter(|o| o.z().abs() > 3.0);
+        for o in wrong {
+            println!("    over 3: {:+.5} ± {:.5}", o.error_frames, o.std_err_frames);
+        }
         all.extend(of_one);
     }
     println!("all: {}", summary(&all));
     Ok(())
 }
 
-/// Sub-sampled films: windows of a third and of two thirds of the frames, of the even and of the odd
-/// cameras.
+/// Sub-sampled films: windows of a third, half, two thirds and all of the frames, of the even and of
+/// the odd cameras.
 fn parts(whole: &Capture, frames: usize) -> Vec<Capture> {
     let mut parts = Vec::new();
-    for length in [frames.div_ceil(3).max(4), frames.div_ceil(3).max(4) * 2] {
+    for thirds in [2, 3, 4, 6] {
+        let length = (frames * thirds / 6).max(4);
         let starts = (0..).map(|n| n * length).take_while(|s| s + length <= frames);
         for start in starts {
             for parity in 0..2 {
@@ -146,13 +152,72 @@ fn parts(whole: &Capture, frames: usize) -> Vec<Capture> {
                     continue;
                 }
                 part.reference = (part.cameras.len() - 1) / 2;
-                for camera in &mut part.cameras {
-                    camera.frames = camera.frames[start..start + length].to_vec();
-                    camera.clock.times_s = camera.clock.times_s[start..start + length].to_vec();
-                }
+                keep_frames(&mut part, start..start + length);
                 parts.push(part);
             }
         }
     }
     parts
+}
+
+/// Leaves out all other frames; every camera must have these.
+fn keep_frames(capture: &mut Capture, frames: std::ops::Range<usize>) {
+    for camera in &mut capture.cameras {
+        camera.frames = camera.frames[frames.clone()].to_vec();
+        camera.clock.times_s = camera.clock.times_s[frames.clone()].to_vec();
+    }
+}
+
+/// Every pair of the best rung: its error against the truth, in frames and in its standard errors.
+/// A number among the folders: only as many frames of those after it, from the first.
+pub fn pairs(arguments: &[String]) -> Result<(), Box<dyn std::error::Error>> {
+    let mut count = usize::MAX;
+    for folder in arguments {
+        if let Ok(frames) = folder.parse() {
+            count = frames;
+            continue;
+        }
+        let mut capture = Capture::open(Path::new(folder))?;
+        let frames = capture.cameras.iter().map(|c| c.frames.len()).min().unwrap_or(0);
+        if count < frames {
+            keep_frames(&mut capture, 0..count);
+        }
+        let capture = Arc::new(capture);
+        let truth = Truth::open(Path::new(folder))?.ok_or("has no truth")?;
+        let start = Instant::now();
+        let found = estimate(
+            &capture,
+            &OffsetOptions::default(),
+            &RegistrationOptions::default(),
+            &Reporter::silent(),
+        )?;
+        let (known, unknown) = outcomes(&found.offsets, capture.frame_s(), |id| truth.offset_s(id));
+        println!(
+            "{folder}: {}; {unknown} unknown; {:.1} s",
+            summary(&known),
+            start.elapsed().as_secs_f64()
+        );
+        let each: Vec<String> =
+            known.iter().map(|o| format!("{:+.4} ({:+.1}σ)", o.error_frames, o.z())).collect();
+        println!("    {}", each.join(" "));
+        for camera in &found.offsets.cameras {
+            if let Some(reason) = &camera.reason {
+                println!("    {}: {reason}", camera.id);
+            }
+        }
+        for pair in &found.pairs {
+            let [i, j] = pair.cameras.map(|c| &capture.cameras[c].id);
+            let (Some(of_i), Some(of_j)) = (truth.offset_s(i), truth.offset_s(j)) else { continue };
+            let error = (pair.offset_s - (of_j - of_i)) / capture.frame_s();
+            println!(
+                "    {i}–{j}: {:+.4} ± {:.4} frame, {} of {} candidates, {:.3} px",
+                error,
+                pair.std_err_s / capture.frame_s(),
+                pair.inliers,
+                pair.candidates,
+                pair.sigma_px
+            );
+        }
+    }
+    Ok(())
 }

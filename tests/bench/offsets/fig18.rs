@@ -3,7 +3,6 @@
 //! 200 tracks, 10 to 20 pixels of motion in all directions, the correspondences `p_i(t+Δt)` and
 //! `p_j(t')` perturbed by 0.5 px; outliers have `p_j` uniform in the image. `t̃ = 0.3 Δt`.
 
-use super::random::Random;
 use super::{median, percentile, save};
 use nalgebra::{Isometry3, Point2, Vector2};
 use std::path::Path;
@@ -12,6 +11,7 @@ use stlfr::offset::chart::{Chart, Series, svg};
 use stlfr::offset::{
     Candidate, Observation, Residuals, ThreeFrames, ransac, weighted_least_squares,
 };
+use stlfr::random::Random;
 use stlfr::registration::{Run, Track};
 
 const TRACKS: usize = 200;
@@ -49,10 +49,10 @@ fn candidates(outlier_share: f64, random: &mut Random) -> Vec<Candidate> {
     let mut tracks = Vec::new();
     let mut in_j = Vec::new();
     for k in 0..TRACKS {
-        let start = Point2::new(SIZE[0] * random.uniform(), SIZE[1] * random.uniform());
-        let angle = std::f64::consts::TAU * random.uniform();
-        let motion = (10.0 + 10.0 * random.uniform()) * Vector2::new(angle.cos(), angle.sin());
-        let disparity = Vector2::new(10.0 + 20.0 * random.uniform(), 0.0);
+        let start = Point2::new(SIZE[0] * random.unit(), SIZE[1] * random.unit());
+        let angle = std::f64::consts::TAU * random.unit();
+        let motion = (10.0 + 10.0 * random.unit()) * Vector2::new(angle.cos(), angle.sin());
+        let disparity = Vector2::new(10.0 + 20.0 * random.unit(), 0.0);
         let mut noise = || NOISE_PX * Vector2::new(random.gaussian(), random.gaussian());
         let later = start + motion + noise();
         let seen = start + motion * TRUE_SHARE - disparity + noise();
@@ -66,7 +66,7 @@ fn candidates(outlier_share: f64, random: &mut Random) -> Vec<Candidate> {
             back_error_px: 0.0,
         });
         let is_outlier = (k as f64) < outlier_share * TRACKS as f64;
-        let anywhere = Point2::new(SIZE[0] * random.uniform(), SIZE[1] * random.uniform());
+        let anywhere = Point2::new(SIZE[0] * random.unit(), SIZE[1] * random.unit());
         in_j.push(Some(if is_outlier { anywhere } else { seen }));
     }
     let tracks: Vec<&Track> = tracks.iter().collect();

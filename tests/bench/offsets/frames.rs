@@ -91,7 +91,7 @@ fn both(mut values: Vec<f64>) -> Option<f64> {
 fn mixture(candidates: &[stlfr::offset::Candidate], interval: f64) -> Option<f64> {
     let observations: Vec<Observation> = candidates
         .iter()
-        .map(|c| Observation { value_s: c.time_s, at_s: 0.0, across_px_s: c.across_px_s })
+        .map(|c| Observation { value_s: c.time_s, at_s: 0.0, across_px_s: c.certain_px_s() })
         .collect();
     let residuals = Residuals { start_px: 0.5, min_px: 0.01, max_px: 2.0, range_s: 3.0 * interval };
     let found = residuals.fit(&observations, residuals.start(&observations)?.0, false)?;
@@ -196,26 +196,48 @@ pub fn run(folders: &[String], output: &Path) -> Result<(), Failure> {
         Vec::new(),
     )?;
     for folder in folders {
-        let capture = Arc::new(Capture::open(Path::new(folder))?);
-        let truth = Truth::open(Path::new(folder))?.ok_or("has no truth")?;
-        let frame_s = capture.frame_s();
-        let j = capture.reference;
-        // The neighbour whose offset is nearest to the paper's 0.3 frame.
-        let shutter = |c: usize| truth.shutter.iter().find(|s| s.id == capture.cameras[c].id);
-        let neighbors = [j.checked_sub(1), Some(j + 1).filter(|&c| c < capture.cameras.len())];
-        for i in neighbors.into_iter().flatten() {
-            let (Some(of_i), Some(of_j)) = (shutter(i), shutter(j)) else { continue };
-            let (of_i, of_j) = (of_i.times_s.clone(), of_j.times_s.clone());
-            let title = format!(
-                "{}, {} and {}",
-                capture.name, capture.cameras[i].id, capture.cameras[j].id
-            );
-            let by_shutter = move |k: usize, m: usize| {
-                let interval = if k + 1 < of_i.len() { of_i[k + 1] - of_i[k] } else { frame_s };
-                (of_j[m] - of_i[k]) / interval
-            };
-            charts.push(figure(&title, &capture, [i, j], &by_shutter)?);
-        }
+        charts.extend(filmed(Path::new(folder))?);
     }
     save(output, "figs19-22.svg", &svg(&charts, 2))
+}
+
+/// Of a filmed capture: the neighbours whose offset is nearest to 0.3 and to 0.5 frame, and the
+/// latter with a frame lost without a trace.
+fn filmed(folder: &Path) -> Result<Vec<Chart>, Failure> {
+    let capture = Arc::new(Capture::open(folder)?);
+    let truth = Truth::open(folder)?.ok_or("has no truth")?;
+    let frame_s = capture.frame_s();
+    let offset = |i: usize| truth.offset_s(&capture.cameras[i].id).map(|s| s / frame_s);
+    let nearest = |wanted: f64| {
+        let away = |i: usize| Some(((offset(i + 1)? - offset(i)?).rem_euclid(1.0) - wanted).abs());
+        let pairs = (0..capture.cameras.len() - 1).filter_map(|i| Some((i, away(i)?)));
+        pairs.min_by(|x, y| x.1.total_cmp(&y.1)).map(|(i, _)| [i, i + 1])
+    };
+    let mut charts = Vec::new();
+    for (wanted, loses) in [(0.3, false), (0.5, false), (0.5, true)] {
+        let Some([i, j]) = nearest(wanted) else { continue };
+        let shutter = |c: usize| truth.shutter_s(&capture.cameras[c].id).map(<[f64]>::to_vec);
+        let Some((of_i, mut of_j)) = shutter(i).zip(shutter(j)) else { continue };
+        let mut part = (*capture).clone();
+        let lost = of_j.len() / 2;
+        if loses {
+            of_j.remove(lost);
+            part.cameras[j].frames.remove(lost);
+            // Its clock goes on as if nothing had happened.
+            part.cameras[j].clock.times_s.pop();
+        }
+        let title = format!(
+            "{}: {} and {}{}",
+            capture.name,
+            capture.cameras[i].id,
+            capture.cameras[j].id,
+            if loses { format!(", frame {lost} lost") } else { String::new() }
+        );
+        let by_shutter = move |k: usize, m: usize| {
+            let interval = if k + 1 < of_i.len() { of_i[k + 1] - of_i[k] } else { frame_s };
+            (of_j[m] - of_i[k]) / interval
+        };
+        charts.push(figure(&title, &Arc::new(part), [i, j], &by_shutter)?);
+    }
+    Ok(charts)
 }

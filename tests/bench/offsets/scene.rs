@@ -1,12 +1,12 @@
 //! Films in closed form: textured rectangles that move before a textured wall, seen by a row of
 //! cameras at any instant. As the paper's synthetic sequences, with the truth exactly known.
 
-use super::random::Random;
 use nalgebra::{Point3, Rotation3, Vector3};
 use rayon::prelude::*;
 use serde_json::json;
 use std::path::Path;
 use stlfr::capture::{BitDepth, write_image};
+use stlfr::random::Random;
 use stlfr::raster::Image;
 
 /// A textured rectangle in motion. Metres, seconds.
@@ -65,6 +65,8 @@ pub struct Film {
     pub drift_ppm: Vec<f64>,
     /// Frames that each camera loses, by their number had none been lost.
     pub lost: Vec<Vec<usize>>,
+    /// Whether the capture says that frames may be lost, even if none is.
+    pub may_lose: bool,
     /// Standard deviation of every frame's time about its due one, seconds, and whether the clock
     /// says so.
     pub jitter_s: f64,
@@ -90,6 +92,7 @@ impl Film {
             rate_hz: 30.0,
             drift_ppm: vec![0.0; delays_frames.len()],
             lost: vec![Vec::new(); delays_frames.len()],
+            may_lose: false,
             jitter_s: 0.0,
             stamped: true,
             noise: 0.002,
@@ -128,14 +131,14 @@ impl Film {
                     image,
                     [x, y],
                     delay_s + due(*n) * slow + error * slow,
-                    random.uniform(),
+                    random.unit(),
                 ));
             }
             let hidden =
                 if self.stamped { 0.0 } else { errors.iter().sum::<f64>() / self.frames as f64 };
             means.push(delay_s + hidden);
             let drift = self.drift_ppm.iter().any(|d| *d != 0.0);
-            let lost = self.lost.iter().any(|l| !l.is_empty());
+            let lost = self.may_lose || self.lost.iter().any(|l| !l.is_empty());
             let clock = if self.stamped && self.jitter_s > 0.0 {
                 let times: Vec<f64> = errors.iter().enumerate().map(|(k, e)| due(k) + e).collect();
                 json!({"times_s": times, "shared": false})
@@ -273,15 +276,15 @@ pub fn random_boards(seed: u64) -> Vec<Board> {
         let center = Point3::new(
             0.35 * (f64::from(n) - 1.0) + 0.1 * random.signed(),
             0.2 * random.signed(),
-            1.5 + 0.5 * random.uniform(),
+            1.5 + 0.5 * random.unit(),
         );
         let mut board =
-            Board::still(center, [0.12 + 0.1 * random.uniform(), 0.15], [f64::from(n), 0.3]);
+            Board::still(center, [0.12 + 0.1 * random.unit(), 0.15], [f64::from(n), 0.3]);
         board.velocity =
             Vector3::new(0.5 * random.signed(), 0.6 * random.signed(), 0.3 * random.signed());
         board.swing = Vector3::new(0.05, 0.06, 0.02) * random.signed();
-        board.swing_hz = 0.5 + 1.5 * random.uniform();
-        board.phase = 6.0 * random.uniform();
+        board.swing_hz = 0.5 + 1.5 * random.unit();
+        board.phase = 6.0 * random.unit();
         board.roll = [random.signed(), 1.5 * random.signed()];
         board.yaw = [0.3 * random.signed(), 0.8 * random.signed()];
         boards.push(board);
@@ -316,7 +319,7 @@ pub fn restless(seed: u64) -> Vec<Board> {
         let mut board = Board::still(Point3::new(x, 0.0, 1.8), [0.22, 0.28], [x, 0.3]);
         board.swing = Vector3::new(0.08 * random.signed(), 0.16, 0.0);
         board.swing_hz = hz;
-        board.phase = 6.0 * random.uniform();
+        board.phase = 6.0 * random.unit();
         boards.push(board);
     }
     boards
