@@ -114,7 +114,7 @@ impl Scene {
         let quarter = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle);
         let q = quarter * self.turn.inverse();
         let t = -(q * center);
-        let (w, h) = if self.quarter_turns % 2 == 0 { (W, H) } else { (H, W) };
+        let (w, h) = if self.quarter_turns.is_multiple_of(2) { (W, H) } else { (H, W) };
         json!({"width": w, "height": h, "model": "PINHOLE",
             "params": [self.focal_px, self.focal_px, w as f64 / 2.0, h as f64 / 2.0],
             "cam_from_world": {"rotation_wxyz": [q.w, q.i, q.j, q.k],
