@@ -1,7 +1,7 @@
 //! From a film to offsets: the stages in their order.
 
 use super::film::{Film, TrackCache};
-use super::pair::{Blind, Guess, PairEstimate, estimate_pair, triples};
+use super::pair::{Blind, Guess, MIN_AGREEMENT, PairEstimate, estimate_pair, triples};
 use super::pairing::{clocks, pairs};
 use super::timeline::Timelines;
 use super::{CameraOffset, Clocks, ONE_FRAME, OffsetOptions, Offsets, align, lost, solve};
@@ -42,8 +42,12 @@ pub fn estimate(
     let drifts = drifts(capture, &clock, count);
     let found = pairwise(&film, &pairs, &starts, |c| drifts[clock[c]], reporter)?;
     let certain_s = options.max_std_err_frames * capture.frame_s();
-    let used: Vec<PairEstimate> =
-        found.iter().flatten().filter(|p| p.std_err_s <= certain_s).cloned().collect();
+    let used: Vec<PairEstimate> = found
+        .iter()
+        .flatten()
+        .filter(|p| p.std_err_s <= certain_s && !contradicted(p, &pairs, &found))
+        .cloned()
+        .collect();
     let first_s = film.timelines.times_s.iter().map(|t| t[0]).collect();
     let frame_s = capture.frame_s();
     let solved = solve(&used, &Clocks { of_camera: clock.clone(), first_s, drifts, frame_s });
@@ -157,6 +161,19 @@ fn pairwise(
         .collect()
 }
 
+/// Whether less than half of what moves agrees with a pair, and another pair of one of its cameras
+/// points to a time that the clocks don't say: what repeats itself agrees with both.
+fn contradicted(
+    pair: &PairEstimate,
+    pairs: &[[usize; 2]],
+    found: &[Result<PairEstimate, Blind>],
+) -> bool {
+    let shares_camera = |other: &[usize; 2]| other.iter().any(|c| pair.cameras.contains(c));
+    let mut others = pairs.iter().zip(found).filter(|(other, _)| shares_camera(other));
+    pair.agreement < MIN_AGREEMENT
+        && others.any(|(_, found)| matches!(found, Err(Blind::Elsewhere)))
+}
+
 /// Finds the tracks that the pairs will ask for, each once.
 fn track(
     film: &Film,
@@ -212,7 +229,7 @@ fn reason(
         Some(Blind::Along) => {
             "too few features move across the epipolar lines of its neighbours: the motion runs along them"
         }
-        Some(Blind::Discordant) => "too few features agree on one offset",
+        Some(Blind::Discordant | Blind::Elsewhere) => "too few features agree on one offset",
         Some(Blind::Repeating) => {
             "several offsets, frames apart, fit the motion equally well: it repeats itself"
         }

@@ -22,6 +22,8 @@ pub struct PairEstimate {
     pub center_s: f64,
     pub inliers: usize,
     pub candidates: usize,
+    /// The inliers' share of all features that move across their epipolar lines.
+    pub agreement: f64,
     /// Standard deviation of the inliers' distances from their epipolar lines, pixels.
     pub sigma_px: f64,
     /// The paper's estimate of every triple of frames.
@@ -57,6 +59,8 @@ pub enum Blind {
     Along,
     /// Candidates don't agree with each other.
     Discordant,
+    /// Many agree on an offset that the clocks don't say, but not enough of all.
+    Elsewhere,
     /// Several offsets, frames apart, agree as well with what is seen.
     Repeating,
 }
@@ -199,7 +203,7 @@ fn from_triples(
     let across: usize = found.iter().map(|t| t.across).sum();
     let unforeseen = mixture.value_s.abs() > OWN_CLOCKS_FRAMES * frame_s;
     if unforeseen && mixture.inliers < MIN_AGREEMENT * across as f64 {
-        return Err(Blind::Discordant);
+        return Err(Blind::Elsewhere);
     }
     let mut estimate = PairEstimate {
         cameras: [i, j],
@@ -209,6 +213,7 @@ fn from_triples(
         center_s,
         inliers: mixture.inliers.round() as usize,
         candidates: observations.len(),
+        agreement: mixture.inliers / across.max(1) as f64,
         sigma_px: mixture.sigma_px,
         frames,
         samples: samples.into_iter().zip(mixture.weights.iter().copied()).collect(),

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use targets::Target;
 
 /// Mutations a target by default: some seconds in all.
-const MUTATIONS: usize = 1000;
+const MUTATIONS: usize = 3000;
 
 /// Parses bytes as the target's file; why that is wrong, if it is.
 fn verdict(target: &Target, folder: &Path, bytes: &[u8]) -> Result<(), String> {

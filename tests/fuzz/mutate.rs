@@ -62,7 +62,7 @@ impl Mutator {
     fn flip(&mut self, bytes: &mut [u8]) {
         let at = self.below(bytes.len());
         if let Some(byte) = bytes.get_mut(at) {
-            *byte ^= 1 << self.random.bits() % 8;
+            *byte ^= 1 << (self.random.bits() % 8);
         }
     }
 
