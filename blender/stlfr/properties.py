@@ -23,16 +23,22 @@ import stlfr
 LADDERS = stlfr.ladders()
 
 
-def _rungs(ladder: str) -> dict[str, Any]:
+AUTO = ("auto", "Auto", "The lowest rung that the capture requires")
+
+
+def _rungs(ladder: str, *more: tuple[str, str, str]) -> dict[str, Any]:
     """The rungs that the module has, for an `EnumProperty`: one that isn't built isn't offered."""
     return {
         "items": [
-            (
-                rung["name"],
-                rung["name"].replace("-", " ").capitalize(),
-                rung["help"],
-            )
-            for rung in LADDERS[ladder]["rungs"]
+            *more,
+            *(
+                (
+                    rung["name"],
+                    rung["name"].replace("-", " ").capitalize(),
+                    rung["help"],
+                )
+                for rung in LADDERS[ladder]["rungs"]
+            ),
         ],
         "default": LADDERS[ladder]["default"],
     }
@@ -139,12 +145,12 @@ class StlfrScene(bpy.types.PropertyGroup):
     sync: EnumProperty(
         name="Sync",
         description="How each camera's image at the instant is made",
-        **_rungs("sync"),
+        **_rungs("sync", AUTO),
     )
     proxy: EnumProperty(
         name="Proxy",
         description="What stands for the scene's shape",
-        **_rungs("proxy"),
+        **_rungs("proxy", AUTO),
     )
     use_plane_depth: BoolProperty(
         name="Focus by Hand",

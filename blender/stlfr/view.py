@@ -58,10 +58,17 @@ def capture_time_s(scene: Any) -> float:
 
 def options(settings: Any) -> dict[str, Any]:
     """The render options that the render tab amounts to, as a file for `stlfr render --options` has them."""
-    proxy: dict[str, Any] = {"rung": settings.proxy}
+    auto = {
+        stage: True for stage in ("sync", "proxy") if getattr(settings, stage) == "auto"
+    }
+    proxy: dict[str, Any] = {} if "proxy" in auto else {"rung": settings.proxy}
     if settings.proxy == "plane" and settings.use_plane_depth:
         proxy["plane_depth_m"] = settings.plane_depth_m
-    result: dict[str, Any] = {"sync": settings.sync, "proxy": proxy}
+    result: dict[str, Any] = {"proxy": proxy}
+    if "sync" not in auto:
+        result["sync"] = settings.sync
+    if auto:
+        result["auto"] = auto
     if settings.use_trail:
         result["trail"] = {
             "duration_s": settings.trail_duration_s,

@@ -24,8 +24,9 @@ pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
 #[pyclass(name = "Capture", module = "stlfr", frozen)]
 pub struct PyCapture {
     capture: Arc<Capture>,
-    /// The light field that was rendered from last: its registered frames serve the next view.
-    field: Mutex<Option<Arc<LightField>>>,
+    /// The light field that was rendered from last, with the options that asked for it: its
+    /// registered frames serve the next view.
+    field: Mutex<Option<(RenderOptions, Arc<LightField>)>>,
 }
 
 #[pymethods]
@@ -202,11 +203,11 @@ impl PyCapture {
     /// The light field with these options, kept for the next call.
     fn field(&self, options: RenderOptions) -> Result<Arc<LightField>, RenderError> {
         let mut kept = self.field.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(field) = kept.as_ref().filter(|field| *field.options() == options) {
+        if let Some((_, field)) = kept.as_ref().filter(|(asked, _)| *asked == options) {
             return Ok(field.clone());
         }
-        let field = LightField::open(self.capture.clone(), options, &Reporter::silent())?;
-        Ok(kept.insert(Arc::new(field)).clone())
+        let opened = LightField::open(self.capture.clone(), options.clone(), &Reporter::silent())?;
+        Ok(kept.insert((options, Arc::new(opened))).1.clone())
     }
 
     fn index(&self, camera_id: &str) -> PyResult<usize> {

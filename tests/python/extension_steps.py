@@ -189,7 +189,9 @@ def pictures(capture: str, folder: str) -> dict[str, Any]:
     place(scene, filmed[3])
     time_s = middle_s(capture)
     found = {"like": picture(scene, work, time_s, "like")}
-    scene.stlfr.proxy = "plane"
+    scene.stlfr.sync = scene.stlfr.proxy = "auto"
+    found["auto"] = picture(scene, work, time_s, "auto")
+    scene.stlfr.sync, scene.stlfr.proxy = "refined", "plane"
     scene.stlfr.use_plane_depth, scene.stlfr.plane_depth_m = True, 1.8
     scene.camera.location.x += 0.5
     found["aside"] = picture(scene, work, time_s, "aside")

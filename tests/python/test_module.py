@@ -288,6 +288,20 @@ def test_the_ladders_hold_what_render_takes(capture_dir: Path) -> None:
         assert sorted(re.findall("`([a-z-]+)`", str(raised.value))[1:]) == sorted(rungs)
 
 
+def test_auto_renders_by_the_plan(
+    own_capture: Path, program: Path, tmp_path: Path
+) -> None:
+    """As with the options that `stlfr plan` writes."""
+    planned = tmp_path / "planned.json"
+    subprocess.run([program, "-q", "plan", own_capture, "-o", planned], check=True)
+    capture = stlfr.open(own_capture)
+    time_s = float(np.mean(capture.times("cam3")))
+    auto = {"auto": {"sync": True, "proxy": True}}
+    image = capture.render(time_s, like="cam3", options=auto)
+    options = json.loads(planned.read_text())
+    assert np.array_equal(image, capture.render(time_s, like="cam3", options=options))
+
+
 def test_a_trail_can_be_stopped(own_capture: Path) -> None:
     """Before any of its instants; what the caller's function raises is raised."""
     capture = stlfr.open(own_capture)
