@@ -133,3 +133,24 @@ fn plan_speaks_json_and_refuses_a_bad_budget() {
     let refused = run(&["-q", "plan", capture, "--budget-px", "nan"]);
     assert_refused(&refused, 2, "auto.budget_px");
 }
+
+#[test]
+fn options_are_not_written_over_the_capture() {
+    let folder = still().film();
+    let capture = folder.path().to_str().unwrap();
+    let before = std::fs::read(folder.path().join("capture.json")).unwrap();
+    for (name, words) in [
+        ("capture.json", "describes the capture"),
+        ("cam0/0.png", "is a frame of the capture"),
+        ("cam0", "is a folder"),
+        ("nowhere/options.json/x", "nowhere"),
+    ] {
+        let output = folder.path().join(name);
+        if name.starts_with("nowhere") {
+            std::fs::write(folder.path().join("nowhere"), "").unwrap();
+        }
+        let refused = run(&["-q", "plan", capture, "-o", output.to_str().unwrap()]);
+        assert_refused(&refused, 2, words);
+    }
+    assert_eq!(std::fs::read(folder.path().join("capture.json")).unwrap(), before);
+}

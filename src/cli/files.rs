@@ -3,7 +3,7 @@
 use super::CliError;
 use std::path::{Path, PathBuf};
 use stlfr::camera::{Camera, CameraFormat};
-use stlfr::capture::{Capture, FilmedCamera};
+use stlfr::capture::{CAPTURE_FILE, Capture, FilmedCamera};
 use stlfr::json;
 use stlfr::render::RenderOptions;
 
@@ -32,8 +32,9 @@ pub fn must_be_writable(output: &Path) -> Result<(), CliError> {
     })
 }
 
-/// Refuses an image that can't be written, or that would take the place of a frame of the capture.
-pub fn must_be_writable_image(output: &Path, capture: &Capture) -> Result<(), CliError> {
+/// Refuses a file that can't be written, or that would take the place of a frame of the capture or
+/// of its description.
+pub fn must_be_writable_beside(output: &Path, capture: &Capture) -> Result<(), CliError> {
     must_be_writable(output)?;
     if output.is_dir() {
         return Err(CliError::BadInput(format!("{}: is a folder", output.display())));
@@ -45,6 +46,13 @@ pub fn must_be_writable_image(output: &Path, capture: &Capture) -> Result<(), Cl
         };
         capture.cameras.iter().any(of)
     };
+    let description = capture.folder.join(CAPTURE_FILE).canonicalize().ok();
+    if there.is_some() && there == description {
+        return Err(CliError::BadInput(format!(
+            "{}: describes the capture, and is not written over",
+            output.display()
+        )));
+    }
     if there.is_some_and(|path| is_frame(&path)) {
         return Err(CliError::BadInput(format!(
             "{}: is a frame of the capture, which is not written over",

@@ -1,7 +1,7 @@
 //! `stlfr plan`
 
 use super::CliError;
-use super::files::{must_be_writable, options_or_default};
+use super::files::{must_be_writable_beside, options_or_default};
 use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::capture::{Capture, write_atomically};
@@ -39,10 +39,10 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     options.auto.budget_px = args.budget_px.unwrap_or(options.auto.budget_px);
     (options.auto.sync, options.auto.proxy) = (true, true);
     options.check().map_err(|error| CliError::BadInput(error.to_string()))?;
-    if let Some(output) = &args.output {
-        must_be_writable(output)?;
-    }
     let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
+    if let Some(output) = &args.output {
+        must_be_writable_beside(output, &capture)?;
+    }
     let (plan, _) = plan(&capture, &options, reporter)?;
     if let Some(output) = &args.output {
         write_atomically(output, json(&plan.options)?.as_bytes()).map_err(|error| {

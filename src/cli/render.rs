@@ -1,7 +1,7 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::files::{must_be_writable_image, options_or_default, read_view};
+use super::files::{must_be_writable_beside, options_or_default, read_view};
 use super::span::{Output, Times};
 use super::values::{Choice, choice};
 use std::path::PathBuf;
@@ -151,7 +151,7 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
         View::Camera(_) => None,
     };
     for index in 0..request.times_s.len() {
-        must_be_writable_image(&args.output.file(index).unwrap_or_default(), &capture)?;
+        must_be_writable_beside(&args.output.file(index).unwrap_or_default(), &capture)?;
         if !matches!(args.output, Output::Sequence(_)) {
             break;
         }

@@ -349,6 +349,7 @@ impl Sums {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
 
     const W: usize = 96;
     const H: usize = 64;
@@ -426,13 +427,9 @@ mod tests {
     #[test]
     fn four_frames_have_less_noise_than_two_and_a_frame_stays_as_filmed() {
         let clean = scene(0.0);
-        let mut state = 1u64;
+        let mut random = Random::new(1);
         let mut noisy = || {
-            let mut noise = || {
-                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-                ((state >> 40) as f32 / (1 << 24) as f32 - 0.5) * 0.06
-            };
-            let data = clean.data().iter().map(|v| v + noise()).collect();
+            let data = clean.data().iter().map(|v| v + 0.03 * random.signed() as f32).collect();
             Image::from_data(W, H, 1, data)
         };
         let frames = [noisy(), noisy(), noisy(), noisy()];

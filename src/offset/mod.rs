@@ -56,6 +56,7 @@ pub use zhou_tao::{FourPoints, cross_ratio_offset};
 use crate::capture::{Capture, CaptureError, write_atomically};
 use crate::progress::Reporter;
 use crate::registration::RegistrationOptions;
+pub(crate) use pairing::clocks;
 use pairing::spread;
 use std::sync::Arc;
 
@@ -68,7 +69,7 @@ pub fn known_or_kept_or_estimated(
     registration: &RegistrationOptions,
     reporter: &Reporter,
 ) -> Result<Offsets, CaptureError> {
-    if pairing::clocks(capture).1 == 1 {
+    if clocks(capture).1 == 1 {
         reporter.note("The cameras share one clock: no offsets to estimate.");
         return Ok(Offsets::known(capture));
     }

@@ -128,3 +128,22 @@ pub fn plan(
     field.set_options(decided.clone());
     Ok((Plan { budget_px, decisions, options: decided }, field))
 }
+
+/// The value that this share of them is not over; `None` of none.
+fn percentile(mut values: Vec<f64>, share: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let last = values.len().saturating_sub(1);
+    values.get((share * last as f64).round() as usize).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_of_few_and_of_none() {
+        assert_eq!(percentile(vec![], 0.95), None);
+        assert_eq!(percentile(vec![3.0], 0.95), Some(3.0));
+        assert_eq!(percentile((0..=100).map(f64::from).collect(), 0.95), Some(95.0));
+    }
+}

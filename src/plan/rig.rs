@@ -1,6 +1,7 @@
 //! What the rig's description alone decides.
 
 use crate::capture::Capture;
+use crate::offset::clocks;
 use nalgebra::{DMatrix, Point2};
 
 /// Whose clocks are known.
@@ -15,13 +16,10 @@ pub struct Clocks {
 
 impl Clocks {
     pub fn of(capture: &Capture) -> Self {
-        let reference = capture.reference;
-        let shared = capture.cameras[reference].clock.shared;
-        let unknown = (0..capture.cameras.len())
-            .filter(|&c| c != reference && !(shared && capture.cameras[c].clock.shared));
+        let (clock, _) = clocks(capture);
         Self {
-            cameras: capture.cameras.len(),
-            unknown: unknown.count(),
+            cameras: clock.len(),
+            unknown: clock.iter().filter(|c| **c != 0).count(),
             one_frame: capture.is_static(),
         }
     }

@@ -1,5 +1,6 @@
 //! How far a plane is from the scene's shape, as views between the cameras see it.
 
+use super::percentile;
 use crate::lumigraph::{Plane, Proxy};
 use crate::render::{LightField, RenderError};
 
@@ -29,7 +30,7 @@ impl Shape {
             let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
             let Some(plane) = Plane::fit(&weighted, target) else { continue };
             let depths = Proxy::Plane(plane).depth_map(target);
-            let mut errors_px: Vec<f64> = points
+            let errors_px: Vec<f64> = points
                 .iter()
                 .filter_map(|point| {
                     let pixel = target.project(point).filter(|p| target.contains(p))?;
@@ -42,14 +43,13 @@ impl Shape {
                     Some(apart * target.focal_px() * half_baseline_m)
                 })
                 .collect();
-            errors_px.sort_by(f64::total_cmp);
-            let last = errors_px.len().saturating_sub(1);
-            let Some(&off) = errors_px.get((0.95 * last as f64).round() as usize) else { continue };
+            let count = errors_px.len();
+            let Some(off) = percentile(errors_px, 0.95) else { continue };
             found = Some(match found {
-                None => Self { off_plane_px: off, points: errors_px.len() },
+                None => Self { off_plane_px: off, points: count },
                 Some(other) => Self {
                     off_plane_px: off.max(other.off_plane_px),
-                    points: errors_px.len().min(other.points),
+                    points: count.min(other.points),
                 },
             });
         }
