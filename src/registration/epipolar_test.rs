@@ -1,5 +1,6 @@
 //! §4.2 and §4.3: wrong correspondences found by the epipolar constraint, eqs. (1) to (5).
 
+use super::flow::flow_over;
 use super::{Frame, FrameStore, Guide, Match, Path, RegistrationOptions, Run, Start, Track, flow};
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::{Capture, CaptureError};
@@ -29,6 +30,15 @@ pub struct Reference {
     pub between: Option<[f64; 2]>,
 }
 
+/// The references of a camera's two frames, by ascending weight (4).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct References {
+    /// Every track is tested against these.
+    pub first: Vec<Reference>,
+    /// And against these in turn while it is untestable: another camera may see what one does not.
+    pub further: Vec<Reference>,
+}
+
 /// Frames further apart than this many of the tested camera's don't show what is between them.
 const MAX_GAP: f64 = 4.0;
 
@@ -51,7 +61,8 @@ impl Reference {
 
 /// Chooses references for camera `i` and its frames at `t1` and `t2` (seconds, common time),
 /// nearest in time to `t`: `w_j = D(j) + σ|t_j − t|`, D the distance of the centres over the
-/// nearest one's, the time in frames. A grid gives two, across each other; a line one.
+/// nearest one's, the time in frames. A grid gives two, across each other; a line one. Behind
+/// these come the next nearest, for what these can't tell.
 ///
 /// `times_s[j]` are camera j's frames in common time, `None` if its clock is unknown. Only frames
 /// within `[t1, t2]` can test eq. (2); a camera that has none there, but around, is weighed by
@@ -63,14 +74,14 @@ pub fn select_references(
     [t1, t2]: [f64; 2],
     t: f64,
     options: &RegistrationOptions,
-) -> Vec<Reference> {
+) -> References {
     let here = capture.cameras[i].camera.center();
     let baselines: Vec<_> = capture.cameras.iter().map(|c| c.camera.center() - here).collect();
     let nearest =
         baselines.iter().map(|b| b.norm()).filter(|&d| d > 0.0).fold(f64::INFINITY, f64::min);
     let frame_s = t2 - t1;
     if !(nearest.is_finite() && frame_s > 0.0) {
-        return Vec::new();
+        return References::default();
     }
     let mut candidates: Vec<(f64, Reference)> = Vec::new();
     for (j, times) in times_s.iter().enumerate() {
@@ -84,24 +95,29 @@ pub fn select_references(
         candidates.push((w, reference));
     }
     candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.camera.cmp(&b.1.camera)));
-    let mut chosen: Vec<Reference> = Vec::new();
+    let mut references = References::default();
     for (_, candidate) in candidates {
         let direction = baselines[candidate.camera].normalize();
         // 45°: a row's and a column's neighbour are 90° apart, a row's two neighbours 0°.
-        let across =
-            chosen.iter().all(|c| baselines[c.camera].normalize().dot(&direction).abs() < 0.707);
-        if across && chosen.len() < options.max_references {
-            chosen.push(candidate);
+        let across = references
+            .first
+            .iter()
+            .all(|c| baselines[c.camera].normalize().dot(&direction).abs() < 0.707);
+        if across && references.first.len() < options.max_references {
+            references.first.push(candidate);
+        } else if references.further.len() < options.further_references {
+            references.further.push(candidate);
         }
     }
-    chosen
+    references
 }
 
-/// A track's feature and its correspondence in the reference frame.
-struct Tested<'a> {
+/// A track to be tested: its number, and where its run of the flow started, pixels.
+struct Feature<'a> {
+    n: usize,
     track: &'a Track,
     path: Path,
-    in_reference: Option<Point2<f64>>,
+    at: Point2<f64>,
 }
 
 /// Tests the tracks of camera `i` between its frames `k` and `k + 1`. A track is rejected if a
@@ -119,34 +135,21 @@ pub fn epipolar_test(
     let interval = [own_times[k], own_times[k + 1]];
     // The forward flow's errors show at its far end, t + Δt; the backward flow's at t.
     for (backward, source, t) in [(false, k, interval[1]), (true, k + 1, interval[0])] {
-        let chosen: Vec<usize> =
-            (0..tracks.len()).filter(|&n| (tracks[n].run == Run::Backward) == backward).collect();
         let source_frame = frames.get(i, source)?;
-        for reference in select_references(frames.capture(), times_s, i, interval, t, options) {
-            let target_frame = frames.get(reference.camera, reference.frame)?;
-            let cameras = &frames.capture().cameras;
-            let pair = Pair {
-                camera_i: &cameras[i].camera,
-                camera_j: &cameras[reference.camera].camera,
-                time_s: reference.time_s,
-                options,
-            };
-            let seen_s = reference.between.map_or(reference.time_s, |[first, _]| first);
-            let mut found: Vec<Tested> = pair.find(
-                &source_frame,
-                &target_frame,
-                seen_s,
-                chosen.iter().filter_map(|&n| {
-                    let track = &tracks[n];
-                    let at = if backward { track.later } else { track.earlier };
-                    Some((track, track.path(own_times, k)?, at))
-                }),
-            );
-            if let Some(between) = reference.between {
-                let next = frames.get(reference.camera, reference.frame + 1)?;
-                pair.interpolate(&target_frame, &next, between, &mut found);
-            }
-            for (&n, verdict) in chosen.iter().zip(pair.judge(&found)) {
+        let features: Vec<Feature> = tracks
+            .iter()
+            .enumerate()
+            .filter(|(_, track)| (track.run == Run::Backward) == backward)
+            .filter_map(|(n, track)| {
+                let at = if backward { track.later } else { track.earlier };
+                Some(Feature { n, track, path: track.path(own_times, k)?, at })
+            })
+            .collect();
+        let References { first, further } =
+            select_references(frames.capture(), times_s, i, interval, t, options);
+        for reference in &first {
+            let asked: Vec<&Feature> = features.iter().collect();
+            for (n, verdict) in test_by(frames, i, &source_frame, reference, &asked)? {
                 verdicts[n] = match (verdicts[n], verdict) {
                     (Verdict::Rejected, _) | (_, Verdict::Rejected) => Verdict::Rejected,
                     (Verdict::Passed, _) | (_, Verdict::Passed) => Verdict::Passed,
@@ -154,10 +157,51 @@ pub fn epipolar_test(
                 };
             }
         }
+        for reference in &further {
+            let asked: Vec<&Feature> =
+                features.iter().filter(|f| verdicts[f.n] == Verdict::Untestable).collect();
+            for (n, verdict) in test_by(frames, i, &source_frame, reference, &asked)? {
+                verdicts[n] = verdict;
+            }
+        }
     }
     Ok(verdicts)
 }
 
+/// What one reference says of tracks of camera `i` that start in `source`.
+fn test_by(
+    frames: &FrameStore,
+    i: usize,
+    source: &Frame,
+    reference: &Reference,
+    features: &[&Feature],
+) -> Result<Vec<(usize, Verdict)>, CaptureError> {
+    if features.is_empty() {
+        return Ok(Vec::new());
+    }
+    let target = frames.get(reference.camera, reference.frame)?;
+    let cameras = &frames.capture().cameras;
+    let pair = Pair {
+        camera_i: &cameras[i].camera,
+        camera_j: &cameras[reference.camera].camera,
+        time_s: reference.time_s,
+        options: frames.options(),
+    };
+    let seen_s = reference.between.map_or(reference.time_s, |[first, _]| first);
+    let mut found = pair.find(source, &target, seen_s, features);
+    if let Some(between) = reference.between {
+        let next = frames.get(reference.camera, reference.frame + 1)?;
+        pair.interpolate(&target, &next, between, features, &mut found);
+    }
+    let verdicts = features.iter().zip(&found).map(|(feature, p_j)| {
+        (feature.n, pair.judge(feature, p_j.as_ref()).unwrap_or(Verdict::Untestable))
+    });
+    Ok(verdicts.collect())
+}
+
+/// Pyramid levels where neighbours tell where to look. More: a coarse window is pulled away by
+/// what is behind it.
+const AGAIN_LEVELS: usize = 1;
 /// Features this near have much the same disparity, where they are on one surface.
 const DISPARITY_RADIUS_PX: f64 = 40.0;
 
@@ -171,28 +215,17 @@ struct Pair<'a> {
 impl Pair<'_> {
     /// Spatial flow from where the features are in the source frame to the reference frame, which
     /// is of `seen_s`.
-    fn find<'t>(
+    fn find(
         &self,
         source: &Frame,
         target: &Frame,
         seen_s: f64,
-        features: impl Iterator<Item = (&'t Track, Path, Point2<f64>)>,
-    ) -> Vec<Tested<'t>> {
-        let features: Vec<_> = features.collect();
-        let places: Vec<_> = features.iter().map(|(_, path, _)| path.at(seen_s)).collect();
-        let starts: Vec<_> =
-            features.iter().zip(&places).map(|((_, _, at), place)| (*at, *place)).collect();
+        features: &[&Feature],
+    ) -> Vec<Option<Point2<f64>>> {
+        let starts: Vec<Start> = features.iter().map(|f| (f.at, f.path.at(seen_s))).collect();
         let mut found = flow(source, target, &starts, self.options);
-        self.find_again(source, target, &starts, &places, &mut found);
-        found
-            .into_iter()
-            .zip(features)
-            .map(|(found, (track, path, _))| Tested {
-                track,
-                path,
-                in_reference: found.map(|m| m.target),
-            })
-            .collect()
+        self.find_again(source, target, &starts, &mut found);
+        found.into_iter().map(|found| found.map(|m| m.target)).collect()
     }
 
     /// Follows what was found in a frame of the reference camera to its next one, and puts it where
@@ -202,31 +235,32 @@ impl Pair<'_> {
         frame: &Frame,
         next: &Frame,
         [first_s, next_s]: [f64; 2],
-        found: &mut [Tested],
+        features: &[&Feature],
+        found: &mut [Option<Point2<f64>>],
     ) {
-        let seen: Vec<usize> =
-            (0..found.len()).filter(|&k| found[k].in_reference.is_some()).collect();
-        let starts: Vec<Start> = seen
+        let (seen, starts): (Vec<usize>, Vec<Start>) = found
             .iter()
-            .filter_map(|&k| {
-                let (p, path) = (found[k].in_reference?, &found[k].path);
-                Some((p, p + (path.at(next_s) - path.at(first_s))))
+            .zip(features)
+            .enumerate()
+            .filter_map(|(k, (p, feature))| {
+                let (p, path) = ((*p)?, &feature.path);
+                Some((k, (p, p + (path.at(next_s) - path.at(first_s)))))
             })
-            .collect();
+            .unzip();
         let share = (self.time_s - first_s) / (next_s - first_s);
         for (k, followed) in seen.into_iter().zip(flow(frame, next, &starts, self.options)) {
-            found[k].in_reference = followed.map(|m| m.source + (m.target - m.source) * share);
+            found[k] = followed.map(|m| m.source + (m.target - m.source) * share);
         }
     }
 
-    /// Looks once more for features that were not found, or not on their line: on it, by their
-    /// neighbours' disparity. The better fit stays.
+    /// Looks once more for features that were not found, or not on their line: where their place
+    /// has the disparity of its neighbours; and if the place itself is wrong, where the feature's
+    /// neighbours went. The better fit stays.
     fn find_again(
         &self,
         source: &Frame,
         target: &Frame,
         starts: &[Start],
-        places: &[Point2<f64>],
         found: &mut [Option<Match>],
     ) {
         let Some(geometry) = EpipolarGeometry::new(self.camera_i, self.camera_j) else { return };
@@ -239,56 +273,58 @@ impl Pair<'_> {
                 off_line(place, &m.target).is_none_or(|d| d > self.options.epsilon_px)
             })
         };
-        let trusted: Vec<_> = places
-            .iter()
-            .zip(found.iter())
-            .filter(|(place, found)| !is_off(place, found))
-            .filter_map(|(place, found)| Some((*place, found.as_ref()?.target - place)))
-            .collect();
-        let guide = Guide::new(&trusted);
-        let again: Vec<(usize, Start)> = (0..places.len())
-            .filter(|&k| is_off(&places[k], &found[k]))
-            .filter_map(|k| {
-                let disparity = guide.near(&places[k], DISPARITY_RADIUS_PX)?;
-                Some((k, (starts[k].0, places[k] + disparity)))
-            })
-            .collect();
-        let starts: Vec<_> = again.iter().map(|(_, start)| *start).collect();
-        for ((k, _), retried) in again.iter().zip(flow(source, target, &starts, self.options)) {
-            let Some(retried) = retried else { continue };
-            if found[*k].as_ref().is_none_or(|first| retried.residual < first.residual) {
-                found[*k] = Some(retried);
+        for from_place in [true, false] {
+            let base = |(at, place): &Start| if from_place { *place } else { *at };
+            let trusted: Vec<_> = starts
+                .iter()
+                .zip(found.iter())
+                .filter(|((_, place), found)| !is_off(place, found))
+                .filter_map(|(start, found)| {
+                    let base = base(start);
+                    Some((base, found.as_ref()?.target - base))
+                })
+                .collect();
+            let guide = Guide::new(&trusted);
+            let again: Vec<(usize, Start)> = (0..starts.len())
+                .filter(|&k| is_off(&starts[k].1, &found[k]))
+                .filter_map(|k| {
+                    let base = base(&starts[k]);
+                    let displacement = guide.near(&base, DISPARITY_RADIUS_PX)?;
+                    Some((k, (starts[k].0, base + displacement)))
+                })
+                .collect();
+            let sought: Vec<_> = again.iter().map(|(_, start)| *start).collect();
+            let levels = [AGAIN_LEVELS, 1];
+            let retried = flow_over(source, target, &sought, levels, self.options);
+            for ((k, _), retried) in again.iter().zip(retried) {
+                let Some(retried) = retried else { continue };
+                if found[*k].as_ref().is_none_or(|first| retried.residual < first.residual) {
+                    found[*k] = Some(retried);
+                }
             }
         }
     }
 
-    /// Eq. (3) for each.
-    fn judge(&self, tested: &[Tested]) -> Vec<Verdict> {
-        let geometry = EpipolarGeometry::new(self.camera_i, self.camera_j);
-        let judge_one = |t: &Tested| -> Option<Verdict> {
-            let geometry = geometry.as_ref()?;
-            let ideal_i = |p: &Point2<f64>| self.camera_i.model.ideal_from_pixel(p);
-            let p_j = self.camera_j.model.ideal_from_pixel(&t.in_reference?)?;
-            let at = t.path.at(self.time_s);
-            let line = geometry.line_in_j(&ideal_i(&at)?)?;
-            // How the line moves as the feature does: what of the motion the line shows.
-            let motion = t.track.motion();
-            let start = geometry.line_in_j(&ideal_i(&t.track.earlier)?)?;
-            let end = geometry.line_in_j(&ideal_i(&t.track.later)?)?;
-            let foot = line.nearest(&p_j);
-            let across = (start.distance(&foot) - end.distance(&foot)).abs();
-            if motion.norm() > self.options.min_test_motion_px
-                && across < self.options.min_across_share * motion.norm()
-            {
-                return None;
-            }
-            Some(if line.distance(&p_j).abs() > self.options.epsilon_px {
-                Verdict::Rejected
-            } else {
-                Verdict::Passed
-            })
-        };
-        tested.iter().map(|t| judge_one(t).unwrap_or(Verdict::Untestable)).collect()
+    /// Eq. (3), of a feature and where it is in the reference; `None` where that can't tell.
+    fn judge(&self, feature: &Feature, in_reference: Option<&Point2<f64>>) -> Option<Verdict> {
+        let geometry = EpipolarGeometry::new(self.camera_i, self.camera_j)?;
+        let ideal_i = |p: &Point2<f64>| self.camera_i.model.ideal_from_pixel(p);
+        let p_j = self.camera_j.model.ideal_from_pixel(in_reference?)?;
+        let at = feature.path.at(self.time_s);
+        let line = geometry.line_in_j(&ideal_i(&at)?)?;
+        if line.distance(&p_j).abs() > self.options.epsilon_px {
+            return Some(Verdict::Rejected);
+        }
+        // On the line, a motion along it is right and wrong alike: how the line moves as the
+        // feature does is what it shows of the motion.
+        let motion = feature.track.motion();
+        let start = geometry.line_in_j(&ideal_i(&feature.track.earlier)?)?;
+        let end = geometry.line_in_j(&ideal_i(&feature.track.later)?)?;
+        let foot = line.nearest(&p_j);
+        let across = (start.distance(&foot) - end.distance(&foot)).abs();
+        let shown = motion.norm() <= self.options.min_test_motion_px
+            || across >= self.options.min_across_share * motion.norm();
+        shown.then_some(Verdict::Passed)
     }
 }
 
@@ -324,7 +360,9 @@ mod tests {
         let (a, b) = (camera(0.0), camera(0.06));
         let pair = Pair { camera_i: &a, camera_j: &b, time_s: 0.5, options: &options };
         let path = t.path(&[0.0, 1.0], 0).unwrap();
-        pair.judge(&[Tested { track: t, path, in_reference: in_reference.map(Point2::from) }])[0]
+        let feature = Feature { n: 0, track: t, path, at: t.earlier };
+        let verdict = pair.judge(&feature, in_reference.map(Point2::from).as_ref());
+        verdict.unwrap_or(Verdict::Untestable)
     }
 
     #[test]
@@ -339,6 +377,8 @@ mod tests {
     fn motion_along_the_line_is_untestable_and_rest_is_not() {
         let along = track([100.0, 100.0], [120.0, 100.2]);
         assert_eq!(verdict(&along, Some([70.0, 100.0])), Verdict::Untestable);
+        // Off the line is wrong, whatever the motion.
+        assert_eq!(verdict(&along, Some([70.0, 107.0])), Verdict::Rejected);
         let at_rest = track([100.0, 100.0], [100.0, 100.0]);
         assert_eq!(verdict(&at_rest, Some([70.0, 100.0])), Verdict::Passed);
         assert_eq!(verdict(&at_rest, Some([70.0, 107.0])), Verdict::Rejected);

@@ -97,7 +97,7 @@ pub fn flow(
 }
 
 /// As [`flow`], on so many of the finest levels only, there and back.
-fn flow_over(
+pub(super) fn flow_over(
     source: &Frame,
     target: &Frame,
     starts: &[Start],

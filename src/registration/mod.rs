@@ -29,7 +29,7 @@ mod window;
 pub use affine::AffineOptions;
 use corners::Spaced;
 pub use corners::{CornerOptions, corners};
-pub use epipolar_test::{Reference, Verdict, epipolar_test, select_references};
+pub use epipolar_test::{Reference, References, Verdict, epipolar_test, select_references};
 pub use flow::{Match, Run, Start, Track, agreeing, flow, temporal_flow, temporal_flow_of};
 pub use frames::{Frame, FrameStore};
 pub use guide::Guide;

@@ -36,6 +36,9 @@ pub struct RegistrationOptions {
     pub time_weight: f64,
     /// References a flow at most: 2 lets a grid test along its row and its column.
     pub max_references: usize,
+    /// Cameras further away that are asked, one after another, for tracks that those can't tell:
+    /// they don't see the feature, or it moves along its line.
+    pub further_references: usize,
     /// A feature that moves more than this,
     pub min_test_motion_px: f64,
     /// and less than this share of it across its epipolar lines, can't be tested there.
@@ -59,6 +62,7 @@ impl Default for RegistrationOptions {
             epsilon_px: 3.0,
             time_weight: 1.0,
             max_references: 2,
+            further_references: 1,
             min_test_motion_px: 1.0,
             min_across_share: 0.1,
         }

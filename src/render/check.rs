@@ -75,6 +75,7 @@ fn registration(o: &RegistrationOptions) -> Checked {
             ("epsilon_px", o.epsilon_px, PIXELS),
             ("time_weight", o.time_weight, 0.0..=1e6),
             ("max_references", o.max_references as f64, COUNT),
+            ("further_references", o.further_references as f64, COUNT),
             ("min_test_motion_px", o.min_test_motion_px, PIXELS),
             ("min_across_share", o.min_across_share, 0.0..=1.0),
         ],

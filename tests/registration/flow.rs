@@ -1,0 +1,351 @@
+//! Flows of filmed bodies whose every point is a formula: the epipolar test, long tracks, large
+//! motion.
+
+use crate::common::bodies::{self, Random};
+use crate::common::worlds;
+use crate::pictures::{pictured, waves};
+use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion, Vector2};
+use std::sync::Arc;
+use stlfr::camera::{Camera, CameraModel};
+use stlfr::capture::Capture;
+use stlfr::registration::{
+    FrameStore, LongTracks, RegistrationOptions, Run, Track, Verdict, epipolar_test,
+    select_references, temporal_flow,
+};
+
+fn filmed(
+    case: &worlds::Case,
+    cameras: &[Camera],
+    delays: &[f64],
+    frames: usize,
+) -> (tempfile::TempDir, Arc<Capture>) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    bodies::film(&case.world, cameras, delays, frames, 0.004, folder.path());
+    let capture = Arc::new(Capture::open(folder.path()).expect("a capture"));
+    (folder, capture)
+}
+
+fn case(name: &str) -> worlds::Case {
+    worlds::cases().into_iter().find(|c| c.name == name).expect("one of the worlds")
+}
+
+fn times(capture: &Capture) -> Vec<Option<Vec<f64>>> {
+    capture.cameras.iter().map(|c| Some(c.clock.times_s.clone())).collect()
+}
+
+#[test]
+fn tracks_are_the_same_on_any_number_of_threads() {
+    let cameras = worlds::line_rig(2, 160);
+    let (_folder, capture) = filmed(&case("magazine"), &cameras, &[0.0, 0.4], 4);
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        pool.install(|| {
+            let store = FrameStore::new(capture.clone(), &RegistrationOptions::default());
+            let tracks = temporal_flow(&store, 0, 1).expect("tracks");
+            let verdicts =
+                epipolar_test(&store, &times(&capture), 0, 1, &tracks).expect("verdicts");
+            (tracks, verdicts)
+        })
+    };
+    let one = run(1);
+    assert!(one.0.len() > 100);
+    assert_eq!(one, run(2));
+    assert_eq!(one, run(5));
+}
+
+/// Wrong tracks across the lines are removed, right ones stay; seen through lenses that bend the
+/// lines, too.
+#[test]
+fn the_epipolar_test_removes_what_is_off_its_line() {
+    let straight = worlds::line_rig(2, 320);
+    let bent: Vec<Camera> = straight
+        .iter()
+        .map(|camera| {
+            let (fx, fy, cx, cy) = camera.model.intrinsics();
+            // At the border of the image, 12 pixels.
+            let model =
+                CameraModel::OpenCv { fx, fy, cx, cy, k1: -0.28, k2: 0.06, p1: 1e-3, p2: -1e-3 };
+            Camera { model, ..camera.clone() }
+        })
+        .collect();
+    for cameras in [straight, bent] {
+        let case = case("magazine");
+        let (_folder, capture) = filmed(&case, &cameras, &[0.0, 0.4], 4);
+        let options = RegistrationOptions { epsilon_px: 1.5, ..Default::default() };
+        let store = FrameStore::new(capture.clone(), &options);
+        let tracks = temporal_flow(&store, 0, 1).expect("tracks");
+        let mut random = Random(11);
+        let mut counts = [0; 4];
+        let wronged: Vec<(Track, bool)> = tracks
+            .iter()
+            .map(|track| {
+                let is_wrong = random.uniform() < 0.3;
+                let error = Vector2::new(0.0, if random.uniform() < 0.5 { 8.0 } else { -8.0 });
+                let mut track = track.clone();
+                if is_wrong && track.run == Run::Backward {
+                    track.earlier += error;
+                } else if is_wrong {
+                    track.later += error;
+                }
+                if is_wrong {
+                    (track.before, track.after) = (None, None);
+                }
+                (track, is_wrong)
+            })
+            .collect();
+        let given: Vec<Track> = wronged.iter().map(|(t, _)| t.clone()).collect();
+        let verdicts = epipolar_test(&store, &times(&capture), 0, 1, &given).expect("verdicts");
+        for ((_, is_wrong), verdict) in wronged.iter().zip(verdicts) {
+            match (is_wrong, verdict) {
+                (_, Verdict::Untestable) => {}
+                (true, Verdict::Rejected) => counts[0] += 1,
+                (true, Verdict::Passed) => counts[1] += 1,
+                (false, Verdict::Rejected) => counts[2] += 1,
+                (false, Verdict::Passed) => counts[3] += 1,
+            }
+        }
+        let [caught, missed, harmed, kept] = counts;
+        println!("{}: {counts:?}", cameras[0].model.name());
+        assert!(caught > 50 && missed * 20 <= caught, "{counts:?}");
+        assert!(kept > 300 && harmed * 25 <= kept, "{counts:?}");
+    }
+}
+
+/// What the nearest camera does not see, the next one tells.
+#[test]
+fn a_blind_reference_is_replaced_by_the_next() {
+    let cameras = worlds::line_rig(3, 320);
+    let (folder, _) = filmed(&case("magazine"), &cameras, &[0.0, 0.4, 0.7], 3);
+    let blind = image::GrayImage::from_pixel(320, 240, image::Luma([128]));
+    for k in 0..3 {
+        blind.save(folder.path().join(format!("cam1/{k:04}.png"))).expect("its images");
+    }
+    let capture = Arc::new(Capture::open(folder.path()).expect("a capture"));
+    let verdicts = |further_references: usize| {
+        let options = RegistrationOptions { further_references, ..Default::default() };
+        let store = FrameStore::new(capture.clone(), &options);
+        let mut tracks = temporal_flow(&store, 0, 1).expect("tracks");
+        for track in tracks.iter_mut().step_by(7).filter(|t| t.run != Run::Backward) {
+            (track.later.y, track.before, track.after) = (track.later.y + 9.0, None, None);
+        }
+        epipolar_test(&store, &times(&capture), 0, 1, &tracks).expect("verdicts")
+    };
+    let count = |all: &[Verdict], which| all.iter().filter(|v| **v == which).count();
+    let alone = verdicts(0);
+    assert_eq!(count(&alone, Verdict::Untestable), alone.len());
+    let helped = verdicts(1);
+    assert!(count(&helped, Verdict::Passed) * 10 > 7 * helped.len(), "{helped:?}");
+    assert!(count(&helped, Verdict::Rejected) * 20 > helped.len(), "{helped:?}");
+}
+
+/// A camera at half the rate has no frame in the interval; its own tracks tell what is between.
+#[test]
+fn a_slower_reference_is_interpolated() {
+    let cameras = worlds::line_rig(2, 320);
+    let (folder, full) = filmed(&case("magazine"), &cameras, &[0.0, 0.4], 4);
+    let path = |k: usize| folder.path().join(format!("cam1/{k:04}.png"));
+    std::fs::rename(path(2), path(1)).expect("its second frame");
+    for k in [2, 3] {
+        let _ = std::fs::remove_file(path(k));
+    }
+    let own = full.cameras[0].clock.times_s.clone();
+    let step = own[1] - own[0];
+    let file = folder.path().join("capture.json");
+    let text = std::fs::read_to_string(&file).expect("the capture");
+    let mut json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let first = full.cameras[1].clock.times_s[0] - own[0];
+    json["cameras"][1]["clock"] =
+        serde_json::json!({"times_s": [first, first + 2.0 * step], "shared": true});
+    std::fs::write(&file, json.to_string()).expect("the capture");
+    let capture = Arc::new(Capture::open(folder.path()).expect("a capture"));
+    let times = times(&capture);
+    let store = FrameStore::new(capture.clone(), &RegistrationOptions::default());
+    let own = times[0].as_ref().expect("known");
+    let slow = times[1].as_ref().expect("known");
+    assert!(slow[0] < own[1] && own[2] < slow[1], "{own:?} {slow:?}");
+    let chosen =
+        select_references(&capture, &times, 0, [own[1], own[2]], own[2], store.options()).first;
+    assert_eq!(chosen.len(), 1);
+    assert_eq!((chosen[0].frame, chosen[0].time_s), (0, own[2]));
+    assert_eq!(chosen[0].between, Some([slow[0], slow[1]]));
+    let tracks = temporal_flow(&store, 0, 1).expect("tracks");
+    let counts = |wrong: f64| {
+        let given: Vec<Track> = tracks
+            .iter()
+            .map(|t| {
+                let mut t = Track { before: None, after: None, ..t.clone() };
+                // At the end that was looked for.
+                if t.run == Run::Backward {
+                    t.earlier.y += wrong;
+                } else {
+                    t.later.y += wrong;
+                }
+                t
+            })
+            .collect();
+        let verdicts = epipolar_test(&store, &times, 0, 1, &given).expect("verdicts");
+        [Verdict::Passed, Verdict::Rejected].map(|v| verdicts.iter().filter(|w| **w == v).count())
+    };
+    let [passed, rejected] = counts(0.0);
+    assert!(passed > tracks.len() / 2 && rejected * 50 <= passed, "{passed} {rejected}");
+    let [passed, rejected] = counts(8.0);
+    assert!(rejected > tracks.len() / 2 && passed * 20 <= rejected, "{passed} {rejected}");
+}
+
+/// Without its clock, a camera is no reference, and its own tracks are not tested.
+#[test]
+fn unknown_times_are_left_out() {
+    let cameras = worlds::line_rig(3, 160);
+    let (_folder, capture) = filmed(&case("magazine"), &cameras, &[0.0, 0.4, 0.2], 3);
+    let store = FrameStore::new(capture.clone(), &RegistrationOptions::default());
+    let tracks = temporal_flow(&store, 1, 0).expect("tracks");
+    let mut known = times(&capture);
+    (known[0], known[2]) = (None, None);
+    let alone = epipolar_test(&store, &known, 1, 0, &tracks).expect("verdicts");
+    assert!(alone.iter().all(|v| *v == Verdict::Untestable));
+    let mut known = times(&capture);
+    known[1] = None;
+    let own = epipolar_test(&store, &known, 1, 0, &tracks).expect("verdicts");
+    assert!(own.iter().all(|v| *v == Verdict::Untestable));
+    let both = epipolar_test(&store, &times(&capture), 1, 0, &tracks).expect("verdicts");
+    assert!(both.iter().filter(|v| **v == Verdict::Passed).count() > tracks.len() / 3);
+}
+
+/// Cameras of one frame each, as many as centres, at times in seconds.
+fn placed(centers: &[[f64; 3]], times_s: &[f64]) -> (Capture, Vec<Option<Vec<f64>>>) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut cameras = worlds::line_rig(centers.len(), 16);
+    for (camera, center) in cameras.iter_mut().zip(centers) {
+        camera.cam_from_world = Isometry3::from_parts(
+            Translation3::new(-center[0], -center[1], -center[2]),
+            UnitQuaternion::identity(),
+        );
+    }
+    bodies::film(&case("ball").world, &cameras, &vec![0.0; cameras.len()], 1, 0.0, folder.path());
+    let capture = Capture::open(folder.path()).expect("a capture");
+    let times = times_s.iter().map(|&t| Some(vec![t, t + 1.0])).collect();
+    (capture, times)
+}
+
+#[test]
+fn a_line_has_one_reference_and_a_grid_a_row_s_and_a_column_s() {
+    let options = RegistrationOptions::default();
+    let line: Vec<[f64; 3]> = (0..5).map(|c| [0.06 * f64::from(c), 0.0, 0.0]).collect();
+    // Camera 2 asks at its second frame, t = 1: of its neighbours, 3 is nearer in time.
+    let (capture, times) = placed(&line, &[0.9, 0.4, 0.0, 0.7, 0.95]);
+    let chosen = select_references(&capture, &times, 2, [0.0, 1.0], 1.0, &options).first;
+    let names: Vec<_> = chosen.iter().map(|r| (r.camera, r.frame)).collect();
+    assert_eq!(names, [(3, 0)]);
+    // At t = 0, eq. (5) takes frames within [0, 1] only, and camera 1 is nearer.
+    let chosen = select_references(&capture, &times, 2, [0.0, 1.0], 0.0, &options).first;
+    assert_eq!(chosen.iter().map(|r| r.camera).collect::<Vec<_>>(), [1]);
+
+    let grid: Vec<[f64; 3]> =
+        (0..9).map(|c| [0.06 * f64::from(c % 3), 0.06 * f64::from(c / 3), 0.0]).collect();
+    let (capture, times) = placed(&grid, &[0.5, 0.2, 0.9, 0.6, 0.0, 0.3, 0.5, 0.8, 0.5]);
+    let chosen = select_references(&capture, &times, 4, [0.0, 1.0], 1.0, &options).first;
+    // Row: 3 (at 0.6) before 5; column: 7 (at 0.8) before 1; 7 is the nearer in time.
+    assert_eq!(chosen.iter().map(|r| r.camera).collect::<Vec<_>>(), [7, 3]);
+    // Only the frame that lies within the interval can be a reference's.
+    let late: Vec<_> = times
+        .iter()
+        .map(|t| t.as_ref().map(|t| t.iter().map(|t| t + 5.0).collect::<Vec<_>>()))
+        .collect();
+    assert!(select_references(&capture, &late, 4, [0.0, 1.0], 1.0, &options).first.is_empty());
+}
+
+/// Numbers stay, positions follow the surface, and nothing grows with the frames.
+#[test]
+fn long_tracks_are_stable_and_flat_in_memory() {
+    const FRAMES: usize = 2400;
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let value = waves(&mut Random(5), 1);
+    // A surface that goes around in a circle, once in 40 frames; 40 different images.
+    let shift = |k: usize| {
+        let angle = std::f64::consts::TAU * (k % 40) as f64 / 40.0;
+        Vector2::new(6.0 * angle.cos(), 6.0 * angle.sin())
+    };
+    std::fs::create_dir(folder.path().join("cam0")).expect("a folder");
+    for k in 0..40 {
+        let s = shift(k);
+        let image = pictured(64, 48, 1, 255.0, |x, y, c| value(x - s.x, y - s.y, c));
+        let path = folder.path().join(format!("image{k}.png"));
+        stlfr::capture::write_image(&path, &image, None, stlfr::capture::BitDepth::Eight)
+            .expect("an image can be written");
+    }
+    for k in 0..FRAMES {
+        std::os::unix::fs::symlink(
+            folder.path().join(format!("image{}.png", k % 40)),
+            folder.path().join(format!("cam0/{k:04}.png")),
+        )
+        .expect("a link");
+    }
+    let camera = worlds::line_rig(1, 64).remove(0);
+    let rotation = [1.0, 0.0, 0.0, 0.0];
+    let capture = serde_json::json!({"format": "stlfr-capture", "version": 1, "name": "circle",
+        "cameras": [{"id": "cam0", "frames": "cam0/%04d.png", "width": 64, "height": 48,
+            "model": "PINHOLE", "params": camera.model.params(), "color": "gray",
+            "cam_from_world": {"rotation_wxyz": rotation, "translation": [0, 0, 0]},
+            "clock": {"rate_hz": 30.0, "first_s": 0.0, "shared": false}}]});
+    std::fs::write(folder.path().join("capture.json"), capture.to_string()).expect("a file");
+    let capture = Arc::new(Capture::open(folder.path()).expect("a capture"));
+    let options = RegistrationOptions::default();
+    const BOUND: usize = 1 << 20;
+    let store = FrameStore::with_bound(capture.clone(), &options, BOUND);
+    let mut long = LongTracks::start(&store, 0, 0).expect("corners");
+    let first: Vec<(u64, Point2<f64>)> =
+        long.tracks().iter().map(|t| (t.id, t.position())).collect();
+    let (mut most, mut worst_40) = (0, 0.0_f64);
+    for k in 1..FRAMES {
+        long.advance(&store).expect("the next frame");
+        assert!(store.bytes() <= BOUND, "{} bytes", store.bytes());
+        most = most.max(long.tracks().len());
+        assert!(long.tracks().is_sorted_by(|a, b| a.id < b.id));
+        if k == 40 {
+            // Once around: everybody is back where it started.
+            let mut survivors = 0;
+            for track in long.tracks() {
+                if let Some((_, start)) = first.iter().find(|(id, _)| *id == track.id) {
+                    survivors += 1;
+                    worst_40 = worst_40.max((track.position() - start).norm());
+                    let path = track.path(&capture.cameras[0].clock.times_s, k).expect("a path");
+                    let time_s = capture.cameras[0].clock.times_s[k];
+                    assert!((path.at(time_s) - track.position()).norm() < 1e-9);
+                }
+            }
+            assert!(survivors > 5, "{survivors} of {}", first.len());
+        }
+    }
+    assert!(most < 400, "{most}");
+    assert!(worst_40 < 2.0, "{worst_40}");
+    let ids = long.tracks().iter().map(|t| t.id);
+    assert!(ids.clone().count() > 5 && ids.max().expect("some") < 40_000);
+}
+
+/// 40 pixels a frame at 640×480: most corners of the body are found.
+#[test]
+fn large_motion_is_followed() {
+    let cameras = worlds::line_rig(1, 640);
+    let case = case("fast");
+    // Where it goes across the middle.
+    const START: f64 = 7.0;
+    let (_folder, capture) = filmed(&case, &cameras, &[START], 2);
+    let store = FrameStore::new(capture.clone(), &RegistrationOptions::default());
+    let tracks = temporal_flow(&store, 0, 0).expect("tracks");
+    let (mut right, mut wrong, mut longest) = (0, 0, 0.0_f64);
+    for t in tracks.iter().filter(|t| t.in_forward_set()) {
+        let Some(surface) = case.world.seen(&cameras[0], &t.earlier, START) else { continue };
+        if surface.body == 0 || !case.world.is_seen(&surface, &cameras[0], START + 1.0) {
+            continue;
+        }
+        let truth = case.world.position(&surface, &cameras[0], START + 1.0).expect("it is seen");
+        longest = longest.max((truth - t.earlier).norm());
+        if (t.later - truth).norm() < 1.0 {
+            right += 1;
+        } else {
+            wrong += 1;
+        }
+    }
+    assert!(longest > 40.0, "{longest}");
+    assert!(right > 500 && wrong * 50 < right, "{right} right, {wrong} wrong");
+}
