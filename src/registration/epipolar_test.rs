@@ -202,8 +202,6 @@ fn test_by(
 /// Pyramid levels where neighbours tell where to look. More: a coarse window is pulled away by
 /// what is behind it.
 const AGAIN_LEVELS: usize = 1;
-/// Features this near have much the same disparity, where they are on one surface.
-const DISPARITY_RADIUS_PX: f64 = 40.0;
 
 struct Pair<'a> {
     camera_i: &'a Camera,
@@ -289,7 +287,7 @@ impl Pair<'_> {
                 .filter(|&k| is_off(&starts[k].1, &found[k]))
                 .filter_map(|k| {
                     let base = base(&starts[k]);
-                    let displacement = guide.near(&base, DISPARITY_RADIUS_PX)?;
+                    let displacement = guide.near(&base, Guide::RADIUS_PX)?;
                     Some((k, (starts[k].0, base + displacement)))
                 })
                 .collect();

@@ -74,6 +74,11 @@ impl Track {
 /// Pyramid levels on the way back, whose answer should be where it started: the coarse levels
 /// would cost as much again and only help a track that is wrong.
 const BACK_LEVELS: usize = 2;
+/// Pyramid levels, there and back, where the neighbours tell where to look. More: small things in
+/// large motion are pulled away by what is behind them; fewer: the neighbours must be nearer.
+const GUIDED_LEVELS: [usize; 2] = [2, 2];
+/// How often those that are lost are sought again: each time, more neighbours are known.
+const GUIDED_ROUNDS: usize = 2;
 /// Pyramid levels of one frame further, where the motion tells where to look, and on the way back.
 const NEXT_LEVELS: [usize; 2] = [2, 1];
 /// Points are tracked in bands of this height, pixels. Larger: their windows don't fit the cache;
@@ -197,6 +202,27 @@ fn run(
 ) -> Vec<Match> {
     let starts: Vec<_> = corners.iter().map(|&p| (p, p)).collect();
     let mut found = flow(source, target, &starts, options);
+    for _ in 0..GUIDED_ROUNDS {
+        let again = guided_by_neighbors(corners, &found, options);
+        let starts: Vec<_> = again.iter().map(|(_, start)| *start).collect();
+        let retried = flow_over(source, target, &starts, GUIDED_LEVELS, options);
+        for ((k, _), retried) in again.iter().zip(retried) {
+            let Some(retried) = retried else { continue };
+            if found[*k].is_none_or(|first| retried.residual < first.residual) {
+                found[*k] = Some(retried);
+            }
+        }
+    }
+    found.into_iter().flatten().collect()
+}
+
+/// Where to look for the points that were lost, or that move like none of their neighbours; those
+/// that no neighbour tells of are left out.
+fn guided_by_neighbors(
+    corners: &[Point2<f64>],
+    found: &[Option<Match>],
+    options: &RegistrationOptions,
+) -> Vec<(usize, Start)> {
     let motions: Vec<_> = found.iter().flatten().map(|m| (m.source, m.target - m.source)).collect();
     let agrees = votes(&motions, options);
     let trusted: Vec<_> = motions
@@ -206,24 +232,13 @@ fn run(
         .collect();
     let guide = Guide::new(&trusted);
     let mut agrees = agrees.into_iter();
-    let lost: Vec<usize> = (0..corners.len())
+    (0..corners.len())
         .filter(|&k| found[k].is_none() || !agrees.next().unwrap_or(true))
-        .collect();
-    let again: Vec<(usize, Start)> = lost
-        .into_iter()
         .filter_map(|k| {
-            let guess = guide.near(&corners[k], options.support_radius_px)?;
-            Some((k, (corners[k], corners[k] + guess)))
+            let motion = guide.near(&corners[k], Guide::RADIUS_PX)?;
+            Some((k, (corners[k], corners[k] + motion)))
         })
-        .collect();
-    let starts: Vec<_> = again.iter().map(|(_, start)| *start).collect();
-    for ((k, _), retried) in again.iter().zip(flow(source, target, &starts, options)) {
-        let Some(retried) = retried else { continue };
-        if found[*k].is_none_or(|first| retried.residual < first.residual) {
-            found[*k] = Some(retried);
-        }
-    }
-    found.into_iter().flatten().collect()
+        .collect()
 }
 
 /// Where tracks go one frame further, as (track, position); only where the change of motion is

@@ -14,6 +14,9 @@ pub struct Guide {
 const ASKED: usize = 5;
 
 impl Guide {
+    /// Features this near have much the same displacement, where they are on one surface.
+    pub const RADIUS_PX: f64 = 40.0;
+
     /// From places and the displacements found there.
     pub fn new(found: &[(Point2<f64>, Vector2<f64>)]) -> Self {
         Self { neighbors: Neighbors::new(found.iter().map(|(p, _)| *p)), found: found.to_vec() }

@@ -26,6 +26,9 @@ use worlds::Case;
 const FRAMES: usize = 8;
 const DELAYS: [f64; 3] = [0.0, 0.37, 0.71];
 
+/// Motion over this between two frames is large, pixels.
+const LARGE_PX: f64 = 20.0;
+
 /// Whose positions are known.
 enum Known {
     World { case: Case, cameras: Vec<Camera> },
@@ -140,6 +143,14 @@ impl Scene {
             .collect()
     }
 
+    /// Of a film's points that are seen in both frames: whether each moves over so many pixels.
+    fn visible(&self, camera: usize, k: usize, over_px: f64) -> Vec<bool> {
+        let Known::Film { points } = &self.known else { return Vec::new() };
+        let frames = &points.cameras[camera].frames;
+        let both = frames[k].iter().zip(&frames[k + 1]).filter(|(a, b)| a.visible && b.visible);
+        both.map(|(a, b)| (b.px - a.px).norm() > over_px).collect()
+    }
+
     fn error(&self, sample: &Sample, camera: usize, k: usize) -> f64 {
         let (frame, _) = start(&sample.track, k);
         let (other, found) =
@@ -221,6 +232,9 @@ struct Counts {
     after: Vec<f64>,
     moving: Vec<f64>,
     moving_after: Vec<f64>,
+    /// Of a film's points, and of those with large motion: seen in both frames, followed to 1 px.
+    visible: [usize; 2],
+    followed: [usize; 2],
     untestable: usize,
     /// Of right tracks: all, and those that the test rejects.
     right: [usize; 2],
@@ -245,6 +259,9 @@ fn score(scene: &Scene, options: &RegistrationOptions) -> Counts {
     for &(camera, k) in &scene.pairs {
         let store = FrameStore::new(scene.capture.clone(), options);
         let samples = scene.tracks(&store, camera, k);
+        let visible = scene.visible(camera, k, LARGE_PX);
+        counts.visible[0] += visible.len();
+        counts.visible[1] += visible.iter().filter(|large| **large).count();
         let test = |samples: &[Sample]| {
             let tracks: Vec<Track> = samples.iter().map(|s| s.track.clone()).collect();
             epipolar_test(&store, &scene.times_s, camera, k, &tracks).expect("verdicts")
@@ -252,7 +269,12 @@ fn score(scene: &Scene, options: &RegistrationOptions) -> Counts {
         for (sample, verdict) in samples.iter().zip(test(&samples)) {
             let error = scene.error(sample, camera, k);
             let kept = verdict != Verdict::Rejected;
-            let moving = scene.motion(sample, camera, k) > 0.5;
+            let moved_px = scene.motion(sample, camera, k);
+            let moving = moved_px > 0.5;
+            if error <= 1.0 {
+                counts.followed[0] += 1;
+                counts.followed[1] += usize::from(moved_px > LARGE_PX);
+            }
             counts.before.push(error);
             counts.after.extend(kept.then_some(error));
             counts.moving.extend(moving.then_some(error));
@@ -339,6 +361,12 @@ fn main() {
         println!("  all, after                       {}", row(&c.after));
         println!("  moving, before                   {}", row(&c.moving));
         println!("  moving, after                    {}", row(&c.moving_after));
+        for (name, k) in [("points", 0), ("that move over 20 px", 1)] {
+            if c.visible[k] > 0 {
+                let share = share(c.followed[k], c.visible[k]);
+                println!("  {name}, seen in both: {}, followed to 1 px {share:.1}%", c.visible[k]);
+            }
+        }
         println!("  untestable                       {:.1}%", share(c.untestable, c.before.len()));
         println!(
             "  right ones rejected              {:.2}% of {}",
