@@ -3,5 +3,7 @@
 #[path = "../common/mod.rs"]
 mod common;
 
+mod data;
 mod geometry;
 mod invariance;
+mod naive;
