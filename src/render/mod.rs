@@ -50,11 +50,12 @@ type SharedTracks = Arc<Vec<Track>>;
 struct KeptTracks {
     /// By camera and earlier frame, with when it was last used.
     pairs: HashMap<(usize, usize), (u64, SharedTracks)>,
+    count: usize,
     clock: u64,
 }
 
-/// Frame pairs whose tracks are kept: several of each camera of a large rig, some 0.2 MB each.
-const MAX_KEPT_PAIRS: usize = 256;
+/// Tracks that are kept, of all frame pairs: 32 MB of them, several pairs of each camera of a rig.
+const MAX_KEPT_TRACKS: usize = (32 << 20) / size_of::<Track>();
 
 /// Why an image can't be rendered. Every message is one sentence.
 #[derive(Debug, thiserror::Error)]
@@ -383,11 +384,14 @@ impl KeptTracks {
 
     fn insert(&mut self, key: (usize, usize), tracks: &Arc<Vec<Track>>) {
         self.clock += 1;
-        self.pairs.insert(key, (self.clock, tracks.clone()));
-        while self.pairs.len() > MAX_KEPT_PAIRS {
+        self.count += tracks.len();
+        if let Some((_, same)) = self.pairs.insert(key, (self.clock, tracks.clone())) {
+            self.count -= same.len();
+        }
+        while self.count > MAX_KEPT_TRACKS && self.pairs.len() > 1 {
             let oldest = self.pairs.iter().min_by_key(|(_, (used, _))| *used).map(|(k, _)| *k);
-            if let Some(key) = oldest {
-                self.pairs.remove(&key);
+            if let Some((_, tracks)) = oldest.and_then(|key| self.pairs.remove(&key)) {
+                self.count -= tracks.len();
             }
         }
     }

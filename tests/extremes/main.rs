@@ -7,3 +7,6 @@ mod data;
 mod geometry;
 mod invariance;
 mod naive;
+mod precision;
+mod random;
+mod size;

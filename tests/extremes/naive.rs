@@ -76,3 +76,37 @@ pub fn fitness(image: &Image, a: Point2<f64>, b: Point2<f64>, o: &EdgeOptions) -
     let least = values.iter().copied().fold(f64::INFINITY, f64::min);
     (least, values.iter().sum::<f64>() / values.len() as f64)
 }
+
+/// Catmull and Rom's cubic between pixels, borders repeated, as [`Image::sample_cubic`] documents it.
+pub fn cubic(image: &Image, x: f64, y: f64, channel: usize) -> f64 {
+    between(image, [x, y], channel, |f| {
+        [
+            0.5 * (-f + 2.0 * f * f - f * f * f),
+            0.5 * (2.0 - 5.0 * f * f + 3.0 * f * f * f),
+            0.5 * (f + 4.0 * f * f - 3.0 * f * f * f),
+            0.5 * (f * f * f - f * f),
+        ]
+    })
+}
+
+/// The same, linearly.
+pub fn bilinear(image: &Image, x: f64, y: f64, channel: usize) -> f64 {
+    between(image, [x, y], channel, |f| [0.0, 1.0 - f, f, 0.0])
+}
+
+fn between(image: &Image, at: [f64; 2], channel: usize, weights: fn(f64) -> [f64; 4]) -> f64 {
+    let split = |v: f64, size: usize| {
+        let v = (v - 0.5).clamp(0.0, (size - 1) as f64);
+        let places: [usize; 4] = std::array::from_fn(|k| {
+            (v.floor() as isize + k as isize - 1).clamp(0, size as isize - 1) as usize
+        });
+        (places, weights(v.fract()))
+    };
+    let (columns, across) = split(at[0], image.width());
+    let (rows, down) = split(at[1], image.height());
+    let row = |y: usize| -> f64 {
+        let values = columns.iter().map(|&x| f64::from(image.pixel(x, y)[channel]));
+        values.zip(across).map(|(v, w)| v * w).sum()
+    };
+    rows.into_iter().zip(down).map(|(y, w)| w * row(y)).sum()
+}
