@@ -3,7 +3,7 @@
 //!
 //! `cargo bench --bench growth -- [pixels|cameras|features|frames|memory|largest]`, all without a
 //! word. Times are processor time, which other work on the machine hardly adds to; films are of
-//! [`swing::Swing`]. Tables go to stdout, plots to `target/growth`.
+//! [`swing::Swing`]. Tables go to stdout, plots to `target/growth/growth.svg` and `memory.svg`.
 
 mod cpu;
 #[path = "growth/fit.rs"]
@@ -58,7 +58,7 @@ fn film(width: usize, height: usize, cameras: usize) -> Swing {
 }
 
 /// The same wall in finer and finer images: as many features, larger.
-fn pixels() -> Done<()> {
+fn pixels() -> Done<Chart> {
     let cases: Vec<Case> = [1, 2, 4, 8]
         .map(|scale| {
             let print = scale as f64;
@@ -75,7 +75,7 @@ fn pixels() -> Done<()> {
 }
 
 /// More wall in larger images, by the defaults: features grow with the pixels, up to 4000.
-fn area() -> Done<()> {
+fn area() -> Done<Chart> {
     let cases: Vec<Case> = [1, 2, 4, 8]
         .map(|scale| {
             let swing = film(160 * scale, 120 * scale, 3);
@@ -86,7 +86,7 @@ fn area() -> Done<()> {
     stages::series("area", "pixels of an image with as much detail in each", &cases)
 }
 
-fn cameras() -> Done<()> {
+fn cameras() -> Done<Chart> {
     let cases: Vec<Case> = [4, 16, 64, 256]
         .map(|cameras| {
             let columns = (cameras as f64).sqrt() as usize;
@@ -97,7 +97,7 @@ fn cameras() -> Done<()> {
     stages::series("cameras", "cameras", &cases)
 }
 
-fn features() -> Done<()> {
+fn features() -> Done<Chart> {
     let cases: Vec<Case> = [500, 1000, 2000, 4000]
         .map(|count| {
             let mut options = RenderOptions::default();
@@ -109,7 +109,7 @@ fn features() -> Done<()> {
     stages::series("features", "features", &cases)
 }
 
-fn frames() -> Done<()> {
+fn frames() -> Done<Chart> {
     let cases: Vec<Case> = [30, 100, 300, 1000, 3000]
         .map(|frames| {
             let swing = Swing { frames, ..film(160, 120, 3) };
@@ -121,23 +121,31 @@ fn frames() -> Done<()> {
 
 fn main() -> Done<()> {
     let words: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
-    type Part = (&'static str, fn() -> Done<()>);
-    let parts: [Part; 7] = [
+    type Part = (&'static str, fn() -> Done<Chart>);
+    let parts: [Part; 5] = [
         ("pixels", pixels),
         ("area", area),
         ("cameras", cameras),
         ("features", features),
         ("frames", frames),
-        ("memory", || memory::grow(&[100, 300, 1000, 3000])),
-        ("largest", largest::run),
     ];
-    if let Some(word) = words.iter().find(|w| parts.iter().all(|(name, _)| name != w)) {
-        return Err(format!("{word}: is none of {:?}", parts.map(|p| p.0)).into());
+    let names: Vec<&str> = parts.iter().map(|p| p.0).chain(["memory", "largest"]).collect();
+    if let Some(word) = words.iter().find(|w| !names.contains(&w.as_str())) {
+        return Err(format!("{word}: is none of {names:?}").into());
     }
-    for (name, part) in parts {
-        if words.is_empty() || words.iter().any(|w| w == name) {
-            part()?;
-        }
+    let wanted = |name: &str| words.is_empty() || words.iter().any(|w| w == name);
+    let mut charts = Vec::new();
+    for (_, part) in parts.iter().filter(|p| wanted(p.0)) {
+        charts.push(part()?);
+    }
+    if !charts.is_empty() {
+        draw("growth.svg", &charts)?;
+    }
+    if wanted("memory") {
+        draw("memory.svg", &[memory::grow(&[100, 300, 1000, 3000])?])?;
+    }
+    if wanted("largest") {
+        largest::run()?;
     }
     Ok(())
 }

@@ -46,17 +46,22 @@ pub fn morph(edges: &[Edge], at: Point2<f64>, o: &MorphOptions) -> Option<Point2
     (sum > 0.0).then(|| at + moved / sum)
 }
 
-/// Scharr's gradient at a pixel of a grey image, borders repeated.
-pub fn gradient(image: &Image, x: usize, y: usize) -> Vector2<f64> {
-    let at = |dx: isize, dy: isize| {
-        let clamp = |v: usize, d: isize, size: usize| v.saturating_add_signed(d).min(size - 1);
-        f64::from(image.pixel(clamp(x, dx, image.width()), clamp(y, dy, image.height()))[0])
-    };
-    let along = |f: &dyn Fn(isize, isize) -> f64| {
-        (3.0 * (f(1, -1) - f(-1, -1)) + 10.0 * (f(1, 0) - f(-1, 0)) + 3.0 * (f(1, 1) - f(-1, 1)))
-            / 32.0
+/// Scharr's gradient, from values around a place.
+pub fn scharr(at: impl Fn(f64, f64) -> f64) -> Vector2<f64> {
+    let along = |f: &dyn Fn(f64, f64) -> f64| {
+        let side = |a: f64| 3.0 * f(a, -1.0) + 10.0 * f(a, 0.0) + 3.0 * f(a, 1.0);
+        (side(1.0) - side(-1.0)) / 32.0
     };
     Vector2::new(along(&at), along(&|a, b| at(b, a)))
+}
+
+/// The same at a pixel of a grey image, borders repeated.
+pub fn gradient(image: &Image, x: usize, y: usize) -> Vector2<f64> {
+    scharr(|dx, dy| {
+        let clamp =
+            |v: usize, d: f64, size: usize| v.saturating_add_signed(d as isize).min(size - 1);
+        f64::from(image.pixel(clamp(x, dx, image.width()), clamp(y, dy, image.height()))[0])
+    })
 }
 
 /// Eq. (6) and the mean of what it takes the least of, along a segment of a pixel or more.

@@ -1,6 +1,6 @@
 //! The most memory that each command holds, over films of growing length.
 
-use super::{draw, folder};
+use super::{Done, folder, root};
 use crate::peak;
 use crate::swing::{RATE_HZ, Swing};
 use serde_json::json;
@@ -8,13 +8,14 @@ use std::path::Path;
 use std::process::Command;
 use stlfr::offset::chart::{Chart, Series};
 
-/// Instants of a view that all cameras' images are made for.
-const INSTANTS: usize = 8;
+/// Instants of a view that all cameras' images are made for: four frames of each camera and instant
+/// are more than may be kept.
+const INSTANTS: usize = 4;
 /// Frames of the film for each instant at which one camera's image is made.
 const FRAMES_AN_INSTANT: usize = 10;
 
-/// The commands' peaks over these lengths, a table and a plot.
-pub fn grow(lengths: &[usize]) -> Result<(), Box<dyn std::error::Error>> {
+/// The commands' peaks over these lengths: prints a table, and returns its plot.
+pub fn grow(lengths: &[usize]) -> Done<Chart> {
     let commands = ["offsets", "render --like", "render --camera", "compare --video"];
     let mut series = commands.map(|label| Series {
         label: label.into(),
@@ -53,7 +54,7 @@ pub fn grow(lengths: &[usize]) -> Result<(), Box<dyn std::error::Error>> {
         println!();
         std::fs::remove_dir_all(&capture)?;
     }
-    let chart = Chart {
+    Ok(Chart {
         title: "Memory: 640×480, 8 cameras".into(),
         x_label: "frames a camera".into(),
         y_label: "resident at most, MiB".into(),
@@ -62,14 +63,13 @@ pub fn grow(lengths: &[usize]) -> Result<(), Box<dyn std::error::Error>> {
         series: series.into(),
         rules: vec![(500.0, "target".into())],
         ..Chart::default()
-    };
-    draw("memory.svg", &[chart])
+    })
 }
 
 /// The program, told to do one thing.
 fn of(command: &str, swing: &Swing, capture: &Path) -> Command {
     let mut stlfr = Command::new(env!("CARGO_BIN_EXE_stlfr"));
-    stlfr.current_dir(env!("CARGO_MANIFEST_DIR")).arg("--quiet");
+    stlfr.current_dir(root()).arg("--quiet");
     // All cameras have images a frame after the start, and a frame before the end.
     let times = |n: usize| {
         let last = (swing.frames - 2) as f64 / RATE_HZ;
@@ -82,7 +82,7 @@ fn of(command: &str, swing: &Swing, capture: &Path) -> Command {
             let times = times(swing.frames / FRAMES_AN_INSTANT);
             let images = capture.join("out/%d.png");
             stlfr.arg("render").arg(capture).args(["--like", &like, "--times", &times, "-o"]);
-            stlfr.arg(images)
+            stlfr.arg(images).args(["--sync", "triangulation"])
         }
         "render --camera" => {
             stlfr.arg("render").arg(capture).arg("--camera").arg(capture.join("view.json"));
@@ -94,7 +94,7 @@ fn of(command: &str, swing: &Swing, capture: &Path) -> Command {
 }
 
 /// A view, and what `compare` needs: the clocks' truth and a video's true images.
-fn truth(swing: &Swing, capture: &Path) -> Result<(), Box<dyn std::error::Error>> {
+fn truth(swing: &Swing, capture: &Path) -> Done<()> {
     let place = [0.5, 0.0];
     let view = swing.view(place);
     std::fs::write(capture.join("view.json"), view.to_string())?;

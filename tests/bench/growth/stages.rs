@@ -1,7 +1,7 @@
 //! Processor time of each stage, over films that grow in one thing.
 
 use super::fit::growth;
-use super::{draw, folder};
+use super::{Done, folder};
 use crate::cpu;
 use crate::swing::{RATE_HZ, Swing};
 use std::sync::Arc;
@@ -13,8 +13,6 @@ use stlfr::progress::Reporter;
 use stlfr::raster::Image;
 use stlfr::registration::{FrameStore, epipolar_test, temporal_flow};
 use stlfr::render::{LightField, ProxyRung, RenderOptions};
-
-type Done<T> = Result<T, Box<dyn std::error::Error>>;
 
 /// What is timed, in the order of the pipeline.
 const STAGES: [&str; 9] = [
@@ -37,8 +35,8 @@ pub struct Case {
     pub options: RenderOptions,
 }
 
-/// Runs a series of films, smallest first; a table with exponents, and a plot.
-pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<()> {
+/// Runs a series of films, smallest first; prints a table with exponents, and returns its plot.
+pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
     println!("\nProcessor time [ms] by {what}");
     println!("| {what} | features | {} |", STAGES.join(" | "));
     println!("|---|---|{}", "---|".repeat(STAGES.len()));
@@ -66,7 +64,7 @@ pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<()> {
             dots: true,
         })
         .collect();
-    let chart = Chart {
+    Ok(Chart {
         title: format!("Time by {what}, and its exponents"),
         x_label: what.into(),
         y_label: "processor time, ms".into(),
@@ -74,8 +72,7 @@ pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<()> {
         log_y: true,
         series,
         ..Chart::default()
-    };
-    draw(&format!("{name}.svg"), &[chart])
+    })
 }
 
 /// Features of a frame, and milliseconds of every stage.
