@@ -126,7 +126,7 @@ fn the_morphs_field_to_a_hundredth_of_a_pixel() {
 
 /// A window's place as the tracker finds it, and as its equations have it in f64.
 #[test]
-fn tracked_windows_to_a_hundredth_of_a_pixel() {
+fn tracked_windows_to_a_thousandth_of_a_pixel() {
     let mut options = RegistrationOptions::default();
     // Not to where the tracker is content, but to where it rests.
     (options.klt.epsilon_px, options.klt.iterations) = (1e-6, 300);
@@ -152,7 +152,7 @@ fn tracked_windows_to_a_hundredth_of_a_pixel() {
         apart.sort_by(f64::total_cmp);
         let (median, worst) = (apart[apart.len() / 2], apart[apart.len() - 1]);
         println!("{} windows, print {print}: {median:.5} px, worst {worst:.5}", apart.len());
-        assert!(apart.len() > 20 && median < 1e-3 && worst < 0.01, "{median} {worst}");
+        assert!(apart.len() > 20 && median < 1e-4 && worst < 1e-3, "{median} {worst}");
     }
 }
 
