@@ -31,10 +31,10 @@ pub struct FourFrames<'a> {
     pub share: f32,
 }
 
-/// Blocks stand this far apart, pixels, and are twice as large. Larger: one motion for pixels that
-/// move differently; smaller: more blocks to try.
-const STEP: usize = 8;
-const BLOCK: usize = 2 * STEP;
+/// Blocks stand this far apart, pixels, and are twice as large: or as far as a window's radius, where
+/// that is more, in large images; the windows around a block would cost more than the block. Larger:
+/// one motion for pixels that move differently; smaller: more blocks to try.
+const MIN_STEP: usize = 8;
 
 /// Motions that the outer frames are tried by where the middle ones agree. More costs time.
 const AGREEING_MOTIONS: usize = 2;
@@ -54,9 +54,11 @@ pub fn refined(
     let costs = box_mean(&difference(&warped[0], &warped[1]), w, h, options.window_radius_px);
 
     let neighbors = Neighbors::new(motions.iter().map(|m| m.at));
-    let work = Work { frames, motions, neighbors, dissolved: &dissolved, costs: &costs, options };
-    // Block (bx, by) covers pixels from (bx − 1)·STEP to (bx + 1)·STEP.
-    let (blocks_x, blocks_y) = (w.div_ceil(STEP) + 1, h.div_ceil(STEP) + 1);
+    let step = MIN_STEP.max(options.window_radius_px);
+    let work =
+        Work { frames, motions, neighbors, dissolved: &dissolved, costs: &costs, options, step };
+    // Block (bx, by) covers pixels from (bx − 1)·step to (bx + 1)·step.
+    let (blocks_x, blocks_y) = (w.div_ceil(step) + 1, h.div_ceil(step) + 1);
     let blocks: Vec<Option<Vec<f32>>> = (0..blocks_x * blocks_y)
         .into_par_iter()
         .map(|k| work.block((k % blocks_x) as isize, (k / blocks_x) as isize))
@@ -66,12 +68,12 @@ pub fn refined(
     data.par_chunks_mut(w * channels).enumerate().for_each(|(y, row)| {
         for (x, out) in row.chunks_exact_mut(channels).enumerate() {
             let mut sum = [0.0; 3];
-            for (bx, by) in covering(x, y) {
-                let in_x = x + STEP - bx * STEP;
-                let in_y = y + STEP - by * STEP;
-                let weight = fade(in_x) * fade(in_y);
+            for (bx, by) in covering(x, y, step) {
+                let in_x = x + step - bx * step;
+                let in_y = y + step - by * step;
+                let weight = fade(in_x, step) * fade(in_y, step);
                 let from = match &blocks[by * blocks_x + bx] {
-                    Some(block) => &block[(in_y * BLOCK + in_x) * channels..][..channels],
+                    Some(block) => &block[(in_y * 2 * step + in_x) * channels..][..channels],
                     None => dissolved.pixel(x, y),
                 };
                 for (sum, v) in sum.iter_mut().zip(from) {
@@ -97,14 +99,14 @@ fn scaled(options: &RefineOptions, size_px: usize) -> RefineOptions {
 }
 
 /// The four blocks that a pixel lies in.
-fn covering(x: usize, y: usize) -> [(usize, usize); 4] {
-    let (bx, by) = (x / STEP, y / STEP);
+fn covering(x: usize, y: usize, step: usize) -> [(usize, usize); 4] {
+    let (bx, by) = (x / step, y / step);
     [(bx, by), (bx + 1, by), (bx, by + 1), (bx + 1, by + 1)]
 }
 
 /// A block's weight at a pixel within it: a triangle, so that overlapping blocks' weights sum to 1.
-fn fade(within: usize) -> f32 {
-    let d = (within as f32 + 0.5 - STEP as f32).abs() / STEP as f32;
+fn fade(within: usize, step: usize) -> f32 {
+    let d = (within as f32 + 0.5 - step as f32).abs() / step as f32;
     1.0 - d
 }
 
@@ -116,6 +118,8 @@ struct Work<'a> {
     /// The morph's: mean difference of the warped frames around each pixel.
     costs: &'a [f32],
     options: &'a RefineOptions,
+    /// Between blocks, pixels.
+    step: usize,
 }
 
 /// The weighted sum of a block's hypotheses, per pixel.
@@ -129,9 +133,9 @@ impl Work<'_> {
     fn block(&self, bx: isize, by: isize) -> Option<Vec<f32>> {
         let (w, h) = (self.dissolved.width(), self.dissolved.height());
         let channels = self.dissolved.channels();
-        let origin = [(bx - 1) * STEP as isize, (by - 1) * STEP as isize];
-        let center =
-            Point2::new((origin[0] + STEP as isize) as f64, (origin[1] + STEP as isize) as f64);
+        let (step, block) = (self.step as isize, 2 * self.step);
+        let origin = [(bx - 1) * step, (by - 1) * step];
+        let center = Point2::new((origin[0] + step) as f64, (origin[1] + step) as f64);
         let mut candidates = self.candidates(&center);
         if candidates.is_empty() {
             return None;
@@ -141,7 +145,7 @@ impl Work<'_> {
             let inside = x >= 0 && y >= 0 && (x as usize) < w && (y as usize) < h;
             inside.then_some((x as usize, y as usize))
         };
-        let places = || (0..BLOCK).flat_map(|y| (0..BLOCK).map(move |x| (x, y)));
+        let places = || (0..block).flat_map(|y| (0..block).map(move |x| (x, y)));
         let worst = places()
             .filter_map(|(x, y)| pixel(x, y))
             .map(|(x, y)| self.costs[y * w + x])
@@ -153,10 +157,10 @@ impl Work<'_> {
         let patches: Vec<[Option<Image>; 4]> =
             candidates.iter().map(|c| self.patches(c, origin, !agree)).collect();
         let mut sums =
-            Sums { colors: vec![0.0; BLOCK * BLOCK * channels], weights: vec![0.0; BLOCK * BLOCK] };
+            Sums { colors: vec![0.0; block * block * channels], weights: vec![0.0; block * block] };
         // The morph's own hypothesis.
         let radius = self.options.window_radius_px;
-        let side = BLOCK + 2 * radius;
+        let side = block + 2 * radius;
         let (own, costs) = self.morphed(origin, side);
         let outer: Vec<[Option<&Image>; 2]> =
             patches.iter().map(|p| [p[0].as_ref(), p[3].as_ref()]).collect();
@@ -207,9 +211,9 @@ impl Work<'_> {
         middle_too: bool,
     ) -> [Option<Image>; 4] {
         let radius = self.options.window_radius_px;
-        let side = BLOCK + 2 * radius;
+        let side = 2 * self.step + 2 * radius;
         let channels = self.dissolved.channels();
-        let middle = Vector2::repeat(STEP as f64);
+        let middle = Vector2::repeat(self.step as f64);
         let cut = |image: &Image, frame: usize| {
             let mut patch = vec![0.0; side * side * channels];
             for (k, out) in patch.chunks_exact_mut(channels).enumerate() {
@@ -309,7 +313,8 @@ impl Work<'_> {
     /// Adds a motion under its three hypotheses.
     fn try_motion(&self, patches: &[Option<Image>; 4], sums: &mut Sums) {
         let radius = self.options.window_radius_px;
-        let side = BLOCK + 2 * radius;
+        let block = 2 * self.step;
+        let side = block + 2 * radius;
         let [before, Some(earlier), Some(later), after] = patches else { return };
         let cost = |a: &Image, b: &Image| self.window_mean(&difference(a, b), side);
         let both = cost(earlier, later);
@@ -317,8 +322,8 @@ impl Work<'_> {
         let only_later = after.as_ref().map(|p| cost(later, p));
         let mix = mixed(earlier, later, self.frames.share);
         let mix = self.fused(&mix, &[[before.as_ref(), after.as_ref()]], &both);
-        for k in 0..BLOCK * BLOCK {
-            let (x, y) = (k % BLOCK + radius, k / BLOCK + radius);
+        for k in 0..block * block {
+            let (x, y) = (k % block + radius, k / block + radius);
             let at = y * side + x;
             sums.add(k, self.weight(both[at]), mix.pixel(x, y));
             for (costs, color) in
@@ -455,10 +460,10 @@ mod tests {
 
     #[test]
     fn the_fades_of_overlapping_blocks_sum_to_one() {
-        for x in 0..50 {
-            let sum: f32 = covering(x, x)
+        for (step, x) in [8, 13, 51].into_iter().flat_map(|s| (0..3 * s).map(move |x| (s, x))) {
+            let sum: f32 = covering(x, x, step)
                 .iter()
-                .map(|(bx, by)| fade(x + STEP - bx * STEP) * fade(x + STEP - by * STEP))
+                .map(|(bx, by)| fade(x + step - bx * step, step) * fade(x + step - by * step, step))
                 .sum();
             assert!((sum - 1.0).abs() < 1e-6);
         }

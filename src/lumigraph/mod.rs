@@ -30,7 +30,7 @@ pub use plane::Plane;
 pub use proxy::Proxy;
 pub use sample::Sampling;
 pub use triangulate::{Triangulated, triangulate};
-pub use ulr::{BlendOptions, Rendered, Source, blend};
+pub use ulr::{BlendOptions, Rendered, Source, blend, contributing};
 pub use weights::BlendRung;
 
 #[cfg(test)]

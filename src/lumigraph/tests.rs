@@ -234,6 +234,32 @@ fn the_order_of_the_cameras_does_not_matter() {
     }
 }
 
+/// Images of cameras that no pixel is blended from are never looked at; the others all are.
+#[test]
+fn what_does_not_contribute_may_have_any_image() {
+    let mut random = Random::new(36);
+    let cameras = rig();
+    for grays in [0, 3, 8] {
+        let channels = |k: usize| if k < grays { 1 } else { 3 };
+        let images: Vec<Image> =
+            cameras.iter().enumerate().map(|(k, c)| noise(c, channels(k), &mut random)).collect();
+        for x in [-0.3, -0.1, 0.013, 0.03] {
+            let target = camera_at([x, 0.02, 0.1]);
+            let depth = Proxy::Plane(tilted()).depth_map(&target);
+            let options = BlendOptions { cameras: 2, ..BlendOptions::default() };
+            let all = blend(&sources(&cameras, &images), &depth, &target, &options);
+            let needed = contributing(&sources(&cameras, &images), &depth, &target, &options);
+            assert!(needed.contains(&true) && needed.contains(&false), "{needed:?}");
+            for (k, needed) in needed.into_iter().enumerate() {
+                let mut images = images.clone();
+                images[k] = Image::filled(96, 72, channels(k), 0.0);
+                let without = blend(&sources(&cameras, &images), &depth, &target, &options);
+                assert_eq!(without == all, !needed, "camera {k}, x = {x}");
+            }
+        }
+    }
+}
+
 #[test]
 fn uniform_is_the_mean() {
     let cameras = rig();

@@ -104,15 +104,8 @@ pub fn blend(
     target: &Camera,
     options: &BlendOptions,
 ) -> Rendered {
+    check(sources, depth, target);
     let (w, h) = (target.width, target.height);
-    assert_eq!((depth.width(), depth.height()), (w, h), "size of the view's depths");
-    for source in sources {
-        let size = (source.camera.width, source.camera.height);
-        assert_eq!((source.image.width(), source.image.height()), size, "size of an image");
-        if let Some(d) = source.depth {
-            assert_eq!((d.width(), d.height()), size, "size of a source's depths");
-        }
-    }
     let reprojections = Reprojection::of_all(sources, target, options);
     let colored = sources.iter().filter(|s| s.image.channels() == 3).count();
     let channels = if colored > 0 { 3 } else { 1 };
@@ -136,6 +129,48 @@ pub fn blend(
             },
         );
     Rendered { image, coverage }
+}
+
+/// Which sources any pixel of the view is blended from. The images of the others, if of the right
+/// size and number of channels, change nothing; where they stand does, for they end the weights of
+/// those that are nearer.
+///
+/// # Panics
+/// As [`blend`].
+pub fn contributing(
+    sources: &[Source],
+    depth: &DepthMap,
+    target: &Camera,
+    options: &BlendOptions,
+) -> Vec<bool> {
+    check(sources, depth, target);
+    let reprojections = Reprojection::of_all(sources, target, options);
+    let either = |mut all: Vec<bool>, more: Vec<bool>| {
+        all.iter_mut().zip(more).for_each(|(all, more)| *all |= more);
+        all
+    };
+    (0..target.height)
+        .into_par_iter()
+        .map_init(
+            || Row::new(sources, &reprojections, target, options),
+            |row, y| {
+                row.measure(y, depth.row(y));
+                row.contributing()
+            },
+        )
+        .reduce(|| vec![false; sources.len()], either)
+}
+
+fn check(sources: &[Source], depth: &DepthMap, target: &Camera) {
+    let size = (target.width, target.height);
+    assert_eq!((depth.width(), depth.height()), size, "size of the view's depths");
+    for source in sources {
+        let size = (source.camera.width, source.camera.height);
+        assert_eq!((source.image.width(), source.image.height()), size, "size of an image");
+        if let Some(d) = source.depth {
+            assert_eq!((d.width(), d.height()), size, "size of a source's depths");
+        }
+    }
 }
 
 /// One row's geometry in all sources, and scratch space. What has a value for every pixel in
@@ -206,6 +241,33 @@ impl<'a> Row<'a> {
         }
     }
 
+    /// The coloured sources alone, as if there were no others.
+    fn weigh_colored(&mut self) {
+        let width = self.target.width;
+        let gray = |s: &Source| s.image.channels() == 1;
+        for (i, _) in self.sources.iter().enumerate().filter(|(_, s)| gray(s)) {
+            self.penalty[i * width..(i + 1) * width].fill(f32::INFINITY);
+            self.trust[i * width..(i + 1) * width].fill(0.0);
+        }
+        self.weigh();
+    }
+
+    /// The sources with any weight in this row.
+    fn contributing(&mut self) -> Vec<bool> {
+        let counted = |weights: &WeightRow| -> Vec<bool> {
+            let rows = weights.weights.chunks_exact(self.target.width);
+            rows.map(|row| row.iter().any(|w| *w > 0.0)).collect()
+        };
+        self.weigh();
+        let mut all = counted(&self.weights);
+        let colored = self.sources.iter().filter(|s| s.image.channels() == 3).count();
+        if colored > 0 && colored < self.sources.len() {
+            self.weigh_colored();
+            all.iter_mut().zip(counted(&self.weights)).for_each(|(all, more)| *all |= more);
+        }
+        all
+    }
+
     /// All sources have C channels.
     fn blend<const C: usize>(&mut self, pixels: &mut [f32]) {
         self.weigh();
@@ -246,11 +308,7 @@ impl<'a> Row<'a> {
             }
         }
         let trust = self.trust.clone();
-        for i in (0..sources.len()).filter(|&i| !is_colored(i)) {
-            self.penalty[i * width..(i + 1) * width].fill(f32::INFINITY);
-            self.trust[i * width..(i + 1) * width].fill(0.0);
-        }
-        self.weigh();
+        self.weigh_colored();
         let mut seen_colored = vec![0.0_f32; width];
         for row in self.trust.chunks_exact(width) {
             for (seen, t) in seen_colored.iter_mut().zip(row) {

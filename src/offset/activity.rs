@@ -18,20 +18,27 @@ const WIDTH: usize = 80;
 /// Bands along the epipolar lines that a pair compares.
 pub const BANDS: usize = 6;
 
-/// One camera's activity.
+/// One camera's activity, as the pairs that it is in compare it. (The grid itself would be 2.3 kB a
+/// frame.)
 #[derive(Clone, Debug, Default)]
 pub struct Activity {
     /// The middle of each interval on the camera's clock, seconds.
     pub times_s: Vec<f64>,
-    /// Energy, and correlation with the gradient's x and y, by cell, a second's worth.
-    cells: Vec<[[f32; 3]; COLUMNS * ROWS]>,
+    /// All energy of each interval.
+    pub energies: Vec<f64>,
+    /// By pair, interval by interval: the root of each band's energy, then the signed root of its
+    /// motion across.
+    pub signals: Vec<Vec<[f32; 2 * BANDS]>>,
 }
 
+/// Energy, and correlation with the gradient's x and y, by cell, a second's worth.
+type Cells = [[f32; 3]; COLUMNS * ROWS];
+
 impl Activity {
-    /// Reads all frames of a camera.
-    pub fn new(capture: &Capture, camera: usize) -> Result<Self, CaptureError> {
+    /// Reads all frames of a camera; `bands` are those of its pairs.
+    pub fn new(capture: &Capture, camera: usize, bands: &[&Bands]) -> Result<Self, CaptureError> {
         let times = &capture.cameras[camera].clock.times_s;
-        let mut activity = Self::default();
+        let mut activity = Self { signals: vec![Vec::new(); bands.len()], ..Self::default() };
         let mut before: Option<Small> = None;
         for (k, &time_s) in times.iter().enumerate() {
             let now = Small::new(&capture.read_frame(camera, k)?.to_gray());
@@ -39,33 +46,15 @@ impl Activity {
                 // Positive: the times ascend.
                 let interval = time_s - times[k - 1];
                 activity.times_s.push(time_s - 0.5 * interval);
-                activity.cells.push(cells(&before, &now, interval as f32));
+                let cells = cells(&before, &now, interval as f32);
+                activity.energies.push(cells.iter().map(|c| f64::from(c[0])).sum());
+                for (signal, bands) in activity.signals.iter_mut().zip(bands) {
+                    signal.push(bands.signal(&cells));
+                }
             }
             before = Some(now);
         }
         Ok(activity)
-    }
-
-    /// All energy of an interval.
-    pub fn energy(&self, interval: usize) -> f64 {
-        self.cells[interval].iter().map(|c| f64::from(c[0])).sum()
-    }
-
-    /// Interval by interval, the signals of a camera's bands: the root of each one's energy, then
-    /// the signed root of its motion across.
-    pub fn signals(&self, bands: &Bands) -> Vec<[f32; 2 * BANDS]> {
-        self.cells
-            .iter()
-            .map(|cells| {
-                let mut sums = [0.0; 2 * BANDS];
-                for (cell, of_cell) in cells.iter().zip(&bands.of_cell) {
-                    let Some((band, across)) = of_cell else { continue };
-                    sums[*band] += cell[0];
-                    sums[BANDS + band] += cell[1] * across.x as f32 + cell[2] * across.y as f32;
-                }
-                sums.map(|s| s.signum() * s.abs().sqrt())
-            })
-            .collect()
     }
 }
 
@@ -93,7 +82,7 @@ impl Small {
     }
 }
 
-fn cells(before: &Small, now: &Small, interval: f32) -> [[f32; 3]; COLUMNS * ROWS] {
+fn cells(before: &Small, now: &Small, interval: f32) -> Cells {
     let (w, h) = (now.width, now.height);
     let mut cells = [[0.0; 3]; COLUMNS * ROWS];
     // All pixels have neighbours; tinier images have no activity.
@@ -135,6 +124,17 @@ impl Bands {
         // The outermost lines are inside.
         let reach = reach * (1.0 + 1e-3);
         Some([Self::new(a, of_a, reach), Self::new(b, of_b, reach)])
+    }
+
+    /// An interval's energy and motion, band by band.
+    fn signal(&self, cells: &Cells) -> [f32; 2 * BANDS] {
+        let mut sums = [0.0; 2 * BANDS];
+        for (cell, of_cell) in cells.iter().zip(&self.of_cell) {
+            let Some((band, across)) = of_cell else { continue };
+            sums[*band] += cell[0];
+            sums[BANDS + band] += cell[1] * across.x as f32 + cell[2] * across.y as f32;
+        }
+        sums.map(|s| s.signum() * s.abs().sqrt())
     }
 
     fn new(camera: &Camera, distance: impl Fn(&Point2<f64>) -> Option<f64>, reach: f64) -> Self {

@@ -24,20 +24,47 @@ const TESTED_FRAMES: usize = 6;
 /// A rival with this share of the best answer's agreement is as good.
 const AS_GOOD: f64 = 0.8;
 
-/// The activity of every camera whose film is long enough that it may have to be aligned; `None`
-/// where its clock is taken to be right to a frame.
-pub fn activities(
-    film: &Film,
-    pairs: &[[usize; 2]],
-) -> Result<Vec<Option<Activity>>, CaptureError> {
-    let needed: Vec<bool> = (0..film.timelines.times_s.len())
-        .map(|c| pairs.iter().any(|p| p.contains(&c) && is_long(film, *p)))
-        .collect();
-    needed
-        .into_par_iter()
-        .enumerate()
-        .map(|(c, needed)| needed.then(|| Activity::new(film.frames.capture(), c)).transpose())
-        .collect()
+/// The activity of every camera that may have to be aligned, with the signals of its pairs by the
+/// pairs' numbers. Those whose clocks are taken to be right to a frame have none, nor have those that
+/// stand in one place.
+pub struct Activities {
+    of_camera: Vec<Activity>,
+    /// Which signal of each of its cameras is a pair's.
+    signals: Vec<Option<[usize; 2]>>,
+}
+
+impl Activities {
+    /// Reads all frames of the cameras that need it.
+    pub fn new(film: &Film, pairs: &[[usize; 2]]) -> Result<Self, CaptureError> {
+        let capture = film.frames.capture();
+        let bands: Vec<Option<[Bands; 2]>> = pairs
+            .iter()
+            .map(|&pair| {
+                let [a, b] = pair.map(|c| &capture.cameras[c].camera);
+                is_long(film, pair).then(|| Bands::of_pair(a, b)).flatten()
+            })
+            .collect();
+        let mut of_cameras: Vec<Vec<&Bands>> = vec![Vec::new(); capture.cameras.len()];
+        let mut signals = Vec::with_capacity(pairs.len());
+        for (pair, bands) in pairs.iter().zip(&bands) {
+            signals.push(bands.as_ref().map(|bands| {
+                [0, 1].map(|n| {
+                    let own = &mut of_cameras[pair[n]];
+                    own.push(&bands[n]);
+                    own.len() - 1
+                })
+            }));
+        }
+        let of_camera = of_cameras
+            .par_iter()
+            .enumerate()
+            .map(|(c, bands)| match bands.is_empty() {
+                true => Ok(Activity::default()),
+                false => Activity::new(capture, c, bands),
+            })
+            .collect::<Result<_, CaptureError>>()?;
+        Ok(Self { of_camera, signals })
+    }
 }
 
 /// Whether both cameras of a pair filmed for longer than the least overlap that is searched for.
@@ -50,27 +77,19 @@ fn is_long(film: &Film, pair: [usize; 2]) -> bool {
     options.search_s > 0.0 && pair.iter().all(|&c| duration(c) > options.min_overlap_s)
 }
 
-/// The offset of a pair to about a frame: the clocks' own for short films.
+/// The offset of pair number `n` to about a frame: the clocks' own for short films.
 pub fn rough(
     film: &Film,
-    [a, b]: [usize; 2],
-    activities: &[Option<Activity>],
+    pairs: &[[usize; 2]],
+    n: usize,
+    activities: &Activities,
 ) -> Result<Result<Guess, Blind>, CaptureError> {
-    let (Some(of_a), Some(of_b)) = (&activities[a], &activities[b]) else {
-        return Ok(Ok(Guess::default()));
-    };
-    let cameras = &film.frames.capture().cameras;
-    let Some([bands_a, bands_b]) = Bands::of_pair(&cameras[a].camera, &cameras[b].camera) else {
-        return Ok(Ok(Guess::default()));
-    };
-    if !is_long(film, [a, b]) {
-        return Ok(Ok(Guess::default()));
-    }
+    let Some(numbers) = activities.signals[n] else { return Ok(Ok(Guess::default())) };
+    let [a, b] = pairs[n];
     let frame_s = film.timelines.frame_s(a).max(film.timelines.frame_s(b));
-    let signals = [
-        Signal { times_s: &of_a.times_s, values: of_a.signals(&bands_a) },
-        Signal { times_s: &of_b.times_s, values: of_b.signals(&bands_b) },
-    ];
+    let [of_a, of_b] = [a, b].map(|c| &activities.of_camera[c]);
+    let signals = [(of_a, numbers[0]), (of_b, numbers[1])]
+        .map(|(of, n)| Signal { times_s: &of.times_s, values: &of.signals[n] });
     let mut tried = peaks(&signals, film.options.search_s, film.options.min_overlap_s, frame_s);
     if tried.is_empty() {
         return Ok(Err(Blind::Apart));
@@ -123,7 +142,7 @@ fn agreement(
     let mut across = 0;
     for part in possible.chunks(possible.len().div_ceil(TESTED_FRAMES).max(1)) {
         let most = part.iter().max_by(|x, y| {
-            activity.energy(x.0).total_cmp(&activity.energy(y.0)).then(y.0.cmp(&x.0))
+            activity.energies[x.0].total_cmp(&activity.energies[y.0]).then(y.0.cmp(&x.0))
         });
         let Some(&(k, m)) = most else { continue };
         let triple = film.triple([a, b], [k, m])?;
@@ -142,7 +161,7 @@ fn agreement(
 
 struct Signal<'a> {
     times_s: &'a [f64],
-    values: Vec<[f32; 2 * BANDS]>,
+    values: &'a [[f32; 2 * BANDS]],
 }
 
 impl Signal<'_> {
@@ -166,8 +185,13 @@ impl Signal<'_> {
 fn peaks(signals: &[Signal; 2], search_s: f64, min_overlap_s: f64, frame_s: f64) -> Vec<Shift> {
     // Half a frame: a peak is as wide as a frame's change of motion.
     let step = 0.5 * frame_s;
-    let reach = (search_s / step).ceil() as i64;
-    let all: Vec<Option<Shift>> = (-reach..=reach)
+    let reach = (search_s / step).ceil();
+    // Beyond these the recordings have nothing in common, and there may be billions of steps.
+    let ends = |s: &Signal| Some((*s.times_s.first()?, *s.times_s.last()?));
+    let [Some(a), Some(b)] = signals.each_ref().map(ends) else { return Vec::new() };
+    let first = ((a.0 - b.1) / step).floor().max(-reach) as i64;
+    let last = ((a.1 - b.0) / step).ceil().min(reach) as i64;
+    let all: Vec<Option<Shift>> = (first..=last)
         .into_par_iter()
         .map(|k| {
             let offset_s = k as f64 * step;
@@ -190,7 +214,7 @@ fn peaks(signals: &[Signal; 2], search_s: f64, min_overlap_s: f64, frame_s: f64)
 fn correlation([a, b]: &[Signal; 2], offset_s: f64, min_overlap_s: f64) -> Option<f64> {
     let mut overlap: Vec<([f32; 2 * BANDS], [f32; 2 * BANDS])> = Vec::new();
     let (mut first_s, mut last_s) = (f64::INFINITY, f64::NEG_INFINITY);
-    for (time_s, value) in a.times_s.iter().zip(&a.values) {
+    for (time_s, value) in a.times_s.iter().zip(a.values) {
         if let Some(other) = b.at(time_s - offset_s) {
             overlap.push((*value, other));
             (first_s, last_s) = (first_s.min(*time_s), last_s.max(*time_s));
@@ -265,9 +289,7 @@ mod tests {
             let duration_s = late_s.abs() + 2.2 + 3.0 * random.unit();
             let signals = [(rates[0], 20.0), (rates[1], 20.0 + late_s)]
                 .map(|(rate, start)| filmed(seed, rate, start, duration_s));
-            let signals = signals
-                .each_ref()
-                .map(|(times_s, values)| Signal { times_s, values: values.clone() });
+            let signals = signals.each_ref().map(|(times_s, values)| Signal { times_s, values });
             let frame_s = 1.0 / rates[1];
             let best = peaks(&signals, 5.0, 2.0, frame_s)[0];
             assert!((best.offset_s - late_s).abs() <= frame_s, "{seed}: {best:?} {late_s}");
@@ -278,14 +300,14 @@ mod tests {
     fn recordings_without_change_or_overlap_have_no_peak() {
         let (times_s, values) = filmed(1, 30.0, 0.0, 4.0);
         let still = vec![[1.0; 2 * BANDS]; times_s.len()];
-        let moving = Signal { times_s: &times_s, values };
-        let flat = Signal { times_s: &times_s, values: still };
+        let moving = Signal { times_s: &times_s, values: &values };
+        let flat = Signal { times_s: &times_s, values: &still };
         assert_eq!(correlation(&[moving, flat], 0.0, 2.0), None);
         let later: Vec<f64> = times_s.iter().map(|t| t + 100.0).collect();
         let (_, values) = filmed(1, 30.0, 0.0, 4.0);
         let apart = [
-            Signal { times_s: &times_s, values: values.clone() },
-            Signal { times_s: &later, values },
+            Signal { times_s: &times_s, values: &values },
+            Signal { times_s: &later, values: &values },
         ];
         assert!(peaks(&apart, 5.0, 2.0, 1.0 / 30.0).is_empty());
     }

@@ -9,7 +9,8 @@ pub struct Chart {
     pub title: String,
     pub x_label: String,
     pub y_label: String,
-    /// Whether the y axis is logarithmic; values that aren't positive are then left out.
+    /// Whether an axis is logarithmic; values that aren't positive are then left out.
+    pub log_x: bool,
     pub log_y: bool,
     /// The least range that the y axis shows.
     pub y_shows: Option<(f64, f64)>,
@@ -128,7 +129,7 @@ impl Chart {
         let [left, right, top, bottom] = MARGINS;
         let (right, bottom) = (WIDTH - right, HEIGHT - bottom);
         let points = || self.series.iter().flat_map(|s| &s.points);
-        let x = Axis::around(points().map(|p| p.x), false, left, right);
+        let x = Axis::around(points().map(|p| p.x), self.log_x, left, right);
         let ys = points()
             .flat_map(|p| [p.y - p.bar, p.y + p.bar, p.y])
             .chain(self.rules.iter().map(|r| r.0))

@@ -79,14 +79,15 @@ fn aligned(
     pairs: &[[usize; 2]],
     reporter: &Reporter,
 ) -> Result<Vec<Result<Guess, Blind>>, CaptureError> {
-    let activities = align::activities(film, pairs)?;
+    let activities = align::Activities::new(film, pairs)?;
     let task = reporter.task("Rough alignment", pairs.len());
     pairs
         .par_iter()
-        .map(|&pair| {
+        .enumerate()
+        .map(|(n, pair)| {
             let has_motion = pair.iter().all(|&c| film.timelines.times_s[c].len() > 1);
             let guess = if has_motion {
-                align::rough(film, pair, &activities)
+                align::rough(film, pairs, n, &activities)
             } else {
                 Ok(Err(Blind::Still))
             };

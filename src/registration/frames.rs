@@ -47,9 +47,11 @@ struct Kept {
     clock: u64,
 }
 
-/// What the store may hold, bytes: 48 frames of 640×480, twice the window that eight cameras need at one
-/// instant. More only saves decoding.
-const MAX_BYTES: usize = 256 << 20;
+/// What the store may hold, bytes: 35 frames of 640×480 in colour, what eight cameras need at one
+/// instant, four frames each, and a few more. More only saves decoding.
+const MAX_BYTES: usize = 192 << 20;
+/// And frames a camera, so that a long film of small images takes no more memory than a short one.
+const MAX_FRAMES: usize = 24;
 
 impl FrameStore {
     pub fn new(capture: Arc<Capture>, options: &RegistrationOptions) -> Self {
@@ -85,7 +87,8 @@ impl FrameStore {
         }
         let image = self.capture.read_frame(camera, index)?;
         let frame = Arc::new(Frame::new(image, &self.options));
-        self.kept().insert((camera, index), &frame, self.max_bytes);
+        let max_frames = MAX_FRAMES * self.capture.cameras.len();
+        self.kept().insert((camera, index), &frame, max_frames, self.max_bytes);
         Ok(frame)
     }
 
@@ -103,12 +106,19 @@ impl Kept {
         Some(frame.clone())
     }
 
-    fn insert(&mut self, key: (usize, usize), frame: &Arc<Frame>, max_bytes: usize) {
+    fn insert(
+        &mut self,
+        key: (usize, usize),
+        frame: &Arc<Frame>,
+        max_frames: usize,
+        max_bytes: usize,
+    ) {
         self.clock += 1;
         if self.frames.insert(key, (self.clock, frame.clone())).is_none() {
             self.bytes += frame.bytes();
         }
-        while self.bytes > max_bytes && self.frames.len() > 1 {
+        let too_many = |kept: &Self| kept.bytes > max_bytes || kept.frames.len() > max_frames;
+        while too_many(self) && self.frames.len() > 1 {
             let oldest = self.frames.iter().min_by_key(|(_, (used, _))| *used).map(|(k, _)| *k);
             if let Some((_, frame)) = oldest.and_then(|k| self.frames.remove(&k)) {
                 self.bytes -= frame.bytes();

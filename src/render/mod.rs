@@ -10,9 +10,9 @@ pub use options::{ProxyOptions, ProxyRung, RenderOptions};
 pub use trail::{TrailMode, TrailOptions, Viewpoint};
 
 use crate::camera::Camera;
-use crate::capture::{Capture, CaptureError};
+use crate::capture::{Capture, CaptureError, Color};
 use crate::interpolation::{FramePair, Sync};
-use crate::lumigraph::{Mesh, Plane, Proxy, Rendered, Source, blend};
+use crate::lumigraph::{Mesh, Plane, Proxy, Rendered, Source, blend, contributing};
 use crate::offset::{self, Offsets};
 use crate::plan;
 use crate::progress::Reporter;
@@ -50,11 +50,12 @@ type SharedTracks = Arc<Vec<Track>>;
 struct KeptTracks {
     /// By camera and earlier frame, with when it was last used.
     pairs: HashMap<(usize, usize), (u64, SharedTracks)>,
+    count: usize,
     clock: u64,
 }
 
-/// Frame pairs whose tracks are kept: several of each camera of a large rig, some 0.2 MB each.
-const MAX_KEPT_PAIRS: usize = 256;
+/// Tracks that are kept, of all frame pairs: 32 MB of them, several pairs of each camera of a rig.
+const MAX_KEPT_TRACKS: usize = (32 << 20) / size_of::<Track>();
 
 /// Why an image can't be rendered. Every message is one sentence.
 #[derive(Debug, thiserror::Error)]
@@ -238,14 +239,38 @@ impl LightField {
         if self.usable(time_s).is_empty() {
             return Err(self.no_camera_at(time_s));
         }
-        let images = self.synchronized_all(self.options.sync, time_s)?;
-        let proxy = self.proxy(self.options.proxy.rung, target, time_s)?;
-        let rendered = self.blend(&images, &proxy, target);
+        let depth = self.proxy(self.options.proxy.rung, target, time_s)?.depth_map(target);
+        // Most cameras of a large rig are nowhere among the best, so that nobody misses their images.
+        let mut images: Vec<Option<Image>> = vec![None; self.times_s.len()];
+        for c in self.usable(time_s) {
+            images[c] = Some(self.blank(c));
+        }
+        let needed = contributing(&self.sources(&images), &depth, target, &self.options.blend);
+        // The sources are the usable cameras, in their order.
+        let needed: Vec<usize> = self
+            .usable(time_s)
+            .into_iter()
+            .zip(needed)
+            .filter_map(|(c, needed)| needed.then_some(c))
+            .collect();
+        let synchronized: Vec<Image> =
+            needed.par_iter().map(|&c| self.synchronized(c, time_s)).collect::<Result<_, _>>()?;
+        for (c, image) in needed.into_iter().zip(synchronized) {
+            images[c] = Some(image);
+        }
+        let rendered = blend(&self.sources(&images), &depth, target, &self.options.blend);
         if rendered.coverage.iter().any(|c| *c) {
             Ok(rendered)
         } else {
             Err(RenderError::NothingSeen)
         }
+    }
+
+    /// A black image of a camera's kind.
+    fn blank(&self, camera: usize) -> Image {
+        let filmed = &self.capture().cameras[camera];
+        let channels = if filmed.color == Color::Gray { 1 } else { 3 };
+        Image::filled(filmed.camera.width, filmed.camera.height, channels, 0.0)
     }
 
     /// The scene's shape at a time, for one view.
@@ -299,14 +324,15 @@ impl LightField {
 
     /// Blends a view from one image a camera.
     pub fn blend(&self, images: &[Option<Image>], proxy: &Proxy, target: &Camera) -> Rendered {
-        let sources: Vec<Source> = self
-            .capture()
-            .cameras
-            .iter()
-            .zip(images)
-            .filter_map(|(camera, image)| Some(Source::new(&camera.camera, image.as_ref()?)))
-            .collect();
-        blend(&sources, &proxy.depth_map(target), target, &self.options.blend)
+        blend(&self.sources(images), &proxy.depth_map(target), target, &self.options.blend)
+    }
+
+    /// The cameras that have an image.
+    fn sources<'a>(&'a self, images: &'a [Option<Image>]) -> Vec<Source<'a>> {
+        let cameras = self.capture().cameras.iter().zip(images);
+        let sources =
+            cameras.filter_map(|(c, image)| Some(Source::new(&c.camera, image.as_ref()?)));
+        sources.collect()
     }
 
     /// The tracks between frames `k` and `k + 1` of a camera that the epipolar test leaves.
@@ -383,11 +409,14 @@ impl KeptTracks {
 
     fn insert(&mut self, key: (usize, usize), tracks: &Arc<Vec<Track>>) {
         self.clock += 1;
-        self.pairs.insert(key, (self.clock, tracks.clone()));
-        while self.pairs.len() > MAX_KEPT_PAIRS {
+        self.count += tracks.len();
+        if let Some((_, same)) = self.pairs.insert(key, (self.clock, tracks.clone())) {
+            self.count -= same.len();
+        }
+        while self.count > MAX_KEPT_TRACKS && self.pairs.len() > 1 {
             let oldest = self.pairs.iter().min_by_key(|(_, (used, _))| *used).map(|(k, _)| *k);
-            if let Some(key) = oldest {
-                self.pairs.remove(&key);
+            if let Some((_, tracks)) = oldest.and_then(|key| self.pairs.remove(&key)) {
+                self.count -= tracks.len();
             }
         }
     }

@@ -3,6 +3,8 @@
 #![allow(dead_code)] // each test binary uses some of it
 
 pub mod bodies;
+pub mod peak;
+pub mod swing;
 pub mod synthetic;
 pub mod wall;
 pub mod worlds;

@@ -1,9 +1,11 @@
 //! Degenerate geometry: the picture that is right all the same, or a reason.
 
 use crate::common::wall::{FRAME_S, H, Scene, W, estimate, open, view};
+use nalgebra::{Point2, Point3, Vector3};
 use serde_json::{Value, json};
 use stlfr::camera::Camera;
 use stlfr::interpolation::Sync;
+use stlfr::lumigraph::{BlendOptions, Plane, Proxy, Source, blend, triangulate};
 use stlfr::raster::Image;
 use stlfr::render::{LightField, ProxyRung, RenderError, RenderOptions, Viewpoint};
 
@@ -150,6 +152,47 @@ fn a_plane_through_the_views_centre() {
     let field = LightField::new(capture.clone(), estimate(&capture), options);
     let refused = field.view(&view(&scene.camera([0.02, 0.0, 0.0])), scene.time_s(1.0));
     assert!(matches!(refused, Err(RenderError::NothingSeen)), "{:?}", refused.err());
+}
+
+/// A proxy that a filming camera stands in: what that camera would see of it is everywhere or
+/// nowhere; the others answer, and where a point is seen at all it is as bright as the wall.
+#[test]
+fn a_plane_through_a_filming_cameras_centre() {
+    let scene = simultaneous();
+    let cameras: Vec<Camera> = scene.centers_m.iter().map(|c| view(&scene.camera(*c))).collect();
+    let images = vec![Image::filled(W, H, 1, 0.25); 3];
+    let sources: Vec<Source> =
+        cameras.iter().zip(&images).map(|(c, i)| Source::new(c, i)).collect();
+    let target = view(&scene.camera([0.02, 0.0, 0.1]));
+    for normal in [Vector3::x(), Vector3::y(), Vector3::new(1.0, 0.0, 1e-9).normalize()] {
+        let d = normal.dot(&cameras[0].center().coords);
+        let depth = Proxy::Plane(Plane { normal, d }).depth_map(&target);
+        let seen = blend(&sources, &depth, &target, &BlendOptions::default());
+        for (v, covered) in seen.image.data().iter().zip(&seen.coverage) {
+            assert!((v - if *covered { 0.25 } else { 0.0 }).abs() < 1e-6, "{v}");
+        }
+    }
+}
+
+#[test]
+fn points_on_the_baseline_and_nearly_parallel_rays() {
+    let scene = simultaneous();
+    let [a, b] = [[0.0; 3], [0.0, 0.0, 0.5]].map(|c| view(&scene.camera(c)));
+    // One behind the other, both see what is between and beyond them in one pixel, at any depth.
+    let pixel = Point2::new(W as f64 / 2.0, H as f64 / 2.0);
+    assert!(triangulate(&[(&a, pixel), (&b, pixel)]).is_none(), "no depth fits better");
+    let [a, b] = [[0.0; 3], [0.06, 0.0, 0.0]].map(|c| view(&scene.camera(c)));
+    // 6 px of parallax at a metre; below 0.07 px rays are parallel but for noise.
+    for (depth_m, is_found) in
+        [(1.0, true), (60.0, true), (1e2, false), (1e6, false), (1e12, false)]
+    {
+        let point = Point3::new(0.1 * depth_m, -0.05 * depth_m, depth_m);
+        let seen = [&a, &b].map(|c| (c, c.project(&point).expect("is before it")));
+        let found = triangulate(&seen);
+        assert_eq!(found.is_some(), is_found, "{depth_m}");
+        let off_m = found.map_or(0.0, |found| (found.point - point).norm());
+        assert!(off_m < 1e-9 * depth_m * depth_m, "{depth_m}: {off_m}");
+    }
 }
 
 #[test]

@@ -1,0 +1,122 @@
+//! The most memory that each command holds, over films of growing length.
+
+use super::{Done, folder, root};
+use crate::peak;
+use crate::swing::{RATE_HZ, Swing};
+use serde_json::json;
+use std::path::Path;
+use std::process::Command;
+use stlfr::offset::chart::{Chart, Series};
+
+/// Instants of a view that all cameras' images are made for: four frames of each camera and instant
+/// are more than may be kept.
+const INSTANTS: usize = 4;
+/// Frames of the film for each instant at which one camera's image is made.
+const FRAMES_AN_INSTANT: usize = 10;
+
+/// The commands' peaks over these lengths: prints a table, and returns its plot.
+pub fn grow(lengths: &[usize]) -> Done<Chart> {
+    let commands = ["offsets", "render --like", "render --camera", "compare --video"];
+    let mut series = commands.map(|label| Series {
+        label: label.into(),
+        line: true,
+        dots: true,
+        ..Series::default()
+    });
+    println!("640×480, 8 cameras: resident at most [MiB] (wall time [s])");
+    println!("| frames | {} |", commands.join(" | "));
+    println!("|---|{}", "---|".repeat(commands.len()));
+    for &frames in lengths {
+        let swing = Swing {
+            width: 640,
+            height: 480,
+            channels: 3,
+            cameras: 8,
+            columns: 8,
+            frames,
+            print: 1.5,
+            disparity_px: 12.0,
+            ..Swing::default()
+        };
+        let capture = folder(&format!("memory-{frames}"))?;
+        swing.film(&capture);
+        truth(&swing, &capture)?;
+        print!("| {frames} |");
+        for (command, series) in commands.into_iter().zip(&mut series) {
+            let run = peak::run(&mut of(command, &swing, &capture));
+            if !run.status.success() {
+                return Err(format!("stlfr {command} of {frames} frames: {}", run.status).into());
+            }
+            print!(" {:.0} ({:.0}) |", run.peak_mib, run.seconds);
+            std::io::Write::flush(&mut std::io::stdout())?;
+            series.points.push((frames as f64, run.peak_mib).into());
+        }
+        println!();
+        std::fs::remove_dir_all(&capture)?;
+    }
+    Ok(Chart {
+        title: "Memory: 640×480, 8 cameras".into(),
+        x_label: "frames a camera".into(),
+        y_label: "resident at most, MiB".into(),
+        log_x: true,
+        y_shows: Some((0.0, 500.0)),
+        series: series.into(),
+        rules: vec![(500.0, "target".into())],
+        ..Chart::default()
+    })
+}
+
+/// The program, told to do one thing.
+fn of(command: &str, swing: &Swing, capture: &Path) -> Command {
+    let mut stlfr = Command::new(env!("CARGO_BIN_EXE_stlfr"));
+    stlfr.current_dir(root()).arg("--quiet");
+    // All cameras have images a frame after the start, and a frame before the end.
+    let times = |n: usize| {
+        let last = (swing.frames - 2) as f64 / RATE_HZ;
+        format!("{}:{last}:{n}", 1.0 / RATE_HZ)
+    };
+    let like = format!("cam{}", swing.reference());
+    match command {
+        "offsets" => stlfr.arg("offsets").arg(capture),
+        "render --like" => {
+            let times = times(swing.frames / FRAMES_AN_INSTANT);
+            let images = capture.join("out/%d.png");
+            stlfr.arg("render").arg(capture).args(["--like", &like, "--times", &times, "-o"]);
+            stlfr.arg(images)
+        }
+        "render --camera" => {
+            stlfr.arg("render").arg(capture).arg("--camera").arg(capture.join("view.json"));
+            stlfr.args(["--times", &times(INSTANTS), "-o"]).arg(capture.join("view/%d.png"))
+        }
+        _ => stlfr.args(["compare", "--video"]).arg(capture),
+    };
+    if command != "offsets" {
+        stlfr.arg("--options").arg(capture.join("options.json"));
+    }
+    stlfr
+}
+
+/// A view, options, and what `compare` needs: the clocks' truth and a video's true images.
+fn truth(swing: &Swing, capture: &Path) -> Done<()> {
+    // The cheapest rung that registers frames: hundreds of images in minutes, from as many frames.
+    std::fs::write(capture.join("options.json"), r#"{"sync": "triangulation"}"#)?;
+    let place = [0.5, 0.0];
+    let view = swing.view(place);
+    std::fs::write(capture.join("view.json"), view.to_string())?;
+    let offsets: Vec<_> = (0..swing.cameras)
+        .map(|c| json!({"id": format!("cam{c}"), "offset_s": swing.delay_frames(c) / RATE_HZ}))
+        .collect();
+    // Times far apart, so that each asks for other frames.
+    let step = ((swing.frames - 3) / INSTANTS).max(1);
+    let frames: Vec<f64> = (0..INSTANTS).map(|k| (1 + k * step) as f64 + 0.4).collect();
+    let times_s: Vec<f64> = frames.iter().map(|f| f / RATE_HZ).collect();
+    for (k, frames) in frames.into_iter().enumerate() {
+        let path = capture.join(format!("truth/video/{k}.png"));
+        let depth = stlfr::capture::BitDepth::Eight;
+        stlfr::capture::write_image(&path, &swing.image(place, frames), None, depth)?;
+    }
+    let truth = json!({"format": "stlfr-truth", "version": 1, "scene": "swing", "rig": "row",
+        "offsets": offsets, "shutter": [], "views": [],
+        "video": {"view": "new", "times_s": times_s, "camera": view, "images": "video/%d.png"}});
+    Ok(std::fs::write(capture.join("truth/truth.json"), truth.to_string())?)
+}

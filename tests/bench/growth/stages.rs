@@ -1,0 +1,136 @@
+//! Processor time of each stage, over films that grow in one thing.
+
+use super::fit::growth;
+use super::{Done, folder};
+use crate::cpu;
+use crate::swing::{RATE_HZ, Swing};
+use std::sync::Arc;
+use stlfr::capture::Capture;
+use stlfr::interpolation::Sync;
+use stlfr::offset::chart::{Chart, Series};
+use stlfr::offset::{self, Offsets};
+use stlfr::progress::Reporter;
+use stlfr::raster::Image;
+use stlfr::registration::{FrameStore, epipolar_test, temporal_flow};
+use stlfr::render::{LightField, ProxyRung, RenderOptions};
+
+/// What is timed, in the order of the pipeline.
+const STAGES: [&str; 9] = [
+    "registration",
+    "offsets",
+    "crossfade",
+    "triangulation",
+    "edge-morph",
+    "refined",
+    "proxy",
+    "blend",
+    "a new view, all",
+];
+
+/// One film of a series.
+pub struct Case {
+    /// What grows.
+    pub size: f64,
+    pub swing: Swing,
+    pub options: RenderOptions,
+}
+
+/// Runs a series of films, smallest first; prints a table with exponents, and returns its plot.
+pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
+    println!("\nProcessor time [ms] by {what}");
+    println!("| {what} | features | {} |", STAGES.join(" | "));
+    println!("|---|---|{}", "---|".repeat(STAGES.len()));
+    let mut all: Vec<Vec<(f64, f64)>> = vec![Vec::new(); STAGES.len()];
+    for case in cases {
+        let (features, costs) = measure(name, case)?;
+        let row: Vec<String> = costs.iter().map(|ms| format!("{ms:.1}")).collect();
+        println!("| {} | {features} | {} |", case.size, row.join(" | "));
+        for (points, ms) in all.iter_mut().zip(costs) {
+            points.push((case.size, ms));
+        }
+    }
+    let fits: Vec<_> = all.iter().map(|points| growth(points)).collect();
+    let row: Vec<String> =
+        fits.iter().map(|f| format!("{:.2} ± {:.2}", f.exponent, f.std_err)).collect();
+    println!("| exponent | | {} |", row.join(" | "));
+    let series = STAGES
+        .iter()
+        .zip(&all)
+        .zip(&fits)
+        .map(|((stage, points), fit)| Series {
+            label: format!("{stage}: {:.2}", fit.exponent),
+            points: points.iter().map(|p| (*p).into()).collect(),
+            line: true,
+            dots: true,
+        })
+        .collect();
+    Ok(Chart {
+        title: format!("Time by {what}, and its exponents"),
+        x_label: what.into(),
+        y_label: "processor time, ms".into(),
+        log_x: true,
+        log_y: true,
+        series,
+        ..Chart::default()
+    })
+}
+
+/// Features of a frame, and milliseconds of every stage.
+fn measure(name: &str, case: &Case) -> Done<(usize, [f64; STAGES.len()])> {
+    let film = folder(name)?;
+    case.swing.film(&film);
+    let capture = Arc::new(Capture::open(&film)?);
+    let (options, reference) = (&case.options, case.swing.reference());
+    let frame_s = 1.0 / RATE_HZ;
+    // Between two frames of the middle of the film.
+    let k = case.swing.frames / 2 - 1;
+    let time_s = (k as f64 + 0.45) * frame_s;
+
+    let store = FrameStore::new(capture.clone(), &options.registration);
+    let times: Vec<_> = capture.cameras.iter().map(|c| Some(c.clock.times_s.clone())).collect();
+    let features = store.get(reference, k)?.corners(&options.registration).len();
+    let (_, registration) = timed(|| {
+        let tracks = temporal_flow(&store, reference, k)?;
+        epipolar_test(&store, &times, reference, k, &tracks)
+    });
+    drop(store);
+    let (_, offsets) = timed(|| {
+        offset::estimate(&capture, &options.offset, &options.registration, &Reporter::silent())
+    });
+
+    let known = true_offsets(&capture, &case.swing);
+    let field = LightField::new(capture.clone(), known.clone(), options.clone());
+    let mut costs = vec![registration, offsets];
+    for sync in [Sync::Crossfade, Sync::Triangulation, Sync::EdgeMorph, Sync::Refined] {
+        // Frames and tracks are there already: registration has a column of its own.
+        field.synchronized_by(sync, reference, time_s)?;
+        costs.push(timed(|| field.synchronized_by(sync, reference, time_s)).1);
+    }
+    let target = case.swing.camera([0.4, 0.0]);
+    let images: Vec<Option<Image>> = field.synchronized_all(Sync::Crossfade, time_s)?;
+    let (proxy, cost) = timed(|| field.proxy(ProxyRung::Mesh, &target, time_s));
+    costs.push(cost);
+    let proxy = proxy?;
+    costs.push(timed(|| field.blend(&images, &proxy, &target)).1);
+    let fresh = LightField::new(capture, known, options.clone());
+    let (view, cost) = timed(|| fresh.view(&target, time_s));
+    view?;
+    costs.push(cost);
+    std::fs::remove_dir_all(&film)?;
+    Ok((features, costs.try_into().expect("a cost for each stage")))
+}
+
+fn true_offsets(capture: &Capture, swing: &Swing) -> Offsets {
+    let mut offsets = Offsets::known(capture);
+    for (c, camera) in offsets.cameras.iter_mut().enumerate() {
+        camera.offset_s = Some(swing.delay_frames(c) / RATE_HZ);
+    }
+    offsets
+}
+
+/// A result, and its milliseconds of processor time over all threads.
+fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
+    let start = cpu::seconds();
+    let result = work();
+    (result, 1e3 * (cpu::seconds() - start))
+}
