@@ -22,11 +22,12 @@ mod rig;
 mod shape;
 
 pub use motion::Motion;
+pub(crate) use motion::changed_pixels;
 pub use rig::{Clocks, extent_ratio, largest_distortion_px};
 pub use shape::Shape;
 
 use crate::capture::Capture;
-use crate::offset;
+use crate::offset::{self, Offsets};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use crate::render::{LightField, RenderError, RenderOptions};
@@ -95,6 +96,22 @@ pub fn plan(
     options: &RenderOptions,
     reporter: &Reporter,
 ) -> Result<(Plan, LightField), RenderError> {
+    let offsets = offset::known_or_kept_or_estimated(
+        capture,
+        &options.offset,
+        &options.registration,
+        reporter,
+    )?;
+    plan_with(capture, offsets, options, reporter)
+}
+
+/// The same with offsets that are known already.
+pub fn plan_with(
+    capture: &Arc<Capture>,
+    offsets: Offsets,
+    options: &RenderOptions,
+    reporter: &Reporter,
+) -> Result<(Plan, LightField), RenderError> {
     let budget_px = options.auto.budget_px;
     let frames = FrameStore::new(capture.clone(), &options.registration);
     let motion = Motion::survey(&frames, reporter)?;
@@ -110,12 +127,6 @@ pub fn plan(
         decided.interpolation.curved &= curved;
     }
 
-    let offsets = offset::known_or_kept_or_estimated(
-        capture,
-        &options.offset,
-        &options.registration,
-        reporter,
-    )?;
     let mut field = LightField::with_frames(frames, offsets, decided.clone());
     let (proxy, decision) = decide::proxy(Shape::survey(&field)?.as_ref(), budget_px);
     decisions.push(decision);

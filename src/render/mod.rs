@@ -3,10 +3,12 @@
 mod check;
 mod options;
 mod points;
+mod presets;
 mod trail;
 
 pub use check::OptionError;
 pub use options::{ProxyOptions, ProxyRung, RenderOptions};
+pub use presets::Preset;
 pub use trail::{TrailMode, TrailOptions, Viewpoint};
 
 use crate::camera::Camera;
@@ -295,6 +297,23 @@ impl LightField {
         let points = Arc::new(self.triangulated(target, time_s)?);
         *kept = Some(KeptPoints { target: target.clone(), time_s, points: points.clone() });
         Ok(points)
+    }
+
+    /// Forgets the points that the last view left, so that the next one takes as long as a first.
+    pub(crate) fn forget_points(&self) {
+        *self.points.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    /// Registers the frames around a time, of all cameras that have some: what views between them
+    /// share.
+    pub(crate) fn register(&self, time_s: f64) -> Result<(), RenderError> {
+        self.usable(time_s).into_par_iter().try_for_each(|camera| {
+            let (k, later) = self.bracket(camera, time_s)?;
+            if k != later {
+                self.tracks(camera, k)?;
+            }
+            Ok(())
+        })
     }
 
     /// Blends a view from one image a camera.
