@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::capture::Capture;
 use stlfr::progress::Reporter;
-use stlfr::tradeoff::{Point, Tradeoff, TradeoffOptions, rungs, tradeoff};
+use stlfr::tradeoff::{Clock, Point, Tradeoff, TradeoffOptions, rungs, tradeoff};
 
 /// Speed for accuracy on this capture: what every sensible combination of rungs and main parameters
 /// costs and gives.
@@ -32,6 +32,9 @@ pub struct Args {
     /// How often the front is varied, one parameter at a time; 0 measures the rungs alone.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parsed(0, 10))]
     rounds: usize,
+    /// Which seconds decide the front.
+    #[arg(long, value_name = "CLOCK", value_enum, default_value_t)]
+    clock: Clock,
     /// Print JSON and nothing else.
     #[arg(long)]
     json: bool,
@@ -52,7 +55,7 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let base = options_or_default(args.options.as_deref())?;
     let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
     must_be_writable(&args.output.join("tradeoff.json"))?;
-    let options = TradeoffOptions { runs: args.runs, rounds: args.rounds, base };
+    let options = TradeoffOptions { runs: args.runs, rounds: args.rounds, base, clock: args.clock };
     let found = tradeoff(&capture, &options, &args.output, reporter)?;
     if args.json {
         let json = serde_json::to_string_pretty(&found);

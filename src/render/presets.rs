@@ -9,7 +9,7 @@ use serde_json::Value;
 
 /// Options of all stages by name, cheapest first: points of the front that `stlfr tradeoff` finds
 /// on the project's scenes (README has their figures).
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
     /// To look around: the fastest that still synchronizes
@@ -17,6 +17,7 @@ pub enum Preset {
     /// Most of the accuracy for some of the time
     Balanced,
     /// The most accurate
+    #[default]
     Best,
 }
 
@@ -48,15 +49,34 @@ impl Preset {
         }
         options
     }
+}
 
-    /// The preset, with those options of a JSON object that it has in their place.
+impl RenderOptions {
+    /// Options as a file has them: a JSON object. What it leaves out is as in the preset, the given
+    /// one or else that of its field `preset`, or the default.
     ///
     /// The error is a sentence that starts with the field.
-    pub fn with(self, over: &Value) -> Result<RenderOptions, String> {
-        let mut merged = serde_json::to_value(self.options()).map_err(|e| e.to_string())?;
-        merge(&mut merged, over);
+    pub fn parse(text: &str, preset: Option<Preset>) -> Result<Self, String> {
+        let Value::Object(mut over) = json::parse(text)? else {
+            return Err("must be an object".into());
+        };
+        let named = over.remove("preset");
+        if preset.is_none() && named.is_none() {
+            return json::parse(text);
+        }
+        let named = named.map(|name| json::parse(&format!("{{\"preset\": {name}}}")));
+        let named: Option<Named> = named.transpose()?;
+        let start = preset.or(named.map(|n| n.preset)).map_or_else(Self::default, Preset::options);
+        let mut merged = serde_json::to_value(start).map_err(|e| e.to_string())?;
+        merge(&mut merged, &Value::Object(over));
         json::parse(&merged.to_string())
     }
+}
+
+/// The field of an options file that none of the stages has.
+#[derive(Deserialize)]
+struct Named {
+    preset: Preset,
 }
 
 /// Objects field by field; anything else is replaced.
@@ -75,7 +95,6 @@ fn merge(into: &mut Value, over: &Value) {
 mod tests {
     use super::*;
     use clap::ValueEnum;
-    use serde_json::json;
 
     #[test]
     fn all_presets_can_be_worked_with_and_differ() {
@@ -91,18 +110,33 @@ mod tests {
 
     #[test]
     fn options_go_before_the_preset() {
-        let merged = Preset::Draft.with(&json!({"blend": {"cameras": 5}})).unwrap();
         let mut wanted = Preset::Draft.options();
         wanted.blend.cameras = 5;
-        assert_eq!(merged, wanted);
-        assert_eq!(Preset::Best.with(&json!({})).unwrap(), Preset::Best.options());
-        for (over, field) in [
-            (json!({"blend": {"camera": 5}}), "blend"),
-            (json!({"sync": 3}), "sync"),
-            (json!([]), ""),
-        ] {
-            let message = Preset::Draft.with(&over).unwrap_err();
-            assert!(message.starts_with(field), "{message}");
+        let text = r#"{"blend": {"cameras": 5}}"#;
+        assert_eq!(RenderOptions::parse(text, Some(Preset::Draft)), Ok(wanted.clone()));
+        let text = r#"{"preset": "draft", "blend": {"cameras": 5}}"#;
+        assert_eq!(RenderOptions::parse(text, None), Ok(wanted));
+        let text = r#"{"preset": "draft"}"#;
+        assert_eq!(RenderOptions::parse(text, None), Ok(Preset::Draft.options()));
+        let best = RenderOptions::parse(text, Some(Preset::Best));
+        assert_eq!(best, Ok(Preset::Best.options()));
+        assert_eq!(RenderOptions::parse("{}", None), Ok(RenderOptions::default()));
+    }
+
+    #[test]
+    fn the_field_that_is_wrong_is_named() {
+        for preset in [None, Some(Preset::Draft)] {
+            for (text, field) in [
+                (r#"{"blend": {"camera": 5}}"#, "blend"),
+                (r#"{"sync": 3}"#, "sync"),
+                (r#"{"preset": "worst"}"#, "preset"),
+                (r#"{"preset": {"a": 1}}"#, "preset"),
+                ("[]", "must be an object"),
+                ("{", "EOF"),
+            ] {
+                let message = RenderOptions::parse(text, preset).unwrap_err();
+                assert!(message.starts_with(field), "{message}");
+            }
         }
     }
 }

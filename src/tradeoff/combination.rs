@@ -70,6 +70,17 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
             add(Box::new(move |o| o.interpolation.edges.max_length_px = max_length_px));
         }
     }
+    if options.sync == Sync::Refined {
+        for outer_share in [0.0, 1.0] {
+            add(Box::new(move |o| o.interpolation.refine.outer_share = outer_share));
+        }
+        for max_motions in [3, 6] {
+            add(Box::new(move |o| o.interpolation.refine.max_motions = max_motions));
+        }
+        for min_difference in [0.03, 0.06] {
+            add(Box::new(move |o| o.interpolation.refine.min_difference = min_difference));
+        }
+    }
     // A plane at a set depth needs no points.
     if options.proxy.rung == ProxyRung::Mesh || options.proxy.plane_depth_m.is_none() {
         for (cameras, partners) in [(1, 2), (2, 2), (3, 4)] {
@@ -114,6 +125,10 @@ pub fn name(options: &RenderOptions) -> String {
     say(grid != default.interpolation.morph.grid_px, format!("grid {grid}"));
     let longest = options.interpolation.edges.max_length_px;
     say(longest != default.interpolation.edges.max_length_px, format!("L {longest}"));
+    let (own, refine) = (&options.interpolation.refine, &default.interpolation.refine);
+    say(own.outer_share != refine.outer_share, format!("outer {}", own.outer_share));
+    say(own.max_motions != refine.max_motions, format!("{} motions", own.max_motions));
+    say(own.min_difference != refine.min_difference, format!("above {}", own.min_difference));
     let points = (options.proxy.cameras, options.proxy.partners);
     let differ = points != (default.proxy.cameras, default.proxy.partners);
     say(differ, format!("points {}x{}", points.0, points.1));

@@ -1,15 +1,15 @@
 //! Measuring combinations: quality once, time several times, in turns.
 
-use super::TradeoffError;
-use super::combination::most_accurate;
-use super::stopwatch::Stopwatch;
+use super::stages::{Stage, Views};
 use super::store::{KeptPoint, Planned, Prepared, Store};
 use super::targets::{Against, Scene, Target, Timed};
+use super::{Clock, Stopwatch, TradeoffError};
 use crate::capture::Capture;
 use crate::offset::{self, Offsets};
 use crate::plan;
 use crate::progress::{Reporter, Task};
 use crate::render::{LightField, RenderError, RenderOptions};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// The bench that combinations are measured on.
@@ -20,6 +20,7 @@ pub(super) struct Bench<'a> {
     pub targets: Vec<Target>,
     pub timed: Timed,
     pub runs: usize,
+    pub clock: Clock,
     pub reporter: &'a Reporter,
 }
 
@@ -94,9 +95,8 @@ impl Bench<'_> {
         let kept = self.store.load::<KeptPoint>(&self.key(options));
         kept.filter(|kept| kept.options == *options).unwrap_or_else(|| KeptPoint {
             options: options.clone(),
-            scores: Default::default(),
+            scores: BTreeMap::new(),
             reason: None,
-            runs: Vec::new(),
         })
     }
 
@@ -107,39 +107,19 @@ impl Bench<'_> {
         combinations: &[RenderOptions],
     ) -> Result<Vec<KeptPoint>, TradeoffError> {
         let mut points: Vec<KeptPoint> = combinations.iter().map(|o| self.kept(o)).collect();
-        let steps = self.targets.len() + self.runs;
-        let task = self.reporter.task(label, steps * points.len());
-        task.resume_at(points.iter().map(|p| steps - self.missing(p)).sum());
-        for group in self.groups(&points) {
-            if group.members.iter().any(|&k| self.missing(&points[k]) > 0) {
-                self.measure_group(&group, &mut points, &task)?;
-            }
+        let unscored: usize = points.iter().map(|p| self.unscored(p).count()).sum();
+        let untimed = self.untimed(points.iter()).len() * self.runs;
+        let task = self.reporter.task(label, unscored + untimed);
+        for group in groups(&points) {
+            self.measure_group(&group, &mut points, &task)?;
         }
         Ok(points)
     }
 
-    /// How many measurements a point lacks.
-    fn missing(&self, point: &KeptPoint) -> usize {
-        if point.reason.is_some() {
-            return 0;
-        }
-        let scored = self.targets.iter().filter(|t| point.scores.contains_key(&t.id)).count();
-        self.targets.len() - scored + self.runs.saturating_sub(point.runs.len())
-    }
-
-    fn groups(&self, points: &[KeptPoint]) -> Vec<Group> {
-        let mut groups: Vec<Group> = Vec::new();
-        for (k, KeptPoint { options, .. }) in points.iter().enumerate() {
-            let of = groups.iter_mut().find(|g| {
-                let other = &g.options;
-                other.registration == options.registration && other.offset == options.offset
-            });
-            match of {
-                Some(group) => group.members.push(k),
-                None => groups.push(Group { options: options.clone(), members: vec![k] }),
-            }
-        }
-        groups
+    /// The targets that a point lacks.
+    fn unscored<'p>(&'p self, point: &'p KeptPoint) -> impl Iterator<Item = &'p Target> {
+        let lacks = |t: &&Target| point.reason.is_none() && !point.scores.contains_key(&t.id);
+        self.targets.iter().filter(lacks)
     }
 
     fn measure_group(
@@ -148,45 +128,52 @@ impl Bench<'_> {
         points: &mut [KeptPoint],
         task: &Task,
     ) -> Result<(), TradeoffError> {
+        let members = |points: &[KeptPoint], target: &Target| -> Vec<usize> {
+            let lacks = |k: &usize| self.unscored(&points[*k]).any(|t| t.id == target.id);
+            let mut found: Vec<usize> = group.members.iter().copied().filter(lacks).collect();
+            // Those that share synchronized images one after the other.
+            found.sort_by_cached_key(|&k| Stage::Sync.part(&points[k].options).to_string());
+            found
+        };
+        let untimed = self.untimed(group.members.iter().map(|&k| &points[k]));
+        if untimed.is_empty() && self.targets.iter().all(|t| members(points, t).is_empty()) {
+            return Ok(());
+        }
         let prepared = self.prepared(&group.options)?;
         let scene =
             Scene { capture: self.capture, offsets: &prepared.offsets, base: &group.options };
-        let mut field: Option<(Option<usize>, LightField)> = None;
+        let mut open: Option<(Option<usize>, LightField)> = None;
         for target in &self.targets {
-            let lacking: Vec<usize> = group
-                .members
-                .iter()
-                .copied()
-                .filter(|&k| points[k].reason.is_none())
-                .filter(|&k| !points[k].scores.contains_key(&target.id))
-                .collect();
+            let lacking = members(points, target);
             if lacking.is_empty() {
                 continue;
             }
-            let (_, field) = match &mut field {
-                Some(open) if open.0 == target.left_out => open,
-                other => {
-                    let opened = scene.field(&group.options, target.left_out);
-                    other.insert((target.left_out, opened))
-                }
-            };
+            if open.as_ref().is_none_or(|(left_out, _)| *left_out != target.left_out) {
+                open = Some((target.left_out, scene.field(&group.options, target.left_out)));
+            }
+            let Some((_, field)) = &mut open else { continue };
+            let mut views = Views::new(field);
             for k in lacking {
-                self.score(field, target, &mut points[k])?;
+                self.score(&mut views, target, &mut points[k])?;
                 task.advance(1);
             }
         }
-        let whole = field.filter(|(left_out, _)| left_out.is_none()).map(|(_, field)| field);
-        self.time(whole.unwrap_or_else(|| scene.field(&group.options, None)), group, points, task)
+        let untimed = self.untimed(group.members.iter().map(|&k| &points[k]));
+        if untimed.is_empty() {
+            return Ok(());
+        }
+        let whole = open.filter(|(left_out, _)| left_out.is_none()).map(|(_, field)| field);
+        let mut field = whole.unwrap_or_else(|| scene.field(&group.options, None));
+        self.time(&mut field, &untimed, task)
     }
 
     fn score(
         &self,
-        field: &mut LightField,
+        views: &mut Views,
         target: &Target,
         point: &mut KeptPoint,
     ) -> Result<(), TradeoffError> {
-        field.set_options(point.options.clone());
-        match field.view(&target.camera, target.time_s) {
+        match views.view(&point.options, &target.camera, target.time_s) {
             Ok(rendered) => {
                 point.scores.insert(target.id.clone(), target.score(&rendered));
             }
@@ -196,49 +183,25 @@ impl Bench<'_> {
         self.store.save(&self.key(&point.options), point)
     }
 
-    /// Times all members in turns, so that what else the machine does meets all alike.
-    fn time(
-        &self,
-        mut field: LightField,
-        group: &Group,
-        points: &mut [KeptPoint],
-        task: &Task,
-    ) -> Result<(), TradeoffError> {
-        let Timed { camera, time_s } = &self.timed;
-        let lacks = |p: &KeptPoint, run: usize| p.reason.is_none() && p.runs.len() <= run;
-        if !group.members.iter().any(|&k| lacks(&points[k], self.runs.saturating_sub(1))) {
-            return Ok(());
-        }
-        // What is prepared once for all views between two frames isn't timed.
-        field.set_options(most_accurate(&group.options));
-        if let Err(RenderError::Capture(error)) = field.view(camera, *time_s) {
-            return Err(error.into());
-        }
-        for run in 0..self.runs {
-            for &k in group.members.iter().filter(|&&k| lacks(&points[k], run)).collect::<Vec<_>>()
-            {
-                let point = &mut points[k];
-                field.set_options(point.options.clone());
-                field.forget_points();
-                let watch = Stopwatch::start();
-                let rendered = field.view(camera, *time_s);
-                let took = watch.elapsed();
-                match rendered {
-                    Ok(_) => point.runs.push(took),
-                    Err(RenderError::Capture(error)) => return Err(error.into()),
-                    Err(error) => point.reason = Some(error.to_string()),
-                }
-                self.store.save(&self.key(&point.options), point)?;
-                task.advance(1);
-            }
-        }
-        Ok(())
-    }
-
     /// The kinds of targets that there are, the one that counts first.
     pub fn against(&self) -> Against {
         let order = [Against::Truth, Against::LeftOut, Against::MostAccurate];
         let there = |a: &Against| self.targets.iter().any(|t| t.against == *a);
         order.into_iter().find(there).unwrap_or(Against::MostAccurate)
     }
+}
+
+fn groups(points: &[KeptPoint]) -> Vec<Group> {
+    let mut groups: Vec<Group> = Vec::new();
+    for (k, KeptPoint { options, .. }) in points.iter().enumerate() {
+        let of = groups.iter_mut().find(|g| {
+            let other = &g.options;
+            other.registration == options.registration && other.offset == options.offset
+        });
+        match of {
+            Some(group) => group.members.push(k),
+            None => groups.push(Group { options: options.clone(), members: vec![k] }),
+        }
+    }
+    groups
 }

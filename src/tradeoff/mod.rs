@@ -17,14 +17,15 @@
 //! all pixels and FLIP stand beside it. It is the same from run to run.
 //!
 //! **Time**: seconds of one view at a new instant between frames that are registered already, the
-//! median of the runs, measured in turns. Registration and offsets are preparation, timed apart.
+//! median of the runs. Its three stages (synchronized images, proxy, blend) are timed in turns and
+//! summed, because combinations share them. Registration and offsets are preparation, timed apart.
 //!
 //! | file | what |
 //! |---|---|
 //! | `mod.rs` | the order of things, `tradeoff.json` |
 //! | `combination.rs` | what is measured |
 //! | `targets.rs` | what it is held against |
-//! | `measure.rs`, `store.rs`, `stopwatch.rs` | measuring, and not twice |
+//! | `measure.rs`, `stages.rs`, `store.rs`, `stopwatch.rs` | measuring, and not twice |
 //! | `front.rs` | the Pareto front |
 //! | `summary.rs` | from measurements to points |
 //! | `plot.rs` | the drawing |
@@ -36,6 +37,7 @@ mod combination;
 mod front;
 mod measure;
 mod plot;
+mod stages;
 mod stopwatch;
 mod store;
 mod summary;
@@ -72,11 +74,25 @@ pub struct TradeoffOptions {
     pub rounds: usize,
     /// What all combinations start from.
     pub base: RenderOptions,
+    pub clock: Clock,
+}
+
+/// Which seconds decide the front.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ValueEnum,
+)]
+#[serde(rename_all = "kebab-case")]
+pub enum Clock {
+    /// What a user waits for
+    #[default]
+    Wall,
+    /// Of the processor, over all threads: where the machine does other work too
+    Cpu,
 }
 
 impl Default for TradeoffOptions {
     fn default() -> Self {
-        Self { runs: 3, rounds: 1, base: RenderOptions::default() }
+        Self { runs: 3, rounds: 1, base: RenderOptions::default(), clock: Clock::Wall }
     }
 }
 
@@ -123,6 +139,8 @@ pub struct Tradeoff {
     /// Threads that views are rendered with.
     pub threads: usize,
     pub against: Against,
+    /// The seconds that the front is made by.
+    pub clock: Clock,
     /// Views that quality is the mean of.
     pub views: usize,
     /// What planning took, for `auto`, seconds.
@@ -171,7 +189,16 @@ pub fn tradeoff(
     let looking = reporter.phase("views to measure against");
     let (targets, timed) = scene.targets(truth.as_ref())?;
     drop(looking);
-    let bench = Bench { capture, base, store, targets, timed, runs: options.runs, reporter };
+    let bench = Bench {
+        capture,
+        base,
+        store,
+        targets,
+        timed,
+        runs: options.runs,
+        clock: options.clock,
+        reporter,
+    };
     let planned = bench.planned()?;
 
     let mut wanted = rungs(base);
@@ -224,6 +251,7 @@ fn gathered(
         size_px: (camera.width, camera.height),
         threads: rayon::current_num_threads(),
         against,
+        clock: bench.clock,
         views: bench.targets.iter().filter(|t| t.against == against).count(),
         planning_s: planned.took.wall_s,
         points,

@@ -1,6 +1,6 @@
 //! Time against quality, drawn.
 
-use super::{Against, Point, Tradeoff};
+use super::{Against, Clock, Point, Spread, Tradeoff};
 use crate::chart::{Chart, ChartPoint, Drawing, Label, Series, drawing as draw};
 
 /// What the y axis shows.
@@ -15,23 +15,30 @@ fn quality(tradeoff: &Tradeoff) -> &'static str {
     }
 }
 
-fn placed(point: &Point) -> Option<ChartPoint> {
-    let (time, y) = (point.wall_s?, point.quality_db?);
-    Some(ChartPoint { x: time.median, y, bar: 0.0, x_range: Some((time.min, time.max)) })
+fn time(tradeoff: &Tradeoff, point: &Point) -> Option<Spread> {
+    match tradeoff.clock {
+        Clock::Wall => point.wall_s,
+        Clock::Cpu => point.cpu_s,
+    }
 }
 
-fn label(point: &Point, text: String, bold: bool) -> Option<Label> {
-    let at = placed(point)?;
-    Some(Label { x: at.x, y: at.y, text, bold })
+fn placed(tradeoff: &Tradeoff, point: &Point) -> Option<ChartPoint> {
+    let (time, y) = (time(tradeoff, point)?, point.quality_db?);
+    Some(ChartPoint { x: time.median, y, bar: 0.0, x_range: Some((time.min, time.max)) })
 }
 
 /// The drawing: all points, the front with its numbers, presets and `auto` by name, and what the
 /// numbers stand for.
 pub(super) fn drawing(tradeoff: &Tradeoff) -> Drawing {
+    let place = |p: &Point| placed(tradeoff, p);
+    let label = |p: &Point, text: String, bold: bool| {
+        let at = place(p)?;
+        Some(Label { x: at.x, y: at.y, text, bold })
+    };
     let front: Vec<&Point> = tradeoff.front().collect();
     let named = |p: &&Point| !p.labels.is_empty();
     let points = |of: &dyn Fn(&&Point) -> bool| -> Vec<ChartPoint> {
-        tradeoff.points.iter().filter(of).filter_map(placed).collect()
+        tradeoff.points.iter().filter(of).filter_map(place).collect()
     };
     let dots = |label: &str, points, line, faint| Series {
         label: label.into(),
@@ -56,10 +63,14 @@ pub(super) fn drawing(tradeoff: &Tradeoff) -> Drawing {
     let numbers = front.iter().enumerate();
     labels.extend(numbers.filter_map(|(k, p)| label(p, (k + 1).to_string(), false)));
     let (w, h) = tradeoff.size_px;
+    let seconds = match tradeoff.clock {
+        Clock::Wall => "seconds",
+        Clock::Cpu => "processor seconds",
+    };
     let chart = Chart {
         title: format!("{}: {} cameras, a view of {w}×{h}", tradeoff.capture, tradeoff.cameras),
         x_label: format!(
-            "seconds for a view at a new instant, {} threads; bars are least and most",
+            "{seconds} for a view at a new instant, {} threads; bars are least and most",
             tradeoff.threads
         ),
         y_label: quality(tradeoff).into(),
@@ -75,7 +86,7 @@ pub(super) fn drawing(tradeoff: &Tradeoff) -> Drawing {
 /// What the front's numbers stand for, and the named points beside it.
 fn key(tradeoff: &Tradeoff, front: &[&Point]) -> Vec<String> {
     let line = |mark: &str, point: &Point| {
-        let seconds = point.wall_s.map_or(f64::NAN, |s| s.median);
+        let seconds = time(tradeoff, point).map_or(f64::NAN, |s| s.median);
         let quality = point.quality_db.unwrap_or(f64::NAN);
         format!("{mark:>8} {seconds:>7.3} s {quality:>6.2} dB  {}", point.name)
     };

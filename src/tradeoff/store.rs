@@ -27,7 +27,6 @@ pub(super) struct KeptPoint {
     pub scores: BTreeMap<String, RegionScores>,
     /// Why a view can't be rendered, instead of all else.
     pub reason: Option<String>,
-    pub runs: Vec<Elapsed>,
 }
 
 /// What views of one registration and one rung of offsets start from.

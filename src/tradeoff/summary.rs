@@ -4,7 +4,7 @@ use super::front::{Trade, fastest_within, front};
 use super::measure::Bench;
 use super::store::KeptPoint;
 use super::targets::{Against, Target};
-use super::{AUTO, TradeoffError, name};
+use super::{AUTO, Clock, Elapsed, TradeoffError, name};
 use crate::compare::metrics::{RegionScores, Scores, median};
 use crate::render::{Preset, RenderOptions};
 use clap::ValueEnum;
@@ -34,6 +34,8 @@ pub struct Point {
     /// One view at a new instant, seconds: on the wall, and of the processor over all threads.
     pub wall_s: Option<Spread>,
     pub cpu_s: Option<Spread>,
+    /// The medians of synchronized images, proxy and blend, on the wall.
+    pub stages_s: Option<[f64; 3]>,
     pub preparation: Option<Preparation>,
 }
 
@@ -90,7 +92,11 @@ impl<'a> Summarized<'a> {
         let trades = kept
             .iter()
             .map(|point| {
-                let seconds = spread(point, |r| r.wall_s).map_or(f64::NAN, |s| s.median);
+                let seconds = match bench.clock {
+                    Clock::Wall => view(bench, point, |r| r.wall_s),
+                    Clock::Cpu => view(bench, point, |r| r.cpu_s),
+                };
+                let seconds = seconds.map_or(f64::NAN, |s| s.median);
                 let quality = quality_db(bench, point).unwrap_or(f64::NAN);
                 Trade { seconds, quality: (quality / STEP_DB).round() * STEP_DB }
             })
@@ -147,8 +153,9 @@ impl<'a> Summarized<'a> {
             moving: mean(bench, kept, against, |s| &s.moving),
             whole: mean(bench, kept, against, |s| &s.whole),
             most_accurate_db: mean(bench, kept, Against::MostAccurate, |s| &s.whole).psnr_db,
-            wall_s: spread(kept, |r| r.wall_s),
-            cpu_s: spread(kept, |r| r.cpu_s),
+            wall_s: view(bench, kept, |r| r.wall_s),
+            cpu_s: view(bench, kept, |r| r.cpu_s),
+            stages_s: stages(bench, kept),
             preparation,
         })
     }
@@ -182,8 +189,21 @@ fn mean(
     }
 }
 
-fn spread(point: &KeptPoint, of: impl Fn(&super::Elapsed) -> f64) -> Option<Spread> {
-    let values: Vec<f64> = point.runs.iter().map(of).collect();
+/// The times of whole views.
+fn view(bench: &Bench, point: &KeptPoint, of: fn(&Elapsed) -> f64) -> Option<Spread> {
+    if point.reason.is_some() {
+        return None;
+    }
+    spread(bench.runs(&point.options).iter().map(|run| run.iter().map(of).sum()).collect())
+}
+
+fn stages(bench: &Bench, point: &KeptPoint) -> Option<[f64; 3]> {
+    let runs = bench.runs(&point.options);
+    let stage = |k: usize| median(runs.iter().map(|run| run[k].wall_s).collect());
+    Some([stage(0)?, stage(1)?, stage(2)?])
+}
+
+fn spread(values: Vec<f64>) -> Option<Spread> {
     let min = values.iter().copied().fold(f64::INFINITY, f64::min);
     let max = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let runs = values.len();
