@@ -60,8 +60,8 @@ pub(super) const TEXT_SIZE: f64 = 12.0;
 /// What a letter advances by: those of monospaced fonts are 0.6 of their height wide.
 pub(super) const ADVANCE: f64 = 0.6 * TEXT_SIZE;
 
-/// Pixels a unit: the image's letters are 16 pixels high.
-const SCALE: f64 = 16.0 / TEXT_SIZE;
+/// Pixels a unit: the image's letters advance by 8 pixels.
+const SCALE: f64 = 8.0 / ADVANCE;
 
 /// Lengths of a dash and of the gap after it.
 const DASH: [f64; 2] = [5.0, 4.0];
@@ -84,7 +84,7 @@ impl Drawing {
         out
     }
 
-    /// As an RGB image, 4/3 pixels a unit.
+    /// As an RGB image, 10/9 pixels a unit.
     pub fn image(&self) -> Image {
         let [w, h] = self.size.map(|v| ((v * SCALE).round() as usize).max(1));
         let mut image = Image::filled(w, h, 3, 1.0);
@@ -248,44 +248,51 @@ fn ink(image: &mut Image, x: usize, y: usize, strength: f64, color: Color) {
 mod tests {
     use super::*;
 
+    /// The dark pixels of a page of 54 units, 60 pixels.
     fn inked(shape: Shape) -> Vec<(usize, usize)> {
-        let image = Drawing { size: [60.0, 60.0], shapes: vec![shape] }.image();
-        (0..80 * 80).filter(|k| image.data()[3 * k] < 0.5).map(|k| (k % 80, k / 80)).collect()
+        let image = Drawing { size: [54.0, 54.0], shapes: vec![shape] }.image();
+        assert_eq!((image.width(), image.height()), (60, 60));
+        (0..60 * 60).filter(|k| image.data()[3 * k] < 0.5).map(|k| (k % 60, k / 60)).collect()
     }
 
     const BLACK: Color = [0; 3];
 
+    fn line(dashed: bool) -> Vec<(usize, usize)> {
+        let points = vec![[4.5, 27.0], [49.5, 27.0]];
+        inked(Shape::Path { points, color: BLACK, width: 1.8, dashed })
+    }
+
     #[test]
     fn shapes_are_where_they_were_put() {
-        let disc = inked(Shape::Disc { at: [30.0, 15.0], radius: 6.0, color: BLACK });
+        let disc = inked(Shape::Disc { at: [27.0, 13.5], radius: 7.2, color: BLACK });
         assert!((190..215).contains(&disc.len()), "π·8²: {}", disc.len());
-        assert!(disc.iter().all(|(x, y)| x.abs_diff(40) <= 8 && y.abs_diff(20) <= 8));
-        let points = vec![[3.0, 30.0], [57.0, 30.0]];
-        let line = Shape::Path { points, color: BLACK, width: 1.5, dashed: false };
-        let line = inked(line);
-        assert!(line.iter().all(|(_, y)| *y == 39 || *y == 40) && line.len() >= 140, "{line:?}");
-        let rect = Shape::Rect { at: [3.0, 3.0], size: [6.0, 3.0], color: BLACK };
+        assert!(disc.iter().all(|(x, y)| x.abs_diff(30) <= 8 && y.abs_diff(15) <= 8));
+        let line = line(false);
+        assert!(line.iter().all(|(_, y)| *y == 29 || *y == 30) && line.len() >= 98, "{line:?}");
+        let rect = Shape::Rect { at: [9.0, 9.0], size: [7.2, 3.6], color: BLACK };
         assert_eq!(inked(rect).len(), 8 * 4);
     }
 
     #[test]
     fn dashes_have_gaps() {
-        let line = |dashed| {
-            let points = vec![[3.0, 30.0], [57.0, 30.0]];
-            inked(Shape::Path { points, color: BLACK, width: 1.5, dashed }).len()
-        };
-        assert!(line(true) > line(false) / 3 && line(true) < 3 * line(false) / 4);
+        let (whole, dashed) = (line(false).len(), line(true).len());
+        assert!(dashed > whole / 3 && dashed < 3 * whole / 4, "{dashed} of {whole}");
+    }
+
+    #[test]
+    fn letters_advance_as_the_page_has_it() {
+        assert_eq!(lettering::width_px("0123456789"), (10.0 * ADVANCE * SCALE).round() as usize);
     }
 
     #[test]
     fn text_runs_along_or_upward_from_its_anchor() {
         let text = |anchor, upward| {
             let text = "abc".into();
-            inked(Shape::Text { at: [30.0, 30.0], text, anchor, bold: false, color: BLACK, upward })
+            inked(Shape::Text { at: [27.0, 27.0], text, anchor, bold: false, color: BLACK, upward })
         };
-        assert!(text(Anchor::Start, false).iter().all(|(x, y)| *x >= 40 && *y <= 44));
-        assert!(text(Anchor::End, false).iter().all(|(x, _)| *x <= 40));
+        assert!(text(Anchor::Start, false).iter().all(|(x, y)| *x >= 30 && *y <= 34));
+        assert!(text(Anchor::End, false).iter().all(|(x, _)| *x <= 30));
         let upward = text(Anchor::Start, true);
-        assert!(upward.len() > 20 && upward.iter().all(|(x, y)| *y <= 40 && *x <= 44));
+        assert!(upward.len() > 20 && upward.iter().all(|(x, y)| *y <= 30 && *x <= 34));
     }
 }

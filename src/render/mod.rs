@@ -1,6 +1,7 @@
 //! The pipeline (Fig. 2): registration, offsets, synchronized images, the view.
 
 mod check;
+pub(crate) mod left_out;
 mod options;
 mod points;
 mod presets;
@@ -297,6 +298,18 @@ impl LightField {
         let points = Arc::new(self.triangulated(target, time_s)?);
         *kept = Some(KeptPoints { target: target.clone(), time_s, points: points.clone() });
         Ok(points)
+    }
+
+    /// How many cameras have a time between two frames, this share of the interval or more from both.
+    pub(crate) fn between_frames(&self, time_s: f64, share: f64) -> usize {
+        let is_between = |&camera: &usize| {
+            let times = self.times(camera);
+            self.bracket(camera, time_s).is_ok_and(|(k, later)| {
+                let passed = (time_s - times[k]) / (times[later] - times[k]);
+                k != later && (share..=1.0 - share).contains(&passed)
+            })
+        };
+        (0..self.times_s.len()).filter(is_between).count()
     }
 
     /// Forgets the points that the last view left, so that the next one takes as long as a first.

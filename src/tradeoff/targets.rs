@@ -9,8 +9,8 @@ use crate::compare::metrics::{Reference, RegionScores};
 use crate::compare::truths::{self, TrueImage, as_written};
 use crate::lumigraph::Rendered;
 use crate::offset::Offsets;
-use crate::plan::changed_pixels;
 use crate::raster::Image;
+use crate::render::left_out::{filmed, inner_cameras, only, shown_frame};
 use crate::render::{LightField, RenderError, RenderOptions};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -84,15 +84,9 @@ impl Scene<'_> {
         let Some(index) = left_out else {
             return LightField::new(self.capture.clone(), self.offsets.clone(), options.clone());
         };
-        let mut capture = Capture::clone(self.capture);
-        capture.cameras.remove(index);
-        capture.reference = match capture.reference {
-            reference if reference > index => reference - 1,
-            reference => reference.min(capture.cameras.len() - 1),
-        };
-        let mut offsets = self.offsets.clone();
-        offsets.cameras.remove(index);
-        LightField::new(Arc::new(capture), offsets, options.clone())
+        let kept: Vec<usize> = (0..self.capture.cameras.len()).filter(|&c| c != index).collect();
+        let (capture, offsets) = only(self.capture, self.offsets, &kept);
+        LightField::new(capture, offsets, options.clone())
     }
 
     /// What there is to measure against, and the view to time.
@@ -176,16 +170,12 @@ impl Scene<'_> {
     fn left_out_frames(&self) -> Result<Vec<Target>, TradeoffError> {
         let times_s = self.offsets.common_times_s(self.capture);
         let mut found: Vec<Target> = Vec::new();
-        for camera in self.inner_cameras() {
+        for camera in inner_cameras(self.capture) {
             let Some(times_s) = &times_s[camera] else { continue };
             let field = self.field(&most_accurate(self.base), Some(camera));
-            // Of the frames that most other cameras can show, the middle one.
-            let usable: Vec<usize> = times_s.iter().map(|t| field.usable(*t).len()).collect();
-            let most = usable.iter().max().copied().unwrap_or(0);
-            let frames: Vec<usize> =
-                (0..usable.len()).filter(|&k| most > 0 && usable[k] == most).collect();
-            let Some(&frame) = frames.get(frames.len() / 2) else { continue };
-            let truth = self.filmed(camera, frame)?;
+            let Some(frame) = shown_frame(&field, times_s) else { continue };
+            let (image, moving) = filmed(self.capture, camera, frame)?;
+            let truth = TrueImage { image, moving };
             let filmed = &self.capture.cameras[camera];
             let place = (&filmed.camera, times_s[frame]);
             let id = format!("{}-{frame}", filmed.id);
@@ -195,36 +185,6 @@ impl Scene<'_> {
             }
         }
         Ok(found)
-    }
-
-    /// A frame, and what differs in it from the frames beside it.
-    fn filmed(&self, camera: usize, frame: usize) -> Result<TrueImage, TradeoffError> {
-        let image = self.capture.read_frame(camera, frame)?;
-        let mut moving = vec![false; image.width() * image.height()];
-        let frames = self.capture.cameras[camera].frames.len();
-        for other in [frame.checked_sub(1), Some(frame + 1)].into_iter().flatten() {
-            if other < frames {
-                let other = self.capture.read_frame(camera, other)?;
-                let changed = changed_pixels(&image, &other);
-                moving.iter_mut().zip(changed).for_each(|(m, c)| *m |= c);
-            }
-        }
-        Ok(TrueImage { image, moving })
-    }
-
-    /// All cameras if there are more than two, those nearest to the middle first: between others,
-    /// as views are.
-    fn inner_cameras(&self) -> Vec<usize> {
-        let cameras = &self.capture.cameras;
-        if cameras.len() < 3 {
-            return Vec::new();
-        }
-        let centers: Vec<_> = cameras.iter().map(|c| c.camera.center().coords).collect();
-        let middle = centers.iter().sum::<nalgebra::Vector3<f64>>() / centers.len() as f64;
-        let mut order: Vec<usize> = (0..cameras.len()).collect();
-        let distance = |c: usize| (centers[c] - middle).norm();
-        order.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
-        order
     }
 
     /// A view halfway from the reference to its nearest neighbour, in the middle of the film.
