@@ -22,12 +22,17 @@ pub enum JsonError {
 
 /// A value from a file.
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, JsonError> {
+    parse(&read_text(path)?).map_err(JsonError::Content)
+}
+
+/// A file's text.
+pub fn read_text(path: &Path) -> Result<String, JsonError> {
     let mut text = String::new();
     std::fs::File::open(path)?.take(MAX_BYTES + 1).read_to_string(&mut text)?;
     if text.len() as u64 > MAX_BYTES {
         return Err(JsonError::Content(format!("is larger than {} MiB", MAX_BYTES >> 20)));
     }
-    parse(&text).map_err(JsonError::Content)
+    Ok(text)
 }
 
 /// A value from text; the error is a sentence that starts with the field.

@@ -12,9 +12,9 @@
 //! | Fig. 2, the whole pipeline | [`render`] |
 //! | §8 results, beside the truth | [`compare`] |
 //!
-//! [`plan`] chooses the rungs that a capture requires. Beside these: [`rig`] describes and generates simulated arrays, [`exchange`] reads and writes
+//! [`plan`] chooses the rungs that a capture requires, [`tradeoff`] measures what each costs and gives. Beside these: [`rig`] describes and generates simulated arrays, [`exchange`] reads and writes
 //! other programs' calibrations, [`raster`] holds images as the stages work on them, [`progress`]
-//! reports long work, [`json`] reads files, [`video`] reads and writes video through an ffmpeg,
+//! reports long work, [`chart`] draws charts, [`json`] reads files, [`video`] reads and writes video through an ffmpeg,
 //! [`random`] makes numbers that are the same everywhere.
 //!
 //! # Conventions
@@ -26,6 +26,7 @@
 
 pub mod camera;
 pub mod capture;
+pub mod chart;
 pub mod compare;
 pub mod exchange;
 pub mod interpolation;
@@ -42,4 +43,5 @@ pub mod registration;
 pub mod render;
 pub mod rig;
 pub mod toolchain;
+pub mod tradeoff;
 pub mod video;

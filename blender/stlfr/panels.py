@@ -209,11 +209,14 @@ class STLFR_PT_rungs(RenderTab, bpy.types.Panel):
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.stlfr
         layout.use_property_split = True
-        layout.prop(settings, "sync")
-        layout.prop(settings, "proxy")
+        layout.prop(settings, "preset")
+        rungs = layout.column()
+        rungs.enabled = settings.preset == "none"
+        rungs.prop(settings, "sync")
+        rungs.prop(settings, "proxy")
         if settings.proxy == "plane":
-            layout.prop(settings, "use_plane_depth")
-            row = layout.row()
+            rungs.prop(settings, "use_plane_depth")
+            row = rungs.row()
             row.enabled = settings.use_plane_depth
             row.prop(settings, "plane_depth_m")
 

@@ -25,6 +25,8 @@ LADDERS = stlfr.ladders()
 
 AUTO = ("auto", "Auto", "The lowest rung that the capture requires")
 
+NO_PRESET = ("none", "None", "The rungs below")
+
 
 def _rungs(ladder: str, *more: tuple[str, str, str]) -> dict[str, Any]:
     """The rungs that the module has, for an `EnumProperty`: one that isn't built isn't offered."""
@@ -141,6 +143,11 @@ class StlfrScene(bpy.types.PropertyGroup):
         description="Seconds of the capture in a second of the scene: below 1 is slow motion, 0 stands still",
         default=1.0,
         precision=3,
+    )
+    preset: EnumProperty(
+        name="Preset",
+        description="Named options of all stages: speed for accuracy",
+        **{**_rungs("preset", NO_PRESET), "default": NO_PRESET[0]},
     )
     sync: EnumProperty(
         name="Sync",

@@ -58,6 +58,20 @@ def capture_time_s(scene: Any) -> float:
 
 def options(settings: Any) -> dict[str, Any]:
     """The render options that the render tab amounts to, as a file for `stlfr render --options` has them."""
+    result: dict[str, Any] = (
+        _rungs(settings) if settings.preset == "none" else {"preset": settings.preset}
+    )
+    if settings.use_trail:
+        result["trail"] = {
+            "duration_s": settings.trail_duration_s,
+            "instants": settings.trail_instants,
+            "mode": settings.trail_mode,
+        }
+    return result
+
+
+def _rungs(settings: Any) -> dict[str, Any]:
+    """The options of the rungs that were chosen one by one."""
     auto = {
         stage: True for stage in ("sync", "proxy") if getattr(settings, stage) == "auto"
     }
@@ -69,12 +83,6 @@ def options(settings: Any) -> dict[str, Any]:
         result["sync"] = settings.sync
     if auto:
         result["auto"] = auto
-    if settings.use_trail:
-        result["trail"] = {
-            "duration_s": settings.trail_duration_s,
-            "instants": settings.trail_instants,
-            "mode": settings.trail_mode,
-        }
     return result
 
 

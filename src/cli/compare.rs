@@ -1,7 +1,7 @@
 //! `stlfr compare`
 
 use super::CliError;
-use super::files::{must_be_writable, options_or_default};
+use super::files::{OptionsArgs, must_be_writable};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth};
@@ -34,18 +34,17 @@ pub struct Args {
     #[arg(long)]
     video: bool,
     /// Only score the offsets in this file, of the form that `stlfr offsets --json` prints.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "video", "options"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "video", "options", "preset"])]
     offsets: Option<PathBuf>,
-    /// Options of all stages, a JSON file.
-    #[arg(long, value_name = "FILE")]
-    options: Option<PathBuf>,
+    #[command(flatten)]
+    options: OptionsArgs,
 }
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     if let Some(file) = &args.offsets {
         return score_offsets(&args.capture, file);
     }
-    let options = options_or_default(args.options.as_deref())?;
+    let options = args.options.read()?;
     let capture = Capture::open_reporting(&args.capture, reporter)?;
     let out = args.output.clone().unwrap_or_else(|| args.capture.join("review"));
     let ffmpeg = args.video.then(ffmpeg).transpose()?;

@@ -9,6 +9,7 @@ use stlfr::json::JsonError;
 use stlfr::render::RenderError;
 use stlfr::rig::RigError;
 use stlfr::toolchain::{ExtensionError, ScriptError, SetupError};
+use stlfr::tradeoff::TradeoffError;
 use stlfr::video::VideoError;
 
 /// What ends a command.
@@ -119,6 +120,19 @@ impl From<CompareError> for CliError {
             CompareError::Truth(error) => error.into(),
             CompareError::Write { ref source, .. } => of_io(error.to_string(), source),
             CompareError::Report(_) | CompareError::Video(_) => Self::Failure(error.to_string()),
+            _ => Self::BadInput(error.to_string()),
+        }
+    }
+}
+
+impl From<TradeoffError> for CliError {
+    fn from(error: TradeoffError) -> Self {
+        match error {
+            TradeoffError::Capture(error) => error.into(),
+            TradeoffError::Truth(error) => error.into(),
+            TradeoffError::Compare(error) => error.into(),
+            TradeoffError::Render(error) => error.into(),
+            TradeoffError::Write { ref source, .. } => of_io(error.to_string(), source),
             _ => Self::BadInput(error.to_string()),
         }
     }

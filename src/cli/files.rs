@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use stlfr::camera::{Camera, CameraFormat};
 use stlfr::capture::{CAPTURE_FILE, Capture, FilmedCamera};
 use stlfr::json;
-use stlfr::render::RenderOptions;
+use stlfr::render::{Preset, RenderOptions};
 
 /// Refuses what is no readable file.
 pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
@@ -62,10 +62,35 @@ pub fn must_be_writable_beside(output: &Path, capture: &Capture) -> Result<(), C
     Ok(())
 }
 
+/// What every stage's options start from.
+#[derive(Debug, clap::Args)]
+pub struct OptionsArgs {
+    /// Named options of all stages: a point of the trade of speed for accuracy.
+    #[arg(long, value_name = "NAME", value_enum)]
+    preset: Option<Preset>,
+    /// Options of all stages, a JSON file; what it has goes before the preset.
+    #[arg(long, value_name = "FILE")]
+    options: Option<PathBuf>,
+}
+
+impl OptionsArgs {
+    /// The file's options, those of the preset where it has none, checked.
+    pub fn read(&self) -> Result<RenderOptions, CliError> {
+        match &self.options {
+            Some(path) => read_options(path, self.preset),
+            None => Ok(self.preset.map_or_else(RenderOptions::default, Preset::options)),
+        }
+    }
+}
+
 /// A JSON file of options, checked; the defaults without one.
 pub fn options_or_default(path: Option<&Path>) -> Result<RenderOptions, CliError> {
-    let Some(path) = path else { return Ok(RenderOptions::default()) };
-    let options: RenderOptions = json::read(path).map_err(|error| wrong(path, error))?;
+    path.map_or_else(|| Ok(RenderOptions::default()), |path| read_options(path, None))
+}
+
+fn read_options(path: &Path, preset: Option<Preset>) -> Result<RenderOptions, CliError> {
+    let text = json::read_text(path).map_err(|error| wrong(path, error))?;
+    let options = RenderOptions::parse(&text, preset).map_err(|error| wrong(path, error))?;
     options.check().map_err(|error| wrong(path, error))?;
     Ok(options)
 }

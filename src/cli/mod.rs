@@ -13,6 +13,7 @@ mod render;
 mod rig;
 mod setup;
 mod span;
+mod tradeoff;
 mod values;
 
 pub use error::{exit, usage};
@@ -50,6 +51,7 @@ enum Command {
     Offsets(offsets::Args),
     Render(Box<render::Args>),
     Compare(compare::Args),
+    Tradeoff(tradeoff::Args),
     Import(exchange::ImportArgs),
     Export(exchange::ExportArgs),
 }
@@ -68,6 +70,7 @@ impl Cli {
             Command::Offsets(args) => offsets::run(args, &reporter),
             Command::Render(args) => render::run(args, &reporter),
             Command::Compare(args) => compare::run(args, &reporter),
+            Command::Tradeoff(args) => tradeoff::run(args, &reporter),
             Command::Import(args) => exchange::run_import(args),
             Command::Export(args) => exchange::run_export(args),
         }

@@ -1,7 +1,7 @@
 //! `stlfr offsets`
 
 use super::CliError;
-use super::files::options_or_default;
+use super::files::OptionsArgs;
 use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::capture::Capture;
@@ -24,13 +24,12 @@ pub struct Args {
     /// Print JSON and nothing else.
     #[arg(long)]
     json: bool,
-    /// Options of all stages, a JSON file.
-    #[arg(long, value_name = "FILE")]
-    options: Option<PathBuf>,
+    #[command(flatten)]
+    options: OptionsArgs,
 }
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
-    let options = options_or_default(args.options.as_deref())?;
+    let options = args.options.read()?;
     let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
     capture.require_two_cameras()?;
     let offsets =

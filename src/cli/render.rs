@@ -1,7 +1,7 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::files::{must_be_writable_beside, options_or_default, read_view};
+use super::files::{OptionsArgs, must_be_writable_beside, read_view};
 use super::span::{Output, Times};
 use super::values::{Choice, choice};
 use std::path::PathBuf;
@@ -22,6 +22,7 @@ use stlfr::video::{Codec, VideoWriter, find_ffmpeg};
     stlfr render .captures/demo --camera view.json --time 0.1 -o view.png\n  \
     stlfr render .captures/demo --camera view.json --times 0.05:0.25:60 -o out/%04d.png\n  \
     stlfr render .captures/demo --like cam3 --times 0.05:0.25:60 -o slow.mkv\n  \
+    stlfr render .captures/demo --like cam3 --time 0.1 --preset draft -o cam3.png\n  \
     stlfr render .captures/demo --like cam3 --time 0.1 --sync auto --proxy auto -o cam3.png\n  \
     stlfr render .captures/demo --like cam3 --time 0.2 --trail 0.15 --trail-instants 31 -o trail.png\n\n\
     A view is a camera object as in capture.json:\n  \
@@ -71,9 +72,8 @@ pub struct Args {
     /// How a trail overlays them [default: mean].
     #[arg(long, value_name = "MODE", value_enum)]
     trail_mode: Option<TrailMode>,
-    /// Options of all stages, a JSON file; --sync, --proxy and --trail go before it.
-    #[arg(long, value_name = "FILE")]
-    options: Option<PathBuf>,
+    #[command(flatten)]
+    options: OptionsArgs,
 }
 
 /// What is to be rendered, checked as far as it can be without the capture.
@@ -98,9 +98,9 @@ pub enum View {
 }
 
 impl Args {
-    /// The file's options, and those of the command line before them.
+    /// The preset's options, the file's before them, and the command line's before those.
     fn render_options(&self) -> Result<RenderOptions, CliError> {
-        let mut options = options_or_default(self.options.as_deref())?;
+        let mut options = self.options.read()?;
         if let Some(sync) = self.sync {
             options.sync = sync.rung().unwrap_or(options.sync);
             options.auto.sync = sync == Choice::Auto;

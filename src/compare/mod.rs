@@ -20,7 +20,7 @@
 //! | `metrics.rs`, `ssim.rs`, `flip.rs`, `filter.rs` | the metrics |
 //! | `mask.rs` | the moving part |
 //! | `results.rs` | what is found, as it is written; the headline |
-//! | `sheet.rs`, `lettering.rs` | pictures with labels |
+//! | `sheet.rs` | pictures with labels |
 //! | `report.rs`, `report.html`, `plots.rs` | the report |
 //! | `video.rs` | the review video |
 //! | `review.rs` | what `review.blend` is laid out from |
@@ -32,7 +32,6 @@ mod driver;
 mod filter;
 pub mod flip;
 mod instant;
-mod lettering;
 mod light_field;
 pub mod mask;
 pub mod metrics;
@@ -43,7 +42,7 @@ pub mod results;
 mod review;
 pub mod sheet;
 pub mod ssim;
-mod truths;
+pub(crate) mod truths;
 pub mod video;
 mod views;
 

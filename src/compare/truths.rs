@@ -11,7 +11,7 @@ use crate::raster::Image;
 const SAME_INSTANT_S: f64 = 1e-6;
 
 /// One instant that the truth has images of.
-pub(super) struct TrueInstant {
+pub(crate) struct TrueInstant {
     /// As the truth states it.
     pub time_s: f64,
     /// From the capture's start, as the renderer takes it.
@@ -20,7 +20,7 @@ pub(super) struct TrueInstant {
 }
 
 /// One true image of an instant.
-pub(super) struct TrueView {
+pub(crate) struct TrueView {
     /// Its index in `truth.views`.
     pub index: usize,
     /// The filming camera that stands there.
@@ -31,14 +31,14 @@ pub(super) struct TrueView {
 }
 
 /// A true image with its moving part.
-pub(super) struct TrueImage {
+pub(crate) struct TrueImage {
     pub image: Image,
     pub moving: Vec<bool>,
 }
 
 /// Groups the truth's views by instant, in the order of the file, and checks that their files are
 /// there.
-pub(super) fn instants(truth: &Truth, capture: &Capture) -> Result<Vec<TrueInstant>, CompareError> {
+pub(crate) fn instants(truth: &Truth, capture: &Capture) -> Result<Vec<TrueInstant>, CompareError> {
     let mut instants: Vec<TrueInstant> = Vec::new();
     for (index, view) in truth.views.iter().enumerate() {
         let wrong = |reason: String| CompareError::View { index, id: view.id.clone(), reason };
@@ -83,7 +83,7 @@ fn stem(truth: &Truth, index: usize) -> String {
 }
 
 /// What of a name is safe in a file name.
-pub(super) fn slug(name: &str) -> String {
+pub(crate) fn slug(name: &str) -> String {
     let keep = |c: char| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' };
     name.chars().take(60).map(keep).collect()
 }
@@ -138,7 +138,7 @@ fn other_size(is: (usize, usize), wanted: (usize, usize)) -> String {
 }
 
 /// What a file of that depth holds of an image: bounded and rounded, grey or RGB.
-pub(super) fn as_written(image: &Image, channels: usize, depth: BitDepth) -> Image {
+pub(crate) fn as_written(image: &Image, channels: usize, depth: BitDepth) -> Image {
     let mut image = if channels == 1 { image.to_gray() } else { image.to_rgb() };
     let most = ((1u32 << bits(depth)) - 1) as f32;
     for v in image.data_mut() {
@@ -148,7 +148,7 @@ pub(super) fn as_written(image: &Image, channels: usize, depth: BitDepth) -> Ima
     image
 }
 
-pub(super) fn bits(depth: BitDepth) -> u32 {
+pub(crate) fn bits(depth: BitDepth) -> u32 {
     match depth {
         BitDepth::Eight => 8,
         BitDepth::Sixteen => 16,

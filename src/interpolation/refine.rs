@@ -136,10 +136,6 @@ impl Work<'_> {
         let (step, block) = (self.step as isize, 2 * self.step);
         let origin = [(bx - 1) * step, (by - 1) * step];
         let center = Point2::new((origin[0] + step) as f64, (origin[1] + step) as f64);
-        let mut candidates = self.candidates(&center);
-        if candidates.is_empty() {
-            return None;
-        }
         let pixel = |x: usize, y: usize| {
             let (x, y) = (origin[0] + x as isize, origin[1] + y as isize);
             let inside = x >= 0 && y >= 0 && (x as usize) < w && (y as usize) < h;
@@ -151,6 +147,14 @@ impl Work<'_> {
             .map(|(x, y)| self.costs[y * w + x])
             .fold(0.0, f32::max);
         let agree = worst <= self.options.min_difference;
+        // There, all that is left to do is to average the outer frames in.
+        if agree && self.options.outer_share <= 0.0 {
+            return None;
+        }
+        let mut candidates = self.candidates(&center);
+        if candidates.is_empty() {
+            return None;
+        }
         if agree {
             candidates.truncate(AGREEING_MOTIONS);
         }

@@ -23,7 +23,6 @@
 mod activity;
 mod align;
 mod candidates;
-pub mod chart;
 mod consensus;
 mod estimate;
 mod features;

@@ -1,8 +1,8 @@
 //! What an estimate was made of, drawn: beside `offsets.json`.
 
-use super::chart::{Chart, Series, svg};
 use super::{Estimate, PairEstimate};
 use crate::capture::Capture;
+use crate::chart::{Chart, ChartPoint, Series, svg};
 
 /// Four charts: each pair's own estimate against the joint one, the share of its candidates that
 /// agree, the estimates of single triples of frames over time, and the features' distances from
@@ -39,10 +39,11 @@ fn name(capture: &Capture, [i, j]: [usize; 2]) -> String {
 fn pairs(estimate: &Estimate, capture: &Capture) -> Chart {
     let points = estimate.pairs.iter().enumerate().filter_map(|(k, pair)| {
         let joint = joint_s(estimate, capture, pair.cameras, pair.center_s)?;
-        Some(super::chart::ChartPoint {
+        Some(ChartPoint {
             x: k as f64,
             y: MS * (pair.offset_s - joint),
             bar: 2.0 * MS * pair.std_err_s,
+            x_range: None,
         })
     });
     let names: Vec<String> = estimate.pairs.iter().map(|p| name(capture, p.cameras)).collect();
@@ -131,7 +132,7 @@ fn distances(estimate: &Estimate) -> Chart {
         };
         let points =
             if values.is_empty() { Vec::new() } else { (0..QUANTILES).map(quantile).collect() };
-        Series { label: label.into(), points, line: true, dots: false }
+        Series { label: label.into(), points, line: true, ..Series::default() }
     };
     Chart {
         title: "Distances from the epipolar lines".into(),

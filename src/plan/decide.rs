@@ -1,6 +1,6 @@
 //! From what was measured to a rung and a sentence. No images here.
 
-use super::{Clocks, Decision, Motion, Shape};
+use super::{Clocks, Decision, Motion, Probe, Shape};
 use crate::interpolation::Sync;
 use crate::render::ProxyRung;
 use clap::ValueEnum;
@@ -76,6 +76,19 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (Sync, Decision) {
     made(Sync::Refined, (unevenness_px, budget_px), because)
 }
 
+/// Whether the refined rung pays, where views by it and by triangulation could be compared.
+pub fn refinement(probe: &Probe, budget_db: f64) -> (Sync, Decision) {
+    let rung = if probe.gain_db > budget_db { Sync::Refined } else { Sync::Triangulation };
+    let frames: Vec<String> = probe.frames.iter().map(|(id, k)| format!("{id}'s {k}")).collect();
+    let because = format!(
+        "Where frames change, refinement makes views {:+.2} dB better than triangulation (frames {}, \
+         rendered from their neighbours).",
+        probe.gain_db,
+        frames.join(", ")
+    );
+    (rung, decision("sync", &name(&rung), Some((probe.gain_db, budget_db)), because))
+}
+
 /// Whether paths must be curved.
 pub fn path(motion: &Motion, budget_px: f64) -> (bool, Decision) {
     let curved = motion.bend_px > budget_px;
@@ -149,6 +162,18 @@ mod tests {
         assert_eq!(rung(moving(0.49, 0.1, 0.2)), Sync::Crossfade);
         assert_eq!(rung(moving(10.0, 0.2, 0.9)), Sync::Triangulation);
         assert_eq!(rung(moving(10.0, 4.0, 0.2)), Sync::Refined);
+    }
+
+    #[test]
+    fn what_refinement_gains_decides_whether_it_is_done() {
+        let rung = |gain_db| {
+            let probe = Probe { gain_db, frames: vec![("cam1".into(), 3)] };
+            refinement(&probe, 0.1)
+        };
+        assert_eq!(rung(-0.3).0, Sync::Triangulation);
+        assert_eq!(rung(0.05).0, Sync::Triangulation);
+        assert_eq!(rung(0.6).0, Sync::Refined);
+        assert!(rung(0.6).1.because.contains("+0.60 dB"), "{}", rung(0.6).1.because);
     }
 
     #[test]

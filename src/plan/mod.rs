@@ -5,12 +5,14 @@
 //! |---|---|---|
 //! | whose clocks are known? | clocks in `capture.json` | whether offsets are estimated |
 //! | does anything move? | features' motion, blocks that change ([`Motion`]) | the sync rung |
+//! | does refinement pay? | cameras' own frames, rendered from their neighbours both ways ([`Probe`]) | the sync rung |
 //! | on straight lines? | bend of the paths through four frames | curved paths |
 //! | is a plane enough? | points' parallax against it ([`Shape`]) | the proxy |
 //! | do lenses distort? | the largest shift of a pixel | resampling |
 //! | does the rig spread in two directions? | the camera centres' extent | references |
 //!
-//! The budget is a position error in pixels that a simplification may make. All that is measured is
+//! The budget is a position error in pixels that a simplification may make; where views by two rungs
+//! can be compared, a loss in decibels. All that is measured is
 //! in the capture; its truth is never read.
 //!
 //! Known limits: one rung holds for the whole capture; frames at its start, middle and end stand for
@@ -18,15 +20,19 @@
 
 mod decide;
 mod motion;
+mod probe;
 mod rig;
 mod shape;
 
 pub use motion::Motion;
+pub(crate) use motion::changed_pixels;
+pub use probe::Probe;
 pub use rig::{Clocks, extent_ratio, largest_distortion_px};
 pub use shape::Shape;
 
 use crate::capture::Capture;
-use crate::offset;
+use crate::interpolation::Sync;
+use crate::offset::{self, Offsets};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use crate::render::{LightField, RenderError, RenderOptions};
@@ -44,11 +50,13 @@ pub struct AutoOptions {
     /// How far a lower rung may move what is seen, pixels. Larger: cheaper rungs; at 0 none is
     /// simplified.
     pub budget_px: f64,
+    /// How much worse, decibels, a view by a cheaper sync rung may be, where the capture shows it.
+    pub budget_db: f64,
 }
 
 impl Default for AutoOptions {
     fn default() -> Self {
-        Self { sync: false, proxy: false, budget_px: 0.25 }
+        Self { sync: false, proxy: false, budget_px: 0.25, budget_db: 0.1 }
     }
 }
 
@@ -95,36 +103,49 @@ pub fn plan(
     options: &RenderOptions,
     reporter: &Reporter,
 ) -> Result<(Plan, LightField), RenderError> {
-    let budget_px = options.auto.budget_px;
-    let frames = FrameStore::new(capture.clone(), &options.registration);
-    let motion = Motion::survey(&frames, reporter)?;
-    let mut decided = options.clone();
-    let mut decisions = vec![decide::offsets(&Clocks::of(capture))];
-
-    let (sync, decision) = decide::sync(&motion, budget_px);
-    decisions.push(decision);
-    let (curved, decision) = decide::path(&motion, budget_px);
-    decisions.push(decision);
-    if options.auto.sync {
-        decided.sync = sync;
-        decided.interpolation.curved &= curved;
-    }
-
     let offsets = offset::known_or_kept_or_estimated(
         capture,
         &options.offset,
         &options.registration,
         reporter,
     )?;
+    plan_with(capture, offsets, options, reporter)
+}
+
+/// The same with offsets that are known already.
+pub fn plan_with(
+    capture: &Arc<Capture>,
+    offsets: Offsets,
+    options: &RenderOptions,
+    reporter: &Reporter,
+) -> Result<(Plan, LightField), RenderError> {
+    let budget_px = options.auto.budget_px;
+    let frames = FrameStore::new(capture.clone(), &options.registration);
+    let motion = Motion::survey(&frames, reporter)?;
+    let mut decided = options.clone();
+    let mut decisions = vec![decide::offsets(&Clocks::of(capture))];
+
+    let (mut sync, mut of_sync) = decide::sync(&motion, budget_px);
+    let (curved, of_path) = decide::path(&motion, budget_px);
+    decided.interpolation.curved &= curved || !options.auto.sync;
+
     let mut field = LightField::with_frames(frames, offsets, decided.clone());
-    let (proxy, decision) = decide::proxy(Shape::survey(&field)?.as_ref(), budget_px);
-    decisions.push(decision);
+    let (proxy, of_proxy) = decide::proxy(Shape::survey(&field)?.as_ref(), budget_px);
     if options.auto.proxy {
         decided.proxy.rung = proxy.unwrap_or(decided.proxy.rung);
     }
+    if sync == Sync::Refined
+        && let Some(probe) = Probe::survey(capture, field.offsets(), &decided)?
+    {
+        (sync, of_sync) = decide::refinement(&probe, options.auto.budget_db);
+    }
+    if options.auto.sync {
+        decided.sync = sync;
+    }
+    decisions.extend([of_sync, of_path, of_proxy]);
     decisions.push(decide::lenses(largest_distortion_px(capture)));
     decisions.push(decide::references(extent_ratio(capture)));
-    decided.auto = AutoOptions { sync: false, proxy: false, budget_px };
+    decided.auto = AutoOptions { sync: false, proxy: false, ..options.auto.clone() };
     field.set_options(decided.clone());
     Ok((Plan { budget_px, decisions, options: decided }, field))
 }

@@ -144,6 +144,24 @@ fn unevenness(tracks: &[Track], options: &RegistrationOptions) -> f64 {
 }
 
 fn changed_share(a: &Image, b: &Image) -> f64 {
+    let (_, changed) = changed_blocks(a, b);
+    let count = changed.iter().filter(|c| **c).count();
+    if count == 0 { 0.0 } else { count as f64 / changed.len() as f64 }
+}
+
+/// The pixels of the blocks that change by more than noise, row by row.
+pub(crate) fn changed_pixels(a: &Image, b: &Image) -> Vec<bool> {
+    let (across, changed) = changed_blocks(a, b);
+    let (w, h) = (a.width(), a.height());
+    let of = |k: usize| {
+        let (column, row) = (k % w / BLOCK, k / w / BLOCK);
+        column < across && changed.get(row * across + column).is_some_and(|c| *c)
+    };
+    (0..w * h).map(of).collect()
+}
+
+/// The number of blocks a row, and whether each changes by more than noise.
+fn changed_blocks(a: &Image, b: &Image) -> (usize, Vec<bool>) {
     let (a, b) = (a.to_gray(), b.to_gray());
     let (across, down) = (a.width() / BLOCK, a.height() / BLOCK);
     let mut blocks = vec![0.0_f32; across * down];
@@ -155,9 +173,9 @@ fn changed_share(a: &Image, b: &Image) -> f64 {
     }
     let mut sorted = blocks.clone();
     sorted.sort_by(f32::total_cmp);
-    let Some(quiet) = sorted.get(sorted.len() / 4) else { return 0.0 };
+    let Some(quiet) = sorted.get(sorted.len() / 4) else { return (across, Vec::new()) };
     let limit = (OVER_NOISE * quiet).max(LEAST_CHANGE);
-    blocks.iter().filter(|d| **d > limit).count() as f64 / blocks.len() as f64
+    (across, blocks.iter().map(|d| *d > limit).collect())
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! `stlfr.open` and `stlfr.Capture`.
 
-use super::convert::{from_python, image_to_python, to_python, value_error};
+use super::convert::{from_python, image_to_python, json_of, to_python, value_error};
 use crate::camera::{Camera, CameraFormat};
 use crate::capture::Capture;
 use crate::offset::known_or_kept_or_estimated;
@@ -188,7 +188,11 @@ fn projected<'py>(
 
 /// The options of a call, checked as the command line checks its file.
 fn checked(options: Option<&Bound<'_, PyAny>>) -> PyResult<RenderOptions> {
-    let options: RenderOptions = from_python(options, "options")?.unwrap_or_default();
+    let options = match options {
+        Some(options) => RenderOptions::parse(&json_of(options)?, None),
+        None => Ok(RenderOptions::default()),
+    };
+    let options = options.map_err(|e| value_error(format!("options: {e}")))?;
     options.check().map_err(|e| value_error(format!("options: {e}")))?;
     Ok(options)
 }

@@ -19,9 +19,13 @@ pub fn from_python<T: DeserializeOwned>(
     what: &str,
 ) -> PyResult<Option<T>> {
     let Some(value) = value else { return Ok(None) };
-    let json = value.py().import("json")?.call_method1("dumps", (value,))?;
-    let parsed = crate::json::parse(json.extract::<&str>()?);
+    let parsed = crate::json::parse(&json_of(value)?);
     parsed.map(Some).map_err(|e| value_error(format!("{what}: {e}")))
+}
+
+/// The JSON text of a value.
+pub fn json_of(value: &Bound<'_, PyAny>) -> PyResult<String> {
+    value.py().import("json")?.call_method1("dumps", (value,))?.extract()
 }
 
 /// A value as Python reads its JSON.

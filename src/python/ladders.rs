@@ -2,7 +2,7 @@
 
 use super::convert::to_python;
 use crate::interpolation::Sync;
-use crate::render::{ProxyRung, TrailMode};
+use crate::render::{Preset, ProxyRung, TrailMode};
 use clap::ValueEnum;
 use pyo3::prelude::*;
 use serde::Serialize;
@@ -28,6 +28,7 @@ pub fn ladders(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
         ("sync", ladder::<Sync>()),
         ("proxy", ladder::<ProxyRung>()),
         ("trail", ladder::<TrailMode>()),
+        ("preset", ladder::<Preset>()),
     ]);
     to_python(py, &ladders)
 }

@@ -40,7 +40,8 @@ impl RenderOptions {
         proxy(&self.proxy)?;
         blend(&self.blend)?;
         trail(&self.trail)?;
-        all_within("auto", &[("budget_px", self.auto.budget_px, PIXELS)])
+        let (px, db) = (self.auto.budget_px, self.auto.budget_db);
+        all_within("auto", &[("budget_px", px, PIXELS), ("budget_db", db, 0.0..=100.0)])
     }
 }
 

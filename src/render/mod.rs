@@ -1,12 +1,15 @@
 //! The pipeline (Fig. 2): registration, offsets, synchronized images, the view.
 
 mod check;
+pub(crate) mod left_out;
 mod options;
 mod points;
+mod presets;
 mod trail;
 
 pub use check::OptionError;
 pub use options::{ProxyOptions, ProxyRung, RenderOptions};
+pub use presets::Preset;
 pub use trail::{TrailMode, TrailOptions, Viewpoint};
 
 use crate::camera::Camera;
@@ -320,6 +323,35 @@ impl LightField {
         let points = Arc::new(self.triangulated(target, time_s)?);
         *kept = Some(KeptPoints { target: target.clone(), time_s, points: points.clone() });
         Ok(points)
+    }
+
+    /// How many cameras have a time between two frames, this share of the interval or more from both.
+    pub(crate) fn between_frames(&self, time_s: f64, share: f64) -> usize {
+        let is_between = |&camera: &usize| {
+            let times = self.times(camera);
+            self.bracket(camera, time_s).is_ok_and(|(k, later)| {
+                let passed = (time_s - times[k]) / (times[later] - times[k]);
+                k != later && (share..=1.0 - share).contains(&passed)
+            })
+        };
+        (0..self.times_s.len()).filter(is_between).count()
+    }
+
+    /// Forgets the points that the last view left, so that the next one takes as long as a first.
+    pub(crate) fn forget_points(&self) {
+        *self.points.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    /// Registers the frames around a time, of all cameras that have some: what views between them
+    /// share.
+    pub(crate) fn register(&self, time_s: f64) -> Result<(), RenderError> {
+        self.usable(time_s).into_par_iter().try_for_each(|camera| {
+            let (k, later) = self.bracket(camera, time_s)?;
+            if k != later {
+                self.tracks(camera, k)?;
+            }
+            Ok(())
+        })
     }
 
     /// Blends a view from one image a camera.

@@ -22,7 +22,7 @@ mod swing;
 
 use stages::Case;
 use std::path::{Path, PathBuf};
-use stlfr::offset::chart::{Chart, svg};
+use stlfr::chart::{Chart, svg};
 use stlfr::render::RenderOptions;
 use swing::Swing;
 

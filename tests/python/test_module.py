@@ -266,8 +266,8 @@ def test_the_ladders_hold_what_render_takes(capture_dir: Path) -> None:
     """Every rung of the options, and no other."""
     capture = stlfr.open(capture_dir)
     ladders = stlfr.ladders()
-    assert set(ladders) == {"sync", "proxy", "trail"}
-    paths = {"sync": ["sync"], "proxy": ["proxy", "rung"], "trail": ["trail", "mode"]}
+    assert set(ladders) == {"sync", "proxy", "trail", "preset"}
+    paths = {"sync": ["sync"], "proxy": ["proxy", "rung"], "trail": ["trail", "mode"], "preset": ["preset"]}
     for name, path in paths.items():
 
         def options(rung: str, path: list[str] = path) -> dict[str, Any]:

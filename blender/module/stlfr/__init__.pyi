@@ -47,7 +47,7 @@ class Ladder(TypedDict):
     rungs: list[Rung]
 
 def ladders() -> dict[str, Ladder]:
-    """The rungs there are: `sync`, `proxy`, and `trail` (its modes)."""
+    """The rungs there are: `sync`, `proxy`, `trail` (its modes), and `preset`, named options of all stages."""
 
 def open(path: str | PathLike[str]) -> Capture:
     """Open and check a capture's folder. Raises ValueError with one sentence where it is wrong."""
@@ -102,7 +102,8 @@ class Capture:
 
         An array (H, W, channels) in the input's bit depth. Channels are RGB or grey; where no camera
         sees some of the pixels, alpha comes after them. Time is seconds on the reference's clock.
-        `options` is what a file for `stlfr render --options` holds.
+        `options` is what a file for `stlfr render --options` holds: with `{"preset": "draft"}`, what
+        is not in it is the preset's.
         `proceed(done, total)` is called before every instant of a trail, once without a trail; where
         it returns something false, rendering stops with an InterruptedError.
         """

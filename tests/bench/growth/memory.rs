@@ -6,7 +6,7 @@ use crate::swing::{RATE_HZ, Swing};
 use serde_json::json;
 use std::path::Path;
 use std::process::Command;
-use stlfr::offset::chart::{Chart, Series};
+use stlfr::chart::{Chart, Series};
 
 /// Instants of a view that all cameras' images are made for: four frames of each camera and instant
 /// are more than may be kept.

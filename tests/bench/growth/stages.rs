@@ -6,8 +6,8 @@ use crate::cpu;
 use crate::swing::{RATE_HZ, Swing};
 use std::sync::Arc;
 use stlfr::capture::Capture;
+use stlfr::chart::{Chart, Series};
 use stlfr::interpolation::Sync;
-use stlfr::offset::chart::{Chart, Series};
 use stlfr::offset::{self, Offsets};
 use stlfr::progress::Reporter;
 use stlfr::raster::Image;
@@ -62,6 +62,7 @@ pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
             points: points.iter().map(|p| (*p).into()).collect(),
             line: true,
             dots: true,
+            ..Series::default()
         })
         .collect();
     Ok(Chart {

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 use stlfr::capture::{BitDepth, Capture};
-use stlfr::offset::chart::{Chart, Series, svg};
+use stlfr::chart::{Chart, Series, svg};
 use stlfr::offset::{Estimate, OffsetOptions, estimate};
 use stlfr::progress::Reporter;
 use stlfr::registration::RegistrationOptions;

@@ -7,7 +7,7 @@ use super::{median, percentile, save};
 use nalgebra::{Isometry3, Point2, Vector2};
 use std::path::Path;
 use stlfr::camera::{Camera, CameraModel};
-use stlfr::offset::chart::{Chart, Series, svg};
+use stlfr::chart::{Chart, Series, svg};
 use stlfr::offset::{
     Candidate, Observation, Residuals, ThreeFrames, ransac, weighted_least_squares,
 };

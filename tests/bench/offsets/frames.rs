@@ -7,7 +7,7 @@ use nalgebra::Point2;
 use std::path::Path;
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth};
-use stlfr::offset::chart::{Chart, Series, svg};
+use stlfr::chart::{Chart, Series, svg};
 use stlfr::offset::{
     FourPoints, Observation, Residuals, ThreeFrames, cross_ratio_offset, ransac,
     weighted_least_squares,

@@ -5,11 +5,11 @@ use crate::raster::Image;
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
 /// Height of a line of text, pixels: 16 of the letters, 2 between lines.
-pub(super) const LINE_PX: usize = 18;
+pub(crate) const LINE_PX: usize = 18;
 
 /// How a line looks.
 #[derive(Clone, Copy)]
-pub(super) enum Weight {
+pub(crate) enum Weight {
     Regular,
     Bold,
 }
@@ -24,19 +24,32 @@ impl Weight {
 }
 
 /// Width of a line, pixels.
-pub(super) fn width_px(text: &str) -> usize {
+pub(crate) fn width_px(text: &str) -> usize {
     text.chars().count() * get_raster_width(FontWeight::Regular, RasterHeight::Size16)
 }
 
 /// Writes a line into an RGB image with its top left corner at (x, y) and at most `room_px` wide;
 /// what doesn't fit is cut off with an ellipsis, and a letter that the font lacks is a `?`.
-pub(super) fn write(
+pub(crate) fn write(
     image: &mut Image,
     (x, y): (usize, usize),
     room_px: usize,
     text: &str,
     weight: Weight,
     color: [f32; 3],
+) {
+    letters(room_px, text, weight, |along, down, ink| {
+        blend(image, x + along, y + down, ink, color)
+    });
+}
+
+/// Calls `put` with the place of every pixel of a line, from its top left corner, and how much ink
+/// it has.
+pub(crate) fn letters(
+    room_px: usize,
+    text: &str,
+    weight: Weight,
+    mut put: impl FnMut(usize, usize, f32),
 ) {
     let advance = get_raster_width(FontWeight::Regular, RasterHeight::Size16);
     let fits = room_px / advance;
@@ -51,13 +64,14 @@ pub(super) fn write(
         let Some(raster) = raster else { continue };
         for (dy, row) in raster.rows().enumerate() {
             for (dx, ink) in row.iter().enumerate() {
-                blend(image, x + k * advance + dx, y + dy, f32::from(*ink) / 255.0, color);
+                put(k * advance + dx, dy, f32::from(*ink) / 255.0);
             }
         }
     }
 }
 
-fn blend(image: &mut Image, x: usize, y: usize, ink: f32, color: [f32; 3]) {
+/// Mixes ink into one pixel of an RGB image; nothing outside of it.
+pub(crate) fn blend(image: &mut Image, x: usize, y: usize, ink: f32, color: [f32; 3]) {
     if x >= image.width() || y >= image.height() {
         return;
     }

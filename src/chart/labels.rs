@@ -1,0 +1,80 @@
+//! Where words beside points go, so that they can be read.
+
+use super::drawing::{ADVANCE, TEXT_SIZE};
+
+/// Left, top, right and bottom.
+pub(super) type Box4 = [f64; 4];
+
+/// Distances from a point that are tried, and directions around it.
+const DISTANCES: [f64; 6] = [7.0, 14.0, 24.0, 36.0, 50.0, 66.0];
+const DIRECTIONS: usize = 16;
+
+fn overlap(a: &Box4, b: &Box4) -> bool {
+    a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
+}
+
+/// The box of a text that is seen from `at` in a direction at a distance.
+fn text_box(at: [f64; 2], width: f64, angle: f64, distance: f64) -> Box4 {
+    let (w, h) = (0.5 * width, 0.5 * TEXT_SIZE);
+    let (dx, dy) = (angle.cos(), -angle.sin());
+    let x = at[0] + dx * (distance + w);
+    let y = at[1] + dy * (distance + h);
+    [x - w, y - h, x + w, y + h]
+}
+
+/// A box for the words at each place, inside the frame and clear of each other and of the
+/// obstacles, as near as there is one; the first distance's where there is none.
+pub(super) fn place(labels: &[([f64; 2], &str)], obstacles: &[Box4], frame: &Box4) -> Vec<Box4> {
+    let mut taken: Vec<Box4> = obstacles.to_vec();
+    labels
+        .iter()
+        .map(|(at, text)| {
+            let width = ADVANCE * text.chars().count() as f64;
+            let tried = DISTANCES.iter().flat_map(|distance| {
+                (0..DIRECTIONS).map(move |k| {
+                    // Up and to the left first: what lies there is worse than the point.
+                    let angle = 2.4 + std::f64::consts::TAU * k as f64 / DIRECTIONS as f64;
+                    text_box(*at, width, angle, *distance)
+                })
+            });
+            let inside = |b: &Box4| {
+                b[0] >= frame[0] && b[1] >= frame[1] && b[2] <= frame[2] && b[3] <= frame[3]
+            };
+            let clear = |b: &Box4| !taken.iter().any(|t| overlap(t, b));
+            let found = tried.clone().find(|b| inside(b) && clear(b));
+            let found = found.unwrap_or_else(|| text_box(*at, width, 2.4, DISTANCES[0]));
+            taken.push(found);
+            found
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Random;
+
+    #[test]
+    fn words_cover_neither_words_nor_points() {
+        let mut random = Random::new(5);
+        let points: Vec<[f64; 2]> = (0..25)
+            .map(|_| [350.0 + 300.0 * random.signed(), 200.0 + 150.0 * random.signed()])
+            .collect();
+        let labels: Vec<_> = points.iter().map(|p| (*p, "balanced")).collect();
+        let dots: Vec<Box4> =
+            points.iter().map(|[x, y]| [x - 3.0, y - 3.0, x + 3.0, y + 3.0]).collect();
+        let frame = [0.0, 0.0, 700.0, 400.0];
+        let boxes = place(&labels, &dots, &frame);
+        for (k, a) in boxes.iter().enumerate() {
+            assert!(!dots.iter().any(|d| overlap(a, d)), "{k}");
+            assert!(!boxes[..k].iter().any(|b| overlap(a, b)), "{k}");
+            assert!(a[0] >= 0.0 && a[2] <= 700.0 && a[1] >= 0.0 && a[3] <= 400.0);
+        }
+    }
+
+    #[test]
+    fn what_has_no_room_is_placed_all_the_same() {
+        let frame = [0.0, 0.0, 10.0, 10.0];
+        assert_eq!(place(&[([5.0, 5.0], "wider than the frame")], &[], &frame).len(), 1);
+    }
+}

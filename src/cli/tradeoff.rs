@@ -1,0 +1,113 @@
+//! `stlfr tradeoff`
+
+use super::CliError;
+use super::files::{must_be_writable, options_or_default};
+use std::path::PathBuf;
+use std::sync::Arc;
+use stlfr::capture::Capture;
+use stlfr::progress::Reporter;
+use stlfr::tradeoff::{Clock, Point, Tradeoff, TradeoffOptions, rungs, tradeoff};
+
+/// Speed for accuracy on this capture: what every sensible combination of rungs and main parameters
+/// costs and gives.
+///
+/// Quality is measured against the truth; without truth, against cameras that are left out. Written
+/// are tradeoff.json, a plot (tradeoff.svg, tradeoff.png), and recommended.json, the options of the
+/// fastest combination within 0.2 dB of the best. Stopped at any time, the same command goes on
+/// where it was.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr tradeoff .captures/demo -o tradeoff\n  \
+    stlfr tradeoff .captures/demo -o tradeoff --rounds 2 --runs 5\n  \
+    stlfr render .captures/demo --options tradeoff/recommended.json --like cam3 --time 0.1 -o cam3.png")]
+pub struct Args {
+    /// The capture's folder.
+    capture: PathBuf,
+    /// A folder of its own: a new one, or that of a run that was stopped.
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// How often each view is timed.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = parsed(1, 1000))]
+    runs: usize,
+    /// How often the front is varied, one parameter at a time; 0 measures the rungs alone.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = parsed(0, 10))]
+    rounds: usize,
+    /// Which seconds decide the front.
+    #[arg(long, value_name = "CLOCK", value_enum, default_value_t)]
+    clock: Clock,
+    /// Print JSON and nothing else.
+    #[arg(long)]
+    json: bool,
+    /// Options that all combinations start from, a JSON file.
+    #[arg(long, value_name = "FILE")]
+    options: Option<PathBuf>,
+}
+
+/// A count within bounds.
+fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Clone {
+    move |text| match text.parse() {
+        Ok(count) if (min..=max).contains(&count) => Ok(count),
+        _ => Err(format!("must be from {min} to {max}")),
+    }
+}
+
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    let base = options_or_default(args.options.as_deref())?;
+    let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
+    must_be_writable(&args.output.join("tradeoff.json"))?;
+    let options = TradeoffOptions { runs: args.runs, rounds: args.rounds, base, clock: args.clock };
+    let found = tradeoff(&capture, &options, &args.output, reporter)?;
+    if args.json {
+        let json = serde_json::to_string_pretty(&found);
+        println!("{}", json.map_err(|e| CliError::Failure(e.to_string()))?);
+        return Ok(());
+    }
+    print_table(&found, &options);
+    println!("plot: {}", args.output.join("tradeoff.png").display());
+    Ok(())
+}
+
+/// The rungs, the front, and what has a name.
+fn print_table(found: &Tradeoff, options: &TradeoffOptions) {
+    println!(
+        "{:<2}{:>24} {:>7} {:>8} {:>14} {:>14}  combination",
+        "", "view, s (least to most)", "CPU, s", "ready, s", "moving dB FLIP", "whole dB FLIP"
+    );
+    let rungs = rungs(&options.base);
+    let shown = |p: &&Point| p.on_front || !p.labels.is_empty() || rungs.contains(&p.options);
+    for point in found.points.iter().filter(shown) {
+        println!("{}", line(point));
+    }
+    let hidden = found.points.iter().filter(|p| !shown(p)).count();
+    println!(
+        "* the front; {hidden} more combinations are in tradeoff.json. Ready: offsets and \
+         registration. Planning took {:.1} s.",
+        found.planning_s
+    );
+    println!("recommended: {}", found.points[found.recommended].name);
+}
+
+fn line(point: &Point) -> String {
+    let number = |v: Option<f64>, width: usize, decimals: usize| {
+        v.map_or(format!("{:>width$}", "-"), |v| format!("{v:>width$.decimals$}"))
+    };
+    let time = point
+        .wall_s
+        .map_or("-".to_owned(), |s| format!("{:.3} ({:.3} to {:.3})", s.median, s.min, s.max));
+    let labels = match point.labels.as_slice() {
+        [] => String::new(),
+        labels => format!(" [{}]", labels.join(", ")),
+    };
+    let reason = point.reason.as_ref().map_or(String::new(), |r| format!(": {r}"));
+    format!(
+        "{:<2}{time:>24} {} {} {} {} {} {}  {}{labels}{reason}",
+        if point.on_front { "*" } else { "" },
+        number(point.cpu_s.map(|s| s.median), 7, 3),
+        number(point.preparation.map(|p| p.sum_s()), 8, 1),
+        number(point.moving.psnr_db, 8, 2),
+        number(point.moving.flip, 5, 3),
+        number(point.whole.psnr_db, 8, 2),
+        number(point.whole.flip, 5, 3),
+        point.name,
+    )
+}

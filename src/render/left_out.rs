@@ -1,0 +1,72 @@
+//! Cameras that are left out, so that their own frames are the truth of what the others render.
+
+use super::LightField;
+use crate::capture::{Capture, CaptureError};
+use crate::offset::Offsets;
+use crate::plan::changed_pixels;
+use crate::raster::Image;
+use std::sync::Arc;
+
+/// A capture and its offsets with some of its cameras only, in that order.
+pub(crate) fn only(
+    capture: &Capture,
+    offsets: &Offsets,
+    cameras: &[usize],
+) -> (Arc<Capture>, Offsets) {
+    let mut less = capture.clone();
+    less.cameras = cameras.iter().map(|&c| capture.cameras[c].clone()).collect();
+    // Whose clock it is doesn't matter any more: the offsets are known.
+    less.reference = cameras.iter().position(|&c| c == capture.reference).unwrap_or(0);
+    let mut known = offsets.clone();
+    known.cameras = cameras.iter().map(|&c| offsets.cameras[c].clone()).collect();
+    (Arc::new(less), known)
+}
+
+/// All other cameras, the nearest first.
+pub(crate) fn others(capture: &Capture, camera: usize) -> Vec<usize> {
+    let center = capture.cameras[camera].camera.center();
+    by_distance(capture, &center.coords).into_iter().filter(|&c| c != camera).collect()
+}
+
+/// All cameras if there are more than two, those nearest to the middle first: between others, as
+/// views are.
+pub(crate) fn inner_cameras(capture: &Capture) -> Vec<usize> {
+    let cameras = &capture.cameras;
+    if cameras.len() < 3 {
+        return Vec::new();
+    }
+    let centers = cameras.iter().map(|c| c.camera.center().coords);
+    by_distance(capture, &(centers.sum::<nalgebra::Vector3<f64>>() / cameras.len() as f64))
+}
+
+fn by_distance(capture: &Capture, from: &nalgebra::Vector3<f64>) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..capture.cameras.len()).collect();
+    let distance = |c: usize| (capture.cameras[c].camera.center().coords - from).norm();
+    order.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
+    order
+}
+
+/// Of frames at these times, the middle one of those that most of the field's cameras can show.
+pub(crate) fn shown_frame(field: &LightField, times_s: &[f64]) -> Option<usize> {
+    let usable: Vec<usize> = times_s.iter().map(|t| field.usable(*t).len()).collect();
+    let most = usable.iter().max().copied().filter(|most| *most > 0)?;
+    let frames: Vec<usize> = (0..usable.len()).filter(|&k| usable[k] == most).collect();
+    frames.get(frames.len() / 2).copied()
+}
+
+/// A frame, and where it differs from the frames beside it by more than noise, row by row.
+pub(crate) fn filmed(
+    capture: &Capture,
+    camera: usize,
+    frame: usize,
+) -> Result<(Image, Vec<bool>), CaptureError> {
+    let image = capture.read_frame(camera, frame)?;
+    let mut moving = vec![false; image.width() * image.height()];
+    for other in [frame.checked_sub(1), Some(frame + 1)].into_iter().flatten() {
+        if other < capture.cameras[camera].frames.len() {
+            let changed = changed_pixels(&image, &capture.read_frame(camera, other)?);
+            moving.iter_mut().zip(changed).for_each(|(m, c)| *m |= c);
+        }
+    }
+    Ok((image, moving))
+}

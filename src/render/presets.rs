@@ -1,0 +1,142 @@
+//! Three points of the trade of speed for accuracy, by name.
+
+use super::{ProxyRung, RenderOptions};
+use crate::interpolation::Sync;
+use crate::json;
+use crate::lumigraph::Sampling;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+/// Options of all stages by name, cheapest first: points of the front that `stlfr tradeoff` finds
+/// on the project's scenes (README has their figures).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Preset {
+    /// To look around: the fastest that still synchronizes
+    Draft,
+    /// Most of the accuracy for some of the time
+    Balanced,
+    /// The most accurate
+    #[default]
+    Best,
+}
+
+impl Preset {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Draft => "draft",
+            Self::Balanced => "balanced",
+            Self::Best => "best",
+        }
+    }
+
+    pub fn options(self) -> RenderOptions {
+        let mut options = RenderOptions::default();
+        match self {
+            Self::Draft => {
+                options.sync = Sync::Triangulation;
+                options.registration.corners.max_corners = 1000;
+                options.proxy.rung = ProxyRung::Mesh;
+                (options.proxy.cameras, options.proxy.partners) = (1, 2);
+                options.blend.cameras = 2;
+                options.blend.sampling = Sampling::Bilinear;
+            }
+            Self::Balanced => {
+                options.sync = Sync::Triangulation;
+                (options.proxy.cameras, options.proxy.partners) = (2, 2);
+            }
+            Self::Best => {}
+        }
+        options
+    }
+}
+
+impl RenderOptions {
+    /// Options as a file has them: a JSON object. What it leaves out is as in the preset, the given
+    /// one or else that of its field `preset`, or the default.
+    ///
+    /// The error is a sentence that starts with the field.
+    pub fn parse(text: &str, preset: Option<Preset>) -> Result<Self, String> {
+        let Value::Object(mut over) = json::parse(text)? else {
+            return Err("must be an object".into());
+        };
+        let named = over.remove("preset");
+        if preset.is_none() && named.is_none() {
+            return json::parse(text);
+        }
+        let named = named.map(|name| json::parse(&format!("{{\"preset\": {name}}}")));
+        let named: Option<Named> = named.transpose()?;
+        let start = preset.or(named.map(|n| n.preset)).map_or_else(Self::default, Preset::options);
+        let mut merged = serde_json::to_value(start).map_err(|e| e.to_string())?;
+        merge(&mut merged, &Value::Object(over));
+        json::parse(&merged.to_string())
+    }
+}
+
+/// The field of an options file that none of the stages has.
+#[derive(Deserialize)]
+struct Named {
+    preset: Preset,
+}
+
+/// Objects field by field; anything else is replaced.
+fn merge(into: &mut Value, over: &Value) {
+    match (into, over) {
+        (Value::Object(into), Value::Object(over)) => {
+            for (name, value) in over {
+                merge(into.entry(name.clone()).or_insert(Value::Null), value);
+            }
+        }
+        (into, over) => *into = over.clone(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::ValueEnum;
+
+    #[test]
+    fn all_presets_can_be_worked_with_and_differ() {
+        let all: Vec<_> = Preset::value_variants().iter().map(|p| p.options()).collect();
+        for (k, options) in all.iter().enumerate() {
+            assert_eq!(options.check(), Ok(()));
+            assert!(!all[..k].contains(options));
+        }
+        for preset in Preset::value_variants() {
+            assert_eq!(Preset::from_str(preset.name(), false).as_ref(), Ok(preset));
+        }
+    }
+
+    #[test]
+    fn options_go_before_the_preset() {
+        let mut wanted = Preset::Draft.options();
+        wanted.blend.cameras = 5;
+        let text = r#"{"blend": {"cameras": 5}}"#;
+        assert_eq!(RenderOptions::parse(text, Some(Preset::Draft)), Ok(wanted.clone()));
+        let text = r#"{"preset": "draft", "blend": {"cameras": 5}}"#;
+        assert_eq!(RenderOptions::parse(text, None), Ok(wanted));
+        let text = r#"{"preset": "draft"}"#;
+        assert_eq!(RenderOptions::parse(text, None), Ok(Preset::Draft.options()));
+        let best = RenderOptions::parse(text, Some(Preset::Best));
+        assert_eq!(best, Ok(Preset::Best.options()));
+        assert_eq!(RenderOptions::parse("{}", None), Ok(RenderOptions::default()));
+    }
+
+    #[test]
+    fn the_field_that_is_wrong_is_named() {
+        for preset in [None, Some(Preset::Draft)] {
+            for (text, field) in [
+                (r#"{"blend": {"camera": 5}}"#, "blend"),
+                (r#"{"sync": 3}"#, "sync"),
+                (r#"{"preset": "worst"}"#, "preset"),
+                (r#"{"preset": {"a": 1}}"#, "preset"),
+                ("[]", "must be an object"),
+                ("{", "EOF"),
+            ] {
+                let message = RenderOptions::parse(text, preset).unwrap_err();
+                assert!(message.starts_with(field), "{message}");
+            }
+        }
+    }
+}

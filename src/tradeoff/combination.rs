@@ -1,0 +1,183 @@
+//! Which combinations are worth a measurement.
+
+use crate::interpolation::Sync;
+use crate::lumigraph::{BlendRung, Sampling};
+use crate::offset::OffsetRung;
+use crate::render::{ProxyRung, RenderOptions};
+use clap::ValueEnum;
+
+/// Every rung with every other: sync, proxy and blend, the other options as given.
+///
+/// The offsets' rungs are not among them: they cost nothing once they are estimated, so that the
+/// front is varied by them ([`variations`]) like by a parameter.
+pub fn rungs(base: &RenderOptions) -> Vec<RenderOptions> {
+    let mut found = Vec::new();
+    for &sync in Sync::value_variants() {
+        for &proxy in ProxyRung::value_variants() {
+            for blend in [BlendRung::Uniform, BlendRung::Lumigraph] {
+                let mut options = base.clone();
+                (options.sync, options.proxy.rung, options.blend.rung) = (sync, proxy, blend);
+                found.push(options);
+            }
+        }
+    }
+    found
+}
+
+/// The dearest rung of every ladder, the other options as given.
+pub fn most_accurate(base: &RenderOptions) -> RenderOptions {
+    let mut options = base.clone();
+    (options.sync, options.proxy.rung) = (Sync::Refined, ProxyRung::Mesh);
+    options.blend.rung = BlendRung::Lumigraph;
+    options.offset.rung = OffsetRung::JointCurved;
+    options
+}
+
+/// What the scene and the rig leave to vary.
+#[derive(Clone, Copy, Debug)]
+pub struct Variable {
+    /// Whether offsets are estimated at all,
+    pub offsets: bool,
+    /// and how many cameras a view may be blended from.
+    pub cameras: usize,
+}
+
+type Change = Box<dyn Fn(&mut RenderOptions)>;
+
+/// The options with one parameter changed, for every value of every main parameter that their
+/// rungs use.
+pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOptions> {
+    let mut changes: Vec<Change> = Vec::new();
+    let mut add = |change: Change| changes.push(change);
+    if variable.offsets {
+        for rung in [OffsetRung::Pairwise, OffsetRung::Joint, OffsetRung::JointCurved] {
+            add(Box::new(move |o| o.offset.rung = rung));
+        }
+    }
+    for count in [500, 1000, 2000, 4000] {
+        add(Box::new(move |o| o.registration.corners.max_corners = count));
+    }
+    if options.sync.needs_tracks() {
+        for curved in [false, true] {
+            add(Box::new(move |o| o.interpolation.curved = curved));
+        }
+    }
+    if matches!(options.sync, Sync::Morph | Sync::EdgeMorph | Sync::Refined) {
+        for grid_px in [4, 8] {
+            add(Box::new(move |o| o.interpolation.morph.grid_px = grid_px));
+        }
+        for max_length_px in [12.0, 24.0, 48.0] {
+            add(Box::new(move |o| o.interpolation.edges.max_length_px = max_length_px));
+        }
+    }
+    if options.sync == Sync::Refined {
+        for outer_share in [0.0, 1.0] {
+            add(Box::new(move |o| o.interpolation.refine.outer_share = outer_share));
+        }
+        for max_motions in [3, 6] {
+            add(Box::new(move |o| o.interpolation.refine.max_motions = max_motions));
+        }
+        for min_difference in [0.03, 0.06] {
+            add(Box::new(move |o| o.interpolation.refine.min_difference = min_difference));
+        }
+    }
+    // A plane at a set depth needs no points.
+    if options.proxy.rung == ProxyRung::Mesh || options.proxy.plane_depth_m.is_none() {
+        for (cameras, partners) in [(1, 2), (2, 2), (3, 4)] {
+            add(Box::new(move |o| (o.proxy.cameras, o.proxy.partners) = (cameras, partners)));
+        }
+    }
+    if options.blend.rung == BlendRung::Lumigraph {
+        for cameras in [1, 2, 3, 4].into_iter().filter(|k| *k <= variable.cameras) {
+            add(Box::new(move |o| o.blend.cameras = cameras));
+        }
+    }
+    for sampling in [Sampling::Bilinear, Sampling::Cubic] {
+        add(Box::new(move |o| o.blend.sampling = sampling));
+    }
+    let changed = |change: Change| {
+        let mut varied = options.clone();
+        change(&mut varied);
+        varied
+    };
+    changes.into_iter().map(changed).filter(|varied| varied != options).collect()
+}
+
+/// The rungs, and what of the main parameters is not the default.
+pub fn name(options: &RenderOptions) -> String {
+    let default = RenderOptions::default();
+    let rung = |value: Option<clap::builder::PossibleValue>| {
+        value.map(|v| v.get_name().to_owned()).unwrap_or_default()
+    };
+    let mut words =
+        vec![rung(options.sync.to_possible_value()), rung(options.proxy.rung.to_possible_value())];
+    let lumigraph = options.blend.rung == BlendRung::Lumigraph;
+    if !lumigraph {
+        words.push("uniform".into());
+    }
+    let mut say = |differs: bool, word: String| words.extend(differs.then_some(word));
+    let offsets = rung(options.offset.rung.to_possible_value());
+    say(options.offset.rung != default.offset.rung, format!("{offsets} offsets"));
+    let features = options.registration.corners.max_corners;
+    say(features != default.registration.corners.max_corners, format!("{features} features"));
+    say(!options.interpolation.curved, "straight".into());
+    let grid = options.interpolation.morph.grid_px;
+    say(grid != default.interpolation.morph.grid_px, format!("grid {grid}"));
+    let longest = options.interpolation.edges.max_length_px;
+    say(longest != default.interpolation.edges.max_length_px, format!("L {longest}"));
+    let (own, refine) = (&options.interpolation.refine, &default.interpolation.refine);
+    say(own.outer_share != refine.outer_share, format!("outer {}", own.outer_share));
+    say(own.max_motions != refine.max_motions, format!("{} motions", own.max_motions));
+    say(own.min_difference != refine.min_difference, format!("above {}", own.min_difference));
+    let points = (options.proxy.cameras, options.proxy.partners);
+    let differ = points != (default.proxy.cameras, default.proxy.partners);
+    say(differ, format!("points {}x{}", points.0, points.1));
+    let k = options.blend.cameras;
+    say(lumigraph && k != default.blend.cameras, format!("k {k}"));
+    say(options.blend.sampling != default.blend.sampling, "bilinear".into());
+    words.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashSet;
+
+    #[test]
+    fn every_combination_is_one_and_can_be_worked_with() {
+        let base = RenderOptions::default();
+        let mut all = rungs(&base);
+        assert_eq!(all.len(), 6 * 2 * 2);
+        assert!(all.contains(&most_accurate(&base)));
+        let variable = Variable { offsets: true, cameras: 8 };
+        for options in rungs(&base) {
+            all.extend(variations(&options, variable));
+        }
+        for options in &all {
+            assert_eq!(options.check(), Ok(()));
+        }
+        // What differs has another name.
+        let texts: HashSet<String> =
+            all.iter().map(|o| serde_json::to_string(o).unwrap()).collect();
+        let names: HashSet<String> = all.iter().map(name).collect();
+        assert_eq!(texts.len(), names.len());
+        assert_eq!(texts.len(), all.len());
+    }
+
+    #[test]
+    fn only_what_is_used_is_varied() {
+        let mut options = RenderOptions::default();
+        let few = Variable { offsets: false, cameras: 2 };
+        options.sync = Sync::Nearest;
+        options.blend.rung = BlendRung::Uniform;
+        let names: Vec<String> = variations(&options, few).iter().map(name).collect();
+        for word in ["offsets", "straight", "grid", "L ", "k "] {
+            assert!(!names.iter().any(|n| n.contains(word)), "{word}: {names:?}");
+        }
+        let names: Vec<String> =
+            variations(&RenderOptions::default(), few).iter().map(name).collect();
+        assert!(
+            names.iter().any(|n| n.contains("k 1")) && !names.iter().any(|n| n.contains("k 4"))
+        );
+    }
+}

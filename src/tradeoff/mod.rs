@@ -1,0 +1,270 @@
+//! Speed for accuracy: what every sensible combination of rungs and main parameters costs and gives
+//! on one capture.
+//!
+//! [`tradeoff`] measures, into one folder:
+//!
+//! - `tradeoff.json`: every combination with its options, quality, time and preparation
+//! - `tradeoff.svg` and `tradeoff.png`: time against quality, the front labelled
+//! - `recommended.json`: the recommended options, for `--options`
+//! - `points/`: what is measured so far; a run that was stopped goes on with it
+//!
+//! **Combinations** ([`rungs`], [`variations`]): every sync rung with every proxy and blend; the
+//! presets and what `auto` chooses; then around the front every main parameter, and the offsets'
+//! rung where clocks are unknown, one at a time, as many rounds as asked for.
+//!
+//! **Quality**: the moving part's PSNR of views against the truth, their mean; without truth, of
+//! cameras that were left out, rendered from the others at the times of their own frames. PSNR of
+//! all pixels and FLIP stand beside it. It is the same from run to run.
+//!
+//! **Time**: seconds of one view at a new instant between frames that are registered already, the
+//! median of the runs. Its three stages (synchronized images, proxy, blend) are timed in turns and
+//! summed, because combinations share them. Registration and offsets are preparation, timed apart.
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod.rs` | the order of things, `tradeoff.json` |
+//! | `combination.rs` | what is measured |
+//! | `targets.rs` | what it is held against |
+//! | `measure.rs`, `stages.rs`, `store.rs`, `stopwatch.rs` | measuring, and not twice |
+//! | `front.rs` | the Pareto front |
+//! | `summary.rs` | from measurements to points |
+//! | `plot.rs` | the drawing |
+//!
+//! Known limits: where clocks are shared, a left-out camera's frame is at the others' times, and
+//! only proxy and blend are seen in it. Preparation is timed once.
+
+mod combination;
+mod front;
+mod measure;
+mod plot;
+mod stages;
+mod stopwatch;
+mod store;
+mod summary;
+mod targets;
+
+pub use combination::{Variable, most_accurate, name, rungs, variations};
+pub use front::{Trade, fastest_within, front};
+pub use stopwatch::{Elapsed, Stopwatch, process_cpu_s};
+pub use summary::{MeanScores, Point, Preparation, Spread};
+pub use targets::Against;
+
+use crate::capture::{
+    BitDepth, CAPTURE_FILE, Capture, CaptureError, Truth, TruthError, write_atomically, write_image,
+};
+use crate::compare::CompareError;
+use crate::progress::Reporter;
+use crate::render::{Preset, RenderError, RenderOptions};
+use clap::ValueEnum;
+use measure::Bench;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use store::{KeptPoint, Store, write_json};
+use summary::Summarized;
+use targets::Scene;
+
+/// How much is measured.
+#[derive(Clone, Debug)]
+pub struct TradeoffOptions {
+    /// Times that each view is timed. More tell the median and the spread better.
+    pub runs: usize,
+    /// How often the front is varied by single parameters; 0 measures the rungs alone.
+    pub rounds: usize,
+    /// What all combinations start from.
+    pub base: RenderOptions,
+    pub clock: Clock,
+}
+
+/// Which seconds decide the front.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ValueEnum,
+)]
+#[serde(rename_all = "kebab-case")]
+pub enum Clock {
+    /// What a user waits for
+    #[default]
+    Wall,
+    /// Of the processor, over all threads: where the machine does other work too
+    Cpu,
+}
+
+impl Default for TradeoffOptions {
+    fn default() -> Self {
+        Self { runs: 3, rounds: 1, base: RenderOptions::default(), clock: Clock::Wall }
+    }
+}
+
+/// A point this much worse than the best, decibels, is as good to the eye; the fastest such is
+/// recommended.
+pub const SLACK_DB: f64 = 0.2;
+
+/// Why there is no trade-off. Every message is one sentence.
+#[derive(Debug, thiserror::Error)]
+pub enum TradeoffError {
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    #[error(transparent)]
+    Truth(#[from] TruthError),
+    #[error(transparent)]
+    Compare(#[from] CompareError),
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    #[error("{folder}: is a capture, and a trade-off needs a folder of its own")]
+    IsCapture { folder: PathBuf },
+    #[error("{folder}: is no folder")]
+    NoFolder { folder: PathBuf },
+    #[error("{folder}: holds {name}, which is no part of a trade-off: give a folder of its own")]
+    Foreign { folder: PathBuf, name: String },
+    #[error("{path}: can't be written ({source})")]
+    Write { path: PathBuf, source: std::io::Error },
+    #[error("no combination can render this capture: {reason}")]
+    Nothing { reason: String },
+}
+
+/// `tradeoff.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[schemars(title = "stlfr trade-off")]
+#[serde(deny_unknown_fields)]
+pub struct Tradeoff {
+    pub format: String,
+    pub version: u32,
+    pub stlfr: String,
+    /// The capture's name.
+    pub capture: String,
+    pub cameras: usize,
+    /// Of the timed view: width, height.
+    pub size_px: (usize, usize),
+    /// Threads that views are rendered with.
+    pub threads: usize,
+    pub against: Against,
+    /// The seconds that the front is made by.
+    pub clock: Clock,
+    /// Views that quality is the mean of.
+    pub views: usize,
+    /// What planning took, for `auto`, seconds.
+    pub planning_s: f64,
+    /// Fastest first; then those that can't be rendered.
+    pub points: Vec<Point>,
+    /// The index of the recommended point: the fastest within 0.2 dB of the best.
+    pub recommended: usize,
+}
+
+/// The JSON Schema of `tradeoff.json`.
+pub fn schema() -> serde_json::Value {
+    schemars::schema_for!(Tradeoff).into()
+}
+
+impl Tradeoff {
+    /// The point with a label: a preset's name, or `auto`.
+    pub fn labelled(&self, label: &str) -> Option<&Point> {
+        self.points.iter().find(|p| p.labels.iter().any(|l| l == label))
+    }
+
+    /// The points on the front, fastest first.
+    pub fn front(&self) -> impl Iterator<Item = &Point> {
+        self.points.iter().filter(|p| p.on_front)
+    }
+}
+
+/// The label of what the plan chooses.
+pub const AUTO: &str = "auto";
+
+/// Measures a capture's trade-off into the folder `out`.
+pub fn tradeoff(
+    capture: &Arc<Capture>,
+    options: &TradeoffOptions,
+    out: &Path,
+    reporter: &Reporter,
+) -> Result<Tradeoff, TradeoffError> {
+    if out.join(CAPTURE_FILE).exists() {
+        return Err(TradeoffError::IsCapture { folder: out.to_owned() });
+    }
+    let truth = Truth::open(&capture.folder)?;
+    let store = Store::open(out, capture, truth.as_ref())?;
+    let base = &options.base;
+    let prepared = measure::prepared(capture, &store, base, reporter)?;
+    let scene = Scene { capture, offsets: &prepared.offsets, base };
+    let looking = reporter.phase("views to measure against");
+    let (targets, timed) = scene.targets(truth.as_ref())?;
+    drop(looking);
+    let bench = Bench {
+        capture,
+        base,
+        store,
+        targets,
+        timed,
+        runs: options.runs,
+        clock: options.clock,
+        reporter,
+    };
+    let planned = bench.planned()?;
+
+    let mut wanted = rungs(base);
+    add(&mut wanted, Preset::value_variants().iter().map(|p| p.options()));
+    add(&mut wanted, [planned.options.clone()]);
+    let mut points = bench.measure("rungs", &wanted)?;
+    let variable =
+        Variable { offsets: prepared.offsets_took.is_some(), cameras: capture.cameras.len() };
+    for round in 1..=options.rounds {
+        let summary = Summarized::new(&bench, &points);
+        for k in summary.front() {
+            add(&mut wanted, variations(&points[k].options, variable));
+        }
+        points = bench.measure(&format!("around the front, {round}"), &wanted)?;
+    }
+    let tradeoff = gathered(&bench, &points, &planned)?;
+    write(&tradeoff, out)?;
+    Ok(tradeoff)
+}
+
+/// Adds what isn't there yet.
+fn add(wanted: &mut Vec<RenderOptions>, more: impl IntoIterator<Item = RenderOptions>) {
+    for options in more {
+        if !wanted.contains(&options) {
+            wanted.push(options);
+        }
+    }
+}
+
+fn gathered(
+    bench: &Bench,
+    points: &[KeptPoint],
+    planned: &store::Planned,
+) -> Result<Tradeoff, TradeoffError> {
+    let summary = Summarized::new(bench, points);
+    let recommended = summary.fastest_within(SLACK_DB).ok_or_else(|| TradeoffError::Nothing {
+        reason: points.iter().find_map(|p| p.reason.clone()).unwrap_or_default(),
+    })?;
+    let best = points[recommended].options.clone();
+    let points = summary.points(&planned.options)?;
+    let recommended = points.iter().position(|p| p.options == best).unwrap_or_default();
+    let camera = &bench.timed.camera;
+    let against = bench.against();
+    Ok(Tradeoff {
+        format: "stlfr-tradeoff".into(),
+        version: 1,
+        stlfr: env!("CARGO_PKG_VERSION").into(),
+        capture: bench.capture.name.clone(),
+        cameras: bench.capture.cameras.len(),
+        size_px: (camera.width, camera.height),
+        threads: rayon::current_num_threads(),
+        against,
+        clock: bench.clock,
+        views: bench.targets.iter().filter(|t| t.against == against).count(),
+        planning_s: planned.took.wall_s,
+        points,
+        recommended,
+    })
+}
+
+fn write(tradeoff: &Tradeoff, out: &Path) -> Result<(), TradeoffError> {
+    write_json(&out.join("recommended.json"), &tradeoff.points[tradeoff.recommended].options)?;
+    let drawing = plot::drawing(tradeoff);
+    let path = out.join("tradeoff.svg");
+    write_atomically(&path, drawing.svg().as_bytes())
+        .map_err(|source| TradeoffError::Write { path, source })?;
+    write_image(&out.join("tradeoff.png"), &drawing.image(), None, BitDepth::Eight)?;
+    write_json(&out.join("tradeoff.json"), tradeoff)
+}

@@ -1,0 +1,104 @@
+//! Time against quality, drawn.
+
+use super::{Against, Clock, Point, Spread, Tradeoff};
+use crate::chart::{Chart, ChartPoint, Drawing, Label, Series, drawing as draw};
+
+/// What the y axis shows.
+fn quality(tradeoff: &Tradeoff) -> &'static str {
+    let moving = tradeoff.points.iter().any(|p| p.moving.psnr_db.is_some());
+    match (tradeoff.against, moving) {
+        (Against::Truth, true) => "moving part against the truth, PSNR in dB",
+        (Against::Truth, false) => "against the truth, PSNR in dB",
+        (Against::LeftOut, true) => "changing part of left-out cameras, PSNR in dB",
+        (Against::LeftOut, false) => "left-out cameras, PSNR in dB",
+        (Against::MostAccurate, _) => "against the most accurate rungs, PSNR in dB",
+    }
+}
+
+fn time(tradeoff: &Tradeoff, point: &Point) -> Option<Spread> {
+    match tradeoff.clock {
+        Clock::Wall => point.wall_s,
+        Clock::Cpu => point.cpu_s,
+    }
+}
+
+fn placed(tradeoff: &Tradeoff, point: &Point) -> Option<ChartPoint> {
+    let (time, y) = (time(tradeoff, point)?, point.quality_db?);
+    Some(ChartPoint { x: time.median, y, bar: 0.0, x_range: Some((time.min, time.max)) })
+}
+
+/// The drawing: all points, the front with its numbers, presets and `auto` by name, and what the
+/// numbers stand for.
+pub(super) fn drawing(tradeoff: &Tradeoff) -> Drawing {
+    let place = |p: &Point| placed(tradeoff, p);
+    let label = |p: &Point, text: String, bold: bool| {
+        let at = place(p)?;
+        Some(Label { x: at.x, y: at.y, text, bold })
+    };
+    let front: Vec<&Point> = tradeoff.front().collect();
+    let named = |p: &&Point| !p.labels.is_empty();
+    let points = |of: &dyn Fn(&&Point) -> bool| -> Vec<ChartPoint> {
+        tradeoff.points.iter().filter(of).filter_map(place).collect()
+    };
+    let dots = |label: &str, points, line, faint| Series {
+        label: label.into(),
+        points,
+        line,
+        dots: true,
+        faint,
+    };
+    let series = vec![
+        dots("front", points(&|p| p.on_front), true, false),
+        dots("presets and auto", points(&named), false, false),
+        dots("other combinations", points(&|p| !p.on_front && p.labels.is_empty()), false, true),
+    ];
+    // What is drawn last is seen.
+    let series = series.into_iter().rev().collect();
+    let mut labels: Vec<Label> = tradeoff
+        .points
+        .iter()
+        .filter(named)
+        .filter_map(|p| label(p, p.labels.join(", "), true))
+        .collect();
+    let numbers = front.iter().enumerate();
+    labels.extend(numbers.filter_map(|(k, p)| label(p, (k + 1).to_string(), false)));
+    let (w, h) = tradeoff.size_px;
+    let seconds = match tradeoff.clock {
+        Clock::Wall => "seconds",
+        Clock::Cpu => "processor seconds",
+    };
+    let chart = Chart {
+        title: format!("{}: {} cameras, a view of {w}×{h}", tradeoff.capture, tradeoff.cameras),
+        x_label: format!(
+            "{seconds} for a view at a new instant, {} threads; bars are least and most",
+            tradeoff.threads
+        ),
+        y_label: quality(tradeoff).into(),
+        log_x: true,
+        series,
+        labels,
+        key: key(tradeoff, &front),
+        ..Chart::default()
+    };
+    draw(&[chart], 1)
+}
+
+/// What the front's numbers stand for, and the named points beside it.
+fn key(tradeoff: &Tradeoff, front: &[&Point]) -> Vec<String> {
+    let line = |mark: &str, point: &Point| {
+        let seconds = time(tradeoff, point).map_or(f64::NAN, |s| s.median);
+        let quality = point.quality_db.unwrap_or(f64::NAN);
+        format!("{mark:>8} {seconds:>7.3} s {quality:>6.2} dB  {}", point.name)
+    };
+    let mut lines: Vec<String> =
+        front.iter().enumerate().map(|(k, p)| line(&(k + 1).to_string(), p)).collect();
+    lines.push(String::new());
+    let named = tradeoff.points.iter().filter(|p| !p.labels.is_empty());
+    lines.extend(named.flat_map(|p| p.labels.iter().map(move |l| line(l, p))));
+    if let Some(point) = tradeoff.points.get(tradeoff.recommended) {
+        lines.push(String::new());
+        lines.push("recommended, the fastest within 0.2 dB of the best:".into());
+        lines.push(line("", point));
+    }
+    lines
+}

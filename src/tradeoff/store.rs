@@ -1,0 +1,145 @@
+//! What was measured already, one small file a combination, so that a run that was stopped goes on
+//! and a larger one adds to a smaller.
+
+use super::TradeoffError;
+use super::stopwatch::Elapsed;
+use crate::capture::{Capture, Truth, write_atomically};
+use crate::compare::metrics::RegionScores;
+use crate::json;
+use crate::offset::Offsets;
+use crate::render::RenderOptions;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The files and the folder that a trade-off's folder holds.
+pub(super) const FILES: [&str; 4] =
+    ["tradeoff.json", "tradeoff.svg", "tradeoff.png", "recommended.json"];
+pub(super) const POINTS: &str = "points";
+
+/// What is known of one combination.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct KeptPoint {
+    pub options: RenderOptions,
+    /// By the target's id.
+    pub scores: BTreeMap<String, RegionScores>,
+    /// Why a view can't be rendered, instead of all else.
+    pub reason: Option<String>,
+}
+
+/// What views of one registration and one rung of offsets start from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Prepared {
+    pub offsets: Offsets,
+    /// `None` where the clocks are known.
+    pub offsets_took: Option<Elapsed>,
+    pub registration_took: Elapsed,
+}
+
+/// What `auto` makes of the capture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Planned {
+    pub options: RenderOptions,
+    pub took: Elapsed,
+}
+
+/// The folder, and the hash of all that measurements in it rest on besides their options.
+pub(super) struct Store {
+    folder: PathBuf,
+    base: String,
+}
+
+impl Store {
+    /// Refuses a folder that holds anything else.
+    pub fn open(
+        folder: &Path,
+        capture: &Capture,
+        truth: Option<&Truth>,
+    ) -> Result<Self, TradeoffError> {
+        refuse_foreign(folder)?;
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
+        hasher.update(capture.content_hash()?.as_bytes());
+        hasher.update(&rayon::current_num_threads().to_le_bytes());
+        for view in truth.iter().flat_map(|t| &t.views) {
+            hasher.update(serde_json::to_string(view).unwrap_or_default().as_bytes());
+        }
+        for file in truth.iter().flat_map(|t| t.views.iter().flat_map(|v| [&v.image, &v.motion])) {
+            let path = truth.map(|t| t.file(file)).transpose()?.unwrap_or_default();
+            let bytes = std::fs::read(&path)
+                .map_err(|source| crate::capture::CaptureError::Read { path, source })?;
+            hasher.update(&bytes);
+        }
+        Ok(Self { folder: folder.to_owned(), base: hasher.finalize().to_hex().to_string() })
+    }
+
+    /// The name that what depends on some options is kept by.
+    pub fn key(&self, what: &str, options: &impl Serialize) -> String {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(self.base.as_bytes());
+        hasher.update(serde_json::to_string(options).unwrap_or_default().as_bytes());
+        format!("{what}-{}", &hasher.finalize().to_hex()[..24])
+    }
+
+    fn path(&self, key: &str) -> PathBuf {
+        self.folder.join(POINTS).join(format!("{key}.json"))
+    }
+
+    /// `None` if nothing that can be read is kept.
+    pub fn load<T: DeserializeOwned>(&self, key: &str) -> Option<T> {
+        json::read(&self.path(key)).ok()
+    }
+
+    pub fn save(&self, key: &str, value: &impl Serialize) -> Result<(), TradeoffError> {
+        write_json(&self.path(key), value)
+    }
+}
+
+/// Writes a value as a JSON file, whole or not at all.
+pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), TradeoffError> {
+    let failed = |source| TradeoffError::Write { path: path.to_owned(), source };
+    let mut text = serde_json::to_string_pretty(value).map_err(|e| failed(e.into()))?;
+    text.push('\n');
+    write_atomically(path, text.as_bytes()).map_err(failed)
+}
+
+/// Only a folder that isn't there, that is empty, or that holds a trade-off is written to.
+fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
+    if folder.exists() && !folder.is_dir() {
+        return Err(TradeoffError::NoFolder { folder: folder.to_owned() });
+    }
+    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
+    for entry in entries.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        // A temporary file of a run that was killed begins with a dot.
+        let own = FILES.contains(&name.as_str()) || name == POINTS || name.starts_with(".tradeoff");
+        if !own {
+            return Err(TradeoffError::Foreign { folder: folder.to_owned(), name });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_with_something_else_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let missing = folder.path().join("new");
+        assert!(refuse_foreign(&missing).is_ok() && refuse_foreign(folder.path()).is_ok());
+        std::fs::create_dir(folder.path().join(POINTS)).unwrap();
+        std::fs::write(folder.path().join("tradeoff.json"), "{}").unwrap();
+        assert!(refuse_foreign(folder.path()).is_ok());
+        std::fs::write(folder.path().join("thesis.tex"), "").unwrap();
+        let error = refuse_foreign(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("thesis.tex"), "{error}");
+        let error = refuse_foreign(&folder.path().join("thesis.tex")).unwrap_err().to_string();
+        assert!(error.contains("is no folder"), "{error}");
+    }
+}

@@ -1,0 +1,211 @@
+//! From what was measured to points of the trade-off.
+
+use super::front::{Trade, fastest_within, front};
+use super::measure::Bench;
+use super::store::KeptPoint;
+use super::targets::{Against, Target};
+use super::{AUTO, Clock, Elapsed, TradeoffError, name};
+use crate::compare::metrics::{RegionScores, Scores, median};
+use crate::render::{Preset, RenderOptions};
+use clap::ValueEnum;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// One combination.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Point {
+    /// Its rungs, and which parameters are not the defaults.
+    pub name: String,
+    /// The presets that it is, and whether the plan chooses it.
+    pub labels: Vec<String>,
+    /// Options of all stages, as an options file has them.
+    #[schemars(with = "serde_json::Value")]
+    pub options: RenderOptions,
+    pub on_front: bool,
+    /// Why it can't be rendered, in place of all numbers.
+    pub reason: Option<String>,
+    /// What it is judged by: the moving part's PSNR, all pixels' where nothing moves.
+    pub quality_db: Option<f64>,
+    pub moving: MeanScores,
+    pub whole: MeanScores,
+    /// PSNR against the view by the most accurate rungs, where there is no truth.
+    pub most_accurate_db: Option<f64>,
+    /// One view at a new instant, seconds: on the wall, and of the processor over all threads.
+    pub wall_s: Option<Spread>,
+    pub cpu_s: Option<Spread>,
+    /// The medians of synchronized images, proxy and blend, on the wall.
+    pub stages_s: Option<[f64; 3]>,
+    pub preparation: Option<Preparation>,
+}
+
+/// The means of the views that have the pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MeanScores {
+    /// An identical view counts as 99 dB.
+    pub psnr_db: Option<f64>,
+    pub flip: Option<f64>,
+}
+
+/// Of several runs, seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Spread {
+    pub median: f64,
+    pub min: f64,
+    pub max: f64,
+    pub runs: usize,
+}
+
+/// What is done once for all views between two frames of each camera; seconds on the wall.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Preparation {
+    /// Of the whole capture; `None` where clocks are known.
+    pub offsets_s: Option<f64>,
+    /// Decoding and registering one pair of frames of every camera.
+    pub registration_s: f64,
+}
+
+impl Preparation {
+    pub fn sum_s(&self) -> f64 {
+        self.offsets_s.unwrap_or(0.0) + self.registration_s
+    }
+}
+
+/// PSNR of identical images.
+const IDENTICAL_DB: f64 = 99.0;
+
+/// What differs by less than this is noise of rounding, decibels: it makes no point better.
+const STEP_DB: f64 = 0.01;
+
+/// Measured points as they trade.
+pub(super) struct Summarized<'a> {
+    bench: &'a Bench<'a>,
+    kept: &'a [KeptPoint],
+    trades: Vec<Trade>,
+}
+
+impl<'a> Summarized<'a> {
+    pub fn new(bench: &'a Bench<'a>, kept: &'a [KeptPoint]) -> Self {
+        let trades = kept
+            .iter()
+            .map(|point| {
+                let seconds = match bench.clock {
+                    Clock::Wall => view(bench, point, |r| r.wall_s),
+                    Clock::Cpu => view(bench, point, |r| r.cpu_s),
+                };
+                let seconds = seconds.map_or(f64::NAN, |s| s.median);
+                let quality = quality_db(bench, point).unwrap_or(f64::NAN);
+                Trade { seconds, quality: (quality / STEP_DB).round() * STEP_DB }
+            })
+            .collect();
+        Self { bench, kept, trades }
+    }
+
+    pub fn front(&self) -> Vec<usize> {
+        front(&self.trades)
+    }
+
+    pub fn fastest_within(&self, slack_db: f64) -> Option<usize> {
+        fastest_within(&self.trades, slack_db)
+    }
+
+    /// All points, fastest first.
+    pub fn points(&self, auto: &RenderOptions) -> Result<Vec<Point>, TradeoffError> {
+        let front = self.front();
+        let mut order: Vec<usize> = (0..self.kept.len()).collect();
+        // NaN, of what can't be rendered, comes last.
+        order.sort_by(|&a, &b| self.trades[a].seconds.total_cmp(&self.trades[b].seconds));
+        order.into_iter().map(|k| self.point(k, front.contains(&k), auto)).collect()
+    }
+
+    fn point(
+        &self,
+        k: usize,
+        on_front: bool,
+        auto: &RenderOptions,
+    ) -> Result<Point, TradeoffError> {
+        let (kept, bench) = (&self.kept[k], self.bench);
+        let presets = Preset::value_variants().iter();
+        let mut labels: Vec<String> =
+            presets.filter(|p| p.options() == kept.options).map(|p| p.name().to_owned()).collect();
+        labels.extend((*auto == kept.options).then(|| AUTO.to_owned()));
+        let preparation = match kept.reason {
+            Some(_) => None,
+            None => {
+                let prepared = bench.prepared(&kept.options)?;
+                Some(Preparation {
+                    offsets_s: prepared.offsets_took.map(|t| t.wall_s),
+                    registration_s: prepared.registration_took.wall_s,
+                })
+            }
+        };
+        let against = bench.against();
+        Ok(Point {
+            name: name(&kept.options),
+            labels,
+            options: kept.options.clone(),
+            on_front,
+            reason: kept.reason.clone(),
+            quality_db: quality_db(bench, kept),
+            moving: mean(bench, kept, against, |s| &s.moving),
+            whole: mean(bench, kept, against, |s| &s.whole),
+            most_accurate_db: mean(bench, kept, Against::MostAccurate, |s| &s.whole).psnr_db,
+            wall_s: view(bench, kept, |r| r.wall_s),
+            cpu_s: view(bench, kept, |r| r.cpu_s),
+            stages_s: stages(bench, kept),
+            preparation,
+        })
+    }
+}
+
+fn quality_db(bench: &Bench, point: &KeptPoint) -> Option<f64> {
+    let against = bench.against();
+    let moving = mean(bench, point, against, |s| &s.moving).psnr_db;
+    moving.or_else(|| mean(bench, point, against, |s| &s.whole).psnr_db)
+}
+
+fn mean(
+    bench: &Bench,
+    point: &KeptPoint,
+    against: Against,
+    region: impl Fn(&RegionScores) -> &Scores,
+) -> MeanScores {
+    if point.reason.is_some() {
+        return MeanScores::default();
+    }
+    let targets = bench.targets.iter().filter(|t| t.against == against);
+    let score = |t: &Target| point.scores.get(&t.id).map(&region).filter(|s| s.pixels > 0);
+    let scores: Vec<&Scores> = targets.filter_map(score).collect();
+    let mean = |value: fn(&Scores) -> Option<f64>| {
+        let values: Vec<f64> = scores.iter().filter_map(|s| value(s)).collect();
+        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+    };
+    MeanScores {
+        psnr_db: mean(|s| Some(s.psnr_db.unwrap_or(IDENTICAL_DB))),
+        flip: mean(|s| s.flip),
+    }
+}
+
+/// The times of whole views.
+fn view(bench: &Bench, point: &KeptPoint, of: fn(&Elapsed) -> f64) -> Option<Spread> {
+    if point.reason.is_some() {
+        return None;
+    }
+    spread(bench.runs(&point.options).iter().map(|run| run.iter().map(of).sum()).collect())
+}
+
+fn stages(bench: &Bench, point: &KeptPoint) -> Option<[f64; 3]> {
+    let runs = bench.runs(&point.options);
+    let stage = |k: usize| median(runs.iter().map(|run| run[k].wall_s).collect());
+    Some([stage(0)?, stage(1)?, stage(2)?])
+}
+
+fn spread(values: Vec<f64>) -> Option<Spread> {
+    let min = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let max = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let runs = values.len();
+    Some(Spread { median: median(values)?, min, max, runs })
+}

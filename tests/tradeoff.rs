@@ -1,0 +1,166 @@
+//! `stlfr tradeoff`: what it measures, and that it measures nothing twice.
+
+mod common;
+
+use common::wall::{Scene, open};
+use common::{assert_refused, run, stderr, stlfr, tiny_capture};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+use stlfr::progress::Reporter;
+use stlfr::render::RenderOptions;
+use stlfr::tradeoff::{Against, Tradeoff, TradeoffOptions, tradeoff};
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("test folders are UTF-8")
+}
+
+/// What `points/` holds, by name.
+fn measured(out: &Path) -> BTreeMap<String, Value> {
+    let Ok(entries) = std::fs::read_dir(out.join("points")) else { return BTreeMap::new() };
+    let files = entries.flatten().filter(|e| e.file_name().to_string_lossy().ends_with(".json"));
+    files
+        .filter(|e| !e.file_name().to_string_lossy().starts_with('.'))
+        .map(|e| {
+            let value = serde_json::from_slice(&std::fs::read(e.path()).unwrap());
+            (e.file_name().into_string().unwrap(), value.expect("files are written whole"))
+        })
+        .collect()
+}
+
+/// Whether `later` only adds to `earlier`.
+fn extends(earlier: &Value, later: &Value) -> bool {
+    match (earlier, later) {
+        (Value::Object(a), Value::Object(b)) => {
+            a.iter().all(|(k, v)| b.get(k).is_some_and(|w| extends(v, w)))
+        }
+        (Value::Array(a), Value::Array(b)) => {
+            a.len() <= b.len() && a.iter().zip(b).all(|(v, w)| extends(v, w))
+        }
+        (a, b) => a == b,
+    }
+}
+
+/// A film without truth, in which a board moves before a wall.
+fn film() -> tempfile::TempDir {
+    Scene { board: Some([-0.8, -0.5]), ..Scene::default() }.film()
+}
+
+#[test]
+fn the_tiny_capture_against_its_truth_goes_on_after_a_kill() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let arguments = ["-q", "tradeoff", text(tiny_capture()), "--rounds", "0", "--runs", "2"];
+    let mut command = stlfr();
+    command.args(arguments).arg("-o").arg(&out).stdout(Stdio::null());
+    let mut child = command.spawn().unwrap();
+    let started = Instant::now();
+    while measured(&out).keys().filter(|k| k.starts_with("point")).count() < 5 {
+        assert!(started.elapsed() < Duration::from_secs(120), "nothing is measured");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let before = measured(&out);
+    assert!(!out.join("tradeoff.json").exists(), "killed in the middle");
+
+    let again = || {
+        let output = run(&[&arguments[..], &["-o", text(&out), "--json"]].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        output.stdout
+    };
+    let printed = again();
+    let after = measured(&out);
+    for (name, value) in &before {
+        assert!(extends(value, &after[name]), "{name} was measured again");
+    }
+    // All is there: times, too, stay what they are.
+    assert_eq!(again(), printed);
+    assert_eq!(measured(&out), after);
+
+    let found: Tradeoff = serde_json::from_slice(&printed).unwrap();
+    assert_eq!(found.against, Against::Truth);
+    assert_eq!(found.views, 2);
+    assert!(found.front().count() >= 2);
+    for label in ["draft", "balanced", "best", "auto"] {
+        let point = found.labelled(label).expect(label);
+        assert!(point.quality_db.unwrap() > 10.0 && point.moving.flip.unwrap() < 1.0);
+        assert_eq!(point.wall_s.unwrap().runs, 2);
+        assert!(point.preparation.unwrap().offsets_s.unwrap() > 0.0);
+    }
+    let file: Tradeoff =
+        serde_json::from_slice(&std::fs::read(out.join("tradeoff.json")).unwrap()).unwrap();
+    assert_eq!(file, found);
+    assert!(std::fs::read_to_string(out.join("tradeoff.svg")).unwrap().contains("balanced"));
+    assert!(stlfr::capture::read_image(&out.join("tradeoff.png")).unwrap().0.width() > 600);
+    let recommended = std::fs::read(out.join("recommended.json")).unwrap();
+    let recommended: RenderOptions = serde_json::from_slice(&recommended).unwrap();
+    assert_eq!(recommended, found.points[found.recommended].options);
+}
+
+#[test]
+fn without_truth_cameras_are_left_out_and_quality_repeats() {
+    let film = film();
+    let options = TradeoffOptions { runs: 1, rounds: 0, ..TradeoffOptions::default() };
+    let measure = || {
+        let out = tempfile::tempdir().unwrap();
+        let found = tradeoff(&open(&film), &options, out.path(), &Reporter::silent()).unwrap();
+        let mut quality: Vec<_> = found
+            .points
+            .iter()
+            .map(|p| (p.name.clone(), p.quality_db, p.whole, p.most_accurate_db))
+            .collect();
+        quality.sort_by(|a, b| a.0.cmp(&b.0));
+        (found, quality)
+    };
+    let (found, quality) = measure();
+    assert_eq!(found.against, Against::LeftOut);
+    assert!(found.views >= 1);
+    assert!(quality.iter().any(|q| q.3.is_some_and(|db| db < 60.0)), "rungs differ");
+    assert!(quality.iter().any(|q| q.3 == Some(99.0)), "the most accurate rungs are themselves");
+    assert_eq!(measure().1, quality);
+    assert!(!film.path().join("offsets.json").exists(), "nothing is written into the capture");
+}
+
+#[test]
+fn one_camera_is_held_against_its_most_accurate_view() {
+    let film = film();
+    common::wall::edit(&film, |json| {
+        json["cameras"].as_array_mut().unwrap().truncate(1);
+        json["reference"] = "cam0".into();
+    });
+    let out = tempfile::tempdir().unwrap();
+    let mut base = RenderOptions::default();
+    base.proxy.plane_depth_m = Some(2.0);
+    let options = TradeoffOptions { runs: 1, rounds: 0, base, ..TradeoffOptions::default() };
+    let found = tradeoff(&open(&film), &options, out.path(), &Reporter::silent());
+    match found {
+        Ok(found) => assert_eq!(found.against, Against::MostAccurate),
+        // A mesh needs two cameras.
+        Err(error) => assert!(error.to_string().contains("no point"), "{error}"),
+    }
+}
+
+#[test]
+fn what_is_given_wrongly_is_refused() {
+    let film = film();
+    let capture = text(film.path());
+    let foreign = tempfile::tempdir().unwrap();
+    std::fs::write(foreign.path().join("thesis.tex"), "").unwrap();
+    for (arguments, words) in [
+        (vec![capture, "-o", capture], "is a capture"),
+        (vec![capture, "-o", text(foreign.path())], "thesis.tex"),
+        (vec!["/nowhere", "-o", "out"], "/nowhere"),
+        (vec![capture, "-o", "/proc/none/out"], "/proc/none/out"),
+        (vec![capture, "-o", "out", "--runs", "0"], "1 to 1000"),
+        (vec![capture, "-o", "out", "--options", "/nowhere.json"], "/nowhere.json"),
+        (vec![capture], "--output"),
+    ] {
+        let output = run(&[&["-q", "tradeoff"], arguments.as_slice()].concat());
+        assert_refused(&output, 2, words);
+    }
+    assert!(foreign.path().join("thesis.tex").exists());
+    assert_eq!(std::fs::read_dir(foreign.path()).unwrap().count(), 1);
+}
