@@ -138,6 +138,16 @@ pub(crate) fn catmull_rom(f: f32) -> [f32; 4] {
     ]
 }
 
+/// sRGB's decoding (IEC 61966-2-1). Below 0 it is 0: a power has no value there.
+pub fn linear_from_encoded(v: f64) -> f64 {
+    if v <= 0.04045 { v.max(0.0) / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+/// Its inverse.
+pub fn encoded_from_linear(v: f64) -> f64 {
+    if v <= 0.0031308 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,6 +2,7 @@
 
 use super::{Clocks, Decision, Motion, Probe, Shape};
 use crate::interpolation::Sync;
+use crate::registration::Gains;
 use crate::render::ProxyRung;
 use clap::ValueEnum;
 
@@ -113,6 +114,20 @@ pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyRung>, Decis
         shape.off_plane_px, shape.points
     );
     (Some(rung), decision("proxy", &name(&rung), Some((shape.off_plane_px, budget_px)), because))
+}
+
+/// What a gain of 1 is told from is in [`Gains`].
+pub fn gains(gains: &Gains) -> Decision {
+    let (difference, std_err) = gains.largest_difference();
+    let numbers = format!(
+        "The light that cameras record differs by {:.1} % at most (standard error {:.1} %)",
+        100.0 * difference,
+        100.0 * std_err
+    );
+    if gains.are_equal() {
+        return decision("gains", "equal", None, format!("{numbers}, which is taken as none."));
+    }
+    decision("gains", "corrected", None, format!("{numbers}, which is corrected."))
 }
 
 pub fn lenses(distortion_px: f64) -> Decision {

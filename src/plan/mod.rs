@@ -8,6 +8,7 @@
 //! | does refinement pay? | cameras' own frames, rendered from their neighbours both ways ([`Probe`]) | the sync rung |
 //! | on straight lines? | bend of the paths through four frames | curved paths |
 //! | is a plane enough? | points' parallax against it ([`Shape`]) | the proxy |
+//! | do cameras record alike? | the light of features in neighbouring cameras ([`crate::registration::Gains`]) | correction |
 //! | do lenses distort? | the largest shift of a pixel | resampling |
 //! | does the rig spread in two directions? | the camera centres' extent | references |
 //!
@@ -143,6 +144,7 @@ pub fn plan_with(
         decided.sync = sync;
     }
     decisions.extend([of_sync, of_path, of_proxy]);
+    decisions.push(decide::gains(field.gains()?));
     decisions.push(decide::lenses(largest_distortion_px(capture)));
     decisions.push(decide::references(extent_ratio(capture)));
     decided.auto = AutoOptions { sync: false, proxy: false, ..options.auto.clone() };

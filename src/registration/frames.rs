@@ -1,6 +1,6 @@
 //! Frames as registration uses them: decoded, with pyramid and corners, made once and shared.
 
-use super::{Pyramid, RegistrationOptions, corners};
+use super::{GainRung, Gains, Pyramid, RegistrationOptions, corners};
 use crate::capture::{Capture, CaptureError};
 use crate::raster::Image;
 use nalgebra::Point2;
@@ -10,7 +10,9 @@ use std::sync::{Arc, Mutex, OnceLock};
 /// One frame.
 #[derive(Debug)]
 pub struct Frame {
+    /// As it was filmed.
     pub image: Image,
+    /// As bright as the reference records it, to be tracked in.
     pub pyramid: Pyramid,
     corners: OnceLock<Vec<Point2<f64>>>,
 }
@@ -19,6 +21,19 @@ impl Frame {
     pub fn new(image: Image, options: &RegistrationOptions) -> Self {
         let pyramid = Pyramid::new(&image, options.klt.levels, options.klt.pad_px());
         Self { image, pyramid, corners: OnceLock::new() }
+    }
+
+    /// Of a camera whose gain may not be the reference's.
+    fn of_camera(
+        image: Image,
+        camera: usize,
+        gains: &Gains,
+        options: &RegistrationOptions,
+    ) -> Self {
+        match gains.corrected(camera, &image) {
+            Some(corrected) => Self { image, ..Self::new(corrected, options) },
+            None => Self::new(image, options),
+        }
     }
 
     /// The frame's corners, found when they are first asked for.
@@ -38,6 +53,7 @@ pub struct FrameStore {
     options: RegistrationOptions,
     kept: Mutex<Kept>,
     max_bytes: usize,
+    gains: OnceLock<Gains>,
 }
 
 #[derive(Default)]
@@ -64,7 +80,13 @@ impl FrameStore {
         options: &RegistrationOptions,
         max_bytes: usize,
     ) -> Self {
-        Self { capture, options: options.clone(), kept: Mutex::default(), max_bytes }
+        Self {
+            capture,
+            options: options.clone(),
+            kept: Mutex::default(),
+            max_bytes,
+            gains: OnceLock::new(),
+        }
     }
 
     /// Bytes of the frames that are held.
@@ -86,10 +108,26 @@ impl FrameStore {
             return Ok(frame);
         }
         let image = self.capture.read_frame(camera, index)?;
-        let frame = Arc::new(Frame::new(image, &self.options));
+        let frame = Arc::new(Frame::of_camera(image, camera, self.gains()?, &self.options));
         let max_frames = MAX_FRAMES * self.capture.cameras.len();
         self.kept().insert((camera, index), &frame, max_frames, self.max_bytes);
         Ok(frame)
+    }
+
+    /// The cameras' gains, told from the images when they are first asked for.
+    pub fn gains(&self) -> Result<&Gains, CaptureError> {
+        if let Some(gains) = self.gains.get() {
+            return Ok(gains);
+        }
+        // Threads that ask at once all find the same. To let them wait would not do: one of them
+        // may be waited for by the search itself.
+        let found = match self.options.gains {
+            GainRung::Estimated if self.capture.cameras.len() > 1 => {
+                Gains::survey(&self.capture, &self.options)?
+            }
+            _ => Gains::equal(self.capture.cameras.len()),
+        };
+        Ok(self.gains.get_or_init(|| found))
     }
 
     fn kept(&self) -> std::sync::MutexGuard<'_, Kept> {

@@ -1,13 +1,15 @@
 //! How registration works.
 
 use super::lanes::LANES;
-use super::{AffineOptions, CornerOptions};
+use super::{AffineOptions, CornerOptions, GainRung};
 use serde::{Deserialize, Serialize};
 
 /// Options of §4.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RegistrationOptions {
+    /// Whether cameras are made equally bright before they are compared, and blended.
+    pub gains: GainRung,
     pub corners: CornerOptions,
     pub klt: KltOptions,
     /// Largest distance between a feature and where it is tracked back to. Larger keeps
@@ -48,6 +50,7 @@ pub struct RegistrationOptions {
 impl Default for RegistrationOptions {
     fn default() -> Self {
         Self {
+            gains: GainRung::default(),
             corners: CornerOptions::default(),
             klt: KltOptions::default(),
             max_back_error_px: 0.7,

@@ -15,12 +15,12 @@ pub use trail::{TrailMode, TrailOptions, Viewpoint};
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError, Color};
 use crate::interpolation::{FramePair, Sync};
-use crate::lumigraph::{Mesh, Plane, Proxy, Rendered, Source, blend, contributing};
+use crate::lumigraph::{DepthMap, Mesh, Plane, Proxy, Rendered, Source, blend, contributing};
 use crate::offset::{self, Offsets};
 use crate::plan;
 use crate::progress::Reporter;
 use crate::raster::Image;
-use crate::registration::{FrameStore, Track, Verdict, epipolar_test, temporal_flow};
+use crate::registration::{FrameStore, Gains, Track, Verdict, epipolar_test, temporal_flow};
 use nalgebra::Point3;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -160,6 +160,11 @@ impl LightField {
         distances.get(distances.len() / 2).copied().unwrap_or(0.0)
     }
 
+    /// How much more light each camera records than the reference.
+    pub fn gains(&self) -> Result<&Gains, RenderError> {
+        Ok(self.frames.gains()?)
+    }
+
     fn frames(&self) -> &FrameStore {
         &self.frames
     }
@@ -261,7 +266,7 @@ impl LightField {
         for (c, image) in needed.into_iter().zip(synchronized) {
             images[c] = Some(image);
         }
-        let rendered = blend(&self.sources(&images), &depth, target, &self.options.blend);
+        let rendered = self.blend_by_depth(&images, &depth, target);
         if rendered.coverage.iter().any(|c| *c) {
             Ok(rendered)
         } else {
@@ -354,9 +359,29 @@ impl LightField {
         })
     }
 
-    /// Blends a view from one image a camera.
+    /// Blends a view from one image a camera, as filmed; the view is as bright as the reference
+    /// records it.
     pub fn blend(&self, images: &[Option<Image>], proxy: &Proxy, target: &Camera) -> Rendered {
-        blend(&self.sources(images), &proxy.depth_map(target), target, &self.options.blend)
+        self.blend_by_depth(images, &proxy.depth_map(target), target)
+    }
+
+    fn blend_by_depth(
+        &self,
+        images: &[Option<Image>],
+        depth: &DepthMap,
+        target: &Camera,
+    ) -> Rendered {
+        // What can't be read was reported by who made the images.
+        let gains = self.frames.gains().ok().filter(|gains| !gains.are_equal());
+        let corrected: Option<Vec<Option<Image>>> = gains.map(|gains| {
+            let correct = |(camera, image): (usize, &Option<Image>)| {
+                let image = image.as_ref()?;
+                Some(gains.corrected(camera, image).unwrap_or_else(|| image.clone()))
+            };
+            images.par_iter().enumerate().map(correct).collect()
+        });
+        let images = corrected.as_deref().unwrap_or(images);
+        blend(&self.sources(images), depth, target, &self.options.blend)
     }
 
     /// The cameras that have an image.

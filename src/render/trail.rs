@@ -8,7 +8,7 @@
 use super::{LightField, RenderError};
 use crate::camera::Camera;
 use crate::lumigraph::Rendered;
-use crate::raster::Image;
+use crate::raster::{Image, encoded_from_linear, linear_from_encoded};
 use serde::{Deserialize, Serialize};
 
 /// How far an image reaches back in time.
@@ -174,16 +174,6 @@ impl Overlay {
         let coverage = self.counts.iter().map(|&count| count > 0).collect();
         Rendered { image: Image::from_data(width, height, channels, data), coverage }
     }
-}
-
-/// sRGB's decoding (IEC 61966-2-1). Below 0 it is 0: a power has no value there.
-fn linear_from_encoded(v: f64) -> f64 {
-    if v <= 0.04045 { v.max(0.0) / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
-}
-
-/// Its inverse.
-fn encoded_from_linear(v: f64) -> f64 {
-    if v <= 0.0031308 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
 }
 
 #[cfg(test)]

@@ -8,8 +8,9 @@ use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion, Vector2};
 use std::sync::Arc;
 use stlfr::camera::{Camera, CameraModel};
 use stlfr::capture::Capture;
+use stlfr::raster::{encoded_from_linear, linear_from_encoded};
 use stlfr::registration::{
-    FrameStore, LongTracks, RegistrationOptions, Run, Track, Verdict, epipolar_test,
+    FrameStore, GainRung, LongTracks, RegistrationOptions, Run, Track, Verdict, epipolar_test,
     select_references, temporal_flow,
 };
 
@@ -109,6 +110,48 @@ fn the_epipolar_test_removes_what_is_off_its_line() {
         assert!(caught > 50 && missed * 20 <= caught, "{counts:?}");
         assert!(kept > 300 && harmed * 25 <= kept, "{counts:?}");
     }
+}
+
+/// A camera that records more light is told, and what it sees still tested; equal ones are equal.
+#[test]
+fn a_brighter_camera_is_as_good_as_another() {
+    let cameras = worlds::line_rig(3, 320);
+    let (folder, equal) = filmed(&case("magazine"), &cameras, &[0.0, 0.4, 0.7], 3);
+    let passed = |capture: &Arc<Capture>, gains: GainRung| {
+        let options = RegistrationOptions { gains, further_references: 0, ..Default::default() };
+        let store = FrameStore::new(capture.clone(), &options);
+        let tracks = temporal_flow(&store, 0, 1).expect("tracks");
+        let verdicts = epipolar_test(&store, &times(capture), 0, 1, &tracks).expect("verdicts");
+        verdicts.iter().filter(|v| **v == Verdict::Passed).count()
+    };
+    let told = |capture: &Arc<Capture>| {
+        let store = FrameStore::new(capture.clone(), &RegistrationOptions::default());
+        store.gains().expect("gains").clone()
+    };
+    assert!(told(&equal).are_equal());
+    let all = passed(&equal, GainRung::Estimated);
+    let factors = [1.5, 1.3, 1.7];
+    for k in 0..3 {
+        let path = folder.path().join(format!("cam1/{k:04}.png"));
+        let mut image = image::open(&path).expect("its image").to_rgb8();
+        for pixel in image.pixels_mut() {
+            for (value, factor) in pixel.0.iter_mut().zip(factors) {
+                let light = factor * linear_from_encoded(f64::from(*value) / 255.0);
+                *value = (255.0 * encoded_from_linear(light)).round().min(255.0) as u8;
+            }
+        }
+        image.save(&path).expect("its image");
+    }
+    let capture = Arc::new(Capture::open(folder.path()).expect("a capture"));
+    let gains = told(&capture);
+    for (gain, factor) in gains.of(1).into_iter().zip(factors) {
+        assert!((gain / factor - 1.0).abs() < 0.02, "{gains:?}");
+    }
+    assert_eq!([0, 2].map(|camera| gains.of(camera)), [[1.0; 3]; 2]);
+    let corrected = passed(&capture, GainRung::Estimated);
+    let uncorrected = passed(&capture, GainRung::Equal);
+    assert!(all > 300 && corrected * 20 >= 19 * all, "{all} {corrected}");
+    assert!(uncorrected * 10 < 8 * all, "{all} {uncorrected}");
 }
 
 /// What the nearest camera does not see, the next one tells.
