@@ -117,10 +117,26 @@ fn clocks(capture: &Capture, offsets: &Offsets, truth: &Truth) {
         }
         reasons.extend(camera.reason.as_deref());
     }
+    if offsets.cameras.iter().any(|c| c.lost_before.is_some()) {
+        let (wrong, all) = images_off(capture, offsets, truth);
+        println!("    {wrong} of {all} images over 0.1 frame off");
+    }
     let count = reasons.len();
     reasons.sort_unstable();
     reasons.dedup();
     for reason in reasons {
         println!("    unknown ({count}): {reason}");
     }
+}
+
+/// How many images' times are wrong by over a tenth of a frame, of all that have one.
+fn images_off(capture: &Capture, offsets: &Offsets, truth: &Truth) -> (usize, usize) {
+    let times = offsets.common_times_s(capture);
+    let errors = times.iter().zip(&capture.cameras).flat_map(|(times, camera)| {
+        let shutter = truth.shutter_s(&camera.id).unwrap_or_default();
+        times.iter().flatten().zip(shutter).map(|(found, there)| found - there)
+    });
+    let errors: Vec<f64> = errors.collect();
+    let wrong = errors.iter().filter(|e| e.abs() > 0.1 * capture.frame_s()).count();
+    (wrong, errors.len())
 }
