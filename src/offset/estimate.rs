@@ -123,7 +123,7 @@ fn without_losses(
             witness
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let lost: Vec<Vec<usize>> =
+    let lost =
         (0..capture.cameras.len())
             .map(|c| {
                 if capture.cameras[c].clock.lost { lost::agreed(c, &witnesses) } else { Vec::new() }
@@ -131,7 +131,7 @@ fn without_losses(
             .collect();
     for (&(n, pair, _), witness) in directions.iter().zip(&witnesses) {
         if pair == pairs[n] && witness.seen.is_some() {
-            starts[n] = Ok(Guess::constant(witness.first_offset_s(pair.map(|c| &lost[c][..]))));
+            starts[n] = Ok(Guess::constant(witness.first_offset_s));
         }
     }
     Ok(Timelines::with_lost(capture, lost))

@@ -3,14 +3,14 @@
 //! Three frames show an offset; followed along the film, the offset of a pair jumps up by a whole
 //! frame where the camera that gives the single frame lost one, and down where the other one did.
 //! Jumps are bracketed by halving; those stay that what was seen before and after them needs
-//! ([`supported`]), and a lost frame is reported if most of the camera's pairs see it at the same
-//! image, and often enough in all. (A camera's own tracks across its gap are two frames long and say nothing; the pair's
+//! ([`Steps`]), and a lost frame is reported if most of the camera's pairs see it at the same
+//! image. (A camera's own tracks across its gap are two frames long and say nothing; the pair's
 //! other direction sees that one.)
 
 use super::film::Film;
 use super::mixture::Observation;
 use super::pair::{Guess, residuals};
-use super::steps::{Jump, Level, first, supported};
+use super::steps::{Jump, Level, Steps};
 use crate::capture::CaptureError;
 
 /// What one direction of one pair says about the camera that gives the single frames.
@@ -18,29 +18,12 @@ use crate::capture::CaptureError;
 pub struct Witness {
     /// The camera whose lost frames it sees.
     pub camera: usize,
-    /// The images before which one is missing, one entry for each, and how often it was seen that it
-    /// is.
-    pub lost_before: Vec<(usize, f64)>,
+    /// The images before which one is missing, one entry for each.
+    pub lost_before: Vec<usize>,
     /// The first and the last image that it saw.
     pub seen: Option<(usize, usize)>,
-    /// All that it saw, and the frame that it counts in, seconds.
-    levels: Vec<Level>,
-    frame_s: f64,
-    drifts: bool,
-}
-
-impl Witness {
-    /// Its offset at the first image that it saw, `offset_b − offset_a`, if the two cameras lost
-    /// frames before these images.
-    pub fn first_offset_s(&self, lost_before: [&[usize]; 2]) -> f64 {
-        let jumps: Vec<Jump> = [(0, -1.0), (1, 1.0)]
-            .into_iter()
-            .flat_map(|(camera, frames)| {
-                lost_before[camera].iter().map(move |&image| Jump { camera, image, frames })
-            })
-            .collect();
-        self.frame_s * first(&self.levels, &jumps, self.drifts)
-    }
+    /// Its offset at the first of them, `offset_b − offset_a`.
+    pub first_offset_s: f64,
 }
 
 /// What one triple of frames says.
@@ -84,7 +67,7 @@ pub fn follow(
             seen.push(found);
         }
     }
-    let mut witness = Witness { camera: b, frame_s: walk.frame_s, drifts, ..Witness::default() };
+    let mut witness = Witness { camera: b, ..Witness::default() };
     let (Some(first), Some(last)) = (seen.first(), seen.last()) else { return Ok(witness) };
     witness.seen = Some((first.m, last.m));
     let (mut jumps, mut between) = (Vec::new(), Vec::new());
@@ -92,12 +75,10 @@ pub fn follow(
         walk.bracket(pair[0], pair[1], &mut jumps, &mut between)?;
     }
     seen.extend(between);
-    witness.levels = seen.iter().map(|s| walk.level(s)).collect();
-    witness.lost_before = supported(&witness.levels, &jumps, drifts)
-        .into_iter()
-        .filter(|(jump, _)| jump.frames > 0.0)
-        .map(|(jump, support)| (jump.image, support))
-        .collect();
+    let levels: Vec<Level> = seen.iter().map(|s| walk.level(s)).collect();
+    let steps = Steps::supported(&levels, &jumps, drifts);
+    witness.first_offset_s = walk.frame_s * steps.first;
+    witness.lost_before = steps.jumps.iter().filter(|j| j.frames > 0.0).map(|j| j.image).collect();
     Ok(witness)
 }
 
@@ -232,35 +213,23 @@ impl Walk<'_, '_> {
     }
 }
 
-/// All of a camera's pairs together must have seen a frame missing this often, in wrong sightings
-/// each. Larger leaves frames that were lost near a film's ends unfound; smaller makes some up where
-/// motion repeats.
-const MIN_SIGHTINGS: f64 = 2.5;
-
 /// The lost frames of one camera that most of its witnesses saw, of those that looked there.
 pub fn agreed(camera: usize, witnesses: &[Witness]) -> Vec<usize> {
     let own: Vec<&Witness> = witnesses.iter().filter(|w| w.camera == camera).collect();
-    let mut images: Vec<usize> =
-        own.iter().flat_map(|w| w.lost_before.iter().map(|l| l.0)).collect();
+    let mut images: Vec<usize> = own.iter().flat_map(|w| w.lost_before.iter().copied()).collect();
     images.sort_unstable();
     images.dedup();
     let mut lost: Vec<usize> = Vec::new();
     for image in images {
-        let there = |w: &Witness| {
-            let support = w.lost_before.iter().filter(|l| l.0 == image).map(|l| l.1);
-            support.fold((0, 0.0), |(count, sum), support| (count + 1, sum + support))
-        };
+        let times = |w: &&&Witness| w.lost_before.iter().filter(|&&n| n == image).count();
         let looked =
             |w: &&&Witness| w.seen.is_some_and(|(first, last)| first < image && image <= last);
-        let mut counts: Vec<usize> = own.iter().filter(looked).map(|w| there(w).0).collect();
+        let mut counts: Vec<usize> = own.iter().filter(looked).map(|w| times(&w)).collect();
         counts.sort_unstable();
         // The lower median: of two that looked, both must have seen it. A frame that is missed
         // leaves a pair that disagrees; one that is made up moves all that follows.
         let count = counts.get(counts.len().saturating_sub(1) / 2).copied().unwrap_or(0);
-        let support: f64 = own.iter().filter(looked).map(|w| there(w).1).sum();
-        if support >= MIN_SIGHTINGS * count as f64 {
-            lost.extend(std::iter::repeat_n(image, count));
-        }
+        lost.extend(std::iter::repeat_n(image, count));
     }
     lost
 }
@@ -270,16 +239,7 @@ mod tests {
     use super::*;
 
     fn witness(camera: usize, lost_before: &[usize], seen: (usize, usize)) -> Witness {
-        let lost_before = lost_before.iter().map(|&image| (image, 3.0)).collect();
-        Witness { camera, lost_before, seen: Some(seen), ..Witness::default() }
-    }
-
-    #[test]
-    fn what_few_sightings_say_is_not_believed() {
-        let seen_once =
-            |camera| Witness { lost_before: vec![(6, 1.0)], ..witness(camera, &[], (0, 9)) };
-        assert!(agreed(1, &[seen_once(1), seen_once(1)]).is_empty());
-        assert_eq!(agreed(1, &[seen_once(1), seen_once(1), seen_once(1)]), [6]);
+        Witness { camera, lost_before: lost_before.into(), seen: Some(seen), first_offset_s: 0.0 }
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! A course is a level, a slope where clocks drift, and a whole frame for each jump passed. Its
 //! cost is the sum of truncated squares, so that what was seen wrongly costs its bound on any
-//! course, and a jump has the support of the sightings that it saves the cost of. What goes up by
+//! course, and a jump is kept only if it saves the cost of several sightings. What goes up by
 //! mistake and comes down again costs as much with one of the two jumps as with none.
 
 use nalgebra::{Matrix2, Vector2};
@@ -26,44 +26,48 @@ pub struct Jump {
     pub frames: f64,
 }
 
+/// The jumps that are needed, and the course with them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Steps {
+    pub jumps: Vec<Jump>,
+    /// The offset at the first sighting, frames.
+    pub first: f64,
+}
+
 /// What a single triple of frames is off by, at most, frames: beyond three times of this it is wrong.
 const SIGMA_FRAMES: f64 = 0.08;
 /// A clock that drifts does so by about this much.
 const RATE: f64 = 5e-4;
-/// Sightings that are wrong without a jump and right with it, for one pair to speak of it. Larger
-/// leaves frames that were lost near a film's ends unfound; smaller hears every mistake.
-const MIN_SUPPORT: f64 = 0.8;
+/// Sightings that are wrong without a jump and right with it, for it to be believed by one pair of
+/// several. Larger leaves frames that were lost near a film's ends unfound; smaller makes some up
+/// where motion repeats.
+const MIN_SUPPORT: f64 = 1.8;
 const ITERATIONS: usize = 30;
 
-/// Of the proposed jumps, in the order of time, those that are needed, each with the sightings that
-/// are wrong without it: the least needed one, or one and its reversal right after it, is given up
-/// first.
-pub fn supported(levels: &[Level], proposed: &[Jump], drifts: bool) -> Vec<(Jump, f64)> {
-    let mut jumps = proposed.to_vec();
-    loop {
-        let with_all = Course::fit(levels, &jumps, drifts);
-        let without = |n: usize, count: usize| {
-            let mut others = jumps.clone();
-            others.drain(n..n + count);
-            let saved = Course::fit(levels, &others, drifts).cost - with_all.cost;
-            (others, saved / count as f64)
-        };
-        let singles: Vec<(Vec<Jump>, f64)> = (0..jumps.len()).map(|n| without(n, 1)).collect();
-        let support: Vec<f64> = singles.iter().map(|s| s.1).collect();
-        let reversed = (1..jumps.len())
-            .filter(|&n| jumps[n].frames != jumps[n - 1].frames)
-            .map(|n| without(n - 1, 2));
-        let least = singles.into_iter().chain(reversed).min_by(|x, y| x.1.total_cmp(&y.1));
-        match least {
-            Some((others, saved)) if saved < MIN_SUPPORT => jumps = others,
-            _ => return jumps.into_iter().zip(support).collect(),
+impl Steps {
+    /// Of the proposed jumps, in the order of time, those that are needed: the least needed one, or
+    /// one and its reversal right after it, is given up first.
+    pub fn supported(levels: &[Level], proposed: &[Jump], drifts: bool) -> Self {
+        let mut jumps = proposed.to_vec();
+        loop {
+            let with_all = Course::fit(levels, &jumps, drifts);
+            let without = |n: usize, count: usize| {
+                let mut others = jumps.clone();
+                others.drain(n..n + count);
+                let saved = Course::fit(levels, &others, drifts).cost - with_all.cost;
+                (others, saved / count as f64)
+            };
+            let singles = (0..jumps.len()).map(|n| without(n, 1));
+            let reversed = (1..jumps.len())
+                .filter(|&n| jumps[n].frames != jumps[n - 1].frames)
+                .map(|n| without(n - 1, 2));
+            let least = singles.chain(reversed).min_by(|x, y| x.1.total_cmp(&y.1));
+            match least {
+                Some((others, saved)) if saved < MIN_SUPPORT => jumps = others,
+                _ => return Self { first: with_all.first(levels, &jumps), jumps },
+            }
         }
     }
-}
-
-/// The offset at the first sighting, frames, if these are the jumps.
-pub fn first(levels: &[Level], jumps: &[Jump], drifts: bool) -> f64 {
-    Course::fit(levels, jumps, drifts).first(levels, jumps)
 }
 
 /// A fitted course.
@@ -184,14 +188,10 @@ mod tests {
         jumps
     }
 
-    /// What several pairs together would believe if each saw as much.
-    const BELIEVED: f64 = 1.8;
-
     fn found(levels: &[Level], drifts: bool) -> Vec<usize> {
-        let jumps = supported(levels, &proposed(levels), drifts);
-        let believed = jumps.iter().filter(|(_, support)| *support >= BELIEVED);
-        assert!(believed.clone().all(|(j, _)| j.frames > 0.0), "{jumps:?}");
-        believed.map(|(j, _)| j.image).collect()
+        let jumps = Steps::supported(levels, &proposed(levels), drifts).jumps;
+        assert!(jumps.iter().all(|j| j.frames > 0.0), "{jumps:?}");
+        jumps.iter().map(|j| j.image).collect()
     }
 
     #[test]
@@ -201,7 +201,7 @@ mod tests {
             let count = 8 + n % 40;
             let rate = 5e-4 * random.gaussian();
             let levels = course(random, count, &[], rate, 0.03);
-            let first = first(&levels, &[], true);
+            let first = Steps::supported(&levels, &proposed(&levels), true).first;
             assert!((first - 0.3).abs() < 0.1, "{n}: {first}");
             assert!(found(&levels, true).is_empty(), "{n}: {levels:?}");
         }
@@ -223,7 +223,6 @@ mod tests {
 
     #[test]
     fn nothing_seen_has_no_jump() {
-        assert_eq!(supported(&[], &[], true), []);
-        assert_eq!(first(&[], &[], true), 0.0);
+        assert_eq!(Steps::supported(&[], &[], true), Steps::default());
     }
 }
