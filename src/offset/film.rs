@@ -21,6 +21,8 @@ pub struct Sample {
     pub across_px_s: f64,
     /// Where in camera a's image it is, on a coarse grid: features that lie together err together.
     pub cell: usize,
+    /// The same, as fine as the windows that features are followed by: those in one share pixels.
+    pub window: usize,
 }
 
 impl Sample {
@@ -44,6 +46,9 @@ pub struct Triple {
 
 /// Cells of an image's grid, across and down.
 const CELLS: [f64; 2] = [8.0, 6.0];
+/// Features this near to each other are followed by the same pixels: two of the tracker's windows.
+/// Larger calls what a small body shows well less certain; smaller believes a corner of one.
+const WINDOW_PX: f64 = 24.0;
 
 /// The film as one attempt sees it: the times may hold lost frames that the next one accounts for.
 pub struct Film<'a> {
@@ -158,6 +163,7 @@ impl<'a> Film<'a> {
                 time_b_s,
                 across_px_s: candidate.certain_px_s(),
                 cell: self.cell(a, chosen[track]),
+                window: self.window(a, chosen[track]),
             })
             .collect();
         let moves = |track: &&Track, seen: &Option<_>| {
@@ -176,5 +182,12 @@ impl<'a> Film<'a> {
         let x = share(track.earlier.x, camera.width, CELLS[0]) as usize;
         let y = share(track.earlier.y, camera.height, CELLS[1]) as usize;
         y * CELLS[0] as usize + x
+    }
+
+    fn window(&self, camera: usize, track: &Track) -> usize {
+        let columns = self.frames.capture().cameras[camera].camera.width as f64 / WINDOW_PX;
+        // A feature is inside its image.
+        let [x, y] = [track.earlier.x, track.earlier.y].map(|v| (v / WINDOW_PX).max(0.0) as usize);
+        y * columns.ceil() as usize + x
     }
 }

@@ -271,7 +271,7 @@ impl Solution {
                 let clock = unknowns.clocks.of_camera[s.cameras[0]];
                 let common_s = s.time_a_s + unknowns.offset[clock].map_or(0.0, |c| self.x[c]);
                 let bin = (common_s / frame_s).round() as i64;
-                let residual = s.offset_s() - row.times(&self.x);
+                let residual = pair.doubt * (s.offset_s() - row.times(&self.x));
                 sandwich.add(row.entries(), share * information(sample), residual, bin, s.cell);
             }
         }
@@ -388,11 +388,20 @@ mod tests {
                             let time_a_s = guess - ahead(a, guess - ahead(a, guess)) + noise;
                             let cameras = [a, b];
                             let cell = (random.unit() * 40.0) as usize;
-                            (Sample { cameras, time_a_s, time_b_s, across_px_s: 150.0, cell }, 25.0)
+                            let sample = Sample {
+                                cameras,
+                                time_a_s,
+                                time_b_s,
+                                across_px_s: 150.0,
+                                cell,
+                                window: cell,
+                            };
+                            (sample, 25.0)
                         })
                         .collect(),
                     center_s: 2.5,
                     std_err_s: 0.2 / 150.0 / 20.0,
+                    doubt: 1.0,
                     ..pair(a, b, 0.0)
                 })
                 .collect();

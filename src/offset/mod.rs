@@ -18,7 +18,8 @@
 //!
 //! Known limits: films shorter than the least overlap of the search are taken to be aligned to
 //! about a frame; a frame lost where nothing moves is found at the next image that shows motion;
-//! one rate holds for a whole film.
+//! one lost within two images of a film's start or end, or near another, may not be found, and the
+//! images before it are a frame off, the offset too; one rate holds for a whole film.
 
 mod activity;
 mod align;

@@ -3,7 +3,7 @@
 use super::consensus::{ransac, weighted_least_squares};
 use super::film::{Film, Sample, Triple};
 use super::mixture::{Mixture, Observation, Residuals};
-use super::uncertainty::Sandwich;
+use super::uncertainty::{Sandwich, doubt, effective_number};
 use super::{OffsetOptions, OffsetRung};
 use crate::capture::CaptureError;
 use serde::Serialize;
@@ -28,6 +28,9 @@ pub struct PairEstimate {
     pub sigma_px: f64,
     /// The paper's estimate of every triple of frames.
     pub frames: Vec<FrameEstimate>,
+    /// By how much its samples' scatter is to be believed less than that of many bodies.
+    #[serde(skip)]
+    pub(super) doubt: f64,
     #[serde(skip)]
     pub(super) samples: Vec<(Sample, f64)>,
 }
@@ -216,6 +219,7 @@ fn from_triples(
         agreement: mixture.inliers / across.max(1) as f64,
         sigma_px: mixture.sigma_px,
         frames,
+        doubt: doubt(independent_windows(found, &mixture.weights)),
         samples: samples.into_iter().zip(mixture.weights.iter().copied()).collect(),
     };
     if options.rung == OffsetRung::Pairwise {
@@ -341,7 +345,7 @@ fn std_err(
     let unknowns = if with_rate { 2 } else { 1 };
     let mut sandwich = Sandwich::new(unknowns);
     for (o, (sample, weight)) in observations.iter().zip(&estimate.samples) {
-        let residual = o.value_s - estimate.offset_s - estimate.rate * o.at_s;
+        let residual = estimate.doubt * (o.value_s - estimate.offset_s - estimate.rate * o.at_s);
         let row = [(0, 1.0), (1, o.at_s)];
         let bin = (o.at_s / frame_s).round() as i64;
         let information = weight * o.across_px_s * o.across_px_s;
@@ -349,6 +353,26 @@ fn std_err(
     }
     let variance = sandwich.variances()?[0];
     (variance > 0.0).then(|| variance.sqrt().hypot(shared_error_s(observations, estimate)))
+}
+
+/// How many windows' worth of pixels tell the offset at one instant, in the mean over instants by
+/// their information: the weights are those of all triples' samples, in their order.
+fn independent_windows(found: &[Arc<Triple>], weights: &[f64]) -> f64 {
+    let (mut sum, mut total, mut first) = (0.0, 0.0, 0);
+    for triple in found {
+        let of_triple = &weights[first..first + triple.samples.len()];
+        first += triple.samples.len();
+        let informed: Vec<(usize, f64)> = triple
+            .samples
+            .iter()
+            .zip(of_triple)
+            .map(|(s, w)| (s.window, w * s.across_px_s * s.across_px_s))
+            .collect();
+        let information: f64 = informed.iter().map(|i| i.1).sum();
+        sum += information * effective_number(informed.into_iter());
+        total += information;
+    }
+    if total > 0.0 { sum / total } else { 0.0 }
 }
 
 /// What matches between two cameras are off by across the epipolar lines, all alike, as a share of

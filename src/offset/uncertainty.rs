@@ -4,6 +4,10 @@
 //! share texture, occlusions and the tracker's bias over time. The covariance of a weighted
 //! least-squares estimate is the sandwich of scores summed over such clusters, here over both
 //! kinds (Cameron, Gelbach and Miller 2011: by time, plus by place, minus what both counted).
+//!
+//! A small body errs as one: what is wrong with it (its outline before what rests, the few corners
+//! that all its features sit on) scatters less than it is off by. So scores count more where few
+//! windows' worth of pixels tell all ([`doubt`]).
 
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
@@ -83,6 +87,35 @@ impl Sandwich {
     }
 }
 
+/// How many equally informed ones tell as much as these, each known by its key and its information
+/// (Kish 1965); 0 if none tells anything.
+pub fn effective_number(informed: impl Iterator<Item = (usize, f64)>) -> f64 {
+    let mut by_key: BTreeMap<usize, f64> = BTreeMap::new();
+    for (key, information) in informed {
+        *by_key.entry(key).or_default() += information;
+    }
+    let sum: f64 = by_key.values().sum();
+    let squares: f64 = by_key.values().map(|i| i * i).sum();
+    if squares > 0.0 { sum * sum / squares } else { 0.0 }
+}
+
+/// By how much longer error bars must be that are told from the scatter of this many independent
+/// things: Student's quantile, over that of certain ones, where two standard errors are (its
+/// expansion, Abramowitz and Stegun 26.7.5).
+pub fn doubt(independent: f64) -> f64 {
+    let n = (independent - 1.0).max(MIN_DEGREES);
+    let x: f64 = 2.0;
+    let orders = [
+        (x.powi(3) + x) / 4.0,
+        (5.0 * x.powi(5) + 16.0 * x.powi(3) + 3.0 * x) / 96.0,
+        (3.0 * x.powi(7) + 19.0 * x.powi(5) + 17.0 * x.powi(3) - 15.0 * x) / 384.0,
+    ];
+    1.0 + (orders[0] / n + orders[1] / (n * n) + orders[2] / (n * n * n)) / x
+}
+
+/// Degrees of freedom: with fewer, bars would have no end.
+const MIN_DEGREES: f64 = 0.5;
+
 /// `Σ g gᵀ` over the clusters, corrected for their number. (Student's wider tails for few clusters,
 /// tried too, made the error bars of filmed scenes a third too long.)
 fn summed<'a>(
@@ -123,6 +156,19 @@ mod tests {
         }
         let ratio = claimed / squares;
         assert!((0.88..1.2).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
+    fn few_independent_windows_are_doubted() {
+        // Student's quantiles at 97.725 %, over two.
+        for (independent, quantile) in [(3.0, 4.53), (4.0, 3.31), (6.0, 2.65), (11.0, 2.28)] {
+            let off = 2.0 * doubt(independent) / quantile - 1.0;
+            assert!(off.abs() < 0.1, "{independent}: {off}");
+        }
+        assert!(doubt(1e9) < 1.0 + 1e-6 && doubt(0.0) == doubt(1.0) && doubt(1.0) > 10.0);
+        assert_eq!(effective_number([(7, 2.0), (3, 2.0), (7, 0.0)].into_iter()), 2.0);
+        assert!((effective_number([(0, 9.0), (1, 1.0)].into_iter()) - 100.0 / 82.0).abs() < 1e-12);
+        assert_eq!(effective_number(std::iter::empty()), 0.0);
     }
 
     #[test]

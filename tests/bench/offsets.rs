@@ -2,11 +2,15 @@
 //!
 //! `cargo bench --bench offsets -- fig18`                 simulated tracks with outliers
 //! `cargo bench --bench offsets -- frames CAPTURE… `      Figs. 19 to 22, frame by frame
+//! `cargo bench --bench offsets -- all [CAPTURE…]`        every film of .captures/films: errors and
+//!                                                        error bars beside what is asked
 //! `cargo bench --bench offsets -- captures CAPTURE…`     errors rung by rung, against the truth
 //! `cargo bench --bench offsets -- pairs [FRAMES] CAPTURE…`  pair by pair, the best rung
 //! `cargo bench --bench offsets -- calibration CAPTURE…`  error bars over sub-sampled films
 //! `cargo bench --bench offsets -- analytic`              films in closed form: accuracy, error
 //!                                                        bars, noise, jitter, blur, bits, time
+//! `cargo bench --bench offsets -- worse CAPTURE…`        filmed frames with noise, blur, fewer bits
+//! `cargo bench --bench offsets -- lost`                  60 films in closed form that lose frames
 //!
 //! Plots go to `.captures/bench-offsets/`.
 
@@ -17,8 +21,14 @@ mod captures;
 mod cpu;
 #[path = "offsets/fig18.rs"]
 mod fig18;
+#[path = "offsets/filmed.rs"]
+mod filmed;
+#[path = "offsets/films.rs"]
+mod films;
 #[path = "offsets/frames.rs"]
 mod frames;
+#[path = "offsets/lost.rs"]
+mod lost;
 #[path = "offsets/scene.rs"]
 mod scene;
 
@@ -35,10 +45,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     match what {
         "fig18" => fig18::run(&output),
         "frames" => frames::run(rest, &output),
+        "all" => films::run(rest),
         "captures" => captures::run(rest),
         "pairs" => captures::pairs(rest),
         "calibration" => captures::calibration(rest),
         "analytic" => analytic::run(rest, &output),
+        "worse" => filmed::run(rest, &output),
+        "lost" => lost::run(),
         other => Err(format!("there is no '{other}'").into()),
     }
 }

@@ -71,6 +71,8 @@ fn blind() -> Result<(), Failure> {
     tell("motion along the epipolar lines", &Film::new(scene::rectangle([0.6, 0.0]), &DELAYS, 10))?;
     tell("no motion", &Film::new(scene::rectangle([0.0, 0.0]), &DELAYS, 10))?;
     tell("nearly none", &Film::new(scene::rectangle([0.003, 0.003]), &DELAYS, 10))?;
+    let small = Film { size: [240, 180], ..Film::new(scene::small_turning_board(0), &DELAYS, 9) };
+    tell("a small body alone, sliding along them and turning", &small)?;
     let mut grid = Film::new(scene::rectangle([0.6, 0.0]), &DELAYS, 10);
     grid.second_row_m = 0.09;
     tell("motion along a grid's rows, with its second row", &grid)?;

@@ -161,7 +161,7 @@ fn parts(whole: &Capture, frames: usize) -> Vec<Capture> {
 }
 
 /// Leaves out all other frames; every camera must have these.
-fn keep_frames(capture: &mut Capture, frames: std::ops::Range<usize>) {
+pub fn keep_frames(capture: &mut Capture, frames: std::ops::Range<usize>) {
     for camera in &mut capture.cameras {
         camera.frames = camera.frames[frames.clone()].to_vec();
         camera.clock.times_s = camera.clock.times_s[frames.clone()].to_vec();

@@ -324,3 +324,14 @@ pub fn restless(seed: u64) -> Vec<Board> {
     }
     boards
 }
+
+/// A small board that slides along a row of cameras, fast, and turns: what moves across the epipolar
+/// lines is a few windows' worth of pixels, most of them with an outline in it.
+pub fn small_turning_board(seed: u64) -> Vec<Board> {
+    let random = &mut Random::new(seed);
+    let mut turns =
+        Board::still(Point3::new(-0.3, -0.1, 1.6), [0.11; 2], [random.unit(), random.unit()]);
+    turns.velocity.x = 0.8 + 0.6 * random.unit();
+    turns.roll = [random.signed(), 2.5 + 1.5 * random.unit()];
+    vec![wall(), turns]
+}

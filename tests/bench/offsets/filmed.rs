@@ -1,0 +1,174 @@
+//! Errors as filmed frames get worse: at half size, so that more than eight bits are known of each
+//! pixel, with noise, blur, or fewer bits.
+
+use super::captures::{outcomes, summary};
+use super::{median, save};
+use rayon::prelude::*;
+use std::path::Path;
+use std::sync::Arc;
+use stlfr::capture::{BitDepth, Capture, Truth, write_image};
+use stlfr::offset::chart::{Chart, Series, svg};
+use stlfr::offset::{OffsetOptions, estimate};
+use stlfr::progress::Reporter;
+use stlfr::random::Random;
+use stlfr::raster::Image;
+use stlfr::registration::RegistrationOptions;
+
+type Failure = Box<dyn std::error::Error>;
+
+/// What becomes of a frame.
+#[derive(Clone, Copy)]
+struct Worse {
+    /// Standard deviations: of a pixel's noise, of full scale, and of the blur, pixels.
+    noise: f64,
+    blur_px: f64,
+    bits: u32,
+}
+
+const AS_FILMED: Worse = Worse { noise: 0.0, blur_px: 0.0, bits: 16 };
+
+pub fn run(folders: &[String], output: &Path) -> Result<(), Failure> {
+    let sweeps: [(&str, &[f64], fn(&mut Worse, f64)); 3] = [
+        ("noise, % of full scale", &[0.0, 0.5, 1.0, 2.0, 4.0, 8.0], |w, v| w.noise = 0.01 * v),
+        ("blur, pixels", &[0.0, 0.5, 1.0, 2.0, 3.0], |w, v| w.blur_px = v),
+        ("bits", &[4.0, 5.0, 6.0, 8.0, 16.0], |w, v| w.bits = v as u32),
+    ];
+    let mut charts = Vec::new();
+    for (name, values, change) in sweeps {
+        let series = |label: &str| Series {
+            label: label.into(),
+            line: true,
+            dots: true,
+            ..Series::default()
+        };
+        let mut lines =
+            [series("median |error|"), series("worst |error|"), series("median standard error")];
+        for &value in values {
+            let mut worse = AS_FILMED;
+            change(&mut worse, value);
+            let mut all = Vec::new();
+            let mut unknown = 0;
+            for folder in folders {
+                let (found, blind) = at_half_size(Path::new(folder), worse)?;
+                all.extend(found);
+                unknown += blind;
+            }
+            println!("{name} {value}: {}; {unknown} unknown", summary(&all));
+            let errors: Vec<f64> = all.iter().map(|o| o.error_frames.abs()).collect();
+            let bars: Vec<f64> = all.iter().map(|o| o.std_err_frames).collect();
+            let most = errors.iter().copied().fold(0.0, f64::max);
+            for (line, y) in lines.iter_mut().zip([median(&errors), most, median(&bars)]) {
+                line.points.push((value, y).into());
+            }
+        }
+        charts.push(Chart {
+            title: format!("Filmed frames: offset error by {name}"),
+            x_label: name.into(),
+            y_label: "frames".into(),
+            log_y: true,
+            series: lines.into(),
+            rules: vec![(0.005, "0.005 frame".into())],
+            ..Chart::default()
+        });
+    }
+    save(output, "filmed-growth.svg", &svg(&charts, 2))
+}
+
+fn at_half_size(
+    folder: &Path,
+    worse: Worse,
+) -> Result<(Vec<super::captures::Outcome>, usize), Failure> {
+    let whole = Capture::open(folder)?;
+    let truth = Truth::open(folder)?.ok_or("has no truth")?;
+    let copy = tempfile::tempdir()?;
+    let text = std::fs::read_to_string(folder.join("capture.json"))?;
+    let mut format: serde_json::Value = serde_json::from_str(&text)?;
+    for camera in format["cameras"].as_array_mut().ok_or("has no cameras")? {
+        let id = camera["id"].as_str().ok_or("has no id")?.to_owned();
+        for side in ["width", "height"] {
+            camera[side] = (camera[side].as_u64().ok_or("has no size")? / 2).into();
+        }
+        // Focal lengths and the principal point; lens distortion has no unit.
+        for k in 0..4 {
+            camera["params"][k] = (camera["params"][k].as_f64().ok_or("no params")? / 2.0).into();
+        }
+        camera["frames"] = format!("{id}/%04d.png").into();
+        std::fs::create_dir_all(copy.path().join(&id))?;
+    }
+    std::fs::write(copy.path().join("capture.json"), format.to_string())?;
+    let shots: Vec<(usize, usize)> = whole
+        .cameras
+        .iter()
+        .enumerate()
+        .flat_map(|(c, camera)| (0..camera.frames.len()).map(move |k| (c, k)))
+        .collect();
+    shots.par_iter().try_for_each(|&(c, k)| -> Result<(), String> {
+        let frame = whole.read_frame(c, k).map_err(|e| e.to_string())?;
+        let picture = worsened(&half(&frame), worse, (1000 * c + k) as u64);
+        let path = copy.path().join(format!("{}/{k:04}.png", whole.cameras[c].id));
+        let depth = if worse.bits > 8 { BitDepth::Sixteen } else { BitDepth::Eight };
+        write_image(&path, &picture, None, depth).map_err(|e| e.to_string())
+    })?;
+    let capture = Arc::new(Capture::open(copy.path())?);
+    let found = estimate(
+        &capture,
+        &OffsetOptions::default(),
+        &RegistrationOptions::default(),
+        &Reporter::silent(),
+    )?;
+    Ok(outcomes(&found.offsets, capture.frame_s(), |id| truth.offset_s(id)))
+}
+
+/// The mean of every four pixels.
+fn half(image: &Image) -> Image {
+    let channels = image.channels();
+    let (w, h) = (image.width() / 2, image.height() / 2);
+    let mut data = vec![0.0; w * h * channels];
+    for (k, out) in data.iter_mut().enumerate() {
+        let (x, y, c) = ((k / channels) % w, k / channels / w, k % channels);
+        let at = |dx: usize, dy: usize| image.row(2 * y + dy)[(2 * x + dx) * channels + c];
+        *out = 0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1));
+    }
+    Image::from_data(w, h, channels, data)
+}
+
+fn worsened(image: &Image, worse: Worse, seed: u64) -> Image {
+    let image = blurred(image, worse.blur_px);
+    let random = &mut Random::new(seed);
+    let levels = f64::from((1_u32 << worse.bits) - 1);
+    let data = image.data().iter().map(|v| {
+        let noisy = f64::from(*v) + worse.noise * random.gaussian();
+        ((noisy.clamp(0.0, 1.0) * levels).round() / levels) as f32
+    });
+    Image::from_data(image.width(), image.height(), image.channels(), data.collect())
+}
+
+/// A Gaussian's, along the rows and then along the columns.
+fn blurred(image: &Image, sigma_px: f64) -> Image {
+    if sigma_px == 0.0 {
+        return image.clone();
+    }
+    let reach = (3.0 * sigma_px).ceil() as isize;
+    let weights: Vec<f64> =
+        (-reach..=reach).map(|d| (-0.5 * (d as f64 / sigma_px).powi(2)).exp()).collect();
+    let total: f64 = weights.iter().sum();
+    let (w, h, channels) = (image.width(), image.height(), image.channels());
+    let pass = |from: &[f32], across: bool| -> Vec<f32> {
+        let at = |x: usize, y: usize, c: usize, d: isize| {
+            let moved =
+                |v: usize, size: usize| (v as isize + d).clamp(0, size as isize - 1) as usize;
+            let (x, y) = if across { (moved(x, w), y) } else { (x, moved(y, h)) };
+            f64::from(from[(y * w + x) * channels + c])
+        };
+        (0..w * h * channels)
+            .map(|k| {
+                let (x, y, c) = ((k / channels) % w, k / channels / w, k % channels);
+                let sum: f64 =
+                    (-reach..=reach).zip(&weights).map(|(d, weight)| weight * at(x, y, c, d)).sum();
+                (sum / total) as f32
+            })
+            .collect()
+    };
+    let rows = pass(image.data(), true);
+    Image::from_data(w, h, channels, pass(&rows, false))
+}
