@@ -31,9 +31,10 @@ pub struct FourFrames<'a> {
     pub share: f32,
 }
 
-/// Blocks stand this far apart, pixels, and are twice as large: or as far as a window's radius, where
-/// that is more, in large images; the windows around a block would cost more than the block. Larger:
-/// one motion for pixels that move differently; smaller: more blocks to try.
+/// Blocks stand this far apart, pixels, and are twice as large: or as far as twice a window's radius,
+/// where that is more: from 640 pixels on they grow with the image, as what they show and the windows
+/// around them do, which would soon cost more than the blocks. Larger: one motion for pixels that move
+/// differently; smaller: more blocks to try.
 const MIN_STEP: usize = 8;
 
 /// Motions that the outer frames are tried by where the middle ones agree. More costs time.
@@ -54,7 +55,7 @@ pub fn refined(
     let costs = box_mean(&difference(&warped[0], &warped[1]), w, h, options.window_radius_px);
 
     let neighbors = Neighbors::new(motions.iter().map(|m| m.at));
-    let step = MIN_STEP.max(options.window_radius_px);
+    let step = MIN_STEP.max(2 * options.window_radius_px);
     let work =
         Work { frames, motions, neighbors, dissolved: &dissolved, costs: &costs, options, step };
     // Block (bx, by) covers pixels from (bx − 1)·step to (bx + 1)·step.

@@ -2,7 +2,7 @@
 //! that there is.
 //!
 //! `cargo bench --bench growth -- [pixels|cameras|features|frames|memory|largest]`, all without a
-//! word. Times are processor time, which other work on the machine hardly adds to; films are of
+//! word. Times are processor time, to which other work on the machine adds little; films are of
 //! [`swing::Swing`]. Tables go to stdout, plots to `target/growth/growth.svg` and `memory.svg`.
 
 mod cpu;

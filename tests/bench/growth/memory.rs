@@ -59,7 +59,7 @@ pub fn grow(lengths: &[usize]) -> Done<Chart> {
         x_label: "frames a camera".into(),
         y_label: "resident at most, MiB".into(),
         log_x: true,
-        y_shows: Some((0.0, 500.0)),
+        y_shows: Some((0.0, 700.0)),
         series: series.into(),
         rules: vec![(500.0, "target".into())],
         ..Chart::default()

@@ -15,10 +15,9 @@ use stlfr::registration::{FrameStore, epipolar_test, temporal_flow};
 use stlfr::render::{LightField, ProxyRung, RenderOptions};
 
 /// What is timed, in the order of the pipeline.
-const STAGES: [&str; 9] = [
+const STAGES: [&str; 8] = [
     "registration",
     "offsets",
-    "crossfade",
     "triangulation",
     "edge-morph",
     "refined",
@@ -53,6 +52,11 @@ pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
     let row: Vec<String> =
         fits.iter().map(|f| format!("{:.2} ± {:.2}", f.exponent, f.std_err)).collect();
     println!("| exponent | | {} |", row.join(" | "));
+    let last = |points: &[(f64, f64)]| growth(&points[points.len() - 2..]).exponent;
+    let row: Vec<String> = all.iter().map(|points| format!("{:.2}", last(points))).collect();
+    println!("| of the last step | | {} |", row.join(" | "));
+    let costs = || all.iter().flatten().map(|p| p.1);
+    let (least, most) = (costs().fold(f64::INFINITY, f64::min), costs().fold(0.0, f64::max));
     let series = STAGES
         .iter()
         .zip(&all)
@@ -71,6 +75,8 @@ pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
         y_label: "processor time, ms".into(),
         log_x: true,
         log_y: true,
+        // Room for the names above the lines.
+        y_shows: Some((least, 100.0 * most)),
         series,
         ..Chart::default()
     })
@@ -102,7 +108,7 @@ fn measure(name: &str, case: &Case) -> Done<(usize, [f64; STAGES.len()])> {
     let known = true_offsets(&capture, &case.swing);
     let field = LightField::new(capture.clone(), known.clone(), options.clone());
     let mut costs = vec![registration, offsets];
-    for sync in [Sync::Crossfade, Sync::Triangulation, Sync::EdgeMorph, Sync::Refined] {
+    for sync in [Sync::Triangulation, Sync::EdgeMorph, Sync::Refined] {
         // Frames and tracks are there already: registration has a column of its own.
         field.synchronized_by(sync, reference, time_s)?;
         costs.push(timed(|| field.synchronized_by(sync, reference, time_s)).1);
