@@ -1,6 +1,6 @@
 //! From what was measured to a rung and a sentence. No images here.
 
-use super::{Clocks, Decision, Motion, Probe, Shape};
+use super::{Clocks, Decision, Motion, Shape};
 use crate::interpolation::Sync;
 use crate::render::ProxyRung;
 use clap::ValueEnum;
@@ -77,16 +77,32 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (Sync, Decision) {
 }
 
 /// Whether the refined rung pays, where views by it and by triangulation could be compared.
-pub fn refinement(probe: &Probe, budget_db: f64) -> (Sync, Decision) {
-    let rung = if probe.gain_db > budget_db { Sync::Refined } else { Sync::Triangulation };
-    let frames: Vec<String> = probe.frames.iter().map(|(id, k)| format!("{id}'s {k}")).collect();
+pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (Sync, Decision) {
+    let rung = if gain_db > budget_db { Sync::Refined } else { Sync::Triangulation };
     let because = format!(
-        "Where frames change, refinement makes views {:+.2} dB better than triangulation (frames {}, \
+        "Where frames change, refinement makes views {:+.2} dB better than triangulation (frames {frames}, \
          rendered from their neighbours).",
-        probe.gain_db,
-        frames.join(", ")
+        gain_db
     );
-    (rung, decision("sync", &name(&rung), Some((probe.gain_db, budget_db)), because))
+    (rung, decision("sync", &name(&rung), Some((gain_db, budget_db)), because))
+}
+
+/// Whether the mesh gets the points of fewer cameras: cameras, and those that each is matched with.
+pub fn points(
+    gain_db: f64,
+    all: (usize, usize),
+    few: (usize, usize),
+    budget_db: f64,
+) -> (bool, Decision) {
+    let fewer = gain_db <= budget_db;
+    let (cameras, partners) = if fewer { few } else { all };
+    let because = format!(
+        "Where frames change, points of {} cameras, each matched with {}, make views {gain_db:+.2} dB \
+         better than points of {} matched with {}.",
+        all.0, all.1, few.0, few.1
+    );
+    let rung = format!("{cameras}x{partners}");
+    (fewer, decision("points", &rung, Some((gain_db, budget_db)), because))
 }
 
 /// Whether paths must be curved.
@@ -166,14 +182,19 @@ mod tests {
 
     #[test]
     fn what_refinement_gains_decides_whether_it_is_done() {
-        let rung = |gain_db| {
-            let probe = Probe { gain_db, frames: vec![("cam1".into(), 3)] };
-            refinement(&probe, 0.1)
-        };
+        let rung = |gain_db| refinement(gain_db, "cam1's 3", 0.1);
         assert_eq!(rung(-0.3).0, Sync::Triangulation);
         assert_eq!(rung(0.05).0, Sync::Triangulation);
         assert_eq!(rung(0.6).0, Sync::Refined);
         assert!(rung(0.6).1.because.contains("+0.60 dB"), "{}", rung(0.6).1.because);
+    }
+
+    #[test]
+    fn what_points_gain_decides_how_many_there_are() {
+        let chosen = |gain_db| points(gain_db, (3, 4), (2, 2), 0.1);
+        assert_eq!((chosen(-0.9).0, chosen(-0.9).1.rung.as_str()), (true, "2x2"));
+        assert_eq!((chosen(0.6).0, chosen(0.6).1.rung.as_str()), (false, "3x4"));
+        assert!(chosen(0.6).1.because.contains("+0.60 dB"));
     }
 
     #[test]
