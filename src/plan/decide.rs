@@ -87,24 +87,6 @@ pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (Sync, Decision
     (rung, decision("sync", &name(&rung), Some((gain_db, budget_db)), because))
 }
 
-/// Whether the mesh gets the points of fewer cameras: cameras, and those that each is matched with.
-pub fn points(
-    gain_db: f64,
-    all: (usize, usize),
-    few: (usize, usize),
-    budget_db: f64,
-) -> (bool, Decision) {
-    let fewer = gain_db <= budget_db;
-    let (cameras, partners) = if fewer { few } else { all };
-    let because = format!(
-        "Where frames change, points of {} cameras, each matched with {}, make views {gain_db:+.2} dB \
-         better than points of {} matched with {}.",
-        all.0, all.1, few.0, few.1
-    );
-    let rung = format!("{cameras}x{partners}");
-    (fewer, decision("points", &rung, Some((gain_db, budget_db)), because))
-}
-
 /// Whether paths must be curved.
 pub fn path(motion: &Motion, budget_px: f64) -> (bool, Decision) {
     let curved = motion.bend_px > budget_px;
@@ -187,14 +169,6 @@ mod tests {
         assert_eq!(rung(0.05).0, Sync::Triangulation);
         assert_eq!(rung(0.6).0, Sync::Refined);
         assert!(rung(0.6).1.because.contains("+0.60 dB"), "{}", rung(0.6).1.because);
-    }
-
-    #[test]
-    fn what_points_gain_decides_how_many_there_are() {
-        let chosen = |gain_db| points(gain_db, (3, 4), (2, 2), 0.1);
-        assert_eq!((chosen(-0.9).0, chosen(-0.9).1.rung.as_str()), (true, "2x2"));
-        assert_eq!((chosen(0.6).0, chosen(0.6).1.rung.as_str()), (false, "3x4"));
-        assert!(chosen(0.6).1.because.contains("+0.60 dB"));
     }
 
     #[test]

@@ -8,7 +8,6 @@
 //! | does refinement pay? | cameras' own frames, rendered from their neighbours both ways ([`Probe`]) | the sync rung |
 //! | on straight lines? | bend of the paths through four frames | curved paths |
 //! | is a plane enough? | points' parallax against it ([`Shape`]) | the proxy |
-//! | do more points pay? | the same frames with points of more and of fewer cameras | the mesh's points |
 //! | do lenses distort? | the largest shift of a pixel | resampling |
 //! | does the rig spread in two directions? | the camera centres' extent | references |
 //!
@@ -36,7 +35,7 @@ use crate::interpolation::Sync;
 use crate::offset::{self, Offsets};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
-use crate::render::{LightField, ProxyOptions, ProxyRung, RenderError, RenderOptions};
+use crate::render::{LightField, RenderError, RenderOptions};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -135,63 +134,27 @@ pub fn plan_with(
     if options.auto.proxy {
         decided.proxy.rung = proxy.unwrap_or(decided.proxy.rung);
     }
-    let mut of_points = None;
-    let tried = sync.needs_tracks();
-    let probe = if tried { Probe::open(capture, field.offsets(), &decided)? } else { None };
-    if let Some(mut probe) = probe {
-        let mut trial = RenderOptions { sync: Sync::Triangulation, ..decided.clone() };
-        if options.auto.proxy && trial.proxy.rung == ProxyRung::Mesh {
-            of_points = points(&mut probe, &mut trial.proxy, options)?;
-            decided.proxy = trial.proxy.clone();
-        }
-        if sync == Sync::Refined {
-            let cheaper_db = probe.quality_db(&trial)?;
-            let dearer_db = probe.quality_db(&RenderOptions { sync, ..trial })?;
-            if let Some((cheaper_db, dearer_db)) = cheaper_db.zip(dearer_db) {
-                let (gain_db, names) = (dearer_db - cheaper_db, probe.names());
-                (sync, of_sync) = decide::refinement(gain_db, &names, options.auto.budget_db);
-            }
+    if sync == Sync::Refined
+        && let Some(mut probe) = Probe::open(capture, field.offsets(), &decided)?
+    {
+        let trial = |sync| RenderOptions { sync, ..decided.clone() };
+        let cheaper_db = probe.quality_db(&trial(Sync::Triangulation))?;
+        let dearer_db = probe.quality_db(&trial(sync))?;
+        if let Some((cheaper_db, dearer_db)) = cheaper_db.zip(dearer_db) {
+            let (gain_db, names) = (dearer_db - cheaper_db, probe.names());
+            (sync, of_sync) = decide::refinement(gain_db, &names, options.auto.budget_db);
         }
     }
     if options.auto.sync {
         decided.sync = sync;
     }
     decisions.extend([of_sync, of_path, of_proxy]);
-    decisions.extend(of_points);
     decisions.push(decide::lenses(largest_distortion_px(capture)));
     decisions.push(decide::references(extent_ratio(capture)));
     decided.auto = AutoOptions { sync: false, proxy: false, ..options.auto.clone() };
     field.set_options(decided.clone());
     Ok((Plan { budget_px, decisions, options: decided }, field))
 }
-
-/// Fewer cameras' points than asked for, where views are better with them.
-fn points(
-    probe: &mut Probe,
-    proxy: &mut ProxyOptions,
-    options: &RenderOptions,
-) -> Result<Option<Decision>, RenderError> {
-    let few = ProxyOptions { cameras: FEW.0, partners: FEW.1, ..proxy.clone() };
-    if proxy.cameras <= FEW.0 && proxy.partners <= FEW.1 {
-        return Ok(None);
-    }
-    let mut quality_db = |proxy: &ProxyOptions| {
-        let sync = Sync::Triangulation;
-        probe.quality_db(&RenderOptions { sync, proxy: proxy.clone(), ..options.clone() })
-    };
-    let Some((all_db, few_db)) = quality_db(proxy)?.zip(quality_db(&few)?) else { return Ok(None) };
-    let budget_db = options.auto.budget_db;
-    let (fewer, decision) =
-        decide::points(all_db - few_db, (proxy.cameras, proxy.partners), FEW, budget_db);
-    if fewer {
-        *proxy = few;
-    }
-    Ok(Some(decision))
-}
-
-/// Cameras whose features are triangulated, and the cameras that each is matched with, as a cheaper
-/// rung has them.
-const FEW: (usize, usize) = (2, 2);
 
 /// The value that this share of them is not over; `None` of none.
 fn percentile(mut values: Vec<f64>, share: f64) -> Option<f64> {
