@@ -11,7 +11,9 @@ use stlfr::camera::CameraModel;
 #[test]
 fn every_command_has_help_with_an_example() {
     let help = String::from_utf8(run(&["--help"]).stdout).unwrap();
-    for command in ["demo", "setup", "rig", "capture", "check", "offsets", "render", "compare"] {
+    for command in
+        ["demo", "setup", "rig", "capture", "check", "offsets", "render", "compare", "tradeoff"]
+    {
         assert!(help.contains(&format!("\n  {command} ")), "{help}");
         let output = run(&[command, "--help"]);
         let text = String::from_utf8(output.stdout).unwrap();

@@ -7,6 +7,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use stlfr::capture::{self, write_atomically};
 use stlfr::rig::{self, Delays, Distortion, Layout, Loss, LossStamps, Rig, RigColor, RigOptions};
+use stlfr::tradeoff;
 
 /// Generate a rig: where cameras stand, and how their shutters and sensors are. The same command
 /// writes the same file.
@@ -58,6 +59,7 @@ enum LayoutName {
 enum SchemaName {
     Rig,
     Capture,
+    Tradeoff,
 }
 
 #[derive(Debug, clap::Args)]
@@ -163,6 +165,7 @@ pub fn run(args: &Args) -> Result<(), CliError> {
         let schema = match schema {
             SchemaName::Rig => rig::schema(),
             SchemaName::Capture => capture::schema(),
+            SchemaName::Tradeoff => tradeoff::schema(),
         };
         println!("{schema:#}");
         return Ok(());

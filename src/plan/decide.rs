@@ -1,6 +1,6 @@
 //! From what was measured to a rung and a sentence. No images here.
 
-use super::{Clocks, Decision, Motion, Probe, Shape};
+use super::{Clocks, Decision, Motion, Shape};
 use crate::interpolation::Sync;
 use crate::registration::Gains;
 use crate::render::ProxyRung;
@@ -78,16 +78,14 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (Sync, Decision) {
 }
 
 /// Whether the refined rung pays, where views by it and by triangulation could be compared.
-pub fn refinement(probe: &Probe, budget_db: f64) -> (Sync, Decision) {
-    let rung = if probe.gain_db > budget_db { Sync::Refined } else { Sync::Triangulation };
-    let frames: Vec<String> = probe.frames.iter().map(|(id, k)| format!("{id}'s {k}")).collect();
+pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (Sync, Decision) {
+    let rung = if gain_db > budget_db { Sync::Refined } else { Sync::Triangulation };
     let because = format!(
-        "Where frames change, refinement makes views {:+.2} dB better than triangulation (frames {}, \
+        "Where frames change, refinement makes views {:+.2} dB better than triangulation (frames {frames}, \
          rendered from their neighbours).",
-        probe.gain_db,
-        frames.join(", ")
+        gain_db
     );
-    (rung, decision("sync", &name(&rung), Some((probe.gain_db, budget_db)), because))
+    (rung, decision("sync", &name(&rung), Some((gain_db, budget_db)), because))
 }
 
 /// Whether paths must be curved.
@@ -181,10 +179,7 @@ mod tests {
 
     #[test]
     fn what_refinement_gains_decides_whether_it_is_done() {
-        let rung = |gain_db| {
-            let probe = Probe { gain_db, frames: vec![("cam1".into(), 3)] };
-            refinement(&probe, 0.1)
-        };
+        let rung = |gain_db| refinement(gain_db, "cam1's 3", 0.1);
         assert_eq!(rung(-0.3).0, Sync::Triangulation);
         assert_eq!(rung(0.05).0, Sync::Triangulation);
         assert_eq!(rung(0.6).0, Sync::Refined);

@@ -136,9 +136,15 @@ pub fn plan_with(
         decided.proxy.rung = proxy.unwrap_or(decided.proxy.rung);
     }
     if sync == Sync::Refined
-        && let Some(probe) = Probe::survey(capture, field.offsets(), &decided)?
+        && let Some(mut probe) = Probe::open(capture, field.offsets(), &decided)?
     {
-        (sync, of_sync) = decide::refinement(&probe, options.auto.budget_db);
+        let trial = |sync| RenderOptions { sync, ..decided.clone() };
+        let cheaper_db = probe.quality_db(&trial(Sync::Triangulation))?;
+        let dearer_db = probe.quality_db(&trial(sync))?;
+        if let Some((cheaper_db, dearer_db)) = cheaper_db.zip(dearer_db) {
+            let (gain_db, names) = (dearer_db - cheaper_db, probe.names());
+            (sync, of_sync) = decide::refinement(gain_db, &names, options.auto.budget_db);
+        }
     }
     if options.auto.sync {
         decided.sync = sync;

@@ -1,15 +1,13 @@
-//! What a dearer rung gains on views of this capture: cameras' own frames, rendered from their
-//! neighbours.
+//! What rungs gain on views of this capture: cameras' own frames, rendered from their neighbours.
 
 use crate::capture::Capture;
-use crate::interpolation::Sync;
 use crate::offset::Offsets;
 use crate::raster::Image;
 use crate::render::left_out::{filmed, inner_cameras, only, others, shown_frame};
 use crate::render::{LightField, RenderError, RenderOptions};
 
-/// Cameras that are rendered, one frame of each. More cost a view by the dearest rung each.
-const PROBES: usize = 2;
+/// Cameras that are rendered, one frame of each. More cost a view by every rung that is tried.
+const FRAMES: usize = 2;
 
 /// Cameras, the nearest, that each is rendered from. More cost time; fewer than two are on one side.
 const NEIGHBORS: usize = 4;
@@ -20,83 +18,82 @@ const BETWEEN: f64 = 0.1;
 /// A changing part smaller than this tells nothing, pixels.
 const LEAST_PIXELS: usize = 64;
 
-/// What was found.
-#[derive(Clone, Debug, PartialEq)]
+/// Frames to render from their cameras' neighbours.
 pub struct Probe {
-    /// How much better the refined rung is than triangulation where the frames change, decibels of
-    /// PSNR, the mean of the frames.
-    pub gain_db: f64,
-    /// The frames that were rendered: the camera's id, the frame.
-    pub frames: Vec<(String, usize)>,
+    frames: Vec<LeftOut>,
+}
+
+struct LeftOut {
+    /// Of the neighbours alone.
+    field: LightField,
+    camera: crate::camera::Camera,
+    /// The camera's id, and the frame.
+    name: String,
+    time_s: f64,
+    truth: Image,
+    /// Where it differs from the frames beside it.
+    changing: Vec<bool>,
 }
 
 impl Probe {
     /// `None` where no frame lies between its neighbours' frames, as with one clock for all, or
-    /// nothing changes.
-    pub fn survey(
+    /// hardly anything changes.
+    pub fn open(
         capture: &Capture,
         offsets: &Offsets,
         options: &RenderOptions,
     ) -> Result<Option<Self>, RenderError> {
         let times_s = offsets.common_times_s(capture);
-        let mut gains = Vec::new();
         let mut frames = Vec::new();
-        for camera in inner_cameras(capture) {
-            let Some(times_s) = &times_s[camera] else { continue };
-            let mut from = others(capture, camera);
+        for index in inner_cameras(capture) {
+            let Some(times_s) = &times_s[index] else { continue };
+            let mut from = others(capture, index);
             from.truncate(NEIGHBORS);
             let (less, known) = only(capture, offsets, &from);
-            let mut field = LightField::new(less, known, options.clone());
+            let field = LightField::new(less, known, options.clone());
             let Some(frame) = shown_frame(&field, times_s) else { continue };
             let time_s = times_s[frame];
-            if 2 * field.between_frames(time_s, BETWEEN) < from.len() {
+            let (truth, changing) = filmed(capture, index, frame)?;
+            let count = changing.iter().filter(|c| **c).count();
+            if 2 * field.between_frames(time_s, BETWEEN) < from.len() || count < LEAST_PIXELS {
                 continue;
             }
-            if let Some(gain_db) = gain(&mut field, options, capture, camera, frame, time_s)? {
-                gains.push(gain_db);
-                frames.push((capture.cameras[camera].id.clone(), frame));
-            }
-            if gains.len() == PROBES {
+            let (id, camera) = (&capture.cameras[index].id, &capture.cameras[index].camera);
+            let (name, camera) = (format!("{id}'s {frame}"), camera.clone());
+            frames.push(LeftOut { field, camera, name, time_s, truth, changing });
+            if frames.len() == FRAMES {
                 break;
             }
         }
-        let count = gains.len() as f64;
-        let gain_db = gains.iter().sum::<f64>() / count;
-        Ok((!gains.is_empty()).then_some(Self { gain_db, frames }))
+        Ok((!frames.is_empty()).then_some(Self { frames }))
     }
-}
 
-/// Of one frame; `None` where it can't be rendered or hardly changes.
-fn gain(
-    field: &mut LightField,
-    options: &RenderOptions,
-    capture: &Capture,
-    camera: usize,
-    frame: usize,
-    time_s: f64,
-) -> Result<Option<f64>, RenderError> {
-    let (truth, moving) = filmed(capture, camera, frame)?;
-    let mut errors = Vec::new();
-    for sync in [Sync::Triangulation, Sync::Refined] {
-        field.set_options(RenderOptions { sync, ..options.clone() });
-        let rendered = match field.view(&capture.cameras[camera].camera, time_s) {
-            Ok(rendered) => rendered,
-            Err(RenderError::Capture(error)) => return Err(error.into()),
-            Err(_) => return Ok(None),
-        };
-        let counts: Vec<bool> =
-            rendered.coverage.iter().zip(&moving).map(|(c, m)| *c && *m).collect();
-        if counts.iter().filter(|c| **c).count() < LEAST_PIXELS {
-            return Ok(None);
+    /// Which frames they are.
+    pub fn names(&self) -> String {
+        let names: Vec<&str> = self.frames.iter().map(|f| f.name.as_str()).collect();
+        names.join(", ")
+    }
+
+    /// PSNR of the views by these options where the frames change, decibels, the mean of the
+    /// frames; `None` where one can't be rendered.
+    pub fn quality_db(&mut self, options: &RenderOptions) -> Result<Option<f64>, RenderError> {
+        let mut sum = 0.0;
+        for frame in &mut self.frames {
+            frame.field.set_options(options.clone());
+            frame.field.forget_points();
+            let rendered = match frame.field.view(&frame.camera, frame.time_s) {
+                Ok(rendered) => rendered,
+                Err(RenderError::Capture(error)) => return Err(error.into()),
+                Err(_) => return Ok(None),
+            };
+            let (image, truth) = (rendered.image.to_gray(), frame.truth.to_gray());
+            let pixels = image.data().iter().zip(truth.data());
+            let counts = rendered.coverage.iter().zip(&frame.changing).map(|(a, b)| *a && *b);
+            let errors = pixels.zip(counts).filter(|(_, counts)| *counts);
+            let squared: Vec<f64> = errors.map(|((a, b), _)| f64::from(a - b).powi(2)).collect();
+            sum -= 10.0 * (squared.iter().sum::<f64>() / squared.len() as f64).log10();
         }
-        errors.push(squared_error(&rendered.image, &truth, &counts));
+        let mean = sum / self.frames.len() as f64;
+        Ok(mean.is_finite().then_some(mean))
     }
-    let gain_db = 10.0 * (errors[0] / errors[1]).log10();
-    Ok(gain_db.is_finite().then_some(gain_db))
-}
-
-fn squared_error(image: &Image, truth: &Image, counts: &[bool]) -> f64 {
-    let (image, truth) = (image.to_gray(), truth.to_gray());
-    let pixels = image.data().iter().zip(truth.data()).zip(counts);
-    pixels.filter(|(_, counts)| **counts).map(|((a, b), _)| f64::from(a - b).powi(2)).sum()
 }

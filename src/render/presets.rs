@@ -1,6 +1,6 @@
 //! Three points of the trade of speed for accuracy, by name.
 
-use super::{ProxyRung, RenderOptions};
+use super::RenderOptions;
 use crate::interpolation::Sync;
 use crate::json;
 use crate::lumigraph::Sampling;
@@ -16,7 +16,7 @@ pub enum Preset {
     Draft,
     /// Most of the accuracy for some of the time
     Balanced,
-    /// The most accurate
+    /// The most accurate that the capture shows to pay
     #[default]
     Best,
 }
@@ -36,7 +36,6 @@ impl Preset {
             Self::Draft => {
                 options.sync = Sync::Triangulation;
                 options.registration.corners.max_corners = 1000;
-                options.proxy.rung = ProxyRung::Mesh;
                 (options.proxy.cameras, options.proxy.partners) = (1, 2);
                 options.blend.cameras = 2;
                 options.blend.sampling = Sampling::Bilinear;
@@ -45,7 +44,10 @@ impl Preset {
                 options.sync = Sync::Triangulation;
                 (options.proxy.cameras, options.proxy.partners) = (2, 2);
             }
-            Self::Best => {}
+            Self::Best => {
+                (options.auto.sync, options.auto.proxy) = (true, true);
+                options.auto.budget_db = 0.05;
+            }
         }
         options
     }

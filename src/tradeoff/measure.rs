@@ -3,7 +3,7 @@
 use super::stages::{Stage, Views};
 use super::store::{KeptPoint, Planned, Prepared, Store};
 use super::targets::{Against, Scene, Target, Timed};
-use super::{Clock, Stopwatch, TradeoffError};
+use super::{Clock, Elapsed, Stopwatch, TradeoffError};
 use crate::capture::Capture;
 use crate::offset::{self, Offsets};
 use crate::plan;
@@ -15,7 +15,6 @@ use std::sync::Arc;
 /// The bench that combinations are measured on.
 pub(super) struct Bench<'a> {
     pub capture: &'a Arc<Capture>,
-    pub base: &'a RenderOptions,
     pub store: Store,
     pub targets: Vec<Target>,
     pub timed: Timed,
@@ -66,18 +65,22 @@ pub(super) fn prepared(
 }
 
 impl Bench<'_> {
-    /// What `auto` chooses, and what planning takes.
-    pub fn planned(&self) -> Result<Planned, TradeoffError> {
-        let mut asked = self.base.clone();
-        (asked.auto.sync, asked.auto.proxy) = (true, true);
+    /// What the capture makes of options, where they leave rungs to it, and what planning takes.
+    pub fn planned(&self, asked: &RenderOptions) -> Result<Planned, TradeoffError> {
+        if !asked.auto.any() {
+            let took = Elapsed { wall_s: 0.0, cpu_s: 0.0 };
+            return Ok(Planned { options: asked.clone(), took });
+        }
         let key = self.store.key("auto", &asked);
         if let Some(kept) = self.store.load(&key) {
             return Ok(kept);
         }
-        let prepared = self.prepared(self.base)?;
+        let prepared = self.prepared(asked)?;
         let watch = Stopwatch::start();
-        let (plan, _) = plan::plan_with(self.capture, prepared.offsets, &asked, self.reporter)?;
-        let planned = Planned { options: plan.options, took: watch.elapsed() };
+        let (plan, _) = plan::plan_with(self.capture, prepared.offsets, asked, self.reporter)?;
+        // What was left to the capture is decided.
+        let options = RenderOptions { auto: plan::AutoOptions::default(), ..plan.options };
+        let planned = Planned { options, took: watch.elapsed() };
         self.store.save(&key, &planned)?;
         Ok(planned)
     }

@@ -191,7 +191,6 @@ pub fn tradeoff(
     drop(looking);
     let bench = Bench {
         capture,
-        base,
         store,
         targets,
         timed,
@@ -199,11 +198,16 @@ pub fn tradeoff(
         clock: options.clock,
         reporter,
     };
-    let planned = bench.planned()?;
+    let mut auto = base.clone();
+    (auto.auto.sync, auto.auto.proxy) = (true, true);
+    let planned = bench.planned(&auto)?;
+    let mut labels = vec![(AUTO, planned.options.clone())];
+    for preset in Preset::value_variants() {
+        labels.push((preset.name(), bench.planned(&preset.options())?.options));
+    }
 
     let mut wanted = rungs(base);
-    add(&mut wanted, Preset::value_variants().iter().map(|p| p.options()));
-    add(&mut wanted, [planned.options.clone()]);
+    add(&mut wanted, labels.iter().map(|(_, options)| options.clone()));
     let mut points = bench.measure("rungs", &wanted)?;
     let variable =
         Variable { offsets: prepared.offsets_took.is_some(), cameras: capture.cameras.len() };
@@ -214,7 +218,7 @@ pub fn tradeoff(
         }
         points = bench.measure(&format!("around the front, {round}"), &wanted)?;
     }
-    let tradeoff = gathered(&bench, &points, &planned)?;
+    let tradeoff = gathered(&bench, &points, &labels, planned.took.wall_s)?;
     write(&tradeoff, out)?;
     Ok(tradeoff)
 }
@@ -231,14 +235,15 @@ fn add(wanted: &mut Vec<RenderOptions>, more: impl IntoIterator<Item = RenderOpt
 fn gathered(
     bench: &Bench,
     points: &[KeptPoint],
-    planned: &store::Planned,
+    labels: &[(&str, RenderOptions)],
+    planning_s: f64,
 ) -> Result<Tradeoff, TradeoffError> {
     let summary = Summarized::new(bench, points);
     let recommended = summary.fastest_within(SLACK_DB).ok_or_else(|| TradeoffError::Nothing {
         reason: points.iter().find_map(|p| p.reason.clone()).unwrap_or_default(),
     })?;
     let best = points[recommended].options.clone();
-    let points = summary.points(&planned.options)?;
+    let points = summary.points(labels)?;
     let recommended = points.iter().position(|p| p.options == best).unwrap_or_default();
     let camera = &bench.timed.camera;
     let against = bench.against();
@@ -253,7 +258,7 @@ fn gathered(
         against,
         clock: bench.clock,
         views: bench.targets.iter().filter(|t| t.against == against).count(),
-        planning_s: planned.took.wall_s,
+        planning_s,
         points,
         recommended,
     })

@@ -4,10 +4,9 @@ use super::front::{Trade, fastest_within, front};
 use super::measure::Bench;
 use super::store::KeptPoint;
 use super::targets::{Against, Target};
-use super::{AUTO, Clock, Elapsed, TradeoffError, name};
+use super::{Clock, Elapsed, TradeoffError, name};
 use crate::compare::metrics::{RegionScores, Scores, median};
-use crate::render::{Preset, RenderOptions};
-use clap::ValueEnum;
+use crate::render::RenderOptions;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -113,25 +112,23 @@ impl<'a> Summarized<'a> {
     }
 
     /// All points, fastest first.
-    pub fn points(&self, auto: &RenderOptions) -> Result<Vec<Point>, TradeoffError> {
+    pub fn points(&self, labels: &[(&str, RenderOptions)]) -> Result<Vec<Point>, TradeoffError> {
         let front = self.front();
         let mut order: Vec<usize> = (0..self.kept.len()).collect();
         // NaN, of what can't be rendered, comes last.
         order.sort_by(|&a, &b| self.trades[a].seconds.total_cmp(&self.trades[b].seconds));
-        order.into_iter().map(|k| self.point(k, front.contains(&k), auto)).collect()
+        order.into_iter().map(|k| self.point(k, front.contains(&k), labels)).collect()
     }
 
     fn point(
         &self,
         k: usize,
         on_front: bool,
-        auto: &RenderOptions,
+        labels: &[(&str, RenderOptions)],
     ) -> Result<Point, TradeoffError> {
         let (kept, bench) = (&self.kept[k], self.bench);
-        let presets = Preset::value_variants().iter();
-        let mut labels: Vec<String> =
-            presets.filter(|p| p.options() == kept.options).map(|p| p.name().to_owned()).collect();
-        labels.extend((*auto == kept.options).then(|| AUTO.to_owned()));
+        let own = labels.iter().filter(|(_, options)| *options == kept.options);
+        let labels = own.map(|(label, _)| (*label).to_owned()).collect();
         let preparation = match kept.reason {
             Some(_) => None,
             None => {

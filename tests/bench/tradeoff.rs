@@ -15,8 +15,9 @@ use stlfr::progress::Reporter;
 use stlfr::render::{Preset, RenderOptions};
 use stlfr::tradeoff::{AUTO, Clock, Point, SLACK_DB, Tradeoff, TradeoffOptions, rungs, tradeoff};
 
-/// A preset is beaten by what is this much better, decibels, and takes no longer, or by what takes
-/// this much less time, as a share of its own, and is no worse: less is noise.
+/// A preset is beaten by what takes no longer and is no worse in any measure (PSNR and FLIP of the
+/// moving part and of all pixels), and is this much better on the moving part, decibels, or takes
+/// at most this share of its time: less is noise.
 const BETTER_DB: f64 = 0.1;
 const FASTER: f64 = 0.9;
 /// `auto` may take this much longer than the best rungs: the same options, timed twice, differ by
@@ -38,9 +39,13 @@ fn row<'a>(found: &Tradeoff, point: &'a Point) -> Option<Row<'a>> {
 }
 
 fn beats(other: &Row, preset: &Row) -> bool {
+    let measures = |p: &Point| {
+        let flip = [p.moving.flip, p.whole.flip].map(|f| f.map(|f| -f));
+        [p.moving.psnr_db, p.whole.psnr_db, flip[0], flip[1]]
+    };
+    let no_worse = measures(other.point).iter().zip(measures(preset.point)).all(|(a, b)| *a >= b);
     let better = other.db >= preset.db + BETTER_DB && other.seconds <= preset.seconds;
-    let faster = other.db >= preset.db && other.seconds <= FASTER * preset.seconds;
-    better || faster
+    no_worse && (better || other.seconds <= FASTER * preset.seconds)
 }
 
 fn print(scene: &str, label: &str, row: &Row) {

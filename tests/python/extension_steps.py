@@ -191,6 +191,9 @@ def pictures(capture: str, folder: str) -> dict[str, Any]:
     found = {"like": picture(scene, work, time_s, "like")}
     scene.stlfr.sync = scene.stlfr.proxy = "auto"
     found["auto"] = picture(scene, work, time_s, "auto")
+    scene.stlfr.preset = "draft"
+    found["draft"] = picture(scene, work, time_s, "draft")
+    scene.stlfr.preset = "none"
     scene.stlfr.sync, scene.stlfr.proxy = "refined", "plane"
     scene.stlfr.use_plane_depth, scene.stlfr.plane_depth_m = True, 1.8
     scene.camera.location.x += 0.5

@@ -289,7 +289,8 @@ def test_pictures_are_the_command_lines(
         for name, wanted in found.items()
     }
     assert found["auto"]["options"]["auto"] == {"sync": True, "proxy": True}
-    for name in ("like", "auto", "aside", "trail"):
+    assert found["draft"]["options"] == {"preset": "draft"}
+    for name in ("like", "auto", "draft", "aside", "trail"):
         assert rendered[name].shape == expected[name].shape
         assert np.abs(rendered[name] - expected[name]).max() <= 1, name
     hidden = rendered["aside"][..., 3] == 0

@@ -267,7 +267,12 @@ def test_the_ladders_hold_what_render_takes(capture_dir: Path) -> None:
     capture = stlfr.open(capture_dir)
     ladders = stlfr.ladders()
     assert set(ladders) == {"sync", "proxy", "trail", "preset"}
-    paths = {"sync": ["sync"], "proxy": ["proxy", "rung"], "trail": ["trail", "mode"], "preset": ["preset"]}
+    paths = {
+        "sync": ["sync"],
+        "proxy": ["proxy", "rung"],
+        "trail": ["trail", "mode"],
+        "preset": ["preset"],
+    }
     for name, path in paths.items():
 
         def options(rung: str, path: list[str] = path) -> dict[str, Any]:
