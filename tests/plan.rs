@@ -5,9 +5,11 @@ mod common;
 use common::wall::{self, FRAME_S, Scene, open};
 use common::{assert_refused, run, stderr};
 use serde_json::{Value, json};
+use stlfr::capture::{read_image, write_image};
 use stlfr::interpolation::Sync;
 use stlfr::plan::{Plan, plan};
 use stlfr::progress::Reporter;
+use stlfr::raster::{Image, encoded_from_linear, linear_from_encoded};
 use stlfr::render::{LightField, ProxyRung, RenderOptions};
 
 fn planned(scene: &Scene, change: impl FnOnce(&mut Value)) -> Plan {
@@ -39,6 +41,7 @@ fn a_still_synchronized_wall_requires_nothing_but_a_blend() {
         ("sync", "nearest"),
         ("path", "straight"),
         ("proxy", "plane"),
+        ("gains", "equal"),
         ("lenses", "pinhole"),
         ("references", "one direction"),
     ];
@@ -69,6 +72,32 @@ fn a_smaller_budget_asks_for_more() {
     options.auto.budget_px = 1e-9;
     let (plan, _) = plan(&open(&folder), &options, &Reporter::silent()).unwrap();
     assert_rungs(&plan, &[("proxy", "mesh")]);
+}
+
+#[test]
+fn a_camera_that_records_more_light_is_corrected() {
+    let scene = still();
+    let folder = scene.film();
+    let brighter = std::fs::read_dir(folder.path().join("cam2")).unwrap();
+    for path in brighter.map(|entry| entry.unwrap().path()) {
+        let (image, depth) = read_image(&path).unwrap();
+        let more = |v: &f32| encoded_from_linear(1.25 * linear_from_encoded(f64::from(*v))) as f32;
+        let data = image.data().iter().map(more).collect();
+        let image = Image::from_data(image.width(), image.height(), image.channels(), data);
+        write_image(&path, &image, None, depth).unwrap();
+    }
+    let mut options = RenderOptions::default();
+    (options.auto.sync, options.auto.proxy) = (true, true);
+    let (plan, field) = plan(&open(&folder), &options, &Reporter::silent()).unwrap();
+    assert_rungs(&plan, &[("gains", "corrected"), ("sync", "nearest"), ("proxy", "plane")]);
+    let [r, g, b] = field.gains().unwrap().of(2);
+    assert!([r, g, b].iter().all(|gain| (gain - 1.25).abs() < 0.02), "{r} {g} {b}");
+    // Seen from there, the view is as bright as the reference records it.
+    let camera = field.capture().cameras[2].camera.clone();
+    let view = field.view(&camera, 0.0).unwrap().image;
+    let wanted = scene.image(scene.centers_m[2], 0.0);
+    let apart: f32 = view.data().iter().zip(wanted.data()).map(|(a, b)| (a - b).abs()).sum();
+    assert!(apart / (view.data().len() as f32) < 2.0 / 255.0, "{apart}");
 }
 
 #[test]
