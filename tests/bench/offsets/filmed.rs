@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use std::path::Path;
 use std::sync::Arc;
 use stlfr::capture::{BitDepth, Capture, Truth, write_image};
-use stlfr::offset::chart::{Chart, Series, svg};
+use stlfr::chart::{Chart, Series, svg};
 use stlfr::offset::{OffsetOptions, estimate};
 use stlfr::progress::Reporter;
 use stlfr::random::Random;
