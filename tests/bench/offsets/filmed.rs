@@ -28,7 +28,8 @@ struct Worse {
 const AS_FILMED: Worse = Worse { noise: 0.0, blur_px: 0.0, bits: 16 };
 
 pub fn run(folders: &[String], output: &Path) -> Result<(), Failure> {
-    let sweeps: [(&str, &[f64], fn(&mut Worse, f64)); 3] = [
+    type Change = fn(&mut Worse, f64);
+    let sweeps: [(&str, &[f64], Change); 3] = [
         ("noise, % of full scale", &[0.0, 0.5, 1.0, 2.0, 4.0, 8.0], |w, v| w.noise = 0.01 * v),
         ("blur, pixels", &[0.0, 0.5, 1.0, 2.0, 3.0], |w, v| w.blur_px = v),
         ("bits", &[4.0, 5.0, 6.0, 8.0, 16.0], |w, v| w.bits = v as u32),
