@@ -460,7 +460,7 @@ mod tests {
         let (two, four) = (error(&at(0.5, 0.0), &clean), error(&at(0.5, 1.0), &clean));
         assert!(four > two + 2.0, "{two} {four}");
         let same = error(&at(0.0, 1.0), &frames[1]);
-        assert!(same > error(&at(0.0, 0.0), &frames[1]) - 1e-6);
+        assert!(same > 90.0, "{same}");
     }
 
     #[test]
