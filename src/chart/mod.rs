@@ -320,6 +320,7 @@ mod tests {
                 points: points.iter().map(|&p| p.into()).collect(),
                 line: true,
                 dots: true,
+                faint: false,
             }],
             ..Chart::default()
         }

@@ -44,10 +44,7 @@ impl Preset {
                 options.sync = Sync::Triangulation;
                 (options.proxy.cameras, options.proxy.partners) = (2, 2);
             }
-            Self::Best => {
-                (options.auto.sync, options.auto.proxy) = (true, true);
-                options.auto.budget_db = 0.05;
-            }
+            Self::Best => (options.auto.sync, options.auto.proxy) = (true, true),
         }
         options
     }
