@@ -54,14 +54,11 @@ pub struct Drawing {
     pub(super) shapes: Vec<Shape>,
 }
 
-/// Height of a letter, in the page's units.
-pub(super) const TEXT_SIZE: f64 = 12.0;
+/// What a letter advances by, in the page's units: that of the image's letters, pixels.
+pub(super) const ADVANCE: f64 = 7.0;
 
-/// What a letter advances by: those of monospaced fonts are 0.6 of their height wide.
-pub(super) const ADVANCE: f64 = 0.6 * TEXT_SIZE;
-
-/// Pixels a unit: a letter has room for 8 pixels, of which the image's take 7.
-const SCALE: f64 = 8.0 / ADVANCE;
+/// Height of the SVG's letters: those of monospaced fonts are 0.6 of it wide.
+pub(super) const TEXT_SIZE: f64 = 11.7;
 
 /// Lengths of a dash and of the gap after it.
 const DASH: [f64; 2] = [5.0, 4.0];
@@ -84,9 +81,9 @@ impl Drawing {
         out
     }
 
-    /// As an RGB image, 10/9 pixels a unit.
+    /// As an RGB image, a pixel a unit.
     pub fn image(&self) -> Image {
-        let [w, h] = self.size.map(|v| ((v * SCALE).round() as usize).max(1));
+        let [w, h] = self.size.map(|v| (v.round() as usize).max(1));
         let mut image = Image::filled(w, h, 3, 1.0);
         for shape in &self.shapes {
             shape.paint(&mut image);
@@ -151,32 +148,29 @@ impl Shape {
     }
 
     fn paint(&self, image: &mut Image) {
-        let scaled = |p: [f64; 2]| p.map(|v| v * SCALE);
         match self {
             Self::Path { points, color, width, dashed } => {
                 for ends in points.windows(2) {
-                    let (from, to) = (scaled(ends[0]), scaled(ends[1]));
-                    segment(image, from, to, width * SCALE, *dashed, *color);
+                    segment(image, ends[0], ends[1], *width, *dashed, *color);
                 }
             }
             Self::Rect { at, size, color } => {
-                let (low, size) = (scaled(*at), scaled(*size));
-                let [left, top] = low.map(|v| v.round().max(0.0) as usize);
-                let right = ((low[0] + size[0]).round().max(0.0) as usize).min(image.width());
-                let bottom = ((low[1] + size[1]).round().max(0.0) as usize).min(image.height());
+                let [left, top] = at.map(|v| v.round().max(0.0) as usize);
+                let right = ((at[0] + size[0]).round().max(0.0) as usize).min(image.width());
+                let bottom = ((at[1] + size[1]).round().max(0.0) as usize).min(image.height());
                 for y in top..bottom {
                     (left..right).for_each(|x| ink(image, x, y, 1.0, *color));
                 }
             }
             Self::Disc { at, radius, color } => {
-                let (c, r) = (scaled(*at), radius * SCALE);
+                let (c, r) = (*at, *radius);
                 around(image, [c[0] - r, c[1] - r], [c[0] + r, c[1] + r], *color, |x, y| {
                     r - (x - c[0]).hypot(y - c[1]) + 0.5
                 });
             }
             Self::Text { at, text, anchor, bold, color, upward } => {
                 let weight = if *bold { Weight::Bold } else { Weight::Regular };
-                let [x, y] = scaled(*at);
+                let [x, y] = *at;
                 let room = lettering::width_px(text);
                 let before = match anchor {
                     Anchor::Start => 0.0,
@@ -212,7 +206,7 @@ fn segment(image: &mut Image, a: [f64; 2], b: [f64; 2], width: f64, dashed: bool
         let from_a = [x - a[0], y - a[1]];
         let t = (from_a[0] * along[0] + from_a[1] * along[1]) / length;
         let on = t.clamp(0.0, length);
-        if dashed && on % (SCALE * (DASH[0] + DASH[1])) > SCALE * DASH[0] {
+        if dashed && on % (DASH[0] + DASH[1]) > DASH[0] {
             return 0.0;
         }
         let nearest = [a[0] + along[0] * on / length, a[1] + along[1] * on / length];
@@ -248,28 +242,27 @@ fn ink(image: &mut Image, x: usize, y: usize, strength: f64, color: Color) {
 mod tests {
     use super::*;
 
-    /// The dark pixels of a page of 54 units, 60 pixels.
+    /// The dark pixels of a page of 60 units.
     fn inked(shape: Shape) -> Vec<(usize, usize)> {
-        let image = Drawing { size: [54.0, 54.0], shapes: vec![shape] }.image();
-        assert_eq!((image.width(), image.height()), (60, 60));
+        let image = Drawing { size: [60.0, 60.0], shapes: vec![shape] }.image();
         (0..60 * 60).filter(|k| image.data()[3 * k] < 0.5).map(|k| (k % 60, k / 60)).collect()
     }
 
     const BLACK: Color = [0; 3];
 
     fn line(dashed: bool) -> Vec<(usize, usize)> {
-        let points = vec![[4.5, 27.0], [49.5, 27.0]];
-        inked(Shape::Path { points, color: BLACK, width: 1.8, dashed })
+        let points = vec![[5.0, 30.0], [55.0, 30.0]];
+        inked(Shape::Path { points, color: BLACK, width: 2.0, dashed })
     }
 
     #[test]
     fn shapes_are_where_they_were_put() {
-        let disc = inked(Shape::Disc { at: [27.0, 13.5], radius: 7.2, color: BLACK });
+        let disc = inked(Shape::Disc { at: [30.0, 15.0], radius: 8.0, color: BLACK });
         assert!((190..215).contains(&disc.len()), "π·8²: {}", disc.len());
         assert!(disc.iter().all(|(x, y)| x.abs_diff(30) <= 8 && y.abs_diff(15) <= 8));
         let line = line(false);
         assert!(line.iter().all(|(_, y)| *y == 29 || *y == 30) && line.len() >= 98, "{line:?}");
-        let rect = Shape::Rect { at: [9.0, 9.0], size: [7.2, 3.6], color: BLACK };
+        let rect = Shape::Rect { at: [10.0, 10.0], size: [8.0, 4.0], color: BLACK };
         assert_eq!(inked(rect).len(), 8 * 4);
     }
 
@@ -280,17 +273,15 @@ mod tests {
     }
 
     #[test]
-    fn letters_fit_the_room_that_the_page_gives_them() {
-        let room = 10.0 * ADVANCE * SCALE;
-        let width = lettering::width_px("0123456789") as f64;
-        assert!(width <= room && width > 0.8 * room, "{width} of {room}");
+    fn letters_advance_as_the_page_has_it() {
+        assert_eq!(lettering::width_px("0123456789") as f64, 10.0 * ADVANCE);
     }
 
     #[test]
     fn text_runs_along_or_upward_from_its_anchor() {
         let text = |anchor, upward| {
             let text = "abc".into();
-            inked(Shape::Text { at: [27.0, 27.0], text, anchor, bold: false, color: BLACK, upward })
+            inked(Shape::Text { at: [30.0, 30.0], text, anchor, bold: false, color: BLACK, upward })
         };
         assert!(text(Anchor::Start, false).iter().all(|(x, y)| *x >= 30 && *y <= 34));
         assert!(text(Anchor::End, false).iter().all(|(x, _)| *x <= 30));

@@ -149,7 +149,7 @@ impl Work<'_> {
             .fold(0.0, f32::max);
         let agree = worst <= self.options.min_difference;
         // There, all that is left to do is to average the outer frames in.
-        if agree && self.options.outer_share <= 0.0 {
+        if agree && self.outer_weight() <= 0.0 {
             return None;
         }
         let mut candidates = self.candidates(&center);
@@ -247,8 +247,7 @@ impl Work<'_> {
     /// pixel takes the one that fits best.
     fn fused(&self, mixed: &Image, outer: &[[Option<&Image>; 2]], costs: &[f32]) -> Image {
         let (side, channels) = (mixed.width(), mixed.channels());
-        let share = self.frames.share;
-        let full = self.options.outer_share * 4.0 * share * (1.0 - share);
+        let full = self.outer_weight();
         let mut out = mixed.clone();
         if full <= 0.0 {
             return out;
@@ -273,6 +272,12 @@ impl Work<'_> {
             }
         }
         out
+    }
+
+    /// How much the outer frames count at most: 0 at a frame, most halfway between two.
+    fn outer_weight(&self) -> f32 {
+        let share = self.frames.share;
+        self.options.outer_share * 4.0 * share * (1.0 - share)
     }
 
     /// Mean over the window of a patch that is `side` pixels wide and high.
@@ -459,8 +464,9 @@ mod tests {
         };
         let (two, four) = (error(&at(0.5, 0.0), &clean), error(&at(0.5, 1.0), &clean));
         assert!(four > two + 2.0, "{two} {four}");
-        let same = error(&at(0.0, 1.0), &frames[1]);
-        assert!(same > 90.0, "{same}");
+        for outer_share in [0.0, 1.0] {
+            assert!(error(&at(0.0, outer_share), &frames[1]) > 90.0);
+        }
     }
 
     #[test]
