@@ -1,6 +1,6 @@
 //! §4.2 and §4.3: wrong correspondences found by the epipolar constraint, eqs. (1) to (5).
 
-use super::flow::flow_over;
+use super::flow::{flow_over, is_new};
 use super::{Frame, FrameStore, Guide, Match, Path, RegistrationOptions, Run, Start, Track, flow};
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::{Capture, CaptureError};
@@ -271,6 +271,7 @@ impl Pair<'_> {
                 off_line(place, &m.target).is_none_or(|d| d > self.options.epsilon_px)
             })
         };
+        let mut tried = vec![None; starts.len()];
         for from_place in [true, false] {
             let base = |(at, place): &Start| if from_place { *place } else { *at };
             let trusted: Vec<_> = starts
@@ -288,7 +289,8 @@ impl Pair<'_> {
                 .filter_map(|k| {
                     let base = base(&starts[k]);
                     let displacement = guide.near(&base, Guide::RADIUS_PX)?;
-                    Some((k, (starts[k].0, base + displacement)))
+                    let guess = base + displacement;
+                    is_new(&mut tried[k], guess).then_some((k, (starts[k].0, guess)))
                 })
                 .collect();
             let sought: Vec<_> = again.iter().map(|(_, start)| *start).collect();

@@ -77,6 +77,8 @@ const BACK_LEVELS: usize = 2;
 /// Pyramid levels, there and back, where the neighbours tell where to look. More: small things in
 /// large motion are pulled away by what is behind them; fewer: the neighbours must be nearer.
 const GUIDED_LEVELS: [usize; 2] = [2, 2];
+/// Guesses this near lead to the same place.
+const SAME_GUESS_PX: f64 = 1.0;
 /// How often those that are lost are sought again: each time, more neighbours are known.
 const GUIDED_ROUNDS: usize = 2;
 /// Pyramid levels of one frame further, where the motion tells where to look, and on the way back.
@@ -202,8 +204,13 @@ fn run(
 ) -> Vec<Match> {
     let starts: Vec<_> = corners.iter().map(|&p| (p, p)).collect();
     let mut found = flow(source, target, &starts, options);
+    let mut tried = vec![None; corners.len()];
     for _ in 0..GUIDED_ROUNDS {
-        let again = guided_by_neighbors(corners, &found, options);
+        let mut again = guided_by_neighbors(corners, &found, options);
+        again.retain(|(k, start)| is_new(&mut tried[*k], start.1));
+        if again.is_empty() {
+            break;
+        }
         let starts: Vec<_> = again.iter().map(|(_, start)| *start).collect();
         let retried = flow_over(source, target, &starts, GUIDED_LEVELS, options);
         for ((k, _), retried) in again.iter().zip(retried) {
@@ -214,6 +221,12 @@ fn run(
         }
     }
     found.into_iter().flatten().collect()
+}
+
+/// Whether a guess is not the one that was tried before, which would find the same; keeps it.
+pub(super) fn is_new(tried: &mut Option<Point2<f64>>, guess: Point2<f64>) -> bool {
+    let before = tried.replace(guess);
+    before.is_none_or(|before| (guess - before).norm() > SAME_GUESS_PX)
 }
 
 /// Where to look for the points that were lost, or that move like none of their neighbours; those
