@@ -7,8 +7,8 @@ use crate::lumigraph::Sampling;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// Options of all stages by name, cheapest first: points of the front that `stlfr tradeoff` finds
-/// on the project's scenes (README has their figures).
+/// Options of all stages by name, cheapest first. `cargo bench --bench tradeoff` holds them against
+/// every other combination; on `book` at 640×480 that finds `balanced` better than `best`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {

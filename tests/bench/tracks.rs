@@ -2,7 +2,8 @@
 //! test; what the checks remove of the wrong ones, and lose of the right ones.
 //!
 //! `cargo bench --bench tracks [-- CAPTURE…]`: filmed captures with `truth/tracks`, whose points are
-//! tracked; without any, the five worlds of `tests/common/worlds.rs`, whose corners are.
+//! tracked (`--translation`: without the deforming window; `--further=N`: N references beyond the
+//! nearest); without any, the five worlds of `tests/common/worlds.rs`, whose corners are.
 
 #[path = "../common/bodies.rs"]
 #[allow(dead_code)]
