@@ -152,7 +152,7 @@ pub fn plan_with(
         decided.sync = sync;
     }
     decisions.extend([of_sync, of_path, of_proxy]);
-    decisions.push(decide::gains(field.gains()?));
+    decisions.push(decide::gains(field.gains()));
     decisions.push(decide::lenses(largest_distortion_px(capture)));
     decisions.push(decide::references(extent_ratio(capture)));
     decided.auto = AutoOptions { sync: false, proxy: false, ..options.auto.clone() };

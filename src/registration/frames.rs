@@ -108,26 +108,26 @@ impl FrameStore {
             return Ok(frame);
         }
         let image = self.capture.read_frame(camera, index)?;
-        let frame = Arc::new(Frame::of_camera(image, camera, self.gains()?, &self.options));
+        let frame = Arc::new(Frame::of_camera(image, camera, self.gains(), &self.options));
         let max_frames = MAX_FRAMES * self.capture.cameras.len();
         self.kept().insert((camera, index), &frame, max_frames, self.max_bytes);
         Ok(frame)
     }
 
     /// The cameras' gains, told from the images when they are first asked for.
-    pub fn gains(&self) -> Result<&Gains, CaptureError> {
+    pub fn gains(&self) -> &Gains {
         if let Some(gains) = self.gains.get() {
-            return Ok(gains);
+            return gains;
         }
         // Threads that ask at once all find the same. To let them wait would not do: one of them
         // may be waited for by the search itself.
         let found = match self.options.gains {
             GainRung::Estimated if self.capture.cameras.len() > 1 => {
-                Gains::survey(&self.capture, &self.options)?
+                Gains::survey(&self.capture, &self.options)
             }
             _ => Gains::equal(self.capture.cameras.len()),
         };
-        Ok(self.gains.get_or_init(|| found))
+        self.gains.get_or_init(|| found)
     }
 
     fn kept(&self) -> std::sync::MutexGuard<'_, Kept> {

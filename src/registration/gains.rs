@@ -8,7 +8,7 @@
 //! vignetting); a rig whose frames have nothing in common is taken as equal.
 
 use super::{Frame, RegistrationOptions, flow};
-use crate::capture::{Capture, CaptureError};
+use crate::capture::Capture;
 use crate::raster::{Image, encoded_from_linear, linear_from_encoded};
 use nalgebra::{DMatrix, DVector, Point2};
 use serde::{Deserialize, Serialize};
@@ -77,41 +77,50 @@ impl Gains {
         (factors != [1.0; 3]).then(|| scaled(image, factors.map(|f| 1.0 / f)))
     }
 
-    /// Told from one frame of each camera, in the middle of the recording.
-    pub(super) fn survey(
-        capture: &Capture,
-        options: &RegistrationOptions,
-    ) -> Result<Self, CaptureError> {
-        let count = capture.cameras.len();
-        let images = (0..count)
-            .map(|c| Ok(small(&capture.read_frame(c, capture.cameras[c].frames.len() / 2)?)))
-            .collect::<Result<Vec<Image>, CaptureError>>()?;
+    /// Told from one frame of each camera, in the middle of the recording. A frame that can't be read
+    /// is not compared; whoever needs it says so.
+    pub(super) fn survey(capture: &Capture, options: &RegistrationOptions) -> Self {
+        let images: Vec<Option<Image>> = (0..capture.cameras.len())
+            .map(|c| capture.read_frame(c, capture.cameras[c].frames.len() / 2).ok())
+            .map(|image| image.as_ref().map(small))
+            .collect();
         let level = |image: &Image| {
             let mut values = image.to_gray().data().to_vec();
             values.sort_by(f32::total_cmp);
             // Of a black image nothing is asked.
             linear_from_encoded(f64::from(values[values.len() / 2])).max(1e-4)
         };
-        let reference = level(&images[capture.reference]);
-        let frames: Vec<Frame> = images
+        let reference = images[capture.reference].as_ref().map_or(1.0, level);
+        let frames: Vec<Option<Frame>> = images
             .iter()
             .map(|image| {
-                let rough = reference / level(image);
-                Frame::new(scaled(image, [rough; 3]), options)
+                let image = image.as_ref()?;
+                Some(Frame::new(scaled(image, [reference / level(image); 3]), options))
             })
             .collect();
         let mut ratios = Vec::new();
         for (a, b) in neighbors(capture) {
-            let starts: Vec<_> = frames[a].corners(options).iter().map(|&p| (p, p)).collect();
-            let matches: Vec<(Point2<f64>, Point2<f64>)> =
-                flow(&frames[a], &frames[b], &starts, options)
-                    .into_iter()
-                    .flatten()
-                    .map(|m| (m.source, m.target))
-                    .collect();
-            ratios.extend(Ratio::between([a, b], [&images[a], &images[b]], &matches));
+            let (Some(of_a), Some(of_b)) = (&frames[a], &frames[b]) else { continue };
+            let starts: Vec<_> = of_a.corners(options).iter().map(|&p| (p, p)).collect();
+            let matches: Vec<(Point2<f64>, Point2<f64>)> = flow(of_a, of_b, &starts, options)
+                .into_iter()
+                .flatten()
+                .map(|m| (m.source, m.target))
+                .collect();
+            if let (Some(a_image), Some(b_image)) = (&images[a], &images[b]) {
+                ratios.extend(Ratio::between([a, b], [a_image, b_image], &matches));
+            }
         }
-        Ok(solved(count, capture.reference, &ratios))
+        let mut gains = solved(capture.cameras.len(), capture.reference, &ratios);
+        // Along colour cameras of another white, a grey camera's channels differ; it has one.
+        for (factors, image) in gains.factors.iter_mut().zip(&images) {
+            let is_gray = image.as_ref().is_some_and(|i| i.channels() == 1);
+            if is_gray && *factors != [1.0; 3] {
+                let [r, g, b] = LUMINANCE;
+                *factors = [r * factors[0] + g * factors[1] + b * factors[2]; 3];
+            }
+        }
+        gains
     }
 }
 

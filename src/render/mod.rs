@@ -161,8 +161,8 @@ impl LightField {
     }
 
     /// How much more light each camera records than the reference.
-    pub fn gains(&self) -> Result<&Gains, RenderError> {
-        Ok(self.frames.gains()?)
+    pub fn gains(&self) -> &Gains {
+        self.frames.gains()
     }
 
     fn frames(&self) -> &FrameStore {
@@ -371,9 +371,8 @@ impl LightField {
         depth: &DepthMap,
         target: &Camera,
     ) -> Rendered {
-        // What can't be read was reported by who made the images.
-        let gains = self.frames.gains().ok().filter(|gains| !gains.are_equal());
-        let corrected: Option<Vec<Option<Image>>> = gains.map(|gains| {
+        let gains = self.frames.gains();
+        let corrected: Option<Vec<Option<Image>>> = (!gains.are_equal()).then(|| {
             let correct = |(camera, image): (usize, &Option<Image>)| {
                 let image = image.as_ref()?;
                 Some(gains.corrected(camera, image).unwrap_or_else(|| image.clone()))

@@ -5,7 +5,6 @@
 //! word. Times are processor time, to which other work on the machine adds little; films are of
 //! [`swing::Swing`]. Tables go to stdout, plots to `target/growth/growth.svg` and `memory.svg`.
 
-mod cpu;
 #[path = "growth/fit.rs"]
 mod fit;
 #[path = "growth/largest.rs"]

@@ -9,7 +9,6 @@
 #[path = "../common/bodies.rs"]
 #[allow(dead_code)]
 mod bodies;
-mod cpu;
 mod peer;
 #[path = "../common/worlds.rs"]
 mod worlds;
@@ -26,6 +25,7 @@ use stlfr::registration::{
     CornerOptions, Frame, FrameStore, KltOptions, Pyramid, RegistrationOptions, Tracker, corners,
     epipolar_test, temporal_flow,
 };
+use stlfr::tradeoff::process_cpu_s;
 
 const REPEATS: usize = 41;
 
@@ -144,9 +144,9 @@ fn pairs(folder: &Path, peer: &mut Peer) {
         let mut ms = [vec![], vec![], vec![], vec![], vec![], vec![]];
         for _ in 0..REPEATS / 4 {
             peer.ask("threads 1");
-            let start = cpu::seconds();
+            let start = process_cpu_s();
             count = one.install(register);
-            let own = 1e3 * (cpu::seconds() - start);
+            let own = 1e3 * (process_cpu_s() - start);
             let theirs = peer.ask("dis").processor_ms;
             peer.ask("threads 2");
             let start = Instant::now();
@@ -216,16 +216,16 @@ fn same_points(folder: &Path, peer: &mut Peer) {
         let mut found = Found::new();
         let mut best = Found::new();
         for _ in 0..REPEATS {
-            let start = cpu::seconds();
+            let start = process_cpu_s();
             found = ours(&images, &points, &same, false);
-            let own = 1e3 * (cpu::seconds() - start);
+            let own = 1e3 * (process_cpu_s() - start);
             let theirs = peer.ask(&track).processor_ms;
             own_ms.push(own);
             peer_ms.push(theirs);
             ratios.push(theirs / own);
-            let start = cpu::seconds();
+            let start = process_cpu_s();
             best = ours(&images, &points, &refined, false);
-            refined_ms.push(1e3 * (cpu::seconds() - start));
+            refined_ms.push(1e3 * (process_cpu_s() - start));
         }
         let answer = folder.join("answer");
         peer.ask(&format!("tracked {}", answer.display()));
@@ -240,10 +240,10 @@ fn same_points(folder: &Path, peer: &mut Peer) {
         let (mut both, mut walls, mut spent) = (vec![], [vec![], vec![]], [vec![], vec![]]);
         for _ in 0..REPEATS {
             for pool in [false, true] {
-                let (start, processor) = (Instant::now(), cpu::seconds());
+                let (start, processor) = (Instant::now(), process_cpu_s());
                 ours(&images, &points, &same, pool);
                 walls[usize::from(pool)].push(1e3 * start.elapsed().as_secs_f64());
-                spent[usize::from(pool)].push(1e3 * (cpu::seconds() - processor));
+                spent[usize::from(pool)].push(1e3 * (process_cpu_s() - processor));
             }
             both.push(peer.ask(&track).wall_ms / walls[1][walls[1].len() - 1]);
         }

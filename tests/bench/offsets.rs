@@ -18,7 +18,6 @@
 mod analytic;
 #[path = "offsets/captures.rs"]
 mod captures;
-mod cpu;
 #[path = "offsets/fig18.rs"]
 mod fig18;
 #[path = "offsets/filmed.rs"]

@@ -1,7 +1,7 @@
 //! The largest of everything: 8192×4320 images, 256 cameras, 10,000 frames, 100,000 edges; the right
 //! answer, in how much time and memory.
 
-use super::{Done, cpu, folder, root};
+use super::{Done, folder, root};
 use crate::peak;
 use crate::swing::{RATE_HZ, Swing};
 use nalgebra::{Point2, Vector2};
@@ -12,6 +12,7 @@ use stlfr::json;
 use stlfr::offset::Offsets;
 use stlfr::random::Random;
 use stlfr::raster::Image;
+use stlfr::tradeoff::process_cpu_s;
 
 pub fn run() -> Done<()> {
     println!("\n| the largest | wall [s] | resident at most [MiB] | off the truth |");
@@ -107,17 +108,17 @@ fn edges(count: usize) -> Done<()> {
             Feature { source: target + moved, other: target - moved, target }
         })
         .collect();
-    let start = cpu::seconds();
+    let start = process_cpu_s();
     // The image's corners move with all that is in it here.
     let edges: Vec<_> = edge_set(&features, &[], true, w, h)
         .into_iter()
         .filter(|e| e.ends.iter().all(|f| f.source != f.target))
         .collect();
-    let built = cpu::seconds() - start;
-    let start = cpu::seconds();
+    let built = process_cpu_s() - start;
+    let start = process_cpu_s();
     let options = MorphOptions { grid_px: 32, ..MorphOptions::default() };
     let warp = morph_warp(&edges, w, h, &options);
-    let warped = cpu::seconds() - start;
+    let warped = process_cpu_s() - start;
     let off = warp
         .source
         .iter()

@@ -2,7 +2,6 @@
 
 use super::fit::growth;
 use super::{Done, folder};
-use crate::cpu;
 use crate::swing::{RATE_HZ, Swing};
 use std::sync::Arc;
 use stlfr::capture::Capture;
@@ -13,6 +12,7 @@ use stlfr::progress::Reporter;
 use stlfr::raster::Image;
 use stlfr::registration::{FrameStore, epipolar_test, temporal_flow};
 use stlfr::render::{LightField, ProxyRung, RenderOptions};
+use stlfr::tradeoff::process_cpu_s;
 
 /// What is timed, in the order of the pipeline.
 const STAGES: [&str; 8] = [
@@ -137,7 +137,7 @@ fn true_offsets(capture: &Capture, swing: &Swing) -> Offsets {
 
 /// A result, and its milliseconds of processor time over all threads.
 fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
-    let start = cpu::seconds();
+    let start = process_cpu_s();
     let result = work();
-    (result, 1e3 * (cpu::seconds() - start))
+    (result, 1e3 * (process_cpu_s() - start))
 }

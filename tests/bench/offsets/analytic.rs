@@ -1,6 +1,6 @@
 //! Films in closed form: accuracy and error bars over many, and errors as the film gets worse.
 
-use super::captures::{Outcome, outcomes, summary};
+use super::captures::{Outcome, by_default, outcomes, summary};
 use super::scene::{self, Board, Film};
 use super::{median, save};
 use std::path::Path;
@@ -8,9 +8,8 @@ use std::sync::Arc;
 use std::time::Instant;
 use stlfr::capture::{BitDepth, Capture};
 use stlfr::chart::{Chart, Series, svg};
-use stlfr::offset::{Estimate, OffsetOptions, estimate};
-use stlfr::progress::Reporter;
-use stlfr::registration::RegistrationOptions;
+use stlfr::offset::Estimate;
+use stlfr::tradeoff::process_cpu_s;
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -21,14 +20,9 @@ fn estimated(film: &Film) -> Result<(Estimate, Vec<Outcome>, usize, [f64; 2]), F
     let folder = tempfile::tempdir()?;
     let truth = film.write(folder.path())?;
     let capture = Arc::new(Capture::open(folder.path())?);
-    let (start, cpu) = (Instant::now(), super::cpu::seconds());
-    let estimate = estimate(
-        &capture,
-        &OffsetOptions::default(),
-        &RegistrationOptions::default(),
-        &Reporter::silent(),
-    )?;
-    let seconds = [start.elapsed().as_secs_f64(), super::cpu::seconds() - cpu];
+    let (start, cpu) = (Instant::now(), process_cpu_s());
+    let estimate = by_default(&capture)?;
+    let seconds = [start.elapsed().as_secs_f64(), process_cpu_s() - cpu];
     let truth_s = |id: &str| truth.get(capture.camera_index(id)?).copied();
     let (found, unknown) = outcomes(&estimate.offsets, capture.frame_s(), truth_s);
     Ok((estimate, found, unknown, seconds))

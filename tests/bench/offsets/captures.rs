@@ -4,10 +4,16 @@ use super::{median, percentile};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
-use stlfr::capture::{Capture, Truth};
-use stlfr::offset::{OffsetOptions, OffsetRung, Offsets, estimate};
+use stlfr::capture::{Capture, CaptureError, Truth};
+use stlfr::offset::{Estimate, OffsetOptions, OffsetRung, Offsets, estimate};
 use stlfr::progress::Reporter;
 use stlfr::registration::RegistrationOptions;
+
+/// A capture's offsets as the program estimates them unless told otherwise.
+pub fn by_default(capture: &Arc<Capture>) -> Result<Estimate, CaptureError> {
+    let (options, registration) = (OffsetOptions::default(), RegistrationOptions::default());
+    estimate(capture, &options, &registration, &Reporter::silent())
+}
 
 /// One camera's error, in frames and in its standard errors.
 #[derive(Clone, Copy, Debug)]
@@ -111,12 +117,7 @@ pub fn calibration(folders: &[String]) -> Result<(), Box<dyn std::error::Error>>
             let part = Arc::new(part);
             let reference = part.cameras[part.reference].id.clone();
             let reference_s = truth.offset_s(&reference).ok_or("the truth lacks a camera")?;
-            let estimate = estimate(
-                &part,
-                &OffsetOptions::default(),
-                &RegistrationOptions::default(),
-                &Reporter::silent(),
-            )?;
+            let estimate = by_default(&part)?;
             let truth_s = |id: &str| Some(truth.offset_s(id)? - reference_s);
             let (found, blind) = outcomes(&estimate.offsets, part.frame_s(), truth_s);
             of_one.extend(found);
@@ -185,12 +186,7 @@ pub fn pairs(arguments: &[String]) -> Result<(), Box<dyn std::error::Error>> {
         let capture = Arc::new(capture);
         let truth = Truth::open(Path::new(folder))?.ok_or("has no truth")?;
         let start = Instant::now();
-        let found = estimate(
-            &capture,
-            &OffsetOptions::default(),
-            &RegistrationOptions::default(),
-            &Reporter::silent(),
-        )?;
+        let found = by_default(&capture)?;
         let (known, unknown) = outcomes(&found.offsets, capture.frame_s(), |id| truth.offset_s(id));
         println!(
             "{folder}: {}; {unknown} unknown; {:.1} s",

@@ -1,18 +1,15 @@
 //! Errors as filmed frames get worse: at half size, so that more than eight bits are known of each
 //! pixel, with noise, blur, or fewer bits.
 
-use super::captures::{outcomes, summary};
+use super::captures::{by_default, outcomes, summary};
 use super::{median, save};
 use rayon::prelude::*;
 use std::path::Path;
 use std::sync::Arc;
 use stlfr::capture::{BitDepth, Capture, Truth, write_image};
 use stlfr::chart::{Chart, Series, svg};
-use stlfr::offset::{OffsetOptions, estimate};
-use stlfr::progress::Reporter;
 use stlfr::random::Random;
 use stlfr::raster::Image;
-use stlfr::registration::RegistrationOptions;
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -111,12 +108,7 @@ fn at_half_size(
         write_image(&path, &picture, None, depth).map_err(|e| e.to_string())
     })?;
     let capture = Arc::new(Capture::open(copy.path())?);
-    let found = estimate(
-        &capture,
-        &OffsetOptions::default(),
-        &RegistrationOptions::default(),
-        &Reporter::silent(),
-    )?;
+    let found = by_default(&capture)?;
     Ok(outcomes(&found.offsets, capture.frame_s(), |id| truth.offset_s(id)))
 }
 

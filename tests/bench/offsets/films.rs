@@ -1,14 +1,12 @@
 //! All films at once: every scene, every rig, and shorter films of the same frames.
 
-use super::captures::{Outcome, keep_frames, outcomes, summary};
+use super::captures::{Outcome, by_default, keep_frames, outcomes, summary};
 use super::{median, percentile};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 use stlfr::capture::{Capture, Truth};
-use stlfr::offset::{OffsetOptions, Offsets, estimate};
-use stlfr::progress::Reporter;
-use stlfr::registration::RegistrationOptions;
+use stlfr::offset::Offsets;
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -69,13 +67,7 @@ fn row(name: &str, capture: Capture, truth: &Truth) -> Result<Vec<Outcome>, Fail
     let frames = capture.cameras.iter().map(|c| c.frames.len()).max().unwrap_or(0);
     let capture = Arc::new(capture);
     let start = Instant::now();
-    let offsets = estimate(
-        &capture,
-        &OffsetOptions::default(),
-        &RegistrationOptions::default(),
-        &Reporter::silent(),
-    )?
-    .offsets;
+    let offsets = by_default(&capture)?.offsets;
     let seconds = start.elapsed().as_secs_f64();
     let (found, unknown) = outcomes(&offsets, capture.frame_s(), |id| truth.offset_s(id));
     let errors: Vec<f64> = found.iter().map(|o| o.error_frames.abs()).collect();

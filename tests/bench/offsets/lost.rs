@@ -1,12 +1,10 @@
 //! Lost frames on many films in closed form: random numbers of them at random places.
 
+use super::captures::by_default;
 use super::scene::{self, Film};
 use std::sync::Arc;
 use stlfr::capture::Capture;
-use stlfr::offset::{OffsetOptions, estimate};
-use stlfr::progress::Reporter;
 use stlfr::random::Random;
-use stlfr::registration::RegistrationOptions;
 
 type Failure = Box<dyn std::error::Error>;
 
@@ -115,13 +113,7 @@ fn one(seed: u64, frames: usize, drift_ppm: f64, count: &mut Count) -> Result<()
     let folder = tempfile::tempdir()?;
     film.write(folder.path())?;
     let capture = Arc::new(Capture::open(folder.path())?);
-    let offsets = estimate(
-        &capture,
-        &OffsetOptions::default(),
-        &RegistrationOptions::default(),
-        &Reporter::silent(),
-    )?
-    .offsets;
+    let offsets = by_default(&capture)?.offsets;
     count.films += 1;
     for (c, camera) in offsets.cameras.iter().enumerate() {
         // By the number of the image before which it is missing.
