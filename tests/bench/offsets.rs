@@ -1,7 +1,7 @@
 //! Temporal offsets: the paper's experiments, and beyond them.
 //!
 //! `cargo bench --bench offsets -- fig18`                 simulated tracks with outliers
-//! `cargo bench --bench offsets -- frames CAPTURE… `      Figs. 19 to 22, frame by frame
+//! `cargo bench --bench offsets -- frames [FILM TURNING]`  Figs. 19 to 22, frame by frame
 //! `cargo bench --bench offsets -- all [CAPTURE…]`        every film of .captures/films: errors and
 //!                                                        error bars beside what is asked
 //! `cargo bench --bench offsets -- captures CAPTURE…`     errors rung by rung, against the truth
@@ -26,12 +26,16 @@ mod filmed;
 mod films;
 #[path = "offsets/frames.rs"]
 mod frames;
+#[path = "offsets/growth.rs"]
+mod growth;
 #[path = "offsets/lost.rs"]
 mod lost;
 #[path = "offsets/scene.rs"]
 mod scene;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use stlfr::capture::{BitDepth, write_image};
+use stlfr::chart::{Chart, drawing};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> =
@@ -67,10 +71,13 @@ fn median(values: &[f64]) -> f64 {
     percentile(values, 0.5)
 }
 
-fn save(folder: &Path, name: &str, text: &str) -> Result<(), Box<dyn std::error::Error>> {
+/// Two charts a row, as SVG and as PNG.
+fn save(folder: &Path, name: &str, charts: &[Chart]) -> Result<(), Box<dyn std::error::Error>> {
     std::fs::create_dir_all(folder)?;
-    let path: PathBuf = folder.join(name);
-    std::fs::write(&path, text)?;
-    println!("wrote {}", path.display());
+    let (svg, png) = ["svg", "png"].map(|kind| folder.join(format!("{name}.{kind}"))).into();
+    let drawing = drawing(charts, 2);
+    std::fs::write(&svg, drawing.svg())?;
+    write_image(&png, &drawing.image(), None, BitDepth::Eight)?;
+    println!("wrote {} and {}", svg.display(), png.display());
     Ok(())
 }

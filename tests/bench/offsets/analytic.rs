@@ -2,12 +2,11 @@
 
 use super::captures::{Outcome, by_default, outcomes, summary};
 use super::scene::{self, Board, Film};
-use super::{median, save};
+use super::{growth, save};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 use stlfr::capture::{BitDepth, Capture};
-use stlfr::chart::{Chart, Series, svg};
 use stlfr::offset::Estimate;
 use stlfr::tradeoff::process_cpu_s;
 
@@ -74,7 +73,7 @@ fn blind() -> Result<(), Failure> {
 }
 
 /// The error as one thing about the film grows.
-fn growth(output: &Path) -> Result<(), Failure> {
+fn grown(output: &Path) -> Result<(), Failure> {
     type Change = fn(&mut Film, f64);
     let sweeps: [(&str, &[f64], Change); 5] = [
         ("noise, % of full scale", &[0.0, 0.5, 1.0, 2.0, 4.0, 8.0], |f, v| f.noise = 0.01 * v),
@@ -90,41 +89,20 @@ fn growth(output: &Path) -> Result<(), Failure> {
     ];
     let mut charts = Vec::new();
     for (name, values, change) in sweeps {
-        let series = |label: &str| Series {
-            label: label.into(),
-            line: true,
-            dots: true,
-            ..Series::default()
-        };
-        let mut lines =
-            [series("median |error|"), series("worst |error|"), series("median standard error")];
-        for &value in values {
-            let mut all = Vec::new();
+        charts.push(growth::chart("Boards", (name, values), |value| -> Result<_, Failure> {
+            let (mut all, mut unknown) = (Vec::new(), 0);
             for seed in 100..103 {
                 let mut film = Film::new(scene::random_boards(seed), &DELAYS, 10);
                 film.seed = seed;
                 change(&mut film, value);
-                all.extend(estimated(&film)?.1);
+                let (_, found, blind, _) = estimated(&film)?;
+                all.extend(found);
+                unknown += blind;
             }
-            println!("{name} {value}: {}", summary(&all));
-            let errors: Vec<f64> = all.iter().map(|o| o.error_frames.abs()).collect();
-            let bars: Vec<f64> = all.iter().map(|o| o.std_err_frames).collect();
-            let worst = errors.iter().copied().fold(0.0, f64::max);
-            for (line, y) in lines.iter_mut().zip([median(&errors), worst, median(&bars)]) {
-                line.points.push((value, y).into());
-            }
-        }
-        charts.push(Chart {
-            title: format!("Offset error by {name}"),
-            x_label: name.into(),
-            y_label: "frames".into(),
-            log_y: true,
-            series: lines.into(),
-            rules: vec![(0.005, "0.005 frame".into())],
-            ..Chart::default()
-        });
+            Ok((all, unknown))
+        })?);
     }
-    save(output, "growth.svg", &svg(&charts, 2))
+    save(output, "growth", &charts)
 }
 
 /// Drift, a lost frame, and recordings seconds apart.
@@ -188,7 +166,7 @@ pub fn run(parts: &[String], output: &Path) -> Result<(), Failure> {
         calibration(70)?;
     }
     if wanted("growth") {
-        growth(output)?;
+        grown(output)?;
     }
     if wanted("time") {
         time()?;

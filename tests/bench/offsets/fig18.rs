@@ -7,7 +7,7 @@ use super::{median, percentile, save};
 use nalgebra::{Isometry3, Point2, Vector2};
 use std::path::Path;
 use stlfr::camera::{Camera, CameraModel};
-use stlfr::chart::{Chart, Series, svg};
+use stlfr::chart::{Chart, Series};
 use stlfr::offset::{
     Candidate, Observation, Residuals, ThreeFrames, ransac, weighted_least_squares,
 };
@@ -135,5 +135,5 @@ pub fn run(output: &Path) -> Result<(), Box<dyn std::error::Error>> {
     };
     let charts =
         [chart("Fig. 18: outliers, median of 500 seeds", medians), chart("95th percentile", tails)];
-    save(output, "fig18.svg", &svg(&charts, 2))
+    save(output, "fig18", &charts)
 }

@@ -1,13 +1,12 @@
 //! Errors as filmed frames get worse: at half size, so that more than eight bits are known of each
 //! pixel, with noise, blur, or fewer bits.
 
-use super::captures::{by_default, outcomes, summary};
-use super::{median, save};
+use super::captures::{by_default, outcomes};
+use super::{growth, save};
 use rayon::prelude::*;
 use std::path::Path;
 use std::sync::Arc;
 use stlfr::capture::{BitDepth, Capture, Truth, write_image};
-use stlfr::chart::{Chart, Series, svg};
 use stlfr::random::Random;
 use stlfr::raster::Image;
 
@@ -33,43 +32,19 @@ pub fn run(folders: &[String], output: &Path) -> Result<(), Failure> {
     ];
     let mut charts = Vec::new();
     for (name, values, change) in sweeps {
-        let series = |label: &str| Series {
-            label: label.into(),
-            line: true,
-            dots: true,
-            ..Series::default()
-        };
-        let mut lines =
-            [series("median |error|"), series("worst |error|"), series("median standard error")];
-        for &value in values {
+        charts.push(growth::chart("Filmed frames", (name, values), |value| -> Result<_, Failure> {
             let mut worse = AS_FILMED;
             change(&mut worse, value);
-            let mut all = Vec::new();
-            let mut unknown = 0;
+            let (mut all, mut unknown) = (Vec::new(), 0);
             for folder in folders {
                 let (found, blind) = at_half_size(Path::new(folder), worse)?;
                 all.extend(found);
                 unknown += blind;
             }
-            println!("{name} {value}: {}; {unknown} unknown", summary(&all));
-            let errors: Vec<f64> = all.iter().map(|o| o.error_frames.abs()).collect();
-            let bars: Vec<f64> = all.iter().map(|o| o.std_err_frames).collect();
-            let most = errors.iter().copied().fold(0.0, f64::max);
-            for (line, y) in lines.iter_mut().zip([median(&errors), most, median(&bars)]) {
-                line.points.push((value, y).into());
-            }
-        }
-        charts.push(Chart {
-            title: format!("Filmed frames: offset error by {name}"),
-            x_label: name.into(),
-            y_label: "frames".into(),
-            log_y: true,
-            series: lines.into(),
-            rules: vec![(0.005, "0.005 frame".into())],
-            ..Chart::default()
-        });
+            Ok((all, unknown))
+        })?);
     }
-    save(output, "filmed-growth.svg", &svg(&charts, 2))
+    save(output, "filmed-growth", &charts)
 }
 
 fn at_half_size(

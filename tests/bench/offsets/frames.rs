@@ -1,56 +1,66 @@
-//! Figs. 19 to 22: the offset of a pair, frame by frame, by the paper's estimator, by Zhou and
-//! Tao's, and by the best rung's.
+//! Figs. 19 to 22: the offset of a pair, frame by frame: by the paper's estimator and by Zhou and
+//! Tao's from the frames that they need, by ours from the frames around, and by ours from the film.
+//!
+//! `frames FILM TURNING`: of FILM, the neighbours whose offset is nearest to 0.3 frame (Fig. 19), to
+//! 0.5 (20), and the latter with a frame lost without a trace (21); of TURNING, where at an instant
+//! all motion runs along the epipolar lines, those nearest to 0.3 (22). Without them, boards in closed
+//! form.
 
+use super::captures::by_default;
 use super::scene::{self, Film};
 use super::{median, save};
 use nalgebra::Point2;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth};
-use stlfr::chart::{Chart, Series, svg};
+use stlfr::chart::{Chart, ChartPoint, Series};
 use stlfr::offset::{
-    FourPoints, Observation, Residuals, ThreeFrames, cross_ratio_offset, ransac,
-    weighted_least_squares,
+    FourPoints, ThreeFrames, cross_ratio_offset, ransac, weighted_least_squares,
 };
 use stlfr::registration::{FrameStore, RegistrationOptions, Track, flow, temporal_flow};
 
-const NAMES: [&str; 4] = ["the paper's", "Zhou and Tao", "mixture, straight", "mixture, curved"];
+const NAMES: [&str; 4] = ["the paper's", "Zhou and Tao", "ours, frames around", "ours, whole film"];
 const TOLERANCE: f64 = 0.05;
 const GAMMA: f64 = 70.0;
 const MIN_INLIERS: usize = 12;
+/// What rests says nothing about time: motion that a feature needs, in whatever direction, pixels.
+const MIN_MOTION_PX: f64 = 1.0;
 
 type Failure = Box<dyn std::error::Error>;
 
-/// `t̃` of one pair of a camera's frames against the other's, by each estimator, in frames.
+/// `t̃` and its standard error, in frames; NaN where the estimator has none.
+type Found = Option<[f64; 2]>;
+
+/// `t̃` of one pair of a camera's frames against the other's, by the paper's estimator and by Zhou
+/// and Tao's, in frames.
 fn at_frame(
     frames: &FrameStore,
     [i, j]: [usize; 2],
     k: usize,
     m: usize,
-) -> Result<[Option<f64>; 4], Failure> {
+) -> Result<[Found; 2], Failure> {
     let cameras = &frames.capture().cameras;
     let (times_i, times_j) = (&cameras[i].clock.times_s, &cameras[j].clock.times_s);
     let interval = times_i[k + 1] - times_i[k];
     let tracks = temporal_flow(frames, i, k)?;
-    let tracks: Vec<&Track> = tracks.iter().filter(|t| t.in_forward_set()).collect();
+    let moves = |t: &&Track| t.in_forward_set() && t.motion().norm() >= MIN_MOTION_PX;
+    let tracks: Vec<&Track> = tracks.iter().filter(moves).collect();
     let (source, target) = (frames.get(i, k)?, frames.get(j, m)?);
     let starts: Vec<_> = tracks.iter().map(|t| (t.earlier, t.earlier + 0.5 * t.motion())).collect();
     let in_j: Vec<Option<Point2<f64>>> = flow(&source, &target, &starts, frames.options())
         .into_iter()
         .map(|f| f.map(|f| f.target))
         .collect();
-    let candidates = |curved| {
-        let three = ThreeFrames {
-            camera_i: &cameras[i].camera,
-            camera_j: &cameras[j].camera,
-            times_i,
-            index_i: k,
-            curved,
-            min_across_px: 1.0,
-        };
-        three.candidates(&tracks, &in_j)
+    let three = ThreeFrames {
+        camera_i: &cameras[i].camera,
+        camera_j: &cameras[j].camera,
+        times_i,
+        index_i: k,
+        curved: false,
+        min_across_px: 0.0,
     };
-    let straight: Vec<f64> = candidates(false).iter().map(|c| c.time_s / interval).collect();
+    let straight = three.candidates(&tracks, &in_j).iter().map(|c| c.time_s / interval).collect();
     // The fourth point: where the features of j go in its next frame.
     let mut four = Vec::new();
     if m + 1 < times_j.len() {
@@ -62,9 +72,6 @@ fn at_frame(
         let ends = flow(&target, &next, &starts, frames.options());
         for ((n, p), end) in found.iter().zip(ends) {
             let Some(end) = end else { continue };
-            if tracks[*n].motion().norm() < 1.0 {
-                continue;
-            }
             let points =
                 FourPoints { in_i: [tracks[*n].earlier, tracks[*n].later], in_j: [*p, end.target] };
             let pair = [&cameras[i].camera, &cameras[j].camera];
@@ -73,12 +80,7 @@ fn at_frame(
             );
         }
     }
-    Ok([
-        both(straight),
-        both(four),
-        mixture(&candidates(false), interval),
-        mixture(&candidates(true), interval),
-    ])
+    Ok([both(straight), both(four)].map(|t| Some([t?, f64::NAN])))
 }
 
 /// RANSAC and WLS, on times in frames.
@@ -88,14 +90,87 @@ fn both(mut values: Vec<f64>) -> Option<f64> {
     (inliers.len() >= MIN_INLIERS).then(|| weighted_least_squares(&values[inliers], GAMMA))?
 }
 
-fn mixture(candidates: &[stlfr::offset::Candidate], interval: f64) -> Option<f64> {
-    let observations: Vec<Observation> = candidates
-        .iter()
-        .map(|c| Observation { value_s: c.time_s, at_s: 0.0, across_px_s: c.certain_px_s() })
-        .collect();
-    let residuals = Residuals { start_px: 0.5, min_px: 0.01, max_px: 2.0, range_s: 3.0 * interval };
-    let found = residuals.fit(&observations, residuals.start(&observations)?.0, false)?;
-    (found.inliers >= MIN_INLIERS as f64).then_some(found.value_s / interval)
+/// What the program finds from these images of two cameras: the second's times on the first's
+/// clock, with their standard error; or why it can't tell.
+fn ours(capture: &Capture, pair: [usize; 2], images: [Range<usize>; 2]) -> Result<Ours, Failure> {
+    let mut part = capture.clone();
+    part.cameras = pair.map(|c| capture.cameras[c].clone()).into();
+    part.reference = 0;
+    for (camera, images) in part.cameras.iter_mut().zip(images.clone()) {
+        camera.frames = camera.frames[images.clone()].to_vec();
+        camera.clock.times_s = camera.clock.times_s[images].to_vec();
+    }
+    let found = by_default(&Arc::new(part))?;
+    let camera = &found.offsets.cameras[1];
+    let Some((offset_s, std_err_s)) = camera.offset_s.zip(camera.std_err_s) else {
+        return Ok(Err(camera.reason.clone().unwrap_or_default()));
+    };
+    let lost_before = camera.lost_before.clone().unwrap_or_default();
+    let missing = |m: usize| lost_before.iter().filter(|&&n| n + images[1].start <= m).count() as f64;
+    let frame_s = capture.frame_s();
+    let times_s = capture.cameras[pair[1]].clock.times_s.iter().enumerate();
+    let times_s = times_s.map(|(m, t)| t + offset_s + frame_s * missing(m)).collect();
+    Ok(Ok(SecondClock { times_s, std_err_s, lost_before }))
+}
+
+type Ours = Result<SecondClock, String>;
+
+struct SecondClock {
+    times_s: Vec<f64>,
+    std_err_s: f64,
+    lost_before: Vec<usize>,
+}
+
+/// The images around one and `after` more.
+fn around(image: usize, after: usize, count: usize) -> Range<usize> {
+    image.saturating_sub(1)..(image + after + 2).min(count)
+}
+
+/// The estimates and the truth, frame by frame.
+struct Figure {
+    series: [Series; 4],
+    truth: Series,
+    /// |error|, and in standard errors where there is one, with the standard error.
+    errors: [Vec<[f64; 3]>; 4],
+    missing: [Vec<usize>; 4],
+}
+
+impl Figure {
+    fn new() -> Self {
+        let series = |name: &str| Series { label: name.into(), dots: true, ..Series::default() };
+        let series = NAMES.map(series);
+        let truth = Series { label: "truth".into(), line: true, faint: true, ..Series::default() };
+        Self { series, truth, errors: Default::default(), missing: Default::default() }
+    }
+
+    fn add(&mut self, k: usize, truth: f64, found: [Found; 4]) {
+        self.truth.points.push((k as f64, truth).into());
+        for (n, found) in found.into_iter().enumerate() {
+            let Some([t, std_err]) = found else {
+                self.missing[n].push(k);
+                continue;
+            };
+            let bar = if std_err.is_finite() { 2.0 * std_err } else { 0.0 };
+            // Side by side, so that none hides another.
+            let x = k as f64 + 0.12 * (n as f64 - 1.5);
+            self.series[n].points.push(ChartPoint { x, y: t, bar, x_range: None });
+            let error = (t - truth).abs();
+            self.errors[n].push([error, error / std_err, std_err]);
+        }
+    }
+
+    fn tell(&self) {
+        for (n, name) in NAMES.iter().enumerate() {
+            let of = |k: usize| self.errors[n].iter().map(|e| e[k]).collect::<Vec<f64>>();
+            let most = |k: usize| of(k).into_iter().fold(0.0, f64::max);
+            print!("  {name:20} |error| median {:.4} worst {:.4} frame", median(&of(0)), most(0));
+            if n > 1 {
+                print!(", bars {:.4} to {:.4}", of(2).into_iter().fold(1.0, f64::min), most(2));
+                print!(", |z| up to {:.1}", most(1));
+            }
+            println!(", none at frames {:?}", self.missing[n]);
+        }
+    }
 }
 
 /// One figure: the pair's offset at every frame of camera i, the frame of j being the one that lies
@@ -103,49 +178,45 @@ fn mixture(candidates: &[stlfr::offset::Candidate], interval: f64) -> Option<f64
 fn figure(
     title: &str,
     capture: &Arc<Capture>,
-    pair: [usize; 2],
+    [i, j]: [usize; 2],
     truth: &dyn Fn(usize, usize) -> f64,
 ) -> Result<Chart, Failure> {
-    let frames = FrameStore::new(capture.clone(), &RegistrationOptions::default());
-    let [i, j] = pair;
-    let times_i = &capture.cameras[i].clock.times_s;
-    let mut series: Vec<Series> = NAMES
-        .iter()
-        .map(|n| Series { label: (*n).into(), line: true, dots: true, ..Series::default() })
-        .collect();
-    let mut true_line = Series { label: "truth".into(), line: true, ..Series::default() };
-    let mut errors: [Vec<f64>; 4] = Default::default();
-    let mut missing = [0; 4];
-    for k in 0..times_i.len() - 1 {
-        let images = 0..capture.cameras[j].clock.times_s.len();
-        let Some(m) = images.clone().find(|&m| (0.0..1.0).contains(&truth(k, m))) else { continue };
-        true_line.points.push((k as f64, truth(k, m)).into());
-        for (n, found) in at_frame(&frames, pair, k, m)?.into_iter().enumerate() {
-            match found {
-                Some(t) => {
-                    series[n].points.push((k as f64, t).into());
-                    errors[n].push((t - truth(k, m)).abs());
-                }
-                None => missing[n] += 1,
-            }
-        }
-    }
     println!("{title}");
-    for (n, name) in NAMES.iter().enumerate() {
-        println!(
-            "  {name:18} |error| median {:.4} worst {:.4} frame, none at {} frames",
-            median(&errors[n]),
-            errors[n].iter().copied().fold(0.0, f64::max),
-            missing[n]
-        );
+    let frames = FrameStore::new(capture.clone(), &RegistrationOptions::default());
+    let times_i = &capture.cameras[i].clock.times_s;
+    let counts = [i, j].map(|c| capture.cameras[c].clock.times_s.len());
+    let of_film = ours(capture, [i, j], counts.map(|n| 0..n))?;
+    match &of_film {
+        Ok(clock) => println!("  whole film: lost before {:?}", clock.lost_before),
+        Err(reason) => println!("  whole film: unknown: {reason}"),
     }
-    series.push(true_line);
+    let mut figure = Figure::new();
+    for k in 0..times_i.len() - 1 {
+        let Some(m) = (0..counts[1]).find(|&m| (0.0..1.0).contains(&truth(k, m))) else { continue };
+        let images = [around(k, 1, counts[0]), around(m, 0, counts[1])];
+        // A few frames are not looked through for lost ones.
+        let mut stamped = (**capture).clone();
+        stamped.cameras[j].clock.lost = false;
+        let of_frames = ours(&stamped, [i, j], images)?;
+        let interval = times_i[k + 1] - times_i[k];
+        let at = |clock: &SecondClock| {
+            [(clock.times_s[m] - times_i[k]) / interval, clock.std_err_s / interval]
+        };
+        if let Err(reason) = &of_frames {
+            println!("  frame {k}: {reason}");
+        }
+        let [paper, four] = at_frame(&frames, [i, j], k, m)?;
+        let [near, all] = [&of_frames, &of_film].map(|o| o.as_ref().ok().map(at));
+        figure.add(k, truth(k, m), [paper, four, near, all]);
+    }
+    figure.tell();
+    let Figure { series, truth, .. } = figure;
     Ok(Chart {
         title: title.into(),
         x_label: "frame".into(),
-        y_label: "offset, frames".into(),
+        y_label: "offset, frames; bars are 2 standard errors".into(),
         y_shows: Some((0.0, 1.0)),
-        series,
+        series: series.into_iter().chain([truth]).collect(),
         ..Chart::default()
     })
 }
@@ -162,48 +233,42 @@ fn of_boards(film: &Film, offset_frames: f64) -> impl Fn(usize, usize) -> f64 + 
 }
 
 pub fn run(folders: &[String], output: &Path) -> Result<(), Failure> {
-    let mut charts = Vec::new();
-    let mut boards =
-        |title: &str, boards, offset: f64, frames, lost: Vec<usize>| -> Result<(), Failure> {
-            let mut film = Film::new(boards, &[0.0, offset], frames);
-            film.size = [640, 480];
-            film.lost[1] = lost;
-            let folder = tempfile::tempdir()?;
-            film.write(folder.path())?;
-            let capture = Arc::new(Capture::open(folder.path())?);
-            charts.push(figure(title, &capture, [0, 1], &of_boards(&film, offset))?);
-            Ok(())
-        };
-    boards(
-        "Fig. 20: a rectangle, 0.5 frame, analytic",
-        scene::rectangle([0.25, 0.5]),
-        0.5,
-        31,
-        Vec::new(),
-    )?;
-    boards(
-        "Fig. 21: the same, the sixth frame lost",
-        scene::rectangle([0.25, 0.5]),
-        0.5,
-        9,
-        vec![6],
-    )?;
-    boards(
-        "Fig. 22: a turning magazine, analytic",
-        scene::rotating_magazine(),
-        0.3,
-        31,
-        Vec::new(),
-    )?;
-    for folder in folders {
-        charts.extend(filmed(Path::new(folder))?);
-    }
-    save(output, "figs19-22.svg", &svg(&charts, 2))
+    let charts = match folders {
+        [] => of_closed_form()?,
+        [film, turning] => {
+            let mut charts = filmed(
+                Path::new(film),
+                &[("Fig. 19", 0.3, false), ("Fig. 20", 0.5, false), ("Fig. 21", 0.5, true)],
+            )?;
+            charts.extend(filmed(Path::new(turning), &[("Fig. 22", 0.3, false)])?);
+            charts
+        }
+        _ => return Err("asks for two captures, or for none".into()),
+    };
+    save(output, "figs19-22", &charts)
 }
 
-/// Of a filmed capture: the neighbours whose offset is nearest to 0.3 and to 0.5 frame, and the
-/// latter with a frame lost without a trace.
-fn filmed(folder: &Path) -> Result<Vec<Chart>, Failure> {
+fn of_closed_form() -> Result<Vec<Chart>, Failure> {
+    let chart = |title: &str, boards, offset: f64, frames, lost: Vec<usize>| {
+        let mut film = Film::new(boards, &[0.0, offset], frames);
+        film.size = [640, 480];
+        film.lost[1] = lost;
+        let folder = tempfile::tempdir()?;
+        film.write(folder.path())?;
+        let capture = Arc::new(Capture::open(folder.path())?);
+        figure(title, &capture, [0, 1], &of_boards(&film, offset))
+    };
+    let rectangle = || scene::rectangle([0.25, 0.5]);
+    Ok(vec![
+        chart("Fig. 20: a rectangle, analytic", rectangle(), 0.5, 31, Vec::new())?,
+        chart("Fig. 21: the same, the sixth frame lost", rectangle(), 0.5, 9, vec![6])?,
+        chart("Fig. 22: a magazine, analytic", scene::rotating_magazine(), 0.3, 31, Vec::new())?,
+    ])
+}
+
+/// Figures of a filmed capture: for each, its name, the offset that its pair of neighbours is
+/// nearest to, and whether a frame in the film's middle is lost.
+fn filmed(folder: &Path, wanted: &[(&str, f64, bool)]) -> Result<Vec<Chart>, Failure> {
     let capture = Arc::new(Capture::open(folder)?);
     let truth = Truth::open(folder)?.ok_or("has no truth")?;
     let frame_s = capture.frame_s();
@@ -214,25 +279,23 @@ fn filmed(folder: &Path) -> Result<Vec<Chart>, Failure> {
         pairs.min_by(|x, y| x.1.total_cmp(&y.1)).map(|(i, _)| [i, i + 1])
     };
     let mut charts = Vec::new();
-    for (wanted, loses) in [(0.3, false), (0.5, false), (0.5, true)] {
-        let Some([i, j]) = nearest(wanted) else { continue };
+    for &(name, wanted, loses) in wanted {
+        let [i, j] = nearest(wanted).ok_or("the truth lacks cameras")?;
         let shutter = |c: usize| truth.shutter_s(&capture.cameras[c].id).map(<[f64]>::to_vec);
-        let Some((of_i, mut of_j)) = shutter(i).zip(shutter(j)) else { continue };
+        let both = shutter(i).zip(shutter(j));
+        let (of_i, mut of_j) = both.ok_or("the truth lacks shutter times")?;
         let mut part = (*capture).clone();
-        let lost = of_j.len() / 2;
+        let mut title = format!("{name}: {}, {wanted} frame", capture.name);
         if loses {
+            let lost = of_j.len() / 2;
             of_j.remove(lost);
-            part.cameras[j].frames.remove(lost);
+            let camera = &mut part.cameras[j];
+            camera.frames.remove(lost);
             // Its clock goes on as if nothing had happened.
-            part.cameras[j].clock.times_s.pop();
+            camera.clock.times_s.pop();
+            camera.clock.lost = true;
+            title += &format!(", image {lost} lost");
         }
-        let title = format!(
-            "{}: {} and {}{}",
-            capture.name,
-            capture.cameras[i].id,
-            capture.cameras[j].id,
-            if loses { format!(", frame {lost} lost") } else { String::new() }
-        );
         let by_shutter = move |k: usize, m: usize| {
             let interval = if k + 1 < of_i.len() { of_i[k + 1] - of_i[k] } else { frame_s };
             (of_j[m] - of_i[k]) / interval
