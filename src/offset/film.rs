@@ -56,8 +56,10 @@ pub struct Film<'a> {
     pub timelines: Timelines,
     pub options: &'a OffsetOptions,
     tracks: &'a TrackCache,
-    triples: Mutex<HashMap<[usize; 4], Arc<Triple>>>,
+    triples: Mutex<HashMap<[usize; 2], TriplesByFrames>>,
 }
+
+type TriplesByFrames = HashMap<[usize; 2], Arc<Triple>>;
 
 /// Tracks by camera and frame: two pairs of a camera, and two attempts, share them.
 #[derive(Default)]
@@ -123,12 +125,20 @@ impl<'a> Film<'a> {
         [k, m]: [usize; 2],
     ) -> Result<Arc<Triple>, CaptureError> {
         let kept = || self.triples.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(triple) = kept().get(&[a, b, k, m]) {
+        if let Some(triple) = kept().get(&[a, b]).and_then(|of_pair| of_pair.get(&[k, m])) {
             return Ok(triple.clone());
         }
         let triple = Arc::new(self.three_frames([a, b], [k, m])?);
-        kept().insert([a, b, k, m], triple.clone());
+        kept().entry([a, b]).or_default().insert([k, m], triple.clone());
         Ok(triple)
+    }
+
+    /// Gives a pair's samples up, those of both directions: a large array's are hundreds of megabytes.
+    /// Asked for again they are found again.
+    pub fn forget(&self, [a, b]: [usize; 2]) {
+        let mut kept = self.triples.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.remove(&[a, b]);
+        kept.remove(&[b, a]);
     }
 
     fn three_frames(&self, [a, b]: [usize; 2], [k, m]: [usize; 2]) -> Result<Triple, CaptureError> {

@@ -4,6 +4,7 @@
 use super::pair::PairEstimate;
 use super::uncertainty::Sandwich;
 use nalgebra::{DMatrix, DVector};
+use std::collections::BTreeMap;
 
 /// What is solved for: the clocks, the reference's being 0.
 #[derive(Clone, Debug, PartialEq)]
@@ -131,7 +132,9 @@ impl<'a> Unknowns<'a> {
 
 /// A pair's part of the normal equations.
 struct System {
-    normal: DMatrix<f64>,
+    /// By row and column, of its own unknowns: all of them, squared, for each of a large array's pairs
+    /// are gigabytes.
+    normal: BTreeMap<(usize, usize), f64>,
     right: DVector<f64>,
     /// The mean equation of its samples: what it says on the whole,
     mean: (DVector<f64>, f64),
@@ -151,14 +154,14 @@ fn systems(used: &[&PairEstimate], unknowns: &Unknowns) -> Vec<System> {
 
 fn system(pair: &PairEstimate, unknowns: &Unknowns, floor: f64) -> System {
     let n = unknowns.count;
-    let (mut normal, mut mean_row) = (DMatrix::zeros(n, n), DVector::zeros(n));
+    let (mut normal, mut mean_row) = (BTreeMap::new(), DVector::zeros(n));
     let (mut total, mut mean_value, mut right) = (0.0, 0.0, DVector::zeros(n));
     let mut add = |row: &Row, value: f64, sign: f64, weight: f64| {
         for &(i, x) in row.entries() {
             mean_row[i] += weight * sign * x;
             right[i] += weight * x * value;
             for &(j, y) in row.entries() {
-                normal[(i, j)] += weight * x * y;
+                *normal.entry((i, j)).or_default() += weight * x * y;
             }
         }
         mean_value += weight * sign * value;
@@ -179,8 +182,9 @@ fn system(pair: &PairEstimate, unknowns: &Unknowns, floor: f64) -> System {
     let sigma_s = pair.std_err_s.max(floor).max(f64::MIN_POSITIVE.sqrt());
     // Positive: an estimate without information is none.
     let factor = 1.0 / (sigma_s * sigma_s * total);
+    normal.values_mut().for_each(|v: &mut f64| *v *= factor);
     System {
-        normal: normal * factor,
+        normal,
         right: right * factor,
         mean: (mean_row / total, mean_value / total),
         sigma_s,
@@ -217,7 +221,9 @@ fn robust(systems: &[System], unknowns: &Unknowns) -> Option<Solution> {
             normal[(*rate, *rate)] += 1.0 / (MAX_RATE * MAX_RATE);
         }
         for (system, w) in systems.iter().zip(&weights) {
-            normal += &system.normal * *w;
+            for (place, v) in &system.normal {
+                normal[*place] += v * w;
+            }
             right += &system.right * *w;
         }
         // Connected to the reference, so positive definite.

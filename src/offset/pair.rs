@@ -116,6 +116,7 @@ pub fn estimate_pair(
         guess = Guess { value_s: pair.offset_s, rate: pair.rate, center_s: pair.center_s };
         used_before = used;
     }
+    film.forget(cameras);
     Ok(estimate)
 }
 

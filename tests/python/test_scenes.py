@@ -26,6 +26,7 @@ SPEEDS_PX = {
     "template": (5, 18),
     "textureless": (6, 20),
     "thin": (6, 32),
+    "turning": (10, 20),
 }
 INSTANTS_S = (0.1, 0.3)
 
@@ -85,10 +86,10 @@ def test_a_scene_films_and_moves_as_it_should(name: str, tmp_path: Path) -> None
     assert slowest < np.percentile(moving, 90) < fastest
 
 
-def test_sideways_motion_is_along_the_epipolar_lines() -> None:
-    """In `along`, no vertex changes its height or its depth."""
+def displacement(name: str, from_s: float, to_s: float) -> np.ndarray[Any, Any]:
+    """How far points of each body move between two instants, metres."""
     bpy = pytest.importorskip("bpy")
-    scene = scenes.open_scene("along", None)
+    scene = scenes.open_scene(name, None)
 
     def places(time_s: float) -> np.ndarray[Any, Any]:
         frame, subframe = scenes.frame_at(scene, time_s)
@@ -98,9 +99,27 @@ def test_sideways_motion_is_along_the_epipolar_lines() -> None:
             [o.matrix_world @ v.co for o in meshes for v in o.data.vertices[:8]]
         )
 
-    moved = places(0.31) - places(0.12)
+    start = places(from_s)
+    return np.asarray(places(to_s) - start)
+
+
+def test_sideways_motion_is_along_the_epipolar_lines() -> None:
+    """In `along`, no vertex changes its height or its depth."""
+    moved = displacement("along", 0.12, 0.31)
     assert np.abs(moved[:, 1:]).max() == 0.0
     assert np.abs(moved[:, 0]).max() > 0.05
+
+
+def test_turning_motion_is_along_the_epipolar_lines_at_one_instant() -> None:
+    """In `turning`, all moves sideways about 0.26 s, by 16 pixels a frame, and not before or after."""
+    before, at_top, after = (
+        displacement("turning", time_s - 1 / 60, time_s + 1 / 60)
+        for time_s in (0.16, 0.26, 0.36)
+    )
+    assert np.abs(at_top[:, 1:]).max() < 1e-4
+    assert np.abs(at_top[:, 0]).max() > 0.035
+    for moved in (before, after):
+        assert np.abs(moved[:, 2]).max() > 0.01
 
 
 @pytest.mark.parametrize("name", ["head", "thin"])

@@ -1,9 +1,10 @@
 //! Errors as filmed frames get worse: at half size, so that more than eight bits are known of each
-//! pixel, with noise, blur, or fewer bits.
+//! pixel, with noise, blur, or fewer bits; or as their time stamps do.
 
 use super::captures::{by_default, outcomes};
 use super::{growth, save};
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 use stlfr::capture::{BitDepth, Capture, Truth, write_image};
@@ -18,16 +19,19 @@ struct Worse {
     /// Standard deviations: of a pixel's noise, of full scale, and of the blur, pixels.
     noise: f64,
     blur_px: f64,
+    /// Of each time stamp, seconds: jitter that the stamps hide.
+    jitter_s: f64,
     bits: u32,
 }
 
-const AS_FILMED: Worse = Worse { noise: 0.0, blur_px: 0.0, bits: 16 };
+const AS_FILMED: Worse = Worse { noise: 0.0, blur_px: 0.0, jitter_s: 0.0, bits: 16 };
 
 pub fn run(folders: &[String], output: &Path) -> Result<(), Failure> {
     type Change = fn(&mut Worse, f64);
-    let sweeps: [(&str, &[f64], Change); 3] = [
+    let sweeps: [(&str, &[f64], Change); 4] = [
         ("noise, % of full scale", &[0.0, 0.5, 1.0, 2.0, 4.0, 8.0], |w, v| w.noise = 0.01 * v),
         ("blur, pixels", &[0.0, 0.5, 1.0, 2.0, 3.0], |w, v| w.blur_px = v),
+        ("jitter, hidden, ms", &[0.0, 0.5, 1.0, 2.0, 4.0], |w, v| w.jitter_s = 1e-3 * v),
         ("bits", &[4.0, 5.0, 6.0, 8.0, 16.0], |w, v| w.bits = v as u32),
     ];
     let mut charts = Vec::new();
@@ -56,6 +60,8 @@ fn at_half_size(
     let copy = tempfile::tempdir()?;
     let text = std::fs::read_to_string(folder.join("capture.json"))?;
     let mut format: serde_json::Value = serde_json::from_str(&text)?;
+    let random = &mut Random::new(1);
+    let mut late_s = HashMap::new();
     for camera in format["cameras"].as_array_mut().ok_or("has no cameras")? {
         let id = camera["id"].as_str().ok_or("has no id")?.to_owned();
         for side in ["width", "height"] {
@@ -67,6 +73,17 @@ fn at_half_size(
         }
         camera["frames"] = format!("{id}/%04d.png").into();
         std::fs::create_dir_all(copy.path().join(&id))?;
+        if worse.jitter_s > 0.0 {
+            let camera_index = whole.camera_index(&id).ok_or("has no such camera")?;
+            let off_s = (0..whole.cameras[camera_index].frames.len())
+                .map(|_| worse.jitter_s * random.gaussian())
+                .collect::<Vec<f64>>();
+            let stamps = camera["clock"]["times_s"].as_array_mut().ok_or("has no times")?;
+            for (stamp, off_s) in stamps.iter_mut().zip(&off_s) {
+                *stamp = (stamp.as_f64().ok_or("has no times")? + off_s).into();
+            }
+            late_s.insert(id, off_s.iter().sum::<f64>() / off_s.len() as f64);
+        }
     }
     std::fs::write(copy.path().join("capture.json"), format.to_string())?;
     let shots: Vec<(usize, usize)> = whole
@@ -84,7 +101,11 @@ fn at_half_size(
     })?;
     let capture = Arc::new(Capture::open(copy.path())?);
     let found = by_default(&capture)?;
-    Ok(outcomes(&found.offsets, capture.frame_s(), |id| truth.offset_s(id)))
+    // Stamps that are late in the mean make the clock's offset so much less.
+    let mean_s = |id: &str| late_s.get(id).copied().unwrap_or(0.0);
+    let reference_s = mean_s(&found.offsets.reference);
+    let truth_s = |id: &str| Some(truth.offset_s(id)? - mean_s(id) + reference_s);
+    Ok(outcomes(&found.offsets, capture.frame_s(), truth_s))
 }
 
 /// The mean of every four pixels.
