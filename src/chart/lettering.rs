@@ -59,6 +59,8 @@ pub(crate) fn letters(
         text.chars().take(fits.saturating_sub(2)).chain("..".chars().take(fits)).collect()
     };
     for (k, letter) in letters.into_iter().enumerate() {
+        // The font has no minus sign.
+        let letter = if letter == '−' { '-' } else { letter };
         let raster = get_raster(letter, weight.font(), RasterHeight::Size16)
             .or_else(|| get_raster('?', weight.font(), RasterHeight::Size16));
         let Some(raster) = raster else { continue };

@@ -173,7 +173,7 @@ fn system(pair: &PairEstimate, unknowns: &Unknowns, floor: f64) -> System {
         let time_j_s = pair.center_s - pair.offset_s;
         add(&unknowns.row(pair.cameras, pair.center_s, time_j_s), pair.offset_s, 1.0, 1.0);
     } else {
-        for (s, weight) in &pair.samples {
+        for (s, weight) in pair.samples.iter() {
             let sign = if s.cameras == pair.cameras { 1.0 } else { -1.0 };
             let row = unknowns.row(s.cameras, s.time_a_s, s.time_b_s);
             add(&row, s.offset_s(), sign, weight * s.across_px_s * s.across_px_s);
@@ -271,7 +271,7 @@ impl Solution {
             let information = |(s, w): &(super::film::Sample, f64)| w * s.across_px_s.powi(2);
             let total: f64 = pair.samples.iter().map(information).sum();
             let share = if one_number { factor / total } else { factor };
-            for sample in &pair.samples {
+            for sample in pair.samples.iter() {
                 let s = &sample.0;
                 let row = unknowns.row(s.cameras, s.time_a_s, s.time_b_s);
                 let clock = unknowns.clocks.of_camera[s.cameras[0]];

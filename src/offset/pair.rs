@@ -32,7 +32,7 @@ pub struct PairEstimate {
     #[serde(skip)]
     pub(super) doubt: f64,
     #[serde(skip)]
-    pub(super) samples: Vec<(Sample, f64)>,
+    pub(super) samples: Arc<[(Sample, f64)]>,
 }
 
 /// The estimates from three frames: two of `camera`, one of the other.
@@ -345,7 +345,7 @@ fn std_err(
 ) -> Option<f64> {
     let unknowns = if with_rate { 2 } else { 1 };
     let mut sandwich = Sandwich::new(unknowns);
-    for (o, (sample, weight)) in observations.iter().zip(&estimate.samples) {
+    for (o, (sample, weight)) in observations.iter().zip(estimate.samples.iter()) {
         let residual = estimate.doubt * (o.value_s - estimate.offset_s - estimate.rate * o.at_s);
         let row = [(0, 1.0), (1, o.at_s)];
         let bin = (o.at_s / frame_s).round() as i64;
@@ -386,7 +386,7 @@ const SHARED_ERROR_SHARE: f64 = 0.2;
 
 fn shared_error_s(observations: &[Observation], estimate: &PairEstimate) -> f64 {
     let (mut signed, mut squared) = (0.0, 0.0);
-    for (o, (sample, weight)) in observations.iter().zip(&estimate.samples) {
+    for (o, (sample, weight)) in observations.iter().zip(estimate.samples.iter()) {
         // Each camera's tracks run against lines whose positive sides are opposite.
         let sign = if sample.cameras == estimate.cameras { 1.0 } else { -1.0 };
         signed += sign * weight * o.across_px_s;

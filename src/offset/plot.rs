@@ -111,7 +111,7 @@ fn distances(estimate: &Estimate) -> Chart {
     let mut before = Vec::new();
     let mut after = Vec::new();
     for pair in &estimate.pairs {
-        for (sample, weight) in &pair.samples {
+        for (sample, weight) in pair.samples.iter() {
             let sign = if sample.cameras == pair.cameras { 1.0 } else { -1.0 };
             let value = sign * sample.offset_s();
             let time_i = if sign > 0.0 { sample.time_a_s } else { sample.time_b_s };

@@ -36,17 +36,21 @@ pub fn run(folders: &[String], output: &Path) -> Result<(), Failure> {
     ];
     let mut charts = Vec::new();
     for (name, values, change) in sweeps {
-        charts.push(growth::chart("Filmed frames", (name, values), |value| -> Result<_, Failure> {
-            let mut worse = AS_FILMED;
-            change(&mut worse, value);
-            let (mut all, mut unknown) = (Vec::new(), 0);
-            for folder in folders {
-                let (found, blind) = at_half_size(Path::new(folder), worse)?;
-                all.extend(found);
-                unknown += blind;
-            }
-            Ok((all, unknown))
-        })?);
+        charts.push(growth::chart(
+            "Filmed frames",
+            (name, values),
+            |value| -> Result<_, Failure> {
+                let mut worse = AS_FILMED;
+                change(&mut worse, value);
+                let (mut all, mut unknown) = (Vec::new(), 0);
+                for folder in folders {
+                    let (found, blind) = at_half_size(Path::new(folder), worse)?;
+                    all.extend(found);
+                    unknown += blind;
+                }
+                Ok((all, unknown))
+            },
+        )?);
     }
     save(output, "filmed-growth", &charts)
 }

@@ -15,9 +15,7 @@ use std::path::Path;
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth};
 use stlfr::chart::{Chart, ChartPoint, Series};
-use stlfr::offset::{
-    FourPoints, ThreeFrames, cross_ratio_offset, ransac, weighted_least_squares,
-};
+use stlfr::offset::{FourPoints, ThreeFrames, cross_ratio_offset, ransac, weighted_least_squares};
 use stlfr::registration::{FrameStore, RegistrationOptions, Track, flow, temporal_flow};
 
 const NAMES: [&str; 4] = ["the paper's", "Zhou and Tao", "ours, frames around", "ours, whole film"];
@@ -106,7 +104,8 @@ fn ours(capture: &Capture, pair: [usize; 2], images: [Range<usize>; 2]) -> Resul
         return Ok(Err(camera.reason.clone().unwrap_or_default()));
     };
     let lost_before = camera.lost_before.clone().unwrap_or_default();
-    let missing = |m: usize| lost_before.iter().filter(|&&n| n + images[1].start <= m).count() as f64;
+    let missing =
+        |m: usize| lost_before.iter().filter(|&&n| n + images[1].start <= m).count() as f64;
     let frame_s = capture.frame_s();
     let times_s = capture.cameras[pair[1]].clock.times_s.iter().enumerate();
     let times_s = times_s.map(|(m, t)| t + offset_s + frame_s * missing(m)).collect();
