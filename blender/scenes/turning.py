@@ -1,6 +1,6 @@
 """A magazine turns round and round, upright: at the top of its circle all of it moves sideways.
 
-Depths from the rig: magazine 1.6 to 1.7 m, wall 2.1 m. At 640x480 the magazine moves 10 to 17 pixels a
+Depths from the rig: magazine 1.55 to 1.7 m, wall 2.1 m. At 640x480 the magazine moves 10 to 18 pixels a
 frame. Nothing else moves. At 0.26 and 0.78 s its motion runs along the epipolar lines of a horizontal rig,
 where a pair can't tell time from depth (the paper's Fig. 22); at all other times it runs across them.
 """

@@ -164,7 +164,11 @@ impl Figure {
             let most = |k: usize| of(k).into_iter().fold(0.0, f64::max);
             print!("  {name:20} |error| median {:.4} worst {:.4} frame", median(&of(0)), most(0));
             if n > 1 {
-                print!(", bars {:.4} to {:.4}", of(2).into_iter().fold(1.0, f64::min), most(2));
+                print!(
+                    ", standard error {:.4} to {:.4}",
+                    of(2).into_iter().fold(1.0, f64::min),
+                    most(2)
+                );
                 print!(", |z| up to {:.1}", most(1));
             }
             println!(", none at frames {:?}", self.missing[n]);
