@@ -1,6 +1,8 @@
 //! From a film to offsets: the stages in their order.
 
+use super::courses::{Sighting, Told, courses};
 use super::film::{Film, TrackCache};
+use super::lost::Seen;
 use super::pair::{Blind, Guess, MIN_AGREEMENT, PairEstimate, estimate_pair, triples};
 use super::pairing::{clocks, pairs};
 use super::timeline::Timelines;
@@ -35,8 +37,10 @@ pub fn estimate(
     let tracks = TrackCache::default();
     let mut film = Film::new(frames, Timelines::nominal(capture), &tracks, options);
     let mut starts = aligned(&film, &pairs, reporter)?;
+    let mut doubtful = vec![false; capture.cameras.len()];
     if capture.cameras.iter().any(|c| c.clock.lost) {
-        let timelines = without_losses(&film, &pairs, &mut starts, reporter)?;
+        let timelines;
+        (timelines, doubtful) = without_losses(&film, &pairs, &mut starts, reporter)?;
         film = Film::new(frames, timelines, &tracks, options);
     }
     let drifts = drifts(capture, &clock, count);
@@ -46,6 +50,7 @@ pub fn estimate(
         .iter()
         .flatten()
         .filter(|p| p.std_err_s <= certain_s && !contradicted(p, &pairs, &found))
+        .filter(|p| p.cameras.iter().all(|&c| !doubtful[c]))
         .cloned()
         .collect();
     let first_s = film.timelines.times_s.iter().map(|t| t[0]).collect();
@@ -65,7 +70,10 @@ pub fn estimate(
                 rate_ppm: found_one.filter(|_| drifts).map(|s| 1e6 * s.rate),
                 rate_std_err_ppm: found_one.filter(|_| drifts).map(|s| 1e6 * s.rate_std_err),
                 lost_before: camera.clock.lost.then(|| film.timelines.lost_before[c].clone()),
-                reason: found_one.is_none().then(|| reason(capture, c, &pairs, &found, &used)),
+                reason: found_one.is_none().then(|| match doubtful[c] {
+                    true => LOSSES_IN_DOUBT.into(),
+                    false => reason(capture, c, &pairs, &found, &used),
+                }),
             }
         })
         .collect();
@@ -97,45 +105,77 @@ fn aligned(
         .collect()
 }
 
-/// The times with the frames that were lost, and the pairs' guesses at the film's start.
+/// How often cameras are looked at again by what they seem to have lost.
+const LOOKS: usize = 3;
+
+/// The times with the frames that were lost, the pairs' guesses by them, and the cameras whose
+/// losses are in doubt.
 fn without_losses(
     film: &Film,
     pairs: &[[usize; 2]],
     starts: &mut [Result<Guess, Blind>],
     reporter: &Reporter,
-) -> Result<Timelines, CaptureError> {
+) -> Result<(Timelines, Vec<bool>), CaptureError> {
     let capture = film.frames.capture();
     let task = reporter.task("Lost frames", 2 * pairs.len());
-    let directions: Vec<(usize, [usize; 2], Guess)> = pairs
+    let directions: Vec<([usize; 2], Guess)> = pairs
         .iter()
         .zip(starts.iter())
-        .enumerate()
-        .filter_map(|(n, (pair, guess))| Some((n, pair, (*guess).ok()?)))
-        .flat_map(|(n, &[i, j], guess)| {
-            [(n, [i, j], guess), (n, [j, i], Guess::constant(-guess.value_s))]
-        })
+        .filter_map(|(pair, guess)| Some((pair, (*guess).ok()?)))
+        .flat_map(|(&[i, j], guess)| [([i, j], guess), ([j, i], Guess::constant(-guess.value_s))])
         .collect();
-    let witnesses = directions
+    let mut seen = directions
         .par_iter()
-        .map(|&(_, pair, guess)| {
-            let drifts = pair.iter().any(|&c| capture.cameras[c].clock.drift);
-            let witness = lost::follow(film, pair, guess, drifts);
+        .map(|&(pair, guess)| {
+            let seen = lost::follow(film, pair, guess);
             task.advance(1);
-            witness
+            seen
         })
         .collect::<Result<Vec<_>, _>>()?;
-    let lost =
-        (0..capture.cameras.len())
-            .map(|c| {
-                if capture.cameras[c].clock.lost { lost::agreed(c, &witnesses) } else { Vec::new() }
-            })
+    let told: Vec<Told> = capture
+        .cameras
+        .iter()
+        .enumerate()
+        .map(|(c, camera)| Told {
+            times_s: &film.timelines.times_s[c],
+            frame_s: film.timelines.frame_s(c),
+            loses: camera.clock.lost,
+            drifts: camera.clock.drift && c != capture.reference,
+        })
+        .collect();
+    let together = |seen: &[Vec<Seen>]| {
+        let sightings: Vec<Sighting> = directions
+            .iter()
+            .zip(seen)
+            .flat_map(|((pair, _), seen)| lost::sightings(film, *pair, seen))
             .collect();
-    for (&(n, pair, _), witness) in directions.iter().zip(&witnesses) {
-        if pair == pairs[n] && witness.seen.is_some() {
-            starts[n] = Ok(Guess::constant(witness.first_offset_s));
+        courses(&told, capture.reference, &sightings)
+    };
+    let mut courses = together(&seen);
+    for _ in 0..LOOKS {
+        let changed = directions
+            .par_iter()
+            .zip(&mut seen)
+            .map(|((pair, _), seen)| lost::look_again(film, *pair, &told, &courses, seen))
+            .collect::<Result<Vec<bool>, _>>()?;
+        if !changed.contains(&true) {
+            break;
+        }
+        courses = together(&seen);
+    }
+    for (pair, start) in pairs.iter().zip(starts) {
+        let [Some(i), Some(j)] = pair.map(|c| courses[c].as_ref()) else { continue };
+        if start.is_ok() && i.group == j.group {
+            *start = Ok(Guess {
+                value_s: j.offset_s - i.offset_s,
+                rate: j.rate - i.rate,
+                center_s: told[pair[0]].times_s[0],
+            });
         }
     }
-    Ok(Timelines::with_lost(capture, lost))
+    let doubtful = courses.iter().map(|c| c.as_ref().is_some_and(|c| c.doubtful)).collect();
+    let lost = courses.into_iter().map(|c| c.map_or_else(Vec::new, |c| c.lost_before)).collect();
+    Ok((Timelines::with_lost(capture, lost), doubtful))
 }
 
 fn pairwise(
@@ -205,6 +245,8 @@ fn drifts(capture: &Capture, clock: &[usize], count: usize) -> Vec<bool> {
     }
     drifts
 }
+
+const LOSSES_IN_DOUBT: &str = "frames may be missing, and too few of its images show where";
 
 fn reason(
     capture: &Capture,

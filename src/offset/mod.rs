@@ -10,7 +10,7 @@
 //! | Fig. 23 | [`plot`] |
 //!
 //! Beyond: a mixture fitted by information ([`Residuals`]), rough alignment of recordings started
-//! by hand (`align`), lost frames (`lost`), and all pairs together with rates and standard errors
+//! by hand (`align`), lost frames (`lost`, `courses`), and all pairs together with rates and standard errors
 //! ([`solve`]).
 //!
 //! time on the reference's clock = time on the camera's clock + offset: a camera that opens after
@@ -18,13 +18,14 @@
 //!
 //! Known limits: films shorter than the least overlap of the search are taken to be aligned to
 //! about a frame; a frame lost where nothing moves is found at the next image that shows motion;
-//! one lost within two images of a film's start or end, or near another, may not be found, and the
-//! images before it are a frame off, the offset too; one rate holds for a whole film.
+//! one lost right after a film's first image or before its last may not be found, and that image is
+//! then a frame off; what all cameras lose at once none can see; one rate holds for a whole film.
 
 mod activity;
 mod align;
 mod candidates;
 mod consensus;
+mod courses;
 mod estimate;
 mod features;
 mod film;
@@ -35,7 +36,6 @@ mod options;
 mod pair;
 mod pairing;
 mod plot;
-mod steps;
 mod store;
 mod timeline;
 mod uncertainty;

@@ -119,7 +119,12 @@ fn one(seed: u64, frames: usize, drift_ppm: f64, count: &mut Count) -> Result<()
         // By the number of the image before which it is missing.
         let truth: Vec<usize> = film.lost[c].iter().enumerate().map(|(k, n)| n - k).collect();
         let seen: Vec<usize> = truth.into_iter().filter(|n| *n < frames).collect();
-        count.add(&seen, camera.lost_before.as_deref().unwrap_or_default());
+        let found = camera.lost_before.as_deref().unwrap_or_default();
+        if found != seen {
+            let known = if camera.offset_s.is_some() { "" } else { ", said to be unknown" };
+            println!("  film {seed}, {}: lost {seen:?}, found {found:?}{known}", camera.id);
+        }
+        count.add(&seen, found);
     }
     let start_s = film.delays_s[REFERENCE];
     for (c, times) in offsets.common_times_s(&capture).into_iter().enumerate() {
