@@ -21,6 +21,10 @@ const WITNESSES: usize = 5;
 /// mistakes noise for change.
 const BLOCK: usize = 8;
 
+/// Features that move by less from one frame to the next stand still, pixels: most of most scenes,
+/// which would hide how the rest moves.
+const STILL_PX: f64 = 0.5;
+
 /// A block changes if its mean difference is over so many times the quietest quarter's: noise
 /// differs between light and dark, flat and textured parts, by 2 to 4 times.
 const OVER_NOISE: f32 = 6.0;
@@ -109,7 +113,8 @@ fn largest(tracks: &[Track]) -> f64 {
 
 fn bend(tracks: &[Track], times_s: &[f64], k: usize) -> f64 {
     let middle_s = 0.5 * (times_s[k] + times_s[k + 1]);
-    let bends = tracks.iter().filter(|t| t.before.is_some() && t.after.is_some()).filter_map(|t| {
+    let moving = tracks.iter().filter(|t| t.motion().norm() > STILL_PX);
+    let bends = moving.filter(|t| t.before.is_some() && t.after.is_some()).filter_map(|t| {
         let curve: Path = t.path(times_s, k)?;
         let line = t.earlier + 0.5 * t.motion();
         Some((curve.at(middle_s) - line).norm())
