@@ -188,6 +188,36 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
+    /// A feature in frames 0 to 3, and where it is in each.
+    fn track([before, earlier, later, after]: [f64; 4]) -> Track {
+        let at = |x: f64| nalgebra::Point2::new(x, 7.0);
+        Track {
+            run: crate::registration::Run::Both,
+            before: Some(at(before)),
+            earlier: at(earlier),
+            later: at(later),
+            after: Some(at(after)),
+            residual: 0.0,
+            back_error_px: 0.0,
+        }
+    }
+
+    /// Halfway, a path of a second difference of 4 px is half a pixel off the line.
+    #[test]
+    fn bends_are_told_from_what_moves() {
+        let times_s = [0.0, 1.0, 2.0, 3.0];
+        let still = track([5.0; 4]);
+        let (straight, bent) = (track([0.0, 9.0, 18.0, 27.0]), track([0.0, 9.0, 22.0, 39.0]));
+        let of = |moving: &Track| {
+            let tracks: Vec<Track> =
+                (0..40).map(|k| if k < 4 { moving.clone() } else { still.clone() }).collect();
+            bend(&tracks, &times_s, 1)
+        };
+        assert!((of(&bent) - 0.5).abs() < 1e-9, "{}", of(&bent));
+        assert!(of(&straight) < 1e-9);
+        assert_eq!(of(&still), 0.0);
+    }
+
     #[test]
     fn pairs_are_spread_over_the_film() {
         assert!(spread(0).is_empty() && spread(1).is_empty());

@@ -3,7 +3,6 @@
 use super::RenderOptions;
 use crate::interpolation::Sync;
 use crate::json;
-use crate::lumigraph::Sampling;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -37,12 +36,12 @@ impl Preset {
                 options.sync = Sync::Triangulation;
                 options.registration.corners.max_corners = 1000;
                 (options.proxy.cameras, options.proxy.partners) = (1, 2);
-                options.blend.cameras = 2;
-                options.blend.sampling = Sampling::Bilinear;
+                options.blend.cameras = 1;
             }
             Self::Balanced => {
                 options.sync = Sync::Triangulation;
                 (options.proxy.cameras, options.proxy.partners) = (2, 2);
+                options.blend.cameras = 2;
             }
             Self::Best => (options.auto.sync, options.auto.proxy) = (true, true),
         }

@@ -7,6 +7,7 @@ use super::{Elapsed, Stopwatch, TradeoffError};
 use crate::camera::Camera;
 use crate::interpolation::Sync;
 use crate::lumigraph::{Proxy, Rendered};
+use crate::offset::OffsetOptions;
 use crate::progress::Task;
 use crate::raster::Image;
 use crate::render::{LightField, RenderError, RenderOptions};
@@ -28,13 +29,13 @@ pub(super) enum Stage {
 impl Stage {
     pub const ALL: [Self; 3] = [Self::Sync, Self::Proxy, Self::Blend];
 
-    /// What the stage's time depends on.
+    /// What the stage's time depends on: not on how offsets were estimated, once they are.
     fn part(self, point: &KeptPoint) -> Value {
-        let options = &point.options;
+        let options = RenderOptions { offset: OffsetOptions::default(), ..point.options.clone() };
         match self {
-            Self::Sync => json!(["sync", sync_part(options), point.cameras]),
-            Self::Proxy => json!(["proxy", proxy_part(options)]),
-            Self::Blend => json!(["blend", proxy_part(options), options.blend]),
+            Self::Sync => json!(["sync", sync_part(&options), point.cameras]),
+            Self::Proxy => json!(["proxy", proxy_part(&options)]),
+            Self::Blend => json!(["blend", proxy_part(&options), options.blend]),
         }
     }
 }

@@ -10,7 +10,7 @@ use crate::compare::truths::{self, TrueImage, as_written};
 use crate::lumigraph::Rendered;
 use crate::offset::Offsets;
 use crate::raster::Image;
-use crate::render::left_out::{filmed, inner_cameras, only, shown_frame};
+use crate::render::left_out::{filmed, inner_cameras, only, shown_frames};
 use crate::render::{LightField, RenderError, RenderOptions};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -175,7 +175,8 @@ impl Scene<'_> {
         for camera in inner_cameras(self.capture) {
             let Some(times_s) = &times_s[camera] else { continue };
             let field = self.field(&most_accurate(self.base), Some(camera));
-            let Some(frame) = shown_frame(&field, times_s) else { continue };
+            let shown = shown_frames(&field, times_s);
+            let Some(&frame) = shown.get(shown.len() / 2) else { continue };
             let (image, moving) = filmed(self.capture, camera, frame)?;
             let truth = TrueImage { image, moving };
             let filmed = &self.capture.cameras[camera];
