@@ -43,7 +43,10 @@ impl Preset {
                 (options.proxy.cameras, options.proxy.partners) = (2, 2);
                 options.blend.cameras = 2;
             }
-            Self::Best => (options.auto.sync, options.auto.proxy) = (true, true),
+            Self::Best => {
+                (options.auto.sync, options.auto.proxy) = (true, true);
+                options.blend.cameras = 2;
+            }
         }
         options
     }
