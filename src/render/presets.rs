@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// Options of all stages by name, cheapest first. `cargo bench --bench tradeoff` holds them against
-/// every other combination; on `book` at 640×480 that finds `balanced` better than `best`.
+/// other combinations; README has their figures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
