@@ -156,13 +156,20 @@ impl Chart {
         if self.key.is_empty() {
             return [WIDTH, HEIGHT];
         }
-        let height = (KEYED * HEIGHT).max(MARGINS[2] + ROW * (self.key.len() + 1) as f64);
+        let rows = self.key_from() + self.key.len() + 1;
+        let height = (KEYED * HEIGHT).max(MARGINS[2] + ROW * rows as f64);
         [KEYED * WIDTH + self.key_width(), height]
     }
 
     fn key_width(&self) -> f64 {
         let longest = self.key.iter().map(|line| line.chars().count()).max();
         longest.map_or(0.0, |n| ADVANCE * n as f64 + 16.0)
+    }
+
+    /// The row that the key starts at: below the series' names, which stand over it.
+    fn key_from(&self) -> usize {
+        let names = self.series.iter().filter(|s| !s.label.is_empty()).count();
+        if names > 0 { names + 1 } else { 0 }
     }
 
     fn axes(&self) -> Axes {
@@ -197,17 +204,18 @@ impl Chart {
         }
         self.draw_labels(page, &axes);
         let labelled = self.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty());
+        let beside = if self.key.is_empty() { left + 8.0 } else { right + 16.0 };
         for (row, (k, series)) in labelled.enumerate() {
             let at = top + 14.0 + ROW * row as f64;
-            let swatch = page.at([left + 8.0, at - 9.0]);
+            let swatch = page.at([beside, at - 9.0]);
             let color = self.color(k);
             page.shapes.push(Shape::Rect { at: swatch, size: [10.0, 10.0], color });
-            page.text([left + 22.0, at], &series.label, Anchor::Start, false);
+            page.text([beside + 14.0, at], &series.label, Anchor::Start, false);
         }
         let corners = [[left, top], [right, top], [right, bottom], [left, bottom], [left, top]];
         page.path(&corners, FRAME, 1.0, false);
         for (row, line) in self.key.iter().enumerate() {
-            let at = [right + 16.0, top + 10.0 + ROW * row as f64];
+            let at = [right + 16.0, top + 10.0 + ROW * (self.key_from() + row) as f64];
             page.text(at, line, Anchor::Start, false);
         }
     }

@@ -55,7 +55,13 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let base = options_or_default(args.options.as_deref())?;
     let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
     must_be_writable(&args.output.join("tradeoff.json"))?;
-    let options = TradeoffOptions { runs: args.runs, rounds: args.rounds, base, clock: args.clock };
+    let options = TradeoffOptions {
+        runs: args.runs,
+        rounds: args.rounds,
+        base,
+        clock: args.clock,
+        ..TradeoffOptions::default()
+    };
     let found = tradeoff(&capture, &options, &args.output, reporter)?;
     if args.json {
         let json = serde_json::to_string_pretty(&found);

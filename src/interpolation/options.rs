@@ -114,7 +114,9 @@ pub struct RefineOptions {
     /// A difference larger by this makes a hypothesis count 1/e as much. Larger: ghosts; smaller:
     /// jagged outlines.
     pub softness: f32,
-    /// What it costs a hypothesis to be seen in one frame only.
+    /// What it costs a hypothesis to be seen in one frame only, halfway; towards the other frame more,
+    /// by the inverse of the time from it. Smaller: outlines are eaten by what is behind them;
+    /// larger: ghosts beside them.
     pub one_frame_cost: f32,
     /// How much the frames before and after are averaged in, halfway between two frames, where
     /// they agree; 0: not at all, 1: as much as the middle two. Larger: less noise; smaller: less of

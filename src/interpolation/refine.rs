@@ -5,7 +5,8 @@
 //! a frame that sees the background with one that doesn't. There, blocks of pixels try the motions
 //! of the tracks around them, each under three hypotheses: both frames see the point (then they
 //! agree with each other), only the earlier does (then it agrees with the frame before it), or
-//! only the later (then it agrees with the frame after it). Every pixel is the mean of all of
+//! only the later (then it agrees with the frame after it; the nearer the instant is to a frame, the
+//! less likely only the other sees the point). Every pixel is the mean of all of
 //! these and of the morph, weighted by how well each agrees over a small window. Blocks overlap
 //! and fade into each other, so that none has a border.
 //!
@@ -336,17 +337,23 @@ impl Work<'_> {
             let (x, y) = (k % block + radius, k / block + radius);
             let at = y * side + x;
             sums.add(k, self.weight(both[at]), mix.pixel(x, y));
-            for (costs, color) in
-                [(&only_earlier, earlier.pixel(x, y)), (&only_later, later.pixel(x, y))]
-            {
+            for (costs, color, share) in [
+                (&only_earlier, earlier.pixel(x, y), 1.0 - self.frames.share),
+                (&only_later, later.pixel(x, y), self.frames.share),
+            ] {
                 if let Some(costs) = costs {
-                    let cost = costs[at] + self.options.one_frame_cost;
+                    // What the nearer frame doesn't see has had little time to appear.
+                    let cost =
+                        costs[at] + self.options.one_frame_cost / (2.0 * share).max(MIN_SHARE);
                     sums.add(k, self.weight(cost), color);
                 }
             }
         }
     }
 }
+
+/// Twice the least share of the interval that is told from a frame.
+const MIN_SHARE: f32 = 1e-3;
 
 /// Keeps a sum of weights from being 0 where every hypothesis is far off.
 const MIN_WEIGHT: f32 = 1e-30;
@@ -426,6 +433,26 @@ mod tests {
         let dissolved = refined(&four, [&still, &still], &[], &options);
         let (before, after) = (error(&dissolved, &truth), error(&result, &truth));
         assert!(after > before + 8.0, "{before} {after}");
+    }
+
+    /// No track tells how the square moves; the wall that the later frame sees where it stood is not
+    /// shown yet.
+    #[test]
+    fn near_a_frame_what_only_the_other_sees_is_not_shown() {
+        let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
+        let four = FourFrames {
+            before: Some(&frames[0]),
+            earlier: &frames[1],
+            later: &frames[2],
+            after: Some(&frames[3]),
+            share: 0.05,
+        };
+        let still: Vec<Motion> =
+            motions().iter().map(|m| Motion { to: [Vector2::zeros(); 4], ..*m }).collect();
+        let warp = Warp::identity(W, H);
+        let result = refined(&four, [&warp, &warp], &still, &RefineOptions::default());
+        let found = error(&result, &frames[1]);
+        assert!(found > 35.0, "{found}");
     }
 
     #[test]

@@ -21,6 +21,10 @@ const WITNESSES: usize = 5;
 /// mistakes noise for change.
 const BLOCK: usize = 8;
 
+/// Features that move by less from one frame to the next stand still, pixels: most of most scenes,
+/// which would hide how the rest moves.
+const STILL_PX: f64 = 0.5;
+
 /// A block changes if its mean difference is over so many times the quietest quarter's: noise
 /// differs between light and dark, flat and textured parts, by 2 to 4 times.
 const OVER_NOISE: f32 = 6.0;
@@ -109,7 +113,8 @@ fn largest(tracks: &[Track]) -> f64 {
 
 fn bend(tracks: &[Track], times_s: &[f64], k: usize) -> f64 {
     let middle_s = 0.5 * (times_s[k] + times_s[k + 1]);
-    let bends = tracks.iter().filter(|t| t.before.is_some() && t.after.is_some()).filter_map(|t| {
+    let moving = tracks.iter().filter(|t| t.motion().norm() > STILL_PX);
+    let bends = moving.filter(|t| t.before.is_some() && t.after.is_some()).filter_map(|t| {
         let curve: Path = t.path(times_s, k)?;
         let line = t.earlier + 0.5 * t.motion();
         Some((curve.at(middle_s) - line).norm())
@@ -182,6 +187,36 @@ fn changed_blocks(a: &Image, b: &Image) -> (usize, Vec<bool>) {
 mod tests {
     use super::*;
     use crate::random::Random;
+
+    /// A feature in frames 0 to 3, and where it is in each.
+    fn track([before, earlier, later, after]: [f64; 4]) -> Track {
+        let at = |x: f64| nalgebra::Point2::new(x, 7.0);
+        Track {
+            run: crate::registration::Run::Both,
+            before: Some(at(before)),
+            earlier: at(earlier),
+            later: at(later),
+            after: Some(at(after)),
+            residual: 0.0,
+            back_error_px: 0.0,
+        }
+    }
+
+    /// Halfway, a path of a second difference of 4 px is half a pixel off the line.
+    #[test]
+    fn bends_are_told_from_what_moves() {
+        let times_s = [0.0, 1.0, 2.0, 3.0];
+        let still = track([5.0; 4]);
+        let (straight, bent) = (track([0.0, 9.0, 18.0, 27.0]), track([0.0, 9.0, 22.0, 39.0]));
+        let of = |moving: &Track| {
+            let tracks: Vec<Track> =
+                (0..40).map(|k| if k < 4 { moving.clone() } else { still.clone() }).collect();
+            bend(&tracks, &times_s, 1)
+        };
+        assert!((of(&bent) - 0.5).abs() < 1e-9, "{}", of(&bent));
+        assert!(of(&straight) < 1e-9);
+        assert_eq!(of(&still), 0.0);
+    }
 
     #[test]
     fn pairs_are_spread_over_the_film() {

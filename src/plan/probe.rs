@@ -3,11 +3,12 @@
 use crate::capture::Capture;
 use crate::offset::Offsets;
 use crate::raster::Image;
-use crate::render::left_out::{filmed, inner_cameras, only, others, shown_frame};
+use crate::render::left_out::{filmed, inner_cameras, only, others, shown_frames};
 use crate::render::{LightField, RenderError, RenderOptions};
 
-/// Cameras that are rendered, one frame of each. More cost a view by every rung that is tried.
-const FRAMES: usize = 2;
+/// Cameras that are rendered, one frame of each, spread over the film: what refinement gains differs
+/// by half a decibel from instant to instant. More cost a view by every rung that is tried.
+const FRAMES: usize = 4;
 
 /// Cameras, the nearest, that each is rendered from. More cost time; fewer than two are on one side.
 const NEIGHBORS: usize = 4;
@@ -51,7 +52,11 @@ impl Probe {
             from.truncate(NEIGHBORS);
             let (less, known) = only(capture, offsets, &from);
             let field = LightField::new(less, known, options.clone());
-            let Some(frame) = shown_frame(&field, times_s) else { continue };
+            let shown = shown_frames(&field, times_s);
+            let Some(&frame) = shown.get((2 * frames.len() + 1) * shown.len() / (2 * FRAMES))
+            else {
+                continue;
+            };
             let time_s = times_s[frame];
             let (truth, changing) = filmed(capture, index, frame)?;
             let count = changing.iter().filter(|c| **c).count();

@@ -46,12 +46,11 @@ fn by_distance(capture: &Capture, from: &nalgebra::Vector3<f64>) -> Vec<usize> {
     order
 }
 
-/// Of frames at these times, the middle one of those that most of the field's cameras can show.
-pub(crate) fn shown_frame(field: &LightField, times_s: &[f64]) -> Option<usize> {
+/// Of frames at these times, those that most of the field's cameras can show; none that no camera can.
+pub(crate) fn shown_frames(field: &LightField, times_s: &[f64]) -> Vec<usize> {
     let usable: Vec<usize> = times_s.iter().map(|t| field.usable(*t).len()).collect();
-    let most = usable.iter().max().copied().filter(|most| *most > 0)?;
-    let frames: Vec<usize> = (0..usable.len()).filter(|&k| usable[k] == most).collect();
-    frames.get(frames.len() / 2).copied()
+    let most = usable.iter().max().copied().unwrap_or(0).max(1);
+    (0..usable.len()).filter(|&k| usable[k] == most).collect()
 }
 
 /// A frame, and where it differs from the frames beside it by more than noise, row by row.

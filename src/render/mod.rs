@@ -248,30 +248,52 @@ impl LightField {
             return Err(self.no_camera_at(time_s));
         }
         let depth = self.proxy(self.options.proxy.rung, target, time_s)?.depth_map(target);
-        // Most cameras of a large rig are nowhere among the best, so that nobody misses their images.
-        let mut images: Vec<Option<Image>> = vec![None; self.times_s.len()];
-        for c in self.usable(time_s) {
-            images[c] = Some(self.blank(c));
-        }
-        let needed = contributing(&self.sources(&images), &depth, target, &self.options.blend);
-        // The sources are the usable cameras, in their order.
-        let needed: Vec<usize> = self
-            .usable(time_s)
-            .into_iter()
-            .zip(needed)
-            .filter_map(|(c, needed)| needed.then_some(c))
-            .collect();
-        let synchronized: Vec<Image> =
-            needed.par_iter().map(|&c| self.synchronized(c, time_s)).collect::<Result<_, _>>()?;
-        for (c, image) in needed.into_iter().zip(synchronized) {
-            images[c] = Some(image);
-        }
+        let mut images = self.blanks(time_s);
+        let needed = self.needed(&images, &depth, target);
+        self.synchronize(&mut images, &needed, time_s)?;
         let rendered = self.blend_by_depth(&images, &depth, target);
         if rendered.coverage.iter().any(|c| *c) {
             Ok(rendered)
         } else {
             Err(RenderError::NothingSeen)
         }
+    }
+
+    /// Black images of the cameras that can give one at a time.
+    pub(crate) fn blanks(&self, time_s: f64) -> Vec<Option<Image>> {
+        let mut images = vec![None; self.times_s.len()];
+        for c in self.usable(time_s) {
+            images[c] = Some(self.blank(c));
+        }
+        images
+    }
+
+    /// The cameras, of those with an image, that a view is blended from: most of a large rig are
+    /// nowhere among the best, so that nobody misses their images.
+    pub(crate) fn needed(
+        &self,
+        images: &[Option<Image>],
+        depth: &DepthMap,
+        target: &Camera,
+    ) -> Vec<usize> {
+        let needed = contributing(&self.sources(images), depth, target, &self.options.blend);
+        let sources = (0..images.len()).filter(|&c| images[c].is_some());
+        sources.zip(needed).filter_map(|(c, needed)| needed.then_some(c)).collect()
+    }
+
+    /// Puts the images of these cameras at a time among `images`.
+    pub(crate) fn synchronize(
+        &self,
+        images: &mut [Option<Image>],
+        cameras: &[usize],
+        time_s: f64,
+    ) -> Result<(), RenderError> {
+        let synchronized: Vec<Image> =
+            cameras.par_iter().map(|&c| self.synchronized(c, time_s)).collect::<Result<_, _>>()?;
+        for (&c, image) in cameras.iter().zip(synchronized) {
+            images[c] = Some(image);
+        }
+        Ok(())
     }
 
     /// A black image of a camera's kind.
@@ -365,7 +387,7 @@ impl LightField {
         self.blend_by_depth(images, &proxy.depth_map(target), target)
     }
 
-    fn blend_by_depth(
+    pub(crate) fn blend_by_depth(
         &self,
         images: &[Option<Image>],
         depth: &DepthMap,

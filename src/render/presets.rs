@@ -3,12 +3,11 @@
 use super::RenderOptions;
 use crate::interpolation::Sync;
 use crate::json;
-use crate::lumigraph::Sampling;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// Options of all stages by name, cheapest first. `cargo bench --bench tradeoff` holds them against
-/// every other combination; on `book` at 640×480 that finds `balanced` better than `best`.
+/// other combinations; README has their figures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
@@ -37,14 +36,17 @@ impl Preset {
                 options.sync = Sync::Triangulation;
                 options.registration.corners.max_corners = 1000;
                 (options.proxy.cameras, options.proxy.partners) = (1, 2);
-                options.blend.cameras = 2;
-                options.blend.sampling = Sampling::Bilinear;
+                options.blend.cameras = 1;
             }
             Self::Balanced => {
                 options.sync = Sync::Triangulation;
                 (options.proxy.cameras, options.proxy.partners) = (2, 2);
+                options.blend.cameras = 2;
             }
-            Self::Best => (options.auto.sync, options.auto.proxy) = (true, true),
+            Self::Best => {
+                (options.auto.sync, options.auto.proxy) = (true, true);
+                options.blend.cameras = 2;
+            }
         }
         options
     }

@@ -1,6 +1,6 @@
 //! Measuring combinations: quality once, time several times, in turns.
 
-use super::stages::{Stage, Views};
+use super::stages::{Views, sync_part};
 use super::store::{KeptPoint, Planned, Prepared, Store};
 use super::targets::{Against, Scene, Target, Timed};
 use super::{Clock, Elapsed, Stopwatch, TradeoffError};
@@ -99,6 +99,7 @@ impl Bench<'_> {
         kept.filter(|kept| kept.options == *options).unwrap_or_else(|| KeptPoint {
             options: options.clone(),
             scores: BTreeMap::new(),
+            cameras: Vec::new(),
             reason: None,
         })
     }
@@ -135,7 +136,7 @@ impl Bench<'_> {
             let lacks = |k: &usize| self.unscored(&points[*k]).any(|t| t.id == target.id);
             let mut found: Vec<usize> = group.members.iter().copied().filter(lacks).collect();
             // Those that share synchronized images one after the other.
-            found.sort_by_cached_key(|&k| Stage::Sync.part(&points[k].options).to_string());
+            found.sort_by_cached_key(|&k| sync_part(&points[k].options).to_string());
             found
         };
         let untimed = self.untimed(group.members.iter().map(|&k| &points[k]));
@@ -177,7 +178,10 @@ impl Bench<'_> {
         point: &mut KeptPoint,
     ) -> Result<(), TradeoffError> {
         match views.view(&point.options, &target.camera, target.time_s) {
-            Ok(rendered) => {
+            Ok((rendered, cameras)) => {
+                if self.timed.target == target.id {
+                    point.cameras = cameras;
+                }
                 point.scores.insert(target.id.clone(), target.score(&rendered));
             }
             Err(RenderError::Capture(error)) => return Err(error.into()),

@@ -74,6 +74,8 @@ pub struct TradeoffOptions {
     pub rounds: usize,
     /// What all combinations start from.
     pub base: RenderOptions,
+    /// Combinations to measure besides.
+    pub also: Vec<RenderOptions>,
     pub clock: Clock,
 }
 
@@ -92,7 +94,8 @@ pub enum Clock {
 
 impl Default for TradeoffOptions {
     fn default() -> Self {
-        Self { runs: 3, rounds: 1, base: RenderOptions::default(), clock: Clock::Wall }
+        let (base, also) = (RenderOptions::default(), Vec::new());
+        Self { runs: 3, rounds: 1, base, also, clock: Clock::Wall }
     }
 }
 
@@ -208,6 +211,7 @@ pub fn tradeoff(
 
     let mut wanted = rungs(base);
     add(&mut wanted, labels.iter().map(|(_, options)| options.clone()));
+    add(&mut wanted, options.also.iter().cloned());
     let mut points = bench.measure("rungs", &wanted)?;
     let variable =
         Variable { offsets: prepared.offsets_took.is_some(), cameras: capture.cameras.len() };

@@ -48,12 +48,11 @@ pub(super) fn drawing(tradeoff: &Tradeoff) -> Drawing {
         faint,
     };
     let series = vec![
-        dots("front", points(&|p| p.on_front), true, false),
-        dots("presets and auto", points(&named), false, false),
         dots("other combinations", points(&|p| !p.on_front && p.labels.is_empty()), false, true),
+        dots("front", points(&|p| p.on_front), true, false),
+        // What is drawn last is seen.
+        dots("presets and auto", points(&named), false, false),
     ];
-    // What is drawn last is seen.
-    let series = series.into_iter().rev().collect();
     let mut labels: Vec<Label> = tradeoff
         .points
         .iter()

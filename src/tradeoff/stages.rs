@@ -4,8 +4,10 @@
 use super::measure::Bench;
 use super::store::KeptPoint;
 use super::{Elapsed, Stopwatch, TradeoffError};
+use crate::camera::Camera;
 use crate::interpolation::Sync;
-use crate::lumigraph::Proxy;
+use crate::lumigraph::{Proxy, Rendered};
+use crate::offset::OffsetOptions;
 use crate::progress::Task;
 use crate::raster::Image;
 use crate::render::{LightField, RenderError, RenderOptions};
@@ -16,31 +18,42 @@ use std::collections::HashMap;
 /// What a view is made by, in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Stage {
-    /// All cameras' images at the instant.
+    /// The images at the instant of the cameras that the view is blended from.
     Sync,
     /// The scene's shape.
     Proxy,
+    /// From the shape to depths, the cameras that answer, and the view.
     Blend,
 }
 
 impl Stage {
     pub const ALL: [Self; 3] = [Self::Sync, Self::Proxy, Self::Blend];
 
-    /// The options that the stage's time and result depend on.
-    pub fn part(self, o: &RenderOptions) -> Value {
-        let sync = match o.sync {
-            Sync::Nearest | Sync::Crossfade => json!(null),
-            Sync::Triangulation => json!([o.registration, o.interpolation.curved]),
-            Sync::Morph | Sync::EdgeMorph | Sync::Refined => {
-                json!([o.registration, o.interpolation])
-            }
-        };
+    /// What the stage's time depends on: not on how offsets were estimated, once they are.
+    fn part(self, point: &KeptPoint) -> Value {
+        let options = RenderOptions { offset: OffsetOptions::default(), ..point.options.clone() };
         match self {
-            Self::Sync => json!(["sync", o.offset, o.sync, sync]),
-            Self::Proxy => json!(["proxy", o.offset, o.registration, o.proxy]),
-            Self::Blend => json!(["blend", o.offset, o.registration, o.proxy, o.blend]),
+            Self::Sync => json!(["sync", sync_part(&options), point.cameras]),
+            Self::Proxy => json!(["proxy", proxy_part(&options)]),
+            Self::Blend => json!(["blend", proxy_part(&options), options.blend]),
         }
     }
+}
+
+/// The options that synchronized images depend on.
+pub(super) fn sync_part(o: &RenderOptions) -> Value {
+    match o.sync {
+        Sync::Nearest | Sync::Crossfade => json!([o.offset, o.sync]),
+        Sync::Triangulation => json!([o.offset, o.sync, o.registration, o.interpolation.curved]),
+        Sync::Morph | Sync::EdgeMorph | Sync::Refined => {
+            json!([o.offset, o.sync, o.registration, o.interpolation])
+        }
+    }
+}
+
+/// The options that the scene's shape depends on.
+fn proxy_part(o: &RenderOptions) -> Value {
+    json!([o.offset, o.registration, o.proxy])
 }
 
 /// The times of one stage.
@@ -50,17 +63,21 @@ pub(super) struct KeptStage {
     pub runs: Vec<Elapsed>,
 }
 
-/// Stages of one combination, shared by others.
-type Work = (Stage, String, RenderOptions);
+/// A stage of one combination, shared by others, and the name that its times are kept by.
+pub(super) struct Work {
+    stage: Stage,
+    key: String,
+    point: KeptPoint,
+}
 
 impl Bench<'_> {
-    fn stage_key(&self, stage: Stage, options: &RenderOptions) -> String {
-        self.store.key("time", &stage.part(options))
+    fn stage_key(&self, stage: Stage, point: &KeptPoint) -> String {
+        self.store.key("time", &stage.part(point))
     }
 
     /// The times of a stage so far.
-    pub fn stage(&self, stage: Stage, options: &RenderOptions) -> KeptStage {
-        self.store.load(&self.stage_key(stage, options)).unwrap_or_default()
+    fn stage(&self, stage: Stage, point: &KeptPoint) -> KeptStage {
+        self.store.load(&self.stage_key(stage, point)).unwrap_or_default()
     }
 
     /// The different stages of combinations that can be rendered, and are timed too seldom.
@@ -68,10 +85,10 @@ impl Bench<'_> {
         let mut found: Vec<Work> = Vec::new();
         for point in points.filter(|p| p.reason.is_none()) {
             for stage in Stage::ALL {
-                let key = self.stage_key(stage, &point.options);
-                let known = found.iter().any(|(_, other, _)| *other == key);
-                if !known && self.stage(stage, &point.options).runs.len() < self.runs {
-                    found.push((stage, key, point.options.clone()));
+                let key = self.stage_key(stage, point);
+                let known = found.iter().any(|other| other.key == key);
+                if !known && self.stage(stage, point).runs.len() < self.runs {
+                    found.push(Work { stage, key, point: point.clone() });
                 }
             }
         }
@@ -88,32 +105,18 @@ impl Bench<'_> {
         let (camera, time_s) = (&self.timed.camera, self.timed.time_s);
         // What is prepared once for all views between two frames isn't timed: everything once
         // before.
-        let images = field.synchronized_all(Sync::Refined, time_s)?;
-        let mut proxies: HashMap<String, Proxy> = HashMap::new();
+        field.register(time_s)?;
+        let mut views = Views::new(field);
+        for Work { point, .. } in work {
+            views.view(&point.options, camera, time_s)?;
+        }
         for run in 0..self.runs {
-            for (stage, key, options) in work {
+            for Work { stage, key, point } in work {
                 let mut kept: KeptStage = self.store.load(key).unwrap_or_default();
                 if kept.runs.len() > run {
                     continue;
                 }
-                field.set_options(options.clone());
-                let proxy = match proxies.get(&Stage::Proxy.part(options).to_string()) {
-                    Some(proxy) => proxy.clone(),
-                    None => {
-                        field.forget_points();
-                        let proxy = field.proxy(options.proxy.rung, camera, time_s)?;
-                        proxies.insert(Stage::Proxy.part(options).to_string(), proxy.clone());
-                        proxy
-                    }
-                };
-                field.forget_points();
-                let watch = Stopwatch::start();
-                match stage {
-                    Stage::Sync => drop(field.synchronized_all(options.sync, time_s)?),
-                    Stage::Proxy => drop(field.proxy(options.proxy.rung, camera, time_s)?),
-                    Stage::Blend => drop(field.blend(&images, &proxy, camera)),
-                }
-                kept.runs.push(watch.elapsed());
+                kept.runs.push(views.timed(*stage, point, camera, time_s)?);
                 self.store.save(key, &kept)?;
                 task.advance(1);
             }
@@ -122,8 +125,8 @@ impl Bench<'_> {
     }
 
     /// What whole views of a combination took, run by run: the sums of its stages.
-    pub fn runs(&self, options: &RenderOptions) -> Vec<[Elapsed; 3]> {
-        let stages = Stage::ALL.map(|stage| self.stage(stage, options).runs);
+    pub fn runs(&self, point: &KeptPoint) -> Vec<[Elapsed; 3]> {
+        let stages = Stage::ALL.map(|stage| self.stage(stage, point).runs);
         let runs = stages.iter().map(Vec::len).min().unwrap_or(0);
         (0..runs).map(|run| [0, 1, 2].map(|stage| stages[stage][run])).collect()
     }
@@ -132,8 +135,15 @@ impl Bench<'_> {
 /// Renders views of one instant, and keeps what the next combination shares.
 pub(super) struct Views<'a> {
     field: &'a mut LightField,
-    images: Option<(String, Vec<Option<Image>>)>,
+    images: Option<SharedImages>,
     proxies: HashMap<String, Proxy>,
+}
+
+/// Synchronized images of some cameras, black ones of the others.
+struct SharedImages {
+    of: String,
+    images: Vec<Option<Image>>,
+    done: Vec<usize>,
 }
 
 impl<'a> Views<'a> {
@@ -141,26 +151,69 @@ impl<'a> Views<'a> {
         Self { field, images: None, proxies: HashMap::new() }
     }
 
-    /// As [`LightField::view`].
+    /// As [`LightField::view`], and the cameras that the view is blended from.
     pub fn view(
         &mut self,
         options: &RenderOptions,
-        camera: &crate::camera::Camera,
+        camera: &Camera,
         time_s: f64,
-    ) -> Result<crate::lumigraph::Rendered, RenderError> {
+    ) -> Result<(Rendered, Vec<usize>), RenderError> {
         self.field.set_options(options.clone());
-        let part = Stage::Sync.part(options).to_string();
-        if self.images.as_ref().is_none_or(|(of, _)| *of != part) {
-            self.images = Some((part, self.field.synchronized_all(options.sync, time_s)?));
+        let depth = self.proxy(options, camera, time_s)?.depth_map(camera);
+        let of = sync_part(options).to_string();
+        let mut shared = self.images.take().filter(|shared| shared.of == of).unwrap_or_else(|| {
+            SharedImages { of, images: self.field.blanks(time_s), done: Vec::new() }
+        });
+        let needed = self.field.needed(&shared.images, &depth, camera);
+        let missing: Vec<usize> =
+            needed.iter().copied().filter(|c| !shared.done.contains(c)).collect();
+        self.field.synchronize(&mut shared.images, &missing, time_s)?;
+        shared.done.extend(missing);
+        let rendered = self.field.blend_by_depth(&shared.images, &depth, camera);
+        self.images = Some(shared);
+        let seen = rendered.coverage.contains(&true);
+        if seen { Ok((rendered, needed)) } else { Err(RenderError::NothingSeen) }
+    }
+
+    fn proxy(
+        &mut self,
+        options: &RenderOptions,
+        camera: &Camera,
+        time_s: f64,
+    ) -> Result<Proxy, RenderError> {
+        let part = proxy_part(options).to_string();
+        if let Some(proxy) = self.proxies.get(&part) {
+            return Ok(proxy.clone());
         }
-        let part = Stage::Proxy.part(options).to_string();
-        if !self.proxies.contains_key(&part) {
-            self.field.forget_points();
-            let proxy = self.field.proxy(options.proxy.rung, camera, time_s)?;
-            self.proxies.insert(part.clone(), proxy);
+        self.field.forget_points();
+        let proxy = self.field.proxy(options.proxy.rung, camera, time_s)?;
+        self.proxies.insert(part, proxy.clone());
+        Ok(proxy)
+    }
+
+    /// What one stage takes.
+    fn timed(
+        &mut self,
+        stage: Stage,
+        point: &KeptPoint,
+        camera: &Camera,
+        time_s: f64,
+    ) -> Result<Elapsed, RenderError> {
+        let options = &point.options;
+        self.field.set_options(options.clone());
+        let proxy = self.proxy(options, camera, time_s)?;
+        let mut images = self.field.blanks(time_s);
+        self.field.forget_points();
+        let watch = Stopwatch::start();
+        match stage {
+            Stage::Sync => self.field.synchronize(&mut images, &point.cameras, time_s)?,
+            Stage::Proxy => drop(self.field.proxy(options.proxy.rung, camera, time_s)?),
+            Stage::Blend => {
+                let depth = proxy.depth_map(camera);
+                self.field.needed(&images, &depth, camera);
+                self.field.blend_by_depth(&images, &depth, camera);
+            }
         }
-        let images = self.images.as_ref().map(|(_, images)| images.as_slice());
-        let rendered = self.field.blend(images.unwrap_or_default(), &self.proxies[&part], camera);
-        if rendered.coverage.contains(&true) { Ok(rendered) } else { Err(RenderError::NothingSeen) }
+        Ok(watch.elapsed())
     }
 }

@@ -191,11 +191,11 @@ fn view(bench: &Bench, point: &KeptPoint, of: fn(&Elapsed) -> f64) -> Option<Spr
     if point.reason.is_some() {
         return None;
     }
-    spread(bench.runs(&point.options).iter().map(|run| run.iter().map(of).sum()).collect())
+    spread(bench.runs(point).iter().map(|run| run.iter().map(of).sum()).collect())
 }
 
 fn stages(bench: &Bench, point: &KeptPoint) -> Option<[f64; 3]> {
-    let runs = bench.runs(&point.options);
+    let runs = bench.runs(point);
     let stage = |k: usize| median(runs.iter().map(|run| run[k].wall_s).collect());
     Some([stage(0)?, stage(1)?, stage(2)?])
 }

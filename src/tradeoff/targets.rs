@@ -10,7 +10,7 @@ use crate::compare::truths::{self, TrueImage, as_written};
 use crate::lumigraph::Rendered;
 use crate::offset::Offsets;
 use crate::raster::Image;
-use crate::render::left_out::{filmed, inner_cameras, only, shown_frame};
+use crate::render::left_out::{filmed, inner_cameras, only, shown_frames};
 use crate::render::{LightField, RenderError, RenderOptions};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -44,9 +44,11 @@ pub(super) struct Target {
     depth: BitDepth,
 }
 
-/// A view that is timed.
+/// A view that is timed: that of a target.
 #[derive(Clone, Debug)]
 pub(super) struct Timed {
+    /// The target's id.
+    pub target: String,
     pub camera: Camera,
     pub time_s: f64,
 }
@@ -95,8 +97,8 @@ impl Scene<'_> {
             Some(truth) => self.true_views(truth)?,
             None => Vec::new(),
         };
-        if let Some(Target { camera, time_s, .. }) = found.first() {
-            let timed = Timed { camera: camera.clone(), time_s: *time_s };
+        if let Some(Target { id, camera, time_s, .. }) = found.first() {
+            let timed = Timed { target: id.clone(), camera: camera.clone(), time_s: *time_s };
             return Ok((found, timed));
         }
         let timed = self.between();
@@ -106,7 +108,7 @@ impl Scene<'_> {
         let image =
             as_written(&rendered.image, rendered.image.channels(), self.capture.bit_depth());
         found.push(Target {
-            id: "most-accurate".into(),
+            id: timed.target.clone(),
             camera: timed.camera.clone(),
             time_s: timed.time_s,
             against: Against::MostAccurate,
@@ -173,7 +175,8 @@ impl Scene<'_> {
         for camera in inner_cameras(self.capture) {
             let Some(times_s) = &times_s[camera] else { continue };
             let field = self.field(&most_accurate(self.base), Some(camera));
-            let Some(frame) = shown_frame(&field, times_s) else { continue };
+            let shown = shown_frames(&field, times_s);
+            let Some(&frame) = shown.get(shown.len() / 2) else { continue };
             let (image, moving) = filmed(self.capture, camera, frame)?;
             let truth = TrueImage { image, moving };
             let filmed = &self.capture.cameras[camera];
@@ -204,6 +207,6 @@ impl Scene<'_> {
         let field = self.field(self.base, None);
         let own_span = || field.span_s(self.capture.reference);
         let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();
-        Timed { camera, time_s: 0.5 * (first + last) }
+        Timed { target: "most-accurate".into(), camera, time_s: 0.5 * (first + last) }
     }
 }
