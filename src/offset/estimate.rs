@@ -1,6 +1,6 @@
 //! From a film to offsets: the stages in their order.
 
-use super::courses::{Sighting, Told, courses};
+use super::courses::{Course, Sighting, Told, courses};
 use super::film::{Film, TrackCache};
 use super::lost::Seen;
 use super::pair::{Blind, Guess, MIN_AGREEMENT, PairEstimate, estimate_pair, triples};
@@ -70,9 +70,13 @@ pub fn estimate(
                 rate_ppm: found_one.filter(|_| drifts).map(|s| 1e6 * s.rate),
                 rate_std_err_ppm: found_one.filter(|_| drifts).map(|s| 1e6 * s.rate_std_err),
                 lost_before: camera.clock.lost.then(|| film.timelines.lost_before[c].clone()),
-                reason: found_one.is_none().then(|| match doubtful[c] {
-                    true => LOSSES_IN_DOUBT.into(),
-                    false => reason(capture, c, &pairs, &found, &used),
+                reason: found_one.is_none().then(|| {
+                    let own = |p: &&PairEstimate| p.cameras.contains(&c);
+                    match found.iter().flatten().any(|p| own(&p)) {
+                        true if doubtful[c] => LOSSES_IN_DOUBT.into(),
+                        true if doubtful[capture.reference] => REFERENCE_IN_DOUBT.into(),
+                        _ => reason(capture, c, &pairs, &found, &used),
+                    }
                 }),
             }
         })
@@ -173,7 +177,11 @@ fn without_losses(
             });
         }
     }
-    let doubtful = courses.iter().map(|c| c.as_ref().is_some_and(|c| c.doubtful)).collect();
+    let in_doubt = |(course, told): (&Option<Course>, &Told)| match course {
+        Some(course) => course.doubtful,
+        None => told.loses,
+    };
+    let doubtful = courses.iter().zip(&told).map(in_doubt).collect();
     let lost = courses.into_iter().map(|c| c.map_or_else(Vec::new, |c| c.lost_before)).collect();
     Ok((Timelines::with_lost(capture, lost), doubtful))
 }
@@ -247,6 +255,8 @@ fn drifts(capture: &Capture, clock: &[usize], count: usize) -> Vec<bool> {
 }
 
 const LOSSES_IN_DOUBT: &str = "frames may be missing, and too few of its images show where";
+const REFERENCE_IN_DOUBT: &str =
+    "the reference camera may miss frames, and too few of its images show where";
 
 fn reason(
     capture: &Capture,

@@ -8,7 +8,7 @@
 use super::courses::{Course, Sighting, Told};
 use super::film::Film;
 use super::mixture::Observation;
-use super::pair::{Guess, residuals};
+use super::pair::{Guess, MIN_AGREEMENT, residuals};
 use crate::capture::CaptureError;
 
 /// What one triple of frames says.
@@ -18,12 +18,14 @@ pub struct Seen {
     k: usize,
     m: usize,
     offset_s: f64,
-    /// How many features agree.
+    /// How many features agree,
     score: f64,
+    /// and what share of those that move across their epipolar lines.
+    agreement: f64,
 }
 
 /// Where an offset is looked for, in frames from where it was seen last,
-const STEPS: [f64; 4] = [0.0, 1.0, -1.0, 2.0];
+const STEPS: [f64; 6] = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0];
 /// and at first.
 const FIRST_STEPS: [f64; 7] = [0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0];
 /// A single triple of frames needs this share of the inliers that a pair does: a wrong one is
@@ -31,6 +33,9 @@ const FIRST_STEPS: [f64; 7] = [0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0];
 const OF_A_TRIPLE: f64 = 0.5;
 /// but this share of its candidates.
 const MIN_SHARE: f64 = 0.3;
+/// What slides over something else, or is lost behind it, agrees on the time of a frame, at any image:
+/// this near to one, as shares of the way to the next, most features have to agree.
+const AT_A_FRAME: f64 = 0.2;
 /// Jumps of a fraction of a frame beyond this are whole ones.
 const MIN_JUMP: f64 = 0.6;
 
@@ -47,7 +52,10 @@ pub fn follow(film: &Film, cameras: [usize; 2], guess: Guess) -> Result<Vec<Seen
         // The guess is the main part's; the film's start may be a few lost frames before it.
         let steps: &[f64] = if seen.is_empty() { &FIRST_STEPS } else { &STEPS };
         if let Some(found) = walk.look(k, offset_s, steps)? {
-            offset_s = found.offset_s;
+            // What few agree with is seen, but does not say where to look next.
+            if seen.is_empty() || found.agreement >= MIN_AGREEMENT {
+                offset_s = found.offset_s;
+            }
             seen.push(found);
         }
     }
@@ -137,8 +145,10 @@ impl<'a, 'b> Walk<'a, 'b> {
     fn look(&self, k: usize, expected_s: f64, steps: &[f64]) -> Result<Option<Seen>, CaptureError> {
         let mut best: Option<Seen> = None;
         for &frames in steps {
-            // What agrees where it was expected needs no rival.
-            let as_expected = |s: &Seen| (s.offset_s - expected_s).abs() < 0.4 * self.frame_s;
+            // What most agree with where it was expected needs no rival.
+            let as_expected = |s: &Seen| {
+                s.agreement >= MIN_AGREEMENT && (s.offset_s - expected_s).abs() < 0.4 * self.frame_s
+            };
             if frames != 0.0 && best.as_ref().is_some_and(as_expected) {
                 break;
             }
@@ -176,7 +186,11 @@ impl<'a, 'b> Walk<'a, 'b> {
         let inside = time_s >= start - slack && time_s <= end + slack;
         let enough = score >= OF_A_TRIPLE * options.min_inliers as f64
             && score >= MIN_SHARE * observations.len() as f64;
-        Ok((inside && enough).then_some(Seen { k, m, offset_s, score }))
+        let agreement = score / triple.across.max(1) as f64;
+        let share = (time_s - start) / (end - start);
+        let certain = agreement >= MIN_AGREEMENT || (share - share.round()).abs() > AT_A_FRAME;
+        let found = inside && enough && certain;
+        Ok(found.then_some(Seen { k, m, offset_s, score, agreement }))
     }
 
     /// Looks between two sightings that are a jump apart, until those on both sides of it are
