@@ -10,7 +10,7 @@ pub const BOUND: f64 = 3.0 * SIGMA_FRAMES;
 const RATE: f64 = 5e-4;
 /// and no more than this.
 const MAX_RATE: f64 = 1e-3;
-/// The same, for each more frame lost at the same place.
+/// What each more frame lost at the same place has to save, in wrong sightings.
 const SUPPORT_OF_MORE: f64 = 0.3;
 /// Frames that a camera is expected to lose at most.
 const MAX_LOST: i32 = 40;
