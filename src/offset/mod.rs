@@ -19,7 +19,8 @@
 //! Known limits: films shorter than the least overlap of the search are taken to be aligned to
 //! about a frame; a frame lost where nothing moves is found at the next image that shows motion;
 //! one lost right after a film's first image or before its last may not be found, and that image is
-//! then a frame off; what all cameras lose at once none can see; one rate holds for a whole film.
+//! then a frame off; what most cameras lose at about the same time they hardly see in each other, and
+//! may all be a frame off before it; one rate holds for a whole film.
 
 mod activity;
 mod align;
