@@ -1,8 +1,6 @@
 //! From a film to offsets: the stages in their order.
 
-use super::courses::{Course, Sighting, Told, courses};
 use super::film::{Film, TrackCache};
-use super::lost::Seen;
 use super::pair::{Blind, Guess, MIN_AGREEMENT, PairEstimate, estimate_pair, triples};
 use super::pairing::{clocks, pairs};
 use super::timeline::Timelines;
@@ -40,7 +38,7 @@ pub fn estimate(
     let mut doubtful = vec![false; capture.cameras.len()];
     if capture.cameras.iter().any(|c| c.clock.lost) {
         let timelines;
-        (timelines, doubtful) = without_losses(&film, &pairs, &mut starts, reporter)?;
+        (timelines, doubtful) = lost::accounted_for(&film, &pairs, &mut starts, reporter)?;
         film = Film::new(frames, timelines, &tracks, options);
     }
     let drifts = drifts(capture, &clock, count);
@@ -107,83 +105,6 @@ fn aligned(
             guess
         })
         .collect()
-}
-
-/// How often cameras are looked at again by what they seem to have lost.
-const LOOKS: usize = 3;
-
-/// The times with the frames that were lost, the pairs' guesses by them, and the cameras whose
-/// losses are in doubt.
-fn without_losses(
-    film: &Film,
-    pairs: &[[usize; 2]],
-    starts: &mut [Result<Guess, Blind>],
-    reporter: &Reporter,
-) -> Result<(Timelines, Vec<bool>), CaptureError> {
-    let capture = film.frames.capture();
-    let task = reporter.task("Lost frames", 2 * pairs.len());
-    let directions: Vec<([usize; 2], Guess)> = pairs
-        .iter()
-        .zip(starts.iter())
-        .filter_map(|(pair, guess)| Some((pair, (*guess).ok()?)))
-        .flat_map(|(&[i, j], guess)| [([i, j], guess), ([j, i], Guess::constant(-guess.value_s))])
-        .collect();
-    let mut seen = directions
-        .par_iter()
-        .map(|&(pair, guess)| {
-            let seen = lost::follow(film, pair, guess);
-            task.advance(1);
-            seen
-        })
-        .collect::<Result<Vec<_>, _>>()?;
-    let told: Vec<Told> = capture
-        .cameras
-        .iter()
-        .enumerate()
-        .map(|(c, camera)| Told {
-            times_s: &film.timelines.times_s[c],
-            frame_s: film.timelines.frame_s(c),
-            loses: camera.clock.lost,
-            drifts: camera.clock.drift && c != capture.reference,
-        })
-        .collect();
-    let together = |seen: &[Vec<Seen>]| {
-        let sightings: Vec<Sighting> = directions
-            .iter()
-            .zip(seen)
-            .flat_map(|((pair, _), seen)| lost::sightings(film, *pair, seen))
-            .collect();
-        courses(&told, capture.reference, &sightings)
-    };
-    let mut courses = together(&seen);
-    for _ in 0..LOOKS {
-        let changed = directions
-            .par_iter()
-            .zip(&mut seen)
-            .map(|((pair, _), seen)| lost::look_again(film, *pair, &told, &courses, seen))
-            .collect::<Result<Vec<bool>, _>>()?;
-        if !changed.contains(&true) {
-            break;
-        }
-        courses = together(&seen);
-    }
-    for (pair, start) in pairs.iter().zip(starts) {
-        let [Some(i), Some(j)] = pair.map(|c| courses[c].as_ref()) else { continue };
-        if start.is_ok() && i.group == j.group {
-            *start = Ok(Guess {
-                value_s: j.offset_s - i.offset_s,
-                rate: j.rate - i.rate,
-                center_s: told[pair[0]].times_s[0],
-            });
-        }
-    }
-    let in_doubt = |(course, told): (&Option<Course>, &Told)| match course {
-        Some(course) => course.doubtful,
-        None => told.loses,
-    };
-    let doubtful = courses.iter().zip(&told).map(in_doubt).collect();
-    let lost = courses.into_iter().map(|c| c.map_or_else(Vec::new, |c| c.lost_before)).collect();
-    Ok((Timelines::with_lost(capture, lost), doubtful))
 }
 
 fn pairwise(

@@ -5,15 +5,18 @@
 //! Jumps are bracketed by halving, so that images on both sides of each are seen; what all pairs saw
 //! then says together which frames are missing ([`courses`](super::courses)).
 
-use super::courses::{Course, Sighting, Told};
+use super::courses::{Course, Sighting, Told, courses};
 use super::film::Film;
 use super::mixture::Observation;
-use super::pair::{Guess, MIN_AGREEMENT, residuals};
+use super::pair::{Blind, Guess, MIN_AGREEMENT, residuals};
+use super::timeline::Timelines;
 use crate::capture::CaptureError;
+use crate::progress::Reporter;
+use rayon::prelude::*;
 
 /// What one triple of frames says.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen {
+struct Seen {
     /// The earlier of camera a's frames, and camera b's.
     k: usize,
     m: usize,
@@ -38,13 +41,104 @@ const MIN_SHARE: f64 = 0.3;
 const AT_A_FRAME: f64 = 0.2;
 /// Jumps of a fraction of a frame beyond this are whole ones.
 const MIN_JUMP: f64 = 0.6;
-
 /// Images to both sides of a lost frame that are looked at again.
 const AROUND: usize = 2;
 
+/// How often cameras are looked at again by what they seem to have lost.
+const LOOKS: usize = 3;
+
+/// The times with the frames that were lost, the pairs' guesses by them, and whether each camera's
+/// losses are in doubt.
+pub fn accounted_for(
+    film: &Film,
+    pairs: &[[usize; 2]],
+    starts: &mut [Result<Guess, Blind>],
+    reporter: &Reporter,
+) -> Result<(Timelines, Vec<bool>), CaptureError> {
+    let told = told(film);
+    let courses = seen_together(film, pairs, starts, &told, reporter)?;
+    for (pair, start) in pairs.iter().zip(starts) {
+        let [Some(i), Some(j)] = pair.map(|c| courses[c].as_ref()) else { continue };
+        if start.is_ok() && i.group == j.group {
+            *start = Ok(Guess {
+                value_s: j.offset_s - i.offset_s,
+                rate: j.rate - i.rate,
+                center_s: told[pair[0]].times_s[0],
+            });
+        }
+    }
+    let in_doubt = |(course, told): (&Option<Course>, &Told)| match course {
+        Some(course) => course.doubtful,
+        None => told.loses,
+    };
+    let doubtful = courses.iter().zip(&told).map(in_doubt).collect();
+    let lost = courses.into_iter().map(|c| c.map_or_else(Vec::new, |c| c.lost_before)).collect();
+    Ok((Timelines::with_lost(film.frames.capture(), lost), doubtful))
+}
+
+fn told<'a>(film: &'a Film) -> Vec<Told<'a>> {
+    let capture = film.frames.capture();
+    let told = |(c, times_s): (usize, &'a Vec<f64>)| {
+        let clock = &capture.cameras[c].clock;
+        Told {
+            times_s,
+            frame_s: film.timelines.frame_s(c),
+            loses: clock.lost,
+            drifts: clock.drift && c != capture.reference,
+        }
+    };
+    film.timelines.times_s.iter().enumerate().map(told).collect()
+}
+
+/// All cameras' courses, from every pair's sightings in both directions.
+fn seen_together(
+    film: &Film,
+    pairs: &[[usize; 2]],
+    starts: &[Result<Guess, Blind>],
+    told: &[Told],
+    reporter: &Reporter,
+) -> Result<Vec<Option<Course>>, CaptureError> {
+    let directions: Vec<([usize; 2], Guess)> = pairs
+        .iter()
+        .zip(starts)
+        .filter_map(|(pair, guess)| Some((pair, (*guess).ok()?)))
+        .flat_map(|(&[i, j], guess)| [([i, j], guess), ([j, i], Guess::constant(-guess.value_s))])
+        .collect();
+    let task = reporter.task("Lost frames", directions.len());
+    let mut seen = directions
+        .par_iter()
+        .map(|&(pair, guess)| {
+            let seen = follow(film, pair, guess);
+            task.advance(1);
+            seen
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let fitted = |seen: &[Vec<Seen>]| {
+        let sightings: Vec<Sighting> = directions
+            .iter()
+            .zip(seen)
+            .flat_map(|((pair, _), seen)| sightings(film, *pair, seen))
+            .collect();
+        courses(told, film.frames.capture().reference, &sightings)
+    };
+    let mut courses = fitted(&seen);
+    for _ in 0..LOOKS {
+        let changed = directions
+            .par_iter()
+            .zip(&mut seen)
+            .map(|((pair, _), seen)| look_again(film, *pair, told, &courses, seen))
+            .collect::<Result<Vec<bool>, _>>()?;
+        if !changed.contains(&true) {
+            break;
+        }
+        courses = fitted(&seen);
+    }
+    Ok(courses)
+}
+
 /// Follows the offset of the pair (a, b) along the film, from a guess at its main part: what its
 /// triples of frames say.
-pub fn follow(film: &Film, cameras: [usize; 2], guess: Guess) -> Result<Vec<Seen>, CaptureError> {
+fn follow(film: &Film, cameras: [usize; 2], guess: Guess) -> Result<Vec<Seen>, CaptureError> {
     let walk = Walk::new(film, cameras);
     let mut seen: Vec<Seen> = Vec::new();
     let mut offset_s = guess.value_s;
@@ -70,7 +164,7 @@ pub fn follow(film: &Film, cameras: [usize; 2], guess: Guess) -> Result<Vec<Seen
 /// Looks again where by their courses the two cameras should see each other, and on both sides of
 /// lost frames: of what was seen from one place that stays with which most features agree. Says
 /// whether anything changed.
-pub fn look_again(
+fn look_again(
     film: &Film,
     cameras: [usize; 2],
     told: &[Told],
@@ -112,7 +206,7 @@ pub fn look_again(
 }
 
 /// The same as shares of the way between frames.
-pub fn sightings(film: &Film, cameras: [usize; 2], seen: &[Seen]) -> Vec<Sighting> {
+fn sightings(film: &Film, cameras: [usize; 2], seen: &[Seen]) -> Vec<Sighting> {
     let [a, b] = cameras.map(|c| &film.timelines.times_s[c]);
     let share = |s: &Seen| {
         let (start_s, end_s) = (a[s.k], a[s.k + 1]);

@@ -1,0 +1,103 @@
+//! A view (Fig. 2): the synchronized images that it is blended from, the scene's shape, the blend.
+
+use super::{LightField, RenderError};
+use crate::camera::Camera;
+use crate::capture::Color;
+use crate::lumigraph::{DepthMap, Proxy, Rendered, Source, blend, contributing};
+use crate::raster::Image;
+use rayon::prelude::*;
+
+impl LightField {
+    /// The view from anywhere at a time.
+    pub fn view(&self, target: &Camera, time_s: f64) -> Result<Rendered, RenderError> {
+        if self.usable(time_s).is_empty() {
+            return Err(self.no_camera_at(time_s));
+        }
+        let depth = self.proxy(self.options.proxy.rung, target, time_s)?.depth_map(target);
+        let mut images = self.blanks(time_s);
+        let needed = self.needed(&images, &depth, target);
+        self.synchronize(&mut images, &needed, time_s)?;
+        let rendered = self.blend_by_depth(&images, &depth, target);
+        if rendered.coverage.iter().any(|c| *c) {
+            Ok(rendered)
+        } else {
+            Err(RenderError::NothingSeen)
+        }
+    }
+
+    /// Black images of the cameras that can give one at a time.
+    pub(crate) fn blanks(&self, time_s: f64) -> Vec<Option<Image>> {
+        let mut images = vec![None; self.times_s.len()];
+        for c in self.usable(time_s) {
+            images[c] = Some(self.blank(c));
+        }
+        images
+    }
+
+    /// The cameras, of those with an image, that a view is blended from: most of a large rig are
+    /// nowhere among the best, so that nobody misses their images.
+    pub(crate) fn needed(
+        &self,
+        images: &[Option<Image>],
+        depth: &DepthMap,
+        target: &Camera,
+    ) -> Vec<usize> {
+        let needed = contributing(&self.sources(images), depth, target, &self.options.blend);
+        let sources = (0..images.len()).filter(|&c| images[c].is_some());
+        sources.zip(needed).filter_map(|(c, needed)| needed.then_some(c)).collect()
+    }
+
+    /// Puts the images of these cameras at a time among `images`.
+    pub(crate) fn synchronize(
+        &self,
+        images: &mut [Option<Image>],
+        cameras: &[usize],
+        time_s: f64,
+    ) -> Result<(), RenderError> {
+        let synchronized: Vec<Image> =
+            cameras.par_iter().map(|&c| self.synchronized(c, time_s)).collect::<Result<_, _>>()?;
+        for (&c, image) in cameras.iter().zip(synchronized) {
+            images[c] = Some(image);
+        }
+        Ok(())
+    }
+
+    /// A black image of a camera's kind.
+    fn blank(&self, camera: usize) -> Image {
+        let filmed = &self.capture().cameras[camera];
+        let channels = if filmed.color == Color::Gray { 1 } else { 3 };
+        Image::filled(filmed.camera.width, filmed.camera.height, channels, 0.0)
+    }
+
+    /// Blends a view from one image a camera, as filmed; the view is as bright as the reference
+    /// records it.
+    pub fn blend(&self, images: &[Option<Image>], proxy: &Proxy, target: &Camera) -> Rendered {
+        self.blend_by_depth(images, &proxy.depth_map(target), target)
+    }
+
+    pub(crate) fn blend_by_depth(
+        &self,
+        images: &[Option<Image>],
+        depth: &DepthMap,
+        target: &Camera,
+    ) -> Rendered {
+        let gains = self.frames.gains();
+        let corrected: Option<Vec<Option<Image>>> = (!gains.are_equal()).then(|| {
+            let correct = |(camera, image): (usize, &Option<Image>)| {
+                let image = image.as_ref()?;
+                Some(gains.corrected(camera, image).unwrap_or_else(|| image.clone()))
+            };
+            images.par_iter().enumerate().map(correct).collect()
+        });
+        let images = corrected.as_deref().unwrap_or(images);
+        blend(&self.sources(images), depth, target, &self.options.blend)
+    }
+
+    /// The cameras that have an image.
+    fn sources<'a>(&'a self, images: &'a [Option<Image>]) -> Vec<Source<'a>> {
+        let cameras = self.capture().cameras.iter().zip(images);
+        let sources =
+            cameras.filter_map(|(c, image)| Some(Source::new(&c.camera, image.as_ref()?)));
+        sources.collect()
+    }
+}
