@@ -64,6 +64,38 @@ fn what_moves_alike_is_triangulated_and_what_moves_apart_refined() {
     assert!(["nearest", "crossfade"].contains(&plan.decision("sync").unwrap().rung.as_str()));
 }
 
+/// Two cameras see a board pass; the third shows its first frame all the time, but for noise.
+#[test]
+fn where_nothing_changes_nothing_is_registered() {
+    let scene = Scene { board: Some([-1.5, -0.8]), shared: [true; 3], ..Scene::default() };
+    let folder = scene.film();
+    let path = |frame: usize| folder.path().join(format!("cam2/{frame}.png"));
+    let (first, depth) = read_image(&path(0)).unwrap();
+    for frame in 0..scene.frames {
+        let mut image = first.clone();
+        for (k, v) in image.data_mut().iter_mut().enumerate() {
+            *v = (*v + 0.01 * ((k * 7 + frame * 11) as f32 * 1.3).sin()).clamp(0.0, 1.0);
+        }
+        write_image(&path(frame), &image, None, depth).unwrap();
+    }
+    let mut options = RenderOptions::default();
+    (options.auto.sync, options.auto.proxy) = (true, true);
+    let (plan, field) = plan(&open(&folder), &options, &Reporter::silent()).unwrap();
+    assert_rungs(&plan, &[("sync", "refined"), ("still pairs", "dissolved")]);
+    let time_s = 1.6 * FRAME_S;
+    let [moving, still] = [1, 2]
+        .map(|c| [Sync::Crossfade, Sync::Refined].map(|s| field.synchronized_by(s, c, time_s)));
+    let [dissolved, refined] = still.map(Result::unwrap);
+    assert_eq!(dissolved, refined);
+    assert!((0.003..0.03).contains(&plan.options.interpolation.still_change));
+    let [dissolved, refined] = moving.map(Result::unwrap);
+    assert_ne!(dissolved, refined);
+
+    let plan = planned(&scene, |_| ());
+    assert_rungs(&plan, &[("sync", "refined"), ("still pairs", "registered")]);
+    assert_eq!(plan.options.interpolation.still_change, 0.0);
+}
+
 #[test]
 fn a_smaller_budget_asks_for_more() {
     let folder = still().film();

@@ -10,7 +10,8 @@
 //!
 //! The rungs of [`Sync`] are one piece of code with more or less in it: `crossfade` dissolves
 //! without a warp, `triangulation` and the morphs differ in the warp, `morph` is `edge-morph`
-//! without the boost.
+//! without the boost, and `refined` starts from `triangulation` (from `edge-morph` it takes up to
+//! twice as long and comes out the same, to 0.02 dB on 11 films).
 //!
 //! Known limits: in the paper's rungs, what one frame shows and the other hides is dissolved, not
 //! resolved; motion blur stays as it was filmed.
@@ -21,6 +22,7 @@ mod local_motion;
 mod morph;
 mod options;
 mod refine;
+mod still;
 mod triangulation;
 mod warp;
 mod windows;
@@ -31,6 +33,7 @@ pub use local_motion::Motion;
 pub use morph::morph_warp;
 pub use options::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
 pub use refine::{FourFrames, refined};
+pub use still::largest_change;
 pub use triangulation::triangulation_warp;
 pub use warp::{Warp, cross_dissolve};
 
@@ -38,6 +41,7 @@ use crate::raster::Image;
 use crate::registration::{Frame, Path, Track};
 use nalgebra::{Point2, Vector2};
 use serde::{Deserialize, Serialize};
+use windows::mixed;
 
 /// How a synchronized image is made, cheapest first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -53,7 +57,7 @@ pub enum Sync {
     Morph,
     /// The paper's: the morph with real edges boosted
     EdgeMorph,
-    /// Beyond the paper: the morph, with motion and visibility per pixel beside moving outlines
+    /// Beyond the paper: triangulation, with motion and visibility per pixel beside moving outlines
     #[default]
     Refined,
 }
@@ -84,8 +88,10 @@ impl FramePair<'_> {
         // Times ascend strictly, so the interval is positive.
         let share = ((time_s - start) / (end - start)).clamp(0.0, 1.0);
         let images = [&self.earlier.image, &self.later.image];
-        if sync == Sync::Nearest {
-            return images[usize::from(share > 0.5)].clone();
+        match sync {
+            Sync::Nearest => return images[usize::from(share > 0.5)].clone(),
+            Sync::Crossfade => return mixed(images[0], images[1], share as f32),
+            _ => {}
         }
         let warps = [true, false].map(|forward| self.warp(time_s, forward, sync, options));
         let warps = [&warps[0], &warps[1]];
@@ -140,11 +146,8 @@ impl FramePair<'_> {
         let (source, other) =
             if forward { (self.earlier, self.later) } else { (self.later, self.earlier) };
         let (w, h) = (source.image.width(), source.image.height());
-        if !sync.needs_tracks() {
-            return Warp::identity(w, h);
-        }
         let features = self.features(time_s, forward, options.curved);
-        if sync == Sync::Triangulation {
+        if matches!(sync, Sync::Triangulation | Sync::Refined) {
             return triangulation_warp(&features, w, h);
         }
         let [source, other] = [source, other].map(|f| &f.pyramid.levels()[0]);

@@ -9,6 +9,10 @@ pub struct InterpolationOptions {
     /// Whether features move on curves through three or four frames (method.md part 2) or, as in
     /// the paper, on straight lines between two.
     pub curved: bool,
+    /// A frame pair in which no block of pixels changes by more than this, mean of values 0..=1, is
+    /// dissolved, unregistered ([`super::largest_change`]). Larger: what moves by little is
+    /// blurred; 0: only frames that are the same. `auto` sets it to the capture's noise.
+    pub still_change: f32,
     pub edges: EdgeOptions,
     pub morph: MorphOptions,
     pub refine: RefineOptions,
@@ -18,6 +22,7 @@ impl Default for InterpolationOptions {
     fn default() -> Self {
         Self {
             curved: true,
+            still_change: 0.0,
             edges: EdgeOptions::default(),
             morph: MorphOptions::default(),
             refine: RefineOptions::default(),

@@ -2,7 +2,7 @@
 //! cross dissolve of two of them, eq. (9).
 
 use super::windows::mixed;
-use crate::raster::Image;
+use crate::raster::{Image, sample_all};
 use rayon::prelude::*;
 
 /// Positions in the source frame, pixels, one a pixel of the image to make, row by row.
@@ -28,10 +28,8 @@ pub(super) fn warped(image: &Image, warp: &Warp) -> Image {
     let channels = image.channels();
     let mut data = vec![0.0; warp.source.len() * channels];
     data.par_chunks_mut(warp.width * channels).enumerate().for_each(|(y, row)| {
-        for (x, out) in row.chunks_exact_mut(channels).enumerate() {
-            let [sx, sy] = warp.source[y * warp.width + x];
-            image.sample_cubic(sx, sy, out);
-        }
+        let positions = &warp.source[y * warp.width..][..warp.width];
+        sample_all(image, positions.iter().copied(), row);
     });
     Image::from_data(warp.width, warp.height, channels, data)
 }

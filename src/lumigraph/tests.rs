@@ -4,7 +4,7 @@ use super::*;
 use crate::camera::tests::pinhole_at;
 use crate::camera::{Camera, CameraModel};
 pub(super) use crate::random::Random;
-use crate::raster::Image;
+use crate::raster::{Image, Sampling};
 use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
 
 pub(super) fn assert_covered(map: &DepthMap) {

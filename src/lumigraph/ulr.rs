@@ -18,13 +18,12 @@
 //! Known limit: where a point of the proxy is hidden from a camera by another part of it, the
 //! camera still answers unless its own [`Source::depth`] is given.
 
+use super::DepthMap;
 use super::rays::RayRow;
 use super::reproject::{Hits, Reprojection, TargetRow};
-use super::sample::sample;
 use super::weights::{BlendRung, WeightRow};
-use super::{DepthMap, Sampling};
 use crate::camera::Camera;
-use crate::raster::Image;
+use crate::raster::{Image, Sampling, sample};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

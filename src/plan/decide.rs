@@ -77,13 +77,32 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (Sync, Decision) {
     made(Sync::Refined, (unevenness_px, budget_px), because)
 }
 
+/// Other pairs' noise may be larger than that of those that were looked at, by this factor.
+const NOISE_MARGIN: f32 = 1.25;
+
+/// How much the blocks of a frame pair may change for the pair to go without registration.
+pub fn still_pairs(motion: &Motion) -> (f32, Decision) {
+    let Motion { still_pairs, still_change, pairs, .. } = *motion;
+    if still_pairs == 0 {
+        let because = format!("In each of {pairs} frame pairs looked at something moves.");
+        return (0.0, decision("still pairs", "registered", None, because));
+    }
+    let limit = NOISE_MARGIN * still_change;
+    let because = format!(
+        "In {still_pairs} of {pairs} frame pairs looked at nothing moves; pairs whose blocks change by \
+         up to {:.2}/255 are as still.",
+        255.0 * limit
+    );
+    let numbers = Some((f64::from(still_change), f64::from(limit)));
+    (limit, decision("still pairs", "dissolved", numbers, because))
+}
+
 /// Whether the refined rung pays, where views by it and by triangulation could be compared.
 pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (Sync, Decision) {
     let rung = if gain_db > budget_db { Sync::Refined } else { Sync::Triangulation };
     let because = format!(
-        "Where frames change, refinement makes views {:+.2} dB better than triangulation (frames {frames}, \
-         rendered from their neighbours).",
-        gain_db
+        "Where frames change, refinement can make views {gain_db:.2} dB better than triangulation, if all \
+         that it changes is for the better (frames {frames}, rendered from their neighbours)."
     );
     (rung, decision("sync", &name(&rung), Some((gain_db, budget_db)), because))
 }
@@ -160,7 +179,7 @@ mod tests {
     const BUDGET_PX: f64 = 0.25;
 
     fn moving(largest_px: f64, unevenness_px: f64, changed_share: f64) -> Motion {
-        Motion { largest_px, unevenness_px, changed_share, bend_px: 0.0, pairs: 1 }
+        Motion { largest_px, unevenness_px, changed_share, pairs: 1, ..Motion::default() }
     }
 
     #[test]
@@ -183,12 +202,26 @@ mod tests {
     }
 
     #[test]
+    fn still_pairs_are_dissolved() {
+        let motion = Motion { pairs: 6, ..Motion::default() };
+        let (limit, decision) = still_pairs(&motion);
+        assert_eq!((limit, decision.rung.as_str()), (0.0, "registered"));
+        let (limit, decision) =
+            still_pairs(&Motion { still_pairs: 2, still_change: 0.01, ..motion });
+        assert_eq!(decision.rung, "dissolved");
+        assert!(
+            (0.01..0.02).contains(&limit) && decision.because.contains("2 of 6"),
+            "{decision:?}"
+        );
+    }
+
+    #[test]
     fn what_refinement_gains_decides_whether_it_is_done() {
         let rung = |gain_db| refinement(gain_db, "cam1's 3", 0.1);
-        assert_eq!(rung(-0.3).0, Sync::Triangulation);
+        assert_eq!(rung(0.0).0, Sync::Triangulation);
         assert_eq!(rung(0.05).0, Sync::Triangulation);
         assert_eq!(rung(0.6).0, Sync::Refined);
-        assert!(rung(0.6).1.because.contains("+0.60 dB"), "{}", rung(0.6).1.because);
+        assert!(rung(0.6).1.because.contains("0.60 dB"), "{}", rung(0.6).1.because);
     }
 
     #[test]

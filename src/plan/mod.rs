@@ -6,6 +6,7 @@
 //! | whose clocks are known? | clocks in `capture.json` | whether offsets are estimated |
 //! | does anything move? | features' motion, blocks that change ([`Motion`]) | the sync rung |
 //! | does refinement pay? | cameras' own frames, rendered from their neighbours both ways ([`Probe`]) | the sync rung |
+//! | does it move all the time, in all cameras? | frame pairs of which no block changes | still pairs dissolved |
 //! | on straight lines? | bend of the paths through four frames | curved paths |
 //! | is a plane enough? | points' parallax against it ([`Shape`]) | the proxy |
 //! | do cameras record alike? | the light of features in neighbouring cameras ([`crate::registration::Gains`]) | correction |
@@ -16,7 +17,7 @@
 //! can be compared, a loss in decibels. All that is measured is
 //! in the capture; its truth is never read.
 //!
-//! Known limits: one rung holds for the whole capture; frames at its start, middle and end stand for
+//! Known limits: one rung holds for all that changes in a capture; frames at its start, middle and end stand for
 //! all; a body that shows fewer than a handful of corners and no changing block is not seen to move.
 
 mod decide;
@@ -51,10 +52,10 @@ pub struct AutoOptions {
     /// How far a lower rung may move what is seen, pixels. Larger: cheaper rungs; at 0 none is
     /// simplified.
     pub budget_px: f64,
-    /// How much worse, decibels, a left-out camera's frame may be by the cheaper sync rung. Larger
-    /// is cheaper; at 0 refinement is done for a hundredth of a decibel, ten times the time. Left-out
-    /// cameras stand twice as far from their neighbours as views do, and the proxy's errors hide part
-    /// of what a rung gains, or all: README says where.
+    /// How much better, decibels, views by the dearer sync rung may at most be for the cheaper one to
+    /// do ([`Probe::possible_gain_db`]). Larger is cheaper; at 0 refinement is done for a hundredth
+    /// of a decibel. Left-out cameras stand twice as far from their neighbours as views do, so that
+    /// views gain up to about twice as much.
     pub budget_db: f64,
 }
 
@@ -132,6 +133,10 @@ pub fn plan_with(
     let (mut sync, mut of_sync) = decide::sync(&motion, budget_px);
     let (curved, of_path) = decide::path(&motion, budget_px);
     decided.interpolation.curved &= curved || !options.auto.sync;
+    let (still_change, of_still) = decide::still_pairs(&motion);
+    if options.auto.sync {
+        decided.interpolation.still_change = still_change;
+    }
 
     let mut field = LightField::with_frames(frames, offsets, decided.clone());
     let (proxy, of_proxy) = decide::proxy(Shape::survey(&field)?.as_ref(), budget_px);
@@ -142,17 +147,15 @@ pub fn plan_with(
         && let Some(mut probe) = Probe::open(capture, field.offsets(), &decided)?
     {
         let trial = |sync| RenderOptions { sync, ..decided.clone() };
-        let cheaper_db = probe.quality_db(&trial(Sync::Triangulation))?;
-        let dearer_db = probe.quality_db(&trial(sync))?;
-        if let Some((cheaper_db, dearer_db)) = cheaper_db.zip(dearer_db) {
-            let (gain_db, names) = (dearer_db - cheaper_db, probe.names());
-            (sync, of_sync) = decide::refinement(gain_db, &names, options.auto.budget_db);
+        let gain_db = probe.possible_gain_db(&trial(Sync::Triangulation), &trial(sync))?;
+        if let Some(gain_db) = gain_db {
+            (sync, of_sync) = decide::refinement(gain_db, &probe.names(), options.auto.budget_db);
         }
     }
     if options.auto.sync {
         decided.sync = sync;
     }
-    decisions.extend([of_sync, of_path, of_proxy]);
+    decisions.extend([of_sync, of_still, of_path, of_proxy]);
     decisions.push(decide::gains(field.gains()));
     decisions.push(decide::lenses(largest_distortion_px(capture)));
     decisions.push(decide::references(extent_ratio(capture)));

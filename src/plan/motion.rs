@@ -2,6 +2,7 @@
 
 use super::percentile;
 use crate::capture::CaptureError;
+use crate::interpolation::largest_change;
 use crate::progress::Reporter;
 use crate::raster::Image;
 use crate::registration::{
@@ -49,6 +50,10 @@ pub struct Motion {
     pub unevenness_px: f64,
     /// The share of blocks that change by more than noise.
     pub changed_share: f64,
+    /// Frame pairs in which no block changes by more than noise, nor any feature moves,
+    pub still_pairs: usize,
+    /// and how much their blocks change all the same: mean of values 0..=1.
+    pub still_change: f32,
     /// Frame pairs that were looked at; 0 where every camera took one frame.
     pub pairs: usize,
 }
@@ -68,7 +73,9 @@ impl Motion {
             all.bend_px = all.bend_px.max(pair.bend_px);
             all.unevenness_px = all.unevenness_px.max(pair.unevenness_px);
             all.changed_share = all.changed_share.max(pair.changed_share);
-            all.pairs += 1;
+            all.still_pairs += pair.still_pairs;
+            all.still_change = all.still_change.max(pair.still_change);
+            all.pairs += pair.pairs;
             task.advance(1);
         }
         Ok(all)
@@ -83,11 +90,17 @@ impl Motion {
             tracks.into_iter().filter(|_| kept.next().unwrap_or(false)).collect();
         let times_s = &frames.capture().cameras[camera].clock.times_s;
         let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
+        let largest_px = largest(&tracks);
+        let changed_share = changed_share(&earlier.image, &later.image);
+        let is_still = changed_share == 0.0 && largest_px < STILL_PX;
+        let change = largest_change(&earlier.image, &later.image);
         Ok(Self {
-            largest_px: largest(&tracks),
+            largest_px,
             bend_px: bend(&tracks, times_s, k),
             unevenness_px: unevenness(&tracks, options),
-            changed_share: changed_share(&earlier.image, &later.image),
+            changed_share,
+            still_pairs: usize::from(is_still),
+            still_change: if is_still { change } else { 0.0 },
             pairs: 1,
         })
     }

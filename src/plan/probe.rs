@@ -1,4 +1,4 @@
-//! What rungs gain on views of this capture: cameras' own frames, rendered from their neighbours.
+//! What rungs can gain on views of this capture: cameras' own frames, rendered from their neighbours.
 
 use crate::capture::Capture;
 use crate::offset::Offsets;
@@ -79,26 +79,44 @@ impl Probe {
         names.join(", ")
     }
 
-    /// PSNR of the views by these options where the frames change, decibels, the mean of the
-    /// frames; `None` where one can't be rendered.
-    pub fn quality_db(&mut self, options: &RenderOptions) -> Result<Option<f64>, RenderError> {
-        let mut sum = 0.0;
+    /// How much better, decibels, views by dearer rungs can be than by cheaper ones where the frames
+    /// change: 10·log₁₀(1 + D/E), with D the mean square of what the two views differ by, and E of
+    /// what the dearer one and the frame do. So much it is if all that the dearer rungs change is
+    /// for the better. `None` where one can't be rendered, or nothing is seen.
+    ///
+    /// The plain difference of the two views' errors is no guide: a left-out camera stands twice as
+    /// far from its neighbours as views do, the proxy is off by twice as much there, and an outline in
+    /// the wrong place costs a sharp view more than a blurred one.
+    pub fn possible_gain_db(
+        &mut self,
+        cheaper: &RenderOptions,
+        dearer: &RenderOptions,
+    ) -> Result<Option<f64>, RenderError> {
+        let (mut difference, mut error) = (0.0, 0.0);
         for frame in &mut self.frames {
-            frame.field.set_options(options.clone());
-            frame.field.forget_points();
-            let rendered = match frame.field.view(&frame.camera, frame.time_s) {
-                Ok(rendered) => rendered,
-                Err(RenderError::Capture(error)) => return Err(error.into()),
-                Err(_) => return Ok(None),
+            let mut views = Vec::new();
+            for options in [cheaper, dearer] {
+                frame.field.set_options(options.clone());
+                frame.field.forget_points();
+                match frame.field.view(&frame.camera, frame.time_s) {
+                    Ok(view) => views.push((view.image.to_gray(), view.coverage)),
+                    Err(RenderError::Capture(error)) => return Err(error.into()),
+                    Err(_) => return Ok(None),
+                }
+            }
+            let truth = frame.truth.to_gray();
+            let [(cheap, cheap_sees), (dear, dear_sees)] = views.as_slice() else {
+                return Ok(None);
             };
-            let (image, truth) = (rendered.image.to_gray(), frame.truth.to_gray());
-            let pixels = image.data().iter().zip(truth.data());
-            let counts = rendered.coverage.iter().zip(&frame.changing).map(|(a, b)| *a && *b);
-            let errors = pixels.zip(counts).filter(|(_, counts)| *counts);
-            let squared: Vec<f64> = errors.map(|((a, b), _)| f64::from(a - b).powi(2)).collect();
-            sum -= 10.0 * (squared.iter().sum::<f64>() / squared.len() as f64).log10();
+            for (k, truth) in truth.data().iter().enumerate() {
+                if frame.changing[k] && cheap_sees[k] && dear_sees[k] {
+                    difference += f64::from(dear.data()[k] - cheap.data()[k]).powi(2);
+                    error += f64::from(dear.data()[k] - truth).powi(2);
+                }
+            }
         }
-        let mean = sum / self.frames.len() as f64;
-        Ok(mean.is_finite().then_some(mean))
+        // Nothing seen, or a view without any error: 0/0, or a bound that is none.
+        let gain_db = 10.0 * (difference / error).ln_1p() / std::f64::consts::LN_10;
+        Ok(gain_db.is_finite().then_some(gain_db))
     }
 }

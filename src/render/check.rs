@@ -146,6 +146,7 @@ fn offset(o: &OffsetOptions) -> Checked {
 }
 
 fn interpolation(o: &InterpolationOptions) -> Checked {
+    all_within("interpolation", &[("still_change", f64::from(o.still_change), 0.0..=1.0)])?;
     edges(&o.edges)?;
     morph(&o.morph)?;
     refine(&o.refine)

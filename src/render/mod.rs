@@ -15,7 +15,7 @@ pub use trail::{TrailMode, TrailOptions, Viewpoint};
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError};
-use crate::interpolation::{FramePair, Sync};
+use crate::interpolation::{FramePair, Sync, largest_change};
 use crate::lumigraph::{Mesh, Plane, Proxy};
 use crate::offset::{self, Offsets};
 use crate::plan;
@@ -37,6 +37,8 @@ pub struct LightField {
     times_s: Vec<Option<Vec<f64>>>,
     options: RenderOptions,
     tracks: Mutex<KeptTracks>,
+    /// The largest changes of frame pairs, by camera and earlier frame.
+    changes: Mutex<HashMap<(usize, usize), f32>>,
     /// The points triangulated last, which every proxy of a view starts from.
     points: Mutex<Option<KeptPoints>>,
 }
@@ -103,6 +105,7 @@ impl LightField {
             times_s,
             options,
             tracks: Mutex::default(),
+            changes: Mutex::default(),
             points: Mutex::default(),
         }
     }
@@ -208,6 +211,8 @@ impl LightField {
             return Ok(earlier_frame.image.clone());
         }
         let later_frame = self.frames.get(camera, later)?;
+        let sync =
+            if sync.needs_tracks() && self.skips(camera, k)? { Sync::Crossfade } else { sync };
         let tracks = if sync.needs_tracks() { self.tracks(camera, k)? } else { Arc::default() };
         let around = match sync {
             Sync::Refined => [k.checked_sub(1), Some(later + 1)]
@@ -314,7 +319,7 @@ impl LightField {
     pub(crate) fn register(&self, time_s: f64) -> Result<(), RenderError> {
         self.usable(time_s).into_par_iter().try_for_each(|camera| {
             let (k, later) = self.bracket(camera, time_s)?;
-            if k != later {
+            if k != later && !self.skips(camera, k)? {
                 self.tracks(camera, k)?;
             }
             Ok(())
@@ -335,6 +340,19 @@ impl LightField {
         let tracks = Arc::new(tracks);
         self.kept().insert((camera, k), &tracks);
         Ok(tracks)
+    }
+
+    /// Whether a frame pair goes without registration, as nothing changes in it.
+    pub(crate) fn skips(&self, camera: usize, k: usize) -> Result<bool, CaptureError> {
+        let limit = self.options.interpolation.still_change;
+        let kept = || self.changes.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(change) = kept().get(&(camera, k)) {
+            return Ok(*change <= limit);
+        }
+        let [earlier, later] = [self.frames.get(camera, k)?, self.frames.get(camera, k + 1)?];
+        let change = largest_change(&earlier.image, &later.image);
+        kept().insert((camera, k), change);
+        Ok(change <= limit)
     }
 
     fn kept(&self) -> MutexGuard<'_, KeptTracks> {

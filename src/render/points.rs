@@ -89,7 +89,7 @@ impl LightField {
     ) -> Result<(std::sync::Arc<crate::registration::Frame>, Vec<Feature>), RenderError> {
         let (k, later) = self.bracket(camera, time_s)?;
         let registration = &self.options().registration;
-        if k == later {
+        if k == later || self.skips(camera, k)? {
             let frame = self.frames().get(camera, k)?;
             let corners = frame.corners(registration);
             let features =
@@ -128,7 +128,10 @@ impl LightField {
         let times = self.times(camera);
         // A static light field may have no times.
         let use_later = k != later && times[later] - time_s < time_s - times[k];
-        let (near, far) = if use_later { (later, k) } else { (k, later) };
+        let (near, mut far) = if use_later { (later, k) } else { (k, later) };
+        if k != later && self.skips(camera, k)? {
+            far = near;
+        }
         let near_frame = self.frames().get(camera, near)?;
         let starts: Vec<_> = features
             .iter()

@@ -1,8 +1,9 @@
 //! Which combinations are worth a measurement.
 
 use crate::interpolation::Sync;
-use crate::lumigraph::{BlendRung, Sampling};
+use crate::lumigraph::BlendRung;
 use crate::offset::OffsetRung;
+use crate::raster::Sampling;
 use crate::render::{ProxyRung, RenderOptions};
 use clap::ValueEnum;
 
@@ -62,7 +63,7 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
             add(Box::new(move |o| o.interpolation.curved = curved));
         }
     }
-    if matches!(options.sync, Sync::Morph | Sync::EdgeMorph | Sync::Refined) {
+    if matches!(options.sync, Sync::Morph | Sync::EdgeMorph) {
         for grid_px in [4, 8] {
             add(Box::new(move |o| o.interpolation.morph.grid_px = grid_px));
         }
@@ -121,6 +122,7 @@ pub fn name(options: &RenderOptions) -> String {
     let features = options.registration.corners.max_corners;
     say(features != default.registration.corners.max_corners, format!("{features} features"));
     say(!options.interpolation.curved, "straight".into());
+    say(options.interpolation.still_change > 0.0, "still dissolved".into());
     let grid = options.interpolation.morph.grid_px;
     say(grid != default.interpolation.morph.grid_px, format!("grid {grid}"));
     let longest = options.interpolation.edges.max_length_px;

@@ -13,9 +13,9 @@ use stlfr::camera::Camera;
 use stlfr::capture::{BitDepth, Truth, TruthView, read_array, read_image, write_image};
 use stlfr::lumigraph::{
     BlendOptions, BlendRung, DepthEdges, DepthMap, Mesh, MeshOptions, Plane, Proxy, Rendered,
-    Sampling, Source, blend, triangulate,
+    Source, blend, triangulate,
 };
-use stlfr::raster::Image;
+use stlfr::raster::{Image, Sampling};
 
 struct View {
     id: String,

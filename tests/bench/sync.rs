@@ -124,6 +124,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 Box::new(move |o| o.interpolation.refine.search_radius_px = r),
             ));
         }
+        cases.push((
+            "refine outer 0".into(),
+            Box::new(|o| o.interpolation.refine.outer_share = 0.0),
+        ));
+        for n in [2, 3, 4] {
+            cases.push((
+                format!("refine motions {n}"),
+                Box::new(move |o| o.interpolation.refine.max_motions = n),
+            ));
+        }
         for b in [2.0, 3.0, 4.0] {
             for a in [0.5, 1.0, 2.0, 4.0] {
                 cases.push((

@@ -4,12 +4,17 @@ use super::FourFrames;
 use crate::interpolation::local_motion::LocalMotion;
 use crate::interpolation::windows::{box_mean, difference, mixed};
 use crate::interpolation::{Motion, RefineOptions};
-use crate::raster::Image;
+use crate::raster::{Image, sample_all};
 use crate::registration::Neighbors;
 use nalgebra::{Point2, Vector2};
 
 /// Motions that the outer frames are tried by where the middle ones agree. More costs time.
 const AGREEING_MOTIONS: usize = 2;
+
+/// What stands still may differ in an outer frame from the middle ones by this share of
+/// [`RefineOptions::outer_slack`] more than they do from each other, in the mean of a block. Larger:
+/// slow motion blurs; smaller: noise is taken for motion, which costs time.
+const AT_REST: f32 = 0.25;
 
 /// Twice the least share of the interval that is told from a frame.
 const MIN_SHARE: f32 = 1e-3;
@@ -23,8 +28,10 @@ pub struct Work<'a> {
     pub motions: &'a [Motion],
     pub neighbors: Neighbors,
     pub dissolved: &'a Image,
-    /// The morph's: mean difference of the warped frames around each pixel.
+    /// Mean difference of the warped frames around each pixel.
     pub costs: &'a [f32],
+    /// The same of the frames before and after, unmoved, and the dissolved one.
+    pub outer_costs: [Option<Vec<f32>>; 2],
     pub options: &'a RefineOptions,
     /// Between blocks, pixels.
     pub step: usize,
@@ -56,8 +63,17 @@ impl Work<'_> {
             .fold(0.0, f32::max);
         let agree = worst <= self.options.min_difference;
         // There, all that is left to do is to average the outer frames in.
-        if agree && self.outer_weight() <= 0.0 {
+        if agree && (self.outer_weight() <= 0.0 || self.outer_costs.iter().all(Option::is_none)) {
             return None;
+        }
+        if agree && self.at_rest(|| places().filter_map(|(x, y)| pixel(x, y))) {
+            let mut colors = vec![0.0; block * block * channels];
+            for ((x, y), color) in places().zip(colors.chunks_exact_mut(channels)) {
+                if let Some(at) = pixel(x, y) {
+                    self.averaged(at, color);
+                }
+            }
+            return Some(colors);
         }
         let mut candidates = self.candidates(&center);
         if candidates.is_empty() {
@@ -70,10 +86,10 @@ impl Work<'_> {
             candidates.iter().map(|c| self.patches(c, origin, !agree)).collect();
         let mut sums =
             Sums { colors: vec![0.0; block * block * channels], weights: vec![0.0; block * block] };
-        // The morph's own hypothesis.
+        // The dissolve is a hypothesis of its own.
         let radius = self.options.window_radius_px;
         let side = block + 2 * radius;
-        let (own, costs) = self.morphed(origin, side);
+        let (own, costs) = self.dissolve(origin, side);
         let outer: Vec<[Option<&Image>; 2]> =
             patches.iter().map(|p| [p[0].as_ref(), p[3].as_ref()]).collect();
         let fused = self.fused(&own, &outer, &costs);
@@ -97,9 +113,39 @@ impl Work<'_> {
         Some(sums.colors)
     }
 
-    /// The morph's image and costs over a block with the windows around it; beyond the image's
+    /// Whether the frames before and after show these pixels as the middle ones do: each so that
+    /// [`Self::fused`] would count them in full, and all together but for noise.
+    fn at_rest<I: Iterator<Item = (usize, usize)>>(&self, pixels: impl Fn() -> I) -> bool {
+        let slack = self.options.outer_slack;
+        self.outer_costs.iter().flatten().all(|costs| {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for (x, y) in pixels() {
+                let k = y * self.dissolved.width() + x;
+                let excess = costs[k] - self.costs[k];
+                if excess > slack {
+                    return false;
+                }
+                (sum, count) = (sum + excess, count + 1.0);
+            }
+            sum <= AT_REST * slack * count
+        })
+    }
+
+    /// All frames' mean of a pixel that stands still, as [`Self::fused`] weighs them.
+    fn averaged(&self, (x, y): (usize, usize), color: &mut [f32]) {
+        let middle = self.dissolved.pixel(x, y);
+        color.copy_from_slice(middle);
+        let weight = 0.25 * self.outer_weight();
+        for image in [self.frames.before, self.frames.after].into_iter().flatten() {
+            for ((color, outer), middle) in color.iter_mut().zip(image.pixel(x, y)).zip(middle) {
+                *color += weight * (outer - middle);
+            }
+        }
+    }
+
+    /// The dissolve and its costs over a block with the windows around it; beyond the image's
     /// border its last pixels go on.
-    fn morphed(&self, origin: [isize; 2], side: usize) -> (Image, Vec<f32>) {
+    fn dissolve(&self, origin: [isize; 2], side: usize) -> (Image, Vec<f32>) {
         let (w, h) = (self.dissolved.width(), self.dissolved.height());
         let channels = self.dissolved.channels();
         let radius = self.options.window_radius_px as isize;
@@ -128,14 +174,15 @@ impl Work<'_> {
         let middle = Vector2::repeat(self.step as f64);
         let cut = |image: &Image, frame: usize| {
             let mut patch = vec![0.0; side * side * channels];
-            for (k, out) in patch.chunks_exact_mut(channels).enumerate() {
+            let places = (0..side * side).map(|k| {
                 let x = origin[0] - radius as isize + (k % side) as isize;
                 let y = origin[1] - radius as isize + (k / side) as isize;
                 let at = Vector2::new(x as f64 + 0.5, y as f64 + 0.5);
                 let from = at - Vector2::new(origin[0] as f64, origin[1] as f64) - middle;
                 let shift = motion.at(frame, from);
-                image.sample_cubic((at.x + shift.x) as f32, (at.y + shift.y) as f32, out);
-            }
+                [(at.x + shift.x) as f32, (at.y + shift.y) as f32]
+            });
+            sample_all(image, places, &mut patch);
             Image::from_data(side, side, channels, patch)
         };
         let f = self.frames;

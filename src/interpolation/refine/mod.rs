@@ -1,13 +1,14 @@
-//! Beyond the paper: where the two warped frames of a morph disagree, per-pixel motion and
-//! visibility; where the frames before and after agree too, their mean, which has less noise.
+//! Beyond the paper: where the two warped frames disagree, per-pixel motion and visibility; where the
+//! frames before and after agree too, their mean, which has less noise. Where nothing moves, that
+//! is all that is done.
 //!
-//! Beside a moving outline the morph mixes the motions on both sides, and the cross dissolve mixes
+//! Beside a moving outline the warp mixes the motions on both sides, and the cross dissolve mixes
 //! a frame that sees the background with one that doesn't. There, blocks of pixels try the motions
 //! of the tracks around them, each under three hypotheses: both frames see the point (then they
 //! agree with each other), only the earlier does (then it agrees with the frame before it), or
 //! only the later (then it agrees with the frame after it; the nearer the instant is to a frame, the
 //! less likely only the other sees the point). Every pixel is the mean of all of
-//! these and of the morph, weighted by how well each agrees over a small window. Blocks overlap
+//! these and of the warp's dissolve, weighted by how well each agrees over a small window. Blocks overlap
 //! and fade into each other, so that none has a border.
 //!
 //! Known limits: what is seen in none of the four frames is not found; a window of a few pixels
@@ -51,12 +52,22 @@ pub fn refined(
         (frames.earlier.width(), frames.earlier.height(), frames.earlier.channels());
     let dissolved = mixed(&warped[0], &warped[1], frames.share);
     let options = &scaled(options, w.max(h));
-    let costs = box_mean(&difference(&warped[0], &warped[1]), w, h, options.window_radius_px);
+    let cost = |a: &Image, b: &Image| box_mean(&difference(a, b), w, h, options.window_radius_px);
+    let costs = cost(&warped[0], &warped[1]);
+    let outer_costs = [frames.before, frames.after].map(|f| f.map(|f| cost(f, &dissolved)));
 
     let neighbors = Neighbors::new(motions.iter().map(|m| m.at));
     let step = MIN_STEP.max(2 * options.window_radius_px);
-    let work =
-        Work { frames, motions, neighbors, dissolved: &dissolved, costs: &costs, options, step };
+    let work = Work {
+        frames,
+        motions,
+        neighbors,
+        dissolved: &dissolved,
+        costs: &costs,
+        outer_costs,
+        options,
+        step,
+    };
     // Block (bx, by) covers pixels from (bx − 1)·step to (bx + 1)·step.
     let (blocks_x, blocks_y) = (w.div_ceil(step) + 1, h.div_ceil(step) + 1);
     let blocks: Vec<Option<Vec<f32>>> = (0..blocks_x * blocks_y)
@@ -180,6 +191,55 @@ mod tests {
         let dissolved = refined(&four, [&still, &still], &[], &options);
         let (before, after) = (error(&dissolved, &truth), error(&result, &truth));
         assert!(after > before + 8.0, "{before} {after}");
+    }
+
+    fn noisy(image: Image, random: &mut Random) -> Image {
+        let data = image.data().iter().map(|v| v + 0.02 * random.signed() as f32).collect();
+        Image::from_data(W, H, 1, data)
+    }
+
+    /// Four frames of a still scene have half of two frames' noise; without tracks too.
+    #[test]
+    fn what_stands_still_is_averaged() {
+        let mut random = Random::new(3);
+        let truth = scene(0.0);
+        let frames = [0; 4].map(|_| noisy(truth.clone(), &mut random));
+        let still = Warp::identity(W, H);
+        let options = RefineOptions::default();
+        let of = |options: &RefineOptions| {
+            error(&refined(&around(&frames, 0.5), [&still, &still], &[], options), &truth)
+        };
+        let two = of(&RefineOptions { outer_share: 0.0, ..options.clone() });
+        let four = of(&options);
+        assert!((2.7..3.3).contains(&(four - two)), "{two} {four}");
+    }
+
+    /// By a third of a pixel a frame: averaged along its path, not in place.
+    #[test]
+    fn what_moves_slowly_is_not_taken_to_stand_still() {
+        let pan = |frame: f32| {
+            let place = |k: usize| ((k % W) as f32 + 0.5 - 0.33 * frame, (k / W) as f32 + 0.5);
+            let value = |k| texture(place(k).0, place(k).1, 1.0);
+            Image::from_data(W, H, 1, (0..W * H).map(value).collect())
+        };
+        let frames = [-1.0, 0.0, 1.0, 2.0].map(pan);
+        let warp = |to: f32| Warp {
+            source: Warp::identity(W, H).source.iter().map(|[x, y]| [x + to, *y]).collect(),
+            ..Warp::identity(W, H)
+        };
+        let (from_earlier, from_later) = (warp(-0.165), warp(0.165));
+        let mut slow = at_rest();
+        for motion in &mut slow {
+            motion.to = [-1.5, -0.5, 0.5, 1.5].map(|t| Vector2::new(0.33 * t, 0.0));
+        }
+        let result = refined(
+            &around(&frames, 0.5),
+            [&from_earlier, &from_later],
+            &slow,
+            &RefineOptions::default(),
+        );
+        let db = error(&result, &pan(0.5));
+        assert!(db > 45.0, "{db}");
     }
 
     /// No track tells how the square moves; the wall that the later frame sees where it stood is not

@@ -2,6 +2,11 @@
 //! filmed, channels interleaved, and positions in pixels with the top-left pixel's centre at
 //! (0.5, 0.5).
 
+mod sample;
+
+pub use sample::Sampling;
+pub(crate) use sample::{sample, sample_all};
+
 /// An image of 1 (grey) or 3 (RGB) channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {

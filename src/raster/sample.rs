@@ -1,6 +1,6 @@
 //! Images between their pixels, fast.
 
-use crate::raster::{Image, catmull_rom};
+use super::{Image, catmull_rom};
 use serde::{Deserialize, Serialize};
 
 /// How images are read between pixels.
@@ -16,7 +16,7 @@ pub enum Sampling {
 /// [`Image::sample_bilinear`], with a shorter way where the filter lies
 /// inside the image. C is 1 or 3.
 #[inline(always)]
-pub(super) fn sample<const C: usize>(
+pub(crate) fn sample<const C: usize>(
     image: &Image,
     x: f32,
     y: f32,
@@ -78,10 +78,31 @@ fn add(sum: &mut [f32; 4], weight: f32, values: &[f32]) {
     }
 }
 
+/// The image at these positions, into `out`, by Catmull-Rom's cubic.
+pub(crate) fn sample_all(
+    image: &Image,
+    positions: impl Iterator<Item = [f32; 2]>,
+    out: &mut [f32],
+) {
+    fn each<const C: usize>(
+        image: &Image,
+        positions: impl Iterator<Item = [f32; 2]>,
+        out: &mut [f32],
+    ) {
+        for ([x, y], out) in positions.zip(out.chunks_exact_mut(C)) {
+            out.copy_from_slice(&sample::<C>(image, x, y, Sampling::Cubic));
+        }
+    }
+    match image.channels() {
+        1 => each::<1>(image, positions, out),
+        _ => each::<3>(image, positions, out),
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::super::tests::Random;
     use super::*;
+    use crate::random::Random;
 
     #[test]
     fn equals_the_images_own_sampling() {
