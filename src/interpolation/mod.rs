@@ -37,7 +37,7 @@ pub use still::largest_change;
 pub use triangulation::triangulation_warp;
 pub use warp::{Warp, cross_dissolve};
 
-use crate::raster::Image;
+use crate::raster::{Image, Tiles};
 use crate::registration::{Frame, Path, Track};
 use nalgebra::{Point2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -79,6 +79,8 @@ pub struct FramePair<'a> {
     /// All frame times of the camera, seconds, and the index of the earlier frame.
     pub times_s: &'a [f64],
     pub index: usize,
+    /// What of the image is asked for, if not all: the rest may be by a cheaper rung.
+    pub parts: Option<&'a Tiles>,
 }
 
 impl FramePair<'_> {
@@ -102,6 +104,7 @@ impl FramePair<'_> {
                 later: images[1],
                 after: self.around[1].map(|f| &f.image),
                 share: share as f32,
+                parts: self.parts,
             };
             let motions = self.motions(time_s, options.curved);
             return refined(&frames, warps, &motions, &options.refine);

@@ -23,7 +23,7 @@ use super::rays::RayRow;
 use super::reproject::{Hits, Reprojection, TargetRow};
 use super::weights::{BlendRung, WeightRow};
 use crate::camera::Camera;
-use crate::raster::{Image, Sampling, sample};
+use crate::raster::{Image, Sampling, Tiles, sample};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -130,9 +130,9 @@ pub fn blend(
     Rendered { image, coverage }
 }
 
-/// Which sources any pixel of the view is blended from. The images of the others, if of the right
-/// size and number of channels, change nothing; where they stand does, for they end the weights of
-/// those that are nearer.
+/// What of each source's image the view is blended from; of most sources of a large rig nothing.
+/// What the rest of an image shows changes nothing; where its camera stands does, for it ends the
+/// weights of those that are nearer.
 ///
 /// # Panics
 /// As [`blend`].
@@ -141,23 +141,24 @@ pub fn contributing(
     depth: &DepthMap,
     target: &Camera,
     options: &BlendOptions,
-) -> Vec<bool> {
+) -> Vec<Tiles> {
     check(sources, depth, target);
     let reprojections = Reprojection::of_all(sources, target, options);
-    let either = |mut all: Vec<bool>, more: Vec<bool>| {
-        all.iter_mut().zip(more).for_each(|(all, more)| *all |= more);
-        all
+    let nothing = || -> Vec<Tiles> {
+        sources.iter().map(|s| Tiles::none(s.camera.width, s.camera.height)).collect()
     };
-    (0..target.height)
-        .into_par_iter()
-        .map_init(
-            || Row::new(sources, &reprojections, target, options),
-            |row, y| {
-                row.measure(y, depth.row(y));
-                row.contributing()
-            },
-        )
-        .reduce(|| vec![false; sources.len()], either)
+    let rows = (0..target.height).into_par_iter().fold(
+        || (Row::new(sources, &reprojections, target, options), nothing()),
+        |(mut row, mut tiles), y| {
+            row.measure(y, depth.row(y));
+            row.contributing(&mut tiles);
+            (row, tiles)
+        },
+    );
+    rows.map(|(_, tiles)| tiles).reduce(nothing, |mut all, more| {
+        all.iter_mut().zip(&more).for_each(|(all, more)| all.add(more));
+        all
+    })
 }
 
 fn check(sources: &[Source], depth: &DepthMap, target: &Camera) {
@@ -251,20 +252,28 @@ impl<'a> Row<'a> {
         self.weigh();
     }
 
-    /// The sources with any weight in this row.
-    fn contributing(&mut self) -> Vec<bool> {
-        let counted = |weights: &WeightRow| -> Vec<bool> {
-            let rows = weights.weights.chunks_exact(self.target.width);
-            rows.map(|row| row.iter().any(|w| *w > 0.0)).collect()
-        };
+    /// Marks what this row is blended from, source by source.
+    fn contributing(&mut self, tiles: &mut [Tiles]) {
         self.weigh();
-        let mut all = counted(&self.weights);
+        self.mark(tiles);
         let colored = self.sources.iter().filter(|s| s.image.channels() == 3).count();
         if colored > 0 && colored < self.sources.len() {
             self.weigh_colored();
-            all.iter_mut().zip(counted(&self.weights)).for_each(|(all, more)| *all |= more);
+            self.mark(tiles);
         }
-        all
+    }
+
+    fn mark(&self, tiles: &mut [Tiles]) {
+        let width = self.target.width;
+        let places = self.x.chunks_exact(width).zip(self.y.chunks_exact(width));
+        let weighted = places.zip(self.weights.weights.chunks_exact(width));
+        for (tiles, ((x, y), weights)) in tiles.iter_mut().zip(weighted) {
+            for ((&x, &y), &weight) in x.iter().zip(y).zip(weights) {
+                if weight > 0.0 {
+                    tiles.mark_sample(x, y);
+                }
+            }
+        }
     }
 
     /// All sources have C channels.

@@ -3,9 +3,11 @@
 //! (0.5, 0.5).
 
 mod sample;
+mod tiles;
 
 pub use sample::Sampling;
 pub(crate) use sample::{sample, sample_all};
+pub use tiles::Tiles;
 
 /// An image of 1 (grey) or 3 (RGB) channels.
 #[derive(Clone, Debug, PartialEq)]

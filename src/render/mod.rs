@@ -20,7 +20,7 @@ use crate::lumigraph::{Mesh, Plane, Proxy};
 use crate::offset::{self, Offsets};
 use crate::plan;
 use crate::progress::Reporter;
-use crate::raster::Image;
+use crate::raster::{Image, Tiles};
 use crate::registration::{FrameStore, Gains, Track, Verdict, epipolar_test, temporal_flow};
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -205,6 +205,17 @@ impl LightField {
         camera: usize,
         time_s: f64,
     ) -> Result<Image, RenderError> {
+        self.synchronized_in(sync, camera, time_s, None)
+    }
+
+    /// Parts of a camera's image, if not all; the rest is not as good.
+    fn synchronized_in(
+        &self,
+        sync: Sync,
+        camera: usize,
+        time_s: f64,
+        parts: Option<&Tiles>,
+    ) -> Result<Image, RenderError> {
         let (k, later) = self.bracket(camera, time_s)?;
         let earlier_frame = self.frames.get(camera, k)?;
         if k == later {
@@ -228,6 +239,7 @@ impl LightField {
             tracks: &tracks,
             times_s: self.times(camera),
             index: k,
+            parts,
         };
         Ok(pair.interpolate(time_s, sync, &self.options.interpolation))
     }

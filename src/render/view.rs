@@ -4,7 +4,7 @@ use super::{LightField, RenderError};
 use crate::camera::Camera;
 use crate::capture::Color;
 use crate::lumigraph::{DepthMap, Proxy, Rendered, Source, blend, contributing};
-use crate::raster::Image;
+use crate::raster::{Image, Tiles};
 use rayon::prelude::*;
 
 impl LightField {
@@ -34,30 +34,31 @@ impl LightField {
         images
     }
 
-    /// The cameras, of those with an image, that a view is blended from: most of a large rig are
-    /// nowhere among the best, so that nobody misses their images.
+    /// The cameras, of those with an image, that a view is blended from, and which parts of their
+    /// images: most of a large rig are nowhere among the best, so that nobody misses theirs.
     pub(crate) fn needed(
         &self,
         images: &[Option<Image>],
         depth: &DepthMap,
         target: &Camera,
-    ) -> Vec<usize> {
+    ) -> Vec<(usize, Tiles)> {
         let needed = contributing(&self.sources(images), depth, target, &self.options.blend);
         let sources = (0..images.len()).filter(|&c| images[c].is_some());
-        sources.zip(needed).filter_map(|(c, needed)| needed.then_some(c)).collect()
+        sources.zip(needed).filter(|(_, parts)| parts.any()).collect()
     }
 
-    /// Puts the images of these cameras at a time among `images`.
+    /// Puts parts of these cameras' images at a time among `images`.
     pub(crate) fn synchronize(
         &self,
         images: &mut [Option<Image>],
-        cameras: &[usize],
+        needed: &[(usize, Tiles)],
         time_s: f64,
     ) -> Result<(), RenderError> {
-        let synchronized: Vec<Image> =
-            cameras.par_iter().map(|&c| self.synchronized(c, time_s)).collect::<Result<_, _>>()?;
-        for (&c, image) in cameras.iter().zip(synchronized) {
-            images[c] = Some(image);
+        let sync = self.options.sync;
+        let of = |(c, parts): &(usize, Tiles)| self.synchronized_in(sync, *c, time_s, Some(parts));
+        let synchronized: Vec<Image> = needed.par_iter().map(of).collect::<Result<_, _>>()?;
+        for ((c, _), image) in needed.iter().zip(synchronized) {
+            images[*c] = Some(image);
         }
         Ok(())
     }

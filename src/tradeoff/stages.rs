@@ -5,12 +5,13 @@ use super::measure::Bench;
 use super::store::KeptPoint;
 use super::{Elapsed, Stopwatch, TradeoffError};
 use crate::camera::Camera;
-use crate::interpolation::Sync;
+use crate::interpolation::{InterpolationOptions, Sync};
 use crate::lumigraph::{Proxy, Rendered};
 use crate::offset::OffsetOptions;
 use crate::progress::Task;
 use crate::raster::Image;
 use crate::render::{LightField, RenderError, RenderOptions};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -33,7 +34,12 @@ impl Stage {
     fn part(self, point: &KeptPoint) -> Value {
         let options = RenderOptions { offset: OffsetOptions::default(), ..point.options.clone() };
         match self {
-            Self::Sync => json!(["sync", sync_part(&options), point.cameras]),
+            Self::Sync => {
+                // What of the images is asked for depends on the shape and the blend.
+                let parts = (options.sync == Sync::Refined)
+                    .then(|| json!([proxy_part(&options), options.blend]));
+                json!(["sync", sync_part(&options), point.cameras, parts])
+            }
             Self::Proxy => json!(["proxy", proxy_part(&options)]),
             Self::Blend => json!(["blend", proxy_part(&options), options.blend]),
         }
@@ -44,7 +50,10 @@ impl Stage {
 pub(super) fn sync_part(o: &RenderOptions) -> Value {
     match o.sync {
         Sync::Nearest | Sync::Crossfade => json!([o.offset, o.sync]),
-        Sync::Triangulation => json!([o.offset, o.sync, o.registration, o.interpolation.curved]),
+        Sync::Triangulation => {
+            let InterpolationOptions { curved, still_change, .. } = o.interpolation;
+            json!([o.offset, o.sync, o.registration, curved, still_change])
+        }
         Sync::Morph | Sync::EdgeMorph | Sync::Refined => {
             json!([o.offset, o.sync, o.registration, o.interpolation])
         }
@@ -165,9 +174,16 @@ impl<'a> Views<'a> {
             SharedImages { of, images: self.field.blanks(time_s), done: Vec::new() }
         });
         let needed = self.field.needed(&shared.images, &depth, camera);
+        let needed: Vec<usize> = needed.into_iter().map(|(c, _)| c).collect();
         let missing: Vec<usize> =
             needed.iter().copied().filter(|c| !shared.done.contains(c)).collect();
-        self.field.synchronize(&mut shared.images, &missing, time_s)?;
+        // Whole, for other combinations to share.
+        let whole = |c: &usize| Ok((*c, self.field.synchronized(*c, time_s)?));
+        let images: Vec<(usize, Image)> =
+            missing.par_iter().map(whole).collect::<Result<_, RenderError>>()?;
+        for (c, image) in images {
+            shared.images[c] = Some(image);
+        }
         shared.done.extend(missing);
         let rendered = self.field.blend_by_depth(&shared.images, &depth, camera);
         self.images = Some(shared);
@@ -203,10 +219,11 @@ impl<'a> Views<'a> {
         self.field.set_options(options.clone());
         let proxy = self.proxy(options, camera, time_s)?;
         let mut images = self.field.blanks(time_s);
+        let needed = self.field.needed(&images, &proxy.depth_map(camera), camera);
         self.field.forget_points();
         let watch = Stopwatch::start();
         match stage {
-            Stage::Sync => self.field.synchronize(&mut images, &point.cameras, time_s)?,
+            Stage::Sync => self.field.synchronize(&mut images, &needed, time_s)?,
             Stage::Proxy => drop(self.field.proxy(options.proxy.rung, camera, time_s)?),
             Stage::Blend => {
                 let depth = proxy.depth_map(camera);

@@ -4,14 +4,17 @@
 //! `lumigraph::tests` and `weights`, windows in `interpolation::windows`.)
 
 use crate::common::swing::Swing;
+use crate::common::wall::{FRAME_S, Scene, estimate, open, view};
 use crate::naive;
 use nalgebra::{Matrix2, Point2, Vector2};
 use stlfr::capture::{BitDepth, Samples, quantize};
+use stlfr::interpolation::Sync;
 use stlfr::interpolation::{Edge, Feature, MorphOptions, Warp, cross_dissolve, morph_warp};
 use stlfr::offset::{CameraOffset, Offsets};
 use stlfr::random::Random;
 use stlfr::raster::Image;
 use stlfr::registration::{Frame, RegistrationOptions, flow};
+use stlfr::render::{LightField, RenderOptions};
 
 /// Values of any kind that an image may hold: noise, steps, next to nothing.
 fn image(random: &mut Random, width: usize, height: usize, channels: usize) -> Image {
@@ -184,6 +187,26 @@ fn lucas_kanade(
 }
 
 /// Whatever a number is, a file has a value for it.
+/// A view refines only what it is blended from: to the bit as if it refined all of every camera.
+#[test]
+fn views_of_parts_and_of_whole_images() {
+    let scene = Scene { board: Some([-1.5, -0.8]), ..Scene::default() };
+    let folder = scene.film();
+    let capture = open(&folder);
+    let offsets = estimate(&capture);
+    for cameras in [1, 2, 3] {
+        let mut options = RenderOptions::default();
+        options.blend.cameras = cameras;
+        let field = LightField::new(capture.clone(), offsets.clone(), options);
+        let target = view(&scene.camera([0.021, 0.007, 0.1]));
+        let time_s = 1.6 * FRAME_S;
+        let found = field.view(&target, time_s).unwrap();
+        let images = field.synchronized_all(Sync::Refined, time_s).unwrap();
+        let proxy = field.proxy(field.options().proxy.rung, &target, time_s).unwrap();
+        assert!(found == field.blend(&images, &proxy, &target), "{cameras} cameras");
+    }
+}
+
 #[test]
 fn what_is_no_number_is_black_in_an_image_and_null_in_json() {
     let odd = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -0.1, 1.1, 0.5];

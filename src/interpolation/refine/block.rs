@@ -44,13 +44,16 @@ struct Sums {
 }
 
 impl Work<'_> {
-    /// The refined block, row by row; `None` where nothing is near.
+    /// The refined block, row by row; `None` where nothing is near, or it isn't asked for.
     pub fn block(&self, bx: isize, by: isize) -> Option<Vec<f32>> {
         let (w, h) = (self.dissolved.width(), self.dissolved.height());
         let channels = self.dissolved.channels();
         let (step, block) = (self.step as isize, 2 * self.step);
         let origin = [(bx - 1) * step, (by - 1) * step];
         let center = Point2::new((origin[0] + step) as f64, (origin[1] + step) as f64);
+        if self.frames.parts.is_some_and(|parts| !parts.touches(origin, block)) {
+            return None;
+        }
         let pixel = |x: usize, y: usize| {
             let (x, y) = (origin[0] + x as isize, origin[1] + y as isize);
             let inside = x >= 0 && y >= 0 && (x as usize) < w && (y as usize) < h;

@@ -19,7 +19,7 @@ mod block;
 use super::warp::{Warp, warped};
 use super::windows::{box_mean, difference, mixed};
 use super::{Motion, RefineOptions};
-use crate::raster::Image;
+use crate::raster::{Image, Tiles};
 use crate::registration::Neighbors;
 use block::Work;
 use rayon::prelude::*;
@@ -32,6 +32,8 @@ pub struct FourFrames<'a> {
     pub after: Option<&'a Image>,
     /// (t' − t)/Δt, 0 at the earlier frame.
     pub share: f32,
+    /// What of the image is asked for, if not all: the rest is not refined.
+    pub parts: Option<&'a Tiles>,
 }
 
 /// Blocks stand this far apart, pixels, and are twice as large: or as far as twice a window's radius,
@@ -171,7 +173,8 @@ mod tests {
 
     fn around(frames: &[Image; 4], share: f32) -> FourFrames<'_> {
         let [before, earlier, later, after] = frames;
-        FourFrames { before: Some(before), earlier, later, after: Some(after), share }
+        let parts = None;
+        FourFrames { before: Some(before), earlier, later, after: Some(after), share, parts }
     }
 
     fn error(image: &Image, truth: &Image) -> f64 {
@@ -258,8 +261,8 @@ mod tests {
     #[test]
     fn where_the_frames_agree_nothing_changes() {
         let frame = scene(0.0);
-        let four =
-            FourFrames { before: None, earlier: &frame, later: &frame, after: None, share: 0.3 };
+        let (before, after, parts) = (None, None, None);
+        let four = FourFrames { before, earlier: &frame, later: &frame, after, share: 0.3, parts };
         let still = Warp::identity(W, H);
         let result = refined(&four, [&still, &still], &motions(), &RefineOptions::default());
         let worst = (result.data().iter().zip(frame.data())).map(|(a, b)| (a - b).abs());
@@ -300,6 +303,26 @@ mod tests {
         }
     }
 
+    /// In the tiles that are asked for, to the bit.
+    #[test]
+    fn parts_are_what_the_whole_is_there() {
+        let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
+        let still = Warp::identity(W, H);
+        let of = |parts: Option<&Tiles>| {
+            let four = FourFrames { parts, ..around(&frames, 0.5) };
+            refined(&four, [&still, &still], &motions(), &RefineOptions::default())
+        };
+        let whole = of(None);
+        let mut parts = Tiles::none(W, H);
+        parts.mark_sample(29.0, 20.0);
+        parts.mark_sample(70.0, 46.0);
+        let some = of(Some(&parts));
+        let same = |k: usize| some.data()[k] == whole.data()[k];
+        let asked = |k: usize| parts.touches([(k % W) as isize, (k / W) as isize], 1);
+        assert!((0..W * H).filter(|k| asked(*k)).all(same));
+        assert!(!(0..W * H).all(same));
+    }
+
     #[test]
     fn tiny_images_are_no_trouble() {
         for (w, h) in [(1, 1), (3, 17), (16, 2)] {
@@ -310,6 +333,7 @@ mod tests {
                 later: &b,
                 after: Some(&b),
                 share: 0.5,
+                parts: None,
             };
             let still = Warp::identity(w, h);
             let result = refined(&four, [&still, &still], &motions(), &RefineOptions::default());

@@ -1,0 +1,105 @@
+//! Parts of an image.
+
+/// Side of a tile, pixels. Larger: more of an image is asked for than is looked at; smaller: more
+/// to keep.
+const SIDE: usize = 16;
+
+/// Square tiles of an image, of which some are marked: what of it is looked at.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Tiles {
+    across: usize,
+    down: usize,
+    marked: Vec<bool>,
+}
+
+impl Tiles {
+    /// Of an image of this size; none is marked.
+    pub fn none(width: usize, height: usize) -> Self {
+        let (across, down) = (width.div_ceil(SIDE), height.div_ceil(SIDE));
+        Self { across, down, marked: vec![false; across * down] }
+    }
+
+    /// Whether any is marked.
+    pub fn any(&self) -> bool {
+        self.marked.contains(&true)
+    }
+
+    /// Marks what of the image a sample at this position is made from ([`super::Sampling`]).
+    /// Positions outside take the border's, a NaN that of the first pixel.
+    pub fn mark_sample(&mut self, x: f32, y: f32) {
+        // The cubic reaches over two pixels on each side; beyond the largest, `as` saturates.
+        let span = |v: f32, tiles: usize| {
+            let tile = |v: f32| (v.max(0.0) as usize / SIDE).min(tiles - 1);
+            tile(v - 2.0)..=tile(v + 2.0)
+        };
+        for row in span(y, self.down) {
+            for column in span(x, self.across) {
+                self.marked[row * self.across + column] = true;
+            }
+        }
+    }
+
+    /// Whether a marked tile has pixels in a square, whose corner may lie outside the image.
+    pub fn touches(&self, corner: [isize; 2], side: usize) -> bool {
+        let span = |from: isize, tiles: usize| {
+            let end = from.saturating_add_unsigned(side).max(0) as usize;
+            from.max(0) as usize / SIDE..end.div_ceil(SIDE).min(tiles)
+        };
+        span(corner[1], self.down).any(|row| {
+            span(corner[0], self.across).any(|column| self.marked[row * self.across + column])
+        })
+    }
+
+    /// Marks what another of the same image has marked.
+    pub fn add(&mut self, other: &Self) {
+        self.marked.iter_mut().zip(&other.marked).for_each(|(own, other)| *own |= other);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_mark_what_they_reach() {
+        let (w, h) = (70, 33);
+        let all = |tiles: &Tiles| {
+            let pixels = (0..w * h).map(|k| [(k % w) as isize, (k / w) as isize]);
+            pixels.filter(|at| tiles.touches(*at, 1)).count()
+        };
+        assert_eq!(all(&Tiles::none(w, h)), 0);
+        for (x, y, pixels) in [
+            (8.0, 8.0, 16 * 16),
+            (15.0, 8.0, 2 * 16 * 16),
+            (17.5, 14.5, 4 * 16 * 16),
+            (69.5, 32.5, 6 * (1 + 16)),
+            (1e30, f32::INFINITY, 6),
+            (f32::NEG_INFINITY, f32::NAN, 16 * 16),
+        ] {
+            let mut tiles = Tiles::none(w, h);
+            tiles.mark_sample(x, y);
+            assert!(tiles.any());
+            assert_eq!(all(&tiles), pixels, "{x} {y}");
+        }
+    }
+
+    #[test]
+    fn squares_touch_tiles_that_they_share_a_pixel_with() {
+        let mut tiles = Tiles::none(64, 64);
+        tiles.mark_sample(24.0, 24.0);
+        for (corner, side, touches) in [
+            ([0, 0], 16, false),
+            ([0, 0], 17, true),
+            ([-8, -8], 16, false),
+            ([-8, -8], 25, true),
+            ([31, 31], 16, true),
+            ([32, 16], 16, false),
+            ([900, 900], 16, false),
+        ] {
+            assert_eq!(tiles.touches(corner, side), touches, "{corner:?} {side}");
+        }
+        let mut other = Tiles::none(64, 64);
+        other.add(&tiles);
+        assert_eq!(other, tiles);
+    }
+}
