@@ -52,16 +52,16 @@ pub struct AutoOptions {
     /// How far a lower rung may move what is seen, pixels. Larger: cheaper rungs; at 0 none is
     /// simplified.
     pub budget_px: f64,
-    /// How much better, decibels, views by the dearer sync rung may at most be for the cheaper one to
-    /// do ([`Probe::possible_gain_db`]). Larger is cheaper; at 0 refinement is done for a hundredth
-    /// of a decibel. Left-out cameras stand twice as far from their neighbours as views do, so that
-    /// views gain up to about twice as much.
+    /// How much better, decibels, views by the dearer sync rung can be for the cheaper one still to do
+    /// ([`Probe::possible_gain_db`]). Larger is cheaper; at 0 refinement is done for a hundredth of
+    /// a decibel. Left-out cameras stand twice as far from their neighbours as views do, so that
+    /// views can gain more than that: on eleven films up to three times as much.
     pub budget_db: f64,
 }
 
 impl Default for AutoOptions {
     fn default() -> Self {
-        Self { sync: false, proxy: false, budget_px: 0.25, budget_db: 0.1 }
+        Self { sync: false, proxy: false, budget_px: 0.25, budget_db: 0.07 }
     }
 }
 
@@ -143,11 +143,12 @@ pub fn plan_with(
     if options.auto.proxy {
         decided.proxy.rung = proxy.unwrap_or(decided.proxy.rung);
     }
+    let trial = |sync| RenderOptions { sync, ..decided.clone() };
     if sync == Sync::Refined
-        && let Some(mut probe) = Probe::open(capture, field.offsets(), &decided)?
+        && let Some(probe) = Probe::open(capture, field.offsets(), &trial(sync))?
     {
-        let trial = |sync| RenderOptions { sync, ..decided.clone() };
-        let gain_db = probe.possible_gain_db(&trial(Sync::Triangulation), &trial(sync))?;
+        let [cheaper, dearer] = [Sync::Triangulation, sync].map(trial);
+        let gain_db = probe.possible_gain_db(&mut field, &cheaper, &dearer)?;
         if let Some(gain_db) = gain_db {
             (sync, of_sync) = decide::refinement(gain_db, &probe.names(), options.auto.budget_db);
         }

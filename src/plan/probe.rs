@@ -1,9 +1,11 @@
 //! What rungs can gain on views of this capture: cameras' own frames, rendered from their neighbours.
 
+use crate::camera::Camera;
 use crate::capture::Capture;
+use crate::lumigraph::Rendered;
 use crate::offset::Offsets;
 use crate::raster::Image;
-use crate::render::left_out::{filmed, inner_cameras, only, others, shown_frames};
+use crate::render::left_out::{beside, filmed, inner_cameras, only, others, shown_frames};
 use crate::render::{LightField, RenderError, RenderOptions};
 
 /// Cameras that are rendered, one frame of each, spread over the film: what refinement gains differs
@@ -25,12 +27,15 @@ pub struct Probe {
 }
 
 struct LeftOut {
-    /// Of the neighbours alone.
+    /// Of the neighbours alone, by the dearer rungs.
     field: LightField,
-    camera: crate::camera::Camera,
+    camera: Camera,
     /// The camera's id, and the frame.
     name: String,
     time_s: f64,
+    /// Where and when views are made: halfway to the nearest neighbour, and to the next frame.
+    beside: Camera,
+    beside_s: f64,
     truth: Image,
     /// Where it differs from the frames beside it.
     changing: Vec<bool>,
@@ -42,7 +47,7 @@ impl Probe {
     pub fn open(
         capture: &Capture,
         offsets: &Offsets,
-        options: &RenderOptions,
+        dearer: &RenderOptions,
     ) -> Result<Option<Self>, RenderError> {
         let times_s = offsets.common_times_s(capture);
         let mut frames = Vec::new();
@@ -51,7 +56,7 @@ impl Probe {
             let mut from = others(capture, index);
             from.truncate(NEIGHBORS);
             let (less, known) = only(capture, offsets, &from);
-            let field = LightField::new(less, known, options.clone());
+            let field = LightField::new(less, known, dearer.clone());
             let shown = shown_frames(&field, times_s);
             let Some(&frame) = shown.get((2 * frames.len() + 1) * shown.len() / (2 * FRAMES))
             else {
@@ -65,7 +70,11 @@ impl Probe {
             }
             let (id, camera) = (&capture.cameras[index].id, &capture.cameras[index].camera);
             let (name, camera) = (format!("{id}'s {frame}"), camera.clone());
-            frames.push(LeftOut { field, camera, name, time_s, truth, changing });
+            let beside = beside(capture, index);
+            let next = if frame + 1 < times_s.len() { frame + 1 } else { frame.saturating_sub(1) };
+            let beside_s = 0.5 * (time_s + times_s[next]);
+            let own = LeftOut { field, camera, name, time_s, beside, beside_s, truth, changing };
+            frames.push(own);
             if frames.len() == FRAMES {
                 break;
             }
@@ -79,44 +88,56 @@ impl Probe {
         names.join(", ")
     }
 
-    /// How much better, decibels, views by dearer rungs can be than by cheaper ones where the frames
-    /// change: 10·log₁₀(1 + D/E), with D the mean square of what the two views differ by, and E of
-    /// what the dearer one and the frame do. So much it is if all that the dearer rungs change is
-    /// for the better. `None` where one can't be rendered, or nothing is seen.
+    /// How much better, decibels, views by dearer rungs can be than by cheaper ones: 10·log₁₀(1 + D/E),
+    /// D the squared difference of the two halfway between the filming cameras, and E the squared error
+    /// of the dearer ones where they show filmed frames again, each summed up. So much it is if all that
+    /// the dearer rungs change is for the better, and views are as wrong as those of left-out cameras.
+    /// `None` where one can't be rendered, or nothing is seen.
     ///
-    /// The plain difference of the two views' errors is no guide: a left-out camera stands twice as
-    /// far from its neighbours as views do, the proxy is off by twice as much there, and an outline in
-    /// the wrong place costs a sharp view more than a blurred one.
+    /// What left-out cameras' frames gain is no guide: they stand twice as far from their neighbours as
+    /// views do, the proxy is off by twice as much there, and an outline in the wrong place costs a
+    /// sharp view more than a blurred one.
     pub fn possible_gain_db(
-        &mut self,
+        &self,
+        field: &mut LightField,
         cheaper: &RenderOptions,
         dearer: &RenderOptions,
     ) -> Result<Option<f64>, RenderError> {
         let (mut difference, mut error) = (0.0, 0.0);
-        for frame in &mut self.frames {
+        for frame in &self.frames {
             let mut views = Vec::new();
             for options in [cheaper, dearer] {
-                frame.field.set_options(options.clone());
-                frame.field.forget_points();
-                match frame.field.view(&frame.camera, frame.time_s) {
-                    Ok(view) => views.push((view.image.to_gray(), view.coverage)),
-                    Err(RenderError::Capture(error)) => return Err(error.into()),
-                    Err(_) => return Ok(None),
-                }
+                field.set_options(options.clone());
+                views.extend(view(field, &frame.beside, frame.beside_s)?);
             }
-            let truth = frame.truth.to_gray();
-            let [(cheap, cheap_sees), (dear, dear_sees)] = views.as_slice() else {
+            let again = view(&frame.field, &frame.camera, frame.time_s)?;
+            let ([cheap, dear], Some(again)) = (views.as_slice(), again) else {
                 return Ok(None);
             };
-            for (k, truth) in truth.data().iter().enumerate() {
-                if frame.changing[k] && cheap_sees[k] && dear_sees[k] {
-                    difference += f64::from(dear.data()[k] - cheap.data()[k]).powi(2);
-                    error += f64::from(dear.data()[k] - truth).powi(2);
-                }
-            }
+            let seen = cheap.coverage.iter().zip(&dear.coverage).map(|(a, b)| *a && *b);
+            difference += squared(&cheap.image, &dear.image, seen);
+            let seen = again.coverage.iter().zip(&frame.changing).map(|(a, b)| *a && *b);
+            error += squared(&again.image, &frame.truth, seen);
         }
-        // Nothing seen, or a view without any error: 0/0, or a bound that is none.
+        // Nothing seen, or no error at all: 0/0, or more than any budget.
         let gain_db = 10.0 * (difference / error).ln_1p() / std::f64::consts::LN_10;
         Ok(gain_db.is_finite().then_some(gain_db))
     }
+}
+
+/// A view that shares nothing with the last one; `None` where it can't be rendered.
+fn view(field: &LightField, at: &Camera, time_s: f64) -> Result<Option<Rendered>, RenderError> {
+    field.forget_points();
+    match field.view(at, time_s) {
+        Ok(view) => Ok(Some(view)),
+        Err(RenderError::Capture(error)) => Err(error.into()),
+        Err(_) => Ok(None),
+    }
+}
+
+/// The squared difference of the pixels that count, in grey.
+fn squared(a: &Image, b: &Image, counts: impl Iterator<Item = bool>) -> f64 {
+    let (a, b) = (a.to_gray(), b.to_gray());
+    let pixels = a.data().iter().zip(b.data()).zip(counts);
+    pixels.filter(|(_, counts)| *counts).map(|((a, b), _)| f64::from(a - b).powi(2)).sum()
 }

@@ -1,6 +1,7 @@
 //! Cameras that are left out, so that their own frames are the truth of what the others render.
 
 use super::LightField;
+use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError};
 use crate::offset::Offsets;
 use crate::plan::changed_pixels;
@@ -44,6 +45,18 @@ fn by_distance(capture: &Capture, from: &nalgebra::Vector3<f64>) -> Vec<usize> {
     let distance = |c: usize| (capture.cameras[c].camera.center().coords - from).norm();
     order.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
     order
+}
+
+/// A view as a camera's, but halfway to its nearest neighbour elsewhere, if there is one.
+pub(crate) fn beside(capture: &Capture, camera: usize) -> Camera {
+    let mut view = capture.cameras[camera].camera.clone();
+    let from_own = capture.cameras.iter().map(|c| c.camera.center() - view.center());
+    let elsewhere = from_own.filter(|d| d.norm() > 0.0);
+    if let Some(aside) = elsewhere.min_by(|a, b| a.norm().total_cmp(&b.norm())) {
+        let shift = view.cam_from_world.rotation * (0.5 * aside);
+        view.cam_from_world.translation.vector -= shift;
+    }
+    view
 }
 
 /// Of frames at these times, those that most of the field's cameras can show; none that no camera can.

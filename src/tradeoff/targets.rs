@@ -10,7 +10,7 @@ use crate::compare::truths::{self, TrueImage, as_written};
 use crate::lumigraph::Rendered;
 use crate::offset::Offsets;
 use crate::raster::Image;
-use crate::render::left_out::{filmed, inner_cameras, only, shown_frames};
+use crate::render::left_out::{beside, filmed, inner_cameras, only, shown_frames};
 use crate::render::{LightField, RenderError, RenderOptions};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -192,18 +192,7 @@ impl Scene<'_> {
 
     /// A view halfway from the reference to its nearest neighbour, in the middle of the film.
     fn between(&self) -> Timed {
-        let cameras = &self.capture.cameras;
-        let own = &cameras[self.capture.reference].camera;
-        let mut camera = own.clone();
-        let aside = cameras
-            .iter()
-            .map(|c| c.camera.center() - own.center())
-            .filter(|d| d.norm() > 0.0)
-            .min_by(|a, b| a.norm().total_cmp(&b.norm()));
-        if let Some(aside) = aside {
-            let shift = camera.cam_from_world.rotation * (0.5 * aside);
-            camera.cam_from_world.translation.vector -= shift;
-        }
+        let camera = beside(self.capture, self.capture.reference);
         let field = self.field(self.base, None);
         let own_span = || field.span_s(self.capture.reference);
         let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();
