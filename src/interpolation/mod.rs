@@ -79,7 +79,8 @@ pub struct FramePair<'a> {
     /// All frame times of the camera, seconds, and the index of the earlier frame.
     pub times_s: &'a [f64],
     pub index: usize,
-    /// What of the image is asked for, if not all: the rest may be by a cheaper rung.
+    /// What of the image is asked for, if not all: tiles of its size. The rest may be by a cheaper
+    /// rung.
     pub parts: Option<&'a Tiles>,
 }
 

@@ -10,8 +10,9 @@ pub struct InterpolationOptions {
     /// the paper, on straight lines between two.
     pub curved: bool,
     /// A frame pair in which no block of pixels changes by more than this, mean of values 0..=1, is
-    /// dissolved, unregistered ([`super::largest_change`]). Larger: what moves by little is
-    /// blurred; 0: only frames that are the same. `auto` sets it to the capture's noise.
+    /// dissolved, and the points of the scene's shape stand still in it, unregistered
+    /// ([`super::largest_change`]). Larger: what moves by little is blurred; 0: only frames that are
+    /// the same. `auto` sets it to what still pairs of the capture change by.
     pub still_change: f32,
     pub edges: EdgeOptions,
     pub morph: MorphOptions,

@@ -9,7 +9,12 @@ const BLOCK: usize = 8;
 
 /// The largest mean difference of a block of the two images, values 0..=1. Blocks at the right and
 /// at the bottom may be narrower.
+///
+/// # Panics
+/// If the images differ in size or in channels.
 pub fn largest_change(a: &Image, b: &Image) -> f32 {
+    let shape = |i: &Image| (i.width(), i.height(), i.channels());
+    assert_eq!(shape(a), shape(b), "width, height and channels of both images");
     let w = a.width();
     let difference = difference(a, b);
     let rows_of_blocks = difference.chunks(BLOCK * w);

@@ -130,7 +130,8 @@ pub fn blend(
     Rendered { image, coverage }
 }
 
-/// What of each source's image the view is blended from; of most sources of a large rig nothing.
+/// What of each source's image the view is blended from, one of its size a source, in their order; of
+/// most sources of a large rig nothing.
 /// What the rest of an image shows changes nothing; where its camera stands does, for it ends the
 /// weights of those that are nearer.
 ///

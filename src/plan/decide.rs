@@ -1,5 +1,6 @@
 //! From what was measured to a rung and a sentence. No images here.
 
+use super::motion::MOST_NOISE;
 use super::{Clocks, Decision, Motion, Shape};
 use crate::interpolation::Sync;
 use crate::registration::Gains;
@@ -81,20 +82,30 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (Sync, Decision) {
 const NOISE_MARGIN: f32 = 1.25;
 
 /// How much the blocks of a frame pair may change for the pair to go without registration.
-pub fn still_pairs(motion: &Motion) -> (f32, Decision) {
-    let Motion { still_pairs, still_change, pairs, .. } = *motion;
+pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
+    let Motion { still_pairs, still_change, still_px, pairs, .. } = *motion;
+    let made = |rung, numbers, because| decision("still pairs", rung, numbers, because);
+    if pairs == 0 {
+        return (0.0, made("none", None, "There is one frame a camera.".into()));
+    }
     if still_pairs == 0 {
         let because = format!("In each of {pairs} frame pairs looked at something moves.");
-        return (0.0, decision("still pairs", "registered", None, because));
+        return (0.0, made("registered", None, because));
     }
-    let limit = NOISE_MARGIN * still_change;
+    let limit_px = FADED_BUDGETS * budget_px;
+    let still = format!(
+        "In {still_pairs} of {pairs} frame pairs looked at no block changes, and features move by \
+         {still_px:.2} px at most"
+    );
+    if still_px > limit_px {
+        return (0.0, made("registered", Some((still_px, limit_px)), format!("{still}.")));
+    }
+    let limit = (NOISE_MARGIN * still_change).min(MOST_NOISE);
     let because = format!(
-        "In {still_pairs} of {pairs} frame pairs looked at nothing moves; pairs whose blocks change by \
-         up to {:.2}/255 are as still.",
+        "{still}; pairs whose blocks change by up to {:.2}/255 are as still.",
         255.0 * limit
     );
-    let numbers = Some((f64::from(still_change), f64::from(limit)));
-    (limit, decision("still pairs", "dissolved", numbers, because))
+    (limit, made("dissolved", Some((still_px, limit_px)), because))
 }
 
 /// Whether the refined rung pays, where views by it and by triangulation could be compared.
@@ -202,17 +213,20 @@ mod tests {
     }
 
     #[test]
-    fn still_pairs_are_dissolved() {
+    fn still_pairs_are_dissolved_within_the_budget() {
         let motion = Motion { pairs: 6, ..Motion::default() };
-        let (limit, decision) = still_pairs(&motion);
-        assert_eq!((limit, decision.rung.as_str()), (0.0, "registered"));
-        let (limit, decision) =
-            still_pairs(&Motion { still_pairs: 2, still_change: 0.01, ..motion });
-        assert_eq!(decision.rung, "dissolved");
-        assert!(
-            (0.01..0.02).contains(&limit) && decision.because.contains("2 of 6"),
-            "{decision:?}"
-        );
+        let of = |motion: &Motion| {
+            let (limit, decision) = still_pairs(motion, BUDGET_PX);
+            (limit, decision.rung)
+        };
+        assert_eq!(of(&Motion::default()), (0.0, "none".into()));
+        assert_eq!(of(&motion), (0.0, "registered".into()));
+        let still = Motion { still_pairs: 2, still_change: 0.0078125, still_px: 0.1, ..motion };
+        assert_eq!(of(&still), (0.009765625, "dissolved".into()));
+        assert!(still_pairs(&still, BUDGET_PX).1.because.contains("2 of 6"));
+        assert_eq!(of(&Motion { still_change: 0.9, ..still }).0, MOST_NOISE);
+        assert_eq!(of(&Motion { still_px: 0.6, ..still }), (0.0, "registered".into()));
+        assert_eq!(still_pairs(&still, 0.0).0, 0.0);
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //! |---|---|---|
 //! | whose clocks are known? | clocks in `capture.json` | whether offsets are estimated |
 //! | does anything move? | features' motion, blocks that change ([`Motion`]) | the sync rung |
-//! | does refinement pay? | cameras' own frames, rendered from their neighbours both ways ([`Probe`]) | the sync rung |
+//! | can refinement pay? | views between cameras both ways, cameras' own frames from their neighbours ([`Probe`]) | the sync rung |
 //! | does it move all the time, in all cameras? | frame pairs of which no block changes | still pairs dissolved |
 //! | on straight lines? | bend of the paths through four frames | curved paths |
 //! | is a plane enough? | points' parallax against it ([`Shape`]) | the proxy |
@@ -14,7 +14,7 @@
 //! | does the rig spread in two directions? | the camera centres' extent | references |
 //!
 //! The budget is a position error in pixels that a simplification may make; where views by two rungs
-//! can be compared, a loss in decibels. All that is measured is
+//! can be compared, what they can gain in decibels. All that is measured is
 //! in the capture; its truth is never read.
 //!
 //! Known limits: one rung holds for all that changes in a capture; frames at its start, middle and end stand for
@@ -45,7 +45,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AutoOptions {
-    /// The sync rung, and whether paths are curved.
+    /// The sync rung, whether paths are curved, and whether still frame pairs are registered.
     pub sync: bool,
     /// The proxy's rung.
     pub proxy: bool,
@@ -133,9 +133,10 @@ pub fn plan_with(
     let (mut sync, mut of_sync) = decide::sync(&motion, budget_px);
     let (curved, of_path) = decide::path(&motion, budget_px);
     decided.interpolation.curved &= curved || !options.auto.sync;
-    let (still_change, of_still) = decide::still_pairs(&motion);
+    let (still_change, of_still) = decide::still_pairs(&motion, budget_px);
     if options.auto.sync {
-        decided.interpolation.still_change = still_change;
+        let given = decided.interpolation.still_change;
+        decided.interpolation.still_change = given.max(still_change);
     }
 
     let mut field = LightField::with_frames(frames, offsets, decided.clone());
@@ -145,7 +146,7 @@ pub fn plan_with(
     }
     let trial = |sync| RenderOptions { sync, ..decided.clone() };
     if sync == Sync::Refined
-        && let Some(probe) = Probe::open(capture, field.offsets(), &trial(sync))?
+        && let Some(probe) = Probe::open(&field, &trial(sync))?
     {
         let [cheaper, dearer] = [Sync::Triangulation, sync].map(trial);
         let gain_db = probe.possible_gain_db(&mut field, &cheaper, &dearer)?;

@@ -33,6 +33,11 @@ const OVER_NOISE: f32 = 6.0;
 /// Nor does one change by less than this, values 0..=1: rounding to 8 bits.
 const LEAST_CHANGE: f32 = 1.5 / 255.0;
 
+/// The light of a pair whose blocks change by more than this may have changed, values 0..=1, or all of
+/// the image moves. Larger: low contrast that moves in such a light is dissolved; smaller: noisy films
+/// are registered where they stand still.
+pub(super) const MOST_NOISE: f32 = 4.0 / 255.0;
+
 /// How far around a track others foretell its motion, pixels, and how many of them.
 const AROUND_PX: f64 = 40.0;
 const FORETELLING: usize = 6;
@@ -52,8 +57,10 @@ pub struct Motion {
     pub changed_share: f64,
     /// Frame pairs in which no block changes by more than noise, nor any feature moves,
     pub still_pairs: usize,
-    /// and how much their blocks change all the same: mean of values 0..=1.
+    /// how much their blocks change all the same, mean of values 0..=1,
     pub still_change: f32,
+    /// and how far their features are found to move.
+    pub still_px: f64,
     /// Frame pairs that were looked at; 0 where every camera took one frame.
     pub pairs: usize,
 }
@@ -75,6 +82,7 @@ impl Motion {
             all.changed_share = all.changed_share.max(pair.changed_share);
             all.still_pairs += pair.still_pairs;
             all.still_change = all.still_change.max(pair.still_change);
+            all.still_px = all.still_px.max(pair.still_px);
             all.pairs += pair.pairs;
             task.advance(1);
         }
@@ -92,8 +100,8 @@ impl Motion {
         let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
         let largest_px = largest(&tracks);
         let changed_share = changed_share(&earlier.image, &later.image);
-        let is_still = changed_share == 0.0 && largest_px < STILL_PX;
         let change = largest_change(&earlier.image, &later.image);
+        let is_still = changed_share == 0.0 && change <= MOST_NOISE && largest_px < STILL_PX;
         Ok(Self {
             largest_px,
             bend_px: bend(&tracks, times_s, k),
@@ -101,6 +109,7 @@ impl Motion {
             changed_share,
             still_pairs: usize::from(is_still),
             still_change: if is_still { change } else { 0.0 },
+            still_px: if is_still { largest_px } else { 0.0 },
             pairs: 1,
         })
     }

@@ -1,9 +1,9 @@
-//! What rungs can gain on views of this capture: cameras' own frames, rendered from their neighbours.
+//! What rungs can gain on views of this capture: how much they change views between its cameras, beside
+//! the error of cameras' own frames, rendered from their neighbours.
 
 use crate::camera::Camera;
-use crate::capture::Capture;
+use crate::compare::mask::moving_part;
 use crate::lumigraph::Rendered;
-use crate::offset::Offsets;
 use crate::raster::Image;
 use crate::render::left_out::{beside, filmed, inner_cameras, only, others, shown_frames};
 use crate::render::{LightField, RenderError, RenderOptions};
@@ -14,6 +14,13 @@ const FRAMES: usize = 4;
 
 /// Cameras, the nearest, that each is rendered from. More cost time; fewer than two are on one side.
 const NEIGHBORS: usize = 4;
+
+/// Shares of the way from a frame to the next at which views may be made.
+const SHARES: [f64; 3] = [0.5, 0.25, 0.75];
+
+/// How far around what changes in a camera's frame it may lie in a view beside it, pixels. Larger: noise
+/// of what stands still counts; smaller: what is near is missed.
+const ASIDE_PX: usize = 16;
 
 /// An instant nearer to a frame than this share of the interval shows no sync rung's errors.
 const BETWEEN: f64 = 0.1;
@@ -33,22 +40,24 @@ struct LeftOut {
     /// The camera's id, and the frame.
     name: String,
     time_s: f64,
-    /// Where and when views are made: halfway to the nearest neighbour, and to the next frame.
+    /// Where and when views are made: halfway to the nearest neighbour, between this frame and the
+    /// next.
     beside: Camera,
     beside_s: f64,
+    /// As the reference would have recorded it.
     truth: Image,
-    /// Where it differs from the frames beside it.
+    /// The camera as bright as which `field` renders.
+    bright_as: usize,
+    /// Where the frame differs from those before and after it, row by row; and what is near that.
     changing: Vec<bool>,
+    near_changing: Vec<bool>,
 }
 
 impl Probe {
     /// `None` where no frame lies between its neighbours' frames, as with one clock for all, or
     /// hardly anything changes.
-    pub fn open(
-        capture: &Capture,
-        offsets: &Offsets,
-        dearer: &RenderOptions,
-    ) -> Result<Option<Self>, RenderError> {
+    pub fn open(whole: &LightField, dearer: &RenderOptions) -> Result<Option<Self>, RenderError> {
+        let (capture, offsets) = (whole.capture(), whole.offsets());
         let times_s = offsets.common_times_s(capture);
         let mut frames = Vec::new();
         for index in inner_cameras(capture) {
@@ -56,6 +65,7 @@ impl Probe {
             let mut from = others(capture, index);
             from.truncate(NEIGHBORS);
             let (less, known) = only(capture, offsets, &from);
+            let bright_as = from[less.reference];
             let field = LightField::new(less, known, dearer.clone());
             let shown = shown_frames(&field, times_s);
             let Some(&frame) = shown.get((2 * frames.len() + 1) * shown.len() / (2 * FRAMES))
@@ -70,11 +80,24 @@ impl Probe {
             }
             let (id, camera) = (&capture.cameras[index].id, &capture.cameras[index].camera);
             let (name, camera) = (format!("{id}'s {frame}"), camera.clone());
-            let beside = beside(capture, index);
-            let next = if frame + 1 < times_s.len() { frame + 1 } else { frame.saturating_sub(1) };
-            let beside_s = 0.5 * (time_s + times_s[next]);
-            let own = LeftOut { field, camera, name, time_s, beside, beside_s, truth, changing };
-            frames.push(own);
+            let next_s = times_s[if frame + 1 < times_s.len() { frame + 1 } else { frame - 1 }];
+            let instants = SHARES.map(|share| time_s + share * (next_s - time_s));
+            // The first of those that most cameras have between frames.
+            let between = |s: &f64| std::cmp::Reverse(whole.between_frames(*s, BETWEEN));
+            let Some(beside_s) = instants.into_iter().min_by_key(between) else { continue };
+            let changing_px: Vec<f32> = changing.iter().map(|c| f32::from(u8::from(*c))).collect();
+            frames.push(LeftOut {
+                field,
+                camera,
+                name,
+                time_s,
+                beside: beside(capture, index),
+                beside_s,
+                near_changing: moving_part(&changing_px, truth.width(), 0.5, ASIDE_PX),
+                truth: whole.gains().corrected(index, &truth).unwrap_or(truth),
+                bright_as,
+                changing,
+            });
             if frames.len() == FRAMES {
                 break;
             }
@@ -88,11 +111,11 @@ impl Probe {
         names.join(", ")
     }
 
-    /// How much better, decibels, views by dearer rungs can be than by cheaper ones: 10·log₁₀(1 + D/E),
-    /// D the squared difference of the two halfway between the filming cameras, and E the squared error
-    /// of the dearer ones where they show filmed frames again, each summed up. So much it is if all that
-    /// the dearer rungs change is for the better, and views are as wrong as those of left-out cameras.
-    /// `None` where one can't be rendered, or nothing is seen.
+    /// How much better, decibels, views by dearer rungs can be than by cheaper ones where things change:
+    /// 10·log₁₀(1 + D/E), D the squared difference of the two halfway between the filming cameras, and E
+    /// the squared error of the dearer ones where they show filmed frames again, each summed up. So much
+    /// it is if all that the dearer rungs change is for the better, and views are as wrong as those of
+    /// left-out cameras. `None` where none can be rendered, or nothing is seen.
     ///
     /// What left-out cameras' frames gain is no guide: they stand twice as far from their neighbours as
     /// views do, the proxy is off by twice as much there, and an outline in the wrong place costs a
@@ -111,13 +134,13 @@ impl Probe {
                 views.extend(view(field, &frame.beside, frame.beside_s)?);
             }
             let again = view(&frame.field, &frame.camera, frame.time_s)?;
-            let ([cheap, dear], Some(again)) = (views.as_slice(), again) else {
-                return Ok(None);
-            };
+            let ([cheap, dear], Some(again)) = (views.as_slice(), again) else { continue };
             let seen = cheap.coverage.iter().zip(&dear.coverage).map(|(a, b)| *a && *b);
-            difference += squared(&cheap.image, &dear.image, seen);
-            let seen = again.coverage.iter().zip(&frame.changing).map(|(a, b)| *a && *b);
-            error += squared(&again.image, &frame.truth, seen);
+            let counts = seen.zip(&frame.near_changing).map(|(a, b)| a && *b);
+            difference += squared(&cheap.image, &dear.image, counts);
+            let counts = again.coverage.iter().zip(&frame.changing).map(|(a, b)| *a && *b);
+            let image = field.gains().corrected(frame.bright_as, &again.image);
+            error += squared(&image.unwrap_or(again.image), &frame.truth, counts);
         }
         // Nothing seen, or no error at all: 0/0, or more than any budget.
         let gain_db = 10.0 * (difference / error).ln_1p() / std::f64::consts::LN_10;

@@ -95,7 +95,12 @@ pub(crate) fn sample_all(
     }
     match image.channels() {
         1 => each::<1>(image, positions, out),
-        _ => each::<3>(image, positions, out),
+        3 => each::<3>(image, positions, out),
+        n => {
+            for ([x, y], out) in positions.zip(out.chunks_exact_mut(n)) {
+                image.sample_cubic(x, y, out);
+            }
+        }
     }
 }
 

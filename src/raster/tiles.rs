@@ -13,8 +13,12 @@ pub struct Tiles {
 }
 
 impl Tiles {
-    /// Of an image of this size; none is marked.
+    /// Of an image of this size, pixels; none is marked.
+    ///
+    /// # Panics
+    /// If a dimension is 0.
     pub fn none(width: usize, height: usize) -> Self {
+        assert!(width > 0 && height > 0, "an image has no empty dimension");
         let (across, down) = (width.div_ceil(SIDE), height.div_ceil(SIDE));
         Self { across, down, marked: vec![false; across * down] }
     }
@@ -24,7 +28,7 @@ impl Tiles {
         self.marked.contains(&true)
     }
 
-    /// Marks what of the image a sample at this position is made from ([`super::Sampling`]).
+    /// Marks what of the image a sample at this position, pixels, is made from ([`super::Sampling`]).
     /// Positions outside take the border's, a NaN that of the first pixel.
     pub fn mark_sample(&mut self, x: f32, y: f32) {
         // The cubic reaches over two pixels on each side; beyond the largest, `as` saturates.
@@ -39,7 +43,8 @@ impl Tiles {
         }
     }
 
-    /// Whether a marked tile has pixels in a square, whose corner may lie outside the image.
+    /// Whether a marked tile has pixels in a square of so many pixels a side, whose top left corner may
+    /// lie outside the image.
     pub fn touches(&self, corner: [isize; 2], side: usize) -> bool {
         let span = |from: isize, tiles: usize| {
             let end = from.saturating_add_unsigned(side).max(0) as usize;

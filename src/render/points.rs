@@ -89,15 +89,16 @@ impl LightField {
     ) -> Result<(std::sync::Arc<crate::registration::Frame>, Vec<Feature>), RenderError> {
         let (k, later) = self.bracket(camera, time_s)?;
         let registration = &self.options().registration;
+        let times = self.times(camera);
+        // A static light field may have no times.
+        let use_later = k != later && times[later] - time_s < time_s - times[k];
         if k == later || self.skips(camera, k)? {
-            let frame = self.frames().get(camera, k)?;
+            let frame = self.frames().get(camera, if use_later { later } else { k })?;
             let corners = frame.corners(registration);
             let features =
                 corners.iter().map(|&p| Feature { in_frame: p, at_instant: p }).collect();
             return Ok((frame, features));
         }
-        let times = self.times(camera);
-        let use_later = times[later] - time_s < time_s - times[k];
         let frame = self.frames().get(camera, if use_later { later } else { k })?;
         let features = self
             .tracks(camera, k)?

@@ -37,7 +37,8 @@ pub(super) fn prepared(
     options: &RenderOptions,
     reporter: &Reporter,
 ) -> Result<Prepared, TradeoffError> {
-    let key = store.key("prepared", &(&options.registration, &options.offset));
+    let still_change = options.interpolation.still_change;
+    let key = store.key("prepared", &(&options.registration, &options.offset, still_change));
     if let Some(kept) = store.load::<Prepared>(&key)
         && kept.offsets.cameras.len() == capture.cameras.len()
     {

@@ -54,7 +54,11 @@ pub(super) fn sync_part(o: &RenderOptions) -> Value {
             let InterpolationOptions { curved, still_change, .. } = o.interpolation;
             json!([o.offset, o.sync, o.registration, curved, still_change])
         }
-        Sync::Morph | Sync::EdgeMorph | Sync::Refined => {
+        Sync::Refined => {
+            let InterpolationOptions { curved, still_change, ref refine, .. } = o.interpolation;
+            json!([o.offset, o.sync, o.registration, curved, still_change, refine])
+        }
+        Sync::Morph | Sync::EdgeMorph => {
             json!([o.offset, o.sync, o.registration, o.interpolation])
         }
     }
@@ -62,7 +66,7 @@ pub(super) fn sync_part(o: &RenderOptions) -> Value {
 
 /// The options that the scene's shape depends on.
 fn proxy_part(o: &RenderOptions) -> Value {
-    json!([o.offset, o.registration, o.proxy])
+    json!([o.offset, o.registration, o.interpolation.still_change, o.proxy])
 }
 
 /// The times of one stage.

@@ -171,7 +171,8 @@ fn judge_all(scenes: &[Tradeoff]) -> Vec<String> {
     wrong
 }
 
-/// The presets with any one parameter changed; `best` as it comes out where everything pays.
+/// The presets with any one parameter changed; `best` as it comes out where everything pays, as on all
+/// films so far.
 fn around_presets() -> Vec<RenderOptions> {
     let variable = Variable { offsets: true, cameras: 4 };
     let mut dear = most_accurate(&RenderOptions::default());

@@ -186,7 +186,6 @@ fn lucas_kanade(
     target
 }
 
-/// Whatever a number is, a file has a value for it.
 /// A view refines only what it is blended from: to the bit as if it refined all of every camera.
 #[test]
 fn views_of_parts_and_of_whole_images() {
@@ -207,6 +206,7 @@ fn views_of_parts_and_of_whole_images() {
     }
 }
 
+/// Whatever a number is, a file has a value for it.
 #[test]
 fn what_is_no_number_is_black_in_an_image_and_null_in_json() {
     let odd = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -0.1, 1.1, 0.5];

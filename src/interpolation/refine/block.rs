@@ -1,6 +1,6 @@
 //! One block of pixels under the motions around it, each under its three hypotheses.
 
-use super::FourFrames;
+use super::{FourFrames, outer_weight};
 use crate::interpolation::local_motion::LocalMotion;
 use crate::interpolation::windows::{box_mean, difference, mixed};
 use crate::interpolation::{Motion, RefineOptions};
@@ -10,11 +10,6 @@ use nalgebra::{Point2, Vector2};
 
 /// Motions that the outer frames are tried by where the middle ones agree. More costs time.
 const AGREEING_MOTIONS: usize = 2;
-
-/// What stands still may differ in an outer frame from the middle ones by this share of
-/// [`RefineOptions::outer_slack`] more than they do from each other, in the mean of a block. Larger:
-/// slow motion blurs; smaller: noise is taken for motion, which costs time.
-const AT_REST: f32 = 0.25;
 
 /// Twice the least share of the interval that is told from a frame.
 const MIN_SHARE: f32 = 1e-3;
@@ -66,17 +61,14 @@ impl Work<'_> {
             .fold(0.0, f32::max);
         let agree = worst <= self.options.min_difference;
         // There, all that is left to do is to average the outer frames in.
-        if agree && (self.outer_weight() <= 0.0 || self.outer_costs.iter().all(Option::is_none)) {
+        if agree
+            && (outer_weight(self.frames, self.options) <= 0.0
+                || self.outer_costs.iter().all(Option::is_none))
+        {
             return None;
         }
-        if agree && self.at_rest(|| places().filter_map(|(x, y)| pixel(x, y))) {
-            let mut colors = vec![0.0; block * block * channels];
-            for ((x, y), color) in places().zip(colors.chunks_exact_mut(channels)) {
-                if let Some(at) = pixel(x, y) {
-                    self.averaged(at, color);
-                }
-            }
-            return Some(colors);
+        if agree && self.is_at_rest(|| places().filter_map(|(x, y)| pixel(x, y))) {
+            return Some(self.averaged(places().map(|(x, y)| pixel(x, y))));
         }
         let mut candidates = self.candidates(&center);
         if candidates.is_empty() {
@@ -114,36 +106,6 @@ impl Work<'_> {
             }
         }
         Some(sums.colors)
-    }
-
-    /// Whether the frames before and after show these pixels as the middle ones do: each so that
-    /// [`Self::fused`] would count them in full, and all together but for noise.
-    fn at_rest<I: Iterator<Item = (usize, usize)>>(&self, pixels: impl Fn() -> I) -> bool {
-        let slack = self.options.outer_slack;
-        self.outer_costs.iter().flatten().all(|costs| {
-            let (mut sum, mut count) = (0.0, 0.0);
-            for (x, y) in pixels() {
-                let k = y * self.dissolved.width() + x;
-                let excess = costs[k] - self.costs[k];
-                if excess > slack {
-                    return false;
-                }
-                (sum, count) = (sum + excess, count + 1.0);
-            }
-            sum <= AT_REST * slack * count
-        })
-    }
-
-    /// All frames' mean of a pixel that stands still, as [`Self::fused`] weighs them.
-    fn averaged(&self, (x, y): (usize, usize), color: &mut [f32]) {
-        let middle = self.dissolved.pixel(x, y);
-        color.copy_from_slice(middle);
-        let weight = 0.25 * self.outer_weight();
-        for image in [self.frames.before, self.frames.after].into_iter().flatten() {
-            for ((color, outer), middle) in color.iter_mut().zip(image.pixel(x, y)).zip(middle) {
-                *color += weight * (outer - middle);
-            }
-        }
     }
 
     /// The dissolve and its costs over a block with the windows around it; beyond the image's
@@ -204,7 +166,7 @@ impl Work<'_> {
     /// pixel takes the one that fits best.
     fn fused(&self, mixed: &Image, outer: &[[Option<&Image>; 2]], costs: &[f32]) -> Image {
         let (side, channels) = (mixed.width(), mixed.channels());
-        let full = self.outer_weight();
+        let full = outer_weight(self.frames, self.options);
         let mut out = mixed.clone();
         if full <= 0.0 {
             return out;
@@ -229,12 +191,6 @@ impl Work<'_> {
             }
         }
         out
-    }
-
-    /// How much the outer frames count at most: 0 at a frame, most halfway between two.
-    fn outer_weight(&self) -> f32 {
-        let share = self.frames.share;
-        self.options.outer_share * 4.0 * share * (1.0 - share)
     }
 
     /// Mean over the window of a patch that is `side` pixels wide and high.
