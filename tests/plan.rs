@@ -96,6 +96,23 @@ fn where_nothing_changes_nothing_is_registered() {
     assert_eq!(plan.options.interpolation.still_change, 0.0);
 }
 
+/// A lamp that flickers moves nothing and changes all blocks alike: such pairs say nothing of noise.
+#[test]
+fn flicker_is_not_taken_for_noise() {
+    let folder = still().film();
+    for frame in [1, 3] {
+        let path = folder.path().join(format!("cam2/{frame}.png"));
+        let (mut image, depth) = read_image(&path).unwrap();
+        image.data_mut().iter_mut().for_each(|v| *v = (*v + 20.0 / 255.0).min(1.0));
+        write_image(&path, &image, None, depth).unwrap();
+    }
+    let mut options = RenderOptions::default();
+    options.auto.sync = true;
+    let (plan, _) = plan(&open(&folder), &options, &Reporter::silent()).unwrap();
+    assert_rungs(&plan, &[("still pairs", "dissolved")]);
+    assert!(plan.options.interpolation.still_change < 0.001, "{plan:?}");
+}
+
 #[test]
 fn a_smaller_budget_asks_for_more() {
     let folder = still().film();
@@ -104,6 +121,7 @@ fn a_smaller_budget_asks_for_more() {
     options.auto.budget_px = 1e-9;
     let (plan, _) = plan(&open(&folder), &options, &Reporter::silent()).unwrap();
     assert_rungs(&plan, &[("proxy", "mesh")]);
+    assert_eq!(plan.options.interpolation.still_change, 0.0);
 }
 
 #[test]

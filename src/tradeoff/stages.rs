@@ -238,3 +238,22 @@ impl<'a> Views<'a> {
         Ok(watch.elapsed())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::ValueEnum;
+
+    /// Where still pairs go unregistered, images and points are others.
+    #[test]
+    fn what_stands_still_tells_stages_apart() {
+        let mut other = RenderOptions::default();
+        other.interpolation.still_change = 0.01;
+        assert_ne!(proxy_part(&RenderOptions::default()), proxy_part(&other));
+        for &sync in Sync::value_variants() {
+            let [a, b] = [RenderOptions::default(), other.clone()]
+                .map(|options| sync_part(&RenderOptions { sync, ..options }));
+            assert_eq!(a != b, sync.needs_tracks(), "{sync:?}");
+        }
+    }
+}
