@@ -223,7 +223,10 @@ impl<'a> Views<'a> {
         self.field.set_options(options.clone());
         let proxy = self.proxy(options, camera, time_s)?;
         let mut images = self.field.blanks(time_s);
-        let needed = self.field.needed(&images, &proxy.depth_map(camera), camera);
+        let needed = match stage {
+            Stage::Sync => self.field.needed(&images, &proxy.depth_map(camera), camera),
+            Stage::Proxy | Stage::Blend => Vec::new(),
+        };
         self.field.forget_points();
         let watch = Stopwatch::start();
         match stage {

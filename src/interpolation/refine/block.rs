@@ -25,7 +25,8 @@ pub struct Work<'a> {
     pub dissolved: &'a Image,
     /// Mean difference of the warped frames around each pixel.
     pub costs: &'a [f32],
-    /// The same of the frames before and after, unmoved, and the dissolved one.
+    /// The same of the frames before and after, unmoved, and the dissolved one; none where they don't
+    /// count.
     pub outer_costs: [Option<Vec<f32>>; 2],
     pub options: &'a RefineOptions,
     /// Between blocks, pixels.
@@ -61,10 +62,7 @@ impl Work<'_> {
             .fold(0.0, f32::max);
         let agree = worst <= self.options.min_difference;
         // There, all that is left to do is to average the outer frames in.
-        if agree
-            && (outer_weight(self.frames, self.options) <= 0.0
-                || self.outer_costs.iter().all(Option::is_none))
-        {
+        if agree && self.outer_costs.iter().all(Option::is_none) {
             return None;
         }
         if agree && self.is_at_rest(|| places().filter_map(|(x, y)| pixel(x, y))) {

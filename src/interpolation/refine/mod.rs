@@ -204,8 +204,9 @@ mod tests {
         assert!(after > before + 8.0, "{before} {after}");
     }
 
-    fn noisy(image: Image, random: &mut Random) -> Image {
-        let data = image.data().iter().map(|v| v + 0.02 * random.signed() as f32).collect();
+    fn noisy(image: &Image, amplitude: f32, random: &mut Random) -> Image {
+        let noise = |v: &f32| v + amplitude * random.signed() as f32;
+        let data = image.data().iter().map(noise).collect();
         Image::from_data(W, H, 1, data)
     }
 
@@ -214,7 +215,7 @@ mod tests {
     fn what_stands_still_is_averaged() {
         let mut random = Random::new(3);
         let truth = scene(0.0);
-        let frames = [0; 4].map(|_| noisy(truth.clone(), &mut random));
+        let frames = [0; 4].map(|_| noisy(&truth, 0.02, &mut random));
         let still = Warp::identity(W, H);
         let options = RefineOptions::default();
         let of = |options: &RefineOptions| {
@@ -287,11 +288,7 @@ mod tests {
     fn four_frames_have_less_noise_than_two_and_a_frame_stays_as_filmed() {
         let clean = scene(0.0);
         let mut random = Random::new(1);
-        let mut noisy = || {
-            let data = clean.data().iter().map(|v| v + 0.03 * random.signed() as f32).collect();
-            Image::from_data(W, H, 1, data)
-        };
-        let frames = [noisy(), noisy(), noisy(), noisy()];
+        let frames = [0; 4].map(|_| noisy(&clean, 0.03, &mut random));
         let still = at_rest();
         let warp = Warp::identity(W, H);
         let at = |share: f32, outer_share: f32| {

@@ -1,5 +1,5 @@
-//! Blocks in which nothing moves: the mean of all frames as they are, in which
-//! [`Work::block`](super::block::Work::block) would end up too.
+//! Blocks in which nothing moves: the mean of all frames as they are, which trying motions comes to too,
+//! but for what it resamples.
 
 use super::block::Work;
 use super::outer_weight;
