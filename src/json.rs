@@ -76,7 +76,7 @@ pub fn objects<'de, T: Deserialize<'de>, D: Deserializer<'de>>(d: D) -> Result<V
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::render::RenderOptions;
+    use crate::options::RenderOptions;
 
     #[test]
     fn the_field_is_named() {

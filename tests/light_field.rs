@@ -7,9 +7,10 @@ use common::{assert_refused, run, stderr};
 use serde_json::{Value, json};
 use std::path::Path;
 use std::process::Command;
-use stlfr::capture::{Capture, read_image};
+use stlfr::capture::Capture;
 use stlfr::raster::Image;
-use stlfr::video::find_ffmpeg;
+use stlfr::raster::read_image;
+use stlfr::toolchain::find_ffmpeg;
 
 /// Frames after the scene's start, the reference (the middle one) not at 0.
 const DELAYS_FRAMES: [f64; 3] = [0.6, 0.2, -0.1];
@@ -169,7 +170,7 @@ fn many_times_are_each_one_time_as_images_and_as_a_video() {
     let video = out.path().join("slow.mkv");
     run(&["setup", "-q"]); // brings an ffmpeg where the system has none
     render(&video, ["--times", &times]);
-    let ffmpeg = find_ffmpeg(common::root()).expect("an ffmpeg");
+    let ffmpeg = find_ffmpeg().expect("an ffmpeg");
     let decoded = Command::new(ffmpeg)
         .args(["-v", "error", "-i", text(&video)])
         .args(["-f", "rawvideo", "-pix_fmt", "rgb24", "-"])
@@ -269,8 +270,8 @@ fn kept_offsets_serve_until_something_changes() {
     let changed = folder.join("cam2/0003.png");
     let mut image = read_image(&changed).unwrap().0;
     image.data_mut()[0] = 1.0 - image.data()[0];
-    let depth = stlfr::capture::BitDepth::Eight;
-    stlfr::capture::write_image(&changed, &image, None, depth).unwrap();
+    let depth = stlfr::raster::BitDepth::Eight;
+    stlfr::raster::write_image(&changed, &image, None, depth).unwrap();
     assert!(succeed(&render).1.contains("estimated"));
     let again = offset_s(&offsets(folder), 0);
     assert!(again != 0.0101 && (again - estimated).abs() < 1e-4, "{again} s, {estimated} s");

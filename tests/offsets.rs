@@ -11,8 +11,9 @@ use scene::Film;
 use std::sync::Arc;
 use stlfr::capture::Capture;
 use stlfr::offset::{Offsets, estimate};
+use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
-use stlfr::render::RenderOptions;
+use stlfr::registration::FrameStore;
 
 fn estimated(film: &Film) -> (Arc<Capture>, Offsets, Vec<f64>) {
     let folder = tempfile::tempdir().unwrap();
@@ -20,7 +21,8 @@ fn estimated(film: &Film) -> (Arc<Capture>, Offsets, Vec<f64>) {
     let capture = Arc::new(Capture::open(folder.path()).unwrap());
     let options = RenderOptions::default();
     let silent = Reporter::silent();
-    let found = estimate(&capture, &options.offset, &options.registration, &silent).unwrap();
+    let frames = FrameStore::new(capture.clone(), &options.registration);
+    let found = estimate(&frames, &options.offset, &silent).unwrap();
     // Frames go with the folder; all that is used below is the clocks.
     (capture, found.offsets, truth)
 }

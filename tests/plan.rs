@@ -5,26 +5,39 @@ mod common;
 use common::wall::{self, FRAME_S, Scene, open};
 use common::{assert_refused, run, stderr};
 use serde_json::{Value, json};
-use stlfr::capture::{read_image, write_image};
-use stlfr::interpolation::Sync;
-use stlfr::plan::{Plan, plan};
+use stlfr::interpolation::SyncMethod;
+use stlfr::light_field::LightField;
+use stlfr::options::{ProxyMethod, RenderOptions};
+use stlfr::pipeline::{open_field, resolved};
+use stlfr::plan::{Choice, Plan, Stage, plan};
 use stlfr::progress::Reporter;
 use stlfr::raster::{Image, encoded_from_linear, linear_from_encoded};
-use stlfr::render::{LightField, ProxyRung, RenderOptions};
+use stlfr::raster::{read_image, write_image};
+use tempfile::TempDir;
+
+/// Opens a capture's light field and plans its views.
+fn plan_of(folder: &TempDir, options: &RenderOptions) -> (Plan, LightField) {
+    let field = open_field(open(folder), options, &Reporter::silent()).unwrap();
+    (plan(&field, options, &Reporter::silent()).unwrap(), field)
+}
+
+/// Options that leave to the capture what can be left to it.
+fn auto() -> RenderOptions {
+    let mut options = auto();
+    options
+}
 
 fn planned(scene: &Scene, change: impl FnOnce(&mut Value)) -> Plan {
     let folder = scene.film();
     wall::edit(&folder, change);
-    let mut options = RenderOptions::default();
-    (options.auto.sync, options.auto.proxy) = (true, true);
-    plan(&open(&folder), &options, &Reporter::silent()).unwrap().0
+    plan_of(&folder, &auto()).0
 }
 
 #[track_caller]
-fn assert_rungs(plan: &Plan, rungs: &[(&str, &str)]) {
-    for (stage, rung) in rungs {
-        let decision = plan.decision(stage).expect("the stage is decided");
-        assert_eq!(decision.rung, *rung, "{decision:?}");
+fn assert_choices(plan: &Plan, choices: &[Choice]) {
+    for choice in choices {
+        let decision = plan.decision(choice.stage()).expect("the stage is decided");
+        assert_eq!(decision.choice, *choice, "{decision:?}");
     }
 }
 
@@ -37,31 +50,41 @@ fn still() -> Scene {
 fn a_still_synchronized_wall_requires_nothing_but_a_blend() {
     let plan = planned(&still(), |_| ());
     let stages = [
-        ("offsets", "known clocks"),
-        ("sync", "nearest"),
-        ("path", "straight"),
-        ("proxy", "plane"),
-        ("gains", "equal"),
-        ("lenses", "pinhole"),
-        ("references", "one direction"),
+        Choice::KnownClocks,
+        Choice::Sync(SyncMethod::Nearest),
+        Choice::Straight,
+        Choice::Proxy(ProxyMethod::Plane),
+        Choice::EqualGains,
+        Choice::PinholeLenses,
+        Choice::OneDirection,
     ];
-    assert_rungs(&plan, &stages);
-    assert_eq!((plan.options.sync, plan.options.proxy.rung), (Sync::Nearest, ProxyRung::Plane));
+    assert_choices(&plan, &stages);
+    assert_eq!(
+        (plan.options.sync, plan.options.proxy.method),
+        (SyncMethod::Nearest, ProxyMethod::Plane)
+    );
     assert!(!plan.options.interpolation.curved);
 }
 
 #[test]
 fn what_moves_alike_is_triangulated_and_what_moves_apart_refined() {
-    assert_rungs(
+    assert_choices(
         &planned(&Scene::default(), |_| ()),
-        &[("offsets", "estimated"), ("sync", "triangulation"), ("proxy", "plane")],
+        &[
+            Choice::EstimatedOffsets,
+            Choice::Sync(SyncMethod::Triangulation),
+            Choice::Proxy(ProxyMethod::Plane),
+        ],
     );
     let scene = Scene { board: Some([-1.5, -0.8]), ..Scene::default() };
-    assert_rungs(&planned(&scene, |_| ()), &[("sync", "refined"), ("proxy", "mesh")]);
+    assert_choices(
+        &planned(&scene, |_| ()),
+        &[Choice::Sync(SyncMethod::Refined), Choice::Proxy(ProxyMethod::Mesh)],
+    );
     // A tenth of a pixel a frame is less than a budget, but more than nothing.
     let scene = Scene { velocity: [0.02, 0.05], ..still() };
     let plan = planned(&scene, |_| ());
-    assert!(["nearest", "crossfade"].contains(&plan.decision("sync").unwrap().rung.as_str()));
+    assert!([SyncMethod::Nearest, SyncMethod::Crossfade].contains(&plan.options.sync));
 }
 
 /// Two cameras see a board pass; the third shows its first frame all the time, but for noise.
@@ -78,21 +101,22 @@ fn where_nothing_changes_nothing_is_registered() {
         }
         write_image(&path(frame), &image, None, depth).unwrap();
     }
-    let mut options = RenderOptions::default();
-    (options.auto.sync, options.auto.proxy) = (true, true);
-    let (plan, field) = plan(&open(&folder), &options, &Reporter::silent()).unwrap();
-    assert_rungs(&plan, &[("sync", "refined"), ("still pairs", "dissolved")]);
+    let options = auto();
+    let (plan, field) = plan_of(&folder, &options);
+    assert_choices(&plan, &[Choice::Sync(SyncMethod::Refined), Choice::PairsCrossFaded]);
     let time_s = 1.6 * FRAME_S;
-    let [moving, still] = [1, 2]
-        .map(|c| [Sync::Crossfade, Sync::Refined].map(|s| field.synchronized_by(s, c, time_s)));
-    let [dissolved, refined] = still.map(Result::unwrap);
-    assert_eq!(dissolved, refined);
+    let [moving, still] = [1, 2].map(|c| {
+        [SyncMethod::Crossfade, SyncMethod::Refined]
+            .map(|s| field.synchronized(c, time_s, &plan.options.view().with_sync(s)))
+    });
+    let [crossfaded, refined] = still.map(Result::unwrap);
+    assert_eq!(crossfaded, refined);
     assert!((0.003..0.03).contains(&plan.options.interpolation.still_change));
-    let [dissolved, refined] = moving.map(Result::unwrap);
-    assert_ne!(dissolved, refined);
+    let [crossfaded, refined] = moving.map(Result::unwrap);
+    assert_ne!(crossfaded, refined);
 
     let plan = planned(&scene, |_| ());
-    assert_rungs(&plan, &[("sync", "refined"), ("still pairs", "registered")]);
+    assert_choices(&plan, &[Choice::Sync(SyncMethod::Refined), Choice::PairsRegistered]);
     assert_eq!(plan.options.interpolation.still_change, 0.0);
 }
 
@@ -108,19 +132,18 @@ fn flicker_is_not_taken_for_noise() {
     }
     let mut options = RenderOptions::default();
     options.auto.sync = true;
-    let (plan, _) = plan(&open(&folder), &options, &Reporter::silent()).unwrap();
-    assert_rungs(&plan, &[("still pairs", "dissolved")]);
+    let (plan, _) = plan_of(&folder, &options);
+    assert_choices(&plan, &[Choice::PairsCrossFaded]);
     assert!(plan.options.interpolation.still_change < 0.001, "{plan:?}");
 }
 
 #[test]
 fn a_smaller_budget_asks_for_more() {
     let folder = still().film();
-    let mut options = RenderOptions::default();
-    (options.auto.sync, options.auto.proxy) = (true, true);
+    let mut options = auto();
     options.auto.budget_px = 1e-9;
-    let (plan, _) = plan(&open(&folder), &options, &Reporter::silent()).unwrap();
-    assert_rungs(&plan, &[("proxy", "mesh")]);
+    let (plan, _) = plan_of(&folder, &options);
+    assert_choices(&plan, &[Choice::Proxy(ProxyMethod::Mesh)]);
     assert_eq!(plan.options.interpolation.still_change, 0.0);
 }
 
@@ -136,15 +159,21 @@ fn a_camera_that_records_more_light_is_corrected() {
         let image = Image::from_data(image.width(), image.height(), image.channels(), data);
         write_image(&path, &image, None, depth).unwrap();
     }
-    let mut options = RenderOptions::default();
-    (options.auto.sync, options.auto.proxy) = (true, true);
-    let (plan, field) = plan(&open(&folder), &options, &Reporter::silent()).unwrap();
-    assert_rungs(&plan, &[("gains", "corrected"), ("sync", "nearest"), ("proxy", "plane")]);
+    let options = auto();
+    let (plan, field) = plan_of(&folder, &options);
+    assert_choices(
+        &plan,
+        &[
+            Choice::CorrectedGains,
+            Choice::Sync(SyncMethod::Nearest),
+            Choice::Proxy(ProxyMethod::Plane),
+        ],
+    );
     let [r, g, b] = field.gains().of(2);
     assert!([r, g, b].iter().all(|gain| (gain - 1.25).abs() < 0.02), "{r} {g} {b}");
     // Seen from there, the view is as bright as the reference records it.
     let camera = field.capture().cameras[2].camera.clone();
-    let view = field.view(&camera, 0.0).unwrap().image;
+    let view = field.view(&camera, 0.0, &plan.options.view()).unwrap().image;
     let wanted = scene.image(scene.centers_m[2], 0.0);
     let apart: f32 = view.data().iter().zip(wanted.data()).map(|(a, b)| (a - b).abs()).sum();
     assert!(apart / (view.data().len() as f32) < 2.0 / 255.0, "{apart}");
@@ -159,11 +188,11 @@ fn lenses_and_a_second_direction_are_seen() {
             camera["params"] = json!([p[0], p[1], p[2], p[3], -0.05, 0.0, 0.0, 0.0]);
         }
     });
-    assert_rungs(&plan, &[("lenses", "distorted")]);
-    assert!(plan.decision("lenses").unwrap().measured.unwrap() > 0.1);
+    assert_choices(&plan, &[Choice::DistortedLenses]);
+    assert!(plan.decision(Stage::Lenses).unwrap().measured.unwrap() > 0.1);
     let centers_m = [[-0.06, 0.0, 0.0], [0.0; 3], [0.0, 0.06, 0.0]];
     let plan = planned(&Scene { centers_m, ..still() }, |_| ());
-    assert_rungs(&plan, &[("references", "two directions")]);
+    assert_choices(&plan, &[Choice::TwoDirections]);
 }
 
 #[test]
@@ -171,10 +200,11 @@ fn only_what_is_left_to_the_capture_is_chosen() {
     let folder = still().film();
     let mut options = RenderOptions::default();
     options.auto.proxy = true;
-    let field = LightField::open(open(&folder), options, &Reporter::silent()).unwrap();
-    assert_eq!(field.options().sync, Sync::Refined);
-    assert_eq!(field.options().proxy.rung, ProxyRung::Plane);
-    assert!(!field.options().auto.any());
+    let field = open_field(open(&folder), &options, &Reporter::silent()).unwrap();
+    let resolved = resolved(&field, &options, &Reporter::silent()).unwrap();
+    assert_eq!(resolved.sync, SyncMethod::Refined);
+    assert_eq!(resolved.proxy.method, ProxyMethod::Plane);
+    assert!(!resolved.auto.any());
 }
 
 #[test]

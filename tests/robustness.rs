@@ -3,18 +3,21 @@
 
 mod common;
 
-use clap::ValueEnum;
 use common::wall::{
     FOCAL_PX, FRAME_S, H, Scene, W, edit, estimate, open, texture, view, write_json,
 };
 use common::{assert_refused, run, stderr};
 use serde_json::{Value, json};
 use std::path::Path;
-use stlfr::capture::{BitDepth, write_image};
-use stlfr::interpolation::Sync;
+use stlfr::interpolation::SyncMethod;
+use stlfr::light_field::{LightField, RenderError};
+use stlfr::method::Method;
 use stlfr::offset::Offsets;
+use stlfr::options::ViewOptions;
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::raster::Image;
-use stlfr::render::{LightField, ProxyRung, RenderError, RenderOptions};
+use stlfr::raster::{BitDepth, write_image};
+use stlfr::registration::RegistrationOptions;
 use tempfile::TempDir;
 
 #[track_caller]
@@ -92,10 +95,11 @@ fn blank_frames_show_no_offset_and_no_view() {
         let capture = open(&folder);
         let offsets = estimate(&capture);
         assert_unknown(&offsets, &[0, 2], "too few features can be followed");
-        let field = LightField::new(capture, offsets, RenderOptions::default());
-        let image = field.synchronized(1, 0.03).unwrap();
+        let field = LightField::new(capture, offsets, &RegistrationOptions::default());
+        let image = field.synchronized(1, 0.03, &ViewOptions::default()).unwrap();
         assert!(image.data().iter().all(|v| (v - value).abs() < 0.01));
-        let lost = field.view(&view(&scene.camera([0.01, 0.0, 0.0])), 0.03);
+        let lost =
+            field.view(&view(&scene.camera([0.01, 0.0, 0.0])), 0.03, &ViewOptions::default());
         assert!(matches!(lost, Err(RenderError::NoPoints)), "{lost:?}");
     }
 }
@@ -125,12 +129,15 @@ fn one_frame_a_camera_is_the_same_at_any_time() {
     let capture = open(&folder);
     let offsets = estimate(&capture);
     assert_unknown(&offsets, &[0, 2], "one frame");
-    let field = LightField::new(capture, offsets, RenderOptions::default());
+    let field = LightField::new(capture, offsets, &RegistrationOptions::default());
     let target = view(&scene.camera([0.02, 0.0, 0.0]));
-    let first = field.view(&target, 0.0).unwrap();
+    let first = field.view(&target, 0.0, &ViewOptions::default()).unwrap();
     assert!(first.coverage.iter().all(|c| *c));
-    assert_eq!(field.view(&target, -1e6).unwrap(), first);
-    assert_eq!(field.synchronized(2, 9.0).unwrap(), scene_image(&folder, 2, 0));
+    assert_eq!(field.view(&target, -1e6, &ViewOptions::default()).unwrap(), first);
+    assert_eq!(
+        field.synchronized(2, 9.0, &ViewOptions::default()).unwrap(),
+        scene_image(&folder, 2, 0)
+    );
 }
 
 fn scene_image(folder: &TempDir, camera: usize, frame: usize) -> Image {
@@ -143,18 +150,21 @@ fn a_view_without_a_feature_in_it_has_a_depth() {
     let folder = scene.film();
     let capture = open(&folder);
     let offsets = estimate(&capture);
-    let field = LightField::new(capture, offsets, RenderOptions::default());
+    let field = LightField::new(capture, offsets, &RegistrationOptions::default());
     let mut pixel = scene.camera([0.02, 0.0, 0.0]);
     (pixel["width"], pixel["height"]) = (json!(1), json!(1));
     pixel["params"] = json!([FOCAL_PX, FOCAL_PX, 0.5, 0.5]);
-    let rendered = field.view(&view(&pixel), 1.5 * FRAME_S).unwrap();
+    let rendered = field.view(&view(&pixel), 1.5 * FRAME_S, &ViewOptions::default()).unwrap();
     let time_s = 1.5 * FRAME_S;
     let truth = texture(0.02 - 0.3 * time_s, -time_s);
     assert!((f64::from(rendered.image.data()[0]) - truth).abs() < 0.05);
     // Away from the scene there is none.
     let mut away = scene.camera([0.0; 3]);
     away["cam_from_world"]["rotation_wxyz"] = json!([0, 0, 1, 0]);
-    assert!(matches!(field.view(&view(&away), time_s), Err(RenderError::NothingSeen)));
+    assert!(matches!(
+        field.view(&view(&away), time_s, &ViewOptions::default()),
+        Err(RenderError::NothingSeen)
+    ));
 }
 
 #[test]
@@ -190,12 +200,12 @@ fn odd_views_are_rendered_or_refused() {
         (v["width"], v["height"]) = (json!(w), json!(h));
         views.push(v);
     }
-    for rung in [ProxyRung::Plane, ProxyRung::Mesh] {
+    for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
         let mut options = RenderOptions::default();
-        options.proxy.rung = rung;
-        let field = LightField::new(capture.clone(), offsets.clone(), options);
+        options.proxy.method = rung;
+        let field = LightField::new(capture.clone(), offsets.clone(), &options.registration);
         for v in &views {
-            match field.view(&view(v), 1.5 * FRAME_S) {
+            match field.view(&view(v), 1.5 * FRAME_S, &options.view()) {
                 Ok(r) => assert!(r.image.data().iter().all(|v| v.is_finite()), "{v}"),
                 Err(RenderError::NoPoints | RenderError::NothingSeen) => {}
                 Err(error) => panic!("{v}: {error}"),
@@ -295,12 +305,17 @@ fn anything_that_opens_is_worked_with() {
         // As if the clocks were known, so that there is something to render.
         for offsets in [estimated, Offsets::known(&capture)] {
             let mut options = RenderOptions::default();
-            options.proxy.rung = random.pick(&[ProxyRung::Plane, ProxyRung::Mesh]);
+            options.proxy.method = random.pick(&[ProxyMethod::Plane, ProxyMethod::Mesh]);
             options.proxy.plane_depth_m = Some(2.0);
-            let field = LightField::new(capture.clone(), offsets, options);
+            let field = LightField::new(capture.clone(), offsets, &options.registration);
             for time_s in [0.0, 0.02, 0.04, -3.0, 1e9] {
-                for &sync in Sync::value_variants() {
-                    for image in field.synchronized_all(sync, time_s).unwrap().iter().flatten() {
+                for &sync in SyncMethod::ALL {
+                    for image in field
+                        .synchronized_all(time_s, &options.view().with_sync(sync))
+                        .unwrap()
+                        .iter()
+                        .flatten()
+                    {
                         images += 1;
                         let finite = image.data().iter().all(|v| (0.0..=1.0).contains(v));
                         assert!(finite, "case {case}, {sync:?} at {time_s} s");
@@ -308,7 +323,7 @@ fn anything_that_opens_is_worked_with() {
                 }
                 let mut target = capture.cameras[0].camera.clone();
                 target.cam_from_world.translation.x -= 0.01;
-                if let Ok(rendered) = field.view(&target, time_s) {
+                if let Ok(rendered) = field.view(&target, time_s, &options.view()) {
                     views += 1;
                     assert!(rendered.image.data().iter().all(|v| (0.0..=1.0).contains(v)));
                 }

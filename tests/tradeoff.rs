@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
+use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
-use stlfr::render::RenderOptions;
 use stlfr::tradeoff::{Against, Tradeoff, TradeoffOptions, tradeoff};
 
 fn text(path: &Path) -> &str {
@@ -94,7 +94,7 @@ fn the_tiny_capture_against_its_truth_goes_on_after_a_kill() {
         serde_json::from_slice(&std::fs::read(out.join("tradeoff.json")).unwrap()).unwrap();
     assert_eq!(file, found);
     assert!(std::fs::read_to_string(out.join("tradeoff.svg")).unwrap().contains("balanced"));
-    assert!(stlfr::capture::read_image(&out.join("tradeoff.png")).unwrap().0.width() > 600);
+    assert!(stlfr::raster::read_image(&out.join("tradeoff.png")).unwrap().0.width() > 600);
     let recommended = std::fs::read(out.join("recommended.json")).unwrap();
     let recommended: RenderOptions = serde_json::from_slice(&recommended).unwrap();
     assert_eq!(recommended, found.points[found.recommended].options);
@@ -116,7 +116,7 @@ fn without_truth_cameras_are_left_out_and_quality_repeats() {
         (found, quality)
     };
     let (found, quality) = measure();
-    assert_eq!(found.against, Against::LeftOut);
+    assert_eq!(found.against, Against::HeldOut);
     assert!(found.views >= 1);
     assert!(quality.iter().any(|q| q.3.is_some_and(|db| db < 60.0)), "rungs differ");
     assert!(quality.iter().any(|q| q.3 == Some(99.0)), "the most accurate rungs are themselves");

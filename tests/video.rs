@@ -6,23 +6,34 @@ use common::{assert_refused, run, stderr, stlfr, synthetic};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use stlfr::capture::{BitDepth, Capture, read_image, write_image};
+use stlfr::capture::{Capture, CaptureError, Opening};
+use stlfr::progress::Reporter;
 use stlfr::raster::Image;
-use stlfr::video::{Codec, VideoWriter, find_ffmpeg};
+use stlfr::raster::{BitDepth, read_image, write_image};
+use stlfr::toolchain::find_ffmpeg;
+use stlfr::video::{Codec, VideoFormat, VideoWriter};
 
 const FRAMES: usize = 5;
 
+/// Opens a capture whose cameras may be videos.
+fn open(folder: &Path) -> Result<Capture, CaptureError> {
+    let reporter = &Reporter::silent();
+    Capture::open_with(folder, &Opening { ffmpeg: Some(&ffmpeg()), reporter })
+}
+
 fn ffmpeg() -> PathBuf {
-    find_ffmpeg(common::root()).unwrap_or_else(|| {
+    find_ffmpeg().unwrap_or_else(|| {
         run(&["setup", "-q"]); // brings one
-        find_ffmpeg(common::root()).expect("an ffmpeg")
+        find_ffmpeg().expect("an ffmpeg")
     })
 }
 
 fn encode(path: &Path, frames: &[Image], depth: BitDepth, rate_hz: f64) {
     let codec = Codec::Ffv1;
-    let mut video =
-        VideoWriter::create(&ffmpeg(), path, &frames[0], depth, rate_hz, codec).unwrap();
+    let mut video = {
+        let format = VideoFormat { depth, rate_hz, codec };
+        VideoWriter::create(&ffmpeg(), path, &frames[0], format).unwrap()
+    };
     frames.iter().for_each(|f| video.push(f).unwrap());
     video.finish().unwrap();
 }
@@ -59,7 +70,7 @@ fn one_camera() -> tempfile::TempDir {
 }
 
 fn error(folder: &Path) -> String {
-    let message = Capture::open(folder).unwrap_err().to_string();
+    let message = open(folder).unwrap_err().to_string();
     assert!(!message.contains('\n') && !message.contains("0x"), "{message}");
     message
 }
@@ -105,7 +116,7 @@ fn videos_equal_their_image_sequences() {
 
     let cache = videos.path().join(".stlfr/video");
     let index = |k: usize| {
-        let capture = Capture::open(videos.path()).unwrap();
+        let capture = open(videos.path()).unwrap();
         capture.cameras[k].frames[0].clone()
     };
     std::fs::write(index(1), b"cut short").unwrap();
@@ -133,7 +144,7 @@ fn depths_and_colours_survive() {
             (0..64 * 48 * channels).map(|k| ((k * 7919) % (most as usize + 1)) as f32 / most);
         let image = Image::from_data(64, 48, channels, data.collect());
         encode(&folder.path().join("video.mkv"), std::slice::from_ref(&image), depth, 30.0);
-        let capture = Capture::open(folder.path()).unwrap();
+        let capture = open(folder.path()).unwrap();
         assert_eq!(capture.bit_depth(), depth);
         let twin = folder.path().join("twin.png");
         write_image(&twin, &image.to_rgb(), None, depth).unwrap();
@@ -150,7 +161,7 @@ fn colour_ranges_are_told_apart() {
         let filter = format!("-vf scale=out_range={range}:out_color_matrix=bt601 -pix_fmt yuv444p");
         let tags = format!("-color_range {range} -colorspace smpte170m -c:v ffv1");
         make(&format!("{source} {filter} {tags}"), &folder.path().join("video.mkv"));
-        let capture = Capture::open(folder.path()).unwrap();
+        let capture = open(folder.path()).unwrap();
         let image = capture.read_frame(0, 1).unwrap();
         for (v, expected) in image.pixel(30, 20).iter().zip([192.0, 64.0, 128.0]) {
             assert!((255.0 * v - expected).abs() <= 2.0, "{range}: {:?}", image.pixel(30, 20));
@@ -164,7 +175,7 @@ fn sound_and_a_leading_dash_do_not_matter() {
     let source = "-f lavfi -i testsrc2=size=64x48:rate=30:duration=0.2 -f lavfi -i sine -shortest";
     make(&format!("{source} -c:v ffv1"), &folder.path().join("-i.mkv"));
     edit(folder.path(), |json| json["cameras"][0]["frames"] = json!("-i.mkv"));
-    assert_eq!(Capture::open(folder.path()).unwrap().cameras[0].frames.len(), 6);
+    assert_eq!(open(folder.path()).unwrap().cameras[0].frames.len(), 6);
 }
 
 #[test]
@@ -189,7 +200,7 @@ fn bad_videos_are_one_sentence() {
     assert!(left.map(|e| e.path()).all(|p| p.extension().is_some_and(|e| e == "lock")));
 
     std::fs::write(&path, &whole).unwrap();
-    assert_eq!(Capture::open(folder.path()).unwrap().cameras[0].frames.len(), 30);
+    assert_eq!(open(folder.path()).unwrap().cameras[0].frames.len(), 30);
     for (change, words) in [
         ((|j| j["width"] = json!(65)) as fn(&mut Value), "video.mkv: is 64×48 pixels"),
         (|j| j["clock"]["rate_hz"] = json!(25.0), "video's own time stamps"),

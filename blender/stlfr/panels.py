@@ -200,23 +200,23 @@ class STLFR_PT_light_field(RenderTab, bpy.types.Panel):
         layout.label(text=f"This frame: {view.capture_time_s(scene):.4f} s")
 
 
-class STLFR_PT_rungs(RenderTab, bpy.types.Panel):
+class STLFR_PT_methods(RenderTab, bpy.types.Panel):
     """How well."""
 
-    bl_label = "Rungs"
+    bl_label = "Methods"
     bl_parent_id = "STLFR_PT_light_field"
 
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.stlfr
         layout.use_property_split = True
         layout.prop(settings, "preset")
-        rungs = layout.column()
-        rungs.enabled = settings.preset == "none"
-        rungs.prop(settings, "sync")
-        rungs.prop(settings, "proxy")
+        methods = layout.column()
+        methods.enabled = settings.preset == "none"
+        methods.prop(settings, "sync")
+        methods.prop(settings, "proxy")
         if settings.proxy == "plane":
-            rungs.prop(settings, "use_plane_depth")
-            row = rungs.row()
+            methods.prop(settings, "use_plane_depth")
+            row = methods.row()
             row.enabled = settings.use_plane_depth
             row.prop(settings, "plane_depth_m")
 
@@ -267,7 +267,7 @@ CLASSES = (
     STLFR_PT_offsets,
     STLFR_PT_comparison,
     STLFR_PT_light_field,
-    STLFR_PT_rungs,
+    STLFR_PT_methods,
     STLFR_PT_trails,
 )
 

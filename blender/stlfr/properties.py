@@ -20,29 +20,29 @@ from bpy.props import (
 
 import stlfr
 
-LADDERS = stlfr.ladders()
+STAGES = stlfr.methods()
 
 
-AUTO = ("auto", "Auto", "The lowest rung that the capture requires")
+AUTO = ("auto", "Auto", "The cheapest method that the capture requires")
 
-NO_PRESET = ("none", "None", "The rungs below")
+NO_PRESET = ("none", "None", "The methods below")
 
 
-def _rungs(ladder: str, *more: tuple[str, str, str]) -> dict[str, Any]:
-    """The rungs that the module has, for an `EnumProperty`: one that isn't built isn't offered."""
+def _methods(stage: str, *more: tuple[str, str, str]) -> dict[str, Any]:
+    """The methods that the module has, for an `EnumProperty`."""
     return {
         "items": [
             *more,
             *(
                 (
-                    rung["name"],
-                    rung["name"].replace("-", " ").capitalize(),
-                    rung["help"],
+                    method["name"],
+                    method["name"].replace("-", " ").capitalize(),
+                    method["help"],
                 )
-                for rung in LADDERS[ladder]["rungs"]
+                for method in STAGES[stage]["methods"]
             ),
         ],
-        "default": LADDERS[ladder]["default"],
+        "default": STAGES[stage]["default"],
     }
 
 
@@ -147,17 +147,17 @@ class StlfrScene(bpy.types.PropertyGroup):
     preset: EnumProperty(
         name="Preset",
         description="Named options of all stages: speed for accuracy",
-        **{**_rungs("preset", NO_PRESET), "default": NO_PRESET[0]},
+        **{**_methods("preset", NO_PRESET), "default": NO_PRESET[0]},
     )
     sync: EnumProperty(
         name="Sync",
         description="How each camera's image at the instant is made",
-        **_rungs("sync", AUTO),
+        **_methods("sync", AUTO),
     )
     proxy: EnumProperty(
         name="Proxy",
         description="What stands for the scene's shape",
-        **_rungs("proxy", AUTO),
+        **_methods("proxy", AUTO),
     )
     use_plane_depth: BoolProperty(
         name="Focus by Hand",
@@ -189,7 +189,7 @@ class StlfrScene(bpy.types.PropertyGroup):
         min=1,
         max=10_000,
     )
-    trail_mode: EnumProperty(name="Mode", **_rungs("trail"))
+    trail_mode: EnumProperty(name="Mode", **_methods("trail"))
 
     rig_name: StringProperty(name="Name", default="rig")
     rig_seed: IntProperty(

@@ -59,7 +59,7 @@ def capture_time_s(scene: Any) -> float:
 def options(settings: Any) -> dict[str, Any]:
     """The render options that the render tab amounts to, as a file for `stlfr render --options` has them."""
     result: dict[str, Any] = (
-        _rungs(settings) if settings.preset == "none" else {"preset": settings.preset}
+        _methods(settings) if settings.preset == "none" else {"preset": settings.preset}
     )
     if settings.use_trail:
         result["trail"] = {
@@ -70,12 +70,12 @@ def options(settings: Any) -> dict[str, Any]:
     return result
 
 
-def _rungs(settings: Any) -> dict[str, Any]:
-    """The options of the rungs that were chosen one by one."""
+def _methods(settings: Any) -> dict[str, Any]:
+    """The options of the methods that were chosen one by one."""
     auto = {
         stage: True for stage in ("sync", "proxy") if getattr(settings, stage) == "auto"
     }
-    proxy: dict[str, Any] = {} if "proxy" in auto else {"rung": settings.proxy}
+    proxy: dict[str, Any] = {} if "proxy" in auto else {"method": settings.proxy}
     if settings.proxy == "plane" and settings.use_plane_depth:
         proxy["plane_depth_m"] = settings.plane_depth_m
     result: dict[str, Any] = {"proxy": proxy}

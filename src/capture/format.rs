@@ -2,9 +2,9 @@
 
 use super::clock::MAX_TIME_S;
 use super::video::VideoFile;
-use super::{BitDepth, CaptureError, Clock, FilmedCamera, frames, video};
+use super::{CaptureError, Clock, FilmedCamera, Opening, frames, video};
 use crate::camera::{CameraFormat, PoseFormat};
-use crate::progress::Reporter;
+use crate::raster::{BitDepth, ImageFileError, read_header};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
@@ -107,7 +107,7 @@ impl FilmedCameraFormat {
         path: &Path,
         root: &Path,
         index: usize,
-        reporter: &Reporter,
+        opening: &Opening,
     ) -> Result<FilmedCamera, CaptureError> {
         let wrong = |field: &str, reason: String| CaptureError::Field {
             path: path.to_owned(),
@@ -130,21 +130,21 @@ impl FilmedCameraFormat {
         let (video, found) = match frames::video(root, &self.frames) {
             Some(path) => {
                 let path = path.map_err(|e| wrong("frames", e))?;
-                let (video, found) = video::open(root, &path, |e| wrong("frames", e), reporter)?;
+                let (video, found) = video::open(root, &path, |e| wrong("frames", e), opening)?;
                 (Some(video), found)
             }
             None => (None, frames::find(root, &self.frames).map_err(|e| wrong("frames", e))?),
         };
         let mut bit_depth = BitDepth::Eight;
         for frame in &found {
-            let header = super::image_io::read_header(frame)?;
+            let header = read_header(frame)?;
             if (header.width, header.height) != (self.width, self.height) {
                 let path = video.as_ref().map_or(frame, |v| &v.path).clone();
                 let reason = format!(
                     "is {}×{} pixels, its camera {}×{}",
                     header.width, header.height, self.width, self.height
                 );
-                return Err(CaptureError::Image { path, reason });
+                return Err(ImageFileError::Content { path, reason }.into());
             }
             bit_depth = bit_depth.max(header.bit_depth);
         }

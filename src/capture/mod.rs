@@ -8,7 +8,6 @@
 mod clock;
 mod format;
 mod frames;
-mod image_io;
 mod npy;
 mod tracks;
 mod truth;
@@ -16,7 +15,6 @@ mod video;
 
 pub use clock::{Clock, bracket};
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
-pub use image_io::{BitDepth, Samples, quantize, read_image, write_atomically, write_image};
 pub use npy::NpyError;
 pub use tracks::{CameraTracks, TrackedPoint, Tracks};
 pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};
@@ -25,7 +23,8 @@ pub use video::VideoFile;
 use crate::camera::{Camera, CameraFormatError};
 use crate::json::{self, JsonError};
 use crate::progress::Reporter;
-use crate::raster::Image;
+use crate::raster::{BitDepth, Image, ImageFileError, read_image};
+use crate::video::ffmpeg_on_path;
 use std::path::{Path, PathBuf};
 
 /// The file in a capture's folder that describes it.
@@ -57,6 +56,15 @@ pub struct FilmedCamera {
     pub bit_depth: BitDepth,
 }
 
+/// What opening a capture needs where its cameras are videos.
+#[derive(Clone, Copy)]
+pub struct Opening<'a> {
+    /// The ffmpeg that decodes them; without one, a video that isn't decoded yet is refused.
+    pub ffmpeg: Option<&'a Path>,
+    /// Where it is said that a video is being decoded.
+    pub reporter: &'a Reporter,
+}
+
 /// What can be wrong with a capture's folder. Every message is one sentence with file and field.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
@@ -70,8 +78,8 @@ pub enum CaptureError {
     Field { path: PathBuf, field: String, reason: String },
     #[error("{path}: {camera}.{source}")]
     Camera { path: PathBuf, camera: String, source: CameraFormatError },
-    #[error("{path}: {reason}")]
-    Image { path: PathBuf, reason: String },
+    #[error(transparent)]
+    ImageFile(#[from] ImageFileError),
     #[error("{path}: is a video, and reading one needs ffmpeg: install it, or run stlfr setup")]
     NoFfmpeg { path: PathBuf },
 }
@@ -82,13 +90,14 @@ pub fn schema() -> serde_json::Value {
 }
 
 impl Capture {
-    /// Opens and checks a capture's folder.
+    /// Opens and checks a capture's folder; its videos are decoded by the system's ffmpeg.
     pub fn open(folder: &Path) -> Result<Self, CaptureError> {
-        Self::open_reporting(folder, &Reporter::silent())
+        let (ffmpeg, reporter) = (ffmpeg_on_path(), &Reporter::silent());
+        Self::open_with(folder, &Opening { ffmpeg: ffmpeg.as_deref(), reporter })
     }
 
-    /// The same; says when a video is being decoded, which takes its time.
-    pub fn open_reporting(folder: &Path, reporter: &Reporter) -> Result<Self, CaptureError> {
+    /// Opens and checks a capture's folder, whose cameras may be videos.
+    pub fn open_with(folder: &Path, opening: &Opening) -> Result<Self, CaptureError> {
         let path = folder.join(CAPTURE_FILE);
         let format: CaptureFormat = json::read(&path)
             .map_err(|source| CaptureError::Json { path: path.clone(), source })?;
@@ -100,7 +109,7 @@ impl Capture {
         let reference = format.reference_index(&path)?;
         let mut cameras = Vec::with_capacity(format.cameras.len());
         for (index, filmed) in format.cameras.iter().enumerate() {
-            cameras.push(filmed.open(&path, &root, index, reporter)?);
+            cameras.push(filmed.open(&path, &root, index, opening)?);
         }
         let time_origin_s = cameras[reference].clock.times_s[0];
         for (index, camera) in cameras.iter_mut().enumerate() {
@@ -149,14 +158,15 @@ impl Capture {
         let (image, _) = read_image(path)?;
         let (w, h) = (filmed.camera.width, filmed.camera.height);
         if (image.width(), image.height()) != (w, h) {
-            return Err(CaptureError::Image {
+            return Err(ImageFileError::Content {
                 path: path.clone(),
                 reason: format!(
                     "is {}×{} pixels, its camera {w}×{h}",
                     image.width(),
                     image.height()
                 ),
-            });
+            }
+            .into());
         }
         Ok(match filmed.color {
             Color::Rgb => image.to_rgb(),

@@ -1,4 +1,5 @@
 use super::*;
+use crate::raster::write_image;
 use serde_json::{Value, json};
 
 /// A capture of two cameras with three frames each, made in a temporary folder.

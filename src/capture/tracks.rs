@@ -152,7 +152,7 @@ impl Truth {
 mod tests {
     use super::super::npy::tests::npy;
     use super::*;
-    use crate::capture::write_atomically;
+    use crate::host::write_atomically;
     use std::path::Path;
 
     const TRUTH: &str = r#"{"format": "stlfr-truth", "version": 1, "scene": "s", "rig": "r",

@@ -5,10 +5,9 @@
 //!
 //! Known limit: folders of videos that are no longer there stay.
 
-use super::{CaptureError, write_atomically};
-use crate::progress::Reporter;
-use crate::toolchain::project_root;
-use crate::video::{self, VideoError, find_ffmpeg, frame_name};
+use super::{CaptureError, Opening};
+use crate::host::write_atomically;
+use crate::video::{self, VideoError, frame_name};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io;
@@ -50,14 +49,14 @@ pub(super) fn open(
     root: &Path,
     path: &Path,
     wrong: impl Fn(String) -> CaptureError,
-    reporter: &Reporter,
+    opening: &Opening,
 ) -> Result<(VideoFile, Vec<PathBuf>), CaptureError> {
     let hash = hash(path).map_err(|source| CaptureError::Read { path: path.to_owned(), source })?;
     let cache = root.join(".stlfr/video");
     let folder = cache.join(&hash[..32]);
     let index = match whole(&folder) {
         Some(index) => index,
-        None => decode(&cache, &folder, path, &wrong, reporter)?,
+        None => decode(&cache, &folder, path, &wrong, opening)?,
     };
     let frames = (0..index.bytes.len()).map(|k| folder.join(frame_name(k))).collect();
     let video = VideoFile {
@@ -92,16 +91,16 @@ fn decode(
     folder: &Path,
     path: &Path,
     wrong: &impl Fn(String) -> CaptureError,
-    reporter: &Reporter,
+    opening: &Opening,
 ) -> Result<Index, CaptureError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let failed = |source| CaptureError::Write { path: folder.to_owned(), source };
-    let Some(ffmpeg) = project_root().ok().and_then(|root| find_ffmpeg(&root)) else {
+    let Some(ffmpeg) = opening.ffmpeg else {
         return Err(CaptureError::NoFfmpeg { path: path.to_owned() });
     };
     std::fs::create_dir_all(cache).map_err(failed)?;
     let lock = File::create(folder.with_extension("lock")).map_err(failed)?;
-    let _phase = reporter.phase(&format!("decoding {name}"));
+    let _phase = opening.reporter.phase(&format!("decoding {name}"));
     lock.lock().map_err(failed)?;
     if let Some(index) = whole(folder) {
         return Ok(index); // the one who held the lock has done it
@@ -110,7 +109,7 @@ fn decode(
     let partial = folder.with_extension("partial");
     remove(folder).and_then(|()| remove(&partial)).map_err(failed)?;
     std::fs::create_dir(&partial).map_err(failed)?;
-    let made = decode_into(&ffmpeg, &partial, path, &name, wrong);
+    let made = decode_into(ffmpeg, &partial, path, &name, wrong);
     let made = made.and_then(|index| {
         std::fs::rename(&partial, folder).map_err(failed)?;
         Ok(index)

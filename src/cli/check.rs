@@ -1,9 +1,8 @@
 //! `stlfr check`
 
 use super::CliError;
-use super::files::must_be_writable;
+use super::files::{must_be_writable, open_capture};
 use std::path::PathBuf;
-use stlfr::capture::Capture;
 use stlfr::progress::Reporter;
 use stlfr::toolchain::{check, ensure_environment, project_root};
 
@@ -22,7 +21,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
-    Capture::open(&args.capture)?; // said before a set-up that may take minutes
+    open_capture(&args.capture, reporter)?; // said before a set-up that may take minutes
     args.json.as_deref().map_or(Ok(()), must_be_writable)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     let check = check(&environment, &args.capture, args.json.as_deref(), reporter)?;

@@ -1,21 +1,19 @@
 //! `stlfr compare`
 
 use super::CliError;
-use super::files::{OptionsArgs, must_be_writable};
+use super::files::{OptionsArgs, must_be_writable, open_capture};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth};
 use stlfr::compare::results::Headline;
 use stlfr::compare::video::VideoOptions;
-use stlfr::compare::{
-    CompareOptions, ComparedLightField, OffsetScore, Summary, compare, sync_name,
-};
+use stlfr::compare::{CompareOptions, ComparedLightField, OffsetScore, Renderer, Summary, compare};
 use stlfr::json;
+use stlfr::method::Method;
 use stlfr::offset::Offsets;
+use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
-use stlfr::render::RenderOptions;
-use stlfr::toolchain::{Environment, project_root, review};
-use stlfr::video::find_ffmpeg;
+use stlfr::toolchain::{Environment, find_ffmpeg, project_root, review};
 
 /// Render what the capture has truth of, and set it beside the truth and beside traditional light
 /// field rendering: pictures, metrics.json and report.html.
@@ -42,19 +40,19 @@ pub struct Args {
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     if let Some(file) = &args.offsets {
-        return score_offsets(&args.capture, file);
+        return score_offsets(&args.capture, file, reporter);
     }
     let options = args.options.read()?;
-    let capture = Capture::open_reporting(&args.capture, reporter)?;
+    let capture = open_capture(&args.capture, reporter)?;
     let out = args.output.clone().unwrap_or_else(|| args.capture.join("review"));
     let ffmpeg = args.video.then(ffmpeg).transpose()?;
-    print(&with_truth(capture, options, &out, ffmpeg, reporter)?);
+    print(&with_truth(capture, &options, &out, ffmpeg, reporter)?);
     Ok(())
 }
 
 /// Anybody's offsets beside the truth.
-fn score_offsets(folder: &Path, file: &Path) -> Result<(), CliError> {
-    let capture = Capture::open(folder)?;
+fn score_offsets(folder: &Path, file: &Path, reporter: &Reporter) -> Result<(), CliError> {
+    let capture = open_capture(folder, reporter)?;
     let truth = Truth::open(folder)?.ok_or_else(|| {
         CliError::BadInput(format!("{}: has no truth to score against", folder.display()))
     })?;
@@ -91,7 +89,7 @@ fn score_offsets(folder: &Path, file: &Path) -> Result<(), CliError> {
 
 /// An ffmpeg, or what to do.
 pub fn ffmpeg() -> Result<PathBuf, CliError> {
-    find_ffmpeg(&project_root()?).ok_or_else(|| {
+    find_ffmpeg().ok_or_else(|| {
         CliError::Failure("--video needs ffmpeg: install it, or run stlfr setup".into())
     })
 }
@@ -99,19 +97,19 @@ pub fn ffmpeg() -> Result<PathBuf, CliError> {
 /// Reconstructs and compares; with a video if there is an ffmpeg for it.
 pub fn with_truth(
     capture: Capture,
-    options: RenderOptions,
+    options: &RenderOptions,
     out: &Path,
     ffmpeg: Option<PathBuf>,
     reporter: &Reporter,
 ) -> Result<Summary, CliError> {
     must_be_writable(&out.join("report.html"))?;
     let truth = Truth::open(&capture.folder)?;
+    let field = ComparedLightField::open(Arc::new(capture), options, reporter)?;
     let compare_options = CompareOptions {
-        sync: sync_name(options.sync),
+        sync: field.options().sync,
         video: ffmpeg.map(|ffmpeg| VideoOptions { ffmpeg, ..VideoOptions::default() }),
         ..CompareOptions::default()
     };
-    let field = ComparedLightField::open(Arc::new(capture), options, reporter)?;
     let summary = compare(&field, truth.as_ref(), out, &compare_options, reporter)?;
     match project_root().ok().and_then(|root| Environment::find(&root)) {
         Some(environment) => {
@@ -153,7 +151,7 @@ fn lines(headline: &Headline) -> Vec<String> {
         ),
         format!(
             "synchronized images, {}: {} over the nearest frame on the moving part (median of {}; least {})",
-            sync.rung,
+            sync.method.name(),
             shown(sync.median_gain_db, "dB", 2),
             sync.images,
             shown(sync.least_gain_db, "dB", 2),
@@ -162,7 +160,7 @@ fn lines(headline: &Headline) -> Vec<String> {
     lines.extend(headline.views.iter().map(|view| {
         format!(
             "views, {} proxy: {} over traditional LFR on the moving part, {} below perfect sync",
-            view.proxy,
+            view.proxy.name(),
             shown(view.gain_moving_db, "dB", 2),
             shown(view.gap_moving_db, "dB", 2),
         )

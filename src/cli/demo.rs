@@ -1,12 +1,12 @@
 //! `stlfr demo`
 
-use super::files::must_be_writable;
+use super::files::{must_be_writable, open_capture};
 use super::values::Size;
 use super::{CliError, compare};
 use std::path::{Path, PathBuf};
 use stlfr::capture::Capture;
+use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
-use stlfr::render::RenderOptions;
 use stlfr::toolchain::{FilmOptions, Scene, check, ensure_environment, film, project_root};
 
 /// The main job, end to end: set up, film a scene with eight cameras that are not synchronized,
@@ -47,7 +47,7 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let ffmpeg = args.video.then(compare::ffmpeg).transpose()?;
     let review = capture.folder.join("review");
     let options = RenderOptions::default();
-    compare::print(&compare::with_truth(capture, options, &review, ffmpeg, reporter)?);
+    compare::print(&compare::with_truth(capture, &options, &review, ffmpeg, reporter)?);
     Ok(())
 }
 
@@ -61,7 +61,7 @@ impl Args {
         let environment = ensure_environment(&root, reporter)?;
         reporter.note(&format!("Filming the scene magazine into {}.", folder.display()));
         film(&environment, &self.options(&root, folder.clone()), reporter)?;
-        let capture = Capture::open_reporting(&folder, reporter)?;
+        let capture = open_capture(&folder, reporter)?;
         reporter.note("Checking the calibration with COLMAP.");
         let check = check(&environment, &folder, None, reporter)?;
         for line in &check.table {

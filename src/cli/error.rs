@@ -6,7 +6,8 @@ use std::process::ExitCode;
 use stlfr::capture::{CaptureError, TruthError};
 use stlfr::compare::CompareError;
 use stlfr::json::JsonError;
-use stlfr::render::RenderError;
+use stlfr::light_field::RenderError;
+use stlfr::raster::ImageFileError;
 use stlfr::rig::RigError;
 use stlfr::toolchain::{ExtensionError, ScriptError, SetupError};
 use stlfr::tradeoff::TradeoffError;
@@ -69,9 +70,19 @@ impl From<CaptureError> for CliError {
             CaptureError::Read { source, .. }
             | CaptureError::Write { source, .. }
             | CaptureError::Json { source: JsonError::Read(source), .. } => of_io(sentence, source),
+            CaptureError::ImageFile(ImageFileError::Read { source, .. })
+            | CaptureError::ImageFile(ImageFileError::Write { source, .. }) => {
+                of_io(sentence, source)
+            }
             CaptureError::NoFfmpeg { .. } => Self::Failure(sentence),
             _ => Self::BadInput(sentence),
         }
+    }
+}
+
+impl From<ImageFileError> for CliError {
+    fn from(error: ImageFileError) -> Self {
+        CaptureError::from(error).into()
     }
 }
 
@@ -118,6 +129,7 @@ impl From<CompareError> for CliError {
         match error {
             CompareError::Capture(error) => error.into(),
             CompareError::Truth(error) => error.into(),
+            CompareError::ImageFile(error) => error.into(),
             CompareError::Write { ref source, .. } => of_io(error.to_string(), source),
             CompareError::Report(_) | CompareError::Video(_) => Self::Failure(error.to_string()),
             _ => Self::BadInput(error.to_string()),

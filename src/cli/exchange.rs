@@ -2,10 +2,10 @@
 
 use super::CliError;
 use super::error::of_io;
-use super::files::must_be_writable;
+use super::files::{must_be_writable, open_capture};
 use std::path::{Path, PathBuf};
-use stlfr::capture::Capture;
 use stlfr::exchange::{self, ExchangeError, ImportClock, NamedCamera};
+use stlfr::progress::Reporter;
 
 /// Make a capture of another program's calibration and of image sequences.
 ///
@@ -80,7 +80,7 @@ impl From<ExchangeError> for CliError {
     }
 }
 
-pub fn run_import(args: &ImportArgs) -> Result<(), CliError> {
+pub fn run_import(args: &ImportArgs, reporter: &Reporter) -> Result<(), CliError> {
     if !(args.rate.is_finite() && args.rate > 0.0 && args.first.is_finite()) {
         return Err(CliError::BadInput("--rate must be positive and --first finite".into()));
     }
@@ -89,7 +89,7 @@ pub fn run_import(args: &ImportArgs) -> Result<(), CliError> {
     let clock = ImportClock { rate_hz: args.rate, first_s: args.first, shared: args.shared };
     exchange::import(&cameras, &args.images, clock, &args.output)?;
     // What can't be opened is said now and not by the next command.
-    Capture::open(&args.output)?;
+    open_capture(&args.output, reporter)?;
     Ok(())
 }
 
@@ -101,14 +101,14 @@ fn read(calibration: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     }
 }
 
-pub fn run_export(args: &ExportArgs) -> Result<(), CliError> {
+pub fn run_export(args: &ExportArgs, reporter: &Reporter) -> Result<(), CliError> {
     let bounds_m = (args.near.unwrap_or(0.0), args.far.unwrap_or(0.0));
     if matches!(args.format, Format::Llff)
         && !(bounds_m.0 > 0.0 && bounds_m.1 > bounds_m.0 && bounds_m.1.is_finite())
     {
         return Err(CliError::BadInput("--near must be positive and --far larger".into()));
     }
-    let capture = Capture::open(&args.capture)?;
+    let capture = open_capture(&args.capture, reporter)?;
     must_be_writable(&args.output)?;
     let cameras: Vec<NamedCamera> = capture
         .cameras

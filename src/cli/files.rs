@@ -1,11 +1,14 @@
 //! Files that the command line names: checked before long work, in one sentence each.
 
 use super::CliError;
+use super::values::method;
 use std::path::{Path, PathBuf};
 use stlfr::camera::{Camera, CameraFormat};
-use stlfr::capture::{CAPTURE_FILE, Capture, FilmedCamera};
+use stlfr::capture::{CAPTURE_FILE, Capture, FilmedCamera, Opening};
 use stlfr::json;
-use stlfr::render::{Preset, RenderOptions};
+use stlfr::options::{Preset, RenderOptions};
+use stlfr::progress::Reporter;
+use stlfr::toolchain::find_ffmpeg;
 
 /// Refuses what is no readable file.
 pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
@@ -62,11 +65,17 @@ pub fn must_be_writable_beside(output: &Path, capture: &Capture) -> Result<(), C
     Ok(())
 }
 
+/// Opens a capture, whose cameras may be videos.
+pub fn open_capture(folder: &Path, reporter: &Reporter) -> Result<Capture, CliError> {
+    let ffmpeg = find_ffmpeg();
+    Ok(Capture::open_with(folder, &Opening { ffmpeg: ffmpeg.as_deref(), reporter })?)
+}
+
 /// What every stage's options start from.
 #[derive(Debug, clap::Args)]
 pub struct OptionsArgs {
     /// Named options of all stages: a point of the trade of speed for accuracy.
-    #[arg(long, value_name = "NAME", value_enum)]
+    #[arg(long, value_name = "NAME", value_parser = method::<Preset>())]
     preset: Option<Preset>,
     /// Options of all stages, a JSON file; what it has goes before the preset.
     #[arg(long, value_name = "FILE")]

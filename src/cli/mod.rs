@@ -71,8 +71,8 @@ impl Cli {
             Command::Render(args) => render::run(args, &reporter),
             Command::Compare(args) => compare::run(args, &reporter),
             Command::Tradeoff(args) => tradeoff::run(args, &reporter),
-            Command::Import(args) => exchange::run_import(args),
-            Command::Export(args) => exchange::run_export(args),
+            Command::Import(args) => exchange::run_import(args, &reporter),
+            Command::Export(args) => exchange::run_export(args, &reporter),
         }
     }
 }

@@ -1,19 +1,19 @@
 //! `stlfr offsets`
 
 use super::CliError;
-use super::files::OptionsArgs;
+use super::files::{OptionsArgs, open_capture};
 use std::path::PathBuf;
 use std::sync::Arc;
-use stlfr::capture::Capture;
-use stlfr::offset::{Offsets, known_or_kept_or_estimated};
+use stlfr::offset::{Offsets, known_or_cached_or_estimated};
 use stlfr::progress::Reporter;
+use stlfr::registration::FrameStore;
 
 /// Estimate how far each camera's clock is off the reference's, with its standard error, from the
 /// pixels alone.
 ///
 /// Time on the reference's clock = time on the camera's clock + offset. Clocks that drift, and
-/// cameras that may lose frames, are those that capture.json calls so. What is estimated is kept in
-/// the capture's folder: offsets.json, and offsets.svg, a plot of what it was made of.
+/// cameras that may lose frames, are those that capture.json calls so. The result is saved in the
+/// capture's folder: offsets.json, and offsets.svg, a plot of the data behind it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr offsets .captures/demo\n  \
@@ -30,10 +30,10 @@ pub struct Args {
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let options = args.options.read()?;
-    let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
+    let capture = Arc::new(open_capture(&args.capture, reporter)?);
     capture.require_two_cameras()?;
-    let offsets =
-        known_or_kept_or_estimated(&capture, &options.offset, &options.registration, reporter)?;
+    let frames = FrameStore::new(capture.clone(), &options.registration);
+    let offsets = known_or_cached_or_estimated(&frames, &options.offset, reporter)?;
     if args.json {
         let json = serde_json::to_string_pretty(&offsets);
         println!("{}", json.map_err(|e| CliError::Failure(e.to_string()))?);

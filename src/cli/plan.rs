@@ -1,15 +1,16 @@
 //! `stlfr plan`
 
 use super::CliError;
-use super::files::{must_be_writable_beside, options_or_default};
+use super::files::{must_be_writable_beside, open_capture, options_or_default};
 use std::path::PathBuf;
 use std::sync::Arc;
-use stlfr::capture::{Capture, write_atomically};
+use stlfr::host::write_atomically;
+use stlfr::pipeline;
 use stlfr::plan::{Plan, plan};
 use stlfr::progress::Reporter;
 
-/// What this capture requires, rung by rung, and why: for every stage the lowest rung that keeps
-/// its error within a budget.
+/// What this capture requires, and why: for every stage the cheapest method that keeps its error
+/// within a budget.
 ///
 /// `--sync auto` and `--proxy auto` of `render`, and `auto` in an options file, choose by it.
 #[derive(Debug, clap::Args)]
@@ -20,13 +21,13 @@ use stlfr::progress::Reporter;
 pub struct Args {
     /// The capture's folder.
     capture: PathBuf,
-    /// How far a lower rung may move what is seen, pixels [default: 0.25].
+    /// How far a cheaper method may move what is seen, pixels [default: 0.25].
     #[arg(long, value_name = "PX")]
     budget_px: Option<f64>,
     /// Print JSON and nothing else.
     #[arg(long)]
     json: bool,
-    /// Write the options of all stages, with the rungs chosen, into a file.
+    /// Write the options of all stages, with the methods chosen, into a file.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Options of all stages, a JSON file.
@@ -39,11 +40,12 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     options.auto.budget_px = args.budget_px.unwrap_or(options.auto.budget_px);
     (options.auto.sync, options.auto.proxy) = (true, true);
     options.check().map_err(|error| CliError::BadInput(error.to_string()))?;
-    let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
+    let capture = Arc::new(open_capture(&args.capture, reporter)?);
     if let Some(output) = &args.output {
         must_be_writable_beside(output, &capture)?;
     }
-    let (plan, _) = plan(&capture, &options, reporter)?;
+    let field = pipeline::open_field(capture.clone(), &options, reporter)?;
+    let plan = plan(&field, &options, reporter)?;
     if let Some(output) = &args.output {
         write_atomically(output, json(&plan.options)?.as_bytes()).map_err(|error| {
             CliError::Failure(format!("{}: can't be written ({error})", output.display()))
@@ -63,7 +65,12 @@ fn json(value: &impl serde::Serialize) -> Result<String, CliError> {
 
 fn print_table(plan: &Plan) {
     for decision in &plan.decisions {
-        println!("{:<11} {:<15} {}", decision.stage, decision.rung, decision.because);
+        println!(
+            "{:<11} {:<15} {}",
+            decision.choice.stage().name(),
+            decision.choice.name(),
+            decision.because
+        );
     }
     println!("Budget: {} px.", plan.budget_px);
 }

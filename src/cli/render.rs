@@ -1,19 +1,22 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::files::{OptionsArgs, must_be_writable_beside, read_view};
+use super::files::{OptionsArgs, must_be_writable_beside, open_capture, read_view};
 use super::span::{Output, Times};
-use super::values::{Choice, choice};
+use super::values::{Choice, method, method_or_auto};
 use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::camera::Camera;
-use stlfr::capture::{BitDepth, Capture, write_image};
-use stlfr::interpolation::Sync;
+use stlfr::capture::Capture;
+use stlfr::interpolation::SyncMethod;
+use stlfr::light_field::{LightField, Viewpoint};
+use stlfr::options::{ProxyMethod, RenderOptions, TrailMode};
+use stlfr::pipeline;
 use stlfr::progress::Reporter;
 use stlfr::raster::Image;
-use stlfr::render::{LightField, ProxyRung, RenderOptions, TrailMode, Viewpoint};
-use stlfr::toolchain::project_root;
-use stlfr::video::{Codec, VideoWriter, find_ffmpeg};
+use stlfr::raster::{BitDepth, write_image};
+use stlfr::toolchain::find_ffmpeg;
+use stlfr::video::{Codec, VideoFormat, VideoWriter};
 
 /// Render the view of any camera at any instant, or over a span of time.
 #[derive(Debug, clap::Args)]
@@ -58,11 +61,11 @@ pub struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: Output,
     /// How each camera's image at the instant is made.
-    #[arg(long, value_name = "RUNG", value_parser = choice::<Sync>())]
-    sync: Option<Choice<Sync>>,
+    #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<SyncMethod>())]
+    sync: Option<Choice<SyncMethod>>,
     /// What stands for the scene's shape.
-    #[arg(long, value_name = "RUNG", value_parser = choice::<ProxyRung>())]
-    proxy: Option<Choice<ProxyRung>>,
+    #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<ProxyMethod>())]
+    proxy: Option<Choice<ProxyMethod>>,
     /// Overlay what moved in this many seconds before the instant: temporal integration.
     #[arg(long, value_name = "SECONDS")]
     trail: Option<f64>,
@@ -70,7 +73,7 @@ pub struct Args {
     #[arg(long, value_name = "N")]
     trail_instants: Option<usize>,
     /// How a trail overlays them [default: mean].
-    #[arg(long, value_name = "MODE", value_enum)]
+    #[arg(long, value_name = "MODE", value_parser = method::<TrailMode>())]
     trail_mode: Option<TrailMode>,
     #[command(flatten)]
     options: OptionsArgs,
@@ -102,11 +105,11 @@ impl Args {
     fn render_options(&self) -> Result<RenderOptions, CliError> {
         let mut options = self.options.read()?;
         if let Some(sync) = self.sync {
-            options.sync = sync.rung().unwrap_or(options.sync);
+            options.sync = sync.method().unwrap_or(options.sync);
             options.auto.sync = sync == Choice::Auto;
         }
         if let Some(proxy) = self.proxy {
-            options.proxy.rung = proxy.rung().unwrap_or(options.proxy.rung);
+            options.proxy.method = proxy.method().unwrap_or(options.proxy.method);
             options.auto.proxy = proxy == Choice::Auto;
         }
         let trail = &mut options.trail;
@@ -143,7 +146,7 @@ impl Args {
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let request = args.request()?;
     let options = args.render_options()?;
-    let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
+    let capture = Arc::new(open_capture(&args.capture, reporter)?);
     let like = match &request.view {
         View::Like(id) => Some(capture.camera_index(id).ok_or_else(|| {
             CliError::BadInput(format!("--like: no camera of this capture has the id '{id}'"))
@@ -159,17 +162,18 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let mut writer = Writer::new(&args.output, &capture)?;
     let depth = capture.bit_depth();
 
-    let field = LightField::open(capture.clone(), options, reporter)?;
+    let field = pipeline::open_field(capture.clone(), &options, reporter)?;
+    let view = pipeline::resolved(&field, &options, reporter)?.view();
     warn_of_unknown_clocks(&field, reporter);
     let from = match &request.view {
         View::Camera(camera) => Viewpoint::View(camera),
         View::Like(_) => Viewpoint::Like(like.unwrap_or_default()),
     };
-    let instants = field.options().trail.count();
+    let instants = view.trail.count();
     let task = reporter.task("rendering", request.times_s.len() * instants);
     for (index, time_s) in request.times_s.iter().enumerate() {
         let time_s = time_s - capture.time_origin_s;
-        let rendered = field.with_trail(from, time_s, |done, _| {
+        let rendered = field.with_trail(from, time_s, &view, |done, _| {
             task.set(index * instants + done);
             true
         })?;
@@ -196,7 +200,7 @@ fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
 impl<'a> Writer<'a> {
     fn new(output: &'a Output, capture: &Capture) -> Result<Self, CliError> {
         let Output::Video(path) = output else { return Ok(Self::Files(output)) };
-        let ffmpeg = project_root().ok().and_then(|root| find_ffmpeg(&root)).ok_or_else(|| {
+        let ffmpeg = find_ffmpeg().ok_or_else(|| {
             CliError::Failure("a video needs ffmpeg: install it, or run stlfr setup".into())
         })?;
         let frame_s = capture.frame_s();
@@ -221,10 +225,8 @@ impl<'a> Writer<'a> {
                 let video = match video {
                     Some(video) => video,
                     None => {
-                        let (rate_hz, codec) = (*rate_hz, Codec::Ffv1);
-                        video.insert(VideoWriter::create(
-                            ffmpeg, path, image, depth, rate_hz, codec,
-                        )?)
+                        let format = VideoFormat { depth, rate_hz: *rate_hz, codec: Codec::Ffv1 };
+                        video.insert(VideoWriter::create(ffmpeg, path, image, format)?)
                     }
                 };
                 Ok(video.push(image)?)

@@ -5,7 +5,8 @@ use super::files::must_be_writable;
 use super::values::Size;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
-use stlfr::capture::{self, write_atomically};
+use stlfr::capture::{self};
+use stlfr::host::write_atomically;
 use stlfr::rig::{self, Delays, Distortion, Layout, Loss, LossStamps, Rig, RigColor, RigOptions};
 use stlfr::tradeoff;
 

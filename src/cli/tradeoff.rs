@@ -1,20 +1,19 @@
 //! `stlfr tradeoff`
 
 use super::CliError;
-use super::files::{must_be_writable, options_or_default};
+use super::files::{must_be_writable, open_capture, options_or_default};
+use super::values::method;
 use std::path::PathBuf;
 use std::sync::Arc;
-use stlfr::capture::Capture;
 use stlfr::progress::Reporter;
-use stlfr::tradeoff::{Clock, Point, Tradeoff, TradeoffOptions, rungs, tradeoff};
+use stlfr::tradeoff::{Clock, Point, Tradeoff, TradeoffOptions, methods, tradeoff};
 
-/// Speed for accuracy on this capture: what every sensible combination of rungs and main parameters
-/// costs and gives.
+/// Speed for accuracy on this capture: what every sensible combination of methods and main
+/// parameters costs and gives.
 ///
-/// Quality is measured against the truth; without truth, against cameras that are left out. Written
-/// are tradeoff.json, a plot (tradeoff.svg, tradeoff.png), and recommended.json, the options of the
-/// fastest combination within 0.2 dB of the best. Stopped at any time, the same command goes on
-/// where it was.
+/// Quality is measured against the truth; without truth, against held-out cameras. The output is
+/// tradeoff.json, a plot (tradeoff.svg), and recommended.json, the options of the fastest
+/// combination within 0.2 dB of the best. If it is interrupted, the same command resumes it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr tradeoff .captures/demo -o tradeoff\n  \
@@ -29,11 +28,11 @@ pub struct Args {
     /// How often each view is timed.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = parsed(1, 1000))]
     runs: usize,
-    /// How often the front is varied, one parameter at a time; 0 measures the rungs alone.
+    /// How often the front is varied, one parameter at a time; 0 measures the methods alone.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parsed(0, 10))]
     rounds: usize,
     /// Which seconds decide the front.
-    #[arg(long, value_name = "CLOCK", value_enum, default_value_t)]
+    #[arg(long, value_name = "CLOCK", value_parser = method::<Clock>(), default_value = "wall")]
     clock: Clock,
     /// Print JSON and nothing else.
     #[arg(long)]
@@ -53,7 +52,7 @@ fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Cl
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let base = options_or_default(args.options.as_deref())?;
-    let capture = Arc::new(Capture::open_reporting(&args.capture, reporter)?);
+    let capture = Arc::new(open_capture(&args.capture, reporter)?);
     must_be_writable(&args.output.join("tradeoff.json"))?;
     let options = TradeoffOptions {
         runs: args.runs,
@@ -69,18 +68,18 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
         return Ok(());
     }
     print_table(&found, &options);
-    println!("plot: {}", args.output.join("tradeoff.png").display());
+    println!("plot: {}", args.output.join("tradeoff.svg").display());
     Ok(())
 }
 
-/// The rungs, the front, and what has a name.
+/// The methods' combinations, the Pareto front, and what has a name.
 fn print_table(found: &Tradeoff, options: &TradeoffOptions) {
     println!(
         "{:<2}{:>24} {:>7} {:>8} {:>14} {:>14}  combination",
         "", "view, s (least to most)", "CPU, s", "ready, s", "moving dB FLIP", "whole dB FLIP"
     );
-    let rungs = rungs(&options.base);
-    let shown = |p: &&Point| p.on_front || !p.labels.is_empty() || rungs.contains(&p.options);
+    let methods = methods(&options.base);
+    let shown = |p: &&Point| p.on_front || !p.labels.is_empty() || methods.contains(&p.options);
     for point in found.points.iter().filter(shown) {
         println!("{}", line(point));
     }

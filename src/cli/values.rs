@@ -1,36 +1,47 @@
 //! Values of the command line that are more than a number or a name.
 
-use clap::ValueEnum;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use std::str::FromStr;
+use stlfr::method::Method;
 
-/// A rung, or what the capture requires.
+/// A method, or what the capture requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Choice<T> {
     Auto,
-    Rung(T),
+    Method(T),
 }
 
 impl<T: Copy> Choice<T> {
-    /// The rung, if it is one.
-    pub fn rung(&self) -> Option<T> {
+    /// The method, if it is one.
+    pub fn method(&self) -> Option<T> {
         match self {
             Self::Auto => None,
-            Self::Rung(rung) => Some(*rung),
+            Self::Method(method) => Some(*method),
         }
     }
 }
 
 const AUTO: &str = "auto";
 
-/// A ladder's rungs, and `auto`.
-pub fn choice<T: ValueEnum + Clone + Send + Sync + 'static>()
--> impl TypedValueParser<Value = Choice<T>> {
+fn possible<T: Method>() -> impl Iterator<Item = PossibleValue> {
+    T::ALL.iter().map(|m| PossibleValue::new(m.name()).help(m.help()))
+}
+
+fn named<T: Method>(name: &str) -> Result<T, String> {
+    T::from_name(name).ok_or_else(|| format!("'{name}' is none of {}", T::names().join(", ")))
+}
+
+/// A stage's methods.
+pub fn method<T: Method>() -> impl TypedValueParser<Value = T> {
+    PossibleValuesParser::new(possible::<T>()).try_map(|name| named(&name))
+}
+
+/// A stage's methods, and `auto`.
+pub fn method_or_auto<T: Method>() -> impl TypedValueParser<Value = Choice<T>> {
     let auto =
-        PossibleValue::new(AUTO).help("The lowest that this capture requires: see stlfr plan");
-    let rungs = T::value_variants().iter().filter_map(T::to_possible_value);
-    PossibleValuesParser::new(std::iter::once(auto).chain(rungs)).try_map(|name| {
-        if name == AUTO { Ok(Choice::Auto) } else { T::from_str(&name, false).map(Choice::Rung) }
+        PossibleValue::new(AUTO).help("The cheapest that this capture requires: see stlfr plan");
+    PossibleValuesParser::new(std::iter::once(auto).chain(possible::<T>())).try_map(|name| {
+        if name == AUTO { Ok(Choice::Auto) } else { named(&name).map(Choice::Method) }
     })
 }
 
@@ -64,16 +75,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rungs_and_auto() {
+    fn methods_and_auto() {
         use clap::{Arg, Command};
-        use stlfr::render::ProxyRung;
-        let command = || Command::new("c").arg(Arg::new("p").value_parser(choice::<ProxyRung>()));
+        use stlfr::options::ProxyMethod;
+        let command =
+            || Command::new("c").arg(Arg::new("p").value_parser(method_or_auto::<ProxyMethod>()));
         let parsed = |text: &str| {
             let found = command().try_get_matches_from(["c", text]).ok()?;
-            found.get_one::<Choice<ProxyRung>>("p").copied()
+            found.get_one::<Choice<ProxyMethod>>("p").copied()
         };
         assert_eq!(parsed("auto"), Some(Choice::Auto));
-        assert_eq!(parsed("plane"), Some(Choice::Rung(ProxyRung::Plane)));
+        assert_eq!(parsed("plane"), Some(Choice::Method(ProxyMethod::Plane)));
         assert_eq!(parsed("sphere"), None);
     }
 

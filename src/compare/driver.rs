@@ -1,13 +1,15 @@
 //! The driver: every instant of the truth, then the folder's files.
 
-use super::results::{self, CaptureFacts, Metrics, OffsetResult, StageTime};
+use super::results::{self, CaptureFacts, Metrics, OffsetResult};
+use super::stage_times::StageTimes;
 use super::{
     CompareError, CompareOptions, Renderer, Summary, instant, report, review, truths, video,
 };
-use crate::capture::{Capture, Truth, write_atomically};
+use crate::capture::{Capture, Truth};
+use crate::host::{write_atomically, write_json};
 use crate::progress::Reporter;
 use crate::video::Codec;
-use serde::Serialize;
+use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
 
@@ -16,6 +18,10 @@ use std::time::Instant;
 /// Views of the truth that stand where a filming camera does measure its synchronized image; the
 /// others are blended from each camera's nearest frame (traditional LFR), from the synchronized
 /// images (ST-LFR), and from the true ones (perfect sync).
+///
+/// # Errors
+/// [`CompareError::NoTruth`] without truth; whatever is wrong with the truth or the options, before
+/// anything is rendered; what can't be written. A video that fails is told after all else is written.
 pub fn compare(
     renderer: &dyn Renderer,
     truth: Option<&Truth>,
@@ -26,16 +32,14 @@ pub fn compare(
     let start = Instant::now();
     let capture = renderer.capture();
     let truth = truth.ok_or_else(|| CompareError::NoTruth { folder: capture.folder.clone() })?;
-    options.check(renderer)?;
+    options.check()?;
     let instants = truths::instants(truth, capture)?;
-    let codec = options.video.as_ref().map(|v| Codec::for_browsers(&v.ffmpeg)).transpose();
-    let codec = codec.map_err(video::VideoError::from)?;
+    let encoder = options.video.as_ref().map(encoder).transpose()?;
 
-    let mut stages = Stages(renderer.timings());
+    let mut stages = StageTimes(renderer.timings());
     let task = reporter.task("Comparing with the truth", truth.views.len());
-    let rungs = options.rungs(renderer);
     let mut found = instant::Found::default();
-    let work = instant::Work { renderer, truth, options, out, rungs: &rungs };
+    let work = instant::Work { renderer, truth, options, out, methods: &options.methods() };
     for instant in &instants {
         work.compare(instant, &mut found, &mut stages)?;
         task.advance(instant.views.len());
@@ -45,62 +49,52 @@ pub fn compare(
     let offsets = offset_results(renderer, truth);
     let metrics = Metrics {
         format: "stlfr-metrics",
-        version: 1,
+        version: 2,
         stlfr: env!("CARGO_PKG_VERSION"),
         capture: facts(capture, truth),
         options: options.clone(),
-        renderer: renderer.options(),
+        renderer: renderer.options().clone(),
         headline: results::headline(options, &offsets, &found.sync, &found.views),
         offsets,
         sync: found.sync,
         views: found.views,
     };
-    write_json(&out.join("metrics.json"), &metrics)?;
-    // A failing video is told once everything else is written.
-    let video = match (codec, &options.video) {
-        (Some(codec), Some(video_options)) => stages
+    let write_failed = |path: &Path| {
+        let path = path.to_owned();
+        |source| CompareError::Write { path, source }
+    };
+    let path = out.join("metrics.json");
+    write_json(&path, &metrics).map_err(write_failed(&path))?;
+    let video = match (encoder, &options.video) {
+        (Some(encoder), Some(video_options)) => stages
             .time("video", || {
                 let plan = video::Plan::new(renderer, Some(truth), video_options)?;
-                let ffmpeg = &video_options.ffmpeg;
-                plan.write(renderer, &options.sync, codec, ffmpeg, out, reporter)
+                plan.write(renderer, options.sync, &encoder, out, reporter)
             })
             .map(Some),
         _ => Ok(None),
     };
-    stages.0.push(StageTime {
-        stage: "comparison in all".into(),
-        seconds: start.elapsed().as_secs_f64(),
-    });
-    write_json(&out.join("timings.json"), &serde_json::json!({ "stages": stages.0 }))?;
+    stages.add("comparison in all", start);
+    let path = out.join("timings.json");
+    write_json(&path, &json!({ "stages": stages.0 })).map_err(write_failed(&path))?;
+    let written = video.as_ref().ok().and_then(Option::as_ref);
+    let video_path = written.map(|m| m.path.as_path());
+    let html = report::html(&metrics, &stages.0, &found.figures, video_path)?;
     let report = out.join("report.html");
-    let made = video.as_ref().ok().and_then(Option::as_ref);
-    let html = report::html(&metrics, &stages.0, &found.figures, made.map(|m| m.path.as_path()))?;
-    write(&report, html.as_bytes())?;
+    write_atomically(&report, html.as_bytes()).map_err(write_failed(&report))?;
     let review = out.join(review::FILE);
-    write_json(&review, &review::layout(&metrics, made))?;
+    write_json(&review, &review::layout(&metrics, written)).map_err(write_failed(&review))?;
     Ok(Summary { headline: metrics.headline, report, review, video: video?.map(|v| v.path) })
 }
 
-/// Times of the stages, each the sum of its parts.
-pub(super) struct Stages(Vec<StageTime>);
-
-impl Stages {
-    /// Runs one part of a stage.
-    pub fn time<T>(&mut self, stage: &str, work: impl FnOnce() -> T) -> T {
-        let start = Instant::now();
-        let result = work();
-        let seconds = start.elapsed().as_secs_f64();
-        match self.0.iter_mut().find(|s| s.stage == stage) {
-            Some(known) => known.seconds += seconds,
-            None => self.0.push(StageTime { stage: stage.to_owned(), seconds }),
-        }
-        result
-    }
+/// What encodes the video, found before anything is rendered.
+fn encoder(options: &video::VideoOptions) -> Result<video::Encoder, CompareError> {
+    let codec = Codec::for_browsers(&options.ffmpeg).map_err(video::VideoError::from)?;
+    Ok(video::Encoder { ffmpeg: options.ffmpeg.clone(), codec })
 }
 
 fn offset_results(renderer: &dyn Renderer, truth: &Truth) -> Vec<OffsetResult> {
     let capture = renderer.capture();
-    let estimated = renderer.offsets();
     let frame_s = Some(capture.frame_s()).filter(|f| *f > 0.0);
     let finite = |v: Option<f64>| v.filter(|v| v.is_finite());
     capture
@@ -108,7 +102,7 @@ fn offset_results(renderer: &dyn Renderer, truth: &Truth) -> Vec<OffsetResult> {
         .iter()
         .enumerate()
         .map(|(index, filmed)| {
-            let row = estimated.iter().find(|o| o.id == filmed.id);
+            let row = renderer.offsets().cameras.iter().find(|o| o.id == filmed.id);
             let offset_s = finite(row.and_then(|r| r.offset_s));
             let std_err_s = finite(row.and_then(|r| r.std_err_s));
             let truth_s = finite(truth.offset_s(&filmed.id));
@@ -143,16 +137,4 @@ fn facts(capture: &Capture, truth: &Truth) -> CaptureFacts {
         frame_s: capture.frame_s(),
         bits: truths::bits(capture.bit_depth()),
     }
-}
-
-fn write(path: &Path, bytes: &[u8]) -> Result<(), CompareError> {
-    write_atomically(path, bytes)
-        .map_err(|source| CompareError::Write { path: path.to_owned(), source })
-}
-
-fn write_json(path: &Path, value: &impl Serialize) -> Result<(), CompareError> {
-    let mut text = serde_json::to_string_pretty(value)
-        .map_err(|e| CompareError::Write { path: path.to_owned(), source: e.into() })?;
-    text.push('\n');
-    write(path, text.as_bytes())
 }

@@ -1,15 +1,18 @@
 //! One instant of the truth: synchronize the cameras, measure them, write the pictures. The views
 //! that are blended from them are in `views.rs`.
 
-use super::driver::Stages;
-use super::metrics::{Reference, RegionScores};
 use super::report::{Figure, Picture};
 use super::results::{SyncResult, ViewResult};
 use super::sheet::{Panel, Sheet};
-use super::truths::{TrueImage, TrueInstant, TrueView, as_written, slug};
-use super::{CompareError, CompareOptions, NEAREST, Renderer};
-use crate::capture::{BitDepth, Truth, write_image};
+use super::stage_times::StageTimes;
+use super::truths::{TrueImage, TrueInstant, TrueView, as_written};
+use super::{CompareError, CompareOptions, Renderer, TRADITIONAL};
+use crate::capture::Truth;
+use crate::interpolation::SyncMethod;
+use crate::method::Method;
+use crate::metrics::{Reference, RegionScores};
 use crate::raster::Image;
+use crate::raster::{BitDepth, write_image};
 use rayon::prelude::*;
 use std::path::Path;
 
@@ -19,8 +22,8 @@ pub(super) struct Work<'a> {
     pub truth: &'a Truth,
     pub options: &'a CompareOptions,
     pub out: &'a Path,
-    /// The sync rungs to measure, cheapest first.
-    pub rungs: &'a [String],
+    /// The sync methods to measure, cheapest first.
+    pub methods: &'a [SyncMethod],
 }
 
 /// What was found so far.
@@ -47,7 +50,7 @@ impl Work<'_> {
         &self,
         instant: &TrueInstant,
         found: &mut Found,
-        stages: &mut Stages,
+        stages: &mut StageTimes,
     ) -> Result<(), CompareError> {
         let capture = self.renderer.capture();
         let read = |view: &TrueView| view.read(self.truth, capture, self.options);
@@ -86,24 +89,24 @@ impl Work<'_> {
         Ok(())
     }
 
-    /// `[rung][camera]`: all cameras where a view is blended from them, else those that the truth
+    /// `[method][camera]`: all cameras where a view is blended from them, else those that the truth
     /// has an image of.
     fn synchronize(&self, instant: &TrueInstant) -> Vec<Vec<Made>> {
         let blends = instant.views.iter().any(|v| v.like.is_none());
         let cameras = self.renderer.capture().cameras.len();
-        let one = |rung: &String, camera: usize| {
+        let one = |method: SyncMethod, camera: usize| {
             let like = instant.views.iter().any(|v| v.like == Some(camera));
-            let feeds_views = blends && (*rung == NEAREST || *rung == self.options.sync);
+            let feeds_views = blends && [TRADITIONAL, self.options.sync].contains(&method);
             if like || feeds_views {
-                self.renderer.synchronized(rung, camera, instant.inner_s)
+                self.renderer.synchronized(method, camera, instant.inner_s)
             } else {
                 Err("was not asked for".into())
             }
         };
-        self.rungs.iter().map(|rung| (0..cameras).map(|c| one(rung, c)).collect()).collect()
+        self.methods.iter().map(|&m| (0..cameras).map(|c| one(m, c)).collect()).collect()
     }
 
-    /// All rungs of one filming camera, and if it is to be `shown` the report's pictures of it.
+    /// All sync methods of one filming camera, and if it is to be `shown` the report's pictures of it.
     fn measure_sync(
         &self,
         instant: &TrueInstant,
@@ -118,13 +121,13 @@ impl Work<'_> {
         let reference = Reference::new(truth.image.clone(), self.options.pixels_per_degree);
         let mut rows = Vec::new();
         let mut written = Vec::new();
-        for (rung, of_rung) in self.rungs.iter().zip(images) {
-            let made = self.checked(&of_rung[camera], &truth.image, depth);
+        for (&method, of_method) in self.methods.iter().zip(images) {
+            let made = self.checked(&of_method[camera], &truth.image, depth);
             let scores =
                 made.as_ref().ok().map(|i| reference.compare(i).regions(None, &truth.moving));
             let image = match &made {
                 Ok(image) => {
-                    let name = format!("images/{}/{}.png", view.stem, slug(rung));
+                    let name = format!("images/{}/{}.png", view.stem, method.name());
                     write_image(&self.out.join(&name), image, None, depth)?;
                     Some(name)
                 }
@@ -134,7 +137,7 @@ impl Work<'_> {
                 view: id.clone(),
                 camera: capture.cameras[camera].id.clone(),
                 time_s: instant.time_s,
-                rung: rung.clone(),
+                method,
                 scores,
                 image,
                 reason: made.as_ref().err().cloned(),
@@ -144,12 +147,12 @@ impl Work<'_> {
         let name = format!("images/{}/truth.png", view.stem);
         write_image(&self.out.join(name), &truth.image, None, depth)?;
         let panels: Vec<Shown> = self
-            .rungs
+            .methods
             .iter()
             .zip(&written)
             .zip(&rows)
-            .map(|((rung, made), row)| Shown {
-                title: rung.clone(),
+            .map(|((method, made), row)| Shown {
+                title: method.name().to_owned(),
                 made: made.as_ref(),
                 scores: row.scores,
             })

@@ -93,7 +93,7 @@ mod tests {
             "offsets": [{"id": "a", "offset_s": 0.0}, {"id": "b", "offset_s": 0.010},
                         {"id": "c", "offset_s": -0.005}, {"id": "d", "offset_s": 0.001}],
             "shutter": [], "views": []}"#;
-        crate::capture::write_atomically(&folder.path().join("truth/truth.json"), text.as_bytes())
+        crate::host::write_atomically(&folder.path().join("truth/truth.json"), text.as_bytes())
             .unwrap();
         Truth::open(folder.path()).unwrap().unwrap()
     }

@@ -3,9 +3,10 @@
 //! The page is the template `report.html` beside this file, filled in by minijinja, which escapes
 //! whatever comes from files; pictures are inlined as 8-bit PNG.
 
-use super::metrics::RegionScores;
 use super::plots::{Point, Row, dot_plot};
-use super::results::{Method, Metrics, StageTime};
+use super::results::{Metrics, StageTime, ViewMethod};
+use crate::method::Method;
+use crate::metrics::RegionScores;
 use crate::raster::Image;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -83,7 +84,7 @@ pub(super) fn html(
         offset_plot => Value::from_safe_string(offset_plot(metrics)),
         sync_plot => Value::from_safe_string(sync_plot(metrics)),
         view_plot => Value::from_safe_string(view_plot(metrics)),
-        rungs => sync_rungs(metrics),
+        methods => sync_methods(metrics),
         measured => measured_percent(metrics),
     })
 }
@@ -110,7 +111,7 @@ fn rounded(v: f64, digits: usize) -> String {
     if zero { text.trim_start_matches('-').to_owned() } else { text }
 }
 
-/// The PSNR of [`super::metrics::Scores`]; identical pixels have a word instead.
+/// The PSNR of [`crate::metrics::Scores`]; identical pixels have a word instead.
 fn psnr(scores: Value) -> Result<String, minijinja::Error> {
     let (pixels, psnr_db) = (scores.get_attr("pixels")?, scores.get_attr("psnr_db")?);
     let same = psnr_db.is_none() && u64::try_from(pixels).unwrap_or(0) > 0;
@@ -124,14 +125,15 @@ fn measured_percent(metrics: &Metrics) -> Option<[String; 2]> {
     Some([least, most].map(|share| format!("{:.1}", 100.0 * share)))
 }
 
-fn sync_rungs(metrics: &Metrics) -> Vec<String> {
-    let mut rungs: Vec<String> = Vec::new();
+/// The names of the sync methods that were measured, in their order.
+fn sync_methods(metrics: &Metrics) -> Vec<&'static str> {
+    let mut methods = Vec::new();
     for row in &metrics.sync {
-        if !rungs.contains(&row.rung) {
-            rungs.push(row.rung.clone());
+        if !methods.contains(&row.method.name()) {
+            methods.push(row.method.name());
         }
     }
-    rungs
+    methods
 }
 
 /// Errors in thousandths of a frame with two standard errors to either side.
@@ -153,17 +155,17 @@ fn offset_plot(metrics: &Metrics) -> String {
     dot_plot(&rows, "error, thousandths of a frame (bar: ±2 standard errors)", true)
 }
 
-/// PSNR of the moving part of each camera's image, one row a camera, one colour a rung.
+/// PSNR of the moving part of each camera's image, one row a camera, one colour a method.
 fn sync_plot(metrics: &Metrics) -> String {
-    let rungs = sync_rungs(metrics);
+    let methods = sync_methods(metrics);
     let mut rows: Vec<Row> = Vec::new();
     for result in &metrics.sync {
         let Some(db) = result.scores.and_then(|s| s.moving.psnr_db) else { continue };
         let point = Point {
             value: db,
             bar: None,
-            series: rungs.iter().position(|r| *r == result.rung).unwrap_or(0),
-            title: format!("{}, {}: {db:.2} dB", result.view, result.rung),
+            series: methods.iter().position(|m| *m == result.method.name()).unwrap_or(0),
+            title: format!("{}, {}: {db:.2} dB", result.view, result.method.name()),
         };
         match rows.iter_mut().find(|r| r.label == result.camera) {
             Some(row) => row.points.push(point),
@@ -178,11 +180,11 @@ fn view_plot(metrics: &Metrics) -> String {
     let mut rows: Vec<Row> = Vec::new();
     for result in &metrics.views {
         let Some(db) = result.scores.and_then(|s| s.moving.psnr_db) else { continue };
-        let label = format!("{}, {}", result.view, result.proxy);
+        let label = format!("{}, {}", result.view, result.proxy.name());
         let point = Point {
             value: db,
             bar: None,
-            series: Method::ALL.iter().position(|m| *m == result.method).unwrap_or(0),
+            series: ViewMethod::ALL.iter().position(|m| *m == result.method).unwrap_or(0),
             title: format!("{label}, {}: {db:.2} dB", result.method.title()),
         };
         match rows.iter_mut().find(|r| r.label == label) {

@@ -1,7 +1,9 @@
 //! What a comparison found, as `metrics.json` and `timings.json` hold it.
 
 use super::CompareOptions;
-use super::metrics::{RegionScores, median};
+use crate::interpolation::SyncMethod;
+use crate::metrics::{RegionScores, median};
+use crate::options::{ProxyMethod, RenderOptions};
 use serde::Serialize;
 
 /// `metrics.json`: every number but the times that the work took, so that two runs write the same
@@ -14,8 +16,8 @@ pub struct Metrics {
     pub stlfr: &'static str,
     pub capture: CaptureFacts,
     pub options: CompareOptions,
-    /// The options of the stages, as the renderer states them.
-    pub renderer: serde_json::Value,
+    /// The options of the stages.
+    pub renderer: RenderOptions,
     pub headline: Headline,
     pub offsets: Vec<OffsetResult>,
     pub sync: Vec<SyncResult>,
@@ -59,10 +61,10 @@ pub struct OffsetHeadline {
     pub estimated: usize,
 }
 
-/// What the chosen sync rung gains over the nearest frame on the moving part.
+/// What the chosen sync method gains over the nearest frame on the moving part.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct SyncHeadline {
-    pub rung: String,
+    pub method: SyncMethod,
     pub median_gain_db: Option<f64>,
     pub least_gain_db: Option<f64>,
     pub images: usize,
@@ -71,7 +73,7 @@ pub struct SyncHeadline {
 /// What ST-LFR gains over traditional LFR, and lacks to perfect sync, through one proxy.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ViewHeadline {
-    pub proxy: String,
+    pub proxy: ProxyMethod,
     pub gain_whole_db: Option<f64>,
     pub gain_moving_db: Option<f64>,
     /// Negative where ST-LFR came out above perfect sync.
@@ -96,14 +98,14 @@ pub struct OffsetResult {
     pub reason: Option<String>,
 }
 
-/// A filming camera's image at an instant, made by one sync rung.
+/// A filming camera's image at an instant, made by one sync method.
 #[derive(Clone, Debug, Serialize)]
 pub struct SyncResult {
     pub view: String,
     pub camera: String,
     /// On the capture's clock, as the truth states it.
     pub time_s: f64,
-    pub rung: String,
+    pub method: SyncMethod,
     pub scores: Option<RegionScores>,
     pub image: Option<String>,
     /// Why there is no image.
@@ -113,16 +115,16 @@ pub struct SyncResult {
 /// Where the images that a view is blended from come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Method {
+pub enum ViewMethod {
     /// Each camera's nearest frame.
     TraditionalLfr,
-    /// The chosen sync rung.
+    /// The chosen sync method.
     StLfr,
     /// The true images of all cameras at the instant: what no sync can exceed, but by luck.
     PerfectSync,
 }
 
-impl Method {
+impl ViewMethod {
     pub const ALL: [Self; 3] = [Self::TraditionalLfr, Self::StLfr, Self::PerfectSync];
 
     /// As people write it.
@@ -148,8 +150,8 @@ impl Method {
 pub struct ViewResult {
     pub view: String,
     pub time_s: f64,
-    pub proxy: String,
-    pub method: Method,
+    pub proxy: ProxyMethod,
+    pub method: ViewMethod,
     /// Cameras that gave an image, and those left out.
     pub cameras: usize,
     pub left_out: Vec<LeftOut>,
@@ -195,7 +197,7 @@ pub(super) fn headline(
             estimated: own.iter().filter(|o| o.offset_s.is_some()).count(),
         },
         sync: SyncHeadline {
-            rung: options.sync.clone(),
+            method: options.sync,
             images: gains.len(),
             least_gain_db: gains.iter().copied().min_by(f64::total_cmp),
             median_gain_db: median(gains),
@@ -205,37 +207,41 @@ pub(super) fn headline(
     }
 }
 
-/// The chosen rung's PSNR above the nearest frame's on the moving part, for every image that has
+/// The chosen method's PSNR above the nearest frame's on the moving part, for every image that has
 /// both.
 fn sync_gains(options: &CompareOptions, sync: &[SyncResult]) -> Vec<f64> {
-    let psnr = |view: &str, rung: &str| {
-        let found = sync.iter().find(|s| s.view == view && s.rung == rung)?;
+    let psnr = |view: &str, method: SyncMethod| {
+        let found = sync.iter().find(|s| s.view == view && s.method == method)?;
         found.scores?.moving.psnr_db
     };
-    let chosen = sync.iter().filter(|s| s.rung == options.sync);
-    chosen.filter_map(|s| Some(psnr(&s.view, &s.rung)? - psnr(&s.view, super::NEAREST)?)).collect()
+    let chosen = sync.iter().filter(|s| s.method == options.sync);
+    chosen
+        .filter_map(|s| Some(psnr(&s.view, s.method)? - psnr(&s.view, super::TRADITIONAL)?))
+        .collect()
 }
 
 /// The PSNR of one region.
 type Psnr = fn(&RegionScores) -> Option<f64>;
 
 fn view_headlines(views: &[ViewResult]) -> Vec<ViewHeadline> {
-    let mut proxies: Vec<&str> = Vec::new();
+    let mut proxies: Vec<ProxyMethod> = Vec::new();
     for view in views {
-        if !proxies.contains(&view.proxy.as_str()) {
-            proxies.push(&view.proxy);
+        if !proxies.contains(&view.proxy) {
+            proxies.push(view.proxy);
         }
     }
-    let scores = |view: &str, proxy: &str, method: Method| {
+    let scores = |view: &str, proxy: ProxyMethod, method: ViewMethod| {
         let found = views.iter().find(|v| v.view == view && v.proxy == proxy && v.method == method);
         found.and_then(|v| v.scores)
     };
     proxies
         .into_iter()
         .map(|proxy| {
-            let ours: Vec<&ViewResult> =
-                views.iter().filter(|v| v.proxy == proxy && v.method == Method::StLfr).collect();
-            let over = |other: Method, psnr: Psnr| {
+            let ours: Vec<&ViewResult> = views
+                .iter()
+                .filter(|v| v.proxy == proxy && v.method == ViewMethod::StLfr)
+                .collect();
+            let over = |other: ViewMethod, psnr: Psnr| {
                 let difference = |v: &&ViewResult| {
                     Some(psnr(&v.scores?)? - psnr(&scores(&v.view, proxy, other)?)?)
                 };
@@ -244,11 +250,11 @@ fn view_headlines(views: &[ViewResult]) -> Vec<ViewHeadline> {
             let whole: Psnr = |s| s.whole.psnr_db;
             let moving: Psnr = |s| s.moving.psnr_db;
             ViewHeadline {
-                proxy: proxy.to_owned(),
-                gain_whole_db: over(Method::TraditionalLfr, whole),
-                gain_moving_db: over(Method::TraditionalLfr, moving),
-                gap_whole_db: over(Method::PerfectSync, whole).map(|v| 0.0 - v),
-                gap_moving_db: over(Method::PerfectSync, moving).map(|v| 0.0 - v),
+                proxy,
+                gain_whole_db: over(ViewMethod::TraditionalLfr, whole),
+                gain_moving_db: over(ViewMethod::TraditionalLfr, moving),
+                gap_whole_db: over(ViewMethod::PerfectSync, whole).map(|v| 0.0 - v),
+                gap_moving_db: over(ViewMethod::PerfectSync, moving).map(|v| 0.0 - v),
                 views: ours.iter().filter(|v| v.scores.is_some()).count(),
             }
         })

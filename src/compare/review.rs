@@ -1,7 +1,9 @@
 //! `review.json`: what stands beside what, for whoever lays it out. `review.blend` is made from it.
 
-use super::results::{Method, Metrics};
-use super::{NEAREST, video};
+use super::results::{Metrics, ViewMethod};
+use super::{TRADITIONAL, video};
+use crate::interpolation::SyncMethod;
+use crate::method::Method;
 use serde::Serialize;
 
 /// The file's name in the review's folder.
@@ -68,15 +70,16 @@ pub(super) fn layout(metrics: &Metrics, made: Option<&video::Made>) -> Layout {
 
 fn movie_reel(made: &video::Made) -> Reel {
     let file = |slug: &str| made.movies.iter().find(|m| m.slug == slug).map(|m| m.file.clone());
-    let panel =
-        |method: Method| Some(Panel { title: method.title().into(), file: file(method.slug())? });
+    let panel = |method: ViewMethod| {
+        Some(Panel { title: method.title().into(), file: file(method.slug())? })
+    };
     let shot = Shot {
         label: made.view.clone(),
         frames: made.frames,
         is_movie: true,
         truth: file("truth"),
-        traditional: panel(Method::TraditionalLfr),
-        space_time: panel(Method::StLfr),
+        traditional: panel(ViewMethod::TraditionalLfr),
+        space_time: panel(ViewMethod::StLfr),
     };
     Reel { name: "Video", rate_hz: made.rate_hz, shots: vec![shot] }
 }
@@ -101,17 +104,17 @@ fn still(label: String, traditional: Option<Panel>, space_time: Option<Panel>) -
 fn view_shots(metrics: &Metrics) -> Vec<Shot> {
     let rows = || metrics.views.iter();
     rows()
-        .filter(|row| row.method == Method::StLfr)
+        .filter(|row| row.method == ViewMethod::StLfr)
         .filter_map(|row| {
-            let panel = |method: Method| {
+            let panel = |method: ViewMethod| {
                 let same = |r: &&super::results::ViewResult| {
                     r.view == row.view && r.proxy == row.proxy && r.method == method
                 };
                 let file = rows().find(same)?.image.clone()?;
-                Some(Panel { title: format!("{}, {}", method.title(), row.proxy), file })
+                Some(Panel { title: format!("{}, {}", method.title(), row.proxy.name()), file })
             };
-            let label = format!("{} at {:.4} s, {}", row.view, row.time_s, row.proxy);
-            still(label, panel(Method::TraditionalLfr), panel(Method::StLfr))
+            let label = format!("{} at {:.4} s, {}", row.view, row.time_s, row.proxy.name());
+            still(label, panel(ViewMethod::TraditionalLfr), panel(ViewMethod::StLfr))
         })
         .collect()
 }
@@ -119,14 +122,17 @@ fn view_shots(metrics: &Metrics) -> Vec<Shot> {
 fn camera_shots(metrics: &Metrics) -> Vec<Shot> {
     let rows = || metrics.sync.iter();
     rows()
-        .filter(|row| row.rung == metrics.options.sync)
+        .filter(|row| row.method == metrics.options.sync)
         .filter_map(|row| {
-            let panel = |rung: &str| {
-                let found = rows().find(|r| r.view == row.view && r.rung == rung)?;
-                Some(Panel { title: format!("{}, {rung}", row.camera), file: found.image.clone()? })
+            let panel = |method: SyncMethod| {
+                let found = rows().find(|r| r.view == row.view && r.method == method)?;
+                Some(Panel {
+                    title: format!("{}, {}", row.camera, method.name()),
+                    file: found.image.clone()?,
+                })
             };
             let label = format!("{} at {:.4} s", row.view, row.time_s);
-            still(label, panel(NEAREST), panel(&row.rung))
+            still(label, panel(TRADITIONAL), panel(row.method))
         })
         .collect()
 }

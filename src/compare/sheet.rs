@@ -1,8 +1,8 @@
 //! Comparison sheets: the truth and what each method made of it side by side, labelled, with the
 //! amplified differences beneath.
 
-use super::metrics::{RegionScores, Scores};
 use crate::chart::lettering::{LINE_PX, Weight, width_px, write};
+use crate::metrics::{RegionScores, Scores};
 use crate::raster::Image;
 
 const BACKGROUND: f32 = 0.09;

@@ -1,10 +1,11 @@
 //! The truth's images, checked before anything is rendered.
 
-use super::mask::moving_part;
 use super::{CompareError, CompareOptions};
 use crate::camera::Camera;
-use crate::capture::{BitDepth, Capture, Color, Truth, TruthError, read_array, read_image};
+use crate::capture::{Capture, Color, Truth, TruthError, read_array};
+use crate::metrics::moving_part;
 use crate::raster::Image;
+use crate::raster::{BitDepth, read_image};
 
 /// Times of the truth that are nearer than this are one instant; a microsecond is a thousandth of
 /// the fastest exposures.
@@ -166,7 +167,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         for depth in [BitDepth::Eight, BitDepth::Sixteen] {
             let path = folder.path().join("a.png");
-            crate::capture::write_image(&path, &image, None, depth).unwrap();
+            crate::raster::write_image(&path, &image, None, depth).unwrap();
             assert_eq!(read_image(&path).unwrap().0, as_written(&image, 1, depth));
         }
     }

@@ -1,14 +1,17 @@
 //! The review video: truth, traditional LFR and ST-LFR side by side over time, and each in a file
 //! of its own, without loss, for `review.blend`.
 
-use super::results::Method;
+use super::results::ViewMethod;
 use super::sheet::strip;
-use super::{NEAREST, Renderer};
+use super::{Renderer, TRADITIONAL};
 use crate::camera::Camera;
-use crate::capture::{BitDepth, Truth, TruthError, read_image};
+use crate::capture::{Truth, TruthError};
+use crate::interpolation::SyncMethod;
+use crate::options::ProxyMethod;
 use crate::progress::Reporter;
-use crate::raster::Image;
-use crate::video::{Codec, VideoWriter};
+use crate::raster::{BitDepth, read_image};
+use crate::raster::{Image, ImageFileError};
+use crate::video::{Codec, VideoFormat, VideoWriter};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -45,7 +48,16 @@ pub enum VideoError {
     #[error(transparent)]
     Truth(#[from] TruthError),
     #[error(transparent)]
-    Capture(#[from] crate::capture::CaptureError),
+    Image(#[from] ImageFileError),
+}
+
+/// The proxy that the video's views go through.
+const BEST_PROXY: ProxyMethod = ProxyMethod::Mesh;
+
+/// What encodes the video that is shown in browsers.
+pub struct Encoder {
+    pub ffmpeg: PathBuf,
+    pub codec: Codec,
 }
 
 /// What is shown, and when.
@@ -124,20 +136,19 @@ impl Plan {
         })
     }
 
-    /// Renders, and encodes into the folder `out`. Views go through the best proxy, the renderer's
-    /// last.
+    /// Renders, and encodes into the folder `out`. Views go through the most accurate proxy.
     pub fn write(
         &self,
         renderer: &dyn Renderer,
-        sync: &str,
-        codec: Codec,
-        ffmpeg: &Path,
+        sync: SyncMethod,
+        encoder: &Encoder,
         out: &Path,
         reporter: &Reporter,
     ) -> Result<Made, VideoError> {
-        let path = out.join("review").with_extension(codec.suffix());
+        let path = out.join("review").with_extension(encoder.codec.suffix());
         let create = |path: &Path, like: &Image, depth, codec| {
-            VideoWriter::create(ffmpeg, path, like, depth, self.rate_hz, codec)
+            let format = VideoFormat { depth, rate_hz: self.rate_hz, codec };
+            VideoWriter::create(&encoder.ffmpeg, path, like, format)
         };
         let task = reporter.task("Review video", self.times_s.len());
         let mut movies: Vec<(Movie, VideoWriter)> = Vec::new();
@@ -152,7 +163,7 @@ impl Plan {
                     let writer = create(&out.join(&file), &panel.image, depth, Codec::Ffv1)?;
                     movies.push((Movie { slug: panel.slug, file }, writer));
                 }
-                side_by_side = Some(create(&path, &strip, BitDepth::Eight, codec)?);
+                side_by_side = Some(create(&path, &strip, BitDepth::Eight, encoder.codec)?);
             }
             for ((_, writer), panel) in movies.iter_mut().zip(&panels) {
                 writer.push(&panel.image)?;
@@ -182,7 +193,7 @@ impl Plan {
     fn panels(
         &self,
         renderer: &dyn Renderer,
-        sync: &str,
+        sync: SyncMethod,
         k: usize,
     ) -> Result<Vec<Panel>, VideoError> {
         let time_s = self.times_s[k];
@@ -205,12 +216,12 @@ impl Plan {
             }
             panels.push(Panel { slug: "truth", title: "Truth".into(), image: image.to_rgb() });
         }
-        for (method, rung) in [(Method::TraditionalLfr, NEAREST), (Method::StLfr, sync)] {
+        for (method, sync) in [(ViewMethod::TraditionalLfr, TRADITIONAL), (ViewMethod::StLfr, sync)]
+        {
             let cameras = renderer.capture().cameras.len();
             let images: Vec<Option<Image>> =
-                (0..cameras).map(|c| renderer.synchronized(rung, c, time_s).ok()).collect();
-            let proxy = renderer.proxies().len().saturating_sub(1);
-            let view = renderer.view(&images, proxy, &self.target, time_s);
+                (0..cameras).map(|c| renderer.synchronized(sync, c, time_s).ok()).collect();
+            let view = renderer.view(&images, BEST_PROXY, &self.target, time_s);
             let view = view.ok().map(|v| v.image.to_rgb()).filter(fits);
             let none = if view.is_some() { "" } else { ": no image" };
             panels.push(Panel {

@@ -1,22 +1,26 @@
 //! One view at an instant: blended by every method through every proxy, then measured.
 
 use super::CompareError;
+use super::TRADITIONAL;
 use super::instant::{Made, Shown, Work, figure};
-use super::metrics::Reference;
 use super::report::Figure;
-use super::results::{LeftOut, Method, ViewResult};
-use super::truths::{TrueImage, TrueInstant, TrueView, slug};
-use super::{NEAREST, RenderedView};
-use crate::capture::{BitDepth, write_image};
+use super::results::{LeftOut, ViewMethod, ViewResult};
+use super::truths::{TrueImage, TrueInstant, TrueView};
+use crate::interpolation::SyncMethod;
+use crate::lumigraph::Rendered;
+use crate::method::Method;
+use crate::metrics::Reference;
+use crate::options::ProxyMethod;
 use crate::raster::Image;
+use crate::raster::{BitDepth, write_image};
 use rayon::prelude::*;
 
-type ViewMade = Result<RenderedView, String>;
+type ViewMade = Result<Rendered, String>;
 
 /// One view through one proxy by one method, before it is measured.
 pub(super) struct Blend {
-    proxy: usize,
-    method: Method,
+    proxy: ProxyMethod,
+    method: ViewMethod,
     cameras: usize,
     left_out: Vec<LeftOut>,
     made: ViewMade,
@@ -32,9 +36,9 @@ impl Work<'_> {
         images: &[Vec<Made>],
     ) -> Vec<Blend> {
         let capture = self.renderer.capture();
-        let of_rung = |rung: &str| match self.rungs.iter().position(|r| r == rung) {
-            Some(k) => images[k].clone(),
-            None => vec![Err(format!("there is no sync rung '{rung}'")); capture.cameras.len()],
+        let by = |method: SyncMethod| {
+            let row = self.methods.iter().position(|m| *m == method);
+            row.map_or_else(Vec::new, |k| images[k].clone())
         };
         let true_image = |camera: usize| {
             let at = instant.views.iter().position(|v| v.like == Some(camera));
@@ -42,11 +46,11 @@ impl Work<'_> {
                 .ok_or_else(|| "the truth has no image of it at this instant".to_owned())
         };
         let mut blends = Vec::new();
-        for method in Method::ALL {
+        for method in ViewMethod::ALL {
             let made: Vec<Made> = match method {
-                Method::TraditionalLfr => of_rung(NEAREST),
-                Method::StLfr => of_rung(&self.options.sync),
-                Method::PerfectSync => (0..capture.cameras.len()).map(true_image).collect(),
+                ViewMethod::TraditionalLfr => by(TRADITIONAL),
+                ViewMethod::StLfr => by(self.options.sync),
+                ViewMethod::PerfectSync => (0..capture.cameras.len()).map(true_image).collect(),
             };
             let left_out: Vec<LeftOut> = made
                 .iter()
@@ -57,7 +61,7 @@ impl Work<'_> {
                 })
                 .collect();
             let made: Vec<Option<Image>> = made.into_iter().map(Result::ok).collect();
-            for proxy in 0..self.renderer.proxies().len() {
+            for &proxy in ProxyMethod::ALL {
                 let cameras = made.iter().flatten().count();
                 let rendered = if cameras == 0 {
                     Err("no camera has an image at this instant".to_owned())
@@ -68,7 +72,7 @@ impl Work<'_> {
                 blends.push(Blend { proxy, method, cameras, left_out, made: rendered });
             }
         }
-        blends.sort_by_key(|b| b.proxy);
+        blends.sort_by_key(|b| ProxyMethod::ALL.iter().position(|p| *p == b.proxy));
         blends
     }
 
@@ -84,7 +88,6 @@ impl Work<'_> {
     ) -> Result<(Vec<ViewResult>, Option<Figure>), CompareError> {
         let depth = self.renderer.capture().bit_depth();
         let id = &self.truth.views[view.index].id;
-        let names = self.renderer.proxies();
         let made: Vec<Made> = blends
             .iter()
             .map(|b| self.checked_view(b.made.as_ref(), &truth.image, depth))
@@ -96,11 +99,10 @@ impl Work<'_> {
             .par_iter()
             .zip(&made)
             .map(|(blend, made)| {
-                let proxy = &names[blend.proxy];
                 let mut row = ViewResult {
                     view: id.clone(),
                     time_s: instant.time_s,
-                    proxy: proxy.clone(),
+                    proxy: blend.proxy,
                     method: blend.method,
                     cameras: blend.cameras,
                     left_out: blend.left_out.clone(),
@@ -114,7 +116,7 @@ impl Work<'_> {
                     let maps = reference.compare(&filled);
                     row.scores = Some(maps.regions(Some(&covered), &truth.moving));
                     row.measured = Some(share);
-                    let file = format!("{}-{}.png", slug(proxy), blend.method.slug());
+                    let file = format!("{}-{}.png", blend.proxy.name(), blend.method.slug());
                     let name = format!("images/{}/{file}", view.stem);
                     let all = rendered.coverage.iter().all(|c| *c);
                     let alpha = (!all).then_some(rendered.coverage.as_slice());
@@ -127,23 +129,24 @@ impl Work<'_> {
         let name = format!("images/{}/truth.png", view.stem);
         write_image(&self.out.join(name), &truth.image, None, depth)?;
 
-        let shown = |proxy: Option<usize>| -> Vec<Shown> {
+        let shown = |proxy: Option<ProxyMethod>| -> Vec<Shown> {
             let all = blends.iter().zip(&made).zip(&rows);
             all.filter(|((b, _), _)| proxy.is_none_or(|p| b.proxy == p))
                 .map(|((b, made), row)| Shown {
-                    title: format!("{}, {}", b.method.title(), names[b.proxy]),
+                    title: format!("{}, {}", b.method.title(), b.proxy.name()),
                     made: made.as_ref(),
                     scores: row.scores,
                 })
                 .collect()
         };
-        for (proxy, name) in names.iter().enumerate() {
+        for &proxy in ProxyMethod::ALL {
+            let name = proxy.name();
             let title = format!(
                 "{}: view {id} at {:.4} s, proxy {name}",
                 self.renderer.capture().name,
                 instant.time_s
             );
-            let stem = format!("{}-{}", view.stem, slug(name));
+            let stem = format!("{}-{name}", view.stem);
             self.write_sheet(&title, &stem, truth, &shown(Some(proxy)))?;
         }
         let title = format!("View {id} at {:.4} s", instant.time_s);
@@ -153,7 +156,7 @@ impl Work<'_> {
 
     fn checked_view(
         &self,
-        made: Result<&RenderedView, &String>,
+        made: Result<&Rendered, &String>,
         truth: &Image,
         depth: BitDepth,
     ) -> Made {

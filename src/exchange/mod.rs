@@ -67,7 +67,7 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, ExchangeError> {
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), ExchangeError> {
-    crate::capture::write_atomically(path, bytes)
+    crate::host::write_atomically(path, bytes)
         .map_err(|source| ExchangeError::Write { path: path.to_owned(), source })
 }
 

@@ -198,7 +198,8 @@ fn what_is_no_rotation_is_refused() {
 
 #[test]
 fn a_model_and_sequences_become_a_capture() {
-    use crate::capture::{BitDepth, Capture, write_image};
+    use crate::capture::Capture;
+    use crate::raster::{BitDepth, write_image};
     let folder = tempfile::tempdir().unwrap();
     let (images, target) = (folder.path().join("images"), folder.path().join("capture"));
     let mut cameras: Vec<NamedCamera> = Vec::new();

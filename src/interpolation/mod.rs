@@ -8,7 +8,7 @@
 //! | 5.3 cross dissolve, eq. (9) | [`cross_dissolve`] |
 //! | beyond: visibility at outlines | [`refined`] |
 //!
-//! The rungs of [`Sync`] are one piece of code with more or less in it: `crossfade` dissolves
+//! The rungs of [`SyncMethod`] are one piece of code with more or less in it: `crossfade` dissolves
 //! without a warp, `triangulation` and the morphs differ in the warp, `morph` is `edge-morph`
 //! without the boost, and `refined` starts from `triangulation` (from `edge-morph` it takes up to
 //! twice as long and comes out the same to 0.02 dB on ten films, and worse on `textureless`).
@@ -16,37 +16,39 @@
 //! Known limits: in the paper's rungs, what one frame shows and the other hides is dissolved, not
 //! resolved; motion blur stays as it was filmed.
 
+mod block_change;
 mod edge_set;
 mod edges;
 mod local_motion;
 mod morph;
 mod options;
 mod refine;
-mod still;
 mod triangulation;
 mod warp;
 mod windows;
 
+pub use block_change::largest_change;
+pub(crate) use block_change::{changed_fraction, changed_pixels};
 pub use edge_set::{Edge, edge_set};
 pub use edges::{Feature, RealEdge, real_edges};
 pub use local_motion::Motion;
 pub use morph::morph_warp;
 pub use options::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
 pub use refine::{FourFrames, refined};
-pub use still::largest_change;
 pub use triangulation::triangulation_warp;
 pub use warp::{Warp, cross_dissolve};
 
+use crate::method::methods;
 use crate::raster::{Image, Tiles};
-use crate::registration::{Frame, Path, Track};
+use crate::registration::{Frame, Track, Trajectory};
 use nalgebra::{Point2, Vector2};
 use serde::{Deserialize, Serialize};
 use windows::mixed;
 
 /// How a synchronized image is made, cheapest first.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Sync {
+pub enum SyncMethod {
     /// The frame nearest in time: traditional light field rendering
     Nearest,
     /// The two frames around the instant, dissolved
@@ -62,7 +64,16 @@ pub enum Sync {
     Refined,
 }
 
-impl Sync {
+methods!(SyncMethod {
+    Nearest = "nearest": "The frame nearest in time: traditional light field rendering",
+    Crossfade = "crossfade": "The two frames around the instant, cross-faded",
+    Triangulation = "triangulation": "Tracked features, triangulated and warped",
+    Morph = "morph": "The morph along edges, all of them with equal weights",
+    EdgeMorph = "edge-morph": "The paper's: the morph with real edges boosted",
+    Refined = "refined": "Beyond the paper: triangulation, with motion and visibility per pixel at moving outlines",
+});
+
+impl SyncMethod {
     /// Whether it needs registered frames.
     pub fn needs_tracks(self) -> bool {
         !matches!(self, Self::Nearest | Self::Crossfade)
@@ -86,19 +97,24 @@ pub struct FramePair<'a> {
 
 impl FramePair<'_> {
     /// The image at a time between the two frames.
-    pub fn interpolate(&self, time_s: f64, sync: Sync, options: &InterpolationOptions) -> Image {
+    pub fn interpolate(
+        &self,
+        time_s: f64,
+        sync: SyncMethod,
+        options: &InterpolationOptions,
+    ) -> Image {
         let [start, end] = [self.times_s[self.index], self.times_s[self.index + 1]];
         // Times ascend strictly, so the interval is positive.
         let share = ((time_s - start) / (end - start)).clamp(0.0, 1.0);
         let images = [&self.earlier.image, &self.later.image];
         match sync {
-            Sync::Nearest => return images[usize::from(share > 0.5)].clone(),
-            Sync::Crossfade => return mixed(images[0], images[1], share as f32),
+            SyncMethod::Nearest => return images[usize::from(share > 0.5)].clone(),
+            SyncMethod::Crossfade => return mixed(images[0], images[1], share as f32),
             _ => {}
         }
         let warps = [true, false].map(|forward| self.warp(time_s, forward, sync, options));
         let warps = [&warps[0], &warps[1]];
-        if sync == Sync::Refined {
+        if sync == SyncMethod::Refined {
             let frames = FourFrames {
                 before: self.around[0].map(|f| &f.image),
                 earlier: images[0],
@@ -137,7 +153,7 @@ impl FramePair<'_> {
             .collect()
     }
 
-    fn path(&self, track: &Track, curved: bool) -> Option<Path> {
+    fn path(&self, track: &Track, curved: bool) -> Option<Trajectory> {
         if curved {
             track.path(self.times_s, self.index)
         } else {
@@ -146,18 +162,24 @@ impl FramePair<'_> {
     }
 
     /// The warp of the earlier frame (forward) or the later one to the instant.
-    fn warp(&self, time_s: f64, forward: bool, sync: Sync, options: &InterpolationOptions) -> Warp {
+    fn warp(
+        &self,
+        time_s: f64,
+        forward: bool,
+        sync: SyncMethod,
+        options: &InterpolationOptions,
+    ) -> Warp {
         let (source, other) =
             if forward { (self.earlier, self.later) } else { (self.later, self.earlier) };
         let (w, h) = (source.image.width(), source.image.height());
         let features = self.features(time_s, forward, options.curved);
-        if matches!(sync, Sync::Triangulation | Sync::Refined) {
+        if matches!(sync, SyncMethod::Triangulation | SyncMethod::Refined) {
             return triangulation_warp(&features, w, h);
         }
         let [source, other] = [source, other].map(|f| &f.pyramid.levels()[0]);
         let real = real_edges(&features, source, other, &options.edges);
         let edges = edge_set(&features, &real, options.edges.all_features, w, h);
-        let tau = if sync == Sync::Morph { 0.0 } else { options.morph.tau };
+        let tau = if sync == SyncMethod::Morph { 0.0 } else { options.morph.tau };
         morph_warp(&edges, w, h, &MorphOptions { tau, ..options.morph.clone() })
     }
 

@@ -29,7 +29,7 @@ pub use plane::Plane;
 pub use proxy::Proxy;
 pub use triangulate::{Triangulated, triangulate};
 pub use ulr::{BlendOptions, Rendered, Source, blend, contributing};
-pub use weights::BlendRung;
+pub use weights::BlendMethod;
 
 #[cfg(test)]
 mod tests;

@@ -274,7 +274,7 @@ fn uniform_is_the_mean() {
     let cameras = rig();
     let images: Vec<Image> = (0..8).map(|k| Image::filled(96, 72, 1, k as f32 / 8.0)).collect();
     let target = camera_at([0.0; 3]);
-    let options = BlendOptions { rung: BlendRung::Uniform, ..BlendOptions::default() };
+    let options = BlendOptions { method: BlendMethod::Uniform, ..BlendOptions::default() };
     let depth = Proxy::Plane(Plane { normal: Vector3::z(), d: 9.0 }).depth_map(&target);
     let rendered = blend(&sources(&cameras, &images), &depth, &target, &options);
     assert_eq!(rendered.image.channels(), 1);
@@ -285,7 +285,7 @@ fn uniform_is_the_mean() {
 fn gray_cameras_give_luminance_and_colored_ones_color() {
     let gray = |image: Image| {
         let pixels = image.data().chunks_exact(3);
-        let data = pixels.map(|p| super::ulr::luminance([p[0], p[1], p[2]])).collect();
+        let data = pixels.map(|p| crate::raster::gray_from_rgb([p[0], p[1], p[2]])).collect();
         Image::from_data(image.width(), image.height(), 1, data)
     };
     let plane = tilted();

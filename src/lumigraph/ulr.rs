@@ -21,9 +21,9 @@
 use super::DepthMap;
 use super::rays::RayRow;
 use super::reproject::{Hits, Reprojection, TargetRow};
-use super::weights::{BlendRung, WeightRow};
+use super::weights::{BlendMethod, WeightRow};
 use crate::camera::Camera;
-use crate::raster::{Image, Sampling, Tiles, sample};
+use crate::raster::{Image, Sampling, Tiles, gray_from_rgb, sample};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -47,7 +47,9 @@ impl<'a> Source<'a> {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BlendOptions {
-    pub rung: BlendRung,
+    /// How cameras are weighed. Files of earlier versions call it `rung`.
+    #[serde(alias = "rung")]
+    pub method: BlendMethod,
     /// Cameras that a pixel is blended from. Larger averages the noise of more images and blurs
     /// by the proxy's error; smaller shows every camera's own errors. At least 1. (Magazine
     /// scene: over true depth 2, 3, 4, 8 give 33.7, 33.8, 34.0, 34.2 dB, over a plane 25.9, 25.9,
@@ -68,7 +70,7 @@ pub struct BlendOptions {
 impl Default for BlendOptions {
     fn default() -> Self {
         Self {
-            rung: BlendRung::Lumigraph,
+            method: BlendMethod::default(),
             cameras: 3,
             feather_px: 4.0,
             resolution: 1.0,
@@ -234,9 +236,9 @@ impl<'a> Row<'a> {
     }
 
     fn weigh(&mut self) {
-        match self.options.rung {
-            BlendRung::Uniform => self.weights.uniform(&self.trust),
-            BlendRung::Lumigraph => {
+        match self.options.method {
+            BlendMethod::Uniform => self.weights.uniform(&self.trust),
+            BlendMethod::Lumigraph => {
                 self.weights.lumigraph(&self.penalty, &self.trust, self.options.cameras);
             }
         }
@@ -310,7 +312,7 @@ impl<'a> Row<'a> {
                 let (k, weight) = (i * width + x, self.weights.weights[i * width + x]);
                 seen[x] = seen[x].max(self.trust[k]);
                 if weight > 0.0 {
-                    let gray = luminance(self.sample_rgb(k, i));
+                    let gray = gray_from_rgb(self.sample_rgb(k, i));
                     pixels[3 * x..3 * x + 3].iter_mut().for_each(|v| *v += weight * gray);
                     colored_share[x] += if is_colored(i) { weight } else { 0.0 };
                 }
@@ -332,7 +334,7 @@ impl<'a> Row<'a> {
                 let weight = self.weights.weights[i * width + x];
                 if weight > 0.0 {
                     let value = self.sample_rgb(i * width + x, i);
-                    let gray = luminance(value);
+                    let gray = gray_from_rgb(value);
                     for (out, v) in pixels[3 * x..3 * x + 3].iter_mut().zip(value) {
                         *out += weight * fade * (v - gray);
                     }
@@ -359,12 +361,4 @@ impl<'a> Row<'a> {
             }
         }
     }
-}
-
-/// What a grey camera records of a colour, both display-encoded (sRGB): Rec. 709's luminance of the
-/// light. Values beyond 0..=1, of the cubic's lobes, go on as the curve does.
-pub(super) fn luminance(rgb: [f32; 3]) -> f32 {
-    let light = |v: f32| if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
-    let y = 0.2126 * light(rgb[0]) + 0.7152 * light(rgb[1]) + 0.0722 * light(rgb[2]);
-    if y <= 0.003_130_8 { 12.92 * y } else { 1.055 * y.powf(1.0 / 2.4) - 0.055 }
 }

@@ -6,17 +6,25 @@
 //! that the best cameras never all reach zero: weights are then continuous functions of the
 //! penalties, whatever ties there are.
 
+use crate::method::methods;
 use serde::{Deserialize, Serialize};
 
-/// The rungs of the blend.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// How the cameras that see a point are weighed, cheapest first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum BlendRung {
-    /// Every camera that sees the point, all alike (the paper's Fig. 14: 1/8 each).
+pub enum BlendMethod {
+    /// Every camera that sees the point has the same weight (the paper's Fig. 14: 1/8 each).
     Uniform,
-    /// Unstructured lumigraph.
+    /// Unstructured lumigraph rendering (Buehler et al., SIGGRAPH 2001; §6 of the paper): by angle
+    /// and resolution.
+    #[default]
     Lumigraph,
 }
+
+methods!(BlendMethod {
+    Uniform = "uniform": "All cameras that see the point, with equal weights",
+    Lumigraph = "lumigraph": "The paper's: the cameras with the nearest rays, by angle and resolution",
+});
 
 /// The threshold's least distance above the best penalty, as a share of it. Larger blends more
 /// than k cameras that almost tie; smaller sharpens the passage between them, to a jump at 0.

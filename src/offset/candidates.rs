@@ -1,7 +1,7 @@
 //! Eq. (10): one candidate a feature, from three frames.
 
 use crate::camera::{Camera, EpipolarGeometry, Line};
-use crate::registration::{Path, Track};
+use crate::registration::{Track, Trajectory};
 use nalgebra::Point2;
 
 /// The time that one feature gives.
@@ -91,7 +91,7 @@ impl ThreeFrames<'_> {
     /// `None` for too little motion across the line; then the candidate, if there is one.
     fn crossing(&self, line: &Line, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
-        let path = Path::new(samples.iter().copied())?;
+        let path = Trajectory::new(samples.iter().copied())?;
         let start = self.times_i[self.index_i];
         let interval = self.times_i[self.index_i + 1] - start;
         let [near, far] = [0.0, interval].map(|t| line.distance(&path.at(start + t)));
@@ -106,7 +106,7 @@ impl ThreeFrames<'_> {
     fn candidate(
         &self,
         line: &Line,
-        path: &Path,
+        path: &Trajectory,
         samples: &[(f64, Point2<f64>)],
         guess_s: f64,
     ) -> Option<Candidate> {
@@ -163,10 +163,10 @@ impl ThreeFrames<'_> {
 }
 
 /// The path through all samples but the one furthest from a time; `None` for two samples.
-fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Path> {
+fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Trajectory> {
     let away = |s: &(f64, Point2<f64>)| (s.0 - time_s).abs();
     let (first, last) = (samples.first()?, samples.last()?);
-    Path::new(if away(first) > away(last) {
+    Trajectory::new(if away(first) > away(last) {
         samples[1..].iter().copied()
     } else {
         samples[..samples.len() - 1].iter().copied()
@@ -176,7 +176,7 @@ fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Path>
 /// Whether the last of three or four samples is near to where the others lead.
 fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
     let Some(((time_s, position), others)) = samples.split_last() else { return false };
-    let Some(path) = Path::new(others.iter().copied()) else { return false };
+    let Some(path) = Trajectory::new(others.iter().copied()) else { return false };
     let step = samples.windows(2).map(|w| (w[1].1 - w[0].1).norm()).fold(0.0, f64::max);
     (position - path.at(*time_s)).norm() <= MAX_SURPRISE_PX + MAX_SURPRISE_SHARE * step
 }

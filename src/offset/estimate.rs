@@ -7,10 +7,9 @@ use super::timeline::Timelines;
 use super::{CameraOffset, Clocks, ONE_FRAME, OffsetOptions, Offsets, align, lost, solve};
 use crate::capture::{Capture, CaptureError};
 use crate::progress::Reporter;
-use crate::registration::{FrameStore, RegistrationOptions};
+use crate::registration::FrameStore;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
 /// Offsets with what they were made of.
 #[derive(Clone, Debug)]
@@ -19,14 +18,13 @@ pub struct Estimate {
     pub pairs: Vec<PairEstimate>,
 }
 
-/// Estimates all offsets of a capture from its pixels.
+/// Estimates all offsets of the store's capture from its pixels.
 pub fn estimate(
-    capture: &Arc<Capture>,
+    frames: &FrameStore,
     options: &OffsetOptions,
-    registration: &RegistrationOptions,
     reporter: &Reporter,
 ) -> Result<Estimate, CaptureError> {
-    let frames = &FrameStore::new(capture.clone(), registration);
+    let capture = frames.capture();
     let (clock, count) = clocks(capture);
     if count == 1 {
         return Ok(Estimate { offsets: Offsets::known(capture), pairs: Vec::new() });

@@ -3,7 +3,7 @@
 use super::candidates::ThreeFrames;
 use super::features;
 use super::timeline::Timelines;
-use super::{OffsetOptions, OffsetRung};
+use super::{OffsetMethod, OffsetOptions};
 use crate::capture::CaptureError;
 use crate::registration::{FrameStore, Track, flow, temporal_flow_of};
 use std::collections::HashMap;
@@ -160,7 +160,7 @@ impl<'a> Film<'a> {
             camera_j: &cameras[b].camera,
             times_i,
             index_i: k,
-            curved: self.options.rung == OffsetRung::JointCurved,
+            curved: self.options.method == OffsetMethod::JointCurved,
             min_across_px: self.options.min_across_px,
         };
         let crossings = three.crossings(&chosen, &in_b);

@@ -48,28 +48,28 @@ pub use estimate::{Estimate, estimate};
 pub use film::Sample;
 pub use joint::{Clocks, Solved, solve};
 pub use mixture::{Mixture, Observation, Residuals};
-pub use options::{OffsetOptions, OffsetRung};
+pub use options::{OffsetMethod, OffsetOptions};
 pub use pair::{Blind, FrameEstimate, PairEstimate};
 pub use plot::plot;
 pub use store::{CameraOffset, Offsets};
 pub use zhou_tao::{FourPoints, cross_ratio_offset};
 
-use crate::capture::{Capture, CaptureError, write_atomically};
+use crate::capture::{Capture, CaptureError};
+use crate::host::write_atomically;
 use crate::progress::Reporter;
-use crate::registration::RegistrationOptions;
+use crate::registration::FrameStore;
 pub(crate) use pairing::clocks;
 use pairing::spread;
-use std::sync::Arc;
 
 /// The offsets of a capture: none to estimate if all clocks are shared or nothing can move; those
-/// kept in its folder if they are of the same capture, frames and options; else estimated now, and
-/// kept with their plot. Says which.
-pub fn known_or_kept_or_estimated(
-    capture: &Arc<Capture>,
+/// cached in its folder if they are of the same capture, frames and options; else estimated now, and
+/// cached with their plot. Says which on the reporter.
+pub fn known_or_cached_or_estimated(
+    frames: &FrameStore,
     options: &OffsetOptions,
-    registration: &RegistrationOptions,
     reporter: &Reporter,
 ) -> Result<Offsets, CaptureError> {
+    let capture = frames.capture();
     if clocks(capture).1 == 1 {
         reporter.note("The cameras share one clock: no offsets to estimate.");
         return Ok(Offsets::known(capture));
@@ -78,30 +78,30 @@ pub fn known_or_kept_or_estimated(
         reporter.note("Every camera took one frame, the same at any time: no offsets to estimate.");
         return Ok(Offsets::unknown(capture, ONE_FRAME));
     }
-    let all_options = (options, registration);
+    let all_options = (options, frames.options());
     let hash = Offsets::hash(capture, &all_options)?;
-    if let Some(kept) = Offsets::load(capture, &hash) {
-        reporter.note("Offsets are those kept in offsets.json.");
-        return Ok(kept);
+    if let Some(cached) = Offsets::load(capture, &hash) {
+        reporter.note("Offsets are those of offsets.json.");
+        return Ok(cached);
     }
-    let estimate = estimate(capture, options, registration, reporter)?;
+    let estimate = estimate(frames, options, reporter)?;
     // A capture that may only be read can be worked with all the same.
-    match keep(&estimate, capture, &all_options, &hash) {
+    match save(&estimate, capture, &all_options, &hash) {
         Ok(()) => {
             reporter.note(
-                "Offsets were estimated from the images and kept in offsets.json, their plot in \
+                "Offsets were estimated from the images and saved in offsets.json, their plot in \
                  offsets.svg.",
             );
         }
         Err(error) => {
             reporter
-                .note(&format!("Offsets were estimated from the images but not kept: {error}."));
+                .note(&format!("Offsets were estimated from the images but not saved: {error}."));
         }
     }
     Ok(estimate.offsets)
 }
 
-fn keep(
+fn save(
     estimate: &Estimate,
     capture: &Capture,
     options: &impl serde::Serialize,

@@ -1,13 +1,15 @@
 //! How offsets are estimated.
 
+use crate::method::methods;
 use serde::{Deserialize, Serialize};
 
 /// Options of §7.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OffsetOptions {
-    /// Which estimator combines the features' candidates.
-    pub rung: OffsetRung,
+    /// Which estimator combines the features' candidates. Files of earlier versions call it `rung`.
+    #[serde(alias = "rung")]
+    pub method: OffsetMethod,
     /// Every camera is paired with this many nearest ones. More pairs are more redundant, and the
     /// far ones harder to match.
     pub neighbors: usize,
@@ -42,9 +44,9 @@ pub struct OffsetOptions {
 }
 
 /// The estimators, cheapest first.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum OffsetRung {
+pub enum OffsetMethod {
     /// The paper's: straight motion, each camera against the reference camera, RANSAC and WLS per
     /// frame, the mean over the frames
     Pairwise,
@@ -55,10 +57,16 @@ pub enum OffsetRung {
     JointCurved,
 }
 
+methods!(OffsetMethod {
+    Pairwise = "pairwise": "The paper's: straight motion, each camera against the reference, frame by frame",
+    Joint = "joint": "Straight motion, all pairs together, weighted by their information",
+    JointCurved = "joint-curved": "Curved motion through four frames, all pairs together",
+});
+
 impl Default for OffsetOptions {
     fn default() -> Self {
         Self {
-            rung: OffsetRung::default(),
+            method: OffsetMethod::default(),
             neighbors: 2,
             max_frames: 30,
             max_features: 600,

@@ -4,7 +4,7 @@ use super::consensus::{ransac, weighted_least_squares};
 use super::film::{Film, Sample, Triple};
 use super::mixture::{Mixture, Observation, Residuals};
 use super::uncertainty::{Sandwich, doubt, effective_number};
-use super::{OffsetOptions, OffsetRung};
+use super::{OffsetMethod, OffsetOptions};
 use crate::capture::CaptureError;
 use serde::Serialize;
 use std::sync::Arc;
@@ -223,7 +223,7 @@ fn from_triples(
         doubt: doubt(independent_windows(found, &mixture.weights)),
         samples: samples.into_iter().zip(mixture.weights.iter().copied()).collect(),
     };
-    if options.rung == OffsetRung::Pairwise {
+    if options.method == OffsetMethod::Pairwise {
         let mean = mean_of_frames(&estimate.frames).ok_or(Blind::Discordant)?;
         (estimate.offset_s, estimate.std_err_s) = mean;
     } else {

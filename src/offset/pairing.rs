@@ -1,6 +1,6 @@
 //! Which cameras are compared, and whose clock is whose.
 
-use super::{OffsetOptions, OffsetRung};
+use super::{OffsetMethod, OffsetOptions};
 use crate::capture::Capture;
 
 /// The clock of each camera, the reference's being 0, and how many there are. The reference's
@@ -37,7 +37,7 @@ pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec
         let to = |b: usize| centers[b] - centers[a];
         let mut others: Vec<usize> =
             (0..centers.len()).filter(|&b| clock[a] != clock[b] && to(b).norm() > 0.0).collect();
-        if options.rung == OffsetRung::Pairwise {
+        if options.method == OffsetMethod::Pairwise {
             others.retain(|&b| b == capture.reference);
         }
         others.sort_by(|&x, &y| to(x).norm().total_cmp(&to(y).norm()).then(x.cmp(&y)));

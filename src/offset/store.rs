@@ -1,6 +1,7 @@
 //! Offsets as a result: in memory, as JSON, and kept in the capture's folder.
 
-use crate::capture::{Capture, CaptureError, write_atomically};
+use crate::capture::{Capture, CaptureError};
+use crate::host::write_atomically;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, Point2};
 
 /// Whose clocks are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Clocks {
+pub struct ClockSummary {
     pub cameras: usize,
     /// Cameras with a clock of their own, which is unknown.
     pub unknown: usize,
@@ -14,7 +14,7 @@ pub struct Clocks {
     pub one_frame: bool,
 }
 
-impl Clocks {
+impl ClockSummary {
     pub fn of(capture: &Capture) -> Self {
         let (clock, _) = clocks(capture);
         Self {
@@ -25,7 +25,7 @@ impl Clocks {
     }
 }
 
-/// Points a side of an image that its lens is looked at.
+/// How many points along each side of an image the lens is evaluated at.
 const SIDE: usize = 17;
 
 /// How far lenses move a pixel from where a pinhole would have it, at most.
@@ -47,7 +47,7 @@ pub fn largest_distortion_px(capture: &Capture) -> f64 {
     largest
 }
 
-/// The camera centres' extent across their main direction, as a share of that along it: 0 on a
+/// The camera centres' extent across their main direction, as a fraction of that along it: 0 on a
 /// line, 1 on a square grid. 0 where all stand in one place.
 pub fn extent_ratio(capture: &Capture) -> f64 {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center().coords).collect();

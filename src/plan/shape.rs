@@ -1,10 +1,12 @@
 //! How far a plane is from the scene's shape, as views between the cameras see it.
 
 use super::percentile;
+use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::{Plane, Proxy};
-use crate::render::{LightField, RenderError};
+use crate::options::ViewOptions;
 
-/// Frames of the reference, evenly spread, at whose instants the shape is looked at.
+/// At how many instants, evenly spread, the shape is measured. Larger: planning takes longer; smaller:
+/// shapes at other times are missed.
 const INSTANTS: usize = 3;
 
 /// What the points of the scene show, in the reference camera's view.
@@ -19,14 +21,14 @@ pub struct Shape {
 
 impl Shape {
     /// `None` where no point could be triangulated, or no instant is covered.
-    pub fn survey(field: &LightField) -> Result<Option<Self>, RenderError> {
+    pub fn survey(field: &LightField, options: &ViewOptions) -> Result<Option<Self>, RenderError> {
         let capture = field.capture();
         let reference = capture.reference;
         let target = &capture.cameras[reference].camera;
         let half_baseline_m = 0.5 * field.spacing_m();
         let mut found: Option<Self> = None;
         for time_s in instants_s(field) {
-            let points = field.points(target, time_s)?;
+            let points = field.points(target, time_s, options)?;
             let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
             let Some(plane) = Plane::fit(&weighted, target) else { continue };
             let depths = Proxy::Plane(plane).depth_map(target);

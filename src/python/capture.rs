@@ -2,10 +2,14 @@
 
 use super::convert::{from_python, image_to_python, json_of, to_python, value_error};
 use crate::camera::{Camera, CameraFormat};
-use crate::capture::Capture;
-use crate::offset::known_or_kept_or_estimated;
+use crate::capture::{Capture, Opening};
+use crate::light_field::{LightField, RenderError, Viewpoint};
+use crate::offset::known_or_cached_or_estimated;
+use crate::options::{RenderOptions, ViewOptions};
+use crate::pipeline;
 use crate::progress::Reporter;
-use crate::render::{LightField, RenderError, RenderOptions, Viewpoint};
+use crate::registration::FrameStore;
+use crate::toolchain::find_ffmpeg;
 use nalgebra::Point3;
 use numpy::{AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArrayLikeDyn, ndarray};
 use pyo3::exceptions::PyInterruptedError;
@@ -16,17 +20,29 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Opens and checks a capture's folder.
 #[pyfunction]
 pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
-    let capture = py.detach(|| Capture::open(&path)).map_err(value_error)?;
-    Ok(PyCapture { capture: Arc::new(capture), field: Mutex::default() })
+    let capture = py.detach(|| {
+        let (ffmpeg, reporter) = (find_ffmpeg(), &Reporter::silent());
+        Capture::open_with(&path, &Opening { ffmpeg: ffmpeg.as_deref(), reporter })
+    });
+    let capture = capture.map_err(value_error)?;
+    Ok(PyCapture { capture: Arc::new(capture), opened: Mutex::default() })
 }
 
 /// A capture: calibrated cameras and what they filmed.
 #[pyclass(name = "Capture", module = "stlfr", frozen)]
 pub struct PyCapture {
     capture: Arc<Capture>,
-    /// The light field that was rendered from last, with the options that asked for it: its
-    /// registered frames serve the next view.
-    field: Mutex<Option<(RenderOptions, Arc<LightField>)>>,
+    /// What was rendered from last: its registered frames serve the next view.
+    opened: Mutex<Option<Opened>>,
+}
+
+/// A light field, and what was asked of it.
+#[derive(Clone)]
+struct Opened {
+    asked: RenderOptions,
+    /// The options of a view, with nothing left to the capture.
+    view: ViewOptions,
+    field: Arc<LightField>,
 }
 
 #[pymethods]
@@ -91,12 +107,8 @@ impl PyCapture {
         let options = checked(options)?;
         let offsets = py.detach(|| {
             self.capture.require_two_cameras()?;
-            known_or_kept_or_estimated(
-                &self.capture,
-                &options.offset,
-                &options.registration,
-                &Reporter::silent(),
-            )
+            let frames = FrameStore::new(self.capture.clone(), &options.registration);
+            known_or_cached_or_estimated(&frames, &options.offset, &Reporter::silent())
         });
         to_python(py, &offsets.map_err(value_error)?)
     }
@@ -127,7 +139,8 @@ impl PyCapture {
         };
         let mut failed = None;
         let rendered = py.detach(|| {
-            self.field(options)?.with_trail(from, time_s, |done, total| {
+            let opened = self.opened(options)?;
+            opened.field.with_trail(from, time_s, &opened.view, |done, total| {
                 asked(proceed.as_ref(), done, total).unwrap_or_else(|error| {
                     failed = Some(error);
                     false
@@ -204,14 +217,23 @@ fn asked(proceed: Option<&Py<PyAny>>, done: usize, total: usize) -> PyResult<boo
 }
 
 impl PyCapture {
-    /// The light field with these options, kept for the next call.
-    fn field(&self, options: RenderOptions) -> Result<Arc<LightField>, RenderError> {
-        let mut kept = self.field.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, field)) = kept.as_ref().filter(|(asked, _)| *asked == options) {
-            return Ok(field.clone());
+    /// The light field and its options of a view, cached for the next call.
+    fn opened(&self, asked: RenderOptions) -> Result<Opened, RenderError> {
+        let mut cached = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(opened) = cached.as_ref().filter(|opened| opened.asked == asked) {
+            return Ok(opened.clone());
         }
-        let opened = LightField::open(self.capture.clone(), options.clone(), &Reporter::silent())?;
-        Ok(kept.insert((options, Arc::new(opened))).1.clone())
+        let reporter = Reporter::silent();
+        let shares_field = |opened: &&Opened| {
+            let other = &opened.asked;
+            other.registration == asked.registration && other.offset == asked.offset
+        };
+        let field = match cached.as_ref().filter(shares_field) {
+            Some(opened) => opened.field.clone(),
+            None => Arc::new(pipeline::open_field(self.capture.clone(), &asked, &reporter)?),
+        };
+        let view = pipeline::resolved(&field, &asked, &reporter)?.view();
+        Ok(cached.insert(Opened { asked, view, field }).clone())
     }
 
     fn index(&self, camera_id: &str) -> PyResult<usize> {

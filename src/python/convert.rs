@@ -1,7 +1,7 @@
 //! Between Rust's values and Python's.
 
-use crate::capture::{BitDepth, Samples, quantize};
 use crate::raster::Image;
+use crate::raster::{BitDepth, Samples, quantize};
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;

@@ -3,7 +3,7 @@
 
 mod capture;
 mod convert;
-mod ladders;
+mod methods;
 
 use pyo3::prelude::*;
 
@@ -13,7 +13,7 @@ mod native {
     #[pymodule_export]
     use super::capture::{PyCapture, open, project};
     #[pymodule_export]
-    use super::ladders::ladders;
+    use super::methods::methods;
     use pyo3::prelude::*;
 
     #[pymodule_init]

@@ -2,9 +2,14 @@
 //! filmed, channels interleaved, and positions in pixels with the top-left pixel's centre at
 //! (0.5, 0.5).
 
+mod color;
+mod file;
 mod sample;
 mod tiles;
 
+pub use color::{LUMINANCE, encoded_from_linear, gray_from_rgb, linear_from_encoded, luma};
+pub(crate) use file::read_header;
+pub use file::{BitDepth, ImageFileError, Samples, quantize, read_image, write_image};
 pub use sample::Sampling;
 pub(crate) use sample::{sample, sample_all};
 pub use tiles::Tiles;
@@ -75,11 +80,7 @@ impl Image {
         if self.channels == 1 {
             return self.clone();
         }
-        let data = self
-            .data
-            .chunks_exact(self.channels)
-            .map(|p| 0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2])
-            .collect();
+        let data = self.data.chunks_exact(self.channels).map(luma).collect();
         Image { width: self.width, height: self.height, channels: 1, data }
     }
 
@@ -143,16 +144,6 @@ pub(crate) fn catmull_rom(f: f32) -> [f32; 4] {
         0.5 * (f + 4.0 * f2 - 3.0 * f3),
         0.5 * (f3 - f2),
     ]
-}
-
-/// sRGB's decoding (IEC 61966-2-1). Below 0 it is 0: a power has no value there.
-pub fn linear_from_encoded(v: f64) -> f64 {
-    if v <= 0.04045 { v.max(0.0) / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
-}
-
-/// Its inverse.
-pub fn encoded_from_linear(v: f64) -> f64 {
-    if v <= 0.0031308 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
 }
 
 #[cfg(test)]

@@ -1,7 +1,9 @@
 //! §4.2 and §4.3: wrong correspondences found by the epipolar constraint, eqs. (1) to (5).
 
 use super::flow::{flow_over, is_new};
-use super::{Frame, FrameStore, Guide, Match, Path, RegistrationOptions, Run, Start, Track, flow};
+use super::{
+    Frame, FrameStore, Guide, Match, RegistrationOptions, Run, Start, Track, Trajectory, flow,
+};
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::{Capture, CaptureError};
 use nalgebra::Point2;
@@ -116,7 +118,7 @@ pub fn select_references(
 struct Feature<'a> {
     n: usize,
     track: &'a Track,
-    path: Path,
+    path: Trajectory,
     at: Point2<f64>,
 }
 

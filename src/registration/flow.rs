@@ -1,7 +1,7 @@
 //! §4.1: sparse flow between two frames, of one camera (temporal) or two (spatial), by the same
 //! code; and the bidirectional temporal flow with its two labelled sets.
 
-use super::{Frame, FrameStore, Guide, Neighbors, Path, RegistrationOptions, Tracker};
+use super::{Frame, FrameStore, Guide, Neighbors, RegistrationOptions, Tracker, Trajectory};
 use crate::capture::CaptureError;
 use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
@@ -59,10 +59,10 @@ impl Track {
     }
 
     /// The track's path; `times_s` are the camera's frame times and `k` the earlier frame.
-    pub fn path(&self, times_s: &[f64], k: usize) -> Option<Path> {
+    pub fn path(&self, times_s: &[f64], k: usize) -> Option<Trajectory> {
         let before = self.before.zip(k.checked_sub(1)).map(|(p, k)| (times_s[k], p));
         let after = self.after.filter(|_| k + 2 < times_s.len()).map(|p| (times_s[k + 2], p));
-        Path::new(
+        Trajectory::new(
             before
                 .into_iter()
                 .chain([(times_s[k], self.earlier), (times_s[k + 1], self.later)])

@@ -1,11 +1,11 @@
 //! Frames as registration uses them: decoded, with pyramid and corners, made once and shared.
 
-use super::{GainRung, Gains, Pyramid, RegistrationOptions, corners};
+use super::{GainMethod, Gains, Pyramid, RegistrationOptions, corners};
 use crate::capture::{Capture, CaptureError};
+use crate::host::BoundedCache;
 use crate::raster::Image;
 use nalgebra::Point2;
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, OnceLock};
 
 /// One frame.
 #[derive(Debug)]
@@ -51,22 +51,19 @@ impl Frame {
 pub struct FrameStore {
     capture: Arc<Capture>,
     options: RegistrationOptions,
-    kept: Mutex<Kept>,
-    max_bytes: usize,
+    /// By camera and frame; the cost is in bytes.
+    frames: BoundedCache<(usize, usize), Arc<Frame>>,
+    /// What the smallest frame costs, bytes, so that the number of frames is bounded too.
+    min_cost: usize,
     gains: OnceLock<Gains>,
-}
-
-#[derive(Default)]
-struct Kept {
-    frames: HashMap<(usize, usize), (u64, Arc<Frame>)>,
-    bytes: usize,
-    clock: u64,
 }
 
 /// What the store may hold, bytes: 35 frames of 640×480 in colour, what eight cameras need at one
 /// instant, four frames each, and a few more. More only saves decoding.
 const MAX_BYTES: usize = 192 << 20;
-/// And frames a camera, so that a long film of small images takes no more memory than a short one.
+
+/// How many frames a camera the store may hold, so that a long recording of small images takes no
+/// more memory than a short one. More only saves decoding.
 const MAX_FRAMES: usize = 24;
 
 impl FrameStore {
@@ -80,18 +77,19 @@ impl FrameStore {
         options: &RegistrationOptions,
         max_bytes: usize,
     ) -> Self {
+        let max_frames = MAX_FRAMES * capture.cameras.len();
         Self {
             capture,
             options: options.clone(),
-            kept: Mutex::default(),
-            max_bytes,
+            frames: BoundedCache::new(max_bytes),
+            min_cost: max_bytes.div_ceil(max_frames),
             gains: OnceLock::new(),
         }
     }
 
-    /// Bytes of the frames that are held.
+    /// Bytes of the frames that are held, a small frame counting as [`MAX_FRAMES`] allows.
     pub fn bytes(&self) -> usize {
-        self.kept().bytes
+        self.frames.cost()
     }
 
     pub fn capture(&self) -> &Capture {
@@ -104,63 +102,29 @@ impl FrameStore {
 
     /// One frame of one camera.
     pub fn get(&self, camera: usize, index: usize) -> Result<Arc<Frame>, CaptureError> {
-        if let Some(frame) = self.kept().find((camera, index)) {
+        if let Some(frame) = self.frames.get(&(camera, index)) {
             return Ok(frame);
         }
         let image = self.capture.read_frame(camera, index)?;
         let frame = Arc::new(Frame::of_camera(image, camera, self.gains(), &self.options));
-        let max_frames = MAX_FRAMES * self.capture.cameras.len();
-        self.kept().insert((camera, index), &frame, max_frames, self.max_bytes);
+        let cost = frame.bytes().max(self.min_cost);
+        self.frames.insert((camera, index), frame.clone(), cost);
         Ok(frame)
     }
 
-    /// The cameras' gains, told from the images when they are first asked for.
+    /// The cameras' gains, estimated from the images when they are first asked for.
     pub fn gains(&self) -> &Gains {
         if let Some(gains) = self.gains.get() {
             return gains;
         }
-        // Threads that ask at once all find the same. To let them wait would not do: one of them
-        // may be waited for by the search itself.
-        let found = match self.options.gains {
-            GainRung::Estimated if self.capture.cameras.len() > 1 => {
+        // Threads that ask at once all compute the same. They can't wait for each other: one of
+        // them may be waited for by the estimate itself.
+        let gains = match self.options.gains {
+            GainMethod::Estimated if self.capture.cameras.len() > 1 => {
                 Gains::survey(&self.capture, &self.options)
             }
             _ => Gains::equal(self.capture.cameras.len()),
         };
-        self.gains.get_or_init(|| found)
-    }
-
-    fn kept(&self) -> std::sync::MutexGuard<'_, Kept> {
-        // Nothing in there panics half-way, so a poisoned lock still guards a whole store.
-        self.kept.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
-    }
-}
-
-impl Kept {
-    fn find(&mut self, key: (usize, usize)) -> Option<Arc<Frame>> {
-        self.clock += 1;
-        let (used, frame) = self.frames.get_mut(&key)?;
-        *used = self.clock;
-        Some(frame.clone())
-    }
-
-    fn insert(
-        &mut self,
-        key: (usize, usize),
-        frame: &Arc<Frame>,
-        max_frames: usize,
-        max_bytes: usize,
-    ) {
-        self.clock += 1;
-        if self.frames.insert(key, (self.clock, frame.clone())).is_none() {
-            self.bytes += frame.bytes();
-        }
-        let too_many = |kept: &Self| kept.bytes > max_bytes || kept.frames.len() > max_frames;
-        while too_many(self) && self.frames.len() > 1 {
-            let oldest = self.frames.iter().min_by_key(|(_, (used, _))| *used).map(|(k, _)| *k);
-            if let Some((_, frame)) = oldest.and_then(|k| self.frames.remove(&k)) {
-                self.bytes -= frame.bytes();
-            }
-        }
+        self.gains.get_or_init(|| gains)
     }
 }

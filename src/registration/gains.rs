@@ -9,14 +9,14 @@
 
 use super::{Frame, RegistrationOptions, flow};
 use crate::capture::Capture;
-use crate::raster::{Image, encoded_from_linear, linear_from_encoded};
+use crate::raster::{Image, LUMINANCE, encoded_from_linear, linear_from_encoded};
 use nalgebra::{DMatrix, DVector, Point2};
 use serde::{Deserialize, Serialize};
 
 /// Whether cameras' gains are told from the images.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum GainRung {
+pub enum GainMethod {
     /// All cameras are taken to record alike.
     Equal,
     /// Estimated, and corrected where they differ.
@@ -47,8 +47,6 @@ const LEAST_FEATURES: usize = 12;
 const RADIUS_PX: isize = 2;
 /// Values outside may be clipped, or be mostly noise.
 const USABLE: std::ops::RangeInclusive<f32> = 0.08..=0.96;
-/// Rec. 709's luminance.
-const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 impl Gains {
     /// Of so many cameras that record alike.

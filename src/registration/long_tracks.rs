@@ -1,6 +1,6 @@
 //! Features followed from frame to frame, each under a number that stays its own.
 
-use super::{FrameStore, Path, RegistrationOptions, Spaced, flow};
+use super::{FrameStore, RegistrationOptions, Spaced, Trajectory, flow};
 use crate::capture::CaptureError;
 use nalgebra::{Point2, Vector2};
 use std::collections::VecDeque;
@@ -12,7 +12,7 @@ pub struct LongTrack {
     pub id: u64,
     /// The frame in which it was first seen.
     pub first_frame: usize,
-    /// Where it was in the frames visited last, oldest first, pixels: as many as a [`Path`] takes.
+    /// Where it was in the frames visited last, oldest first, pixels: as many as a [`Trajectory`] takes.
     recent: VecDeque<Point2<f64>>,
 }
 
@@ -24,9 +24,9 @@ impl LongTrack {
 
     /// Its path through the frames visited last; `frame` is the last of them, `times_s` are the
     /// camera's. `None` in the first frame that has it.
-    pub fn path(&self, times_s: &[f64], frame: usize) -> Option<Path> {
+    pub fn path(&self, times_s: &[f64], frame: usize) -> Option<Trajectory> {
         let first = (frame + 1).checked_sub(self.recent.len())?;
-        Path::new(self.recent.iter().enumerate().map(|(k, p)| (times_s[first + k], *p)))
+        Trajectory::new(self.recent.iter().enumerate().map(|(k, p)| (times_s[first + k], *p)))
     }
 
     /// Where it would be in the next frame if it went on as it did: what a body in smooth motion
@@ -96,7 +96,7 @@ impl LongTracks {
             if !credible || !spaced.insert(found.target) {
                 return false;
             }
-            if track.recent.len() == Path::MAX {
+            if track.recent.len() == Trajectory::MAX {
                 track.recent.pop_front();
             }
             track.recent.push_back(found.target);

@@ -1,7 +1,7 @@
 //! How registration works.
 
 use super::lanes::LANES;
-use super::{AffineOptions, CornerOptions, GainRung};
+use super::{AffineOptions, CornerOptions, GainMethod};
 use serde::{Deserialize, Serialize};
 
 /// Options of §4.
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 #[serde(default, deny_unknown_fields)]
 pub struct RegistrationOptions {
     /// Whether cameras are made equally bright before they are compared, and blended.
-    pub gains: GainRung,
+    pub gains: GainMethod,
     pub corners: CornerOptions,
     pub klt: KltOptions,
     /// Largest distance between a feature and where it is tracked back to. Larger keeps
@@ -50,7 +50,7 @@ pub struct RegistrationOptions {
 impl Default for RegistrationOptions {
     fn default() -> Self {
         Self {
-            gains: GainRung::default(),
+            gains: GainMethod::default(),
             corners: CornerOptions::default(),
             klt: KltOptions::default(),
             max_back_error_px: 0.7,

@@ -5,7 +5,7 @@
 
 use super::lanes::{LANES, Plain, Vector};
 use super::window::scharr;
-use crate::raster::Image;
+use crate::raster::{Image, luma};
 
 /// A pyramid of half-sized levels, the full image first.
 #[derive(Clone, Debug)]
@@ -140,11 +140,6 @@ impl Level {
             scharr::<Plain>(&self.value, self.index(x as isize, y as isize), self.stride);
         (dx.to_lanes()[0] / 32.0, dy.to_lanes()[0] / 32.0)
     }
-}
-
-/// By Rec. 709, as [`Image::to_gray`].
-fn luma(pixel: &[f32]) -> f32 {
-    0.2126 * pixel[0] + 0.7152 * pixel[1] + 0.0722 * pixel[2]
 }
 
 /// A place in `0..size` for one beyond its ends, which are not repeated.

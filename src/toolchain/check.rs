@@ -1,8 +1,8 @@
 //! The calibration check against pycolmap and Blender.
 
-use super::process;
 use super::script::{self, ScriptError};
 use super::setup::Environment;
+use crate::host::process;
 use crate::progress::Reporter;
 use serde::{Deserialize, Serialize};
 use std::path::Path;

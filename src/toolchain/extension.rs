@@ -1,8 +1,8 @@
 //! The Blender extension as one file to install.
 
-use super::process;
 use super::script::{self, ScriptError};
 use super::setup::{Environment, SetupError, Wheel};
+use crate::host::process;
 use crate::progress::Reporter;
 use std::path::Path;
 

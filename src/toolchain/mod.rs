@@ -7,7 +7,7 @@
 mod check;
 mod extension;
 mod film;
-pub(crate) mod process;
+
 mod review;
 mod script;
 mod setup;
@@ -19,4 +19,4 @@ pub use extension::{ExtensionError, build_extension};
 pub use film::{FilmOptions, Scene, film};
 pub use review::review;
 pub use script::ScriptError;
-pub use setup::{Environment, SetupError, ensure_environment, project_root};
+pub use setup::{Environment, SetupError, ensure_environment, find_ffmpeg, project_root};

@@ -2,8 +2,8 @@
 //! other lines are for the user, and an error is one sentence on stderr, with exit code 2 for bad
 //! input.
 
-use super::process::{self, Ended};
 use super::setup::Environment;
+use crate::host::process::{self, Ended};
 use crate::progress::{Reporter, Task};
 use serde::Deserialize;
 use std::process::Command;

@@ -1,23 +1,23 @@
 //! Which combinations are worth a measurement.
 
-use crate::interpolation::Sync;
-use crate::lumigraph::BlendRung;
-use crate::offset::OffsetRung;
+use crate::interpolation::SyncMethod;
+use crate::lumigraph::BlendMethod;
+use crate::method::Method;
+use crate::offset::OffsetMethod;
+use crate::options::{ProxyMethod, RenderOptions};
 use crate::raster::Sampling;
-use crate::render::{ProxyRung, RenderOptions};
-use clap::ValueEnum;
 
-/// Every rung with every other: sync, proxy and blend, the other options as given.
+/// Every method with every other: sync, proxy and blend, the other options as given.
 ///
-/// The offsets' rungs are not among them: they cost nothing once they are estimated, so that the
+/// The offsets' methods are not among them: they cost nothing once they are estimated, so that the
 /// front is varied by them ([`variations`]) like by a parameter.
-pub fn rungs(base: &RenderOptions) -> Vec<RenderOptions> {
+pub fn methods(base: &RenderOptions) -> Vec<RenderOptions> {
     let mut found = Vec::new();
-    for &sync in Sync::value_variants() {
-        for &proxy in ProxyRung::value_variants() {
-            for blend in [BlendRung::Uniform, BlendRung::Lumigraph] {
+    for &sync in SyncMethod::ALL {
+        for &proxy in ProxyMethod::ALL {
+            for &blend in BlendMethod::ALL {
                 let mut options = base.clone();
-                (options.sync, options.proxy.rung, options.blend.rung) = (sync, proxy, blend);
+                (options.sync, options.proxy.method, options.blend.method) = (sync, proxy, blend);
                 found.push(options);
             }
         }
@@ -25,12 +25,12 @@ pub fn rungs(base: &RenderOptions) -> Vec<RenderOptions> {
     found
 }
 
-/// The dearest rung of every ladder, the other options as given.
+/// The dearest method of every stage, the other options as given.
 pub fn most_accurate(base: &RenderOptions) -> RenderOptions {
     let mut options = base.clone();
-    (options.sync, options.proxy.rung) = (Sync::Refined, ProxyRung::Mesh);
-    options.blend.rung = BlendRung::Lumigraph;
-    options.offset.rung = OffsetRung::JointCurved;
+    (options.sync, options.proxy.method) = (SyncMethod::Refined, ProxyMethod::Mesh);
+    options.blend.method = BlendMethod::Lumigraph;
+    options.offset.method = OffsetMethod::JointCurved;
     options
 }
 
@@ -46,13 +46,13 @@ pub struct Variable {
 type Change = Box<dyn Fn(&mut RenderOptions)>;
 
 /// The options with one parameter changed, for every value of every main parameter that their
-/// rungs use.
+/// methods use.
 pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOptions> {
     let mut changes: Vec<Change> = Vec::new();
     let mut add = |change: Change| changes.push(change);
     if variable.offsets {
-        for rung in [OffsetRung::Pairwise, OffsetRung::Joint, OffsetRung::JointCurved] {
-            add(Box::new(move |o| o.offset.rung = rung));
+        for &method in OffsetMethod::ALL {
+            add(Box::new(move |o| o.offset.method = method));
         }
     }
     for count in [500, 1000, 2000, 4000] {
@@ -63,7 +63,7 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
             add(Box::new(move |o| o.interpolation.curved = curved));
         }
     }
-    if matches!(options.sync, Sync::Morph | Sync::EdgeMorph) {
+    if matches!(options.sync, SyncMethod::Morph | SyncMethod::EdgeMorph) {
         for grid_px in [4, 8] {
             add(Box::new(move |o| o.interpolation.morph.grid_px = grid_px));
         }
@@ -71,7 +71,7 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
             add(Box::new(move |o| o.interpolation.edges.max_length_px = max_length_px));
         }
     }
-    if options.sync == Sync::Refined {
+    if options.sync == SyncMethod::Refined {
         for outer_share in [0.0, 1.0] {
             add(Box::new(move |o| o.interpolation.refine.outer_share = outer_share));
         }
@@ -83,12 +83,12 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
         }
     }
     // A plane at a set depth needs no points.
-    if options.proxy.rung == ProxyRung::Mesh || options.proxy.plane_depth_m.is_none() {
+    if options.proxy.method == ProxyMethod::Mesh || options.proxy.plane_depth_m.is_none() {
         for (cameras, partners) in [(1, 2), (2, 2), (3, 4)] {
             add(Box::new(move |o| (o.proxy.cameras, o.proxy.partners) = (cameras, partners)));
         }
     }
-    if options.blend.rung == BlendRung::Lumigraph {
+    if options.blend.method == BlendMethod::Lumigraph {
         for cameras in [1, 2, 3, 4].into_iter().filter(|k| *k <= variable.cameras) {
             add(Box::new(move |o| o.blend.cameras = cameras));
         }
@@ -104,25 +104,21 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
     changes.into_iter().map(changed).filter(|varied| varied != options).collect()
 }
 
-/// The rungs, and what of the main parameters is not the default.
+/// The methods, and what of the main parameters is not the default.
 pub fn name(options: &RenderOptions) -> String {
     let default = RenderOptions::default();
-    let rung = |value: Option<clap::builder::PossibleValue>| {
-        value.map(|v| v.get_name().to_owned()).unwrap_or_default()
-    };
-    let mut words =
-        vec![rung(options.sync.to_possible_value()), rung(options.proxy.rung.to_possible_value())];
-    let lumigraph = options.blend.rung == BlendRung::Lumigraph;
+    let mut words = vec![options.sync.name().to_owned(), options.proxy.method.name().to_owned()];
+    let lumigraph = options.blend.method == BlendMethod::Lumigraph;
     if !lumigraph {
         words.push("uniform".into());
     }
     let mut say = |differs: bool, word: String| words.extend(differs.then_some(word));
-    let offsets = rung(options.offset.rung.to_possible_value());
-    say(options.offset.rung != default.offset.rung, format!("{offsets} offsets"));
+    let offsets = options.offset.method.name();
+    say(options.offset.method != default.offset.method, format!("{offsets} offsets"));
     let features = options.registration.corners.max_corners;
     say(features != default.registration.corners.max_corners, format!("{features} features"));
     say(!options.interpolation.curved, "straight".into());
-    say(options.interpolation.still_change > 0.0, "still dissolved".into());
+    say(options.interpolation.still_change > 0.0, "still cross-faded".into());
     let grid = options.interpolation.morph.grid_px;
     say(grid != default.interpolation.morph.grid_px, format!("grid {grid}"));
     let longest = options.interpolation.edges.max_length_px;
@@ -148,11 +144,11 @@ mod tests {
     #[test]
     fn every_combination_is_one_and_can_be_worked_with() {
         let base = RenderOptions::default();
-        let mut all = rungs(&base);
+        let mut all = methods(&base);
         assert_eq!(all.len(), 6 * 2 * 2);
         assert!(all.contains(&most_accurate(&base)));
         let variable = Variable { offsets: true, cameras: 8 };
-        for options in rungs(&base) {
+        for options in methods(&base) {
             all.extend(variations(&options, variable));
         }
         for options in &all {
@@ -170,8 +166,8 @@ mod tests {
     fn only_what_is_used_is_varied() {
         let mut options = RenderOptions::default();
         let few = Variable { offsets: false, cameras: 2 };
-        options.sync = Sync::Nearest;
-        options.blend.rung = BlendRung::Uniform;
+        options.sync = SyncMethod::Nearest;
+        options.blend.method = BlendMethod::Uniform;
         let names: Vec<String> = variations(&options, few).iter().map(name).collect();
         for word in ["offsets", "straight", "grid", "L ", "k "] {
             assert!(!names.iter().any(|n| n.contains(word)), "{word}: {names:?}");

@@ -1,27 +1,13 @@
 //! Measuring combinations: quality once, time several times, in turns.
 
+use super::TradeoffError;
+use super::bench::Bench;
 use super::stages::{Views, sync_part};
-use super::store::{KeptPoint, Planned, Prepared, Store};
-use super::targets::{Against, Scene, Target, Timed};
-use super::{Clock, Elapsed, Stopwatch, TradeoffError};
-use crate::capture::Capture;
-use crate::offset::{self, Offsets};
-use crate::plan;
-use crate::progress::{Reporter, Task};
-use crate::render::{LightField, RenderError, RenderOptions};
-use std::collections::BTreeMap;
-use std::sync::Arc;
-
-/// The bench that combinations are measured on.
-pub(super) struct Bench<'a> {
-    pub capture: &'a Arc<Capture>,
-    pub store: Store,
-    pub targets: Vec<Target>,
-    pub timed: Timed,
-    pub runs: usize,
-    pub clock: Clock,
-    pub reporter: &'a Reporter,
-}
+use super::store::CachedPoint;
+use super::targets::{Scene, Target};
+use crate::light_field::{LightField, RenderError};
+use crate::options::RenderOptions;
+use crate::progress::Task;
 
 /// Combinations that share registered frames and offsets.
 struct Group {
@@ -30,88 +16,14 @@ struct Group {
     members: Vec<usize>,
 }
 
-/// Offsets and registered frames for these options: kept from before, or made now.
-pub(super) fn prepared(
-    capture: &Arc<Capture>,
-    store: &Store,
-    options: &RenderOptions,
-    reporter: &Reporter,
-) -> Result<Prepared, TradeoffError> {
-    let still_change = options.interpolation.still_change;
-    let key = store.key("prepared", &(&options.registration, &options.offset, still_change));
-    if let Some(kept) = store.load::<Prepared>(&key)
-        && kept.offsets.cameras.len() == capture.cameras.len()
-    {
-        return Ok(kept);
-    }
-    let clocks = plan::Clocks::of(capture);
-    let estimated = clocks.unknown > 0 && !clocks.one_frame;
-    let watch = Stopwatch::start();
-    let offsets = if estimated {
-        let (offset, registration) = (&options.offset, &options.registration);
-        offset::estimate(capture, offset, registration, reporter)?.offsets
-    } else {
-        Offsets::known(capture)
-    };
-    let offsets_took = estimated.then(|| watch.elapsed());
-    let field = LightField::new(capture.clone(), offsets.clone(), options.clone());
-    let own_span = || field.span_s(capture.reference);
-    let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();
-    let watch = Stopwatch::start();
-    field.register(0.5 * (first + last))?;
-    let registration_took = watch.elapsed();
-    let made = Prepared { offsets, offsets_took, registration_took };
-    store.save(&key, &made)?;
-    Ok(made)
-}
-
 impl Bench<'_> {
-    /// What the capture makes of options, where they leave rungs to it, and what planning takes.
-    pub fn planned(&self, asked: &RenderOptions) -> Result<Planned, TradeoffError> {
-        if !asked.auto.any() {
-            let took = Elapsed { wall_s: 0.0, cpu_s: 0.0 };
-            return Ok(Planned { options: asked.clone(), took });
-        }
-        let key = self.store.key("auto", &asked);
-        if let Some(kept) = self.store.load(&key) {
-            return Ok(kept);
-        }
-        let prepared = self.prepared(asked)?;
-        let watch = Stopwatch::start();
-        let (plan, _) = plan::plan_with(self.capture, prepared.offsets, asked, self.reporter)?;
-        // What was left to the capture is decided.
-        let options = RenderOptions { auto: plan::AutoOptions::default(), ..plan.options };
-        let planned = Planned { options, took: watch.elapsed() };
-        self.store.save(&key, &planned)?;
-        Ok(planned)
-    }
-
-    pub fn prepared(&self, options: &RenderOptions) -> Result<Prepared, TradeoffError> {
-        prepared(self.capture, &self.store, options, self.reporter)
-    }
-
-    fn key(&self, options: &RenderOptions) -> String {
-        self.store.key("point", options)
-    }
-
-    /// What is known of a combination so far.
-    pub fn kept(&self, options: &RenderOptions) -> KeptPoint {
-        let kept = self.store.load::<KeptPoint>(&self.key(options));
-        kept.filter(|kept| kept.options == *options).unwrap_or_else(|| KeptPoint {
-            options: options.clone(),
-            scores: BTreeMap::new(),
-            cameras: Vec::new(),
-            reason: None,
-        })
-    }
-
     /// Measures what isn't known yet of these combinations; all that is known of them.
     pub fn measure(
         &self,
         label: &str,
         combinations: &[RenderOptions],
-    ) -> Result<Vec<KeptPoint>, TradeoffError> {
-        let mut points: Vec<KeptPoint> = combinations.iter().map(|o| self.kept(o)).collect();
+    ) -> Result<Vec<CachedPoint>, TradeoffError> {
+        let mut points: Vec<CachedPoint> = combinations.iter().map(|o| self.cached(o)).collect();
         let unscored: usize = points.iter().map(|p| self.unscored(p).count()).sum();
         let untimed = self.untimed(points.iter()).len() * self.runs;
         let task = self.reporter.task(label, unscored + untimed);
@@ -122,26 +34,29 @@ impl Bench<'_> {
     }
 
     /// The targets that a point lacks.
-    fn unscored<'p>(&'p self, point: &'p KeptPoint) -> impl Iterator<Item = &'p Target> {
+    fn unscored<'p>(&'p self, point: &'p CachedPoint) -> impl Iterator<Item = &'p Target> {
         let lacks = |t: &&Target| point.reason.is_none() && !point.scores.contains_key(&t.id);
         self.targets.iter().filter(lacks)
+    }
+
+    /// The members of a group that lack a target, those that share synchronized images one after the
+    /// other.
+    fn lacking(&self, group: &Group, points: &[CachedPoint], target: &Target) -> Vec<usize> {
+        let lacks = |k: &usize| self.unscored(&points[*k]).any(|t| t.id == target.id);
+        let mut found: Vec<usize> = group.members.iter().copied().filter(lacks).collect();
+        found.sort_by_cached_key(|&k| sync_part(&points[k].options).to_string());
+        found
     }
 
     fn measure_group(
         &self,
         group: &Group,
-        points: &mut [KeptPoint],
+        points: &mut [CachedPoint],
         task: &Task,
     ) -> Result<(), TradeoffError> {
-        let members = |points: &[KeptPoint], target: &Target| -> Vec<usize> {
-            let lacks = |k: &usize| self.unscored(&points[*k]).any(|t| t.id == target.id);
-            let mut found: Vec<usize> = group.members.iter().copied().filter(lacks).collect();
-            // Those that share synchronized images one after the other.
-            found.sort_by_cached_key(|&k| sync_part(&points[k].options).to_string());
-            found
-        };
         let untimed = self.untimed(group.members.iter().map(|&k| &points[k]));
-        if untimed.is_empty() && self.targets.iter().all(|t| members(points, t).is_empty()) {
+        let is_scored = |t: &Target| self.lacking(group, points, t).is_empty();
+        if untimed.is_empty() && self.targets.iter().all(is_scored) {
             return Ok(());
         }
         let prepared = self.prepared(&group.options)?;
@@ -149,15 +64,15 @@ impl Bench<'_> {
             Scene { capture: self.capture, offsets: &prepared.offsets, base: &group.options };
         let mut open: Option<(Option<usize>, LightField)> = None;
         for target in &self.targets {
-            let lacking = members(points, target);
+            let lacking = self.lacking(group, points, target);
             if lacking.is_empty() {
                 continue;
             }
-            if open.as_ref().is_none_or(|(left_out, _)| *left_out != target.left_out) {
-                open = Some((target.left_out, scene.field(&group.options, target.left_out)));
+            if open.as_ref().is_none_or(|(held_out, _)| *held_out != target.held_out) {
+                open = Some((target.held_out, scene.field(target.held_out)));
             }
-            let Some((_, field)) = &mut open else { continue };
-            let mut views = Views::new(field);
+            let Some((_, field)) = &open else { continue };
+            let mut views = Views::new(field, &target.camera, target.time_s);
             for k in lacking {
                 self.score(&mut views, target, &mut points[k])?;
                 task.advance(1);
@@ -167,18 +82,17 @@ impl Bench<'_> {
         if untimed.is_empty() {
             return Ok(());
         }
-        let whole = open.filter(|(left_out, _)| left_out.is_none()).map(|(_, field)| field);
-        let mut field = whole.unwrap_or_else(|| scene.field(&group.options, None));
-        self.time(&mut field, &untimed, task)
+        let whole = open.filter(|(held_out, _)| held_out.is_none()).map(|(_, field)| field);
+        self.time(&whole.unwrap_or_else(|| scene.field(None)), &untimed, task)
     }
 
     fn score(
         &self,
         views: &mut Views,
         target: &Target,
-        point: &mut KeptPoint,
+        point: &mut CachedPoint,
     ) -> Result<(), TradeoffError> {
-        match views.view(&point.options, &target.camera, target.time_s) {
+        match views.view(&point.options) {
             Ok((rendered, cameras)) => {
                 if self.timed.target == target.id {
                     point.cameras = cameras;
@@ -190,18 +104,11 @@ impl Bench<'_> {
         }
         self.store.save(&self.key(&point.options), point)
     }
-
-    /// The kinds of targets that there are, the one that counts first.
-    pub fn against(&self) -> Against {
-        let order = [Against::Truth, Against::LeftOut, Against::MostAccurate];
-        let there = |a: &Against| self.targets.iter().any(|t| t.against == *a);
-        order.into_iter().find(there).unwrap_or(Against::MostAccurate)
-    }
 }
 
-fn groups(points: &[KeptPoint]) -> Vec<Group> {
+fn groups(points: &[CachedPoint]) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
-    for (k, KeptPoint { options, .. }) in points.iter().enumerate() {
+    for (k, CachedPoint { options, .. }) in points.iter().enumerate() {
         let of = groups.iter_mut().find(|g| {
             let other = &g.options;
             other.registration == options.registration && other.offset == options.offset

@@ -1,19 +1,19 @@
-//! Speed for accuracy: what every sensible combination of rungs and main parameters costs and gives
+//! Speed for accuracy: what every sensible combination of methods and main parameters costs and gives
 //! on one capture.
 //!
 //! [`tradeoff`] measures, into one folder:
 //!
 //! - `tradeoff.json`: every combination with its options, quality, time and preparation
-//! - `tradeoff.svg` and `tradeoff.png`: time against quality, the front labelled
+//! - `tradeoff.svg`: time against quality, the front labelled
 //! - `recommended.json`: the recommended options, for `--options`
 //! - `points/`: what is measured so far; a run that was stopped goes on with it
 //!
-//! **Combinations** ([`rungs`], [`variations`]): every sync rung with every proxy and blend; the
+//! **Combinations** ([`methods`], [`variations`]): every sync method with every proxy and blend; the
 //! presets and what `auto` chooses; then around the front every main parameter, and the offsets'
-//! rung where clocks are unknown, one at a time, as many rounds as asked for.
+//! method where clocks are unknown, one at a time, as many rounds as asked for.
 //!
 //! **Quality**: the moving part's PSNR of views against the truth, their mean; without truth, of
-//! cameras that were left out, rendered from the others at the times of their own frames. PSNR of
+//! cameras that are held out, rendered from the others at the times of their own frames. PSNR of
 //! all pixels and FLIP stand beside it. It is the same from run to run.
 //!
 //! **Time**: seconds of one view at a new instant between frames that are registered already, the
@@ -25,43 +25,43 @@
 //! | `mod.rs` | the order of things, `tradeoff.json` |
 //! | `combination.rs` | what is measured |
 //! | `targets.rs` | what it is held against |
-//! | `measure.rs`, `stages.rs`, `store.rs`, `stopwatch.rs` | measuring, and not twice |
+//! | `bench.rs`, `stages.rs`, `timing.rs`, `measure.rs`, `store.rs` | measuring, and not twice |
 //! | `front.rs` | the Pareto front |
 //! | `summary.rs` | from measurements to points |
 //! | `plot.rs` | the drawing |
 //!
-//! Known limits: where clocks are shared, a left-out camera's frame is at the others' times, and
+//! Known limits: where clocks are shared, a held-out camera's frame is at the others' times, and
 //! only proxy and blend are seen in it. Preparation is timed once.
 
+mod bench;
 mod combination;
 mod front;
 mod measure;
 mod plot;
 mod stages;
-mod stopwatch;
 mod store;
 mod summary;
 mod targets;
+mod timing;
 
-pub use combination::{Variable, most_accurate, name, rungs, variations};
+pub use combination::{Variable, methods, most_accurate, name, variations};
 pub use front::{Trade, fastest_within, front};
-pub use stopwatch::{Elapsed, Stopwatch, process_cpu_s};
 pub use summary::{MeanScores, Point, Preparation, Spread};
 pub use targets::Against;
 
-use crate::capture::{
-    BitDepth, CAPTURE_FILE, Capture, CaptureError, Truth, TruthError, write_atomically, write_image,
-};
+use crate::capture::{CAPTURE_FILE, Capture, CaptureError, Truth, TruthError};
 use crate::compare::CompareError;
+use crate::host::write_atomically;
+use crate::light_field::RenderError;
+use crate::method::{Method, methods};
+use crate::options::{Preset, RenderOptions};
 use crate::progress::Reporter;
-use crate::render::{Preset, RenderError, RenderOptions};
-use clap::ValueEnum;
-use measure::Bench;
+use bench::Bench;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use store::{KeptPoint, Store, write_json};
+use store::{CachedPoint, Store, write_json};
 use summary::Summarized;
 use targets::Scene;
 
@@ -70,7 +70,7 @@ use targets::Scene;
 pub struct TradeoffOptions {
     /// Times that each view is timed. More tell the median and the spread better.
     pub runs: usize,
-    /// How often the front is varied by single parameters; 0 measures the rungs alone.
+    /// How often the front is varied by single parameters; 0 measures the methods alone.
     pub rounds: usize,
     /// What all combinations start from.
     pub base: RenderOptions,
@@ -80,17 +80,20 @@ pub struct TradeoffOptions {
 }
 
 /// Which seconds decide the front.
-#[derive(
-    Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, ValueEnum,
-)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Clock {
-    /// What a user waits for
+    /// Wall-clock time: what a user waits for.
     #[default]
     Wall,
-    /// Of the processor, over all threads: where the machine does other work too
+    /// Processor time over all threads: where the machine does other work too.
     Cpu,
 }
+
+methods!(Clock {
+    Wall = "wall": "Wall-clock time: what a user waits for",
+    Cpu = "cpu": "Processor time over all threads: where the machine does other work too",
+});
 
 impl Default for TradeoffOptions {
     fn default() -> Self {
@@ -187,7 +190,7 @@ pub fn tradeoff(
     let truth = Truth::open(&capture.folder)?;
     let store = Store::open(out, capture, truth.as_ref())?;
     let base = &options.base;
-    let prepared = measure::prepared(capture, &store, base, reporter)?;
+    let prepared = bench::prepared(capture, &store, base, reporter)?;
     let scene = Scene { capture, offsets: &prepared.offsets, base };
     let looking = reporter.phase("views to measure against");
     let (targets, timed) = scene.targets(truth.as_ref())?;
@@ -205,14 +208,14 @@ pub fn tradeoff(
     (auto.auto.sync, auto.auto.proxy) = (true, true);
     let planned = bench.planned(&auto)?;
     let mut labels = vec![(AUTO, planned.options.clone())];
-    for preset in Preset::value_variants() {
+    for preset in Preset::ALL {
         labels.push((preset.name(), bench.planned(&preset.options())?.options));
     }
 
-    let mut wanted = rungs(base);
+    let mut wanted = methods(base);
     add(&mut wanted, labels.iter().map(|(_, options)| options.clone()));
     add(&mut wanted, options.also.iter().cloned());
-    let mut points = bench.measure("rungs", &wanted)?;
+    let mut points = bench.measure("methods", &wanted)?;
     let variable =
         Variable { offsets: prepared.offsets_took.is_some(), cameras: capture.cameras.len() };
     for round in 1..=options.rounds {
@@ -238,7 +241,7 @@ fn add(wanted: &mut Vec<RenderOptions>, more: impl IntoIterator<Item = RenderOpt
 
 fn gathered(
     bench: &Bench,
-    points: &[KeptPoint],
+    points: &[CachedPoint],
     labels: &[(&str, RenderOptions)],
     planning_s: f64,
 ) -> Result<Tradeoff, TradeoffError> {
@@ -274,6 +277,5 @@ fn write(tradeoff: &Tradeoff, out: &Path) -> Result<(), TradeoffError> {
     let path = out.join("tradeoff.svg");
     write_atomically(&path, drawing.svg().as_bytes())
         .map_err(|source| TradeoffError::Write { path, source })?;
-    write_image(&out.join("tradeoff.png"), &drawing.image(), None, BitDepth::Eight)?;
     write_json(&out.join("tradeoff.json"), tradeoff)
 }

@@ -9,9 +9,9 @@ fn quality(tradeoff: &Tradeoff) -> &'static str {
     match (tradeoff.against, moving) {
         (Against::Truth, true) => "moving part against the truth, PSNR in dB",
         (Against::Truth, false) => "against the truth, PSNR in dB",
-        (Against::LeftOut, true) => "changing part of left-out cameras, PSNR in dB",
-        (Against::LeftOut, false) => "left-out cameras, PSNR in dB",
-        (Against::MostAccurate, _) => "against the most accurate rungs, PSNR in dB",
+        (Against::HeldOut, true) => "changing part of held-out cameras, PSNR in dB",
+        (Against::HeldOut, false) => "held-out cameras, PSNR in dB",
+        (Against::MostAccurate, _) => "against the most accurate methods, PSNR in dB",
     }
 }
 

@@ -1,20 +1,16 @@
-//! The three stages of a view, each timed apart: a view is one after the other, and combinations
-//! share them.
+//! The three stages of a view: a view is one after the other, and combinations share them.
 
-use super::measure::Bench;
-use super::store::KeptPoint;
-use super::{Elapsed, Stopwatch, TradeoffError};
+use super::store::CachedPoint;
 use crate::camera::Camera;
-use crate::interpolation::{InterpolationOptions, Sync};
+use crate::host::{BoundedCache, Elapsed, Stopwatch};
+use crate::interpolation::{InterpolationOptions, SyncMethod};
+use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::{Proxy, Rendered};
 use crate::offset::OffsetOptions;
-use crate::progress::Task;
+use crate::options::{RenderOptions, ViewOptions};
 use crate::raster::Image;
-use crate::render::{LightField, RenderError, RenderOptions};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use std::collections::HashMap;
 
 /// What a view is made by, in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -23,7 +19,7 @@ pub(super) enum Stage {
     Sync,
     /// The scene's shape.
     Proxy,
-    /// From the shape to depths, the cameras that answer, and the view.
+    /// From the shape to depths, the cameras that contribute, and the view.
     Blend,
 }
 
@@ -31,12 +27,12 @@ impl Stage {
     pub const ALL: [Self; 3] = [Self::Sync, Self::Proxy, Self::Blend];
 
     /// What the stage's time depends on: not on how offsets were estimated, once they are.
-    fn part(self, point: &KeptPoint) -> Value {
+    pub fn part(self, point: &CachedPoint) -> Value {
         let options = RenderOptions { offset: OffsetOptions::default(), ..point.options.clone() };
         match self {
             Self::Sync => {
-                // What of the images is asked for depends on the shape and the blend.
-                let parts = (options.sync == Sync::Refined)
+                // Which parts of the images are needed depends on the shape and the blend.
+                let parts = (options.sync == SyncMethod::Refined)
                     .then(|| json!([proxy_part(&options), options.blend]));
                 json!(["sync", sync_part(&options), point.cameras, parts])
             }
@@ -49,16 +45,16 @@ impl Stage {
 /// The options that synchronized images depend on.
 pub(super) fn sync_part(o: &RenderOptions) -> Value {
     match o.sync {
-        Sync::Nearest | Sync::Crossfade => json!([o.offset, o.sync]),
-        Sync::Triangulation => {
+        SyncMethod::Nearest | SyncMethod::Crossfade => json!([o.offset, o.sync]),
+        SyncMethod::Triangulation => {
             let InterpolationOptions { curved, still_change, .. } = o.interpolation;
             json!([o.offset, o.sync, o.registration, curved, still_change])
         }
-        Sync::Refined => {
+        SyncMethod::Refined => {
             let InterpolationOptions { curved, still_change, ref refine, .. } = o.interpolation;
             json!([o.offset, o.sync, o.registration, curved, still_change, refine])
         }
-        Sync::Morph | Sync::EdgeMorph => {
+        SyncMethod::Morph | SyncMethod::EdgeMorph => {
             json!([o.offset, o.sync, o.registration, o.interpolation])
         }
     }
@@ -69,173 +65,90 @@ fn proxy_part(o: &RenderOptions) -> Value {
     json!([o.offset, o.registration, o.interpolation.still_change, o.proxy])
 }
 
-/// The times of one stage.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct KeptStage {
-    pub runs: Vec<Elapsed>,
-}
+/// How many proxies of one view are cached. More only saves building them again.
+const MAX_CACHED_PROXIES: usize = 64;
 
-/// A stage of one combination, shared by others, and the name that its times are kept by.
-pub(super) struct Work {
-    stage: Stage,
-    key: String,
-    point: KeptPoint,
-}
-
-impl Bench<'_> {
-    fn stage_key(&self, stage: Stage, point: &KeptPoint) -> String {
-        self.store.key("time", &stage.part(point))
-    }
-
-    /// The times of a stage so far.
-    fn stage(&self, stage: Stage, point: &KeptPoint) -> KeptStage {
-        self.store.load(&self.stage_key(stage, point)).unwrap_or_default()
-    }
-
-    /// The different stages of combinations that can be rendered, and are timed too seldom.
-    pub fn untimed<'p>(&self, points: impl Iterator<Item = &'p KeptPoint>) -> Vec<Work> {
-        let mut found: Vec<Work> = Vec::new();
-        for point in points.filter(|p| p.reason.is_none()) {
-            for stage in Stage::ALL {
-                let key = self.stage_key(stage, point);
-                let known = found.iter().any(|other| other.key == key);
-                if !known && self.stage(stage, point).runs.len() < self.runs {
-                    found.push(Work { stage, key, point: point.clone() });
-                }
-            }
-        }
-        found
-    }
-
-    /// Times stages in turns, so that what else the machine does meets all alike.
-    pub fn time(
-        &self,
-        field: &mut LightField,
-        work: &[Work],
-        task: &Task,
-    ) -> Result<(), TradeoffError> {
-        let (camera, time_s) = (&self.timed.camera, self.timed.time_s);
-        // What is prepared once for all views between two frames isn't timed: everything once
-        // before.
-        field.register(time_s)?;
-        let mut views = Views::new(field);
-        for Work { point, .. } in work {
-            views.view(&point.options, camera, time_s)?;
-        }
-        for run in 0..self.runs {
-            for Work { stage, key, point } in work {
-                let mut kept: KeptStage = self.store.load(key).unwrap_or_default();
-                if kept.runs.len() > run {
-                    continue;
-                }
-                kept.runs.push(views.timed(*stage, point, camera, time_s)?);
-                self.store.save(key, &kept)?;
-                task.advance(1);
-            }
-        }
-        Ok(())
-    }
-
-    /// What whole views of a combination took, run by run: the sums of its stages.
-    pub fn runs(&self, point: &KeptPoint) -> Vec<[Elapsed; 3]> {
-        let stages = Stage::ALL.map(|stage| self.stage(stage, point).runs);
-        let runs = stages.iter().map(Vec::len).min().unwrap_or(0);
-        (0..runs).map(|run| [0, 1, 2].map(|stage| stages[stage][run])).collect()
-    }
-}
-
-/// Renders views of one instant, and keeps what the next combination shares.
+/// Renders views from one place at one instant, and caches what combinations share.
 pub(super) struct Views<'a> {
-    field: &'a mut LightField,
+    field: &'a LightField,
+    camera: &'a Camera,
+    time_s: f64,
     images: Option<SharedImages>,
-    proxies: HashMap<String, Proxy>,
+    /// The last combinations' proxies, by the options that they depend on.
+    proxies: BoundedCache<String, Proxy>,
 }
 
 /// Synchronized images of some cameras, black ones of the others.
 struct SharedImages {
-    of: String,
+    /// The options that they depend on.
+    part: String,
     images: Vec<Option<Image>>,
     done: Vec<usize>,
 }
 
 impl<'a> Views<'a> {
-    pub fn new(field: &'a mut LightField) -> Self {
-        Self { field, images: None, proxies: HashMap::new() }
+    pub fn new(field: &'a LightField, camera: &'a Camera, time_s: f64) -> Self {
+        Self { field, camera, time_s, images: None, proxies: BoundedCache::new(MAX_CACHED_PROXIES) }
     }
 
     /// As [`LightField::view`], and the cameras that the view is blended from.
-    pub fn view(
-        &mut self,
-        options: &RenderOptions,
-        camera: &Camera,
-        time_s: f64,
-    ) -> Result<(Rendered, Vec<usize>), RenderError> {
-        self.field.set_options(options.clone());
-        let depth = self.proxy(options, camera, time_s)?.depth_map(camera);
-        let of = sync_part(options).to_string();
-        let mut shared = self.images.take().filter(|shared| shared.of == of).unwrap_or_else(|| {
-            SharedImages { of, images: self.field.blanks(time_s), done: Vec::new() }
-        });
-        let needed = self.field.needed(&shared.images, &depth, camera);
+    pub fn view(&mut self, options: &RenderOptions) -> Result<(Rendered, Vec<usize>), RenderError> {
+        let view = options.view();
+        let depth = self.proxy(options, &view)?.depth_map(self.camera);
+        let part = sync_part(options).to_string();
+        let blanks = || self.field.blanks(self.time_s);
+        let mut shared = self
+            .images
+            .take()
+            .filter(|shared| shared.part == part)
+            .unwrap_or_else(|| SharedImages { part, images: blanks(), done: Vec::new() });
+        let needed = self.field.needed(&shared.images, &depth, self.camera, &view.blend);
         let needed: Vec<usize> = needed.into_iter().map(|(c, _)| c).collect();
         let missing: Vec<usize> =
             needed.iter().copied().filter(|c| !shared.done.contains(c)).collect();
-        // Whole, for other combinations to share.
-        let whole = |c: &usize| Ok((*c, self.field.synchronized(*c, time_s)?));
+        // Whole images, so that other combinations can share them.
+        let whole = |c: &usize| Ok((*c, self.field.synchronized(*c, self.time_s, &view)?));
         let images: Vec<(usize, Image)> =
             missing.par_iter().map(whole).collect::<Result<_, RenderError>>()?;
         for (c, image) in images {
             shared.images[c] = Some(image);
         }
         shared.done.extend(missing);
-        let rendered = self.field.blend_by_depth(&shared.images, &depth, camera);
+        let rendered = self.field.blend_by_depth(&shared.images, &depth, self.camera, &view.blend);
         self.images = Some(shared);
-        let seen = rendered.coverage.contains(&true);
-        if seen { Ok((rendered, needed)) } else { Err(RenderError::NothingSeen) }
+        let is_seen = rendered.coverage.contains(&true);
+        if is_seen { Ok((rendered, needed)) } else { Err(RenderError::NothingSeen) }
     }
 
-    fn proxy(
-        &mut self,
-        options: &RenderOptions,
-        camera: &Camera,
-        time_s: f64,
-    ) -> Result<Proxy, RenderError> {
+    fn proxy(&mut self, options: &RenderOptions, view: &ViewOptions) -> Result<Proxy, RenderError> {
         let part = proxy_part(options).to_string();
         if let Some(proxy) = self.proxies.get(&part) {
-            return Ok(proxy.clone());
+            return Ok(proxy);
         }
-        self.field.forget_points();
-        let proxy = self.field.proxy(options.proxy.rung, camera, time_s)?;
-        self.proxies.insert(part, proxy.clone());
+        let proxy = self.field.proxy(self.camera, self.time_s, view)?;
+        self.proxies.insert(part, proxy.clone(), 1);
         Ok(proxy)
     }
 
-    /// What one stage takes.
-    fn timed(
-        &mut self,
-        stage: Stage,
-        point: &KeptPoint,
-        camera: &Camera,
-        time_s: f64,
-    ) -> Result<Elapsed, RenderError> {
-        let options = &point.options;
-        self.field.set_options(options.clone());
-        let proxy = self.proxy(options, camera, time_s)?;
+    /// What one stage takes, with nothing cached of this view's.
+    pub fn timed(&mut self, stage: Stage, options: &RenderOptions) -> Result<Elapsed, RenderError> {
+        let (view, camera, time_s) = (options.view(), self.camera, self.time_s);
+        let proxy = self.proxy(options, &view)?;
         let mut images = self.field.blanks(time_s);
         let needed = match stage {
-            Stage::Sync => self.field.needed(&images, &proxy.depth_map(camera), camera),
+            Stage::Sync => {
+                self.field.needed(&images, &proxy.depth_map(camera), camera, &view.blend)
+            }
             Stage::Proxy | Stage::Blend => Vec::new(),
         };
-        self.field.forget_points();
         let watch = Stopwatch::start();
         match stage {
-            Stage::Sync => self.field.synchronize(&mut images, &needed, time_s)?,
-            Stage::Proxy => drop(self.field.proxy(options.proxy.rung, camera, time_s)?),
+            Stage::Sync => self.field.synchronize(&mut images, &needed, time_s, &view)?,
+            Stage::Proxy => drop(self.field.uncached_proxy(camera, time_s, &view)?),
             Stage::Blend => {
                 let depth = proxy.depth_map(camera);
-                self.field.needed(&images, &depth, camera);
-                self.field.blend_by_depth(&images, &depth, camera);
+                self.field.needed(&images, &depth, camera, &view.blend);
+                self.field.blend_by_depth(&images, &depth, camera, &view.blend);
             }
         }
         Ok(watch.elapsed())
@@ -245,7 +158,7 @@ impl<'a> Views<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::ValueEnum;
+    use crate::method::Method;
 
     /// Where still pairs go unregistered, images and points are others.
     #[test]
@@ -253,7 +166,7 @@ mod tests {
         let mut other = RenderOptions::default();
         other.interpolation.still_change = 0.01;
         assert_ne!(proxy_part(&RenderOptions::default()), proxy_part(&other));
-        for &sync in Sync::value_variants() {
+        for &sync in SyncMethod::ALL {
             let [a, b] = [RenderOptions::default(), other.clone()]
                 .map(|options| sync_part(&RenderOptions { sync, ..options }));
             assert_eq!(a != b, sync.needs_tracks(), "{sync:?}");

@@ -2,26 +2,25 @@
 //! and a larger one adds to a smaller.
 
 use super::TradeoffError;
-use super::stopwatch::Elapsed;
-use crate::capture::{Capture, Truth, write_atomically};
-use crate::compare::metrics::RegionScores;
+use crate::capture::{Capture, Truth};
+use crate::host::Elapsed;
 use crate::json;
+use crate::metrics::RegionScores;
 use crate::offset::Offsets;
-use crate::render::RenderOptions;
+use crate::options::RenderOptions;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// The files and the folder that a trade-off's folder holds.
-pub(super) const FILES: [&str; 4] =
-    ["tradeoff.json", "tradeoff.svg", "tradeoff.png", "recommended.json"];
+pub(super) const FILES: [&str; 3] = ["tradeoff.json", "tradeoff.svg", "recommended.json"];
 pub(super) const POINTS: &str = "points";
 
 /// What is known of one combination.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct KeptPoint {
+pub(super) struct CachedPoint {
     pub options: RenderOptions,
     /// By the target's id.
     pub scores: BTreeMap<String, RegionScores>,
@@ -104,9 +103,7 @@ impl Store {
 /// Writes a value as a JSON file, whole or not at all.
 pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), TradeoffError> {
     let failed = |source| TradeoffError::Write { path: path.to_owned(), source };
-    let mut text = serde_json::to_string_pretty(value).map_err(|e| failed(e.into()))?;
-    text.push('\n');
-    write_atomically(path, text.as_bytes()).map_err(failed)
+    crate::host::write_json(path, value).map_err(failed)
 }
 
 /// Only a folder that isn't there, that is empty, or that holds a trade-off is written to.

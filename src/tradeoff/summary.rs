@@ -1,12 +1,13 @@
 //! From what was measured to points of the trade-off.
 
+use super::bench::Bench;
 use super::front::{Trade, fastest_within, front};
-use super::measure::Bench;
-use super::store::KeptPoint;
+use super::store::CachedPoint;
 use super::targets::{Against, Target};
-use super::{Clock, Elapsed, TradeoffError, name};
-use crate::compare::metrics::{RegionScores, Scores, median};
-use crate::render::RenderOptions;
+use super::{Clock, TradeoffError, name};
+use crate::host::Elapsed;
+use crate::metrics::{RegionScores, Scores, median};
+use crate::options::RenderOptions;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -14,7 +15,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Point {
-    /// Its rungs, and which parameters are not the defaults.
+    /// Its methods, and which parameters are not the defaults.
     pub name: String,
     /// The presets that it is, and whether the plan chooses it.
     pub labels: Vec<String>,
@@ -28,7 +29,7 @@ pub struct Point {
     pub quality_db: Option<f64>,
     pub moving: MeanScores,
     pub whole: MeanScores,
-    /// PSNR against the view by the most accurate rungs, where there is no truth.
+    /// PSNR against the view by the most accurate methods, where there is no truth.
     pub most_accurate_db: Option<f64>,
     /// One view at a new instant, seconds: on the wall, and of the processor over all threads.
     pub wall_s: Option<Spread>,
@@ -82,13 +83,13 @@ const STEP_DB: f64 = 0.01;
 /// Measured points as they trade.
 pub(super) struct Summarized<'a> {
     bench: &'a Bench<'a>,
-    kept: &'a [KeptPoint],
+    cached: &'a [CachedPoint],
     trades: Vec<Trade>,
 }
 
 impl<'a> Summarized<'a> {
-    pub fn new(bench: &'a Bench<'a>, kept: &'a [KeptPoint]) -> Self {
-        let trades = kept
+    pub fn new(bench: &'a Bench<'a>, cached: &'a [CachedPoint]) -> Self {
+        let trades = cached
             .iter()
             .map(|point| {
                 let seconds = match bench.clock {
@@ -100,7 +101,7 @@ impl<'a> Summarized<'a> {
                 Trade { seconds, quality: (quality / STEP_DB).round() * STEP_DB }
             })
             .collect();
-        Self { bench, kept, trades }
+        Self { bench, cached, trades }
     }
 
     pub fn front(&self) -> Vec<usize> {
@@ -114,7 +115,7 @@ impl<'a> Summarized<'a> {
     /// All points, fastest first.
     pub fn points(&self, labels: &[(&str, RenderOptions)]) -> Result<Vec<Point>, TradeoffError> {
         let front = self.front();
-        let mut order: Vec<usize> = (0..self.kept.len()).collect();
+        let mut order: Vec<usize> = (0..self.cached.len()).collect();
         // NaN, of what can't be rendered, comes last.
         order.sort_by(|&a, &b| self.trades[a].seconds.total_cmp(&self.trades[b].seconds));
         order.into_iter().map(|k| self.point(k, front.contains(&k), labels)).collect()
@@ -126,13 +127,13 @@ impl<'a> Summarized<'a> {
         on_front: bool,
         labels: &[(&str, RenderOptions)],
     ) -> Result<Point, TradeoffError> {
-        let (kept, bench) = (&self.kept[k], self.bench);
-        let own = labels.iter().filter(|(_, options)| *options == kept.options);
+        let (cached, bench) = (&self.cached[k], self.bench);
+        let own = labels.iter().filter(|(_, options)| *options == cached.options);
         let labels = own.map(|(label, _)| (*label).to_owned()).collect();
-        let preparation = match kept.reason {
+        let preparation = match cached.reason {
             Some(_) => None,
             None => {
-                let prepared = bench.prepared(&kept.options)?;
+                let prepared = bench.prepared(&cached.options)?;
                 Some(Preparation {
                     offsets_s: prepared.offsets_took.map(|t| t.wall_s),
                     registration_s: prepared.registration_took.wall_s,
@@ -141,24 +142,24 @@ impl<'a> Summarized<'a> {
         };
         let against = bench.against();
         Ok(Point {
-            name: name(&kept.options),
+            name: name(&cached.options),
             labels,
-            options: kept.options.clone(),
+            options: cached.options.clone(),
             on_front,
-            reason: kept.reason.clone(),
-            quality_db: quality_db(bench, kept),
-            moving: mean(bench, kept, against, |s| &s.moving),
-            whole: mean(bench, kept, against, |s| &s.whole),
-            most_accurate_db: mean(bench, kept, Against::MostAccurate, |s| &s.whole).psnr_db,
-            wall_s: view(bench, kept, |r| r.wall_s),
-            cpu_s: view(bench, kept, |r| r.cpu_s),
-            stages_s: stages(bench, kept),
+            reason: cached.reason.clone(),
+            quality_db: quality_db(bench, cached),
+            moving: mean(bench, cached, against, |s| &s.moving),
+            whole: mean(bench, cached, against, |s| &s.whole),
+            most_accurate_db: mean(bench, cached, Against::MostAccurate, |s| &s.whole).psnr_db,
+            wall_s: view(bench, cached, |r| r.wall_s),
+            cpu_s: view(bench, cached, |r| r.cpu_s),
+            stages_s: stages(bench, cached),
             preparation,
         })
     }
 }
 
-fn quality_db(bench: &Bench, point: &KeptPoint) -> Option<f64> {
+fn quality_db(bench: &Bench, point: &CachedPoint) -> Option<f64> {
     let against = bench.against();
     let moving = mean(bench, point, against, |s| &s.moving).psnr_db;
     moving.or_else(|| mean(bench, point, against, |s| &s.whole).psnr_db)
@@ -166,7 +167,7 @@ fn quality_db(bench: &Bench, point: &KeptPoint) -> Option<f64> {
 
 fn mean(
     bench: &Bench,
-    point: &KeptPoint,
+    point: &CachedPoint,
     against: Against,
     region: impl Fn(&RegionScores) -> &Scores,
 ) -> MeanScores {
@@ -187,14 +188,14 @@ fn mean(
 }
 
 /// The times of whole views.
-fn view(bench: &Bench, point: &KeptPoint, of: fn(&Elapsed) -> f64) -> Option<Spread> {
+fn view(bench: &Bench, point: &CachedPoint, of: fn(&Elapsed) -> f64) -> Option<Spread> {
     if point.reason.is_some() {
         return None;
     }
     spread(bench.runs(point).iter().map(|run| run.iter().map(of).sum()).collect())
 }
 
-fn stages(bench: &Bench, point: &KeptPoint) -> Option<[f64; 3]> {
+fn stages(bench: &Bench, point: &CachedPoint) -> Option<[f64; 3]> {
     let runs = bench.runs(point);
     let stage = |k: usize| median(runs.iter().map(|run| run[k].wall_s).collect());
     Some([stage(0)?, stage(1)?, stage(2)?])

@@ -1,17 +1,21 @@
-//! What views are held against: the truth, cameras that were left out, or the most accurate view.
+//! What views are compared with: the truth, held-out cameras, or the most accurate view.
 
 use super::TradeoffError;
 use super::combination::most_accurate;
 use crate::camera::Camera;
-use crate::capture::{BitDepth, Capture, Truth};
+use crate::capture::{Capture, Truth};
 use crate::compare::CompareOptions;
-use crate::compare::metrics::{Reference, RegionScores};
 use crate::compare::truths::{self, TrueImage, as_written};
+use crate::light_field::held_out::{
+    halfway_to_neighbor, inner_cameras, only, recorded, well_covered_frames,
+};
+use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::Rendered;
+use crate::metrics::{Reference, RegionScores};
 use crate::offset::Offsets;
+use crate::options::RenderOptions;
+use crate::raster::BitDepth;
 use crate::raster::Image;
-use crate::render::left_out::{beside, filmed, inner_cameras, only, shown_frames};
-use crate::render::{LightField, RenderError, RenderOptions};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -23,8 +27,8 @@ pub enum Against {
     /// Views of a simulator that no camera filmed, or where it has none the filming cameras'.
     Truth,
     /// A camera's own frame, at its own time, rendered from the other cameras.
-    LeftOut,
-    /// The view by the dearest rung of every ladder: how much is lost, not how much is right.
+    HeldOut,
+    /// The view by the dearest method of every stage: how much is lost, not how much is right.
     MostAccurate,
 }
 
@@ -35,10 +39,10 @@ pub(super) struct Target {
     /// From the capture's start.
     pub time_s: f64,
     pub against: Against,
-    /// The camera whose frame it is: not to be used.
-    pub left_out: Option<usize>,
+    /// The camera whose frame it is, which must not be used.
+    pub held_out: Option<usize>,
     reference: Reference,
-    /// What moves, and what the most accurate rungs see, row by row.
+    /// What moves, and what the most accurate methods see, row by row.
     moving: Vec<bool>,
     covered: Vec<bool>,
     depth: BitDepth,
@@ -55,7 +59,7 @@ pub(super) struct Timed {
 
 /// Cameras that are left out, one at a time, where there is no truth. More cost time; one alone
 /// stands for its own place.
-const LEFT_OUT: usize = 2;
+const HELD_OUT: usize = 2;
 
 /// Everything that is measured against, with what it takes to find out.
 pub(super) struct Scene<'a> {
@@ -65,7 +69,7 @@ pub(super) struct Scene<'a> {
 }
 
 impl Target {
-    /// How far a rendered view is from it. What the most accurate rungs don't see isn't measured;
+    /// How far a rendered view is from it. What the most accurate methods don't see isn't measured;
     /// what only this one doesn't see is black.
     pub fn score(&self, rendered: &Rendered) -> RegionScores {
         let truth = self.reference.image();
@@ -82,13 +86,14 @@ impl Target {
 
 impl Scene<'_> {
     /// The light field without a camera.
-    pub fn field(&self, options: &RenderOptions, left_out: Option<usize>) -> LightField {
-        let Some(index) = left_out else {
-            return LightField::new(self.capture.clone(), self.offsets.clone(), options.clone());
+    pub fn field(&self, held_out: Option<usize>) -> LightField {
+        let registration = &self.base.registration;
+        let Some(index) = held_out else {
+            return LightField::new(self.capture.clone(), self.offsets.clone(), registration);
         };
-        let kept: Vec<usize> = (0..self.capture.cameras.len()).filter(|&c| c != index).collect();
-        let (capture, offsets) = only(self.capture, self.offsets, &kept);
-        LightField::new(capture, offsets, options.clone())
+        let others: Vec<usize> = (0..self.capture.cameras.len()).filter(|&c| c != index).collect();
+        let (capture, offsets) = only(self.capture, self.offsets, &others);
+        LightField::new(capture, offsets, registration)
     }
 
     /// What there is to measure against, and the view to time.
@@ -102,9 +107,9 @@ impl Scene<'_> {
             return Ok((found, timed));
         }
         let timed = self.between();
-        let mut found = self.left_out_frames()?;
-        let field = self.field(&most_accurate(self.base), None);
-        let rendered = field.view(&timed.camera, timed.time_s)?;
+        let mut found = self.held_out_frames()?;
+        let field = self.field(None);
+        let rendered = field.view(&timed.camera, timed.time_s, &most_accurate(self.base).view())?;
         let image =
             as_written(&rendered.image, rendered.image.channels(), self.capture.bit_depth());
         found.push(Target {
@@ -112,7 +117,7 @@ impl Scene<'_> {
             camera: timed.camera.clone(),
             time_s: timed.time_s,
             against: Against::MostAccurate,
-            left_out: None,
+            held_out: None,
             moving: vec![false; rendered.coverage.len()],
             covered: rendered.coverage,
             reference: self.reference(image),
@@ -125,27 +130,27 @@ impl Scene<'_> {
         Reference::new(image, CompareOptions::default().pixels_per_degree)
     }
 
-    /// A target, covered as the most accurate rungs see it; `None` where they can't render it.
+    /// A target, covered as the most accurate methods see it; `None` where they can't render it.
     fn target(
         &self,
         field: &LightField,
         id: String,
         (camera, time_s): (&Camera, f64),
         truth: TrueImage,
-        left_out: Option<usize>,
+        held_out: Option<usize>,
     ) -> Result<Option<Target>, TradeoffError> {
-        let rendered = match field.view(camera, time_s) {
+        let rendered = match field.view(camera, time_s, &most_accurate(self.base).view()) {
             Ok(rendered) => rendered,
             Err(RenderError::Capture(error)) => return Err(error.into()),
             Err(_) => return Ok(None),
         };
-        let against = if left_out.is_some() { Against::LeftOut } else { Against::Truth };
+        let against = if held_out.is_some() { Against::HeldOut } else { Against::Truth };
         Ok(Some(Target {
             id,
             camera: camera.clone(),
             time_s,
             against,
-            left_out,
+            held_out,
             reference: self.reference(truth.image),
             moving: truth.moving,
             covered: rendered.coverage,
@@ -155,7 +160,7 @@ impl Scene<'_> {
 
     /// Views of the truth that no camera filmed; where it has none, the filming cameras'.
     fn true_views(&self, truth: &Truth) -> Result<Vec<Target>, TradeoffError> {
-        let field = self.field(&most_accurate(self.base), None);
+        let field = self.field(None);
         let instants = truths::instants(truth, self.capture)?;
         let views = || instants.iter().flat_map(|i| i.views.iter().map(move |v| (i, v)));
         let has_free = views().any(|(_, v)| v.like.is_none());
@@ -169,21 +174,21 @@ impl Scene<'_> {
     }
 
     /// The middle frames of cameras amid the others.
-    fn left_out_frames(&self) -> Result<Vec<Target>, TradeoffError> {
+    fn held_out_frames(&self) -> Result<Vec<Target>, TradeoffError> {
         let times_s = self.offsets.common_times_s(self.capture);
         let mut found: Vec<Target> = Vec::new();
         for camera in inner_cameras(self.capture) {
             let Some(times_s) = &times_s[camera] else { continue };
-            let field = self.field(&most_accurate(self.base), Some(camera));
-            let shown = shown_frames(&field, times_s);
+            let field = self.field(Some(camera));
+            let shown = well_covered_frames(&field, times_s);
             let Some(&frame) = shown.get(shown.len() / 2) else { continue };
-            let (image, moving) = filmed(self.capture, camera, frame)?;
+            let (image, moving) = recorded(self.capture, camera, frame)?;
             let truth = TrueImage { image, moving };
             let filmed = &self.capture.cameras[camera];
             let place = (&filmed.camera, times_s[frame]);
             let id = format!("{}-{frame}", filmed.id);
             found.extend(self.target(&field, id, place, truth, Some(camera))?);
-            if found.len() == LEFT_OUT {
+            if found.len() == HELD_OUT {
                 break;
             }
         }
@@ -192,8 +197,8 @@ impl Scene<'_> {
 
     /// A view halfway from the reference to its nearest neighbour, in the middle of the film.
     fn between(&self) -> Timed {
-        let camera = beside(self.capture, self.capture.reference);
-        let field = self.field(self.base, None);
+        let camera = halfway_to_neighbor(self.capture, self.capture.reference);
+        let field = self.field(None);
         let own_span = || field.span_s(self.capture.reference);
         let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();
         Timed { target: "most-accurate".into(), camera, time_s: 0.5 * (first + last) }

@@ -6,9 +6,9 @@ mod writer;
 
 pub(crate) use reader::frame_name;
 pub use reader::{Decoded, decode};
-pub use writer::{Codec, VideoWriter};
+pub use writer::{Codec, VideoFormat, VideoWriter};
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Why a video was not read or written. Every message is one sentence.
 #[derive(Debug, thiserror::Error)]
@@ -23,15 +23,8 @@ pub enum VideoError {
     File { path: PathBuf, source: std::io::Error },
 }
 
-/// An ffmpeg to run: the system's, else the one that comes with the project's environment.
-pub fn find_ffmpeg(project_root: &Path) -> Option<PathBuf> {
-    let on_path = std::env::var_os("PATH").and_then(|paths| {
-        std::env::split_paths(&paths).map(|p| p.join("ffmpeg")).find(|p| p.is_file())
-    });
-    on_path.or_else(|| {
-        let lib = project_root.join(".venv/lib/python3.11/site-packages/imageio_ffmpeg/binaries");
-        std::fs::read_dir(lib).ok()?.filter_map(|entry| Some(entry.ok()?.path())).find(|path| {
-            path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("ffmpeg-"))
-        })
-    })
+/// The system's ffmpeg: the first one on `PATH`.
+pub fn ffmpeg_on_path() -> Option<PathBuf> {
+    let paths = std::env::var_os("PATH")?;
+    std::env::split_paths(&paths).map(|p| p.join("ffmpeg")).find(|p| p.is_file())
 }

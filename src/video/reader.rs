@@ -4,7 +4,7 @@
 //! in 16 where it has more; a rotation that the file asks for is done, as a player does.
 
 use super::VideoError;
-use crate::toolchain::process;
+use crate::host::process;
 use std::ffi::OsString;
 use std::path::Path;
 use std::process::Command;

@@ -1,9 +1,9 @@
 //! Writing a video file.
 
 use super::VideoError;
-use crate::capture::BitDepth;
+use crate::host::process::{Ended, Process};
+use crate::raster::BitDepth;
 use crate::raster::Image;
-use crate::toolchain::process::{Ended, Process};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
@@ -15,6 +15,16 @@ pub enum Codec {
     Ffv1,
     /// What browsers play, in MP4: 8 bits, 4:2:0, visually lossless.
     H264,
+}
+
+/// How frames become a video.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VideoFormat {
+    /// Bits a channel of what is encoded.
+    pub depth: BitDepth,
+    /// Frames shown a second.
+    pub rate_hz: f64,
+    pub codec: Codec,
 }
 
 impl Codec {
@@ -75,10 +85,9 @@ impl VideoWriter {
         ffmpeg: &Path,
         path: &Path,
         like: &Image,
-        depth: BitDepth,
-        rate_hz: f64,
-        codec: Codec,
+        format: VideoFormat,
     ) -> Result<Self, VideoError> {
+        let VideoFormat { depth, rate_hz, codec } = format;
         let wrong = |source| VideoError::File { path: path.to_owned(), source };
         let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
         if let Some(folder) = folder {
@@ -86,7 +95,7 @@ impl VideoWriter {
         }
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
-        let format = match (like.channels(), depth) {
+        let pixel_format = match (like.channels(), depth) {
             (1, BitDepth::Eight) => "gray",
             (1, BitDepth::Sixteen) => "gray16le",
             (_, BitDepth::Eight) => "rgb24",
@@ -98,7 +107,7 @@ impl VideoWriter {
         let mut command = Command::new(ffmpeg);
         command
             .args(["-hide_banner", "-loglevel", "error", "-y", "-f", "rawvideo"])
-            .args(["-pixel_format", format])
+            .args(["-pixel_format", pixel_format])
             .args(["-video_size", &format!("{}x{}", like.width(), like.height())])
             .args(["-framerate", &format!("{rate_hz}"), "-i", "pipe:0"])
             .args(codec.arguments())

@@ -22,7 +22,7 @@ mod swing;
 use stages::Case;
 use std::path::{Path, PathBuf};
 use stlfr::chart::{Chart, svg};
-use stlfr::render::RenderOptions;
+use stlfr::options::RenderOptions;
 use swing::Swing;
 
 type Done<T> = Result<T, Box<dyn std::error::Error>>;

@@ -19,13 +19,14 @@ use rayon::prelude::*;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
-use stlfr::capture::{Capture, read_image};
+use stlfr::capture::Capture;
+use stlfr::host::process_cpu_s;
 use stlfr::raster::Image;
+use stlfr::raster::read_image;
 use stlfr::registration::{
     CornerOptions, Frame, FrameStore, KltOptions, Pyramid, RegistrationOptions, Tracker, corners,
     epipolar_test, temporal_flow,
 };
-use stlfr::tradeoff::process_cpu_s;
 
 const REPEATS: usize = 41;
 
@@ -60,7 +61,7 @@ fn problems(folder: &Path) -> Vec<Problem> {
         let files = [1.0, 2.0].map(|time| {
             let path = folder.join(format!("{}{time}.png", case.name));
             let image = case.world.film(&camera, time, 0.009, time as u64).to_gray();
-            stlfr::capture::write_image(&path, &image, None, stlfr::capture::BitDepth::Eight)
+            stlfr::raster::write_image(&path, &image, None, stlfr::raster::BitDepth::Eight)
                 .expect("an image can be written");
             path
         });

@@ -10,11 +10,12 @@ use nalgebra::{Point2, Point3};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use stlfr::camera::Camera;
-use stlfr::capture::{BitDepth, Truth, TruthView, read_array, read_image, write_image};
+use stlfr::capture::{Truth, TruthView, read_array};
 use stlfr::lumigraph::{
-    BlendOptions, BlendRung, DepthEdges, DepthMap, Mesh, MeshOptions, Plane, Proxy, Rendered,
+    BlendMethod, BlendOptions, DepthEdges, DepthMap, Mesh, MeshOptions, Plane, Proxy, Rendered,
     Source, blend, triangulate,
 };
+use stlfr::raster::{BitDepth, read_image, write_image};
 use stlfr::raster::{Image, Sampling};
 
 struct View {
@@ -255,7 +256,7 @@ fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
         }
     }
     let mut blends: Vec<(String, BlendOptions)> =
-        vec![("uniform".into(), BlendOptions { rung: BlendRung::Uniform, ..base.clone() })];
+        vec![("uniform".into(), BlendOptions { rung: BlendMethod::Uniform, ..base.clone() })];
     for cameras in [1, 2, 3, 4, 8] {
         blends.push((format!("k {cameras}"), BlendOptions { cameras, ..base.clone() }));
     }

@@ -34,8 +34,8 @@ mod lost;
 mod scene;
 
 use std::path::Path;
-use stlfr::capture::{BitDepth, write_image};
 use stlfr::chart::{Chart, drawing};
+use stlfr::raster::{BitDepth, write_image};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> =

@@ -3,15 +3,17 @@
 //!
 //! `cargo bench --bench sync -- CAPTURE [--sweep | --sweep=NAME]`
 
-use clap::ValueEnum;
 use std::sync::Arc;
 use std::time::Instant;
-use stlfr::capture::{Capture, Truth, read_array, read_image};
-use stlfr::compare::mask::moving_part;
-use stlfr::interpolation::Sync;
+use stlfr::capture::{Capture, Truth, read_array};
+use stlfr::interpolation::SyncMethod;
+use stlfr::light_field::LightField;
+use stlfr::method::Method;
+use stlfr::metrics::moving_part;
 use stlfr::offset::Offsets;
+use stlfr::options::RenderOptions;
 use stlfr::raster::Image;
-use stlfr::render::{LightField, RenderOptions};
+use stlfr::raster::read_image;
 
 struct Target {
     camera: usize,
@@ -32,12 +34,16 @@ fn mean_square(a: &Image, b: &Image, mask: Option<&[bool]>) -> (f64, f64) {
     (sum, n)
 }
 
-fn score(field: &LightField, sync: Sync, targets: &[Target]) -> (f64, f64, f64) {
+fn score(field: &LightField, view: &ViewOptions, targets: &[Target]) -> (f64, f64, f64) {
     let (mut whole, mut moving, mut seconds) = ((0.0, 0.0), (0.0, 0.0), 0.0);
     for t in targets {
-        field.synchronized_by(sync, t.camera, t.time_s).expect("the truth is inside the film");
+        field
+            .synchronized(t.camera, t.time_s, view)
+            .expect("the truth is inside the film");
         let start = Instant::now();
-        let image = field.synchronized_by(sync, t.camera, t.time_s).expect("as before");
+        let image = field
+            .synchronized(t.camera, t.time_s, view)
+            .expect("as before");
         seconds += start.elapsed().as_secs_f64();
         let (s, n) = mean_square(&image, &t.image, None);
         whole = (whole.0 + s, whole.1 + n);
@@ -73,12 +79,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let field = |change: &dyn Fn(&mut RenderOptions)| {
             let mut options = RenderOptions::default();
             change(&mut options);
-            LightField::new(capture.clone(), offsets.clone(), options)
+            let field =
+                LightField::new(capture.clone(), offsets.clone(), &options.registration);
+            (field, options.view())
         };
         println!("{folder}: PSNR whole, moving [dB]; ms an image, registration cached");
-        let default = field(&|_| ());
-        for &sync in Sync::value_variants() {
-            let (whole, moving, ms) = score(&default, sync, &targets);
+        let (default, view) = field(&|_| ());
+        for &sync in SyncMethod::ALL {
+            let (whole, moving, ms) = score(&default, &view.clone().with_sync(sync), &targets);
             println!("  {:32} {whole:6.2} {moving:6.2} {ms:8.1}", format!("{sync:?}"));
         }
         if !sweep {
@@ -192,7 +200,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         for (name, change) in cases {
             let (whole, moving, ms) = score(
                 &field(&change),
-                if name.starts_with("refine") { Sync::Refined } else { Sync::EdgeMorph },
+                if name.starts_with("refine") {
+                    SyncMethod::Refined
+                } else {
+                    SyncMethod::EdgeMorph
+                },
                 &targets,
             );
             println!("  {name:32} {whole:6.2} {moving:6.2} {ms:8.1}");

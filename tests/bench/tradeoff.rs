@@ -10,14 +10,14 @@
 //! `cargo bench --bench tradeoff -- [--runs=3] [--rounds=0] [--clock=cpu] CAPTURE…`; what is measured
 //! is kept in `target/tradeoff/`, so that a run that was stopped goes on.
 
-use clap::ValueEnum;
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 use stlfr::capture::Capture;
-use stlfr::compare::metrics::median;
+use stlfr::method::Method;
+use stlfr::metrics::median;
+use stlfr::options::{Preset, RenderOptions};
 use stlfr::progress::Reporter;
-use stlfr::render::{Preset, RenderOptions};
 use stlfr::tradeoff::{
     AUTO, Clock, Point, SLACK_DB, Tradeoff, TradeoffOptions, Variable, most_accurate, rungs,
     tradeoff, variations,
@@ -176,7 +176,7 @@ fn judge_all(scenes: &[Tradeoff]) -> Vec<String> {
 fn around_presets() -> Vec<RenderOptions> {
     let variable = Variable { offsets: true, cameras: 4 };
     let mut dear = most_accurate(&RenderOptions::default());
-    dear.offset.rung = Preset::Best.options().offset.rung;
+    dear.offset.method = Preset::Best.options().offset.method;
     dear.blend.cameras = Preset::Best.options().blend.cameras;
     let mut found = vec![dear.clone()];
     for options in [Preset::Draft.options(), Preset::Balanced.options(), dear] {

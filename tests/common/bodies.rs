@@ -8,8 +8,8 @@ use serde_json::json;
 use std::f64::consts::TAU;
 use std::path::Path;
 use stlfr::camera::Camera;
-use stlfr::capture::{BitDepth, write_image};
 use stlfr::raster::Image;
+use stlfr::raster::{BitDepth, write_image};
 
 /// Random numbers: SplitMix64.
 pub struct Random(pub u64);

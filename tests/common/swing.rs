@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 use std::f64::consts::TAU;
 use std::path::Path;
 use stlfr::camera::{Camera, CameraFormat};
-use stlfr::capture::{BitDepth, write_image};
 use stlfr::raster::Image;
+use stlfr::raster::{BitDepth, write_image};
 
 /// What is filmed, and how.
 #[derive(Clone, Debug)]

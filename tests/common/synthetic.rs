@@ -4,8 +4,8 @@
 
 use serde_json::{Value, json};
 use std::path::Path;
-use stlfr::capture::{BitDepth, write_image};
 use stlfr::raster::Image;
+use stlfr::raster::{BitDepth, write_image};
 
 pub const WIDTH: usize = 160;
 pub const HEIGHT: usize = 120;

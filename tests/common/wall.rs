@@ -7,11 +7,13 @@ use std::f64::consts::TAU;
 use std::path::Path;
 use std::sync::Arc;
 use stlfr::camera::{Camera, CameraFormat};
-use stlfr::capture::{BitDepth, Capture, write_image};
+use stlfr::capture::Capture;
 use stlfr::offset::{self, Offsets};
+use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::raster::Image;
-use stlfr::render::RenderOptions;
+use stlfr::raster::{BitDepth, write_image};
+use stlfr::registration::FrameStore;
 use tempfile::TempDir;
 
 /// A textured wall before three cameras.
@@ -186,7 +188,7 @@ pub fn open(folder: &TempDir) -> Arc<Capture> {
     Arc::new(Capture::open(folder.path()).unwrap())
 }
 
-/// By the default rung; every offset is known with an error, or unknown with a reason.
+/// By the default method; every offset is known with an error, or unknown with a reason.
 pub fn estimate(capture: &Arc<Capture>) -> Offsets {
     estimate_by(capture, &RenderOptions::default())
 }
@@ -194,7 +196,8 @@ pub fn estimate(capture: &Arc<Capture>) -> Offsets {
 /// The same with other options.
 pub fn estimate_by(capture: &Arc<Capture>, options: &RenderOptions) -> Offsets {
     let silent = Reporter::silent();
-    let found = offset::estimate(capture, &options.offset, &options.registration, &silent);
+    let frames = FrameStore::new(capture.clone(), &options.registration);
+    let found = offset::estimate(&frames, &options.offset, &silent);
     let offsets = found.unwrap().offsets;
     for camera in &offsets.cameras {
         let known = camera.offset_s.is_some();

@@ -4,20 +4,22 @@
 
 use crate::common::wall::{FRAME_S, H, Scene, W, edit, estimate, open, view};
 use crate::naive;
-use clap::ValueEnum;
 use nalgebra::{Point2, Point3, Vector2};
 use stlfr::camera::Camera;
-use stlfr::capture::{BitDepth, write_image};
 use stlfr::interpolation::{
-    Edge, EdgeOptions, Feature, MorphOptions, Sync, edge_set, morph_warp, real_edges,
+    Edge, EdgeOptions, Feature, MorphOptions, SyncMethod, edge_set, morph_warp, real_edges,
     triangulation_warp,
 };
+use stlfr::light_field::{LightField, RenderError};
 use stlfr::lumigraph::{Mesh, MeshOptions, Plane, Proxy};
+use stlfr::method::Method;
 use stlfr::offset::Offsets;
+use stlfr::options::ViewOptions;
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::random::Random;
 use stlfr::raster::Image;
+use stlfr::raster::{BitDepth, write_image};
 use stlfr::registration::{Pyramid, RegistrationOptions, Run, Track, agreeing};
-use stlfr::render::{LightField, ProxyRung, RenderError, RenderOptions};
 
 /// Half a step of 8 bits and its rounding: the same picture.
 const STEP: f32 = 1.0 / 255.0;
@@ -105,10 +107,13 @@ fn one_and_two_features_show_no_offset_and_no_shape() {
             assert!(reason.contains("too few features"), "{reason}");
         }
         // With clocks that are known, a frame is as it was filmed.
-        let field = LightField::new(capture.clone(), Offsets::known(&capture), options);
-        for sync in Sync::value_variants() {
+        let field =
+            LightField::new(capture.clone(), Offsets::known(&capture), &options.registration);
+        for sync in SyncMethod::ALL {
             let filmed = capture.read_frame(1, 2).expect("a frame");
-            let found = field.synchronized_by(*sync, 1, 2.0 * FRAME_S).expect("a frame's time");
+            let found = field
+                .synchronized(1, 2.0 * FRAME_S, &options.view().with_sync(*sync))
+                .expect("a frame's time");
             assert_eq!(found.data(), filmed.data(), "{sync:?}");
         }
     }
@@ -178,9 +183,9 @@ fn all_outliers() {
         assert!(camera.offset_s.is_none() && camera.reason.is_some(), "{camera:?}");
     }
     let field =
-        LightField::new(capture.clone(), Offsets::known(&capture), RenderOptions::default());
+        LightField::new(capture.clone(), Offsets::known(&capture), &RegistrationOptions::default());
     let target = view(&scene.camera([0.02, 0.0, 0.0]));
-    let refused = field.view(&target, 1.5 * FRAME_S);
+    let refused = field.view(&target, 1.5 * FRAME_S, &ViewOptions::default());
     assert!(matches!(refused, Err(RenderError::NoPoints)), "{:?}", refused.err());
 
     // Tracks that move like none of their neighbours are dropped; those that agree stay.
@@ -236,22 +241,23 @@ fn constant_saturated_and_black_images() {
             let unknown = camera.reason.as_deref().is_some_and(|r| r.contains("too few features"));
             assert_eq!(unknown, camera.id != "cam1", "{value}: {camera:?}");
         }
-        for rung in [ProxyRung::Plane, ProxyRung::Mesh] {
+        for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
             let mut options = RenderOptions::default();
-            options.proxy.rung = rung;
-            let field =
-                |options| LightField::new(capture.clone(), Offsets::known(&capture), options);
+            options.proxy.method = rung;
+            let field = |options: RenderOptions| {
+                LightField::new(capture.clone(), Offsets::known(&capture), &options.registration)
+            };
             let target = view(&scene.camera([0.02, 0.0, 0.0]));
             // Nothing shows where anything is,
-            let refused = field(options.clone()).view(&target, 1.6 * FRAME_S);
+            let refused = field(options.clone()).view(&target, 1.6 * FRAME_S, &options.view());
             assert!(matches!(refused, Err(RenderError::NoPoints)), "{:?}", refused.err());
             // but at whatever depth, it looks the same.
             options.proxy.plane_depth_m = Some(2.0);
-            options.proxy.rung = ProxyRung::Plane;
-            for &sync in Sync::value_variants() {
+            options.proxy.method = ProxyMethod::Plane;
+            for &sync in SyncMethod::ALL {
                 let field = field(RenderOptions { sync, ..options.clone() });
-                let own = field.synchronized(1, 1.6 * FRAME_S).unwrap();
-                let seen = field.view(&target, 1.6 * FRAME_S).unwrap();
+                let own = field.synchronized(1, 1.6 * FRAME_S, &options.view()).unwrap();
+                let seen = field.view(&target, 1.6 * FRAME_S, &options.view()).unwrap();
                 let covered = seen.image.data().iter().zip(&seen.coverage).filter(|(_, c)| **c);
                 for found in own.data().iter().chain(covered.map(|(v, _)| v)) {
                     assert!((found - value).abs() <= 0.5 * STEP + 1e-6, "{sync:?}: {found}");
@@ -423,12 +429,13 @@ fn a_view_at_each_input_camera_at_a_frames_time_is_that_frame() {
     let folder = scene.film();
     let capture = open(&folder);
     for cameras in [1, 3, 8] {
-        for rung in [ProxyRung::Plane, ProxyRung::Mesh] {
+        for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
             let mut options = RenderOptions::default();
-            (options.proxy.rung, options.blend.cameras) = (rung, cameras);
-            let field = LightField::new(capture.clone(), Offsets::known(&capture), options);
+            (options.proxy.method, options.blend.cameras) = (rung, cameras);
+            let field =
+                LightField::new(capture.clone(), Offsets::known(&capture), &options.registration);
             for (c, filmed) in capture.cameras.iter().enumerate() {
-                let seen = field.view(&filmed.camera, 2.0 * FRAME_S).unwrap();
+                let seen = field.view(&filmed.camera, 2.0 * FRAME_S, &options.view()).unwrap();
                 let frame = capture.read_frame(c, 2).unwrap();
                 assert!(seen.coverage.iter().all(|c| *c));
                 for (a, b) in seen.image.data().iter().zip(frame.data()) {
@@ -451,9 +458,13 @@ fn one_camera_blended_from_any_number() {
         .map(|cameras| {
             let mut options = RenderOptions::default();
             options.blend.cameras = cameras;
-            (options.proxy.rung, options.proxy.plane_depth_m) = (ProxyRung::Plane, Some(2.0));
-            let field = LightField::new(capture.clone(), Offsets::known(&capture), options);
-            field.view(&view(&scene.camera([-0.03, 0.0, 0.0])), FRAME_S).unwrap().image
+            (options.proxy.method, options.proxy.plane_depth_m) = (ProxyMethod::Plane, Some(2.0));
+            let field =
+                LightField::new(capture.clone(), Offsets::known(&capture), &options.registration);
+            field
+                .view(&view(&scene.camera([-0.03, 0.0, 0.0])), FRAME_S, &options.view())
+                .unwrap()
+                .image
         })
         .collect();
     // The wall is a plane, and one camera sees most of it.

@@ -4,10 +4,12 @@ use crate::common::wall::{FRAME_S, H, Scene, W, estimate, open, view};
 use nalgebra::{Point2, Point3, Vector3};
 use serde_json::{Value, json};
 use stlfr::camera::Camera;
-use stlfr::interpolation::Sync;
+use stlfr::interpolation::SyncMethod;
+use stlfr::light_field::{LightField, RenderError, Viewpoint};
 use stlfr::lumigraph::{BlendOptions, Plane, Proxy, Source, blend, triangulate};
+use stlfr::options::{ProxyMethod, RenderOptions, ViewOptions};
 use stlfr::raster::Image;
-use stlfr::render::{LightField, ProxyRung, RenderError, RenderOptions, Viewpoint};
+use stlfr::registration::RegistrationOptions;
 
 /// Clocks that are known and agree, so that only space is degenerate.
 fn simultaneous() -> Scene {
@@ -17,7 +19,7 @@ fn simultaneous() -> Scene {
 /// What a view between two frames, or at the second one, is rendered to.
 fn rendered(
     scene: &Scene,
-    rung: ProxyRung,
+    rung: ProxyMethod,
     target: &Value,
     frames: f64,
 ) -> Result<Image, RenderError> {
@@ -25,10 +27,10 @@ fn rendered(
     let capture = open(&folder);
     let offsets = estimate(&capture);
     let mut options = RenderOptions::default();
-    options.proxy.rung = rung;
-    let field = LightField::new(capture, offsets, options);
+    options.proxy.method = rung;
+    let field = LightField::new(capture, offsets, &options.registration);
     let target: Camera = view(target);
-    let rendered = field.view(&target, scene.time_s(frames))?;
+    let rendered = field.view(&target, scene.time_s(frames), &options.view())?;
     assert!(rendered.image.data().iter().all(|v| (0.0..=1.0).contains(v)), "finite values");
     Ok(rendered.image)
 }
@@ -45,7 +47,7 @@ fn psnr_db(a: &Image, b: &Image) -> f64 {
 /// The view from there, by both proxies, is near the truth.
 #[track_caller]
 fn assert_right(scene: &Scene, place_m: [f64; 3], least_db: f64) {
-    for rung in [ProxyRung::Plane, ProxyRung::Mesh] {
+    for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
         let image = rendered(scene, rung, &scene.camera(place_m), 1.6);
         let image = image.unwrap_or_else(|e| panic!("{rung:?}, {} px: {e}", scene.focal_px));
         let db = psnr_db(&image, &scene.image(place_m, 1.6 * FRAME_S));
@@ -59,13 +61,13 @@ fn a_view_at_an_input_camera_is_its_image() {
     let folder = scene.film();
     let capture = open(&folder);
     let offsets = estimate(&capture);
-    for rung in [ProxyRung::Plane, ProxyRung::Mesh] {
+    for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
         let mut options = RenderOptions::default();
-        options.proxy.rung = rung;
-        let field = LightField::new(capture.clone(), offsets.clone(), options);
+        options.proxy.method = rung;
+        let field = LightField::new(capture.clone(), offsets.clone(), &options.registration);
         let time_s = 1.5 * FRAME_S;
-        let rendered = field.view(&view(&scene.camera([0.0; 3])), time_s).unwrap();
-        let own = field.synchronized(1, time_s).unwrap();
+        let rendered = field.view(&view(&scene.camera([0.0; 3])), time_s, &options.view()).unwrap();
+        let own = field.synchronized(1, time_s, &options.view()).unwrap();
         let apart = rendered.image.data().iter().zip(own.data()).map(|(a, b)| (a - b).abs());
         // A zero angle: that camera alone answers.
         assert!(apart.fold(0.0, f32::max) < 1e-5);
@@ -76,18 +78,18 @@ fn a_view_at_an_input_camera_is_its_image() {
 fn cameras_in_one_place() {
     let scene = Scene { centers_m: [[0.0; 3]; 3], ..simultaneous() };
     // Nothing can be triangulated, so no proxy is made up.
-    for rung in [ProxyRung::Plane, ProxyRung::Mesh] {
+    for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
         let refused = rendered(&scene, rung, &scene.camera([0.0; 3]), 1.0);
         assert!(matches!(refused, Err(RenderError::NoPoints)), "{rung:?}");
     }
     // A plane set by hand needs none.
     let folder = scene.film();
     let capture = open(&folder);
-    let mut options = RenderOptions { sync: Sync::Nearest, ..RenderOptions::default() };
-    (options.proxy.rung, options.proxy.plane_depth_m) = (ProxyRung::Plane, Some(2.0));
-    let field = LightField::new(capture.clone(), estimate(&capture), options);
+    let mut options = RenderOptions { sync: SyncMethod::Nearest, ..RenderOptions::default() };
+    (options.proxy.method, options.proxy.plane_depth_m) = (ProxyMethod::Plane, Some(2.0));
+    let field = LightField::new(capture.clone(), estimate(&capture), &options.registration);
     let time_s = scene.time_s(1.0);
-    let image = field.view(&view(&scene.camera([0.0; 3])), time_s).unwrap().image;
+    let image = field.view(&view(&scene.camera([0.0; 3])), time_s, &options.view()).unwrap().image;
     assert!(psnr_db(&image, &scene.image([0.0; 3], FRAME_S)) > 60.0);
 }
 
@@ -117,7 +119,7 @@ fn a_scene_at_infinity() {
     let scene = Scene { depth_m: 1e9, ..simultaneous() };
     // Rays are parallel up to the tracker's noise: wherever points are put, or if none are, all
     // cameras see the same.
-    for rung in [ProxyRung::Plane, ProxyRung::Mesh] {
+    for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
         match rendered(&scene, rung, &scene.camera([0.02, 0.0, 0.0]), 1.6) {
             Ok(image) => assert!(psnr_db(&image, &scene.image([0.0; 3], 1.6 * FRAME_S)) > 30.0),
             Err(error) => assert!(matches!(error, RenderError::NoPoints), "{error}"),
@@ -126,10 +128,10 @@ fn a_scene_at_infinity() {
     let folder = scene.film();
     let capture = open(&folder);
     let mut options = RenderOptions::default();
-    (options.proxy.rung, options.proxy.plane_depth_m) = (ProxyRung::Plane, Some(1e9));
-    let field = LightField::new(capture.clone(), estimate(&capture), options);
+    (options.proxy.method, options.proxy.plane_depth_m) = (ProxyMethod::Plane, Some(1e9));
+    let field = LightField::new(capture.clone(), estimate(&capture), &options.registration);
     let target = view(&scene.camera([0.02, 0.0, 0.0]));
-    let image = field.view(&target, scene.time_s(1.6)).unwrap().image;
+    let image = field.view(&target, scene.time_s(1.6), &options.view()).unwrap().image;
     assert!(psnr_db(&image, &scene.image([0.0; 3], 1.6 * FRAME_S)) > 30.0);
 }
 
@@ -148,9 +150,10 @@ fn a_plane_through_the_views_centre() {
     let folder = scene.film();
     let capture = open(&folder);
     let mut options = RenderOptions::default();
-    (options.proxy.rung, options.proxy.plane_depth_m) = (ProxyRung::Plane, Some(1e-300));
-    let field = LightField::new(capture.clone(), estimate(&capture), options);
-    let refused = field.view(&view(&scene.camera([0.02, 0.0, 0.0])), scene.time_s(1.0));
+    (options.proxy.method, options.proxy.plane_depth_m) = (ProxyMethod::Plane, Some(1e-300));
+    let field = LightField::new(capture.clone(), estimate(&capture), &options.registration);
+    let refused =
+        field.view(&view(&scene.camera([0.02, 0.0, 0.0])), scene.time_s(1.0), &options.view());
     assert!(matches!(refused, Err(RenderError::NothingSeen)), "{:?}", refused.err());
 }
 
@@ -205,9 +208,12 @@ fn fewer_cameras_than_a_pixel_is_blended_from() {
     let capture = open(&folder);
     let mut options = RenderOptions::default();
     options.blend.cameras = 8;
-    let field = LightField::new(capture.clone(), estimate(&capture), options);
+    let field = LightField::new(capture.clone(), estimate(&capture), &options.registration);
     let place_m = [-0.02, 0.0, 0.0];
-    let image = field.view(&view(&scene.camera(place_m)), scene.time_s(1.0)).unwrap().image;
+    let image = field
+        .view(&view(&scene.camera(place_m)), scene.time_s(1.0), &options.view())
+        .unwrap()
+        .image;
     assert!(psnr_db(&image, &scene.image(place_m, FRAME_S)) > 30.0);
 }
 
@@ -221,7 +227,9 @@ fn one_camera_is_slow_motion() {
     });
     let capture = open(&folder);
     let offsets = stlfr::offset::Offsets::known(&capture);
-    let field = LightField::new(capture, offsets, RenderOptions::default());
-    let image = field.with_trail(Viewpoint::Like(0), scene.time_s(1.6), |_, _| true).unwrap();
+    let field = LightField::new(capture, offsets, &RegistrationOptions::default());
+    let image = field
+        .with_trail(Viewpoint::Like(0), scene.time_s(1.6), &ViewOptions::default(), |_, _| true)
+        .unwrap();
     assert!(psnr_db(&image.image, &scene.image([0.0; 3], 1.6 * FRAME_S)) > 30.0);
 }

@@ -7,17 +7,20 @@
 
 use crate::common::wall::{FRAME_S, H, Scene, W, estimate_by, open, turned, view};
 use nalgebra::{UnitQuaternion, Vector3};
+use stlfr::light_field::LightField;
 use stlfr::offset::Offsets;
+use stlfr::options::RenderOptions;
 use stlfr::raster::Image;
-use stlfr::render::{LightField, RenderOptions};
 
 /// Offsets, and the view from beside the reference camera between two frames, upright.
 fn reconstructed(scene: &Scene, options: &RenderOptions) -> (Offsets, Image) {
     let folder = scene.film();
     let capture = open(&folder);
     let offsets = estimate_by(&capture, options);
-    let field = LightField::new(capture, offsets.clone(), options.clone());
-    let rendered = field.view(&view(&scene.camera([0.02, 0.0, 0.0])), scene.time_s(1.6)).unwrap();
+    let field = LightField::new(capture, offsets.clone(), &options.registration);
+    let rendered = field
+        .view(&view(&scene.camera([0.02, 0.0, 0.0])), scene.time_s(1.6), &options.view())
+        .unwrap();
     (offsets, turned(&rendered.image, (4 - scene.quarter_turns) % 4))
 }
 

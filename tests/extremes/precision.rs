@@ -7,14 +7,15 @@ use crate::common::swing::Swing;
 use crate::common::wall::{FRAME_S, Scene, estimate, open, view};
 use crate::naive;
 use nalgebra::{Matrix2, Point2, Vector2};
-use stlfr::capture::{BitDepth, Samples, quantize};
-use stlfr::interpolation::Sync;
+use stlfr::interpolation::SyncMethod;
 use stlfr::interpolation::{Edge, Feature, MorphOptions, Warp, cross_dissolve, morph_warp};
+use stlfr::light_field::LightField;
 use stlfr::offset::{CameraOffset, Offsets};
+use stlfr::options::RenderOptions;
 use stlfr::random::Random;
 use stlfr::raster::Image;
+use stlfr::raster::{BitDepth, Samples, quantize};
 use stlfr::registration::{Frame, RegistrationOptions, flow};
-use stlfr::render::{LightField, RenderOptions};
 
 /// Values of any kind that an image may hold: noise, steps, next to nothing.
 fn image(random: &mut Random, width: usize, height: usize, channels: usize) -> Image {
@@ -196,13 +197,17 @@ fn views_of_parts_and_of_whole_images() {
     for cameras in [1, 2, 3] {
         let mut options = RenderOptions::default();
         options.blend.cameras = cameras;
-        let field = LightField::new(capture.clone(), offsets.clone(), options);
+        let field = LightField::new(capture.clone(), offsets.clone(), &options.registration);
         let target = view(&scene.camera([0.021, 0.007, 0.1]));
         let time_s = 1.6 * FRAME_S;
-        let found = field.view(&target, time_s).unwrap();
-        let images = field.synchronized_all(Sync::Refined, time_s).unwrap();
-        let proxy = field.proxy(field.options().proxy.rung, &target, time_s).unwrap();
-        assert!(found == field.blend(&images, &proxy, &target), "{cameras} cameras");
+        let found = field.view(&target, time_s, &options.view()).unwrap();
+        let images =
+            field.synchronized_all(time_s, &options.view().with_sync(SyncMethod::Refined)).unwrap();
+        let proxy = field.proxy(&target, time_s, &options.view()).unwrap();
+        assert!(
+            found == field.blend(&images, &proxy, &target, &options.blend),
+            "{cameras} cameras"
+        );
     }
 }
 

@@ -3,16 +3,17 @@
 
 use crate::common::swing::{RATE_HZ, Swing};
 use crate::common::wall::{estimate_by, open, write_json};
-use clap::ValueEnum;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use stlfr::camera::Camera;
-use stlfr::capture::{BitDepth, write_image};
-use stlfr::interpolation::Sync;
+use stlfr::interpolation::SyncMethod;
+use stlfr::light_field::{LightField, RenderError};
+use stlfr::method::Method;
 use stlfr::offset::Offsets;
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::random::Random;
 use stlfr::raster::Image;
-use stlfr::render::{LightField, ProxyRung, RenderError, RenderOptions};
+use stlfr::raster::{BitDepth, write_image};
 use tempfile::TempDir;
 
 fn pick<T: Copy>(random: &mut Random, from: &[T]) -> T {
@@ -166,18 +167,18 @@ fn worked(seed: u64, options: &RenderOptions) -> (bool, Vec<(f64, f64)>) {
     let mut seen = false;
     for offsets in [estimated, Offsets::known(&capture)] {
         let mut options = options.clone();
-        options.proxy.rung = pick(&mut random, ProxyRung::value_variants());
-        let field = LightField::new(capture.clone(), offsets, options);
+        options.proxy.method = pick(&mut random, ProxyMethod::ALL);
+        let field = LightField::new(capture.clone(), offsets, &options.registration);
         let time_s = field.common_span_s().map_or(0.0, |(a, b)| a + random.unit() * (b - a));
-        for &sync in Sync::value_variants() {
-            let images = field.synchronized_all(sync, time_s);
+        for &sync in SyncMethod::ALL {
+            let images = field.synchronized_all(time_s, &options.view().with_sync(sync));
             for image in images.unwrap_or_else(|e| panic!("{seed}: {e}")).iter().flatten() {
                 assert_finite(image, &format!("{seed}: {sync:?}"));
             }
         }
         let mut target: Camera = capture.cameras[0].camera.clone();
         target.cam_from_world.translation.x -= 0.02;
-        match field.view(&target, time_s) {
+        match field.view(&target, time_s, &options.view()) {
             Ok(view) => {
                 seen = true;
                 assert_finite(&view.image, &format!("{seed}: view"));

@@ -8,14 +8,16 @@ use crate::naive;
 use nalgebra::{Point2, Vector2};
 use std::sync::Arc;
 use stlfr::capture::Capture;
-use stlfr::interpolation::{Feature, MorphOptions, Sync, edge_set, morph_warp};
+use stlfr::interpolation::{Feature, MorphOptions, SyncMethod, edge_set, morph_warp};
+use stlfr::light_field::LightField;
 use stlfr::lumigraph::{BlendOptions, Plane, Proxy, Source, blend};
 use stlfr::offset::{self, Offsets};
+use stlfr::options::ViewOptions;
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::progress::Reporter;
 use stlfr::random::Random;
 use stlfr::raster::Image;
-use stlfr::registration::{Frame, RegistrationOptions, flow};
-use stlfr::render::{LightField, ProxyRung, RenderOptions};
+use stlfr::registration::{Frame, FrameStore, RegistrationOptions, flow};
 use tempfile::TempDir;
 
 fn filmed(swing: &Swing) -> (TempDir, Arc<Capture>) {
@@ -58,19 +60,23 @@ fn images_of_a_pixel_and_more() {
         };
         let (_folder, capture) = filmed(&swing);
         let mut options = RenderOptions::default();
-        options.proxy.rung = ProxyRung::Plane;
+        options.proxy.method = ProxyMethod::Plane;
         options.proxy.plane_depth_m = Some(swing.depth_m());
-        let field = LightField::new(capture.clone(), Offsets::known(&capture), options);
+        let field =
+            LightField::new(capture.clone(), Offsets::known(&capture), &options.registration);
         let place = [0.3, 0.0];
         let truth = swing.image(place, 0.0);
-        let seen = field.view(&swing.camera(place), 1.5 / RATE_HZ).expect("a view");
+        let seen =
+            field.view(&swing.camera(place), 1.5 / RATE_HZ, &options.view()).expect("a view");
         let pixels = seen.image.data().iter().zip(truth.data()).zip(&seen.coverage);
         assert!(seen.coverage.iter().any(|c| *c), "{width}×{height}");
         for ((found, truth), _) in pixels.filter(|(_, covered)| **covered) {
             // Beyond its border a camera repeats it: a third of a pixel's difference.
             assert!((found - truth).abs() < 0.03, "{width}×{height}: {found} {truth}");
         }
-        let own = field.synchronized_by(Sync::Refined, 1, 1.5 / RATE_HZ).expect("an image");
+        let own = field
+            .synchronized(1, 1.5 / RATE_HZ, &options.view().with_sync(SyncMethod::Refined))
+            .expect("an image");
         for (found, truth) in own.data().iter().zip(swing.truth(1, 0.0).data()) {
             assert!((found - truth).abs() <= 1.0 / 255.0, "{width}×{height}");
         }
@@ -92,10 +98,11 @@ fn rows_8192_pixels_wide() {
     };
     let (_folder, capture) = filmed(&swing);
     let options = RenderOptions::default();
-    let field = LightField::new(capture.clone(), Offsets::known(&capture), options.clone());
+    let field = LightField::new(capture.clone(), Offsets::known(&capture), &options.registration);
     let at = 1.5;
-    for sync in [Sync::Triangulation, Sync::EdgeMorph, Sync::Refined] {
-        let found = field.synchronized_by(sync, 1, at / RATE_HZ).expect("an image");
+    for sync in [SyncMethod::Triangulation, SyncMethod::EdgeMorph, SyncMethod::Refined] {
+        let found =
+            field.synchronized(1, at / RATE_HZ, &options.view().with_sync(sync)).expect("an image");
         let off = rms(&found, &swing.truth(1, at), 8);
         assert!(off < 0.02, "{sync:?}: {off}");
     }
@@ -152,7 +159,8 @@ fn one_camera_to_sixty_four() {
         if cameras > 1 {
             let options = RenderOptions::default();
             let silent = Reporter::silent();
-            let found = offset::estimate(&capture, &options.offset, &options.registration, &silent);
+            let frames = FrameStore::new(capture.clone(), &options.registration);
+            let found = offset::estimate(&frames, &options.offset, &silent);
             let found = found.expect("offsets").offsets;
             for (c, camera) in found.cameras.iter().enumerate() {
                 let offset_s = camera.offset_s.expect("is known");
@@ -163,16 +171,19 @@ fn one_camera_to_sixty_four() {
         let field = LightField::new(
             capture.clone(),
             true_offsets(&capture, &swing),
-            RenderOptions::default(),
+            &RegistrationOptions::default(),
         );
         let at = 1.5;
         let camera = swing.reference();
-        let own = field.synchronized(camera, at / RATE_HZ).expect("an image");
+        let own =
+            field.synchronized(camera, at / RATE_HZ, &ViewOptions::default()).expect("an image");
         let off = rms(&own, &swing.truth(camera, at), 6);
         assert!(off < 0.02, "{cameras}: {off}");
         if cameras > 2 {
             let place = [0.4, 0.0];
-            let seen = field.view(&swing.camera(place), at / RATE_HZ).expect("a view");
+            let seen = field
+                .view(&swing.camera(place), at / RATE_HZ, &ViewOptions::default())
+                .expect("a view");
             let off = rms(&seen.image, &swing.image(place, at), 8);
             assert!(off < 0.03, "{cameras}: {off}");
         }
@@ -205,10 +216,13 @@ fn two_hundred_and_fifty_six_cameras() {
 fn two_frames() {
     let swing = Swing { frames: 2, ..Swing::default() };
     let (_folder, capture) = filmed(&swing);
-    let field =
-        LightField::new(capture.clone(), true_offsets(&capture, &swing), RenderOptions::default());
+    let field = LightField::new(
+        capture.clone(),
+        true_offsets(&capture, &swing),
+        &RegistrationOptions::default(),
+    );
     for at in [0.0, 0.5, 1.0] {
-        let own = field.synchronized(1, at / RATE_HZ).expect("an image");
+        let own = field.synchronized(1, at / RATE_HZ, &ViewOptions::default()).expect("an image");
         let off = rms(&own, &swing.truth(1, at), 6);
         assert!(off < 0.02, "{at}: {off}");
     }

@@ -5,15 +5,16 @@ use crate::common::wall::Scene;
 use std::fmt::Display;
 use std::path::Path;
 use stlfr::camera::{Camera, CameraFormat};
-use stlfr::capture::{BitDepth, Capture, read_array, read_image, write_image};
+use stlfr::capture::{Capture, read_array};
 use stlfr::exchange::{
     NamedCamera, read_colmap, read_llff, read_nerf, write_colmap_binary, write_colmap_text,
     write_llff, write_nerf,
 };
 use stlfr::json;
 use stlfr::offset::Offsets;
+use stlfr::options::RenderOptions;
 use stlfr::raster::Image;
-use stlfr::render::RenderOptions;
+use stlfr::raster::{BitDepth, read_image, write_image};
 use stlfr::rig::Rig;
 
 /// One file of one parser.

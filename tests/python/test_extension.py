@@ -281,7 +281,7 @@ def test_a_film_in_one_go(blender_user: Path, tmp_path: Path) -> None:
 def test_pictures_are_the_command_lines(
     blender_user: Path, own_capture: Path, program: Path, tmp_path: Path
 ) -> None:
-    """By the default rungs, those of the plan, aside where some pixels are unseen, with a trail, and a part of the picture."""
+    """By the default methods, those of the plan, aside where some pixels are unseen, with a trail, and a part of the picture."""
     found = step(blender_user, "pictures", own_capture, tmp_path)
     rendered = {name: pixels(wanted["file"]) for name, wanted in found.items()}
     expected = {

@@ -262,35 +262,35 @@ def test_what_cannot_be_rendered_is_a_value_error(
     assert (printed.returncode, printed.stderr) == (2, f"{raised.value}\n")
 
 
-def test_the_ladders_hold_what_render_takes(capture_dir: Path) -> None:
-    """Every rung of the options, and no other."""
+def test_the_methods_are_those_that_render_takes(capture_dir: Path) -> None:
+    """Every method of the options, and no other."""
     capture = stlfr.open(capture_dir)
-    ladders = stlfr.ladders()
-    assert set(ladders) == {"sync", "proxy", "trail", "preset"}
+    stages = stlfr.methods()
+    assert set(stages) == {"sync", "proxy", "trail", "preset"}
     paths = {
         "sync": ["sync"],
-        "proxy": ["proxy", "rung"],
+        "proxy": ["proxy", "method"],
         "trail": ["trail", "mode"],
         "preset": ["preset"],
     }
     for name, path in paths.items():
 
-        def options(rung: str, path: list[str] = path) -> dict[str, Any]:
-            value: Any = rung
+        def options(method: str, path: list[str] = path) -> dict[str, Any]:
+            value: Any = method
             for field in reversed(path):
                 value = {field: value}
             return dict(value)
 
-        rungs = [rung["name"] for rung in ladders[name]["rungs"]]
-        assert ladders[name]["default"] in rungs and all(
-            r["help"] for r in ladders[name]["rungs"]
+        methods = [method["name"] for method in stages[name]["methods"]]
+        assert stages[name]["default"] in methods and all(
+            m["help"] for m in stages[name]["methods"]
         )
-        for rung in rungs:
+        for method in methods:
             with pytest.raises(ValueError, match="no camera of this capture"):
-                capture.render(0.0, like="none", options=options(rung))
+                capture.render(0.0, like="none", options=options(method))
         with pytest.raises(ValueError, match="unknown variant") as raised:
             capture.render(0.0, like="none", options=options("unbuilt"))
-        assert sorted(re.findall("`([a-z-]+)`", str(raised.value))[1:]) == sorted(rungs)
+        assert sorted(re.findall("`([a-z-]+)`", str(raised.value))[1:]) == sorted(methods)
 
 
 def test_auto_renders_by_the_plan(

@@ -10,7 +10,7 @@ use stlfr::camera::{Camera, CameraModel};
 use stlfr::capture::Capture;
 use stlfr::raster::{encoded_from_linear, linear_from_encoded};
 use stlfr::registration::{
-    FrameStore, GainRung, LongTracks, RegistrationOptions, Run, Track, Verdict, epipolar_test,
+    FrameStore, GainMethod, LongTracks, RegistrationOptions, Run, Track, Verdict, epipolar_test,
     select_references, temporal_flow,
 };
 
@@ -117,7 +117,7 @@ fn the_epipolar_test_removes_what_is_off_its_line() {
 fn a_brighter_camera_is_as_good_as_another() {
     let cameras = worlds::line_rig(3, 320);
     let (folder, equal) = filmed(&case("magazine"), &cameras, &[0.0, 0.4, 0.7], 3);
-    let passed = |capture: &Arc<Capture>, gains: GainRung| {
+    let passed = |capture: &Arc<Capture>, gains: GainMethod| {
         let options = RegistrationOptions { gains, further_references: 0, ..Default::default() };
         let store = FrameStore::new(capture.clone(), &options);
         let tracks = temporal_flow(&store, 0, 1).expect("tracks");
@@ -129,7 +129,7 @@ fn a_brighter_camera_is_as_good_as_another() {
         store.gains().clone()
     };
     assert!(told(&equal).are_equal());
-    let all = passed(&equal, GainRung::Estimated);
+    let all = passed(&equal, GainMethod::Estimated);
     let factors = [1.5, 1.3, 1.7];
     for k in 0..3 {
         let path = folder.path().join(format!("cam1/{k:04}.png"));
@@ -149,8 +149,8 @@ fn a_brighter_camera_is_as_good_as_another() {
     }
     assert_eq!([0, 2].map(|camera| gains.of(camera)), [[1.0; 3]; 2]);
     let whole = std::fs::read(folder.path().join("cam1/0001.png")).expect("its image");
-    let corrected = passed(&capture, GainRung::Estimated);
-    let uncorrected = passed(&capture, GainRung::Equal);
+    let corrected = passed(&capture, GainMethod::Estimated);
+    let uncorrected = passed(&capture, GainMethod::Equal);
     assert!(all > 300 && corrected * 20 >= 19 * all, "{all} {corrected}");
     assert!(uncorrected * 10 < 8 * all, "{all} {uncorrected}");
     // What can't be read is not compared, and stops nobody who does not need it.
@@ -317,7 +317,7 @@ fn long_tracks_are_stable_and_flat_in_memory() {
         let s = shift(k);
         let image = pictured(64, 48, 1, 255.0, |x, y, c| value(x - s.x, y - s.y, c));
         let path = folder.path().join(format!("image{k}.png"));
-        stlfr::capture::write_image(&path, &image, None, stlfr::capture::BitDepth::Eight)
+        stlfr::raster::write_image(&path, &image, None, stlfr::raster::BitDepth::Eight)
             .expect("an image can be written");
     }
     for k in 0..FRAMES {

@@ -5,8 +5,8 @@ use crate::common::bodies::Random;
 use crate::naive;
 use crate::pictures::{pictured, waves};
 use nalgebra::{Matrix2, Point2, Vector2};
-use stlfr::capture::read_image;
 use stlfr::raster::Image;
+use stlfr::raster::read_image;
 use stlfr::registration::{
     AffineOptions, CornerOptions, KltOptions, Pyramid, RegistrationOptions, Tracker, corners,
 };

@@ -33,21 +33,21 @@ class Offsets(TypedDict):
     cameras: list[CameraOffset]
 
 @type_check_only
-class Rung(TypedDict):
-    """A rung by its name in the options, and what it is."""
+class Method(TypedDict):
+    """A method by its name in the options, and what it does."""
 
     name: str
     help: str
 
 @type_check_only
-class Ladder(TypedDict):
-    """The rungs of one stage, cheapest first."""
+class Stage(TypedDict):
+    """The methods of one stage, cheapest first."""
 
     default: str
-    rungs: list[Rung]
+    methods: list[Method]
 
-def ladders() -> dict[str, Ladder]:
-    """The rungs there are: `sync`, `proxy`, `trail` (its modes), and `preset`, named options of all stages."""
+def methods() -> dict[str, Stage]:
+    """The methods of `sync` and `proxy`, the modes of `trail`, and `preset`: named options of all stages."""
 
 def open(path: str | PathLike[str]) -> Capture:
     """Open and check a capture's folder. Raises ValueError with one sentence where it is wrong."""

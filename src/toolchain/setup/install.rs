@@ -1,9 +1,9 @@
 //! Installing what is missing, and saying so.
 
 use super::{Environment, SetupError, Stamps, interpreter, module, system};
-use crate::capture::write_atomically;
+use crate::host::process::{self, Ended};
+use crate::host::write_atomically;
 use crate::progress::Reporter;
-use crate::toolchain::process::{self, Ended};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 

@@ -12,7 +12,7 @@ mod stamp;
 mod system;
 
 use crate::progress::Reporter;
-use crate::video::find_ffmpeg;
+use crate::video::ffmpeg_on_path;
 use stamp::Stamps;
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -69,7 +69,7 @@ impl Environment {
 
     /// An ffmpeg to run: the system's, or the one that the environment brings.
     pub fn ffmpeg(&self) -> Option<PathBuf> {
-        find_ffmpeg(&self.project_root)
+        ffmpeg_on_path().or_else(|| environment_ffmpeg(&self.project_root))
     }
 }
 
@@ -81,6 +81,19 @@ pub fn project_root() -> Result<PathBuf, SetupError> {
         Ok(real) if real.join("blender/requirements.txt").is_file() => Ok(real),
         _ => Err(SetupError::NoProject(root)),
     }
+}
+
+/// An ffmpeg to run: the system's, else the one that comes with the project's environment.
+pub fn find_ffmpeg() -> Option<PathBuf> {
+    ffmpeg_on_path().or_else(|| environment_ffmpeg(&project_root().ok()?))
+}
+
+/// The ffmpeg of the package `imageio-ffmpeg`.
+fn environment_ffmpeg(project_root: &Path) -> Option<PathBuf> {
+    let folder = project_root.join(".venv/lib/python3.11/site-packages/imageio_ffmpeg/binaries");
+    std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path())).find(|path| {
+        path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("ffmpeg-"))
+    })
 }
 
 /// Makes the environment, or what is missing of it. Where it is whole, this takes some milliseconds

@@ -1,7 +1,7 @@
 //! What the environment was made from, by hashes: no Python is started to find out.
 
 use super::SetupError;
-use crate::capture::write_atomically;
+use crate::host::write_atomically;
 use std::path::{Path, PathBuf};
 
 /// The stamps as they should be, and whether they are there.

@@ -40,7 +40,7 @@ mod tests {
     fn the_missing_library_and_its_line_are_named() {
         let folder = tempfile::tempdir().unwrap();
         let list = folder.path().join("blender/system-packages.txt");
-        crate::capture::write_atomically(&list, b"# bpy needs:\nlibegl1\nlibsm6 # X\n").unwrap();
+        crate::host::write_atomically(&list, b"# bpy needs:\nlibegl1\nlibsm6 # X\n").unwrap();
         let stderr = "Traceback (most recent call last):\nImportError: libEGL.so.1: cannot open \
                       shared object file: No such file or directory\n";
         let message = missing_library(folder.path(), stderr).unwrap().to_string();

@@ -6,13 +6,13 @@ use crate::peak;
 use crate::swing::{RATE_HZ, Swing};
 use nalgebra::{Point2, Vector2};
 use std::process::Command;
-use stlfr::capture::read_image;
+use stlfr::host::process_cpu_s;
 use stlfr::interpolation::{Feature, MorphOptions, edge_set, morph_warp};
 use stlfr::json;
 use stlfr::offset::Offsets;
 use stlfr::random::Random;
 use stlfr::raster::Image;
-use stlfr::tradeoff::process_cpu_s;
+use stlfr::raster::read_image;
 
 pub fn run() -> Done<()> {
     println!("\n| the largest | wall [s] | resident at most [MiB] | off the truth |");

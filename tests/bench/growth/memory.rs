@@ -112,8 +112,8 @@ fn truth(swing: &Swing, capture: &Path) -> Done<()> {
     let times_s: Vec<f64> = frames.iter().map(|f| f / RATE_HZ).collect();
     for (k, frames) in frames.into_iter().enumerate() {
         let path = capture.join(format!("truth/video/{k}.png"));
-        let depth = stlfr::capture::BitDepth::Eight;
-        stlfr::capture::write_image(&path, &swing.image(place, frames), None, depth)?;
+        let depth = stlfr::raster::BitDepth::Eight;
+        stlfr::raster::write_image(&path, &swing.image(place, frames), None, depth)?;
     }
     let truth = json!({"format": "stlfr-truth", "version": 1, "scene": "swing", "rig": "row",
         "offsets": offsets, "shutter": [], "views": [],

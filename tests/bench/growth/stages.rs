@@ -6,13 +6,14 @@ use crate::swing::{RATE_HZ, Swing};
 use std::sync::Arc;
 use stlfr::capture::Capture;
 use stlfr::chart::{Chart, Series};
-use stlfr::interpolation::Sync;
+use stlfr::host::process_cpu_s;
+use stlfr::interpolation::SyncMethod;
+use stlfr::light_field::LightField;
 use stlfr::offset::{self, Offsets};
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::progress::Reporter;
 use stlfr::raster::Image;
 use stlfr::registration::{FrameStore, epipolar_test, temporal_flow};
-use stlfr::render::{LightField, ProxyRung, RenderOptions};
-use stlfr::tradeoff::process_cpu_s;
 
 /// What is timed, in the order of the pipeline.
 const STAGES: [&str; 8] = [
@@ -102,25 +103,28 @@ fn measure(name: &str, case: &Case) -> Done<(usize, [f64; STAGES.len()])> {
     });
     drop(store);
     let (_, offsets) = timed(|| {
-        offset::estimate(&capture, &options.offset, &options.registration, &Reporter::silent())
+        let frames = FrameStore::new(capture.clone(), &options.registration);
+        offset::estimate(&frames, &options.offset, &Reporter::silent())
     });
 
     let known = true_offsets(&capture, &case.swing);
-    let field = LightField::new(capture.clone(), known.clone(), options.clone());
+    let field = LightField::new(capture.clone(), known.clone(), &options.registration);
     let mut costs = vec![registration, offsets];
-    for sync in [Sync::Triangulation, Sync::EdgeMorph, Sync::Refined] {
+    for sync in [SyncMethod::Triangulation, SyncMethod::EdgeMorph, SyncMethod::Refined] {
         // Frames and tracks are there already: registration has a column of its own.
-        field.synchronized_by(sync, reference, time_s)?;
-        costs.push(timed(|| field.synchronized_by(sync, reference, time_s)).1);
+        let view = options.view().with_sync(sync);
+        field.synchronized(reference, time_s, &view)?;
+        costs.push(timed(|| field.synchronized(reference, time_s, &view)).1);
     }
     let target = case.swing.camera([0.4, 0.0]);
-    let images: Vec<Option<Image>> = field.synchronized_all(Sync::Crossfade, time_s)?;
-    let (proxy, cost) = timed(|| field.proxy(ProxyRung::Mesh, &target, time_s));
+    let images: Vec<Option<Image>> =
+        field.synchronized_all(time_s, &options.view().with_sync(SyncMethod::Crossfade))?;
+    let (proxy, cost) = timed(|| field.proxy(&target, time_s, &options.view()));
     costs.push(cost);
     let proxy = proxy?;
-    costs.push(timed(|| field.blend(&images, &proxy, &target)).1);
-    let fresh = LightField::new(capture, known, options.clone());
-    let (view, cost) = timed(|| fresh.view(&target, time_s));
+    costs.push(timed(|| field.blend(&images, &proxy, &target, &options.blend)).1);
+    let fresh = LightField::new(capture, known, &options.registration);
+    let (view, cost) = timed(|| fresh.view(&target, time_s, &options.view()));
     view?;
     costs.push(cost);
     std::fs::remove_dir_all(&film)?;

@@ -6,9 +6,10 @@ use super::{growth, save};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
-use stlfr::capture::{BitDepth, Capture};
+use stlfr::capture::Capture;
+use stlfr::host::process_cpu_s;
 use stlfr::offset::Estimate;
-use stlfr::tradeoff::process_cpu_s;
+use stlfr::raster::BitDepth;
 
 type Failure = Box<dyn std::error::Error>;
 

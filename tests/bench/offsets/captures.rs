@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 use stlfr::capture::{Capture, CaptureError, Truth};
-use stlfr::offset::{Estimate, OffsetOptions, OffsetRung, Offsets, estimate};
+use stlfr::offset::{Estimate, OffsetMethod, OffsetOptions, Offsets, estimate};
 use stlfr::progress::Reporter;
 use stlfr::registration::RegistrationOptions;
 
@@ -76,7 +76,7 @@ pub fn run(folders: &[String]) -> Result<(), Box<dyn std::error::Error>> {
         let capture = Arc::new(Capture::open(Path::new(folder))?);
         let truth = Truth::open(Path::new(folder))?.ok_or("has no truth")?;
         println!("{folder}: errors in frames");
-        for rung in [OffsetRung::Pairwise, OffsetRung::Joint, OffsetRung::JointCurved] {
+        for rung in [OffsetMethod::Pairwise, OffsetMethod::Joint, OffsetMethod::JointCurved] {
             let options = OffsetOptions { rung, ..Default::default() };
             let start = Instant::now();
             let estimate =

@@ -7,9 +7,10 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
-use stlfr::capture::{BitDepth, Capture, Truth, write_image};
+use stlfr::capture::{Capture, Truth};
 use stlfr::random::Random;
 use stlfr::raster::Image;
+use stlfr::raster::{BitDepth, write_image};
 
 type Failure = Box<dyn std::error::Error>;
 

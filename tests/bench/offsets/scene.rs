@@ -5,9 +5,9 @@ use nalgebra::{Point3, Rotation3, Vector3};
 use rayon::prelude::*;
 use serde_json::json;
 use std::path::Path;
-use stlfr::capture::{BitDepth, write_image};
 use stlfr::random::Random;
 use stlfr::raster::Image;
+use stlfr::raster::{BitDepth, write_image};
 
 /// A textured rectangle in motion. Metres, seconds.
 #[derive(Clone, Debug)]

@@ -1,7 +1,7 @@
 //! Which options can be worked with. One table: outside it, a stage would divide by nothing, run
 //! for hours, or take the machine's memory.
 
-use super::{ProxyOptions, RenderOptions, TrailOptions};
+use super::{AutoOptions, ProxyOptions, RenderOptions, TrailOptions};
 use crate::interpolation::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
 use crate::lumigraph::{BlendOptions, MeshOptions};
 use crate::offset::OffsetOptions;
@@ -40,8 +40,7 @@ impl RenderOptions {
         proxy(&self.proxy)?;
         blend(&self.blend)?;
         trail(&self.trail)?;
-        let (px, db) = (self.auto.budget_px, self.auto.budget_db);
-        all_within("auto", &[("budget_px", px, PIXELS), ("budget_db", db, 0.0..=100.0)])
+        auto(&self.auto)
     }
 }
 
@@ -239,6 +238,13 @@ fn blend(o: &BlendOptions) -> Checked {
             ("resolution", o.resolution, 0.0..=1e6),
             ("hidden_share", o.hidden_share, 0.0..=1000.0),
         ],
+    )
+}
+
+fn auto(o: &AutoOptions) -> Checked {
+    all_within(
+        "auto",
+        &[("budget_px", o.budget_px, PIXELS), ("budget_db", o.budget_db, 0.0..=100.0)],
     )
 }
 

@@ -1,10 +1,9 @@
 //! Image files in and out.
 
-use super::CaptureError;
-use crate::raster::Image;
+use super::Image;
+use crate::host::write_atomically;
 use image::{ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits};
-use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Bits a channel, of the files read and written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -13,7 +12,20 @@ pub enum BitDepth {
     Sixteen,
 }
 
-pub(super) struct Header {
+/// Why an image file can't be read or written. Every message is one sentence that names the file.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageFileError {
+    #[error("{path}: {source}")]
+    Read { path: PathBuf, source: std::io::Error },
+    #[error("{path}: can't be written ({source})")]
+    Write { path: PathBuf, source: std::io::Error },
+    /// Its bytes are no image that can be decoded, or an image that can't be encoded.
+    #[error("{path}: {reason}")]
+    Content { path: PathBuf, reason: String },
+}
+
+/// What an image file says of itself before its pixels.
+pub(crate) struct Header {
     pub width: u32,
     pub height: u32,
     pub bit_depth: BitDepth,
@@ -23,21 +35,21 @@ pub(super) struct Header {
 /// working space. What asks for more is refused rather than believed.
 const MAX_DECODE_BYTES: u64 = 2 << 30;
 
-fn image_error(path: &Path, reason: impl std::fmt::Display) -> CaptureError {
-    CaptureError::Image { path: path.to_owned(), reason: reason.to_string() }
+fn image_error(path: &Path, reason: impl std::fmt::Display) -> ImageFileError {
+    ImageFileError::Content { path: path.to_owned(), reason: reason.to_string() }
 }
 
-fn decoder(path: &Path) -> Result<impl ImageDecoder, CaptureError> {
+fn decoder(path: &Path) -> Result<impl ImageDecoder, ImageFileError> {
     let mut reader = ImageReader::open(path)
         .and_then(ImageReader::with_guessed_format)
-        .map_err(|source| CaptureError::Read { path: path.to_owned(), source })?;
+        .map_err(|source| ImageFileError::Read { path: path.to_owned(), source })?;
     let mut limits = Limits::default();
     limits.max_alloc = Some(MAX_DECODE_BYTES);
     reader.limits(limits);
     reader.into_decoder().map_err(|e| image_error(path, e))
 }
 
-pub(super) fn read_header(path: &Path) -> Result<Header, CaptureError> {
+pub(crate) fn read_header(path: &Path) -> Result<Header, ImageFileError> {
     let decoder = decoder(path)?;
     let (width, height) = decoder.dimensions();
     Ok(Header { width, height, bit_depth: bit_depth(decoder.color_type()) })
@@ -53,7 +65,7 @@ fn bit_depth(color: ColorType) -> BitDepth {
 
 /// Reads an image of any kind that `image` decodes: grey stays grey, the rest becomes RGB, alpha
 /// is ignored. Samples are the file's divided by their largest value.
-pub fn read_image(path: &Path) -> Result<(Image, BitDepth), CaptureError> {
+pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
     let decoded = DynamicImage::from_decoder(decoder(path)?).map_err(|e| image_error(path, e))?;
     let depth = bit_depth(decoded.color());
     let (w, h) = (decoded.width() as usize, decoded.height() as usize);
@@ -85,10 +97,10 @@ pub fn write_image(
     image: &Image,
     coverage: Option<&[bool]>,
     depth: BitDepth,
-) -> Result<(), CaptureError> {
+) -> Result<(), ImageFileError> {
     let bytes = encode_png(image, coverage, depth).map_err(|e| image_error(path, e))?;
     write_atomically(path, &bytes)
-        .map_err(|source| CaptureError::Write { path: path.to_owned(), source })
+        .map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
 }
 
 /// Samples as a file holds them, row by row, channels interleaved.
@@ -150,30 +162,6 @@ fn encode_png(
     let mut bytes = std::io::Cursor::new(Vec::new());
     dynamic.write_to(&mut bytes, image::ImageFormat::Png)?;
     Ok(bytes.into_inner())
-}
-
-/// Writes a whole file or none: a temporary name in the same folder, then a rename. Folders on
-/// the way are made.
-pub fn write_atomically(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    std::fs::create_dir_all(folder)?;
-    let name = path
-        .file_name()
-        .ok_or_else(|| std::io::Error::new(std::io::ErrorKind::InvalidInput, "names no file"))?;
-    let mut temporary = std::ffi::OsString::from(".");
-    temporary.push(name);
-    temporary.push(format!(".{}.tmp", std::process::id()));
-    let temporary = folder.join(temporary);
-    let result = std::fs::File::create(&temporary)
-        .and_then(|mut file| {
-            file.write_all(bytes)?;
-            file.sync_all()
-        })
-        .and_then(|()| std::fs::rename(&temporary, path));
-    if result.is_err() {
-        let _ = std::fs::remove_file(&temporary);
-    }
-    result
 }
 
 #[cfg(test)]

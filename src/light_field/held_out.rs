@@ -1,10 +1,10 @@
-//! Cameras that are left out, so that their own frames are the truth of what the others render.
+//! Cameras that are held out, so that their own frames are the truth of what the others render.
 
 use super::LightField;
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError};
+use crate::interpolation::changed_pixels;
 use crate::offset::Offsets;
-use crate::plan::changed_pixels;
 use crate::raster::Image;
 use std::sync::Arc;
 
@@ -24,13 +24,13 @@ pub(crate) fn only(
 }
 
 /// All other cameras, the nearest first.
-pub(crate) fn others(capture: &Capture, camera: usize) -> Vec<usize> {
+pub(crate) fn by_distance_from(capture: &Capture, camera: usize) -> Vec<usize> {
     let center = capture.cameras[camera].camera.center();
     by_distance(capture, &center.coords).into_iter().filter(|&c| c != camera).collect()
 }
 
-/// All cameras if there are more than two, those nearest to the middle first: between others, as
-/// views are.
+/// All cameras, those nearest to the rig's middle first: like views, they are between others. None of
+/// fewer than three.
 pub(crate) fn inner_cameras(capture: &Capture) -> Vec<usize> {
     let cameras = &capture.cameras;
     if cameras.len() < 3 {
@@ -47,8 +47,8 @@ fn by_distance(capture: &Capture, from: &nalgebra::Vector3<f64>) -> Vec<usize> {
     order
 }
 
-/// A view as a camera's, but halfway to its nearest neighbour elsewhere, if there is one.
-pub(crate) fn beside(capture: &Capture, camera: usize) -> Camera {
+/// A view like a camera's, but halfway to its nearest neighbour at another place, if there is one.
+pub(crate) fn halfway_to_neighbor(capture: &Capture, camera: usize) -> Camera {
     let mut view = capture.cameras[camera].camera.clone();
     let from_own = capture.cameras.iter().map(|c| c.camera.center() - view.center());
     let elsewhere = from_own.filter(|d| d.norm() > 0.0);
@@ -59,15 +59,15 @@ pub(crate) fn beside(capture: &Capture, camera: usize) -> Camera {
     view
 }
 
-/// Of frames at these times, those that most of the field's cameras can show; none that no camera can.
-pub(crate) fn shown_frames(field: &LightField, times_s: &[f64]) -> Vec<usize> {
+/// Of frames at these times, those at which the largest number of the field's cameras can give an image.
+pub(crate) fn well_covered_frames(field: &LightField, times_s: &[f64]) -> Vec<usize> {
     let usable: Vec<usize> = times_s.iter().map(|t| field.usable(*t).len()).collect();
     let most = usable.iter().max().copied().unwrap_or(0).max(1);
     (0..usable.len()).filter(|&k| usable[k] == most).collect()
 }
 
 /// A frame, and where it differs from the frames beside it by more than noise, row by row.
-pub(crate) fn filmed(
+pub(crate) fn recorded(
     capture: &Capture,
     camera: usize,
     frame: usize,

@@ -7,13 +7,13 @@ use nalgebra::{Point2, Vector2};
 
 /// Positions at two to four ascending times.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Path {
-    times_s: [f64; Path::MAX],
-    positions: [Point2<f64>; Path::MAX],
+pub struct Trajectory {
+    times_s: [f64; Trajectory::MAX],
+    positions: [Point2<f64>; Trajectory::MAX],
     len: usize,
 }
 
-impl Path {
+impl Trajectory {
     /// Samples at most.
     pub const MAX: usize = 4;
 
@@ -88,7 +88,7 @@ mod tests {
     fn polynomials_are_reproduced_at_uneven_times() {
         let curve = |t: f64| Point2::new(1.0 + t * (2.0 - t * (0.5 - 0.3 * t)), 4.0 - t * t * t);
         let slope = |t: f64| Vector2::new(2.0 - t + 0.9 * t * t, -3.0 * t * t);
-        let path = Path::new([-1.1, 0.0, 0.9, 2.3].map(|t| (t, curve(t)))).unwrap();
+        let path = Trajectory::new([-1.1, 0.0, 0.9, 2.3].map(|t| (t, curve(t)))).unwrap();
         for t in [-1.1, -0.3, 0.0, 0.45, 2.0, 3.0] {
             assert!((path.at(t) - curve(t)).norm() < 1e-12);
             assert!((path.velocity(t) - slope(t)).norm() < 1e-12);
@@ -97,7 +97,8 @@ mod tests {
 
     #[test]
     fn two_samples_are_the_papers_line() {
-        let path = Path::new([(1.0, Point2::new(0.0, 8.0)), (3.0, Point2::new(4.0, 0.0))]).unwrap();
+        let path =
+            Trajectory::new([(1.0, Point2::new(0.0, 8.0)), (3.0, Point2::new(4.0, 0.0))]).unwrap();
         assert_eq!(path.at(1.5), Point2::new(1.0, 6.0));
         assert_eq!(path.velocity(9.0), Vector2::new(2.0, -4.0));
         assert_eq!(path.noise_gain(2.0), 0.5);
@@ -106,9 +107,9 @@ mod tests {
     #[test]
     fn what_is_no_path() {
         let p = Point2::new(0.0, 0.0);
-        assert!(Path::new([]).is_none() && Path::new([(0.0, p)]).is_none());
-        assert!(Path::new([(0.0, p), (0.0, p)]).is_none());
-        assert!(Path::new([(0.0, p), (f64::NAN, p), (1.0, p)]).is_none_or(|q| q.len == 3));
-        assert!(Path::new((0..5).map(|t| (f64::from(t), p))).is_none());
+        assert!(Trajectory::new([]).is_none() && Trajectory::new([(0.0, p)]).is_none());
+        assert!(Trajectory::new([(0.0, p), (0.0, p)]).is_none());
+        assert!(Trajectory::new([(0.0, p), (f64::NAN, p), (1.0, p)]).is_none_or(|q| q.len == 3));
+        assert!(Trajectory::new((0..5).map(|t| (f64::from(t), p))).is_none());
     }
 }

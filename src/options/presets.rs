@@ -1,14 +1,15 @@
 //! Three points of the trade of speed for accuracy, by name.
 
 use super::RenderOptions;
-use crate::interpolation::Sync;
+use crate::interpolation::SyncMethod;
 use crate::json;
+use crate::method::methods;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// Options of all stages by name, cheapest first. `cargo bench --bench tradeoff` holds them against
 /// other combinations; README has their figures.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
     /// To look around: the fastest that still synchronizes
@@ -20,26 +21,25 @@ pub enum Preset {
     Best,
 }
 
-impl Preset {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Draft => "draft",
-            Self::Balanced => "balanced",
-            Self::Best => "best",
-        }
-    }
+methods!(Preset {
+    Draft = "draft": "To look around: the fastest that still synchronizes",
+    Balanced = "balanced": "Most of the accuracy for some of the time",
+    Best = "best": "The most accurate that the capture shows to pay",
+});
 
+impl Preset {
+    /// The preset's options of all stages.
     pub fn options(self) -> RenderOptions {
         let mut options = RenderOptions::default();
         match self {
             Self::Draft => {
-                options.sync = Sync::Triangulation;
+                options.sync = SyncMethod::Triangulation;
                 options.registration.corners.max_corners = 1000;
                 (options.proxy.cameras, options.proxy.partners) = (1, 2);
                 options.blend.cameras = 1;
             }
             Self::Balanced => {
-                options.sync = Sync::Triangulation;
+                options.sync = SyncMethod::Triangulation;
                 (options.proxy.cameras, options.proxy.partners) = (2, 2);
                 options.blend.cameras = 2;
             }
@@ -95,17 +95,17 @@ fn merge(into: &mut Value, over: &Value) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::ValueEnum;
+    use crate::method::Method;
 
     #[test]
     fn all_presets_can_be_worked_with_and_differ() {
-        let all: Vec<_> = Preset::value_variants().iter().map(|p| p.options()).collect();
+        let all: Vec<_> = Preset::ALL.iter().map(|p| p.options()).collect();
         for (k, options) in all.iter().enumerate() {
             assert_eq!(options.check(), Ok(()));
             assert!(!all[..k].contains(options));
         }
-        for preset in Preset::value_variants() {
-            assert_eq!(Preset::from_str(preset.name(), false).as_ref(), Ok(preset));
+        for preset in Preset::ALL {
+            assert_eq!(Preset::from_name(preset.name()), Some(*preset));
         }
     }
 

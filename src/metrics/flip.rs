@@ -6,7 +6,7 @@
 //! it filtered of a truth. Parity with NVIDIA's own `flip-evaluator` is tested on its real output.
 
 use super::filter::{gaussian, normalized, separable, single};
-use crate::raster::Image;
+use crate::raster::{Image, linear_from_encoded};
 use rayon::prelude::*;
 
 /// Pixels per degree of visual angle that FLIP's authors take: a 0.7 m wide 4K monitor seen from
@@ -57,8 +57,11 @@ impl FlipImage {
     /// Filters an image of display-encoded (sRGB) values; grey is taken as RGB.
     pub fn new(image: &Image, pixels_per_degree: f64) -> Self {
         let rgb = image.to_rgb();
-        let opponent: Vec<[f32; 3]> =
-            rgb.data().par_chunks(3).map(|p| ycxcz([p[0], p[1], p[2]].map(linear))).collect();
+        let opponent: Vec<[f32; 3]> = rgb
+            .data()
+            .par_chunks(3)
+            .map(|p| ycxcz([p[0], p[1], p[2]].map(linear_from_encoded)))
+            .collect();
         let plane = |c: usize| -> Vec<f32> { opponent.iter().map(|p| p[c]).collect() };
         let luminance: Vec<f32> = opponent.iter().map(|p| (p[0] + 16.0) / 116.0).collect();
         let (edges, points) = features(&luminance, image.width(), pixels_per_degree);
@@ -163,11 +166,6 @@ fn redistributed(difference: f32, most: f32) -> f32 {
     } else {
         PIVOT_VALUE + (difference - pivot) / (most - pivot) * (1.0 - PIVOT_VALUE)
     }
-}
-
-/// sRGB's decoding.
-fn linear(v: f32) -> f32 {
-    if v > 0.04045 { ((v + 0.055) / 1.055).powf(2.4) } else { v / 12.92 }
 }
 
 fn transformed(matrix: &[[f64; 3]; 3], v: [f32; 3]) -> [f32; 3] {

@@ -1,4 +1,4 @@
-//! How far an image is from the truth: PSNR, SSIM and FLIP, over any set of pixels.
+//! Scores of an image beside a true one: error maps, and their means over sets of pixels.
 
 use super::flip::{FlipImage, flip_map};
 use super::ssim::{has_full_window, ssim_map};

@@ -3,21 +3,31 @@
 use super::{LightField, RenderError};
 use crate::camera::Camera;
 use crate::capture::Color;
-use crate::lumigraph::{DepthMap, Proxy, Rendered, Source, blend, contributing};
+use crate::lumigraph::{BlendOptions, DepthMap, Proxy, Rendered, Source, blend, contributing};
+use crate::options::ViewOptions;
 use crate::raster::{Image, Tiles};
 use rayon::prelude::*;
 
 impl LightField {
     /// The view from anywhere at a time.
-    pub fn view(&self, target: &Camera, time_s: f64) -> Result<Rendered, RenderError> {
+    ///
+    /// # Errors
+    /// [`RenderError::Time`] or [`RenderError::NoClock`] if no camera has an image at that time,
+    /// those of [`Self::proxy`], and [`RenderError::NothingSeen`] if no pixel is covered.
+    pub fn view(
+        &self,
+        target: &Camera,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<Rendered, RenderError> {
         if self.usable(time_s).is_empty() {
             return Err(self.no_camera_at(time_s));
         }
-        let depth = self.proxy(self.options.proxy.rung, target, time_s)?.depth_map(target);
+        let depth = self.proxy(target, time_s, options)?.depth_map(target);
         let mut images = self.blanks(time_s);
-        let needed = self.needed(&images, &depth, target);
-        self.synchronize(&mut images, &needed, time_s)?;
-        let rendered = self.blend_by_depth(&images, &depth, target);
+        let needed = self.needed(&images, &depth, target, &options.blend);
+        self.synchronize(&mut images, &needed, time_s, options)?;
+        let rendered = self.blend_by_depth(&images, &depth, target, &options.blend);
         if rendered.coverage.iter().any(|c| *c) {
             Ok(rendered)
         } else {
@@ -35,14 +45,15 @@ impl LightField {
     }
 
     /// The cameras, of those with an image, that a view is blended from, and which parts of their
-    /// images: most of a large rig are nowhere among the best, so that nobody misses theirs.
+    /// images: most of a large rig are nowhere among the best.
     pub(crate) fn needed(
         &self,
         images: &[Option<Image>],
         depth: &DepthMap,
         target: &Camera,
+        options: &BlendOptions,
     ) -> Vec<(usize, Tiles)> {
-        let needed = contributing(&self.sources(images), depth, target, &self.options.blend);
+        let needed = contributing(&self.sources(images), depth, target, options);
         let sources = (0..images.len()).filter(|&c| images[c].is_some());
         sources.zip(needed).filter(|(_, parts)| parts.any()).collect()
     }
@@ -53,9 +64,10 @@ impl LightField {
         images: &mut [Option<Image>],
         needed: &[(usize, Tiles)],
         time_s: f64,
+        options: &ViewOptions,
     ) -> Result<(), RenderError> {
-        let sync = self.options.sync;
-        let of = |(c, parts): &(usize, Tiles)| self.synchronized_in(sync, *c, time_s, Some(parts));
+        let of =
+            |(c, parts): &(usize, Tiles)| self.synchronized_in(*c, time_s, options, Some(parts));
         let synchronized: Vec<Image> = needed.par_iter().map(of).collect::<Result<_, _>>()?;
         for ((c, _), image) in needed.iter().zip(synchronized) {
             images[*c] = Some(image);
@@ -70,10 +82,16 @@ impl LightField {
         Image::filled(filmed.camera.width, filmed.camera.height, channels, 0.0)
     }
 
-    /// Blends a view from one image a camera, as filmed; the view is as bright as the reference
-    /// records it.
-    pub fn blend(&self, images: &[Option<Image>], proxy: &Proxy, target: &Camera) -> Rendered {
-        self.blend_by_depth(images, &proxy.depth_map(target), target)
+    /// Blends a view from one image a camera, as filmed, in the capture's order (`None`: the camera
+    /// has none). The view is as bright as the reference records it.
+    pub fn blend(
+        &self,
+        images: &[Option<Image>],
+        proxy: &Proxy,
+        target: &Camera,
+        options: &BlendOptions,
+    ) -> Rendered {
+        self.blend_by_depth(images, &proxy.depth_map(target), target, options)
     }
 
     pub(crate) fn blend_by_depth(
@@ -81,6 +99,7 @@ impl LightField {
         images: &[Option<Image>],
         depth: &DepthMap,
         target: &Camera,
+        options: &BlendOptions,
     ) -> Rendered {
         let gains = self.frames.gains();
         let corrected: Option<Vec<Option<Image>>> = (!gains.are_equal()).then(|| {
@@ -91,7 +110,7 @@ impl LightField {
             images.par_iter().enumerate().map(correct).collect()
         });
         let images = corrected.as_deref().unwrap_or(images);
-        blend(&self.sources(images), depth, target, &self.options.blend)
+        blend(&self.sources(images), depth, target, options)
     }
 
     /// The cameras that have an image.

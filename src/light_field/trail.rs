@@ -8,54 +8,8 @@
 use super::{LightField, RenderError};
 use crate::camera::Camera;
 use crate::lumigraph::Rendered;
+use crate::options::{TrailMode, ViewOptions};
 use crate::raster::{Image, encoded_from_linear, linear_from_encoded};
-use serde::{Deserialize, Serialize};
-
-/// How far an image reaches back in time.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct TrailOptions {
-    /// Length of the trail before the instant, seconds; 0: none.
-    pub duration_s: f64,
-    /// Instants that are overlaid, evenly spaced, the trail's first and last included. Fewer show
-    /// as separate images of what moves, more cost time in proportion.
-    pub instants: usize,
-    pub mode: TrailMode,
-}
-
-/// How the instants of a trail make one image.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum TrailMode {
-    /// The mean of the light, as a long exposure has it
-    #[default]
-    Mean,
-    /// The brightest value: highlights leave full streaks
-    Lighten,
-}
-
-impl Default for TrailOptions {
-    fn default() -> Self {
-        Self { duration_s: 0.0, instants: 16, mode: TrailMode::Mean }
-    }
-}
-
-impl TrailOptions {
-    /// The instants of a trail that ends at a time, seconds, the last one first. Only that one
-    /// without a duration, or with one instant.
-    fn instants_s(&self, time_s: f64) -> Vec<f64> {
-        if self.duration_s <= 0.0 || self.instants < 2 {
-            return vec![time_s];
-        }
-        let step_s = self.duration_s / (self.instants - 1) as f64;
-        (0..self.instants).map(|k| time_s - step_s * k as f64).collect()
-    }
-
-    /// How many instants an image has.
-    pub fn count(&self) -> usize {
-        self.instants_s(0.0).len()
-    }
-}
 
 /// From where an image with a trail is seen.
 #[derive(Clone, Copy, Debug)]
@@ -81,46 +35,43 @@ impl LightField {
         &self,
         from: Viewpoint,
         time_s: f64,
+        options: &ViewOptions,
         mut proceed: impl FnMut(usize, usize) -> bool,
     ) -> Result<Rendered, RenderError> {
-        let trail = &self.options().trail;
-        let instants_s = trail.instants_s(time_s);
+        let instants_s = options.trail.instants_s(time_s);
         let mut overlay: Option<Overlay> = None;
         for (k, &instant_s) in instants_s.iter().enumerate() {
             if !proceed(k, instants_s.len()) {
                 return Err(RenderError::Stopped);
             }
-            let rendered = match (self.instant(from, instant_s), &mut overlay) {
+            let rendered = match (self.instant(from, instant_s, options), &mut overlay) {
                 (Err(error), Some(_)) if error.is_of_the_instant() => continue,
                 (rendered, _) => rendered?,
             };
             if instants_s.len() == 1 {
                 return Ok(rendered);
             }
-            overlay.get_or_insert_with(|| Overlay::like(&rendered, trail.mode)).add(&rendered);
+            overlay
+                .get_or_insert_with(|| Overlay::like(&rendered, options.trail.mode))
+                .add(&rendered);
         }
         overlay.map(Overlay::finish).ok_or(RenderError::NothingSeen)
     }
 
-    fn instant(&self, from: Viewpoint, time_s: f64) -> Result<Rendered, RenderError> {
+    fn instant(
+        &self,
+        from: Viewpoint,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<Rendered, RenderError> {
         match from {
-            Viewpoint::View(target) => self.view(target, time_s),
+            Viewpoint::View(target) => self.view(target, time_s, options),
             Viewpoint::Like(camera) => {
-                let image = self.synchronized(camera, time_s)?;
+                let image = self.synchronized(camera, time_s, options)?;
                 let coverage = vec![true; image.width() * image.height()];
                 Ok(Rendered { image, coverage })
             }
         }
-    }
-}
-
-impl RenderError {
-    /// Whether another instant may be better.
-    fn is_of_the_instant(&self) -> bool {
-        matches!(
-            self,
-            Self::Time { .. } | Self::CameraTime { .. } | Self::NoPoints | Self::NothingSeen
-        )
     }
 }
 
@@ -191,19 +142,6 @@ mod tests {
         overlay.finish()
     }
 
-    #[test]
-    fn instants_reach_back_from_the_last() {
-        let trail = TrailOptions { duration_s: 0.3, instants: 4, mode: TrailMode::Mean };
-        let instants = trail.instants_s(1.0);
-        assert_eq!(instants[0], 1.0);
-        for (found, expected) in instants.iter().zip([1.0, 0.9, 0.8, 0.7]) {
-            assert!((found - expected).abs() < 1e-12);
-        }
-        assert_eq!(TrailOptions { duration_s: 0.0, ..trail.clone() }.instants_s(1.0), [1.0]);
-        assert_eq!(TrailOptions { instants: 1, ..trail.clone() }.instants_s(1.0), [1.0]);
-        assert_eq!(TrailOptions { instants: 0, ..trail }.count(), 1);
-    }
-
     /// Black and white in turn are half the light, which is 0.735 in sRGB, not 0.5.
     #[test]
     fn the_mean_is_of_light() {
@@ -228,14 +166,5 @@ mod tests {
                 assert!((found - expected).abs() < 1e-6, "{mode:?}");
             }
         }
-    }
-
-    #[test]
-    fn encoding_and_decoding_are_inverse() {
-        for k in 0..=1000 {
-            let v = f64::from(k) / 1000.0;
-            assert!((encoded_from_linear(linear_from_encoded(v)) - v).abs() < 1e-7, "{v}");
-        }
-        assert_eq!(linear_from_encoded(-0.01), 0.0);
     }
 }

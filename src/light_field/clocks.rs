@@ -1,0 +1,87 @@
+//! When each camera filmed, on one clock: which frames lie around an instant, and which instants
+//! there are.
+
+use super::{LightField, RenderError};
+
+impl LightField {
+    /// The cameras that can give an image at a time, by index, ascending.
+    pub fn usable(&self, time_s: f64) -> Vec<usize> {
+        (0..self.times_s.len()).filter(|&c| self.bracket(c, time_s).is_ok()).collect()
+    }
+
+    /// The first and the last time at which a camera can give an image, seconds; `None` if its clock
+    /// is unknown.
+    pub fn span_s(&self, camera: usize) -> Option<(f64, f64)> {
+        let times = self.times_s[camera].as_ref()?;
+        Some((*times.first()?, *times.last()?))
+    }
+
+    /// The first and the last time at which every camera with a known clock can give an image;
+    /// `None` if there is none.
+    pub fn common_span_s(&self) -> Option<(f64, f64)> {
+        let spans = || (0..self.times_s.len()).filter_map(|c| self.span_s(c));
+        let first = spans().map(|s| s.0).fold(f64::NEG_INFINITY, f64::max);
+        let last = spans().map(|s| s.1).fold(f64::INFINITY, f64::min);
+        (first.is_finite() && first <= last).then_some((first, last))
+    }
+
+    /// How many cameras have a time between two frames, at least this fraction of the interval away
+    /// from both.
+    pub(crate) fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
+        let is_between = |&camera: &usize| {
+            let times = self.times(camera);
+            self.bracket(camera, time_s).is_ok_and(|(k, later)| {
+                let passed = (time_s - times[k]) / (times[later] - times[k]);
+                k != later && (fraction..=1.0 - fraction).contains(&passed)
+            })
+        };
+        (0..self.times_s.len()).filter(is_between).count()
+    }
+
+    /// The camera's frame times on the reference's clock; empty if they are unknown.
+    pub(super) fn times(&self, camera: usize) -> &[f64] {
+        self.times_s[camera].as_deref().unwrap_or_default()
+    }
+
+    /// The frames on both sides of a time (the same one twice if it is at that very time). A
+    /// static light field has its frames at any time, whatever its clocks.
+    pub(super) fn bracket(
+        &self,
+        camera: usize,
+        time_s: f64,
+    ) -> Result<(usize, usize), RenderError> {
+        if self.capture().is_static() {
+            return Ok((0, 0));
+        }
+        let id = || self.capture().cameras[camera].id.clone();
+        let Some(times) = &self.times_s[camera] else {
+            let reason = self.offsets.cameras[camera].reason.clone().unwrap_or_default();
+            return Err(RenderError::CameraClock { camera: id(), reason });
+        };
+        crate::capture::bracket(times, time_s).ok_or_else(|| {
+            let origin_s = self.capture().time_origin_s;
+            RenderError::CameraTime {
+                camera: id(),
+                time_s: time_s + origin_s,
+                first_s: times[0] + origin_s,
+                last_s: times[times.len() - 1] + origin_s,
+            }
+        })
+    }
+
+    /// Why no camera has an image at a time.
+    pub(super) fn no_camera_at(&self, time_s: f64) -> RenderError {
+        let origin_s = self.capture().time_origin_s;
+        let spans = || (0..self.times_s.len()).filter_map(|c| self.span_s(c));
+        let first_s = spans().map(|s| s.0).fold(f64::INFINITY, f64::min);
+        let last_s = spans().map(|s| s.1).fold(f64::NEG_INFINITY, f64::max);
+        if first_s > last_s {
+            return RenderError::NoClock;
+        }
+        RenderError::Time {
+            time_s: time_s + origin_s,
+            first_s: first_s + origin_s,
+            last_s: last_s + origin_s,
+        }
+    }
+}

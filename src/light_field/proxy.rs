@@ -1,0 +1,70 @@
+//! §6: what stands for the scene's shape at an instant, for one view.
+
+use super::{LightField, RenderError};
+use crate::camera::Camera;
+use crate::lumigraph::{Mesh, Plane, Proxy};
+use crate::options::{ProxyMethod, ProxyOptions, ViewOptions};
+use nalgebra::Point3;
+
+impl LightField {
+    /// The scene's shape at a time, for one view.
+    ///
+    /// # Errors
+    /// [`RenderError::NoPoints`] if the view's surroundings have no points to tell it from,
+    /// [`RenderError::NothingSeen`] if points lie elsewhere only.
+    pub fn proxy(
+        &self,
+        target: &Camera,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<Proxy, RenderError> {
+        if let Some(plane) = set_plane(target, &options.proxy) {
+            return Ok(plane);
+        }
+        proxy_of(&self.points(target, time_s, options)?, target, &options.proxy)
+    }
+
+    /// [`Self::proxy`] without a look at the cached points: what it takes for the first view of an
+    /// instant.
+    pub(crate) fn uncached_proxy(
+        &self,
+        target: &Camera,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<Proxy, RenderError> {
+        if let Some(plane) = set_plane(target, &options.proxy) {
+            return Ok(plane);
+        }
+        proxy_of(&self.triangulated(target, time_s, options)?, target, &options.proxy)
+    }
+}
+
+/// The plane whose depth the user set, which needs no points.
+fn set_plane(target: &Camera, options: &ProxyOptions) -> Option<Proxy> {
+    let depth_m = options.plane_depth_m.filter(|_| options.method == ProxyMethod::Plane)?;
+    Some(Proxy::Plane(Plane::fronto_parallel(target, depth_m)))
+}
+
+fn proxy_of(
+    points: &[Point3<f64>],
+    target: &Camera,
+    options: &ProxyOptions,
+) -> Result<Proxy, RenderError> {
+    let proxy = match options.method {
+        ProxyMethod::Plane => {
+            let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
+            Plane::fit(&weighted, target).map(Proxy::Plane)
+        }
+        ProxyMethod::Mesh => Mesh::build(points, target, &options.mesh).map(Proxy::Mesh),
+    };
+    // A view of a bare spot, or of a single pixel, has no feature in it, but a depth.
+    let around = || Plane::amid(points, target).map(Proxy::Plane);
+    let is_seen = |p| target.project(p).is_some_and(|pixel| target.contains(&pixel));
+    proxy.or_else(around).ok_or_else(|| {
+        if points.is_empty() || points.iter().any(is_seen) {
+            RenderError::NoPoints
+        } else {
+            RenderError::NothingSeen
+        }
+    })
+}

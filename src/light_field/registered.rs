@@ -1,0 +1,62 @@
+//! Registered frame pairs (§4), each registered when it is first asked for.
+
+use super::{LightField, RenderError};
+use crate::capture::CaptureError;
+use crate::interpolation::largest_change;
+use crate::registration::{Track, Verdict, epipolar_test, temporal_flow};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// How many tracks are cached, those of all frame pairs together: 32 MB of them, several pairs of
+/// each camera of a rig. More only saves registering again.
+pub(super) const MAX_CACHED_TRACKS: usize = (32 << 20) / size_of::<Track>();
+
+/// Of how many frame pairs the change is cached. More only saves comparing two frames again.
+pub(super) const MAX_CACHED_CHANGES: usize = 1 << 16;
+
+impl LightField {
+    /// The tracks between frames `k` and `k + 1` of a camera that the epipolar test leaves.
+    pub fn tracks(&self, camera: usize, k: usize) -> Result<Arc<Vec<Track>>, CaptureError> {
+        if let Some(tracks) = self.tracks.get(&(camera, k)) {
+            return Ok(tracks);
+        }
+        let mut tracks = temporal_flow(&self.frames, camera, k)?;
+        if self.frames.options().epipolar_test {
+            let verdicts = epipolar_test(&self.frames, &self.times_s, camera, k, &tracks)?;
+            let mut verdicts = verdicts.into_iter();
+            tracks.retain(|_| verdicts.next() != Some(Verdict::Rejected));
+        }
+        let tracks = Arc::new(tracks);
+        self.tracks.insert((camera, k), tracks.clone(), tracks.len());
+        Ok(tracks)
+    }
+
+    /// Whether the frame pair of `k` and `k + 1` goes without registration, because none of its
+    /// blocks changes by more than `still_change` ([`crate::interpolation::InterpolationOptions`]).
+    pub(crate) fn is_still(
+        &self,
+        camera: usize,
+        k: usize,
+        still_change: f32,
+    ) -> Result<bool, CaptureError> {
+        if let Some(change) = self.changes.get(&(camera, k)) {
+            return Ok(change <= still_change);
+        }
+        let [earlier, later] = [self.frames.get(camera, k)?, self.frames.get(camera, k + 1)?];
+        let change = largest_change(&earlier.image, &later.image);
+        self.changes.insert((camera, k), change, 1);
+        Ok(change <= still_change)
+    }
+
+    /// Registers the frames around a time, of all cameras that have some: what views between them
+    /// share.
+    pub(crate) fn register(&self, time_s: f64, still_change: f32) -> Result<(), RenderError> {
+        self.usable(time_s).into_par_iter().try_for_each(|camera| {
+            let (k, later) = self.bracket(camera, time_s)?;
+            if k != later && !self.is_still(camera, k, still_change)? {
+                self.tracks(camera, k)?;
+            }
+            Ok(())
+        })
+    }
+}

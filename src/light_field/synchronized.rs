@@ -1,0 +1,81 @@
+//! A camera's image at an instant at which it took none (§5).
+
+use super::{LightField, RenderError};
+use crate::interpolation::{FramePair, SyncMethod};
+use crate::options::ViewOptions;
+use crate::raster::{Image, Tiles};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+impl LightField {
+    /// A camera's image at a time: its own frame where it has one at that very time.
+    ///
+    /// # Errors
+    /// [`RenderError::CameraTime`] outside the camera's frames, [`RenderError::CameraClock`] if its
+    /// clock is unknown, [`RenderError::Capture`] if a frame can't be read.
+    pub fn synchronized(
+        &self,
+        camera: usize,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<Image, RenderError> {
+        self.synchronized_in(camera, time_s, options, None)
+    }
+
+    /// The same for some parts of the image, if not all; the rest is less accurate.
+    pub(super) fn synchronized_in(
+        &self,
+        camera: usize,
+        time_s: f64,
+        options: &ViewOptions,
+        parts: Option<&Tiles>,
+    ) -> Result<Image, RenderError> {
+        let (k, later) = self.bracket(camera, time_s)?;
+        let earlier_frame = self.frames.get(camera, k)?;
+        if k == later {
+            return Ok(earlier_frame.image.clone());
+        }
+        let later_frame = self.frames.get(camera, later)?;
+        let still_change = options.interpolation.still_change;
+        let sync = if options.sync.needs_tracks() && self.is_still(camera, k, still_change)? {
+            SyncMethod::Crossfade
+        } else {
+            options.sync
+        };
+        let tracks = if sync.needs_tracks() { self.tracks(camera, k)? } else { Arc::default() };
+        let around = match sync {
+            SyncMethod::Refined => [k.checked_sub(1), Some(later + 1)]
+                .map(|n| n.filter(|&n| n < self.times(camera).len())),
+            _ => [None, None],
+        };
+        let [before, after] = around.map(|n| n.map(|n| self.frames.get(camera, n)).transpose());
+        let (before, after) = (before?, after?);
+        let pair = FramePair {
+            around: [before.as_deref(), after.as_deref()],
+            earlier: &earlier_frame,
+            later: &later_frame,
+            tracks: &tracks,
+            times_s: self.times(camera),
+            index: k,
+            parts,
+        };
+        Ok(pair.interpolate(time_s, sync, &options.interpolation))
+    }
+
+    /// The images of all cameras at a time, in the capture's order; `None` for cameras that can't
+    /// give one.
+    pub fn synchronized_all(
+        &self,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<Vec<Option<Image>>, RenderError> {
+        (0..self.times_s.len())
+            .into_par_iter()
+            .map(|c| match self.synchronized(c, time_s, options) {
+                Ok(image) => Ok(Some(image)),
+                Err(RenderError::CameraTime { .. } | RenderError::CameraClock { .. }) => Ok(None),
+                Err(error) => Err(error),
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,10 @@
+//! How far an image is from the truth: PSNR, SSIM and FLIP, over any set of pixels.
+
+mod filter;
+pub mod flip;
+mod mask;
+mod scores;
+pub mod ssim;
+
+pub use mask::moving_part;
+pub use scores::{ErrorMaps, Reference, RegionScores, Scores, median};

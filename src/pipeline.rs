@@ -1,0 +1,44 @@
+//! From a capture to a light field that views are taken from (Fig. 2): frames, offsets, and the
+//! methods that the capture requires.
+
+use crate::capture::Capture;
+use crate::light_field::{LightField, RenderError};
+use crate::offset::known_or_cached_or_estimated;
+use crate::options::RenderOptions;
+use crate::plan::{Stage, plan};
+use crate::progress::Reporter;
+use crate::registration::FrameStore;
+use std::sync::Arc;
+
+/// Opens a capture's light field, with the offsets that it needs: known clocks, else those cached in
+/// its folder, else estimated now and cached. Says which on the reporter.
+///
+/// Frames are decoded, and gains estimated, once for offsets and views together.
+pub fn open_field(
+    capture: Arc<Capture>,
+    options: &RenderOptions,
+    reporter: &Reporter,
+) -> Result<LightField, RenderError> {
+    let frames = FrameStore::new(capture, &options.registration);
+    let offsets = known_or_cached_or_estimated(&frames, &options.offset, reporter)?;
+    Ok(LightField::with_frames(frames, offsets))
+}
+
+/// The options with nothing left to the capture: where `options.auto` leaves methods to it, those
+/// that it requires ([`plan`]). Says which, and why, on the reporter.
+pub fn resolved(
+    field: &LightField,
+    options: &RenderOptions,
+    reporter: &Reporter,
+) -> Result<RenderOptions, RenderError> {
+    if !options.auto.any() {
+        return Ok(options.clone());
+    }
+    let plan = plan(field, options, reporter)?;
+    for decision in [Stage::Sync, Stage::Proxy].into_iter().filter_map(|s| plan.decision(s)) {
+        let choice = decision.choice;
+        let (stage, method) = (choice.stage().name(), choice.name());
+        reporter.note(&format!("Auto: {stage} {method}. {}", decision.because));
+    }
+    Ok(plan.options)
+}

@@ -1,0 +1,39 @@
+//! `stlfr.methods`: the methods that a user chooses among.
+
+use super::convert::to_python;
+use crate::interpolation::SyncMethod;
+use crate::method::Method;
+use crate::options::{Preset, ProxyMethod, TrailMode};
+use pyo3::prelude::*;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// One stage's methods, cheapest first.
+#[derive(Serialize)]
+struct Stage {
+    default: &'static str,
+    methods: Vec<Named>,
+}
+
+#[derive(Serialize)]
+struct Named {
+    name: &'static str,
+    help: &'static str,
+}
+
+/// Every stage's methods by the name of its option.
+#[pyfunction]
+pub fn methods(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    let stages = BTreeMap::from([
+        ("sync", stage::<SyncMethod>()),
+        ("proxy", stage::<ProxyMethod>()),
+        ("trail", stage::<TrailMode>()),
+        ("preset", stage::<Preset>()),
+    ]);
+    to_python(py, &stages)
+}
+
+fn stage<M: Method>() -> Stage {
+    let methods = M::ALL.iter().map(|m| Named { name: m.name(), help: m.help() }).collect();
+    Stage { default: M::default().name(), methods }
+}

@@ -1,0 +1,113 @@
+//! What combinations are measured on: the capture, what views are compared with, and what is
+//! prepared for them.
+
+use super::store::{CachedPoint, Planned, Prepared, Store};
+use super::targets::{Against, Target, Timed};
+use super::{Clock, TradeoffError};
+use crate::capture::Capture;
+use crate::host::{Elapsed, Stopwatch};
+use crate::light_field::LightField;
+use crate::offset::{self, Offsets};
+use crate::options::{AutoOptions, RenderOptions};
+use crate::plan::{ClockSummary, plan};
+use crate::progress::Reporter;
+use crate::registration::FrameStore;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// The bench that combinations are measured on.
+pub(super) struct Bench<'a> {
+    pub capture: &'a Arc<Capture>,
+    pub store: Store,
+    pub targets: Vec<Target>,
+    pub timed: Timed,
+    pub runs: usize,
+    pub clock: Clock,
+    pub reporter: &'a Reporter,
+}
+
+/// Offsets and registered frames for these options: cached from before, or computed now.
+pub(super) fn prepared(
+    capture: &Arc<Capture>,
+    store: &Store,
+    options: &RenderOptions,
+    reporter: &Reporter,
+) -> Result<Prepared, TradeoffError> {
+    let still_change = options.interpolation.still_change;
+    let key = store.key("prepared", &(&options.registration, &options.offset, still_change));
+    if let Some(cached) = store.load::<Prepared>(&key)
+        && cached.offsets.cameras.len() == capture.cameras.len()
+    {
+        return Ok(cached);
+    }
+    let clocks = ClockSummary::of(capture);
+    let estimates = clocks.unknown > 0 && !clocks.one_frame;
+    let watch = Stopwatch::start();
+    let offsets = if estimates {
+        let frames = FrameStore::new(capture.clone(), &options.registration);
+        offset::estimate(&frames, &options.offset, reporter)?.offsets
+    } else {
+        Offsets::known(capture)
+    };
+    let offsets_took = estimates.then(|| watch.elapsed());
+    // Its frames are its own, so that decoding is in the time of registration.
+    let field = LightField::new(capture.clone(), offsets.clone(), &options.registration);
+    let own_span = || field.span_s(capture.reference);
+    let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();
+    let watch = Stopwatch::start();
+    field.register(0.5 * (first + last), still_change)?;
+    let registration_took = watch.elapsed();
+    let prepared = Prepared { offsets, offsets_took, registration_took };
+    store.save(&key, &prepared)?;
+    Ok(prepared)
+}
+
+impl Bench<'_> {
+    /// What the capture makes of options, where they leave methods to it, and what planning takes.
+    pub fn planned(&self, asked: &RenderOptions) -> Result<Planned, TradeoffError> {
+        if !asked.auto.any() {
+            let took = Elapsed { wall_s: 0.0, cpu_s: 0.0 };
+            return Ok(Planned { options: asked.clone(), took });
+        }
+        let key = self.store.key("auto", &asked);
+        if let Some(cached) = self.store.load(&key) {
+            return Ok(cached);
+        }
+        let prepared = self.prepared(asked)?;
+        let watch = Stopwatch::start();
+        let field = LightField::new(self.capture.clone(), prepared.offsets, &asked.registration);
+        let plan = plan(&field, asked, self.reporter)?;
+        // What was left to the capture is decided.
+        let options = RenderOptions { auto: AutoOptions::default(), ..plan.options };
+        let planned = Planned { options, took: watch.elapsed() };
+        self.store.save(&key, &planned)?;
+        Ok(planned)
+    }
+
+    pub fn prepared(&self, options: &RenderOptions) -> Result<Prepared, TradeoffError> {
+        prepared(self.capture, &self.store, options, self.reporter)
+    }
+
+    /// The name that a combination is cached by.
+    pub fn key(&self, options: &RenderOptions) -> String {
+        self.store.key("point", options)
+    }
+
+    /// What is known of a combination so far.
+    pub fn cached(&self, options: &RenderOptions) -> CachedPoint {
+        let cached = self.store.load::<CachedPoint>(&self.key(options));
+        cached.filter(|cached| cached.options == *options).unwrap_or_else(|| CachedPoint {
+            options: options.clone(),
+            scores: BTreeMap::new(),
+            cameras: Vec::new(),
+            reason: None,
+        })
+    }
+
+    /// The kinds of targets that there are, the one that counts first.
+    pub fn against(&self) -> Against {
+        let order = [Against::Truth, Against::HeldOut, Against::MostAccurate];
+        let there = |a: &Against| self.targets.iter().any(|t| t.against == *a);
+        order.into_iter().find(there).unwrap_or(Against::MostAccurate)
+    }
+}
