@@ -256,7 +256,7 @@ fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
         }
     }
     let mut blends: Vec<(String, BlendOptions)> =
-        vec![("uniform".into(), BlendOptions { rung: BlendMethod::Uniform, ..base.clone() })];
+        vec![("uniform".into(), BlendOptions { method: BlendMethod::Uniform, ..base.clone() })];
     for cameras in [1, 2, 3, 4, 8] {
         blends.push((format!("k {cameras}"), BlendOptions { cameras, ..base.clone() }));
     }

@@ -11,7 +11,7 @@ use stlfr::light_field::LightField;
 use stlfr::method::Method;
 use stlfr::metrics::moving_part;
 use stlfr::offset::Offsets;
-use stlfr::options::RenderOptions;
+use stlfr::options::{RenderOptions, ViewOptions};
 use stlfr::raster::Image;
 use stlfr::raster::read_image;
 
@@ -37,13 +37,9 @@ fn mean_square(a: &Image, b: &Image, mask: Option<&[bool]>) -> (f64, f64) {
 fn score(field: &LightField, view: &ViewOptions, targets: &[Target]) -> (f64, f64, f64) {
     let (mut whole, mut moving, mut seconds) = ((0.0, 0.0), (0.0, 0.0), 0.0);
     for t in targets {
-        field
-            .synchronized(t.camera, t.time_s, view)
-            .expect("the truth is inside the film");
+        field.synchronized(t.camera, t.time_s, view).expect("the truth is inside the film");
         let start = Instant::now();
-        let image = field
-            .synchronized(t.camera, t.time_s, view)
-            .expect("as before");
+        let image = field.synchronized(t.camera, t.time_s, view).expect("as before");
         seconds += start.elapsed().as_secs_f64();
         let (s, n) = mean_square(&image, &t.image, None);
         whole = (whole.0 + s, whole.1 + n);
@@ -79,8 +75,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let field = |change: &dyn Fn(&mut RenderOptions)| {
             let mut options = RenderOptions::default();
             change(&mut options);
-            let field =
-                LightField::new(capture.clone(), offsets.clone(), &options.registration);
+            let field = LightField::new(capture.clone(), offsets.clone(), &options.registration);
             (field, options.view())
         };
         println!("{folder}: PSNR whole, moving [dB]; ms an image, registration cached");
@@ -198,15 +193,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
         cases.retain(|(name, _)| only.as_ref().is_none_or(|only| name.contains(only)));
         for (name, change) in cases {
-            let (whole, moving, ms) = score(
-                &field(&change),
-                if name.starts_with("refine") {
-                    SyncMethod::Refined
-                } else {
-                    SyncMethod::EdgeMorph
-                },
-                &targets,
-            );
+            let sync = if name.starts_with("refine") {
+                SyncMethod::Refined
+            } else {
+                SyncMethod::EdgeMorph
+            };
+            let (field, view) = field(&change);
+            let (whole, moving, ms) = score(&field, &view.with_sync(sync), &targets);
             println!("  {name:32} {whole:6.2} {moving:6.2} {ms:8.1}");
         }
     }

@@ -1,8 +1,8 @@
 //! Presets and `auto` beside other combinations: on each scene what they cost and give, whether
-//! another combination beats a preset, and whether `auto` is within 0.2 dB of the best rungs at no
+//! another combination beats a preset, and whether `auto` is within 0.2 dB of the best methods at no
 //! more than their time. Planning is not in that time; it stands apart.
 //!
-//! Other combinations are all rungs, and the cheap presets with any one parameter changed;
+//! Other combinations are all methods, and the cheap presets with any one parameter changed;
 //! `--rounds=1` adds each scene's front with any one parameter changed. A preset is fixed before its
 //! scene is known, so it is held against what beats it over all scenes (medians); what beats it on one
 //! scene alone is that scene's own front, and printed.
@@ -19,7 +19,7 @@ use stlfr::metrics::median;
 use stlfr::options::{Preset, RenderOptions};
 use stlfr::progress::Reporter;
 use stlfr::tradeoff::{
-    AUTO, Clock, Point, SLACK_DB, Tradeoff, TradeoffOptions, Variable, most_accurate, rungs,
+    AUTO, Clock, Point, SLACK_DB, Tradeoff, TradeoffOptions, Variable, methods, most_accurate,
     tradeoff, variations,
 };
 
@@ -29,7 +29,7 @@ const BETTER_DB: f64 = 0.1;
 const FASTER: f64 = 0.9;
 /// All pixels, most of which stand still, may be this much worse.
 const WHOLE_DB: f64 = 0.05;
-/// `auto` may take this much longer than the best rungs: the same options, timed twice, differ by
+/// `auto` may take this much longer than the best methods: the same options, timed twice, differ by
 /// as much.
 const AS_FAST: f64 = 1.05;
 
@@ -98,7 +98,7 @@ fn print(scene: &str, label: &str, row: &Row) {
 /// Prints a scene's rows; what doesn't hold.
 fn judge(scene: &str, found: &Tradeoff, base: &RenderOptions) -> Option<String> {
     let all: Vec<Row> = found.points.iter().filter_map(|p| row(found, p)).collect();
-    for preset in Preset::value_variants() {
+    for preset in Preset::ALL {
         let Some(own) = labelled(found, preset.name()) else {
             return Some(format!("{scene}: {} can't be rendered", preset.name()));
         };
@@ -109,19 +109,19 @@ fn judge(scene: &str, found: &Tradeoff, base: &RenderOptions) -> Option<String> 
             println!("{scene:<12}   by that and {} more", beating.count() - 1);
         }
     }
-    let rungs = rungs(base);
-    let of_rungs = all.iter().filter(|row| rungs.contains(&row.point.options));
-    let best = of_rungs.max_by(|a, b| a.db.total_cmp(&b.db));
+    let methods = methods(base);
+    let of_methods = all.iter().filter(|row| methods.contains(&row.point.options));
+    let best = of_methods.max_by(|a, b| a.db.total_cmp(&b.db));
     let (Some(best), Some(auto)) = (best, labelled(found, AUTO)) else {
-        return Some(format!("{scene}: auto, or every rung, can't be rendered"));
+        return Some(format!("{scene}: auto, or every method, can't be rendered"));
     };
     print(scene, AUTO, &auto);
-    print(scene, "best rung", best);
+    print(scene, "best method", best);
     println!("{scene:<12} planning {:>8.1} s", found.planning_s);
     let Beside { time, db, .. } = Beside::of(&auto, best);
     let holds = db >= -SLACK_DB && time <= AS_FAST;
     let sentence =
-        format!("{scene}: auto is {db:+.2} dB beside the best rungs, at {time:.2} of their time");
+        format!("{scene}: auto is {db:+.2} dB beside the best methods, at {time:.2} of their time");
     println!("{sentence}");
     (!holds).then_some(sentence)
 }
@@ -144,7 +144,7 @@ fn over_scenes(scenes: &[Tradeoff], preset: Preset) -> Vec<(String, Beside)> {
 /// Prints the presets over all scenes; what beats them.
 fn judge_all(scenes: &[Tradeoff]) -> Vec<String> {
     let mut wrong = Vec::new();
-    for preset in Preset::value_variants() {
+    for preset in Preset::ALL {
         let beside_best = |found: &Tradeoff| {
             let (own, best) = (labelled(found, preset.name())?, labelled(found, "best")?);
             Some(Beside::of(&own, &best))
@@ -197,7 +197,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         match argument.split_once('=') {
             Some(("--runs", n)) => options.runs = n.parse()?,
             Some(("--rounds", n)) => options.rounds = n.parse()?,
-            Some(("--clock", name)) => options.clock = Clock::from_str(name, false)?,
+            Some(("--clock", name)) => {
+                options.clock = Clock::from_name(name).ok_or("--clock: wall or cpu")?
+            }
             _ => folders.push(argument),
         }
     }

@@ -5,14 +5,15 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 use stlfr::capture::{Capture, CaptureError, Truth};
+use stlfr::method::Method;
 use stlfr::offset::{Estimate, OffsetMethod, OffsetOptions, Offsets, estimate};
 use stlfr::progress::Reporter;
-use stlfr::registration::RegistrationOptions;
+use stlfr::registration::{FrameStore, RegistrationOptions};
 
 /// A capture's offsets as the program estimates them unless told otherwise.
 pub fn by_default(capture: &Arc<Capture>) -> Result<Estimate, CaptureError> {
     let (options, registration) = (OffsetOptions::default(), RegistrationOptions::default());
-    estimate(capture, &options, &registration, &Reporter::silent())
+    estimate(&FrameStore::new(capture.clone(), &registration), &options, &Reporter::silent())
 }
 
 /// One camera's error, in frames and in its standard errors.
@@ -76,16 +77,16 @@ pub fn run(folders: &[String]) -> Result<(), Box<dyn std::error::Error>> {
         let capture = Arc::new(Capture::open(Path::new(folder))?);
         let truth = Truth::open(Path::new(folder))?.ok_or("has no truth")?;
         println!("{folder}: errors in frames");
-        for rung in [OffsetMethod::Pairwise, OffsetMethod::Joint, OffsetMethod::JointCurved] {
-            let options = OffsetOptions { rung, ..Default::default() };
+        for &method in OffsetMethod::ALL {
+            let options = OffsetOptions { method, ..Default::default() };
             let start = Instant::now();
-            let estimate =
-                estimate(&capture, &options, &RegistrationOptions::default(), &Reporter::silent())?;
+            let frames = FrameStore::new(capture.clone(), &RegistrationOptions::default());
+            let estimate = estimate(&frames, &options, &Reporter::silent())?;
             let seconds = start.elapsed().as_secs_f64();
             let (found, unknown) =
                 outcomes(&estimate.offsets, capture.frame_s(), |id| truth.offset_s(id));
             println!(
-                "  {rung:12?} {}; {unknown} unknown; {} pairs, {seconds:.2} s",
+                "  {method:12?} {}; {unknown} unknown; {} pairs, {seconds:.2} s",
                 summary(&found),
                 estimate.pairs.len()
             );
