@@ -23,7 +23,8 @@ fn plan_of(folder: &TempDir, options: &RenderOptions) -> (Plan, LightField) {
 
 /// Options that leave to the capture what can be left to it.
 fn auto() -> RenderOptions {
-    let mut options = auto();
+    let mut options = RenderOptions::default();
+    (options.auto.sync, options.auto.proxy) = (true, true);
     options
 }
 

@@ -10,7 +10,7 @@ use stlfr::host::process_cpu_s;
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::LightField;
 use stlfr::offset::{self, Offsets};
-use stlfr::options::{ProxyMethod, RenderOptions};
+use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::raster::Image;
 use stlfr::registration::{FrameStore, epipolar_test, temporal_flow};
