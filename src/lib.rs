@@ -1,21 +1,91 @@
 //! Space-time light field rendering (Wang, Sun, Yang, IEEE TVCG 13(4), 2007): the view from
-//! anywhere, at any instant, from the videos of cameras that are not synchronized.
+//! anywhere, at any instant, from the videos of calibrated cameras that are not synchronized.
+//!
+//! ```
+//! use std::sync::Arc;
+//! use stlfr::{capture::Capture, options::RenderOptions, pipeline, progress::Reporter};
+//! # use stlfr::raster::{BitDepth, Image, write_image};
+//! # let folder = tempfile::tempdir()?;
+//! # let mut cameras = Vec::new();
+//! # for c in 0..3 {
+//! #     let x_m = 0.06 * (c as f64 - 1.0);
+//! #     cameras.push(format!(r#"{{"id": "cam{c}", "frames": "cam{c}/%d.png", "width": 64, "height": 48,
+//! #         "model": "PINHOLE", "params": [64, 64, 32, 24], "clock": {{"rate_hz": 30, "first_s": 0, "shared": true}},
+//! #         "cam_from_world": {{"rotation_wxyz": [1, 0, 0, 0], "translation": [{}, 0, 0]}}}}"#, -x_m));
+//! #     // A textured wall, 2 m away, that moves by 2 pixels a frame.
+//! #     for frame in 0..4 {
+//! #         let value = |k: usize| {
+//! #             let (u, v) = ((k % 64) as f64 - 2.0 * frame as f64 + 32.0 * x_m, (k / 64) as f64);
+//! #             (0.5 + 0.2 * (0.8 * u).sin() * (0.7 * v).cos() + 0.2 * (0.31 * u + 0.53 * v).sin()) as f32
+//! #         };
+//! #         let image = Image::from_data(64, 48, 1, (0..64 * 48).map(value).collect());
+//! #         write_image(&folder.path().join(format!("cam{c}/{frame}.png")), &image, None, BitDepth::Eight)?;
+//! #     }
+//! # }
+//! # let text = format!(r#"{{"format": "stlfr-capture", "version": 1, "name": "wall", "cameras": [{}]}}"#, cameras.join(","));
+//! # std::fs::write(folder.path().join("capture.json"), text)?;
+//! # let folder = folder.path();
+//! let capture = Arc::new(Capture::open(folder)?);
+//! let options = RenderOptions::default();
+//! let field = pipeline::open_field(capture.clone(), &options, &Reporter::silent())?;
+//!
+//! let mut view = capture.cameras[1].camera.clone(); // any pinhole, anywhere:
+//! view.cam_from_world.translation.x -= 0.02; // 2 cm to the right of that camera,
+//! let rendered = field.view(&view, 0.05, &options.view())?; // halfway between two frames
+//! assert_eq!((rendered.image.width(), rendered.image.height()), (64, 48));
+//! # assert!(rendered.coverage.iter().filter(|c| **c).count() > 2000);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! # From the paper to the module
 //!
 //! | paper | module |
 //! |---|---|
 //! | the calibrated array, and all conventions | [`camera`] |
 //! | its videos, and a simulator's truth | [`capture`] |
 //! | §4 image registration | [`registration`] |
-//! | §7 temporal offsets | [`offset`] |
 //! | §5 temporal interpolation | [`interpolation`] |
 //! | §6 view synthesis | [`lumigraph`] |
-//! | Fig. 2, the whole pipeline | [`render`] |
+//! | §7 temporal offsets | [`offset`] |
+//! | Fig. 2, the whole pipeline | [`light_field`], opened by [`pipeline`] |
 //! | §8 results, beside the truth | [`compare`] |
 //!
-//! [`plan`] chooses the rungs that a capture requires, [`tradeoff`] measures what each costs and gives. Beside these: [`rig`] describes and generates simulated arrays, [`exchange`] reads and writes
-//! other programs' calibrations, [`raster`] holds images as the stages work on them, [`progress`]
-//! reports long work, [`chart`] draws charts, [`json`] reads files, [`video`] reads and writes video through an ffmpeg,
-//! [`random`] makes numbers that are the same everywhere.
+//! # Layers
+//!
+//! A module uses modules of earlier lines only. A test reads this list and every `use`.
+//!
+//! ```text
+//! host json method progress random
+//! raster
+//! camera video metrics chart
+//! capture rig
+//! exchange registration
+//! offset interpolation lumigraph
+//! options
+//! light_field
+//! plan
+//! pipeline
+//! compare
+//! tradeoff
+//! toolchain
+//! python
+//! ```
+//!
+//! | module | what |
+//! |---|---|
+//! | [`host`] | files written whole, child processes, clocks, bounded caches |
+//! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; numbers that are the same everywhere |
+//! | [`method`] | names of what a user chooses among |
+//! | [`raster`] | images as the stages work on them, and image files |
+//! | [`metrics`] | PSNR, SSIM, FLIP, the moving part |
+//! | [`video`] | video files, through ffmpeg |
+//! | [`chart`] | charts as SVG |
+//! | [`rig`] | simulated arrays: their description and their generator |
+//! | [`exchange`] | other programs' calibrations |
+//! | [`options`] | what decides an image besides the capture |
+//! | [`plan`] | the methods that a capture requires |
+//! | [`tradeoff`] | what each combination of methods costs and gives |
+//! | [`toolchain`] | the Python side: its environment, filming, the calibration check |
 //!
 //! # Conventions
 //!

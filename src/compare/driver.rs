@@ -53,7 +53,7 @@ pub fn compare(
         stlfr: env!("CARGO_PKG_VERSION"),
         capture: facts(capture, truth),
         options: options.clone(),
-        renderer: renderer.options().clone(),
+        renderer: serde_json::to_value(renderer.options()).unwrap_or_default(),
         headline: results::headline(options, &offsets, &found.sync, &found.views),
         offsets,
         sync: found.sync,

@@ -3,7 +3,7 @@
 use super::CompareOptions;
 use crate::interpolation::SyncMethod;
 use crate::metrics::{RegionScores, median};
-use crate::options::{ProxyMethod, RenderOptions};
+use crate::options::ProxyMethod;
 use serde::Serialize;
 
 /// `metrics.json`: every number but the times that the work took, so that two runs write the same
@@ -17,7 +17,7 @@ pub struct Metrics {
     pub capture: CaptureFacts,
     pub options: CompareOptions,
     /// The options of the stages.
-    pub renderer: RenderOptions,
+    pub renderer: serde_json::Value,
     pub headline: Headline,
     pub offsets: Vec<OffsetResult>,
     pub sync: Vec<SyncResult>,
