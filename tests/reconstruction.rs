@@ -119,7 +119,7 @@ fn offsets_images_and_views_are_near_the_truth() {
     }
 
     let headline = &found["headline"];
-    assert_eq!(headline["left_out"], 0);
+    assert_eq!(headline["missing_images"], 0);
     assert_eq!(headline["sync"]["images"], 8);
     let gain_db = headline["sync"]["median_gain_db"].as_f64().unwrap();
     assert!(gain_db >= 3.0, "synchronized images: {gain_db} dB over the nearest frame");

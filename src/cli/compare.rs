@@ -165,8 +165,11 @@ fn lines(headline: &Headline) -> Vec<String> {
             shown(view.gap_moving_db, "dB", 2),
         )
     }));
-    if headline.left_out > 0 {
-        lines.push(format!("left out {} times; the report says what and why", headline.left_out));
+    if headline.missing_images > 0 {
+        lines.push(format!(
+            "{} images could not be made; the report says which and why",
+            headline.missing_images
+        ));
     }
     lines
 }

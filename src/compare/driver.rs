@@ -1,6 +1,6 @@
 //! The driver: every instant of the truth, then the folder's files.
 
-use super::results::{self, CaptureFacts, Metrics, OffsetResult};
+use super::results::{CaptureFacts, Metrics, OffsetResult, headline};
 use super::stage_times::StageTimes;
 use super::{
     CompareError, CompareOptions, Renderer, Summary, instant, report, review, truths, video,
@@ -38,10 +38,11 @@ pub fn compare(
 
     let mut stages = StageTimes(renderer.timings());
     let task = reporter.task("Comparing with the truth", truth.views.len());
-    let mut found = instant::Found::default();
-    let work = instant::Work { renderer, truth, options, out, methods: &options.methods() };
+    let mut results = instant::Results::default();
+    let methods = &options.methods();
+    let comparison = instant::Comparison { renderer, truth, options, out, methods };
     for instant in &instants {
-        work.compare(instant, &mut found, &mut stages)?;
+        comparison.compare(instant, &mut results, &mut stages)?;
         task.advance(instant.views.len());
     }
     drop(task);
@@ -54,10 +55,10 @@ pub fn compare(
         capture: facts(capture, truth),
         options: options.clone(),
         renderer: serde_json::to_value(renderer.options()).unwrap_or_default(),
-        headline: results::headline(options, &offsets, &found.sync, &found.views),
+        headline: headline(options, &offsets, &results.sync, &results.views),
         offsets,
-        sync: found.sync,
-        views: found.views,
+        sync: results.sync,
+        views: results.views,
     };
     let write_failed = |path: &Path| {
         let path = path.to_owned();
@@ -68,8 +69,8 @@ pub fn compare(
     let video = match (encoder, &options.video) {
         (Some(encoder), Some(video_options)) => stages
             .time("video", || {
-                let plan = video::Plan::new(renderer, Some(truth), video_options)?;
-                plan.write(renderer, options.sync, &encoder, out, reporter)
+                let plan = video::Plan::new(renderer, options.sync, Some(truth), video_options)?;
+                plan.write(&encoder, out, reporter)
             })
             .map(Some),
         _ => Ok(None),
@@ -79,7 +80,7 @@ pub fn compare(
     write_json(&path, &json!({ "stages": stages.0 })).map_err(write_failed(&path))?;
     let written = video.as_ref().ok().and_then(Option::as_ref);
     let video_path = written.map(|m| m.path.as_path());
-    let html = report::html(&metrics, &stages.0, &found.figures, video_path)?;
+    let html = report::html(&metrics, &stages.0, &results.figures, video_path)?;
     let report = out.join("report.html");
     write_atomically(&report, html.as_bytes()).map_err(write_failed(&report))?;
     let review = out.join(review::FILE);

@@ -11,13 +11,12 @@ use crate::capture::Truth;
 use crate::interpolation::SyncMethod;
 use crate::method::Method;
 use crate::metrics::{Reference, RegionScores};
-use crate::raster::Image;
-use crate::raster::{BitDepth, write_image};
+use crate::raster::{BitDepth, Image, write_image};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// What all instants share.
-pub(super) struct Work<'a> {
+/// What the comparisons of all instants share.
+pub(super) struct Comparison<'a> {
     pub renderer: &'a dyn Renderer,
     pub truth: &'a Truth,
     pub options: &'a CompareOptions,
@@ -26,9 +25,9 @@ pub(super) struct Work<'a> {
     pub methods: &'a [SyncMethod],
 }
 
-/// What was found so far.
+/// The results of the instants so far.
 #[derive(Default)]
-pub(super) struct Found {
+pub(super) struct Results {
     pub sync: Vec<SyncResult>,
     pub views: Vec<ViewResult>,
     /// The pictures of the report, and how many of them are of filming cameras and of views.
@@ -37,19 +36,26 @@ pub(super) struct Found {
     pub view_figures: usize,
 }
 
-/// An image or the sentence that says why there is none.
-pub(super) type Made = Result<Image, String>;
+/// What images are measured against: one true image of an instant.
+pub(super) struct Target<'a> {
+    pub instant: &'a TrueInstant,
+    pub view: &'a TrueView,
+    pub truth: &'a TrueImage,
+}
+
+/// An image, or the sentence that says why there is none.
+pub(super) type ImageOrReason = Result<Image, String>;
 
 const RENDERING: &str = "synchronized images";
 const BLENDING: &str = "views";
 const MEASURING: &str = "truth, metrics, sheets and files";
 
-impl Work<'_> {
+impl Comparison<'_> {
     /// Compares everything that the truth has of one instant.
     pub fn compare(
         &self,
         instant: &TrueInstant,
-        found: &mut Found,
+        results: &mut Results,
         stages: &mut StageTimes,
     ) -> Result<(), CompareError> {
         let capture = self.renderer.capture();
@@ -58,40 +64,42 @@ impl Work<'_> {
             .time(MEASURING, || instant.views.par_iter().map(read).collect::<Result<_, _>>())?;
         let images = stages.time(RENDERING, || self.synchronize(instant));
 
-        let (like, free): (Vec<_>, Vec<_>) =
-            instant.views.iter().zip(&truths).partition(|(view, _)| view.like.is_some());
-        let most_moving = like.iter().map(|(_, truth)| truth.moving_pixels()).max();
-        let shown = like.iter().position(|(_, t)| Some(t.moving_pixels()) == most_moving);
-        let shown = shown.filter(|_| found.sync_figures < self.options.report_views);
+        let targets =
+            instant.views.iter().zip(&truths).map(|(view, truth)| Target { instant, view, truth });
+        let (filmed, free): (Vec<_>, Vec<_>) = targets.partition(|t| t.view.like.is_some());
+        let most_moving = filmed.iter().map(|t| t.truth.moving_pixels()).max();
+        let in_report = filmed
+            .iter()
+            .position(|t| Some(t.truth.moving_pixels()) == most_moving)
+            .filter(|_| results.sync_figures < self.options.report_views);
         let measured: Vec<_> = stages.time(MEASURING, || {
-            like.par_iter()
+            filmed
+                .par_iter()
                 .enumerate()
-                .map(|(k, (view, truth))| {
-                    self.measure_sync(instant, view, truth, &images, Some(k) == shown)
-                })
+                .map(|(k, target)| self.measure_sync(target, &images, Some(k) == in_report))
                 .collect::<Result<_, _>>()
         })?;
         for (rows, figure) in measured {
-            found.sync.extend(rows);
-            found.sync_figures += usize::from(figure.is_some());
-            found.figures.extend(figure);
+            results.sync.extend(rows);
+            results.sync_figures += usize::from(figure.is_some());
+            results.figures.extend(figure);
         }
 
-        for (view, truth) in free {
-            let blends = stages.time(BLENDING, || self.blend(instant, view, &truths, &images));
-            let shown = found.view_figures < self.options.report_views;
-            let (rows, figure) = stages
-                .time(MEASURING, || self.measure_view(instant, view, truth, blends, shown))?;
-            found.views.extend(rows);
-            found.view_figures += usize::from(figure.is_some());
-            found.figures.extend(figure);
+        for target in free {
+            let blends = stages.time(BLENDING, || self.blend(&target, &truths, &images));
+            let in_report = results.view_figures < self.options.report_views;
+            let (rows, figure) =
+                stages.time(MEASURING, || self.measure_view(&target, &blends, in_report))?;
+            results.views.extend(rows);
+            results.view_figures += usize::from(figure.is_some());
+            results.figures.extend(figure);
         }
         Ok(())
     }
 
     /// `[method][camera]`: all cameras where a view is blended from them, else those that the truth
     /// has an image of.
-    fn synchronize(&self, instant: &TrueInstant) -> Vec<Vec<Made>> {
+    fn synchronize(&self, instant: &TrueInstant) -> Vec<Vec<ImageOrReason>> {
         let blends = instant.views.iter().any(|v| v.like.is_none());
         let cameras = self.renderer.capture().cameras.len();
         let one = |method: SyncMethod, camera: usize| {
@@ -106,65 +114,67 @@ impl Work<'_> {
         self.methods.iter().map(|&m| (0..cameras).map(|c| one(m, c)).collect()).collect()
     }
 
-    /// All sync methods of one filming camera, and if it is to be `shown` the report's pictures of it.
+    /// All sync methods of one filming camera; with the report's pictures if it is `in_report`.
     fn measure_sync(
         &self,
-        instant: &TrueInstant,
-        view: &TrueView,
-        truth: &TrueImage,
-        images: &[Vec<Made>],
-        shown: bool,
+        target: &Target,
+        images: &[Vec<ImageOrReason>],
+        in_report: bool,
     ) -> Result<(Vec<SyncResult>, Option<Figure>), CompareError> {
+        let Target { instant, view, truth } = target;
         let capture = self.renderer.capture();
-        let (camera, depth) = (view.like.unwrap_or_default(), capture.bit_depth());
-        let id = &self.truth.views[view.index].id;
+        let camera = view.like.unwrap_or_default();
+        let id = &capture.cameras[camera].id;
         let reference = Reference::new(truth.image.clone(), self.options.pixels_per_degree);
         let mut rows = Vec::new();
-        let mut written = Vec::new();
-        for (&method, of_method) in self.methods.iter().zip(images) {
-            let made = self.checked(&of_method[camera], &truth.image, depth);
-            let scores =
-                made.as_ref().ok().map(|i| reference.compare(i).regions(None, &truth.moving));
-            let image = match &made {
-                Ok(image) => {
-                    let name = format!("images/{}/{}.png", view.stem, method.name());
-                    write_image(&self.out.join(&name), image, None, depth)?;
-                    Some(name)
-                }
+        let mut as_written = Vec::new();
+        for (&method, by_method) in self.methods.iter().zip(images) {
+            let image = self.checked(&by_method[camera], &truth.image);
+            let file = match &image {
+                Ok(image) => Some(self.write(target, method.name(), image, None)?),
                 Err(_) => None,
             };
+            let scores = |image: &Image| reference.compare(image).regions(None, &truth.moving);
             rows.push(SyncResult {
-                view: id.clone(),
-                camera: capture.cameras[camera].id.clone(),
+                view: self.truth.views[view.index].id.clone(),
+                camera: id.clone(),
                 time_s: instant.time_s,
                 method,
-                scores,
-                image,
-                reason: made.as_ref().err().cloned(),
+                scores: image.as_ref().ok().map(scores),
+                image: file,
+                reason: image.as_ref().err().cloned(),
             });
-            written.push(made);
+            as_written.push(image);
         }
-        let name = format!("images/{}/truth.png", view.stem);
-        write_image(&self.out.join(name), &truth.image, None, depth)?;
-        let panels: Vec<Shown> = self
-            .methods
+        self.write(target, "truth", &truth.image, None)?;
+        let shown: Vec<Shown> = as_written
             .iter()
-            .zip(&written)
             .zip(&rows)
-            .map(|((method, made), row)| Shown {
-                title: method.name().to_owned(),
-                made: made.as_ref(),
+            .map(|(image, row)| Shown {
+                title: row.method.name().to_owned(),
+                image: image.as_ref(),
                 scores: row.scores,
             })
             .collect();
-        let title = format!(
-            "{}: {} at {:.4} s, synchronized",
-            capture.name, capture.cameras[camera].id, instant.time_s
-        );
-        self.write_sheet(&title, &view.stem, truth, &panels)?;
-        let title = format!("Camera {} at {:.4} s", capture.cameras[camera].id, instant.time_s);
-        let figure = shown.then(|| figure(title, false, truth, &panels));
+        let title = format!("{}: {id} at {:.4} s, synchronized", capture.name, instant.time_s);
+        self.write_sheet(&title, &view.stem, truth, &shown)?;
+        let title = format!("Camera {id} at {:.4} s", instant.time_s);
+        let figure = in_report.then(|| figure(title, false, truth, &shown));
         Ok((rows, figure))
+    }
+
+    /// Writes an image of a target in the input's bit depth; its name relative to the folder.
+    pub(super) fn write(
+        &self,
+        target: &Target,
+        name: &str,
+        image: &Image,
+        coverage: Option<&[bool]>,
+    ) -> Result<String, CompareError> {
+        let name = format!("images/{}/{name}.png", target.view.stem);
+        let depth = self.renderer.capture().bit_depth();
+        write_image(&self.out.join(&name), image, coverage, depth)?;
+        Ok(name)
     }
 
     pub(super) fn write_sheet(
@@ -178,9 +188,9 @@ impl Work<'_> {
             .iter()
             .map(|s| Panel {
                 title: &s.title,
-                image: s.made.ok(),
+                image: s.image.ok(),
                 scores: s.scores.as_ref(),
-                note: s.made.err().map_or("", String::as_str),
+                note: s.image.err().map_or("", String::as_str),
             })
             .collect();
         let sheet = Sheet {
@@ -195,8 +205,8 @@ impl Work<'_> {
     }
 
     /// An image as its file holds it, if it has the truth's size.
-    pub(super) fn checked(&self, made: &Made, truth: &Image, depth: BitDepth) -> Made {
-        let image = made.as_ref().map_err(Clone::clone)?;
+    pub(super) fn checked(&self, image: &ImageOrReason, truth: &Image) -> ImageOrReason {
+        let image = image.as_ref().map_err(Clone::clone)?;
         if (image.width(), image.height()) != (truth.width(), truth.height()) {
             return Err(format!(
                 "is {}×{} pixels, the truth {}×{}",
@@ -206,21 +216,21 @@ impl Work<'_> {
                 truth.height()
             ));
         }
-        Ok(as_written(image, truth.channels(), depth))
+        Ok(as_written(image, truth.channels(), self.renderer.capture().bit_depth()))
     }
 }
 
 /// A result as sheets and figures show it.
 pub(super) struct Shown<'a> {
     pub title: String,
-    pub made: Result<&'a Image, &'a String>,
+    pub image: Result<&'a Image, &'a String>,
     pub scores: Option<RegionScores>,
 }
 
-/// The truth and what the methods made, for the report.
+/// The truth and the methods' images, for the report.
 pub(super) fn figure(title: String, is_view: bool, truth: &TrueImage, shown: &[Shown]) -> Figure {
     let mut pictures = vec![Picture::new("Truth", &truth.image, None)];
     pictures
-        .extend(shown.iter().filter_map(|s| Some(Picture::new(&s.title, s.made.ok()?, s.scores))));
+        .extend(shown.iter().filter_map(|s| Some(Picture::new(&s.title, s.image.ok()?, s.scores))));
     Figure { title, is_view, pictures }
 }

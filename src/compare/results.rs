@@ -48,7 +48,7 @@ pub struct Headline {
     pub sync: SyncHeadline,
     pub views: Vec<ViewHeadline>,
     /// How many times a camera had no synchronized image for a view, or a view no image at all.
-    pub left_out: usize,
+    pub missing_images: usize,
 }
 
 /// Errors of the estimated offsets against the truth, in frames.
@@ -152,10 +152,10 @@ pub struct ViewResult {
     pub time_s: f64,
     pub proxy: ProxyMethod,
     pub method: ViewMethod,
-    /// Cameras that gave an image, and those left out.
+    /// How many cameras gave an image, and which did not.
     pub cameras: usize,
-    pub left_out: Vec<LeftOut>,
-    /// Share of the view's pixels that were measured: those that every method covers.
+    pub excluded: Vec<ExcludedCamera>,
+    /// Fraction of the view's pixels that were measured: those that every method covers.
     pub measured: Option<f64>,
     pub scores: Option<RegionScores>,
     pub image: Option<String>,
@@ -164,7 +164,7 @@ pub struct ViewResult {
 
 /// A camera that gave no image.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct LeftOut {
+pub struct ExcludedCamera {
     pub camera: String,
     pub reason: String,
 }
@@ -186,7 +186,7 @@ pub(super) fn headline(
     let own: Vec<_> = offsets.iter().filter(|o| !o.shares_clock).collect();
     let errors: Vec<f64> = own.iter().filter_map(|o| o.error_frames.map(f64::abs)).collect();
     let gains = sync_gains(options, sync);
-    let cameras_out: usize = views.iter().map(|v| v.left_out.len()).sum();
+    let cameras_out: usize = views.iter().map(|v| v.excluded.len()).sum();
     let images_out = sync.iter().filter(|s| s.scores.is_none()).count()
         + views.iter().filter(|v| v.scores.is_none()).count();
     Headline {
@@ -203,7 +203,7 @@ pub(super) fn headline(
             median_gain_db: median(gains),
         },
         views: view_headlines(views),
-        left_out: cameras_out + images_out,
+        missing_images: cameras_out + images_out,
     }
 }
 

@@ -52,8 +52,8 @@ struct Panel {
 }
 
 /// New views, the filming cameras' images, and the video.
-pub(super) fn layout(metrics: &Metrics, made: Option<&video::Made>) -> Layout {
-    let mut reels: Vec<Reel> = made.map(movie_reel).into_iter().collect();
+pub(super) fn layout(metrics: &Metrics, video: Option<&video::Written>) -> Layout {
+    let mut reels: Vec<Reel> = video.map(movie_reel).into_iter().collect();
     for (name, shots) in [("Views", view_shots(metrics)), ("Cameras", camera_shots(metrics))] {
         if !shots.is_empty() {
             reels.push(Reel { name, rate_hz: STILL_RATE_HZ, shots });
@@ -68,20 +68,20 @@ pub(super) fn layout(metrics: &Metrics, made: Option<&video::Made>) -> Layout {
     }
 }
 
-fn movie_reel(made: &video::Made) -> Reel {
-    let file = |slug: &str| made.movies.iter().find(|m| m.slug == slug).map(|m| m.file.clone());
+fn movie_reel(video: &video::Written) -> Reel {
+    let file = |slug: &str| video.movies.iter().find(|m| m.slug == slug).map(|m| m.file.clone());
     let panel = |method: ViewMethod| {
         Some(Panel { title: method.title().into(), file: file(method.slug())? })
     };
     let shot = Shot {
-        label: made.view.clone(),
-        frames: made.frames,
+        label: video.view.clone(),
+        frames: video.frames,
         is_movie: true,
         truth: file("truth"),
         traditional: panel(ViewMethod::TraditionalLfr),
         space_time: panel(ViewMethod::StLfr),
     };
-    Reel { name: "Video", rate_hz: made.rate_hz, shots: vec![shot] }
+    Reel { name: "Video", rate_hz: video.rate_hz, shots: vec![shot] }
 }
 
 /// The truth's picture lies beside what was made of it.

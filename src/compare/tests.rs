@@ -204,7 +204,7 @@ fn known_errors_give_the_known_numbers() {
     near(&m["headline"]["views"][1]["gain_moving_db"], 20.0);
     near(&m["headline"]["offset"]["worst_frames"], 0.0025 * 8.0);
     assert!(m["offsets"][1]["std_err_s"].is_null());
-    assert_eq!(m["headline"]["left_out"], 0);
+    assert_eq!(m["headline"]["missing_images"], 0);
     assert_eq!(summary.report, set.out().join("report.html"));
     for file in ["timings.json", "report.html", "sheets/t0-a.png", "sheets/t0-new-mesh.png"] {
         assert!(set.out().join(file).is_file(), "{file}");
@@ -239,16 +239,16 @@ fn bytes_do_not_depend_on_the_thread_count() {
 }
 
 #[test]
-fn a_camera_without_an_image_is_left_out_and_counted() {
+fn a_camera_without_an_image_is_excluded_and_counted() {
     let mut set = Set::new(|_| ());
     set.fake.broken = Some(1);
     set.compare(&CompareOptions::default()).unwrap();
     let m = set.metrics();
     let st = m["views"].as_array().unwrap().iter().find(|v| v["method"] == "st-lfr").unwrap();
-    assert_eq!((&st["cameras"], &st["left_out"][0]["camera"]), (&json!(1), &json!(EVIL)));
+    assert_eq!((&st["cameras"], &st["excluded"][0]["camera"]), (&json!(1), &json!(EVIL)));
     let lost = m["sync"].as_array().unwrap().iter().find(|s| s["scores"].is_null()).unwrap();
     assert_eq!(lost["reason"], "it has no frame <there>");
-    assert_eq!(m["headline"]["left_out"], 3, "one camera image, and it in two proxies");
+    assert_eq!(m["headline"]["missing_images"], 3, "one camera image, and it in two proxies");
 }
 
 #[test]

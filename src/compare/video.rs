@@ -5,7 +5,7 @@ use super::results::ViewMethod;
 use super::sheet::strip;
 use super::{Renderer, TRADITIONAL};
 use crate::camera::Camera;
-use crate::capture::{Truth, TruthError};
+use crate::capture::{Capture, Truth, TruthError, TruthVideo};
 use crate::interpolation::SyncMethod;
 use crate::options::ProxyMethod;
 use crate::progress::Reporter;
@@ -61,111 +61,77 @@ pub struct Encoder {
 }
 
 /// What is shown, and when.
-pub struct Plan {
-    target: Camera,
-    /// Seconds from the capture's start.
-    times_s: Vec<f64>,
-    /// The times as the reader knows them minus `times_s`.
-    origin_s: f64,
-    /// One true image a time, or none at all.
-    truth: Vec<PathBuf>,
-    view: String,
+pub struct Plan<'a> {
+    renderer: &'a dyn Renderer,
+    /// The sync method of ST-LFR.
+    sync: SyncMethod,
+    shots: Shots,
     rate_hz: f64,
 }
 
-impl Plan {
+/// One view at several times.
+struct Shots {
+    target: Camera,
+    /// Seconds from the capture's start.
+    times_s: Vec<f64>,
+    /// One true image a time, or none at all.
+    truth: Vec<PathBuf>,
+    view: String,
+}
+
+impl<'a> Plan<'a> {
     /// The truth's video if it has one; else its first new view, or the reference camera's place,
     /// over the span that all cameras cover.
     pub fn new(
-        renderer: &dyn Renderer,
+        renderer: &'a dyn Renderer,
+        sync: SyncMethod,
         truth: Option<&Truth>,
         options: &VideoOptions,
     ) -> Result<Self, VideoError> {
-        let (rate_hz, frames) = (options.rate_hz, options.frames);
+        let rate_hz = options.rate_hz;
         if !(rate_hz.is_finite() && rate_hz > 0.0) {
-            return Err(VideoError::Option {
-                field: "rate_hz",
-                value: rate_hz,
-                wanted: "positive",
-            });
+            let wanted = "positive";
+            return Err(VideoError::Option { field: "rate_hz", value: rate_hz, wanted });
         }
-        if frames == 0 {
+        if options.frames == 0 {
             return Err(VideoError::Option { field: "frames", value: 0.0, wanted: "1 or more" });
         }
-        let capture = renderer.capture();
-        let origin_s = capture.time_origin_s;
-        if let Some((truth, video)) = truth.and_then(|t| Some((t, t.video.as_ref()?))) {
-            if video.times_s.is_empty() || video.times_s.iter().any(|t| !t.is_finite()) {
-                let reason = "times_s must hold finite times, at least one".to_owned();
-                return Err(VideoError::Field { reason });
-            }
-            let files = (0..video.times_s.len())
-                .map(|k| {
-                    let name = numbered(&video.images, k).ok_or_else(|| VideoError::Field {
-                        reason: "images is not a sequence such as video/%04d.png".into(),
-                    })?;
-                    Ok(truth.file(&name)?)
-                })
-                .collect::<Result<_, VideoError>>()?;
-            return Ok(Self {
-                target: video
-                    .camera
-                    .camera()
-                    .map_err(|e| VideoError::Field { reason: format!("camera.{e}") })?,
-                times_s: video.times_s.iter().map(|t| t - origin_s).collect(),
-                origin_s,
-                truth: files,
-                view: video.view.clone(),
-                rate_hz,
-            });
-        }
-        let (first_s, last_s) = renderer.covered_span_s().ok_or(VideoError::NoSpan)?;
-        let step_s = (last_s - first_s) / frames.saturating_sub(1).max(1) as f64;
-        let free = truth.and_then(|t| t.views.iter().find(|v| v.like.is_none()));
-        let camera = free.and_then(|v| Some((v.camera().ok()?, v.id.clone())));
-        let reference = &capture.cameras[capture.reference];
-        let (target, view) =
-            camera.unwrap_or_else(|| (reference.camera.clone(), reference.id.clone()));
-        Ok(Self {
-            target,
-            times_s: (0..frames).map(|k| first_s + step_s * k as f64).collect(),
-            origin_s,
-            truth: Vec::new(),
-            view,
-            rate_hz,
-        })
+        let shots = match truth.and_then(|t| Some((t, t.video.as_ref()?))) {
+            Some((truth, video)) => Shots::of_truth(renderer.capture(), truth, video)?,
+            None => Shots::spanning(renderer, truth, options.frames)?,
+        };
+        Ok(Self { renderer, sync, shots, rate_hz })
     }
 
     /// Renders, and encodes into the folder `out`. Views go through the most accurate proxy.
     pub fn write(
         &self,
-        renderer: &dyn Renderer,
-        sync: SyncMethod,
         encoder: &Encoder,
         out: &Path,
         reporter: &Reporter,
-    ) -> Result<Made, VideoError> {
+    ) -> Result<Written, VideoError> {
         let path = out.join("review").with_extension(encoder.codec.suffix());
         let create = |path: &Path, like: &Image, depth, codec| {
             let format = VideoFormat { depth, rate_hz: self.rate_hz, codec };
             VideoWriter::create(&encoder.ffmpeg, path, like, format)
         };
-        let task = reporter.task("Review video", self.times_s.len());
-        let mut movies: Vec<(Movie, VideoWriter)> = Vec::new();
+        let count = self.shots.times_s.len();
+        let task = reporter.task("Review video", count);
+        let mut writers: Vec<(Movie, VideoWriter)> = Vec::new();
         let mut side_by_side: Option<VideoWriter> = None;
-        for k in 0..self.times_s.len() {
-            let panels = self.panels(renderer, sync, k)?;
+        for k in 0..count {
+            let panels = self.panels(k)?;
             let strip = self.strip(k, &panels);
             if k == 0 {
                 for panel in &panels {
                     let file = format!("video/{}.mkv", panel.slug);
-                    let depth = renderer.capture().bit_depth();
+                    let depth = self.renderer.capture().bit_depth();
                     let writer = create(&out.join(&file), &panel.image, depth, Codec::Ffv1)?;
-                    movies.push((Movie { slug: panel.slug, file }, writer));
+                    writers.push((Movie { slug: panel.slug, file }, writer));
                 }
                 side_by_side = Some(create(&path, &strip, BitDepth::Eight, encoder.codec)?);
             }
-            for ((_, writer), panel) in movies.iter_mut().zip(&panels) {
+            for ((_, writer), panel) in writers.iter_mut().zip(&panels) {
                 writer.push(&panel.image)?;
             }
             if let Some(writer) = &mut side_by_side {
@@ -173,35 +139,26 @@ impl Plan {
             }
             task.advance(1);
         }
-        let mut made = Vec::new();
-        for (movie, writer) in movies {
+        let mut movies = Vec::new();
+        for (movie, writer) in writers {
             writer.finish()?;
-            made.push(movie);
+            movies.push(movie);
         }
         side_by_side.map_or(Ok(()), VideoWriter::finish)?;
-        Ok(Made {
-            path,
-            view: self.view.clone(),
-            size_px: (self.target.width, self.target.height),
-            frames: self.times_s.len(),
-            rate_hz: self.rate_hz,
-            movies: made,
-        })
+        let size_px = (self.shots.target.width, self.shots.target.height);
+        let view = self.shots.view.clone();
+        Ok(Written { path, view, size_px, frames: count, rate_hz: self.rate_hz, movies })
     }
 
     /// The truth, if there is any, and what the methods make of one time.
-    fn panels(
-        &self,
-        renderer: &dyn Renderer,
-        sync: SyncMethod,
-        k: usize,
-    ) -> Result<Vec<Panel>, VideoError> {
-        let time_s = self.times_s[k];
-        let size = (self.target.width, self.target.height);
+    fn panels(&self, k: usize) -> Result<Vec<Panel>, VideoError> {
+        let (renderer, shots) = (self.renderer, &self.shots);
+        let time_s = shots.times_s[k];
+        let size = (shots.target.width, shots.target.height);
         let dark = || Image::filled(size.0, size.1, 3, 0.0);
         let fits = |image: &Image| (image.width(), image.height()) == size;
         let mut panels = Vec::new();
-        if let Some(path) = self.truth.get(k) {
+        if let Some(path) = shots.truth.get(k) {
             let (image, _) = read_image(path)?;
             if !fits(&image) {
                 let reason = format!(
@@ -216,12 +173,13 @@ impl Plan {
             }
             panels.push(Panel { slug: "truth", title: "Truth".into(), image: image.to_rgb() });
         }
-        for (method, sync) in [(ViewMethod::TraditionalLfr, TRADITIONAL), (ViewMethod::StLfr, sync)]
+        for (method, sync) in
+            [(ViewMethod::TraditionalLfr, TRADITIONAL), (ViewMethod::StLfr, self.sync)]
         {
             let cameras = renderer.capture().cameras.len();
             let images: Vec<Option<Image>> =
                 (0..cameras).map(|c| renderer.synchronized(sync, c, time_s).ok()).collect();
-            let view = renderer.view(&images, BEST_PROXY, &self.target, time_s);
+            let view = renderer.view(&images, BEST_PROXY, &shots.target, time_s);
             let view = view.ok().map(|v| v.image.to_rgb()).filter(fits);
             let none = if view.is_some() { "" } else { ": no image" };
             panels.push(Panel {
@@ -234,10 +192,52 @@ impl Plan {
     }
 
     fn strip(&self, k: usize, panels: &[Panel]) -> Image {
-        let heading = format!("{}   {:8.4} s", self.view, self.times_s[k] + self.origin_s);
+        let origin_s = self.renderer.capture().time_origin_s;
+        let time_s = self.shots.times_s[k] + origin_s;
+        let heading = format!("{}   {time_s:8.4} s", self.shots.view);
         let panels: Vec<(&str, &Image)> =
             panels.iter().map(|p| (p.title.as_str(), &p.image)).collect();
         strip(&heading, &panels)
+    }
+}
+
+impl Shots {
+    /// The times and the images of the truth's own video.
+    fn of_truth(capture: &Capture, truth: &Truth, video: &TruthVideo) -> Result<Self, VideoError> {
+        let wrong = |reason: String| VideoError::Field { reason };
+        if video.times_s.is_empty() || video.times_s.iter().any(|t| !t.is_finite()) {
+            return Err(wrong("times_s must hold finite times, at least one".to_owned()));
+        }
+        let file = |k: usize| {
+            let name = numbered(&video.images, k).ok_or_else(|| {
+                wrong("images is not a sequence such as video/%04d.png".to_owned())
+            })?;
+            Ok(truth.file(&name)?)
+        };
+        Ok(Self {
+            target: video.camera.camera().map_err(|e| wrong(format!("camera.{e}")))?,
+            times_s: video.times_s.iter().map(|t| t - capture.time_origin_s).collect(),
+            truth: (0..video.times_s.len()).map(file).collect::<Result<_, VideoError>>()?,
+            view: video.view.clone(),
+        })
+    }
+
+    /// Times spread evenly over the span that all cameras cover, without true images.
+    fn spanning(
+        renderer: &dyn Renderer,
+        truth: Option<&Truth>,
+        frames: usize,
+    ) -> Result<Self, VideoError> {
+        let capture = renderer.capture();
+        let (first_s, last_s) = renderer.covered_span_s().ok_or(VideoError::NoSpan)?;
+        let step_s = (last_s - first_s) / frames.saturating_sub(1).max(1) as f64;
+        let free = truth.and_then(|t| t.views.iter().find(|v| v.like.is_none()));
+        let camera = free.and_then(|v| Some((v.camera().ok()?, v.id.clone())));
+        let reference = &capture.cameras[capture.reference];
+        let (target, view) =
+            camera.unwrap_or_else(|| (reference.camera.clone(), reference.id.clone()));
+        let times_s = (0..frames).map(|k| first_s + step_s * k as f64).collect();
+        Ok(Self { target, times_s, truth: Vec::new(), view })
     }
 }
 
@@ -248,8 +248,8 @@ struct Panel {
     image: Image,
 }
 
-/// The files that [`Plan::write`] made.
-pub struct Made {
+/// The files that [`Plan::write`] wrote.
+pub struct Written {
     /// All side by side.
     pub path: PathBuf,
     pub view: String,

@@ -61,6 +61,14 @@ struct Feature {
     at_instant: Point2<f64>,
 }
 
+/// The features of a frame, to be found in another camera.
+struct Features<'a> {
+    frame: &'a Frame,
+    features: &'a [Feature],
+    /// Their expected displacements between the cameras at the instant; 0 where nothing is known.
+    disparities: &'a [Vector2<f64>],
+}
+
 /// A camera's frames around an instant.
 struct Around {
     /// The frame that is nearer in time, and the other one: the same where nothing moves between them.
@@ -134,7 +142,8 @@ impl LightField {
                     .unwrap_or_else(Vector2::zeros)
             };
             let disparities: Vec<_> = (0..features.len()).map(disparity).collect();
-            let matched = self.matched(partner, &frame, &features, &disparities, instant)?;
+            let wanted = Features { frame: &frame, features: &features, disparities: &disparities };
+            let matched = self.matched(partner, &wanted, instant)?;
             for ((feature, p), observations) in features.iter().zip(matched).zip(&mut seen) {
                 let Some(p) = p else { continue };
                 let off_line = own
@@ -199,17 +208,15 @@ impl LightField {
         Ok((frame, features))
     }
 
-    /// Where features of another camera's frame `source` are in this camera at the instant, pixels:
-    /// matched to this camera's nearer frame, followed to its other one, and interpolated between
-    /// the two. `disparities` are expected displacements at the instant, 0 where nothing is known.
+    /// Where features of another camera's frame are in this camera at the instant, pixels: matched
+    /// to this camera's nearer frame, followed to its other one, and interpolated between the two.
     fn matched(
         &self,
         camera: usize,
-        source: &Frame,
-        features: &[Feature],
-        disparities: &[Vector2<f64>],
+        wanted: &Features,
         instant: Instant,
     ) -> Result<Vec<Option<Point2<f64>>>, RenderError> {
+        let Features { frame: source, features, disparities } = *wanted;
         let registration = self.frames.options();
         let Around { near, far } = self.around(camera, instant)?;
         let near_frame = self.frames.get(camera, near)?;

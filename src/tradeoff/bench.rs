@@ -2,7 +2,7 @@
 //! prepared for them.
 
 use super::store::{CachedPoint, Planned, Prepared, Store};
-use super::targets::{Against, Target, Timed};
+use super::targets::{Against, Target, TargetView};
 use super::{Clock, TradeoffError};
 use crate::capture::Capture;
 use crate::host::{Elapsed, Stopwatch};
@@ -20,7 +20,8 @@ pub(super) struct Bench<'a> {
     pub capture: &'a Arc<Capture>,
     pub store: Store,
     pub targets: Vec<Target>,
-    pub timed: Timed,
+    /// The view that is timed.
+    pub timed: TargetView,
     pub runs: usize,
     pub clock: Clock,
     pub reporter: &'a Reporter,

@@ -48,9 +48,9 @@ pub(super) struct Target {
     depth: BitDepth,
 }
 
-/// A view that is timed: that of a target.
+/// A target's view: its id, its place and its time.
 #[derive(Clone, Debug)]
-pub(super) struct Timed {
+pub(super) struct TargetView {
     /// The target's id.
     pub target: String,
     pub camera: Camera,
@@ -97,13 +97,16 @@ impl Scene<'_> {
     }
 
     /// What there is to measure against, and the view to time.
-    pub fn targets(&self, truth: Option<&Truth>) -> Result<(Vec<Target>, Timed), TradeoffError> {
+    pub fn targets(
+        &self,
+        truth: Option<&Truth>,
+    ) -> Result<(Vec<Target>, TargetView), TradeoffError> {
         let found = match truth {
             Some(truth) => self.true_views(truth)?,
             None => Vec::new(),
         };
         if let Some(Target { id, camera, time_s, .. }) = found.first() {
-            let timed = Timed { target: id.clone(), camera: camera.clone(), time_s: *time_s };
+            let timed = TargetView { target: id.clone(), camera: camera.clone(), time_s: *time_s };
             return Ok((found, timed));
         }
         let timed = self.between();
@@ -134,12 +137,11 @@ impl Scene<'_> {
     fn target(
         &self,
         field: &LightField,
-        id: String,
-        (camera, time_s): (&Camera, f64),
+        TargetView { target: id, camera, time_s }: TargetView,
         truth: TrueImage,
         held_out: Option<usize>,
     ) -> Result<Option<Target>, TradeoffError> {
-        let rendered = match field.view(camera, time_s, &most_accurate(self.base).view()) {
+        let rendered = match field.view(&camera, time_s, &most_accurate(self.base).view()) {
             Ok(rendered) => rendered,
             Err(RenderError::Capture(error)) => return Err(error.into()),
             Err(_) => return Ok(None),
@@ -147,7 +149,7 @@ impl Scene<'_> {
         let against = if held_out.is_some() { Against::HeldOut } else { Against::Truth };
         Ok(Some(Target {
             id,
-            camera: camera.clone(),
+            camera,
             time_s,
             against,
             held_out,
@@ -167,8 +169,12 @@ impl Scene<'_> {
         let mut found = Vec::new();
         for (instant, view) in views().filter(|(_, v)| !has_free || v.like.is_none()) {
             let image = view.read(truth, self.capture, &CompareOptions::default())?;
-            let place = (&view.camera, instant.inner_s);
-            found.extend(self.target(&field, view.stem.clone(), place, image, None)?);
+            let at = TargetView {
+                target: view.stem.clone(),
+                camera: view.camera.clone(),
+                time_s: instant.inner_s,
+            };
+            found.extend(self.target(&field, at, image, None)?);
         }
         Ok(found)
     }
@@ -185,9 +191,12 @@ impl Scene<'_> {
             let (image, moving) = recorded(self.capture, camera, frame)?;
             let truth = TrueImage { image, moving };
             let filmed = &self.capture.cameras[camera];
-            let place = (&filmed.camera, times_s[frame]);
-            let id = format!("{}-{frame}", filmed.id);
-            found.extend(self.target(&field, id, place, truth, Some(camera))?);
+            let at = TargetView {
+                target: format!("{}-{frame}", filmed.id),
+                camera: filmed.camera.clone(),
+                time_s: times_s[frame],
+            };
+            found.extend(self.target(&field, at, truth, Some(camera))?);
             if found.len() == HELD_OUT {
                 break;
             }
@@ -196,11 +205,11 @@ impl Scene<'_> {
     }
 
     /// A view halfway from the reference to its nearest neighbour, in the middle of the film.
-    fn between(&self) -> Timed {
+    fn between(&self) -> TargetView {
         let camera = halfway_to_neighbor(self.capture, self.capture.reference);
         let field = self.field(None);
         let own_span = || field.span_s(self.capture.reference);
         let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();
-        Timed { target: "most-accurate".into(), camera, time_s: 0.5 * (first + last) }
+        TargetView { target: "most-accurate".into(), camera, time_s: 0.5 * (first + last) }
     }
 }
