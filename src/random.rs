@@ -1,5 +1,5 @@
 //! Numbers that look random and are the same everywhere: SplitMix64 (Steele, Lea, Flood 2014).
-//! Generated rigs, simulated films and the tests' problems are made of them.
+//! Generated rigs, simulated recordings and the tests' problems are drawn from them.
 
 /// A stream of numbers.
 #[derive(Clone, Debug)]

@@ -83,7 +83,7 @@ fn the_tiny_capture_against_its_truth_goes_on_after_a_kill() {
     let found: Tradeoff = serde_json::from_slice(&printed).unwrap();
     assert_eq!(found.against, Against::Truth);
     assert_eq!(found.views, 2);
-    assert!(found.front().count() >= 2);
+    assert!(found.pareto_front().count() >= 2);
     for label in ["draft", "balanced", "best", "auto"] {
         let point = found.labelled(label).expect(label);
         assert!(point.quality_db.unwrap() > 10.0 && point.moving.flip.unwrap() < 1.0);

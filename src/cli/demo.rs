@@ -12,7 +12,7 @@ use stlfr::toolchain::{FilmOptions, Scene, check, ensure_environment, film, proj
 /// The main job, end to end: set up, film a scene with eight cameras that are not synchronized,
 /// check the calibration, reconstruct, and compare with the truth.
 ///
-/// Stopped at any time, it goes on where it was; what is filmed is kept.
+/// If it is interrupted, the same command resumes it; frames that were filmed are used again.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr demo\n  \
@@ -73,7 +73,7 @@ impl Args {
         Ok(capture)
     }
 
-    /// A capture is of one film: what is filmed otherwise has another name.
+    /// A capture's name tells its options: other options film into another folder.
     fn name(&self) -> String {
         let mut name = "demo".to_owned();
         if self.size != DEFAULT_SIZE {

@@ -107,7 +107,7 @@ impl From<TruthError> for CliError {
     }
 }
 
-/// What can't be rendered was asked for wrongly: a time outside, a view of nothing.
+/// A view that can't be rendered is bad input: a time outside the recording, a view of nothing.
 impl From<RenderError> for CliError {
     fn from(error: RenderError) -> Self {
         match error {

@@ -57,7 +57,7 @@ enum Command {
 }
 
 impl Cli {
-    /// Does what was asked for.
+    /// Runs the command.
     pub fn run(&self) -> Result<(), CliError> {
         let reporter = Reporter::new(self.quiet);
         match &self.command {

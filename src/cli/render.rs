@@ -60,7 +60,7 @@ pub struct Args {
     /// The image, for --times a pattern such as out/%04d.png or a video such as out.mkv.
     #[arg(short, long, value_name = "FILE")]
     output: Output,
-    /// How each camera's image at the instant is made.
+    /// How each camera's image is synchronized to the instant.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<SyncMethod>())]
     sync: Option<Choice<SyncMethod>>,
     /// What stands for the scene's shape.
@@ -121,7 +121,7 @@ impl Args {
         Ok(options)
     }
 
-    /// What is asked for.
+    /// The views to render, checked.
     pub fn request(&self) -> Result<Request, CliError> {
         let wrong = |sentence: &str| Err(CliError::BadInput(sentence.to_owned()));
         let times_s = match (self.time, &self.times, &self.output) {

@@ -28,10 +28,11 @@ pub struct Args {
     /// How often each view is timed.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = parsed(1, 1000))]
     runs: usize,
-    /// How often the front is varied, one parameter at a time; 0 measures the methods alone.
+    /// How many rounds of variations of the Pareto front, one parameter at a time; 0 measures the
+    /// methods alone.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parsed(0, 10))]
     rounds: usize,
-    /// Which seconds decide the front.
+    /// Which clock the Pareto front is computed from.
     #[arg(long, value_name = "CLOCK", value_parser = method::<Clock>(), default_value = "wall")]
     clock: Clock,
     /// Print JSON and nothing else.

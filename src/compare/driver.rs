@@ -21,7 +21,7 @@ use std::time::Instant;
 ///
 /// # Errors
 /// [`CompareError::NoTruth`] without truth; whatever is wrong with the truth or the options, before
-/// anything is rendered; what can't be written. A video that fails is told after all else is written.
+/// anything is rendered; what can't be written. A video's error is returned after all else is written.
 pub fn compare(
     renderer: &dyn Renderer,
     truth: Option<&Truth>,
@@ -88,7 +88,7 @@ pub fn compare(
     Ok(Summary { headline: metrics.headline, report, review, video: video?.map(|v| v.path) })
 }
 
-/// What encodes the video, found before anything is rendered.
+/// The video's encoder: that it works is checked before anything is rendered.
 fn encoder(options: &video::VideoOptions) -> Result<video::Encoder, CompareError> {
     let codec = Codec::for_browsers(&options.ffmpeg).map_err(video::VideoError::from)?;
     Ok(video::Encoder { ffmpeg: options.ffmpeg.clone(), codec })

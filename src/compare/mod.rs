@@ -19,7 +19,7 @@
 //! | `instant.rs` | one instant: synchronize the cameras and measure them |
 //! | `views.rs` | one view at an instant: blend it by every method and measure that |
 //! | `truths.rs` | the truth's images and moving parts |
-//! | `results.rs` | what is found, as it is written; the headline |
+//! | `results.rs` | the results as they are written; the headline |
 //! | `sheet.rs` | pictures with labels |
 //! | `report.rs`, `report.html`, `plots.rs` | the report |
 //! | `video.rs` | the review video |

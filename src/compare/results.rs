@@ -1,4 +1,4 @@
-//! What a comparison found, as `metrics.json` and `timings.json` hold it.
+//! The results of a comparison, as `metrics.json` and `timings.json` hold them.
 
 use super::CompareOptions;
 use crate::interpolation::SyncMethod;
@@ -32,7 +32,7 @@ pub struct CaptureFacts {
     pub rig: String,
     pub reference: String,
     pub cameras: usize,
-    /// Frames of the camera that has the fewest, and of the one that has the most.
+    /// The smallest and the largest number of frames of a camera.
     pub frames: (usize, usize),
     /// Image size of the reference camera, pixels.
     pub size_px: (usize, usize),
@@ -98,7 +98,7 @@ pub struct OffsetResult {
     pub reason: Option<String>,
 }
 
-/// A filming camera's image at an instant, made by one sync method.
+/// A filming camera's image at an instant by one sync method.
 #[derive(Clone, Debug, Serialize)]
 pub struct SyncResult {
     pub view: String,

@@ -1,4 +1,4 @@
-//! `review.json`: what stands beside what, for whoever lays it out. `review.blend` is made from it.
+//! `review.json`: which pictures stand side by side. `review.blend` is laid out from it.
 
 use super::results::{Metrics, ViewMethod};
 use super::{TRADITIONAL, video};
@@ -84,7 +84,7 @@ fn movie_reel(video: &video::Written) -> Reel {
     Reel { name: "Video", rate_hz: video.rate_hz, shots: vec![shot] }
 }
 
-/// The truth's picture lies beside what was made of it.
+/// The truth's picture lies in the folder of the methods' pictures.
 fn truth_beside(file: &str) -> Option<String> {
     Some(format!("{}/truth.png", file.rsplit_once('/')?.0))
 }

@@ -15,7 +15,7 @@ use crate::video::{Codec, VideoFormat, VideoWriter};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// What video is made.
+/// Options of the review video.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VideoOptions {

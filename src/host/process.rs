@@ -4,8 +4,8 @@ use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
 use std::thread::JoinHandle;
 
-/// A running child. Dropping it ends it: it is asked to (SIGTERM), and waited for. If this process
-/// is killed, the child is asked to end too (Linux).
+/// A running child process. Dropping it sends SIGTERM and waits for its end. If this process is killed,
+/// the child gets a SIGTERM too (Linux only).
 pub(crate) struct Process {
     child: Child,
     stderr: Option<JoinHandle<String>>,

@@ -1,4 +1,4 @@
-//! Time on the wall, and of the processor.
+//! Wall-clock and processor time.
 
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
@@ -12,7 +12,7 @@ pub struct Elapsed {
     pub cpu_s: f64,
 }
 
-/// Measures from when it is made.
+/// Measures the time since it was started.
 pub struct Stopwatch {
     wall: Instant,
     cpu_s: f64,

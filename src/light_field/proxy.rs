@@ -1,4 +1,4 @@
-//! §6: what stands for the scene's shape at an instant, for one view.
+//! §6: the geometry proxy at an instant, for one view.
 
 use super::{LightField, RenderError};
 use crate::camera::Camera;

@@ -48,8 +48,8 @@ impl LightField {
         Ok(change <= still_change)
     }
 
-    /// Registers the frames around a time, of all cameras that have some: what views between them
-    /// share.
+    /// Registers the frames around a time, of all cameras that have some: views at all instants between
+    /// them use the same tracks.
     pub(crate) fn register(&self, time_s: f64, still_change: f32) -> Result<(), RenderError> {
         self.usable(time_s).into_par_iter().try_for_each(|camera| {
             let (k, later) = self.bracket(camera, time_s)?;

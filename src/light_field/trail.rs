@@ -24,13 +24,13 @@ impl LightField {
     /// A view, or a filming camera's image, integrated over the trail of the options; without a
     /// trail, [`Self::view`] or [`Self::synchronized`] itself.
     ///
-    /// A trail is as long as what was filmed: instants before that, and those at which no camera
-    /// sees anything or too few do to tell its shape, are left out, but not the last one, whose
-    /// error is the result. A pixel is covered if it is at any of the instants, and integrates
-    /// over those.
+    /// A trail ends where the recording starts: instants before it are skipped, and so are those at
+    /// which no camera sees anything or the shape can't be triangulated. The last instant is never
+    /// skipped: its error is the result. A pixel is covered if it is covered at any of the instants,
+    /// and integrates over those.
     ///
-    /// `proceed` is asked before every instant, with the number of those that are done and of all;
-    /// if it says no, the result is [`RenderError::Stopped`].
+    /// `proceed` is called before every instant with the number of finished instants and of all; if it
+    /// returns false, the result is [`RenderError::Stopped`].
     pub fn with_trail(
         &self,
         from: Viewpoint,

@@ -16,7 +16,7 @@ pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 67.020_643_276_582_25;
 /// Exponents of the colour and the feature difference, q_c and q_f.
 const COLOR_EXPONENT: f32 = 0.7;
 const FEATURE_EXPONENT: f32 = 0.5;
-/// Colour differences up to this share of the largest one take this share of the range
+/// Colour differences up to this fraction of the largest one take this fraction of the range
 /// (p_c and p_t).
 const PIVOT: f32 = 0.4;
 const PIVOT_VALUE: f32 = 0.95;
@@ -44,7 +44,7 @@ const RGB_FROM_XYZ: [[f64; 3]; 3] = [
 /// The D65 white point.
 const WHITE: [f32; 3] = [0.950_428_5, 1.0, 1.088_900_4];
 
-/// What FLIP needs of one image; made once for a truth that several results are compared with.
+/// An image as FLIP compares it, computed once for a truth that several results are compared with.
 pub struct FlipImage {
     /// Hunt-adjusted L*a*b* of the image as the eye filters it.
     color: Vec<[f32; 3]>,

@@ -29,7 +29,7 @@ pub struct RegionScores {
     pub moving: Scores,
 }
 
-/// A true image, with what all comparisons with it share.
+/// A true image, with what all comparisons with it need.
 pub struct Reference {
     image: Image,
     gray: Image,

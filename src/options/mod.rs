@@ -42,7 +42,7 @@ pub struct RenderOptions {
     pub auto: AutoOptions,
 }
 
-/// How one view of an open light field is made. Two views of one light field may have different
+/// How one view of an open light field is rendered. Two views of one light field may have different
 /// options.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ViewOptions {
@@ -73,7 +73,7 @@ impl RenderOptions {
     }
 }
 
-/// What stands for the scene's shape.
+/// The geometry proxy: what stands for the scene's shape (§6).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProxyOptions {

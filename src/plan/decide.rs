@@ -6,7 +6,7 @@ use crate::interpolation::SyncMethod;
 use crate::options::ProxyMethod;
 use crate::registration::Gains;
 
-/// A decision by a number that was held against a limit.
+/// A decision by a number and its limit.
 fn by_number(choice: Choice, measured: f64, limit: f64, because: String) -> Decision {
     Decision { choice, measured: Some(measured), limit: Some(limit), because }
 }

@@ -51,7 +51,7 @@ pub enum Choice {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decision {
     pub choice: Choice,
-    /// What was measured, and the limit that it was held against; pixels unless `because` says
+    /// What was measured, and the limit that it was compared with; pixels unless `because` says
     /// otherwise. `None` where the capture's description decides.
     pub measured: Option<f64>,
     pub limit: Option<f64>,

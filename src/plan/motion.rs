@@ -49,7 +49,7 @@ pub struct Motion {
     pub still_pairs: usize,
     /// how much their blocks change all the same, mean of values 0..=1,
     pub still_change: f32,
-    /// and how far their features are found to move.
+    /// and how far their features seem to move, pixels.
     pub still_px: f64,
     /// Frame pairs that were examined; 0 where every camera took one frame.
     pub pairs: usize,

@@ -7,7 +7,7 @@ use crate::progress::Reporter;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// What the check found.
+/// The result of a check.
 #[derive(Clone, Debug)]
 pub struct Check {
     pub values: CheckValues,
@@ -47,9 +47,9 @@ pub struct CheckedModel {
     pub blender: Vec<CheckedFormat>,
     /// pycolmap's, of those Blender cameras.
     pub blender_pycolmap_px: Option<f64>,
-    /// What pycolmap's may be at most.
+    /// The largest distance from pycolmap's that passes.
     pub tolerance_px: f64,
-    /// What Blender's may be at most.
+    /// The largest distance from Blender's that passes.
     pub blender_tolerance_px: f64,
 }
 
@@ -83,7 +83,7 @@ pub struct CheckedCamera {
     pub position_std_err_mm: Option<f64>,
 }
 
-/// Checks a capture's calibration. A calibration that is found wrong is a result, not an error; the
+/// Checks a capture's calibration. A wrong calibration is a result, not an error; the
 /// values also go into the file `json`, if one is named.
 pub fn check(
     environment: &Environment,

@@ -5,13 +5,13 @@ use super::setup::Environment;
 use crate::progress::Reporter;
 use std::path::PathBuf;
 
-/// What to film, and how. `None` leaves a value to the filming script's default.
+/// What to film, and how. `None` takes the filming script's default.
 #[derive(Clone, Debug)]
 pub struct FilmOptions {
     /// The rig's file.
     pub rig: PathBuf,
     pub scene: Scene,
-    /// The capture's folder; if a film of the same kind was begun there, it goes on.
+    /// The capture's folder; a recording of the same kind that was interrupted there is resumed.
     pub capture: PathBuf,
     /// Width and height in pixels, for all cameras.
     pub size_px: Option<(u32, u32)>,
@@ -23,7 +23,7 @@ pub struct FilmOptions {
     pub engine: Option<String>,
     /// Instants with truth.
     pub instants: Option<u32>,
-    /// The instants themselves, seconds on the reference's clock; none leaves them to `instants`.
+    /// The instants themselves, seconds on the reference's clock; empty: spread evenly, `instants` of them.
     pub instants_s: Vec<f64>,
     /// Points with tracks.
     pub tracks: Option<u32>,
@@ -44,7 +44,7 @@ pub enum Scene {
     Blend(PathBuf),
 }
 
-/// Films what isn't filmed yet; a finished capture is left as it is.
+/// Films the frames that are missing; a finished capture is not changed.
 pub fn film(
     environment: &Environment,
     options: &FilmOptions,

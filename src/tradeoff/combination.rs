@@ -10,7 +10,7 @@ use crate::raster::Sampling;
 /// Every method with every other: sync, proxy and blend, the other options as given.
 ///
 /// The offsets' methods are not among them: they cost nothing once they are estimated, so that the
-/// front is varied by them ([`variations`]) like by a parameter.
+/// Pareto front is varied by them ([`variations`]) like by a parameter.
 pub fn methods(base: &RenderOptions) -> Vec<RenderOptions> {
     let mut found = Vec::new();
     for &sync in SyncMethod::ALL {

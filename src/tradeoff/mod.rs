@@ -4,12 +4,12 @@
 //! [`tradeoff`] measures, into one folder:
 //!
 //! - `tradeoff.json`: every combination with its options, quality, time and preparation
-//! - `tradeoff.svg`: time against quality, the front labelled
+//! - `tradeoff.svg`: time against quality, the Pareto front numbered
 //! - `recommended.json`: the recommended options, for `--options`
-//! - `points/`: what is measured so far; a run that was stopped goes on with it
+//! - `points/`: the measurements so far; an interrupted run resumes from them
 //!
 //! **Combinations** ([`methods`], [`variations`]): every sync method with every proxy and blend; the
-//! presets and what `auto` chooses; then around the front every main parameter, and the offsets'
+//! presets and what `auto` chooses; then around the Pareto front every main parameter, and the offsets'
 //! method where clocks are unknown, one at a time, as many rounds as asked for.
 //!
 //! **Quality**: the moving part's PSNR of views against the truth, their mean; without truth, of
@@ -24,9 +24,9 @@
 //! |---|---|
 //! | `mod.rs` | the order of things, `tradeoff.json` |
 //! | `combination.rs` | what is measured |
-//! | `targets.rs` | what it is held against |
+//! | `targets.rs` | what it is compared with |
 //! | `bench.rs`, `stages.rs`, `timing.rs`, `measure.rs`, `store.rs` | measuring, and not twice |
-//! | `front.rs` | the Pareto front |
+//! | `pareto.rs` | the Pareto front |
 //! | `summary.rs` | from measurements to points |
 //! | `plot.rs` | the drawing |
 //!
@@ -35,8 +35,8 @@
 
 mod bench;
 mod combination;
-mod front;
 mod measure;
+mod pareto;
 mod plot;
 mod stages;
 mod store;
@@ -45,7 +45,7 @@ mod targets;
 mod timing;
 
 pub use combination::{Variable, methods, most_accurate, name, variations};
-pub use front::{Trade, fastest_within, front};
+pub use pareto::{Trade, fastest_within, pareto_front};
 pub use summary::{MeanScores, Point, Preparation, Spread};
 pub use targets::Against;
 
@@ -70,7 +70,8 @@ use targets::Scene;
 pub struct TradeoffOptions {
     /// Times that each view is timed. More tell the median and the spread better.
     pub runs: usize,
-    /// How often the front is varied by single parameters; 0 measures the methods alone.
+    /// How many rounds of variations of the Pareto front by single parameters; 0 measures the methods
+    /// alone.
     pub rounds: usize,
     /// What all combinations start from.
     pub base: RenderOptions,
@@ -79,7 +80,7 @@ pub struct TradeoffOptions {
     pub clock: Clock,
 }
 
-/// Which seconds decide the front.
+/// Which clock the Pareto front is computed from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Clock {
@@ -145,7 +146,7 @@ pub struct Tradeoff {
     /// Threads that views are rendered with.
     pub threads: usize,
     pub against: Against,
-    /// The seconds that the front is made by.
+    /// The clock that the Pareto front is computed from.
     pub clock: Clock,
     /// Views that quality is the mean of.
     pub views: usize,
@@ -168,8 +169,8 @@ impl Tradeoff {
         self.points.iter().find(|p| p.labels.iter().any(|l| l == label))
     }
 
-    /// The points on the front, fastest first.
-    pub fn front(&self) -> impl Iterator<Item = &Point> {
+    /// The points on the Pareto front, fastest first.
+    pub fn pareto_front(&self) -> impl Iterator<Item = &Point> {
         self.points.iter().filter(|p| p.on_front)
     }
 }
@@ -220,10 +221,10 @@ pub fn tradeoff(
         Variable { offsets: prepared.offsets_took.is_some(), cameras: capture.cameras.len() };
     for round in 1..=options.rounds {
         let summary = Summarized::new(&bench, &points);
-        for k in summary.front() {
+        for k in summary.pareto_front() {
             add(&mut wanted, variations(&points[k].options, variable));
         }
-        points = bench.measure(&format!("around the front, {round}"), &wanted)?;
+        points = bench.measure(&format!("around the Pareto front, {round}"), &wanted)?;
     }
     let tradeoff = gathered(&bench, &points, &labels, planned.took.wall_s)?;
     write(&tradeoff, out)?;

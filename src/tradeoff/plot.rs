@@ -27,7 +27,7 @@ fn placed(tradeoff: &Tradeoff, point: &Point) -> Option<ChartPoint> {
     Some(ChartPoint { x: time.median, y, bar: 0.0, x_range: Some((time.min, time.max)) })
 }
 
-/// The drawing: all points, the front with its numbers, presets and `auto` by name, and what the
+/// The drawing: all points, the Pareto front numbered, presets and `auto` by name, and what the
 /// numbers stand for.
 pub(super) fn drawing(tradeoff: &Tradeoff) -> Drawing {
     let place = |p: &Point| placed(tradeoff, p);
@@ -35,7 +35,7 @@ pub(super) fn drawing(tradeoff: &Tradeoff) -> Drawing {
         let at = place(p)?;
         Some(Label { x: at.x, y: at.y, text, bold })
     };
-    let front: Vec<&Point> = tradeoff.front().collect();
+    let front: Vec<&Point> = tradeoff.pareto_front().collect();
     let named = |p: &&Point| !p.labels.is_empty();
     let points = |of: &dyn Fn(&&Point) -> bool| -> Vec<ChartPoint> {
         tradeoff.points.iter().filter(of).filter_map(place).collect()
@@ -49,7 +49,7 @@ pub(super) fn drawing(tradeoff: &Tradeoff) -> Drawing {
     };
     let series = vec![
         dots("other combinations", points(&|p| !p.on_front && p.labels.is_empty()), false, true),
-        dots("front", points(&|p| p.on_front), true, false),
+        dots("Pareto front", points(&|p| p.on_front), true, false),
         // What is drawn last is seen.
         dots("presets and auto", points(&named), false, false),
     ];
@@ -82,7 +82,7 @@ pub(super) fn drawing(tradeoff: &Tradeoff) -> Drawing {
     draw(&[chart], 1)
 }
 
-/// What the front's numbers stand for, and the named points beside it.
+/// The key: what the Pareto front's numbers mean, then the named points.
 fn key(tradeoff: &Tradeoff, front: &[&Point]) -> Vec<String> {
     let line = |mark: &str, point: &Point| {
         let seconds = time(tradeoff, point).map_or(f64::NAN, |s| s.median);

@@ -1,4 +1,4 @@
-//! The three stages of a view: a view is one after the other, and combinations share them.
+//! The three stages of a view, one after the other. Combinations share them.
 
 use super::store::CachedPoint;
 use crate::camera::Camera;
@@ -12,7 +12,7 @@ use crate::raster::Image;
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-/// What a view is made by, in this order.
+/// The stages of a view, in their order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Stage {
     /// The images at the instant of the cameras that the view is blended from.

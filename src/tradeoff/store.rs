@@ -1,5 +1,5 @@
-//! What was measured already, one small file a combination, so that a run that was stopped goes on
-//! and a larger one adds to a smaller.
+//! Measurements on disk, one small file a combination, so that an interrupted run is resumed and a
+//! larger run adds to a smaller one.
 
 use super::TradeoffError;
 use crate::capture::{Capture, Truth};
@@ -30,7 +30,7 @@ pub(super) struct CachedPoint {
     pub reason: Option<String>,
 }
 
-/// What views of one registration and one rung of offsets start from.
+/// What views with one registration and one offset method start from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Prepared {
@@ -78,7 +78,7 @@ impl Store {
         Ok(Self { folder: folder.to_owned(), base: hasher.finalize().to_hex().to_string() })
     }
 
-    /// The name that what depends on some options is kept by.
+    /// The name that a measurement with these options is cached by.
     pub fn key(&self, what: &str, options: &impl Serialize) -> String {
         let mut hasher = blake3::Hasher::new();
         hasher.update(self.base.as_bytes());
@@ -90,7 +90,7 @@ impl Store {
         self.folder.join(POINTS).join(format!("{key}.json"))
     }
 
-    /// `None` if nothing that can be read is kept.
+    /// `None` if there is no file that can be read.
     pub fn load<T: DeserializeOwned>(&self, key: &str) -> Option<T> {
         json::read(&self.path(key)).ok()
     }

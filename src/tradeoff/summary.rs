@@ -1,7 +1,7 @@
 //! From what was measured to points of the trade-off.
 
 use super::bench::Bench;
-use super::front::{Trade, fastest_within, front};
+use super::pareto::{Trade, fastest_within, pareto_front};
 use super::store::CachedPoint;
 use super::targets::{Against, Target};
 use super::{Clock, TradeoffError, name};
@@ -22,10 +22,12 @@ pub struct Point {
     /// Options of all stages, as an options file has them.
     #[schemars(with = "serde_json::Value")]
     pub options: RenderOptions,
+    /// Whether it is on the Pareto front.
     pub on_front: bool,
-    /// Why it can't be rendered, in place of all numbers.
+    /// Why it can't be rendered; there are no numbers then.
     pub reason: Option<String>,
-    /// What it is judged by: the moving part's PSNR, all pixels' where nothing moves.
+    /// The quality that the Pareto front is computed from: the moving part's PSNR, all pixels' where
+    /// nothing moves.
     pub quality_db: Option<f64>,
     pub moving: MeanScores,
     pub whole: MeanScores,
@@ -104,8 +106,8 @@ impl<'a> Summarized<'a> {
         Self { bench, cached, trades }
     }
 
-    pub fn front(&self) -> Vec<usize> {
-        front(&self.trades)
+    pub fn pareto_front(&self) -> Vec<usize> {
+        pareto_front(&self.trades)
     }
 
     pub fn fastest_within(&self, slack_db: f64) -> Option<usize> {
@@ -114,7 +116,7 @@ impl<'a> Summarized<'a> {
 
     /// All points, fastest first.
     pub fn points(&self, labels: &[(&str, RenderOptions)]) -> Result<Vec<Point>, TradeoffError> {
-        let front = self.front();
+        let front = self.pareto_front();
         let mut order: Vec<usize> = (0..self.cached.len()).collect();
         // NaN, of what can't be rendered, comes last.
         order.sort_by(|&a, &b| self.trades[a].seconds.total_cmp(&self.trades[b].seconds));

@@ -42,7 +42,7 @@ pub(super) struct Target {
     /// The camera whose frame it is, which must not be used.
     pub held_out: Option<usize>,
     reference: Reference,
-    /// What moves, and what the most accurate methods see, row by row.
+    /// The moving pixels, and those that the most accurate methods cover, row by row.
     moving: Vec<bool>,
     covered: Vec<bool>,
     depth: BitDepth,
@@ -57,8 +57,8 @@ pub(super) struct TargetView {
     pub time_s: f64,
 }
 
-/// Cameras that are left out, one at a time, where there is no truth. More cost time; one alone
-/// stands for its own place.
+/// How many cameras are held out, one at a time, where there is no truth. Larger: more time; smaller:
+/// the quality of one place stands for all.
 const HELD_OUT: usize = 2;
 
 /// Everything that is measured against, with what it takes to find out.
@@ -69,8 +69,8 @@ pub(super) struct Scene<'a> {
 }
 
 impl Target {
-    /// How far a rendered view is from it. What the most accurate methods don't see isn't measured;
-    /// what only this one doesn't see is black.
+    /// The scores of a rendered view. Pixels that the most accurate methods don't cover aren't
+    /// measured; pixels that only this view doesn't cover are black.
     pub fn score(&self, rendered: &Rendered) -> RegionScores {
         let truth = self.reference.image();
         let n = truth.channels();
@@ -133,7 +133,7 @@ impl Scene<'_> {
         Reference::new(image, CompareOptions::default().pixels_per_degree)
     }
 
-    /// A target, covered as the most accurate methods see it; `None` where they can't render it.
+    /// A target, with the pixels that the most accurate methods cover; `None` if they can't render it.
     fn target(
         &self,
         field: &LightField,
@@ -204,7 +204,7 @@ impl Scene<'_> {
         Ok(found)
     }
 
-    /// A view halfway from the reference to its nearest neighbour, in the middle of the film.
+    /// A view halfway from the reference to its nearest neighbour, in the middle of the recording.
     fn between(&self) -> TargetView {
         let camera = halfway_to_neighbor(self.capture, self.capture.reference);
         let field = self.field(None);

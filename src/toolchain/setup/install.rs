@@ -199,7 +199,7 @@ impl<'a> Installer<'a> {
     }
 }
 
-/// The line of stderr that says most: the last that tells of an error, else the last, else how the
+/// The most informative line of stderr: the last that names an error, else the last, else how the
 /// process ended.
 fn reason(ended: &Ended) -> String {
     let lines = || ended.stderr.lines().rev().map(str::trim).filter(|l| !l.is_empty());

@@ -1,9 +1,9 @@
-//! The pinned Python environment `.venv` of the project: made once, and its `stlfr` module built
+//! The pinned Python environment `.venv` of the project: created once; its `stlfr` module is built
 //! again when the library's sources change.
 //!
-//! Two stamps, written last, say what is whole: one names the pins, Python and folder that the
-//! packages were installed for, the other the sources of the module. A file lock keeps a second
-//! set-up waiting. What was interrupted has no stamp and is done again.
+//! Two stamps, each written last, say which half is complete: one holds a hash of the pins, the Python
+//! and the folder that the packages were installed for, the other a hash of the module's sources. A file
+//! lock makes a second set-up wait. An interrupted half has no stamp and is done again.
 
 mod install;
 mod interpreter;

@@ -1,4 +1,4 @@
-//! What the environment was made from, by hashes: no Python is started to find out.
+//! Hashes of what the environment was built from: no Python is started to compare them.
 
 use super::SetupError;
 use crate::host::write_atomically;

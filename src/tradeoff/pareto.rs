@@ -1,6 +1,6 @@
-//! Which points no other point beats.
+//! The Pareto front of time and quality.
 
-/// What a point costs, and what it gives.
+/// One point: its cost and its quality.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trade {
     pub seconds: f64,
@@ -8,10 +8,10 @@ pub struct Trade {
     pub quality: f64,
 }
 
-/// The indices of the points that no other is as good as and faster, or as fast as and better
-/// than; fastest first. Of equal points the first stands for all; points that aren't finite are left
-/// out.
-pub fn front(points: &[Trade]) -> Vec<usize> {
+/// The indices of the points that no other point dominates, fastest first: no other is at least as good
+/// and faster, or at least as fast and better. Of equal points the first is taken; points that aren't
+/// finite are on no front.
+pub fn pareto_front(points: &[Trade]) -> Vec<usize> {
     let finite = |k: &usize| points[*k].seconds.is_finite() && points[*k].quality.is_finite();
     let mut order: Vec<usize> = (0..points.len()).filter(finite).collect();
     order.sort_by(|&a, &b| {
@@ -29,7 +29,7 @@ pub fn front(points: &[Trade]) -> Vec<usize> {
 
 /// The fastest point whose quality is within `slack` of the best; `None` of none.
 pub fn fastest_within(points: &[Trade], slack: f64) -> Option<usize> {
-    let front = front(points);
+    let front = pareto_front(points);
     let best = points[*front.last()?].quality;
     front.into_iter().find(|&k| points[k].quality >= best - slack)
 }
@@ -54,13 +54,13 @@ mod tests {
             let mut coarse = || (random.signed() * 6.0).round() + 7.0;
             let points: Vec<Trade> =
                 (0..count).map(|_| Trade { seconds: coarse(), quality: coarse() }).collect();
-            let found = front(&points);
+            let front = pareto_front(&points);
             for (k, point) in points.iter().enumerate() {
                 let beaten = points.iter().any(|other| dominates(other, point));
-                let twin = found.iter().any(|&f| points[f] == *point);
-                assert_eq!(twin, !beaten, "{k} of {points:?}: {found:?}");
+                let twin = front.iter().any(|&f| points[f] == *point);
+                assert_eq!(twin, !beaten, "{k} of {points:?}: {front:?}");
             }
-            for pair in found.windows(2) {
+            for pair in front.windows(2) {
                 assert!(points[pair[0]].seconds < points[pair[1]].seconds);
                 assert!(points[pair[0]].quality < points[pair[1]].quality);
             }
@@ -71,8 +71,8 @@ mod tests {
     fn what_is_not_finite_is_on_no_front() {
         let points = [(1.0, f64::NAN), (f64::INFINITY, 9.0), (2.0, 3.0)];
         let points = points.map(|(seconds, quality)| Trade { seconds, quality });
-        assert_eq!(front(&points), [2]);
-        assert_eq!(front(&[]), [0; 0]);
+        assert_eq!(pareto_front(&points), [2]);
+        assert_eq!(pareto_front(&[]), [0; 0]);
         assert_eq!(fastest_within(&[], 1.0), None);
     }
 
