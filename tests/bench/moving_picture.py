@@ -5,8 +5,8 @@
 The left half synchronizes each camera by its nearest frame, as traditional light field rendering does;
 the right half is space-time light field rendering. Everything else is equal. The viewpoint moves along the
 array, and a little towards the scene and back, while time goes through the recording. VIEWS (36) are
-rendered of each half. The file plays them to the end and back, and repeats. It needs `cargo build
---release`, `stlfr setup`, and a capture whose cameras are `PINHOLE` and oriented alike.
+rendered of each half. The file plays them to the end and back, and repeats. It needs `stlfr setup`, and a
+capture whose cameras are `PINHOLE` and oriented alike.
 """
 
 from __future__ import annotations
