@@ -1,0 +1,153 @@
+"""The moving picture of README: slow motion while the camera moves, one half a method.
+
+    .venv/bin/python -I tests/bench/moving_picture.py CAPTURE tests/golden/moving.webp [VIEWS]
+
+The left half synchronizes each camera by its nearest frame, as traditional light field rendering does;
+the right half is space-time light field rendering. Everything else is equal. The viewpoint moves along the
+array, and a little towards the scene and back, while time goes through the recording. VIEWS (36) are
+rendered of each half. The file plays them to the end and back, and repeats. It needs `stlfr setup`, and a
+capture whose cameras are `PINHOLE` and oriented alike.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import imageio_ffmpeg
+import numpy as np
+import numpy.typing as npt
+import stlfr
+
+HALVES = (
+    ("Traditional light field rendering", "nearest"),
+    ("stlfr: space-time light field rendering", "refined"),
+)
+RATE_HZ = 18
+"""Pictures a second. Fewer: motion looks stepped; more: a larger file."""
+QUALITY = 57
+"""Of the WebP encoder, 0 to 100. Less: text blurs; more: a larger file."""
+VIEW_PX = (416, 312)
+"""Size of a view: the middle of the cameras' images, pixel for pixel."""
+REACH = 0.5
+"""Fraction of the array's width that the viewpoint travels. Larger: things leave the picture; beyond 1, views
+lose their borders. Smaller: the viewpoint hardly moves."""
+FORWARD = 0.15
+"""How far the viewpoint goes towards the scene, fraction of the array's width. Larger: images are enlarged and
+blur. Smaller: it moves on a line."""
+MARGIN_S = 0.002
+"""Time kept from both ends of the recording. Smaller: an offset's error puts a view outside of a camera's frames,
+which leaves that camera out."""
+BAR_PX = 26
+FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.5
+
+Picture = npt.NDArray[np.uint8]
+
+
+def main() -> None:
+    """Render both halves, encode."""
+    folder, target = Path(sys.argv[1]), Path(sys.argv[2])
+    views = int(sys.argv[3]) if len(sys.argv) > 3 else 36
+    capture = stlfr.open(folder)
+    # Eased like a pendulum, so that neither turn of the loop jerks.
+    places = (1 - np.cos(np.linspace(0, np.pi, views))) / 2
+    start_s, end_s = span(capture)
+    filmed = json.loads((folder / "capture.json").read_text())["cameras"]
+    cameras = [view(filmed, place) for place in places]
+    halves = []
+    for label, sync in HALVES:
+        pictures = [
+            labelled(
+                capture.render(
+                    start_s + place * (end_s - start_s),
+                    camera=camera,
+                    options={"sync": sync},
+                ),
+                label,
+            )
+            for place, camera in zip(places, cameras, strict=True)
+        ]
+        halves.append(pictures)
+    gap = np.full((halves[0][0].shape[0], 4, 3), 255, np.uint8)
+    pairs = [np.hstack([a, gap, b]) for a, b in zip(*halves, strict=True)]
+    encode(pairs + pairs[-2:0:-1], target)
+    print(f"{target}: {target.stat().st_size / 1e6:.2f} MB, {len(pairs)} views")
+    slower = (2 * views - 2) / 2 / RATE_HZ / (end_s - start_s)
+    print(f"{start_s:.3f} s to {end_s:.3f} s, {slower:.0f} times slower")
+
+
+def span(capture: Any) -> tuple[float, float]:
+    """From when to when all cameras have frames, seconds on the reference camera's clock."""
+    starts, ends = [], []
+    for offset in capture.offsets()["cameras"]:
+        if offset["offset_s"] is None:
+            continue  # it takes no part in a view
+        times = capture.times(offset["id"]) + offset["offset_s"]
+        starts.append(times[0])
+        ends.append(times[-1])
+    return max(starts) + MARGIN_S, min(ends) - MARGIN_S
+
+
+def view(cameras: list[dict[str, Any]], place: float) -> dict[str, Any]:
+    """The view on the way from the first camera (0) to the last (1), oriented as the first one."""
+    poses = [camera["cam_from_world"] for camera in cameras]
+    rotation = rotation_of(poses[0]["rotation_wxyz"])
+    first, last = (
+        -rotation_of(pose["rotation_wxyz"]).T @ np.array(pose["translation"])
+        for pose in (poses[0], poses[-1])
+    )
+    along = last - first
+    centre = (first + last) / 2 + REACH * (place - 0.5) * along
+    centre += FORWARD * np.sin(np.pi * place) * np.linalg.norm(along) * rotation[2]
+    fx, fy, cx, cy = cameras[0]["params"]  # of PINHOLE
+    width, height = VIEW_PX
+    cx -= (cameras[0]["width"] - width) / 2
+    cy -= (cameras[0]["height"] - height) / 2
+    return {
+        "width": width,
+        "height": height,
+        "model": "PINHOLE",
+        "params": [fx, fy, cx, cy],
+        "cam_from_world": {
+            "rotation_wxyz": poses[0]["rotation_wxyz"],
+            "translation": list(-rotation @ centre),
+        },
+    }
+
+
+def rotation_of(wxyz: list[float]) -> npt.NDArray[np.float64]:
+    """The rotation matrix of a quaternion."""
+    w, *xyz = np.array(wxyz) / np.linalg.norm(wxyz)
+    x, y, z = xyz
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+
+
+def labelled(picture: Any, label: str) -> Picture:
+    """The picture without alpha, 8 bits, under a bar with its label."""
+    if picture.dtype == np.uint16:
+        picture = (picture // 257).astype(np.uint8)
+    bar = np.full((BAR_PX, picture.shape[1], 3), 24, np.uint8)
+    cv2.putText(
+        bar, label, (8, BAR_PX - 8), FONT, FONT_SCALE, (255, 255, 255), 1, cv2.LINE_AA
+    )
+    return np.vstack([bar, picture[..., :3]])
+
+
+def encode(pictures: list[Picture], target: Path) -> None:
+    """One animated WebP that repeats forever."""
+    height, width = pictures[0].shape[:2]
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y"]
+    command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}"]
+    command += ["-r", str(RATE_HZ), "-i", "-", "-c:v", "libwebp_anim", "-loop", "0"]
+    command += ["-quality", str(QUALITY), "-compression_level", "6", str(target)]
+    frames = b"".join(picture.tobytes() for picture in pictures)
+    subprocess.run(command, input=frames, check=True)
+
+
+if __name__ == "__main__":
+    main()
