@@ -87,6 +87,35 @@
 //! | [`tradeoff`] | what each combination of methods costs and gives |
 //! | [`toolchain`] | the Python side: its environment, filming, the calibration check |
 //!
+//! # The command line
+//!
+//! `stlfr COMMAND --help` has the options and examples. Exit codes: 0 done, 2 something given is wrong,
+//! 1 the work failed. An error is one sentence on stderr. `--quiet` silences progress and notes.
+//! Times are seconds on the reference camera's clock. Outside of what the cameras recorded there is no
+//! image; the message states the times that there are.
+//!
+//! # From Python
+//!
+//! `stlfr setup` installs the module `stlfr` into `.venv`. It has type stubs, releases the GIL, and
+//! runs in one process with `bpy`.
+//!
+//! ```python
+//! import numpy as np
+//! import stlfr
+//!
+//! capture = stlfr.open(".captures/mine")
+//! # (N, 2) pixels of (N, 3) world points in metres; NaN where a point has no image.
+//! pixels = capture.project("cam3", np.array([[0.0, 2.0, 0.1]]))
+//! times_s = capture.times("cam3")
+//! # As `stlfr offsets --json` prints them.
+//! offsets = capture.offsets()
+//! # As `stlfr render` writes it; `camera={...}` gives any other view.
+//! image = capture.render(0.1, like="cam3")
+//! ```
+//!
+//! `stlfr.methods()` lists the methods of each stage. `capture.render(..., proceed=f)` calls
+//! `f(done, total)` before every instant, and stops where it returns something false.
+//!
 //! # Conventions
 //!
 //! Metres, seconds, right-handed world; COLMAP's camera axes and models; the centre of the

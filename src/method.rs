@@ -25,7 +25,7 @@ pub trait Method: Copy + Default + PartialEq + Send + Sync + 'static {
     }
 }
 
-/// Implements [`Method`](crate::method::Method) for an enum from a table of its variants.
+/// Implements [`Method`] for an enum from a table of its variants.
 macro_rules! methods {
     ($name:ty { $($variant:ident = $text:literal: $help:literal,)+ }) => {
         impl $crate::method::Method for $name {

@@ -1,4 +1,4 @@
-//! Three points of the trade of speed for accuracy, by name.
+//! Three points on the trade of speed for accuracy, by name.
 
 use super::RenderOptions;
 use crate::interpolation::SyncMethod;
@@ -7,16 +7,16 @@ use crate::method::methods;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-/// Options of all stages by name, cheapest first. `cargo bench --bench tradeoff` holds them against
-/// other combinations; README has their figures.
+/// Options of all stages by name, cheapest first. `cargo bench --bench tradeoff` compares them with
+/// other combinations; `tests/bench/README.md` has their figures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
-    /// To look around: the fastest that still synchronizes
+    /// To look around: the fastest that still synchronizes.
     Draft,
-    /// Most of the accuracy for some of the time
+    /// Most of the accuracy for some of the time.
     Balanced,
-    /// The most accurate that the capture shows to pay
+    /// The most accurate methods that pay on the capture.
     #[default]
     Best,
 }
