@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_largest_set_is_found_by_trying_all() {
+    fn ransac_equals_an_exhaustive_search() {
         let mut values: Vec<f64> = (0..200).map(|k| (f64::from(k) * 12.9898).sin() * 3.0).collect();
         values.extend((0..30).map(|k| 0.7 + 0.001 * f64::from(k)));
         values.sort_by(f64::total_cmp);
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn wls_leans_to_the_many() {
+    fn wls_reduces_the_weight_of_an_outlier() {
         let mut values = vec![0.300, 0.301, 0.299, 0.3005, 0.2995];
         values.push(0.34);
         let mean = weighted_least_squares(&values, 70.0).unwrap();
