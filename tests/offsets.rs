@@ -1,5 +1,5 @@
-//! Clocks that are seconds apart, drift and lose frames; grids that see what a row does not; on
-//! films in closed form.
+//! Offsets on synthetic captures: recordings seconds apart, drift, lost frames, motion along the
+//! epipolar lines, and error bars of small bodies.
 
 mod common;
 #[allow(dead_code)] // the benchmark uses all of it
@@ -7,7 +7,7 @@ mod common;
 mod scene;
 
 use common::{run, stderr};
-use scene::Film;
+use scene::SyntheticCapture;
 use std::sync::Arc;
 use stlfr::capture::Capture;
 use stlfr::offset::{Offsets, estimate};
@@ -15,121 +15,124 @@ use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::registration::FrameStore;
 
-fn estimated(film: &Film) -> (Arc<Capture>, Offsets, Vec<f64>) {
+/// The capture, its offsets by the default options, and the true offsets, seconds.
+fn estimated(synthetic: &SyntheticCapture) -> (Arc<Capture>, Offsets, Vec<f64>) {
     let folder = tempfile::tempdir().unwrap();
-    let truth = film.write(folder.path()).unwrap();
+    let truth = synthetic.write(folder.path()).unwrap();
     let capture = Arc::new(Capture::open(folder.path()).unwrap());
     let options = RenderOptions::default();
     let silent = Reporter::silent();
     let frames = FrameStore::new(capture.clone(), &options.registration);
-    let found = estimate(&frames, &options.offset, &silent).unwrap();
-    // Frames go with the folder; all that is used below is the clocks.
-    (capture, found.offsets, truth)
+    let estimate = estimate(&frames, &options.offset, &silent).unwrap();
+    // The frames are deleted with the folder; the tests use the clocks alone.
+    (capture, estimate.offsets, truth)
 }
 
-fn small(boards: Vec<scene::Board>, delays_frames: &[f64], frames: usize) -> Film {
-    let mut film = Film::new(boards, delays_frames, frames);
-    film.size = [160, 120];
-    film
+fn small(boards: Vec<scene::Board>, delays_frames: &[f64], frames: usize) -> SyntheticCapture {
+    let mut synthetic = SyntheticCapture::new(boards, delays_frames, frames);
+    synthetic.size = [160, 120];
+    synthetic
 }
 
-/// Three recordings of one film, started and stopped by hand up to 3 s apart: 2.2 s in common.
+/// Three recordings of one scene that start and stop up to 3 s apart and overlap by 2.2 s.
 #[test]
 fn recordings_seconds_apart_are_aligned() {
     let delays = [0.3 + 66.0, 0.0, 21.0 - 0.2];
-    let film = small(scene::restless(1), &delays, 132);
-    let (capture, found, truth) = estimated(&film);
-    for (camera, truth_s) in found.cameras.iter().zip(truth) {
+    let synthetic = small(scene::aperiodic_boards(1), &delays, 132);
+    let (capture, offsets, truth) = estimated(&synthetic);
+    for (camera, truth_s) in offsets.cameras.iter().zip(truth) {
         let error = (camera.offset_s.expect(&camera.id) - truth_s) / capture.frame_s();
         assert!(error.abs() < 0.02, "{}: {error} frame", camera.id);
     }
 }
 
 #[test]
-fn drift_and_lost_frames_are_found_and_taken_into_account() {
-    let mut film = small(scene::restless(2), &[0.3, 0.0, -0.2], 100);
-    film.drift_ppm = vec![200.0, 0.0, -400.0];
-    film.lost = vec![vec![41], vec![], vec![20, 71]];
-    let (capture, found, _) = estimated(&film);
-    assert_eq!(found.cameras[0].lost_before, Some(vec![41]));
-    assert_eq!(found.cameras[1].lost_before, Some(vec![]));
-    // The second is missing before the image that would have been its 72nd, less the first one.
-    assert_eq!(found.cameras[2].lost_before, Some(vec![20, 70]));
-    assert_eq!((found.cameras[1].offset_s, found.cameras[1].rate_ppm), (Some(0.0), None));
-    for (c, camera) in found.cameras.iter().enumerate().filter(|(c, _)| *c != 1) {
+fn drift_and_lost_frames_are_estimated() {
+    let mut synthetic = small(scene::aperiodic_boards(2), &[0.3, 0.0, -0.2], 100);
+    synthetic.drift_ppm = vec![200.0, 0.0, -400.0];
+    synthetic.lost = vec![vec![41], vec![], vec![20, 71]];
+    let (capture, offsets, _) = estimated(&synthetic);
+    assert_eq!(offsets.cameras[0].lost_before, Some(vec![41]));
+    assert_eq!(offsets.cameras[1].lost_before, Some(vec![]));
+    // Frame 71 is missing before image 70, since frame 20 is missing before it.
+    assert_eq!(offsets.cameras[2].lost_before, Some(vec![20, 70]));
+    assert_eq!((offsets.cameras[1].offset_s, offsets.cameras[1].rate_ppm), (Some(0.0), None));
+    for (c, camera) in offsets.cameras.iter().enumerate().filter(|(c, _)| *c != 1) {
         let rate = camera.rate_ppm.unwrap();
         let bar = camera.rate_std_err_ppm.unwrap();
-        assert!((rate - film.drift_ppm[c]).abs() < 4.0 * bar && bar < 100.0, "{camera:?}");
+        assert!((rate - synthetic.drift_ppm[c]).abs() < 4.0 * bar && bar < 100.0, "{camera:?}");
     }
-    // Every image's time on the reference's clock, the end of the film included.
-    for (c, times) in found.common_times_s(&capture).into_iter().enumerate() {
-        let kept = (0..).filter(|n| !film.lost[c].contains(n));
-        for (time_s, n) in times.unwrap().into_iter().zip(kept) {
-            let slow = 1.0 + 1e-6 * film.drift_ppm[c];
-            let truth_s = film.delays_s[c] + n as f64 / film.rate_hz * slow - film.delays_s[1];
+    // Every image's time on the reference's clock, up to the end of the recording.
+    for (c, times) in offsets.common_times_s(&capture).into_iter().enumerate() {
+        let recorded = (0..).filter(|n| !synthetic.lost[c].contains(n));
+        for (time_s, n) in times.unwrap().into_iter().zip(recorded) {
+            let slow = 1.0 + 1e-6 * synthetic.drift_ppm[c];
+            let truth_s =
+                synthetic.delays_s[c] + n as f64 / synthetic.rate_hz * slow - synthetic.delays_s[1];
             let error = (time_s - truth_s) / capture.frame_s();
             assert!(error.abs() < 0.02, "camera {c}, frame {n}: {error} frame");
         }
     }
 }
 
-/// Short overlaps, drift and cameras that may lose frames, all at once, on many films: what is lost
-/// is found or missed, but none is made up, and what is told is true within its error.
+/// Short overlaps, drift and cameras that may lose frames, all at once, on several captures: exactly the
+/// lost frames are detected, and offsets and rates are within their error bars.
 #[test]
-fn no_frame_is_made_up_and_no_rate_is_wrong_and_sure() {
+fn no_loss_is_invented_and_rates_are_within_their_error_bars() {
     for seed in 0..6 {
-        let late = 10.0 + 7.0 * seed as f64;
-        let mut film = small(scene::restless(40 + seed), &[0.3 + late, 0.0, -0.2], 75);
-        film.drift_ppm = vec![150.0, 0.0, -300.0];
-        film.may_lose = true;
+        let late_frames = 10.0 + 7.0 * seed as f64;
+        let mut synthetic =
+            small(scene::aperiodic_boards(40 + seed), &[0.3 + late_frames, 0.0, -0.2], 75);
+        synthetic.drift_ppm = vec![150.0, 0.0, -300.0];
+        synthetic.may_lose = true;
         if seed % 2 == 1 {
-            film.lost[2] = vec![37];
+            synthetic.lost[2] = vec![37];
         }
-        let (capture, found, truth) = estimated(&film);
-        for (c, camera) in found.cameras.iter().enumerate() {
+        let (capture, offsets, truth) = estimated(&synthetic);
+        for (c, camera) in offsets.cameras.iter().enumerate() {
             let lost = camera.lost_before.clone().unwrap();
-            assert!(lost == film.lost[c], "seed {seed}, {}: lost {lost:?}", camera.id);
+            assert!(lost == synthetic.lost[c], "seed {seed}, {}: lost {lost:?}", camera.id);
             let Some((offset_s, bar_s)) = camera.offset_s.zip(camera.std_err_s) else { continue };
-            if camera.id == found.reference {
+            if camera.id == offsets.reference {
                 continue;
             }
             let error_s = offset_s - truth[c];
-            let small = 4.0 * bar_s + 0.005 * capture.frame_s();
-            assert!(error_s.abs() < small, "seed {seed}, {}: {error_s} ± {bar_s} s", camera.id);
+            let bound_s = 4.0 * bar_s + 0.005 * capture.frame_s();
+            assert!(error_s.abs() < bound_s, "seed {seed}, {}: {error_s} ± {bar_s} s", camera.id);
             let (rate, bar) = camera.rate_ppm.zip(camera.rate_std_err_ppm).unwrap();
-            let error = rate - film.drift_ppm[c];
+            let error = rate - synthetic.drift_ppm[c];
             assert!(error.abs() < 4.0 * bar + 20.0, "seed {seed}, {}: {camera:?}", camera.id);
         }
     }
 }
 
 #[test]
-fn motion_along_the_rows_is_seen_by_a_grids_columns() {
-    let mut film = small(scene::rectangle([0.9, 0.0]), &[0.3, -0.2, 0.0, 0.4], 8);
-    let (_, row, _) = estimated(&film);
+fn the_columns_of_a_grid_observe_motion_along_its_rows() {
+    let mut synthetic = small(scene::rectangle([0.9, 0.0]), &[0.3, -0.2, 0.0, 0.4], 8);
+    let (_, row, _) = estimated(&synthetic);
     assert!(row.cameras.iter().filter(|c| c.id != row.reference).all(|c| c.offset_s.is_none()));
-    film.second_row_m = 0.1;
-    let (capture, grid, truth) = estimated(&film);
+    synthetic.second_row_m = 0.1;
+    let (capture, grid, truth) = estimated(&synthetic);
     for (camera, truth_s) in grid.cameras.iter().zip(truth) {
         let error = (camera.offset_s.expect(&camera.id) - truth_s) / capture.frame_s();
         assert!(error.abs() < 0.02, "{}: {error} frame", camera.id);
     }
 }
 
-/// What tells the time is the few features of one small body, which err together: their scatter says
-/// little of what they are off by.
+/// All information comes from the few features of one small body. Their errors are correlated, so that
+/// their scatter underestimates them, and the standard errors must be inflated.
 #[test]
-fn a_small_body_alone_is_doubted() {
+fn error_bars_of_a_small_body_are_inflated() {
     let (mut known, mut beyond) = (0, Vec::new());
     for seed in 0..8 {
         let boards = scene::small_turning_board(seed);
-        let mut film = small(boards, &[0.3, -0.2, 0.0, 0.4], 9);
-        film.seed = seed;
-        film.size = [240, 180];
-        let (_, found, truth) = estimated(&film);
-        for (camera, truth_s) in found.cameras.iter().zip(truth) {
+        let mut synthetic = small(boards, &[0.3, -0.2, 0.0, 0.4], 9);
+        synthetic.seed = seed;
+        synthetic.size = [240, 180];
+        let (_, offsets, truth) = estimated(&synthetic);
+        for (camera, truth_s) in offsets.cameras.iter().zip(truth) {
             let Some((offset_s, bar_s)) = camera.offset_s.zip(camera.std_err_s) else { continue };
-            if camera.id != found.reference {
+            if camera.id != offsets.reference {
                 known += 1;
                 let z = (offset_s - truth_s).abs() / bar_s;
                 if z > 2.0 {
@@ -143,10 +146,10 @@ fn a_small_body_alone_is_doubted() {
 }
 
 #[test]
-fn the_command_prints_a_table_and_keeps_a_plot() {
+fn the_command_prints_a_table_and_saves_a_plot() {
     let folder = tempfile::tempdir().unwrap();
-    let film = small(scene::rectangle([0.5, 0.7]), &[0.3, 0.0], 5);
-    film.write(folder.path()).unwrap();
+    let synthetic = small(scene::rectangle([0.5, 0.7]), &[0.3, 0.0], 5);
+    synthetic.write(folder.path()).unwrap();
     let path = folder.path().to_str().unwrap();
     let first = run(&["offsets", path]);
     assert!(first.status.success(), "{}", stderr(&first));
@@ -160,7 +163,7 @@ fn the_command_prints_a_table_and_keeps_a_plot() {
     assert!(plot.matches("<circle").count() > 8 && !plot.contains("NaN"));
     let again = run(&["offsets", path]);
     assert_eq!(String::from_utf8_lossy(&again.stdout), table);
-    assert!(stderr(&again).contains("kept in offsets.json"));
+    assert!(stderr(&again).contains("those of offsets.json"));
 }
 
 #[test]

@@ -8,12 +8,13 @@ use stlfr::offset::{Offsets, known_or_cached_or_estimated};
 use stlfr::progress::Reporter;
 use stlfr::registration::FrameStore;
 
-/// Estimate how far each camera's clock is off the reference's, with its standard error, from the
-/// pixels alone.
+/// Estimate the offset of each camera's clock from the reference's, with its standard error, from the
+/// images alone.
 ///
-/// Time on the reference's clock = time on the camera's clock + offset. Clocks that drift, and
-/// cameras that may lose frames, are those that capture.json calls so. The result is saved in the
-/// capture's folder: offsets.json, and offsets.svg, a plot of the data behind it.
+/// Time on the reference's clock = time on the camera's clock + offset. Rates are estimated for clocks
+/// that capture.json declares to drift, and lost frames for cameras that it declares may lose them. The
+/// result is saved in the capture's folder as offsets.json, and a plot of the data behind it as
+/// offsets.svg.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr offsets .captures/demo\n  \

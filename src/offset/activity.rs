@@ -1,71 +1,76 @@
-//! What changes in a film, interval by interval, at a cost far below tracking: the signal that
-//! rough alignment compares.
+//! The temporal activity of a recording, interval by interval, at a cost far below tracking: the signal
+//! that rough alignment correlates.
 //!
-//! Of every two successive frames, at about 80 pixels across, a coarse grid of sums: the energy of
-//! the change, `Σ I_t²`, and its correlation with the gradient, `−Σ I_t ∇I`, which points where the
-//! texture goes. Cameras that stand near each other see the same of both across the epipolar lines,
-//! and its sign tells a motion from its reverse, which energy alone does not.
+//! Two successive frames, downsampled to about 80 pixels across, give a coarse grid of sums: the energy
+//! of the temporal derivative, `Σ I_t²`, and its correlation with the gradient, `−Σ I_t ∇I`, which
+//! points in the direction of motion. Cells between the same epipolar lines of two nearby cameras see
+//! the same energy and the same motion across these lines. The sign of the motion distinguishes it from
+//! its reverse, which energy alone does not.
+//!
+//! Known limit: motion along the epipolar lines contributes energy only.
 
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::{Capture, CaptureError};
 use nalgebra::{Point2, Vector2};
 
-/// The grid's cells across and down.
+/// The grid's cells across. More are noisier; fewer mix several epipolar bands in a cell.
 const COLUMNS: usize = 16;
+/// The grid's cells down; likewise.
 const ROWS: usize = 12;
-/// Width that frames are averaged down to, pixels.
+/// The width that frames are downsampled to, pixels. Larger is slower and sees motion of less than a
+/// texture period only; smaller averages small motions away.
 const WIDTH: usize = 80;
-/// Bands along the epipolar lines that a pair compares.
+/// The number of epipolar bands that a pair compares. More separate motions better, but suffer from
+/// parallax between cell and band; fewer make different motions look alike.
 pub const BANDS: usize = 6;
 
-/// One camera's activity, as the pairs that it is in compare it. (The grid itself would be 2.3 kB a
-/// frame.)
+/// One camera's activity, reduced to the bands of its pairs: the grid itself would take 2.3 kB a frame.
 #[derive(Clone, Debug, Default)]
 pub struct Activity {
     /// The middle of each interval on the camera's clock, seconds.
     pub times_s: Vec<f64>,
-    /// All energy of each interval.
+    /// The total energy of each interval.
     pub energies: Vec<f64>,
-    /// By pair, interval by interval: the root of each band's energy, then the signed root of its
-    /// motion across.
+    /// By pair and interval: the root of each band's energy, then the signed root of its motion across
+    /// the epipolar lines.
     pub signals: Vec<Vec<[f32; 2 * BANDS]>>,
 }
 
-/// Energy, and correlation with the gradient's x and y, by cell, a second's worth.
+/// By cell: energy, and the correlation with the gradient in x and in y, per second.
 type Cells = [[f32; 3]; COLUMNS * ROWS];
 
 impl Activity {
-    /// Reads all frames of a camera; `bands` are those of its pairs.
+    /// The activity of a camera, from all its frames; `bands` are those of its pairs.
     pub fn new(capture: &Capture, camera: usize, bands: &[&Bands]) -> Result<Self, CaptureError> {
         let times = &capture.cameras[camera].clock.times_s;
         let mut activity = Self { signals: vec![Vec::new(); bands.len()], ..Self::default() };
-        let mut before: Option<Small> = None;
+        let mut before: Option<Downsampled> = None;
         for (k, &time_s) in times.iter().enumerate() {
-            let now = Small::new(&capture.read_frame(camera, k)?.to_gray());
+            let current = Downsampled::new(&capture.read_frame(camera, k)?.to_gray());
             if let Some(before) = before {
-                // Positive: the times ascend.
+                // Positive, since times ascend.
                 let interval = time_s - times[k - 1];
                 activity.times_s.push(time_s - 0.5 * interval);
-                let cells = cells(&before, &now, interval as f32);
+                let cells = cells(&before, &current, interval as f32);
                 activity.energies.push(cells.iter().map(|c| f64::from(c[0])).sum());
                 for (signal, bands) in activity.signals.iter_mut().zip(bands) {
                     signal.push(bands.signal(&cells));
                 }
             }
-            before = Some(now);
+            before = Some(current);
         }
         Ok(activity)
     }
 }
 
-/// A frame, small and grey.
-struct Small {
+/// A grey frame, averaged over square blocks.
+struct Downsampled {
     width: usize,
     height: usize,
     values: Vec<f32>,
 }
 
-impl Small {
+impl Downsampled {
     fn new(gray: &crate::raster::Image) -> Self {
         let step = (gray.width() / WIDTH).max(1);
         let (width, height) = (gray.width() / step, gray.height() / step);
@@ -82,15 +87,16 @@ impl Small {
     }
 }
 
-fn cells(before: &Small, now: &Small, interval: f32) -> Cells {
-    let (w, h) = (now.width, now.height);
+/// The grid of sums for two successive frames, `interval` seconds apart.
+fn cells(before: &Downsampled, current: &Downsampled, interval: f32) -> Cells {
+    let (w, h) = (current.width, current.height);
     let mut cells = [[0.0; 3]; COLUMNS * ROWS];
-    // All pixels have neighbours; tinier images have no activity.
+    // Border pixels have no gradient; images below 3 × 3 pixels have no activity.
     for y in 1..h.saturating_sub(1) {
         for x in 1..w.saturating_sub(1) {
             let at = y * w + x;
-            let both = |k: usize| before.values[k] + now.values[k];
-            let change = now.values[at] - before.values[at];
+            let both = |k: usize| before.values[k] + current.values[k];
+            let change = current.values[at] - before.values[at];
             let gradient =
                 [0.25 * (both(at + 1) - both(at - 1)), 0.25 * (both(at + w) - both(at - w))];
             let cell = &mut cells[(y * ROWS / h) * COLUMNS + x * COLUMNS / w];
@@ -102,31 +108,32 @@ fn cells(before: &Small, now: &Small, interval: f32) -> Cells {
     cells
 }
 
-/// Which band each cell of a camera's grid is in, and the direction across the bands there, the
-/// same for both cameras of a pair.
+/// The epipolar band of each cell of a camera's grid, and the direction across the bands there, whose
+/// sense is the same in both cameras of a pair.
 #[derive(Clone, Debug)]
 pub struct Bands {
     of_cell: Vec<Option<(usize, Vector2<f64>)>>,
 }
 
 impl Bands {
-    /// Bands of the epipolar lines of two cameras, in each. `None` for cameras in one place.
+    /// The epipolar bands of two cameras, in each of them. `None` for cameras with a common centre.
     pub fn of_pair(a: &Camera, b: &Camera) -> Option<[Self; 2]> {
         let (b_from_a, a_from_b) = (EpipolarGeometry::new(a, b)?, EpipolarGeometry::new(b, a)?);
         let middle = |c: &Camera| Point2::new(0.5 * c.width as f64, 0.5 * c.height as f64);
         let (in_a, in_b) = (middle(a), middle(b));
-        // How far the line is from camera b's middle: the same number for both images of a point.
+        // Epipolar lines are numbered by their distance from camera b's middle: the same number for both
+        // images of a point.
         let of_a = |p: &Point2<f64>| Some(b_from_a.line_in_j(p)?.distance(&in_b));
         let of_b = |q: &Point2<f64>| of_a(&a_from_b.line_in_j(q)?.nearest(&in_a));
-        let reach = cell_centers(b)
+        let max_distance = cell_centers(b)
             .filter_map(|q| of_b(&q))
-            .fold(0.0_f64, |reach, distance| reach.max(distance.abs()));
-        // The outermost lines are inside.
-        let reach = reach * (1.0 + 1e-3);
-        Some([Self::new(a, of_a, reach), Self::new(b, of_b, reach)])
+            .fold(0.0_f64, |max, distance| max.max(distance.abs()));
+        // Slightly more, so that the outermost lines lie inside the outermost bands.
+        let max_distance = max_distance * (1.0 + 1e-3);
+        Some([Self::new(a, of_a, max_distance), Self::new(b, of_b, max_distance)])
     }
 
-    /// An interval's energy and motion, band by band.
+    /// The energies of an interval by band, then the motions, as (signed) roots.
     fn signal(&self, cells: &Cells) -> [f32; 2 * BANDS] {
         let mut sums = [0.0; 2 * BANDS];
         for (cell, of_cell) in cells.iter().zip(&self.of_cell) {
@@ -137,11 +144,15 @@ impl Bands {
         sums.map(|s| s.signum() * s.abs().sqrt())
     }
 
-    fn new(camera: &Camera, distance: impl Fn(&Point2<f64>) -> Option<f64>, reach: f64) -> Self {
+    fn new(
+        camera: &Camera,
+        distance: impl Fn(&Point2<f64>) -> Option<f64>,
+        max_distance: f64,
+    ) -> Self {
         let of_cell = cell_centers(camera)
             .map(|p| {
                 let at = distance(&p)?;
-                let band = ((at + reach) / (2.0 * reach) * BANDS as f64).floor();
+                let band = ((at + max_distance) / (2.0 * max_distance) * BANDS as f64).floor();
                 let slope = |v: Vector2<f64>| Some(distance(&(p + v))? - distance(&(p - v))?);
                 let across = Vector2::new(slope(Vector2::x())?, slope(Vector2::y())?);
                 let inside = (0.0..BANDS as f64).contains(&band);
@@ -152,6 +163,7 @@ impl Bands {
     }
 }
 
+/// The centres of the grid's cells, row by row, pixels.
 fn cell_centers(camera: &Camera) -> impl Iterator<Item = Point2<f64>> {
     let (w, h) = (camera.width as f64, camera.height as f64);
     (0..COLUMNS * ROWS).map(move |k| {
@@ -181,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn bands_of_a_row_are_rows_and_turn_with_the_camera() {
+    fn bands_of_a_horizontal_baseline_are_rows_and_roll_with_the_camera() {
         let [a, b] = Bands::of_pair(&camera(0.0, 0.0), &camera(0.06, 0.0)).unwrap();
         let upright: Vec<_> = a.of_cell.iter().map(|c| c.unwrap()).collect();
         for (k, (band, across)) in upright.iter().enumerate() {
@@ -189,7 +201,7 @@ mod tests {
             assert!(across.x.abs() < 1e-6 && (across.y.abs() - 1.0).abs() < 1e-6);
             assert!((b.of_cell[k].unwrap().1 - across).norm() < 1e-6);
         }
-        // A camera that stands on its head has the bands the other way round.
+        // A camera rolled by 180° has its bands in the reverse order.
         let [a, b] =
             Bands::of_pair(&camera(0.0, 0.0), &camera(0.06, std::f64::consts::PI)).unwrap();
         for (k, cell) in a.of_cell.iter().enumerate() {
@@ -202,16 +214,16 @@ mod tests {
 
     #[test]
     fn motion_has_the_sign_of_its_direction() {
-        let film = |shift: f32| {
+        let frame = |shift: f32| {
             let data = (0..160 * 120).map(|k| 0.5 + 0.4 * (((k / 160) as f32 - shift) * 0.2).sin());
-            Small::new(&Image::from_data(160, 120, 1, data.collect()))
+            Downsampled::new(&Image::from_data(160, 120, 1, data.collect()))
         };
         for (shift, sign) in [(1.0, 1.0), (-1.0, -1.0)] {
-            let cells = cells(&film(0.0), &film(shift), 0.04);
+            let cells = cells(&frame(0.0), &frame(shift), 0.04);
             let down: f32 = cells.iter().map(|c| c[2]).sum();
             assert!(down * sign > 0.0, "{shift} {down}");
         }
-        let still = cells(&film(0.0), &film(0.0), 0.04);
-        assert!(still.iter().flatten().all(|v| *v == 0.0));
+        let unchanged = cells(&frame(0.0), &frame(0.0), 0.04);
+        assert!(unchanged.iter().flatten().all(|v| *v == 0.0));
     }
 }

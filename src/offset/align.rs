@@ -1,47 +1,56 @@
-//! Rough alignment: recordings started by hand differ by seconds. Which whole frames belong
-//! together is found from signals of activity, and the few best answers are put to the epipolar
-//! test on a few frames.
+//! Rough alignment of recordings that were started by hand, seconds apart: a pair's offset to about a
+//! frame.
+//!
+//! The normalized cross-correlation of activity signals ([`super::activity`]) proposes a few offsets.
+//! Each is verified by the epipolar candidates (eq. (10)) of a few frame triples, and the one with the
+//! largest fraction of inliers is chosen.
+//!
+//! Known limits: recordings shorter than the option `min_overlap_s` are taken to be aligned to about a
+//! frame, and periodic motion has no unique alignment.
 
 use super::activity::{Activity, BANDS, Bands};
-use super::film::Film;
 use super::mixture::Observation;
-use super::pair::{Blind, Guess, MIN_AGREEMENT, OWN_CLOCKS_FRAMES, residuals};
+use super::pair::{InitialOffset, MIN_AGREEMENT, NOMINAL_CLOCK_FRAMES, PairFailure};
+use super::pair_fit::residual_model;
+use super::recording::Recording;
 use crate::capture::CaptureError;
 use rayon::prelude::*;
 
-/// How well two signals agree when the second camera's clock is `offset_s` behind the first's.
+/// The correlation of two signals at an offset `offset_b − offset_a`, seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Shift {
     offset_s: f64,
-    /// Normalized cross-correlation, −1 to 1.
+    /// The normalized cross-correlation, −1 to 1.
     correlation: f64,
 }
 
-/// Answers of the correlation that are put to the epipolar test.
+/// The number of correlation peaks that are verified. Larger costs time; smaller misses true offsets
+/// whose peak is low.
 const MAX_CANDIDATES: usize = 5;
-/// Frames that it is done on.
+/// The number of frame triples that verify an offset. Larger costs time; smaller leaves the choice to
+/// few features.
 const TESTED_FRAMES: usize = 6;
-/// A rival with this share of the best answer's agreement is as good.
-const AS_GOOD: f64 = 0.8;
+/// The agreement at which an offset rivals the best one, as a fraction of the best one's. Larger
+/// chooses among periods of a motion by noise; smaller calls aperiodic motion periodic.
+const RIVAL_FRACTION: f64 = 0.8;
 
-/// The activity of every camera that may have to be aligned, with the signals of its pairs by the
-/// pairs' numbers. Those whose clocks are taken to be right to a frame have none, nor have those that
-/// stand in one place.
+/// The activity of every camera that needs alignment. Pairs of short recordings have no signals, nor
+/// have pairs of cameras with a common centre.
 pub struct Activities {
     of_camera: Vec<Activity>,
-    /// Which signal of each of its cameras is a pair's.
+    /// By pair: the index of its signal in each of its cameras' activities.
     signals: Vec<Option<[usize; 2]>>,
 }
 
 impl Activities {
-    /// Reads all frames of the cameras that need it.
-    pub fn new(film: &Film, pairs: &[[usize; 2]]) -> Result<Self, CaptureError> {
-        let capture = film.frames.capture();
+    /// Reads all frames of the cameras that need alignment.
+    pub fn new(recording: &Recording, pairs: &[[usize; 2]]) -> Result<Self, CaptureError> {
+        let capture = recording.frames.capture();
         let bands: Vec<Option<[Bands; 2]>> = pairs
             .iter()
             .map(|&pair| {
                 let [a, b] = pair.map(|c| &capture.cameras[c].camera);
-                is_long(film, pair).then(|| Bands::of_pair(a, b)).flatten()
+                is_long(recording, pair).then(|| Bands::of_pair(a, b)).flatten()
             })
             .collect();
         let mut of_cameras: Vec<Vec<&Bands>> = vec![Vec::new(); capture.cameras.len()];
@@ -67,85 +76,93 @@ impl Activities {
     }
 }
 
-/// Whether both cameras of a pair filmed for longer than the least overlap that is searched for.
-fn is_long(film: &Film, pair: [usize; 2]) -> bool {
-    let options = film.options;
+/// Whether both recordings of a pair are longer than the minimum overlap.
+fn is_long(recording: &Recording, pair: [usize; 2]) -> bool {
+    let options = recording.options;
     let duration = |c: usize| {
-        let (first, last) = film.timelines.span_s(c);
+        let (first, last) = recording.timelines.span_s(c);
         last - first
     };
     options.search_s > 0.0 && pair.iter().all(|&c| duration(c) > options.min_overlap_s)
 }
 
-/// The offset of pair number `n` to about a frame: the clocks' own for short films.
-pub fn rough(
-    film: &Film,
+/// The offset of pair `n` to about a frame; 0, by the nominal clocks, for short recordings.
+pub fn rough_offset(
+    recording: &Recording,
     pairs: &[[usize; 2]],
     n: usize,
     activities: &Activities,
-) -> Result<Result<Guess, Blind>, CaptureError> {
-    let Some(numbers) = activities.signals[n] else { return Ok(Ok(Guess::default())) };
+) -> Result<Result<InitialOffset, PairFailure>, CaptureError> {
+    let Some(indices) = activities.signals[n] else { return Ok(Ok(InitialOffset::default())) };
     let [a, b] = pairs[n];
-    let frame_s = film.timelines.frame_s(a).max(film.timelines.frame_s(b));
+    let frame_s = recording.timelines.frame_s(a).max(recording.timelines.frame_s(b));
     let [of_a, of_b] = [a, b].map(|c| &activities.of_camera[c]);
-    let signals = [(of_a, numbers[0]), (of_b, numbers[1])]
+    let signals = [(of_a, indices[0]), (of_b, indices[1])]
         .map(|(of, n)| Signal { times_s: &of.times_s, values: &of.signals[n] });
-    let mut tried = peaks(&signals, film.options.search_s, film.options.min_overlap_s, frame_s);
-    if tried.is_empty() {
-        return Ok(Err(Blind::Apart));
+    let mut shifts =
+        peaks(&signals, recording.options.search_s, recording.options.min_overlap_s, frame_s);
+    if shifts.is_empty() {
+        return Ok(Err(PairFailure::NoOverlap));
     }
-    // The clocks' own word is always heard.
-    if tried.iter().all(|s| s.offset_s.abs() > frame_s) {
-        tried.push(Shift { offset_s: 0.0, correlation: 0.0 });
+    // The nominal clocks' offset of 0 is always verified.
+    if shifts.iter().all(|s| s.offset_s.abs() > frame_s) {
+        shifts.push(Shift { offset_s: 0.0, correlation: 0.0 });
     }
-    let mut agreed = Vec::new();
-    for shift in &tried {
-        agreed.push((shift.offset_s, agreement(film, [a, b], shift.offset_s, of_a)?));
+    let mut agreements = Vec::new();
+    for shift in &shifts {
+        agreements.push((shift.offset_s, agreement(recording, [a, b], shift.offset_s, of_a)?));
     }
-    Ok(choose(&agreed, frame_s))
+    Ok(choose(&agreements, frame_s))
 }
 
-/// The offset that most agree with; of several as good, the clocks' own, if it is one of them.
-fn choose(agreed: &[(f64, f64)], frame_s: f64) -> Result<Guess, Blind> {
-    let most = agreed.iter().map(|a| a.1).fold(0.0, f64::max);
-    let good: Vec<f64> =
-        agreed.iter().filter(|a| a.1 > 0.0 && a.1 >= AS_GOOD * most).map(|a| a.0).collect();
-    let near = |x: f64, y: f64| (x - y).abs() <= OWN_CLOCKS_FRAMES * frame_s;
-    if let Some(own) = good.iter().find(|&&offset| near(offset, 0.0)) {
-        return Ok(Guess::constant(*own));
+/// The offset of the largest agreement among (offset, agreement) pairs. Of several rivals the nominal
+/// clocks' offset is chosen, if it is one of them.
+fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<InitialOffset, PairFailure> {
+    let max = agreements.iter().map(|a| a.1).fold(0.0, f64::max);
+    let rivals: Vec<f64> = agreements
+        .iter()
+        .filter(|a| a.1 > 0.0 && a.1 >= RIVAL_FRACTION * max)
+        .map(|a| a.0)
+        .collect();
+    let near = |x: f64, y: f64| (x - y).abs() <= NOMINAL_CLOCK_FRAMES * frame_s;
+    if let Some(nominal) = rivals.iter().find(|&&offset| near(offset, 0.0)) {
+        return Ok(InitialOffset::constant(*nominal));
     }
-    let Some(best) = agreed.iter().find(|a| a.1 == most) else { return Err(Blind::Apart) };
-    if most > 0.0 && most < MIN_AGREEMENT {
-        return Err(Blind::Discordant);
+    let Some(best) = agreements.iter().find(|a| a.1 == max) else {
+        return Err(PairFailure::NoOverlap);
+    };
+    if max > 0.0 && max < MIN_AGREEMENT {
+        return Err(PairFailure::NoConsensus);
     }
-    if most == 0.0 {
-        // Nothing is seen at any offset; the pair itself says why.
-        return Ok(Guess::default());
+    if max == 0.0 {
+        // No offset has inliers; the pair's own estimate determines why.
+        return Ok(InitialOffset::default());
     }
-    let alone = good.iter().all(|&other| near(other, best.0));
-    if alone { Ok(Guess::constant(best.0)) } else { Err(Blind::Repeating) }
+    let is_unique = rivals.iter().all(|&other| near(other, best.0));
+    if is_unique { Ok(InitialOffset::constant(best.0)) } else { Err(PairFailure::PeriodicMotion) }
 }
 
-/// The share of features that move across their epipolar lines whose epipolar lines cross their paths at one offset near the
-/// given one, on frames of camera a with much activity, spread over what both filmed.
+/// The fraction of the features that move across their epipolar lines whose candidates agree on one
+/// offset near the given one. The triples are those of camera a's most active frames, spread over the
+/// overlap. The fraction is 0 for fewer inliers than a pair needs.
 fn agreement(
-    film: &Film,
+    recording: &Recording,
     [a, b]: [usize; 2],
     offset_s: f64,
     activity: &Activity,
 ) -> Result<f64, CaptureError> {
-    let times = &film.timelines.times_s[a];
+    let times = &recording.timelines.times_s[a];
     let possible: Vec<(usize, usize)> = (0..times.len() - 1)
-        .filter_map(|k| Some((k, film.between([a, b], k, offset_s)?)))
+        .filter_map(|k| Some((k, recording.image_between([a, b], k, offset_s)?)))
         .collect();
     let mut observations = Vec::new();
     let mut across = 0;
     for part in possible.chunks(possible.len().div_ceil(TESTED_FRAMES).max(1)) {
-        let most = part.iter().max_by(|x, y| {
+        let most_active = part.iter().max_by(|x, y| {
             activity.energies[x.0].total_cmp(&activity.energies[y.0]).then(y.0.cmp(&x.0))
         });
-        let Some(&(k, m)) = most else { continue };
-        let triple = film.triple([a, b], [k, m])?;
+        let Some(&(k, m)) = most_active else { continue };
+        let triple = recording.triple([a, b], [k, m])?;
         across += triple.across;
         observations.extend(triple.samples.iter().map(|s| Observation {
             value_s: s.offset_s(),
@@ -153,19 +170,20 @@ fn agreement(
             across_px_s: s.across_px_s,
         }));
     }
-    let residuals = residuals(film.timelines.frame_s(a), film.options);
-    let score = residuals.start(&observations).map_or(0.0, |(_, score)| score);
-    let enough = score >= film.options.min_inliers as f64;
+    let model = residual_model(recording.timelines.frame_s(a), recording.options);
+    let score = model.consensus_value(&observations).map_or(0.0, |(_, score)| score);
+    let enough = score >= recording.options.min_inliers as f64;
     Ok(if enough { score / across.max(1) as f64 } else { 0.0 })
 }
 
+/// An activity signal: one value per interval and channel.
 struct Signal<'a> {
     times_s: &'a [f64],
     values: &'a [[f32; 2 * BANDS]],
 }
 
 impl Signal<'_> {
-    /// Linearly between samples; `None` outside.
+    /// The signal at a time on the camera's clock, linearly interpolated; `None` outside its span.
     fn at(&self, time_s: f64) -> Option<[f32; 2 * BANDS]> {
         let after = self.times_s.partition_point(|&t| t < time_s);
         if after == self.times_s.len() || (after == 0 && self.times_s.first() != Some(&time_s)) {
@@ -173,24 +191,24 @@ impl Signal<'_> {
         }
         let before = after.saturating_sub(1);
         let gap = self.times_s[after] - self.times_s[before];
-        let share = if gap > 0.0 { (time_s - self.times_s[before]) / gap } else { 1.0 };
+        let fraction = if gap > 0.0 { (time_s - self.times_s[before]) / gap } else { 1.0 };
         Some(std::array::from_fn(|c| {
             let (x, y) = (self.values[before][c], self.values[after][c]);
-            x + share as f32 * (y - x)
+            x + fraction as f32 * (y - x)
         }))
     }
 }
 
-/// The highest peaks of the correlation over all shifts within the search, best first.
+/// The highest local maxima of the correlation within the search range, highest first.
 fn peaks(signals: &[Signal; 2], search_s: f64, min_overlap_s: f64, frame_s: f64) -> Vec<Shift> {
-    // Half a frame: a peak is as wide as a frame's change of motion.
+    // A peak is about a frame wide.
     let step = 0.5 * frame_s;
-    let reach = (search_s / step).ceil();
-    // Beyond these the recordings have nothing in common, and there may be billions of steps.
+    let max_steps = (search_s / step).ceil();
+    // Only shifts at which the recordings overlap: the search range may have billions of steps.
     let ends = |s: &Signal| Some((*s.times_s.first()?, *s.times_s.last()?));
     let [Some(a), Some(b)] = signals.each_ref().map(ends) else { return Vec::new() };
-    let first = ((a.0 - b.1) / step).floor().max(-reach) as i64;
-    let last = ((a.1 - b.0) / step).ceil().min(reach) as i64;
+    let first = ((a.0 - b.1) / step).floor().max(-max_steps) as i64;
+    let last = ((a.1 - b.0) / step).ceil().min(max_steps) as i64;
     let all: Vec<Option<Shift>> = (first..=last)
         .into_par_iter()
         .map(|k| {
@@ -209,8 +227,9 @@ fn peaks(signals: &[Signal; 2], search_s: f64, min_overlap_s: f64, frame_s: f64)
     peaks
 }
 
-/// The normalized cross-correlation of all bands together, each about its own mean; `None` where
-/// the recordings overlap too little, or one of them shows no change.
+/// The mean of the normalized cross-correlations of energy and motion, each over all bands, every band
+/// about its own mean. `None` where the recordings overlap by less than `min_overlap_s`, or one of them
+/// is constant.
 fn correlation([a, b]: &[Signal; 2], offset_s: f64, min_overlap_s: f64) -> Option<f64> {
     let mut overlap: Vec<([f32; 2 * BANDS], [f32; 2 * BANDS])> = Vec::new();
     let (mut first_s, mut last_s) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -220,7 +239,8 @@ fn correlation([a, b]: &[Signal; 2], offset_s: f64, min_overlap_s: f64) -> Optio
             (first_s, last_s) = (first_s.min(*time_s), last_s.max(*time_s));
         }
     }
-    // The first and the last interval count too; rounding must not exclude the bound itself.
+    // Samples are the middles of intervals: half an interval at either end belongs to the overlap. One
+    // interval more keeps rounding from excluding the bound itself.
     let interval = (last_s - first_s) / (overlap.len().max(2) - 1) as f64;
     if !(last_s - first_s + 2.0 * interval >= min_overlap_s) {
         return None;
@@ -242,7 +262,7 @@ fn correlation([a, b]: &[Signal; 2], offset_s: f64, min_overlap_s: f64) -> Optio
             sums[2] += q * q;
         }
     }
-    // Energy and motion have units of their own; each counts as much.
+    // Energy and motion have different units: each is normalized by itself.
     let parts = sums.map(|[both, x, y]| both / (x * y).sqrt());
     let finite: Vec<f64> = parts.into_iter().filter(|p| p.is_finite()).collect();
     (!finite.is_empty()).then(|| finite.iter().sum::<f64>() / finite.len() as f64)
@@ -253,8 +273,8 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    /// A smooth random signal, sampled by two cameras at rates of their own.
-    fn filmed(
+    /// A smooth random signal, sampled at a camera's rate.
+    fn sampled_signal(
         seed: u64,
         rate_hz: f64,
         start_s: f64,
@@ -280,31 +300,31 @@ mod tests {
     }
 
     #[test]
-    fn hundreds_of_recordings_are_aligned_to_a_frame() {
+    fn a_hundred_recordings_are_aligned_to_a_frame() {
         let random = &mut Random::new(6);
         for seed in 0..100 {
             // Started up to 5 s apart, overlapping by 2 s or more.
-            let late_s = 10.0 * random.unit() - 5.0;
+            let offset_s = 10.0 * random.unit() - 5.0;
             let rates = [30.0, 15.0 + 15.0 * random.unit()];
-            let duration_s = late_s.abs() + 2.2 + 3.0 * random.unit();
-            let signals = [(rates[0], 20.0), (rates[1], 20.0 + late_s)]
-                .map(|(rate, start)| filmed(seed, rate, start, duration_s));
+            let duration_s = offset_s.abs() + 2.2 + 3.0 * random.unit();
+            let signals = [(rates[0], 20.0), (rates[1], 20.0 + offset_s)]
+                .map(|(rate, start)| sampled_signal(seed, rate, start, duration_s));
             let signals = signals.each_ref().map(|(times_s, values)| Signal { times_s, values });
             let frame_s = 1.0 / rates[1];
             let best = peaks(&signals, 5.0, 2.0, frame_s)[0];
-            assert!((best.offset_s - late_s).abs() <= frame_s, "{seed}: {best:?} {late_s}");
+            assert!((best.offset_s - offset_s).abs() <= frame_s, "{seed}: {best:?} {offset_s}");
         }
     }
 
     #[test]
     fn recordings_without_change_or_overlap_have_no_peak() {
-        let (times_s, values) = filmed(1, 30.0, 0.0, 4.0);
-        let still = vec![[1.0; 2 * BANDS]; times_s.len()];
-        let moving = Signal { times_s: &times_s, values: &values };
-        let flat = Signal { times_s: &times_s, values: &still };
-        assert_eq!(correlation(&[moving, flat], 0.0, 2.0), None);
+        let (times_s, values) = sampled_signal(1, 30.0, 0.0, 4.0);
+        let constant = vec![[1.0; 2 * BANDS]; times_s.len()];
+        let varying = Signal { times_s: &times_s, values: &values };
+        let flat = Signal { times_s: &times_s, values: &constant };
+        assert_eq!(correlation(&[varying, flat], 0.0, 2.0), None);
         let later: Vec<f64> = times_s.iter().map(|t| t + 100.0).collect();
-        let (_, values) = filmed(1, 30.0, 0.0, 4.0);
+        let (_, values) = sampled_signal(1, 30.0, 0.0, 4.0);
         let apart = [
             Signal { times_s: &times_s, values: &values },
             Signal { times_s: &later, values: &values },
@@ -313,15 +333,15 @@ mod tests {
     }
 
     #[test]
-    fn the_clocks_own_word_decides_between_equals() {
+    fn nominal_clocks_decide_between_rivals() {
         let frame_s = 0.04;
-        assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.45)], frame_s), Ok(Guess::constant(0.02)));
-        assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.1)], frame_s), Ok(Guess::constant(1.0)));
-        assert_eq!(choose(&[(1.0, 0.4), (0.02, 0.1)], frame_s), Err(Blind::Discordant));
-        assert_eq!(choose(&[(1.0, 0.1), (0.02, 0.4)], frame_s), Ok(Guess::constant(0.02)));
-        assert_eq!(choose(&[(1.0, 0.5), (2.0, 0.45)], frame_s), Err(Blind::Repeating));
-        assert_eq!(choose(&[(1.0, 0.5), (1.02, 0.45)], frame_s), Ok(Guess::constant(1.0)));
-        assert_eq!(choose(&[(1.0, 0.0)], frame_s), Ok(Guess::default()));
-        assert_eq!(choose(&[], frame_s), Err(Blind::Apart));
+        assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.45)], frame_s), Ok(InitialOffset::constant(0.02)));
+        assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.1)], frame_s), Ok(InitialOffset::constant(1.0)));
+        assert_eq!(choose(&[(1.0, 0.4), (0.02, 0.1)], frame_s), Err(PairFailure::NoConsensus));
+        assert_eq!(choose(&[(1.0, 0.1), (0.02, 0.4)], frame_s), Ok(InitialOffset::constant(0.02)));
+        assert_eq!(choose(&[(1.0, 0.5), (2.0, 0.45)], frame_s), Err(PairFailure::PeriodicMotion));
+        assert_eq!(choose(&[(1.0, 0.5), (1.02, 0.45)], frame_s), Ok(InitialOffset::constant(1.0)));
+        assert_eq!(choose(&[(1.0, 0.0)], frame_s), Ok(InitialOffset::default()));
+        assert_eq!(choose(&[], frame_s), Err(PairFailure::NoOverlap));
     }
 }

@@ -1,65 +1,94 @@
-//! Eq. (10): one candidate a feature, from three frames.
+//! Eq. (10): one candidate for the temporal offset per feature, from three frames.
+//!
+//! A feature is tracked through two frames of camera i and has a correspondence in one frame of
+//! camera j. The candidate is the time at which its trajectory in camera i crosses the epipolar line
+//! of that correspondence. Beyond the paper's straight trajectory: a quadratic or cubic through three
+//! or four frames of camera i, where the method allows for curved motion.
+//!
+//! Known limit: a feature that moves along its epipolar line has no candidate.
 
 use crate::camera::{Camera, EpipolarGeometry, Line};
 use crate::registration::{Track, Trajectory};
 use nalgebra::Point2;
 
-/// The time that one feature gives.
+/// One feature's candidate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Candidate {
     /// `t̃`: from camera i's earlier frame to camera j's frame, seconds.
     pub time_s: f64,
-    /// How fast the feature crosses the epipolar line there, pixels a second: the inverse of what
-    /// a pixel of error costs in time. Negative on the way to the line's negative side.
+    /// The feature's signed speed across the epipolar line at the crossing, pixels a second. An error
+    /// of one pixel across the line is an error of its inverse in time. Negative towards the line's
+    /// negative side.
     pub across_px_s: f64,
-    /// How far its path may be off across the line, because motion is no polynomial, pixels.
-    pub path_error_px: f64,
+    /// The expected error of the trajectory across the line, because motion is not polynomial, pixels;
+    /// 0 for straight trajectories.
+    pub trajectory_error_px: f64,
 }
 
 impl Candidate {
-    /// Its speed, less where the path itself is uncertain: squared, its information.
-    pub fn certain_px_s(&self) -> f64 {
-        self.across_px_s / 1.0_f64.hypot(self.path_error_px / PATH_SCALE_PX)
+    /// The speed across the line, reduced where the trajectory is uncertain, pixels a second. Its square
+    /// is proportional to the candidate's information.
+    pub fn effective_speed_px_s(&self) -> f64 {
+        self.across_px_s / 1.0_f64.hypot(self.trajectory_error_px / TRAJECTORY_SIGMA_PX)
     }
 }
 
-/// A path error of this much halves a candidate's information: what good features are off by.
-/// Larger lets the film's ends, where paths are quadratic, bias all; smaller leaves curved motion out.
-const PATH_SCALE_PX: f64 = 0.03;
-/// How far a path is off, as a share of what its last order changes: motion at film rates adds
-/// about this much of each order to the next.
-const NEXT_ORDER: f64 = 0.2;
-/// A sample may be this far from where the others put it, pixels,
-const MAX_SURPRISE_PX: f64 = 1.0;
-/// and this share of its path's largest step. Larger keeps features that sit on what rests and are
-/// lost behind what moves: their candidates agree, on the time of the frame they were last seen in.
-/// Smaller drops what swings fast.
-const MAX_SURPRISE_SHARE: f64 = 0.3;
+/// The trajectory error at which a candidate's information is halved, pixels: the localization error
+/// of good features. Larger lets the ends of a recording, where trajectories are only quadratic, bias
+/// the offset; smaller ignores curved motion.
+const TRAJECTORY_SIGMA_PX: f64 = 0.03;
+/// The expected error of a trajectory, as a fraction of the change that its highest order makes: at
+/// video rates each order of motion is about this fraction of the one before. Larger discards curved
+/// motion; smaller overrates it.
+const NEXT_ORDER_FRACTION: f64 = 0.2;
+/// The largest distance of a trajectory's last sample from its extrapolation, pixels, beside
+/// [`MAX_PREDICTION_ERROR_FRACTION`]. Larger accepts mismatches of slow features; smaller rejects
+/// features that are localized badly.
+const MAX_PREDICTION_ERROR_PX: f64 = 1.0;
+/// The same as a fraction of the trajectory's largest step. Larger accepts features of the background
+/// that a moving body occludes: their candidates agree on the time of the last frame that shows them.
+/// Smaller rejects fast oscillation.
+const MAX_PREDICTION_ERROR_FRACTION: f64 = 0.3;
 
-/// Camera i's frames and camera j's.
+/// The largest number of Newton steps. Larger costs time; smaller stops early on curved trajectories.
+const MAX_NEWTON_STEPS: usize = 4;
+/// The step, as a fraction of the interval, at which Newton's method has converged. Larger stops
+/// early; smaller only adds steps.
+const NEWTON_TOLERANCE: f64 = 1e-9;
+/// The speed across the line that a crossing needs, as a fraction of `min_across_px` per interval.
+/// Larger rejects accelerating features; smaller follows trajectories that turn back at the line.
+const MIN_SLOPE_FRACTION: f64 = 0.5;
+
+/// Two successive frames of camera i and one frame of camera j.
 pub struct ThreeFrames<'a> {
+    /// The camera with two frames.
     pub camera_i: &'a Camera,
+    /// The camera with one frame.
     pub camera_j: &'a Camera,
-    /// Frame times of camera i on its own clock, and the index of the earlier of its two frames.
+    /// The times of all frames of camera i on its own clock, ascending, seconds.
     pub times_i: &'a [f64],
+    /// The index of the earlier one of camera i's two frames; it must not be the last frame.
     pub index_i: usize,
-    /// Whether paths may be curved.
+    /// Whether trajectories are curved through the frames before and after, where there are any.
     pub curved: bool,
-    /// Least motion across the line between the two frames, pixels.
+    /// The smallest motion across the epipolar line between the two frames, pixels.
     pub min_across_px: f64,
 }
 
 impl ThreeFrames<'_> {
-    /// The crossings of the features' paths with the epipolar lines of their images in camera j.
+    /// The candidates of all features; `in_j` holds each track's correspondence in camera j, pixels.
     ///
-    /// Features without a correspondence, at the epipole, or with too little motion across the
-    /// line have none.
+    /// A feature has none without a correspondence, at the epipole, with too little motion across its
+    /// epipolar line, or if its trajectory does not cross the line near the two frames. Cameras with a
+    /// common centre have no epipolar lines, and give no candidates.
     pub fn candidates(&self, tracks: &[&Track], in_j: &[Option<Point2<f64>>]) -> Vec<Candidate> {
         self.crossings(tracks, in_j).into_iter().filter_map(|(_, c)| c).collect()
     }
 
-    /// Of every feature that moves enough across its line, its index and its candidate: none where
-    /// it crosses the line at no time near to the two frames, or was not found in camera j.
+    /// The index of every feature that moves enough across its epipolar line, with its candidate.
+    ///
+    /// The candidate is `None` if the trajectory crosses the line at no time near the two frames, or
+    /// the feature has no correspondence in camera j; the line is then that of the feature itself.
     pub fn crossings(
         &self,
         tracks: &[&Track],
@@ -70,7 +99,7 @@ impl ThreeFrames<'_> {
         let Some((i_from_j, j_from_i)) = i_from_j.zip(j_from_i) else { return Vec::new() };
         let line = |track: &Track, p_j: Option<Point2<f64>>| match p_j {
             Some(p_j) => i_from_j.line_in_j(&self.camera_j.model.ideal_from_pixel(&p_j)?),
-            // As good as any point of the line that it is on.
+            // The correspondence lies on the epipolar line of p_i: any of its points has the same line.
             None => {
                 let p_i = self.camera_i.model.ideal_from_pixel(&track.earlier)?;
                 i_from_j.line_in_j(&j_from_i.line_in_j(&p_i)?.nearest(&p_i))
@@ -83,67 +112,70 @@ impl ThreeFrames<'_> {
         tracks.iter().zip(in_j).enumerate().filter_map(crossing).collect()
     }
 
-    /// Whether a feature's path is known well enough to have a candidate, wherever it leads.
-    pub fn follows(&self, track: &Track) -> bool {
+    /// Whether a feature has a smooth trajectory, which a candidate requires.
+    pub fn has_trajectory(&self, track: &Track) -> bool {
         self.samples(track).is_some()
     }
 
-    /// `None` for too little motion across the line; then the candidate, if there is one.
+    /// The outer `None` means too little motion across the line, the inner one no crossing nearby.
     fn crossing(&self, line: &Line, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
-        let path = Trajectory::new(samples.iter().copied())?;
+        let trajectory = Trajectory::new(samples.iter().copied())?;
         let start = self.times_i[self.index_i];
         let interval = self.times_i[self.index_i + 1] - start;
-        let [near, far] = [0.0, interval].map(|t| line.distance(&path.at(start + t)));
+        let [near, far] = [0.0, interval].map(|t| line.distance(&trajectory.at(start + t)));
         if (far - near).abs() < self.min_across_px {
             return None;
         }
-        // The chord's crossing; its slope is bounded from below by the check above.
-        let guess_s = interval * near / (near - far);
-        Some(self.candidate(line, &path, &samples, guess_s))
+        // The crossing of the chord; its slope is bounded from below by the check above.
+        let initial_s = interval * near / (near - far);
+        Some(self.candidate(line, &trajectory, &samples, initial_s))
     }
 
+    /// The crossing of trajectory and line by Newton's method, from an initial time since the earlier
+    /// frame.
     fn candidate(
         &self,
         line: &Line,
-        path: &Trajectory,
+        trajectory: &Trajectory,
         samples: &[(f64, Point2<f64>)],
-        guess_s: f64,
+        initial_s: f64,
     ) -> Option<Candidate> {
         let start = self.times_i[self.index_i];
         let interval = self.times_i[self.index_i + 1] - start;
-        // A path through four frames says nothing beyond them.
-        let known = -interval..=2.0 * interval;
-        let mut time_s = guess_s;
-        if !known.contains(&time_s) {
+        // The span of the four frames: outside, the trajectory is an extrapolation.
+        let span = -interval..=2.0 * interval;
+        let mut time_s = initial_s;
+        if !span.contains(&time_s) {
             return None;
         }
-        for _ in 0..4 {
-            let slope = line.normal.dot(&path.velocity(start + time_s));
-            // Where the path turns back along the line there is no crossing to follow.
-            if slope.abs() * interval < 0.5 * self.min_across_px {
+        for _ in 0..MAX_NEWTON_STEPS {
+            let slope = line.normal.dot(&trajectory.velocity(start + time_s));
+            // The trajectory turns back at the line: Newton's method would diverge.
+            if slope.abs() * interval < MIN_SLOPE_FRACTION * self.min_across_px {
                 return None;
             }
-            let step = line.distance(&path.at(start + time_s)) / slope;
+            let step = line.distance(&trajectory.at(start + time_s)) / slope;
             time_s -= step;
-            if step.abs() < 1e-9 * interval {
+            if step.abs() < NEWTON_TOLERANCE * interval {
                 break;
             }
         }
-        if !known.contains(&time_s) {
+        if !span.contains(&time_s) {
             return None;
         }
-        let across_px_s = line.normal.dot(&path.velocity(start + time_s));
-        let lower = without_farthest(samples, start + time_s).filter(|_| self.curved);
-        let path_error_px = lower.map_or(0.0, |lower| {
-            let change = path.at(start + time_s) - lower.at(start + time_s);
-            NEXT_ORDER * line.normal.dot(&change).abs()
+        let across_px_s = line.normal.dot(&trajectory.velocity(start + time_s));
+        let lower_order = without_farthest(samples, start + time_s).filter(|_| self.curved);
+        let trajectory_error_px = lower_order.map_or(0.0, |lower_order| {
+            let change = trajectory.at(start + time_s) - lower_order.at(start + time_s);
+            NEXT_ORDER_FRACTION * line.normal.dot(&change).abs()
         });
-        Some(Candidate { time_s, across_px_s, path_error_px })
+        Some(Candidate { time_s, across_px_s, trajectory_error_px })
     }
 
-    /// The path's samples in distortion-free pixels. `None` for a feature that could not be
-    /// followed to the frames around, if there are any, or that moves there like no body.
+    /// The trajectory's samples as (time, position), seconds and distortion-free pixels. `None` for a
+    /// feature that is not tracked into any neighbouring frame although there is one, or whose motion
+    /// there is not smooth.
     fn samples(&self, track: &Track) -> Option<Vec<(f64, Point2<f64>)>> {
         let k = self.index_i;
         let last = self.times_i.len() - 1;
@@ -157,28 +189,30 @@ impl ThreeFrames<'_> {
             .into_iter()
             .map(|(k, p)| Some((self.times_i[k], self.camera_i.model.ideal_from_pixel(&p)?)))
             .collect::<Option<Vec<_>>>()?;
-        let alone = last == 1 || !self.curved;
-        (alone || (samples.len() > 2 && is_smooth(&samples))).then_some(samples)
+        let is_straight = last == 1 || !self.curved;
+        (is_straight || (samples.len() > 2 && is_smooth(&samples))).then_some(samples)
     }
 }
 
-/// The path through all samples but the one furthest from a time; `None` for two samples.
+/// The trajectory of the next lower order: through all samples but the one farthest from a time.
+/// `None` for two samples.
 fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Trajectory> {
-    let away = |s: &(f64, Point2<f64>)| (s.0 - time_s).abs();
+    let distance = |s: &(f64, Point2<f64>)| (s.0 - time_s).abs();
     let (first, last) = (samples.first()?, samples.last()?);
-    Trajectory::new(if away(first) > away(last) {
+    Trajectory::new(if distance(first) > distance(last) {
         samples[1..].iter().copied()
     } else {
         samples[..samples.len() - 1].iter().copied()
     })
 }
 
-/// Whether the last of three or four samples is near to where the others lead.
+/// Whether the last of three or four samples is near the extrapolation of the others.
 fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
     let Some(((time_s, position), others)) = samples.split_last() else { return false };
-    let Some(path) = Trajectory::new(others.iter().copied()) else { return false };
+    let Some(trajectory) = Trajectory::new(others.iter().copied()) else { return false };
     let step = samples.windows(2).map(|w| (w[1].1 - w[0].1).norm()).fold(0.0, f64::max);
-    (position - path.at(*time_s)).norm() <= MAX_SURPRISE_PX + MAX_SURPRISE_SHARE * step
+    (position - trajectory.at(*time_s)).norm()
+        <= MAX_PREDICTION_ERROR_PX + MAX_PREDICTION_ERROR_FRACTION * step
 }
 
 #[cfg(test)]
@@ -201,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn true_times_come_back_straight_and_curved() {
+    fn candidates_are_exact_for_straight_and_curved_motion() {
         let (i, j) = (camera(0.0), camera(0.06));
         for (curve, curved, tolerance) in [(0.0, false, 1e-12), (0.02, true, 1e-9)] {
             for k in 0..20 {
@@ -219,14 +253,14 @@ mod tests {
                     min_across_px: 1.0,
                 };
                 let track = track(|t| i.project(&at(t)).unwrap());
-                let found = frames.candidates(&[&track], &[j.project(&at(t))])[0];
-                assert!((found.time_s - t).abs() < tolerance, "{} {t}", found.time_s);
+                let candidate = frames.candidates(&[&track], &[j.project(&at(t))])[0];
+                assert!((candidate.time_s - t).abs() < tolerance, "{} {t}", candidate.time_s);
             }
         }
     }
 
     #[test]
-    fn motion_along_the_line_gives_no_time() {
+    fn motion_along_the_epipolar_line_has_no_candidate() {
         let (i, j) = (camera(0.0), camera(0.06));
         let frames = ThreeFrames {
             camera_i: &i,

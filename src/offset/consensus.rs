@@ -1,8 +1,13 @@
-//! The paper's robust mean of candidates: exhaustive RANSAC, then WLS, eqs. (11) to (13).
+//! The robust mean of the candidates of one frame triple (§7): exhaustive RANSAC, then weighted
+//! least squares (WLS), eqs. (11) to (13).
+//!
+//! Known limit: candidates count alike here, whatever the speed of their features.
 
-/// The largest set of values within `tolerance` of one of them, as a range of the sorted values.
-/// Every value is tried. `values` must be sorted; the first of equally large sets wins. A negative
-/// tolerance is none.
+/// The inliers of the value that has the most of them within `tolerance`, as a range of `values`.
+///
+/// `values` must be ascending and share the tolerance's unit. Every value is tried as the model; the
+/// first of several with equally many inliers wins. A negative tolerance counts as 0. Without values
+/// the range is empty.
 pub fn ransac(values: &[f64], tolerance: f64) -> std::ops::Range<usize> {
     let tolerance = tolerance.max(0.0);
     let mut best = 0..0;
@@ -21,15 +26,23 @@ pub fn ransac(values: &[f64], tolerance: f64) -> std::ops::Range<usize> {
     best
 }
 
-/// Eqs. (11)–(13): from the mean, weights `exp(−γ|t̃ − t̃_k|)` and their weighted mean, until it
-/// rests. `None` for no values. The sum of the weights is positive: a value nearest to the mean
-/// keeps the largest, and if all underflow the mean rests where it is.
+/// The maximum number of WLS iterations. Larger costs time; smaller stops slow convergence early.
+const MAX_ITERATIONS: usize = 100;
+/// The change of the mean, times γ, at which WLS has converged. Larger stops early; smaller only adds
+/// iterations.
+const TOLERANCE: f64 = 1e-9;
+
+/// Iterated weighted least squares, eqs. (11) to (13): starting at the mean, the weighted mean with
+/// weights `exp(−γ |t̃ − t̃_k|)`, until it converges.
+///
+/// `gamma` has the inverse unit of `values`; at 0 the result is the mean. `None` without values. If
+/// all weights underflow, the result is the mean of the last iteration.
 pub fn weighted_least_squares(values: &[f64], gamma: f64) -> Option<f64> {
     if values.is_empty() {
         return None;
     }
     let mut mean = values.iter().sum::<f64>() / values.len() as f64;
-    for _ in 0..100 {
+    for _ in 0..MAX_ITERATIONS {
         let (mut sum, mut weights) = (0.0, 0.0);
         for v in values {
             let w = (-gamma * (mean - v).abs()).exp();
@@ -40,9 +53,9 @@ pub fn weighted_least_squares(values: &[f64], gamma: f64) -> Option<f64> {
             break;
         }
         let next = sum / weights;
-        let rests = (next - mean).abs() * gamma < 1e-9;
+        let converged = (next - mean).abs() * gamma < TOLERANCE;
         mean = next;
-        if rests {
+        if converged {
             break;
         }
     }
@@ -54,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_largest_set_is_found_by_trying_all() {
+    fn ransac_equals_an_exhaustive_search() {
         let mut values: Vec<f64> = (0..200).map(|k| (f64::from(k) * 12.9898).sin() * 3.0).collect();
         values.extend((0..30).map(|k| 0.7 + 0.001 * f64::from(k)));
         values.sort_by(f64::total_cmp);
@@ -79,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn wls_leans_to_the_many() {
+    fn wls_reduces_the_weight_of_an_outlier() {
         let mut values = vec![0.300, 0.301, 0.299, 0.3005, 0.2995];
         values.push(0.34);
         let mean = weighted_least_squares(&values, 70.0).unwrap();

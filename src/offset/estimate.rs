@@ -1,24 +1,34 @@
-//! From a film to offsets: the stages in their order.
+//! Offsets from recordings: the stages of the estimation in their order.
 
-use super::film::{Film, TrackCache};
-use super::pair::{Blind, Guess, MIN_AGREEMENT, PairEstimate, estimate_pair, triples};
+use super::lost_frames::{LostFrames, detect_lost_frames};
+use super::pair::{
+    InitialOffset, MIN_AGREEMENT, PairEstimate, PairFailure, choose_triples, estimate_pair,
+};
 use super::pairing::{clocks, pairs};
+use super::recording::{Recording, TrackCache};
 use super::timeline::Timelines;
-use super::{CameraOffset, Clocks, ONE_FRAME, OffsetOptions, Offsets, align, lost, solve};
+use super::{
+    CameraOffset, ClockEstimate, Clocks, ONE_FRAME, OffsetOptions, Offsets, align, solve_clocks,
+};
 use crate::capture::{Capture, CaptureError};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// Offsets with what they were made of.
+/// The offsets of all cameras, with the pairs that they were solved from.
 #[derive(Clone, Debug)]
 pub struct Estimate {
     pub offsets: Offsets,
+    /// The pairs that were used: those with an estimate, certain enough and not contradicted.
     pub pairs: Vec<PairEstimate>,
 }
 
-/// Estimates all offsets of the store's capture from its pixels.
+/// Estimates the offsets of all cameras of the store's capture from its images (§7).
+///
+/// The stages: rough alignment, lost frames where the capture allows for them, tracking, pairs, and
+/// all clocks together. A camera whose offset is not determined has none, and a reason. Nothing is
+/// read if all cameras share one clock. The error is that of a frame that cannot be read.
 pub fn estimate(
     frames: &FrameStore,
     options: &OffsetOptions,
@@ -30,89 +40,58 @@ pub fn estimate(
         return Ok(Estimate { offsets: Offsets::known(capture), pairs: Vec::new() });
     }
     let pairs = pairs(capture, &clock, options);
-    let tracks = TrackCache::default();
-    let mut film = Film::new(frames, Timelines::nominal(capture), &tracks, options);
-    let mut starts = aligned(&film, &pairs, reporter)?;
-    let mut doubtful = vec![false; capture.cameras.len()];
+    let track_cache = TrackCache::default();
+    let mut recording = Recording::new(frames, Timelines::nominal(capture), &track_cache, options);
+    let mut starts = initial_offsets(&recording, &pairs, reporter)?;
+    let mut ambiguous = vec![false; capture.cameras.len()];
     if capture.cameras.iter().any(|c| c.clock.lost) {
-        let timelines;
-        (timelines, doubtful) = lost::accounted_for(&film, &pairs, &mut starts, reporter)?;
-        film = Film::new(frames, timelines, &tracks, options);
+        let lost: LostFrames = detect_lost_frames(&recording, &pairs, &mut starts, reporter)?;
+        ambiguous = lost.ambiguous;
+        recording = Recording::new(frames, lost.timelines, &track_cache, options);
     }
     let drifts = drifts(capture, &clock, count);
-    let found = pairwise(&film, &pairs, &starts, |c| drifts[clock[c]], reporter)?;
-    let certain_s = options.max_std_err_frames * capture.frame_s();
-    let used: Vec<PairEstimate> = found
-        .iter()
-        .flatten()
-        .filter(|p| p.std_err_s <= certain_s && !contradicted(p, &pairs, &found))
-        .filter(|p| p.cameras.iter().all(|&c| !doubtful[c]))
-        .cloned()
-        .collect();
-    let first_s = film.timelines.times_s.iter().map(|t| t[0]).collect();
-    let frame_s = capture.frame_s();
-    let solved = solve(&used, &Clocks { of_camera: clock.clone(), first_s, drifts, frame_s });
-    let cameras = capture
-        .cameras
-        .iter()
-        .enumerate()
-        .map(|(c, camera)| {
-            let found_one = solved[clock[c]].filter(|s| s.std_err_s <= certain_s);
-            let drifts = camera.clock.drift && c != capture.reference;
-            CameraOffset {
-                id: camera.id.clone(),
-                offset_s: found_one.map(|s| s.offset_s),
-                std_err_s: found_one.map(|s| s.std_err_s),
-                rate_ppm: found_one.filter(|_| drifts).map(|s| 1e6 * s.rate),
-                rate_std_err_ppm: found_one.filter(|_| drifts).map(|s| 1e6 * s.rate_std_err),
-                lost_before: camera.clock.lost.then(|| film.timelines.lost_before[c].clone()),
-                reason: found_one.is_none().then(|| {
-                    let own = |p: &&PairEstimate| p.cameras.contains(&c);
-                    match found.iter().flatten().any(|p| own(&p)) {
-                        true if doubtful[c] => LOSSES_IN_DOUBT.into(),
-                        true if doubtful[capture.reference] => REFERENCE_IN_DOUBT.into(),
-                        _ => reason(capture, c, &pairs, &found, &used),
-                    }
-                }),
-            }
-        })
-        .collect();
-    let reference = capture.cameras[capture.reference].id.clone();
-    Ok(Estimate { offsets: Offsets { reference, cameras }, pairs: used })
+    let results = estimate_pairs(&recording, &pairs, &starts, |c| drifts[clock[c]], reporter)?;
+    let solution = Solution::new(
+        &recording,
+        PairResults { pairs: &pairs, results },
+        Cameras { clock, drifts, ambiguous },
+    );
+    Ok(solution.into_estimate())
 }
 
-/// Each pair's offset to about a frame.
-fn aligned(
-    film: &Film,
+/// Every pair's offset to about a frame. A camera with a single frame shows no motion.
+fn initial_offsets(
+    recording: &Recording,
     pairs: &[[usize; 2]],
     reporter: &Reporter,
-) -> Result<Vec<Result<Guess, Blind>>, CaptureError> {
-    let activities = align::Activities::new(film, pairs)?;
+) -> Result<Vec<Result<InitialOffset, PairFailure>>, CaptureError> {
+    let activities = align::Activities::new(recording, pairs)?;
     let task = reporter.task("Rough alignment", pairs.len());
     pairs
         .par_iter()
         .enumerate()
         .map(|(n, pair)| {
-            let has_motion = pair.iter().all(|&c| film.timelines.times_s[c].len() > 1);
-            let guess = if has_motion {
-                align::rough(film, pairs, n, &activities)
+            let has_motion = pair.iter().all(|&c| recording.timelines.times_s[c].len() > 1);
+            let initial = if has_motion {
+                align::rough_offset(recording, pairs, n, &activities)
             } else {
-                Ok(Err(Blind::Still))
+                Ok(Err(PairFailure::NoMotion))
             };
             task.advance(1);
-            guess
+            initial
         })
         .collect()
 }
 
-fn pairwise(
-    film: &Film,
+/// Every pair's estimate, or why it has none; `drifts` says which cameras' clocks may drift.
+fn estimate_pairs(
+    recording: &Recording,
     pairs: &[[usize; 2]],
-    starts: &[Result<Guess, Blind>],
+    starts: &[Result<InitialOffset, PairFailure>],
     drifts: impl Fn(usize) -> bool + Sync,
     reporter: &Reporter,
-) -> Result<Vec<Result<PairEstimate, Blind>>, CaptureError> {
-    track(film, pairs, starts, reporter)?;
+) -> Result<Vec<Result<PairEstimate, PairFailure>>, CaptureError> {
+    track_frames(recording, pairs, starts, reporter)?;
     let task = reporter.task("Offsets", pairs.len());
     pairs
         .par_iter()
@@ -120,8 +99,8 @@ fn pairwise(
         .map(|(&pair, &start)| {
             let with_rate = pair.iter().any(|&c| drifts(c));
             let estimate = match start {
-                Ok(guess) => estimate_pair(film, pair, guess, with_rate),
-                Err(blind) => Ok(Err(blind)),
+                Ok(initial) => estimate_pair(recording, pair, initial, with_rate),
+                Err(failure) => Ok(Err(failure)),
             };
             task.advance(1);
             estimate
@@ -129,42 +108,29 @@ fn pairwise(
         .collect()
 }
 
-/// Whether less than half of what moves agrees with a pair, and another pair of one of its cameras
-/// points to a time that the clocks don't say: what repeats itself agrees with both.
-fn contradicted(
-    pair: &PairEstimate,
+/// Computes the tracks that the pairs are going to ask for, each once.
+fn track_frames(
+    recording: &Recording,
     pairs: &[[usize; 2]],
-    found: &[Result<PairEstimate, Blind>],
-) -> bool {
-    let shares_camera = |other: &[usize; 2]| other.iter().any(|c| pair.cameras.contains(c));
-    let mut others = pairs.iter().zip(found).filter(|(other, _)| shares_camera(other));
-    pair.agreement < MIN_AGREEMENT
-        && others.any(|(_, found)| matches!(found, Err(Blind::Elsewhere)))
-}
-
-/// Finds the tracks that the pairs will ask for, each once.
-fn track(
-    film: &Film,
-    pairs: &[[usize; 2]],
-    starts: &[Result<Guess, Blind>],
+    starts: &[Result<InitialOffset, PairFailure>],
     reporter: &Reporter,
 ) -> Result<(), CaptureError> {
-    let wanted: BTreeSet<(usize, usize)> = pairs
+    let needed: BTreeSet<(usize, usize)> = pairs
         .iter()
         .zip(starts)
-        .filter_map(|(&pair, start)| Some(triples(film, pair, start.as_ref().ok()?)))
+        .filter_map(|(&pair, start)| Some(choose_triples(recording, pair, start.as_ref().ok()?)))
         .flatten()
         .map(|([a, _], [k, _])| (a, k))
         .collect();
-    let task = reporter.task("Tracks", wanted.len());
-    wanted.into_par_iter().try_for_each(|(camera, k)| {
-        film.track(camera, k)?;
+    let task = reporter.task("Tracks", needed.len());
+    needed.into_par_iter().try_for_each(|(camera, k)| {
+        recording.tracks(camera, k)?;
         task.advance(1);
         Ok(())
     })
 }
 
-/// Whether each clock's rate may be off; the reference's defines what a second is.
+/// By clock: whether its rate may be off. That of the reference's clock is 0 by definition.
 fn drifts(capture: &Capture, clock: &[usize], count: usize) -> Vec<bool> {
     let mut drifts = vec![false; count];
     for (c, camera) in capture.cameras.iter().enumerate() {
@@ -173,38 +139,149 @@ fn drifts(capture: &Capture, clock: &[usize], count: usize) -> Vec<bool> {
     drifts
 }
 
-const LOSSES_IN_DOUBT: &str = "frames may be missing, and too few of its images show where";
-const REFERENCE_IN_DOUBT: &str =
-    "the reference camera may miss frames, and too few of its images show where";
-
-fn reason(
-    capture: &Capture,
-    camera: usize,
-    pairs: &[[usize; 2]],
-    found: &[Result<PairEstimate, Blind>],
-    used: &[PairEstimate],
-) -> String {
-    if capture.cameras[camera].frames.len() == 1 {
-        return ONE_FRAME.into();
-    }
-    if used.iter().any(|p| p.cameras.contains(&camera)) {
-        return "its pairs are not connected to the reference camera, or disagree".into();
-    }
-    let own = pairs.iter().zip(found).filter(|(pair, _)| pair.contains(&camera));
-    // What the pair that came furthest failed at.
-    let furthest = own.map(|(_, found)| found.as_ref().err().copied().unwrap_or(Blind::Discordant));
-    match furthest.max() {
-        None => "no other camera stands at another place",
-        Some(Blind::Apart) => "its neighbours filmed at other times, by its clock and theirs",
-        Some(Blind::Featureless) => "too few features can be followed from frame to frame",
-        Some(Blind::Still) => "too few features move",
-        Some(Blind::Along) => {
-            "too few features move across the epipolar lines of its neighbours: the motion runs along them"
-        }
-        Some(Blind::Discordant | Blind::Elsewhere) => "too few features agree on one offset",
-        Some(Blind::Repeating) => {
-            "several offsets, frames apart, fit the motion equally well: it repeats itself"
-        }
-    }
-    .into()
+/// The pairs and, in their order, their estimates.
+struct PairResults<'a> {
+    pairs: &'a [[usize; 2]],
+    results: Vec<Result<PairEstimate, PairFailure>>,
 }
+
+impl PairResults<'_> {
+    /// Whether less than [`MIN_AGREEMENT`] of the moving features agree with a pair, while another
+    /// pair of one of its cameras points to a time that the nominal clocks contradict: a periodic
+    /// motion agrees with both.
+    fn contradict(&self, pair: &PairEstimate) -> bool {
+        let shares_camera = |other: &[usize; 2]| other.iter().any(|c| pair.cameras.contains(c));
+        let mut others =
+            self.pairs.iter().zip(&self.results).filter(|(other, _)| shares_camera(other));
+        pair.agreement < MIN_AGREEMENT
+            && others.any(|(_, result)| matches!(result, Err(PairFailure::ContradictsClocks)))
+    }
+
+    /// Whether any pair of a camera has an estimate.
+    fn has_estimate(&self, camera: usize) -> bool {
+        self.results.iter().flatten().any(|p| p.cameras.contains(&camera))
+    }
+
+    /// The failure of the camera's pair that came furthest, as a sentence.
+    fn failure_reason(&self, camera: usize) -> &'static str {
+        let own = self.pairs.iter().zip(&self.results).filter(|(pair, _)| pair.contains(&camera));
+        let failures = own
+            .map(|(_, result)| result.as_ref().err().copied().unwrap_or(PairFailure::NoConsensus));
+        match failures.max() {
+            None => "no other camera stands at another place",
+            Some(PairFailure::NoOverlap) => {
+                "its neighbours filmed at other times, by its clock and theirs"
+            }
+            Some(PairFailure::TooFewFeatures) => {
+                "too few features can be followed from frame to frame"
+            }
+            Some(PairFailure::NoMotion) => "too few features move",
+            Some(PairFailure::MotionAlongEpipolarLines) => {
+                "too few features move across the epipolar lines of its neighbours: the motion runs along them"
+            }
+            Some(PairFailure::NoConsensus | PairFailure::ContradictsClocks) => {
+                "too few features agree on one offset"
+            }
+            Some(PairFailure::PeriodicMotion) => {
+                "several offsets, frames apart, fit the motion equally well: it repeats itself"
+            }
+        }
+    }
+}
+
+/// What is known of the cameras' clocks beside their offsets.
+struct Cameras {
+    /// The clock of each camera; 0 is the reference's.
+    clock: Vec<usize>,
+    /// By clock.
+    drifts: Vec<bool>,
+    /// By camera: whether its lost frames are undecided.
+    ambiguous: Vec<bool>,
+}
+
+/// All clocks solved together from the usable pairs.
+struct Solution<'a> {
+    recording: &'a Recording<'a>,
+    results: PairResults<'a>,
+    cameras: Cameras,
+    used: Vec<PairEstimate>,
+    /// By clock; `None` where it is not determined to `max_std_err_frames`.
+    solved: Vec<Option<ClockEstimate>>,
+}
+
+impl<'a> Solution<'a> {
+    fn new(recording: &'a Recording<'a>, results: PairResults<'a>, cameras: Cameras) -> Self {
+        let frame_s = recording.frames.capture().frame_s();
+        let max_std_err_s = recording.options.max_std_err_frames * frame_s;
+        let used: Vec<PairEstimate> = results
+            .results
+            .iter()
+            .flatten()
+            .filter(|p| p.std_err_s <= max_std_err_s && !results.contradict(p))
+            .filter(|p| p.cameras.iter().all(|&c| !cameras.ambiguous[c]))
+            .cloned()
+            .collect();
+        let first_s = recording.timelines.times_s.iter().map(|t| t[0]).collect();
+        let clocks = Clocks {
+            of_camera: cameras.clock.clone(),
+            first_s,
+            drifts: cameras.drifts.clone(),
+            frame_s,
+        };
+        let solved = solve_clocks(&used, &clocks)
+            .into_iter()
+            .map(|clock| clock.filter(|s| s.std_err_s <= max_std_err_s))
+            .collect();
+        Self { recording, results, cameras, used, solved }
+    }
+
+    fn into_estimate(self) -> Estimate {
+        let capture = self.recording.frames.capture();
+        let cameras = (0..capture.cameras.len()).map(|c| self.camera_offset(c)).collect();
+        let reference = capture.cameras[capture.reference].id.clone();
+        Estimate { offsets: Offsets { reference, cameras }, pairs: self.used }
+    }
+
+    fn camera_offset(&self, c: usize) -> CameraOffset {
+        let capture = self.recording.frames.capture();
+        let camera = &capture.cameras[c];
+        let solved = self.solved[self.cameras.clock[c]];
+        let drifts = camera.clock.drift && c != capture.reference;
+        let lost_before = &self.recording.timelines.lost_before[c];
+        CameraOffset {
+            id: camera.id.clone(),
+            offset_s: solved.map(|s| s.offset_s),
+            std_err_s: solved.map(|s| s.std_err_s),
+            rate_ppm: solved.filter(|_| drifts).map(|s| 1e6 * s.rate),
+            rate_std_err_ppm: solved.filter(|_| drifts).map(|s| 1e6 * s.rate_std_err),
+            lost_before: camera.clock.lost.then(|| lost_before.clone()),
+            reason: solved.is_none().then(|| self.reason(c).into()),
+        }
+    }
+
+    /// Why a camera has no offset.
+    fn reason(&self, camera: usize) -> &'static str {
+        let capture = self.recording.frames.capture();
+        if self.results.has_estimate(camera) {
+            if self.cameras.ambiguous[camera] {
+                return AMBIGUOUS_LOSSES;
+            }
+            if self.cameras.ambiguous[capture.reference] {
+                return AMBIGUOUS_REFERENCE;
+            }
+        }
+        if capture.cameras[camera].frames.len() == 1 {
+            return ONE_FRAME;
+        }
+        if self.used.iter().any(|p| p.cameras.contains(&camera)) {
+            return "its pairs are not connected to the reference camera, or disagree";
+        }
+        self.results.failure_reason(camera)
+    }
+}
+
+/// The reason of a camera whose own lost frames are undecided.
+const AMBIGUOUS_LOSSES: &str = "frames may be missing, and too few of its images show where";
+/// The reason of a camera whose reference's lost frames are undecided.
+const AMBIGUOUS_REFERENCE: &str =
+    "the reference camera may miss frames, and too few of its images show where";

@@ -1,60 +1,69 @@
-//! Which features are worth following: those whose surroundings change from frame to frame. What
-//! rests says nothing about time, and in front of a textured wall it would be all that is chosen.
+//! Selection of the features to track: those whose neighbourhood changes between two frames.
+//!
+//! Static features have no candidate (eq. (10)), and in front of a textured background the strongest
+//! corners would all be static.
 
 use crate::raster::Image;
 use crate::registration::Frame;
 use nalgebra::Point2;
 
-/// The least motion that counts as change, pixels, by the gradient's measure: what noise makes of
-/// good texture stays below it.
+/// The smallest motion that counts as change, pixels, estimated from gradients. Larger leaves slow
+/// features out; smaller selects static features by their noise.
 const MIN_MOTION_PX: f32 = 0.3;
-/// Half the side of the window that is looked at, pixels.
+/// The half width of the window around a feature, pixels. Larger counts the motion of neighbours;
+/// smaller is noisier.
 const RADIUS: usize = 4;
-/// Corners that are kept whether something changes there or not: so that a film in which nothing
-/// moves is told from one without features.
-const AT_REST: usize = 64;
+/// The number of static corners that are tracked too, so that a recording without motion is
+/// distinguished from one without features. Larger costs time; with none, both look alike.
+const MAX_STATIC: usize = 64;
 
-/// Of an image's corners, `count` at most, strongest first, of those around which the image changes;
-/// and a few of the others.
+/// The strongest corners of `frame` whose neighbourhood changes until `next`, at most `count`, followed
+/// by up to 64 static ones within the same count.
+///
+/// `corners` are pixels inside the image, strongest first; their order is preserved within both
+/// groups.
 pub fn changing(
     frame: &Frame,
     next: &Frame,
     corners: &[Point2<f64>],
     count: usize,
 ) -> Vec<Point2<f64>> {
-    let change = Change { now: frame.image.to_gray(), then: next.image.to_gray() };
-    let (mut chosen, rest): (Vec<_>, Vec<_>) =
+    let change = Change { current: frame.image.to_gray(), next: next.image.to_gray() };
+    let (mut selected, static_corners): (Vec<_>, Vec<_>) =
         corners.iter().copied().partition(|p| change.motion_px(p) >= MIN_MOTION_PX);
-    chosen.truncate(count);
-    let others = AT_REST.min(count - chosen.len());
-    chosen.extend(rest.into_iter().take(others));
-    chosen
+    selected.truncate(count);
+    let remaining = MAX_STATIC.min(count - selected.len());
+    selected.extend(static_corners.into_iter().take(remaining));
+    selected
 }
 
+/// Two successive images, grey.
 struct Change {
-    now: Image,
-    then: Image,
+    current: Image,
+    next: Image,
 }
 
 impl Change {
-    /// The root of the window's mean squared change over its mean squared gradient: what a motion
-    /// along the gradients would be, if it is small; 0 without a gradient.
+    /// The root of the summed squared temporal change over the summed squared gradient in the window
+    /// around p: the size of a small motion along the gradients, pixels; 0 without a gradient.
     fn motion_px(&self, p: &Point2<f64>) -> f32 {
-        let (w, h) = (self.now.width(), self.now.height());
-        // A corner is inside the image, its neighbours are made to be.
+        let (w, h) = (self.current.width(), self.current.height());
+        // The corner is inside the image; the window is clipped so that its gradients are too.
         let range = |at: f64, size: usize| {
             let middle = at as usize;
             middle.saturating_sub(RADIUS).max(1)..(middle + RADIUS + 1).min(size.saturating_sub(1))
         };
         let (mut change, mut gradient) = (0.0, 0.0);
-        let now = self.now.data();
-        let then = self.then.data();
+        let current = self.current.data();
+        let next = self.next.data();
         for y in range(p.y, h) {
             for x in range(p.x, w) {
                 let at = y * w + x;
-                change += (then[at] - now[at]).powi(2);
-                let (dx, dy) = (now[at + 1] - now[at - 1], now[at + w] - now[at - w]);
-                // Central differences are over two pixels, and a motion has one direction of two.
+                change += (next[at] - current[at]).powi(2);
+                let (dx, dy) =
+                    (current[at + 1] - current[at - 1], current[at + w] - current[at - w]);
+                // 1/4, since central differences span two pixels; 1/2, since motion has one direction of
+                // two.
                 gradient += 0.125 * (dx * dx + dy * dy);
             }
         }
@@ -67,7 +76,7 @@ mod tests {
     use super::*;
     use crate::registration::RegistrationOptions;
 
-    /// Texture whose right half moves by `dx`.
+    /// A texture whose right half moves by `dx` pixels.
     fn frame(dx: f64) -> Frame {
         let value = |x: usize, y: usize| {
             let shift = if x >= 64 { dx } else { 0.0 };
@@ -80,18 +89,18 @@ mod tests {
     }
 
     #[test]
-    fn what_moves_comes_first_and_some_of_the_rest_follows() {
+    fn moving_corners_come_first_and_some_static_ones_follow() {
         let options = RegistrationOptions::default();
-        let (now, then) = (frame(0.0), frame(1.5));
-        let corners = now.corners(&options);
+        let (current, next) = (frame(0.0), frame(1.5));
+        let corners = current.corners(&options);
         let right = corners.iter().filter(|p| p.x > 70.0).count();
         let left = corners.iter().filter(|p| p.x < 58.0).count();
-        assert!(right > 80 && left > AT_REST);
-        let chosen = changing(&now, &then, corners, 4000);
-        assert!(chosen.iter().filter(|p| p.x > 70.0).count() == right);
-        assert!(chosen[..right].iter().all(|p| p.x > 58.0));
-        assert!(chosen.iter().filter(|p| p.x < 58.0).count() <= AT_REST);
-        assert_eq!(changing(&now, &then, corners, 10)[..], chosen[..10]);
-        assert_eq!(changing(&now, &now, corners, 4000).len(), AT_REST);
+        assert!(right > 80 && left > MAX_STATIC);
+        let selected = changing(&current, &next, corners, 4000);
+        assert!(selected.iter().filter(|p| p.x > 70.0).count() == right);
+        assert!(selected[..right].iter().all(|p| p.x > 58.0));
+        assert!(selected.iter().filter(|p| p.x < 58.0).count() <= MAX_STATIC);
+        assert_eq!(changing(&current, &next, corners, 10)[..], selected[..10]);
+        assert_eq!(changing(&current, &current, corners, 4000).len(), MAX_STATIC);
     }
 }

@@ -1,69 +1,95 @@
-//! All pairs together: one clock's offset, and its rate where it drifts, from redundant pairwise
-//! samples.
+//! All clocks together: robust weighted least squares over the redundant pairs, for the offset of
+//! every clock and the rate of every clock that drifts.
+//!
+//! Beyond the paper, which averages each camera's offset against the reference. The solution starts
+//! from least absolute deviations, by iteratively reweighted least squares (IRLS), and continues with
+//! weights that fall with the square of a pair's deviation. The covariance is the larger one of the
+//! cluster-robust one ([`Sandwich`]) and the one implied by the pairs' disagreement.
+//!
+//! Known limit: one rate holds for a whole recording.
 
 use super::pair::PairEstimate;
 use super::uncertainty::Sandwich;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
-/// What is solved for: the clocks, the reference's being 0.
+/// The clocks that are solved for. Clock 0 is the reference's, whose offset and rate are 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clocks {
-    /// The clock of each camera,
+    /// By camera: the index of its clock.
     pub of_camera: Vec<usize>,
-    /// and the time of each camera's first frame, where its drift starts.
+    /// By camera: the time of its first frame on its own clock, at which the offset is defined, seconds.
     pub first_s: Vec<f64>,
-    /// Whether each clock drifts.
+    /// By clock: whether its rate is an unknown.
     pub drifts: Vec<bool>,
-    /// A frame, seconds: errors within one go together.
+    /// The frame period, seconds: candidates of one period form one cluster by time.
     pub frame_s: f64,
 }
 
-/// An offset and its standard error, seconds; the rate and its own.
+/// The solution for one clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Solved {
+pub struct ClockEstimate {
+    /// Reference time minus the clock's time, seconds, at the first frame of the clock's camera.
     pub offset_s: f64,
+    /// The standard error of `offset_s`, seconds.
     pub std_err_s: f64,
+    /// The change of the offset, seconds a second; 0 for a clock that does not drift.
     pub rate: f64,
+    /// The standard error of `rate`, seconds a second; 0 for a clock that does not drift.
     pub rate_std_err: f64,
 }
 
-/// First the least absolute deviations, which a few wrong pairs don't move; they give the scale
-/// for weights that fall with the square of the deviation.
+/// The number of IRLS iterations towards least absolute deviations, which a few wrong pairs do not
+/// move. Larger costs time; smaller starts the robust iterations from a biased solution and scale.
 const L1_ITERATIONS: usize = 30;
+/// The number of IRLS iterations with redescending weights. Larger costs time; smaller stops before
+/// wrong pairs have lost their weight.
 const ROBUST_ITERATIONS: usize = 10;
-/// No clock that calls itself one is further off: keeps a rate that nothing shows finite, and
-/// pulls one that is seen to a part in a thousand of its standard error at most.
-const MAX_RATE: f64 = 3e-3;
+/// The smallest deviation in the weights of the L1 iterations, standard errors. Larger approaches
+/// least squares; smaller lets a pair that fits exactly outweigh all others.
+const MIN_L1_DEVIATION: f64 = 0.01;
+/// The deviation up to which a pair has full weight, standard errors. Larger lets wrong pairs bias
+/// the solution; smaller discards information of correct ones.
+const FULL_WEIGHT_DEVIATION: f64 = 2.0;
+/// The smallest standard error of a pair, as a fraction of the pairs' median: errors common to all
+/// pairs bound the precision of each. Larger ignores that some pairs are better; smaller lets one
+/// pair of underestimated error determine the solution.
+const MIN_STD_ERR_FRACTION: f64 = 0.3;
+/// The standard deviation of the prior on every rate, seconds a second. Larger leaves a rate without
+/// information almost singular; smaller biases rates towards 0. It shifts a determined rate by at
+/// most a thousandth of its standard error.
+const RATE_PRIOR: f64 = 3e-3;
+/// The standard deviation of a Gaussian over its median absolute deviation.
+const SIGMA_OVER_MAD: f64 = 1.4826;
 
-/// Solves for every clock by least squares over all samples, each pair weighted by its information
-/// and, robustly, by how it agrees with the rest.
+/// Solves for all clocks by weighted least squares over the candidates of all pairs.
 ///
-/// `None` for clocks that no chain of pairs connects to the reference. Pairs within one clock say
-/// nothing.
-pub fn solve(pairs: &[PairEstimate], clocks: &Clocks) -> Vec<Option<Solved>> {
+/// Each pair is weighted by its information and, robustly, by its deviation from the solution. The
+/// result is by clock; `None` for a clock that no chain of pairs connects to the reference. Pairs of
+/// cameras that share a clock are ignored.
+pub fn solve_clocks(pairs: &[PairEstimate], clocks: &Clocks) -> Vec<Option<ClockEstimate>> {
     let count = clocks.drifts.len();
-    let between = |p: &&PairEstimate| {
+    let connects_clocks = |p: &&PairEstimate| {
         let [a, b] = p.cameras.map(|c| clocks.of_camera[c]);
         a != b
     };
-    let pairs: Vec<&PairEstimate> = pairs.iter().filter(between).collect();
+    let pairs: Vec<&PairEstimate> = pairs.iter().filter(connects_clocks).collect();
     let connected = connected_to_reference(&pairs, clocks);
     let used: Vec<&PairEstimate> =
         pairs.into_iter().filter(|p| connected[clocks.of_camera[p.cameras[0]]]).collect();
     let mut solved = vec![None; count];
-    solved[0] = Some(Solved::default());
+    solved[0] = Some(ClockEstimate::default());
     let unknowns = Unknowns::new(clocks, &connected);
     if used.is_empty() {
         return solved;
     }
     let systems = systems(&used, &unknowns);
-    let Some(solution) = robust(&systems, &unknowns) else { return solved };
+    let Some(solution) = solve_robustly(&systems, &unknowns) else { return solved };
     let variances = solution.variances(&used, &systems, &unknowns);
     for (clock, solved) in solved.iter_mut().enumerate().skip(1) {
         let Some(offset) = unknowns.offset[clock] else { continue };
         let rate = unknowns.rate[clock];
-        *solved = Some(Solved {
+        *solved = Some(ClockEstimate {
             offset_s: solution.x[offset],
             std_err_s: variances[offset].sqrt(),
             rate: rate.map_or(0.0, |r| solution.x[r]),
@@ -73,16 +99,17 @@ pub fn solve(pairs: &[PairEstimate], clocks: &Clocks) -> Vec<Option<Solved>> {
     solved
 }
 
-/// Which column is whose.
+/// The columns of the unknowns.
 struct Unknowns<'a> {
     clocks: &'a Clocks,
-    /// By clock.
+    /// By clock: the column of its offset, `None` for the reference and unconnected clocks.
     offset: Vec<Option<usize>>,
+    /// By clock: the column of its rate, `None` also for clocks that do not drift.
     rate: Vec<Option<usize>>,
     count: usize,
 }
 
-/// One equation: up to four columns and their factors.
+/// The row of one equation: up to four columns with their coefficients.
 struct Row {
     entries: [(usize, f64); 4],
     len: usize,
@@ -93,7 +120,7 @@ impl Row {
         &self.entries[..self.len]
     }
 
-    fn times(&self, x: &DVector<f64>) -> f64 {
+    fn dot(&self, x: &DVector<f64>) -> f64 {
         self.entries().iter().map(|&(c, f)| f * x[c]).sum()
     }
 }
@@ -101,8 +128,8 @@ impl Row {
 impl<'a> Unknowns<'a> {
     fn new(clocks: &'a Clocks, connected: &[bool]) -> Self {
         let mut count = 0;
-        let mut next = |wanted: bool| {
-            wanted.then(|| {
+        let mut next = |is_unknown: bool| {
+            is_unknown.then(|| {
                 count += 1;
                 count - 1
             })
@@ -113,13 +140,13 @@ impl<'a> Unknowns<'a> {
         Self { clocks, offset, rate, count }
     }
 
-    /// `offset_b − offset_a` at times on their clocks.
+    /// The row of `offset_b − offset_a` at times on the two cameras' own clocks, seconds.
     fn row(&self, [a, b]: [usize; 2], time_a_s: f64, time_b_s: f64) -> Row {
         let mut row = Row { entries: [(0, 0.0); 4], len: 0 };
         for (camera, sign, time_s) in [(b, 1.0, time_b_s), (a, -1.0, time_a_s)] {
             let clock = self.clocks.of_camera[camera];
-            let since = time_s - self.clocks.first_s[camera];
-            for (column, factor) in [(self.offset[clock], 1.0), (self.rate[clock], since)] {
+            let elapsed_s = time_s - self.clocks.first_s[camera];
+            for (column, factor) in [(self.offset[clock], 1.0), (self.rate[clock], elapsed_s)] {
                 if let Some(column) = column {
                     row.entries[row.len] = (column, sign * factor);
                     row.len += 1;
@@ -132,27 +159,26 @@ impl<'a> Unknowns<'a> {
 
 /// A pair's part of the normal equations.
 struct System {
-    /// By row and column, of its own unknowns: all of them, squared, for each of a large array's pairs
-    /// are gigabytes.
+    /// The entries of the normal matrix by row and column, sparse: dense matrices for all pairs of a
+    /// large array would take gigabytes.
     normal: BTreeMap<(usize, usize), f64>,
     right: DVector<f64>,
-    /// The mean equation of its samples: what it says on the whole,
+    /// The weighted mean of the pair's equations: row and value.
     mean: (DVector<f64>, f64),
+    /// The standard error of the mean equation, seconds.
     sigma_s: f64,
-    /// and what its samples' information is multiplied with so that it is `1 / sigma_s²`.
+    /// The factor on the candidates' information that makes their sum `1 / sigma_s²`.
     factor: f64,
 }
 
 fn systems(used: &[&PairEstimate], unknowns: &Unknowns) -> Vec<System> {
-    // Errors that all pairs share keep any single one from being believed beyond this share of
-    // the typical one.
     let mut errors: Vec<f64> = used.iter().map(|p| p.std_err_s).collect();
     errors.sort_by(f64::total_cmp);
-    let floor = 0.3 * errors[errors.len() / 2];
-    used.iter().map(|p| system(p, unknowns, floor)).collect()
+    let min_sigma_s = MIN_STD_ERR_FRACTION * errors[errors.len() / 2];
+    used.iter().map(|p| system(p, unknowns, min_sigma_s)).collect()
 }
 
-fn system(pair: &PairEstimate, unknowns: &Unknowns, floor: f64) -> System {
+fn system(pair: &PairEstimate, unknowns: &Unknowns, min_sigma_s: f64) -> System {
     let n = unknowns.count;
     let (mut normal, mut mean_row) = (BTreeMap::new(), DVector::zeros(n));
     let (mut total, mut mean_value, mut right) = (0.0, 0.0, DVector::zeros(n));
@@ -167,9 +193,9 @@ fn system(pair: &PairEstimate, unknowns: &Unknowns, floor: f64) -> System {
         mean_value += weight * sign * value;
         total += weight;
     };
-    // Without rates a pair says one number, however it was found.
-    let one_number = pair.samples.is_empty() || unknowns.rate.iter().all(Option::is_none);
-    if one_number {
+    // Without rates the pair is one equation: its estimate.
+    let is_one_equation = pair.samples.is_empty() || unknowns.rate.iter().all(Option::is_none);
+    if is_one_equation {
         let time_j_s = pair.center_s - pair.offset_s;
         add(&unknowns.row(pair.cameras, pair.center_s, time_j_s), pair.offset_s, 1.0, 1.0);
     } else {
@@ -179,8 +205,8 @@ fn system(pair: &PairEstimate, unknowns: &Unknowns, floor: f64) -> System {
             add(&row, s.offset_s(), sign, weight * s.across_px_s * s.across_px_s);
         }
     }
-    let sigma_s = pair.std_err_s.max(floor).max(f64::MIN_POSITIVE.sqrt());
-    // Positive: an estimate without information is none.
+    let sigma_s = pair.std_err_s.max(min_sigma_s).max(f64::MIN_POSITIVE.sqrt());
+    // The total is positive: a pair without information has no estimate.
     let factor = 1.0 / (sigma_s * sigma_s * total);
     normal.values_mut().for_each(|v: &mut f64| *v *= factor);
     System {
@@ -194,67 +220,71 @@ fn system(pair: &PairEstimate, unknowns: &Unknowns, floor: f64) -> System {
 
 struct Solution {
     x: DVector<f64>,
-    /// Each pair's robust weight, 0 to 1.
+    /// By pair: its robust weight.
     weights: Vec<f64>,
-    /// Pairs with independent errors would have this covariance.
+    /// The inverse of the normal matrix: the covariance if the pairs' errors were independent and their
+    /// standard errors correct.
     inverse: DMatrix<f64>,
-    /// By how much more pairs disagree than they claim, at least 1.
+    /// The robust standard deviation of the pairs' deviations in units of their standard errors, at
+    /// least 1.
     scale: f64,
 }
 
-fn robust(systems: &[System], unknowns: &Unknowns) -> Option<Solution> {
+/// Solves the normal equations by IRLS. `None` if they are singular.
+fn solve_robustly(systems: &[System], unknowns: &Unknowns) -> Option<Solution> {
     let n = unknowns.count;
-    let mut found: Option<Solution> = None;
+    let mut solution: Option<Solution> = None;
     for iteration in 0..L1_ITERATIONS + ROBUST_ITERATIONS {
         let weight = |z: f64| match iteration {
             0 => 1.0,
-            k if k < L1_ITERATIONS => 1.0 / z.max(0.01),
-            _ if z <= 2.0 => 1.0,
-            _ => (2.0 / z).powi(2),
+            k if k < L1_ITERATIONS => 1.0 / z.max(MIN_L1_DEVIATION),
+            _ if z <= FULL_WEIGHT_DEVIATION => 1.0,
+            _ => (FULL_WEIGHT_DEVIATION / z).powi(2),
         };
-        let weights: Vec<f64> = match &found {
+        let weights: Vec<f64> = match &solution {
             Some(s) => systems.iter().map(|p| weight(p.deviation(&s.x) / s.scale)).collect(),
             None => vec![1.0; systems.len()],
         };
         let (mut normal, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
         for rate in unknowns.rate.iter().flatten() {
-            normal[(*rate, *rate)] += 1.0 / (MAX_RATE * MAX_RATE);
+            normal[(*rate, *rate)] += 1.0 / (RATE_PRIOR * RATE_PRIOR);
         }
         for (system, w) in systems.iter().zip(&weights) {
-            for (place, v) in &system.normal {
-                normal[*place] += v * w;
+            for (entry, v) in &system.normal {
+                normal[*entry] += v * w;
             }
             right += &system.right * *w;
         }
-        // Connected to the reference, so positive definite.
+        // Positive definite, since all clocks are connected to the reference.
         let cholesky = normal.cholesky()?;
         let x = cholesky.solve(&right);
         let mut z: Vec<f64> = systems.iter().map(|p| p.deviation(&x)).collect();
         z.sort_by(f64::total_cmp);
-        // With redundancy, pairs that disagree by more than they claim are all believed less.
-        let of_each = if unknowns.rate.iter().any(Option::is_some) { 2 } else { 1 };
-        let spare = (of_each * systems.len()).saturating_sub(n);
-        let scale = if spare > 0 && iteration + 1 >= L1_ITERATIONS {
-            let redundancy = ((of_each * systems.len()) as f64 / spare as f64).sqrt();
-            (1.4826 * z[z.len() / 2] * redundancy).max(1.0)
+        // With redundancy, deviations beyond the standard errors scale all of them up.
+        let equations_per_pair = if unknowns.rate.iter().any(Option::is_some) { 2 } else { 1 };
+        let degrees_of_freedom = (equations_per_pair * systems.len()).saturating_sub(n);
+        let scale = if degrees_of_freedom > 0 && iteration + 1 >= L1_ITERATIONS {
+            let redundancy =
+                ((equations_per_pair * systems.len()) as f64 / degrees_of_freedom as f64).sqrt();
+            (SIGMA_OVER_MAD * z[z.len() / 2] * redundancy).max(1.0)
         } else {
             1.0
         };
-        found = Some(Solution { x, weights, inverse: cholesky.inverse(), scale });
+        solution = Some(Solution { x, weights, inverse: cholesky.inverse(), scale });
     }
-    found
+    solution
 }
 
 impl System {
-    /// How far the pair is from a solution, in its standard errors.
+    /// The absolute residual of the pair's mean equation, in its standard errors.
     fn deviation(&self, x: &DVector<f64>) -> f64 {
         (self.mean.1 - self.mean.0.dot(x)).abs() / self.sigma_s
     }
 }
 
 impl Solution {
-    /// Each unknown's variance: what the scatter of all samples says, errors of one instant and of
-    /// one place going together in all pairs, or what the pairs' disagreement does, if that is more.
+    /// The variance of each unknown: the cluster-robust one over all candidates, with clusters by time
+    /// and place across pairs, or that of the pairs' disagreement if it is larger.
     fn variances(
         &self,
         used: &[&PairEstimate],
@@ -265,44 +295,45 @@ impl Solution {
         let mut sandwich = Sandwich::new(n);
         let frame_s = unknowns.clocks.frame_s;
         for (k, pair) in used.iter().enumerate() {
-            // What the pair weighs in the solution, shared out among its samples.
+            // The pair's weight in the solution, divided among its candidates.
             let factor = systems[k].factor * self.weights[k];
-            let one_number = unknowns.rate.iter().all(Option::is_none);
-            let information = |(s, w): &(super::film::Sample, f64)| w * s.across_px_s.powi(2);
+            let is_one_equation = unknowns.rate.iter().all(Option::is_none);
+            let information = |(s, w): &(super::recording::Sample, f64)| w * s.across_px_s.powi(2);
             let total: f64 = pair.samples.iter().map(information).sum();
-            let share = if one_number { factor / total } else { factor };
+            let scale = if is_one_equation { factor / total } else { factor };
             for sample in pair.samples.iter() {
                 let s = &sample.0;
                 let row = unknowns.row(s.cameras, s.time_a_s, s.time_b_s);
                 let clock = unknowns.clocks.of_camera[s.cameras[0]];
                 let common_s = s.time_a_s + unknowns.offset[clock].map_or(0.0, |c| self.x[c]);
                 let bin = (common_s / frame_s).round() as i64;
-                let residual = pair.doubt * (s.offset_s() - row.times(&self.x));
-                sandwich.add(row.entries(), share * information(sample), residual, bin, s.cell);
+                let residual = pair.std_err_inflation * (s.offset_s() - row.dot(&self.x));
+                sandwich.add(row.entries(), scale * information(sample), residual, bin, s.cell);
             }
         }
         let clustered = sandwich.variances();
         (0..n)
             .map(|c| {
-                let claimed = self.inverse[(c, c)].max(0.0) * self.scale * self.scale;
-                clustered.as_ref().map_or(claimed, |v| v[c].max(claimed))
+                let independent = self.inverse[(c, c)].max(0.0) * self.scale * self.scale;
+                clustered.as_ref().map_or(independent, |v| v[c].max(independent))
             })
             .collect()
     }
 }
 
+/// By clock: whether a chain of pairs connects it to the reference's.
 fn connected_to_reference(pairs: &[&PairEstimate], clocks: &Clocks) -> Vec<bool> {
     let mut connected = vec![false; clocks.drifts.len()];
     connected[0] = true;
     loop {
-        let before = connected.iter().filter(|c| **c).count();
+        let count_before = connected.iter().filter(|c| **c).count();
         for pair in pairs {
             let [a, b] = pair.cameras.map(|c| clocks.of_camera[c]);
             let either = connected[a] || connected[b];
             connected[a] = either;
             connected[b] = either;
         }
-        if connected.iter().filter(|c| **c).count() == before {
+        if connected.iter().filter(|c| **c).count() == count_before {
             return connected;
         }
     }
@@ -311,7 +342,7 @@ fn connected_to_reference(pairs: &[&PairEstimate], clocks: &Clocks) -> Vec<bool>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::offset::film::Sample;
+    use crate::offset::recording::Sample;
     use crate::random::Random;
 
     fn pair(a: usize, b: usize, offset_s: f64) -> PairEstimate {
@@ -335,37 +366,37 @@ mod tests {
     #[test]
     fn consistent_pairs_give_the_offsets_back() {
         let truth = [0.0, 0.01, -0.005, 0.02];
-        let solved = solve(&all_pairs(&truth), &clocks(&[0, 1, 2, 3], 4));
+        let solved = solve_clocks(&all_pairs(&truth), &clocks(&[0, 1, 2, 3], 4));
         for (c, s) in solved.into_iter().enumerate() {
             assert!((s.unwrap().offset_s - truth[c]).abs() < 1e-12);
         }
     }
 
     #[test]
-    fn one_wrong_pair_is_outvoted() {
+    fn one_wrong_pair_has_no_influence() {
         let truth = [0.0, 0.01, -0.005, 0.02, 0.015];
         let mut pairs = all_pairs(&truth);
         pairs[2].offset_s += 0.01;
-        for (c, s) in solve(&pairs, &clocks(&[0, 1, 2, 3, 4], 5)).into_iter().enumerate() {
+        for (c, s) in solve_clocks(&pairs, &clocks(&[0, 1, 2, 3, 4], 5)).into_iter().enumerate() {
             assert!((s.unwrap().offset_s - truth[c]).abs() < 5e-4, "{c} {s:?}");
         }
     }
 
     #[test]
-    fn what_is_not_connected_is_unknown_and_shared_clocks_are_one() {
+    fn unconnected_clocks_are_unknown_and_shared_clocks_are_one() {
         let pairs = [pair(0, 1, 0.01), pair(2, 3, 0.02)];
-        let solved = solve(&pairs, &clocks(&[0, 1, 2, 3], 4));
+        let solved = solve_clocks(&pairs, &clocks(&[0, 1, 2, 3], 4));
         assert!(solved[1].is_some() && solved[2].is_none() && solved[3].is_none());
         // Cameras 1 and 2 share a clock: camera 3 is reached through it.
-        let solved = solve(&pairs, &clocks(&[0, 1, 1, 2], 3));
+        let solved = solve_clocks(&pairs, &clocks(&[0, 1, 1, 2], 3));
         assert!((solved[2].unwrap().offset_s - 0.03).abs() < 1e-12);
-        assert_eq!(solve(&[], &clocks(&[0], 1)).len(), 1);
+        assert_eq!(solve_clocks(&[], &clocks(&[0], 1)).len(), 1);
     }
 
-    /// Hundreds of random drifting triples of cameras: offset and rate come back within their
-    /// standard errors, which are those that the noise gives.
+    /// Hundreds of random triples of cameras with drift: offset and rate are within their standard
+    /// errors, which are those that the noise implies.
     #[test]
-    fn rates_are_found_with_their_errors() {
+    fn rates_and_their_standard_errors_are_estimated() {
         let random = &mut Random::new(5);
         let (mut squares, mut n) = ([0.0; 2], 0.0);
         for _ in 0..300 {
@@ -381,17 +412,18 @@ mod tests {
                     }
                 })
                 .collect();
-            let ahead = |c: usize, t: f64| truth[c].0 + truth[c].1 * (t - clocks.first_s[c]);
+            let offset_at = |c: usize, t: f64| truth[c].0 + truth[c].1 * (t - clocks.first_s[c]);
             let pairs: Vec<PairEstimate> = [[0, 1], [1, 2], [0, 2]]
                 .iter()
                 .map(|&[a, b]| PairEstimate {
                     samples: (0..400)
                         .map(|k| {
                             let time_b_s = 0.5 + 0.04 * f64::from(k / 4);
-                            // Rates are small: one step finds the time on a's clock.
-                            let guess = time_b_s + ahead(b, time_b_s);
+                            // Rates are so small that one fixed-point step gives the time on a's clock.
+                            let common_s = time_b_s + offset_at(b, time_b_s);
                             let noise = 0.2 * random.gaussian() / 150.0;
-                            let time_a_s = guess - ahead(a, guess - ahead(a, guess)) + noise;
+                            let time_a_s =
+                                common_s - offset_at(a, common_s - offset_at(a, common_s)) + noise;
                             let cameras = [a, b];
                             let cell = (random.unit() * 40.0) as usize;
                             let sample = Sample {
@@ -407,11 +439,11 @@ mod tests {
                         .collect(),
                     center_s: 2.5,
                     std_err_s: 0.2 / 150.0 / 20.0,
-                    doubt: 1.0,
+                    std_err_inflation: 1.0,
                     ..pair(a, b, 0.0)
                 })
                 .collect();
-            let solved = solve(&pairs, &clocks);
+            let solved = solve_clocks(&pairs, &clocks);
             for c in [1, 2] {
                 let s = solved[c].unwrap();
                 squares[0] += ((s.offset_s - truth[c].0) / s.std_err_s).powi(2);

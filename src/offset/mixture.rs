@@ -1,81 +1,102 @@
-//! The best rung's robust estimate: a line through candidates by maximum likelihood, each weighted
-//! by its information, outliers modelled instead of cut off.
+//! A robust line through candidates: maximum likelihood under a mixture model of inliers and
+//! outliers, fitted by expectation maximization (EM).
 //!
-//! RANSAC counts candidates within a tolerance in time, although a slow feature's candidate is far
-//! less certain than a fast one's; eqs. (11) to (13) weight by agreement alone. Here a candidate's
-//! error is Gaussian in pixels, so that it weighs with the square of its speed across the epipolar
-//! line, and an outlier's time is uniform over what candidates may be: the mixture of narrow, wider
-//! and uniform errors is fitted by expectation maximization, from the start that most candidates
-//! agree with (scored as MSAC scores: truncated squares).
+//! Beyond the paper. RANSAC counts candidates within a tolerance in time, although a slow feature's
+//! candidate is far less certain than a fast one's, and eqs. (11) to (13) weight by agreement alone.
+//! Here the error of an inlier is a scale mixture of three Gaussians in pixels, so that a candidate's
+//! information grows with the square of its speed across the epipolar line. The time of an outlier is
+//! uniform. EM starts at the candidate of highest consensus, by MSAC's truncated squares.
+//!
+//! Known limit: EM converges to a local maximum, so that the start decides between two equally large
+//! groups of candidates.
 
 use nalgebra::{Matrix2, Vector2};
 
-/// A candidate as the mixture sees it.
+/// One observation of the line: a candidate's offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// What is observed, seconds.
+    /// The observed value, seconds.
     pub value_s: f64,
-    /// Where on the line it is: the rate's factor, seconds.
+    /// The position on the line, which multiplies the rate, seconds.
     pub at_s: f64,
-    /// How fast the feature crosses the epipolar line, pixels a second.
+    /// The feature's signed speed across the epipolar line, pixels a second: a residual in seconds
+    /// times this is one in pixels.
     pub across_px_s: f64,
 }
 
 /// The fitted mixture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mixture {
-    /// The line's value at 0, seconds,
+    /// The line's value at position 0, seconds.
     pub value_s: f64,
-    /// and its slope, seconds a second; 0 if none is asked.
+    /// The line's slope, seconds a second; 0 if it is not fitted.
     pub rate: f64,
-    /// Standard deviation of the narrow component, pixels.
+    /// The standard deviation of the narrowest component, pixels.
     pub sigma_px: f64,
-    /// Share of the candidates that are no outliers.
-    pub inlier_share: f64,
-    /// Expected number of inliers.
+    /// The expected fraction of inliers, 0 to 1.
+    pub inlier_fraction: f64,
+    /// The expected number of inliers.
     pub inliers: f64,
-    /// The weight of each observation's squared residual in pixels, in units of 1 / px².
+    /// By observation: the weight of its squared residual, 1 / px².
     pub weights: Vec<f64>,
 }
 
-/// What is expected of residuals.
+/// The prior knowledge of the residuals.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Residuals {
-    /// The narrow component's standard deviation before it is known, pixels: also the scale of the
-    /// score that chooses the start.
+pub struct ResidualModel {
+    /// The initial standard deviation of the narrowest component, and the scale of the MSAC score,
+    /// pixels.
     pub start_px: f64,
-    /// What a tracker can't be better than,
+    /// The smallest standard deviation of the narrowest component, pixels: the tracker's precision.
     pub min_px: f64,
-    /// and what is no inlier any more.
+    /// The largest standard deviation of the narrowest component, pixels.
     pub max_px: f64,
-    /// The range of times that candidates were looked for in, seconds.
+    /// The range of times that outliers are uniform over, seconds.
     pub range_s: f64,
 }
 
-/// The inliers' components' standard deviations, in the narrow one's: features on depth edges and
-/// under changing light are off by several times of what the others are, and where all is thin, by
-/// many times. Without the widest, those would set the scale and weigh as much as good ones.
+/// The standard deviations of the inliers' components, over that of the narrowest one. Features on
+/// depth edges and under changing light have several times the error of others, those of thin
+/// structures many times. Larger factors explain outliers as inliers; smaller ones let the worst
+/// inliers set the common scale, at the weight of good ones.
 const SCALES: [f64; 3] = [1.0, 4.0, 16.0];
-const ITERATIONS: usize = 60;
-/// Starts that are scored against all observations.
+/// The initial fractions of the three components and of the outliers. More outliers reject inliers of
+/// noisy recordings at the start; fewer let outliers widen the first scale.
+const INITIAL_FRACTIONS: Fractions = [0.5, 0.15, 0.05, 0.3];
+/// The smallest fraction of a component: one of 0 would stay 0. Larger biases pure data; smaller
+/// delays a component's return.
+const MIN_FRACTION: f64 = 1e-3;
+/// The maximum number of EM iterations. Larger costs time; smaller stops before convergence.
+const MAX_ITERATIONS: usize = 60;
+/// The change of the line, over `range_s`, below which EM may have converged. Larger stops early;
+/// smaller only adds iterations.
+const LINE_TOLERANCE: f64 = 1e-9;
+/// The relative change of the standard deviation below which EM may have converged; likewise.
+const SIGMA_TOLERANCE: f64 = 1e-4;
+/// The number of observed values that are scored as starts. Larger costs time with the number of
+/// observations; smaller may score no inlier where most observations are outliers.
 const MAX_STARTS: usize = 400;
+/// The bound of MSAC's truncated squares, in `start_px`. Larger counts outliers in the consensus;
+/// smaller misses inliers.
+const MSAC_BOUND: f64 = 3.0;
 
-impl Residuals {
-    /// MSAC's score of a value with no slope: 1 for each perfect agreement.
+impl ResidualModel {
+    /// The MSAC score of a constant line: 1 for each observation without residual, 0 for each beyond
+    /// the bound.
     fn score(&self, observations: &[Observation], value_s: f64) -> f64 {
-        let reach = 3.0 * self.start_px;
+        let bound_px = MSAC_BOUND * self.start_px;
         observations
             .iter()
             .map(|o| {
-                let r = (o.value_s - value_s) * o.across_px_s / reach;
+                let r = (o.value_s - value_s) * o.across_px_s / bound_px;
                 (1.0 - r * r).max(0.0)
             })
             .sum()
     }
 
-    /// The observed value that agrees best with all others, and its score; `None` without
-    /// observations. Of many, evenly spread quantiles are tried.
-    pub fn start(&self, observations: &[Observation]) -> Option<(f64, f64)> {
+    /// The observed value of the highest MSAC score, seconds, and that score. `None` without
+    /// observations. Of more than 400 observations, evenly spread quantiles are scored.
+    pub fn consensus_value(&self, observations: &[Observation]) -> Option<(f64, f64)> {
         let mut values: Vec<f64> = observations.iter().map(|o| o.value_s).collect();
         values.sort_by(f64::total_cmp);
         let count = values.len().min(MAX_STARTS);
@@ -83,15 +104,15 @@ impl Residuals {
             .map(|k| values[(2 * k + 1) * values.len() / (2 * count)])
             .map(|value| (value, self.score(observations, value)))
             .fold(None, |best: Option<(f64, f64)>, (value, score)| match best {
-                Some((_, most)) if score <= most => best,
+                Some((_, max)) if score <= max => best,
                 _ => Some((value, score)),
             })
     }
 
-    /// Fits the mixture from a start; with a slope if `with_rate`, which needs observations at two
-    /// places at least.
+    /// Fits the mixture by EM from a constant line, with a slope if `with_rate`.
     ///
-    /// `None` where the weighted observations determine no line: none, or all without speed.
+    /// `None` where the observations do not determine the line: there are none, all have a speed of 0,
+    /// or all have the same position and a slope is asked for.
     pub fn fit(
         &self,
         observations: &[Observation],
@@ -100,82 +121,81 @@ impl Residuals {
     ) -> Option<Mixture> {
         let mut line = Vector2::new(start_s, 0.0);
         let mut sigma = self.start_px;
-        // Shares of the components, and of outliers.
-        let mut shares = [0.5, 0.15, 0.05, 0.3];
+        let mut fractions = INITIAL_FRACTIONS;
         let mut weights = vec![0.0; observations.len()];
-        for _ in 0..ITERATIONS {
-            let sums = self.expect(observations, &line, sigma, shares, &mut weights);
+        for _ in 0..MAX_ITERATIONS {
+            let sums = self.expect(observations, &line, sigma, fractions, &mut weights);
             let next = weighted_line(observations, &weights, with_rate)?;
             let n = observations.len() as f64;
-            // No component dies out: one that did could not come back.
-            shares = sums.counts.map(|c| (c / n).max(1e-3));
-            let total: f64 = shares.iter().sum();
-            shares = shares.map(|s| s / total);
+            fractions = sums.counts.map(|c| (c / n).max(MIN_FRACTION));
+            let total: f64 = fractions.iter().sum();
+            fractions = fractions.map(|f| f / total);
             let variance = sums.squares / sums.inliers().max(1e-12);
             let next_sigma = variance.sqrt().clamp(self.min_px, self.max_px);
-            let rests = (next - line).amax() < 1e-9 * self.range_s
-                && (next_sigma - sigma).abs() < 1e-4 * sigma;
+            let converged = (next - line).amax() < LINE_TOLERANCE * self.range_s
+                && (next_sigma - sigma).abs() < SIGMA_TOLERANCE * sigma;
             (line, sigma) = (next, next_sigma);
-            if rests {
+            if converged {
                 break;
             }
         }
-        let sums = self.expect(observations, &line, sigma, shares, &mut weights);
+        let sums = self.expect(observations, &line, sigma, fractions, &mut weights);
         let inliers = sums.inliers();
         Some(Mixture {
             value_s: line.x,
             rate: line.y,
             sigma_px: sigma,
-            inlier_share: inliers / observations.len() as f64,
+            inlier_fraction: inliers / observations.len() as f64,
             inliers,
             weights,
         })
     }
 
-    /// Each observation's weight under the current mixture, and the sums that the next one is
-    /// made of.
+    /// The expectation step: the weight of each observation under the current mixture, and the sums
+    /// that the maximization step needs.
     fn expect(
         &self,
         observations: &[Observation],
         line: &Vector2<f64>,
         sigma: f64,
-        shares: Shares,
+        fractions: Fractions,
         weights: &mut [f64],
     ) -> Sums {
         let mut sums = Sums::default();
-        let outlier = shares[SCALES.len()] / self.range_s;
+        let outlier = fractions[SCALES.len()] / self.range_s;
         for (o, weight) in observations.iter().zip(weights) {
             let r = (o.value_s - line.x - line.y * o.at_s) * o.across_px_s;
-            // Densities in time.
-            let at_peak = o.across_px_s.abs() / (sigma * std::f64::consts::TAU.sqrt());
+            // Densities in time: those in pixels times the speed.
+            let peak = o.across_px_s.abs() / (sigma * std::f64::consts::TAU.sqrt());
             let z = r / sigma;
             let densities: [f64; SCALES.len()] = std::array::from_fn(|k| {
                 let z = z / SCALES[k];
-                shares[k] * at_peak / SCALES[k] * (-0.5 * z * z).exp()
+                fractions[k] * peak / SCALES[k] * (-0.5 * z * z).exp()
             });
-            // The outliers' part is positive: the shares are.
+            // Positive, since the outliers' fraction is.
             let total = outlier + densities.iter().sum::<f64>();
-            // Of the squared residual's weight, in units of the narrow component's.
-            let mut part = 0.0;
+            // The expected precision, in units of the narrowest component's.
+            let mut precision = 0.0;
             for (k, density) in densities.iter().enumerate() {
                 sums.counts[k] += density / total;
-                part += density / total / (SCALES[k] * SCALES[k]);
+                precision += density / total / (SCALES[k] * SCALES[k]);
             }
             sums.counts[SCALES.len()] += outlier / total;
-            sums.squares += part * r * r;
-            *weight = part / (sigma * sigma);
+            sums.squares += precision * r * r;
+            *weight = precision / (sigma * sigma);
         }
         sums
     }
 }
 
-/// One number for each component, and for the outliers.
-type Shares = [f64; SCALES.len() + 1];
+/// One number for each component, then one for the outliers.
+type Fractions = [f64; SCALES.len() + 1];
 
 #[derive(Default)]
 struct Sums {
-    counts: Shares,
-    /// Squared residuals, each in units of its component's variance over the narrow one's.
+    /// The expected number of observations in each component.
+    counts: Fractions,
+    /// The squared residuals, px², each over its component's variance relative to the narrowest one's.
     squares: f64,
 }
 
@@ -185,7 +205,7 @@ impl Sums {
     }
 }
 
-/// The line of least weighted squares; `None` where it is not determined.
+/// The weighted least-squares line, as value and slope; `None` where it is not determined.
 fn weighted_line(
     observations: &[Observation],
     weights: &[f64],
@@ -211,8 +231,8 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    const RESIDUALS: Residuals =
-        Residuals { start_px: 0.5, min_px: 1e-3, max_px: 2.0, range_s: 3.0 };
+    const MODEL: ResidualModel =
+        ResidualModel { start_px: 0.5, min_px: 1e-3, max_px: 2.0, range_s: 3.0 };
 
     fn problem(
         random: &mut Random,
@@ -234,19 +254,19 @@ mod tests {
             .collect()
     }
 
-    /// The error of an efficient estimate is √(σ² / Σ v²); over thousands of problems, half of
-    /// them outliers, this one's is no more than a quarter above it.
+    /// The standard error of an efficient estimate is √(σ² / Σ v²). Over thousands of problems with as
+    /// many outliers as inliers, this estimate's is at most a quarter larger.
     #[test]
     fn thousands_of_random_problems_are_solved_efficiently() {
         let random = &mut Random::new(1);
         let (mut squares, mut wrong) = (0.0, 0);
         for _ in 0..3000 {
             let observations = problem(random, 60, 60, 0.0);
-            let start = RESIDUALS.start(&observations).unwrap().0;
-            let found = RESIDUALS.fit(&observations, start, false).unwrap();
+            let start = MODEL.consensus_value(&observations).unwrap().0;
+            let mixture = MODEL.fit(&observations, start, false).unwrap();
             let information: f64 =
                 observations[..60].iter().map(|o| o.across_px_s.powi(2)).sum::<f64>() / 0.09;
-            let z = (found.value_s - 0.3) * information.sqrt();
+            let z = (mixture.value_s - 0.3) * information.sqrt();
             squares += z * z;
             wrong += usize::from(z.abs() > 6.0);
         }
@@ -256,27 +276,27 @@ mod tests {
     }
 
     #[test]
-    fn slopes_are_found() {
+    fn slopes_are_estimated() {
         let random = &mut Random::new(2);
         for _ in 0..1000 {
             let observations = problem(random, 100, 40, 0.01);
-            let start = RESIDUALS.start(&observations).unwrap().0;
-            let found = RESIDUALS.fit(&observations, start, true).unwrap();
-            assert!((found.rate - 0.01).abs() < 0.008, "{found:?}");
-            assert!((found.value_s - 0.3).abs() < 0.04);
+            let start = MODEL.consensus_value(&observations).unwrap().0;
+            let mixture = MODEL.fit(&observations, start, true).unwrap();
+            assert!((mixture.rate - 0.01).abs() < 0.008, "{mixture:?}");
+            assert!((mixture.value_s - 0.3).abs() < 0.04);
         }
     }
 
     #[test]
     fn degenerate_observations() {
-        assert_eq!(RESIDUALS.start(&[]), None);
-        assert_eq!(RESIDUALS.fit(&[], 0.0, false), None);
+        assert_eq!(MODEL.consensus_value(&[]), None);
+        assert_eq!(MODEL.fit(&[], 0.0, false), None);
         let one = Observation { value_s: 0.4, at_s: 1.0, across_px_s: 5.0 };
-        let found = RESIDUALS.fit(&[one; 3], 0.4, false).unwrap();
-        assert!((found.value_s - 0.4).abs() < 1e-12 && found.sigma_px == RESIDUALS.min_px);
-        // All at one place: a value, but no slope.
-        assert_eq!(RESIDUALS.fit(&[one; 3], 0.4, true), None);
+        let mixture = MODEL.fit(&[one; 3], 0.4, false).unwrap();
+        assert!((mixture.value_s - 0.4).abs() < 1e-12 && mixture.sigma_px == MODEL.min_px);
+        // All at one position: the slope is undetermined.
+        assert_eq!(MODEL.fit(&[one; 3], 0.4, true), None);
         let still = Observation { across_px_s: 0.0, ..one };
-        assert_eq!(RESIDUALS.fit(&[still; 3], 0.4, false), None);
+        assert_eq!(MODEL.fit(&[still; 3], 0.4, false), None);
     }
 }

@@ -1,42 +1,70 @@
-//! §7: the temporal offsets of cameras with clocks of their own.
+//! §7: the temporal offsets of cameras with clocks of their own, from their images alone.
 //!
-//! | paper | here |
+//! Time on the reference's clock = time on the camera's clock + offset, in seconds. A camera that starts
+//! after the reference, both at 0 on their own clocks, has a positive offset.
+//!
+//! | paper | item |
 //! |---|---|
-//! | eq. (10), one candidate a feature | [`ThreeFrames::candidates`] |
-//! | RANSAC by trying every candidate | [`ransac`] |
+//! | eq. (10), one candidate per feature | [`ThreeFrames::candidates`] |
+//! | RANSAC over all candidates | [`ransac`] |
 //! | WLS, eqs. (11) to (13) | [`weighted_least_squares`] |
-//! | choosing frames with 0 ≤ t̃ ≤ Δt, averaging | [`PairEstimate`] |
-//! | Zhou and Tao, beside it in Figs. 19 to 22 | [`cross_ratio_offset`] |
-//! | Fig. 23 | [`plot`] |
+//! | the choice of frames with 0 ≤ t̃ ≤ Δt, the mean over frames | [`PairEstimate`] |
+//! | the estimator of Zhou and Tao in Figs. 19 to 22 | [`cross_ratio_offset`] |
+//! | Fig. 23, the distances from the epipolar lines | [`plot`] |
 //!
-//! Beyond: a mixture fitted by information ([`Residuals`]), rough alignment of recordings started
-//! by hand (`align`), lost frames (`lost`, `courses`), and all pairs together with rates and standard errors
-//! ([`solve`]).
+//! Beyond the paper: an information-weighted mixture model instead of RANSAC and WLS
+//! ([`ResidualModel`]), curved trajectories, rough alignment of recordings that start seconds apart,
+//! lost frames, and all clocks solved together with rates and standard errors ([`solve_clocks`]).
 //!
-//! time on the reference's clock = time on the camera's clock + offset: a camera that opens after
-//! the reference, both starting at 0 on their own clocks, has a positive offset.
+//! | file | content |
+//! |---|---|
+//! | `options` | [`OffsetOptions`] and the methods |
+//! | `estimate` | [`estimate`]: the stages in their order, and the reasons of unknown offsets |
+//! | `pairing` | the clocks of the cameras, and the pairs of cameras |
+//! | `timeline` | the images' times, lost frames accounted for |
+//! | `recording` | frames, tracks and the candidates of frame triples, cached |
+//! | `features` | the selection of features that move |
+//! | `candidates` | eq. (10) |
+//! | `activity`, `align` | rough alignment by cross-correlation, verified by candidates |
+//! | `lost_frames` | the observation of lost frames |
+//! | `clock_models` | their joint fit: block-coordinate descent and dynamic programming |
+//! | `pair`, `pair_fit` | one pair: the choice of triples; offset, rate and standard error |
+//! | `consensus` | RANSAC and WLS |
+//! | `mixture` | maximum likelihood under the mixture model |
+//! | `uncertainty` | cluster-robust standard errors |
+//! | `joint` | all clocks together by robust weighted least squares |
+//! | `zhou_tao` | the four-point estimator |
+//! | `store` | [`Offsets`], their JSON and their cache |
+//! | `plot` | charts of the data behind an estimate |
 //!
-//! Known limits: films shorter than the least overlap of the search are taken to be aligned to
-//! about a frame; a frame lost where nothing moves is found at the next image that shows motion;
-//! one lost right after a film's first image or before its last may not be found, and that image is
-//! then a frame off; what most cameras lose at about the same time they hardly see in each other, and
-//! may all be a frame off before it; one rate holds for a whole film.
+//! # Known limits
+//!
+//! - Recordings shorter than the minimum overlap of the search (`min_overlap_s`) are taken to be aligned
+//!   to about a frame.
+//! - Motion along the epipolar lines of all pairs of a camera leaves its offset undetermined.
+//! - A frame lost while nothing moves is attributed to the next image that shows motion.
+//! - A frame lost right after the first image or before the last one may be missed. That image's time is
+//!   then one frame off.
+//! - Frames that most cameras lose at about the same time leave hardly a trace. All images before them
+//!   may then be one frame off.
+//! - One rate holds for a whole recording.
 
 mod activity;
 mod align;
 mod candidates;
+mod clock_models;
 mod consensus;
-mod courses;
 mod estimate;
 mod features;
-mod film;
 mod joint;
-mod lost;
+mod lost_frames;
 mod mixture;
 mod options;
 mod pair;
+mod pair_fit;
 mod pairing;
 mod plot;
+mod recording;
 mod store;
 mod timeline;
 mod uncertainty;
@@ -45,12 +73,12 @@ mod zhou_tao;
 pub use candidates::{Candidate, ThreeFrames};
 pub use consensus::{ransac, weighted_least_squares};
 pub use estimate::{Estimate, estimate};
-pub use film::Sample;
-pub use joint::{Clocks, Solved, solve};
-pub use mixture::{Mixture, Observation, Residuals};
+pub use joint::{ClockEstimate, Clocks, solve_clocks};
+pub use mixture::{Mixture, Observation, ResidualModel};
 pub use options::{OffsetMethod, OffsetOptions};
-pub use pair::{Blind, FrameEstimate, PairEstimate};
+pub use pair::{FrameEstimate, PairEstimate, PairFailure};
 pub use plot::plot;
+pub use recording::Sample;
 pub use store::{CameraOffset, Offsets};
 pub use zhou_tao::{FourPoints, cross_ratio_offset};
 
@@ -61,9 +89,13 @@ use crate::registration::FrameStore;
 pub(crate) use pairing::clocks;
 use pairing::spread;
 
-/// The offsets of a capture: none to estimate if all clocks are shared or nothing can move; those
-/// cached in its folder if they are of the same capture, frames and options; else estimated now, and
-/// cached with their plot. Says which on the reporter.
+/// The offsets of a capture: known, cached or estimated, in this order; a note on the reporter says
+/// which.
+///
+/// They are known, all 0, if all cameras share one clock. In a static capture, of one frame per camera,
+/// all but the reference's are unknown. Cached ones are used if `offsets.json` is of the same capture,
+/// frames and options. Estimated ones are saved there, with their plot in `offsets.svg`; a folder that
+/// cannot be written is noted and no error. The error is that of a frame that cannot be read.
 pub fn known_or_cached_or_estimated(
     frames: &FrameStore,
     options: &OffsetOptions,
@@ -85,7 +117,7 @@ pub fn known_or_cached_or_estimated(
         return Ok(cached);
     }
     let estimate = estimate(frames, options, reporter)?;
-    // A capture that may only be read can be worked with all the same.
+    // A read-only capture can be used all the same.
     match save(&estimate, capture, &all_options, &hash) {
         Ok(()) => {
             reporter.note(
@@ -101,6 +133,7 @@ pub fn known_or_cached_or_estimated(
     Ok(estimate.offsets)
 }
 
+/// Writes `offsets.svg`, then `offsets.json`.
 fn save(
     estimate: &Estimate,
     capture: &Capture,
@@ -113,7 +146,7 @@ fn save(
     estimate.offsets.save(capture, options, hash)
 }
 
-/// Why a static camera has no offset.
+/// The reason of a camera with a single frame.
 const ONE_FRAME: &str = "it has one frame, which shows no motion";
 
 #[cfg(test)]
@@ -121,7 +154,7 @@ mod tests {
     use crate::camera::{Camera, CameraModel};
     use nalgebra::Isometry3;
 
-    /// Of a row of cameras, the one at x metres.
+    /// A camera of a row along the x axis, at x metres.
     pub fn camera(x: f64) -> Camera {
         Camera {
             width: 640,

@@ -1,58 +1,66 @@
-//! How offsets are estimated.
+//! Options of the offset estimation (§7).
 
 use crate::method::methods;
 use serde::{Deserialize, Serialize};
 
-/// Options of §7.
+/// Options of the offset estimation (§7). The field names are those of the options file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct OffsetOptions {
-    /// Which estimator combines the features' candidates. Files of earlier versions call it `rung`.
+    /// The estimator that combines the features' candidates. Files of earlier versions call it `rung`.
     #[serde(alias = "rung")]
     pub method: OffsetMethod,
-    /// Every camera is paired with this many nearest ones. More pairs are more redundant, and the
-    /// far ones harder to match.
+    /// The number of nearest cameras that every camera is paired with. Larger adds redundancy, and pairs
+    /// that are harder to match; smaller leaves wrong pairs undetected.
     pub neighbors: usize,
-    /// Frames of a camera used at most, evenly spread.
+    /// The maximum number of frames of a camera that are used, evenly spread. Larger costs time;
+    /// smaller gives larger standard errors.
     pub max_frames: usize,
-    /// Corners a frame followed at most, the strongest first of those around which the image
-    /// changes: an interpolation needs many more.
+    /// The maximum number of corners tracked per frame: the strongest of those around which the image
+    /// changes. Larger costs time; smaller gives larger standard errors.
     pub max_features: usize,
-    /// RANSAC's tolerance d, as a share of Δt.
+    /// The RANSAC tolerance d of §7, as a fraction of Δt. Larger includes outliers; smaller excludes
+    /// inliers of slow features.
     pub tolerance_share: f64,
-    /// γ of eq. (12), times Δt.
+    /// γ of eq. (12), times Δt. Larger weights the nearest candidates alone; smaller approaches the mean
+    /// of RANSAC's inliers.
     pub gamma: f64,
-    /// A feature has a candidate only if it moves at least this much across the epipolar line
-    /// from frame to frame, pixels. Smaller: noise over almost nothing is any time at all.
+    /// The smallest motion across the epipolar line from frame to frame that a candidate requires,
+    /// pixels. Larger discards slow features; smaller admits candidates that are mostly noise.
     pub min_across_px: f64,
-    /// How far from its epipolar line a feature is expected, pixels: where the best rung's estimate
-    /// starts from. Larger lets outliers choose the start, smaller leaves inliers out of it.
+    /// The expected standard deviation of features' distances from their epipolar lines, pixels, at which
+    /// the mixture of the joint methods starts. Larger lets outliers determine the start; smaller
+    /// excludes inliers from it.
     pub residual_px: f64,
-    /// How far apart clocks may be, seconds, where films are long enough to find it. 0: they are
-    /// right to about a frame. Further takes longer, and meets more motion that looks alike.
+    /// The largest offset that is searched for, seconds, where recordings are long enough; 0: the nominal
+    /// clocks are right to about a frame. Larger costs time and meets more motion that looks alike;
+    /// smaller misses offsets beyond it.
     pub search_s: f64,
-    /// The least overlap of two films that is searched for, seconds; shorter ones are not searched.
-    /// Less finds chance likeness.
+    /// The minimum overlap of two recordings in that search, seconds; shorter recordings are taken to be
+    /// aligned to about a frame. Larger misses short overlaps; smaller correlates by chance.
     pub min_overlap_s: f64,
-    /// A pair with fewer inliers than this is not used.
+    /// The minimum number of inliers of a pair. Larger discards pairs with few features; smaller accepts
+    /// agreement by chance.
     pub min_inliers: usize,
-    /// Nor one with a smaller share of inliers: by chance alone, candidates spread over a few
-    /// frames put 2 × tolerance into any window.
+    /// The minimum fraction of inliers among a pair's candidates. Larger discards pairs with many
+    /// mismatches; smaller accepts agreement by chance: of candidates spread over a few frames, any window
+    /// of 2 × tolerance contains a fraction.
     pub min_inlier_share: f64,
-    /// A pair, or a camera, less certain than this share of a frame is not used, or unknown.
+    /// The largest standard error, frames: a pair beyond it is not used, and a camera beyond it has no
+    /// offset. Larger reports uncertain offsets; smaller withholds usable ones.
     pub max_std_err_frames: f64,
 }
 
-/// The estimators, cheapest first.
+/// The estimators of the temporal offsets, cheapest first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OffsetMethod {
-    /// The paper's: straight motion, each camera against the reference camera, RANSAC and WLS per
-    /// frame, the mean over the frames
+    /// The paper's (§7): straight trajectories, each camera against the reference camera, RANSAC and WLS
+    /// for every frame, and the mean over the frames.
     Pairwise,
-    /// Straight motion, all pairs together, weighted by their information
+    /// Straight trajectories, and all pairs together, weighted by their information.
     Joint,
-    /// Motion on curves through four frames, all pairs together
+    /// Curved trajectories through up to four frames, and all pairs together.
     #[default]
     JointCurved,
 }

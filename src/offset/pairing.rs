@@ -1,10 +1,12 @@
-//! Which cameras are compared, and whose clock is whose.
+//! Which cameras form pairs, and which cameras share a clock.
 
 use super::{OffsetMethod, OffsetOptions};
 use crate::capture::Capture;
 
-/// The clock of each camera, the reference's being 0, and how many there are. The reference's
-/// clock is that of all cameras that share one, if it does.
+/// The index of each camera's clock, and the number of clocks.
+///
+/// The reference camera has clock 0. All cameras whose clock is marked as shared have the same one,
+/// that of the reference if its clock is shared too; every other camera has a clock of its own.
 pub fn clocks(capture: &Capture) -> (Vec<usize>, usize) {
     let reference_shares = capture.cameras[capture.reference].clock.shared;
     let mut next = 1;
@@ -26,10 +28,13 @@ pub fn clocks(capture: &Capture) -> (Vec<usize>, usize) {
     (clock, next)
 }
 
-/// The pairs to estimate: every camera with its nearest ones, and with the nearest ones that stand
-/// in other directions: motion along the epipolar lines of a grid's rows runs across those of its
-/// columns, and of its diagonals, which connect the columns. For the paper's rung, with the
-/// reference.
+/// The pairs of cameras to estimate, as ascending pairs of indices in ascending order.
+///
+/// Every camera is paired with its `neighbors` nearest cameras, those at equal distances included, and
+/// with the nearest ones in other directions: motion along the epipolar lines of a grid's rows runs
+/// across those of its columns and of its diagonals, which connect the columns. For
+/// [`OffsetMethod::Pairwise`] every camera is paired with the reference alone (§7). Cameras that share
+/// a clock or a centre form no pair.
 pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec<[usize; 2]> {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
     let mut pairs: Vec<[usize; 2]> = Vec::new();
@@ -41,16 +46,16 @@ pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec
             others.retain(|&b| b == capture.reference);
         }
         others.sort_by(|&x, &y| to(x).norm().total_cmp(&to(y).norm()).then(x.cmp(&y)));
-        // Both sides of a line, and ties of a grid: as many again as lie as near.
+        // Ties count once: both sides of a line, all diagonals of a grid.
         let reach = others
             .get(options.neighbors.saturating_sub(1).min(others.len().wrapping_sub(1)))
             .map_or(0.0, |&b| to(b).norm());
         let near = others.partition_point(|&b| to(b).norm() <= reach * (1.0 + 1e-6));
         let mut chosen = others[..near].to_vec();
         for &b in &others[near..] {
-            let aside =
+            let is_other_direction =
                 |n: &usize| to(b).normalize().dot(&to(*n).normalize()).abs() < MAX_ALIGNMENT;
-            if chosen.len() < near + OTHER_DIRECTIONS && chosen.iter().all(aside) {
+            if chosen.len() < near + OTHER_DIRECTIONS && chosen.iter().all(is_other_direction) {
                 chosen.push(b);
             }
         }
@@ -61,12 +66,15 @@ pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec
     pairs
 }
 
-/// The cosine between two baselines beyond which one shows hardly more than the other.
+/// The cosine between two baselines above which their epipolar lines count as parallel. Larger adds
+/// pairs that see hardly more motion; smaller leaves a grid's diagonals out.
 const MAX_ALIGNMENT: f64 = 0.9;
-/// A column, and a diagonal.
+/// The number of further directions: a column and a diagonal. Larger costs time; smaller leaves the
+/// columns of a grid unconnected where motion runs along the rows.
 const OTHER_DIRECTIONS: usize = 2;
 
-/// `count` of the numbers below `n` at most, evenly spread.
+/// At most `count` of the numbers below `n`, ascending and evenly spread; all of them if there are no
+/// more.
 pub fn spread(n: usize, count: usize) -> Vec<usize> {
     if n <= count {
         return (0..n).collect();

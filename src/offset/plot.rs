@@ -1,17 +1,20 @@
-//! What an estimate was made of, drawn: beside `offsets.json`.
+//! Plots of the data behind an estimate: `offsets.svg`, beside `offsets.json`.
 
 use super::{Estimate, PairEstimate};
 use crate::capture::Capture;
 use crate::chart::{Chart, ChartPoint, Series, svg};
 
-/// Four charts: each pair's own estimate against the joint one, the share of its candidates that
-/// agree, the estimates of single triples of frames over time, and the features' distances from
-/// their epipolar lines by the clocks as they are and as they were found (the paper's Fig. 23).
+/// Four charts, as SVG text.
+///
+/// They show each pair's own estimate relative to the joint one, its fraction of inliers, the estimates
+/// of single frame triples over time, and the inliers' distances from their epipolar lines by the
+/// nominal and by the estimated clocks (Fig. 23). `capture` must be the one of the estimate. Pairs of
+/// cameras without an offset are omitted where the joint estimate is needed.
 pub fn plot(estimate: &Estimate, capture: &Capture) -> String {
     svg(
         &[
             pairs(estimate, capture),
-            shares(estimate, capture),
+            inlier_fractions(estimate, capture),
             over_time(estimate, capture),
             distances(estimate),
         ],
@@ -22,20 +25,22 @@ pub fn plot(estimate: &Estimate, capture: &Capture) -> String {
 /// Milliseconds in a second.
 const MS: f64 = 1e3;
 
-/// What the joint estimate has for a pair, seconds, at a time on its first camera's clock.
+/// The joint estimate of `offset_j − offset_i`, seconds, at a time on camera i's clock; `None` if
+/// either camera's offset is unknown.
 fn joint_s(estimate: &Estimate, capture: &Capture, [i, j]: [usize; 2], time_s: f64) -> Option<f64> {
-    let ahead = |c: usize| {
+    let offset_at = |c: usize| {
         let camera = &estimate.offsets.cameras[c];
-        let since = time_s - capture.cameras[c].clock.times_s[0];
-        Some(camera.offset_s? + 1e-6 * camera.rate_ppm.unwrap_or(0.0) * since)
+        let elapsed_s = time_s - capture.cameras[c].clock.times_s[0];
+        Some(camera.offset_s? + 1e-6 * camera.rate_ppm.unwrap_or(0.0) * elapsed_s)
     };
-    Some(ahead(j)? - ahead(i)?)
+    Some(offset_at(j)? - offset_at(i)?)
 }
 
-fn name(capture: &Capture, [i, j]: [usize; 2]) -> String {
+fn pair_name(capture: &Capture, [i, j]: [usize; 2]) -> String {
     format!("{}–{}", capture.cameras[i].id, capture.cameras[j].id)
 }
 
+/// Each pair's estimate minus the joint one.
 fn pairs(estimate: &Estimate, capture: &Capture) -> Chart {
     let points = estimate.pairs.iter().enumerate().filter_map(|(k, pair)| {
         let joint = joint_s(estimate, capture, pair.cameras, pair.center_s)?;
@@ -46,7 +51,7 @@ fn pairs(estimate: &Estimate, capture: &Capture) -> Chart {
             x_range: None,
         })
     });
-    let names: Vec<String> = estimate.pairs.iter().map(|p| name(capture, p.cameras)).collect();
+    let names: Vec<String> = estimate.pairs.iter().map(|p| pair_name(capture, p.cameras)).collect();
     Chart {
         title: "Each pair alone, against all pairs together".into(),
         x_label: labelled("pair", &names),
@@ -57,19 +62,20 @@ fn pairs(estimate: &Estimate, capture: &Capture) -> Chart {
     }
 }
 
-/// An axis of numbers and, where there is room, what they stand for.
-fn labelled(what: &str, names: &[String]) -> String {
+/// An axis label with the names of the first and the last value.
+fn labelled(axis: &str, names: &[String]) -> String {
     match names {
-        [] => what.into(),
-        [only] => format!("{what} (0: {only})"),
-        [first, .., last] => format!("{what} (0: {first} … {}: {last})", names.len() - 1),
+        [] => axis.into(),
+        [only] => format!("{axis} (0: {only})"),
+        [first, .., last] => format!("{axis} (0: {first} … {}: {last})", names.len() - 1),
     }
 }
 
-fn shares(estimate: &Estimate, capture: &Capture) -> Chart {
-    let share = |p: &PairEstimate| p.inliers as f64 / p.candidates.max(1) as f64;
-    let points = estimate.pairs.iter().enumerate().map(|(k, p)| (k as f64, share(p)).into());
-    let names: Vec<String> = estimate.pairs.iter().map(|p| name(capture, p.cameras)).collect();
+/// The fraction of each pair's candidates that are inliers.
+fn inlier_fractions(estimate: &Estimate, capture: &Capture) -> Chart {
+    let fraction = |p: &PairEstimate| p.inliers as f64 / p.candidates.max(1) as f64;
+    let points = estimate.pairs.iter().enumerate().map(|(k, p)| (k as f64, fraction(p)).into());
+    let names: Vec<String> = estimate.pairs.iter().map(|p| pair_name(capture, p.cameras)).collect();
     Chart {
         title: "Candidates that agree".into(),
         x_label: labelled("pair", &names),
@@ -80,6 +86,7 @@ fn shares(estimate: &Estimate, capture: &Capture) -> Chart {
     }
 }
 
+/// The estimates of single frame triples minus the joint one.
 fn over_time(estimate: &Estimate, capture: &Capture) -> Chart {
     let mut series = [
         Series { label: "RANSAC and WLS (the paper's)".into(), dots: true, ..Series::default() },
@@ -104,31 +111,32 @@ fn over_time(estimate: &Estimate, capture: &Capture) -> Chart {
     }
 }
 
-/// How many of the shares of a distribution are drawn.
+/// The number of quantiles that a distribution is drawn with.
 const QUANTILES: usize = 60;
 
+/// The distribution of the inliers' distances from their epipolar lines (Fig. 23).
 fn distances(estimate: &Estimate) -> Chart {
-    let mut before = Vec::new();
-    let mut after = Vec::new();
+    let mut nominal = Vec::new();
+    let mut estimated = Vec::new();
     for pair in &estimate.pairs {
         for (sample, weight) in pair.samples.iter() {
             let sign = if sample.cameras == pair.cameras { 1.0 } else { -1.0 };
             let value = sign * sample.offset_s();
             let time_i = if sign > 0.0 { sample.time_a_s } else { sample.time_b_s };
-            let own = pair.offset_s + pair.rate * (time_i - pair.center_s);
-            // Outliers say nothing about clocks.
+            let fitted = pair.offset_s + pair.rate * (time_i - pair.center_s);
+            // Outliers carry no information about the clocks.
             if *weight > 0.1 / (pair.sigma_px * pair.sigma_px) {
-                before.push((value * sample.across_px_s).abs());
-                after.push(((value - own) * sample.across_px_s).abs());
+                nominal.push((value * sample.across_px_s).abs());
+                estimated.push(((value - fitted) * sample.across_px_s).abs());
             }
         }
     }
     let series = |label: &str, mut values: Vec<f64>| {
         values.sort_by(f64::total_cmp);
         let quantile = |k: usize| {
-            let share = k as f64 / QUANTILES as f64;
-            let at = (share * (values.len() - 1) as f64).round() as usize;
-            (100.0 * share, values[at]).into()
+            let fraction = k as f64 / QUANTILES as f64;
+            let at = (fraction * (values.len() - 1) as f64).round() as usize;
+            (100.0 * fraction, values[at]).into()
         };
         let points =
             if values.is_empty() { Vec::new() } else { (0..QUANTILES).map(quantile).collect() };
@@ -139,7 +147,7 @@ fn distances(estimate: &Estimate) -> Chart {
         x_label: "percentile of the features that agree".into(),
         y_label: "pixels".into(),
         log_y: true,
-        series: vec![series("clocks as they are", before), series("with the offsets", after)],
+        series: vec![series("clocks as they are", nominal), series("with the offsets", estimated)],
         ..Chart::default()
     }
 }

@@ -1,4 +1,7 @@
-//! Offsets as a result: in memory, as JSON, and kept in the capture's folder.
+//! Offsets as a result: in memory, as JSON, and cached in the capture's folder.
+//!
+//! `offsets.json` holds the offsets, the options that they were estimated with, and a hash of the
+//! program's version, the capture's content and these options. It is used only while the hash matches.
 
 use crate::capture::{Capture, CaptureError};
 use crate::host::write_atomically;
@@ -10,44 +13,52 @@ use std::path::PathBuf;
 pub struct Offsets {
     /// The reference camera's id.
     pub reference: String,
+    /// By camera, in the capture's order.
     pub cameras: Vec<CameraOffset>,
 }
 
-/// time on the reference's clock = time on the camera's clock + `offset_s`; with a drift,
-/// `time_ref = time_cam + (time_cam − first_cam)·rate_ppm·1e-6 + offset_s`, `first_cam` the time of
-/// the camera's first frame; with lost frames, `time_cam` of an image is its nominal time plus a
-/// frame for each one missing before it.
+/// One camera's clock relative to the reference's.
+///
+/// `time_ref = time_cam + (time_cam − first_cam)·rate_ppm·1e-6 + offset_s`, where `first_cam` is the
+/// time of the camera's first frame, and the rate is 0 for clocks without drift. For a camera that lost
+/// frames, `time_cam` of an image is its nominal time plus one frame period for each frame missing
+/// before it. A camera that starts later than the reference, both at 0 on their own clocks, has a
+/// positive offset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CameraOffset {
+    /// The camera's id.
     pub id: String,
-    /// `None`: can't be seen in this capture.
+    /// The offset, seconds; `None` if this capture does not determine it.
     pub offset_s: Option<f64>,
+    /// The standard error of the offset, seconds; 0 where nothing is estimated.
     pub std_err_s: Option<f64>,
-    /// How much faster the reference's clock runs, in millionths, where the capture says that the
-    /// camera's drifts.
+    /// How much faster the reference's clock runs, parts per million; only for cameras whose clock
+    /// drifts by the capture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_ppm: Option<f64>,
+    /// The standard error of the rate, parts per million.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_std_err_ppm: Option<f64>,
-    /// The images before which a frame is missing, ascending, one that follows two missing frames
-    /// twice; where the capture says that frames may be lost.
+    /// The images before which a frame is missing, ascending, one entry for each frame; only for cameras
+    /// that may lose frames by the capture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lost_before: Option<Vec<usize>>,
-    /// Why it is unknown.
+    /// Why the offset is unknown, as a sentence.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
 }
 
-/// `CAPTURE/offsets.json`: the offsets, and a hash of all that they rest on.
+/// The content of `CAPTURE/offsets.json`.
 #[derive(Serialize, Deserialize)]
-struct Kept {
+struct CachedOffsets {
     #[serde(flatten)]
     offsets: Offsets,
     options: serde_json::Value,
     hash: String,
 }
 
-/// A camera's times with a median frame added for each one missing before an image.
+/// A camera's times, seconds, with its median frame period added for each frame missing before an
+/// image.
 pub(super) fn with_lost_frames(times_s: &[f64], lost_before: &[usize]) -> Vec<f64> {
     let mut gaps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
     gaps.sort_by(f64::total_cmp);
@@ -57,7 +68,8 @@ pub(super) fn with_lost_frames(times_s: &[f64], lost_before: &[usize]) -> Vec<f6
 }
 
 impl Offsets {
-    /// Nothing to estimate: every camera's clock is the reference's.
+    /// The offsets of a capture whose clocks need no estimate: 0 for every camera, with a standard error
+    /// of 0.
     pub fn known(capture: &Capture) -> Self {
         Self {
             reference: capture.cameras[capture.reference].id.clone(),
@@ -74,9 +86,9 @@ impl Offsets {
         }
     }
 
-    /// The frame times of every camera on the reference's clock; `None` for a camera whose offset
-    /// is unknown. A camera of one frame has that frame at any time, so that its offset doesn't
-    /// matter: an unknown one is taken for 0.
+    /// By camera: the times of all its images on the reference's clock, seconds; `None` if its offset
+    /// is unknown. A camera with one frame has that frame at any time, so that an unknown offset of it
+    /// counts as 0.
     pub fn common_times_s(&self, capture: &Capture) -> Vec<Option<Vec<f64>>> {
         capture
             .cameras
@@ -98,7 +110,7 @@ impl Offsets {
             .collect()
     }
 
-    /// Every camera unknown, for the same reason, but the reference.
+    /// Unknown offsets for all cameras but the reference, with the same reason.
     pub(super) fn unknown(capture: &Capture, reason: &str) -> Self {
         let mut offsets = Self::known(capture);
         for (c, camera) in offsets.cameras.iter_mut().enumerate() {
@@ -114,12 +126,13 @@ impl Offsets {
         capture.folder.join("offsets.json")
     }
 
-    /// Where their plot is kept.
+    /// The path of the plot beside `offsets.json`.
     pub fn plot_path(capture: &Capture) -> PathBuf {
         capture.folder.join("offsets.svg")
     }
 
-    /// The hash that offsets of this capture, estimated with these options, are kept under.
+    /// The hash that identifies offsets of this capture estimated with these options, hexadecimal. The
+    /// error is that of a frame file that cannot be read.
     pub fn hash(capture: &Capture, options: &impl Serialize) -> Result<String, CaptureError> {
         let options = serde_json::to_string(options).unwrap_or_default();
         let mut hasher = blake3::Hasher::new();
@@ -129,17 +142,17 @@ impl Offsets {
         Ok(hasher.finalize().to_hex().to_string())
     }
 
-    /// What was kept under that hash; `None` if there is none, or it is of something else.
+    /// The cached offsets of that hash; `None` if there is no valid file, or its hash or cameras differ.
     pub fn load(capture: &Capture, hash: &str) -> Option<Self> {
         let text = std::fs::read_to_string(Self::path(capture)).ok()?;
-        let kept: Kept = serde_json::from_str(&text).ok()?;
-        let same = kept.hash == hash
-            && kept.offsets.cameras.len() == capture.cameras.len()
-            && kept.offsets.cameras.iter().zip(&capture.cameras).all(|(o, c)| o.id == c.id);
-        same.then_some(kept.offsets)
+        let cached: CachedOffsets = serde_json::from_str(&text).ok()?;
+        let same = cached.hash == hash
+            && cached.offsets.cameras.len() == capture.cameras.len()
+            && cached.offsets.cameras.iter().zip(&capture.cameras).all(|(o, c)| o.id == c.id);
+        same.then_some(cached.offsets)
     }
 
-    /// Keeps them in the capture's folder.
+    /// Writes `offsets.json` into the capture's folder, atomically.
     pub fn save(
         &self,
         capture: &Capture,
@@ -147,12 +160,12 @@ impl Offsets {
         hash: &str,
     ) -> Result<(), CaptureError> {
         let path = Self::path(capture);
-        let kept = Kept {
+        let cached = CachedOffsets {
             offsets: self.clone(),
             options: serde_json::to_value(options).unwrap_or_default(),
             hash: hash.to_owned(),
         };
-        let text = serde_json::to_string_pretty(&kept)
+        let text = serde_json::to_string_pretty(&cached)
             .map_err(|error| CaptureError::Write { path: path.clone(), source: error.into() })?;
         write_atomically(&path, text.as_bytes())
             .map_err(|source| CaptureError::Write { path, source })
@@ -164,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lost_frames_move_what_follows_them() {
+    fn lost_frames_delay_all_later_images() {
         let times = [0.0, 1.0, 2.0, 3.0];
         assert_eq!(with_lost_frames(&times, &[]), times);
         assert_eq!(with_lost_frames(&times, &[2]), [0.0, 1.0, 3.0, 4.0]);
@@ -173,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_that_do_not_apply_are_left_out() {
+    fn fields_that_do_not_apply_are_omitted() {
         let plain = CameraOffset { id: "a".into(), ..CameraOffset::default() };
         assert_eq!(
             serde_json::to_string(&plain).unwrap(),

@@ -1,23 +1,25 @@
-//! The cameras' clocks as an estimate goes on: lost frames accounted for.
+//! The times of all images on their cameras' own clocks, under one hypothesis of the lost frames.
 
 use super::store::with_lost_frames;
 use crate::capture::Capture;
 
-/// Frame times of every camera on its own clock, seconds, a frame added for each lost one.
+/// The frame times of every camera, with a frame period added for each lost frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timelines {
+    /// By camera and image: the time on the camera's own clock, ascending, seconds.
     pub times_s: Vec<Vec<f64>>,
-    /// The images before which a frame is missing, by camera.
+    /// By camera: the images before which a frame is missing, ascending, one entry for each frame.
     pub lost_before: Vec<Vec<usize>>,
 }
 
 impl Timelines {
-    /// Without lost frames.
+    /// The nominal times: no frame is lost.
     pub fn nominal(capture: &Capture) -> Self {
-        Self::with_lost(capture, vec![Vec::new(); capture.cameras.len()])
+        Self::with_lost_frames(capture, vec![Vec::new(); capture.cameras.len()])
     }
 
-    pub fn with_lost(capture: &Capture, lost_before: Vec<Vec<usize>>) -> Self {
+    /// The times with the given frames lost; `lost_before` has one entry for each camera.
+    pub fn with_lost_frames(capture: &Capture, lost_before: Vec<Vec<usize>>) -> Self {
         let times_s = capture
             .cameras
             .iter()
@@ -27,7 +29,7 @@ impl Timelines {
         Self { times_s, lost_before }
     }
 
-    /// The image of a camera nearest to a time on its clock.
+    /// The image of a camera nearest to a time on its own clock; the earlier one of two as near.
     pub fn nearest(&self, camera: usize, time_s: f64) -> usize {
         let times = &self.times_s[camera];
         let after = times.partition_point(|&t| t < time_s).min(times.len() - 1);
@@ -37,14 +39,14 @@ impl Timelines {
         }
     }
 
-    /// Median time between a camera's frames; 0 for a single one.
+    /// The median time between a camera's successive images, seconds; 0 for a single image.
     pub fn frame_s(&self, camera: usize) -> f64 {
         let mut gaps: Vec<f64> = self.times_s[camera].windows(2).map(|w| w[1] - w[0]).collect();
         gaps.sort_by(f64::total_cmp);
         gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// First and last time of a camera.
+    /// The times of a camera's first and last image, seconds.
     pub fn span_s(&self, camera: usize) -> (f64, f64) {
         let times = &self.times_s[camera];
         (times[0], times[times.len() - 1])

@@ -1,18 +1,20 @@
-//! Standard errors that hold where errors are not independent.
+//! Standard errors of weighted least squares with correlated errors.
 //!
-//! Candidates share errors: those of one instant share frames and their noise, those of one place
-//! share texture, occlusions and the tracker's bias over time. The covariance of a weighted
-//! least-squares estimate is the sandwich of scores summed over such clusters, here over both
-//! kinds (Cameron, Gelbach and Miller 2011: by time, plus by place, minus what both counted).
+//! The errors of candidates are correlated: those of one instant share frames and their noise, those
+//! of one place share texture, occlusions and the tracker's bias over time. The two-way
+//! cluster-robust (sandwich) covariance accounts for both (Cameron, Gelbach and Miller 2011: clusters
+//! by time, plus clusters by place, minus the independent part that both count).
 //!
-//! A small body errs as one: what is wrong with it (its outline before what rests, the few corners
-//! that all its features sit on) scatters less than it is off by. So scores count more where few
-//! windows' worth of pixels tell all ([`doubt`]).
+//! The features of a small body have a common error (occlusion at its outline, the few corners that
+//! they all lie on) that their scatter underestimates. Standard errors are therefore inflated where
+//! few tracker windows carry all the information ([`std_err_inflation`]).
+//!
+//! Known limit: an error that all features at all times share does not show in any scatter.
 
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
-/// Rows of a least-squares problem, accumulated.
+/// The sandwich covariance of a weighted least-squares problem, accumulated row by row.
 pub struct Sandwich {
     unknowns: usize,
     normal: DMatrix<f64>,
@@ -22,6 +24,7 @@ pub struct Sandwich {
 }
 
 impl Sandwich {
+    /// An empty problem with this number of unknowns.
     pub fn new(unknowns: usize) -> Self {
         Self {
             unknowns,
@@ -32,7 +35,8 @@ impl Sandwich {
         }
     }
 
-    /// One row: its entries that aren't 0, weight, residual, and its clusters.
+    /// Adds one equation: the nonzero entries of its row as (column, value), its weight, its residual,
+    /// and the clusters by time and by place that it belongs to.
     pub fn add(
         &mut self,
         row: &[(usize, f64)],
@@ -55,27 +59,28 @@ impl Sandwich {
         }
     }
 
-    /// The normal matrix's inverse; `None` where columns depend on each other, to rounding.
+    /// The inverse of the normal matrix; `None` if it is singular to rounding.
     fn inverse(&self) -> Option<DMatrix<f64>> {
         let scale = self.normal.diagonal().map(f64::sqrt);
         let scales = DMatrix::from_diagonal(&scale.map(f64::recip));
-        // Ones on its diagonal: what is left of each after the others is its own share.
+        // The scaled matrix has a unit diagonal. The squared diagonal of its Cholesky factor is each
+        // column's fraction that the columns before it do not explain.
         let cholesky = (&scales * &self.normal * &scales).cholesky()?;
-        let own = cholesky.l_dirty().diagonal().map(|d| d * d);
-        (own.min() > 1e-10).then(|| &scales * cholesky.inverse() * &scales)
+        let unexplained = cholesky.l_dirty().diagonal().map(|d| d * d);
+        (unexplained.min() > MIN_UNEXPLAINED).then(|| &scales * cholesky.inverse() * &scales)
     }
 
-    /// Each unknown's variance. `None` if they are not determined, or one instant alone saw them:
-    /// then there is nothing to tell their errors from.
+    /// The variance of each unknown. `None` if the unknowns are not determined, or all equations are
+    /// of one cluster by time, which leaves no scatter to estimate a variance from.
     pub fn variances(&self) -> Option<Vec<f64>> {
         if self.by_time.len() < 2 {
             return None;
         }
         let inverse = self.inverse()?;
-        let around = |middle: &DMatrix<f64>| (&inverse * middle * &inverse).diagonal();
-        let independent = around(&self.independent);
-        let time = around(&summed(self.by_time.values(), self.unknowns));
-        let place = around(&summed(self.by_place.values(), self.unknowns));
+        let sandwich = |middle: &DMatrix<f64>| (&inverse * middle * &inverse).diagonal();
+        let independent = sandwich(&self.independent);
+        let time = sandwich(&clustered(self.by_time.values(), self.unknowns));
+        let place = sandwich(&clustered(self.by_place.values(), self.unknowns));
         Some(
             (0..self.unknowns)
                 .map(|k| {
@@ -87,8 +92,8 @@ impl Sandwich {
     }
 }
 
-/// How many equally informed ones tell as much as these, each known by its key and its information
-/// (Kish 1965); 0 if none tells anything.
+/// The effective number of independent clusters (Kish 1965): the squared sum of the clusters'
+/// information over the sum of its squares. Items are (cluster, information); 0 without information.
 pub fn effective_number(informed: impl Iterator<Item = (usize, f64)>) -> f64 {
     let mut by_key: BTreeMap<usize, f64> = BTreeMap::new();
     for (key, information) in informed {
@@ -99,10 +104,11 @@ pub fn effective_number(informed: impl Iterator<Item = (usize, f64)>) -> f64 {
     if squares > 0.0 { sum * sum / squares } else { 0.0 }
 }
 
-/// By how much longer error bars must be that are told from the scatter of this many independent
-/// things: Student's quantile, over that of certain ones, where two standard errors are (its
-/// expansion, Abramowitz and Stegun 26.7.5).
-pub fn doubt(independent: f64) -> f64 {
+/// The factor on a standard error that is estimated from the scatter of this many independent
+/// clusters: Student's quantile over the Gaussian's, at two standard errors (by its expansion,
+/// Abramowitz and Stegun 26.7.5). Its square is a variance inflation factor. It falls to 1 for many
+/// clusters, and is the same for all numbers below 1.5.
+pub fn std_err_inflation(independent: f64) -> f64 {
     let n = (independent - 1.0).max(MIN_DEGREES);
     let x: f64 = 2.0;
     let orders = [
@@ -113,12 +119,16 @@ pub fn doubt(independent: f64) -> f64 {
     1.0 + (orders[0] / n + orders[1] / (n * n) + orders[2] / (n * n * n)) / x
 }
 
-/// Degrees of freedom: with fewer, bars would have no end.
+/// The smallest number of degrees of freedom. Larger makes error bars of single windows too short;
+/// towards 0 they become infinite.
 const MIN_DEGREES: f64 = 0.5;
+/// The fraction of a column that the others may leave unexplained before the normal matrix counts as
+/// singular. Larger withholds the variances of weakly determined rates; smaller returns rounding.
+const MIN_UNEXPLAINED: f64 = 1e-10;
 
-/// `Σ g gᵀ` over the clusters, corrected for their number. (Student's wider tails for few clusters,
-/// tried too, made the error bars of filmed scenes a third too long.)
-fn summed<'a>(
+/// `Σ g gᵀ` over the clusters' scores g, corrected for the number of clusters. (Student's wider tails
+/// for few clusters made the error bars of filmed scenes a third too long.)
+fn clustered<'a>(
     scores: impl ExactSizeIterator<Item = &'a DVector<f64>>,
     unknowns: usize,
 ) -> DMatrix<f64> {
@@ -133,12 +143,12 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    /// A mean whose samples share an error by time and one by place: its scatter over thousands of
-    /// problems is the variance that it is given.
+    /// The mean of samples that share one error by time and one by place: its variance over thousands
+    /// of problems equals the estimated one.
     #[test]
-    fn shared_errors_are_counted() {
+    fn correlated_errors_are_accounted_for() {
         let random = &mut Random::new(4);
-        let (mut squares, mut claimed) = (0.0, 0.0);
+        let (mut squares, mut estimated) = (0.0, 0.0);
         let problems = 1500;
         for _ in 0..problems {
             let by_time: Vec<f64> = (0..12).map(|_| 0.3 * random.gaussian()).collect();
@@ -152,27 +162,28 @@ mod tests {
                 sandwich.add(&[(0, 1.0)], 2.0, e - mean, (k / 16) as i64, k % 16);
             }
             squares += mean * mean;
-            claimed += sandwich.variances().unwrap()[0];
+            estimated += sandwich.variances().unwrap()[0];
         }
-        let ratio = claimed / squares;
+        let ratio = estimated / squares;
         assert!((0.88..1.2).contains(&ratio), "{ratio}");
     }
 
     #[test]
-    fn few_independent_windows_are_doubted() {
+    fn few_independent_windows_inflate_the_standard_error() {
         // Student's quantiles at 97.725 %, over two.
         for (independent, quantile) in [(3.0, 4.53), (4.0, 3.31), (6.0, 2.65), (11.0, 2.28)] {
-            let off = 2.0 * doubt(independent) / quantile - 1.0;
+            let off = 2.0 * std_err_inflation(independent) / quantile - 1.0;
             assert!(off.abs() < 0.1, "{independent}: {off}");
         }
-        assert!(doubt(1e9) < 1.0 + 1e-6 && doubt(0.0) == doubt(1.0) && doubt(1.0) > 10.0);
+        assert!(std_err_inflation(1e9) < 1.0 + 1e-6);
+        assert!(std_err_inflation(0.0) == std_err_inflation(1.0) && std_err_inflation(1.0) > 10.0);
         assert_eq!(effective_number([(7, 2.0), (3, 2.0), (7, 0.0)].into_iter()), 2.0);
         assert!((effective_number([(0, 9.0), (1, 1.0)].into_iter()) - 100.0 / 82.0).abs() < 1e-12);
         assert_eq!(effective_number(std::iter::empty()), 0.0);
     }
 
     #[test]
-    fn what_is_not_determined_has_no_variance() {
+    fn undetermined_unknowns_have_no_variance() {
         assert_eq!(Sandwich::new(1).variances(), None);
         let mut one_instant = Sandwich::new(1);
         one_instant.add(&[(0, 1.0)], 1.0, 0.1, 0, 0);

@@ -1,4 +1,4 @@
-//! Offset errors and error bars on captures with truth, rung by rung.
+//! Offset errors and error bars on captures with ground truth, method by method.
 
 use super::{median, percentile};
 use std::path::Path;
@@ -10,13 +10,13 @@ use stlfr::offset::{Estimate, OffsetMethod, OffsetOptions, Offsets, estimate};
 use stlfr::progress::Reporter;
 use stlfr::registration::{FrameStore, RegistrationOptions};
 
-/// A capture's offsets as the program estimates them unless told otherwise.
+/// A capture's offsets by the default options.
 pub fn by_default(capture: &Arc<Capture>) -> Result<Estimate, CaptureError> {
     let (options, registration) = (OffsetOptions::default(), RegistrationOptions::default());
     estimate(&FrameStore::new(capture.clone(), &registration), &options, &Reporter::silent())
 }
 
-/// One camera's error, in frames and in its standard errors.
+/// The error and the standard error of one camera's offset, in frames.
 #[derive(Clone, Copy, Debug)]
 pub struct Outcome {
     pub error_frames: f64,
@@ -24,49 +24,51 @@ pub struct Outcome {
 }
 
 impl Outcome {
+    /// The error in standard errors.
     pub fn z(&self) -> f64 {
         self.error_frames / self.std_err_frames.max(1e-12)
     }
 }
 
-/// The estimated cameras but the reference against their true offsets, and how many are unknown.
+/// The outcomes of all cameras but the reference, by their true offsets in seconds, and the number of
+/// cameras without an offset.
 pub fn outcomes(
     offsets: &Offsets,
     frame_s: f64,
     truth_s: impl Fn(&str) -> Option<f64>,
 ) -> (Vec<Outcome>, usize) {
-    let mut found = Vec::new();
+    let mut outcomes = Vec::new();
     let mut unknown = 0;
     for camera in offsets.cameras.iter().filter(|c| c.id != offsets.reference) {
         let known = camera.offset_s.zip(camera.std_err_s).zip(truth_s(&camera.id));
         match known {
-            Some(((offset, std_err), truth)) => found.push(Outcome {
+            Some(((offset, std_err), truth)) => outcomes.push(Outcome {
                 error_frames: (offset - truth) / frame_s,
                 std_err_frames: std_err / frame_s,
             }),
             None => unknown += 1,
         }
     }
-    (found, unknown)
+    (outcomes, unknown)
 }
 
-/// One line: errors, and how well the error bars cover them.
+/// One line: the errors, and the fraction within two standard errors.
 pub fn summary(outcomes: &[Outcome]) -> String {
     if outcomes.is_empty() {
         return "none known".into();
     }
     let errors: Vec<f64> = outcomes.iter().map(|o| o.error_frames.abs()).collect();
     let z: Vec<f64> = outcomes.iter().map(|o| o.z().abs()).collect();
-    let within = z.iter().filter(|z| **z <= 2.0).count() as f64 / z.len() as f64;
+    let within_fraction = z.iter().filter(|z| **z <= 2.0).count() as f64 / z.len() as f64;
     let bars: Vec<f64> = outcomes.iter().map(|o| o.std_err_frames).collect();
     format!(
         "{} offsets: error median {:.5} worst {:.5} frame, std. error median {:.5}; \
-         within 2: {:.1} %, median |z| {:.2}, most {:.1}",
+         within 2: {:.1} %, median |z| {:.2}, max {:.1}",
         outcomes.len(),
         median(&errors),
         percentile(&errors, 1.0),
         median(&bars),
-        100.0 * within,
+        100.0 * within_fraction,
         median(&z),
         percentile(&z, 1.0)
     )
@@ -83,15 +85,15 @@ pub fn run(folders: &[String]) -> Result<(), Box<dyn std::error::Error>> {
             let frames = FrameStore::new(capture.clone(), &RegistrationOptions::default());
             let estimate = estimate(&frames, &options, &Reporter::silent())?;
             let seconds = start.elapsed().as_secs_f64();
-            let (found, unknown) =
+            let (known, unknown) =
                 outcomes(&estimate.offsets, capture.frame_s(), |id| truth.offset_s(id));
             println!(
                 "  {method:12?} {}; {unknown} unknown; {} pairs, {seconds:.2} s",
-                summary(&found),
+                summary(&known),
                 estimate.pairs.len()
             );
             let each: Vec<String> =
-                found.iter().map(|o| format!("{:+.4} ({:+.1}σ)", o.error_frames, o.z())).collect();
+                known.iter().map(|o| format!("{:+.4} ({:+.1}σ)", o.error_frames, o.z())).collect();
             println!("    {}", each.join(" "));
             for camera in estimate.offsets.cameras.iter() {
                 if let Some(reason) = &camera.reason {
@@ -103,15 +105,15 @@ pub fn run(folders: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Error bars over many sub-sampled films: windows of frames and subsets of cameras of captures
-/// with truth.
+/// Error bars over many sub-sampled captures: windows of frames and subsets of cameras of captures with
+/// ground truth.
 pub fn calibration(folders: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     let mut all = Vec::new();
     println!("folder, offsets; errors and standard errors, frames");
     for folder in folders {
         let whole = Capture::open(Path::new(folder))?;
         let truth = Truth::open(Path::new(folder))?.ok_or("has no truth")?;
-        let mut of_one = Vec::new();
+        let mut of_capture = Vec::new();
         let frames = whole.cameras.iter().map(|c| c.frames.len()).min().unwrap_or(0);
         let mut unknown = 0;
         for part in parts(&whole, frames) {
@@ -120,22 +122,23 @@ pub fn calibration(folders: &[String]) -> Result<(), Box<dyn std::error::Error>>
             let reference_s = truth.offset_s(&reference).ok_or("the truth lacks a camera")?;
             let estimate = by_default(&part)?;
             let truth_s = |id: &str| Some(truth.offset_s(id)? - reference_s);
-            let (found, blind) = outcomes(&estimate.offsets, part.frame_s(), truth_s);
-            of_one.extend(found);
-            unknown += blind;
+            let (part_outcomes, part_unknown) =
+                outcomes(&estimate.offsets, part.frame_s(), truth_s);
+            of_capture.extend(part_outcomes);
+            unknown += part_unknown;
         }
-        println!("{folder}: {}; {unknown} unknown", summary(&of_one));
-        let wrong = of_one.iter().filter(|o| o.z().abs() > 3.0);
-        for o in wrong {
+        println!("{folder}: {}; {unknown} unknown", summary(&of_capture));
+        let beyond = of_capture.iter().filter(|o| o.z().abs() > 3.0);
+        for o in beyond {
             println!("    over 3: {:+.5} ± {:.5}", o.error_frames, o.std_err_frames);
         }
-        all.extend(of_one);
+        all.extend(of_capture);
     }
     println!("all: {}", summary(&all));
     Ok(())
 }
 
-/// Sub-sampled films: windows of a third, half, two thirds and all of the frames, of the even and of
+/// Sub-sampled captures: windows of a third, half, two thirds and all of the frames, of the even and of
 /// the odd cameras.
 fn parts(whole: &Capture, frames: usize) -> Vec<Capture> {
     let mut parts = Vec::new();
@@ -154,7 +157,7 @@ fn parts(whole: &Capture, frames: usize) -> Vec<Capture> {
                     continue;
                 }
                 part.reference = (part.cameras.len() - 1) / 2;
-                keep_frames(&mut part, start..start + length);
+                select_frames(&mut part, start..start + length);
                 parts.push(part);
             }
         }
@@ -162,16 +165,16 @@ fn parts(whole: &Capture, frames: usize) -> Vec<Capture> {
     parts
 }
 
-/// Leaves out all other frames; every camera must have these.
-pub fn keep_frames(capture: &mut Capture, frames: std::ops::Range<usize>) {
+/// Restricts a capture to a range of frames, which every camera must have.
+pub fn select_frames(capture: &mut Capture, frames: std::ops::Range<usize>) {
     for camera in &mut capture.cameras {
         camera.frames = camera.frames[frames.clone()].to_vec();
         camera.clock.times_s = camera.clock.times_s[frames.clone()].to_vec();
     }
 }
 
-/// Every pair of the best rung: its error against the truth, in frames and in its standard errors.
-/// A number among the folders: only as many frames of those after it, from the first.
+/// The error of every pair by the default method against the ground truth, in frames, with its standard
+/// error. A number among the folders restricts the captures after it to as many first frames.
 pub fn pairs(arguments: &[String]) -> Result<(), Box<dyn std::error::Error>> {
     let mut count = usize::MAX;
     for folder in arguments {
@@ -182,13 +185,14 @@ pub fn pairs(arguments: &[String]) -> Result<(), Box<dyn std::error::Error>> {
         let mut capture = Capture::open(Path::new(folder))?;
         let frames = capture.cameras.iter().map(|c| c.frames.len()).min().unwrap_or(0);
         if count < frames {
-            keep_frames(&mut capture, 0..count);
+            select_frames(&mut capture, 0..count);
         }
         let capture = Arc::new(capture);
         let truth = Truth::open(Path::new(folder))?.ok_or("has no truth")?;
         let start = Instant::now();
-        let found = by_default(&capture)?;
-        let (known, unknown) = outcomes(&found.offsets, capture.frame_s(), |id| truth.offset_s(id));
+        let estimate = by_default(&capture)?;
+        let (known, unknown) =
+            outcomes(&estimate.offsets, capture.frame_s(), |id| truth.offset_s(id));
         println!(
             "{folder}: {}; {unknown} unknown; {:.1} s",
             summary(&known),
@@ -197,15 +201,17 @@ pub fn pairs(arguments: &[String]) -> Result<(), Box<dyn std::error::Error>> {
         let each: Vec<String> =
             known.iter().map(|o| format!("{:+.4} ({:+.1}σ)", o.error_frames, o.z())).collect();
         println!("    {}", each.join(" "));
-        for camera in &found.offsets.cameras {
+        for camera in &estimate.offsets.cameras {
             if let Some(reason) = &camera.reason {
                 println!("    {}: {reason}", camera.id);
             }
         }
-        for pair in &found.pairs {
+        for pair in &estimate.pairs {
             let [i, j] = pair.cameras.map(|c| &capture.cameras[c].id);
-            let (Some(of_i), Some(of_j)) = (truth.offset_s(i), truth.offset_s(j)) else { continue };
-            let error = (pair.offset_s - (of_j - of_i)) / capture.frame_s();
+            let (Some(true_i_s), Some(true_j_s)) = (truth.offset_s(i), truth.offset_s(j)) else {
+                continue;
+            };
+            let error = (pair.offset_s - (true_j_s - true_i_s)) / capture.frame_s();
             println!(
                 "    {i}–{j}: {:+.4} ± {:.4} frame, {} of {} candidates, {:.3} px",
                 error,

@@ -1,4 +1,4 @@
-//! Fig. 18: simulated tracks with a growing share of outliers.
+//! Fig. 18: simulated tracks with a growing fraction of outliers.
 //!
 //! 200 tracks, 10 to 20 pixels of motion in all directions, the correspondences `p_i(t+Δt)` and
 //! `p_j(t')` perturbed by 0.5 px; outliers have `p_j` uniform in the image. `t̃ = 0.3 Δt`.
@@ -9,18 +9,24 @@ use std::path::Path;
 use stlfr::camera::{Camera, CameraModel};
 use stlfr::chart::{Chart, Series};
 use stlfr::offset::{
-    Candidate, Observation, Residuals, ThreeFrames, ransac, weighted_least_squares,
+    Candidate, Observation, ResidualModel, ThreeFrames, ransac, weighted_least_squares,
 };
 use stlfr::random::Random;
 use stlfr::registration::{Run, Track};
 
+/// Tracks per simulation.
 const TRACKS: usize = 200;
-const TRUE_SHARE: f64 = 0.3;
+/// The true `t̃`, in Δt.
+const TRUE_FRACTION: f64 = 0.3;
+/// The standard deviation of correspondences, pixels.
 const NOISE_PX: f64 = 0.5;
+/// Simulations per fraction of outliers.
 const SEEDS: u64 = 500;
+/// Image width and height, pixels.
 const SIZE: [f64; 2] = [640.0, 480.0];
-/// γ times Δt, and RANSAC's tolerance as a share of it: the paper's.
+/// γ of eq. (12), times Δt.
 const GAMMA: f64 = 70.0;
+/// RANSAC's tolerance, in Δt.
 const TOLERANCE: f64 = 0.05;
 
 const NAMES: [&str; 4] =
@@ -36,7 +42,7 @@ fn camera(x: f64) -> Camera {
 }
 
 /// The candidates of one simulation; Δt is 1.
-fn candidates(outlier_share: f64, random: &mut Random) -> Vec<Candidate> {
+fn candidates(outlier_fraction: f64, random: &mut Random) -> Vec<Candidate> {
     let (i, j) = (camera(0.0), camera(0.06));
     let three = ThreeFrames {
         camera_i: &i,
@@ -55,7 +61,7 @@ fn candidates(outlier_share: f64, random: &mut Random) -> Vec<Candidate> {
         let disparity = Vector2::new(10.0 + 20.0 * random.unit(), 0.0);
         let mut noise = || NOISE_PX * Vector2::new(random.gaussian(), random.gaussian());
         let later = start + motion + noise();
-        let seen = start + motion * TRUE_SHARE - disparity + noise();
+        let inlier = start + motion * TRUE_FRACTION - disparity + noise();
         tracks.push(Track {
             run: Run::Forward,
             before: None,
@@ -65,9 +71,9 @@ fn candidates(outlier_share: f64, random: &mut Random) -> Vec<Candidate> {
             residual: 0.0,
             back_error_px: 0.0,
         });
-        let is_outlier = (k as f64) < outlier_share * TRACKS as f64;
+        let is_outlier = (k as f64) < outlier_fraction * TRACKS as f64;
         let anywhere = Point2::new(SIZE[0] * random.unit(), SIZE[1] * random.unit());
-        in_j.push(Some(if is_outlier { anywhere } else { seen }));
+        in_j.push(Some(if is_outlier { anywhere } else { inlier }));
     }
     let tracks: Vec<&Track> = tracks.iter().collect();
     three.candidates(&tracks, &in_j)
@@ -82,17 +88,17 @@ fn errors(candidates: &[Candidate]) -> [f64; 4] {
         .iter()
         .map(|c| Observation { value_s: c.time_s, at_s: 0.0, across_px_s: c.across_px_s })
         .collect();
-    let residuals = Residuals { start_px: 0.5, min_px: 0.01, max_px: 2.0, range_s: 3.0 };
-    let mixture = residuals
-        .start(&observations)
-        .and_then(|(start, _)| residuals.fit(&observations, start, false));
-    let found = [
+    let model = ResidualModel { start_px: 0.5, min_px: 0.01, max_px: 2.0, range_s: 3.0 };
+    let mixture = model
+        .consensus_value(&observations)
+        .and_then(|(start, _)| model.fit(&observations, start, false));
+    let estimates = [
         (!inliers.is_empty()).then(|| inliers.iter().sum::<f64>() / inliers.len() as f64),
         weighted_least_squares(&values, GAMMA),
         weighted_least_squares(inliers, GAMMA),
         mixture.map(|m| m.value_s),
     ];
-    found.map(|t| t.map_or(1.0, |t| (t - TRUE_SHARE).abs()))
+    estimates.map(|t| t.map_or(1.0, |t| (t - TRUE_FRACTION).abs()))
 }
 
 pub fn run(output: &Path) -> Result<(), Box<dyn std::error::Error>> {
@@ -104,23 +110,23 @@ pub fn run(output: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let mut tails = medians.clone();
     let mut last = [0.0; 4];
     for tenth in 1..=9 {
-        let share = 0.1 * f64::from(tenth);
+        let fraction = 0.1 * f64::from(tenth);
         let all: Vec<[f64; 4]> = (0..SEEDS)
-            .map(|seed| errors(&candidates(share, &mut Random::new(1000 * seed + tenth as u64))))
+            .map(|seed| errors(&candidates(fraction, &mut Random::new(1000 * seed + tenth as u64))))
             .collect();
-        let mut line = format!("{:>8.0}% ", 100.0 * share);
+        let mut line = format!("{:>8.0}% ", 100.0 * fraction);
         for k in 0..NAMES.len() {
-            let of_one: Vec<f64> = all.iter().map(|e| e[k]).collect();
-            let (middle, tail) = (median(&of_one), percentile(&of_one, 0.95));
+            let estimator_errors: Vec<f64> = all.iter().map(|e| e[k]).collect();
+            let (middle, tail) = (median(&estimator_errors), percentile(&estimator_errors, 0.95));
             line += &format!(" {:>12.4} / {:>7.4}", middle, tail);
-            medians[k].points.push((100.0 * share, middle).into());
-            tails[k].points.push((100.0 * share, tail).into());
+            medians[k].points.push((100.0 * fraction, middle).into());
+            tails[k].points.push((100.0 * fraction, tail).into());
             last[k] = middle;
         }
         println!("{line}");
     }
     println!(
-        "at 90 %: the paper's {:.1} % (at most 15 %), the best rung {:.1} % (at most 2 %)",
+        "at 90 %: the paper's {:.1} % (at most 15 %), the mixture {:.1} % (at most 2 %)",
         100.0 * last[2],
         100.0 * last[3]
     );

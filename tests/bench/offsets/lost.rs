@@ -1,41 +1,45 @@
-//! Lost frames on many films in closed form: random numbers of them at random places.
+//! Lost frames on many synthetic captures: random numbers of them at random places.
 
 use super::captures::by_default;
-use super::scene::{self, Film};
+use super::scene::{self, SyntheticCapture};
 use std::sync::Arc;
 use stlfr::capture::Capture;
 use stlfr::random::Random;
 
 type Failure = Box<dyn std::error::Error>;
 
-const FILMS: u64 = 60;
+/// The number of captures.
+const CAPTURES: u64 = 60;
 const CAMERAS: usize = 4;
 const REFERENCE: usize = (CAMERAS - 1) / 2;
 
 #[derive(Default)]
 struct Count {
-    films: usize,
+    captures: usize,
     lost: usize,
-    found: usize,
-    /// Found, one image from where it was.
-    beside: usize,
+    /// Lost frames that were detected at the right image,
+    detected: usize,
+    /// at the image before or after it,
+    neighbouring: usize,
+    /// or not at all.
     missed: usize,
+    /// Detections that correspond to no lost frame.
     invented: usize,
-    /// Images whose time on the reference's clock is wrong by over a tenth of a frame, and all that
-    /// have one.
+    /// Images whose time on the reference's clock is off by more than a tenth of a frame.
     wrong: usize,
+    /// Images with a time on the reference's clock.
     images: usize,
 }
 
 impl Count {
-    fn tell(&self, name: &str) {
+    fn print(&self, name: &str) {
         println!(
-            "{name}: {} films, {} lost: {} found, {} one image beside, {} missed, {} invented; \
+            "{name}: {} captures, {} lost: {} detected, {} one image off, {} missed, {} invented; \
              {} of {} images over 0.1 frame off",
-            self.films,
+            self.captures,
             self.lost,
-            self.found,
-            self.beside,
+            self.detected,
+            self.neighbouring,
             self.missed,
             self.invented,
             self.wrong,
@@ -43,30 +47,30 @@ impl Count {
         );
     }
 
-    /// One camera's lost frames as they were, and as they were found.
-    fn add(&mut self, truth: &[usize], found: &[usize]) {
-        let mut rest = found.to_vec();
+    /// Adds one camera's true and detected lost frames.
+    fn add(&mut self, truth: &[usize], detected: &[usize]) {
+        let mut unmatched = detected.to_vec();
         self.lost += truth.len();
-        let mut left = Vec::new();
+        let mut undetected = Vec::new();
         for n in truth {
-            match rest.iter().position(|m| m == n) {
+            match unmatched.iter().position(|m| m == n) {
                 Some(k) => {
-                    rest.remove(k);
-                    self.found += 1;
+                    unmatched.remove(k);
+                    self.detected += 1;
                 }
-                None => left.push(*n),
+                None => undetected.push(*n),
             }
         }
-        for n in left {
-            match rest.iter().position(|m| m.abs_diff(n) == 1) {
+        for n in undetected {
+            match unmatched.iter().position(|m| m.abs_diff(n) == 1) {
                 Some(k) => {
-                    rest.remove(k);
-                    self.beside += 1;
+                    unmatched.remove(k);
+                    self.neighbouring += 1;
                 }
                 None => self.missed += 1,
             }
         }
-        self.invented += rest.len();
+        self.invented += unmatched.len();
     }
 }
 
@@ -78,61 +82,66 @@ pub fn run() -> Result<(), Failure> {
         ("75 frames, clocks that drift", 75, 300.0),
     ] {
         let mut count = Count::default();
-        for seed in 0..FILMS / 3 {
-            one(1000 * frames as u64 + seed + drift as u64, frames, drift, &mut count)?;
+        for seed in 0..CAPTURES / 3 {
+            measure(1000 * frames as u64 + seed + drift as u64, frames, drift, &mut count)?;
         }
-        count.tell(name);
-        all.films += count.films;
+        count.print(name);
+        all.captures += count.captures;
         all.lost += count.lost;
-        all.found += count.found;
-        all.beside += count.beside;
+        all.detected += count.detected;
+        all.neighbouring += count.neighbouring;
         all.missed += count.missed;
         all.invented += count.invented;
         all.wrong += count.wrong;
         all.images += count.images;
     }
-    all.tell("all");
+    all.print("all");
     Ok(())
 }
 
-fn one(seed: u64, frames: usize, drift_ppm: f64, count: &mut Count) -> Result<(), Failure> {
+/// Estimates one capture and adds it to the counts.
+fn measure(seed: u64, frames: usize, drift_ppm: f64, count: &mut Count) -> Result<(), Failure> {
     let random = &mut Random::new(seed);
     let delays: Vec<f64> = (0..CAMERAS).map(|_| random.signed() * 0.5).collect();
-    let mut film = Film::new(scene::restless(seed), &delays, frames);
-    film.size = [160, 120];
-    film.seed = seed;
-    film.may_lose = true;
+    let mut synthetic = SyntheticCapture::new(scene::aperiodic_boards(seed), &delays, frames);
+    synthetic.size = [160, 120];
+    synthetic.seed = seed;
+    synthetic.may_lose = true;
     for c in (0..CAMERAS).filter(|c| *c != REFERENCE) {
-        film.drift_ppm[c] = drift_ppm * random.signed();
+        synthetic.drift_ppm[c] = drift_ppm * random.signed();
         for _ in 0..(4.0 * random.unit()) as usize {
-            film.lost[c].push(1 + (random.unit() * (frames - 1) as f64) as usize);
+            synthetic.lost[c].push(1 + (random.unit() * (frames - 1) as f64) as usize);
         }
-        film.lost[c].sort_unstable();
-        film.lost[c].dedup();
+        synthetic.lost[c].sort_unstable();
+        synthetic.lost[c].dedup();
     }
     let folder = tempfile::tempdir()?;
-    film.write(folder.path())?;
+    synthetic.write(folder.path())?;
     let capture = Arc::new(Capture::open(folder.path())?);
     let offsets = by_default(&capture)?.offsets;
-    count.films += 1;
+    count.captures += 1;
     for (c, camera) in offsets.cameras.iter().enumerate() {
-        // By the number of the image before which it is missing.
-        let truth: Vec<usize> = film.lost[c].iter().enumerate().map(|(k, n)| n - k).collect();
-        let seen: Vec<usize> = truth.into_iter().filter(|n| *n < frames).collect();
-        let found = camera.lost_before.as_deref().unwrap_or_default();
-        if found != seen {
-            let known = if camera.offset_s.is_some() { "" } else { ", said to be unknown" };
-            println!("  film {seed}, {}: lost {seen:?}, found {found:?}{known}", camera.id);
+        // Numbered by the image before which each is missing.
+        let truth: Vec<usize> = synthetic.lost[c].iter().enumerate().map(|(k, n)| n - k).collect();
+        let observable: Vec<usize> = truth.into_iter().filter(|n| *n < frames).collect();
+        let detected = camera.lost_before.as_deref().unwrap_or_default();
+        if detected != observable {
+            let known = if camera.offset_s.is_some() { "" } else { ", offset unknown" };
+            println!(
+                "  capture {seed}, {}: lost {observable:?}, detected {detected:?}{known}",
+                camera.id
+            );
         }
-        count.add(&seen, found);
+        count.add(&observable, detected);
     }
-    let start_s = film.delays_s[REFERENCE];
+    let start_s = synthetic.delays_s[REFERENCE];
     for (c, times) in offsets.common_times_s(&capture).into_iter().enumerate() {
         let Some(times) = times else { continue };
-        let kept = (0..).filter(|n| !film.lost[c].contains(n));
-        for (time_s, n) in times.into_iter().zip(kept) {
-            let slow = 1.0 + 1e-6 * film.drift_ppm[c];
-            let truth_s = film.delays_s[c] + f64::from(n as u32) / film.rate_hz * slow - start_s;
+        let recorded = (0..).filter(|n| !synthetic.lost[c].contains(n));
+        for (time_s, n) in times.into_iter().zip(recorded) {
+            let slow = 1.0 + 1e-6 * synthetic.drift_ppm[c];
+            let truth_s =
+                synthetic.delays_s[c] + f64::from(n as u32) / synthetic.rate_hz * slow - start_s;
             count.images += 1;
             count.wrong += usize::from((time_s - truth_s).abs() > 0.1 * capture.frame_s());
         }

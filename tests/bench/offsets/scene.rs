@@ -1,5 +1,5 @@
-//! Films in closed form: textured rectangles that move before a textured wall, seen by a row of
-//! cameras at any instant. As the paper's synthetic sequences, with the truth exactly known.
+//! Synthetic captures with exact ground truth: textured rectangles that move in front of a textured
+//! wall, ray cast for a row or grid of cameras at any instant, as in the paper's synthetic sequences.
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use rayon::prelude::*;
@@ -9,35 +9,38 @@ use stlfr::random::Random;
 use stlfr::raster::Image;
 use stlfr::raster::{BitDepth, write_image};
 
-/// A textured rectangle in motion. Metres, seconds.
+/// A textured rectangle in motion; metres, seconds and radians.
 #[derive(Clone, Debug)]
 pub struct Board {
     pub center: Point3<f64>,
     pub velocity: Vector3<f64>,
-    /// A swing about the straight motion: amplitude, cycles a second, and the phase.
+    /// The amplitude of an oscillation about the straight motion.
     pub swing: Vector3<f64>,
+    /// The frequency of the oscillation, hertz.
     pub swing_hz: f64,
+    /// The phase of the oscillation at time 0.
     pub phase: f64,
-    /// Turn about the viewing direction at the start, radians, and its rate; and about the vertical.
+    /// The rotation about the viewing direction at time 0, and its rate per second.
     pub roll: [f64; 2],
+    /// The rotation about the vertical at time 0, and its rate per second.
     pub yaw: [f64; 2],
     pub half_size: [f64; 2],
-    /// Where on the texture it lies.
+    /// The position of its centre on the texture.
     pub texture: [f64; 2],
 }
 
 impl Board {
-    fn origin(&self, t: f64) -> Point3<f64> {
+    fn center_at(&self, t: f64) -> Point3<f64> {
         let swing = (std::f64::consts::TAU * self.swing_hz * t + self.phase).sin();
         self.center + self.velocity * t + self.swing * swing
     }
 
-    fn turn(&self, t: f64) -> Rotation3<f64> {
+    fn rotation_at(&self, t: f64) -> Rotation3<f64> {
         Rotation3::from_axis_angle(&Vector3::y_axis(), self.yaw[0] + self.yaw[1] * t)
             * Rotation3::from_axis_angle(&Vector3::z_axis(), self.roll[0] + self.roll[1] * t)
     }
 
-    pub fn still(center: Point3<f64>, half_size: [f64; 2], texture: [f64; 2]) -> Self {
+    pub fn at_rest(center: Point3<f64>, half_size: [f64; 2], texture: [f64; 2]) -> Self {
         Self {
             center,
             velocity: Vector3::zeros(),
@@ -52,37 +55,39 @@ impl Board {
     }
 }
 
-/// What stands before the cameras, and how they film it.
+/// A scene with the cameras that record it, all of which look along z from the plane z = 0.
 #[derive(Clone, Debug)]
-pub struct Film {
+pub struct SyntheticCapture {
     pub boards: Vec<Board>,
+    /// Image width and height, pixels.
     pub size: [usize; 2],
+    /// The number of images of each camera.
     pub frames: usize,
-    /// When each camera opens, seconds.
+    /// By camera: the time of its first frame, seconds.
     pub delays_s: Vec<f64>,
     pub rate_hz: f64,
-    /// Each camera's clock's rate, parts in a million: it shows fewer seconds by so much.
+    /// By camera: how much slower its clock runs, parts per million.
     pub drift_ppm: Vec<f64>,
-    /// Frames that each camera loses, by their number had none been lost.
+    /// By camera: the frames that it loses, by their number if none were lost.
     pub lost: Vec<Vec<usize>>,
-    /// Whether the capture says that frames may be lost, even if none is.
+    /// Whether the capture declares that frames may be lost, even if none is.
     pub may_lose: bool,
-    /// Standard deviation of every frame's time about its due one, seconds, and whether the clock
-    /// says so.
+    /// The standard deviation of every frame's time about its regular one, seconds.
     pub jitter_s: f64,
+    /// Whether the capture's time stamps contain the jitter.
     pub stamped: bool,
-    /// Standard deviation of a pixel, of full scale.
+    /// The standard deviation of the pixels' noise, of full scale.
     pub noise: f64,
     pub exposure_s: f64,
     pub bits: BitDepth,
-    /// Further cameras in a second row, this far below; 0: none.
+    /// The distance of a second row of cameras below the first, metres; 0: one row.
     pub second_row_m: f64,
     pub seed: u64,
 }
 
 pub const SPACING_M: f64 = 0.06;
 
-impl Film {
+impl SyntheticCapture {
     pub fn new(boards: Vec<Board>, delays_frames: &[f64], frames: usize) -> Self {
         Self {
             boards,
@@ -103,7 +108,7 @@ impl Film {
         }
     }
 
-    fn place(&self, camera: usize) -> [f64; 2] {
+    fn center_m(&self, camera: usize) -> [f64; 2] {
         let n = self.delays_s.len();
         let (columns, row) =
             if self.second_row_m > 0.0 { (n.div_ceil(2), camera / n.div_ceil(2)) } else { (n, 0) };
@@ -111,7 +116,8 @@ impl Film {
         [SPACING_M * column, self.second_row_m * row as f64]
     }
 
-    /// Writes the capture; the true offsets against the reference, the middle camera.
+    /// Writes the capture into a folder; returns the true offsets relative to the reference, the middle
+    /// camera, seconds.
     pub fn write(&self, folder: &Path) -> std::io::Result<Vec<f64>> {
         let texture = Texture::new();
         let mut random = Random::new(self.seed);
@@ -119,18 +125,19 @@ impl Film {
         let mut shots = Vec::new();
         let mut means = Vec::new();
         for (c, delay_s) in self.delays_s.iter().enumerate() {
-            let [x, y] = self.place(c);
-            let due = |n: usize| n as f64 / self.rate_hz;
+            let [x, y] = self.center_m(c);
+            let regular_s = |n: usize| n as f64 / self.rate_hz;
             let slow = 1.0 + 1e-6 * self.drift_ppm[c];
-            let kept: Vec<usize> =
+            let recorded: Vec<usize> =
                 (0..).filter(|n| !self.lost[c].contains(n)).take(self.frames).collect();
-            let errors: Vec<f64> = kept.iter().map(|_| self.jitter_s * random.gaussian()).collect();
-            for (image, (n, error)) in kept.iter().zip(&errors).enumerate() {
+            let errors: Vec<f64> =
+                recorded.iter().map(|_| self.jitter_s * random.gaussian()).collect();
+            for (image, (n, error)) in recorded.iter().zip(&errors).enumerate() {
                 shots.push((
                     c,
                     image,
                     [x, y],
-                    delay_s + due(*n) * slow + error * slow,
+                    delay_s + regular_s(*n) * slow + error * slow,
                     random.unit(),
                 ));
             }
@@ -140,7 +147,8 @@ impl Film {
             let drift = self.drift_ppm.iter().any(|d| *d != 0.0);
             let lost = self.may_lose || self.lost.iter().any(|l| !l.is_empty());
             let clock = if self.stamped && self.jitter_s > 0.0 {
-                let times: Vec<f64> = errors.iter().enumerate().map(|(k, e)| due(k) + e).collect();
+                let times: Vec<f64> =
+                    errors.iter().enumerate().map(|(k, e)| regular_s(k) + e).collect();
                 json!({"times_s": times, "shared": false})
             } else {
                 json!({"rate_hz": self.rate_hz, "first_s": 0.0, "shared": false, "drift": drift, "lost": lost})
@@ -175,8 +183,8 @@ impl Film {
         let [w, h] = self.size;
         let mut sum = vec![0.0_f64; w * h];
         for n in 0..instants {
-            let share = (n as f64 + 0.5) / f64::from(instants) - 0.5;
-            self.expose(texture, place, time_s + share * self.exposure_s, &mut sum);
+            let fraction = (n as f64 + 0.5) / f64::from(instants) - 0.5;
+            self.expose(texture, place, time_s + fraction * self.exposure_s, &mut sum);
         }
         let mut random = Random::new(seed);
         let scale = 1.0 / f64::from(instants);
@@ -194,12 +202,12 @@ impl Film {
             .boards
             .iter()
             .map(|b| {
-                let back = b.turn(t).inverse();
-                (b, back, back * (eye - b.origin(t)))
+                let back = b.rotation_at(t).inverse();
+                (b, back, back * (eye - b.center_at(t)))
             })
             .collect();
         for (k, out) in sum.iter_mut().enumerate() {
-            // Four rays a pixel: edges must not alias.
+            // Four rays per pixel against aliasing at edges.
             for (dx, dy) in [(0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)] {
                 let ray = Vector3::new(
                     ((k % w) as f64 + dx - w as f64 / 2.0) / focal,
@@ -223,7 +231,7 @@ impl Film {
     }
 }
 
-/// Smooth noise of several scales, tiled.
+/// Smooth noise of several scales, periodic.
 struct Texture(Vec<f32>);
 
 const TEXELS: usize = 1024;
@@ -265,10 +273,10 @@ impl Texture {
 }
 
 fn wall() -> Board {
-    Board::still(Point3::new(0.0, 0.0, 2.6), [3.0, 2.5], [10.0, 10.0])
+    Board::at_rest(Point3::new(0.0, 0.0, 2.6), [3.0, 2.5], [10.0, 10.0])
 }
 
-/// Three boards of random size, place and motion, 4 to 20 pixels a frame at 640×480.
+/// Three boards of random size, position and motion, 4 to 20 pixels a frame at 640×480.
 pub fn random_boards(seed: u64) -> Vec<Board> {
     let random = &mut Random::new(seed);
     let mut boards = vec![wall()];
@@ -279,7 +287,7 @@ pub fn random_boards(seed: u64) -> Vec<Board> {
             1.5 + 0.5 * random.unit(),
         );
         let mut board =
-            Board::still(center, [0.12 + 0.1 * random.unit(), 0.15], [f64::from(n), 0.3]);
+            Board::at_rest(center, [0.12 + 0.1 * random.unit(), 0.15], [f64::from(n), 0.3]);
         board.velocity =
             Vector3::new(0.5 * random.signed(), 0.6 * random.signed(), 0.3 * random.signed());
         board.swing = Vector3::new(0.05, 0.06, 0.02) * random.signed();
@@ -292,31 +300,32 @@ pub fn random_boards(seed: u64) -> Vec<Board> {
     boards
 }
 
-/// The paper's synthetic pair: a textured rectangle before a textured wall.
+/// The paper's synthetic scene: a textured rectangle in front of a textured wall. Its velocity is in
+/// metres a second, to the right and down.
 pub fn rectangle(velocity: [f64; 2]) -> Vec<Board> {
-    let mut board = Board::still(Point3::new(-0.1, -0.15, 1.8), [0.25, 0.2], [0.0, 0.3]);
+    let mut board = Board::at_rest(Point3::new(-0.1, -0.15, 1.8), [0.25, 0.2], [0.0, 0.3]);
     board.velocity = Vector3::new(velocity[0], velocity[1], 0.0);
     vec![wall(), board]
 }
 
-/// A magazine that is waved in a circle, so that at two instants of each turn it moves along the
-/// epipolar lines; and turned.
+/// A magazine that oscillates: twice in each period it is at rest, and no feature crosses its epipolar
+/// line.
 pub fn rotating_magazine() -> Vec<Board> {
     let turn = |swing: Vector3<f64>, phase: f64| {
-        let mut board = Board::still(Point3::new(0.0, 0.0, 1.7), [0.22, 0.28], [0.0, 0.3]);
+        let mut board = Board::at_rest(Point3::new(0.0, 0.0, 1.7), [0.22, 0.28], [0.0, 0.3]);
         (board.swing, board.swing_hz, board.phase) = (swing, 1.1, phase);
         board
     };
     vec![wall(), turn(Vector3::new(0.03, 0.09, 0.0), 0.4)]
 }
 
-/// A board that moves for as long as a film may take, never the same way twice: a swing of two
-/// incommensurable periods made by a board before another one.
-pub fn restless(seed: u64) -> Vec<Board> {
+/// Boards that oscillate at incommensurable frequencies: the motion of the scene never repeats, however
+/// long the recording.
+pub fn aperiodic_boards(seed: u64) -> Vec<Board> {
     let random = &mut Random::new(seed);
     let mut boards = vec![wall()];
     for (x, hz) in [(-0.45, 0.71), (0.05, 1.13), (0.5, 1.57)] {
-        let mut board = Board::still(Point3::new(x, 0.0, 1.8), [0.22, 0.28], [x, 0.3]);
+        let mut board = Board::at_rest(Point3::new(x, 0.0, 1.8), [0.22, 0.28], [x, 0.3]);
         board.swing = Vector3::new(0.08 * random.signed(), 0.16, 0.0);
         board.swing_hz = hz;
         board.phase = 6.0 * random.unit();
@@ -325,12 +334,12 @@ pub fn restless(seed: u64) -> Vec<Board> {
     boards
 }
 
-/// A small board that slides along a row of cameras, fast, and turns: what moves across the epipolar
-/// lines is a few windows' worth of pixels, most of them with an outline in it.
+/// A small board that translates fast along a row of cameras and rotates. Only few tracker windows move
+/// across the epipolar lines, and most of them contain the board's outline.
 pub fn small_turning_board(seed: u64) -> Vec<Board> {
     let random = &mut Random::new(seed);
     let mut turns =
-        Board::still(Point3::new(-0.3, -0.1, 1.6), [0.11; 2], [random.unit(), random.unit()]);
+        Board::at_rest(Point3::new(-0.3, -0.1, 1.6), [0.11; 2], [random.unit(), random.unit()]);
     turns.velocity.x = 0.8 + 0.6 * random.unit();
     turns.roll = [random.signed(), 2.5 + 1.5 * random.unit()];
     vec![wall(), turns]

@@ -1,8 +1,8 @@
-//! Errors as filmed frames get worse: at half size, so that more than eight bits are known of each
-//! pixel, with noise, blur, or fewer bits; or as their time stamps do.
+//! Errors on recorded frames that are degraded by noise, blur or quantization, or whose time stamps are.
+//! Frames are downsampled to half size, so that pixels have more than eight bits before that.
 
 use super::captures::{by_default, outcomes};
-use super::{growth, save};
+use super::{save, sweep};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::path::Path;
@@ -14,21 +14,23 @@ use stlfr::raster::{BitDepth, write_image};
 
 type Failure = Box<dyn std::error::Error>;
 
-/// What becomes of a frame.
+/// How frames and time stamps are degraded.
 #[derive(Clone, Copy)]
-struct Worse {
-    /// Standard deviations: of a pixel's noise, of full scale, and of the blur, pixels.
+struct Degradation {
+    /// The standard deviation of the pixels' noise, of full scale.
     noise: f64,
+    /// The standard deviation of the Gaussian blur, pixels.
     blur_px: f64,
-    /// Of each time stamp, seconds: jitter that the stamps hide.
+    /// The standard deviation of the time stamps' errors, seconds.
     jitter_s: f64,
+    /// Bits per pixel and channel.
     bits: u32,
 }
 
-const AS_FILMED: Worse = Worse { noise: 0.0, blur_px: 0.0, jitter_s: 0.0, bits: 16 };
+const UNCHANGED: Degradation = Degradation { noise: 0.0, blur_px: 0.0, jitter_s: 0.0, bits: 16 };
 
 pub fn run(folders: &[String], output: &Path) -> Result<(), Failure> {
-    type Change = fn(&mut Worse, f64);
+    type Change = fn(&mut Degradation, f64);
     let sweeps: [(&str, &[f64], Change); 4] = [
         ("noise, % of full scale", &[0.0, 0.5, 1.0, 2.0, 4.0, 8.0], |w, v| w.noise = 0.01 * v),
         ("blur, pixels", &[0.0, 0.5, 1.0, 2.0, 3.0], |w, v| w.blur_px = v),
@@ -37,17 +39,17 @@ pub fn run(folders: &[String], output: &Path) -> Result<(), Failure> {
     ];
     let mut charts = Vec::new();
     for (name, values, change) in sweeps {
-        charts.push(growth::chart(
-            "Filmed frames",
+        charts.push(sweep::chart(
+            "Recorded frames",
             (name, values),
             |value| -> Result<_, Failure> {
-                let mut worse = AS_FILMED;
-                change(&mut worse, value);
+                let mut degradation = UNCHANGED;
+                change(&mut degradation, value);
                 let (mut all, mut unknown) = (Vec::new(), 0);
                 for folder in folders {
-                    let (found, blind) = at_half_size(Path::new(folder), worse)?;
-                    all.extend(found);
-                    unknown += blind;
+                    let (of_capture, of_capture_unknown) = measure(Path::new(folder), degradation)?;
+                    all.extend(of_capture);
+                    unknown += of_capture_unknown;
                 }
                 Ok((all, unknown))
             },
@@ -56,18 +58,38 @@ pub fn run(folders: &[String], output: &Path) -> Result<(), Failure> {
     save(output, "filmed-growth", &charts)
 }
 
-fn at_half_size(
+/// The outcomes of a capture at half size with a degradation, and the number of unknown offsets.
+fn measure(
     folder: &Path,
-    worse: Worse,
+    degradation: Degradation,
 ) -> Result<(Vec<super::captures::Outcome>, usize), Failure> {
     let whole = Capture::open(folder)?;
     let truth = Truth::open(folder)?.ok_or("has no truth")?;
     let copy = tempfile::tempdir()?;
+    let mean_errors_s = write_description(folder, copy.path(), &whole, degradation.jitter_s)?;
+    write_frames(&whole, copy.path(), degradation)?;
+    let capture = Arc::new(Capture::open(copy.path())?);
+    let estimate = by_default(&capture)?;
+    // Time stamps that are late in the mean reduce the clock's offset by as much.
+    let mean_s = |id: &str| mean_errors_s.get(id).copied().unwrap_or(0.0);
+    let reference_s = mean_s(&estimate.offsets.reference);
+    let truth_s = |id: &str| Some(truth.offset_s(id)? - mean_s(id) + reference_s);
+    Ok(outcomes(&estimate.offsets, capture.frame_s(), truth_s))
+}
+
+/// Writes the capture.json of the copy at half size; returns the mean error of each camera's time stamps,
+/// seconds.
+fn write_description(
+    folder: &Path,
+    copy: &Path,
+    whole: &Capture,
+    jitter_s: f64,
+) -> Result<HashMap<String, f64>, Failure> {
     let text = std::fs::read_to_string(folder.join("capture.json"))?;
-    let mut format: serde_json::Value = serde_json::from_str(&text)?;
+    let mut description: serde_json::Value = serde_json::from_str(&text)?;
     let random = &mut Random::new(1);
-    let mut late_s = HashMap::new();
-    for camera in format["cameras"].as_array_mut().ok_or("has no cameras")? {
+    let mut mean_errors_s = HashMap::new();
+    for camera in description["cameras"].as_array_mut().ok_or("has no cameras")? {
         let id = camera["id"].as_str().ok_or("has no id")?.to_owned();
         for side in ["width", "height"] {
             camera[side] = (camera[side].as_u64().ok_or("has no size")? / 2).into();
@@ -77,43 +99,42 @@ fn at_half_size(
             camera["params"][k] = (camera["params"][k].as_f64().ok_or("no params")? / 2.0).into();
         }
         camera["frames"] = format!("{id}/%04d.png").into();
-        std::fs::create_dir_all(copy.path().join(&id))?;
-        if worse.jitter_s > 0.0 {
+        std::fs::create_dir_all(copy.join(&id))?;
+        if jitter_s > 0.0 {
             let camera_index = whole.camera_index(&id).ok_or("has no such camera")?;
-            let off_s = (0..whole.cameras[camera_index].frames.len())
-                .map(|_| worse.jitter_s * random.gaussian())
+            let errors_s = (0..whole.cameras[camera_index].frames.len())
+                .map(|_| jitter_s * random.gaussian())
                 .collect::<Vec<f64>>();
             let stamps = camera["clock"]["times_s"].as_array_mut().ok_or("has no times")?;
-            for (stamp, off_s) in stamps.iter_mut().zip(&off_s) {
-                *stamp = (stamp.as_f64().ok_or("has no times")? + off_s).into();
+            for (stamp, error_s) in stamps.iter_mut().zip(&errors_s) {
+                *stamp = (stamp.as_f64().ok_or("has no times")? + error_s).into();
             }
-            late_s.insert(id, off_s.iter().sum::<f64>() / off_s.len() as f64);
+            mean_errors_s.insert(id, errors_s.iter().sum::<f64>() / errors_s.len() as f64);
         }
     }
-    std::fs::write(copy.path().join("capture.json"), format.to_string())?;
-    let shots: Vec<(usize, usize)> = whole
+    std::fs::write(copy.join("capture.json"), description.to_string())?;
+    Ok(mean_errors_s)
+}
+
+/// Writes all frames, degraded.
+fn write_frames(whole: &Capture, copy: &Path, degradation: Degradation) -> Result<(), Failure> {
+    let images: Vec<(usize, usize)> = whole
         .cameras
         .iter()
         .enumerate()
         .flat_map(|(c, camera)| (0..camera.frames.len()).map(move |k| (c, k)))
         .collect();
-    shots.par_iter().try_for_each(|&(c, k)| -> Result<(), String> {
+    images.par_iter().try_for_each(|&(c, k)| -> Result<(), String> {
         let frame = whole.read_frame(c, k).map_err(|e| e.to_string())?;
-        let picture = worsened(&half(&frame), worse, (1000 * c + k) as u64);
-        let path = copy.path().join(format!("{}/{k:04}.png", whole.cameras[c].id));
-        let depth = if worse.bits > 8 { BitDepth::Sixteen } else { BitDepth::Eight };
-        write_image(&path, &picture, None, depth).map_err(|e| e.to_string())
+        let degraded = degraded(&half(&frame), degradation, (1000 * c + k) as u64);
+        let path = copy.join(format!("{}/{k:04}.png", whole.cameras[c].id));
+        let depth = if degradation.bits > 8 { BitDepth::Sixteen } else { BitDepth::Eight };
+        write_image(&path, &degraded, None, depth).map_err(|e| e.to_string())
     })?;
-    let capture = Arc::new(Capture::open(copy.path())?);
-    let found = by_default(&capture)?;
-    // Stamps that are late in the mean make the clock's offset so much less.
-    let mean_s = |id: &str| late_s.get(id).copied().unwrap_or(0.0);
-    let reference_s = mean_s(&found.offsets.reference);
-    let truth_s = |id: &str| Some(truth.offset_s(id)? - mean_s(id) + reference_s);
-    Ok(outcomes(&found.offsets, capture.frame_s(), truth_s))
+    Ok(())
 }
 
-/// The mean of every four pixels.
+/// The image at half size: the mean of every 2 × 2 pixels.
 fn half(image: &Image) -> Image {
     let channels = image.channels();
     let (w, h) = (image.width() / 2, image.height() / 2);
@@ -126,18 +147,19 @@ fn half(image: &Image) -> Image {
     Image::from_data(w, h, channels, data)
 }
 
-fn worsened(image: &Image, worse: Worse, seed: u64) -> Image {
-    let image = blurred(image, worse.blur_px);
+/// The image, blurred, with noise, quantized, in this order.
+fn degraded(image: &Image, degradation: Degradation, seed: u64) -> Image {
+    let image = blurred(image, degradation.blur_px);
     let random = &mut Random::new(seed);
-    let levels = f64::from((1_u32 << worse.bits) - 1);
+    let levels = f64::from((1_u32 << degradation.bits) - 1);
     let data = image.data().iter().map(|v| {
-        let noisy = f64::from(*v) + worse.noise * random.gaussian();
+        let noisy = f64::from(*v) + degradation.noise * random.gaussian();
         ((noisy.clamp(0.0, 1.0) * levels).round() / levels) as f32
     });
     Image::from_data(image.width(), image.height(), image.channels(), data.collect())
 }
 
-/// A Gaussian's, along the rows and then along the columns.
+/// A Gaussian blur, along the rows and then along the columns.
 fn blurred(image: &Image, sigma_px: f64) -> Image {
     if sigma_px == 0.0 {
         return image.clone();
@@ -149,9 +171,9 @@ fn blurred(image: &Image, sigma_px: f64) -> Image {
     let (w, h, channels) = (image.width(), image.height(), image.channels());
     let pass = |from: &[f32], across: bool| -> Vec<f32> {
         let at = |x: usize, y: usize, c: usize, d: isize| {
-            let moved =
+            let shifted =
                 |v: usize, size: usize| (v as isize + d).clamp(0, size as isize - 1) as usize;
-            let (x, y) = if across { (moved(x, w), y) } else { (x, moved(y, h)) };
+            let (x, y) = if across { (shifted(x, w), y) } else { (x, shifted(y, h)) };
             f64::from(from[(y * w + x) * channels + c])
         };
         (0..w * h * channels)
