@@ -1,17 +1,21 @@
 //! Comparison sheets: the truth and what each method made of it side by side, labelled, with the
 //! amplified differences beneath.
 
-use crate::chart::lettering::{LINE_PX, Weight, width_px, write};
+use super::lettering::{LINE_PX, TextStyle, width_px, write};
 use crate::metrics::{RegionScores, Scores};
 use crate::raster::Image;
 
+/// Grey of the page.
 const BACKGROUND: f32 = 0.09;
-const INK: [f32; 3] = [0.93; 3];
-const FAINT: [f32; 3] = [0.65; 3];
-/// What marks the moving part.
-const MOVING: [f32; 3] = [1.0, 0.62, 0.18];
+const TITLE: TextStyle = TextStyle { bold: true, color: [0.93; 3] };
+const CAPTION: TextStyle = TextStyle { bold: false, color: [0.65; 3] };
+/// Tint of the moving part, and of what stands still.
+const MOVING_TINT: [f32; 3] = [1.0, 0.62, 0.18];
+const STILL_TINT: [f32; 3] = [0.45; 3];
+/// Between panels, and around them.
 const MARGIN_PX: usize = 12;
-/// Panels narrower than this are enlarged by whole factors, so that their labels fit.
+/// Panels narrower than this are enlarged by whole factors. Larger: sheets of small images are
+/// needlessly wide. Smaller: captions are cut off.
 const MIN_PANEL_PX: usize = 300;
 
 /// One result beside the truth.
@@ -46,15 +50,15 @@ impl Sheet<'_> {
         let differences = labels + LINE_PX;
         let width = (MARGIN_PX + w) * columns + MARGIN_PX;
         let mut sheet = Image::filled(width, differences + h + MARGIN_PX, 3, BACKGROUND);
-        write(&mut sheet, (MARGIN_PX, MARGIN_PX), width, self.title, Weight::Bold, INK);
+        write(&mut sheet, (MARGIN_PX, MARGIN_PX), width, self.title, TITLE);
 
         let label = |sheet: &mut Image, x: usize, title: &str, lines: &[String], below: &str| {
             let y = head + MARGIN_PX;
-            write(sheet, (x, y), w, title, Weight::Bold, INK);
+            write(sheet, (x, y), w, title, TITLE);
             for (k, line) in lines.iter().enumerate() {
-                write(sheet, (x, y + (k + 1) * LINE_PX), w, line, Weight::Regular, FAINT);
+                write(sheet, (x, y + (k + 1) * LINE_PX), w, line, CAPTION);
             }
-            write(sheet, (x, labels), w, below, Weight::Regular, FAINT);
+            write(sheet, (x, labels), w, below, CAPTION);
         };
         label(&mut sheet, MARGIN_PX, "Truth", &[], "Moving part (measured apart)");
         paste(&mut sheet, (MARGIN_PX, pictures), self.truth, scale);
@@ -84,7 +88,7 @@ impl Sheet<'_> {
     fn marked(&self) -> Image {
         let gray = self.truth.to_gray();
         let pixels = gray.data().iter().zip(self.moving).flat_map(|(v, moves)| {
-            let tint = if *moves { MOVING } else { [0.45; 3] };
+            let tint = if *moves { MOVING_TINT } else { STILL_TINT };
             tint.map(|t| (0.15 + 0.85 * v) * t)
         });
         Image::from_data(gray.width(), gray.height(), 3, pixels.collect())
@@ -147,10 +151,10 @@ pub(super) fn strip(heading: &str, panels: &[(&str, &Image)]) -> Image {
     let width = ((w + 4) * panels.len()).saturating_sub(4).max(width_px(heading) + 8);
     let even = |n: usize| n + n % 2;
     let mut strip = Image::filled(even(width), even(top + h), 3, BACKGROUND);
-    write(&mut strip, (4, 3), width, heading, Weight::Regular, FAINT);
+    write(&mut strip, (4, 3), width, heading, CAPTION);
     for (k, (title, image)) in panels.iter().enumerate() {
         let x = k * (w + 4);
-        write(&mut strip, (x + 4, LINE_PX + 3), w, title, Weight::Bold, INK);
+        write(&mut strip, (x + 4, LINE_PX + 3), w, title, TITLE);
         paste(&mut strip, (x, top), image, scale);
     }
     strip
