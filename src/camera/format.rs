@@ -46,13 +46,15 @@ fn known_models() -> String {
     CameraModel::KNOWN.map(|(name, _, count)| format!("{name} has {count}")).join(", ")
 }
 
-/// Larger images than any sensor; a bound so that a typing error can't ask for terabytes.
+/// Largest width and height of an image. Larger: a typing error asks for terabytes. Smaller: line
+/// cameras are refused.
 const MAX_SIZE_PX: u32 = 65_536;
-/// Pixels of one image: 8192×8192, as much as a frame may hold that is decoded. A view takes some
-/// 25 bytes a pixel.
-const MAX_PIXELS: u64 = 1 << 26;
-/// Blender's quaternions are single precision; what is further off is not a rotation.
-const MAX_QUATERNION_ERROR: f64 = 1e-3;
+/// Largest number of pixels of an image: 8192×8192. Larger: a view, at some 25 bytes a pixel, takes
+/// gigabytes. Smaller: frames that can be decoded are refused.
+pub const MAX_PIXELS: u64 = 1 << 26;
+/// Largest difference of a quaternion's length from 1. Larger: matrices and typing errors pass for
+/// rotations. Smaller: Blender's quaternions, which are single precision, may be refused.
+pub const MAX_QUATERNION_ERROR: f64 = 1e-3;
 
 impl CameraFormat {
     /// The camera, checked.

@@ -1,10 +1,18 @@
 //! A camera's own clock.
 
-/// Less than this between two frames, seconds, is no camera's but a wrong unit; offsets and paths
-/// divide by it.
+/// Shortest time between two frames, seconds. Larger: fast cameras are refused. Smaller: offsets
+/// and trajectories, which divide by it, overflow, and times of a wrong unit pass.
 const MIN_FRAME_S: f64 = 1e-9;
-/// Times beyond this, seconds (3000 years), are a wrong unit.
+/// Largest absolute time, seconds (3000 years). Larger: microseconds since 1970 pass for seconds.
+/// Smaller: seconds since 1970 are refused.
 pub(super) const MAX_TIME_S: f64 = 1e11;
+
+/// Largest drift of a clock against the reference's, millionths: of a simulated rig, and of the
+/// clocks that are estimated.
+///
+/// Quartz is off by 100 at most. Larger: the estimate of a drift has more rates to try, and a
+/// rate that few features show is less certain. Smaller: cheap oscillators are outside of it.
+pub const MAX_DRIFT_PPM: f64 = 1000.0;
 
 /// When a camera's frames were exposed, on its own clock.
 #[derive(Clone, Debug, PartialEq)]

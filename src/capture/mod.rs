@@ -13,12 +13,12 @@ mod tracks;
 mod truth;
 mod video;
 
-pub use clock::{Clock, bracket};
+pub use clock::{Clock, MAX_DRIFT_PPM, bracket};
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
 pub use npy::NpyError;
 pub use tracks::{CameraTracks, TrackedPoint, Tracks};
 pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};
-pub use video::VideoFile;
+pub use video::{MAX_FRAMES, VideoFile};
 
 use crate::camera::{Camera, CameraFormatError};
 use crate::json::{self, JsonError};

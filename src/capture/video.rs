@@ -13,8 +13,9 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// More is refused, so that no crafted file fills the disk without end.
-const MAX_FRAMES: usize = 100_000;
+/// Frames of one camera that a simulated rig films, and that a video is decoded to. Larger: a crafted
+/// video or a typing error fills the disk. Smaller: an hour at 24 Hz is refused.
+pub const MAX_FRAMES: usize = 100_000;
 
 /// Part of the key: to be changed whenever the same video is decoded to other pixels.
 const DECODING: &[u8] = b"stlfr-video-1";

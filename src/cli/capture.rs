@@ -4,6 +4,7 @@ use super::CliError;
 use super::files::{must_be_a_file, must_be_writable};
 use super::values::Size;
 use std::path::PathBuf;
+use stlfr::capture::MAX_FRAMES;
 use stlfr::progress::Reporter;
 use stlfr::rig::Rig;
 use stlfr::toolchain::{FilmOptions, Scene, ensure_environment, film, project_root};
@@ -31,7 +32,7 @@ pub struct Args {
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     /// Frames of the reference camera; the others film as long [default: 9].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: Option<u32>,
     /// Samples a pixel, four times as many for truth [default: 16].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
@@ -55,7 +56,7 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     tracks: Option<u32>,
     /// Frames of true slow motion from the rig's first view [default: 0].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=MAX_FRAMES as i64))]
     truth_video: Option<u32>,
     /// Film without truth.
     #[arg(long)]

@@ -5,8 +5,9 @@ use super::files::must_be_writable;
 use super::values::Size;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
-use stlfr::capture::{self};
+use stlfr::capture::{self, MAX_FRAMES};
 use stlfr::host::write_atomically;
+use stlfr::rig::limits::MAX_CAMERAS;
 use stlfr::rig::{self, Delays, Distortion, Layout, Loss, LossStamps, Rig, RigColor, RigOptions};
 use stlfr::tradeoff;
 
@@ -118,7 +119,7 @@ struct Clock {
     #[arg(long, value_name = "N", default_value_t = 0)]
     lost: usize,
     /// The frames that they are among, from the second on.
-    #[arg(long, value_name = "N", default_value_t = 9, value_parser = 1..100_000)]
+    #[arg(long, value_name = "N", default_value_t = 9, value_parser = 1..MAX_FRAMES as i64)]
     lost_within: i64,
     /// What the cameras' times say of lost frames: a gap, nothing, or either in turn.
     #[arg(long, value_name = "HOW", default_value = "stamped")]
@@ -243,9 +244,6 @@ impl Args {
         self.name.clone().or_else(stem).unwrap_or_else(|| "rig".into())
     }
 }
-
-/// Larger rigs are a typing error.
-const MAX_CAMERAS: usize = 1000;
 
 fn number_of(text: &str) -> Result<NonZeroUsize, String> {
     let number = text.parse().ok().filter(|n: &NonZeroUsize| n.get() <= MAX_CAMERAS);

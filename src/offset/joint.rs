@@ -3,6 +3,7 @@
 
 use super::pair::PairEstimate;
 use super::uncertainty::Sandwich;
+use crate::capture::MAX_DRIFT_PPM;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
@@ -32,9 +33,10 @@ pub struct Solved {
 /// for weights that fall with the square of the deviation.
 const L1_ITERATIONS: usize = 30;
 const ROBUST_ITERATIONS: usize = 10;
-/// No clock that calls itself one is further off: keeps a rate that nothing shows finite, and
-/// pulls one that is seen to a part in a thousand of its standard error at most.
-const MAX_RATE: f64 = 3e-3;
+/// Prior standard deviation of a rate, three times the largest drift. It keeps a rate that no pair
+/// shows finite, and pulls an observed one by a thousandth of its standard error at most. Larger: the
+/// system of a rate without data is singular to rounding. Smaller: it pulls the rates that are there.
+const PRIOR_RATE_STD: f64 = 3.0 * (1e-6 * MAX_DRIFT_PPM);
 
 /// Solves for every clock by least squares over all samples, each pair weighted by its information
 /// and, robustly, by how it agrees with the rest.
@@ -218,7 +220,7 @@ fn robust(systems: &[System], unknowns: &Unknowns) -> Option<Solution> {
         };
         let (mut normal, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
         for rate in unknowns.rate.iter().flatten() {
-            normal[(*rate, *rate)] += 1.0 / (MAX_RATE * MAX_RATE);
+            normal[(*rate, *rate)] += 1.0 / (PRIOR_RATE_STD * PRIOR_RATE_STD);
         }
         for (system, w) in systems.iter().zip(&weights) {
             for (place, v) in &system.normal {

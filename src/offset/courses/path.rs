@@ -1,6 +1,7 @@
 //! One camera's course by what is seen of it: a line and the losses along it.
 
 use super::{Course, ROUNDS, Told};
+use crate::capture::MAX_DRIFT_PPM;
 use nalgebra::{Matrix2, Vector2};
 
 /// What a single sighting is off by, at most, frames: beyond three times of this it is wrong.
@@ -9,7 +10,7 @@ pub const BOUND: f64 = 3.0 * SIGMA_FRAMES;
 /// A clock that drifts does so by about this much,
 const RATE: f64 = 5e-4;
 /// and no more than this.
-const MAX_RATE: f64 = 1e-3;
+const MAX_RATE: f64 = 1e-6 * MAX_DRIFT_PPM;
 /// What each more frame lost at the same place has to save, in wrong sightings.
 const SUPPORT_OF_MORE: f64 = 0.3;
 /// Frames that a camera is expected to lose at most.
