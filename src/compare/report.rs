@@ -1,7 +1,7 @@
-//! `report.html`: one file that needs nothing else, neither network nor the program's source.
+//! `report.html`: one file that depends on no other file and on no network.
 //!
 //! The page is the template `report.html` beside this file, filled in by minijinja, which escapes
-//! whatever comes from files; pictures are inlined as 8-bit PNG.
+//! all text from files. Pictures are inlined as 8-bit PNG, and plots as SVG.
 
 use super::results::{Metrics, StageTime, ViewMethod};
 use crate::chart::{Dot, DotPlot, DotRow};
@@ -17,12 +17,14 @@ use minijinja::{Environment, UndefinedBehavior, context};
 use serde::Serialize;
 use std::path::Path;
 
-/// Pictures of one thing, the truth first, between which the reader slides.
+/// Pictures of one view and instant, between which the reader slides.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Figure {
+    /// The view and the instant.
     pub title: String,
-    /// A new view, not a filming camera's image.
+    /// Whether it is a new view rather than a filming camera's image.
     pub is_view: bool,
+    /// The truth first, then the methods.
     pub pictures: Vec<Picture>,
 }
 
@@ -49,7 +51,7 @@ impl Picture {
     }
 }
 
-/// 8 bits a channel, as small as PNG gets.
+/// The image as PNG of 8 bits a channel, with the strongest compression.
 fn png(image: &Image) -> Vec<u8> {
     let raw: Vec<u8> = image.data().iter().map(|v| (v * 255.0 + 0.5) as u8).collect();
     let color = if image.channels() == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
@@ -89,7 +91,7 @@ pub(super) fn html(
     })
 }
 
-/// A number with that many decimals and a proper minus; what is unknown is a dash.
+/// A number with that many decimals and a proper minus; a dash for a missing or infinite one.
 fn num(value: Value, digits: usize) -> String {
     match f64::try_from(value) {
         Ok(v) if v.is_finite() => rounded(v, digits).replace('-', "−"),
@@ -223,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_decode_to_what_they_were() {
+    fn pictures_decode_to_their_pixels() {
         let image = Image::from_data(2, 1, 3, vec![0.0, 0.2, 0.4, 0.6, 0.8, 1.0]);
         let decoded = image::load_from_memory(&png(&image)).unwrap().into_rgb8();
         assert_eq!(decoded.into_raw(), [0, 51, 102, 153, 204, 255]);

@@ -1,5 +1,5 @@
-//! Comparison sheets: the truth and what each method made of it side by side, labelled, with the
-//! amplified differences beneath.
+//! Comparison sheets: the truth and each method's image side by side, labelled, with the amplified
+//! differences beneath.
 
 use super::lettering::{LINE_PX, TextStyle, width_px, write};
 use crate::metrics::{RegionScores, Scores};
@@ -18,28 +18,37 @@ const MARGIN_PX: usize = 12;
 /// needlessly wide. Smaller: captions are cut off.
 const MIN_PANEL_PX: usize = 300;
 
-/// One result beside the truth.
+/// One method's image beside the truth.
 pub struct Panel<'a> {
+    /// The method's name.
     pub title: &'a str,
-    /// `None` where the method has no image; `note` says why.
+    /// `None` where the method has no image.
     pub image: Option<&'a Image>,
+    /// Scores against the truth, if there is an image.
     pub scores: Option<&'a RegionScores>,
+    /// The reason why there are no scores.
     pub note: &'a str,
 }
 
-/// A sheet's truth and its panels, all images of one size.
+/// A sheet's truth and its panels, with images of one size.
 pub struct Sheet<'a> {
+    /// First line of the sheet.
     pub title: &'a str,
+    /// The true image.
     pub truth: &'a Image,
-    /// Row by row; it is shown beneath the truth.
+    /// Whether each pixel belongs to the moving part, row by row; it is drawn beneath the truth.
     pub moving: &'a [bool],
+    /// The methods, from left to right.
     pub panels: &'a [Panel<'a>],
-    /// What differences are multiplied by.
+    /// Factor of the differences.
     pub gain: f32,
 }
 
 impl Sheet<'_> {
-    /// The sheet as an RGB image.
+    /// Draws the sheet as an RGB image.
+    ///
+    /// # Panics
+    /// If an image differs from the truth in size or channels.
     pub fn draw(&self) -> Image {
         let scale = MIN_PANEL_PX.div_ceil(self.truth.width());
         let (w, h) = (self.truth.width() * scale, self.truth.height() * scale);
@@ -95,7 +104,7 @@ impl Sheet<'_> {
     }
 }
 
-/// |a − b| times `gain`, in 0..=1.
+/// |a − b| times `gain`, at most 1.
 ///
 /// # Panics
 /// If the images differ in size or channels.
@@ -173,14 +182,14 @@ mod tests {
 
     #[test]
     fn a_sheet_holds_truth_panels_and_their_differences() {
-        let (truth, made) = (Image::filled(200, 100, 3, 0.5), Image::filled(200, 100, 3, 0.6));
+        let (truth, result) = (Image::filled(200, 100, 3, 0.5), Image::filled(200, 100, 3, 0.6));
         let panel =
             |image| Panel { title: "method", image, scores: None, note: "no camera has a frame" };
         let sheet = Sheet {
             title: "a sheet",
             truth: &truth,
             moving: &vec![false; 200 * 100],
-            panels: &[panel(Some(&made)), panel(None)],
+            panels: &[panel(Some(&result)), panel(None)],
             gain: 4.0,
         };
         let drawn = sheet.draw();

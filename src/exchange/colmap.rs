@@ -276,14 +276,14 @@ pub fn colmap_text(cameras: &[NamedCamera]) -> ColmapText {
     ColmapText { cameras: lenses, images, points3d }
 }
 
-/// Writes the files of [`colmap_text`] into a folder, which is made if there is none.
+/// Writes the files of [`colmap_text`] into a folder, which is created if there is none.
 pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let text = colmap_text(cameras);
     text.files().iter().try_for_each(|(name, text)| write(&folder.join(name), text.as_bytes()))
 }
 
 /// Writes the cameras as a COLMAP model in binary: `cameras.bin`, `images.bin` and an empty
-/// `points3D.bin`, numbered as in [`colmap_text`]. The folder is made if there is none.
+/// `points3D.bin`, numbered as in [`colmap_text`]. The folder is created if there is none.
 pub fn write_colmap_binary(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let count = (cameras.len() as u64).to_le_bytes();
     let (mut lenses, mut images) = (count.to_vec(), count.to_vec());

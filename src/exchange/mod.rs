@@ -7,10 +7,10 @@
 //! | `poses_bounds.npy` | columns down, right, back | world from camera | one focal length, centred | no principal point |
 //! | `transforms.json` | x right, y up, z back | world from camera | pinhole, OpenCV, OpenCV fisheye | as COLMAP |
 //!
-//! World axes and metres are kept as they are. Every count and size that a file states is checked
+//! World axes and metres are unchanged. Every count and size that a file states is checked
 //! against the file's length before memory is taken for it.
 //!
-//! Known limit: no points and no tracks are read or written.
+//! Known limit: points and tracks are neither read nor written.
 
 mod colmap;
 mod import;
