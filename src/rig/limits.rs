@@ -1,7 +1,7 @@
 //! The limits of a rig's fields, in the JSON Schema and in the checks alike.
 //!
 //! They keep typing errors from asking for terabytes, and divisions from 0. Where a limit comes with
-//! a capture or a camera, it is theirs: [`MAX_DRIFT_PPM`](crate::capture::MAX_DRIFT_PPM),
+//! a capture or a camera, it is theirs: [`MAX_DRIFT_PPM`],
 //! [`MAX_FRAMES`](crate::capture::MAX_FRAMES), [`MAX_PIXELS`](crate::camera::MAX_PIXELS),
 //! [`MAX_QUATERNION_ERROR`](crate::camera::MAX_QUATERNION_ERROR).
 
