@@ -194,6 +194,17 @@ struct Line<'a> {
     occlusion: Occlusion,
 }
 
+impl<'a> Line<'a> {
+    fn new(
+        name: &'a str,
+        file: Option<&'a str>,
+        options: &'a BlendOptions,
+        occlusion: Occlusion,
+    ) -> Self {
+        Self { name, file, options, occlusion }
+    }
+}
+
 struct Bench<'a> {
     problems: &'a [Problem<'a>],
     out: Option<PathBuf>,
@@ -251,6 +262,20 @@ fn write_pictures(out: &Path, name: &str, rendered: &Rendered, depth: &DepthMap)
     write_image(&path, &map, None, BitDepth::Eight).expect("picture");
 }
 
+/// The defaults with one blending option changed, and that option's name.
+fn blend_variants(base: &BlendOptions) -> Vec<(String, BlendOptions)> {
+    let mut blends: Vec<(String, BlendOptions)> =
+        vec![("uniform".into(), BlendOptions { method: BlendMethod::Uniform, ..base.clone() })];
+    for cameras in [1, 2, 3, 4, 8] {
+        blends.push((format!("k {cameras}"), BlendOptions { cameras, ..base.clone() }));
+    }
+    blends.push(("bilinear".into(), BlendOptions { sampling: Sampling::Bilinear, ..base.clone() }));
+    for feather_px in [0.0, 4.0, 12.0] {
+        blends.push((format!("feather {feather_px}"), BlendOptions { feather_px, ..base.clone() }));
+    }
+    blends
+}
+
 fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
     println!("\n{name}: {} views of {} cameras", problems.len(), problems[0].cameras.len());
     println!("{:44} {:>6} {:>6} {:>8} {:>8}", "", "dB", "worst", "proxy", "blend");
@@ -265,98 +290,37 @@ fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
     };
     let mesh = |p: &Problem| mesh_of(p, &MeshOptions::default());
 
+    bench.line(Line::new("true depth", Some("depth"), &base, Occlusion::None), &depth);
     bench.line(
-        Line {
-            name: "true depth",
-            file: Some("depth"),
-            options: &base,
-            occlusion: Occlusion::None,
-        },
+        Line::new(
+            "true depth, occluded by true depth",
+            Some("depth-occluded"),
+            &base,
+            Occlusion::Truth,
+        ),
         &depth,
     );
-    bench.line(
-        Line {
-            name: "true depth, occluded by true depth",
-            file: Some("depth-occluded"),
-            options: &base,
-            occlusion: Occlusion::Truth,
-        },
-        &depth,
-    );
-    bench.line(
-        Line { name: "plane", file: Some("plane"), options: &base, occlusion: Occlusion::None },
-        &plane,
-    );
-    bench.line(
-        Line { name: "mesh", file: Some("mesh"), options: &base, occlusion: Occlusion::None },
-        &mesh,
-    );
-    bench.line(
-        Line {
-            name: "mesh, occluded by mesh",
-            file: None,
-            options: &base,
-            occlusion: Occlusion::Proxy,
-        },
-        &mesh,
-    );
-    bench.line(
-        Line {
-            name: "mesh, occluded by true depth",
-            file: None,
-            options: &base,
-            occlusion: Occlusion::Truth,
-        },
-        &mesh,
-    );
+    bench.line(Line::new("plane", Some("plane"), &base, Occlusion::None), &plane);
+    bench.line(Line::new("mesh", Some("mesh"), &base, Occlusion::None), &mesh);
+    bench.line(Line::new("mesh, occluded by mesh", None, &base, Occlusion::Proxy), &mesh);
+    bench.line(Line::new("mesh, occluded by true depth", None, &base, Occlusion::Truth), &mesh);
     for depth_edges in [DepthEdges::Stretch, DepthEdges::Back, DepthEdges::Front, DepthEdges::Cut] {
         for edge_px in [8.0, 16.0, 24.0, 32.0, 1e9] {
             let options = MeshOptions { depth_edges, edge_px, ..MeshOptions::default() };
             let name = format!("mesh, {depth_edges:?} {edge_px}");
             let file = format!("mesh-{depth_edges:?}-{edge_px}");
-            bench.line(
-                Line { name: &name, file: Some(&file), options: &base, occlusion: Occlusion::None },
-                &|p| mesh_of(p, &options),
-            );
+            bench.line(Line::new(&name, Some(&file), &base, Occlusion::None), &|p| {
+                mesh_of(p, &options)
+            });
         }
     }
-    let mut blends: Vec<(String, BlendOptions)> =
-        vec![("uniform".into(), BlendOptions { method: BlendMethod::Uniform, ..base.clone() })];
-    for cameras in [1, 2, 3, 4, 8] {
-        blends.push((format!("k {cameras}"), BlendOptions { cameras, ..base.clone() }));
-    }
-    blends.push(("bilinear".into(), BlendOptions { sampling: Sampling::Bilinear, ..base.clone() }));
-    for feather_px in [0.0, 4.0, 12.0] {
-        blends.push((format!("feather {feather_px}"), BlendOptions { feather_px, ..base.clone() }));
-    }
-    for (name, options) in &blends {
+    for (name, options) in &blend_variants(&base) {
         bench.line(
-            Line {
-                name: &format!("true depth occluded, {name}"),
-                file: None,
-                options,
-                occlusion: Occlusion::Truth,
-            },
+            Line::new(&format!("true depth occluded, {name}"), None, options, Occlusion::Truth),
             &depth,
         );
-        bench.line(
-            Line {
-                name: &format!("mesh, {name}"),
-                file: None,
-                options,
-                occlusion: Occlusion::None,
-            },
-            &mesh,
-        );
-        bench.line(
-            Line {
-                name: &format!("plane, {name}"),
-                file: None,
-                options,
-                occlusion: Occlusion::None,
-            },
-            &plane,
-        );
+        bench.line(Line::new(&format!("mesh, {name}"), None, options, Occlusion::None), &mesh);
+        bench.line(Line::new(&format!("plane, {name}"), None, options, Occlusion::None), &plane);
     }
 }
 
