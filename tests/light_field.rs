@@ -251,7 +251,7 @@ fn kept_offsets_serve_until_something_changes() {
     };
 
     tamper();
-    assert!(succeed(&render).1.contains("kept in offsets.json"));
+    assert!(succeed(&render).1.contains("those of offsets.json"));
     assert_eq!(offset_s(&offsets(folder), 0), 0.0101, "nothing has changed");
 
     // Other options, those of rendering aside.

@@ -1,4 +1,4 @@
-//! Rig files: what is refused, and how the shipped ones were made.
+//! Rig files: which are refused, and which commands write the shipped ones.
 
 mod common;
 

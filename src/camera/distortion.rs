@@ -1,8 +1,8 @@
-//! Lens distortion on the normalized plane z = 1, its inverse, and where it stops having one.
+//! Lens distortion on the normalized plane z = 1, its inverse, and its domain.
 
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// What a lens does to a point of the plane z = 1. Coefficients are unitless.
+/// The map of a lens on the plane z = 1. Coefficients are unitless.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Distortion {
     /// Straight lines stay straight.
@@ -14,22 +14,24 @@ pub(super) enum Distortion {
     Fisheye { k: [f64; 4] },
 }
 
-/// Newton stops when a step is below this; a normalized unit is some hundreds of pixels, so this
-/// is far below what an f64 pixel coordinate resolves.
+/// Newton's method stops when a step is shorter than this; a normalized unit is some hundreds of
+/// pixels. Larger: pixels don't return to themselves to the last digits. Smaller: no step ever is.
 const STEP: f64 = 1e-14;
-/// Newton converges in 3 to 6 steps where the distortion can be inverted at all; next to the fold,
-/// where it is linear, in some 30.
+/// Steps of Newton's method at most: it takes 3 to 6, and some 30 next to the fold, where it converges
+/// linearly. Larger: slower where there is no inverse. Smaller: points near the fold have none.
 const ITERATIONS: usize = 60;
-/// A slope of the distortion, or a determinant of its derivative, below this is the fold itself:
-/// two branches meet, and a pixel's rounding decides which is found.
+/// Smallest slope of the distortion, and determinant of its derivative, short of the fold, where two
+/// branches meet. Larger: the domain ends early. Smaller: a pixel's rounding decides on the branch.
 const MIN_SLOPE: f64 = 1e-9;
-/// What a solution may be off by, in normalized units.
+/// Largest residual of a solution, in normalized units. Larger: wrong solutions pass. Smaller: right
+/// ones fail by their rounding.
 const MAX_RESIDUAL: f64 = 1e-12;
-/// Rays further from the axis are taken as 90°, where the plane z = 1 has no point.
+/// Largest angle from the axis, radians: at 90° the plane z = 1 has no point. Larger: tangents are
+/// rounding. Smaller: fisheye images lose their border.
 const MAX_ANGLE: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;
 
 impl Distortion {
-    /// The formula, whether or not the point is short of the fold.
+    /// The distorted point, by the model's formula: meaningful only short of the fold.
     pub fn distorted(&self, n: &Point2<f64>) -> Point2<f64> {
         match self {
             Self::None => *n,
@@ -53,9 +55,8 @@ impl Distortion {
         }
     }
 
-    /// Whether the lens still spreads the points around this one as it does those nearer to the
-    /// axis. Beyond the radius where its radial part stops growing it folds the scene back over
-    /// the image, which no lens does: there the model means nothing.
+    /// Whether a point lies nearer to the axis than the fold, the radius where the radial part stops
+    /// growing. Beyond it the formula folds the scene back over the image, which no lens does.
     pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
         match self {
             Self::None => true,
@@ -72,7 +73,8 @@ impl Distortion {
         }
     }
 
-    /// The point short of the fold that is distorted to `d`; `None` where there is none.
+    /// The point short of the fold that is distorted to `d`; `None` where there is none, or for
+    /// coordinates that aren't finite.
     pub fn undistorted(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
         if !(d.x.is_finite() && d.y.is_finite()) {
             return None;
@@ -84,7 +86,7 @@ impl Distortion {
         }
     }
 
-    /// Newton in two dimensions, its steps halved where they would cross the fold.
+    /// Newton's method in two dimensions, its steps halved where they would cross the fold.
     fn undistorted_brown(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
         // A pincushion's own point may be beyond its fold; nearer to the axis is always short of it.
         let mut n = *d;
@@ -134,7 +136,7 @@ impl Distortion {
     }
 }
 
-/// Newton on the angle, kept inside a bracket; 90° and more have no point on the plane z = 1.
+/// Newton's method on the angle, inside a bracket; 90° and more have no point on the plane z = 1.
 fn undistorted_fisheye(k: &[f64; 4], d: &Point2<f64>) -> Option<Point2<f64>> {
     let target = d.coords.norm();
     if target == 0.0 {
@@ -212,7 +214,8 @@ fn angular_slope(k: &[f64; 4]) -> [f64; 5] {
     [1.0, 3.0 * k[0], 5.0 * k[1], 7.0 * k[2], 9.0 * k[3]]
 }
 
-/// Halvings of the interval before a polynomial that touches zero counts as crossing it.
+/// Halvings of the interval before a polynomial that touches zero counts as crossing it. Larger:
+/// slower next to a double root. Smaller: such lenses lose a part of their image.
 const MAX_DEPTH: usize = 40;
 
 /// Whether a polynomial (lowest power first, 1 at 0) is above [`MIN_SLOPE`] on all of [0, end].
@@ -276,14 +279,14 @@ mod tests {
             let k: [f64; 6] = std::array::from_fn(|_| 3.0 * (random() - 0.5));
             let slope = radial_slope(&k);
             let end = 1.5 * random();
-            let least = (0..=4000)
+            let min = (0..=4000)
                 .map(|i| polynomial(&slope, end * f64::from(i) / 4000.0))
                 .fold(f64::INFINITY, f64::min);
-            if least.abs() < 1e-3 {
+            if min.abs() < 1e-3 {
                 continue; // between two samples it may cross
             }
-            assert_eq!(is_positive_up_to(&slope, end), least > 0.0, "{k:?} to {end}");
-            *if least > 0.0 { &mut positive } else { &mut negative } += 1;
+            assert_eq!(is_positive_up_to(&slope, end), min > 0.0, "{k:?} to {end}");
+            *if min > 0.0 { &mut positive } else { &mut negative } += 1;
         }
         assert!(positive > 200 && negative > 200, "{positive} {negative}");
     }

@@ -3,11 +3,12 @@
 use super::Camera;
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
-/// A line `normal · p + offset = 0` in pixels; the normal has unit length, so that
-/// [`Line::distance`] is in pixels.
+/// A line `normal · p + offset = 0` in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Line {
+    /// Of unit length.
     pub normal: Vector2<f64>,
+    /// Minus the signed distance of the line from the image's origin along the normal, pixels.
     pub offset: f64,
 }
 
@@ -17,35 +18,43 @@ impl Line {
         self.normal.dot(&p.coords) + self.offset
     }
 
-    /// The point of the line nearest to `p`.
+    /// The point of the line nearest to `p`, pixels.
     pub fn nearest(&self, p: &Point2<f64>) -> Point2<f64> {
         p - self.normal * self.distance(p)
     }
 }
 
-/// The fundamental matrix of an ordered pair of cameras, in distortion-free pixels
-/// ([`super::CameraModel::ideal_from_pixel`]).
+/// The fundamental matrix F of an ordered pair of cameras (i, j), eq. (1).
+///
+/// Both images' pixels are without distortion, as
+/// [`ideal_from_pixel`](super::CameraModel::ideal_from_pixel) gives them.
 #[derive(Clone, Debug)]
 pub struct EpipolarGeometry {
     /// `line in j = j_from_i · p_i`.
     j_from_i: Matrix3<f64>,
 }
 
-/// Baselines shorter than this share of the centres' distance from the world's origin are
-/// rounding, not geometry.
-const MIN_BASELINE_SHARE: f64 = 1e-12;
+/// Smallest baseline, as a fraction of the centres' distance from the world's origin. Larger: rigs far
+/// from the origin lose their epipolar geometry. Smaller: baselines are rounding.
+const MIN_BASELINE_FRACTION: f64 = 1e-12;
+
+/// Smallest length of a line's normal, over the norm of F. Larger: pixels beside the epipole have no
+/// line. Smaller: the epipole's line is rounding.
+const MIN_LINE_FRACTION: f64 = 1e-12;
 
 impl EpipolarGeometry {
+    /// The geometry of an ordered pair of cameras.
+    ///
     /// `None` for cameras with the same centre: their images are related by a homography, and
     /// every point is on every epipolar line.
     pub fn new(camera_i: &Camera, camera_j: &Camera) -> Option<Self> {
         let (ci, cj) = (camera_i.center(), camera_j.center());
         let baseline = cj - ci;
         let scale = ci.coords.norm().max(cj.coords.norm());
-        if !(baseline.norm() > MIN_BASELINE_SHARE * scale) || baseline.norm() == 0.0 {
+        if !(baseline.norm() > MIN_BASELINE_FRACTION * scale) || baseline.norm() == 0.0 {
             return None;
         }
-        // Of unit length: F is used up to scale, and so it neither under- nor overflows.
+        // F is used up to scale: a baseline of unit length neither under- nor overflows.
         let t = -(camera_j.cam_from_world.rotation * baseline.normalize());
         let rotation = (camera_j.cam_from_world.rotation
             * camera_i.cam_from_world.rotation.inverse())
@@ -74,8 +83,8 @@ impl EpipolarGeometry {
     pub fn line_in_j(&self, p_i: &Point2<f64>) -> Option<Line> {
         let l = self.j_from_i * Vector3::new(p_i.x, p_i.y, 1.0);
         let length = l.xy().norm();
-        // Relative to the matrix: at the epipole, l is rounding of its largest entries.
-        if !(length > 1e-12 * self.j_from_i.norm()) {
+        // At the epipole, l is rounding of the matrix's largest entries.
+        if !(length > MIN_LINE_FRACTION * self.j_from_i.norm()) {
             return None;
         }
         Some(Line { normal: l.xy() / length, offset: l.z / length })

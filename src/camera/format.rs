@@ -1,42 +1,55 @@
-//! A camera object as it stands in JSON: in a capture, and as a view to render.
+//! A camera object in JSON: in a capture, and as a view to render.
 
 use super::{Camera, CameraModel};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// A pose in JSON: quaternion `wxyz` of unit length, translation in metres.
+/// A pose in JSON, which maps points of the world (or of the rig) to the camera's frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PoseFormat {
+    /// Quaternion of unit length, to [`MAX_QUATERNION_ERROR`].
     pub rotation_wxyz: [f64; 4],
+    /// Metres.
     pub translation: [f64; 3],
 }
 
-/// A view to render, in JSON: COLMAP's model name and parameters, image size in pixels.
+/// A view to render, in JSON.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CameraFormat {
+    /// Image width, pixels.
     pub width: u32,
+    /// Image height, pixels.
     pub height: u32,
+    /// COLMAP's name of the camera model.
     pub model: String,
+    /// The model's parameters in COLMAP's order.
     pub params: Vec<f64>,
+    /// Pose, from the world to the camera's frame.
     pub cam_from_world: PoseFormat,
 }
 
-/// What can be wrong with a camera object. The message starts with the field.
+/// An error of a camera object. The message starts with the field.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum CameraFormatError {
+    /// Width or height is 0 or too large.
     #[error("{field}: is {value}, must be from 1 to {max}")]
     Size { field: &'static str, value: u32, max: u32 },
+    /// The image has more than [`MAX_PIXELS`].
     #[error("width: {width}×{height} are more pixels than {max}")]
     Pixels { width: u32, height: u32, max: u64 },
+    /// The model's name is unknown, or its number of parameters wrong.
     #[error("model: '{name}' with {count} params is not a known model ({})", known_models())]
     Model { name: String, count: usize },
+    /// A parameter is not finite, or a focal length not positive.
     #[error("params: must be finite, and the focal lengths positive")]
     Params,
+    /// The quaternion is not of unit length.
     #[error("cam_from_world.rotation_wxyz: has length {length}, must be of unit length to 1e-3")]
     Quaternion { length: f64 },
+    /// A coordinate of the translation is not finite.
     #[error("cam_from_world.translation: must be finite")]
     Translation,
 }
@@ -46,16 +59,18 @@ fn known_models() -> String {
     CameraModel::KNOWN.map(|(name, _, count)| format!("{name} has {count}")).join(", ")
 }
 
-/// Larger images than any sensor; a bound so that a typing error can't ask for terabytes.
+/// Largest width and height of an image. Larger: a typing error asks for terabytes. Smaller: line
+/// cameras are refused.
 const MAX_SIZE_PX: u32 = 65_536;
-/// Pixels of one image: 8192×8192, as much as a frame may hold that is decoded. A view takes some
-/// 25 bytes a pixel.
-const MAX_PIXELS: u64 = 1 << 26;
-/// Blender's quaternions are single precision; what is further off is not a rotation.
-const MAX_QUATERNION_ERROR: f64 = 1e-3;
+/// Largest number of pixels of an image: 8192×8192. Larger: a view, at some 25 bytes a pixel, takes
+/// gigabytes. Smaller: frames that can be decoded are refused.
+pub const MAX_PIXELS: u64 = 1 << 26;
+/// Largest difference of a quaternion's length from 1. Larger: matrices and typing errors pass for
+/// rotations. Smaller: Blender's quaternions, which are single precision, may be refused.
+pub const MAX_QUATERNION_ERROR: f64 = 1e-3;
 
 impl CameraFormat {
-    /// The camera, checked.
+    /// Checks every field and makes the camera.
     pub fn camera(&self) -> Result<Camera, CameraFormatError> {
         for (field, value) in [("width", self.width), ("height", self.height)] {
             if value == 0 || value > MAX_SIZE_PX {
@@ -83,7 +98,7 @@ impl CameraFormat {
 }
 
 impl PoseFormat {
-    /// The pose, its quaternion normalized.
+    /// Checks the pose and normalizes its quaternion.
     pub fn isometry(&self) -> Result<Isometry3<f64>, CameraFormatError> {
         let [w, x, y, z] = self.rotation_wxyz;
         let q = Quaternion::new(w, x, y, z);
@@ -136,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn refuses_what_is_no_camera() {
+    fn wrong_fields_are_refused_by_name() {
         type Break = fn(&mut CameraFormat);
         let cases: [(Break, &str); 7] = [
             (|c| c.width = 0, "width"),

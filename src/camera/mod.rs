@@ -5,8 +5,8 @@
 //! - Pixels: the centre of the top-left pixel is (0.5, 0.5).
 //! - Models: COLMAP's names and parameter order.
 //!
-//! Known limit: a view ray is one point of the normalized plane z = 1, so fields of view reach
-//! 180° only in the limit.
+//! Known limit: a viewing ray is a point of the normalized plane z = 1, so that fields of view stay
+//! below 180°.
 
 mod distortion;
 mod epipolar;
@@ -14,29 +14,34 @@ mod format;
 mod model;
 
 pub use epipolar::{EpipolarGeometry, Line};
-pub use format::{CameraFormat, CameraFormatError, PoseFormat};
+pub use format::{CameraFormat, CameraFormatError, MAX_PIXELS, MAX_QUATERNION_ERROR, PoseFormat};
 pub use model::CameraModel;
 
 use nalgebra::{Isometry3, Point2, Point3, Vector3};
 
-/// One calibrated camera: image size in pixels, lens model, and pose.
+/// A calibrated camera: image size, lens model, and pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
+    /// Image width, pixels.
     pub width: usize,
+    /// Image height, pixels.
     pub height: usize,
+    /// Lens, from the plane z = 1 to pixels.
     pub model: CameraModel,
+    /// Pose: a world point, in metres, to the camera's frame (+x right, +y down, +z forward).
     pub cam_from_world: Isometry3<f64>,
 }
 
-/// Points nearer to the camera's plane z = 0 than this share of their distance have no image:
-/// they are seen at over 89.9999° and their coordinates carry no information.
-const MIN_DEPTH_SHARE: f64 = 1e-6;
+/// Smallest depth of a point with an image, as a fraction of its distance: points at over 89.9999°
+/// from the axis have none. Larger: wide fisheye images lose their border. Smaller: coordinates
+/// are rounding divided by rounding.
+const MIN_DEPTH_FRACTION: f64 = 1e-6;
 
 impl Camera {
-    /// The pixel that a world point (metres) falls on; it may lie outside the image.
+    /// The pixel position of a world point, in metres. It may lie outside the image.
     ///
-    /// `None` behind the camera, at its centre, so far aside that the division by depth would mean
-    /// nothing, and beyond the radius where the lens model folds back.
+    /// `None` for a point behind the camera, at its centre, at 90° from its axis, or beyond the
+    /// radius where the lens model folds back, and for coordinates that are NaN.
     pub fn project(&self, point_world: &Point3<f64>) -> Option<Point2<f64>> {
         let p = self.cam_from_world * point_world;
         self.project_cam(&p)
@@ -44,7 +49,7 @@ impl Camera {
 
     /// As [`Self::project`], for a point in this camera's frame.
     pub fn project_cam(&self, p: &Point3<f64>) -> Option<Point2<f64>> {
-        if !(p.z > MIN_DEPTH_SHARE * p.coords.norm()) {
+        if !(p.z > MIN_DEPTH_FRACTION * p.coords.norm()) {
             return None;
         }
         let n = Point2::new(p.x / p.z, p.y / p.z);
@@ -55,15 +60,15 @@ impl Camera {
         (pixel.x.is_finite() && pixel.y.is_finite()).then_some(pixel)
     }
 
-    /// The direction, with z = 1 in this camera's frame, that a pixel looks along.
+    /// The viewing direction of a pixel in this camera's frame, scaled to z = 1.
     ///
-    /// `None` where the lens model can't be inverted (far outside the image of a distorted lens).
+    /// `None` where the lens model can't be inverted: far outside the image of a distorted lens.
     pub fn ray(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
         let n = self.model.normalized_from_pixel(pixel)?;
         Some(Vector3::new(n.x, n.y, 1.0))
     }
 
-    /// [`Self::ray`] in the world's axes (not of unit length: its z in the camera's frame is 1).
+    /// [`Self::ray`] in the world's axes. Its length is not 1: its z in the camera's frame is.
     pub fn ray_world(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
         Some(self.cam_from_world.rotation.inverse_transform_vector(&self.ray(pixel)?))
     }
@@ -78,7 +83,7 @@ impl Camera {
         self.cam_from_world.rotation.inverse_transform_vector(&Vector3::z())
     }
 
-    /// Whether a pixel position lies on the image.
+    /// Whether a pixel position lies on the image, its border included. False for NaN.
     pub fn contains(&self, pixel: &Point2<f64>) -> bool {
         pixel.x >= 0.0
             && pixel.y >= 0.0
@@ -86,7 +91,7 @@ impl Camera {
             && pixel.y <= self.height as f64
     }
 
-    /// Mean focal length in pixels: what one radian near the axis spans.
+    /// Mean of the two focal lengths, pixels: the extent of one radian near the axis.
     pub fn focal_px(&self) -> f64 {
         self.model.focal_px()
     }
@@ -125,7 +130,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_is_behind_or_beside_has_no_image() {
+    fn points_behind_or_beside_the_camera_have_no_image() {
         let cam = pinhole_at([0.0; 3]);
         for p in [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.0, f64::NAN]] {
             assert_eq!(cam.project(&Point3::from(p)), None, "{p:?}");
@@ -133,7 +138,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_the_lens_would_fold_back_has_no_image() {
+    fn points_beyond_the_fold_have_no_image() {
         let mut cam = pinhole_at([0.0; 3]);
         let (f, cx, cy) = (686.0, 320.0, 240.0);
         cam.model = CameraModel::SimpleRadial { f, cx, cy, k: -0.5 };

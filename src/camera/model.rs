@@ -28,8 +28,7 @@ pub enum CameraModel {
 }
 
 impl CameraModel {
-    /// The models that are read: COLMAP's name, its number in COLMAP's binary files, and how many
-    /// parameters it has.
+    /// All models: COLMAP's name, its number in COLMAP's binary files, and its number of parameters.
     pub const KNOWN: [(&str, i32, usize); 9] = [
         ("SIMPLE_PINHOLE", 0, 3),
         ("PINHOLE", 1, 4),
@@ -80,7 +79,8 @@ impl CameraModel {
         }
     }
 
-    /// From COLMAP's name and parameters; `None` if the name is unknown or the count is wrong.
+    /// The model of COLMAP's name and parameters; `None` if the name is unknown or the number of
+    /// parameters is wrong.
     pub fn from_params(name: &str, params: &[f64]) -> Option<Self> {
         Some(match (name, params) {
             ("SIMPLE_PINHOLE", &[f, cx, cy]) => Self::SimplePinhole { f, cx, cy },
@@ -106,7 +106,7 @@ impl CameraModel {
         })
     }
 
-    /// fx, fy, cx, cy in pixels.
+    /// Focal lengths and principal point fx, fy, cx, cy, pixels.
     pub fn intrinsics(&self) -> (f64, f64, f64, f64) {
         match *self {
             Self::SimplePinhole { f, cx, cy }
@@ -121,7 +121,7 @@ impl CameraModel {
         }
     }
 
-    /// Mean of fx and fy.
+    /// Mean of fx and fy, pixels.
     pub fn focal_px(&self) -> f64 {
         let (fx, fy, ..) = self.intrinsics();
         0.5 * (fx + fy)
@@ -132,29 +132,29 @@ impl CameraModel {
         self.distortion() == Distortion::None
     }
 
-    /// Pixel of a point of the plane z = 1, by the model's formula: beyond
-    /// [`Self::is_short_of_fold`] it means nothing.
+    /// Pixel of a point of the plane z = 1, by the model's formula: meaningful only for points that
+    /// are short of the fold, see [`Self::is_short_of_fold`].
     pub fn pixel_from_normalized(&self, n: &Point2<f64>) -> Point2<f64> {
         let (fx, fy, cx, cy) = self.intrinsics();
         let d = self.distortion().distorted(n);
         Point2::new(fx * d.x + cx, fy * d.y + cy)
     }
 
-    /// Whether a point of the plane z = 1 is nearer to the axis than where the distortion stops
-    /// growing and folds the scene back over the image.
+    /// Whether a point of the plane z = 1 lies nearer to the axis than the fold: the radius where the
+    /// distortion stops growing, and beyond which it folds the scene back over the image.
     pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
         self.distortion().is_short_of_fold(n)
     }
 
-    /// Point of the plane z = 1 that a pixel sees; `None` where the distortion reaches that far
-    /// nowhere short of its fold.
+    /// Point of the plane z = 1 that a pixel shows; `None` where no point short of the fold is
+    /// distorted that far.
     pub fn normalized_from_pixel(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         let (fx, fy, cx, cy) = self.intrinsics();
         self.distortion().undistorted(&Point2::new((pixel.x - cx) / fx, (pixel.y - cy) / fy))
     }
 
-    /// Where the pixel would be if the lens had no distortion (same focal lengths): there,
-    /// epipolar curves are lines. The same pixel for a pinhole.
+    /// The pixel without distortion, by the same focal lengths and principal point: there, epipolar
+    /// curves are lines. The same pixel for a pinhole; `None` as [`Self::normalized_from_pixel`].
     pub fn ideal_from_pixel(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         if self.is_pinhole() {
             return Some(*pixel);
@@ -164,7 +164,7 @@ impl CameraModel {
         Some(Point2::new(fx * n.x + cx, fy * n.y + cy))
     }
 
-    /// What the lens does on the plane z = 1.
+    /// The model's distortion on the plane z = 1.
     fn distortion(&self) -> Distortion {
         let (k, p) = match *self {
             Self::SimplePinhole { .. } | Self::Pinhole { .. } => return Distortion::None,
@@ -283,9 +283,9 @@ mod tests {
         for (r, expected) in [(0.6, true), (0.7, false), (1.2, false), (1.4, false)] {
             assert_eq!(model.is_short_of_fold(&Point2::new(r, 0.0)), expected, "{r}");
         }
-        let seen = model.pixel_from_normalized(&Point2::new(1.4, 0.0));
-        let found = model.normalized_from_pixel(&seen);
-        assert!(found.is_none_or(|n| n.coords.norm() < 0.65), "{found:?}");
+        let pixel = model.pixel_from_normalized(&Point2::new(1.4, 0.0));
+        let inverse = model.normalized_from_pixel(&pixel);
+        assert!(inverse.is_none_or(|n| n.coords.norm() < 0.65), "{inverse:?}");
     }
 
     /// Right up to the fold, and with a pincushion whose own point is beyond its fold.

@@ -1,20 +1,27 @@
 //! A camera's own clock.
 
-/// Less than this between two frames, seconds, is no camera's but a wrong unit; offsets and paths
-/// divide by it.
+/// Shortest time between two frames, seconds. Larger: fast cameras are refused. Smaller: offsets
+/// and trajectories, which divide by it, overflow, and times of a wrong unit pass.
 const MIN_FRAME_S: f64 = 1e-9;
-/// Times beyond this, seconds (3000 years), are a wrong unit.
+/// Largest absolute time, seconds (3000 years). Larger: microseconds since 1970 pass for seconds.
+/// Smaller: seconds since 1970 are refused.
 pub(super) const MAX_TIME_S: f64 = 1e11;
 
-/// When a camera's frames were exposed, on its own clock.
+/// Largest drift of a clock against the reference's, millionths: of a simulated rig, and of the
+/// clocks that are estimated.
+///
+/// Quartz is off by 100 at most. Larger: the estimate of a drift has more rates to try, and a
+/// rate that few features show is less certain. Smaller: cheap oscillators are outside of it.
+pub const MAX_DRIFT_PPM: f64 = 1000.0;
+
+/// The times of a camera's frames on its own clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clock {
-    /// The middle of every frame's exposure, seconds, strictly ascending, one a frame; re-based to
-    /// the capture's start.
+    /// The middle of every frame's exposure: seconds from the capture's start, strictly ascending.
     pub times_s: Vec<f64>,
-    /// Whether this is the reference's clock too, so that there is nothing to estimate.
+    /// Whether the reference has the same clock, so that there is no offset to estimate.
     pub shared: bool,
-    /// Whether its rate may be off.
+    /// Whether its rate may differ from the reference's.
     pub drift: bool,
     /// Whether frames may be missing without a trace.
     pub lost: bool,
@@ -40,14 +47,14 @@ impl Clock {
         }
     }
 
-    /// Median time between frames; 0 for a single frame.
+    /// Median time between frames, seconds; 0 for a single frame.
     pub fn frame_s(&self) -> f64 {
         let mut gaps: Vec<f64> = self.times_s.windows(2).map(|w| w[1] - w[0]).collect();
         gaps.sort_by(f64::total_cmp);
         gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// The frame nearest to a time.
+    /// Index of the frame nearest to a time, the earlier one of two equally near.
     pub fn nearest(&self, time_s: f64) -> usize {
         let after = self.times_s.partition_point(|&t| t < time_s);
         if after == 0 {
@@ -64,8 +71,10 @@ impl Clock {
     }
 }
 
-/// The frames on both sides of a time: the last one at or before it, and the first one at or
-/// after it (the same one, if a frame is at that very time). `None` outside what was filmed.
+/// Indices of the frames on both sides of a time: the last one at or before it, and the first one
+/// at or after it. They are equal for a frame at that very time.
+///
+/// `None` before the first time, after the last one, and for NaN. `times_s` must ascend.
 pub fn bracket(times_s: &[f64], time_s: f64) -> Option<(usize, usize)> {
     let after = times_s.partition_point(|&t| t < time_s);
     let at_or_before = times_s.partition_point(|&t| t <= time_s);

@@ -1,4 +1,4 @@
-//! `capture.json`, as it stands in the file.
+//! The fields of `capture.json`, and their checks.
 
 use super::clock::MAX_TIME_S;
 use super::video::VideoFile;
@@ -10,15 +10,20 @@ use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::path::Path;
 
-/// The whole file.
+/// The contents of `capture.json`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CaptureFormat {
+    /// Always `stlfr-capture`.
     pub format: String,
+    /// Always 1.
     pub version: u32,
+    /// The capture's name.
     pub name: String,
+    /// Id of the reference camera; by default the middle one, `cameras[(n − 1) / 2]`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reference: Option<String>,
+    /// At least one camera.
     pub cameras: Vec<FilmedCameraFormat>,
 }
 
@@ -26,20 +31,28 @@ pub struct CaptureFormat {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FilmedCameraFormat {
+    /// Unique among the cameras.
     pub id: String,
     /// An image sequence such as `cam0/%04d.png`, or a video such as `cam0.mkv`.
     pub frames: String,
+    /// Image width, pixels.
     pub width: u32,
+    /// Image height, pixels.
     pub height: u32,
+    /// COLMAP's name of the camera model.
     pub model: String,
+    /// The model's parameters in COLMAP's order.
     pub params: Vec<f64>,
+    /// Pose, from the world to the camera's frame.
     pub cam_from_world: PoseFormat,
+    /// Whether the frames are read as RGB or as grey.
     #[serde(default)]
     pub color: Color,
+    /// Times of the frames on the camera's own clock.
     pub clock: ClockFormat,
 }
 
-/// What a camera sees.
+/// Whether a camera's frames are colours or luminance.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Color {
@@ -48,19 +61,25 @@ pub enum Color {
     Gray,
 }
 
-/// `rate_hz` and `first_s`, or `times_s`.
+/// A camera's clock: either `rate_hz` and `first_s`, or `times_s`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ClockFormat {
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    /// Frame rate, hertz.
     pub rate_hz: Option<f64>,
+    /// Time of the first frame, seconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub first_s: Option<f64>,
+    /// The middle of each frame's exposure: seconds, ascending, one a frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub times_s: Option<Vec<f64>>,
+    /// Whether it is the clock that all such cameras share.
     pub shared: bool,
+    /// Whether its rate may differ from the reference's.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub drift: bool,
+    /// Whether frames may be missing without a trace.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub lost: bool,
 }
@@ -127,16 +146,16 @@ impl FilmedCameraFormat {
             camera: format!("cameras[{index}] ({})", self.id),
             source,
         })?;
-        let (video, found) = match frames::video(root, &self.frames) {
+        let (video, files) = match frames::video(root, &self.frames) {
             Some(path) => {
                 let path = path.map_err(|e| wrong("frames", e))?;
-                let (video, found) = video::open(root, &path, |e| wrong("frames", e), opening)?;
-                (Some(video), found)
+                let (video, files) = video::open(root, &path, |e| wrong("frames", e), opening)?;
+                (Some(video), files)
             }
             None => (None, frames::find(root, &self.frames).map_err(|e| wrong("frames", e))?),
         };
         let mut bit_depth = BitDepth::Eight;
-        for frame in &found {
+        for frame in &files {
             let header = read_header(frame)?;
             if (header.width, header.height) != (self.width, self.height) {
                 let path = video.as_ref().map_or(frame, |v| &v.path).clone();
@@ -148,13 +167,13 @@ impl FilmedCameraFormat {
             }
             bit_depth = bit_depth.max(header.bit_depth);
         }
-        let clock = self.clock.open(found.len(), video.as_ref()).map_err(|e| wrong("clock", e))?;
+        let clock = self.clock.open(files.len(), video.as_ref()).map_err(|e| wrong("clock", e))?;
         Ok(FilmedCamera {
             id: self.id.clone(),
             camera,
             color: self.color,
             clock,
-            frames: found,
+            frames: files,
             video,
             bit_depth,
         })

@@ -1,4 +1,4 @@
-//! Finding a camera's frame files, inside the capture's folder and nowhere else.
+//! A camera's frame files, which lie inside the capture's folder.
 
 use std::path::{Component, Path, PathBuf};
 
@@ -62,7 +62,7 @@ pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     Ok(files)
 }
 
-/// The video file that a camera's `frames` name, if they don't name a sequence; the error is a
+/// The video file that a camera's `frames` names; `None` if it names a sequence. The error is a
 /// reason.
 pub(super) fn video(root: &Path, name: &str) -> Option<Result<PathBuf, String>> {
     (!name.contains('%')).then(|| {
@@ -92,7 +92,7 @@ fn must_be_relative(name: &str) -> Result<(), String> {
     Err(format!("'{name}' must be relative to the capture and stay inside it"))
 }
 
-/// A file of the pattern with a higher number than the first missing one: the sequence has a gap.
+/// The smallest number of an existing file beyond the first missing one: the sequence has a gap.
 fn number_beyond(root: &Path, pattern: &Pattern, missing: usize) -> Option<usize> {
     let sample = root.join(pattern.name(0));
     let file_before = Path::new(pattern.before)

@@ -1,7 +1,7 @@
-//! What was filmed: a folder with `capture.json` and the cameras' frames.
+//! A capture: a folder with `capture.json` and the cameras' frames.
 //!
-//! Everything that a user's file decides is checked when the folder is opened, so that the
-//! stages see cameras, clocks and image sizes that hold. Pixels are decoded when they are used.
+//! Opening the folder checks every field, every frame's header and every clock, so that the stages
+//! need not. Pixels are decoded when they are used.
 //!
 //! Frames are an image sequence or a video file; a video is decoded once, into a cache.
 
@@ -13,12 +13,12 @@ mod tracks;
 mod truth;
 mod video;
 
-pub use clock::{Clock, bracket};
+pub use clock::{Clock, MAX_DRIFT_PPM, bracket};
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
 pub use npy::NpyError;
 pub use tracks::{CameraTracks, TrackedPoint, Tracks};
 pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};
-pub use video::VideoFile;
+pub use video::{MAX_FRAMES, VideoFile};
 
 use crate::camera::{Camera, CameraFormatError};
 use crate::json::{self, JsonError};
@@ -33,53 +33,69 @@ pub const CAPTURE_FILE: &str = "capture.json";
 /// A capture: its folder, and its cameras in the order of `capture.json`.
 #[derive(Clone, Debug)]
 pub struct Capture {
+    /// The capture's name in its file.
     pub name: String,
+    /// The folder as it was given to [`Capture::open`].
     pub folder: PathBuf,
-    /// Index of the reference camera, whose clock is everybody's time.
+    /// Index of the reference camera, whose clock all times refer to.
     pub reference: usize,
+    /// All cameras, in the file's order.
     pub cameras: Vec<FilmedCamera>,
-    /// The reference's first time stamp, seconds: what its file says minus what is used inside.
+    /// The reference's first time stamp in its file, seconds. It is subtracted from all times, so
+    /// that the reference's first frame is at 0.
     pub time_origin_s: f64,
 }
 
-/// One camera of a capture, with what it filmed.
+/// A camera of a capture, with its frames.
 #[derive(Clone, Debug)]
 pub struct FilmedCamera {
+    /// Unique among the capture's cameras.
     pub id: String,
+    /// Lens and pose.
     pub camera: Camera,
+    /// Whether its frames are read as RGB or as grey.
     pub color: Color,
+    /// Times of its frames on its own clock.
     pub clock: Clock,
-    /// Frame files in order, inside the capture's folder: a video's lie in its cache.
+    /// Frame files in order, inside the capture's folder; those of a video lie in its cache.
     pub frames: Vec<PathBuf>,
-    /// The video that they were decoded from.
+    /// The video that the frames were decoded from, if they were.
     pub video: Option<VideoFile>,
+    /// The largest bit depth of its frames.
     pub bit_depth: BitDepth,
 }
 
-/// What opening a capture needs where its cameras are videos.
+/// The means to open a capture whose cameras are videos.
 #[derive(Clone, Copy)]
 pub struct Opening<'a> {
-    /// The ffmpeg that decodes them; without one, a video that isn't decoded yet is refused.
+    /// The ffmpeg that decodes videos; without one, a video that isn't decoded yet is an error.
     pub ffmpeg: Option<&'a Path>,
-    /// Where it is said that a video is being decoded.
+    /// Reports that a video is being decoded.
     pub reporter: &'a Reporter,
 }
 
-/// What can be wrong with a capture's folder. Every message is one sentence with file and field.
+/// An error of a capture's folder. Every message is one sentence with the file and the field.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
+    /// A file or folder can't be read.
     #[error("{path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
+    /// `capture.json` is no JSON of the right shape.
     #[error("{path}: {source}")]
     Json { path: PathBuf, source: JsonError },
+    /// The cache of decoded videos can't be written.
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
+    /// A field's value is refused.
     #[error("{path}: {field}: {reason}")]
     Field { path: PathBuf, field: String, reason: String },
+    /// A camera's calibration is refused.
     #[error("{path}: {camera}.{source}")]
     Camera { path: PathBuf, camera: String, source: CameraFormatError },
+    /// A frame can't be read, or has another size than its camera.
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
+    /// A video isn't decoded yet, and there is no ffmpeg.
     #[error("{path}: is a video, and reading one needs ffmpeg: install it, or run stlfr setup")]
     NoFfmpeg { path: PathBuf },
 }
@@ -90,13 +106,15 @@ pub fn schema() -> serde_json::Value {
 }
 
 impl Capture {
-    /// Opens and checks a capture's folder; its videos are decoded by the system's ffmpeg.
+    /// Opens and checks a capture's folder. Videos that aren't decoded yet are decoded by the first
+    /// ffmpeg on `PATH`.
     pub fn open(folder: &Path) -> Result<Self, CaptureError> {
         let (ffmpeg, reporter) = (ffmpeg_on_path(), &Reporter::silent());
         Self::open_with(folder, &Opening { ffmpeg: ffmpeg.as_deref(), reporter })
     }
 
-    /// Opens and checks a capture's folder, whose cameras may be videos.
+    /// Opens and checks a capture's folder. Videos that aren't decoded yet are decoded by the means
+    /// of `opening`.
     pub fn open_with(folder: &Path, opening: &Opening) -> Result<Self, CaptureError> {
         let path = folder.join(CAPTURE_FILE);
         let format: CaptureFormat = json::read(&path)
@@ -123,23 +141,22 @@ impl Capture {
         Ok(Self { name: format.name, folder: folder.to_owned(), reference, cameras, time_origin_s })
     }
 
-    /// The camera of that id.
+    /// Index of the camera with that id; `None` if there is none.
     pub fn camera_index(&self, id: &str) -> Option<usize> {
         self.cameras.iter().position(|c| c.id == id)
     }
 
-    /// The times of a camera's frames as its file has them (to the last digits), seconds on its own
-    /// clock.
+    /// The times of a camera's frames as in the file, to rounding: seconds on the camera's own clock.
     pub fn times_in_file_s(&self, camera: usize) -> Vec<f64> {
         self.cameras[camera].clock.times_s.iter().map(|t| t + self.time_origin_s).collect()
     }
 
-    /// Whether every camera took one frame: a static light field, which is the same at any time.
+    /// Whether every camera has one frame: a static light field, which is the same at any time.
     pub fn is_static(&self) -> bool {
         self.cameras.iter().all(|c| c.frames.len() == 1)
     }
 
-    /// Refuses a capture of one camera, which has no offsets.
+    /// An error for a capture of one camera, which has no offsets.
     pub fn require_two_cameras(&self) -> Result<(), CaptureError> {
         if self.cameras.len() > 1 {
             return Ok(());
@@ -151,7 +168,9 @@ impl Capture {
         })
     }
 
-    /// Decodes one frame, as RGB or grey as the camera's `color` says.
+    /// Decodes one frame: as RGB or as grey, by the camera's `color`.
+    ///
+    /// An error if the file can't be read, or has changed its size since the capture was opened.
     pub fn read_frame(&self, camera: usize, frame: usize) -> Result<Image, CaptureError> {
         let filmed = &self.cameras[camera];
         let path = &filmed.frames[frame];
@@ -174,18 +193,19 @@ impl Capture {
         })
     }
 
-    /// The duration between two frames of the reference camera: the unit "frame".
+    /// The reference camera's median time between frames, seconds: the unit "frame". 0 if it has one
+    /// frame.
     pub fn frame_s(&self) -> f64 {
         self.cameras[self.reference].clock.frame_s()
     }
 
-    /// The bit depth that results are written in: the largest of the inputs'.
+    /// The bit depth of results: the largest of the inputs'.
     pub fn bit_depth(&self) -> BitDepth {
         self.cameras.iter().map(|c| c.bit_depth).max().unwrap_or(BitDepth::Eight)
     }
 
-    /// A hash of everything that an estimate from this capture rests on: `capture.json` and the
-    /// frames' or videos' bytes.
+    /// A hash of all that an estimate from this capture depends on: `capture.json` and the bytes of
+    /// the frames or videos. 64 hexadecimal digits.
     pub fn content_hash(&self) -> Result<String, CaptureError> {
         let mut hasher = blake3::Hasher::new();
         let mut add = |bytes: &[u8]| {

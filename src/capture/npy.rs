@@ -2,22 +2,26 @@
 
 use std::path::{Path, PathBuf};
 
-/// What can be wrong with an array's file.
+/// An error of an array's file. Every message is one sentence with the file.
 #[derive(Debug, thiserror::Error)]
 pub enum NpyError {
+    /// The file can't be read.
     #[error("{path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
+    /// The file is no array of the wanted type and number of axes.
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },
 }
 
 /// A type of number that an array may hold.
 pub trait Element: Sized {
-    /// As numpy spells it: `<f4`.
+    /// Numpy's code of the type, such as `<f4`.
     const DESCR: &'static str;
+    /// The type in words, for messages.
     const NAME: &'static str;
+    /// Size of one element.
     const BYTES: usize;
-    /// From exactly [`Self::BYTES`] bytes.
+    /// An element from exactly [`Self::BYTES`] bytes.
     fn from_le(bytes: &[u8]) -> Self;
 }
 
@@ -39,7 +43,8 @@ element!(f32, "<f4", "little-endian float32");
 element!(f64, "<f8", "little-endian float64");
 element!(u8, "|u1", "8-bit unsigned integers");
 
-/// Reads an array of `AXES` axes: its shape, and its values with the last axis running fastest.
+/// Reads an array of `AXES` axes: its shape, and its values with the last axis running fastest. An
+/// error for another type, Fortran's order, another number of axes, or a truncated file.
 pub fn read_npy<T: Element, const AXES: usize>(
     path: &Path,
 ) -> Result<([usize; AXES], Vec<T>), NpyError> {

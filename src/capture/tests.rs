@@ -2,7 +2,7 @@ use super::*;
 use crate::raster::write_image;
 use serde_json::{Value, json};
 
-/// A capture of two cameras with three frames each, made in a temporary folder.
+/// A capture of two cameras with three frames each, in a temporary folder.
 fn written(change: impl FnOnce(&mut Value)) -> (tempfile::TempDir, Result<Capture, CaptureError>) {
     let folder = tempfile::tempdir().unwrap();
     let camera = |id: &str| {

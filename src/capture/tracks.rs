@@ -1,5 +1,5 @@
-//! `truth/tracks/`: points of the scene's surfaces, where they are and who sees them, at every
-//! frame of every camera.
+//! `truth/tracks/`: points of the scene's surfaces, with positions and visibility at every frame of
+//! every camera.
 //!
 //! `tracks.json`:
 //!
@@ -10,14 +10,14 @@
 //!                  "visible": "cam0.visible.npy" } ] }
 //! ```
 //!
-//! `object` says for each point which of `objects` it lies on. A point keeps its place on the
-//! surface, which may move and bend. For each camera, with F frames and P points:
+//! `object` has for each point the index of its object in `objects`. A point stays at its place on
+//! the surface, which may move and bend. For each camera, with F frames and P points:
 //!
 //! | file | type | shape | |
 //! |---|---|---|---|
 //! | `world` | f64 | F, P, 3 | metres |
 //! | `pixels` | f64 | F, P, 2 | the point's projection, also outside of the image or hidden; NaN behind the camera |
-//! | `visible` | u8 | F, P | 1 where the point is inside the image and nothing stands before it |
+//! | `visible` | u8 | F, P | 1 where the point is inside the image and nothing occludes it |
 //!
 //! `times_s` are the true middles of the exposures, on the reference's clock, as in `truth.json`.
 //! Files are relative to `truth/tracks/`.
@@ -31,32 +31,33 @@ use serde::Deserialize;
 /// The tracked points.
 #[derive(Clone, Debug)]
 pub struct Tracks {
-    /// What the points lie on.
+    /// Names of the objects that the points lie on.
     pub objects: Vec<String>,
     /// For each point, an index into `objects`.
     pub object: Vec<usize>,
-    /// In the order of the file, which is the rig's.
+    /// The cameras in the order of the file, which is the rig's.
     pub cameras: Vec<CameraTracks>,
 }
 
 /// The tracked points at the frames of one camera.
 #[derive(Clone, Debug)]
 pub struct CameraTracks {
+    /// The camera's id.
     pub id: String,
     /// The true middle of each frame's exposure, seconds on the reference's clock.
     pub times_s: Vec<f64>,
-    /// One entry a frame, in each one entry a point.
+    /// The points of each frame, in the order of [`Tracks::object`].
     pub frames: Vec<Vec<TrackedPoint>>,
 }
 
 /// One point at one frame of one camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackedPoint {
-    /// Metres.
+    /// Position in the world.
     pub world_m: Point3<f64>,
-    /// The projection, also where it is outside of the image or hidden; NaN behind the camera.
+    /// Projection, pixels: also outside of the image or where occluded. NaN behind the camera.
     pub px: Point2<f64>,
-    /// Inside the image, with nothing before it.
+    /// Whether the point is inside the image and not occluded.
     pub visible: bool,
 }
 
@@ -178,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn every_point_is_found_at_its_frame() {
+    fn every_point_is_at_its_frame() {
         let folder = tempfile::tempdir().unwrap();
         let tracks = written(folder.path(), TRACKS).tracks().unwrap().unwrap();
         assert_eq!((tracks.object[0], tracks.objects[1].as_str()), (1, "ball"));

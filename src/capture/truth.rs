@@ -1,23 +1,23 @@
-//! `truth/`: what only a simulator knows. The method never reads it; `compare` does.
+//! `truth/`: the ground truth of a simulated capture. No stage reads it; only the comparison does.
 //!
 //! # A benchmark of sub-frame synchronization
 //!
 //! A capture with its truth is a test case for any method that synchronizes cameras: the shutters
-//! are off by fractions of a frame, each with its jitter, as the rig's file says.
+//! are delayed by fractions of a frame, each with its jitter, by the rig's file.
 //!
 //! | where | what |
 //! |---|---|
-//! | `capture.json` | all that a method may read: frames, cameras, nominal clocks |
+//! | `capture.json` | the input of a method: frames, cameras, nominal clocks |
 //! | `truth/truth.json` `offsets` | time on the reference's clock = time on the camera's + `offset_s` |
 //! | `shutter` | the true middle of every exposure, hidden jitter included |
 //! | `views` | images of all cameras and of views beside them at common instants, with depth (metres along +z, +inf where there is nothing) and motion (the pixels that a surface point moves within a frame, the larger of before and after) |
 //! | `video` | one view, evenly over time |
 //! | `tracks` | points of the surfaces in 3D, their pixels and their visibility at every frame of every camera: see [`Tracks`](super::Tracks) |
 //!
-//! Whoever wants to be scored writes `{"reference": "cam3", "cameras": [{"id": "cam0", "offset_s":
-//! 0.0123, "std_err_s": 0.0001}, …]}` (`null` for a camera that can't be told), and
+//! A method under test writes `{"reference": "cam3", "cameras": [{"id": "cam0", "offset_s":
+//! 0.0123, "std_err_s": 0.0001}, …]}` (`null` for a camera whose offset is unknown), and
 //! `stlfr compare CAPTURE --offsets FILE` prints each camera's error in frames, its error in
-//! standard errors, the median and the worst.
+//! standard errors, the median and the maximum.
 
 use super::npy::{NpyError, read_npy};
 use crate::camera::{Camera, CameraFormat, CameraFormatError};
@@ -25,18 +25,26 @@ use crate::json::{self, JsonError};
 use serde::{Deserialize, Serialize};
 use std::path::{Component, Path, PathBuf};
 
-/// `truth/truth.json`, as it stands in the file. Paths in it are relative to `truth/`; times are
-/// on the reference camera's clock.
+/// The contents of `truth/truth.json`. Paths are relative to `truth/`; times are on the reference
+/// camera's clock.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Truth {
+    /// Always `stlfr-truth`.
     pub format: String,
+    /// Always 1.
     pub version: u32,
+    /// Name of the scene.
     pub scene: String,
+    /// Name of the rig.
     pub rig: String,
+    /// Every camera's clock.
     pub offsets: Vec<TruthOffset>,
+    /// Every camera's exposures.
     pub shutter: Vec<TruthShutter>,
+    /// True images.
     pub views: Vec<TruthView>,
+    /// True images of one view over time.
     #[serde(default)]
     pub video: Option<TruthVideo>,
     /// `tracks.json` of the point tracks, see [`Tracks`](super::Tracks).
@@ -51,8 +59,11 @@ pub struct Truth {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthOffset {
+    /// The camera's id.
     pub id: String,
+    /// Offset at the camera's first time, seconds.
     pub offset_s: f64,
+    /// Drift, millionths.
     #[serde(default)]
     pub rate_ppm: f64,
     /// The numbers of the images before which a frame is missing, once for each frame, whether the
@@ -65,18 +76,25 @@ pub struct TruthOffset {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthShutter {
+    /// The camera's id.
     pub id: String,
+    /// One time a frame, ascending.
     pub times_s: Vec<f64>,
 }
 
-/// A true image from a camera at an instant; `like` names the filming camera that stands there.
+/// A true image of a view at an instant.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthView {
+    /// The view's id.
     pub id: String,
+    /// The instant, seconds on the reference's clock.
     pub time_s: f64,
+    /// Id of the filming camera that the view is of, if it is of one.
     pub like: Option<String>,
+    /// Lens and pose.
     pub camera: CameraFormat,
+    /// File of the image.
     pub image: String,
     /// npy, f32, H×W: metres along the camera's +z.
     pub depth: String,
@@ -88,21 +106,29 @@ pub struct TruthView {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TruthVideo {
+    /// The view's id.
     pub view: String,
+    /// Times of the images, seconds on the reference's clock.
     pub times_s: Vec<f64>,
+    /// Lens and pose.
     pub camera: CameraFormat,
+    /// Pattern of the image files, such as `video/%04d.png`.
     pub images: String,
 }
 
-/// What can be wrong with `truth/`.
+/// An error of `truth/`. Every message is one sentence with the file.
 #[derive(Debug, thiserror::Error)]
 pub enum TruthError {
+    /// A file can't be read.
     #[error("{path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
+    /// A file is no JSON of the right shape.
     #[error("{path}: {source}")]
     Json { path: PathBuf, source: JsonError },
+    /// A file's contents are refused.
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },
+    /// A view's calibration is refused.
     #[error("{path}: views[{index}].camera.{source}")]
     Camera { path: PathBuf, index: usize, source: CameraFormatError },
 }
@@ -143,22 +169,23 @@ impl Truth {
         Ok(Some(truth))
     }
 
-    /// The true offset of a camera.
+    /// The true offset of a camera, seconds; `None` for an unknown id.
     pub fn offset_s(&self, id: &str) -> Option<f64> {
         self.clock(id).map(|o| o.offset_s)
     }
 
-    /// The truth of a camera's clock.
+    /// The truth of a camera's clock; `None` for an unknown id.
     pub fn clock(&self, id: &str) -> Option<&TruthOffset> {
         self.offsets.iter().find(|o| o.id == id)
     }
 
-    /// The true middle of every exposure of a camera, seconds on the reference's clock.
+    /// The true middle of every exposure of a camera, seconds on the reference's clock; `None` for an
+    /// unknown id.
     pub fn shutter_s(&self, id: &str) -> Option<&[f64]> {
         self.shutter.iter().find(|s| s.id == id).map(|s| s.times_s.as_slice())
     }
 
-    /// A file of the truth, which must lie inside `truth/`.
+    /// The path of a file of the truth. An error if it doesn't exist, or lies outside of `truth/`.
     pub fn file(&self, relative: &str) -> Result<PathBuf, TruthError> {
         let path = self.folder.join(relative);
         let inside = Path::new(relative).components().all(|c| matches!(c, Component::Normal(_)));
@@ -173,13 +200,14 @@ impl Truth {
 }
 
 impl TruthView {
+    /// The view's camera, which [`Truth::open`] has checked.
     pub fn camera(&self) -> Result<Camera, CameraFormatError> {
         self.camera.camera()
     }
 }
 
-/// Reads an H×W array of little-endian f32 in numpy's format, version 1; returns (width, height,
-/// values row by row).
+/// Reads an H×W array of little-endian f32 in numpy's format, version 1: width, height, and the
+/// values row by row. An error for any other array.
 pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), TruthError> {
     let ([height, width], values) = read_npy(path)?;
     Ok((width, height, values))

@@ -1,9 +1,9 @@
 //! A camera's video, decoded into `CAPTURE/.stlfr/video/` and read from there as an image sequence.
 //!
-//! A folder there is named after its video's content, appears when it is whole, and may be deleted
-//! at any time: that costs decoding anew. One process decodes a video, another one waits for it.
+//! A folder there is named after its video's content and appears when it is complete. It may be
+//! deleted at any time: the video is then decoded anew. One process decodes a video, and others wait.
 //!
-//! Known limit: folders of videos that are no longer there stay.
+//! Known limit: folders of deleted videos stay.
 
 use super::{CaptureError, Opening};
 use crate::host::write_atomically;
@@ -13,28 +13,34 @@ use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// More is refused, so that no crafted file fills the disk without end.
-const MAX_FRAMES: usize = 100_000;
+/// Frames of one camera that a simulated rig films, and that a video is decoded to. Larger: a crafted
+/// video or a typing error fills the disk. Smaller: an hour at 24 Hz is refused.
+pub const MAX_FRAMES: usize = 100_000;
 
-/// Part of the key: to be changed whenever the same video is decoded to other pixels.
+/// Part of the cache's key: changed whenever the same video is decoded to other pixels.
 const DECODING: &[u8] = b"stlfr-video-1";
 
-/// Lists a folder's frames; written last.
+/// Lists a folder's frames. It is written last.
 const INDEX_FILE: &str = "frames.json";
+
+/// Rounding of time stamps, seconds: Matroska's are whole milliseconds. Larger: dropped frames of fast
+/// cameras pass. Smaller: rounded stamps are taken for dropped frames.
+const ROUNDING_S: f64 = 2e-3;
 
 /// A camera's video file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VideoFile {
+    /// The video, links followed.
     pub path: PathBuf,
-    /// Of its bytes.
+    /// Hash of its bytes.
     pub(super) hash: String,
     /// The file's own time stamps, seconds.
     pub(super) stamps_s: Vec<f64>,
-    /// Where they are listed.
+    /// The file that lists them.
     pub(super) index: PathBuf,
 }
 
-/// What is known of decoded frames.
+/// The list of a folder's decoded frames.
 #[derive(Serialize, Deserialize)]
 struct Index {
     /// The video's own time stamps.
@@ -43,8 +49,8 @@ struct Index {
     bytes: Vec<u64>,
 }
 
-/// The frames of a video inside the capture's folder `root`; decoded if they aren't yet. `field` is
-/// what the video is of, for messages about `capture`'s file.
+/// A video and its frames inside the capture's folder `root`, decoded if they aren't yet. `wrong`
+/// makes an error of a reason.
 pub(super) fn open(
     root: &Path,
     path: &Path,
@@ -103,21 +109,20 @@ fn decode(
     let _phase = opening.reporter.phase(&format!("decoding {name}"));
     lock.lock().map_err(failed)?;
     if let Some(index) = whole(folder) {
-        return Ok(index); // the one who held the lock has done it
+        return Ok(index); // the process that held the lock has decoded it
     }
-    // Under the lock, so that nobody else is at either.
+    // Under the lock: no other process touches either folder.
     let partial = folder.with_extension("partial");
     remove(folder).and_then(|()| remove(&partial)).map_err(failed)?;
     std::fs::create_dir(&partial).map_err(failed)?;
-    let made = decode_into(ffmpeg, &partial, path, &name, wrong);
-    let made = made.and_then(|index| {
+    let decoded = decode_into(ffmpeg, &partial, path, &name, wrong).and_then(|index| {
         std::fs::rename(&partial, folder).map_err(failed)?;
         Ok(index)
     });
-    if made.is_err() {
+    if decoded.is_err() {
         let _ = remove(&partial);
     }
-    made
+    decoded
 }
 
 fn remove(folder: &Path) -> io::Result<()> {
@@ -153,12 +158,12 @@ fn decode_into(
 }
 
 impl VideoFile {
-    /// Refuses a constant rate that the file's own time stamps contradict: frames were dropped, or
-    /// the rate is another. Stamps are rounded (to a millisecond in Matroska) and may drift, so that
-    /// only what is off by half a frame from one to the next, or by 1 % over all, counts. The error
-    /// is a reason.
+    /// An error for a constant rate that the file's own time stamps contradict: frames were dropped,
+    /// or the rate is another. The error is a reason.
+    ///
+    /// Stamps may be rounded by [`ROUNDING_S`] and may drift: two frames contradict by half a frame,
+    /// and all of them by 1 %.
     pub(super) fn agrees_with_rate(&self, rate_hz: f64) -> Result<(), String> {
-        const ROUNDING_S: f64 = 2e-3;
         let frame_s = 1.0 / rate_hz;
         let gaps = self.stamps_s.windows(2).map(|w| w[1] - w[0]);
         let uneven =
@@ -182,7 +187,7 @@ impl VideoFile {
         }
     }
 
-    /// What to do where the clock and the file don't go together.
+    /// Advice where the clock and the file contradict each other.
     pub(super) fn offer(&self) -> String {
         format!("give times_s (the video's own are in {})", self.index.display())
     }
@@ -210,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_and_another_rate_are_told() {
+    fn a_gap_and_another_rate_are_errors() {
         let gap = stamped(&[0.0, 0.033, 0.1, 0.133]).agrees_with_rate(30.0).unwrap_err();
         assert!(gap.contains("frames 1 and 2") && gap.contains("frames.json"), "{gap}");
         let rate: Vec<f64> = (0..30).map(|k| k as f64 / 25.0).collect();

@@ -1,35 +1,56 @@
-//! Values to positions on the page, and round values between.
+//! Values to positions on the page, and the round values between them.
 
-/// An axis: values to positions on the page.
+/// An axis: values to positions on the page, linear or logarithmic.
 pub(super) struct Axis {
+    /// The range of values, or of their decimal logarithms.
     low: f64,
     high: f64,
+    /// Positions of `low` and of `high`.
     from: f64,
     to: f64,
     log: bool,
 }
 
+/// Margin beyond the values on either side, as a fraction of their range. Larger: points crowd in
+/// the middle. Smaller: dots are cut by the frame.
+const MARGIN: f64 = 0.05;
+
+/// About how many ticks an axis has. Larger: their numbers touch. Smaller: values can't be read off.
+const TICKS: f64 = 6.0;
+
+/// Ticks at most. Larger: rounding near a huge value could draw thousands. Smaller: none of the
+/// usual dozen may be missing.
+const MAX_TICKS: usize = 20;
+
 impl Axis {
-    /// Around all values; a single one, or none, gets a range too.
+    /// An axis around all values, from position `from` to position `to`.
+    ///
+    /// Values that aren't finite, and those without a logarithm where the axis is logarithmic, are
+    /// ignored. A single value, or none, still gets a range.
     pub fn around(values: impl Iterator<Item = f64>, log: bool, from: f64, to: f64) -> Self {
         let values = values.map(|v| if log { v.log10() } else { v }).filter(|v| v.is_finite());
         let (low, high) = values
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (f64::min(l, v), f64::max(h, v)));
         let (low, high) = if low > high { (0.0, 1.0) } else { (low, high) };
-        let margin = (0.05 * (high - low)).max(1e-9 + 1e-3 * high.abs());
+        let margin = (MARGIN * (high - low)).max(1e-9 + 1e-3 * high.abs());
         Self { low: low - margin, high: high + margin, from, to, log }
     }
 
-    /// `None` for what is not on the axis.
-    pub fn at(&self, value: f64) -> Option<f64> {
-        let value = if self.log { value.log10() } else { value };
-        let share = (value - self.low) / (self.high - self.low);
-        (0.0..=1.0).contains(&share).then_some(self.from + share * (self.to - self.from))
+    /// A linear axis that shows exactly `low` to `high`, from position `from` to position `to`.
+    pub fn spanning([low, high]: [f64; 2], from: f64, to: f64) -> Self {
+        Self { low, high, from, to, log: false }
     }
 
-    /// Round values, about six.
+    /// Position of a value; `None` outside of the axis.
+    pub fn at(&self, value: f64) -> Option<f64> {
+        let value = if self.log { value.log10() } else { value };
+        let fraction = (value - self.low) / (self.high - self.low);
+        (0.0..=1.0).contains(&fraction).then_some(self.from + fraction * (self.to - self.from))
+    }
+
+    /// Round values on the axis, about six.
     pub fn ticks(&self) -> Vec<f64> {
-        let raw = (self.high - self.low) / 6.0;
+        let raw = (self.high - self.low) / TICKS;
         if self.log && raw > 0.12 {
             let powers = self.low.floor() as i32..=self.high.ceil() as i32;
             let digits: &[f64] = if raw > 0.5 { &[1.0] } else { &[1.0, 2.0, 5.0] };
@@ -44,14 +65,14 @@ impl Axis {
         let (first, last) = ((self.low / step).ceil() as i64, (self.high / step).floor() as i64);
         let value = |k: i64| k as f64 * step;
         (first..=last)
-            .take(20)
+            .take(MAX_TICKS)
             .map(|k| if self.log { 10f64.powf(value(k)) } else { value(k) })
             .collect()
     }
 }
 
-/// A tick without the digits that come from rounding.
-pub(super) fn plain(tick: f64) -> String {
+/// A tick's number without the digits that come from rounding, and with a proper minus.
+pub(super) fn tick_text(tick: f64) -> String {
     if tick != 0.0 && (tick.abs() < 1e-4 || tick.abs() >= 1e6) {
         return format!("{tick:.0e}").replace('-', "−");
     }
@@ -65,10 +86,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ticks_are_round() {
+    fn tick_numbers_are_short() {
         assert_eq!(
-            (plain(-0.5), plain(2e-5), plain(30.0)),
-            ("−0.5".into(), "2e−5".into(), "30".into())
+            (tick_text(-0.5), tick_text(2e-5), tick_text(30.0), tick_text(-0.002)),
+            ("−0.5".into(), "2e−5".into(), "30".into(), "−0.002".into())
         );
+    }
+
+    #[test]
+    fn ticks_are_round_and_inside() {
+        let ticks = |low, high| Axis::spanning([low, high], 0.0, 100.0).ticks();
+        assert_eq!(ticks(0.0, 6.0), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+        assert_eq!(ticks(-0.0031, 0.0031).len(), 7);
     }
 }

@@ -1,19 +1,26 @@
-//! Where words beside points go, so that they can be read.
+//! Placement of texts beside points, so that they can be read.
 
 use super::drawing::{ADVANCE, TEXT_SIZE};
 
-/// Left, top, right and bottom.
+/// A box on the page: left, top, right and bottom.
 pub(super) type Box4 = [f64; 4];
 
-/// Distances from a point that are tried, and directions around it.
+/// Distances from a point that are tried, in turn. Larger: texts stray from their points. Smaller:
+/// crowded texts overlap.
 const DISTANCES: [f64; 6] = [7.0, 14.0, 24.0, 36.0, 50.0, 66.0];
+/// Directions around a point that are tried at each distance. Larger: slower, and no better.
+/// Smaller: free room is missed.
 const DIRECTIONS: usize = 16;
+/// The direction that is tried first, radians anticlockwise from the right: up and to the left. In
+/// a plot of quality over cost no better point lies there.
+const FIRST_ANGLE: f64 = 2.4;
 
 fn overlap(a: &Box4, b: &Box4) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// The box of a text that is seen from `at` in a direction at a distance.
+/// The box of a text at a direction (radians, anticlockwise from the right) and a distance from
+/// `at`.
 fn text_box(at: [f64; 2], width: f64, angle: f64, distance: f64) -> Box4 {
     let (w, h) = (0.5 * width, 0.5 * TEXT_SIZE);
     let (dx, dy) = (angle.cos(), -angle.sin());
@@ -22,8 +29,8 @@ fn text_box(at: [f64; 2], width: f64, angle: f64, distance: f64) -> Box4 {
     [x - w, y - h, x + w, y + h]
 }
 
-/// A box for the words at each place, inside the frame and clear of each other and of the
-/// obstacles, as near as there is one; the first distance's where there is none.
+/// A box for each text, beside its point: the nearest that is tried inside the frame and clear of
+/// the obstacles and of the boxes before it; the first that is tried where none is clear.
 pub(super) fn place(labels: &[([f64; 2], &str)], obstacles: &[Box4], frame: &Box4) -> Vec<Box4> {
     let mut taken: Vec<Box4> = obstacles.to_vec();
     labels
@@ -32,8 +39,7 @@ pub(super) fn place(labels: &[([f64; 2], &str)], obstacles: &[Box4], frame: &Box
             let width = ADVANCE * text.chars().count() as f64;
             let tried = DISTANCES.iter().flat_map(|distance| {
                 (0..DIRECTIONS).map(move |k| {
-                    // Up and to the left first: what lies there is worse than the point.
-                    let angle = 2.4 + std::f64::consts::TAU * k as f64 / DIRECTIONS as f64;
+                    let angle = FIRST_ANGLE + std::f64::consts::TAU * k as f64 / DIRECTIONS as f64;
                     text_box(*at, width, angle, *distance)
                 })
             });
@@ -41,10 +47,12 @@ pub(super) fn place(labels: &[([f64; 2], &str)], obstacles: &[Box4], frame: &Box
                 b[0] >= frame[0] && b[1] >= frame[1] && b[2] <= frame[2] && b[3] <= frame[3]
             };
             let clear = |b: &Box4| !taken.iter().any(|t| overlap(t, b));
-            let found = tried.clone().find(|b| inside(b) && clear(b));
-            let found = found.unwrap_or_else(|| text_box(*at, width, 2.4, DISTANCES[0]));
-            taken.push(found);
-            found
+            let spot = tried
+                .clone()
+                .find(|b| inside(b) && clear(b))
+                .unwrap_or_else(|| text_box(*at, width, FIRST_ANGLE, DISTANCES[0]));
+            taken.push(spot);
+            spot
         })
         .collect()
 }
@@ -55,7 +63,7 @@ mod tests {
     use crate::random::Random;
 
     #[test]
-    fn words_cover_neither_words_nor_points() {
+    fn texts_cover_neither_texts_nor_points() {
         let mut random = Random::new(5);
         let points: Vec<[f64; 2]> = (0..25)
             .map(|_| [350.0 + 300.0 * random.signed(), 200.0 + 150.0 * random.signed()])
@@ -73,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_room_is_placed_all_the_same() {
+    fn a_text_without_room_is_placed_all_the_same() {
         let frame = [0.0, 0.0, 10.0, 10.0];
         assert_eq!(place(&[([5.0, 5.0], "wider than the frame")], &[], &frame).len(), 1);
     }

@@ -4,12 +4,13 @@ use super::CliError;
 use super::files::{must_be_a_file, must_be_writable};
 use super::values::Size;
 use std::path::PathBuf;
+use stlfr::capture::MAX_FRAMES;
 use stlfr::progress::Reporter;
 use stlfr::rig::Rig;
 use stlfr::toolchain::{FilmOptions, Scene, ensure_environment, film, project_root};
 
-/// Film a scene in Blender with a simulated camera rig. Stopped at any time, the same command goes
-/// on where it was.
+/// Film a scene in Blender with a simulated camera rig. After an interruption, the same command
+/// continues.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr capture rigs/linear8.json --scene magazine -o .captures/magazine --size 320x240\n  \
@@ -27,22 +28,22 @@ pub struct Args {
     /// The capture's folder.
     #[arg(short, long = "output", value_name = "CAPTURE")]
     output: PathBuf,
-    /// Film all cameras at this size, of the same aspect as in the rig.
+    /// Size at which all cameras film, of the same aspect as in the rig.
     #[arg(long, value_name = "WxH")]
     size: Option<Size>,
     /// Frames of the reference camera; the others film as long [default: 9].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: Option<u32>,
     /// Samples a pixel, four times as many for truth [default: 16].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     samples: Option<u32>,
-    /// What renders the pictures. Workbench is many times faster, and lacks shadows and highlights.
+    /// Blender's render engine. Workbench is many times faster, and lacks shadows and highlights.
     #[arg(long, value_name = "ENGINE", value_parser = ["cycles", "workbench"])]
     engine: Option<String>,
     /// Instants at which the truth is rendered [default: 3].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     instants: Option<u32>,
-    /// The instants themselves, in seconds on the reference camera's clock, such as 0.1,0.15.
+    /// The instants of the truth, in seconds on the reference camera's clock, such as 0.1,0.15.
     #[arg(
         long,
         value_name = "T,T",
@@ -55,18 +56,18 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
     tracks: Option<u32>,
     /// Frames of true slow motion from the rig's first view [default: 0].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=MAX_FRAMES as i64))]
     truth_video: Option<u32>,
     /// Film without truth.
     #[arg(long)]
     no_truth: bool,
-    /// Keep each camera's frames as one lossless video (FFV1 in Matroska) in place of images.
+    /// Store each camera's frames as one lossless video (FFV1 in Matroska) in place of images.
     #[arg(long)]
     video: bool,
 }
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
-    // Said before a set-up that may take minutes.
+    // Wrong arguments are errors before a set-up that may take minutes.
     for file in std::iter::once(&args.rig).chain(&args.blend) {
         must_be_a_file(file)?;
     }

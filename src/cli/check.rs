@@ -15,13 +15,13 @@ use stlfr::toolchain::{check, ensure_environment, project_root};
 pub struct Args {
     /// The capture's folder.
     capture: PathBuf,
-    /// Write the measured values into this file too.
+    /// File for the measured values.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 }
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
-    open_capture(&args.capture, reporter)?; // said before a set-up that may take minutes
+    open_capture(&args.capture, reporter)?; // an error before a set-up that may take minutes
     args.json.as_deref().map_or(Ok(()), must_be_writable)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     let check = check(&environment, &args.capture, args.json.as_deref(), reporter)?;

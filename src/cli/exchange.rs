@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use stlfr::exchange::{self, ExchangeError, ImportClock, NamedCamera};
 use stlfr::progress::Reporter;
 
-/// Make a capture of another program's calibration and of image sequences.
+/// Make a capture from another program's calibration and from image sequences.
 ///
 /// The calibration is a folder with a COLMAP model, or a file `transforms.json` or
 /// `poses_bounds.npy`. Images are copied.
@@ -16,7 +16,7 @@ use stlfr::progress::Reporter;
     stlfr import sparse/0 --images frames --rate 30 -o .captures/mine\n  \
     stlfr import transforms.json --images frames --rate 29.97 -o .captures/mine")]
 pub struct ImportArgs {
-    /// The calibration.
+    /// The calibration's folder or file.
     calibration: PathBuf,
     /// The folder with a sub-folder of images for each camera.
     #[arg(long, value_name = "FOLDER")]
@@ -27,7 +27,7 @@ pub struct ImportArgs {
     /// The first frame's time on each camera's own clock, seconds.
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     first: f64,
-    /// One clock drives all cameras: nothing to estimate.
+    /// All cameras share one clock: there is nothing to estimate.
     #[arg(long)]
     shared: bool,
     /// The capture to make.
@@ -35,7 +35,7 @@ pub struct ImportArgs {
     output: PathBuf,
 }
 
-/// Write a capture's calibration for another program. Frames stay where they are.
+/// Write a capture's calibration for another program. Frames are not copied.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr export .captures/demo --format colmap -o sparse/0\n  \
@@ -88,7 +88,7 @@ pub fn run_import(args: &ImportArgs, reporter: &Reporter) -> Result<(), CliError
     let cameras = read(&args.calibration)?;
     let clock = ImportClock { rate_hz: args.rate, first_s: args.first, shared: args.shared };
     exchange::import(&cameras, &args.images, clock, &args.output)?;
-    // What can't be opened is said now and not by the next command.
+    // A capture that can't be opened is this command's error, not the next one's.
     open_capture(&args.output, reporter)?;
     Ok(())
 }

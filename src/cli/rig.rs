@@ -5,13 +5,14 @@ use super::files::must_be_writable;
 use super::values::Size;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
-use stlfr::capture::{self};
+use stlfr::capture::{self, MAX_FRAMES};
 use stlfr::host::write_atomically;
+use stlfr::rig::limits::MAX_CAMERAS;
 use stlfr::rig::{self, Delays, Distortion, Layout, Loss, LossStamps, Rig, RigColor, RigOptions};
 use stlfr::tradeoff;
 
-/// Generate a rig: where cameras stand, and how their shutters and sensors are. The same command
-/// writes the same file.
+/// Generate a rig: the cameras' poses, lenses, shutters and sensors. The same command writes the same
+/// file.
 ///
 /// Options that take a list give its entries to the cameras in turn.
 #[derive(Debug, clap::Args)]
@@ -38,7 +39,7 @@ pub struct Args {
     clock: Clock,
     #[command(flatten)]
     sensor: Sensor,
-    /// What everything random is drawn from.
+    /// Seed of all random numbers.
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// The rig's name [default: the file's].
@@ -75,10 +76,10 @@ struct Place {
     /// Columns of a grid.
     #[arg(long, value_name = "N", default_value = "4", value_parser = number_of)]
     columns: NonZeroUsize,
-    /// Between neighbours, metres.
+    /// Distance between neighbours, metres.
     #[arg(long, value_name = "M", default_value_t = 0.06)]
     spacing: f64,
-    /// To the point that the cameras of an arc look at, metres.
+    /// Distance to the point that the cameras of an arc look at, metres.
     #[arg(long, value_name = "M", default_value_t = 1.8)]
     distance: f64,
     /// Image sizes.
@@ -108,25 +109,25 @@ struct Clock {
     /// Standard deviations of the exposures' times, seconds.
     #[arg(long, value_name = "S,…", default_value = "0.001", value_delimiter = ',')]
     jitter: Vec<f64>,
-    /// The cameras don't stamp their frames: their jitter is hidden.
+    /// The cameras don't stamp their frames, so that their jitter is hidden.
     #[arg(long)]
     hidden_jitter: bool,
-    /// Clocks run fast or slow by up to this, but the reference's.
+    /// Largest drift of the clocks, millionths; the reference's has none.
     #[arg(long, value_name = "PPM", default_value_t = 0.0)]
     drift: f64,
-    /// Frames that each camera loses, but the reference.
+    /// Frames that each camera loses; the reference loses none.
     #[arg(long, value_name = "N", default_value_t = 0)]
     lost: usize,
-    /// The frames that they are among, from the second on.
-    #[arg(long, value_name = "N", default_value_t = 9, value_parser = 1..100_000)]
+    /// Number of first frames that the lost ones are among; the very first is never lost.
+    #[arg(long, value_name = "N", default_value_t = 9, value_parser = 1..MAX_FRAMES as i64)]
     lost_within: i64,
-    /// What the cameras' times say of lost frames: a gap, nothing, or either in turn.
+    /// Whether the cameras' times show lost frames: as a gap, not at all, or either in turn.
     #[arg(long, value_name = "HOW", default_value = "stamped")]
     lost_stamps: LostStamps,
-    /// All cameras share one clock: nothing to estimate.
+    /// All cameras share one clock: there is nothing to estimate.
     #[arg(long)]
     shared_clock: bool,
-    /// How long the shutters are open, seconds.
+    /// Durations for which the shutters are open, seconds.
     #[arg(long, value_name = "S,…", default_value = "0", value_delimiter = ',')]
     exposure: Vec<f64>,
 }
@@ -144,7 +145,7 @@ struct Sensor {
     /// Colour or grey cameras.
     #[arg(long, value_name = "COLOR,…", default_value = "rgb", value_delimiter = ',')]
     color: Vec<ColorName>,
-    /// What light is multiplied by.
+    /// Factors of light.
     #[arg(long, value_name = "GAIN,…", default_value = "1", value_delimiter = ',')]
     gain: Vec<f64>,
     /// Standard deviations of the noise, of a full scale of 1.
@@ -243,9 +244,6 @@ impl Args {
         self.name.clone().or_else(stem).unwrap_or_else(|| "rig".into())
     }
 }
-
-/// Larger rigs are a typing error.
-const MAX_CAMERAS: usize = 1000;
 
 fn number_of(text: &str) -> Result<NonZeroUsize, String> {
     let number = text.parse().ok().filter(|n: &NonZeroUsize| n.get() <= MAX_CAMERAS);

@@ -20,8 +20,8 @@
 //! | `views.rs` | one view at an instant: blend it by every method and measure that |
 //! | `truths.rs` | the truth's images and moving parts |
 //! | `results.rs` | the results as they are written; the headline |
-//! | `sheet.rs` | pictures with labels |
-//! | `report.rs`, `report.html`, `plots.rs` | the report |
+//! | `sheet.rs`, `lettering.rs` | pictures with labels |
+//! | `report.rs`, `report.html` | the report |
 //! | `video.rs` | the review video |
 //! | `review.rs` | what `review.blend` is laid out from |
 //!
@@ -30,9 +30,9 @@
 
 mod driver;
 mod instant;
+mod lettering;
 mod light_field;
 mod offset_score;
-mod plots;
 mod report;
 pub mod results;
 mod review;

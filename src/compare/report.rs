@@ -1,10 +1,10 @@
-//! `report.html`: one file that needs nothing else, neither network nor the program's source.
+//! `report.html`: one file that depends on no other file and on no network.
 //!
 //! The page is the template `report.html` beside this file, filled in by minijinja, which escapes
-//! whatever comes from files; pictures are inlined as 8-bit PNG.
+//! all text from files. Pictures are inlined as 8-bit PNG, and plots as SVG.
 
-use super::plots::{Point, Row, dot_plot};
 use super::results::{Metrics, StageTime, ViewMethod};
+use crate::chart::{Dot, DotPlot, DotRow};
 use crate::method::Method;
 use crate::metrics::RegionScores;
 use crate::raster::Image;
@@ -17,12 +17,14 @@ use minijinja::{Environment, UndefinedBehavior, context};
 use serde::Serialize;
 use std::path::Path;
 
-/// Pictures of one thing, the truth first, between which the reader slides.
+/// Pictures of one view and instant, between which the reader slides.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Figure {
+    /// The view and the instant.
     pub title: String,
-    /// A new view, not a filming camera's image.
+    /// Whether it is a new view rather than a filming camera's image.
     pub is_view: bool,
+    /// The truth first, then the methods.
     pub pictures: Vec<Picture>,
 }
 
@@ -49,7 +51,7 @@ impl Picture {
     }
 }
 
-/// 8 bits a channel, as small as PNG gets.
+/// The image as PNG of 8 bits a channel, with the strongest compression.
 fn png(image: &Image) -> Vec<u8> {
     let raw: Vec<u8> = image.data().iter().map(|v| (v * 255.0 + 0.5) as u8).collect();
     let color = if image.channels() == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
@@ -89,7 +91,7 @@ pub(super) fn html(
     })
 }
 
-/// A number with that many decimals and a proper minus; what is unknown is a dash.
+/// A number with that many decimals and a proper minus; a dash for a missing or infinite one.
 fn num(value: Value, digits: usize) -> String {
     match f64::try_from(value) {
         Ok(v) if v.is_finite() => rounded(v, digits).replace('-', "−"),
@@ -118,11 +120,11 @@ fn psnr(scores: Value) -> Result<String, minijinja::Error> {
     Ok(if same { "identical".into() } else { num(psnr_db, 1) })
 }
 
-/// The least and the largest share of a view that was measured, in percent.
+/// The smallest and the largest measured fraction of a view, in percent.
 fn measured_percent(metrics: &Metrics) -> Option<[String; 2]> {
-    let shares = || metrics.views.iter().filter_map(|v| v.measured);
-    let (least, most) = (shares().min_by(f64::total_cmp)?, shares().max_by(f64::total_cmp)?);
-    Some([least, most].map(|share| format!("{:.1}", 100.0 * share)))
+    let fractions = || metrics.views.iter().filter_map(|v| v.measured);
+    let (min, max) = (fractions().min_by(f64::total_cmp)?, fractions().max_by(f64::total_cmp)?);
+    Some([min, max].map(|fraction| format!("{:.1}", 100.0 * fraction)))
 }
 
 /// The names of the sync methods that were measured, in their order.
@@ -136,63 +138,70 @@ fn sync_methods(metrics: &Metrics) -> Vec<&'static str> {
     methods
 }
 
-/// Errors in thousandths of a frame with two standard errors to either side.
+/// Offset errors in thousandths of a frame, with two standard errors to either side.
 fn offset_plot(metrics: &Metrics) -> String {
-    let rows: Vec<Row> = metrics
+    let rows: Vec<DotRow> = metrics
         .offsets
         .iter()
         .filter(|o| !o.shares_clock)
         .map(|o| {
-            let point = o.error_frames.map(|error| Point {
+            let dot = o.error_frames.map(|error| Dot {
                 value: 1e3 * error,
                 bar: o.std_err_frames.map(|s| 2e3 * s),
                 series: 1,
                 title: format!("{}: {:+.3} thousandths of a frame", o.camera, 1e3 * error),
             });
-            Row { label: o.camera.clone(), points: point.into_iter().collect() }
+            DotRow { label: o.camera.clone(), dots: dot.into_iter().collect() }
         })
         .collect();
-    dot_plot(&rows, "error, thousandths of a frame (bar: ±2 standard errors)", true)
+    let x_label = "error, thousandths of a frame (bar: ±2 standard errors)".into();
+    DotPlot { rows, x_label, symmetric: true }.svg()
 }
 
 /// PSNR of the moving part of each camera's image, one row a camera, one colour a method.
 fn sync_plot(metrics: &Metrics) -> String {
     let methods = sync_methods(metrics);
-    let mut rows: Vec<Row> = Vec::new();
-    for result in &metrics.sync {
-        let Some(db) = result.scores.and_then(|s| s.moving.psnr_db) else { continue };
-        let point = Point {
+    let dots = metrics.sync.iter().filter_map(|result| {
+        let db = result.scores?.moving.psnr_db?;
+        let dot = Dot {
             value: db,
             bar: None,
             series: methods.iter().position(|m| *m == result.method.name()).unwrap_or(0),
             title: format!("{}, {}: {db:.2} dB", result.view, result.method.name()),
         };
-        match rows.iter_mut().find(|r| r.label == result.camera) {
-            Some(row) => row.points.push(point),
-            None => rows.push(Row { label: result.camera.clone(), points: vec![point] }),
-        }
-    }
-    dot_plot(&rows, "PSNR on the moving part, dB (a dot per instant)", false)
+        Some((result.camera.clone(), dot))
+    });
+    let x_label = "PSNR on the moving part, dB (a dot per instant)".into();
+    DotPlot { rows: by_label(dots), x_label, symmetric: false }.svg()
 }
 
 /// PSNR of the moving part of each view, one row a view and proxy, one colour a method.
 fn view_plot(metrics: &Metrics) -> String {
-    let mut rows: Vec<Row> = Vec::new();
-    for result in &metrics.views {
-        let Some(db) = result.scores.and_then(|s| s.moving.psnr_db) else { continue };
+    let dots = metrics.views.iter().filter_map(|result| {
+        let db = result.scores?.moving.psnr_db?;
         let label = format!("{}, {}", result.view, result.proxy.name());
-        let point = Point {
+        let dot = Dot {
             value: db,
             bar: None,
             series: ViewMethod::ALL.iter().position(|m| *m == result.method).unwrap_or(0),
             title: format!("{label}, {}: {db:.2} dB", result.method.title()),
         };
+        Some((label, dot))
+    });
+    let x_label = "PSNR on the moving part, dB".into();
+    DotPlot { rows: by_label(dots), x_label, symmetric: false }.svg()
+}
+
+/// One row for each label, in the order of their first dots.
+fn by_label(dots: impl Iterator<Item = (String, Dot)>) -> Vec<DotRow> {
+    let mut rows: Vec<DotRow> = Vec::new();
+    for (label, dot) in dots {
         match rows.iter_mut().find(|r| r.label == label) {
-            Some(row) => row.points.push(point),
-            None => rows.push(Row { label, points: vec![point] }),
+            Some(row) => row.dots.push(dot),
+            None => rows.push(DotRow { label, dots: vec![dot] }),
         }
     }
-    dot_plot(&rows, "PSNR on the moving part, dB", false)
+    rows
 }
 
 #[cfg(test)]
@@ -216,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_decode_to_what_they_were() {
+    fn pictures_decode_to_their_pixels() {
         let image = Image::from_data(2, 1, 3, vec![0.0, 0.2, 0.4, 0.6, 0.8, 1.0]);
         let decoded = image::load_from_memory(&png(&image)).unwrap().into_rgb8();
         assert_eq!(decoded.into_raw(), [0, 51, 102, 153, 204, 255]);

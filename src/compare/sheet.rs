@@ -1,41 +1,54 @@
-//! Comparison sheets: the truth and what each method made of it side by side, labelled, with the
-//! amplified differences beneath.
+//! Comparison sheets: the truth and each method's image side by side, labelled, with the amplified
+//! differences beneath.
 
-use crate::chart::lettering::{LINE_PX, Weight, width_px, write};
+use super::lettering::{LINE_PX, TextStyle, width_px, write};
 use crate::metrics::{RegionScores, Scores};
 use crate::raster::Image;
 
+/// Grey of the page.
 const BACKGROUND: f32 = 0.09;
-const INK: [f32; 3] = [0.93; 3];
-const FAINT: [f32; 3] = [0.65; 3];
-/// What marks the moving part.
-const MOVING: [f32; 3] = [1.0, 0.62, 0.18];
+const TITLE: TextStyle = TextStyle { bold: true, color: [0.93; 3] };
+const CAPTION: TextStyle = TextStyle { bold: false, color: [0.65; 3] };
+/// Tint of the moving part, and of what stands still.
+const MOVING_TINT: [f32; 3] = [1.0, 0.62, 0.18];
+const STILL_TINT: [f32; 3] = [0.45; 3];
+/// Between panels, and around them.
 const MARGIN_PX: usize = 12;
-/// Panels narrower than this are enlarged by whole factors, so that their labels fit.
+/// Panels narrower than this are enlarged by whole factors. Larger: sheets of small images are
+/// needlessly wide. Smaller: captions are cut off.
 const MIN_PANEL_PX: usize = 300;
 
-/// One result beside the truth.
+/// One method's image beside the truth.
 pub struct Panel<'a> {
+    /// The method's name.
     pub title: &'a str,
-    /// `None` where the method has no image; `note` says why.
+    /// `None` where the method has no image.
     pub image: Option<&'a Image>,
+    /// Scores against the truth, if there is an image.
     pub scores: Option<&'a RegionScores>,
+    /// The reason why there are no scores.
     pub note: &'a str,
 }
 
-/// A sheet's truth and its panels, all images of one size.
+/// A sheet's truth and its panels, with images of one size.
 pub struct Sheet<'a> {
+    /// First line of the sheet.
     pub title: &'a str,
+    /// The true image.
     pub truth: &'a Image,
-    /// Row by row; it is shown beneath the truth.
+    /// Whether each pixel belongs to the moving part, row by row; it is drawn beneath the truth.
     pub moving: &'a [bool],
+    /// The methods, from left to right.
     pub panels: &'a [Panel<'a>],
-    /// What differences are multiplied by.
+    /// Factor of the differences.
     pub gain: f32,
 }
 
 impl Sheet<'_> {
-    /// The sheet as an RGB image.
+    /// Draws the sheet as an RGB image.
+    ///
+    /// # Panics
+    /// If an image differs from the truth in size or channels.
     pub fn draw(&self) -> Image {
         let scale = MIN_PANEL_PX.div_ceil(self.truth.width());
         let (w, h) = (self.truth.width() * scale, self.truth.height() * scale);
@@ -46,15 +59,15 @@ impl Sheet<'_> {
         let differences = labels + LINE_PX;
         let width = (MARGIN_PX + w) * columns + MARGIN_PX;
         let mut sheet = Image::filled(width, differences + h + MARGIN_PX, 3, BACKGROUND);
-        write(&mut sheet, (MARGIN_PX, MARGIN_PX), width, self.title, Weight::Bold, INK);
+        write(&mut sheet, (MARGIN_PX, MARGIN_PX), width, self.title, TITLE);
 
         let label = |sheet: &mut Image, x: usize, title: &str, lines: &[String], below: &str| {
             let y = head + MARGIN_PX;
-            write(sheet, (x, y), w, title, Weight::Bold, INK);
+            write(sheet, (x, y), w, title, TITLE);
             for (k, line) in lines.iter().enumerate() {
-                write(sheet, (x, y + (k + 1) * LINE_PX), w, line, Weight::Regular, FAINT);
+                write(sheet, (x, y + (k + 1) * LINE_PX), w, line, CAPTION);
             }
-            write(sheet, (x, labels), w, below, Weight::Regular, FAINT);
+            write(sheet, (x, labels), w, below, CAPTION);
         };
         label(&mut sheet, MARGIN_PX, "Truth", &[], "Moving part (measured apart)");
         paste(&mut sheet, (MARGIN_PX, pictures), self.truth, scale);
@@ -84,14 +97,14 @@ impl Sheet<'_> {
     fn marked(&self) -> Image {
         let gray = self.truth.to_gray();
         let pixels = gray.data().iter().zip(self.moving).flat_map(|(v, moves)| {
-            let tint = if *moves { MOVING } else { [0.45; 3] };
+            let tint = if *moves { MOVING_TINT } else { STILL_TINT };
             tint.map(|t| (0.15 + 0.85 * v) * t)
         });
         Image::from_data(gray.width(), gray.height(), 3, pixels.collect())
     }
 }
 
-/// |a − b| times `gain`, in 0..=1.
+/// |a − b| times `gain`, at most 1.
 ///
 /// # Panics
 /// If the images differ in size or channels.
@@ -147,10 +160,10 @@ pub(super) fn strip(heading: &str, panels: &[(&str, &Image)]) -> Image {
     let width = ((w + 4) * panels.len()).saturating_sub(4).max(width_px(heading) + 8);
     let even = |n: usize| n + n % 2;
     let mut strip = Image::filled(even(width), even(top + h), 3, BACKGROUND);
-    write(&mut strip, (4, 3), width, heading, Weight::Regular, FAINT);
+    write(&mut strip, (4, 3), width, heading, CAPTION);
     for (k, (title, image)) in panels.iter().enumerate() {
         let x = k * (w + 4);
-        write(&mut strip, (x + 4, LINE_PX + 3), w, title, Weight::Bold, INK);
+        write(&mut strip, (x + 4, LINE_PX + 3), w, title, TITLE);
         paste(&mut strip, (x, top), image, scale);
     }
     strip
@@ -169,14 +182,14 @@ mod tests {
 
     #[test]
     fn a_sheet_holds_truth_panels_and_their_differences() {
-        let (truth, made) = (Image::filled(200, 100, 3, 0.5), Image::filled(200, 100, 3, 0.6));
+        let (truth, result) = (Image::filled(200, 100, 3, 0.5), Image::filled(200, 100, 3, 0.6));
         let panel =
             |image| Panel { title: "method", image, scores: None, note: "no camera has a frame" };
         let sheet = Sheet {
             title: "a sheet",
             truth: &truth,
             moving: &vec![false; 200 * 100],
-            panels: &[panel(Some(&made)), panel(None)],
+            panels: &[panel(Some(&result)), panel(None)],
             gain: 4.0,
         };
         let drawn = sheet.draw();

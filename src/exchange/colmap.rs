@@ -1,7 +1,7 @@
 //! COLMAP's sparse model, `cameras`, `images` and `points3D`, as text or binary.
 
 use super::{ExchangeError, NamedCamera, checked, content, read_bytes, write};
-use crate::camera::CameraModel;
+use crate::camera::{CameraModel, MAX_QUATERNION_ERROR};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -20,8 +20,11 @@ struct Image {
     translation: [f64; 3],
 }
 
-/// The images of a model's folder in order of their numbers; binary files where there are any, as
-/// COLMAP does.
+/// Reads a COLMAP model's folder: one camera an image, in the order of the images' numbers, named as
+/// the images. Binary files are preferred to text files, as COLMAP does.
+///
+/// A model without images, an unknown camera model, and whatever a capture would refuse of a camera
+/// are errors.
 pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let binary = folder.join("cameras.bin");
     let (images_path, lenses, mut images) = if binary.exists() {
@@ -55,7 +58,7 @@ fn named(lenses: &HashMap<u32, Lens>, image: Image) -> Result<NamedCamera, Strin
         .ok_or_else(|| format!("there is no camera {}", image.camera_id))?;
     let [w, x, y, z] = image.rotation_wxyz;
     let rotation = Quaternion::new(w, x, y, z);
-    if !((rotation.norm() - 1.0).abs() < 1e-3) {
+    if !((rotation.norm() - 1.0).abs() <= MAX_QUATERNION_ERROR) {
         return Err(format!("its quaternion has length {}, must be of 1", rotation.norm()));
     }
     let [x, y, z] = image.translation;
@@ -226,9 +229,33 @@ fn binary_images(bytes: &[u8]) -> Result<Vec<(u32, Image)>, String> {
     Ok(images)
 }
 
-/// Writes `cameras.txt`, `images.txt` and an empty `points3D.txt`, one camera an image, numbered
-/// from 1. Numbers are written so that they read back as they are.
-pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
+/// The texts of a COLMAP model's files.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ColmapText {
+    /// Contents of `cameras.txt`: one lens a line.
+    pub cameras: String,
+    /// Contents of `images.txt`: one pose an image, and an empty line for its points.
+    pub images: String,
+    /// Contents of `points3D.txt`: a comment, and no points.
+    pub points3d: String,
+}
+
+impl ColmapText {
+    /// Each file's name and contents.
+    pub fn files(&self) -> [(&'static str, &str); 3] {
+        [
+            ("cameras.txt", &self.cameras),
+            ("images.txt", &self.images),
+            ("points3D.txt", &self.points3d),
+        ]
+    }
+}
+
+/// The cameras as a COLMAP model in text: each is one camera and one image, both numbered from 1 in
+/// their order.
+///
+/// Numbers are written with as few digits as read back to the same value.
+pub fn colmap_text(cameras: &[NamedCamera]) -> ColmapText {
     let mut lenses = String::from("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n");
     let mut images = String::from(
         "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME\n# POINTS2D[] as (X Y POINT3D_ID): none\n",
@@ -245,12 +272,18 @@ pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), E
             q.w, q.i, q.j, q.k, t.x, t.y, t.z
         );
     }
-    write(&folder.join("cameras.txt"), lenses.as_bytes())?;
-    write(&folder.join("images.txt"), images.as_bytes())?;
-    write(&folder.join("points3D.txt"), b"# POINT3D_ID X Y Z R G B ERROR TRACK[]: none\n")
+    let points3d = "# POINT3D_ID X Y Z R G B ERROR TRACK[]: none\n".to_owned();
+    ColmapText { cameras: lenses, images, points3d }
 }
 
-/// The same in COLMAP's binary files.
+/// Writes the files of [`colmap_text`] into a folder, which is created if there is none.
+pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
+    let text = colmap_text(cameras);
+    text.files().iter().try_for_each(|(name, text)| write(&folder.join(name), text.as_bytes()))
+}
+
+/// Writes the cameras as a COLMAP model in binary: `cameras.bin`, `images.bin` and an empty
+/// `points3D.bin`, numbered as in [`colmap_text`]. The folder is created if there is none.
 pub fn write_colmap_binary(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let count = (cameras.len() as u64).to_le_bytes();
     let (mut lenses, mut images) = (count.to_vec(), count.to_vec());

@@ -5,26 +5,33 @@ use crate::camera::CameraFormat;
 use crate::capture::{CAPTURE_FILE, CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
 use std::path::{Path, PathBuf};
 
-/// What the cameras' clocks say: nothing in a calibration does.
+/// The clock of every imported camera, which no calibration contains.
 #[derive(Clone, Copy, Debug)]
 pub struct ImportClock {
+    /// Frame rate, hertz.
     pub rate_hz: f64,
+    /// Time of the first frame, seconds.
     pub first_s: f64,
-    /// Whether one clock drives all cameras.
+    /// Whether all cameras share one clock.
     pub shared: bool,
 }
 
-/// Images that a sequence may be of.
+/// File extensions of images.
 const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
-/// Metres (and units of a quaternion) that two images of one camera may be apart.
-const MAX_MOVED: f64 = 1e-6;
+/// Largest motion of a camera between two of its images, metres and radians. Larger: moving cameras are
+/// imported as fixed. Smaller: rounding is taken for motion.
+const MAX_MOTION: f64 = 1e-6;
 
-/// Makes the capture `target` of the cameras and of the sequences in `images`, which are copied.
+/// Writes the capture `target` from a calibration and from the sequences in `images`, which are
+/// copied.
 ///
-/// A camera's id is its name's first folder, or its name without extension; its sequence are the
-/// images of the sub-folder of `images` with that name, in the order of the numbers in their names.
-/// Where none of the sub-folders has a camera's name, they are taken in order. Images of the same
-/// folder are one camera, which must not move.
+/// A camera's id is the first folder of its name, or its name without extension. Its sequence is the
+/// sub-folder of `images` with that name, in the order of the numbers in the files' names. Where no
+/// sub-folder has a camera's name, the sub-folders are assigned in order. Images of one folder are
+/// one camera.
+///
+/// A target that is a capture already, a camera that moves, and a missing or mixed sequence are
+/// errors.
 pub fn import(
     cameras: &[NamedCamera],
     images: &Path,
@@ -78,21 +85,21 @@ pub fn import(
 
 /// The cameras by id, in the order of their first image; the error is a reason.
 fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
-    let mut found: Vec<NamedCamera> = Vec::new();
+    let mut distinct: Vec<NamedCamera> = Vec::new();
     for NamedCamera { name, camera } in cameras {
         let id = id_of(name)?;
-        let Some(known) = found.iter().find(|c| c.name == id) else {
-            found.push(NamedCamera { name: id, camera: camera.clone() });
+        let Some(known) = distinct.iter().find(|c| c.name == id) else {
+            distinct.push(NamedCamera { name: id, camera: camera.clone() });
             continue;
         };
         let (a, b) = (&known.camera.cam_from_world, &camera.cam_from_world);
         let moved = (a.translation.vector - b.translation.vector).norm();
         let turned = a.rotation.angle_to(&b.rotation);
-        if !(moved.max(turned) <= MAX_MOVED) || known.camera.model != camera.model {
+        if !(moved.max(turned) <= MAX_MOTION) || known.camera.model != camera.model {
             return Err(format!("{id} is not the same camera in all its images: it must not move"));
         }
     }
-    Ok(found)
+    Ok(distinct)
 }
 
 /// `cam0` of `cam0/0000.png` and of `images/cam0.png` and `cam0.png`; the error is a reason.
@@ -111,7 +118,7 @@ fn id_of(name: &str) -> Result<String, String> {
     if is_plain { Ok(id.to_owned()) } else { Err(format!("'{name}' can't name a camera")) }
 }
 
-/// Where each camera's images lie.
+/// The folder of each camera's images.
 fn sequence_folders(cameras: &[NamedCamera], images: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     let by_name: Vec<PathBuf> = cameras.iter().map(|c| images.join(&c.name)).collect();
     if let Some(present) = by_name.iter().position(|p| p.is_dir()) {
@@ -128,8 +135,8 @@ fn sequence_folders(cameras: &[NamedCamera], images: &Path) -> Result<Vec<PathBu
     if folders.len() == cameras.len() {
         return Ok(folders);
     }
-    let (found, wanted) = (folders.len(), cameras.len());
-    Err(content(images, format!("has {found} folders for {wanted} cameras, none of their names")))
+    let (present, wanted) = (folders.len(), cameras.len());
+    Err(content(images, format!("has {present} folders for {wanted} cameras, none of their names")))
 }
 
 /// A folder's images, in the order of the numbers in their names.

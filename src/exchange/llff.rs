@@ -1,6 +1,8 @@
-//! LLFF's `poses_bounds.npy`: 17 numbers a camera. A 3×5 matrix, row by row: the camera's axes
-//! down, right and back in the world, its centre, and height, width and focal length in pixels;
-//! then the nearest and the farthest depth. Cameras have no names; order is all there is.
+//! LLFF's `poses_bounds.npy`: 17 numbers a camera.
+//!
+//! First a 3×5 matrix, row by row. Its columns are the camera's axes down, right and back in the
+//! world, its centre, and height, width and focal length in pixels. Then the nearest and the
+//! farthest depth. Cameras have no names, only their order.
 
 use super::{ExchangeError, NamedCamera, axes_and_center, checked, content, pose_from_axes};
 use super::{read_bytes, write};
@@ -9,11 +11,12 @@ use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
 
 const COLUMNS: usize = 17;
-/// Pixels that a principal point may lie from the middle, or two focal lengths apart, and still be
-/// what this file can say.
+/// Largest distance of the principal point from the middle, and difference of the focal lengths, that
+/// the file can describe, pixels. Larger: projections differ. Smaller: rounding is refused.
 const MAX_OFF_PX: f64 = 1e-6;
 
-/// The cameras in the file's order, named `0`, `1` and so on.
+/// Reads the cameras in the file's order, named `0`, `1` and so on. An error for an array of another
+/// shape or type, and for a pose or a lens that is none.
 pub fn read_llff(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let rows = rows(&read_bytes(path)?).map_err(|reason| content(path, reason))?;
     let cameras = rows.iter().enumerate().map(|(k, row)| {
@@ -82,9 +85,9 @@ fn whole(rest: &[u8]) -> Result<(), String> {
     if rest.is_empty() { Ok(()) } else { Err("is cut short".into()) }
 }
 
-/// Writes the cameras, all with these nearest and farthest depths in metres.
+/// Writes the cameras, all with the same nearest and farthest depth, in metres.
 ///
-/// Refuses a lens that the file can't describe: distorted, of two focal lengths, or off centre.
+/// A lens that the file can't describe is an error: distorted, of two focal lengths, or off centre.
 pub fn write_llff(
     path: &Path,
     cameras: &[NamedCamera],

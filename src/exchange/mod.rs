@@ -7,17 +7,17 @@
 //! | `poses_bounds.npy` | columns down, right, back | world from camera | one focal length, centred | no principal point |
 //! | `transforms.json` | x right, y up, z back | world from camera | pinhole, OpenCV, OpenCV fisheye | as COLMAP |
 //!
-//! World axes and metres are kept as they are. Every count and size that a file states is checked
+//! World axes and metres are unchanged. Every count and size that a file states is checked
 //! against the file's length before memory is taken for it.
 //!
-//! Known limit: no points and no tracks are read or written.
+//! Known limit: points and tracks are neither read nor written.
 
 mod colmap;
 mod import;
 mod llff;
 mod nerf;
 
-pub use colmap::{read_colmap, write_colmap_binary, write_colmap_text};
+pub use colmap::{ColmapText, colmap_text, read_colmap, write_colmap_binary, write_colmap_text};
 pub use import::{ImportClock, import};
 pub use llff::{read_llff, write_llff};
 pub use nerf::{read_nerf, write_nerf};
@@ -27,28 +27,33 @@ use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vect
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// A camera with the name that its file gives it: of an image, or a number.
+/// A camera with its name in a calibration's file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NamedCamera {
+    /// Name of an image, such as `cam0/0000.png`, or a number where the format has no names.
     pub name: String,
     pub camera: Camera,
 }
 
-/// What is wrong with a calibration's file: one sentence with the file.
+/// An error of a calibration's file: one sentence with the file.
 #[derive(Debug, thiserror::Error)]
 pub enum ExchangeError {
+    /// The file can't be read.
     #[error("{path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
+    /// The file can't be written.
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
+    /// The file's contents are refused, or can't describe a camera.
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },
 }
 
-/// Larger than any calibration: half a million images with their points in text.
+/// Largest file that is read, bytes. Larger: a device or a mistake fills the memory. Smaller: COLMAP
+/// models of half a million images, with their points in text, are refused.
 const MAX_BYTES: u64 = 2 << 30;
-/// A rotation matrix whose entries are further from orthonormal is not one; single precision is
-/// off by 1e-7, a few printed digits by 1e-4.
+/// Largest entry of RᵀR − I for a rotation R. Larger: scaled matrices pass for rotations. Smaller:
+/// matrices of a few printed digits, off by 1e-4, are refused.
 const MAX_ROTATION_ERROR: f64 = 1e-3;
 
 fn content(path: &Path, reason: impl std::fmt::Display) -> ExchangeError {

@@ -8,7 +8,7 @@ use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// The fields that matter of the many that such files have.
+/// The fields that are read, of the many that such files have.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct Transforms {
     #[serde(flatten)]
@@ -117,7 +117,7 @@ impl Lens {
         Ok(((w as u64, h as u64), model))
     }
 
-    /// The inverse; `None` for a lens that the file has no fields for.
+    /// The inverse of [`Self::model`]; `None` for a lens that the file has no fields for.
     fn of(camera: &crate::camera::Camera) -> Option<Self> {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let lens = Self {
@@ -160,7 +160,8 @@ impl Lens {
     }
 }
 
-/// The file's frames in its order, named by their paths.
+/// Reads the file's frames in their order, named by their paths. A file without frames, and a pose or
+/// a lens that is none, are errors.
 pub fn read_nerf(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let transforms: Transforms = json::read(path).map_err(|e| content(path, e))?;
     if transforms.frames.is_empty() {
@@ -185,8 +186,8 @@ fn camera(frame: &Frame, all: &Lens) -> Result<crate::camera::Camera, String> {
     checked(size, &model, &pose).map_err(|e| e.to_string())
 }
 
-/// Writes the file, every frame with its own lens. Refuses a lens that it has no fields for
-/// (`FULL_OPENCV`).
+/// Writes the cameras, every frame with its own lens. A lens that the file has no fields for,
+/// `FULL_OPENCV`, is an error.
 pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let mut transforms = Transforms::default();
     for NamedCamera { name, camera } in cameras {

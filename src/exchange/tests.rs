@@ -48,12 +48,15 @@ fn colmap_models_round_trip() {
     let folder = tempfile::tempdir().unwrap();
     write_colmap_text(&folder.path().join("text"), &cameras).unwrap();
     assert_same(&read_colmap(&folder.path().join("text")).unwrap(), &cameras);
+    for (name, text) in colmap_text(&cameras).files() {
+        assert_eq!(std::fs::read_to_string(folder.path().join("text").join(name)).unwrap(), text);
+    }
     write_colmap_binary(&folder.path().join("binary"), &cameras).unwrap();
     assert_same(&read_colmap(&folder.path().join("binary")).unwrap(), &cameras);
 }
 
 #[test]
-fn colmap_points_are_passed_over() {
+fn colmap_points_are_skipped() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("cameras.txt"), "# c\n7 SIMPLE_RADIAL 64 48 60 32 24 -0.1\n")
         .unwrap();
@@ -88,7 +91,7 @@ fn llff_is_down_right_back() {
 }
 
 #[test]
-fn llff_refuses_what_it_cannot_say() {
+fn llff_refuses_lenses_that_it_cannot_describe() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("poses_bounds.npy");
     for params in [[700.0, 701.0, 320.0, 240.0], [700.0, 700.0, 319.5, 239.5]] {
@@ -189,7 +192,7 @@ fn damaged_files_are_one_sentence() {
 }
 
 #[test]
-fn what_is_no_rotation_is_refused() {
+fn matrices_that_are_no_rotation_are_refused() {
     for axes in [Matrix3::zeros(), Matrix3::identity() * 1.01, -Matrix3::identity()] {
         assert!(pose_from_axes(&axes, Vector3::zeros()).is_err(), "{axes}");
     }

@@ -1,6 +1,7 @@
-//! The proxy as one view sees it: a depth for every pixel.
+//! The proxy in one view: a depth for every pixel.
 
-/// Depth of every pixel's centre along the camera's +z, metres; NaN where the proxy isn't.
+/// Depths of a view's pixel centres along the camera's +z, metres: positive, infinite for the sky, and
+/// NaN where there is no proxy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DepthMap {
     width: usize,
@@ -9,8 +10,7 @@ pub struct DepthMap {
 }
 
 impl DepthMap {
-    /// From depths row by row. What is not positive (0 and NaN included) becomes NaN: nothing
-    /// there. +∞ stays: the sky.
+    /// A map of these depths, row by row. Depths that aren't positive become NaN.
     ///
     /// # Panics
     /// If the number of depths is not `width * height`.
@@ -24,15 +24,17 @@ impl DepthMap {
         Self { width, height, data }
     }
 
-    /// A view in which the proxy is nowhere.
+    /// The map of a view in which no pixel has a depth.
     pub fn empty(width: usize, height: usize) -> Self {
         Self { width, height, data: vec![f32::NAN; width * height] }
     }
 
+    /// Pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
+    /// Pixels.
     pub fn height(&self) -> usize {
         self.height
     }
@@ -42,14 +44,14 @@ impl DepthMap {
         &self.data
     }
 
-    /// The depths of one row.
+    /// The depths of one row. Panics outside of the view.
     pub fn row(&self, y: usize) -> &[f32] {
         &self.data[y * self.width..(y + 1) * self.width]
     }
 
-    /// The farthest depth of the (up to) four pixels around a position in pixels; positions
-    /// outside take the border's. NaN if any of the four has none. What is nearer than this is
-    /// in front of everything around it.
+    /// The largest depth of the up to four pixels around a position in pixels: a nearer point is in
+    /// front of all surfaces there. Positions outside have the border's. NaN if any of the four has
+    /// no depth.
     pub(super) fn farthest_around(&self, x: f32, y: f32) -> f32 {
         let cell = |v: f32, size: usize| {
             let floor = (v - 0.5).max(0.0).min((size - 1) as f32) as usize;

@@ -1,47 +1,50 @@
-//! Planes as a view sees them: inverse depth is linear in the image, `1/z = g · (x, y, 1)` at
+//! Planes in a view: inverse depth is linear in the image, `1/z = g · (x, y, 1)` at
 //! (x, y) of the plane z = 1, exactly where `g · p_cam = 1`. Disparity between neighbouring
 //! cameras is proportional to inverse depth, so least squares in it is least squares in pixels.
 
 use super::rays::ViewBounds;
 use nalgebra::{Matrix3, Point2, Vector3};
 
-/// A point as a view sees it.
+/// A point's projection in a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Seen {
-    /// On the plane z = 1.
+pub(super) struct ProjectedPoint {
+    /// Position on the plane z = 1.
     pub at: Point2<f64>,
     /// 1/m, positive.
     pub inverse_depth: f64,
+    /// Weight in a fit, positive.
     pub weight: f64,
 }
 
-impl Seen {
+impl ProjectedPoint {
     pub fn ray(&self) -> Vector3<f64> {
         Vector3::new(self.at.x, self.at.y, 1.0)
     }
 }
 
-/// Pull of the tilt towards 0, as a share of the data's. Larger flattens true tilts; smaller, and
-/// points that lie within a pixel or on a line tilt the plane by their noise.
-const TILT_PULL: f64 = 1e-6;
-/// Reweighting settles in about ten rounds.
+/// Weight of a prior of no tilt, as a fraction of the points'. Larger: true tilts are flattened.
+/// Smaller: points that lie within a pixel or on a line tilt the plane by their noise.
+const TILT_PRIOR: f64 = 1e-6;
+/// Rounds of reweighting at most; it converges in about ten. Larger: slower where it alternates.
+/// Smaller: outliers are not discounted fully.
 const ROUNDS: usize = 20;
-/// Nowhere in its view may the plane's inverse depth fall below this share of the mean, or it
-/// would pass through infinity. Larger flattens steep planes; smaller sends corners far away.
-const MIN_SHARE: f64 = 0.1;
+/// Smallest inverse depth of the plane anywhere in the view, as a fraction of that at the points' mean:
+/// at 0 the plane would pass through infinity. Larger: steep planes are flattened. Smaller: corners
+/// are far away.
+const MIN_FRACTION: f64 = 0.1;
 
-/// Which of the points a plane goes through.
+/// The points that a plane passes through.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Through {
-    /// The middle of them, outliers discounted (Cauchy's weights at the residuals' median).
+    /// All of them, outliers discounted by Cauchy's weights at the residuals' median.
     Middle,
-    /// The back of them: points behind weigh 1 / this share of those in front.
+    /// The farthest of them: points in front of the plane have this weight, those behind it 1.
     Back(f64),
 }
 
-/// The plane's g; `None` for no points of positive weight.
+/// The plane's g; `None` if the weights don't sum to a positive number.
 pub(super) fn fit_plane(
-    points: &[Seen],
+    points: &[ProjectedPoint],
     through: Through,
     bounds: &ViewBounds,
 ) -> Option<Vector3<f64>> {
@@ -56,7 +59,7 @@ pub(super) fn fit_plane(
             let residual = p.inverse_depth - g.dot(&p.ray());
             match through {
                 Through::Middle if scale > 0.0 => 1.0 / (1.0 + (residual / scale).powi(2)),
-                Through::Back(share) if residual > 0.0 => share,
+                Through::Back(weight) if residual > 0.0 => weight,
                 _ => 1.0,
             }
         })?;
@@ -68,7 +71,10 @@ pub(super) fn fit_plane(
     Some(flattened(g, points, bounds))
 }
 
-fn least_squares(points: &[Seen], factor: impl Fn(&Seen) -> f64) -> Option<Vector3<f64>> {
+fn least_squares(
+    points: &[ProjectedPoint],
+    factor: impl Fn(&ProjectedPoint) -> f64,
+) -> Option<Vector3<f64>> {
     let (mut normal, mut right, mut total) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
     for p in points {
         let (w, ray) = (p.weight * factor(p), p.ray());
@@ -76,34 +82,34 @@ fn least_squares(points: &[Seen], factor: impl Fn(&Seen) -> f64) -> Option<Vecto
         right += ray * (p.inverse_depth * w);
         total += w;
     }
-    normal[(0, 0)] += TILT_PULL * total;
-    normal[(1, 1)] += TILT_PULL * total;
+    normal[(0, 0)] += TILT_PRIOR * total;
+    normal[(1, 1)] += TILT_PRIOR * total;
     normal.cholesky().map(|c| c.solve(&right))
 }
 
-/// The plane with its tilt about the points' middle reduced until it lies in front of the whole
-/// view.
-fn flattened(g: Vector3<f64>, points: &[Seen], bounds: &ViewBounds) -> Vector3<f64> {
+/// The plane with its tilt about the points' mean reduced until it lies in front of the whole view.
+fn flattened(g: Vector3<f64>, points: &[ProjectedPoint], bounds: &ViewBounds) -> Vector3<f64> {
     let total: f64 = points.iter().map(|p| p.weight).sum();
-    let mean_of =
-        |f: &dyn Fn(&Seen) -> f64| points.iter().map(|p| p.weight * f(p)).sum::<f64>() / total;
+    let mean_of = |f: &dyn Fn(&ProjectedPoint) -> f64| {
+        points.iter().map(|p| p.weight * f(p)).sum::<f64>() / total
+    };
     let ray = Vector3::new(mean_of(&|p| p.at.x), mean_of(&|p| p.at.y), 1.0);
     let nearest = points.iter().map(|p| p.inverse_depth).fold(f64::INFINITY, f64::min);
     // A fit to positive inverse depths is positive at their middle but for rounding.
     let middle = g.dot(&ray).max(nearest);
-    let mut share: f64 = 1.0;
+    let mut fraction: f64 = 1.0;
     for corner in bounds.corners() {
         let change = g.x * (corner.x - ray.x) + g.y * (corner.y - ray.y);
         if change < 0.0 {
-            share = share.min(middle * (1.0 - MIN_SHARE) / -change);
+            fraction = fraction.min(middle * (1.0 - MIN_FRACTION) / -change);
         }
     }
-    let tilt = g.xy() * share;
+    let tilt = g.xy() * fraction;
     Vector3::new(tilt.x, tilt.y, middle - tilt.dot(&ray.xy()))
 }
 
 /// The lower weighted median.
-fn weighted_median(points: &[Seen], value: impl Fn(&Seen) -> f64) -> f64 {
+fn weighted_median(points: &[ProjectedPoint], value: impl Fn(&ProjectedPoint) -> f64) -> f64 {
     let mut sorted: Vec<(f64, f64)> = points.iter().map(|p| (value(p), p.weight)).collect();
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let half = 0.5 * sorted.iter().map(|p| p.1).sum::<f64>();

@@ -1,15 +1,14 @@
-//! The mesh proxy: "a backplane based on the reconstructed 3D vertices. The plane is positioned
+//! The mesh proxy of §6: "a backplane based on the reconstructed 3D vertices. The plane is positioned
 //! and oriented so that all the vertices are in the front. Finally, all the vertices (including
 //! the four corners of the plane) are triangulated to create a 3D mesh."
 //!
-//! Beyond the paper: mismatched points are dropped, and a triangle that spans a depth edge can
-//! be laid on the surface behind it (or in front, or cut in the middle) instead of being
-//! stretched between the two ([`DepthEdges`]).
+//! Beyond the paper: mismatched points are dropped, and a triangle that spans a depth edge need not
+//! stretch between the two surfaces ([`DepthEdges`]).
 //!
-//! Known limit: a mesh is made for one view. Seen from elsewhere, one cut at depth edges has
-//! gaps there.
+//! Known limit: a mesh is built for one view. In other views, a mesh cut at depth edges has gaps
+//! there.
 
-use super::inverse_depth::{Seen, Through, fit_plane};
+use super::inverse_depth::{ProjectedPoint, Through, fit_plane};
 use super::rays::ViewBounds;
 use crate::camera::Camera;
 use nalgebra::{Point2, Point3, Vector3};
@@ -19,48 +18,52 @@ use spade::{DelaunayTriangulation, HasPosition, Triangulation};
 /// Triangles in the world, metres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
+    /// Positions.
     pub vertices: Vec<Point3<f64>>,
+    /// Three indices of vertices each, in either orientation.
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// What becomes of a triangle whose vertices lie on two surfaces.
+/// The treatment of a triangle whose vertices lie on two surfaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DepthEdges {
-    /// It stretches from one to the other (the paper).
+    /// The triangle stretches from one surface to the other, as in the paper.
     Stretch,
-    /// It lies on the one behind: right where the features of the one in front reach its outline.
+    /// The triangle lies on the surface behind: right where the features of the surface in front reach
+    /// its outline.
     Back,
-    /// It lies on the one in front. Right where features are dense: those of the one in front
-    /// stop short of its outline by the size of a corner.
+    /// The triangle lies on the surface in front: right where features are dense, since those in front
+    /// stop short of the outline by the size of a corner.
     Front,
-    /// It is cut between the two.
+    /// The triangle is cut in the middle between the two surfaces.
     Cut,
 }
 
-/// How a mesh is made from points.
+/// Options of [`Mesh::build`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct MeshOptions {
+    /// Triangles that span a depth edge.
     pub depth_edges: DepthEdges,
     /// A triangle spans a depth edge if its vertices' inverse depths differ by more than this
-    /// share of the largest. Larger leaves edges stretched; smaller turns slanted surfaces into
+    /// fraction of the largest. Larger: edges stay stretched. Smaller: slanted surfaces turn into
     /// steps.
     pub edge_share: f64,
-    /// Triangles with a longer side than this, px, stretch whatever `depth_edges` says: the
-    /// surface's outline may be anywhere in them. Larger thickens the foreground where features
-    /// are sparse; smaller leaves edges stretched. (Magazine scene, 320×240, `Front` over
+    /// Longest side of a triangle that `depth_edges` applies to, pixels; longer ones stretch, since
+    /// the surface's outline may be anywhere in them. Larger: the foreground thickens where features
+    /// are sparse. Smaller: edges stay stretched. (Magazine scene, 320×240, `Front` over
     /// `Stretch`: −0.1 dB from 400 and 800 points, +0.2 from 1500, +0.5 from 3000 and 5000;
     /// without a limit −1.7 dB from 400.)
     pub edge_px: f64,
-    /// A point's neighbours support it if their inverse depths differ by less than this share of
-    /// its own. Larger keeps mismatches; smaller drops points of slanted or rough surfaces.
+    /// A neighbour supports a point if their inverse depths differ by at most this fraction of the
+    /// point's. Larger: mismatches remain. Smaller: points of slanted or rough surfaces are dropped.
     pub support_share: f64,
-    /// Supporting neighbours (next or next but one in the triangulation) that a point needs.
-    /// Larger drops small objects with few features; 0 keeps every mismatch.
+    /// Supporting neighbours that a point needs, among those at one or two edges of the
+    /// triangulation. Larger: small objects with few features are dropped. 0: every mismatch remains.
     pub min_support: usize,
-    /// How far the corners lie outside the image, as a share of its size. Larger makes the
-    /// triangles at the border longer; at 0 they could miss the outermost pixels by rounding.
+    /// Distance of the corners outside the image, as a fraction of its size. Larger: the triangles at
+    /// the border are longer. 0: they could miss the outermost pixels by rounding.
     pub margin: f64,
 }
 
@@ -77,13 +80,15 @@ impl Default for MeshOptions {
     }
 }
 
-/// Points that fall into one square of this size, in pixels, are one vertex, the nearest of
-/// them. Larger loses detail; smaller lets noise of two images of one point stand as a spike.
+/// Side of the square cells of which each has one vertex, its nearest point, pixels. Larger: detail is
+/// lost. Smaller: the noise of two images of one point is a spike.
 const CELL_PX: f64 = 0.5;
-/// Weight of vertices in front of the back plane, over those behind it. Larger tilts it along
-/// the foreground; smaller lets a single far point turn it.
-const FRONT_SHARE: f64 = 0.02;
-/// The back plane's inverse depth under its hindmost vertex's, so that all are in front of it.
+/// Weight of vertices in front of the back plane, over that of vertices behind it. Larger: the plane
+/// tilts along the foreground. Smaller: a single far point turns it.
+const FRONT_WEIGHT: f64 = 0.02;
+/// The back plane's inverse depth, over that of the vertex nearest to it: below 1, so that all vertices
+/// are in front. Larger: rounding puts a vertex behind it. Smaller: the background is farther than it
+/// is.
 const BEHIND: f64 = 0.999;
 
 struct Site {
@@ -101,18 +106,18 @@ impl HasPosition for Site {
 type Sites = DelaunayTriangulation<Site>;
 
 impl Mesh {
-    /// The mesh of points (metres, world) as a view sees them; it covers the whole view.
+    /// Builds the mesh of points of the world, in metres, for a view; it covers the whole view.
     ///
-    /// Points behind the view, outside it, or not finite don't count, nor do those that their
-    /// neighbours contradict. `None` if none is left, or no ray of the view can be computed. One
-    /// point, points on a line and duplicates are meshed with the corners like any others.
+    /// Points behind the view, outside it, or not finite are ignored, and so are those that their
+    /// neighbours contradict. One point, points on a line and duplicates are meshed with the corners
+    /// like any others. `None` if no point remains, or no ray of the view can be computed.
     pub fn build(points: &[Point3<f64>], target: &Camera, options: &MeshOptions) -> Option<Self> {
         let bounds = ViewBounds::of(target)?.enlarged(options.margin.max(0.0));
         let focal = target.focal_px();
-        let seen = supported(seen_from(points, target, &bounds, focal), focal, options);
-        let plane = back_plane(&seen, &bounds)?;
-        let mut all = seen;
-        all.extend(bounds.corners().map(|at| Seen {
+        let projections = supported(projected(points, target, &bounds, focal), focal, options);
+        let plane = back_plane(&projections, &bounds)?;
+        let mut all = projections;
+        all.extend(bounds.corners().map(|at| ProjectedPoint {
             at,
             inverse_depth: plane.dot(&Vector3::new(at.x, at.y, 1.0)),
             weight: 1.0,
@@ -134,67 +139,71 @@ impl Mesh {
     }
 }
 
-/// The points in the view's bounds, sorted by position, one a cell.
-fn seen_from(
+/// The points within the view's bounds, sorted by position, one a cell.
+fn projected(
     points: &[Point3<f64>],
     target: &Camera,
     bounds: &ViewBounds,
     focal: f64,
-) -> Vec<Seen> {
-    let cell = |s: &Seen| {
+) -> Vec<ProjectedPoint> {
+    let cell = |s: &ProjectedPoint| {
         let size = CELL_PX / focal;
         ((s.at.y / size).floor() as i64, (s.at.x / size).floor() as i64)
     };
-    let mut seen: Vec<Seen> = points
+    let mut projections: Vec<ProjectedPoint> = points
         .iter()
         .filter_map(|point| {
             let p = target.cam_from_world * point;
             let at = Point2::new(p.x / p.z, p.y / p.z);
             let inverse_depth = 1.0 / p.z;
             let counts = inverse_depth > 0.0 && inverse_depth.is_finite() && bounds.contains(&at);
-            counts.then_some(Seen { at, inverse_depth, weight: 1.0 })
+            counts.then_some(ProjectedPoint { at, inverse_depth, weight: 1.0 })
         })
         .collect();
-    let order = |a: &Seen, b: &Seen| {
+    let order = |a: &ProjectedPoint, b: &ProjectedPoint| {
         let near_first = b.inverse_depth.total_cmp(&a.inverse_depth);
         let position = a.at.y.total_cmp(&b.at.y).then(a.at.x.total_cmp(&b.at.x));
         cell(a).cmp(&cell(b)).then(near_first).then(position)
     };
-    seen.sort_by(order);
-    seen.dedup_by_key(|s| cell(s));
-    seen
+    projections.sort_by(order);
+    projections.dedup_by_key(|s| cell(s));
+    projections
 }
 
-/// Delaunay's triangulation in pixels. Sites that can't be inserted are left out.
-fn triangulated(seen: &[Seen], focal: f64) -> Sites {
+/// Delaunay's triangulation in pixels. Sites that can't be inserted are skipped.
+fn triangulated(projections: &[ProjectedPoint], focal: f64) -> Sites {
     let mut sites = Sites::new();
     // spade takes coordinates that are 0 or in [2⁻¹⁴², 2²⁰¹]; a millionth of a pixel is 0.
     let coordinate = |v: f64| if (v * focal).abs() < 1e-6 { 0.0 } else { v * focal };
-    for (index, s) in seen.iter().enumerate() {
+    for (index, s) in projections.iter().enumerate() {
         let position = spade::Point2::new(coordinate(s.at.x), coordinate(s.at.y));
         let _ = sites.insert(Site { position, index: index as u32 });
     }
     sites
 }
 
-/// The points that enough of their neighbours in the triangulation agree with. If a triangulation
-/// is too small to tell (under four points), all of them.
-fn supported(seen: Vec<Seen>, focal: f64, options: &MeshOptions) -> Vec<Seen> {
-    if seen.len() < 4 || options.min_support == 0 {
-        return seen;
+/// The points that enough of their neighbours in the triangulation support. All of them if there are
+/// fewer than four, or none has support.
+fn supported(
+    projections: Vec<ProjectedPoint>,
+    focal: f64,
+    options: &MeshOptions,
+) -> Vec<ProjectedPoint> {
+    if projections.len() < 4 || options.min_support == 0 {
+        return projections;
     }
-    let sites = triangulated(&seen, focal);
-    let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); seen.len()];
+    let sites = triangulated(&projections, focal);
+    let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); projections.len()];
     for edge in sites.undirected_edges() {
         let [a, b] = edge.vertices().map(|v| v.data().index);
         neighbours[a as usize].push(b);
         neighbours[b as usize].push(a);
     }
     let agrees = |a: usize, b: usize| {
-        let (a, b) = (seen[a].inverse_depth, seen[b].inverse_depth);
+        let (a, b) = (projections[a].inverse_depth, projections[b].inverse_depth);
         (a - b).abs() <= options.support_share * a
     };
-    let keeps = |k: usize| {
+    let is_supported = |k: usize| {
         let mut around: Vec<u32> = neighbours[k].clone();
         around.extend(neighbours[k].iter().flat_map(|&n| &neighbours[n as usize]));
         around.sort_unstable();
@@ -202,28 +211,29 @@ fn supported(seen: Vec<Seen>, focal: f64, options: &MeshOptions) -> Vec<Seen> {
         let support = around.iter().filter(|&&n| n as usize != k && agrees(k, n as usize)).count();
         support >= options.min_support
     };
-    let kept: Vec<Seen> = (0..seen.len()).filter(|&k| keeps(k)).map(|k| seen[k]).collect();
-    // All contradict all: then there is nothing to trust more than the rest.
-    if kept.is_empty() { seen } else { kept }
+    let supported: Vec<ProjectedPoint> =
+        (0..projections.len()).filter(|&k| is_supported(k)).map(|k| projections[k]).collect();
+    // Where all contradict all, no point is better than the rest.
+    if supported.is_empty() { projections } else { supported }
 }
 
-/// The back plane's inverse depth as a linear function of the ray: along the hindmost points, and
+/// The back plane's inverse depth as a linear function of the ray: along the farthest points, and
 /// behind all of them. `None` without points.
-fn back_plane(seen: &[Seen], bounds: &ViewBounds) -> Option<Vector3<f64>> {
-    let g = fit_plane(seen, Through::Back(FRONT_SHARE), bounds)?;
+fn back_plane(projections: &[ProjectedPoint], bounds: &ViewBounds) -> Option<Vector3<f64>> {
+    let g = fit_plane(projections, Through::Back(FRONT_WEIGHT), bounds)?;
     // The plane is positive in all the bounds, so the ratio is.
-    let behind = seen.iter().map(|s| s.inverse_depth / g.dot(&s.ray())).fold(1.0, f64::min);
+    let behind = projections.iter().map(|s| s.inverse_depth / g.dot(&s.ray())).fold(1.0, f64::min);
     Some(g * (behind * BEHIND))
 }
 
 struct Builder {
-    corners: Vec<Seen>,
+    corners: Vec<ProjectedPoint>,
     triangles: Vec<[u32; 3]>,
 }
 
 impl Builder {
     fn vertex(&mut self, at: Point2<f64>, inverse_depth: f64) -> u32 {
-        self.corners.push(Seen { at, inverse_depth, weight: 1.0 });
+        self.corners.push(ProjectedPoint { at, inverse_depth, weight: 1.0 });
         (self.corners.len() - 1) as u32
     }
 
@@ -343,10 +353,10 @@ mod tests {
             })
             .collect();
         let bounds = ViewBounds::of(&camera).unwrap();
-        let seen = seen_from(&points, &camera, &bounds, camera.focal_px());
-        assert_eq!(seen.len(), 200);
-        let g = back_plane(&seen, &bounds).unwrap();
-        assert!(seen.iter().all(|s| g.dot(&s.ray()) < s.inverse_depth));
+        let projections = projected(&points, &camera, &bounds, camera.focal_px());
+        assert_eq!(projections.len(), 200);
+        let g = back_plane(&projections, &bounds).unwrap();
+        assert!(projections.iter().all(|s| g.dot(&s.ray()) < s.inverse_depth));
         assert!(bounds.corners().iter().all(|c| g.dot(&Vector3::new(c.x, c.y, 1.0)) > 0.0));
     }
 

@@ -1,4 +1,4 @@
-//! §6, view synthesis: a proxy of the scene's shape, and the synchronized images blended over it
+//! §6, view synthesis: a proxy of the scene's geometry, and the synchronized images blended over it
 //! by unstructured lumigraph rendering (Buehler et al., SIGGRAPH 2001).
 //!
 //! - [`triangulate`]: 3D points from correspondences at one instant.

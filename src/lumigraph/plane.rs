@@ -1,40 +1,43 @@
-//! The plane proxy: the paper's "3D planar proxy in which the plane's depth can be interactively
+//! The plane proxy of §6: the paper's "3D planar proxy in which the plane's depth can be interactively
 //! controlled by the user. Its placement determines which region of the scene is in focus."
 
-use super::inverse_depth::{Seen, Through, fit_plane};
+use super::inverse_depth::{ProjectedPoint, Through, fit_plane};
 use super::rays::ViewBounds;
 use crate::camera::Camera;
 use nalgebra::{Point2, Point3, Vector3};
 
-/// The points with `normal · x = d` in the world; the normal has unit length, d is in metres.
+/// The plane of the points with `normal · x = d` in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {
+    /// Of unit length.
     pub normal: Vector3<f64>,
+    /// Signed distance from the world's origin along the normal, metres.
     pub d: f64,
 }
 
-/// How far a camera sees beyond its own image: points there still place a plane.
+/// Margin around the camera's image in which points count for a plane, as a fraction of the image's
+/// size. Larger: points that no view shows tilt the plane. Smaller: few points remain near the border.
 const MARGIN: f64 = 0.5;
 
 impl Plane {
-    /// The plane at a depth in metres along the camera's axis, at right angles to it.
+    /// The plane at a depth along the camera's axis, and perpendicular to it.
     pub fn fronto_parallel(camera: &Camera, depth_m: f64) -> Self {
         let normal = camera.axis();
         Self { normal, d: normal.dot(&camera.center().coords) + depth_m }
     }
 
-    /// The plane nearest to the points in inverse depth as `camera` sees them (a camera amid the
-    /// rig), outliers discounted: what blurs the blended view least. Points have weights (1, or
-    /// how much of the view they stand for).
+    /// The plane nearest to weighted points in the inverse depth of `camera`, a camera amid the rig,
+    /// with outliers discounted: it blurs the blended view the least. A weight is 1, or the part of
+    /// the view that the point represents.
     ///
-    /// Points behind the camera, far outside its image, not finite or without positive weight
-    /// don't count. `None` if none counts. One point, or points on a line, give a plane through
-    /// them that faces the camera as far as it can; and no plane is tilted so far that the view
-    /// looks past it.
+    /// Points behind the camera, far outside its image, not finite or without positive weight are
+    /// ignored. One point, or points on a line, give the plane through them that is nearest to facing
+    /// the camera. No plane is tilted so far that a ray of the view misses it. `None` if no point
+    /// remains.
     pub fn fit(points: &[(Point3<f64>, f64)], camera: &Camera) -> Option<Self> {
         let bounds = ViewBounds::of(camera)?;
         let counted = bounds.enlarged(MARGIN);
-        let seen: Vec<Seen> = points
+        let projections: Vec<ProjectedPoint> = points
             .iter()
             .filter_map(|(point, weight)| {
                 let p = camera.cam_from_world * point;
@@ -45,10 +48,10 @@ impl Plane {
                     && counted.contains(&at)
                     && *weight > 0.0
                     && weight.is_finite();
-                counts.then_some(Seen { at, inverse_depth: 1.0 / p.z, weight: *weight })
+                counts.then_some(ProjectedPoint { at, inverse_depth: 1.0 / p.z, weight: *weight })
             })
             .collect();
-        let g = fit_plane(&seen, Through::Middle, &bounds)?;
+        let g = fit_plane(&projections, Through::Middle, &bounds)?;
         // g · (R x + t) = 1. |g| is at least its inverse depth amid the view, which is positive.
         let length = g.norm();
         let normal = camera.cam_from_world.rotation.inverse_transform_vector(&g) / length;
@@ -56,9 +59,9 @@ impl Plane {
         (normal.iter().all(|v| v.is_finite()) && d.is_finite()).then_some(Self { normal, d })
     }
 
-    /// The plane that faces the camera at the median depth (in inverse depth) of the points before
-    /// it, in its view or beside: what is left where the view itself has none. `None` if all are
-    /// behind, or not finite.
+    /// The plane that faces the camera at the median inverse depth of the points in front of it, in
+    /// its view or beside: a fallback for a view without points. `None` if all points are behind the
+    /// camera, or not finite.
     pub fn amid(points: &[Point3<f64>], camera: &Camera) -> Option<Self> {
         let mut inverse: Vec<f64> =
             points.iter().map(|p| 1.0 / (camera.cam_from_world * p).z).collect();
@@ -67,8 +70,8 @@ impl Plane {
         Some(Self::fronto_parallel(camera, 1.0 / inverse.get(inverse.len() / 2)?))
     }
 
-    /// `g` of [`super::inverse_depth`] as the camera sees it; `None` if the plane goes through
-    /// the camera's centre (it is then a line in the image, or all of it at depth 0).
+    /// `g` of [`super::inverse_depth`] in the camera's view; `None` if the plane passes through the
+    /// camera's centre, where it is a line in the image, or all of it at depth 0.
     pub(super) fn inverse_depth(&self, camera: &Camera) -> Option<Vector3<f64>> {
         let distance = self.d - self.normal.dot(&camera.center().coords);
         let g = camera.cam_from_world.rotation * self.normal / distance;
@@ -94,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tilted_plane_is_found_among_outliers() {
+    fn a_tilted_plane_is_fitted_among_outliers() {
         let mut random = Random::new(4);
         let camera = pinhole_at([0.1, -0.2, 0.3]);
         let truth = Plane { normal: Vector3::new(0.2, -0.3, 0.9).normalize(), d: 2.5 };
@@ -140,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_count_gives_none() {
+    fn ignored_points_alone_give_none() {
         let camera = pinhole_at([0.0; 3]);
         assert_eq!(Plane::fit(&[], &camera), None);
         for p in [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [f64::NAN, 0.0, 1.0], [9.0, 0.0, 1.0]] {

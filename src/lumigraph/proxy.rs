@@ -1,4 +1,4 @@
-//! The rungs of the proxy, and what a view sees of them.
+//! The proxy, and its depths in a view.
 
 use super::rasterize::rasterize;
 use super::rays::RayRow;
@@ -7,19 +7,22 @@ use crate::camera::Camera;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-/// An approximation of the scene's shape.
+/// An approximation of the scene's geometry.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Proxy {
+    /// One plane of the world.
     Plane(Plane),
+    /// A triangle mesh of the world.
     Mesh(Mesh),
-    /// Depths that were made for the view to render and no other.
+    /// A depth for every pixel of one view, and of no other.
     Depth(DepthMap),
 }
 
 impl Proxy {
-    /// The proxy's depth at every pixel's centre of a view. Nothing (NaN) where the ray misses
-    /// it or can't be computed, where it lies behind the view, and everywhere if a `Depth` was
-    /// made for a view of another size.
+    /// The proxy's depth at every pixel's centre of a view.
+    ///
+    /// NaN where the ray misses the proxy or can't be computed, where the proxy lies behind the view,
+    /// and everywhere if a `Depth` is of a view of another size.
     pub fn depth_map(&self, target: &Camera) -> DepthMap {
         match self {
             Self::Plane(plane) => plane_depth(plane, target),
@@ -80,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_behind_or_of_another_view_is_nowhere() {
+    fn proxies_behind_or_of_another_view_have_no_depth() {
         let camera = pinhole_at([0.0; 3]);
         let nowhere = [
             Proxy::Plane(Plane { normal: Vector3::z(), d: -1.0 }),

@@ -12,24 +12,27 @@ use crate::camera::Camera;
 use nalgebra::{Point2, Vector3};
 use rayon::prelude::*;
 
-/// Rows that one task renders. Larger leaves cores idle at the end, smaller repeats the walk
-/// over the triangles more often.
+/// Rows that one task renders. Larger: cores are idle at the end. Smaller: the triangles are searched
+/// more often.
 const BAND_ROWS: usize = 16;
-/// A ray that passes a vertex or an edge within this share of the products' size hits, so that
-/// pixels exactly on a vertex aren't lost to rounding. Larger thickens outlines (this is about
-/// 1e-8 px); smaller opens cracks where the world's origin is kilometres away.
+/// Largest distance from a triangle at which a ray still hits it, as a fraction of the products' size:
+/// about 1e-8 px. Larger: outlines thicken. Smaller: cracks open at pixels that are exactly on a
+/// vertex, and where the world's origin is kilometres away.
 const ON_EDGE: f64 = 1e-11;
-/// Triangles that fill a smaller solid angle (about, sr) are seen edge-on: it is what rounding
-/// leaves of unit vectors' products.
+/// Smallest solid angle of a triangle, sr. Larger: thin triangles are missing. Smaller: triangles seen
+/// edge-on have depths of rounding.
 const MIN_VOLUME: f64 = 1e-15;
-/// A triangle's part nearer than this share of its nearest vertex in front counts as behind the
-/// camera; it bounds how far aside the remaining part can project.
-const NEAR_SHARE: f64 = 1e-4;
-/// Points tried along each edge to bound a triangle's image through a lens that bends it.
+/// Depth of the near plane, as a fraction of the depth of a triangle's nearest vertex in front of the
+/// camera; it bounds how far aside the triangle projects. Larger: visible parts are cut off. Smaller:
+/// bounds overflow.
+const NEAR_FRACTION: f64 = 1e-4;
+/// Points along each edge that bound a triangle's image by a distorted lens. Larger: slower. Smaller:
+/// the margin around them, and so the box, is larger.
 const BEND_STEPS: usize = 8;
 
+/// A triangle, ready to be drawn.
 struct Prepared {
-    /// The three products' normals.
+    /// Normals of the planes through the camera's centre and each edge.
     edges: [Vector3<f64>; 3],
     /// 1/z = g · r.
     g: Vector3<f64>,
@@ -39,8 +42,9 @@ struct Prepared {
 }
 
 /// The depth of the nearest triangle at each pixel's centre. `points` are in the camera's frame.
+///
 /// Triangles that are seen edge-on, have no area, or have a vertex that is not finite or not in
-/// `points` are nowhere.
+/// `points` are skipped.
 pub(super) fn rasterize(
     points: &[Vector3<f64>],
     triangles: &[[u32; 3]],
@@ -52,14 +56,14 @@ pub(super) fn rasterize(
     depths.par_chunks_mut(BAND_ROWS * camera.width).enumerate().for_each(|(band, depths)| {
         let first = band * BAND_ROWS;
         let last = first + depths.len() / camera.width;
-        let mine: Vec<&Prepared> =
+        let in_band: Vec<&Prepared> =
             prepared.iter().filter(|t| t.rows.0 < last && t.rows.1 > first).collect();
         let mut rays = RayRow::new(camera);
         let mut nearest = vec![0.0; camera.width];
         for (row, depths) in (first..last).zip(depths.chunks_exact_mut(camera.width)) {
             rays.set(camera, row);
             nearest.fill(0.0);
-            for t in mine.iter().filter(|t| t.rows.0 <= row && row < t.rows.1) {
+            for t in in_band.iter().filter(|t| t.rows.0 <= row && row < t.rows.1) {
                 t.draw(&rays, &mut nearest);
             }
             for (depth, &inverse) in depths.iter_mut().zip(&nearest) {
@@ -80,7 +84,7 @@ fn prepare(points: &[Vector3<f64>], triangle: &[u32; 3], camera: &Camera) -> Opt
             return None;
         }
     }
-    // Directions decide what is hit, so that near and far vertices don't drown each other.
+    // Unit vectors decide on hits, so that near vertices aren't lost in the rounding of far ones.
     let lengths = v.map(|p| p.norm());
     let unit = [v[0] / lengths[0], v[1] / lengths[1], v[2] / lengths[2]];
     let mut edges = [unit[1].cross(&unit[2]), unit[2].cross(&unit[0]), unit[0].cross(&unit[1])];
@@ -116,10 +120,10 @@ impl Prepared {
 
 type Range = (usize, usize);
 
-/// Columns and rows that may see the triangle; `None` if none.
+/// Columns and rows in which the triangle may be visible; `None` if there are none.
 fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range, Range)> {
     let in_front = v.iter().map(|p| p.z).filter(|z| *z > 0.0);
-    let near = in_front.fold(f64::INFINITY, f64::min) * NEAR_SHARE;
+    let near = in_front.fold(f64::INFINITY, f64::min) * NEAR_FRACTION;
     if !(near > 0.0 && near.is_finite()) {
         return None;
     }
@@ -234,7 +238,7 @@ mod tests {
                 let triangles = [[0, 1, 2], [3, 4, 5], [6, 7, 8]];
                 let got = rasterize(&points, &triangles, &camera);
                 for (a, b) in got.data().iter().zip(naive(&points, &triangles, &camera)) {
-                    // Nearer than NEAR_SHARE of the triangle's far end is clipped.
+                    // Nearer than NEAR_FRACTION of the triangle's far end is clipped.
                     let same = (a - b).abs() <= 1e-4 * b || (a.is_nan() && b.is_nan());
                     assert!(same || !(b > 1e-3), "{a} {b}");
                 }
@@ -280,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn degenerate_triangles_are_nowhere() {
+    fn degenerate_triangles_are_skipped() {
         let p = [[0.0, 0.0, 1.0], [0.0, 0.0, 2.0], [0.0, 1.0, 3.0], [f64::NAN, 0.0, 1.0]]
             .map(Vector3::from);
         for t in [[0, 0, 0], [0, 1, 2], [0, 1, 0], [0, 2, 3], [0, 2, 99]] {

@@ -3,8 +3,8 @@
 use crate::camera::Camera;
 use nalgebra::Point2;
 
-/// Directions (x, y, 1) in the camera's frame of one row's pixel centres. Where the lens can't
-/// be inverted both are NaN.
+/// Directions (x, y, 1) in the camera's frame of one row's pixel centres. Both are NaN where the lens
+/// can't be inverted.
 pub(super) struct RayRow {
     pub x: Vec<f64>,
     pub y: Vec<f64>,
@@ -34,18 +34,19 @@ impl RayRow {
     }
 }
 
-/// What a view covers of the plane z = 1: a box around the rays of its border.
+/// The bounds of a view on the plane z = 1: a box around the rays of its border.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ViewBounds {
     pub min: Point2<f64>,
     pub max: Point2<f64>,
 }
 
-/// Positions tried along each side of the border; a lens bends a side little between two.
+/// Positions along each side of the border. Larger: slower. Smaller: a distorted lens bends a side
+/// beyond the box between two of them.
 const STEPS: usize = 32;
 
 impl ViewBounds {
-    /// `None` if no ray of the border can be computed.
+    /// The bounds of a camera's view; `None` if no ray of the border can be computed.
     pub fn of(camera: &Camera) -> Option<Self> {
         let (w, h) = (camera.width as f64, camera.height as f64);
         let mut bounds: Option<Self> = None;
@@ -63,9 +64,9 @@ impl ViewBounds {
         bounds
     }
 
-    /// Larger on every side by a share of the size.
-    pub fn enlarged(&self, share: f64) -> Self {
-        let by = (self.max - self.min) * share;
+    /// The bounds, larger on every side by a fraction of their size.
+    pub fn enlarged(&self, fraction: f64) -> Self {
+        let by = (self.max - self.min) * fraction;
         Self { min: self.min - by, max: self.max + by }
     }
 

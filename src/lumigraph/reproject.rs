@@ -1,5 +1,5 @@
-//! Where each camera saw the points of a row of the view, and how far that camera is to be
-//! trusted with them.
+//! Reprojection of a row of the view into each source: the points' positions in its image, and their
+//! penalties.
 //!
 //! The points are `r / ρ`, r = (x, y, 1) the pixel's ray and ρ its inverse depth. Everything is
 //! computed up to the factor 1/ρ, so that points at infinity are like any others. What is the
@@ -11,34 +11,36 @@ use super::{BlendOptions, Source};
 use crate::camera::{Camera, CameraModel};
 use nalgebra::{Matrix3, Point2, Vector3};
 
-/// A camera whose centre is this close to the view's, as a share of the farthest camera's
-/// distance from it, stands at the view's centre.
-const SAME_CENTER_SHARE: f64 = 1e-6;
-/// What a hidden camera's trust is multiplied by. It answers only where all are hidden. Larger
-/// lets foreground shine through; 0 would leave holes.
-const HIDDEN_TRUST: f32 = 1e-3;
-/// Points this far (as a share) outside the cone of a camera's border rays have no image: there
-/// a lens polynomial may fold back into the image.
+/// Largest distance of a camera at the view's centre, as a fraction of the farthest camera's distance
+/// from it. Larger: nearby cameras are taken for the view itself. Smaller: by rounding, the view of an
+/// input camera is blended from others too.
+const SAME_CENTER_FRACTION: f64 = 1e-6;
+/// Factor of the trust in a source where the point is occluded, so that it contributes only where the
+/// point is occluded in all sources. Larger: foreground shines through. 0: there are holes.
+const OCCLUDED_TRUST: f32 = 1e-3;
+/// Margin around the cone of a camera's border rays, as a fraction of its radius; points outside have
+/// no image. Larger: a lens polynomial may fold back into the image. Smaller: corners of bent images
+/// are missing.
 const CONE_MARGIN: f64 = 0.02;
 
-/// A row of the view to render, as the reprojection needs it.
+/// A row of the view to render.
 pub(super) struct TargetRow<'a> {
     /// Rays (x, y, 1) and their lengths.
     pub x: &'a [f32],
     pub y: &'a [f32],
     pub length: &'a [f32],
-    /// 1/m; 0 where the proxy is nowhere.
+    /// Inverse depths, 1/m; 0 where there is no proxy.
     pub inverse_depth: &'a [f32],
 }
 
-/// What one source sees of a row's points.
+/// The points of a row in one source.
 pub(super) struct Hits<'a> {
     /// Position in the source's image, pixels.
     pub x: &'a mut [f32],
     pub y: &'a mut [f32],
-    /// `2 tan(θ/2) · (1 + β · coarseness) / trust`; infinite where the source doesn't see it.
+    /// `2 tan(θ/2) · (1 + β · coarseness) / trust`; infinite where the source doesn't show the point.
     pub penalty: &'a mut [f32],
-    /// 0 where it doesn't, falling towards the border of the image and behind other surfaces.
+    /// 1 in the image, falling to 0 at its border and outside, and less where the point is occluded.
     pub trust: &'a mut [f32],
 }
 
@@ -61,7 +63,7 @@ pub(super) struct Reprojection {
 }
 
 impl Reprojection {
-    /// Of all sources.
+    /// The reprojections of all sources, in their order.
     pub fn of_all(sources: &[Source], target: &Camera, options: &BlendOptions) -> Vec<Self> {
         let center = target.center();
         let extent =
@@ -71,7 +73,7 @@ impl Reprojection {
 
     fn new(camera: &Camera, target: &Camera, extent: f64, options: &BlendOptions) -> Self {
         let mut shift_world = target.center() - camera.center();
-        if shift_world.norm() <= SAME_CENTER_SHARE * extent {
+        if shift_world.norm() <= SAME_CENTER_FRACTION * extent {
             shift_world = Vector3::zeros();
         }
         let target_axes = target.cam_from_world.rotation;
@@ -94,13 +96,13 @@ impl Reprojection {
         }
     }
 
-    /// Whether the view's centre is this source's: then it sees the pixel's colour whatever the
-    /// depth, and even without one.
+    /// Whether the source has the view's centre: then it shows the pixel's colour at any depth, and
+    /// even without one.
     pub fn at_center(&self) -> bool {
         self.shift_target == Vector3::zeros()
     }
 
-    /// Fills `hits`. `source` is the one that this was made of.
+    /// Fills `hits`. `source` is the one that this reprojection is of.
     pub fn row(&self, row: &TargetRow, source: &Source, hits: &mut Hits) {
         if self.model.is_pinhole() {
             let (fx, fy, cx, cy) = self.model.intrinsics();
@@ -113,7 +115,7 @@ impl Reprojection {
                 (pixel.x as f32, pixel.y as f32)
             });
         }
-        // A source at the view's centre looks along the same rays: nothing is hidden from it.
+        // A source at the view's centre looks along the same rays: nothing is occluded in it.
         if source.depth.is_some() && !self.at_center() {
             self.hide(row, source, hits);
         }
@@ -132,12 +134,12 @@ impl Reprojection {
         for k in 0..n {
             let (x, y, length, inverse) = (xs[k], ys[k], lengths[k], inverse[k]);
             let q = self.direction(x, y, inverse);
-            // Behind the source q.z is not positive, and what comes of it is thrown away below.
+            // Behind the source q.z is not positive, and the results are discarded below.
             let inverse_z = 1.0 / q.z;
             let (nx, ny) = (q.x * inverse_z, q.y * inverse_z);
             let (px, py) = pixel(nx, ny);
             let inside = px.min(self.width - px).min(py.min(self.height - py));
-            let sees = (q.z > 0.0)
+            let is_visible = (q.z > 0.0)
                 & (nx * nx + ny * ny <= self.max_radius2)
                 & (inside > 0.0)
                 & ((inverse > 0.0) | at_center);
@@ -155,7 +157,7 @@ impl Reprojection {
 
             let t = (inside * self.inverse_feather).min(1.0);
             let border = t * t * (3.0 - 2.0 * t);
-            let counts = sees & (angle < f32::INFINITY) & (border > 0.0);
+            let counts = is_visible & (angle < f32::INFINITY) & (border > 0.0);
             let raised = angle * (1.0 + self.resolution * coarseness) / border;
             out_x[k] = px;
             out_y[k] = py;
@@ -175,8 +177,8 @@ impl Reprojection {
         )
     }
 
-    /// Lowers trust where the point lies behind the surface that the source sees: from 1 at the
-    /// tolerance to [`HIDDEN_TRUST`] at twice that.
+    /// Lowers the trust where the point lies behind the surface in the source's depth map: from 1 at
+    /// the tolerance to [`OCCLUDED_TRUST`] at twice that.
     fn hide(&self, row: &TargetRow, source: &Source, hits: &mut Hits) {
         let Some(map) = source.depth else { return };
         for k in 0..row.x.len() {
@@ -185,9 +187,9 @@ impl Reprojection {
                 let depth = self.direction(row.x[k], row.y[k], inverse).z / inverse;
                 let surface = map.farthest_around(hits.x[k], hits.y[k]);
                 let behind = (depth / surface - 1.0) / self.hidden_share - 1.0;
-                // NaN, where the source sees nothing, hides nothing.
+                // NaN, where the source has no depth, occludes nothing.
                 if behind > 0.0 {
-                    let visible = (1.0 - behind).max(HIDDEN_TRUST);
+                    let visible = (1.0 - behind).max(OCCLUDED_TRUST);
                     hits.trust[k] *= visible;
                     hits.penalty[k] /= visible;
                 }

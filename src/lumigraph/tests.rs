@@ -1,4 +1,4 @@
-//! What the stage as a whole promises, on scenes known in closed form.
+//! The stage as a whole, on scenes known in closed form.
 
 use super::*;
 use crate::camera::tests::pinhole_at;
@@ -73,7 +73,7 @@ fn naive(sources: &[Source], depth: &DepthMap, target: &Camera, o: &BlendOptions
             let ray = target.ray_world(&Point2::new(x as f64 + 0.5, y as f64 + 0.5)).unwrap();
             let point = target.center() + ray * f64::from(depth.row(y)[x]);
             let to_target = target.center() - point;
-            let mut seen: Vec<(f64, [f32; 3])> = Vec::new();
+            let mut candidates: Vec<(f64, [f32; 3])> = Vec::new();
             for s in sources {
                 let Some(at) = s.camera.project(&point) else { continue };
                 let (w, h) = (s.camera.width as f64, s.camera.height as f64);
@@ -91,13 +91,14 @@ fn naive(sources: &[Source], depth: &DepthMap, target: &Camera, o: &BlendOptions
                         / (t * t * (3.0 - 2.0 * t));
                 let mut value = [0.0; 3];
                 s.image.sample_cubic(at.x as f32, at.y as f32, &mut value);
-                seen.push((penalty, value));
+                candidates.push((penalty, value));
             }
-            seen.sort_by(|a, b| a.0.total_cmp(&b.0));
-            let threshold =
-                seen.get(o.cameras).map_or(f64::INFINITY, |s| s.0.max(seen[0].0 * 1.05));
+            candidates.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let threshold = candidates
+                .get(o.cameras)
+                .map_or(f64::INFINITY, |s| s.0.max(candidates[0].0 * 1.05));
             let (mut sum, mut total) = ([0.0; 3], 0.0);
-            for (penalty, value) in &seen {
+            for (penalty, value) in &candidates {
                 let weight = (1.0 - penalty / threshold).max(0.0) / penalty;
                 total += weight;
                 for (sum, v) in sum.iter_mut().zip(value) {
@@ -236,7 +237,7 @@ fn the_order_of_the_cameras_does_not_matter() {
 
 /// Parts of images that no pixel is blended from are never looked at; the others all are.
 #[test]
-fn what_does_not_contribute_may_show_anything() {
+fn tiles_that_do_not_contribute_may_show_anything() {
     let mut random = Random::new(36);
     let cameras = rig();
     for grays in [0, 3, 8] {
@@ -314,7 +315,7 @@ fn gray_cameras_give_luminance_and_colored_ones_color() {
 }
 
 #[test]
-fn a_hidden_camera_does_not_answer() {
+fn a_camera_does_not_contribute_where_the_point_is_occluded() {
     // A wall at 2 m and a small screen at 1 m. The left camera sees the screen where the view
     // sees the wall.
     let cameras = vec![camera_at([-0.2, 0.0, 0.0]), camera_at([0.3, 0.0, 0.0])];
@@ -332,7 +333,7 @@ fn a_hidden_camera_does_not_answer() {
     assert!((middle(&sources) - 0.25).abs() < 0.01);
     let own = wall.depth_map(&cameras[0]);
     sources[0].depth = Some(&own);
-    assert!(middle(&sources) > 0.5, "what it sees itself is not hidden");
+    assert!(middle(&sources) > 0.5, "its own surface does not occlude itself");
 }
 
 #[test]

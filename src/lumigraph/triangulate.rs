@@ -13,21 +13,22 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 /// A triangulated point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Triangulated {
-    /// Metres, world.
+    /// Position in the world, metres.
     pub point: Point3<f64>,
-    /// Root mean square distance of the observations from the point's images, pixels.
+    /// Root mean square distance of the observations from the point's projections, pixels.
     pub rms_px: f64,
-    /// Largest angle between two of the rays.
+    /// Largest angle between two of the observations' rays.
     pub max_angle_rad: f64,
 }
 
-/// Rays count as parallel if the angle at which they meet is less than this in the image of the
-/// longest lens among them, pixels: less than trackers resolve. Smaller, and the depth is noise;
-/// larger, and far background that is known to be far is lost.
+/// Smallest parallax of two rays, pixels in the image of the longest lens among them: about as much as
+/// trackers resolve. Larger: far background is missing. Smaller: depths are noise.
 const MIN_PARALLAX_PX: f64 = 0.07;
-/// Levenberg–Marquardt converges in 2 to 5 steps, the problem being almost linear.
+/// Steps of Levenberg–Marquardt at most: the problem is almost linear, and it takes 2 to 5. Larger:
+/// slower where no step helps. Smaller: noisy points don't reach the minimum.
 const MAX_ITERATIONS: usize = 20;
-/// A step (radians, or shares of the inverse distance) below which nothing more is gained in f64.
+/// Length of a step that ends the minimization, in radians and fractions of the inverse distance.
+/// Larger: the minimum is missed. Smaller: steps of rounding follow.
 const MIN_STEP: f64 = 1e-14;
 
 /// One observation, in the coordinates of the module's head.
@@ -37,7 +38,7 @@ struct Equation {
     /// (C_0 − C_i) / s in camera axes.
     shift: Vector3<f64>,
     /// Observed point of the plane z = 1.
-    seen: Point2<f64>,
+    observed: Point2<f64>,
     /// Pixels per unit of that plane, x and y.
     focal: (f64, f64),
 }
@@ -57,11 +58,11 @@ impl Equation {
     }
 }
 
-/// The point whose images are nearest to the observations (pixels of each camera, distortion
-/// removed), in the sense of least squares.
+/// The point of the world whose projections are nearest to the observations, a pixel position in each
+/// camera's image, by least squares in pixels without distortion.
 ///
-/// `None` for fewer than two observations or distinct centres, pixels that a lens can't have
-/// seen, rays that are parallel to within `MIN_PARALLAX_PX` (0.07 px), a point at infinity, and one
+/// `None` for fewer than two observations or distinct centres, pixels whose ray can't be computed,
+/// rays that are parallel to within `MIN_PARALLAX_PX` (0.07 px), a point at infinity, and a point
 /// behind any of its cameras.
 pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulated> {
     let rays: Vec<Vector3<f64>> = observations
@@ -89,7 +90,7 @@ pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulat
             Some(Equation {
                 rotation: rotation.matrix() * axes,
                 shift: rotation * ((center - camera.center()) / scale),
-                seen: camera.model.normalized_from_pixel(pixel)?,
+                observed: camera.model.normalized_from_pixel(pixel)?,
                 focal: (fx, fy),
             })
         })
@@ -97,8 +98,8 @@ pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulat
 
     let start = linear(&equations)?;
     let p = refine(&equations, start);
-    // 1/ρ is safe: a distance of more than s over the square of the least angle could not have
-    // passed the test of the angle by less than the noise.
+    // Bounds 1/ρ: a point farther than s over the square of the smallest angle fails the test of the
+    // angle by more than the noise.
     if !(p.z > (MIN_PARALLAX_PX / focal_px).powi(2))
         || equations.iter().any(|e| !(e.direction(&p).z > 0.0))
     {
@@ -130,14 +131,15 @@ fn axes_along(r: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_columns(&[e1, r.cross(&e1), *r])
 }
 
-/// `x_seen · q_z − q_x = 0` and the same in y, q being linear in (u, v, ρ).
+/// The linear solution: `x · q_z − q_x = 0` for the observed x, and the same in y, with q linear in
+/// (u, v, ρ). `None` if the system is singular.
 fn linear(equations: &[Equation]) -> Option<Vector3<f64>> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for e in equations {
         let (d, q) = (e.derivative(), e.rotation.column(2));
-        for (row, seen, f) in [(0, e.seen.x, e.focal.0), (1, e.seen.y, e.focal.1)] {
-            let a = (d.row(2) * seen - d.row(row)).transpose() * f;
-            let b = -(q[2] * seen - q[row]) * f;
+        for (row, observed, f) in [(0, e.observed.x, e.focal.0), (1, e.observed.y, e.focal.1)] {
+            let a = (d.row(2) * observed - d.row(row)).transpose() * f;
+            let b = -(q[2] * observed - q[row]) * f;
             normal += a * a.transpose();
             right += a * b;
         }
@@ -155,8 +157,8 @@ fn cost(equations: &[Equation], p: &Vector3<f64>) -> (f64, Vector3<f64>, Matrix3
             return (f64::INFINITY, gradient, normal);
         }
         let d = e.derivative();
-        for (row, seen, f) in [(0, e.seen.x, e.focal.0), (1, e.seen.y, e.focal.1)] {
-            let residual = (q[row] / q.z - seen) * f;
+        for (row, observed, f) in [(0, e.observed.x, e.focal.0), (1, e.observed.y, e.focal.1)] {
+            let residual = (q[row] / q.z - observed) * f;
             let j = (d.row(row) - d.row(2) * (q[row] / q.z)).transpose() * (f / q.z);
             sum += residual * residual;
             gradient += j * residual;
@@ -166,7 +168,8 @@ fn cost(equations: &[Equation], p: &Vector3<f64>) -> (f64, Vector3<f64>, Matrix3
     (sum, gradient, normal)
 }
 
-/// Levenberg–Marquardt; the start if nothing is better (as when it is behind a camera).
+/// The minimum of [`cost`] by Levenberg–Marquardt; the start if it is behind a camera, or no step
+/// lowers the cost.
 fn refine(equations: &[Equation], start: Vector3<f64>) -> Vector3<f64> {
     let mut p = start;
     let (mut error, mut gradient, mut normal) = cost(equations, &p);
@@ -223,22 +226,22 @@ mod tests {
     #[test]
     fn thousands_of_random_points_are_found() {
         let mut random = Random::new(1);
-        let mut found = 0;
+        let mut solved = 0;
         for _ in 0..5000 {
             let count = 2 + (random.unit() * 7.0) as usize;
             let cameras = rig(&mut random, count);
             let z = random.in_range(1.0, 20.0);
             let truth = Point3::new(random.in_range(-0.3, 0.3) * z, random.in_range(-0.3, 0.3), z);
-            let seen: Option<Vec<_>> =
+            let observations: Option<Vec<_>> =
                 cameras.iter().map(|c| Some((c, c.project(&truth)?))).collect();
-            let Some(seen) = seen else { continue };
-            let Some(got) = triangulate(&seen) else { continue };
-            found += 1;
+            let Some(observations) = observations else { continue };
+            let Some(got) = triangulate(&observations) else { continue };
+            solved += 1;
             let tolerance = 1e-11 * z / got.max_angle_rad;
             assert!((got.point - truth).norm() < tolerance, "{got:?} {truth:?}");
             assert!(got.rms_px < 1e-8, "{got:?}");
         }
-        assert!(found > 4900, "{found}");
+        assert!(solved > 4900, "{solved}");
     }
 
     #[test]
@@ -247,16 +250,16 @@ mod tests {
         for _ in 0..500 {
             let cameras = rig(&mut random, 5);
             let truth = Point3::new(random.in_range(-0.3, 0.3), 0.1, random.in_range(2.0, 4.0));
-            let seen: Vec<_> = cameras
+            let observations: Vec<_> = cameras
                 .iter()
                 .map(|c| {
                     let noise = nalgebra::Vector2::from_fn(|_, _| random.in_range(-0.5, 0.5));
                     (c, c.project(&truth).unwrap() + noise)
                 })
                 .collect();
-            let Some(got) = triangulate(&seen) else { continue };
+            let Some(got) = triangulate(&observations) else { continue };
             let error = |p: &Point3<f64>| -> f64 {
-                seen.iter().map(|(c, s)| (c.project(p).unwrap() - s).norm_squared()).sum()
+                observations.iter().map(|(c, s)| (c.project(p).unwrap() - s).norm_squared()).sum()
             };
             let best = error(&got.point);
             for k in 0..6 {
@@ -283,7 +286,7 @@ mod tests {
                     m
                 })
                 .collect();
-            let seen: Vec<_> = cameras
+            let observations: Vec<_> = cameras
                 .iter()
                 .zip(&moved)
                 .enumerate()
@@ -292,7 +295,7 @@ mod tests {
                     (m, c.project(&truth).unwrap() + off)
                 })
                 .collect();
-            let got = triangulate(&seen).unwrap();
+            let got = triangulate(&observations).unwrap();
             Point3::from((got.point.coords - shift) / scale)
         };
         let plain = solve(1.0, Vector3::zeros());

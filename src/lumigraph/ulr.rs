@@ -6,8 +6,9 @@
 //! `p_i = 2 tan(θ_i / 2) · (1 + β · coarseness_i) / (border_i · visible_i)`
 //!
 //! with θ_i the angle at X between C and C_i. Buehler adds the three parts; multiplied, the
-//! penalty is exactly 0 where the view's centre is the camera's, so that camera alone answers,
-//! up to its border; and infinite outside its image, so that ranks change smoothly there.
+//! penalty is exactly 0 where the view's centre is the camera's, so that this camera alone
+//! contributes, up to its border. It is infinite outside the image, so that ranks change smoothly
+//! there.
 //! [`super::weights`] turns penalties into weights.
 //!
 //! A grey camera among coloured ones gives its luminance: luminance is blended from all cameras, and
@@ -15,8 +16,8 @@
 //! own), fading to grey where none of them sees the point. A coloured camera's luminance is what a
 //! grey one would have recorded in its place: summed before it is encoded.
 //!
-//! Known limit: where a point of the proxy is hidden from a camera by another part of it, the
-//! camera still answers unless its own [`Source::depth`] is given.
+//! Known limit: where a point of the proxy is occluded in a camera by another part of the proxy, the
+//! camera still contributes unless its own [`Source::depth`] is given.
 
 use super::DepthMap;
 use super::rays::RayRow;
@@ -27,43 +28,46 @@ use crate::raster::{Image, Sampling, Tiles, gray_from_rgb, sample};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// One camera with its image at the instant that is rendered.
+/// A camera with its image at the instant that is rendered.
 #[derive(Clone, Copy, Debug)]
 pub struct Source<'a> {
+    /// Lens and pose.
     pub camera: &'a Camera,
+    /// The image, of the camera's size, with 1 or 3 channels.
     pub image: &'a Image,
-    /// The proxy as this camera sees it; what lies behind it is hidden. `None`: nothing is.
+    /// The proxy's depths in this camera; points behind them are occluded. `None`: no point is.
     pub depth: Option<&'a DepthMap>,
 }
 
 impl<'a> Source<'a> {
-    /// A source from which nothing is hidden.
+    /// A source in which no point is occluded.
     pub fn new(camera: &'a Camera, image: &'a Image) -> Self {
         Self { camera, image, depth: None }
     }
 }
 
-/// How the view is blended.
+/// Options of [`blend`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BlendOptions {
-    /// How cameras are weighed. Files of earlier versions call it `rung`.
+    /// The cameras' weights. Files of earlier versions call the field `rung`.
     #[serde(alias = "rung")]
     pub method: BlendMethod,
-    /// Cameras that a pixel is blended from. Larger averages the noise of more images and blurs
-    /// by the proxy's error; smaller shows every camera's own errors. At least 1. (Magazine
+    /// Number of cameras that a pixel is blended from; 0 counts as 1. Larger: the noise of more images
+    /// is averaged, and the proxy's error blurs. Smaller: every camera's own errors show. (Magazine
     /// scene: over true depth 2, 3, 4, 8 give 33.7, 33.8, 34.0, 34.2 dB, over a plane 25.9, 25.9,
     /// 25.7, 24.4.)
     pub cameras: usize,
-    /// Width over which a camera fades out towards its image's border, px. Larger wastes the
-    /// image's outer part; smaller makes the border of an image visible.
+    /// Width over which a camera fades out towards its image's border, pixels. Larger: the image's
+    /// outer part is wasted. Smaller: the border of an image is visible.
     pub feather_px: f64,
-    /// β: weight of coarser resolution. Larger avoids cameras that are farther away or have a
-    /// shorter lens than the view even if they see it from the right angle; at 0 their blur shows.
+    /// β, the weight of coarser resolution. Larger: cameras that are farther away or have a shorter
+    /// lens than the view are avoided even at the right angle. Smaller: their blur shows.
     pub resolution: f64,
+    /// Interpolation of the images between pixels.
     pub sampling: Sampling,
-    /// How much deeper than [`Source::depth`] a point must be to count as hidden, as a share.
-    /// Larger shows the foreground's edge twice; smaller hides slanted surfaces from themselves.
+    /// Smallest depth of an occluded point beyond [`Source::depth`], as a fraction of it. Larger: the
+    /// foreground's edge shows twice. Smaller: slanted surfaces occlude themselves.
     pub hidden_share: f64,
 }
 
@@ -80,21 +84,25 @@ impl Default for BlendOptions {
     }
 }
 
-/// A view, and which of its pixels any camera sees (row by row). The others are 0.
+/// A rendered view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rendered {
+    /// The view; pixels without coverage are 0.
     pub image: Image,
+    /// Whether any camera sees the pixel's point, row by row.
     pub coverage: Vec<bool>,
 }
 
-/// Nothing is farther than this, 1/m: at 1e8 m, the images in two cameras a kilometre apart
-/// differ by a hundredth of a pixel. It keeps the angles of the sky's points apart from 0.
+/// Smallest inverse depth, 1/m. Larger: at 1e8 m, images of cameras a kilometre apart differ by a
+/// hundredth of a pixel, and nearer points by more. Smaller: the angles of the sky's points round to 0,
+/// and all cameras tie.
 const MIN_INVERSE_DEPTH: f32 = 1e-8;
 
-/// Renders the view from its depths (of the proxy, [`super::Proxy::depth_map`]).
+/// Renders the view `target` from the sources' images, over the proxy's depths in the view
+/// ([`Proxy::depth_map`](super::Proxy::depth_map)).
 ///
-/// Pixels without depth are answered only by cameras that stand at the view's centre. No sources
-/// give no coverage. The image has 3 channels if any source has, else 1.
+/// Only cameras at the view's centre contribute to pixels without depth. Without sources there is no
+/// coverage. The image has 3 channels if any source has, else 1.
 ///
 /// # Panics
 /// If the size of the depth map is not the view's, or that of an image or of a source's depth
@@ -132,10 +140,11 @@ pub fn blend(
     Rendered { image, coverage }
 }
 
-/// What of each source's image the view is blended from, one of its size a source, in their order; of
-/// most sources of a large rig nothing.
-/// What the rest of an image shows changes nothing; where its camera stands does, for it ends the
-/// weights of those that are nearer.
+/// The tiles of each source's image that the view depends on, in the sources' order; most sources of a
+/// large rig have none.
+///
+/// The pixels of the other tiles have no influence on [`blend`]. Their cameras have: they end the
+/// weights of nearer ones.
 ///
 /// # Panics
 /// As [`blend`].
@@ -176,8 +185,8 @@ fn check(sources: &[Source], depth: &DepthMap, target: &Camera) {
     }
 }
 
-/// One row's geometry in all sources, and scratch space. What has a value for every pixel in
-/// every source is stored source by source.
+/// One row's geometry in all sources, and scratch space. Values of every pixel in every source are
+/// stored source by source.
 struct Row<'a> {
     sources: &'a [Source<'a>],
     reprojections: &'a [Reprojection],
@@ -214,7 +223,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// Finds the row's points in all sources.
+    /// Reprojects the row's points into all sources.
     fn measure(&mut self, y: usize, depths: &[f32]) {
         self.rays.set(self.target, y);
         let narrow = |v: &[f64]| v.iter().map(|&v| v as f32).collect::<Vec<f32>>();
@@ -244,7 +253,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// The coloured sources alone, as if there were no others.
+    /// Computes the weights of the coloured sources, as if there were no others.
     fn weigh_colored(&mut self) {
         let width = self.target.width;
         let gray = |s: &Source| s.image.channels() == 1;
@@ -255,7 +264,7 @@ impl<'a> Row<'a> {
         self.weigh();
     }
 
-    /// Marks what this row is blended from, source by source.
+    /// Marks the tiles that this row is blended from, source by source.
     fn contributing(&mut self, tiles: &mut [Tiles]) {
         self.weigh();
         self.mark(tiles);
@@ -279,7 +288,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// All sources have C channels.
+    /// Blends the row from sources that all have C channels.
     fn blend<const C: usize>(&mut self, pixels: &mut [f32]) {
         self.weigh();
         let width = self.target.width;
@@ -300,37 +309,37 @@ impl<'a> Row<'a> {
         pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     }
 
-    /// Some sources are grey: luminance from all, colour from the others.
+    /// Blends the row where some sources are grey: luminance from all sources, colour from the others.
     fn blend_mixed(&mut self, pixels: &mut [f32]) {
         let width = self.target.width;
         let sources = self.sources;
         let is_colored = |i: usize| sources[i].image.channels() == 3;
         self.weigh();
-        let (mut colored_share, mut seen) = (vec![0.0; width], vec![0.0_f32; width]);
+        let (mut colored_weight, mut trust_of_any) = (vec![0.0; width], vec![0.0_f32; width]);
         for i in 0..sources.len() {
             for x in 0..width {
                 let (k, weight) = (i * width + x, self.weights.weights[i * width + x]);
-                seen[x] = seen[x].max(self.trust[k]);
+                trust_of_any[x] = trust_of_any[x].max(self.trust[k]);
                 if weight > 0.0 {
                     let gray = gray_from_rgb(self.sample_rgb(k, i));
                     pixels[3 * x..3 * x + 3].iter_mut().for_each(|v| *v += weight * gray);
-                    colored_share[x] += if is_colored(i) { weight } else { 0.0 };
+                    colored_weight[x] += if is_colored(i) { weight } else { 0.0 };
                 }
             }
         }
         let trust = self.trust.clone();
         self.weigh_colored();
-        let mut seen_colored = vec![0.0_f32; width];
+        let mut trust_of_colored = vec![0.0_f32; width];
         for row in self.trust.chunks_exact(width) {
-            for (seen, t) in seen_colored.iter_mut().zip(row) {
-                *seen = seen.max(*t);
+            for (best, t) in trust_of_colored.iter_mut().zip(row) {
+                *best = best.max(*t);
             }
         }
         for i in (0..sources.len()).filter(|&i| is_colored(i)) {
             for x in 0..width {
-                // Colour fades as the last coloured camera loses the point that others see,
-                // unless the luminance is that camera's too. Where there is a weight, one sees it.
-                let fade = colored_share[x].max(seen_colored[x] / seen[x]);
+                // Colour fades as the last coloured camera loses the point that others see, unless
+                // the luminance is that camera's too. Where a weight is positive, some trust is.
+                let fade = colored_weight[x].max(trust_of_colored[x] / trust_of_any[x]);
                 let weight = self.weights.weights[i * width + x];
                 if weight > 0.0 {
                     let value = self.sample_rgb(i * width + x, i);

@@ -1,4 +1,4 @@
-//! How much each camera contributes to a pixel.
+//! The weight of each camera in a pixel.
 //!
 //! Buehler et al.: the k best cameras by penalty, weights `(1 − p / p_{k+1}) / p`. As written,
 //! that is discontinuous where the k+1 best are equally good (0/0: the middle of a square of
@@ -9,7 +9,7 @@
 use crate::method::methods;
 use serde::{Deserialize, Serialize};
 
-/// How the cameras that see a point are weighed, cheapest first.
+/// The weights of the cameras that see a point, the cheapest method first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BlendMethod {
@@ -26,8 +26,8 @@ methods!(BlendMethod {
     Lumigraph = "lumigraph": "The paper's: the cameras with the nearest rays, by angle and resolution",
 });
 
-/// The threshold's least distance above the best penalty, as a share of it. Larger blends more
-/// than k cameras that almost tie; smaller sharpens the passage between them, to a jump at 0.
+/// Smallest distance of the threshold above the best penalty, as a fraction of it. Larger: more than k
+/// cameras that almost tie are blended. Smaller: the transition between them is sharper, a jump at 0.
 const SOFT: f32 = 0.05;
 
 /// The weights of a row of pixels, source by source.
@@ -43,7 +43,7 @@ pub(super) struct WeightRow {
     ranks: Vec<f32>,
     /// Scratch space: a value for every pixel.
     sum: Vec<f32>,
-    moving: Vec<f32>,
+    inserted: Vec<f32>,
 }
 
 impl WeightRow {
@@ -53,11 +53,11 @@ impl WeightRow {
             weights: vec![0.0; width * sources],
             ranks: Vec::new(),
             sum: vec![0.0; width],
-            moving: vec![0.0; width],
+            inserted: vec![0.0; width],
         }
     }
 
-    /// Of the k best cameras; `k` = 0 counts as 1.
+    /// Computes the weights of the k best cameras; `k` = 0 counts as 1.
     pub fn lumigraph(&mut self, penalties: &[f32], trust: &[f32], k: usize) {
         let width = self.width;
         let k = k.clamp(1, (self.weights.len() / width).max(1));
@@ -65,11 +65,11 @@ impl WeightRow {
         let (best, next) = self.ranks.split_at_mut(width);
         let threshold = &mut next[(k - 1) * width..];
         for (threshold, &best) in threshold.iter_mut().zip(&*best) {
-            // Infinite where k cameras or fewer are in sight: nothing need fade out.
+            // Infinite where k cameras or fewer see the point: none has to fade out.
             *threshold = threshold.max(best * (1.0 + SOFT));
         }
         for (sum, (best, threshold)) in self.sum.iter_mut().zip(best.iter().zip(&*threshold)) {
-            // What the weights fall by until the threshold; the sum comes afterwards.
+            // Scratch until the sum is computed: the decrease of the weights at the threshold.
             *sum = best / threshold;
         }
         let rows = penalties.chunks_exact(width).zip(trust.chunks_exact(width));
@@ -88,7 +88,7 @@ impl WeightRow {
         self.normalize();
     }
 
-    /// Equal weights for the cameras that see the point, less towards their borders.
+    /// Computes equal weights of the cameras that see the point, lower towards their borders.
     pub fn uniform(&mut self, trust: &[f32]) {
         self.weights.copy_from_slice(trust);
         self.normalize();
@@ -100,12 +100,12 @@ impl WeightRow {
         self.ranks.resize(count * width, f32::INFINITY);
         // Insertion by exchanges, side by side for all pixels.
         for row in penalties.chunks_exact(width) {
-            self.moving.copy_from_slice(row);
+            self.inserted.copy_from_slice(row);
             for rank in self.ranks.chunks_exact_mut(width) {
-                for (rank, moving) in rank.iter_mut().zip(&mut self.moving) {
-                    let (a, b) = (*rank, *moving);
+                for (rank, inserted) in rank.iter_mut().zip(&mut self.inserted) {
+                    let (a, b) = (*rank, *inserted);
                     *rank = if b < a { b } else { a };
-                    *moving = if b < a { a } else { b };
+                    *inserted = if b < a { a } else { b };
                 }
             }
         }
@@ -120,8 +120,8 @@ impl WeightRow {
         }
         for weights in self.weights.chunks_exact_mut(self.width) {
             for (w, &sum) in weights.iter_mut().zip(&self.sum) {
-                let share = *w / sum;
-                *w = if sum > 0.0 { share } else { 0.0 };
+                let fraction = *w / sum;
+                *w = if sum > 0.0 { fraction } else { 0.0 };
             }
         }
     }

@@ -10,6 +10,7 @@
 
 use super::pair::PairEstimate;
 use super::uncertainty::Sandwich;
+use crate::capture::MAX_DRIFT_PPM;
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
@@ -55,10 +56,11 @@ const FULL_WEIGHT_DEVIATION: f64 = 2.0;
 /// pairs bound the precision of each. Larger ignores that some pairs are better; smaller lets one
 /// pair of underestimated error determine the solution.
 const MIN_STD_ERR_FRACTION: f64 = 0.3;
-/// The standard deviation of the prior on every rate, seconds a second. Larger leaves a rate without
+/// The standard deviation of the prior on every rate, three times the largest drift, seconds a
+/// second. Larger leaves a rate without
 /// information almost singular; smaller biases rates towards 0. It shifts a determined rate by at
 /// most a thousandth of its standard error.
-const RATE_PRIOR: f64 = 3e-3;
+const RATE_PRIOR: f64 = 3.0 * (1e-6 * MAX_DRIFT_PPM);
 /// The standard deviation of a Gaussian over its median absolute deviation.
 const SIGMA_OVER_MAD: f64 = 1.4826;
 

@@ -5,8 +5,8 @@ use nalgebra::RealField;
 /// Rec. 709's weights of linear red, green and blue in luminance. They sum to 1.
 pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
-/// Linear light of a display-encoded (sRGB) value. Both are 0..=1; below 0 the linear part of the
-/// curve goes on, so that the overshoot of a cubic filter has a value too.
+/// Linear light of a display-encoded (sRGB) value, both of 0 to 1. Below 0 the linear part of the
+/// curve is continued, for the overshoot of cubic filters.
 pub fn linear_from_encoded<T: RealField + Copy>(v: T) -> T {
     let c = nalgebra::convert::<f64, T>;
     if v <= c(0.04045) { v / c(12.92) } else { ((v + c(0.055)) / c(1.055)).powf(c(2.4)) }
@@ -18,15 +18,15 @@ pub fn encoded_from_linear<T: RealField + Copy>(v: T) -> T {
     if v <= c(0.0031308) { v * c(12.92) } else { c(1.055) * v.powf(c(1.0 / 2.4)) - c(0.055) }
 }
 
-/// The luma of an RGB pixel: Rec. 709's weights applied to whatever the values are, encoded or
-/// linear.
+/// Rec. 709's weighted sum of an RGB pixel: luma of display-encoded values, luminance of linear ones.
 #[inline(always)]
 pub fn luma(pixel: &[f32]) -> f32 {
     const WEIGHTS: [f32; 3] = [LUMINANCE[0] as f32, LUMINANCE[1] as f32, LUMINANCE[2] as f32];
     WEIGHTS[0] * pixel[0] + WEIGHTS[1] * pixel[1] + WEIGHTS[2] * pixel[2]
 }
 
-/// What a grey camera records of a colour, both display-encoded: the luminance of the light.
+/// The grey of a colour, both display-encoded: the luminance of the light, as a grey camera records
+/// it.
 pub fn gray_from_rgb(rgb: [f32; 3]) -> f32 {
     encoded_from_linear(luma(&rgb.map(linear_from_encoded)))
 }

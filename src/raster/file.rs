@@ -1,38 +1,40 @@
-//! Image files in and out.
+//! Reading and writing image files.
 
 use super::Image;
 use crate::host::write_atomically;
 use image::{ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits};
 use std::path::{Path, PathBuf};
 
-/// Bits a channel, of the files read and written.
+/// Bits a channel of an image file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum BitDepth {
     Eight,
     Sixteen,
 }
 
-/// Why an image file can't be read or written. Every message is one sentence that names the file.
+/// An error of an image file. Every message is one sentence with the file.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageFileError {
+    /// The file can't be read.
     #[error("{path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
+    /// The file can't be written.
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
-    /// Its bytes are no image that can be decoded, or an image that can't be encoded.
+    /// The bytes can't be decoded to an image, or an image can't be encoded.
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },
 }
 
-/// What an image file says of itself before its pixels.
+/// An image file's header.
 pub(crate) struct Header {
     pub width: u32,
     pub height: u32,
     pub bit_depth: BitDepth,
 }
 
-/// Memory that one file may make the decoder take: a 16-bit RGBA image of 8192×8192 and its
-/// working space. What asks for more is refused rather than believed.
+/// Memory of the decoder, bytes: a 16-bit RGBA image of 8192×8192 and its scratch space. Larger: a
+/// crafted header fills the memory. Smaller: the largest images of a capture are refused.
 const MAX_DECODE_BYTES: u64 = 2 << 30;
 
 fn image_error(path: &Path, reason: impl std::fmt::Display) -> ImageFileError {
@@ -63,8 +65,8 @@ fn bit_depth(color: ColorType) -> BitDepth {
     }
 }
 
-/// Reads an image of any kind that `image` decodes: grey stays grey, the rest becomes RGB, alpha
-/// is ignored. Samples are the file's divided by their largest value.
+/// Reads an image file, and its bit depth. Grey has one channel, all else three; alpha is ignored.
+/// Samples are the file's divided by their largest value.
 pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
     let decoded = DynamicImage::from_decoder(decoder(path)?).map_err(|e| image_error(path, e))?;
     let depth = bit_depth(decoded.color());
@@ -90,8 +92,10 @@ fn unit16(raw: Vec<u16>) -> Vec<f32> {
     raw.into_iter().map(|v| f32::from(v) / 65535.0).collect()
 }
 
-/// Writes a PNG in the given depth; with `coverage` (one value a pixel, row by row) an alpha
-/// channel is written too, 0 where it is false.
+/// Writes an image of 1 or 3 channels as PNG, creating its folder if there is none.
+///
+/// `coverage` has one value a pixel, row by row. It adds an alpha channel: 0, with black, where the
+/// value is false, and the largest value elsewhere.
 pub fn write_image(
     path: &Path,
     image: &Image,
@@ -103,15 +107,18 @@ pub fn write_image(
         .map_err(|source| ImageFileError::Write { path: path.to_owned(), source })
 }
 
-/// Samples as a file holds them, row by row, channels interleaved.
+/// Samples of a file: row by row, channels interleaved.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Samples {
     Eight(Vec<u8>),
     Sixteen(Vec<u16>),
 }
 
-/// An image in a file's depth: the number of channels, and the samples. With `coverage` (one value
-/// a pixel, row by row) an alpha channel is among them; where it is false, all of them are 0.
+/// Rounds an image to a file's depth: the number of channels, and the samples. Values beyond 0 to 1
+/// are clamped, and NaN is 0.
+///
+/// `coverage` has one value a pixel, row by row. It adds an alpha channel; where it is false, all
+/// samples of the pixel are 0.
 pub fn quantize(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> (usize, Samples) {
     let channels = image.channels() + usize::from(coverage.is_some());
     let mut samples = Vec::with_capacity(image.width() * image.height() * channels);
@@ -158,7 +165,7 @@ fn encode_png(
             ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgba16)
         }
     }
-    .expect("the buffer was made for these dimensions");
+    .expect("the buffer has these dimensions");
     let mut bytes = std::io::Cursor::new(Vec::new());
     dynamic.write_to(&mut bytes, image::ImageFormat::Png)?;
     Ok(bytes.into_inner())
@@ -204,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_an_image_is_one_sentence() {
+    fn files_that_are_no_image_give_one_sentence() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
         std::fs::write(&path, b"not a picture").unwrap();

@@ -1,6 +1,7 @@
-//! Images as the stages work on them: f32 samples in 0..=1, display-encoded (sRGB) as they were
-//! filmed, channels interleaved, and positions in pixels with the top-left pixel's centre at
-//! (0.5, 0.5).
+//! Images in memory and in files.
+//!
+//! Samples are f32 of 0 to 1, display-encoded (sRGB) as in the files, with channels interleaved.
+//! Positions are in pixels; the centre of the top-left pixel is (0.5, 0.5).
 
 mod color;
 mod file;
@@ -32,7 +33,7 @@ impl Image {
         Self::from_data(width, height, channels, vec![value; width * height * channels])
     }
 
-    /// From samples, row by row.
+    /// An image of these samples, row by row, channels interleaved.
     ///
     /// # Panics
     /// If a dimension is 0, or their product is not the number of samples.
@@ -42,14 +43,17 @@ impl Image {
         Self { width, height, channels, data }
     }
 
+    /// Pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
+    /// Pixels.
     pub fn height(&self) -> usize {
         self.height
     }
 
+    /// Samples a pixel.
     pub fn channels(&self) -> usize {
         self.channels
     }
@@ -59,23 +63,24 @@ impl Image {
         &self.data
     }
 
+    /// As [`Self::data`], to be changed.
     pub fn data_mut(&mut self) -> &mut [f32] {
         &mut self.data
     }
 
-    /// The samples of one row.
+    /// The samples of one row. Panics outside of the image.
     pub fn row(&self, y: usize) -> &[f32] {
         let n = self.width * self.channels;
         &self.data[y * n..(y + 1) * n]
     }
 
-    /// The samples of one pixel.
+    /// The samples of one pixel. Panics outside of the image.
     pub fn pixel(&self, x: usize, y: usize) -> &[f32] {
         let at = (y * self.width + x) * self.channels;
         &self.data[at..at + self.channels]
     }
 
-    /// Luma (Rec. 709 weights on the encoded values) of an RGB image; a grey one as it is.
+    /// The luma of an RGB image, see [`luma`]; a copy of a grey one.
     pub fn to_gray(&self) -> Image {
         if self.channels == 1 {
             return self.clone();
@@ -84,7 +89,7 @@ impl Image {
         Image { width: self.width, height: self.height, channels: 1, data }
     }
 
-    /// As RGB; grey is repeated.
+    /// The image with three channels; grey is repeated.
     pub fn to_rgb(&self) -> Image {
         if self.channels == 3 {
             return self.clone();
@@ -93,8 +98,8 @@ impl Image {
         Image { width: self.width, height: self.height, channels: 3, data }
     }
 
-    /// Bilinear sample at a position in pixels, into `out` (one value a channel). Positions
-    /// outside take the border's value; a NaN position takes the first pixel's.
+    /// Bilinear sample at a position in pixels, into `out`: one value a channel. Positions
+    /// outside have the border's value, and NaN that of the first pixel.
     pub fn sample_bilinear(&self, x: f32, y: f32, out: &mut [f32]) {
         let split = |v: f32, size: usize| {
             let v = (v - 0.5).max(0.0).min((size - 1) as f32);
@@ -112,9 +117,9 @@ impl Image {
         }
     }
 
-    /// Catmull-Rom sample at a position in pixels, into `out` (one value a channel): sharper than
-    /// [`Self::sample_bilinear`], and exact at pixel centres too. Borders as there; the result
-    /// may overshoot 0..=1 by the filter's lobes.
+    /// Catmull–Rom sample at a position in pixels, into `out`: one value a channel. It is sharper
+    /// than [`Self::sample_bilinear`], equals the pixel at its centre, and may overshoot 0 to 1 by
+    /// the filter's lobes. Outside and NaN are as there.
     pub fn sample_cubic(&self, x: f32, y: f32, out: &mut [f32]) {
         let split = |v: f32, size: usize| {
             let v = (v - 0.5).max(0.0).min((size - 1) as f32);
@@ -135,7 +140,8 @@ impl Image {
     }
 }
 
-/// The four weights of Catmull-Rom's cubic at a fraction between the middle two samples.
+/// The weights of four neighbouring samples in Catmull–Rom's cubic, at a fraction of 0 to 1 between
+/// the middle two.
 pub(crate) fn catmull_rom(f: f32) -> [f32; 4] {
     let (f2, f3) = (f * f, f * f * f);
     [

@@ -1,20 +1,20 @@
-//! Images between their pixels, fast.
+//! Fast samples of images between their pixels.
 
 use super::{Image, catmull_rom};
 use serde::{Deserialize, Serialize};
 
-/// How images are read between pixels.
+/// The interpolation of images between pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sampling {
+    /// Linear in x and in y.
     Bilinear,
-    /// Catmull-Rom: sharper.
+    /// Catmull–Rom's cubic: sharper.
     Cubic,
 }
 
-/// The image of C channels at a position in pixels, as [`Image::sample_cubic`] and
-/// [`Image::sample_bilinear`], with a shorter way where the filter lies
-/// inside the image. C is 1 or 3.
+/// The image of C channels, 1 or 3, at a position in pixels. It equals [`Image::sample_cubic`] and
+/// [`Image::sample_bilinear`] to rounding, and is faster where the filter lies inside the image.
 #[inline(always)]
 pub(crate) fn sample<const C: usize>(
     image: &Image,
@@ -50,11 +50,11 @@ pub(crate) fn sample<const C: usize>(
                 let cells = &image.data()[at..][..if C == 1 { 4 } else { 13 }];
                 let mut across = [0.0; 4];
                 if C == 1 {
-                    // The four lanes are four pixels.
+                    // The four sums are of four pixels.
                     across =
                         [cells[0] * wx[0], cells[1] * wx[1], cells[2] * wx[2], cells[3] * wx[3]];
                 } else {
-                    // The lanes are the pixel's channels, and one that is thrown away.
+                    // The four sums are of the pixel's channels, and one that is not used.
                     for (column, wx) in wx.into_iter().enumerate() {
                         add(&mut across, wx, &cells[column * C..][..4]);
                     }
@@ -78,7 +78,7 @@ fn add(sum: &mut [f32; 4], weight: f32, values: &[f32]) {
     }
 }
 
-/// The image at these positions, into `out`, by Catmull-Rom's cubic.
+/// The image at these positions, into `out`, by Catmull–Rom's cubic: one value a channel for each.
 pub(crate) fn sample_all(
     image: &Image,
     positions: impl Iterator<Item = [f32; 2]>,

@@ -1,10 +1,10 @@
-//! Parts of an image.
+//! The parts of an image that are needed.
 
-/// Side of a tile, pixels. Larger: more of an image is asked for than is looked at; smaller: more
-/// to keep.
+/// Side of a tile, pixels. Larger: more of an image is computed than is needed. Smaller: more tiles to
+/// test.
 const SIDE: usize = 16;
 
-/// Square tiles of an image, of which some are marked: what of it is looked at.
+/// Square tiles of an image, of which some are marked: those that are needed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tiles {
     across: usize,
@@ -13,7 +13,7 @@ pub struct Tiles {
 }
 
 impl Tiles {
-    /// Of an image of this size, pixels; none is marked.
+    /// The tiles of an image of this size in pixels, none of them marked.
     ///
     /// # Panics
     /// If a dimension is 0.
@@ -23,13 +23,14 @@ impl Tiles {
         Self { across, down, marked: vec![false; across * down] }
     }
 
-    /// Whether any is marked.
+    /// Whether any tile is marked.
     pub fn any(&self) -> bool {
         self.marked.contains(&true)
     }
 
-    /// Marks what of the image a sample at this position, pixels, is made from ([`super::Sampling`]).
-    /// Positions outside take the border's, a NaN that of the first pixel.
+    /// Marks the tiles that a sample at this position, pixels, depends on, whatever its
+    /// [`Sampling`](super::Sampling). Positions outside depend on the border, and NaN on the first
+    /// pixel.
     pub fn mark_sample(&mut self, x: f32, y: f32) {
         // The cubic reaches over two pixels on each side; beyond the largest, `as` saturates.
         let span = |v: f32, tiles: usize| {
@@ -43,8 +44,8 @@ impl Tiles {
         }
     }
 
-    /// Whether a marked tile has pixels in a square of so many pixels a side, whose top left corner may
-    /// lie outside the image.
+    /// Whether a square, of `side` pixels from its top left corner on, shares a pixel with a marked
+    /// tile. The corner may lie outside the image.
     pub fn touches(&self, corner: [isize; 2], side: usize) -> bool {
         let span = |from: isize, tiles: usize| {
             let end = from.saturating_add_unsigned(side).max(0) as usize;
@@ -55,7 +56,7 @@ impl Tiles {
         })
     }
 
-    /// Marks what another of the same image has marked.
+    /// Marks the tiles that `other`, of an image of the same size, has marked.
     pub fn add(&mut self, other: &Self) {
         self.marked.iter_mut().zip(&other.marked).for_each(|(own, other)| *own |= other);
     }
@@ -66,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn samples_mark_what_they_reach() {
+    fn samples_mark_all_tiles_within_reach() {
         let (w, h) = (70, 33);
         let all = |tiles: &Tiles| {
             let pixels = (0..w * h).map(|k| [(k % w) as isize, (k / w) as isize]);

@@ -1,15 +1,15 @@
-//! What a rig file may hold. Python's reader (`blender/stlfr/rig.py`) refuses the same; a test puts
-//! one corpus through both.
+//! The checks of a rig file: every field within its limits, and no two fields that contradict each
+//! other.
 
 use super::limits::*;
 use super::{Rig, RigCamera, RigView};
-use crate::camera::PoseFormat;
+use crate::camera::{MAX_PIXELS, MAX_QUATERNION_ERROR, PoseFormat};
 use crate::json::JsonError;
 use nalgebra::Point2;
 use std::fmt::Display;
 use std::path::PathBuf;
 
-/// What can be wrong with a rig file: one sentence with file and field.
+/// An error of a rig file: one sentence with the file and the field.
 #[derive(Debug, thiserror::Error)]
 pub enum RigError {
     #[error("{path}: {source}")]
@@ -18,11 +18,24 @@ pub enum RigError {
     Field { path: PathBuf, wrong: FieldError },
 }
 
-/// A field and what is wrong with it.
+/// An error of a rig's text: one sentence that starts with the field, where it is known.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub enum RigTextError {
+    /// The text is no JSON, or JSON of another shape.
+    #[error("{0}")]
+    Json(String),
+    /// A field's value is refused.
+    #[error(transparent)]
+    Field(#[from] FieldError),
+}
+
+/// A field whose value is refused, and the reason: together one sentence.
 #[derive(Debug, PartialEq, thiserror::Error)]
 #[error("{field} {reason}")]
 pub struct FieldError {
+    /// Path of the field, such as `cameras[1].rate_hz`.
     pub field: String,
+    /// The sentence's end, such as "must be a number from …".
     pub reason: String,
 }
 
@@ -102,7 +115,7 @@ fn camera(at: &str, camera: &RigCamera, rig: &Rig) -> Checked {
     distortion(at, camera)
 }
 
-/// What can't be true of one clock together.
+/// Fields of one clock that contradict each other.
 fn clock(at: &str, camera: &RigCamera, rig: &Rig) -> Checked {
     let is_reference = camera.id == rig.reference;
     let known = if is_reference { "the reference camera" } else { "a camera with a shared clock" };
@@ -130,21 +143,21 @@ fn distortion(at: &str, camera: &RigCamera) -> Checked {
         return Ok(());
     }
     let (width, height) = (f64::from(camera.width), f64::from(camera.height));
-    let (mut least, mut most) = (Point2::new(width, height), Point2::new(0.0, 0.0));
+    let (mut min, mut max) = (Point2::new(width, height), Point2::new(0.0, 0.0));
     let model = camera.model();
     for k in 0..=BORDER_STEPS {
-        let share = f64::from(k) / f64::from(BORDER_STEPS);
-        let (x, y) = (share * width, share * height);
+        let fraction = f64::from(k) / f64::from(BORDER_STEPS);
+        let (x, y) = (fraction * width, fraction * height);
         for pixel in [[x, 0.0], [x, height], [0.0, y], [width, y]] {
             let Some(ideal) = model.ideal_from_pixel(&Point2::from(pixel)) else {
                 let reason = format!("has no inverse at pixel ({}, {})", pixel[0], pixel[1]);
                 return wrong(format!("{at}.distortion"), reason);
             };
-            least = least.inf(&ideal);
-            most = most.sup(&ideal);
+            min = min.inf(&ideal);
+            max = max.sup(&ideal);
         }
     }
-    if most.x - least.x > MAX_SPREAD * width || most.y - least.y > MAX_SPREAD * height {
+    if max.x - min.x > MAX_SPREAD * width || max.y - min.y > MAX_SPREAD * height {
         let reason = format!("sees more than a pinhole's image {MAX_SPREAD} times as large holds");
         return wrong(format!("{at}.distortion"), reason);
     }
@@ -156,6 +169,10 @@ fn view(at: &str, view: &RigView) -> Checked {
     identifier(&field("id"), &view.id)?;
     within(&field("width"), view.width, &SIZE_PX)?;
     within(&field("height"), view.height, &SIZE_PX)?;
+    if u64::from(view.width) * u64::from(view.height) > MAX_PIXELS {
+        let reason = format!("times the height must be at most {MAX_PIXELS}");
+        return wrong(field("width"), reason);
+    }
     within(&field("lens_mm"), view.lens_mm, &LENS_MM)?;
     within(&field("sensor_width_mm"), view.sensor_width_mm, &SENSOR_MM)?;
     within(&field("shift_x"), view.shift_x, &SHIFT)?;
@@ -173,7 +190,7 @@ fn pose(at: &str, pose: &PoseFormat) -> Checked {
 }
 
 impl RigCamera {
-    /// Where it stands and what its lens is, as a view without distortion.
+    /// The camera's pose and lens, as a view without distortion.
     pub fn view(&self) -> RigView {
         RigView {
             id: self.id.clone(),

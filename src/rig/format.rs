@@ -1,9 +1,9 @@
-//! A rig file (`rigs/*.json`), as it stands in the file.
+//! The fields of a rig file (`rigs/*.json`).
 
-use super::check::{self, RigError};
+use super::check::{self, RigError, RigTextError};
 use super::limits::*;
 use crate::camera::{CameraModel, PoseFormat};
-use crate::json;
+use crate::json::{self, JsonError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -17,31 +17,36 @@ use std::path::Path;
 #[serde(deny_unknown_fields)]
 #[schemars(title = "stlfr rig")]
 pub struct Rig {
+    /// Always [`FORMAT`].
     #[schemars(extend("const" = FORMAT))]
     pub format: String,
+    /// Always [`VERSION`].
     #[schemars(extend("const" = VERSION))]
     pub version: u32,
+    /// The rig's name, which a capture's truth repeats.
     #[schemars(regex(pattern = IDENTIFIER))]
     pub name: String,
-    /// The camera whose clock is everybody's time. It neither drifts nor loses frames untold.
+    /// Id of the camera whose clock all times refer to. That clock neither drifts nor loses frames
+    /// without a trace.
     #[schemars(regex(pattern = IDENTIFIER))]
     pub reference: String,
-    /// What jitter and noise are drawn from.
+    /// Seed of the jitter and of the noise.
     #[schemars(range(max = MAX_SEED))]
     pub seed: u64,
+    /// The filming cameras, at least one.
     #[serde(deserialize_with = "json::objects")]
     #[schemars(length(min = 1))]
     pub cameras: Vec<RigCamera>,
-    /// Where truth is rendered from besides the cameras.
+    /// Virtual cameras that truth is rendered from besides the filming ones.
     #[serde(default, skip_serializing_if = "Vec::is_empty", deserialize_with = "json::objects")]
     pub views: Vec<RigView>,
 }
 
-/// A camera that films: lens, place, shutter and sensor.
+/// A camera that films: lens, pose, shutter and sensor.
 ///
-/// Frame k (its nominal number, lost frames counted) is exposed around `delay_s + c + (c − c_0) ·
-/// drift_ppm · 1e-6` in world time, where `c = k / rate_hz + jitter_k` is what the camera's own
-/// clock says.
+/// Frame k, its nominal number with lost frames counted, is exposed around `delay_s + c + (c − c_0) ·
+/// drift_ppm · 1e-6` in world time, where `c = k / rate_hz + jitter_k` is the time on the camera's
+/// own clock.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RigCamera {
@@ -54,14 +59,15 @@ pub struct RigCamera {
     pub height: u32,
     #[schemars(range(min = LENS_MM.min, max = LENS_MM.max))]
     pub lens_mm: f64,
-    /// Of the image's longer side.
+    /// Size of the sensor along the image's longer side.
     #[schemars(range(min = SENSOR_MM.min, max = SENSOR_MM.max))]
     pub sensor_width_mm: f64,
-    /// Of the window over the image plane, to the right, as a share of the longer side.
+    /// Shift of the image's window over the image plane, to the right, as a fraction of the image's
+    /// longer side.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
     pub shift_x: f64,
-    /// As `shift_x`, upwards.
+    /// Shift of the window upwards, as a fraction of the image's longer side.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
     pub shift_y: f64,
@@ -77,19 +83,20 @@ pub struct RigCamera {
     pub cam_from_rig: PoseFormat,
     #[schemars(range(min = RATE_HZ.min, max = RATE_HZ.max))]
     pub rate_hz: f64,
-    /// Of the first frame, after the scene's start.
+    /// Time of the first frame after the scene's start.
     #[schemars(range(min = TIME_S.min, max = TIME_S.max))]
     pub delay_s: f64,
-    /// Standard deviation of every exposure's time; a tenth of a frame at most, so that frames
-    /// don't swap.
+    /// Standard deviation of every exposure's time, at most [`MAX_JITTER_FRAMES`] of a frame's
+    /// duration.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = 0.0))]
     pub jitter_s: f64,
-    /// Whether the camera stamps its frames with their jitter, or says its nominal rate only.
+    /// Whether the camera stamps its frames with their jitter. Otherwise only its nominal rate is
+    /// known.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     pub jitter_stamped: bool,
-    /// How much slower than the reference's its clock runs, in millionths: positive if time on the
-    /// reference's clock goes by faster.
+    /// Rate of the reference's clock beyond this camera's, in millionths: positive if this camera's
+    /// clock is slow.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = DRIFT_PPM.min, max = DRIFT_PPM.max))]
     pub drift_ppm: f64,
@@ -97,19 +104,19 @@ pub struct RigCamera {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(inner(range(min = LOST_FRAME.min, max = LOST_FRAME.max)))]
     pub lost_frames: Vec<u32>,
-    /// Whether a lost frame leaves a gap in the camera's times, or no trace.
+    /// Whether a lost frame leaves a gap in the camera's times. Otherwise it leaves no trace.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     pub lost_stamped: bool,
-    /// Whether its clock is the one that all such cameras share, so that its offset is known. The
-    /// shared clock reads world time.
+    /// Whether the camera has the clock that all such cameras share, whose offset is known: it reads
+    /// world time.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub clock_shared: bool,
-    /// How long the shutter is open, around the frame's time; 0 is an instant. A frame's duration
-    /// at most.
+    /// Duration for which the shutter is open, around the frame's time; 0 is an instant. At most a
+    /// frame's duration.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = 0.0))]
     pub exposure_s: f64,
-    /// What light is multiplied by, before it is encoded for display.
+    /// Factor of light before it is encoded for display.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     #[schemars(range(min = GAIN.min, max = GAIN.max))]
     pub gain: f64,
@@ -117,15 +124,16 @@ pub struct RigCamera {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = NOISE.min, max = NOISE.max))]
     pub noise: f64,
+    /// Whether the camera records colours.
     #[serde(default, skip_serializing_if = "RigColor::is_rgb")]
     pub color: RigColor,
-    /// Of the images: 8 or 16.
+    /// Bits a channel of the images: 8 or 16.
     #[serde(default = "eight", skip_serializing_if = "is_eight")]
     #[schemars(extend("enum" = [8, 16]))]
     pub bit_depth: u32,
 }
 
-/// A virtual pinhole camera on the rig.
+/// A virtual pinhole camera on the rig. Its fields are as those of [`RigCamera`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RigView {
@@ -163,7 +171,7 @@ pub struct Distortion {
     pub p2: f64,
 }
 
-/// What a camera sees: colours, or luminance alone.
+/// Whether a camera records colours, or luminance alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum RigColor {
@@ -173,15 +181,26 @@ pub enum RigColor {
 }
 
 impl Rig {
-    /// Reads and checks a rig file.
+    /// Reads and checks a rig file. The error is one sentence with the file and the field.
     pub fn read(path: &Path) -> Result<Self, RigError> {
-        let rig: Self =
-            json::read(path).map_err(|source| RigError::Json { path: path.to_owned(), source })?;
-        rig.check().map_err(|wrong| RigError::Field { path: path.to_owned(), wrong })?;
+        let json = |source| RigError::Json { path: path.to_owned(), source };
+        let text = json::read_text(path).map_err(json)?;
+        Self::parse(&text).map_err(|error| match error {
+            RigTextError::Json(reason) => json(JsonError::Content(reason)),
+            RigTextError::Field(wrong) => RigError::Field { path: path.to_owned(), wrong },
+        })
+    }
+
+    /// Parses and checks a rig from the text of its file. The error is one sentence that starts with
+    /// the field.
+    pub fn parse(text: &str) -> Result<Self, RigTextError> {
+        let rig: Self = json::parse(text).map_err(RigTextError::Json)?;
+        rig.check()?;
         Ok(rig)
     }
 
-    /// What is wrong with it, if anything is.
+    /// Checks every field against [`super::limits`], and the fields against each other. The error is
+    /// the first field that is wrong, in the file's order.
     pub fn check(&self) -> Result<(), check::FieldError> {
         check::rig(self)
     }

@@ -2,22 +2,32 @@
 
 use super::check::FieldError;
 use super::format::{Distortion, Rig, RigCamera, RigColor, RigView};
-use super::limits::{FORMAT, VERSION};
+use super::limits::{FORMAT, MAX_CAMERAS, VERSION};
 use crate::camera::PoseFormat;
 use crate::random::Random;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use std::num::NonZeroUsize;
 
-/// Where the cameras stand. All look along the rig's +z, but those of an arc.
+/// Where the cameras stand. All look along the rig's +z, except those of an arc.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Layout {
     /// From left to right.
     Line { count: NonZeroUsize },
     /// Row by row, from the top left.
     Grid { rows: NonZeroUsize, columns: NonZeroUsize },
-    /// From left to right on a circle about a point straight ahead, which all look at; the spacing
-    /// is along the arc.
+    /// From left to right on a circle about a point straight ahead, at which all cameras look. The
+    /// spacing is along the arc.
     Arc { count: NonZeroUsize, distance_m: f64 },
+}
+
+impl Layout {
+    /// The number of cameras; the largest integer where the product is larger.
+    fn count(&self) -> usize {
+        match self {
+            Self::Line { count } | Self::Arc { count, .. } => count.get(),
+            Self::Grid { rows, columns } => rows.get().saturating_mul(columns.get()),
+        }
+    }
 }
 
 /// When the first frames are exposed, after the scene's start.
@@ -25,7 +35,7 @@ pub enum Layout {
 pub enum Delays {
     /// All with the scene's start.
     None,
-    /// Anywhere within a frame of each camera.
+    /// Uniform within a frame of each camera.
     Random,
     /// Seconds, the cameras in turn.
     Listed(Vec<f64>),
@@ -34,7 +44,9 @@ pub enum Delays {
 /// Whether lost frames leave gaps in the cameras' times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LossStamps {
+    /// All losses leave gaps.
     Stamped,
+    /// No loss leaves a trace.
     Hidden,
     /// Stamped and hidden, camera by camera.
     Mixed,
@@ -43,38 +55,57 @@ pub enum LossStamps {
 /// Frames that every camera but the reference loses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Loss {
-    /// How many each, of the frames 1 to `within − 1`.
+    /// Lost frames of each camera.
     pub count: usize,
+    /// The lost frames are among the frames 1 to `within − 1`.
     pub within: usize,
+    /// Whether the cameras' times show the losses.
     pub stamps: LossStamps,
 }
 
-/// What a rig is generated from. A list's entries go to the cameras in turn, from its start again
-/// where it ends; none of them may be empty.
+/// What a rig is generated from.
+///
+/// A list's entries go to the cameras in turn, from its start again where it ends. No list may be
+/// empty.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RigOptions {
     pub name: String,
     pub layout: Layout,
-    /// Between neighbours' centres.
+    /// Distance between neighbours' centres.
     pub spacing_m: f64,
+    /// Widths and heights.
     pub sizes_px: Vec<(u32, u32)>,
+    /// Focal lengths.
     pub lenses_mm: Vec<f64>,
+    /// Size of all sensors along their longer side.
     pub sensor_width_mm: f64,
+    /// Distortion of all lenses.
     pub distortion: Distortion,
+    /// Frame rates.
     pub rates_hz: Vec<f64>,
+    /// Times of the first frames.
     pub delays: Delays,
+    /// Standard deviations of the exposures' times.
     pub jitters_s: Vec<f64>,
+    /// Whether cameras stamp their frames with the jitter.
     pub jitter_stamped: bool,
-    /// Every camera's drift but the reference's lies within this of 0.
+    /// Largest absolute drift. The drifts are uniform up to it; the reference has none.
     pub max_drift_ppm: f64,
+    /// Lost frames, if any.
     pub loss: Option<Loss>,
+    /// Whether all cameras share one clock.
     pub clock_shared: bool,
+    /// Durations for which the shutters are open.
     pub exposures_s: Vec<f64>,
+    /// Factors of light.
     pub gains: Vec<f64>,
+    /// Standard deviations of the noise, of a full scale of 1.
     pub noises: Vec<f64>,
+    /// Colour or grey cameras.
     pub colors: Vec<RigColor>,
+    /// Bits a channel of all images, 8 or 16.
     pub bit_depth: u32,
-    /// What random delays, drifts and losses are drawn from; the rig's own seed too.
+    /// Seed of the random delays, drifts and losses, and of the rig itself.
     pub seed: u64,
 }
 
@@ -106,15 +137,22 @@ impl Default for RigOptions {
     }
 }
 
-/// Why there is no such rig.
+/// An error of [`RigOptions`]: one sentence.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub enum GenerateError {
+    /// One of the lists has no entry.
     #[error("the {0} must not be empty")]
     Empty(&'static str),
+    /// More cameras than [`MAX_CAMERAS`].
+    #[error("a rig has from 1 to {MAX_CAMERAS} cameras, not {count}")]
+    Cameras { count: usize },
+    /// An arc whose cameras would not fit on the half circle before its centre.
     #[error("an arc needs a distance over half the array's width, not {distance_m} m")]
     Arc { distance_m: f64 },
+    /// More lost frames than there are to lose.
     #[error("{count} lost frames don't fit among the frames 1 to {}", within.saturating_sub(1))]
     Loss { count: usize, within: usize },
+    /// A value is outside of its limits.
     #[error(transparent)]
     Field(#[from] FieldError),
 }
@@ -123,17 +161,20 @@ pub enum GenerateError {
 #[derive(Clone, Copy)]
 struct Stand {
     center: Vector3<f64>,
-    /// To the left, radians.
-    turned: f64,
+    /// Rotation to the left, radians.
+    yaw_rad: f64,
 }
 
-/// A nanometre, and rotations as fine; delays a microsecond: numbers that a person reads, and that
-/// no platform's sine differs in.
-const PLACE_DIGITS: f64 = 1e9;
-const TIME_DIGITS: f64 = 1e6;
+/// Steps a metre, and a unit of a quaternion, that poses are rounded to. Larger: platforms whose sines
+/// differ in the last digit write other files. Smaller: cameras are not where the layout has them.
+const POSE_STEPS: f64 = 1e9;
+/// Steps a second that delays are rounded to: a microsecond, which a person can read.
+const TIME_STEPS: f64 = 1e6;
+/// Steps a millionth that drifts are rounded to.
+const DRIFT_STEPS: f64 = 1e3;
 
 impl RigOptions {
-    /// The rig.
+    /// Generates and checks the rig. The same options give the same rig, to the byte.
     pub fn generate(&self) -> Result<Rig, GenerateError> {
         self.check()?;
         let stands = self.stands();
@@ -154,10 +195,10 @@ impl RigOptions {
                     rate_hz,
                     delay_s: match &self.delays {
                         Delays::None => 0.0,
-                        Delays::Random => round(within_frame, TIME_DIGITS),
+                        Delays::Random => round(within_frame, TIME_STEPS),
                         Delays::Listed(listed) => turn(listed, i),
                     },
-                    drift_ppm: if is_reference { 0.0 } else { round(drift_ppm, 1e3) },
+                    drift_ppm: if is_reference { 0.0 } else { round(drift_ppm, DRIFT_STEPS) },
                     lost_frames: if is_reference { Vec::new() } else { lost },
                     lost_stamped: is_reference || !self.loss.is_some_and(|loss| loss.hides(i)),
                     ..self.camera(i, stand)
@@ -192,6 +233,10 @@ impl RigOptions {
         if let Some((name, _)) = empty.into_iter().find(|(_, empty)| *empty) {
             return Err(GenerateError::Empty(name));
         }
+        let count = self.layout.count();
+        if count > MAX_CAMERAS {
+            return Err(GenerateError::Cameras { count });
+        }
         if let Layout::Arc { count, distance_m } = self.layout {
             let half_width_m = 0.5 * self.spacing_m.abs() * (count.get() - 1) as f64;
             if !(distance_m > half_width_m && distance_m.is_finite()) {
@@ -208,7 +253,7 @@ impl RigOptions {
 
     fn stands(&self) -> Vec<Stand> {
         let along = |k: usize, n: usize| (k as f64 - 0.5 * (n - 1) as f64) * self.spacing_m;
-        let ahead = |x: f64, y: f64| Stand { center: Vector3::new(x, y, 0.0), turned: 0.0 };
+        let ahead = |x: f64, y: f64| Stand { center: Vector3::new(x, y, 0.0), yaw_rad: 0.0 };
         match self.layout {
             Layout::Line { count } => {
                 (0..count.get()).map(|k| ahead(along(k, count.get()), 0.0)).collect()
@@ -259,21 +304,21 @@ impl RigOptions {
         let between = match self.layout {
             // Where a camera stands in the middle: half-way to the next.
             Layout::Line { count } if count.get() % 2 == 1 => {
-                Stand { center: Vector3::new(beside, 0.0, 0.0), turned: 0.0 }
+                Stand { center: Vector3::new(beside, 0.0, 0.0), yaw_rad: 0.0 }
             }
             Layout::Grid { rows, columns } => {
                 let aside = |n: usize| if n % 2 == 1 { beside } else { 0.0 };
                 let center = Vector3::new(aside(columns.get()), aside(rows.get()), 0.0);
-                Stand { center, turned: 0.0 }
+                Stand { center, yaw_rad: 0.0 }
             }
             Layout::Arc { count, distance_m } if count.get() % 2 == 1 => {
                 on_arc(beside / distance_m, distance_m)
             }
-            _ => Stand { center: Vector3::zeros(), turned: 0.0 },
+            _ => Stand { center: Vector3::zeros(), yaw_rad: 0.0 },
         };
         // Left of the middle, above and before it.
         let off = Vector3::new(-1.0, -0.4, 0.5) * self.spacing_m;
-        let above = Stand { center: between.center + off, turned: stands[reference].turned };
+        let above = Stand { center: between.center + off, yaw_rad: stands[reference].yaw_rad };
         [("between", between), ("above", above)]
             .map(|(id, stand)| RigView {
                 id: id.into(),
@@ -296,12 +341,12 @@ impl Loss {
 
 impl Stand {
     fn cam_from_rig(&self) -> PoseFormat {
-        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), self.turned);
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), self.yaw_rad);
         let translation = rotation * -self.center;
-        let digits = |v: f64| round(v, PLACE_DIGITS);
+        let rounded = |v: f64| round(v, POSE_STEPS);
         PoseFormat {
-            rotation_wxyz: [rotation.w, rotation.i, rotation.j, rotation.k].map(digits),
-            translation: [translation.x, translation.y, translation.z].map(digits),
+            rotation_wxyz: [rotation.w, rotation.i, rotation.j, rotation.k].map(rounded),
+            translation: [translation.x, translation.y, translation.z].map(rounded),
         }
     }
 }
@@ -309,22 +354,22 @@ impl Stand {
 /// On a circle about the point `distance_m` ahead of the rig's centre, looking at it.
 fn on_arc(angle: f64, distance_m: f64) -> Stand {
     let center = Vector3::new(angle.sin(), 0.0, 1.0 - angle.cos()) * distance_m;
-    Stand { center, turned: angle }
+    Stand { center, yaw_rad: angle }
 }
 
 /// The camera nearest to the rig's centre, the first of several.
 fn reference(stands: &[Stand]) -> usize {
     let distance = |s: &Stand| (Point3::from(s.center) - Point3::origin()).norm();
     let nearest = stands.iter().map(distance).fold(f64::INFINITY, f64::min);
-    // As near to rounding.
+    // Ties up to rounding.
     stands.iter().position(|s| distance(s) <= nearest * (1.0 + 1e-9)).unwrap_or(0)
 }
 
 /// Distinct frames of 1 to `within − 1`, ascending.
 fn draw(random: &mut Random, loss: Loss) -> Vec<u32> {
-    let mut left: Vec<u32> = (1..loss.within as u32).collect();
+    let mut remaining: Vec<u32> = (1..loss.within as u32).collect();
     let mut lost: Vec<u32> = (0..loss.count)
-        .map(|_| left.swap_remove((random.unit() * left.len() as f64) as usize))
+        .map(|_| remaining.swap_remove((random.unit() * remaining.len() as f64) as usize))
         .collect();
     lost.sort_unstable();
     lost
@@ -335,7 +380,7 @@ fn turn<T: Clone>(list: &[T], camera: usize) -> T {
     list[camera % list.len()].clone()
 }
 
-/// Without −0, which reads oddly.
-fn round(value: f64, digits: f64) -> f64 {
-    (value * digits).round() / digits + 0.0
+/// The nearest multiple of 1 / `steps`, without −0, which reads oddly.
+fn round(value: f64, steps: f64) -> f64 {
+    (value * steps).round() / steps + 0.0
 }

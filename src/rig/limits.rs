@@ -1,41 +1,68 @@
-//! The limits of a rig's fields, in the schema and in the checks alike. They keep typing errors
-//! from asking for terabytes, and divisions from 0.
+//! The limits of a rig's fields, in the JSON Schema and in the checks alike.
+//!
+//! They keep typing errors from asking for terabytes, and divisions from 0. Where a limit comes with
+//! a capture or a camera, it is theirs: [`MAX_DRIFT_PPM`],
+//! [`MAX_FRAMES`](crate::capture::MAX_FRAMES), [`MAX_PIXELS`](crate::camera::MAX_PIXELS),
+//! [`MAX_QUATERNION_ERROR`](crate::camera::MAX_QUATERNION_ERROR).
 
-/// From `min` to `max`, both allowed.
-pub(super) struct Range<T> {
+use crate::capture::MAX_DRIFT_PPM;
+
+/// A closed range of values.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Range<T> {
+    /// The smallest value allowed.
     pub min: T,
+    /// The largest value allowed.
     pub max: T,
 }
 
-pub(super) const FORMAT: &str = "stlfr-rig";
-pub(super) const VERSION: u32 = 1;
-/// Names of folders and files, everywhere.
-pub(super) const IDENTIFIER: &str = r"^[A-Za-z0-9][A-Za-z0-9_-]*$";
-/// A camera's id names its folder in the capture, beside these.
-pub(super) const RESERVED: [&str; 3] = ["truth", "colmap", "review"];
-/// What every JSON reader holds exactly.
-pub(super) const MAX_SEED: u64 = 1 << 53;
+/// The value of a rig file's field `format`.
+pub const FORMAT: &str = "stlfr-rig";
+/// The value of a rig file's field `version`.
+pub const VERSION: u32 = 1;
+/// Regular expression of ids and names: they name folders and files on every system.
+pub const IDENTIFIER: &str = r"^[A-Za-z0-9][A-Za-z0-9_-]*$";
+/// Ids that no camera can have: a camera's id names its folder in the capture, beside these.
+pub const RESERVED: [&str; 3] = ["truth", "colmap", "review"];
+/// The largest seed: every JSON reader holds integers up to it exactly.
+pub const MAX_SEED: u64 = 1 << 53;
+/// Cameras of a generated rig. Larger: a typing error fills the memory. Smaller: real arrays, of up
+/// to some hundred cameras, are refused.
+pub const MAX_CAMERAS: usize = 1000;
 
-pub(super) const SIZE_PX: Range<u32> = Range { min: 8, max: 16_384 };
-pub(super) const LENS_MM: Range<f64> = Range { min: 1.0, max: 5000.0 };
-pub(super) const SENSOR_MM: Range<f64> = Range { min: 1.0, max: 500.0 };
-pub(super) const SHIFT: Range<f64> = Range { min: -10.0, max: 10.0 };
-pub(super) const LENGTH_M: Range<f64> = Range { min: -1e6, max: 1e6 };
-pub(super) const RATE_HZ: Range<f64> = Range { min: 1e-3, max: 1e5 };
-pub(super) const TIME_S: Range<f64> = Range { min: -1e6, max: 1e6 };
-/// Quartz is off by 100 at most; rolling counters by more.
-pub(super) const DRIFT_PPM: Range<f64> = Range { min: -1e5, max: 1e5 };
-pub(super) const LOST_FRAME: Range<u32> = Range { min: 1, max: 1_000_000_000 };
-pub(super) const GAIN: Range<f64> = Range { min: 0.01, max: 100.0 };
-pub(super) const NOISE: Range<f64> = Range { min: 0.0, max: 0.5 };
-pub(super) const DISTORTION: Range<f64> = Range { min: -10.0, max: 10.0 };
+/// Width and height of an image, pixels; their product is limited by
+/// [`MAX_PIXELS`](crate::camera::MAX_PIXELS).
+pub const SIZE_PX: Range<u32> = Range { min: 8, max: 16_384 };
+/// Focal length, millimetres.
+pub const LENS_MM: Range<f64> = Range { min: 1.0, max: 5000.0 };
+/// Longer side of the sensor, millimetres.
+pub const SENSOR_MM: Range<f64> = Range { min: 1.0, max: 500.0 };
+/// Lens shift, as a fraction of the image's longer side.
+pub const SHIFT: Range<f64> = Range { min: -10.0, max: 10.0 };
+/// Each coordinate of a translation, metres.
+pub const LENGTH_M: Range<f64> = Range { min: -1e6, max: 1e6 };
+/// Frame rate, hertz.
+pub const RATE_HZ: Range<f64> = Range { min: 1e-3, max: 1e5 };
+/// Delay of a camera's first frame, seconds after the scene's start.
+pub const TIME_S: Range<f64> = Range { min: -1e6, max: 1e6 };
+/// Drift of a clock, millionths: as much as can be estimated.
+pub const DRIFT_PPM: Range<f64> = Range { min: -MAX_DRIFT_PPM, max: MAX_DRIFT_PPM };
+/// Nominal number of a lost frame.
+pub const LOST_FRAME: Range<u32> = Range { min: 1, max: 1_000_000_000 };
+/// Factor of light before it is encoded for display.
+pub const GAIN: Range<f64> = Range { min: 0.01, max: 100.0 };
+/// Standard deviation of the sensor's noise, display-encoded, of a full scale of 1.
+pub const NOISE: Range<f64> = Range { min: 0.0, max: 0.5 };
+/// Each coefficient of the distortion.
+pub const DISTORTION: Range<f64> = Range { min: -10.0, max: 10.0 };
 
-/// Largest jitter deviation, in frames: above, two frames of one camera could swap.
-pub(super) const MAX_JITTER_FRAMES: f64 = 0.1;
-/// Blender's quaternions are single precision; what is further off is not a rotation.
-pub(super) const MAX_QUATERNION_ERROR: f64 = 1e-3;
-/// How much wider than the image a pinhole's must be to hold all that the lens sees; more costs
-/// more than it shows.
-pub(super) const MAX_SPREAD: f64 = 2.0;
-/// Points on each side of the image's border where a distortion is tried.
-pub(super) const BORDER_STEPS: u32 = 16;
+/// Largest standard deviation of the jitter, frames. Larger: two frames of one camera could swap.
+/// Smaller: shutters of real cameras that free-run are refused.
+pub const MAX_JITTER_FRAMES: f64 = 0.1;
+/// Largest extent of the pinhole image that holds all that a distorted lens sees, over the image's
+/// own. Larger: rendering takes more pixels than the image shows. Smaller: barrel distortions of
+/// wide lenses are refused.
+pub const MAX_SPREAD: f64 = 2.0;
+/// Points on each side of the image's border where a distortion is tried. Larger: slower. Smaller:
+/// a fold between two points is missed.
+pub const BORDER_STEPS: u32 = 16;

@@ -1,16 +1,20 @@
 //! Simulated camera arrays: the rig file that Blender films with, its checks, its JSON Schema, and
 //! the generator of `stlfr rig`.
 //!
-//! Filming itself, and with it the shutter times, is in `blender/stlfr/rig.py`, which reads the
-//! same format.
+//! - [`Rig::parse`] and [`Rig::read`]: a checked rig from JSON, or one sentence that says what is
+//!   wrong.
+//! - [`RigOptions::generate`]: a rig from a few numbers; [`Rig::to_json`] writes it.
+//! - [`limits`]: the range of every field.
+//!
+//! Known limit: shutter times are drawn where a rig is filmed, in Blender, and not here.
 
 mod check;
 mod format;
 mod generate;
-mod limits;
+pub mod limits;
 mod write;
 
-pub use check::{FieldError, RigError};
+pub use check::{FieldError, RigError, RigTextError};
 pub use format::{Distortion, Rig, RigCamera, RigColor, RigView};
 pub use generate::{Delays, GenerateError, Layout, Loss, LossStamps, RigOptions};
 

@@ -159,3 +159,32 @@ fn wrong_numbers_name_their_field() {
         assert!(message.starts_with(field), "{message}");
     }
 }
+
+#[test]
+fn a_rig_is_parsed_from_its_own_text_and_errors_start_with_the_field() {
+    let rig = RigOptions::default().generate().unwrap();
+    assert_eq!(Rig::parse(&rig.to_json()), Ok(rig.clone()));
+    let complaint = |from: &str, to: &str| {
+        Rig::parse(&rig.to_json().replacen(from, to, 1)).unwrap_err().to_string()
+    };
+    let rate = "\"rate_hz\": 30.0";
+    assert!(complaint(rate, "\"rate_hz\": 0").starts_with("cameras[0].rate_hz must be"));
+    assert!(complaint(rate, "\"rate_hz\": \"a\"").starts_with("cameras[0].rate_hz"));
+    assert!(!complaint("{", "[").contains('\n'));
+}
+
+#[test]
+fn limits_are_those_of_the_captures_that_a_rig_makes() {
+    let complaint = |options: RigOptions| options.generate().unwrap_err().to_string();
+    let max = crate::capture::MAX_DRIFT_PPM;
+    let mut rig = RigOptions::default().generate().unwrap();
+    rig.cameras[0].drift_ppm = max;
+    assert_eq!(rig.check(), Ok(()));
+    rig.cameras[0].drift_ppm = 1.01 * max;
+    assert!(rig.check().unwrap_err().to_string().starts_with("cameras[0].drift_ppm"));
+    let large = RigOptions { sizes_px: vec![(16_000, 16_000)], ..Default::default() };
+    assert!(complaint(large).starts_with("cameras[0].width times the height"));
+    let layout = Layout::Grid { rows: count(32), columns: count(32) };
+    let many = RigOptions { layout, ..Default::default() };
+    assert_eq!(complaint(many), "a rig has from 1 to 1000 cameras, not 1024");
+}

@@ -274,9 +274,8 @@ fn gathered(
 
 fn write(tradeoff: &Tradeoff, out: &Path) -> Result<(), TradeoffError> {
     write_json(&out.join("recommended.json"), &tradeoff.points[tradeoff.recommended].options)?;
-    let drawing = plot::drawing(tradeoff);
     let path = out.join("tradeoff.svg");
-    write_atomically(&path, drawing.svg().as_bytes())
+    write_atomically(&path, plot::svg(tradeoff).as_bytes())
         .map_err(|source| TradeoffError::Write { path, source })?;
     write_json(&out.join("tradeoff.json"), tradeoff)
 }

@@ -1,7 +1,7 @@
 //! Time against quality, drawn.
 
 use super::{Against, Clock, Point, Spread, Tradeoff};
-use crate::chart::{Chart, ChartPoint, Drawing, Label, Series, drawing as draw};
+use crate::chart::{self, Chart, ChartPoint, Label, Series};
 
 /// What the y axis shows.
 fn quality(tradeoff: &Tradeoff) -> &'static str {
@@ -27,9 +27,9 @@ fn placed(tradeoff: &Tradeoff, point: &Point) -> Option<ChartPoint> {
     Some(ChartPoint { x: time.median, y, bar: 0.0, x_range: Some((time.min, time.max)) })
 }
 
-/// The drawing: all points, the Pareto front numbered, presets and `auto` by name, and what the
-/// numbers stand for.
-pub(super) fn drawing(tradeoff: &Tradeoff) -> Drawing {
+/// The chart as SVG: all points, the Pareto front with its numbers, presets and `auto` by name, and
+/// a key to the numbers.
+pub(super) fn svg(tradeoff: &Tradeoff) -> String {
     let place = |p: &Point| placed(tradeoff, p);
     let label = |p: &Point, text: String, bold: bool| {
         let at = place(p)?;
@@ -79,7 +79,7 @@ pub(super) fn drawing(tradeoff: &Tradeoff) -> Drawing {
         key: key(tradeoff, &front),
         ..Chart::default()
     };
-    draw(&[chart], 1)
+    chart::svg(&[chart], 1)
 }
 
 /// The key: what the Pareto front's numbers mean, then the named points.

@@ -1,5 +1,5 @@
-//! Video files, through an ffmpeg that runs as a child process: never through a shell, and with
-//! nothing of a file's name taken for an option.
+//! Video files, by an ffmpeg that runs as a child process: without a shell, and so that no file name
+//! is taken for an option.
 
 mod reader;
 mod writer;
@@ -10,20 +10,21 @@ pub use writer::{Codec, VideoFormat, VideoWriter};
 
 use std::path::PathBuf;
 
-/// Why a video was not read or written. Every message is one sentence.
+/// An error of a video file. Every message is one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    /// ffmpeg's own words.
+    /// ffmpeg failed to write; the reason is its own message.
     #[error("{path}: can't be written ({reason})")]
     Encode { path: PathBuf, reason: String },
-    /// What is wrong with a file that should be a video.
+    /// A file is no video that can be decoded; the reason is a sentence without its subject.
     #[error("{reason}")]
     Decode { reason: String },
+    /// A file can't be read or written, or ffmpeg can't be started.
     #[error("{path}: {source}")]
     File { path: PathBuf, source: std::io::Error },
 }
 
-/// The system's ffmpeg: the first one on `PATH`.
+/// The first ffmpeg on `PATH`; `None` if there is none.
 pub fn ffmpeg_on_path() -> Option<PathBuf> {
     let paths = std::env::var_os("PATH")?;
     std::env::split_paths(&paths).map(|p| p.join("ffmpeg")).find(|p| p.is_file())

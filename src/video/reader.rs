@@ -1,7 +1,7 @@
 //! Decoding a video into numbered images.
 //!
-//! Colours are ffmpeg's conversion to full-range grey or RGB, in 8 bits where the video has 8 and
-//! in 16 where it has more; a rotation that the file asks for is done, as a player does.
+//! Colours are ffmpeg's conversion to full-range grey or RGB: in 8 bits where the video has 8, and
+//! in 16 where it has more. A rotation in the file's metadata is applied, as by a player.
 
 use super::VideoError;
 use crate::host::process;
@@ -9,18 +9,18 @@ use std::ffi::OsString;
 use std::path::Path;
 use std::process::Command;
 
-/// Containers that are read: those that hold their pictures themselves. A playlist or a script for
-/// ffmpeg would make it open other files.
+/// Containers that are read: those that contain their pictures. A playlist or a script for ffmpeg
+/// would make it open other files.
 const CONTAINERS: &str =
     "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,mxf,nut,yuv4mpegpipe,ogg,asf,flv,ivf";
 
-/// Where ffmpeg lists the time stamps, in microseconds.
+/// The file in which ffmpeg lists the time stamps, in microseconds.
 const STAMPS_FILE: &str = "stamps.txt";
 
-/// What a video holds.
+/// A decoded video.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decoded {
-    /// The time stamp of every frame, seconds, as the file has them.
+    /// The file's time stamp of every frame, seconds.
     pub times_s: Vec<f64>,
 }
 
@@ -29,9 +29,11 @@ pub(crate) fn frame_name(index: usize) -> String {
     format!("{index:06}.png")
 }
 
-/// Decodes the first video stream into `folder` as 000000.png and on, in constant memory; fails
-/// where there are more than `max_frames`, and on any error in the file, so that no frame is made
-/// up. `path` must be absolute.
+/// Decodes the first video stream into `folder` as 000000.png, 000001.png and so on, in constant
+/// memory. `path` must be absolute.
+///
+/// More than `max_frames` frames are an error. So is any error in the file, so that no frame is
+/// concealed or repeated.
 pub fn decode(
     ffmpeg: &Path,
     path: &Path,
@@ -53,17 +55,17 @@ pub fn decode(
         .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-noautoscale"])
         .args(["-frames:v", &frames])
         .args(["-sws_flags", "accurate_rnd+full_chroma_int+bitexact"])
-        // Little is gained by packing what may be deleted at any time.
+        // A cache is compressed fast rather than well.
         .args(["-c:v", "png", "-compression_level", "1"])
         .args(["-start_number", "0", "-f", "image2", "%06d.png"])
         .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-enc_time_base", "1/1000000"])
         .args(["-frames:v", &frames, "-c:v", "rawvideo", "-f", "framecrc", STAMPS_FILE]);
     let ended = process::run(&mut command, |_| ())
         .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })?;
-    let said = ended.stderr.lines().map(plain).find(|line| !line.is_empty());
-    if !ended.status.success() || said.is_some() {
-        let said = said.unwrap_or("it was stopped").trim_end_matches('.');
-        return Err(wrong(format!("is not a whole video that ffmpeg can read ({said})")));
+    let message = ended.stderr.lines().map(without_address).find(|line| !line.is_empty());
+    if !ended.status.success() || message.is_some() {
+        let message = message.unwrap_or("it was stopped").trim_end_matches('.');
+        return Err(wrong(format!("is not a whole video that ffmpeg can read ({message})")));
     }
     let stamps = folder.join(STAMPS_FILE);
     let text = std::fs::read_to_string(&stamps)
@@ -79,8 +81,8 @@ fn wrong(reason: String) -> VideoError {
     VideoError::Decode { reason }
 }
 
-/// A line of ffmpeg's without the "[name @ address]" before it.
-fn plain(line: &str) -> &str {
+/// A message of ffmpeg's without the "[name @ address]" before it.
+fn without_address(line: &str) -> &str {
     let mut line = line.trim();
     while let Some((_, rest)) = line.strip_prefix('[').and_then(|l| l.split_once("] ")) {
         line = rest;
@@ -114,8 +116,11 @@ mod tests {
     }
 
     #[test]
-    fn addresses_are_left_out_of_messages() {
-        assert_eq!(plain("[in#0 @ 0x5] [enc:png @ 0x6] Duplicate element"), "Duplicate element");
-        assert_eq!(plain("Truncating packet"), "Truncating packet");
+    fn messages_have_no_addresses() {
+        assert_eq!(
+            without_address("[in#0 @ 0x5] [enc:png @ 0x6] Duplicate element"),
+            "Duplicate element"
+        );
+        assert_eq!(without_address("Truncating packet"), "Truncating packet");
     }
 }

@@ -8,28 +8,29 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
 
-/// How frames are packed.
+/// The compression of a video, and its container.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Codec {
-    /// Lossless, in Matroska; every frame stands alone and carries its checksum.
+    /// FFV1 in Matroska: lossless, every frame on its own and with a checksum.
     Ffv1,
-    /// What browsers play, in MP4: 8 bits, 4:2:0, visually lossless.
+    /// H.264 in MP4, which browsers play: 8 bits, 4:2:0, visually lossless.
     H264,
 }
 
-/// How frames become a video.
+/// The format of a video file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VideoFormat {
-    /// Bits a channel of what is encoded.
+    /// Bits a channel of the encoded frames.
     pub depth: BitDepth,
-    /// Frames shown a second.
+    /// Frames a second, hertz.
     pub rate_hz: f64,
+    /// Compression and container.
     pub codec: Codec,
 }
 
 impl Codec {
-    /// H.264 where that ffmpeg has it, else FFV1. This starts it, so that one that can't run is
-    /// known before anything is rendered.
+    /// H.264 if that ffmpeg has it, else FFV1. It starts ffmpeg, so that one that can't run is an
+    /// error before anything is rendered.
     pub fn for_browsers(ffmpeg: &Path) -> Result<Self, VideoError> {
         let output = Command::new(ffmpeg)
             .args(["-hide_banner", "-encoders"])
@@ -40,7 +41,7 @@ impl Codec {
         Ok(if h264 { Self::H264 } else { Self::Ffv1 })
     }
 
-    /// The suffix of its files.
+    /// The suffix of the codec's files.
     pub fn suffix(self) -> &'static str {
         match self {
             Self::Ffv1 => "mkv",
@@ -69,7 +70,8 @@ impl Codec {
     }
 }
 
-/// A video file in the making. It has its name only once it is finished.
+/// A video file that is being written. It has its name only once it is finished; dropped before, it
+/// leaves no file.
 pub struct VideoWriter {
     path: PathBuf,
     temporary: PathBuf,
@@ -80,7 +82,7 @@ pub struct VideoWriter {
 }
 
 impl VideoWriter {
-    /// Begins a video whose frames all have the size and channels (1 or 3) of `like`.
+    /// Begins a video whose frames all have the size and the channels, 1 or 3, of `like`.
     pub fn create(
         ffmpeg: &Path,
         path: &Path,
@@ -126,7 +128,7 @@ impl VideoWriter {
         })
     }
 
-    /// Adds a frame.
+    /// Appends a frame.
     ///
     /// # Panics
     /// If its size or channels are others than the first's.
@@ -146,12 +148,12 @@ impl VideoWriter {
         };
         match self.stdin.as_mut().map(|pipe| pipe.write_all(&bytes)) {
             Some(Ok(())) => Ok(()),
-            // It has ended; its own words say why.
+            // ffmpeg has ended; its message says why.
             _ => Err(self.end().err().unwrap_or_else(|| self.broken("ffmpeg ended early"))),
         }
     }
 
-    /// Ends the video and gives it its name.
+    /// Ends the video and renames it to its path.
     pub fn finish(mut self) -> Result<(), VideoError> {
         self.end()?;
         std::fs::rename(&self.temporary, &self.path)

@@ -1,8 +1,8 @@
-//! How time and memory grow with what is filmed: pixels, cameras, features, frames; and the largest
-//! that there is.
+//! The growth of time and memory with the capture: pixels, cameras, features and frames; and the
+//! largest captures.
 //!
-//! `cargo bench --bench growth -- [pixels|cameras|features|frames|memory|largest]`, all without a
-//! word. Times are processor time, to which other work on the machine adds little; films are of
+//! `cargo bench --bench growth -- [pixels|area|cameras|features|frames|memory|largest]`; all of them
+//! without a word. Times are processor time, to which other processes add little; films are of
 //! [`swing::Swing`]. Tables go to stdout, plots to `target/growth/growth.svg` and `memory.svg`.
 
 #[path = "growth/fit.rs"]
@@ -41,7 +41,7 @@ fn folder(name: &str) -> Done<PathBuf> {
     Ok(folder)
 }
 
-/// Writes charts, and says where.
+/// Writes charts as SVG and prints the file's path.
 fn draw(name: &str, charts: &[Chart]) -> Done<()> {
     let folder = root().join("target/growth");
     std::fs::create_dir_all(&folder)?;

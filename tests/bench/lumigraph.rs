@@ -2,9 +2,10 @@
 //! blended to the true views between them, over each proxy and with each option.
 //!
 //! `cargo bench --bench lumigraph -- CAPTURE [OUT]`: a filmed capture with `truth/`; rendered
-//! views go to OUT. POINTS sets how many corners the meshes rest on, HELD_OUT adds the filming
-//! cameras' views, each from the other cameras, ONLY picks lines of the table. Prints PSNR (of all pixels that any camera sees; mean and
-//! worst of the views) and processor ms per view.
+//! views go to OUT. POINTS sets the number of corners that the meshes are built on, HELD_OUT adds the
+//! filming cameras' views, each from the other cameras, and ONLY selects lines of the table. Prints the
+//! PSNR of all pixels with coverage, as mean and minimum of the views, and processor milliseconds per
+//! view.
 
 use nalgebra::{Point2, Point3};
 use std::collections::BTreeMap;
@@ -26,7 +27,7 @@ struct View {
     depth: DepthMap,
 }
 
-/// One view to render, and what to render it from.
+/// One view to render, and its sources.
 struct Problem<'a> {
     view: &'a View,
     cameras: Vec<&'a View>,
@@ -103,8 +104,8 @@ fn corners(image: &Image, count: usize, gap: i64) -> Vec<(usize, usize)> {
     taken
 }
 
-/// Corners of the two nearest cameras, found again in four with 0.2 px of noise, 2 % of them
-/// anywhere; triangulated.
+/// Triangulated corners of the two nearest cameras, observed in four with 0.2 px of noise; 2 % of them
+/// are mismatched.
 fn points(view: &View, cameras: &[&View], count: usize) -> Vec<Point3<f64>> {
     let mut random = Random(5);
     let mut nearest = cameras.to_vec();
@@ -118,7 +119,7 @@ fn points(view: &View, cameras: &[&View], count: usize) -> Vec<Point3<f64>> {
             let Some(ray) = from.camera.ray_world(&pixel) else { continue };
             let point = from.camera.center() + ray * f64::from(from.depth.row(y)[x]);
             let wrong = random.unit() < 0.02;
-            let seen: Vec<_> = nearest
+            let observations: Vec<_> = nearest
                 .iter()
                 .filter_map(|v| {
                     let mut at = v.camera.project(&point)?;
@@ -130,7 +131,7 @@ fn points(view: &View, cameras: &[&View], count: usize) -> Vec<Point3<f64>> {
                     Some((&v.camera, at))
                 })
                 .collect();
-            if let Some(t) = triangulate(&seen)
+            if let Some(t) = triangulate(&observations)
                 && t.rms_px < 1.0
             {
                 out.push(t.point);
@@ -153,8 +154,8 @@ fn psnr(rendered: &Rendered, truth: &Image) -> f64 {
 
 const REPEATS: u32 = 5;
 
-/// Processor time of all threads so far, in ticks of 10 ms: other work on the machine doesn't
-/// count. 0 where the system doesn't say.
+/// Processor time of all threads so far, in ticks of 10 ms, without other processes.
+/// 0 where the system doesn't count it.
 fn cpu_ms() -> f64 {
     let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // After the name in parentheses: user and system time are fields 12 and 13.
@@ -164,21 +165,55 @@ fn cpu_ms() -> f64 {
     (ticks(11) + ticks(12)) * 10.0
 }
 
+/// The depths of every camera that occlude points in it.
+#[derive(Clone, Copy)]
+enum Occlusion {
+    None,
+    /// The proxy, rasterized in every camera.
+    Proxy,
+    /// The true depths.
+    Truth,
+}
+
+impl Occlusion {
+    fn maps(self, shape: &Proxy, cameras: &[&View]) -> Vec<DepthMap> {
+        match self {
+            Self::None => Vec::new(),
+            Self::Proxy => cameras.iter().map(|c| shape.depth_map(&c.camera)).collect(),
+            Self::Truth => cameras.iter().map(|c| c.depth.clone()).collect(),
+        }
+    }
+}
+
+/// One line of the table.
+struct Line<'a> {
+    name: &'a str,
+    /// Name of its pictures, if they are written.
+    file: Option<&'a str>,
+    options: &'a BlendOptions,
+    occlusion: Occlusion,
+}
+
+impl<'a> Line<'a> {
+    fn new(
+        name: &'a str,
+        file: Option<&'a str>,
+        options: &'a BlendOptions,
+        occlusion: Occlusion,
+    ) -> Self {
+        Self { name, file, options, occlusion }
+    }
+}
+
 struct Bench<'a> {
     problems: &'a [Problem<'a>],
     out: Option<PathBuf>,
 }
 
 impl Bench<'_> {
-    /// One line of the table; also writes the pictures if it has a file name.
-    fn line(
-        &self,
-        name: &str,
-        file: Option<&str>,
-        options: &BlendOptions,
-        hidden: Option<usize>,
-        proxy: &dyn Fn(&Problem) -> Proxy,
-    ) {
+    /// Measures and prints one line of the table; also writes its pictures if it has a file name.
+    fn line(&self, line: Line, proxy: &dyn Fn(&Problem) -> Proxy) {
+        let Line { name, file, options, occlusion } = line;
         if std::env::var("ONLY").is_ok_and(|only| !name.contains(&only)) {
             return;
         }
@@ -191,12 +226,7 @@ impl Bench<'_> {
             let shape = proxy(p);
             let depth = shape.depth_map(&p.view.camera);
             proxy_ms += (cpu_ms() - start) / f64::from(REPEATS);
-            // 0: the proxy rasterized in every camera. 1: the true depth of every camera.
-            let maps: Vec<DepthMap> = match hidden {
-                Some(0) => p.cameras.iter().map(|c| shape.depth_map(&c.camera)).collect(),
-                Some(_) => p.cameras.iter().map(|c| c.depth.clone()).collect(),
-                None => Vec::new(),
-            };
+            let maps = occlusion.maps(&shape, &p.cameras);
             let sources: Vec<Source> = p
                 .cameras
                 .iter()
@@ -211,13 +241,7 @@ impl Bench<'_> {
             blend_ms += (cpu_ms() - start) / f64::from(REPEATS);
             scores.push(psnr(&rendered, &p.view.image));
             if let (Some(out), Some(file)) = (&self.out, file) {
-                let path = out.join(format!("{}-{file}.png", p.view.id));
-                write_image(&path, &rendered.image, None, BitDepth::Eight).expect("picture");
-                let near = depth.data().iter().copied().fold(f32::INFINITY, f32::min);
-                let gray = depth.data().iter().map(|z| near / z).collect();
-                let map = Image::from_data(depth.width(), depth.height(), 1, gray);
-                let path = out.join(format!("{}-{file}-depth.png", p.view.id));
-                write_image(&path, &map, None, BitDepth::Eight).expect("picture");
+                write_pictures(out, &format!("{}-{file}", p.view.id), &rendered, &depth);
             }
         }
         let n = scores.len() as f64;
@@ -225,6 +249,31 @@ impl Bench<'_> {
         let worst = scores.iter().copied().fold(f64::INFINITY, f64::min);
         println!("{name:44} {mean:6.2} {worst:6.2} {:8.1} {:8.1}", proxy_ms / n, blend_ms / n);
     }
+}
+
+/// Writes the view, and its inverse depth over the largest.
+fn write_pictures(out: &Path, name: &str, rendered: &Rendered, depth: &DepthMap) {
+    let path = out.join(format!("{name}.png"));
+    write_image(&path, &rendered.image, None, BitDepth::Eight).expect("picture");
+    let near = depth.data().iter().copied().fold(f32::INFINITY, f32::min);
+    let gray = depth.data().iter().map(|z| near / z).collect();
+    let map = Image::from_data(depth.width(), depth.height(), 1, gray);
+    let path = out.join(format!("{name}-depth.png"));
+    write_image(&path, &map, None, BitDepth::Eight).expect("picture");
+}
+
+/// The defaults with one blending option changed, and that option's name.
+fn blend_variants(base: &BlendOptions) -> Vec<(String, BlendOptions)> {
+    let mut blends: Vec<(String, BlendOptions)> =
+        vec![("uniform".into(), BlendOptions { method: BlendMethod::Uniform, ..base.clone() })];
+    for cameras in [1, 2, 3, 4, 8] {
+        blends.push((format!("k {cameras}"), BlendOptions { cameras, ..base.clone() }));
+    }
+    blends.push(("bilinear".into(), BlendOptions { sampling: Sampling::Bilinear, ..base.clone() }));
+    for feather_px in [0.0, 4.0, 12.0] {
+        blends.push((format!("feather {feather_px}"), BlendOptions { feather_px, ..base.clone() }));
+    }
+    blends
 }
 
 fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
@@ -241,33 +290,37 @@ fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
     };
     let mesh = |p: &Problem| mesh_of(p, &MeshOptions::default());
 
-    bench.line("true depth", Some("depth"), &base, None, &depth);
-    bench.line("true depth, hidden by true depth", Some("depth-hidden"), &base, Some(1), &depth);
-    bench.line("plane", Some("plane"), &base, None, &plane);
-    bench.line("mesh", Some("mesh"), &base, None, &mesh);
-    bench.line("mesh, hidden by mesh", None, &base, Some(0), &mesh);
-    bench.line("mesh, hidden by true depth", None, &base, Some(1), &mesh);
+    bench.line(Line::new("true depth", Some("depth"), &base, Occlusion::None), &depth);
+    bench.line(
+        Line::new(
+            "true depth, occluded by true depth",
+            Some("depth-occluded"),
+            &base,
+            Occlusion::Truth,
+        ),
+        &depth,
+    );
+    bench.line(Line::new("plane", Some("plane"), &base, Occlusion::None), &plane);
+    bench.line(Line::new("mesh", Some("mesh"), &base, Occlusion::None), &mesh);
+    bench.line(Line::new("mesh, occluded by mesh", None, &base, Occlusion::Proxy), &mesh);
+    bench.line(Line::new("mesh, occluded by true depth", None, &base, Occlusion::Truth), &mesh);
     for depth_edges in [DepthEdges::Stretch, DepthEdges::Back, DepthEdges::Front, DepthEdges::Cut] {
         for edge_px in [8.0, 16.0, 24.0, 32.0, 1e9] {
             let options = MeshOptions { depth_edges, edge_px, ..MeshOptions::default() };
             let name = format!("mesh, {depth_edges:?} {edge_px}");
             let file = format!("mesh-{depth_edges:?}-{edge_px}");
-            bench.line(&name, Some(&file), &base, None, &|p| mesh_of(p, &options));
+            bench.line(Line::new(&name, Some(&file), &base, Occlusion::None), &|p| {
+                mesh_of(p, &options)
+            });
         }
     }
-    let mut blends: Vec<(String, BlendOptions)> =
-        vec![("uniform".into(), BlendOptions { method: BlendMethod::Uniform, ..base.clone() })];
-    for cameras in [1, 2, 3, 4, 8] {
-        blends.push((format!("k {cameras}"), BlendOptions { cameras, ..base.clone() }));
-    }
-    blends.push(("bilinear".into(), BlendOptions { sampling: Sampling::Bilinear, ..base.clone() }));
-    for feather_px in [0.0, 4.0, 12.0] {
-        blends.push((format!("feather {feather_px}"), BlendOptions { feather_px, ..base.clone() }));
-    }
-    for (name, options) in &blends {
-        bench.line(&format!("true depth hidden, {name}"), None, options, Some(1), &depth);
-        bench.line(&format!("mesh, {name}"), None, options, None, &mesh);
-        bench.line(&format!("plane, {name}"), None, options, None, &plane);
+    for (name, options) in &blend_variants(&base) {
+        bench.line(
+            Line::new(&format!("true depth occluded, {name}"), None, options, Occlusion::Truth),
+            &depth,
+        );
+        bench.line(Line::new(&format!("mesh, {name}"), None, options, Occlusion::None), &mesh);
+        bench.line(Line::new(&format!("plane, {name}"), None, options, Occlusion::None), &plane);
     }
 }
 

@@ -37,8 +37,7 @@ mod scene;
 mod sweep;
 
 use std::path::Path;
-use stlfr::chart::{Chart, drawing};
-use stlfr::raster::{BitDepth, write_image};
+use stlfr::chart::{Chart, svg};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> =
@@ -74,13 +73,11 @@ fn median(values: &[f64]) -> f64 {
     percentile(values, 0.5)
 }
 
-/// Writes charts, two in a row, as SVG and as PNG.
+/// Writes charts, two a row, as SVG.
 fn save(folder: &Path, name: &str, charts: &[Chart]) -> Result<(), Box<dyn std::error::Error>> {
     std::fs::create_dir_all(folder)?;
-    let (svg, png) = ["svg", "png"].map(|kind| folder.join(format!("{name}.{kind}"))).into();
-    let drawing = drawing(charts, 2);
-    std::fs::write(&svg, drawing.svg())?;
-    write_image(&png, &drawing.image(), None, BitDepth::Eight)?;
-    println!("wrote {} and {}", svg.display(), png.display());
+    let path = folder.join(format!("{name}.svg"));
+    std::fs::write(&path, svg(charts, 2))?;
+    println!("wrote {}", path.display());
     Ok(())
 }

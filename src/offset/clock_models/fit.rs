@@ -6,6 +6,7 @@
 //! frames missing up to an image. It is a step function of the image that only ascends.
 
 use super::{ClockModel, MAX_SWEEPS, NominalClock};
+use crate::capture::MAX_DRIFT_PPM;
 use nalgebra::{Matrix2, Vector2};
 
 /// The standard deviation of an inlier's lag, frames. Larger accepts observations of wrong frames;
@@ -21,7 +22,7 @@ const RATE_SIGMA: f64 = 5e-4;
 const NO_DRIFT_SIGMA: f64 = 1e-9;
 /// The largest rate that is tried as a start, seconds a second. Larger costs time and lets a loss
 /// pass for a drift in short recordings; smaller misses clocks that drift faster.
-const MAX_RATE: f64 = 1e-3;
+const MAX_RATE: f64 = 1e-6 * MAX_DRIFT_PPM;
 /// The largest number of rate steps to either side of 0: it bounds the time for long recordings.
 /// Smaller leaves rates untried; larger is only slower.
 const MAX_RATE_STEPS: f64 = 1e3;

@@ -1,4 +1,4 @@
-//! How a cost grows: the exponent of a power law, by least squares of logarithms.
+//! The growth of a cost: the exponent of a power law, by least squares of logarithms.
 
 /// cost ≈ c · size^exponent.
 #[derive(Clone, Copy, Debug)]

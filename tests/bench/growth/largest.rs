@@ -66,8 +66,8 @@ fn rendered(name: &str, swing: Swing, view: &[&str]) -> Done<()> {
     if !run.status.success() {
         return Err(format!("{name}: {}", run.status).into());
     }
-    let (found, _) = read_image(&image)?;
-    let mut off = format!("{:.1} dB", psnr_db(&found, &swing.truth(swing.reference(), at)));
+    let (rendered, _) = read_image(&image)?;
+    let mut off = format!("{:.1} dB", psnr_db(&rendered, &swing.truth(swing.reference(), at)));
     if !swing.synchronized {
         let offsets: Offsets = json::read(&film.join("offsets.json"))?;
         let known: Vec<f64> = offsets

@@ -1,4 +1,4 @@
-//! The most memory that each command holds, over films of growing length.
+//! The peak memory of each command, over films of growing length.
 
 use super::{Done, folder, root};
 use crate::peak;
@@ -8,8 +8,8 @@ use std::path::Path;
 use std::process::Command;
 use stlfr::chart::{Chart, Series};
 
-/// Instants of a view that all cameras' images are made for: four frames of each camera and instant
-/// are more than may be kept.
+/// Instants of a view for which all cameras are synchronized: four frames of each camera and instant
+/// are more than the caches hold.
 const INSTANTS: usize = 4;
 /// Frames of the film for each instant at which one camera's image is made.
 const FRAMES_AN_INSTANT: usize = 10;
@@ -66,7 +66,7 @@ pub fn grow(lengths: &[usize]) -> Done<Chart> {
     })
 }
 
-/// The program, told to do one thing.
+/// The program with the arguments of a command.
 fn of(command: &str, swing: &Swing, capture: &Path) -> Command {
     let mut stlfr = Command::new(env!("CARGO_BIN_EXE_stlfr"));
     stlfr.current_dir(root()).arg("--quiet");
@@ -98,7 +98,7 @@ fn of(command: &str, swing: &Swing, capture: &Path) -> Command {
 
 /// A view, options, and what `compare` needs: the clocks' truth and a video's true images.
 fn truth(swing: &Swing, capture: &Path) -> Done<()> {
-    // The cheapest rung that registers frames: hundreds of images in minutes, from as many frames.
+    // The cheapest method that registers frames: hundreds of images in minutes, from as many frames.
     std::fs::write(capture.join("options.json"), r#"{"sync": "triangulation"}"#)?;
     let place = [0.5, 0.0];
     let view = swing.view(place);

@@ -57,7 +57,7 @@ pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
     let row: Vec<String> = all.iter().map(|points| format!("{:.2}", last(points))).collect();
     println!("| of the last step | | {} |", row.join(" | "));
     let costs = || all.iter().flatten().map(|p| p.1);
-    let (least, most) = (costs().fold(f64::INFINITY, f64::min), costs().fold(0.0, f64::max));
+    let (min, max) = (costs().fold(f64::INFINITY, f64::min), costs().fold(0.0, f64::max));
     let series = STAGES
         .iter()
         .zip(&all)
@@ -77,7 +77,7 @@ pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
         log_x: true,
         log_y: true,
         // Room for the names above the lines.
-        y_shows: Some((least, 100.0 * most)),
+        y_shows: Some((min, 100.0 * max)),
         series,
         ..Chart::default()
     })
@@ -140,8 +140,8 @@ fn true_offsets(capture: &Capture, swing: &Swing) -> Offsets {
 }
 
 /// A result, and its milliseconds of processor time over all threads.
-fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
+fn timed<T>(run: impl FnOnce() -> T) -> (T, f64) {
     let start = process_cpu_s();
-    let result = work();
+    let result = run();
     (result, 1e3 * (process_cpu_s() - start))
 }
