@@ -234,7 +234,7 @@ mod tests {
         assert_eq!(of(&motion), (0.0, Choice::PairsRegistered));
         let still = Motion { still_pairs: 2, still_change: 0.0078125, still_px: 0.1, ..motion };
         assert_eq!(of(&still), (0.009765625, Choice::PairsCrossFaded));
-        assert!(still_pairs(&still, BUDGET_PX).1.because.contains("2 of 6"));
+        assert!(still_pairs(&still, BUDGET_PX).1.because.contains("2 of the 6"));
         assert_eq!(of(&Motion { still_change: 0.9, ..still }).0, MAX_NOISE);
         assert_eq!(of(&Motion { still_px: 0.6, ..still }), (0.0, Choice::PairsRegistered));
         assert_eq!(still_pairs(&still, 0.0).0, 0.0);
