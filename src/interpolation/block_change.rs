@@ -1,22 +1,23 @@
-//! What changes between two frames, block by block.
+//! Detection of change between two frames, by blocks of pixels.
 
 use super::windows::difference;
 use crate::raster::Image;
 
-/// Side of the blocks that are compared, pixels. Larger: small bodies hide in them; smaller: noise
-/// is told less well from change.
+/// Side of the blocks that are compared, pixels. Larger: small moving objects are averaged away;
+/// smaller: noise resembles change.
 const BLOCK: usize = 8;
 
-/// A block changes if its mean difference is over so many times the quietest quarter's: noise
-/// differs between light and dark, flat and textured parts, by 2 to 4 times. Larger: what moves with
-/// little contrast is missed; smaller: noise is taken for change.
+/// A block changes if its mean difference is over this many times the lower quartile of all blocks'. Noise
+/// differs by 2 to 4 times between light and dark, flat and textured parts. Larger: motion of low
+/// contrast is missed; smaller: noise is taken for change.
 const OVER_NOISE: f32 = 6.0;
 
-/// Nor does a block change whose mean difference is below this, values 0..=1: rounding to 8 bits.
+/// Minimum mean difference of a block that changes, values 0..=1: 1.5 steps of 8 bits. Larger: motion of low
+/// contrast is missed; smaller: rounding is taken for change.
 const MIN_CHANGE: f32 = 1.5 / 255.0;
 
-/// The largest mean difference of a block of the two images, values 0..=1. Blocks at the right and
-/// at the bottom may be narrower.
+/// The largest mean absolute difference of a block of 8×8 pixels between two images, values 0..=1. Blocks
+/// at the right and the bottom border may be narrower.
 ///
 /// # Panics
 /// If the images differ in size or in channels.
@@ -24,7 +25,7 @@ pub fn largest_change(a: &Image, b: &Image) -> f32 {
     block_means(a, b).into_iter().flatten().fold(0.0, f32::max)
 }
 
-/// The fraction of whole blocks that change by more than noise, 0..=1; 0 of none.
+/// The fraction, 0..=1, of whole blocks that change by more than noise; 0 if the images have none.
 ///
 /// # Panics
 /// If the images differ in size or in channels.
@@ -71,8 +72,8 @@ fn changed_blocks(a: &Image, b: &Image) -> Vec<Vec<bool>> {
     means.iter_mut().for_each(|row| row.truncate(across));
     let mut sorted: Vec<f32> = means.iter().flatten().copied().collect();
     sorted.sort_by(f32::total_cmp);
-    let Some(quiet) = sorted.get(sorted.len() / 4) else { return Vec::new() };
-    let limit = (OVER_NOISE * quiet).max(MIN_CHANGE);
+    let Some(noise) = sorted.get(sorted.len() / 4) else { return Vec::new() };
+    let limit = (OVER_NOISE * noise).max(MIN_CHANGE);
     means.iter().map(|row| row.iter().map(|d| *d > limit).collect()).collect()
 }
 
@@ -103,14 +104,14 @@ mod tests {
     #[test]
     fn noise_is_no_change_and_a_small_body_is() {
         let mut random = Random::new(7);
-        let mut still = || {
+        let mut static_frame = || {
             let data = (0..160 * 120).map(|k| {
                 let edge = if (k % 160) / 20 % 2 == 0 { 0.3 } else { 0.7 };
                 edge + 0.05 * random.signed() as f32
             });
             Image::from_data(160, 120, 1, data.collect())
         };
-        let (a, mut b) = (still(), still());
+        let (a, mut b) = (static_frame(), static_frame());
         assert_eq!(changed_fraction(&a, &b), 0.0);
         for y in 40..56 {
             for x in 64..80 {

@@ -1,5 +1,5 @@
-//! §5.2: the edge set: real edges without crossings, and the virtual edges of a constrained
-//! Delaunay triangulation around them.
+//! §5.2: the edge set: real edges without crossings, and the virtual edges of a constrained Delaunay
+//! triangulation around them.
 
 use super::edges::{Feature, RealEdge};
 use crate::registration::Neighbors;
@@ -9,34 +9,38 @@ use spade::{
 };
 use std::collections::HashMap;
 
-/// An edge that guides the morph.
+/// An edge of the edge set (§5.2), which guides the morph.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
+    /// Its two ends.
     pub ends: [Feature; 2],
     /// f̄ of a real edge; `None` for a virtual one.
     pub mean_fitness: Option<f64>,
 }
 
-/// A piece of a real edge between two crossings; vertices by index.
+/// A piece of a real edge between two crossings, its vertices by index.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     ends: [usize; 2],
     mean_fitness: f64,
 }
 
-/// The edge set of an image: real edges, then the virtual ones that a triangulation of the given
-/// vertices adds. `vertices` beyond the real edges' ends and the image's corners are optional:
-/// `loose` says which of the features take part.
+/// The edge set (§5.2) of a frame of `width`×`height` pixels: the pieces of the real edges between their
+/// crossings, then the virtual edges of their constrained Delaunay triangulation in the source frame.
+///
+/// The triangulation's vertices are the real edges' ends, their crossings and the image's corners, and
+/// with `all_features` all features (in the paper, not). Of coincident features the first is a vertex.
+/// Without features the edges are the image's border and a diagonal.
 pub fn edge_set(
     features: &[Feature],
     real: &[RealEdge],
-    loose: bool,
+    all_features: bool,
     width: usize,
     height: usize,
 ) -> Vec<Edge> {
     let mut vertices = features.to_vec();
     let pieces = without_crossings(&mut vertices, real);
-    let mut used = vec![loose; features.len()];
+    let mut used = vec![all_features; features.len()];
     used.resize(vertices.len(), true);
     for end in pieces.iter().flat_map(|p| p.ends) {
         used[end] = true;
@@ -60,8 +64,8 @@ pub fn edge_set(
     edges
 }
 
-/// The triangles (by vertex index) of the Delaunay triangulation of features and image corners in
-/// the source frame; the corners are appended to `vertices`.
+/// The triangles, by vertex index, of the Delaunay triangulation of features and image corners in the
+/// source frame. Appends the corners to `vertices`.
 pub fn triangles(vertices: &mut Vec<Feature>, width: usize, height: usize) -> Vec<[usize; 3]> {
     for (x, y) in [(0, 0), (width, 0), (0, height), (width, height)] {
         let p = Point2::new(x as f64, y as f64);
@@ -71,10 +75,10 @@ pub fn triangles(vertices: &mut Vec<Feature>, width: usize, height: usize) -> Ve
     Mesh::new(vertices, &used, &[]).triangles().collect()
 }
 
-/// A triangulation that remembers which vertex each of its points is.
+/// A triangulation with the index of the vertex that each of its points is.
 struct Mesh {
     cdt: ConstrainedDelaunayTriangulation<SpadePoint<f64>>,
-    /// From the triangulation's vertex to ours.
+    /// From the index of the triangulation's point to that of the vertex.
     index: HashMap<usize, usize>,
 }
 
@@ -85,7 +89,7 @@ impl Mesh {
         let mut handles = vec![None; vertices.len()];
         for (k, vertex) in vertices.iter().enumerate().filter(|&(k, _)| used[k]) {
             if let Ok(handle) = insert(&mut cdt, vertex.source) {
-                // Of vertices at one place the first stays.
+                // Of coincident vertices the first is used.
                 index.entry(handle.index()).or_insert(k);
                 handles[k] = Some(handle);
             }
@@ -94,8 +98,8 @@ impl Mesh {
             if let (Some(a), Some(b)) = (handles[*a], handles[*b])
                 && a != b
             {
-                // Where rounding left a crossing the constraint is not added; the edge still
-                // guides the morph.
+                // A constraint that still crosses another, by rounding, is not added; its edge
+                // guides the morph nevertheless.
                 let _ = cdt.try_add_constraint(a, b);
             }
         }
@@ -118,13 +122,13 @@ fn insert(
     cdt: &mut ConstrainedDelaunayTriangulation<SpadePoint<f64>>,
     p: Point2<f64>,
 ) -> Result<spade::handles::FixedVertexHandle, InsertionError> {
-    // spade takes 0 or magnitudes of at least 2⁻¹⁴²; a coordinate this small is the border.
-    let safe = |v: f64| if v.abs() < 1e-30 { 0.0 } else { v };
-    cdt.insert(SpadePoint::new(safe(p.x), safe(p.y)))
+    // spade accepts 0 and magnitudes of at least 2⁻¹⁴²; a coordinate this small is on the border.
+    let flushed = |v: f64| if v.abs() < 1e-30 { 0.0 } else { v };
+    cdt.insert(SpadePoint::new(flushed(p.x), flushed(p.y)))
 }
 
-/// Splits edges where they cross: the less fit edge is split, and the new vertex, appended to
-/// `vertices`, follows the fitter one. The fitter edge is split there too, which does not bend it.
+/// Splits real edges where they cross (§5.2): the new vertex, appended to `vertices`, lies on the fitter edge
+/// in all images. Both edges are split there, which does not bend the fitter one.
 fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<Piece> {
     let mut order: Vec<usize> = (0..real.len()).collect();
     order.sort_by(|&a, &b| real[b].mean_fitness.total_cmp(&real[a].mean_fitness).then(a.cmp(&b)));
@@ -133,7 +137,7 @@ fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<Piec
     let longest = (0..order.len()).map(|k| (ends(k)[1] - ends(k)[0]).norm()).fold(0.0, f64::max);
     let neighbors = Neighbors::new(middles.iter().copied());
 
-    // Where each edge is split: shares along it, and the vertex there.
+    // Where each edge is split: fractions along it, and the vertex there.
     let mut splits: Vec<Vec<(f64, usize)>> = vec![Vec::new(); order.len()];
     for k in 0..order.len() {
         let [a, b] = real[order[k]].ends;
@@ -142,15 +146,15 @@ fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<Piec
             if fitter >= k || [c, d].contains(&a) || [c, d].contains(&b) {
                 continue;
             }
-            let Some((share, share_fitter)) = crossing(
+            let Some((along, along_fitter)) = crossing(
                 [vertices[a].source, vertices[b].source],
                 [vertices[c].source, vertices[d].source],
             ) else {
                 continue;
             };
-            let vertex = vertices[c].lerp(&vertices[d], share_fitter);
-            splits[k].push((share, vertices.len()));
-            splits[fitter].push((share_fitter, vertices.len()));
+            let vertex = vertices[c].lerp(&vertices[d], along_fitter);
+            splits[k].push((along, vertices.len()));
+            splits[fitter].push((along_fitter, vertices.len()));
             vertices.push(vertex);
         }
     }
@@ -167,13 +171,13 @@ fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<Piec
     pieces
 }
 
-/// Where two segments cross inside both, as shares along each; `None` if they are parallel, or
-/// only touch at an end.
+/// Where two segments cross, as fractions along each; `None` if they are parallel, do not cross, or only
+/// touch at an end.
 fn crossing([a, b]: [Point2<f64>; 2], [c, d]: [Point2<f64>; 2]) -> Option<(f64, f64)> {
     let (u, v) = (b - a, d - c);
     let cross = |p: Vector2<f64>, q: Vector2<f64>| p.x * q.y - p.y * q.x;
     let determinant = cross(u, v);
-    // sin of the angle below 1e-9: on one line, they have no crossing point.
+    // Parallel: the sine of their angle is below 1e-9.
     if !(determinant.abs() > 1e-9 * u.norm() * v.norm()) {
         return None;
     }
@@ -222,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn collinear_duplicate_and_hundreds_of_random_edges_are_no_trouble() {
+    fn collinear_duplicate_and_hundreds_of_random_edges_stay_finite() {
         let line: Vec<_> = (0..20).map(|k| feature(f64::from(k % 10), 5.0, 0.0)).collect();
         assert!(edge_set(&line, &[], true, 40, 30).len() >= 5);
         let mut state = 7_u32;

@@ -5,36 +5,44 @@ use crate::registration::{Level, Neighbors};
 use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
 
-/// A feature as the morph uses it: where it is in the warped frame, in the other frame, and at
-/// the instant that is made. Pixels.
+/// A feature's positions, pixels, in the two frames and at the instant: a vertex of the morph's edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Feature {
+    /// Position in the frame that is warped.
     pub source: Point2<f64>,
+    /// Position in the other frame.
     pub other: Point2<f64>,
+    /// Position at the instant.
     pub target: Point2<f64>,
 }
 
 impl Feature {
-    /// The point at a share of the way to another feature, in all three images.
-    pub fn lerp(&self, to: &Self, share: f64) -> Self {
-        let mix = |a: Point2<f64>, b: Point2<f64>| a + (b - a) * share;
+    /// The point at a fraction (0..=1) of the segment to another feature, in all three images.
+    pub fn lerp(&self, to: &Self, fraction: f64) -> Self {
+        let interpolate = |a: Point2<f64>, b: Point2<f64>| a + (b - a) * fraction;
         Self {
-            source: mix(self.source, to.source),
-            other: mix(self.other, to.other),
-            target: mix(self.target, to.target),
+            source: interpolate(self.source, to.source),
+            other: interpolate(self.other, to.other),
+            target: interpolate(self.target, to.target),
         }
     }
 }
 
-/// A real edge between two features, by index, with its mean fitness f̄ in the source frame.
+/// A real edge (§5.1): a segment between two features that follows an image edge.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RealEdge {
+    /// Indices of the two features.
     pub ends: [usize; 2],
+    /// f̄ of eq. (8): the mean fitness of its samples in the source frame, in values (0..=1) per pixel.
     pub mean_fitness: f64,
 }
 
-/// The real edges among features: long enough, fit in both frames, of constant length, and each
-/// image edge once (the longest).
+/// The real edges among features (§5.1): segments of at most [`EdgeOptions::max_length_px`] whose fitness,
+/// eq. (6), exceeds the threshold in both frames, and whose length hardly changes between them. Of
+/// near-parallel edges on one image edge, only the longest (§5.2).
+///
+/// `source` and `other` are the full-sized pyramid levels of the two frames. The order does not depend on
+/// the number of threads. Coincident features make no edge.
 pub fn real_edges(
     features: &[Feature],
     source: &Level,
@@ -78,8 +86,8 @@ fn real_edge(
     (fitness > options.min_fitness).then_some(RealEdge { ends, mean_fitness })
 }
 
-/// Eq. (6), and the mean of what it takes the least of. `None` for edges shorter than a pixel,
-/// which have no direction to speak of.
+/// The fitness of eq. (6), which is the minimum over an edge's samples, and the samples' mean f̄. `None` for
+/// edges shorter than a pixel, whose direction is noise.
 fn fitness(
     level: &Level,
     a: Point2<f64>,
@@ -93,7 +101,7 @@ fn fitness(
     }
     let normal = Vector2::new(-along.y, along.x) / length;
     let steps = (length / options.sample_step_px.max(0.25)).ceil().max(1.0) as usize;
-    let (mut least, mut sum) = (f64::INFINITY, 0.0);
+    let (mut min, mut sum) = (f64::INFINITY, 0.0);
     for k in 0..=steps {
         let p = a + along * (k as f64 / steps as f64);
         let clamp = |v: f64, size: usize| (v.max(0.0) as usize).min(size - 1);
@@ -104,13 +112,13 @@ fn fitness(
         let agreement =
             if magnitude > 0.0 { (gradient.dot(&normal) / magnitude).abs() } else { 0.0 };
         let f = magnitude + options.beta * agreement;
-        least = least.min(f);
+        min = min.min(f);
         sum += f;
     }
-    Some((least, sum / (steps + 1) as f64))
+    Some((min, sum / (steps + 1) as f64))
 }
 
-/// Of near-parallel edges that lie on each other, keeps the longest (Fig. 8).
+/// Removes duplicates (§5.2, Fig. 8): of near-parallel edges that lie on each other, all but the longest.
 fn without_duplicates(
     mut edges: Vec<RealEdge>,
     features: &[Feature],
@@ -126,9 +134,9 @@ fn without_duplicates(
     let neighbors = Neighbors::new(edges.iter().map(middle));
     let min_cosine = options.duplicate_angle_deg.to_radians().cos();
 
-    let mut kept = vec![true; edges.len()];
+    let mut is_unique = vec![true; edges.len()];
     for k in 0..edges.len() {
-        if !kept[k] {
+        if !is_unique[k] {
             continue;
         }
         let [a, b] = ends(&edges[k]);
@@ -137,7 +145,7 @@ fn without_duplicates(
         // A shorter edge on this one has its middle within half this one's length of its middle.
         let reach = 0.5 * long + options.duplicate_distance_px;
         for n in neighbors.within(&middle(&edges[k]), reach) {
-            if n <= k || !kept[n] {
+            if n <= k || !is_unique[n] {
                 continue;
             }
             let [c, d] = ends(&edges[n]);
@@ -147,12 +155,12 @@ fn without_duplicates(
                 (p - (a + direction * along)).norm() <= options.duplicate_distance_px
             };
             if parallel && near(c) && near(d) {
-                kept[n] = false;
+                is_unique[n] = false;
             }
         }
     }
-    let mut kept = kept.into_iter();
-    edges.retain(|_| kept.next().unwrap_or(true));
+    let mut is_unique = is_unique.into_iter();
+    edges.retain(|_| is_unique.next().unwrap_or(true));
     edges
 }
 
@@ -168,12 +176,12 @@ mod tests {
         Pyramid::new(&Image::from_data(60, 50, 1, data), 1, 4)
     }
 
-    fn still(x: f64, y: f64) -> Feature {
+    fn at_rest(x: f64, y: f64) -> Feature {
         let p = Point2::new(x, y);
         Feature { source: p, other: p, target: p }
     }
 
-    fn found(features: &[Feature]) -> Vec<[usize; 2]> {
+    fn edge_ends(features: &[Feature]) -> Vec<[usize; 2]> {
         let pyramid = step();
         let level = &pyramid.levels()[0];
         let edges = real_edges(features, level, level, &EdgeOptions::default());
@@ -182,32 +190,38 @@ mod tests {
 
     #[test]
     fn segments_on_the_step_are_edges_and_others_are_not() {
-        assert_eq!(found(&[still(30.0, 10.0), still(30.0, 25.0)]), [[0, 1]]);
-        assert!(found(&[still(10.0, 10.0), still(10.0, 25.0)]).is_empty());
-        assert!(found(&[still(22.0, 10.0), still(38.0, 25.0)]).is_empty());
-        assert!(found(&[still(30.0, 5.0), still(30.0, 45.0)]).is_empty(), "longer than L_max");
+        assert_eq!(edge_ends(&[at_rest(30.0, 10.0), at_rest(30.0, 25.0)]), [[0, 1]]);
+        assert!(edge_ends(&[at_rest(10.0, 10.0), at_rest(10.0, 25.0)]).is_empty());
+        assert!(edge_ends(&[at_rest(22.0, 10.0), at_rest(38.0, 25.0)]).is_empty());
+        assert!(
+            edge_ends(&[at_rest(30.0, 5.0), at_rest(30.0, 45.0)]).is_empty(),
+            "longer than L_max"
+        );
     }
 
     #[test]
     fn of_three_points_on_one_edge_the_longest_pair_is_kept() {
-        assert_eq!(found(&[still(30.0, 10.0), still(30.3, 18.0), still(30.0, 28.0)]), [[0, 2]]);
+        assert_eq!(
+            edge_ends(&[at_rest(30.0, 10.0), at_rest(30.3, 18.0), at_rest(30.0, 28.0)]),
+            [[0, 2]]
+        );
     }
 
     #[test]
     fn an_edge_whose_length_changes_is_no_edge() {
-        let mut moved = still(30.0, 25.0);
+        let mut moved = at_rest(30.0, 25.0);
         moved.other.y += 4.0;
-        assert!(found(&[still(30.0, 10.0), moved]).is_empty());
+        assert!(edge_ends(&[at_rest(30.0, 10.0), moved]).is_empty());
     }
 
     #[test]
-    fn zero_gradients_have_no_direction_and_duplicates_no_length() {
+    fn zero_gradients_have_no_direction_and_coincident_features_no_length() {
         let flat = Pyramid::new(&Image::filled(60, 50, 1, 0.5), 1, 4);
         let level = &flat.levels()[0];
         let options = EdgeOptions::default();
         let (a, b) = (Point2::new(10.0, 10.0), Point2::new(20.0, 10.0));
         assert_eq!(fitness(level, a, b, &options), Some((0.0, 0.0)));
         assert_eq!(fitness(level, a, a, &options), None);
-        assert!(found(&[still(30.0, 10.0), still(30.0, 10.0)]).is_empty());
+        assert!(edge_ends(&[at_rest(30.0, 10.0), at_rest(30.0, 10.0)]).is_empty());
     }
 }

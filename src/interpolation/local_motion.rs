@@ -1,23 +1,25 @@
-//! Motions of tracks, and the motion that tracks around a place have in common.
+//! Motions of tracks, and the local affine motion that is fitted to those around a point.
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Vector2, Vector3};
 
-/// A track at the instant, and the displacements from there to where it is in the four frames:
-/// before, earlier, later, after. Pixels.
+/// A track's position at an instant and its displacements to the four frames around it. Pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
+    /// Position at the instant.
     pub at: Point2<f64>,
+    /// Displacements from there to the positions in the frames before, earlier, later and after; 0 to
+    /// a frame that does not exist.
     pub to: [Vector2<f64>; 4],
 }
 
-/// How fast a track's weight falls with its distance from the place. Larger: the nearest alone
-/// decide, their errors with them; smaller: the motion is that of everything around.
+/// Exponent by which a track's weight falls with its distance. Larger: the nearest track alone decides, with
+/// its error; smaller: the motion is the average of several surfaces.
 const DISTANCE_POWER: i32 = 3;
-/// A gradient is believed as if the tracks stood this far apart at least, pixels. Larger: motion
-/// that turns or nears is taken for a shift; smaller: two close tracks' errors become a turn.
+/// Ridge of the fitted gradient: it counts as if tracks were spread by this much, pixels. Larger: rotation
+/// and zoom are taken for translation; smaller: two close tracks' errors are taken for rotation.
 const RIDGE_PX: f64 = 2.0;
 
-/// A motion around a place: the displacements there, and how they change with position.
+/// An affine motion around a point: the displacements there, and their derivatives by position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct LocalMotion {
     to: [Vector2<f64>; 4],
@@ -25,8 +27,8 @@ pub(super) struct LocalMotion {
 }
 
 impl LocalMotion {
-    /// Weighted least squares over tracks, the nearer the heavier. `None` without any, or where
-    /// they are not finite.
+    /// The weighted least-squares fit to tracks, weighted by nearness to `center`. `None` without tracks,
+    /// or if a coordinate is not finite.
     pub(super) fn fit(members: &[&Motion], center: &Point2<f64>) -> Option<Self> {
         let mut normal = Matrix3::zeros();
         let mut right = [Matrix3x2::zeros(); 4];
@@ -39,7 +41,7 @@ impl LocalMotion {
                 *right += weight * row * to.transpose();
             }
         }
-        // Positive on the diagonal with any track at all, so that the solve is well-conditioned.
+        // With any track the diagonal is positive, and the system well-conditioned.
         let ridge = normal[(0, 0)] * RIDGE_PX.powi(2);
         normal[(1, 1)] += ridge;
         normal[(2, 2)] += ridge;
@@ -51,7 +53,8 @@ impl LocalMotion {
         })
     }
 
-    /// The displacement to one of the four frames, that far from the place.
+    /// The displacement, pixels, to frame 0 to 3 (before, earlier, later, after), at an offset from the
+    /// centre.
     pub(super) fn at(&self, frame: usize, from_center: Vector2<f64>) -> Vector2<f64> {
         self.to[frame] + self.per_px[frame] * from_center
     }

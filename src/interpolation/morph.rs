@@ -1,14 +1,14 @@
 //! §5.3: Beier and Neely's morph (SIGGRAPH '92) with boosted real edges, eqs. (7) and (8).
 //!
-//! Every edge maps the plane so that its line at the instant goes to its line in the source frame;
-//! a pixel comes from the weighted mean of where all edges would take it. The warp is evaluated at
-//! the nodes of a grid and interpolated between them (a grid of 1 is exact).
+//! Every edge maps the plane so that its line at the instant goes to its line in the source frame. A pixel's
+//! source is the weighted mean of the sources by all edges. The warp is evaluated at the nodes of a
+//! grid and bilinearly interpolated between them (a grid of 1 pixel is exact).
 
 use super::edge_set::Edge;
 use super::{MorphOptions, Warp};
 use rayon::prelude::*;
 
-/// One edge, ready for the inner loop: X ↦ map·(X − p) + shift is the displacement.
+/// An edge as the inner loop uses it: the displacement at X is map·(X − p) + shift.
 #[derive(Clone, Copy, Debug)]
 struct Line {
     p: [f32; 2],
@@ -19,18 +19,21 @@ struct Line {
     map: [f32; 4],
     /// The displacement of p.
     shift: [f32; 2],
-    /// The logarithm of L^(ρb) times the boost of (8), which f64 holds for any exponents.
+    /// The logarithm of L^(ρb) times the boost of eq. (8), which f64 holds for any exponents.
     log_strength: f64,
-    /// The same, not its logarithm: for the usual exponents only.
+    /// L^(ρb) times the boost; used for the usual exponents only, where f32 holds it.
     strength: f32,
 }
 
-/// Edges shorter than this, at the instant or in the source, have no direction: pixels.
+/// Minimum length of an edge, at the instant and in the source, pixels. Larger: short edges do not count;
+/// smaller: the direction of coincident ends is rounding.
 const MIN_LENGTH_PX: f64 = 1e-3;
-/// Distances below this count as this when `a` is 0, so that no weight is infinite: pixels.
+/// Minimum of a + D in eq. (7), pixels, so that no weight is infinite. Larger: edges do not pass exactly where
+/// `a` is 0; smaller: weights overflow f32.
 const MIN_DISTANCE_PX: f32 = 1e-3;
 
-/// The warp that takes the source frame to the instant, guided by the edges.
+/// The warp (§5.3) that takes a source frame of `width`×`height` pixels to the instant, by the edges' lines in
+/// both and their weights, eqs. (7) and (8). Without edges that have a direction it is the identity.
 pub fn morph_warp(edges: &[Edge], width: usize, height: usize, options: &MorphOptions) -> Warp {
     let lines = lines(edges, options);
     if lines.is_empty() {
@@ -61,10 +64,11 @@ pub fn morph_warp(edges: &[Edge], width: usize, height: usize, options: &MorphOp
     warp
 }
 
+/// The edges that have a direction, with the boost of eq. (8).
 fn lines(edges: &[Edge], options: &MorphOptions) -> Vec<Line> {
     let fitness = || edges.iter().filter_map(|e| e.mean_fitness);
-    let least = fitness().fold(f64::INFINITY, f64::min);
-    let range = fitness().fold(f64::NEG_INFINITY, f64::max) - least;
+    let min = fitness().fold(f64::INFINITY, f64::min);
+    let range = fitness().fold(f64::NEG_INFINITY, f64::max) - min;
     edges
         .iter()
         .filter_map(|edge| {
@@ -84,7 +88,7 @@ fn lines(edges: &[Edge], options: &MorphOptions) -> Vec<Line> {
                 e_source.y * e.y / along + e_source.x * e.x / across - 1.0,
             ];
             let log_boost = edge.mean_fitness.map_or(0.0, |f| {
-                let ratio = if range > 0.0 { (f - least) / range } else { 0.0 };
+                let ratio = if range > 0.0 { (f - min) / range } else { 0.0 };
                 options.tau * ratio.ln_1p()
             });
             // The length is at least MIN_LENGTH_PX, so its logarithm is finite.
@@ -104,9 +108,10 @@ fn lines(edges: &[Edge], options: &MorphOptions) -> Vec<Line> {
         .collect()
 }
 
-/// Nodes computed side by side.
+/// Number of nodes that are computed at once: what an AVX2 register holds. It does not change results.
 const LANES: usize = 8;
 
+/// The displacements at the nodes of one row of the grid, at `y` pixels.
 fn displacement_row(
     lines: &[Line],
     nodes: usize,
@@ -117,13 +122,13 @@ fn displacement_row(
     let mut row = Vec::with_capacity(nodes.next_multiple_of(LANES));
     while row.len() < nodes {
         let xs: [f32; LANES] = std::array::from_fn(|l| ((row.len() + l) * step) as f32 + 0.5);
-        let found = displacements(lines, &xs, y, options);
-        row.extend(found);
+        row.extend(displacements(lines, &xs, y, options));
     }
     row.truncate(nodes);
     row
 }
 
+/// The displacements at eight positions of a row.
 fn displacements(
     lines: &[Line],
     xs: &[f32; LANES],
@@ -132,7 +137,7 @@ fn displacements(
 ) -> [[f32; 2]; LANES] {
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has the feature. The code is the same, so are its results.
+        // SAFETY: the processor has the feature. The operations are the same, and so the results.
         return unsafe { displacements_avx2(lines, xs, y, options) };
     }
     displacements_any(lines, xs, y, options)
@@ -157,7 +162,7 @@ fn displacements_any(
     options: &MorphOptions,
 ) -> [[f32; 2]; LANES] {
     let a = options.a as f32;
-    // The usual exponents have weights that f32 holds: (1/MIN_DISTANCE)⁴ · 2^32 = 4e21.
+    // f32 holds the weights of the usual exponents: (1/MIN_DISTANCE)⁴ · 2^32 = 4e21.
     if options.tau <= 32.0 && options.rho == 0.0 {
         if options.b == 2.0 {
             return accumulate(lines, xs, y, a, |r| r * r);
@@ -201,8 +206,8 @@ fn accumulate(
     std::array::from_fn(|l| [sum_x[l] / sum[l], sum_y[l] / sum[l]])
 }
 
-/// The same for any exponents, in f64, with the weights' logarithms relative to the largest so
-/// that none overflows and not all vanish.
+/// The displacement at one position for any exponents, in f64. The weights' logarithms are relative to the
+/// largest, so that none overflows and not all vanish.
 fn displacement_exact(lines: &[Line], x: f32, y: f32, options: &MorphOptions) -> [f32; 2] {
     let log_weight = |line: &Line| {
         let (px, py) = (f64::from(x - line.p[0]), f64::from(y - line.p[1]));
@@ -289,8 +294,8 @@ mod tests {
                 for y in [0.5, 13.5, 29.5] {
                     let xs: [f32; LANES] = std::array::from_fn(|l| l as f32 * 5.0 + 0.5);
                     let fast = displacements(&lines, &xs, y, &options);
-                    let plain = displacements_any(&lines, &xs, y, &options);
-                    assert_eq!(fast, plain);
+                    let portable = displacements_any(&lines, &xs, y, &options);
+                    assert_eq!(fast, portable);
                     for (x, d) in xs.iter().zip(fast) {
                         let exact = displacement_exact(&lines, *x, y, &options);
                         assert!((d[0] - exact[0]).abs() < 1e-3 && (d[1] - exact[1]).abs() < 1e-3);
@@ -331,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn points_and_nothing_warp_nothing() {
+    fn points_and_empty_sets_give_the_identity() {
         let point = edge([5.0, 5.0], [5.0, 5.0], Some(1.0), |p| p + Vector2::new(9.0, 9.0));
         assert_eq!(morph_warp(&[point], 8, 6, &MorphOptions::default()), Warp::identity(8, 6));
         assert_eq!(morph_warp(&[], 1, 1, &MorphOptions::default()), Warp::identity(1, 1));

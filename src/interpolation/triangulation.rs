@@ -1,13 +1,15 @@
-//! The rung below the morph: the image warped triangle by triangle (Fig. 10b).
+//! Direct triangulation (Fig. 10 (b)): the image warped triangle by triangle, the method below the morph.
 
 use super::Warp;
 use super::edge_set::triangles;
 use super::edges::Feature;
 use nalgebra::{Matrix3, Vector3};
 
-/// The warp that takes every triangle of features, and of the image's corners, from the source
-/// frame to the instant. Triangles that flip over between the two are left out; pixels that no
-/// triangle covers come from where they are.
+/// The piecewise affine warp that takes every Delaunay triangle of the features and of the image's corners
+/// from a source frame of `width`×`height` pixels to the instant.
+///
+/// Triangles that flip between the two, or have no area, are skipped. The warp is the identity at pixels
+/// that no triangle covers.
 pub fn triangulation_warp(features: &[Feature], width: usize, height: usize) -> Warp {
     let mut vertices = features.to_vec();
     let triangles = triangles(&mut vertices, width, height);
@@ -18,6 +20,7 @@ pub fn triangulation_warp(features: &[Feature], width: usize, height: usize) -> 
     warp
 }
 
+/// Sets the warp at the pixels of one triangle.
 fn fill(warp: &mut Warp, corners: [Feature; 3]) {
     let column = |k: usize| {
         let p = corners[k].target;
@@ -28,7 +31,7 @@ fn fill(warp: &mut Warp, corners: [Feature; 3]) {
         let (u, v) = (corners[1].source - corners[0].source, corners[2].source - corners[0].source);
         u.x * v.y - u.y * v.x
     };
-    // Twice the area; below a thousandth of a pixel there is nothing to fill.
+    // Twice the area, square pixels. A triangle below a thousandth covers no pixel's centre.
     let area = target.determinant();
     if area.abs() < 1e-3 || area.signum() != source_area.signum() {
         return;
@@ -37,7 +40,7 @@ fn fill(warp: &mut Warp, corners: [Feature; 3]) {
     let bounds = |of: fn(&Feature) -> f64, size: usize| {
         let low = corners.iter().map(of).fold(f64::INFINITY, f64::min);
         let high = corners.iter().map(of).fold(f64::NEG_INFINITY, f64::max);
-        // The pixels with their centres between.
+        // The pixels whose centres are inside.
         let first = (low - 0.5).ceil().max(0.0) as usize;
         let end = ((high - 0.5).floor() + 1.0).max(0.0) as usize;
         first..end.min(size)
@@ -83,12 +86,12 @@ mod tests {
     }
 
     #[test]
-    fn no_features_no_change() {
+    fn without_features_the_warp_is_the_identity() {
         assert_eq!(triangulation_warp(&[], 9, 7), Warp::identity(9, 7));
     }
 
     #[test]
-    fn flipped_triangles_are_left_out() {
+    fn flipped_triangles_are_skipped() {
         let features: Vec<Feature> = [(10.0, 10.0), (20.0, 10.0), (15.0, 20.0)]
             .map(|(x, y)| {
                 let source = Point2::new(x, y);

@@ -1,20 +1,24 @@
-//! Backward warps: for every pixel of the image to make, where in a frame it comes from; and the
-//! cross dissolve of two of them, eq. (9).
+//! Backward warps, which give every pixel of an image its source position in a frame, and the cross dissolve
+//! of two warped frames, eq. (9).
 
-use super::windows::mixed;
+use super::windows::cross_fade;
 use crate::raster::{Image, sample_all};
 use rayon::prelude::*;
 
-/// Positions in the source frame, pixels, one a pixel of the image to make, row by row.
+/// A backward warp: the source position of every pixel of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Warp {
+    /// Width of the image, pixels.
     pub width: usize,
+    /// Height of the image, pixels.
     pub height: usize,
+    /// Positions `[x, y]` in the source frame, row by row, in pixels with the top-left pixel's centre at
+    /// (0.5, 0.5). They may be outside the frame, whose border is repeated.
     pub source: Vec<[f32; 2]>,
 }
 
 impl Warp {
-    /// Every pixel comes from where it is.
+    /// The warp whose source positions are the pixels' centres.
     pub fn identity(width: usize, height: usize) -> Self {
         let source = (0..width * height)
             .map(|k| [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5])
@@ -23,7 +27,7 @@ impl Warp {
     }
 }
 
-/// The frame as the warp moves it. The cubic's lobes may leave 0..=1.
+/// The frame, warped, by cubic convolution; values may leave 0..=1.
 pub(super) fn warped(image: &Image, warp: &Warp) -> Image {
     let channels = image.channels();
     let mut data = vec![0.0; warp.source.len() * channels];
@@ -34,14 +38,17 @@ pub(super) fn warped(image: &Image, warp: &Warp) -> Image {
     Image::from_data(warp.width, warp.height, channels, data)
 }
 
-/// Eq. (9): `share` is (t' − t)/Δt, 0 at the earlier frame. Frames have the warps' size and the
-/// same channels.
+/// The cross dissolve of two warped frames, eq. (9), clamped to 0..=1. `fraction` is (t' − t)/Δt, 0 at the
+/// earlier frame.
+///
+/// Both frames must have the same channels, and both warps the same size.
 pub fn cross_dissolve(
     [earlier, later]: [&Image; 2],
     [from_earlier, from_later]: [&Warp; 2],
-    share: f32,
+    fraction: f32,
 ) -> Image {
-    let mut image = mixed(&warped(earlier, from_earlier), &warped(later, from_later), share);
+    let mut image =
+        cross_fade(&warped(earlier, from_earlier), &warped(later, from_later), fraction);
     image.data_mut().iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     image
 }

@@ -1,8 +1,8 @@
-//! What two images are compared by, pixel by pixel and over windows.
+//! Per-pixel difference and cross-fade of two images, and the mean over windows.
 
 use crate::raster::Image;
 
-/// Mean absolute difference of the channels, a pixel.
+/// The absolute difference of two images of one shape, averaged over the channels, row by row.
 pub(super) fn difference(a: &Image, b: &Image) -> Vec<f32> {
     let channels = a.channels();
     (a.data().chunks_exact(channels).zip(b.data().chunks_exact(channels)))
@@ -10,10 +10,10 @@ pub(super) fn difference(a: &Image, b: &Image) -> Vec<f32> {
         .collect()
 }
 
-/// Mean over a (2·radius + 1)² window, of what of it lies inside.
-pub(super) fn box_mean(values: &[f32], w: usize, h: usize, radius: usize) -> Vec<f32> {
+/// The box filter of a `w`×`h` plane: the mean over a (2·radius + 1)² window, of its part inside the plane.
+pub(super) fn box_filter(values: &[f32], w: usize, h: usize, radius: usize) -> Vec<f32> {
     let span = |at: usize, size: usize| (at.saturating_sub(radius), (at + radius + 1).min(size));
-    // Sums up to each place, in f64: differences of them lose nothing that f32 holds.
+    // Prefix sums in f64: their differences are exact to f32.
     let mut across = vec![0.0_f64; values.len()];
     let mut sums = vec![0.0_f64; w + 1];
     for (row, out) in values.chunks_exact(w).zip(across.chunks_exact_mut(w)) {
@@ -44,9 +44,9 @@ pub(super) fn box_mean(values: &[f32], w: usize, h: usize, radius: usize) -> Vec
     out
 }
 
-/// The two images' mean, `share` of it the second's.
-pub(super) fn mixed(a: &Image, b: &Image, share: f32) -> Image {
-    let data = (a.data().iter().zip(b.data())).map(|(a, b)| a + (b - a) * share).collect();
+/// The cross-fade of two images of one shape: `a` at a fraction of 0, `b` at 1.
+pub(super) fn cross_fade(a: &Image, b: &Image, fraction: f32) -> Image {
+    let data = (a.data().iter().zip(b.data())).map(|(a, b)| a + (b - a) * fraction).collect();
     Image::from_data(a.width(), a.height(), a.channels(), data)
 }
 
@@ -55,18 +55,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn windows_equal_their_plain_means() {
+    fn the_box_filter_equals_direct_means() {
         for (w, h, radius) in [(1, 1, 0), (1, 1, 3), (7, 5, 1), (16, 9, 2), (5, 12, 20)] {
             let values: Vec<f32> = (0..w * h).map(|k| ((k * 37) % 101) as f32 / 101.0).collect();
-            let means = box_mean(&values, w, h, radius);
+            let means = box_filter(&values, w, h, radius);
             for (k, mean) in means.iter().enumerate() {
                 let near = |a: usize, b: usize| a.abs_diff(b) <= radius;
                 let inside: Vec<f32> = (0..w * h)
                     .filter(|n| near(n % w, k % w) && near(n / w, k / w))
                     .map(|n| values[n])
                     .collect();
-                let plain = inside.iter().sum::<f32>() / inside.len() as f32;
-                assert!((mean - plain).abs() < 1e-6, "{w}×{h}, {radius}: {mean} {plain}");
+                let direct = inside.iter().sum::<f32>() / inside.len() as f32;
+                assert!((mean - direct).abs() < 1e-6, "{w}×{h}, {radius}: {mean} {direct}");
             }
         }
     }

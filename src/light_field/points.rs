@@ -201,7 +201,7 @@ impl LightField {
             .filter_map(|t| {
                 Some(Feature {
                     in_frame: if use_later { t.later } else { t.earlier },
-                    at_instant: t.path(times, k)?.at(instant.time_s),
+                    at_instant: t.trajectory(times, k)?.at(instant.time_s),
                 })
             })
             .collect();

@@ -219,18 +219,18 @@ fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
 mod tests {
     use super::*;
     use crate::offset::tests::camera;
-    use crate::registration::Run;
+    use crate::registration::FlowDirection;
     use nalgebra::Point3;
 
     fn track(at: impl Fn(f64) -> Point2<f64>) -> Track {
         Track {
-            run: Run::Forward,
+            direction: FlowDirection::Forward,
             before: Some(at(-1.0)),
             earlier: at(0.0),
             later: at(1.0),
             after: Some(at(2.0)),
             residual: 0.0,
-            back_error_px: 0.0,
+            forward_backward_error_px: 0.0,
         }
     }
 

@@ -5,7 +5,8 @@ use crate::capture::CaptureError;
 use crate::interpolation::{changed_fraction, largest_change};
 use crate::progress::Reporter;
 use crate::registration::{
-    FrameStore, Neighbors, RegistrationOptions, Track, Trajectory, agreeing, temporal_flow,
+    FrameStore, Neighbors, RegistrationOptions, Track, Trajectory, neighbor_consensus,
+    temporal_flow,
 };
 use nalgebra::Vector2;
 use rayon::prelude::*;
@@ -82,7 +83,7 @@ impl Motion {
     fn of_pair(frames: &FrameStore, camera: usize, k: usize) -> Result<Self, CaptureError> {
         let options = frames.options();
         let tracks = temporal_flow(frames, camera, k)?;
-        let agrees = agreeing(&tracks, options);
+        let agrees = neighbor_consensus(&tracks, options);
         let mut agrees = agrees.into_iter();
         let tracks: Vec<Track> =
             tracks.into_iter().filter(|_| agrees.next().unwrap_or(false)).collect();
@@ -127,7 +128,7 @@ fn curvature(tracks: &[Track], times_s: &[f64], k: usize) -> f64 {
     let middle_s = 0.5 * (times_s[k] + times_s[k + 1]);
     let moving = tracks.iter().filter(|t| t.motion().norm() > STILL_PX);
     let offsets_px = moving.filter(|t| t.before.is_some() && t.after.is_some()).filter_map(|t| {
-        let curve: Trajectory = t.path(times_s, k)?;
+        let curve: Trajectory = t.trajectory(times_s, k)?;
         let line = t.earlier + 0.5 * t.motion();
         Some((curve.at(middle_s) - line).norm())
     });
@@ -168,13 +169,13 @@ mod tests {
     fn track([before, earlier, later, after]: [f64; 4]) -> Track {
         let at = |x: f64| nalgebra::Point2::new(x, 7.0);
         Track {
-            run: crate::registration::Run::Both,
+            direction: crate::registration::FlowDirection::Both,
             before: Some(at(before)),
             earlier: at(earlier),
             later: at(later),
             after: Some(at(after)),
             residual: 0.0,
-            back_error_px: 0.0,
+            forward_backward_error_px: 0.0,
         }
     }
 

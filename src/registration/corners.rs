@@ -1,28 +1,28 @@
-//! §4.1: corners by the structure tensor's smaller eigenvalue, kept apart by a minimum distance.
+//! §4.1: corners by the structure tensor's smaller eigenvalue (Shi and Tomasi), with a minimum distance
+//! between them.
 
-#[cfg(target_arch = "x86_64")]
-use super::klt::has_registers;
-#[cfg(target_arch = "x86_64")]
-use super::lanes::Avx2;
-use super::lanes::{LANES, Plain, Vector};
+use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::Level;
-use super::window::scharr;
+#[cfg(target_arch = "x86_64")]
+use super::simd::{Avx2, has_avx2_and_fma};
+use super::simd::{F32x8, LANES, Scalar};
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-/// How corners are chosen.
+/// Options of the corner detector (§4.1).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CornerOptions {
-    /// Corners an image at most, the strongest first. More cost time in proportion.
+    /// Maximum number of corners per image, the strongest first. Larger: time grows in proportion;
+    /// smaller: faint textures get none.
     pub max_corners: usize,
-    /// Least distance between two corners, pixels. Larger: small things get none; smaller: the
+    /// Minimum distance between two corners, pixels. Larger: small objects get none; smaller: the
     /// strongest textures get them all.
     pub min_distance_px: f64,
-    /// Least eigenvalue as a share of the image's largest. Larger: faint texture gets no corner;
+    /// Minimum eigenvalue as a fraction of the image's largest. Larger: faint texture gets no corner;
     /// smaller: noise does.
     pub min_quality: f32,
-    /// Half the side of the box that the tensor is averaged over, twice, pixels. Larger: corners
+    /// Half the side of the box filter that is applied to the tensor twice, pixels. Larger: corners
     /// drift off the structure that made them; smaller: noise decides.
     pub radius_px: usize,
 }
@@ -33,11 +33,12 @@ impl Default for CornerOptions {
     }
 }
 
-/// Below this eigenvalue (per pixel, values 0..=1) there is no structure at all: 0.05 of an 8-bit
-/// step a pixel.
+/// Minimum eigenvalue in any image, per pixel, values 0..=1: a gradient of 0.05 of an 8-bit step per
+/// pixel. Larger: dark scenes have no corners; smaller: rounding in constant images makes some.
 const MIN_EIGENVALUE: f32 = 4e-8;
 
-/// The corners of an image, strongest first, sub-pixel, in pixels. None on constant images.
+/// The corners of a pyramid level (§4.1), strongest first, at sub-pixel positions in the level's pixels,
+/// the top-left pixel's centre at (0.5, 0.5). Constant images have none.
 pub fn corners(level: &Level, options: &CornerOptions) -> Vec<Point2<f64>> {
     let (w, h) = (level.width, level.height);
     let strength = min_eigenvalues(level, options.radius_px);
@@ -48,26 +49,26 @@ pub fn corners(level: &Level, options: &CornerOptions) -> Vec<Point2<f64>> {
     for y in 0..h {
         let row = &strength[y * w..(y + 1) * w];
         for (x, &s) in row.iter().enumerate() {
-            // The next ones along the row first: they settle most.
-            let along = s < floor || x > 0 && row[x - 1] >= s || x + 1 < w && row[x + 1] > s;
-            if !along && is_peak(&strength, w, h, x, y) {
+            // The row's neighbours first: they reject most pixels.
+            let rejected = s < floor || x > 0 && row[x - 1] >= s || x + 1 < w && row[x + 1] > s;
+            if !rejected && is_peak(&strength, w, h, x, y) {
                 peaks.push((s, y * w + x));
             }
         }
     }
     peaks.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
 
-    let mut kept = Spaced::new(w, h, options.min_distance_px);
+    let mut selected = MinDistanceSet::new(w, h, options.min_distance_px);
     for (_, at) in peaks {
-        if kept.points.len() >= options.max_corners {
+        if selected.points.len() >= options.max_corners {
             break;
         }
-        kept.insert(refined(&strength, w, h, at % w, at / w));
+        selected.insert(refined(&strength, w, h, at % w, at / w));
     }
-    kept.points
+    selected.points
 }
 
-/// A local maximum; of equal neighbours the first in reading order.
+/// Whether a pixel is a local maximum; of equal neighbours the first in reading order is.
 fn is_peak(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> bool {
     let s = strength[y * w + x];
     for ny in y.saturating_sub(1)..=(y + 1).min(h - 1) {
@@ -82,11 +83,11 @@ fn is_peak(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> bool {
     true
 }
 
-/// The peak's position from parabolas through its neighbours, each way.
+/// The sub-pixel position of a peak, by a parabola through its neighbours along each axis.
 fn refined(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> Point2<f64> {
     let vertex = |before: f32, here: f32, after: f32| {
         let curvature = f64::from(before) - 2.0 * f64::from(here) + f64::from(after);
-        // A flat top has its middle here; a peak's vertex is never over half a pixel away.
+        // A flat top has no vertex; a peak's is never over half a pixel away.
         if curvature < 0.0 {
             (0.5 * (f64::from(before) - f64::from(after)) / curvature).clamp(-0.5, 0.5)
         } else {
@@ -99,15 +100,15 @@ fn refined(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> Point2<f
     Point2::new(x as f64 + 0.5 + dx, y as f64 + 0.5 + dy)
 }
 
-/// The structure tensor's smaller eigenvalue a pixel, averaged over a box twice: a triangular
-/// window, whose response has a peak where a box's has a plateau. Borders repeated.
+/// The smaller eigenvalue, per pixel, of the structure tensor averaged over a triangular window (a box
+/// applied twice), whose response has a peak where a box's has a plateau. The border is repeated.
 fn min_eigenvalues(level: &Level, radius: usize) -> Vec<f32> {
     #[cfg(target_arch = "x86_64")]
-    if has_registers() {
+    if has_avx2_and_fma() {
         // SAFETY: the processor has the features.
         return unsafe { min_eigenvalues_avx2(level, radius) };
     }
-    min_eigenvalues_by::<Plain>(level, radius)
+    min_eigenvalues_by::<Scalar>(level, radius)
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -117,12 +118,14 @@ fn min_eigenvalues_avx2(level: &Level, radius: usize) -> Vec<f32> {
 }
 
 #[inline(always)]
-fn min_eigenvalues_by<V: Vector>(level: &Level, radius: usize) -> Vec<f32> {
+fn min_eigenvalues_by<V: F32x8>(level: &Level, radius: usize) -> Vec<f32> {
     let (w, h) = (level.width, level.height);
     let side = 2 * radius + 1;
-    let taps: Vec<f32> =
-        (1..=side).chain((1..side).rev()).map(|k| k as f32 / (side * side) as f32 / 32.0).collect();
-    // The rows of the window, each smoothed across; row y is at y modulo their number.
+    let taps: Vec<f32> = (1..=side)
+        .chain((1..side).rev())
+        .map(|k| k as f32 / (side * side) as f32 / SCHARR_SCALE)
+        .collect();
+    // A ring buffer of the window's rows, smoothed horizontally: row y is at y modulo their number.
     let mut rows: Vec<Tensor> = vec![Tensor::zeros(w); taps.len()];
     let mut products = Tensor::zeros(w + 4 * radius);
     let mut next = 0;
@@ -130,8 +133,8 @@ fn min_eigenvalues_by<V: Vector>(level: &Level, radius: usize) -> Vec<f32> {
     let mut sums = Tensor::zeros(w);
     for y in 0..h {
         while next <= (y + 2 * radius).min(h - 1) {
-            products.take::<V>(level, next, 2 * radius);
-            rows[next % taps.len()].smooth_across(&products, &taps);
+            products.load::<V>(level, next, 2 * radius);
+            rows[next % taps.len()].smooth_horizontally(&products, &taps);
             next += 1;
         }
         sums.clear();
@@ -141,14 +144,15 @@ fn min_eigenvalues_by<V: Vector>(level: &Level, radius: usize) -> Vec<f32> {
         }
         let [xx, xy, yy] = &sums.planes;
         out.extend(xx.iter().zip(xy).zip(yy).map(|((a, b), c)| {
-            // λ_min of [a b; b c]. The root is of a sum of squares; rounding may leave λ at −ε.
+            // λ_min of [a b; b c]. The root is of a sum of squares; rounding can make λ slightly
+            // negative.
             0.5 * ((a + c) - ((a - c) * (a - c) + 4.0 * b * b).sqrt())
         }));
     }
     out
 }
 
-/// A row of structure tensors: xx, xy, yy.
+/// A row of structure tensors, as planes xx, xy, yy.
 #[derive(Clone)]
 struct Tensor {
     planes: [Vec<f32>; 3],
@@ -164,7 +168,7 @@ impl Tensor {
         self.planes.iter_mut().for_each(|plane| plane.fill(0.0));
     }
 
-    /// Adds another row's values, from `shift` on, so many times.
+    /// Adds `factor` times another row's values from index `shift` on.
     #[inline(always)]
     fn add(&mut self, other: &Self, shift: usize, factor: f32) {
         for (plane, other) in self.planes.iter_mut().zip(&other.planes) {
@@ -175,22 +179,23 @@ impl Tensor {
     }
 
     #[inline(always)]
-    fn smooth_across(&mut self, products: &Self, taps: &[f32]) {
+    fn smooth_horizontally(&mut self, products: &Self, taps: &[f32]) {
         self.clear();
         for (k, &tap) in taps.iter().enumerate() {
             self.add(products, k, tap);
         }
     }
 
-    /// The products of a row's derivatives (times 32), its ends repeated `margin` times.
+    /// Loads the products of a row's derivatives (times [`SCHARR_SCALE`] squared), its ends repeated
+    /// `margin` times.
     #[inline(always)]
-    fn take<V: Vector>(&mut self, level: &Level, y: usize, margin: usize) {
+    fn load<V: F32x8>(&mut self, level: &Level, y: usize, margin: usize) {
         let [xx, xy, yy] = &mut self.planes;
         for x in (0..level.width).step_by(LANES) {
             let at = level.index(x as isize, y as isize);
-            let [dx, dy] = scharr::<V>(&level.value, at, level.stride).map(Vector::to_lanes);
-            let used = x + margin..(x + LANES).min(level.width) + margin;
-            for (k, (dx, dy)) in used.zip(dx.iter().zip(dy)) {
+            let [dx, dy] = scharr::<V>(&level.value, at, level.stride).map(F32x8::to_array);
+            let columns = x + margin..(x + LANES).min(level.width) + margin;
+            for (k, (dx, dy)) in columns.zip(dx.iter().zip(dy)) {
                 (xx[k], xy[k], yy[k]) = (dx * dx, dx * dy, dy * dy);
             }
         }
@@ -203,8 +208,8 @@ impl Tensor {
     }
 }
 
-/// Points that keep a minimum distance, found by a grid of that cell size.
-pub(super) struct Spaced {
+/// A set of points with a minimum distance between them, looked up by a grid of that cell size.
+pub(super) struct MinDistanceSet {
     points: Vec<Point2<f64>>,
     min_distance: f64,
     cell: f64,
@@ -213,7 +218,8 @@ pub(super) struct Spaced {
     cells: Vec<Vec<u32>>,
 }
 
-impl Spaced {
+impl MinDistanceSet {
+    /// An empty set of points of an image; sizes and distance in pixels.
     pub fn new(width: usize, height: usize, min_distance: f64) -> Self {
         let cell = min_distance.max(1.0);
         let columns = (width as f64 / cell) as usize + 1;
@@ -228,12 +234,13 @@ impl Spaced {
         }
     }
 
-    /// Adds a point of the image unless one is too near; whether it did.
+    /// Adds a point unless another is nearer than the minimum distance; returns whether it did. The
+    /// point must be inside the image.
     pub fn insert(&mut self, p: Point2<f64>) -> bool {
         let (cx, cy) = ((p.x / self.cell) as usize, (p.y / self.cell) as usize);
-        let reach = |c: usize, n: usize| c.saturating_sub(1)..=(c + 1).min(n - 1);
-        let too_near = reach(cy, self.rows).any(|y| {
-            reach(cx, self.columns).any(|x| {
+        let around = |c: usize, n: usize| c.saturating_sub(1)..=(c + 1).min(n - 1);
+        let too_near = around(cy, self.rows).any(|y| {
+            around(cx, self.columns).any(|x| {
                 self.cells[y * self.columns + x]
                     .iter()
                     .any(|&k| (self.points[k as usize] - p).norm() < self.min_distance)
@@ -253,7 +260,7 @@ mod tests {
     use super::*;
     use crate::raster::Image;
 
-    fn found(image: &Image, options: &CornerOptions) -> Vec<Point2<f64>> {
+    fn detected(image: &Image, options: &CornerOptions) -> Vec<Point2<f64>> {
         corners(&Pyramid::new(image, 1, 8).levels()[0], options)
     }
 
@@ -267,7 +274,7 @@ mod tests {
         }
         let options =
             CornerOptions { min_distance_px: 8.0, min_quality: 0.2, ..Default::default() };
-        let mut points = found(&image, &options);
+        let mut points = detected(&image, &options);
         points.sort_by(|a, b| (a.y > 25.0, a.x).partial_cmp(&(b.y > 25.0, b.x)).unwrap());
         let expected = [(20.0, 15.0), (40.0, 15.0), (20.0, 35.0), (40.0, 35.0)];
         assert_eq!(points.len(), 4);
@@ -279,7 +286,7 @@ mod tests {
     #[test]
     fn constant_images_have_none() {
         for (w, h) in [(1, 1), (2, 7), (64, 48)] {
-            assert!(found(&Image::filled(w, h, 1, 0.5), &CornerOptions::default()).is_empty());
+            assert!(detected(&Image::filled(w, h, 1, 0.5), &CornerOptions::default()).is_empty());
         }
     }
 
@@ -294,16 +301,17 @@ mod tests {
             .collect();
         let image = Image::from_data(90, 70, 1, data);
         let options = CornerOptions { min_distance_px: 6.0, ..Default::default() };
-        let points = found(&image, &options);
+        let points = detected(&image, &options);
         assert!(points.len() > 50);
         for (k, a) in points.iter().enumerate() {
             for b in &points[..k] {
                 assert!((a - b).norm() >= 6.0);
             }
         }
-        let few = found(&image, &CornerOptions { max_corners: 7, ..options });
+        let few = detected(&image, &CornerOptions { max_corners: 7, ..options });
         assert_eq!(few[..], points[..7]);
     }
+
     /// The same strengths written as simply as possible, in f64.
     #[test]
     fn strengths_agree_with_a_naive_reference() {
@@ -318,11 +326,11 @@ mod tests {
             let image =
                 Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect());
             let radius = case % 3;
-            let found = min_eigenvalues(&Pyramid::new(&image, 1, 4).levels()[0], radius);
-            for (k, found) in found.iter().enumerate() {
+            let strengths = min_eigenvalues(&Pyramid::new(&image, 1, 4).levels()[0], radius);
+            for (k, strength) in strengths.iter().enumerate() {
                 let expected = naive_strength(&image.to_gray(), k % w, k / w, radius as i64);
-                let error = (f64::from(*found) - expected).abs();
-                assert!(error < 1e-6 + 1e-5 * expected, "{w}×{h}, {k}: {found} {expected}");
+                let error = (f64::from(*strength) - expected).abs();
+                assert!(error < 1e-6 + 1e-5 * expected, "{w}×{h}, {k}: {strength} {expected}");
             }
         }
     }

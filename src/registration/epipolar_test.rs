@@ -1,129 +1,49 @@
-//! §4.2 and §4.3: wrong correspondences found by the epipolar constraint, eqs. (1) to (5).
+//! §4.2: mismatches found by the epipolar constraint, eqs. (1) to (3).
 
 use super::flow::{flow_over, is_new};
 use super::{
-    Frame, FrameStore, Guide, Match, RegistrationOptions, Run, Start, Track, Trajectory, flow,
+    FlowDirection, Frame, FrameStore, Match, MotionPrior, Reference, ReferenceQuery, References,
+    RegistrationOptions, Start, Track, Trajectory, flow, select_references,
 };
 use crate::camera::{Camera, EpipolarGeometry};
-use crate::capture::{Capture, CaptureError};
+use crate::capture::CaptureError;
 use nalgebra::Point2;
 
-/// What the test says of a track.
+/// The result of the epipolar test of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Its spatial correspondence lies on the epipolar line.
+    /// Its spatial correspondence lies on the epipolar line, eq. (3).
     Passed,
-    /// It does not: the temporal or the spatial correspondence is wrong, and neither is used.
+    /// Its spatial correspondence does not lie on the line: the temporal or the spatial correspondence is
+    /// wrong, and neither is used.
     Rejected,
-    /// The reference can't tell: it does not see the feature, or the feature moves along its
-    /// epipolar line there.
+    /// No reference can test it: they do not see the feature, or it moves along its epipolar line.
     Untestable,
 }
 
-/// A reference camera and its frame, chosen by (4) and (5).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reference {
-    pub camera: usize,
-    pub frame: usize,
-    /// When the test is made: the frame's time, unless `between`.
-    pub time_s: f64,
-    /// Where the camera has no frame in the interval (a slower one): the times of `frame` and of
-    /// the frame after, around it; its own track between the two is interpolated.
-    pub between: Option<[f64; 2]>,
-}
-
-/// The references of a camera's two frames, by ascending weight (4).
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct References {
-    /// Every track is tested against these.
-    pub first: Vec<Reference>,
-    /// And against these in turn while it is untestable: another camera may see what one does not.
-    pub further: Vec<Reference>,
-}
-
-/// Frames further apart than this many of the tested camera's don't show what is between them.
-const MAX_GAP: f64 = 4.0;
-
-impl Reference {
-    /// The frame within `[t1, t2]` nearest to `t`, or those around it; and its distance in time
-    /// to `t`, seconds.
-    fn nearest(camera: usize, times: &[f64], [t1, t2]: [f64; 2], t: f64) -> Option<(f64, Self)> {
-        let within = times.iter().enumerate().filter(|&(_, &tj)| tj >= t1 && tj <= t2);
-        let nearest = within.min_by(|a, b| (a.1 - t).abs().total_cmp(&(b.1 - t).abs()));
-        if let Some((frame, &time_s)) = nearest {
-            return Some(((time_s - t).abs(), Self { camera, frame, time_s, between: None }));
-        }
-        let frame = times.partition_point(|&tj| tj < t1).checked_sub(1)?;
-        let (a, b) = (times[frame], *times.get(frame + 1)?);
-        let distance_s = (t - a).min(b - t);
-        (b - a <= MAX_GAP * (t2 - t1))
-            .then_some((distance_s, Self { camera, frame, time_s: t, between: Some([a, b]) }))
-    }
-}
-
-/// Chooses references for camera `i` and its frames at `t1` and `t2` (seconds, common time),
-/// nearest in time to `t`: `w_j = D(j) + σ|t_j − t|`, D the distance of the centres over the
-/// nearest one's, the time in frames. A grid gives two, across each other; a line one. Behind
-/// these come the next nearest, for what these can't tell.
-///
-/// `times_s[j]` are camera j's frames in common time, `None` if its clock is unknown. Only frames
-/// within `[t1, t2]` can test eq. (2); a camera that has none there, but around, is weighed by
-/// the nearer one.
-pub fn select_references(
-    capture: &Capture,
-    times_s: &[Option<Vec<f64>>],
-    i: usize,
-    [t1, t2]: [f64; 2],
-    t: f64,
-    options: &RegistrationOptions,
-) -> References {
-    let here = capture.cameras[i].camera.center();
-    let baselines: Vec<_> = capture.cameras.iter().map(|c| c.camera.center() - here).collect();
-    let nearest =
-        baselines.iter().map(|b| b.norm()).filter(|&d| d > 0.0).fold(f64::INFINITY, f64::min);
-    let frame_s = t2 - t1;
-    if !(nearest.is_finite() && frame_s > 0.0) {
-        return References::default();
-    }
-    let mut candidates: Vec<(f64, Reference)> = Vec::new();
-    for (j, times) in times_s.iter().enumerate() {
-        let Some(times) = times.as_ref().filter(|_| j != i && baselines[j].norm() > 0.0) else {
-            continue;
-        };
-        let Some((distance_s, reference)) = Reference::nearest(j, times, [t1, t2], t) else {
-            continue;
-        };
-        let w = baselines[j].norm() / nearest + options.time_weight * distance_s / frame_s;
-        candidates.push((w, reference));
-    }
-    candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.camera.cmp(&b.1.camera)));
-    let mut references = References::default();
-    for (_, candidate) in candidates {
-        let direction = baselines[candidate.camera].normalize();
-        // 45°: a row's and a column's neighbour are 90° apart, a row's two neighbours 0°.
-        let across = references
-            .first
-            .iter()
-            .all(|c| baselines[c.camera].normalize().dot(&direction).abs() < 0.707);
-        if across && references.first.len() < options.max_references {
-            references.first.push(candidate);
-        } else if references.further.len() < options.further_references {
-            references.further.push(candidate);
-        }
-    }
-    references
-}
-
-/// A track to be tested: its number, and where its run of the flow started, pixels.
+/// A track to be tested.
 struct Feature<'a> {
-    n: usize,
+    /// Index of the track.
+    index: usize,
     track: &'a Track,
-    path: Trajectory,
-    at: Point2<f64>,
+    trajectory: Trajectory,
+    /// The end of the track where its flow started, pixels.
+    start: Point2<f64>,
 }
 
-/// Tests the tracks of camera `i` between its frames `k` and `k + 1`. A track is rejected if a
-/// reference rejects it, passed if one passes it and none rejects it.
+/// The epipolar test (§4.2) of the tracks of camera `i` between its frames `k` and `k + 1`: a verdict per
+/// track, in order.
+///
+/// A track is rejected if one of the first references rejects it, and passed if one passes it and none
+/// rejects it. Further references test, in turn, those that are neither. `times_s[j]` are camera j's
+/// frame times in seconds on the common clock, `None` if its clock is unknown. All tracks are
+/// untestable if camera `i`'s is.
+///
+/// # Errors
+/// If a frame of the camera or of a reference cannot be read.
+///
+/// # Panics
+/// If the camera has no frame `k + 1`, or no entry for it in `times_s`.
 pub fn epipolar_test(
     frames: &FrameStore,
     times_s: &[Option<Vec<f64>>],
@@ -141,18 +61,20 @@ pub fn epipolar_test(
         let features: Vec<Feature> = tracks
             .iter()
             .enumerate()
-            .filter(|(_, track)| (track.run == Run::Backward) == backward)
-            .filter_map(|(n, track)| {
-                let at = if backward { track.later } else { track.earlier };
-                Some(Feature { n, track, path: track.path(own_times, k)?, at })
+            .filter(|(_, track)| (track.direction == FlowDirection::Backward) == backward)
+            .filter_map(|(index, track)| {
+                let start = if backward { track.later } else { track.earlier };
+                let trajectory = track.trajectory(own_times, k)?;
+                Some(Feature { index, track, trajectory, start })
             })
             .collect();
+        let query = ReferenceQuery { camera: i, interval_s: interval, time_s: t };
         let References { first, further } =
-            select_references(frames.capture(), times_s, i, interval, t, options);
+            select_references(frames.capture(), times_s, &query, options);
         for reference in &first {
-            let asked: Vec<&Feature> = features.iter().collect();
-            for (n, verdict) in test_by(frames, i, &source_frame, reference, &asked)? {
-                verdicts[n] = match (verdicts[n], verdict) {
+            let tested: Vec<&Feature> = features.iter().collect();
+            for (k, verdict) in test_with(frames, i, &source_frame, reference, &tested)? {
+                verdicts[k] = match (verdicts[k], verdict) {
                     (Verdict::Rejected, _) | (_, Verdict::Rejected) => Verdict::Rejected,
                     (Verdict::Passed, _) | (_, Verdict::Passed) => Verdict::Passed,
                     _ => Verdict::Untestable,
@@ -160,18 +82,18 @@ pub fn epipolar_test(
             }
         }
         for reference in &further {
-            let asked: Vec<&Feature> =
-                features.iter().filter(|f| verdicts[f.n] == Verdict::Untestable).collect();
-            for (n, verdict) in test_by(frames, i, &source_frame, reference, &asked)? {
-                verdicts[n] = verdict;
+            let untested: Vec<&Feature> =
+                features.iter().filter(|f| verdicts[f.index] == Verdict::Untestable).collect();
+            for (k, verdict) in test_with(frames, i, &source_frame, reference, &untested)? {
+                verdicts[k] = verdict;
             }
         }
     }
     Ok(verdicts)
 }
 
-/// What one reference says of tracks of camera `i` that start in `source`.
-fn test_by(
+/// The verdicts of one reference, by index of the track, on tracks of camera `i` that start in `source`.
+fn test_with(
     frames: &FrameStore,
     i: usize,
     source: &Frame,
@@ -189,144 +111,147 @@ fn test_by(
         time_s: reference.time_s,
         options: frames.options(),
     };
-    let seen_s = reference.between.map_or(reference.time_s, |[first, _]| first);
-    let mut found = pair.find(source, &target, seen_s, features);
+    let target_s = reference.between.map_or(reference.time_s, |[first, _]| first);
+    let mut matched = pair.match_features(source, &target, target_s, features);
     if let Some(between) = reference.between {
         let next = frames.get(reference.camera, reference.frame + 1)?;
-        pair.interpolate(&target, &next, between, features, &mut found);
+        pair.interpolate([&target, &next], between, features, &mut matched);
     }
-    let verdicts = features.iter().zip(&found).map(|(feature, p_j)| {
-        (feature.n, pair.judge(feature, p_j.as_ref()).unwrap_or(Verdict::Untestable))
+    let verdicts = features.iter().zip(&matched).map(|(feature, p_j)| {
+        (feature.index, pair.verdict(feature, p_j.as_ref()).unwrap_or(Verdict::Untestable))
     });
     Ok(verdicts.collect())
 }
 
-/// Pyramid levels where neighbours tell where to look. More: a coarse window is pulled away by
-/// what is behind it.
-const AGAIN_LEVELS: usize = 1;
+/// Pyramid levels of the second attempt, whose guess is by the motion prior. Larger: a coarse window is
+/// pulled away by its background; smaller is not possible.
+const RETRY_LEVELS: usize = 1;
 
+/// The tested camera i and a reference camera j.
 struct Pair<'a> {
     camera_i: &'a Camera,
     camera_j: &'a Camera,
+    /// Time of the test: t' of eq. (2), seconds on the common clock.
     time_s: f64,
     options: &'a RegistrationOptions,
 }
 
 impl Pair<'_> {
-    /// Spatial flow from where the features are in the source frame to the reference frame, which
-    /// is of `seen_s`.
-    fn find(
+    /// Spatial flow of the features from the source frame to the reference's frame `target`, which is of
+    /// time `target_s`: their positions there, pixels.
+    fn match_features(
         &self,
         source: &Frame,
         target: &Frame,
-        seen_s: f64,
+        target_s: f64,
         features: &[&Feature],
     ) -> Vec<Option<Point2<f64>>> {
-        let starts: Vec<Start> = features.iter().map(|f| (f.at, f.path.at(seen_s))).collect();
-        let mut found = flow(source, target, &starts, self.options);
-        self.find_again(source, target, &starts, &mut found);
-        found.into_iter().map(|found| found.map(|m| m.target)).collect()
+        let starts: Vec<Start> =
+            features.iter().map(|f| (f.start, f.trajectory.at(target_s))).collect();
+        let mut matches = flow(source, target, &starts, self.options);
+        self.retry(source, target, &starts, &mut matches);
+        matches.into_iter().map(|matched| matched.map(|m| m.target)).collect()
     }
 
-    /// Follows what was found in a frame of the reference camera to its next one, and puts it where
-    /// it is in between, at the time of the test, on a straight line; what is lost is untestable.
+    /// Tracks the features matched in a frame of the reference camera to its next frame, and replaces
+    /// their positions by those at the time of the test, on a straight line; `None` if lost.
     fn interpolate(
         &self,
-        frame: &Frame,
-        next: &Frame,
+        [frame, next]: [&Frame; 2],
         [first_s, next_s]: [f64; 2],
         features: &[&Feature],
-        found: &mut [Option<Point2<f64>>],
+        matched: &mut [Option<Point2<f64>>],
     ) {
-        let (seen, starts): (Vec<usize>, Vec<Start>) = found
+        let (indices, starts): (Vec<usize>, Vec<Start>) = matched
             .iter()
             .zip(features)
             .enumerate()
             .filter_map(|(k, (p, feature))| {
-                let (p, path) = ((*p)?, &feature.path);
-                Some((k, (p, p + (path.at(next_s) - path.at(first_s)))))
+                let (p, own) = ((*p)?, &feature.trajectory);
+                Some((k, (p, p + (own.at(next_s) - own.at(first_s)))))
             })
             .unzip();
-        let share = (self.time_s - first_s) / (next_s - first_s);
-        for (k, followed) in seen.into_iter().zip(flow(frame, next, &starts, self.options)) {
-            found[k] = followed.map(|m| m.source + (m.target - m.source) * share);
+        let fraction = (self.time_s - first_s) / (next_s - first_s);
+        for (k, tracked) in indices.into_iter().zip(flow(frame, next, &starts, self.options)) {
+            matched[k] = tracked.map(|m| m.source + (m.target - m.source) * fraction);
         }
     }
 
-    /// Looks once more for features that were not found, or not on their line: where their place
-    /// has the disparity of its neighbours; and if the place itself is wrong, where the feature's
-    /// neighbours went. The better fit stays.
-    fn find_again(
+    /// A second attempt for features that were not matched, or not on their epipolar line. The guess is
+    /// first the predicted position plus its neighbours' disparity, and then, as that position may be
+    /// wrong, the start plus its neighbours' displacement. The match of the smaller residual is taken.
+    fn retry(
         &self,
         source: &Frame,
         target: &Frame,
         starts: &[Start],
-        found: &mut [Option<Match>],
+        matches: &mut [Option<Match>],
     ) {
         let Some(geometry) = EpipolarGeometry::new(self.camera_i, self.camera_j) else { return };
-        let off_line = |place: &Point2<f64>, p_j: &Point2<f64>| {
-            let line = geometry.line_in_j(&self.camera_i.model.ideal_from_pixel(place)?)?;
+        let line_distance = |p_i: &Point2<f64>, p_j: &Point2<f64>| {
+            let line = geometry.line_in_j(&self.camera_i.model.ideal_from_pixel(p_i)?)?;
             Some(line.distance(&self.camera_j.model.ideal_from_pixel(p_j)?).abs())
         };
-        let is_off = |place: &Point2<f64>, found: &Option<Match>| {
-            found.as_ref().is_none_or(|m| {
-                off_line(place, &m.target).is_none_or(|d| d > self.options.epsilon_px)
+        let is_off = |p_i: &Point2<f64>, matched: &Option<Match>| {
+            matched.as_ref().is_none_or(|m| {
+                line_distance(p_i, &m.target).is_none_or(|d| d > self.options.epsilon_px)
             })
         };
         let mut tried = vec![None; starts.len()];
-        for from_place in [true, false] {
-            let base = |(at, place): &Start| if from_place { *place } else { *at };
+        for from_prediction in [true, false] {
+            let base =
+                |(start, predicted): &Start| if from_prediction { *predicted } else { *start };
             let trusted: Vec<_> = starts
                 .iter()
-                .zip(found.iter())
-                .filter(|((_, place), found)| !is_off(place, found))
-                .filter_map(|(start, found)| {
+                .zip(matches.iter())
+                .filter(|((_, predicted), matched)| !is_off(predicted, matched))
+                .filter_map(|(start, matched)| {
                     let base = base(start);
-                    Some((base, found.as_ref()?.target - base))
+                    Some((base, matched.as_ref()?.target - base))
                 })
                 .collect();
-            let guide = Guide::new(&trusted);
+            let prior = MotionPrior::new(&trusted);
             let again: Vec<(usize, Start)> = (0..starts.len())
-                .filter(|&k| is_off(&starts[k].1, &found[k]))
+                .filter(|&k| is_off(&starts[k].1, &matches[k]))
                 .filter_map(|k| {
                     let base = base(&starts[k]);
-                    let displacement = guide.near(&base, Guide::RADIUS_PX)?;
+                    let displacement = prior.predict(&base, MotionPrior::RADIUS_PX)?;
                     let guess = base + displacement;
                     is_new(&mut tried[k], guess).then_some((k, (starts[k].0, guess)))
                 })
                 .collect();
             let sought: Vec<_> = again.iter().map(|(_, start)| *start).collect();
-            let levels = [AGAIN_LEVELS, 1];
+            let levels = [RETRY_LEVELS, 1];
             let retried = flow_over(source, target, &sought, levels, self.options);
             for ((k, _), retried) in again.iter().zip(retried) {
                 let Some(retried) = retried else { continue };
-                if found[*k].as_ref().is_none_or(|first| retried.residual < first.residual) {
-                    found[*k] = Some(retried);
+                if matches[*k].as_ref().is_none_or(|first| retried.residual < first.residual) {
+                    matches[*k] = Some(retried);
                 }
             }
         }
     }
 
-    /// Eq. (3), of a feature and where it is in the reference; `None` where that can't tell.
-    fn judge(&self, feature: &Feature, in_reference: Option<&Point2<f64>>) -> Option<Verdict> {
+    /// Eq. (3) of a feature and its position in the reference; `None` if that cannot test it.
+    fn verdict(&self, feature: &Feature, in_reference: Option<&Point2<f64>>) -> Option<Verdict> {
         let geometry = EpipolarGeometry::new(self.camera_i, self.camera_j)?;
         let ideal_i = |p: &Point2<f64>| self.camera_i.model.ideal_from_pixel(p);
         let p_j = self.camera_j.model.ideal_from_pixel(in_reference?)?;
-        let at = feature.path.at(self.time_s);
+        let at = feature.trajectory.at(self.time_s);
         let line = geometry.line_in_j(&ideal_i(&at)?)?;
         if line.distance(&p_j).abs() > self.options.epsilon_px {
             return Some(Verdict::Rejected);
         }
-        // On the line, a motion along it is right and wrong alike: how the line moves as the
-        // feature does is what it shows of the motion.
+        // An error along the line does not show. The motion is tested as far as the line moves with
+        // the feature.
         let motion = feature.track.motion();
         let start = geometry.line_in_j(&ideal_i(&feature.track.earlier)?)?;
         let end = geometry.line_in_j(&ideal_i(&feature.track.later)?)?;
         let foot = line.nearest(&p_j);
         let across = (start.distance(&foot) - end.distance(&foot)).abs();
-        let shown = motion.norm() <= self.options.min_test_motion_px
+        let is_testable = motion.norm() <= self.options.min_test_motion_px
             || across >= self.options.min_across_share * motion.norm();
-        shown.then_some(Verdict::Passed)
+        is_testable.then_some(Verdict::Passed)
     }
 }
 
@@ -347,13 +272,13 @@ mod tests {
 
     fn track(earlier: [f64; 2], later: [f64; 2]) -> Track {
         Track {
-            run: Run::Forward,
+            direction: FlowDirection::Forward,
             before: None,
             earlier: earlier.into(),
             later: later.into(),
             after: None,
             residual: 0.0,
-            back_error_px: 0.0,
+            forward_backward_error_px: 0.0,
         }
     }
 
@@ -361,9 +286,9 @@ mod tests {
         let options = RegistrationOptions::default();
         let (a, b) = (camera(0.0), camera(0.06));
         let pair = Pair { camera_i: &a, camera_j: &b, time_s: 0.5, options: &options };
-        let path = t.path(&[0.0, 1.0], 0).unwrap();
-        let feature = Feature { n: 0, track: t, path, at: t.earlier };
-        let verdict = pair.judge(&feature, in_reference.map(Point2::from).as_ref());
+        let trajectory = t.trajectory(&[0.0, 1.0], 0).unwrap();
+        let feature = Feature { index: 0, track: t, trajectory, start: t.earlier };
+        let verdict = pair.verdict(&feature, in_reference.map(Point2::from).as_ref());
         verdict.unwrap_or(Verdict::Untestable)
     }
 

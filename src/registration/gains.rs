@@ -1,83 +1,88 @@
-//! How much brighter one camera records the same light than another: exposure and white balance.
+//! Photometric calibration (beyond the paper): how much brighter one camera records the same light than
+//! another, by exposure and white balance.
 //!
-//! Features of each camera's frame are found in its nearest neighbours', the neighbours made about as
-//! bright first; the ratios of their light, channel by channel, and one least-squares estimate over
-//! all pairs give the gains. Cameras whose gains don't differ beyond the error stay as they are.
+//! Features of each camera's frame are matched in those of its nearest neighbours, after a rough
+//! correction by median brightness. The ratios of their linear light, channel by channel, are solved
+//! for all cameras' gains by weighted least squares. Cameras whose gains do not differ significantly
+//! are not corrected.
 //!
-//! Known limits: one gain a channel and camera for the whole recording (no automatic exposure, no
-//! vignetting); a rig whose frames have nothing in common is taken as equal.
+//! Known limits: one gain per channel and camera for the whole recording (no automatic exposure, no
+//! vignetting). A rig whose frames have no features in common is taken as equal.
 
 use super::{Frame, RegistrationOptions, flow};
 use crate::capture::Capture;
 use crate::raster::{Image, LUMINANCE, encoded_from_linear, linear_from_encoded};
 use nalgebra::{DMatrix, DVector, Point2};
-use serde::{Deserialize, Serialize};
 
-/// Whether cameras' gains are told from the images.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum GainMethod {
-    /// All cameras are taken to record alike.
-    Equal,
-    /// Estimated, and corrected where they differ.
-    #[default]
-    Estimated,
-}
-
-/// The light that each camera records, by channel, over what the reference records.
+/// The gains of a capture's cameras: the linear light that each records over what the reference camera
+/// records of the same surface, by channel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gains {
     factors: Vec<[f64; 3]>,
-    /// The largest difference of any factor from 1, and its standard error, as shares.
+    /// The largest measured difference of a factor from 1, and its standard error.
     largest: (f64, f64),
 }
 
-/// Differences below this share of the light are none: moving things and shine make up to 0.019 between
-/// equal cameras (`stlfr plan` on the project's films); it is 3 of 255 where it is brightest.
-const LEAST_DIFFERENCE: f64 = 0.03;
-/// Differences below this many of their standard errors are none.
-const LEAST_ERRORS: f64 = 4.0;
-/// Neighbours that each camera is compared with.
+/// Minimum difference of a gain from 1 that is corrected. Moving objects and specular surfaces make up to
+/// 0.019 between equal cameras. Larger: visible differences remain (0.03 is 3 of 255 in the brightest
+/// parts); smaller: equal cameras are made unequal.
+const MIN_DIFFERENCE: f64 = 0.03;
+/// Minimum difference of a gain from 1 that is corrected, in standard errors. Larger: real differences
+/// remain; smaller: noise is corrected.
+const MIN_STD_ERRORS: f64 = 4.0;
+/// Number of nearest neighbours that each camera is compared with. Larger: time, and pairs with little in
+/// common; smaller: one bad pair decides.
 const NEIGHBORS: usize = 2;
-/// Images are halved down to this width, pixels: enough features, in little time.
+/// Images are halved until they are no wider than this, pixels. Larger: time; smaller: too few features.
 const WIDTH_PX: usize = 250;
-/// Fewer features than this tell nothing.
-const LEAST_FEATURES: usize = 12;
-/// Half the side of the windows whose light is compared, pixels.
+/// Minimum number of features of a pair of cameras. Larger: pairs with little in common are not compared;
+/// smaller: mismatches decide.
+const MIN_FEATURES: usize = 12;
+/// Half the side of the windows whose mean light is compared, pixels. Larger: windows cross outlines;
+/// smaller: noise, and errors of the match.
 const RADIUS_PX: isize = 2;
-/// Values outside may be clipped, or be mostly noise.
+/// Range of encoded values (0..=1) that are compared. Wider: clipped values and noise bias the ratios;
+/// narrower: dark and bright scenes have too few features.
 const USABLE: std::ops::RangeInclusive<f32> = 0.08..=0.96;
 
 impl Gains {
-    /// Of so many cameras that record alike.
+    /// Gains of 1 of `cameras` cameras.
     pub fn equal(cameras: usize) -> Self {
         Self { factors: vec![[1.0; 3]; cameras], largest: (0.0, 0.0) }
     }
 
+    /// Whether all gains are 1, so that nothing is corrected.
     pub fn are_equal(&self) -> bool {
         self.factors.iter().all(|f| *f == [1.0; 3])
     }
 
-    /// A camera's factors: red, green, blue; three times the same for a grey camera.
+    /// A camera's gains: red, green, blue; three equal ones for a grey camera.
+    ///
+    /// # Panics
+    /// If there is no such camera.
     pub fn of(&self, camera: usize) -> [f64; 3] {
         self.factors[camera]
     }
 
-    /// The largest difference that was measured, equal or not, and its standard error; shares.
+    /// The largest measured difference of a gain from 1, significant or not, and its standard error;
+    /// (0, 0) if nothing was compared.
     pub fn largest_difference(&self) -> (f64, f64) {
         self.largest
     }
 
-    /// The camera's image as the reference would have recorded it; `None` where it is the same.
-    /// Values may leave 0..=1.
+    /// The camera's image (encoded values) as the reference camera would have recorded it; `None` if the
+    /// camera's gains are 1. Values may leave 0..=1.
+    ///
+    /// # Panics
+    /// If there is no such camera.
     pub fn corrected(&self, camera: usize, image: &Image) -> Option<Image> {
         let factors = self.factors[camera];
         (factors != [1.0; 3]).then(|| scaled(image, factors.map(|f| 1.0 / f)))
     }
 
-    /// Told from one frame of each camera, in the middle of the recording. A frame that can't be read
-    /// is not compared; whoever needs it says so.
-    pub(super) fn survey(capture: &Capture, options: &RegistrationOptions) -> Self {
+    /// The gains by one frame of each camera, in the middle of the recording. A frame that cannot be
+    /// read is not compared; the error shows when the frame is used.
+    pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {
         let images: Vec<Option<Image>> = (0..capture.cameras.len())
             .map(|c| capture.read_frame(c, capture.cameras[c].frames.len() / 2).ok())
             .map(|image| image.as_ref().map(small))
@@ -85,7 +90,7 @@ impl Gains {
         let level = |image: &Image| {
             let mut values = image.to_gray().data().to_vec();
             values.sort_by(f32::total_cmp);
-            // Of a black image nothing is asked.
+            // A black image has no features: any level serves.
             linear_from_encoded(f64::from(values[values.len() / 2])).max(1e-4)
         };
         let reference = images[capture.reference].as_ref().map_or(1.0, level);
@@ -109,8 +114,8 @@ impl Gains {
                 ratios.extend(Ratio::between([a, b], [a_image, b_image], &matches));
             }
         }
-        let mut gains = solved(capture.cameras.len(), capture.reference, &ratios);
-        // Along colour cameras of another white, a grey camera's channels differ; it has one.
+        let mut gains = solve_gains(capture.cameras.len(), capture.reference, &ratios);
+        // The solution of a grey camera beside colour cameras differs by channel: it has one gain.
         for (factors, image) in gains.factors.iter_mut().zip(&images) {
             let is_gray = image.as_ref().is_some_and(|i| i.channels() == 1);
             if is_gray && *factors != [1.0; 3] {
@@ -122,7 +127,7 @@ impl Gains {
     }
 }
 
-/// Each camera with its nearest neighbours, every pair once.
+/// The pairs of each camera and its nearest neighbours, every pair once.
 fn neighbors(capture: &Capture) -> Vec<(usize, usize)> {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
     let mut pairs = Vec::new();
@@ -137,7 +142,7 @@ fn neighbors(capture: &Capture) -> Vec<(usize, usize)> {
     pairs
 }
 
-/// Halved until it is small.
+/// The image, halved until it is no wider than [`WIDTH_PX`].
 fn small(image: &Image) -> Image {
     let mut image = image.clone();
     while image.width() > WIDTH_PX && image.height() > 1 {
@@ -152,7 +157,7 @@ fn small(image: &Image) -> Image {
     image
 }
 
-/// Light multiplied by channel; a grey image's by the first.
+/// The image with its linear light multiplied by a factor per channel; a grey image by the first.
 fn scaled(image: &Image, factors: [f64; 3]) -> Image {
     let channels = image.channels();
     let value = |(k, v): (usize, &f32)| {
@@ -162,12 +167,13 @@ fn scaled(image: &Image, factors: [f64; 3]) -> Image {
     Image::from_data(image.width(), image.height(), channels, data)
 }
 
-/// The mean light of a window, linear; `None` if it leaves the image, or may be clipped.
+/// The mean linear light of the window around a point, by channel; `None` if the window leaves the image or
+/// has a value outside [`USABLE`].
 fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     let (cx, cy) = (at.x.floor() as isize, at.y.floor() as isize);
     let (w, h) = (image.width() as isize, image.height() as isize);
-    let reaches = |c: isize, n: isize| c >= RADIUS_PX && c + RADIUS_PX < n;
-    if !(reaches(cx, w) && reaches(cy, h)) {
+    let fits = |c: isize, n: isize| c >= RADIUS_PX && c + RADIUS_PX < n;
+    if !(fits(cx, w) && fits(cy, h)) {
         return None;
     }
     let mut sums = [0.0; 3];
@@ -186,7 +192,8 @@ fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     Some(sums.map(|sum| sum / area))
 }
 
-/// How much more light camera `b` records than `a`, by channel: the logarithm, and its variance.
+/// The light that camera `cameras[1]` records over what `cameras[0]` records, by channel: the logarithm of
+/// the ratio, and its variance.
 struct Ratio {
     cameras: [usize; 2],
     log: [f64; 3],
@@ -194,7 +201,7 @@ struct Ratio {
 }
 
 impl Ratio {
-    /// The medians over matched features; `None` of too few.
+    /// The median over matched features; `None` of fewer than [`MIN_FEATURES`].
     fn between(
         cameras: [usize; 2],
         images: [&Image; 2],
@@ -214,7 +221,7 @@ impl Ratio {
                 Some([0, 1, 2].map(|c| (b[c] / a[c]).ln()))
             })
             .collect();
-        if logs.len() < LEAST_FEATURES {
+        if logs.len() < MIN_FEATURES {
             return None;
         }
         let median = |mut values: Vec<f64>| {
@@ -224,26 +231,29 @@ impl Ratio {
         let log = [0, 1, 2].map(|c| median(logs.iter().map(|l| l[c]).collect()));
         let variance = [0, 1, 2].map(|c| {
             let deviation = median(logs.iter().map(|l| (l[c] - log[c]).abs()).collect());
-            // Of a median: that of a mean times π/2; a normal's deviation is 1.4826 times the median.
+            // A normal distribution's standard deviation is 1.4826 times the median absolute
+            // deviation; a median's standard error is √(π/2) times a mean's.
             let std_err = 1.2533 * 1.4826 * deviation / (logs.len() as f64).sqrt();
-            std_err * std_err + LEAST_STD_ERR * LEAST_STD_ERR
+            std_err * std_err + MIN_STD_ERR * MIN_STD_ERR
         });
         Some(Self { cameras, log, variance })
     }
 }
 
-/// What two views of one surface differ by anyhow, as a share: no pair is trusted beyond this.
-const LEAST_STD_ERR: f64 = 0.002;
-/// What is known of a camera that was not compared with any: that it records about alike.
+/// Minimum standard error of a log ratio: two views of a surface differ by specular reflection. Larger:
+/// accurate pairs count no more than others; smaller: one pair with many features decides.
+const MIN_STD_ERR: f64 = 0.002;
+/// Standard deviation of the prior of a camera's log gain, around 0. Larger: the normal equations of cameras
+/// that were compared with none are ill-conditioned; smaller: gains are pulled to 1.
 const PRIOR_STD_ERR: f64 = 10.0;
 
-/// All cameras' gains at once.
-fn solved(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
+/// The weighted least-squares solution of all cameras' gains, the reference camera's 1.
+fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
     let mut gains = Gains::equal(cameras);
     for c in 0..3 {
         let mut normal = DMatrix::from_diagonal_element(cameras, cameras, PRIOR_STD_ERR.powi(-2));
         let mut right = DVector::zeros(cameras);
-        normal[(reference, reference)] += LEAST_STD_ERR.powi(-4);
+        normal[(reference, reference)] += MIN_STD_ERR.powi(-4);
         for ratio in ratios {
             let ([a, b], weight) = (ratio.cameras, 1.0 / ratio.variance[c]);
             normal[(a, a)] += weight;
@@ -253,20 +263,20 @@ fn solved(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
             right[a] -= weight * ratio.log[c];
             right[b] += weight * ratio.log[c];
         }
-        // Positive definite by the prior.
+        // The prior makes the matrix positive definite.
         let Some(solver) = normal.cholesky() else { continue };
         let (logs, covariance) = (solver.solve(&right), solver.inverse());
         for (camera, factors) in gains.factors.iter_mut().enumerate() {
             let std_err = covariance[(camera, camera)].max(0.0).sqrt();
             let difference = logs[camera].exp() - 1.0;
-            // An error as large as that says that nothing was compared.
+            // A standard error near the prior's means that the camera was compared with none.
             if camera == reference || !difference.is_finite() || std_err > 0.1 * PRIOR_STD_ERR {
                 continue;
             }
             if difference.abs() > gains.largest.0 {
                 gains.largest = (difference.abs(), std_err);
             }
-            if difference.abs() > LEAST_DIFFERENCE.max(LEAST_ERRORS * std_err) {
+            if difference.abs() > MIN_DIFFERENCE.max(MIN_STD_ERRORS * std_err) {
                 factors[c] = 1.0 + difference;
             }
         }
@@ -283,10 +293,11 @@ mod tests {
     }
 
     #[test]
-    fn gains_are_told_along_a_chain_and_around_a_loop() {
+    fn gains_are_recovered_along_a_chain_and_around_a_loop() {
         let logs = [0.3, -0.1, 0.0, 0.45];
         let between = |a: usize, b: usize| ratio([a, b], logs[b] - logs[a]);
-        let gains = solved(4, 2, &[between(0, 1), between(1, 2), between(2, 3), between(0, 3)]);
+        let gains =
+            solve_gains(4, 2, &[between(0, 1), between(1, 2), between(2, 3), between(0, 3)]);
         for (camera, log) in logs.iter().enumerate() {
             let [r, g, b] = gains.of(camera);
             assert!((r - log.exp()).abs() < 1e-4 && g == 1.0, "{camera}: {r} {g}");
@@ -296,12 +307,12 @@ mod tests {
     }
 
     #[test]
-    fn small_differences_and_unknown_cameras_are_left_alone() {
-        let gains = solved(4, 0, &[ratio([0, 1], 0.01)]);
+    fn small_differences_and_unknown_cameras_are_not_corrected() {
+        let gains = solve_gains(4, 0, &[ratio([0, 1], 0.01)]);
         assert!(gains.are_equal());
         let (largest, std_err) = gains.largest_difference();
         assert!((largest - 0.01).abs() < 2e-3 && std_err < 0.01, "{largest} {std_err}");
-        assert!(solved(1, 0, &[]).are_equal());
+        assert!(solve_gains(1, 0, &[]).are_equal());
     }
 
     #[test]

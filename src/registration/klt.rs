@@ -1,58 +1,70 @@
-//! §4.1: the pyramidal Kanade–Lucas–Tomasi tracker.
+//! §4.1: the pyramidal Kanade–Lucas–Tomasi (KLT) tracker.
 //!
-//! Lucas and Kanade's translation of a window, with the template's gradients (computed once a
-//! level), iterated to convergence from the coarsest level down (Bouguet's description).
+//! Lucas and Kanade's translation of a window, as Bouguet describes it: the gradients are the
+//! template's, computed once per level, and Newton steps are taken to convergence from the coarsest
+//! level to the finest.
 //!
-//! Known limits: pure translation, no gain change; windows that straddle a depth edge follow
-//! whichever side has more texture.
+//! Known limits: the window only translates and its brightness does not change (the optional affine
+//! step allows both). A window across a depth edge follows the side that has more texture.
 
 use super::KltOptions;
-use super::affine::Refiner;
-#[cfg(target_arch = "x86_64")]
-use super::lanes::Avx2;
-use super::lanes::{LANES, Plain, Vector};
+use super::affine::AffineRefiner;
+use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::{Level, Pyramid};
-use super::window::{Window, corner, scharr, share_inside};
+#[cfg(target_arch = "x86_64")]
+use super::simd::{Avx2, has_avx2_and_fma};
+use super::simd::{F32x8, LANES, Scalar};
+use super::window::{Window, corner, fraction_inside};
 use nalgebra::{Point2, Vector2};
 
-/// Coarse levels have converged when a step is below this, pixels of theirs. Larger: the finer
-/// levels take more steps; smaller: the coarse ones do.
+/// A level but the finest has converged when a step is below this, pixels of that level. Larger: the
+/// finer levels take more steps; smaller: the coarse ones take steps whose gain the next level
+/// loses.
 const COARSE_EPSILON_PX: f64 = 0.03;
-/// Steps that shrink by less than this don't tell where they end.
+/// Steps are extrapolated to their limit only where each is below this fraction of the one before.
+/// Larger: the limit of slow, irregular convergence is guessed wrong; smaller: more steps are taken.
 const MAX_RATIO: f64 = 0.5;
-/// The step that is told and not taken is at most this share of the one that ends a level.
+/// An extrapolated step replaces the real ones where it is below this fraction of the convergence
+/// threshold. Larger: fewer steps, with an error of about the threshold; smaller: more steps.
 const MAX_EXTRAPOLATED: f64 = 0.4;
 
-/// Where a window was found.
+/// Where the tracker found a window.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tracked {
+    /// The window's centre in the target, pixels; inside the image.
     pub position: Point2<f64>,
-    /// Mean absolute difference of the two windows, values 0..=1.
+    /// Mean absolute difference of the two windows' values (0..=1), before the affine step.
     pub residual: f64,
 }
 
-/// Buffers of one window, reused from point to point.
+/// The KLT tracker (§4.1), with the buffers of one window, which are reused from point to point.
+///
+/// It is cheap to make one per thread and costly to make one per point.
 pub struct Tracker<'a> {
     options: &'a KltOptions,
     side: usize,
-    /// Samples of a row of the derivatives, and of the values, which have one more all around.
+    /// Samples of a row of `dx` and `dy`, padded to whole SIMD words.
     row: usize,
+    /// Samples of a row of `value`, which is one sample wider on every side.
     wide: usize,
+    /// The template's values, and its derivatives weighted by the fraction inside the image.
     value: Vec<f32>,
     dx: Vec<f32>,
     dy: Vec<f32>,
-    refiner: Refiner,
+    refiner: AffineRefiner,
 }
 
-/// What is known of a template, summed over the window: the structure tensor xx, xy, yy; its own
-/// values times the derivatives, from which the target's are to be told.
-struct Template {
+/// Sums over the template's window.
+struct TemplateSums {
+    /// The structure tensor: xx, xy, yy.
     tensor: [f64; 3],
-    own: [f64; 2],
+    /// Σ I·∇I, I the template's values; the Newton step is by its difference to Σ J·∇I, J the
+    /// target's.
+    value_gradient: [f64; 2],
 }
 
-/// What is to be tracked where.
-struct Job<'a> {
+/// One window to track, and how.
+struct Request<'a> {
     source: &'a Pyramid,
     target: &'a Pyramid,
     from: Point2<f64>,
@@ -62,19 +74,22 @@ struct Job<'a> {
 }
 
 impl<'a> Tracker<'a> {
+    /// A tracker for windows of `2·radius_px + 1` pixels a side.
     pub fn new(options: &'a KltOptions) -> Self {
         let side = 2 * options.radius_px + 1;
         let (row, wide) = (side.next_multiple_of(LANES), (side + 2).next_multiple_of(LANES));
         let value = vec![0.0; wide * (side + 2) + LANES];
         let zeros = vec![0.0; row * side];
-        let refiner = Refiner::new(&options.affine);
+        let refiner = AffineRefiner::new(&options.affine);
         Self { options, side, row, wide, value, dx: zeros.clone(), dy: zeros, refiner }
     }
 
-    /// Finds the window around `from` in another image, starting at `guess`. Pixels, both.
+    /// Finds the window around `from` of the source in the target, starting at `guess`; pixels, the
+    /// top-left pixel's centre at (0.5, 0.5).
     ///
-    /// `None` if the window has too little texture, leaves the image, or differs too much where
-    /// it ends up.
+    /// `None` if the window has too little texture ([`KltOptions::min_eigenvalue`]), if it leaves
+    /// the image, or if it differs too much where it ends up ([`KltOptions::max_residual`]). Both
+    /// pyramids need a border of [`KltOptions::pad_px`].
     pub fn track(
         &mut self,
         source: &Pyramid,
@@ -85,7 +100,8 @@ impl<'a> Tracker<'a> {
         self.track_over(source, target, from, guess, self.options.levels)
     }
 
-    /// As [`Self::track`], on so many of the finest levels only, for a guess that is near.
+    /// As [`Self::track`], on the `levels` finest levels only, for a guess that is near. 0 counts as
+    /// 1, and a number beyond the pyramids' as theirs.
     pub fn track_over(
         &mut self,
         source: &Pyramid,
@@ -95,11 +111,11 @@ impl<'a> Tracker<'a> {
         levels: usize,
     ) -> Option<Tracked> {
         let refine = self.options.affine.radius_px > 0;
-        self.find(&Job { source, target, from, guess, levels, refine })
+        self.answer(&Request { source, target, from, guess, levels, refine })
     }
 
-    /// As [`Self::track_over`], without the refinement.
-    pub fn track_levels(
+    /// As [`Self::track_over`], without the affine step ([`KltOptions::affine`]).
+    pub fn track_translation(
         &mut self,
         source: &Pyramid,
         target: &Pyramid,
@@ -107,28 +123,28 @@ impl<'a> Tracker<'a> {
         guess: Point2<f64>,
         levels: usize,
     ) -> Option<Tracked> {
-        self.find(&Job { source, target, from, guess, levels, refine: false })
+        self.answer(&Request { source, target, from, guess, levels, refine: false })
     }
 
-    fn find(&mut self, job: &Job) -> Option<Tracked> {
+    fn answer(&mut self, request: &Request) -> Option<Tracked> {
         #[cfg(target_arch = "x86_64")]
-        if has_registers() {
+        if has_avx2_and_fma() {
             // SAFETY: the processor has the features.
-            return unsafe { self.find_avx2(job) };
+            return unsafe { self.answer_avx2(request) };
         }
-        self.find_by::<Plain>(job)
+        self.answer_by::<Scalar>(request)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
-    fn find_avx2(&mut self, job: &Job) -> Option<Tracked> {
-        self.find_by::<Avx2>(job)
+    fn answer_avx2(&mut self, request: &Request) -> Option<Tracked> {
+        self.answer_by::<Avx2>(request)
     }
 
     #[inline(always)]
-    fn find_by<V: Vector>(&mut self, job: &Job) -> Option<Tracked> {
-        let &Job { source, target, from, guess, .. } = job;
-        let levels = job.levels.min(source.levels().len()).min(target.levels().len()).max(1);
+    fn answer_by<V: F32x8>(&mut self, request: &Request) -> Option<Tracked> {
+        let &Request { source, target, from, guess, .. } = request;
+        let levels = request.levels.min(source.levels().len()).min(target.levels().len()).max(1);
         let mut flow = (guess - from) / f64::from(1_u32 << (levels - 1));
         let mut residual = 0.0;
         for k in (0..levels).rev() {
@@ -136,13 +152,13 @@ impl<'a> Tracker<'a> {
             // Levels are centred on even pixels, so positions relative to pixel centres scale.
             let p = (from.coords - Vector2::repeat(0.5)) / scale;
             let (level, other) = (&source.levels()[k], &target.levels()[k]);
-            let template = self.take_template::<V>(level, &p);
-            // The next level goes on from here: a finer answer would be lost there.
+            let template = self.load_template::<V>(level, &p);
+            // The next level starts from here, and would lose a finer answer.
             let epsilon_px = if k > 0 { COARSE_EPSILON_PX } else { 0.0 };
             let epsilon_px = self.options.epsilon_px.max(epsilon_px);
             match self.iterate::<V>(other, &p, &mut flow, &template, epsilon_px) {
                 Outcome::Converged => {}
-                // A coarse window may be blank or half outside where the fine one is good.
+                // A coarse window may be flat or half outside where the fine one is good.
                 Outcome::Flat | Outcome::Outside if k > 0 => {}
                 Outcome::Flat | Outcome::Outside => return None,
             }
@@ -153,7 +169,7 @@ impl<'a> Tracker<'a> {
             }
         }
         let mut position = from + flow;
-        if job.refine && residual <= self.options.max_residual {
+        if request.refine && residual <= self.options.max_residual {
             let (level, other) = (&source.levels()[0], &target.levels()[0]);
             let refined =
                 self.refiner.refine::<V>(level, other, from, position, &self.options.affine);
@@ -166,13 +182,14 @@ impl<'a> Tracker<'a> {
         (inside && residual <= self.options.max_residual).then_some(Tracked { position, residual })
     }
 
-    /// Cuts the template out around `p` (relative to pixel centres), and takes its derivatives.
+    /// Reads the template around `p` (the first pixel's centre at 0), and computes its derivatives
+    /// and sums.
     #[inline(always)]
-    fn take_template<V: Vector>(&mut self, level: &Level, p: &Vector2<f64>) -> Template {
+    fn load_template<V: F32x8>(&mut self, level: &Level, p: &Vector2<f64>) -> TemplateSums {
         let (side, row, wide) = (self.side, self.row, self.wide);
-        // Outside the padded border there is nothing to cut; the caller's points are in the image.
+        // The sums of a window outside the image are 0, which the caller finds to have no texture.
         let Some((base, within)) = corner(level, p, self.options.radius_px + 1) else {
-            return Template { tensor: [0.0; 3], own: [0.0; 2] };
+            return TemplateSums { tensor: [0.0; 3], value_gradient: [0.0; 2] };
         };
         let window = Window::new(&level.value, base, level.stride, [wide, side + 2], within);
         for x in (0..wide).step_by(LANES) {
@@ -186,11 +203,11 @@ impl<'a> Tracker<'a> {
         for x in (0..row).step_by(LANES) {
             let mut weights = [0.0; LANES];
             for (l, weight) in weights.iter_mut().enumerate().take(side - x) {
-                *weight = share_inside(left + (x + l) as f64, level.width) / 32.0;
+                *weight = fraction_inside(left + (x + l) as f64, level.width) / SCHARR_SCALE;
             }
-            let weights = V::from_lanes(&weights);
+            let weights = V::from_array(&weights);
             for y in 0..side {
-                let used = weights.mul(V::splat(share_inside(top + y as f64, level.height)));
+                let used = weights.mul(V::splat(fraction_inside(top + y as f64, level.height)));
                 let at = (y + 1) * wide + x + 1;
                 let [gx, gy] = scharr::<V>(&self.value, at, wide);
                 let (gx, gy) = (gx.mul(used), gy.mul(used));
@@ -205,24 +222,25 @@ impl<'a> Tracker<'a> {
             }
         }
         let [xx, xy, yy, x, y] = V::sums(&sums);
-        Template { tensor: [xx, xy, yy], own: [x, y] }
+        TemplateSums { tensor: [xx, xy, yy], value_gradient: [x, y] }
     }
 
-    /// Newton steps on one level.
+    /// Newton steps on one level, from `flow` on: the displacement of the window at `p`, pixels of
+    /// the level. On [`Outcome::Outside`] `flow` is as it was.
     #[inline(always)]
-    fn iterate<V: Vector>(
+    fn iterate<V: F32x8>(
         &self,
         target: &Level,
         p: &Vector2<f64>,
         flow: &mut Vector2<f64>,
-        template: &Template,
+        template: &TemplateSums,
         epsilon_px: f64,
     ) -> Outcome {
         let [xx, xy, yy] = template.tensor;
         let area = (self.side * self.side) as f64;
         let smaller = 0.5 * ((xx + yy) - ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt());
         let determinant = xx * yy - xy * xy;
-        // λ_min bounds the determinant from below, so the division is safe.
+        // λ_min is positive, and so is the determinant that is divided by.
         if !(smaller >= self.options.min_eigenvalue * area && determinant > 0.0) {
             return Outcome::Flat;
         }
@@ -234,7 +252,7 @@ impl<'a> Tracker<'a> {
                 *flow = start;
                 return Outcome::Outside;
             };
-            let (bx, by) = (template.own[0] - x, template.own[1] - y);
+            let (bx, by) = (template.value_gradient[0] - x, template.value_gradient[1] - y);
             let delta = Vector2::new(ixx * bx + ixy * by, ixy * bx + iyy * by);
             *flow += delta;
             let length_px = delta.norm();
@@ -242,12 +260,12 @@ impl<'a> Tracker<'a> {
                 break;
             }
             if step > 0 {
-                // Swinging between two sides of the solution: it is in the middle.
+                // The steps alternate around the solution, which is in the middle.
                 if (delta + previous).norm() < epsilon_px {
                     *flow -= 0.5 * delta;
                     break;
                 }
-                // Steps shrink by a constant ratio: what the ones to come would add.
+                // Steps that shrink by a constant ratio: the sum of those to come.
                 let ratio = length_px / previous.norm();
                 if ratio < MAX_RATIO && length_px * ratio < MAX_EXTRAPOLATED * epsilon_px {
                     *flow += delta * (delta.dot(&previous).signum() * ratio);
@@ -259,15 +277,16 @@ impl<'a> Tracker<'a> {
         Outcome::Converged
     }
 
-    /// Σ J·∇I over the window, J cut out of the target around `q`.
+    /// Σ J·∇I over the window, with J the target's values around `q`. `None` if the window is more
+    /// than a pixel outside the image.
     #[inline(always)]
-    fn correlate<V: Vector>(&self, target: &Level, q: &Vector2<f64>) -> Option<[f64; 2]> {
+    fn correlate<V: F32x8>(&self, target: &Level, q: &Vector2<f64>) -> Option<[f64; 2]> {
         let (base, within) = corner(target, q, self.options.radius_px)?;
         let size = [self.row, self.side];
         let window = Window::new(&target.value, base, target.stride, size, within);
         let mut sums = [V::zero(); 2];
         let mut x = 0;
-        // Two blocks at once, while there are: their sums don't wait for each other.
+        // Two words at once where possible: their sums do not wait for each other.
         while x + 2 * LANES <= self.row {
             self.correlate_columns::<V, 2>(&window, x, &mut sums);
             x += 2 * LANES;
@@ -278,8 +297,9 @@ impl<'a> Tracker<'a> {
         Some(V::sums(&sums))
     }
 
+    /// Adds the sums of B words of columns from column `x` on.
     #[inline(always)]
-    fn correlate_columns<V: Vector, const B: usize>(
+    fn correlate_columns<V: F32x8, const B: usize>(
         &self,
         window: &Window,
         x: usize,
@@ -290,14 +310,14 @@ impl<'a> Tracker<'a> {
         let mut columns = window.columns::<V, B>(x);
         let mut of_block = [[V::zero(); 2]; B];
         for y in 0..self.side {
-            let found = columns.row();
+            let values = columns.row();
             for b in 0..B {
                 let at = y * self.row + x + b * LANES;
-                // SAFETY: rows are whole lanes, and the planes have `side` of them.
+                // SAFETY: rows are whole words, and both planes have `side` of them.
                 let [gx, gy] =
                     unsafe { [V::load_unchecked(&self.dx, at), V::load_unchecked(&self.dy, at)] };
-                of_block[b][0] = found[b].mul_add(gx, of_block[b][0]);
-                of_block[b][1] = found[b].mul_add(gy, of_block[b][1]);
+                of_block[b][0] = values[b].mul_add(gx, of_block[b][0]);
+                of_block[b][1] = values[b].mul_add(gy, of_block[b][1]);
             }
         }
         for [x, y] in of_block {
@@ -305,36 +325,35 @@ impl<'a> Tracker<'a> {
         }
     }
 
-    /// Mean absolute difference of the windows.
+    /// Mean absolute difference of the template and the target's window around `q`. `None` if that
+    /// is more than a pixel outside the image.
     #[inline(always)]
-    fn residual<V: Vector>(&self, target: &Level, q: &Vector2<f64>) -> Option<f64> {
+    fn residual<V: F32x8>(&self, target: &Level, q: &Vector2<f64>) -> Option<f64> {
         let (base, within) = corner(target, q, self.options.radius_px)?;
         let size = [self.row, self.side];
         let window = Window::new(&target.value, base, target.stride, size, within);
         let mut sum = V::zero();
         for x in (0..self.row).step_by(LANES) {
-            let mut used = [0.0; LANES];
-            used[..(self.side - x).min(LANES)].fill(1.0);
-            let used = V::from_lanes(&used);
+            let mut weights = [0.0; LANES];
+            weights[..(self.side - x).min(LANES)].fill(1.0);
+            let weights = V::from_array(&weights);
             let mut columns = window.columns::<V, 1>(x);
             for y in 0..self.side {
                 let own = V::load(&self.value, (y + 1) * self.wide + x + 1);
-                sum = columns.row()[0].sub(own).abs().mul_add(used, sum);
+                sum = columns.row()[0].sub(own).abs().mul_add(weights, sum);
             }
         }
         Some(sum.sum() / (self.side * self.side) as f64)
     }
 }
 
-/// Whether the processor has what [`Avx2`] needs.
-#[cfg(target_arch = "x86_64")]
-pub(super) fn has_registers() -> bool {
-    std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma")
-}
-
+/// How the steps on a level ended.
 enum Outcome {
+    /// They converged, or their number was exhausted.
     Converged,
+    /// The template has too little texture.
     Flat,
+    /// The window left the image.
     Outside,
 }
 
@@ -387,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_the_image_or_has_no_texture_is_lost() {
+    fn windows_that_leave_the_image_or_have_no_texture_are_lost() {
         let options = KltOptions::default();
         let (a, b) = pyramids(&options, -20.0, 0.0);
         let mut tracker = Tracker::new(&options);
@@ -398,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn tiny_images_are_no_trouble() {
+    fn tiny_images_do_not_panic() {
         let options = KltOptions::default();
         for (w, h) in [(1, 1), (2, 9), (9, 2)] {
             let p = Pyramid::new(&texture(w, h, 0.0, 0.0), 4, options.pad_px());
@@ -432,18 +451,18 @@ mod tests {
         let mut tracker = Tracker::new(&options);
         for (px, py) in [(70.3, 40.8), (0.1, 0.2), (159.4, 119.3)] {
             let (p, q) = (Vector2::new(px, py), Vector2::new(px - 0.3, py + 0.2));
-            let template = tracker.take_template::<Plain>(level, &p);
-            let found = tracker.correlate::<Plain>(other, &q).unwrap();
-            let b = [found[0] - template.own[0], found[1] - template.own[1]];
+            let template = tracker.load_template::<Scalar>(level, &p);
+            let sums = tracker.correlate::<Scalar>(other, &q).unwrap();
+            let b = [sums[0] - template.value_gradient[0], sums[1] - template.value_gradient[1]];
             let mut expected = [0.0; 5];
             let r = options.radius_px as i32;
             for y in -r..=r {
                 for x in -r..=r {
                     let (x, y) = (f64::from(x), f64::from(y));
-                    let share = |v: f64, size: f64| {
+                    let inside = |v: f64, size: f64| {
                         if v < 0.0 { v + 1.0 } else { size - v }.clamp(0.0, 1.0)
                     };
-                    let inside = share(p.x + x, 160.0) * share(p.y + y, 120.0);
+                    let inside = inside(p.x + x, 160.0) * inside(p.y + y, 120.0);
                     let gx = inside * slope(p.x + x, p.y + y, (1.0, 0.0));
                     let gy = inside * slope(p.x + x, p.y + y, (0.0, 1.0));
                     let d = sample(other, q.x + x, q.y + y) - sample(level, p.x + x, p.y + y);

@@ -1,15 +1,16 @@
-//! Points near a point, by a k-d tree.
+//! Radius queries among points of the image plane, by a k-d tree.
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::Point2;
 
-/// A set of points of the image plane to ask for neighbours.
+/// A set of points of the image plane for radius queries.
 pub struct Neighbors {
     tree: Option<ImmutableKdTree<f64, 2>>,
 }
 
 impl Neighbors {
-    /// Points that are not finite are nobody's neighbours, and must not be given.
+    /// The set of these points, indexed in order. All coordinates must be finite. An empty set is
+    /// valid: its queries return nothing.
     pub fn new(points: impl IntoIterator<Item = Point2<f64>>) -> Self {
         let points: Vec<[f64; 2]> = points.into_iter().map(|p| [p.x, p.y]).collect();
         let tree = (!points.is_empty()).then(|| {
@@ -18,22 +19,23 @@ impl Neighbors {
         Self { tree }
     }
 
-    /// Indices of the points within a radius, ascending.
+    /// The indices, ascending, of the points within `radius` of `p`, bound included; duplicates of a
+    /// point all count.
     pub fn within(&self, p: &Point2<f64>, radius: f64) -> Vec<usize> {
-        let mut found = self.unsorted_within(p, radius);
-        found.sort_unstable();
-        found
+        let mut indices = self.unsorted_within(p, radius);
+        indices.sort_unstable();
+        indices
     }
 
-    /// The same in no particular order.
+    /// As [`Self::within`], in no particular order, which is faster.
     pub fn unsorted_within(&self, p: &Point2<f64>, radius: f64) -> Vec<usize> {
         let Some(tree) = &self.tree else { return Vec::new() };
-        let found = tree
+        let items = tree
             .query(&[p.x, p.y])
             .within::<SquaredEuclidean<f64>>(radius * radius)
             .unsorted()
             .execute();
-        found.into_iter().map(|item| item.item as usize).collect()
+        items.into_iter().map(|item| item.item as usize).collect()
     }
 }
 
@@ -42,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_same_points_as_by_looking_at_all() {
+    fn queries_equal_brute_force() {
         let points: Vec<Point2<f64>> = (0..300)
             .map(|k| {
                 let k = f64::from(k);

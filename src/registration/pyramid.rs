@@ -1,51 +1,64 @@
-//! Grey image pyramids: made once an image, shared by everything that tracks in it.
+//! Grey image pyramids, made once per image and shared by everything that tracks in it.
 //!
-//! Only values are kept: gradients are taken where they are needed, from a window that has just
-//! been read, which costs less than planes of them.
+//! A level stores values only. Gradients are computed where they are needed, from a window that is
+//! in the cache already, which costs less than reading stored gradient planes.
 
-use super::lanes::{LANES, Plain, Vector};
-use super::window::scharr;
+use super::gradient::{SCHARR_SCALE, scharr};
+use super::simd::{F32x8, LANES, Scalar};
 use crate::raster::{Image, luma};
 
-/// A pyramid of half-sized levels, the full image first.
+/// A grey image pyramid (§4.1): the full-sized level first, each level half as large as the one
+/// before.
 #[derive(Clone, Debug)]
 pub struct Pyramid {
     levels: Vec<Level>,
 }
 
-/// One level, with the border repeated `pad` pixels outwards so that a window needs no bounds
-/// checks.
+/// One level of a [`Pyramid`]: luma in 0..=1. Its border is repeated outwards, so that a window near
+/// it needs no bounds checks.
 #[derive(Clone, Debug)]
 pub struct Level {
+    /// Pixels of a row, without the padding.
     pub width: usize,
+    /// Rows, without the padding.
     pub height: usize,
+    /// Width of the padding on every side, pixels.
     pub(super) pad: usize,
+    /// Samples of a row, the padding included.
     pub(super) stride: usize,
+    /// The padded plane, row-major.
     pub(super) value: Vec<f32>,
 }
 
-/// Levels smaller than this hold nothing to track.
+/// No level has a shorter side than this, pixels. Larger: fast motion is out of reach in small
+/// images; smaller: the coarsest windows are larger than their level and hold only its border.
 const MIN_LEVEL_PX: usize = 16;
 
 impl Pyramid {
-    /// `levels` of them at most; fewer where the image gets too small. `pad` is the border that
-    /// the largest window needs.
+    /// The pyramid of an image; a colour image by its luma.
+    ///
+    /// It has `levels` levels, fewer where a level's shorter side would be below 16 pixels, and
+    /// always at least one. `pad` is the width of the border, pixels, that the largest window needs
+    /// ([`super::KltOptions::pad_px`]).
     pub fn new(image: &Image, levels: usize, pad: usize) -> Self {
         let mut all = vec![Level::of_image(image, pad)];
-        while all.len() < levels && all[all.len() - 1].may_be_halved() {
+        while all.len() < levels && all[all.len() - 1].can_be_halved() {
             all.push(all[all.len() - 1].halved());
         }
         Self { levels: all }
     }
 
+    /// The levels, full-sized first. There is at least one.
     pub fn levels(&self) -> &[Level] {
         &self.levels
     }
 
+    /// Width of the full-sized level, pixels.
     pub fn width(&self) -> usize {
         self.levels[0].width
     }
 
+    /// Height of the full-sized level, pixels.
     pub fn height(&self) -> usize {
         self.levels[0].height
     }
@@ -60,10 +73,11 @@ impl Level {
                 _ => row.extend(image.row(y).chunks_exact(image.channels()).map(luma)),
             });
         }
-        level.close()
+        level.with_vertical_border()
     }
 
-    /// One that awaits its rows. A gradient needs a pixel more than its place.
+    /// A level without rows, to be filled by [`Self::push_row`] and [`Self::with_vertical_border`].
+    /// The padding is at least a SIMD word, which a gradient at the border reads.
     fn empty(width: usize, height: usize, pad: usize) -> Self {
         let pad = pad.max(LANES);
         let stride = width + 2 * pad;
@@ -72,6 +86,7 @@ impl Level {
         Self { width, height, pad, stride, value }
     }
 
+    /// Appends a row, which `write` extends the plane by, and repeats its ends sideways.
     fn push_row(&mut self, write: impl FnOnce(&mut Vec<f32>)) {
         let left = self.value.len();
         self.value.resize(left + self.pad, 0.0);
@@ -82,8 +97,8 @@ impl Level {
         self.value[left..left + self.pad].fill(first);
     }
 
-    /// The border above and below, when all rows are there.
-    fn close(mut self) -> Self {
+    /// Repeats the first row upwards and the last one downwards, after all rows were pushed.
+    fn with_vertical_border(mut self) -> Self {
         let (pad, stride) = (self.pad, self.stride);
         for y in 0..pad {
             self.value.copy_within(pad * stride..(pad + 1) * stride, y * stride);
@@ -95,23 +110,26 @@ impl Level {
         self
     }
 
-    fn may_be_halved(&self) -> bool {
+    fn can_be_halved(&self) -> bool {
         self.width.min(self.height) >= 2 * MIN_LEVEL_PX
     }
 
-    /// Smoothed by [1 4 6 4 1]/16 both ways, every second pixel kept: pixel i of the half-sized
-    /// level has its centre at pixel 2i of the large one. Borders are mirrored, as OpenCV's are.
+    /// The level smoothed by [1 4 6 4 1]/16 both ways and subsampled by two: the centre of pixel i of
+    /// the half-sized level is that of pixel 2i of this one. Borders are mirrored, as in OpenCV.
     fn halved(&self) -> Self {
         let mut half = Self::empty(self.width.div_ceil(2), self.height.div_ceil(2), self.pad);
         let width = self.width;
-        // A row smoothed downwards, with two more columns on the left and up to three on the right.
+        // A vertically smoothed row, with two more columns on the left and up to three on the right.
         let mut smooth = vec![0.0; 2 * half.width + 4];
         for y in 0..half.height {
             let row = |k: isize| {
                 let y = mirrored(2 * y as isize + k, self.height);
                 &self.value[self.index(0, y as isize)..][..width]
             };
-            smooth_down([row(-2), row(-1), row(0), row(1), row(2)], &mut smooth[2..width + 2]);
+            smooth_vertically(
+                [row(-2), row(-1), row(0), row(1), row(2)],
+                &mut smooth[2..width + 2],
+            );
             for k in [-2, -1, width as isize, width as isize + 1] {
                 smooth[(k + 2) as usize] = smooth[mirrored(k, width) + 2];
             }
@@ -125,32 +143,33 @@ impl Level {
                 );
             });
         }
-        half.close()
+        half.with_vertical_border()
     }
 
-    /// Index of a pixel in the padded plane; it may be `pad` outside the image.
+    /// Index of a pixel in the padded plane. The pixel may be up to `pad` pixels outside the image.
     pub(super) fn index(&self, x: isize, y: isize) -> usize {
         let at = |v: isize| (v + self.pad as isize) as usize;
         at(y) * self.stride + at(x)
     }
 
-    /// Gradient at a pixel (not padded), per pixel, by Scharr's 3×3 derivatives.
+    /// The gradient `(∂/∂x, ∂/∂y)` at a pixel of the image, in values (0..=1) per pixel of this
+    /// level, by Scharr's 3×3 derivatives; the border is repeated outwards.
     pub fn gradient(&self, x: usize, y: usize) -> (f32, f32) {
         let [dx, dy] =
-            scharr::<Plain>(&self.value, self.index(x as isize, y as isize), self.stride);
-        (dx.to_lanes()[0] / 32.0, dy.to_lanes()[0] / 32.0)
+            scharr::<Scalar>(&self.value, self.index(x as isize, y as isize), self.stride);
+        (dx.to_array()[0] / SCHARR_SCALE, dy.to_array()[0] / SCHARR_SCALE)
     }
 }
 
-/// A place in `0..size` for one beyond its ends, which are not repeated.
+/// The index in `0..size` that `v` is mirrored to at the ends, without repeating the end itself.
 fn mirrored(v: isize, size: usize) -> usize {
     let last = size as isize - 1;
     let v = v.abs();
     (if v > last { (2 * last - v).max(0) } else { v }) as usize
 }
 
-/// Five rows, weighted by 1 4 6 4 1.
-fn smooth_down([a, b, c, d, e]: [&[f32]; 5], out: &mut [f32]) {
+/// The sum of five rows, weighted by 1 4 6 4 1.
+fn smooth_vertically([a, b, c, d, e]: [&[f32]; 5], out: &mut [f32]) {
     for (x, out) in out.iter_mut().enumerate() {
         *out = 6.0 * c[x] + 4.0 * (b[x] + d[x]) + (a[x] + e[x]);
     }

@@ -1,11 +1,13 @@
-//! A feature's path in one camera through a few frames: eq. (2), and beyond straight lines.
+//! A feature's trajectory in one camera through a few frames: eq. (2), and curves beyond the paper.
 //!
-//! The polynomial through all samples: two give the paper's straight line, three and four a
-//! quadratic and a cubic (method.md part 2: straight lines bias offsets by the path's curvature).
+//! The trajectory is the polynomial through all samples. Two give the paper's straight line; three and
+//! four a quadratic and a cubic, because a straight line biases temporal offsets by the trajectory's
+//! curvature.
 
 use nalgebra::{Point2, Vector2};
 
-/// Positions at two to four ascending times.
+/// A feature's image position as a function of time: the interpolating polynomial of two to four
+/// samples. Positions in pixels, times in seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trajectory {
     times_s: [f64; Trajectory::MAX],
@@ -14,28 +16,32 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// Samples at most.
+    /// Maximum number of samples. Larger: the polynomial oscillates between noisy samples; smaller:
+    /// curvature is ignored.
     pub const MAX: usize = 4;
 
-    /// From samples in order of time.
+    /// The trajectory through samples `(time in seconds, position in pixels)`, in order of time.
     ///
-    /// `None` for fewer than two or more than four samples, or times that don't ascend: the
-    /// differences that [`Self::at`] divides by are then positive.
+    /// `None` for fewer than two or more than four samples, and for times that do not strictly
+    /// ascend. [`Self::at`] divides by their differences.
     pub fn new(samples: impl IntoIterator<Item = (f64, Point2<f64>)>) -> Option<Self> {
-        let mut path =
+        let mut trajectory =
             Self { times_s: [0.0; Self::MAX], positions: [Point2::origin(); Self::MAX], len: 0 };
         for (time_s, position) in samples {
-            if path.len == Self::MAX || (path.len > 0 && time_s <= path.times_s[path.len - 1]) {
+            if trajectory.len == Self::MAX
+                || (trajectory.len > 0 && time_s <= trajectory.times_s[trajectory.len - 1])
+            {
                 return None;
             }
-            path.times_s[path.len] = time_s;
-            path.positions[path.len] = position;
-            path.len += 1;
+            trajectory.times_s[trajectory.len] = time_s;
+            trajectory.positions[trajectory.len] = position;
+            trajectory.len += 1;
         }
-        (path.len >= 2).then_some(path)
+        (trajectory.len >= 2).then_some(trajectory)
     }
 
-    /// The position at a time, seconds; outside the samples an extrapolation.
+    /// The position at a time in seconds, pixels; eq. (2) if there are two samples. Outside the samples'
+    /// times it is an extrapolation.
     pub fn at(&self, time_s: f64) -> Point2<f64> {
         let mut sum = Vector2::zeros();
         for i in 0..self.len {
@@ -48,7 +54,7 @@ impl Trajectory {
         Point2::from(sum)
     }
 
-    /// The velocity at a time, pixels a second.
+    /// The velocity at a time in seconds, pixels per second.
     pub fn velocity(&self, time_s: f64) -> Vector2<f64> {
         let mut sum = Vector2::zeros();
         for i in 0..self.len {
@@ -65,8 +71,9 @@ impl Trajectory {
         sum
     }
 
-    /// The sum of the squared weights of the samples at a time: how much the noise of single
-    /// positions (variance) reaches the result. 0.5 to 1 between the samples of a line.
+    /// The variance of [`Self::at`] over the variance of a single sample's position: the sum of the
+    /// samples' squared weights at a time in seconds. It is 0.5 to 1 between the two samples of a
+    /// straight line, and grows without bound outside the samples' times.
     pub fn noise_gain(&self, time_s: f64) -> f64 {
         (0..self.len)
             .map(|i| {
@@ -88,24 +95,24 @@ mod tests {
     fn polynomials_are_reproduced_at_uneven_times() {
         let curve = |t: f64| Point2::new(1.0 + t * (2.0 - t * (0.5 - 0.3 * t)), 4.0 - t * t * t);
         let slope = |t: f64| Vector2::new(2.0 - t + 0.9 * t * t, -3.0 * t * t);
-        let path = Trajectory::new([-1.1, 0.0, 0.9, 2.3].map(|t| (t, curve(t)))).unwrap();
+        let trajectory = Trajectory::new([-1.1, 0.0, 0.9, 2.3].map(|t| (t, curve(t)))).unwrap();
         for t in [-1.1, -0.3, 0.0, 0.45, 2.0, 3.0] {
-            assert!((path.at(t) - curve(t)).norm() < 1e-12);
-            assert!((path.velocity(t) - slope(t)).norm() < 1e-12);
+            assert!((trajectory.at(t) - curve(t)).norm() < 1e-12);
+            assert!((trajectory.velocity(t) - slope(t)).norm() < 1e-12);
         }
     }
 
     #[test]
     fn two_samples_are_the_papers_line() {
-        let path =
+        let trajectory =
             Trajectory::new([(1.0, Point2::new(0.0, 8.0)), (3.0, Point2::new(4.0, 0.0))]).unwrap();
-        assert_eq!(path.at(1.5), Point2::new(1.0, 6.0));
-        assert_eq!(path.velocity(9.0), Vector2::new(2.0, -4.0));
-        assert_eq!(path.noise_gain(2.0), 0.5);
+        assert_eq!(trajectory.at(1.5), Point2::new(1.0, 6.0));
+        assert_eq!(trajectory.velocity(9.0), Vector2::new(2.0, -4.0));
+        assert_eq!(trajectory.noise_gain(2.0), 0.5);
     }
 
     #[test]
-    fn what_is_no_path() {
+    fn invalid_samples_give_no_trajectory() {
         let p = Point2::new(0.0, 0.0);
         assert!(Trajectory::new([]).is_none() && Trajectory::new([(0.0, p)]).is_none());
         assert!(Trajectory::new([(0.0, p), (0.0, p)]).is_none());

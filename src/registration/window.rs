@@ -1,11 +1,14 @@
-//! Windows of an image, between its pixels: what is cut out of a plane, and its derivatives.
+//! Windows of a pyramid level at sub-pixel positions, by bilinear interpolation.
 
-use super::lanes::{LANES, Vector};
 use super::pyramid::Level;
+use super::simd::{F32x8, LANES};
 use nalgebra::Vector2;
 
-/// The padded index of a window's top-left sample and its place within that pixel; `None` if the
-/// window's middle is more than a pixel outside the image.
+/// Where the window of the given radius around `p` begins in a level's padded plane: the index of
+/// its top-left sample, and the fractional position `[x, y]` after it, in 0..1.
+///
+/// `p` is in pixels with the first pixel's centre at (0, 0). `None` if it is more than a pixel
+/// outside the image.
 #[inline(always)]
 pub fn corner(level: &Level, p: &Vector2<f64>, radius: usize) -> Option<(usize, [f32; 2])> {
     let inside = |v: f64, size: usize| v >= -1.0 && v <= size as f64;
@@ -17,40 +20,46 @@ pub fn corner(level: &Level, p: &Vector2<f64>, radius: usize) -> Option<(usize, 
     Some((base, [(p.x - x) as f32, (p.y - y) as f32]))
 }
 
-/// How much of a sample at `v` (0: the first pixel's centre) comes from inside the image: what is
-/// outside is a copy of the border, and has no say.
+/// The fraction, 0..=1, of a linearly interpolated sample that comes from inside the image, along
+/// one axis of `size` pixels. `v` is in pixels with the first pixel's centre at 0. The padding is a
+/// copy of the border and carries no information.
 #[inline(always)]
-pub fn share_inside(v: f64, size: usize) -> f32 {
+pub fn fraction_inside(v: f64, size: usize) -> f32 {
     (1.0 + v.min(size as f64 - 1.0 - v)).clamp(0.0, 1.0) as f32
 }
 
-/// A window of a plane between its samples, cut out row by row.
+/// A window of a row-major plane at a sub-pixel position, read row by row.
 #[derive(Clone, Copy)]
 pub struct Window<'a> {
     plane: &'a [f32],
     base: usize,
     stride: usize,
+    /// Samples of a row.
     row: usize,
     rows: usize,
-    /// The window's place within the pixel.
+    /// The fractional position after `base`, x and y, in 0..1.
     within: [f32; 2],
 }
 
-/// Some columns of a [`Window`], 8·B wide, interpolated downwards.
+/// An iterator over the rows of a strip of a [`Window`], B words of eight columns wide.
 pub struct Columns<'a, V, const B: usize> {
     plane: &'a [f32],
     stride: usize,
+    /// Index of the next row's first sample.
     next: usize,
+    /// Index of the last row's first sample.
     end: usize,
     within: [V; 2],
+    /// The last row read, interpolated horizontally.
     above: [V; B],
 }
 
 impl<'a> Window<'a> {
-    /// `rows` rows of `row` samples, a fraction of a pixel (x, y) after `base`.
+    /// The window of `rows` rows of `row` samples each, that begins the fractional position
+    /// `within` (x, y; 0..1) after the sample of index `base`. `stride` is the plane's.
     ///
     /// # Panics
-    /// If it is not inside the plane.
+    /// If the window and its bilinear neighbours are not inside the plane.
     #[inline(always)]
     pub fn new(
         plane: &'a [f32],
@@ -63,12 +72,12 @@ impl<'a> Window<'a> {
         Self { plane, base, stride, row, rows, within }
     }
 
-    /// From the top, 8·B columns from `x` on.
+    /// The strip of 8·B columns from column `x` on, from the top row down.
     ///
     /// # Panics
-    /// If they are not in the window.
+    /// If the strip is not inside the window.
     #[inline(always)]
-    pub fn columns<V: Vector, const B: usize>(&self, x: usize) -> Columns<'a, V, B> {
+    pub fn columns<V: F32x8, const B: usize>(&self, x: usize) -> Columns<'a, V, B> {
         assert!(x + B * LANES <= self.row);
         let mut columns = Columns {
             plane: self.plane,
@@ -78,21 +87,21 @@ impl<'a> Window<'a> {
             within: V::splats(self.within),
             above: [V::zero(); B],
         };
-        columns.above = columns.across();
+        columns.above = columns.next_plane_row();
         columns
     }
 }
 
-impl<V: Vector, const B: usize> Columns<'_, V, B> {
-    /// The plane's next row, interpolated across.
+impl<V: F32x8, const B: usize> Columns<'_, V, B> {
+    /// The plane's next row, interpolated horizontally.
     #[inline(always)]
-    fn across(&mut self) -> [V; B] {
+    fn next_plane_row(&mut self) -> [V; B] {
         assert!(self.next <= self.end);
         let mut row = [V::zero(); B];
         for (b, out) in row.iter_mut().enumerate() {
             let at = self.next + b * LANES;
-            // SAFETY: the last is at the `end` of the rows and columns that `Window::new` found
-            // inside.
+            // SAFETY: `end` is the last row, and `Window::new` and `Window::columns` checked that
+            // it and the columns are inside.
             let [left, right] = unsafe {
                 [V::load_unchecked(self.plane, at), V::load_unchecked(self.plane, at + 1)]
             };
@@ -102,13 +111,13 @@ impl<V: Vector, const B: usize> Columns<'_, V, B> {
         row
     }
 
-    /// The window's next row.
+    /// The strip's next row, interpolated both ways.
     ///
     /// # Panics
-    /// If there is none.
+    /// If all rows have been read.
     #[inline(always)]
     pub fn row(&mut self) -> [V; B] {
-        let below = self.across();
+        let below = self.next_plane_row();
         let mut row = [V::zero(); B];
         for b in 0..B {
             row[b] = below[b].sub(self.above[b]).mul_add(self.within[1], self.above[b]);
@@ -118,31 +127,44 @@ impl<V: Vector, const B: usize> Columns<'_, V, B> {
     }
 }
 
-/// Eight of Scharr's 3×3 derivatives across and down, times 32, from a pixel on.
-///
-/// # Panics
-/// If the pixels around are not in the plane.
-#[inline(always)]
-pub fn scharr<V: Vector>(plane: &[f32], at: usize, stride: usize) -> [V; 2] {
-    assert!(at > stride && at + stride + LANES < plane.len(), "the border is wide enough");
-    let [up, down] = [at - stride, at + stride];
-    // SAFETY: the first is at − stride − 1, the last before at + stride + 1 + LANES.
-    let [a, b, c, d, e, f, g, h] = unsafe {
-        [
-            V::load_unchecked(plane, up - 1),
-            V::load_unchecked(plane, up),
-            V::load_unchecked(plane, up + 1),
-            V::load_unchecked(plane, at - 1),
-            V::load_unchecked(plane, at + 1),
-            V::load_unchecked(plane, down - 1),
-            V::load_unchecked(plane, down),
-            V::load_unchecked(plane, down + 1),
-        ]
-    };
-    let (three, ten) = (V::splat(3.0), V::splat(10.0));
-    // The corners' differences are shared: along the diagonals.
-    let (falling, rising) = (h.sub(a), c.sub(f));
-    let dx = falling.add(rising).mul(three).add(e.sub(d).mul(ten));
-    let dy = falling.sub(rising).mul(three).add(g.sub(b).mul(ten));
-    [dx, dy]
+#[cfg(all(test, target_arch = "x86_64"))]
+mod tests {
+    use super::super::gradient::scharr;
+    use super::super::simd::{Avx2, Scalar, catmull_rom, has_avx2_and_fma};
+    use super::*;
+
+    #[test]
+    fn avx2_equals_scalar_to_1e_5() {
+        if !has_avx2_and_fma() {
+            return;
+        }
+        let plane: Vec<f32> = (0..400).map(|k| (k as f32 * 0.77).sin()).collect();
+        let values: [f32; LANES] = std::array::from_fn(|l| (l as f32 * 1.7).cos() * 3.0);
+        let first: [usize; LANES] = std::array::from_fn(|l| 17 * l + l * l);
+        fn all<V: F32x8>(
+            plane: &[f32],
+            values: &[f32; LANES],
+            first: &[usize; LANES],
+        ) -> Vec<[f32; LANES]> {
+            let v = V::from_array(values);
+            let (floor, fraction) = v.floor_and_fraction();
+            let weights = catmull_rom(fraction);
+            let window = Window::new(plane, 5, 30, [2 * LANES, 3], [0.3, 0.8]);
+            let mut columns = window.columns::<V, 2>(0);
+            let [first_row, _] = columns.row();
+            let [_, second_row] = columns.row();
+            let cubic =
+                V::gather_4x4(plane, first, 20, weights, catmull_rom(fraction.mul(fraction)));
+            let mut out = vec![fraction.to_array(), floor.map(|w| w as f32), v.abs().to_array()];
+            out.extend([first_row, second_row, cubic, v.sub(fraction)].map(V::to_array));
+            out.extend(scharr::<V>(plane, 40, 20).map(V::to_array));
+            out.push([v.sum() as f32; LANES]);
+            out
+        }
+        let (scalar, avx2) =
+            (all::<Scalar>(&plane, &values, &first), all::<Avx2>(&plane, &values, &first));
+        for (a, b) in scalar.iter().flatten().zip(avx2.iter().flatten()) {
+            assert!((a - b).abs() < 1e-5, "{a} {b}");
+        }
+    }
 }

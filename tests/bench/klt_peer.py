@@ -1,12 +1,12 @@
-"""OpenCV beside the benchmarks of registration: answers commands on stdin, one a line.
+"""OpenCV as the peer of the registration benchmarks: answers commands on stdin, one per line.
 
 `threads N`                              cv2.setNumThreads
 `images A B POINTS`                      two images, and points (float32 pairs, top-left centre at 0)
 `track SIDE LEVELS ITERATIONS EPSILON`   calcOpticalFlowPyrLK, pyramids included
-`tracked OUT`                            its answer, as float32 x, y and 1 where found
+`tracked OUT`                            its result, as float32 x, y and 1 where tracked
 `dis`                                    DIS flow, preset medium, in both directions
 
-Every command is answered by a line with the milliseconds of processor time and of wall time.
+Each answer is a line with the milliseconds of processor time and of wall time.
 """
 
 import sys
@@ -24,7 +24,7 @@ def main() -> None:
     first: Any = None
     second: Any = None
     points: Any = None
-    found: Any = None
+    tracked: Any = None
     status: Any = None
     dis = opencv.DISOpticalFlow_create(opencv.DISOPTICAL_FLOW_PRESET_MEDIUM)
     for line in sys.stdin:
@@ -43,7 +43,7 @@ def main() -> None:
                 float(words[3]),
             )
             start = (time.process_time(), time.perf_counter())
-            found, status, _ = opencv.calcOpticalFlowPyrLK(
+            tracked, status, _ = opencv.calcOpticalFlowPyrLK(
                 first,
                 second,
                 points,
@@ -54,7 +54,7 @@ def main() -> None:
             )
         elif command == "tracked":
             table = np.concatenate(
-                [found.reshape(-1, 2), status.reshape(-1, 1)], axis=1
+                [tracked.reshape(-1, 2), status.reshape(-1, 1)], axis=1
             )
             Path(words[0]).write_bytes(table.astype("<f4").tobytes())
         elif command == "dis":

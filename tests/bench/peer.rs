@@ -1,16 +1,17 @@
-//! OpenCV in a process of its own, asked step by step: `klt_peer.py` says what it understands.
+//! OpenCV as a peer, in a process of its own; `klt_peer.py` documents its commands.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
+/// A running peer process, which ends when this is dropped.
 pub struct Peer {
     child: Child,
     commands: Option<ChildStdin>,
     answers: BufReader<ChildStdout>,
 }
 
-/// Milliseconds of a command.
+/// The time that a command took, milliseconds.
 #[derive(Clone, Copy)]
 pub struct Spent {
     pub processor_ms: f64,
@@ -18,7 +19,10 @@ pub struct Spent {
 }
 
 impl Peer {
-    /// In the project's Python environment, which `stlfr setup` makes.
+    /// Starts the peer in the project's Python environment, which `stlfr setup` makes.
+    ///
+    /// # Panics
+    /// If the environment is missing.
     pub fn start() -> Self {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
         let mut child = Command::new(root.join(".venv/bin/python"))
@@ -32,6 +36,10 @@ impl Peer {
         Self { child, commands, answers }
     }
 
+    /// Sends a command and waits for its answer.
+    ///
+    /// # Panics
+    /// If the peer fails.
     pub fn ask(&mut self, command: &str) -> Spent {
         let stdin = self.commands.as_mut().expect("it is open until the end");
         writeln!(stdin, "{command}").expect("the peer listens");

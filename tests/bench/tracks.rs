@@ -19,8 +19,8 @@ use std::sync::Arc;
 use stlfr::camera::{Camera, EpipolarGeometry};
 use stlfr::capture::{Capture, Tracks, Truth};
 use stlfr::registration::{
-    FrameStore, RegistrationOptions, Run, Track, Verdict, agreeing, epipolar_test,
-    select_references, temporal_flow, temporal_flow_of,
+    FlowDirection, FrameStore, ReferenceQuery, RegistrationOptions, Track, Verdict, epipolar_test,
+    neighbor_consensus, select_references, temporal_flow, temporal_flow_of,
 };
 use worlds::Case;
 
@@ -164,7 +164,7 @@ impl Scene {
         at(k).zip(at(k + 1)).map_or(0.0, |(a, b)| (b - a).norm())
     }
 
-    /// How far the track's path is off the epipolar line of its point's true position, in the
+    /// How far the track's trajectory is off the epipolar line of its point's true position, in the
     /// reference camera that tests it.
     fn across(
         &self,
@@ -175,12 +175,14 @@ impl Scene {
     ) -> Option<f64> {
         let times = self.times_s[camera].as_ref()?;
         let interval = [times[k], times[k + 1]];
-        let t = if sample.track.run == Run::Backward { interval[0] } else { interval[1] };
-        let references =
-            select_references(&self.capture, &self.times_s, camera, interval, t, options);
+        let backward = sample.track.direction == FlowDirection::Backward;
+        let time_s = if backward { interval[0] } else { interval[1] };
+        let query = ReferenceQuery { camera, interval_s: interval, time_s };
+        let references = select_references(&self.capture, &self.times_s, &query, options);
         let reference = references.first.first()?;
         let [own, other] = [camera, reference.camera].map(|c| &self.capture.cameras[c].camera);
-        let at = own.model.ideal_from_pixel(&sample.track.path(times, k)?.at(reference.time_s))?;
+        let at =
+            own.model.ideal_from_pixel(&sample.track.trajectory(times, k)?.at(reference.time_s))?;
         let line = EpipolarGeometry::new(own, other)?.line_in_j(&at)?;
         let (p, _) = self.place(sample.point, reference.camera, reference.frame)?;
         Some(line.distance(&other.model.ideal_from_pixel(&p)?).abs())
@@ -189,19 +191,23 @@ impl Scene {
 
 /// The frame in which a track's own position is exact, and that position.
 fn start(track: &Track, k: usize) -> (usize, Point2<f64>) {
-    if track.run == Run::Backward { (k + 1, track.later) } else { (k, track.earlier) }
+    if track.direction == FlowDirection::Backward {
+        (k + 1, track.later)
+    } else {
+        (k, track.earlier)
+    }
 }
 
-fn share(count: usize, of: usize) -> f64 {
+fn percent(count: usize, of: usize) -> f64 {
     if of == 0 { f64::NAN } else { 100.0 * count as f64 / of as f64 }
 }
 
-/// Number, median, and the shares within 0.1 and 1 pixel.
+/// Number, median, and the fractions within 0.1 and 1 pixel.
 fn row(errors: &[f64]) -> String {
     let mut sorted = errors.to_vec();
     sorted.sort_by(f64::total_cmp);
     let at = |q: f64| sorted.get((q * (sorted.len() as f64 - 1.0)) as usize).copied();
-    let within = |b: f64| share(sorted.iter().filter(|e| **e <= b).count(), sorted.len());
+    let within = |b: f64| percent(sorted.iter().filter(|e| **e <= b).count(), sorted.len());
     let or_nan = |v: Option<f64>| v.unwrap_or(f64::NAN);
     format!(
         "{:6} {:.3} {:.3} {:5.1}% {:5.1}%",
@@ -218,7 +224,7 @@ fn made_wrong(sample: &Sample, random: &mut Random) -> Sample {
     let (angle, size) = (std::f64::consts::TAU * random.uniform(), 3.0 + 17.0 * random.uniform());
     let error = size * Vector2::new(angle.cos(), angle.sin());
     let mut wrong = sample.clone();
-    if wrong.track.run == Run::Backward {
+    if wrong.track.direction == FlowDirection::Backward {
         wrong.track.earlier += error;
     } else {
         wrong.track.later += error;
@@ -244,59 +250,82 @@ struct Counts {
     made: [usize; 3],
     /// Of tracks wrong by over 3 px, before any check: all, and what stops them.
     wrong: usize,
-    by_back: usize,
+    by_forward_backward: usize,
     by_residual: usize,
-    by_vote: usize,
+    by_consensus: usize,
     by_test: usize,
     together: usize,
 }
 
+/// A pair of frames to score: k and k + 1 of a camera.
+struct Scoring<'a> {
+    scene: &'a Scene,
+    options: &'a RegistrationOptions,
+    store: FrameStore,
+    camera: usize,
+    k: usize,
+}
+
 fn score(scene: &Scene, options: &RegistrationOptions) -> Counts {
     let mut counts = Counts::default();
-    let mut unchecked = options.clone();
-    unchecked.max_back_error_px = 1000.0;
-    unchecked.min_support = 0;
-    unchecked.klt.max_residual = 1.0;
     for &(camera, k) in &scene.pairs {
         let store = FrameStore::new(scene.capture.clone(), options);
-        let samples = scene.tracks(&store, camera, k);
-        let visible = scene.visible(camera, k, LARGE_PX);
+        let scoring = Scoring { scene, options, store, camera, k };
+        let samples = scene.tracks(&scoring.store, camera, k);
+        scoring.score_tracks(&samples, &mut counts);
+        scoring.score_corrupted(samples, &mut counts);
+        scoring.score_unchecked(&mut counts);
+    }
+    counts
+}
+
+impl Scoring<'_> {
+    fn verdicts(&self, samples: &[Sample]) -> Vec<Verdict> {
+        let tracks: Vec<Track> = samples.iter().map(|s| s.track.clone()).collect();
+        epipolar_test(&self.store, &self.scene.times_s, self.camera, self.k, &tracks)
+            .expect("verdicts")
+    }
+
+    fn error(&self, sample: &Sample) -> f64 {
+        self.scene.error(sample, self.camera, self.k)
+    }
+
+    /// Whether a track is off the epipolar line by over ε + 1 px.
+    fn is_off_line(&self, sample: &Sample) -> bool {
+        self.scene
+            .across(sample, self.camera, self.k, self.options)
+            .is_some_and(|d| d > self.options.epsilon_px + 1.0)
+    }
+
+    /// The tracks as registration gives them, before and after the epipolar test.
+    fn score_tracks(&self, samples: &[Sample], counts: &mut Counts) {
+        let visible = self.scene.visible(self.camera, self.k, LARGE_PX);
         counts.visible[0] += visible.len();
         counts.visible[1] += visible.iter().filter(|large| **large).count();
-        let test = |samples: &[Sample]| {
-            let tracks: Vec<Track> = samples.iter().map(|s| s.track.clone()).collect();
-            epipolar_test(&store, &scene.times_s, camera, k, &tracks).expect("verdicts")
-        };
-        for (sample, verdict) in samples.iter().zip(test(&samples)) {
-            let error = scene.error(sample, camera, k);
-            let kept = verdict != Verdict::Rejected;
-            let moved_px = scene.motion(sample, camera, k);
+        for (sample, verdict) in samples.iter().zip(self.verdicts(samples)) {
+            let error = self.error(sample);
+            let accepted = verdict != Verdict::Rejected;
+            let moved_px = self.scene.motion(sample, self.camera, self.k);
             let moving = moved_px > 0.5;
             if error <= 1.0 {
                 counts.followed[0] += 1;
                 counts.followed[1] += usize::from(moved_px > LARGE_PX);
             }
             counts.before.push(error);
-            counts.after.extend(kept.then_some(error));
+            counts.after.extend(accepted.then_some(error));
             counts.moving.extend(moving.then_some(error));
-            counts.moving_after.extend((moving && kept).then_some(error));
+            counts.moving_after.extend((moving && accepted).then_some(error));
             counts.untestable += usize::from(verdict == Verdict::Untestable);
             if error <= 1.0 {
                 counts.right[0] += 1;
-                counts.right[1] += usize::from(!kept);
+                counts.right[1] += usize::from(!accepted);
             }
         }
-        let right: Vec<Sample> =
-            samples.into_iter().filter(|s| scene.error(s, camera, k) < 1.0).collect();
-        let off = |sample: &Sample| {
-            scene.across(sample, camera, k, options).is_some_and(|d| d > options.epsilon_px + 1.0)
-        };
-        let count = |counts: &mut [usize; 3], verdict: Verdict| {
-            counts[0] += 1;
-            counts[1] += usize::from(verdict == Verdict::Rejected);
-            counts[2] += usize::from(verdict == Verdict::Untestable);
-        };
-        // Every track is made wrong once, a tenth of them at a time.
+    }
+
+    /// Every right track, made wrong once, a tenth of them at a time.
+    fn score_corrupted(&self, samples: Vec<Sample>, counts: &mut Counts) {
+        let right: Vec<Sample> = samples.into_iter().filter(|s| self.error(s) < 1.0).collect();
         let mut random = Random(5);
         for turn in 0..10 {
             let given: Vec<Sample> = (0..right.len())
@@ -305,38 +334,52 @@ fn score(scene: &Scene, options: &RegistrationOptions) -> Counts {
                     false => right[n].clone(),
                 })
                 .collect();
-            for (n, (sample, verdict)) in given.iter().zip(test(&given)).enumerate() {
-                if n % 10 == turn && off(sample) {
+            for (n, (sample, verdict)) in given.iter().zip(self.verdicts(&given)).enumerate() {
+                if n % 10 == turn && self.is_off_line(sample) {
                     count(&mut counts.made, verdict);
                 }
             }
         }
-        let raw_store = FrameStore::new(scene.capture.clone(), &unchecked);
-        let raw = scene.tracks(&raw_store, camera, k);
+    }
+
+    /// Tracks without any check, and which check stops the wrong ones.
+    fn score_unchecked(&self, counts: &mut Counts) {
+        let mut unchecked = self.options.clone();
+        unchecked.max_back_error_px = 1000.0;
+        unchecked.min_support = 0;
+        unchecked.klt.max_residual = 1.0;
+        let raw_store = FrameStore::new(self.scene.capture.clone(), &unchecked);
+        let raw = self.scene.tracks(&raw_store, self.camera, self.k);
         let tracks: Vec<Track> = raw.iter().map(|s| s.track.clone()).collect();
-        let agree = agreeing(&tracks, options);
-        for ((sample, verdict), agrees) in raw.iter().zip(test(&raw)).zip(agree) {
-            if off(sample) {
+        let consensus = neighbor_consensus(&tracks, self.options);
+        for ((sample, verdict), agrees) in raw.iter().zip(self.verdicts(&raw)).zip(consensus) {
+            if self.is_off_line(sample) {
                 count(&mut counts.across, verdict);
             }
-            if !(scene.error(sample, camera, k) > 3.0) {
+            if !(self.error(sample) > 3.0) {
                 continue;
             }
             let stops = [
-                sample.track.back_error_px > options.max_back_error_px,
-                sample.track.residual > options.klt.max_residual,
+                sample.track.forward_backward_error_px > self.options.max_back_error_px,
+                sample.track.residual > self.options.klt.max_residual,
                 !agrees,
                 verdict == Verdict::Rejected,
             ];
             counts.wrong += 1;
-            counts.by_back += usize::from(stops[0]);
+            counts.by_forward_backward += usize::from(stops[0]);
             counts.by_residual += usize::from(stops[1]);
-            counts.by_vote += usize::from(stops[2]);
+            counts.by_consensus += usize::from(stops[2]);
             counts.by_test += usize::from(stops[3]);
             counts.together += usize::from(stops.contains(&true));
         }
     }
-    counts
+}
+
+/// Adds a verdict to all, rejected, untestable.
+fn count(counts: &mut [usize; 3], verdict: Verdict) {
+    counts[0] += 1;
+    counts[1] += usize::from(verdict == Verdict::Rejected);
+    counts[2] += usize::from(verdict == Verdict::Untestable);
 }
 
 fn main() {
@@ -364,32 +407,38 @@ fn main() {
         println!("  moving, after                    {}", row(&c.moving_after));
         for (name, k) in [("points", 0), ("that move over 20 px", 1)] {
             if c.visible[k] > 0 {
-                let share = share(c.followed[k], c.visible[k]);
-                println!("  {name}, seen in both: {}, followed to 1 px {share:.1}%", c.visible[k]);
+                let followed = percent(c.followed[k], c.visible[k]);
+                println!(
+                    "  {name}, seen in both: {}, followed to 1 px {followed:.1}%",
+                    c.visible[k]
+                );
             }
         }
-        println!("  untestable                       {:.1}%", share(c.untestable, c.before.len()));
+        println!(
+            "  untestable                       {:.1}%",
+            percent(c.untestable, c.before.len())
+        );
         println!(
             "  right ones rejected              {:.2}% of {}",
-            share(c.right[1], c.right[0]),
+            percent(c.right[1], c.right[0]),
             c.right[0]
         );
         for (name, [all, rejected, untestable]) in [("as they come", c.across), ("made", c.made)] {
             println!(
                 "  off the line by over ε + 1 px, {name}: {all}, rejected {:.1}%, untestable {:.1}%, of the testable rejected {:.1}%",
-                share(rejected, all),
-                share(untestable, all),
-                share(rejected, all - untestable)
+                percent(rejected, all),
+                percent(untestable, all),
+                percent(rejected, all - untestable)
             );
         }
         println!(
-            "  wrong by over 3 px, unchecked: {}; stopped by way back {:.0}%, residual {:.0}%, neighbours {:.0}%, epipolar test {:.0}%, together {:.1}%",
+            "  wrong by over 3 px, unchecked: {}; stopped by forward-backward error {:.0}%, residual {:.0}%, neighbours {:.0}%, epipolar test {:.0}%, together {:.1}%",
             c.wrong,
-            share(c.by_back, c.wrong),
-            share(c.by_residual, c.wrong),
-            share(c.by_vote, c.wrong),
-            share(c.by_test, c.wrong),
-            share(c.together, c.wrong)
+            percent(c.by_forward_backward, c.wrong),
+            percent(c.by_residual, c.wrong),
+            percent(c.by_consensus, c.wrong),
+            percent(c.by_test, c.wrong),
+            percent(c.together, c.wrong)
         );
     }
 }

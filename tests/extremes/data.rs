@@ -19,7 +19,7 @@ use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::random::Random;
 use stlfr::raster::Image;
 use stlfr::raster::{BitDepth, write_image};
-use stlfr::registration::{Pyramid, RegistrationOptions, Run, Track, agreeing};
+use stlfr::registration::{FlowDirection, Pyramid, RegistrationOptions, Track, neighbor_consensus};
 
 /// Half a step of 8 bits and its rounding: the same picture.
 const STEP: f32 = 1.0 / 255.0;
@@ -191,27 +191,27 @@ fn all_outliers() {
     // Tracks that move like none of their neighbours are dropped; those that agree stay.
     let options = RegistrationOptions::default();
     let track = |at: Point2<f64>, motion: Vector2<f64>| Track {
-        run: Run::Both,
+        direction: FlowDirection::Both,
         before: None,
         earlier: at,
         later: at + motion,
         after: None,
         residual: 0.0,
-        back_error_px: 0.0,
+        forward_backward_error_px: 0.0,
     };
     let mut wild = Vec::new();
     for _ in 0..200 {
         let at = Point2::new(random.in_range(0.0, 96.0), random.in_range(0.0, 72.0));
         wild.push(track(at, Vector2::new(random.signed(), random.signed()) * 40.0));
     }
-    let kept = agreeing(&wild, &options).into_iter().filter(|k| *k).count();
+    let kept = neighbor_consensus(&wild, &options).into_iter().filter(|k| *k).count();
     // Of a track's 36 neighbours one agrees by chance, to the fifth of its motion that may differ;
     // two must.
     assert!(kept <= 60, "{kept} of 200 by chance");
     for t in &mut wild {
         t.later = t.earlier + Vector2::new(30.0, 0.0);
     }
-    assert!(agreeing(&wild, &options).into_iter().all(|k| k));
+    assert!(neighbor_consensus(&wild, &options).into_iter().all(|k| k));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! f32 kernels against f64 references with stated bounds, over random inputs and the ends of their
 //! ranges. (Private ones stand beside the code: the tracker's sums and registers in
-//! `registration::klt` and `lanes`, corners in `corners`, the blend and its weights in
+//! `registration::klt` and `simd`, corners in `corners`, the blend and its weights in
 //! `lumigraph::tests` and `weights`, windows in `interpolation::windows`.)
 
 use crate::common::swing::Swing;

@@ -10,8 +10,8 @@ use stlfr::camera::{Camera, CameraModel};
 use stlfr::capture::Capture;
 use stlfr::raster::{encoded_from_linear, linear_from_encoded};
 use stlfr::registration::{
-    FrameStore, GainMethod, LongTracks, RegistrationOptions, Run, Track, Verdict, epipolar_test,
-    select_references, temporal_flow,
+    FlowDirection, FrameStore, GainMethod, LongTracks, ReferenceQuery, RegistrationOptions, Track,
+    Verdict, epipolar_test, select_references, temporal_flow,
 };
 
 fn filmed(
@@ -54,6 +54,10 @@ fn tracks_are_the_same_on_any_number_of_threads() {
     assert_eq!(one, run(5));
 }
 
+fn query(camera: usize, interval_s: [f64; 2], time_s: f64) -> ReferenceQuery {
+    ReferenceQuery { camera, interval_s, time_s }
+}
+
 /// Wrong tracks across the lines are removed, right ones stay; seen through lenses that bend the
 /// lines, too.
 #[test]
@@ -83,7 +87,7 @@ fn the_epipolar_test_removes_what_is_off_its_line() {
                 let is_wrong = random.uniform() < 0.3;
                 let error = Vector2::new(0.0, if random.uniform() < 0.5 { 8.0 } else { -8.0 });
                 let mut track = track.clone();
-                if is_wrong && track.run == Run::Backward {
+                if is_wrong && track.direction == FlowDirection::Backward {
                     track.earlier += error;
                 } else if is_wrong {
                     track.later += error;
@@ -172,7 +176,8 @@ fn a_blind_reference_is_replaced_by_the_next() {
         let options = RegistrationOptions { further_references, ..Default::default() };
         let store = FrameStore::new(capture.clone(), &options);
         let mut tracks = temporal_flow(&store, 0, 1).expect("tracks");
-        for track in tracks.iter_mut().step_by(7).filter(|t| t.run != Run::Backward) {
+        for track in tracks.iter_mut().step_by(7).filter(|t| t.direction != FlowDirection::Backward)
+        {
             (track.later.y, track.before, track.after) = (track.later.y + 9.0, None, None);
         }
         epipolar_test(&store, &times(&capture), 0, 1, &tracks).expect("verdicts")
@@ -211,7 +216,8 @@ fn a_slower_reference_is_interpolated() {
     let slow = times[1].as_ref().expect("known");
     assert!(slow[0] < own[1] && own[2] < slow[1], "{own:?} {slow:?}");
     let chosen =
-        select_references(&capture, &times, 0, [own[1], own[2]], own[2], store.options()).first;
+        select_references(&capture, &times, &query(0, [own[1], own[2]], own[2]), store.options())
+            .first;
     assert_eq!(chosen.len(), 1);
     assert_eq!((chosen[0].frame, chosen[0].time_s), (0, own[2]));
     assert_eq!(chosen[0].between, Some([slow[0], slow[1]]));
@@ -222,7 +228,7 @@ fn a_slower_reference_is_interpolated() {
             .map(|t| {
                 let mut t = Track { before: None, after: None, ..t.clone() };
                 // At the end that was looked for.
-                if t.run == Run::Backward {
+                if t.direction == FlowDirection::Backward {
                     t.earlier.y += wrong;
                 } else {
                     t.later.y += wrong;
@@ -280,17 +286,17 @@ fn a_line_has_one_reference_and_a_grid_a_row_s_and_a_column_s() {
     let line: Vec<[f64; 3]> = (0..5).map(|c| [0.06 * f64::from(c), 0.0, 0.0]).collect();
     // Camera 2 asks at its second frame, t = 1: of its neighbours, 3 is nearer in time.
     let (capture, times) = placed(&line, &[0.9, 0.4, 0.0, 0.7, 0.95]);
-    let chosen = select_references(&capture, &times, 2, [0.0, 1.0], 1.0, &options).first;
+    let chosen = select_references(&capture, &times, &query(2, [0.0, 1.0], 1.0), &options).first;
     let names: Vec<_> = chosen.iter().map(|r| (r.camera, r.frame)).collect();
     assert_eq!(names, [(3, 0)]);
     // At t = 0, eq. (5) takes frames within [0, 1] only, and camera 1 is nearer.
-    let chosen = select_references(&capture, &times, 2, [0.0, 1.0], 0.0, &options).first;
+    let chosen = select_references(&capture, &times, &query(2, [0.0, 1.0], 0.0), &options).first;
     assert_eq!(chosen.iter().map(|r| r.camera).collect::<Vec<_>>(), [1]);
 
     let grid: Vec<[f64; 3]> =
         (0..9).map(|c| [0.06 * f64::from(c % 3), 0.06 * f64::from(c / 3), 0.0]).collect();
     let (capture, times) = placed(&grid, &[0.5, 0.2, 0.9, 0.6, 0.0, 0.3, 0.5, 0.8, 0.5]);
-    let chosen = select_references(&capture, &times, 4, [0.0, 1.0], 1.0, &options).first;
+    let chosen = select_references(&capture, &times, &query(4, [0.0, 1.0], 1.0), &options).first;
     // Row: 3 (at 0.6) before 5; column: 7 (at 0.8) before 1; 7 is the nearer in time.
     assert_eq!(chosen.iter().map(|r| r.camera).collect::<Vec<_>>(), [7, 3]);
     // Only the frame that lies within the interval can be a reference's.
@@ -298,16 +304,16 @@ fn a_line_has_one_reference_and_a_grid_a_row_s_and_a_column_s() {
         .iter()
         .map(|t| t.as_ref().map(|t| t.iter().map(|t| t + 5.0).collect::<Vec<_>>()))
         .collect();
-    assert!(select_references(&capture, &late, 4, [0.0, 1.0], 1.0, &options).first.is_empty());
+    assert!(
+        select_references(&capture, &late, &query(4, [0.0, 1.0], 1.0), &options).first.is_empty()
+    );
 }
 
-/// Numbers stay, positions follow the surface, and nothing grows with the frames.
-#[test]
-fn long_tracks_are_stable_and_flat_in_memory() {
-    const FRAMES: usize = 2400;
+/// A capture of one camera with so many frames: a surface that goes around in a circle, once in 40 frames. Its
+/// frames are links to 40 images.
+fn circling(frames: usize) -> (tempfile::TempDir, Arc<Capture>) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let value = waves(&mut Random(5), 1);
-    // A surface that goes around in a circle, once in 40 frames; 40 different images.
     let shift = |k: usize| {
         let angle = std::f64::consts::TAU * (k % 40) as f64 / 40.0;
         Vector2::new(6.0 * angle.cos(), 6.0 * angle.sin())
@@ -320,7 +326,7 @@ fn long_tracks_are_stable_and_flat_in_memory() {
         stlfr::raster::write_image(&path, &image, None, stlfr::raster::BitDepth::Eight)
             .expect("an image can be written");
     }
-    for k in 0..FRAMES {
+    for k in 0..frames {
         std::os::unix::fs::symlink(
             folder.path().join(format!("image{}.png", k % 40)),
             folder.path().join(format!("cam0/{k:04}.png")),
@@ -336,17 +342,25 @@ fn long_tracks_are_stable_and_flat_in_memory() {
             "clock": {"rate_hz": 30.0, "first_s": 0.0, "shared": false}}]});
     std::fs::write(folder.path().join("capture.json"), capture.to_string()).expect("a file");
     let capture = Arc::new(Capture::open(folder.path()).expect("a capture"));
+    (folder, capture)
+}
+
+/// Identifiers stay, positions follow the surface, and nothing grows with the number of frames.
+#[test]
+fn long_tracks_are_stable_and_flat_in_memory() {
+    const FRAMES: usize = 2400;
+    let (_folder, capture) = circling(FRAMES);
     let options = RegistrationOptions::default();
     const BOUND: usize = 1 << 20;
     let store = FrameStore::with_bound(capture.clone(), &options, BOUND);
     let mut long = LongTracks::start(&store, 0, 0).expect("corners");
     let first: Vec<(u64, Point2<f64>)> =
         long.tracks().iter().map(|t| (t.id, t.position())).collect();
-    let (mut most, mut worst_40) = (0, 0.0_f64);
+    let (mut max_count, mut max_error_40) = (0, 0.0_f64);
     for k in 1..FRAMES {
         long.advance(&store).expect("the next frame");
         assert!(store.bytes() <= BOUND, "{} bytes", store.bytes());
-        most = most.max(long.tracks().len());
+        max_count = max_count.max(long.tracks().len());
         assert!(long.tracks().is_sorted_by(|a, b| a.id < b.id));
         if k == 40 {
             // Once around: everybody is back where it started.
@@ -354,17 +368,18 @@ fn long_tracks_are_stable_and_flat_in_memory() {
             for track in long.tracks() {
                 if let Some((_, start)) = first.iter().find(|(id, _)| *id == track.id) {
                     survivors += 1;
-                    worst_40 = worst_40.max((track.position() - start).norm());
-                    let path = track.path(&capture.cameras[0].clock.times_s, k).expect("a path");
+                    max_error_40 = max_error_40.max((track.position() - start).norm());
+                    let trajectory =
+                        track.trajectory(&capture.cameras[0].clock.times_s, k).expect("a curve");
                     let time_s = capture.cameras[0].clock.times_s[k];
-                    assert!((path.at(time_s) - track.position()).norm() < 1e-9);
+                    assert!((trajectory.at(time_s) - track.position()).norm() < 1e-9);
                 }
             }
             assert!(survivors > 5, "{survivors} of {}", first.len());
         }
     }
-    assert!(most < 400, "{most}");
-    assert!(worst_40 < 2.0, "{worst_40}");
+    assert!(max_count < 400, "{max_count}");
+    assert!(max_error_40 < 2.0, "{max_error_40}");
     let ids = long.tracks().iter().map(|t| t.id);
     assert!(ids.clone().count() > 5 && ids.max().expect("some") < 40_000);
 }

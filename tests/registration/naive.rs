@@ -5,6 +5,7 @@ use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector2};
 use stlfr::raster::Image;
 use stlfr::registration::{AffineOptions, KltOptions};
 
+/// A grey image in f64.
 pub struct Plane {
     w: usize,
     h: usize,
@@ -46,8 +47,8 @@ impl Plane {
             .sum()
     }
 
-    /// Of a sample, how much is not beyond the border.
-    fn share_inside(&self, p: &Vector2<f64>) -> f64 {
+    /// The fraction of a sample that is inside the image.
+    fn fraction_inside(&self, p: &Vector2<f64>) -> f64 {
         let along = |v: f64, n: usize| (v + 1.0).min(n as f64 - v).clamp(0.0, 1.0);
         along(p.x, self.w) * along(p.y, self.h)
     }
@@ -91,77 +92,137 @@ where
         + (at(x, y + 1) * (1.0 - fx) + at(x + 1, y + 1) * fx) * fy
 }
 
-pub fn track(a: &Image, b: &Image, from: Point2<f64>, o: &KltOptions) -> Option<Point2<f64>> {
-    let (mut a, mut b) = (vec![Plane::new(a)], vec![Plane::new(b)]);
-    while a.len() < o.levels && a[a.len() - 1].w.min(a[a.len() - 1].h) >= 32 {
-        let next = (a[a.len() - 1].half(), b[b.len() - 1].half());
-        a.push(next.0);
-        b.push(next.1);
+/// Levels of two images, full-sized first, halved together while their shorter side is at least 32 pixels.
+fn levels(a: &Image, b: &Image, max_levels: usize) -> Vec<[Plane; 2]> {
+    let mut levels = vec![[Plane::new(a), Plane::new(b)]];
+    while levels.len() < max_levels {
+        let [a, b] = &levels[levels.len() - 1];
+        if a.w.min(a.h) < 32 {
+            break;
+        }
+        let halves = [a.half(), b.half()];
+        levels.push(halves);
     }
+    levels
+}
+
+/// The position in `b` of the window around `from` in `a`, pixels; `None` where the full-sized window has too
+/// little texture or leaves the image.
+pub fn track(a: &Image, b: &Image, from: Point2<f64>, o: &KltOptions) -> Option<Point2<f64>> {
+    let levels = levels(a, b, o.levels);
+    let mut flow = Vector2::zeros();
+    for (k, planes) in levels.iter().enumerate().rev() {
+        flow *= 2.0;
+        let p = (from.coords - Vector2::repeat(0.5)) / f64::from(1 << k);
+        match track_level(planes, &p, flow, o) {
+            Some(found) => flow = found,
+            None if k == 0 => return None,
+            None => {}
+        }
+    }
+    let position = from + flow;
+    let [a, _] = &levels[0];
+    let inside = position.x >= 0.0
+        && position.y >= 0.0
+        && position.x <= a.w as f64
+        && position.y <= a.h as f64;
+    inside.then_some(position)
+}
+
+/// The flow at `p` (the first pixel's centre at 0) on one level, from an initial one; `None` where the window has
+/// too little texture or leaves the image.
+fn track_level(
+    [a, b]: &[Plane; 2],
+    p: &Vector2<f64>,
+    mut flow: Vector2<f64>,
+    o: &KltOptions,
+) -> Option<Vector2<f64>> {
     let r = o.radius_px as i64;
     let area = ((2 * r + 1) * (2 * r + 1)) as f64;
-    let mut flow = Vector2::zeros();
-    for k in (0..a.len()).rev() {
-        flow *= 2.0;
-        let (a, b) = (&a[k], &b[k]);
-        let p = (from.coords - Vector2::repeat(0.5)) / f64::from(1 << k);
-        let window = || (-r..=r).flat_map(|y| (-r..=r).map(move |x| (x, y)));
-        let place = |(x, y): (i64, i64)| Vector2::new(x as f64, y as f64);
-        let template: Vec<_> = window()
-            .map(|o| {
-                let at = p + place(o);
-                let inside = a.share_inside(&at);
-                (between(&at, |x, y| a.at(x, y)), between(&at, |x, y| a.scharr(x, y)) * inside)
-            })
-            .collect();
-        let tensor: Matrix2<f64> = template.iter().map(|(_, g)| g * g.transpose()).sum();
-        if !(tensor.symmetric_eigenvalues().min() >= o.min_eigenvalue * area) {
-            if k == 0 {
-                return None;
-            }
-            continue;
-        }
-        let start = flow;
-        let mut previous = Vector2::zeros();
-        for step in 0..o.iterations {
-            let q = p + flow;
-            if q.x < -1.0 || q.y < -1.0 || q.x > b.w as f64 || q.y > b.h as f64 {
-                flow = start;
-                if k == 0 {
-                    return None;
-                }
-                break;
-            }
-            let right: Vector2<f64> = window()
-                .zip(&template)
-                .map(|(o, (v, g))| g * (v - between(&(q + place(o)), |x, y| b.at(x, y))))
-                .sum();
-            let delta = tensor.try_inverse()? * right;
-            flow += delta;
-            if delta.norm() < o.epsilon_px {
-                break;
-            }
-            if step > 0 && (delta + previous).norm() < o.epsilon_px {
-                flow -= 0.5 * delta;
-                break;
-            }
-            previous = delta;
-        }
+    let window = || (-r..=r).flat_map(|y| (-r..=r).map(move |x| (x, y)));
+    let place = |(x, y): (i64, i64)| Vector2::new(x as f64, y as f64);
+    let template: Vec<_> = window()
+        .map(|o| {
+            let at = p + place(o);
+            let inside = a.fraction_inside(&at);
+            (between(&at, |x, y| a.at(x, y)), between(&at, |x, y| a.scharr(x, y)) * inside)
+        })
+        .collect();
+    let tensor: Matrix2<f64> = template.iter().map(|(_, g)| g * g.transpose()).sum();
+    if !(tensor.symmetric_eigenvalues().min() >= o.min_eigenvalue * area) {
+        return None;
     }
-    let found = from + flow;
-    let inside =
-        found.x >= 0.0 && found.y >= 0.0 && found.x <= a[0].w as f64 && found.y <= a[0].h as f64;
-    inside.then_some(found)
+    let inverse = tensor.try_inverse()?;
+    let mut previous = Vector2::zeros();
+    for step in 0..o.iterations {
+        let q = p + flow;
+        if q.x < -1.0 || q.y < -1.0 || q.x > b.w as f64 || q.y > b.h as f64 {
+            return None;
+        }
+        let right: Vector2<f64> = window()
+            .zip(&template)
+            .map(|(o, (v, g))| g * (v - between(&(q + place(o)), |x, y| b.at(x, y))))
+            .sum();
+        let delta = inverse * right;
+        flow += delta;
+        if delta.norm() < o.epsilon_px {
+            break;
+        }
+        if step > 0 && (delta + previous).norm() < o.epsilon_px {
+            flow -= 0.5 * delta;
+            break;
+        }
+        previous = delta;
+    }
+    Some(flow)
+}
+
+/// A sample of a deforming window's template.
+struct Sample {
+    /// From the window's middle, pixels.
+    place: Vector2<f64>,
+    weight: f64,
+    value: f64,
+    /// Derivatives by shift, deformation by rows, gain and bias.
+    slopes: SVector<f64, 8>,
+}
+
+/// The template around a pixel, of the samples inside the image.
+fn deforming_template(a: &Plane, (cx, cy): (i64, i64), o: &AffineOptions) -> Vec<Sample> {
+    let r = o.radius_px as i64;
+    let sigma = o.sigma_share * r as f64;
+    let mean = a.at(cx, cy);
+    let inside = |v: i64, n: usize| v >= 0 && v < n as i64;
+    (-r..=r)
+        .flat_map(|y| (-r..=r).map(move |x| (x, y)))
+        .filter(|(x, y)| inside(cx + x, a.w) && inside(cy + y, a.h))
+        .map(|(x, y)| {
+            let place = Vector2::new(x as f64, y as f64);
+            let weight = (-0.5 * place.norm_squared() / (sigma * sigma)).exp();
+            let (value, g) = (a.at(cx + x, cy + y), a.scharr(cx + x, cy + y));
+            let slopes = SVector::from([
+                g.x,
+                g.y,
+                place.x * g.x,
+                place.y * g.x,
+                place.x * g.y,
+                place.y * g.y,
+                value - mean,
+                1.0,
+            ]);
+            Sample { place, weight, value, slopes }
+        })
+        .collect()
 }
 
 /// Baker and Matthews's inverse compositional step for a deforming window with gain and bias, as
-/// simply as possible: where the point `from` of `a` is in `b`, which the translation found at
-/// `found`; `None` where it does not converge near there. The image's border is repeated outwards.
+/// simply as possible: where the point `from` of `a` is in `b`, which the translation translated at
+/// `translated`; `None` where it does not converge near there. The image's border is repeated outwards.
 pub fn deformed(
     a: &Image,
     b: &Image,
     from: Point2<f64>,
-    found: Point2<f64>,
+    translated: Point2<f64>,
     o: &AffineOptions,
 ) -> Option<Point2<f64>> {
     /// Noise of 8-bit values, against which a deformation of `o.deformation` is expected.
@@ -173,33 +234,11 @@ pub fn deformed(
     }
     let offset = from.coords - pixel - Vector2::repeat(0.5);
     let (cx, cy) = (pixel.x as i64, pixel.y as i64);
-    let r = o.radius_px as i64;
-    let sigma = o.sigma_share * r as f64;
     let mean = a.at(cx, cy);
-    // Of each sample: its place from the middle, weight, value, and derivatives by the parameters:
-    // shift, deformation by rows, gain, bias.
-    let mut template = Vec::new();
+    let template = deforming_template(&a, (cx, cy), o);
     let mut normal = SMatrix::<f64, 8, 8>::zeros();
-    for (y, x) in (-r..=r).flat_map(|y| (-r..=r).map(move |x| (y, x))) {
-        let inside = |v: i64, n: usize| v >= 0 && v < n as i64;
-        if !(inside(cx + x, a.w) && inside(cy + y, a.h)) {
-            continue;
-        }
-        let place = Vector2::new(x as f64, y as f64);
-        let weight = (-0.5 * place.norm_squared() / (sigma * sigma)).exp();
-        let (value, g) = (a.at(cx + x, cy + y), a.scharr(cx + x, cy + y));
-        let slopes = SVector::from([
-            g.x,
-            g.y,
-            place.x * g.x,
-            place.y * g.x,
-            place.x * g.y,
-            place.y * g.y,
-            value - mean,
-            1.0,
-        ]);
-        normal += weight * slopes * slopes.transpose();
-        template.push((place, weight, value, slopes));
+    for sample in &template {
+        normal += sample.weight * sample.slopes * sample.slopes.transpose();
     }
     let prior = (NOISE / o.deformation).powi(2);
     for k in 2..7 {
@@ -207,13 +246,13 @@ pub fn deformed(
     }
     let solver = normal.cholesky()?;
     let (mut matrix, mut middle) =
-        (Matrix2::identity(), found.coords - Vector2::repeat(0.5) - offset);
+        (Matrix2::identity(), translated.coords - Vector2::repeat(0.5) - offset);
     let (mut gain, mut bias) = (1.0, 0.0);
     for _ in 0..o.iterations {
         let mut right = SVector::<f64, 8>::zeros();
-        for (place, weight, value, slopes) in &template {
-            let seen = b.cubic(&(middle + matrix * place));
-            right += slopes * (weight * ((seen - bias) / gain - value));
+        for sample in &template {
+            let sampled = b.cubic(&(middle + matrix * sample.place));
+            right += sample.slopes * (sample.weight * ((sampled - bias) / gain - sample.value));
         }
         let a = matrix - Matrix2::identity();
         for (k, v) in [(2, a.m11), (3, a.m12), (4, a.m21), (5, a.m22), (6, 1.0 - gain)] {
@@ -233,5 +272,5 @@ pub fn deformed(
         }
     }
     let position = Point2::from(middle + matrix * offset + Vector2::repeat(0.5));
-    ((position - found).norm() <= o.max_shift_px).then_some(position)
+    ((position - translated).norm() <= o.max_shift_px).then_some(position)
 }

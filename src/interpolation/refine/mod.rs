@@ -1,49 +1,41 @@
-//! Beyond the paper: where the two warped frames disagree, per-pixel motion and visibility; where the
-//! frames before and after agree too, their mean, which has less noise. Where nothing moves, that
-//! is all that is done.
+//! Beyond the paper: motion and visibility per pixel where the two warped frames disagree, and the mean of
+//! four frames, which has less noise, where they agree.
 //!
-//! Beside a moving outline the warp mixes the motions on both sides, and the cross dissolve mixes
-//! a frame that sees the background with one that doesn't. There, blocks of pixels try the motions
-//! of the tracks around them, each under three hypotheses: both frames see the point (then they
-//! agree with each other), only the earlier does (then it agrees with the frame before it), or
-//! only the later (then it agrees with the frame after it; the nearer the instant is to a frame, the
-//! less likely only the other sees the point). Every pixel is the mean of all of
-//! these and of the warp's dissolve, weighted by how well each agrees over a small window. Blocks overlap
-//! and fade into each other, so that none has a border.
+//! Beside a moving outline the warp interpolates between the motions on both sides, and the cross dissolve
+//! mixes a frame that shows the background with one that does not. There, blocks of pixels try the
+//! motions of the tracks around them, each under three hypotheses. Either both frames see the point, and
+//! agree with each other. Or only the earlier does, and agrees with the frame before it. Or only the
+//! later does, and agrees with the frame after it. The nearer the instant is to a frame, the less likely
+//! it is that only the other sees the point. Every pixel is the mean of all hypotheses and of the warped
+//! frames' cross-fade, weighted by agreement over a small window. Blocks overlap and fade into each other,
+//! so that their borders do not show. Static blocks are the mean of the four frames.
 //!
-//! Known limits: what is seen in none of the four frames is not found; a window of a few pixels
-//! decides, so outlines are right to about two pixels.
+//! Known limits: a surface that none of the four frames shows is not found. Outlines are accurate to about two
+//! pixels, because a window of a few pixels decides.
 
 mod block;
-mod rest;
+mod four_frames;
+mod static_block;
 
 use super::warp::{Warp, warped};
-use super::windows::{box_mean, difference, mixed};
+use super::windows::{box_filter, cross_fade, difference};
 use super::{Motion, RefineOptions};
-use crate::raster::{Image, Tiles};
+use crate::raster::Image;
 use crate::registration::Neighbors;
-use block::Work;
+use block::BlockRefiner;
+pub use four_frames::FourFrames;
 use rayon::prelude::*;
 
-/// The frames around an instant, and where it lies between the middle two.
-pub struct FourFrames<'a> {
-    pub before: Option<&'a Image>,
-    pub earlier: &'a Image,
-    pub later: &'a Image,
-    pub after: Option<&'a Image>,
-    /// (t' − t)/Δt, 0 at the earlier frame.
-    pub share: f32,
-    /// What of the image is asked for, if not all: tiles of its size. The rest is not refined.
-    pub parts: Option<&'a Tiles>,
-}
-
-/// Blocks stand this far apart, pixels, and are twice as large: or as far as twice a window's radius,
-/// where that is more: from 640 pixels on they grow with the image, as what they show and the windows
-/// around them do, which would soon cost more than the blocks. Larger: one motion for pixels that move
-/// differently; smaller: more blocks to try.
+/// Minimum distance between blocks, pixels; a block's side is twice the distance. The distance is at least
+/// twice a window's radius, and so grows with images beyond 640 pixels. Larger: one motion for pixels that
+/// move differently; smaller: more blocks, which costs time.
 const MIN_STEP: usize = 8;
 
-/// The image at the instant: the warps' cross dissolve, refined where the warped frames disagree.
+/// The image at the instant: the cross dissolve of the two warped frames, refined where they disagree, and
+/// averaged with the outer frames where these agree. Values are in 0..=1.
+///
+/// `warps` take the earlier and the later frame to the instant; they have the frames' size. `motions` are those
+/// of the tracks at the instant. Without motions, only static blocks are averaged.
 pub fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
@@ -53,21 +45,21 @@ pub fn refined(
     let warped = [warped(frames.earlier, warps[0]), warped(frames.later, warps[1])];
     let (w, h, channels) =
         (frames.earlier.width(), frames.earlier.height(), frames.earlier.channels());
-    let dissolved = mixed(&warped[0], &warped[1], frames.share);
+    let cross_faded = cross_fade(&warped[0], &warped[1], frames.fraction);
     let options = &scaled(options, w.max(h));
-    let cost = |a: &Image, b: &Image| box_mean(&difference(a, b), w, h, options.window_radius_px);
+    let cost = |a: &Image, b: &Image| box_filter(&difference(a, b), w, h, options.window_radius_px);
     let costs = cost(&warped[0], &warped[1]);
-    let outer_counts = outer_weight(frames, options) > 0.0;
+    let outer_counts = frames.outer_weight(options) > 0.0;
     let outer_costs = [frames.before, frames.after]
-        .map(|f| f.filter(|_| outer_counts).map(|f| cost(f, &dissolved)));
+        .map(|f| f.filter(|_| outer_counts).map(|f| cost(f, &cross_faded)));
 
     let neighbors = Neighbors::new(motions.iter().map(|m| m.at));
     let step = MIN_STEP.max(2 * options.window_radius_px);
-    let work = Work {
+    let refiner = BlockRefiner {
         frames,
         motions,
         neighbors,
-        dissolved: &dissolved,
+        cross_faded: &cross_faded,
         costs: &costs,
         outer_costs,
         options,
@@ -77,10 +69,10 @@ pub fn refined(
     let (blocks_x, blocks_y) = (w.div_ceil(step) + 1, h.div_ceil(step) + 1);
     let blocks: Vec<Option<Vec<f32>>> = (0..blocks_x * blocks_y)
         .into_par_iter()
-        .map(|k| work.block((k % blocks_x) as isize, (k / blocks_x) as isize))
+        .map(|k| refiner.refine((k % blocks_x) as isize, (k / blocks_x) as isize))
         .collect();
 
-    let mut data = dissolved.data().to_vec();
+    let mut data = cross_faded.data().to_vec();
     data.par_chunks_mut(w * channels).enumerate().for_each(|(y, row)| {
         for (x, out) in row.chunks_exact_mut(channels).enumerate() {
             let mut sum = [0.0; 3];
@@ -90,7 +82,7 @@ pub fn refined(
                 let weight = fade(in_x, step) * fade(in_y, step);
                 let from = match &blocks[by * blocks_x + bx] {
                     Some(block) => &block[(in_y * 2 * step + in_x) * channels..][..channels],
-                    None => dissolved.pixel(x, y),
+                    None => cross_faded.pixel(x, y),
                 };
                 for (sum, v) in sum.iter_mut().zip(from) {
                     *sum += weight * v;
@@ -104,12 +96,7 @@ pub fn refined(
     Image::from_data(w, h, channels, data)
 }
 
-/// How much the outer frames count at most: 0 at a frame, most halfway between two.
-fn outer_weight(frames: &FourFrames, options: &RefineOptions) -> f32 {
-    options.outer_share * 4.0 * frames.share * (1.0 - frames.share)
-}
-
-/// The options with their lengths as they are in an image of this size.
+/// The options with their lengths scaled to an image whose longer side is `size_px`.
 fn scaled(options: &RefineOptions, size_px: usize) -> RefineOptions {
     let scale = (size_px as f64 / RefineOptions::SIZE_PX).max(1.0);
     RefineOptions {
@@ -119,7 +106,7 @@ fn scaled(options: &RefineOptions, size_px: usize) -> RefineOptions {
     }
 }
 
-/// The four blocks that a pixel lies in.
+/// The four blocks that a pixel is in.
 fn covering(x: usize, y: usize, step: usize) -> [(usize, usize); 4] {
     let (bx, by) = (x / step, y / step);
     [(bx, by), (bx + 1, by), (bx, by + 1), (bx + 1, by + 1)]
@@ -135,6 +122,7 @@ fn fade(within: usize, step: usize) -> f32 {
 mod tests {
     use super::*;
     use crate::random::Random;
+    use crate::raster::Tiles;
     use nalgebra::{Point2, Vector2};
 
     const W: usize = 96;
@@ -145,7 +133,7 @@ mod tests {
             + 0.2 * (x * 0.31 - y * 0.53 + seed).sin()
     }
 
-    /// A textured square that moves right by 6 px a frame over a still textured wall.
+    /// A textured square that moves right by 6 px per frame in front of a static textured wall.
     fn scene(frame: f32) -> Image {
         let left = 30.0 + 6.0 * frame;
         let data = (0..W * H)
@@ -174,33 +162,33 @@ mod tests {
         all
     }
 
-    /// The same, all at rest.
+    /// The same tracks without motion.
     fn at_rest() -> Vec<Motion> {
         motions().into_iter().map(|m| Motion { to: [Vector2::zeros(); 4], ..m }).collect()
     }
 
-    fn around(frames: &[Image; 4], share: f32) -> FourFrames<'_> {
+    fn around(frames: &[Image; 4], fraction: f32) -> FourFrames<'_> {
         let [before, earlier, later, after] = frames;
         let parts = None;
-        FourFrames { before: Some(before), earlier, later, after: Some(after), share, parts }
+        FourFrames { before: Some(before), earlier, later, after: Some(after), fraction, parts }
     }
 
-    fn error(image: &Image, truth: &Image) -> f64 {
+    fn psnr(image: &Image, truth: &Image) -> f64 {
         let sum: f64 =
             (image.data().iter().zip(truth.data())).map(|(a, b)| f64::from(a - b).powi(2)).sum();
         -10.0 * (sum / (W * H) as f64).log10()
     }
 
     #[test]
-    fn outlines_come_out_right_where_a_dissolve_shows_both() {
+    fn outlines_are_right_where_a_cross_fade_shows_both_frames() {
         let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
         let truth = scene(0.5);
         let four = around(&frames, 0.5);
         let still = Warp::identity(W, H);
         let options = RefineOptions::default();
         let result = refined(&four, [&still, &still], &motions(), &options);
-        let dissolved = refined(&four, [&still, &still], &[], &options);
-        let (before, after) = (error(&dissolved, &truth), error(&result, &truth));
+        let cross_faded = refined(&four, [&still, &still], &[], &options);
+        let (before, after) = (psnr(&cross_faded, &truth), psnr(&result, &truth));
         assert!(after > before + 8.0, "{before} {after}");
     }
 
@@ -210,28 +198,28 @@ mod tests {
         Image::from_data(W, H, 1, data)
     }
 
-    /// Four frames of a still scene have half of two frames' noise; without tracks too.
+    /// Four frames of a static scene have half of two frames' noise variance, without tracks too.
     #[test]
-    fn what_stands_still_is_averaged() {
+    fn static_scenes_are_averaged() {
         let mut random = Random::new(3);
         let truth = scene(0.0);
         let frames = [0; 4].map(|_| noisy(&truth, 0.02, &mut random));
         let still = Warp::identity(W, H);
         let options = RefineOptions::default();
         let of = |options: &RefineOptions| {
-            error(&refined(&around(&frames, 0.5), [&still, &still], &[], options), &truth)
+            psnr(&refined(&around(&frames, 0.5), [&still, &still], &[], options), &truth)
         };
         let two = of(&RefineOptions { outer_share: 0.0, ..options.clone() });
         let four = of(&options);
         assert!((2.7..3.3).contains(&(four - two)), "{two} {four}");
     }
 
-    /// Averaged along its path, or in place where that is hardly another.
+    /// Frames are averaged along the trajectory, or in place where the difference is small.
     #[test]
-    fn what_moves_slowly_is_not_blurred() {
-        for (step, least_db) in [(0.02, 50.0), (0.08, 45.0), (0.33, 45.0)] {
+    fn slow_motion_is_not_blurred() {
+        for (step, min_db) in [(0.02, 50.0), (0.08, 45.0), (0.33, 45.0)] {
             let db = panned(step);
-            assert!(db > least_db, "{step} px: {db}");
+            assert!(db > min_db, "{step} px: {db}");
         }
     }
 
@@ -257,27 +245,28 @@ mod tests {
             &slow,
             &RefineOptions::default(),
         );
-        error(&result, &pan(0.5))
+        psnr(&result, &pan(0.5))
     }
 
-    /// No track tells how the square moves; the wall that the later frame sees where it stood is not
-    /// shown yet.
+    /// No track follows the square. The wall that only the later frame shows in its place must not appear
+    /// yet.
     #[test]
-    fn near_a_frame_what_only_the_other_sees_is_not_shown() {
+    fn near_a_frame_what_only_the_other_shows_does_not_appear() {
         let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
         let four = around(&frames, 0.05);
         let still = at_rest();
         let warp = Warp::identity(W, H);
         let result = refined(&four, [&warp, &warp], &still, &RefineOptions::default());
-        let found = error(&result, &frames[1]);
-        assert!(found > 35.0, "{found}");
+        let db = psnr(&result, &frames[1]);
+        assert!(db > 35.0, "{db}");
     }
 
     #[test]
     fn where_the_frames_agree_nothing_changes() {
         let frame = scene(0.0);
         let (before, after, parts) = (None, None, None);
-        let four = FourFrames { before, earlier: &frame, later: &frame, after, share: 0.3, parts };
+        let four =
+            FourFrames { before, earlier: &frame, later: &frame, after, fraction: 0.3, parts };
         let still = Warp::identity(W, H);
         let result = refined(&four, [&still, &still], &motions(), &RefineOptions::default());
         let worst = (result.data().iter().zip(frame.data())).map(|(a, b)| (a - b).abs());
@@ -291,15 +280,15 @@ mod tests {
         let frames = [0; 4].map(|_| noisy(&clean, 0.03, &mut random));
         let still = at_rest();
         let warp = Warp::identity(W, H);
-        let at = |share: f32, outer_share: f32| {
-            let four = around(&frames, share);
+        let at = |fraction: f32, outer_share: f32| {
+            let four = around(&frames, fraction);
             let options = RefineOptions { outer_share, ..RefineOptions::default() };
             refined(&four, [&warp, &warp], &still, &options)
         };
-        let (two, four) = (error(&at(0.5, 0.0), &clean), error(&at(0.5, 1.0), &clean));
+        let (two, four) = (psnr(&at(0.5, 0.0), &clean), psnr(&at(0.5, 1.0), &clean));
         assert!(four > two + 2.0, "{two} {four}");
         for outer_share in [0.0, 1.0] {
-            assert!(error(&at(0.0, outer_share), &frames[1]) > 90.0);
+            assert!(psnr(&at(0.0, outer_share), &frames[1]) > 90.0);
         }
     }
 
@@ -314,9 +303,9 @@ mod tests {
         }
     }
 
-    /// In the tiles that are asked for, to the bit.
+    /// To the bit.
     #[test]
-    fn parts_are_what_the_whole_is_there() {
+    fn needed_tiles_equal_those_of_the_whole_image() {
         let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
         let still = Warp::identity(W, H);
         let of = |parts: Option<&Tiles>| {
@@ -329,13 +318,13 @@ mod tests {
         parts.mark_sample(70.0, 46.0);
         let some = of(Some(&parts));
         let same = |k: usize| some.data()[k] == whole.data()[k];
-        let asked = |k: usize| parts.touches([(k % W) as isize, (k / W) as isize], 1);
-        assert!((0..W * H).filter(|k| asked(*k)).all(same));
+        let needed = |k: usize| parts.touches([(k % W) as isize, (k / W) as isize], 1);
+        assert!((0..W * H).filter(|k| needed(*k)).all(same));
         assert!(!(0..W * H).all(same));
     }
 
     #[test]
-    fn tiny_images_are_no_trouble() {
+    fn tiny_images_stay_finite() {
         for (w, h) in [(1, 1), (3, 17), (16, 2)] {
             let (a, b) = (Image::filled(w, h, 3, 0.1), Image::filled(w, h, 3, 0.9));
             let four = FourFrames {
@@ -343,7 +332,7 @@ mod tests {
                 earlier: &a,
                 later: &b,
                 after: Some(&b),
-                share: 0.5,
+                fraction: 0.5,
                 parts: None,
             };
             let still = Warp::identity(w, h);

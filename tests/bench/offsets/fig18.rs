@@ -12,7 +12,7 @@ use stlfr::offset::{
     Candidate, Observation, ResidualModel, ThreeFrames, ransac, weighted_least_squares,
 };
 use stlfr::random::Random;
-use stlfr::registration::{Run, Track};
+use stlfr::registration::{FlowDirection, Track};
 
 /// Tracks per simulation.
 const TRACKS: usize = 200;
@@ -63,13 +63,13 @@ fn candidates(outlier_fraction: f64, random: &mut Random) -> Vec<Candidate> {
         let later = start + motion + noise();
         let inlier = start + motion * TRUE_FRACTION - disparity + noise();
         tracks.push(Track {
-            run: Run::Forward,
+            direction: FlowDirection::Forward,
             before: None,
             earlier: start,
             later,
             after: None,
             residual: 0.0,
-            back_error_px: 0.0,
+            forward_backward_error_px: 0.0,
         });
         let is_outlier = (k as f64) < outlier_fraction * TRACKS as f64;
         let anywhere = Point2::new(SIZE[0] * random.unit(), SIZE[1] * random.unit());

@@ -1,34 +1,50 @@
-//! Eight samples at a time: the tracker's arithmetic, for plain arrays and for registers (AVX2 and
-//! FMA). Both do the same operations in the same order; only the rounding between a product and
-//! its sum differs: the sums agree to 1e-5, as tests assert.
+//! SIMD words of eight `f32` values, the unit of the tracker's arithmetic.
+//!
+//! Kernels are written once over the trait [`F32x8`]. It has a [`Scalar`] implementation for every
+//! processor and an AVX2 + FMA one. Both do the same operations in the same order. They differ only
+//! in the rounding between a product and its sum, where FMA rounds once. Their results agree to
+//! 1e-5 for values of order 1, which a test asserts.
 
-/// Rows of a window are padded to a multiple of this many samples without weight, which add
-/// nothing to the sums.
+/// Values of a word. Rows of a window are padded to a multiple of this many samples of weight 0,
+/// which add nothing to the sums.
 pub const LANES: usize = 8;
 
-pub type Lanes = [f32; LANES];
-
-/// Eight numbers. The kernels are written once, over this; they use it outside of closures, which
-/// are not compiled for the caller's instructions.
-pub trait Vector: Copy {
+/// A word of eight `f32` values.
+///
+/// Kernels must not use it inside closures: the compiler does not compile a closure for the
+/// instruction set of the function around it.
+pub trait F32x8: Copy {
+    /// The word whose eight values are all `value`.
     fn splat(value: f32) -> Self;
-    fn from_lanes(lanes: &Lanes) -> Self;
-    fn to_lanes(self) -> Lanes;
+    /// The word with these values, in order.
+    fn from_array(lanes: &[f32; LANES]) -> Self;
+    /// The eight values, in order.
+    fn to_array(self) -> [f32; LANES];
+    /// `self + other`, element-wise.
     fn add(self, other: Self) -> Self;
+    /// `self − other`, element-wise.
     fn sub(self, other: Self) -> Self;
+    /// `self·other`, element-wise.
     fn mul(self, other: Self) -> Self;
-    /// `self·factor + term`.
+    /// `self·factor + term`, element-wise. Scalar code rounds the product and the sum, FMA only the
+    /// sum.
     fn mul_add(self, factor: Self, term: Self) -> Self;
     /// Absolute values.
     fn abs(self) -> Self;
-    /// Whole numbers, rounded down, and what is left, in 0..1. For |v| below 2²³.
-    fn split(self) -> ([i32; LANES], Self);
-    /// As [`Self::load`], unchecked.
+    /// The floor of every value, and its fractional part in 0..1. The values must be below 2²³ in
+    /// magnitude.
+    fn floor_and_fraction(self) -> ([i32; LANES], Self);
+    /// As [`Self::load`], without a bounds check.
     ///
     /// # Safety
-    /// `row` has eight values from `at` on.
+    /// `row` has at least eight values from index `at` on.
     unsafe fn load_unchecked(row: &[f32], at: usize) -> Self;
-    /// `Σ_r Σ_c y[r]·x[c]·plane[first + r·stride + c]`, lane by lane, r and c from 0 to 3.
+    /// Separable filtering of eight 4×4 neighbourhoods: value l of the result is
+    /// `Σ_r Σ_c y[r]·x[c]·plane[first[l] + r·stride + c]`, with r and c from 0 to 3 and value l of
+    /// the weights `x` and `y`.
+    ///
+    /// # Panics
+    /// If a neighbourhood is not inside the plane.
     fn gather_4x4(
         plane: &[f32],
         first: &[usize; LANES],
@@ -37,24 +53,34 @@ pub trait Vector: Copy {
         y: [Self; 4],
     ) -> Self;
 
+    /// The word of eight zeros.
     #[inline(always)]
     fn zero() -> Self {
         Self::splat(0.0)
     }
 
+    /// The eight values of `row` from index `at` on.
+    ///
+    /// # Panics
+    /// If `row` ends before the eighth.
     #[inline(always)]
     fn load(row: &[f32], at: usize) -> Self {
-        Self::from_lanes(row[at..].first_chunk().expect("rows are padded to whole lanes"))
+        Self::from_array(row[at..].first_chunk().expect("rows are padded to whole words"))
     }
 
+    /// Writes the eight values to `row` from index `at` on.
+    ///
+    /// # Panics
+    /// If `row` ends before the eighth.
     #[inline(always)]
     fn store(self, row: &mut [f32], at: usize) {
-        row[at..at + LANES].copy_from_slice(&self.to_lanes());
+        row[at..at + LANES].copy_from_slice(&self.to_array());
     }
 
+    /// The sum of the eight values, added pairwise in `f32`.
     #[inline(always)]
     fn sum(self) -> f64 {
-        let [a, b, c, d, e, f, g, h] = self.to_lanes();
+        let [a, b, c, d, e, f, g, h] = self.to_array();
         f64::from(((a + e) + (c + g)) + ((b + f) + (d + h)))
     }
 
@@ -79,9 +105,14 @@ pub trait Vector: Copy {
     }
 }
 
-/// Catmull and Rom's weights of the four samples around a fraction in 0..1.
+/// The weights of Catmull and Rom's cubic convolution for the samples at −1, 0, 1 and 2, at a
+/// position `f` in 0..1.
+///
+/// This is the SIMD kernel, in Horner form. Its scalar reference is `raster::catmull_rom`, in
+/// expanded form. The two round differently, so neither can replace the other without changing
+/// results; a test holds them equal to 1e-6.
 #[inline(always)]
-pub fn catmull_rom<V: Vector>(f: V) -> [V; 4] {
+pub fn catmull_rom<V: F32x8>(f: V) -> [V; 4] {
     let c = V::splat;
     let half = c(0.5);
     let squared = f.mul(f);
@@ -93,52 +124,52 @@ pub fn catmull_rom<V: Vector>(f: V) -> [V; 4] {
     ]
 }
 
-/// What every processor has.
+/// The implementation of [`F32x8`] for every processor: an array.
 #[derive(Clone, Copy)]
-pub struct Plain(Lanes);
+pub struct Scalar([f32; LANES]);
 
-impl Plain {
+impl Scalar {
     #[inline(always)]
-    fn with(self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
+    fn zip_map(self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
         Self(std::array::from_fn(|l| f(self.0[l], other.0[l])))
     }
 }
 
-impl Vector for Plain {
+impl F32x8 for Scalar {
     #[inline(always)]
     fn splat(value: f32) -> Self {
         Self([value; LANES])
     }
 
     #[inline(always)]
-    fn from_lanes(lanes: &Lanes) -> Self {
+    fn from_array(lanes: &[f32; LANES]) -> Self {
         Self(*lanes)
     }
 
     #[inline(always)]
     unsafe fn load_unchecked(row: &[f32], at: usize) -> Self {
         // SAFETY: the caller's.
-        Self(unsafe { *row.as_ptr().add(at).cast::<Lanes>() })
+        Self(unsafe { *row.as_ptr().add(at).cast::<[f32; LANES]>() })
     }
 
     #[inline(always)]
-    fn to_lanes(self) -> Lanes {
+    fn to_array(self) -> [f32; LANES] {
         self.0
     }
 
     #[inline(always)]
     fn add(self, other: Self) -> Self {
-        self.with(other, |a, b| a + b)
+        self.zip_map(other, |a, b| a + b)
     }
 
     #[inline(always)]
     fn sub(self, other: Self) -> Self {
-        self.with(other, |a, b| a - b)
+        self.zip_map(other, |a, b| a - b)
     }
 
     #[inline(always)]
     fn mul(self, other: Self) -> Self {
-        self.with(other, |a, b| a * b)
+        self.zip_map(other, |a, b| a * b)
     }
 
     #[inline(always)]
@@ -152,10 +183,10 @@ impl Vector for Plain {
     }
 
     #[inline(always)]
-    fn split(self) -> ([i32; LANES], Self) {
+    fn floor_and_fraction(self) -> ([i32; LANES], Self) {
         let whole = self.0.map(|v| {
-            let cut = v as i32;
-            cut - i32::from(cut as f32 > v)
+            let truncated = v as i32;
+            truncated - i32::from(truncated as f32 > v)
         });
         (whole, Self(std::array::from_fn(|l| self.0[l] - whole[l] as f32)))
     }
@@ -188,26 +219,34 @@ fn four(plane: &[f32], at: usize) -> &[f32; 4] {
 #[cfg(target_arch = "x86_64")]
 pub use avx2::Avx2;
 
+/// Whether the processor has the instructions that [`Avx2`] needs.
+#[cfg(target_arch = "x86_64")]
+pub fn has_avx2_and_fma() -> bool {
+    std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma")
+}
+
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
-    use super::{LANES, Lanes, Vector};
+    use super::{F32x8, LANES};
     use std::arch::x86_64::*;
 
-    /// A register. To be used only where the processor is known to have AVX2 and FMA: every method
-    /// here rests on that, and is inlined into a caller that is compiled for it.
+    /// The implementation of [`F32x8`] by a 256-bit register.
+    ///
+    /// It may be used only where the processor has AVX2 and FMA ([`super::has_avx2_and_fma`]), and
+    /// inside a function that is compiled for them, into which its methods are inlined.
     #[derive(Clone, Copy)]
     pub struct Avx2(__m256);
 
     // SAFETY of all blocks below: the processor has both, as the type demands; loads and stores
     // are of arrays that have the values.
-    impl Vector for Avx2 {
+    impl F32x8 for Avx2 {
         #[inline(always)]
         fn splat(value: f32) -> Self {
             unsafe { Self(_mm256_set1_ps(value)) }
         }
 
         #[inline(always)]
-        fn from_lanes(lanes: &Lanes) -> Self {
+        fn from_array(lanes: &[f32; LANES]) -> Self {
             unsafe { Self(_mm256_loadu_ps(lanes.as_ptr())) }
         }
 
@@ -218,7 +257,7 @@ mod avx2 {
         }
 
         #[inline(always)]
-        fn to_lanes(self) -> Lanes {
+        fn to_array(self) -> [f32; LANES] {
             let mut lanes = [0.0; LANES];
             unsafe { _mm256_storeu_ps(lanes.as_mut_ptr(), self.0) };
             lanes
@@ -261,7 +300,7 @@ mod avx2 {
         }
 
         #[inline(always)]
-        fn split(self) -> ([i32; LANES], Self) {
+        fn floor_and_fraction(self) -> ([i32; LANES], Self) {
             let mut whole = [0; LANES];
             unsafe {
                 let floor = _mm256_floor_ps(self.0);
@@ -278,14 +317,14 @@ mod avx2 {
             x: [Self; 4],
             y: [Self; 4],
         ) -> Self {
-            // One check for all loads below: of the last row of each lane.
-            let mut farthest = 0;
+            // One check for all loads below: of the last row of each neighbourhood.
+            let mut last = 0;
             for &first in first {
-                farthest = farthest.max(first);
+                last = last.max(first);
             }
-            assert!(farthest + 3 * stride + 4 <= plane.len(), "the border is wide enough");
-            // Lanes k and k + 4 share a register: a row of four samples each.
-            macro_rules! summed {
+            assert!(last + 3 * stride + 4 <= plane.len(), "the border is wide enough");
+            // Neighbourhoods k and k + 4 share a register: a row of four samples each.
+            macro_rules! column_sums {
                 ($k:literal) => {{
                     const ALL: i32 = $k * 0b01_01_01_01;
                     let mut terms = [y[0].0; 4];
@@ -301,8 +340,8 @@ mod avx2 {
                     unsafe { _mm256_add_ps(_mm256_add_ps(_mm256_add_ps(a, b), c), d) }
                 }};
             }
-            let (a, b, c, d) = (summed!(0), summed!(1), summed!(2), summed!(3));
-            // Transposed: one register a column, lanes in order.
+            let (a, b, c, d) = (column_sums!(0), column_sums!(1), column_sums!(2), column_sums!(3));
+            // Transposed: one register a column, neighbourhoods in order.
             unsafe {
                 let (ab_low, ab_high) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
                 let (cd_low, cd_high) = (_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
@@ -321,56 +360,24 @@ mod avx2 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::window::{Window, scharr};
     use super::*;
 
     #[test]
-    fn the_weights_are_catmull_and_roms() {
-        let fractions: Lanes = std::array::from_fn(|l| l as f32 / 8.0);
-        let found = catmull_rom(Plain(fractions));
+    fn the_cubic_weights_equal_their_scalar_reference_to_1e_6() {
+        let fractions: [f32; LANES] = std::array::from_fn(|l| l as f32 / 8.0);
+        let weights = catmull_rom(Scalar(fractions));
         for (l, &f) in fractions.iter().enumerate() {
-            for (found, expected) in found.iter().zip(crate::raster::catmull_rom(f)) {
-                assert!((found.0[l] - expected).abs() < 1e-6);
+            for (weight, expected) in weights.iter().zip(crate::raster::catmull_rom(f)) {
+                assert!((weight.0[l] - expected).abs() < 1e-6);
             }
         }
     }
 
     #[test]
-    fn splits_are_floors() {
-        let v = Plain([-1.5, -1.0, -0.25, 0.0, 0.25, 1.0, 2.75, 100.0]);
-        let (whole, rest) = v.split();
-        assert_eq!(whole, [-2, -1, -1, 0, 0, 1, 2, 100]);
-        assert_eq!(rest.0, [0.5, 0.0, 0.75, 0.0, 0.25, 0.0, 0.75, 0.0]);
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[test]
-    fn registers_give_what_arrays_do() {
-        if !super::super::klt::has_registers() {
-            return;
-        }
-        let plane: Vec<f32> = (0..400).map(|k| (k as f32 * 0.77).sin()).collect();
-        let values: Lanes = std::array::from_fn(|l| (l as f32 * 1.7).cos() * 3.0);
-        let first: [usize; LANES] = std::array::from_fn(|l| 17 * l + l * l);
-        fn all<V: Vector>(plane: &[f32], values: &Lanes, first: &[usize; LANES]) -> Vec<Lanes> {
-            let v = V::from_lanes(values);
-            let (whole, rest) = v.split();
-            let weights = catmull_rom(rest);
-            let window = Window::new(plane, 5, 30, [2 * LANES, 3], [0.3, 0.8]);
-            let mut columns = window.columns::<V, 2>(0);
-            let [first_row, _] = columns.row();
-            let [_, second_row] = columns.row();
-            let cubic = V::gather_4x4(plane, first, 20, weights, catmull_rom(rest.mul(rest)));
-            let mut out = vec![rest.to_lanes(), whole.map(|w| w as f32), v.abs().to_lanes()];
-            out.extend([first_row, second_row, cubic, v.sub(rest)].map(V::to_lanes));
-            out.extend(scharr::<V>(plane, 40, 20).map(V::to_lanes));
-            out.push([v.sum() as f32; LANES]);
-            out
-        }
-        let (plain, registers) =
-            (all::<Plain>(&plane, &values, &first), all::<Avx2>(&plane, &values, &first));
-        for (a, b) in plain.iter().flatten().zip(registers.iter().flatten()) {
-            assert!((a - b).abs() < 1e-5, "{a} {b}");
-        }
+    fn floors_and_fractions_of_negative_and_whole_values() {
+        let v = Scalar([-1.5, -1.0, -0.25, 0.0, 0.25, 1.0, 2.75, 100.0]);
+        let (floor, fraction) = v.floor_and_fraction();
+        assert_eq!(floor, [-2, -1, -1, 0, 0, 1, 2, 100]);
+        assert_eq!(fraction.0, [0.5, 0.0, 0.75, 0.0, 0.25, 0.0, 0.75, 0.0]);
     }
 }

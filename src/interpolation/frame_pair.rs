@@ -1,0 +1,147 @@
+//! The image of a camera at an instant between two of its frames, by any [`SyncMethod`].
+
+use super::edge_set::edge_set;
+use super::edges::{Feature, real_edges};
+use super::local_motion::Motion;
+use super::morph::morph_warp;
+use super::refine::{FourFrames, refined};
+use super::triangulation::triangulation_warp;
+use super::warp::{Warp, cross_dissolve};
+use super::windows::cross_fade;
+use super::{InterpolationOptions, MorphOptions, SyncMethod};
+use crate::raster::{Image, Tiles};
+use crate::registration::{Frame, Track, Trajectory};
+use nalgebra::{Point2, Vector2};
+
+/// Two consecutive frames of one camera, with their tracks: the input of temporal interpolation (§5). All
+/// images have the same size and channels.
+pub struct FramePair<'a> {
+    /// The frame before the earlier one and the frame after the later one, if they exist. Only
+    /// [`SyncMethod::Refined`] uses them.
+    pub around: [Option<&'a Frame>; 2],
+    /// The frame at t.
+    pub earlier: &'a Frame,
+    /// The frame at t + Δt.
+    pub later: &'a Frame,
+    /// The tracks between the two; empty is valid, and gives a cross-fade.
+    pub tracks: &'a [Track],
+    /// All frame times of the camera in seconds, strictly ascending.
+    pub times_s: &'a [f64],
+    /// Index of the earlier frame.
+    pub index: usize,
+    /// The tiles of the image that are needed, `None` for all. The others may be made by a cheaper
+    /// method.
+    pub parts: Option<&'a Tiles>,
+}
+
+impl FramePair<'_> {
+    /// The camera's image at a time between the two frames, seconds; at another time, that of the nearer
+    /// frame's. At a frame's time it is the frame, up to resampling. Values are in 0..=1, but for those
+    /// that [`SyncMethod::Nearest`] and [`SyncMethod::Crossfade`] take over from the frames.
+    ///
+    /// # Panics
+    /// If `times_s` has no entry for the later frame.
+    pub fn interpolate(
+        &self,
+        time_s: f64,
+        sync: SyncMethod,
+        options: &InterpolationOptions,
+    ) -> Image {
+        let [start, end] = [self.times_s[self.index], self.times_s[self.index + 1]];
+        // Times ascend strictly, so the interval is positive.
+        let fraction = ((time_s - start) / (end - start)).clamp(0.0, 1.0);
+        let images = [&self.earlier.image, &self.later.image];
+        match sync {
+            SyncMethod::Nearest => return images[usize::from(fraction > 0.5)].clone(),
+            SyncMethod::Crossfade => return cross_fade(images[0], images[1], fraction as f32),
+            _ => {}
+        }
+        let warps = [true, false].map(|forward| self.warp(time_s, forward, sync, options));
+        let warps = [&warps[0], &warps[1]];
+        if sync == SyncMethod::Refined {
+            let frames = FourFrames {
+                before: self.around[0].map(|f| &f.image),
+                earlier: images[0],
+                later: images[1],
+                after: self.around[1].map(|f| &f.image),
+                fraction: fraction as f32,
+                parts: self.parts,
+            };
+            let motions = self.motions(time_s, options.curved);
+            return refined(&frames, warps, &motions, &options.refine);
+        }
+        cross_dissolve(images, warps, fraction as f32)
+    }
+
+    /// The motions of all tracks to the four frames around the instant.
+    fn motions(&self, time_s: f64, curved: bool) -> Vec<Motion> {
+        let time = |frame: Option<usize>| frame.and_then(|k| self.times_s.get(k)).copied();
+        let (before, after) = (time(self.index.checked_sub(1)), time(Some(self.index + 2)));
+        self.tracks
+            .iter()
+            .filter_map(|track| {
+                let trajectory = self.trajectory(track, curved)?;
+                let at = trajectory.at(time_s);
+                // The trajectory extrapolates a track that was not extended to a frame.
+                let displacement = |tracked: Option<Point2<f64>>, time: Option<f64>| {
+                    tracked
+                        .or_else(|| Some(trajectory.at(time?)))
+                        .map_or(Vector2::zeros(), |p| p - at)
+                };
+                let to = [
+                    displacement(track.before, before),
+                    track.earlier - at,
+                    track.later - at,
+                    displacement(track.after, after),
+                ];
+                Some(Motion { at, to })
+            })
+            .collect()
+    }
+
+    /// The track's trajectory, on the straight line of eq. (2) unless `curved`.
+    fn trajectory(&self, track: &Track, curved: bool) -> Option<Trajectory> {
+        if curved {
+            track.trajectory(self.times_s, self.index)
+        } else {
+            Track { before: None, after: None, ..track.clone() }
+                .trajectory(self.times_s, self.index)
+        }
+    }
+
+    /// The warp of the earlier frame (`forward`) or of the later one to the instant.
+    fn warp(
+        &self,
+        time_s: f64,
+        forward: bool,
+        sync: SyncMethod,
+        options: &InterpolationOptions,
+    ) -> Warp {
+        let (source, other) =
+            if forward { (self.earlier, self.later) } else { (self.later, self.earlier) };
+        let (w, h) = (source.image.width(), source.image.height());
+        let features = self.features(time_s, forward, options.curved);
+        if matches!(sync, SyncMethod::Triangulation | SyncMethod::Refined) {
+            return triangulation_warp(&features, w, h);
+        }
+        let [source, other] = [source, other].map(|f| &f.pyramid.levels()[0]);
+        let real = real_edges(&features, source, other, &options.edges);
+        let edges = edge_set(&features, &real, options.edges.all_features, w, h);
+        let tau = if sync == SyncMethod::Morph { 0.0 } else { options.morph.tau };
+        morph_warp(&edges, w, h, &MorphOptions { tau, ..options.morph.clone() })
+    }
+
+    /// The features of the forward or of the backward flow, with their positions at the instant.
+    fn features(&self, time_s: f64, forward: bool, curved: bool) -> Vec<Feature> {
+        self.tracks
+            .iter()
+            .filter(|t| if forward { t.in_forward_set() } else { t.in_backward_set() })
+            .filter_map(|t| {
+                let target = self.trajectory(t, curved)?.at(time_s);
+                let (source, other) =
+                    if forward { (t.earlier, t.later) } else { (t.later, t.earlier) };
+                Some(Feature { source, other, target })
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,45 @@
+//! A frame as registration uses it: the image with its pyramid and corners.
+
+use super::{Pyramid, RegistrationOptions, corners};
+use crate::raster::Image;
+use nalgebra::Point2;
+use std::sync::OnceLock;
+
+/// A frame with what registration derives from it.
+#[derive(Debug)]
+pub struct Frame {
+    /// The image as filmed.
+    pub image: Image,
+    /// The pyramid to track in, of the image as bright as the reference camera records it.
+    pub pyramid: Pyramid,
+    corners: OnceLock<Vec<Point2<f64>>>,
+}
+
+impl Frame {
+    /// A frame whose pyramid is of the image itself: that of a camera as bright as the reference.
+    pub fn new(image: Image, options: &RegistrationOptions) -> Self {
+        let pyramid = Pyramid::new(&image, options.klt.levels, options.klt.pad_px());
+        Self { image, pyramid, corners: OnceLock::new() }
+    }
+
+    /// A frame whose pyramid is of another image of the same size: `image` as bright as the reference
+    /// camera records it.
+    pub(super) fn with_corrected(
+        image: Image,
+        corrected: Image,
+        options: &RegistrationOptions,
+    ) -> Self {
+        Self { image, ..Self::new(corrected, options) }
+    }
+
+    /// The frame's corners (§4.1), pixels. They are computed by the first call, whose options count.
+    pub fn corners(&self, options: &RegistrationOptions) -> &[Point2<f64>] {
+        self.corners.get_or_init(|| corners(&self.pyramid.levels()[0], &options.corners))
+    }
+
+    /// Bytes of the image and its pyramid.
+    pub(super) fn bytes(&self) -> usize {
+        let level: usize = self.pyramid.levels().iter().map(|l| l.value.len()).sum();
+        size_of::<f32>() * (self.image.data().len() + level)
+    }
+}

@@ -1,0 +1,129 @@
+//! §4.3: the reference cameras that the epipolar test is made with, eqs. (4) and (5).
+
+use super::RegistrationOptions;
+use crate::capture::Capture;
+
+/// A reference camera and its frame, chosen by eqs. (4) and (5).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reference {
+    /// Index of the camera.
+    pub camera: usize,
+    /// Index of the frame: the one of eq. (5), or the earlier one of `between`.
+    pub frame: usize,
+    /// Time of the test, seconds on the common clock: the frame's, or the queried one if `between` is
+    /// set.
+    pub time_s: f64,
+    /// Set if the camera has no frame in the interval, because its rate is lower: the times, seconds,
+    /// of `frame` and of the next one, which are before and after the interval. The camera's own
+    /// track between the two is interpolated.
+    pub between: Option<[f64; 2]>,
+}
+
+/// The references for a camera's flow between two frames, by ascending weight of eq. (4).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct References {
+    /// Every track is tested with each of these.
+    pub first: Vec<Reference>,
+    /// Tracks that the first cannot test are tested with these, one after another: another camera may
+    /// see what one does not.
+    pub further: Vec<Reference>,
+}
+
+/// The flow that references are selected for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReferenceQuery {
+    /// Index of the camera whose tracks are tested: i of eq. (4).
+    pub camera: usize,
+    /// Times of its two frames, t and t + Δt, seconds on the common clock.
+    pub interval_s: [f64; 2],
+    /// The time in the interval that eq. (5) takes the nearest frame to: t + Δt for the forward flow,
+    /// t for the backward flow.
+    pub time_s: f64,
+}
+
+/// Maximum time between two frames of a slower reference that are interpolated between, in frames of the
+/// tested camera. Larger: its track between them is far from straight; smaller: slow cameras cannot
+/// test.
+const MAX_GAP_FRAMES: f64 = 4.0;
+
+/// Maximum cosine of the angle between two references' baselines, of 45°. On a grid, the neighbours in a row
+/// and in a column are 90° apart, two neighbours in a row 0° or 180°. Larger: both references of a
+/// grid may lie along its row; smaller: none of an irregular rig's cameras may be a second reference.
+const MAX_BASELINE_COSINE: f64 = 0.707;
+
+impl Reference {
+    /// Eq. (5): of the camera with these frame times, the frame within the interval that is nearest to
+    /// the queried time, or the two frames around the interval; and its distance to that time, seconds.
+    /// `None` if the camera has neither.
+    fn nearest(camera: usize, times: &[f64], query: &ReferenceQuery) -> Option<(f64, Self)> {
+        let ([t1, t2], t) = (query.interval_s, query.time_s);
+        let within = times.iter().enumerate().filter(|&(_, &tj)| tj >= t1 && tj <= t2);
+        let nearest = within.min_by(|a, b| (a.1 - t).abs().total_cmp(&(b.1 - t).abs()));
+        if let Some((frame, &time_s)) = nearest {
+            return Some(((time_s - t).abs(), Self { camera, frame, time_s, between: None }));
+        }
+        let frame = times.partition_point(|&tj| tj < t1).checked_sub(1)?;
+        let (a, b) = (times[frame], *times.get(frame + 1)?);
+        let distance_s = (t - a).min(b - t);
+        (b - a <= MAX_GAP_FRAMES * (t2 - t1))
+            .then_some((distance_s, Self { camera, frame, time_s: t, between: Some([a, b]) }))
+    }
+}
+
+/// Selects the references for a flow (§4.3): those of the smallest weight `w_j = D(j) + σ|t_j − t|`, eq.
+/// (4), with D the distance of the cameras' centres over that of the nearest camera, and the time in
+/// frames.
+///
+/// A grid gives two references with baselines across each other, a line of cameras one. The cameras of
+/// the next larger weights follow, for the tracks that these cannot test. Only frames within the
+/// interval can test eq. (2). A camera that has none there, but one before and one after it, is weighed
+/// by the nearer one.
+///
+/// `times_s[j]` are camera j's frame times in seconds on the common clock, `None` if its clock is unknown;
+/// such a camera is no reference. There are no references if the interval is empty, or if no other
+/// camera has another centre.
+///
+/// # Panics
+/// If the capture has no such camera.
+pub fn select_references(
+    capture: &Capture,
+    times_s: &[Option<Vec<f64>>],
+    query: &ReferenceQuery,
+    options: &RegistrationOptions,
+) -> References {
+    let i = query.camera;
+    let here = capture.cameras[i].camera.center();
+    let baselines: Vec<_> = capture.cameras.iter().map(|c| c.camera.center() - here).collect();
+    let nearest =
+        baselines.iter().map(|b| b.norm()).filter(|&d| d > 0.0).fold(f64::INFINITY, f64::min);
+    let frame_s = query.interval_s[1] - query.interval_s[0];
+    if !(nearest.is_finite() && frame_s > 0.0) {
+        return References::default();
+    }
+    let mut candidates: Vec<(f64, Reference)> = Vec::new();
+    for (j, times) in times_s.iter().enumerate() {
+        let Some(times) = times.as_ref().filter(|_| j != i && baselines[j].norm() > 0.0) else {
+            continue;
+        };
+        let Some((distance_s, reference)) = Reference::nearest(j, times, query) else {
+            continue;
+        };
+        let w = baselines[j].norm() / nearest + options.time_weight * distance_s / frame_s;
+        candidates.push((w, reference));
+    }
+    candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.camera.cmp(&b.1.camera)));
+    let mut references = References::default();
+    for (_, candidate) in candidates {
+        let direction = baselines[candidate.camera].normalize();
+        let is_across = references
+            .first
+            .iter()
+            .all(|c| baselines[c.camera].normalize().dot(&direction).abs() < MAX_BASELINE_COSINE);
+        if is_across && references.first.len() < options.max_references {
+            references.first.push(candidate);
+        } else if references.further.len() < options.further_references {
+            references.further.push(candidate);
+        }
+    }
+    references
+}
