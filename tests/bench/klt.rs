@@ -110,7 +110,9 @@ fn pairs(folder: &Path, peer: &mut Peer) {
     for case in worlds::cases() {
         let cameras = worlds::line_rig(2, 640);
         let film = folder.join(format!("film-{}", case.name));
-        bodies::film(&case.world, &cameras, &[0.0, 0.4], 4, 0.009, &film);
+        let (world, first_frames) = (&case.world, &[0.0, 0.4]);
+        bodies::Recording { world, cameras: &cameras, first_frames, frames: 4, noise: 0.009 }
+            .write(&film);
         let capture = Arc::new(Capture::open(&film).expect("a capture"));
         let times: Vec<_> = capture.cameras.iter().map(|c| Some(c.clock.times_s.clone())).collect();
         let options = RegistrationOptions::default();
