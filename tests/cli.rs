@@ -1,12 +1,13 @@
-//! The command line: help, bad input, and work that was interrupted.
+//! The command line: help, bad input, and filming that was interrupted.
 
 mod common;
 
-use common::{assert_refused, run, stderr, stlfr};
+use common::{assert_refused, read_json, run, stderr, stlfr, text};
 use std::path::Path;
 use std::process::Command;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 use stlfr::camera::CameraModel;
+use stlfr::capture::{Capture, Truth};
 
 #[test]
 fn every_command_has_help_with_an_example() {
@@ -48,16 +49,16 @@ fn missing_files_are_named() {
 }
 
 #[test]
-fn what_the_filming_script_refuses_is_refused_here() {
+fn refusals_of_the_filming_script_are_the_programs() {
     let folder = tempfile::tempdir().unwrap();
     let output = folder.path().join("capture");
     let film = |rig: &str, scene: &str| {
-        run(&["-q", "capture", rig, "--scene", scene, "-o", output.to_str().unwrap()])
+        run(&["-q", "capture", rig, "--scene", scene, "-o", text(&output)])
     };
     assert_refused(&film("rigs/linear8.json", "no-such-scene"), 2, "no-such-scene");
     let rig = folder.path().join("rig.json");
     std::fs::write(&rig, r#"{"format": "stlfr-rig", "version": 1}"#).unwrap();
-    assert_refused(&film(rig.to_str().unwrap(), "magazine"), 2, "rig.json");
+    assert_refused(&film(text(&rig), "magazine"), 2, "rig.json");
     assert!(!output.join("capture.json").exists());
 }
 
@@ -83,14 +84,13 @@ fn a_second_setup_does_nothing() {
 fn check_prints_a_table_and_writes_its_values() {
     let folder = tempfile::tempdir().unwrap();
     let json = folder.path().join("check.json");
-    let capture = common::tiny_capture().to_str().unwrap();
-    let output = run(&["check", capture, "--json", json.to_str().unwrap()]);
+    let capture = text(common::tiny_capture());
+    let output = run(&["check", capture, "--json", text(&json)]);
     let table = String::from_utf8_lossy(&output.stdout);
     for k in 0..8 {
         assert!(table.contains(&format!("\ncam{k} ")), "{table}{}", stderr(&output));
     }
-    let values: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(json).unwrap()).unwrap();
+    let values = read_json(&json);
     assert!(values["model"]["capture_px"].as_f64().unwrap() < 1e-9);
     assert_eq!(values["model"]["lenses"].as_array().unwrap().len(), CameraModel::KNOWN.len());
     for format in values["model"]["blender"].as_array().unwrap() {
@@ -107,8 +107,8 @@ fn check_prints_a_table_and_writes_its_values() {
     assert_eq!(output.status.code(), Some(if ok { 0 } else { 1 }), "{}", stderr(&output));
 }
 
-/// Whole frames there, by name and time of writing.
-fn frames(capture: &Path) -> Vec<(String, std::time::SystemTime)> {
+/// A capture's whole frames, by name and time of writing.
+fn frames(capture: &Path) -> Vec<(String, SystemTime)> {
     let mut found = Vec::new();
     for k in 0..8 {
         let Ok(folder) = std::fs::read_dir(capture.join(format!("cam{k}"))) else { continue };
@@ -124,9 +124,28 @@ fn frames(capture: &Path) -> Vec<(String, std::time::SystemTime)> {
     found
 }
 
+/// Starts a command that films, kills it once so many frames are there, and checks that filming ends
+/// with it; the frames there are then.
+#[track_caller]
+fn killed_at(command: &mut Command, capture: &Path, count: usize) -> Vec<(String, SystemTime)> {
+    drop(run(&["setup", "--quiet"])); // so that the time below is the filming's
+    let mut child = command.spawn().unwrap();
+    let start = Instant::now();
+    while frames(capture).len() < count && start.elapsed() < Duration::from_secs(120) {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    std::thread::sleep(Duration::from_secs(1)); // Blender ends with its parent
+    let before = frames(capture);
+    std::thread::sleep(Duration::from_secs(1));
+    assert_eq!(before, frames(capture), "filming went on without its parent");
+    assert!(before.len() >= count && !capture.join("capture.json").exists(), "{before:?}");
+    before
+}
+
 #[test]
 fn a_killed_capture_goes_on_where_it_was() {
-    drop(run(&["setup", "--quiet"])); // so that the time below is the filming's
     let folder = tempfile::tempdir().unwrap();
     let capture = folder.path().join("capture");
     let mut command = stlfr();
@@ -134,46 +153,25 @@ fn a_killed_capture_goes_on_where_it_was() {
         .args(["-q", "capture", "rigs/linear8.json", "--scene", "magazine", "--size", "64x48"])
         .args(["--frames", "3", "--samples", "1", "--no-truth", "-o"])
         .arg(&capture);
-    let mut child = command.spawn().unwrap();
-    let start = Instant::now();
-    while frames(&capture).len() < 3 && start.elapsed() < Duration::from_secs(120) {
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    child.kill().unwrap();
-    child.wait().unwrap();
-    std::thread::sleep(Duration::from_secs(2)); // Blender ends with its parent
-    let before = frames(&capture);
-    std::thread::sleep(Duration::from_secs(1));
-    assert_eq!(before, frames(&capture), "filming went on without its parent");
-    assert!(before.len() >= 3 && !capture.join("capture.json").exists(), "{before:?}");
+    let before = killed_at(&mut command, &capture, 3);
 
     assert!(command.status().unwrap().success());
     let after = frames(&capture);
     assert_eq!(after.len(), 24);
     assert!(before.iter().all(|frame| after.contains(frame)), "a whole frame was filmed again");
-    stlfr::capture::Capture::open(&capture).unwrap();
+    Capture::open(&capture).unwrap();
 }
 
-/// At this size the pixels can't confirm the calibration, so that the demo may end after the film.
+/// At this size the pixels can't confirm the calibration, so that the demo may end after filming.
 #[test]
 fn a_killed_demo_goes_on_where_it_was() {
-    drop(run(&["setup", "--quiet"])); // so that the time below is the filming's
     let folder = tempfile::tempdir().unwrap();
     let capture = folder.path().join("capture");
     let mut command = stlfr();
     command.args(["-q", "demo", "--size", "64x48", "--frames", "6", "--samples", "1", "-o"]);
     command.arg(&capture);
-    let mut child = command.spawn().unwrap();
-    let start = Instant::now();
-    while frames(&capture).len() < 5 && start.elapsed() < Duration::from_secs(120) {
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    child.kill().unwrap();
-    child.wait().unwrap();
-    std::thread::sleep(Duration::from_secs(2)); // Blender ends with its parent
-    let before = frames(&capture);
-    assert!(before.len() >= 5 && before.len() < 48, "{before:?}");
-    assert!(!capture.join("capture.json").exists());
+    let before = killed_at(&mut command, &capture, 5);
+    assert!(before.len() < 48, "{before:?}");
 
     let goes_on = |command: &mut Command| {
         let output = command.output().unwrap();
@@ -187,9 +185,9 @@ fn a_killed_demo_goes_on_where_it_was() {
     let after = frames(&capture);
     assert_eq!(after.len(), 48);
     assert!(before.iter().all(|frame| after.contains(frame)), "a whole frame was filmed again");
-    let truth = stlfr::capture::Truth::open(&capture).unwrap().expect("the demo films truth");
+    let truth = Truth::open(&capture).unwrap().expect("the demo films truth");
     assert_eq!(truth.views.len(), 30);
-    stlfr::capture::Capture::open(&capture).unwrap();
+    Capture::open(&capture).unwrap();
 
     goes_on(&mut command);
     assert_eq!(frames(&capture), after, "a second run filmed again");

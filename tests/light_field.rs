@@ -2,34 +2,25 @@
 
 mod common;
 
+use common::scores::psnr_db;
 use common::synthetic::{self, HEIGHT, RATE_HZ, WIDTH};
-use common::{assert_refused, run, stderr};
+use common::{assert_refused, edit, read_json, run, stderr, succeed, text};
 use serde_json::{Value, json};
-use std::path::Path;
-use std::process::Command;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
 use stlfr::capture::Capture;
-use stlfr::raster::Image;
-use stlfr::raster::read_image;
+use stlfr::raster::{BitDepth, Image, read_image, write_image};
+use stlfr::raster::{encoded_from_linear, linear_from_encoded};
 use stlfr::toolchain::find_ffmpeg;
+use tempfile::TempDir;
 
 /// Frames after the scene's start, the reference (the middle one) not at 0.
 const DELAYS_FRAMES: [f64; 3] = [0.6, 0.2, -0.1];
 const FRAMES: usize = 6;
 
-fn text(path: &Path) -> &str {
-    path.to_str().expect("temporary folders have readable names")
-}
-
-/// Runs a command that must succeed; what it wrote to stdout and stderr.
-#[track_caller]
-fn succeed(arguments: &[&str]) -> (String, String) {
-    let output = run(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
-    (String::from_utf8(output.stdout.clone()).unwrap(), stderr(&output))
-}
-
 fn offsets(capture: &Path) -> Value {
-    serde_json::from_str(&succeed(&["-q", "offsets", text(capture), "--json"]).0).unwrap()
+    let output = succeed(&["-q", "offsets", text(capture), "--json"]);
+    serde_json::from_slice(&output.stdout).unwrap()
 }
 
 fn offset_s(offsets: &Value, camera: usize) -> f64 {
@@ -51,21 +42,6 @@ fn frame(capture: &Path, camera: usize, frame: usize) -> Image {
     read_image(&capture.join(format!("cam{camera}/{frame:04}.png"))).unwrap().0
 }
 
-/// Over all but a border of `margin` pixels.
-fn psnr_db(a: &Image, b: &Image, margin: usize) -> f64 {
-    assert_eq!((a.width(), a.height(), a.channels()), (b.width(), b.height(), b.channels()));
-    let (mut sum, mut count) = (0.0, 0);
-    for y in margin..a.height() - margin {
-        for x in margin..a.width() - margin {
-            for (a, b) in a.pixel(x, y).iter().zip(b.pixel(x, y)) {
-                sum += f64::from(a - b).powi(2);
-                count += 1;
-            }
-        }
-    }
-    -10.0 * (sum / f64::from(count)).log10()
-}
-
 /// The sign of offsets: time on the reference's clock = time on the camera's + offset.
 #[test]
 fn a_camera_that_opens_later_has_a_positive_offset() {
@@ -76,7 +52,7 @@ fn a_camera_that_opens_later_has_a_positive_offset() {
     for (camera, true_frames) in [(0, 0.4), (2, -0.3)] {
         let (found_s, std_err_s) = (
             offset_s(&found, camera),
-            found["cameras"][camera]["std_err_s"].as_f64().expect("with its standard error"),
+            found["cameras"][camera]["std_err_s"].as_f64().expect("the error is known"),
         );
         let error_frames = (found_s * RATE_HZ - true_frames).abs();
         assert!(error_frames < 0.01, "cam{camera}: off by {error_frames} frame");
@@ -182,7 +158,7 @@ fn many_times_are_each_one_time_as_images_and_as_a_video() {
 }
 
 #[test]
-fn outside_of_what_was_filmed_the_range_is_told() {
+fn times_outside_of_the_recordings_are_refused_with_the_range() {
     let capture = synthetic::capture(&DELAYS_FRAMES, FRAMES);
     let found = offsets(capture.path());
     let view = capture.path().join("view.json");
@@ -235,33 +211,33 @@ fn one_frame_a_camera_is_a_static_light_field() {
 
 /// An offset written into offsets.json by hand shows whether the file was read.
 #[test]
-fn kept_offsets_serve_until_something_changes() {
+fn cached_offsets_are_used_until_something_changes() {
     let capture = synthetic::capture(&DELAYS_FRAMES, FRAMES);
     let folder = capture.path();
-    let kept = folder.join("offsets.json");
+    let cached = folder.join("offsets.json");
     let out = folder.join("out.png");
     let render = ["render", text(folder), "--like", "cam0", "--time", "0.08", "-o", text(&out)];
-    assert!(succeed(&render).1.contains("estimated"));
+    let notes = |more: &[&str]| stderr(&succeed(&[render.as_slice(), more].concat()));
+    assert!(notes(&[]).contains("estimated"));
     let estimated = offset_s(&offsets(folder), 0);
     let tamper = || {
-        let mut content: Value =
-            serde_json::from_str(&std::fs::read_to_string(&kept).unwrap()).unwrap();
+        let mut content = read_json(&cached);
         content["cameras"][0]["offset_s"] = json!(0.0101);
-        std::fs::write(&kept, content.to_string()).unwrap();
+        std::fs::write(&cached, content.to_string()).unwrap();
     };
 
     tamper();
-    assert!(succeed(&render).1.contains("those of offsets.json"));
+    assert!(notes(&[]).contains("those of offsets.json"));
     assert_eq!(offset_s(&offsets(folder), 0), 0.0101, "nothing has changed");
 
     // Other options, those of rendering aside.
     let options = folder.join("options.json");
     std::fs::write(&options, r#"{"sync": "crossfade"}"#).unwrap();
-    succeed(&[render.as_slice(), &["--options", text(&options)]].concat());
-    assert_eq!(offset_s(&offsets(folder), 0), 0.0101, "how to render is no matter");
-    std::fs::write(&options, r#"{"offset": {"rung": "joint"}}"#).unwrap();
-    let (_, notes) = succeed(&[render.as_slice(), &["--options", text(&options)]].concat());
-    assert!(notes.contains("estimated"), "{notes}");
+    notes(&["--options", text(&options)]);
+    assert_eq!(offset_s(&offsets(folder), 0), 0.0101, "a view's options don't matter");
+    std::fs::write(&options, r#"{"offset": {"method": "joint"}}"#).unwrap();
+    let joint = notes(&["--options", text(&options)]);
+    assert!(joint.contains("estimated"), "{joint}");
     assert_eq!(offset_s(&offsets(folder), 0), estimated);
 
     // One byte of one frame: here the pixel's, the file stays a PNG.
@@ -270,28 +246,61 @@ fn kept_offsets_serve_until_something_changes() {
     let changed = folder.join("cam2/0003.png");
     let mut image = read_image(&changed).unwrap().0;
     image.data_mut()[0] = 1.0 - image.data()[0];
-    let depth = stlfr::raster::BitDepth::Eight;
-    stlfr::raster::write_image(&changed, &image, None, depth).unwrap();
-    assert!(succeed(&render).1.contains("estimated"));
+    write_image(&changed, &image, None, BitDepth::Eight).unwrap();
+    assert!(notes(&[]).contains("estimated"));
     let again = offset_s(&offsets(folder), 0);
     assert!(again != 0.0101 && (again - estimated).abs() < 1e-4, "{again} s, {estimated} s");
 
     // Half of a file is none.
-    std::fs::write(&kept, &std::fs::read(&kept).unwrap()[..40]).unwrap();
-    assert!(succeed(&render).1.contains("estimated"));
+    std::fs::write(&cached, &std::fs::read(&cached).unwrap()[..40]).unwrap();
+    assert!(notes(&[]).contains("estimated"));
 }
 
-/// Each is one sentence with file and field, exit code 2; nothing is written, nothing is lost.
+/// A capture to break, and where its view is written. Each refusal is one sentence with file and
+/// field, and exit code 2; nothing is written.
+struct Broken {
+    capture: TempDir,
+    out: PathBuf,
+}
+
+const LIKE: [&str; 4] = ["--like", "cam0", "--time", "0.01"];
+
+impl Broken {
+    fn new() -> Self {
+        let capture = synthetic::capture(&[0.0, 0.3], 3);
+        let out = capture.path().join("out.png");
+        Self { capture, out }
+    }
+
+    fn folder(&self) -> &Path {
+        self.capture.path()
+    }
+
+    fn render(&self, view: &[&str]) -> Output {
+        let render = ["-q", "render", text(self.folder()), "-o", text(&self.out)];
+        run(&[render.as_slice(), view].concat())
+    }
+
+    #[track_caller]
+    fn assert_refused(&self, view: &[&str], words: &str) {
+        assert_refused(&self.render(view), 2, words);
+        assert!(!self.out.exists());
+    }
+
+    /// Once all is mended, it works: nothing was lost.
+    #[track_caller]
+    fn assert_works(&self) {
+        assert!(Capture::open(self.folder()).is_ok());
+        assert!(self.render(&LIKE).status.success());
+        assert!(self.out.exists());
+    }
+}
+
 #[test]
-fn bad_input_is_refused() {
-    let capture = synthetic::capture(&[0.0, 0.3], 3);
-    let folder = capture.path();
-    let (out, view) = (folder.join("out.png"), folder.join("view.json"));
-    let json_file = folder.join("capture.json");
+fn wrong_descriptions_are_refused() {
+    let broken = Broken::new();
+    let json_file = broken.folder().join("capture.json");
     let good = std::fs::read_to_string(&json_file).unwrap();
-    let render =
-        |more: &[&str]| run(&[&["-q", "render", text(folder)], more, &["-o", text(&out)]].concat());
-    let like = ["--like", "cam0", "--time", "0.01"];
 
     type Break = fn(&mut Value);
     let cases: &[(Break, &str)] = &[
@@ -307,54 +316,58 @@ fn bad_input_is_refused() {
         (|j| j["cameras"][1]["width"] = json!(161), "cam1/0000.png"),
     ];
     for (make_wrong, words) in cases {
-        let mut wrong: Value = serde_json::from_str(&good).unwrap();
-        make_wrong(&mut wrong);
-        std::fs::write(&json_file, wrong.to_string()).unwrap();
-        assert_refused(&render(&like), 2, words);
+        edit(broken.folder(), make_wrong);
+        broken.assert_refused(&LIKE, words);
+        std::fs::write(&json_file, &good).unwrap();
     }
     std::fs::write(&json_file, good.replacen("170.0", "NaN", 1)).unwrap();
-    assert_refused(&render(&like), 2, "capture.json");
+    broken.assert_refused(&LIKE, "capture.json");
     std::fs::write(&json_file, &good).unwrap();
+    broken.assert_works();
+    assert_eq!(std::fs::read_to_string(&json_file).unwrap(), good);
+}
 
-    // Frames: missing within, cut short, and none at all.
-    let moved = folder.join("aside");
-    let middle = folder.join("cam1/0001.png");
+#[test]
+fn missing_and_broken_frames_are_refused() {
+    let broken = Broken::new();
+    let (camera, moved) = (broken.folder().join("cam1"), broken.folder().join("aside"));
+    let middle = camera.join("0001.png");
     std::fs::rename(&middle, &moved).unwrap();
-    assert_refused(&render(&like), 2, "(cam1)");
+    broken.assert_refused(&LIKE, "(cam1)");
     let whole = std::fs::read(&moved).unwrap();
-    std::fs::write(&middle, &whole[..whole.len() / 2]).unwrap();
-    assert_refused(&render(&like), 2, "cam1/0001.png");
-    std::fs::write(&middle, b"").unwrap();
-    assert_refused(&render(&like), 2, "cam1/0001.png");
+    for bytes in [&whole[..whole.len() / 2], b""] {
+        std::fs::write(&middle, bytes).unwrap();
+        broken.assert_refused(&LIKE, "cam1/0001.png");
+    }
     std::fs::rename(&moved, &middle).unwrap();
-    std::fs::rename(folder.join("cam1"), &moved).unwrap();
-    std::fs::create_dir(folder.join("cam1")).unwrap();
-    assert_refused(&render(&like), 2, "(cam1).frames");
-    std::fs::remove_dir(folder.join("cam1")).unwrap();
-    std::fs::rename(&moved, folder.join("cam1")).unwrap();
+    std::fs::rename(&camera, &moved).unwrap();
+    std::fs::create_dir(&camera).unwrap();
+    broken.assert_refused(&LIKE, "(cam1).frames");
+    std::fs::remove_dir(&camera).unwrap();
+    std::fs::rename(&moved, &camera).unwrap();
+    broken.assert_works();
+}
 
-    // Views, ids and outputs.
-    assert_refused(&render(&["--like", "cam9", "--time", "0.01"]), 2, "'cam9'");
+#[test]
+fn wrong_views_and_outputs_are_refused() {
+    let broken = Broken::new();
+    broken.assert_refused(&["--like", "cam9", "--time", "0.01"], "'cam9'");
+    let view = broken.folder().join("view.json");
+    let camera = ["--camera", text(&view), "--time", "0.02"];
     let mut away = synthetic::view(0.0, 0.0);
     away["cam_from_world"]["rotation_wxyz"] = json!([0, 0, 1, 0]);
     std::fs::write(&view, away.to_string()).unwrap();
-    let camera = ["--camera", text(&view), "--time", "0.02"];
-    assert_refused(&render(&camera), 2, "sees");
+    broken.assert_refused(&camera, "sees");
     away["params"] = json!([1]);
     std::fs::write(&view, away.to_string()).unwrap();
-    assert_refused(&render(&camera), 2, "view.json: model");
-    let nowhere = ["-q", "render", text(folder), "--like", "cam0", "--time", "0.01"];
-    assert_refused(&run(&[nowhere.as_slice(), &["-o", "/proc/none/x.png"]].concat()), 2, "/proc");
-
-    assert!(!out.exists());
-    assert_eq!(std::fs::read_to_string(&json_file).unwrap(), good);
-    assert!(Capture::open(folder).is_ok());
-    assert!(render(&like).status.success(), "with everything as it was, it works");
-    assert!(out.exists());
+    broken.assert_refused(&camera, "view.json: model");
+    let nowhere = ["-q", "render", text(broken.folder()), "-o", "/proc/none/x.png"];
+    assert_refused(&run(&[nowhere.as_slice(), &LIKE].concat()), 2, "/proc");
+    broken.assert_works();
 }
 
-/// A trail is the overlay of the images at its instants, of a view as of a filming camera's image:
-/// the brightest values are theirs exactly, and their mean light is to the rounding of 8 bits.
+/// A trail is the overlay of the images at its instants, of a view as of a filming camera's image.
+/// The brightest values are theirs exactly; their mean light is theirs to the rounding of 8 bits.
 #[test]
 fn a_trail_overlays_the_images_of_its_instants() {
     let capture = synthetic::capture(&[0.0, 0.0, 0.0], FRAMES);
@@ -378,25 +391,18 @@ fn a_trail_overlays_the_images_of_its_instants() {
         for k in 0..brightest.data().len() {
             let values = instants.each_ref().map(|i| i.data()[k]);
             assert_eq!(brightest.data()[k], values.iter().copied().fold(0.0, f32::max));
-            let light = values.map(linear).iter().sum::<f32>() / 4.0;
+            let light = values.map(|v| linear_from_encoded(f64::from(v))).iter().sum::<f64>() / 4.0;
+            let error = f64::from(mean.data()[k]) - encoded_from_linear(light);
             // Each of the four is rounded by half a level, and so is their mean.
-            assert!((mean.data()[k] - encoded(light)).abs() < 1.6 / 255.0, "{k} {values:?}");
+            assert!(error.abs() < 1.6 / 255.0, "{k} {values:?}");
         }
         assert!(psnr_db(&mean, &instants[0], 8) < 30.0);
-        // What was not filmed is not in it: of 0.1, 0.02, -0.06 and -0.14, the first two.
+        // An instant that was not filmed is not in it: of 0.1, 0.02, -0.06 and -0.14, the first two.
         let long = trail(from, "lighten", "0.24");
         let (last, first) = (image(from, 0.1, &[]), image(from, 0.02, &[]));
         let both = last.data().iter().zip(first.data()).map(|(a, b)| a.max(*b));
         assert!(long.data().iter().zip(both).all(|(found, expected)| *found == expected));
     }
-}
-
-fn linear(v: f32) -> f32 {
-    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
-}
-
-fn encoded(v: f32) -> f32 {
-    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
 }
 
 #[test]

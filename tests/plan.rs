@@ -1,9 +1,9 @@
-//! What a capture requires, both ways for every decision; and `auto`, which goes by it.
+//! The plan of a capture: every decision both ways; and `auto`, which renders by the plan.
 
 mod common;
 
-use common::wall::{self, FRAME_S, Scene, open};
-use common::{assert_refused, run, stderr};
+use common::wall::{FRAME_S, Scene, open};
+use common::{assert_refused, edit, run, succeed, text};
 use serde_json::{Value, json};
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::LightField;
@@ -11,8 +11,8 @@ use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::pipeline::{open_field, resolved};
 use stlfr::plan::{Choice, Plan, Stage, plan};
 use stlfr::progress::Reporter;
-use stlfr::raster::{Image, encoded_from_linear, linear_from_encoded};
-use stlfr::raster::{read_image, write_image};
+use stlfr::raster::{Image, read_image, write_image};
+use stlfr::raster::{encoded_from_linear, linear_from_encoded};
 use tempfile::TempDir;
 
 /// Opens a capture's light field and plans its views.
@@ -21,7 +21,7 @@ fn plan_of(folder: &TempDir, options: &RenderOptions) -> (Plan, LightField) {
     (plan(&field, options, &Reporter::silent()).unwrap(), field)
 }
 
-/// Options that leave to the capture what can be left to it.
+/// Options whose methods the capture decides.
 fn auto() -> RenderOptions {
     let mut options = RenderOptions::default();
     (options.auto.sync, options.auto.proxy) = (true, true);
@@ -30,7 +30,7 @@ fn auto() -> RenderOptions {
 
 fn planned(scene: &Scene, change: impl FnOnce(&mut Value)) -> Plan {
     let folder = scene.film();
-    wall::edit(&folder, change);
+    edit(folder.path(), change);
     plan_of(&folder, &auto()).0
 }
 
@@ -106,22 +106,25 @@ fn where_nothing_changes_nothing_is_registered() {
     let (plan, field) = plan_of(&folder, &options);
     assert_choices(&plan, &[Choice::Sync(SyncMethod::Refined), Choice::PairsCrossFaded]);
     let time_s = 1.6 * FRAME_S;
-    let [moving, still] = [1, 2].map(|c| {
-        [SyncMethod::Crossfade, SyncMethod::Refined]
-            .map(|s| field.synchronized(c, time_s, &plan.options.view().with_sync(s)))
-    });
-    let [crossfaded, refined] = still.map(Result::unwrap);
-    assert_eq!(crossfaded, refined);
+    let synchronized = |camera: usize, sync: SyncMethod| {
+        field.synchronized(camera, time_s, &plan.options.view().with_sync(sync)).unwrap()
+    };
+    let both = |camera: usize| {
+        [SyncMethod::Crossfade, SyncMethod::Refined].map(|sync| synchronized(camera, sync))
+    };
     assert!((0.003..0.03).contains(&plan.options.interpolation.still_change));
-    let [crossfaded, refined] = moving.map(Result::unwrap);
-    assert_ne!(crossfaded, refined);
+    let [crossfaded, refined] = both(2);
+    assert_eq!(crossfaded, refined, "nothing changes");
+    let [crossfaded, refined] = both(1);
+    assert_ne!(crossfaded, refined, "a board passes");
 
     let plan = planned(&scene, |_| ());
     assert_choices(&plan, &[Choice::Sync(SyncMethod::Refined), Choice::PairsRegistered]);
     assert_eq!(plan.options.interpolation.still_change, 0.0);
 }
 
-/// A lamp that flickers moves nothing and changes all blocks alike: such pairs say nothing of noise.
+/// A lamp that flickers moves nothing and changes all blocks alike, so that the changes of such pairs
+/// are no noise.
 #[test]
 fn flicker_is_not_taken_for_noise() {
     let folder = still().film();
@@ -197,7 +200,7 @@ fn lenses_and_a_second_direction_are_seen() {
 }
 
 #[test]
-fn only_what_is_left_to_the_capture_is_chosen() {
+fn only_the_methods_that_are_auto_are_decided() {
     let folder = still().film();
     let mut options = RenderOptions::default();
     options.auto.proxy = true;
@@ -210,19 +213,16 @@ fn only_what_is_left_to_the_capture_is_chosen() {
 
 #[test]
 fn auto_renders_what_the_planned_options_do() {
-    let scene = Scene::default();
-    let folder = scene.film();
-    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
-    let capture = folder.path().to_str().unwrap();
-    let output = run(&["-q", "plan", capture, "-o", &path("options.json")]);
-    assert!(output.status.success(), "{}", stderr(&output));
+    let folder = Scene::default().film();
+    let path = |name: &str| text(&folder.path().join(name)).to_owned();
+    let capture = text(folder.path());
+    let output = succeed(&["-q", "plan", capture, "-o", &path("options.json")]);
     let table = String::from_utf8(output.stdout).unwrap();
     assert!(table.contains("triangulation") && table.contains("px a frame"), "{table}");
     let time = format!("{}", 1.6 * FRAME_S);
     let render = |choice: &[&str], image: &str| {
         let arguments = ["-q", "render", capture, "--like", "cam1", "--time", &time, "-o", image];
-        let output = run(&[arguments.as_slice(), choice].concat());
-        assert!(output.status.success(), "{}", stderr(&output));
+        succeed(&[arguments.as_slice(), choice].concat());
         std::fs::read(image).unwrap()
     };
     let auto = render(&["--sync", "auto", "--proxy", "auto"], &path("auto.png"));
@@ -235,8 +235,8 @@ fn auto_renders_what_the_planned_options_do() {
 #[test]
 fn plan_speaks_json_and_refuses_a_bad_budget() {
     let folder = still().film();
-    let capture = folder.path().to_str().unwrap();
-    let output = run(&["-q", "plan", capture, "--json"]);
+    let capture = text(folder.path());
+    let output = succeed(&["-q", "plan", capture, "--json"]);
     let plan: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(plan["decisions"][1]["stage"], "sync");
     assert_eq!(plan["options"]["sync"], "nearest");
@@ -247,7 +247,7 @@ fn plan_speaks_json_and_refuses_a_bad_budget() {
 #[test]
 fn options_are_not_written_over_the_capture() {
     let folder = still().film();
-    let capture = folder.path().to_str().unwrap();
+    let capture = text(folder.path());
     let before = std::fs::read(folder.path().join("capture.json")).unwrap();
     for (name, words) in [
         ("capture.json", "describes the capture"),
@@ -259,7 +259,7 @@ fn options_are_not_written_over_the_capture() {
         if name.starts_with("nowhere") {
             std::fs::write(folder.path().join("nowhere"), "").unwrap();
         }
-        let refused = run(&["-q", "plan", capture, "-o", output.to_str().unwrap()]);
+        let refused = run(&["-q", "plan", capture, "-o", text(&output)]);
         assert_refused(&refused, 2, words);
     }
     assert_eq!(std::fs::read(folder.path().join("capture.json")).unwrap(), before);

@@ -1,28 +1,28 @@
-//! What is made of the tiny capture that Blender filmed: how accurate it is, that it rests on the
-//! cameras' images alone, and that it is the same from run to run.
+//! Offsets, views and metrics of the tiny capture that Blender filmed: how accurate they are, that
+//! they depend on the cameras' images alone, and that they are the same from run to run.
 
 mod common;
 
-use common::{run, stderr, stlfr, tiny_capture, tiny_copy};
-use serde_json::{Value, json};
+use common::{read_json, run, stderr, stlfr, text, tiny_capture, tiny_copy};
+use serde_json::json;
 use std::path::Path;
 use std::process::Command;
 use std::sync::OnceLock;
 
+/// Runs a command, which must succeed; what it prints.
 #[track_caller]
-fn succeed(command: &mut Command) -> Vec<u8> {
+fn printed(command: &mut Command) -> Vec<u8> {
     let output = command.output().unwrap();
     assert!(output.status.success(), "{command:?}: {}", stderr(&output));
     output.stdout
 }
 
-fn read_json(path: &Path) -> Value {
-    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
-}
+/// A file's name and its bytes.
+type Results = Vec<(String, Vec<u8>)>;
 
-/// Everything that is made of a capture's images, by a copy that holds no offsets yet: offsets, a
-/// free view, a camera's view, and images over time, by name.
-fn everything(capture: &Path, threads: &str) -> Vec<(String, Vec<u8>)> {
+/// All results of a capture's images, from a copy that holds no offsets yet: offsets, a free view, a
+/// camera's view, and images over time.
+fn results(capture: &Path, threads: &str) -> Results {
     assert!(!capture.join("offsets.json").exists(), "offsets are to be estimated afresh");
     let out = tempfile::tempdir().unwrap();
     let view = out.path().join("view.json");
@@ -39,13 +39,13 @@ fn everything(capture: &Path, threads: &str) -> Vec<(String, Vec<u8>)> {
         command.env("RAYON_NUM_THREADS", threads).args(["-q", name]).arg(capture);
         command
     };
-    let offsets = succeed(command("offsets").arg("--json"));
-    let mut made = vec![("offsets --json".to_owned(), offsets)];
+    let offsets = printed(command("offsets").arg("--json"));
+    let mut results = vec![("offsets --json".to_owned(), offsets)];
     let mut render = |name: &str, arguments: &[&str]| {
         let file = out.path().join(name);
-        succeed(command("render").args(arguments).arg("-o").arg(&file));
+        printed(command("render").args(arguments).arg("-o").arg(&file));
         if !name.contains('%') {
-            made.push((name.to_owned(), std::fs::read(&file).unwrap()));
+            results.push((name.to_owned(), std::fs::read(&file).unwrap()));
         }
     };
     let view = view.to_str().unwrap();
@@ -56,52 +56,52 @@ fn everything(capture: &Path, threads: &str) -> Vec<(String, Vec<u8>)> {
     for k in 0..3 {
         let name = format!("0{k}.png");
         let bytes = std::fs::read(out.path().join(&name)).unwrap();
-        made.push((name, bytes));
+        results.push((name, bytes));
     }
-    made
+    results
 }
 
-fn with_truth_on_one_thread() -> &'static [(String, Vec<u8>)] {
-    static MADE: OnceLock<Vec<(String, Vec<u8>)>> = OnceLock::new();
-    MADE.get_or_init(|| {
+fn with_truth_on_one_thread() -> &'static Results {
+    static RESULTS: OnceLock<Results> = OnceLock::new();
+    RESULTS.get_or_init(|| {
         let copy = tiny_copy();
         assert!(copy.path().join("truth/truth.json").is_file());
-        everything(copy.path(), "1")
+        results(copy.path(), "1")
     })
 }
 
 #[track_caller]
-fn assert_same(made: &[(String, Vec<u8>)]) {
+fn assert_same(results: &Results) {
     let expected = with_truth_on_one_thread();
-    assert_eq!(made.len(), expected.len());
-    for ((name, bytes), (_, expected)) in made.iter().zip(expected) {
+    assert_eq!(results.len(), expected.len());
+    for ((name, bytes), (_, expected)) in results.iter().zip(expected) {
         assert!(bytes == expected, "{name} differs");
     }
-    let images: std::collections::HashSet<_> = made.iter().map(|(_, bytes)| bytes).collect();
-    assert_eq!(images.len(), made.len(), "all of these are different");
+    let different: std::collections::HashSet<_> = results.iter().map(|(_, bytes)| bytes).collect();
+    assert_eq!(different.len(), results.len(), "no two of these are the same");
 }
 
 #[test]
 fn without_the_truth_no_byte_changes() {
     let copy = tiny_copy();
     std::fs::remove_dir_all(copy.path().join("truth")).unwrap();
-    assert_same(&everything(copy.path(), "1"));
+    assert_same(&results(copy.path(), "1"));
 }
 
 #[test]
 fn any_number_of_threads_gives_the_same_bytes() {
     let copy = tiny_copy();
-    assert_same(&everything(copy.path(), "3"));
+    assert_same(&results(copy.path(), "3"));
 }
 
-/// The report's numbers, against what the pixels of 160×120 images have to give.
+/// The report's numbers, against what can be had from images of 160×120 pixels.
 #[test]
 fn offsets_images_and_views_are_near_the_truth() {
     let copy = tiny_copy();
     let metrics = |threads: &str, out: &str| {
         let mut command = stlfr();
         command.env("RAYON_NUM_THREADS", threads).args(["-q", "compare"]).arg(copy.path());
-        succeed(command.arg("-o").arg(copy.path().join(out)));
+        printed(command.arg("-o").arg(copy.path().join(out)));
         assert!(copy.path().join(out).join("report.html").is_file());
         copy.path().join(out).join("metrics.json")
     };
@@ -141,7 +141,7 @@ fn offsets_images_and_views_are_near_the_truth() {
 fn without_truth_there_is_nothing_to_compare_with() {
     let copy = tiny_copy();
     std::fs::remove_dir_all(copy.path().join("truth")).unwrap();
-    let output = run(&["-q", "compare", copy.path().to_str().unwrap()]);
+    let output = run(&["-q", "compare", text(copy.path())]);
     common::assert_refused(&output, 2, "truth");
     assert!(!tiny_capture().join("offsets.json").exists(), "the shared capture stays as it was");
 }

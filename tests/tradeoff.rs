@@ -1,9 +1,9 @@
-//! `stlfr tradeoff`: what it measures, and that it measures nothing twice.
+//! `stlfr tradeoff`: which points it measures against what, and that it measures nothing twice.
 
 mod common;
 
 use common::wall::{Scene, open};
-use common::{assert_refused, run, stderr, stlfr, tiny_capture};
+use common::{assert_refused, edit, read_json, run, stlfr, succeed, text, tiny_capture};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,10 +12,7 @@ use std::time::{Duration, Instant};
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::tradeoff::{Against, Tradeoff, TradeoffOptions, tradeoff};
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("test folders are UTF-8")
-}
+use tempfile::TempDir;
 
 /// What `points/` holds, by name.
 fn measured(out: &Path) -> BTreeMap<String, Value> {
@@ -23,10 +20,7 @@ fn measured(out: &Path) -> BTreeMap<String, Value> {
     let files = entries.flatten().filter(|e| e.file_name().to_string_lossy().ends_with(".json"));
     files
         .filter(|e| !e.file_name().to_string_lossy().starts_with('.'))
-        .map(|e| {
-            let value = serde_json::from_slice(&std::fs::read(e.path()).unwrap());
-            (e.file_name().into_string().unwrap(), value.expect("files are written whole"))
-        })
+        .map(|e| (e.file_name().into_string().unwrap(), read_json(&e.path()))) // written whole
         .collect()
 }
 
@@ -43,8 +37,8 @@ fn extends(earlier: &Value, later: &Value) -> bool {
     }
 }
 
-/// A film without truth, in which a board moves before a wall.
-fn film() -> tempfile::TempDir {
+/// A capture without truth, in which a board moves before a wall.
+fn capture_without_truth() -> TempDir {
     Scene { board: Some([-0.8, -0.5]), ..Scene::default() }.film()
 }
 
@@ -66,11 +60,7 @@ fn the_tiny_capture_against_its_truth_goes_on_after_a_kill() {
     let before = measured(&out);
     assert!(!out.join("tradeoff.json").exists(), "killed in the middle");
 
-    let again = || {
-        let output = run(&[&arguments[..], &["-o", text(&out), "--json"]].concat());
-        assert!(output.status.success(), "{}", stderr(&output));
-        output.stdout
-    };
+    let again = || succeed(&[&arguments[..], &["-o", text(&out), "--json"]].concat()).stdout;
     let printed = again();
     let after = measured(&out);
     for (name, value) in &before {
@@ -100,12 +90,12 @@ fn the_tiny_capture_against_its_truth_goes_on_after_a_kill() {
 }
 
 #[test]
-fn without_truth_cameras_are_left_out_and_quality_repeats() {
-    let film = film();
+fn without_truth_cameras_are_held_out_and_quality_repeats() {
+    let folder = capture_without_truth();
     let options = TradeoffOptions { runs: 1, rounds: 0, ..TradeoffOptions::default() };
     let measure = || {
         let out = tempfile::tempdir().unwrap();
-        let found = tradeoff(&open(&film), &options, out.path(), &Reporter::silent()).unwrap();
+        let found = tradeoff(&open(&folder), &options, out.path(), &Reporter::silent()).unwrap();
         let mut quality: Vec<_> = found
             .points
             .iter()
@@ -117,16 +107,19 @@ fn without_truth_cameras_are_left_out_and_quality_repeats() {
     let (found, quality) = measure();
     assert_eq!(found.against, Against::HeldOut);
     assert!(found.views >= 1);
-    assert!(quality.iter().any(|q| q.3.is_some_and(|db| db < 60.0)), "rungs differ");
-    assert!(quality.iter().any(|q| q.3 == Some(99.0)), "the most accurate rungs are themselves");
+    assert!(quality.iter().any(|q| q.3.is_some_and(|db| db < 60.0)), "methods differ");
+    assert!(
+        quality.iter().any(|q| q.3 == Some(99.0)),
+        "the most accurate methods are the reference"
+    );
     assert_eq!(measure().1, quality);
-    assert!(!film.path().join("offsets.json").exists(), "nothing is written into the capture");
+    assert!(!folder.path().join("offsets.json").exists(), "nothing is written into the capture");
 }
 
 #[test]
-fn one_camera_is_held_against_its_most_accurate_view() {
-    let film = film();
-    common::wall::edit(&film, |json| {
+fn one_camera_is_compared_with_its_most_accurate_view() {
+    let folder = capture_without_truth();
+    edit(folder.path(), |json| {
         json["cameras"].as_array_mut().unwrap().truncate(1);
         json["reference"] = "cam0".into();
     });
@@ -134,7 +127,7 @@ fn one_camera_is_held_against_its_most_accurate_view() {
     let mut base = RenderOptions::default();
     base.proxy.plane_depth_m = Some(2.0);
     let options = TradeoffOptions { runs: 1, rounds: 0, base, ..TradeoffOptions::default() };
-    let found = tradeoff(&open(&film), &options, out.path(), &Reporter::silent());
+    let found = tradeoff(&open(&folder), &options, out.path(), &Reporter::silent());
     match found {
         Ok(found) => assert_eq!(found.against, Against::MostAccurate),
         // A mesh needs two cameras.
@@ -143,9 +136,9 @@ fn one_camera_is_held_against_its_most_accurate_view() {
 }
 
 #[test]
-fn what_is_given_wrongly_is_refused() {
-    let film = film();
-    let capture = text(film.path());
+fn wrong_arguments_are_refused() {
+    let folder = capture_without_truth();
+    let capture = text(folder.path());
     let foreign = tempfile::tempdir().unwrap();
     std::fs::write(foreign.path().join("thesis.tex"), "").unwrap();
     for (arguments, words) in [

@@ -2,14 +2,13 @@
 
 mod common;
 
-use common::{assert_refused, run, stderr, stlfr, synthetic};
+use common::{assert_refused, describe, edit, run, stderr, stlfr, synthetic};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use stlfr::capture::{Capture, CaptureError, Opening};
 use stlfr::progress::Reporter;
-use stlfr::raster::Image;
-use stlfr::raster::{BitDepth, read_image, write_image};
+use stlfr::raster::{BitDepth, Image, read_image, write_image};
 use stlfr::toolchain::find_ffmpeg;
 use stlfr::video::{Codec, VideoFormat, VideoWriter};
 
@@ -38,9 +37,9 @@ fn encode(path: &Path, frames: &[Image], depth: BitDepth, rate_hz: f64) {
     video.finish().unwrap();
 }
 
-/// Makes one with ffmpeg's own arguments.
+/// Encodes a video with ffmpeg's own arguments.
 #[track_caller]
-fn make(arguments: &str, path: &Path) {
+fn encode_by(arguments: &str, path: &Path) {
     let status = Command::new(ffmpeg())
         .args(["-v", "error", "-y"])
         .args(arguments.split(' '))
@@ -48,13 +47,6 @@ fn make(arguments: &str, path: &Path) {
         .status()
         .unwrap();
     assert!(status.success(), "{arguments}");
-}
-
-fn edit(folder: &Path, change: impl FnOnce(&mut Value)) {
-    let path = folder.join("capture.json");
-    let mut json = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
-    change(&mut json);
-    std::fs::write(path, json.to_string()).unwrap();
 }
 
 /// A capture of one camera of 64×48 pixels whose frames are `video.mkv`, which isn't there yet.
@@ -65,7 +57,7 @@ fn one_camera() -> tempfile::TempDir {
         "params": [60.0, 60.0, 32.0, 24.0],
         "cam_from_world": {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]},
         "clock": {"rate_hz": 30.0, "first_s": 0.0, "shared": true}}]});
-    std::fs::write(folder.path().join("capture.json"), capture.to_string()).unwrap();
+    describe(folder.path(), &capture);
     folder
 }
 
@@ -120,7 +112,7 @@ fn videos_equal_their_image_sequences() {
         capture.cameras[k].frames[0].clone()
     };
     std::fs::write(index(1), b"cut short").unwrap();
-    assert!(expected == render(videos.path()), "a damaged cache was believed");
+    assert!(expected == render(videos.path()), "a damaged cache was used");
     std::fs::remove_dir_all(cache).unwrap();
     assert!(expected == render(videos.path()), "other pixels from a new cache");
 
@@ -133,7 +125,7 @@ fn videos_equal_their_image_sequences() {
 
 #[test]
 fn depths_and_colours_survive() {
-    for (channels, depth, most) in [
+    for (channels, depth, white) in [
         (1, BitDepth::Eight, 255.0),
         (3, BitDepth::Eight, 255.0),
         (1, BitDepth::Sixteen, 65535.0),
@@ -141,7 +133,7 @@ fn depths_and_colours_survive() {
     ] {
         let folder = one_camera();
         let data =
-            (0..64 * 48 * channels).map(|k| ((k * 7919) % (most as usize + 1)) as f32 / most);
+            (0..64 * 48 * channels).map(|k| ((k * 7919) % (white as usize + 1)) as f32 / white);
         let image = Image::from_data(64, 48, channels, data.collect());
         encode(&folder.path().join("video.mkv"), std::slice::from_ref(&image), depth, 30.0);
         let capture = open(folder.path()).unwrap();
@@ -152,15 +144,15 @@ fn depths_and_colours_survive() {
     }
 }
 
-/// Limited and full range mean the same colour, and are taken so.
+/// One colour in limited and in full range is read as the same colour.
 #[test]
-fn colour_ranges_are_told_apart() {
+fn colour_ranges_are_distinguished() {
     for range in ["tv", "pc"] {
         let folder = one_camera();
         let source = "-f lavfi -i color=c=0xC04080:size=64x48:rate=30:duration=0.1";
         let filter = format!("-vf scale=out_range={range}:out_color_matrix=bt601 -pix_fmt yuv444p");
         let tags = format!("-color_range {range} -colorspace smpte170m -c:v ffv1");
-        make(&format!("{source} {filter} {tags}"), &folder.path().join("video.mkv"));
+        encode_by(&format!("{source} {filter} {tags}"), &folder.path().join("video.mkv"));
         let capture = open(folder.path()).unwrap();
         let image = capture.read_frame(0, 1).unwrap();
         for (v, expected) in image.pixel(30, 20).iter().zip([192.0, 64.0, 128.0]) {
@@ -173,7 +165,7 @@ fn colour_ranges_are_told_apart() {
 fn sound_and_a_leading_dash_do_not_matter() {
     let folder = one_camera();
     let source = "-f lavfi -i testsrc2=size=64x48:rate=30:duration=0.2 -f lavfi -i sine -shortest";
-    make(&format!("{source} -c:v ffv1"), &folder.path().join("-i.mkv"));
+    encode_by(&format!("{source} -c:v ffv1"), &folder.path().join("-i.mkv"));
     edit(folder.path(), |json| json["cameras"][0]["frames"] = json!("-i.mkv"));
     assert_eq!(open(folder.path()).unwrap().cameras[0].frames.len(), 6);
 }
@@ -184,7 +176,7 @@ fn bad_videos_are_one_sentence() {
     let path = folder.path().join("video.mkv");
     assert!(error(folder.path()).contains("cameras[0] (a).frames: 'video.mkv' does not exist"));
 
-    make("-f lavfi -i testsrc2=size=64x48:rate=30:duration=1 -c:v ffv1 -f matroska", &path);
+    encode_by("-f lavfi -i testsrc2=size=64x48:rate=30:duration=1 -c:v ffv1 -f matroska", &path);
     let whole = std::fs::read(&path).unwrap();
     for (bytes, words) in [
         (&whole[..whole.len() / 2], "frames: 'video.mkv' is not a whole video"),
@@ -224,7 +216,7 @@ fn playlists_and_scripts_reach_no_other_file() {
     let folder = one_camera();
     let outside = tempfile::tempdir().unwrap();
     let secret = outside.path().join("secret.mkv");
-    make("-f lavfi -i testsrc2=size=64x48:rate=30:duration=0.2 -c:v ffv1", &secret);
+    encode_by("-f lavfi -i testsrc2=size=64x48:rate=30:duration=0.2 -c:v ffv1", &secret);
     let path = folder.path().join("video.mkv");
     let secret = secret.display();
     for script in [

@@ -114,7 +114,9 @@ struct PairProblem {
 impl PairProblem {
     fn new(case: &worlds::Case, recording: &Path) -> Self {
         let cameras = worlds::line_rig(2, 640);
-        bodies::film(&case.world, &cameras, &[0.0, 0.4], 4, 0.009, recording);
+        let (world, first_frames) = (&case.world, &[0.0, 0.4]);
+        bodies::Recording { world, cameras: &cameras, first_frames, frames: 4, noise: 0.009 }
+            .write(recording);
         let capture = Arc::new(Capture::open(recording).expect("a capture"));
         let times_s = capture.cameras.iter().map(|c| Some(c.clock.times_s.clone())).collect();
         let options = RegistrationOptions::default();

@@ -11,13 +11,14 @@ mod bodies;
 #[path = "../common/worlds.rs"]
 mod worlds;
 
-use bodies::{Random, Surface};
+use bodies::{Recording, Surface};
 use nalgebra::{Point2, Vector2};
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::camera::{Camera, EpipolarGeometry};
 use stlfr::capture::{Capture, Tracks, Truth};
+use stlfr::random::Random;
 use stlfr::registration::{
     FlowDirection, FrameStore, ReferenceQuery, RegistrationOptions, Track, Verdict, epipolar_test,
     neighbor_consensus, select_references, temporal_flow, temporal_flow_of,
@@ -64,7 +65,9 @@ impl Scene {
         let folder =
             PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(".captures/bodies").join(case.name);
         if !folder.join("capture.json").exists() {
-            bodies::film(&case.world, &cameras, &DELAYS, FRAMES, 0.009, &folder);
+            let (world, first_frames) = (&case.world, &DELAYS);
+            Recording { world, cameras: &cameras, first_frames, frames: FRAMES, noise: 0.009 }
+                .write(&folder);
         }
         let capture = Arc::new(Capture::open(&folder).expect("a capture"));
         let times_s = capture.cameras.iter().map(|c| Some(c.clock.times_s.clone())).collect();
@@ -221,7 +224,7 @@ fn row(errors: &[f64]) -> String {
 
 /// The same track with an error of 3 to 20 px, in any direction, at the end that was looked for.
 fn made_wrong(sample: &Sample, random: &mut Random) -> Sample {
-    let (angle, size) = (std::f64::consts::TAU * random.uniform(), 3.0 + 17.0 * random.uniform());
+    let (angle, size) = (std::f64::consts::TAU * random.unit(), 3.0 + 17.0 * random.unit());
     let error = size * Vector2::new(angle.cos(), angle.sin());
     let mut wrong = sample.clone();
     if wrong.track.direction == FlowDirection::Backward {
@@ -326,7 +329,7 @@ impl Scoring<'_> {
     /// Every right track, made wrong once, a tenth of them at a time.
     fn score_corrupted(&self, samples: Vec<Sample>, counts: &mut Counts) {
         let right: Vec<Sample> = samples.into_iter().filter(|s| self.error(s) < 1.0).collect();
-        let mut random = Random(5);
+        let mut random = Random::new(5);
         for turn in 0..10 {
             let given: Vec<Sample> = (0..right.len())
                 .map(|n| match n % 10 == turn {

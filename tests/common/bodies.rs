@@ -1,39 +1,15 @@
 //! Rigid textured bodies in motion, filmed by ray casting: what every surface point does, in every
-//! camera and at every instant, is a formula, hidden or seen. Films come with the noise of a path
+//! camera and at every instant, is a formula, hidden or seen. Recordings have the noise of a path
 //! tracer: a few random samples a pixel, and a grain.
 
 use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use serde_json::json;
-use std::f64::consts::TAU;
 use std::path::Path;
+use std::sync::Arc;
 use stlfr::camera::Camera;
-use stlfr::raster::Image;
-use stlfr::raster::{BitDepth, write_image};
-
-/// Random numbers: SplitMix64.
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// In 0..1.
-    pub fn uniform(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    /// Of mean 0 and variance 1.
-    pub fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * (1.0 - self.uniform()).ln()).sqrt();
-        radius * (TAU * self.uniform()).cos()
-    }
-}
+use stlfr::random::Random;
+use stlfr::raster::{BitDepth, Image, write_image};
 
 #[derive(Clone, Copy)]
 pub enum Shape {
@@ -140,12 +116,12 @@ impl World {
         let rows: Vec<Vec<f32>> = (0..camera.height)
             .into_par_iter()
             .map(|y| {
-                let mut random = Random(seed ^ (y as u64) << 32);
+                let mut random = Random::new(seed ^ (y as u64) << 32);
                 let mut row = Vec::with_capacity(3 * camera.width);
                 for x in 0..camera.width {
                     let mut sum = [0.0; 3];
                     for k in 0..SIDE * SIDE {
-                        let mut offset = |k: usize| (k as f64 + random.uniform()) / SIDE as f64;
+                        let mut offset = |k: usize| (k as f64 + random.unit()) / SIDE as f64;
                         let at =
                             Point2::new(x as f64 + offset(k % SIDE), y as f64 + offset(k / SIDE));
                         let ray = camera.ray_world(&at).expect("pixels of the image have rays");
@@ -156,7 +132,7 @@ impl World {
                         }
                     }
                     row.extend(
-                        sum.map(|s| s / (SIDE * SIDE) as f32 + (noise * random.normal()) as f32),
+                        sum.map(|s| s / (SIDE * SIDE) as f32 + (noise * random.gaussian()) as f32),
                     );
                 }
                 row
@@ -167,8 +143,9 @@ impl World {
 }
 
 /// A square of colours that repeats.
+#[derive(Clone)]
 pub struct Texture {
-    texels: Vec<[f32; 3]>,
+    texels: Arc<[[f32; 3]]>,
     texels_per_m: f64,
 }
 
@@ -177,12 +154,12 @@ const TEXELS: usize = 1024;
 impl Texture {
     /// Cloudy colours of all sizes, with dark print on them; a texel is `texel_m` wide.
     pub fn print(seed: u64, texel_m: f64, contrast: f64) -> Self {
-        let mut random = Random(seed);
+        let mut random = Random::new(seed);
         let mut texels = vec![[0.5_f32; 3]; TEXELS * TEXELS];
         for (cell, strength) in [(8, 0.09), (16, 0.12), (40, 0.14), (128, 0.16)] {
             let cells = TEXELS.div_ceil(cell);
             let grid: Vec<[f64; 3]> =
-                (0..cells * cells).map(|_| [0; 3].map(|_| random.uniform() - 0.5)).collect();
+                (0..cells * cells).map(|_| [0; 3].map(|_| random.unit() - 0.5)).collect();
             for (k, texel) in texels.iter_mut().enumerate() {
                 let smooth = |v: usize| {
                     let f = (v % cell) as f64 / cell as f64;
@@ -199,20 +176,20 @@ impl Texture {
         }
         // Strokes in rows, as print has them.
         for line in 0..TEXELS / 48 {
-            let mut x = 20 + (random.uniform() * 200.0) as usize;
+            let mut x = 20 + (random.unit() * 200.0) as usize;
             while x < TEXELS - 30 {
-                let (w, h) = (4.0 + 14.0 * random.uniform(), 4.0 + 22.0 * random.uniform());
-                let y = line * 48 + (random.uniform() * 12.0) as usize;
+                let (w, h) = (4.0 + 14.0 * random.unit(), 4.0 + 22.0 * random.unit());
+                let y = line * 48 + (random.unit() * 12.0) as usize;
                 for ty in y..(y + h as usize).min(TEXELS) {
                     for tx in x..(x + w as usize).min(TEXELS) {
                         texels[ty * TEXELS + tx] =
                             texels[ty * TEXELS + tx].map(|v| v * (1.0 - 0.7 * contrast as f32));
                     }
                 }
-                x += w as usize + 3 + (random.uniform() * random.uniform() * 160.0) as usize;
+                x += w as usize + 3 + (random.unit() * random.unit() * 160.0) as usize;
             }
         }
-        Self { texels, texels_per_m: 1.0 / texel_m }
+        Self { texels: texels.into(), texels_per_m: 1.0 / texel_m }
     }
 
     fn at(&self, x_m: f64, y_m: f64) -> [f32; 3] {
@@ -245,37 +222,43 @@ pub fn steady(_: f64) -> f64 {
     1.0
 }
 
-/// Films a world with cameras that open at `first_frames[c]` and every frame after, and writes the
-/// capture, clocks shared. Times are in frames of 30 a second.
-pub fn film(
-    world: &World,
-    cameras: &[Camera],
-    first_frames: &[f64],
-    frames: usize,
-    noise: f64,
-    folder: &Path,
-) {
-    let mut described = Vec::new();
-    for (c, (camera, first)) in cameras.iter().zip(first_frames).enumerate() {
-        let rotation = camera.cam_from_world.rotation;
-        let place = camera.cam_from_world.translation;
-        described.push(json!({
-            "id": format!("cam{c}"), "frames": format!("cam{c}/%04d.png"),
-            "width": camera.width, "height": camera.height,
-            "model": camera.model.name(), "params": camera.model.params(),
-            "cam_from_world": {
-                "rotation_wxyz": [rotation.w, rotation.i, rotation.j, rotation.k],
-                "translation": [place.x, place.y, place.z]},
-            "clock": {"rate_hz": 30.0, "first_s": first / 30.0, "shared": true}}));
-        for k in 0..frames {
-            let seed = 1 + (c * frames + k) as u64 * 7919;
-            let image = world.film(camera, first + k as f64, noise, seed);
-            let path = folder.join(format!("cam{c}/{k:04}.png"));
-            write_image(&path, &image, None, BitDepth::Eight).expect("a frame can be written");
+/// A recording of a world, in frames of 30 a second; clocks are shared.
+pub struct Recording<'a> {
+    pub world: &'a World,
+    pub cameras: &'a [Camera],
+    /// When each camera opens, frames on the world's clock.
+    pub first_frames: &'a [f64],
+    /// How many each camera has.
+    pub frames: usize,
+    /// The standard deviation of the images' grain.
+    pub noise: f64,
+}
+
+impl Recording<'_> {
+    /// Films it, and writes the capture.
+    pub fn write(&self, folder: &Path) {
+        let mut described = Vec::new();
+        for (c, (camera, first)) in self.cameras.iter().zip(self.first_frames).enumerate() {
+            let rotation = camera.cam_from_world.rotation;
+            let place = camera.cam_from_world.translation;
+            described.push(json!({
+                "id": format!("cam{c}"), "frames": format!("cam{c}/%04d.png"),
+                "width": camera.width, "height": camera.height,
+                "model": camera.model.name(), "params": camera.model.params(),
+                "cam_from_world": {
+                    "rotation_wxyz": [rotation.w, rotation.i, rotation.j, rotation.k],
+                    "translation": [place.x, place.y, place.z]},
+                "clock": {"rate_hz": 30.0, "first_s": first / 30.0, "shared": true}}));
+            for k in 0..self.frames {
+                let seed = 1 + (c * self.frames + k) as u64 * 7919;
+                let image = self.world.film(camera, first + k as f64, self.noise, seed);
+                let path = folder.join(format!("cam{c}/{k:04}.png"));
+                write_image(&path, &image, None, BitDepth::Eight).expect("a frame can be written");
+            }
         }
+        let capture = json!({"format": "stlfr-capture", "version": 1, "name": "bodies",
+            "reference": "cam0", "cameras": described});
+        std::fs::write(folder.join("capture.json"), capture.to_string())
+            .expect("capture.json can be written");
     }
-    let capture = json!({"format": "stlfr-capture", "version": 1, "name": "bodies",
-        "reference": "cam0", "cameras": described});
-    std::fs::write(folder.join("capture.json"), capture.to_string())
-        .expect("capture.json can be written");
 }

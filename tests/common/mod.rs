@@ -1,14 +1,18 @@
-//! What the integration tests share: the program, and the tiny capture that is filmed once.
+//! What the integration tests share: the program, scenes whose images are formulas, and the tiny
+//! capture that Blender films once.
 
 #![allow(dead_code)] // each test binary uses some of it
 
 pub mod bodies;
 pub mod peak;
+pub mod random;
+pub mod scores;
 pub mod swing;
 pub mod synthetic;
 pub mod wall;
 pub mod worlds;
 
+use serde_json::Value;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -31,6 +35,19 @@ pub fn run(arguments: &[&str]) -> Output {
     stlfr().args(arguments).output().expect("the program starts")
 }
 
+/// Runs the program, which must succeed; its output.
+#[track_caller]
+pub fn succeed(arguments: &[&str]) -> Output {
+    let output = run(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", stderr(&output));
+    output
+}
+
+/// A path as a command line has it.
+pub fn text(path: &Path) -> &str {
+    path.to_str().expect("test folders are UTF-8")
+}
+
 /// What went to stderr.
 pub fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
@@ -47,8 +64,27 @@ pub fn assert_refused(output: &Output, code: i32, words: &str) {
     assert!(output.stdout.is_empty(), "{}", String::from_utf8_lossy(&output.stdout));
 }
 
+/// A JSON file's content.
+pub fn read_json(path: &Path) -> Value {
+    let bytes = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    serde_json::from_slice(&bytes).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// Writes the description of a capture.
+pub fn describe(folder: &Path, capture: &Value) {
+    std::fs::write(folder.join("capture.json"), capture.to_string())
+        .expect("capture.json can be written");
+}
+
+/// Changes the description of a capture.
+pub fn edit(folder: &Path, change: impl FnOnce(&mut Value)) {
+    let mut capture = read_json(&folder.join("capture.json"));
+    change(&mut capture);
+    describe(folder, &capture);
+}
+
 /// The tiny capture: the demo's scene and rig, 8 cameras of 160×120 with 6 frames, truth at one
-/// instant. Filmed once, by whichever test process comes first, and kept in the target folder; not
+/// instant. Filmed once, by whichever test process comes first, and cached in the target folder; not
 /// to be written to (see [`tiny_copy`]).
 pub fn tiny_capture() -> &'static Path {
     static CAPTURE: OnceLock<PathBuf> = OnceLock::new();
@@ -60,8 +96,8 @@ pub fn tiny_capture() -> &'static Path {
         let capture = folder.join("tiny");
         let mut output = film_tiny(&capture);
         if output.status.code() == Some(2) && capture.exists() {
-            // Another version of scene, rig or film code filmed it.
-            std::fs::remove_dir_all(&capture).expect("the old film can be removed");
+            // Another version of the scene, the rig or the filming code made it.
+            std::fs::remove_dir_all(&capture).expect("the old capture can be removed");
             output = film_tiny(&capture);
         }
         assert!(output.status.success(), "filming: {}", stderr(&output));

@@ -1,15 +1,14 @@
 //! A printed wall that goes around an ellipse before a grid of cameras: of any size, number of
-//! cameras and length. What it does repeats itself after a period, so that a film of thousands of
+//! cameras and length. Its motion repeats itself after a period, so that a recording of thousands of
 //! frames has no more images than that, linked again and again, and every image is a formula.
 
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
 use std::path::Path;
 use stlfr::camera::{Camera, CameraFormat};
-use stlfr::raster::Image;
-use stlfr::raster::{BitDepth, write_image};
+use stlfr::raster::{BitDepth, Image, write_image};
 
-/// What is filmed, and how.
+/// The wall, its motion, and the rig that films it.
 #[derive(Clone, Debug)]
 pub struct Swing {
     pub width: usize,
@@ -166,8 +165,8 @@ fn wave(k: usize, axis: usize, at: f64) -> [f32; 2] {
     let k = k as f64 + 1.0;
     let direction = 2.399 * k;
     let per_px = TAU * (0.05 + 0.11 * (0.618 * k).fract());
-    let (share, start) =
+    let (along, start) =
         if axis == 0 { (direction.cos(), 1.7 * k) } else { (direction.sin(), 0.0) };
-    let phase = per_px * share * at + start;
+    let phase = per_px * along * at + start;
     [phase.sin() as f32, phase.cos() as f32]
 }

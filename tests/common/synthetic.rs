@@ -3,9 +3,10 @@
 //! a formula.
 
 use serde_json::{Value, json};
+use std::f64::consts::TAU;
 use std::path::Path;
-use stlfr::raster::Image;
-use stlfr::raster::{BitDepth, write_image};
+use stlfr::random::Random;
+use stlfr::raster::{BitDepth, Image, write_image};
 
 pub const WIDTH: usize = 160;
 pub const HEIGHT: usize = 120;
@@ -15,6 +16,7 @@ const DEPTH_M: f64 = 2.0;
 /// 1.4 and 4.5 pixels a frame.
 const VELOCITY_M_PER_S: [f64; 2] = [0.5, 1.6];
 const SPACING_M: f64 = 0.06;
+const WAVES: usize = 40;
 
 /// Where camera `index` of `count` stands, metres to the right of the middle.
 pub fn place_m(index: usize, count: usize) -> f64 {
@@ -24,39 +26,49 @@ pub fn place_m(index: usize, count: usize) -> f64 {
 /// The image of a camera at (x, y) metres at a time in seconds.
 pub fn image(x_m: f64, y_m: f64, time_s: f64) -> Image {
     let waves = waves();
+    let at =
+        |pixel: usize, size: usize| (pixel as f64 + 0.5 - size as f64 / 2.0) * DEPTH_M / FOCAL_PX;
+    // sin(a + b) = sin a · cos b + cos a · sin b: a of the column and the channel, b of the row.
+    let columns: Vec<[[(f64, f64); WAVES]; 3]> = (0..WIDTH)
+        .map(|column| {
+            let u = x_m + at(column, WIDTH) - VELOCITY_M_PER_S[0] * time_s;
+            [0, 1, 2].map(|channel| waves.map(|w| (w.along_u * u + w.phases[channel]).sin_cos()))
+        })
+        .collect();
     let mut data = Vec::with_capacity(3 * WIDTH * HEIGHT);
     for row in 0..HEIGHT {
-        for column in 0..WIDTH {
-            let u = x_m + (column as f64 + 0.5 - WIDTH as f64 / 2.0) * DEPTH_M / FOCAL_PX;
-            let v = y_m + (row as f64 + 0.5 - HEIGHT as f64 / 2.0) * DEPTH_M / FOCAL_PX;
-            let (u, v) = (u - VELOCITY_M_PER_S[0] * time_s, v - VELOCITY_M_PER_S[1] * time_s);
-            for channel in 0..3 {
-                let sum: f64 =
-                    waves.iter().map(|w| (w[0] * u + w[1] * v + w[2 + channel]).sin()).sum();
-                data.push((0.5 + 0.045 * sum).clamp(0.0, 1.0) as f32);
-            }
+        let v = y_m + at(row, HEIGHT) - VELOCITY_M_PER_S[1] * time_s;
+        let row = waves.map(|w| (w.along_v * v).sin_cos());
+        for column in columns.iter().flatten() {
+            let terms = column.iter().zip(&row).map(|(a, b)| a.0 * b.1 + a.1 * b.0);
+            data.push((0.5 + 0.045 * terms.sum::<f64>()).clamp(0.0, 1.0) as f32);
         }
     }
     Image::from_data(WIDTH, HEIGHT, 3, data)
 }
 
-/// Forty waves, 6 to 45 pixels long, in all directions: wave number along u and v, and a phase for
-/// each channel.
-fn waves() -> Vec<[f64; 5]> {
-    let mut state = 1_u64;
-    let mut uniform = || {
-        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (state >> 11) as f64 / (1_u64 << 53) as f64
-    };
-    (0..40)
-        .map(|_| {
-            let (angle, share) = (std::f64::consts::TAU * uniform(), uniform());
-            let length_m = 0.07 * (0.53_f64 / 0.07).powf(share);
-            let number = std::f64::consts::TAU / length_m;
-            let phase = std::f64::consts::TAU * uniform();
-            [number * angle.cos(), number * angle.sin(), phase, phase + 0.7, phase - 0.5]
-        })
-        .collect()
+/// A wave of the plane's texture: its wave numbers, radians a metre, and each channel's phase.
+#[derive(Clone, Copy)]
+struct Wave {
+    along_u: f64,
+    along_v: f64,
+    phases: [f64; 3],
+}
+
+/// Waves 6 to 45 pixels long, in all directions.
+fn waves() -> [Wave; WAVES] {
+    let mut random = Random::new(1);
+    std::array::from_fn(|_| {
+        let angle = TAU * random.unit();
+        let length_m = 0.07 * (0.53_f64 / 0.07).powf(random.unit());
+        let phase = TAU * random.unit();
+        let number = TAU / length_m;
+        Wave {
+            along_u: number * angle.cos(),
+            along_v: number * angle.sin(),
+            phases: [phase, phase + 0.7, phase - 0.5],
+        }
+    })
 }
 
 /// A camera at (x, y) metres, as a view file has it.
@@ -85,8 +97,7 @@ pub fn write(folder: &Path, delays_frames: &[f64], frames: usize) {
     }
     let capture = json!({"format": "stlfr-capture", "version": 1, "name": "sliding-plane",
         "cameras": cameras});
-    std::fs::write(folder.join("capture.json"), capture.to_string())
-        .expect("capture.json can be written");
+    super::describe(folder, &capture);
 }
 
 /// A capture in a temporary folder.

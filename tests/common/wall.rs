@@ -4,16 +4,15 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use serde_json::{Value, json};
 use std::f64::consts::TAU;
-use std::path::Path;
 use std::sync::Arc;
 use stlfr::camera::{Camera, CameraFormat};
 use stlfr::capture::Capture;
+use stlfr::light_field::LightField;
 use stlfr::offset::{self, Offsets};
-use stlfr::options::RenderOptions;
+use stlfr::options::{ProxyMethod, RenderOptions, ViewOptions};
 use stlfr::progress::Reporter;
-use stlfr::raster::Image;
-use stlfr::raster::{BitDepth, write_image};
-use stlfr::registration::FrameStore;
+use stlfr::raster::{BitDepth, Image, write_image};
+use stlfr::registration::{FrameStore, RegistrationOptions};
 use tempfile::TempDir;
 
 /// A textured wall before three cameras.
@@ -152,7 +151,7 @@ impl Scene {
                 camera
             })
             .collect();
-        write_json(
+        super::describe(
             folder.path(),
             &json!({"format": "stlfr-capture", "version": 1, "name": "wall", "reference": "cam1",
             "cameras": cameras}),
@@ -170,25 +169,31 @@ pub fn turned(image: &Image, quarters: usize) -> Image {
     })
 }
 
-/// Writes the description of a capture.
-pub fn write_json(folder: &Path, json: &Value) {
-    std::fs::write(folder.join("capture.json"), json.to_string()).unwrap();
-}
-
-/// Changes the description of a capture.
-pub fn edit(folder: &TempDir, change: impl FnOnce(&mut Value)) {
-    let text = std::fs::read_to_string(folder.path().join("capture.json")).unwrap();
-    let mut json = serde_json::from_str(&text).unwrap();
-    change(&mut json);
-    write_json(folder.path(), &json);
-}
-
-/// As the stages have it.
+/// Opens a capture.
 pub fn open(folder: &TempDir) -> Arc<Capture> {
     Arc::new(Capture::open(folder.path()).unwrap())
 }
 
-/// By the default method; every offset is known with an error, or unknown with a reason.
+/// The light field of a capture, registered by the default options.
+pub fn field_of(capture: &Arc<Capture>, offsets: Offsets) -> LightField {
+    LightField::new(capture.clone(), offsets, &RegistrationOptions::default())
+}
+
+/// The default options of a view, but for the proxy.
+pub fn by_proxy(method: ProxyMethod) -> ViewOptions {
+    let mut options = ViewOptions::default();
+    options.proxy.method = method;
+    options
+}
+
+/// The same with a plane at a set depth as the proxy, metres.
+pub fn by_plane(depth_m: f64) -> ViewOptions {
+    let mut options = by_proxy(ProxyMethod::Plane);
+    options.proxy.plane_depth_m = Some(depth_m);
+    options
+}
+
+/// Offsets by the default options; every one is known with an error, or unknown with a reason.
 pub fn estimate(capture: &Arc<Capture>) -> Offsets {
     estimate_by(capture, &RenderOptions::default())
 }
@@ -197,8 +202,7 @@ pub fn estimate(capture: &Arc<Capture>) -> Offsets {
 pub fn estimate_by(capture: &Arc<Capture>, options: &RenderOptions) -> Offsets {
     let silent = Reporter::silent();
     let frames = FrameStore::new(capture.clone(), &options.registration);
-    let found = offset::estimate(&frames, &options.offset, &silent);
-    let offsets = found.unwrap().offsets;
+    let offsets = offset::estimate(&frames, &options.offset, &silent).unwrap().offsets;
     for camera in &offsets.cameras {
         let known = camera.offset_s.is_some();
         assert_eq!((camera.std_err_s.is_some(), camera.reason.is_none()), (known, known));

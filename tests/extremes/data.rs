@@ -1,8 +1,11 @@
-//! Degenerate data: what the formulas leave when there is next to nothing to put into them.
+//! Degenerate data: what the formulas give for next to no input.
 //!
-//! Where there is a fast way, it is held against [`naive`](crate::naive) as well.
+//! Fast implementations are compared with [`naive`](crate::naive) as well.
 
-use crate::common::wall::{FRAME_S, H, Scene, W, edit, estimate, open, view};
+use crate::common::edit;
+use crate::common::wall::{
+    FRAME_S, H, Scene, W, by_plane, by_proxy, estimate, estimate_by, field_of, open, view,
+};
 use crate::naive;
 use nalgebra::{Point2, Point3, Vector2};
 use stlfr::camera::Camera;
@@ -14,11 +17,9 @@ use stlfr::light_field::{LightField, RenderError};
 use stlfr::lumigraph::{Mesh, MeshOptions, Plane, Proxy};
 use stlfr::method::Method;
 use stlfr::offset::Offsets;
-use stlfr::options::ViewOptions;
-use stlfr::options::{ProxyMethod, RenderOptions};
+use stlfr::options::{ProxyMethod, RenderOptions, ViewOptions};
 use stlfr::random::Random;
-use stlfr::raster::Image;
-use stlfr::raster::{BitDepth, write_image};
+use stlfr::raster::{BitDepth, Image, write_image};
 use stlfr::registration::{FlowDirection, Pyramid, RegistrationOptions, Track, neighbor_consensus};
 
 /// Half a step of 8 bits and its rounding: the same picture.
@@ -101,7 +102,7 @@ fn one_and_two_features_show_no_offset_and_no_shape() {
     for count in [1, 2] {
         let mut options = RenderOptions::default();
         options.registration.corners.max_corners = count;
-        let offsets = crate::common::wall::estimate_by(&capture, &options);
+        let offsets = estimate_by(&capture, &options);
         for camera in [&offsets.cameras[0], &offsets.cameras[2]] {
             let reason = camera.reason.as_deref().expect("is unknown");
             assert!(reason.contains("too few features"), "{reason}");
@@ -109,11 +110,10 @@ fn one_and_two_features_show_no_offset_and_no_shape() {
         // With clocks that are known, a frame is as it was filmed.
         let field =
             LightField::new(capture.clone(), Offsets::known(&capture), &options.registration);
-        for sync in SyncMethod::ALL {
+        for &sync in SyncMethod::ALL {
             let filmed = capture.read_frame(1, 2).expect("a frame");
-            let found = field
-                .synchronized(1, 2.0 * FRAME_S, &options.view().with_sync(*sync))
-                .expect("a frame's time");
+            let options = ViewOptions { sync, ..ViewOptions::default() };
+            let found = field.synchronized(1, 2.0 * FRAME_S, &options).expect("a frame's time");
             assert_eq!(found.data(), filmed.data(), "{sync:?}");
         }
     }
@@ -144,7 +144,7 @@ fn assert_depth(points: &[Point3<f64>], camera: &Camera, depth_m: f32) {
     let plane = Plane::fit(&weighted, camera).map(Proxy::Plane);
     let mesh = Mesh::build(points, camera, &MeshOptions::default()).map(Proxy::Mesh);
     assert!(plane.is_some());
-    // A mesh may want more support than a degenerate set has; a made-up one is worse than none.
+    // A mesh may want more support than a degenerate set has; an invented one is worse than none.
     for proxy in [plane, mesh].into_iter().flatten() {
         let map = proxy.depth_map(camera);
         for z in map.data() {
@@ -166,7 +166,7 @@ fn all_features_in_one_place() {
     assert_depth(&[Point3::new(0.1, 0.05, 2.0); 30], &camera, 2.0);
 }
 
-/// A film of noise, new in every frame: each correspondence in it is wrong.
+/// A recording of noise, new in every frame: each correspondence in it is wrong.
 #[test]
 fn all_outliers() {
     let scene = Scene::default();
@@ -182,8 +182,7 @@ fn all_outliers() {
     for camera in [&offsets.cameras[0], &offsets.cameras[2]] {
         assert!(camera.offset_s.is_none() && camera.reason.is_some(), "{camera:?}");
     }
-    let field =
-        LightField::new(capture.clone(), Offsets::known(&capture), &RegistrationOptions::default());
+    let field = field_of(&capture, Offsets::known(&capture));
     let target = view(&scene.camera([0.02, 0.0, 0.0]));
     let refused = field.view(&target, 1.5 * FRAME_S, &ViewOptions::default());
     assert!(matches!(refused, Err(RenderError::NoPoints)), "{:?}", refused.err());
@@ -204,10 +203,10 @@ fn all_outliers() {
         let at = Point2::new(random.in_range(0.0, 96.0), random.in_range(0.0, 72.0));
         wild.push(track(at, Vector2::new(random.signed(), random.signed()) * 40.0));
     }
-    let kept = neighbor_consensus(&wild, &options).into_iter().filter(|k| *k).count();
+    let passed = neighbor_consensus(&wild, &options).into_iter().filter(|k| *k).count();
     // Of a track's 36 neighbours one agrees by chance, to the fifth of its motion that may differ;
     // two must.
-    assert!(kept <= 60, "{kept} of 200 by chance");
+    assert!(passed <= 60, "{passed} of 200 by chance");
     for t in &mut wild {
         t.later = t.earlier + Vector2::new(30.0, 0.0);
     }
@@ -241,27 +240,21 @@ fn constant_saturated_and_black_images() {
             let unknown = camera.reason.as_deref().is_some_and(|r| r.contains("too few features"));
             assert_eq!(unknown, camera.id != "cam1", "{value}: {camera:?}");
         }
-        for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
-            let mut options = RenderOptions::default();
-            options.proxy.method = rung;
-            let field = |options: RenderOptions| {
-                LightField::new(capture.clone(), Offsets::known(&capture), &options.registration)
-            };
-            let target = view(&scene.camera([0.02, 0.0, 0.0]));
+        let field = field_of(&capture, Offsets::known(&capture));
+        let (target, time_s) = (view(&scene.camera([0.02, 0.0, 0.0])), 1.6 * FRAME_S);
+        for &method in ProxyMethod::ALL {
             // Nothing shows where anything is,
-            let refused = field(options.clone()).view(&target, 1.6 * FRAME_S, &options.view());
+            let refused = field.view(&target, time_s, &by_proxy(method));
             assert!(matches!(refused, Err(RenderError::NoPoints)), "{:?}", refused.err());
-            // but at whatever depth, it looks the same.
-            options.proxy.plane_depth_m = Some(2.0);
-            options.proxy.method = ProxyMethod::Plane;
-            for &sync in SyncMethod::ALL {
-                let field = field(RenderOptions { sync, ..options.clone() });
-                let own = field.synchronized(1, 1.6 * FRAME_S, &options.view()).unwrap();
-                let seen = field.view(&target, 1.6 * FRAME_S, &options.view()).unwrap();
-                let covered = seen.image.data().iter().zip(&seen.coverage).filter(|(_, c)| **c);
-                for found in own.data().iter().chain(covered.map(|(v, _)| v)) {
-                    assert!((found - value).abs() <= 0.5 * STEP + 1e-6, "{sync:?}: {found}");
-                }
+        }
+        // but at whatever depth, it looks the same.
+        for &sync in SyncMethod::ALL {
+            let options = by_plane(2.0).with_sync(sync);
+            let own = field.synchronized(1, time_s, &options).unwrap();
+            let seen = field.view(&target, time_s, &options).unwrap();
+            let covered = seen.image.data().iter().zip(&seen.coverage).filter(|(_, c)| **c);
+            for found in own.data().iter().chain(covered.map(|(v, _)| v)) {
+                assert!((found - value).abs() <= 0.5 * STEP + 1e-6, "{sync:?}: {found}");
             }
         }
     }
@@ -286,7 +279,11 @@ fn zero_gradient_in_equation_6() {
     let across = [Point2::new(48.0, 20.0), Point2::new(48.0, 60.0)];
     assert_eq!(naive::fitness(&flat, a, b, &options), (0.0, 0.0));
     assert_eq!(naive::fitness(&step, below[0], below[1], &options), (0.0, 0.0));
-    assert_eq!(naive::fitness(&step, across[0], across[1], &options).0, 0.0, "the least of all");
+    assert_eq!(
+        naive::fitness(&step, across[0], across[1], &options).0,
+        0.0,
+        "the minimum along it"
+    );
 
     let mut edges = 0;
     let mut random = Random::new(10);
@@ -308,9 +305,9 @@ fn zero_gradient_in_equation_6() {
             }
             let ends = [p, q].map(|p| Feature { source: p, other: p, target: p });
             let found = real_edges(&ends, level, level, &options);
-            let (least, mean) = naive::fitness(image, p, q, &options);
-            if (least - options.min_fitness).abs() > 1e-6 {
-                assert_eq!(found.len(), usize::from(least > options.min_fitness), "{p} {q}");
+            let (min, mean) = naive::fitness(image, p, q, &options);
+            if (min - options.min_fitness).abs() > 1e-6 {
+                assert_eq!(found.len(), usize::from(min > options.min_fitness), "{p} {q}");
             }
             for edge in found {
                 edges += 1;
@@ -337,8 +334,8 @@ fn f_max_equals_f_min_in_equation_8() {
     for b in [2.0, 4.0, 2.5] {
         let options = MorphOptions { b, tau: 32.0, ..MorphOptions::default() };
         let boosted = morphed(&alike, &options, 2e-3);
-        let plain = morphed(&virtual_ones, &options, 2e-3);
-        assert_eq!(boosted, plain, "a range of nothing boosts nothing");
+        let unboosted = morphed(&virtual_ones, &options, 2e-3);
+        assert_eq!(boosted, unboosted, "a range of nothing boosts nothing");
     }
     // A single real edge is both the fittest and the least fit.
     let one = scattered(&mut Random::new(11), |k| (k == 3).then_some(0.2));
@@ -375,7 +372,7 @@ fn b_and_tau_from_0_to_32() {
         for (tau, rho, a) in [(0.0, 0.0, 0.5), (10.0, 0.0, 0.5), (32.0, 0.0, 0.0), (32.0, 1.0, 1.0)]
         {
             let options = MorphOptions { a, b, rho, tau, grid_px: 1 };
-            // A share of b of the distance's rounding, times how differently the edges move.
+            // A fraction b of the distance's rounding, times how differently the edges move.
             morphed(&edges, &options, 2e-3 + 1e-3 * b);
             for (x, y) in [(0, 0), (50, 40), (95, 71)] {
                 let warp = morphed(&shifted, &options, 1e-3);
@@ -428,14 +425,13 @@ fn a_view_at_each_input_camera_at_a_frames_time_is_that_frame() {
     let scene = Scene { offsets_s: [0.0; 3], shared: [true; 3], ..Scene::default() };
     let folder = scene.film();
     let capture = open(&folder);
+    let field = field_of(&capture, Offsets::known(&capture));
     for cameras in [1, 3, 8] {
-        for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
-            let mut options = RenderOptions::default();
-            (options.proxy.method, options.blend.cameras) = (rung, cameras);
-            let field =
-                LightField::new(capture.clone(), Offsets::known(&capture), &options.registration);
+        for &method in ProxyMethod::ALL {
+            let mut options = by_proxy(method);
+            options.blend.cameras = cameras;
             for (c, filmed) in capture.cameras.iter().enumerate() {
-                let seen = field.view(&filmed.camera, 2.0 * FRAME_S, &options.view()).unwrap();
+                let seen = field.view(&filmed.camera, 2.0 * FRAME_S, &options).unwrap();
                 let frame = capture.read_frame(c, 2).unwrap();
                 assert!(seen.coverage.iter().all(|c| *c));
                 for (a, b) in seen.image.data().iter().zip(frame.data()) {
@@ -450,27 +446,20 @@ fn a_view_at_each_input_camera_at_a_frames_time_is_that_frame() {
 fn one_camera_blended_from_any_number() {
     let scene = Scene { offsets_s: [0.0; 3], shared: [true; 3], ..Scene::default() };
     let folder = scene.film();
-    edit(&folder, |json| json["cameras"].as_array_mut().expect("a list").truncate(1));
-    edit(&folder, |json| json["reference"] = "cam0".into());
+    edit(folder.path(), |json| json["cameras"].as_array_mut().expect("a list").truncate(1));
+    edit(folder.path(), |json| json["reference"] = "cam0".into());
     let capture = open(&folder);
-    let seen: Vec<Image> = [1, 2, 3, 256]
-        .into_iter()
-        .map(|cameras| {
-            let mut options = RenderOptions::default();
-            options.blend.cameras = cameras;
-            (options.proxy.method, options.proxy.plane_depth_m) = (ProxyMethod::Plane, Some(2.0));
-            let field =
-                LightField::new(capture.clone(), Offsets::known(&capture), &options.registration);
-            field
-                .view(&view(&scene.camera([-0.03, 0.0, 0.0])), FRAME_S, &options.view())
-                .unwrap()
-                .image
-        })
-        .collect();
+    let field = field_of(&capture, Offsets::known(&capture));
+    let target = view(&scene.camera([-0.03, 0.0, 0.0]));
+    let seen = [1, 2, 3, 256].map(|cameras| {
+        let mut options = by_plane(2.0);
+        options.blend.cameras = cameras;
+        field.view(&target, FRAME_S, &options).unwrap().image
+    });
     // The wall is a plane, and one camera sees most of it.
     let truth = scene.image([-0.03, 0.0, 0.0], FRAME_S);
     for image in &seen {
-        assert_eq!(image, &seen[0], "there is one to answer");
+        assert_eq!(image, &seen[0], "one camera is blended");
         for (x, y) in (8..H - 8).flat_map(|y| (8..W - 8).map(move |x| (x, y))) {
             // Half-way between pixels, the cubic loses some of the finest waves.
             assert!((image.pixel(x, y)[0] - truth.pixel(x, y)[0]).abs() < 0.05, "{x} {y}");

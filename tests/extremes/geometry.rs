@@ -1,57 +1,54 @@
 //! Degenerate geometry: the picture that is right all the same, or a reason.
 
-use crate::common::wall::{FRAME_S, H, Scene, W, estimate, open, view};
+use crate::common::edit;
+use crate::common::scores;
+use crate::common::wall::{
+    FRAME_S, H, Scene, W, by_plane, by_proxy, estimate, field_of, open, view,
+};
 use nalgebra::{Point2, Point3, Vector3};
 use serde_json::{Value, json};
 use stlfr::camera::Camera;
 use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::{LightField, RenderError, Viewpoint};
+use stlfr::light_field::{RenderError, Viewpoint};
 use stlfr::lumigraph::{BlendOptions, Plane, Proxy, Source, blend, triangulate};
-use stlfr::options::{ProxyMethod, RenderOptions, ViewOptions};
+use stlfr::method::Method;
+use stlfr::offset::Offsets;
+use stlfr::options::{ProxyMethod, ViewOptions};
 use stlfr::raster::Image;
-use stlfr::registration::RegistrationOptions;
 
 /// Clocks that are known and agree, so that only space is degenerate.
 fn simultaneous() -> Scene {
     Scene { offsets_s: [0.0; 3], shared: [true; 3], ..Scene::default() }
 }
 
-/// What a view between two frames, or at the second one, is rendered to.
+/// The view of a scene's capture at a time in frames.
 fn rendered(
     scene: &Scene,
-    rung: ProxyMethod,
+    method: ProxyMethod,
     target: &Value,
     frames: f64,
 ) -> Result<Image, RenderError> {
     let folder = scene.film();
     let capture = open(&folder);
-    let offsets = estimate(&capture);
-    let mut options = RenderOptions::default();
-    options.proxy.method = rung;
-    let field = LightField::new(capture, offsets, &options.registration);
-    let target: Camera = view(target);
-    let rendered = field.view(&target, scene.time_s(frames), &options.view())?;
+    let field = field_of(&capture, estimate(&capture));
+    let rendered = field.view(&view(target), scene.time_s(frames), &by_proxy(method))?;
     assert!(rendered.image.data().iter().all(|v| (0.0..=1.0).contains(v)), "finite values");
     Ok(rendered.image)
 }
 
 /// Over all but a border, where the view sees what no camera does.
 fn psnr_db(a: &Image, b: &Image) -> f64 {
-    const MARGIN: usize = 8;
-    let pixels = (MARGIN..H - MARGIN).flat_map(|y| (MARGIN..W - MARGIN).map(move |x| (x, y)));
-    let squares: Vec<f64> =
-        pixels.map(|(x, y)| f64::from(a.pixel(x, y)[0] - b.pixel(x, y)[0]).powi(2)).collect();
-    -10.0 * (squares.iter().sum::<f64>() / squares.len() as f64).log10()
+    scores::psnr_db(a, b, 8)
 }
 
 /// The view from there, by both proxies, is near the truth.
 #[track_caller]
-fn assert_right(scene: &Scene, place_m: [f64; 3], least_db: f64) {
-    for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
-        let image = rendered(scene, rung, &scene.camera(place_m), 1.6);
-        let image = image.unwrap_or_else(|e| panic!("{rung:?}, {} px: {e}", scene.focal_px));
+fn assert_right(scene: &Scene, place_m: [f64; 3], min_db: f64) {
+    for &method in ProxyMethod::ALL {
+        let image = rendered(scene, method, &scene.camera(place_m), 1.6);
+        let image = image.unwrap_or_else(|e| panic!("{method:?}, {} px: {e}", scene.focal_px));
         let db = psnr_db(&image, &scene.image(place_m, 1.6 * FRAME_S));
-        assert!(db > least_db, "{rung:?}: {db} dB");
+        assert!(db > min_db, "{method:?}: {db} dB");
     }
 }
 
@@ -60,14 +57,12 @@ fn a_view_at_an_input_camera_is_its_image() {
     let scene = simultaneous();
     let folder = scene.film();
     let capture = open(&folder);
-    let offsets = estimate(&capture);
-    for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
-        let mut options = RenderOptions::default();
-        options.proxy.method = rung;
-        let field = LightField::new(capture.clone(), offsets.clone(), &options.registration);
-        let time_s = 1.5 * FRAME_S;
-        let rendered = field.view(&view(&scene.camera([0.0; 3])), time_s, &options.view()).unwrap();
-        let own = field.synchronized(1, time_s, &options.view()).unwrap();
+    let field = field_of(&capture, estimate(&capture));
+    let time_s = 1.5 * FRAME_S;
+    let own = field.synchronized(1, time_s, &ViewOptions::default()).unwrap();
+    for &method in ProxyMethod::ALL {
+        let target = view(&scene.camera([0.0; 3]));
+        let rendered = field.view(&target, time_s, &by_proxy(method)).unwrap();
         let apart = rendered.image.data().iter().zip(own.data()).map(|(a, b)| (a - b).abs());
         // A zero angle: that camera alone answers.
         assert!(apart.fold(0.0, f32::max) < 1e-5);
@@ -77,19 +72,18 @@ fn a_view_at_an_input_camera_is_its_image() {
 #[test]
 fn cameras_in_one_place() {
     let scene = Scene { centers_m: [[0.0; 3]; 3], ..simultaneous() };
-    // Nothing can be triangulated, so no proxy is made up.
-    for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
-        let refused = rendered(&scene, rung, &scene.camera([0.0; 3]), 1.0);
-        assert!(matches!(refused, Err(RenderError::NoPoints)), "{rung:?}");
+    // Nothing can be triangulated, so no proxy is invented.
+    for &method in ProxyMethod::ALL {
+        let refused = rendered(&scene, method, &scene.camera([0.0; 3]), 1.0);
+        assert!(matches!(refused, Err(RenderError::NoPoints)), "{method:?}");
     }
     // A plane set by hand needs none.
     let folder = scene.film();
     let capture = open(&folder);
-    let mut options = RenderOptions { sync: SyncMethod::Nearest, ..RenderOptions::default() };
-    (options.proxy.method, options.proxy.plane_depth_m) = (ProxyMethod::Plane, Some(2.0));
-    let field = LightField::new(capture.clone(), estimate(&capture), &options.registration);
-    let time_s = scene.time_s(1.0);
-    let image = field.view(&view(&scene.camera([0.0; 3])), time_s, &options.view()).unwrap().image;
+    let field = field_of(&capture, estimate(&capture));
+    let options = by_plane(2.0).with_sync(SyncMethod::Nearest);
+    let target = view(&scene.camera([0.0; 3]));
+    let image = field.view(&target, scene.time_s(1.0), &options).unwrap().image;
     assert!(psnr_db(&image, &scene.image([0.0; 3], FRAME_S)) > 60.0);
 }
 
@@ -119,19 +113,17 @@ fn a_scene_at_infinity() {
     let scene = Scene { depth_m: 1e9, ..simultaneous() };
     // Rays are parallel up to the tracker's noise: wherever points are put, or if none are, all
     // cameras see the same.
-    for rung in [ProxyMethod::Plane, ProxyMethod::Mesh] {
-        match rendered(&scene, rung, &scene.camera([0.02, 0.0, 0.0]), 1.6) {
+    for &method in ProxyMethod::ALL {
+        match rendered(&scene, method, &scene.camera([0.02, 0.0, 0.0]), 1.6) {
             Ok(image) => assert!(psnr_db(&image, &scene.image([0.0; 3], 1.6 * FRAME_S)) > 30.0),
             Err(error) => assert!(matches!(error, RenderError::NoPoints), "{error}"),
         }
     }
     let folder = scene.film();
     let capture = open(&folder);
-    let mut options = RenderOptions::default();
-    (options.proxy.method, options.proxy.plane_depth_m) = (ProxyMethod::Plane, Some(1e9));
-    let field = LightField::new(capture.clone(), estimate(&capture), &options.registration);
+    let field = field_of(&capture, estimate(&capture));
     let target = view(&scene.camera([0.02, 0.0, 0.0]));
-    let image = field.view(&target, scene.time_s(1.6), &options.view()).unwrap().image;
+    let image = field.view(&target, scene.time_s(1.6), &by_plane(1e9)).unwrap().image;
     assert!(psnr_db(&image, &scene.image([0.0; 3], 1.6 * FRAME_S)) > 30.0);
 }
 
@@ -149,16 +141,14 @@ fn a_plane_through_the_views_centre() {
     let scene = simultaneous();
     let folder = scene.film();
     let capture = open(&folder);
-    let mut options = RenderOptions::default();
-    (options.proxy.method, options.proxy.plane_depth_m) = (ProxyMethod::Plane, Some(1e-300));
-    let field = LightField::new(capture.clone(), estimate(&capture), &options.registration);
-    let refused =
-        field.view(&view(&scene.camera([0.02, 0.0, 0.0])), scene.time_s(1.0), &options.view());
+    let field = field_of(&capture, estimate(&capture));
+    let target = view(&scene.camera([0.02, 0.0, 0.0]));
+    let refused = field.view(&target, scene.time_s(1.0), &by_plane(1e-300));
     assert!(matches!(refused, Err(RenderError::NothingSeen)), "{:?}", refused.err());
 }
 
-/// A proxy that a filming camera stands in: what that camera would see of it is everywhere or
-/// nowhere; the others answer, and where a point is seen at all it is as bright as the wall.
+/// A proxy that a filming camera stands in: its points have no place in that camera's image, or all of
+/// them one. The others are blended, and where a point is seen at all it is as bright as the wall.
 #[test]
 fn a_plane_through_a_filming_cameras_centre() {
     let scene = simultaneous();
@@ -183,7 +173,7 @@ fn points_on_the_baseline_and_nearly_parallel_rays() {
     let [a, b] = [[0.0; 3], [0.0, 0.0, 0.5]].map(|c| view(&scene.camera(c)));
     // One behind the other, both see what is between and beyond them in one pixel, at any depth.
     let pixel = Point2::new(W as f64 / 2.0, H as f64 / 2.0);
-    assert!(triangulate(&[(&a, pixel), (&b, pixel)]).is_none(), "no depth fits better");
+    assert!(triangulate(&[(&a, pixel), (&b, pixel)]).is_none(), "no depth fits best");
     let [a, b] = [[0.0; 3], [0.06, 0.0, 0.0]].map(|c| view(&scene.camera(c)));
     // 6 px of parallax at a metre; below 0.07 px rays are parallel but for noise.
     for (depth_m, is_found) in
@@ -202,18 +192,16 @@ fn points_on_the_baseline_and_nearly_parallel_rays() {
 fn fewer_cameras_than_a_pixel_is_blended_from() {
     let scene = simultaneous();
     let folder = scene.film();
-    crate::common::wall::edit(&folder, |json| {
+    edit(folder.path(), |json| {
         json["cameras"].as_array_mut().expect("a list").truncate(2);
     });
     let capture = open(&folder);
-    let mut options = RenderOptions::default();
+    let field = field_of(&capture, estimate(&capture));
+    let mut options = ViewOptions::default();
     options.blend.cameras = 8;
-    let field = LightField::new(capture.clone(), estimate(&capture), &options.registration);
     let place_m = [-0.02, 0.0, 0.0];
-    let image = field
-        .view(&view(&scene.camera(place_m)), scene.time_s(1.0), &options.view())
-        .unwrap()
-        .image;
+    let target = view(&scene.camera(place_m));
+    let image = field.view(&target, scene.time_s(1.0), &options).unwrap().image;
     assert!(psnr_db(&image, &scene.image(place_m, FRAME_S)) > 30.0);
 }
 
@@ -221,13 +209,12 @@ fn fewer_cameras_than_a_pixel_is_blended_from() {
 fn one_camera_is_slow_motion() {
     let scene = simultaneous();
     let folder = scene.film();
-    crate::common::wall::edit(&folder, |json| {
+    edit(folder.path(), |json| {
         let cameras = json["cameras"].as_array_mut().expect("a list");
         cameras.retain(|c| c["id"] == json!("cam1"));
     });
     let capture = open(&folder);
-    let offsets = stlfr::offset::Offsets::known(&capture);
-    let field = LightField::new(capture, offsets, &RegistrationOptions::default());
+    let field = field_of(&capture, Offsets::known(&capture));
     let image = field
         .with_trail(Viewpoint::Like(0), scene.time_s(1.6), &ViewOptions::default(), |_, _| true)
         .unwrap();

@@ -1,26 +1,27 @@
-//! The paper's formulas as they stand, in f64, one pixel or one point at a time: what the fast code
-//! is held against.
+//! The paper's formulas as they stand, in f64, one pixel or one point at a time: the reference for
+//! the fast code.
 
 use nalgebra::{Point2, Vector2};
 use stlfr::interpolation::{Edge, EdgeOptions, MorphOptions};
 use stlfr::raster::Image;
 
-/// What is nearer to an edge than this, or shorter, counts as this far, as `morph` documents it.
-const LEAST_PX: f64 = 1e-3;
+/// A distance from an edge below this counts as this, and an edge that is shorter is passed over, as
+/// `morph` documents it.
+const MIN_PX: f64 = 1e-3;
 
 /// Where Beier and Neely's morph, eqs. (7) and (8), takes a pixel of the image from. `None` without
 /// any edge that has a direction.
 pub fn morph(edges: &[Edge], at: Point2<f64>, o: &MorphOptions) -> Option<Point2<f64>> {
     let fitness = || edges.iter().filter_map(|e| e.mean_fitness);
-    let least = fitness().fold(f64::INFINITY, f64::min);
-    let range = fitness().fold(f64::NEG_INFINITY, f64::max) - least;
+    let min = fitness().fold(f64::INFINITY, f64::min);
+    let range = fitness().fold(f64::NEG_INFINITY, f64::max) - min;
     let mut found: Vec<(f64, Vector2<f64>)> = Vec::new();
     for edge in edges {
         let [p, q] = edge.ends.map(|e| e.target);
         let [p_source, q_source] = edge.ends.map(|e| e.source);
         let (line, line_source) = (q - p, q_source - p_source);
         let (length, length_source) = (line.norm(), line_source.norm());
-        if length < LEAST_PX || length_source < LEAST_PX {
+        if length < MIN_PX || length_source < MIN_PX {
             continue;
         }
         let across = |v: Vector2<f64>| Vector2::new(-v.y, v.x);
@@ -33,10 +34,10 @@ pub fn morph(edges: &[Edge], at: Point2<f64>, o: &MorphOptions) -> Option<Point2
             _ => v.abs(),
         };
         let boost = edge.mean_fitness.map_or(0.0, |f| {
-            let ratio = if range > 0.0 { (f - least) / range } else { 0.0 };
+            let ratio = if range > 0.0 { (f - min) / range } else { 0.0 };
             o.tau * (1.0 + ratio).ln()
         });
-        let log_weight = o.b * (o.rho * length.ln() - (o.a + distance).max(LEAST_PX).ln()) + boost;
+        let log_weight = o.b * (o.rho * length.ln() - (o.a + distance).max(MIN_PX).ln()) + boost;
         found.push((log_weight, taken - at));
     }
     let largest = found.iter().map(|f| f.0).fold(f64::NEG_INFINITY, f64::max);
@@ -64,7 +65,7 @@ pub fn gradient(image: &Image, x: usize, y: usize) -> Vector2<f64> {
     })
 }
 
-/// Eq. (6) and the mean of what it takes the least of, along a segment of a pixel or more.
+/// Eq. (6), which is a minimum along a segment of a pixel or more, and the mean along it.
 pub fn fitness(image: &Image, a: Point2<f64>, b: Point2<f64>, o: &EdgeOptions) -> (f64, f64) {
     let line = b - a;
     let normal = Vector2::new(-line.y, line.x).normalize();
@@ -74,12 +75,12 @@ pub fn fitness(image: &Image, a: Point2<f64>, b: Point2<f64>, o: &EdgeOptions) -
             let p = a + line * (k as f64 / steps as f64);
             let inside = |v: f64, size: usize| (v.max(0.0) as usize).min(size - 1);
             let g = gradient(image, inside(p.x, image.width()), inside(p.y, image.height()));
-            let share = if g.norm() > 0.0 { g.dot(&normal).abs() / g.norm() } else { 0.0 };
-            g.norm() + o.beta * share
+            let across = if g.norm() > 0.0 { g.dot(&normal).abs() / g.norm() } else { 0.0 };
+            g.norm() + o.beta * across
         })
         .collect();
-    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
-    (least, values.iter().sum::<f64>() / values.len() as f64)
+    let min = values.iter().copied().fold(f64::INFINITY, f64::min);
+    (min, values.iter().sum::<f64>() / values.len() as f64)
 }
 
 /// Catmull and Rom's cubic between pixels, borders repeated, as [`Image::sample_cubic`] documents it.

@@ -4,17 +4,15 @@
 //! `lumigraph::tests` and `weights`, windows in `interpolation::windows`.)
 
 use crate::common::swing::Swing;
-use crate::common::wall::{FRAME_S, Scene, estimate, open, view};
+use crate::common::wall::{FRAME_S, Scene, estimate, field_of, open, view};
 use crate::naive;
 use nalgebra::{Matrix2, Point2, Vector2};
 use stlfr::interpolation::SyncMethod;
 use stlfr::interpolation::{Edge, Feature, MorphOptions, Warp, cross_dissolve, morph_warp};
-use stlfr::light_field::LightField;
 use stlfr::offset::{CameraOffset, Offsets};
-use stlfr::options::RenderOptions;
+use stlfr::options::ViewOptions;
 use stlfr::random::Random;
-use stlfr::raster::Image;
-use stlfr::raster::{BitDepth, Samples, quantize};
+use stlfr::raster::{BitDepth, Image, Samples, quantize};
 use stlfr::registration::{Frame, RegistrationOptions, flow};
 
 /// Values of any kind that an image may hold: noise, steps, next to nothing.
@@ -69,7 +67,7 @@ fn samples_between_pixels() {
 }
 
 #[test]
-fn warps_and_their_dissolve() {
+fn warps_and_their_cross_fade() {
     let mut random = Random::new(2);
     for round in 0..40 {
         let (w, h, channels) = (1 + round % 23, 1 + round % 7, [1, 3][round % 2]);
@@ -79,14 +77,14 @@ fn warps_and_their_dissolve() {
                 (0..w * h).map(|_| [position(&mut random, w), position(&mut random, h)]).collect();
             Warp { width: w, height: h, source }
         });
-        for share in [0.0, 0.3, 1.0] {
-            let found = cross_dissolve([&frames[0], &frames[1]], [&warps[0], &warps[1]], share);
+        for fraction in [0.0, 0.3, 1.0] {
+            let found = cross_dissolve([&frames[0], &frames[1]], [&warps[0], &warps[1]], fraction);
             for (at, v) in found.data().iter().enumerate() {
                 let [a, b] = [0, 1].map(|n| {
                     let [x, y] = warps[n].source[at / channels];
                     naive::cubic(&frames[n], f64::from(x), f64::from(y), at % channels)
                 });
-                let exact = (a + (b - a) * f64::from(share)).clamp(0.0, 1.0);
+                let exact = (a + (b - a) * f64::from(fraction)).clamp(0.0, 1.0);
                 assert!((f64::from(*v) - exact).abs() <= 2.0 * SAMPLE_BOUND, "{v} {exact}");
             }
         }
@@ -94,7 +92,7 @@ fn warps_and_their_dissolve() {
 }
 
 /// Positions are f32: half a unit in the last place of 8192 is 5e-4 px, a few of which add up, and
-/// the distances' share of b in the weights.
+/// the fraction b of the distances' rounding in the weights.
 #[test]
 fn the_morphs_field_to_a_hundredth_of_a_pixel() {
     let mut random = Random::new(3);
@@ -132,7 +130,7 @@ fn the_morphs_field_to_a_hundredth_of_a_pixel() {
 #[test]
 fn tracked_windows_to_a_thousandth_of_a_pixel() {
     let mut options = RegistrationOptions::default();
-    // Not to where the tracker is content, but to where it rests.
+    // Beyond the default precision, until the steps vanish.
     (options.klt.epsilon_px, options.klt.iterations) = (1e-6, 300);
     for print in [1.0, 2.0] {
         let swing = Swing { print, ..Swing::default() };
@@ -193,27 +191,22 @@ fn views_of_parts_and_of_whole_images() {
     let scene = Scene { board: Some([-1.5, -0.8]), ..Scene::default() };
     let folder = scene.film();
     let capture = open(&folder);
-    let offsets = estimate(&capture);
+    let field = field_of(&capture, estimate(&capture));
+    let (target, time_s) = (view(&scene.camera([0.021, 0.007, 0.1])), 1.6 * FRAME_S);
     for cameras in [1, 2, 3] {
-        let mut options = RenderOptions::default();
+        let mut options = ViewOptions { sync: SyncMethod::Refined, ..ViewOptions::default() };
         options.blend.cameras = cameras;
-        let field = LightField::new(capture.clone(), offsets.clone(), &options.registration);
-        let target = view(&scene.camera([0.021, 0.007, 0.1]));
-        let time_s = 1.6 * FRAME_S;
-        let found = field.view(&target, time_s, &options.view()).unwrap();
-        let images =
-            field.synchronized_all(time_s, &options.view().with_sync(SyncMethod::Refined)).unwrap();
-        let proxy = field.proxy(&target, time_s, &options.view()).unwrap();
-        assert!(
-            found == field.blend(&images, &proxy, &target, &options.blend),
-            "{cameras} cameras"
-        );
+        let found = field.view(&target, time_s, &options).unwrap();
+        let images = field.synchronized_all(time_s, &options).unwrap();
+        let proxy = field.proxy(&target, time_s, &options).unwrap();
+        let whole = field.blend(&images, &proxy, &target, &options.blend);
+        assert!(found == whole, "{cameras} cameras");
     }
 }
 
-/// Whatever a number is, a file has a value for it.
+/// Every number, finite or not, has a value in a file.
 #[test]
-fn what_is_no_number_is_black_in_an_image_and_null_in_json() {
+fn not_a_number_is_black_in_an_image_and_null_in_json() {
     let odd = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -0.1, 1.1, 0.5];
     let image = Image::from_data(6, 1, 1, odd.to_vec());
     for depth in [BitDepth::Eight, BitDepth::Sixteen] {

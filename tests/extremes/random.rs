@@ -1,8 +1,10 @@
 //! Random captures through the whole pipeline, with random options: a result of finite numbers that
 //! is right, or one sentence. A seed that found something is a case of its own.
 
+use crate::common::describe;
+use crate::common::random::{below, pick};
 use crate::common::swing::{RATE_HZ, Swing};
-use crate::common::wall::{estimate_by, open, write_json};
+use crate::common::wall::{estimate_by, open};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use stlfr::camera::Camera;
@@ -12,15 +14,10 @@ use stlfr::method::Method;
 use stlfr::offset::Offsets;
 use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::random::Random;
-use stlfr::raster::Image;
-use stlfr::raster::{BitDepth, write_image};
+use stlfr::raster::{BitDepth, Image, write_image};
 use tempfile::TempDir;
 
-fn pick<T: Copy>(random: &mut Random, from: &[T]) -> T {
-    from[(random.unit() * from.len() as f64) as usize]
-}
-
-/// Frames of a camera: what it is filming, when, in frames.
+/// When a camera's frames are taken, in frames after its first.
 fn times(random: &mut Random, count: usize) -> Vec<f64> {
     let mut time = 0.0;
     (0..count)
@@ -37,7 +34,7 @@ fn times(random: &mut Random, count: usize) -> Vec<f64> {
 /// camera's true delay in frames.
 fn capture(random: &mut Random) -> (TempDir, Vec<f64>) {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let cameras = 1 + (4.0 * random.unit()) as usize;
+    let cameras = 1 + below(random, 4);
     let swing = Swing {
         width: pick(random, &[1, 7, 24, 40, 64, 96]),
         height: pick(random, &[1, 5, 24, 40, 64, 72]),
@@ -84,7 +81,7 @@ fn capture(random: &mut Random) -> (TempDir, Vec<f64>) {
         })
         .collect();
     let reference = format!("cam{}", swing.reference());
-    write_json(
+    describe(
         folder.path(),
         &json!({"format": "stlfr-capture", "version": 1, "name": "random",
             "reference": reference, "cameras": described}),
@@ -147,9 +144,9 @@ fn assert_finite(image: &Image, what: &str) {
     assert!(image.data().iter().all(|v| (0.0..=1.0).contains(v)), "{what}");
 }
 
-/// One capture from offsets to a view; whether there was one, and the offsets' errors in frames and
+/// One capture from offsets to a view: whether there was one, and the offsets' errors in frames and
 /// in standard errors.
-fn worked(seed: u64, options: &RenderOptions) -> (bool, Vec<(f64, f64)>) {
+fn processed(seed: u64, options: &RenderOptions) -> (bool, Vec<(f64, f64)>) {
     let mut random = Random::new(seed);
     let (folder, delays) = capture(&mut random);
     let capture = open(&folder);
@@ -166,19 +163,19 @@ fn worked(seed: u64, options: &RenderOptions) -> (bool, Vec<(f64, f64)>) {
     let errors = errors.collect();
     let mut seen = false;
     for offsets in [estimated, Offsets::known(&capture)] {
-        let mut options = options.clone();
-        options.proxy.method = pick(&mut random, ProxyMethod::ALL);
         let field = LightField::new(capture.clone(), offsets, &options.registration);
+        let mut options = options.view();
+        options.proxy.method = pick(&mut random, ProxyMethod::ALL);
         let time_s = field.common_span_s().map_or(0.0, |(a, b)| a + random.unit() * (b - a));
         for &sync in SyncMethod::ALL {
-            let images = field.synchronized_all(time_s, &options.view().with_sync(sync));
+            let images = field.synchronized_all(time_s, &options.clone().with_sync(sync));
             for image in images.unwrap_or_else(|e| panic!("{seed}: {e}")).iter().flatten() {
                 assert_finite(image, &format!("{seed}: {sync:?}"));
             }
         }
         let mut target: Camera = capture.cameras[0].camera.clone();
         target.cam_from_world.translation.x -= 0.02;
-        match field.view(&target, time_s, &options.view()) {
+        match field.view(&target, time_s, &options) {
             Ok(view) => {
                 seen = true;
                 assert_finite(&view.image, &format!("{seed}: view"));
@@ -198,7 +195,7 @@ fn random_captures() {
     let mut views = 0;
     let mut known = Vec::new();
     for seed in 1000..1060 {
-        let (seen, errors) = worked(seed, &RenderOptions::default());
+        let (seen, errors) = processed(seed, &RenderOptions::default());
         views += usize::from(seen);
         known.extend(errors.into_iter().map(|(error, z)| (seed, error, z)));
     }
@@ -214,7 +211,7 @@ fn random_options() {
     let mut random = Random::new(77);
     let mut views = 0;
     for seed in 2000..2040 {
-        let (seen, _) = worked(seed, &options(&mut random, &ranges));
+        let (seen, _) = processed(seed, &options(&mut random, &ranges));
         views += usize::from(seen);
     }
     assert!(views > 3, "{views}");

@@ -2,21 +2,20 @@
 //! edges. What is asserted is the truth of the scene, and that memory stays where it is. The largest
 //! of each is in `cargo bench --bench growth -- largest memory`.
 
+use crate::common::scores::rms;
 use crate::common::swing::{RATE_HZ, Swing};
-use crate::common::{peak, stlfr};
+use crate::common::wall::{by_plane, field_of};
+use crate::common::{peak, read_json, stlfr};
 use crate::naive;
 use nalgebra::{Point2, Vector2};
 use std::sync::Arc;
 use stlfr::capture::Capture;
 use stlfr::interpolation::{Feature, MorphOptions, SyncMethod, edge_set, morph_warp};
-use stlfr::light_field::LightField;
 use stlfr::lumigraph::{BlendOptions, Plane, Proxy, Source, blend};
 use stlfr::offset::{self, Offsets};
-use stlfr::options::ViewOptions;
-use stlfr::options::{ProxyMethod, RenderOptions};
+use stlfr::options::{RenderOptions, ViewOptions};
 use stlfr::progress::Reporter;
 use stlfr::random::Random;
-use stlfr::raster::Image;
 use stlfr::registration::{Frame, FrameStore, RegistrationOptions, flow};
 use tempfile::TempDir;
 
@@ -35,15 +34,6 @@ fn true_offsets(capture: &Capture, swing: &Swing) -> Offsets {
     offsets
 }
 
-/// Root mean square of the differences, over all but a border.
-fn rms(a: &Image, b: &Image, margin: usize) -> f64 {
-    let rows = margin..a.height() - margin;
-    let pixels = rows.flat_map(|y| (margin..a.width() - margin).map(move |x| (x, y)));
-    let squares: Vec<f64> =
-        pixels.map(|(x, y)| f64::from(a.pixel(x, y)[0] - b.pixel(x, y)[0]).powi(2)).collect();
-    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
-}
-
 /// A wall that rests looks the same at any instant, from any place that knows its depth.
 #[test]
 fn images_of_a_pixel_and_more() {
@@ -59,24 +49,19 @@ fn images_of_a_pixel_and_more() {
             ..Swing::default()
         };
         let (_folder, capture) = filmed(&swing);
-        let mut options = RenderOptions::default();
-        options.proxy.method = ProxyMethod::Plane;
-        options.proxy.plane_depth_m = Some(swing.depth_m());
-        let field =
-            LightField::new(capture.clone(), Offsets::known(&capture), &options.registration);
-        let place = [0.3, 0.0];
+        let field = field_of(&capture, Offsets::known(&capture));
+        let (place, time_s) = ([0.3, 0.0], 1.5 / RATE_HZ);
         let truth = swing.image(place, 0.0);
-        let seen =
-            field.view(&swing.camera(place), 1.5 / RATE_HZ, &options.view()).expect("a view");
+        let options = by_plane(swing.depth_m());
+        let seen = field.view(&swing.camera(place), time_s, &options).expect("a view");
         let pixels = seen.image.data().iter().zip(truth.data()).zip(&seen.coverage);
         assert!(seen.coverage.iter().any(|c| *c), "{width}×{height}");
         for ((found, truth), _) in pixels.filter(|(_, covered)| **covered) {
             // Beyond its border a camera repeats it: a third of a pixel's difference.
             assert!((found - truth).abs() < 0.03, "{width}×{height}: {found} {truth}");
         }
-        let own = field
-            .synchronized(1, 1.5 / RATE_HZ, &options.view().with_sync(SyncMethod::Refined))
-            .expect("an image");
+        let refined = options.with_sync(SyncMethod::Refined);
+        let own = field.synchronized(1, time_s, &refined).expect("an image");
         for (found, truth) in own.data().iter().zip(swing.truth(1, 0.0).data()) {
             assert!((found - truth).abs() <= 1.0 / 255.0, "{width}×{height}");
         }
@@ -97,12 +82,11 @@ fn rows_8192_pixels_wide() {
         ..Swing::default()
     };
     let (_folder, capture) = filmed(&swing);
-    let options = RenderOptions::default();
-    let field = LightField::new(capture.clone(), Offsets::known(&capture), &options.registration);
+    let field = field_of(&capture, Offsets::known(&capture));
     let at = 1.5;
     for sync in [SyncMethod::Triangulation, SyncMethod::EdgeMorph, SyncMethod::Refined] {
-        let found =
-            field.synchronized(1, at / RATE_HZ, &options.view().with_sync(sync)).expect("an image");
+        let options = ViewOptions { sync, ..ViewOptions::default() };
+        let found = field.synchronized(1, at / RATE_HZ, &options).expect("an image");
         let off = rms(&found, &swing.truth(1, at), 8);
         assert!(off < 0.02, "{sync:?}: {off}");
     }
@@ -168,11 +152,7 @@ fn one_camera_to_sixty_four() {
                 assert!(error.abs() < 0.05, "{cameras}: {camera:?}, off by {error} frame");
             }
         }
-        let field = LightField::new(
-            capture.clone(),
-            true_offsets(&capture, &swing),
-            &RegistrationOptions::default(),
-        );
+        let field = field_of(&capture, true_offsets(&capture, &swing));
         let at = 1.5;
         let camera = swing.reference();
         let own =
@@ -216,11 +196,7 @@ fn two_hundred_and_fifty_six_cameras() {
 fn two_frames() {
     let swing = Swing { frames: 2, ..Swing::default() };
     let (_folder, capture) = filmed(&swing);
-    let field = LightField::new(
-        capture.clone(),
-        true_offsets(&capture, &swing),
-        &RegistrationOptions::default(),
-    );
+    let field = field_of(&capture, true_offsets(&capture, &swing));
     for at in [0.0, 0.5, 1.0] {
         let own = field.synchronized(1, at / RATE_HZ, &ViewOptions::default()).expect("an image");
         let off = rms(&own, &swing.truth(1, at), 6);
@@ -228,8 +204,8 @@ fn two_frames() {
     }
 }
 
-/// The program over films of 60 and of 1200 frames, forty times a period: it holds as much memory
-/// for both, and finds the same.
+/// The program over recordings of 60 and of 1200 frames, forty times a period: it holds as much
+/// memory for both, and finds the same.
 #[test]
 fn memory_is_flat_over_frames() {
     let mut peaks = Vec::new();
@@ -246,15 +222,14 @@ fn memory_is_flat_over_frames() {
         let runs = [peak::run(&mut offsets), peak::run(&mut render)];
         assert!(runs.iter().all(|run| run.status.success()), "{runs:?}");
         peaks.push(runs.map(|run| run.peak_mib));
-        let found = std::fs::read_to_string(folder.path().join("offsets.json")).expect("offsets");
-        let found: serde_json::Value = serde_json::from_str(&found).expect("JSON");
+        let found = read_json(&folder.path().join("offsets.json"));
         let offset_s = found["cameras"][1]["offset_s"].as_f64().expect("is known");
         let error = offset_s * RATE_HZ - swing.delay_frames(1);
         assert!(error.abs() < 0.01, "{frames}: {error}");
     }
-    let [short, long] = peaks[..] else { panic!("two films") };
+    let [short, long] = peaks[..] else { panic!("two recordings") };
     for (short, long) in short.into_iter().zip(long) {
-        // Twenty times the frames: what is kept of each is its time, its name and its activity.
+        // Twenty times the frames: of each it holds the time, the name and the activity.
         assert!(long < short + 16.0, "{short} MiB, {long} MiB");
     }
 }

@@ -1,7 +1,8 @@
 //! Every parser against mutations of good files: none panics, and what it refuses, it refuses in one
 //! sentence. Seeds are fixed, so a run is repeatable; `STLFR_FUZZ_SECONDS=60 cargo test --release
-//! --test fuzz` goes on for as long a target, with seeds of its own. What fails is kept in
-//! `target/fuzz/`; mended, it becomes a named case in `tests/fuzz/cases/TARGET/`, replayed first.
+//! --test fuzz` goes on for that long with each target, with other seeds. A file that fails is saved in
+//! `target/fuzz/`; once the parser is mended, it becomes a named case in `tests/fuzz/cases/TARGET/`,
+//! replayed first.
 
 #[path = "../common/mod.rs"]
 mod common;
@@ -20,7 +21,10 @@ const MUTATIONS: usize = 3000;
 
 /// Parses bytes as the target's file; why that is wrong, if it is.
 fn verdict(target: &Target, folder: &Path, bytes: &[u8]) -> Result<(), String> {
-    std::fs::write(folder.join(target.file), bytes).expect("the folder can be written to");
+    let file = folder.join(target.file);
+    // A file that is cut and written again goes to the disk at once; a new one doesn't.
+    std::fs::remove_file(&file).expect("the last one can be removed");
+    std::fs::write(&file, bytes).expect("the folder can be written to");
     match catch_unwind(AssertUnwindSafe(|| (target.parse)(folder))) {
         Err(_) => Err("panics".into()),
         Ok(Ok(())) => Ok(()),
@@ -30,7 +34,7 @@ fn verdict(target: &Target, folder: &Path, bytes: &[u8]) -> Result<(), String> {
     }
 }
 
-fn keep(target: &Target, bytes: &[u8]) -> PathBuf {
+fn save(target: &Target, bytes: &[u8]) -> PathBuf {
     let folder = common::root().join("target/fuzz");
     std::fs::create_dir_all(&folder).expect("the target folder can be written to");
     let hash = bytes.iter().fold(0_u64, |h, b| h.wrapping_mul(0x100_0000_01b3) ^ u64::from(*b));
@@ -62,7 +66,7 @@ fn fuzz(target: &Target) {
         }
         let bytes = Mutator::new(first + n as u64).mutated(&seed, target.is_text);
         if let Err(why) = verdict(target, folder.path(), &bytes) {
-            panic!("{}: {why}; kept as {}", target.name, keep(target, &bytes).display());
+            panic!("{}: {why}; saved as {}", target.name, save(target, &bytes).display());
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Mutations of a file: bytes, pieces, and the numbers and words that parsers trip over.
 
-use crate::common::bodies::Random;
+use crate::common::random;
+use stlfr::random::Random;
 
 /// Numbers at the ends of every scale, and words out of place.
 const TOKENS: [&str; 24] = [
@@ -36,11 +37,11 @@ pub struct Mutator {
 
 impl Mutator {
     pub fn new(seed: u64) -> Self {
-        Self { random: Random(seed) }
+        Self { random: Random::new(seed) }
     }
 
     fn below(&mut self, n: usize) -> usize {
-        (self.random.bits() % n.max(1) as u64) as usize
+        random::below(&mut self.random, n)
     }
 
     /// The file with one to four changes.
@@ -61,8 +62,9 @@ impl Mutator {
 
     fn flip(&mut self, bytes: &mut [u8]) {
         let at = self.below(bytes.len());
+        let bit = self.below(8);
         if let Some(byte) = bytes.get_mut(at) {
-            *byte ^= 1 << (self.random.bits() % 8);
+            *byte ^= 1 << bit;
         }
     }
 

@@ -13,8 +13,7 @@ use stlfr::exchange::{
 use stlfr::json;
 use stlfr::offset::Offsets;
 use stlfr::options::RenderOptions;
-use stlfr::raster::Image;
-use stlfr::raster::{BitDepth, read_image, write_image};
+use stlfr::raster::{BitDepth, Image, read_image, write_image};
 use stlfr::rig::Rig;
 
 /// One file of one parser.
@@ -108,7 +107,7 @@ pub fn offsets() -> Target {
         },
         parse: |folder| {
             let offsets: Offsets = json::read(&folder.join("offsets.json")).map_err(text)?;
-            // Whatever stands in it, a kept file is used or left alone.
+            // Whatever is in it, a cached file is used or ignored.
             let capture = Capture::open(folder).map_err(text)?;
             Offsets::load(&capture, "");
             drop(offsets);

@@ -1,13 +1,14 @@
 //! Flows of filmed bodies whose every point is a formula: the epipolar test, long tracks, large
 //! motion.
 
-use crate::common::bodies::{self, Random};
-use crate::common::worlds;
+use crate::common::bodies::Recording;
+use crate::common::worlds::{self, case};
 use crate::pictures::{pictured, waves};
 use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion, Vector2};
 use std::sync::Arc;
 use stlfr::camera::{Camera, CameraModel};
 use stlfr::capture::Capture;
+use stlfr::random::Random;
 use stlfr::raster::{encoded_from_linear, linear_from_encoded};
 use stlfr::registration::{
     FlowDirection, FrameStore, GainMethod, LongTracks, ReferenceQuery, RegistrationOptions, Track,
@@ -21,13 +22,11 @@ fn filmed(
     frames: usize,
 ) -> (tempfile::TempDir, Arc<Capture>) {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    bodies::film(&case.world, cameras, delays, frames, 0.004, folder.path());
+    let first_frames = delays;
+    Recording { world: &case.world, cameras, first_frames, frames, noise: 0.004 }
+        .write(folder.path());
     let capture = Arc::new(Capture::open(folder.path()).expect("a capture"));
     (folder, capture)
-}
-
-fn case(name: &str) -> worlds::Case {
-    worlds::cases().into_iter().find(|c| c.name == name).expect("one of the worlds")
 }
 
 fn times(capture: &Capture) -> Vec<Option<Vec<f64>>> {
@@ -79,13 +78,13 @@ fn the_epipolar_test_removes_what_is_off_its_line() {
         let options = RegistrationOptions { epsilon_px: 1.5, ..Default::default() };
         let store = FrameStore::new(capture.clone(), &options);
         let tracks = temporal_flow(&store, 0, 1).expect("tracks");
-        let mut random = Random(11);
+        let mut random = Random::new(11);
         let mut counts = [0; 4];
         let wronged: Vec<(Track, bool)> = tracks
             .iter()
             .map(|track| {
-                let is_wrong = random.uniform() < 0.3;
-                let error = Vector2::new(0.0, if random.uniform() < 0.5 { 8.0 } else { -8.0 });
+                let is_wrong = random.unit() < 0.3;
+                let error = Vector2::new(0.0, if random.unit() < 0.5 { 8.0 } else { -8.0 });
                 let mut track = track.clone();
                 if is_wrong && track.direction == FlowDirection::Backward {
                     track.earlier += error;
@@ -274,7 +273,10 @@ fn placed(centers: &[[f64; 3]], times_s: &[f64]) -> (Capture, Vec<Option<Vec<f64
             UnitQuaternion::identity(),
         );
     }
-    bodies::film(&case("ball").world, &cameras, &vec![0.0; cameras.len()], 1, 0.0, folder.path());
+    let first_frames = vec![0.0; cameras.len()];
+    let (world, first_frames) = (&case("ball").world, &first_frames);
+    Recording { world, cameras: &cameras, first_frames, frames: 1, noise: 0.0 }
+        .write(folder.path());
     let capture = Capture::open(folder.path()).expect("a capture");
     let times = times_s.iter().map(|&t| Some(vec![t, t + 1.0])).collect();
     (capture, times)
@@ -313,7 +315,7 @@ fn a_line_has_one_reference_and_a_grid_a_row_s_and_a_column_s() {
 /// frames are links to 40 images.
 fn circling(frames: usize) -> (tempfile::TempDir, Arc<Capture>) {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let value = waves(&mut Random(5), 1);
+    let value = waves(&mut Random::new(5), 1);
     let shift = |k: usize| {
         let angle = std::f64::consts::TAU * (k % 40) as f64 / 40.0;
         Vector2::new(6.0 * angle.cos(), 6.0 * angle.sin())

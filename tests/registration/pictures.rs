@@ -1,20 +1,15 @@
 //! Textures in closed form, as a camera would store them.
 
-use crate::common::bodies::Random;
+use stlfr::random::Random;
 use stlfr::raster::Image;
 
 /// A texture of twelve waves; in colour, its channels differ.
 pub fn waves(random: &mut Random, channels: usize) -> impl Fn(f64, f64, usize) -> f64 + use<> {
     let waves: Vec<[f64; 4]> = (0..12)
         .map(|_| {
-            let angle = 6.3 * random.uniform();
-            let number = 0.15 + 0.55 * random.uniform();
-            [
-                number * angle.cos(),
-                number * angle.sin(),
-                6.3 * random.uniform(),
-                0.1 * random.uniform(),
-            ]
+            let angle = 6.3 * random.unit();
+            let number = 0.15 + 0.55 * random.unit();
+            [number * angle.cos(), number * angle.sin(), 6.3 * random.unit(), 0.1 * random.unit()]
         })
         .collect();
     move |x, y, c| {

@@ -1,10 +1,10 @@
 //! Windows: against a naive tracker, known deformations, real images with stored tracks.
 
 use crate::common;
-use crate::common::bodies::Random;
 use crate::naive;
 use crate::pictures::{pictured, waves};
 use nalgebra::{Matrix2, Point2, Vector2};
+use stlfr::random::Random;
 use stlfr::raster::Image;
 use stlfr::raster::read_image;
 use stlfr::registration::{
@@ -22,14 +22,14 @@ fn translation_only() -> KltOptions {
 /// Odd sizes, single pixels, points at borders and corners, 8 and 16 bit, grey and colour.
 #[test]
 fn the_tracker_agrees_with_a_naive_one() {
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let (mut agreed, mut lost) = (0, 0);
     for case in 0..60 {
         let sizes = [(1, 1), (1, 9), (2, 2), (17, 31), (33, 40), (64, 47), (95, 81)];
         let (w, h) = sizes[case % sizes.len()];
         let channels = if case % 2 == 0 { 1 } else { 3 };
         let steps = if case % 3 == 0 { 65535.0 } else { 255.0 };
-        let shift = Vector2::new(random.uniform() - 0.5, random.uniform() - 0.5) * 4.0;
+        let shift = Vector2::new(random.unit() - 0.5, random.unit() - 0.5) * 4.0;
         let value = waves(&mut random, channels);
         let a = pictured(w, h, channels, steps, &value);
         let b = pictured(w, h, channels, steps, |x, y, c| value(x - shift.x, y - shift.y, c));
@@ -41,7 +41,7 @@ fn the_tracker_agrees_with_a_naive_one() {
                 0 => Point2::new(0.0, 0.0),
                 1 => Point2::new(w as f64, h as f64),
                 2 => Point2::new(w as f64, 0.5),
-                _ => Point2::new(random.uniform() * w as f64, random.uniform() * h as f64),
+                _ => Point2::new(random.unit() * w as f64, random.unit() * h as f64),
             };
             let fast = tracker.track(&pa, &pb, from, from).map(|t| t.position);
             let slow = naive::track(&a, &b, from, &options);
@@ -81,7 +81,7 @@ fn constant_images_lose_every_point() {
 /// Small images, borders, 8 and 16 bit, grey and colour, windows that turn, tilt and change light.
 #[test]
 fn the_deforming_window_agrees_with_a_naive_one() {
-    let mut random = Random(19);
+    let mut random = Random::new(19);
     let (mut refined, mut apart) = (0, Vec::new());
     for case in 0..40 {
         let sizes = [(17, 31), (33, 40), (64, 47), (95, 81)];
@@ -89,7 +89,7 @@ fn the_deforming_window_agrees_with_a_naive_one() {
         let channels = if case % 2 == 0 { 1 } else { 3 };
         let steps = if case % 3 == 0 { 65535.0 } else { 255.0 };
         let value = waves(&mut random, channels);
-        let mut entry = || 0.2 * (random.uniform() - 0.5);
+        let mut entry = || 0.2 * (random.unit() - 0.5);
         let matrix = Matrix2::identity() + Matrix2::new(entry(), entry(), entry(), entry());
         let shift = Vector2::new(10.0 * entry(), 10.0 * entry());
         let (gain, middle) = (1.0 + entry(), Vector2::new(0.5 * w as f64, 0.5 * h as f64));
@@ -107,7 +107,7 @@ fn the_deforming_window_agrees_with_a_naive_one() {
             let from = match k {
                 0 => Point2::new(1.5, 1.5),
                 1 => Point2::new(w as f64 - 0.1, 0.5 * h as f64),
-                _ => Point2::new(random.uniform() * w as f64, random.uniform() * h as f64),
+                _ => Point2::new(random.unit() * w as f64, random.unit() * h as f64),
             };
             let found = Tracker::new(&plain).track(&pa, &pb, from, from);
             let fast = Tracker::new(&deforming).track(&pa, &pb, from, from);
@@ -133,11 +133,11 @@ fn the_deforming_window_agrees_with_a_naive_one() {
 /// translation can't.
 #[test]
 fn deforming_windows_are_found() {
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     let (mut refined_px, mut plain_px) = (Vec::new(), Vec::new());
     for _ in 0..40 {
         let value = waves(&mut random, 1);
-        let mut entry = || 0.24 * (random.uniform() - 0.5);
+        let mut entry = || 0.24 * (random.unit() - 0.5);
         let matrix = Matrix2::identity() + Matrix2::new(entry(), entry(), entry(), entry());
         let shift = Vector2::new(20.0 * entry(), 20.0 * entry());
         let (gain, bias) = (1.0 + entry(), 0.3 * entry());
