@@ -58,8 +58,8 @@
 //! host json method progress random
 //! raster
 //! camera video metrics chart
-//! capture rig
-//! exchange registration
+//! capture
+//! exchange registration rig
 //! offset interpolation lumigraph
 //! options
 //! light_field

@@ -19,6 +19,7 @@ mod proxy;
 mod rasterize;
 mod rays;
 mod reproject;
+mod source;
 mod triangulate;
 mod ulr;
 mod weights;
@@ -27,8 +28,9 @@ pub use depth_map::DepthMap;
 pub use mesh::{DepthEdges, Mesh, MeshOptions};
 pub use plane::Plane;
 pub use proxy::Proxy;
+pub use source::{BlendOptions, Rendered, Source};
 pub use triangulate::{Triangulated, triangulate};
-pub use ulr::{BlendOptions, Rendered, Source, blend, contributing};
+pub use ulr::{blend, contributing};
 pub use weights::BlendMethod;
 
 #[cfg(test)]

@@ -7,7 +7,7 @@
 //! by less than 1e-3 px in images up to 4000 px wide.
 
 use super::rays::ViewBounds;
-use super::{BlendOptions, Source};
+use super::source::{BlendOptions, Source};
 use crate::camera::{Camera, CameraModel};
 use nalgebra::{Matrix3, Point2, Vector3};
 

@@ -1,9 +1,8 @@
 //! Offsets from recordings: the stages of the estimation in their order.
 
 use super::lost_frames::{LostFrames, detect_lost_frames};
-use super::pair::{
-    InitialOffset, MIN_AGREEMENT, PairEstimate, PairFailure, choose_triples, estimate_pair,
-};
+use super::pair::{InitialOffset, MIN_AGREEMENT, PairEstimate, PairFailure, choose_triples};
+use super::pair_fit::estimate_pair;
 use super::pairing::{clocks, pairs};
 use super::recording::{Recording, TrackCache};
 use super::timeline::Timelines;

@@ -1,6 +1,5 @@
 //! The offset between two cameras, from all frame triples of both directions.
 
-use super::pair_fit::fit_pair;
 use super::recording::{Recording, Sample};
 use crate::capture::CaptureError;
 use serde::Serialize;
@@ -110,41 +109,6 @@ pub const NOMINAL_CLOCK_FRAMES: f64 = 1.5;
 /// the true offset. Larger rejects pairs in which many features are occluded in one camera; smaller
 /// accepts the wrong period of one of two swings.
 pub const MIN_AGREEMENT: f64 = 0.5;
-/// The maximum number of rounds of choosing frame triples by the estimate and estimating from them.
-/// Larger costs time where the choice alternates; smaller may end on triples that the estimate no
-/// longer implies.
-const MAX_ROUNDS: usize = 5;
-
-/// Estimates the pair (i, j) from both directions: camera i's tracks against camera j's frames, and
-/// the reverse.
-///
-/// `start` is the offset to about a frame. §7 requires camera j's frame to lie between the two of
-/// camera i; which one does depends on the offset, so triples and offset are determined in turn.
-pub fn estimate_pair(
-    recording: &Recording,
-    cameras: [usize; 2],
-    start: InitialOffset,
-    with_rate: bool,
-) -> Result<Result<PairEstimate, PairFailure>, CaptureError> {
-    let mut initial = start;
-    let mut frames_before = Vec::new();
-    let mut estimate = Err(PairFailure::NoOverlap);
-    for _ in 0..MAX_ROUNDS {
-        let frames = choose_triples(recording, cameras, &initial);
-        if frames.is_empty() || frames == frames_before {
-            break;
-        }
-        let triples = PairTriples::new(recording, cameras, frames)?;
-        estimate = fit_pair(recording, &triples, &initial, with_rate);
-        let Ok(pair) = &estimate else { break };
-        initial =
-            InitialOffset { value_s: pair.offset_s, rate: pair.rate, center_s: pair.center_s };
-        frames_before = triples.frames;
-    }
-    recording.release_pair(cameras);
-    Ok(estimate)
-}
-
 /// Cameras a and b; frame k of a, whose successor is the triple's second frame, and frame m of b.
 pub type TripleFrames = ([usize; 2], [usize; 2]);
 
@@ -158,7 +122,7 @@ pub struct PairTriples {
 }
 
 impl PairTriples {
-    fn new(
+    pub fn new(
         recording: &Recording,
         cameras: [usize; 2],
         frames: Vec<TripleFrames>,

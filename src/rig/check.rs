@@ -4,10 +4,10 @@
 use super::limits::*;
 use super::{Rig, RigCamera, RigView};
 use crate::camera::{MAX_PIXELS, MAX_QUATERNION_ERROR, PoseFormat};
-use crate::json::JsonError;
+use crate::json::{self, JsonError};
 use nalgebra::Point2;
 use std::fmt::Display;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// An error of a rig file: one sentence with the file and the field.
 #[derive(Debug, thiserror::Error)]
@@ -37,6 +37,32 @@ pub struct FieldError {
     pub field: String,
     /// The sentence's end, such as "must be a number from …".
     pub reason: String,
+}
+
+impl Rig {
+    /// Reads and checks a rig file. The error is one sentence with the file and the field.
+    pub fn read(path: &Path) -> Result<Self, RigError> {
+        let json = |source| RigError::Json { path: path.to_owned(), source };
+        let text = json::read_text(path).map_err(json)?;
+        Self::parse(&text).map_err(|error| match error {
+            RigTextError::Json(reason) => json(JsonError::Content(reason)),
+            RigTextError::Field(wrong) => RigError::Field { path: path.to_owned(), wrong },
+        })
+    }
+
+    /// Parses and checks a rig from the text of its file. The error is one sentence that starts with
+    /// the field.
+    pub fn parse(text: &str) -> Result<Self, RigTextError> {
+        let rig: Self = json::parse(text).map_err(RigTextError::Json)?;
+        rig.check()?;
+        Ok(rig)
+    }
+
+    /// Checks every field against [`super::limits`], and the fields against each other. The error is
+    /// the first field that is wrong, in the file's order.
+    pub fn check(&self) -> Result<(), FieldError> {
+        rig(self)
+    }
 }
 
 type Checked = Result<(), FieldError>;

@@ -1,12 +1,10 @@
 //! The fields of a rig file (`rigs/*.json`).
 
-use super::check::{self, RigError, RigTextError};
 use super::limits::*;
 use crate::camera::{CameraModel, PoseFormat};
-use crate::json::{self, JsonError};
+use crate::json;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 
 /// A simulated camera array: cameras, their shutters and sensors, and virtual views that truth is
 /// rendered from.
@@ -178,32 +176,6 @@ pub enum RigColor {
     #[default]
     Rgb,
     Gray,
-}
-
-impl Rig {
-    /// Reads and checks a rig file. The error is one sentence with the file and the field.
-    pub fn read(path: &Path) -> Result<Self, RigError> {
-        let json = |source| RigError::Json { path: path.to_owned(), source };
-        let text = json::read_text(path).map_err(json)?;
-        Self::parse(&text).map_err(|error| match error {
-            RigTextError::Json(reason) => json(JsonError::Content(reason)),
-            RigTextError::Field(wrong) => RigError::Field { path: path.to_owned(), wrong },
-        })
-    }
-
-    /// Parses and checks a rig from the text of its file. The error is one sentence that starts with
-    /// the field.
-    pub fn parse(text: &str) -> Result<Self, RigTextError> {
-        let rig: Self = json::parse(text).map_err(RigTextError::Json)?;
-        rig.check()?;
-        Ok(rig)
-    }
-
-    /// Checks every field against [`super::limits`], and the fields against each other. The error is
-    /// the first field that is wrong, in the file's order.
-    pub fn check(&self) -> Result<(), check::FieldError> {
-        check::rig(self)
-    }
 }
 
 impl RigCamera {
