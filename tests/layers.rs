@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 type Module = Vec<String>;
 
 const MAX_FILE_LINES: usize = 500;
+const MAX_ARGUMENTS: usize = 5;
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -246,4 +247,56 @@ fn no_file_is_longer_than_one_algorithm() {
         let lines = std::fs::read_to_string(&path).unwrap().lines().count();
         assert!(lines <= MAX_FILE_LINES, "{}: {lines} lines", path.display());
     }
+}
+
+/// The names of the code's functions, and how many arguments each has besides `self`.
+fn functions(code: &str) -> Vec<(String, usize)> {
+    // An arrow's head closes nothing.
+    let code = code.replace("->", "  ");
+    let mut found = Vec::new();
+    for (at, _) in code.match_indices("fn ") {
+        let is_word = |c: char| c.is_alphanumeric() || c == '_';
+        let name: String = code[at + 3..].chars().take_while(|c| is_word(*c)).collect();
+        if name.is_empty() || code[..at].ends_with(is_word) {
+            continue; // the type `fn (…)`, or the end of a word
+        }
+        let (mut depth, mut is_list) = (0, false);
+        let (mut arguments, mut text) = (Vec::new(), String::new());
+        let signature = &code[at + 3 + name.len()..];
+        for c in signature.chars() {
+            is_list |= depth == 0 && c == '(';
+            depth += i32::from("([{<".contains(c)) - i32::from(")]}>".contains(c));
+            match (depth, c) {
+                (0, _) if is_list => break,
+                (1, ',') if is_list => arguments.push(std::mem::take(&mut text)),
+                _ if is_list => text.push(c),
+                _ => {}
+            }
+        }
+        arguments.push(text);
+        let is_self = |a: &String| a.split([':', ' ', '&', '(']).any(|word| word == "self");
+        let counts = |a: &&String| !a.trim_matches(['(', ' ', '\n']).is_empty() && !is_self(a);
+        found.push((name, arguments.iter().filter(counts).count()));
+    }
+    found
+}
+
+#[test]
+fn no_function_has_more_than_five_arguments() {
+    let code = "fn a<T: Fn(u8) -> u8>(&self, x: (u8, u8), f: impl Fn(u8, u8) -> u8,) {} fn b() {}";
+    assert_eq!(functions(code), [("a".to_owned(), 2), ("b".to_owned(), 0)]);
+    let mut files = Vec::new();
+    for folder in ["src", "tests"] {
+        rust_files(&root().join(folder), &mut files);
+    }
+    let mut count = 0;
+    for path in files {
+        let text = std::fs::read_to_string(&path).unwrap();
+        let lines = text.lines().map(|line| line.split("//").next().unwrap());
+        for (name, arguments) in functions(&lines.collect::<Vec<_>>().join("\n")) {
+            count += 1;
+            assert!(arguments <= MAX_ARGUMENTS, "{}: {name}: {arguments}", path.display());
+        }
+    }
+    assert!(count > 1500, "the functions were read: {count}");
 }
