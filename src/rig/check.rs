@@ -1,5 +1,4 @@
-//! What a rig file may hold. Python's reader (`blender/stlfr/rig.py`) refuses the same; a test puts
-//! one corpus through both.
+//! What a rig file may hold. Python asks here too, by the module's `check_rig` and `read_rig`.
 
 use super::limits::*;
 use super::{Rig, RigCamera, RigView};

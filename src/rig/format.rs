@@ -175,8 +175,8 @@ pub enum RigColor {
 impl Rig {
     /// Reads and checks a rig file.
     pub fn read(path: &Path) -> Result<Self, RigError> {
-        let rig: Self =
-            json::read(path).map_err(|source| RigError::Json { path: path.to_owned(), source })?;
+        let json::Object(rig) = json::read::<json::Object<Self>>(path)
+            .map_err(|source| RigError::Json { path: path.to_owned(), source })?;
         rig.check().map_err(|wrong| RigError::Field { path: path.to_owned(), wrong })?;
         Ok(rig)
     }

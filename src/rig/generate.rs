@@ -2,14 +2,16 @@
 
 use super::check::FieldError;
 use super::format::{Distortion, Rig, RigCamera, RigColor, RigView};
-use super::limits::{FORMAT, VERSION};
+use super::limits::{FORMAT, MAX_CAMERAS, MAX_LOSS_WITHIN, VERSION};
 use crate::camera::PoseFormat;
 use crate::random::Random;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
+use serde::Deserialize;
 use std::num::NonZeroUsize;
 
 /// Where the cameras stand. All look along the rig's +z, but those of an arc.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Layout {
     /// From left to right.
     Line { count: NonZeroUsize },
@@ -21,7 +23,8 @@ pub enum Layout {
 }
 
 /// When the first frames are exposed, after the scene's start.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Delays {
     /// All with the scene's start.
     None,
@@ -32,7 +35,8 @@ pub enum Delays {
 }
 
 /// Whether lost frames leave gaps in the cameras' times.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum LossStamps {
     Stamped,
     Hidden,
@@ -41,7 +45,8 @@ pub enum LossStamps {
 }
 
 /// Frames that every camera but the reference loses.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Loss {
     /// How many each, of the frames 1 to `within − 1`.
     pub count: usize,
@@ -51,7 +56,8 @@ pub struct Loss {
 
 /// What a rig is generated from. A list's entries go to the cameras in turn, from its start again
 /// where it ends; none of them may be empty.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct RigOptions {
     pub name: String,
     pub layout: Layout,
@@ -111,6 +117,10 @@ impl Default for RigOptions {
 pub enum GenerateError {
     #[error("the {0} must not be empty")]
     Empty(&'static str),
+    #[error("{count} cameras are more than {MAX_CAMERAS}")]
+    Cameras { count: usize },
+    #[error("lost frames must be among the first {MAX_LOSS_WITHIN}, not {within}")]
+    LossWithin { within: usize },
     #[error("an arc needs a distance over half the array's width, not {distance_m} m")]
     Arc { distance_m: f64 },
     #[error("{count} lost frames don't fit among the frames 1 to {}", within.saturating_sub(1))]
@@ -192,6 +202,10 @@ impl RigOptions {
         if let Some((name, _)) = empty.into_iter().find(|(_, empty)| *empty) {
             return Err(GenerateError::Empty(name));
         }
+        let count = self.layout.count();
+        if count > MAX_CAMERAS {
+            return Err(GenerateError::Cameras { count });
+        }
         if let Layout::Arc { count, distance_m } = self.layout {
             let half_width_m = 0.5 * self.spacing_m.abs() * (count.get() - 1) as f64;
             if !(distance_m > half_width_m && distance_m.is_finite()) {
@@ -201,6 +215,9 @@ impl RigOptions {
         match self.loss {
             Some(Loss { count, within, .. }) if count >= within => {
                 Err(GenerateError::Loss { count, within })
+            }
+            Some(Loss { within, .. }) if within > MAX_LOSS_WITHIN => {
+                Err(GenerateError::LossWithin { within })
             }
             _ => Ok(()),
         }
@@ -281,6 +298,16 @@ impl RigOptions {
                 ..like.view()
             })
             .into()
+    }
+}
+
+impl Layout {
+    /// How many cameras stand there.
+    fn count(self) -> usize {
+        match self {
+            Self::Line { count } | Self::Arc { count, .. } => count.get(),
+            Self::Grid { rows, columns } => rows.get().saturating_mul(columns.get()),
+        }
     }
 }
 

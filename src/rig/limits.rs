@@ -39,3 +39,10 @@ pub(super) const MAX_QUATERNION_ERROR: f64 = 1e-3;
 pub(super) const MAX_SPREAD: f64 = 2.0;
 /// Points on each side of the image's border where a distortion is tried.
 pub(super) const BORDER_STEPS: u32 = 16;
+
+/// The most cameras that a rig is generated with: a grid of a thousand rows and columns. More would
+/// fill the memory, which is a typing error; fewer would refuse a grid of the command line's.
+pub(super) const MAX_CAMERAS: usize = 1_000_000;
+/// The most frames that lost ones are drawn from. More costs memory for every camera; fewer would
+/// refuse what the command line takes.
+pub(super) const MAX_LOSS_WITHIN: usize = 100_000;

@@ -1,8 +1,8 @@
 //! Simulated camera arrays: the rig file that Blender films with, its checks, its JSON Schema, and
 //! the generator of `stlfr rig`.
 //!
-//! Filming itself, and with it the shutter times, is in `blender/stlfr/rig.py`, which reads the
-//! same format.
+//! Filming itself, and with it the shutter times, is in `blender/stlfr/rig.py`, which has rig files
+//! read and checked here.
 
 mod check;
 mod format;
