@@ -1,5 +1,9 @@
 """Lens distortion: COLMAP's OPENCV model (Brown's radial and tangential distortion) and its inverse. No `bpy` here.
 
+Filming distorts its images by this, and the calibration check projects by it. It is written apart from
+the library's own lens models on purpose: where a capture is reconstructed rightly, two independent
+implementations agree. It checks no rig; the module `stlfr` does.
+
 On the plane z = 1, with r² = x² + y²:
 
     x' = x (1 + k1 r² + k2 r⁴) + 2 p1 x y + p2 (r² + 2 x²)

@@ -24,7 +24,19 @@ spec = importlib.util.spec_from_file_location("stlfr_capture_script", CAPTURE_SC
 assert spec is not None and spec.loader is not None
 spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_extension
 
-camera, described, distortion, errors, folder, plan, rig, scenes, sensor, truth = (
+(
+    camera,
+    described,
+    distortion,
+    errors,
+    folder,
+    native,
+    plan,
+    rig,
+    scenes,
+    sensor,
+    truth,
+) = (
     importlib.import_module(f"stlfr_extension.{name}")
     for name in (
         "camera",
@@ -32,6 +44,7 @@ camera, described, distortion, errors, folder, plan, rig, scenes, sensor, truth 
         "distortion",
         "errors",
         "folder",
+        "native",
         "plan",
         "rig",
         "scenes",
