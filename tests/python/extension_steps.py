@@ -131,15 +131,6 @@ def film(folder: str) -> dict[str, Any]:
     sentences["nothing to resume"] = refused(bpy.ops.stlfr.film, resume=True)
 
     bpy.ops.stlfr.offsets()
-    offsets = [
-        {
-            "id": o.camera_id,
-            "known": o.is_known,
-            "offset_s": o.offset_s,
-            "reason": o.reason,
-        }
-        for o in settings.offsets
-    ]
     faked += drawn()
     return {
         "sentences": sentences,
@@ -148,12 +139,22 @@ def film(folder: str) -> dict[str, Any]:
         "kept": kept,
         "capture": settings.capture,
         "time_offset_s": settings.time_offset_s,
-        "offsets": offsets,
+        "offsets": [shown_offset(o) for o in settings.offsets],
         "report": operators.show_offsets(settings.offsets, job_result(capture)),
         "drawn": faked,
         "untouched": before == described(scene),
         "picture": picture(scene, work, 0.5 / 30.0),
         "rig": part("rig_objects").describe(scene),
+    }
+
+
+def shown_offset(offset: Any) -> dict[str, Any]:
+    """One entry of the panel's list."""
+    return {
+        "id": offset.camera_id,
+        "known": offset.is_known,
+        "offset_s": offset.offset_s,
+        "reason": offset.reason,
     }
 
 

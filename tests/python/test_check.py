@@ -7,14 +7,13 @@ import importlib
 import importlib.util
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from filming import ROOT, run_script
 
-ROOT = Path(__file__).resolve().parents[2]
 CHECK_SCRIPT = ROOT / "blender" / "check.py"
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -363,13 +362,7 @@ def test_a_box_mean_is_the_mean_over_the_window() -> None:
 
 
 def test_a_folder_that_is_no_capture_is_refused_in_one_sentence(tmp_path: Path) -> None:
-    result = subprocess.run(
-        [sys.executable, "-I", str(CHECK_SCRIPT), str(tmp_path)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    result = run_script(CHECK_SCRIPT, tmp_path)
     assert result.returncode == 2
     assert "capture.json" in result.stderr
     assert result.stderr.count("\n") == 1

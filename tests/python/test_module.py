@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import stlfr
-
-ROOT = Path(__file__).resolve().parents[2]
+from filming import ROOT
 
 
 def described(capture_dir: Path) -> list[dict[str, Any]]:
