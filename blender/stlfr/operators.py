@@ -235,7 +235,7 @@ class STLFR_OT_film(LongWork, bpy.types.Operator):
 
 
 class STLFR_OT_offsets(LongWork, bpy.types.Operator):
-    """Estimate how far each camera's clock is off, from the pixels alone; kept in the capture."""
+    """Estimate how far each camera's clock is off, from the pixels alone, and save the offsets in the capture."""
 
     bl_idname = "stlfr.offsets"
     bl_label = "Estimate Offsets"

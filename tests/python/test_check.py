@@ -157,17 +157,17 @@ def test_another_convention_fails_the_model_check(wrong: Any, expected: Any) -> 
 def test_a_wrong_sensor_fit_fails_the_check_against_blender(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A conversion that takes the sensor's height for portraits, as one would guess of `AUTO`."""
+    """A conversion that takes the sensor's height for portraits, as the name `AUTO` suggests."""
     pytest.importorskip("bpy")
     cameras = importlib.import_module("stlfr_extension.camera")
     right = cameras.pinhole_from_lens
 
-    def guess(lens: Any) -> Any:
+    def by_height(lens: Any) -> Any:
         if lens.sensor_fit == "AUTO" and lens.height_px > lens.width_px:
             lens = dataclasses.replace(lens, sensor_fit="VERTICAL")
         return right(lens)
 
-    monkeypatch.setattr(cameras, "pinhole_from_lens", guess)
+    monkeypatch.setattr(cameras, "pinhole_from_lens", by_height)
     found = model.blender_differences_px(stlfr.project, pycolmap, conversion)
     off = {
         (d.camera.format, d.camera.fit)

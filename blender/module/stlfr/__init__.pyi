@@ -120,7 +120,7 @@ class Capture:
         """A camera's frame, (H, W, channels): RGB or grey as `color` says, in the camera's bit depth."""
 
     def offsets(self, options: dict[str, Any] | None = None) -> Offsets:
-        """Every camera's offset: those kept in the capture's folder, else estimated and kept there."""
+        """Every camera's offset: those saved in the capture's folder, else estimated and saved there."""
 
     def render(
         self,
