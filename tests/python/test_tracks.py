@@ -62,8 +62,8 @@ def rig_with_a_bent_lens(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def wave_m(x: Array, time_s: float) -> Array:
     """How far the bending sheet of the test scene comes towards the camera."""
-    share = 0.5 + 0.5 * math.sin(9.0 * time_s)
-    return share * 0.3 * x * x
+    fraction = 0.5 + 0.5 * math.sin(9.0 * time_s)
+    return fraction * 0.3 * x * x
 
 
 @pytest.fixture(scope="module")
@@ -177,8 +177,8 @@ def test_visibility_is_what_stands_before_a_point(tracked: Path) -> None:
         inside = ((pixels >= 0) & (pixels <= (64, 48))).all(axis=-1)
         for k, clock_s in enumerate(camera["times_s"]):
             # Where the way to the point passes the plate's plane.
-            share = (-1.5 - centre[2]) / (world[k][:, 2] - centre[2])
-            crossing = centre + share[:, None] * (world[k] - centre)
+            fraction = (-1.5 - centre[2]) / (world[k][:, 2] - centre[2])
+            crossing = centre + fraction[:, None] * (world[k] - centre)
             left = crossing[:, 0] - (2.0 * (clock_s + 0.003) - 0.2)
             covered = (np.abs(left) < 0.3) & (np.abs(crossing[:, 1]) < 0.2) & on_sheet
             margin = np.minimum(
