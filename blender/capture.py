@@ -94,6 +94,15 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     parser = Parser(
         prog="capture.py", description="Film a scene with a simulated camera rig."
     )
+    add_scene(parser)
+    add_film(parser)
+    add_truth(parser)
+    add_processes(parser)
+    return parser.parse_args(arguments)
+
+
+def add_scene(parser: Parser) -> None:
+    """What is filmed, by which rig, and into which folder."""
     parser.add_argument("rig", type=Path, metavar="RIG", help="rig file")
     scene = parser.add_mutually_exclusive_group(required=True)
     scene.add_argument("--scene", metavar="NAME", help="a scene of blender/scenes")
@@ -111,6 +120,10 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
         required=True,
         help="capture folder",
     )
+
+
+def add_film(parser: Parser) -> None:
+    """How it is filmed."""
     parser.add_argument(
         "--size",
         type=size,
@@ -137,6 +150,15 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
         default="cycles",
         help="what renders the pictures (cycles)",
     )
+    parser.add_argument(
+        "--video",
+        action="store_true",
+        help="keep each camera's frames as one lossless video",
+    )
+
+
+def add_truth(parser: Parser) -> None:
+    """What only a simulator knows."""
     instants = parser.add_mutually_exclusive_group()
     instants.add_argument(
         "--instants",
@@ -167,24 +189,29 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
         help="frames of slow motion from the rig's first view (0)",
     )
     parser.add_argument("--no-truth", action="store_true", help="film without truth")
-    parser.add_argument(
-        "--video",
-        action="store_true",
-        help="keep each camera's frames as one lossless video",
-    )
+
+
+def add_processes(parser: Parser) -> None:
+    """What does the work."""
     parser.add_argument(
         "--workers", type=count(1), metavar="N", help="filming processes (one per core)"
+    )
+    parser.add_argument(
+        "--module",
+        metavar="FOLDER",
+        help="where the module stlfr lies (in this Python's packages)",
     )
     parser.add_argument(
         "--blender",
         metavar="FILE",
         help="film in this program of Blender's (in this Python, which has bpy)",
     )
-    return parser.parse_args(arguments)
 
 
 def capture(arguments: argparse.Namespace) -> None:
     """Film what isn't there yet."""
+    if arguments.module:
+        sys.path.insert(0, arguments.module)
     plan = plans.make(
         plans.Options(
             rig_file=arguments.rig.resolve(),

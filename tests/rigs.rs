@@ -43,7 +43,7 @@ fn without_a_file_the_rig_is_printed() {
     assert_eq!((rig.name.as_str(), rig.cameras.len(), rig.reference.as_str()), ("pair", 2, "cam0"));
 }
 
-/// The corpus that Python's tests put through Blender's reader.
+/// The corpus that Python's tests put through the module.
 fn corpus() -> Value {
     let text = std::fs::read_to_string(root().join("tests/golden/rigs.json")).unwrap();
     serde_json::from_str(&text).unwrap()

@@ -22,7 +22,7 @@ FREEDOMS = 7
 """Of a similarity: turn, move, scale."""
 
 STEP = 1e-6
-"""Of a numerical derivative, as a share of a point's depth: half of a double's digits."""
+"""Of a numerical derivative, as a fraction of a point's depth: half of a double's digits."""
 
 
 @dataclass(frozen=True)

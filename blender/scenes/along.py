@@ -67,7 +67,13 @@ def build() -> None:
     # 0.30 m x 4 rad/s at 1.5 m: up to 18 pixels in a thirtieth of a second.
     kit.drive(train, "location", 0, "0.30*sin(4.0*{t} - 0.8)")
 
-    cart = kit.box(
+    cart()
+    vase()
+
+
+def cart() -> None:
+    """A cart with a sign, which goes the other way."""
+    body = kit.box(
         "cart",
         backdrop.photo(
             "cart",
@@ -83,10 +89,13 @@ def build() -> None:
     sign.text(kit.ink("black", "161412"), "SIDEWAYS", 0, 0.032, 0.052, align="CENTER")
     board = sign.build("sign")
     board.location = (0, -0.072, 0.05)
-    board.parent = cart
-    kit.drive(cart, "location", 0, "0.12 - 0.28*sin(3.6*{t} - 0.6)")
+    board.parent = body
+    kit.drive(body, "location", 0, "0.12 - 0.28*sin(3.6*{t} - 0.6)")
 
-    vase = kit.turned(
+
+def vase() -> None:
+    """A painted vase that stands in front."""
+    standing = kit.turned(
         "vase",
         kit.printed(
             "vase",
@@ -106,4 +115,4 @@ def build() -> None:
             (0.055, 0.36),
         ],
     )
-    vase.location = (0.42, 1.25, RIG_HEIGHT_M - 0.55)
+    standing.location = (0.42, 1.25, RIG_HEIGHT_M - 0.55)

@@ -125,7 +125,7 @@ LEAF_TURN = "(0.5 - 0.5*cos(2.9*{t} + 0.75))"
 
 
 def hat(step: int) -> str:
-    """The share of one of the leaf's shapes: 1 at its place, 0 from its neighbours on."""
+    """The weight of one of the leaf's shapes: 1 at its place, 0 from its neighbours on."""
     return f"max(0, 1 - abs({LEAF_STEPS}*{LEAF_TURN} - {step}))"
 
 

@@ -8,6 +8,7 @@ second, which stretches the skin around the mouth.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -158,6 +159,16 @@ def face_paint(rings_m: kit.Points) -> paint.Image:
         skin = paint.blended(
             skin, np.clip(brow * (0.6 + 0.7 * noise(4, 2)), 0, 1), "2c1b10"
         )
+    return covered_with_hair(skin, (x, y, z), noise)
+
+
+def covered_with_hair(
+    skin: paint.Image,
+    place_m: tuple[kit.Points, kit.Points, kit.Points],
+    noise: Callable[..., paint.Image],
+) -> paint.Image:
+    """The skin, with hair above the hairline and none about the ears."""
+    x, y, z = place_m
     strands = 0.5 * noise(3, 1) + 0.5 * noise(24, 3)
     hair = paint.ramp(strands, (0.2, 0.5, 0.8), ("1d120a", "3f2815", "7a5230"))
     line = 0.066 + 0.010 * (noise(30, 2) - 0.5) - 1.2 * np.maximum(y + 0.055, 0)

@@ -1,7 +1,7 @@
 """What scenes are built from: matt materials, printed sheets, simple bodies, motion, light.
 
 Every surface is diffuse, so that a point looks alike from every camera. Textures are painted (see
-`paint`) and kept in the file: many times faster to render than shader noise. Motion is by drivers on the frame number, in expressions that
+`paint`) and stored in the file: many times faster to render than shader noise. Motion is by drivers on the frame number, in expressions that
 Blender evaluates itself (no Python, no permission to ask for), so it is exact at sub-frames.
 """
 

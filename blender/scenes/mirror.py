@@ -55,8 +55,14 @@ def build() -> None:
         "table", paint.planks("table", (120, 800), 40, ("4a2f1b", "8a5a30", "c08a50"))
     )
     kit.box("table", board, (3.0, 0.9, 0.05), (0, 1.7, RIG_HEIGHT_M - 0.55))
+    tray()
+    kettle()
+    bowl_and_ball()
 
-    tray = kit.turned(
+
+def tray() -> None:
+    """A polished tray that swings, with a printed badge on it."""
+    metal = kit.turned(
         "tray",
         kit.polished("tray", "d8d4cc", 0.08),
         [
@@ -69,12 +75,14 @@ def build() -> None:
         ],
         72,
     )
-    tray.rotation_mode = "XYZ"
-    kit.drive(tray, "location", 0, "-0.16 + 0.06*sin(4.7*{t} + 0.8)")
-    kit.drive(tray, "location", 1, "1.55")
-    kit.drive(tray, "location", 2, f"{RIG_HEIGHT_M} + 0.10 + 0.16*sin(5.3*{{t}} - 0.4)")
-    kit.drive(tray, "rotation_euler", 0, "1.25 + 0.25*sin(4.4*{t})")
-    kit.drive(tray, "rotation_euler", 1, "0.25*sin(3.8*{t} + 1.0)")
+    metal.rotation_mode = "XYZ"
+    kit.drive(metal, "location", 0, "-0.16 + 0.06*sin(4.7*{t} + 0.8)")
+    kit.drive(metal, "location", 1, "1.55")
+    kit.drive(
+        metal, "location", 2, f"{RIG_HEIGHT_M} + 0.10 + 0.16*sin(5.3*{{t}} - 0.4)"
+    )
+    kit.drive(metal, "rotation_euler", 0, "1.25 + 0.25*sin(4.4*{t})")
+    kit.drive(metal, "rotation_euler", 1, "0.25*sin(3.8*{t} + 1.0)")
     badge = kit.turned(
         "badge",
         kit.printed(
@@ -84,9 +92,12 @@ def build() -> None:
         [(0.095, 0.0015), (0.125, 0.0015)],
         72,
     )
-    badge.parent = tray
+    badge.parent = metal
 
-    kettle = kit.turned(
+
+def kettle() -> None:
+    """A copper kettle that rocks."""
+    copper = kit.turned(
         "kettle",
         kit.polished("copper", "d08a5a", 0.12),
         [
@@ -102,8 +113,12 @@ def build() -> None:
         ],
         64,
     )
-    kettle.location = (0.36, 1.35, RIG_HEIGHT_M - 0.50)
-    kit.drive(kettle, "rotation_euler", 0, "0.10*sin(4.9*{t})")
+    copper.location = (0.36, 1.35, RIG_HEIGHT_M - 0.50)
+    kit.drive(copper, "rotation_euler", 0, "0.10*sin(4.9*{t})")
+
+
+def bowl_and_ball() -> None:
+    """A glazed bowl that stands still, and a chrome ball that swings behind it."""
     bowl = kit.turned(
         "bowl",
         kit.polished("glaze", "3f8f8a", 0.25),

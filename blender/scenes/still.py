@@ -7,6 +7,7 @@ Depths from the rig: flowers 1.4 m, clock 1.9 m, books 2.2 m. At 640x480 the tip
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from . import backdrop, kit, paint
 
@@ -69,6 +70,11 @@ def clock() -> None:
         ),
     )
     back.parent = printed
+    hands(printed, black, red)
+
+
+def hands(dial: Any, black: Any, red: Any) -> None:
+    """The hour, minute and second hands of a clock; the second hand goes round."""
     for name, material, width, length, turn, out in (
         ("hour hand", black, 0.014, 0.10, -math.tau * 10.17 / 12, 0.006),
         ("minute hand", black, 0.010, 0.16, -math.tau * 10 / 60, 0.009),
@@ -77,7 +83,7 @@ def clock() -> None:
         sheet = kit.Sheet()
         sheet.rectangle(material, -width / 2, -0.03, width, length + 0.03)
         hand = sheet.build(name)
-        hand.parent = printed
+        hand.parent = dial
         hand.location.y = -out
         hand.rotation_euler.y = -turn
         if name == "second hand":

@@ -19,7 +19,7 @@ def build() -> None:
     wall()
     held = magazine()
     held.rotation_euler = (-0.06, 0.05, 0.10)
-    # Every point on a circle's course of its own, all of them alike: none goes up while another goes down.
+    # Every point on a circle of its own, all of them alike: none goes up while another goes down.
     kit.drive(held, "location", 0, "0.02 - 0.20*cos(6.04*{t})")
     kit.drive(held, "location", 1, "1.62")
     kit.drive(held, "location", 2, f"{RIG_HEIGHT_M} + 0.02 + 0.12*sin(6.04*{{t}})")

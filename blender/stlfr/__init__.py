@@ -2,9 +2,10 @@
 
 The extension and the headless scripts (`capture.py`, `check.py`) share these modules:
 
-- `rig`: the rig file and its shutter times; `json_fields` reads it
+- `rig`: a rig and its shutter times
+- `native`: what the compiled module `stlfr` does: rig files, new rigs, COLMAP's text
 - `camera`: Blender's camera to COLMAP's `PINHOLE` and back
-- `distortion`: COLMAP's `OPENCV` lens
+- `distortion`: COLMAP's `OPENCV` lens, as filming needs it
 - `described`: a camera as capture.json spells it
 - `sensor`: from rendered light to a camera's pixels
 - `scenes`: find a scene, build it or open a .blend, say where the rig stands
@@ -26,7 +27,6 @@ Of the extension alone:
 - `fields`: the capture that is open
 - `properties`, `panels`, `operators`: what the user sees and presses
 - `rig_objects`: a rig file as camera objects, and back
-- `rig_layout`: a new rig
 - `filming`: what lies in a folder that is being filmed into
 - `jobs`: long work in a process of its own; `estimate` is one
 - `paths`: `//` and what is absolute

@@ -1,6 +1,6 @@
 """Estimate a capture's offsets, in a process of its own: `python -I estimate.py CAPTURE FOLDER`.
 
-FOLDER holds the module `stlfr`. The offsets are kept in the capture, as `stlfr offsets` does.
+FOLDER holds the module `stlfr`. The offsets are saved in the capture, as `stlfr offsets` does.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ class StoppedError(Exception):
 
 
 def render(request: Request, proceed: Callable[[int, int], bool]) -> Samples:
-    """The image, as `stlfr render` writes it. Offsets that aren't known yet are estimated, and kept in the capture."""
+    """The image, as `stlfr render` writes it. Offsets that aren't known yet are estimated, and saved in the capture."""
     try:
         return _capture(request.capture).render(
             request.time_s,
@@ -46,7 +46,7 @@ def close() -> None:
 
 
 def _capture(folder: Path) -> stlfr.Capture:
-    """The capture; opened anew when its description or its kept offsets have changed."""
+    """The capture; opened anew when its description or its saved offsets have changed."""
     import stlfr
 
     global _open

@@ -89,14 +89,21 @@ def _options(capture: Path) -> Options | None:
         return None
 
 
-def command(capture: Path, python: list[str], blender: str) -> list[str]:
-    """What films into a folder that `begin` has made. `blender`: its program; empty where `bpy` is a module."""
+def command(
+    capture: Path, python: list[str], module_folder: Path, blender: str
+) -> list[str]:
+    """What films into a folder that `begin` has made.
+
+    `module_folder` holds the module `stlfr`. `blender` is Blender's program, or empty where `bpy` is a
+    module.
+    """
     options = _options(capture)
     if options is None or not is_begun(capture):
         raise BadInputError(f"{capture} holds no film that was begun here and stopped")
     rig_copy = capture / HIDDEN_FOLDER / RIG_COPY
     arguments = [*python, str(_script()), str(rig_copy)]
     arguments += ["--blend", str(options.blend_copy(capture)), "-o", str(capture)]
+    arguments += ["--module", str(module_folder)]
     arguments += ["--frames", str(options.frames), "--samples", str(options.samples)]
     if options.workers:
         arguments += ["--workers", str(options.workers)]

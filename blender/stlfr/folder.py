@@ -7,7 +7,7 @@ import os
 import re
 from typing import TYPE_CHECKING, Any
 
-from . import truth, video
+from . import native, truth, video
 from .plan import CAPTURE_FILE, HIDDEN_FOLDER, Plan, frame_file, truth_files
 
 if TYPE_CHECKING:
@@ -115,32 +115,11 @@ def _truth_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:
 
 def _write_colmap(plan: Plan, cameras: dict[str, Camera], folder: Path) -> None:
     """COLMAP's text model: one camera and one image (its first frame) each, no points."""
-    camera_lines = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]"]
-    image_lines = [
-        "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME",
-        "# POINTS2D[] as (X Y POINT3D_ID): none",
+    images = [
+        (frame_file(camera.id, 0), cameras[camera.id]) for camera in plan.rig.cameras
     ]
-    for number, rig_camera in enumerate(plan.rig.cameras, start=1):
-        camera = cameras[rig_camera.id]
-        transform = camera["cam_from_world"]
-        intrinsics = [
-            camera["model"],
-            camera["width"],
-            camera["height"],
-            *camera["params"],
-        ]
-        pose = [*transform["rotation_wxyz"], *transform["translation"]]
-        camera_lines.append(" ".join(map(str, [number, *intrinsics])))
-        image_lines.append(
-            " ".join(map(str, [number, *pose, number, frame_file(rig_camera.id, 0)]))
-        )
-        image_lines.append("")
-    _write_text(folder / "cameras.txt", "\n".join(camera_lines) + "\n")
-    _write_text(folder / "images.txt", "\n".join(image_lines) + "\n")
-    _write_text(
-        folder / "points3D.txt",
-        "# POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX): none\n",
-    )
+    for name, text in native.colmap_text(images).items():
+        _write_text(folder / name, text)
 
 
 def scratch_folder(capture: Path) -> Path:

@@ -17,10 +17,10 @@ from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
 
 import stlfr
 
-from . import engine, filming, jobs, rig_layout, rig_objects
+from . import engine, filming, jobs, native, rig_objects
 from .errors import BadInputError, FailureError
 from .paths import absolute
-from .rig_layout import shortest
+from .rig_objects import shortest
 
 POLL_S = 0.2
 """How often the panel shows news of a job."""
@@ -66,20 +66,20 @@ class STLFR_OT_rig_create(bpy.types.Operator):
 
     @reported
     def execute(self, context: Any) -> Result:
-        layout = rig_layout.Layout(
-            name=self.rig_name,
-            columns=self.columns,
-            rows=self.rows,
-            spacing_m=shortest(self.spacing_m),
-            width_px=self.width_px,
-            height_px=self.height_px,
-            lens_mm=shortest(self.lens_mm),
-            sensor_width_mm=36.0,
-            rate_hz=shortest(self.rate_hz),
-            jitter_s=shortest(self.jitter_s),
-            seed=self.seed,
-        )
-        rig_objects.build(context.scene, rig_layout.content(layout))
+        grid = {"rows": self.rows, "columns": self.columns}
+        options = {
+            "name": self.rig_name,
+            "layout": {"line": {"count": self.columns}}
+            if self.rows == 1
+            else {"grid": grid},
+            "spacing_m": shortest(self.spacing_m),
+            "sizes_px": [[self.width_px, self.height_px]],
+            "lenses_mm": [shortest(self.lens_mm)],
+            "rates_hz": [shortest(self.rate_hz)],
+            "jitters_s": [shortest(self.jitter_s)],
+            "seed": self.seed,
+        }
+        rig_objects.build(context.scene, native.generate_rig(options))
         return {"FINISHED"}
 
     def invoke(self, context: Any, _event: Any) -> Result:
@@ -219,7 +219,9 @@ class STLFR_OT_film(LongWork, bpy.types.Operator):
         self.capture = absolute(context.scene.stlfr.film_folder)
         if not self.resume:
             prepare_film(context.scene, self.capture)
-        command = filming.command(self.capture, python(), bpy.app.binary_path)
+        command = filming.command(
+            self.capture, python(), module_folder(), bpy.app.binary_path
+        )
         return jobs.Job("Filming", command)
 
     def take(self, scene: Any, job: jobs.Job) -> tuple[str, str]:
@@ -233,7 +235,7 @@ class STLFR_OT_film(LongWork, bpy.types.Operator):
 
 
 class STLFR_OT_offsets(LongWork, bpy.types.Operator):
-    """Estimate how far each camera's clock is off, from the pixels alone; kept in the capture."""
+    """Estimate how far each camera's clock is off, from the pixels alone, and save the offsets in the capture."""
 
     bl_idname = "stlfr.offsets"
     bl_label = "Estimate Offsets"
@@ -241,8 +243,7 @@ class STLFR_OT_offsets(LongWork, bpy.types.Operator):
     def start(self, context: Any) -> jobs.Job:
         capture = engine.capture_folder(context.scene)
         script = Path(__file__).resolve().parent / "estimate.py"
-        module = Path(stlfr.__file__).resolve().parent.parent
-        command = [*python(), str(script), str(capture), str(module)]
+        command = [*python(), str(script), str(capture), str(module_folder())]
         return jobs.Job("Estimating offsets", command)
 
     def take(self, scene: Any, job: jobs.Job) -> tuple[str, str]:
@@ -295,6 +296,11 @@ class STLFR_OT_open_report(bpy.types.Operator):
 def python() -> list[str]:
     """A Python with numpy, and with `bpy` if that is a module; without the user's own settings."""
     return [sys.executable, *(bpy.app.python_args or ("-I",))]
+
+
+def module_folder() -> Path:
+    """The folder that holds the module `stlfr`: another Python doesn't find it by itself."""
+    return Path(stlfr.__file__).resolve().parent.parent
 
 
 def prepare_film(scene: Any, capture: Path) -> None:

@@ -12,7 +12,7 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import png, scenes, truth
+from . import native, png, scenes, truth
 from . import rig as rigs
 from .errors import BadInputError
 from .rig import Rig, Shutter
@@ -35,7 +35,7 @@ PIXEL_SOURCES = (
     "exr.py",
     "film.py",
     "folder.py",
-    "json_fields.py",
+    "native.py",
     "plan.py",
     "png.py",
     "rig.py",
@@ -117,6 +117,8 @@ class Plan:
     """A whole capture, before anything is rendered."""
 
     options: Options
+    rig_content: native.Content
+    """The checked rig file's, at its own size."""
     rig: Rig
     shutters: list[Shutter]
     instants_s: list[float]
@@ -137,7 +139,8 @@ def _must_suit_workbench(rig: rigs.Rig) -> None:
 
 def make(options: Options) -> Plan:
     """Check the options and list every image."""
-    rig = rigs.load(options.rig_file)
+    rig_content = native.read_rig(options.rig_file)
+    rig = rigs.from_content(rig_content)
     if options.size_px is not None:
         rig = rigs.resized(rig, *options.size_px)
     if options.engine == "workbench":
@@ -158,6 +161,7 @@ def make(options: Options) -> Plan:
         )
     return Plan(
         options=options,
+        rig_content=rig_content,
         rig=rig,
         shutters=shutters,
         instants_s=instants_s,

@@ -32,14 +32,14 @@ def is_whole(path: Path, width_px: int, height_px: int) -> bool:
 
 def picture_only(data: bytes) -> bytes:
     """The same picture without Blender's notes in it (render times, resolution): the same pixels, the same bytes."""
-    kept, offset = [SIGNATURE], len(SIGNATURE)
+    chunks, offset = [SIGNATURE], len(SIGNATURE)
     while offset < len(data):
         (length,) = struct.unpack_from(">I", data, offset)
         chunk = data[offset : offset + 12 + length]
         if chunk[4:8] in (b"IHDR", b"IDAT", b"IEND"):
-            kept.append(chunk)
+            chunks.append(chunk)
         offset += len(chunk)
-    return b"".join(kept)
+    return b"".join(chunks)
 
 
 def encoded(

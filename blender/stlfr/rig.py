@@ -11,35 +11,24 @@ with k the frame's nominal number, lost frames counted. A camera that stamps its
 into its times; where it doesn't, the jitter is hidden and its mean is part of the offset. A clock
 that cameras share reads world time.
 
-The format's schema comes from the Rust types (`stlfr rig --schema rig`), whose reader refuses what
-this one refuses.
+The compiled module `stlfr` checks rig files (`stlfr rig --schema rig` prints their schema). What is
+here uses a checked rig: it repeats the defaults of optional fields, which a test compares, and no
+check.
 """
 
 from __future__ import annotations
 
-import itertools
-import json
 import math
 import random
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
-from .camera import BlenderLens, Pinhole, RigidTransform, pinhole_from_lens
-from .distortion import Distortion, ideal_border
+from . import native
+from .camera import BlenderLens, RigidTransform
+from .distortion import Distortion
 from .errors import BadInputError
-from .json_fields import Fields, read_fields
-
-FORMAT = "stlfr-rig"
-VERSION = 1
-
-UNIT_QUATERNION_TOLERANCE = 1e-3
-"""How far from 1 a quaternion's length may be: Blender's single precision passes, a typing error doesn't."""
-
-MAX_JITTER_FRAMES = 0.1
-"""Largest jitter deviation, in frame periods: above, two frames of one camera could swap."""
-
-MAX_SPREAD = 2.0
-"""How much wider than the image a pinhole's must be to hold all that a lens sees."""
+from .native import Content
 
 
 @dataclass(frozen=True)
@@ -203,157 +192,59 @@ def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
 
 def load(path: Path) -> Rig:
     """Read and check a rig file; a `BadInputError` names the file and the field."""
-    return _rig(read_fields(path, "rig file"))
+    return from_content(native.read_rig(path))
 
 
-def _rig(fields: Fields) -> Rig:
-    format_name, version = fields.take("format"), fields.take("version")
-    if format_name != FORMAT:
-        raise fields.error(
-            "format", f"must be {json.dumps(FORMAT)}, not {json.dumps(format_name)}"
-        )
-    if version != VERSION:
-        raise fields.error("version", f"must be {VERSION}, not {json.dumps(version)}")
-    entries = fields.objects("cameras")
-    rig = Rig(
-        name=fields.identifier("name"),
-        reference=fields.text("reference"),
-        seed=fields.whole_number("seed", 0, 2**53),
-        cameras=tuple(_camera(entry) for entry in entries),
-        views=tuple(_view(entry) for entry in fields.objects("views", default=[])),
+def from_content(content: Content) -> Rig:
+    """The rig of a rig file's content, which has been checked."""
+    return Rig(
+        name=content["name"],
+        reference=content["reference"],
+        seed=content["seed"],
+        cameras=tuple(_camera(entry) for entry in content["cameras"]),
+        views=tuple(RigView(**_view(entry)) for entry in content.get("views", [])),
     )
-    fields.done()
-    if not rig.cameras:
-        raise fields.error("cameras", "must hold at least one camera")
-    ids = [view.id for view in (*rig.cameras, *rig.views)]
-    for index, view_id in enumerate(ids):
-        if view_id in ids[:index]:
-            raise fields.error(
-                "cameras and views", f"have two entries with id {json.dumps(view_id)}"
-            )
-    if rig.reference not in ids[: len(rig.cameras)]:
-        raise fields.error(
-            "reference", f"names no camera of the rig: {json.dumps(rig.reference)}"
-        )
-    for entry, camera in zip(entries, rig.cameras, strict=True):
-        _check_clock(entry, camera, rig.reference)
-    return rig
 
 
-def _camera(fields: Fields) -> RigCamera:
-    view = _take_view(fields)
-    rate_hz = fields.number("rate_hz", 1e-3, 1e5)
-    camera = RigCamera(
-        **vars(view),
-        distortion=_distortion(fields),
-        rate_hz=rate_hz,
-        delay_s=fields.number("delay_s", -1e6, 1e6),
-        jitter_s=fields.number(
-            "jitter_s", 0.0, MAX_JITTER_FRAMES / rate_hz, default=0.0
-        ),
-        jitter_stamped=fields.truth_value("jitter_stamped", default=True),
-        drift_ppm=fields.number("drift_ppm", -1e5, 1e5, default=0.0),
-        lost_frames=fields.whole_numbers("lost_frames", 1, 1_000_000_000),
-        lost_stamped=fields.truth_value("lost_stamped", default=True),
-        clock_shared=fields.truth_value("clock_shared", default=False),
-        exposure_s=fields.number("exposure_s", 0.0, 1.0 / rate_hz, default=0.0),
-        gain=fields.number("gain", 0.01, 100.0, default=1.0),
-        noise=fields.number("noise", 0.0, 0.5, default=0.0),
-        color=fields.text("color", default="rgb"),
-        bit_depth=fields.whole_number("bit_depth", 8, 16, default=8),
+def _camera(entry: Content) -> RigCamera:
+    return RigCamera(
+        **_view(entry),
+        distortion=Distortion(**entry.get("distortion", {})),
+        rate_hz=entry["rate_hz"],
+        delay_s=entry["delay_s"],
+        jitter_s=entry.get("jitter_s", 0.0),
+        jitter_stamped=entry.get("jitter_stamped", True),
+        drift_ppm=entry.get("drift_ppm", 0.0),
+        lost_frames=tuple(entry.get("lost_frames", ())),
+        lost_stamped=entry.get("lost_stamped", True),
+        clock_shared=entry.get("clock_shared", False),
+        exposure_s=entry.get("exposure_s", 0.0),
+        gain=entry.get("gain", 1.0),
+        noise=entry.get("noise", 0.0),
+        color=entry.get("color", "rgb"),
+        bit_depth=entry.get("bit_depth", 8),
     )
-    if camera.color not in ("rgb", "gray"):
-        raise fields.error(
-            "color", f'must be "rgb" or "gray", not {json.dumps(camera.color)}'
-        )
-    if camera.bit_depth not in (8, 16):
-        raise fields.error("bit_depth", f"must be 8 or 16, not {camera.bit_depth}")
-    if any(b <= a for a, b in itertools.pairwise(camera.lost_frames)):
-        raise fields.error("lost_frames", "must ascend")
-    _check_distortion(fields, camera)
-    fields.done()
-    return camera
 
 
-def _distortion(fields: Fields) -> Distortion:
-    entry = Fields(
-        fields.take("distortion", {}), fields.file, fields.name("distortion")
-    )
-    coefficients = {
-        name: entry.number(name, -10.0, 10.0, default=0.0)
-        for name in ("k1", "k2", "p1", "p2")
+def _view(entry: Content) -> dict[str, Any]:
+    """The fields of a `RigView`."""
+    return {
+        "id": entry["id"],
+        "width_px": entry["width"],
+        "height_px": entry["height"],
+        "lens_mm": entry["lens_mm"],
+        "sensor_width_mm": entry["sensor_width_mm"],
+        "shift_x": entry.get("shift_x", 0.0),
+        "shift_y": entry.get("shift_y", 0.0),
+        "cam_from_rig": _transform(entry["cam_from_rig"]),
     }
-    entry.done()
-    return Distortion(**coefficients)
 
 
-def _check_distortion(fields: Fields, camera: RigCamera) -> None:
-    if camera.distortion.is_none:
-        return
-    lens: Pinhole = pinhole_from_lens(camera.lens)
-    border, ideal = ideal_border(lens, camera.distortion)
-    for (x, y), (ideal_x, _) in zip(border.tolist(), ideal.tolist(), strict=True):
-        if math.isnan(ideal_x):
-            raise fields.error("distortion", f"has no inverse at pixel ({x:g}, {y:g})")
-    width_px, height_px = (ideal.max(axis=0) - ideal.min(axis=0)).tolist()
-    if (
-        width_px > MAX_SPREAD * camera.width_px
-        or height_px > MAX_SPREAD * camera.height_px
-    ):
-        raise fields.error(
-            "distortion",
-            f"sees more than a pinhole's image {MAX_SPREAD:g} times as large holds",
-        )
-
-
-def _check_clock(fields: Fields, camera: RigCamera, reference: str) -> None:
-    """What can't be true of one clock together."""
-    if camera.id == reference or camera.clock_shared:
-        known = (
-            "the reference camera"
-            if camera.id == reference
-            else "a camera with a shared clock"
-        )
-        if camera.drift_ppm != 0.0:
-            raise fields.error("drift_ppm", f"must be 0 for {known}")
-        if not camera.lost_stamped:
-            raise fields.error("lost_stamped", f"must be true for {known}")
-    if not camera.lost_stamped and camera.jitter_stamped and camera.jitter_s > 0.0:
-        raise fields.error(
-            "lost_stamped",
-            "must be true where the jitter is stamped: stamps show what is lost",
-        )
-
-
-def _view(fields: Fields) -> RigView:
-    view = _take_view(fields)
-    fields.done()
-    return view
-
-
-def _take_view(fields: Fields) -> RigView:
-    return RigView(
-        id=fields.identifier("id"),
-        width_px=fields.whole_number("width", 8, 16384),
-        height_px=fields.whole_number("height", 8, 16384),
-        lens_mm=fields.number("lens_mm", 1.0, 5000.0),
-        sensor_width_mm=fields.number("sensor_width_mm", 1.0, 500.0),
-        shift_x=fields.number("shift_x", -10.0, 10.0, default=0.0),
-        shift_y=fields.number("shift_y", -10.0, 10.0, default=0.0),
-        cam_from_rig=_transform(fields),
-    )
-
-
-def _transform(fields: Fields) -> RigidTransform:
-    entry = Fields(
-        fields.take("cam_from_rig"), fields.file, fields.name("cam_from_rig")
-    )
-    w, x, y, z = entry.numbers("rotation_wxyz", 4)
+def _transform(entry: Content) -> RigidTransform:
+    """A pose, its quaternion normalized: files may be off by single precision."""
+    w, x, y, z = entry["rotation_wxyz"]
     length = (w * w + x * x + y * y + z * z) ** 0.5
-    if abs(length - 1.0) > UNIT_QUATERNION_TOLERANCE:
-        raise entry.error("rotation_wxyz", f"must have length 1, not {length:.6g}")
-    tx, ty, tz = entry.numbers("translation", 3)
-    entry.done()
+    tx, ty, tz = entry["translation"]
     return RigidTransform(
         (w / length, x / length, y / length, z / length), (tx, ty, tz)
     )

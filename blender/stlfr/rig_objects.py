@@ -9,7 +9,6 @@ precision, still has as it came is written as it came.
 from __future__ import annotations
 
 import json
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +17,14 @@ import mathutils
 import numpy as np
 
 from . import camera as cameras
-from . import folder, scenes
-from . import rig as rigs
+from . import folder, native, scenes
 from .errors import BadInputError
-from .rig_layout import Content, shortest
+from .native import Content
 
 COLLECTION = "stlfr rig"
+
+FORMAT, VERSION = "stlfr-rig", 1
+"""What is written into a rig file's head."""
 
 POSE_TOLERANCE = 2e-6
 """Single precision of matrices near the rig: a pose that differs by less hasn't been moved."""
@@ -50,20 +51,17 @@ SHOWN_OF_RIG = {"format", "version", "name", "reference", "seed", "cameras", "vi
 
 def read(path: Path) -> Content:
     """A rig file, checked."""
-    rigs.load(path)
+    native.read_rig(path)
     content: Content = json.loads(path.read_text(encoding="utf-8"))
     return content
 
 
 def write(content: Content, path: Path) -> None:
     """Check and write a rig file: a wrong one is never written."""
-    with tempfile.TemporaryDirectory() as scratch:
-        trial = Path(scratch) / "rig.json"
-        folder.write_json(trial, content)
-        try:
-            rigs.load(trial)
-        except BadInputError as error:
-            raise BadInputError(str(error).replace(str(trial), str(path))) from None
+    try:
+        native.check_rig(content)
+    except BadInputError as error:
+        raise BadInputError(f"{path}: {error}") from None
     folder.write_json(path, content)
 
 
@@ -117,8 +115,8 @@ def describe(scene: Any) -> Content:
     bpy.context.view_layer.update()
     settings = scene.stlfr
     return {
-        "format": rigs.FORMAT,
-        "version": rigs.VERSION,
+        "format": FORMAT,
+        "version": VERSION,
         "name": settings.rig_name,
         "reference": settings.rig_reference,
         "seed": settings.rig_seed,
@@ -176,7 +174,7 @@ def _add(empty: Any, role: str, order: int, entry: Content) -> Any:
     own.width_px, own.height_px = entry["width"], entry["height"]
     if role == "CAMERA":
         own.rate_hz, own.delay_s = entry["rate_hz"], entry["delay_s"]
-        own.jitter_s = entry["jitter_s"]
+        own.jitter_s = entry.get("jitter_s", 0.0)
         own.jitter_stamped = entry.get("jitter_stamped", True)
         own.color = entry.get("color", "rgb")
     own.more = _more(entry, SHOWN)
@@ -210,8 +208,10 @@ def _entry(empty: Any, camera_object: Any) -> Content:
         if name in came or value != 0.0:
             entry[name] = _as_it_came(value, came.get(name))
     if own.role == "CAMERA":
-        for name in ("rate_hz", "delay_s", "jitter_s"):
+        for name in ("rate_hz", "delay_s"):
             entry[name] = _as_it_came(getattr(own, name), came.get(name))
+        if "jitter_s" in came or own.jitter_s != 0.0:
+            entry["jitter_s"] = _as_it_came(own.jitter_s, came.get("jitter_s"))
         if "jitter_stamped" in came or not own.jitter_stamped:
             entry["jitter_stamped"] = own.jitter_stamped
         if "color" in came or own.color != "rgb":
@@ -242,6 +242,11 @@ def _rigid(of: Any) -> cameras.Array:
     matrix = np.array(of.matrix_world, dtype=np.float64)
     matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
     return matrix
+
+
+def shortest(value: float) -> float:
+    """The shortest of the numbers that Blender, in single precision, holds as the same: what was typed."""
+    return float(str(np.float32(value)))
 
 
 def _as_it_came(value: float, came: Any) -> float:

@@ -29,10 +29,12 @@ from .described import Camera, centre_of, direction_of, project
 from .folder import write_json
 
 CANDIDATES = 4
-"""Points drawn for each one kept, so that enough of them move."""
+"""Points drawn for each one written, so that enough of them move. More take time; fewer leave scenes in which
+little moves with still points only."""
 
 MOVING_M = 0.002
-"""How far a point goes at least, from end to end of its path, to count as moving."""
+"""The smallest extent of a moving point's trajectory, from end to end. Larger counts slow things as still; smaller
+counts single precision's rounding as motion."""
 
 SAME_DEPTH = 5e-5
 """How much nearer than the point, relative to its distance, a ray may stop and still see it: above
@@ -71,27 +73,14 @@ def write(
     evaluate_as_rendered(studio.scene)
     exposures = sorted(exposures, key=lambda e: (e.world_time_s, e.camera_id))
     candidates = draw(studio, exposures, CANDIDATES * count, seed)
-    paths = np.empty((len(exposures), len(candidates), 3))
+    trajectories_m = np.empty((len(exposures), len(candidates), 3))
     for k, exposure in enumerate(exposures):
-        paths[k] = positions(evaluated_at(studio.scene, exposure), candidates)
-    chosen = choose(paths, count)
+        trajectories_m[k] = positions(evaluated_at(studio.scene, exposure), candidates)
+    chosen = choose(trajectories_m, count)
     points = [candidates[i] for i in chosen]
-    paths = paths[:, chosen]
+    trajectories_m = trajectories_m[:, chosen]
     described = {e.camera_id: studio.describe(e.camera_id) for e in exposures}
-    pixels, visible = [], []
-    for k, exposure in enumerate(exposures):
-        camera = described[exposure.camera_id]
-        seen_px = project(camera, paths[k])
-        graph = evaluated_at(studio.scene, exposure)
-        inside = (
-            (seen_px >= 0).all(axis=1)
-            & (seen_px[:, 0] <= camera["width"])
-            & (seen_px[:, 1] <= camera["height"])
-        )
-        pixels.append(seen_px)
-        visible.append(
-            inside & unoccluded(studio.scene, graph, centre_of(camera), paths[k])
-        )
+    pixels, visible = images_of(studio.scene, exposures, described, trajectories_m)
     names = sorted({point.object_name for point in points})
     entries: list[dict[str, Any]] = []
     for view_id in described:
@@ -100,7 +89,7 @@ def write(
             key=lambda k: exposures[k].frame,
         )
         arrays = {
-            "world": paths[rows],
+            "world": trajectories_m[rows],
             "pixels": np.array([pixels[k] for k in rows]),
             "visible": np.array([visible[k] for k in rows], dtype=np.uint8),
         }
@@ -119,6 +108,31 @@ def write(
         "cameras": entries,
     }
     write_json(folder / "tracks.json", content)
+
+
+def images_of(
+    scene: Any,
+    exposures: list[Exposure],
+    described: dict[str, Camera],
+    trajectories_m: Array,
+) -> tuple[list[Array], list[npt.NDArray[np.bool_]]]:
+    """The points' pixels and visibility at each exposure."""
+    pixels: list[Array] = []
+    visible: list[npt.NDArray[np.bool_]] = []
+    for k, exposure in enumerate(exposures):
+        camera = described[exposure.camera_id]
+        seen_px = project(camera, trajectories_m[k])
+        graph = evaluated_at(scene, exposure)
+        inside = (
+            (seen_px >= 0).all(axis=1)
+            & (seen_px[:, 0] <= camera["width"])
+            & (seen_px[:, 1] <= camera["height"])
+        )
+        pixels.append(seen_px)
+        visible.append(
+            inside & unoccluded(scene, graph, centre_of(camera), trajectories_m[k])
+        )
+    return pixels, visible
 
 
 def exposures(rig: rigs.Rig, frame_count: int) -> list[Exposure]:
@@ -241,22 +255,22 @@ def positions(graph: Any, points: list[SurfacePoint]) -> Array:
     return result
 
 
-def choose(paths: Array, count: int) -> list[int]:
+def choose(trajectories_m: Array, count: int) -> list[int]:
     """Up to `count` of the points, half of them moving as far as there are such, in the order drawn."""
-    whole = np.isfinite(paths).all(axis=(0, 2))
-    reach_m = np.zeros(paths.shape[1])
-    reach_m[whole] = np.linalg.norm(np.ptp(paths[:, whole], axis=0), axis=1)
+    whole = np.isfinite(trajectories_m).all(axis=(0, 2))
+    reach_m = np.zeros(trajectories_m.shape[1])
+    reach_m[whole] = np.linalg.norm(np.ptp(trajectories_m[:, whole], axis=0), axis=1)
     moving = [i for i in np.flatnonzero(whole) if reach_m[i] >= MOVING_M]
     still = [i for i in np.flatnonzero(whole) if reach_m[i] < MOVING_M]
-    most_moving = max(count - count // 2, count - len(still))
-    kept = moving[:most_moving]
-    return sorted(int(i) for i in kept + still[: count - len(kept)])
+    max_moving = max(count - count // 2, count - len(still))
+    chosen = moving[:max_moving]
+    return sorted(int(i) for i in chosen + still[: count - len(chosen)])
 
 
 def unoccluded(
     scene: Any, graph: Any, centre: Array, points_m: Array
 ) -> npt.NDArray[np.bool_]:
-    """Whether the straight way from a camera's centre to each point is free."""
+    """Whether nothing stands between a camera's centre and each point."""
     origin = Vector(centre)
     result = np.zeros(len(points_m), dtype=bool)
     for i, point in enumerate(points_m):

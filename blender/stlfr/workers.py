@@ -58,6 +58,7 @@ class Crew:
                     if plan.options.blend_file
                     else None,
                 },
+                "rig": plan.rig_content,
                 "capture": str(capture),
                 "scratch": str(scratch),
                 "threads": max(1, cores // workers),
@@ -170,7 +171,7 @@ def _work(orders: IO[str], answer: Callable[[dict[str, Any]], None]) -> None:
     options = Options(**setting["options"])
     from . import film, scenes, tracks
 
-    rig = rigs.load(Path(options.rig_file))
+    rig = rigs.from_content(setting["rig"])
     if options.size_px is not None:
         rig = rigs.resized(rig, *options.size_px)
     scene = scenes.open_scene(

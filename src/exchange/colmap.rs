@@ -1,9 +1,9 @@
 //! COLMAP's sparse model, `cameras`, `images` and `points3D`, as text or binary.
 
 use super::{ExchangeError, NamedCamera, checked, content, read_bytes, write};
-use crate::camera::{CameraModel, MAX_QUATERNION_ERROR};
+use crate::camera::{CameraFormat, CameraModel, MAX_QUATERNION_ERROR};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fmt::Write as _;
 use std::path::Path;
 use std::str::{FromStr, SplitWhitespace};
@@ -229,57 +229,52 @@ fn binary_images(bytes: &[u8]) -> Result<Vec<(u32, Image)>, String> {
     Ok(images)
 }
 
-/// The texts of a COLMAP model's files.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ColmapText {
-    /// Contents of `cameras.txt`: one lens a line.
-    pub cameras: String,
-    /// Contents of `images.txt`: one pose an image, and an empty line for its points.
-    pub images: String,
-    /// Contents of `points3D.txt`: a comment, and no points.
-    pub points3d: String,
-}
-
-impl ColmapText {
-    /// Each file's name and contents.
-    pub fn files(&self) -> [(&'static str, &str); 3] {
-        [
-            ("cameras.txt", &self.cameras),
-            ("images.txt", &self.images),
-            ("points3D.txt", &self.points3d),
-        ]
-    }
-}
-
-/// The cameras as a COLMAP model in text: each is one camera and one image, both numbered from 1 in
-/// their order.
+/// The files of COLMAP's text model by their names: `cameras.txt`, `images.txt` and an empty
+/// `points3D.txt`.
 ///
-/// Numbers are written with as few digits as read back to the same value.
-pub fn colmap_text(cameras: &[NamedCamera]) -> ColmapText {
-    let mut lenses = String::from("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n");
-    let mut images = String::from(
+/// Each image has a camera of its own; both are numbered from 1 in the order given. Cameras are
+/// written as they stand ([`CameraFormat::camera`] checks them), and every number reads back as the
+/// same double.
+pub fn colmap_text(images: &[(String, CameraFormat)]) -> BTreeMap<&'static str, String> {
+    let mut camera_lines = String::from("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n");
+    let mut image_lines = String::from(
         "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME\n# POINTS2D[] as (X Y POINT3D_ID): none\n",
     );
-    for (k, NamedCamera { name, camera }) in cameras.iter().enumerate() {
-        let (n, q, t) = (k + 1, camera.cam_from_world.rotation, camera.cam_from_world.translation);
-        let params: Vec<String> = camera.model.params().iter().map(f64::to_string).collect();
-        let (w, h) = (camera.width, camera.height);
+    for (k, (name, camera)) in images.iter().enumerate() {
+        let n = k + 1;
+        let CameraFormat { width, height, model, params, cam_from_world } = camera;
+        let pose = [&cam_from_world.rotation_wxyz[..], &cam_from_world.translation].concat();
         // Writing to a string can't fail.
-        let _ = writeln!(lenses, "{n} {} {w} {h} {}", camera.model.name(), params.join(" "));
-        let _ = writeln!(
-            images,
-            "{n} {} {} {} {} {} {} {} {n} {name}\n",
-            q.w, q.i, q.j, q.k, t.x, t.y, t.z
-        );
+        let _ = writeln!(camera_lines, "{n} {model} {width} {height} {}", numbers(params));
+        let _ = writeln!(image_lines, "{n} {} {n} {name}\n", numbers(&pose));
     }
-    let points3d = "# POINT3D_ID X Y Z R G B ERROR TRACK[]: none\n".to_owned();
-    ColmapText { cameras: lenses, images, points3d }
+    let points = "# POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX): none\n";
+    BTreeMap::from([
+        ("cameras.txt", camera_lines),
+        ("images.txt", image_lines),
+        ("points3D.txt", points.to_owned()),
+    ])
+}
+
+fn numbers(values: &[f64]) -> String {
+    values.iter().copied().map(number).collect::<Vec<_>>().join(" ")
+}
+
+/// The shortest number that reads back as the same double, its exponent spelled as in C: `1e-07`.
+fn number(value: f64) -> String {
+    let text = format!("{value:?}");
+    let Some((digits, exponent)) = text.split_once('e') else { return text };
+    let (sign, power) = exponent.strip_prefix('-').map_or(('+', exponent), |power| ('-', power));
+    format!("{digits}e{sign}{power:0>2}")
 }
 
 /// Writes the files of [`colmap_text`] into a folder, which is created if there is none.
 pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
-    let text = colmap_text(cameras);
-    text.files().iter().try_for_each(|(name, text)| write(&folder.join(name), text.as_bytes()))
+    let images: Vec<(String, CameraFormat)> =
+        cameras.iter().map(|c| (c.name.clone(), CameraFormat::from(&c.camera))).collect();
+    colmap_text(&images)
+        .into_iter()
+        .try_for_each(|(name, text)| write(&folder.join(name), text.as_bytes()))
 }
 
 /// Writes the cameras as a COLMAP model in binary: `cameras.bin`, `images.bin` and an empty

@@ -17,7 +17,7 @@ mod import;
 mod llff;
 mod nerf;
 
-pub use colmap::{ColmapText, colmap_text, read_colmap, write_colmap_binary, write_colmap_text};
+pub use colmap::{colmap_text, read_colmap, write_colmap_binary, write_colmap_text};
 pub use import::{ImportClock, import};
 pub use llff::{read_llff, write_llff};
 pub use nerf::{read_nerf, write_nerf};

@@ -32,14 +32,14 @@ pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
 #[pyclass(name = "Capture", module = "stlfr", frozen)]
 pub struct PyCapture {
     capture: Arc<Capture>,
-    /// What was rendered from last: its registered frames serve the next view.
+    /// The light field of the last view: its registered frames serve the next one.
     opened: Mutex<Option<Opened>>,
 }
 
-/// A light field, and what was asked of it.
+/// A light field, and the options that it was opened with.
 #[derive(Clone)]
 struct Opened {
-    asked: RenderOptions,
+    options: RenderOptions,
     /// The options of a view, with nothing left to the capture.
     view: ViewOptions,
     field: Arc<LightField>,
@@ -119,29 +119,29 @@ impl PyCapture {
     /// rendering stops with an `InterruptedError` where it returns something false.
     #[pyo3(signature = (time_s, *, camera=None, like=None, options=None, proceed=None))]
     fn render<'py>(
-        &self,
-        py: Python<'py>,
+        slf: &Bound<'py, Self>,
         time_s: f64,
         camera: Option<&Bound<'py, PyAny>>,
         like: Option<&str>,
         options: Option<&Bound<'py, PyAny>>,
         proceed: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
+        let (py, this) = (slf.py(), slf.get());
         let options = checked(options)?;
         let camera: Option<CameraFormat> = from_python(camera, "camera")?;
-        let time_s = time_s - self.capture.time_origin_s;
+        let time_s = time_s - this.capture.time_origin_s;
         let camera = camera.map(|c| c.camera()).transpose();
         let camera = camera.map_err(|e| value_error(format!("camera: {e}")))?;
         let from = match (&camera, like) {
             (Some(camera), None) => Viewpoint::View(camera),
-            (None, Some(id)) => Viewpoint::Like(self.index(id)?),
+            (None, Some(id)) => Viewpoint::Like(this.index(id)?),
             _ => return Err(value_error("either camera or like must be given")),
         };
         let mut failed = None;
         let rendered = py.detach(|| {
-            let opened = self.opened(options)?;
+            let opened = this.opened(options)?;
             opened.field.with_trail(from, time_s, &opened.view, |done, total| {
-                asked(proceed.as_ref(), done, total).unwrap_or_else(|error| {
+                goes_on(proceed.as_ref(), done, total).unwrap_or_else(|error| {
                     failed = Some(error);
                     false
                 })
@@ -155,7 +155,7 @@ impl PyCapture {
             (None, rendered) => rendered.map_err(value_error)?,
         };
         let coverage = rendered.coverage.contains(&false).then_some(rendered.coverage.as_slice());
-        image_to_python(py, &rendered.image, coverage, self.capture.bit_depth())
+        image_to_python(py, &rendered.image, coverage, this.capture.bit_depth())
     }
 
     fn __repr__(&self) -> String {
@@ -210,30 +210,30 @@ fn checked(options: Option<&Bound<'_, PyAny>>) -> PyResult<RenderOptions> {
     Ok(options)
 }
 
-/// Whether to go on, by the caller's function.
-fn asked(proceed: Option<&Py<PyAny>>, done: usize, total: usize) -> PyResult<bool> {
+/// Whether rendering goes on: what the caller's function returns, true where there is none.
+fn goes_on(proceed: Option<&Py<PyAny>>, done: usize, total: usize) -> PyResult<bool> {
     let Some(proceed) = proceed else { return Ok(true) };
     Python::attach(|py| proceed.call1(py, (done, total))?.is_truthy(py))
 }
 
 impl PyCapture {
     /// The light field and its options of a view, cached for the next call.
-    fn opened(&self, asked: RenderOptions) -> Result<Opened, RenderError> {
+    fn opened(&self, options: RenderOptions) -> Result<Opened, RenderError> {
         let mut cached = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(opened) = cached.as_ref().filter(|opened| opened.asked == asked) {
+        if let Some(opened) = cached.as_ref().filter(|opened| opened.options == options) {
             return Ok(opened.clone());
         }
         let reporter = Reporter::silent();
         let shares_field = |opened: &&Opened| {
-            let other = &opened.asked;
-            other.registration == asked.registration && other.offset == asked.offset
+            let other = &opened.options;
+            other.registration == options.registration && other.offset == options.offset
         };
         let field = match cached.as_ref().filter(shares_field) {
             Some(opened) => opened.field.clone(),
-            None => Arc::new(pipeline::open_field(self.capture.clone(), &asked, &reporter)?),
+            None => Arc::new(pipeline::open_field(self.capture.clone(), &options, &reporter)?),
         };
-        let view = pipeline::resolved(&field, &asked, &reporter)?.view();
-        Ok(cached.insert(Opened { asked, view, field }).clone())
+        let view = pipeline::resolved(&field, &options, &reporter)?.view();
+        Ok(cached.insert(Opened { options, view, field }).clone())
     }
 
     fn index(&self, camera_id: &str) -> PyResult<usize> {

@@ -3,7 +3,9 @@
 
 mod capture;
 mod convert;
+mod exchange;
 mod methods;
+mod rig;
 
 use pyo3::prelude::*;
 
@@ -13,7 +15,11 @@ mod native {
     #[pymodule_export]
     use super::capture::{PyCapture, open, project};
     #[pymodule_export]
+    use super::exchange::colmap_text;
+    #[pymodule_export]
     use super::methods::methods;
+    #[pymodule_export]
+    use super::rig::{check_rig, generate_rig, read_rig};
     use pyo3::prelude::*;
 
     #[pymodule_init]

@@ -1,5 +1,5 @@
 //! The checks of a rig file: every field within its limits, and no two fields that contradict each
-//! other.
+//! other. Python asks here too, through the module's `check_rig` and `read_rig`.
 
 use super::limits::*;
 use super::{Rig, RigCamera, RigView};
@@ -53,7 +53,8 @@ impl Rig {
     /// Parses and checks a rig from the text of its file. The error is one sentence that starts with
     /// the field.
     pub fn parse(text: &str) -> Result<Self, RigTextError> {
-        let rig: Self = json::parse(text).map_err(RigTextError::Json)?;
+        let json::Object(rig) =
+            json::parse::<json::Object<Self>>(text).map_err(RigTextError::Json)?;
         rig.check()?;
         Ok(rig)
     }

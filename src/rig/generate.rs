@@ -2,14 +2,16 @@
 
 use super::check::FieldError;
 use super::format::{Distortion, Rig, RigCamera, RigColor, RigView};
-use super::limits::{FORMAT, MAX_CAMERAS, VERSION};
+use super::limits::{FORMAT, MAX_CAMERAS, MAX_LOSS_WITHIN, VERSION};
 use crate::camera::PoseFormat;
 use crate::random::Random;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
+use serde::Deserialize;
 use std::num::NonZeroUsize;
 
 /// Where the cameras stand. All look along the rig's +z, except those of an arc.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Layout {
     /// From left to right.
     Line { count: NonZeroUsize },
@@ -31,7 +33,8 @@ impl Layout {
 }
 
 /// When the first frames are exposed, after the scene's start.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Delays {
     /// All with the scene's start.
     None,
@@ -42,7 +45,8 @@ pub enum Delays {
 }
 
 /// Whether lost frames leave gaps in the cameras' times.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum LossStamps {
     /// All losses leave gaps.
     Stamped,
@@ -53,7 +57,8 @@ pub enum LossStamps {
 }
 
 /// Frames that every camera but the reference loses.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Loss {
     /// Lost frames of each camera.
     pub count: usize,
@@ -67,7 +72,8 @@ pub struct Loss {
 ///
 /// A list's entries go to the cameras in turn, from its start again where it ends. No list may be
 /// empty.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct RigOptions {
     pub name: String,
     pub layout: Layout,
@@ -146,6 +152,9 @@ pub enum GenerateError {
     /// More cameras than [`MAX_CAMERAS`].
     #[error("a rig has from 1 to {MAX_CAMERAS} cameras, not {count}")]
     Cameras { count: usize },
+    /// Lost frames are drawn from more than [`MAX_LOSS_WITHIN`] frames.
+    #[error("lost frames must be among the first {MAX_LOSS_WITHIN}, not {within}")]
+    LossWithin { within: usize },
     /// An arc whose cameras would not fit on the half circle before its centre.
     #[error("an arc needs a distance over half the array's width, not {distance_m} m")]
     Arc { distance_m: f64 },
@@ -246,6 +255,9 @@ impl RigOptions {
         match self.loss {
             Some(Loss { count, within, .. }) if count >= within => {
                 Err(GenerateError::Loss { count, within })
+            }
+            Some(Loss { within, .. }) if within > MAX_LOSS_WITHIN => {
+                Err(GenerateError::LossWithin { within })
             }
             _ => Ok(()),
         }

@@ -66,3 +66,6 @@ pub const MAX_SPREAD: f64 = 2.0;
 /// Points on each side of the image's border where a distortion is tried. Larger: slower. Smaller:
 /// a fold between two points is missed.
 pub const BORDER_STEPS: u32 = 16;
+/// Largest number of frames that lost ones are drawn from. Larger: memory for every camera. Smaller:
+/// long recordings are refused.
+pub const MAX_LOSS_WITHIN: usize = 100_000;

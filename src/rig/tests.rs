@@ -188,3 +188,35 @@ fn limits_are_those_of_the_captures_that_a_rig_makes() {
     let many = RigOptions { layout, ..Default::default() };
     assert_eq!(complaint(many), "a rig has from 1 to 1000 cameras, not 1024");
 }
+
+#[test]
+fn options_are_read_from_json() {
+    let read = |text: &str| crate::json::parse::<RigOptions>(text);
+    assert_eq!(read("{}").unwrap(), RigOptions::default());
+    let given = r#"{"layout": {"arc": {"count": 5, "distance_m": 1.5}}, "delays": {"listed": [0.25]},
+        "loss": {"count": 1, "within": 9, "stamps": "mixed"}, "sizes_px": [[64, 48]]}"#;
+    let expected = RigOptions {
+        layout: Layout::Arc { count: count(5), distance_m: 1.5 },
+        delays: Delays::Listed(vec![0.25]),
+        loss: Some(Loss { count: 1, within: 9, stamps: LossStamps::Mixed }),
+        sizes_px: vec![(64, 48)],
+        ..Default::default()
+    };
+    assert_eq!(read(given).unwrap(), expected);
+    for (wrong, field) in [
+        (r#"{"layout": {"line": {"count": 0}}}"#, "layout.line.count"),
+        (r#"{"layout": {"line": {"rows": 2}}}"#, "layout.line.rows"),
+        (r#"{"delays": "late"}"#, "delays"),
+        (r#"{"speed": 1}"#, "speed"),
+    ] {
+        let message = read(wrong).unwrap_err();
+        assert!(message.starts_with(field), "{message}");
+    }
+}
+
+#[test]
+fn losses_among_too_many_frames_are_refused() {
+    let loss = Some(Loss { count: 1, within: 200_000, stamps: LossStamps::Hidden });
+    let long = RigOptions { loss, ..Default::default() }.generate();
+    assert_eq!(long, Err(GenerateError::LossWithin { within: 200_000 }));
+}

@@ -112,7 +112,10 @@ def film(folder: str) -> dict[str, Any]:
     capture = work / "capture"
     operators, filming, jobs = part("operators"), part("filming"), part("jobs")
     operators.prepare_film(scene, capture)
-    job = jobs.Job("Filming", filming.command(capture, operators.python(), ""))
+    command = filming.command(
+        capture, operators.python(), operators.module_folder(), ""
+    )
+    job = jobs.Job("Filming", command)
     while job.is_running and job.progress.done < 1:
         time.sleep(0.02)
     sentences["busy"] = refused(bpy.ops.stlfr.offsets)
@@ -128,15 +131,6 @@ def film(folder: str) -> dict[str, Any]:
     sentences["nothing to resume"] = refused(bpy.ops.stlfr.film, resume=True)
 
     bpy.ops.stlfr.offsets()
-    offsets = [
-        {
-            "id": o.camera_id,
-            "known": o.is_known,
-            "offset_s": o.offset_s,
-            "reason": o.reason,
-        }
-        for o in settings.offsets
-    ]
     faked += drawn()
     return {
         "sentences": sentences,
@@ -145,12 +139,22 @@ def film(folder: str) -> dict[str, Any]:
         "kept": kept,
         "capture": settings.capture,
         "time_offset_s": settings.time_offset_s,
-        "offsets": offsets,
+        "offsets": [shown_offset(o) for o in settings.offsets],
         "report": operators.show_offsets(settings.offsets, job_result(capture)),
         "drawn": faked,
         "untouched": before == described(scene),
         "picture": picture(scene, work, 0.5 / 30.0),
         "rig": part("rig_objects").describe(scene),
+    }
+
+
+def shown_offset(offset: Any) -> dict[str, Any]:
+    """One entry of the panel's list."""
+    return {
+        "id": offset.camera_id,
+        "known": offset.is_known,
+        "offset_s": offset.offset_s,
+        "reason": offset.reason,
     }
 
 
@@ -355,6 +359,24 @@ def rigs(rig_file: str, folder: str) -> dict[str, Any]:
         "cameras": [o.name for o in part("rig_objects").members(scene, "CAMERA")],
         "data": len([c for c in bpy.data.cameras if c.name.startswith("cam")]),
     }
+
+
+def new_rigs(folder: str, wanted: str) -> dict[str, Any]:
+    """Rigs by *Create Rig* with properties of its own, each saved under its name."""
+    assert enable()
+    for name, properties in json.loads(wanted).items():
+        bpy.ops.stlfr.rig_create(rig_name=name, **properties)
+        bpy.ops.stlfr.rig_save(filepath=str(Path(folder) / f"{name}.json"))
+    return {"objects": len(part("rig_objects").members(bpy.context.scene))}
+
+
+def saved_again(folder: str, *rig_files: str) -> dict[str, Any]:
+    """Rig files, each loaded and saved under its own name."""
+    assert enable()
+    for file in rig_files:
+        bpy.ops.stlfr.rig_load(filepath=file)
+        bpy.ops.stlfr.rig_save(filepath=str(Path(folder) / Path(file).name))
+    return {"saved": len(rig_files)}
 
 
 def modal(capture: str) -> dict[str, Any]:

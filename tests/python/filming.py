@@ -24,7 +24,19 @@ spec = importlib.util.spec_from_file_location("stlfr_capture_script", CAPTURE_SC
 assert spec is not None and spec.loader is not None
 spec.loader.exec_module(importlib.util.module_from_spec(spec))  # loads stlfr_extension
 
-camera, described, distortion, errors, folder, plan, rig, scenes, sensor, truth = (
+(
+    camera,
+    described,
+    distortion,
+    errors,
+    folder,
+    native,
+    plan,
+    rig,
+    scenes,
+    sensor,
+    truth,
+) = (
     importlib.import_module(f"stlfr_extension.{name}")
     for name in (
         "camera",
@@ -32,6 +44,7 @@ camera, described, distortion, errors, folder, plan, rig, scenes, sensor, truth 
         "distortion",
         "errors",
         "folder",
+        "native",
         "plan",
         "rig",
         "scenes",
@@ -108,7 +121,19 @@ def right_of_centre(x_m: float) -> dict[str, Any]:
 
 def by_script(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Film by the headless script, however that ends."""
-    return run([sys.executable, "-I", str(CAPTURE_SCRIPT), *map(str, arguments)])
+    return run_script(CAPTURE_SCRIPT, *arguments)
+
+
+def filmed_by_script(*arguments: object) -> list[dict[str, Any]]:
+    """Film by the headless script, which must succeed; gives what it reports."""
+    ended = by_script(*arguments)
+    assert ended.returncode == 0, ended.stderr
+    return [json.loads(line) for line in ended.stdout.splitlines()]
+
+
+def run_script(script: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run a script of `blender/`, however it ends."""
+    return run([sys.executable, "-I", str(script), *map(str, arguments)])
 
 
 def run(command: list[str]) -> subprocess.CompletedProcess[str]:
@@ -149,14 +174,20 @@ def film(scene: Any, wanted: Any, capture: Path) -> Any:
     return whole
 
 
+def linear(encoded: Array) -> Array:
+    """Light from display-encoded (sRGB) values of 0 to 1."""
+    return np.where(
+        encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
+    )
+
+
 def read_light(path: Path) -> Array:
     """A PNG's scene-linear light, height x width (the mean of its colours)."""
     import cv2
 
     picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     assert picture is not None, path
-    s = picture / (255 if picture.dtype == np.uint8 else 65535)
-    light = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
+    light = linear(picture / (255 if picture.dtype == np.uint8 else 65535))
     return np.asarray(light.mean(axis=2) if light.ndim == 3 else light)
 
 
@@ -185,12 +216,14 @@ def black_scene(fps: int = 30) -> Any:
     return scene
 
 
-def add_disc(at_m: tuple[float, float, float], radius_m: float, light: float) -> Any:
+def add_disc(
+    at_m: tuple[float, float, float], radius_m: float, light: float, vertices: int = 64
+) -> Any:
     """A glowing disc that faces +z."""
     import bpy
 
     bpy.ops.mesh.primitive_circle_add(
-        vertices=64, radius=radius_m, fill_type="NGON", location=at_m
+        vertices=vertices, radius=radius_m, fill_type="NGON", location=at_m
     )
     disc = bpy.context.object
     material = bpy.data.materials.new("glow")

@@ -7,14 +7,13 @@ import importlib
 import importlib.util
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from filming import ROOT, run_script
 
-ROOT = Path(__file__).resolve().parents[2]
 CHECK_SCRIPT = ROOT / "blender" / "check.py"
 
 pycolmap = pytest.importorskip("pycolmap")
@@ -158,17 +157,17 @@ def test_another_convention_fails_the_model_check(wrong: Any, expected: Any) -> 
 def test_a_wrong_sensor_fit_fails_the_check_against_blender(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A conversion that takes the sensor's height for portraits, as one would guess of `AUTO`."""
+    """A conversion that takes the sensor's height for portraits, as the name `AUTO` suggests."""
     pytest.importorskip("bpy")
     cameras = importlib.import_module("stlfr_extension.camera")
     right = cameras.pinhole_from_lens
 
-    def guess(lens: Any) -> Any:
+    def by_height(lens: Any) -> Any:
         if lens.sensor_fit == "AUTO" and lens.height_px > lens.width_px:
             lens = dataclasses.replace(lens, sensor_fit="VERTICAL")
         return right(lens)
 
-    monkeypatch.setattr(cameras, "pinhole_from_lens", guess)
+    monkeypatch.setattr(cameras, "pinhole_from_lens", by_height)
     found = model.blender_differences_px(stlfr.project, pycolmap, conversion)
     off = {
         (d.camera.format, d.camera.fit)
@@ -363,13 +362,7 @@ def test_a_box_mean_is_the_mean_over_the_window() -> None:
 
 
 def test_a_folder_that_is_no_capture_is_refused_in_one_sentence(tmp_path: Path) -> None:
-    result = subprocess.run(
-        [sys.executable, "-I", str(CHECK_SCRIPT), str(tmp_path)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    result = run_script(CHECK_SCRIPT, tmp_path)
     assert result.returncode == 2
     assert "capture.json" in result.stderr
     assert result.stderr.count("\n") == 1

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from filming import ROOT, errors, pixels, rig
+from filming import ROOT, SHIPPED, errors, pixels, rig
 
 STEPS = Path(__file__).resolve().parent / "extension_steps.py"
 MANIFEST = ROOT / "blender/stlfr/blender_manifest.toml"
@@ -398,6 +398,59 @@ def test_rigs_go_there_and_back(blender_user: Path, tmp_path: Path) -> None:
     assert edited == given
     assert found["stays"] and found["data"] == 8
     assert found["cameras"] == [f"cam{n}" for n in range(8)]
+
+
+def test_a_new_rig_is_the_command_lines(
+    blender_user: Path, program: Path, tmp_path: Path
+) -> None:
+    """*Create Rig*, saved, is to the digit what `stlfr rig` writes for the same options and seed."""
+    wanted = {
+        "paper": ("line --seed 7", {}),
+        "grid": (
+            "grid --rows 2 --columns 3 --spacing 0.1 --rate 29.97 --seed 2147483647",
+            {
+                "rows": 2,
+                "columns": 3,
+                "spacing_m": 0.1,
+                "rate_hz": 29.97,
+                "seed": 2**31 - 1,
+            },
+        ),
+        "still": (
+            "line --count 3 --size 160x120 --lens 50 --jitter 0 --seed 0",
+            {
+                "columns": 3,
+                "width_px": 160,
+                "height_px": 120,
+                "lens_mm": 50.0,
+                "jitter_s": 0.0,
+                "seed": 0,
+            },
+        ),
+    }
+    properties = {name: given for name, (_, given) in wanted.items()}
+    found = step(blender_user, "new_rigs", tmp_path, json.dumps(properties))
+    assert found["objects"] == 3 + 2  # the last one's cameras and views
+    for name, (arguments, _) in wanted.items():
+        written = tmp_path / f"{name}-by-command-line.json"
+        command: list[str | Path] = [program, "rig", *arguments.split()]
+        command += ["--name", name, "-o", written]
+        subprocess.run(command, check=True)
+        panels, programs = (
+            json.dumps(json.loads(path.read_text()), sort_keys=True)
+            for path in (tmp_path / f"{name}.json", written)
+        )
+        assert panels == programs
+
+
+def test_every_shipped_rig_is_saved_as_it_was_loaded(
+    blender_user: Path, tmp_path: Path
+) -> None:
+    """Those among them whose files leave out what has its default value."""
+    step(blender_user, "saved_again", tmp_path, *SHIPPED)
+    for source in SHIPPED:
+        saved = json.loads((tmp_path / source.name).read_text())
+        assert saved == json.loads(source.read_text()), source
 
 
 def test_work_beside_blender_is_followed(blender_user: Path, own_capture: Path) -> None:

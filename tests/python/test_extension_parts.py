@@ -13,12 +13,23 @@ from typing import Any
 
 import numpy as np
 import pytest
-from filming import CAPTURE_SCRIPT, errors, pixels, rig
+from filming import (
+    CAPTURE_SCRIPT,
+    by_script,
+    errors,
+    pixels,
+    rig_camera,
+    rig_content,
+    run,
+    write_rig,
+)
 
 folders = importlib.import_module("stlfr_extension.filming")
 jobs = importlib.import_module("stlfr_extension.jobs")
-rig_layout = importlib.import_module("stlfr_extension.rig_layout")
 view = importlib.import_module("stlfr_extension.view")
+
+SMALL = rig_camera("cam0", width=32, height=24)
+"""A rig's only camera."""
 
 
 def talk(*lines: str) -> list[str]:
@@ -68,21 +79,6 @@ def test_a_cancelled_job_ends() -> None:
     assert job.cancelled and job.error is None and jobs.running() is None
 
 
-def test_a_layout_is_a_rig(tmp_path: Path) -> None:
-    """A grid, row by row, its middle camera the reference; the same seed gives the same delays."""
-    layout = rig_layout.Layout("grid", 4, 2, 0.06, 64, 48, 36.0, 36.0, 30.0, 0.001, 5)
-    file = tmp_path / "rig.json"
-    file.write_text(json.dumps(rig_layout.content(layout)))
-    made = rig.load(file)
-    assert made.reference == "cam3" and len(made.cameras) == 8
-    places = [-np.array(c.cam_from_rig.translation_m) for c in made.cameras]
-    np.testing.assert_allclose(places[0], [-0.09, -0.03, 0], atol=1e-9)
-    np.testing.assert_allclose(places[7], [0.09, 0.03, 0], atol=1e-9)
-    delays = [c.delay_s for c in made.cameras]
-    assert all(0 <= d < 1 / 30 for d in delays) and len(set(delays)) == 8
-    assert rig_layout.content(layout) == rig_layout.content(layout)
-
-
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_samples_become_scene_linear(channels: int, kind: Any) -> None:
@@ -103,19 +99,18 @@ def test_samples_become_scene_linear(channels: int, kind: Any) -> None:
 
 
 def test_filming_in_blenders_own_program(tmp_path: Path) -> None:
-    """With a stand-in that has `bpy`, chatters on stdout as Blender does, and runs the script that is named."""
+    """With a stand-in that has `bpy` and no module `stlfr`, chatters on stdout as Blender does, and runs the script that is named."""
     program = tmp_path / "blender"
     program.write_text(
         f"#!{sys.executable} -I\n"
         "import runpy, sys\n"
         "assert sys.argv[1:3] == ['--background', '--factory-startup'], sys.argv\n"
+        "sys.modules['stlfr'] = None\n"
         "print('Blender 5.0.1 (hash of nothing)', flush=True)\n"
         "runpy.run_path(sys.argv[sys.argv.index('--python') + 1], run_name='__main__')\n"
     )
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
-    layout = rig_layout.Layout("one", 1, 1, 0.0, 32, 24, 36.0, 36.0, 30.0, 0.0, 1)
-    rig_file = tmp_path / "rig.json"
-    rig_file.write_text(json.dumps(rig_layout.content(layout)))
+    rig_file = write_rig(tmp_path / "rig.json", SMALL)
     command = [sys.executable, "-I", str(CAPTURE_SCRIPT), str(rig_file)]
     command += ["--scene", "magazine", "-o", str(tmp_path / "film"), "--frames", "1"]
     command += [
@@ -136,12 +131,30 @@ def test_filming_in_blenders_own_program(tmp_path: Path) -> None:
     assert pixels(tmp_path / "film/cam0/0000.png").shape == (24, 32, 4)
 
 
+def test_filming_asks_the_module_that_is_named(tmp_path: Path) -> None:
+    """With `--module`, the one in that folder, whatever else is installed."""
+    (tmp_path / "stlfr.py").write_text(
+        "def read_rig(path):\n    raise ValueError(f'{path}: asked here')\n"
+    )
+    film = ["--scene", "magazine", "-o", tmp_path / "film"]
+    ended = by_script("mine.json", *film, "--module", tmp_path)
+    assert ended.returncode == 2 and ended.stderr.endswith("mine.json: asked here\n")
+    assert not (tmp_path / "film").exists()
+
+
+def test_filming_without_the_module_is_one_sentence(tmp_path: Path) -> None:
+    script = "import runpy, sys; sys.modules['stlfr'] = None; del sys.argv[0]; runpy.run_path(sys.argv[0], run_name='__main__')"
+    command = [sys.executable, "-I", "-c", script, str(CAPTURE_SCRIPT)]
+    command += ["mine.json", "--scene", "magazine", "-o", str(tmp_path / "film")]
+    ended = run(command)
+    assert ended.returncode == 1 and len(ended.stderr.splitlines()) == 1, ended.stderr
+    assert ended.stderr.startswith("the module stlfr can't be loaded")
+
+
 def test_filming_begins_in_an_empty_folder(tmp_path: Path) -> None:
     """And never over anything; what was begun and not filmed is undone."""
     options = folders.Options("mine", 1, 1, False, 0, 1)
-    content = rig_layout.content(
-        rig_layout.Layout("one", 1, 1, 0.0, 32, 24, 36.0, 36.0, 30.0, 0.0, 1)
-    )
+    content = rig_content(SMALL)
     folder = tmp_path / "film"
     blend = folders.begin(folder, content, options)
     assert not folders.is_begun(folder)
@@ -149,12 +162,13 @@ def test_filming_begins_in_an_empty_folder(tmp_path: Path) -> None:
     assert folders.is_begun(folder)
     with pytest.raises(errors.BadInputError, match="resume it"):
         folders.begin(folder, content, options)
-    command = folders.command(folder, ["python"], "/opt/blender")
+    command = folders.command(folder, ["python"], tmp_path, "/opt/blender")
     assert command[-2:] == ["--blender", "/opt/blender"] and "--no-truth" in command
+    assert command[command.index("--module") + 1] == str(tmp_path)
     folders.tidy(folder)
     assert not folder.exists()
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(errors.BadInputError, match="isn't empty"):
         folders.begin(tmp_path, content, options)
     with pytest.raises(errors.BadInputError, match="holds no film"):
-        folders.command(tmp_path, ["python"], "")
+        folders.command(tmp_path, ["python"], tmp_path, "")

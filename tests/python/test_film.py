@@ -15,9 +15,12 @@ import pytest
 from filming import (
     IDENTITY,
     ROOT,
-    by_script,
+    add_disc,
+    black_scene,
     camera,
     distortion,
+    filmed_by_script,
+    linear,
     rig,
     rig_camera,
     scenes,
@@ -32,44 +35,21 @@ DISC_SPEED_M_S = (0.9, 0.5)  # right and up, at 2 m: 0.96 and 0.53 pixels a fram
 def moving_disc(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A .blend: a white disc on black, 2 m before the scene's camera, at the centre at 0.1 s and in uniform motion."""
     bpy = pytest.importorskip("bpy")
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    scene.render.fps, scene.frame_start = 30, 5
-    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    scene.collection.objects.link(scene.camera)
-    bpy.ops.mesh.primitive_circle_add(
-        vertices=96, radius=DISC_RADIUS_M, fill_type="NGON"
-    )
-    disc = bpy.context.object
-    disc.location.z = -2.0  # the camera looks along -z
+    black_scene().frame_start = 5
+    disc = add_disc((0.0, 0.0, -2.0), DISC_RADIUS_M, 1.0, vertices=96)
     for axis, speed in enumerate(DISC_SPEED_M_S):
         driver = disc.driver_add("location", axis).driver
         driver.expression = f"{speed} * ((frame - 5) / 30 - 0.1)"
-    material = bpy.data.materials.new("white")
-    nodes = material.node_tree.nodes
-    nodes.clear()
-    emission, output = (
-        nodes.new("ShaderNodeEmission"),
-        nodes.new("ShaderNodeOutputMaterial"),
-    )
-    material.node_tree.links.new(emission.outputs[0], output.inputs[0])
-    disc.data.materials.append(material)
     path = tmp_path_factory.mktemp("disc") / "disc.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     return path
 
 
 def read_picture(path: Path) -> np.ndarray[Any, Any]:
-    """A PNG as height x width, top row first, 0 to 255."""
+    """A PNG's grey values, height x width, 0 to 1."""
     cv2 = pytest.importorskip("cv2")
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    return np.asarray(picture, dtype=np.float64)
-
-
-def linear(encoded: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Light from display-encoded sRGB."""
-    s = encoded / 255
-    return np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
+    return np.asarray(picture, dtype=np.float64) / 255
 
 
 def test_a_moving_disc_is_where_the_shutter_times_say(
@@ -89,21 +69,8 @@ def test_a_moving_disc_is_where_the_shutter_times_say(
         ),
     )
     capture = tmp_path / "capture"
-    result = by_script(
-        rig_file,
-        "--blend",
-        moving_disc,
-        "-o",
-        capture,
-        "--frames",
-        6,
-        "--samples",
-        64,
-        "--instants",
-        1,
-    )
-    assert result.returncode == 0, result.stderr
-
+    film = ("--blend", moving_disc, "-o", capture, "--frames", 6)
+    filmed_by_script(rig_file, *film, "--samples", 64, "--instants", 1)
     content = json.loads((capture / "capture.json").read_text())
     truth_content = json.loads((capture / "truth" / "truth.json").read_text())
     offsets = {entry["id"]: entry["offset_s"] for entry in truth_content["offsets"]}
@@ -138,8 +105,12 @@ def test_a_moving_disc_is_where_the_shutter_times_say(
             )
             # 45 lit pixels, 64 samples each: the centroid's noise is a few thousandths of a pixel.
             assert found == pytest.approx(expected, abs=0.02)
+    assert_discs_depth_and_motion(capture, truth_content["views"])
 
-    for view in truth_content["views"]:
+
+def assert_discs_depth_and_motion(capture: Path, views: list[dict[str, Any]]) -> None:
+    """The disc is 2 m away, as large as it is, and moves in uniform motion; there is nothing else."""
+    for view in views:
         depth = np.load(capture / "truth" / view["depth"])
         motion = np.load(capture / "truth" / view["motion"])
         assert (
@@ -154,6 +125,21 @@ def test_a_moving_disc_is_where_the_shutter_times_say(
             math.hypot(*DISC_SPEED_M_S) / 30 * 64 / 2.0, abs=1e-3
         )
         assert (motion[~seen] == 0).all()
+
+
+def matrices_at(scene: Any, time_s: float) -> dict[str, Any]:
+    """Every object's `matrix_world`; leaves the scene at that time."""
+    whole, subframe = scenes.frame_at(scene, time_s)
+    scene.frame_set(whole, subframe=subframe)
+    return {o.name: np.array(o.matrix_world) for o in scene.objects}
+
+
+def ray_of(pinhole: Any, lens_error: Any, pixel: tuple[float, float]) -> Any:
+    """Where a pixel looks, in the camera's axes, at depth 1."""
+    ((x, y),) = distortion.ideal_from_pixels(pinhole, lens_error, np.array([pixel]))
+    return np.array(
+        [(x - pinhole.cx_px) / pinhole.fx_px, (y - pinhole.cy_px) / pinhole.fy_px, 1.0]
+    )
 
 
 @pytest.mark.parametrize(
@@ -186,26 +172,13 @@ def test_depth_and_motion_of_a_waved_magazine_match_its_matrices(
     world_from_cam = np.linalg.inv(cam_from_world.matrix())
     centre = Vector(world_from_cam[:3, 3])
 
-    def matrices(time_s: float) -> dict[str, Any]:
-        whole, subframe = scenes.frame_at(scene, time_s)
-        scene.frame_set(whole, subframe=subframe)
-        return {o.name: np.array(o.matrix_world) for o in scene.objects}
-
-    before, after = matrices(world_time_s - 1 / 30), matrices(world_time_s + 1 / 30)
-    now = matrices(world_time_s)
+    before, after, now = (
+        matrices_at(scene, world_time_s + frames / 30) for frames in (-1, 1, 0)
+    )
     graph = __import__("bpy").context.evaluated_depsgraph_get()
     moved = []
     for row, column in itertools.product(range(0, 48, 2), range(0, 64, 2)):
-        ((ideal_x, ideal_y),) = distortion.ideal_from_pixels(
-            pinhole, coefficients, np.array([[column + 0.5, row + 0.5]])
-        )
-        ray = np.array(
-            [
-                (ideal_x - pinhole.cx_px) / pinhole.fx_px,
-                (ideal_y - pinhole.cy_px) / pinhole.fy_px,
-                1.0,
-            ]
-        )
+        ray = ray_of(pinhole, coefficients, (column + 0.5, row + 0.5))
         direction = world_from_cam[:3, :3] @ ray
         hit, point, _normal, _face, hit_object, _matrix = scene.ray_cast(
             graph, centre, Vector(direction)

@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import stlfr
-
-ROOT = Path(__file__).resolve().parents[2]
+from filming import ROOT
 
 
 def described(capture_dir: Path) -> list[dict[str, Any]]:
@@ -290,7 +289,9 @@ def test_the_methods_are_those_that_render_takes(capture_dir: Path) -> None:
                 capture.render(0.0, like="none", options=options(method))
         with pytest.raises(ValueError, match="unknown variant") as raised:
             capture.render(0.0, like="none", options=options("unbuilt"))
-        assert sorted(re.findall("`([a-z-]+)`", str(raised.value))[1:]) == sorted(methods)
+        assert sorted(re.findall("`([a-z-]+)`", str(raised.value))[1:]) == sorted(
+            methods
+        )
 
 
 def test_auto_renders_by_the_plan(

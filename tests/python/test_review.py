@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
+from filming import ROOT, run_script
 
-ROOT = Path(__file__).resolve().parents[2]
 WIDTH, HEIGHT, SCALE = 160, 120, 3
 GAIN = 4.0
 
@@ -46,9 +46,7 @@ def panel(title: str, file: str) -> dict[str, str]:
 
 
 def review(layout: Path) -> subprocess.CompletedProcess[str]:
-    script = str(ROOT / "blender/review.py")
-    command = [sys.executable, "-I", script, str(layout)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return run_script(ROOT / "blender/review.py", layout)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from filming import by_script, errors, plan, rig_camera, right_of_centre, write_rig
+from filming import (
+    add_disc,
+    black_scene,
+    errors,
+    filmed_by_script,
+    linear,
+    plan,
+    rig_camera,
+    right_of_centre,
+    write_rig,
+)
 
 FRAMES, POINTS = 4, 200
 
@@ -50,15 +60,10 @@ def rig_with_a_bent_lens(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_rig(tmp_path_factory.mktemp("rig") / "rig.json", *cameras)
 
 
-def film(*arguments: object) -> None:
-    result = by_script(*arguments)
-    assert result.returncode == 0, result.stderr
-
-
 def wave_m(x: Array, time_s: float) -> Array:
     """How far the bending sheet of the test scene comes towards the camera."""
-    share = 0.5 + 0.5 * math.sin(9.0 * time_s)
-    return share * 0.3 * x * x
+    fraction = 0.5 + 0.5 * math.sin(9.0 * time_s)
+    return fraction * 0.3 * x * x
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +110,7 @@ def tracked(
     options = ["--frames", FRAMES, "--samples", 1, "--tracks", POINTS]
     # At the reference's second frame.
     options += ["--instants-s", 1 / 30]
-    film(
+    filmed_by_script(
         rig_with_a_bent_lens,
         *("--blend", folder / "sheet.blend", "-o", folder / "film"),
         *options,
@@ -172,8 +177,8 @@ def test_visibility_is_what_stands_before_a_point(tracked: Path) -> None:
         inside = ((pixels >= 0) & (pixels <= (64, 48))).all(axis=-1)
         for k, clock_s in enumerate(camera["times_s"]):
             # Where the way to the point passes the plate's plane.
-            share = (-1.5 - centre[2]) / (world[k][:, 2] - centre[2])
-            crossing = centre + share[:, None] * (world[k] - centre)
+            fraction = (-1.5 - centre[2]) / (world[k][:, 2] - centre[2])
+            crossing = centre + fraction[:, None] * (world[k] - centre)
             left = crossing[:, 0] - (2.0 * (clock_s + 0.003) - 0.2)
             covered = (np.abs(left) < 0.3) & (np.abs(crossing[:, 1]) < 0.2) & on_sheet
             margin = np.minimum(
@@ -231,35 +236,18 @@ def test_workbench_sees_the_same_geometry_as_cycles(
     """A black disc on white that moves: its centroid is in the same place, and where it must be."""
     bpy = pytest.importorskip("bpy")
     cv2 = pytest.importorskip("cv2")
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    scene.render.fps, scene.frame_start = 30, 1
-    scene.camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    scene.collection.objects.link(scene.camera)
-    for name, radius, z_m, grey in (("wall", 9.0, -3.0, 0.8), ("disc", 0.3, -2.0, 0.0)):
-        bpy.ops.mesh.primitive_circle_add(vertices=96, radius=radius, fill_type="NGON")
-        bpy.context.object.name = name
-        bpy.context.object.location.z = z_m
-        material = bpy.data.materials.new(name)
-        material.diffuse_color = (grey, grey, grey, 1.0)
-        nodes = material.node_tree.nodes
-        nodes.clear()
-        emission, output = (
-            nodes.new("ShaderNodeEmission"),
-            nodes.new("ShaderNodeOutputMaterial"),
-        )
-        emission.inputs["Color"].default_value = (grey, grey, grey, 1.0)
-        material.node_tree.links.new(emission.outputs[0], output.inputs[0])
-        bpy.context.object.data.materials.append(material)
+    black_scene()
+    add_disc((0.0, 0.0, -3.0), 9.0, 0.8, vertices=96)
+    disc = add_disc((0.0, 0.0, -2.0), 0.3, 0.0, vertices=96)
     for axis, speed in enumerate((1.8, -1.1)):
-        driver = bpy.data.objects["disc"].driver_add("location", axis).driver
+        driver = disc.driver_add("location", axis).driver
         driver.expression = f"{speed} * ((frame - 1) / 30 - 0.03)"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "disc.blend"))
     grid = np.stack(np.meshgrid(np.arange(64) + 0.5, np.arange(48) + 0.5), axis=-1)
     found = {}
     for engine in ("cycles", "workbench"):
         folder = tmp_path / engine
-        film(
+        filmed_by_script(
             rig_file,
             *("--blend", tmp_path / "disc.blend", "-o", folder, "--frames", 2),
             *("--samples", 32, "--no-truth", "--engine", engine),
@@ -274,7 +262,7 @@ def test_workbench_sees_the_same_geometry_as_cycles(
             for k in range(2):
                 file = folder / entry["id"] / f"{k:04d}.png"
                 s = np.asarray(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)) / 255
-                light = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
+                light = linear(s)
                 dark = np.clip(1 - light / light.max(), 0, 1)
                 centroid = (dark[..., None] * grid).sum(axis=(0, 1)) / dark.sum()
                 area_px = dark.sum()

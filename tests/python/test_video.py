@@ -12,7 +12,7 @@ import cv2
 import imageio_ffmpeg
 import numpy as np
 import pytest
-from filming import by_script, rig_camera, write_rig
+from filming import filmed_by_script, rig_camera, write_rig
 
 FRAMES = 3
 
@@ -21,9 +21,7 @@ def film(rig: Path, folder: Path, *more: str) -> list[dict[str, Any]]:
     """What the filming script reports."""
     options = ["--scene", "magazine", "--frames", str(FRAMES), "--samples", "1"]
     options += ["--no-truth", "--workers", "1", *more]
-    done = by_script(rig, "-o", folder, *options)
-    assert done.returncode == 0, done.stderr
-    return [json.loads(line) for line in done.stdout.splitlines()]
+    return filmed_by_script(rig, "-o", folder, *options)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,25 @@
 """Space-time light field rendering: the compiled module, under its name."""
 
-from ._native import Capture, __version__, methods, open, project
+from ._native import (
+    Capture,
+    __version__,
+    check_rig,
+    colmap_text,
+    generate_rig,
+    methods,
+    open,
+    project,
+    read_rig,
+)
 
-__all__ = ["Capture", "__version__", "methods", "open", "project"]
+__all__ = [
+    "Capture",
+    "__version__",
+    "check_rig",
+    "colmap_text",
+    "generate_rig",
+    "methods",
+    "open",
+    "project",
+    "read_rig",
+]

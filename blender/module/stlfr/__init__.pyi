@@ -1,6 +1,6 @@
 """Space-time light field rendering: open a capture, project points, estimate offsets, render."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from os import PathLike
 from typing import Any, TypedDict, final, type_check_only
 
@@ -55,6 +55,39 @@ def open(path: str | PathLike[str]) -> Capture:
 def project(camera: dict[str, Any], points: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """The pixels of world points in a camera object as in capture.json; as `Capture.project`."""
 
+def read_rig(path: str | PathLike[str]) -> dict[str, Any]:
+    """The content of a rig file, checked. Fields that have their default values are left out.
+
+    Raises ValueError with one sentence, which names the file and the field, where it is wrong.
+    """
+
+def check_rig(rig: dict[str, Any]) -> None:
+    """Check a rig, given as a rig file's content.
+
+    Raises ValueError with the sentence that `stlfr rig --check` prints, without the file.
+    """
+
+def generate_rig(options: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The content of the rig file that `stlfr rig` writes for the same options and seed.
+
+    Options, all of them optional: `name`, `layout`, `spacing_m`, `sizes_px`, `lenses_mm`,
+    `sensor_width_mm`, `distortion`, `rates_hz`, `delays`, `jitters_s`, `jitter_stamped`,
+    `max_drift_ppm`, `loss`, `clock_shared`, `exposures_s`, `gains`, `noises`, `colors`, `bit_depth`
+    and `seed`. A list's entries go to the cameras in turn. `layout` is `{"line": {"count"}}`,
+    `{"grid": {"rows", "columns"}}` or `{"arc": {"count", "distance_m"}}`; `delays` is `"none"`,
+    `"random"` or `{"listed": [seconds]}`; `loss` is `{"count", "within", "stamps"}` with stamps
+    `"stamped"`, `"hidden"` or `"mixed"`. The defaults are the paper's rig: eight cameras in a line.
+
+    Raises ValueError with one sentence where there is no such rig.
+    """
+
+def colmap_text(images: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, str]:
+    """The files of COLMAP's text model by their names: `cameras.txt`, `images.txt`, `points3D.txt`.
+
+    Each image is its name and its camera object as in capture.json, and has a camera of its own.
+    There are no points. Raises ValueError where an object isn't a camera's.
+    """
+
 @final
 class Capture:
     """A capture: calibrated cameras and what they filmed."""
@@ -87,7 +120,7 @@ class Capture:
         """A camera's frame, (H, W, channels): RGB or grey as `color` says, in the camera's bit depth."""
 
     def offsets(self, options: dict[str, Any] | None = None) -> Offsets:
-        """Every camera's offset: those kept in the capture's folder, else estimated and kept there."""
+        """Every camera's offset: those saved in the capture's folder, else estimated and saved there."""
 
     def render(
         self,
