@@ -274,7 +274,8 @@ fn functions(code: &str) -> Vec<(String, usize)> {
             }
         }
         arguments.push(text);
-        let is_self = |a: &String| a.split([':', ' ', '&', '(']).any(|word| word == "self");
+        let is_self =
+            |a: &String| a.split([':', ' ', '&', '(']).any(|word| ["self", "slf"].contains(&word));
         let counts = |a: &&String| !a.trim_matches(['(', ' ', '\n']).is_empty() && !is_self(a);
         found.push((name, arguments.iter().filter(counts).count()));
     }
