@@ -1,4 +1,13 @@
 //! A camera object in JSON: in a capture, and as a view to render.
+//!
+//! A view's file holds one camera as `capture.json` has them, without `id`, `frames`, `color` and
+//! `clock`. Lengths are metres. The axes are COLMAP's: x right, y down, z forward.
+//!
+//! ```json
+//! { "width": 320, "height": 240, "model": "PINHOLE", "params": [343.1, 343.1, 160.0, 120.0],
+//!   "cam_from_world": { "rotation_wxyz": [0.70710678, 0.70710678, 0, 0],
+//!                       "translation": [0.02, 1.2, 0] } }
+//! ```
 
 use super::{Camera, CameraModel};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};

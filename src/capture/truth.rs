@@ -2,8 +2,8 @@
 //!
 //! # A benchmark of sub-frame synchronization
 //!
-//! A capture with its truth is a test case for any method that synchronizes cameras: the shutters
-//! are delayed by fractions of a frame, each with its jitter, by the rig's file.
+//! A capture with its truth is a test case for any method that synchronizes cameras.
+//! `stlfr capture RIG --scene NAME --tracks 1000 -o CAPTURE` films one. The shutters are delayed by fractions of a frame, each with its jitter, by the rig's file.
 //!
 //! | where | what |
 //! |---|---|

@@ -3,6 +3,10 @@
 //! A folder there is named after its video's content and appears when it is complete. It may be
 //! deleted at any time: the video is then decoded anew. One process decodes a video, and others wait.
 //!
+//! Any kind of video that ffmpeg 5.1 or newer reads may be a camera's `frames`. The clock stays in
+//! `capture.json`, because containers round their time stamps (Matroska to 1 ms). A `rate_hz` that the
+//! file contradicts is refused; the message names the file that lists the video's own `times_s`.
+//!
 //! Known limit: folders of deleted videos stay.
 
 use super::{CaptureError, Opening};

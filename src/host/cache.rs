@@ -62,6 +62,13 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
         }
     }
 
+    /// Drops the values whose keys don't pass.
+    pub fn retain(&self, passes: impl Fn(&K) -> bool) {
+        let mut entries = self.lock();
+        entries.by_key.retain(|key, _| passes(key));
+        entries.cost = entries.by_key.values().map(|entry| entry.cost).sum();
+    }
+
     /// The sum of the costs of what is held.
     pub fn cost(&self) -> usize {
         self.lock().cost
@@ -97,6 +104,16 @@ mod tests {
         assert_eq!((cache.get(&"small"), cache.get(&"large")), (None, Some(2)));
         cache.insert("small", 1, 2);
         assert_eq!((cache.get(&"large"), cache.cost()), (None, 2));
+    }
+
+    #[test]
+    fn what_does_not_pass_is_dropped_with_its_cost() {
+        let cache = BoundedCache::new(10);
+        for key in 0..4 {
+            cache.insert(key, key, 2);
+        }
+        cache.retain(|key| key % 2 == 0);
+        assert_eq!((cache.get(&1), cache.get(&2), cache.cost()), (None, Some(2), 4));
     }
 
     #[test]

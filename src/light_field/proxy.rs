@@ -5,6 +5,7 @@ use crate::camera::Camera;
 use crate::lumigraph::{Mesh, Plane, Proxy};
 use crate::options::{ProxyMethod, ProxyOptions, ViewOptions};
 use nalgebra::Point3;
+use std::sync::Arc;
 
 impl LightField {
     /// The scene's shape at a time, for one view.
@@ -18,13 +19,10 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Proxy, RenderError> {
-        if let Some(plane) = set_plane(target, &options.proxy) {
-            return Ok(plane);
-        }
-        proxy_of(&self.points(target, time_s, options)?, target, &options.proxy)
+        proxy_of(|| self.points(target, time_s, options), target, &options.proxy)
     }
 
-    /// [`Self::proxy`] without a look at the cached points: what it takes for the first view of an
+    /// [`Self::proxy`] without the cached points: it takes as long as for the first view of an
     /// instant.
     pub(crate) fn uncached_proxy(
         &self,
@@ -32,24 +30,21 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Proxy, RenderError> {
-        if let Some(plane) = set_plane(target, &options.proxy) {
-            return Ok(plane);
-        }
-        proxy_of(&self.triangulated(target, time_s, options)?, target, &options.proxy)
+        let points = || self.triangulated(target, time_s, options).map(Arc::new);
+        proxy_of(points, target, &options.proxy)
     }
 }
 
-/// The plane whose depth the user set, which needs no points.
-fn set_plane(target: &Camera, options: &ProxyOptions) -> Option<Proxy> {
-    let depth_m = options.plane_depth_m.filter(|_| options.method == ProxyMethod::Plane)?;
-    Some(Proxy::Plane(Plane::fronto_parallel(target, depth_m)))
-}
-
+/// A plane whose depth the user set needs no points.
 fn proxy_of(
-    points: &[Point3<f64>],
+    points: impl FnOnce() -> Result<Arc<Vec<Point3<f64>>>, RenderError>,
     target: &Camera,
     options: &ProxyOptions,
 ) -> Result<Proxy, RenderError> {
+    if let (ProxyMethod::Plane, Some(depth_m)) = (options.method, options.plane_depth_m) {
+        return Ok(Proxy::Plane(Plane::fronto_parallel(target, depth_m)));
+    }
+    let points = &points()?;
     let proxy = match options.method {
         ProxyMethod::Plane => {
             let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();

@@ -6,9 +6,9 @@ use super::features;
 use super::timeline::Timelines;
 use super::{OffsetMethod, OffsetOptions};
 use crate::capture::CaptureError;
+use crate::host::BoundedCache;
 use crate::registration::{FrameStore, Track, flow, temporal_flow_of};
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 /// One feature's candidate for the offset of two cameras, a and b (eq. (10)).
 ///
@@ -71,17 +71,28 @@ pub struct Recording<'a> {
     pub timelines: Timelines,
     pub options: &'a OffsetOptions,
     track_cache: &'a TrackCache,
-    triples: Mutex<HashMap<[usize; 2], TriplesByFrames>>,
+    triples: BoundedCache<TripleKey, Arc<Triple>>,
 }
 
-type TriplesByFrames = HashMap<[usize; 2], Arc<Triple>>;
+/// How many tracks are cached, 256 MB of them: those of 100 cameras with 600 features each. Fewer cost
+/// time, where tracks are computed again.
+const MAX_CACHED_TRACKS: usize = (256 << 20) / size_of::<Track>();
+/// How many candidates are cached, 128 MB of them. Fewer cost time, where candidates are computed
+/// again.
+const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
+
+/// The two cameras of a pair, and the frames of a triple.
+type TripleKey = ([usize; 2], [usize; 2]);
 
 /// Tracks by camera and earlier frame. All pairs of a camera share them, and all hypotheses of the
-/// clocks: tracks do not depend on times.
-#[derive(Default)]
-pub struct TrackCache(Mutex<TracksByFrame>);
+/// clocks: tracks do not depend on times. One estimate has one cache, with one number of features.
+pub struct TrackCache(BoundedCache<(usize, usize), Arc<Vec<Track>>>);
 
-type TracksByFrame = HashMap<(usize, usize), Arc<Vec<Track>>>;
+impl Default for TrackCache {
+    fn default() -> Self {
+        Self(BoundedCache::new(MAX_CACHED_TRACKS))
+    }
+}
 
 impl TrackCache {
     /// The tracks of a camera between frames k and k + 1, at most `max_features` of them.
@@ -95,16 +106,15 @@ impl TrackCache {
         k: usize,
         max_features: usize,
     ) -> Result<Arc<Vec<Track>>, CaptureError> {
-        let cached = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(tracks) = cached().get(&(camera, k)) {
-            return Ok(tracks.clone());
+        if let Some(tracks) = self.0.get(&(camera, k)) {
+            return Ok(tracks);
         }
         let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
         let corners = earlier.corners(frames.options());
         let selected = features::changing(&earlier, &later, corners, max_features);
         // §7 tracks the features selected on I_i(t) itself, without those of the backward flow.
         let tracks = Arc::new(temporal_flow_of(frames, camera, k, [&selected, &[]])?);
-        cached().insert((camera, k), tracks.clone());
+        self.0.insert((camera, k), tracks.clone(), tracks.len());
         Ok(tracks)
     }
 }
@@ -116,7 +126,8 @@ impl<'a> Recording<'a> {
         track_cache: &'a TrackCache,
         options: &'a OffsetOptions,
     ) -> Self {
-        Self { frames, timelines, options, track_cache, triples: Mutex::default() }
+        let triples = BoundedCache::new(MAX_CACHED_SAMPLES);
+        Self { frames, timelines, options, track_cache, triples }
     }
 
     /// The tracks of a camera between frames k and k + 1.
@@ -142,21 +153,18 @@ impl<'a> Recording<'a> {
         [a, b]: [usize; 2],
         [k, m]: [usize; 2],
     ) -> Result<Arc<Triple>, CaptureError> {
-        let cached = || self.triples.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(triple) = cached().get(&[a, b]).and_then(|of_pair| of_pair.get(&[k, m])) {
-            return Ok(triple.clone());
+        if let Some(triple) = self.triples.get(&([a, b], [k, m])) {
+            return Ok(triple);
         }
         let triple = Arc::new(self.compute_triple([a, b], [k, m])?);
-        cached().entry([a, b]).or_default().insert([k, m], triple.clone());
+        self.triples.insert(([a, b], [k, m]), triple.clone(), triple.samples.len());
         Ok(triple)
     }
 
     /// Drops the cached candidates of a pair, in both directions: those of a large array take
     /// hundreds of megabytes.
     pub fn release_pair(&self, [a, b]: [usize; 2]) {
-        let mut cached = self.triples.lock().unwrap_or_else(PoisonError::into_inner);
-        cached.remove(&[a, b]);
-        cached.remove(&[b, a]);
+        self.triples.retain(|(pair, _)| *pair != [a, b] && *pair != [b, a]);
     }
 
     fn compute_triple(
