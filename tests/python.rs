@@ -49,6 +49,7 @@ fn formatting_and_lints() {
             "--config",
             "blender/pyproject.toml",
             "blender",
+            "tests/bench",
             "tests/python",
         ]));
     }

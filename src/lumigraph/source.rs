@@ -24,7 +24,7 @@ impl<'a> Source<'a> {
     }
 }
 
-/// Options of [`blend`].
+/// Options of [`blend`](super::blend).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BlendOptions {

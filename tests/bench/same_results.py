@@ -30,7 +30,9 @@ def view_beside(capture: Path) -> dict[str, Any]:
     """A view a third of the way from the second camera to the third."""
     cameras = json.loads((capture / "capture.json").read_text())["cameras"]
     first, second = (cameras[min(k, len(cameras) - 1)] for k in (1, 2))
-    view = {k: first[k] for k in ("width", "height", "model", "params", "cam_from_world")}
+    view = {
+        k: first[k] for k in ("width", "height", "model", "params", "cam_from_world")
+    }
     ends = [camera["cam_from_world"]["translation"] for camera in (first, second)]
     between = [a + (b - a) / 3 for a, b in zip(*ends, strict=True)]
     return view | {"cam_from_world": first["cam_from_world"] | {"translation": between}}
@@ -39,18 +41,30 @@ def view_beside(capture: Path) -> dict[str, Any]:
 def steps(capture: Path, out: Path, view: Path) -> dict[str, list[list[str]]]:
     """The commands of each measured step, without the binary."""
     clock = json.loads((capture / "capture.json").read_text())["cameras"][0]["clock"]
-    times = clock.get("times_s") or [clock["first_s"] + k / clock["rate_hz"] for k in range(3)]
+    times = clock.get("times_s") or [
+        clock["first_s"] + k / clock["rate_hz"] for k in range(3)
+    ]
     middle = 0.5 * (times[len(times) // 2 - 1] + times[len(times) // 2])
     at = ["--time", f"{middle:.6f}"]
     span = ["--times", f"{middle:.6f}:{middle + 0.02:.6f}:3"]
     like = ["render", str(capture), "--like", "cam2", *at]
     free = ["render", str(capture), "--camera", str(view)]
     renders = [[*like, "--sync", m, "-o", str(out / f"{m}.png")] for m in METHODS]
-    renders += [[*free, *at, "--preset", p, "-o", str(out / f"{p}.png")] for p in PRESETS]
+    renders += [
+        [*free, *at, "--preset", p, "-o", str(out / f"{p}.png")] for p in PRESETS
+    ]
     renders += [
         [*free, *at, "--proxy", "plane", "-o", str(out / "plane.png")],
         [*free, *span, "-o", str(out / "slow%d.png")],
-        [*like, "--trail", "0.03", "--trail-instants", "4", "-o", str(out / "trail.png")],
+        [
+            *like,
+            "--trail",
+            "0.03",
+            "--trail-instants",
+            "4",
+            "-o",
+            str(out / "trail.png"),
+        ],
     ]
     measured = {"offsets": [["offsets", str(capture), "--json"]], "render": renders}
     if (capture / "truth").is_dir():
@@ -70,7 +84,9 @@ def run(binary: str, original: Path, folder: Path) -> dict[str, float]:
     for name, commands in steps(capture, out, view).items():
         start = time.monotonic()
         for command in commands:
-            done = subprocess.run([binary, "-q", *command], check=True, capture_output=True)
+            done = subprocess.run(
+                [binary, "-q", *command], check=True, capture_output=True
+            )
             if name == "offsets":
                 (out / "offsets.json").write_bytes(done.stdout)
         seconds[name] = time.monotonic() - start
@@ -87,9 +103,19 @@ def renamed(value: Any, names: dict[str, str]) -> Any:
 
 def differing(old: Path, new: Path, names: dict[str, str]) -> tuple[int, list[str]]:
     """How many files are compared, and which differ or are there once."""
-    files = [{p.relative_to(f) for p in f.rglob("*") if p.is_file()} for f in (old, new)]
-    found = [str(name) for name in files[0] ^ files[1] if name.name not in WORDS_AND_DURATIONS]
-    both = [name for name in sorted(files[0] & files[1]) if name.name not in WORDS_AND_DURATIONS]
+    files = [
+        {p.relative_to(f) for p in f.rglob("*") if p.is_file()} for f in (old, new)
+    ]
+    found = [
+        str(name)
+        for name in files[0] ^ files[1]
+        if name.name not in WORDS_AND_DURATIONS
+    ]
+    both = [
+        name
+        for name in sorted(files[0] & files[1])
+        if name.name not in WORDS_AND_DURATIONS
+    ]
     for name in both:
         a, b = (old / name).read_bytes(), (new / name).read_bytes()
         if name.name in ("metrics.json", "review.json"):
@@ -102,6 +128,7 @@ def differing(old: Path, new: Path, names: dict[str, str]) -> tuple[int, list[st
 
 
 def main() -> int:
+    """The command line; the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("old")
     parser.add_argument("new")
@@ -118,12 +145,17 @@ def main() -> int:
             for _ in range(arguments.runs):
                 for name, binary in builds.items():
                     seconds[name].append(run(binary, capture, Path(folder, name)))
-            count, found = differing(Path(folder, "old/out"), Path(folder, "new/out"), names)
+            count, found = differing(
+                Path(folder, "old/out"), Path(folder, "new/out"), names
+            )
             all_same &= not found
-            print(f"{capture.name}: {count} files, {', '.join(found) or 'all the same'}")
+            print(
+                f"{capture.name}: {count} files, {', '.join(found) or 'all the same'}"
+            )
             for step in seconds["old"][0]:
                 old, new = (
-                    statistics.median(run[step] for run in seconds[b]) for b in ("old", "new")
+                    statistics.median(run[step] for run in seconds[b])
+                    for b in ("old", "new")
                 )
                 print(f"  {step:8} {old:7.2f} s, {new:7.2f} s: {new / old:.2f}")
     return 0 if all_same else 1
