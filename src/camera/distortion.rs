@@ -266,14 +266,12 @@ fn is_bernstein_positive<const N: usize>(b: [f64; N], depth: usize) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
 
     #[test]
     fn positivity_is_that_of_the_densely_sampled_polynomial() {
-        let mut state = 7_u64;
-        let mut random = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-            (state >> 11) as f64 / (1_u64 << 53) as f64
-        };
+        let mut numbers = Random::new(7);
+        let mut random = || numbers.unit();
         let (mut positive, mut negative) = (0, 0);
         for _ in 0..2000 {
             let k: [f64; 6] = std::array::from_fn(|_| 3.0 * (random() - 0.5));

@@ -9,7 +9,8 @@ use serde::Serialize;
 /// The file's name in the review's folder.
 pub const FILE: &str = "review.json";
 
-/// How long a still is shown, seconds: long enough to compare two, short enough to step through.
+/// How long a still is shown, seconds. Larger: stepping through takes long; smaller: two can't be
+/// compared.
 const STILL_S: f64 = 2.0;
 
 /// Frames shown a second where no video says otherwise.

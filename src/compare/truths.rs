@@ -7,8 +7,9 @@ use crate::metrics::moving_part;
 use crate::raster::Image;
 use crate::raster::{BitDepth, read_image};
 
-/// Times of the truth that are nearer than this are one instant; a microsecond is a thousandth of
-/// the fastest exposures.
+/// Times of the truth that are nearer than this are one instant, seconds: a thousandth of the fastest
+/// exposures. Larger: instants of fast cameras are merged; smaller: times that were rounded differently
+/// are two instants.
 const SAME_INSTANT_S: f64 = 1e-6;
 
 /// One instant that the truth has images of.

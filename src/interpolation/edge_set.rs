@@ -189,6 +189,7 @@ fn crossing([a, b]: [Point2<f64>; 2], [c, d]: [Point2<f64>; 2]) -> Option<(f64, 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
 
     fn feature(x: f64, y: f64, dx: f64) -> Feature {
         let p = Point2::new(x, y);
@@ -229,11 +230,8 @@ mod tests {
     fn collinear_duplicate_and_hundreds_of_random_edges_stay_finite() {
         let line: Vec<_> = (0..20).map(|k| feature(f64::from(k % 10), 5.0, 0.0)).collect();
         assert!(edge_set(&line, &[], true, 40, 30).len() >= 5);
-        let mut state = 7_u32;
-        let mut random = || {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            f64::from(state >> 12) / f64::from(1 << 20)
-        };
+        let mut numbers = Random::new(7);
+        let mut random = || numbers.unit();
         for _ in 0..20 {
             let features: Vec<_> =
                 (0..60).map(|_| feature((random() * 40.0).round(), random() * 30.0, 1.0)).collect();

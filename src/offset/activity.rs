@@ -15,7 +15,7 @@ use nalgebra::{Point2, Vector2};
 
 /// The grid's cells across. More are noisier; fewer mix several epipolar bands in a cell.
 const COLUMNS: usize = 16;
-/// The grid's cells down; likewise.
+/// The grid's cells down. More are noisier; fewer mix several epipolar bands in a cell.
 const ROWS: usize = 12;
 /// The width that frames are downsampled to, pixels. Larger is slower and sees motion of less than a
 /// texture period only; smaller averages small motions away.

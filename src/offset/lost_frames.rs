@@ -42,7 +42,8 @@ struct TripleOffset {
 /// More steps find longer gaps and take longer; fewer lose the offset after a gap of several frames.
 const STEPS: [f64; 6] = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0];
 /// Where it is searched for at the start of a recording, in frames from the initial offset, which is
-/// that of the recording's main part and may be several losses later.
+/// that of the recording's main part and may be several losses later. More steps find more early
+/// losses and take longer; fewer miss the start of a recording with several losses.
 const FIRST_STEPS: [f64; 7] = [0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0];
 /// The score that a triple needs, as a fraction of the inliers that a pair needs. Larger leaves
 /// images with few moving features unobserved; smaller admits offsets by chance, which the joint fit

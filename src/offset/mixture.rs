@@ -71,7 +71,8 @@ const MAX_ITERATIONS: usize = 60;
 /// The change of the line, over `range_s`, below which EM may have converged. Larger stops early;
 /// smaller only adds iterations.
 const LINE_TOLERANCE: f64 = 1e-9;
-/// The relative change of the standard deviation below which EM may have converged; likewise.
+/// The relative change of the standard deviation below which EM may have converged. Larger
+/// stops early; smaller only adds iterations.
 const SIGMA_TOLERANCE: f64 = 1e-4;
 /// The number of observed values that are scored as starts. Larger costs time with the number of
 /// observations; smaller may score no inlier where most observations are outliers.

@@ -20,7 +20,8 @@ const FRAMES: usize = 4;
 /// than two are on one side.
 const NEIGHBORS: usize = 4;
 
-/// Fractions of the way from a frame to the next at which views may be made.
+/// Fractions of the way from a frame to the next at which views may be rendered, the preferred one
+/// first. More: an instant between most cameras' frames is found more often; fewer: less often.
 const FRACTIONS: [f64; 3] = [0.5, 0.25, 0.75];
 
 /// How far around what changes in a camera's frame it may lie in a view beside it, pixels. Larger: noise

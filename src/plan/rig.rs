@@ -25,7 +25,8 @@ impl ClockSummary {
     }
 }
 
-/// How many points along each side of an image the lens is evaluated at.
+/// How many points along each side of an image the lens is evaluated at. Larger: slower; smaller: the
+/// largest shift may lie between two points.
 const SIDE: usize = 17;
 
 /// How far lenses move a pixel from where a pinhole would have it, at most.

@@ -258,6 +258,7 @@ impl MinDistanceSet {
 mod tests {
     use super::super::pyramid::Pyramid;
     use super::*;
+    use crate::random::Random;
     use crate::raster::Image;
 
     fn detected(image: &Image, options: &CornerOptions) -> Vec<Point2<f64>> {
@@ -292,13 +293,8 @@ mod tests {
 
     #[test]
     fn the_minimum_distance_holds_and_the_count_is_bounded() {
-        let mut state = 1_u32;
-        let data = (0..90 * 70)
-            .map(|_| {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                (state >> 8) as f32 / (1 << 24) as f32
-            })
-            .collect();
+        let mut random = Random::new(1);
+        let data = (0..90 * 70).map(|_| random.unit() as f32).collect();
         let image = Image::from_data(90, 70, 1, data);
         let options = CornerOptions { min_distance_px: 6.0, ..Default::default() };
         let points = detected(&image, &options);

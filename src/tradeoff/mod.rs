@@ -103,8 +103,8 @@ impl Default for TradeoffOptions {
     }
 }
 
-/// A point this much worse than the best, decibels, is as good to the eye; the fastest such is
-/// recommended.
+/// The fastest point within this of the best is recommended, decibels: the eye sees no difference.
+/// Larger: what is recommended is visibly worse; smaller: it is slow for nothing that is seen.
 pub const SLACK_DB: f64 = 0.2;
 
 /// Why there is no trade-off. Every message is one sentence.

@@ -76,10 +76,12 @@ impl Preparation {
     }
 }
 
-/// PSNR of identical images.
+/// What identical images count as in a mean of PSNR, decibels, where their own is infinite. Larger: one
+/// identical view decides the mean; smaller: it counts less than a nearly identical one.
 const IDENTICAL_DB: f64 = 99.0;
 
-/// What differs by less than this is noise of rounding, decibels: it makes no point better.
+/// Qualities are rounded to this before points are compared, decibels. Larger: real differences are
+/// lost; smaller: rounding noise puts points on the Pareto front.
 const STEP_DB: f64 = 0.01;
 
 /// Measured points as they trade.

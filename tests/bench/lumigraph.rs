@@ -16,6 +16,7 @@ use stlfr::lumigraph::{
     BlendMethod, BlendOptions, DepthEdges, DepthMap, Mesh, MeshOptions, Plane, Proxy, Rendered,
     Source, blend, triangulate,
 };
+use stlfr::random::Random;
 use stlfr::raster::{BitDepth, read_image, write_image};
 use stlfr::raster::{Image, Sampling};
 
@@ -43,20 +44,6 @@ fn load(truth: &Truth, view: &TruthView) -> View {
         camera: view.camera().expect("camera"),
         image: read_image(&path(&view.image)).expect("image").0,
         depth: DepthMap::from_data(width, height, depths),
-    }
-}
-
-/// A fixed sequence of numbers in 0..1.
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (self.0 >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        (0..12).map(|_| self.unit()).sum::<f64>() - 6.0
     }
 }
 
@@ -107,7 +94,7 @@ fn corners(image: &Image, count: usize, gap: i64) -> Vec<(usize, usize)> {
 /// Triangulated corners of the two nearest cameras, observed in four with 0.2 px of noise; 2 % of them
 /// are mismatched.
 fn points(view: &View, cameras: &[&View], count: usize) -> Vec<Point3<f64>> {
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let mut nearest = cameras.to_vec();
     let distance = |v: &View| (v.camera.center() - view.camera.center()).norm();
     nearest.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
@@ -123,10 +110,10 @@ fn points(view: &View, cameras: &[&View], count: usize) -> Vec<Point3<f64>> {
                 .iter()
                 .filter_map(|v| {
                     let mut at = v.camera.project(&point)?;
-                    at.x += 0.2 * random.normal();
-                    at.y += 0.2 * random.normal();
+                    at.x += 0.2 * random.gaussian();
+                    at.y += 0.2 * random.gaussian();
                     if wrong {
-                        at.x += 20.0 * random.normal();
+                        at.x += 20.0 * random.gaussian();
                     }
                     Some((&v.camera, at))
                 })
