@@ -25,6 +25,7 @@
 //! # let text = format!(r#"{{"format": "stlfr-capture", "version": 1, "name": "wall", "cameras": [{}]}}"#, cameras.join(","));
 //! # std::fs::write(folder.path().join("capture.json"), text)?;
 //! # let folder = folder.path();
+//! // `folder` holds capture.json and the cameras' frames.
 //! let capture = Arc::new(Capture::open(folder)?);
 //! let options = RenderOptions::default();
 //! let field = pipeline::open_field(capture.clone(), &options, &Reporter::silent())?;
@@ -52,7 +53,8 @@
 //!
 //! # Layers
 //!
-//! A module uses modules of earlier lines only. A test reads this list and every `use`.
+//! A module uses modules of earlier lines only, none of its own line. A test holds every `use` to
+//! this list.
 //!
 //! ```text
 //! host json method progress random
@@ -74,7 +76,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`host`] | files written whole, child processes, clocks, bounded caches |
-//! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; numbers that are the same everywhere |
+//! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; pseudo-random numbers, the same on every machine |
 //! | [`method`] | names of what a user chooses among |
 //! | [`raster`] | images as the stages work on them, and image files |
 //! | [`metrics`] | PSNR, SSIM, FLIP, the moving part |
@@ -82,7 +84,7 @@
 //! | [`chart`] | charts as SVG |
 //! | [`rig`] | simulated arrays: their description and their generator |
 //! | [`exchange`] | other programs' calibrations |
-//! | [`options`] | what decides an image besides the capture |
+//! | [`options`] | the methods and parameters of all stages |
 //! | [`plan`] | the methods that a capture requires |
 //! | [`tradeoff`] | what each combination of methods costs and gives |
 //! | [`toolchain`] | the Python side: its environment, filming, the calibration check |
@@ -114,14 +116,15 @@
 //! ```
 //!
 //! `stlfr.methods()` lists the methods of each stage. `capture.render(..., proceed=f)` calls
-//! `f(done, total)` before every instant, and stops where it returns something false.
+//! `f(done, total)` before every instant, and stops if it returns something false.
 //!
 //! # Conventions
 //!
 //! Metres, seconds, right-handed world; COLMAP's camera axes and models; the centre of the
 //! top-left pixel is (0.5, 0.5); transforms are named `target_from_source`; units are suffixes
 //! (`_px`, `_s`, `_m`, `_deg`). f64 for geometry and time, f32 for pixels. Time is seconds on the
-//! reference camera's clock, inside the program from the capture's start.
+//! reference camera's clock. In the library's functions, 0 is the capture's start
+//! ([`Capture::time_origin_s`](capture::Capture::time_origin_s)).
 
 pub mod camera;
 pub mod capture;

@@ -323,18 +323,21 @@ def claim(plan: Plan, capture: Path) -> None:
     plan_file = capture / HIDDEN_FOLDER / PLAN_FILE
     if capture.exists() and not capture.is_dir():
         raise BadInputError(f"{capture} is a file, not a folder for a capture")
-    if plan_file.is_file():
-        if plan_file.read_text(encoding="utf-8").strip() != plan.fingerprint:
-            raise BadInputError(
-                f"{capture} holds a film of another rig, scene or options (or made by another version); "
-                "choose another folder or delete it"
-            )
-        return
-    if capture.is_dir() and any(
+    has_files = capture.is_dir() and any(
         entry.name != HIDDEN_FOLDER for entry in capture.iterdir()
-    ):
+    )
+    if plan_file.is_file():
+        if plan_file.read_text(encoding="utf-8").strip() == plan.fingerprint:
+            return
+        # A plan that failed before its first frame holds the folder for nobody.
+        if has_files:
+            raise BadInputError(
+                f"{capture} holds a recording of another rig, scene or options, or of another version "
+                "of stlfr; choose another folder or delete it"
+            )
+    elif has_files:
         raise BadInputError(
-            f"{capture} already holds files that aren't a film of ours; choose another folder"
+            f"{capture} holds files that stlfr did not write; choose another folder"
         )
     plan_file.parent.mkdir(parents=True, exist_ok=True)
     partial = plan_file.with_suffix(".partial")

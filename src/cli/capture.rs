@@ -16,14 +16,15 @@ use stlfr::toolchain::{FilmOptions, Scene, ensure_environment, film, project_roo
     stlfr capture rigs/linear8.json --scene magazine -o .captures/magazine --size 320x240\n  \
     stlfr capture rigs/linear8.json --blend my-scene.blend -o .captures/mine --frames 30\n\n\
     In a .blend, an object named `rig` (or else the scene's camera) says where the rig stands.")]
+#[command(group = clap::ArgGroup::new("source").required(true))]
 pub struct Args {
     /// The rig's file, such as rigs/linear8.json.
     rig: PathBuf,
     /// A scene of blender/scenes.
-    #[arg(long, value_name = "NAME", required_unless_present = "blend", conflicts_with = "blend")]
+    #[arg(long, value_name = "NAME", group = "source")]
     scene: Option<String>,
     /// A .blend file of your own.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", group = "source")]
     blend: Option<PathBuf>,
     /// The capture's folder.
     #[arg(short, long = "output", value_name = "CAPTURE")]

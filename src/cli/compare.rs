@@ -158,11 +158,13 @@ fn lines(headline: &Headline) -> Vec<String> {
         ),
     ];
     lines.extend(headline.views.iter().map(|view| {
+        let is_above = view.gap_moving_db.is_some_and(|gap_db| gap_db < 0.0);
         format!(
-            "views, {} proxy: {} over traditional LFR on the moving part, {} below perfect sync",
+            "views, {} proxy: {} over traditional LFR on the moving part, {} {} perfect sync",
             view.proxy.name(),
             shown(view.gain_moving_db, "dB", 2),
-            shown(view.gap_moving_db, "dB", 2),
+            shown(view.gap_moving_db.map(f64::abs), "dB", 2),
+            if is_above { "above" } else { "below" },
         )
     }));
     if headline.missing_images > 0 {

@@ -177,7 +177,7 @@ fn displacements_any(
     xs.map(|x| displacement_exact(lines, x, y, options))
 }
 
-/// Σ weight · displacement / Σ weight; `power` is 1/distance ↦ 1/distance^b.
+/// Eq. (7), vectorized: Σ weight · displacement / Σ weight; `power` is 1/distance ↦ 1/distance^b.
 #[inline(always)]
 fn accumulate(
     lines: &[Line],
@@ -206,7 +206,7 @@ fn accumulate(
     std::array::from_fn(|l| [sum_x[l] / sum[l], sum_y[l] / sum[l]])
 }
 
-/// The displacement at one position for any exponents, in f64. The weights' logarithms are relative to the
+/// Eq. (7): the displacement at one position for any exponents, in f64. The weights' logarithms are relative to the
 /// largest, so that none overflows and not all vanish.
 fn displacement_exact(lines: &[Line], x: f32, y: f32, options: &MorphOptions) -> [f32; 2] {
     let log_weight = |line: &Line| {

@@ -26,7 +26,7 @@ pub fn offsets(clocks: &ClockSummary) -> Decision {
         let because = format!("All {cameras} cameras share the reference's clock.");
         return by_description(Choice::KnownClocks, because);
     }
-    let because = format!("The clocks of {unknown} of {cameras} cameras are unknown.");
+    let because = format!("{unknown} of {cameras} cameras have clocks of their own.");
     by_description(Choice::EstimatedOffsets, because)
 }
 

@@ -167,8 +167,22 @@ def test_another_plan_and_foreign_folders_are_refused(
     (tmp_path / "notes.txt").write_text("mine")
     foreign = by_script(small_rig, "--scene", "magazine", "-o", tmp_path)
     assert foreign.returncode == 2
-    assert "already holds files" in foreign.stderr and foreign.stderr.count("\n") == 1
+    assert (
+        "files that stlfr did not write" in foreign.stderr
+        and foreign.stderr.count("\n") == 1
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_plan_that_failed_before_its_first_frame_gives_way(
+    uninterrupted: Path, small_rig: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "capture"
+    (folder / ".film").mkdir(parents=True)
+    (folder / ".film" / "plan.txt").write_text("of another scene\n")
+    result = run(small_film(folder, small_rig))
+    assert result.returncode == 0, result.stderr
+    assert contents(folder) == contents(uninterrupted)
 
 
 @pytest.mark.parametrize(
