@@ -159,9 +159,13 @@ mod tests {
     fn fields_of_earlier_versions_are_read() {
         let text = r#"{"proxy": {"rung": "plane"}, "blend": {"rung": "uniform"},
             "offset": {"rung": "joint"}}"#;
-        let options = RenderOptions::parse(text, None).unwrap();
-        assert_eq!(options.proxy.method, ProxyMethod::Plane);
-        assert_eq!(options.blend.method, BlendMethod::Uniform);
-        assert_eq!(options.offset.method, OffsetMethod::Joint);
+        for preset in [None, Some(Preset::Draft)] {
+            let options = RenderOptions::parse(text, preset).unwrap();
+            assert_eq!(options.proxy.method, ProxyMethod::Plane);
+            assert_eq!(options.blend.method, BlendMethod::Uniform);
+            assert_eq!(options.offset.method, OffsetMethod::Joint);
+            let both = r#"{"proxy": {"rung": "plane", "method": "mesh"}}"#;
+            assert!(RenderOptions::parse(both, preset).is_err());
+        }
     }
 }

@@ -69,6 +69,7 @@ impl RenderOptions {
         let named: Option<Named> = named.transpose()?;
         let start = preset.or(named.map(|n| n.preset)).map_or_else(Self::default, Preset::options);
         let mut merged = serde_json::to_value(start).map_err(|e| e.to_string())?;
+        name_methods(&mut over);
         merge(&mut merged, &Value::Object(over));
         json::parse(&merged.to_string())
     }
@@ -78,6 +79,18 @@ impl RenderOptions {
 #[derive(Deserialize)]
 struct Named {
     preset: Preset,
+}
+
+/// Files of earlier versions call a stage's `method` its `rung`. What is merged has one name only.
+fn name_methods(over: &mut serde_json::Map<String, Value>) {
+    for stage in ["proxy", "blend", "offset"] {
+        if let Some(Value::Object(fields)) = over.get_mut(stage)
+            && !fields.contains_key("method")
+            && let Some(method) = fields.remove("rung")
+        {
+            fields.insert("method".into(), method);
+        }
+    }
 }
 
 /// Objects field by field; anything else is replaced.

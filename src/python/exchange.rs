@@ -13,5 +13,10 @@ pub fn colmap_text<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let images: Option<Vec<(String, CameraFormat)>> = from_python(Some(images), "images")?;
     let images = images.ok_or_else(|| value_error("images: are missing"))?;
+    for (k, (name, _)) in images.iter().enumerate() {
+        if name.is_empty() || name.contains(char::is_control) {
+            return Err(value_error(format!("images[{k}]: {name:?} is no name of an image")));
+        }
+    }
     to_python(py, &py.detach(|| exchange::colmap_text(&images)))
 }

@@ -4,6 +4,7 @@ use super::check::FieldError;
 use super::format::{Distortion, Rig, RigCamera, RigColor, RigView};
 use super::limits::{FORMAT, MAX_CAMERAS, MAX_LOSS_WITHIN, VERSION};
 use crate::camera::PoseFormat;
+use crate::capture::MAX_DRIFT_PPM;
 use crate::random::Random;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::Deserialize;
@@ -152,6 +153,9 @@ pub enum GenerateError {
     /// More cameras than [`MAX_CAMERAS`].
     #[error("a rig has from 1 to {MAX_CAMERAS} cameras, not {count}")]
     Cameras { count: usize },
+    /// A drift that no clock may have, whichever is drawn.
+    #[error("the largest drift must be from 0 to {MAX_DRIFT_PPM} ppm, not {drift_ppm}")]
+    Drift { drift_ppm: f64 },
     /// Lost frames are drawn from more than [`MAX_LOSS_WITHIN`] frames.
     #[error("lost frames must be among the first {MAX_LOSS_WITHIN}, not {within}")]
     LossWithin { within: usize },
@@ -245,6 +249,10 @@ impl RigOptions {
         let count = self.layout.count();
         if count > MAX_CAMERAS {
             return Err(GenerateError::Cameras { count });
+        }
+        let drift_ppm = self.max_drift_ppm;
+        if !(0.0..=MAX_DRIFT_PPM).contains(&drift_ppm) {
+            return Err(GenerateError::Drift { drift_ppm });
         }
         if let Layout::Arc { count, distance_m } = self.layout {
             let half_width_m = 0.5 * self.spacing_m.abs() * (count.get() - 1) as f64;

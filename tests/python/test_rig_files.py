@@ -382,3 +382,8 @@ def test_colmaps_text_is_written_as_python_spells_numbers() -> None:
 def test_colmaps_text_has_cameras_alone() -> None:
     with pytest.raises(ValueError, match=r"images: \[0\]\[1\].*`width`"):
         stlfr.colmap_text([("a/0000.png", {"height": 48})])
+    pose = {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0]}
+    camera = {"width": 64, "height": 48, "model": "PINHOLE", "cam_from_world": pose}
+    camera |= {"params": [60, 60, 32, 24]}
+    with pytest.raises(ValueError, match=r"images\[1\]: .* is no name of an image"):
+        stlfr.colmap_text([("a/0000.png", camera), ("b\nc", camera)])
