@@ -262,8 +262,12 @@ def capture(arguments: argparse.Namespace) -> None:
     command = [sys.executable, "-I", str(HERE), "--worker"]
     if arguments.blender:
         command[-1:] = ["--worker-in", arguments.blender]
-    with crews.Crew(plan, target, scratch, command, workers, cores) as crew:
-        cameras = crew.film(jobs, lambda job: on_done(job.what))
+    try:
+        with crews.Crew(plan, target, scratch, command, workers, cores) as crew:
+            cameras = crew.film(jobs, lambda job: on_done(job.what))
+    except errors.BadInputError:
+        plans.release(target)
+        raise
     if arguments.video:
         videos.pack(plan, target, scratch, on_done)
     shutil.rmtree(scratch)

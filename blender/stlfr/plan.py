@@ -323,19 +323,14 @@ def claim(plan: Plan, capture: Path) -> None:
     plan_file = capture / HIDDEN_FOLDER / PLAN_FILE
     if capture.exists() and not capture.is_dir():
         raise BadInputError(f"{capture} is a file, not a folder for a capture")
-    has_files = capture.is_dir() and any(
-        entry.name != HIDDEN_FOLDER for entry in capture.iterdir()
-    )
     if plan_file.is_file():
-        if plan_file.read_text(encoding="utf-8").strip() == plan.fingerprint:
-            return
-        # A plan that failed before its first frame holds the folder for nobody.
-        if has_files:
+        if plan_file.read_text(encoding="utf-8").strip() != plan.fingerprint:
             raise BadInputError(
                 f"{capture} holds a recording of another rig, scene or options, or of another version "
                 "of stlfr; choose another folder or delete it"
             )
-    elif has_files:
+        return
+    if _has_files(capture):
         raise BadInputError(
             f"{capture} holds files that stlfr did not write; choose another folder"
         )
@@ -343,6 +338,19 @@ def claim(plan: Plan, capture: Path) -> None:
     partial = plan_file.with_suffix(".partial")
     partial.write_text(plan.fingerprint + "\n", encoding="utf-8")
     partial.replace(plan_file)
+
+
+def release(capture: Path) -> None:
+    """Give the folder back if nothing was filmed into it, so that another plan can have it."""
+    if not _has_files(capture):
+        (capture / HIDDEN_FOLDER / PLAN_FILE).unlink(missing_ok=True)
+
+
+def _has_files(capture: Path) -> bool:
+    """Whether there is anything in the folder but what a plan leaves there before its first frame."""
+    return capture.is_dir() and any(
+        entry.name != HIDDEN_FOLDER for entry in capture.iterdir()
+    )
 
 
 def is_whole_npy(path: Path, width_px: int, height_px: int) -> bool:

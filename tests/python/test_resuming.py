@@ -174,15 +174,35 @@ def test_another_plan_and_foreign_folders_are_refused(
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
-def test_a_plan_that_failed_before_its_first_frame_gives_way(
-    uninterrupted: Path, small_rig: Path, tmp_path: Path
+def test_a_scene_that_is_refused_gives_its_folder_back(
+    small_rig: Path, tmp_path: Path
 ) -> None:
-    folder = tmp_path / "capture"
-    (folder / ".film").mkdir(parents=True)
-    (folder / ".film" / "plan.txt").write_text("of another scene\n")
-    result = run(small_film(folder, small_rig))
+    """A .blend without a camera, then with one, into the same folder."""
+    blend, folder = tmp_path / "mine.blend", tmp_path / "capture"
+
+    def film() -> subprocess.CompletedProcess[str]:
+        small = ["--frames", 3, "--samples", 1, "--no-truth"]
+        return by_script(small_rig, "--blend", blend, *small, "-o", folder)
+
+    def save(with_camera: bool) -> None:
+        lines = [
+            "import bpy",
+            "bpy.ops.wm.read_factory_settings(use_empty=True)",
+            f"camera = bpy.data.objects.new('c', bpy.data.cameras.new('c')) if {with_camera} else None",
+            "if camera: bpy.context.scene.collection.objects.link(camera)",
+            "bpy.context.scene.camera = camera",
+            f"bpy.ops.wm.save_as_mainfile(filepath={str(blend)!r})",
+        ]
+        command = [sys.executable, "-I", "-c", "\n".join(lines)]
+        subprocess.run(command, check=True, capture_output=True)
+
+    save(with_camera=False)
+    refused = film()
+    assert refused.returncode == 2
+    assert "doesn't say where the rig stands" in refused.stderr
+    save(with_camera=True)
+    result = film()
     assert result.returncode == 0, result.stderr
-    assert contents(folder) == contents(uninterrupted)
 
 
 @pytest.mark.parametrize(
