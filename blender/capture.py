@@ -208,26 +208,29 @@ def add_processes(parser: Parser) -> None:
     )
 
 
+def filming_options(arguments: argparse.Namespace) -> Any:
+    """What the command line asks for."""
+    return plans.Options(
+        rig_file=arguments.rig.resolve(),
+        scene_name=arguments.scene,
+        blend_file=arguments.blend.resolve() if arguments.blend else None,
+        size_px=arguments.size,
+        frames=arguments.frames,
+        samples=arguments.samples,
+        instants=arguments.instants,
+        truth_video=arguments.truth_video,
+        truth=not arguments.no_truth,
+        engine=arguments.engine,
+        tracks=arguments.tracks,
+        instants_s=arguments.instants_s,
+    )
+
+
 def capture(arguments: argparse.Namespace) -> None:
     """Film what isn't there yet."""
     if arguments.module:
         sys.path.insert(0, arguments.module)
-    plan = plans.make(
-        plans.Options(
-            rig_file=arguments.rig.resolve(),
-            scene_name=arguments.scene,
-            blend_file=arguments.blend.resolve() if arguments.blend else None,
-            size_px=arguments.size,
-            frames=arguments.frames,
-            samples=arguments.samples,
-            instants=arguments.instants,
-            truth_video=arguments.truth_video,
-            truth=not arguments.no_truth,
-            engine=arguments.engine,
-            tracks=arguments.tracks,
-            instants_s=arguments.instants_s,
-        )
-    )
+    plan = plans.make(filming_options(arguments))
     target = arguments.capture.resolve()
     plans.claim(plan, target)
     jobs = [
