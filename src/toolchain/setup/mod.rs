@@ -66,11 +66,6 @@ impl Environment {
             python: project_root.join(".venv/bin/python"),
         })
     }
-
-    /// An ffmpeg to run: the system's, or the one that the environment brings.
-    pub fn ffmpeg(&self) -> Option<PathBuf> {
-        ffmpeg_on_path().or_else(|| environment_ffmpeg(&self.project_root))
-    }
 }
 
 /// The folder of stlfr's sources: `STLFR_HOME`, or where this program was built.
