@@ -27,9 +27,9 @@ def wagon(name: str, codes: tuple[str, ...], x_m: float) -> Any:
     sheet = kit.Sheet()
     for k in range(4):
         left = -0.145 + 0.076 * k
-        sheet.rectangle(frame, left - 0.006, 0.094, 0.064, 0.072)
-        sheet.rectangle(window, left, 0.10, 0.052, 0.06, layer=1)
-    sheet.rectangle(frame, -0.165, 0.05, 0.33, 0.008)
+        sheet.rectangle(frame, (left - 0.006, 0.094), (0.064, 0.072))
+        sheet.rectangle(window, (left, 0.10), (0.052, 0.06), layer=1)
+    sheet.rectangle(frame, (-0.165, 0.05), (0.33, 0.008))
     panes = sheet.build("panes")
     panes.location = (0, -0.061, 0)
     panes.parent = body
@@ -85,8 +85,8 @@ def cart() -> None:
         (0, 1.8, RIG_HEIGHT_M + 0.15),
     )
     sign = kit.Sheet()
-    sign.rectangle(kit.ink("board", "f2efe4"), -0.13, 0.0, 0.26, 0.10)
-    sign.text(kit.ink("black", "161412"), "SIDEWAYS", 0, 0.032, 0.052, align="CENTER")
+    sign.rectangle(kit.ink("board", "f2efe4"), (-0.13, 0.0), (0.26, 0.10))
+    sign.centred_text(kit.ink("black", "161412"), "SIDEWAYS", (0, 0.032), 0.052)
     board = sign.build("sign")
     board.location = (0, -0.072, 0.05)
     board.parent = body

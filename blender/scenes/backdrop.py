@@ -27,7 +27,7 @@ def wall(
     height_m, width_m = (n * TEXEL_M for n in picture.shape[:2])
     plane = kit.Sheet()
     plane.rectangle(
-        kit.printed(name, picture), -width_m / 2, -height_m / 2, width_m, height_m
+        kit.printed(name, picture), (-width_m / 2, -height_m / 2), (width_m, height_m)
     )
     plane.build(name).location = (0, depth_m, centre_height_m)
 
@@ -80,7 +80,7 @@ def floor(near_m: float, far_m: float, height_m: float) -> None:
         ("5a3a22", "94633a", "b98a58", "d9b88a"),
     )
     plane = kit.Sheet()
-    plane.rectangle(kit.printed("floor", picture), -1.7, 0.0, 3.4, depth_m)
+    plane.rectangle(kit.printed("floor", picture), (-1.7, 0.0), (3.4, depth_m))
     lying = plane.build("floor")
     lying.location = (0, near_m, height_m)
     lying.rotation_euler.x = -np.pi / 2
@@ -94,13 +94,11 @@ def poster(
     """A poster, 38 x 50 cm: a picture with two words over it."""
     name = title.replace("\n", " ").lower()
     sheet = kit.Sheet()
-    sheet.rectangle(kit.ink(f"{name} edge", "efe9dc"), -0.19, -0.25, 0.38, 0.50)
-    sheet.rectangle(
-        photo(name, (0.34, 0.28), codes, 0.028), -0.17, -0.23, 0.34, 0.28, layer=1
-    )
-    sheet.text(
-        kit.ink(f"{name} ink", "1a1a1a"), title, 0.0, 0.155, 0.10, align="CENTER"
-    )
+    sheet.rectangle(kit.ink(f"{name} edge", "efe9dc"), (-0.19, -0.25), (0.38, 0.50))
+    picture_m = (0.34, 0.28)
+    picture = photo(name, picture_m, codes, 0.028)
+    sheet.rectangle(picture, (-0.17, -0.23), picture_m, layer=1)
+    sheet.centred_text(kit.ink(f"{name} ink", "1a1a1a"), title, (0.0, 0.155), 0.10)
     sheet.build(name).location = centre_m
 
 

@@ -46,12 +46,11 @@ def page(sheet: kit.Sheet, left_m: float, parts: tuple[str, ...], picture: Any) 
     y = PAGE_M[1] / 2 - 0.035
     for part in parts:
         size = 0.0165 if part.isupper() else 0.0155
-        sheet.text(black, part, left_m + 0.022, y, size)
+        sheet.text(black, part, (left_m + 0.022, y), size)
         y -= size * 1.0 * (part.count("\n") + 2)
     height = y + PAGE_M[1] / 2 - 0.025
-    sheet.rectangle(
-        picture, left_m + 0.022, -PAGE_M[1] / 2 + 0.025, 0.196, height, layer=1
-    )
+    corner_m = (left_m + 0.022, -PAGE_M[1] / 2 + 0.025)
+    sheet.rectangle(picture, corner_m, (0.196, height), layer=1)
 
 
 def book() -> Any:
@@ -68,7 +67,7 @@ def book() -> Any:
         "plate", (0.2, 0.08), ("23395b", "5f8f9f", "f2e2b8", "c9703a", "5b1f2a"), 0.012
     )
     pages = kit.Sheet()
-    pages.rectangle(paper, -width, -height / 2, 2 * width, height)
+    pages.rectangle(paper, (-width, -height / 2), (2 * width, height))
     page(pages, -width, LEFT, etching)
     page(pages, 0.0, RIGHT, plate)
     opened = pages.build("pages", lambda x, _y: arch_m(x))
@@ -76,7 +75,7 @@ def book() -> Any:
     cloth = backdrop.photo(
         "cloth", (0.52, 0.37), ("3a0f14", "7a1f2a", "8f2f38", "5c161f", "a8505a"), 0.02
     )
-    cover.rectangle(cloth, -0.26, -0.185, 0.52, 0.37)
+    cover.rectangle(cloth, (-0.26, -0.185), (0.52, 0.37))
     back = cover.build("cover", lambda x, _y: -0.012 + 0.04 * abs(x))
     back.parent = opened
     # A block of pages under each side: its outer edges are what one sees of it.
@@ -94,9 +93,8 @@ def book() -> Any:
 
 def leaf() -> Any:
     """A single leaf at the spine; over the driver's 0 to 1 it goes from the right side to the left."""
-    width, height = PAGE_M
     sheet = kit.Sheet()
-    sheet.rectangle(kit.ink("leaf", "f4eddc"), 0.0, -height / 2, width, height)
+    sheet.rectangle(kit.ink("leaf", "f4eddc"), (0.0, -PAGE_M[1] / 2), PAGE_M)
     page(
         sheet,
         0.0,

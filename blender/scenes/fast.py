@@ -6,6 +6,7 @@ circle at constant speed, so its motion crosses the epipolar lines of any rig; t
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from . import backdrop, kit, paint
@@ -32,8 +33,8 @@ def paddle() -> Any:
             "target", (280, 280), ("d9412b", "f3c531", "f7f4ec", "2b62b8", "241a1a"), 30
         ),
     )
-    front.rectangle(target, -0.083, -0.083, 0.166, 0.166)
-    front.text(kit.ink("black", "161412"), "FAST", 0, -0.025, 0.07, align="CENTER")
+    front.rectangle(target, (-0.083, -0.083), (0.166, 0.166))
+    front.centred_text(kit.ink("black", "161412"), "FAST", (0, -0.025), 0.07)
     print_ = front.build("print")
     print_.rotation_euler.x = -1.5707963
     print_.location.z = 0.0125
@@ -85,4 +86,5 @@ def build() -> None:
     crate = backdrop.photo(
         "crate", (0.5, 0.2), ("2b1d0e", "7f5530", "e0b878", "a06a3a", "4a3018"), 0.03
     )
-    kit.box("crate", crate, (0.5, 0.3, 0.2), (0.45, 1.75, RIG_HEIGHT_M - 0.69), 8)
+    box = kit.box("crate", crate, (0.5, 0.3, 0.2), (0.45, 1.75, RIG_HEIGHT_M - 0.69))
+    box.rotation_euler.z = math.radians(8)

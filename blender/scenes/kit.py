@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import bpy
 import mathutils
@@ -83,6 +83,13 @@ def _linear(srgb: paint.Image) -> list[float]:
     ]
 
 
+class Letters(NamedTuple):
+    """The flat shape of a text, relative to the origin of its first baseline."""
+
+    points_m: list[tuple[float, float]]
+    faces: list[list[int]]
+
+
 class Sheet:
     """A printed sheet: rectangles and text in page coordinates, metres.
 
@@ -106,13 +113,12 @@ class Sheet:
     def rectangle(
         self,
         material: Any,
-        x: float,
-        y: float,
-        width: float,
-        height: float,
+        corner_m: tuple[float, float],
+        size_m: tuple[float, float],
         layer: int = 0,
     ) -> None:
         """A rectangle from its lower left corner, cut into columns so that it can bend."""
+        (x, y), (width, height) = corner_m, size_m
         columns = max(1, math.ceil(width / 0.012))
         first = len(self.vertices)
         for i in range(columns + 1):
@@ -127,28 +133,32 @@ class Sheet:
         self,
         material: Any,
         body: str,
-        x: float,
-        y: float,
-        size: float,
-        align: str = "LEFT",
+        start_m: tuple[float, float],
+        size_m: float,
         layer: int = 2,
     ) -> None:
-        """Text in Blender's built-in font; (x, y) is the first line's baseline, `size` its height."""
-        curve = bpy.data.curves.new("text", "FONT")
-        curve.body, curve.size, curve.align_x = body, size, align
-        curve.resolution_u = 3
-        text_object = bpy.data.objects.new("text", curve)
-        mesh = text_object.to_mesh()
-        first = len(self.vertices)
-        self.vertices += [(x + v.co.x, y + v.co.y, layer) for v in mesh.vertices]
-        self.uvs += [(0.0, 0.0)] * len(mesh.vertices)
-        for polygon in mesh.polygons:
-            self.faces.append(
-                ([first + v for v in polygon.vertices], self._slot(material))
-            )
-        text_object.to_mesh_clear()
-        bpy.data.objects.remove(text_object)
-        bpy.data.curves.remove(curve)
+        """Text in Blender's built-in font, from the start of the first line's baseline; `size_m` is its height."""
+        self._print(material, _letters(body, size_m, "LEFT"), start_m, layer)
+
+    def centred_text(
+        self,
+        material: Any,
+        body: str,
+        middle_m: tuple[float, float],
+        size_m: float,
+        layer: int = 2,
+    ) -> None:
+        """Text as `text` prints it, each line centred; `middle_m` lies on the first line's baseline."""
+        self._print(material, _letters(body, size_m, "CENTER"), middle_m, layer)
+
+    def _print(
+        self, material: Any, letters: Letters, origin_m: tuple[float, float], layer: int
+    ) -> None:
+        (x, y), first = origin_m, len(self.vertices)
+        self.vertices += [(x + dx, y + dy, layer) for dx, dy in letters.points_m]
+        self.uvs += [(0.0, 0.0)] * len(letters.points_m)
+        for face in letters.faces:
+            self.faces.append(([first + v for v in face], self._slot(material)))
 
     def build(
         self, name: str, bend: Callable[[float, float], float] = lambda x, y: 0.0
@@ -167,6 +177,23 @@ class Sheet:
             polygon.material_index = slot
         mesh.shade_smooth()
         return add(bpy.data.objects.new(name, mesh))
+
+
+def _letters(body: str, size_m: float, align: str) -> Letters:
+    """The flat shape of a text; `align` is LEFT or CENTER, Blender's names."""
+    curve = bpy.data.curves.new("text", "FONT")
+    curve.body, curve.size, curve.align_x = body, size_m, align
+    curve.resolution_u = 3
+    text_object = bpy.data.objects.new("text", curve)
+    mesh = text_object.to_mesh()
+    letters = Letters(
+        [(v.co.x, v.co.y) for v in mesh.vertices],
+        [list(polygon.vertices) for polygon in mesh.polygons],
+    )
+    text_object.to_mesh_clear()
+    bpy.data.objects.remove(text_object)
+    bpy.data.curves.remove(curve)
+    return letters
 
 
 def _mesh(
@@ -199,7 +226,6 @@ def box(
     material: Any,
     size_m: Sequence[float],
     base_m: Sequence[float],
-    turn_deg: float = 0.0,
     part: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0),
 ) -> Any:
     """An upright box; `base_m` is the middle of its underside. Each side shows `part` of the picture:
@@ -220,7 +246,6 @@ def box(
     mesh.materials.append(material)
     new_object = add(bpy.data.objects.new(name, mesh))
     new_object.location = base_m
-    new_object.rotation_euler.z = math.radians(turn_deg)
     return new_object
 
 

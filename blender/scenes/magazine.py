@@ -47,17 +47,17 @@ def magazine() -> Any:
         0.017,
     )
     page = kit.Sheet()
-    page.rectangle(paper, -0.31, -0.21, 0.62, 0.42)
-    page.rectangle(harbour, -0.295, -0.195, 0.275, 0.20, layer=1)
-    page.rectangle(garden, 0.155, -0.045, 0.14, 0.145, layer=1)
-    page.rectangle(red, -0.295, 0.185, 0.59, 0.012, layer=1)
-    page.rectangle(red, 0.02, -0.075, 0.275, 0.006, layer=1)
-    page.text(black, HEADLINE, -0.158, 0.130, 0.047, align="CENTER")
-    page.text(black, "in space and time", -0.158, 0.092, 0.031, align="CENTER")
-    page.text(black, COLUMN_FRONT, -0.29, 0.055, 0.0215)
-    page.text(black, COLUMN_LEFT, 0.02, 0.160, 0.0145)
-    page.text(red, "No. 4", 0.16, 0.122, 0.05)
-    page.text(black, COLUMN_RIGHT, 0.02, -0.1, 0.02)
+    page.rectangle(paper, (-0.31, -0.21), (0.62, 0.42))
+    page.rectangle(harbour, (-0.295, -0.195), (0.275, 0.20), layer=1)
+    page.rectangle(garden, (0.155, -0.045), (0.14, 0.145), layer=1)
+    page.rectangle(red, (-0.295, 0.185), (0.59, 0.012), layer=1)
+    page.rectangle(red, (0.02, -0.075), (0.275, 0.006), layer=1)
+    page.centred_text(black, HEADLINE, (-0.158, 0.130), 0.047)
+    page.centred_text(black, "in space and time", (-0.158, 0.092), 0.031)
+    page.text(black, COLUMN_FRONT, (-0.29, 0.055), 0.0215)
+    page.text(black, COLUMN_LEFT, (0.02, 0.160), 0.0145)
+    page.text(red, "No. 4", (0.16, 0.122), 0.05)
+    page.text(black, COLUMN_RIGHT, (0.02, -0.1), 0.02)
 
     def bulge_m(x: float, _y: float) -> float:
         return 0.035 * math.sin(math.pi * min(1.0, abs(x) / 0.31) ** 0.7) + 0.06 * abs(
@@ -134,8 +134,12 @@ def wall() -> None:
     tin = photo(
         "tin", (0.2, 0.3), ("0d2b45", "3d6fa5", "f0f0e8", "c9a227", "7d1d1d"), 0.022
     )
-    kit.box("crate", crate, (0.42, 0.26, 0.40), (-0.62, 1.93, RIG_HEIGHT_M - 0.75), 18)
-    kit.box("tin", tin, (0.20, 0.20, 0.30), (0.10, 1.95, RIG_HEIGHT_M - 0.75), -25)
+    box = kit.box(
+        "crate", crate, (0.42, 0.26, 0.40), (-0.62, 1.93, RIG_HEIGHT_M - 0.75)
+    )
+    box.rotation_euler.z = math.radians(18)
+    can = kit.box("tin", tin, (0.20, 0.20, 0.30), (0.10, 1.95, RIG_HEIGHT_M - 0.75))
+    can.rotation_euler.z = math.radians(-25)
 
 
 def foreground() -> None:

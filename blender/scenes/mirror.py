@@ -18,7 +18,7 @@ RIG_HEIGHT_M = 1.2
 def window(x_m: float, material: Any) -> None:
     """A wall behind the rig, for the metal to reflect."""
     sheet = kit.Sheet()
-    sheet.rectangle(material, -1.2, -1.0, 2.4, 2.0)
+    sheet.rectangle(material, (-1.2, -1.0), (2.4, 2.0))
     behind = sheet.build("behind")
     behind.location = (x_m, -1.6, RIG_HEIGHT_M)
     behind.rotation_euler.z = math.pi

@@ -24,15 +24,8 @@ def clock() -> None:
     )
     for hour in range(1, 13):
         a = math.tau * hour / 12
-        dial.text(
-            black,
-            str(hour),
-            0.17 * math.sin(a),
-            0.17 * math.cos(a) - 0.016,
-            0.046,
-            "CENTER",
-            1,
-        )
+        middle_m = (0.17 * math.sin(a), 0.17 * math.cos(a) - 0.016)
+        dial.centred_text(black, str(hour), middle_m, 0.046, layer=1)
     for minute in range(60):
         a = math.tau * minute / 60
         x, y, size = (
@@ -40,8 +33,8 @@ def clock() -> None:
             0.208 * math.cos(a),
             0.006 if minute % 5 else 0.012,
         )
-        dial.rectangle(black, x - size / 2, y - size / 2, size, size, layer=1)
-    dial.text(black, "regulateur", 0, 0.07, 0.028, "CENTER", 1)
+        dial.rectangle(black, (x - size / 2, y - size / 2), (size, size), layer=1)
+    dial.centred_text(black, "regulateur", (0, 0.07), 0.028, layer=1)
     printed = dial.build("dial")
     printed.location = (0.0, 1.895, RIG_HEIGHT_M + 0.12)
     walnut = kit.printed(
@@ -81,7 +74,7 @@ def hands(dial: Any, black: Any, red: Any) -> None:
         ("second hand", red, 0.006, 0.19, 0.0, 0.012),
     ):
         sheet = kit.Sheet()
-        sheet.rectangle(material, -width / 2, -0.03, width, length + 0.03)
+        sheet.rectangle(material, (-width / 2, -0.03), (width, length + 0.03))
         hand = sheet.build(name)
         hand.parent = dial
         hand.location.y = -out

@@ -37,12 +37,13 @@ def build() -> None:
 
     # A printed card: rectangles and text in page coordinates, each layer over the one below.
     card = kit.Sheet()
-    card.rectangle(kit.ink("card", "f2efe4"), -0.22, -0.15, 0.44, 0.30)
+    card.rectangle(kit.ink("card", "f2efe4"), (-0.22, -0.15), (0.44, 0.30))
     picture = paint.photo(
         "view", (130, 270), ("12324a", "2f7fa8", "e8dcc0", "d98b3a", "7a2f1c"), 14
     )
-    card.rectangle(kit.printed("view", picture), -0.20, -0.13, 0.40, 0.15, layer=1)
-    card.text(kit.ink("black", "161412"), "YOUR SCENE", 0, 0.065, 0.062, align="CENTER")
+    view = kit.printed("view", picture)
+    card.rectangle(view, (-0.20, -0.13), (0.40, 0.15), layer=1)
+    card.centred_text(kit.ink("black", "161412"), "YOUR SCENE", (0, 0.065), 0.062)
     floating = card.build("card", bend=lambda x, _y: 0.3 * x * x)
     kit.drive(floating, "location", 0, "-0.08 + 0.05*sin(4.3*{t})")
     kit.drive(floating, "location", 1, "1.4")

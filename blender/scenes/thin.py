@@ -66,7 +66,7 @@ def wheel() -> Any:
     )
     hub.parent = tyre
     flag = kit.Sheet()
-    flag.rectangle(kit.ink("reflector", "e8842c"), -0.02, 0.13, 0.04, 0.06)
+    flag.rectangle(kit.ink("reflector", "e8842c"), (-0.02, 0.13), (0.04, 0.06))
     flag.build("reflector").parent = tyre
     return tyre
 
