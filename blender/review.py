@@ -19,9 +19,15 @@ from typing import Any
 import bpy
 
 GAP_PX = 8
+"""Between two pictures side by side. Larger wastes the frame; at 0 nobody sees where one ends."""
+
 LABEL_PX = 28
+"""The height above a picture that its label has. Larger wastes the frame; smaller, and text of 18 px covers
+the pictures."""
+
 MIN_PANEL_PX = 480
-"""Smaller pictures are enlarged by whole factors: labels stay legible, pixels stay square."""
+"""Narrower pictures are enlarged by whole factors, so pixels stay square. Larger, and the sequence plays and
+renders more slowly; smaller, and labels no longer fit above their pictures."""
 
 BACKGROUND_CHANNEL = 1
 QUADRANTS = {
@@ -40,6 +46,7 @@ CHANNEL_NAMES = {
     "diff": "Difference",
 }
 FIRST_LABEL_CHANNEL = 7
+"""Above the pictures' channels, so that labels are drawn over them."""
 
 
 @dataclass(frozen=True)
@@ -73,15 +80,47 @@ class Grid:
         return (0.5 + left / self.size_px[0], 0.5 + above / self.size_px[1])
 
 
-def picture_strip(
-    strips: Any, name: str, file: Path, channel: int, start: int, shot: dict[str, Any]
-) -> Any:
+@dataclass(frozen=True)
+class Panel:
+    """One picture of a shot."""
+
+    title: str
+    file: Path
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Pictures of one view that stand side by side for some frames."""
+
+    label: str
+    start: int
+    frames: int
+    is_movie: bool
+    panels: dict[str, Panel]
+    """By quadrant, those that there are: `truth`, `traditional`, `space_time`."""
+
+
+def read_shots(entries: list[dict[str, Any]], folder: Path) -> list[Shot]:
+    """The shots of a reel as review.json in `folder` lists them, one after the other from frame 1 on."""
+    shots, start = [], 1
+    for entry in entries:
+        panels = {}
+        if entry["truth"] is not None:
+            panels["truth"] = Panel("Truth", folder / entry["truth"])
+        for name in ("traditional", "space_time"):
+            if (panel := entry[name]) is not None:
+                panels[name] = Panel(panel["title"], folder / panel["file"])
+        frames = entry["frames"]
+        shots.append(Shot(entry["label"], start, frames, entry["is_movie"], panels))
+        start += frames
+    return shots
+
+
+def picture_strip(strips: Any, name: str, file: Path, channel: int, shot: Shot) -> Any:
     """A still or a movie, as long as its shot."""
-    if shot["is_movie"]:
-        strip = strips.new_movie(name, str(file), channel, start, fit_method="ORIGINAL")
-    else:
-        strip = strips.new_image(name, str(file), channel, start, fit_method="ORIGINAL")
-    strip.frame_final_duration = shot["frames"]
+    new = strips.new_movie if shot.is_movie else strips.new_image
+    strip = new(name, str(file), channel, shot.start, fit_method="ORIGINAL")
+    strip.frame_final_duration = shot.frames
     return strip
 
 
@@ -98,15 +137,12 @@ def place(strip: Any, grid: Grid, panel: str) -> None:
 
 
 def label(
-    strips: Any,
-    text: str,
-    at: tuple[float, float],
-    channel: int,
-    start: int,
-    length: int,
+    strips: Any, text: str, at: tuple[float, float], channel: int, shot: Shot
 ) -> None:
-    """White text; `at` is the left end of its middle line."""
-    strip = strips.new_effect(text[:60], "TEXT", channel, start, length=length)
+    """White text, as long as its shot; `at` is the left end of its middle line."""
+    strip = strips.new_effect(
+        text[:60], "TEXT", channel, shot.start, length=shot.frames
+    )
     strip.text, strip.font_size = text, 18.0
     strip.location = at
     strip.anchor_x, strip.anchor_y, strip.alignment_x = "LEFT", "CENTER", "LEFT"
@@ -114,90 +150,63 @@ def label(
     strip.blend_type = "ALPHA_OVER"
 
 
-def add_shot(
-    editor: Any, folder: Path, shot: dict[str, Any], start: int, grid: Grid, gain: float
-) -> None:
+def add_shot(strips: Any, shot: Shot, grid: Grid, gain: float) -> None:
     """One shot: up to four pictures and their labels."""
-    strips, length = editor.strips, shot["frames"]
-    files: dict[str, tuple[str, str]] = {}
-    if shot["truth"] is not None:
-        files["truth"] = ("Truth", shot["truth"])
-    for panel in ("traditional", "space_time"):
-        if shot[panel] is not None:
-            files[panel] = (shot[panel]["title"], shot[panel]["file"])
-    for panel, (title, file) in files.items():
-        name = f"{title}: {shot['label']}"[:60]
-        strip = picture_strip(strips, name, folder / file, CHANNELS[panel], start, shot)
+    for name, panel in shot.panels.items():
+        title = f"{panel.title}: {shot.label}"[:60]
+        strip = picture_strip(strips, title, panel.file, CHANNELS[name], shot)
         strip.blend_type = "ALPHA_OVER"
-        place(strip, grid, panel)
+        place(strip, grid, name)
     titles = {
-        panel: f"{title}    {shot['label']}" for panel, (title, _) in files.items()
+        name: f"{panel.title}    {shot.label}" for name, panel in shot.panels.items()
     }
-    if "truth" in files and "space_time" in files:
-        add_difference(strips, folder, files, shot, start, grid, gain)
+    if "truth" in shot.panels and "space_time" in shot.panels:
+        add_difference(strips, shot, grid, gain)
         titles["diff"] = f"|Truth - ST-LFR| x {gain:g}"
-    for k, (panel, title) in enumerate(titles.items()):
-        label(
-            strips, title, grid.label_at(panel), FIRST_LABEL_CHANNEL + k, start, length
-        )
+    for channel, (name, title) in enumerate(titles.items(), FIRST_LABEL_CHANNEL):
+        label(strips, title, grid.label_at(name), channel, shot)
 
 
-def add_difference(
-    strips: Any,
-    folder: Path,
-    files: dict[str, tuple[str, str]],
-    shot: dict[str, Any],
-    start: int,
-    grid: Grid,
-    gain: float,
-) -> None:
+def add_difference(strips: Any, shot: Shot, grid: Grid, gain: float) -> None:
     """A meta strip of both pictures, the upper one blended as a difference; the gain is the meta's."""
-    meta = strips.new_meta(f"Difference: {shot['label']}"[:60], CHANNELS["diff"], start)
-    for channel, panel in enumerate(("truth", "space_time"), start=1):
-        title, file = files[panel]
-        strip = picture_strip(
-            meta.strips, f"{title} (difference)", folder / file, channel, start, shot
-        )
+    meta = strips.new_meta(
+        f"Difference: {shot.label}"[:60], CHANNELS["diff"], shot.start
+    )
+    for channel, name in enumerate(("truth", "space_time"), start=1):
+        panel = shot.panels[name]
+        title = f"{panel.title} (difference)"
+        strip = picture_strip(meta.strips, title, panel.file, channel, shot)
         strip.blend_type = "DIFFERENCE" if channel == 2 else "REPLACE"
         place(strip, grid, "diff")
-    meta.frame_final_duration = shot["frames"]
+    meta.frame_final_duration = shot.frames
     meta.color_multiply = gain
     meta.blend_type = "ALPHA_OVER"
 
 
 def add_reel(scene: Any, folder: Path, reel: dict[str, Any], gain: float) -> None:
     """A scene of all the shots of a reel, one after the other."""
-    largest = [
-        picture_size(folder / file) for shot in reel["shots"] for file in files_of(shot)
+    shots = read_shots(reel["shots"], folder)
+    sizes = [
+        picture_size(panel.file) for shot in shots for panel in shot.panels.values()
     ]
-    width, height = (max(side) for side in zip(*largest, strict=True))
+    width, height = (max(side) for side in zip(*sizes, strict=True))
     scale = -(-MIN_PANEL_PX // width)
     grid = Grid((width * scale, height * scale))
     configure(scene, reel["rate_hz"], grid)
     editor = scene.sequence_editor_create()
-    start = 1
-    total = sum(shot["frames"] for shot in reel["shots"])
+    total = sum(shot.frames for shot in shots)
     ground = editor.strips.new_effect(
-        "Background", "COLOR", BACKGROUND_CHANNEL, start, length=total
+        "Background", "COLOR", BACKGROUND_CHANNEL, 1, length=total
     )
     ground.color = (0.09, 0.09, 0.09)
-    for shot in reel["shots"]:
-        add_shot(editor, folder, shot, start, grid, gain)
-        scene.timeline_markers.new(shot["label"][:60], frame=start)
-        start += shot["frames"]
+    for shot in shots:
+        add_shot(editor.strips, shot, grid, gain)
+        scene.timeline_markers.new(shot.label[:60], frame=shot.start)
     scene.frame_start, scene.frame_end = 1, total
     scene.frame_set(1)
     for panel, channel in CHANNELS.items():
         editor.channels[channel].name = CHANNEL_NAMES[panel]
     editor.channels[BACKGROUND_CHANNEL].name = "Background"
-
-
-def files_of(shot: dict[str, Any]) -> list[str]:
-    """The pictures that a shot shows."""
-    panels = [
-        shot[panel]["file"] for panel in ("traditional", "space_time") if shot[panel]
-    ]
-    return [*([shot["truth"]] if shot["truth"] else []), *panels]
 
 
 def picture_size(path: Path) -> tuple[int, int]:
