@@ -266,7 +266,7 @@ def capture(arguments: argparse.Namespace) -> None:
     if arguments.blender:
         command[-1:] = ["--worker-in", arguments.blender]
     try:
-        with crews.Crew(plan, target, scratch, command, workers, cores) as crew:
+        with crews.Crew(plan, target, command, workers, cores) as crew:
             cameras = crew.film(jobs, lambda job: on_done(job.what))
     except errors.BadInputError:
         plans.release(target)

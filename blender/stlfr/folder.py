@@ -8,7 +8,14 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from . import native, truth, video
-from .plan import CAPTURE_FILE, HIDDEN_FOLDER, Plan, frame_file, truth_files
+from .plan import (
+    CAPTURE_FILE,
+    HIDDEN_FOLDER,
+    TRACKS_FILE,
+    Plan,
+    frame_file,
+    truth_files,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -98,19 +105,25 @@ def _truth_json(plan: Plan, cameras: dict[str, Camera]) -> dict[str, Any]:
         for k, time_s in enumerate(plan.instants_s)
         for view in (*plan.rig.cameras, *plan.rig.views)
     ]
-    true_video = None
+    content: dict[str, Any] = {
+        "format": "stlfr-truth",
+        "version": 1,
+        "scene": plan.options.title,
+        "rig": plan.rig.name,
+        **truth.clocks_json(plan.rig, plan.shutters),
+        "views": views,
+    }
     if plan.video_times_s:
         view_id = plan.rig.views[0].id
-        true_video = {
+        content["video"] = {
             "view": view_id,
             "times_s": plan.video_times_s,
             "camera": cameras[view_id],
             "images": "video/%04d.png",
         }
-    has_tracks = any(job.is_tracks for job in plan.jobs)
-    return truth.truth_json(
-        plan.options.title, plan.rig, plan.shutters, views, true_video, has_tracks
-    )
+    if any(job.is_tracks for job in plan.jobs):
+        content["tracks"] = TRACKS_FILE.removeprefix("truth/")
+    return content
 
 
 def _write_colmap(plan: Plan, cameras: dict[str, Camera], folder: Path) -> None:

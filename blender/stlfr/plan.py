@@ -8,7 +8,6 @@ same, and refuses any other folder.
 from __future__ import annotations
 
 import hashlib
-import struct
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,7 +25,8 @@ TRACKS_FILE = "truth/tracks/tracks.json"
 ENGINES = ("cycles", "workbench")
 
 TRUTH_SAMPLES_FACTOR = 4
-"""Truth has four times the samples, so half the noise."""
+"""Truth has four times the samples, so half the noise. Larger, and truth takes as many times longer to film;
+smaller, and its noise counts as the results' error."""
 
 PIXEL_SOURCES = (
     "camera.py",
@@ -191,16 +191,21 @@ def truth_files(instant: int, view_id: str) -> dict[str, str]:
     }
 
 
+@dataclass(frozen=True)
+class _Shot:
+    """What is rendered: a view at a time, with this many samples a pixel."""
+
+    view: rigs.RigView
+    world_time_s: float
+    samples: int
+
+
 def _frame_jobs(rig: Rig, shutters: list[Shutter], samples: int) -> list[Job]:
     return [
         _job(
-            rig,
             f"{camera.id} frame {k}",
-            camera,
-            time_s,
-            samples,
-            "frame",
-            k,
+            _Shot(camera, time_s, samples),
+            _seed(rig, "frame", camera, k),
             (frame_file(camera.id, k),),
         )
         for camera, shutter in zip(rig.cameras, shutters, strict=True)
@@ -213,7 +218,8 @@ def _tracks_jobs(rig: Rig, options: Options) -> list[Job]:
     if not options.truth or options.tracks == 0:
         return []
     camera = rig.reference_camera
-    return [_job(rig, "point tracks", camera, 0.0, 1, "tracks", 0, (TRACKS_FILE,))]
+    seed = _seed(rig, "tracks", camera, 0)
+    return [_job("point tracks", _Shot(camera, 0.0, 1), seed, (TRACKS_FILE,))]
 
 
 def _truth_jobs(
@@ -230,19 +236,19 @@ def _truth_jobs(
             world_s = time_s + zero_s
             images.append(
                 _job(
-                    rig,
                     what,
-                    view,
-                    world_s,
-                    samples * TRUTH_SAMPLES_FACTOR,
-                    "truth",
-                    k,
+                    _Shot(view, world_s, samples * TRUTH_SAMPLES_FACTOR),
+                    _seed(rig, "truth", view, k),
                     (files["image"],),
                 )
             )
-            both = (files["depth"], files["motion"])
             geometry.append(
-                _job(rig, f"{what} depth", view, world_s, 1, "geometry", k, both)
+                _job(
+                    f"{what} depth",
+                    _Shot(view, world_s, 1),
+                    _seed(rig, "geometry", view, k),
+                    (files["depth"], files["motion"]),
+                )
             )
     return (
         geometry + images
@@ -255,41 +261,32 @@ def _video_jobs(
     zero_s = truth.reference_zero_s(rig, shutters)
     return [
         _job(
-            rig,
             f"truth video frame {k}",
-            rig.views[0],
-            time_s + zero_s,
-            samples * TRUTH_SAMPLES_FACTOR,
-            "video",
-            k,
+            _Shot(rig.views[0], time_s + zero_s, samples * TRUTH_SAMPLES_FACTOR),
+            _seed(rig, "video", rig.views[0], k),
             (f"truth/video/{k:04d}.png",),
         )
         for k, time_s in enumerate(times_s)
     ]
 
 
-def _job(
-    rig: Rig,
-    what: str,
-    view: rigs.RigView,
-    world_time_s: float,
-    samples: int,
-    purpose: str,
-    index: int,
-    files: tuple[str, ...],
-) -> Job:
-    digest = hashlib.sha256(f"{rig.seed}/{purpose}/{view.id}/{index}".encode()).digest()
+def _job(what: str, shot: _Shot, seed: int, files: tuple[str, ...]) -> Job:
     return Job(
         what=what,
-        view_id=view.id,
-        width_px=view.width_px,
-        height_px=view.height_px,
-        world_time_s=world_time_s,
-        samples=samples,
-        seed=struct.unpack("<I", digest[:4])[0]
-        & 0x7FFFFFFF,  # its own for every image; Cycles takes 31 bits
+        view_id=shot.view.id,
+        width_px=shot.view.width_px,
+        height_px=shot.view.height_px,
+        world_time_s=shot.world_time_s,
+        samples=shot.samples,
+        seed=seed,
         files=files,
     )
+
+
+def _seed(rig: Rig, purpose: str, view: rigs.RigView, index: int) -> int:
+    """Its own for every image; Cycles takes 31 bits."""
+    digest = hashlib.sha256(f"{rig.seed}/{purpose}/{view.id}/{index}".encode()).digest()
+    return int.from_bytes(digest[:4], "little") & 0x7FFFFFFF
 
 
 def _fingerprint(options: Options, rig: Rig) -> str:

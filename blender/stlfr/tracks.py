@@ -37,8 +37,9 @@ MOVING_M = 0.002
 counts single precision's rounding as motion."""
 
 SAME_DEPTH = 5e-5
-"""How much nearer than the point, relative to its distance, a ray may stop and still see it: above
-single precision, below the 0.4 mm between the layers of a printed sheet at 2 m."""
+"""How much nearer than the point, relative to its distance, a ray may stop and still see it. Larger than the 0.4 mm
+between the layers of a printed sheet at 2 m, and what a layer covers counts as visible; smaller than single
+precision, and points are hidden by their own surface."""
 
 
 @dataclass(frozen=True)
@@ -61,15 +62,29 @@ class SurfacePoint:
     vertex_count: int
 
 
-def write(
-    studio: film.Studio,
-    exposures: list[Exposure],
-    count: int,
-    seed: int,
-    folder: Path,
-    scratch: Path,
-) -> None:
-    """Write `tracks.json` and its arrays into `folder`; src/capture/tracks.rs says what they hold."""
+@dataclass(frozen=True)
+class CameraTracks:
+    """All points at every frame of one camera."""
+
+    camera_id: str
+    times_s: list[float]
+    """Of the frames, on the reference camera's clock."""
+    arrays: dict[str, npt.NDArray[Any]]
+    """By name, each over frames and points: `world` in metres, `pixels`, `visible` 0 or 1."""
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Where points were, for each camera in the studio's order."""
+
+    points: list[SurfacePoint]
+    cameras: list[CameraTracks]
+
+
+def follow(
+    studio: film.Studio, exposures: list[Exposure], count: int, seed: int
+) -> Tracks:
+    """Up to `count` points of the scene's surfaces, at all exposures."""
     evaluate_as_rendered(studio.scene)
     exposures = sorted(exposures, key=lambda e: (e.world_time_s, e.camera_id))
     candidates = draw(studio, exposures, CANDIDATES * count, seed)
@@ -77,13 +92,13 @@ def write(
     for k, exposure in enumerate(exposures):
         trajectories_m[k] = positions(evaluated_at(studio.scene, exposure), candidates)
     chosen = choose(trajectories_m, count)
-    points = [candidates[i] for i in chosen]
     trajectories_m = trajectories_m[:, chosen]
     described = {e.camera_id: studio.describe(e.camera_id) for e in exposures}
     pixels, visible = images_of(studio.scene, exposures, described, trajectories_m)
-    names = sorted({point.object_name for point in points})
-    entries: list[dict[str, Any]] = []
-    for view_id in described:
+    cameras = []
+    for view_id in studio.views:
+        if view_id not in described:
+            continue
         rows = sorted(
             (k for k, e in enumerate(exposures) if e.camera_id == view_id),
             key=lambda k: exposures[k].frame,
@@ -93,18 +108,25 @@ def write(
             "pixels": np.array([pixels[k] for k in rows]),
             "visible": np.array([visible[k] for k in rows], dtype=np.uint8),
         }
-        files = {name: f"{view_id}.{name}.npy" for name in arrays}
-        for name, array in arrays.items():
-            film.save_whole(array, folder / files[name], scratch)
         times_s = [exposures[k].clock_time_s for k in rows]
-        entries.append({"id": view_id, "times_s": times_s, **files})
-    order = [view_id for view_id in studio.views if view_id in described]
-    entries.sort(key=lambda entry: order.index(entry["id"]))
+        cameras.append(CameraTracks(view_id, times_s, arrays))
+    return Tracks([candidates[i] for i in chosen], cameras)
+
+
+def write(tracks: Tracks, folder: Path, scratch: Path) -> None:
+    """Write `tracks.json` and its arrays into `folder`; src/capture/tracks.rs says what they hold."""
+    entries: list[dict[str, Any]] = []
+    for camera in tracks.cameras:
+        files = {name: f"{camera.camera_id}.{name}.npy" for name in camera.arrays}
+        for name, array in camera.arrays.items():
+            film.save_whole(array, folder / files[name], scratch)
+        entries.append({"id": camera.camera_id, "times_s": camera.times_s, **files})
+    names = sorted({point.object_name for point in tracks.points})
     content = {
         "format": "stlfr-tracks",
         "version": 1,
         "objects": names,
-        "object": [names.index(point.object_name) for point in points],
+        "object": [names.index(point.object_name) for point in tracks.points],
         "cameras": entries,
     }
     write_json(folder / "tracks.json", content)

@@ -1,4 +1,4 @@
-"""What only a simulator knows: the instants that truth is rendered at, the offsets, truth.json.
+"""What only a simulator knows: the instants that truth is rendered at, the offsets, the shutters' times.
 
 All times are on the reference camera's clock, in seconds. No `bpy` here.
 """
@@ -100,22 +100,11 @@ def video_times_s(rig: Rig, shutters: list[Shutter], count: int) -> list[float]:
     return [start_s + (end_s - start_s) * i / max(1, count - 1) for i in range(count)]
 
 
-def truth_json(
-    scene_name: str,
-    rig: Rig,
-    shutters: list[Shutter],
-    views: list[dict[str, Any]],
-    video: dict[str, Any] | None,
-    has_tracks: bool = False,
-) -> dict[str, Any]:
-    """truth/truth.json; `views` and `video` as the plan lists them, with their cameras."""
+def clocks_json(rig: Rig, shutters: list[Shutter]) -> dict[str, Any]:
+    """What truth.json says of each camera's clock, and when its shutter opened."""
     zero_s = reference_zero_s(rig, shutters)
     offsets = offsets_s(rig, shutters)
-    content: dict[str, Any] = {
-        "format": "stlfr-truth",
-        "version": 1,
-        "scene": scene_name,
-        "rig": rig.name,
+    return {
         "offsets": [
             {
                 "id": s.id,
@@ -129,10 +118,4 @@ def truth_json(
             {"id": s.id, "times_s": [time_s - zero_s for time_s in s.world_times_s]}
             for s in shutters
         ],
-        "views": views,
     }
-    if video is not None:
-        content["video"] = video
-    if has_tracks:
-        content["tracks"] = "tracks/tracks.json"
-    return content

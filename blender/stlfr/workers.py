@@ -24,6 +24,7 @@ from typing import IO, Any, Self
 
 from . import rig as rigs
 from .errors import BadInputError, FailureError
+from .folder import scratch_folder
 from .plan import Job, Options, Plan
 
 NO_OPENGL = (
@@ -37,13 +38,15 @@ Answer = tuple["subprocess.Popen[str]", str]
 
 
 class Crew:
-    """The worker processes. Leaving the context ends them, whatever they are doing."""
+    """The worker processes, each started by `command`, with the cores shared among them.
+
+    Leaving the context ends them, whatever they are doing.
+    """
 
     def __init__(
         self,
         plan: Plan,
         capture: Path,
-        scratch: Path,
         command: list[str],
         workers: int,
         cores: int,
@@ -60,7 +63,6 @@ class Crew:
                 },
                 "rig": plan.rig_content,
                 "capture": str(capture),
-                "scratch": str(scratch),
                 "threads": max(1, cores // workers),
             }
         )
@@ -181,13 +183,14 @@ def _work(orders: IO[str], answer: Callable[[dict[str, Any]], None]) -> None:
         scene, (*rig.cameras, *rig.views), setting["threads"], options.engine
     )
     answer({"cameras": {view_id: studio.describe(view_id) for view_id in studio.views}})
-    capture, scratch = Path(setting["capture"]), Path(setting["scratch"])
+    capture = Path(setting["capture"])
+    scratch = scratch_folder(capture)
     for line in orders:
         job = Job(**json.loads(line))
         if job.is_tracks:
             exposures = tracks.exposures(rig, options.frames)
-            folder = (capture / job.files[0]).parent
-            tracks.write(studio, exposures, options.tracks, rig.seed, folder, scratch)
+            followed = tracks.follow(studio, exposures, options.tracks, rig.seed)
+            tracks.write(followed, (capture / job.files[0]).parent, scratch)
         else:
             studio.do(job, capture, scratch, rig.reference_camera.rate_hz)
         answer({})
