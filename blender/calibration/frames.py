@@ -22,8 +22,12 @@ MOVING_LEVELS = 10.0
 `MOVING_WINDOW_PX`. Larger, and slow things stay in; smaller, and noise takes out what stands still."""
 
 MOVING_WINDOW_PX = 5
+"""Side of the window that differences are averaged over. Larger, and what is small moves unnoticed; smaller, and noise
+takes out what stands still."""
+
 MOVING_MARGIN_PX = 15
-"""How far around moving pixels features are ignored: they look that far."""
+"""How far around moving pixels features are ignored: they look that far. Larger, and few features are left to place
+cameras by; smaller, and features depend on what moves."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,9 @@ Projector = Callable[[Camera, Array], Array]
 """A camera object and world points (N, 3) to pixels (N, 2), NaN where a point has no image."""
 
 SEED = 1
+
 POINTS = 2000
+"""Per lens and camera. Larger takes time; smaller, and a difference in one corner of the image goes unnoticed."""
 
 TOLERANCE_PX = 1e-9
 """pycolmap and stlfr compute the same formula in double precision; rounding is some 1e-13 px at these image

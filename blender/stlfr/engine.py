@@ -13,7 +13,7 @@ from .errors import BadInputError, FailureError
 from .paths import absolute
 
 POLL_S = 0.05
-"""How long Escape may go unnoticed."""
+"""How long Escape may go unnoticed. Larger, and Blender seems to hang; smaller, and asking takes time from rendering."""
 
 
 class StlfrEngine(bpy.types.RenderEngine):

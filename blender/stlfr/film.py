@@ -29,7 +29,8 @@ from .plan import Job
 from .rig import RigCamera, RigView
 
 NARROWEST_FILTER_PX = 0.01
-"""Cycles' lower limit: the sample of a geometry render lies this close to the pixel's centre."""
+"""Cycles' lower limit, and how close to the pixel's centre a geometry render's sample lies. Larger, and depths at
+edges are those of a neighbour; Blender raises what is smaller."""
 
 WORKBENCH_BIAS_PX = {
     5: (0.0126, -0.1307),
@@ -39,14 +40,15 @@ WORKBENCH_BIAS_PX = {
     32: (0.0328, -0.1047),
 }
 """How far right and down Workbench draws everything, by its number of anti-aliasing steps: it centres the
-steps' pattern on one of them, not on their mean. Measured with discs, to 0.002 px, in Blender 5.0."""
+steps' pattern on one of them, not on their mean. Measured with discs, to 0.002 px, in Blender 5.0. Wrong either
+way, and the images are shifted by as much against their calibration."""
 
 WORKBENCH_LIGHT = "paint.sl"
 """Comes with Blender; the default light would be the user's own."""
 
 NOTHING_DEPTH_M = 1e9
-"""Cycles writes 1e10 where a ray meets nothing."""
-
+"""Farther is nothing: Cycles writes 1e10 where a ray meets none. Above that, the background becomes a surface; much
+smaller, and distant surfaces become background."""
 
 WIDE_SUFFIX = ".wide"
 """Of the second camera of a distorted one; no rig's id has a dot."""

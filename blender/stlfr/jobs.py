@@ -18,7 +18,8 @@ from typing import Any
 from .errors import FailureError
 
 PATIENCE_S = 20.0
-"""How long a process may take to end its own children before it is killed."""
+"""How long a process may take to end its own children before it is killed. Larger, and Blender's window hangs
+longer on one that does not end; smaller, and a busy machine's are killed with their children still running."""
 
 
 @dataclass(frozen=True)

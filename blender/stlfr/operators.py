@@ -23,7 +23,8 @@ from .paths import absolute
 from .rig_objects import shortest
 
 POLL_S = 0.2
-"""How often the panel shows news of a job."""
+"""The interval at which the panel shows a job's progress. Larger, and it lags; smaller, and Blender redraws its areas
+for nothing."""
 
 Result = set[str]
 

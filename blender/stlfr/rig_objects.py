@@ -27,7 +27,8 @@ FORMAT, VERSION = "stlfr-rig", 1
 """What is written into a rig file's head."""
 
 POSE_TOLERANCE = 2e-6
-"""Single precision of matrices near the rig: a pose that differs by less hasn't been moved."""
+"""Single precision of matrices near the rig: a pose that differs by less hasn't been moved. Larger, and a small move
+is lost on saving; smaller, and rounding rewrites poses that nobody moved."""
 
 SHOWN = {
     "id",
