@@ -8,6 +8,7 @@ a little as they go.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -81,7 +82,9 @@ def ball_of_the_thumb() -> kit.Points:
     return kit.tube(centres, radii, (0, 1, 0))
 
 
-def skin(name: str, shape: tuple[int, int], joints: tuple[float, ...]) -> Any:
+def skin_picture(
+    name: str, shape: tuple[int, int], joints: tuple[float, ...]
+) -> paint.Image:
     """Mottled skin with creases across it where the joints are (0 to 1 along it)."""
     random = paint.generator(f"skin {name}")
     mottled = paint.ramp(
@@ -98,7 +101,12 @@ def skin(name: str, shape: tuple[int, int], joints: tuple[float, ...]) -> Any:
             crease += np.exp(-(((along + ripple - joint - line) / 0.004) ** 2))
     freckles = np.clip((paint.noise(shape, 5, 1, random) - 0.82) * 8, 0, 1)
     picture = paint.blended(mottled, 0.45 * np.clip(crease, 0, 1), "8a4f3a")
-    return kit.printed(name, paint.blended(picture, 0.5 * freckles, "8f5a3c"))
+    return paint.blended(picture, 0.5 * freckles, "8f5a3c")
+
+
+def skin(name: str, shape: tuple[int, int], joints: tuple[float, ...]) -> Any:
+    """A material of that skin."""
+    return kit.printed(name, skin_picture(name, shape, joints))
 
 
 def sleeve() -> kit.Points:
@@ -127,14 +135,22 @@ def chequers() -> Any:
     return kit.printed("chequers", paint.shaded(image, 0.5 * weave))
 
 
-def hand() -> Any:
-    """The hand with its forearm; its origin is the elbow's side of the wrist."""
+def hand(
+    skin_of: Callable[[str, tuple[int, int], tuple[float, ...]], Any] = skin,
+    curl: str = "0.5 + 0.5*sin(7.1*{t} + 0.4)",
+) -> Any:
+    """The hand with its forearm; its origin is the elbow's side of the wrist.
+
+    `skin_of` makes the skin of each part as `skin` does; `curl` says how far the fingers bend, 0 to 1.
+    """
     names = list(FINGERS)
     joints = (0.30, 0.60, 0.82)
-    fingers = [(skin(name, (220, 150), joints), finger(name, 0.10)) for name in names]
+    fingers = [
+        (skin_of(name, (220, 150), joints), finger(name, 0.10)) for name in names
+    ]
     rest = [
-        (skin("palm", (260, 400), (0.08,)), palm()),
-        (skin("ball of the thumb", (120, 160), ()), ball_of_the_thumb()),
+        (skin_of("palm", (260, 400), (0.08,)), palm()),
+        (skin_of("ball of the thumb", (120, 160), ()), ball_of_the_thumb()),
         (chequers(), sleeve()),
     ]
     whole = kit.skinned("hand", [*fingers, *rest])
@@ -143,7 +159,7 @@ def hand() -> Any:
         whole,
         "curled",
         np.concatenate([rings.reshape(-1, 3) for rings in curled]),
-        "0.5 + 0.5*sin(7.1*{t} + 0.4)",
+        curl,
     )
     cuff = kit.lofted(
         "watch",

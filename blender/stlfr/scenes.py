@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 SCENES_FOLDER = Path(__file__).resolve().parent.parent / "scenes"
 HELPERS = ("__init__", "backdrop", "kit", "paint")
 """What all scenes are built with; the other modules of that folder are the scenes."""
+IMPORTED = re.compile(r"^from \.(\w+) import", re.MULTILINE)
+"""One scene's use of another's bodies."""
 PACKAGE = "stlfr_scenes"
 """The name that the scenes folder is imported under."""
 
@@ -31,12 +34,20 @@ def names() -> list[str]:
 
 
 def sources(name: str) -> list[Path]:
-    """The files that decide what a scene looks like; the error for an unknown name lists the known ones."""
+    """The files that decide what a scene looks like: the helpers, its own, and those that it imports from.
+
+    The error for an unknown name lists the known ones.
+    """
     if name not in names():
         raise BadInputError(
             f"--scene {name}: no such scene; there are: {', '.join(names())}"
         )
-    return [SCENES_FOLDER / f"{stem}.py" for stem in (*HELPERS, name)]
+    files = [SCENES_FOLDER / f"{stem}.py" for stem in (*HELPERS, name)]
+    for file in files:  # grows within
+        for stem in IMPORTED.findall(file.read_text(encoding="utf-8")):
+            if (imported := SCENES_FOLDER / f"{stem}.py") not in files:
+                files.append(imported)
+    return files
 
 
 def load(name: str) -> ModuleType:
