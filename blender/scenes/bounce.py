@@ -1,8 +1,9 @@
-"""Two balls bounce on a table: at each bounce their motion reverses within no time.
+"""Two balls bounce on a table: at each bounce their motion reverses at once.
 
 Depths from the rig: near ball 1.45 m, far ball 1.8 m, table 1.3 to 2.05 m, bricks with a plain door 2.2 m.
-At 640x480 the near ball comes down at 20 pixels a frame and goes up as fast from the next frame on: at 0.14 s
-first, then every 0.28 s. The far ball does so at 0.24 s first, then every 0.4 s. Both spin and drift.
+At 640x480 the near ball hits the table at 22 pixels a frame and leaves it as fast: at 0.14 s first, then every
+0.28 s. The far ball does so at 25 pixels a frame: at 0.24 s first, then every 0.4 s. Both spin and drift, so
+that points of their surfaces move up to 32 pixels a frame.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """A heavy ball is swung hard on a string and turns round at the end of its swing, spinning as it goes.
 
 Depths from the rig: jar 1.25 m, ball 1.4 to 1.55 m, stand of thin rods 1.85 m, wallpaper with a plain panel
-2.2 m. At 640x480 the ball moves up to 33 pixels a frame along a slanted arc. At the end of its swing its
-motion changes by 15 pixels from frame to frame: at 0.20 s first, then every 0.26 s.
+2.2 m. At 640x480 the ball moves up to 31 pixels a frame along a slanted arc, and points of its surface up to
+45. At the end of its swing, their motion changes by up to 17 pixels from frame to frame: at 0.20 s first, then
+every 0.26 s.
 """
 
 from __future__ import annotations

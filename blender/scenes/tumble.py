@@ -1,7 +1,7 @@
 """Two boxes bounce, tumble, and cross, the near one in front of the far one.
 
-Depths from the rig: near box 1.4 m, far box 1.75 m, stage 1.2 to 2.05 m, boards 2.2 m. At 640x480 both move
-10 to 25 pixels a frame, one to the right and one to the left, and cross at 0.2 s. They bounce: the near one at
+Depths from the rig: near box 1.4 m, far box 1.75 m, stage 1.2 to 2.05 m, boards 2.2 m. At 640x480 most
+points of both move 15 to 30 pixels a frame, one box to the right, one to the left. They cross at 0.2 s. They bounce: the near one at
 0.11 s first, then every 0.3 s, the far one at 0.26 s first, then every 0.34 s.
 """
 

@@ -1,7 +1,7 @@
-"""A hand waves hard, as a child does goodbye: it turns round five times a second, and its skin is nearly plain.
+"""A hand waves hard, as in a long goodbye: it turns round five times a second, and its skin is nearly plain.
 
 Depths from the rig: hand and sleeve 1.0 to 1.1 m, lamp 1.45 m, boards with a plain board among them 2.0 m.
-At 640x480 the fingertips move up to 35 pixels a frame; where the hand turns round, their motion changes by
+At 640x480 the fingertips move up to 36 pixels a frame. Where the hand turns round, their motion changes by
 up to 20 pixels from frame to frame, at 0.09 s first and then every 0.2 s. The fingers bend as they go.
 """
 

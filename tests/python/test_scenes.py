@@ -17,16 +17,21 @@ SPEEDS_PX = {
     "along": (14, 22),
     "ball": (10, 26),
     "book": (8, 36),
+    "bounce": (15, 40),
     "fast": (36, 52),
     "hand": (8, 26),
     "head": (6, 20),
     "magazine": (8, 26),
     "mirror": (5, 20),
+    "spin": (25, 45),
     "still": (0.1, 0.8),
+    "swing": (20, 55),
     "template": (5, 18),
     "textureless": (6, 20),
     "thin": (6, 32),
+    "tumble": (18, 42),
     "turning": (10, 20),
+    "wave": (15, 45),
 }
 INSTANTS_S = (0.1, 0.3)
 
@@ -62,6 +67,19 @@ def motion(
 
 def test_every_scene_is_known_here() -> None:
     assert set(scenes.names()) == set(SPEEDS_PX)
+
+
+def test_a_scene_tunes_parameters_or_judges_them_and_never_both() -> None:
+    pytest.importorskip("bpy")
+    scenes.load("template")
+    split = importlib.import_module(scenes.PACKAGE)
+    listed = [*split.TUNED_ON, *split.JUDGED_ON]
+    assert sorted([*listed, "mirror", "template"]) == scenes.names()
+
+
+def test_what_a_scene_imports_from_another_counts_as_its_source() -> None:
+    stems = [file.stem for file in scenes.sources("tumble")]
+    assert stems == [*scenes.HELPERS, "tumble", "bounce"]
 
 
 @pytest.mark.parametrize("name", sorted(SPEEDS_PX))
