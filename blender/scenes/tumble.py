@@ -1,8 +1,9 @@
 """Two boxes bounce, tumble, and cross, the near one in front of the far one.
 
-Depths from the rig: near box 1.4 m, far box 1.75 m, stage 1.2 to 2.05 m, boards 2.2 m. At 640x480 most
-points of both move 15 to 30 pixels a frame, one box to the right, one to the left. They cross at 0.2 s. They bounce: the near one at
-0.11 s first, then every 0.3 s, the far one at 0.26 s first, then every 0.34 s.
+Depths from the rig: near box 1.4 m, far box 1.75 m, stage 1.2 to 2.05 m, boards 2.2 m. At 640x480 most of
+their points move 15 to 30 pixels a frame, one box to the right, the other to the left. They cross at 0.2 s. The
+near box bounces at 0.11 s first, then every 0.3 s. The far box bounces at 0.26 s first, then every 0.34 s; the
+near box hides part of it then.
 """
 
 from __future__ import annotations
