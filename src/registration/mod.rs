@@ -21,6 +21,7 @@ mod frame;
 mod frame_store;
 mod gains;
 mod gradient;
+mod guided_flow;
 mod klt;
 mod long_tracks;
 mod motion_prior;

@@ -33,8 +33,9 @@ pub struct RegistrationOptions {
     /// counts twice.
     pub merge_distance_px: f64,
     /// Maximum change of a track's displacement from one frame to the next, pixels, in addition to
-    /// `max_motion_change_share`. Larger: tracks are extended by mismatches; smaller: accelerating
-    /// features are not extended, and move on straight lines.
+    /// `max_motion_change_share`, where neighbours don't change alike: with these, any change is
+    /// believed. Larger: tracks are extended by mismatches; smaller: accelerating features without
+    /// neighbours are not extended, and move on straight lines.
     pub max_motion_change_px: f64,
     /// The same as a fraction of the displacement: the limit is the sum of both. Larger and smaller as
     /// for `max_motion_change_px`, for fast motion.

@@ -1,12 +1,9 @@
 //! §4.1: the bidirectional temporal flow of a camera, with its two labelled sets of correspondences.
 
-use super::flow::{Start, flow_over, is_new};
-use super::{
-    Frame, FrameStore, Match, MotionPrior, Neighbors, RegistrationOptions, Trajectory, flow,
-};
+use super::guided_flow::{consensus, extensions, guided_flow};
+use super::{Frame, FrameStore, Match, Neighbors, RegistrationOptions, Trajectory, flow};
 use crate::capture::CaptureError;
 use nalgebra::{Point2, Vector2};
-use rayon::prelude::*;
 
 /// The direction of the bidirectional flow (§4.1) that a correspondence is of. Eq. (9) warps the earlier
 /// frame with the forward flow, and the later frame with the backward flow.
@@ -57,6 +54,33 @@ impl Track {
         self.later - self.earlier
     }
 
+    /// Drops the extension on whose side the motion has a kink, as where a body bounces: a curve through a kink
+    /// leaves the path in the middle interval, where the other three positions describe it. Where the motion
+    /// turns smoothly, its acceleration changes little from one frame to the next. `times_s` are the
+    /// frames' times.
+    fn drop_kink(&mut self, times_s: &[f64]) {
+        let (Some(before), Some(after)) = (self.before, self.after) else { return };
+        // Times ascend strictly, so that no interval is 0.
+        let velocity = |from: Point2<f64>, to: Point2<f64>, n: usize| {
+            (to - from) * ((times_s[2] - times_s[1]) / (times_s[n + 1] - times_s[n]))
+        };
+        let [first, middle, last] = [
+            velocity(before, self.earlier, 0),
+            velocity(self.earlier, self.later, 1),
+            velocity(self.later, after, 2),
+        ];
+        let [at_earlier, at_later] = [middle - first, last - middle];
+        let limit = MAX_JERK_PX + JERK_SHARE * at_earlier.norm().min(at_later.norm());
+        if (at_later - at_earlier).norm() > limit {
+            let dropped = if at_earlier.norm() > at_later.norm() {
+                &mut self.before
+            } else {
+                &mut self.after
+            };
+            *dropped = None;
+        }
+    }
+
     /// The trajectory through the two to four known positions: eq. (2), and curves beyond the paper.
     ///
     /// `times_s` are the camera's frame times in seconds and `k` is the index of the earlier frame.
@@ -76,16 +100,12 @@ impl Track {
     }
 }
 
-/// Pyramid levels, forward and backward, where the motion prior gives the guess. Larger: small objects in
-/// fast motion are pulled away by their background; smaller: the prior must be more accurate.
-const PRIOR_LEVELS: [usize; 2] = [2, 2];
-/// Maximum number of times that lost features are sought again with the motion prior, which gains
-/// features each time. Larger: time for few more; smaller: large motion is followed near slow motion
-/// only.
-const PRIOR_ROUNDS: usize = 2;
-/// Pyramid levels, forward and backward, of extending a track by a frame, where its motion gives the
-/// guess. Larger: as of [`PRIOR_LEVELS`]; smaller: changes of motion are lost.
-const EXTENSION_LEVELS: [usize; 2] = [2, 1];
+/// Largest change of a smooth motion's acceleration from one frame to the next, pixels, in addition to
+/// [`JERK_SHARE`] of the smaller of the two. Larger: curves overshoot where bodies bounce; smaller: turns lose a
+/// position.
+const MAX_JERK_PX: f64 = 12.0;
+/// The share of the acceleration in that limit. Larger and smaller: as of [`MAX_JERK_PX`], where motion turns hard.
+const JERK_SHARE: f64 = 0.5;
 
 /// The bidirectional temporal flow (§4.1) between frames `k` and `k + 1` of a camera, from the corners of
 /// both.
@@ -136,23 +156,24 @@ pub fn temporal_flow_of(
     let count = frames.capture().cameras[camera].frames.len();
     if let Some(before) = k.checked_sub(1) {
         let frame = frames.get(camera, before)?;
-        let start = |t: &Track| (t.earlier, t.earlier - t.motion());
-        for (track, p) in extensions(&tracks, [&earlier, &frame], start, options) {
-            tracks[track].before = Some(p);
-        }
+        let starts: Vec<_> = tracks.iter().map(|t| (t.earlier, t.earlier - t.motion())).collect();
+        let found = extensions([&earlier, &frame], &starts, options);
+        tracks.iter_mut().zip(found).for_each(|(track, p)| track.before = p);
     }
     if k + 2 < count {
         let frame = frames.get(camera, k + 2)?;
-        let start = |t: &Track| (t.later, t.later + t.motion());
-        for (track, p) in extensions(&tracks, [&later, &frame], start, options) {
-            tracks[track].after = Some(p);
-        }
+        let starts: Vec<_> = tracks.iter().map(|t| (t.later, t.later + t.motion())).collect();
+        let found = extensions([&later, &frame], &starts, options);
+        tracks.iter_mut().zip(found).for_each(|(track, p)| track.after = p);
+    }
+    if k > 0 && k + 2 < count {
+        let times_s = &frames.capture().cameras[camera].clock.times_s[k - 1..k + 3];
+        tracks.iter_mut().for_each(|track| track.drop_kink(times_s));
     }
     Ok(tracks)
 }
 
-/// One direction of the bidirectional flow. Points are sought from where they are; then those that were
-/// lost, or that move unlike their neighbours, from where the motion prior predicts them.
+/// One direction of the bidirectional flow.
 fn directed_flow(
     source: &Frame,
     target: &Frame,
@@ -160,73 +181,8 @@ fn directed_flow(
     options: &RegistrationOptions,
 ) -> Vec<Match> {
     let starts: Vec<_> = corners.iter().map(|&p| (p, p)).collect();
-    let mut matches = flow(source, target, &starts, options);
-    let mut tried = vec![None; corners.len()];
-    for _ in 0..PRIOR_ROUNDS {
-        let mut again = predicted_by_neighbors(corners, &matches, options);
-        again.retain(|(k, start)| is_new(&mut tried[*k], start.1));
-        if again.is_empty() {
-            break;
-        }
-        let starts: Vec<_> = again.iter().map(|(_, start)| *start).collect();
-        let retried = flow_over(source, target, &starts, PRIOR_LEVELS, options);
-        for ((k, _), retried) in again.iter().zip(retried) {
-            let Some(retried) = retried else { continue };
-            if matches[*k].is_none_or(|first| retried.residual < first.residual) {
-                matches[*k] = Some(retried);
-            }
-        }
-    }
-    matches.into_iter().flatten().collect()
-}
-
-/// Initial guesses, by index, of the points that were lost or that move unlike their neighbours. Points
-/// without neighbours have none.
-fn predicted_by_neighbors(
-    corners: &[Point2<f64>],
-    matches: &[Option<Match>],
-    options: &RegistrationOptions,
-) -> Vec<(usize, Start)> {
-    let motions: Vec<_> =
-        matches.iter().flatten().map(|m| (m.source, m.target - m.source)).collect();
-    let agrees = consensus(&motions, options);
-    let trusted: Vec<_> = motions
-        .iter()
-        .zip(&agrees)
-        .filter_map(|(motion, agrees)| agrees.then_some(*motion))
-        .collect();
-    let prior = MotionPrior::new(&trusted);
-    let mut agrees = agrees.into_iter();
-    (0..corners.len())
-        .filter(|&k| matches[k].is_none() || !agrees.next().unwrap_or(true))
-        .filter_map(|k| {
-            let motion = prior.predict(&corners[k], MotionPrior::RADIUS_PX)?;
-            Some((k, (corners[k], corners[k] + motion)))
-        })
-        .collect()
-}
-
-/// Extends tracks by a frame: `(index of the track, position)` of those that were found and whose motion
-/// changes by no more than the options allow. `start` gives a track's position in the source and its
-/// guess in the target.
-fn extensions(
-    tracks: &[Track],
-    [source, target]: [&Frame; 2],
-    start: impl Fn(&Track) -> Start,
-    options: &RegistrationOptions,
-) -> Vec<(usize, Point2<f64>)> {
-    let starts: Vec<_> = tracks.iter().map(start).collect();
-    flow_over(source, target, &starts, EXTENSION_LEVELS, options)
-        .into_iter()
-        .enumerate()
-        .filter_map(|(k, matched)| {
-            let position = matched?.target;
-            let change = (position - starts[k].1).norm();
-            let limit = options.max_motion_change_px
-                + options.max_motion_change_share * tracks[k].motion().norm();
-            (change <= limit).then_some((k, position))
-        })
-        .collect()
+    let matches = flow(source, target, &starts, options);
+    guided_flow([source, target], &starts, matches, options).into_iter().flatten().collect()
 }
 
 /// The correspondences of both directions, with those within `distance_px` at both ends merged.
@@ -274,25 +230,6 @@ pub fn neighbor_consensus(tracks: &[Track], options: &RegistrationOptions) -> Ve
     consensus(&tracks.iter().map(|t| (t.earlier, t.motion())).collect::<Vec<_>>(), options)
 }
 
-/// As [`neighbor_consensus`], of positions and their motions.
-fn consensus(motions: &[(Point2<f64>, Vector2<f64>)], options: &RegistrationOptions) -> Vec<bool> {
-    let neighbors = Neighbors::new(motions.iter().map(|(p, _)| *p));
-    motions
-        .par_iter()
-        .enumerate()
-        .map(|(k, (p, motion))| {
-            let limit = options.support_px + options.support_share * motion.norm();
-            let near = neighbors.unsorted_within(p, options.support_radius_px);
-            let support = near
-                .iter()
-                .filter(|&&n| n != k && (motions[n].1 - motion).norm() <= limit)
-                .take(options.min_support)
-                .count();
-            near.len().saturating_sub(1) < options.min_support || support >= options.min_support
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -329,6 +266,30 @@ mod tests {
         tracks.retain(|_| consensus.next().unwrap());
         assert_eq!(tracks.len(), 8);
         assert!(tracks.iter().all(|t| (t.motion().x - 5.0).abs() < 1e-9));
+    }
+
+    /// A swing's end keeps all four positions; a bounce loses the one beyond the kink.
+    #[test]
+    fn a_kink_drops_the_position_beyond_it() {
+        let track = |xs: [f64; 4]| {
+            let [before, earlier, later, after] = xs.map(|x| Point2::new(x, 10.0));
+            let mut track = merged(&[a_match(earlier.x, later.x - earlier.x)], &[], 1.0).remove(0);
+            (track.before, track.after) = (Some(before), Some(after));
+            track
+        };
+        let kept = |xs: [f64; 4], times_s: [f64; 4]| {
+            let mut track = track(xs);
+            track.drop_kink(&times_s);
+            (track.before.is_some(), track.after.is_some())
+        };
+        let even = [0.0, 1.0, 2.0, 3.0];
+        // 20 px a frame less with every frame.
+        assert_eq!(kept([0.0, 30.0, 40.0, 30.0], even), (true, true));
+        // 30 px a frame, then back; in the frame before, or after.
+        assert_eq!(kept([0.0, 10.0, -20.0, -50.0], even), (false, true));
+        assert_eq!(kept([-50.0, -20.0, 10.0, 0.0], even), (true, false));
+        // A frame is missing: as fast as ever.
+        assert_eq!(kept([0.0, 30.0, 60.0, 120.0], [0.0, 1.0, 2.0, 4.0]), (true, true));
     }
 
     #[test]
