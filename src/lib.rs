@@ -46,7 +46,7 @@
 //! | its videos, and a simulator's truth | [`capture`] |
 //! | §4 image registration | [`registration`] |
 //! | §5 temporal interpolation | [`interpolation`] |
-//! | §6 view synthesis | [`lumigraph`] |
+//! | §6 view synthesis | [`lumigraph`], and beyond it [`stereo`] |
 //! | §7 temporal offsets | [`offset`] |
 //! | Fig. 2, the whole pipeline | [`light_field`], opened by [`pipeline`] |
 //! | §8 results, beside the truth | [`compare`] |
@@ -63,6 +63,7 @@
 //! capture
 //! exchange registration rig
 //! offset interpolation lumigraph
+//! stereo
 //! options
 //! light_field
 //! plan
@@ -149,6 +150,7 @@ pub mod random;
 pub mod raster;
 pub mod registration;
 pub mod rig;
+pub mod stereo;
 pub mod toolchain;
 pub mod tradeoff;
 pub mod video;

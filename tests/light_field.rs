@@ -99,7 +99,7 @@ fn a_new_view_is_the_closed_form() {
     let truth = synthetic::image(0.025, 0.0, world_s);
     let (view, image) = (capture.path().join("view.json"), capture.path().join("view.png"));
     std::fs::write(&view, synthetic::view(0.025, 0.0).to_string()).unwrap();
-    for proxy in ["plane", "mesh"] {
+    for proxy in ["plane", "mesh", "depth"] {
         let time = format!("{time_s:?}");
         let where_and_when = ["--camera", text(&view), "--time", &time, "--proxy", proxy];
         let arguments = [&["render", text(capture.path())], where_and_when.as_slice()].concat();

@@ -80,7 +80,7 @@ fn what_moves_alike_is_triangulated_and_what_moves_apart_refined() {
     let scene = Scene { board: Some([-1.5, -0.8]), ..Scene::default() };
     assert_choices(
         &planned(&scene, |_| ()),
-        &[Choice::Sync(SyncMethod::Refined), Choice::Proxy(ProxyMethod::Mesh)],
+        &[Choice::Sync(SyncMethod::Refined), Choice::Proxy(ProxyMethod::Depth)],
     );
     // A tenth of a pixel a frame is less than a budget, but more than nothing.
     let scene = Scene { velocity: [0.02, 0.05], ..still() };
@@ -107,7 +107,7 @@ fn where_nothing_changes_nothing_is_registered() {
     assert_choices(&plan, &[Choice::Sync(SyncMethod::Refined), Choice::PairsCrossFaded]);
     let time_s = 1.6 * FRAME_S;
     let synchronized = |camera: usize, sync: SyncMethod| {
-        field.synchronized(camera, time_s, &plan.options.view().with_sync(sync)).unwrap()
+        field.synchronized(camera, time_s, &plan.options.view().with_sync(sync)).unwrap().image
     };
     let both = |camera: usize| {
         [SyncMethod::Crossfade, SyncMethod::Refined].map(|sync| synchronized(camera, sync))
@@ -147,7 +147,7 @@ fn a_smaller_budget_asks_for_more() {
     let mut options = auto();
     options.auto.budget_px = 1e-9;
     let (plan, _) = plan_of(&folder, &options);
-    assert_choices(&plan, &[Choice::Proxy(ProxyMethod::Mesh)]);
+    assert_choices(&plan, &[Choice::Proxy(ProxyMethod::Depth)]);
     assert_eq!(plan.options.interpolation.still_change, 0.0);
 }
 

@@ -51,6 +51,11 @@ fn results(capture: &Path, threads: &str) -> Results {
     let view = view.to_str().unwrap();
     render("mesh.png", &["--camera", view, "--time", "0.0831"]);
     render("plane.png", &["--camera", view, "--time", "0.07", "--proxy", "plane"]);
+    let depth = r#"{"proxy": {"method": "depth"}, "blend": {"method": "space-time"}}"#;
+    let options = out.path().join("depth.json");
+    std::fs::write(&options, depth).unwrap();
+    let options = options.to_str().unwrap();
+    render("depth.png", &["--camera", view, "--time", "0.0831", "--options", options]);
     render("like.png", &["--like", "cam5", "--time", "0.0831"]);
     render("%02d.png", &["--like", "cam2", "--times", "0.05:0.1:3"]);
     for k in 0..3 {
@@ -124,7 +129,7 @@ fn offsets_images_and_views_are_near_the_truth() {
     let gain_db = headline["sync"]["median_gain_db"].as_f64().unwrap();
     assert!(gain_db >= 3.0, "synchronized images: {gain_db} dB over the nearest frame");
     let views = headline["views"].as_array().unwrap();
-    assert_eq!(views.len(), 2, "plane and mesh");
+    assert_eq!(views.len(), 3, "plane, mesh and depth");
     for view in views {
         assert_eq!(view["views"], 2);
         let gain_db = view["gain_moving_db"].as_f64().unwrap();

@@ -94,7 +94,7 @@ fn blank_frames_show_no_offset_and_no_view() {
         let offsets = estimate(&capture);
         assert_unknown(&offsets, &[0, 2], "too few features can be followed");
         let (field, options) = (field_of(&capture, offsets), ViewOptions::default());
-        let image = field.synchronized(1, 0.03, &options).unwrap();
+        let image = field.synchronized(1, 0.03, &options).unwrap().image;
         assert!(image.data().iter().all(|v| (v - value).abs() < 0.01));
         let refused = field.view(&view(&scene.camera([0.01, 0.0, 0.0])), 0.03, &options);
         assert!(matches!(refused, Err(RenderError::NoPoints)), "{refused:?}");
@@ -131,7 +131,10 @@ fn one_frame_a_camera_is_the_same_at_any_time() {
     let first = field.view(&target, 0.0, &options).unwrap();
     assert!(first.coverage.iter().all(|c| *c));
     assert_eq!(field.view(&target, -1e6, &options).unwrap(), first);
-    assert_eq!(field.synchronized(2, 9.0, &options).unwrap(), capture.read_frame(2, 0).unwrap());
+    assert_eq!(
+        field.synchronized(2, 9.0, &options).unwrap().image,
+        capture.read_frame(2, 0).unwrap()
+    );
 }
 
 #[test]
@@ -298,7 +301,7 @@ fn anything_that_opens_is_processed() {
                     let synchronized = field.synchronized_all(time_s, &options).unwrap();
                     for image in synchronized.iter().flatten() {
                         images += 1;
-                        let finite = image.data().iter().all(|v| (0.0..=1.0).contains(v));
+                        let finite = image.image.data().iter().all(|v| (0.0..=1.0).contains(v));
                         assert!(finite, "case {case}, {sync:?} at {time_s} s");
                     }
                 }

@@ -38,6 +38,14 @@ pub struct Camera {
 const MIN_DEPTH_FRACTION: f64 = 1e-6;
 
 impl Camera {
+    /// The same camera with pixels of twice the size. An odd number of them loses the last. `None` if none is
+    /// left.
+    pub fn halved(&self) -> Option<Self> {
+        let (width, height) = (self.width / 2, self.height / 2);
+        let model = self.model.halved();
+        (width > 0 && height > 0).then(|| Self { width, height, model, ..self.clone() })
+    }
+
     /// The pixel position of a world point, in metres. It may lie outside the image.
     ///
     /// `None` for a point behind the camera, at its centre, at 90° from its axis, or beyond the

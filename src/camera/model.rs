@@ -121,6 +121,22 @@ impl CameraModel {
         }
     }
 
+    /// The model of the same lens with pixels of twice the size.
+    pub fn halved(&self) -> Self {
+        let intrinsics = match self {
+            Self::SimplePinhole { .. }
+            | Self::SimpleRadial { .. }
+            | Self::Radial { .. }
+            | Self::SimpleRadialFisheye { .. }
+            | Self::RadialFisheye { .. } => 3,
+            _ => 4,
+        };
+        let mut params = self.params();
+        params[..intrinsics].iter_mut().for_each(|v| *v *= 0.5);
+        // These are the name and the number of parameters of this very model.
+        Self::from_params(self.name(), &params).unwrap_or(*self)
+    }
+
     /// Mean of fx and fy, pixels.
     pub fn focal_px(&self) -> f64 {
         let (fx, fy, ..) = self.intrinsics();

@@ -8,7 +8,7 @@ use super::stage_times::StageTimes;
 use super::truths::{TrueImage, TrueInstant, TrueView, as_written};
 use super::{CompareError, CompareOptions, Renderer, TRADITIONAL};
 use crate::capture::Truth;
-use crate::interpolation::SyncMethod;
+use crate::interpolation::{SyncMethod, Synchronized};
 use crate::method::Method;
 use crate::metrics::{Reference, RegionScores};
 use crate::raster::{BitDepth, Image, write_image};
@@ -45,6 +45,9 @@ pub(super) struct Target<'a> {
 
 /// An image, or the sentence that says why there is none.
 pub(super) type ImageOrReason = Result<Image, String>;
+
+/// The same of a camera's image at the instant.
+pub(super) type SynchronizedOrReason = Result<Synchronized, String>;
 
 const RENDERING: &str = "synchronized images";
 const BLENDING: &str = "views";
@@ -99,7 +102,7 @@ impl Comparison<'_> {
 
     /// `[method][camera]`: all cameras where a view is blended from them, else those that the truth
     /// has an image of.
-    fn synchronize(&self, instant: &TrueInstant) -> Vec<Vec<ImageOrReason>> {
+    fn synchronize(&self, instant: &TrueInstant) -> Vec<Vec<SynchronizedOrReason>> {
         let blends = instant.views.iter().any(|v| v.like.is_none());
         let cameras = self.renderer.capture().cameras.len();
         let one = |method: SyncMethod, camera: usize| {
@@ -118,7 +121,7 @@ impl Comparison<'_> {
     fn measure_sync(
         &self,
         target: &Target,
-        images: &[Vec<ImageOrReason>],
+        images: &[Vec<SynchronizedOrReason>],
         in_report: bool,
     ) -> Result<(Vec<SyncResult>, Option<Figure>), CompareError> {
         let Target { instant, view, truth } = target;
@@ -129,7 +132,8 @@ impl Comparison<'_> {
         let mut rows = Vec::new();
         let mut as_written = Vec::new();
         for (&method, by_method) in self.methods.iter().zip(images) {
-            let image = self.checked(&by_method[camera], &truth.image);
+            let image = by_method[camera].as_ref().map(|s| &s.image);
+            let image = self.checked(image, &truth.image);
             let file = match &image {
                 Ok(image) => Some(self.write(target, method.name(), image, None)?),
                 Err(_) => None,
@@ -205,8 +209,8 @@ impl Comparison<'_> {
     }
 
     /// An image as its file holds it, if it has the truth's size.
-    pub(super) fn checked(&self, image: &ImageOrReason, truth: &Image) -> ImageOrReason {
-        let image = image.as_ref().map_err(Clone::clone)?;
+    pub(super) fn checked(&self, image: Result<&Image, &String>, truth: &Image) -> ImageOrReason {
+        let image = image.map_err(Clone::clone)?;
         if (image.width(), image.height()) != (truth.width(), truth.height()) {
             return Err(format!(
                 "is {}×{} pixels, the truth {}×{}",

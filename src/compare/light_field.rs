@@ -4,14 +4,13 @@ use super::Renderer;
 use super::results::StageTime;
 use crate::camera::Camera;
 use crate::capture::Capture;
-use crate::interpolation::SyncMethod;
+use crate::interpolation::{SyncMethod, Synchronized};
 use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::Rendered;
 use crate::offset::Offsets;
 use crate::options::{ProxyMethod, RenderOptions, ViewOptions};
 use crate::pipeline;
 use crate::progress::Reporter;
-use crate::raster::Image;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -48,22 +47,29 @@ impl Renderer for ComparedLightField {
         self.field.offsets()
     }
 
-    fn synchronized(&self, sync: SyncMethod, camera: usize, time_s: f64) -> Result<Image, String> {
+    fn synchronized(
+        &self,
+        sync: SyncMethod,
+        camera: usize,
+        time_s: f64,
+    ) -> Result<Synchronized, String> {
         let options = self.view.clone().with_sync(sync);
         self.field.synchronized(camera, time_s, &options).map_err(|e| e.to_string())
     }
 
     fn view(
         &self,
-        images: &[Option<Image>],
+        images: &[Option<Synchronized>],
+        shape: &[Option<Synchronized>],
         proxy: ProxyMethod,
         target: &Camera,
         time_s: f64,
     ) -> Result<Rendered, String> {
         let mut options = self.view.clone();
         options.proxy.method = proxy;
-        let proxy = self.field.proxy(target, time_s, &options).map_err(|e| e.to_string())?;
-        Ok(self.field.blend(images, &proxy, target, &options.blend))
+        let geometry = self.field.geometry(shape, target, time_s, &options);
+        let geometry = geometry.map_err(|e| e.to_string())?;
+        Ok(self.field.blend(images, &geometry, target, &options.blend))
     }
 
     fn covered_span_s(&self) -> Option<(f64, f64)> {

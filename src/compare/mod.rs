@@ -49,13 +49,13 @@ pub use offset_score::{OffsetScore, ScoredOffset};
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError, TruthError};
-use crate::interpolation::SyncMethod;
+use crate::interpolation::{SyncMethod, Synchronized};
 use crate::lumigraph::Rendered;
 use crate::method::Method;
 use crate::metrics::flip;
 use crate::offset::Offsets;
 use crate::options::{ProxyMethod, RenderOptions};
-use crate::raster::{Image, ImageFileError};
+use crate::raster::ImageFileError;
 use results::{Headline, StageTime};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -76,13 +76,19 @@ pub trait Renderer: Sync {
     fn offsets(&self) -> &Offsets;
 
     /// A filming camera's image at a time.
-    fn synchronized(&self, sync: SyncMethod, camera: usize, time_s: f64) -> Result<Image, String>;
+    fn synchronized(
+        &self,
+        sync: SyncMethod,
+        camera: usize,
+        time_s: f64,
+    ) -> Result<Synchronized, String>;
 
-    /// A view blended from one image a filming camera (`None`: excluded), through a proxy that
-    /// depends on the view and the time alone, not on the images.
+    /// A view blended from one image a filming camera (`None`: excluded). A proxy that is estimated
+    /// from images is estimated from `shape`.
     fn view(
         &self,
-        images: &[Option<Image>],
+        images: &[Option<Synchronized>],
+        shape: &[Option<Synchronized>],
         proxy: ProxyMethod,
         target: &Camera,
         time_s: f64,

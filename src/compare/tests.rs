@@ -4,7 +4,7 @@ use super::*;
 use crate::capture::{CAPTURE_FILE, Truth};
 use crate::offset::CameraOffset;
 use crate::progress::Reporter;
-use crate::raster::{BitDepth, read_image, write_image};
+use crate::raster::{BitDepth, Image, read_image, write_image};
 use serde_json::{Value, json};
 
 const W: usize = 24;
@@ -132,7 +132,12 @@ impl Renderer for Fake {
         &self.offsets
     }
 
-    fn synchronized(&self, sync: SyncMethod, camera: usize, time_s: f64) -> Result<Image, String> {
+    fn synchronized(
+        &self,
+        sync: SyncMethod,
+        camera: usize,
+        time_s: f64,
+    ) -> Result<Synchronized, String> {
         assert!((0.0..=0.25).contains(&time_s), "times start with the capture: {time_s}");
         let error = match sync {
             SyncMethod::Nearest => 0.1,
@@ -141,17 +146,18 @@ impl Renderer for Fake {
         };
         let mut image = self.truth.clone();
         image.data_mut().iter_mut().for_each(|v| *v += error);
-        Ok(image)
+        Ok(Synchronized::filmed(image))
     }
 
     fn view(
         &self,
-        images: &[Option<Image>],
+        images: &[Option<Synchronized>],
+        _: &[Option<Synchronized>],
         _: ProxyMethod,
         target: &Camera,
         _: f64,
     ) -> Result<Rendered, String> {
-        let images: Vec<&Image> = images.iter().flatten().collect();
+        let images: Vec<&Image> = images.iter().flatten().map(|s| &s.image).collect();
         let mean = |k: usize| images.iter().map(|i| i.data()[k]).sum::<f32>() / images.len() as f32;
         let coverage: Vec<bool> = (0..W * H).map(|k| k < self.covered).collect();
         let data = (0..W * H * 3).map(|k| if coverage[k / 3] { mean(k) } else { 0.0 }).collect();
@@ -182,7 +188,7 @@ fn known_errors_give_the_known_numbers() {
     let summary = set.compare(&CompareOptions::default()).unwrap();
     let m = set.metrics();
     assert_eq!(m["sync"].as_array().unwrap().len(), 4);
-    assert_eq!(m["views"].as_array().unwrap().len(), 6);
+    assert_eq!(m["views"].as_array().unwrap().len(), 9);
     for row in m["sync"].as_array().unwrap() {
         let db = if row["method"] == "nearest" { 20.0 } else { 40.0 };
         near(&row["scores"]["whole"]["psnr_db"], db);
@@ -248,7 +254,7 @@ fn a_camera_without_an_image_is_excluded_and_counted() {
     assert_eq!((&st["cameras"], &st["excluded"][0]["camera"]), (&json!(1), &json!(EVIL)));
     let lost = m["sync"].as_array().unwrap().iter().find(|s| s["scores"].is_null()).unwrap();
     assert_eq!(lost["reason"], "it has no frame <there>");
-    assert_eq!(m["headline"]["missing_images"], 3, "one camera image, and it in two proxies");
+    assert_eq!(m["headline"]["missing_images"], 4, "one camera image, and it in three proxies");
 }
 
 #[test]

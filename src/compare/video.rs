@@ -6,8 +6,7 @@ use super::sheet::strip;
 use super::{Renderer, TRADITIONAL};
 use crate::camera::Camera;
 use crate::capture::{Capture, Truth, TruthError, TruthVideo};
-use crate::interpolation::SyncMethod;
-use crate::options::ProxyMethod;
+use crate::interpolation::{SyncMethod, Synchronized};
 use crate::progress::Reporter;
 use crate::raster::{BitDepth, read_image};
 use crate::raster::{Image, ImageFileError};
@@ -50,9 +49,6 @@ pub enum VideoError {
     #[error(transparent)]
     Image(#[from] ImageFileError),
 }
-
-/// The proxy that the video's views go through.
-const BEST_PROXY: ProxyMethod = ProxyMethod::Mesh;
 
 /// What encodes the video that is shown in browsers.
 pub struct Encoder {
@@ -173,13 +169,22 @@ impl<'a> Plan<'a> {
             }
             panels.push(Panel { slug: "truth", title: "Truth".into(), image: image.to_rgb() });
         }
+        let cameras = renderer.capture().cameras.len();
+        let all = |sync: SyncMethod| -> Vec<Option<Synchronized>> {
+            (0..cameras).map(|c| renderer.synchronized(sync, c, time_s).ok()).collect()
+        };
+        let shape = all(self.sync);
         for (method, sync) in
             [(ViewMethod::TraditionalLfr, TRADITIONAL), (ViewMethod::StLfr, self.sync)]
         {
-            let cameras = renderer.capture().cameras.len();
-            let images: Vec<Option<Image>> =
-                (0..cameras).map(|c| renderer.synchronized(sync, c, time_s).ok()).collect();
-            let view = renderer.view(&images, BEST_PROXY, &shots.target, time_s);
+            let images = if sync == self.sync { shape.clone() } else { all(sync) };
+            let view = renderer.view(
+                &images,
+                &shape,
+                renderer.options().proxy.method,
+                &shots.target,
+                time_s,
+            );
             let view = view.ok().map(|v| v.image.to_rgb()).filter(fits);
             let none = if view.is_some() { "" } else { ": no image" };
             panels.push(Panel {

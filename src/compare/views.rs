@@ -1,11 +1,11 @@
 //! One view at an instant: blended by every method through every proxy, then measured.
 
-use super::instant::{Comparison, ImageOrReason, Shown, Target, figure};
+use super::instant::{Comparison, ImageOrReason, Shown, SynchronizedOrReason, Target, figure};
 use super::report::Figure;
 use super::results::{ExcludedCamera, ViewMethod, ViewResult};
 use super::truths::TrueImage;
 use super::{CompareError, TRADITIONAL};
-use crate::interpolation::SyncMethod;
+use crate::interpolation::{SyncMethod, Synchronized};
 use crate::lumigraph::Rendered;
 use crate::method::Method;
 use crate::metrics::Reference;
@@ -29,7 +29,7 @@ impl Comparison<'_> {
         &self,
         target: &Target,
         truths: &[TrueImage],
-        images: &[Vec<ImageOrReason>],
+        images: &[Vec<SynchronizedOrReason>],
     ) -> Vec<Blend> {
         let capture = self.renderer.capture();
         let by = |method: SyncMethod| {
@@ -38,12 +38,13 @@ impl Comparison<'_> {
         };
         let true_image = |camera: usize| {
             let at = target.instant.views.iter().position(|v| v.like == Some(camera));
-            at.map(|k| truths[k].image.clone())
+            at.map(|k| Synchronized::filmed(truths[k].image.clone()))
                 .ok_or_else(|| "the truth has no image of it at this instant".to_owned())
         };
+        let synchronized: Vec<_> = by(self.options.sync).into_iter().map(Result::ok).collect();
         let mut blends = Vec::new();
         for method in ViewMethod::ALL {
-            let images: Vec<ImageOrReason> = match method {
+            let images: Vec<SynchronizedOrReason> = match method {
                 ViewMethod::TraditionalLfr => by(TRADITIONAL),
                 ViewMethod::StLfr => by(self.options.sync),
                 ViewMethod::PerfectSync => (0..capture.cameras.len()).map(true_image).collect(),
@@ -56,14 +57,16 @@ impl Comparison<'_> {
                     Some(ExcludedCamera { camera: camera.id.clone(), reason })
                 })
                 .collect();
-            let images: Vec<Option<Image>> = images.into_iter().map(Result::ok).collect();
+            let images: Vec<Option<Synchronized>> = images.into_iter().map(Result::ok).collect();
+            // Images of other instants than the view's show no shape.
+            let shape = if method == ViewMethod::TraditionalLfr { &synchronized } else { &images };
             for &proxy in ProxyMethod::ALL {
                 let cameras = images.iter().flatten().count();
                 let rendered = if cameras == 0 {
                     Err("no camera has an image at this instant".to_owned())
                 } else {
                     let (camera, time_s) = (&target.view.camera, target.instant.inner_s);
-                    self.renderer.view(&images, proxy, camera, time_s)
+                    self.renderer.view(&images, shape, proxy, camera, time_s)
                 };
                 let excluded = excluded.clone();
                 blends.push(Blend { proxy, method, cameras, excluded, rendered });
@@ -82,9 +85,10 @@ impl Comparison<'_> {
         in_report: bool,
     ) -> Result<(Vec<ViewResult>, Option<Figure>), CompareError> {
         let Target { instant, view, truth } = target;
-        let image = |b: &Blend| b.rendered.as_ref().map(|r| r.image.clone()).map_err(Clone::clone);
-        let images: Vec<ImageOrReason> =
-            blends.iter().map(|b| self.checked(&image(b), &truth.image)).collect();
+        let images: Vec<ImageOrReason> = blends
+            .iter()
+            .map(|b| self.checked(b.rendered.as_ref().map(|r| &r.image), &truth.image))
+            .collect();
         let rows = self.view_results(target, blends, &images)?;
         self.write(target, "truth", &truth.image, None)?;
 

@@ -6,12 +6,44 @@ use super::local_motion::Motion;
 use super::morph::morph_warp;
 use super::refine::{FourFrames, refined};
 use super::triangulation::triangulation_warp;
-use super::warp::{Warp, cross_dissolve};
-use super::windows::cross_fade;
+use super::warp::{Warp, cross_dissolve, warped};
+use super::windows::{cross_fade, difference, largest_around};
 use super::{InterpolationOptions, MorphOptions, SyncMethod};
-use crate::raster::{Image, Tiles};
+use crate::raster::{Image, Tiles, box_filter};
 use crate::registration::{Frame, Track, Trajectory};
 use nalgebra::{Point2, Vector2};
+
+/// Reach of motion beyond its place, pixels: beside an outline, a pixel may be of either surface. Larger: still
+/// surfaces near moving ones lose weight; smaller: outlines count as still.
+const OUTLINE_PX: usize = 4;
+/// The motion, pixels, that a difference of 1 between the two warped frames counts as: where they disagree, the
+/// motion was not found. Larger: frames near in time replace others where only highlights change; smaller: what
+/// was not followed is believed.
+const DISAGREEMENT_PX: f32 = 200.0;
+/// The mean difference of the warped frames, 0..=1, up to which they agree. Larger and smaller: as of
+/// [`DISAGREEMENT_PX`], the other way round.
+const MIN_DISAGREEMENT: f32 = 0.03;
+/// Half the side of the window that the difference is averaged over, pixels. Larger: outlines are not believed
+/// over more of their surroundings; smaller: noise counts.
+const DISAGREEMENT_RADIUS_PX: usize = 2;
+
+/// A camera's image at an instant between its frames.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Synchronized {
+    /// The image.
+    pub image: Image,
+    /// How far each pixel was bridged, pixels, row by row: its motion between the two frames, and more
+    /// where the frames disagree about it, times 4s(1 − s) with s the instant's place between them.
+    /// Interpolation's error grows with it; it is 0 at a frame. `None` where nothing was interpolated.
+    pub bridged_px: Option<Vec<f32>>,
+}
+
+impl Synchronized {
+    /// A frame as it was filmed.
+    pub fn filmed(image: Image) -> Self {
+        Self { image, bridged_px: None }
+    }
+}
 
 /// Two consecutive frames of one camera, with their tracks: the input of temporal interpolation (§5). All
 /// images have the same size and channels.
@@ -46,19 +78,26 @@ impl FramePair<'_> {
         time_s: f64,
         sync: SyncMethod,
         options: &InterpolationOptions,
-    ) -> Image {
+    ) -> Synchronized {
         let [start, end] = [self.times_s[self.index], self.times_s[self.index + 1]];
         // Times ascend strictly, so the interval is positive.
         let fraction = ((time_s - start) / (end - start)).clamp(0.0, 1.0);
         let images = [&self.earlier.image, &self.later.image];
         match sync {
-            SyncMethod::Nearest => return images[usize::from(fraction > 0.5)].clone(),
-            SyncMethod::Crossfade => return cross_fade(images[0], images[1], fraction as f32),
+            SyncMethod::Nearest => {
+                return Synchronized::filmed(images[usize::from(fraction > 0.5)].clone());
+            }
+            SyncMethod::Crossfade => {
+                let image = cross_fade(images[0], images[1], fraction as f32);
+                return Synchronized::filmed(image);
+            }
             _ => {}
         }
         let warps = [true, false].map(|forward| self.warp(time_s, forward, sync, options));
         let warps = [&warps[0], &warps[1]];
-        if sync == SyncMethod::Refined {
+        let share = 4.0 * fraction * (1.0 - fraction);
+        let bridged_px = Some(bridged(images, warps, share as f32));
+        let image = if sync == SyncMethod::Refined {
             let frames = FourFrames {
                 before: self.around[0].map(|f| &f.image),
                 earlier: images[0],
@@ -68,9 +107,11 @@ impl FramePair<'_> {
                 parts: self.parts,
             };
             let motions = self.motions(time_s, options.curved);
-            return refined(&frames, warps, &motions, &options.refine);
-        }
-        cross_dissolve(images, warps, fraction as f32)
+            refined(&frames, warps, &motions, &options.refine)
+        } else {
+            cross_dissolve(images, warps, fraction as f32)
+        };
+        Synchronized { image, bridged_px }
     }
 
     /// The motions of all tracks to the four frames around the instant.
@@ -143,5 +184,49 @@ impl FramePair<'_> {
                 Some(Feature { source, other, target })
             })
             .collect()
+    }
+}
+
+/// [`Synchronized::bridged_px`] of the frames and their two warps: `share` times the distance of the two places
+/// that a pixel comes from and what their disagreement counts, and the largest around it.
+fn bridged(images: [&Image; 2], warps: [&Warp; 2], share: f32) -> Vec<f32> {
+    let (w, h) = (warps[0].width, warps[0].height);
+    let apart = difference(&warped(images[0], warps[0]), &warped(images[1], warps[1]));
+    let apart = box_filter(&apart, w, h, DISAGREEMENT_RADIUS_PX);
+    let sources = warps[0].source.iter().zip(&warps[1].source).zip(apart);
+    let distance = |(([ax, ay], [bx, by]), apart): ((&[f32; 2], &[f32; 2]), f32)| {
+        let unknown = DISAGREEMENT_PX * (apart - MIN_DISAGREEMENT).max(0.0);
+        share * ((ax - bx).hypot(ay - by) + unknown)
+    };
+    let distances: Vec<f32> = sources.map(distance).collect();
+    largest_around(&distances, w, OUTLINE_PX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_moves_is_bridged_with_its_outline() {
+        let (w, h) = (30, 20);
+        let mut warps = [Warp::identity(w, h), Warp::identity(w, h)];
+        // One pixel comes from 3 px to the left, and 5 px to the right.
+        let at = 10 * w + 15;
+        warps[0].source[at][0] -= 3.0;
+        warps[1].source[at][0] += 5.0;
+        let flat = Image::filled(w, h, 1, 0.5);
+        let found = bridged([&flat, &flat], [&warps[0], &warps[1]], 0.75);
+        for (k, px) in found.iter().enumerate() {
+            let near = (k % w).abs_diff(15) <= OUTLINE_PX && (k / w).abs_diff(10) <= OUTLINE_PX;
+            assert!((px - if near { 6.0 } else { 0.0 }).abs() < 1e-5, "{k}: {px}");
+        }
+    }
+
+    #[test]
+    fn where_the_frames_disagree_motion_is_unknown() {
+        let still = Warp::identity(30, 20);
+        let images = [0.2, 0.6].map(|value| Image::filled(30, 20, 1, value));
+        let found = bridged(images.each_ref(), [&still, &still], 0.5);
+        assert!(found.iter().all(|px| (px - 0.5 * 200.0 * 0.37).abs() < 1e-3), "{found:?}");
     }
 }

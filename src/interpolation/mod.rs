@@ -35,7 +35,7 @@ pub use block_change::largest_change;
 pub(crate) use block_change::{changed_fraction, changed_pixels};
 pub use edge_set::{Edge, edge_set};
 pub use edges::{Feature, RealEdge, real_edges};
-pub use frame_pair::FramePair;
+pub use frame_pair::{FramePair, Synchronized};
 pub use local_motion::Motion;
 pub use morph::morph_warp;
 pub use options::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};

@@ -6,13 +6,14 @@
 //! | `clocks.rs` | which frames lie around an instant |
 //! | `registered.rs` | §4: tracks of frame pairs, cached |
 //! | `synchronized.rs` | §5: a camera's image at an instant |
-//! | `points.rs`, `proxy.rs` | §6: the scene's shape at an instant |
+//! | `points.rs`, `proxy.rs`, `geometry.rs` | §6: the scene's shape at an instant |
 //! | `view.rs` | §6: the blended view |
 //! | `trail.rs` | Fig. 1: temporal integration |
 //! | `held_out.rs` | cameras that are held out, so that their frames are the truth |
 
 mod clocks;
 mod error;
+mod geometry;
 pub(crate) mod held_out;
 mod points;
 mod proxy;
@@ -22,6 +23,7 @@ mod trail;
 mod view;
 
 pub use error::RenderError;
+pub use geometry::Geometry;
 pub use trail::Viewpoint;
 
 use crate::capture::Capture;

@@ -260,7 +260,7 @@ impl LightField {
 }
 
 /// Cameras by the distance of their centres from a view's; ties by index.
-fn nearest(cameras: &[FilmedCamera], usable: &[usize], target: &Camera) -> Vec<usize> {
+pub(super) fn nearest(cameras: &[FilmedCamera], usable: &[usize], target: &Camera) -> Vec<usize> {
     let mut order = usable.to_vec();
     let distance = |c: usize| (cameras[c].camera.center() - target.center()).norm();
     order.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));

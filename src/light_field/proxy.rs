@@ -50,7 +50,9 @@ fn proxy_of(
             let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
             Plane::fit(&weighted, target).map(Proxy::Plane)
         }
-        ProxyMethod::Mesh => Mesh::build(points, target, &options.mesh).map(Proxy::Mesh),
+        ProxyMethod::Mesh | ProxyMethod::Depth => {
+            Mesh::build(points, target, &options.mesh).map(Proxy::Mesh)
+        }
     };
     // A view of a bare spot, or of a single pixel, has no feature in it, but a depth.
     let around = || Plane::amid(points, target).map(Proxy::Plane);

@@ -1,9 +1,9 @@
 //! A camera's image at an instant at which it took none (§5).
 
 use super::{LightField, RenderError};
-use crate::interpolation::{FramePair, SyncMethod};
+use crate::interpolation::{FramePair, SyncMethod, Synchronized};
 use crate::options::ViewOptions;
-use crate::raster::{Image, Tiles};
+use crate::raster::Tiles;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ impl LightField {
         camera: usize,
         time_s: f64,
         options: &ViewOptions,
-    ) -> Result<Image, RenderError> {
+    ) -> Result<Synchronized, RenderError> {
         self.synchronized_in(camera, time_s, options, None)
     }
 
@@ -29,11 +29,11 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
         parts: Option<&Tiles>,
-    ) -> Result<Image, RenderError> {
+    ) -> Result<Synchronized, RenderError> {
         let (k, later) = self.bracket(camera, time_s)?;
         let earlier_frame = self.frames.get(camera, k)?;
         if k == later {
-            return Ok(earlier_frame.image.clone());
+            return Ok(Synchronized::filmed(earlier_frame.image.clone()));
         }
         let later_frame = self.frames.get(camera, later)?;
         let still_change = options.interpolation.still_change;
@@ -68,7 +68,7 @@ impl LightField {
         &self,
         time_s: f64,
         options: &ViewOptions,
-    ) -> Result<Vec<Option<Image>>, RenderError> {
+    ) -> Result<Vec<Option<Synchronized>>, RenderError> {
         (0..self.times_s.len())
             .into_par_iter()
             .map(|c| match self.synchronized(c, time_s, options) {

@@ -67,7 +67,7 @@ impl LightField {
         match from {
             Viewpoint::View(target) => self.view(target, time_s, options),
             Viewpoint::Like(camera) => {
-                let image = self.synchronized(camera, time_s, options)?;
+                let image = self.synchronized(camera, time_s, options)?.image;
                 let coverage = vec![true; image.width() * image.height()];
                 Ok(Rendered { image, coverage })
             }

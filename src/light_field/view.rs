@@ -1,12 +1,14 @@
 //! A view (Fig. 2): the synchronized images that it is blended from, the scene's shape, the blend.
 
-use super::{LightField, RenderError};
+use super::{Geometry, LightField, RenderError};
 use crate::camera::Camera;
-use crate::capture::Color;
-use crate::lumigraph::{BlendOptions, DepthMap, Proxy, Rendered, Source, blend, contributing};
+use crate::capture::{Color, FilmedCamera};
+use crate::interpolation::Synchronized;
+use crate::lumigraph::{BlendOptions, DepthMap, Rendered, Source, blend, contributing};
 use crate::options::ViewOptions;
 use crate::raster::{Image, Tiles};
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 impl LightField {
     /// The view from anywhere at a time.
@@ -23,11 +25,13 @@ impl LightField {
         if self.usable(time_s).is_empty() {
             return Err(self.no_camera_at(time_s));
         }
-        let depth = self.proxy(target, time_s, options)?.depth_map(target);
         let mut images = self.blanks(time_s);
-        let needed = self.needed(&images, &depth, target, &options.blend);
+        let whole = self.synchronize_geometry(&mut images, target, time_s, options)?;
+        let geometry = self.geometry(&images, target, time_s, options)?;
+        let mut needed = self.needed(&images, &geometry, target, &options.blend);
+        needed.retain(|(c, _)| !whole.contains(c));
         self.synchronize(&mut images, &needed, time_s, options)?;
-        let rendered = self.blend_by_depth(&images, &depth, target, &options.blend);
+        let rendered = self.blend(&images, &geometry, target, &options.blend);
         if rendered.coverage.iter().any(|c| *c) {
             Ok(rendered)
         } else {
@@ -36,24 +40,43 @@ impl LightField {
     }
 
     /// Black images of the cameras that can give one at a time.
-    pub(crate) fn blanks(&self, time_s: f64) -> Vec<Option<Image>> {
+    pub(crate) fn blanks(&self, time_s: f64) -> Vec<Option<Synchronized>> {
         let mut images = vec![None; self.times_s.len()];
         for c in self.usable(time_s) {
-            images[c] = Some(self.blank(c));
+            images[c] = Some(Synchronized::filmed(self.blank(c)));
         }
         images
+    }
+
+    /// Puts the images that the geometry is estimated from among `images`; which cameras' they are.
+    pub(crate) fn synchronize_geometry(
+        &self,
+        images: &mut [Option<Synchronized>],
+        target: &Camera,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<Vec<usize>, RenderError> {
+        let cameras = self.geometry_cameras(target, time_s, options);
+        let of = |c: &usize| self.synchronized(*c, time_s, options);
+        let synchronized: Vec<Synchronized> =
+            cameras.par_iter().map(of).collect::<Result<_, _>>()?;
+        for (&c, image) in cameras.iter().zip(synchronized) {
+            images[c] = Some(image);
+        }
+        Ok(cameras)
     }
 
     /// The cameras, of those with an image, that a view is blended from, and which parts of their
     /// images: most of a large rig are nowhere among the best.
     pub(crate) fn needed(
         &self,
-        images: &[Option<Image>],
-        depth: &DepthMap,
+        images: &[Option<Synchronized>],
+        geometry: &Geometry,
         target: &Camera,
         options: &BlendOptions,
     ) -> Vec<(usize, Tiles)> {
-        let needed = contributing(&self.sources(images), depth, target, options);
+        let sources = self.sources(images, geometry);
+        let needed = contributing(&sources, &geometry.view, target, options);
         let sources = (0..images.len()).filter(|&c| images[c].is_some());
         sources.zip(needed).filter(|(_, parts)| parts.any()).collect()
     }
@@ -61,14 +84,15 @@ impl LightField {
     /// Puts parts of these cameras' images at a time among `images`.
     pub(crate) fn synchronize(
         &self,
-        images: &mut [Option<Image>],
+        images: &mut [Option<Synchronized>],
         needed: &[(usize, Tiles)],
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<(), RenderError> {
         let of =
             |(c, parts): &(usize, Tiles)| self.synchronized_in(*c, time_s, options, Some(parts));
-        let synchronized: Vec<Image> = needed.par_iter().map(of).collect::<Result<_, _>>()?;
+        let synchronized: Vec<Synchronized> =
+            needed.par_iter().map(of).collect::<Result<_, _>>()?;
         for ((c, _), image) in needed.iter().zip(synchronized) {
             images[*c] = Some(image);
         }
@@ -86,38 +110,44 @@ impl LightField {
     /// has none). The view is as bright as the reference records it.
     pub fn blend(
         &self,
-        images: &[Option<Image>],
-        proxy: &Proxy,
+        images: &[Option<Synchronized>],
+        geometry: &Geometry,
         target: &Camera,
         options: &BlendOptions,
     ) -> Rendered {
-        self.blend_by_depth(images, &proxy.depth_map(target), target, options)
+        let images = self.corrected(images);
+        blend(&self.sources(&images, geometry), &geometry.view, target, options)
     }
 
-    pub(crate) fn blend_by_depth(
+    /// The images as bright as the reference records them.
+    pub(super) fn corrected<'a>(
         &self,
-        images: &[Option<Image>],
-        depth: &DepthMap,
-        target: &Camera,
-        options: &BlendOptions,
-    ) -> Rendered {
+        images: &'a [Option<Synchronized>],
+    ) -> Cow<'a, [Option<Synchronized>]> {
         let gains = self.frames.gains();
-        let corrected: Option<Vec<Option<Image>>> = (!gains.are_equal()).then(|| {
-            let correct = |(camera, image): (usize, &Option<Image>)| {
-                let image = image.as_ref()?;
-                Some(gains.corrected(camera, image).unwrap_or_else(|| image.clone()))
-            };
-            images.par_iter().enumerate().map(correct).collect()
-        });
-        let images = corrected.as_deref().unwrap_or(images);
-        blend(&self.sources(images), depth, target, options)
+        if gains.are_equal() {
+            return Cow::Borrowed(images);
+        }
+        let correct = |(camera, image): (usize, &Option<Synchronized>)| {
+            let s = image.as_ref()?;
+            let image = gains.corrected(camera, &s.image).unwrap_or_else(|| s.image.clone());
+            Some(Synchronized { image, bridged_px: s.bridged_px.clone() })
+        };
+        Cow::Owned(images.par_iter().enumerate().map(correct).collect())
     }
 
     /// The cameras that have an image.
-    fn sources<'a>(&'a self, images: &'a [Option<Image>]) -> Vec<Source<'a>> {
-        let cameras = self.capture().cameras.iter().zip(images);
-        let sources =
-            cameras.filter_map(|(c, image)| Some(Source::new(&c.camera, image.as_ref()?)));
-        sources.collect()
+    fn sources<'a>(
+        &'a self,
+        images: &'a [Option<Synchronized>],
+        geometry: &'a Geometry,
+    ) -> Vec<Source<'a>> {
+        let cameras = self.capture().cameras.iter().zip(images).zip(&geometry.sources);
+        let source = |((filmed, image), depth): ((&'a FilmedCamera, _), &'a Option<DepthMap>)| {
+            let Synchronized { image, bridged_px }: &Synchronized = Option::as_ref(image)?;
+            let (depth, bridged_px) = (depth.as_ref(), bridged_px.as_deref());
+            Some(Source { camera: &filmed.camera, image, depth, bridged_px })
+        };
+        cameras.filter_map(source).collect()
     }
 }

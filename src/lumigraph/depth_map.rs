@@ -49,6 +49,23 @@ impl DepthMap {
         &self.data[y * self.width..(y + 1) * self.width]
     }
 
+    /// The smallest depth of the pixels within one of a position in pixels. Positions outside have the
+    /// border's. NaN if none of them has a depth.
+    pub(super) fn nearest_around(&self, x: f32, y: f32) -> f32 {
+        let span = |v: f32, size: usize| {
+            let at = v.max(0.0).min((size - 1) as f32) as usize;
+            at.saturating_sub(1)..(at + 2).min(size)
+        };
+        let mut nearest = f32::NAN;
+        for row in span(y, self.height) {
+            for column in span(x, self.width) {
+                // `min` ignores NaN.
+                nearest = nearest.min(self.data[row * self.width + column]);
+            }
+        }
+        nearest
+    }
+
     /// The largest depth of the up to four pixels around a position in pixels: a nearer point is in
     /// front of all surfaces there. Positions outside have the border's. NaN if any of the four has
     /// no depth.

@@ -28,6 +28,7 @@ pub use depth_map::DepthMap;
 pub use mesh::{DepthEdges, Mesh, MeshOptions};
 pub use plane::Plane;
 pub use proxy::Proxy;
+pub(crate) use rays::RayRow;
 pub use source::{BlendOptions, Rendered, Source};
 pub use triangulate::{Triangulated, triangulate};
 pub use ulr::{blend, contributing};

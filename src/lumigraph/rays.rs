@@ -5,7 +5,7 @@ use nalgebra::Point2;
 
 /// Directions (x, y, 1) in the camera's frame of one row's pixel centres. Both are NaN where the lens
 /// can't be inverted.
-pub(super) struct RayRow {
+pub(crate) struct RayRow {
     pub x: Vec<f64>,
     pub y: Vec<f64>,
 }

@@ -8,6 +8,7 @@
 
 use super::rays::ViewBounds;
 use super::source::{BlendOptions, Source};
+use super::weights::BlendMethod;
 use crate::camera::{Camera, CameraModel};
 use nalgebra::{Matrix3, Point2, Vector3};
 
@@ -18,6 +19,9 @@ const SAME_CENTER_FRACTION: f64 = 1e-6;
 /// Factor of the trust in a source where the point is occluded, so that it contributes only where the
 /// point is occluded in all sources. Larger: foreground shines through. 0: there are holes.
 const OCCLUDED_TRUST: f32 = 1e-3;
+/// Factor of the trust in a source where the point is beside a nearer surface: there, pixels are a mixture of
+/// both. Larger: outlines show a second time; smaller: cameras that stand far away are preferred.
+const OUTLINE_TRUST: f32 = 0.25;
 /// Margin around the cone of a camera's border rays, as a fraction of its radius; points outside have
 /// no image. Larger: a lens polynomial may fold back into the image. Smaller: corners of bent images
 /// are missing.
@@ -60,6 +64,8 @@ pub(super) struct Reprojection {
     inverse_feather: f32,
     resolution: f32,
     hidden_share: f32,
+    /// The angle that a bridged pixel counts as; 0 if time has no weight.
+    bridge_rad: f32,
 }
 
 impl Reprojection {
@@ -93,6 +99,10 @@ impl Reprojection {
             inverse_feather: (1.0 / options.feather_px.max(0.01)) as f32,
             resolution: options.resolution.max(0.0) as f32,
             hidden_share: options.hidden_share.max(1e-6) as f32,
+            bridge_rad: match options.method {
+                BlendMethod::SpaceTime => options.bridge_rad.max(0.0) as f32,
+                BlendMethod::Lumigraph | BlendMethod::Uniform => 0.0,
+            },
         }
     }
 
@@ -114,6 +124,9 @@ impl Reprojection {
                 let pixel = model.pixel_from_normalized(&Point2::new(f64::from(nx), f64::from(ny)));
                 (pixel.x as f32, pixel.y as f32)
             });
+        }
+        if self.bridge_rad > 0.0 {
+            self.bridge(source, hits);
         }
         // A source at the view's centre looks along the same rays: nothing is occluded in it.
         if source.depth.is_some() && !self.at_center() {
@@ -177,6 +190,21 @@ impl Reprojection {
         )
     }
 
+    /// Adds the expected error of interpolation to that of the proxy. The two are independent, so that
+    /// their squares add.
+    fn bridge(&self, source: &Source, hits: &mut Hits) {
+        let Some(bridged) = source.bridged_px else { return };
+        let (w, h) = (source.camera.width, source.camera.height);
+        for k in 0..hits.trust.len() {
+            if hits.trust[k] > 0.0 {
+                // Where there is trust, the position is inside the image.
+                let (x, y) = (hits.x[k] as usize, hits.y[k] as usize);
+                let angle = self.bridge_rad * bridged[y.min(h - 1) * w + x.min(w - 1)];
+                hits.penalty[k] = hits.penalty[k].hypot(angle / hits.trust[k]);
+            }
+        }
+    }
+
     /// Lowers the trust where the point lies behind the surface in the source's depth map: from 1 at
     /// the tolerance to [`OCCLUDED_TRUST`] at twice that.
     fn hide(&self, row: &TargetRow, source: &Source, hits: &mut Hits) {
@@ -185,13 +213,16 @@ impl Reprojection {
             if hits.trust[k] > 0.0 {
                 let inverse = row.inverse_depth[k];
                 let depth = self.direction(row.x[k], row.y[k], inverse).z / inverse;
-                let surface = map.farthest_around(hits.x[k], hits.y[k]);
-                let behind = (depth / surface - 1.0) / self.hidden_share - 1.0;
+                let beyond = |surface: f32| (depth / surface - 1.0) / self.hidden_share - 1.0;
                 // NaN, where the source has no depth, occludes nothing.
+                let behind = beyond(map.farthest_around(hits.x[k], hits.y[k]));
                 if behind > 0.0 {
                     let visible = (1.0 - behind).max(OCCLUDED_TRUST);
                     hits.trust[k] *= visible;
                     hits.penalty[k] /= visible;
+                } else if beyond(map.nearest_around(hits.x[k], hits.y[k])) > 0.0 {
+                    hits.trust[k] *= OUTLINE_TRUST;
+                    hits.penalty[k] /= OUTLINE_TRUST;
                 }
             }
         }

@@ -15,12 +15,15 @@ pub struct Source<'a> {
     pub image: &'a Image,
     /// The proxy's depths in this camera; points behind them are occluded. `None`: no point is.
     pub depth: Option<&'a DepthMap>,
+    /// How far each pixel was bridged in time, pixels
+    /// ([`Synchronized::bridged_px`](crate::interpolation::Synchronized)). `None`: no pixel was.
+    pub bridged_px: Option<&'a [f32]>,
 }
 
 impl<'a> Source<'a> {
     /// A source in which no point is occluded.
     pub fn new(camera: &'a Camera, image: &'a Image) -> Self {
-        Self { camera, image, depth: None }
+        Self { camera, image, depth: None, bridged_px: None }
     }
 }
 
@@ -47,6 +50,10 @@ pub struct BlendOptions {
     /// Smallest depth of an occluded point beyond [`Source::depth`], as a fraction of it. Larger: the
     /// foreground's edge shows twice. Smaller: slanted surfaces occlude themselves.
     pub hidden_share: f64,
+    /// The angle, radians, that a pixel bridged in time counts as
+    /// ([`BlendMethod::SpaceTime`]). Larger: cameras that stand farther away replace those that filmed
+    /// longer before or after. Smaller: the errors of interpolation show.
+    pub bridge_rad: f64,
 }
 
 impl Default for BlendOptions {
@@ -58,6 +65,7 @@ impl Default for BlendOptions {
             resolution: 1.0,
             sampling: Sampling::Cubic,
             hidden_share: 0.03,
+            bridge_rad: 0.004,
         }
     }
 }

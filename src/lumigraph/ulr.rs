@@ -16,6 +16,11 @@
 //! own), fading to grey where none of them sees the point. A coloured camera's luminance is what a
 //! grey one would have recorded in its place: summed before it is encoded.
 //!
+//! With [`BlendMethod::SpaceTime`] the penalty is `√(p_i² + (λ·m_i)²)`, with m_i how far the camera's
+//! pixel was bridged in time ([`Source::bridged_px`]) and λ the angle that a pixel counts as: the errors
+//! of the proxy and of interpolation are independent. At a camera's place and at the time of its frame
+//! it is still 0.
+//!
 //! Known limit: where a point of the proxy is occluded in a camera by another part of the proxy, the
 //! camera still contributes unless its own [`Source::depth`] is given.
 
@@ -114,6 +119,9 @@ fn check(sources: &[Source], depth: &DepthMap, target: &Camera) {
     for source in sources {
         let size = (source.camera.width, source.camera.height);
         assert_eq!((source.image.width(), source.image.height()), size, "size of an image");
+        if let Some(bridged) = source.bridged_px {
+            assert_eq!(bridged.len(), size.0 * size.1, "size of a source's bridged pixels");
+        }
         if let Some(d) = source.depth {
             assert_eq!((d.width(), d.height()), size, "size of a source's depths");
         }
@@ -182,7 +190,7 @@ impl<'a> Row<'a> {
     fn weigh(&mut self) {
         match self.options.method {
             BlendMethod::Uniform => self.weights.uniform(&self.trust),
-            BlendMethod::Lumigraph => {
+            BlendMethod::Lumigraph | BlendMethod::SpaceTime => {
                 self.weights.lumigraph(&self.penalty, &self.trust, self.options.cameras);
             }
         }

@@ -19,11 +19,14 @@ pub enum BlendMethod {
     /// and resolution.
     #[default]
     Lumigraph,
+    /// By place and time: as `Lumigraph`, with the error of interpolation beside that of the proxy.
+    SpaceTime,
 }
 
 methods!(BlendMethod {
     Uniform = "uniform": "All cameras that see the point, with equal weights",
     Lumigraph = "lumigraph": "The paper's: the cameras with the nearest rays, by angle and resolution",
+    SpaceTime = "space-time": "By angle, resolution, and how far each camera's pixel was bridged in time",
 });
 
 /// Smallest distance of the threshold above the best penalty, as a fraction of it. Larger: more than k

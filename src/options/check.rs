@@ -6,6 +6,7 @@ use crate::interpolation::{EdgeOptions, InterpolationOptions, MorphOptions, Refi
 use crate::lumigraph::{BlendOptions, MeshOptions};
 use crate::offset::OffsetOptions;
 use crate::registration::{CornerOptions, KltOptions, RegistrationOptions};
+use crate::stereo::StereoOptions;
 use std::ops::RangeInclusive;
 
 /// An option out of its range.
@@ -204,6 +205,7 @@ fn refine(o: &RefineOptions) -> Checked {
 
 fn proxy(o: &ProxyOptions) -> Checked {
     mesh(&o.mesh)?;
+    depth(&o.depth)?;
     all_within(
         "proxy",
         &[
@@ -229,6 +231,20 @@ fn mesh(o: &MeshOptions) -> Checked {
     )
 }
 
+fn depth(o: &StereoOptions) -> Checked {
+    all_within(
+        "proxy.depth",
+        &[
+            ("cameras", o.cameras as f64, SOME),
+            ("further_cameras", o.further_cameras as f64, COUNT),
+            ("partners", o.partners as f64, SOME),
+            // Time and memory grow with its inverse.
+            ("step_px", o.step_px, 0.25..=16.0),
+            ("halvings", o.halvings as f64, 0.0..=8.0),
+        ],
+    )
+}
+
 fn blend(o: &BlendOptions) -> Checked {
     all_within(
         "blend",
@@ -237,6 +253,7 @@ fn blend(o: &BlendOptions) -> Checked {
             ("feather_px", o.feather_px, PIXELS),
             ("resolution", o.resolution, 0.0..=1e6),
             ("hidden_share", o.hidden_share, 0.0..=1000.0),
+            ("bridge_rad", o.bridge_rad, 0.0..=1000.0),
         ],
     )
 }

@@ -21,6 +21,7 @@ use crate::lumigraph::{BlendOptions, MeshOptions};
 use crate::method::methods;
 use crate::offset::OffsetOptions;
 use crate::registration::RegistrationOptions;
+use crate::stereo::StereoOptions;
 use serde::{Deserialize, Serialize};
 
 /// The options of all stages, as an option file holds them: a JSON object whose missing fields have
@@ -84,6 +85,7 @@ pub struct ProxyOptions {
     /// that the cameras see.
     pub plane_depth_m: Option<f64>,
     pub mesh: MeshOptions,
+    pub depth: StereoOptions,
     /// How many cameras' features are triangulated: those nearest to the view. Fewer: fewer points
     /// at the view's borders and behind outlines; more cost time.
     pub cameras: usize,
@@ -106,11 +108,14 @@ pub enum ProxyMethod {
     /// The paper's: triangulated correspondences, meshed, with a plane behind.
     #[default]
     Mesh,
+    /// Depth per pixel from the images of several cameras, and what hides what.
+    Depth,
 }
 
 methods!(ProxyMethod {
     Plane = "plane": "One plane, fitted or at a set depth",
     Mesh = "mesh": "The paper's: triangulated correspondences, meshed, with a plane behind",
+    Depth = "depth": "Depth per pixel that all cameras agree on, and what hides what",
 });
 
 impl Default for ProxyOptions {
@@ -119,6 +124,7 @@ impl Default for ProxyOptions {
             method: ProxyMethod::default(),
             plane_depth_m: None,
             mesh: MeshOptions::default(),
+            depth: StereoOptions::default(),
             cameras: 3,
             partners: 4,
             max_epipolar_px: 1.0,

@@ -141,7 +141,7 @@ pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Dec
         return (None, by_description(Choice::ProxyAsGiven, because));
     };
     let is_plane = shape.off_plane_px <= budget_px;
-    let method = if is_plane { ProxyMethod::Plane } else { ProxyMethod::Mesh };
+    let method = if is_plane { ProxyMethod::Plane } else { ProxyMethod::Depth };
     let because = format!(
         "Halfway between two cameras, the best plane displaces points by {:.2} px (95th percentile \
          of {}).",
@@ -261,7 +261,7 @@ mod tests {
     fn parallax_decides_the_proxy() {
         let method = |off_plane_px| proxy(Some(&Shape { off_plane_px, points: 300 }), BUDGET_PX).0;
         assert_eq!(method(0.1), Some(ProxyMethod::Plane));
-        assert_eq!(method(2.0), Some(ProxyMethod::Mesh));
+        assert_eq!(method(2.0), Some(ProxyMethod::Depth));
         assert_eq!(proxy(None, BUDGET_PX).0, None);
     }
 

@@ -28,8 +28,8 @@ pub fn methods(base: &RenderOptions) -> Vec<RenderOptions> {
 /// The dearest method of every stage, the other options as given.
 pub fn most_accurate(base: &RenderOptions) -> RenderOptions {
     let mut options = base.clone();
-    (options.sync, options.proxy.method) = (SyncMethod::Refined, ProxyMethod::Mesh);
-    options.blend.method = BlendMethod::Lumigraph;
+    (options.sync, options.proxy.method) = (SyncMethod::Refined, ProxyMethod::Depth);
+    options.blend.method = BlendMethod::SpaceTime;
     options.offset.method = OffsetMethod::JointCurved;
     options
 }
@@ -83,12 +83,19 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
         }
     }
     // A plane at a set depth needs no points.
-    if options.proxy.method == ProxyMethod::Mesh || options.proxy.plane_depth_m.is_none() {
+    if options.proxy.method == ProxyMethod::Depth {
+        for (cameras, halvings) in [(4, 1), (4, 0), (6, 1), (6, 0)] {
+            add(Box::new(move |o| {
+                (o.proxy.depth.cameras, o.proxy.depth.halvings) = (cameras, halvings);
+            }));
+        }
+    }
+    if options.proxy.method != ProxyMethod::Plane || options.proxy.plane_depth_m.is_none() {
         for (cameras, partners) in [(1, 2), (2, 2), (3, 4)] {
             add(Box::new(move |o| (o.proxy.cameras, o.proxy.partners) = (cameras, partners)));
         }
     }
-    if options.blend.method == BlendMethod::Lumigraph {
+    if options.blend.method != BlendMethod::Uniform {
         for cameras in [1, 2, 3, 4].into_iter().filter(|k| *k <= variable.cameras) {
             add(Box::new(move |o| o.blend.cameras = cameras));
         }
@@ -108,9 +115,9 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
 pub fn name(options: &RenderOptions) -> String {
     let default = RenderOptions::default();
     let mut words = vec![options.sync.name().to_owned(), options.proxy.method.name().to_owned()];
-    let lumigraph = options.blend.method == BlendMethod::Lumigraph;
-    if !lumigraph {
-        words.push("uniform".into());
+    let blend = options.blend.method;
+    if blend != default.blend.method {
+        words.push(blend.name().into());
     }
     let mut say = |differs: bool, word: String| words.extend(differs.then_some(word));
     let offsets = options.offset.method.name();
@@ -131,7 +138,10 @@ pub fn name(options: &RenderOptions) -> String {
     let differ = points != (default.proxy.cameras, default.proxy.partners);
     say(differ, format!("points {}x{}", points.0, points.1));
     let k = options.blend.cameras;
-    say(lumigraph && k != default.blend.cameras, format!("k {k}"));
+    let depth = (options.proxy.depth.cameras, options.proxy.depth.halvings);
+    let differ = depth != (default.proxy.depth.cameras, default.proxy.depth.halvings);
+    say(differ, format!("depth {}/{}", depth.0, depth.1));
+    say(blend != BlendMethod::Uniform && k != default.blend.cameras, format!("k {k}"));
     say(options.blend.sampling != default.blend.sampling, "bilinear".into());
     words.join(", ")
 }
@@ -145,7 +155,7 @@ mod tests {
     fn every_combination_is_one_and_can_be_worked_with() {
         let base = RenderOptions::default();
         let mut all = methods(&base);
-        assert_eq!(all.len(), 6 * 2 * 2);
+        assert_eq!(all.len(), 6 * 3 * 3);
         assert!(all.contains(&most_accurate(&base)));
         let variable = Variable { offsets: true, cameras: 8 };
         for options in methods(&base) {

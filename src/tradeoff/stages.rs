@@ -3,14 +3,14 @@
 use super::store::CachedPoint;
 use crate::camera::Camera;
 use crate::host::{BoundedCache, Elapsed, Stopwatch};
-use crate::interpolation::{InterpolationOptions, SyncMethod};
-use crate::light_field::{LightField, RenderError};
-use crate::lumigraph::{Proxy, Rendered};
+use crate::interpolation::{InterpolationOptions, SyncMethod, Synchronized};
+use crate::light_field::{Geometry, LightField, RenderError};
+use crate::lumigraph::Rendered;
 use crate::offset::OffsetOptions;
-use crate::options::{RenderOptions, ViewOptions};
-use crate::raster::Image;
+use crate::options::{ProxyMethod, RenderOptions};
 use rayon::prelude::*;
 use serde_json::{Value, json};
+use std::sync::Arc;
 
 /// The stages of a view, in their order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -33,11 +33,11 @@ impl Stage {
             Self::Sync => {
                 // Which parts of the images are needed depends on the shape and the blend.
                 let parts = (options.sync == SyncMethod::Refined)
-                    .then(|| json!([proxy_part(&options), options.blend]));
+                    .then(|| json!([shape_part(&options), options.blend]));
                 json!(["sync", sync_part(&options), point.cameras, parts])
             }
-            Self::Proxy => json!(["proxy", proxy_part(&options)]),
-            Self::Blend => json!(["blend", proxy_part(&options), options.blend]),
+            Self::Proxy => json!(["proxy", shape_part(&options)]),
+            Self::Blend => json!(["blend", shape_part(&options), options.blend]),
         }
     }
 }
@@ -65,8 +65,14 @@ fn proxy_part(o: &RenderOptions) -> Value {
     json!([o.offset, o.registration, o.interpolation.still_change, o.proxy])
 }
 
-/// How many proxies of one view are cached. More only saves building them again.
-const MAX_CACHED_PROXIES: usize = 64;
+/// The options that the scene's shape depends on, whatever it is estimated from.
+fn shape_part(o: &RenderOptions) -> Value {
+    let images = (o.proxy.method == ProxyMethod::Depth).then(|| sync_part(o));
+    json!([proxy_part(o), images])
+}
+
+/// How many geometries of one view are cached. More only saves building them again.
+const MAX_CACHED_GEOMETRIES: usize = 64;
 
 /// Renders views from one place at one instant, and caches what combinations share.
 pub(super) struct Views<'a> {
@@ -74,81 +80,97 @@ pub(super) struct Views<'a> {
     camera: &'a Camera,
     time_s: f64,
     images: Option<SharedImages>,
-    /// The last combinations' proxies, by the options that they depend on.
-    proxies: BoundedCache<String, Proxy>,
+    /// The last combinations' geometries, by the options that they depend on.
+    geometries: BoundedCache<String, Arc<Geometry>>,
 }
 
 /// Synchronized images of some cameras, black ones of the others.
 struct SharedImages {
     /// The options that they depend on.
     part: String,
-    images: Vec<Option<Image>>,
+    images: Vec<Option<Synchronized>>,
     done: Vec<usize>,
 }
 
 impl<'a> Views<'a> {
     pub fn new(field: &'a LightField, camera: &'a Camera, time_s: f64) -> Self {
-        Self { field, camera, time_s, images: None, proxies: BoundedCache::new(MAX_CACHED_PROXIES) }
+        let geometries = BoundedCache::new(MAX_CACHED_GEOMETRIES);
+        Self { field, camera, time_s, images: None, geometries }
     }
 
     /// As [`LightField::view`], and the cameras that the view is blended from.
     pub fn view(&mut self, options: &RenderOptions) -> Result<(Rendered, Vec<usize>), RenderError> {
         let view = options.view();
-        let depth = self.proxy(options, &view)?.depth_map(self.camera);
+        let geometry = self.geometry(options)?;
+        let shared = self.images.as_ref().map_or(&[][..], |s| &s.images);
+        let needed = self.field.needed(shared, &geometry, self.camera, &view.blend);
+        let needed: Vec<usize> = needed.into_iter().map(|(c, _)| c).collect();
+        self.share(options, &needed)?;
+        let shared = self.images.as_ref().map_or(&[][..], |s| &s.images);
+        let rendered = self.field.blend(shared, &geometry, self.camera, &view.blend);
+        let is_seen = rendered.coverage.contains(&true);
+        if is_seen { Ok((rendered, needed)) } else { Err(RenderError::NothingSeen) }
+    }
+
+    /// Makes these cameras' images, whole, so that other combinations can share them.
+    fn share(&mut self, options: &RenderOptions, cameras: &[usize]) -> Result<(), RenderError> {
+        let view = options.view();
         let part = sync_part(options).to_string();
-        let blanks = || self.field.blanks(self.time_s);
+        let (field, time_s) = (self.field, self.time_s);
+        let blanks = || field.blanks(time_s);
         let mut shared = self
             .images
             .take()
             .filter(|shared| shared.part == part)
             .unwrap_or_else(|| SharedImages { part, images: blanks(), done: Vec::new() });
-        let needed = self.field.needed(&shared.images, &depth, self.camera, &view.blend);
-        let needed: Vec<usize> = needed.into_iter().map(|(c, _)| c).collect();
         let missing: Vec<usize> =
-            needed.iter().copied().filter(|c| !shared.done.contains(c)).collect();
-        // Whole images, so that other combinations can share them.
-        let whole = |c: &usize| Ok((*c, self.field.synchronized(*c, self.time_s, &view)?));
-        let images: Vec<(usize, Image)> =
+            cameras.iter().copied().filter(|c| !shared.done.contains(c)).collect();
+        let whole = |c: &usize| Ok((*c, field.synchronized(*c, time_s, &view)?));
+        let images: Vec<(usize, Synchronized)> =
             missing.par_iter().map(whole).collect::<Result<_, RenderError>>()?;
         for (c, image) in images {
             shared.images[c] = Some(image);
         }
         shared.done.extend(missing);
-        let rendered = self.field.blend_by_depth(&shared.images, &depth, self.camera, &view.blend);
         self.images = Some(shared);
-        let is_seen = rendered.coverage.contains(&true);
-        if is_seen { Ok((rendered, needed)) } else { Err(RenderError::NothingSeen) }
+        Ok(())
     }
 
-    fn proxy(&mut self, options: &RenderOptions, view: &ViewOptions) -> Result<Proxy, RenderError> {
-        let part = proxy_part(options).to_string();
-        if let Some(proxy) = self.proxies.get(&part) {
-            return Ok(proxy);
+    fn geometry(&mut self, options: &RenderOptions) -> Result<Arc<Geometry>, RenderError> {
+        let view = options.view();
+        self.share(options, &self.field.geometry_cameras(self.camera, self.time_s, &view))?;
+        let part = shape_part(options).to_string();
+        if let Some(geometry) = self.geometries.get(&part) {
+            return Ok(geometry);
         }
-        let proxy = self.field.proxy(self.camera, self.time_s, view)?;
-        self.proxies.insert(part, proxy.clone(), 1);
-        Ok(proxy)
+        let images = self.images.as_ref().map_or(&[][..], |s| &s.images);
+        let geometry = Arc::new(self.field.geometry(images, self.camera, self.time_s, &view)?);
+        self.geometries.insert(part, geometry.clone(), 1);
+        Ok(geometry)
     }
 
     /// What one stage takes, with nothing cached of this view's.
     pub fn timed(&mut self, stage: Stage, options: &RenderOptions) -> Result<Elapsed, RenderError> {
         let (view, camera, time_s) = (options.view(), self.camera, self.time_s);
-        let proxy = self.proxy(options, &view)?;
+        let geometry = self.geometry(options)?;
+        let shared = self.images.as_ref().map_or(&[][..], |s| &s.images);
         let mut images = self.field.blanks(time_s);
-        let needed = match stage {
-            Stage::Sync => {
-                self.field.needed(&images, &proxy.depth_map(camera), camera, &view.blend)
-            }
-            Stage::Proxy | Stage::Blend => Vec::new(),
-        };
+        let whole = self.field.geometry_cameras(camera, time_s, &view);
+        let mut needed = self.field.needed(&images, &geometry, camera, &view.blend);
+        needed.retain(|(c, _)| !whole.contains(c));
         let watch = Stopwatch::start();
         match stage {
-            Stage::Sync => self.field.synchronize(&mut images, &needed, time_s, &view)?,
-            Stage::Proxy => drop(self.field.uncached_proxy(camera, time_s, &view)?),
+            Stage::Sync => {
+                self.field.synchronize_geometry(&mut images, camera, time_s, &view)?;
+                self.field.synchronize(&mut images, &needed, time_s, &view)?;
+            }
+            Stage::Proxy => {
+                let proxy = self.field.uncached_proxy(camera, time_s, &view)?;
+                self.field.geometry_over(&proxy, shared, camera, time_s, &view);
+            }
             Stage::Blend => {
-                let depth = proxy.depth_map(camera);
-                self.field.needed(&images, &depth, camera, &view.blend);
-                self.field.blend_by_depth(&images, &depth, camera, &view.blend);
+                self.field.needed(&images, &geometry, camera, &view.blend);
+                self.field.blend(&images, &geometry, camera, &view.blend);
             }
         }
         Ok(watch.elapsed())

@@ -218,7 +218,7 @@ impl Bench<'_> {
                 .cameras
                 .iter()
                 .enumerate()
-                .map(|(k, c)| Source { camera: &c.camera, image: &c.image, depth: maps.get(k) })
+                .map(|(k, c)| Source { depth: maps.get(k), ..Source::new(&c.camera, &c.image) })
                 .collect();
             let start = cpu_ms();
             for _ in 1..REPEATS {

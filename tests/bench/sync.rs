@@ -39,7 +39,7 @@ fn score(field: &LightField, view: &ViewOptions, targets: &[Target]) -> (f64, f6
     for t in targets {
         field.synchronized(t.camera, t.time_s, view).expect("the truth is inside the film");
         let start = Instant::now();
-        let image = field.synchronized(t.camera, t.time_s, view).expect("as before");
+        let image = field.synchronized(t.camera, t.time_s, view).expect("as before").image;
         seconds += start.elapsed().as_secs_f64();
         let (s, n) = mean_square(&image, &t.image, None);
         whole = (whole.0 + s, whole.1 + n);

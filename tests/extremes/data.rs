@@ -113,7 +113,8 @@ fn one_and_two_features_show_no_offset_and_no_shape() {
         for &sync in SyncMethod::ALL {
             let filmed = capture.read_frame(1, 2).expect("a frame");
             let options = ViewOptions { sync, ..ViewOptions::default() };
-            let found = field.synchronized(1, 2.0 * FRAME_S, &options).expect("a frame's time");
+            let found =
+                field.synchronized(1, 2.0 * FRAME_S, &options).expect("a frame's time").image;
             assert_eq!(found.data(), filmed.data(), "{sync:?}");
         }
     }
@@ -250,7 +251,7 @@ fn constant_saturated_and_black_images() {
         // but at whatever depth, it looks the same.
         for &sync in SyncMethod::ALL {
             let options = by_plane(2.0).with_sync(sync);
-            let own = field.synchronized(1, time_s, &options).unwrap();
+            let own = field.synchronized(1, time_s, &options).unwrap().image;
             let seen = field.view(&target, time_s, &options).unwrap();
             let covered = seen.image.data().iter().zip(&seen.coverage).filter(|(_, c)| **c);
             for found in own.data().iter().chain(covered.map(|(v, _)| v)) {

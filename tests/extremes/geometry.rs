@@ -59,7 +59,7 @@ fn a_view_at_an_input_camera_is_its_image() {
     let capture = open(&folder);
     let field = field_of(&capture, estimate(&capture));
     let time_s = 1.5 * FRAME_S;
-    let own = field.synchronized(1, time_s, &ViewOptions::default()).unwrap();
+    let own = field.synchronized(1, time_s, &ViewOptions::default()).unwrap().image;
     for &method in ProxyMethod::ALL {
         let target = view(&scene.camera([0.0; 3]));
         let rendered = field.view(&target, time_s, &by_proxy(method)).unwrap();

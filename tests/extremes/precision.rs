@@ -198,8 +198,8 @@ fn views_of_parts_and_of_whole_images() {
         options.blend.cameras = cameras;
         let found = field.view(&target, time_s, &options).unwrap();
         let images = field.synchronized_all(time_s, &options).unwrap();
-        let proxy = field.proxy(&target, time_s, &options).unwrap();
-        let whole = field.blend(&images, &proxy, &target, &options.blend);
+        let geometry = field.geometry(&images, &target, time_s, &options).unwrap();
+        let whole = field.blend(&images, &geometry, &target, &options.blend);
         assert!(found == whole, "{cameras} cameras");
     }
 }

@@ -61,7 +61,7 @@ fn images_of_a_pixel_and_more() {
             assert!((found - truth).abs() < 0.03, "{width}×{height}: {found} {truth}");
         }
         let refined = options.with_sync(SyncMethod::Refined);
-        let own = field.synchronized(1, time_s, &refined).expect("an image");
+        let own = field.synchronized(1, time_s, &refined).expect("an image").image;
         for (found, truth) in own.data().iter().zip(swing.truth(1, 0.0).data()) {
             assert!((found - truth).abs() <= 1.0 / 255.0, "{width}×{height}");
         }
@@ -86,7 +86,7 @@ fn rows_8192_pixels_wide() {
     let at = 1.5;
     for sync in [SyncMethod::Triangulation, SyncMethod::EdgeMorph, SyncMethod::Refined] {
         let options = ViewOptions { sync, ..ViewOptions::default() };
-        let found = field.synchronized(1, at / RATE_HZ, &options).expect("an image");
+        let found = field.synchronized(1, at / RATE_HZ, &options).expect("an image").image;
         let off = rms(&found, &swing.truth(1, at), 8);
         assert!(off < 0.02, "{sync:?}: {off}");
     }
@@ -155,8 +155,10 @@ fn one_camera_to_sixty_four() {
         let field = field_of(&capture, true_offsets(&capture, &swing));
         let at = 1.5;
         let camera = swing.reference();
-        let own =
-            field.synchronized(camera, at / RATE_HZ, &ViewOptions::default()).expect("an image");
+        let own = field
+            .synchronized(camera, at / RATE_HZ, &ViewOptions::default())
+            .expect("an image")
+            .image;
         let off = rms(&own, &swing.truth(camera, at), 6);
         assert!(off < 0.02, "{cameras}: {off}");
         if cameras > 2 {
@@ -198,7 +200,8 @@ fn two_frames() {
     let (_folder, capture) = filmed(&swing);
     let field = field_of(&capture, true_offsets(&capture, &swing));
     for at in [0.0, 0.5, 1.0] {
-        let own = field.synchronized(1, at / RATE_HZ, &ViewOptions::default()).expect("an image");
+        let own =
+            field.synchronized(1, at / RATE_HZ, &ViewOptions::default()).expect("an image").image;
         let off = rms(&own, &swing.truth(1, at), 6);
         assert!(off < 0.02, "{at}: {off}");
     }

@@ -4,9 +4,9 @@
 use super::four_frames::FourFrames;
 use super::static_block::{average, is_static};
 use crate::interpolation::local_motion::LocalMotion;
-use crate::interpolation::windows::{box_filter, cross_fade, difference};
+use crate::interpolation::windows::{cross_fade, difference};
 use crate::interpolation::{Motion, RefineOptions};
-use crate::raster::{Image, sample_all};
+use crate::raster::{Image, box_filter, sample_all};
 use crate::registration::Neighbors;
 use nalgebra::{Point2, Vector2};
 

@@ -18,9 +18,9 @@ mod four_frames;
 mod static_block;
 
 use super::warp::{Warp, warped};
-use super::windows::{box_filter, cross_fade, difference};
+use super::windows::{cross_fade, difference};
 use super::{Motion, RefineOptions};
-use crate::raster::Image;
+use crate::raster::{Image, box_filter};
 use crate::registration::Neighbors;
 use block::BlockRefiner;
 pub use four_frames::FourFrames;

@@ -12,7 +12,6 @@ use stlfr::light_field::LightField;
 use stlfr::offset::{self, Offsets};
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
-use stlfr::raster::Image;
 use stlfr::registration::{FrameStore, epipolar_test, temporal_flow};
 
 /// What is timed, in the order of the pipeline.
@@ -117,12 +116,12 @@ fn measure(name: &str, case: &Case) -> Done<(usize, [f64; STAGES.len()])> {
         costs.push(timed(|| field.synchronized(reference, time_s, &view)).1);
     }
     let target = case.swing.camera([0.4, 0.0]);
-    let images: Vec<Option<Image>> =
+    let images =
         field.synchronized_all(time_s, &options.view().with_sync(SyncMethod::Crossfade))?;
-    let (proxy, cost) = timed(|| field.proxy(&target, time_s, &options.view()));
+    let (geometry, cost) = timed(|| field.geometry(&images, &target, time_s, &options.view()));
     costs.push(cost);
-    let proxy = proxy?;
-    costs.push(timed(|| field.blend(&images, &proxy, &target, &options.blend)).1);
+    let geometry = geometry?;
+    costs.push(timed(|| field.blend(&images, &geometry, &target, &options.blend)).1);
     let fresh = LightField::new(capture, known, &options.registration);
     let (view, cost) = timed(|| fresh.view(&target, time_s, &options.view()));
     view?;

@@ -1,0 +1,148 @@
+//! The scene's shape at an instant as a view needs it: its own depths, and what hides what in the
+//! cameras that it is blended from.
+
+use super::points::nearest;
+use super::{LightField, RenderError};
+use crate::camera::Camera;
+use crate::interpolation::Synchronized;
+use crate::lumigraph::{DepthMap, Proxy};
+use crate::options::{ProxyMethod, ViewOptions};
+use crate::stereo::{CameraImage, InverseDepths, Matcher, Surface, fuse};
+use nalgebra::Point2;
+use rayon::prelude::*;
+
+/// Share of the range of inverse depths that is added at both ends. Larger: time; smaller: what has no
+/// feature and is nearer or farther than all features gets a wrong depth.
+const RANGE_MARGIN: f64 = 0.1;
+/// Distance between the samples of the proxy that give the range, pixels. Larger: thin things nearer than all
+/// else are missed; smaller: time.
+const RANGE_STEP_PX: usize = 8;
+/// Smallest inverse depth, 1/m: a hundred kilometres. Larger: mountains come nearer; smaller: levels are
+/// spent on what looks alike.
+const MIN_INVERSE_DEPTH: f64 = 1e-5;
+
+/// The depths of a view, and of the cameras that it is blended from.
+#[derive(Clone, Debug)]
+pub struct Geometry {
+    /// Of the view.
+    pub view: DepthMap,
+    /// Of every camera, in the capture's order. `None`: nothing is hidden from it.
+    pub sources: Vec<Option<DepthMap>>,
+}
+
+impl LightField {
+    /// The cameras whose images at the instant the geometry is estimated from, nearest first: none, if
+    /// the proxy is built from features.
+    pub(crate) fn geometry_cameras(
+        &self,
+        target: &Camera,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Vec<usize> {
+        if options.proxy.method != ProxyMethod::Depth {
+            return Vec::new();
+        }
+        let mut cameras = nearest(&self.capture().cameras, &self.usable(time_s), target);
+        cameras.truncate(options.proxy.depth.cameras + options.proxy.depth.further_cameras);
+        cameras
+    }
+
+    /// The geometry of a view at a time. With [`ProxyMethod::Depth`] it is estimated from `images`, in the
+    /// capture's order, of the cameras nearest to the view that have one.
+    ///
+    /// # Errors
+    /// Those of [`Self::proxy`].
+    pub fn geometry(
+        &self,
+        images: &[Option<Synchronized>],
+        target: &Camera,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<Geometry, RenderError> {
+        let proxy = self.proxy(target, time_s, options)?;
+        Ok(self.geometry_over(&proxy, images, target, time_s, options))
+    }
+
+    /// The same over a proxy that is built already.
+    pub(crate) fn geometry_over(
+        &self,
+        proxy: &Proxy,
+        images: &[Option<Synchronized>],
+        target: &Camera,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Geometry {
+        let blind = Geometry { view: proxy.depth_map(target), sources: vec![None; images.len()] };
+        let mut cameras = self.geometry_cameras(target, time_s, options);
+        cameras.retain(|&c| images[c].is_some());
+        if cameras.len() < 2 {
+            return blind;
+        }
+        self.by_stereo(&self.corrected(images), &cameras, &blind, target, options)
+    }
+
+    /// The depths that the images of these cameras agree on, nearest first.
+    fn by_stereo(
+        &self,
+        images: &[Option<Synchronized>],
+        cameras: &[usize],
+        blind: &Geometry,
+        target: &Camera,
+        options: &ViewOptions,
+    ) -> Geometry {
+        let filmed = &self.capture().cameras;
+        let views: Vec<CameraImage> = cameras
+            .iter()
+            .filter_map(|&c| Some((c, images[c].as_ref()?)))
+            .map(|(c, s)| CameraImage { camera: &filmed[c].camera, image: &s.image })
+            .collect();
+        let own = options.proxy.depth.cameras.clamp(1, views.len());
+        let points = sampled(&blind.view, target);
+        let Some(range_of_all) = range(&points, target) else { return blind.clone() };
+        let matcher = Matcher::new(&views, range_of_all, &options.proxy.depth);
+        let depths: Vec<Option<InverseDepths>> = (0..own)
+            .into_par_iter()
+            .map(|k| {
+                let range = range(&points, views[k].camera)?;
+                matcher.depths(k, range, &options.proxy.depth)
+            })
+            .collect();
+        let surfaces: Vec<Surface> = views
+            .iter()
+            .zip(&depths)
+            .filter_map(|(v, d)| Some(Surface { camera: v.camera, depths: d.as_ref()? }))
+            .collect();
+        if surfaces.is_empty() {
+            return blind.clone();
+        }
+        let mut sources = vec![None; images.len()];
+        for ((&c, view), depths) in cameras.iter().zip(&views).zip(&depths) {
+            sources[c] = depths.as_ref().map(|d| d.depth_map(view.camera));
+        }
+        Geometry { view: fuse(target, &surfaces), sources }
+    }
+}
+
+/// Points of the proxy, world, metres.
+fn sampled(depths: &DepthMap, target: &Camera) -> Vec<nalgebra::Point3<f64>> {
+    let mut points = Vec::new();
+    for y in (0..target.height).step_by(RANGE_STEP_PX) {
+        for x in (0..target.width).step_by(RANGE_STEP_PX) {
+            let depth = f64::from(depths.row(y)[x]);
+            let ray = target.ray_world(&Point2::new(x as f64 + 0.5, y as f64 + 0.5));
+            if let Some(ray) = ray.filter(|_| depth.is_finite()) {
+                points.push(target.center() + ray * depth);
+            }
+        }
+    }
+    points
+}
+
+/// The range of the points' inverse depths in a camera, 1/m, with a margin. `None` if none is in front.
+fn range(points: &[nalgebra::Point3<f64>], camera: &Camera) -> Option<[f64; 2]> {
+    let depths = points.iter().map(|p| (camera.cam_from_world * p).z).filter(|z| *z > 0.0);
+    let [low, high] = depths
+        .fold([f64::INFINITY, 0.0_f64], |[low, high], z| [low.min(1.0 / z), high.max(1.0 / z)]);
+    let margin = RANGE_MARGIN * (high - low);
+    (low < f64::INFINITY).then(|| [(low - margin).max(MIN_INVERSE_DEPTH), high + margin])
+}

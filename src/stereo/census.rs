@@ -1,0 +1,64 @@
+//! What a pixel looks like, in eight bytes: which pixels around it are darker (the census transform, Zabih
+//! and Woodfill 1994), and between which grey values the image lies within half a pixel of it (Birchfield and
+//! Tomasi 1998).
+
+use crate::raster::Image;
+
+/// Half the side of the census window, pixels. Larger: foreground swells over its outline; smaller: codes of
+/// different places are alike.
+const RADIUS: isize = 2;
+
+/// A pixel's look.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Look {
+    /// The census code, 24 bits.
+    code: u32,
+    /// Grey values, 0 to 255.
+    value: u8,
+    least: u8,
+    most: u8,
+}
+
+impl Look {
+    /// How many bits of the census codes differ.
+    #[inline(always)]
+    pub fn bits(&self, other: &Self) -> u32 {
+        (self.code ^ other.code).count_ones()
+    }
+
+    /// How far this pixel's grey value is from those of the other, 0 to 255.
+    #[inline(always)]
+    pub fn beyond(&self, other: &Self) -> u8 {
+        self.value.saturating_sub(other.most).max(other.least.saturating_sub(self.value))
+    }
+}
+
+/// The looks of all pixels of a grey image, row by row; the border is repeated outwards.
+pub(super) fn looks(gray: &Image) -> Vec<Look> {
+    let (w, h) = (gray.width() as isize, gray.height() as isize);
+    let bytes: Vec<u8> =
+        gray.data().iter().map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8).collect();
+    let at = |x: isize, y: isize| (y.clamp(0, h - 1) * w + x.clamp(0, w - 1)) as usize;
+    let mut looks = Vec::with_capacity(bytes.len());
+    for y in 0..h {
+        for x in 0..w {
+            let value = bytes[at(x, y)];
+            let center = gray.data()[at(x, y)];
+            let mut code = 0;
+            for dy in -RADIUS..=RADIUS {
+                for dx in -RADIUS..=RADIUS {
+                    if (dx, dy) != (0, 0) {
+                        code = code << 1 | u32::from(gray.data()[at(x + dx, y + dy)] < center);
+                    }
+                }
+            }
+            let (mut least, mut most) = (value, value);
+            for near in [at(x - 1, y), at(x + 1, y), at(x, y - 1), at(x, y + 1)] {
+                let half = value.midpoint(bytes[near]);
+                (least, most) = (least.min(half), most.max(half));
+            }
+            looks.push(Look { code, value, least, most });
+        }
+    }
+    looks
+}

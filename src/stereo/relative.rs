@@ -1,0 +1,77 @@
+//! Where the points of one camera's rays are in another camera.
+
+use super::levels::Levels;
+use crate::camera::{Camera, CameraModel};
+use nalgebra::{Matrix3, Point2, Vector3};
+
+/// One camera relative to another: points are `r / ρ`, r = (x, y, 1) a ray of the first camera and ρ its
+/// inverse depth. Everything is computed times ρ, so that the sky is like any other point.
+pub(super) struct Relative {
+    rotation: Matrix3<f32>,
+    shift: Vector3<f32>,
+    model: CameraModel,
+    intrinsics: [f32; 4],
+    is_pinhole: bool,
+}
+
+impl Relative {
+    pub fn new(from: &Camera, to: &Camera) -> Self {
+        let rotation = to.cam_from_world.rotation * from.cam_from_world.rotation.inverse();
+        let shift = to.cam_from_world.rotation * (from.center() - to.center());
+        let (fx, fy, cx, cy) = to.model.intrinsics();
+        Self {
+            rotation: rotation.to_rotation_matrix().into_inner().cast(),
+            shift: shift.cast(),
+            model: to.model,
+            intrinsics: [fx, fy, cx, cy].map(|v| v as f32),
+            is_pinhole: to.model.is_pinhole(),
+        }
+    }
+
+    /// The ray in the other camera's axes, before the shift.
+    #[inline(always)]
+    pub fn turned(&self, x: f32, y: f32) -> Vector3<f32> {
+        self.rotation * Vector3::new(x, y, 1.0)
+    }
+
+    /// The point times its inverse depth, in the other camera's axes.
+    #[inline(always)]
+    pub fn point(&self, turned: &Vector3<f32>, inverse: f32) -> Vector3<f32> {
+        turned + self.shift * inverse
+    }
+
+    /// The pixel of such a point; NaN or infinite if it has none.
+    #[inline(always)]
+    pub fn pixel(&self, q: &Vector3<f32>) -> [f32; 2] {
+        if !(q.z > 0.0) {
+            return [f32::NAN; 2];
+        }
+        let (nx, ny) = (q.x / q.z, q.y / q.z);
+        if self.is_pinhole {
+            let [fx, fy, cx, cy] = self.intrinsics;
+            return [fx * nx + cx, fy * ny + cy];
+        }
+        let pixel = self.model.pixel_from_normalized(&Point2::new(f64::from(nx), f64::from(ny)));
+        [pixel.x as f32, pixel.y as f32]
+    }
+
+    /// The pixels of a ray's points at all levels; NaN or infinite where there is none.
+    #[inline(always)]
+    pub fn path(&self, [x, y]: [f32; 2], levels: &Levels, xs: &mut [f32], ys: &mut [f32]) {
+        let turned = self.turned(x, y);
+        if !self.is_pinhole {
+            for (level, (x, y)) in xs.iter_mut().zip(ys).enumerate() {
+                [*x, *y] = self.pixel(&self.point(&turned, levels.at(level as f32)));
+            }
+            return;
+        }
+        let [fx, fy, cx, cy] = self.intrinsics;
+        for (level, (x, y)) in xs.iter_mut().zip(ys).enumerate() {
+            let inverse = levels.at(level as f32);
+            let z = turned.z + self.shift.z * inverse;
+            let scale = if z > 0.0 { 1.0 / z } else { f32::NAN };
+            *x = fx * (turned.x + self.shift.x * inverse) * scale + cx;
+            *y = fy * (turned.y + self.shift.y * inverse) * scale + cy;
+        }
+    }
+}
