@@ -1,11 +1,15 @@
 //! Views and synchronized images against the truth, beside what true parts would give.
 //!
+//! `cargo bench --bench picture -- rig RIG.json OUT.json` writes the rig with the views that are measured:
+//! halfway between the middle cameras, beside that, 12 cm above it, and 12 cm ahead.
+//!
 //! `cargo bench --bench picture -- CAPTURE… [--instants N] [--out DIR]`: filmed captures with `truth/`.
 //! Clocks are the true ones. Prints PSNR of all pixels whose point some camera sees, and of the moving part
 //! among them; for the depths of a view, the median error and the share over 1 px, in pixels of disparity
 //! at 6 cm, away from depth edges and within 4 px of them. Pictures of the first instant go to DIR.
 
 use nalgebra::Point2;
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::camera::Camera;
@@ -231,7 +235,39 @@ fn bench(folder: &str, instants: usize, out: Option<&Path>) -> Result<(), Error>
     Ok(())
 }
 
+/// The views of the benchmark: name, and place in metres to the right of the rig's middle, below and ahead.
+const VIEWS: [(&str, [f64; 3]); 4] = [
+    ("between", [0.0; 3]),
+    ("side", [-0.12, 0.0, 0.0]),
+    ("high", [-0.03, -0.12, 0.0]),
+    ("ahead", [0.03, 0.0, 0.12]),
+];
+
+/// Writes a rig with [`VIEWS`] in place of its own.
+fn write_rig(from: &str, to: &str) -> Result<(), Error> {
+    let mut rig: Value = serde_json::from_str(&std::fs::read_to_string(from)?)?;
+    let lens = rig["views"][0].clone();
+    let view = |(id, place): &(&str, [f64; 3])| {
+        let mut view = lens.clone();
+        view["id"] = json!(id);
+        let translation = place.map(|v| if v == 0.0 { 0.0 } else { -v });
+        let rotation = [1.0, 0.0, 0.0, 0.0];
+        view["cam_from_rig"] = json!({"rotation_wxyz": rotation, "translation": translation});
+        view
+    };
+    rig["views"] = VIEWS.iter().map(view).collect();
+    let folder = Path::new(to).parent().ok_or("has no folder")?;
+    std::fs::create_dir_all(folder)?;
+    Ok(std::fs::write(to, serde_json::to_string_pretty(&rig)?)?)
+}
+
 fn main() -> Result<(), Error> {
+    let arguments: Vec<String> = std::env::args().filter(|a| a != "--bench").collect();
+    if let [_, command, from, to] = &arguments[..]
+        && command == "rig"
+    {
+        return write_rig(from, to);
+    }
     let (mut folders, mut instants, mut out) = (Vec::new(), usize::MAX, None);
     let mut args = std::env::args().skip(1).filter(|a| a != "--bench");
     while let Some(arg) = args.next() {
