@@ -46,7 +46,7 @@ pub(super) fn guided_flow(
 }
 
 /// How far each match is from its guess, pixels, with its position in the source.
-fn surprises(starts: &[Start], matches: &[Option<Match>]) -> Vec<(Point2<f64>, Vector2<f64>)> {
+fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<(Point2<f64>, Vector2<f64>)> {
     let of = |(start, m): (&Start, &Option<Match>)| m.map(|m| (m.source, m.target - start.1));
     starts.iter().zip(matches).filter_map(of).collect()
 }
@@ -58,12 +58,12 @@ fn predicted_by_neighbors(
     matches: &[Option<Match>],
     options: &RegistrationOptions,
 ) -> Vec<(usize, Start)> {
-    let surprises = surprises(starts, matches);
-    let agrees = consensus(&surprises, options);
-    let trusted: Vec<_> = surprises
+    let innovations = innovations(starts, matches);
+    let agrees = consensus(&innovations, options);
+    let trusted: Vec<_> = innovations
         .iter()
         .zip(&agrees)
-        .filter_map(|(surprise, agrees)| agrees.then_some(*surprise))
+        .filter_map(|(innovation, agrees)| agrees.then_some(*innovation))
         .collect();
     let prior = MotionPrior::new(&trusted);
     let mut agrees = agrees.into_iter();
@@ -90,7 +90,7 @@ pub(super) fn extensions(
     let mut matches = flow_over(source, target, starts, EXTENSION_LEVELS, options);
     seek_lost([source, target], starts, &mut matches, options);
     let matches = guided_flow([source, target], starts, matches, options);
-    let changes = surprises(starts, &matches);
+    let changes = innovations(starts, &matches);
     let support = support(&changes, options);
     let mut judged = changes.iter().zip(support);
     let judge = |(start, m): (&Start, &Option<Match>)| {

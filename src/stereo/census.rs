@@ -1,4 +1,4 @@
-//! What a pixel looks like, in eight bytes: which pixels around it are darker (the census transform, Zabih
+//! What a pixel descriptors like, in eight bytes: which pixels around it are darker (the census transform, Zabih
 //! and Woodfill 1994), and between which grey values the image lies within half a pixel of it (Birchfield and
 //! Tomasi 1998).
 
@@ -8,9 +8,9 @@ use crate::raster::Image;
 /// different places are alike.
 const RADIUS: isize = 2;
 
-/// A pixel's look.
+/// A pixel's descriptor.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Look {
+pub(super) struct Descriptor {
     /// The census code, 24 bits.
     code: u32,
     /// Grey values, 0 to 255.
@@ -19,7 +19,7 @@ pub(super) struct Look {
     most: u8,
 }
 
-impl Look {
+impl Descriptor {
     /// How many bits of the census codes differ.
     #[inline(always)]
     pub fn bits(&self, other: &Self) -> u32 {
@@ -33,13 +33,13 @@ impl Look {
     }
 }
 
-/// The looks of all pixels of a grey image, row by row; the border is repeated outwards.
-pub(super) fn looks(gray: &Image) -> Vec<Look> {
+/// The descriptors of all pixels of a grey image, row by row; the border is repeated outwards.
+pub(super) fn descriptors(gray: &Image) -> Vec<Descriptor> {
     let (w, h) = (gray.width() as isize, gray.height() as isize);
     let bytes: Vec<u8> =
         gray.data().iter().map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8).collect();
     let at = |x: isize, y: isize| (y.clamp(0, h - 1) * w + x.clamp(0, w - 1)) as usize;
-    let mut looks = Vec::with_capacity(bytes.len());
+    let mut descriptors = Vec::with_capacity(bytes.len());
     for y in 0..h {
         for x in 0..w {
             let value = bytes[at(x, y)];
@@ -57,8 +57,8 @@ pub(super) fn looks(gray: &Image) -> Vec<Look> {
                 let half = value.midpoint(bytes[near]);
                 (least, most) = (least.min(half), most.max(half));
             }
-            looks.push(Look { code, value, least, most });
+            descriptors.push(Descriptor { code, value, least, most });
         }
     }
-    looks
+    descriptors
 }

@@ -2,7 +2,7 @@
 
 use super::camera_image::CameraImage;
 use super::levels::Levels;
-use super::matching::{Prepared, best_of, costs};
+use super::matching::{Prepared, costs, upsampled};
 use super::options::StereoOptions;
 use super::refine::refine;
 use super::semi_global::aggregate;
@@ -104,14 +104,14 @@ impl Matcher {
         let partners = self.partners(coarsest, index, options.partners);
         let costs = costs(reference, &partners, &levels);
         let sums = aggregate(&costs, reference.gray(), levels.count);
-        let mut values = winners(&sums, &levels);
+        let mut values = winner_takes_all(&sums, &levels);
         let mut std_err = refine(&mut values, reference, &partners, levels.step);
         let mut step = levels.step;
         for halvings in (0..coarsest).rev() {
             let reference = &self.prepared[halvings][index];
             let partners = self.partners(halvings, index, options.partners);
             let coarse = self.prepared[halvings + 1][index].camera();
-            values = best_of(&values, coarse, reference, &partners);
+            values = upsampled(&values, coarse, reference, &partners);
             step *= 0.5;
             std_err = refine(&mut values, reference, &partners, step);
         }
@@ -134,7 +134,7 @@ impl Matcher {
 }
 
 /// The inverse depth of the least sum at every pixel, between levels by a parabola.
-fn winners(sums: &[i16], levels: &Levels) -> Vec<f32> {
+fn winner_takes_all(sums: &[i16], levels: &Levels) -> Vec<f32> {
     let n = levels.count;
     let of = |sums: &[i16]| {
         let best = (0..n).min_by_key(|&k| sums[k]).unwrap_or(0);

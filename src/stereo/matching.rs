@@ -1,7 +1,7 @@
 //! How well the neighbours of a camera agree with it, at every depth.
 
 use super::camera_image::CameraImage;
-use super::census::{Look, looks};
+use super::census::{Descriptor, descriptors};
 use super::levels::Levels;
 use super::relative::Relative;
 use crate::camera::Camera;
@@ -23,7 +23,7 @@ const UNSEEN: u8 = 40;
 pub(super) struct Prepared {
     camera: Camera,
     gray: Image,
-    looks: Vec<Look>,
+    descriptors: Vec<Descriptor>,
 }
 
 impl Prepared {
@@ -32,8 +32,8 @@ impl Prepared {
     }
 
     fn of(camera: Camera, gray: Image) -> Self {
-        let looks = looks(&gray);
-        Self { camera, gray, looks }
+        let descriptors = descriptors(&gray);
+        Self { camera, gray, descriptors }
     }
 
     /// The same at half the size, without the last row or column of an odd number. `None` if nothing is left.
@@ -60,7 +60,7 @@ impl Prepared {
 
 /// The inverse depths of an image of twice the size of `coarse`: every pixel takes that of the four coarse
 /// pixels around it at which it matches its partners best.
-pub(super) fn best_of(
+pub(super) fn upsampled(
     values: &[f32],
     coarse: &Camera,
     reference: &Prepared,
@@ -92,7 +92,7 @@ pub(super) fn best_of(
                         let point = relative.point(&turned, *candidate);
                         [scratch.x[n], scratch.y[n]] = relative.pixel(&point);
                     }
-                    let own = &reference.looks[y * w + x];
+                    let own = &reference.descriptors[y * w + x];
                     scratch.compare(own, partners[k], k);
                 }
                 better_half(scratch, costs);
@@ -117,7 +117,7 @@ pub(super) fn costs(reference: &Prepared, partners: &[&Prepared], levels: &Level
         || (RayRow::new(camera), Scratch::new(n, partners.len())),
         |(rays, scratch), (y, out)| {
             rays.set(camera, y);
-            let own = &reference.looks[y * w..(y + 1) * w];
+            let own = &reference.descriptors[y * w..(y + 1) * w];
             let row = Row { own, partners, relatives: &relatives, levels, rays };
             row.costs(scratch, out);
         },
@@ -127,7 +127,7 @@ pub(super) fn costs(reference: &Prepared, partners: &[&Prepared], levels: &Level
 
 /// One row of the reference.
 struct Row<'a> {
-    own: &'a [Look],
+    own: &'a [Descriptor],
     partners: &'a [&'a Prepared],
     relatives: &'a [Relative],
     levels: &'a Levels,
@@ -190,7 +190,7 @@ const OUTSIDE: i32 = -1;
 impl Scratch {
     /// The costs of partner `k` at the positions.
     #[inline(always)]
-    fn compare(&mut self, own: &Look, partner: &Prepared, k: usize) {
+    fn compare(&mut self, own: &Descriptor, partner: &Prepared, k: usize) {
         let (w, h) = (partner.gray.width(), partner.gray.height());
         let (wf, hf) = (w as f32, h as f32);
         for ((at, &x), &y) in self.at.iter_mut().zip(&self.x).zip(&self.y) {
@@ -206,8 +206,10 @@ impl Scratch {
         let n = self.at.len();
         for (cost, &at) in self.each[k * n..(k + 1) * n].iter_mut().zip(&self.at) {
             // Outside, the index is beyond any image.
-            *cost = match partner.looks.get(at as usize) {
-                Some(look) => BIT * own.bits(look) as u8 + own.beyond(look).min(MAX_GRAY),
+            *cost = match partner.descriptors.get(at as usize) {
+                Some(descriptor) => {
+                    BIT * own.bits(descriptor) as u8 + own.beyond(descriptor).min(MAX_GRAY)
+                }
                 None => u8::MAX,
             };
         }
@@ -274,7 +276,7 @@ mod tests {
             let mut row_costs = vec![0; 41 * levels.count];
             for (y, found) in found.chunks_exact(41 * levels.count).enumerate() {
                 rays.set(&all[0].camera, y);
-                let own = &all[0].looks[y * 41..(y + 1) * 41];
+                let own = &all[0].descriptors[y * 41..(y + 1) * 41];
                 let (partners, relatives) = (&partners[..], &relatives[..]);
                 let row = Row { own, partners, relatives, levels: &levels, rays: &rays };
                 row.costs_by(&mut scratch, &mut row_costs);

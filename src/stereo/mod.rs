@@ -13,7 +13,7 @@
 //! | file | what |
 //! |---|---|
 //! | `levels.rs` | the inverse depths that are tried |
-//! | `census.rs` | the looks of pixels, which survive changes of brightness |
+//! | `census.rs` | descriptors of pixels, which survive changes of brightness |
 //! | `matching.rs` | how well each camera's neighbours agree with it, at every depth |
 //! | `semi_global.rs` | smoothness, but for jumps at image edges (Hirschmüller 2008) |
 //! | `refine.rs` | depths between the levels, and their standard errors |
