@@ -5,11 +5,12 @@ use super::points::nearest;
 use super::{LightField, RenderError};
 use crate::camera::Camera;
 use crate::interpolation::Synchronized;
-use crate::lumigraph::{DepthMap, Proxy};
+use crate::lumigraph::{BlendMethod, DepthMap, Proxy};
 use crate::options::{ProxyMethod, ViewOptions};
 use crate::stereo::{CameraImage, InverseDepths, Matcher, Surface, fuse};
 use nalgebra::Point2;
 use rayon::prelude::*;
+use std::borrow::Cow;
 
 /// Share of the range of inverse depths that is added at both ends. Larger: time; smaller: what has no
 /// feature and is nearer or farther than all features gets a wrong depth.
@@ -31,20 +32,42 @@ pub struct Geometry {
 }
 
 impl LightField {
-    /// The cameras whose images at the instant the geometry is estimated from, nearest first: none, if
-    /// the proxy is built from features.
+    /// The cameras whose whole images at the instant decide the view, nearest first: those that depths are
+    /// estimated from, and those whose pixels' times are weighed. None, if the proxy is built from
+    /// features and time has no weight.
     pub(crate) fn geometry_cameras(
         &self,
         target: &Camera,
         time_s: f64,
         options: &ViewOptions,
     ) -> Vec<usize> {
-        if options.proxy.method != ProxyMethod::Depth {
+        if options.proxy.method != ProxyMethod::Depth
+            && options.blend.method != BlendMethod::SpaceTime
+        {
             return Vec::new();
         }
         let mut cameras = nearest(&self.capture().cameras, &self.usable(time_s), target);
         cameras.truncate(options.proxy.depth.cameras + options.proxy.depth.further_cameras);
         cameras
+    }
+
+    /// The images that a view may be blended from. Where time has weight, what was bridged must be known:
+    /// those of [`Self::geometry_cameras`] alone.
+    pub(crate) fn candidates<'a>(
+        &self,
+        images: &'a [Option<Synchronized>],
+        target: &Camera,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Cow<'a, [Option<Synchronized>]> {
+        if options.blend.method != BlendMethod::SpaceTime {
+            return Cow::Borrowed(images);
+        }
+        let mut candidates = vec![None; images.len()];
+        for c in self.geometry_cameras(target, time_s, options) {
+            candidates[c].clone_from(&images[c]);
+        }
+        Cow::Owned(candidates)
     }
 
     /// The geometry of a view at a time. With [`ProxyMethod::Depth`] it is estimated from `images`, in the
@@ -73,6 +96,9 @@ impl LightField {
         options: &ViewOptions,
     ) -> Geometry {
         let blind = Geometry { view: proxy.depth_map(target), sources: vec![None; images.len()] };
+        if options.proxy.method != ProxyMethod::Depth {
+            return blind;
+        }
         let mut cameras = self.geometry_cameras(target, time_s, options);
         cameras.retain(|&c| images[c].is_some());
         if cameras.len() < 2 {
@@ -118,6 +144,11 @@ impl LightField {
         let mut sources = vec![None; images.len()];
         for ((&c, view), depths) in cameras.iter().zip(&views).zip(&depths) {
             sources[c] = depths.as_ref().map(|d| d.depth_map(view.camera));
+        }
+        for &c in cameras {
+            if sources[c].is_none() {
+                sources[c] = Some(fuse(&filmed[c].camera, &surfaces));
+            }
         }
         Geometry { view: fuse(target, &surfaces), sources }
     }

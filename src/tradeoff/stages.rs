@@ -101,13 +101,16 @@ impl<'a> Views<'a> {
     /// As [`LightField::view`], and the cameras that the view is blended from.
     pub fn view(&mut self, options: &RenderOptions) -> Result<(Rendered, Vec<usize>), RenderError> {
         let view = options.view();
+        let (field, camera, time_s) = (self.field, self.camera, self.time_s);
         let geometry = self.geometry(options)?;
         let shared = self.images.as_ref().map_or(&[][..], |s| &s.images);
-        let needed = self.field.needed(shared, &geometry, self.camera, &view.blend);
+        let candidates = field.candidates(shared, camera, time_s, &view);
+        let needed = field.needed(&candidates, &geometry, camera, &view.blend);
         let needed: Vec<usize> = needed.into_iter().map(|(c, _)| c).collect();
         self.share(options, &needed)?;
         let shared = self.images.as_ref().map_or(&[][..], |s| &s.images);
-        let rendered = self.field.blend(shared, &geometry, self.camera, &view.blend);
+        let candidates = field.candidates(shared, camera, time_s, &view);
+        let rendered = field.blend(&candidates, &geometry, camera, &view.blend);
         let is_seen = rendered.coverage.contains(&true);
         if is_seen { Ok((rendered, needed)) } else { Err(RenderError::NothingSeen) }
     }
@@ -156,7 +159,8 @@ impl<'a> Views<'a> {
         let shared = self.images.as_ref().map_or(&[][..], |s| &s.images);
         let mut images = self.field.blanks(time_s);
         let whole = self.field.geometry_cameras(camera, time_s, &view);
-        let mut needed = self.field.needed(&images, &geometry, camera, &view.blend);
+        let candidates = self.field.candidates(&images, camera, time_s, &view);
+        let mut needed = self.field.needed(&candidates, &geometry, camera, &view.blend);
         needed.retain(|(c, _)| !whole.contains(c));
         let watch = Stopwatch::start();
         match stage {

@@ -9,8 +9,9 @@ use crate::naive;
 use nalgebra::{Matrix2, Point2, Vector2};
 use stlfr::interpolation::SyncMethod;
 use stlfr::interpolation::{Edge, Feature, MorphOptions, Warp, cross_dissolve, morph_warp};
+use stlfr::lumigraph::BlendMethod;
 use stlfr::offset::{CameraOffset, Offsets};
-use stlfr::options::ViewOptions;
+use stlfr::options::{ProxyMethod, ViewOptions};
 use stlfr::random::Random;
 use stlfr::raster::{BitDepth, Image, Samples, quantize};
 use stlfr::registration::{Frame, RegistrationOptions, flow};
@@ -201,6 +202,18 @@ fn views_of_parts_and_of_whole_images() {
         let geometry = field.geometry(&images, &target, time_s, &options).unwrap();
         let whole = field.blend(&images, &geometry, &target, &options.blend);
         assert!(found == whole, "{cameras} cameras");
+        for (proxy, blend) in [
+            (ProxyMethod::Depth, BlendMethod::Lumigraph),
+            (ProxyMethod::Mesh, BlendMethod::SpaceTime),
+            (ProxyMethod::Depth, BlendMethod::SpaceTime),
+        ] {
+            let mut options = options.clone();
+            (options.proxy.method, options.blend.method) = (proxy, blend);
+            let found = field.view(&target, time_s, &options).unwrap();
+            let geometry = field.geometry(&images, &target, time_s, &options).unwrap();
+            let whole = field.blend(&images, &geometry, &target, &options.blend);
+            assert!(found == whole, "{cameras} cameras, {proxy:?}, {blend:?}");
+        }
     }
 }
 
