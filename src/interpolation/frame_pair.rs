@@ -34,7 +34,8 @@ pub struct Synchronized {
     pub image: Image,
     /// How far each pixel was bridged, pixels, row by row: its motion between the two frames, and more
     /// where the frames disagree about it, times 4s(1 − s) with s the instant's place between them.
-    /// Interpolation's error grows with it; it is 0 at a frame. `None` where nothing was interpolated.
+    /// Interpolation's error grows with it; it is 0 at a frame. `None` where nothing was interpolated, or
+    /// nobody asked.
     pub bridged_px: Option<Vec<f32>>,
 }
 
@@ -64,6 +65,8 @@ pub struct FramePair<'a> {
     /// The tiles of the image that are needed, `None` for all. The others may be made by a cheaper
     /// method.
     pub parts: Option<&'a Tiles>,
+    /// Whether [`Synchronized::bridged_px`] is wanted, which takes as long as a warp.
+    pub wants_bridged: bool,
 }
 
 impl FramePair<'_> {
@@ -96,7 +99,7 @@ impl FramePair<'_> {
         let warps = [true, false].map(|forward| self.warp(time_s, forward, sync, options));
         let warps = [&warps[0], &warps[1]];
         let share = 4.0 * fraction * (1.0 - fraction);
-        let bridged_px = Some(bridged(images, warps, share as f32));
+        let bridged_px = self.wants_bridged.then(|| bridged(images, warps, share as f32));
         let image = if sync == SyncMethod::Refined {
             let frames = FourFrames {
                 before: self.around[0].map(|f| &f.image),

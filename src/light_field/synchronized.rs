@@ -2,6 +2,7 @@
 
 use super::{LightField, RenderError};
 use crate::interpolation::{FramePair, SyncMethod, Synchronized};
+use crate::lumigraph::BlendMethod;
 use crate::options::ViewOptions;
 use crate::raster::Tiles;
 use rayon::prelude::*;
@@ -58,6 +59,7 @@ impl LightField {
             times_s: self.times(camera),
             index: k,
             parts,
+            wants_bridged: options.blend.method == BlendMethod::SpaceTime,
         };
         Ok(pair.interpolate(time_s, sync, &options.interpolation))
     }

@@ -36,7 +36,7 @@ pub use shape::Shape;
 
 use crate::interpolation::SyncMethod;
 use crate::light_field::{LightField, RenderError};
-use crate::options::{AutoOptions, RenderOptions};
+use crate::options::{AutoOptions, ProxyMethod, RenderOptions, ViewOptions};
 use crate::progress::Reporter;
 use serde::Serialize;
 
@@ -87,7 +87,8 @@ pub fn plan(
         decided.proxy.method = proxy.unwrap_or(decided.proxy.method);
     }
     let [cheaper, dearer] = [SyncMethod::Triangulation, SyncMethod::Refined]
-        .map(|sync| RenderOptions { sync, ..decided.clone() }.view());
+        .map(|sync| RenderOptions { sync, ..decided.clone() }.view())
+        .map(probing);
     if sync == SyncMethod::Refined
         && let Some(probe) = Probe::open(field)?
         && let Some(gain_db) = probe.possible_gain_db(field, &cheaper, &dearer)?
@@ -110,6 +111,15 @@ fn percentile(mut values: Vec<f64>, fraction: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let last = values.len().saturating_sub(1);
     values.get((fraction * last as f64).round() as usize).copied()
+}
+
+/// A view's options as a probe takes them: many views are rendered to see what synchronization changes, and depth
+/// per pixel takes several times as long as the mesh.
+fn probing(mut options: ViewOptions) -> ViewOptions {
+    if options.proxy.method == ProxyMethod::Depth {
+        options.proxy.method = ProxyMethod::Mesh;
+    }
+    options
 }
 
 #[cfg(test)]

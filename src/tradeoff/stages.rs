@@ -5,7 +5,7 @@ use crate::camera::Camera;
 use crate::host::{BoundedCache, Elapsed, Stopwatch};
 use crate::interpolation::{InterpolationOptions, SyncMethod, Synchronized};
 use crate::light_field::{Geometry, LightField, RenderError};
-use crate::lumigraph::Rendered;
+use crate::lumigraph::{BlendMethod, Rendered};
 use crate::offset::OffsetOptions;
 use crate::options::{ProxyMethod, RenderOptions};
 use rayon::prelude::*;
@@ -44,6 +44,13 @@ impl Stage {
 
 /// The options that synchronized images depend on.
 pub(super) fn sync_part(o: &RenderOptions) -> Value {
+    // What was bridged is computed where it has weight.
+    let is_bridged = o.blend.method == BlendMethod::SpaceTime;
+    json!([is_bridged, image_part(o)])
+}
+
+/// The same of the images alone.
+fn image_part(o: &RenderOptions) -> Value {
     match o.sync {
         SyncMethod::Nearest | SyncMethod::Crossfade => json!([o.offset, o.sync]),
         SyncMethod::Triangulation => {

@@ -129,7 +129,9 @@ type Row<'a> = (&'a str, &'a [Option<Synchronized>], &'a Geometry, BlendMethod);
 impl<'a> Scene<'a> {
     fn new(field: &'a LightField, time_s: f64, cameras: Vec<True>) -> Result<Self, Error> {
         let options = RenderOptions::default().view();
-        let by = |sync| field.synchronized_all(time_s, &options.clone().with_sync(sync));
+        let mut timed = options.clone();
+        timed.blend.method = BlendMethod::SpaceTime;
+        let by = |sync| field.synchronized_all(time_s, &timed.clone().with_sync(sync));
         let (nearest, refined) = (by(SyncMethod::Nearest)?, by(SyncMethod::Refined)?);
         let filmed = cameras.iter().map(|t| Some(Synchronized::filmed(t.image.clone()))).collect();
         Ok(Self { field, options, time_s, cameras, filmed, nearest, refined })

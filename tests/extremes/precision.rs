@@ -210,6 +210,7 @@ fn views_of_parts_and_of_whole_images() {
             let mut options = options.clone();
             (options.proxy.method, options.blend.method) = (proxy, blend);
             let found = field.view(&target, time_s, &options).unwrap();
+            let images = field.synchronized_all(time_s, &options).unwrap();
             let geometry = field.geometry(&images, &target, time_s, &options).unwrap();
             let whole = field.blend(&images, &geometry, &target, &options.blend);
             assert!(found == whole, "{cameras} cameras, {proxy:?}, {blend:?}");
