@@ -40,7 +40,7 @@ pub struct Synchronized {
 }
 
 impl Synchronized {
-    /// A frame as it was filmed.
+    /// An image in which nothing was bridged: a frame as it was filmed, or a method that follows no motion.
     pub fn filmed(image: Image) -> Self {
         Self { image, bridged_px: None }
     }

@@ -98,7 +98,8 @@ pub(super) fn extensions(
         let (change, support) = judged.next()?;
         let motion = (start.1 - start.0).norm();
         let limit = options.max_motion_change_px + options.max_motion_change_share * motion;
-        let agrees = support == Support::Neighbors(options.min_support);
+        // Without the check, nobody can agree.
+        let agrees = options.min_support > 0 && support == Support::Neighbors(options.min_support);
         (agrees || change.1.norm() <= limit).then_some(matched.target)
     };
     starts.iter().zip(&matches).map(judge).collect()

@@ -197,8 +197,7 @@ impl Scratch {
             // Also false for NaN.
             let seen = (x >= 0.0) & (y >= 0.0) & (x < wf) & (y < hf);
             let (x, y) = if seen { (x, y) } else { (0.0, 0.0) };
-            // Safe: both are finite and not larger than the image. A plain `as` checks that a second time,
-            // which takes longer than all else here.
+            // Safe: both are finite and not larger than the image. A plain `as` checks that again.
             let pixel =
                 unsafe { y.to_int_unchecked::<i32>() * w as i32 + x.to_int_unchecked::<i32>() };
             *at = if seen { pixel } else { OUTSIDE };

@@ -51,7 +51,12 @@ impl Relative {
             let [fx, fy, cx, cy] = self.intrinsics;
             return [fx * nx + cx, fy * ny + cy];
         }
-        let pixel = self.model.pixel_from_normalized(&Point2::new(f64::from(nx), f64::from(ny)));
+        let normalized = Point2::new(f64::from(nx), f64::from(ny));
+        // Beyond its fold, a lens would put the point back into the image.
+        if !self.model.is_short_of_fold(&normalized) {
+            return [f32::NAN; 2];
+        }
+        let pixel = self.model.pixel_from_normalized(&normalized);
         [pixel.x as f32, pixel.y as f32]
     }
 
