@@ -138,7 +138,7 @@ impl FramePair<'_> {
                     track.later - at,
                     displacement(track.after, after),
                 ];
-                Some(Motion { at, to })
+                Some(Motion { at, to, deformation: track.deformation })
             })
             .collect()
     }

@@ -10,6 +10,23 @@ pub struct Motion {
     /// Displacements from there to the positions in the frames before, earlier, later and after; 0 to
     /// a frame that does not exist.
     pub to: [Vector2<f64>; 4],
+    /// The linear part of the motion from the earlier frame to the later one: the identity where the
+    /// track's window only translated.
+    pub deformation: Matrix2<f64>,
+}
+
+impl Motion {
+    /// How far this motion, continued to where another track is, is from that track's between the earlier and
+    /// the later frame; pixels.
+    pub(super) fn distance(&self, other: &Self) -> f64 {
+        let from = |m: &Self| m.at + m.to[1];
+        let by = |deformation: &Matrix2<f64>| {
+            let apart = from(other) - from(self);
+            let change = (other.to[2] - other.to[1]) - (self.to[2] - self.to[1]);
+            (change - (deformation * apart - apart)).norm()
+        };
+        by(&self.deformation).min(by(&other.deformation))
+    }
 }
 
 /// Exponent by which a track's weight falls with its distance. Larger: the nearest track alone decides, with
@@ -65,7 +82,11 @@ mod tests {
     use super::*;
 
     fn motion(x: f64, y: f64, to: Vector2<f64>) -> Motion {
-        Motion { at: Point2::new(x, y), to: [to * -1.5, to * -0.5, to * 0.5, to * 1.5] }
+        Motion {
+            at: Point2::new(x, y),
+            to: [to * -1.5, to * -0.5, to * 0.5, to * 1.5],
+            deformation: Matrix2::identity(),
+        }
     }
 
     #[test]

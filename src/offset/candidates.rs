@@ -220,7 +220,7 @@ mod tests {
     use super::*;
     use crate::offset::tests::camera;
     use crate::registration::FlowDirection;
-    use nalgebra::Point3;
+    use nalgebra::{Matrix2, Point3};
 
     fn track(at: impl Fn(f64) -> Point2<f64>) -> Track {
         Track {
@@ -229,6 +229,7 @@ mod tests {
             earlier: at(0.0),
             later: at(1.0),
             after: Some(at(2.0)),
+            deformation: Matrix2::identity(),
             residual: 0.0,
             forward_backward_error_px: 0.0,
         }

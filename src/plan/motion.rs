@@ -174,6 +174,7 @@ mod tests {
             earlier: at(earlier),
             later: at(later),
             after: Some(at(after)),
+            deformation: nalgebra::Matrix2::identity(),
             residual: 0.0,
             forward_backward_error_px: 0.0,
         }

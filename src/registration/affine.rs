@@ -95,6 +95,21 @@ pub struct AffineRefiner {
     center_value: f32,
 }
 
+/// Where the affine step found a window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Deformed {
+    /// The position in the target, pixels.
+    pub position: Point2<f64>,
+    /// The matrix from the window's coordinates in the source to those in the target.
+    pub deformation: Matrix2<f64>,
+    /// Weighted mean absolute difference of the two windows' values, 0..=1, the target's gain and bias
+    /// taken out.
+    pub residual: f64,
+    /// The same relative to the contrast of the source's window: near 0 where the windows are alike, near
+    /// 1 where they are unlike.
+    pub unexplained: f64,
+}
+
 /// The affine map from window coordinates (pixels from the window's middle) to the target's (pixels,
 /// the first pixel's centre at 0), and from the template's values to the target's.
 #[derive(Clone, Copy)]
@@ -140,21 +155,22 @@ impl AffineRefiner {
         }
     }
 
-    /// The position in the target of the point `from` of the source; `translated` is the one that
-    /// the translation found. Pixels, the top-left pixel's centre at (0.5, 0.5).
+    /// The position in the target of the point `from` of the source, and the window's deformation;
+    /// `guess` is the position that the search starts at, and `deformation` the matrix, which the
+    /// prior pulls to. Pixels, the top-left pixel's centre at (0.5, 0.5).
     ///
     /// `None` if `from` or the warped window is outside, if the texture does not determine the
     /// parameters, if the gain is not between 1/4 and 4, or if the result is further than
-    /// [`AffineOptions::max_shift_px`] from `translated`.
+    /// [`AffineOptions::max_shift_px`] from `guess`.
     #[inline(always)]
     pub fn refine<V: F32x8>(
         &mut self,
-        source: &Level,
-        target: &Level,
+        [source, target]: [&Level; 2],
         from: Point2<f64>,
-        translated: Point2<f64>,
+        guess: Point2<f64>,
+        deformation: Matrix2<f64>,
         options: &AffineOptions,
-    ) -> Option<Point2<f64>> {
+    ) -> Option<Deformed> {
         let pixel = from.coords.map(f64::floor);
         let offset = from.coords - pixel - Vector2::repeat(0.5);
         let inside = |v: f64, size: usize| v >= 0.0 && v < size as f64;
@@ -162,18 +178,19 @@ impl AffineRefiner {
             return None;
         }
         let mut warp = AffineWarp {
-            middle: translated.coords - Vector2::repeat(0.5) - offset,
-            matrix: Matrix2::identity(),
+            middle: guess.coords - Vector2::repeat(0.5) - deformation * offset,
+            matrix: deformation,
             gain: 1.0,
             bias: 0.0,
         };
+        let from_given = deformation.try_inverse()?;
         let NormalEquations { solver, prior } =
             self.load_template::<V>(source, pixel.x as usize, pixel.y as usize, options)?;
         for _ in 0..options.iterations {
             let mut right = self.right_hand_side::<V>(target, &warp)?;
-            // The prior pulls the whole deformation, not the step, to none. A step deforms the
-            // template, which is the inverse of deforming the target; the gain's is not inverted.
-            let a = warp.matrix - Matrix2::identity();
+            // The prior pulls the whole deformation, not the step, to the given one. A step deforms
+            // the template, which is the inverse of deforming the target; the gain's is not inverted.
+            let a = from_given * warp.matrix - Matrix2::identity();
             for (k, v) in [(2, a.m11), (3, a.m12), (4, a.m21), (5, a.m22), (6, 1.0 - warp.gain)] {
                 right[k] += prior[k] * v;
             }
@@ -192,7 +209,44 @@ impl AffineRefiner {
             }
         }
         let position = Point2::from(warp.middle + warp.matrix * offset + Vector2::repeat(0.5));
-        ((position - translated).norm() <= options.max_shift_px).then_some(position)
+        if (position - guess).norm() > options.max_shift_px {
+            return None;
+        }
+        let [residual, unexplained] = self.residual::<V>(target, &warp)?;
+        Some(Deformed { position, deformation: warp.matrix, residual, unexplained })
+    }
+
+    /// The weighted mean of the absolute difference of the warped target and the template, values 0..=1, and
+    /// its ratio to that of the template and its mean. `None` if the warped window leaves the padded image.
+    #[inline(always)]
+    fn residual<V: F32x8>(&self, target: &Level, warp: &AffineWarp) -> Option<[f64; 2]> {
+        let (gain, bias) = (V::splat(1.0 / warp.gain as f32), V::splat(warp.bias as f32));
+        let sampler = Sampler::new(target, warp, self.radius, self.row)?;
+        let mut mean = [V::zero(); 2];
+        for at in (0..self.value.len()).step_by(LANES) {
+            let w = V::load(&self.weight, at);
+            accumulate(&mut mean, [V::load(&self.value, at).mul(w), w]);
+        }
+        let [sum, weight] = V::sums(&mean);
+        if weight <= 0.0 {
+            return None;
+        }
+        let mean = V::splat((sum / weight) as f32);
+        let mut sums = [V::zero(); 2];
+        for y in 0..2 * self.radius + 1 {
+            let at = y * self.row;
+            for x in (0..self.row).step_by(LANES) {
+                let sampled =
+                    sampler.sample(V::load(&self.column, x), y as f32 - self.radius as f32);
+                let value = V::load(&self.value, at + x);
+                let e = sampled.sub(bias).mul(gain).sub(value);
+                let w = V::load(&self.weight, at + x);
+                accumulate(&mut sums, [e.abs().mul(w), value.sub(mean).abs().mul(w)]);
+            }
+        }
+        let [difference, contrast] = V::sums(&sums);
+        // A template that determined the shift has contrast.
+        Some([difference / weight, difference / contrast.max(f64::MIN_POSITIVE)])
     }
 
     /// Reads the template around pixel (`cx`, `cy`) and sets up its normal equations. `None` if the

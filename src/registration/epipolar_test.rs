@@ -259,7 +259,7 @@ impl Pair<'_> {
 mod tests {
     use super::*;
     use crate::camera::CameraModel;
-    use nalgebra::Isometry3;
+    use nalgebra::{Isometry3, Matrix2};
 
     fn camera(x: f64) -> Camera {
         Camera {
@@ -277,6 +277,7 @@ mod tests {
             earlier: earlier.into(),
             later: later.into(),
             after: None,
+            deformation: Matrix2::identity(),
             residual: 0.0,
             forward_backward_error_px: 0.0,
         }

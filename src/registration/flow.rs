@@ -2,7 +2,7 @@
 //! flow).
 
 use super::{Frame, RegistrationOptions, Tracker};
-use nalgebra::Point2;
+use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;
 
 /// Pyramid levels of the backward tracking, whose answer should be near its start. Larger: time, and
@@ -25,6 +25,8 @@ pub struct Match {
     pub source: Point2<f64>,
     /// The point in the target frame, pixels.
     pub target: Point2<f64>,
+    /// The linear part of the motion around the point: the identity where its window only translated.
+    pub deformation: Matrix2<f64>,
     /// Mean absolute difference of the two windows' values (0..=1).
     pub residual: f64,
     /// Forward-backward error: the distance in pixels from `source` to the point that `target` is
@@ -80,6 +82,7 @@ pub(super) fn flow_over(
                     (forward_backward_error_px <= options.max_back_error_px).then_some(Match {
                         source: from,
                         target: to,
+                        deformation: Matrix2::identity(),
                         residual: tracked.residual,
                         forward_backward_error_px,
                     })

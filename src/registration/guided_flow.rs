@@ -2,8 +2,9 @@
 //! say; and tracks are extended by a frame.
 
 use super::flow::{Start, flow_over, is_new};
+use super::turned_flow::{Onward, turned_matches};
 use super::{Frame, Match, MotionPrior, Neighbors, RegistrationOptions};
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Matrix2, Point2, Vector2};
 use rayon::prelude::*;
 
 /// Pyramid levels, forward and backward, where the motion prior gives the guess. Larger: small objects in
@@ -45,9 +46,32 @@ pub(super) fn guided_flow(
     matches
 }
 
-/// How far each match is from its guess, pixels, with its position in the source.
-fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<(Point2<f64>, Vector2<f64>)> {
-    let of = |(start, m): (&Start, &Option<Match>)| m.map(|m| (m.source, m.target - start.1));
+/// How a point and its surroundings move.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Moved {
+    pub at: Point2<f64>,
+    /// The point's motion, pixels.
+    pub motion: Vector2<f64>,
+    /// The motion's linear part: the identity where its surroundings move alike.
+    pub deformation: Matrix2<f64>,
+}
+
+impl Moved {
+    /// How far two motions are from being one, pixels: by the deformation of either.
+    fn distance(&self, other: &Self) -> f64 {
+        let (apart, change) = (other.at - self.at, other.motion - self.motion);
+        let by = |deformation: &Matrix2<f64>| (change - (deformation * apart - apart)).norm();
+        by(&self.deformation).min(by(&other.deformation))
+    }
+}
+
+/// How far each match is from its guess, with its position in the source. Guesses turn with their surroundings,
+/// so that what is left does not.
+fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Moved> {
+    let of = |(start, m): (&Start, &Option<Match>)| {
+        let deformation = Matrix2::identity();
+        m.map(|m| Moved { at: m.source, motion: m.target - start.1, deformation })
+    };
     starts.iter().zip(matches).filter_map(of).collect()
 }
 
@@ -63,7 +87,7 @@ fn predicted_by_neighbors(
     let trusted: Vec<_> = innovations
         .iter()
         .zip(&agrees)
-        .filter_map(|(innovation, agrees)| agrees.then_some(*innovation))
+        .filter_map(|(innovation, agrees)| agrees.then_some((innovation.at, innovation.motion)))
         .collect();
     let prior = MotionPrior::new(&trusted);
     let mut agrees = agrees.into_iter();
@@ -77,19 +101,22 @@ fn predicted_by_neighbors(
 }
 
 /// Tracks extended by a frame: the positions in the target of those that were found and whose motion
-/// changes little, or as that of their neighbours does. `starts` has each track's position in the source, and
+/// changes little, or as that of their neighbours does. `tracks` has each track's position in the source, and
 /// in the target at constant speed.
 ///
 /// Bodies turn round: near the end of a swing, motion changes by 20 px from frame to frame. So no
 /// fixed bound alone tells a change from a mismatch.
 pub(super) fn extensions(
     [source, target]: [&Frame; 2],
-    starts: &[Start],
+    tracks: &[Onward],
     options: &RegistrationOptions,
 ) -> Vec<Option<Point2<f64>>> {
+    let starts: Vec<Start> = tracks.iter().map(|t| (t.from, t.guess)).collect();
+    let starts = &starts[..];
     let mut matches = flow_over(source, target, starts, EXTENSION_LEVELS, options);
     seek_lost([source, target], starts, &mut matches, options);
-    let matches = guided_flow([source, target], starts, matches, options);
+    let mut matches = guided_flow([source, target], starts, matches, options);
+    turned_extensions([source, target], tracks, &mut matches, options);
     let changes = innovations(starts, &matches);
     let support = support(&changes, options);
     let mut judged = changes.iter().zip(support);
@@ -100,9 +127,24 @@ pub(super) fn extensions(
         let limit = options.max_motion_change_px + options.max_motion_change_share * motion;
         // Without the check, nobody can agree.
         let agrees = options.min_support > 0 && support == Support::Neighbors(options.min_support);
-        (agrees || change.1.norm() <= limit).then_some(matched.target)
+        (agrees || change.motion.norm() <= limit).then_some(matched.target)
     };
     starts.iter().zip(&matches).map(judge).collect()
+}
+
+/// Tracks what turned and is turning on.
+fn turned_extensions(
+    frames: [&Frame; 2],
+    tracks: &[Onward],
+    matches: &mut [Option<Match>],
+    options: &RegistrationOptions,
+) {
+    let turned: Vec<usize> =
+        (0..tracks.len()).filter(|&k| tracks[k].deformation != Matrix2::identity()).collect();
+    let starts: Vec<Onward> = turned.iter().map(|&k| tracks[k]).collect();
+    for (k, found) in turned.into_iter().zip(turned_matches(frames, &starts, options)) {
+        matches[k] = found;
+    }
 }
 
 /// Seeks lost points over all levels: a change of motion may be larger than the finest levels reach.
@@ -132,10 +174,7 @@ enum Support {
 
 /// Whether each of these positions and motions moves like [`RegistrationOptions::min_support`] of its
 /// neighbours. Also true where there are fewer than that.
-pub(super) fn consensus(
-    motions: &[(Point2<f64>, Vector2<f64>)],
-    options: &RegistrationOptions,
-) -> Vec<bool> {
+pub(super) fn consensus(motions: &[Moved], options: &RegistrationOptions) -> Vec<bool> {
     let agrees = |support| match support {
         Support::Alone => true,
         Support::Neighbors(count) => count >= options.min_support,
@@ -144,18 +183,18 @@ pub(super) fn consensus(
 }
 
 /// What neighbours say about each of these positions and motions.
-fn support(motions: &[(Point2<f64>, Vector2<f64>)], options: &RegistrationOptions) -> Vec<Support> {
-    let neighbors = Neighbors::new(motions.iter().map(|(p, _)| *p));
+fn support(motions: &[Moved], options: &RegistrationOptions) -> Vec<Support> {
+    let neighbors = Neighbors::new(motions.iter().map(|m| m.at));
     motions
         .par_iter()
         .enumerate()
-        .map(|(k, (p, motion))| {
-            let limit = options.support_px + options.support_share * motion.norm();
-            let near = neighbors.unsorted_within(p, options.support_radius_px);
+        .map(|(k, own)| {
+            let limit = options.support_px + options.support_share * own.motion.norm();
+            let near = neighbors.unsorted_within(&own.at, options.support_radius_px);
             if near.len().saturating_sub(1) < options.min_support {
                 return Support::Alone;
             }
-            let alike = |n: &&usize| **n != k && (motions[**n].1 - motion).norm() <= limit;
+            let alike = |n: &&usize| **n != k && own.distance(&motions[**n]) <= limit;
             Support::Neighbors(near.iter().filter(alike).take(options.min_support).count())
         })
         .collect()

@@ -15,7 +15,7 @@ use super::pyramid::{Level, Pyramid};
 use super::simd::{Avx2, has_avx2_and_fma};
 use super::simd::{F32x8, LANES, Scalar};
 use super::window::{Window, corner, fraction_inside};
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Matrix2, Point2, Vector2};
 
 /// A level but the finest has converged when a step is below this, pixels of that level. Larger: the
 /// finer levels take more steps; smaller: the coarse ones take steps whose gain the next level
@@ -171,9 +171,14 @@ impl<'a> Tracker<'a> {
         let mut position = from + flow;
         if request.refine && residual <= self.options.max_residual {
             let (level, other) = (&source.levels()[0], &target.levels()[0]);
-            let refined =
-                self.refiner.refine::<V>(level, other, from, position, &self.options.affine);
-            position = refined.unwrap_or(position);
+            let refined = self.refiner.refine::<V>(
+                [level, other],
+                from,
+                position,
+                Matrix2::identity(),
+                &self.options.affine,
+            );
+            position = refined.map_or(position, |refined| refined.position);
         }
         let inside = position.x >= 0.0
             && position.y >= 0.0

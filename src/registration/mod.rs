@@ -8,6 +8,7 @@
 //! | 4.1 bidirectional flow, merging | [`temporal_flow`], [`flow`] |
 //! | beyond: affine windows | [`AffineOptions`] |
 //! | beyond: motion predicted by neighbours | [`MotionPrior`] |
+//! | beyond: features that turn | `turned_flow` |
 //! | beyond: tracks over many frames | [`LongTracks`] |
 //! | beyond: photometric calibration | [`Gains`] |
 //! | 4.2 eq. (2), and curves beyond it | [`Trajectory`] |
@@ -27,11 +28,13 @@ mod long_tracks;
 mod motion_prior;
 mod neighbors;
 mod options;
+mod oriented;
 mod pyramid;
 mod references;
 mod simd;
 mod temporal_flow;
 mod trajectory;
+mod turned_flow;
 mod window;
 
 pub use affine::AffineOptions;

@@ -1,9 +1,10 @@
 //! §4.1: the bidirectional temporal flow of a camera, with its two labelled sets of correspondences.
 
-use super::guided_flow::{consensus, extensions, guided_flow};
+use super::guided_flow::{Moved, consensus, extensions, guided_flow};
+use super::turned_flow::{Onward, turned_flow};
 use super::{Frame, FrameStore, Match, Neighbors, RegistrationOptions, Trajectory, flow};
 use crate::capture::CaptureError;
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Matrix2, Point2, Vector2};
 
 /// The direction of the bidirectional flow (§4.1) that a correspondence is of. Eq. (9) warps the earlier
 /// frame with the forward flow, and the later frame with the backward flow.
@@ -32,6 +33,9 @@ pub struct Track {
     pub later: Point2<f64>,
     /// Position in frame k + 2; `None` if the feature was lost or there is no such frame.
     pub after: Option<Point2<f64>>,
+    /// The linear part of the motion around the feature, from frame k to frame k + 1: the identity where its
+    /// window only translated.
+    pub deformation: Matrix2<f64>,
     /// Mean absolute difference of the windows in frames k and k + 1, values 0..=1.
     pub residual: f64,
     /// Forward-backward error between frames k and k + 1, pixels.
@@ -52,6 +56,19 @@ impl Track {
     /// The displacement from frame k to frame k + 1, pixels.
     pub fn motion(&self) -> Vector2<f64> {
         self.later - self.earlier
+    }
+
+    /// Where it was a frame before, should it move on as it turns and moves.
+    fn backward(&self) -> Onward {
+        let inverse = self.deformation.try_inverse().unwrap_or_else(Matrix2::identity);
+        let guess = self.earlier - inverse * self.motion();
+        Onward { from: self.earlier, guess, deformation: inverse }
+    }
+
+    /// Where it will be a frame later, should it move on as it turns and moves.
+    fn forward(&self) -> Onward {
+        let guess = self.later + self.deformation * self.motion();
+        Onward { from: self.later, guess, deformation: self.deformation }
     }
 
     /// Drops the extension on whose side the motion has a kink, as where a body bounces: a curve through a kink
@@ -156,13 +173,13 @@ pub fn temporal_flow_of(
     let count = frames.capture().cameras[camera].frames.len();
     if let Some(before) = k.checked_sub(1) {
         let frame = frames.get(camera, before)?;
-        let starts: Vec<_> = tracks.iter().map(|t| (t.earlier, t.earlier - t.motion())).collect();
+        let starts: Vec<_> = tracks.iter().map(Track::backward).collect();
         let found = extensions([&earlier, &frame], &starts, options);
         tracks.iter_mut().zip(found).for_each(|(track, p)| track.before = p);
     }
     if k + 2 < count {
         let frame = frames.get(camera, k + 2)?;
-        let starts: Vec<_> = tracks.iter().map(|t| (t.later, t.later + t.motion())).collect();
+        let starts: Vec<_> = tracks.iter().map(Track::forward).collect();
         let found = extensions([&later, &frame], &starts, options);
         tracks.iter_mut().zip(found).for_each(|(track, p)| track.after = p);
     }
@@ -182,16 +199,20 @@ fn directed_flow(
 ) -> Vec<Match> {
     let starts: Vec<_> = corners.iter().map(|&p| (p, p)).collect();
     let matches = flow(source, target, &starts, options);
-    guided_flow([source, target], &starts, matches, options).into_iter().flatten().collect()
+    let mut matches = guided_flow([source, target], &starts, matches, options);
+    turned_flow([source, target], corners, &mut matches, options);
+    matches.into_iter().flatten().collect()
 }
 
 /// The correspondences of both directions, with those within `distance_px` at both ends merged.
 fn merged(forward: &[Match], backward: &[Match], distance_px: f64) -> Vec<Track> {
     let track = |direction, m: &Match| {
-        let (earlier, later) = if direction == FlowDirection::Backward {
-            (m.target, m.source)
+        let (earlier, later, deformation) = if direction == FlowDirection::Backward {
+            // A match's change of area is bounded, so that its inverse exists.
+            let inverse = m.deformation.try_inverse().unwrap_or_else(Matrix2::identity);
+            (m.target, m.source, inverse)
         } else {
-            (m.source, m.target)
+            (m.source, m.target, m.deformation)
         };
         Track {
             direction,
@@ -199,6 +220,7 @@ fn merged(forward: &[Match], backward: &[Match], distance_px: f64) -> Vec<Track>
             earlier,
             later,
             after: None,
+            deformation,
             residual: m.residual,
             forward_backward_error_px: m.forward_backward_error_px,
         }
@@ -227,7 +249,8 @@ fn merged(forward: &[Match], backward: &[Match], distance_px: f64) -> Vec<Track>
 ///
 /// Also true where a track has fewer neighbours than that.
 pub fn neighbor_consensus(tracks: &[Track], options: &RegistrationOptions) -> Vec<bool> {
-    consensus(&tracks.iter().map(|t| (t.earlier, t.motion())).collect::<Vec<_>>(), options)
+    let moved = |t: &Track| Moved { at: t.earlier, motion: t.motion(), deformation: t.deformation };
+    consensus(&tracks.iter().map(moved).collect::<Vec<_>>(), options)
 }
 
 #[cfg(test)]
@@ -238,6 +261,7 @@ mod tests {
         Match {
             source: Point2::new(x, 10.0),
             target: Point2::new(x + dx, 10.0),
+            deformation: Matrix2::identity(),
             residual: 0.01,
             forward_backward_error_px: 0.1,
         }

@@ -7,7 +7,7 @@ use crate::common::wall::{
     FRAME_S, H, Scene, W, by_plane, by_proxy, estimate, estimate_by, field_of, open, view,
 };
 use crate::naive;
-use nalgebra::{Point2, Point3, Vector2};
+use nalgebra::{Matrix2, Point2, Point3, Vector2};
 use stlfr::camera::Camera;
 use stlfr::interpolation::{
     Edge, EdgeOptions, Feature, MorphOptions, SyncMethod, edge_set, morph_warp, real_edges,
@@ -196,6 +196,7 @@ fn all_outliers() {
         earlier: at,
         later: at + motion,
         after: None,
+        deformation: Matrix2::identity(),
         residual: 0.0,
         forward_backward_error_px: 0.0,
     };

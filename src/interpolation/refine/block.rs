@@ -245,12 +245,11 @@ impl BlockRefiner<'_> {
             if assigned[seed] || candidates.len() == self.options.max_motions {
                 continue;
             }
-            let own = &self.motions[near[seed]].to;
+            let own = &self.motions[near[seed]];
             let mut members = Vec::new();
             for k in seed..near.len() {
-                let other = &self.motions[near[k]].to;
                 // Between the middle frames, where tracks are most accurate.
-                let distance_px = ((other[2] - other[1]) - (own[2] - own[1])).norm();
+                let distance_px = own.distance(&self.motions[near[k]]);
                 if assigned[k] || distance_px > self.options.same_motion_px {
                     continue;
                 }

@@ -123,7 +123,7 @@ mod tests {
     use super::*;
     use crate::random::Random;
     use crate::raster::Tiles;
-    use nalgebra::{Point2, Vector2};
+    use nalgebra::{Matrix2, Point2, Vector2};
 
     const W: usize = 96;
     const H: usize = 64;
@@ -156,7 +156,8 @@ mod tests {
                 let on_square = (35..62).contains(&x) && (20..44).contains(&y);
                 let step = if on_square { 6.0 } else { 0.0 };
                 let to = [-1.5, -0.5, 0.5, 1.5].map(|t| Vector2::new(step * t, 0.0));
-                all.push(Motion { at: Point2::new(x as f64 + 0.5, y as f64 + 0.5), to });
+                let at = Point2::new(x as f64 + 0.5, y as f64 + 0.5);
+                all.push(Motion { at, to, deformation: Matrix2::identity() });
             }
         }
         all

@@ -4,7 +4,7 @@
 //! `p_j(t')` perturbed by 0.5 px; outliers have `p_j` uniform in the image. `t̃ = 0.3 Δt`.
 
 use super::{median, percentile, save};
-use nalgebra::{Isometry3, Point2, Vector2};
+use nalgebra::{Isometry3, Matrix2, Point2, Vector2};
 use std::path::Path;
 use stlfr::camera::{Camera, CameraModel};
 use stlfr::chart::{Chart, Series};
@@ -68,6 +68,7 @@ fn candidates(outlier_fraction: f64, random: &mut Random) -> Vec<Candidate> {
             earlier: start,
             later,
             after: None,
+            deformation: Matrix2::identity(),
             residual: 0.0,
             forward_backward_error_px: 0.0,
         });
