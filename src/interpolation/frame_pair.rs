@@ -70,8 +70,8 @@ pub struct FramePair<'a> {
 }
 
 impl FramePair<'_> {
-    /// The camera's image at a time between the two frames, seconds; at another time, that of the nearer
-    /// frame's. At a frame's time it is the frame, up to resampling. Values are in 0..=1, but for those
+    /// The camera's image, from its own frames alone ([`SyncMethod::of_one_camera`]), at a time between the
+    /// two frames, seconds; at another time, that of the nearer frame's. At a frame's time it is the frame, up to resampling. Values are in 0..=1, but for those
     /// that [`SyncMethod::Nearest`] and [`SyncMethod::Crossfade`] take over from the frames.
     ///
     /// # Panics
@@ -82,6 +82,7 @@ impl FramePair<'_> {
         sync: SyncMethod,
         options: &InterpolationOptions,
     ) -> Synchronized {
+        let sync = sync.of_one_camera();
         let [start, end] = [self.times_s[self.index], self.times_s[self.index + 1]];
         // Times ascend strictly, so the interval is positive.
         let fraction = ((time_s - start) / (end - start)).clamp(0.0, 1.0);

@@ -20,6 +20,8 @@ pub enum SyncMethod {
     /// Beyond the paper: `triangulation`, with motion and visibility per pixel at moving outlines.
     #[default]
     Refined,
+    /// Beyond the paper: `refined`, with what other cameras filmed nearer to the instant, by `depth`.
+    AllCameras,
 }
 
 methods!(SyncMethod {
@@ -29,9 +31,15 @@ methods!(SyncMethod {
     Morph = "morph": "The morph along edges, all of them with equal weights",
     EdgeMorph = "edge-morph": "The paper's: the morph with real edges boosted",
     Refined = "refined": "Beyond the paper: triangulation, with motion and visibility per pixel at moving outlines",
+    AllCameras = "all-cameras": "Beyond the paper: refined, with what other cameras filmed nearer to the instant",
 });
 
 impl SyncMethod {
+    /// The method of the images that this one starts from, each of one camera's frames.
+    pub fn of_one_camera(self) -> Self {
+        if self == Self::AllCameras { Self::Refined } else { self }
+    }
+
     /// Whether the method needs the frames' tracks.
     pub fn needs_tracks(self) -> bool {
         !matches!(self, Self::Nearest | Self::Crossfade)

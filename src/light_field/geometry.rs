@@ -8,7 +8,7 @@ use crate::interpolation::Synchronized;
 use crate::lumigraph::{BlendMethod, DepthMap, Proxy};
 use crate::options::{ProxyMethod, ViewOptions};
 use crate::stereo::{CameraImage, InverseDepths, Matcher, Surface, fuse};
-use nalgebra::Point2;
+use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 use std::borrow::Cow;
 
@@ -116,46 +116,75 @@ impl LightField {
         target: &Camera,
         options: &ViewOptions,
     ) -> Geometry {
+        let points = sampled(&blind.view, target);
+        let own = options.proxy.depth.cameras;
+        let estimated = self.estimated(images, (cameras, own), &points, options);
+        estimated.and_then(|e| self.seen_from(target, &e)).unwrap_or_else(|| blind.clone())
+    }
+
+    /// The depths of the first `own` of these cameras, in a range that `points` give. `None` without points
+    /// in front of them.
+    pub(super) fn estimated(
+        &self,
+        images: &[Option<Synchronized>],
+        (cameras, own): (&[usize], usize),
+        points: &[Point3<f64>],
+        options: &ViewOptions,
+    ) -> Option<CameraDepths> {
         let filmed = &self.capture().cameras;
         let views: Vec<CameraImage> = cameras
             .iter()
             .filter_map(|&c| Some((c, images[c].as_ref()?)))
             .map(|(c, s)| CameraImage { camera: &filmed[c].camera, image: &s.image })
             .collect();
-        let own = options.proxy.depth.cameras.clamp(1, views.len());
-        let points = sampled(&blind.view, target);
-        let Some(range_of_all) = range(&points, target) else { return blind.clone() };
-        let matcher = Matcher::new(&views, range_of_all, &options.proxy.depth);
-        let depths: Vec<Option<InverseDepths>> = (0..own)
-            .into_par_iter()
-            .map(|k| {
-                let range = range(&points, views[k].camera)?;
-                matcher.depths(k, range, &options.proxy.depth)
-            })
-            .collect();
-        let surfaces: Vec<Surface> = views
+        let own = views.iter().take(own.max(1));
+        let ranges: Vec<Option<[f64; 2]>> = own.map(|v| range(points, v.camera)).collect();
+        let of_all = ranges.iter().flatten().fold([f64::INFINITY, 0.0], |[low, high], r| {
+            [f64::min(low, r[0]), f64::max(high, r[1])]
+        });
+        if of_all[1] <= 0.0 {
+            return None;
+        }
+        let matcher = Matcher::new(&views, of_all, &options.proxy.depth);
+        let of = |(k, range): (usize, &Option<[f64; 2]>)| {
+            matcher.depths(k, (*range)?, &options.proxy.depth)
+        };
+        let mut depths: Vec<Option<InverseDepths>> =
+            ranges.par_iter().enumerate().map(of).collect();
+        depths.resize(cameras.len(), None);
+        Some(CameraDepths { cameras: cameras.to_vec(), depths })
+    }
+
+    /// The geometry that estimated depths give a view, and all their cameras. `None` without any.
+    pub(super) fn seen_from(&self, target: &Camera, estimated: &CameraDepths) -> Option<Geometry> {
+        let filmed = &self.capture().cameras;
+        let CameraDepths { cameras, depths } = estimated;
+        let surfaces: Vec<Surface> = cameras
             .iter()
-            .zip(&depths)
-            .filter_map(|(v, d)| Some(Surface { camera: v.camera, depths: d.as_ref()? }))
+            .zip(depths)
+            .filter_map(|(&c, d)| Some(Surface { camera: &filmed[c].camera, depths: d.as_ref()? }))
             .collect();
-        if surfaces.is_empty() {
-            return blind.clone();
+        let mut sources = vec![None; filmed.len()];
+        for (&c, depths) in cameras.iter().zip(depths) {
+            let camera = &filmed[c].camera;
+            let own = depths.as_ref().map(|d| d.depth_map(camera));
+            sources[c] = Some(own.unwrap_or_else(|| fuse(camera, &surfaces)));
         }
-        let mut sources = vec![None; images.len()];
-        for ((&c, view), depths) in cameras.iter().zip(&views).zip(&depths) {
-            sources[c] = depths.as_ref().map(|d| d.depth_map(view.camera));
-        }
-        for &c in cameras {
-            if sources[c].is_none() {
-                sources[c] = Some(fuse(&filmed[c].camera, &surfaces));
-            }
-        }
-        Geometry { view: fuse(target, &surfaces), sources }
+        (!surfaces.is_empty()).then(|| Geometry { view: fuse(target, &surfaces), sources })
     }
 }
 
+/// The depths of cameras at an instant.
+#[derive(Debug)]
+pub(super) struct CameraDepths {
+    /// Indices of the cameras.
+    cameras: Vec<usize>,
+    /// Theirs, where they were estimated.
+    depths: Vec<Option<InverseDepths>>,
+}
+
 /// Points of the proxy, world, metres.
-fn sampled(depths: &DepthMap, target: &Camera) -> Vec<nalgebra::Point3<f64>> {
+pub(super) fn sampled(depths: &DepthMap, target: &Camera) -> Vec<Point3<f64>> {
     let mut points = Vec::new();
     for y in (0..target.height).step_by(RANGE_STEP_PX) {
         for x in (0..target.width).step_by(RANGE_STEP_PX) {
@@ -170,7 +199,7 @@ fn sampled(depths: &DepthMap, target: &Camera) -> Vec<nalgebra::Point3<f64>> {
 }
 
 /// The range of the points' inverse depths in a camera, 1/m, with a margin. `None` if none is in front.
-fn range(points: &[nalgebra::Point3<f64>], camera: &Camera) -> Option<[f64; 2]> {
+fn range(points: &[Point3<f64>], camera: &Camera) -> Option<[f64; 2]> {
     let depths = points.iter().map(|p| (camera.cam_from_world * p).z).filter(|z| *z > 0.0);
     let [low, high] = depths
         .fold([f64::INFINITY, 0.0_f64], |[low, high], z| [low.min(1.0 / z), high.max(1.0 / z)]);

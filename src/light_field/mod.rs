@@ -6,6 +6,7 @@
 //! | `clocks.rs` | which frames lie around an instant |
 //! | `registered.rs` | §4: tracks of frame pairs, cached |
 //! | `synchronized.rs` | §5: a camera's image at an instant |
+//! | `joint.rs` | the same from all cameras |
 //! | `points.rs`, `proxy.rs`, `geometry.rs` | §6: the scene's shape at an instant |
 //! | `view.rs` | §6: the blended view |
 //! | `trail.rs` | Fig. 1: temporal integration |
@@ -15,6 +16,7 @@ mod clocks;
 mod error;
 mod geometry;
 pub(crate) mod held_out;
+mod joint;
 mod points;
 mod proxy;
 mod registered;
@@ -30,6 +32,7 @@ use crate::capture::Capture;
 use crate::host::BoundedCache;
 use crate::offset::Offsets;
 use crate::registration::{FrameStore, Gains, RegistrationOptions, Track};
+use joint::{Joint, JointKey};
 use nalgebra::Point3;
 use points::PointsKey;
 use std::sync::Arc;
@@ -53,6 +56,8 @@ pub struct LightField {
     /// The largest changes of frame pairs, by camera and earlier frame.
     changes: BoundedCache<(usize, usize), f32>,
     points: BoundedCache<PointsKey, Arc<Vec<Point3<f64>>>>,
+    /// All cameras' images at an instant, with their depths.
+    joints: BoundedCache<JointKey, Arc<Joint>>,
 }
 
 impl LightField {
@@ -75,6 +80,7 @@ impl LightField {
             tracks: BoundedCache::new(registered::MAX_CACHED_TRACKS),
             changes: BoundedCache::new(registered::MAX_CACHED_CHANGES),
             points: BoundedCache::new(points::MAX_CACHED_POINTS),
+            joints: BoundedCache::new(joint::MAX_CACHED_INSTANTS),
         }
     }
 

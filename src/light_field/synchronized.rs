@@ -36,6 +36,9 @@ impl LightField {
         if k == later {
             return Ok(Synchronized::filmed(earlier_frame.image.clone()));
         }
+        if options.sync == SyncMethod::AllCameras {
+            return self.joint(camera, time_s, options);
+        }
         let later_frame = self.frames.get(camera, later)?;
         let still_change = options.interpolation.still_change;
         let sync = if options.sync.needs_tracks() && self.is_still(camera, k, still_change)? {

@@ -80,6 +80,16 @@ impl Gains {
         (factors != [1.0; 3]).then(|| scaled(image, factors.map(|f| 1.0 / f)))
     }
 
+    /// The inverse of [`Self::corrected`]: what the camera would have recorded, of an image (encoded values) as
+    /// bright as the reference records it; `None` if the camera's gains are 1.
+    ///
+    /// # Panics
+    /// If there is no such camera.
+    pub fn as_filmed(&self, camera: usize, image: &Image) -> Option<Image> {
+        let factors = self.factors[camera];
+        (factors != [1.0; 3]).then(|| scaled(image, factors))
+    }
+
     /// The gains by one frame of each camera, in the middle of the recording. A frame that cannot be
     /// read is not compared; the error shows when the frame is used.
     pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {

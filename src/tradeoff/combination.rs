@@ -10,11 +10,15 @@ use crate::raster::Sampling;
 /// Every method with every other: sync, proxy and blend, the other options as given.
 ///
 /// The offsets' methods are not among them: they cost nothing once they are estimated, so that the
-/// Pareto front is varied by them ([`variations`]) like by a parameter.
+/// Pareto front is varied by them ([`variations`]) like by a parameter. Images from all cameras come from
+/// depth, so that they are combined with it alone.
 pub fn methods(base: &RenderOptions) -> Vec<RenderOptions> {
     let mut found = Vec::new();
     for &sync in SyncMethod::ALL {
         for &proxy in ProxyMethod::ALL {
+            if sync == SyncMethod::AllCameras && proxy != ProxyMethod::Depth {
+                continue;
+            }
             for &blend in BlendMethod::ALL {
                 let mut options = base.clone();
                 (options.sync, options.proxy.method, options.blend.method) = (sync, proxy, blend);
@@ -71,7 +75,7 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
             add(Box::new(move |o| o.interpolation.edges.max_length_px = max_length_px));
         }
     }
-    if options.sync == SyncMethod::Refined {
+    if options.sync.of_one_camera() == SyncMethod::Refined {
         for outer_share in [0.0, 1.0] {
             add(Box::new(move |o| o.interpolation.refine.outer_share = outer_share));
         }

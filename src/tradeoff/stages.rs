@@ -64,6 +64,10 @@ fn image_part(o: &RenderOptions) -> Value {
         SyncMethod::Morph | SyncMethod::EdgeMorph => {
             json!([o.offset, o.sync, o.registration, o.interpolation])
         }
+        SyncMethod::AllCameras => {
+            let bridge_rad = o.blend.bridge_rad;
+            json!([o.offset, o.sync, o.registration, o.interpolation, o.proxy, bridge_rad])
+        }
     }
 }
 
