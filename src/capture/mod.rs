@@ -13,7 +13,7 @@ mod tracks;
 mod truth;
 mod video;
 
-pub use clock::{Clock, MAX_DRIFT_PPM, bracket};
+pub use clock::{Clock, MAX_DRIFT_PPM, are_frame_times, bracket};
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
 pub use npy::NpyError;
 pub use tracks::{CameraTracks, TrackedPoint, Tracks};
