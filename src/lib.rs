@@ -76,7 +76,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`host`] | files written whole, child processes, clocks, bounded caches |
+//! | [`host`] | files written whole, child processes, signals, clocks, bounded caches |
 //! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; pseudo-random numbers, the same on every machine |
 //! | [`method`] | names of what a user chooses among |
 //! | [`raster`] | images as the stages work on them, and image files |
