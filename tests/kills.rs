@@ -5,21 +5,26 @@
 mod common;
 
 use common::random::below;
-use common::wall::{FRAME_S, Scene};
+use common::wall::{FRAME_S, H, Scene, W};
 use common::{stderr, stlfr};
+use serde_json::json;
 use std::collections::BTreeMap;
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use stlfr::random::Random;
-use stlfr::raster::{BitDepth, Image, read_image};
+use stlfr::raster::{BitDepth, Image, read_image, write_image};
 use stlfr::toolchain::find_ffmpeg;
 use stlfr::video::{Codec, VideoFormat, VideoWriter};
 
-/// Kills by default: each command a few times.
-const KILLS: usize = 24;
+/// Kills by default: each command once or a few times.
+const KILLS: usize = 13;
 
 const FRAMES: usize = 6;
+
+/// The instant of the truth, between frames.
+const TRUTH_S: f64 = 0.1;
 
 /// A command that writes.
 struct Writer {
@@ -30,21 +35,43 @@ struct Writer {
     timed: &'static [&'static str],
 }
 
-/// What the commands read: a capture and its twin of videos, both with offsets to estimate, and a
-/// calibration with images.
+/// What the commands read: a capture with truth and its twin of videos, both with offsets to estimate,
+/// and a calibration with images.
 struct Sources {
     folder: tempfile::TempDir,
+    /// An ffmpeg, and a source tree without an environment: nothing here needs Blender.
+    tools: tempfile::TempDir,
 }
 
 impl Sources {
     fn film() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let capture = Scene { frames: FRAMES, ..Scene::default() }.film();
+        let [folder, tools] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+        let ffmpeg = find_ffmpeg().unwrap_or_else(|| {
+            common::run(&["setup", "-q"]); // brings one
+            find_ffmpeg().expect("an ffmpeg")
+        });
+        symlink(&ffmpeg, tools.path().join("ffmpeg")).unwrap();
+        std::fs::create_dir(tools.path().join("blender")).unwrap();
+        std::fs::write(tools.path().join("blender/requirements.txt"), "").unwrap();
+        let scene = Scene { frames: FRAMES, ..Scene::default() };
+        let capture = scene.film();
+        film_truth(&scene, capture.path());
         copy(capture.path(), &folder.path().join("capture"));
-        film_videos(capture.path(), &folder.path().join("videos"));
+        film_videos(&ffmpeg, capture.path(), &folder.path().join("videos"));
+        let sources = Self { folder, tools };
         let export = ["export", "capture", "--format", "colmap-text", "-o", "sparse"];
-        assert!(in_folder(folder.path(), &export).status.success());
-        Self { folder }
+        let exported = sources.command_in(sources.folder.path(), &export).output().unwrap();
+        assert!(exported.status.success(), "{}", stderr(&exported));
+        sources
+    }
+
+    /// A command whose working folder is a copy of the sources.
+    fn command_in(&self, folder: &Path, arguments: &[impl AsRef<str>]) -> Command {
+        let mut command = stlfr();
+        command.current_dir(folder).arg("-q").args(arguments.iter().map(AsRef::as_ref));
+        command.env("STLFR_HOME", self.tools.path()).env("PATH", self.tools.path());
+        command.stdout(Stdio::null()).stderr(Stdio::piped());
+        command
     }
 
     /// A folder with a fresh copy of them.
@@ -55,13 +82,29 @@ impl Sources {
     }
 }
 
+/// Truth of one instant: a camera's own image, everywhere in motion.
+fn film_truth(scene: &Scene, capture: &Path) {
+    let truth = capture.join("truth");
+    let image = scene.image(scene.centers_m[1], TRUTH_S);
+    write_image(&truth.join("0.png"), &image, None, BitDepth::Sixteen).unwrap();
+    let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({H}, {W}), }}\n");
+    let mut motion = b"\x93NUMPY\x01\x00".to_vec();
+    motion.extend((header.len() as u16).to_le_bytes());
+    motion.extend(header.as_bytes());
+    motion.extend((0..W * H).flat_map(|_| 2_f32.to_le_bytes()));
+    std::fs::write(truth.join("0.npy"), motion).unwrap();
+    let offsets: Vec<_> =
+        (0..3).map(|c| json!({"id": format!("cam{c}"), "offset_s": scene.offsets_s[c]})).collect();
+    let described = json!({"format": "stlfr-truth", "version": 1, "scene": "wall", "rig": "row",
+        "offsets": offsets, "shutter": [], "views": [{"id": "t0-cam1", "time_s": TRUTH_S,
+            "like": "cam1", "camera": scene.camera(scene.centers_m[1]), "image": "0.png",
+            "depth": "none.npy", "motion": "0.npy"}]});
+    std::fs::write(truth.join("truth.json"), described.to_string()).unwrap();
+}
+
 /// The same capture with a video a camera.
-fn film_videos(capture: &Path, videos: &Path) {
+fn film_videos(ffmpeg: &Path, capture: &Path, videos: &Path) {
     copy(capture, videos);
-    let ffmpeg = find_ffmpeg().unwrap_or_else(|| {
-        common::run(&["setup", "-q"]); // brings one
-        find_ffmpeg().expect("an ffmpeg")
-    });
     for c in 0..3 {
         let folder = videos.join(format!("cam{c}"));
         let frames: Vec<Image> =
@@ -69,7 +112,7 @@ fn film_videos(capture: &Path, videos: &Path) {
         let format =
             VideoFormat { depth: BitDepth::Sixteen, rate_hz: 1.0 / FRAME_S, codec: Codec::Ffv1 };
         let path = videos.join(format!("cam{c}.mkv"));
-        let mut video = VideoWriter::create(&ffmpeg, &path, &frames[0], format).unwrap();
+        let mut video = VideoWriter::create(ffmpeg, &path, &frames[0], format).unwrap();
         frames.iter().for_each(|frame| video.push(frame).unwrap());
         video.finish().unwrap();
         std::fs::remove_dir_all(folder).unwrap();
@@ -93,17 +136,6 @@ fn copy(from: &Path, to: &Path) {
     }
 }
 
-fn command_in(folder: &Path, arguments: &[impl AsRef<str>]) -> Command {
-    let mut command = stlfr();
-    command.current_dir(folder).arg("-q").args(arguments.iter().map(AsRef::as_ref));
-    command.stdout(Stdio::null()).stderr(Stdio::piped());
-    command
-}
-
-fn in_folder(folder: &Path, arguments: &[impl AsRef<str>]) -> Output {
-    command_in(folder, arguments).output().unwrap()
-}
-
 fn writers() -> Vec<Writer> {
     let writer = |name, arguments: &str, timed| Writer {
         name,
@@ -125,6 +157,8 @@ fn writers() -> Vec<Writer> {
         writer("export, colmap", "export capture --format colmap -o out/sparse", &[]),
         writer("export, nerf", "export capture --format nerf -o out/transforms.json", &[]),
         writer("import", "import sparse --images capture --rate 25 -o out", &[]),
+        writer("compare", "compare capture -o out", &["timings.json", "report.html"]),
+        writer("compare --video", "compare capture --video", &["timings.json", "report.html"]),
         writer(
             "tradeoff",
             "tradeoff capture --rounds 0 --runs 1 -o out",
@@ -145,9 +179,8 @@ fn files(folder: &Path, timed: &[&str]) -> BTreeMap<PathBuf, Vec<u8>> {
                 folders.push(path);
             } else if let Ok(bytes) = std::fs::read(&path) {
                 let name = below.to_string_lossy();
-                let is_timed = timed
-                    .iter()
-                    .any(|t| name.strip_prefix("out/").is_some_and(|n| n.starts_with(t)));
+                let name = ["out/", "capture/review/"].iter().find_map(|p| name.strip_prefix(p));
+                let is_timed = name.is_some_and(|name| timed.iter().any(|t| name.starts_with(t)));
                 found.insert(below.to_owned(), if is_timed { Vec::new() } else { bytes });
             }
         }
@@ -188,7 +221,7 @@ impl Row {
     fn kill(&mut self, writer: &Writer, sources: &Sources, whole: &Whole, random: &mut Random) {
         let folder = sources.copied();
         for _ in 0..=below(random, 3) {
-            let mut child = command_in(folder.path(), &writer.arguments).spawn().unwrap();
+            let mut child = sources.command_in(folder.path(), &writer.arguments).spawn().unwrap();
             std::thread::sleep(whole.took.mul_f64(random.unit()));
             self.in_time += usize::from(child.try_wait().unwrap().is_none());
             child.kill().unwrap();
@@ -196,7 +229,7 @@ impl Row {
             self.kills += 1;
         }
         self.left += usize::from(!left(folder.path()).is_empty());
-        let again = in_folder(folder.path(), &writer.arguments);
+        let again = sources.command_in(folder.path(), &writer.arguments).output().unwrap();
         let is_import_done =
             writer.name == "import" && stderr(&again).contains("holds files already");
         if !again.status.success() && !is_import_done {
@@ -225,7 +258,7 @@ struct Whole {
 fn undisturbed(writer: &Writer, sources: &Sources) -> Whole {
     let folder = sources.copied();
     let start = Instant::now();
-    let output = in_folder(folder.path(), &writer.arguments);
+    let output = sources.command_in(folder.path(), &writer.arguments).output().unwrap();
     assert!(output.status.success(), "{}: {}", writer.name, stderr(&output));
     Whole { took: start.elapsed(), files: files(folder.path(), writer.timed) }
 }

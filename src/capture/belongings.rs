@@ -74,7 +74,8 @@ impl OutputGuard {
 
     /// Refuses a file.
     pub fn check_file(&mut self, path: &Path) -> Result<(), OutputError> {
-        if path.file_name().is_none() {
+        let name = path.as_os_str().as_encoded_bytes();
+        if path.file_name().is_none() || name.ends_with(b"/") || name.ends_with(b"/.") {
             return refuse(path, "names no file");
         }
         if let Some(obstacle) = obstacle(path) {
@@ -256,6 +257,9 @@ mod tests {
                 (".stlfr/video/0/0.png", "belongs to the capture"),
                 ("offsets.json", "belongs to the capture"),
                 ("truth", "is a folder"),
+                ("new/", "names no file"),
+                ("new/.", "names no file"),
+                ("..", "names no file"),
             ] {
                 let message = guard.check_file(&root.join(name)).unwrap_err().to_string();
                 assert!(message.contains(words), "{name}: {message}");

@@ -58,6 +58,7 @@ pub(super) fn of_io(sentence: String, source: &std::io::Error) -> CliError {
         | ErrorKind::NotADirectory
         | ErrorKind::IsADirectory
         | ErrorKind::InvalidFilename
+        | ErrorKind::ReadOnlyFilesystem
         | ErrorKind::InvalidData
         | ErrorKind::InvalidInput => CliError::BadInput(sentence),
         _ => CliError::Failure(sentence),

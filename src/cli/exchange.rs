@@ -31,7 +31,7 @@ pub struct ImportArgs {
     /// All cameras share one clock: there is nothing to estimate.
     #[arg(long)]
     shared: bool,
-    /// The capture to make.
+    /// The capture to make: a new folder.
     #[arg(short, long, value_name = "CAPTURE")]
     output: PathBuf,
 }
