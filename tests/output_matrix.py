@@ -1,9 +1,9 @@
 """Every output of every command against every kind of target; prints a table in Markdown.
 
-    cargo build --release && python3 tests/output_matrix.py target/release/stlfr CAPTURE > table.md
+    cargo build --release && python3 tests/output_matrix.py target/release/stlfr CAPTURE [COMMAND ...]
 
 As root, because it makes device nodes and mounts small disks; on Linux. CAPTURE is any capture with
-truth, such as target/test-captures/tiny; it is copied. A cell holds the exit code and the sentence. Below
+truth, such as target/test-captures/tiny; it is copied. Commands named after it are tried alone. A cell holds the exit code and the sentence. Below
 the table stands what was lost that should not have been, or that nothing was; then the exit code is 1.
 """
 
@@ -171,7 +171,8 @@ class Bench:
         for disk in (self.read_only, self.full):
             lost += [f"left {p.name}" for p in disk.glob(".stlfr-*")]
         shutil.rmtree(folder)
-        return cell, "; ".join(lost)
+        shutil.rmtree(self.full / "out", ignore_errors=True)
+        return cell.replace(f"{folder.name}/", ""), "; ".join(lost)
 
     def run_option(self, option: Option, path: Path) -> str:
         words = [
@@ -226,7 +227,10 @@ def main() -> int:
     try:
         print("| output | " + " | ".join(TARGETS) + " |")
         print("|---" * (len(TARGETS) + 1) + "|")
+        commands = sys.argv[3:]
         for option in OPTIONS:
+            if commands and option.line.split()[0] not in commands:
+                continue
             cells = []
             for target in TARGETS:
                 cell, lost = bench.try_one(option, target)

@@ -81,11 +81,16 @@ impl Temporary {
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
                 Err(error) => return Err(error),
             };
-            if let Some(lock) = locked(&path) {
-                return Ok(Self { path, _lock: lock });
-            }
-            // Another process has taken it for abandoned before it was locked.
-            begun.folders.remove(&path);
+            match locked(&path) {
+                Ok(Some(lock)) => return Ok(Self { path, _lock: lock }),
+                // Another process has taken it for abandoned before it was locked.
+                Ok(None) => begun.folders.remove(&path),
+                Err(error) => {
+                    remove(&path);
+                    begun.folders.remove(&path);
+                    return Err(error);
+                }
+            };
         }
     }
 
@@ -115,13 +120,22 @@ fn parent(path: &Path) -> &Path {
 }
 
 /// The lock of a folder that was just made; `None` if another process has it, or has removed the folder.
-fn locked(path: &Path) -> Option<File> {
-    let folder = File::open(path).ok()?;
+fn locked(path: &Path) -> Result<Option<File>> {
+    let found = |error: Error| match error.kind() {
+        ErrorKind::NotFound => Ok(None),
+        _ => Err(error),
+    };
+    let folder = match File::open(path) {
+        Ok(folder) => folder,
+        Err(error) => return found(error),
+    };
     if matches!(folder.try_lock(), Err(TryLockError::WouldBlock)) {
-        return None;
+        return Ok(None);
     }
-    let is_there = std::fs::metadata(path).ok()?.ino() == folder.metadata().ok()?.ino();
-    is_there.then_some(folder)
+    match std::fs::metadata(path) {
+        Ok(there) => Ok((there.ino() == folder.metadata()?.ino()).then_some(folder)),
+        Err(error) => found(error),
+    }
 }
 
 /// Removes a folder with all that is in it, also while a child process writes into it.
