@@ -104,8 +104,10 @@ def main() -> None:
         parser.exit(2, f"{arguments.wheel}: no such wheel\n")
     try:
         pack(arguments.wheel, arguments.output)
-    except (PackageError, OSError) as error:
+    except PackageError as error:
         sys.exit(str(error))
+    except OSError as error:
+        sys.exit(f"{error.filename2 or error.filename}: {error.strerror or error}")
 
 
 if __name__ == "__main__":

@@ -79,7 +79,7 @@ OPTIONS = [
     Option("import -o", "import CAPTURE/colmap --images CAPTURE --rate 30 -o", "", ""),
     Option(
         "capture -o",
-        "capture rigs/linear8.json --scene magazine --frames 2 --size 64x48 -o",
+        "capture rigs/linear8.json --scene still --frames 2 --size 64x48 --no-truth -o",
         "",
         "truth",
     ),

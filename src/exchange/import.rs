@@ -57,7 +57,11 @@ pub fn import(
     let whole = temporary.path().join(WHOLE);
     let mut filmed = Vec::new();
     for (camera, files) in cameras.iter().zip(&sequences) {
-        copy(files, &whole.join(&camera.name))?;
+        copy(files, &whole.join(&camera.name)).map_err(|(path, source)| ExchangeError::Copy {
+            path,
+            to: target.to_owned(),
+            source,
+        })?;
         filmed.push(described(camera, files, clock));
     }
     let format = CaptureFormat {
@@ -81,20 +85,17 @@ pub fn import(
 const WHOLE: &str = "capture";
 
 /// Copies a sequence's files into a new folder, numbered from 0.
-fn copy(files: &[PathBuf], folder: &Path) -> Result<(), ExchangeError> {
-    std::fs::create_dir_all(folder)
-        .map_err(|source| ExchangeError::Write { path: folder.to_owned(), source })?;
+fn copy(files: &[PathBuf], folder: &Path) -> Result<(), (PathBuf, std::io::Error)> {
     let extension = extension(&files[0]).unwrap_or_default();
     for (k, file) in files.iter().enumerate() {
-        let mut from = File::open(file)
-            .map_err(|source| ExchangeError::Read { path: file.clone(), source })?;
         let to = folder.join(format!("{k:04}.{extension}"));
-        File::create(&to)
-            .and_then(|mut to| {
-                std::io::copy(&mut from, &mut to)?;
+        std::fs::create_dir_all(folder)
+            .and_then(|()| {
+                let mut to = File::create(to)?;
+                std::io::copy(&mut File::open(file)?, &mut to)?;
                 to.sync_all()
             })
-            .map_err(|source| ExchangeError::Copy { path: file.clone(), source })?;
+            .map_err(|error| (file.clone(), error))?;
     }
     Ok(())
 }

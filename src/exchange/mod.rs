@@ -45,9 +45,9 @@ pub enum ExchangeError {
     /// The file can't be written.
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
-    /// The file can't be copied.
-    #[error("{path}: can't be copied ({source})")]
-    Copy { path: PathBuf, source: std::io::Error },
+    /// A file can't be copied into a folder.
+    #[error("{path}: can't be copied to {to} ({source})")]
+    Copy { path: PathBuf, to: PathBuf, source: std::io::Error },
     /// The file's contents are refused, or can't describe a camera.
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },

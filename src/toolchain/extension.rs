@@ -29,11 +29,18 @@ pub fn build_extension(
     let wheel = Wheel::build(environment, reporter)?;
     let failed = |e| ScriptError::Failure(format!("{}: can't be written ({e})", zip.display()));
     let temporary = Temporary::for_file(zip).map_err(failed)?;
+    let whole = temporary.path().join(FILE);
     let mut command = script::command(environment, "package.py");
-    command.arg(&wheel.path).arg("-o").arg(temporary.path().join(FILE));
+    command.arg(&wheel.path).arg("-o").arg(&whole);
     let _phase = reporter.phase("packing the extension");
     let ended = process::run(&mut command, |_| {});
     let ended = ended.map_err(|e| ScriptError::Failure(format!("package.py: {e}")))?;
-    script::verdict("package.py", &ended)?;
+    script::verdict("package.py", &ended).map_err(|error| match error {
+        // It knows the extension by its temporary name.
+        ScriptError::Failure(sentence) => ScriptError::Failure(
+            sentence.replace(&*whole.to_string_lossy(), &zip.to_string_lossy()),
+        ),
+        error => error,
+    })?;
     Ok(temporary.place(FILE, zip).map_err(failed)?)
 }
