@@ -232,6 +232,9 @@ def capture(arguments: argparse.Namespace) -> None:
         sys.path.insert(0, arguments.module)
     plan = plans.make(filming_options(arguments))
     target = arguments.capture.resolve()
+    hidden = target / plans.HIDDEN_FOLDER
+    if hidden.is_symlink():  # half-written images would be deleted elsewhere
+        raise errors.BadInputError(f"{hidden} is a link, and must lie in the capture")
     plans.claim(plan, target)
     jobs = [
         job

@@ -53,9 +53,6 @@ def run(arguments: list[str]) -> int:
         prog="check.py", description="Check a capture's calibration against pycolmap."
     )
     parser.add_argument("capture", type=Path, metavar="CAPTURE", help="capture folder")
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the result to a file too"
-    )
     options = parser.parse_args(arguments)
     import pycolmap
 
@@ -77,10 +74,7 @@ def run(arguments: list[str]) -> int:
     except (ValueError, OSError) as error:
         raise CheckError(str(error), 2) from None
     print(report.table(result), file=sys.stderr)
-    text = json.dumps(result, indent=1)
-    print(text)
-    if options.json:
-        options.json.write_text(text + "\n", encoding="utf-8")
+    print(json.dumps(result, indent=1))
     if not result["ok"]:
         print(f"calibration check failed: {result['reason']}", file=sys.stderr)
     return 0 if result["ok"] else 1

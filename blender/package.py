@@ -35,7 +35,7 @@ class PackageError(Exception):
 
 
 def pack(wheel: Path, output: Path) -> None:
-    """Write the zip; it has its name only when it is whole and valid."""
+    """Write the zip, once it is whole and valid."""
     manifest = manifest_with(wheel, (HERE / "stlfr" / "blender_manifest.toml"))
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "stlfr"
@@ -51,13 +51,7 @@ def pack(wheel: Path, output: Path) -> None:
         zip_file = Path(scratch) / "stlfr.zip"
         blender_tool("build", "--source-dir", folder, "--output-filepath", zip_file)
         blender_tool("validate", zip_file)
-        output.parent.mkdir(parents=True, exist_ok=True)
-        partial = output.with_name(f".{output.name}.partial")
-        try:
-            shutil.copyfile(zip_file, partial)
-            partial.replace(output)
-        finally:
-            partial.unlink(missing_ok=True)
+        shutil.copyfile(zip_file, output)
 
 
 def manifest_with(wheel: Path, manifest: Path) -> str:
@@ -110,8 +104,10 @@ def main() -> None:
         parser.exit(2, f"{arguments.wheel}: no such wheel\n")
     try:
         pack(arguments.wheel, arguments.output)
-    except (PackageError, OSError) as error:
+    except PackageError as error:
         sys.exit(str(error))
+    except OSError as error:
+        sys.exit(f"{error.filename2 or error.filename}: {error.strerror or error}")
 
 
 if __name__ == "__main__":

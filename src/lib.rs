@@ -76,7 +76,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`host`] | files written whole, child processes, clocks, bounded caches |
+//! | [`host`] | files written whole, child processes, signals, clocks, bounded caches |
 //! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; pseudo-random numbers, the same on every machine |
 //! | [`method`] | names of what a user chooses among |
 //! | [`raster`] | images as the stages work on them, and image files |
@@ -94,6 +94,9 @@
 //!
 //! `stlfr COMMAND --help` has the options and examples. Exit codes: 0 done, 2 something given is wrong,
 //! 1 the work failed. An error is one sentence on stderr. `--quiet` silences progress and notes.
+//! An output replaces a regular file or nothing, and never what belongs to a capture
+//! ([`capture::OutputGuard`]). It appears when it is whole. An interrupted command removes what it has
+//! begun; what a killed one left is removed by the next that writes into the same folder.
 //! Times are seconds on the reference camera's clock. Outside of what the cameras recorded there is no
 //! image; the message states the times that there are.
 //!

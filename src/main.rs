@@ -6,6 +6,8 @@ use clap::Parser;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    // Without it, what an interrupted run leaves is removed by the next one.
+    let _ = stlfr::host::remove_unfinished_on_signals();
     match cli::Cli::try_parse() {
         Ok(cli) => cli::exit(cli.run()),
         Err(error) => cli::usage(&error),

@@ -1,6 +1,7 @@
 //! Progress with time left, on a terminal; nothing elsewhere.
 
 use indicatif::{ProgressBar, ProgressStyle};
+use std::io::Write;
 use std::time::Duration;
 
 /// Where long work reports to: standard error, and only if that is a terminal.
@@ -55,7 +56,8 @@ impl Reporter {
     /// One sentence for the user.
     pub fn note(&self, sentence: &str) {
         if !self.quiet {
-            eprintln!("{sentence}");
+            // A note that nobody can read is none.
+            let _ = writeln!(std::io::stderr(), "{sentence}");
         }
     }
 }

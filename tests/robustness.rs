@@ -6,7 +6,7 @@ mod common;
 use common::random::{below, pick};
 use common::wall::{FOCAL_PX, FRAME_S, H, Scene, W, by_plane, by_proxy, estimate};
 use common::wall::{field_of, open, texture, view};
-use common::{assert_refused, describe, edit, run, stderr, succeed, text};
+use common::{assert_refused, describe, edit, read_json, run, stderr, stlfr, succeed, text};
 use serde_json::{Value, json};
 use std::path::Path;
 use stlfr::interpolation::SyncMethod;
@@ -393,6 +393,66 @@ fn a_read_only_capture_is_processed() {
     let output = succeed(&["offsets", text(folder.path()), "--json"]);
     assert!(stderr(&output).contains("not saved"), "{}", stderr(&output));
     serde_json::from_slice::<Offsets>(&output.stdout).unwrap();
+}
+
+/// Sets every offset in a file of offsets.
+fn set_offsets(file: &Path, in_field: &str, offset_s: f64) {
+    let mut json = read_json(file);
+    let offsets = if in_field.is_empty() { &mut json } else { &mut json[in_field] };
+    for camera in offsets["cameras"].as_array_mut().unwrap() {
+        camera["offset_s"] = json!(offset_s);
+    }
+    std::fs::write(file, json.to_string()).unwrap();
+}
+
+#[test]
+fn offsets_in_which_frames_vanish_are_estimated_anew() {
+    let folder = Scene::default().film();
+    let capture = text(folder.path());
+    let estimated = succeed(&["-q", "offsets", capture, "--json"]).stdout;
+    for offset_s in [1e16, 1e300] {
+        set_offsets(&folder.path().join("offsets.json"), "", offset_s);
+        let at = format!("{offset_s:e}");
+        let out = folder.path().join("out.png");
+        for sync in ["nearest", "edge-morph"] {
+            let view = ["render", capture, "--like", "cam1", "--sync", sync, "-o", text(&out)];
+            let refused = run(&[&["-q"], &view[..], &["--time", &at]].concat());
+            assert_refused(&refused, 2, "cam1 has no frames around");
+        }
+        assert_eq!(succeed(&["-q", "offsets", capture, "--json"]).stdout, estimated);
+    }
+}
+
+#[test]
+fn cached_points_in_which_frames_vanish_are_measured_anew() {
+    let folder = Scene::default().film();
+    let out = folder.path().join("out");
+    let prepared = || {
+        let points = std::fs::read_dir(out.join("points")).into_iter().flatten().flatten();
+        let name = |e: &std::fs::DirEntry| e.file_name().to_string_lossy().into_owned();
+        points.filter(|e| name(e).starts_with("prepared")).map(|e| e.path()).next()
+    };
+    let mut offset_s = 1e16;
+    for _ in 0..2 {
+        let mut tradeoff = stlfr()
+            .args(["-q", "tradeoff", text(folder.path()), "--rounds", "0", "-o", text(&out)])
+            .spawn()
+            .unwrap();
+        let has_measured = || {
+            prepared().is_some_and(|p| {
+                let found = read_json(&p)["offsets"]["cameras"][0]["offset_s"].as_f64();
+                found.is_some_and(|s| s < 1.0)
+            })
+        };
+        while !has_measured() {
+            assert!(tradeoff.try_wait().unwrap().is_none(), "it ended without");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        tradeoff.kill().unwrap();
+        tradeoff.wait().unwrap();
+        set_offsets(&prepared().unwrap(), "offsets", offset_s);
+        offset_s = 1e300;
+    }
 }
 
 #[test]

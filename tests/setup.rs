@@ -34,7 +34,10 @@ case "$*" in
 *--no-deps*) note module ;;
 *package.py*)
     note package
-    if [ -e "$STLFR_HOME/unpackable" ]; then echo "the manifest is wrong" >&2; exit 1; fi ;;
+    if [ -e "$STLFR_HOME/unpackable" ]; then echo "the manifest is wrong" >&2; exit 1; fi
+    for zip; do :; done
+    if [ -e "$STLFR_HOME/full" ]; then echo "$zip: No space left on device" >&2; exit 1; fi
+    echo zip > "$zip" ;;
 *bpy*)
     note import
     if [ -e "$STLFR_HOME/bare" ]; then
@@ -127,8 +130,9 @@ fn a_killed_set_up_is_done_again() {
     std::fs::write(folder.path().join("slow"), "").unwrap();
     let mut child = setup(folder.path()).spawn().unwrap();
     let start = Instant::now();
-    let is_slow =
-        || std::fs::read_to_string(folder.path().join("log")).is_ok_and(|log| log.contains("slow"));
+    // The module is built while the packages are installed, and noted before the kill.
+    let noted = |log: String| ["slow", "build"].iter().all(|step| log.contains(step));
+    let is_slow = || std::fs::read_to_string(folder.path().join("log")).is_ok_and(noted);
     while !is_slow() && start.elapsed() < Duration::from_secs(30) {
         std::thread::sleep(Duration::from_millis(10));
     }
@@ -180,11 +184,17 @@ fn the_extension_is_packed_from_a_wheel_of_its_own() {
     log(folder.path());
     let zip = folder.path().join("out.zip");
     let pack = || setup(folder.path()).arg("--extension").arg(&zip).output().unwrap();
-    assert!(pack().status.success());
+    let packed = pack();
+    assert!(packed.status.success(), "{}", stderr(&packed));
+    assert_eq!(std::fs::read(&zip).unwrap(), b"zip\n");
     assert_eq!(log(folder.path()), ["build", "package"]);
     assert!(!folder.path().join(".venv/wheels").exists());
     std::fs::write(folder.path().join("unpackable"), "").unwrap();
     assert_refused(&pack(), 1, "the manifest is wrong");
+    std::fs::remove_file(folder.path().join("unpackable")).unwrap();
+    std::fs::write(folder.path().join("full"), "").unwrap();
+    assert_refused(&pack(), 1, &format!("{}: No space left", zip.display()));
+    assert_eq!(std::fs::read(&zip).unwrap(), b"zip\n");
     let tar = setup(folder.path()).args(["--extension", "out.tar"]).output().unwrap();
     assert_refused(&tar, 2, "must name a .zip");
 }

@@ -74,11 +74,18 @@ impl Clock {
 /// Indices of the frames on both sides of a time: the last one at or before it, and the first one
 /// at or after it. They are equal for a frame at that very time.
 ///
-/// `None` before the first time, after the last one, and for NaN. `times_s` must ascend.
+/// `None` before the first time, after the last one, and for NaN. `times_s` must ascend; of equal
+/// times, the first counts.
 pub fn bracket(times_s: &[f64], time_s: f64) -> Option<(usize, usize)> {
     let after = times_s.partition_point(|&t| t < time_s);
-    let at_or_before = times_s.partition_point(|&t| t <= time_s);
-    (after < times_s.len() && at_or_before > 0).then(|| (at_or_before - 1, after))
+    let found = *times_s.get(after)?;
+    if found == time_s { Some((after, after)) } else { Some((after.checked_sub(1)?, after)) }
+}
+
+/// Whether times can be those of a camera's frames on another clock: finite and ascending. An offset so
+/// large that the time between frames is lost in rounding gives no such times.
+pub fn are_frame_times(times_s: &[f64]) -> bool {
+    times_s.iter().all(|t| t.is_finite()) && times_s.windows(2).all(|w| w[0] < w[1])
 }
 
 #[cfg(test)]
@@ -98,6 +105,16 @@ mod tests {
         assert_eq!(bracket(&c, -0.1), None);
         assert_eq!(bracket(&c, 3.6), None);
         assert_eq!(bracket(&c, f64::NAN), None);
+        assert_eq!(bracket(&c, 1e300), None);
+        assert_eq!(bracket(&[], 0.0), None);
+    }
+
+    #[test]
+    fn equal_times_bracket_within_the_frames() {
+        let equal = [1e16 + 0.1, 1e16 + 0.2, 1e16 + 0.3];
+        assert_eq!(bracket(&equal, 1e16), Some((0, 0)));
+        assert!(!are_frame_times(&equal) && !are_frame_times(&[f64::INFINITY]));
+        assert!(are_frame_times(&clock().times_s) && are_frame_times(&[]));
     }
 
     #[test]

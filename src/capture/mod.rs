@@ -5,6 +5,7 @@
 //!
 //! Frames are an image sequence or a video file; a video is decoded once, into a cache.
 
+mod belongings;
 mod clock;
 mod format;
 mod frames;
@@ -13,7 +14,8 @@ mod tracks;
 mod truth;
 mod video;
 
-pub use clock::{Clock, MAX_DRIFT_PPM, bracket};
+pub use belongings::{OutputError, OutputGuard};
+pub use clock::{Clock, MAX_DRIFT_PPM, are_frame_times, bracket};
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
 pub use npy::NpyError;
 pub use tracks::{CameraTracks, TrackedPoint, Tracks};
@@ -86,6 +88,9 @@ pub enum CaptureError {
     /// The cache of decoded videos can't be written.
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
+    /// The cache of decoded videos would lie outside of the capture.
+    #[error("{path}: is a link, and the cache of a capture must lie inside of it")]
+    CacheLink { path: PathBuf },
     /// A field's value is refused.
     #[error("{path}: {field}: {reason}")]
     Field { path: PathBuf, field: String, reason: String },

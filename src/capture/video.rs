@@ -10,7 +10,8 @@
 //! Known limit: folders of deleted videos stay.
 
 use super::{CaptureError, Opening};
-use crate::host::write_atomically;
+use crate::host::temporary::Temporary;
+use crate::host::write_json;
 use crate::video::{self, VideoError, frame_name};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
@@ -23,6 +24,9 @@ pub const MAX_FRAMES: usize = 100_000;
 
 /// Part of the cache's key: changed whenever the same video is decoded to other pixels.
 const DECODING: &[u8] = b"stlfr-video-1";
+
+/// The folder of all decoded videos inside a capture.
+const CACHE: &str = ".stlfr/video";
 
 /// Lists a folder's frames. It is written last.
 const INDEX_FILE: &str = "frames.json";
@@ -62,8 +66,13 @@ pub(super) fn open(
     opening: &Opening,
 ) -> Result<(VideoFile, Vec<PathBuf>), CaptureError> {
     let hash = hash(path).map_err(|source| CaptureError::Read { path: path.to_owned(), source })?;
-    let cache = root.join(".stlfr/video");
+    let cache = root.join(CACHE);
     let folder = cache.join(&hash[..32]);
+    // Through a link, the cache would be written, and what is old in it deleted, elsewhere.
+    let is_link = |path: &Path| path.symlink_metadata().is_ok_and(|m| m.is_symlink());
+    if let Some(link) = folder.ancestors().take_while(|p| *p != root).find(|p| is_link(p)) {
+        return Err(CaptureError::CacheLink { path: link.to_owned() });
+    }
     let index = match whole(&folder) {
         Some(index) => index,
         None => decode(&cache, &folder, path, &wrong, opening)?,
@@ -115,19 +124,22 @@ fn decode(
     if let Some(index) = whole(folder) {
         return Ok(index); // the process that held the lock has decoded it
     }
-    // Under the lock: no other process touches either folder.
-    let partial = folder.with_extension("partial");
-    remove(folder).and_then(|()| remove(&partial)).map_err(failed)?;
+    // Under the lock: no other process touches the folder.
+    remove(folder).map_err(failed)?;
+    let temporary = Temporary::inside(cache).map_err(failed)?;
+    let partial = temporary.path().join(FRAMES);
     std::fs::create_dir(&partial).map_err(failed)?;
-    let decoded = decode_into(ffmpeg, &partial, path, &name, wrong).and_then(|index| {
-        std::fs::rename(&partial, folder).map_err(failed)?;
-        Ok(index)
-    });
-    if decoded.is_err() {
-        let _ = remove(&partial);
-    }
-    decoded
+    let index = decode_into(ffmpeg, &partial, path, &name, wrong).map_err(|error| match error {
+        // The temporary folder is gone by then.
+        CaptureError::Write { path, source } if path.starts_with(&partial) => failed(source),
+        error => error,
+    })?;
+    temporary.place(FRAMES, folder).map_err(failed)?;
+    Ok(index)
 }
+
+/// The frames in a temporary folder.
+const FRAMES: &str = "frames";
 
 fn remove(folder: &Path) -> io::Result<()> {
     match std::fs::remove_dir_all(folder) {
@@ -143,7 +155,6 @@ fn decode_into(
     name: &str,
     wrong: &impl Fn(String) -> CaptureError,
 ) -> Result<Index, CaptureError> {
-    let failed = |source| CaptureError::Write { path: partial.to_owned(), source };
     let decoded =
         video::decode(ffmpeg, path, partial, MAX_FRAMES).map_err(|error| match error {
             VideoError::File { path, source } => CaptureError::Write { path, source },
@@ -156,8 +167,8 @@ fn decode_into(
     if index.bytes.is_empty() || index.bytes.len() != index.times_s.len() {
         return Err(wrong(format!("'{name}' has no frames, or some without a time stamp")));
     }
-    let text = serde_json::to_string(&index).map_err(|e| failed(e.into()))?;
-    write_atomically(&partial.join(INDEX_FILE), text.as_bytes()).map_err(failed)?;
+    let path = partial.join(INDEX_FILE);
+    write_json(&path, &index).map_err(|source| CaptureError::Write { path, source })?;
     Ok(index)
 }
 

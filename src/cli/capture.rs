@@ -1,7 +1,9 @@
 //! `stlfr capture`
 
 use super::CliError;
-use super::files::{must_be_a_file, must_be_writable};
+use super::files::must_be_a_file;
+use super::outputs::Output;
+use super::print::Page;
 use super::values::Size;
 use std::path::PathBuf;
 use stlfr::capture::MAX_FRAMES;
@@ -67,16 +69,16 @@ pub struct Args {
     video: bool,
 }
 
-pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     // Wrong arguments are errors before a set-up that may take minutes.
     for file in std::iter::once(&args.rig).chain(&args.blend) {
         must_be_a_file(file)?;
     }
     Rig::read(&args.rig)?;
-    must_be_writable(&args.output)?;
+    Output::Capture(&args.output).check(None)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     film(&environment, &args.options(), reporter)?;
-    println!("{}", args.output.display());
+    page.line(args.output.display());
     Ok(())
 }
 

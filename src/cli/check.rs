@@ -1,8 +1,12 @@
 //! `stlfr check`
 
 use super::CliError;
-use super::files::{must_be_writable, open_capture};
+use super::error::of_io;
+use super::files::open_capture;
+use super::outputs::Output;
+use super::print::Page;
 use std::path::PathBuf;
+use stlfr::host::write_json;
 use stlfr::progress::Reporter;
 use stlfr::toolchain::{check, ensure_environment, project_root};
 
@@ -20,13 +24,20 @@ pub struct Args {
     json: Option<PathBuf>,
 }
 
-pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     open_capture(&args.capture, reporter)?; // an error before a set-up that may take minutes
-    args.json.as_deref().map_or(Ok(()), must_be_writable)?;
+    if let Some(json) = &args.json {
+        Output::File(json).check(Some(&args.capture))?;
+    }
     let environment = ensure_environment(&project_root()?, reporter)?;
-    let check = check(&environment, &args.capture, args.json.as_deref(), reporter)?;
+    let check = check(&environment, &args.capture, reporter)?;
+    if let Some(json) = &args.json {
+        write_json(json, &check.values).map_err(|error| {
+            of_io(format!("{}: can't be written ({error})", json.display()), &error)
+        })?;
+    }
     for line in &check.table {
-        println!("{line}");
+        page.line(line);
     }
     match (check.values.ok, check.values.reason) {
         (true, _) => Ok(()),

@@ -1,7 +1,9 @@
 //! `stlfr compare`
 
 use super::CliError;
-use super::files::{OptionsArgs, must_be_writable, open_capture};
+use super::files::{OptionsArgs, open_capture};
+use super::outputs::Output;
+use super::print::Page;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth};
@@ -38,20 +40,29 @@ pub struct Args {
     options: OptionsArgs,
 }
 
-pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+/// The files of a report that always have the same names.
+const FILES: [&str; 5] =
+    ["report.html", "metrics.json", "timings.json", "review.json", "review.blend"];
+
+pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     if let Some(file) = &args.offsets {
-        return score_offsets(&args.capture, file, reporter);
+        return score_offsets(&args.capture, file, page, reporter);
     }
     let options = args.options.read()?;
     let capture = open_capture(&args.capture, reporter)?;
     let out = args.output.clone().unwrap_or_else(|| args.capture.join("review"));
     let ffmpeg = args.video.then(ffmpeg).transpose()?;
-    print(&with_truth(capture, &options, &out, ffmpeg, reporter)?);
+    print(&with_truth(capture, &options, &out, ffmpeg, reporter)?, page);
     Ok(())
 }
 
 /// Anybody's offsets beside the truth.
-fn score_offsets(folder: &Path, file: &Path, reporter: &Reporter) -> Result<(), CliError> {
+fn score_offsets(
+    folder: &Path,
+    file: &Path,
+    page: &mut Page,
+    reporter: &Reporter,
+) -> Result<(), CliError> {
     let capture = open_capture(folder, reporter)?;
     let truth = Truth::open(folder)?.ok_or_else(|| {
         CliError::BadInput(format!("{}: has no truth to score against", folder.display()))
@@ -60,29 +71,32 @@ fn score_offsets(folder: &Path, file: &Path, reporter: &Reporter) -> Result<(), 
     let offsets: Offsets = json::read(file).map_err(|e| wrong(e.to_string()))?;
     let reference = &capture.cameras[capture.reference].id;
     let score = OffsetScore::new(&offsets, &truth, reference, capture.frame_s()).map_err(wrong)?;
-    println!("{:<12} {:>12} {:>12} {:>14} {:>8}", "camera", "true", "given", "error", "z");
+    page.line(format_args!(
+        "{:<12} {:>12} {:>12} {:>14} {:>8}",
+        "camera", "true", "given", "error", "z"
+    ));
     for camera in &score.cameras {
         let error = camera.error_s().map_or("unknown".to_owned(), |error_s| {
             format!("{:+.5} frame", error_s / score.frame_s)
         });
-        println!(
+        page.line(format_args!(
             "{:<12} {:>9.4} ms {:>12} {:>14} {:>8}",
             camera.id,
             1e3 * camera.true_s,
             camera.offset_s.map_or("-".to_owned(), |s| format!("{:.4} ms", 1e3 * s)),
             error,
             camera.z().map_or("-".to_owned(), |z| format!("{z:+.2}")),
-        );
+        ));
     }
     let errors = score.errors_frames();
     match errors.last() {
-        Some(worst) => println!(
+        Some(worst) => page.line(format_args!(
             "{} of {} cameras: median error {:.5} frame, worst {worst:.5}",
             errors.len(),
             score.cameras.len(),
             errors[(errors.len() - 1) / 2],
-        ),
-        None => println!("0 of {} cameras", score.cameras.len()),
+        )),
+        None => page.line(format_args!("0 of {} cameras", score.cameras.len())),
     }
     Ok(())
 }
@@ -102,7 +116,7 @@ pub fn with_truth(
     ffmpeg: Option<PathBuf>,
     reporter: &Reporter,
 ) -> Result<Summary, CliError> {
-    must_be_writable(&out.join("report.html"))?;
+    Output::Folder(out, &FILES).check(Some(&capture.folder))?;
     let truth = Truth::open(&capture.folder)?;
     let field = ComparedLightField::open(Arc::new(capture), options, reporter)?;
     let compare_options = CompareOptions {
@@ -121,18 +135,18 @@ pub fn with_truth(
 }
 
 /// The numbers that matter, and where the rest is.
-pub fn print(summary: &Summary) {
+pub fn print(summary: &Summary, page: &mut Page) {
     for line in lines(&summary.headline) {
-        println!("{line}");
+        page.line(line);
     }
     if let Some(video) = &summary.video {
-        println!("video: {}", video.display());
+        page.line(format_args!("video: {}", video.display()));
     }
     let blend = summary.review.with_file_name("review.blend");
     if blend.is_file() {
-        println!("review: {}", blend.display());
+        page.line(format_args!("review: {}", blend.display()));
     }
-    println!("report: {}", summary.report.display());
+    page.line(format_args!("report: {}", summary.report.display()));
 }
 
 fn lines(headline: &Headline) -> Vec<String> {

@@ -1,6 +1,8 @@
 //! `stlfr demo`
 
-use super::files::{must_be_writable, open_capture};
+use super::files::open_capture;
+use super::outputs::Output;
+use super::print::Page;
 use super::values::Size;
 use super::{CliError, compare};
 use std::path::{Path, PathBuf};
@@ -41,13 +43,14 @@ const DEFAULT_SIZE: Size = Size { width: 320, height: 240 };
 /// Frames of the true slow motion that `--video` shows.
 const VIDEO_FRAMES: u32 = 48;
 
-pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let capture = args.film(reporter)?;
     reporter.note("Reconstructing, and comparing with the truth.");
     let ffmpeg = args.video.then(compare::ffmpeg).transpose()?;
     let review = capture.folder.join("review");
     let options = RenderOptions::default();
-    compare::print(&compare::with_truth(capture, &options, &review, ffmpeg, reporter)?);
+    let summary = compare::with_truth(capture, &options, &review, ffmpeg, reporter)?;
+    compare::print(&summary, page);
     Ok(())
 }
 
@@ -57,13 +60,13 @@ impl Args {
         let root = project_root()?;
         let folder =
             self.output.clone().unwrap_or_else(|| root.join(".captures").join(self.name()));
-        must_be_writable(&folder)?;
+        Output::Capture(&folder).check(None)?;
         let environment = ensure_environment(&root, reporter)?;
         reporter.note(&format!("Filming the scene magazine into {}.", folder.display()));
         film(&environment, &self.options(&root, folder.clone()), reporter)?;
         let capture = open_capture(&folder, reporter)?;
         reporter.note("Checking the calibration with COLMAP.");
-        let check = check(&environment, &folder, None, reporter)?;
+        let check = check(&environment, &folder, reporter)?;
         for line in &check.table {
             reporter.note(line);
         }

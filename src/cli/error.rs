@@ -1,7 +1,8 @@
 //! Errors of the command line: one sentence on stderr, and an exit code.
 
+use super::print::heard;
 use clap::error::ErrorKind as UsageKind;
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
 use stlfr::capture::{CaptureError, TruthError};
 use stlfr::compare::CompareError;
@@ -57,6 +58,7 @@ pub(super) fn of_io(sentence: String, source: &std::io::Error) -> CliError {
         | ErrorKind::NotADirectory
         | ErrorKind::IsADirectory
         | ErrorKind::InvalidFilename
+        | ErrorKind::ReadOnlyFilesystem
         | ErrorKind::InvalidData
         | ErrorKind::InvalidInput => CliError::BadInput(sentence),
         _ => CliError::Failure(sentence),
@@ -152,16 +154,13 @@ impl From<TradeoffError> for CliError {
 
 /// Says what went wrong, if anything did.
 pub fn exit(result: Result<(), CliError>) -> ExitCode {
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("{}", one_line(&error.to_string()));
-            ExitCode::from(match error {
-                CliError::BadInput(_) => 2,
-                CliError::Failure(_) => 1,
-            })
-        }
-    }
+    let Err(error) = result else { return ExitCode::SUCCESS };
+    // Where stderr can't be written, the exit code has to say it.
+    let _ = writeln!(std::io::stderr(), "{}", one_line(&error.to_string()));
+    ExitCode::from(match error {
+        CliError::BadInput(_) => 2,
+        CliError::Failure(_) => 1,
+    })
 }
 
 /// A sentence on one line, whatever names of files and cameras are in it.
@@ -172,19 +171,17 @@ fn one_line(sentence: &str) -> String {
 
 /// Help and version as clap prints them; a wrong command line in one sentence.
 pub fn usage(error: &clap::Error) -> ExitCode {
-    let wrong = !matches!(
-        error.kind(),
-        UsageKind::DisplayHelp
-            | UsageKind::DisplayVersion
-            | UsageKind::DisplayHelpOnMissingArgumentOrSubcommand
-    );
-    if wrong {
-        eprintln!("{}", one_line(&sentence(&error.to_string())));
-        return ExitCode::from(2);
+    match error.kind() {
+        UsageKind::DisplayHelp | UsageKind::DisplayVersion => {
+            exit(heard(error.print().and_then(|()| std::io::stdout().flush())))
+        }
+        UsageKind::DisplayHelpOnMissingArgumentOrSubcommand => {
+            // On stderr, of which the exit code says as much.
+            let _ = error.print();
+            ExitCode::from(2)
+        }
+        _ => exit(Err(CliError::BadInput(sentence(&error.to_string())))),
     }
-    // Where the help can't be printed (a closed pipe), there is no one to tell.
-    let _ = error.print();
-    ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
 }
 
 /// The first paragraph of clap's message on one line, without its "error: ".

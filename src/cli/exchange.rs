@@ -2,7 +2,8 @@
 
 use super::CliError;
 use super::error::of_io;
-use super::files::{must_be_writable, open_capture};
+use super::files::open_capture;
+use super::outputs::Output;
 use std::path::{Path, PathBuf};
 use stlfr::exchange::{self, ExchangeError, ImportClock, NamedCamera};
 use stlfr::progress::Reporter;
@@ -30,7 +31,7 @@ pub struct ImportArgs {
     /// All cameras share one clock: there is nothing to estimate.
     #[arg(long)]
     shared: bool,
-    /// The capture to make.
+    /// The capture to make: a new folder.
     #[arg(short, long, value_name = "CAPTURE")]
     output: PathBuf,
 }
@@ -72,25 +73,22 @@ impl From<ExchangeError> for CliError {
     fn from(error: ExchangeError) -> Self {
         let sentence = error.to_string();
         match &error {
-            ExchangeError::Read { source, .. } | ExchangeError::Write { source, .. } => {
-                of_io(sentence, source)
-            }
+            ExchangeError::Read { source, .. }
+            | ExchangeError::Write { source, .. }
+            | ExchangeError::Copy { source, .. } => of_io(sentence, source),
             ExchangeError::Content { .. } => Self::BadInput(sentence),
         }
     }
 }
 
-pub fn run_import(args: &ImportArgs, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run_import(args: &ImportArgs) -> Result<(), CliError> {
     if !(args.rate.is_finite() && args.rate > 0.0 && args.first.is_finite()) {
         return Err(CliError::BadInput("--rate must be positive and --first finite".into()));
     }
-    must_be_writable(&args.output)?;
+    Output::Capture(&args.output).check(None)?;
     let cameras = read(&args.calibration)?;
     let clock = ImportClock { rate_hz: args.rate, first_s: args.first, shared: args.shared };
-    exchange::import(&cameras, &args.images, clock, &args.output)?;
-    // A capture that can't be opened is this command's error, not the next one's.
-    open_capture(&args.output, reporter)?;
-    Ok(())
+    Ok(exchange::import(&cameras, &args.images, clock, &args.output)?)
 }
 
 fn read(calibration: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
@@ -109,13 +107,18 @@ pub fn run_export(args: &ExportArgs, reporter: &Reporter) -> Result<(), CliError
         return Err(CliError::BadInput("--near must be positive and --far larger".into()));
     }
     let capture = open_capture(&args.capture, reporter)?;
-    must_be_writable(&args.output)?;
+    let output = &args.output;
+    let written = match args.format {
+        Format::Colmap => Output::Folder(output, &exchange::COLMAP_BINARY_FILES),
+        Format::ColmapText => Output::Folder(output, &exchange::COLMAP_TEXT_FILES),
+        Format::Llff | Format::Nerf => Output::File(output),
+    };
+    written.check(Some(&args.capture))?;
     let cameras: Vec<NamedCamera> = capture
         .cameras
         .iter()
         .map(|c| NamedCamera { name: format!("{}/0000.png", c.id), camera: c.camera.clone() })
         .collect();
-    let output = &args.output;
     match args.format {
         Format::Colmap => exchange::write_colmap_binary(output, &cameras)?,
         Format::ColmapText => exchange::write_colmap_text(output, &cameras)?,

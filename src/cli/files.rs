@@ -4,7 +4,7 @@ use super::CliError;
 use super::values::method;
 use std::path::{Path, PathBuf};
 use stlfr::camera::{Camera, CameraFormat};
-use stlfr::capture::{CAPTURE_FILE, Capture, FilmedCamera, Opening};
+use stlfr::capture::{Capture, Opening};
 use stlfr::json;
 use stlfr::options::{Preset, RenderOptions};
 use stlfr::progress::Reporter;
@@ -17,52 +17,6 @@ pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
         Ok(_) => Err(CliError::BadInput(format!("{}: is no file", path.display()))),
         Err(error) => Err(wrong(path, error)),
     }
-}
-
-/// Refuses an output whose folder, or the nearest one above that exists, can't be written to.
-pub fn must_be_writable(output: &Path) -> Result<(), CliError> {
-    let absolute = std::path::absolute(output).map_err(|e| wrong(output, e))?;
-    // The output itself counts where it is a folder already. What is there and is no folder can't
-    // have the output in it.
-    let nearest = absolute.ancestors().find(|p| p.is_dir() || (p.exists() && *p != absolute));
-    let Some(folder) = nearest.filter(|p| p.is_dir()) else {
-        return Err(CliError::BadInput(format!("{}: has no folder to be in", output.display())));
-    };
-    let probe = folder.join(format!(".stlfr-{}.tmp", std::process::id()));
-    let result = std::fs::File::create(&probe).and_then(|_| std::fs::remove_file(&probe));
-    result.map_err(|error| {
-        CliError::BadInput(format!("{}: can't be written ({error})", output.display()))
-    })
-}
-
-/// Refuses a file that can't be written, or that would take the place of a frame of the capture or
-/// of its description.
-pub fn must_be_writable_beside(output: &Path, capture: &Capture) -> Result<(), CliError> {
-    must_be_writable(output)?;
-    if output.is_dir() {
-        return Err(CliError::BadInput(format!("{}: is a folder", output.display())));
-    }
-    let there = output.canonicalize().ok();
-    let is_frame = |path: &PathBuf| {
-        let of = |c: &FilmedCamera| {
-            c.frames.contains(path) || c.video.as_ref().is_some_and(|v| v.path == *path)
-        };
-        capture.cameras.iter().any(of)
-    };
-    let description = capture.folder.join(CAPTURE_FILE).canonicalize().ok();
-    if there.is_some() && there == description {
-        return Err(CliError::BadInput(format!(
-            "{}: describes the capture, and is not written over",
-            output.display()
-        )));
-    }
-    if there.is_some_and(|path| is_frame(&path)) {
-        return Err(CliError::BadInput(format!(
-            "{}: is a frame of the capture, which is not written over",
-            output.display()
-        )));
-    }
-    Ok(())
 }
 
 /// Opens a capture, whose cameras may be videos.
@@ -138,16 +92,5 @@ mod tests {
             assert!(message.contains("view.json") && message.contains(field), "{message}");
         }
         assert!(read_view(Path::new("/nowhere.json")).is_err());
-    }
-
-    #[test]
-    fn outputs_are_tried() {
-        let folder = tempfile::tempdir().unwrap();
-        must_be_writable(&folder.path().join("a/b/c.png")).unwrap();
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-        assert!(must_be_writable(Path::new("/proc/none/c.png")).is_err());
-        std::fs::write(folder.path().join("file"), "").unwrap();
-        must_be_writable(&folder.path().join("file")).unwrap();
-        assert!(must_be_writable(&folder.path().join("file/c.png")).is_err());
     }
 }

@@ -8,7 +8,9 @@ mod error;
 mod exchange;
 mod files;
 mod offsets;
+mod outputs;
 mod plan;
+mod print;
 mod render;
 mod rig;
 mod setup;
@@ -20,6 +22,7 @@ pub use error::{exit, usage};
 
 use clap::{Parser, Subcommand};
 use error::CliError;
+use print::Page;
 use stlfr::progress::Reporter;
 
 /// The view from anywhere, at any instant, from cameras that are not synchronized.
@@ -57,21 +60,27 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the command.
+    /// Runs the command, and prints what it has to say, also if it fails.
     pub fn run(&self) -> Result<(), CliError> {
+        let mut page = Page::default();
+        let result = self.run_on(&mut page);
+        result.and(page.print())
+    }
+
+    fn run_on(&self, page: &mut Page) -> Result<(), CliError> {
         let reporter = Reporter::new(self.quiet);
         match &self.command {
-            Command::Demo(args) => demo::run(args, &reporter),
-            Command::Setup(args) => setup::run(args, &reporter),
-            Command::Rig(args) => rig::run(args),
-            Command::Capture(args) => capture::run(args, &reporter),
-            Command::Check(args) => check::run(args, &reporter),
-            Command::Plan(args) => plan::run(args, &reporter),
-            Command::Offsets(args) => offsets::run(args, &reporter),
+            Command::Demo(args) => demo::run(args, page, &reporter),
+            Command::Setup(args) => setup::run(args, page, &reporter),
+            Command::Rig(args) => rig::run(args, page),
+            Command::Capture(args) => capture::run(args, page, &reporter),
+            Command::Check(args) => check::run(args, page, &reporter),
+            Command::Plan(args) => plan::run(args, page, &reporter),
+            Command::Offsets(args) => offsets::run(args, page, &reporter),
             Command::Render(args) => render::run(args, &reporter),
-            Command::Compare(args) => compare::run(args, &reporter),
-            Command::Tradeoff(args) => tradeoff::run(args, &reporter),
-            Command::Import(args) => exchange::run_import(args, &reporter),
+            Command::Compare(args) => compare::run(args, page, &reporter),
+            Command::Tradeoff(args) => tradeoff::run(args, page, &reporter),
+            Command::Import(args) => exchange::run_import(args),
             Command::Export(args) => exchange::run_export(args, &reporter),
         }
     }

@@ -2,6 +2,7 @@
 
 use super::CliError;
 use super::files::{OptionsArgs, open_capture};
+use super::print::Page;
 use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::offset::{Offsets, known_or_cached_or_estimated};
@@ -29,22 +30,21 @@ pub struct Args {
     options: OptionsArgs,
 }
 
-pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let options = args.options.read()?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
     capture.require_two_cameras()?;
     let frames = FrameStore::new(capture.clone(), &options.registration);
     let offsets = known_or_cached_or_estimated(&frames, &options.offset, reporter)?;
     if args.json {
-        let json = serde_json::to_string_pretty(&offsets);
-        println!("{}", json.map_err(|e| CliError::Failure(e.to_string()))?);
+        page.json(&offsets)?;
     } else {
-        print_table(&offsets, capture.frame_s());
+        print_table(&offsets, capture.frame_s(), page);
     }
     Ok(())
 }
 
-fn print_table(offsets: &Offsets, frame_s: f64) {
+fn print_table(offsets: &Offsets, frame_s: f64, page: &mut Page) {
     let drifts = offsets.cameras.iter().any(|c| c.rate_ppm.is_some());
     let loses = offsets.cameras.iter().any(|c| c.lost_before.is_some());
     let mut header =
@@ -55,10 +55,11 @@ fn print_table(offsets: &Offsets, frame_s: f64) {
     if loses {
         header += "  lost before";
     }
-    println!("{header}");
+    page.line(header);
     for camera in &offsets.cameras {
         let Some(offset_s) = camera.offset_s else {
-            println!("{:<12} unknown: {}", camera.id, camera.reason.as_deref().unwrap_or("-"));
+            let reason = camera.reason.as_deref().unwrap_or("-");
+            page.line(format_args!("{:<12} unknown: {reason}", camera.id));
             continue;
         };
         let mut line = format!(
@@ -78,10 +79,11 @@ fn print_table(offsets: &Offsets, frame_s: f64) {
             let images: Vec<String> = lost.iter().map(usize::to_string).collect();
             line += &format!("  {}", images.join(", "));
         }
-        println!("{}", line.trim_end());
+        page.line(line.trim_end());
     }
-    println!("Time on {}'s clock = time on the camera's clock + offset.", offsets.reference);
+    let reference = &offsets.reference;
+    page.line(format_args!("Time on {reference}'s clock = time on the camera's clock + offset."));
     if drifts {
-        println!("Offsets are those at each camera's first frame.");
+        page.line("Offsets are those at each camera's first frame.");
     }
 }

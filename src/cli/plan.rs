@@ -1,10 +1,13 @@
 //! `stlfr plan`
 
 use super::CliError;
-use super::files::{must_be_writable_beside, open_capture, options_or_default};
+use super::error::of_io;
+use super::files::{open_capture, options_or_default};
+use super::outputs::Output;
+use super::print::Page;
 use std::path::PathBuf;
 use std::sync::Arc;
-use stlfr::host::write_atomically;
+use stlfr::host::write_json;
 use stlfr::pipeline;
 use stlfr::plan::{Plan, plan};
 use stlfr::progress::Reporter;
@@ -35,42 +38,34 @@ pub struct Args {
     options: Option<PathBuf>,
 }
 
-pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let mut options = options_or_default(args.options.as_deref())?;
     options.auto.budget_px = args.budget_px.unwrap_or(options.auto.budget_px);
     (options.auto.sync, options.auto.proxy) = (true, true);
     options.check().map_err(|error| CliError::BadInput(error.to_string()))?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
     if let Some(output) = &args.output {
-        must_be_writable_beside(output, &capture)?;
+        Output::File(output).check(Some(&args.capture))?;
     }
     let field = pipeline::open_field(capture.clone(), &options, reporter)?;
     let plan = plan(&field, &options, reporter)?;
     if let Some(output) = &args.output {
-        write_atomically(output, json(&plan.options)?.as_bytes()).map_err(|error| {
-            CliError::Failure(format!("{}: can't be written ({error})", output.display()))
+        write_json(output, &plan.options).map_err(|error| {
+            of_io(format!("{}: can't be written ({error})", output.display()), &error)
         })?;
     }
     if args.json {
-        println!("{}", json(&plan)?);
+        page.json(&plan)?;
     } else {
-        print_table(&plan);
+        print_table(&plan, page);
     }
     Ok(())
 }
 
-fn json(value: &impl serde::Serialize) -> Result<String, CliError> {
-    serde_json::to_string_pretty(value).map_err(|e| CliError::Failure(e.to_string()))
-}
-
-fn print_table(plan: &Plan) {
+fn print_table(plan: &Plan, page: &mut Page) {
     for decision in &plan.decisions {
-        println!(
-            "{:<11} {:<15} {}",
-            decision.choice.stage().name(),
-            decision.choice.name(),
-            decision.because
-        );
+        let (stage, method) = (decision.choice.stage().name(), decision.choice.name());
+        page.line(format_args!("{stage:<11} {method:<15} {}", decision.because));
     }
-    println!("Budget: {} px.", plan.budget_px);
+    page.line(format_args!("Budget: {} px.", plan.budget_px));
 }

@@ -1,7 +1,8 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::files::{OptionsArgs, must_be_writable_beside, open_capture, read_view};
+use super::files::{OptionsArgs, open_capture, read_view};
+use super::outputs::check_files;
 use super::span::{Output, Times};
 use super::values::{Choice, method, method_or_auto};
 use std::path::PathBuf;
@@ -153,12 +154,7 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
         })?),
         View::Camera(_) => None,
     };
-    for index in 0..request.times_s.len() {
-        must_be_writable_beside(&args.output.file(index).unwrap_or_default(), &capture)?;
-        if !matches!(args.output, Output::Sequence(_)) {
-            break;
-        }
-    }
+    check_files(args.output.files(request.times_s.len()), Some(&args.capture))?;
     let mut writer = Writer::new(&args.output, &capture)?;
     let depth = capture.bit_depth();
 

@@ -1,7 +1,9 @@
 //! `stlfr rig`
 
 use super::CliError;
-use super::files::must_be_writable;
+use super::error::of_io;
+use super::outputs::Output;
+use super::print::Page;
 use super::values::Size;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -162,29 +164,30 @@ enum ColorName {
     Gray,
 }
 
-pub fn run(args: &Args) -> Result<(), CliError> {
+pub fn run(args: &Args, page: &mut Page) -> Result<(), CliError> {
     if let Some(schema) = args.schema {
         let schema = match schema {
             SchemaName::Rig => rig::schema(),
             SchemaName::Capture => capture::schema(),
             SchemaName::Tradeoff => tradeoff::schema(),
         };
-        println!("{schema:#}");
+        page.line(format_args!("{schema:#}"));
         return Ok(());
     }
     if let Some(file) = &args.check {
         let rig = Rig::read(file)?;
-        println!("{}: {} cameras, {} views", file.display(), rig.cameras.len(), rig.views.len());
+        let (cameras, views) = (rig.cameras.len(), rig.views.len());
+        page.line(format_args!("{}: {cameras} cameras, {views} views", file.display()));
         return Ok(());
     }
     let rig = args.options().generate().map_err(|e| CliError::BadInput(e.to_string()))?;
     let text = rig.to_json();
     match &args.output {
-        None => print!("{text}"),
+        None => page.text(text),
         Some(file) => {
-            must_be_writable(file)?;
+            Output::File(file).check(None)?;
             write_atomically(file, text.as_bytes()).map_err(|error| {
-                CliError::Failure(format!("{}: can't be written ({error})", file.display()))
+                of_io(format!("{}: can't be written ({error})", file.display()), &error)
             })?;
         }
     }

@@ -1,7 +1,8 @@
 //! `stlfr setup`
 
 use super::CliError;
-use super::files::must_be_writable;
+use super::outputs::Output;
+use super::print::Page;
 use std::path::PathBuf;
 use stlfr::progress::Reporter;
 use stlfr::toolchain::{build_extension, ensure_environment, project_root};
@@ -17,19 +18,19 @@ pub struct Args {
     extension: Option<PathBuf>,
 }
 
-pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     if let Some(zip) = &args.extension {
         if zip.extension().is_none_or(|e| e != "zip") {
             return Err(CliError::BadInput("--extension: must name a .zip".into()));
         }
-        must_be_writable(zip)?;
+        Output::File(zip).check(None)?;
     }
     let environment = ensure_environment(&project_root()?, reporter)?;
     let Some(zip) = &args.extension else {
-        println!("{}", environment.python.display());
+        page.line(environment.python.display());
         return Ok(());
     };
     build_extension(&environment, zip, reporter)?;
-    println!("{}", zip.display());
+    page.line(zip.display());
     Ok(())
 }

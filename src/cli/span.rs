@@ -74,6 +74,12 @@ impl FromStr for Output {
 }
 
 impl Output {
+    /// The files of so many images.
+    pub fn files(&self, images: usize) -> impl Iterator<Item = PathBuf> {
+        let files = if matches!(self, Self::Sequence(_)) { images } else { 1 };
+        (0..files).filter_map(|index| self.file(index))
+    }
+
     /// The `index`-th file of a sequence; `None` where the pattern has no field for a number. The
     /// file itself for the others.
     pub fn file(&self, index: usize) -> Option<PathBuf> {

@@ -1,12 +1,14 @@
 //! `stlfr tradeoff`
 
 use super::CliError;
-use super::files::{must_be_writable, open_capture, options_or_default};
+use super::files::{open_capture, options_or_default};
+use super::outputs::Output;
+use super::print::Page;
 use super::values::method;
 use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::progress::Reporter;
-use stlfr::tradeoff::{Clock, Point, Tradeoff, TradeoffOptions, methods, tradeoff};
+use stlfr::tradeoff::{Clock, FILES, Point, Tradeoff, TradeoffOptions, methods, tradeoff};
 
 /// Speed for accuracy on this capture: what every sensible combination of methods and main
 /// parameters costs and gives.
@@ -51,10 +53,10 @@ fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Cl
     }
 }
 
-pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let base = options_or_default(args.options.as_deref())?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
-    must_be_writable(&args.output.join("tradeoff.json"))?;
+    Output::Folder(&args.output, &FILES).check(Some(&args.capture))?;
     let options = TradeoffOptions {
         runs: args.runs,
         rounds: args.rounds,
@@ -64,33 +66,31 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     };
     let found = tradeoff(&capture, &options, &args.output, reporter)?;
     if args.json {
-        let json = serde_json::to_string_pretty(&found);
-        println!("{}", json.map_err(|e| CliError::Failure(e.to_string()))?);
-        return Ok(());
+        return page.json(&found);
     }
-    print_table(&found, &options);
-    println!("plot: {}", args.output.join("tradeoff.svg").display());
+    print_table(&found, &options, page);
+    page.line(format_args!("plot: {}", args.output.join("tradeoff.svg").display()));
     Ok(())
 }
 
 /// The methods' combinations, the Pareto front, and what has a name.
-fn print_table(found: &Tradeoff, options: &TradeoffOptions) {
-    println!(
+fn print_table(found: &Tradeoff, options: &TradeoffOptions, page: &mut Page) {
+    page.line(format_args!(
         "{:<2}{:>24} {:>7} {:>8} {:>14} {:>14}  combination",
         "", "view, s (least to most)", "CPU, s", "ready, s", "moving dB FLIP", "whole dB FLIP"
-    );
+    ));
     let methods = methods(&options.base);
     let shown = |p: &&Point| p.on_front || !p.labels.is_empty() || methods.contains(&p.options);
     for point in found.points.iter().filter(shown) {
-        println!("{}", line(point));
+        page.line(line(point));
     }
     let hidden = found.points.iter().filter(|p| !shown(p)).count();
-    println!(
+    page.line(format_args!(
         "* the front; {hidden} more combinations are in tradeoff.json. Ready: offsets and \
          registration. Planning took {:.1} s.",
         found.planning_s
-    );
-    println!("recommended: {}", found.points[found.recommended].name);
+    ));
+    page.line(format_args!("recommended: {}", found.points[found.recommended].name));
 }
 
 fn line(point: &Point) -> String {

@@ -8,6 +8,11 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::str::{FromStr, SplitWhitespace};
 
+/// The names of a text model's files: cameras, images, points.
+pub const COLMAP_TEXT_FILES: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
+/// The same of a binary model.
+pub const COLMAP_BINARY_FILES: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
+
 struct Lens {
     size: (u64, u64),
     model: CameraModel,
@@ -249,11 +254,8 @@ pub fn colmap_text(images: &[(String, CameraFormat)]) -> BTreeMap<&'static str, 
         let _ = writeln!(image_lines, "{n} {} {n} {name}\n", numbers(&pose));
     }
     let points = "# POINT3D_ID X Y Z R G B ERROR TRACK[] as (IMAGE_ID POINT2D_IDX): none\n";
-    BTreeMap::from([
-        ("cameras.txt", camera_lines),
-        ("images.txt", image_lines),
-        ("points3D.txt", points.to_owned()),
-    ])
+    let [cameras, images, points3d] = COLMAP_TEXT_FILES;
+    BTreeMap::from([(cameras, camera_lines), (images, image_lines), (points3d, points.to_owned())])
 }
 
 fn numbers(values: &[f64]) -> String {
@@ -299,7 +301,9 @@ pub fn write_colmap_binary(folder: &Path, cameras: &[NamedCamera]) -> Result<(),
         images.push(0);
         images.extend(0_u64.to_le_bytes());
     }
-    write(&folder.join("cameras.bin"), &lenses)?;
-    write(&folder.join("images.bin"), &images)?;
-    write(&folder.join("points3D.bin"), &0_u64.to_le_bytes())
+    let points = 0_u64.to_le_bytes();
+    COLMAP_BINARY_FILES
+        .iter()
+        .zip([lenses.as_slice(), &images, &points])
+        .try_for_each(|(name, bytes)| write(&folder.join(name), bytes))
 }

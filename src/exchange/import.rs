@@ -2,7 +2,11 @@
 
 use super::{ExchangeError, NamedCamera, content};
 use crate::camera::CameraFormat;
-use crate::capture::{CAPTURE_FILE, CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
+use crate::capture::FilmedCameraFormat;
+use crate::capture::{CAPTURE_FILE, Capture, CaptureFormat, ClockFormat, Color};
+use crate::host::temporary::Temporary;
+use crate::host::write_json;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// The clock of every imported camera, which no calibration contains.
@@ -22,65 +26,103 @@ const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"]
 /// imported as fixed. Smaller: rounding is taken for motion.
 const MAX_MOTION: f64 = 1e-6;
 
-/// Writes the capture `target` from a calibration and from the sequences in `images`, which are
-/// copied.
+/// Makes the capture `target` from a calibration and from the sequences in `images`, which are
+/// copied. It appears when it is whole and can be opened, and not before.
 ///
 /// A camera's id is the first folder of its name, or its name without extension. Its sequence is the
 /// sub-folder of `images` with that name, in the order of the numbers in the files' names. Where no
 /// sub-folder has a camera's name, the sub-folders are assigned in order. Images of one folder are
 /// one camera.
 ///
-/// A target that is a capture already, a camera that moves, and a missing or mixed sequence are
-/// errors.
+/// A target that holds anything, a camera that moves, a mixed sequence, one with a gap, and a capture
+/// that can't be opened are errors.
 pub fn import(
     cameras: &[NamedCamera],
     images: &Path,
     clock: ImportClock,
     target: &Path,
 ) -> Result<(), ExchangeError> {
-    if target.join(CAPTURE_FILE).exists() {
-        return Err(content(target, "is a capture already, which is not written over"));
+    let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
+    if target.symlink_metadata().is_ok() && !is_empty(target)? {
+        return Err(content(target, "holds files already, which are not written over"));
     }
     let cameras = one_each(cameras).map_err(|reason| content(target, reason))?;
     let folders = sequence_folders(&cameras, images)?;
+    let sequences: Vec<Vec<PathBuf>> =
+        folders.iter().map(|folder| sequence(folder)).collect::<Result<_, _>>()?;
+
+    let absolute = std::path::absolute(target).map_err(failed)?;
+    let beside = absolute.parent().ok_or_else(|| content(target, "names no folder"))?;
+    let temporary = Temporary::inside(beside).map_err(failed)?;
+    let whole = temporary.path().join(WHOLE);
     let mut filmed = Vec::new();
-    for (NamedCamera { name: id, camera }, folder) in cameras.iter().zip(folders) {
-        let files = sequence(&folder)?;
-        let extension = extension(&files[0]).unwrap_or_default();
-        for (k, file) in files.iter().enumerate() {
-            let to = target.join(id).join(format!("{k:04}.{extension}"));
-            let bytes = super::read_bytes(file)?;
-            super::write(&to, &bytes)?;
-        }
-        let CameraFormat { width, height, model, params, cam_from_world } = camera.into();
-        filmed.push(FilmedCameraFormat {
-            id: id.clone(),
-            frames: format!("{id}/%04d.{extension}"),
-            width,
-            height,
-            model,
-            params,
-            cam_from_world,
-            color: Color::Rgb,
-            clock: ClockFormat {
-                rate_hz: Some(clock.rate_hz),
-                first_s: Some(clock.first_s),
-                shared: clock.shared,
-                ..ClockFormat::default()
-            },
-        });
+    for (camera, files) in cameras.iter().zip(&sequences) {
+        copy(files, &whole.join(&camera.name)).map_err(|(path, source)| ExchangeError::Copy {
+            path,
+            to: target.to_owned(),
+            source,
+        })?;
+        filmed.push(described(camera, files, clock));
     }
     let format = CaptureFormat {
         format: "stlfr-capture".into(),
         version: 1,
-        name: target.file_name().map_or("imported".into(), |n| n.to_string_lossy().into_owned()),
+        name: absolute.file_name().map_or("imported".into(), |n| n.to_string_lossy().into_owned()),
         reference: None,
         cameras: filmed,
     };
-    let path = target.join(CAPTURE_FILE);
-    let mut text = serde_json::to_string_pretty(&format).map_err(|e| content(&path, e))?;
-    text.push('\n');
-    super::write(&path, text.as_bytes())
+    write_json(&whole.join(CAPTURE_FILE), &format).map_err(failed)?;
+    // A capture that can't be opened is this command's error, not the next one's.
+    Capture::open(&whole).map_err(|error| {
+        let message = error.to_string();
+        let path = format!("{}/", whole.display());
+        content(target, message.strip_prefix(&path).unwrap_or(&message))
+    })?;
+    temporary.place(WHOLE, target).map_err(failed)
+}
+
+/// The capture in its temporary folder.
+const WHOLE: &str = "capture";
+
+/// Copies a sequence's files into a new folder, numbered from 0.
+fn copy(files: &[PathBuf], folder: &Path) -> Result<(), (PathBuf, std::io::Error)> {
+    let extension = extension(&files[0]).unwrap_or_default();
+    for (k, file) in files.iter().enumerate() {
+        let to = folder.join(format!("{k:04}.{extension}"));
+        std::fs::create_dir_all(folder)
+            .and_then(|()| {
+                let mut to = File::create(to)?;
+                std::io::copy(&mut File::open(file)?, &mut to)?;
+                to.sync_all()
+            })
+            .map_err(|error| (file.clone(), error))?;
+    }
+    Ok(())
+}
+
+fn described(
+    NamedCamera { name: id, camera }: &NamedCamera,
+    files: &[PathBuf],
+    clock: ImportClock,
+) -> FilmedCameraFormat {
+    let CameraFormat { width, height, model, params, cam_from_world } = camera.into();
+    let extension = extension(&files[0]).unwrap_or_default();
+    FilmedCameraFormat {
+        id: id.clone(),
+        frames: format!("{id}/%04d.{extension}"),
+        width,
+        height,
+        model,
+        params,
+        cam_from_world,
+        color: Color::Rgb,
+        clock: ClockFormat {
+            rate_hz: Some(clock.rate_hz),
+            first_s: Some(clock.first_s),
+            shared: clock.shared,
+            ..ClockFormat::default()
+        },
+    }
 }
 
 /// The cameras by id, in the order of their first image; the error is a reason.
@@ -130,7 +172,8 @@ fn sequence_folders(cameras: &[NamedCamera], images: &Path) -> Result<Vec<PathBu
             )),
         };
     }
-    let mut folders: Vec<PathBuf> = entries(images)?.into_iter().filter(|p| p.is_dir()).collect();
+    let mut folders: Vec<PathBuf> = entries(images)?;
+    folders.retain(|p| p.is_dir());
     folders.sort();
     if folders.len() == cameras.len() {
         return Ok(folders);
@@ -139,42 +182,72 @@ fn sequence_folders(cameras: &[NamedCamera], images: &Path) -> Result<Vec<PathBu
     Err(content(images, format!("has {present} folders for {wanted} cameras, none of their names")))
 }
 
-/// A folder's images, in the order of the numbers in their names.
+/// A folder's images, in the order of the numbers in their names, which must follow each other without
+/// a gap.
 fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
-    let mut files: Vec<PathBuf> = entries(folder)?
-        .into_iter()
-        .filter(|p| p.is_file() && extension(p).is_some_and(|e| EXTENSIONS.contains(&e.as_str())))
-        .collect();
-    let number = |path: &PathBuf| -> (u128, PathBuf) {
-        let name = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-        let digits: String = name
-            .chars()
-            .rev()
-            .skip_while(|c| !c.is_ascii_digit())
-            .take_while(char::is_ascii_digit)
-            .collect();
-        let digits: String = digits.chars().rev().collect();
-        (digits.parse().unwrap_or(0), path.clone())
-    };
-    files.sort_by_cached_key(number);
-    let Some(first) = files.first() else { return Err(content(folder, "holds no images")) };
-    if let Some(other) = files.iter().find(|p| extension(p) != extension(first)) {
+    let mut files = entries(folder)?;
+    files.retain(|p| extension(p).is_some_and(|e| EXTENSIONS.contains(&e.as_str())));
+    if let Some(other) = files.iter().find(|p| !p.is_file()) {
+        return Err(content(other, "has an image's name and is no regular file"));
+    }
+    let mut numbered = Vec::new();
+    for file in files {
+        numbered.push((number(&file).map_err(|reason| content(&file, reason))?, file));
+    }
+    numbered.sort();
+    let Some((_, first)) = numbered.first() else { return Err(content(folder, "holds no images")) };
+    if let Some((_, other)) = numbered.iter().find(|(_, p)| extension(p) != extension(first)) {
         return Err(content(
             folder,
             format!("holds images of two kinds, like {}", other.display()),
         ));
     }
-    Ok(files)
+    if let Some(k) = numbered.windows(2).position(|w| w[0].0 + 1 != w[1].0) {
+        let [a, b] = [k, k + 1].map(|k| numbered[k].1.file_name().unwrap_or_default().display());
+        return Err(content(
+            folder,
+            format!("the numbers of {a} and {b} must follow each other, for every frame counts"),
+        ));
+    }
+    Ok(numbered.into_iter().map(|(_, file)| file).collect())
+}
+
+/// The last number in a file's name without its extension, 0 if there is none; the error is a reason.
+fn number(file: &Path) -> Result<u64, String> {
+    let name = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+    let end = name.rfind(|c: char| c.is_ascii_digit()).map_or(0, |at| at + 1);
+    let start = name[..end]
+        .rfind(|c: char| !c.is_ascii_digit())
+        .map_or(0, |at| at + name[at..].chars().next().map_or(0, char::len_utf8));
+    match &name[start..end] {
+        "" => Ok(0),
+        digits => {
+            digits.parse().ok().filter(|n| *n < u64::MAX).ok_or_else(|| {
+                format!("the number {digits} in its name is too large to count frames")
+            })
+        }
+    }
 }
 
 fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_str()?.to_ascii_lowercase())
 }
 
+fn is_empty(folder: &Path) -> Result<bool, ExchangeError> {
+    let entries = std::fs::read_dir(folder);
+    let wrong = |source| ExchangeError::Read { path: folder.to_owned(), source };
+    Ok(entries.map_err(wrong)?.next().is_none())
+}
+
+/// What is in a folder, without hidden files.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     let wrong = |source| ExchangeError::Read { path: folder.to_owned(), source };
-    std::fs::read_dir(folder)
-        .map_err(wrong)?
-        .map(|entry| Ok(entry.map_err(wrong)?.path()))
-        .collect()
+    let mut entries = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(wrong)? {
+        let entry = entry.map_err(wrong)?;
+        if !entry.file_name().as_encoded_bytes().starts_with(b".") {
+            entries.push(entry.path());
+        }
+    }
+    Ok(entries)
 }

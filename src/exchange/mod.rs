@@ -17,7 +17,8 @@ mod import;
 mod llff;
 mod nerf;
 
-pub use colmap::{colmap_text, read_colmap, write_colmap_binary, write_colmap_text};
+pub use colmap::{COLMAP_BINARY_FILES, COLMAP_TEXT_FILES, colmap_text, read_colmap};
+pub use colmap::{write_colmap_binary, write_colmap_text};
 pub use import::{ImportClock, import};
 pub use llff::{read_llff, write_llff};
 pub use nerf::{read_nerf, write_nerf};
@@ -44,6 +45,9 @@ pub enum ExchangeError {
     /// The file can't be written.
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
+    /// A file can't be copied into a folder.
+    #[error("{path}: can't be copied to {to} ({source})")]
+    Copy { path: PathBuf, to: PathBuf, source: std::io::Error },
     /// The file's contents are refused, or can't describe a camera.
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },

@@ -244,6 +244,70 @@ fn a_model_and_sequences_become_a_capture() {
     assert!(moving.to_string().contains("must not move"), "{moving}");
 }
 
+/// One camera and a folder of its images, numbered as given.
+fn sequence_of(folder: &Path, numbers: &[&str]) -> NamedCamera {
+    for number in numbers {
+        let shade = crate::raster::Image::filled(8, 6, 1, 0.5);
+        let path = folder.join(format!("a/{number}.png"));
+        crate::raster::write_image(&path, &shade, None, crate::raster::BitDepth::Eight).unwrap();
+    }
+    let mut camera = looking_up();
+    (camera.camera.width, camera.camera.height) = (8, 6);
+    NamedCamera { name: "a/0.png".into(), ..camera }
+}
+
+const CLOCK: ImportClock = ImportClock { rate_hz: 25.0, first_s: 0.0, shared: false };
+
+#[test]
+fn every_frame_counts_in_an_import() {
+    for (numbers, words) in [
+        (["0", "1", "3"].as_slice(), "1.png and 3.png must follow"),
+        (&["f0", "g0"], "f0.png and g0.png must follow"),
+        (&["a", "b"], "a.png and b.png must follow"),
+        (&["99999999999999999999"], "too large to count"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let camera = sequence_of(&folder.path().join("images"), numbers);
+        let target = folder.path().join("capture");
+        let error = import(&[camera], &folder.path().join("images"), CLOCK, &target).unwrap_err();
+        assert!(error.to_string().contains(words), "{error}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "only the images");
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let camera = sequence_of(folder.path(), &["0", "1", "2"]);
+    std::fs::remove_file(folder.path().join("a/1.png")).unwrap();
+    std::fs::create_dir(folder.path().join("a/1.png")).unwrap();
+    let target = folder.path().join("capture");
+    let error = import(&[camera], folder.path(), CLOCK, &target).unwrap_err();
+    assert!(error.to_string().contains("1.png: has an image's name and is no"), "{error}");
+}
+
+#[test]
+fn an_import_is_whole_or_not_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let images = folder.path().join("images");
+    let camera = std::slice::from_ref(&sequence_of(&images, &["7", "8"])).to_vec();
+    // The originals are no target, nor is any folder with something in it.
+    let before = std::fs::read(images.join("a/7.png")).unwrap();
+    for target in [&images, &images.join("a"), &images.join("a/7.png")] {
+        assert!(import(&camera, &images, CLOCK, target).is_err());
+    }
+    assert_eq!(std::fs::read(images.join("a/7.png")).unwrap(), before);
+    // What fails leaves nothing, so that it can be mended and done again.
+    let target = folder.path().join("capture");
+    let fast = ImportClock { rate_hz: 1e12, ..CLOCK };
+    let error = import(&camera, &images, fast, &target).unwrap_err().to_string();
+    assert!(error.contains("capture: capture.json: cameras[0]"), "{error}");
+    std::fs::write(images.join("a/8.png"), "no image").unwrap();
+    let error = import(&camera, &images, CLOCK, &target).unwrap_err().to_string();
+    assert!(error.contains("capture: a/0001.png"), "{error}");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    std::fs::copy(images.join("a/7.png"), images.join("a/8.png")).unwrap();
+    std::fs::create_dir(&target).unwrap();
+    import(&camera, &images, CLOCK, &target).unwrap();
+    assert_eq!(crate::capture::Capture::open(&target).unwrap().cameras[0].frames.len(), 2);
+}
+
 #[test]
 fn names_that_lead_elsewhere_are_refused() {
     let clock = ImportClock { rate_hz: 25.0, first_s: 0.0, shared: false };

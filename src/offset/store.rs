@@ -3,8 +3,8 @@
 //! `offsets.json` holds the offsets, the options that they were estimated with, and a hash of the
 //! program's version, the capture's content and these options. It is used only while the hash matches.
 
-use crate::capture::{Capture, CaptureError};
-use crate::host::write_atomically;
+use crate::capture::{Capture, CaptureError, are_frame_times};
+use crate::host::write_json;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -142,14 +142,20 @@ impl Offsets {
         Ok(hasher.finalize().to_hex().to_string())
     }
 
-    /// The cached offsets of that hash; `None` if there is no valid file, or its hash or cameras differ.
+    /// Whether these can be offsets of a capture: of its cameras, and such that all their frames have
+    /// times on the reference's clock.
+    pub fn fits(&self, capture: &Capture) -> bool {
+        self.cameras.len() == capture.cameras.len()
+            && self.cameras.iter().zip(&capture.cameras).all(|(o, c)| o.id == c.id)
+            && self.common_times_s(capture).iter().flatten().all(|times| are_frame_times(times))
+    }
+
+    /// The cached offsets of that hash; `None` if there is no valid file, its hash differs, or it
+    /// doesn't fit the capture.
     pub fn load(capture: &Capture, hash: &str) -> Option<Self> {
         let text = std::fs::read_to_string(Self::path(capture)).ok()?;
         let cached: CachedOffsets = serde_json::from_str(&text).ok()?;
-        let same = cached.hash == hash
-            && cached.offsets.cameras.len() == capture.cameras.len()
-            && cached.offsets.cameras.iter().zip(&capture.cameras).all(|(o, c)| o.id == c.id);
-        same.then_some(cached.offsets)
+        (cached.hash == hash && cached.offsets.fits(capture)).then_some(cached.offsets)
     }
 
     /// Writes `offsets.json` into the capture's folder, atomically.
@@ -165,10 +171,7 @@ impl Offsets {
             options: serde_json::to_value(options).unwrap_or_default(),
             hash: hash.to_owned(),
         };
-        let text = serde_json::to_string_pretty(&cached)
-            .map_err(|error| CaptureError::Write { path: path.clone(), source: error.into() })?;
-        write_atomically(&path, text.as_bytes())
-            .map_err(|source| CaptureError::Write { path, source })
+        write_json(&path, &cached).map_err(|source| CaptureError::Write { path, source })
     }
 }
 

@@ -1,7 +1,6 @@
 //! `stlfr.read_rig`, `stlfr.check_rig` and `stlfr.generate_rig`.
 
 use super::convert::{from_python, json_of, to_python, value_error};
-use crate::json;
 use crate::rig::{Rig, RigOptions};
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -27,8 +26,7 @@ pub fn generate_rig<'py>(
     py: Python<'py>,
     options: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let options =
-        from_python(options, "options")?.map(|json::Object(given): json::Object<_>| given);
-    let options: RigOptions = options.unwrap_or_default();
+    let options: Option<RigOptions> = from_python(options, "options")?;
+    let options = options.unwrap_or_default();
     to_python(py, &py.detach(|| options.generate()).map_err(value_error)?)
 }

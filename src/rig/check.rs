@@ -53,8 +53,7 @@ impl Rig {
     /// Parses and checks a rig from the text of its file. The error is one sentence that starts with
     /// the field.
     pub fn parse(text: &str) -> Result<Self, RigTextError> {
-        let json::Object(rig) =
-            json::parse::<json::Object<Self>>(text).map_err(RigTextError::Json)?;
+        let rig: Self = json::parse(text).map_err(RigTextError::Json)?;
         rig.check()?;
         Ok(rig)
     }

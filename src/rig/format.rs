@@ -2,7 +2,6 @@
 
 use super::limits::*;
 use crate::camera::{CameraModel, PoseFormat};
-use crate::json;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -32,11 +31,10 @@ pub struct Rig {
     #[schemars(range(max = MAX_SEED))]
     pub seed: u64,
     /// The filming cameras, at least one.
-    #[serde(deserialize_with = "json::objects")]
     #[schemars(length(min = 1))]
     pub cameras: Vec<RigCamera>,
     /// Virtual cameras that truth is rendered from besides the filming ones.
-    #[serde(default, skip_serializing_if = "Vec::is_empty", deserialize_with = "json::objects")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub views: Vec<RigView>,
 }
 
@@ -71,13 +69,8 @@ pub struct RigCamera {
     pub shift_y: f64,
     /// COLMAP's OPENCV model, about the pinhole that the lens amounts to. It must be invertible all
     /// along the image's border.
-    #[serde(
-        default,
-        skip_serializing_if = "Distortion::is_none",
-        deserialize_with = "json::object"
-    )]
+    #[serde(default, skip_serializing_if = "Distortion::is_none")]
     pub distortion: Distortion,
-    #[serde(deserialize_with = "json::object")]
     pub cam_from_rig: PoseFormat,
     #[schemars(range(min = RATE_HZ.min, max = RATE_HZ.max))]
     pub rate_hz: f64,
@@ -151,7 +144,6 @@ pub struct RigView {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
     pub shift_y: f64,
-    #[serde(deserialize_with = "json::object")]
     pub cam_from_rig: PoseFormat,
 }
 

@@ -83,19 +83,14 @@ pub struct CheckedCamera {
     pub position_std_err_mm: Option<f64>,
 }
 
-/// Checks a capture's calibration. A wrong calibration is a result, not an error; the
-/// values also go into the file `json`, if one is named.
+/// Checks a capture's calibration. A wrong calibration is a result, not an error.
 pub fn check(
     environment: &Environment,
     capture: &Path,
-    json: Option<&Path>,
     reporter: &Reporter,
 ) -> Result<Check, ScriptError> {
     let mut command = script::command(environment, "check.py");
     command.arg(capture);
-    if let Some(json) = json {
-        command.arg("--json").arg(json);
-    }
     let phase = reporter.phase("checking the calibration");
     let mut stdout = String::new();
     let ended = process::run(&mut command, |line| {

@@ -37,7 +37,7 @@ pub(super) fn prepared(
     let still_change = options.interpolation.still_change;
     let key = store.key("prepared", &(&options.registration, &options.offset, still_change));
     if let Some(cached) = store.load::<Prepared>(&key)
-        && cached.offsets.cameras.len() == capture.cameras.len()
+        && cached.offsets.fits(capture)
     {
         return Ok(cached);
     }

@@ -46,6 +46,7 @@ mod timing;
 
 pub use combination::{Variable, methods, most_accurate, name, variations};
 pub use pareto::{Trade, fastest_within, pareto_front};
+pub use store::FILES;
 pub use summary::{MeanScores, Point, Preparation, Spread};
 pub use targets::Against;
 

@@ -4,6 +4,7 @@
 use super::TradeoffError;
 use crate::capture::{Capture, Truth};
 use crate::host::Elapsed;
+use crate::host::temporary::{is_temporary, remove_abandoned};
 use crate::json;
 use crate::metrics::RegionScores;
 use crate::offset::Offsets;
@@ -13,8 +14,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The files and the folder that a trade-off's folder holds.
-pub(super) const FILES: [&str; 3] = ["tradeoff.json", "tradeoff.svg", "recommended.json"];
+/// The files that a trade-off's folder holds.
+pub const FILES: [&str; 3] = ["tradeoff.json", "tradeoff.svg", "recommended.json"];
+/// The folder of measurements in it.
 pub(super) const POINTS: &str = "points";
 
 /// What is known of one combination.
@@ -61,6 +63,8 @@ impl Store {
         capture: &Capture,
         truth: Option<&Truth>,
     ) -> Result<Self, TradeoffError> {
+        remove_abandoned(folder);
+        remove_abandoned(&folder.join(POINTS));
         refuse_foreign(folder)?;
         let mut hasher = blake3::Hasher::new();
         hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
@@ -114,8 +118,8 @@ fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
     let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
     for entry in entries.flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
-        // A temporary file of a run that was killed begins with a dot.
-        let own = FILES.contains(&name.as_str()) || name == POINTS || name.starts_with(".tradeoff");
+        let is_of_a_run_at_work = is_temporary(&entry.file_name());
+        let own = FILES.contains(&name.as_str()) || name == POINTS || is_of_a_run_at_work;
         if !own {
             return Err(TradeoffError::Foreign { folder: folder.to_owned(), name });
         }

@@ -29,3 +29,26 @@ pub fn ffmpeg_on_path() -> Option<PathBuf> {
     let paths = std::env::var_os("PATH")?;
     std::env::split_paths(&paths).map(|p| p.join("ffmpeg")).find(|p| p.is_file())
 }
+
+/// A message of ffmpeg's without the "[name @ address]" before it.
+fn without_address(line: &str) -> &str {
+    let mut line = line.trim();
+    while let Some((_, rest)) = line.strip_prefix('[').and_then(|l| l.split_once("] ")) {
+        line = rest;
+    }
+    line
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_have_no_addresses() {
+        assert_eq!(
+            without_address("[in#0 @ 0x5] [enc:png @ 0x6] Duplicate element"),
+            "Duplicate element"
+        );
+        assert_eq!(without_address("Truncating packet"), "Truncating packet");
+    }
+}

@@ -3,9 +3,10 @@
 //! Colours are ffmpeg's conversion to full-range grey or RGB: in 8 bits where the video has 8, and
 //! in 16 where it has more. A rotation in the file's metadata is applied, as by a player.
 
-use super::VideoError;
+use super::{VideoError, without_address};
 use crate::host::process;
 use std::ffi::OsString;
+use std::io;
 use std::path::Path;
 use std::process::Command;
 
@@ -63,6 +64,9 @@ pub fn decode(
     let ended = process::run(&mut command, |_| ())
         .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })?;
     let message = ended.stderr.lines().map(without_address).find(|line| !line.is_empty());
+    if let Some(source) = full_disk(&ended.stderr) {
+        return Err(VideoError::File { path: folder.to_owned(), source });
+    }
     if !ended.status.success() || message.is_some() {
         let message = message.unwrap_or("it was stopped").trim_end_matches('.');
         return Err(wrong(format!("is not a whole video that ffmpeg can read ({message})")));
@@ -77,17 +81,18 @@ pub fn decode(
     Ok(Decoded { times_s })
 }
 
-fn wrong(reason: String) -> VideoError {
-    VideoError::Decode { reason }
+/// The disk's own error, if ffmpeg met one while it wrote.
+fn full_disk(messages: &str) -> Option<io::Error> {
+    [libc::ENOSPC, libc::EDQUOT, libc::EFBIG, libc::EROFS].into_iter().find_map(|number| {
+        let error = io::Error::from_raw_os_error(number);
+        let sentence = error.to_string();
+        let words = sentence.split(" (os error").next().filter(|w| !w.is_empty())?;
+        messages.contains(words).then_some(error)
+    })
 }
 
-/// A message of ffmpeg's without the "[name @ address]" before it.
-fn without_address(line: &str) -> &str {
-    let mut line = line.trim();
-    while let Some((_, rest)) = line.strip_prefix('[').and_then(|l| l.split_once("] ")) {
-        line = rest;
-    }
-    line
+fn wrong(reason: String) -> VideoError {
+    VideoError::Decode { reason }
 }
 
 /// The third column of a framecrc listing, whose time base is a microsecond.
@@ -108,19 +113,17 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_full_disk_is_no_broken_video() {
+        let said = "[vost#0:0/png @ 0x5] Error submitting a packet to the muxer: No space left on device\n";
+        assert_eq!(full_disk(said).unwrap().kind(), io::ErrorKind::StorageFull);
+        assert!(full_disk("Invalid data found when processing input").is_none());
+    }
+
+    #[test]
     fn listings_of_time_stamps() {
         let text =
             "#tb 0: 1/1000000\n0, 0, 0, 33000, 9, 0xe6\n0,  -5,   67000,    33000,   9, 0x59\n";
         assert_eq!(times_s(text).unwrap(), [0.0, 0.067]);
         assert!(times_s("0, 0, NOPTS, 1, 1, 0x0\n").is_err());
-    }
-
-    #[test]
-    fn messages_have_no_addresses() {
-        assert_eq!(
-            without_address("[in#0 @ 0x5] [enc:png @ 0x6] Duplicate element"),
-            "Duplicate element"
-        );
-        assert_eq!(without_address("Truncating packet"), "Truncating packet");
     }
 }

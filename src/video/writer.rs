@@ -1,7 +1,8 @@
 //! Writing a video file.
 
-use super::VideoError;
+use super::{VideoError, without_address};
 use crate::host::process::{Ended, Process};
+use crate::host::temporary::Temporary;
 use crate::raster::BitDepth;
 use crate::raster::Image;
 use std::io::Write;
@@ -74,12 +75,16 @@ impl Codec {
 /// leaves no file.
 pub struct VideoWriter {
     path: PathBuf,
-    temporary: PathBuf,
     process: Option<Process>,
     stdin: Option<ChildStdin>,
     size: (usize, usize, usize),
     depth: BitDepth,
+    /// Declared last: it is removed once ffmpeg, which writes into it, has ended.
+    temporary: Temporary,
 }
+
+/// The video in its temporary folder.
+const FILE: &str = "video";
 
 impl VideoWriter {
     /// Begins a video whose frames all have the size and the channels, 1 or 3, of `like`.
@@ -90,13 +95,8 @@ impl VideoWriter {
         format: VideoFormat,
     ) -> Result<Self, VideoError> {
         let VideoFormat { depth, rate_hz, codec } = format;
-        let wrong = |source| VideoError::File { path: path.to_owned(), source };
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty());
-        if let Some(folder) = folder {
-            std::fs::create_dir_all(folder).map_err(wrong)?;
-        }
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let temporary = path.with_file_name(format!(".{name}.{}.tmp", std::process::id()));
+        let temporary = Temporary::for_file(path)
+            .map_err(|source| VideoError::File { path: path.to_owned(), source })?;
         let pixel_format = match (like.channels(), depth) {
             (1, BitDepth::Eight) => "gray",
             (1, BitDepth::Sixteen) => "gray16le",
@@ -105,7 +105,7 @@ impl VideoWriter {
         };
         // A name may begin with `-`, or look like a protocol.
         let mut output = std::ffi::OsString::from("file:");
-        output.push(&temporary);
+        output.push(temporary.path().join(FILE));
         let mut command = Command::new(ffmpeg);
         command
             .args(["-hide_banner", "-loglevel", "error", "-y", "-f", "rawvideo"])
@@ -120,11 +120,11 @@ impl VideoWriter {
             .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })?;
         Ok(Self {
             path: path.to_owned(),
-            temporary,
             stdin: process.take_stdin(),
             process: Some(process),
             size: (like.width(), like.height(), like.channels()),
             depth,
+            temporary,
         })
     }
 
@@ -156,7 +156,8 @@ impl VideoWriter {
     /// Ends the video and renames it to its path.
     pub fn finish(mut self) -> Result<(), VideoError> {
         self.end()?;
-        std::fs::rename(&self.temporary, &self.path)
+        self.temporary
+            .place(FILE, &self.path)
             .map_err(|source| VideoError::File { path: self.path.clone(), source })
     }
 
@@ -169,8 +170,8 @@ impl VideoWriter {
         if status.success() {
             return Ok(());
         }
-        Err(self
-            .broken(stderr.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or("ffmpeg failed")))
+        let last = stderr.lines().map(without_address).rfind(|line| !line.is_empty());
+        Err(self.broken(last.unwrap_or("ffmpeg failed")))
     }
 
     fn broken(&self, reason: &str) -> VideoError {
@@ -182,7 +183,5 @@ impl Drop for VideoWriter {
     fn drop(&mut self) {
         drop(self.stdin.take());
         drop(self.process.take());
-        // There is none after `finish`.
-        let _ = std::fs::remove_file(&self.temporary);
     }
 }

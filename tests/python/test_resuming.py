@@ -266,3 +266,16 @@ def test_a_scene_without_a_place_for_the_rig_is_refused(
         and result.stderr.count("\n") == 1
     )
     assert not (tmp_path / "capture" / "capture.json").exists()
+
+
+def test_a_hidden_folder_that_is_a_link_is_refused(
+    small_rig: Path, tmp_path: Path
+) -> None:
+    mine = tmp_path / "elsewhere" / "partial"
+    mine.mkdir(parents=True)
+    capture = tmp_path / "capture"
+    capture.mkdir()
+    (capture / ".film").symlink_to(mine.parent)
+    result = run(small_film(capture, small_rig))
+    assert result.returncode == 2 and ".film is a link" in result.stderr
+    assert mine.is_dir()

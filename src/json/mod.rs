@@ -1,9 +1,10 @@
 //! Files of JSON, as every stage reads them: what is wrong is one sentence that names the field.
 
-use serde::de::value::MapAccessDeserializer;
-use serde::de::{Deserialize, DeserializeOwned, Deserializer, MapAccess, Visitor};
+mod objects;
+
+use objects::Objects;
+use serde::de::DeserializeOwned;
 use std::io::Read;
-use std::marker::PhantomData;
 use std::path::Path;
 
 /// Larger than any description of a capture (a hundred cameras' time stamps over a day are 200 MB);
@@ -35,42 +36,14 @@ pub fn read_text(path: &Path) -> Result<String, JsonError> {
     Ok(text)
 }
 
-/// A value from text; the error is a sentence that starts with the field.
+/// A value from text; the error is a sentence that starts with the field. A struct stands as an object,
+/// never as a list.
 pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
-    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|e| e.to_string())?;
+    let value = serde_path_to_error::deserialize(Objects(&mut deserializer));
+    let value = value.map_err(|e| e.to_string())?;
     deserializer.end().map_err(|e| e.to_string())?;
     Ok(value)
-}
-
-/// A struct that stands as an object; serde alone takes a list of its fields' values too, which no
-/// schema allows.
-pub struct Object<T>(pub T);
-
-impl<'de, T: Deserialize<'de>> Deserialize<'de> for Object<T> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Fields<T>(PhantomData<T>);
-        impl<'de, T: Deserialize<'de>> Visitor<'de> for Fields<T> {
-            type Value = T;
-            fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-                f.write_str("an object")
-            }
-            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<T, A::Error> {
-                T::deserialize(MapAccessDeserializer::new(map))
-            }
-        }
-        deserializer.deserialize_map(Fields(PhantomData)).map(Object)
-    }
-}
-
-/// For `deserialize_with`: an object and nothing else.
-pub fn object<'de, T: Deserialize<'de>, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
-    Object::deserialize(d).map(|object| object.0)
-}
-
-/// For `deserialize_with`: a list of objects.
-pub fn objects<'de, T: Deserialize<'de>, D: Deserializer<'de>>(d: D) -> Result<Vec<T>, D::Error> {
-    Vec::<Object<T>>::deserialize(d).map(|list| list.into_iter().map(|o| o.0).collect())
 }
 
 #[cfg(test)]
@@ -91,6 +64,18 @@ mod tests {
         }
         assert!(parse::<RenderOptions>("{} {}").unwrap_err().contains("trailing"));
         assert!(parse::<RenderOptions>("").is_err());
+    }
+
+    #[test]
+    fn a_list_is_no_object() {
+        for (text, field) in [
+            ("[]", "invalid type: sequence, expected an object"),
+            (r#"{"registration": []}"#, "registration: invalid type: sequence"),
+            (r#"{"registration": {"klt": [3]}}"#, "registration.klt: invalid type: sequence"),
+        ] {
+            let message = parse::<RenderOptions>(text).unwrap_err();
+            assert!(message.starts_with(field), "{message}");
+        }
     }
 
     #[test]

@@ -1,0 +1,331 @@
+//! What belongs to the capture, so that no output takes its place.
+//!
+//! A capture owns its description, its frames (also those that its patterns could name), `truth/`,
+//! `colmap/`, its offsets and its caches, links followed. Other files in its folder, and its `review/`,
+//! are outputs like any others. A folder that is being filmed into belongs to the film as a whole.
+
+use super::{CAPTURE_FILE, frames};
+use crate::host::obstacle;
+use crate::json;
+use serde::Deserialize;
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+
+/// An output that can't be written where it should: one sentence with its path.
+#[derive(Debug, thiserror::Error)]
+#[error("{path}: {reason}")]
+pub struct OutputError {
+    pub path: PathBuf,
+    pub reason: String,
+}
+
+/// What of a capture is neither frames nor description, whether it is there or not.
+const PARTS: [&str; 6] = ["truth", "colmap", ".stlfr", FILM, "offsets.json", "offsets.svg"];
+
+/// The hidden folder of the filming script; where there is no description yet, it is filming.
+const FILM: &str = ".film";
+
+/// Checks outputs before work begins: a file must have the place of a regular file or of none, and
+/// neither a file nor a folder may have that of what belongs to the capture.
+pub struct OutputGuard {
+    /// The capture that the command reads, which need not be around the output.
+    own: Option<PathBuf>,
+    /// What was found out about the folders around earlier outputs.
+    known: HashMap<PathBuf, Option<Belongings>>,
+}
+
+/// What belongs to one capture; all paths are real ones.
+struct Belongings {
+    root: PathBuf,
+    is_filming: bool,
+    description: PathBuf,
+    parts: Vec<PathBuf>,
+    patterns: Vec<FramePattern>,
+    frames: HashSet<PathBuf>,
+}
+
+/// The names of a camera's frames: their folder, and what stands before and after the number; a
+/// video's has no number.
+struct FramePattern {
+    folder: PathBuf,
+    before: String,
+    after: Option<String>,
+}
+
+/// What is read of a description that may be wrong elsewhere.
+#[derive(Default, Deserialize)]
+struct Description {
+    format: Option<String>,
+    #[serde(default)]
+    cameras: Vec<DescribedCamera>,
+}
+
+#[derive(Deserialize)]
+struct DescribedCamera {
+    #[serde(default)]
+    frames: String,
+}
+
+impl OutputGuard {
+    /// A guard of all captures around the outputs, and of the capture in the folder `own`.
+    pub fn new(own: Option<&Path>) -> Self {
+        Self { own: own.map(Path::to_owned), known: HashMap::new() }
+    }
+
+    /// Refuses a file.
+    pub fn check_file(&mut self, path: &Path) -> Result<(), OutputError> {
+        let name = path.as_os_str().as_encoded_bytes();
+        if path.file_name().is_none() || name.ends_with(b"/") || name.ends_with(b"/.") {
+            return refuse(path, "names no file");
+        }
+        if let Some(obstacle) = obstacle(path) {
+            return refuse(path, obstacle);
+        }
+        self.refusal(path, Belongings::against_file).map_or(Ok(()), |reason| refuse(path, reason))
+    }
+
+    /// Refuses a folder for files with these names, which may be in it already.
+    pub fn check_folder(&mut self, path: &Path, files: &[&str]) -> Result<(), OutputError> {
+        self.check_capture(path)?;
+        if let Some(reason) = self.refusal(path, Belongings::against_folder) {
+            return refuse(path, reason);
+        }
+        files.iter().try_for_each(|file| self.check_file(&path.join(file)))
+    }
+
+    /// Refuses a folder for a new capture, or for the one that is there to be continued.
+    pub fn check_capture(&mut self, path: &Path) -> Result<(), OutputError> {
+        if path.symlink_metadata().is_ok() && !path.is_dir() {
+            return refuse(path, "is no folder");
+        }
+        self.refusal(path, Belongings::against_capture)
+            .map_or(Ok(()), |reason| refuse(path, reason))
+    }
+
+    /// What a capture around a path, or the own one, has against it.
+    fn refusal(
+        &mut self,
+        path: &Path,
+        against: fn(&Belongings, &Path) -> Option<&'static str>,
+    ) -> Option<&'static str> {
+        let absolute = std::path::absolute(path).ok()?;
+        let real = real(&absolute);
+        let around = absolute.ancestors().chain(real.ancestors()).map(Path::to_owned);
+        around.chain(self.own.clone()).find_map(|folder| {
+            let known = self.known.entry(folder);
+            let known = known.or_insert_with_key(|folder| Belongings::of(folder));
+            known.as_ref().and_then(|belongings| against(belongings, &real))
+        })
+    }
+}
+
+fn refuse(path: &Path, reason: impl Into<String>) -> Result<(), OutputError> {
+    Err(OutputError { path: path.to_owned(), reason: reason.into() })
+}
+
+/// A path whose folders' links are followed, as far as they exist; a link of that very name is not.
+fn real(absolute: &Path) -> PathBuf {
+    let found = absolute.ancestors().skip(1).find_map(|folder| {
+        let rest = absolute.strip_prefix(folder).ok()?;
+        Some(folder.canonicalize().ok()?.join(rest))
+    });
+    found.unwrap_or_else(|| absolute.to_owned())
+}
+
+impl Belongings {
+    /// `None` for a folder that is no capture.
+    fn of(folder: &Path) -> Option<Self> {
+        let description = folder.join(CAPTURE_FILE);
+        let is_described = description.is_file();
+        if !is_described && !folder.join(FILM).is_dir() {
+            return None;
+        }
+        // One that can't be read is protected all the same, as far as it can be known.
+        let read: Description = json::read(&description).unwrap_or_default();
+        if read.format.is_some_and(|format| format != "stlfr-capture") {
+            return None;
+        }
+        let root = folder.canonicalize().ok()?;
+        let own = |name: &str| root.join(name).canonicalize().unwrap_or_else(|_| root.join(name));
+        let frames = read.cameras.iter().map(|camera| frames::find(&root, &camera.frames));
+        let frames = frames.flatten().flatten().collect();
+        Some(Self {
+            is_filming: !is_described,
+            description: own(CAPTURE_FILE),
+            parts: PARTS.map(own).to_vec(),
+            patterns: read.cameras.iter().map(|c| FramePattern::new(&root, &c.frames)).collect(),
+            frames,
+            root,
+        })
+    }
+
+    fn against_capture(&self, real: &Path) -> Option<&'static str> {
+        let is_in_parts = self.parts.iter().any(|part| real.starts_with(part));
+        is_in_parts.then_some("belongs to the capture, and is not written over")
+    }
+
+    fn against_folder(&self, real: &Path) -> Option<&'static str> {
+        if self.root == *real {
+            Some("is a capture, and results need a folder of their own")
+        } else if self.patterns.iter().any(|pattern| pattern.folder == *real) {
+            Some("is a folder of the capture's frames, and results need a folder of their own")
+        } else {
+            None
+        }
+    }
+
+    fn against_file(&self, real: &Path) -> Option<&'static str> {
+        if self.is_filming && real.starts_with(&self.root) {
+            Some("is in a capture that is not filmed to its end")
+        } else if self.description == *real || self.root.join(CAPTURE_FILE) == *real {
+            Some("describes the capture, and is not written over")
+        } else if self.frames.contains(real) || self.patterns.iter().any(|p| p.names(real)) {
+            Some("is a frame of the capture, which is not written over")
+        } else {
+            self.against_capture(real)
+        }
+    }
+}
+
+impl FramePattern {
+    fn new(root: &Path, frames: &str) -> Self {
+        let (folder, name) = frames.rsplit_once('/').unwrap_or((".", frames));
+        let folder = root.join(folder);
+        let number = name.split_once('%').and_then(|(before, rest)| {
+            rest.split_once('d').map(|(_, after)| (before.to_owned(), Some(after.to_owned())))
+        });
+        let (before, after) = number.unwrap_or_else(|| (name.to_owned(), None));
+        Self { folder: folder.canonicalize().unwrap_or(folder), before, after }
+    }
+
+    fn names(&self, real: &Path) -> bool {
+        let Some(name) = real.file_name().and_then(|name| name.to_str()) else { return false };
+        let is_name = match &self.after {
+            None => name == self.before,
+            Some(after) => name
+                .strip_prefix(self.before.as_str())
+                .and_then(|rest| rest.strip_suffix(after.as_str()))
+                .is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit())),
+        };
+        is_name && real.parent() == Some(&self.folder)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::host::write_atomically;
+    use std::os::unix::fs::symlink;
+
+    /// A capture's folder with one image sequence and one video, and a store that a frame is linked to.
+    fn capture() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let text = r#"{"format": "stlfr-capture", "cameras": [
+            {"frames": "cam0/%04d.png"}, {"frames": "cam1.mkv"}, {"frames": "%d.png"}]}"#;
+        for (name, bytes) in [
+            (CAPTURE_FILE, text),
+            ("cam0/0000.png", ""),
+            ("cam1.mkv", ""),
+            ("store/a.png", ""),
+            ("truth/truth.json", "{}"),
+        ] {
+            write_atomically(&folder.path().join(name), bytes.as_bytes()).unwrap();
+        }
+        symlink("../store/a.png", folder.path().join("cam0/0001.png")).unwrap();
+        folder
+    }
+
+    #[test]
+    fn what_belongs_to_a_capture_is_refused_by_any_path() {
+        let folder = capture();
+        let elsewhere = tempfile::tempdir().unwrap();
+        symlink(folder.path(), elsewhere.path().join("capture")).unwrap();
+        for root in [folder.path().to_owned(), elsewhere.path().join("capture")] {
+            let mut guard = OutputGuard::new(None);
+            for (name, words) in [
+                ("capture.json", "describes the capture"),
+                ("cam0/0000.png", "is a frame"),
+                ("cam0/../cam0/0000.png", "is a frame"),
+                ("cam0/0007.png", "is a frame"),
+                ("12.png", "is a frame"),
+                ("cam1.mkv", "is a frame"),
+                ("store/a.png", "is a frame"),
+                ("cam0/0001.png", "is a link"),
+                ("truth/truth.json", "belongs to the capture"),
+                ("truth/views/new/0.png", "belongs to the capture"),
+                ("colmap/cameras.txt", "belongs to the capture"),
+                (".stlfr/video/0/0.png", "belongs to the capture"),
+                ("offsets.json", "belongs to the capture"),
+                ("truth", "is a folder"),
+                ("new/", "names no file"),
+                ("new/.", "names no file"),
+                ("..", "names no file"),
+            ] {
+                let message = guard.check_file(&root.join(name)).unwrap_err().to_string();
+                assert!(message.contains(words), "{name}: {message}");
+            }
+            for name in ["out.png", "options.json", "review/0.png", "cam0/a.png", "new/0.png"] {
+                guard.check_file(&root.join(name)).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn folders_of_a_capture_are_refused() {
+        let folder = capture();
+        let mut guard = OutputGuard::new(None);
+        for (name, words) in [
+            ("", "is a capture"),
+            ("truth", "belongs to the capture"),
+            ("truth/new", "belongs to the capture"),
+            ("colmap", "belongs to the capture"),
+            ("cam0", "frames"),
+            ("cam1.mkv", "is no folder"),
+        ] {
+            let path = folder.path().join(name);
+            let message = guard.check_folder(&path, &[]).unwrap_err().to_string();
+            assert!(message.contains(words), "{name}: {message}");
+        }
+        guard.check_folder(&folder.path().join("review"), &["report.html"]).unwrap();
+        guard.check_capture(folder.path()).unwrap();
+        assert!(guard.check_capture(&folder.path().join("truth/new")).is_err());
+        symlink("/dev/null", folder.path().join("report.html")).unwrap();
+        let out = folder.path().join("store");
+        symlink("a.png", out.join("report.html")).unwrap();
+        let message = guard.check_folder(&out, &["report.html"]).unwrap_err().to_string();
+        assert!(message.contains("report.html: is a link"), "{message}");
+    }
+
+    #[test]
+    fn linked_parts_and_damaged_descriptions_are_protected() {
+        let folder = capture();
+        let elsewhere = tempfile::tempdir().unwrap();
+        let [description, truth] = ["description.json", "truth"].map(|n| elsewhere.path().join(n));
+        std::fs::rename(folder.path().join("truth"), &truth).unwrap();
+        symlink(&truth, folder.path().join("truth")).unwrap();
+        std::fs::rename(folder.path().join(CAPTURE_FILE), &description).unwrap();
+        symlink(&description, folder.path().join(CAPTURE_FILE)).unwrap();
+        let mut guard = OutputGuard::new(Some(folder.path()));
+        assert!(guard.check_file(&truth.join("truth.json")).is_err());
+        assert!(guard.check_file(&folder.path().join("truth/truth.json")).is_err());
+        assert!(guard.check_file(&description).is_err());
+
+        std::fs::write(&description, "[").unwrap();
+        let mut guard = OutputGuard::new(None);
+        assert!(guard.check_file(&folder.path().join("truth/truth.json")).is_err());
+        // Another program's file of that name makes no capture.
+        std::fs::write(&description, r#"{"format": "stlfr-rig"}"#).unwrap();
+        let mut guard = OutputGuard::new(None);
+        guard.check_file(&folder.path().join("colmap/cameras.txt")).unwrap();
+    }
+
+    #[test]
+    fn a_film_that_was_interrupted_is_protected() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join(FILM)).unwrap();
+        let mut guard = OutputGuard::new(None);
+        let message = guard.check_file(&folder.path().join("cam0/0000.png")).unwrap_err();
+        assert!(message.reason.contains("not filmed to its end"), "{message}");
+        guard.check_capture(folder.path()).unwrap();
+    }
+}
