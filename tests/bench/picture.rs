@@ -1,15 +1,26 @@
 //! Views and synchronized images against the truth, beside what true parts would give and beside other programs.
 //!
-//! `cargo bench --bench picture -- rig RIG.json OUT.json [--synchronized]` writes the rig with the views that are
-//! measured: halfway between the middle cameras, beside that, 12 cm above it, and 12 cm ahead. All shutters are
-//! the reference's if wanted.
+//! `cargo bench --bench picture -- rig RIG.json OUT.json [--synchronized | --pan N]` writes the rig with the views
+//! that are measured: halfway between the middle cameras, beside that, 12 cm above it, and 12 cm ahead. All
+//! shutters are the reference's, or the views are those of a pan, if wanted.
 //!
 //! `cargo bench --bench picture -- CAPTURE… [--instants N] [--out DIR]`: filmed captures with `truth/`.
 //! Clocks are the true ones. Prints PSNR and FLIP of all pixels whose point some camera sees, and of the moving
 //! part among them; for the depths of a view, the median error and the share over 1 px, in pixels of disparity
 //! at 6 cm, away from depth edges and within 4 px of them. Pictures of the first instant go to DIR. After several
 //! captures, their means.
+//!
+//! `cargo bench --bench picture -- flicker CAPTURE… [--options JSON] [--out DIR]`: a pan along the rig and a scrub
+//! through time, beside the truth where it was filmed: the largest jumps, and how much still parts flicker. Videos
+//! and slices of them go to DIR.
+//!
+//! `cargo bench --bench picture -- pairs CAPTURE… --with DIR [--out FILE.svg]`: each capture beside that of the same
+//! name in DIR, whose cameras are synchronized.
 
+#[path = "picture/flicker.rs"]
+mod flicker;
+#[path = "picture/pairs.rs"]
+mod pairs;
 #[path = "picture/peers.rs"]
 mod peers;
 #[path = "picture/rig.rs"]
@@ -21,11 +32,13 @@ mod summary;
 #[path = "picture/truth.rs"]
 mod truth;
 
+use flicker::Flicker;
 use peers::Python;
+use rig::Purpose;
 use scene::Scene;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use stlfr::capture::{Capture, Truth};
+use stlfr::capture::{Capture, Truth, TruthView};
 use stlfr::light_field::LightField;
 use stlfr::offset::Offsets;
 use stlfr::options::RenderOptions;
@@ -52,6 +65,22 @@ fn open(folder: &str) -> Result<(LightField, Truth), Error> {
     Ok((field, truth))
 }
 
+/// The instants that have truth.
+fn instants_s(truth: &Truth) -> Vec<f64> {
+    let mut times_s: Vec<f64> = truth.views.iter().map(|v| v.time_s).collect();
+    times_s.dedup();
+    times_s
+}
+
+/// The true images of all cameras at an instant, in the capture's order.
+fn cameras_at(capture: &Capture, truth: &Truth, time_s: f64) -> Result<Vec<True>, Error> {
+    let of = |id: &str| {
+        let like = |v: &&TruthView| v.time_s == time_s && v.like.as_deref() == Some(id);
+        truth.views.iter().find(like).ok_or("the truth lacks a camera")
+    };
+    capture.cameras.iter().map(|c| True::read(truth, of(&c.id)?)).collect()
+}
+
 /// What is done with every capture.
 struct Run {
     instants: usize,
@@ -66,19 +95,13 @@ impl Run {
         summary.begin(&name.to_string_lossy());
         let (field, truth) = open(folder)?;
         let capture = field.capture();
-        let mut times: Vec<f64> = truth.views.iter().map(|v| v.time_s).collect();
-        times.dedup();
-        for (n, &time) in times.iter().take(self.instants).enumerate() {
-            let at = || truth.views.iter().filter(move |v| v.time_s == time);
-            let like =
-                |id: &str| at().find(|v| v.like.as_deref() == Some(id)).ok_or("lacks a camera");
-            let cameras: Result<Vec<True>, Error> =
-                capture.cameras.iter().map(|c| True::read(&truth, like(&c.id)?)).collect();
+        for (n, time) in instants_s(&truth).into_iter().take(self.instants).enumerate() {
             println!("{folder} at {time:.4} s: PSNR of all that is seen, of its moving part");
+            let cameras = cameras_at(capture, &truth, time)?;
             let at_s = time - capture.time_origin_s;
-            let scene = Scene::new(&field, at_s, cameras?, self.python.as_ref())?;
+            let scene = Scene::new(&field, at_s, cameras, self.python.as_ref())?;
             scene.print_synchronized(summary);
-            for view in at().filter(|v| v.like.is_none()) {
+            for view in truth.views.iter().filter(|v| v.time_s == time && v.like.is_none()) {
                 let out = out.as_deref().filter(|_| n == 0);
                 scene.print_view(&True::read(&truth, view)?, out, summary)?;
             }
@@ -87,25 +110,65 @@ impl Run {
     }
 }
 
-fn main() -> Result<(), Error> {
-    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
-    if let [command, from, to, rest @ ..] = &arguments[..]
-        && command == "rig"
-    {
-        return rig::write(from, to, rest.iter().any(|a| a == "--synchronized"));
-    }
-    let (mut folders, mut instants, mut out) = (Vec::new(), usize::MAX, None);
-    let mut args = arguments.into_iter();
-    while let Some(arg) = args.next() {
-        match arg.as_str() {
-            "--instants" => instants = args.next().ok_or("--instants lacks a number")?.parse()?,
-            "--out" => out = Some(PathBuf::from(args.next().ok_or("--out lacks a folder")?)),
-            _ => folders.push(arg),
+/// The command line: words, and options with their values.
+struct Arguments {
+    words: Vec<String>,
+    options: Vec<(String, String)>,
+}
+
+impl Arguments {
+    fn read() -> Result<Self, Error> {
+        let mut all = std::env::args().skip(1).filter(|a| a != "--bench");
+        let (mut words, mut options) = (Vec::new(), Vec::new());
+        while let Some(arg) = all.next() {
+            match arg.strip_prefix("--") {
+                Some("synchronized") => options.push(("synchronized".into(), String::new())),
+                Some(name @ ("instants" | "out" | "options" | "with" | "pan")) => {
+                    let value = all.next().ok_or_else(|| format!("--{name} lacks a value"))?;
+                    options.push((name.to_owned(), value));
+                }
+                Some(_) => return Err(format!("{arg}: no such option").into()),
+                None => words.push(arg),
+            }
         }
+        Ok(Self { words, options })
     }
+
+    fn option(&self, name: &str) -> Option<&str> {
+        self.options.iter().find(|(n, _)| n == name).map(|(_, value)| value.as_str())
+    }
+}
+
+fn write_rig(from: &str, to: &str, arguments: &Arguments) -> Result<(), Error> {
+    let purpose = match (arguments.option("pan"), arguments.option("synchronized")) {
+        (Some(count), _) => Purpose::Pan(count.parse()?),
+        (None, Some(_)) => Purpose::Synchronized,
+        (None, None) => Purpose::Views,
+    };
+    rig::write(from, to, purpose)
+}
+
+fn main() -> Result<(), Error> {
+    let arguments = Arguments::read()?;
+    let out = arguments.option("out").map(PathBuf::from);
+    match arguments.words.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        ["rig", from, to] => return write_rig(from, to, &arguments),
+        ["pairs", ..] => {
+            let with = arguments.option("with").ok_or("pairs: --with DIR is missing")?;
+            let out = out.unwrap_or_else(pairs::default_out);
+            return pairs::bench(&arguments.words[1..], with.as_ref(), &out);
+        }
+        ["flicker", ..] => {
+            let options = RenderOptions::parse(arguments.option("options").unwrap_or("{}"), None)?;
+            let flicker = Flicker { options, out };
+            return arguments.words[1..].iter().try_for_each(|folder| flicker.bench(folder));
+        }
+        _ => {}
+    }
+    let instants = arguments.option("instants").map_or(Ok(usize::MAX), str::parse)?;
     let run = Run { instants, out, python: Python::find() };
     let mut summary = Summary::default();
-    for folder in &folders {
+    for folder in &arguments.words {
         run.bench(folder, &mut summary)?;
     }
     summary.print();

@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def read(path: str) -> Array:
-    """An image as H×W×3, 0..=1, red first."""
+    """An image as height, width, red first, 0..=1."""
     image = opencv.imread(path, opencv.IMREAD_UNCHANGED)
     if image.ndim == 2:
         image = opencv.cvtColor(image, opencv.COLOR_GRAY2BGR)
@@ -79,7 +79,7 @@ def gray(image: Array) -> npt.NDArray[np.uint8]:
 
 
 def grid(like: Array) -> Array:
-    """Every pixel's own place, H×W×2."""
+    """Every pixel's own place."""
     height, width = like.shape[:2]
     return np.dstack(np.meshgrid(np.arange(width), np.arange(height))).astype(
         np.float32
@@ -97,8 +97,8 @@ def consistency(there: Array, back: Array) -> Array:
     return np.exp(-(error**2).sum(axis=2) / CONSISTENT_PX**2)
 
 
-def splat(to: Array, values: Array, weights: Array) -> Array:
-    """Sums of weighted values, H×W×N, carried to places and shared bilinearly among four pixels."""
+def splat(to: Array, values: Array, weights: Array) -> npt.NDArray[np.float64]:
+    """Sums of weighted values, several a pixel, carried to places and shared bilinearly among four pixels."""
     height, width = weights.shape
     low = np.floor(to).astype(np.int64)
     part = to - low

@@ -1,6 +1,7 @@
 //! The rig of the benchmark: any rig, with the views that are measured.
 
 use super::Error;
+use super::flicker::{PAN, PAN_SHARES};
 use nalgebra::{Isometry3, Translation3};
 use std::path::Path;
 use stlfr::camera::PoseFormat;
@@ -21,10 +22,21 @@ const VIEWS: [View; 4] = [
 /// Decimals of the poses that are written: a nanometre.
 const DECIMALS: f64 = 1e9;
 
-/// Writes a rig with [`VIEWS`] in place of its own, and with all shutters at the reference's if wanted.
-pub fn write(from: &str, to: &str, synchronized: bool) -> Result<(), Error> {
+/// What a rig is written for.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Purpose {
+    /// The views that are measured.
+    Views,
+    /// The same, with all shutters at the reference's.
+    Synchronized,
+    /// The first of them, and a pan of so many views.
+    Pan(usize),
+}
+
+/// Writes a rig with other views in place of its own.
+pub fn write(from: &str, to: &str, purpose: Purpose) -> Result<(), Error> {
     let mut rig = Rig::read(from.as_ref())?;
-    if synchronized {
+    if purpose == Purpose::Synchronized {
         synchronize(&mut rig);
     }
     let poses: Result<Vec<_>, _> =
@@ -32,17 +44,26 @@ pub fn write(from: &str, to: &str, synchronized: bool) -> Result<(), Error> {
     let mut poses = poses?;
     poses.sort_by(|a, b| a.translation.x.total_cmp(&b.translation.x));
     let lens = rig.cameras[0].view();
-    let view = |(id, share, offset): &View| {
-        let from_rig = (on_rig(&poses, *share) * Translation3::from(*offset)).inverse();
+    let view = |id: &str, share: f64, offset: [f64; 3]| {
+        let from_rig = (on_rig(&poses, share) * Translation3::from(offset)).inverse();
         let round = |v: f64| (v * DECIMALS).round() / DECIMALS + 0.0;
         let q = from_rig.rotation;
         let cam_from_rig = PoseFormat {
             rotation_wxyz: [q.w, q.i, q.j, q.k].map(round),
             translation: from_rig.translation.vector.map(round).into(),
         };
-        RigView { id: (*id).to_owned(), cam_from_rig, ..lens.clone() }
+        RigView { id: id.to_owned(), cam_from_rig, ..lens.clone() }
     };
-    rig.views = VIEWS.iter().map(view).collect();
+    let [left, right] = PAN_SHARES;
+    rig.views = match purpose {
+        Purpose::Pan(count) => {
+            let step = (right - left) / count.saturating_sub(1).max(1) as f64;
+            let share = |k: usize| left + step * k as f64;
+            let pan = (0..count).map(|k| view(&format!("{PAN}{k:03}"), share(k), [0.0; 3]));
+            [view("between", 0.0, [0.0; 3])].into_iter().chain(pan).collect()
+        }
+        _ => VIEWS.iter().map(|(id, share, offset)| view(id, *share, *offset)).collect(),
+    };
     let folder = Path::new(to).parent().ok_or("has no folder")?;
     std::fs::create_dir_all(folder)?;
     Ok(std::fs::write(to, rig.to_json())?)
