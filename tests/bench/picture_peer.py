@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def read(path: str) -> Array:
-    """An image as height, width, red first, 0..=1."""
+    """An image, red first, 0..=1."""
     image = opencv.imread(path, opencv.IMREAD_UNCHANGED)
     if image.ndim == 2:
         image = opencv.cvtColor(image, opencv.COLOR_GRAY2BGR)
