@@ -94,14 +94,17 @@ impl Summary {
 
     fn print_synchronized(&self) {
         let methods = distinct(self.synchronized.iter().map(|s| &s.1));
-        println!("\nsynchronized images: PSNR of all, of the moving part [dB]");
-        println!("| scene | {} | refined − DIS, moving part |", methods.join(" | "));
+        println!(
+            "\nsynchronized images: PSNR of all, of the moving part; refined − DIS, moving part [dB]"
+        );
+        println!("| scene | {} | refined − DIS |", methods.join(" | "));
         println!("|---|{}", "---|".repeat(methods.len() + 1));
         let db = |scene: usize, method: &str, part| self.synchronized_db(scene, method, part);
         let line = |name: &str, db: &dyn Fn(&str, usize) -> f64| {
             let figures = methods.iter().map(|m| format!("{:.2} {:.2}", db(m, 0), db(m, 1)));
             let gain = db("refined", 1) - db("DIS", 1);
-            println!("| {name} | {} | {gain:+.2} |", figures.collect::<Vec<_>>().join(" | "));
+            let gain = if gain.is_finite() { format!("{gain:+.2}") } else { "-".to_owned() };
+            println!("| {name} | {} | {gain} |", figures.collect::<Vec<_>>().join(" | "));
         };
         for (scene, name) in self.scenes.iter().enumerate() {
             line(name, &|method, part| db(scene, method, part));
