@@ -51,10 +51,14 @@ pub struct Flicker {
 impl Flicker {
     pub fn bench(&self, folder: &str) -> Result<(), Error> {
         let (field, truth) = open(folder)?;
-        println!("{folder}: largest jump between successive pictures, RMS of 255 levels");
         println!(
-            "| sequence | whole | the truth's | {BLOCK_PX}×{BLOCK_PX} block | the truth's there | \
-                  where no jump is due, dB | still parts, dB |"
+            "{folder}: the jumps between successive pictures that are most beyond the truth's,"
+        );
+        println!(
+            "RMS in levels of 255; PSNR of the steps; and of the parts in which nothing happens, dB"
+        );
+        println!(
+            "| sequence | whole | the truth's | {BLOCK_PX}×{BLOCK_PX} block | the truth's | steps | still parts |"
         );
         println!("|---|---|---|---|---|---|---|");
         for sequence in [pan(&field, &truth)?, scrub(&field, &truth)?] {
@@ -151,14 +155,6 @@ fn squared(a: &Image, b: &Image) -> Vec<f32> {
         .collect()
 }
 
-/// A jump: its size, and the index of the step, and of the block or 0.
-#[derive(Clone, Copy)]
-struct Jump {
-    rms: f64,
-    step: usize,
-    block: usize,
-}
-
 /// Means of squares over blocks, row by row of blocks; incomplete ones are left out.
 fn blocks(squares: &[f32], width: usize, side: usize) -> Vec<f64> {
     let (columns, rows) = (width / side, squares.len() / width / side);
@@ -172,32 +168,40 @@ fn blocks(squares: &[f32], width: usize, side: usize) -> Vec<f64> {
     sums.iter().map(|s| s / (side * side) as f64).collect()
 }
 
-/// The largest jump of whole pictures, and of blocks.
-fn largest(images: &[Image]) -> [Jump; 2] {
-    let none = Jump { rms: 0.0, step: 0, block: 0 };
-    let mut found = [none; 2];
-    for (step, pair) in images.windows(2).enumerate() {
+/// Of each step, the RMS difference of the two pictures, over blocks or over all.
+fn jumps(images: &[Image], side: Option<usize>) -> Vec<Vec<f64>> {
+    let of = |pair: &[Image]| {
         let squares = squared(&pair[0], &pair[1]);
-        let whole = squares.iter().map(|v| f64::from(*v)).sum::<f64>() / squares.len() as f64;
-        let of_blocks = blocks(&squares, pair[0].width(), BLOCK_PX);
-        let candidates = of_blocks.iter().enumerate().map(|(block, v)| (1, block, *v));
-        for (kind, block, mean) in candidates.chain([(0, 0, whole)]) {
-            if mean.sqrt() > found[kind].rms {
-                found[kind] = Jump { rms: mean.sqrt(), step, block };
+        let means = match side {
+            Some(side) => blocks(&squares, pair[0].width(), side),
+            None => {
+                vec![squares.iter().map(|v| f64::from(*v)).sum::<f64>() / squares.len() as f64]
             }
-        }
-    }
-    found
+        };
+        means.into_iter().map(f64::sqrt).collect()
+    };
+    images.windows(2).map(of).collect()
 }
 
-/// The truth's jump at the step and block of another.
-fn at(images: &[Image], jump: Jump, side: Option<usize>) -> f64 {
-    let [a, b] = [&images[jump.step], &images[jump.step + 1]];
-    let squares = squared(a, b);
-    match side {
-        Some(side) => blocks(&squares, a.width(), side)[jump.block].sqrt(),
-        None => (squares.iter().map(|v| f64::from(*v)).sum::<f64>() / squares.len() as f64).sqrt(),
-    }
+/// A jump where views jump most beyond the truth, or at all if there is none.
+struct Jump {
+    step: usize,
+    block: usize,
+    rms: f64,
+    due: Option<f64>,
+}
+
+fn worst(views: &[Image], truth: Option<&[Image]>, side: Option<usize>) -> Jump {
+    let (own, due) = (jumps(views, side), truth.map(|truth| jumps(truth, side)));
+    let all = own.iter().enumerate().flat_map(|(step, blocks)| {
+        let due = due.as_ref();
+        blocks.iter().enumerate().map(move |(block, &rms)| {
+            let due = due.map(|due| due[step][block]);
+            Jump { step, block, rms, due }
+        })
+    });
+    let beyond = |j: &Jump| j.rms - j.due.unwrap_or(0.0);
+    all.max_by(|a, b| beyond(a).total_cmp(&beyond(b))).expect("a sequence has steps")
 }
 
 /// Pixels that never change in a sequence, away from those that do.
@@ -215,8 +219,7 @@ fn still(images: &[Image]) -> Vec<bool> {
     moving.iter().map(|m| !m).collect()
 }
 
-/// Mean square over all steps and counted pixels of how the steps of one sequence differ from another's, or from
-/// none, as decibels below full scale.
+/// PSNR over all steps and counted pixels: of the steps beside the truth's, or beside none.
 fn flicker_db(images: &[Image], truth: Option<&[Image]>, counts: Option<&[bool]>) -> f64 {
     let (mut sum, mut n) = (0.0, 0.0);
     for step in 0..images.len() - 1 {
@@ -235,37 +238,27 @@ fn flicker_db(images: &[Image], truth: Option<&[Image]>, counts: Option<&[bool]>
 }
 
 fn print(sequence: &Sequence, views: &[Image]) {
-    let [whole, block] = largest(views);
-    let levels = |v: f64| format!("{:.2}", 255.0 * v);
-    let place = |jump: &Jump| {
-        let columns = views[0].width() / BLOCK_PX;
-        let [x, y] = [jump.block % columns, jump.block / columns].map(|v| v * BLOCK_PX);
-        format!("step {} at ({x}, {y})", jump.step)
-    };
     let truth = sequence.truth.as_deref();
-    let (mut own, mut due, mut still_db) =
-        (["-".to_owned(), "-".to_owned()], "-".to_owned(), "-".to_owned());
-    if let Some(truth) = truth {
-        let [most, _] = largest(truth);
-        own = [
-            format!("{} (largest {})", levels(at(truth, whole, None)), levels(most.rms)),
-            levels(at(truth, block, Some(BLOCK_PX))),
-        ];
-        due = format!("{:.1}", flicker_db(views, Some(truth), None));
-        let mask = still(truth);
-        if mask.contains(&true) {
-            still_db = format!("{:.1}", flicker_db(views, None, Some(&mask)));
-        }
-    }
+    let [whole, block] = [None, Some(BLOCK_PX)].map(|side| worst(views, truth, side));
+    let columns = views[0].width() / BLOCK_PX;
+    let [x, y] = [block.block % columns, block.block / columns].map(|v| v * BLOCK_PX);
+    let figure = |value: Option<f64>, digits: usize| {
+        value.filter(|v| v.is_finite()).map_or("-".to_owned(), |v| format!("{v:.digits$}"))
+    };
+    let levels = |value: Option<f64>| figure(value.map(|v| 255.0 * v), 1);
+    let steps_db = truth.map(|truth| flicker_db(views, Some(truth), None));
+    let still_db = truth.map(|truth| flicker_db(views, None, Some(&still(truth))));
     println!(
-        "| {} | {} at step {} | {} | {}, {} | {} | {due} | {still_db} |",
+        "| {} | {}, step {} | {} | {}, step {} at ({x}, {y}) | {} | {} | {} |",
         sequence.name,
-        levels(whole.rms),
+        levels(Some(whole.rms)),
         whole.step,
-        own[0],
-        levels(block.rms),
-        place(&block),
-        own[1],
+        levels(whole.due),
+        levels(Some(block.rms)),
+        block.step,
+        levels(block.due),
+        figure(steps_db, 1),
+        figure(still_db, 1),
     );
 }
 

@@ -14,6 +14,7 @@ use stlfr::light_field::LightField;
 use stlfr::lumigraph::BlendMethod;
 use stlfr::offset::Offsets;
 use stlfr::options::{ProxyMethod, RenderOptions};
+use stlfr::raster::Image;
 
 /// Distance from the synchronized array's nearest frame, in frames, from which an instant is between its frames.
 const BETWEEN_FRAMES: f64 = 0.1;
@@ -89,15 +90,12 @@ fn pair(name: &str, fields: [&LightField; 2], truth: &Truth, time_s: f64) -> Res
     let target = True::read(truth, view.ok_or("the truth has no view")?)?;
     let cameras = cameras_at(fields[1].capture(), truth, time_s)?;
     let moving = target.moving_of(&target.seen(&cameras));
-    let mut options = RenderOptions::default().view();
-    options.proxy.method = ProxyMethod::Depth;
     let mut db = [[0.0; 2]; 2];
-    for (db, (_, method)) in db.iter_mut().zip(METHODS) {
-        options.blend.method = method;
-        for (db, field) in db.iter_mut().zip(fields) {
-            let at_s = time_s - field.capture().time_origin_s;
-            let image = field.view(&target.camera, at_s, &options)?.image;
-            *db = psnr_db(&image, &target.image, &moving);
+    for (k, field) in fields.into_iter().enumerate() {
+        let at_s = time_s - field.capture().time_origin_s;
+        let images = views(field, &target.camera, at_s)?;
+        for (db, image) in db.iter_mut().zip(&images) {
+            db[k] = psnr_db(image, &target.image, &moving);
         }
     }
     let capture = fields[0].capture();
@@ -115,6 +113,19 @@ fn pair(name: &str, fields: [&LightField; 2], truth: &Truth, time_s: f64) -> Res
         figures.join(" | "),
     );
     Ok(pair)
+}
+
+/// The final view at an instant, by each of [`METHODS`].
+fn views(field: &LightField, target: &Camera, at_s: f64) -> Result<[Image; 2], Error> {
+    let mut options = RenderOptions::default().view();
+    options.proxy.method = ProxyMethod::Depth;
+    options.blend.method = BlendMethod::SpaceTime;
+    let images = field.synchronized_all(at_s, &options)?;
+    let geometry = field.geometry(&images, target, at_s, &options)?;
+    Ok(METHODS.map(|(_, method)| {
+        options.blend.method = method;
+        field.blend(&images, &geometry, target, &options.blend).image
+    }))
 }
 
 /// Median and 90th percentile over the moving part.
