@@ -16,7 +16,8 @@ use stlfr::offset::Offsets;
 use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::raster::Image;
 
-/// Distance from the synchronized array's nearest frame, in frames, from which an instant is between its frames.
+/// Distance from the synchronized array's nearest frame, in frames, from which an instant counts as between its
+/// frames. Smaller: that array hardly interpolates; larger: instants are left out.
 const BETWEEN_FRAMES: f64 = 0.1;
 /// Largest difference of the two arrays' cameras, metres.
 const SAME_M: f64 = 1e-6;
@@ -29,8 +30,6 @@ struct Pair {
     scene: String,
     /// Median and 90th percentile of the motion of what moves, pixels a frame.
     motion_px: [f64; 2],
-    /// From the synchronized array's nearest frame, frames.
-    distance: f64,
     /// Of each method: PSNR of the moving part, synchronized and not.
     db: [[f64; 2]; 2],
 }
@@ -48,15 +47,12 @@ pub fn bench(folders: &[String], synchronized: &Path, out: &Path) -> Result<(), 
         let name = Path::new(folder).file_name().ok_or("has no name")?;
         pairs.extend(compare(folder, &synchronized.join(name))?);
     }
-    for (near, what) in [(false, "between"), (true, "near")] {
-        let of = || pairs.iter().filter(move |p| (p.distance < BETWEEN_FRAMES) == near);
-        for (k, (method, _)) in METHODS.iter().enumerate() {
-            let gain = super::summary::mean(of().map(|p| p.db[k][1] - p.db[k][0]));
-            println!("mean gain {what} the synchronized frames, {method}: {gain:+.2} dB");
-        }
+    for (k, (method, _)) in METHODS.iter().enumerate() {
+        let gain = super::summary::mean(pairs.iter().map(|p| p.db[k][1] - p.db[k][0]));
+        println!("mean gain, {method}: {gain:+.2} dB");
     }
     std::fs::create_dir_all(out.parent().ok_or("has no folder")?)?;
-    std::fs::write(out, svg(&[chart(&pairs, false), chart(&pairs, true)], 2))?;
+    std::fs::write(out, svg(&[chart(&pairs)], 1))?;
     println!("{}", out.display());
     Ok(())
 }
@@ -82,7 +78,18 @@ fn compare(folder: &str, synchronized: &Path) -> Result<Vec<Pair>, Error> {
         return Err(format!("{folder}: {} has other cameras", synchronized.display()).into());
     }
     let name = Path::new(folder).file_name().unwrap_or_default().to_string_lossy().into_owned();
-    instants_s(&truth).into_iter().map(|t| pair(&name, [&together, &field], &truth, t)).collect()
+    instants_s(&truth)
+        .into_iter()
+        .filter(|t| from_frames(together.capture(), *t) >= BETWEEN_FRAMES)
+        .map(|t| pair(&name, [&together, &field], &truth, t))
+        .collect()
+}
+
+/// Distance of an instant from the nearest frame of cameras that are synchronized, frames.
+fn from_frames(capture: &Capture, time_s: f64) -> f64 {
+    let times_s = &capture.cameras[0].clock.times_s;
+    let distances = times_s.iter().map(|t| (t + capture.time_origin_s - time_s).abs());
+    distances.fold(f64::MAX, f64::min) / capture.frame_s()
 }
 
 fn pair(name: &str, fields: [&LightField; 2], truth: &Truth, time_s: f64) -> Result<Pair, Error> {
@@ -98,16 +105,12 @@ fn pair(name: &str, fields: [&LightField; 2], truth: &Truth, time_s: f64) -> Res
             db[k] = psnr_db(image, &target.image, &moving);
         }
     }
-    let capture = fields[0].capture();
-    let times = &capture.cameras[0].clock.times_s;
-    let from_frames = times.iter().map(|t| (t + capture.time_origin_s - time_s).abs());
-    let distance = from_frames.fold(f64::MAX, f64::min) / capture.frame_s();
     let motion_px = motion(&target, &moving);
-    let pair = Pair { scene: name.to_owned(), motion_px, distance, db };
+    let pair = Pair { scene: name.to_owned(), motion_px, db };
     let figures = pair.db.map(|[a, b]| format!("{a:.2}, {b:.2}, {:+.2}", b - a));
     println!(
         "| {name} | {time_s:.4} | {:.2} | {:.1}, {:.1} | {} |",
-        pair.distance,
+        from_frames(fields[0].capture(), time_s),
         pair.motion_px[0],
         pair.motion_px[1],
         figures.join(" | "),
@@ -137,28 +140,27 @@ fn motion(target: &True, moving: &[bool]) -> [f64; 2] {
 }
 
 /// The gain of the array that is not synchronized, against motion.
-fn chart(pairs: &[Pair], near: bool) -> Chart {
-    let of = || pairs.iter().filter(move |p| (p.distance < BETWEEN_FRAMES) == near);
+fn chart(pairs: &[Pair]) -> Chart {
+    let gain = |p: &Pair, k: usize| p.db[k][1] - p.db[k][0];
     let series = METHODS.iter().enumerate().map(|(k, (method, _))| Series {
         label: format!("blended {method}"),
-        points: of().map(|p| (p.motion_px[0], p.db[k][1] - p.db[k][0]).into()).collect(),
+        points: pairs.iter().map(|p| (p.motion_px[0], gain(p, k)).into()).collect(),
         dots: true,
         ..Series::default()
     });
-    let labels = of().map(|p| Label {
+    let label = |p: &Pair| Label {
         x: p.motion_px[0],
-        y: p.db[1][1] - p.db[1][0],
+        y: gain(p, METHODS.len() - 1),
         text: p.scene.clone(),
         bold: false,
-    });
-    let where_ = if near { "at most" } else { "over" };
+    };
     Chart {
-        title: format!("{where_} {BETWEEN_FRAMES} frame from a synchronized frame"),
+        title: "Views between the frames of a synchronized array".into(),
         x_label: "motion of the moving part, pixels a frame (median)".into(),
         y_label: "gain of unsynchronized cameras, dB".into(),
         rules: vec![(0.0, String::new())],
         series: series.collect(),
-        labels: labels.collect(),
+        labels: pairs.iter().map(label).collect(),
         ..Chart::default()
     }
 }
