@@ -43,16 +43,17 @@ pub fn bench(folders: &[String], synchronized: &Path, out: &Path) -> Result<(), 
         METHODS[0].0, METHODS[1].0
     );
     println!("|---|---|---|---|---|---|");
+    std::fs::create_dir_all(out.parent().ok_or("has no folder")?)?;
     for folder in folders {
         let name = Path::new(folder).file_name().ok_or("has no name")?;
         pairs.extend(compare(folder, &synchronized.join(name))?);
+        // After every scene: what was measured isn't lost if the run is stopped.
+        std::fs::write(out, svg(&[chart(&pairs)], 1))?;
     }
     for (k, (method, _)) in METHODS.iter().enumerate() {
         let gain = super::summary::mean(pairs.iter().map(|p| p.db[k][1] - p.db[k][0]));
         println!("mean gain, {method}: {gain:+.2} dB");
     }
-    std::fs::create_dir_all(out.parent().ok_or("has no folder")?)?;
-    std::fs::write(out, svg(&[chart(&pairs)], 1))?;
     println!("{}", out.display());
     Ok(())
 }
