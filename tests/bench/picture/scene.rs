@@ -1,0 +1,158 @@
+//! One instant of a capture: its synchronized images and its views, by every method.
+
+use super::peers::{PEERS, Python};
+use super::summary::Summary;
+use super::truth::{Judge, True, depth_errors, psnr_db};
+use super::{Error, write};
+use std::path::Path;
+use stlfr::camera::Camera;
+use stlfr::interpolation::{SyncMethod, Synchronized};
+use stlfr::light_field::{Geometry, LightField};
+use stlfr::lumigraph::BlendMethod::{self, Lumigraph, SpaceTime};
+use stlfr::options::{ProxyMethod, RenderOptions, ViewOptions};
+
+/// The images of all cameras, in the capture's order.
+type Images = Vec<Option<Synchronized>>;
+
+/// One row of a view's table.
+struct Row<'a> {
+    name: String,
+    images: &'a Images,
+    geometry: &'a Geometry,
+    method: BlendMethod,
+}
+
+impl<'a> Row<'a> {
+    fn new(name: &str, images: &'a Images, geometry: &'a Geometry, method: BlendMethod) -> Self {
+        Self { name: name.to_owned(), images, geometry, method }
+    }
+}
+
+/// Everything of one instant.
+pub struct Scene<'a> {
+    field: &'a LightField,
+    options: ViewOptions,
+    time_s: f64,
+    cameras: Vec<True>,
+    /// Of all cameras: true, from the nearest frames, synchronized, and by the peers that there are.
+    filmed: Images,
+    nearest: Images,
+    refined: Images,
+    peers: Vec<(&'static str, Images)>,
+}
+
+impl<'a> Scene<'a> {
+    pub fn new(
+        field: &'a LightField,
+        time_s: f64,
+        cameras: Vec<True>,
+        python: Option<&Python>,
+    ) -> Result<Self, Error> {
+        let options = RenderOptions::default().view();
+        let mut timed = options.clone();
+        timed.blend.method = SpaceTime;
+        let by = |sync| field.synchronized_all(time_s, &timed.clone().with_sync(sync));
+        let (nearest, refined) = (by(SyncMethod::Nearest)?, by(SyncMethod::Refined)?);
+        let filmed = cameras.iter().map(|t| Some(Synchronized::filmed(t.image.clone()))).collect();
+        let peers = match python {
+            Some(python) => {
+                let names = PEERS.iter().map(|p| p.0);
+                names.zip(python.synchronized(field, time_s)?).collect()
+            }
+            None => Vec::new(),
+        };
+        Ok(Self { field, options, time_s, cameras, filmed, nearest, refined, peers })
+    }
+
+    /// Mean PSNR of the synchronized images: whole, and their moving part.
+    pub fn print_synchronized(&self, summary: &mut Summary) {
+        println!("  synchronized images");
+        let peers = self.peers.iter().map(|(name, images)| (*name, images));
+        for (name, images) in
+            [("nearest frame", &self.nearest), ("refined", &self.refined)].into_iter().chain(peers)
+        {
+            let (mut whole, mut moving) = (Vec::new(), Vec::new());
+            for (t, image) in self.cameras.iter().zip(images) {
+                let Some(image) = image else { continue };
+                whole.push(psnr_db(&image.image, &t.image, &vec![true; t.moving.len()]));
+                moving.push(psnr_db(&image.image, &t.image, &t.moving));
+            }
+            let [whole, moving] = [whole, moving].map(super::summary::mean);
+            println!("    {name:34} {whole:6.2} {moving:6.2} dB");
+            summary.add_synchronized(name, [whole, moving]);
+        }
+    }
+
+    fn geometry(
+        &self,
+        images: &Images,
+        method: ProxyMethod,
+        target: &Camera,
+    ) -> Result<Geometry, Error> {
+        let mut options = self.options.clone();
+        options.proxy.method = method;
+        Ok(self.field.geometry(images, target, self.time_s, &options)?)
+    }
+
+    pub fn print_view(
+        &self,
+        t: &True,
+        out: Option<&Path>,
+        summary: &mut Summary,
+    ) -> Result<(), Error> {
+        let mesh = self.geometry(&self.refined, ProxyMethod::Mesh, &t.camera)?;
+        let stereo = |images| self.geometry(images, ProxyMethod::Depth, &t.camera);
+        let (depth, of_true) = (stereo(&self.refined)?, stereo(&self.filmed)?);
+        let of_peers: Vec<Geometry> =
+            self.peers.iter().map(|(_, images)| stereo(images)).collect::<Result<_, _>>()?;
+        let sources = self.cameras.iter().map(|c| Some(c.depth.clone())).collect();
+        let exact = Geometry { view: t.depth.clone(), sources };
+        println!("  view {}", t.id);
+        for (name, found) in [("mesh", &mesh), ("depth", &depth), ("depth, true images", &of_true)]
+        {
+            println!("    {name:34} {}", depth_errors(&found.view, t));
+        }
+        let mut rows = vec![Row::new("nearest frame, mesh", &self.nearest, &mesh, Lumigraph)];
+        for ((name, images), own) in self.peers.iter().zip(&of_peers) {
+            rows.push(Row::new(&format!("{name}, mesh"), images, &mesh, Lumigraph));
+            rows.push(Row::new(&format!("{name}, depth"), images, own, Lumigraph));
+        }
+        rows.extend([
+            Row::new("refined, mesh", &self.refined, &mesh, Lumigraph),
+            Row::new("refined, depth", &self.refined, &depth, Lumigraph),
+            Row::new("refined, depth, space-time", &self.refined, &depth, SpaceTime),
+            Row::new("refined, true depth", &self.refined, &exact, Lumigraph),
+            Row::new("refined, true depth, space-time", &self.refined, &exact, SpaceTime),
+            Row::new("true images, mesh", &self.filmed, &mesh, Lumigraph),
+            Row::new("true images, depth", &self.filmed, &of_true, Lumigraph),
+            Row::new("true images, true depth", &self.filmed, &exact, Lumigraph),
+        ]);
+        self.print_rows(t, &rows, out, summary)
+    }
+
+    fn print_rows(
+        &self,
+        t: &True,
+        rows: &[Row],
+        out: Option<&Path>,
+        summary: &mut Summary,
+    ) -> Result<(), Error> {
+        let judge = Judge::new(t, t.seen(&self.cameras));
+        for Row { name, images, geometry, method } in rows {
+            let mut options = self.options.blend.clone();
+            options.method = *method;
+            let image = self.field.blend(images, geometry, &t.camera, &options).image;
+            let scores = judge.scores(&image);
+            println!("    {name:34} {scores}");
+            summary.add_view(t.name(), name, scores);
+            if let Some(out) = out {
+                let file = format!("{}-{}.png", t.id, name.replace([' ', ','], "-"));
+                write(&out.join(file), &image)?;
+            }
+        }
+        if let Some(out) = out {
+            write(&out.join(format!("{}-truth.png", t.id)), &t.image)?;
+        }
+        Ok(())
+    }
+}
