@@ -4,11 +4,11 @@
 //! that are measured: halfway between the middle cameras, beside that, 12 cm above it, and 12 cm ahead. All
 //! shutters are the reference's, or the views are those of a pan, if wanted.
 //!
-//! `cargo bench --bench picture -- CAPTURE… [--instants N] [--out DIR]`: filmed captures with `truth/`.
+//! `cargo bench --bench picture -- CAPTURE… [--instants N] [--out DIR] [--alone]`: filmed captures with `truth/`.
 //! Clocks are the true ones. Prints PSNR and FLIP of all pixels whose point some camera sees, and of the moving
 //! part among them; for the depths of a view, the median error and the share over 1 px, in pixels of disparity
 //! at 6 cm, away from depth edges and within 4 px of them. Pictures of the first instant go to DIR. After several
-//! captures, their means.
+//! captures, their means. `--alone` leaves other programs out.
 //!
 //! `cargo bench --bench picture -- flicker CAPTURE… [--options JSON] [--out DIR]`: a pan along the rig and a scrub
 //! through time, beside the truth where it was filmed: the largest jumps, and how much still parts flicker. Videos
@@ -122,7 +122,9 @@ impl Arguments {
         let (mut words, mut options) = (Vec::new(), Vec::new());
         while let Some(arg) = all.next() {
             match arg.strip_prefix("--") {
-                Some("synchronized") => options.push(("synchronized".into(), String::new())),
+                Some(name @ ("synchronized" | "alone")) => {
+                    options.push((name.to_owned(), String::new()));
+                }
                 Some(name @ ("instants" | "out" | "options" | "with" | "pan")) => {
                     let value = all.next().ok_or_else(|| format!("--{name} lacks a value"))?;
                     options.push((name.to_owned(), value));
@@ -166,7 +168,8 @@ fn main() -> Result<(), Error> {
         _ => {}
     }
     let instants = arguments.option("instants").map_or(Ok(usize::MAX), str::parse)?;
-    let run = Run { instants, out, python: Python::find() };
+    let python = if arguments.option("alone").is_some() { None } else { Python::find() };
+    let run = Run { instants, out, python };
     let mut summary = Summary::default();
     for folder in &arguments.words {
         run.bench(folder, &mut summary)?;

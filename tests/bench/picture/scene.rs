@@ -38,6 +38,7 @@ pub struct Scene<'a> {
     filmed: Images,
     nearest: Images,
     refined: Images,
+    all_cameras: Images,
     peers: Vec<(&'static str, Images)>,
 }
 
@@ -53,6 +54,7 @@ impl<'a> Scene<'a> {
         timed.blend.method = SpaceTime;
         let by = |sync| field.synchronized_all(time_s, &timed.clone().with_sync(sync));
         let (nearest, refined) = (by(SyncMethod::Nearest)?, by(SyncMethod::Refined)?);
+        let all_cameras = by(SyncMethod::AllCameras)?;
         let filmed = cameras.iter().map(|t| Some(Synchronized::filmed(t.image.clone()))).collect();
         let peers = match python {
             Some(python) => {
@@ -61,16 +63,19 @@ impl<'a> Scene<'a> {
             }
             None => Vec::new(),
         };
-        Ok(Self { field, options, time_s, cameras, filmed, nearest, refined, peers })
+        Ok(Self { field, options, time_s, cameras, filmed, nearest, refined, all_cameras, peers })
     }
 
     /// Mean PSNR of the synchronized images: whole, and their moving part.
     pub fn print_synchronized(&self, summary: &mut Summary) {
         println!("  synchronized images");
         let peers = self.peers.iter().map(|(name, images)| (*name, images));
-        for (name, images) in
-            [("nearest frame", &self.nearest), ("refined", &self.refined)].into_iter().chain(peers)
-        {
+        let own = [
+            ("nearest frame", &self.nearest),
+            ("refined", &self.refined),
+            ("all-cameras", &self.all_cameras),
+        ];
+        for (name, images) in own.into_iter().chain(peers) {
             let (mut whole, mut moving) = (Vec::new(), Vec::new());
             for (t, image) in self.cameras.iter().zip(images) {
                 let Some(image) = image else { continue };
@@ -103,13 +108,18 @@ impl<'a> Scene<'a> {
         let mesh = self.geometry(&self.refined, ProxyMethod::Mesh, &t.camera)?;
         let stereo = |images| self.geometry(images, ProxyMethod::Depth, &t.camera);
         let (depth, of_true) = (stereo(&self.refined)?, stereo(&self.filmed)?);
+        let of_all = stereo(&self.all_cameras)?;
         let of_peers: Vec<Geometry> =
             self.peers.iter().map(|(_, images)| stereo(images)).collect::<Result<_, _>>()?;
         let sources = self.cameras.iter().map(|c| Some(c.depth.clone())).collect();
         let exact = Geometry { view: t.depth.clone(), sources };
         println!("  view {}", t.id);
-        for (name, found) in [("mesh", &mesh), ("depth", &depth), ("depth, true images", &of_true)]
-        {
+        for (name, found) in [
+            ("mesh", &mesh),
+            ("depth", &depth),
+            ("depth, all-cameras", &of_all),
+            ("depth, true images", &of_true),
+        ] {
             println!("    {name:34} {}", depth_errors(&found.view, t));
         }
         let mut rows = vec![Row::new("nearest frame, mesh", &self.nearest, &mesh, Lumigraph)];
@@ -121,6 +131,7 @@ impl<'a> Scene<'a> {
             Row::new("refined, mesh", &self.refined, &mesh, Lumigraph),
             Row::new("refined, depth", &self.refined, &depth, Lumigraph),
             Row::new("refined, depth, space-time", &self.refined, &depth, SpaceTime),
+            Row::new("all-cameras, depth", &self.all_cameras, &of_all, Lumigraph),
             Row::new("refined, true depth", &self.refined, &exact, Lumigraph),
             Row::new("refined, true depth, space-time", &self.refined, &exact, SpaceTime),
             Row::new("true images, mesh", &self.filmed, &mesh, Lumigraph),

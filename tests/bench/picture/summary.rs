@@ -3,7 +3,7 @@
 use super::truth::Scores;
 
 /// The final views, and what they are held against.
-const FINAL: [&str; 2] = ["refined, depth", "refined, depth, space-time"];
+const FINAL: [&str; 3] = ["refined, depth", "refined, depth, space-time", "all-cameras, depth"];
 const IDEAL: &str = "true images, true depth";
 
 /// All figures of a run, in the order in which they came.
