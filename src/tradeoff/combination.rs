@@ -159,7 +159,8 @@ mod tests {
     fn every_combination_is_one_and_can_be_worked_with() {
         let base = RenderOptions::default();
         let mut all = methods(&base);
-        assert_eq!(all.len(), 6 * 3 * 3);
+        // Six sync methods with every proxy and blend, and all-cameras with one proxy.
+        assert_eq!(all.len(), 6 * 3 * 3 + 3);
         assert!(all.contains(&most_accurate(&base)));
         let variable = Variable { offsets: true, cameras: 8 };
         for options in methods(&base) {
