@@ -17,9 +17,9 @@ use stlfr::raster::Image;
 const SIZE_PX: [usize; 2] = [640, 480];
 const LABEL: TextStyle = TextStyle { bold: false, color: [0.15; 3] };
 /// Instants of a trail between two frames of a camera.
-const INSTANTS_A_FRAME: usize = 8;
+const INSTANTS_A_FRAME: usize = 6;
 /// Frames that a trail lasts.
-const TRAIL_FRAMES: usize = 5;
+const TRAIL_FRAMES: usize = 6;
 
 /// The array and its clocks, a waving hand, and the trail of a ball.
 pub fn figure_1() -> Result<Page, Error> {
@@ -29,16 +29,14 @@ pub fn figure_1() -> Result<Page, Error> {
         "(a) The camera array",
         "eight cameras, 6 cm apart, 30 frames a second",
     )];
-    let truth = hand.true_view(0, "between")?;
+    let instant = 1;
+    let truth = hand.true_view(instant, "between")?;
+    let part = truth.around_moving([320, 240]);
     let letters = ["(b) Traditional LFR", "(c) ST-LFR"];
     for ((sync, _), title) in WAYS.into_iter().zip(letters) {
         let options = over_plane(truth.focus_m(), sync);
-        let image = hand.view(&truth.camera, hand.instants_s[0], &options)?;
-        top.push(Panel::new(
-            magnified(&image, Part([200, 80, 320, 240]), 2),
-            title,
-            truth.score(&image),
-        ));
+        let image = hand.view(&truth.camera, hand.instants_s[instant], &options)?;
+        top.push(Panel::new(magnified(&image, part, 2), title, truth.score(&image)));
     }
     let mut bottom =
         vec![Panel::new(shutters(&hand), "(a) When their shutters open", "no two together")];
@@ -58,16 +56,16 @@ pub fn figure_1() -> Result<Page, Error> {
 fn trail(scene: &Scene, sync: SyncMethod) -> Result<Image, Error> {
     let truth = scene.true_view(0, "between")?;
     let frame_s = scene.capture.frame_s();
-    let (start_s, end_s) = scene.field.common_span_s().ok_or("no common time")?;
+    let (_, end_s) = scene.field.common_span_s().ok_or("no common time")?;
     let mut options = over_plane(truth.focus_m(), sync);
     let steps = if sync == SyncMethod::Nearest { 1 } else { INSTANTS_A_FRAME };
     options.trail.instants = TRAIL_FRAMES * steps + 1;
     options.trail.duration_s = TRAIL_FRAMES as f64 * frame_s;
     options.trail.mode = TrailMode::Mean;
-    let time_s = (start_s + options.trail.duration_s).min(end_s);
+
     let from = Viewpoint::View(&truth.camera);
-    let image = scene.field.with_trail(from, time_s, &options, |_, _| true)?.image;
-    Ok(magnified(&image, Part([0, 0, 640, 480]), 1))
+    let image = scene.field.with_trail(from, end_s, &options, |_, _| true)?.image;
+    Ok(magnified(&image, Part([150, 130, 320, 240]), 2))
 }
 
 /// The cameras from the front, where the calibration has them.

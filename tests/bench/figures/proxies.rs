@@ -11,11 +11,13 @@ use stlfr::lumigraph::{DepthMap, Proxy};
 use stlfr::options::{ProxyMethod, ViewOptions};
 use stlfr::raster::Image;
 
-/// From where a proxy is drawn: turned about the focus, degrees to the side and down, and farther away by
-/// this share of the focus.
-const YAW_DEG: f64 = 38.0;
+/// From where a proxy is drawn: turned to the side and down, degrees, and farther away by this share of the
+/// distance.
+const YAW_DEG: f64 = 28.0;
 const PITCH_DEG: f64 = 16.0;
-const FARTHER: f64 = 0.25;
+const FARTHER: f64 = 0.3;
+/// Depth of the point that it is turned about, as a share of the focus.
+const PIVOT_SHARE: f64 = 1.8;
 /// Distance of the samples of a depth map that is drawn as a surface, pixels.
 const STEP_PX: usize = 8;
 /// A triangle between depths that differ by more than this share is no surface.
@@ -31,27 +33,26 @@ fn ways(focus_m: f64) -> [(ViewOptions, &'static str); 2] {
 
 /// The book over both proxies, and these.
 pub fn figure_16() -> Result<Page, Error> {
-    const BOOK: Part = Part([220, 100, 330, 270]);
-    const DRAWN: Part = Part([40, 20, 560, 440]);
+    const SIZE_PX: [usize; 2] = [320, 270];
     let scene = Scene::with_true_clocks("book")?;
     let truth = scene.true_view(0, "side")?;
     let focus_m = truth.focus_m();
+    let part = truth.around_moving(SIZE_PX);
+    let from = oblique(&truth.camera, PIVOT_SHARE * focus_m);
     let time_s = scene.instants_s[0];
     let (mut views, mut shapes) = (Vec::new(), Vec::new());
     for (options, title) in ways(focus_m) {
         let image = scene.view(&truth.camera, time_s, &options)?;
-        views.push(Panel::new(magnified(&image, BOOK, 2), title, truth.score(&image)));
+        views.push(Panel::new(magnified(&image, part, 2), title, truth.both_scores(&image)));
         let shape = match scene.field.proxy(&truth.camera, time_s, &options)? {
             Proxy::Mesh(mesh) => Shape { vertices: mesh.vertices, triangles: mesh.triangles },
             proxy => Shape::of_depths(&proxy.depth_map(&truth.camera), &truth.camera, 4 * STEP_PX),
         };
-        let drawn = shape.drawn(&oblique(&truth.camera, focus_m));
-        shapes.push(Panel::new(magnified(&drawn, DRAWN, 1), "", ""));
+        shapes.push(Panel::new(shape.drawn(&from), "", ""));
     }
-    views.push(Panel::new(magnified(&truth.image, BOOK, 2), "Truth", ""));
+    views.push(Panel::new(magnified(&truth.image, part, 2), "Truth", ""));
     let shape = Shape::of_depths(&truth.depth, &truth.camera, STEP_PX);
-    let drawn = shape.drawn(&oblique(&truth.camera, focus_m));
-    shapes.push(Panel::new(magnified(&drawn, DRAWN, 1), "", ""));
+    shapes.push(Panel::new(shape.drawn(&from), "", ""));
     Ok(Page {
         rows: vec![views, shapes],
         caption: "Fig. 16. Top row: the book, synthesized 12 cm beside the middle of the array. Bottom row: \
@@ -62,7 +63,7 @@ pub fn figure_16() -> Result<Page, Error> {
 
 /// The head from two angles: as two cameras of the array see it, blended from the others.
 pub fn figure_17() -> Result<Page, Error> {
-    const SIZE: [usize; 2] = [280, 300];
+    const SIZE: [usize; 2] = [230, 260];
     let scene = Scene::with_true_clocks("head")?;
     let time_s = scene.instants_s[0];
     let mut rows = Vec::new();
@@ -76,7 +77,7 @@ pub fn figure_17() -> Result<Page, Error> {
             images[own] = None;
             let geometry = scene.field.geometry(&images, &truth.camera, time_s, &options)?;
             let image = scene.field.blend(&images, &geometry, &truth.camera, &options.blend).image;
-            row.push(Panel::new(magnified(&image, part, 2), title, truth.score(&image)));
+            row.push(Panel::new(magnified(&image, part, 2), title, truth.both_scores(&image)));
         }
         row.push(Panel::new(magnified(&truth.image, part, 2), "Truth", place));
         rows.push(row);
@@ -102,13 +103,13 @@ fn around_moving(truth: &TrueView, [width, height]: [usize; 2]) -> Part {
     Part([left, top.saturating_sub(20).min(h - height), width, height])
 }
 
-/// A camera that looks at the focus from aside.
-fn oblique(view: &Camera, focus_m: f64) -> Camera {
+/// A camera that looks at a point before the view from aside.
+fn oblique(view: &Camera, pivot_m: f64) -> Camera {
     let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), PITCH_DEG.to_radians())
         * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), YAW_DEG.to_radians());
-    let back = Translation3::new(0.0, 0.0, focus_m * (1.0 + FARTHER));
-    let to_focus = Translation3::new(0.0, 0.0, -focus_m);
-    let oblique_from_view = back * Isometry3::from_parts(Translation3::identity(), turn) * to_focus;
+    let back = Translation3::new(0.0, 0.0, pivot_m * (1.0 + FARTHER));
+    let to_pivot = Translation3::new(0.0, 0.0, -pivot_m);
+    let oblique_from_view = back * Isometry3::from_parts(Translation3::identity(), turn) * to_pivot;
     Camera { cam_from_world: oblique_from_view * view.cam_from_world, ..view.clone() }
 }
 

@@ -1,5 +1,6 @@
 //! A filmed scene: its light field, and the truth beside it.
 
+use crate::draw::Part;
 use crate::{Error, views};
 use nalgebra::Point2;
 use std::path::{Path, PathBuf};
@@ -55,11 +56,11 @@ impl TrueView {
         depths.get(depths.len() / 3).map_or(2.0, |z| f64::from(*z))
     }
 
-    /// PSNR of an image beside this one, within a part and among the moving pixels of it, dB.
-    pub fn psnr_db(&self, image: &Image) -> f64 {
+    /// PSNR of an image's pixels that count, dB.
+    fn psnr_db(&self, image: &Image, counts: impl Fn(bool) -> bool) -> f64 {
         let pixels = image.data().chunks(3).zip(self.image.data().chunks(3)).zip(&self.moving);
         let (mut sum, mut n) = (0.0, 0.0);
-        for ((a, b), _) in pixels.filter(|(_, moves)| **moves) {
+        for ((a, b), _) in pixels.filter(|(_, moves)| counts(**moves)) {
             sum += a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
             n += 3.0;
         }
@@ -68,7 +69,24 @@ impl TrueView {
 
     /// How good the moving part of an image is, in words.
     pub fn score(&self, image: &Image) -> String {
-        format!("moving part {:.1} dB", self.psnr_db(image))
+        format!("moving part {:.1} dB", self.psnr_db(image, |moves| moves))
+    }
+
+    /// The same of the whole image and of its moving part.
+    pub fn both_scores(&self, image: &Image) -> String {
+        format!("whole {:.1} dB, {}", self.psnr_db(image, |_| true), self.score(image))
+    }
+
+    /// The part of a size in whose middle lies what moves.
+    pub fn around_moving(&self, [width, height]: [usize; 2]) -> Part {
+        let (w, h) = (self.image.width(), self.image.height());
+        let moving = || self.moving.iter().enumerate().filter(|(_, m)| **m).map(|(k, _)| k);
+        let start = |of: &dyn Fn(usize) -> usize, size: usize, room: usize| {
+            let low = moving().map(of).min().unwrap_or(0);
+            let high = moving().map(of).max().unwrap_or(room);
+            ((low + high) / 2).saturating_sub(size / 2).min(room - size)
+        };
+        Part([start(&|k| k % w, width, w), start(&|k| k / w, height, h), width, height])
     }
 }
 
