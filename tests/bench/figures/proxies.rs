@@ -1,9 +1,9 @@
 //! Figs. 16 and 17: views over a plane and over the mesh.
 
 use crate::Error;
-use crate::draw::{Part, line, magnified};
+use crate::draw::{line, magnified};
 use crate::page::{Page, Panel};
-use crate::scene::{Scene, TrueView, center_of, over_plane};
+use crate::scene::{Scene, center_of, over_plane};
 use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use stlfr::camera::Camera;
 use stlfr::interpolation::SyncMethod;
@@ -13,11 +13,11 @@ use stlfr::raster::Image;
 
 /// From where a proxy is drawn: turned to the side and down, degrees, and farther away by this share of the
 /// distance.
-const YAW_DEG: f64 = 28.0;
-const PITCH_DEG: f64 = 16.0;
-const FARTHER: f64 = 0.3;
+const YAW_DEG: f64 = 24.0;
+const PITCH_DEG: f64 = 7.0;
+const FARTHER: f64 = 0.4;
 /// Depth of the point that it is turned about, as a share of the focus.
-const PIVOT_SHARE: f64 = 1.8;
+const PIVOT_SHARE: f64 = 1.5;
 /// Distance of the samples of a depth map that is drawn as a surface, pixels.
 const STEP_PX: usize = 8;
 /// A triangle between depths that differ by more than this share is no surface.
@@ -63,14 +63,14 @@ pub fn figure_16() -> Result<Page, Error> {
 
 /// The head from two angles: as two cameras of the array see it, blended from the others.
 pub fn figure_17() -> Result<Page, Error> {
-    const SIZE: [usize; 2] = [230, 260];
+    const SIZE_PX: [usize; 2] = [230, 260];
     let scene = Scene::with_true_clocks("head")?;
     let time_s = scene.instants_s[0];
     let mut rows = Vec::new();
     for (id, place) in [("cam1", "15 cm to the left"), ("cam6", "15 cm to the right")] {
         let truth = scene.true_view(0, id)?;
         let own = scene.capture.camera_index(id).ok_or("lacks a camera")?;
-        let part = around_moving(&truth, SIZE);
+        let part = truth.top_of_moving(SIZE_PX);
         let mut row = Vec::new();
         for (options, title) in ways(truth.focus_m()) {
             let mut images = scene.field.synchronized_all(time_s, &options)?;
@@ -88,19 +88,6 @@ pub fn figure_17() -> Result<Page, Error> {
                   the blend. (a) A plane in focus on the face. (b) The reconstructed 3D mesh."
             .to_owned(),
     })
-}
-
-/// The part of a size around the upper end of what moves.
-fn around_moving(truth: &TrueView, [width, height]: [usize; 2]) -> Part {
-    let (w, h) = (truth.image.width(), truth.image.height());
-    let moving = || truth.moving.iter().enumerate().filter(|(_, moves)| **moves).map(|(k, _)| k);
-    let top = moving().next().map_or(0, |k| k / w);
-    let mut columns: Vec<usize> =
-        moving().take_while(|k| k / w < top + height).map(|k| k % w).collect();
-    columns.sort_unstable();
-    let middle = columns.get(columns.len() / 2).copied().unwrap_or(w / 2);
-    let left = middle.saturating_sub(width / 2).min(w - width);
-    Part([left, top.saturating_sub(20).min(h - height), width, height])
 }
 
 /// A camera that looks at a point before the view from aside.

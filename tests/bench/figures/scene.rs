@@ -77,6 +77,21 @@ impl TrueView {
         format!("whole {:.1} dB, {}", self.psnr_db(image, |_| true), self.score(image))
     }
 
+    /// The part of a size at the upper end of what moves.
+    pub fn top_of_moving(&self, [width, height]: [usize; 2]) -> Part {
+        /// Above what moves.
+        const MARGIN_PX: usize = 20;
+        let (w, h) = (self.image.width(), self.image.height());
+        let moving = || self.moving.iter().enumerate().filter(|(_, m)| **m).map(|(k, _)| k);
+        let top = moving().next().map_or(0, |k| k / w);
+        let mut columns: Vec<usize> =
+            moving().take_while(|k| k / w < top + height).map(|k| k % w).collect();
+        columns.sort_unstable();
+        let middle = columns.get(columns.len() / 2).copied().unwrap_or(w / 2);
+        let left = middle.saturating_sub(width / 2).min(w - width);
+        Part([left, top.saturating_sub(MARGIN_PX).min(h - height), width, height])
+    }
+
     /// The part of a size in whose middle lies what moves.
     pub fn around_moving(&self, [width, height]: [usize; 2]) -> Part {
         let (w, h) = (self.image.width(), self.image.height());
