@@ -18,9 +18,9 @@ const SIZE_PX: [usize; 2] = [640, 480];
 const LABEL: TextStyle = TextStyle { bold: false, color: [0.15; 3] };
 /// Colour of the array's frame.
 const STEEL: Color = [0.55, 0.57, 0.6];
-/// Instants of a trail between two frames of a camera.
+/// Instants of a trail between two frames of a camera. Larger: time; smaller: the ball shows as separate images.
 const INSTANTS_A_FRAME: usize = 6;
-/// Frames that a trail lasts.
+/// Frames that a trail lasts. Larger: beyond the recording; smaller: the trail is as short as the ball.
 const TRAIL_FRAMES: usize = 6;
 
 /// The array and its clocks, a waving hand, and the trail of a ball.

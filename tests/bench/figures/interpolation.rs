@@ -28,9 +28,11 @@ struct Pair {
     truth: TrueView,
 }
 
-/// Corners a frame: texture as in a camera of 2007. More: the mismatches drown in right matches.
+/// Corners a frame. Larger: the mismatches drown in right matches, and the schemes hardly differ; smaller: the
+/// magazine has too few real edges.
 const CORNERS: usize = 1500;
-/// Largest difference of two matched windows, values 0..=1: nothing but the epipolar test finds mismatches.
+/// Largest mean difference of two matched windows, values 0..=1. Larger: mismatches that are untestable spoil all
+/// schemes; smaller: the tracker has removed them before the epipolar test could.
 const MAX_RESIDUAL: f64 = 0.2;
 
 /// Registration as in the paper: forward and backward flow, whose mismatches the epipolar test alone removes.
