@@ -1,7 +1,7 @@
 //! The paper's figures, from the project's own scenes: one PNG sheet each.
 //!
 //! `cargo bench --bench figures [-- FIGURE…] [--out DIR]`: figures by their number, all without one. Sheets
-//! go to `.captures/figures`, unless DIR is given. Scenes lie in `.captures/views`; those that are missing
+//! go to `.captures/figures`, unless DIR is given; what is written beneath their panels is printed too. Scenes lie in `.captures/views`; those that are missing
 //! are filmed there.
 //!
 //! | figure | sheet |
@@ -24,12 +24,13 @@ mod interpolation;
 mod page;
 #[path = "figures/proxies.rs"]
 mod proxies;
+#[path = "picture/rig.rs"]
+#[allow(dead_code)]
+mod rig;
 #[path = "figures/scene.rs"]
 mod scene;
 #[path = "figures/synthesis.rs"]
 mod synthesis;
-#[path = "../common/views.rs"]
-mod views;
 
 use page::Page;
 use std::path::PathBuf;
@@ -73,8 +74,12 @@ fn main() -> Result<(), Error> {
     std::fs::create_dir_all(&out)?;
     for (number, draw) in FIGURES.iter().filter(|(n, _)| chosen.is_empty() || chosen.contains(n)) {
         let path = out.join(format!("figure-{number:02}.png"));
-        write_image(&path, &draw()?.draw(), None, BitDepth::Eight)?;
+        let page = draw()?;
+        write_image(&path, &page.draw(), None, BitDepth::Eight)?;
         println!("{}", path.display());
+        for panel in page.rows.iter().flatten().filter(|p| !p.note.is_empty()) {
+            println!("  {}: {}", panel.title, panel.note);
+        }
     }
     Ok(())
 }

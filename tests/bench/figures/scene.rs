@@ -1,7 +1,8 @@
 //! A filmed scene: its light field, and the truth beside it.
 
+use crate::Error;
 use crate::draw::Part;
-use crate::{Error, views};
+use crate::rig::{self, Purpose};
 use nalgebra::Point2;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -209,13 +210,15 @@ fn filmed(name: &str) -> Result<PathBuf, Error> {
     if folder.join("capture.json").exists() && folder.join("truth/truth.json").exists() {
         return Ok(folder);
     }
-    let rig = root.join(".captures/views.json");
-    views::write_rig(&root.join("rigs/linear8.json"), &rig)?;
+    let views = root.join(".captures/views.json");
+    let linear8 = root.join("rigs/linear8.json");
+    let [from, to] = [&linear8, &views].map(|p| p.to_str().ok_or("the folder's name is no text"));
+    rig::write(from?, to?, Purpose::Views)?;
     let reporter = Reporter::new(false);
     let environment = ensure_environment(root, &reporter)?;
     reporter.note(&format!("Filming the scene {name} into {}.", folder.display()));
     let options = FilmOptions {
-        rig,
+        rig: views,
         scene: Source::Named(name.to_owned()),
         capture: folder.clone(),
         size_px: Some(SIZE_PX),
