@@ -5,11 +5,12 @@ use crate::raster::Image;
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
 /// Height of a line of text, pixels: 16 of the letters, 2 between lines.
-pub(super) const LINE_PX: usize = 18;
+pub const LINE_PX: usize = 18;
 
 /// Look of a line.
 #[derive(Clone, Copy)]
-pub(super) struct TextStyle {
+pub struct TextStyle {
+    /// Bold or regular letters.
     pub bold: bool,
     /// Red, green and blue, 0 to 1.
     pub color: [f32; 3],
@@ -27,7 +28,7 @@ fn advance_px() -> usize {
 }
 
 /// Width of a line, pixels.
-pub(super) fn width_px(text: &str) -> usize {
+pub fn width_px(text: &str) -> usize {
     text.chars().count() * advance_px()
 }
 
@@ -36,7 +37,7 @@ pub(super) fn width_px(text: &str) -> usize {
 ///
 /// A line that doesn't fit is cut off with an ellipsis, a letter that the font lacks is a `?`, and
 /// pixels outside of the image are skipped.
-pub(super) fn write(
+pub fn write(
     image: &mut Image,
     (x, y): (usize, usize),
     room_px: usize,

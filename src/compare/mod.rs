@@ -30,7 +30,7 @@
 
 mod driver;
 mod instant;
-mod lettering;
+pub mod lettering;
 mod light_field;
 mod offset_score;
 mod report;

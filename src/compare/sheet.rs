@@ -136,7 +136,10 @@ fn score_lines(scores: &RegionScores) -> [String; 3] {
 }
 
 /// Copies an image into an RGB one at (x, y), every pixel `scale` × `scale` times.
-pub(super) fn paste(sheet: &mut Image, (x, y): (usize, usize), image: &Image, scale: usize) {
+///
+/// # Panics
+/// If it reaches beyond the sheet.
+pub fn paste(sheet: &mut Image, (x, y): (usize, usize), image: &Image, scale: usize) {
     let stride = sheet.width();
     for row in 0..image.height() * scale {
         for column in 0..image.width() * scale {

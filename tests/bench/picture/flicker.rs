@@ -3,6 +3,7 @@
 //! What is smooth in the truth must be smooth in the views. Printed are the largest jumps from a picture to the
 //! next beside the truth's, and how much the parts flicker in which nothing happens.
 
+use super::rig::PAN;
 use super::{Error, open, write};
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
@@ -14,11 +15,6 @@ use stlfr::raster::{BitDepth, Image, read_image};
 use stlfr::toolchain::find_ffmpeg;
 use stlfr::video::{Codec, VideoFormat, VideoWriter};
 
-/// Views of the pan, in rigs and truths: this and their number.
-pub const PAN: &str = "pan";
-/// The part of the rig that a pan crosses, its middle half: from so far left of its middle to so far right, as
-/// shares of half its width.
-pub const PAN_SHARES: [f64; 2] = [-0.5, 0.5];
 /// Pictures of a sequence without truth.
 const STEPS: usize = 100;
 /// Side of the blocks among which the worst is looked for, pixels. Larger: a small flicker is averaged away;

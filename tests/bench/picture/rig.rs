@@ -1,7 +1,6 @@
 //! The rig of the benchmark: any rig, with the views that are measured.
 
 use super::Error;
-use super::flicker::{PAN, PAN_SHARES};
 use nalgebra::{Isometry3, Translation3};
 use std::path::Path;
 use stlfr::camera::PoseFormat;
@@ -18,6 +17,12 @@ const VIEWS: [View; 4] = [
     ("high", -1.0 / 7.0, [0.0, -0.12, 0.0]),
     ("ahead", 1.0 / 7.0, [0.0, 0.0, 0.12]),
 ];
+
+/// Views of the pan, in rigs and truths: this and their number.
+pub const PAN: &str = "pan";
+/// The part of the rig that a pan crosses, its middle half: from so far left of its middle to so far right, as
+/// shares of half its width.
+pub const PAN_SHARES: [f64; 2] = [-0.5, 0.5];
 
 /// Decimals of the poses that are written: a nanometre.
 const DECIMALS: f64 = 1e9;
