@@ -8,6 +8,10 @@ use crate::raster::Image;
 /// different places are alike.
 const RADIUS: isize = 2;
 
+/// The least difference of two values that counts as one: half a step of 8 bits. Larger: faint texture is lost;
+/// smaller: on plain surfaces, the rounding of an interpolated image is taken for texture.
+const MIN_DIFFERENCE: f32 = 0.5 / 255.0;
+
 /// A pixel's descriptor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Descriptor {
@@ -43,7 +47,7 @@ pub(super) fn descriptors(gray: &Image) -> Vec<Descriptor> {
     for y in 0..h {
         for x in 0..w {
             let value = bytes[at(x, y)];
-            let center = gray.data()[at(x, y)];
+            let center = gray.data()[at(x, y)] - MIN_DIFFERENCE;
             let mut code = 0;
             for dy in -RADIUS..=RADIUS {
                 for dx in -RADIUS..=RADIUS {
@@ -61,4 +65,18 @@ pub(super) fn descriptors(gray: &Image) -> Vec<Descriptor> {
         }
     }
     descriptors
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// An interpolated image is plain but for rounding where the filmed one is plain.
+    #[test]
+    fn rounding_is_no_texture() {
+        let filmed = Image::filled(9, 7, 1, 0.8);
+        let data = (0..9 * 7).map(|k| 0.8 + 1e-6 * (k as f32).sin()).collect();
+        let interpolated = Image::from_data(9, 7, 1, data);
+        assert_eq!(descriptors(&filmed), descriptors(&interpolated));
+    }
 }
