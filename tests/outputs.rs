@@ -318,16 +318,27 @@ fn names(folder: &Path) -> Vec<String> {
 
 #[test]
 fn an_interrupted_video_leaves_nothing() {
-    use std::os::unix::process::ExitStatusExt;
+    use std::os::unix::process::{CommandExt, ExitStatusExt};
     let folder = capture();
     for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
         let out = tempfile::tempdir().unwrap();
         let target = out.path().join("o.mkv");
-        let mut child = stlfr()
-            .args(["-q", "render", text(folder.path()), "--like", "cam1"])
-            .args(["--times", "0.01:0.07:100000", "-o", text(&target)])
-            .spawn()
-            .unwrap();
+        let mut command = stlfr();
+        command.args(["-q", "render", text(folder.path()), "--like", "cam1"]).args([
+            "--times",
+            "0.01:0.07:100000",
+            "-o",
+            text(&target),
+        ]);
+        // What ignores a signal, as `nohup` does, passes that on.
+        // SAFETY: it is called between fork and exec, where `signal` may be.
+        unsafe {
+            command.pre_exec(move || {
+                libc::signal(signal, libc::SIG_DFL);
+                Ok(())
+            });
+        }
+        let mut child = command.spawn().unwrap();
         while !names(out.path()).iter().any(|name| name.ends_with(".tmp")) {
             assert!(child.try_wait().unwrap().is_none(), "it ended by itself");
             std::thread::sleep(std::time::Duration::from_millis(5));

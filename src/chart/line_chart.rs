@@ -242,7 +242,16 @@ impl Chart {
         }
     }
 
-    /// Texts beside points, clear of dots, of lines and of each other.
+    /// The box of the legend inside the frame.
+    fn legend_box(&self, axes: &Axes) -> Box4 {
+        let [left, top, ..] = axes.frame;
+        let names = self.series.iter().map(|s| s.label.chars().count()).filter(|n| *n > 0);
+        let rows = names.clone().count() as f64;
+        let longest = names.max().unwrap_or(0) as f64;
+        [left, top, left + 26.0 + ADVANCE * longest, top + ROW * rows + 4.0]
+    }
+
+    /// Texts beside points, clear of dots, of lines, of the legend and of each other.
     fn draw_labels(&self, page: &mut Page, axes: &Axes) {
         let placed: Vec<([f64; 2], &Label)> = self
             .labels
@@ -250,12 +259,15 @@ impl Chart {
             .filter_map(|l| Some(([axes.x.at(l.x)?, axes.y.at(l.y)?], l)))
             .collect();
         let texts: Vec<_> = placed.iter().map(|(at, l)| (*at, l.text.as_str())).collect();
-        let obstacles: Vec<Box4> = self
+        let mut obstacles: Vec<Box4> = self
             .series
             .iter()
             .flat_map(|s| s.obstacles(axes))
             .map(|[x, y]| [x - 3.5, y - 3.5, x + 3.5, y + 3.5])
             .collect();
+        if self.key.is_empty() {
+            obstacles.push(self.legend_box(axes));
+        }
         for (spot, (at, label)) in
             labels::place(&texts, &obstacles, &axes.frame).iter().zip(&placed)
         {
