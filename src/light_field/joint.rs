@@ -67,6 +67,21 @@ impl LightField {
         Ok(result)
     }
 
+    /// Makes what the images of these cameras share, before threads that don't know of each other make it.
+    pub(super) fn share_joint(
+        &self,
+        cameras: &[usize],
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<(), RenderError> {
+        if options.sync == SyncMethod::AllCameras
+            && let Some(&first) = cameras.first()
+        {
+            self.synchronized(first, time_s, options)?;
+        }
+        Ok(())
+    }
+
     /// The images of these cameras, each of its own frames, and their depths; cached.
     fn joint_images(
         &self,

@@ -74,6 +74,7 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Vec<Option<Synchronized>>, RenderError> {
+        self.share_joint(&self.usable(time_s), time_s, options)?;
         (0..self.times_s.len())
             .into_par_iter()
             .map(|c| match self.synchronized(c, time_s, options) {

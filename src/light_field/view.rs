@@ -58,6 +58,7 @@ impl LightField {
         options: &ViewOptions,
     ) -> Result<Vec<usize>, RenderError> {
         let cameras = self.geometry_cameras(target, time_s, options);
+        self.share_joint(&cameras, time_s, options)?;
         let of = |c: &usize| self.synchronized(*c, time_s, options);
         let synchronized: Vec<Synchronized> =
             cameras.par_iter().map(of).collect::<Result<_, _>>()?;
