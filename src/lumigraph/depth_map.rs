@@ -7,6 +7,8 @@ pub struct DepthMap {
     width: usize,
     height: usize,
     data: Vec<f32>,
+    /// Standard errors as fractions of the depths; empty if unknown.
+    relative_std_err: Vec<f32>,
 }
 
 impl DepthMap {
@@ -21,12 +23,28 @@ impl DepthMap {
                 *z = f32::NAN;
             }
         }
-        Self { width, height, data }
+        Self { width, height, data, relative_std_err: Vec::new() }
+    }
+
+    /// The same map with standard errors, as fractions of the depths.
+    ///
+    /// # Panics
+    /// If there are not as many as depths.
+    #[must_use]
+    pub fn with_relative_std_err(mut self, errors: Vec<f32>) -> Self {
+        assert_eq!(errors.len(), self.data.len(), "standard errors of the depths");
+        self.relative_std_err = errors;
+        self
+    }
+
+    /// The standard errors as fractions of the depths, row by row. `None`: unknown.
+    pub fn relative_std_err(&self) -> Option<&[f32]> {
+        (!self.relative_std_err.is_empty()).then_some(&self.relative_std_err)
     }
 
     /// The map of a view in which no pixel has a depth.
     pub fn empty(width: usize, height: usize) -> Self {
-        Self { width, height, data: vec![f32::NAN; width * height] }
+        Self::from_data(width, height, vec![f32::NAN; width * height])
     }
 
     /// Pixels.

@@ -12,6 +12,7 @@
 //! ```
 
 mod depth_map;
+mod hidden;
 mod inverse_depth;
 mod mesh;
 mod plane;

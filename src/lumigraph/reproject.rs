@@ -18,7 +18,7 @@ use nalgebra::{Matrix3, Point2, Vector3};
 const SAME_CENTER_FRACTION: f64 = 1e-6;
 /// Factor of the trust in a source where the point is occluded, so that it contributes only where the
 /// point is occluded in all sources. Larger: foreground shines through. 0: there are holes.
-const OCCLUDED_TRUST: f32 = 1e-3;
+pub(super) const OCCLUDED_TRUST: f32 = 1e-3;
 /// Factor of the trust in a source where the point is beside a nearer surface: there, pixels are a mixture of
 /// both. Larger: outlines show a second time; smaller: cameras that stand far away are preferred.
 const OUTLINE_TRUST: f32 = 0.25;

@@ -21,12 +21,16 @@
 //! of the proxy and of interpolation are independent. At a camera's place and at the time of its frame
 //! it is still 0.
 //!
+//! Where a point is hidden from every camera, its colour comes from the surfaces around it that are not nearer
+//! ([`hidden`]).
+//!
 //! Known limit: where a point of the proxy is occluded in a camera by another part of the proxy, the
 //! camera still contributes unless its own [`Source::depth`] is given.
 
 use super::DepthMap;
+use super::hidden;
 use super::rays::RayRow;
-use super::reproject::{Hits, Reprojection, TargetRow};
+use super::reproject::{Hits, OCCLUDED_TRUST, Reprojection, TargetRow};
 use super::source::{BlendOptions, Rendered, Source};
 use super::weights::{BlendMethod, WeightRow};
 use crate::camera::Camera;
@@ -60,23 +64,26 @@ pub fn blend(
     let channels = if colored > 0 { 3 } else { 1 };
     let mut image = Image::filled(w, h, channels, 0.0);
     let mut coverage = vec![false; w * h];
+    let mut is_hidden = vec![false; w * h];
     image
         .data_mut()
         .par_chunks_exact_mut(w * channels)
         .zip(coverage.par_chunks_exact_mut(w))
+        .zip(is_hidden.par_chunks_exact_mut(w))
         .enumerate()
         .for_each_init(
             || Row::new(sources, &reprojections, target, options),
-            |row, (y, (pixels, covered))| {
+            |row, (y, ((pixels, covered), hidden))| {
                 row.measure(y, depth.row(y));
                 match (channels, colored == sources.len()) {
                     (1, _) => row.blend::<1>(pixels),
                     (_, true) => row.blend::<3>(pixels),
                     (_, false) => row.blend_mixed(pixels),
                 }
-                row.cover(covered);
+                row.cover(covered, hidden);
             },
         );
+    hidden::fill(&mut image, &is_hidden, depth, options.hidden_share as f32);
     Rendered { image, coverage }
 }
 
@@ -306,11 +313,17 @@ impl<'a> Row<'a> {
         [gray; 3]
     }
 
-    fn cover(&self, covered: &mut [bool]) {
+    /// Which pixels some camera has in its image, and which of them are hidden from all.
+    fn cover(&self, covered: &mut [bool], hidden: &mut [bool]) {
+        let mut best = vec![0.0_f32; covered.len()];
         for trust in self.trust.chunks_exact(covered.len()) {
-            for (covered, &t) in covered.iter_mut().zip(trust) {
-                *covered |= t > 0.0;
+            for (best, &t) in best.iter_mut().zip(trust) {
+                *best = best.max(t);
             }
+        }
+        for ((covered, hidden), best) in covered.iter_mut().zip(hidden).zip(best) {
+            *covered = best > 0.0;
+            *hidden = best > 0.0 && best <= OCCLUDED_TRUST;
         }
     }
 }

@@ -23,47 +23,108 @@ const REACH_PX: f32 = 0.8;
 /// mismatches float before surfaces; smaller: thin things that few cameras see vanish.
 const ENOUGH: i32 = 2;
 
-/// The fused depths of a view, metres. What no camera sees has the depth of what lies behind it.
+/// The fewest votes of a surface. Larger: what few cameras see is lost; smaller: mismatches beside outlines float
+/// where no camera sees anything.
+const MIN_VOTES: i32 = 1;
+
+/// A surface of a view's pixel.
+#[derive(Clone, Copy, Default)]
+struct Candidate {
+    /// 1/m; 0 where there is none.
+    inverse: f32,
+    /// Standard error, 1/m.
+    std_err: f32,
+}
+
+/// The fused depths of a view, metres, with their standard errors. What no camera sees has the depth of what lies
+/// behind it, and an infinite standard error.
 pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
     let tolerance = surfaces.iter().map(|s| s.depths.tolerance).fold(0.0, f32::max);
     let (w, h) = (target.width, target.height);
-    let splats: Vec<Vec<f32>> = surfaces.par_iter().map(|s| splat(target, s, tolerance)).collect();
+    let splats: Vec<Vec<Candidate>> =
+        surfaces.par_iter().map(|s| splat(target, s, tolerance)).collect();
     let relatives: Vec<Relative> =
         surfaces.iter().map(|s| Relative::new(target, s.camera)).collect();
-    let mut values = vec![f32::NAN; w * h];
-    values.par_chunks_mut(w).enumerate().for_each_init(
+    let mut fused = vec![UNSEEN; w * h];
+    fused.par_chunks_mut(w).enumerate().for_each_init(
         || RayRow::new(target),
-        |rays, (y, values)| {
+        |rays, (y, fused)| {
             rays.set(target, y);
-            for (x, value) in values.iter_mut().enumerate() {
+            for (x, fused) in fused.iter_mut().enumerate() {
                 let ray = [rays.x[x] as f32, rays.y[x] as f32];
-                let mut candidates: Vec<f32> =
-                    splats.iter().map(|s| s[y * w + x]).filter(|c| *c > 0.0).collect();
+                let at = splats.iter().map(|s| s[y * w + x]);
+                let mut candidates: Vec<Candidate> = at.filter(|c| c.inverse > 0.0).collect();
                 // The nearest first.
-                candidates.sort_by(|a, b| b.total_cmp(a));
-                let vote = |c: &f32| vote(ray, *c, surfaces, &relatives, tolerance);
+                candidates.sort_by(|a, b| b.inverse.total_cmp(&a.inverse));
+                let vote = |c: &Candidate| vote(ray, c.inverse, surfaces, &relatives, tolerance);
                 let votes: Vec<i32> = candidates.iter().map(vote).collect();
-                *value = elected(&candidates, &votes, tolerance);
+                *fused = elected(&candidates, &votes, tolerance);
             }
         },
     );
+    let mut values: Vec<f32> = fused.iter().map(|c| c.inverse).collect();
     fill(&mut values, w);
+    let jumps = jumps(&values, w);
+    let relative = |((c, value), jump): ((&Candidate, &f32), &f32)| {
+        // Values are positive or NaN.
+        if *jump > tolerance { c.std_err.hypot(OF_JUMP * jump) / value } else { c.std_err / value }
+    };
+    let errors = fused.iter().zip(&values).zip(&jumps).map(relative).collect();
     DepthMap::from_data(w, h, values.iter().map(|v| 1.0 / v).collect())
+        .with_relative_std_err(errors)
 }
 
-/// The mean of the candidates that are the same surface as the elected one, 1/m; NaN without any. The nearest
-/// come first.
-fn elected(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
-    let most = votes.iter().copied().max().unwrap_or(0);
-    let Some(first) = votes.iter().position(|&v| v == most || v * ENOUGH >= most.max(1)) else {
-        return f32::NAN;
+/// What no camera sees.
+const UNSEEN: Candidate = Candidate { inverse: f32::NAN, std_err: f32::INFINITY };
+
+/// Standard error beside a jump, as a fraction of it: the pixel may belong to either surface. Larger and smaller:
+/// standard errors at outlines are too large and too small.
+const OF_JUMP: f32 = 0.5;
+
+/// How far an outline may be off, pixels. Larger and smaller: as [`OF_JUMP`].
+const OUTLINE_PX: usize = 2;
+
+/// The largest difference to any pixel within [`OUTLINE_PX`], at every pixel.
+fn jumps(values: &[f32], width: usize) -> Vec<f32> {
+    let height = values.len() / width;
+    let around =
+        |k: usize, size: usize| k.saturating_sub(OUTLINE_PX)..(k + OUTLINE_PX + 1).min(size);
+    let of = |k: usize| {
+        let (x, y) = (k % width, k / width);
+        let mut largest = 0.0_f32;
+        for v in around(y, height) {
+            for u in around(x, width) {
+                // `max` ignores NaN.
+                largest = largest.max((values[v * width + u] - values[k]).abs());
+            }
+        }
+        largest
     };
-    let (mut sum, mut count) = (0.0, 0.0);
-    for c in candidates.iter().filter(|c| (**c - candidates[first]).abs() <= tolerance) {
-        (sum, count) = (sum + c, count + 1.0);
+    (0..values.len()).into_par_iter().map(of).collect()
+}
+
+/// The mean of the candidates that are the same surface as the elected one. The nearest come first. Their
+/// errors are not independent: they are of the same images.
+fn elected(candidates: &[Candidate], votes: &[i32], tolerance: f32) -> Candidate {
+    let most = votes.iter().copied().max().unwrap_or(0);
+    if most < MIN_VOTES {
+        return UNSEEN;
+    }
+    let Some(first) = votes.iter().position(|&v| v * ENOUGH >= most) else {
+        return UNSEEN;
+    };
+    let (mut sum, mut squares, mut errors, mut count) = (0.0, 0.0, 0.0, 0.0);
+    for c in candidates {
+        let from_first = c.inverse - candidates[first].inverse;
+        if from_first.abs() <= tolerance {
+            (sum, squares) = (sum + from_first, squares + from_first * from_first);
+            (errors, count) = (errors + c.std_err * c.std_err, count + 1.0);
+        }
     }
     // The elected one itself is among them.
-    sum / count
+    let mean = sum / count;
+    let variance = (squares / count - mean * mean).max(0.0) + errors / count;
+    Candidate { inverse: candidates[first].inverse + mean, std_err: variance.sqrt() }
 }
 
 /// Fills what no camera sees with the farther of the surfaces to the left and to the right, or above and
@@ -120,8 +181,8 @@ fn vote(
     votes
 }
 
-/// The nearest surface of a camera at every pixel of the view, 1/m; 0 where there is none.
-fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<f32> {
+/// The nearest surface of a camera at every pixel of the view.
+fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<Candidate> {
     let (w, h) = (target.width, target.height);
     let camera = surface.camera;
     let relative = Relative::new(camera, target);
@@ -130,35 +191,63 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<f32> {
     for y in 0..camera.height {
         rays.set(camera, y);
         for x in 0..camera.width {
-            let inverse = surface.depths.values[y * camera.width + x];
+            let k = y * camera.width + x;
+            let (inverse, std_err) = (surface.depths.values[k], surface.depths.std_err[k]);
             let turned = relative.turned(rays.x[x] as f32, rays.y[x] as f32);
             let q = relative.point(&turned, inverse);
             let [px, py] = relative.pixel(&q);
-            places.push([px, py, inverse / q.z]);
+            places.push([px, py, inverse / q.z, std_err / q.z]);
         }
     }
     let mut nearest = vec![0.0_f32; w * h];
-    each_reached(&places, [w, h], |k, _, inverse| nearest[k] = nearest[k].max(inverse));
-    let (mut sum, mut weight) = (vec![0.0_f32; w * h], vec![0.0_f32; w * h]);
-    each_reached(&places, [w, h], |k, near, inverse| {
+    each_reached(&places, [w, h], |k, _, [inverse, _]| {
+        nearest[k] = nearest[k].max(inverse);
+    });
+    let mut sums = vec![[0.0_f32; 3]; w * h];
+    each_reached(&places, [w, h], |k, near, [inverse, std_err]| {
         if inverse >= nearest[k] - tolerance {
-            sum[k] += near * inverse;
-            weight[k] += near;
+            let [sum, errors, weight] = sums[k];
+            sums[k] = [sum + near * inverse, errors + near * std_err, weight + near];
         }
     });
-    sum.iter().zip(&weight).map(|(s, w)| if *w > 0.0 { s / w } else { 0.0 }).collect()
+    let mean = |[sum, errors, weight]: &[f32; 3]| {
+        if *weight > 0.0 {
+            Candidate { inverse: sum / weight, std_err: errors / weight }
+        } else {
+            Candidate::default()
+        }
+    };
+    sums.iter().map(mean).collect()
 }
 
 /// The pixels that each place reaches, with a weight by nearness.
-fn each_reached(places: &[[f32; 3]], [w, h]: [usize; 2], mut f: impl FnMut(usize, f32, f32)) {
-    for &[px, py, inverse] in places {
+fn each_reached(places: &[[f32; 4]], [w, h]: [usize; 2], mut f: impl FnMut(usize, f32, [f32; 2])) {
+    for &[px, py, inverse, std_err] in places {
         let (fx, fy) = ((px - 0.5).floor(), (py - 0.5).floor());
         for (cx, cy) in [(fx, fy), (fx + 1.0, fy), (fx, fy + 1.0), (fx + 1.0, fy + 1.0)] {
             let (dx, dy) = ((px - 0.5 - cx).abs(), (py - 0.5 - cy).abs());
             let inside = cx >= 0.0 && cy >= 0.0 && cx < w as f32 && cy < h as f32;
             if inside && dx < REACH_PX && dy < REACH_PX {
-                f(cy as usize * w + cx as usize, (1.0 - dx) * (1.0 - dy), inverse);
+                f(cy as usize * w + cx as usize, (1.0 - dx) * (1.0 - dy), [inverse, std_err]);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A point that one camera alone claims and another sees through is no surface: what is behind fills it.
+    #[test]
+    fn a_mismatch_where_no_camera_sees_anything_is_no_surface() {
+        let [near, far] = [1.0, 0.5].map(|inverse| Candidate { inverse, std_err: 0.01 });
+        assert!(elected(&[near], &[0], 0.1).inverse.is_nan());
+        assert!(elected(&[], &[], 0.1).inverse.is_nan());
+        assert_eq!(elected(&[near], &[1], 0.1).inverse, 1.0);
+        assert_eq!(elected(&[near, far], &[-1, 2], 0.1).inverse, 0.5);
+        let mut values = vec![0.5, f32::NAN, 1.0];
+        fill(&mut values, 3);
+        assert_eq!(values, [0.5, 0.5, 1.0]);
     }
 }

@@ -6,9 +6,8 @@
 //! ```
 //!
 //! Known limits: surfaces swell over their outlines by one to two pixels where the texture behind is
-//! faint. Where synchronization failed, the images show no common shape, and depths are wrong. Fused
-//! depths have no standard errors of their own yet. Nothing holds depths alike from one instant to the
-//! next.
+//! faint. Where synchronization failed, the images show no common shape, and depths are wrong. Nothing
+//! holds depths alike from one instant to the next.
 //!
 //! | file | what |
 //! |---|---|

@@ -36,7 +36,7 @@ pub(super) fn refine(
     let mut information = Vec::new();
     for _ in 0..STEPS {
         let sums = sums(values, reference, partners, level);
-        let [slope, info] = [0, 1].map(|k| {
+        let [slope, info, residual] = [0, 1, 2].map(|k| {
             let plane: Vec<f32> = sums.iter().map(|s| s[k]).collect();
             box_filter(&plane, w, h, RADIUS)
         });
@@ -45,7 +45,7 @@ pub(super) fn refine(
             let step = slope / (info + prior / WINDOW);
             *value += step.clamp(-MAX_STEP * level, MAX_STEP * level);
         }
-        information = info;
+        information = info.iter().zip(&residual).map(|(i, r)| i / r.max(1.0)).collect();
     }
     let least = (LEAST_STD_ERR * level).powi(2);
     information.iter().map(|i| ((i * WINDOW + prior).recip() + least).sqrt()).collect()
@@ -59,14 +59,14 @@ const LEAST_STD_ERR: f32 = 0.15;
 const WINDOW: f32 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f32;
 
 /// At every pixel, the sums over the partners of g·r/σ² and g²/σ², with r the difference of the grey values and
-/// g the change of the partner's with inverse depth.
-fn sums(values: &[f32], reference: &Prepared, partners: &[&Prepared], level: f32) -> Vec<[f32; 2]> {
+/// g the change of the partner's with inverse depth; and the mean of r²/σ².
+fn sums(values: &[f32], reference: &Prepared, partners: &[&Prepared], level: f32) -> Vec<[f32; 3]> {
     let camera = reference.camera();
     let w = camera.width;
     let relatives: Vec<Relative> =
         partners.iter().map(|p| Relative::new(camera, p.camera())).collect();
     let precision = GRAY_STD_ERR.powi(-2);
-    let mut sums = vec![[0.0_f32; 2]; values.len()];
+    let mut sums = vec![[0.0_f32; 3]; values.len()];
     sums.par_chunks_mut(w).enumerate().for_each_init(
         || RayRow::new(camera),
         |rays, (y, sums)| {
@@ -75,6 +75,7 @@ fn sums(values: &[f32], reference: &Prepared, partners: &[&Prepared], level: f32
                 let own = reference.gray().data()[y * w + x];
                 let value = values[y * w + x];
                 let ray = [rays.x[x] as f32, rays.y[x] as f32];
+                let mut count = 0.0_f32;
                 for (partner, relative) in partners.iter().zip(&relatives) {
                     // Half a level to both sides.
                     let turned = relative.turned(ray[0], ray[1]);
@@ -88,9 +89,15 @@ fn sums(values: &[f32], reference: &Prepared, partners: &[&Prepared], level: f32
                     };
                     let (g, r) = ((high - low) / level, own - 0.5 * (low + high));
                     if r.abs() < MAX_DIFFERENCE {
-                        *sum = [sum[0] + precision * g * r, sum[1] + precision * g * g];
+                        *sum = [
+                            sum[0] + precision * g * r,
+                            sum[1] + precision * g * g,
+                            sum[2] + precision * r * r,
+                        ];
+                        count += 1.0;
                     }
                 }
+                sum[2] /= count.max(1.0);
             }
         },
     );

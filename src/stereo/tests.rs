@@ -144,6 +144,31 @@ fn the_fused_surface_is_that_of_the_scene_in_any_view() {
     }
 }
 
+/// At outlines too, where the error is that of the wrong surface.
+#[test]
+fn errors_of_the_fused_surface_are_within_its_standard_errors() {
+    let (cameras, depths) = depths_of_all(&StereoOptions::default());
+    let pairs = cameras.iter().zip(&depths);
+    let surfaces: Vec<Surface> = pairs.map(|(camera, depths)| Surface { camera, depths }).collect();
+    for center in [[0.03, 0.0, 0.0], [0.02, -0.08, 0.0], [0.0, 0.0, 0.15]] {
+        let target = camera_at(center);
+        let fused = fuse(&target, &surfaces);
+        let relative = fused.relative_std_err().unwrap();
+        let (mut within, mut count) = (0.0, 0.0);
+        for (k, z) in fused.data().iter().enumerate() {
+            let (x, y) = (k % W, k / W);
+            // Beyond the cameras' images, nothing is known.
+            if (8..W - 8).contains(&x) && (14..H - 14).contains(&y) {
+                let error = 1.0 / f64::from(*z) - 1.0 / seen(&target, x, y).0;
+                let std_err = f64::from(relative[k] / z);
+                within += f64::from(u8::from(error.abs() <= 2.0 * std_err));
+                count += 1.0;
+            }
+        }
+        assert!(within / count > 0.95, "{center:?}: {}", within / count);
+    }
+}
+
 #[test]
 fn without_a_camera_at_another_place_there_is_no_depth() {
     let camera = camera_at([0.0; 3]);

@@ -132,6 +132,7 @@ impl<'a> Scene<'a> {
             Row::new("refined, depth", &self.refined, &depth, Lumigraph),
             Row::new("refined, depth, space-time", &self.refined, &depth, SpaceTime),
             Row::new("all-cameras, depth", &self.all_cameras, &of_all, Lumigraph),
+            Row::new("all-cameras, depth, space-time", &self.all_cameras, &of_all, SpaceTime),
             Row::new("refined, true depth", &self.refined, &exact, Lumigraph),
             Row::new("refined, true depth, space-time", &self.refined, &exact, SpaceTime),
             Row::new("true images, mesh", &self.filmed, &mesh, Lumigraph),
