@@ -57,7 +57,8 @@
 //! this list.
 //!
 //! ```text
-//! host json method progress random
+//! host method progress random
+//! json
 //! raster
 //! camera video metrics chart
 //! capture
@@ -76,7 +77,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`host`] | files written whole, child processes, signals, clocks, bounded caches |
+//! | [`host`] | files read within bounds and written whole, child processes, signals, clocks, caches |
 //! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; pseudo-random numbers, the same on every machine |
 //! | [`method`] | names of what a user chooses among |
 //! | [`raster`] | images as the stages work on them, and image files |

@@ -6,12 +6,13 @@
 mod color;
 mod file;
 mod filter;
+mod png;
 mod sample;
 mod tiles;
 
 pub use color::{LUMINANCE, encoded_from_linear, gray_from_rgb, linear_from_encoded, luma};
 pub(crate) use file::read_header;
-pub use file::{BitDepth, ImageFileError, Samples, quantize, read_image, write_image};
+pub use file::{BitDepth, ImageFileError, MAX_PIXELS, Samples, quantize, read_image, write_image};
 pub(crate) use filter::box_filter;
 pub use sample::Sampling;
 pub(crate) use sample::{sample, sample_all};
