@@ -5,7 +5,7 @@ use super::values::method;
 use std::path::{Path, PathBuf};
 use stlfr::camera::{Camera, CameraFormat};
 use stlfr::capture::{Capture, Opening};
-use stlfr::host::read_text;
+use stlfr::host::{open_file, read_text};
 use stlfr::json;
 use stlfr::options::{Preset, RenderOptions};
 use stlfr::progress::Reporter;
@@ -15,13 +15,9 @@ use stlfr::toolchain::find_ffmpeg;
 /// preset's, take 16 times as much memory. Smaller: nothing that anyone writes is refused.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// Refuses what is no readable file.
+/// Refuses what is no regular file, or can't be read.
 pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
-    match std::fs::metadata(path) {
-        Ok(metadata) if metadata.is_file() => Ok(()),
-        Ok(_) => Err(CliError::BadInput(format!("{}: is no file", path.display()))),
-        Err(error) => Err(wrong(path, error)),
-    }
+    open_file(path).map(drop).map_err(|error| wrong(path, error))
 }
 
 /// Opens a capture, whose cameras may be videos.
