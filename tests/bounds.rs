@@ -216,7 +216,25 @@ fn long_lists_take_no_gigabyte() {
     let offsets = ["{\"reference\":\"cam1\",\"cameras\":[", offset, "{\"id\":\"\"}]}"];
     let numbers = |before| [before, "0,", "0]}"];
     let nerf = READERS[11].1;
+    let camera = r#"{"id":"","frames":"a%d","width":1,"height":1,"model":"","params":[],
+        "cam_from_world":{"rotation_wxyz":[1,0,0,0],"translation":[0,0,0]},"clock":{"shared":true"#;
+    let head = r#"{"format":"stlfr-capture","version":1,"name":"a","cameras":["#;
+    let cameras = [head, &format!("{camera}}}}},"), &format!("{camera}}}}}]}}")];
+    let times = [&format!("{head}{camera},\"times_s\":["), "0,", "0]}}]}"];
+    let view = r#"{"id":"a","time_s":0,"like":null,"image":"","depth":"","motion":"","camera":{"width":1,
+        "height":1,"model":"","params":[],"cam_from_world":{"rotation_wxyz":[1,0,0,0],"translation":[0,0,0]}}}"#;
+    let truth = r#"{"format":"stlfr-truth","version":1,"scene":"","rig":"","#;
+    let views_after = format!("{view}],\"offsets\":[],\"shutter\":[]}}");
+    let (views_before, view) = (format!("{truth}\"views\":["), format!("{view},"));
+    let views = [views_before.as_str(), &view, &views_after];
+    let clocks_after = "{\"id\":\"\",\"offset_s\":0}],\"views\":[],\"shutter\":[]}";
+    let clocks = [&format!("{truth}\"offsets\":["), "{\"id\":\"\",\"offset_s\":0},", clocks_after];
+    let compare = READERS[2].1;
     for (name, file, list, mib, command, words) in [
+        ("63 MiB of cameras", "capture.json", cameras, 63, "plan @", "a camera's id is empty"),
+        ("63 MiB of times", "capture.json", times, 63, "plan @", "a camera's id is empty"),
+        ("63 MiB of views", "truth/truth.json", views, 63, compare, "at most 10000 are read"),
+        ("63 MiB of clocks", "truth/truth.json", clocks, 63, compare, ""),
         ("200 MB of numbers", "nerf.json", numbers("{\"x\":["), 200, nerf, "64 MiB"),
         ("63 MiB of numbers", "nerf.json", numbers("{\"x\":["), 63, nerf, "frames"),
         (

@@ -335,7 +335,13 @@ fn damaged_frames_of_a_video_are_decoded_anew() {
         common::make_pipe(&list);
     };
     let unsigned = || std::fs::write(&list, read_json(&list)["content"].to_string()).unwrap();
-    let damages: [&dyn Fn(); 5] = [&swap, &vanish, &nullify, &pipe, &unsigned];
+    let pipe_for_lock = || {
+        vanish();
+        let lock = cache.with_extension("lock");
+        std::fs::remove_file(&lock).unwrap();
+        common::make_pipe(&lock);
+    };
+    let damages: [&dyn Fn(); 6] = [&swap, &vanish, &nullify, &pipe, &unsigned, &pipe_for_lock];
     for damage in damages {
         damage();
         let view = ["render", text(folder.path()), "--like", "a", "--time", "0.04", "-o"];
