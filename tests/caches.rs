@@ -290,8 +290,8 @@ fn video(frames: usize) -> (TempDir, PathBuf) {
 /// The folder of the one decoded video.
 fn decoded(folder: &Path) -> PathBuf {
     let cache = folder.join(".stlfr/video");
-    let folders = std::fs::read_dir(cache).unwrap().flatten().map(|e| e.path());
-    folders.filter(|path| path.is_dir()).next().unwrap()
+    let mut folders = std::fs::read_dir(cache).unwrap().flatten().map(|e| e.path());
+    folders.find(|path| path.is_dir()).unwrap()
 }
 
 #[test]

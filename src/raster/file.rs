@@ -1,18 +1,11 @@
 //! Reading and writing image files.
 
-use super::Image;
 use super::png::{self, PngFile};
+use super::{BitDepth, Image};
 use crate::host::{open_bounded, write_atomically};
 use image::{ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-
-/// Bits a channel of an image file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum BitDepth {
-    Eight,
-    Sixteen,
-}
 
 /// An error of an image file. Every message is one sentence with the file.
 #[derive(Debug, thiserror::Error)]
@@ -55,7 +48,7 @@ fn image_error(path: &Path, reason: impl std::fmt::Display) -> ImageFileError {
 
 /// An image file whose header is read: its pixels are at most [`MAX_PIXELS`].
 enum Opened {
-    Png(PngFile),
+    Png(Box<PngFile>),
     Other(Box<dyn ImageDecoder>),
 }
 
@@ -66,7 +59,8 @@ impl Opened {
         let mut file = BufReader::new(file);
         let is_png = file.fill_buf().map_err(failed)?.starts_with(&png::SIGNATURE);
         let opened = if is_png {
-            Self::Png(PngFile::open(file).map_err(|e| image_error(path, e))?)
+            let png = PngFile::open(file).map_err(|e| image_error(path, e))?;
+            Self::Png(Box::new(png))
         } else {
             let mut reader = ImageReader::new(file).with_guessed_format().map_err(failed)?;
             let mut limits = Limits::default();
