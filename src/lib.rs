@@ -98,6 +98,9 @@
 //! An output replaces a regular file or nothing, and never what belongs to a capture
 //! ([`capture::OutputGuard`]). It appears when it is whole. An interrupted command removes what it has
 //! begun; what a killed one left is removed by the next that writes into the same folder.
+//! What is read is a regular file of a bounded size: a pipe, a device or a file of gigabytes is refused
+//! before it is read. What a command keeps for the next (decoded videos, measurements) has a checksum,
+//! and is made anew, with a note, where it doesn't hold. `offsets.json` may be edited ([`offset::file`]).
 //! Times are seconds on the reference camera's clock. Outside of what the cameras recorded there is no
 //! image; the message states the times that there are.
 //!

@@ -4,7 +4,7 @@ mod common;
 
 use common::scores::psnr_db;
 use common::synthetic::{self, HEIGHT, RATE_HZ, WIDTH};
-use common::{assert_refused, edit, read_json, run, stderr, succeed, text};
+use common::{assert_refused, edit, run, stderr, succeed, text};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
