@@ -3,7 +3,7 @@
 //! | field | what |
 //! |---|---|
 //! | `reference` | the reference camera's id |
-//! | `cameras` | a [`CameraOffset`](super::CameraOffset) for each camera |
+//! | `cameras` | a [`CameraOffset`] for each camera |
 //! | `options` | the options that the offsets were estimated with |
 //! | `hash` | of the program's version, the capture's content and these options |
 //! | `checksum` | of all fields above |

@@ -35,7 +35,7 @@
 //! | `joint` | all clocks together by robust weighted least squares |
 //! | `zhou_tao` | the four-point estimator |
 //! | `store` | [`Offsets`], and the times that they give the images |
-//! | [`file`], `edited` | `offsets.json`, and the validation of one that was edited by hand |
+//! | [`mod@file`], `edited` | `offsets.json`, and the validation of one that was edited by hand |
 //! | `plot` | charts of the data behind an estimate |
 //!
 //! # Known limits
@@ -97,7 +97,7 @@ use pairing::spread;
 /// reporter says which.
 ///
 /// They are known, all 0, if all cameras share one clock. In a static capture, of one frame per camera,
-/// all but the reference's are unknown. [`file`] says when those of `offsets.json` are used. Estimated
+/// all but the reference's are unknown. [`mod@file`] says when those of `offsets.json` are used. Estimated
 /// ones are saved there, with their plot in `offsets.svg`; a folder that cannot be written is noted and
 /// no error. The error is that of a frame that cannot be read, or of an `offsets.json` that is refused.
 pub fn known_or_cached_or_estimated(
