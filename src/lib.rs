@@ -57,7 +57,8 @@
 //! this list.
 //!
 //! ```text
-//! host json method progress random
+//! host method progress random
+//! json
 //! raster
 //! camera video metrics chart
 //! capture
@@ -76,7 +77,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`host`] | files written whole, child processes, signals, clocks, bounded caches |
+//! | [`host`] | files read within bounds and written whole, child processes, signals, clocks, caches |
 //! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; pseudo-random numbers, the same on every machine |
 //! | [`method`] | names of what a user chooses among |
 //! | [`raster`] | images as the stages work on them, and image files |
@@ -97,6 +98,9 @@
 //! An output replaces a regular file or nothing, and never what belongs to a capture
 //! ([`capture::OutputGuard`]). It appears when it is whole. An interrupted command removes what it has
 //! begun; what a killed one left is removed by the next that writes into the same folder.
+//! What is read is a regular file of a bounded size: a pipe, a device or a file of gigabytes is refused
+//! before it is read. What a command keeps for the next (decoded videos, measurements) has a checksum,
+//! and is made anew, with a note, where it doesn't hold. `offsets.json` may be edited ([`offset::file`]).
 //! Times are seconds on the reference camera's clock. Outside of what the cameras recorded there is no
 //! image; the message states the times that there are.
 //!

@@ -389,38 +389,41 @@ fn a_view_of_terabytes_is_refused() {
 fn a_read_only_capture_is_processed() {
     let folder = Scene::default().film();
     // Root may write anywhere: a folder of that name can't be replaced by a file.
-    std::fs::create_dir_all(folder.path().join("offsets.json/in the way")).unwrap();
+    std::fs::create_dir_all(folder.path().join("offsets.svg/in the way")).unwrap();
     let output = succeed(&["offsets", text(folder.path()), "--json"]);
     assert!(stderr(&output).contains("not saved"), "{}", stderr(&output));
     serde_json::from_slice::<Offsets>(&output.stdout).unwrap();
 }
 
-/// Sets every offset in a file of offsets.
-fn set_offsets(file: &Path, in_field: &str, offset_s: f64) {
+/// Sets every offset but the reference's in a file of offsets.
+fn set_offsets(file: &Path, inside: &[&str], offset_s: f64) {
     let mut json = read_json(file);
-    let offsets = if in_field.is_empty() { &mut json } else { &mut json[in_field] };
+    let offsets = inside.iter().fold(&mut json, |json, field| &mut json[field]);
     for camera in offsets["cameras"].as_array_mut().unwrap() {
-        camera["offset_s"] = json!(offset_s);
+        if camera["id"] != "cam1" {
+            camera["offset_s"] = json!(offset_s);
+        }
     }
     std::fs::write(file, json.to_string()).unwrap();
 }
 
 #[test]
-fn offsets_in_which_frames_vanish_are_estimated_anew() {
+fn offsets_in_which_frames_vanish_are_refused() {
     let folder = Scene::default().film();
     let capture = text(folder.path());
     let estimated = succeed(&["-q", "offsets", capture, "--json"]).stdout;
+    let file = folder.path().join("offsets.json");
+    let out = folder.path().join("out.png");
     for offset_s in [1e16, 1e300] {
-        set_offsets(&folder.path().join("offsets.json"), "", offset_s);
-        let at = format!("{offset_s:e}");
-        let out = folder.path().join("out.png");
-        for sync in ["nearest", "edge-morph"] {
-            let view = ["render", capture, "--like", "cam1", "--sync", sync, "-o", text(&out)];
-            let refused = run(&[&["-q"], &view[..], &["--time", &at]].concat());
-            assert_refused(&refused, 2, "cam1 has no frames around");
-        }
-        assert_eq!(succeed(&["-q", "offsets", capture, "--json"]).stdout, estimated);
+        set_offsets(&file, &[], offset_s);
+        let view = ["-q", "render", capture, "--like", "cam1", "-o", text(&out), "--time"];
+        let refused = run(&[&view[..], &["0.08"]].concat());
+        assert_refused(&refused, 2, "offsets.json: cameras[0] (cam0).offset_s: is 1e");
+        let refused = run(&[&view[..], &[&format!("{offset_s:e}")]].concat());
+        assert_refused(&refused, 2, "cam1 has no frames around");
     }
+    std::fs::remove_file(file).unwrap();
+    assert_eq!(succeed(&["-q", "offsets", capture, "--json"]).stdout, estimated);
 }
 
 #[test]
@@ -440,7 +443,7 @@ fn cached_points_in_which_frames_vanish_are_measured_anew() {
             .unwrap();
         let has_measured = || {
             prepared().is_some_and(|p| {
-                let found = read_json(&p)["offsets"]["cameras"][0]["offset_s"].as_f64();
+                let found = read_json(&p)["content"]["offsets"]["cameras"][0]["offset_s"].as_f64();
                 found.is_some_and(|s| s < 1.0)
             })
         };
@@ -450,7 +453,7 @@ fn cached_points_in_which_frames_vanish_are_measured_anew() {
         }
         tradeoff.kill().unwrap();
         tradeoff.wait().unwrap();
-        set_offsets(&prepared().unwrap(), "offsets", offset_s);
+        set_offsets(&prepared().unwrap(), &["content", "offsets"], offset_s);
         offset_s = 1e300;
     }
 }

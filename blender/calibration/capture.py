@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+reading: Any = importlib.import_module("stlfr_extension.reading")
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +53,7 @@ class EstimatedPose(Pose):
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object, or one sentence."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(reading.read_text(path))
     except FileNotFoundError:
         raise CheckError(f"{path}: no such file", 2) from None
     except (OSError, ValueError) as error:
@@ -92,6 +95,11 @@ def exported_model(
     """Every camera's intrinsics and pose as pycolmap reads them from `colmap/`; None without it."""
     if not (folder / "colmap").is_dir():
         return None
+    for name in ("cameras", "images", "points3D"):
+        for file in (folder / "colmap").glob(f"{name}.*"):
+            # At a pipe, pycolmap would wait.
+            if not file.is_file():
+                raise CheckError(f"{file}: is no regular file", 2)
     try:
         model = pycolmap.Reconstruction(folder / "colmap")
     except (ValueError, RuntimeError) as error:

@@ -109,7 +109,8 @@ def eight_bit(
 
 def read_image(path: Path, pycolmap: Any) -> npt.NDArray[np.uint8]:
     """An image file as 8-bit RGB."""
-    bitmap = pycolmap.Bitmap.read(path, as_rgb=True)
+    # At a pipe, pycolmap would wait.
+    bitmap = pycolmap.Bitmap.read(path, as_rgb=True) if path.is_file() else None
     if bitmap is None:
         raise CheckError(f"{path}: can't be read as an image", 2)
     return np.asarray(bitmap.to_array(), dtype=np.uint8)

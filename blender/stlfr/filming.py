@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from . import folder, truth
+from . import folder, reading, truth
 from . import rig as rigs
 from .errors import BadInputError
 from .plan import CAPTURE_FILE, HIDDEN_FOLDER, PLAN_FILE
@@ -83,7 +83,7 @@ def is_begun(capture: Path) -> bool:
 def _options(capture: Path) -> Options | None:
     """What a film was begun with; None where none was."""
     try:
-        text = (capture / HIDDEN_FOLDER / OPTIONS_COPY).read_text(encoding="utf-8")
+        text = reading.read_text(capture / HIDDEN_FOLDER / OPTIONS_COPY)
         return Options(**json.loads(text))
     except (OSError, ValueError, TypeError):
         return None

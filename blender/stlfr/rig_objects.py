@@ -17,7 +17,7 @@ import mathutils
 import numpy as np
 
 from . import camera as cameras
-from . import folder, native, scenes
+from . import folder, native, reading, scenes
 from .errors import BadInputError
 from .native import Content
 
@@ -53,7 +53,7 @@ SHOWN_OF_RIG = {"format", "version", "name", "reference", "seed", "cameras", "vi
 def read(path: Path) -> Content:
     """A rig file, checked."""
     native.read_rig(path)
-    content: Content = json.loads(path.read_text(encoding="utf-8"))
+    content: Content = json.loads(reading.read_text(path))
     return content
 
 

@@ -10,6 +10,7 @@
 //! ```
 
 use super::{Camera, CameraModel};
+use crate::raster::MAX_PIXELS;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -71,9 +72,6 @@ fn known_models() -> String {
 /// Largest width and height of an image. Larger: a typing error asks for terabytes. Smaller: line
 /// cameras are refused.
 const MAX_SIZE_PX: u32 = 65_536;
-/// Largest number of pixels of an image: 8192×8192. Larger: a view, at some 25 bytes a pixel, takes
-/// gigabytes. Smaller: frames that can be decoded are refused.
-pub const MAX_PIXELS: u64 = 1 << 26;
 /// Largest difference of a quaternion's length from 1. Larger: matrices and typing errors pass for
 /// rotations. Smaller: Blender's quaternions, which are single precision, may be refused.
 pub const MAX_QUATERNION_ERROR: f64 = 1e-3;

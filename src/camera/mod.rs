@@ -14,7 +14,7 @@ mod format;
 mod model;
 
 pub use epipolar::{EpipolarGeometry, Line};
-pub use format::{CameraFormat, CameraFormatError, MAX_PIXELS, MAX_QUATERNION_ERROR, PoseFormat};
+pub use format::{CameraFormat, CameraFormatError, MAX_QUATERNION_ERROR, PoseFormat};
 pub use model::CameraModel;
 
 use nalgebra::{Isometry3, Point2, Point3, Vector3};

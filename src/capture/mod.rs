@@ -10,6 +10,7 @@ mod clock;
 mod format;
 mod frames;
 mod npy;
+mod reach;
 mod tracks;
 mod truth;
 mod video;
@@ -23,6 +24,7 @@ pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_arra
 pub use video::{MAX_FRAMES, VideoFile};
 
 use crate::camera::{Camera, CameraFormatError};
+use crate::host::hash_file;
 use crate::json::{self, JsonError};
 use crate::progress::Reporter;
 use crate::raster::{BitDepth, Image, ImageFileError, read_image};
@@ -213,19 +215,15 @@ impl Capture {
     /// the frames or videos. 64 hexadecimal digits.
     pub fn content_hash(&self) -> Result<String, CaptureError> {
         let mut hasher = blake3::Hasher::new();
-        let mut add = |bytes: &[u8]| {
-            hasher.update(&(bytes.len() as u64).to_le_bytes());
-            hasher.update(bytes);
-        };
-        let read = |path: &Path| {
-            std::fs::read(path)
+        let add = |hasher: &mut blake3::Hasher, path: &Path| {
+            hash_file(hasher, path)
                 .map_err(|source| CaptureError::Read { path: path.to_owned(), source })
         };
-        add(&read(&self.folder.join(CAPTURE_FILE))?);
+        add(&mut hasher, &self.folder.join(CAPTURE_FILE))?;
         for camera in &self.cameras {
             match &camera.video {
-                Some(video) => add(video.hash.as_bytes()),
-                None => camera.frames.iter().try_for_each(|f| read(f).map(|b| add(&b)))?,
+                Some(video) => drop(hasher.update(video.hash.as_bytes())),
+                None => camera.frames.iter().try_for_each(|frame| add(&mut hasher, frame))?,
             }
         }
         Ok(hasher.finalize().to_hex().to_string())

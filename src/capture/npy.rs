@@ -1,5 +1,7 @@
 //! Arrays in numpy's file format, version 1: C order, little-endian.
 
+use crate::host::open_bounded;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// An error of an array's file. Every message is one sentence with the file.
@@ -43,36 +45,63 @@ element!(f32, "<f4", "little-endian float32");
 element!(f64, "<f8", "little-endian float64");
 element!(u8, "|u1", "8-bit unsigned integers");
 
+/// Largest file that is read, bytes: an array of 8192×8192 float32 and its header. Larger: a mistake
+/// fills the memory. Smaller: the truth of the largest images is refused.
+const MAX_BYTES: u64 = (256 << 20) + MAX_HEADER_BYTES;
+
+/// Longest header, bytes: the format's magic, version and length, and what the length can say.
+const MAX_HEADER_BYTES: u64 = 10 + 0xffff;
+
+/// Values that are converted at a time. Larger: memory; smaller: calls.
+const CHUNK: usize = 1 << 14;
+
 /// Reads an array of `AXES` axes: its shape, and its values with the last axis running fastest. An
-/// error for another type, Fortran's order, another number of axes, or a truncated file.
+/// error for another type, Fortran's order, another number of axes, a truncated file, one that is no
+/// regular file, or one of more than 256 MiB; all are found before the values are read.
 pub fn read_npy<T: Element, const AXES: usize>(
     path: &Path,
 ) -> Result<([usize; AXES], Vec<T>), NpyError> {
-    let wrong = |reason: String| NpyError::Content { path: path.to_owned(), reason };
-    let bytes =
-        std::fs::read(path).map_err(|source| NpyError::Read { path: path.to_owned(), source })?;
-    let rest =
-        bytes.strip_prefix(b"\x93NUMPY\x01\x00").ok_or_else(|| wrong("is no npy file".into()))?;
-    let (length, rest) = rest.split_first_chunk().ok_or_else(|| wrong("is cut short".into()))?;
-    let (header, data) = rest
-        .split_at_checked(usize::from(u16::from_le_bytes(*length)))
-        .ok_or_else(|| wrong("is cut short".into()))?;
-    let header = std::str::from_utf8(header).map_err(|_| wrong("has no readable header".into()))?;
+    let failed = |source| NpyError::Read { path: path.to_owned(), source };
+    let wrong = |reason: &str| NpyError::Content { path: path.to_owned(), reason: reason.into() };
+    let (mut file, length) = open_bounded(path, MAX_BYTES).map_err(failed)?;
+    let mut start = Vec::new();
+    (&mut file).take(MAX_HEADER_BYTES).read_to_end(&mut start).map_err(failed)?;
+    let (header_bytes, shape) = header::<T, AXES>(&start).map_err(|reason| wrong(&reason))?;
+    let data_bytes = length.checked_sub(header_bytes as u64);
+    let size = shape.iter().try_fold(T::BYTES, |size, n| size.checked_mul(*n));
+    let Some(size) = size.filter(|size| Some(*size as u64) == data_bytes) else {
+        return Err(wrong("has another size than its header says"));
+    };
+    file.seek(SeekFrom::Start(header_bytes as u64)).map_err(failed)?;
+    let mut values = Vec::with_capacity(size / T::BYTES);
+    let mut chunk = vec![0; CHUNK * T::BYTES];
+    let mut left = size;
+    while left > 0 {
+        let bytes = left.min(chunk.len());
+        file.read_exact(&mut chunk[..bytes]).map_err(failed)?;
+        values.extend(chunk[..bytes].chunks_exact(T::BYTES).map(T::from_le));
+        left -= bytes;
+    }
+    Ok((shape, values))
+}
+
+/// The length of all that stands before the data, bytes, and the shape; the error is a reason.
+fn header<T: Element, const AXES: usize>(start: &[u8]) -> Result<(usize, [usize; AXES]), String> {
+    let rest = start.strip_prefix(b"\x93NUMPY\x01\x00").ok_or("is no npy file")?;
+    let (length, rest) = rest.split_first_chunk().ok_or("is cut short")?;
+    let length = usize::from(u16::from_le_bytes(*length));
+    let header = rest.get(..length).ok_or("is cut short")?;
+    let header = std::str::from_utf8(header).map_err(|_| "has no readable header")?;
     if !header.contains(&format!("'{}'", T::DESCR)) || !header.contains("'fortran_order': False") {
-        return Err(wrong(format!("must hold {} in C order", T::NAME)));
+        return Err(format!("must hold {} in C order", T::NAME));
     }
     let shape: Vec<usize> = header
         .split_once('(')
         .and_then(|(_, rest)| rest.split_once(')'))
         .map(|(shape, _)| shape.split(',').filter_map(|n| n.trim().parse().ok()).collect())
         .unwrap_or_default();
-    let shape: [usize; AXES] =
-        shape.try_into().map_err(|_| wrong(format!("must have {AXES} axes")))?;
-    let size = shape.iter().try_fold(T::BYTES, |size, n| size.checked_mul(*n));
-    if size != Some(data.len()) {
-        return Err(wrong("has another size than its header says".into()));
-    }
-    Ok((shape, data.chunks_exact(T::BYTES).map(T::from_le).collect()))
+    let shape = shape.try_into().map_err(|_| format!("must have {AXES} axes"))?;
+    Ok((start.len() - rest.len() + length, shape))
 }
 
 #[cfg(test)]

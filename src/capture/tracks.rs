@@ -61,6 +61,10 @@ pub struct TrackedPoint {
     pub visible: bool,
 }
 
+/// Largest number of a camera's frames times the points. Larger: a mistake takes more than half a
+/// gigabyte a camera. Smaller: a thousand points of an hour are refused.
+const MAX_TRACKED: usize = 1 << 22;
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TracksFormat {
@@ -112,6 +116,11 @@ impl Truth {
         points: usize,
     ) -> Result<CameraTracks, TruthError> {
         let frames = camera.times_s.len();
+        if frames.checked_mul(points).is_none_or(|n| n > MAX_TRACKED) {
+            let path = self.file(if folder.is_empty() { "." } else { folder })?;
+            let reason = format!("{}: has more than {MAX_TRACKED} points of all frames", camera.id);
+            return Err(TruthError::Content { path, reason });
+        }
         let world = self.array(folder, &camera.world, [frames, points, 3])?;
         let pixels = self.array(folder, &camera.pixels, [frames, points, 2])?;
         let visible: Vec<u8> = self.array(folder, &camera.visible, [frames, points])?;

@@ -82,6 +82,10 @@ pub struct TruthShutter {
     pub times_s: Vec<f64>,
 }
 
+/// Largest number of true images. Larger: to tell their names apart, which compares all with all, takes
+/// minutes. Smaller: a hundred instants of a hundred cameras are refused.
+const MAX_VIEWS: usize = 10_000;
+
 /// A true image of a view at an instant.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -157,6 +161,10 @@ impl Truth {
                 path,
                 reason: "format and version must be 'stlfr-truth' and 1".into(),
             });
+        }
+        if truth.views.len() > MAX_VIEWS {
+            let reason = format!("views: are {}, at most {MAX_VIEWS} are read", truth.views.len());
+            return Err(TruthError::Content { path, reason });
         }
         for (index, view) in truth.views.iter().enumerate() {
             view.camera().map_err(|source| TruthError::Camera {

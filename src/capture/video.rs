@@ -1,18 +1,22 @@
 //! A camera's video, decoded into `CAPTURE/.stlfr/video/` and read from there as an image sequence.
 //!
 //! A folder there is named after its video's content and appears when it is complete. It may be
-//! deleted at any time: the video is then decoded anew. One process decodes a video, and others wait.
+//! deleted at any time: the video is then decoded anew. So it is, with a note, where a frame is not what
+//! was decoded: `frames.json`, a cache file with a checksum of its own, has every frame's hash, and all
+//! are compared whenever the capture is opened. One process decodes a video, and others wait.
 //!
 //! Any kind of video that ffmpeg 5.1 or newer reads may be a camera's `frames`. The clock stays in
 //! `capture.json`, because containers round their time stamps (Matroska to 1 ms). A `rate_hz` that the
 //! file contradicts is refused; the message names the file that lists the video's own `times_s`.
 //!
-//! Known limit: folders of deleted videos stay.
+//! Known limits: folders of deleted videos stay. Opening a capture reads all decoded frames, as
+//! estimating offsets reads all frames of a sequence: 0.15 ms a frame of 640×480.
 
 use super::{CaptureError, Opening};
 use crate::host::temporary::Temporary;
-use crate::host::write_json;
+use crate::host::{cache_file, hash_file, obstacle, open_file};
 use crate::video::{self, VideoError, frame_name};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io;
@@ -53,8 +57,8 @@ pub struct VideoFile {
 struct Index {
     /// The video's own time stamps.
     times_s: Vec<f64>,
-    /// The length of every image file, so that one cut short is noticed.
-    bytes: Vec<u64>,
+    /// The hash of every image file, in their order.
+    frames: Vec<String>,
 }
 
 /// A video and its frames inside the capture's folder `root`, decoded if they aren't yet. `wrong`
@@ -73,11 +77,12 @@ pub(super) fn open(
     if let Some(link) = folder.ancestors().take_while(|p| *p != root).find(|p| is_link(p)) {
         return Err(CaptureError::CacheLink { path: link.to_owned() });
     }
-    let index = match whole(&folder) {
+    let note = |sentence: &str| opening.reporter.note(sentence);
+    let index = match whole(&folder, &hash, note) {
         Some(index) => index,
-        None => decode(&cache, &folder, path, &wrong, opening)?,
+        None => decode(&Cache { all: &cache, folder: &folder, key: &hash }, path, &wrong, opening)?,
     };
-    let frames = (0..index.bytes.len()).map(|k| folder.join(frame_name(k))).collect();
+    let frames = (0..index.frames.len()).map(|k| folder.join(frame_name(k))).collect();
     let video = VideoFile {
         path: path.to_owned(),
         hash,
@@ -90,46 +95,64 @@ pub(super) fn open(
 fn hash(path: &Path) -> io::Result<String> {
     let mut hasher = blake3::Hasher::new();
     hasher.update(DECODING);
-    hasher.update_reader(File::open(path)?)?;
+    hasher.update_reader(open_file(path)?)?;
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// The index of a folder whose files are all there.
-fn whole(folder: &Path) -> Option<Index> {
-    let text = std::fs::read_to_string(folder.join(INDEX_FILE)).ok()?;
-    let index: Index = serde_json::from_str(&text).ok()?;
-    let is_there = |(k, bytes): (usize, &u64)| {
-        std::fs::metadata(folder.join(frame_name(k))).is_ok_and(|m| m.len() == *bytes)
+/// The index of a folder whose frames are all what was decoded from the video with this hash; `note` is
+/// told where they were and are no more.
+fn whole(folder: &Path, key: &str, note: impl Fn(&str)) -> Option<Index> {
+    let index: Index = cache_file::load(&folder.join(INDEX_FILE), key, &note)?;
+    if hashes(folder, index.frames.len()).is_ok_and(|found| found == index.frames) {
+        return Some(index);
+    }
+    note(&cache_file::damaged(folder));
+    None
+}
+
+/// The hashes of a folder's first frames.
+fn hashes(folder: &Path, frames: usize) -> io::Result<Vec<String>> {
+    let of = |k| {
+        let mut hasher = blake3::Hasher::new();
+        hash_file(&mut hasher, &folder.join(frame_name(k)))?;
+        Ok(hasher.finalize().to_hex().to_string())
     };
-    let all = index.bytes.iter().enumerate().all(is_there);
-    (all && !index.bytes.is_empty() && index.times_s.len() == index.bytes.len()).then_some(index)
+    (0..frames).into_par_iter().map(of).collect()
+}
+
+/// Where a video's frames are cached, and the key that they are cached by.
+struct Cache<'a> {
+    all: &'a Path,
+    folder: &'a Path,
+    key: &'a str,
 }
 
 fn decode(
-    cache: &Path,
-    folder: &Path,
+    cache: &Cache,
     path: &Path,
     wrong: &impl Fn(String) -> CaptureError,
     opening: &Opening,
 ) -> Result<Index, CaptureError> {
+    let folder = cache.folder;
     let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let failed = |source| CaptureError::Write { path: folder.to_owned(), source };
     let Some(ffmpeg) = opening.ffmpeg else {
         return Err(CaptureError::NoFfmpeg { path: path.to_owned() });
     };
-    std::fs::create_dir_all(cache).map_err(failed)?;
-    let lock = File::create(folder.with_extension("lock")).map_err(failed)?;
+    std::fs::create_dir_all(cache.all).map_err(failed)?;
+    let lock = lock_file(folder).map_err(failed)?;
     let _phase = opening.reporter.phase(&format!("decoding {name}"));
     lock.lock().map_err(failed)?;
-    if let Some(index) = whole(folder) {
+    if let Some(index) = whole(folder, cache.key, |_| ()) {
         return Ok(index); // the process that held the lock has decoded it
     }
     // Under the lock: no other process touches the folder.
     remove(folder).map_err(failed)?;
-    let temporary = Temporary::inside(cache).map_err(failed)?;
+    let temporary = Temporary::inside(cache.all).map_err(failed)?;
     let partial = temporary.path().join(FRAMES);
     std::fs::create_dir(&partial).map_err(failed)?;
-    let index = decode_into(ffmpeg, &partial, path, &name, wrong).map_err(|error| match error {
+    let decoded = Cache { folder: &partial, ..*cache };
+    let index = decode_into(ffmpeg, &decoded, path, &name, wrong).map_err(|error| match error {
         // The temporary folder is gone by then.
         CaptureError::Write { path, source } if path.starts_with(&partial) => failed(source),
         error => error,
@@ -138,11 +161,25 @@ fn decode(
     Ok(index)
 }
 
+/// The file that is locked while a folder is made. What is no file and has its name is removed: opening
+/// a pipe would wait, and a link lead elsewhere.
+fn lock_file(folder: &Path) -> io::Result<File> {
+    let path = folder.with_extension("lock");
+    if obstacle(&path).is_some() && !path.is_dir() {
+        std::fs::remove_file(&path)?;
+    }
+    File::options().write(true).create(true).truncate(false).open(path)
+}
+
 /// The frames in a temporary folder.
 const FRAMES: &str = "frames";
 
 fn remove(folder: &Path) -> io::Result<()> {
-    match std::fs::remove_dir_all(folder) {
+    let removed = match folder.symlink_metadata() {
+        Ok(found) if !found.is_dir() => std::fs::remove_file(folder),
+        _ => std::fs::remove_dir_all(folder),
+    };
+    match removed {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(()),
     }
@@ -150,25 +187,24 @@ fn remove(folder: &Path) -> io::Result<()> {
 
 fn decode_into(
     ffmpeg: &Path,
-    partial: &Path,
+    cache: &Cache,
     path: &Path,
     name: &str,
     wrong: &impl Fn(String) -> CaptureError,
 ) -> Result<Index, CaptureError> {
-    let decoded =
-        video::decode(ffmpeg, path, partial, MAX_FRAMES).map_err(|error| match error {
-            VideoError::File { path, source } => CaptureError::Write { path, source },
-            error => wrong(format!("'{name}' {error}")),
-        })?;
-    let mut index = Index { times_s: decoded.times_s, bytes: Vec::new() };
-    while let Ok(metadata) = std::fs::metadata(partial.join(frame_name(index.bytes.len()))) {
-        index.bytes.push(metadata.len());
-    }
-    if index.bytes.is_empty() || index.bytes.len() != index.times_s.len() {
+    let folder = cache.folder;
+    let decoded = video::decode(ffmpeg, path, folder, MAX_FRAMES).map_err(|error| match error {
+        VideoError::File { path, source } => CaptureError::Write { path, source },
+        error => wrong(format!("'{name}' {error}")),
+    })?;
+    let frames = (0..).take_while(|k| folder.join(frame_name(*k)).exists()).count();
+    if frames == 0 || frames != decoded.times_s.len() {
         return Err(wrong(format!("'{name}' has no frames, or some without a time stamp")));
     }
-    let path = partial.join(INDEX_FILE);
-    write_json(&path, &index).map_err(|source| CaptureError::Write { path, source })?;
+    let failed = |source| CaptureError::Write { path: folder.join(INDEX_FILE), source };
+    let frames = hashes(folder, frames).map_err(failed)?;
+    let index = Index { times_s: decoded.times_s, frames };
+    cache_file::save(&folder.join(INDEX_FILE), cache.key, &index).map_err(failed)?;
     Ok(index)
 }
 

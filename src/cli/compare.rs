@@ -12,7 +12,7 @@ use stlfr::compare::video::VideoOptions;
 use stlfr::compare::{CompareOptions, ComparedLightField, OffsetScore, Renderer, Summary, compare};
 use stlfr::json;
 use stlfr::method::Method;
-use stlfr::offset::Offsets;
+use stlfr::offset::{MAX_OFFSETS_BYTES, Offsets};
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::toolchain::{Environment, find_ffmpeg, project_root, review};
@@ -68,7 +68,8 @@ fn score_offsets(
         CliError::BadInput(format!("{}: has no truth to score against", folder.display()))
     })?;
     let wrong = |reason: String| CliError::BadInput(format!("{}: {reason}", file.display()));
-    let offsets: Offsets = json::read(file).map_err(|e| wrong(e.to_string()))?;
+    let offsets: Offsets =
+        json::read_within(file, MAX_OFFSETS_BYTES).map_err(|e| wrong(e.to_string()))?;
     let reference = &capture.cameras[capture.reference].id;
     let score = OffsetScore::new(&offsets, &truth, reference, capture.frame_s()).map_err(wrong)?;
     page.line(format_args!(

@@ -5,18 +5,19 @@ use super::values::method;
 use std::path::{Path, PathBuf};
 use stlfr::camera::{Camera, CameraFormat};
 use stlfr::capture::{Capture, Opening};
+use stlfr::host::{open_file, read_text};
 use stlfr::json;
 use stlfr::options::{Preset, RenderOptions};
 use stlfr::progress::Reporter;
 use stlfr::toolchain::find_ffmpeg;
 
-/// Refuses what is no readable file.
+/// Largest file of options, and of a view, that is read, bytes. Larger: options, which are merged with a
+/// preset's, take 16 times as much memory. Smaller: nothing that anyone writes is refused.
+const MAX_BYTES: u64 = 1 << 20;
+
+/// Refuses what is no regular file, or can't be read.
 pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
-    match std::fs::metadata(path) {
-        Ok(metadata) if metadata.is_file() => Ok(()),
-        Ok(_) => Err(CliError::BadInput(format!("{}: is no file", path.display()))),
-        Err(error) => Err(wrong(path, error)),
-    }
+    open_file(path).map(drop).map_err(|error| wrong(path, error))
 }
 
 /// Opens a capture, whose cameras may be videos.
@@ -52,7 +53,7 @@ pub fn options_or_default(path: Option<&Path>) -> Result<RenderOptions, CliError
 }
 
 fn read_options(path: &Path, preset: Option<Preset>) -> Result<RenderOptions, CliError> {
-    let text = json::read_text(path).map_err(|error| wrong(path, error))?;
+    let text = read_text(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
     let options = RenderOptions::parse(&text, preset).map_err(|error| wrong(path, error))?;
     options.check().map_err(|error| wrong(path, error))?;
     Ok(options)
@@ -60,7 +61,8 @@ fn read_options(path: &Path, preset: Option<Preset>) -> Result<RenderOptions, Cl
 
 /// A view to render.
 pub fn read_view(path: &Path) -> Result<Camera, CliError> {
-    let format: CameraFormat = json::read(path).map_err(|error| wrong(path, error))?;
+    let format: CameraFormat =
+        json::read_within(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
     format.camera().map_err(|error| wrong(path, error))
 }
 

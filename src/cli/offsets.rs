@@ -5,7 +5,7 @@ use super::files::{OptionsArgs, open_capture};
 use super::print::Page;
 use std::path::PathBuf;
 use std::sync::Arc;
-use stlfr::offset::{Offsets, known_or_cached_or_estimated};
+use stlfr::offset::{Offsets, known_or_estimated};
 use stlfr::progress::Reporter;
 use stlfr::registration::FrameStore;
 
@@ -16,6 +16,9 @@ use stlfr::registration::FrameStore;
 /// that capture.json declares to drift, and lost frames for cameras that it declares may lose them. The
 /// result is saved in the capture's folder as offsets.json, and a plot of the data behind it as
 /// offsets.svg.
+///
+/// offsets.json may be edited: render, compare and plan then use its offsets as given. This command
+/// estimates all the same, and leaves the edited file as it is.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr offsets .captures/demo\n  \
@@ -35,7 +38,7 @@ pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliE
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
     capture.require_two_cameras()?;
     let frames = FrameStore::new(capture.clone(), &options.registration);
-    let offsets = known_or_cached_or_estimated(&frames, &options.offset, reporter)?;
+    let offsets = known_or_estimated(&frames, &options.offset, reporter)?;
     if args.json {
         page.json(&offsets)?;
     } else {

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use stlfr::camera::Camera;
 use stlfr::capture::Capture;
 use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::{LightField, Viewpoint};
+use stlfr::light_field::{LightField, Viewpoint, check_times_before_offsets};
 use stlfr::options::{ProxyMethod, RenderOptions, TrailMode};
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
@@ -154,22 +154,24 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
         })?),
         View::Camera(_) => None,
     };
-    check_files(args.output.files(request.times_s.len()), Some(&args.capture))?;
+    let times_s: Vec<f64> = request.times_s.iter().map(|t| t - capture.time_origin_s).collect();
+    check_times_before_offsets(&capture, like, &times_s)?;
+    check_files(args.output.files(times_s.len()), Some(&args.capture))?;
     let mut writer = Writer::new(&args.output, &capture)?;
     let depth = capture.bit_depth();
 
     let field = pipeline::open_field(capture.clone(), &options, reporter)?;
-    let view = pipeline::resolved(&field, &options, reporter)?.view();
     warn_of_unknown_clocks(&field, reporter);
     let from = match &request.view {
         View::Camera(camera) => Viewpoint::View(camera),
         View::Like(_) => Viewpoint::Like(like.unwrap_or_default()),
     };
+    field.check_times(from, &times_s)?;
+    let view = pipeline::resolved(&field, &options, reporter)?.view();
     let instants = view.trail.count();
-    let task = reporter.task("rendering", request.times_s.len() * instants);
-    for (index, time_s) in request.times_s.iter().enumerate() {
-        let time_s = time_s - capture.time_origin_s;
-        let rendered = field.with_trail(from, time_s, &view, |done, _| {
+    let task = reporter.task("rendering", times_s.len() * instants);
+    for (index, time_s) in times_s.iter().enumerate() {
+        let rendered = field.with_trail(from, *time_s, &view, |done, _| {
             task.set(index * instants + done);
             true
         })?;

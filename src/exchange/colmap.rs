@@ -1,6 +1,6 @@
 //! COLMAP's sparse model, `cameras`, `images` and `points3D`, as text or binary.
 
-use super::{ExchangeError, NamedCamera, checked, content, read_bytes, write};
+use super::{ExchangeError, MAX_MODEL_BYTES, NamedCamera, check_count, checked, content, write};
 use crate::camera::{CameraFormat, CameraModel, MAX_QUATERNION_ERROR};
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 use std::collections::{BTreeMap, HashMap};
@@ -28,15 +28,15 @@ struct Image {
 /// Reads a COLMAP model's folder: one camera an image, in the order of the images' numbers, named as
 /// the images. Binary files are preferred to text files, as COLMAP does.
 ///
-/// A model without images, an unknown camera model, and whatever a capture would refuse of a camera
+/// A model without images, one of more than 100,000 images or cameras, a file of more than 768 MiB or
+/// that is no regular file, an unknown camera model, and whatever a capture would refuse of a camera
 /// are errors.
 pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let binary = folder.join("cameras.bin");
     let (images_path, lenses, mut images) = if binary.exists() {
         let images_path = folder.join("images.bin");
-        let lenses = binary_lenses(&read_bytes(&binary)?).map_err(|e| content(&binary, e))?;
-        let images =
-            binary_images(&read_bytes(&images_path)?).map_err(|e| content(&images_path, e))?;
+        let lenses = binary_lenses(&bytes(&binary)?).map_err(|e| content(&binary, e))?;
+        let images = binary_images(&bytes(&images_path)?).map_err(|e| content(&images_path, e))?;
         (images_path, lenses, images)
     } else {
         let (path, images_path) = (folder.join("cameras.txt"), folder.join("images.txt"));
@@ -75,8 +75,12 @@ fn named(lenses: &HashMap<u32, Lens>, image: Image) -> Result<NamedCamera, Strin
     Ok(NamedCamera { name: image.name, camera })
 }
 
+fn bytes(path: &Path) -> Result<Vec<u8>, ExchangeError> {
+    super::read_bytes(path, MAX_MODEL_BYTES)
+}
+
 fn text(path: &Path) -> Result<String, ExchangeError> {
-    String::from_utf8(read_bytes(path)?).map_err(|_| content(path, "is no text"))
+    String::from_utf8(bytes(path)?).map_err(|_| content(path, "is no text"))
 }
 
 /// The next value of a line.
@@ -96,6 +100,7 @@ fn text_lenses(text: &str) -> Result<HashMap<u32, Lens>, String> {
         if lenses.insert(id, lens).is_some() {
             return Err(format!("line {}: there are two cameras {id}", k + 1));
         }
+        check_count(lenses.len(), "cameras")?;
     }
     Ok(lenses)
 }
@@ -126,6 +131,7 @@ fn text_images(text: &str) -> Result<Vec<(u32, Image)>, String> {
             continue;
         }
         images.push(text_image(line).map_err(|e| format!("line {}: {e}", k + 1))?);
+        check_count(images.len(), "images")?;
         lines.next();
     }
     Ok(images)
@@ -213,6 +219,7 @@ fn binary_lenses(bytes: &[u8]) -> Result<HashMap<u32, Lens>, String> {
         if lenses.insert(id, lens).is_some() {
             return Err(format!("there are two cameras {id}"));
         }
+        check_count(lenses.len(), "cameras")?;
     }
     bytes.is_at_end()?;
     Ok(lenses)
@@ -229,6 +236,7 @@ fn binary_images(bytes: &[u8]) -> Result<Vec<(u32, Image)>, String> {
         let points = bytes.u64()?;
         bytes.skip(points, 24)?; // x, y, and the point's number
         images.push((number, Image { name, camera_id, rotation_wxyz, translation }));
+        check_count(images.len(), "images")?;
     }
     bytes.is_at_end()?;
     Ok(images)

@@ -5,7 +5,7 @@ use crate::camera::CameraFormat;
 use crate::capture::FilmedCameraFormat;
 use crate::capture::{CAPTURE_FILE, Capture, CaptureFormat, ClockFormat, Color};
 use crate::host::temporary::Temporary;
-use crate::host::write_json;
+use crate::host::{open_file, write_json};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -92,7 +92,7 @@ fn copy(files: &[PathBuf], folder: &Path) -> Result<(), (PathBuf, std::io::Error
         std::fs::create_dir_all(folder)
             .and_then(|()| {
                 let mut to = File::create(to)?;
-                std::io::copy(&mut File::open(file)?, &mut to)?;
+                std::io::copy(&mut open_file(file)?, &mut to)?;
                 to.sync_all()
             })
             .map_err(|error| (file.clone(), error))?;

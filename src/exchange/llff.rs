@@ -11,6 +11,9 @@ use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
 
 const COLUMNS: usize = 17;
+/// Largest file that is read, bytes: a hundred thousand cameras. Larger: a mistake takes memory.
+/// Smaller: large arrays are refused.
+const MAX_BYTES: u64 = 16 << 20;
 /// Largest distance of the principal point from the middle, and difference of the focal lengths, that
 /// the file can describe, pixels. Larger: projections differ. Smaller: rounding is refused.
 const MAX_OFF_PX: f64 = 1e-6;
@@ -18,7 +21,7 @@ const MAX_OFF_PX: f64 = 1e-6;
 /// Reads the cameras in the file's order, named `0`, `1` and so on. An error for an array of another
 /// shape or type, and for a pose or a lens that is none.
 pub fn read_llff(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
-    let rows = rows(&read_bytes(path)?).map_err(|reason| content(path, reason))?;
+    let rows = rows(&read_bytes(path, MAX_BYTES)?).map_err(|reason| content(path, reason))?;
     let cameras = rows.iter().enumerate().map(|(k, row)| {
         camera(row)
             .map(|camera| NamedCamera { name: k.to_string(), camera })

@@ -25,7 +25,6 @@ pub use nerf::{read_nerf, write_nerf};
 
 use crate::camera::{Camera, CameraFormat, CameraFormatError, CameraModel, PoseFormat};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// A camera with its name in a calibration's file.
@@ -53,9 +52,12 @@ pub enum ExchangeError {
     Content { path: PathBuf, reason: String },
 }
 
-/// Largest file that is read, bytes. Larger: a device or a mistake fills the memory. Smaller: COLMAP
-/// models of half a million images, with their points in text, are refused.
-const MAX_BYTES: u64 = 2 << 30;
+/// Largest file of a COLMAP model that is read, bytes. Larger: what is no model takes more than a
+/// gigabyte of memory. Smaller: models of thousands of images, with their points, are refused.
+const MAX_MODEL_BYTES: u64 = 768 << 20;
+/// Largest number of images, and of cameras, of a calibration. Larger: a mistake takes gigabytes of
+/// memory. Smaller: models of long videos, every frame an image, are refused.
+const MAX_ENTRIES: usize = 100_000;
 /// Largest entry of RᵀR − I for a rotation R. Larger: scaled matrices pass for rotations. Smaller:
 /// matrices of a few printed digits, off by 1e-4, are refused.
 const MAX_ROTATION_ERROR: f64 = 1e-3;
@@ -64,15 +66,17 @@ fn content(path: &Path, reason: impl std::fmt::Display) -> ExchangeError {
     ExchangeError::Content { path: path.to_owned(), reason: reason.to_string() }
 }
 
-fn read_bytes(path: &Path) -> Result<Vec<u8>, ExchangeError> {
-    let wrong = |source| ExchangeError::Read { path: path.to_owned(), source };
-    let mut bytes = Vec::new();
-    let file = std::fs::File::open(path).map_err(wrong)?;
-    file.take(MAX_BYTES + 1).read_to_end(&mut bytes).map_err(wrong)?;
-    if bytes.len() as u64 > MAX_BYTES {
-        return Err(content(path, format!("is larger than {} GiB", MAX_BYTES >> 30)));
+fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>, ExchangeError> {
+    crate::host::read_bytes(path, max_bytes)
+        .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })
+}
+
+/// The reason of a file of too many entries, if there are.
+fn check_count(entries: usize, what: &str) -> Result<(), String> {
+    if entries <= MAX_ENTRIES {
+        return Ok(());
     }
-    Ok(bytes)
+    Err(format!("holds more than {MAX_ENTRIES} {what}"))
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), ExchangeError> {

@@ -1,31 +1,32 @@
 //! NeRF's `transforms.json`, as instant-ngp and nerfstudio read it: a world-from-camera matrix a
 //! frame, with OpenGL's axes (x right, y up, z back), and the lens for all frames or each its own.
 
-use super::{ExchangeError, NamedCamera, axes_and_center, checked, content, pose_from_axes, write};
+use super::{ExchangeError, NamedCamera, axes_and_center, check_count, checked, content};
+use super::{pose_from_axes, write};
 use crate::camera::CameraModel;
+use crate::host::read_text;
 use crate::json;
 use nalgebra::Matrix3;
+use serde::de::{Deserializer, Error as _, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// The fields that are read, of the many that such files have.
-#[derive(Debug, Default, Serialize, Deserialize)]
-struct Transforms {
-    #[serde(flatten)]
-    lens: Lens,
-    frames: Vec<Frame>,
-}
-
+/// The frames of the file.
 #[derive(Debug, Serialize, Deserialize)]
-struct Frame {
-    file_path: String,
-    transform_matrix: [[f64; 4]; 4],
-    #[serde(flatten)]
-    lens: Lens,
+struct Frames {
+    #[serde(deserialize_with = "bounded")]
+    frames: Vec<Entry>,
 }
 
+/// The fields that are read of a frame, and of the file itself, which may both have a lens, of the many
+/// that such files have. (With serde's `flatten` for the lens, all others would be held, at 16 times
+/// their length in the file.)
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-struct Lens {
+struct Entry {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    file_path: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    transform_matrix: Option<[[f64; 4]; 4]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     camera_model: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -56,9 +57,31 @@ struct Lens {
     p2: Option<f64>,
 }
 
-impl Lens {
-    /// A frame's own fields, else the file's.
-    fn or(&self, all: &Self) -> Self {
+/// A list of at most [`MAX_ENTRIES`], found before there are more.
+fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Entry>, D::Error> {
+    struct Entries;
+    impl<'de> Visitor<'de> for Entries {
+        type Value = Vec<Entry>;
+
+        fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+            f.write_str("a list")
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
+            let mut entries = Vec::new();
+            while let Some(entry) = list.next_element()? {
+                entries.push(entry);
+                check_count(entries.len(), "frames").map_err(A::Error::custom)?;
+            }
+            Ok(entries)
+        }
+    }
+    deserializer.deserialize_seq(Entries)
+}
+
+impl Entry {
+    /// A frame's own lens, else the file's, field by field.
+    fn lens_or(&self, all: &Self) -> Self {
         Self {
             camera_model: self.camera_model.clone().or_else(|| all.camera_model.clone()),
             w: self.w.or(all.w),
@@ -74,6 +97,7 @@ impl Lens {
             k4: self.k4.or(all.k4),
             p1: self.p1.or(all.p1),
             p2: self.p2.or(all.p2),
+            ..Self::default()
         }
     }
 
@@ -163,35 +187,39 @@ impl Lens {
 /// Reads the file's frames in their order, named by their paths. A file without frames, and a pose or
 /// a lens that is none, are errors.
 pub fn read_nerf(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
-    let transforms: Transforms = json::read(path).map_err(|e| content(path, e))?;
-    if transforms.frames.is_empty() {
+    let text = read_text(path, json::MAX_BYTES)
+        .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })?;
+    let wrong = |reason: String| content(path, reason);
+    let all: Entry = json::parse(&text).map_err(wrong)?;
+    let Frames { frames } = json::parse(&text).map_err(wrong)?;
+    if frames.is_empty() {
         return Err(content(path, "frames: there is none"));
     }
-    let cameras = transforms.frames.iter().enumerate().map(|(k, frame)| {
-        camera(frame, &transforms.lens)
-            .map(|camera| NamedCamera { name: frame.file_path.clone(), camera })
-            .map_err(|reason| content(path, format!("frames[{k}]: {reason}")))
+    let cameras = frames.into_iter().enumerate().map(|(k, frame)| {
+        camera(frame, &all).map_err(|reason| content(path, format!("frames[{k}]: {reason}")))
     });
     cameras.collect()
 }
 
-fn camera(frame: &Frame, all: &Lens) -> Result<crate::camera::Camera, String> {
-    let (size, model) = frame.lens.or(all).model()?;
-    let m = &frame.transform_matrix;
+fn camera(frame: Entry, all: &Entry) -> Result<NamedCamera, String> {
+    let (size, model) = frame.lens_or(all).model()?;
+    let name = frame.file_path.ok_or("file_path is missing")?;
+    let m = frame.transform_matrix.ok_or("transform_matrix is missing")?;
     if m[3] != [0.0, 0.0, 0.0, 1.0] {
         return Err("transform_matrix's last row must be 0, 0, 0, 1".into());
     }
     let axes = Matrix3::from_fn(|r, c| if c == 0 { m[r][c] } else { -m[r][c] });
     let pose = pose_from_axes(&axes, [m[0][3], m[1][3], m[2][3]].into())?;
-    checked(size, &model, &pose).map_err(|e| e.to_string())
+    let camera = checked(size, &model, &pose).map_err(|e| e.to_string())?;
+    Ok(NamedCamera { name, camera })
 }
 
 /// Writes the cameras, every frame with its own lens. A lens that the file has no fields for,
 /// `FULL_OPENCV`, is an error.
 pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
-    let mut transforms = Transforms::default();
+    let mut transforms = Frames { frames: Vec::new() };
     for NamedCamera { name, camera } in cameras {
-        let lens = Lens::of(camera).ok_or_else(|| {
+        let lens = Entry::of(camera).ok_or_else(|| {
             content(path, format!("can't describe {name}, a {}", camera.model.name()))
         })?;
         let (axes, center) = axes_and_center(camera);
@@ -199,7 +227,8 @@ pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeEr
         for (r, row) in m.iter_mut().enumerate().take(3) {
             *row = [axes[(r, 0)], -axes[(r, 1)], -axes[(r, 2)], center[r]];
         }
-        transforms.frames.push(Frame { file_path: name.clone(), transform_matrix: m, lens });
+        let (file_path, transform_matrix) = (Some(name.clone()), Some(m));
+        transforms.frames.push(Entry { file_path, transform_matrix, ..lens });
     }
     let mut text = serde_json::to_string_pretty(&transforms).map_err(|e| content(path, e))?;
     text.push('\n');

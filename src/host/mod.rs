@@ -1,10 +1,12 @@
-//! What the program asks of the machine: files written whole, child processes, signals, time, bounded
-//! caches.
+//! What the program asks of the machine: files read within bounds and written whole, child processes,
+//! signals, time, caches in memory and on disk.
 
 mod cache;
+pub(crate) mod cache_file;
 mod interrupt;
 mod obstacle;
 pub(crate) mod process;
+mod read;
 mod stopwatch;
 pub(crate) mod temporary;
 mod write;
@@ -12,5 +14,7 @@ mod write;
 pub use cache::BoundedCache;
 pub use interrupt::remove_unfinished_on_signals;
 pub use obstacle::obstacle;
+pub(crate) use read::hash_file;
+pub use read::{open_bounded, open_file, read_bytes, read_text};
 pub use stopwatch::{Elapsed, Stopwatch, process_cpu_s};
 pub use write::{try_folder, write_atomically, write_json};

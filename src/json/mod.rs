@@ -2,14 +2,15 @@
 
 mod objects;
 
+use crate::host::read_text;
 use objects::Objects;
 use serde::de::DeserializeOwned;
-use std::io::Read;
 use std::path::Path;
 
-/// Larger than any description of a capture (a hundred cameras' time stamps over a day are 200 MB);
-/// what goes on beyond it is a device or a mistake, and is not read into memory.
-const MAX_BYTES: u64 = 256 << 20;
+/// Largest file that is read, bytes: the time stamps of a hundred cameras over twenty minutes. Larger: a
+/// file of many small entries takes more than a gigabyte of memory. Smaller: long recordings are
+/// refused.
+pub const MAX_BYTES: u64 = 64 << 20;
 
 /// Why a file could not be read as JSON. The caller's message names the file.
 #[derive(Debug, thiserror::Error)]
@@ -21,19 +22,14 @@ pub enum JsonError {
     Content(String),
 }
 
-/// A value from a file.
+/// A value from a regular file of at most [`MAX_BYTES`].
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, JsonError> {
-    parse(&read_text(path)?).map_err(JsonError::Content)
+    read_within(path, MAX_BYTES)
 }
 
-/// A file's text.
-pub fn read_text(path: &Path) -> Result<String, JsonError> {
-    let mut text = String::new();
-    std::fs::File::open(path)?.take(MAX_BYTES + 1).read_to_string(&mut text)?;
-    if text.len() as u64 > MAX_BYTES {
-        return Err(JsonError::Content(format!("is larger than {} MiB", MAX_BYTES >> 20)));
-    }
-    Ok(text)
+/// A value from a regular file of at most `max_bytes`.
+pub fn read_within<T: DeserializeOwned>(path: &Path, max_bytes: u64) -> Result<T, JsonError> {
+    parse(&read_text(path, max_bytes)?).map_err(JsonError::Content)
 }
 
 /// A value from text; the error is a sentence that starts with the field. A struct stands as an object,
@@ -81,6 +77,6 @@ mod tests {
     #[test]
     fn what_never_ends_is_not_read_to_its_end() {
         let endless = read::<RenderOptions>(Path::new("/dev/zero")).unwrap_err();
-        assert!(endless.to_string().contains("larger than"), "{endless}");
+        assert!(endless.to_string().contains("is a device"), "{endless}");
     }
 }

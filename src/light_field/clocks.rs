@@ -1,7 +1,34 @@
 //! When each camera filmed, on one clock: which frames lie around an instant, and which instants
 //! there are.
 
-use super::{LightField, RenderError};
+use super::{LightField, RenderError, Viewpoint};
+use crate::capture::Capture;
+use crate::offset::clocks;
+
+/// What can be said of times before offsets are known, which may take long to estimate: an error for
+/// the first of them at which no camera, or not this one, can have a frame whatever the offsets. Seconds
+/// from the capture's start.
+pub fn check_times_before_offsets(
+    capture: &Capture,
+    camera: Option<usize>,
+    times_s: &[f64],
+) -> Result<(), RenderError> {
+    let (first_s, last_s) = capture.widest_span_s(camera);
+    let outside = times_s.iter().find(|t| !(first_s..=last_s).contains(*t));
+    let Some(time_s) = outside.filter(|_| !capture.is_static()) else { return Ok(()) };
+    let origin_s = capture.time_origin_s;
+    let [time_s, first_s, last_s] = [*time_s, first_s, last_s].map(|t| t + origin_s);
+    let id = |camera: usize| capture.cameras[camera].id.clone();
+    let is_known = |c: usize| c == capture.reference || clocks(capture).1 == 1;
+    Err(match camera {
+        Some(c) if is_known(c) => {
+            RenderError::CameraTime { camera: id(c), time_s, first_s, last_s }
+        }
+        Some(c) => RenderError::Beyond { time_s, of: id(c), first_s, last_s },
+        None if clocks(capture).1 == 1 => RenderError::Time { time_s, first_s, last_s },
+        None => RenderError::Beyond { time_s, of: "the cameras".into(), first_s, last_s },
+    })
+}
 
 impl LightField {
     /// The cameras that can give an image at a time, by index, ascending.
@@ -66,6 +93,16 @@ impl LightField {
                 first_s: times[0] + origin_s,
                 last_s: times[times.len() - 1] + origin_s,
             }
+        })
+    }
+
+    /// An error for the first of these times at which there is no image from a viewpoint, because the
+    /// cameras had not begun or had ended by then: that of rendering it.
+    pub fn check_times(&self, from: Viewpoint, times_s: &[f64]) -> Result<(), RenderError> {
+        times_s.iter().try_for_each(|&time_s| match from {
+            Viewpoint::Like(camera) => self.bracket(camera, time_s).map(drop),
+            Viewpoint::View(_) if self.usable(time_s).is_empty() => Err(self.no_camera_at(time_s)),
+            Viewpoint::View(_) => Ok(()),
         })
     }
 

@@ -13,6 +13,10 @@ pub enum RenderError {
     CameraClock { camera: String, reason: String },
     #[error("no camera has frames around {time_s:?} s: they cover {first_s} to {last_s} s")]
     Time { time_s: f64, first_s: f64, last_s: f64 },
+    #[error(
+        "no frames can be around {time_s:?} s: whatever the offsets, {of} filmed within {first_s:.3} to {last_s:.3} s"
+    )]
+    Beyond { time_s: f64, of: String, first_s: f64, last_s: f64 },
     #[error("no camera of this capture has a known clock")]
     NoClock,
     #[error(
@@ -30,7 +34,11 @@ impl RenderError {
     pub(super) fn is_of_the_instant(&self) -> bool {
         matches!(
             self,
-            Self::Time { .. } | Self::CameraTime { .. } | Self::NoPoints | Self::NothingSeen
+            Self::Time { .. }
+                | Self::CameraTime { .. }
+                | Self::Beyond { .. }
+                | Self::NoPoints
+                | Self::NothingSeen
         )
     }
 }

@@ -24,6 +24,7 @@ mod synchronized;
 mod trail;
 mod view;
 
+pub use clocks::check_times_before_offsets;
 pub use error::RenderError;
 pub use geometry::Geometry;
 pub use trail::Viewpoint;

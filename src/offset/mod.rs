@@ -34,7 +34,8 @@
 //! | `uncertainty` | cluster-robust standard errors |
 //! | `joint` | all clocks together by robust weighted least squares |
 //! | `zhou_tao` | the four-point estimator |
-//! | `store` | [`Offsets`], their JSON and their cache |
+//! | `store` | [`Offsets`], and the times that they give the images |
+//! | [`mod@file`], `edited` | `offsets.json`, and the validation of one that was edited by hand |
 //! | `plot` | charts of the data behind an estimate |
 //!
 //! # Known limits
@@ -54,8 +55,10 @@ mod align;
 mod candidates;
 mod clock_models;
 mod consensus;
+mod edited;
 mod estimate;
 mod features;
+pub mod file;
 mod joint;
 mod lost_frames;
 mod mixture;
@@ -73,6 +76,7 @@ mod zhou_tao;
 pub use candidates::{Candidate, ThreeFrames};
 pub use consensus::{ransac, weighted_least_squares};
 pub use estimate::{Estimate, estimate};
+pub use file::{MAX_OFFSETS_BYTES, SavedOffsets};
 pub use joint::{ClockEstimate, Clocks, solve_clocks};
 pub use mixture::{Mixture, Observation, ResidualModel};
 pub use options::{OffsetMethod, OffsetOptions};
@@ -89,32 +93,84 @@ use crate::registration::FrameStore;
 pub(crate) use pairing::clocks;
 use pairing::spread;
 
-/// The offsets of a capture: known, cached or estimated, in this order; a note on the reporter says
-/// which.
+/// The offsets of a capture: known, edited by hand, cached or estimated, in this order; a note on the
+/// reporter says which.
 ///
 /// They are known, all 0, if all cameras share one clock. In a static capture, of one frame per camera,
-/// all but the reference's are unknown. Cached ones are used if `offsets.json` is of the same capture,
-/// frames and options. Estimated ones are saved there, with their plot in `offsets.svg`; a folder that
-/// cannot be written is noted and no error. The error is that of a frame that cannot be read.
+/// all but the reference's are unknown. [`mod@file`] says when those of `offsets.json` are used. Estimated
+/// ones are saved there, with their plot in `offsets.svg`; a folder that cannot be written is noted and
+/// no error. The error is that of a frame that cannot be read, or of an `offsets.json` that is refused.
 pub fn known_or_cached_or_estimated(
     frames: &FrameStore,
     options: &OffsetOptions,
     reporter: &Reporter,
 ) -> Result<Offsets, CaptureError> {
+    if let Some(known) = known(frames.capture(), reporter) {
+        return Ok(known);
+    }
+    match Offsets::saved(frames.capture())? {
+        SavedOffsets::Edited(offsets) => {
+            reporter.note(
+                "offsets.json was edited by hand: its offsets are used as given, not estimated.",
+            );
+            Ok(offsets)
+        }
+        saved => cached_or_estimated(frames, options, saved, reporter),
+    }
+}
+
+/// As [`known_or_cached_or_estimated`], but what the images say: where `offsets.json` was edited by
+/// hand, offsets are estimated all the same, and the file is left as it is.
+pub fn known_or_estimated(
+    frames: &FrameStore,
+    options: &OffsetOptions,
+    reporter: &Reporter,
+) -> Result<Offsets, CaptureError> {
     let capture = frames.capture();
+    if let Some(known) = known(capture, reporter) {
+        return Ok(known);
+    }
+    match Offsets::saved(capture)? {
+        SavedOffsets::Edited(_) => {
+            let estimate = estimate(frames, options, reporter)?;
+            reporter.note(
+                "Offsets were estimated from the images and not saved: offsets.json was edited by \
+                 hand, and is what other commands use until it is deleted.",
+            );
+            Ok(estimate.offsets)
+        }
+        saved => cached_or_estimated(frames, options, saved, reporter),
+    }
+}
+
+/// The offsets of a capture that need no estimate.
+fn known(capture: &Capture, reporter: &Reporter) -> Option<Offsets> {
     if clocks(capture).1 == 1 {
         reporter.note("The cameras share one clock: no offsets to estimate.");
-        return Ok(Offsets::known(capture));
+        return Some(Offsets::known(capture));
     }
     if capture.is_static() {
         reporter.note("Every camera took one frame, the same at any time: no offsets to estimate.");
-        return Ok(Offsets::unknown(capture, ONE_FRAME));
+        return Some(Offsets::unknown(capture, ONE_FRAME));
     }
+    None
+}
+
+fn cached_or_estimated(
+    frames: &FrameStore,
+    options: &OffsetOptions,
+    saved: SavedOffsets,
+    reporter: &Reporter,
+) -> Result<Offsets, CaptureError> {
+    let capture = frames.capture();
     let all_options = (options, frames.options());
     let hash = Offsets::hash(capture, &all_options)?;
-    if let Some(cached) = Offsets::load(capture, &hash) {
-        reporter.note("Offsets are those of offsets.json.");
-        return Ok(cached);
+    if let SavedOffsets::Estimated { offsets, hash: saved } = saved {
+        if saved == hash {
+            reporter.note("Offsets are those of offsets.json, estimated before.");
+            return Ok(offsets);
+        }
+        reporter.note("offsets.json is of other frames, options or another version: made anew.");
     }
     let estimate = estimate(frames, options, reporter)?;
     // A read-only capture can be used all the same.

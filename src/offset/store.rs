@@ -1,12 +1,7 @@
-//! Offsets as a result: in memory, as JSON, and cached in the capture's folder.
-//!
-//! `offsets.json` holds the offsets, the options that they were estimated with, and a hash of the
-//! program's version, the capture's content and these options. It is used only while the hash matches.
+//! Offsets as a result, and what they say of the images' times.
 
-use crate::capture::{Capture, CaptureError, are_frame_times};
-use crate::host::write_json;
+use crate::capture::{Capture, are_frame_times};
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
 
 /// The offset of every camera of a capture.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,6 +20,7 @@ pub struct Offsets {
 /// before it. A camera that starts later than the reference, both at 0 on their own clocks, has a
 /// positive offset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct CameraOffset {
     /// The camera's id.
     pub id: String,
@@ -48,22 +44,13 @@ pub struct CameraOffset {
     pub reason: Option<String>,
 }
 
-/// The content of `CAPTURE/offsets.json`.
-#[derive(Serialize, Deserialize)]
-struct CachedOffsets {
-    #[serde(flatten)]
-    offsets: Offsets,
-    options: serde_json::Value,
-    hash: String,
-}
-
 /// A camera's times, seconds, with its median frame period added for each frame missing before an
-/// image.
+/// image; `lost_before` ascends.
 pub(super) fn with_lost_frames(times_s: &[f64], lost_before: &[usize]) -> Vec<f64> {
     let mut gaps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
     gaps.sort_by(f64::total_cmp);
     let frame_s = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
-    let missing = |image: usize| lost_before.iter().filter(|&&n| n <= image).count() as f64;
+    let missing = |image: usize| lost_before.partition_point(|&n| n <= image) as f64;
     times_s.iter().enumerate().map(|(image, t)| t + frame_s * missing(image)).collect()
 }
 
@@ -122,56 +109,12 @@ impl Offsets {
         offsets
     }
 
-    fn path(capture: &Capture) -> PathBuf {
-        capture.folder.join("offsets.json")
-    }
-
-    /// The path of the plot beside `offsets.json`.
-    pub fn plot_path(capture: &Capture) -> PathBuf {
-        capture.folder.join("offsets.svg")
-    }
-
-    /// The hash that identifies offsets of this capture estimated with these options, hexadecimal. The
-    /// error is that of a frame file that cannot be read.
-    pub fn hash(capture: &Capture, options: &impl Serialize) -> Result<String, CaptureError> {
-        let options = serde_json::to_string(options).unwrap_or_default();
-        let mut hasher = blake3::Hasher::new();
-        hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
-        hasher.update(capture.content_hash()?.as_bytes());
-        hasher.update(options.as_bytes());
-        Ok(hasher.finalize().to_hex().to_string())
-    }
-
     /// Whether these can be offsets of a capture: of its cameras, and such that all their frames have
     /// times on the reference's clock.
     pub fn fits(&self, capture: &Capture) -> bool {
         self.cameras.len() == capture.cameras.len()
             && self.cameras.iter().zip(&capture.cameras).all(|(o, c)| o.id == c.id)
             && self.common_times_s(capture).iter().flatten().all(|times| are_frame_times(times))
-    }
-
-    /// The cached offsets of that hash; `None` if there is no valid file, its hash differs, or it
-    /// doesn't fit the capture.
-    pub fn load(capture: &Capture, hash: &str) -> Option<Self> {
-        let text = std::fs::read_to_string(Self::path(capture)).ok()?;
-        let cached: CachedOffsets = serde_json::from_str(&text).ok()?;
-        (cached.hash == hash && cached.offsets.fits(capture)).then_some(cached.offsets)
-    }
-
-    /// Writes `offsets.json` into the capture's folder, atomically.
-    pub fn save(
-        &self,
-        capture: &Capture,
-        options: &impl Serialize,
-        hash: &str,
-    ) -> Result<(), CaptureError> {
-        let path = Self::path(capture);
-        let cached = CachedOffsets {
-            offsets: self.clone(),
-            options: serde_json::to_value(options).unwrap_or_default(),
-            hash: hash.to_owned(),
-        };
-        write_json(&path, &cached).map_err(|source| CaptureError::Write { path, source })
     }
 }
 

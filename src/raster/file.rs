@@ -1,16 +1,11 @@
 //! Reading and writing image files.
 
-use super::Image;
-use crate::host::write_atomically;
+use super::png::{self, PngFile};
+use super::{BitDepth, Image};
+use crate::host::{open_bounded, write_atomically};
 use image::{ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits};
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-
-/// Bits a channel of an image file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum BitDepth {
-    Eight,
-    Sixteen,
-}
 
 /// An error of an image file. Every message is one sentence with the file.
 #[derive(Debug, thiserror::Error)]
@@ -33,28 +28,73 @@ pub(crate) struct Header {
     pub bit_depth: BitDepth,
 }
 
-/// Memory of the decoder, bytes: a 16-bit RGBA image of 8192×8192 and its scratch space. Larger: a
-/// crafted header fills the memory. Smaller: the largest images of a capture are refused.
-const MAX_DECODE_BYTES: u64 = 2 << 30;
+/// Largest number of pixels of an image: 8192×8192. Larger: a view, at some 25 bytes a pixel, takes
+/// gigabytes. Smaller: the images of large cameras are refused.
+pub const MAX_PIXELS: u64 = 1 << 26;
+
+/// Largest image file that is read, bytes: an 8192×8192 one of 16-bit RGB that nothing compresses, and
+/// something beside it. Larger: decoders that hold the whole file fill the memory. Smaller: the largest
+/// images are refused.
+const MAX_FILE_BYTES: u64 = 448 << 20;
+
+/// Memory of the decoder of other formats than PNG, bytes: an 8192×8192 image, what it is unpacked
+/// from and scratch space. Larger: a crafted header fills the memory. Smaller: the largest images of a
+/// capture are refused.
+const MAX_DECODE_BYTES: u64 = 1 << 30;
 
 fn image_error(path: &Path, reason: impl std::fmt::Display) -> ImageFileError {
     ImageFileError::Content { path: path.to_owned(), reason: reason.to_string() }
 }
 
-fn decoder(path: &Path) -> Result<impl ImageDecoder, ImageFileError> {
-    let mut reader = ImageReader::open(path)
-        .and_then(ImageReader::with_guessed_format)
-        .map_err(|source| ImageFileError::Read { path: path.to_owned(), source })?;
-    let mut limits = Limits::default();
-    limits.max_alloc = Some(MAX_DECODE_BYTES);
-    reader.limits(limits);
-    reader.into_decoder().map_err(|e| image_error(path, e))
+/// An image file whose header is read: its pixels are at most [`MAX_PIXELS`].
+enum Opened {
+    Png(Box<PngFile>),
+    Other(Box<dyn ImageDecoder>),
+}
+
+impl Opened {
+    fn new(path: &Path) -> Result<Self, ImageFileError> {
+        let failed = |source| ImageFileError::Read { path: path.to_owned(), source };
+        let (file, _) = open_bounded(path, MAX_FILE_BYTES).map_err(failed)?;
+        let mut file = BufReader::new(file);
+        let is_png = file.fill_buf().map_err(failed)?.starts_with(&png::SIGNATURE);
+        let opened = if is_png {
+            let png = PngFile::open(file).map_err(|e| image_error(path, e))?;
+            Self::Png(Box::new(png))
+        } else {
+            let mut reader = ImageReader::new(file).with_guessed_format().map_err(failed)?;
+            let mut limits = Limits::default();
+            limits.max_alloc = Some(MAX_DECODE_BYTES);
+            reader.limits(limits);
+            Self::Other(Box::new(reader.into_decoder().map_err(|e| image_error(path, e))?))
+        };
+        let Header { width, height, .. } = opened.header();
+        match u64::from(width) * u64::from(height) {
+            0 => Err(image_error(path, "has no pixels")),
+            pixels if pixels > MAX_PIXELS => Err(image_error(
+                path,
+                format!("is {width}×{height} pixels, at most {MAX_PIXELS} are read"),
+            )),
+            _ => Ok(opened),
+        }
+    }
+
+    fn header(&self) -> Header {
+        match self {
+            Self::Png(file) => {
+                let (width, height) = file.size_px();
+                Header { width, height, bit_depth: file.bit_depth() }
+            }
+            Self::Other(decoder) => {
+                let (width, height) = decoder.dimensions();
+                Header { width, height, bit_depth: bit_depth(decoder.color_type()) }
+            }
+        }
+    }
 }
 
 pub(crate) fn read_header(path: &Path) -> Result<Header, ImageFileError> {
-    let decoder = decoder(path)?;
-    let (width, height) = decoder.dimensions();
-    Ok(Header { width, height, bit_depth: bit_depth(decoder.color_type()) })
+    Opened::new(path).map(|opened| opened.header())
 }
 
 fn bit_depth(color: ColorType) -> BitDepth {
@@ -67,13 +107,24 @@ fn bit_depth(color: ColorType) -> BitDepth {
 
 /// Reads an image file, and its bit depth. Grey has one channel, all else three; alpha is ignored.
 /// Samples are the file's divided by their largest value.
+///
+/// What is no regular file, a file of more than 448 MiB, and an image of more than [`MAX_PIXELS`] are
+/// errors, found before the pixels are read.
 pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
-    let decoded = DynamicImage::from_decoder(decoder(path)?).map_err(|e| image_error(path, e))?;
-    let depth = bit_depth(decoded.color());
+    let opened = Opened::new(path)?;
+    let depth = opened.header().bit_depth;
+    let image = match opened {
+        Opened::Png(file) => file.decode().map_err(|e| image_error(path, e))?,
+        Opened::Other(decoder) => {
+            let decoded = DynamicImage::from_decoder(decoder);
+            unpacked(decoded.map_err(|e| image_error(path, e))?, depth)
+        }
+    };
+    Ok((image, depth))
+}
+
+fn unpacked(decoded: DynamicImage, depth: BitDepth) -> Image {
     let (w, h) = (decoded.width() as usize, decoded.height() as usize);
-    if w == 0 || h == 0 {
-        return Err(image_error(path, "has no pixels"));
-    }
     let gray = decoded.color().channel_count() <= 2;
     let data: Vec<f32> = match (gray, depth) {
         (true, BitDepth::Eight) => unit(decoded.into_luma8().into_raw()),
@@ -81,7 +132,7 @@ pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
         (false, BitDepth::Eight) => unit(decoded.into_rgb8().into_raw()),
         (false, BitDepth::Sixteen) => unit16(decoded.into_rgb16().into_raw()),
     };
-    Ok((Image::from_data(w, h, if gray { 1 } else { 3 }, data), depth))
+    Image::from_data(w, h, if gray { 1 } else { 3 }, data)
 }
 
 fn unit(raw: Vec<u8>) -> Vec<f32> {

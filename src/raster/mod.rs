@@ -6,16 +6,24 @@
 mod color;
 mod file;
 mod filter;
+mod png;
 mod sample;
 mod tiles;
 
 pub use color::{LUMINANCE, encoded_from_linear, gray_from_rgb, linear_from_encoded, luma};
 pub(crate) use file::read_header;
-pub use file::{BitDepth, ImageFileError, Samples, quantize, read_image, write_image};
+pub use file::{ImageFileError, MAX_PIXELS, Samples, quantize, read_image, write_image};
 pub(crate) use filter::box_filter;
 pub use sample::Sampling;
 pub(crate) use sample::{sample, sample_all};
 pub use tiles::Tiles;
+
+/// Bits a channel of an image file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum BitDepth {
+    Eight,
+    Sixteen,
+}
 
 /// An image of 1 (grey) or 3 (RGB) channels.
 #[derive(Clone, Debug, PartialEq)]

@@ -3,8 +3,10 @@
 
 use super::limits::*;
 use super::{Rig, RigCamera, RigView};
-use crate::camera::{MAX_PIXELS, MAX_QUATERNION_ERROR, PoseFormat};
+use crate::camera::{MAX_QUATERNION_ERROR, PoseFormat};
+use crate::host::read_text;
 use crate::json::{self, JsonError};
+use crate::raster::MAX_PIXELS;
 use nalgebra::Point2;
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -43,7 +45,7 @@ impl Rig {
     /// Reads and checks a rig file. The error is one sentence with the file and the field.
     pub fn read(path: &Path) -> Result<Self, RigError> {
         let json = |source| RigError::Json { path: path.to_owned(), source };
-        let text = json::read_text(path).map_err(json)?;
+        let text = read_text(path, json::MAX_BYTES).map_err(|e| json(e.into()))?;
         Self::parse(&text).map_err(|error| match error {
             RigTextError::Json(reason) => json(JsonError::Content(reason)),
             RigTextError::Field(wrong) => RigError::Field { path: path.to_owned(), wrong },

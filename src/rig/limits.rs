@@ -2,7 +2,7 @@
 //!
 //! They keep typing errors from asking for terabytes, and divisions from 0. Where a limit comes with
 //! a capture or a camera, it is theirs: [`MAX_DRIFT_PPM`],
-//! [`MAX_FRAMES`](crate::capture::MAX_FRAMES), [`MAX_PIXELS`](crate::camera::MAX_PIXELS),
+//! [`MAX_FRAMES`](crate::capture::MAX_FRAMES), [`MAX_PIXELS`](crate::raster::MAX_PIXELS),
 //! [`MAX_QUATERNION_ERROR`](crate::camera::MAX_QUATERNION_ERROR).
 
 use crate::capture::MAX_DRIFT_PPM;
@@ -31,7 +31,7 @@ pub const MAX_SEED: u64 = 1 << 53;
 pub const MAX_CAMERAS: usize = 1000;
 
 /// Width and height of an image, pixels; their product is limited by
-/// [`MAX_PIXELS`](crate::camera::MAX_PIXELS).
+/// [`MAX_PIXELS`](crate::raster::MAX_PIXELS).
 pub const SIZE_PX: Range<u32> = Range { min: 8, max: 16_384 };
 /// Focal length, millimetres.
 pub const LENS_MM: Range<f64> = Range { min: 1.0, max: 5000.0 };

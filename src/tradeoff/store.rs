@@ -2,17 +2,18 @@
 //! larger run adds to a smaller one.
 
 use super::TradeoffError;
-use crate::capture::{Capture, Truth};
-use crate::host::Elapsed;
+use crate::capture::{Capture, CaptureError, Truth};
 use crate::host::temporary::{is_temporary, remove_abandoned};
-use crate::json;
+use crate::host::{Elapsed, cache_file, hash_file};
 use crate::metrics::RegionScores;
 use crate::offset::Offsets;
 use crate::options::RenderOptions;
+use crate::progress::Reporter;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 /// The files that a trade-off's folder holds.
 pub const FILES: [&str; 3] = ["tradeoff.json", "tradeoff.svg", "recommended.json"];
@@ -54,6 +55,9 @@ pub(super) struct Planned {
 pub(super) struct Store {
     folder: PathBuf,
     base: String,
+    reporter: Reporter,
+    /// The files that a note was about.
+    noted: Mutex<BTreeSet<PathBuf>>,
 }
 
 impl Store {
@@ -62,6 +66,7 @@ impl Store {
         folder: &Path,
         capture: &Capture,
         truth: Option<&Truth>,
+        reporter: &Reporter,
     ) -> Result<Self, TradeoffError> {
         remove_abandoned(folder);
         remove_abandoned(&folder.join(POINTS));
@@ -75,11 +80,11 @@ impl Store {
         }
         for file in truth.iter().flat_map(|t| t.views.iter().flat_map(|v| [&v.image, &v.motion])) {
             let path = truth.map(|t| t.file(file)).transpose()?.unwrap_or_default();
-            let bytes = std::fs::read(&path)
-                .map_err(|source| crate::capture::CaptureError::Read { path, source })?;
-            hasher.update(&bytes);
+            hash_file(&mut hasher, &path).map_err(|source| CaptureError::Read { path, source })?;
         }
-        Ok(Self { folder: folder.to_owned(), base: hasher.finalize().to_hex().to_string() })
+        let base = hasher.finalize().to_hex().to_string();
+        let noted = Mutex::default();
+        Ok(Self { folder: folder.to_owned(), base, reporter: *reporter, noted })
     }
 
     /// The name that a measurement with these options is cached by.
@@ -94,13 +99,21 @@ impl Store {
         self.folder.join(POINTS).join(format!("{key}.json"))
     }
 
-    /// `None` if there is no file that can be read.
+    /// What was cached by this name; `None` if nothing was, or if the file is not what was written,
+    /// which is noted.
     pub fn load<T: DeserializeOwned>(&self, key: &str) -> Option<T> {
-        json::read(&self.path(key)).ok()
+        let path = self.path(key);
+        cache_file::load(&path, key, |sentence| {
+            // Every measurement is asked for again until it is made anew.
+            if self.noted.lock().unwrap_or_else(PoisonError::into_inner).insert(path.clone()) {
+                self.reporter.note(sentence);
+            }
+        })
     }
 
     pub fn save(&self, key: &str, value: &impl Serialize) -> Result<(), TradeoffError> {
-        write_json(&self.path(key), value)
+        let path = self.path(key);
+        cache_file::save(&path, key, value).map_err(|source| TradeoffError::Write { path, source })
     }
 }
 

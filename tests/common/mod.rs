@@ -133,3 +133,9 @@ fn copy_folder(from: &Path, to: &Path) {
         }
     }
 }
+
+/// A named pipe, at which a reader waits for a writer.
+pub fn make_pipe(path: &Path) {
+    let made = Command::new("mkfifo").arg(path).status().expect("mkfifo starts");
+    assert!(made.success(), "{}", path.display());
+}

@@ -11,7 +11,7 @@ use stlfr::exchange::{
     write_llff, write_nerf,
 };
 use stlfr::json;
-use stlfr::offset::Offsets;
+use stlfr::offset::{Offsets, SavedOffsets};
 use stlfr::options::RenderOptions;
 use stlfr::raster::{BitDepth, Image, read_image, write_image};
 use stlfr::rig::Rig;
@@ -106,11 +106,10 @@ pub fn offsets() -> Target {
             std::fs::write(folder.join("offsets.json"), text).unwrap();
         },
         parse: |folder| {
-            let offsets: Offsets = json::read(&folder.join("offsets.json")).map_err(text)?;
-            // Whatever is in it, a cached file is used or ignored.
             let capture = Capture::open(folder).map_err(text)?;
-            Offsets::load(&capture, "");
-            drop(offsets);
+            if let SavedOffsets::Edited(offsets) = Offsets::saved(&capture).map_err(text)? {
+                assert!(offsets.fits(&capture), "{offsets:?}");
+            }
             Ok(())
         },
     }

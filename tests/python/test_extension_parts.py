@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import stat
 import subprocess
 import sys
@@ -26,10 +27,34 @@ from filming import (
 
 folders = importlib.import_module("stlfr_extension.filming")
 jobs = importlib.import_module("stlfr_extension.jobs")
+reading = importlib.import_module("stlfr_extension.reading")
 view = importlib.import_module("stlfr_extension.view")
 
 SMALL = rig_camera("cam0", width=32, height=24)
 """A rig's only camera."""
+
+
+def test_only_regular_files_of_some_size_are_read(tmp_path: Path) -> None:
+    """A pipe isn't waited for, a device not read to its end."""
+    pipe, large, good = (tmp_path / name for name in ("pipe", "large", "good"))
+    os.mkfifo(pipe)
+    for path in (pipe, tmp_path, Path("/dev/zero")):
+        with pytest.raises(ValueError, match="is no regular file"):
+            reading.read_text(path)
+    large.touch()
+    os.truncate(large, 1 << 40)
+    with pytest.raises(ValueError, match="is larger than 64 MiB"):
+        reading.read_text(large)
+    good.write_text("ü", encoding="utf-8")
+    assert reading.read_text(good) == "ü"
+    with pytest.raises(FileNotFoundError):
+        reading.read_text(tmp_path / "none")
+
+
+def test_a_folder_with_a_pipe_for_options_holds_no_film(tmp_path: Path) -> None:
+    (tmp_path / ".film").mkdir()
+    os.mkfifo(tmp_path / ".film" / "options.json")
+    assert not folders.is_begun(tmp_path)
 
 
 def talk(*lines: str) -> list[str]:

@@ -1,8 +1,12 @@
 //! Hashes of what the environment was built from: no Python is started to compare them.
 
 use super::SetupError;
-use crate::host::write_atomically;
+use crate::host::{hash_file, read_bytes, read_text, write_atomically};
 use std::path::{Path, PathBuf};
+
+/// Largest stamp, and description of a Python environment, that is read, bytes. Larger: memory. Smaller:
+/// an environment with a long path is made anew at every start.
+const MAX_STAMP_BYTES: u64 = 64 << 10;
 
 /// The stamps as they should be, and whether they are there.
 pub(super) struct Stamps {
@@ -18,7 +22,7 @@ struct Stamp {
 
 impl Stamp {
     fn new(path: PathBuf, expected: String) -> Self {
-        let found = std::fs::read_to_string(&path).is_ok_and(|text| text == expected);
+        let found = read_text(&path, MAX_STAMP_BYTES).is_ok_and(|text| text == expected);
         Self { path, expected, found }
     }
 
@@ -32,7 +36,7 @@ impl Stamps {
     pub fn read(root: &Path) -> Result<Self, SetupError> {
         let venv = root.join(".venv");
         // A venv names the Python it was made with, and its scripts the folder they lie in.
-        let python = std::fs::read(venv.join("pyvenv.cfg")).unwrap_or_default();
+        let python = read_bytes(&venv.join("pyvenv.cfg"), MAX_STAMP_BYTES).unwrap_or_default();
         let mut packages = blake3::Hasher::new();
         add(&mut packages, root.as_os_str().as_encoded_bytes());
         add(&mut packages, &python);
@@ -114,9 +118,7 @@ fn add(hasher: &mut blake3::Hasher, bytes: &[u8]) {
 }
 
 fn add_file(hasher: &mut blake3::Hasher, path: &Path) -> Result<(), SetupError> {
-    let bytes = std::fs::read(path).map_err(|e| SetupError::file(path, e))?;
-    add(hasher, &bytes);
-    Ok(())
+    hash_file(hasher, path).map_err(|e| SetupError::file(path, e))
 }
 
 #[cfg(test)]
@@ -176,6 +178,25 @@ mod tests {
         let folder = finished();
         std::fs::remove_file(folder.path().join(".venv/bin/python")).unwrap();
         assert!(!Stamps::read(folder.path()).unwrap().is_whole());
+    }
+
+    #[test]
+    fn no_changed_bit_of_a_stamp_is_believed() {
+        let folder = finished();
+        for name in [".venv/.stlfr-packages", ".venv/.stlfr-module"] {
+            let path = folder.path().join(name);
+            let whole = std::fs::read(&path).unwrap();
+            for at in 0..whole.len() {
+                let mut changed = whole.clone();
+                changed[at] ^= 1 << (at % 8);
+                for bytes in [changed.as_slice(), &whole[..at]] {
+                    std::fs::write(&path, bytes).unwrap();
+                    assert!(!Stamps::read(folder.path()).unwrap().is_whole(), "{name} {at}");
+                }
+            }
+            std::fs::write(&path, whole).unwrap();
+        }
+        assert!(Stamps::read(folder.path()).unwrap().is_whole());
     }
 
     #[test]

@@ -1,0 +1,102 @@
+//! Reading files that anybody may have written: regular files only, up to a stated size, so that neither
+//! a device nor a pipe nor a mistake fills the memory or is waited for.
+
+use super::obstacle::kind;
+use std::fs::{File, Metadata, OpenOptions};
+use std::io::{Error, ErrorKind, Read, Result};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::Path;
+
+/// Opens a regular file to read from; links are followed. Anything else is an error that says what it
+/// is. Opening never waits.
+pub fn open_file(path: &Path) -> Result<File> {
+    must_be_regular(&std::fs::metadata(path)?)?;
+    // Between the two it may become a pipe, at which opening would wait for a writer.
+    let flags = libc::O_NONBLOCK | libc::O_NOCTTY;
+    let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
+    must_be_regular(&file.metadata()?)?;
+    Ok(file)
+}
+
+/// As [`open_file`], with the file's length; a file of more than `max_bytes` is an error that names the
+/// limit.
+pub fn open_bounded(path: &Path, max_bytes: u64) -> Result<(File, u64)> {
+    let file = open_file(path)?;
+    let bytes = file.metadata()?.len();
+    if bytes > max_bytes { Err(too_large(max_bytes)) } else { Ok((file, bytes)) }
+}
+
+/// The bytes of a regular file of at most `max_bytes`, which is checked before any is read.
+pub fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
+    let (file, length) = open_bounded(path, max_bytes)?;
+    let mut bytes = Vec::with_capacity(length as usize);
+    // A file may grow while it is read, and those of the kernel say that they are empty.
+    file.take(max_bytes + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > max_bytes { Err(too_large(max_bytes)) } else { Ok(bytes) }
+}
+
+/// The text of a regular file of at most `max_bytes`; as [`read_bytes`], and an error for what is no
+/// UTF-8.
+pub fn read_text(path: &Path, max_bytes: u64) -> Result<String> {
+    String::from_utf8(read_bytes(path, max_bytes)?)
+        .map_err(|_| Error::new(ErrorKind::InvalidData, "is no text in UTF-8"))
+}
+
+/// Adds a regular file's length and bytes to a hash, without holding them.
+pub(crate) fn hash_file(hasher: &mut blake3::Hasher, path: &Path) -> Result<()> {
+    let file = open_file(path)?;
+    hasher.update(&file.metadata()?.len().to_le_bytes());
+    hasher.update_reader(file)?;
+    Ok(())
+}
+
+fn must_be_regular(found: &Metadata) -> Result<()> {
+    if found.is_file() {
+        return Ok(());
+    }
+    let sentence = format!("is {}, not a regular file", kind(found.file_type()));
+    Err(Error::new(ErrorKind::InvalidInput, sentence))
+}
+
+fn too_large(max_bytes: u64) -> Error {
+    let limit = match max_bytes >> 20 {
+        0 => format!("{} KiB", max_bytes >> 10),
+        mib => format!("{mib} MiB"),
+    };
+    Error::new(ErrorKind::InvalidData, format!("is larger than {limit}, the most that is read"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::process::Command;
+
+    #[test]
+    fn only_regular_files_up_to_the_limit_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let [pipe, link, file] = ["pipe", "link", "file"].map(|name| folder.path().join(name));
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        std::os::unix::fs::symlink("/dev/zero", &link).unwrap();
+        for (path, words) in [
+            (pipe.as_path(), "is a pipe, not a regular file"),
+            (&link, "is a device, not a regular file"),
+            (Path::new("/dev/zero"), "is a device, not a regular file"),
+            (folder.path(), "is a folder, not a regular file"),
+        ] {
+            let error = read_bytes(path, 1 << 30).unwrap_err();
+            assert_eq!(
+                (error.kind(), error.to_string().as_str()),
+                (ErrorKind::InvalidInput, words)
+            );
+        }
+        std::fs::write(&file, "x".repeat(1024)).unwrap();
+        assert_eq!(read_text(&file, 1024).unwrap().len(), 1024);
+        let error = read_bytes(&file, 1023).unwrap_err().to_string();
+        assert_eq!(error, "is larger than 0 KiB, the most that is read");
+        // Of no length by its own account.
+        assert!(read_bytes(Path::new("/proc/self/status"), 16).is_err());
+        assert!(!read_bytes(Path::new("/proc/self/status"), 1 << 20).unwrap().is_empty());
+        std::fs::write(&file, [0xff]).unwrap();
+        assert!(read_text(&file, 9).unwrap_err().to_string().contains("UTF-8"));
+    }
+}
