@@ -157,20 +157,39 @@ impl LightField {
 
     /// The geometry that estimated depths give a view, and all their cameras. `None` without any.
     pub(super) fn seen_from(&self, target: &Camera, estimated: &CameraDepths) -> Option<Geometry> {
+        let surfaces = self.surfaces(estimated, |_| true);
+        let sources = self.in_cameras(estimated, &surfaces);
+        (!surfaces.is_empty()).then(|| Geometry { view: fuse(target, &surfaces), sources })
+    }
+
+    /// The cameras whose depths were estimated, those of them that are wanted.
+    pub(super) fn surfaces<'a>(
+        &'a self,
+        CameraDepths { cameras, depths }: &'a CameraDepths,
+        is_wanted: impl Fn(usize) -> bool,
+    ) -> Vec<Surface<'a>> {
         let filmed = &self.capture().cameras;
-        let CameraDepths { cameras, depths } = estimated;
-        let surfaces: Vec<Surface> = cameras
-            .iter()
-            .zip(depths)
-            .filter_map(|(&c, d)| Some(Surface { camera: &filmed[c].camera, depths: d.as_ref()? }))
-            .collect();
+        let wanted = cameras.iter().zip(depths).filter(|(c, _)| is_wanted(**c));
+        let surface = |(&c, depths): (&usize, &'a Option<InverseDepths>)| {
+            Some(Surface { camera: &filmed[c].camera, depths: depths.as_ref()? })
+        };
+        wanted.filter_map(surface).collect()
+    }
+
+    /// What hides what in the cameras, in the capture's order: their own depths, or those of the surfaces.
+    pub(super) fn in_cameras(
+        &self,
+        CameraDepths { cameras, depths }: &CameraDepths,
+        surfaces: &[Surface],
+    ) -> Vec<Option<DepthMap>> {
+        let filmed = &self.capture().cameras;
         let mut sources = vec![None; filmed.len()];
         for (&c, depths) in cameras.iter().zip(depths) {
             let camera = &filmed[c].camera;
             let own = depths.as_ref().map(|d| d.depth_map(camera));
-            sources[c] = Some(own.unwrap_or_else(|| fuse(camera, &surfaces)));
+            sources[c] = Some(own.unwrap_or_else(|| fuse(camera, surfaces)));
         }
-        (!surfaces.is_empty()).then(|| Geometry { view: fuse(target, &surfaces), sources })
+        sources
     }
 }
 

@@ -9,6 +9,7 @@
 //! | `joint.rs` | the same from all cameras |
 //! | `points.rs`, `proxy.rs`, `geometry.rs` | §6: the scene's shape at an instant |
 //! | `view.rs` | §6: the blended view |
+//! | `moment.rs` | many views of one instant |
 //! | `trail.rs` | Fig. 1: temporal integration |
 //! | `held_out.rs` | cameras that are held out, so that their frames are the truth |
 
@@ -17,6 +18,7 @@ mod error;
 mod geometry;
 pub(crate) mod held_out;
 mod joint;
+mod moment;
 mod points;
 mod proxy;
 mod registered;
@@ -27,6 +29,7 @@ mod view;
 pub use clocks::check_times_before_offsets;
 pub use error::RenderError;
 pub use geometry::Geometry;
+pub use moment::Moment;
 pub use trail::Viewpoint;
 
 use crate::capture::Capture;

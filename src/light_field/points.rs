@@ -10,8 +10,8 @@ use crate::registration::{Frame, Match, flow};
 use nalgebra::{Point2, Point3, Vector2};
 use std::sync::Arc;
 
-/// How many triangulated points are cached, those of all views together: 12 MB of them. More only
-/// saves triangulating again for another proxy or blend of an earlier view.
+/// How many triangulated points are cached, those of all cameras together: 12 MB of them. More only
+/// saves triangulating again for another view of an earlier instant.
 pub(super) const MAX_CACHED_POINTS: usize = 1 << 19;
 
 /// A step of the interpolation towards the other frame that is longer is not believed, pixels: the
@@ -24,33 +24,21 @@ const MAX_PREDICTED_MOTION_PX: f64 = 30.0;
 /// the error is multiplied by more.
 const MIN_PREDICTED_FRACTION: f64 = 0.25;
 
-/// All that the points of a view depend on, besides what the light field was opened with.
+/// All that the points of a camera depend on, besides what the light field was opened with.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct PointsKey {
-    size_px: (usize, usize),
-    /// The numbers of the view's camera, its time and the options, bit by bit.
-    numbers: Vec<u64>,
-    counts: (usize, usize),
-    model: &'static str,
+    camera: usize,
+    partners: Vec<usize>,
+    /// The time and the options, bit by bit.
+    numbers: [u64; 4],
 }
 
 impl PointsKey {
-    fn new(target: &Camera, time_s: f64, options: &ViewOptions) -> Self {
-        let (pose, proxy) = (&target.cam_from_world, &options.proxy);
-        let numbers = target
-            .model
-            .params()
-            .into_iter()
-            .chain(pose.rotation.coords.iter().copied())
-            .chain(pose.translation.vector.iter().copied())
-            .chain([time_s, proxy.max_epipolar_px, proxy.max_error_px])
-            .chain([f64::from(options.interpolation.still_change)]);
-        Self {
-            size_px: (target.width, target.height),
-            numbers: numbers.map(f64::to_bits).collect(),
-            counts: (proxy.cameras, proxy.partners),
-            model: target.model.name(),
-        }
+    fn new(camera: usize, partners: &[usize], Instant { time_s, options }: Instant) -> Self {
+        let (epipolar, error) = (options.proxy.max_epipolar_px, options.proxy.max_error_px);
+        let still_change = f64::from(options.interpolation.still_change);
+        let numbers = [time_s, epipolar, error, still_change].map(f64::to_bits);
+        Self { camera, partners: partners.to_vec(), numbers }
     }
 }
 
@@ -85,39 +73,61 @@ struct Instant<'a> {
 
 impl LightField {
     /// Points of the scene at a time, as the cameras nearest to the view see them; metres, world.
-    /// Cached: other proxies of the same view start from the same points.
+    /// Those of each camera are cached: other views of the same instant start from the same points.
     pub(crate) fn points(
-        &self,
-        target: &Camera,
-        time_s: f64,
-        options: &ViewOptions,
-    ) -> Result<Arc<Vec<Point3<f64>>>, RenderError> {
-        let key = PointsKey::new(target, time_s, options);
-        if let Some(points) = self.points.get(&key) {
-            return Ok(points);
-        }
-        let points = Arc::new(self.triangulated(target, time_s, options)?);
-        self.points.insert(key, points.clone(), points.len());
-        Ok(points)
-    }
-
-    pub(super) fn triangulated(
         &self,
         target: &Camera,
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Vec<Point3<f64>>, RenderError> {
         let instant = Instant { time_s, options };
-        let usable = self.usable(time_s);
-        let cameras = &self.capture().cameras;
         let mut points = Vec::new();
-        for &camera in nearest(cameras, &usable, target).iter().take(options.proxy.cameras) {
-            let mut partners = nearest(cameras, &usable, &cameras[camera].camera);
-            partners.retain(|&j| j != camera);
-            partners.truncate(options.proxy.partners);
+        for (camera, partners) in self.with_partners(target, instant) {
+            let key = PointsKey::new(camera, &partners, instant);
+            let of_camera = match self.points.get(&key) {
+                Some(cached) => cached,
+                None => {
+                    let of_camera = Arc::new(self.points_of(camera, &partners, instant)?);
+                    self.points.insert(key, of_camera.clone(), of_camera.len());
+                    of_camera
+                }
+            };
+            points.extend_from_slice(&of_camera);
+        }
+        Ok(points)
+    }
+
+    /// The same without the cache: it takes as long as for the first view of an instant.
+    pub(super) fn uncached_points(
+        &self,
+        target: &Camera,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<Vec<Point3<f64>>, RenderError> {
+        let instant = Instant { time_s, options };
+        let mut points = Vec::new();
+        for (camera, partners) in self.with_partners(target, instant) {
             points.extend(self.points_of(camera, &partners, instant)?);
         }
         Ok(points)
+    }
+
+    /// The cameras nearest to a view, each with those that its features are matched with.
+    fn with_partners(
+        &self,
+        target: &Camera,
+        Instant { time_s, options }: Instant,
+    ) -> Vec<(usize, Vec<usize>)> {
+        let usable = self.usable(time_s);
+        let cameras = &self.capture().cameras;
+        let with = |camera: usize| {
+            let mut partners = nearest(cameras, &usable, &cameras[camera].camera);
+            partners.retain(|&j| j != camera);
+            partners.truncate(options.proxy.partners);
+            (camera, partners)
+        };
+        let near = nearest(cameras, &usable, target);
+        near.into_iter().take(options.proxy.cameras).map(with).collect()
     }
 
     fn points_of(

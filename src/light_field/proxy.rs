@@ -5,7 +5,6 @@ use crate::camera::Camera;
 use crate::lumigraph::{Mesh, Plane, Proxy};
 use crate::options::{ProxyMethod, ProxyOptions, ViewOptions};
 use nalgebra::Point3;
-use std::sync::Arc;
 
 impl LightField {
     /// The scene's shape at a time, for one view.
@@ -30,14 +29,14 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Proxy, RenderError> {
-        let points = || self.triangulated(target, time_s, options).map(Arc::new);
+        let points = || self.uncached_points(target, time_s, options);
         proxy_of(points, target, &options.proxy)
     }
 }
 
 /// A plane whose depth the user set needs no points.
 fn proxy_of(
-    points: impl FnOnce() -> Result<Arc<Vec<Point3<f64>>>, RenderError>,
+    points: impl FnOnce() -> Result<Vec<Point3<f64>>, RenderError>,
     target: &Camera,
     options: &ProxyOptions,
 ) -> Result<Proxy, RenderError> {

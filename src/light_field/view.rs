@@ -117,8 +117,18 @@ impl LightField {
         target: &Camera,
         options: &BlendOptions,
     ) -> Rendered {
-        let images = self.corrected(images);
-        blend(&self.sources(&images, geometry), &geometry.view, target, options)
+        self.blend_corrected(&self.corrected(images), geometry, target, options)
+    }
+
+    /// The same from images as bright as the reference records them.
+    pub(super) fn blend_corrected(
+        &self,
+        images: &[Option<Synchronized>],
+        geometry: &Geometry,
+        target: &Camera,
+        options: &BlendOptions,
+    ) -> Rendered {
+        blend(&self.sources(images, geometry), &geometry.view, target, options)
     }
 
     /// The images as bright as the reference records them.

@@ -47,17 +47,23 @@ pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
         surfaces.iter().map(|s| Relative::new(target, s.camera)).collect();
     let mut fused = vec![UNSEEN; w * h];
     fused.par_chunks_mut(w).enumerate().for_each_init(
-        || RayRow::new(target),
-        |rays, (y, fused)| {
+        || (RayRow::new(target), Vec::new(), Vec::new()),
+        |(rays, candidates, votes), (y, fused)| {
             rays.set(target, y);
             for (x, fused) in fused.iter_mut().enumerate() {
                 let ray = [rays.x[x] as f32, rays.y[x] as f32];
                 let at = splats.iter().map(|s| s[y * w + x]);
-                let mut candidates: Vec<Candidate> = at.filter(|c| c.inverse > 0.0).collect();
+                candidates.clear();
+                candidates.extend(at.filter(|c| c.inverse > 0.0));
+                if are_one_surface(&candidates, surfaces.len(), tolerance) {
+                    *fused = mean_of(&candidates, candidates.first().copied(), tolerance);
+                    continue;
+                }
                 // The nearest first.
                 candidates.sort_by(|a, b| b.inverse.total_cmp(&a.inverse));
+                votes.clear();
                 let vote = |c: &Candidate| vote(ray, c.inverse, surfaces, &relatives, tolerance);
-                let votes: Vec<i32> = candidates.iter().map(vote).collect();
+                votes.extend(candidates.iter().map(vote));
                 *fused = elected(&candidates, &votes, tolerance);
             }
         },
@@ -110,21 +116,32 @@ fn elected(candidates: &[Candidate], votes: &[i32], tolerance: f32) -> Candidate
     if most < MIN_VOTES {
         return UNSEEN;
     }
-    let Some(first) = votes.iter().position(|&v| v * ENOUGH >= most) else {
-        return UNSEEN;
-    };
+    let first = votes.iter().position(|&v| v * ENOUGH >= most);
+    mean_of(candidates, first.map(|first| candidates[first]), tolerance)
+}
+
+/// Whether the candidates of most of the cameras are one surface: then no vote decides anything.
+fn are_one_surface(candidates: &[Candidate], cameras: usize, tolerance: f32) -> bool {
+    let inverse = candidates.iter().map(|c| c.inverse);
+    let (low, high) = inverse.fold((f32::INFINITY, 0.0_f32), |(l, h), v| (l.min(v), h.max(v)));
+    2 * candidates.len() > cameras && high - low <= tolerance
+}
+
+/// The mean of the candidates that are the same surface as `first`.
+fn mean_of(candidates: &[Candidate], first: Option<Candidate>, tolerance: f32) -> Candidate {
+    let Some(first) = first else { return UNSEEN };
     let (mut sum, mut squares, mut errors, mut count) = (0.0, 0.0, 0.0, 0.0);
     for c in candidates {
-        let from_first = c.inverse - candidates[first].inverse;
+        let from_first = c.inverse - first.inverse;
         if from_first.abs() <= tolerance {
             (sum, squares) = (sum + from_first, squares + from_first * from_first);
             (errors, count) = (errors + c.std_err * c.std_err, count + 1.0);
         }
     }
-    // The elected one itself is among them.
+    // It is among them itself.
     let mean = sum / count;
     let variance = (squares / count - mean * mean).max(0.0) + errors / count;
-    Candidate { inverse: candidates[first].inverse + mean, std_err: variance.sqrt() }
+    Candidate { inverse: first.inverse + mean, std_err: variance.sqrt() }
 }
 
 /// Fills what no camera sees with the farther of the surfaces to the left and to the right, or above and
@@ -223,12 +240,21 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<Candidate> {
 /// The pixels that each place reaches, with a weight by nearness.
 fn each_reached(places: &[[f32; 4]], [w, h]: [usize; 2], mut f: impl FnMut(usize, f32, [f32; 2])) {
     for &[px, py, inverse, std_err] in places {
-        let (fx, fy) = ((px - 0.5).floor(), (py - 0.5).floor());
-        for (cx, cy) in [(fx, fy), (fx + 1.0, fy), (fx, fy + 1.0), (fx + 1.0, fy + 1.0)] {
-            let (dx, dy) = ((px - 0.5 - cx).abs(), (py - 0.5 - cy).abs());
-            let inside = cx >= 0.0 && cy >= 0.0 && cx < w as f32 && cy < h as f32;
-            if inside && dx < REACH_PX && dy < REACH_PX {
-                f(cy as usize * w + cx as usize, (1.0 - dx) * (1.0 - dy), [inverse, std_err]);
+        // Positions from −1 on, so that truncation rounds down; also false for NaN.
+        if !(px > -0.5 && py > -0.5 && px < w as f32 + 0.5 && py < h as f32 + 0.5) {
+            continue;
+        }
+        let (x, y) = (px + 0.5, py + 0.5);
+        let (column, row) = (x as usize, y as usize);
+        let (right, lower) = (x - column as f32, y - row as f32);
+        for (below, dy) in [(0, lower), (1, 1.0 - lower)] {
+            for (beside, dx) in [(0, right), (1, 1.0 - right)] {
+                // One more than the pixel's column and row.
+                let (u, v) = (column + beside, row + below);
+                let inside = u > 0 && v > 0 && u <= w && v <= h;
+                if inside && dx < REACH_PX && dy < REACH_PX {
+                    f((v - 1) * w + u - 1, (1.0 - dx) * (1.0 - dy), [inverse, std_err]);
+                }
             }
         }
     }

@@ -1,0 +1,58 @@
+//! OpenCV as the peer: `live_peer.py` is given the cameras, their images, and the depths of each view.
+
+use super::Error;
+use serde_json::json;
+use std::path::Path;
+use std::process::Command;
+use stlfr::camera::Camera;
+use stlfr::capture::Capture;
+use stlfr::light_field::Moment;
+use stlfr::raster::{BitDepth, write_image};
+
+/// The median time of a view, milliseconds; `None` without the environment.
+pub fn remap_ms(
+    moment: &Moment,
+    capture: &Capture,
+    views: &[Camera],
+    blended: usize,
+) -> Result<Option<f64>, Error> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let python = root.join(".venv/bin/python");
+    if !python.exists() {
+        return Ok(None);
+    }
+    let scratch = tempfile::tempdir()?;
+    let file = |name: String| scratch.path().join(name);
+    let mut cameras = Vec::new();
+    for (n, (filmed, image)) in capture.cameras.iter().zip(moment.images()).enumerate() {
+        let Some(image) = image else { continue };
+        let path = file(format!("{n}.png"));
+        write_image(&path, &image.image, None, BitDepth::Eight)?;
+        cameras.push(json!({"camera": of(&filmed.camera), "image": path}));
+    }
+    let mut places = Vec::new();
+    for (n, view) in views.iter().enumerate() {
+        let path = file(format!("{n}.f32"));
+        let depths = moment.geometry(view)?.view;
+        let bytes: Vec<u8> = depths.data().iter().flat_map(|v| v.to_le_bytes()).collect();
+        std::fs::write(&path, bytes)?;
+        places.push(json!({"camera": of(view), "depths": path}));
+    }
+    let request = file("request.json".to_owned());
+    let body = json!({"cameras": cameras, "views": places, "blended": blended});
+    std::fs::write(&request, serde_json::to_vec(&body)?)?;
+    let script = root.join("tests/bench/live_peer.py");
+    let output = Command::new(python).arg("-I").arg(script).arg(&request).output()?;
+    if !output.status.success() {
+        return Err(String::from_utf8_lossy(&output.stderr).into_owned().into());
+    }
+    Ok(Some(String::from_utf8(output.stdout)?.trim().parse()?))
+}
+
+/// Size, pinhole intrinsics, and the rows of `[R | t]`, camera from world.
+fn of(camera: &Camera) -> serde_json::Value {
+    let (fx, fy, cx, cy) = camera.model.intrinsics();
+    let matrix = camera.cam_from_world.to_homogeneous();
+    let rows: Vec<Vec<f64>> = (0..3).map(|r| (0..4).map(|c| matrix[(r, c)]).collect()).collect();
+    json!({"size": [camera.width, camera.height], "intrinsics": [fx, fy, cx, cy], "rows": rows})
+}
