@@ -89,7 +89,7 @@ fn no_loss_is_invented_among_hundreds_of_recordings_with_outliers() {
         {
             let model = model.unwrap();
             // With two cameras, both observations at an end may be outliers that agree.
-            assert!(model.lost_before.is_empty() || model.ambiguous, "{n}: {model:?}");
+            assert!(model.lost_before.is_empty() || model.undecided, "{n}: {model:?}");
             let error = (model.offset_s - truth.offset_s) / FRAME_S;
             assert!(error.abs() < 0.1, "{n}: {error} frame");
         }
@@ -118,9 +118,9 @@ fn all_losses_of_hundreds_of_recordings_are_found() {
         {
             let model = model.unwrap();
             lost_frames += truth.lost_before.len();
-            ambiguous += usize::from(model.ambiguous);
+            ambiguous += usize::from(model.undecided);
             let correct = model.lost_before == truth.lost_before;
-            assert!(correct || model.ambiguous, "{n}: {model:?}, {truth:?}");
+            assert!(correct || model.undecided, "{n}: {model:?}, {truth:?}");
         }
     }
     assert!(lost_frames > 500 && ambiguous < 30, "{lost_frames} {ambiguous}");
@@ -159,9 +159,9 @@ fn weak_evidence_of_a_loss_makes_a_model_ambiguous() {
         });
         fit_clock_models(&clocks, 0, &observations.collect::<Vec<_>>())[1].clone().unwrap()
     };
-    let no_loss = |model: &ClockModel| model.lost_before.is_empty() && !model.ambiguous;
-    assert!(no_loss(&fit(&[])) && no_loss(&fit(&[1.0])));
-    assert!(fit(&[1.0, 1.0 + 0.6 * INLIER_BOUND_FRAMES]).ambiguous);
+    let no_loss = |model: &ClockModel| model.lost_before.is_empty() && !model.undecided;
+    assert!(no_loss(&fit(&[])) && fit(&[1.0]).undecided);
+    assert!(fit(&[1.0, 1.0 + 0.6 * INLIER_BOUND_FRAMES]).undecided);
     let certain = fit(&[1.0, 1.0]);
-    assert!(certain.lost_before == [10] && !certain.ambiguous, "{certain:?}");
+    assert!(certain.lost_before == [10] && !certain.undecided, "{certain:?}");
 }

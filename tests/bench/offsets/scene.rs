@@ -72,6 +72,8 @@ pub struct SyntheticCapture {
     pub lost: Vec<Vec<usize>>,
     /// Whether the capture declares that frames may be lost, even if none is.
     pub may_lose: bool,
+    /// Whether it declares so for the reference, the middle camera, too.
+    pub reference_loses: bool,
     /// The standard deviation of every frame's time about its regular one, seconds.
     pub jitter_s: f64,
     /// Whether the capture's time stamps contain the jitter.
@@ -98,6 +100,7 @@ impl SyntheticCapture {
             drift_ppm: vec![0.0; delays_frames.len()],
             lost: vec![Vec::new(); delays_frames.len()],
             may_lose: false,
+            reference_loses: true,
             jitter_s: 0.0,
             stamped: true,
             noise: 0.002,
@@ -145,7 +148,9 @@ impl SyntheticCapture {
                 if self.stamped { 0.0 } else { errors.iter().sum::<f64>() / self.frames as f64 };
             means.push(delay_s + hidden);
             let drift = self.drift_ppm.iter().any(|d| *d != 0.0);
-            let lost = self.may_lose || self.lost.iter().any(|l| !l.is_empty());
+            let is_reference = c == (self.delays_s.len() - 1) / 2;
+            let lost = (self.may_lose || self.lost.iter().any(|l| !l.is_empty()))
+                && (self.reference_loses || !is_reference);
             let clock = if self.stamped && self.jitter_s > 0.0 {
                 let times: Vec<f64> =
                     errors.iter().enumerate().map(|(k, e)| regular_s(k) + e).collect();
