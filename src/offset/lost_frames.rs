@@ -10,8 +10,8 @@
 //! Known limits: a frame lost while nothing moves is attributed to the next image that shows motion;
 //! one lost after the first or before the last image of a recording may be missed, and these images are
 //! then a frame off. Where some images say that frames are missing, but not enough of them, the camera's
-//! offset is unknown. Neighbours that lose frames within a frame or two of each other do not observe each
-//! other's losses: such cameras can be a whole frame off, with small error bars.
+//! offset is unknown. Neighbours that lose frames within a frame or two of each other hide each other's
+//! losses: where several places fit the images nearly as well, the offsets of these cameras are unknown.
 
 use super::clock_models::{ClockModel, NominalClock, TimingObservation, fit_clock_models};
 use super::mixture::Observation;

@@ -5,6 +5,7 @@ use super::limits::*;
 use super::{Rig, RigCamera, RigView};
 use crate::camera::{MAX_PIXELS, MAX_QUATERNION_ERROR, PoseFormat};
 use crate::json::{self, JsonError};
+use crate::text::MAX_ID_LENGTH;
 use nalgebra::Point2;
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -80,6 +81,11 @@ fn within<T: PartialOrd + Display>(field: &str, value: T, range: &Range<T>) -> C
 }
 
 fn identifier(field: &str, value: &str) -> Checked {
+    let length = value.chars().count();
+    if length > MAX_ID_LENGTH {
+        let reason = format!("has {length} characters, at most {MAX_ID_LENGTH} are allowed");
+        return wrong(field, reason);
+    }
     let word = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     let starts = value.starts_with(|c: char| c.is_ascii_alphanumeric());
     if starts && value.chars().all(word) && !RESERVED.contains(&value) {

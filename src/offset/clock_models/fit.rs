@@ -14,6 +14,10 @@ use nalgebra::{Matrix2, Vector2};
 const SIGMA_FRAMES: f64 = 0.08;
 /// The residual beyond which an observation is an outlier, frames: three standard deviations.
 pub const INLIER_BOUND_FRAMES: f64 = 3.0 * SIGMA_FRAMES;
+/// The interval from which on a longer one is no less certain, frames: all observations in it err together.
+/// Larger: of two long gaps the shorter one is preferred without evidence. Smaller: times in long intervals
+/// contradict correct models.
+const MAX_LENGTH_FRAMES: f64 = 2.0;
 /// The longest interval whose observations determine a camera's offset and rate, frames. Larger biases
 /// them by the curvature of motion; smaller than one leaves none, since stamps jitter.
 const MAX_INTERVAL_FRAMES: f64 = 1.5;
@@ -137,10 +141,10 @@ impl LagObservation {
 /// the negative log-likelihood of a Gaussian, at most that of an outlier, in units of the latter. Without a
 /// residual it is 0 in an interval of one frame.
 ///
-/// Trajectories are fitted as if no frame were missing. In a longer interval their curvature shifts times
-/// by as much as the square of its length: the standard deviation grows by that factor.
+/// Trajectories are curves of third order, fitted as if no frame were missing. In a longer interval the
+/// standard deviation of times grows by the third power of its length.
 pub fn robust_loss(residual: f64, interval_frames: f64) -> f64 {
-    let factor = interval_frames.max(1.0).powi(2);
+    let factor = interval_frames.clamp(1.0, MAX_LENGTH_FRAMES).powi(3);
     let variance_term = 2.0 * factor.ln() / (INLIER_BOUND_FRAMES / SIGMA_FRAMES).powi(2);
     ((residual / (factor * INLIER_BOUND_FRAMES)).powi(2) + variance_term).min(1.0)
 }

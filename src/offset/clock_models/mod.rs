@@ -9,19 +9,20 @@
 //! a trellis of images and loss counts, found by dynamic programming ([`fit`]).
 //!
 //! The objective is a sum of truncated squared residuals plus a penalty per lost frame. An outlier
-//! costs 1 under any model, so that the penalty is counted in outliers: a loss is accepted only if
-//! it explains several observations. A model whose losses would differ under a lower penalty is
-//! flagged as ambiguous.
+//! costs 1 under any model, so that the penalty is counted in outliers.
 //!
-//! Known limit: frames that both cameras of a pair lose at the same time leave no trace in that
-//! pair's observations.
+//! Neighbours that lose frames at about the same time hide each other's losses: their images can move
+//! by a frame together at little cost. [`jumps`] finds such moves, of any set of images. A move that lowers
+//! the objective is made. The cameras of a move that costs less than an outlier are undecided.
+//!
+//! Known limit: frames that all cameras lose at the same time leave no trace.
 
 mod fit;
 mod jumps;
 mod min_cut;
 
 use fit::{FitOptions, FittedModel, LagObservation, fit_clock_model, gap_penalty};
-use jumps::{Jumps, Problem};
+use jumps::{Jumps, Move, Problem};
 use nalgebra::Vector2;
 
 /// The relative timing of three images: image `images[1]` of camera `cameras[1]` was taken at
@@ -88,11 +89,11 @@ const START_LOSS_PENALTY: f64 = 1.8;
 /// The penalty of one lost frame in the final models, in outliers: the logarithm of the odds against a loss
 /// at a given image over that of the odds against an outlier. Larger: a loss that no observation rules out
 /// is taken for none. Smaller: of all losses, only those with many observations are certain.
-const LOSS_PENALTY: f64 = 0.5;
+const LOSS_PENALTY: f64 = 0.75;
 /// The outliers by which a model must be better than any other that has images a frame off: a single
 /// outlier, more or less, must not decide. Larger: cameras with few observations at their recordings'
 /// ends are unknown. Smaller: cameras are a frame off by a single mismatch.
-const DECISIVE_OUTLIERS: f64 = 1.35;
+const DECISIVE_OUTLIERS: f64 = 1.0;
 /// By how many frames images move at once. More find gaps of several frames that are misplaced, and take
 /// longer; fewer leave them misplaced.
 const JUMPS: [i32; 4] = [1, -1, 2, -2];
@@ -305,19 +306,19 @@ impl<'a> CoordinateDescent<'a> {
             let jumps = Jumps::new(problem, frames);
             let best = jumps.cheapest(None);
             let lowest = best.as_ref().map_or(0.0, |m| m.cost.min(0.0));
-            best.map(|m| jumps.moved_cameras(&m))
-                .unwrap_or_default()
-                .into_iter()
-                .for_each(|c| undecided[c] = true);
+            let mut flag = |of: Option<Move>| {
+                let moved = of.map(|m| jumps.moved_cameras(&m)).unwrap_or_default();
+                moved.into_iter().for_each(|c| undecided[c] = true);
+                undecided.clone()
+            };
+            let mut flagged = flag(best);
             for camera in self.members(component) {
                 for node in jumps.decisive_nodes(camera) {
-                    if undecided[camera] {
+                    if flagged[camera] {
                         break;
                     }
                     let cheapest = jumps.cheapest(Some(node));
-                    let cheap = cheapest.filter(|m| m.cost - lowest < DECISIVE_OUTLIERS);
-                    let moved = cheap.map(|m| jumps.moved_cameras(&m)).unwrap_or_default();
-                    moved.into_iter().for_each(|c| undecided[c] = true);
+                    flagged = flag(cheapest.filter(|m| m.cost - lowest < DECISIVE_OUTLIERS));
                 }
             }
         }

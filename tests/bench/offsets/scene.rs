@@ -8,6 +8,7 @@ use std::path::Path;
 use stlfr::random::Random;
 use stlfr::raster::Image;
 use stlfr::raster::{BitDepth, write_image};
+use stlfr::rig::{GenerateError, Loss, LossStamps, RigCamera, RigOptions};
 
 /// A textured rectangle in motion; metres, seconds and radians.
 #[derive(Clone, Debug)]
@@ -109,6 +110,34 @@ impl SyntheticCapture {
             second_row_m: 0.0,
             seed: 1,
         }
+    }
+
+    /// A recording by the rig of eight cameras that `stlfr rig line --lost COUNT --lost-within WITHIN
+    /// --lost-stamps hidden --jitter 0 --seed SEED` writes; `lost` holds both numbers. With 2 and 9, seed
+    /// 6 gives the delays and losses of `rigs/lost-frames.json`.
+    pub fn losing_together(
+        boards: Vec<Board>,
+        frames: usize,
+        [count, within]: [usize; 2],
+        seed: u64,
+    ) -> Result<Self, GenerateError> {
+        let rig = RigOptions {
+            jitters_s: vec![0.0],
+            loss: (count > 0).then_some(Loss { count, within, stamps: LossStamps::Hidden }),
+            seed,
+            ..RigOptions::default()
+        }
+        .generate()?;
+        let delays: Vec<f64> = rig.cameras.iter().map(|c| c.delay_s * 30.0).collect();
+        let lost = |c: &RigCamera| c.lost_frames.iter().map(|n| *n as usize).collect();
+        Ok(Self {
+            size: [160, 120],
+            lost: rig.cameras.iter().map(lost).collect(),
+            may_lose: true,
+            reference_loses: false,
+            seed,
+            ..Self::new(boards, &delays, frames)
+        })
     }
 
     fn center_m(&self, camera: usize) -> [f64; 2] {
