@@ -57,7 +57,7 @@ pub struct ClockModel {
     pub rate: f64,
     /// The images before which a frame is missing, ascending; one entry for each missing frame.
     pub lost_before: Vec<usize>,
-    /// Whether the model explains less than half of the observations.
+    /// Whether too many of the observations contradict the model.
     pub ambiguous: bool,
     /// Whether other lost frames, of this camera and of others, explain the observations nearly as well:
     /// times of some of its images are then off by a frame.
@@ -109,7 +109,7 @@ const MAX_SWEEPS: usize = 12;
 const OFFSET_TOLERANCE_FRAMES: f64 = 1e-3;
 /// The fraction of observations that may be outliers before a model is ambiguous. Larger accepts
 /// models that most observations contradict; smaller rejects models of scenes with many mismatches.
-const MAX_OUTLIER_FRACTION: f64 = 0.5;
+const MAX_OUTLIER_FRACTION: f64 = 0.4;
 
 /// Fits the clock model of every camera to all timing observations.
 ///

@@ -141,15 +141,18 @@ fn two_losses_at_one_image_and_a_camera_without_observations() {
     assert_eq!(recordings.fit(&[]), [None, None, None]);
 }
 
-/// One observation is too few for a loss and two are enough. Two of which one is half an inlier
+/// One observation is too few to decide on a loss and two are enough. Two of which one is half an inlier
 /// bound off neither prove a loss nor rule it out.
 #[test]
 fn weak_evidence_of_a_loss_makes_a_model_ambiguous() {
     let times_s: Vec<f64> = (0..20).map(|n| f64::from(n) * FRAME_S).collect();
-    let clock =
-        NominalClock { times_s: &times_s, frame_s: FRAME_S, may_lose_frames: false, drifts: false };
-    let clocks = [clock, NominalClock { may_lose_frames: true, ..clock }];
     let fit = |late: &[f64]| {
+        let count = 10 + late.len();
+        let [times_a, times_b] = [&times_s[..count + 1], &times_s[..count]];
+        let (frame_s, drifts) = (FRAME_S, false);
+        let clock =
+            |times_s, may_lose_frames| NominalClock { times_s, frame_s, may_lose_frames, drifts };
+        let clocks = [clock(times_a, false), clock(times_b, true)];
         let in_time = (0..10).map(|n| (n, 0.0));
         let late = (0..).zip(late).map(|(n, late)| (10 + n, *late));
         let observations = in_time.chain(late).map(|(n, late)| TimingObservation {
