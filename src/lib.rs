@@ -57,6 +57,7 @@
 //! this list.
 //!
 //! ```text
+//! text
 //! host method progress random
 //! json
 //! raster
@@ -79,6 +80,7 @@
 //! |---|---|
 //! | [`host`] | files read within bounds and written whole, child processes, signals, clocks, caches |
 //! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; pseudo-random numbers, the same on every machine |
+//! | [`text`] | names and sentences, as they may reach a terminal or another program's file |
 //! | [`method`] | names of what a user chooses among |
 //! | [`raster`] | images as the stages work on them, and image files |
 //! | [`metrics`] | PSNR, SSIM, FLIP, the moving part |
@@ -158,6 +160,7 @@ pub mod raster;
 pub mod registration;
 pub mod rig;
 pub mod stereo;
+pub mod text;
 pub mod toolchain;
 pub mod tradeoff;
 pub mod video;

@@ -1,5 +1,6 @@
 //! Progress with time left, on a terminal; nothing elsewhere.
 
+use crate::text::printable;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::time::Duration;
@@ -57,7 +58,7 @@ impl Reporter {
     pub fn note(&self, sentence: &str) {
         if !self.quiet {
             // A note that nobody can read is none.
-            let _ = writeln!(std::io::stderr(), "{sentence}");
+            let _ = writeln!(std::io::stderr(), "{}", printable(sentence));
         }
     }
 }

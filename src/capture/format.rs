@@ -5,6 +5,7 @@ use super::video::VideoFile;
 use super::{CaptureError, Clock, FilmedCamera, Opening, frames, video};
 use crate::camera::{CameraFormat, PoseFormat};
 use crate::raster::{BitDepth, ImageFileError, read_header};
+use crate::text::{ID_PATTERN, MAX_ID_LENGTH, check_id, printable};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
@@ -18,7 +19,8 @@ pub struct CaptureFormat {
     pub format: String,
     /// Always 1.
     pub version: u32,
-    /// The capture's name.
+    /// The capture's name, at most 1000 characters.
+    #[schemars(length(max = MAX_NAME_LENGTH))]
     pub name: String,
     /// Id of the reference camera; by default the middle one, `cameras[(n − 1) / 2]`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -31,7 +33,9 @@ pub struct CaptureFormat {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FilmedCameraFormat {
-    /// Unique among the cameras.
+    /// A name, unique among the cameras: letters, digits, `_`, `-`, `.` and spaces, none first or last, at
+    /// most 100 characters, and neither `.` nor `..`.
+    #[schemars(regex(pattern = ID_PATTERN), length(max = MAX_ID_LENGTH))]
     pub id: String,
     /// An image sequence such as `cam0/%04d.png`, or a video such as `cam0.mkv`.
     pub frames: String,
@@ -84,13 +88,23 @@ pub struct ClockFormat {
     pub lost: bool,
 }
 
+/// Characters of a capture's name. Larger: it fills tables and reports. Smaller: the name of a long file
+/// and a rig is refused.
+const MAX_NAME_LENGTH: usize = 1000;
+
+/// A value as a message quotes it: its first characters, as many as an id can have.
+fn short(value: &str) -> String {
+    value.chars().take(MAX_ID_LENGTH).collect()
+}
+
 impl CaptureFormat {
     pub(super) fn check(&self, path: &Path) -> Result<(), CaptureError> {
         let wrong = |field: &str, reason: String| {
             Err(CaptureError::Field { path: path.to_owned(), field: field.into(), reason })
         };
         if self.format != "stlfr-capture" {
-            return wrong("format", format!("is '{}', must be 'stlfr-capture'", self.format));
+            let reason = format!("is '{}', must be 'stlfr-capture'", short(&self.format));
+            return wrong("format", reason);
         }
         if self.version != 1 {
             return wrong("version", format!("is {}, this program reads version 1", self.version));
@@ -98,10 +112,15 @@ impl CaptureFormat {
         if self.cameras.is_empty() {
             return wrong("cameras", "a capture has at least one camera".into());
         }
+        if self.name.chars().count() > MAX_NAME_LENGTH || printable(&self.name) != self.name {
+            let reason =
+                format!("must be a line of at most {MAX_NAME_LENGTH} printable characters");
+            return wrong("name", reason);
+        }
         let mut ids = HashSet::new();
-        for camera in &self.cameras {
-            if camera.id.is_empty() {
-                return wrong("cameras", "a camera's id is empty".into());
+        for (index, camera) in self.cameras.iter().enumerate() {
+            if let Err(reason) = check_id(&camera.id) {
+                return wrong(&format!("cameras[{index}].id"), reason);
             }
             if !ids.insert(&camera.id) {
                 return wrong("cameras", format!("two cameras have the id '{}'", camera.id));
@@ -115,7 +134,7 @@ impl CaptureFormat {
         self.cameras.iter().position(|c| &c.id == id).ok_or_else(|| CaptureError::Field {
             path: path.to_owned(),
             field: "reference".into(),
-            reason: format!("no camera has the id '{id}'"),
+            reason: format!("no camera has the id '{}'", short(id)),
         })
     }
 }

@@ -22,6 +22,7 @@
 use super::npy::{NpyError, read_npy};
 use crate::camera::{Camera, CameraFormat, CameraFormatError};
 use crate::json::{self, JsonError};
+use crate::text::check_id;
 use serde::{Deserialize, Serialize};
 use std::path::{Component, Path, PathBuf};
 
@@ -166,6 +167,7 @@ impl Truth {
             let reason = format!("views: are {}, at most {MAX_VIEWS} are read", truth.views.len());
             return Err(TruthError::Content { path, reason });
         }
+        truth.check_ids().map_err(|reason| TruthError::Content { path: path.clone(), reason })?;
         for (index, view) in truth.views.iter().enumerate() {
             view.camera().map_err(|source| TruthError::Camera {
                 path: path.clone(),
@@ -175,6 +177,21 @@ impl Truth {
         }
         truth.folder = folder;
         Ok(Some(truth))
+    }
+
+    /// The ids that are printed and drawn are names, as in `capture.json`. The error is a reason.
+    fn check_ids(&self) -> Result<(), String> {
+        let checked = |list: &str, index: usize, field: &str, id: &str| {
+            check_id(id).map_err(|reason| format!("{list}[{index}].{field}: {reason}"))
+        };
+        let mut offsets = self.offsets.iter().enumerate();
+        offsets.try_for_each(|(n, o)| checked("offsets", n, "id", &o.id))?;
+        let mut shutter = self.shutter.iter().enumerate();
+        shutter.try_for_each(|(n, s)| checked("shutter", n, "id", &s.id))?;
+        let mut views = self.views.iter().enumerate();
+        views.try_for_each(|(n, v)| checked("views", n, "id", &v.id))?;
+        let video = self.video.iter().map(|v| check_id(&v.view));
+        video.collect::<Result<(), _>>().map_err(|reason| format!("video.view: {reason}"))
     }
 
     /// The true offset of a camera, seconds; `None` for an unknown id.

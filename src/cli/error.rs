@@ -10,6 +10,7 @@ use stlfr::json::JsonError;
 use stlfr::light_field::RenderError;
 use stlfr::raster::ImageFileError;
 use stlfr::rig::RigError;
+use stlfr::text::printable;
 use stlfr::toolchain::{ExtensionError, ScriptError, SetupError};
 use stlfr::tradeoff::TradeoffError;
 use stlfr::video::VideoError;
@@ -156,17 +157,11 @@ impl From<TradeoffError> for CliError {
 pub fn exit(result: Result<(), CliError>) -> ExitCode {
     let Err(error) = result else { return ExitCode::SUCCESS };
     // Where stderr can't be written, the exit code has to say it.
-    let _ = writeln!(std::io::stderr(), "{}", one_line(&error.to_string()));
+    let _ = writeln!(std::io::stderr(), "{}", printable(error.to_string().trim_end()));
     ExitCode::from(match error {
         CliError::BadInput(_) => 2,
         CliError::Failure(_) => 1,
     })
-}
-
-/// A sentence on one line, whatever names of files and cameras are in it.
-fn one_line(sentence: &str) -> String {
-    let shown = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.into() };
-    sentence.trim_end().chars().map(shown).collect()
 }
 
 /// Help and version as clap prints them; a wrong command line in one sentence.
@@ -197,11 +192,6 @@ fn sentence(message: &str) -> String {
 mod tests {
     use super::*;
     use stlfr::exchange::ExchangeError;
-
-    #[test]
-    fn names_with_line_breaks_stay_on_the_line() {
-        assert_eq!(one_line("'a\n\u{1b}[0m' is missing"), "'a\\n\\u{1b}[0m' is missing");
-    }
 
     #[test]
     fn what_fails_in_mid_work_is_no_bad_input() {

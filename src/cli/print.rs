@@ -3,14 +3,18 @@
 use super::CliError;
 use std::fmt::Display;
 use std::io::{ErrorKind, Result, Write};
+use stlfr::text::printable;
 
 /// What a command has to say on stdout, line by line; it is printed once, at the command's end.
 #[derive(Debug, Default)]
 pub struct Page(String);
 
 impl Page {
+    /// A line, or several, of which nothing can drive a terminal.
     pub fn line(&mut self, line: impl Display) {
-        self.text(format_args!("{line}\n"));
+        let line = line.to_string();
+        let lines: Vec<String> = line.split('\n').map(printable).collect();
+        self.text(format_args!("{}\n", lines.join("\n")));
     }
 
     pub fn text(&mut self, text: impl Display) {
@@ -19,7 +23,8 @@ impl Page {
 
     pub fn json(&mut self, value: &impl serde::Serialize) -> std::result::Result<(), CliError> {
         let json = serde_json::to_string_pretty(value);
-        self.line(json.map_err(|e| CliError::Failure(e.to_string()))?);
+        let json = json.map_err(|e| CliError::Failure(e.to_string()))?;
+        self.text(format_args!("{json}\n"));
         Ok(())
     }
 

@@ -137,6 +137,16 @@ fn text_images(text: &str) -> Result<Vec<(u32, Image)>, String> {
     Ok(images)
 }
 
+/// The values of an image's line before its name.
+const IMAGE_FIELDS: usize = 9;
+
+/// What follows a line's first fields.
+fn after_fields(line: &str, count: usize) -> &str {
+    (0..count).fold(line, |rest, _| {
+        rest.find(char::is_whitespace).map_or("", |end| rest[end..].trim_start())
+    })
+}
+
 fn text_image(line: &str) -> Result<(u32, Image), String> {
     let fields = &mut line.split_whitespace();
     let number = value(fields, "IMAGE_ID")?;
@@ -148,11 +158,12 @@ fn text_image(line: &str) -> Result<(u32, Image), String> {
         *v = value(fields, what)?;
     }
     let camera_id = value(fields, "CAMERA_ID")?;
-    let name = fields.collect::<Vec<_>>().join(" ");
+    // COLMAP ends a name at its first space; files of other programs may hold some.
+    let name = after_fields(line, IMAGE_FIELDS);
     if name.is_empty() {
         return Err("NAME is missing".into());
     }
-    Ok((number, Image { name, camera_id, rotation_wxyz, translation }))
+    Ok((number, Image { name: name.to_owned(), camera_id, rotation_wxyz, translation }))
 }
 
 /// Little-endian values off the front of a file.
@@ -278,8 +289,16 @@ fn number(value: f64) -> String {
     format!("{digits}e{sign}{power:0>2}")
 }
 
-/// Writes the files of [`colmap_text`] into a folder, which is created if there is none.
+/// Writes the files of [`colmap_text`] into a folder, which is created if there is none. A name with a
+/// space is an error: COLMAP ends a name there.
 pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
+    if let Some(spaced) = cameras.iter().find(|c| c.name.contains(char::is_whitespace)) {
+        let reason = format!(
+            "COLMAP's text files can't hold a name with spaces, such as '{}': --format colmap writes binary ones",
+            spaced.name
+        );
+        return Err(content(folder, reason));
+    }
     let images: Vec<(String, CameraFormat)> =
         cameras.iter().map(|c| (c.name.clone(), CameraFormat::from(&c.camera))).collect();
     colmap_text(&images)

@@ -6,6 +6,7 @@ use crate::capture::FilmedCameraFormat;
 use crate::capture::{CAPTURE_FILE, Capture, CaptureFormat, ClockFormat, Color};
 use crate::host::temporary::Temporary;
 use crate::host::{open_file, write_json};
+use crate::text::check_id;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -155,9 +156,11 @@ fn id_of(name: &str) -> Result<String, String> {
         [folder, ..] => folder,
         [] => "",
     };
-    let is_plain =
-        !id.is_empty() && id != ".." && !id.contains(['\\', '%']) && !id.starts_with('.');
-    if is_plain { Ok(id.to_owned()) } else { Err(format!("'{name}' can't name a camera")) }
+    if id.starts_with('.') {
+        return Err(format!("'{name}' can't name a camera: '{id}' is a hidden folder"));
+    }
+    check_id(id).map_err(|reason| format!("'{name}' can't name a camera: {reason}"))?;
+    Ok(id.to_owned())
 }
 
 /// The folder of each camera's images.

@@ -43,9 +43,10 @@ pub fn estimate(
     let mut recording = Recording::new(frames, Timelines::nominal(capture), &track_cache, options);
     let mut starts = initial_offsets(&recording, &pairs, reporter)?;
     let mut ambiguous = vec![false; capture.cameras.len()];
+    let mut undecided = ambiguous.clone();
     if capture.cameras.iter().any(|c| c.clock.lost) {
         let lost: LostFrames = detect_lost_frames(&recording, &pairs, &mut starts, reporter)?;
-        ambiguous = lost.ambiguous;
+        (ambiguous, undecided) = (lost.ambiguous, lost.undecided);
         recording = Recording::new(frames, lost.timelines, &track_cache, options);
     }
     let drifts = drifts(capture, &clock, count);
@@ -53,7 +54,7 @@ pub fn estimate(
     let solution = Solution::new(
         &recording,
         PairResults { pairs: &pairs, results },
-        Cameras { clock, drifts, ambiguous },
+        Cameras { clock, drifts, ambiguous, undecided },
     );
     Ok(solution.into_estimate())
 }
@@ -194,8 +195,11 @@ struct Cameras {
     clock: Vec<usize>,
     /// By clock.
     drifts: Vec<bool>,
-    /// By camera: whether its lost frames are undecided.
+    /// By camera: whether too few of its images show its lost frames.
     ambiguous: Vec<bool>,
+    /// By camera: whether other lost frames fit nearly as well. Its offset is withheld; the offsets of
+    /// others are known through it, since they are the same under any of these losses.
+    undecided: Vec<bool>,
 }
 
 /// All clocks solved together from the usable pairs.
@@ -244,7 +248,8 @@ impl<'a> Solution<'a> {
     fn camera_offset(&self, c: usize) -> CameraOffset {
         let capture = self.recording.frames.capture();
         let camera = &capture.cameras[c];
-        let solved = self.solved[self.cameras.clock[c]];
+        let decided = !self.cameras.undecided[c] || c == capture.reference;
+        let solved = self.solved[self.cameras.clock[c]].filter(|_| decided);
         let drifts = camera.clock.drift && c != capture.reference;
         let lost_before = &self.recording.timelines.lost_before[c];
         CameraOffset {
@@ -262,6 +267,9 @@ impl<'a> Solution<'a> {
     fn reason(&self, camera: usize) -> &'static str {
         let capture = self.recording.frames.capture();
         if self.results.has_estimate(camera) {
+            if self.cameras.undecided[camera] {
+                return UNDECIDED_LOSSES;
+            }
             if self.cameras.ambiguous[camera] {
                 return AMBIGUOUS_LOSSES;
             }
@@ -281,6 +289,9 @@ impl<'a> Solution<'a> {
 
 /// The reason of a camera whose own lost frames are undecided.
 const AMBIGUOUS_LOSSES: &str = "frames may be missing, and too few of its images show where";
+/// The reason of a camera whose lost frames can't be told from others.
+const UNDECIDED_LOSSES: &str =
+    "frames are missing, or may be, and the images fit several places where they could be";
 /// The reason of a camera whose reference's lost frames are undecided.
 const AMBIGUOUS_REFERENCE: &str =
     "the reference camera may miss frames, and too few of its images show where";

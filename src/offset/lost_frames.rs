@@ -10,8 +10,8 @@
 //! Known limits: a frame lost while nothing moves is attributed to the next image that shows motion;
 //! one lost after the first or before the last image of a recording may be missed, and these images are
 //! then a frame off. Where some images say that frames are missing, but not enough of them, the camera's
-//! offset is unknown. Neighbours that lose frames within a frame or two of each other do not observe each
-//! other's losses: such cameras can be a whole frame off, with small error bars.
+//! offset is unknown. Neighbours that lose frames within a frame or two of each other hide each other's
+//! losses: where several places fit the images nearly as well, the offsets of these cameras are unknown.
 
 use super::clock_models::{ClockModel, NominalClock, TimingObservation, fit_clock_models};
 use super::mixture::Observation;
@@ -78,6 +78,8 @@ pub struct LostFrames {
     pub timelines: Timelines,
     /// By camera: whether the observations leave its lost frames undecided.
     pub ambiguous: Vec<bool>,
+    /// By camera: whether other lost frames explain the observations nearly as well.
+    pub undecided: Vec<bool>,
 }
 
 /// The lost frames of all cameras.
@@ -108,9 +110,10 @@ pub fn detect_lost_frames(
         None => clock.may_lose_frames,
     };
     let ambiguous = models.iter().zip(&clocks).map(is_ambiguous).collect();
+    let undecided = models.iter().map(|m| m.as_ref().is_some_and(|m| m.undecided)).collect();
     let lost = models.into_iter().map(|m| m.map_or_else(Vec::new, |m| m.lost_before)).collect();
     let timelines = Timelines::with_lost_frames(recording.frames.capture(), lost);
-    Ok(LostFrames { timelines, ambiguous })
+    Ok(LostFrames { timelines, ambiguous, undecided })
 }
 
 fn nominal_clocks<'a>(recording: &'a Recording) -> Vec<NominalClock<'a>> {
@@ -217,12 +220,14 @@ fn observe_again(
     let scan = PairScan::new(recording, cameras);
     let times_a = model_a.times_s(&clocks[cameras[0]]);
     let times_b = model_b.times_s(&clocks[cameras[1]]);
-    let loss_times: Vec<f64> = [(model_a, &times_a), (model_b, &times_b)]
+    // A loss next to a recording's end is seen by few images: all of them are observed.
+    let decisive_times: Vec<f64> = [(model_a, &times_a), (model_b, &times_b)]
         .into_iter()
-        .flat_map(|(model, times)| model.lost_before.iter().map(|n| times[*n]))
+        .flat_map(|(model, times)| model.lost_before.iter().chain([&0]).map(|n| times[*n]))
+        .chain([times_a[times_a.len() - 1], times_b[times_b.len() - 1]])
         .collect();
     let reach_s = (IMAGES_AROUND_LOSS as f64 + 0.5) * scan.frame_s;
-    let is_near_loss = |k: usize| loss_times.iter().any(|t| (times_a[k] - t).abs() < reach_s);
+    let is_near_loss = |k: usize| decisive_times.iter().any(|t| (times_a[k] - t).abs() < reach_s);
     let mut changed = false;
     let sampled = scan.sampled_images();
     for k in 0..times_a.len() - 1 {
@@ -234,14 +239,13 @@ fn observe_again(
         let m = times_b.partition_point(|t| *t < middle_s - 0.5 * scan.frame_s);
         let images = if near_loss { m.saturating_sub(1)..m + 2 } else { m..m + 1 };
         for m in images.filter(|m| *m < times_b.len()) {
-            let before = offsets.iter().position(|o| o.k == k);
-            let Some(observed) = scan.observe(k, m)? else { continue };
-            match before {
-                Some(n) if offsets[n].score < observed.score => offsets[n] = observed,
-                Some(_) => continue,
-                None => offsets.push(observed),
+            if offsets.iter().any(|o| (o.k, o.m) == (k, m)) {
+                continue;
             }
-            changed = true;
+            if let Some(observed) = scan.observe(k, m)? {
+                offsets.push(observed);
+                changed = true;
+            }
         }
     }
     Ok(changed)

@@ -46,8 +46,8 @@
 //! - A frame lost while nothing moves is attributed to the next image that shows motion.
 //! - A frame lost right after the first image or before the last one may be missed. That image's time is
 //!   then one frame off.
-//! - Frames that most cameras lose at about the same time leave hardly a trace. All images before them
-//!   may then be one frame off.
+//! - Cameras that lose frames at about the same time hide each other's losses. Where several places fit
+//!   nearly as well, their offsets are unknown.
 //! - One rate holds for a whole recording.
 
 mod activity;

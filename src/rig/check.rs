@@ -7,6 +7,7 @@ use crate::camera::{MAX_QUATERNION_ERROR, PoseFormat};
 use crate::host::read_text;
 use crate::json::{self, JsonError};
 use crate::raster::MAX_PIXELS;
+use crate::text::MAX_ID_LENGTH;
 use nalgebra::Point2;
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -82,6 +83,11 @@ fn within<T: PartialOrd + Display>(field: &str, value: T, range: &Range<T>) -> C
 }
 
 fn identifier(field: &str, value: &str) -> Checked {
+    let length = value.chars().count();
+    if length > MAX_ID_LENGTH {
+        let reason = format!("has {length} characters, at most {MAX_ID_LENGTH} are allowed");
+        return wrong(field, reason);
+    }
     let word = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
     let starts = value.starts_with(|c: char| c.is_ascii_alphanumeric());
     if starts && value.chars().all(word) && !RESERVED.contains(&value) {

@@ -2,6 +2,7 @@
 
 use super::limits::*;
 use crate::camera::{CameraModel, PoseFormat};
+use crate::text::MAX_ID_LENGTH;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -21,11 +22,11 @@ pub struct Rig {
     #[schemars(extend("const" = VERSION))]
     pub version: u32,
     /// The rig's name, which a capture's truth repeats.
-    #[schemars(regex(pattern = IDENTIFIER))]
+    #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub name: String,
     /// Id of the camera whose clock all times refer to. That clock neither drifts nor loses frames
     /// without a trace.
-    #[schemars(regex(pattern = IDENTIFIER))]
+    #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub reference: String,
     /// Seed of the jitter and of the noise.
     #[schemars(range(max = MAX_SEED))]
@@ -47,7 +48,7 @@ pub struct Rig {
 #[serde(deny_unknown_fields)]
 pub struct RigCamera {
     /// Names the camera's folder in a capture.
-    #[schemars(regex(pattern = IDENTIFIER))]
+    #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub id: String,
     #[schemars(range(min = SIZE_PX.min, max = SIZE_PX.max))]
     pub width: u32,
@@ -128,7 +129,7 @@ pub struct RigCamera {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RigView {
-    #[schemars(regex(pattern = IDENTIFIER))]
+    #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub id: String,
     #[schemars(range(min = SIZE_PX.min, max = SIZE_PX.max))]
     pub width: u32,

@@ -14,6 +14,7 @@
 //! | `analytic [PART…]` | synthetic captures: accuracy, error bars, noise, jitter, exposure, bits, time |
 //! | `worse CAPTURE…` | recorded frames with added noise, blur, jitter and quantization |
 //! | `lost` | 60 synthetic captures with lost frames |
+//! | `together [CASE [SEEDS]]` | synthetic captures whose cameras lose frames at about the same time |
 //!
 //! Plots go to `.captures/bench-offsets/`.
 
@@ -35,6 +36,8 @@ mod lost;
 mod scene;
 #[path = "offsets/sweep.rs"]
 mod sweep;
+#[path = "offsets/together.rs"]
+mod together;
 
 use std::path::Path;
 use stlfr::chart::{Chart, svg};
@@ -57,6 +60,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "analytic" => analytic::run(rest, &output),
         "worse" => degraded::run(rest, &output),
         "lost" => lost::run(),
+        "together" => together::run(rest),
         other => Err(format!("there is no command '{other}'").into()),
     }
 }

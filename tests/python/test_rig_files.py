@@ -80,6 +80,8 @@ def violations(schema: dict[str, Any], root: dict[str, Any]) -> Iterator[Any]:
         yield 5 if kind == "integer" else "other"
     if "pattern" in schema:
         yield from ("", "-a", "a b", "a/b", "ä")
+    if "maxLength" in schema:
+        yield "a" * (schema["maxLength"] + 1)
     if kind == "array":
         items = schema.get("items", {})
         yield from ([value] for value in violations(items, root))

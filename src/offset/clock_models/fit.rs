@@ -14,6 +14,13 @@ use nalgebra::{Matrix2, Vector2};
 const SIGMA_FRAMES: f64 = 0.08;
 /// The residual beyond which an observation is an outlier, frames: three standard deviations.
 pub const INLIER_BOUND_FRAMES: f64 = 3.0 * SIGMA_FRAMES;
+/// The interval from which on a longer one is no less certain, frames: all observations in it err together.
+/// Larger: of two long gaps the shorter one is preferred without evidence. Smaller: times in long intervals
+/// contradict correct models.
+const MAX_LENGTH_FRAMES: f64 = 2.0;
+/// The longest interval whose observations determine a camera's offset and rate, frames. Larger biases
+/// them by the curvature of motion; smaller than one leaves none, since stamps jitter.
+const MAX_INTERVAL_FRAMES: f64 = 1.5;
 /// The standard deviation of the prior on a drifting clock's rate, seconds a second. Larger lets few
 /// observations imply a drift instead of a loss; smaller pulls true drifts towards 0.
 const RATE_SIGMA: f64 = 5e-4;
@@ -41,6 +48,14 @@ const MAX_STARTS: usize = 64;
 /// The decrease of the cost below which the alternation has converged. Larger stops early; smaller
 /// than rounding never stops before [`MAX_SWEEPS`].
 const COST_TOLERANCE: f64 = 1e-9;
+
+/// The penalty of a number of frames lost between two images, in outliers.
+pub fn gap_penalty(frames: u32, loss_penalty: f64) -> f64 {
+    match frames {
+        0 => 0.0,
+        _ => loss_penalty + FURTHER_LOSS_PENALTY * f64::from(frames - 1),
+    }
+}
 
 /// The clock model of minimum cost over all starting rates. Without observations it is the nominal
 /// clock with an offset of 0.
@@ -97,6 +112,9 @@ pub struct LagObservation {
     pub lag_frames: f64,
     /// Nominal time since the camera's first image, frames.
     pub elapsed_frames: f64,
+    /// The length of the interval that the time was interpolated in, frames. Where that is the camera's
+    /// own interval, without the frames lost in it.
+    pub interval_frames: f64,
 }
 
 impl LagObservation {
@@ -111,12 +129,24 @@ impl LagObservation {
         let [before, after] = lost.map(f64::from);
         self.lag_beyond(line) - before - self.fraction * (after - before)
     }
+
+    /// The robust loss for the given numbers of frames lost up to the image and up to the next one.
+    pub fn cost(&self, line: &Vector2<f64>, lost: [i32; 2]) -> f64 {
+        let interval_frames = self.interval_frames + f64::from(lost[1] - lost[0]);
+        robust_loss(self.residual(line, lost), interval_frames)
+    }
 }
 
-/// The robust loss of a residual in frames: its square over the inlier bound's, at most 1. An
-/// outlier thus costs 1.
-pub fn truncated_square(residual: f64) -> f64 {
-    (residual / INLIER_BOUND_FRAMES).powi(2).min(1.0)
+/// The robust loss of a residual in frames, of a time interpolated in an interval of a number of frames:
+/// the negative log-likelihood of a Gaussian, at most that of an outlier, in units of the latter. Without a
+/// residual it is 0 in an interval of one frame.
+///
+/// Trajectories are curves of third order, fitted as if no frame were missing. In a longer interval the
+/// standard deviation of times grows by the third power of its length.
+pub fn robust_loss(residual: f64, interval_frames: f64) -> f64 {
+    let factor = interval_frames.clamp(1.0, MAX_LENGTH_FRAMES).powi(3);
+    let variance_term = 2.0 * factor.ln() / (INLIER_BOUND_FRAMES / SIGMA_FRAMES).powi(2);
+    ((residual / (factor * INLIER_BOUND_FRAMES)).powi(2) + variance_term).min(1.0)
 }
 
 /// Starting rates, spaced so that over the whole recording one of them is within the inlier bound;
@@ -143,7 +173,7 @@ fn initial_offset(lags: &[LagObservation], rate: f64, may_lose_frames: bool) -> 
         let residual = |v: &f64| {
             if may_lose_frames { v - offset - (v - offset).round() } else { v - offset }
         };
-        values.iter().map(|v| 1.0 - truncated_square(residual(v))).sum::<f64>()
+        values.iter().map(|v| 1.0 - robust_loss(residual(v), 1.0)).sum::<f64>()
     };
     let count = values.len().min(MAX_STARTS);
     (0..count)
@@ -205,7 +235,7 @@ impl StepFit {
         }
         let counts = candidate_loss_counts(lags, clock, &line);
         let rate = if clock.drifts { line.y / RATE_SIGMA } else { 0.0 };
-        // The prior of the rate, in the units of `truncated_square`: the bound is 3 σ.
+        // The prior of the rate, in the units of `robust_loss`: the bound is 3 σ.
         let trellis = Trellis { line, counts, options, prior: rate * rate / 9.0 };
         let (loss_counts, cost) = trellis.shortest_path(&by_image);
         Self { line, images, loss_counts, cost }
@@ -225,8 +255,11 @@ impl StepFit {
             Matrix2::from_diagonal(&Vector2::new(OFFSET_PRIOR_WEIGHT, rate_sigma.powi(-2)));
         let mut right = Vector2::new(OFFSET_PRIOR_WEIGHT * self.line.x, 0.0);
         for o in lags {
-            let residual = o.residual(&self.line, self.lost_around(o));
-            if residual.abs() < INLIER_BOUND_FRAMES {
+            let lost = self.lost_around(o);
+            let residual = o.residual(&self.line, lost);
+            let interval_frames = o.interval_frames + f64::from(lost[1] - lost[0]);
+            // Times in longer intervals are too uncertain to add anything.
+            if residual.abs() < INLIER_BOUND_FRAMES && interval_frames < MAX_INTERVAL_FRAMES {
                 let row = Vector2::new(1.0, o.elapsed_frames) / SIGMA_FRAMES;
                 let value =
                     (residual + self.line.x + self.line.y * o.elapsed_frames) / SIGMA_FRAMES;
@@ -273,10 +306,7 @@ impl Trellis {
             let (at_image, between): (Vec<LagObservation>, Vec<LagObservation>) =
                 lags.iter().partition(|o| o.fraction == 0.0);
             for (total, count) in costs.iter_mut().zip(&self.counts) {
-                *total += at_image
-                    .iter()
-                    .map(|o| truncated_square(o.residual(&self.line, [*count; 2])))
-                    .sum::<f64>();
+                *total += at_image.iter().map(|o| o.cost(&self.line, [*count; 2])).sum::<f64>();
             }
             if n + 1 == by_image.len() {
                 break;
@@ -307,13 +337,9 @@ impl Trellis {
         predecessors
             .map(|from| {
                 let lost = [self.counts[from], self.counts[to]];
-                let edge = between.iter().map(|o| truncated_square(o.residual(&self.line, lost)));
-                let penalty = match (lost[1] - lost[0]).abs() {
-                    0 => 0.0,
-                    frames => {
-                        self.options.loss_penalty + FURTHER_LOSS_PENALTY * f64::from(frames - 1)
-                    }
-                };
+                let edge = between.iter().map(|o| o.cost(&self.line, lost));
+                let frames = (lost[1] - lost[0]).unsigned_abs();
+                let penalty = gap_penalty(frames, self.options.loss_penalty);
                 (costs[from] + edge.sum::<f64>() + penalty, from)
             })
             .min_by(|x, y| x.0.total_cmp(&y.0))

@@ -9,16 +9,20 @@
 //! a trellis of images and loss counts, found by dynamic programming ([`fit`]).
 //!
 //! The objective is a sum of truncated squared residuals plus a penalty per lost frame. An outlier
-//! costs 1 under any model, so that the penalty is counted in outliers: a loss is accepted only if
-//! it explains several observations. A model whose losses would differ under a lower penalty is
-//! flagged as ambiguous.
+//! costs 1 under any model, so that the penalty is counted in outliers.
 //!
-//! Known limit: frames that both cameras of a pair lose at the same time leave no trace in that
-//! pair's observations.
+//! Neighbours that lose frames at about the same time hide each other's losses: their images can move
+//! by a frame together at little cost. [`jumps`] finds such moves, of any set of images. A move that lowers
+//! the objective is made. The cameras of a move that costs less than an outlier are undecided.
+//!
+//! Known limit: frames that all cameras lose at the same time leave no trace.
 
 mod fit;
+mod jumps;
+mod min_cut;
 
-use fit::{FitOptions, FittedModel, LagObservation, fit_clock_model, truncated_square};
+use fit::{FitOptions, FittedModel, LagObservation, fit_clock_model, gap_penalty};
+use jumps::{Jumps, Move, Problem};
 use nalgebra::Vector2;
 
 /// The relative timing of three images: image `images[1]` of camera `cameras[1]` was taken at
@@ -53,9 +57,11 @@ pub struct ClockModel {
     pub rate: f64,
     /// The images before which a frame is missing, ascending; one entry for each missing frame.
     pub lost_before: Vec<usize>,
-    /// Whether the observations leave the lost frames undecided: a lower penalty per loss gives
-    /// other losses, or the model explains less than half of the observations.
+    /// Whether too many of the observations contradict the model.
     pub ambiguous: bool,
+    /// Whether other lost frames, of this camera and of others, explain the observations nearly as well:
+    /// times of some of its images are then off by a frame.
+    pub undecided: bool,
     /// The connected component of the observation graph that the camera belongs to. Only models of
     /// the same component share a clock.
     pub component: usize,
@@ -76,14 +82,24 @@ impl ClockModel {
     }
 }
 
-/// The penalty of one lost frame, in outliers that it has to explain. Larger: frames lost near the
-/// ends of a recording, where few observations see them, are missed. Smaller: losses are invented
-/// where motion repeats itself.
-const LOSS_PENALTY: f64 = 1.8;
-/// The lower penalty at which a model's losses must stay the same for the model to be unambiguous.
-/// Larger, up to [`LOSS_PENALTY`]: wrong losses pass as certain. Smaller: single outliers make
-/// correct models ambiguous, and the camera's offset is withheld.
-const AMBIGUOUS_LOSS_PENALTY: f64 = 1.2;
+/// The penalty of one lost frame while cameras are added one after the other, in outliers that it has to
+/// explain. Larger: cameras start from models that lack losses. Smaller: losses are invented while hardly
+/// any other camera contradicts them, and may stay.
+const START_LOSS_PENALTY: f64 = 1.8;
+/// The penalty of one lost frame in the final models, in outliers: the logarithm of the odds against a loss
+/// at a given image over that of the odds against an outlier. Larger: a loss that no observation rules out
+/// is taken for none. Smaller: of all losses, only those with many observations are certain.
+const LOSS_PENALTY: f64 = 0.75;
+/// The outliers by which a model must be better than any other that has images a frame off: a single
+/// outlier, more or less, must not decide. Larger: cameras with few observations at their recordings'
+/// ends are unknown. Smaller: cameras are a frame off by a single mismatch.
+const DECISIVE_OUTLIERS: f64 = 1.0;
+/// By how many frames images move at once. More find gaps of several frames that are misplaced, and take
+/// longer; fewer leave them misplaced.
+const JUMPS: [i32; 4] = [1, -1, 2, -2];
+/// The decrease of the objective that a move must bring, in outliers. Larger keeps worse models; smaller
+/// than rounding repeats moves for ever.
+const MIN_IMPROVEMENT: f64 = 1e-6;
 /// The maximum number of sweeps over all cameras, and of alternations within one camera's fit.
 /// Larger costs time where the models cycle between solutions of equal cost; smaller stops long
 /// chains of cameras before they converge.
@@ -93,7 +109,7 @@ const MAX_SWEEPS: usize = 12;
 const OFFSET_TOLERANCE_FRAMES: f64 = 1e-3;
 /// The fraction of observations that may be outliers before a model is ambiguous. Larger accepts
 /// models that most observations contradict; smaller rejects models of scenes with many mismatches.
-const MAX_OUTLIER_FRACTION: f64 = 0.5;
+const MAX_OUTLIER_FRACTION: f64 = 0.4;
 
 /// Fits the clock model of every camera to all timing observations.
 ///
@@ -110,12 +126,15 @@ pub fn fit_clock_models(
         if descent.models[root].is_some() || descent.observations[root].is_empty() {
             continue;
         }
+        descent.loss_penalty = START_LOSS_PENALTY;
         descent.models[root] = Some(ClockModel { component, ..ClockModel::default() });
         while let Some(camera) = descent.next_camera() {
             descent.add_camera(camera, component);
         }
         descent.converge(component);
+        descent.improve_by_jumps(root, component);
         descent.flag_ambiguous(component);
+        descent.flag_undecided(root, component);
         descent.rebase(root, component);
         component += 1;
     }
@@ -128,6 +147,8 @@ struct CoordinateDescent<'a> {
     /// By camera: each observation is listed for both of its cameras.
     observations: Vec<Vec<TimingObservation>>,
     models: Vec<Option<ClockModel>>,
+    /// The penalty of one lost frame, in outliers.
+    loss_penalty: f64,
 }
 
 impl<'a> CoordinateDescent<'a> {
@@ -138,7 +159,8 @@ impl<'a> CoordinateDescent<'a> {
                 of_camera[c].push(*observation);
             }
         }
-        Self { clocks, observations: of_camera, models: vec![None; clocks.len()] }
+        let models = vec![None; clocks.len()];
+        Self { clocks, observations: of_camera, models, loss_penalty: START_LOSS_PENALTY }
     }
 
     /// The next camera to fit: among the cameras without a model that are observed together with a
@@ -164,7 +186,7 @@ impl<'a> CoordinateDescent<'a> {
     /// Where an unconstrained fit steps back by a frame, all cameras fitted so far may have lost a
     /// frame there. That alternative replaces the constrained fit if its total cost is lower.
     fn add_camera(&mut self, camera: usize, component: usize) {
-        let loss_penalty = LOSS_PENALTY;
+        let loss_penalty = self.loss_penalty;
         let unconstrained = self.fit(camera, FitOptions { loss_penalty, allow_steps_back: true });
         let before = self.models.clone();
         let constrained = self.fit(camera, FitOptions::losses_only(loss_penalty)).model;
@@ -226,7 +248,7 @@ impl<'a> CoordinateDescent<'a> {
         for _ in 0..MAX_SWEEPS {
             let mut converged = true;
             for &c in &members {
-                let fitted = self.fit(c, FitOptions::losses_only(LOSS_PENALTY)).model;
+                let fitted = self.fit(c, FitOptions::losses_only(self.loss_penalty)).model;
                 let model = ClockModel { component, ..fitted };
                 let before = self.models[c].replace(model.clone()).unwrap_or_default();
                 converged &= model.lost_before == before.lost_before
@@ -239,18 +261,83 @@ impl<'a> CoordinateDescent<'a> {
         }
     }
 
-    /// Flags the models whose losses differ under [`AMBIGUOUS_LOSS_PENALTY`], or that explain too
-    /// few observations.
+    /// Flags the models that explain too few observations.
     fn flag_ambiguous(&mut self, component: usize) {
         for c in self.members(component) {
-            let alternative = self.fit(c, FitOptions::losses_only(AMBIGUOUS_LOSS_PENALTY));
+            let fitted = self.fit(c, FitOptions::losses_only(self.loss_penalty));
             let count = self.observations[c].len() as f64;
             if let Some(model) = &mut self.models[c] {
-                let losses = AMBIGUOUS_LOSS_PENALTY * model.lost_before.len() as f64;
-                model.ambiguous = alternative.model.lost_before != model.lost_before
-                    || alternative.cost - losses > MAX_OUTLIER_FRACTION * count;
+                let losses = self.loss_penalty * model.lost_before.len() as f64;
+                model.ambiguous = fitted.cost - losses > MAX_OUTLIER_FRACTION * count;
             }
         }
+    }
+
+    /// Moves images of several cameras at once by a frame, as long as that lowers the objective.
+    fn improve_by_jumps(&mut self, origin: usize, component: usize) {
+        let observations = self.component_observations(component);
+        self.loss_penalty = LOSS_PENALTY;
+        self.converge(component);
+        for _ in 0..MAX_SWEEPS {
+            let cost = self.total_cost(component);
+            let improved = JUMPS.into_iter().find_map(|frames| {
+                let problem = self.problem(&observations, origin);
+                let jumps = Jumps::new(problem, frames);
+                let improvement = jumps.cheapest(None).filter(|m| m.cost < -MIN_IMPROVEMENT)?;
+                Some(jumps.apply(&improvement))
+            });
+            let Some(models) = improved else { return };
+            let before = std::mem::replace(&mut self.models, models);
+            self.converge(component);
+            if self.total_cost(component) > cost - MIN_IMPROVEMENT {
+                self.models = before;
+                return;
+            }
+        }
+    }
+
+    /// Flags the cameras of which images could move by a frame at nearly the same objective, alone or
+    /// together with others.
+    fn flag_undecided(&mut self, origin: usize, component: usize) {
+        let observations = self.component_observations(component);
+        let mut undecided = vec![false; self.models.len()];
+        for frames in JUMPS {
+            let problem = self.problem(&observations, origin);
+            let jumps = Jumps::new(problem, frames);
+            let best = jumps.cheapest(None);
+            let lowest = best.as_ref().map_or(0.0, |m| m.cost.min(0.0));
+            let mut flag = |of: Option<Move>| {
+                let moved = of.map(|m| jumps.moved_cameras(&m)).unwrap_or_default();
+                moved.into_iter().for_each(|c| undecided[c] = true);
+                undecided.clone()
+            };
+            let mut flagged = flag(best);
+            for camera in self.members(component) {
+                for node in jumps.decisive_nodes(camera) {
+                    if flagged[camera] {
+                        break;
+                    }
+                    let cheapest = jumps.cheapest(Some(node));
+                    flagged = flag(cheapest.filter(|m| m.cost - lowest < DECISIVE_OUTLIERS));
+                }
+            }
+        }
+        for (model, undecided) in self.models.iter_mut().zip(undecided) {
+            if let Some(model) = model.as_mut().filter(|m| m.component == component) {
+                model.undecided = undecided;
+            }
+        }
+    }
+
+    fn problem<'b>(&'b self, observations: &'b [TimingObservation], origin: usize) -> Problem<'b> {
+        let loss_penalty = self.loss_penalty;
+        Problem { clocks: self.clocks, models: &self.models, observations, origin, loss_penalty }
+    }
+
+    /// The observations of a component, each once.
+    fn component_observations(&self, component: usize) -> Vec<TimingObservation> {
+        let as_second = |c: usize| self.observations[c].iter().filter(move |o| o.cameras[1] == c);
+        self.members(component).into_iter().flat_map(as_second).copied().collect()
     }
 
     /// The objective over all observations and losses of a component; each observation counts once.
@@ -265,10 +352,10 @@ impl<'a> CoordinateDescent<'a> {
             };
             let as_second = self.observations[c].iter().filter(|o| o.cameras[1] == c);
             let lags = as_second.filter_map(|o| self.lag_observation(c, o));
-            let losses = self.models[c].as_ref().map_or(0, |m| m.lost_before.len());
-            let sum: f64 =
-                lags.map(|o| truncated_square(o.residual(&line, [loss_count(&o); 2]))).sum();
-            sum + LOSS_PENALTY * losses as f64
+            let lost_before = self.models[c].iter().flat_map(|m| m.lost_before.chunk_by(usize::eq));
+            let penalty = |gap: &[usize]| gap_penalty(gap.len() as u32, self.loss_penalty);
+            let sum: f64 = lags.map(|o| o.cost(&line, [loss_count(&o); 2])).sum();
+            sum + lost_before.map(penalty).sum::<f64>()
         };
         self.members(component).into_iter().map(camera_cost).sum()
     }
@@ -304,11 +391,13 @@ impl<'a> CoordinateDescent<'a> {
         let [a, b] = observation.cameras;
         let [k, m] = observation.images;
         let clock = &self.clocks[camera];
-        let (image, fraction, time_s) = if b == camera {
-            let time_s = self.time_s(a, k)?;
-            (m, 0.0, time_s + observation.fraction * (self.time_s(a, k + 1)? - time_s))
+        let (image, fraction, time_s, interval_s) = if b == camera {
+            let (start_s, end_s) = (self.time_s(a, k)?, self.time_s(a, k + 1)?);
+            let interval_s = end_s - start_s;
+            (m, 0.0, start_s + observation.fraction * interval_s, interval_s)
         } else if a == camera {
-            (k, observation.fraction, self.time_s(b, m)?)
+            let interval_s = clock.times_s.get(k + 1)? - clock.times_s[k];
+            (k, observation.fraction, self.time_s(b, m)?, interval_s)
         } else {
             return None;
         };
@@ -321,6 +410,7 @@ impl<'a> CoordinateDescent<'a> {
             fraction,
             lag_frames: (time_s - own_s) / clock.frame_s,
             elapsed_frames: (own_s - clock.times_s[0]) / clock.frame_s,
+            interval_frames: interval_s / self.clocks[a].frame_s,
         })
     }
 

@@ -8,6 +8,7 @@ use std::path::Path;
 use stlfr::random::Random;
 use stlfr::raster::Image;
 use stlfr::raster::{BitDepth, write_image};
+use stlfr::rig::{GenerateError, Loss, LossStamps, RigCamera, RigOptions};
 
 /// A textured rectangle in motion; metres, seconds and radians.
 #[derive(Clone, Debug)]
@@ -72,6 +73,8 @@ pub struct SyntheticCapture {
     pub lost: Vec<Vec<usize>>,
     /// Whether the capture declares that frames may be lost, even if none is.
     pub may_lose: bool,
+    /// Whether it declares so for the reference, the middle camera, too.
+    pub reference_loses: bool,
     /// The standard deviation of every frame's time about its regular one, seconds.
     pub jitter_s: f64,
     /// Whether the capture's time stamps contain the jitter.
@@ -98,6 +101,7 @@ impl SyntheticCapture {
             drift_ppm: vec![0.0; delays_frames.len()],
             lost: vec![Vec::new(); delays_frames.len()],
             may_lose: false,
+            reference_loses: true,
             jitter_s: 0.0,
             stamped: true,
             noise: 0.002,
@@ -106,6 +110,34 @@ impl SyntheticCapture {
             second_row_m: 0.0,
             seed: 1,
         }
+    }
+
+    /// A recording by the rig of eight cameras that `stlfr rig line --lost COUNT --lost-within WITHIN
+    /// --lost-stamps hidden --jitter 0 --seed SEED` writes; `lost` holds both numbers. With 2 and 9, seed
+    /// 6 gives the delays and losses of `rigs/lost-frames.json`.
+    pub fn losing_together(
+        boards: Vec<Board>,
+        frames: usize,
+        [count, within]: [usize; 2],
+        seed: u64,
+    ) -> Result<Self, GenerateError> {
+        let rig = RigOptions {
+            jitters_s: vec![0.0],
+            loss: (count > 0).then_some(Loss { count, within, stamps: LossStamps::Hidden }),
+            seed,
+            ..RigOptions::default()
+        }
+        .generate()?;
+        let delays: Vec<f64> = rig.cameras.iter().map(|c| c.delay_s * 30.0).collect();
+        let lost = |c: &RigCamera| c.lost_frames.iter().map(|n| *n as usize).collect();
+        Ok(Self {
+            size: [160, 120],
+            lost: rig.cameras.iter().map(lost).collect(),
+            may_lose: true,
+            reference_loses: false,
+            seed,
+            ..Self::new(boards, &delays, frames)
+        })
     }
 
     fn center_m(&self, camera: usize) -> [f64; 2] {
@@ -145,7 +177,9 @@ impl SyntheticCapture {
                 if self.stamped { 0.0 } else { errors.iter().sum::<f64>() / self.frames as f64 };
             means.push(delay_s + hidden);
             let drift = self.drift_ppm.iter().any(|d| *d != 0.0);
-            let lost = self.may_lose || self.lost.iter().any(|l| !l.is_empty());
+            let is_reference = c == (self.delays_s.len() - 1) / 2;
+            let lost = (self.may_lose || self.lost.iter().any(|l| !l.is_empty()))
+                && (self.reference_loses || !is_reference);
             let clock = if self.stamped && self.jitter_s > 0.0 {
                 let times: Vec<f64> =
                     errors.iter().enumerate().map(|(k, e)| regular_s(k) + e).collect();

@@ -1,0 +1,87 @@
+//! Text from files, as it may reach a terminal, a chart or another program's file.
+
+/// The regular expression of an id in JSON Schemas (ECMAScript, with Unicode).
+pub const ID_PATTERN: &str = r"^(?! )(?!\.{1,2}$)[\p{Alphabetic}\p{N}_. -]+(?<! )$";
+/// Characters of an id. Larger: tables and file names run over. Smaller: names of real cameras are
+/// refused.
+pub const MAX_ID_LENGTH: usize = 100;
+
+/// Checks that an id is a name: letters, digits, `_`, `-`, `.` and spaces, at most [`MAX_ID_LENGTH`] of
+/// them, no space first or last, and neither `.` nor `..`. The error is the end of a sentence on the id.
+pub fn check_id(id: &str) -> Result<(), String> {
+    let is_legal = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-' | '.' | ' ');
+    let length = id.chars().count();
+    let reason = if id.is_empty() {
+        "is empty"
+    } else if length > MAX_ID_LENGTH {
+        return Err(format!("has {length} characters, at most {MAX_ID_LENGTH} are allowed"));
+    } else if !id.chars().all(is_legal) {
+        "holds other characters than letters, digits, '_', '-', '.' and spaces"
+    } else if id != id.trim() {
+        "starts or ends with a space"
+    } else if id == "." || id == ".." {
+        "names a folder"
+    } else {
+        return Ok(());
+    };
+    Err(format!("'{}' {reason}", printable(id)))
+}
+
+/// Text on one line of a terminal: control characters, line separators and characters that turn the
+/// direction of writing or have no width are escaped as in Rust, `\u{1b}`.
+pub fn printable(text: &str) -> String {
+    let shown = |c: char| if is_printable(c) { c.into() } else { c.escape_default().to_string() };
+    text.chars().map(shown).collect()
+}
+
+fn is_printable(c: char) -> bool {
+    let hidden = matches!(c,
+        '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
+        | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}');
+    !c.is_control() && !hidden
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_are_names() {
+        for id in ["cam0", "Camera 1", "a-b_c.d", "Kamera süd", "カメラ3", "...", &"x".repeat(100)]
+        {
+            assert_eq!(check_id(id), Ok(()), "{id}");
+        }
+        for id in [
+            "",
+            ".",
+            "..",
+            " a",
+            "a ",
+            "a\u{1b}[31m",
+            "a\u{7}",
+            "a\nb",
+            "a\tb",
+            "a\u{a0}b",
+            "a\u{202e}b",
+            "a\u{200b}b",
+            "a/b",
+            "a\\b",
+            "<b>",
+            "a&b",
+            "a\"b",
+            "a'b",
+            "\u{301}",
+            &"x".repeat(101),
+        ] {
+            let reason = check_id(id).expect_err(id);
+            assert!(reason.chars().all(is_printable) && reason.len() < 600, "{reason}");
+        }
+    }
+
+    #[test]
+    fn what_drives_a_terminal_is_escaped() {
+        assert_eq!(printable("a\n\u{1b}[0m\u{7}"), r"a\n\u{1b}[0m\u{7}");
+        assert_eq!(printable("x\u{202e}y\u{2066}\u{9b}z"), r"x\u{202e}y\u{2066}\u{9b}z");
+        assert_eq!(printable("'Süd 3', 0.5 ± 0.1 é カ"), "'Süd 3', 0.5 ± 0.1 é カ");
+    }
+}
