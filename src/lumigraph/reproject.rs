@@ -6,11 +6,13 @@
 //! same for all pixels is computed in f64 once; the rows are f32, whose rounding moves positions
 //! by less than 1e-3 px in images up to 4000 px wide.
 
+use super::DepthMap;
 use super::rays::ViewBounds;
 use super::source::{BlendOptions, Source};
 use super::weights::BlendMethod;
 use crate::camera::{Camera, CameraModel};
 use nalgebra::{Matrix3, Point2, Vector3};
+use std::ops::Range;
 
 /// Largest distance of a camera at the view's centre, as a fraction of the farthest camera's distance
 /// from it. Larger: nearby cameras are taken for the view itself. Smaller: by rounding, the view of an
@@ -18,7 +20,7 @@ use nalgebra::{Matrix3, Point2, Vector3};
 const SAME_CENTER_FRACTION: f64 = 1e-6;
 /// Factor of the trust in a source where the point is occluded, so that it contributes only where the
 /// point is occluded in all sources. Larger: foreground shines through. 0: there are holes.
-pub(super) const OCCLUDED_TRUST: f32 = 1e-3;
+const OCCLUDED_TRUST: f32 = 1e-3;
 /// Factor of the trust in a source where the point is beside a nearer surface: there, pixels are a mixture of
 /// both. Larger: outlines show a second time; smaller: cameras that stand far away are preferred.
 const OUTLINE_TRUST: f32 = 0.25;
@@ -26,6 +28,9 @@ const OUTLINE_TRUST: f32 = 0.25;
 /// no image. Larger: a lens polynomial may fold back into the image. Smaller: corners of bent images
 /// are missing.
 const CONE_MARGIN: f64 = 0.02;
+
+/// Factor of a bound that is below 1 by more than f32 rounds. Larger: rounding decides; smaller: bounds are loose.
+const ROUNDING: f32 = 0.999;
 
 /// A row of the view to render.
 pub(super) struct TargetRow<'a> {
@@ -37,6 +42,18 @@ pub(super) struct TargetRow<'a> {
     pub inverse_depth: &'a [f32],
 }
 
+impl TargetRow<'_> {
+    /// Some of the row's pixels.
+    pub fn part(&self, columns: Range<usize>) -> TargetRow<'_> {
+        TargetRow {
+            x: &self.x[columns.clone()],
+            y: &self.y[columns.clone()],
+            length: &self.length[columns.clone()],
+            inverse_depth: &self.inverse_depth[columns],
+        }
+    }
+}
+
 /// The points of a row in one source.
 pub(super) struct Hits<'a> {
     /// Position in the source's image, pixels.
@@ -46,6 +63,8 @@ pub(super) struct Hits<'a> {
     pub penalty: &'a mut [f32],
     /// 1 in the image, falling to 0 at its border and outside, and less where the point is occluded.
     pub trust: &'a mut [f32],
+    /// Whether some source shows the point; points that this one does are added.
+    pub seen: &'a mut [bool],
 }
 
 /// One source relative to the view to render.
@@ -112,6 +131,28 @@ impl Reprojection {
         self.shift_target == Vector3::zeros()
     }
 
+    /// A bound below the penalties of the row's points, from the angle alone: with r the ray, ρ the inverse depth and
+    /// d the shift, `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, because q = r + ρd
+    /// is not longer than |r| + ρ|d|. That grows with ρ.
+    pub fn least_angle(&self, row: &TargetRow) -> f32 {
+        let d = self.shift_target;
+        let n = row.x.len();
+        let (xs, ys, lengths, inverse) =
+            (&row.x[..n], &row.y[..n], &row.length[..n], &row.inverse_depth[..n]);
+        let mut sine2 = f32::INFINITY;
+        let (mut farthest, mut longest) = (f32::INFINITY, 0.0_f32);
+        for k in 0..n {
+            let (x, y, length) = (xs[k], ys[k], lengths[k]);
+            let cross = [y * d.z - d.y, d.x - x * d.z, x * d.y - y * d.x];
+            let cross2 = cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2];
+            sine2 = sine2.min(cross2 / (length * length));
+            longest = longest.max(length);
+            farthest = farthest.min(inverse[k]);
+        }
+        // Lengths are at least 1.
+        ROUNDING * sine2.sqrt() * farthest / (longest + farthest * d.norm())
+    }
+
     /// Fills `hits`. `source` is the one that this reprojection is of.
     pub fn row(&self, row: &TargetRow, source: &Source, hits: &mut Hits) {
         if self.model.is_pinhole() {
@@ -129,8 +170,9 @@ impl Reprojection {
             self.bridge(source, hits);
         }
         // A source at the view's centre looks along the same rays: nothing is occluded in it.
-        if source.depth.is_some() && !self.at_center() {
-            self.hide(row, source, hits);
+        match source.depth {
+            Some(map) if !self.at_center() => self.hide(row, map, hits),
+            _ => hits.seen.iter_mut().zip(&*hits.trust).for_each(|(seen, t)| *seen |= *t > 0.0),
         }
     }
 
@@ -207,8 +249,7 @@ impl Reprojection {
 
     /// Lowers the trust where the point lies behind the surface in the source's depth map: from 1 at
     /// the tolerance to [`OCCLUDED_TRUST`] at twice that.
-    fn hide(&self, row: &TargetRow, source: &Source, hits: &mut Hits) {
-        let Some(map) = source.depth else { return };
+    fn hide(&self, row: &TargetRow, map: &DepthMap, hits: &mut Hits) {
         for k in 0..row.x.len() {
             if hits.trust[k] > 0.0 {
                 let inverse = row.inverse_depth[k];
@@ -218,9 +259,13 @@ impl Reprojection {
                 let behind = beyond(map.farthest_around(hits.x[k], hits.y[k]));
                 if behind > 0.0 {
                     let visible = (1.0 - behind).max(OCCLUDED_TRUST);
+                    hits.seen[k] |= visible > OCCLUDED_TRUST;
                     hits.trust[k] *= visible;
                     hits.penalty[k] /= visible;
-                } else if beyond(map.nearest_around(hits.x[k], hits.y[k])) > 0.0 {
+                    continue;
+                }
+                hits.seen[k] = true;
+                if beyond(map.nearest_around(hits.x[k], hits.y[k])) > 0.0 {
                     hits.trust[k] *= OUTLINE_TRUST;
                     hits.penalty[k] /= OUTLINE_TRUST;
                 }

@@ -30,12 +30,13 @@
 use super::DepthMap;
 use super::hidden;
 use super::rays::RayRow;
-use super::reproject::{Hits, OCCLUDED_TRUST, Reprojection, TargetRow};
+use super::reproject::{Hits, Reprojection, TargetRow};
 use super::source::{BlendOptions, Rendered, Source};
-use super::weights::{BlendMethod, WeightRow};
+use super::weights::{BlendMethod, SOFT, WeightRow};
 use crate::camera::Camera;
 use crate::raster::{Image, Tiles, gray_from_rgb, sample};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Smallest inverse depth, 1/m. Larger: at 1e8 m, images of cameras a kilometre apart differ by a
 /// hundredth of a pixel, and nearer points by more. Smaller: the angles of the sky's points round to 0,
@@ -147,7 +148,31 @@ struct Row<'a> {
     y: Vec<f32>,
     penalty: Vec<f32>,
     trust: Vec<f32>,
+    /// Whether some source shows the pixel's point.
+    seen: Vec<bool>,
     weights: WeightRow,
+    /// The sources, nearest to the view first.
+    order: Vec<usize>,
+    /// Whether some sources are grey and others coloured.
+    is_mixed: bool,
+}
+
+/// The pixels of a row that sources are left out for together. Larger: depths differ more within a part, so that
+/// fewer are; smaller: deciding takes longer than it saves.
+const PART_PX: usize = 64;
+
+/// The largest penalty at which weights end, of the pixels of a part of a row: that of the worst of these sources,
+/// or a little above the best.
+fn worst_end<'a>(penalties: impl Iterator<Item = &'a [f32]>, count: usize) -> f32 {
+    let (mut best, mut worst) = (vec![f32::INFINITY; count], vec![0.0_f32; count]);
+    for row in penalties {
+        for ((best, worst), &p) in best.iter_mut().zip(&mut worst).zip(row) {
+            *best = best.min(p);
+            *worst = worst.max(p);
+        }
+    }
+    let ends = best.iter().zip(&worst).map(|(best, worst)| worst.max(best * (1.0 + SOFT)));
+    ends.fold(0.0, f32::max)
 }
 
 impl<'a> Row<'a> {
@@ -159,6 +184,10 @@ impl<'a> Row<'a> {
     ) -> Self {
         let size = sources.len() * target.width;
         let zeros = || vec![0.0; size];
+        let gray = sources.iter().filter(|s| s.image.channels() == 1).count();
+        let mut order: Vec<usize> = (0..sources.len()).collect();
+        let distance = |i: &usize| (sources[*i].camera.center() - target.center()).norm();
+        order.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
         Self {
             sources,
             reprojections,
@@ -169,11 +198,14 @@ impl<'a> Row<'a> {
             y: zeros(),
             penalty: zeros(),
             trust: zeros(),
+            seen: vec![false; target.width],
             weights: WeightRow::new(target.width, sources.len()),
+            order,
+            is_mixed: gray > 0 && gray < sources.len(),
         }
     }
 
-    /// Reprojects the row's points into all sources.
+    /// Reprojects the row's points into all sources that may have weight there.
     fn measure(&mut self, y: usize, depths: &[f32]) {
         self.rays.set(self.target, y);
         let narrow = |v: &[f64]| v.iter().map(|&v| v as f32).collect::<Vec<f32>>();
@@ -184,14 +216,45 @@ impl<'a> Row<'a> {
         let inverse_depth: Vec<f32> = depths.iter().map(inverse).collect();
         let row = TargetRow { x: &x, y: &y, length: &length, inverse_depth: &inverse_depth };
         let width = self.target.width;
-        let hits = self.x.chunks_exact_mut(width).zip(self.y.chunks_exact_mut(width));
-        let hits = hits.zip(self.penalty.chunks_exact_mut(width));
-        let hits = hits.zip(self.trust.chunks_exact_mut(width));
-        for ((((x, y), penalty), trust), (reprojection, source)) in
-            hits.zip(self.reprojections.iter().zip(self.sources))
-        {
-            reprojection.row(&row, source, &mut Hits { x, y, penalty, trust });
+        self.seen.fill(false);
+        for from in (0..width).step_by(PART_PX) {
+            let columns = from..(from + PART_PX).min(width);
+            self.measure_part(&row.part(columns.clone()), &columns);
         }
+    }
+
+    /// Reprojects some of the row's points, first into the nearest sources. Further ones are left out where they
+    /// have no weight: the best penalty that they may have is no better than that at which weights end.
+    fn measure_part(&mut self, row: &TargetRow, columns: &Range<usize>) {
+        let width = self.target.width;
+        let order = std::mem::take(&mut self.order);
+        let first = match self.options.method {
+            BlendMethod::Uniform => order.len(),
+            BlendMethod::Lumigraph | BlendMethod::SpaceTime => self.options.cameras.max(1) + 1,
+        };
+        let mut limit = f32::INFINITY;
+        for (rank, &i) in order.iter().enumerate() {
+            if rank == first && !self.is_mixed {
+                let at = |&i: &usize| &self.penalty[i * width..(i + 1) * width][columns.clone()];
+                limit = worst_end(order[..first].iter().map(at), columns.len());
+            }
+            let own = i * width + columns.start..i * width + columns.end;
+            let reprojection = &self.reprojections[i];
+            if limit < f32::INFINITY && reprojection.least_angle(row) >= limit {
+                self.penalty[own.clone()].fill(f32::INFINITY);
+                self.trust[own].fill(0.0);
+                continue;
+            }
+            let mut hits = Hits {
+                x: &mut self.x[own.clone()],
+                y: &mut self.y[own.clone()],
+                penalty: &mut self.penalty[own.clone()],
+                trust: &mut self.trust[own],
+                seen: &mut self.seen[columns.clone()],
+            };
+            reprojection.row(row, &self.sources[i], &mut hits);
+        }
+        self.order = order;
     }
 
     fn weigh(&mut self) {
@@ -315,15 +378,13 @@ impl<'a> Row<'a> {
 
     /// Which pixels some camera has in its image, and which of them are hidden from all.
     fn cover(&self, covered: &mut [bool], hidden: &mut [bool]) {
-        let mut best = vec![0.0_f32; covered.len()];
         for trust in self.trust.chunks_exact(covered.len()) {
-            for (best, &t) in best.iter_mut().zip(trust) {
-                *best = best.max(t);
+            for (covered, &t) in covered.iter_mut().zip(trust) {
+                *covered |= t > 0.0;
             }
         }
-        for ((covered, hidden), best) in covered.iter_mut().zip(hidden).zip(best) {
-            *covered = best > 0.0;
-            *hidden = best > 0.0 && best <= OCCLUDED_TRUST;
+        for ((hidden, covered), seen) in hidden.iter_mut().zip(covered).zip(&self.seen) {
+            *hidden = *covered && !seen;
         }
     }
 }

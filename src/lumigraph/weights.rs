@@ -31,7 +31,7 @@ methods!(BlendMethod {
 
 /// Smallest distance of the threshold above the best penalty, as a fraction of it. Larger: more than k
 /// cameras that almost tie are blended. Smaller: the transition between them is sharper, a jump at 0.
-const SOFT: f32 = 0.05;
+pub(super) const SOFT: f32 = 0.05;
 
 /// The weights of a row of pixels, source by source.
 ///

@@ -55,8 +55,8 @@ pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
                 let at = splats.iter().map(|s| s[y * w + x]);
                 candidates.clear();
                 candidates.extend(at.filter(|c| c.inverse > 0.0));
-                if are_one_surface(&candidates, surfaces.len(), tolerance) {
-                    *fused = mean_of(&candidates, candidates.first().copied(), tolerance);
+                if are_one_surface(candidates, surfaces.len(), tolerance) {
+                    *fused = mean_of(candidates, candidates.first().copied(), tolerance);
                     continue;
                 }
                 // The nearest first.
@@ -64,7 +64,7 @@ pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
                 votes.clear();
                 let vote = |c: &Candidate| vote(ray, c.inverse, surfaces, &relatives, tolerance);
                 votes.extend(candidates.iter().map(vote));
-                *fused = elected(&candidates, &votes, tolerance);
+                *fused = elected(candidates, votes, tolerance);
             }
         },
     );
