@@ -220,7 +220,7 @@ fn check_lists(lists: &[List]) {
 /// Lists as long as the files may be: what their entries are in memory stays within bounds too.
 #[test]
 fn long_lists_of_a_capture_take_no_gigabyte() {
-    let camera = r#"{"id":"","frames":"a%d","width":1,"height":1,"model":"","params":[],
+    let camera = r#"{"id":"a","frames":"a%d","width":1,"height":1,"model":"","params":[],
         "cam_from_world":{"rotation_wxyz":[1,0,0,0],"translation":[0,0,0]},"clock":{"shared":true"#;
     let head = r#"{"format":"stlfr-capture","version":1,"name":"a","cameras":["#;
     let cameras = [head, &format!("{camera}}}}},"), &format!("{camera}}}}}]}}")];
@@ -231,12 +231,12 @@ fn long_lists_of_a_capture_take_no_gigabyte() {
     let views_after = format!("{view}],\"offsets\":[],\"shutter\":[]}}");
     let (views_before, view) = (format!("{truth}\"views\":["), format!("{view},"));
     let views = [views_before.as_str(), &view, &views_after];
-    let clocks_after = "{\"id\":\"\",\"offset_s\":0}],\"views\":[],\"shutter\":[]}";
-    let clocks = [&format!("{truth}\"offsets\":["), "{\"id\":\"\",\"offset_s\":0},", clocks_after];
+    let clocks_after = "{\"id\":\"a\",\"offset_s\":0}],\"views\":[],\"shutter\":[]}";
+    let clocks = [&format!("{truth}\"offsets\":["), "{\"id\":\"a\",\"offset_s\":0},", clocks_after];
     let compare = READERS[2].1;
     check_lists(&[
-        ("63 MiB of cameras", "capture.json", cameras, 63, "plan @", "a camera's id is empty"),
-        ("63 MiB of times", "capture.json", times, 63, "plan @", "a camera's id is empty"),
+        ("63 MiB of cameras", "capture.json", cameras, 63, "plan @", "capture.json: cameras"),
+        ("63 MiB of times", "capture.json", times, 63, "plan @", "capture.json: cameras"),
         ("63 MiB of views", "truth/truth.json", views, 63, compare, "at most 10000 are read"),
         ("63 MiB of clocks", "truth/truth.json", clocks, 63, READERS[7].1, "mine.json: "),
     ]);

@@ -21,7 +21,6 @@ use stlfr::progress::Reporter;
 use stlfr::random::Random;
 use stlfr::raster::{BitDepth, Image, read_image};
 use stlfr::registration::{FrameStore, RegistrationOptions};
-use stlfr::toolchain::find_ffmpeg;
 use stlfr::tradeoff::{Tradeoff, TradeoffOptions, tradeoff};
 use stlfr::video::{Codec, VideoFormat, VideoWriter};
 use tempfile::TempDir;
@@ -215,13 +214,13 @@ fn edited_offsets_are_validated_field_by_field() {
     succeed(&["-q", "offsets", text(root)]);
     let file = root.join("offsets.json");
     let whole = read_json(&file);
-    let cases: [(Edit, &str); 22] = [
+    let cases: [(Edit, &str); 24] = [
         (|o| o["reference"] = json!("cam0"), "reference: is 'cam0', the capture's is 'cam1'"),
         (|o| o["cameras"][0]["id"] = json!("cam9"), "cameras[0].id: no camera of the capture"),
         (|o| o["cameras"][1]["id"] = json!("cam0"), "cameras[1].id: 'cam0' is there twice"),
         (|o| drop(o["cameras"].as_array_mut().unwrap().pop()), "cameras: 'cam2' is missing"),
-        (|o| o["cameras"][1]["offset_s"] = json!(0.1), "(cam1).offset_s: must be 0 for the ref"),
-        (|o| o["cameras"][1]["std_err_s"] = json!(0.1), "(cam1).std_err_s: must be 0 for the ref"),
+        (|o| o["cameras"][1]["offset_s"] = json!(0.1), "(cam1).offset_s: must be 0 on the ref"),
+        (|o| o["cameras"][1]["std_err_s"] = json!(0.1), "(cam1).std_err_s: must be 0 on the ref"),
         (|o| o["cameras"][0]["offset_s"] = json!(-1e4), "(cam0).offset_s: is -10000.0, which puts"),
         (|o| o["cameras"][0]["offset_s"] = json!("soon"), "cameras[0].offset_s: invalid type"),
         (|o| o["cameras"][0]["offset_s"] = Value::Null, "(cam0).std_err_s: must be null"),
@@ -231,6 +230,14 @@ fn edited_offsets_are_validated_field_by_field() {
         (|o| o["cameras"][0]["rate_ppm"] = json!(1001), "(cam0).rate_ppm: is 1001.0, must be"),
         (|o| o["cameras"][0]["rate_std_err_ppm"] = json!(-1), "(cam0).rate_std_err_ppm: is -1.0"),
         (|o| o["cameras"][0]["rate_std_err_ppm"] = Value::Null, "rate_std_err_ppm: is missing"),
+        (
+            |o| {
+                o["cameras"][2]["rate_ppm"] = json!(5);
+                o["cameras"][2]["rate_std_err_ppm"] = json!(1);
+            },
+            "(cam2).rate_ppm: must be 0: the capture",
+        ),
+        (|o| o["cameras"][0]["lost_before"] = json!([2]), "(cam0).lost_before: must be empty: the"),
         (|o| o["cameras"][2]["lost_before"] = json!([3, 2]), "lost_before: must ascend"),
         (|o| o["cameras"][2]["lost_before"] = json!([6]), "lost_before: has image 6, and the"),
         (
@@ -267,7 +274,7 @@ fn edited_offsets_are_validated_field_by_field() {
 
 /// A capture of one video.
 fn video(frames: usize) -> (TempDir, PathBuf) {
-    let ffmpeg = find_ffmpeg().expect("an ffmpeg");
+    let ffmpeg = common::ffmpeg();
     let scene = Scene::default();
     let folder = tempfile::tempdir().unwrap();
     let format = VideoFormat { depth: BitDepth::Eight, rate_hz: 1.0 / FRAME_S, codec: Codec::Ffv1 };

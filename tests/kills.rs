@@ -15,7 +15,6 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 use stlfr::random::Random;
 use stlfr::raster::{BitDepth, Image, read_image, write_image};
-use stlfr::toolchain::find_ffmpeg;
 use stlfr::video::{Codec, VideoFormat, VideoWriter};
 
 /// Kills by default: each command once or a few times.
@@ -46,10 +45,7 @@ struct Sources {
 impl Sources {
     fn film() -> Self {
         let [folder, tools] = [(); 2].map(|()| tempfile::tempdir().unwrap());
-        let ffmpeg = find_ffmpeg().unwrap_or_else(|| {
-            common::run(&["setup", "-q"]); // brings one
-            find_ffmpeg().expect("an ffmpeg")
-        });
+        let ffmpeg = common::ffmpeg();
         symlink(&ffmpeg, tools.path().join("ffmpeg")).unwrap();
         std::fs::create_dir(tools.path().join("blender")).unwrap();
         std::fs::write(tools.path().join("blender/requirements.txt"), "").unwrap();

@@ -11,7 +11,6 @@ use std::process::{Command, Output};
 use stlfr::capture::Capture;
 use stlfr::raster::{BitDepth, Image, read_image, write_image};
 use stlfr::raster::{encoded_from_linear, linear_from_encoded};
-use stlfr::toolchain::find_ffmpeg;
 use tempfile::TempDir;
 
 /// Frames after the scene's start, the reference (the middle one) not at 0.
@@ -144,9 +143,8 @@ fn many_times_are_each_one_time_as_images_and_as_a_video() {
     assert!(all[0] != all[1] && all[1] != all[2]);
 
     let video = out.path().join("slow.mkv");
-    run(&["setup", "-q"]); // brings an ffmpeg where the system has none
+    let ffmpeg = common::ffmpeg();
     render(&video, ["--times", &times]);
-    let ffmpeg = find_ffmpeg().expect("an ffmpeg");
     let decoded = Command::new(ffmpeg)
         .args(["-v", "error", "-i", text(&video)])
         .args(["-f", "rawvideo", "-pix_fmt", "rgb24", "-"])

@@ -2,14 +2,13 @@
 
 mod common;
 
-use common::{assert_refused, describe, edit, run, stderr, stlfr, synthetic};
+use common::{assert_refused, describe, edit, ffmpeg, stderr, stlfr, synthetic};
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use stlfr::capture::{Capture, CaptureError, Opening};
 use stlfr::progress::Reporter;
 use stlfr::raster::{BitDepth, Image, read_image, write_image};
-use stlfr::toolchain::find_ffmpeg;
 use stlfr::video::{Codec, VideoFormat, VideoWriter};
 
 const FRAMES: usize = 5;
@@ -18,13 +17,6 @@ const FRAMES: usize = 5;
 fn open(folder: &Path) -> Result<Capture, CaptureError> {
     let reporter = &Reporter::silent();
     Capture::open_with(folder, &Opening { ffmpeg: Some(&ffmpeg()), reporter })
-}
-
-fn ffmpeg() -> PathBuf {
-    find_ffmpeg().unwrap_or_else(|| {
-        run(&["setup", "-q"]); // brings one
-        find_ffmpeg().expect("an ffmpeg")
-    })
 }
 
 fn encode(path: &Path, frames: &[Image], depth: BitDepth, rate_hz: f64) {

@@ -21,18 +21,21 @@ impl Capture {
         self.cameras.iter().map(FilmedCamera::max_duration_s).sum()
     }
 
+    /// Whether a camera has the reference's clock: its own, or one that both share.
+    pub fn has_reference_clock(&self, camera: usize) -> bool {
+        let shares = |c: usize| self.cameras[c].clock.shared;
+        camera == self.reference || (shares(camera) && shares(self.reference))
+    }
+
     /// The first and the last time that a camera's frames can have on the reference's clock, whatever
     /// its offset, seconds; those of all cameras for `None`. They are exact for a camera with the
     /// reference's own clock that loses no frames.
     pub fn widest_span_s(&self, camera: Option<usize>) -> (f64, f64) {
         let reference = &self.cameras[self.reference];
-        let has_its_clock = |c: usize| {
-            c == self.reference || (self.cameras[c].clock.shared && reference.clock.shared)
-        };
         let span = |c: usize| {
             let clock = &self.cameras[c].clock;
             let (first, last) = (clock.times_s[0], clock.times_s[clock.times_s.len() - 1]);
-            if !has_its_clock(c) {
+            if !self.has_reference_clock(c) {
                 let (reach, reference) = (self.reach_s(), &reference.clock.times_s);
                 (reference[0] - reach, reference[reference.len() - 1] + reach)
             } else if clock.lost {

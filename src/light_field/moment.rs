@@ -11,8 +11,9 @@ use crate::stereo::fuse;
 
 /// A light field at one instant, for views from anywhere.
 ///
-/// Its views are those of [`LightField::view`], but for depth per pixel: there, every camera's depths are
-/// estimated, in one range, and each view takes those of the cameras nearest to it.
+/// Its views are those of [`LightField::view`], byte by byte, over a plane and a mesh. With depth per pixel they
+/// differ: a `Moment` estimates every camera's depths in one common range, and a view takes those of the cameras
+/// nearest to it.
 pub struct Moment<'a> {
     field: &'a LightField,
     time_s: f64,
@@ -48,7 +49,7 @@ impl LightField {
         Ok(Moment { field: self, time_s, options: options.clone(), images, depths })
     }
 
-    /// `None` where two cameras are missing, or no point of the scene is known.
+    /// `None` with fewer than two cameras, or if no point of the scene is known.
     fn depths_of_all(
         &self,
         cameras: &[usize],
@@ -56,6 +57,9 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Option<Depths>, RenderError> {
+        if cameras.len() < 2 {
+            return Ok(None);
+        }
         let filmed = &self.capture().cameras;
         let middle = nearest(filmed, cameras, &filmed[self.capture().reference].camera)[0];
         let middle = &filmed[middle].camera;

@@ -37,7 +37,8 @@ impl DepthMap {
         self
     }
 
-    /// The standard errors as fractions of the depths, row by row. `None`: unknown.
+    /// The standard errors as fractions of the depths, row by row: infinite where a depth was filled from behind,
+    /// NaN where there is none. `None`: unknown.
     pub fn relative_std_err(&self) -> Option<&[f32]> {
         (!self.relative_std_err.is_empty()).then_some(&self.relative_std_err)
     }

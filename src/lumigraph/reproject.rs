@@ -134,7 +134,7 @@ impl Reprojection {
     /// A bound below the penalties of the row's points, from the angle alone: with r the ray, ρ the inverse depth and
     /// d the shift, `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, because q = r + ρd
     /// is not longer than |r| + ρ|d|. That grows with ρ.
-    pub fn least_angle(&self, row: &TargetRow) -> f32 {
+    pub fn min_angle(&self, row: &TargetRow) -> f32 {
         let d = self.shift_target;
         let n = row.x.len();
         let (xs, ys, lengths, inverse) =

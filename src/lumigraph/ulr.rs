@@ -28,7 +28,7 @@
 //! camera still contributes unless its own [`Source::depth`] is given.
 
 use super::DepthMap;
-use super::hidden;
+use super::hidden::{self, Shown};
 use super::rays::RayRow;
 use super::reproject::{Hits, Reprojection, TargetRow};
 use super::source::{BlendOptions, Rendered, Source};
@@ -65,26 +65,26 @@ pub fn blend(
     let channels = if colored > 0 { 3 } else { 1 };
     let mut image = Image::filled(w, h, channels, 0.0);
     let mut coverage = vec![false; w * h];
-    let mut is_hidden = vec![false; w * h];
+    let mut shown = vec![Shown::Nothing; w * h];
     image
         .data_mut()
         .par_chunks_exact_mut(w * channels)
         .zip(coverage.par_chunks_exact_mut(w))
-        .zip(is_hidden.par_chunks_exact_mut(w))
+        .zip(shown.par_chunks_exact_mut(w))
         .enumerate()
         .for_each_init(
             || Row::new(sources, &reprojections, target, options),
-            |row, (y, ((pixels, covered), hidden))| {
+            |row, (y, ((pixels, covered), shown))| {
                 row.measure(y, depth.row(y));
                 match (channels, colored == sources.len()) {
                     (1, _) => row.blend::<1>(pixels),
                     (_, true) => row.blend::<3>(pixels),
                     (_, false) => row.blend_mixed(pixels),
                 }
-                row.cover(covered, hidden);
+                row.cover(covered, shown);
             },
         );
-    hidden::fill(&mut image, &is_hidden, depth, options.hidden_share as f32);
+    hidden::fill(&mut image, &shown, depth, options.hidden_share as f32);
     Rendered { image, coverage }
 }
 
@@ -157,7 +157,7 @@ struct Row<'a> {
     is_mixed: bool,
 }
 
-/// The pixels of a row that sources are left out for together. Larger: depths differ more within a part, so that
+/// The pixels of a row that sources are culled for together. Larger: depths differ more within a part, so that
 /// fewer are; smaller: deciding takes longer than it saves.
 const PART_PX: usize = 64;
 
@@ -223,7 +223,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// Reprojects some of the row's points, first into the nearest sources. Further ones are left out where they
+    /// Reprojects some of the row's points, first into the nearest sources. Further ones are culled where they
     /// have no weight: the best penalty that they may have is no better than that at which weights end.
     fn measure_part(&mut self, row: &TargetRow, columns: &Range<usize>) {
         let width = self.target.width;
@@ -240,7 +240,9 @@ impl<'a> Row<'a> {
             }
             let own = i * width + columns.start..i * width + columns.end;
             let reprojection = &self.reprojections[i];
-            if limit < f32::INFINITY && reprojection.least_angle(row) >= limit {
+            // At 0, sources at the view's own centre tie.
+            let may_cull = limit > 0.0 && limit < f32::INFINITY;
+            if may_cull && reprojection.min_angle(row) >= limit {
                 self.penalty[own.clone()].fill(f32::INFINITY);
                 self.trust[own].fill(0.0);
                 continue;
@@ -376,15 +378,19 @@ impl<'a> Row<'a> {
         [gray; 3]
     }
 
-    /// Which pixels some camera has in its image, and which of them are hidden from all.
-    fn cover(&self, covered: &mut [bool], hidden: &mut [bool]) {
+    /// Which pixels some camera has in its image, and whether one shows their points.
+    fn cover(&self, covered: &mut [bool], shown: &mut [Shown]) {
         for trust in self.trust.chunks_exact(covered.len()) {
             for (covered, &t) in covered.iter_mut().zip(trust) {
                 *covered |= t > 0.0;
             }
         }
-        for ((hidden, covered), seen) in hidden.iter_mut().zip(covered).zip(&self.seen) {
-            *hidden = *covered && !seen;
+        for ((shown, covered), seen) in shown.iter_mut().zip(covered).zip(&self.seen) {
+            *shown = match (*covered, seen) {
+                (false, _) => Shown::Nothing,
+                (true, false) => Shown::Hidden,
+                (true, true) => Shown::Seen,
+            };
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The validation of offsets that somebody has edited: field by field, against the capture.
 
 use super::store::{CameraOffset, Offsets};
-use crate::capture::{Capture, MAX_DRIFT_PPM, are_frame_times};
+use crate::capture::{Capture, FilmedCamera, MAX_DRIFT_PPM, are_frame_times};
 
 /// Longest reason of an unknown offset, characters. Larger: a file fills the terminal. Smaller: a
 /// sentence is refused.
@@ -47,9 +47,10 @@ pub(super) fn checked(given: Offsets, capture: &Capture) -> Result<Offsets, Refu
             continue;
         };
         let of = Fields { k, camera: &camera };
-        of.offset(reach_s, index == capture.reference)?;
-        of.rate(index == capture.reference)?;
-        of.lost_before(capture.cameras[index].frames.len())?;
+        let filmed = &capture.cameras[index];
+        of.offset(reach_s, capture.has_reference_clock(index))?;
+        of.rate(filmed.clock.drift && index != capture.reference)?;
+        of.lost_before(filmed)?;
         of.reason()?;
         cameras.push((k, camera));
     }
@@ -71,12 +72,12 @@ impl Fields<'_> {
         refuse(format!("cameras[{}] ({}).{field}", self.k, self.camera.id), reason)
     }
 
-    fn offset(&self, reach_s: f64, is_reference: bool) -> Checked {
+    fn offset(&self, reach_s: f64, is_on_reference: bool) -> Checked {
         let CameraOffset { offset_s, std_err_s, .. } = *self.camera;
-        if is_reference {
+        if is_on_reference {
             for (field, value) in [("offset_s", offset_s), ("std_err_s", std_err_s)] {
                 if value != Some(0.0) {
-                    self.refuse(field, "must be 0 for the reference camera")?;
+                    self.refuse(field, "must be 0 on the reference camera's clock")?;
                 }
             }
             return Ok(());
@@ -95,7 +96,7 @@ impl Fields<'_> {
         }
     }
 
-    fn rate(&self, is_reference: bool) -> Checked {
+    fn rate(&self, may_drift: bool) -> Checked {
         let (rate, error) = (self.camera.rate_ppm, self.camera.rate_std_err_ppm);
         let Some(rate) = rate else {
             return match error {
@@ -106,8 +107,8 @@ impl Fields<'_> {
         if self.camera.offset_s.is_none() {
             return self.refuse("rate_ppm", "is there without an offset_s");
         }
-        if is_reference && rate != 0.0 {
-            return self.refuse("rate_ppm", "must be 0 for the reference camera");
+        if !may_drift && rate != 0.0 {
+            return self.refuse("rate_ppm", "must be 0: the capture says nothing of a drift");
         }
         if !(rate.abs() <= MAX_DRIFT_PPM) {
             let reason = format!("is {rate:?}, must be from -{MAX_DRIFT_PPM} to {MAX_DRIFT_PPM}");
@@ -123,8 +124,13 @@ impl Fields<'_> {
         }
     }
 
-    fn lost_before(&self, frames: usize) -> Checked {
+    fn lost_before(&self, filmed: &FilmedCamera) -> Checked {
         let Some(lost) = &self.camera.lost_before else { return Ok(()) };
+        let frames = filmed.frames.len();
+        if !filmed.clock.lost && !lost.is_empty() {
+            let reason = "must be empty: the capture says nothing of lost frames";
+            return self.refuse("lost_before", reason);
+        }
         if lost.len() > frames {
             let reason = format!("has {} entries, and the camera {frames} images", lost.len());
             return self.refuse("lost_before", reason);
@@ -166,20 +172,20 @@ impl Fields<'_> {
 fn times(offsets: &Offsets, places: &[usize], capture: &Capture) -> Checked {
     let all = offsets.common_times_s(capture);
     let reach_s = capture.reach_s();
-    let Some(reference) = all[capture.reference].as_ref() else { return Ok(()) };
-    let (first_s, last_s) = (reference[0], reference[reference.len() - 1]);
-    for ((times, camera), &k) in all.iter().zip(&offsets.cameras).zip(places) {
+    for (index, ((times, camera), &k)) in all.iter().zip(&offsets.cameras).zip(places).enumerate() {
         let (Some(times), Some(offset_s)) = (times, camera.offset_s) else { continue };
         let of = Fields { k, camera };
-        let away_s = (times[0] - last_s).max(first_s - times[times.len() - 1]);
-        if !(away_s <= reach_s) {
+        let (first_s, last_s) = capture.widest_span_s(Some(index));
+        if !(first_s <= times[0] && times[times.len() - 1] <= last_s) {
             let reason = format!(
                 "is {offset_s:?}, which puts its images further from the reference's than all recordings last, {reach_s:.3} s"
             );
             return of.refuse("offset_s", reason);
         }
         if !are_frame_times(times) {
-            return of.refuse("offset_s", format!("is {offset_s:?}, in which its frames vanish"));
+            return of.refuse("offset_s", format!(
+                "is {offset_s:?}, so large that the times of successive frames are equal once rounded"
+            ));
         }
     }
     Ok(())

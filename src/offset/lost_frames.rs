@@ -204,9 +204,9 @@ fn track_offset(
     Ok(offsets)
 }
 
-/// Observes the triples that the fitted clock models predict, and those on either side of lost
-/// frames. Of several observations from the same image of camera a, that with the highest score
-/// stays. Returns whether any observation changed.
+/// Observes the triples that the fitted clock models predict. At the recordings' ends and on either side of
+/// lost frames, it observes each image of camera a with every plausible image of camera b, and keeps all of these.
+/// Returns whether any observation changed.
 fn observe_again(
     recording: &Recording,
     cameras: [usize; 2],
@@ -227,17 +227,18 @@ fn observe_again(
         .chain([times_a[times_a.len() - 1], times_b[times_b.len() - 1]])
         .collect();
     let reach_s = (IMAGES_AROUND_LOSS as f64 + 0.5) * scan.frame_s;
-    let is_near_loss = |k: usize| decisive_times.iter().any(|t| (times_a[k] - t).abs() < reach_s);
+    let is_near_decisive =
+        |k: usize| decisive_times.iter().any(|t| (times_a[k] - t).abs() < reach_s);
     let mut changed = false;
     let sampled = scan.sampled_images();
     for k in 0..times_a.len() - 1 {
-        let near_loss = is_near_loss(k);
-        if !near_loss && sampled.binary_search(&k).is_err() {
+        let near_decisive = is_near_decisive(k);
+        if !near_decisive && sampled.binary_search(&k).is_err() {
             continue;
         }
         let middle_s = 0.5 * (times_a[k] + times_a[k + 1]);
         let m = times_b.partition_point(|t| *t < middle_s - 0.5 * scan.frame_s);
-        let images = if near_loss { m.saturating_sub(1)..m + 2 } else { m..m + 1 };
+        let images = if near_decisive { m.saturating_sub(1)..m + 2 } else { m..m + 1 };
         for m in images.filter(|m| *m < times_b.len()) {
             if offsets.iter().any(|o| (o.k, o.m) == (k, m)) {
                 continue;

@@ -17,6 +17,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
+use stlfr::toolchain::find_ffmpeg;
 
 /// The project's folder.
 pub fn root() -> &'static Path {
@@ -28,6 +29,14 @@ pub fn stlfr() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_stlfr"));
     command.current_dir(root());
     command
+}
+
+/// The system's ffmpeg, or that which `stlfr setup` brings.
+pub fn ffmpeg() -> PathBuf {
+    find_ffmpeg().unwrap_or_else(|| {
+        run(&["setup", "-q"]);
+        find_ffmpeg().expect("an ffmpeg")
+    })
 }
 
 /// Runs the program; its output.

@@ -1,12 +1,14 @@
 //! Jump moves (Veksler 1999): some images of some cameras move by whole frames, all others stay. A minimum
-//! cut finds the move of lowest cost among all sets of images, those of several cameras included.
+//! cut finds a move of low cost among all sets of images, those of several cameras included: the move of
+//! lowest cost where all terms are submodular.
 //!
 //! Block-coordinate descent changes one camera at a time. Where neighbours lose frames at about the
 //! same time, a better model differs from a worse one in all of them at once. A move of negative cost
-//! is an improvement. The cheapest move of a given image is that image's min-marginal (Kohli and Torr,
-//! CVIU 112(1), 2008): where it costs next to nothing, the image's time is undecided.
+//! is an improvement. The cost of a given image's move bounds that image's min-marginal (Kohli and Torr,
+//! CVIU 112(1), 2008) from above: where it costs next to nothing, the image's time is undecided.
 //!
-//! Known limit: offsets within a frame and rates stay as they are.
+//! Known limits: offsets within a frame and rates stay as they are. Observations that contradict each other give
+//! terms that are not submodular ([`super::min_cut`]), and a move through them may be missed.
 
 use super::fit::{gap_penalty, robust_loss};
 use super::min_cut::{Energy, Triple};
@@ -103,8 +105,8 @@ impl<'a> Jumps<'a> {
         decisive
     }
 
-    /// The move of lowest cost, of those that contain a node if one is given; `None` if nothing moves, or
-    /// all such moves are impossible.
+    /// A move of low cost, of those that contain a node if one is given; `None` if nothing moves, or all such
+    /// moves are impossible.
     pub fn cheapest(&self, containing: Option<usize>) -> Option<Move> {
         let mut energy = Energy::new(self.nodes.len());
         energy.fix(self.of_camera[self.problem.origin].start, false);

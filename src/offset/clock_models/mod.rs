@@ -9,13 +9,16 @@
 //! a trellis of images and loss counts, found by dynamic programming ([`fit`]).
 //!
 //! The objective is a sum of truncated squared residuals plus a penalty per lost frame. An outlier
-//! costs 1 under any model, so that the penalty is counted in outliers.
+//! costs 1 under any model, so that the penalty is counted in outliers. Residuals within an interval with lost
+//! frames are weighed by its length, and further frames lost in one place cost less than the first.
 //!
 //! Neighbours that lose frames at about the same time hide each other's losses: their images can move
 //! by a frame together at little cost. [`jumps`] finds such moves, of any set of images. A move that lowers
 //! the objective is made. The cameras of a move that costs less than an outlier are undecided.
 //!
-//! Known limit: frames that all cameras lose at the same time leave no trace.
+//! Known limits: frames that all cameras lose at the same time leave no trace. Where observations contradict
+//! each other, a cheap move may be missed. The camera whose clock is the common one keeps its offset of 0 even
+//! where it is undecided.
 
 mod fit;
 mod jumps;
@@ -100,7 +103,7 @@ const JUMPS: [i32; 4] = [1, -1, 2, -2];
 /// The decrease of the objective that a move must bring, in outliers. Larger keeps worse models; smaller
 /// than rounding repeats moves for ever.
 const MIN_IMPROVEMENT: f64 = 1e-6;
-/// The maximum number of sweeps over all cameras, and of alternations within one camera's fit.
+/// The maximum number of sweeps over all cameras, of alternations within one camera's fit, and of jump moves.
 /// Larger costs time where the models cycle between solutions of equal cost; smaller stops long
 /// chains of cameras before they converge.
 const MAX_SWEEPS: usize = 12;
@@ -273,6 +276,12 @@ impl<'a> CoordinateDescent<'a> {
         }
     }
 
+    /// The models of a component's cameras; `None` for the others, which no move of it concerns.
+    fn models_of(&self, component: usize) -> Vec<Option<ClockModel>> {
+        let of = |m: &Option<ClockModel>| m.clone().filter(|m| m.component == component);
+        self.models.iter().map(of).collect()
+    }
+
     /// Moves images of several cameras at once by a frame, as long as that lowers the objective.
     fn improve_by_jumps(&mut self, origin: usize, component: usize) {
         let observations = self.component_observations(component);
@@ -280,14 +289,18 @@ impl<'a> CoordinateDescent<'a> {
         self.converge(component);
         for _ in 0..MAX_SWEEPS {
             let cost = self.total_cost(component);
+            let models = self.models_of(component);
             let improved = JUMPS.into_iter().find_map(|frames| {
-                let problem = self.problem(&observations, origin);
+                let problem = self.problem(&models, &observations, origin);
                 let jumps = Jumps::new(problem, frames);
                 let improvement = jumps.cheapest(None).filter(|m| m.cost < -MIN_IMPROVEMENT)?;
                 Some(jumps.apply(&improvement))
             });
-            let Some(models) = improved else { return };
-            let before = std::mem::replace(&mut self.models, models);
+            let Some(improved) = improved else { return };
+            let before = self.models.clone();
+            for (model, improved) in self.models.iter_mut().zip(improved) {
+                *model = improved.or(model.take());
+            }
             self.converge(component);
             if self.total_cost(component) > cost - MIN_IMPROVEMENT {
                 self.models = before;
@@ -300,9 +313,10 @@ impl<'a> CoordinateDescent<'a> {
     /// together with others.
     fn flag_undecided(&mut self, origin: usize, component: usize) {
         let observations = self.component_observations(component);
+        let models = self.models_of(component);
         let mut undecided = vec![false; self.models.len()];
         for frames in JUMPS {
-            let problem = self.problem(&observations, origin);
+            let problem = self.problem(&models, &observations, origin);
             let jumps = Jumps::new(problem, frames);
             let best = jumps.cheapest(None);
             let lowest = best.as_ref().map_or(0.0, |m| m.cost.min(0.0));
@@ -329,9 +343,14 @@ impl<'a> CoordinateDescent<'a> {
         }
     }
 
-    fn problem<'b>(&'b self, observations: &'b [TimingObservation], origin: usize) -> Problem<'b> {
+    fn problem<'b>(
+        &'b self,
+        models: &'b [Option<ClockModel>],
+        observations: &'b [TimingObservation],
+        origin: usize,
+    ) -> Problem<'b> {
         let loss_penalty = self.loss_penalty;
-        Problem { clocks: self.clocks, models: &self.models, observations, origin, loss_penalty }
+        Problem { clocks: self.clocks, models, observations, origin, loss_penalty }
     }
 
     /// The observations of a component, each once.

@@ -141,6 +141,29 @@ fn two_losses_at_one_image_and_a_camera_without_observations() {
     assert_eq!(recordings.fit(&[]), [None, None, None]);
 }
 
+/// Cameras of which no observation connects the halves: each half is fitted as if it were alone.
+#[test]
+fn components_do_not_touch_each_other() {
+    let random = &mut Random::new(11);
+    for _ in 0..20 {
+        let lost = || vec![vec![5], vec![9, 14], vec![]];
+        let halves = [0, 1].map(|_| Recordings::new(random, lost(), 22, false));
+        let observations = halves.each_ref().map(|h| h.observations(random, 0.02));
+        let mut both = observations[0].clone();
+        let moved =
+            |o: &TimingObservation| TimingObservation { cameras: o.cameras.map(|c| c + 3), ..*o };
+        both.extend(observations[1].iter().map(moved));
+        let clocks: Vec<NominalClock> = halves.iter().flat_map(Recordings::clocks).collect();
+        let fitted = fit_clock_models(&clocks, 0, &both);
+        for (n, (half, observations)) in halves.iter().zip(&observations).enumerate() {
+            for (model, alone) in fitted[3 * n..].iter().zip(half.fit(observations)) {
+                let model = model.clone().map(|m| ClockModel { component: 0, ..m });
+                assert_eq!(model, alone, "half {n}");
+            }
+        }
+    }
+}
+
 /// One observation is too few to decide on a loss and two are enough. Two of which one is half an inlier
 /// bound off neither prove a loss nor rule it out.
 #[test]
