@@ -1,13 +1,16 @@
 //! Text from files, as it may reach a terminal, a chart or another program's file.
 
-/// The regular expression of an id in JSON Schemas (ECMAScript, with Unicode).
-pub const ID_PATTERN: &str = r"^(?! )(?!\.{1,2}$)[\p{Alphabetic}\p{N}_. -]+(?<! )$";
+/// The regular expression of an id in JSON Schemas (ECMAScript, with Unicode). The characters by number
+/// are the fillers of Hangul: letters that are not seen.
+pub const ID_PATTERN: &str =
+    r"^(?! )(?!\.{1,2}$)(?!.*[\u115F\u1160\u3164\uFFA0])[\p{Alphabetic}\p{N}_. -]+(?<! )$";
 /// Characters of an id. Larger: tables and file names run over. Smaller: names of real cameras are
 /// refused.
 pub const MAX_ID_LENGTH: usize = 100;
 
-/// Checks that an id is a name: letters, digits, `_`, `-`, `.` and spaces, at most [`MAX_ID_LENGTH`] of
-/// them, no space first or last, and neither `.` nor `..`. The error is the end of a sentence on the id.
+/// Checks that an id is a name: letters that are seen, digits, `_`, `-`, `.` and spaces, at most
+/// [`MAX_ID_LENGTH`] of them, no space first or last, and neither `.` nor `..`. The error is the end of a
+/// sentence on the id.
 pub fn check_id(id: &str) -> Result<(), String> {
     let is_legal = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-' | '.' | ' ');
     let length = id.chars().count();
@@ -17,6 +20,8 @@ pub fn check_id(id: &str) -> Result<(), String> {
         return Err(format!("has {length} characters, at most {MAX_ID_LENGTH} are allowed"));
     } else if !id.chars().all(is_legal) {
         "holds other characters than letters, digits, '_', '-', '.' and spaces"
+    } else if !id.chars().all(is_printable) {
+        "holds a letter that is not seen"
     } else if id != id.trim() {
         "starts or ends with a space"
     } else if id == "." || id == ".." {
@@ -25,6 +30,12 @@ pub fn check_id(id: &str) -> Result<(), String> {
         return Ok(());
     };
     Err(format!("'{}' {reason}", printable(id)))
+}
+
+/// A value as a message quotes it: its first characters, as many as an id can have. Control characters
+/// stay; [`printable`] escapes them where the message is printed.
+pub(crate) fn short(value: &str) -> String {
+    value.chars().take(MAX_ID_LENGTH).collect()
 }
 
 /// Text on one line of a terminal: control characters, line separators and characters that turn the
@@ -36,8 +47,10 @@ pub fn printable(text: &str) -> String {
 
 fn is_printable(c: char) -> bool {
     let hidden = matches!(c,
-        '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
-        | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}');
+        '\u{ad}' | '\u{34f}' | '\u{61c}' | '\u{115f}' | '\u{1160}' | '\u{17b4}' | '\u{17b5}' | '\u{180e}'
+        | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{3164}'
+        | '\u{fe00}'..='\u{fe0f}' | '\u{feff}' | '\u{ffa0}' | '\u{fff9}'..='\u{fffb}'
+        | '\u{e0000}'..='\u{e007f}');
     !c.is_control() && !hidden
 }
 
@@ -64,6 +77,9 @@ mod tests {
             "a\u{a0}b",
             "a\u{202e}b",
             "a\u{200b}b",
+            "\u{3164}",
+            "a\u{ffa0}b",
+            "a\u{fe0f}",
             "a/b",
             "a\\b",
             "<b>",
@@ -79,9 +95,23 @@ mod tests {
     }
 
     #[test]
+    fn the_pattern_names_every_letter_that_is_not_seen() {
+        let hidden = ('\0'..=char::MAX).filter(|c| c.is_alphanumeric() && !is_printable(*c));
+        let named: String = hidden.map(|c| format!(r"\u{:04X}", c as u32)).collect();
+        assert!(ID_PATTERN.contains(&format!("(?!.*[{named}])")), "{named}");
+    }
+
+    #[test]
+    fn what_a_message_quotes_is_no_longer_than_an_id() {
+        assert_eq!(short("カメラ"), "カメラ");
+        assert_eq!(short(&"カ".repeat(1000)), "カ".repeat(MAX_ID_LENGTH));
+    }
+
+    #[test]
     fn what_drives_a_terminal_is_escaped() {
         assert_eq!(printable("a\n\u{1b}[0m\u{7}"), r"a\n\u{1b}[0m\u{7}");
         assert_eq!(printable("x\u{202e}y\u{2066}\u{9b}z"), r"x\u{202e}y\u{2066}\u{9b}z");
+        assert_eq!(printable("\u{3164}\u{34f}\u{fe00}"), r"\u{3164}\u{34f}\u{fe00}");
         assert_eq!(printable("'Süd 3', 0.5 ± 0.1 é カ"), "'Süd 3', 0.5 ± 0.1 é カ");
     }
 }

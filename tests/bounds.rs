@@ -189,7 +189,7 @@ fn files_of_terabytes_are_refused_unread() {
         let folder = inputs();
         let path = folder.path().join(file);
         File::create(&path).unwrap().set_len(1 << 40).unwrap();
-        check(&format!("{file}: 1 TiB"), command, folder.path(), "the most that is read");
+        check(&format!("{file}: 1 TiB"), command, folder.path(), ", the maximum");
     }
 }
 

@@ -40,6 +40,7 @@ fn ids_that_are_no_names_are_refused_with_file_field_and_reason() {
         "a\tb",
         "a\u{202e}b",
         "a\u{200b}b",
+        "\u{3164}",
         &"x".repeat(101),
     ] {
         let folder = named(id);

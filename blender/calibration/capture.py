@@ -95,11 +95,10 @@ def exported_model(
     """Every camera's intrinsics and pose as pycolmap reads them from `colmap/`; None without it."""
     if not (folder / "colmap").is_dir():
         return None
-    for name in ("cameras", "images", "points3D"):
-        for file in (folder / "colmap").glob(f"{name}.*"):
-            # At a pipe, pycolmap would wait.
-            if not file.is_file():
-                raise CheckError(f"{file}: is no regular file", 2)
+    for file in sorted((folder / "colmap").iterdir()):
+        # At a pipe, pycolmap would wait.
+        if not file.is_file():
+            raise CheckError(f"{file}: is no regular file", 2)
     try:
         model = pycolmap.Reconstruction(folder / "colmap")
     except (ValueError, RuntimeError) as error:

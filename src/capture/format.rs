@@ -5,7 +5,7 @@ use super::video::VideoFile;
 use super::{CaptureError, Clock, FilmedCamera, Opening, frames, video};
 use crate::camera::{CameraFormat, PoseFormat};
 use crate::raster::{BitDepth, ImageFileError, read_header};
-use crate::text::{ID_PATTERN, MAX_ID_LENGTH, check_id, printable};
+use crate::text::{ID_PATTERN, MAX_ID_LENGTH, check_id, printable, short};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
@@ -91,11 +91,6 @@ pub struct ClockFormat {
 /// Characters of a capture's name. Larger: it fills tables and reports. Smaller: the name of a long file
 /// and a rig is refused.
 const MAX_NAME_LENGTH: usize = 1000;
-
-/// A value as a message quotes it: its first characters, as many as an id can have.
-fn short(value: &str) -> String {
-    value.chars().take(MAX_ID_LENGTH).collect()
-}
 
 impl CaptureFormat {
     pub(super) fn check(&self, path: &Path) -> Result<(), CaptureError> {

@@ -118,7 +118,10 @@ impl Truth {
         let frames = camera.times_s.len();
         if frames.checked_mul(points).is_none_or(|n| n > MAX_TRACKED) {
             let path = self.file(if folder.is_empty() { "." } else { folder })?;
-            let reason = format!("{}: has more than {MAX_TRACKED} points of all frames", camera.id);
+            let reason = format!(
+                "{}: has more than {MAX_TRACKED} tracked positions (frames × points)",
+                camera.id
+            );
             return Err(TruthError::Content { path, reason });
         }
         let world = self.array(folder, &camera.world, [frames, points, 3])?;

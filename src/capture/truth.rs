@@ -83,8 +83,8 @@ pub struct TruthShutter {
     pub times_s: Vec<f64>,
 }
 
-/// Largest number of true images. Larger: to tell their names apart, which compares all with all, takes
-/// minutes. Smaller: a hundred instants of a hundred cameras are refused.
+/// Largest number of true images. Larger: comparing all names pairwise takes minutes. Smaller: a hundred
+/// instants of a hundred cameras are refused.
 const MAX_VIEWS: usize = 10_000;
 
 /// A true image of a view at an instant.

@@ -14,12 +14,13 @@
 
 use super::{CaptureError, Opening};
 use crate::host::temporary::Temporary;
-use crate::host::{cache_file, hash_file, obstacle, open_file};
+use crate::host::{cache_file, hash_file, open_file, remove_special};
 use crate::video::{self, VideoError, frame_name};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 /// Frames of one camera that a simulated rig films, and that a video is decoded to. Larger: a crafted
@@ -103,11 +104,24 @@ fn hash(path: &Path) -> io::Result<String> {
 /// told where they were and are no more.
 fn whole(folder: &Path, key: &str, note: impl Fn(&str)) -> Option<Index> {
     let index: Index = cache_file::load(&folder.join(INDEX_FILE), key, &note)?;
-    if hashes(folder, index.frames.len()).is_ok_and(|found| found == index.frames) {
+    if holds(folder, &index) {
         return Some(index);
     }
     note(&cache_file::damaged(folder));
     None
+}
+
+/// Whether a folder has the frames of an index that decoding can have made: a checksum has no secret, so
+/// that anybody can write one for any index.
+fn holds(folder: &Path, index: &Index) -> bool {
+    let frames = index.frames.len();
+    // Through a link, files outside of the capture would be read.
+    let is_file =
+        |k| folder.join(frame_name(k)).symlink_metadata().is_ok_and(|found| found.is_file());
+    (1..=MAX_FRAMES).contains(&frames)
+        && index.times_s.len() == frames
+        && (0..frames).all(is_file)
+        && hashes(folder, frames).is_ok_and(|found| found == index.frames)
 }
 
 /// The hashes of a folder's first frames.
@@ -165,10 +179,10 @@ fn decode(
 /// a pipe would wait, and a link lead elsewhere.
 fn lock_file(folder: &Path) -> io::Result<File> {
     let path = folder.with_extension("lock");
-    if obstacle(&path).is_some() && !path.is_dir() {
-        std::fs::remove_file(&path)?;
-    }
-    File::options().write(true).create(true).truncate(false).open(path)
+    remove_special(&path)?;
+    // Between the two it may become one again.
+    let flags = libc::O_NOFOLLOW | libc::O_NONBLOCK;
+    File::options().write(true).create(true).truncate(false).custom_flags(flags).open(path)
 }
 
 /// The frames in a temporary folder.
@@ -255,6 +269,43 @@ mod tests {
             stamps_s: stamps_s.to_vec(),
             index: "frames.json".into(),
         }
+    }
+
+    #[test]
+    fn an_index_that_decoding_can_not_have_made_does_not_hold() {
+        let folder = tempfile::tempdir().unwrap();
+        let whole = |times_s: &[f64], frames: &[String]| {
+            let index = Index { times_s: times_s.to_vec(), frames: frames.to_vec() };
+            cache_file::save(&folder.path().join(INDEX_FILE), "k", &index).unwrap();
+            let notes = std::cell::Cell::new(0);
+            let found = whole(folder.path(), "k", |_| notes.set(notes.get() + 1));
+            assert_eq!(notes.get(), usize::from(found.is_none()));
+            found.is_some()
+        };
+        let frame = folder.path().join(frame_name(0));
+        std::fs::write(&frame, "pixels").unwrap();
+        let hash = hashes(folder.path(), 1).unwrap();
+        assert!(whole(&[0.0], &hash));
+        assert!(!whole(&[], &[]), "no frames");
+        assert!(!whole(&[0.0, 1.0], &hash) && !whole(&[], &hash), "other stamps than frames");
+        let many = MAX_FRAMES + 1;
+        assert!(!whole(&vec![0.0; many], &vec![String::new(); many]), "too many frames");
+
+        let elsewhere = tempfile::tempdir().unwrap();
+        std::fs::rename(&frame, elsewhere.path().join("0")).unwrap();
+        std::os::unix::fs::symlink(elsewhere.path().join("0"), &frame).unwrap();
+        assert_eq!(hashes(folder.path(), 1).unwrap(), hash);
+        assert!(!whole(&[0.0], &hash), "a link");
+    }
+
+    #[test]
+    fn what_is_no_file_is_no_lock() {
+        let folder = tempfile::tempdir().unwrap();
+        let (video, elsewhere) = (folder.path().join("0"), tempfile::tempdir().unwrap());
+        let lock = video.with_extension("lock");
+        std::os::unix::fs::symlink(elsewhere.path(), &lock).unwrap();
+        lock_file(&video).unwrap().lock().unwrap();
+        assert!(lock.symlink_metadata().unwrap().is_file());
     }
 
     #[test]

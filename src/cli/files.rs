@@ -12,7 +12,8 @@ use stlfr::progress::Reporter;
 use stlfr::toolchain::find_ffmpeg;
 
 /// Largest file of options, and of a view, that is read, bytes. Larger: options, which are merged with a
-/// preset's, take 16 times as much memory. Smaller: nothing that anyone writes is refused.
+/// preset's, take 16 times as much memory. Smaller: below some thousand bytes, a file
+/// with every option is refused.
 const MAX_BYTES: u64 = 1 << 20;
 
 /// Refuses what is no regular file, or can't be read.

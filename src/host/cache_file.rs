@@ -8,7 +8,7 @@
 //!
 //! Known limit: a checksum tells damage and edits, not a forger, who can compute it too.
 
-use super::obstacle::obstacle;
+use super::obstacle::remove_special;
 use super::read::read_bytes;
 use super::write::write_atomically;
 use serde::Serialize;
@@ -72,9 +72,7 @@ pub(crate) fn save(path: &Path, key: &str, value: &impl Serialize) -> Result<()>
     let checksum = checksum(key, content.as_bytes());
     let text =
         [BEFORE_CHECKSUM, &checksum, BEFORE_CONTENT, content.as_str(), AFTER_CONTENT].concat();
-    if obstacle(path).is_some() && !path.is_dir() {
-        std::fs::remove_file(path)?;
-    }
+    remove_special(path)?;
     write_atomically(path, text.as_bytes())
 }
 
@@ -128,9 +126,12 @@ mod tests {
     fn what_is_no_file_is_replaced() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.json");
-        std::os::unix::fs::symlink("/dev/zero", &path).unwrap();
-        assert_eq!(loaded(&path, "k"), (None, true));
-        save(&path, "k", &Value::new()).unwrap();
-        assert_eq!(loaded(&path, "k"), (Some(Value::new()), false));
+        for target in [Path::new("/dev/zero"), folder.path()] {
+            std::os::unix::fs::symlink(target, &path).unwrap();
+            assert_eq!(loaded(&path, "k"), (None, true));
+            save(&path, "k", &Value::new()).unwrap();
+            assert_eq!(loaded(&path, "k"), (Some(Value::new()), false));
+            std::fs::remove_file(&path).unwrap();
+        }
     }
 }

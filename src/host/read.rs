@@ -1,7 +1,7 @@
 //! Reading files that anybody may have written: regular files only, up to a stated size, so that neither
 //! a device nor a pipe nor a mistake fills the memory or is waited for.
 
-use super::obstacle::kind;
+use super::obstacle::Kind;
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{Error, ErrorKind, Read, Result};
 use std::os::unix::fs::OpenOptionsExt;
@@ -31,7 +31,7 @@ pub fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
     let (file, length) = open_bounded(path, max_bytes)?;
     let mut bytes = Vec::with_capacity(length as usize);
     // A file may grow while it is read, and those of the kernel say that they are empty.
-    file.take(max_bytes + 1).read_to_end(&mut bytes)?;
+    file.take(max_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > max_bytes { Err(too_large(max_bytes)) } else { Ok(bytes) }
 }
 
@@ -54,16 +54,17 @@ fn must_be_regular(found: &Metadata) -> Result<()> {
     if found.is_file() {
         return Ok(());
     }
-    let sentence = format!("is {}, not a regular file", kind(found.file_type()));
+    let sentence = format!("is {}, not a regular file", Kind::of(found.file_type()).name());
     Err(Error::new(ErrorKind::InvalidInput, sentence))
 }
 
 fn too_large(max_bytes: u64) -> Error {
-    let limit = match max_bytes >> 20 {
-        0 => format!("{} KiB", max_bytes >> 10),
-        mib => format!("{mib} MiB"),
+    let limit = match (max_bytes >> 20, max_bytes >> 10) {
+        (0, 0) => format!("{max_bytes} bytes"),
+        (0, kib) => format!("{kib} KiB"),
+        (mib, _) => format!("{mib} MiB"),
     };
-    Error::new(ErrorKind::InvalidData, format!("is larger than {limit}, the most that is read"))
+    Error::new(ErrorKind::InvalidData, format!("is larger than {limit}, the maximum"))
 }
 
 #[cfg(test)]
@@ -91,8 +92,15 @@ mod tests {
         }
         std::fs::write(&file, "x".repeat(1024)).unwrap();
         assert_eq!(read_text(&file, 1024).unwrap().len(), 1024);
+        assert_eq!(read_bytes(&file, u64::MAX).unwrap().len(), 1024);
         let error = read_bytes(&file, 1023).unwrap_err().to_string();
-        assert_eq!(error, "is larger than 0 KiB, the most that is read");
+        assert_eq!(error, "is larger than 1023 bytes, the maximum");
+        for (limit, words) in [(1 << 10, "1 KiB"), (1 << 20, "1 MiB")] {
+            assert_eq!(
+                too_large(limit).to_string(),
+                format!("is larger than {words}, the maximum")
+            );
+        }
         // Of no length by its own account.
         assert!(read_bytes(Path::new("/proc/self/status"), 16).is_err());
         assert!(!read_bytes(Path::new("/proc/self/status"), 1 << 20).unwrap().is_empty());

@@ -6,6 +6,7 @@ import dataclasses
 import importlib
 import importlib.util
 import json
+import os
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -186,6 +187,14 @@ def test_points_beyond_the_fold_have_no_pixel() -> None:
     }
     pixels = stlfr.project(camera, np.array([[0.8, 0.0, 1.0], [0.9, 0.0, 1.0]]))
     assert np.isfinite(pixels[0]).all() and np.isnan(pixels[1]).all()
+
+
+@pytest.mark.parametrize("name", ["points3D.bin", "rigs.bin", "frames.txt"])
+def test_a_pipe_in_the_exported_model_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "colmap").mkdir()
+    os.mkfifo(tmp_path / "colmap" / name)
+    with pytest.raises(calibration.CheckError, match="is no regular file"):
+        calibration.exported_model(tmp_path, [], pycolmap)
 
 
 def test_the_exported_colmap_model_is_the_captures(capture_dir: Path) -> None:

@@ -4,8 +4,9 @@ use super::SetupError;
 use crate::host::{hash_file, read_bytes, read_text, write_atomically};
 use std::path::{Path, PathBuf};
 
-/// Largest stamp, and description of a Python environment, that is read, bytes. Larger: memory. Smaller:
-/// an environment with a long path is made anew at every start.
+/// Largest stamp, and description of a Python environment (`pyvenv.cfg`), that is read, bytes. Larger: a
+/// damaged one delays every start. Smaller: below some hundred bytes, that the environment's Python has
+/// changed is not noticed; below 64, a stamp's length, it is made anew at every start.
 const MAX_STAMP_BYTES: u64 = 64 << 10;
 
 /// The stamps as they should be, and whether they are there.
