@@ -11,6 +11,7 @@ use stlfr::capture::{self, MAX_FRAMES};
 use stlfr::host::write_atomically;
 use stlfr::rig::limits::MAX_CAMERAS;
 use stlfr::rig::{self, Delays, Distortion, Layout, Loss, LossStamps, Rig, RigColor, RigOptions};
+use stlfr::text::MAX_ID_LENGTH;
 use stlfr::tradeoff;
 
 /// Generate a rig: the cameras' poses, lenses, shutters and sensors. The same command writes the same
@@ -242,8 +243,12 @@ impl Args {
         }
     }
 
+    /// The name given, or the beginning of the file's.
     fn name(&self) -> String {
-        let stem = || self.output.as_ref()?.file_stem()?.to_str().map(str::to_owned);
+        let stem = || {
+            let stem = self.output.as_ref()?.file_stem()?.to_str()?;
+            Some(stem.chars().take(MAX_ID_LENGTH).collect())
+        };
         self.name.clone().or_else(stem).unwrap_or_else(|| "rig".into())
     }
 }

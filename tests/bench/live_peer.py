@@ -23,12 +23,17 @@ def center(camera: dict[str, Any]) -> Any:
     return -rows[:, :3].T @ rows[:, 3]
 
 
-def maps(view: dict[str, Any], depths: Array, camera: dict[str, Any]) -> tuple[Array, Array]:
+def maps(
+    view: dict[str, Any], depths: Array, camera: dict[str, Any]
+) -> tuple[Array, Array]:
     """Where each pixel of the view is in a camera's image, as OpenCV counts: pixel centres are whole."""
     width, height = view["size"]
     fx, fy, cx, cy = view["intrinsics"]
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    points = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], -1) * depths[..., None]
+    points = (
+        np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], -1)
+        * depths[..., None]
+    )
     rows, own = np.array(camera["rows"]), np.array(view["rows"])
     world = (points - own[:, 3]) @ own[:, :3]
     seen = world @ rows[:, :3].T + rows[:, 3]

@@ -194,7 +194,7 @@ fn processed(seed: u64, options: &RenderOptions) -> (bool, Vec<(f64, f64)>) {
 fn random_captures() {
     let mut views = 0;
     let mut known = Vec::new();
-    for seed in 1000..1060 {
+    for seed in 1000..1070 {
         let (seen, errors) = processed(seed, &RenderOptions::default());
         views += usize::from(seen);
         known.extend(errors.into_iter().map(|(error, z)| (seed, error, z)));
