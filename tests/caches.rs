@@ -232,8 +232,9 @@ fn edited_offsets_are_validated_field_by_field() {
         (|o| o["cameras"][0]["rate_std_err_ppm"] = Value::Null, "rate_std_err_ppm: is missing"),
         (
             |o| {
-                o["cameras"][2]["rate_ppm"] = json!(5);
-                o["cameras"][2]["rate_std_err_ppm"] = json!(1);
+                let camera = o["cameras"][2].as_object_mut().unwrap();
+                camera
+                    .extend([("rate_ppm".into(), json!(5)), ("rate_std_err_ppm".into(), json!(1))]);
             },
             "(cam2).rate_ppm: must be 0: the capture",
         ),
@@ -266,6 +267,12 @@ fn edited_offsets_are_validated_field_by_field() {
             assert!(stderr(&refused).contains("without the file, offsets are estimated"));
         }
     }
+}
+
+#[test]
+fn offsets_that_are_no_offsets_are_refused() {
+    let folder = filmed();
+    let (root, file) = (folder.path(), folder.path().join("offsets.json"));
     for text_of_file in ["", "{", "null", "[1]", "{\"cameras\": [{\"offset_s\": 1e999}]}"] {
         std::fs::write(&file, text_of_file).unwrap();
         assert_refused(&run(&["-q", "offsets", text(root)]), 2, "offsets.json: ");

@@ -14,13 +14,17 @@ use stlfr::progress::Reporter;
 use stlfr::tradeoff::{Against, Tradeoff, TradeoffOptions, tradeoff};
 use tempfile::TempDir;
 
-/// What `points/` holds, by name.
+/// What the files of `points/` hold, by name, without their checksums.
 fn measured(out: &Path) -> BTreeMap<String, Value> {
     let Ok(entries) = std::fs::read_dir(out.join("points")) else { return BTreeMap::new() };
     let files = entries.flatten().filter(|e| e.file_name().to_string_lossy().ends_with(".json"));
     files
         .filter(|e| !e.file_name().to_string_lossy().starts_with('.'))
-        .map(|e| (e.file_name().into_string().unwrap(), read_json(&e.path()))) // written whole
+        .map(|e| {
+            let mut file = read_json(&e.path()); // written whole
+            file.as_object_mut().unwrap().remove("checksum").expect("it has one");
+            (e.file_name().into_string().unwrap(), file)
+        })
         .collect()
 }
 
