@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::bodies::{Body, Recording, Shape, Texture, World, pose, steady};
+use common::bodies::{Recording, World, board_before_wall, pose};
 use common::scores::psnr_db;
 use common::worlds::line_rig;
 use std::sync::Arc;
@@ -19,21 +19,8 @@ const BOUNCE: f64 = 2.25;
 
 /// A board that falls, and rises again as quickly, before a still wall.
 fn bouncing() -> World {
-    let print = |seed, texel_m| Texture::print(seed, texel_m, 0.8);
-    let wall = Body {
-        shape: Shape::Rectangle(3.0, 2.0),
-        texture: print(1, 0.008),
-        pose: |_| pose([0.0; 3], [0.0, 0.0, 2.4]),
-        light: steady,
-    };
-    let board = Body {
-        shape: Shape::Rectangle(0.30, 0.25),
-        texture: print(2, 0.006),
-        // 40 px a frame at 320×240.
-        pose: |frames| pose([0.0; 3], [0.0, 0.2 - 0.15 * (frames - BOUNCE).abs(), 1.3]),
-        light: steady,
-    };
-    World { bodies: vec![wall, board] }
+    // 40 px a frame at 320×240.
+    board_before_wall(|frames| pose([0.0; 3], [0.0, 0.2 - 0.15 * (frames - BOUNCE).abs(), 1.3]))
 }
 
 /// Four cameras, every other one a quarter of a frame later.

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::bodies::{Body, Recording, Shape, Texture, World, pose, steady};
+use common::bodies::{Recording, World, board_before_wall, pose};
 use common::scores::psnr_db;
 use common::worlds::line_rig;
 use nalgebra::Translation3;
@@ -17,20 +17,7 @@ use tempfile::TempDir;
 
 /// A board that moves right, before a still wall.
 fn world() -> World {
-    let print = |seed, texel_m| Texture::print(seed, texel_m, 0.8);
-    let wall = Body {
-        shape: Shape::Rectangle(3.0, 2.0),
-        texture: print(1, 0.008),
-        pose: |_| pose([0.0; 3], [0.0, 0.0, 2.4]),
-        light: steady,
-    };
-    let board = Body {
-        shape: Shape::Rectangle(0.30, 0.25),
-        texture: print(2, 0.006),
-        pose: |frames| pose([0.0; 3], [0.02 * frames, 0.0, 1.3]),
-        light: steady,
-    };
-    World { bodies: vec![wall, board] }
+    board_before_wall(|frames| pose([0.0; 3], [0.02 * frames, 0.0, 1.3]))
 }
 
 /// Four cameras, every other one a quarter of a frame later.

@@ -162,7 +162,7 @@ impl LightField {
         (!surfaces.is_empty()).then(|| Geometry { view: fuse(target, &surfaces), sources })
     }
 
-    /// The cameras whose depths were estimated, those of them that are wanted.
+    /// The estimated surfaces of the wanted cameras.
     pub(super) fn surfaces<'a>(
         &'a self,
         CameraDepths { cameras, depths }: &'a CameraDepths,

@@ -138,7 +138,7 @@ fn mean_of(candidates: &[Candidate], first: Option<Candidate>, tolerance: f32) -
             (errors, count) = (errors + c.std_err * c.std_err, count + 1.0);
         }
     }
-    // It is among them itself.
+    // `first` is one of the candidates, so the count is not 0.
     let mean = sum / count;
     let variance = (squares / count - mean * mean).max(0.0) + errors / count;
     Candidate { inverse: first.inverse + mean, std_err: variance.sqrt() }

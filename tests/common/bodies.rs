@@ -222,6 +222,24 @@ pub fn steady(_: f64) -> f64 {
     1.0
 }
 
+/// A printed board of 30 cm by 25 cm that moves before a still printed wall, 2.4 m away.
+pub fn board_before_wall(board_pose: fn(f64) -> Isometry3<f64>) -> World {
+    let print = |seed, texel_m| Texture::print(seed, texel_m, 0.8);
+    let wall = Body {
+        shape: Shape::Rectangle(3.0, 2.0),
+        texture: print(1, 0.008),
+        pose: |_| pose([0.0; 3], [0.0, 0.0, 2.4]),
+        light: steady,
+    };
+    let board = Body {
+        shape: Shape::Rectangle(0.30, 0.25),
+        texture: print(2, 0.006),
+        pose: board_pose,
+        light: steady,
+    };
+    World { bodies: vec![wall, board] }
+}
+
 /// A recording of a world, in frames of 30 a second; clocks are shared.
 pub struct Recording<'a> {
     pub world: &'a World,
