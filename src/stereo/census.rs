@@ -12,28 +12,34 @@ const RADIUS: isize = 2;
 /// smaller: on plain surfaces, the rounding of an interpolated image is taken for texture.
 const MIN_DIFFERENCE: f32 = 0.5 / 255.0;
 
-/// A pixel's descriptor.
+/// A pixel's descriptor, in two words that are loaded together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Descriptor {
     /// The census code, 24 bits.
     code: u32,
-    /// Grey values, 0 to 255.
-    value: u8,
-    least: u8,
-    most: u8,
+    /// Grey values, 0 to 255: the pixel's, the least and the most around it, and 0.
+    grays: u32,
 }
 
 impl Descriptor {
-    /// How many bits of the census codes differ.
-    #[inline(always)]
-    pub fn bits(&self, other: &Self) -> u32 {
-        (self.code ^ other.code).count_ones()
+    /// What is outside the image.
+    pub const NOWHERE: Self = Self { code: 0, grays: u32::MAX };
+
+    fn new(code: u32, [value, least, most]: [u8; 3]) -> Self {
+        Self { code, grays: u32::from_le_bytes([value, least, most, 0]) }
     }
 
-    /// How far this pixel's grey value is from those of the other, 0 to 255.
+    /// How far this pixel is from another: `bit` for every differing bit of the census codes, and how far its
+    /// grey value is from those of the other, at most `max_gray`. 255 from [`Self::NOWHERE`].
+    ///
+    /// All of it is in 32 bits and without branches, for eight pixels at a time.
     #[inline(always)]
-    pub fn beyond(&self, other: &Self) -> u8 {
-        self.value.saturating_sub(other.most).max(other.least.saturating_sub(self.value))
+    pub fn cost(&self, Self { code, grays }: Self, bit: u32, max_gray: i32) -> u8 {
+        let [least, most] = [8, 16].map(|shift| (grays >> shift & 255) as i32);
+        let value = (self.grays & 255) as i32;
+        let beyond = (value - most).max(least - value).max(0).min(max_gray);
+        let cost = bit * (self.code ^ code).count_ones() + beyond as u32;
+        (cost | grays >> 24) as u8
     }
 }
 
@@ -61,7 +67,7 @@ pub(super) fn descriptors(gray: &Image) -> Vec<Descriptor> {
                 let half = value.midpoint(bytes[near]);
                 (least, most) = (least.min(half), most.max(half));
             }
-            descriptors.push(Descriptor { code, value, least, most });
+            descriptors.push(Descriptor::new(code, [value, least, most]));
         }
     }
     descriptors
@@ -70,6 +76,17 @@ pub(super) fn descriptors(gray: &Image) -> Vec<Descriptor> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn costs_are_bits_and_grey_values() {
+        let own = Descriptor::new(0b1011, [100, 90, 110]);
+        for (code, least, most, expected) in
+            [(0b1011, 95, 105, 0), (0b0010, 95, 105, 4), (0, 107, 120, 13), (0b1011, 0, 10, 24)]
+        {
+            assert_eq!(own.cost(Descriptor::new(code, [least, least, most]), 2, 24), expected);
+        }
+        assert_eq!(own.cost(Descriptor::NOWHERE, 2, 24), 255);
+    }
 
     /// An interpolated image is plain but for rounding where the filmed one is plain.
     #[test]

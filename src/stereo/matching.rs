@@ -11,10 +11,10 @@ use rayon::prelude::*;
 
 /// Largest difference of grey values that counts, of 255. Larger: highlights decide; smaller: flat surfaces
 /// of different grey are alike.
-const MAX_GRAY: u8 = 24;
+const MAX_GRAY: i32 = 24;
 /// What one differing bit of the census codes counts, in grey values. Larger: noise decides on flat surfaces;
 /// smaller: cameras must be equally bright.
-const BIT: u8 = 2;
+const BIT: u32 = 2;
 /// Cost where no neighbour sees the point: that of a poor match. Larger: surfaces avoid the image's border;
 /// smaller: they seek it.
 const UNSEEN: u8 = 40;
@@ -112,13 +112,14 @@ pub(super) fn costs(reference: &Prepared, partners: &[&Prepared], levels: &Level
     let (w, n) = (camera.width, levels.count);
     let relatives: Vec<Relative> =
         partners.iter().map(|p| Relative::new(camera, p.camera())).collect();
+    let inverses: Vec<f32> = (0..n).map(|level| levels.at(level as f32)).collect();
     let mut out = vec![UNSEEN; w * camera.height * n];
     out.par_chunks_mut(w * n).enumerate().for_each_init(
         || (RayRow::new(camera), Scratch::new(n, partners.len())),
         |(rays, scratch), (y, out)| {
             rays.set(camera, y);
             let own = &reference.descriptors[y * w..(y + 1) * w];
-            let row = Row { own, partners, relatives: &relatives, levels, rays };
+            let row = Row { own, partners, relatives: &relatives, inverses: &inverses, rays };
             row.costs(scratch, out);
         },
     );
@@ -130,7 +131,8 @@ struct Row<'a> {
     own: &'a [Descriptor],
     partners: &'a [&'a Prepared],
     relatives: &'a [Relative],
-    levels: &'a Levels,
+    /// The inverse depths of the levels, 1/m.
+    inverses: &'a [f32],
     rays: &'a RayRow,
 }
 
@@ -140,7 +142,8 @@ struct Scratch {
     x: Vec<f32>,
     y: Vec<f32>,
     /// The pixels there; [`OUTSIDE`] where there is none.
-    at: Vec<i32>,
+    at: Vec<u32>,
+    there: Vec<Descriptor>,
     /// Costs, partner by partner; 255 where the partner doesn't see the point.
     each: Vec<u8>,
     ranked: Vec<u8>,
@@ -150,7 +153,8 @@ impl Scratch {
     fn new(levels: usize, partners: usize) -> Self {
         let zeros = || vec![0.0; levels];
         let each = vec![0; levels * partners];
-        Self { x: zeros(), y: zeros(), at: vec![0; levels], each, ranked: Vec::new() }
+        let (at, there) = (vec![0; levels], vec![Descriptor::NOWHERE; levels]);
+        Self { x: zeros(), y: zeros(), at, there, each, ranked: Vec::new() }
     }
 }
 
@@ -172,11 +176,11 @@ impl Row<'_> {
 
     #[inline(always)]
     fn costs_by(&self, scratch: &mut Scratch, out: &mut [u8]) {
-        let n = self.levels.count;
+        let n = self.inverses.len();
         for (x, out) in out.chunks_exact_mut(n).enumerate() {
             let ray = [self.rays.x[x] as f32, self.rays.y[x] as f32];
             for k in 0..self.partners.len() {
-                self.relatives[k].path(ray, self.levels, &mut scratch.x, &mut scratch.y);
+                self.relatives[k].path(ray, self.inverses, &mut scratch.x, &mut scratch.y);
                 scratch.compare(&self.own[x], self.partners[k], k);
             }
             better_half(scratch, out);
@@ -184,8 +188,8 @@ impl Row<'_> {
     }
 }
 
-/// The index of a pixel outside the image.
-const OUTSIDE: i32 = -1;
+/// The index of a pixel outside the image: beyond any image.
+const OUTSIDE: u32 = u32::MAX;
 
 impl Scratch {
     /// The costs of partner `k` at the positions.
@@ -200,19 +204,25 @@ impl Scratch {
             // Safe: both are finite and not larger than the image. A plain `as` checks that again.
             let pixel =
                 unsafe { y.to_int_unchecked::<i32>() * w as i32 + x.to_int_unchecked::<i32>() };
-            *at = if seen { pixel } else { OUTSIDE };
+            *at = if seen { pixel as u32 } else { OUTSIDE };
         }
+        for (there, &at) in self.there.iter_mut().zip(&self.at) {
+            *there = *partner.descriptors.get(at as usize).unwrap_or(&Descriptor::NOWHERE);
+        }
+        // Apart from the loads, so that it is vectorized.
         let n = self.at.len();
-        for (cost, &at) in self.each[k * n..(k + 1) * n].iter_mut().zip(&self.at) {
-            // Outside, the index is beyond any image.
-            *cost = match partner.descriptors.get(at as usize) {
-                Some(descriptor) => {
-                    BIT * own.bits(descriptor) as u8 + own.beyond(descriptor).min(MAX_GRAY)
-                }
-                None => u8::MAX,
-            };
+        for (cost, there) in self.each[k * n..(k + 1) * n].iter_mut().zip(&self.there) {
+            *cost = own.cost(*there, BIT, MAX_GRAY);
         }
     }
+}
+
+/// The mean of the two least costs if there is the third that is named, else the least.
+#[inline(always)]
+fn mean_or(first: u8, second: u8, needed: u8) -> u8 {
+    let both = ((u16::from(first) + u16::from(second)) / 2) as u8;
+    let some = if needed == u8::MAX { first } else { both };
+    if first == u8::MAX { UNSEEN } else { some }
 }
 
 /// The mean of the better half of the partners' costs, level by level.
@@ -220,6 +230,7 @@ impl Scratch {
 fn better_half(scratch: &mut Scratch, out: &mut [u8]) {
     let n = out.len();
     let Scratch { each, ranked, .. } = scratch;
+    // The usual numbers without branches.
     if each.len() == 4 * n {
         let (a, rest) = each.split_at(n);
         let (b, rest) = rest.split_at(n);
@@ -229,9 +240,17 @@ fn better_half(scratch: &mut Scratch, out: &mut [u8]) {
             let (low2, high2) = (c[k].min(d[k]), c[k].max(d[k]));
             let first = low.min(low2);
             let second = low.max(low2).min(high.min(high2));
-            let both = ((u16::from(first) + u16::from(second)) / 2) as u8;
-            let some = if second == u8::MAX { first } else { both };
-            *out = if first == u8::MAX { UNSEEN } else { some };
+            *out = mean_or(first, second, second);
+        }
+        return;
+    }
+    if each.len() == 3 * n {
+        let (a, rest) = each.split_at(n);
+        let (b, c) = rest.split_at(n);
+        for (k, out) in out.iter_mut().enumerate() {
+            let (low, high) = (a[k].min(b[k]), a[k].max(b[k]));
+            let second = low.max(high.min(c[k]));
+            *out = mean_or(low.min(c[k]), second, high.max(c[k]));
         }
         return;
     }
@@ -270,6 +289,7 @@ mod tests {
             let relatives: Vec<Relative> =
                 partners.iter().map(|p| Relative::new(&all[0].camera, &p.camera)).collect();
             let found = costs(&all[0], &partners, &levels);
+            let inverses: Vec<f32> = (0..levels.count).map(|l| levels.at(l as f32)).collect();
             let mut rays = RayRow::new(&all[0].camera);
             let mut scratch = Scratch::new(levels.count, partners.len());
             let mut row_costs = vec![0; 41 * levels.count];
@@ -277,7 +297,7 @@ mod tests {
                 rays.set(&all[0].camera, y);
                 let own = &all[0].descriptors[y * 41..(y + 1) * 41];
                 let (partners, relatives) = (&partners[..], &relatives[..]);
-                let row = Row { own, partners, relatives, levels: &levels, rays: &rays };
+                let row = Row { own, partners, relatives, inverses: &inverses, rays: &rays };
                 row.costs_by(&mut scratch, &mut row_costs);
                 assert!(row_costs == found);
             }
@@ -299,10 +319,14 @@ mod tests {
             // Of three that see the point, two count.
             assert_eq!(out, [expected]);
         }
-        let mut three = Scratch::new(1, 3);
-        three.each.copy_from_slice(&[40, 20, 60]);
-        let mut out = [0];
-        better_half(&mut three, &mut out);
-        assert_eq!(out, [30]);
+        for (each, expected) in
+            [([40, 20, 60], 30), ([40, 255, 20], 20), ([255, 70, 255], 70), ([255; 3], UNSEEN)]
+        {
+            let mut three = Scratch::new(1, 3);
+            three.each.copy_from_slice(&each);
+            let mut out = [0];
+            better_half(&mut three, &mut out);
+            assert_eq!(out, [expected]);
+        }
     }
 }

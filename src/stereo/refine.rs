@@ -4,7 +4,7 @@
 use super::matching::Prepared;
 use super::relative::Relative;
 use crate::lumigraph::RayRow;
-use crate::raster::{Image, box_filter};
+use crate::raster::{Image, Sampling, box_filter, sample};
 use rayon::prelude::*;
 
 /// Half the side of the window that a step is taken over, pixels. Larger: the depths of several surfaces are
@@ -111,7 +111,6 @@ fn gray_at(gray: &Image, [x, y]: [f32; 2]) -> Option<f32> {
     if !(x >= 0.0 && y >= 0.0 && x < w as f32 && y < h as f32) {
         return None;
     }
-    let mut value = [0.0];
-    gray.sample_bilinear(x, y, &mut value);
-    Some(value[0])
+    let [value] = sample(gray, x, y, Sampling::Bilinear);
+    Some(value)
 }

@@ -1,6 +1,5 @@
 //! Where the points of one camera's rays are in another camera.
 
-use super::levels::Levels;
 use crate::camera::{Camera, CameraModel};
 use nalgebra::{Matrix3, Point2, Vector3};
 
@@ -60,19 +59,18 @@ impl Relative {
         [pixel.x as f32, pixel.y as f32]
     }
 
-    /// The pixels of a ray's points at all levels; NaN or infinite where there is none.
+    /// The pixels of a ray's points at these inverse depths; NaN or infinite where there is none.
     #[inline(always)]
-    pub fn path(&self, [x, y]: [f32; 2], levels: &Levels, xs: &mut [f32], ys: &mut [f32]) {
+    pub fn path(&self, [x, y]: [f32; 2], inverses: &[f32], xs: &mut [f32], ys: &mut [f32]) {
         let turned = self.turned(x, y);
         if !self.is_pinhole {
-            for (level, (x, y)) in xs.iter_mut().zip(ys).enumerate() {
-                [*x, *y] = self.pixel(&self.point(&turned, levels.at(level as f32)));
+            for ((inverse, x), y) in inverses.iter().zip(xs).zip(ys) {
+                [*x, *y] = self.pixel(&self.point(&turned, *inverse));
             }
             return;
         }
         let [fx, fy, cx, cy] = self.intrinsics;
-        for (level, (x, y)) in xs.iter_mut().zip(ys).enumerate() {
-            let inverse = levels.at(level as f32);
+        for ((inverse, x), y) in inverses.iter().zip(xs).zip(ys) {
             let z = turned.z + self.shift.z * inverse;
             let scale = if z > 0.0 { 1.0 / z } else { f32::NAN };
             *x = fx * (turned.x + self.shift.x * inverse) * scale + cx;
