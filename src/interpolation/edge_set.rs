@@ -56,7 +56,8 @@ pub fn edge_set(
         .map(|p| Edge { ends: p.ends.map(|k| vertices[k]), mean_fitness: Some(p.mean_fitness) })
         .collect();
     let constraints: Vec<[usize; 2]> = pieces.iter().map(|p| p.ends).collect();
-    let mesh = Mesh::new(&vertices, &used, &constraints);
+    let sources: Vec<_> = vertices.iter().map(|v| v.source).collect();
+    let mesh = Mesh::new(&sources, &used, &constraints);
     edges.extend(
         mesh.virtual_edges()
             .map(|ends| Edge { ends: ends.map(|k| vertices[k]), mean_fitness: None }),
@@ -64,15 +65,10 @@ pub fn edge_set(
     edges
 }
 
-/// The triangles, by vertex index, of the Delaunay triangulation of features and image corners in the
-/// source frame. Appends the corners to `vertices`.
-pub fn triangles(vertices: &mut Vec<Feature>, width: usize, height: usize) -> Vec<[usize; 3]> {
-    for (x, y) in [(0, 0), (width, 0), (0, height), (width, height)] {
-        let p = Point2::new(x as f64, y as f64);
-        vertices.push(Feature { source: p, other: p, target: p });
-    }
-    let used = vec![true; vertices.len()];
-    Mesh::new(vertices, &used, &[]).triangles().collect()
+/// The triangles, by index, of the Delaunay triangulation of these positions.
+pub fn triangles(positions: &[Point2<f64>]) -> Vec<[usize; 3]> {
+    let used = vec![true; positions.len()];
+    Mesh::new(positions, &used, &[]).triangles().collect()
 }
 
 /// A triangulation with the index of the vertex that each of its points is.
@@ -83,12 +79,12 @@ struct Mesh {
 }
 
 impl Mesh {
-    fn new(vertices: &[Feature], used: &[bool], constraints: &[[usize; 2]]) -> Self {
+    fn new(positions: &[Point2<f64>], used: &[bool], constraints: &[[usize; 2]]) -> Self {
         let mut cdt = ConstrainedDelaunayTriangulation::new();
         let mut index = HashMap::new();
-        let mut handles = vec![None; vertices.len()];
-        for (k, vertex) in vertices.iter().enumerate().filter(|&(k, _)| used[k]) {
-            if let Ok(handle) = insert(&mut cdt, vertex.source) {
+        let mut handles = vec![None; positions.len()];
+        for (k, position) in positions.iter().enumerate().filter(|&(k, _)| used[k]) {
+            if let Ok(handle) = insert(&mut cdt, *position) {
                 // Of coincident vertices the first is used.
                 index.entry(handle.index()).or_insert(k);
                 handles[k] = Some(handle);

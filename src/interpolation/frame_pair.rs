@@ -5,8 +5,8 @@ use super::edges::{Feature, real_edges};
 use super::local_motion::Motion;
 use super::morph::morph_warp;
 use super::refine::{FourFrames, refined};
-use super::triangulation::triangulation_warp;
-use super::warp::{Warp, cross_dissolve, warped};
+use super::triangulation::{delaunay, warp_by};
+use super::warp::{Warp, cross_dissolve_in, warped};
 use super::windows::{cross_fade, difference, largest_around};
 use super::{InterpolationOptions, MorphOptions, SyncMethod};
 use crate::raster::{Image, Tiles, box_filter};
@@ -58,15 +58,43 @@ pub struct FramePair<'a> {
     pub later: &'a Frame,
     /// The tracks between the two; empty is valid, and gives a cross-fade.
     pub tracks: &'a [Track],
+    /// Their triangles, if they are known already: [`Triangles::new`] of the same tracks and image size.
+    pub triangles: Option<&'a Triangles>,
     /// All frame times of the camera in seconds, strictly ascending.
     pub times_s: &'a [f64],
     /// Index of the earlier frame.
     pub index: usize,
     /// The tiles of the image that are needed, `None` for all. The others may be made by a cheaper
-    /// method.
+    /// method, or black.
     pub parts: Option<&'a Tiles>,
     /// Whether [`Synchronized::bridged_px`] is wanted, which takes as long as a warp.
     pub wants_bridged: bool,
+}
+
+/// The [`delaunay`] triangles of tracks in the earlier frame and in the later one, the same at all instants.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Triangles([Vec<[usize; 3]>; 2]);
+
+impl Triangles {
+    /// Those of the tracks of a frame pair of this size in pixels.
+    pub fn new(tracks: &[Track], width: usize, height: usize) -> Self {
+        Self([true, false].map(|forward| {
+            let places: Vec<_> = in_set(tracks, forward)
+                .map(|track| if forward { track.earlier } else { track.later })
+                .collect();
+            delaunay(&places, width, height)
+        }))
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.0.iter().map(Vec::len).sum()
+    }
+}
+
+/// The tracks of the forward or of the backward flow.
+fn in_set(tracks: &[Track], forward: bool) -> impl Iterator<Item = &Track> {
+    tracks.iter().filter(move |t| if forward { t.in_forward_set() } else { t.in_backward_set() })
 }
 
 impl FramePair<'_> {
@@ -113,7 +141,7 @@ impl FramePair<'_> {
             let motions = self.motions(time_s, options.curved);
             refined(&frames, warps, &motions, &options.refine)
         } else {
-            cross_dissolve(images, warps, fraction as f32)
+            cross_dissolve_in(images, warps, fraction as f32, self.parts)
         };
         Synchronized { image, bridged_px }
     }
@@ -167,7 +195,15 @@ impl FramePair<'_> {
         let (w, h) = (source.image.width(), source.image.height());
         let features = self.features(time_s, forward, options.curved);
         if matches!(sync, SyncMethod::Triangulation | SyncMethod::Refined) {
-            return triangulation_warp(&features, w, h);
+            let own;
+            let triangles = match self.triangles {
+                Some(triangles) => triangles,
+                None => {
+                    own = Triangles::new(self.tracks, w, h);
+                    &own
+                }
+            };
+            return warp_by(&triangles.0[usize::from(!forward)], &features, w, h);
         }
         let [source, other] = [source, other].map(|f| &f.pyramid.levels()[0]);
         let real = real_edges(&features, source, other, &options.edges);
@@ -178,14 +214,13 @@ impl FramePair<'_> {
 
     /// The features of the forward or of the backward flow, with their positions at the instant.
     fn features(&self, time_s: f64, forward: bool, curved: bool) -> Vec<Feature> {
-        self.tracks
-            .iter()
-            .filter(|t| if forward { t.in_forward_set() } else { t.in_backward_set() })
-            .filter_map(|t| {
-                let target = self.trajectory(t, curved)?.at(time_s);
+        in_set(self.tracks, forward)
+            .map(|t| {
                 let (source, other) =
                     if forward { (t.earlier, t.later) } else { (t.later, t.earlier) };
-                Some(Feature { source, other, target })
+                // Times ascend strictly, so that every track has a trajectory.
+                let target = self.trajectory(t, curved).map_or(source, |t| t.at(time_s));
+                Feature { source, other, target }
             })
             .collect()
     }
@@ -195,7 +230,7 @@ impl FramePair<'_> {
 /// that a pixel comes from and what their disagreement counts, and the largest around it.
 fn bridged(images: [&Image; 2], warps: [&Warp; 2], share: f32) -> Vec<f32> {
     let (w, h) = (warps[0].width, warps[0].height);
-    let apart = difference(&warped(images[0], warps[0]), &warped(images[1], warps[1]));
+    let apart = difference(&warped(images[0], warps[0], None), &warped(images[1], warps[1], None));
     let apart = box_filter(&apart, w, h, DISAGREEMENT_RADIUS_PX);
     let sources = warps[0].source.iter().zip(&warps[1].source).zip(apart);
     let distance = |(([ax, ay], [bx, by]), apart): ((&[f32; 2], &[f32; 2]), f32)| {

@@ -3,7 +3,14 @@
 use super::Warp;
 use super::edge_set::triangles;
 use super::edges::Feature;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Point2, RowVector3, Vector2, Vector3};
+
+/// The Delaunay triangles of positions and of the corners of an image of `width`×`height` pixels, by index; the
+/// corners, from left to right and from top to bottom, come after the positions.
+pub fn delaunay(positions: &[Point2<f64>], width: usize, height: usize) -> Vec<[usize; 3]> {
+    let all: Vec<_> = positions.iter().copied().chain(corners(width, height)).collect();
+    triangles(&all)
+}
 
 /// The piecewise affine warp that takes every Delaunay triangle of the features and of the image's corners
 /// from a source frame of `width`×`height` pixels to the instant.
@@ -11,14 +18,34 @@ use nalgebra::{Matrix3, Vector3};
 /// Triangles that flip between the two, or have no area, are skipped. The warp is the identity at pixels
 /// that no triangle covers.
 pub fn triangulation_warp(features: &[Feature], width: usize, height: usize) -> Warp {
-    let mut vertices = features.to_vec();
-    let triangles = triangles(&mut vertices, width, height);
+    let sources: Vec<_> = features.iter().map(|f| f.source).collect();
+    warp_by(&delaunay(&sources, width, height), features, width, height)
+}
+
+/// The same with the [`delaunay`] triangles of the features' places in the source frame, which are the same at
+/// all instants.
+pub(super) fn warp_by(
+    triangles: &[[usize; 3]],
+    features: &[Feature],
+    width: usize,
+    height: usize,
+) -> Warp {
+    let still = corners(width, height).map(|p| Feature { source: p, other: p, target: p });
+    let vertex = |k: usize| features.get(k).copied().unwrap_or_else(|| still[k - features.len()]);
     let mut warp = Warp::identity(width, height);
     for triangle in triangles {
-        fill(&mut warp, triangle.map(|k| vertices[k]));
+        fill(&mut warp, triangle.map(vertex));
     }
     warp
 }
+
+fn corners(width: usize, height: usize) -> [Point2<f64>; 4] {
+    [(0, 0), (width, 0), (0, height), (width, height)].map(|(x, y)| Point2::new(x as f64, y as f64))
+}
+
+/// How far outside a triangle a pixel's centre still counts as inside, in barycentric coordinates: between two
+/// triangles, rounding leaves no gap. Larger: a triangle covers pixels of its neighbours.
+const OUTSIDE: f64 = 1e-9;
 
 /// Sets the warp at the pixels of one triangle.
 fn fill(warp: &mut Warp, corners: [Feature; 3]) {
@@ -37,27 +64,52 @@ fn fill(warp: &mut Warp, corners: [Feature; 3]) {
         return;
     }
     let Some(barycentric) = target.try_inverse() else { return };
+    // Of (x, y, 1) to the source.
+    let [to_x, to_y] = [|f: &Feature| f.source.x, |f: &Feature| f.source.y]
+        .map(|of| RowVector3::from_iterator(corners.iter().map(of)) * barycentric);
     let bounds = |of: fn(&Feature) -> f64, size: usize| {
         let low = corners.iter().map(of).fold(f64::INFINITY, f64::min);
         let high = corners.iter().map(of).fold(f64::NEG_INFINITY, f64::max);
         // The pixels whose centres are inside.
         let first = (low - 0.5).ceil().max(0.0) as usize;
         let end = ((high - 0.5).floor() + 1.0).max(0.0) as usize;
-        first..end.min(size)
+        [first, end.min(size)]
     };
-    for y in bounds(|f| f.target.y, warp.height) {
-        for x in bounds(|f| f.target.x, warp.width) {
-            let weights = barycentric * Vector3::new(x as f64 + 0.5, y as f64 + 0.5, 1.0);
-            if weights.min() < -1e-9 {
-                continue;
-            }
-            let source = corners
-                .iter()
-                .zip(weights.iter())
-                .fold(nalgebra::Vector2::zeros(), |sum, (f, w)| sum + f.source.coords * *w);
-            warp.source[y * warp.width + x] = [source.x as f32, source.y as f32];
+    let [left, right] = bounds(|f| f.target.x, warp.width);
+    let [top, bottom] = bounds(|f| f.target.y, warp.height);
+    for y in top..bottom {
+        let center_y = y as f64 + 0.5;
+        let Some([from, to]) = span(&barycentric, center_y) else { continue };
+        let first = ((from - 0.5).ceil().max(0.0) as usize).max(left);
+        let end = (((to - 0.5).floor() + 1.0).max(0.0) as usize).min(right);
+        let start = Vector2::new(
+            to_x[1] * center_y + to_x[2] + 0.5 * to_x[0],
+            to_y[1] * center_y + to_y[2] + 0.5 * to_y[0],
+        );
+        let row = y * warp.width;
+        for x in first..end {
+            let at = x as f64;
+            let source = [start.x + to_x[0] * at, start.y + to_y[0] * at];
+            warp.source[row + x] = source.map(|v| v as f32);
         }
     }
+}
+
+/// From where to where a row of pixels is inside a triangle, given the matrix to its barycentric coordinates.
+fn span(barycentric: &Matrix3<f64>, y: f64) -> Option<[f64; 2]> {
+    let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
+    for corner in barycentric.row_iter() {
+        let (slope, at_zero) = (corner[0], corner[1] * y + corner[2]);
+        let end = (-OUTSIDE - at_zero) / slope;
+        if slope > 0.0 {
+            from = from.max(end);
+        } else if slope < 0.0 {
+            to = to.min(end);
+        } else if at_zero < -OUTSIDE {
+            return None;
+        }
+    }
+    (from <= to).then_some([from, to])
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //! of two warped frames, eq. (9).
 
 use super::windows::cross_fade;
-use crate::raster::{Image, sample_all};
+use crate::raster::{Image, Tiles, sample_all};
 use rayon::prelude::*;
 
 /// A backward warp: the source position of every pixel of an image.
@@ -27,13 +27,22 @@ impl Warp {
     }
 }
 
-/// The frame, warped, by cubic convolution; values may leave 0..=1.
-pub(super) fn warped(image: &Image, warp: &Warp) -> Image {
+/// The frame, warped, by cubic convolution; values may leave 0..=1. Black outside `parts`, if not all of it is
+/// needed.
+pub(super) fn warped(image: &Image, warp: &Warp, parts: Option<&Tiles>) -> Image {
     let channels = image.channels();
     let mut data = vec![0.0; warp.source.len() * channels];
     data.par_chunks_mut(warp.width * channels).enumerate().for_each(|(y, row)| {
         let positions = &warp.source[y * warp.width..][..warp.width];
-        sample_all(image, positions.iter().copied(), row);
+        let mut sample = |[from, end]: [usize; 2]| {
+            let span = from..end.min(warp.width);
+            let row = &mut row[span.start * channels..span.end * channels];
+            sample_all(image, positions[span].iter().copied(), row);
+        };
+        match parts {
+            Some(parts) => parts.spans(y).for_each(sample),
+            None => sample([0, warp.width]),
+        }
     });
     Image::from_data(warp.width, warp.height, channels, data)
 }
@@ -47,8 +56,19 @@ pub fn cross_dissolve(
     [from_earlier, from_later]: [&Warp; 2],
     fraction: f32,
 ) -> Image {
-    let mut image =
-        cross_fade(&warped(earlier, from_earlier), &warped(later, from_later), fraction);
+    cross_dissolve_in([earlier, later], [from_earlier, from_later], fraction, None)
+}
+
+/// The same in some parts of the image, if not all; the others are black.
+pub(super) fn cross_dissolve_in(
+    [earlier, later]: [&Image; 2],
+    [from_earlier, from_later]: [&Warp; 2],
+    fraction: f32,
+    parts: Option<&Tiles>,
+) -> Image {
+    let [from, to] = [(earlier, from_earlier), (later, from_later)]
+        .map(|(image, warp)| warped(image, warp, parts));
+    let mut image = cross_fade(&from, &to, fraction);
     image.data_mut().iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     image
 }

@@ -10,7 +10,6 @@ use crate::options::{ProxyMethod, ViewOptions};
 use crate::stereo::{CameraImage, InverseDepths, Matcher, Surface, fuse};
 use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
-use std::borrow::Cow;
 
 /// Share of the range of inverse depths that is added at both ends. Larger: time; smaller: what has no
 /// feature and is nearer or farther than all features gets a wrong depth.
@@ -51,23 +50,20 @@ impl LightField {
         cameras
     }
 
-    /// The images that a view may be blended from. Where time has weight, what was bridged must be known:
-    /// those of [`Self::geometry_cameras`] alone.
-    pub(crate) fn candidates<'a>(
+    /// Takes away the images that a view is not blended from. Where time has weight, what was bridged must be
+    /// known: those of [`Self::geometry_cameras`] alone.
+    pub(crate) fn keep_candidates(
         &self,
-        images: &'a [Option<Synchronized>],
+        images: &mut [Option<Synchronized>],
         target: &Camera,
         time_s: f64,
         options: &ViewOptions,
-    ) -> Cow<'a, [Option<Synchronized>]> {
-        if options.blend.method != BlendMethod::SpaceTime {
-            return Cow::Borrowed(images);
+    ) {
+        if options.blend.method == BlendMethod::SpaceTime {
+            let kept = self.geometry_cameras(target, time_s, options);
+            let others = images.iter_mut().enumerate().filter(|(c, _)| !kept.contains(c));
+            others.for_each(|(_, image)| *image = None);
         }
-        let mut candidates = vec![None; images.len()];
-        for c in self.geometry_cameras(target, time_s, options) {
-            candidates[c].clone_from(&images[c]);
-        }
-        Cow::Owned(candidates)
     }
 
     /// The geometry of a view at a time. With [`ProxyMethod::Depth`] it is estimated from `images`, in the

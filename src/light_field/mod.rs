@@ -7,6 +7,7 @@
 //! | `registered.rs` | §4: tracks of frame pairs, cached |
 //! | `synchronized.rs` | §5: a camera's image at an instant |
 //! | `joint.rs` | the same from all cameras |
+//! | `correspondences.rs` | §6: features that show the same point |
 //! | `points.rs`, `proxy.rs`, `geometry.rs` | §6: the scene's shape at an instant |
 //! | `view.rs` | §6: the blended view |
 //! | `moment.rs` | many views of one instant |
@@ -14,6 +15,7 @@
 //! | `held_out.rs` | cameras that are held out, so that their frames are the truth |
 
 mod clocks;
+mod correspondences;
 mod error;
 mod geometry;
 pub(crate) mod held_out;
@@ -34,8 +36,10 @@ pub use trail::Viewpoint;
 
 use crate::capture::Capture;
 use crate::host::BoundedCache;
+use crate::interpolation::Triangles;
 use crate::offset::Offsets;
 use crate::registration::{FrameStore, Gains, RegistrationOptions, Track};
+use correspondences::{Correspondences, CorrespondencesKey};
 use joint::{Joint, JointKey};
 use nalgebra::Point3;
 use points::PointsKey;
@@ -57,8 +61,11 @@ pub struct LightField {
     times_s: Vec<Option<Vec<f64>>>,
     /// By camera and earlier frame; the cost is the number of tracks.
     tracks: BoundedCache<(usize, usize), Arc<Vec<Track>>>,
+    /// The triangles of these tracks; the cost is their number.
+    triangles: BoundedCache<(usize, usize), Arc<Triangles>>,
     /// The largest changes of frame pairs, by camera and earlier frame.
     changes: BoundedCache<(usize, usize), f32>,
+    correspondences: BoundedCache<CorrespondencesKey, Arc<Correspondences>>,
     points: BoundedCache<PointsKey, Arc<Vec<Point3<f64>>>>,
     /// All cameras' images at an instant, with their depths.
     joints: BoundedCache<JointKey, Arc<Joint>>,
@@ -82,7 +89,9 @@ impl LightField {
             offsets,
             times_s,
             tracks: BoundedCache::new(registered::MAX_CACHED_TRACKS),
+            triangles: BoundedCache::new(registered::MAX_CACHED_TRIANGLES),
             changes: BoundedCache::new(registered::MAX_CACHED_CHANGES),
+            correspondences: BoundedCache::new(correspondences::MAX_CACHED_MATCHES),
             points: BoundedCache::new(points::MAX_CACHED_POINTS),
             joints: BoundedCache::new(joint::MAX_CACHED_INSTANTS),
         }

@@ -2,7 +2,7 @@
 
 use super::{LightField, RenderError};
 use crate::capture::CaptureError;
-use crate::interpolation::largest_change;
+use crate::interpolation::{Triangles, largest_change};
 use crate::registration::{Track, Verdict, epipolar_test, temporal_flow};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -10,6 +10,9 @@ use std::sync::Arc;
 /// How many tracks are cached, those of all frame pairs together: 32 MB of them, several pairs of
 /// each camera of a rig. More only saves registering again.
 pub(super) const MAX_CACHED_TRACKS: usize = (32 << 20) / size_of::<Track>();
+
+/// How many triangles are cached: those of as many tracks, of which two frames have about two each.
+pub(super) const MAX_CACHED_TRIANGLES: usize = 4 * MAX_CACHED_TRACKS;
 
 /// Of how many frame pairs the change is cached. More only saves comparing two frames again.
 pub(super) const MAX_CACHED_CHANGES: usize = 1 << 16;
@@ -29,6 +32,21 @@ impl LightField {
         let tracks = Arc::new(tracks);
         self.tracks.insert((camera, k), tracks.clone(), tracks.len());
         Ok(tracks)
+    }
+
+    /// The triangles of [`Self::tracks`], for frames of this size in pixels.
+    pub(super) fn triangles(
+        &self,
+        (camera, k): (usize, usize),
+        tracks: &[Track],
+        [width, height]: [usize; 2],
+    ) -> Arc<Triangles> {
+        if let Some(triangles) = self.triangles.get(&(camera, k)) {
+            return triangles;
+        }
+        let triangles = Arc::new(Triangles::new(tracks, width, height));
+        self.triangles.insert((camera, k), triangles.clone(), triangles.count());
+        triangles
     }
 
     /// Whether the frame pair of `k` and `k + 1` goes without registration, because none of its

@@ -54,11 +54,15 @@ impl LightField {
         };
         let [before, after] = around.map(|n| n.map(|n| self.frames.get(camera, n)).transpose());
         let (before, after) = (before?, after?);
+        let size = [earlier_frame.image.width(), earlier_frame.image.height()];
+        let triangles = matches!(sync, SyncMethod::Triangulation | SyncMethod::Refined)
+            .then(|| self.triangles((camera, k), &tracks, size));
         let pair = FramePair {
             around: [before.as_deref(), after.as_deref()],
             earlier: &earlier_frame,
             later: &later_frame,
             tracks: &tracks,
+            triangles: triangles.as_deref(),
             times_s: self.times(camera),
             index: k,
             parts,

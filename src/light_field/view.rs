@@ -27,7 +27,7 @@ impl LightField {
         }
         let mut images = self.blanks(time_s);
         let whole = self.synchronize_geometry(&mut images, target, time_s, options)?;
-        let mut images = self.candidates(&images, target, time_s, options).into_owned();
+        self.keep_candidates(&mut images, target, time_s, options);
         let geometry = self.geometry(&images, target, time_s, options)?;
         let mut needed = self.needed(&images, &geometry, target, &options.blend);
         needed.retain(|(c, _)| !whole.contains(c));

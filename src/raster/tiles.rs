@@ -56,6 +56,33 @@ impl Tiles {
         })
     }
 
+    /// The columns of row `y` that are in marked tiles: from, and the end, which may lie beyond the image.
+    pub fn spans(&self, y: usize) -> impl Iterator<Item = [usize; 2]> {
+        let row = &self.marked[y / SIDE * self.across..][..self.across];
+        let runs = row.chunk_by(|a, b| a == b);
+        let placed = runs.scan(0, |at, run| {
+            let first = *at;
+            *at += run.len();
+            Some((run[0], [first * SIDE, *at * SIDE]))
+        });
+        placed.filter_map(|(is_marked, span)| is_marked.then_some(span))
+    }
+
+    /// With all tiles marked that are nearer than `px` pixels to a marked one.
+    pub fn grown(&self, px: usize) -> Self {
+        let reach = px.div_ceil(SIDE);
+        let mut grown = Self { marked: vec![false; self.marked.len()], ..*self };
+        for k in (0..self.marked.len()).filter(|k| self.marked[*k]) {
+            let (column, row) = (k % self.across, k / self.across);
+            let span =
+                |at: usize, tiles: usize| at.saturating_sub(reach)..(at + reach + 1).min(tiles);
+            for row in span(row, self.down) {
+                grown.marked[row * self.across..][span(column, self.across)].fill(true);
+            }
+        }
+        grown
+    }
+
     /// Marks the tiles that `other`, of an image of the same size, has marked.
     pub fn add(&mut self, other: &Self) {
         self.marked.iter_mut().zip(&other.marked).for_each(|(own, other)| *own |= other);
@@ -107,5 +134,20 @@ mod tests {
         let mut other = Tiles::none(64, 64);
         other.add(&tiles);
         assert_eq!(other, tiles);
+    }
+
+    #[test]
+    fn spans_and_grown_tiles_are_those_near_marked_ones() {
+        let mut tiles = Tiles::none(100, 70);
+        tiles.mark_sample(24.0, 24.0);
+        tiles.mark_sample(72.0, 24.0);
+        assert_eq!(tiles.spans(20).collect::<Vec<_>>(), [[16, 32], [64, 80]]);
+        assert_eq!(tiles.spans(40).count(), 0);
+        assert_eq!(tiles.grown(0), tiles);
+        let grown = tiles.grown(16);
+        assert_eq!(grown.spans(20).collect::<Vec<_>>(), [[0, 96]]);
+        assert_eq!(grown.spans(47).count(), 1);
+        assert_eq!(grown.spans(48).count(), 0);
+        assert_eq!(tiles.grown(17).spans(63).collect::<Vec<_>>(), [[0, 112]]);
     }
 }

@@ -112,18 +112,23 @@ impl<'a> Views<'a> {
     /// As [`LightField::view`], and the cameras that the view is blended from.
     pub fn view(&mut self, options: &RenderOptions) -> Result<(Rendered, Vec<usize>), RenderError> {
         let view = options.view();
-        let (field, camera, time_s) = (self.field, self.camera, self.time_s);
+        let (field, camera) = (self.field, self.camera);
         let geometry = self.geometry(options)?;
-        let shared = self.images.as_ref().map_or(&[][..], |s| &s.images);
-        let candidates = field.candidates(shared, camera, time_s, &view);
+        let candidates = self.candidates(options);
         let needed = field.needed(&candidates, &geometry, camera, &view.blend);
         let needed: Vec<usize> = needed.into_iter().map(|(c, _)| c).collect();
         self.share(options, &needed)?;
-        let shared = self.images.as_ref().map_or(&[][..], |s| &s.images);
-        let candidates = field.candidates(shared, camera, time_s, &view);
+        let candidates = self.candidates(options);
         let rendered = field.blend(&candidates, &geometry, camera, &view.blend);
         let is_seen = rendered.coverage.contains(&true);
         if is_seen { Ok((rendered, needed)) } else { Err(RenderError::NothingSeen) }
+    }
+
+    /// The images that a view is blended from.
+    fn candidates(&self, options: &RenderOptions) -> Vec<Option<Synchronized>> {
+        let mut images = self.images.as_ref().map_or_else(Vec::new, |s| s.images.clone());
+        self.field.keep_candidates(&mut images, self.camera, self.time_s, &options.view());
+        images
     }
 
     /// Makes these cameras' images, whole, so that other combinations can share them.
@@ -170,7 +175,8 @@ impl<'a> Views<'a> {
         let shared = self.images.as_ref().map_or(&[][..], |s| &s.images);
         let mut images = self.field.blanks(time_s);
         let whole = self.field.geometry_cameras(camera, time_s, &view);
-        let candidates = self.field.candidates(&images, camera, time_s, &view);
+        let mut candidates = images.clone();
+        self.field.keep_candidates(&mut candidates, camera, time_s, &view);
         let mut needed = self.field.needed(&candidates, &geometry, camera, &view.blend);
         needed.retain(|(c, _)| !whole.contains(c));
         let watch = Stopwatch::start();

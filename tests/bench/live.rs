@@ -16,7 +16,7 @@ use stlfr::camera::Camera;
 use stlfr::capture::Capture;
 use stlfr::light_field::LightField;
 use stlfr::offset::Offsets;
-use stlfr::options::{Preset, ProxyMethod, RenderOptions};
+use stlfr::options::{Preset, ProxyMethod, RenderOptions, ViewOptions};
 
 type Error = Box<dyn std::error::Error>;
 
@@ -100,12 +100,37 @@ fn bench(folder: &str, count: usize) -> Result<(), Error> {
         let geometry_ms = each_ms(&views, |v| Ok(moment.geometry(v).map(drop)?))?;
         let peer = peer::remap_ms(&moment, &capture, &views, options.blend.cameras)?;
         let peer = peer.map_or("-".to_owned(), |ms| format!("{ms:.1} ms"));
+        let moving_ms = moving_ms(&field, &capture, &views[count / 3], &options)?;
+        println!("moving {moving_ms:.1} ms");
         println!(
             "| {name} | {prepared_s:.1} s | {view_ms:.1} ms | {:.1} | {geometry_ms:.1} ms | {peer} |",
             1000.0 / view_ms
         );
     }
     Ok(())
+}
+
+/// A view from a fixed viewpoint at instants all over two frame intervals, whose frames are registered: milliseconds.
+fn moving_ms(
+    field: &LightField,
+    capture: &Capture,
+    view: &Camera,
+    options: &ViewOptions,
+) -> Result<f64, Error> {
+    let clock = &capture.cameras[capture.reference].clock.times_s;
+    let middle = middle_s(capture);
+    let interval = clock[1] - clock[0];
+    let times: Vec<f64> = (0..6).map(|k| middle + interval * (k as f64 / 6.0 - 0.5)).collect();
+    for t in &times {
+        field.view(view, *t + 1e-4, options)?;
+    }
+    let mut all = Vec::new();
+    for t in &times {
+        let start = Instant::now();
+        field.view(view, *t, options)?;
+        all.push(1000.0 * start.elapsed().as_secs_f64());
+    }
+    Ok(median(all))
 }
 
 /// The middle of the recording, between frames.

@@ -16,7 +16,7 @@ pub struct FourFrames<'a> {
     pub after: Option<&'a Image>,
     /// (t' − t)/Δt of the instant t': 0 at the earlier frame, 1 at the later.
     pub fraction: f32,
-    /// The tiles of the image that are needed, `None` for all. The others are not refined.
+    /// The tiles of the image that are needed, `None` for all. What is far from them is black.
     pub parts: Option<&'a Tiles>,
 }
 

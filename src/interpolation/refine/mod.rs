@@ -42,11 +42,15 @@ pub fn refined(
     motions: &[Motion],
     options: &RefineOptions,
 ) -> Image {
-    let warped = [warped(frames.earlier, warps[0]), warped(frames.later, warps[1])];
     let (w, h, channels) =
         (frames.earlier.width(), frames.earlier.height(), frames.earlier.channels());
-    let cross_faded = cross_fade(&warped[0], &warped[1], frames.fraction);
     let options = &scaled(options, w.max(h));
+    let step = MIN_STEP.max(2 * options.window_radius_px);
+    // A block that touches what is needed, the windows around its pixels, and the windows of their costs.
+    let near = frames.parts.map(|parts| parts.grown(2 * step + 2 * options.window_radius_px));
+    let warped = [(frames.earlier, warps[0]), (frames.later, warps[1])]
+        .map(|(image, warp)| warped(image, warp, near.as_ref()));
+    let cross_faded = cross_fade(&warped[0], &warped[1], frames.fraction);
     let cost = |a: &Image, b: &Image| box_filter(&difference(a, b), w, h, options.window_radius_px);
     let costs = cost(&warped[0], &warped[1]);
     let outer_counts = frames.outer_weight(options) > 0.0;
@@ -54,7 +58,6 @@ pub fn refined(
         .map(|f| f.filter(|_| outer_counts).map(|f| cost(f, &cross_faded)));
 
     let neighbors = Neighbors::new(motions.iter().map(|m| m.at));
-    let step = MIN_STEP.max(2 * options.window_radius_px);
     let refiner = BlockRefiner {
         frames,
         motions,
