@@ -14,7 +14,7 @@
 
 use super::{CaptureError, Opening};
 use crate::host::temporary::Temporary;
-use crate::host::{cache_file, hash_file, open_file, remove_special};
+use crate::host::{cache_file, hash_file, link_within, open_file, remove_special};
 use crate::video::{self, VideoError, frame_name};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -74,9 +74,8 @@ pub(super) fn open(
     let cache = root.join(CACHE);
     let folder = cache.join(&hash[..32]);
     // Through a link, the cache would be written, and what is old in it deleted, elsewhere.
-    let is_link = |path: &Path| path.symlink_metadata().is_ok_and(|m| m.is_symlink());
-    if let Some(link) = folder.ancestors().take_while(|p| *p != root).find(|p| is_link(p)) {
-        return Err(CaptureError::CacheLink { path: link.to_owned() });
+    if let Some(path) = link_within(root, &folder) {
+        return Err(CaptureError::CacheLink { path });
     }
     let note = |sentence: &str| opening.reporter.note(sentence);
     let index = match whole(&folder, &hash, note) {

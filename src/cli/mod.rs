@@ -10,6 +10,7 @@ mod files;
 mod offsets;
 mod outputs;
 mod plan;
+mod prepare;
 mod print;
 mod render;
 mod rig;
@@ -52,6 +53,7 @@ enum Command {
     Check(check::Args),
     Plan(plan::Args),
     Offsets(offsets::Args),
+    Prepare(prepare::Args),
     Render(Box<render::Args>),
     Compare(compare::Args),
     Tradeoff(tradeoff::Args),
@@ -77,6 +79,7 @@ impl Cli {
             Command::Check(args) => check::run(args, page, &reporter),
             Command::Plan(args) => plan::run(args, page, &reporter),
             Command::Offsets(args) => offsets::run(args, page, &reporter),
+            Command::Prepare(args) => prepare::run(args, page, &reporter),
             Command::Render(args) => render::run(args, &reporter),
             Command::Compare(args) => compare::run(args, page, &reporter),
             Command::Tradeoff(args) => tradeoff::run(args, page, &reporter),

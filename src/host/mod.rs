@@ -14,7 +14,7 @@ mod write;
 pub use cache::BoundedCache;
 pub use interrupt::remove_unfinished_on_signals;
 pub use obstacle::obstacle;
-pub(crate) use obstacle::remove_special;
+pub(crate) use obstacle::{link_within, remove_special};
 pub(crate) use read::hash_file;
 pub use read::{open_bounded, open_file, read_bytes, read_text};
 pub use stopwatch::{Elapsed, Stopwatch, process_cpu_s};

@@ -3,7 +3,7 @@
 use std::fs::FileType;
 use std::io::Result;
 use std::os::unix::fs::FileTypeExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Why a file can't have this name: something that is no regular file has it.
 pub fn obstacle(path: &Path) -> Option<&'static str> {
@@ -60,4 +60,11 @@ impl Kind {
             Self::Device => "a device",
         }
     }
+}
+
+/// The first link among a path's folders and itself, inside `root`: through it, what is written and deleted there
+/// would be elsewhere.
+pub(crate) fn link_within(root: &Path, path: &Path) -> Option<PathBuf> {
+    let is_link = |path: &&Path| path.symlink_metadata().is_ok_and(|m| m.is_symlink());
+    path.ancestors().take_while(|p| *p != root).find(is_link).map(Path::to_owned)
 }

@@ -5,6 +5,7 @@
 //! | `mod.rs` | what is decided when it is opened |
 //! | `clocks.rs` | which frames lie around an instant |
 //! | `registered.rs` | §4: tracks of frame pairs, cached |
+//! | `prepared.rs` | the same on disk |
 //! | `synchronized.rs` | §5: a camera's image at an instant |
 //! | `joint.rs` | the same from all cameras |
 //! | `correspondences.rs` | §6: features that show the same point |
@@ -22,6 +23,7 @@ pub(crate) mod held_out;
 mod joint;
 mod moment;
 mod points;
+mod prepared;
 mod proxy;
 mod registered;
 mod synchronized;
@@ -32,6 +34,7 @@ pub use clocks::check_times_before_offsets;
 pub use error::RenderError;
 pub use geometry::Geometry;
 pub use moment::Moment;
+pub use prepared::{Prepared, delete_prepared};
 pub use trail::Viewpoint;
 
 use crate::capture::Capture;
@@ -43,7 +46,8 @@ use correspondences::{Correspondences, CorrespondencesKey};
 use joint::{Joint, JointKey};
 use nalgebra::Point3;
 use points::PointsKey;
-use std::sync::Arc;
+use prepared::Store;
+use std::sync::{Arc, OnceLock};
 
 /// A capture, its clocks and its registered frames: what all views share.
 ///
@@ -61,6 +65,8 @@ pub struct LightField {
     times_s: Vec<Option<Vec<f64>>>,
     /// By camera and earlier frame; the cost is the number of tracks.
     tracks: BoundedCache<(usize, usize), Arc<Vec<Track>>>,
+    /// Where tracks are on disk; looked for when the first are needed.
+    store: OnceLock<Option<Store>>,
     /// The triangles of these tracks; the cost is their number.
     triangles: BoundedCache<(usize, usize), Arc<Triangles>>,
     /// The largest changes of frame pairs, by camera and earlier frame.
@@ -89,6 +95,7 @@ impl LightField {
             offsets,
             times_s,
             tracks: BoundedCache::new(registered::MAX_CACHED_TRACKS),
+            store: OnceLock::new(),
             triangles: BoundedCache::new(registered::MAX_CACHED_TRIANGLES),
             changes: BoundedCache::new(registered::MAX_CACHED_CHANGES),
             correspondences: BoundedCache::new(correspondences::MAX_CACHED_MATCHES),

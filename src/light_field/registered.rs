@@ -23,6 +23,11 @@ impl LightField {
         if let Some(tracks) = self.tracks.get(&(camera, k)) {
             return Ok(tracks);
         }
+        if let Some(tracks) = self.store().and_then(|store| store.load((camera, k))) {
+            let tracks = Arc::new(tracks);
+            self.tracks.insert((camera, k), tracks.clone(), tracks.len());
+            return Ok(tracks);
+        }
         let mut tracks = temporal_flow(&self.frames, camera, k)?;
         if self.frames.options().epipolar_test {
             let verdicts = epipolar_test(&self.frames, &self.times_s, camera, k, &tracks)?;

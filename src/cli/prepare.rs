@@ -1,0 +1,66 @@
+//! `stlfr prepare`
+
+use super::CliError;
+use super::error::of_io;
+use super::files::{OptionsArgs, open_capture};
+use super::print::Page;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+use stlfr::light_field::delete_prepared;
+use stlfr::pipeline;
+use stlfr::progress::Reporter;
+
+/// Register all frame pairs of a capture beforehand, so that views need not.
+///
+/// render and compare then find them in the capture's folder, under .stlfr/registered. Images stay the same to the
+/// byte. Stopped at any time, the same command continues. Another capture.json, other frames, offsets or
+/// registration options need their own pairs; draft has others than balanced and best.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr prepare .captures/demo\n  \
+    stlfr prepare .captures/demo --preset draft\n  \
+    stlfr prepare .captures/demo --delete")]
+pub struct Args {
+    /// The capture's folder.
+    capture: PathBuf,
+    /// Delete what was prepared, whatever the options, and do nothing else.
+    #[arg(long, conflicts_with_all = ["preset", "options"])]
+    delete: bool,
+    #[command(flatten)]
+    options: OptionsArgs,
+}
+
+/// Bytes of a megabyte.
+const MB: f64 = 1e6;
+
+pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+    let options = args.options.read()?;
+    let capture = Arc::new(open_capture(&args.capture, reporter)?);
+    if args.delete {
+        let deleted = delete_prepared(&capture.folder).map_err(|error| {
+            let folder = args.capture.join(".stlfr/registered");
+            of_io(format!("{}: can't be deleted ({error})", folder.display()), &error)
+        })?;
+        page.line(if deleted { "Deleted." } else { "Nothing was prepared." });
+        return Ok(());
+    }
+    let field = pipeline::open_field(capture, &options, reporter)?;
+    let (pairs, bytes) = field.preparation_size();
+    reporter.note(&format!(
+        "{pairs} frame pairs to register take at most {:.0} MB of disk.",
+        bytes as f64 / MB
+    ));
+    let task = reporter.task("Registering frames", pairs);
+    let start = Instant::now();
+    let prepared = field.prepare(options.interpolation.still_change, |done| task.set(done))?;
+    let seconds = start.elapsed().as_secs_f64();
+    drop(task);
+    page.line(format_args!(
+        "{} frame pairs with motion are registered, {:.1} MB; {} of them were before. {seconds:.1} s.",
+        prepared.pairs,
+        prepared.bytes as f64 / MB,
+        prepared.found,
+    ));
+    Ok(())
+}

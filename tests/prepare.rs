@@ -1,0 +1,151 @@
+//! Frame pairs that are registered beforehand, and read back.
+
+mod common;
+
+use common::bodies::{Recording, World, board_before_wall, pose};
+use common::worlds::line_rig;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use stlfr::capture::Capture;
+use stlfr::light_field::{LightField, Prepared, delete_prepared};
+use stlfr::offset::Offsets;
+use stlfr::options::RenderOptions;
+use stlfr::raster::Image;
+use tempfile::TempDir;
+
+/// Three cameras that film a board that moves right, before a still wall.
+fn filmed() -> TempDir {
+    let world: World = board_before_wall(|frames| pose([0.0; 3], [0.02 * frames, 0.0, 1.3]));
+    let (cameras, folder) = (line_rig(3, 160), tempfile::tempdir().expect("a temporary folder"));
+    let first_frames = &[0.0, 0.25, 0.5];
+    Recording { world: &world, cameras: &cameras, first_frames, frames: 4, noise: 0.004 }
+        .write(folder.path());
+    folder
+}
+
+fn opened(folder: &Path) -> LightField {
+    with_features(folder, RenderOptions::default().registration.corners.max_corners)
+}
+
+fn with_features(folder: &Path, max_corners: usize) -> LightField {
+    let capture = Arc::new(Capture::open(folder).expect("a capture"));
+    let mut registration = RenderOptions::default().registration;
+    registration.corners.max_corners = max_corners;
+    LightField::new(capture.clone(), Offsets::known(&capture), &registration)
+}
+
+fn prepared(field: &LightField) -> Prepared {
+    field.prepare(0.0, |_| ()).expect("a capture that can be prepared")
+}
+
+fn view(field: &LightField) -> Image {
+    let (target, options) = (&field.capture().cameras[1].camera, RenderOptions::default().view());
+    let time_s = 1.6 / 30.0 - field.capture().time_origin_s;
+    field.view(target, time_s, &options).expect("a view").image
+}
+
+/// All files of tracks, by name.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let keys = std::fs::read_dir(folder.join(".stlfr/registered")).expect("a folder");
+    let all = keys.flat_map(|key| std::fs::read_dir(key.unwrap().path()).unwrap());
+    let mut all: Vec<PathBuf> = all.map(|entry| entry.unwrap().path()).collect();
+    all.sort();
+    all
+}
+
+#[test]
+fn views_are_the_same_bytes_and_what_is_there_is_kept() {
+    let folder = filmed();
+    let expected = view(&opened(folder.path()));
+    let field = opened(folder.path());
+    let (pairs, bytes) = field.preparation_size();
+    let first = prepared(&field);
+    assert_eq!((pairs, first.pairs, first.found), (9, 9, 0));
+    let on_disk: u64 = files(folder.path()).iter().map(|f| f.metadata().unwrap().len()).sum();
+    assert!(first.bytes == on_disk && first.bytes <= bytes, "{first:?}, {on_disk}, {bytes}");
+    assert_eq!(view(&field), expected);
+    assert_eq!(view(&opened(folder.path())), expected);
+
+    // Two are missing: as after a command that was stopped.
+    let all = files(folder.path());
+    let before = std::fs::read(&all[3]).unwrap();
+    for file in &all[2..4] {
+        std::fs::remove_file(file).unwrap();
+    }
+    assert_eq!(view(&opened(folder.path())), expected);
+    let again = prepared(&opened(folder.path()));
+    assert_eq!(again, Prepared { found: 7, ..first });
+    assert_eq!(std::fs::read(&all[3]).unwrap(), before);
+}
+
+/// A file that was moved to the place of another is not believed.
+#[test]
+fn a_file_holds_at_its_own_place_alone() {
+    let folder = filmed();
+    let expected = view(&opened(folder.path()));
+    prepared(&opened(folder.path()));
+    let count = |field: &LightField| field.tracks(1, 1).unwrap().len();
+    let many = count(&opened(folder.path()));
+    for file in files(folder.path()) {
+        let of_another = files(folder.path())[0].clone();
+        if file != of_another {
+            std::fs::copy(&of_another, &file).unwrap();
+        }
+    }
+    assert_eq!(count(&opened(folder.path())), many);
+    assert_eq!(view(&opened(folder.path())), expected);
+}
+
+#[test]
+fn damage_is_noticed() {
+    let folder = filmed();
+    prepared(&opened(folder.path()));
+    let expected = opened(folder.path()).tracks(1, 1).unwrap();
+    let file = files(folder.path()).into_iter().find(|f| f.ends_with("1-1.tracks")).unwrap();
+    let bytes = std::fs::read(&file).unwrap();
+    let same = |what: &str| {
+        let found = opened(folder.path()).tracks(1, 1).unwrap();
+        assert!(found == expected, "{what}");
+    };
+    for at in [0, 31, 32, 33, 40, bytes.len() / 2, bytes.len() - 1] {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 4;
+        std::fs::write(&file, damaged).unwrap();
+        same(&format!("byte {at}"));
+        std::fs::write(&file, &bytes[..at]).unwrap();
+        same(&format!("{at} bytes"));
+    }
+    std::fs::remove_file(&file).unwrap();
+    std::os::unix::fs::symlink("/dev/zero", &file).unwrap();
+    same("a device");
+    prepared(&opened(folder.path()));
+    assert_eq!(std::fs::read(&file).unwrap(), bytes, "the link is replaced");
+}
+
+#[test]
+fn other_contents_and_options_have_pairs_of_their_own() {
+    let folder = filmed();
+    let first = prepared(&opened(folder.path()));
+    assert_eq!(prepared(&with_features(folder.path(), 300)).found, 0);
+    assert_eq!(prepared(&opened(folder.path())).found, first.pairs);
+    let frame = opened(folder.path()).capture().cameras[0].frames[0].clone();
+    let other = opened(folder.path()).capture().cameras[0].frames[2].clone();
+    std::fs::copy(other, frame).unwrap();
+    assert_eq!(prepared(&opened(folder.path())).found, 0);
+    assert!(delete_prepared(folder.path()).unwrap());
+    assert!(!delete_prepared(folder.path()).unwrap());
+    assert_eq!(prepared(&opened(folder.path())).found, 0);
+}
+
+#[test]
+fn links_lead_nowhere() {
+    let (folder, elsewhere) = (filmed(), tempfile::tempdir().unwrap());
+    std::fs::write(elsewhere.path().join("mine"), "precious").unwrap();
+    std::fs::create_dir_all(folder.path().join(".stlfr")).unwrap();
+    let link = folder.path().join(".stlfr/registered");
+    std::os::unix::fs::symlink(elsewhere.path(), &link).unwrap();
+    let error = opened(folder.path()).prepare(0.0, |_| ()).unwrap_err().to_string();
+    assert!(error.contains(".stlfr/registered") && error.contains("link"), "{error}");
+    assert!(delete_prepared(folder.path()).is_err());
+    assert_eq!(std::fs::read_dir(elsewhere.path()).unwrap().count(), 1);
+}
