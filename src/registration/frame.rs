@@ -1,5 +1,6 @@
 //! A frame as registration uses it: the image with its pyramid and corners.
 
+use super::oriented::Gradients;
 use super::{Pyramid, RegistrationOptions, corners};
 use crate::raster::Image;
 use nalgebra::Point2;
@@ -13,13 +14,15 @@ pub struct Frame {
     /// The pyramid to track in, of the image as bright as the reference camera records it.
     pub pyramid: Pyramid,
     corners: OnceLock<Vec<Point2<f64>>>,
+    gradients: OnceLock<Gradients>,
 }
 
 impl Frame {
     /// A frame whose pyramid is of the image itself: that of a camera as bright as the reference.
     pub fn new(image: Image, options: &RegistrationOptions) -> Self {
         let pyramid = Pyramid::new(&image, options.klt.levels, options.klt.pad_px());
-        Self { image, pyramid, corners: OnceLock::new() }
+        let (corners, gradients) = (OnceLock::new(), OnceLock::new());
+        Self { image, pyramid, corners, gradients }
     }
 
     /// A frame whose pyramid is of another image of the same size: `image` as bright as the reference
@@ -37,9 +40,14 @@ impl Frame {
         self.corners.get_or_init(|| corners(&self.pyramid.levels()[0], &options.corners))
     }
 
-    /// Bytes of the image and its pyramid.
+    /// What features that turn are described by. Computed by the first call.
+    pub(super) fn gradients(&self) -> &Gradients {
+        self.gradients.get_or_init(|| Gradients::new(&self.pyramid))
+    }
+
+    /// Bytes of the image, its pyramid and its gradients.
     pub(super) fn bytes(&self) -> usize {
         let level: usize = self.pyramid.levels().iter().map(|l| l.value.len()).sum();
-        size_of::<f32>() * (self.image.data().len() + level)
+        size_of::<f32>() * (self.image.data().len() + level) + Gradients::bytes_of(&self.pyramid)
     }
 }

@@ -27,6 +27,14 @@ impl Neighbors {
         indices
     }
 
+    /// Whether any point is within `radius` of `p`, bound included.
+    pub fn any_within(&self, p: &Point2<f64>, radius: f64) -> bool {
+        self.tree.as_ref().is_some_and(|tree| {
+            let nearest = tree.query(&[p.x, p.y]).nearest_one::<SquaredEuclidean<f64>>().execute();
+            nearest.distance <= radius * radius
+        })
+    }
+
     /// As [`Self::within`], in no particular order, which is faster.
     pub fn unsorted_within(&self, p: &Point2<f64>, radius: f64) -> Vec<usize> {
         let Some(tree) = &self.tree else { return Vec::new() };
@@ -56,12 +64,19 @@ mod tests {
             let all: Vec<usize> =
                 (0..points.len()).filter(|&k| (points[k] - p).norm() <= 9.0).collect();
             assert_eq!(neighbors.within(p, 9.0), all);
+            for radius in [0.0, 0.5, 3.0] {
+                let aside = p + nalgebra::Vector2::new(0.7, -0.3);
+                let any = points.iter().any(|q| (q - aside).norm() <= radius);
+                assert_eq!(neighbors.any_within(&aside, radius), any);
+            }
         }
     }
 
     #[test]
     fn none_and_many_duplicates() {
-        assert!(Neighbors::new([]).within(&Point2::origin(), 1.0).is_empty());
+        let none = Neighbors::new([]);
+        assert!(none.within(&Point2::origin(), 1.0).is_empty());
+        assert!(!none.any_within(&Point2::origin(), 1e9));
         let same = Neighbors::new((0..1000).map(|_| Point2::new(1.0, 2.0)));
         assert_eq!(same.within(&Point2::new(1.0, 2.5), 1.0).len(), 1000);
     }

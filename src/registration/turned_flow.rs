@@ -13,11 +13,9 @@ use super::simd::Scalar;
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, has_avx2_and_fma};
 use super::{AffineOptions, Frame, Match, Neighbors, RegistrationOptions};
-use nalgebra::{Matrix2, Point2, Rotation2, Vector2};
+use nalgebra::{Matrix2, Point2, Rotation2};
 use rayon::prelude::*;
 
-/// The level whose gradients describe a corner. Coarser: small things lose their descriptors; finer: noise.
-const LEVEL: usize = 1;
 /// Maximum motion, as a fraction of the image's longer side. Larger: time, and wrong matches; smaller: fast
 /// things stay lost.
 const MAX_MOTION: f64 = 0.1;
@@ -121,8 +119,8 @@ fn seeds(
     let taken = Neighbors::new(matches.iter().flatten().map(|m| m.target));
     let lost_at = Neighbors::new(lost.iter().map(|&k| corners[k]));
     let free: Vec<Point2<f64>> = (target.corners(options).iter())
-        .filter(|p| taken.unsorted_within(p, options.corners.min_distance_px).is_empty())
-        .filter(|p| !lost_at.unsorted_within(p, reach).is_empty())
+        .filter(|p| !taken.any_within(p, options.corners.min_distance_px))
+        .filter(|p| lost_at.any_within(p, reach))
         .copied()
         .collect();
     let lost: Vec<Point2<f64>> = lost.iter().map(|&k| corners[k]).collect();
@@ -154,12 +152,11 @@ fn seeds(
 
 /// The descriptors of points of a frame.
 fn described(frame: &Frame, points: &[Point2<f64>]) -> Vec<Option<Oriented>> {
-    let levels = frame.pyramid.levels();
-    let n = LEVEL.min(levels.len() - 1);
-    let scale = 1.0 / f64::from(1_u32 << n);
-    // Levels are centred on even pixels, so positions relative to pixel centres scale.
-    let at = |p: &Point2<f64>| Point2::from((p.coords - Vector2::repeat(0.5)) * scale);
-    points.par_iter().map(|p| Oriented::new(&levels[n], &at(p))).collect()
+    if points.is_empty() {
+        return Vec::new();
+    }
+    let gradients = frame.gradients();
+    points.par_iter().map(|p| Oriented::new(gradients, p)).collect()
 }
 
 /// The candidate that is like a corner, if no other is nearly as like it.
@@ -289,6 +286,7 @@ fn refine_avx2(
 mod tests {
     use super::*;
     use crate::raster::Image;
+    use nalgebra::Vector2;
 
     const SIDE: usize = 160;
     const MIDDLE: f64 = 80.0;
