@@ -14,12 +14,12 @@ use stlfr::progress::Reporter;
 /// Register all frame pairs of a capture beforehand, so that views need not.
 ///
 /// render and compare then find them in the capture's folder, under .stlfr/registered. Images stay the same to the
-/// byte. Stopped at any time, the same command continues. Another capture.json, other frames, offsets or
-/// registration options need their own pairs; draft has others than balanced and best.
+/// byte. Stopped at any time, the same command continues. Other frames, offsets or registration options need
+/// pairs of their own; the presets share theirs.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr prepare .captures/demo\n  \
-    stlfr prepare .captures/demo --preset draft\n  \
+    stlfr prepare .captures/demo --options mine.json\n  \
     stlfr prepare .captures/demo --delete")]
 pub struct Args {
     /// The capture's folder.

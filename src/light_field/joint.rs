@@ -67,6 +67,12 @@ impl LightField {
         Ok(result)
     }
 
+    /// Drops what images share that are made from all cameras: it takes as long as for the first view of an
+    /// instant.
+    pub(crate) fn forget_joints(&self) {
+        self.joints.retain(|_| false);
+    }
+
     /// Makes what the images of these cameras share, before threads that don't know of each other make it.
     pub(super) fn share_joint(
         &self,

@@ -28,13 +28,13 @@ methods!(Preset {
 });
 
 impl Preset {
-    /// The preset's options of all stages.
+    /// The preset's options of all stages. All register alike, so that frames that are prepared for one are
+    /// prepared for all.
     pub fn options(self) -> RenderOptions {
         let mut options = RenderOptions::default();
         match self {
             Self::Draft => {
                 options.sync = SyncMethod::Triangulation;
-                options.registration.corners.max_corners = 1000;
                 (options.proxy.cameras, options.proxy.partners) = (1, 2);
                 options.blend.cameras = 1;
             }
@@ -45,7 +45,6 @@ impl Preset {
             }
             Self::Best => {
                 (options.auto.sync, options.auto.proxy) = (true, true);
-                options.blend.cameras = 2;
             }
         }
         options
@@ -120,6 +119,12 @@ mod tests {
         for preset in Preset::ALL {
             assert_eq!(Preset::from_name(preset.name()), Some(*preset));
         }
+    }
+
+    #[test]
+    fn all_presets_register_alike() {
+        let first = Preset::Draft.options().registration;
+        assert!(Preset::ALL.iter().all(|p| p.options().registration == first));
     }
 
     #[test]

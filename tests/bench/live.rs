@@ -1,11 +1,20 @@
 //! Views a second while one looks around, beside OpenCV's remap and blend.
 //!
-//! `cargo bench --bench live -- CAPTURE… [--views N]`: a fixed instant, halfway through the recording, and a viewpoint
-//! that moves along the rig, up and ahead. By preset: seconds from the opened capture to the first view, views a second (from the
-//! median), how much of it is the geometry, and the same of the peer: `cv2.remap` of as many cameras as the preset
-//! blends, bicubic, over maps that are computed beforehand, and their weighted sum. Both use all cores. The peer is
-//! left out where the project's Python environment is missing.
+//! `cargo bench --bench live -- CAPTURE… [--views N]` prints two tables a capture, by preset.
+//!
+//! - A fixed instant, halfway through the recording, and a viewpoint that moves along the rig, up and ahead: seconds
+//!   from the opened capture to the first view, views a second (from the median), how much of it is the geometry, and
+//!   the same of the peer: `cv2.remap` of as many cameras as the preset blends, bicubic, over maps that are computed
+//!   beforehand, and their weighted sum.
+//! - A fixed viewpoint, and instants that move: the first view from the folder's name on, of a capture that is not
+//!   prepared and of one that is (`stlfr prepare`); views a second; and what one thread reaches of two threads' speed.
+//!   Then what the preparation takes, beside OpenCV's DIS in both directions for the same pairs.
+//!
+//! All use all cores. The peers are left out where the project's Python environment is missing. What is prepared is
+//! deleted again.
 
+#[path = "live/moving.rs"]
+mod moving;
 #[path = "live/peer.rs"]
 mod peer;
 
@@ -16,7 +25,7 @@ use stlfr::camera::Camera;
 use stlfr::capture::Capture;
 use stlfr::light_field::LightField;
 use stlfr::offset::Offsets;
-use stlfr::options::{Preset, ProxyMethod, RenderOptions, ViewOptions};
+use stlfr::options::{Preset, ProxyMethod, RenderOptions};
 
 type Error = Box<dyn std::error::Error>;
 
@@ -100,37 +109,12 @@ fn bench(folder: &str, count: usize) -> Result<(), Error> {
         let geometry_ms = each_ms(&views, |v| Ok(moment.geometry(v).map(drop)?))?;
         let peer = peer::remap_ms(&moment, &capture, &views, options.blend.cameras)?;
         let peer = peer.map_or("-".to_owned(), |ms| format!("{ms:.1} ms"));
-        let moving_ms = moving_ms(&field, &capture, &views[count / 3], &options)?;
-        println!("moving {moving_ms:.1} ms");
         println!(
             "| {name} | {prepared_s:.1} s | {view_ms:.1} ms | {:.1} | {geometry_ms:.1} ms | {peer} |",
             1000.0 / view_ms
         );
     }
-    Ok(())
-}
-
-/// A view from a fixed viewpoint at instants all over two frame intervals, whose frames are registered: milliseconds.
-fn moving_ms(
-    field: &LightField,
-    capture: &Capture,
-    view: &Camera,
-    options: &ViewOptions,
-) -> Result<f64, Error> {
-    let clock = &capture.cameras[capture.reference].clock.times_s;
-    let middle = middle_s(capture);
-    let interval = clock[1] - clock[0];
-    let times: Vec<f64> = (0..6).map(|k| middle + interval * (k as f64 / 6.0 - 0.5)).collect();
-    for t in &times {
-        field.view(view, *t + 1e-4, options)?;
-    }
-    let mut all = Vec::new();
-    for t in &times {
-        let start = Instant::now();
-        field.view(view, *t, options)?;
-        all.push(1000.0 * start.elapsed().as_secs_f64());
-    }
-    Ok(median(all))
+    moving::bench(folder, &views[count / 3], &methods()).map_err(|error| -> Error { error })
 }
 
 /// The middle of the recording, between frames.

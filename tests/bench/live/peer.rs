@@ -1,13 +1,15 @@
-//! OpenCV as the peer: `live_peer.py` is given the cameras, their images, and the depths of each view.
+//! OpenCV as the peer: `live_peer.py` is given the cameras, their images, and the depths of each view, or
+//! a capture's frames.
 
 use super::Error;
 use serde_json::json;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use stlfr::camera::Camera;
 use stlfr::capture::Capture;
 use stlfr::light_field::Moment;
 use stlfr::raster::{BitDepth, write_image};
+use tempfile::TempDir;
 
 /// The median time of a view, milliseconds; `None` without the environment.
 pub fn remap_ms(
@@ -16,9 +18,7 @@ pub fn remap_ms(
     views: &[Camera],
     blended: usize,
 ) -> Result<Option<f64>, Error> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let python = root.join(".venv/bin/python");
-    if !python.exists() {
+    if python().is_none() {
         return Ok(None);
     }
     let scratch = tempfile::tempdir()?;
@@ -38,15 +38,35 @@ pub fn remap_ms(
         std::fs::write(&path, bytes)?;
         places.push(json!({"camera": of(view), "depths": path}));
     }
-    let request = file("request.json".to_owned());
     let body = json!({"cameras": cameras, "views": places, "blended": blended});
-    std::fs::write(&request, serde_json::to_vec(&body)?)?;
-    let script = root.join("tests/bench/live_peer.py");
+    asked(&scratch, &body).map(Some)
+}
+
+/// The seconds of DIS in both directions for all frame pairs, without decoding; `None` without the environment.
+pub fn dis_s(capture: &Capture) -> Result<Option<f64>, Error> {
+    if python().is_none() {
+        return Ok(None);
+    }
+    let frames: Vec<_> = capture.cameras.iter().map(|c| &c.frames).collect();
+    asked(&tempfile::tempdir()?, &json!({"frames": frames})).map(Some)
+}
+
+fn python() -> Option<PathBuf> {
+    let python = Path::new(env!("CARGO_MANIFEST_DIR")).join(".venv/bin/python");
+    python.exists().then_some(python)
+}
+
+/// What the script prints for a request.
+fn asked(scratch: &TempDir, body: &serde_json::Value) -> Result<f64, Error> {
+    let request = scratch.path().join("request.json");
+    std::fs::write(&request, serde_json::to_vec(body)?)?;
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/bench/live_peer.py");
+    let python = python().ok_or("the project's Python environment is missing")?;
     let output = Command::new(python).arg("-I").arg(script).arg(&request).output()?;
     if !output.status.success() {
         return Err(String::from_utf8_lossy(&output.stderr).into_owned().into());
     }
-    Ok(Some(String::from_utf8(output.stdout)?.trim().parse()?))
+    Ok(String::from_utf8(output.stdout)?.trim().parse()?)
 }
 
 /// Size, pinhole intrinsics, and the rows of `[R | t]`, camera from world.
