@@ -5,12 +5,15 @@ use super::files::{OptionsArgs, open_capture, read_view};
 use super::outputs::check_files;
 use super::span::{Output, Times};
 use super::values::{Choice, method, method_or_auto};
+use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
 use stlfr::camera::Camera;
 use stlfr::capture::Capture;
 use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::{LightField, Viewpoint, check_times_before_offsets};
+use stlfr::light_field::{LightField, RenderError, Viewpoint, check_times_before_offsets};
+use stlfr::lumigraph::Rendered;
 use stlfr::options::{ProxyMethod, RenderOptions, TrailMode};
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
@@ -157,7 +160,7 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let times_s: Vec<f64> = request.times_s.iter().map(|t| t - capture.time_origin_s).collect();
     check_times_before_offsets(&capture, like, &times_s)?;
     check_files(args.output.files(times_s.len()), Some(&args.capture))?;
-    let mut writer = Writer::new(&args.output, &capture)?;
+    let writer = Writer::new(&args.output, &capture)?;
     let depth = capture.bit_depth();
 
     let field = pipeline::open_field(capture.clone(), &options, reporter)?;
@@ -170,15 +173,49 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     let view = pipeline::resolved(&field, &options, reporter)?.view();
     let instants = view.trail.count();
     let task = reporter.task("rendering", times_s.len() * instants);
-    for (index, time_s) in times_s.iter().enumerate() {
-        let rendered = field.with_trail(from, *time_s, &view, |done, _| {
+    let views = times_s.iter().enumerate().map(|(index, time_s)| {
+        field.with_trail(from, *time_s, &view, |done, _| {
             task.set(index * instants + done);
             true
-        })?;
-        writer.write(index, &rendered.image, Some(&rendered.coverage), depth)?;
-    }
+        })
+    });
+    let writer = write_all(views, writer, depth)?;
     drop(task);
     writer.finish()
+}
+
+/// Finished views that may wait to be written. More: memory; fewer: rendering waits for a file that takes longer
+/// than others.
+const WAITING_VIEWS: usize = 2;
+
+/// Writes views while the next ones are rendered. Views before an error are written.
+fn write_all(
+    views: impl Iterator<Item = Result<Rendered, RenderError>>,
+    mut writer: Writer,
+    depth: BitDepth,
+) -> Result<Writer, CliError> {
+    let (send, received) = sync_channel::<Rendered>(WAITING_VIEWS);
+    std::thread::scope(|scope| {
+        let writing = scope.spawn(move || {
+            for (index, Rendered { image, coverage, .. }) in received.into_iter().enumerate() {
+                writer.write(index, &image, Some(&coverage), depth)?;
+            }
+            Ok::<_, CliError>(writer)
+        });
+        let mut rendered = Ok(());
+        for view in views {
+            // Without a receiver, writing has failed, and says why.
+            let sent = view.map(|view| send.send(view).is_ok());
+            if !matches!(sent, Ok(true)) {
+                rendered = sent.map(drop);
+                break;
+            }
+        }
+        drop(send);
+        let written = writing.join().unwrap_or_else(|panic| resume_unwind(panic));
+        rendered?;
+        written
+    })
 }
 
 fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
