@@ -17,6 +17,7 @@ mod setup;
 mod span;
 mod tradeoff;
 mod values;
+mod view;
 
 pub use error::{exit, usage};
 
@@ -53,6 +54,7 @@ enum Command {
     Plan(plan::Args),
     Offsets(offsets::Args),
     Render(Box<render::Args>),
+    View(view::Args),
     Compare(compare::Args),
     Tradeoff(tradeoff::Args),
     Import(exchange::ImportArgs),
@@ -78,6 +80,7 @@ impl Cli {
             Command::Plan(args) => plan::run(args, page, &reporter),
             Command::Offsets(args) => offsets::run(args, page, &reporter),
             Command::Render(args) => render::run(args, &reporter),
+            Command::View(args) => view::run(args, &reporter),
             Command::Compare(args) => compare::run(args, page, &reporter),
             Command::Tradeoff(args) => tradeoff::run(args, page, &reporter),
             Command::Import(args) => exchange::run_import(args),

@@ -181,7 +181,8 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
     writer.finish()
 }
 
-fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
+/// Names the cameras that no view can use.
+pub fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
     let unknown: Vec<&str> = field
         .offsets()
         .cameras
