@@ -166,11 +166,7 @@ impl Moment<'_> {
         self.geometry_by(target, &self.options)
     }
 
-    fn geometry_by(
-        &self,
-        target: &Camera,
-        options: &ViewOptions,
-    ) -> Result<Geometry, RenderError> {
+    fn geometry_by(&self, target: &Camera, options: &ViewOptions) -> Result<Geometry, RenderError> {
         let depths = self.depths.as_ref().filter(|_| options.proxy.method == ProxyMethod::Depth);
         if let Some(Depths { estimated, in_cameras }) = depths {
             let cameras = &self.field.capture().cameras;

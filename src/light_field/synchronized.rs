@@ -94,7 +94,9 @@ impl LightField {
                 }
                 match self.synchronized(c, time_s, options) {
                     Ok(image) => Ok(Some(image)),
-                    Err(RenderError::CameraTime { .. } | RenderError::CameraClock { .. }) => Ok(None),
+                    Err(RenderError::CameraTime { .. } | RenderError::CameraClock { .. }) => {
+                        Ok(None)
+                    }
                     Err(error) => Err(error),
                 }
             })

@@ -24,13 +24,20 @@ const HEADERS: [(header::HeaderName, &str); 8] = [
     (header::REFERRER_POLICY, "no-referrer"),
     (header::HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
     (header::HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
-    (header::HeaderName::from_static("permissions-policy"), "camera=(), microphone=(), geolocation=()"),
+    (
+        header::HeaderName::from_static("permissions-policy"),
+        "camera=(), microphone=(), geolocation=()",
+    ),
 ];
 
 /// How long a picture took, milliseconds.
 const MILLISECONDS: header::HeaderName = header::HeaderName::from_static("x-milliseconds");
 
-pub(super) fn respond(status: StatusCode, media_type: &'static str, body: impl Into<Bytes>) -> Reply {
+pub(super) fn respond(
+    status: StatusCode,
+    media_type: &'static str,
+    body: impl Into<Bytes>,
+) -> Reply {
     let mut response = Response::new(Full::new(body.into()));
     *response.status_mut() = status;
     let headers = response.headers_mut();

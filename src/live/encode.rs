@@ -70,16 +70,27 @@ fn filled(view: &Rendered) -> Image {
     image
 }
 
-/// A colour for each camera: neighbours' differ.
+/// A colour for each camera: by its place, so that what is blended from neighbours has a colour between theirs.
 pub(super) struct Colors(Vec<[f32; 3]>);
 
-/// Turn of the hue from one camera to the next: the golden angle, which never comes near an earlier one soon. Any
-/// other: after some cameras, colours come again.
-const HUE_STEP: f32 = 0.381_966;
+/// Hues of the leftmost and the rightmost camera, as fractions of the circle. Farther apart: both ends look alike;
+/// nearer: neighbours do.
+const HUES: [f64; 2] = [0.02, 0.78];
+/// Lightness of the lowest and the highest row of cameras. Farther apart: hues can't be told; nearer: rows can't.
+const LIGHTNESS: [f64; 2] = [0.36, 0.68];
 
 impl Colors {
-    pub fn of(cameras: usize) -> Self {
-        Self((0..cameras).map(|k| vivid((0.58 + k as f32 * HUE_STEP).fract())).collect())
+    /// Of cameras at these places, right and up, by their order.
+    pub fn of(places: &[[f64; 3]]) -> Self {
+        let share = |axis: usize, value: f64| {
+            let below = places.iter().filter(|p| p[axis] < value - SAME_PLACE_M).count();
+            let above = places.iter().filter(|p| p[axis] > value + SAME_PLACE_M).count();
+            if below + above == 0 { 0.5 } else { below as f64 / (below + above) as f64 }
+        };
+        let between = |[low, high]: [f64; 2], share: f64| low + (high - low) * share;
+        let color =
+            |p: &[f64; 3]| vivid(between(HUES, share(0, p[0])), between(LIGHTNESS, share(1, p[1])));
+        Self(places.iter().map(color).collect())
     }
 
     pub fn rgb(&self) -> &[[f32; 3]] {
@@ -93,11 +104,16 @@ impl Colors {
     }
 }
 
-/// A colour of a hue from 0 to 1, neither pale nor dark.
-fn vivid(hue: f32) -> [f32; 3] {
+/// Cameras whose places along an axis differ by less are in one row, metres. Larger: rows of small rigs are one;
+/// smaller: rounding tells cameras of one row apart.
+const SAME_PLACE_M: f64 = 1e-4;
+
+/// A full colour of a hue from 0 to 1.
+fn vivid(hue: f64, lightness: f64) -> [f32; 3] {
+    let chroma = 1.0 - (2.0 * lightness - 1.0).abs();
     [0.0, 2.0 / 3.0, 1.0 / 3.0].map(|shift| {
         let wave = (6.0 * (hue + shift).fract() - 3.0).abs() - 1.0;
-        0.25 + 0.7 * wave.clamp(0.0, 1.0)
+        (lightness + chroma * (wave.clamp(0.0, 1.0) - 0.5)) as f32
     })
 }
 
@@ -126,14 +142,20 @@ mod tests {
     }
 
     #[test]
-    fn colors_differ() {
-        let colors = Colors::of(9);
-        for (k, a) in colors.rgb().iter().enumerate() {
-            for b in &colors.rgb()[..k] {
-                let distance: f32 = a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum();
-                assert!(distance > 0.2, "{a:?} {b:?}");
+    fn colors_differ_in_lines_and_grids() {
+        let line: Vec<[f64; 3]> = (0..9).map(|k| [0.1 * f64::from(k), 1e-7, 0.0]).collect();
+        let grid: Vec<[f64; 3]> =
+            (0..12).map(|k| [f64::from(k % 4), f64::from(k / 4), 0.0]).collect();
+        for places in [line, grid] {
+            let colors = Colors::of(&places);
+            for (k, a) in colors.rgb().iter().enumerate() {
+                for b in &colors.rgb()[..k] {
+                    let distance: f32 = a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum();
+                    assert!(distance > 0.15, "{a:?} {b:?}");
+                }
+                assert!(a.iter().all(|v| (0.0..=1.0).contains(v)));
             }
+            assert!(colors.hex(0).len() == 7 && colors.hex(0).starts_with('#'));
         }
-        assert!(colors.hex(0).len() == 7 && colors.hex(0).starts_with('#'));
     }
 }

@@ -267,9 +267,13 @@ mod tests {
         let rig = line();
         let view = rig.from_place(rig.place(&wanted.center()), &plain([640, 480])).unwrap();
         assert_eq!(view.model, wanted.model);
-        assert!((view.cam_from_world.to_matrix() - wanted.cam_from_world.to_matrix()).norm() < 1e-12);
+        assert!(
+            (view.cam_from_world.to_matrix() - wanted.cam_from_world.to_matrix()).norm() < 1e-12
+        );
         let like = rig.from_camera(&wanted, &plain([640, 480])).unwrap();
-        assert!((like.cam_from_world.to_matrix() - wanted.cam_from_world.to_matrix()).norm() < 1e-12);
+        assert!(
+            (like.cam_from_world.to_matrix() - wanted.cam_from_world.to_matrix()).norm() < 1e-12
+        );
     }
 
     #[test]
@@ -315,7 +319,8 @@ mod tests {
     #[test]
     fn what_is_out_of_bounds_is_refused_in_a_sentence() {
         let rig = line();
-        let refused = |place, view: Viewpoint| rig.from_place(place, &view).unwrap_err().to_string();
+        let refused =
+            |place, view: Viewpoint| rig.from_place(place, &view).unwrap_err().to_string();
         assert!(refused([9.0, 0.0, 0.0], plain([640, 480])).contains("too far"));
         assert!(refused([f64::NAN; 3], plain([640, 480])).contains("too far"));
         assert!(refused([0.0; 3], plain([641, 480])).starts_with("size"));

@@ -61,14 +61,16 @@ impl<'a> Studio<'a> {
             TrueViews::default()
         });
         let true_cameras = truth.all().iter().map(|view| view.camera.clone()).collect();
+        let places = Places::new(capture, field.spacing_m(), true_cameras);
+        let colors = Colors::of(&places.rig().places());
         Self {
             field,
-            places: Arc::new(Places::new(capture, field.spacing_m(), true_cameras)),
+            places: Arc::new(places),
             truth,
             full: ViewOptions { trail: TrailOptions::default(), ..options.view() },
             quick: Preset::Draft.options().view(),
             instants: BoundedCache::new(MAX_INSTANT_BYTES),
-            colors: Colors::of(capture.cameras.len()),
+            colors,
             words: Vec::new(),
         }
     }
@@ -189,7 +191,8 @@ impl<'a> Studio<'a> {
         let nearest = options.clone().with_sync(TRADITIONAL);
         if options.proxy.method == ProxyMethod::Depth {
             let geometry = self.instant(self.full.sync, time_s, proceed)?.geometry(target)?;
-            let images: Vec<Option<Synchronized>> = self.field.synchronized_all(time_s, &nearest)?;
+            let images: Vec<Option<Synchronized>> =
+                self.field.synchronized_all(time_s, &nearest)?;
             return Ok(self.field.blend(&images, &geometry, target, &options.blend));
         }
         match self.prepared(TRADITIONAL, time_s) {

@@ -6,6 +6,7 @@ use crate::capture::{Capture, Truth, TruthError};
 use crate::host::BoundedCache;
 use crate::lumigraph::{BlendOptions, DepthMap, Rendered, Source, blend};
 use crate::raster::{Image, ImageFileError, read_image};
+use nalgebra::{Isometry3, Translation3};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -29,6 +30,13 @@ pub(super) struct TrueView {
 pub(super) struct TrueViews {
     views: Vec<TrueView>,
     images: BoundedCache<usize, Arc<Image>>,
+}
+
+/// The camera, turned as it is, in the origin: two of the same place are there exactly.
+fn at_origin(camera: &Camera) -> Camera {
+    let cam_from_world =
+        Isometry3::from_parts(Translation3::identity(), camera.cam_from_world.rotation);
+    Camera { cam_from_world, ..camera.clone() }
 }
 
 impl Default for TrueViews {
@@ -62,7 +70,8 @@ impl TrueViews {
     /// The image of the place that is asked for, turned and zoomed as the view is.
     pub fn view(&self, request: &PictureRequest, target: &Camera) -> Result<Rendered, LiveError> {
         let Place::Truth(index) = request.place else {
-            let there = if self.views.is_empty() { "none of this capture" } else { "at its places only" };
+            let there =
+                if self.views.is_empty() { "none of this capture" } else { "at its places only" };
             return Err(LiveError::Request(format!("there is truth {there}")));
         };
         let view = self.get(index).ok_or_else(|| LiveError::Request("at: no such truth".into()))?;
@@ -74,9 +83,10 @@ impl TrueViews {
         }
         let image = self.image(index, view)?;
         // From one place, a picture is another's whatever the depths.
+        let [own, target] = [&view.camera, target].map(at_origin);
         let no_depth = DepthMap::empty(target.width, target.height);
         let options = BlendOptions { cameras: 1, ..BlendOptions::default() };
-        Ok(blend(&[Source::new(&view.camera, &image)], &no_depth, target, &options))
+        Ok(blend(&[Source::new(&own, &image)], &no_depth, &target, &options))
     }
 
     fn image(&self, index: usize, view: &TrueView) -> Result<Arc<Image>, LiveError> {

@@ -1,6 +1,8 @@
 //! A real Chromium without a window, driven over the two pipes of its DevTools protocol: each message is JSON that
 //! ends with a 0.
 
+#![allow(dead_code)] // the tests and the benchmark each use some of it
+
 use serde_json::{Value, json};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
@@ -113,7 +115,8 @@ impl Chromium {
         let mut events = Vec::new();
         loop {
             let message = self.messages.recv_timeout(PATIENCE);
-            let message = message.unwrap_or_else(|e| panic!("{method}: the browser is silent ({e})"));
+            let message =
+                message.unwrap_or_else(|e| panic!("{method}: the browser is silent ({e})"));
             if message["id"] == json!(id) {
                 assert!(message["error"].is_null(), "{method}: {}", message["error"]);
                 return (message["result"].clone(), events);
@@ -138,7 +141,8 @@ impl Chromium {
         for domain in ["Page.enable", "Runtime.enable", "Log.enable"] {
             tab.call(domain, json!({}));
         }
-        let size = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
+        let size =
+            json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
         tab.call("Emulation.setDeviceMetricsOverride", size);
         let feature = json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]});
         tab.call("Emulation.setEmulatedMedia", feature);

@@ -42,20 +42,32 @@ fn who_has_no_token_or_another_host_or_origin_finds_nothing() {
     let status = |method: &str, path: &str, headers: &[&str]| {
         let response = served.request(method, path, headers);
         assert!(response.status != 200, "{method} {path} {headers:?}");
-        assert!(!response.headers.contains(token.as_str()) && !response.text().contains(token.as_str()));
+        assert!(
+            !response.headers.contains(token.as_str()) && !response.text().contains(token.as_str())
+        );
         response.status
     };
     let other = token.chars().rev().collect::<String>();
-    for path in ["/", "/scene.json", &format!("/{other}/"), &format!("/{}/", &token[1..]), &format!("/{token}")] {
+    for path in [
+        "/",
+        "/scene.json",
+        &format!("/{other}/"),
+        &format!("/{}/", &token[1..]),
+        &format!("/{token}"),
+    ] {
         assert_eq!(status("GET", path, &[&host]), 404, "{path}");
     }
-    for wrong in ["Host: evil.example", "Host: 127.0.0.1", "Host: 127.0.0.1:1", "Host: 0.0.0.0", "X: y"] {
+    for wrong in
+        ["Host: evil.example", "Host: 127.0.0.1", "Host: 127.0.0.1:1", "Host: 0.0.0.0", "X: y"]
+    {
         assert_eq!(status("GET", &page, &[wrong]), 421, "{wrong}");
     }
     assert_eq!(status("GET", &page, &[&host, "Host: evil.example"]), 400);
     let absolute = format!("http://evil.example/{token}/");
     assert_ne!(status("GET", &absolute, &["Host: evil.example"]), 200);
-    for wrong in ["http://evil.example", "null", &format!("https://127.0.0.1:{port}"), "http://127.0.0.1:1"] {
+    for wrong in
+        ["http://evil.example", "null", &format!("https://127.0.0.1:{port}"), "http://127.0.0.1:1"]
+    {
         assert_eq!(status("GET", &page, &[&host, &format!("Origin: {wrong}")]), 403, "{wrong}");
     }
     let scene = format!("/{token}/scene.json");
@@ -63,8 +75,12 @@ fn who_has_no_token_or_another_host_or_origin_finds_nothing() {
         assert_eq!(status("GET", &scene, &[&host, &format!("Sec-Fetch-Site: {site}")]), 403);
     }
     let own = format!("Origin: http://127.0.0.1:{port}");
-    assert_eq!(served.request("GET", &scene, &[&host, &own, "Sec-Fetch-Site: same-origin"]).status, 200);
-    let (name, origin) = (format!("Host: localhost:{port}"), format!("Origin: http://localhost:{port}"));
+    assert_eq!(
+        served.request("GET", &scene, &[&host, &own, "Sec-Fetch-Site: same-origin"]).status,
+        200
+    );
+    let (name, origin) =
+        (format!("Host: localhost:{port}"), format!("Origin: http://localhost:{port}"));
     assert_eq!(served.request("GET", &scene, &[&name, &origin]).status, 200);
     // A link to the page from elsewhere is one that the user followed.
     assert_eq!(served.request("GET", &page, &[&host, "Sec-Fetch-Site: cross-site"]).status, 200);
@@ -114,7 +130,13 @@ fn what_is_no_get_or_too_large_is_refused() {
     let mut many: Vec<&str> = many.iter().map(String::as_str).collect();
     many.push(&host);
     assert_eq!(served.request("GET", &page, &many).status, 431);
-    for bytes in [&b"\0\0\0\0"[..], b"GET\r\n\r\n", b"\x16\x03\x01\x02\0", b"GET / HTTP/9.9\r\n\r\n", b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"] {
+    for bytes in [
+        &b"\0\0\0\0"[..],
+        b"GET\r\n\r\n",
+        b"\x16\x03\x01\x02\0",
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+    ] {
         let answer = served.raw(bytes);
         assert!(!answer.starts_with(b"HTTP/1.1 200"), "{bytes:?}");
     }
@@ -150,10 +172,21 @@ fn what_is_saved_is_what_render_writes() {
     let served = Served::start(capture());
     let folder = tempfile::tempdir().unwrap();
     let (view, image) = (folder.path().join("view.json"), folder.path().join("view.png"));
-    for query in ["w=160&h=120&t=0.08&x=0.02&y=0.01", "w=120&h=100&t=0.05&x=-0.03&zoom=1.5&yaw=2&pitch=-1"] {
+    for query in
+        ["w=160&h=120&t=0.08&x=0.02&y=0.01", "w=120&h=100&t=0.05&x=-0.03&zoom=1.5&yaw=2&pitch=-1"]
+    {
         std::fs::write(&view, served.get(&format!("view.json?{query}")).body).unwrap();
         let time = query.split('&').find_map(|p| p.strip_prefix("t=")).unwrap();
-        succeed(&["render", text(capture()), "--camera", text(&view), "--time", time, "-o", text(&image)]);
+        succeed(&[
+            "render",
+            text(capture()),
+            "--camera",
+            text(&view),
+            "--time",
+            time,
+            "-o",
+            text(&image),
+        ]);
         let saved = served.get(&format!("picture?{query}&level=saved"));
         assert!(saved.body == std::fs::read(&image).unwrap(), "{query}");
     }
@@ -198,7 +231,17 @@ fn there_are_not_more_connections_than_may_be_open() {
     let open: Vec<_> = (0..400).map(|_| served.connect()).collect();
     drop(open);
     let start = Instant::now();
-    while !served.raw(format!("GET /{}/ HTTP/1.1\r\n{}\r\nConnection: close\r\n\r\n", served.token, served.host()).as_bytes()).starts_with(b"HTTP/1.1 200") {
+    while !served
+        .raw(
+            format!(
+                "GET /{}/ HTTP/1.1\r\n{}\r\nConnection: close\r\n\r\n",
+                served.token,
+                served.host()
+            )
+            .as_bytes(),
+        )
+        .starts_with(b"HTTP/1.1 200")
+    {
         assert!(start.elapsed() < PATIENCE, "the server answers again");
     }
 }
@@ -207,7 +250,8 @@ fn there_are_not_more_connections_than_may_be_open() {
 fn a_second_server_on_the_port_is_refused() {
     let served = Served::start(capture());
     let port = served.port.to_string();
-    let output = stlfr().args(["view", text(capture()), "--no-open", "--port", &port]).output().unwrap();
+    let output =
+        stlfr().args(["view", text(capture()), "--no-open", "--port", &port]).output().unwrap();
     assert_refused(&output, 2, &format!("another program serves at {port} already"));
     let missing = stlfr().args(["view", "/nowhere", "--no-open"]).output().unwrap();
     assert_refused(&missing, 2, "/nowhere");

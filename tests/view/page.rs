@@ -14,12 +14,7 @@ const CTRL: u32 = 2;
 const AT_REST: &str = "document.getElementById('status').textContent.includes('at rest')";
 
 /// Opens the page, and waits for a picture of the chosen quality.
-fn open<'a>(
-    browser: &'a mut Chromium,
-    served: &Served,
-    size: (u32, u32),
-    link: &str,
-) -> Tab<'a> {
+fn open<'a>(browser: &'a mut Chromium, served: &Served, size: (u32, u32), link: &str) -> Tab<'a> {
     let mut tab = browser.tab(size, "light");
     tab.open(&format!("{}#{link}", served.address));
     tab.until("document.readyState === 'complete'");
@@ -51,7 +46,10 @@ fn sums(tab: &mut Tab, pane: &str) -> Value {
 
 /// Nothing went wrong, in the page's own words or the browser's.
 fn is_well(tab: &mut Tab) {
-    assert_eq!(tab.value("[...document.querySelectorAll('.problem')].filter((p) => !p.hidden).length"), 0);
+    assert_eq!(
+        tab.value("[...document.querySelectorAll('.problem')].filter((p) => !p.hidden).length"),
+        0
+    );
     assert_eq!(tab.errors, Vec::<String>::new());
 }
 
@@ -90,7 +88,12 @@ fn time_is_scrubbed_played_and_stopped() {
     tab.value("(() => { const t = document.getElementById('time'); t.value = 0.1; t.dispatchEvent(new Event('input')); })()");
     assert!((number(&mut tab, "t") - 0.1).abs() < 1e-6);
     assert_ne!(sums(&mut tab, "pane-a"), before);
-    assert!(tab.value("document.getElementById('clock').textContent").as_str().unwrap().contains("frame 3.00"));
+    assert!(
+        tab.value("document.getElementById('clock').textContent")
+            .as_str()
+            .unwrap()
+            .contains("frame 3.00")
+    );
     tab.key(".", 0);
     assert!((number(&mut tab, "t") - 4.0 / 30.0).abs() < 1e-9, "the next frame");
     tab.key(",", 0);
@@ -161,7 +164,9 @@ fn a_link_keeps_the_place_and_a_new_window_finds_it() {
     tab.open(&format!("{}#x=99&y=a&t=1e9&show=best&split=-5", served.address));
     tab.until("document.querySelector('#pane-a .problem').innerText.includes('too far')");
     tab.key("Home", 0);
-    tab.until("document.querySelector('#pane-a .problem').innerText.includes('No camera has frames')");
+    tab.until(
+        "document.querySelector('#pane-a .problem').innerText.includes('No camera has frames')",
+    );
 }
 
 #[test]
@@ -191,7 +196,9 @@ fn the_keyboard_suffices() {
     let served = Served::start(capture());
     let mut browser = Chromium::start();
     let mut tab = open(&mut browser, &served, DESK, "x=0&y=0&z=0&t=0.08");
-    for (key, axis, way) in [("ArrowRight", "x", 1.0), ("ArrowUp", "y", 1.0), ("w", "z", 1.0), ("ArrowLeft", "x", -1.0)] {
+    for (key, axis, way) in
+        [("ArrowRight", "x", 1.0), ("ArrowUp", "y", 1.0), ("w", "z", 1.0), ("ArrowLeft", "x", -1.0)]
+    {
         let before = number(&mut tab, axis);
         tab.key(key, 0);
         assert!(way * (number(&mut tab, axis) - before) > 1e-4, "{key}");
@@ -213,7 +220,10 @@ fn the_keyboard_suffices() {
         }
         reached.push(id);
     }
-    for id in ["x", "y", "z", "zoom", "at", "play", "orbit", "time", "speed", "left", "right", "link", "save", "help"] {
+    for id in [
+        "x", "y", "z", "zoom", "at", "play", "orbit", "time", "speed", "left", "right", "link",
+        "save", "help",
+    ] {
         assert!(reached.iter().any(|r| r == id), "{id} is not reached: {reached:?}");
     }
     tab.key("?", SHIFT);
@@ -279,5 +289,7 @@ fn a_capture_deleted_under_it_is_said_on_the_page() {
     tab.until("document.querySelector('#pane-a .problem').hidden");
     drop(served);
     tab.key("ArrowLeft", 0);
-    tab.until("document.querySelector('#pane-a .problem').innerText.includes('The server has ended')");
+    tab.until(
+        "document.querySelector('#pane-a .problem').innerText.includes('The server has ended')",
+    );
 }

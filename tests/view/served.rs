@@ -1,5 +1,7 @@
 //! The server as a child process, and requests byte by byte.
 
+#![allow(dead_code)] // the tests and the benchmark each use some of it
+
 use crate::common::{stlfr, text};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -112,7 +114,8 @@ impl Drop for Served {
 impl Response {
     fn parse(bytes: &[u8]) -> Self {
         let end = bytes.windows(4).position(|w| w == b"\r\n\r\n");
-        let end = end.unwrap_or_else(|| panic!("no response: {:?}", String::from_utf8_lossy(bytes)));
+        let end =
+            end.unwrap_or_else(|| panic!("no response: {:?}", String::from_utf8_lossy(bytes)));
         let headers = String::from_utf8_lossy(&bytes[..end]).into_owned();
         let status = headers.split(' ').nth(1).and_then(|s| s.parse().ok()).expect("a status");
         Self { status, headers, body: bytes[end + 4..].to_vec() }

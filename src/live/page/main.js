@@ -59,7 +59,8 @@ function describe() {
   const isQuick = picture.level === "quick";
   const how = isQuick ? scene.quick : scene.full;
   const rate = isQuick || isPlaying || orbit ? `${arrivals.length} frames/s` : "at rest";
-  byId("status").textContent = `${methods.join(" | ")} · ${how} · ${picture.width}×${picture.height} · ${rate}`;
+  const pixels = Object.assign(document.createElement("span"), { textContent: ` · ${picture.width}×${picture.height}` });
+  byId("status").replaceChildren(`${methods.join(" | ")} · ${how}`, pixels, ` · ${rate}`);
 }
 
 /** Asks for what the state is. */
@@ -304,7 +305,7 @@ function fill() {
   for (const { value, textContent } of [...byId("left").options]) option(byId("right"), value, textContent);
   option(byId("at"), "", "anywhere");
   scene.cameras.forEach(({ id }, k) => option(byId("at"), `c${k}`, id));
-  scene.truths.forEach(({ id, time_s: time }, k) => option(byId("at"), `t${k}`, `${id}, true at ${time.toFixed(4)} s`));
+  scene.truths.forEach(({ id, time_s: time }, k) => option(byId("at"), `t${k}`, `${id} · ${time.toFixed(4)} s`));
   ["x", "y", "z"].forEach((axis, k) => Object.assign(byId(axis), { min: scene.low[k], max: scene.high[k] }));
   byId("time-row").hidden = !scene.span_s;
   if (scene.span_s) fillTime(scene.span_s);
@@ -365,7 +366,6 @@ async function start() {
   listen();
   state.follow(location.hash.slice(1));
   changed(["start"]);
-  byId("stage").focus({ preventScroll: true });
 }
 
 start().catch((error) => {

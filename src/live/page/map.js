@@ -86,12 +86,12 @@ export class RigMap {
       const [width, height] = this.size.map((v) => v * frame.scale);
       shape("rect", this.svg, { class: "bounds", x: x0, y: y1 - height, width, height, rx: 6 });
       shape("polyline", this.svg, { class: "path", points: scene.cameras.map(({ at }) => frame.px(at).join()).join(" ") });
-      const seen = new Set();
+      const name = (at) => frame.px(at).map((v) => v.toFixed(0)).join();
+      const seen = new Set(scene.cameras.map(({ at }) => name(at)));
       for (const { at } of scene.truths) {
+        if (seen.has(name(at))) continue;
+        seen.add(name(at));
         const [x, y] = frame.px(at);
-        const name = `${x.toFixed(1)} ${y.toFixed(1)}`;
-        if (seen.has(name)) continue;
-        seen.add(name);
         shape("rect", this.svg, { class: "truth", x: x - 4, y: y - 4, width: 8, height: 8, transform: `rotate(45 ${x} ${y})` });
       }
       this.dots = scene.cameras.map(({ at, id }) => {

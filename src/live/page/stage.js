@@ -1,6 +1,6 @@
 // The pictures that fill the window, and the gestures on them.
 
-/** A pane shows one method's pictures, or a sentence that says why there is none. */
+/** A pane shows one method's pictures, or a sentence that says why there is none. It tells of each by an event. */
 export class Pane {
   constructor(element) {
     this.element = element;
@@ -16,11 +16,13 @@ export class Pane {
     if (this.canvas.width !== bitmap.width || this.canvas.height !== bitmap.height) {
       this.canvas.width = bitmap.width;
       this.canvas.height = bitmap.height;
+      this.canvas.hidden = false;
     }
     this.context.drawImage(bitmap, 0, 0);
     bitmap.close();
     this.picture = picture;
     this.fail("");
+    this.element.dispatchEvent(new CustomEvent("picture", { detail: picture.level }));
   }
 
   /** Says why there is no picture; the last one stands behind it, grey. An `action` is a label and what it does. */
