@@ -84,7 +84,7 @@ impl Queue {
     pub fn submit(&self, request: PictureRequest) -> Result<oneshot::Receiver<Answer>, LiveError> {
         let (reply, receiver) = oneshot::channel();
         let mut state = self.lock();
-        if request.level != Level::Saved {
+        if request.level != Level::Saved && !request.viewer.is_empty() {
             state.overtake(&request);
         }
         state.waiting.retain(Job::is_wanted);

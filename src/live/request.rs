@@ -10,7 +10,7 @@
 //! | `yaw`, `pitch` | turn to the right and up, degrees |
 //! | `zoom` | focal length over the reference's |
 //! | `w`, `h` | pixels |
-//! | `viewer`, `slot` | who asks, and for which part of the page: a request takes the place of the one before |
+//! | `viewer`, `slot` | who asks, and for which part of the page: a request takes the place of the one before. Without them, it takes none's |
 //!
 //! Names and values are letters, digits and `.+-`: nothing is escaped.
 
@@ -60,7 +60,7 @@ pub struct PictureRequest {
     pub time_s: f64,
     pub place: Place,
     pub view: Viewpoint,
-    /// Who asks, and for which part of the page.
+    /// Who asks, and for which part of the page; empty for one whose requests are apart from each other.
     pub viewer: String,
 }
 
@@ -97,8 +97,8 @@ impl PictureRequest {
             size: [fields.size("w")?, fields.size("h")?],
         };
         let time_s = fields.number("t", 0.0)?;
-        let viewer = [fields.take("viewer"), fields.take("slot")].map(Option::unwrap_or_default);
-        let viewer = viewer.join(".");
+        let slot = fields.take("slot").unwrap_or_default();
+        let viewer = fields.take("viewer").map_or_else(String::new, |v| format!("{v}.{slot}"));
         if viewer.len() > MAX_VIEWER_LENGTH {
             return Err(wrong("viewer", "is too long"));
         }

@@ -168,7 +168,8 @@ impl Tab<'_> {
     fn note(&mut self, events: &[Value]) {
         for event in events.iter().filter(|e| e["sessionId"] == json!(self.session)) {
             match event["method"].as_str() {
-                Some("Runtime.exceptionThrown" | "Log.entryAdded") => {
+                Some("Runtime.exceptionThrown") => self.errors.push(event["params"].to_string()),
+                Some("Log.entryAdded") if event["params"]["entry"]["level"] == "error" => {
                     self.errors.push(event["params"].to_string());
                 }
                 _ => {}

@@ -132,7 +132,7 @@ fn methods_stand_beside_each_other() {
     tab.until("document.querySelector('#map .camera').style.fill.startsWith('rgb')");
     is_well(&mut tab);
     tab.key("3", 0);
-    tab.key("ArrowLeft", 0);
+    tab.key("w", 0);
     tab.until("document.querySelector('#pane-a .problem').innerText.includes('truth at some places only')");
     tab.click("#pane-a .problem button");
     tab.until("document.querySelector('#pane-a .problem').hidden");
@@ -279,13 +279,12 @@ fn a_capture_deleted_under_it_is_said_on_the_page() {
     let copy = copy();
     let served = Served::start(copy.path());
     let mut browser = Chromium::start();
-    let mut tab = open(&mut browser, &served, DESK, "x=0&y=0&z=0&t=0.01");
+    let mut tab = open(&mut browser, &served, DESK, "x=0&y=0&z=0&t=0.05");
     std::fs::remove_dir_all(copy.path()).unwrap();
-    tab.key("End", 0);
     tab.value("(() => { const t = document.getElementById('time'); t.value = 0.13; t.dispatchEvent(new Event('input')); })()");
     tab.until("document.querySelector('#pane-a .problem').innerText.includes('No such file')");
     // What was decoded can still be looked at.
-    tab.value("(() => { const t = document.getElementById('time'); t.value = 0.01; t.dispatchEvent(new Event('input')); })()");
+    tab.value("(() => { const t = document.getElementById('time'); t.value = 0.05; t.dispatchEvent(new Event('input')); })()");
     tab.until("document.querySelector('#pane-a .problem').hidden");
     drop(served);
     tab.key("ArrowLeft", 0);

@@ -56,7 +56,8 @@ function describe() {
   const { picture } = panes[0];
   if (!picture) return;
   const methods = [state.left, state.right].filter(Boolean).map((method) => METHODS[method]);
-  const isQuick = picture.level === "quick";
+  const all = state.right ? panes : panes.slice(0, 1);
+  const isQuick = all.some((pane) => pane.picture?.level !== "full");
   const how = isQuick ? scene.quick : scene.full;
   const rate = isQuick || isPlaying || orbit ? `${arrivals.length} frames/s` : "at rest";
   const pixels = Object.assign(document.createElement("span"), { textContent: ` · ${picture.width}×${picture.height}` });
@@ -101,6 +102,8 @@ function reflect() {
   byId("line").style.left = `${state.split}%`;
   byId("label-a").textContent = METHODS[state.left];
   byId("label-b").textContent = METHODS[state.right] ?? "";
+  panes[0].center(state.right ? state.split / 2 : 50);
+  panes[1].center(50 + state.split / 2);
   panes[1].element.style.clipPath = `inset(0 0 0 ${state.split}%)`;
   panes[0].element.style.clipPath = state.right ? `inset(0 ${100 - state.split}% 0 0)` : "";
   map.draw();

@@ -25,6 +25,12 @@ export class Pane {
     this.element.dispatchEvent(new CustomEvent("picture", { detail: picture.level }));
   }
 
+  /** Puts its sentences in the middle of what is seen of it: percent of the window's width. */
+  center(percent) {
+    this.problem.style.left = `${percent}%`;
+    this.problem.style.maxWidth = `min(30rem, ${2 * Math.min(percent, 100 - percent)}vw - 32px)`;
+  }
+
   /** Says why there is no picture; the last one stands behind it, grey. An `action` is a label and what it does. */
   fail(sentence, action) {
     this.problem.hidden = !sentence;
