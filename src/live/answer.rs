@@ -11,8 +11,8 @@ use hyper::{Response, StatusCode};
 pub(super) type Reply = Response<Full<Bytes>>;
 
 /// Nothing from elsewhere, nothing written in the page itself, and no other page around it.
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
-                      connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; \
+                      require-trusted-types-for 'script'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// The headers of every response.
 const HEADERS: [(header::HeaderName, &str); 8] = [
@@ -32,6 +32,8 @@ const HEADERS: [(header::HeaderName, &str); 8] = [
 
 /// How long a picture took, milliseconds.
 const MILLISECONDS: header::HeaderName = header::HeaderName::from_static("x-milliseconds");
+/// The methods that made a picture.
+const MADE_BY: header::HeaderName = header::HeaderName::from_static("x-made-by");
 
 pub(super) fn respond(
     status: StatusCode,
@@ -68,13 +70,15 @@ pub(super) fn failed(error: &LiveError) -> Reply {
 }
 
 pub(super) fn picture(answer: Answer) -> Reply {
-    let Picture { bytes, kind, seconds } = match answer {
+    let Picture { bytes, made_by, seconds } = match answer {
         Ok(picture) => picture,
         Err(error) => return failed(&error),
     };
-    let mut response = respond(StatusCode::OK, kind.media_type(), bytes);
-    if let Ok(value) = HeaderValue::from_str(&format!("{:.1}", 1e3 * seconds)) {
-        response.headers_mut().insert(MILLISECONDS, value);
+    let mut response = respond(StatusCode::OK, "image/png", bytes);
+    for (name, value) in [(MILLISECONDS, format!("{:.1}", 1e3 * seconds)), (MADE_BY, made_by)] {
+        if let Ok(value) = HeaderValue::from_str(&value) {
+            response.headers_mut().insert(name, value);
+        }
     }
     response
 }

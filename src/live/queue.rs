@@ -125,9 +125,12 @@ impl Queue {
         self.lock().running.retain(|(_, other)| !Arc::ptr_eq(other, stale));
     }
 
-    /// Whether a request of a lane waits.
-    pub(super) fn has(&self, lane: Lane) -> bool {
-        self.lock().waiting.iter().any(|job| Lane::of(job.request.level) == lane)
+    /// Whether a request of a lane waits that is of another instant, or by another method, than this one.
+    pub(super) fn has_apart(&self, lane: Lane, own: &PictureRequest) -> bool {
+        let is_apart = |r: &PictureRequest| (r.time_s, r.method) != (own.time_s, own.method);
+        let mut state = self.lock();
+        state.waiting.retain(Job::is_wanted);
+        state.waiting.iter().any(|j| Lane::of(j.request.level) == lane && is_apart(&j.request))
     }
 
     /// Ends all workers after what they do now.

@@ -1,7 +1,7 @@
 //! What the page knows of the capture.
 
+use super::Studio;
 use super::rig_frame::Lens;
-use super::{Level, Studio};
 use serde::Serialize;
 
 /// The page's `scene.json`. Places are in the rig's axes ([`super::RigFrame`]), metres; times are on the reference's
@@ -22,8 +22,6 @@ pub(super) struct Scene {
     span_s: Option<[f64; 2]>,
     /// The times of the reference's frames.
     frames_s: Vec<f64>,
-    quick: String,
-    full: String,
     truths: Vec<SceneTruth>,
 }
 
@@ -72,8 +70,6 @@ impl Scene {
                 .filter(|_| !capture.is_static())
                 .map(|(first, last)| [first + origin_s, last + origin_s]),
             frames_s: capture.times_in_file_s(capture.reference),
-            quick: studio.described(Level::Quick),
-            full: studio.described(Level::Full),
             truths: studio.truth().all().iter().map(truth).collect(),
         }
     }

@@ -1,6 +1,6 @@
 //! Pictures of a light field, made as they are asked for.
 
-use super::encode::{Colors, FileKind, encode, encode_saved};
+use super::encode::{Colors, encode, encode_saved};
 use super::true_views::TrueViews;
 use super::{Level, LiveError, Method, PictureRequest, Places};
 use crate::camera::Camera;
@@ -29,8 +29,10 @@ pub(super) type Proceed<'p> = &'p (dyn Fn() -> bool + Sync);
 
 /// A picture as it is sent.
 pub struct Picture {
+    /// A PNG file's.
     pub bytes: Vec<u8>,
-    pub kind: FileKind,
+    /// The methods that made it, such as `refined, mesh`; empty for the truth.
+    pub made_by: String,
     /// How long it took, seconds.
     pub seconds: f64,
 }
@@ -105,10 +107,17 @@ impl<'a> Studio<'a> {
         &self.colors
     }
 
-    /// What makes pictures of a level, such as `refined, mesh`.
-    pub fn described(&self, level: Level) -> String {
-        let options = self.options(level);
-        format!("{}, {}", options.sync.name(), options.proxy.method.name())
+    /// What makes a picture now.
+    fn made_by(&self, request: &PictureRequest) -> String {
+        let options = self.options(request.level);
+        let time_s = request.time_s - self.capture().time_origin_s;
+        let sync = match request.method {
+            Method::Truth => return String::new(),
+            Method::Traditional => TRADITIONAL,
+            _ if self.prepared(self.full.sync, time_s).is_some() => self.full.sync,
+            _ => options.sync,
+        };
+        format!("{}, {}", sync.name(), options.proxy.method.name())
     }
 
     fn options(&self, level: Level) -> &ViewOptions {
@@ -128,18 +137,18 @@ impl<'a> Studio<'a> {
         proceed: Proceed,
     ) -> Result<Picture, LiveError> {
         let start = Instant::now();
+        let made_by = self.made_by(request);
         let target = self.places.camera(request)?;
         let rendered = match self.rendered(request, &target, proceed) {
             Err(LiveError::Render(RenderError::Stopped)) => return Err(LiveError::Superseded),
             rendered => rendered?,
         };
-        let (bytes, kind) = match request.level {
-            Level::Quick => encode(&rendered, FileKind::Jpeg),
-            Level::Full => encode(&rendered, FileKind::Png),
+        let bytes = match request.level {
+            Level::Quick | Level::Full => encode(&rendered),
             Level::Saved => encode_saved(&rendered, self.capture().bit_depth()),
-        }
-        .map_err(LiveError::Request)?;
-        Ok(Picture { bytes, kind, seconds: start.elapsed().as_secs_f64() })
+        };
+        let bytes = bytes.map_err(LiveError::Request)?;
+        Ok(Picture { bytes, made_by, seconds: start.elapsed().as_secs_f64() })
     }
 
     fn rendered(
@@ -173,8 +182,9 @@ impl<'a> Studio<'a> {
     fn view(&self, target: &Camera, time_s: f64, level: Level) -> Result<Rendered, RenderError> {
         let options = self.options(level);
         match self.prepared(self.full.sync, time_s) {
-            Some(instant) => instant.view_by(target, options),
-            None => self.field.view(target, time_s, options),
+            // With depth per pixel, a prepared instant's views are others than those of `stlfr render`.
+            Some(instant) if level != Level::Saved => instant.view_by(target, options),
+            _ => self.field.view(target, time_s, options),
         }
     }
 

@@ -1,9 +1,11 @@
 //! The threads that answer requests.
 
-use super::queue::{Answer, Job, Lane};
-use super::{LiveError, Queue, Studio};
+use super::queue::{Answer, Job, Lane, Stale};
+use super::{LiveError, PictureRequest, Queue, Studio};
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 use std::thread::Scope;
 
 /// How many quick requests are worked on at once. More: each takes longer; fewer: cores wait while a picture is
@@ -11,7 +13,7 @@ use std::thread::Scope;
 const QUICK_WORKERS: usize = 2;
 /// By how much threads of the full quality stand back (Unix's niceness). More: they starve where another program
 /// runs; less: a picture that nobody waits for any more slows down those that follow a hand.
-const FULL_NICENESS: i32 = 10;
+const FULL_NICENESS: i32 = 5;
 
 /// Starts the threads, which end when the queue is closed. Quick and full pictures have threads of their own, so
 /// that what is quick never waits in a full picture's line.
@@ -24,7 +26,7 @@ pub(super) fn start<'scope, 'env>(
     queue: &'env Queue,
 ) -> std::io::Result<()> {
     for (lane, workers) in [(Lane::Quick, QUICK_WORKERS), (Lane::Full, 1)] {
-        let pool = std::sync::Arc::new(pool(lane)?);
+        let pool = Arc::new(pool(lane)?);
         for _ in 0..workers {
             let pool = pool.clone();
             scope.spawn(move || work(studio, queue, lane, &pool));
@@ -56,15 +58,37 @@ fn stand_back() {
 }
 
 fn work(studio: &Studio, queue: &Queue, lane: Lane, pool: &ThreadPool) {
-    while let Some(job) = queue.take(lane) {
+    let mut ahead = VecDeque::new();
+    loop {
+        prepare(studio, queue, &mut ahead, pool);
+        let Some(job) = queue.take(lane) else { return };
         let request = job.request.clone();
         let answer = answer(studio, &job, pool);
         let is_shown = answer.is_ok();
         let stale = queue.answer(job, answer);
         if lane == Lane::Full && is_shown {
             // The viewer looks at the picture now, and may look around from there.
-            let proceed = || stale.is_instant_wanted() && !queue.has(lane);
-            unwound(|| pool.install(|| studio.prepare(&request, &proceed)));
+            ahead.push_back((request, stale));
+        } else {
+            queue.finish(&stale);
+        }
+    }
+}
+
+/// Prepares the instants that viewers are at, while nobody waits for a full picture of another.
+fn prepare(
+    studio: &Studio,
+    queue: &Queue,
+    ahead: &mut VecDeque<(PictureRequest, Arc<Stale>)>,
+    pool: &ThreadPool,
+) {
+    while let Some((request, stale)) = ahead.pop_front() {
+        let is_free = || !queue.has_apart(Lane::Full, &request);
+        let proceed = || stale.is_instant_wanted() && is_free();
+        unwound(|| pool.install(|| studio.prepare(&request, &proceed)));
+        if stale.is_instant_wanted() && !is_free() {
+            ahead.push_front((request, stale));
+            return;
         }
         queue.finish(&stale);
     }

@@ -50,12 +50,12 @@ const DRAG: &str = r"(k) => {
     const at = (type, x) => stage.dispatchEvent(new PointerEvent(type, { pointerId: 1, clientX: x, clientY: 400, bubbles: true }));
     Element.prototype.setPointerCapture = () => {};
     if (k === 0) at('pointerdown', 640);
-    at('pointermove', 640 + 200 * Math.sin(k / 9));
+    at('pointermove', 640 + 200 * Math.sin((k + 1) / 9));
 }";
 const SCRUB: &str = r"(k) => {
     const time = document.getElementById('time');
     const [low, high] = [Number(time.min), Number(time.max)];
-    time.value = low + (high - low) * (0.5 + 0.45 * Math.sin(k / 11));
+    time.value = low + (high - low) * (0.5 + 0.45 * Math.sin((k + 1) / 11));
     time.dispatchEvent(new Event('input'));
 }";
 
@@ -94,7 +94,7 @@ fn latency(tab: &mut Tab, count: usize) {
 }
 
 fn at_rest(tab: &mut Tab) {
-    tab.until("document.getElementById('status').textContent.includes('at rest')");
+    tab.until("document.getElementById('status')?.textContent.includes('at rest')");
 }
 
 /// A picture of the page as each format: how long it takes to encode, and to decode in the browser.

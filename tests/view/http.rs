@@ -18,7 +18,7 @@ fn the_page_and_pictures_come_with_every_header() {
         ("style.css", "text/css"),
         ("scene.json", "application/json"),
         (PICTURE, "image/png"),
-        (&format!("{PICTURE}&level=quick"), "image/jpeg"),
+        (&format!("{PICTURE}&level=quick"), "image/png"),
         (&format!("view.json?{}", PICTURE.split_once('?').unwrap().1), "application/json"),
         ("picture?w=1", "text/plain"),
     ] {

@@ -11,7 +11,7 @@ const PHONE: (u32, u32) = (390, 844);
 const SHIFT: u32 = 8;
 const CTRL: u32 = 2;
 
-const AT_REST: &str = "document.getElementById('status').textContent.includes('at rest')";
+const AT_REST: &str = "document.getElementById('status')?.textContent.includes('at rest')";
 
 /// Opens the page, and waits for a picture of the chosen quality.
 fn open<'a>(browser: &'a mut Chromium, served: &Served, size: (u32, u32), link: &str) -> Tab<'a> {

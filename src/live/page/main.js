@@ -58,10 +58,10 @@ function describe() {
   const methods = [state.left, state.right].filter(Boolean).map((method) => METHODS[method]);
   const all = state.right ? panes : panes.slice(0, 1);
   const isQuick = all.some((pane) => pane.picture?.level !== "full");
-  const how = isQuick ? scene.quick : scene.full;
+  const how = [...new Set(all.map((pane) => pane.picture?.madeBy).filter(Boolean))].join(" | ");
   const rate = isQuick || isPlaying || orbit ? `${arrivals.length} frames/s` : "at rest";
   const pixels = Object.assign(document.createElement("span"), { textContent: ` · ${picture.width}×${picture.height}` });
-  byId("status").replaceChildren(`${methods.join(" | ")} · ${how}`, pixels, ` · ${rate}`);
+  byId("status").replaceChildren([methods.join(" | "), how].filter(Boolean).join(" · "), pixels, ` · ${rate}`);
 }
 
 /** Asks for what the state is. */
@@ -349,7 +349,11 @@ function listen() {
   byId("map-button").addEventListener("click", toggleMap);
   byId("link").addEventListener("click", copyLink);
   byId("help").addEventListener("click", () => byId("keys").showModal());
-  byId("save-menu").addEventListener("toggle", () => (byId("command").textContent = command(state)));
+  byId("save-menu").addEventListener("toggle", () => {
+    byId("command").textContent = command(state);
+    const isSame = ["st", "lfr"].includes(state.left);
+    byId("command-title").textContent = isSame ? "In a terminal, the same picture:" : "In a terminal, the same view by ST-LFR:";
+  });
   byId("save-png").addEventListener("click", () => save(() => savePicture(state, size(), state.left)));
   byId("save-json").addEventListener("click", () => save(() => saveCamera(state, size())));
   byId("copy-command").addEventListener("click", async () => toast((await copy(command(state))) ? "Copied." : "Not copied: mark it by hand."));

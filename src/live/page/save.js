@@ -38,7 +38,8 @@ const quoted = (word) => (/^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replac
 /** The command that renders the same picture. */
 export function command(state) {
   const { folder, options } = state.scene;
-  const words = ["stlfr", "render", folder, ...options, "--camera", "view.json", "--time", String(state.t), "-o", "view.png"];
+  const sync = state.left === "lfr" ? ["--sync", "nearest"] : [];
+  const words = ["stlfr", "render", folder, ...options, ...sync, "--camera", "view.json", "--time", String(state.t), "-o", "view.png"];
   return words.map(quoted).join(" ");
 }
 

@@ -36,7 +36,7 @@ async function load(fields, signal) {
     throw error;
   }
   const bitmap = await createImageBitmap(await response.blob());
-  return { bitmap, took_ms: performance.now() - start };
+  return { bitmap, madeBy: response.headers.get("x-made-by"), took_ms: performance.now() - start };
 }
 
 export class Stream {
