@@ -26,7 +26,8 @@
 //! `Origin` must be the server's own, so that no other page, and no name that leads here, can ask. Only `GET` is
 //! answered, and nothing but the page and pictures of this capture.
 //!
-//! Known limit: whoever has the address may look, also another user of the machine.
+//! Known limit: whoever has the address may look, also another user of this machine, who may find it among the
+//! arguments of the program that opens the browser. `--no-open` gives it to the terminal alone.
 
 mod answer;
 mod encode;

@@ -133,7 +133,7 @@ fn methods_stand_beside_each_other() {
     is_well(&mut tab);
     tab.key("3", 0);
     tab.key("w", 0);
-    tab.until("document.querySelector('#pane-a .problem').innerText.includes('truth at some places only')");
+    tab.until("document.querySelector('#pane-a .problem').innerText.includes('truth at some places and times only')");
     tab.click("#pane-a .problem button");
     tab.until("document.querySelector('#pane-a .problem').hidden");
     assert_eq!(link(&mut tab, "at").as_deref(), Some("t1"));

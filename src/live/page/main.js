@@ -70,9 +70,9 @@ function request() {
   const methods = [state.left, state.right];
   streams.forEach((stream, k) => {
     // What there is truth of is known here, and a drag over the rest needs no server.
-    if (methods[k] === "truth" && state.at[0] !== "t") {
+    if (methods[k] === "truth" && !state.isTrue()) {
       stream.want(null);
-      failed(panes[k], scene.truths.length ? "There is truth at some places only" : "This capture has no truth");
+      failed(panes[k], scene.truths.length ? "There is truth at some places and times only" : "This capture has no truth");
     } else stream.want(methods[k] ? { ...fields, method: methods[k] } : null);
   });
 }
@@ -268,7 +268,7 @@ function key(event) {
 
 /** Shows the truth, at the nearest place that has some. */
 function truthAt(side) {
-  if (state.at[0] !== "t" && scene.truths.length) state.goTo(state.nearestTruth());
+  if (!state.isTrue() && scene.truths.length) state.goTo(state.nearestTruth());
   play(false);
   stopTime(false);
   state.set({ [side]: "truth" });

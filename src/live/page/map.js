@@ -85,7 +85,6 @@ export class RigMap {
       const [x0, y1] = frame.px(this.low);
       const [width, height] = this.size.map((v) => v * frame.scale);
       shape("rect", this.svg, { class: "bounds", x: x0, y: y1 - height, width, height, rx: 6 });
-      shape("polyline", this.svg, { class: "path", points: scene.cameras.map(({ at }) => frame.px(at).join()).join(" ") });
       const name = (at) => frame.px(at).map((v) => v.toFixed(0)).join();
       const seen = new Set(scene.cameras.map(({ at }) => name(at)));
       for (const { at } of scene.truths) {

@@ -10,6 +10,8 @@ export const METHODS = {
 
 const ZOOMS = [0.25, 16];
 const MAX_TURN_DEG = 45;
+/** Times that are nearer are one instant, seconds. */
+const SAME_INSTANT_S = 1e-6;
 
 const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
 
@@ -57,11 +59,19 @@ export class State {
     this.assign({ x, y, z, yaw: 0, pitch: 0, at, ...time });
   }
 
-  /** The image of the truth nearest in space, and of those, in time; "" without one. */
+  /** Whether there is an image of the truth of this place and time. */
+  isTrue() {
+    const truth = this.at[0] === "t" ? this.scene.truths[Number(this.at.slice(1))] : undefined;
+    return Boolean(truth) && Math.abs(truth.time_s - this.t) < SAME_INSTANT_S;
+  }
+
+  /** The image of the truth nearest in space and time; "" without one. */
   nearestTruth() {
     const { truths, spacing_m: spacing } = this.scene;
     const far = ({ at }) => Math.hypot(at[0] - this.x, at[1] - this.y, at[2] - this.z);
-    const badness = (truth) => far(truth) / (spacing || 1) + 1e-3 * Math.abs(truth.time_s - this.t);
+    const [first, last] = this.scene.span_s ?? [0, 1];
+    // A place as far as the next camera counts as much as all of the recording.
+    const badness = (truth) => far(truth) / (spacing || 1) + Math.abs(truth.time_s - this.t) / (last - first);
     const best = truths.reduce((a, truth, k) => (a < 0 || badness(truth) < badness(truths[a]) ? k : a), -1);
     return best < 0 ? "" : `t${best}`;
   }
