@@ -146,7 +146,7 @@ impl Moment<'_> {
     /// About how much memory it holds, bytes.
     pub fn bytes(&self) -> usize {
         let of_image = |s: &Synchronized| {
-            size_of_val(s.image.data()) + s.bridged_px.as_deref().map_or(0, |b| size_of_val(b))
+            size_of_val(s.image.data()) + s.bridged_px.as_deref().map_or(0, size_of_val)
         };
         let pixels = |s: &Synchronized| s.image.width() * s.image.height();
         let depths = |s: &Synchronized| self.depths.as_ref().map_or(0, |_| DEPTH_BYTES * pixels(s));

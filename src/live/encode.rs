@@ -84,9 +84,12 @@ impl Colors {
 /// smaller: rounding tells cameras of one row apart.
 const SAME_PLACE_M: f64 = 1e-4;
 
-/// A full colour of a hue from 0 to 1.
+/// How far colours are from grey, of the farthest. More: they dazzle; less: neighbours look alike.
+const SATURATION: f64 = 0.75;
+
+/// A colour of a hue from 0 to 1.
 fn vivid(hue: f64, lightness: f64) -> [f32; 3] {
-    let chroma = 1.0 - (2.0 * lightness - 1.0).abs();
+    let chroma = SATURATION * (1.0 - (2.0 * lightness - 1.0).abs());
     [0.0, 2.0 / 3.0, 1.0 / 3.0].map(|shift| {
         let wave = (6.0 * (hue + shift).fract() - 3.0).abs() - 1.0;
         (lightness + chroma * (wave.clamp(0.0, 1.0) - 0.5)) as f32

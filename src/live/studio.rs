@@ -22,7 +22,7 @@ use std::time::Instant;
 const MAX_INSTANT_BYTES: usize = 160 << 20;
 /// How much of the colours that stand for cameras is mixed into the picture. More: the scene can't be told;
 /// less: the cameras can't.
-const TINT: f32 = 0.6;
+const TINT: f32 = 0.5;
 
 /// Whether to go on: a viewer may have asked for something else.
 pub(super) type Proceed<'p> = &'p (dyn Fn() -> bool + Sync);

@@ -59,7 +59,9 @@ function describe() {
   const all = state.right ? panes : panes.slice(0, 1);
   const isQuick = all.some((pane) => pane.picture?.level !== "full");
   const how = [...new Set(all.map((pane) => pane.picture?.madeBy).filter(Boolean))].join(" | ");
-  const rate = isQuick || isPlaying || orbit ? `${arrivals.length} frames/s` : "at rest";
+  const isStill = !isPlaying && !orbit;
+  const isRefining = isStill && arrivals.length < 2;
+  const rate = isStill && !isQuick ? "at rest" : isRefining ? "refining …" : `${arrivals.length} frames/s`;
   const pixels = Object.assign(document.createElement("span"), { textContent: ` · ${picture.width}×${picture.height}` });
   byId("status").replaceChildren([methods.join(" | "), how].filter(Boolean).join(" · "), pixels, ` · ${rate}`);
 }
@@ -219,8 +221,8 @@ const KEYS = {
   " ": () => play(!isPlaying),
   ",": () => toFrame(-1),
   ".": () => toFrame(1),
-  ";": () => toFrame(-0.1),
-  ":": () => toFrame(0.1),
+  "<": () => toFrame(-0.1),
+  ">": () => toFrame(0.1),
   "[": () => faster(-1),
   "]": () => faster(1),
   t: () => stopTime(!orbit),
@@ -233,8 +235,6 @@ const KEYS = {
   3: () => truthAt("left"),
   4: () => state.set({ left: "sources" }),
   c: () => beside(state.left === "lfr" ? "st" : "lfr"),
-  "<": () => state.set({ split: state.split - 2 }),
-  ">": () => state.set({ split: state.split + 2 }),
   n: () => state.goTo(state.nearestTruth()),
   m: () => toggleMap(),
   l: () => copyLink(),
@@ -258,8 +258,7 @@ function key(event) {
     const step = axis in { yaw: 0, pitch: 0 } ? 1 / state.zoom : (scene.high[0] - scene.low[0]) / 80;
     stopTime(false);
     state.set({ [axis]: state[axis] + way * step });
-  } else if (event.code === "Comma" && event.shiftKey && event.key === "<") KEYS["<"]();
-  else if (KEYS[name]) KEYS[name]();
+  } else if (KEYS[name]) KEYS[name]();
   else return;
   event.preventDefault();
 }
