@@ -358,7 +358,8 @@ function listen() {
   byId("copy-command").addEventListener("click", async () => toast((await copy(command(state))) ? "Copied." : "Not copied: mark it by hand."));
   document.addEventListener("keydown", key);
   addEventListener("resize", () => changed(["size"]));
-  addEventListener("hashchange", () => state.follow(location.hash.slice(1)));
+  // The link may be brought up to date before this is told; where it led to is in the event.
+  addEventListener("hashchange", (event) => state.follow(new URL(event.newURL).hash.slice(1)));
   setInterval(describe, SETTLE_MS);
 }
 
