@@ -71,7 +71,7 @@
 //! plan
 //! pipeline
 //! compare
-//! tradeoff
+//! tradeoff live
 //! toolchain
 //! python
 //! ```
@@ -91,6 +91,7 @@
 //! | [`options`] | the methods and parameters of all stages |
 //! | [`plan`] | the methods that a capture requires |
 //! | [`tradeoff`] | what each combination of methods costs and gives |
+//! | [`live`] | a light field in a browser: the server and its page |
 //! | [`toolchain`] | the Python side: its environment, filming, the calibration check |
 //!
 //! # The command line
@@ -145,6 +146,7 @@ pub mod host;
 pub mod interpolation;
 pub mod json;
 pub mod light_field;
+pub mod live;
 pub mod lumigraph;
 pub mod method;
 pub mod metrics;

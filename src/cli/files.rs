@@ -7,6 +7,7 @@ use stlfr::camera::{Camera, CameraFormat};
 use stlfr::capture::{Capture, Opening};
 use stlfr::host::{open_file, read_text};
 use stlfr::json;
+use stlfr::method::Method;
 use stlfr::options::{Preset, RenderOptions};
 use stlfr::progress::Reporter;
 use stlfr::toolchain::find_ffmpeg;
@@ -39,6 +40,13 @@ pub struct OptionsArgs {
 }
 
 impl OptionsArgs {
+    /// The words of a command line that give these options.
+    pub fn words(&self) -> Vec<String> {
+        let preset = self.preset.iter().flat_map(|p| ["--preset".into(), p.name().into()]);
+        let file = self.options.iter().flat_map(|f| ["--options".into(), f.display().to_string()]);
+        preset.chain(file).collect()
+    }
+
     /// The file's options, those of the preset where it has none, checked.
     pub fn read(&self) -> Result<RenderOptions, CliError> {
         match &self.options {

@@ -18,6 +18,7 @@ mod setup;
 mod span;
 mod tradeoff;
 mod values;
+mod view;
 
 pub use error::{exit, usage};
 
@@ -55,6 +56,7 @@ enum Command {
     Offsets(offsets::Args),
     Prepare(prepare::Args),
     Render(Box<render::Args>),
+    View(view::Args),
     Compare(compare::Args),
     Tradeoff(tradeoff::Args),
     Import(exchange::ImportArgs),
@@ -81,6 +83,7 @@ impl Cli {
             Command::Offsets(args) => offsets::run(args, page, &reporter),
             Command::Prepare(args) => prepare::run(args, page, &reporter),
             Command::Render(args) => render::run(args, &reporter),
+            Command::View(args) => view::run(args, &reporter),
             Command::Compare(args) => compare::run(args, page, &reporter),
             Command::Tradeoff(args) => tradeoff::run(args, page, &reporter),
             Command::Import(args) => exchange::run_import(args),

@@ -218,7 +218,8 @@ fn write_all(
     })
 }
 
-fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
+/// Names the cameras that no view can use.
+pub fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
     let unknown: Vec<&str> = field
         .offsets()
         .cameras

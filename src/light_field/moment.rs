@@ -7,7 +7,12 @@ use crate::camera::Camera;
 use crate::interpolation::Synchronized;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::options::{ProxyMethod, ViewOptions};
+use crate::raster::Image;
 use crate::stereo::fuse;
+
+/// What the depths of a pixel of a camera take, bytes: as they are estimated, and as a map, each with a
+/// standard error. Larger: caches hold fewer instants than they could; smaller: more memory than they are to.
+const DEPTH_BYTES: usize = 16;
 
 /// A light field at one instant, for views from anywhere.
 ///
@@ -36,11 +41,28 @@ impl LightField {
     /// [`RenderError::Time`] or [`RenderError::NoClock`] if no camera has an image at that time, and those
     /// of [`Self::synchronized`].
     pub fn moment(&self, time_s: f64, options: &ViewOptions) -> Result<Moment<'_>, RenderError> {
+        self.moment_while(time_s, options, &|| true)
+    }
+
+    /// [`Self::moment`], as long as `proceed` says so: it is asked before every camera's image, and
+    /// before the depths.
+    ///
+    /// # Errors
+    /// Those of [`Self::moment`], and [`RenderError::Stopped`].
+    pub fn moment_while(
+        &self,
+        time_s: f64,
+        options: &ViewOptions,
+        proceed: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Moment<'_>, RenderError> {
         let usable = self.usable(time_s);
         if usable.is_empty() {
             return Err(self.no_camera_at(time_s));
         }
-        let images = self.synchronized_all(time_s, options)?;
+        let images = self.synchronized_all_while(time_s, options, proceed)?;
+        if !proceed() {
+            return Err(RenderError::Stopped);
+        }
         let images = self.corrected(&images).into_owned();
         let depths = match options.proxy.method {
             ProxyMethod::Depth => self.depths_of_all(&usable, &images, time_s, options)?,
@@ -82,10 +104,53 @@ impl Moment<'_> {
     /// # Errors
     /// Those of [`LightField::proxy`], and [`RenderError::NothingSeen`] if no pixel is covered.
     pub fn view(&self, target: &Camera) -> Result<Rendered, RenderError> {
-        let geometry = self.geometry(target)?;
-        let rendered =
-            self.field.blend_corrected(&self.images, &geometry, target, &self.options.blend);
+        self.view_by(target, &self.options)
+    }
+
+    /// The same images, by the proxy and the blend of other options.
+    ///
+    /// # Errors
+    /// Those of [`Self::view`].
+    pub fn view_by(&self, target: &Camera, options: &ViewOptions) -> Result<Rendered, RenderError> {
+        let geometry = self.geometry_by(target, options)?;
+        let rendered = self.field.blend_corrected(&self.images, &geometry, target, &options.blend);
         if rendered.coverage.contains(&true) { Ok(rendered) } else { Err(RenderError::NothingSeen) }
+    }
+
+    /// Which cameras the pixels of [`Self::view_by`] come from: that view with every camera's image replaced by a colour,
+    /// RGB of 0 to 1, in the capture's order. A pixel's colour is the mean of theirs by the camera's weights.
+    ///
+    /// # Errors
+    /// Those of [`Self::geometry`].
+    ///
+    /// # Panics
+    /// If there are fewer colours than cameras.
+    pub fn sources(
+        &self,
+        target: &Camera,
+        options: &ViewOptions,
+        colors: &[[f32; 3]],
+    ) -> Result<Rendered, RenderError> {
+        let geometry = self.geometry_by(target, options)?;
+        let tinted = |(image, color): (&Option<Synchronized>, &[f32; 3])| {
+            let Synchronized { image, bridged_px } = image.as_ref()?;
+            let (width, height) = (image.width(), image.height());
+            let image = Image::from_data(width, height, 3, color.repeat(width * height));
+            Some(Synchronized { image, bridged_px: bridged_px.clone() })
+        };
+        assert!(colors.len() >= self.images.len(), "a colour for each camera");
+        let tinted: Vec<_> = self.images.iter().zip(colors).map(tinted).collect();
+        Ok(self.field.blend_corrected(&tinted, &geometry, target, &options.blend))
+    }
+
+    /// About how much memory it holds, bytes.
+    pub fn bytes(&self) -> usize {
+        let of_image = |s: &Synchronized| {
+            size_of_val(s.image.data()) + s.bridged_px.as_deref().map_or(0, size_of_val)
+        };
+        let pixels = |s: &Synchronized| s.image.width() * s.image.height();
+        let depths = |s: &Synchronized| self.depths.as_ref().map_or(0, |_| DEPTH_BYTES * pixels(s));
+        self.images.iter().flatten().map(|s| of_image(s) + depths(s)).sum()
     }
 
     /// The images of all cameras, in the capture's order, as bright as the reference records them.
@@ -98,17 +163,22 @@ impl Moment<'_> {
     /// # Errors
     /// Those of [`LightField::proxy`].
     pub fn geometry(&self, target: &Camera) -> Result<Geometry, RenderError> {
-        if let Some(Depths { estimated, in_cameras }) = &self.depths {
+        self.geometry_by(target, &self.options)
+    }
+
+    fn geometry_by(&self, target: &Camera, options: &ViewOptions) -> Result<Geometry, RenderError> {
+        let depths = self.depths.as_ref().filter(|_| options.proxy.method == ProxyMethod::Depth);
+        if let Some(Depths { estimated, in_cameras }) = depths {
             let cameras = &self.field.capture().cameras;
             let mut near = nearest(cameras, &self.field.usable(self.time_s), target);
-            near.truncate(self.options.proxy.depth.cameras);
+            near.truncate(options.proxy.depth.cameras);
             let surfaces = self.field.surfaces(estimated, |c| near.contains(&c));
             if !surfaces.is_empty() {
                 let view = fuse(target, &surfaces);
                 return Ok(Geometry { view, sources: in_cameras.clone() });
             }
         }
-        let proxy = self.field.proxy(target, self.time_s, &self.options)?;
+        let proxy = self.field.proxy(target, self.time_s, options)?;
         Ok(Geometry { view: proxy.depth_map(target), sources: vec![None; self.images.len()] })
     }
 }

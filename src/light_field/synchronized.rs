@@ -78,13 +78,31 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Vec<Option<Synchronized>>, RenderError> {
+        self.synchronized_all_while(time_s, options, &|| true)
+    }
+
+    /// The same, as long as `proceed` says so, which is asked before every image; else
+    /// [`RenderError::Stopped`].
+    pub(super) fn synchronized_all_while(
+        &self,
+        time_s: f64,
+        options: &ViewOptions,
+        proceed: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Vec<Option<Synchronized>>, RenderError> {
         self.share_joint(&self.usable(time_s), time_s, options)?;
         (0..self.times_s.len())
             .into_par_iter()
-            .map(|c| match self.synchronized(c, time_s, options) {
-                Ok(image) => Ok(Some(image)),
-                Err(RenderError::CameraTime { .. } | RenderError::CameraClock { .. }) => Ok(None),
-                Err(error) => Err(error),
+            .map(|c| {
+                if !proceed() {
+                    return Err(RenderError::Stopped);
+                }
+                match self.synchronized(c, time_s, options) {
+                    Ok(image) => Ok(Some(image)),
+                    Err(RenderError::CameraTime { .. } | RenderError::CameraClock { .. }) => {
+                        Ok(None)
+                    }
+                    Err(error) => Err(error),
+                }
             })
             .collect()
     }

@@ -192,7 +192,8 @@ pub fn quantize(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> (u
     (channels, samples)
 }
 
-fn encode_png(
+/// What [`write_image`] writes.
+pub(crate) fn encode_png(
     image: &Image,
     coverage: Option<&[bool]>,
     depth: BitDepth,

@@ -11,8 +11,8 @@ mod sample;
 mod tiles;
 
 pub use color::{LUMINANCE, encoded_from_linear, gray_from_rgb, linear_from_encoded, luma};
-pub(crate) use file::read_header;
 pub use file::{ImageFileError, MAX_PIXELS, Samples, quantize, read_image, write_image};
+pub(crate) use file::{encode_png, read_header};
 pub(crate) use filter::box_filter;
 pub use sample::Sampling;
 pub(crate) use sample::{sample, sample_all};

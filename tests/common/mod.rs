@@ -130,7 +130,8 @@ pub fn tiny_copy() -> tempfile::TempDir {
     copy
 }
 
-fn copy_folder(from: &Path, to: &Path) {
+/// Copies a folder with all that is in it.
+pub fn copy_folder(from: &Path, to: &Path) {
     for entry in std::fs::read_dir(from).expect("a folder of the capture") {
         let path = entry.expect("an entry of the capture").path();
         let target = to.join(path.file_name().expect("entries have names"));

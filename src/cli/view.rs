@@ -1,0 +1,79 @@
+//! `stlfr view`
+
+use super::CliError;
+use super::files::{OptionsArgs, open_capture};
+use super::print::heard;
+use super::render::warn_of_unknown_clocks;
+use std::io::{ErrorKind, Write};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use stlfr::live::{Server, Studio};
+use stlfr::pipeline;
+use stlfr::progress::Reporter;
+
+/// Look around in a capture, in space and time, in the browser. Ends with Ctrl+C.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr view .captures/demo\n  \
+    stlfr view .captures/demo --preset balanced\n  \
+    stlfr view .captures/demo --port 8800 --no-open\n\n\
+    The page is served on this machine alone, at the address that is printed. Whoever has the address may look. \
+    On the page, ? says what a key does.")]
+pub struct Args {
+    /// The capture's folder.
+    capture: PathBuf,
+    /// The port of the page's address [default: a free one].
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    port: u16,
+    /// Only print the address.
+    #[arg(long)]
+    no_open: bool,
+    #[command(flatten)]
+    options: OptionsArgs,
+}
+
+pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+    let options = args.options.read()?;
+    let capture = Arc::new(open_capture(&args.capture, reporter)?);
+    // Before long work, which would be in vain without it.
+    let server = Server::bind(args.port).map_err(|error| refused(args.port, &error))?;
+    let field = pipeline::open_field(capture, &options, reporter)?;
+    warn_of_unknown_clocks(&field, reporter);
+    let options = pipeline::resolved(&field, &options, reporter)?;
+    let studio = Studio::new(&field, &options, reporter).with_words(args.options.words());
+    let address = server.address();
+    let mut stdout = std::io::stdout().lock();
+    heard(writeln!(stdout, "{address}").and_then(|()| stdout.flush()))?;
+    drop(stdout);
+    if !args.no_open && !open(&address) {
+        reporter.note("No browser could be opened: open the address by hand.");
+    }
+    server.serve(&studio).map_err(|error| CliError::Failure(format!("the server ended ({error})")))
+}
+
+fn refused(port: u16, error: &std::io::Error) -> CliError {
+    match error.kind() {
+        ErrorKind::AddrInUse => {
+            CliError::BadInput(format!("--port: another program serves at {port} already"))
+        }
+        _ => CliError::BadInput(format!("--port: {port} can't be had ({error})")),
+    }
+}
+
+/// Opens an address in the user's browser; whether there is a program that does.
+fn open(address: &str) -> bool {
+    use std::os::unix::process::CommandExt;
+    let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+    let mut command = Command::new(opener);
+    command.arg(address).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    // In a group of its own: Ctrl+C ends the server, not the browser.
+    match command.process_group(0).spawn() {
+        Ok(mut child) => {
+            // The browser may be this very process, which lives on.
+            std::thread::spawn(move || child.wait());
+            true
+        }
+        Err(_) => false,
+    }
+}

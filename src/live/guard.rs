@@ -1,0 +1,75 @@
+//! Which requests are answered at all.
+
+use super::token::Token;
+use hyper::http::request::Parts;
+use hyper::{Method, StatusCode, header};
+
+/// Longest address, bytes. Larger: memory for whoever asks; smaller: pictures with all their names are refused.
+const MAX_ADDRESS: usize = 1024;
+
+/// Why a request is refused, with the status that says so.
+pub(super) type Refusal = (StatusCode, &'static str);
+
+/// What a request must come with.
+pub(super) struct Guard {
+    token: Token,
+    /// `127.0.0.1:PORT` and `localhost:PORT`.
+    hosts: [String; 2],
+}
+
+impl Guard {
+    pub fn new(token: Token, port: u16) -> Self {
+        Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")] }
+    }
+
+    pub fn token(&self) -> &str {
+        self.token.text()
+    }
+
+    /// The part of the address behind the token: `""` for the page.
+    pub fn admit<'a>(&self, request: &'a Parts) -> Result<&'a str, Refusal> {
+        let field = |name: header::HeaderName| -> Option<Result<&str, Refusal>> {
+            let mut all = request.headers.get_all(name).iter();
+            let first = all.next()?;
+            let one = all.next().is_none().then(|| first.to_str().ok()).flatten();
+            Some(one.ok_or((StatusCode::BAD_REQUEST, "a header is wrong")))
+        };
+        let host = field(header::HOST).transpose()?.unwrap_or_default();
+        if !self.hosts.iter().any(|own| own == host) {
+            return Err((StatusCode::MISDIRECTED_REQUEST, "this is another host's address"));
+        }
+        if let Some(origin) = field(header::ORIGIN).transpose()?
+            && origin.strip_prefix("http://") != Some(host)
+        {
+            return Err((StatusCode::FORBIDDEN, "another page may not ask"));
+        }
+        if request.method != Method::GET {
+            return Err((StatusCode::METHOD_NOT_ALLOWED, "only GET is answered"));
+        }
+        let has_body = request.headers.contains_key(header::TRANSFER_ENCODING)
+            || field(header::CONTENT_LENGTH).transpose()?.is_some_and(|length| length != "0");
+        if has_body {
+            return Err((StatusCode::PAYLOAD_TOO_LARGE, "a request has no body"));
+        }
+        if request.uri.to_string().len() > MAX_ADDRESS {
+            return Err((StatusCode::URI_TOO_LONG, "the address is too long"));
+        }
+        let path = request.uri.path().strip_prefix('/').and_then(|path| path.split_once('/'));
+        match path {
+            Some((token, rest)) if self.token.is(token) => {
+                let site = request.headers.get("sec-fetch-site").map(|v| v.as_bytes());
+                let is_own = matches!(site, None | Some(b"same-origin" | b"none"));
+                // A link to the page may stand anywhere; what it shows is its own.
+                if is_own || rest.is_empty() {
+                    Ok(rest)
+                } else {
+                    Err((StatusCode::FORBIDDEN, "another page may not ask"))
+                }
+            }
+            _ => Err(NOT_FOUND),
+        }
+    }
+}
+
+/// The same for a wrong token as for a wrong name: neither tells the other.
+pub(super) const NOT_FOUND: Refusal = (StatusCode::NOT_FOUND, "there is nothing at this address");

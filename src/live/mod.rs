@@ -1,0 +1,79 @@
+//! A light field in a browser: one page that looks around in space and time, served on this machine alone.
+//!
+//! ```text
+//! browser ── server ── queue ── workers ── Studio ── LightField
+//!            (HTTP)   (latest)  (threads)  (pictures)
+//! ```
+//!
+//! | file | what |
+//! |---|---|
+//! | `mod.rs` | what is served, and what refuses a request |
+//! | `rig_frame.rs` | viewpoints in the rig's own axes |
+//! | `places.rs` | the cameras of pictures |
+//! | `request.rs` | a picture as an address asks for it |
+//! | `studio.rs` | pictures of the light field, of traditional LFR, and of the cameras that pixels come from |
+//! | `true_views.rs` | pictures of the truth |
+//! | `encode.rs` | pictures as files |
+//! | `queue.rs`, `workers.rs` | each viewer's latest request, and the threads that answer it |
+//! | `scene.rs` | what the page knows of the capture |
+//! | `token.rs`, `guard.rs` | who may ask |
+//! | `server.rs`, `answer.rs`, `patient.rs` | HTTP, within bounds of size, number and time |
+//! | `page/` | the page |
+//!
+//! # Who may ask
+//!
+//! The server listens on 127.0.0.1. An address holds a random token, without which nothing is found. `Host` and
+//! `Origin` must be the server's own, so that no other page, and no name that leads here, can ask. Only `GET` is
+//! answered, and nothing but the page and pictures of this capture.
+//!
+//! Known limit: whoever has the address may look, also another user of this machine, who may find it among the
+//! arguments of the program that opens the browser. `--no-open` gives it to the terminal alone.
+
+mod answer;
+mod encode;
+mod guard;
+mod patient;
+mod places;
+mod queue;
+mod request;
+mod rig_frame;
+mod scene;
+mod server;
+mod studio;
+mod token;
+mod true_views;
+mod workers;
+
+pub use places::Places;
+pub use queue::Queue;
+pub use request::{Level, Method, PictureRequest, Place};
+pub use rig_frame::{RigFrame, Viewpoint};
+pub use server::Server;
+pub use studio::{Picture, Studio};
+
+use crate::capture::TruthError;
+use crate::light_field::RenderError;
+use crate::raster::ImageFileError;
+
+/// Why there is no picture. Every message is one sentence, which the page shows.
+#[derive(Debug, thiserror::Error)]
+pub enum LiveError {
+    /// The address asks for something that there is not.
+    #[error("{0}")]
+    Request(String),
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    #[error(transparent)]
+    Truth(#[from] TruthError),
+    #[error(transparent)]
+    ImageFile(#[from] ImageFileError),
+    /// The viewer asked for something else meanwhile.
+    #[error("a newer request took its place")]
+    Superseded,
+    /// More viewers than are answered.
+    #[error("too many pictures are asked for at once: close a viewer")]
+    Busy,
+    /// An error of the program.
+    #[error("rendering failed by an error of the program; its output in the terminal says more")]
+    Panicked,
+}

@@ -1,0 +1,54 @@
+// What is taken away from the page: a picture, its camera, a command, a link.
+
+import { address } from "./stream.js";
+
+/** Gives the browser a file to save. */
+function download(blob, name) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+}
+
+async function file(name, fields) {
+  const response = await fetch(address(name, fields), { cache: "no-store" });
+  if (!response.ok) throw new Error(await response.text());
+  return response.blob();
+}
+
+/** What of a name may stand in a file's name. */
+const slug = (name) => name.replace(/[^\p{L}\p{N}._-]+/gu, "-").slice(0, 60) || "view";
+
+/** The picture as it is shown, without loss. */
+export async function savePicture(state, size, method) {
+  const [w, h] = size;
+  const blob = await file("picture", { ...state.query(), w, h, method, level: "saved" });
+  download(blob, `${slug(state.scene.name)}-${state.t.toFixed(4)}s-${method}.png`);
+}
+
+/** Its camera, as `stlfr render --camera` reads it. */
+export async function saveCamera(state, [w, h]) {
+  download(await file("view.json", { ...state.query(), w, h }), "view.json");
+}
+
+/** A word as a shell reads it back. */
+const quoted = (word) => (/^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`);
+
+/** The command that renders the same picture. */
+export function command(state) {
+  const { folder, options } = state.scene;
+  const sync = state.left === "lfr" ? ["--sync", "nearest"] : [];
+  const words = ["stlfr", "render", folder, ...options, ...sync, "--camera", "view.json", "--time", String(state.t), "-o", "view.png"];
+  return words.map(quoted).join(" ");
+}
+
+/** Copies a text; whether the browser let it. */
+export async function copy(text) {
+  try {
+    await navigator.clipboard.writeText(text);
+    return true;
+  } catch {
+    return false;
+  }
+}

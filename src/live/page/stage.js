@@ -1,0 +1,96 @@
+// The pictures that fill the window, and the gestures on them.
+
+/** A pane shows one method's pictures, or a sentence that says why there is none. It tells of each by an event. */
+export class Pane {
+  constructor(element) {
+    this.element = element;
+    this.canvas = element.querySelector("canvas");
+    this.context = this.canvas.getContext("2d", { alpha: false });
+    this.problem = element.querySelector(".problem");
+    this.button = this.problem.querySelector("button");
+    this.picture = null;
+  }
+
+  show(picture) {
+    const { bitmap } = picture;
+    if (this.canvas.width !== bitmap.width || this.canvas.height !== bitmap.height) {
+      this.canvas.width = bitmap.width;
+      this.canvas.height = bitmap.height;
+      this.canvas.hidden = false;
+    }
+    this.context.drawImage(bitmap, 0, 0);
+    bitmap.close();
+    this.picture = picture;
+    this.fail("");
+    this.element.dispatchEvent(new CustomEvent("picture", { detail: picture.level }));
+  }
+
+  /** Puts its sentences in the middle of what is seen of it: percent of the window's width. */
+  center(percent) {
+    this.problem.style.left = `${percent}%`;
+    this.problem.style.maxWidth = `min(30rem, ${2 * Math.min(percent, 100 - percent)}vw - 32px)`;
+  }
+
+  /** Says why there is no picture; the last one stands behind it, grey. An `action` is a label and what it does. */
+  fail(sentence, action) {
+    this.problem.hidden = !sentence;
+    this.problem.firstElementChild.textContent = sentence && sentence[0].toUpperCase() + sentence.slice(1) + (/[.!?…]$/.test(sentence) ? "" : ".");
+    this.element.classList.toggle("stale", Boolean(sentence));
+    this.button.hidden = !action;
+    if (action) [this.button.textContent, this.button.onclick] = action;
+  }
+}
+
+/** Zoom of a wheel's step, per pixel of it. */
+const WHEEL = 0.0015;
+/** Turn of a drag over the window's width, degrees at zoom 1. */
+const DRAG_TURN_DEG = 40;
+
+/** Drags, pinches and the wheel on an element move the state. */
+export function gestures(element, state) {
+  const pointers = new Map();
+  const range = () => {
+    const { low, high } = state.scene;
+    return Math.max(...low.map((v, k) => high[k] - v));
+  };
+  const metres = (px) => (px / Math.min(innerWidth, 1.5 * innerHeight)) * range();
+
+  element.addEventListener("pointerdown", (event) => {
+    if (event.target.closest("button") || event.button > 2) return;
+    element.setPointerCapture(event.pointerId);
+    element.focus({ preventScroll: true });
+    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY, turns: event.button === 2 });
+  });
+  element.addEventListener("pointermove", (event) => {
+    const before = pointers.get(event.pointerId);
+    if (!before) return;
+    const [dx, dy] = [event.clientX - before.x, event.clientY - before.y];
+    if (pointers.size > 1) {
+      const [a, b] = [...pointers.values()];
+      const apart = Math.hypot(a.x - b.x, a.y - b.y);
+      Object.assign(before, { x: event.clientX, y: event.clientY });
+      const nearer = Math.hypot(a.x - b.x, a.y - b.y) - apart;
+      state.set({ z: state.z + metres(nearer) });
+      return;
+    }
+    Object.assign(before, { x: event.clientX, y: event.clientY });
+    if (event.shiftKey) state.set({ x: state.x - metres(dx), z: state.z - metres(dy) });
+    else if (event.ctrlKey || event.metaKey || before.turns) {
+      const turn = DRAG_TURN_DEG / innerWidth / state.zoom;
+      state.set({ yaw: state.yaw - dx * turn, pitch: state.pitch + dy * turn });
+    } else state.set({ x: state.x - metres(dx), y: state.y + metres(dy) });
+  });
+  for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
+    element.addEventListener(end, (event) => pointers.delete(event.pointerId));
+  }
+  element.addEventListener("contextmenu", (event) => event.preventDefault());
+  element.addEventListener(
+    "wheel",
+    (event) => {
+      event.preventDefault();
+      const lines = event.deltaMode === 1 ? 30 : 1;
+      state.set({ zoom: state.zoom * Math.exp(-WHEEL * lines * event.deltaY) });
+    },
+    { passive: false },
+  );
+}

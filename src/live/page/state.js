@@ -1,0 +1,136 @@
+// Where one looks from, when, and how: the state of the page, its bounds, and the link that keeps it.
+
+/** The methods: their names in addresses, in links and on the page. */
+export const METHODS = {
+  st: "ST-LFR",
+  lfr: "Traditional",
+  truth: "Truth",
+  sources: "Which cameras",
+};
+
+const ZOOMS = [0.25, 16];
+const MAX_TURN_DEG = 45;
+/** Times that are nearer are one instant, seconds. */
+const SAME_INSTANT_S = 1e-6;
+
+const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
+
+/** What is shown. `on` is called after every change with the names of what changed. */
+export class State {
+  constructor(scene, on) {
+    this.scene = scene;
+    this.on = on;
+    const [first, last] = scene.span_s ?? [0, 0];
+    this.home = { x: 0, y: 0, z: 0, yaw: 0, pitch: 0, zoom: 1, at: "" };
+    Object.assign(this, this.home, { t: (first + last) / 2, left: "st", right: "", split: 50 });
+  }
+
+  /** Changes some values, within their bounds. Moving leaves a named place. */
+  set(values) {
+    const next = { ...values };
+    if (["x", "y", "z"].some((axis) => axis in next) && !("at" in next)) next.at = "";
+    const { low, high, span_s: span } = this.scene;
+    ["x", "y", "z"].forEach((axis, k) => {
+      if (axis in next) next[axis] = clamp(next[axis], low[k], high[k]);
+    });
+    if ("zoom" in next) next.zoom = clamp(next.zoom, ...ZOOMS);
+    for (const axis of ["yaw", "pitch"]) {
+      if (axis in next) next[axis] = clamp(next[axis], -MAX_TURN_DEG, MAX_TURN_DEG);
+    }
+    if ("t" in next) next.t = span ? clamp(next.t, ...span) : 0;
+    if ("split" in next) next.split = clamp(next.split, 0, 100);
+    this.assign(next);
+  }
+
+  /** The same without bounds: the server says what is wrong with a link. */
+  assign(next) {
+    const changed = Object.keys(next).filter((name) => this[name] !== next[name]);
+    Object.assign(this, next);
+    if (changed.length) this.on(changed);
+  }
+
+  /** Goes to a camera, `c3`, or to an image of the truth, `t0`, and to its time. */
+  goTo(at) {
+    const index = Number(at.slice(1));
+    const place = (at[0] === "t" ? this.scene.truths : this.scene.cameras)[index];
+    if (!place) return;
+    const [x, y, z] = place.at;
+    const time = at[0] === "t" ? { t: place.time_s } : {};
+    this.assign({ x, y, z, yaw: 0, pitch: 0, at, ...time });
+  }
+
+  /** Whether there is an image of the truth of this place and time. */
+  isTrue() {
+    const truth = this.at[0] === "t" ? this.scene.truths[Number(this.at.slice(1))] : undefined;
+    return Boolean(truth) && Math.abs(truth.time_s - this.t) < SAME_INSTANT_S;
+  }
+
+  /** The image of the truth nearest in space and time; "" without one. */
+  nearestTruth() {
+    const { truths, spacing_m: spacing } = this.scene;
+    const far = ({ at }) => Math.hypot(at[0] - this.x, at[1] - this.y, at[2] - this.z);
+    const [first, last] = this.scene.span_s ?? [0, 1];
+    // A place as far as the next camera counts as much as all of the recording.
+    const badness = (truth) => far(truth) / (spacing || 1) + Math.abs(truth.time_s - this.t) / (last - first);
+    const best = truths.reduce((a, truth, k) => (a < 0 || badness(truth) < badness(truths[a]) ? k : a), -1);
+    return best < 0 ? "" : `t${best}`;
+  }
+
+  /** Number of the reference's frame at the time, with decimals. */
+  frame() {
+    const times = this.scene.frames_s;
+    const after = times.findIndex((time) => time > this.t);
+    if (after === 0) return 0;
+    if (after < 0) return times.length - 1;
+    return after - 1 + (this.t - times[after - 1]) / (times[after] - times[after - 1]);
+  }
+
+  /** The time of a frame of the reference, whose number may have decimals. */
+  timeOf(frame) {
+    const times = this.scene.frames_s;
+    const k = clamp(Math.floor(frame), 0, times.length - 1);
+    const next = Math.min(k + 1, times.length - 1);
+    return times[k] + (times[next] - times[k]) * clamp(frame - k, 0, 1);
+  }
+
+  /** The part of the picture's address that says from where and when. */
+  query() {
+    const place = this.at ? { at: this.at } : { x: this.x.toFixed(6), y: this.y.toFixed(6), z: this.z.toFixed(6) };
+    const turn = { yaw: this.yaw.toFixed(3), pitch: this.pitch.toFixed(3) };
+    return { ...place, ...turn, zoom: this.zoom.toFixed(5), t: String(this.t) };
+  }
+
+  /** The part of the link after `#`. */
+  link() {
+    const fields = this.query();
+    fields.show = this.left;
+    if (this.right) Object.assign(fields, { beside: this.right, split: String(Math.round(this.split * 10) / 10) });
+    for (const [name, plain] of [["yaw", 0], ["pitch", 0], ["zoom", 1]]) {
+      if (Number(fields[name]) === plain) delete fields[name];
+    }
+    return new URLSearchParams(fields).toString();
+  }
+
+  /** Goes to where a link leads; what it doesn't say stays, and what is no number is passed over. */
+  follow(link) {
+    const fields = new URLSearchParams(link);
+    const next = {};
+    for (const name of ["x", "y", "z", "yaw", "pitch", "zoom", "t", "split"]) {
+      const value = Number(fields.get(name) || NaN);
+      if (Number.isFinite(value)) next[name] = value;
+    }
+    const methods = { left: fields.get("show"), right: fields.get("beside") ?? "" };
+    if (methods.left in METHODS) {
+      next.left = methods.left;
+      next.right = methods.right in METHODS ? methods.right : "";
+    }
+    const at = fields.get("at") ?? "";
+    if (/^[ct]\d{1,6}$/.test(at)) {
+      this.goTo(at);
+      next.at = at;
+    } else if ("x" in next) {
+      next.at = "";
+    }
+    this.assign(next);
+  }
+}

@@ -1,0 +1,227 @@
+//! A picture as an address asks for it: `picture?method=st&t=0.1&x=0&y=0&z=0&w=640&h=400`.
+//!
+//! | name | value |
+//! |---|---|
+//! | `method` | `st`, `lfr`, `truth`, `sources` |
+//! | `level` | `quick`, or `full`: the chosen options |
+//! | `t` | seconds on the reference's clock, as in the capture's file |
+//! | `x`, `y`, `z` | to the right, up, ahead, metres: see [`super::RigFrame`] |
+//! | `at` | in their place, `cN` for a camera's, `tN` for that of an image of the truth |
+//! | `yaw`, `pitch` | turn to the right and up, degrees |
+//! | `zoom` | focal length over the reference's |
+//! | `w`, `h` | pixels |
+//! | `viewer`, `slot` | who asks, and for which part of the page: a request takes the place of the one before. Without them, it takes none's |
+//!
+//! Names and values are letters, digits and `.+-`: nothing is escaped.
+
+use super::{LiveError, Viewpoint};
+
+/// What makes the picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Method {
+    /// The light field, by the chosen options.
+    SpaceTime,
+    /// Each camera's nearest frame.
+    Traditional,
+    /// The truth, where there is some.
+    Truth,
+    /// Which cameras each pixel comes from.
+    Sources,
+}
+
+/// How well.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Level {
+    /// As fast as one looks around.
+    Quick,
+    /// The chosen options.
+    Full,
+    /// The same, as a file without loss.
+    Saved,
+}
+
+/// From where.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Place {
+    /// In the rig's axes, metres.
+    Free([f64; 3]),
+    /// A camera's, by its index.
+    Camera(usize),
+    /// That of an image of the truth, by its index.
+    Truth(usize),
+}
+
+/// A picture that is asked for.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PictureRequest {
+    pub method: Method,
+    pub level: Level,
+    /// Seconds on the reference's clock, as in the capture's file.
+    pub time_s: f64,
+    pub place: Place,
+    pub view: Viewpoint,
+    /// Who asks, and for which part of the page; empty for one whose requests are apart from each other.
+    pub viewer: String,
+}
+
+/// Longest name of a viewer with its slot. Larger: memory for whoever asks; smaller: viewers take each other's
+/// place by chance.
+const MAX_VIEWER_LENGTH: usize = 40;
+
+impl PictureRequest {
+    /// Reads the part of an address after `?`. Every name may be given once; unknown ones are refused.
+    pub fn parse(query: &str) -> Result<Self, LiveError> {
+        let mut fields = Fields::new(query)?;
+        let method = fields.choice(
+            "method",
+            &[
+                ("st", Method::SpaceTime),
+                ("lfr", Method::Traditional),
+                ("truth", Method::Truth),
+                ("sources", Method::Sources),
+            ],
+        )?;
+        let levels = [("full", Level::Full), ("quick", Level::Quick), ("saved", Level::Saved)];
+        let level = fields.choice("level", &levels)?;
+        let place = match fields.take("at") {
+            Some(at) => named_place(at)?,
+            None => Place::Free([
+                fields.number("x", 0.0)?,
+                fields.number("y", 0.0)?,
+                fields.number("z", 0.0)?,
+            ]),
+        };
+        let view = Viewpoint {
+            turn_deg: [fields.number("yaw", 0.0)?, fields.number("pitch", 0.0)?],
+            zoom: fields.number("zoom", 1.0)?,
+            size: [fields.size("w")?, fields.size("h")?],
+        };
+        let time_s = fields.number("t", 0.0)?;
+        let slot = fields.take("slot").unwrap_or_default();
+        let viewer = fields.take("viewer").map_or_else(String::new, |v| format!("{v}.{slot}"));
+        if viewer.len() > MAX_VIEWER_LENGTH {
+            return Err(wrong("viewer", "is too long"));
+        }
+        fields.finish()?;
+        Ok(Self { method, level, time_s, place, view, viewer })
+    }
+}
+
+/// `c3` or `t12`.
+fn named_place(at: &str) -> Result<Place, LiveError> {
+    let number = |digits: &str| digits.parse().ok();
+    let place = match at.split_at_checked(1) {
+        Some(("c", digits)) => number(digits).map(Place::Camera),
+        Some(("t", digits)) => number(digits).map(Place::Truth),
+        _ => None,
+    };
+    place.ok_or_else(|| wrong("at", "must be like c3 or t0"))
+}
+
+fn wrong(name: &str, reason: &str) -> LiveError {
+    LiveError::Request(format!("{name}: {reason}"))
+}
+
+/// The names of an address with their values.
+struct Fields<'a>(Vec<(&'a str, &'a str)>);
+
+impl<'a> Fields<'a> {
+    fn new(query: &'a str) -> Result<Self, LiveError> {
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || "=&.+-".contains(c);
+        if !query.chars().all(is_plain) {
+            return Err(LiveError::Request("the address holds a character that none has".into()));
+        }
+        let mut fields: Vec<(&str, &str)> = Vec::new();
+        for part in query.split('&').filter(|p| !p.is_empty()) {
+            let (name, value) = part.split_once('=').unwrap_or((part, ""));
+            if fields.iter().any(|(n, _)| *n == name) {
+                return Err(wrong(name, "is given twice"));
+            }
+            fields.push((name, value));
+        }
+        Ok(Self(fields))
+    }
+
+    fn take(&mut self, name: &str) -> Option<&'a str> {
+        let at = self.0.iter().position(|(n, _)| *n == name)?;
+        Some(self.0.swap_remove(at).1)
+    }
+
+    /// One of these; the first without the name.
+    fn choice<T: Copy>(&mut self, name: &str, all: &[(&str, T)]) -> Result<T, LiveError> {
+        let Some(value) = self.take(name) else { return Ok(all[0].1) };
+        let found = all.iter().find(|(n, _)| *n == value);
+        let names: Vec<&str> = all.iter().map(|(n, _)| *n).collect();
+        found
+            .map(|(_, v)| *v)
+            .ok_or_else(|| wrong(name, &format!("must be one of {}", names.join(", "))))
+    }
+
+    fn number(&mut self, name: &str, default: f64) -> Result<f64, LiveError> {
+        let Some(value) = self.take(name) else { return Ok(default) };
+        let number = value.parse::<f64>().ok().filter(|v| v.is_finite());
+        number.ok_or_else(|| wrong(name, "must be a number"))
+    }
+
+    fn size(&mut self, name: &str) -> Result<u32, LiveError> {
+        let value = self.take(name).ok_or_else(|| wrong(name, "is missing"))?;
+        value.parse().map_err(|_| wrong(name, "must be a number of pixels"))
+    }
+
+    fn finish(self) -> Result<(), LiveError> {
+        match self.0.first() {
+            None => Ok(()),
+            Some((name, _)) => Err(wrong(name, "is unknown")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_is_read_whole() {
+        let query = "method=lfr&level=quick&t=-1.5e-1&x=0.1&y=-.2&z=3&yaw=1&pitch=-2&zoom=2&w=64&h=48&viewer=a1&slot=b";
+        let wanted = PictureRequest {
+            method: Method::Traditional,
+            level: Level::Quick,
+            time_s: -0.15,
+            place: Place::Free([0.1, -0.2, 3.0]),
+            view: Viewpoint { turn_deg: [1.0, -2.0], zoom: 2.0, size: [64, 48] },
+            viewer: "a1.b".into(),
+        };
+        assert_eq!(PictureRequest::parse(query).unwrap(), wanted);
+        let short = PictureRequest::parse("w=64&h=48").unwrap();
+        assert_eq!((short.method, short.level), (Method::SpaceTime, Level::Full));
+        let at = |at: &str| PictureRequest::parse(&format!("w=64&h=48&at={at}")).unwrap().place;
+        assert_eq!((at("c3"), at("t12")), (Place::Camera(3), Place::Truth(12)));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (query, words) in [
+            ("", "w: is missing"),
+            ("w=64", "h: is missing"),
+            ("w=-1&h=48", "w: must be"),
+            ("w=99999999999&h=48", "w: must be"),
+            ("w=64&h=48&t=nan", "t: must be a number"),
+            ("w=64&h=48&x=inf", "x: must be a number"),
+            ("w=64&h=48&x=", "x: must be a number"),
+            ("w=64&h=48&w=64", "w: is given twice"),
+            ("w=64&h=48&at=x1", "at: must be like"),
+            ("w=64&h=48&at=c", "at: must be like"),
+            ("w=64&h=48&at=c-1", "at: must be like"),
+            ("w=64&h=48&at=", "at: must be like"),
+            ("w=64&h=48&at=c1&x=1", "x: is unknown"),
+            ("w=64&h=48&method=best", "method: must be one of st, lfr"),
+            ("w=64&h=48&more=1", "more: is unknown"),
+            ("w=64&h=48&t=%2e", "a character that none has"),
+            ("w=64&h=48&t=ä", "a character that none has"),
+            (&format!("w=64&h=48&viewer={}", "a".repeat(50)), "viewer: is too long"),
+        ] {
+            let message = PictureRequest::parse(query).unwrap_err().to_string();
+            assert!(message.contains(words), "{query}: {message}");
+        }
+    }
+}

@@ -1,0 +1,337 @@
+//! Viewpoints in the rig's own axes: x to the right, y up, z ahead, metres from the mean of the cameras.
+
+use super::LiveError;
+use crate::camera::{Camera, CameraModel};
+use crate::capture::Capture;
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
+
+/// How far beyond the outermost cameras a viewpoint may lie, as a fraction of the rig's extent. Larger: views of
+/// bare spots; smaller: one can't step aside.
+const MARGIN_SHARE: f64 = 0.5;
+/// The same in distances between cameras, where that is farther. Larger and smaller: as above, for small rigs.
+const MARGIN_SPACINGS: f64 = 2.0;
+/// The same around a single camera, metres. Larger: nothing is seen from there; smaller: one can't move.
+const LONE_MARGIN_M: f64 = 0.1;
+/// Distance at which a camera's direction loses half its weight, as a fraction of the distance between cameras.
+/// Larger: in a rig that turns inwards, the view at a camera's place doesn't look its way; smaller: the view turns
+/// by jerks.
+const SOFT_SPACINGS: f64 = 0.5;
+/// Zooms. Larger: pixels as large as hands, or a lens of more than 150°; smaller: one can't look closely.
+const ZOOMS: std::ops::RangeInclusive<f64> = 0.25..=16.0;
+/// Largest turn from the rig's own direction, degrees. Larger: one looks away from what was filmed; smaller: a
+/// zoomed view can't reach its border.
+const MAX_TURN_DEG: f64 = 45.0;
+/// Smallest width and height of a picture, pixels. Larger: narrow windows are refused; smaller: pictures in which
+/// nothing can be triangulated.
+const MIN_SIZE_PX: u32 = 16;
+
+/// The axes, the extent and the lens of a rig.
+#[derive(Clone, Debug)]
+pub struct RigFrame {
+    /// From the rig's axes (x right, y down, z ahead) to the world.
+    world_from_rig: Isometry3<f64>,
+    /// The cameras' poses, in the capture's order.
+    poses: Vec<Pose>,
+    spacing_m: f64,
+    lens: Lens,
+}
+
+/// A camera's place and direction in the world.
+#[derive(Clone, Debug)]
+struct Pose {
+    center: Point3<f64>,
+    ahead: Vector3<f64>,
+    down: Vector3<f64>,
+}
+
+/// The reference's lens, without its distortion, pixels.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Lens {
+    pub width: u32,
+    pub height: u32,
+    pub fx: f64,
+    pub fy: f64,
+    pub cx: f64,
+    pub cy: f64,
+}
+
+/// How a view looks from its place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Viewpoint {
+    /// To the right and up, degrees.
+    pub turn_deg: [f64; 2],
+    /// Focal length over the reference's.
+    pub zoom: f64,
+    /// Width and height of the picture, pixels.
+    pub size: [u32; 2],
+}
+
+impl Pose {
+    fn of(camera: &Camera) -> Self {
+        let world = camera.cam_from_world.rotation.inverse();
+        Self { center: camera.center(), ahead: world * Vector3::z(), down: world * Vector3::y() }
+    }
+}
+
+/// The rotation to the world of which z is `ahead` and y nearest to `down`. `None` if they leave it open.
+fn looking(ahead: Vector3<f64>, down: Vector3<f64>) -> Option<UnitQuaternion<f64>> {
+    let ahead = ahead.try_normalize(1e-6)?;
+    let right = down.cross(&ahead).try_normalize(1e-6)?;
+    let down = ahead.cross(&right);
+    let axes = Matrix3::from_columns(&[right, down, ahead]);
+    Some(UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes)))
+}
+
+impl RigFrame {
+    /// The frame of a capture's cameras. In a rig whose cameras look everywhere, the axes are the reference's.
+    pub fn new(capture: &Capture, spacing_m: f64) -> Self {
+        let poses: Vec<Pose> = capture.cameras.iter().map(|c| Pose::of(&c.camera)).collect();
+        let sum = |of: fn(&Pose) -> Vector3<f64>| poses.iter().map(of).sum::<Vector3<f64>>();
+        let count = poses.len() as f64;
+        let reference = &capture.cameras[capture.reference].camera;
+        let rotation = looking(sum(|p| p.ahead) / count, sum(|p| p.down) / count)
+            .unwrap_or_else(|| reference.cam_from_world.rotation.inverse());
+        let middle = sum(|p| p.center.coords) / count;
+        let (fx, fy, cx, cy) = reference.model.intrinsics();
+        let (width, height) = (reference.width as u32, reference.height as u32);
+        Self {
+            world_from_rig: Isometry3::from_parts(middle.into(), rotation),
+            poses,
+            spacing_m,
+            lens: Lens { width, height, fx, fy, cx, cy },
+        }
+    }
+
+    pub fn lens(&self) -> Lens {
+        self.lens
+    }
+
+    /// The median distance of neighbouring cameras, metres; 0 for one camera.
+    pub fn spacing_m(&self) -> f64 {
+        self.spacing_m
+    }
+
+    /// A point of the world in the rig's axes: right, up, ahead, metres.
+    pub fn place(&self, point: &Point3<f64>) -> [f64; 3] {
+        let p = self.world_from_rig.inverse_transform_point(point);
+        [p.x, -p.y, p.z]
+    }
+
+    /// The cameras' places, in the capture's order.
+    pub fn places(&self) -> Vec<[f64; 3]> {
+        self.poses.iter().map(|p| self.place(&p.center)).collect()
+    }
+
+    /// The least and the largest place of a viewpoint, by axis.
+    pub fn bounds(&self) -> [[f64; 3]; 2] {
+        let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        for place in self.places() {
+            for k in 0..3 {
+                low[k] = low[k].min(place[k]);
+                high[k] = high[k].max(place[k]);
+            }
+        }
+        let extent = (0..3).map(|k| high[k] - low[k]).fold(0.0, f64::max);
+        let margin = (MARGIN_SHARE * extent).max(MARGIN_SPACINGS * self.spacing_m);
+        let margin = if margin > 0.0 { margin } else { LONE_MARGIN_M };
+        [low.map(|v| v - margin), high.map(|v| v + margin)]
+    }
+
+    /// The view from a place in the rig's axes. It looks as the cameras around it do.
+    ///
+    /// # Errors
+    /// If the place is out of bounds, or as [`Self::from_camera`].
+    pub fn from_place(&self, place: [f64; 3], view: &Viewpoint) -> Result<Camera, LiveError> {
+        let [low, high] = self.bounds();
+        // Half a millionth of the extent is rounding of what the page was told.
+        let is_inside = (0..3).all(|k| {
+            let slack = 1e-6 * (high[k] - low[k]);
+            (low[k] - slack..=high[k] + slack).contains(&place[k])
+        });
+        if !is_inside {
+            let [x, y, z] = place;
+            return Err(LiveError::Request(format!(
+                "the viewpoint is too far from the cameras: {x:.3} m to the right, {y:.3} m up and {z:.3} m ahead of \
+                 their middle"
+            )));
+        }
+        let center = self.world_from_rig * Point3::new(place[0], -place[1], place[2]);
+        self.camera(center, self.direction(&center), view)
+    }
+
+    /// The view from a camera's place, along its axis.
+    ///
+    /// # Errors
+    /// If the size, the zoom or the turn is out of bounds.
+    pub fn from_camera(&self, camera: &Camera, view: &Viewpoint) -> Result<Camera, LiveError> {
+        self.camera(camera.center(), camera.cam_from_world.rotation.inverse(), view)
+    }
+
+    /// The mean direction of the cameras, the nearest with the largest weight.
+    fn direction(&self, center: &Point3<f64>) -> UnitQuaternion<f64> {
+        let soft_m = (SOFT_SPACINGS * self.spacing_m).max(1e-9);
+        let (mut ahead, mut down) = (Vector3::zeros(), Vector3::zeros());
+        for pose in &self.poses {
+            let weight = 1.0 / ((pose.center - center).norm_squared() / soft_m.powi(2) + 1.0);
+            ahead += pose.ahead * weight;
+            down += pose.down * weight;
+        }
+        looking(ahead, down).unwrap_or(self.world_from_rig.rotation)
+    }
+
+    /// A pinhole that shows the middle of the reference's field of view, filling the picture at zoom 1.
+    fn camera(
+        &self,
+        center: Point3<f64>,
+        world_from_cam: UnitQuaternion<f64>,
+        view: &Viewpoint,
+    ) -> Result<Camera, LiveError> {
+        self.check(view)?;
+        let [right, up] = view.turn_deg.map(f64::to_radians);
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), right)
+            * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), up);
+        let cam_from_world = (world_from_cam * turn).inverse();
+        let Lens { width, height, fx, fy, cx, cy } = self.lens;
+        let [w, h] = view.size.map(f64::from);
+        let (width, height) = (f64::from(width), f64::from(height));
+        let scale = (w / width).max(h / height) * view.zoom;
+        let model = CameraModel::Pinhole {
+            fx: scale * fx,
+            fy: scale * fy,
+            cx: w / 2.0 + scale * (cx - width / 2.0),
+            cy: h / 2.0 + scale * (cy - height / 2.0),
+        };
+        let translation = -(cam_from_world * center.coords);
+        let cam_from_world = Isometry3::from_parts(translation.into(), cam_from_world);
+        let [width, height] = view.size.map(|v| v as usize);
+        Ok(Camera { width, height, model, cam_from_world })
+    }
+
+    fn check(&self, view: &Viewpoint) -> Result<(), LiveError> {
+        let wrong = |what: String| Err(LiveError::Request(what));
+        if !ZOOMS.contains(&view.zoom) {
+            let (low, high) = (ZOOMS.start(), ZOOMS.end());
+            return wrong(format!("zoom: is {}, must be from {low} to {high}", view.zoom));
+        }
+        if !view.turn_deg.iter().all(|t| t.abs() <= MAX_TURN_DEG) {
+            return wrong(format!("turn: must be at most {MAX_TURN_DEG} degrees"));
+        }
+        let Lens { width, height, .. } = self.lens;
+        let largest = [width, height].map(|v| v.max(MIN_SIZE_PX));
+        if view.size.iter().zip(largest).any(|(&s, max)| s < MIN_SIZE_PX || s > max) {
+            let [w, h] = view.size;
+            return wrong(format!(
+                "size: is {w}×{h}, must be from {MIN_SIZE_PX}×{MIN_SIZE_PX} to {}×{}",
+                largest[0], largest[1]
+            ));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::tests::pinhole_at;
+    use crate::capture::{Clock, Color, FilmedCamera};
+    use crate::raster::BitDepth;
+
+    fn rig(cameras: Vec<Camera>) -> RigFrame {
+        let clock = Clock { times_s: vec![0.0], shared: true, drift: false, lost: false };
+        let filmed = |(k, camera): (usize, Camera)| FilmedCamera {
+            id: format!("cam{k}"),
+            camera,
+            color: Color::Rgb,
+            clock: clock.clone(),
+            frames: Vec::new(),
+            video: None,
+            bit_depth: BitDepth::Eight,
+        };
+        let cameras = cameras.into_iter().enumerate().map(filmed).collect();
+        let (name, folder) = (String::new(), std::path::PathBuf::new());
+        let capture = Capture { name, folder, reference: 0, cameras, time_origin_s: 0.0 };
+        RigFrame::new(&capture, 0.1)
+    }
+
+    fn line() -> RigFrame {
+        rig([-0.1, 0.0, 0.1].map(|x| pinhole_at([x + 5.0, 2.0, -3.0])).to_vec())
+    }
+
+    fn plain(size: [u32; 2]) -> Viewpoint {
+        Viewpoint { turn_deg: [0.0; 2], zoom: 1.0, size }
+    }
+
+    #[test]
+    fn at_a_cameras_place_it_is_that_camera() {
+        let wanted = pinhole_at([5.1, 2.0, -3.0]);
+        let rig = line();
+        let view = rig.from_place(rig.place(&wanted.center()), &plain([640, 480])).unwrap();
+        assert_eq!(view.model, wanted.model);
+        assert!(
+            (view.cam_from_world.to_matrix() - wanted.cam_from_world.to_matrix()).norm() < 1e-12
+        );
+        let like = rig.from_camera(&wanted, &plain([640, 480])).unwrap();
+        assert!(
+            (like.cam_from_world.to_matrix() - wanted.cam_from_world.to_matrix()).norm() < 1e-12
+        );
+    }
+
+    #[test]
+    fn axes_are_right_up_and_ahead() {
+        let view = line().from_place([0.05, 0.04, 0.03], &plain([640, 480])).unwrap();
+        assert!((view.center() - Point3::new(5.05, 1.96, -2.97)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn a_narrow_picture_is_a_part_of_the_whole_one() {
+        let rig = line();
+        let whole = rig.from_place([0.0; 3], &plain([640, 480])).unwrap();
+        let narrow = rig.from_place([0.0; 3], &plain([222, 480])).unwrap();
+        let point = Point3::new(5.1, 2.1, -1.0);
+        let (a, b) = (whole.project(&point).unwrap(), narrow.project(&point).unwrap());
+        assert!((a.x - 320.0 - (b.x - 111.0)).abs() < 1e-9 && (a.y - b.y).abs() < 1e-9);
+    }
+
+    #[test]
+    fn turning_right_moves_the_picture_left_and_turning_up_moves_it_down() {
+        let rig = line();
+        let at = |turn_deg| {
+            let view = Viewpoint { turn_deg, ..plain([640, 480]) };
+            rig.from_place([0.0; 3], &view).unwrap().project(&Point3::new(5.0, 2.0, 0.0)).unwrap()
+        };
+        assert!(at([5.0, 0.0]).x < 300.0 && at([0.0, 5.0]).y > 260.0);
+    }
+
+    #[test]
+    fn a_rig_that_turns_inwards_is_followed() {
+        let turned = |x: f64, angle: f64| {
+            let mut camera = pinhole_at([0.0; 3]);
+            let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -angle);
+            camera.cam_from_world =
+                Isometry3::from_parts((-(rotation * Vector3::new(x, 0.0, 0.0))).into(), rotation);
+            camera
+        };
+        let rig = rig(vec![turned(-1.0, 0.3), turned(0.0, 0.0), turned(1.0, -0.3)]);
+        let ahead = |x: f64| rig.from_place([x, 0.0, 0.0], &plain([640, 480])).unwrap().axis();
+        assert!(ahead(-1.0).x > 0.2 && ahead(0.0).x.abs() < 1e-9 && ahead(1.0).x < -0.2);
+    }
+
+    #[test]
+    fn what_is_out_of_bounds_is_refused_in_a_sentence() {
+        let rig = line();
+        let refused =
+            |place, view: Viewpoint| rig.from_place(place, &view).unwrap_err().to_string();
+        assert!(refused([9.0, 0.0, 0.0], plain([640, 480])).contains("too far"));
+        assert!(refused([f64::NAN; 3], plain([640, 480])).contains("too far"));
+        assert!(refused([0.0; 3], plain([641, 480])).starts_with("size"));
+        assert!(refused([0.0; 3], plain([0, 480])).starts_with("size"));
+        let zoomed = |zoom| Viewpoint { zoom, ..plain([640, 480]) };
+        assert!(refused([0.0; 3], zoomed(f64::NAN)).starts_with("zoom"));
+        let turned = Viewpoint { turn_deg: [0.0, 99.0], ..plain([640, 480]) };
+        assert!(refused([0.0; 3], turned).starts_with("turn"));
+        let [low, high] = rig.bounds();
+        assert!(rig.from_place(low, &plain([640, 480])).is_ok());
+        assert!(rig.from_place(high, &plain([640, 480])).is_ok());
+        assert!(self::rig(vec![pinhole_at([0.0; 3])]).bounds()[1][0] > 0.0);
+    }
+}

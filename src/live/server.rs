@@ -1,0 +1,186 @@
+//! The server: connections, and what stands at which address.
+
+use super::answer::{Reply, failed, picture, respond, sentence};
+use super::guard::{Guard, NOT_FOUND};
+use super::patient::Patient;
+use super::scene::Scene;
+use super::token::Token;
+use super::{LiveError, PictureRequest, Places, Queue, Studio, workers};
+use crate::camera::CameraFormat;
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper::{Request, StatusCode};
+use hyper_util::rt::{TokioIo, TokioTimer};
+use std::convert::Infallible;
+use std::io::Result;
+use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::net::TcpStream;
+use tokio::sync::Semaphore;
+
+/// How many connections are open at once; more are closed at once. Larger: memory for whoever connects; smaller: a
+/// browser opens six, and several viewers are shut out.
+const MAX_CONNECTIONS: usize = 48;
+/// How long a request may take to arrive, and a connection may rest. Longer: who sends nothing holds a connection;
+/// shorter: a busy machine's own requests are cut.
+const HEADER_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long a browser may take nothing of a response. Longer and shorter: as above.
+const WRITE_TIMEOUT: Duration = Duration::from_secs(20);
+/// Most bytes of a request. Larger: memory for whoever connects; smaller: browsers' own headers are refused.
+const MAX_REQUEST_BYTES: usize = 16 << 10;
+/// Most headers of a request: as above.
+const MAX_HEADERS: usize = 64;
+/// Pause after a connection that the system couldn't give. Longer: the page waits; shorter: a core is kept busy.
+const RETRY: Duration = Duration::from_millis(50);
+
+const HTML: &str = "text/html; charset=utf-8";
+const CSS: &str = "text/css; charset=utf-8";
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+const JSON: &str = "application/json";
+
+/// The page's files: name, media type, content.
+const PAGE: [(&str, &str, &str); 9] = [
+    ("", HTML, include_str!("page/index.html")),
+    ("style.css", CSS, include_str!("page/style.css")),
+    ("icon.svg", "image/svg+xml", include_str!("page/icon.svg")),
+    ("main.js", SCRIPT, include_str!("page/main.js")),
+    ("state.js", SCRIPT, include_str!("page/state.js")),
+    ("stream.js", SCRIPT, include_str!("page/stream.js")),
+    ("stage.js", SCRIPT, include_str!("page/stage.js")),
+    ("map.js", SCRIPT, include_str!("page/map.js")),
+    ("save.js", SCRIPT, include_str!("page/save.js")),
+];
+
+/// A server that has its port, and waits for a light field.
+pub struct Server {
+    listener: TcpListener,
+    guard: Guard,
+    address: SocketAddr,
+}
+
+/// What all connections share.
+struct Site {
+    guard: Guard,
+    queue: Arc<Queue>,
+    scene: String,
+    places: Arc<Places>,
+}
+
+impl Server {
+    /// Takes a port of this machine, a free one for 0.
+    ///
+    /// # Errors
+    /// If another program has it, or the system gives no randomness.
+    pub fn bind(port: u16) -> Result<Self> {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
+        let address = listener.local_addr()?;
+        let guard = Guard::new(Token::new()?, address.port());
+        Ok(Self { listener, guard, address })
+    }
+
+    /// The page's address, which holds the secret.
+    pub fn address(&self) -> String {
+        format!("http://{}/{}/", self.address, self.guard.token())
+    }
+
+    /// Serves pictures of a light field until the process ends.
+    ///
+    /// # Errors
+    /// If the system gives no threads, or takes the port away.
+    pub fn serve(self, studio: &Studio) -> Result<()> {
+        let queue = Arc::new(Queue::default());
+        let site = Site {
+            guard: self.guard,
+            queue: queue.clone(),
+            scene: serde_json::to_string(&Scene::of(studio))?,
+            places: studio.places().clone(),
+        };
+        self.listener.set_nonblocking(true)?;
+        std::thread::scope(|scope| {
+            let served = workers::start(scope, studio, &queue).and_then(|()| {
+                let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+                runtime.block_on(accept(self.listener, Arc::new(site)))
+            });
+            queue.close();
+            served
+        })
+    }
+}
+
+/// Takes connections, as many as there may be.
+async fn accept(listener: TcpListener, site: Arc<Site>) -> Result<()> {
+    let listener = tokio::net::TcpListener::from_std(listener)?;
+    let free = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+    loop {
+        let Ok((stream, _)) = listener.accept().await else {
+            // The one who connected has gone, or there are too many open files for now.
+            tokio::time::sleep(RETRY).await;
+            continue;
+        };
+        if let Ok(place) = free.clone().try_acquire_owned() {
+            let site = site.clone();
+            tokio::spawn(async move {
+                converse(stream, site).await;
+                drop(place);
+            });
+        }
+    }
+}
+
+/// Answers the requests of a connection until it ends.
+async fn converse(stream: TcpStream, site: Arc<Site>) {
+    // Without it, the last part of a picture may wait for the browser's word that it has the others.
+    let _ = stream.set_nodelay(true);
+    let service = service_fn(move |request| {
+        let site = site.clone();
+        async move { Ok::<Reply, Infallible>(reply(&site, request).await) }
+    });
+    let served = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEADER_TIMEOUT)
+        .max_buf_size(MAX_REQUEST_BYTES)
+        .max_headers(MAX_HEADERS)
+        .serve_connection(TokioIo::new(Patient::new(stream, WRITE_TIMEOUT)), service)
+        .await;
+    // Whatever ended it, the browser opens another.
+    drop(served);
+}
+
+async fn reply(site: &Site, request: Request<Incoming>) -> Reply {
+    let (parts, _) = request.into_parts();
+    let name = match site.guard.admit(&parts) {
+        Ok(name) => name,
+        Err((status, reason)) => return sentence(status, reason),
+    };
+    let query = parts.uri.query().unwrap_or_default();
+    match name {
+        "picture" => asked_picture(site, query).await,
+        "view.json" => view_file(site, query),
+        "scene.json" => respond(StatusCode::OK, JSON, site.scene.clone()),
+        _ => match PAGE.iter().find(|(file, ..)| *file == name) {
+            Some((_, media_type, content)) => respond(StatusCode::OK, media_type, *content),
+            None => sentence(NOT_FOUND.0, NOT_FOUND.1),
+        },
+    }
+}
+
+async fn asked_picture(site: &Site, query: &str) -> Reply {
+    let answer = match PictureRequest::parse(query).and_then(|asked| site.queue.submit(asked)) {
+        // If the browser goes, so does this future, and nobody waits any more.
+        Ok(answer) => answer.await.unwrap_or(Err(LiveError::Superseded)),
+        Err(error) => Err(error),
+    };
+    picture(answer)
+}
+
+/// The camera of a picture, as `stlfr render --camera` reads it.
+fn view_file(site: &Site, query: &str) -> Reply {
+    let camera = PictureRequest::parse(query).and_then(|asked| site.places.camera(&asked));
+    match camera.map(|camera| serde_json::to_string_pretty(&CameraFormat::from(&camera))) {
+        Ok(Ok(text)) => respond(StatusCode::OK, JSON, text + "\n"),
+        Ok(Err(error)) => sentence(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()),
+        Err(error) => failed(&error),
+    }
+}

@@ -1,0 +1,47 @@
+//! The secret part of an address.
+
+use std::fs::File;
+use std::io::{Read, Result};
+
+/// Bytes of randomness. Fewer: it can be guessed; more: a longer address.
+const BYTES: usize = 24;
+
+/// A secret that nobody can guess, in letters and digits.
+pub(super) struct Token(String);
+
+impl Token {
+    /// A new one, of the operating system's randomness.
+    pub fn new() -> Result<Self> {
+        let mut bytes = [0; BYTES];
+        File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+        Ok(Self(bytes.iter().map(|b| format!("{b:02x}")).collect()))
+    }
+
+    pub fn text(&self) -> &str {
+        &self.0
+    }
+
+    /// Whether somebody knows it. How long that takes doesn't depend on how much of it is right.
+    pub fn is(&self, given: &str) -> bool {
+        let pairs = self.0.bytes().zip(given.bytes());
+        given.len() == self.0.len() && pairs.fold(0, |wrong, (a, b)| wrong | (a ^ b)) == 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_is_known_or_not() {
+        let [token, other] = [(); 2].map(|()| Token::new().unwrap());
+        assert_eq!(token.text().len(), 2 * BYTES);
+        assert!(token.is(token.text()));
+        let mut last = token.text().to_owned();
+        let digit = if last.ends_with('0') { "1" } else { "0" };
+        last.replace_range(last.len() - 1.., digit);
+        for wrong in ["", other.text(), &token.text()[1..], &last, &format!("{}0", token.text())] {
+            assert!(!token.is(wrong), "{wrong}");
+        }
+    }
+}

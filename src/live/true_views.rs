@@ -1,0 +1,110 @@
+//! Pictures of the truth: its images, as a view from the same place shows them.
+
+use super::{LiveError, PictureRequest, Place};
+use crate::camera::Camera;
+use crate::capture::{Capture, Truth, TruthError};
+use crate::host::BoundedCache;
+use crate::lumigraph::{BlendOptions, DepthMap, Rendered, Source, blend};
+use crate::raster::{Image, ImageFileError, read_image};
+use nalgebra::{Isometry3, Translation3};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// How much memory true images may take, bytes. Larger: memory; smaller: they are read for every picture.
+const MAX_BYTES: usize = 64 << 20;
+/// How far from its time an image of the truth is asked for, seconds. Larger: it is shown beside another
+/// instant; smaller: the rounding of an address hides it.
+const SAME_INSTANT_S: f64 = 1e-6;
+
+/// An image of the truth.
+#[derive(Clone, Debug)]
+pub(super) struct TrueView {
+    pub id: String,
+    /// Seconds on the reference's clock, as in the capture's file.
+    pub time_s: f64,
+    pub camera: Camera,
+    file: PathBuf,
+}
+
+/// All images of a capture's truth; none without one.
+pub(super) struct TrueViews {
+    views: Vec<TrueView>,
+    images: BoundedCache<usize, Arc<Image>>,
+}
+
+/// The camera, turned as it is, in the origin: two of the same place are there exactly.
+fn at_origin(camera: &Camera) -> Camera {
+    let cam_from_world =
+        Isometry3::from_parts(Translation3::identity(), camera.cam_from_world.rotation);
+    Camera { cam_from_world, ..camera.clone() }
+}
+
+impl Default for TrueViews {
+    fn default() -> Self {
+        Self { views: Vec::new(), images: BoundedCache::new(MAX_BYTES) }
+    }
+}
+
+impl TrueViews {
+    pub fn open(capture: &Capture) -> Result<Self, TruthError> {
+        let Some(truth) = Truth::open(&capture.folder)? else { return Ok(Self::default()) };
+        let view = |(index, view): (usize, &crate::capture::TruthView)| {
+            let path = capture.folder.join("truth/truth.json");
+            let camera =
+                view.camera().map_err(|source| TruthError::Camera { path, index, source })?;
+            let file = truth.file(&view.image)?;
+            Ok(TrueView { id: view.id.clone(), time_s: view.time_s, camera, file })
+        };
+        let views = truth.views.iter().enumerate().map(view).collect::<Result<_, TruthError>>()?;
+        Ok(Self { views, ..Self::default() })
+    }
+
+    pub fn all(&self) -> &[TrueView] {
+        &self.views
+    }
+
+    pub fn get(&self, index: usize) -> Option<&TrueView> {
+        self.views.get(index)
+    }
+
+    /// The image of the place that is asked for, turned and zoomed as the view is.
+    pub fn view(&self, request: &PictureRequest, target: &Camera) -> Result<Rendered, LiveError> {
+        let Place::Truth(index) = request.place else {
+            let there =
+                if self.views.is_empty() { "none of this capture" } else { "at its places only" };
+            return Err(LiveError::Request(format!("there is truth {there}")));
+        };
+        let view = self.get(index).ok_or_else(|| LiveError::Request("at: no such truth".into()))?;
+        if !((view.time_s - request.time_s).abs() <= SAME_INSTANT_S) {
+            return Err(LiveError::Request(format!(
+                "the truth at this place is of {:.4} s, not of {:.4} s",
+                view.time_s, request.time_s
+            )));
+        }
+        let image = self.image(index, view)?;
+        // From one place, a picture is another's whatever the depths.
+        let [own, target] = [&view.camera, target].map(at_origin);
+        let no_depth = DepthMap::empty(target.width, target.height);
+        let options = BlendOptions { cameras: 1, ..BlendOptions::default() };
+        Ok(blend(&[Source::new(&own, &image)], &no_depth, &target, &options))
+    }
+
+    fn image(&self, index: usize, view: &TrueView) -> Result<Arc<Image>, LiveError> {
+        if let Some(image) = self.images.get(&index) {
+            return Ok(image);
+        }
+        let (image, _) = read_image(&view.file)?;
+        let (width, height) = (image.width(), image.height());
+        if (width, height) != (view.camera.width, view.camera.height) {
+            let (path, camera) = (view.file.clone(), &view.camera);
+            let reason = format!(
+                "is {width}×{height} pixels, its camera {}×{}",
+                camera.width, camera.height
+            );
+            return Err(ImageFileError::Content { path, reason }.into());
+        }
+        let image = Arc::new(image);
+        self.images.insert(index, image.clone(), size_of_val(image.data()));
+        Ok(image)
+    }
+}

@@ -1,0 +1,109 @@
+//! The threads that answer requests.
+
+use super::queue::{Answer, Job, Lane, Stale};
+use super::{LiveError, PictureRequest, Queue, Studio};
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::thread::Scope;
+
+/// How many quick requests are worked on at once. More: each takes longer; fewer: cores wait while a picture is
+/// encoded, and viewers for each other.
+const QUICK_WORKERS: usize = 2;
+/// By how much threads of the full quality stand back (Unix's niceness). More: they starve where another program
+/// runs; less: a picture that nobody waits for any more slows down those that follow a hand.
+const FULL_NICENESS: i32 = 5;
+
+/// Starts the threads, which end when the queue is closed. Quick and full pictures have threads of their own, so
+/// that what is quick never waits in a full picture's line.
+///
+/// # Errors
+/// If the system gives no threads.
+pub(super) fn start<'scope, 'env>(
+    scope: &'scope Scope<'scope, 'env>,
+    studio: &'env Studio<'_>,
+    queue: &'env Queue,
+) -> std::io::Result<()> {
+    for (lane, workers) in [(Lane::Quick, QUICK_WORKERS), (Lane::Full, 1)] {
+        let pool = Arc::new(pool(lane)?);
+        for _ in 0..workers {
+            let pool = pool.clone();
+            scope.spawn(move || work(studio, queue, lane, &pool));
+        }
+    }
+    Ok(())
+}
+
+fn pool(lane: Lane) -> std::io::Result<ThreadPool> {
+    let builder = ThreadPoolBuilder::new().start_handler(move |_| {
+        if lane == Lane::Full {
+            stand_back();
+        }
+    });
+    builder.build().map_err(std::io::Error::other)
+}
+
+/// Lowers the priority of the calling thread.
+#[cfg(target_os = "linux")]
+fn stand_back() {
+    // SAFETY: on Linux, process 0 is the calling thread; no memory is involved. If it is refused, the thread
+    // keeps its priority.
+    unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, FULL_NICENESS) };
+}
+
+#[cfg(not(target_os = "linux"))]
+fn stand_back() {
+    let _ = FULL_NICENESS;
+}
+
+fn work(studio: &Studio, queue: &Queue, lane: Lane, pool: &ThreadPool) {
+    let mut ahead = VecDeque::new();
+    loop {
+        prepare(studio, queue, &mut ahead, pool);
+        let Some(job) = queue.take(lane) else { return };
+        let request = job.request.clone();
+        let answer = answer(studio, &job, pool);
+        let is_shown = answer.is_ok();
+        let stale = queue.answer(job, answer);
+        if lane == Lane::Full && is_shown {
+            // The viewer looks at the picture now, and may look around from there.
+            ahead.push_back((request, stale));
+        } else {
+            queue.finish(&stale);
+        }
+    }
+}
+
+/// Prepares the instants that viewers are at, while nobody waits for a full picture of another.
+fn prepare(
+    studio: &Studio,
+    queue: &Queue,
+    ahead: &mut VecDeque<(PictureRequest, Arc<Stale>)>,
+    pool: &ThreadPool,
+) {
+    while let Some((request, stale)) = ahead.pop_front() {
+        let is_free = || !queue.has_apart(Lane::Full, &request);
+        let proceed = || stale.is_instant_wanted() && is_free();
+        unwound(|| pool.install(|| studio.prepare(&request, &proceed)));
+        if stale.is_instant_wanted() && !is_free() {
+            ahead.push_front((request, stale));
+            return;
+        }
+        queue.finish(&stale);
+    }
+}
+
+fn answer(studio: &Studio, job: &Job, pool: &ThreadPool) -> Answer {
+    if !job.is_wanted() {
+        return Err(LiveError::Superseded);
+    }
+    let picture = || pool.install(|| studio.picture(&job.request, &|| job.is_wanted()));
+    unwound(picture).unwrap_or(Err(LiveError::Panicked))
+}
+
+/// The result, or nothing if it panics, of which the thread's own message tells. Caches hold whole values only, so
+/// that what fails leaves nothing behind.
+fn unwound<T>(of: impl FnOnce() -> T) -> Option<T> {
+    catch_unwind(AssertUnwindSafe(of)).ok()
+}

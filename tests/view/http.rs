@@ -1,0 +1,333 @@
+//! Requests as they should be, and as they should not.
+
+use crate::common::{assert_refused, stderr, stlfr, succeed, text};
+use crate::filmed::{TRUE_S, capture, copy};
+use crate::served::{PATIENCE, Served};
+use std::io::{Read, Write};
+use std::os::unix::process::ExitStatusExt;
+use std::time::Instant;
+
+const PICTURE: &str = "picture?w=160&h=120&t=0.08&x=0.01";
+
+#[test]
+fn the_page_and_pictures_come_with_every_header() {
+    let served = Served::start(capture());
+    for (name, media_type) in [
+        ("", "text/html"),
+        ("main.js", "text/javascript"),
+        ("style.css", "text/css"),
+        ("scene.json", "application/json"),
+        (PICTURE, "image/png"),
+        (&format!("{PICTURE}&level=quick"), "image/png"),
+        (&format!("view.json?{}", PICTURE.split_once('?').unwrap().1), "application/json"),
+        ("picture?w=1", "text/plain"),
+    ] {
+        let response = served.get(name);
+        assert_eq!(response.status == 200, media_type != "text/plain", "{name}: {response:?}");
+        assert!(response.header("content-type").unwrap().starts_with(media_type), "{name}");
+        let policy = response.header("content-security-policy").unwrap();
+        assert!(policy.starts_with("default-src 'none'") && !policy.contains("unsafe"), "{policy}");
+        assert_eq!(response.header("cache-control"), Some("no-store"));
+        assert_eq!(response.header("x-content-type-options"), Some("nosniff"));
+        assert_eq!(response.header("referrer-policy"), Some("no-referrer"));
+        assert_eq!(response.header("access-control-allow-origin"), None);
+    }
+}
+
+#[test]
+fn who_has_no_token_or_another_host_or_origin_finds_nothing() {
+    let served = Served::start(capture());
+    let (token, port, host) = (&served.token, served.port, served.host());
+    let page = format!("/{token}/");
+    let status = |method: &str, path: &str, headers: &[&str]| {
+        let response = served.request(method, path, headers);
+        assert!(response.status != 200, "{method} {path} {headers:?}");
+        assert!(
+            !response.headers.contains(token.as_str()) && !response.text().contains(token.as_str())
+        );
+        response.status
+    };
+    let other = token.chars().rev().collect::<String>();
+    for path in [
+        "/",
+        "/scene.json",
+        &format!("/{other}/"),
+        &format!("/{}/", &token[1..]),
+        &format!("/{token}"),
+    ] {
+        assert_eq!(status("GET", path, &[&host]), 404, "{path}");
+    }
+    for wrong in
+        ["Host: evil.example", "Host: 127.0.0.1", "Host: 127.0.0.1:1", "Host: 0.0.0.0", "X: y"]
+    {
+        assert_eq!(status("GET", &page, &[wrong]), 421, "{wrong}");
+    }
+    assert_eq!(status("GET", &page, &[&host, "Host: evil.example"]), 400);
+    let absolute = format!("http://evil.example/{token}/");
+    assert_ne!(status("GET", &absolute, &["Host: evil.example"]), 200);
+    for wrong in
+        ["http://evil.example", "null", &format!("https://127.0.0.1:{port}"), "http://127.0.0.1:1"]
+    {
+        assert_eq!(status("GET", &page, &[&host, &format!("Origin: {wrong}")]), 403, "{wrong}");
+    }
+    let scene = format!("/{token}/scene.json");
+    for site in ["cross-site", "same-site"] {
+        assert_eq!(status("GET", &scene, &[&host, &format!("Sec-Fetch-Site: {site}")]), 403);
+    }
+    let own = format!("Origin: http://127.0.0.1:{port}");
+    assert_eq!(
+        served.request("GET", &scene, &[&host, &own, "Sec-Fetch-Site: same-origin"]).status,
+        200
+    );
+    let (name, origin) =
+        (format!("Host: localhost:{port}"), format!("Origin: http://localhost:{port}"));
+    assert_eq!(served.request("GET", &scene, &[&name, &origin]).status, 200);
+    // A link to the page from elsewhere is one that the user followed.
+    assert_eq!(served.request("GET", &page, &[&host, "Sec-Fetch-Site: cross-site"]).status, 200);
+}
+
+#[test]
+fn no_path_leads_out_of_the_page() {
+    let served = Served::start(capture());
+    let token = &served.token;
+    for path in [
+        "../capture.json",
+        "capture.json",
+        "cam0/0000.png",
+        "truth/truth.json",
+        "..%2fcapture.json",
+        "%2e%2e/capture.json",
+        "./style.css",
+        "//style.css",
+        "style.css/",
+        "/etc/passwd",
+        "..\\capture.json",
+        "page/../../../Cargo.toml",
+        "main.js%00",
+        "picture/../scene.json",
+    ] {
+        let response = served.request("GET", &format!("/{token}/{path}"), &[&served.host()]);
+        assert_eq!(response.status, 404, "{path}: {response:?}");
+    }
+    let beyond = served.request("GET", &format!("/../{token}/"), &[&served.host()]);
+    assert_eq!(beyond.status, 404);
+}
+
+#[test]
+fn what_is_no_get_or_too_large_is_refused() {
+    let served = Served::start(capture());
+    let (page, host) = (format!("/{}/", served.token), served.host());
+    for method in ["POST", "PUT", "DELETE", "OPTIONS", "HEAD", "PATCH", "BREW"] {
+        assert_eq!(served.request(method, &page, &[&host]).status, 405, "{method}");
+    }
+    assert_eq!(served.request("GET", &page, &[&host, "Content-Length: 5"]).status, 413);
+    assert_eq!(served.request("GET", &page, &[&host, "Transfer-Encoding: chunked"]).status, 413);
+    let long = format!("{page}picture?viewer={}", "a".repeat(2000));
+    assert_eq!(served.request("GET", &long, &[&host]).status, 414);
+    let large = format!("X: {}", "a".repeat(100_000));
+    assert_eq!(served.request("GET", &page, &[&host, &large]).status, 431);
+    let many: Vec<String> = (0..200).map(|k| format!("X-{k}: 1")).collect();
+    let mut many: Vec<&str> = many.iter().map(String::as_str).collect();
+    many.push(&host);
+    assert_eq!(served.request("GET", &page, &many).status, 431);
+    for bytes in [
+        &b"\0\0\0\0"[..],
+        b"GET\r\n\r\n",
+        b"\x16\x03\x01\x02\0",
+        b"GET / HTTP/9.9\r\n\r\n",
+        b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
+    ] {
+        let answer = served.raw(bytes);
+        assert!(!answer.starts_with(b"HTTP/1.1 200"), "{bytes:?}");
+    }
+    assert_eq!(served.get("").status, 200, "the server goes on");
+}
+
+#[test]
+fn pictures_out_of_bounds_are_refused_in_a_sentence() {
+    let served = Served::start(capture());
+    for (query, status, words) in [
+        ("w=160&h=120&t=99", 422, "no camera has frames around 99.0 s"),
+        ("w=160&h=120&t=0.08&x=50", 400, "too far from the cameras"),
+        ("w=161&h=120&t=0.08", 400, "size: is 161×120"),
+        ("w=0&h=120", 400, "size: is 0×120"),
+        ("w=160&h=120&zoom=0", 400, "zoom: is 0"),
+        ("w=160&h=120&t=nan", 400, "t: must be a number"),
+        ("w=160&h=120&at=c9", 400, "there is no such camera"),
+        ("w=160&h=120&at=t9", 400, "there is no such image of the truth"),
+        ("w=160&h=120&method=truth&t=0.08", 400, "there is truth at its places only"),
+        ("w=160&h=120&method=truth&t=0.09&at=t0", 400, "is of 0.0800 s, not of 0.0900 s"),
+        ("w=160&h=120&method=best", 400, "method: must be one of"),
+    ] {
+        let response = served.get(&format!("picture?{query}"));
+        let message = response.text();
+        assert_eq!(response.status, status, "{query}: {message}");
+        assert!(message.contains(words) && message.lines().count() == 1, "{query}: {message}");
+    }
+}
+
+/// What a picture shows is what the library renders.
+#[test]
+fn what_is_saved_is_what_render_writes() {
+    let served = Served::start(capture());
+    let folder = tempfile::tempdir().unwrap();
+    let (view, image) = (folder.path().join("view.json"), folder.path().join("view.png"));
+    for query in
+        ["w=160&h=120&t=0.08&x=0.02&y=0.01", "w=120&h=100&t=0.05&x=-0.03&zoom=1.5&yaw=2&pitch=-1"]
+    {
+        std::fs::write(&view, served.get(&format!("view.json?{query}")).body).unwrap();
+        let time = query.split('&').find_map(|p| p.strip_prefix("t=")).unwrap();
+        succeed(&[
+            "render",
+            text(capture()),
+            "--camera",
+            text(&view),
+            "--time",
+            time,
+            "-o",
+            text(&image),
+        ]);
+        let saved = served.get(&format!("picture?{query}&level=saved"));
+        assert!(saved.body == std::fs::read(&image).unwrap(), "{query}");
+    }
+}
+
+#[test]
+fn the_truth_is_its_own_picture() {
+    let served = Served::start(capture());
+    let query = format!("picture?w=160&h=120&method=truth&at=t1&t={TRUE_S}");
+    let shown = image::load_from_memory(&served.get(&query).body).unwrap().into_rgb8();
+    let truth = image::open(capture().join("truth/t0-between.png")).unwrap().into_rgb8();
+    let differences = shown.as_raw().iter().zip(truth.as_raw()).map(|(a, b)| a.abs_diff(*b));
+    // Its outermost pixels fade, as every camera's do.
+    assert!(differences.filter(|d| *d > 1).count() < 3 * 2 * (160 + 120));
+}
+
+#[test]
+fn one_who_sends_or_takes_nothing_keeps_nobody_waiting() {
+    let served = Served::start(capture());
+    let mut silent = served.connect();
+    let mut half = served.connect();
+    half.write_all(b"GET / HTTP/1.1\r\nHost: ").unwrap();
+    let mut greedy = served.connect();
+    let ask = format!("GET /{}/{PICTURE} HTTP/1.1\r\n{}\r\n\r\n", served.token, served.host());
+    for _ in 0..200 {
+        greedy.write_all(ask.as_bytes()).unwrap();
+    }
+    let start = Instant::now();
+    assert_eq!(served.get("scene.json").status, 200);
+    assert_eq!(served.get(PICTURE).status, 200);
+    assert!(start.elapsed().as_secs() < 10);
+    // Both are cut, long before a minute has passed.
+    let mut rest = Vec::new();
+    let _ = half.read_to_end(&mut rest);
+    let _ = silent.read_to_end(&mut rest);
+    assert!(start.elapsed() < PATIENCE / 2, "{:?}", start.elapsed());
+}
+
+#[test]
+fn there_are_not_more_connections_than_may_be_open() {
+    let served = Served::start(capture());
+    let open: Vec<_> = (0..400).map(|_| served.connect()).collect();
+    drop(open);
+    let start = Instant::now();
+    while !served
+        .raw(
+            format!(
+                "GET /{}/ HTTP/1.1\r\n{}\r\nConnection: close\r\n\r\n",
+                served.token,
+                served.host()
+            )
+            .as_bytes(),
+        )
+        .starts_with(b"HTTP/1.1 200")
+    {
+        assert!(start.elapsed() < PATIENCE, "the server answers again");
+    }
+}
+
+#[test]
+fn a_second_server_on_the_port_is_refused() {
+    let served = Served::start(capture());
+    let port = served.port.to_string();
+    let output =
+        stlfr().args(["view", text(capture()), "--no-open", "--port", &port]).output().unwrap();
+    assert_refused(&output, 2, &format!("another program serves at {port} already"));
+    let missing = stlfr().args(["view", "/nowhere", "--no-open"]).output().unwrap();
+    assert_refused(&missing, 2, "/nowhere");
+}
+
+#[test]
+fn ctrl_c_ends_it_as_it_ends_others() {
+    let served = Served::start(capture());
+    assert_eq!(served.get("").status, 200);
+    let ended = served.interrupt();
+    assert_eq!((ended.code(), ended.signal()), (None, Some(libc::SIGINT)));
+}
+
+#[test]
+fn a_capture_deleted_under_it_is_said_and_the_server_goes_on() {
+    let copy = copy();
+    let mut served = Served::start(copy.path());
+    assert_eq!(served.get("picture?w=160&h=120&t=0.02").status, 200);
+    std::fs::remove_dir_all(copy.path()).unwrap();
+    let response = served.get("picture?w=160&h=120&t=0.13");
+    assert_eq!(response.status, 500);
+    assert!(response.text().contains("No such file"), "{}", response.text());
+    assert_eq!(response.text().lines().count(), 1);
+    assert!(served.is_running() && served.get("scene.json").status == 200);
+    // What has been decoded is still there.
+    assert_eq!(served.get("picture?w=160&h=120&t=0.02&x=0.01").status, 200);
+}
+
+#[test]
+fn many_viewers_share_one_light_field() {
+    let served = Served::start(capture());
+    let all: Vec<u16> = std::thread::scope(|scope| {
+        let ask = |k: usize| {
+            let served = &served;
+            move || served.get(&format!("{PICTURE}&viewer=v{k}&level=quick")).status
+        };
+        let threads: Vec<_> = (0..8).map(|k| scope.spawn(ask(k))).collect();
+        threads.into_iter().map(|t| t.join().unwrap()).collect()
+    });
+    assert_eq!(all, [200; 8]);
+}
+
+/// A viewer that asks anew gets its newest picture; what it asked for before is not waited for.
+#[test]
+fn a_viewers_newer_request_takes_the_place_of_the_older() {
+    let served = Served::start(capture());
+    let statuses: Vec<u16> = std::thread::scope(|scope| {
+        let ask = |k: usize| {
+            let served = &served;
+            move || {
+                std::thread::sleep(std::time::Duration::from_millis(20 * k as u64));
+                served.get(&format!("picture?w=160&h=120&t=0.0{}&viewer=v", 3 + k)).status
+            }
+        };
+        let threads: Vec<_> = (0..5).map(|k| scope.spawn(ask(k))).collect();
+        threads.into_iter().map(|t| t.join().unwrap()).collect()
+    });
+    assert_eq!(statuses[4], 200);
+    assert!(statuses.iter().all(|s| [200, 409].contains(s)), "{statuses:?}");
+}
+
+#[test]
+fn without_a_browser_the_address_is_printed_all_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = stlfr()
+        .args(["view", text(capture())])
+        .env("PATH", folder.path())
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut line = [0; 17];
+    child.stdout.as_mut().unwrap().read_exact(&mut line).unwrap();
+    assert_eq!(&line, b"http://127.0.0.1:");
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    child.kill().unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert!(stderr(&output).contains("open the address by hand"), "{}", stderr(&output));
+}
