@@ -8,6 +8,8 @@ use crate::interpolation::Synchronized;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::options::{ProxyMethod, ViewOptions};
 use crate::stereo::fuse;
+use std::ops::Deref;
+use std::sync::Arc;
 
 /// A light field at one instant, for views from anywhere.
 ///
@@ -15,13 +17,33 @@ use crate::stereo::fuse;
 /// differ: a `Moment` estimates every camera's depths in one common range, and a view takes those of the cameras
 /// nearest to it.
 pub struct Moment<'a> {
-    field: &'a LightField,
+    field: Held<'a>,
     time_s: f64,
     options: ViewOptions,
     /// Of all cameras, as bright as the reference records them.
     images: Vec<Option<Synchronized>>,
     depths: Option<Depths>,
 }
+
+/// The light field of a moment.
+enum Held<'a> {
+    Borrowed(&'a LightField),
+    Shared(Arc<LightField>),
+}
+
+impl Deref for Held<'_> {
+    type Target = LightField;
+
+    fn deref(&self) -> &LightField {
+        match self {
+            Self::Borrowed(field) => field,
+            Self::Shared(field) => field,
+        }
+    }
+}
+
+/// What all views of an instant share: the cameras' images, and their depths if the options want them.
+type Prepared = (Vec<Option<Synchronized>>, Option<Depths>);
 
 /// Depths of all cameras.
 struct Depths {
@@ -36,6 +58,26 @@ impl LightField {
     /// [`RenderError::Time`] or [`RenderError::NoClock`] if no camera has an image at that time, and those
     /// of [`Self::synchronized`].
     pub fn moment(&self, time_s: f64, options: &ViewOptions) -> Result<Moment<'_>, RenderError> {
+        let (images, depths) = self.prepared(time_s, options)?;
+        let field = Held::Borrowed(self);
+        Ok(Moment { field, time_s, options: options.clone(), images, depths })
+    }
+
+    /// [`Self::moment`] that keeps the light field alive.
+    ///
+    /// # Errors
+    /// Those of [`Self::moment`].
+    pub fn shared_moment(
+        self: Arc<Self>,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<Moment<'static>, RenderError> {
+        let (images, depths) = self.prepared(time_s, options)?;
+        let field = Held::Shared(self);
+        Ok(Moment { field, time_s, options: options.clone(), images, depths })
+    }
+
+    fn prepared(&self, time_s: f64, options: &ViewOptions) -> Result<Prepared, RenderError> {
         let usable = self.usable(time_s);
         if usable.is_empty() {
             return Err(self.no_camera_at(time_s));
@@ -46,7 +88,7 @@ impl LightField {
             ProxyMethod::Depth => self.depths_of_all(&usable, &images, time_s, options)?,
             ProxyMethod::Plane | ProxyMethod::Mesh => None,
         };
-        Ok(Moment { field: self, time_s, options: options.clone(), images, depths })
+        Ok((images, depths))
     }
 
     /// `None` with fewer than two cameras, or if no point of the scene is known.
