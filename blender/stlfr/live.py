@@ -74,8 +74,20 @@ class Counts:
     fast: int = 0
     final: int = 0
     final_took_s: float = 0.0
+    fast_drawn: int = 0
+    asked_s: float = 0.0
+    """When something last changed."""
+    final_drawn_s: float = 0.0
+    """When the full picture of it was drawn."""
     times_s: list[float] = field(default_factory=list)
     """When each fast picture was ready, the last ones."""
+
+    def drawn(self, is_final: bool) -> None:
+        """Another picture is on the screen."""
+        if is_final:
+            self.final_drawn_s = time.monotonic()
+        else:
+            self.fast_drawn += 1
 
     @property
     def rate_hz(self) -> float:
@@ -118,6 +130,7 @@ class Live:
                 return False
             self._wanted = request
             self._serial += 1
+            self.counts.asked_s = time.monotonic()
             if self._thread is None:
                 self._thread = threading.Thread(
                     target=self._run, daemon=True, name="stlfr viewport"

@@ -76,6 +76,7 @@ class STLFR_OT_rig_create(bpy.types.Operator):
         min=1.0,
         max=5000.0,
         subtype="DISTANCE_CAMERA",
+        precision=1,
     )
     rate_hz: FloatProperty(
         name="Frames a Second",
@@ -241,6 +242,7 @@ class STLFR_OT_offsets(LongWork, bpy.types.Operator):
 
     def start(self, context: Any) -> jobs.Job:
         capture = engine.capture_folder(context.scene)
+        fields.must_be_capture(capture)
         script = Path(__file__).resolve().parent / "estimate.py"
         command = [*python(), str(script), str(capture), str(module_folder())]
         return jobs.Job("Estimating offsets", command)

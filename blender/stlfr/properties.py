@@ -5,6 +5,7 @@ Blender keeps numbers in single precision: times a few seconds long are good to 
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import bpy
@@ -56,10 +57,8 @@ def _methods(stage: str, *more: tuple[str, str, str]) -> dict[str, Any]:
 def _open_capture(settings: Any, _context: Any) -> None:
     """Another capture's clocks, and a time offset at which its light field is there at the start frame."""
     settings.offsets.clear()
-    try:
+    with contextlib.suppress(BadInputError):  # the panel says so
         timing.adopt(settings, absolute(settings.capture) if settings.capture else None)
-    except BadInputError:
-        pass  # the panel says so
     viewport.redraw()
 
 
@@ -204,7 +203,7 @@ class StlfrScene(bpy.types.PropertyGroup):
         **{**_methods("preset", NO_PRESET), "default": NO_PRESET[0]},
     )
     sync: EnumProperty(
-        name="Synchronization",
+        name="Motion",
         description="How each camera's image at the instant is made from its frames before and after",
         update=_redraw,
         **_methods("sync", AUTO),

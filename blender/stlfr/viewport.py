@@ -71,6 +71,7 @@ class Viewport:
             return
         if self._texture is None or self._texture[0] is not picture:
             self._texture = (picture, _texture(picture.pixels))
+            self.live.counts.drawn(picture.is_final)
         with _display_space(engine, context.scene):
             _draw(self._texture[1], wanted)
         _say(context.region, status(picture, self.live))
@@ -132,9 +133,9 @@ def status(picture: live.Picture, by: live.Live) -> str:
     height, width = picture.pixels.shape[:2]
     if picture.is_final:
         took = f"{by.counts.final_took_s:.1f} s"
-        return f"Light field: chosen methods, {width} × {height}, {took}"
+        return f"Light field: chosen methods, {width} x {height}, {took}"
     rate = f", {by.counts.rate_hz:.0f} a second" if by.counts.rate_hz else ""
-    return f"Light field: fast method, {width} × {height}{rate}"
+    return f"Light field: fast method, {width} x {height}{rate}"
 
 
 def _texture(pixels: view.Linear) -> Any:
@@ -212,10 +213,9 @@ def _follow() -> None:
 
 def _poll() -> float | None:
     shown = list(_all)
-    busy = any(
-        [one.is_busy for one in shown]
-    )  # before the news: the last one isn't missed
-    if any([one.take_news() for one in shown]):
+    # Before the news: the last picture isn't missed.
+    busy = any(one.is_busy for one in shown)
+    if True in {one.take_news() for one in shown}:
         redraw()
     return POLL_S if busy else None
 
