@@ -13,7 +13,7 @@ MEANINGS: dict[str, str] = {
     r"--samples": "Samples",
     r"--workers": "Processes",
     r"--size \d+x\d+": "the size",
-    r"--truth-video \d*": "the true slow motion",
+    r"--truth-video( \d+)?": "the true slow motion",
     r"--blend ": "",
     r"--scene ": "",
     r", or film with --engine cycles": "",

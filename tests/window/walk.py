@@ -1,150 +1,38 @@
 """Walk through the READMEs' steps in a Blender with a window, by clicks and keys, with a screenshot of each.
 
 As root: `.venv/bin/python tests/window/walk.py ROOT STLFR.zip CAPTURE [-o FOLDER]`. ROOT is where
-`blender.sh install` puts Blender; STLFR.zip is what `stlfr setup --extension` writes; CAPTURE is a film of
-640x480 (it is copied). FOLDER (`.captures/window`) gets the screenshots, and must lie where `blender.sh`
-shows it to Blender: below the folder for temporary files, or below a folder that SHARE names. The last lines
-are what was measured. It is run by hand: clicks have the places that widgets have in Blender 5.2 with a window
-of 1600x1000.
+`blender.sh install` puts Blender. STLFR.zip is what `stlfr setup --extension` writes. CAPTURE is a film of
+640x480; it is copied. The screenshots go to FOLDER, `.captures/window`. The last lines are what was
+measured. It is run by hand: clicks have the places that widgets have in Blender 5.2 with a window of
+1600x1000.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-HERE = Path(__file__).resolve().parent
-PATIENCE_S = 240.0
-"""How long a step may take. Larger, and a step that hangs is noticed late; smaller, and a busy machine fails it."""
+import measure
+from driver import HERE, Blender, Screen
 
-
-class Screen:
-    """The screen that nobody sees: keys, clicks, pictures."""
-
-    def __init__(self, root: Path, pictures: Path) -> None:
-        self.root, self.pictures = root, pictures
-        self.count = 0
-
-    def do(self, *command: object) -> str:
-        whole = [str(HERE / "blender.sh"), "do", str(self.root), *map(str, command)]
-        return subprocess.run(whole, check=True, capture_output=True, text=True).stdout
-
-    def keys(self, *names: object) -> None:
-        """By name or number: `F12` by its name arrives with Alt held, so it is 96."""
-        for name in names:
-            self.do("xdotool", "key", name)
-            time.sleep(0.2)
-
-    def type(self, text: str) -> None:
-        self.do("xdotool", "type", "--delay", 30, text)
-
-    def move(self, x: float, y: float) -> None:
-        self.do("xdotool", "mousemove", round(x), round(y))
-
-    def click(self, x: float, y: float, button: int = 1) -> None:
-        # A widget has to see the pointer before it hears the button.
-        self.do(
-            *("xdotool", "mousemove", round(x), round(y), "sleep", 0.3),
-            *("mousedown", button, "sleep", 0.1, "mouseup", button),
-        )
-        time.sleep(0.5)
-
-    def enter(self, x: float, y: float, text: str) -> None:
-        """Into a field, over what it holds."""
-        self.do(
-            *("xdotool", "mousemove", round(x), round(y), "sleep", 0.3),
-            *("click", "--repeat", 2, "--delay", 60, 1),
-        )
-        time.sleep(0.4)
-        self.keys("ctrl+a")
-        self.type(text)
-        self.keys("Return")
-        time.sleep(0.3)
-
-    def drag(self, start: tuple[float, float], moves: list[tuple[int, int]], button: int = 1) -> None:
-        """Press, move in steps of 1/60 s, let go."""
-        steps: list[object] = []
-        for x, y in moves:
-            steps += ["mousemove_relative", "--", x, y, "sleep", 1 / 60]
-        x, y = (round(value) for value in start)
-        self.do("xdotool", "mousemove", x, y, "sleep", 0.3, "mousedown", button, *steps, "mouseup", button)
-
-    def shot(self, name: str) -> Path:
-        self.count += 1
-        file = self.pictures / f"{self.count:02d}-{name}.png"
-        self.do("import", "-window", "root", file)
-        return file
-
-
-class Blender:
-    """Blender on that screen."""
-
-    def __init__(self, screen: Screen, work: Path) -> None:
-        self.screen, self.work = screen, work
-        self.process: subprocess.Popen[bytes] | None = None
-
-    def start(self, *arguments: object) -> None:
-        script = shutil.copy(HERE / "inside.py", self.work)
-        command = [HERE / "blender.sh", "run", self.screen.root, self.work / "home", *arguments]
-        command += ["--python", script, "--", self.work]
-        with (self.work / "blender.log").open("ab") as log:
-            self.process = subprocess.Popen(list(map(str, command)), stdout=log, stderr=log)
-        self.wait("True")
-        time.sleep(2.0)
-
-    def ask(self, question: str) -> Any:
-        """What an expression is, inside."""
-        asked, answer = self.work / "ask", self.work / "answer"
-        answer.unlink(missing_ok=True)
-        partial = self.work / "ask.partial"
-        partial.write_text(question)
-        partial.replace(asked)
-        until(answer.exists, f"an answer to {question}")
-        reply = json.loads(answer.read_text())
-        if "error" in reply:
-            raise RuntimeError(f"{question}: {reply['error']}")
-        return reply["value"]
-
-    def wait(self, question: str) -> None:
-        """Until an expression is true, inside."""
-        until(lambda: bool(self.ask(question)), question)
-
-    def spot(self, area: str, region: str, x: float, y: float) -> tuple[float, float]:
-        """A place on the screen, from a region's top left; negative numbers count from its right or bottom."""
-        left, top, width, height = self.ask(f"regions('{area}')")[region]
-        return left + x + (width if x < 0 else 0), top + y + (height if y < 0 else 0)
-
-    def click(self, area: str, region: str, x: float, y: float) -> None:
-        self.screen.click(*self.spot(area, region, x, y))
-
-    def choose_file(self, name: str) -> None:
-        """In Blender's file view."""
-        self.wait("'FILE_BROWSER' in [a.type for w in bpy.context.window_manager.windows for a in w.screen.areas]")
-        time.sleep(1.0)
-        self.click("FILE_BROWSER", "EXECUTE", 200, 20)
-        self.screen.keys("ctrl+a")
-        self.screen.type(name)
-        self.screen.keys("Return")
-        time.sleep(1.0)
-        self.click("FILE_BROWSER", "EXECUTE", -60, 20)
-        time.sleep(2.0)
-
-
-def until(is_done: Callable[[], bool], what: str) -> None:
-    """Wait for it."""
-    end_s = time.monotonic() + PATIENCE_S
-    while not is_done():
-        if time.monotonic() > end_s:
-            raise TimeoutError(f"waited {PATIENCE_S:g} s for {what}")
-        time.sleep(0.1)
-
+OVER_VIEW = (500, 500)
+"""A place over the 3D view, that keys go to."""
+SIDEBAR_TAB = (1298, 297)
+CREATE_RIG, SHOW_RIG = (1105, 148), (1089, 174)
+SAMPLES, FILM, CANCEL = (1204, 380), (1165, 479), (1263, 479)
+OFFSETS, COMPARE = (1165, 570), (1165, 792)
+LAYOUT, RENDER_TAB, ENGINE, OUR_ENGINE = (
+    (300, 34),
+    (1331, 304),
+    (1480, 300),
+    (1491, 394),
+)
+SET_RANGE, RENDERED = (1480, 532), (1271, 60)
 
 SCENE = """
 import importlib, sys
@@ -172,3 +60,254 @@ def make_scene(file: Path) -> None:
     """Write it."""
     command = [sys.executable, "-c", SCENE, str(HERE.parents[1] / "blender"), str(file)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+
+class Walk:
+    """The steps, one after the other."""
+
+    def __init__(self, screen: Screen, blender: Blender) -> None:
+        self.screen, self.blender = screen, blender
+
+    def install(self, extension: Path) -> None:
+        """Edit, Preferences, Get Extensions, Install from Disk."""
+        screen, blender = self.screen, self.blender
+        shutil.copy(extension, blender.home / "stlfr.zip")
+        blender.start("--factory-startup")
+        screen.click(800, 900)  # the splash screen goes
+        screen.keys("Escape")
+        screen.click(80, 34)
+        time.sleep(1.0)
+        screen.click(132, 303)
+        time.sleep(3.0)
+        blender.wait("'PREFERENCES' in str(all_areas())")
+        time.sleep(2.0)
+        blender.click_until(
+            ("PREFERENCES", "UI", 60, 206),
+            "bpy.context.preferences.active_section == 'EXTENSIONS'",
+        )
+        time.sleep(2.0)
+        blender.click("PREFERENCES", "WINDOW", -20, 25)
+        time.sleep(1.5)
+        blender.click("PREFERENCES", "WINDOW", -130, 147)
+        blender.choose_file("stlfr.zip")
+        blender.wait(
+            "'bl_ext.user_default.stlfr' in bpy.context.preferences.addons.keys()"
+        )
+        screen.shot("installed")
+        screen.click(970, 72)
+
+    def open_scene(self) -> None:
+        """Of one's own; the sidebar's tab."""
+        screen, blender = self.screen, self.blender
+        make_scene(blender.home / "mine.blend")
+        screen.move(*OVER_VIEW)
+        screen.keys("ctrl+o")
+        blender.choose_file("mine.blend")
+        blender.wait("bpy.data.filepath.endswith('mine.blend')")
+        time.sleep(2.0)
+        screen.move(*OVER_VIEW)
+        screen.keys("n")
+        time.sleep(1.0)
+        screen.click(*SIDEBAR_TAB)
+        time.sleep(1.0)
+        screen.shot("sidebar")
+
+    def create_rig(self) -> None:
+        """Four small cameras."""
+        screen, blender = self.screen, self.blender
+        screen.click(*CREATE_RIG)
+        time.sleep(2.0)
+        for y, text in ((184, "4"), (262, "160"), (288, "120")):
+            screen.enter(1045, y, text)
+        screen.shot("create-rig")
+        screen.click(1060, 449)
+        blender.wait(
+            "len(part('rig_objects').members(bpy.context.scene, 'CAMERA')) == 4"
+        )
+        screen.shot("rig")
+        screen.click(*SHOW_RIG)
+        time.sleep(2.0)
+        screen.shot("rig-shown")
+        screen.keys("ctrl+z")
+        time.sleep(1.0)
+
+    def film(self) -> None:
+        """Cancelled and resumed."""
+        screen, blender = self.screen, self.blender
+        screen.enter(*SAMPLES, "1")
+        screen.click(*FILM)
+        blender.wait("part('jobs').running().progress.done > 3")
+        screen.shot("filming")
+        screen.click(*CANCEL)
+        blender.wait("not job()")
+        time.sleep(1.0)
+        screen.shot("cancelled")
+        screen.click(FILM[0] + 50, FILM[1])  # Resume stands at the right
+        blender.wait("job() == 'Filming'")
+        blender.wait("not job()")
+        time.sleep(1.5)
+        screen.shot("filmed")
+
+    def compare(self) -> None:
+        """Offsets, the comparison, and back."""
+        screen, blender = self.screen, self.blender
+        screen.click(*OFFSETS)
+        blender.wait("len(bpy.context.scene.stlfr.offsets) == 4")
+        time.sleep(1.0)
+        screen.shot("offsets")
+        screen.click(*COMPARE)
+        blender.wait("job() == 'Comparing'")
+        screen.shot("comparing")
+        blender.wait("not job() and len(bpy.data.scenes) == 3")
+        time.sleep(4.0)
+        screen.shot("comparison")
+        screen.click(*LAYOUT)
+        time.sleep(2.0)
+
+    def render(self) -> None:
+        """The engine, F12 at the first frame, the range, an animation."""
+        screen, blender = self.screen, self.blender
+        screen.click(*RENDER_TAB)
+        time.sleep(1.0)
+        screen.click(*ENGINE)
+        time.sleep(1.0)
+        screen.click(*OUR_ENGINE)
+        blender.wait("bpy.context.scene.render.engine == 'STLFR'")
+        screen.shot("engine")
+        screen.move(*OVER_VIEW)
+        screen.keys(measure.F12)
+        self.rendered("f12")
+        screen.click(*SET_RANGE)
+        blender.wait("bpy.context.scene.frame_end < 20")
+        screen.move(*OVER_VIEW)
+        screen.shot("range")
+        blender.ask("setattr(bpy.context.scene.render, 'filepath', '//animation/')")
+        screen.keys(f"ctrl+{measure.F12}")
+        self.rendered("animation")
+        screen.move(*OVER_VIEW)
+        time.sleep(1.0)
+        screen.shot("after-animation")
+
+    def rendered(self, name: str) -> None:
+        """Until a render has ended; a screenshot of its window, which goes."""
+        blender = self.blender
+        blender.wait("len(bpy.context.window_manager.windows) == 2")
+        blender.wait("not bpy.app.is_job_running('RENDER')")
+        time.sleep(2.0)
+        self.screen.shot(name)
+        self.screen.click(1588, 8)
+        blender.wait("len(bpy.context.window_manager.windows) == 1")
+
+    def look_around(self) -> None:
+        """Rendered shading: through the camera, scrubbed, freely, refused, outside of the film, with a border."""
+        screen, blender = self.screen, self.blender
+        screen.click(*RENDERED)
+        screen.move(*OVER_VIEW)
+        screen.keys("KP_0")
+        self.at_rest("camera-view")
+        screen.keys("Right", "Right", "Right")
+        self.at_rest("three-frames-on")
+        screen.keys("space")
+        time.sleep(4.0)
+        screen.shot("playing")
+        screen.keys("space")
+        screen.drag(OVER_VIEW, [(2, 1)] * 15, button=2)
+        self.at_rest("free-view")
+        screen.keys("KP_5")
+        time.sleep(1.0)
+        screen.shot("orthographic")
+        screen.keys("KP_5", "KP_0")
+        blender.ask("bpy.context.scene.frame_set(50)")
+        time.sleep(3.0)
+        screen.shot("outside")
+        screen.keys(measure.F12)
+        self.rendered("outside-f12")
+        screen.shot("outside-properties")
+        blender.ask("bpy.context.scene.frame_set(2)")
+        screen.move(*OVER_VIEW)
+        screen.keys("ctrl+b")
+        time.sleep(0.5)
+        screen.drag((450, 400), [(8, 6)] * 25)
+        self.at_rest("border")
+        screen.keys("ctrl+alt+b")
+
+    def at_rest(self, name: str) -> None:
+        """Until the full picture is there."""
+        time.sleep(0.5)
+        self.blender.wait("not counts()['busy']")
+        time.sleep(0.5)
+        self.screen.shot(name)
+
+    def refusals(self) -> None:
+        """An orthographic camera of the rig; an unfinished and an empty folder."""
+        screen, blender = self.screen, self.blender
+        blender.ask("setattr(bpy.data.cameras['cam0'], 'type', 'ORTHO')")
+        blender.ask("setattr(bpy.context.scene.stlfr, 'film_folder', '//again')")
+        screen.click(*FILM)
+        time.sleep(2.0)
+        screen.shot("orthographic-rig-camera")
+        screen.keys("Escape")
+        blender.ask("setattr(bpy.data.cameras['cam0'], 'type', 'PERSP')")
+        blender.ask("setattr(bpy.context.scene.stlfr, 'capture', '//')")
+        time.sleep(2.0)
+        screen.shot("no-capture")
+        blender.ask("setattr(bpy.context.scene.stlfr, 'capture', '//capture')")
+
+    def another_file(self) -> None:
+        """A new file while filming: the film goes on, and its end is said."""
+        screen, blender = self.screen, self.blender
+        screen.click(*FILM)
+        blender.wait("job() == 'Filming'")
+        screen.move(*OVER_VIEW)
+        screen.keys("ctrl+s")
+        time.sleep(2.0)
+        screen.keys("ctrl+n")
+        time.sleep(1.0)
+        screen.keys("Return")
+        blender.wait("not bpy.data.filepath")
+        time.sleep(1.0)
+        screen.move(*OVER_VIEW)
+        screen.keys("n")
+        time.sleep(1.0)
+        screen.click(*SIDEBAR_TAB)
+        time.sleep(1.0)
+        screen.shot("new-file-while-filming")
+        blender.wait("not job() and part('jobs').ended")
+        time.sleep(1.0)
+        screen.shot("film-ended")
+
+
+def main() -> int:
+    """All of it."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    for name in ("root", "extension", "capture"):
+        parser.add_argument(name, type=Path)
+    output = HERE.parents[1] / ".captures" / "window"
+    parser.add_argument("-o", dest="output", type=Path, default=output)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="stlfr-window-") as scratch:
+        work = Path(scratch)
+        screen = Screen(given.root, work / "shots", given.output)
+        blender = Blender(screen, work)
+        walk = Walk(screen, blender)
+        try:
+            walk.install(given.extension)
+            walk.open_scene()
+            walk.create_rig()
+            walk.film()
+            walk.compare()
+            walk.render()
+            walk.look_around()
+            walk.refusals()
+            walk.another_file()
+            shutil.copytree(given.capture, work / "measured")
+            measure.all_of_it(screen, blender, work / "measured")
+        finally:
+            screen.shot("last")
+            blender.stop()
+            (given.output / "blender.log").write_bytes(blender.log.read_bytes())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
