@@ -18,8 +18,8 @@ POLL_S = 0.05
 """How long Escape may go unnoticed. Larger, and Blender seems to hang; smaller, and asking takes time from rendering."""
 
 
-said: dict[str, str] = {}
-"""Why the last picture of a scene couldn't be rendered."""
+said: dict[str, tuple[int, str]] = {}
+"""Why the last picture of a scene couldn't be rendered, and at which frame."""
 
 
 class StlfrEngine(bpy.types.RenderEngine):
@@ -67,7 +67,7 @@ class StlfrEngine(bpy.types.RenderEngine):
         except (BadInputError, FailureError) as error:
             # Nothing is written then. With `error_set` the sentence would be said twice. In a small window
             # of a render it is cut off: the render properties show all of it.
-            said[scene.name] = str(error)
+            said[scene.name] = (scene.frame_current, str(error))
             self.report({"ERROR"}, str(error))
             return
         assert work.samples is not None

@@ -200,4 +200,5 @@ def unregister() -> None:
     if bpy.app.timers.is_registered(_follow):
         bpy.app.timers.unregister(_follow)
     _followed.clear()
-    hide_progress()
+    # Later: when Blender ends, it has taken its windows down already, and what touches them ends it by a crash.
+    bpy.app.timers.register(hide_progress)

@@ -187,10 +187,10 @@ class STLFR_OT_rig_show(bpy.types.Operator):
     @reported
     def execute(self, context: Any) -> Result:
         rig_objects.select(context.view_layer, rig_objects.all_of(context.scene))
-        if context.region is not None and context.region.type != "WINDOW":
+        if context.area is not None and context.area.type == "VIEW_3D":
             region = next(r for r in context.area.regions if r.type == "WINDOW")
-            with context.temp_override(region=region):
-                bpy.ops.view3d.view_selected()
+            with context.temp_override(area=context.area, region=region):
+                bpy.ops.view3d.view_selected("EXEC_DEFAULT", use_all_regions=False)
         return {"FINISHED"}
 
 

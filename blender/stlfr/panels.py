@@ -220,8 +220,9 @@ class STLFR_PT_light_field(RenderTab, bpy.types.Panel):
             sentence, is_covered = timing.sentence(scene, folder)
             column.label(text=sentence, icon="NONE" if is_covered else "ERROR")
             column.operator("stlfr.set_range", icon="PREVIEW_RANGE")
-        if scene.name in engine.said:
-            paragraph(layout, context, engine.said[scene.name], "ERROR")
+        frame, sentence = engine.said.get(scene.name, (None, ""))
+        if frame == scene.frame_current:
+            paragraph(layout, context, sentence, "ERROR")
 
 
 class STLFR_PT_methods(RenderTab, bpy.types.Panel):

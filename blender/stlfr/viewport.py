@@ -185,7 +185,7 @@ def _say(region: Any, text: str) -> None:
     blf.size(0, height)
     advance = blf.dimensions(0, "n")[0]
     columns = max(10, int((region.width - 4 * height) / max(1.0, advance)))
-    lines = list(words.wrapped(text, columns))
+    lines = list(words.wrapped(text[:1].upper() + text[1:], columns))
     gpu.state.blend_set("ALPHA")
     blf.enable(0, blf.SHADOW)
     blf.shadow(0, 3, 0.0, 0.0, 0.0, 1.0)

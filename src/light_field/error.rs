@@ -80,7 +80,6 @@ mod tests {
         assert_eq!(
             message(0.266_666_67),
             format!("{around} 0.26666667 s: they cover 0 to 0.266666667 s")
-                .replace("667 s", "67 s")
         );
         assert_eq!(message(-1e-7), format!("{around} -0.0000001 s: they cover 0 to 0.2666667 s"));
         assert_eq!(message(1e300), format!("{around} 1e300 s: they cover 0 to 0.2667 s"));

@@ -60,7 +60,7 @@ def test_no_flag_of_the_filming_script_is_left() -> None:
     flag = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
     for name in ("plan", "truth", "rig", "workers"):
         text = (ROOT / f"blender/stlfr/{name}.py").read_text()
-        for line in re.findall(r'f?"([^"]*--[a-z][^"]*)"', text):
+        for line in re.findall(r'f?"([^"\n]*--[a-z][^"\n]*)"', text):
             said = re.sub(r"\{[^{}]*\}", "3", line)
             left = flag.findall(words.in_blender(said.replace("3x3", "32x24")))
             assert not left, (name, said, words.in_blender(said))
@@ -110,7 +110,7 @@ def test_folders_without_a_capture_say_what_they_hold(tmp_path: Path) -> None:
     options = folders.Options("mine", 9, 1, True, 3, 0)
     blend = folders.begin(tmp_path / "film", rig_content(rig_camera("cam0")), options)
     blend.write_bytes(b"")
-    with pytest.raises(errors.BadInputError, match="isn't finished: .* press Resume"):
+    with pytest.raises(errors.BadInputError, match=r"isn't finished: .* press Resume"):
         fields.must_be_capture(tmp_path / "film")
     assert fields.span_s(tmp_path / "film") is None
 

@@ -113,7 +113,23 @@ def frame() -> list[int]:
     render = scene.render
     snapped = place.snapped(render.resolution_x, render.resolution_y)
     below = top + height - snapped.y - snapped.height
-    return [round(left + snapped.x), round(below), snapped.width, snapped.height]
+    return [
+        round(value)
+        for value in (left + snapped.x, below, snapped.width, snapped.height)
+    ]
+
+
+def one_to_one() -> bool:
+    """A pixel of the camera's picture is a pixel of the 3D view, which shows nothing else."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                region = next(r for r in area.regions if r.type == "WINDOW")
+                with bpy.context.temp_override(window=window, area=area, region=region):
+                    bpy.ops.view3d.zoom_camera_1_to_1()
+                area.spaces.active.overlay.show_overlays = False
+                return True
+    return False
 
 
 def view() -> Any:

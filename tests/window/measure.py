@@ -17,13 +17,13 @@ STEPS = 300
 
 def all_of_it(screen: Screen, blender: Blender, capture: Path) -> None:
     """Print it, and leave screenshots."""
-    screen.move(500, 500)
-    screen.keys("n")
     camera = blender.ask(f"prepare({str(capture)!r})")
     time.sleep(1.0)
     screen.click(1271, 60)
     screen.move(500, 500)
-    screen.keys("KP_0", "shift+KP_Enter", "shift+alt+z")
+    screen.keys("KP_0")
+    time.sleep(1.0)
+    blender.ask("one_to_one()")
     time.sleep(1.0)
     blender.wait("counts()['final'] > 0 and not counts()['busy']")
     print(f"the view of {camera}, 640x480")

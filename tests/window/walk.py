@@ -22,7 +22,8 @@ from driver import HERE, Blender, Screen
 
 OVER_VIEW = (500, 500)
 """A place over the 3D view, that keys go to."""
-SIDEBAR_TAB = (1298, 297)
+SIDEBAR_TAB, SIDEBAR_TAB_LOWER = (1298, 297), (1298, 343)
+"""Lower where an object is selected."""
 CREATE_RIG, SHOW_RIG = (1105, 148), (1089, 174)
 SAMPLES, FILM, CANCEL = (1204, 380), (1165, 479), (1263, 479)
 OFFSETS, COMPARE = (1165, 570), (1165, 792)
@@ -95,6 +96,17 @@ class Walk:
         )
         screen.shot("installed")
         screen.click(970, 72)
+
+    def all_steps(self) -> None:
+        """After the installation."""
+        self.open_scene()
+        self.create_rig()
+        self.film()
+        self.compare()
+        self.render()
+        self.look_around()
+        self.refusals()
+        self.another_file()
 
     def open_scene(self) -> None:
         """Of one's own; the sidebar's tab."""
@@ -269,12 +281,13 @@ class Walk:
         screen.move(*OVER_VIEW)
         screen.keys("n")
         time.sleep(1.0)
-        screen.click(*SIDEBAR_TAB)
+        screen.click(*SIDEBAR_TAB_LOWER)
         time.sleep(1.0)
         screen.shot("new-file-while-filming")
         blender.wait("not job() and part('jobs').ended")
         time.sleep(1.0)
         screen.shot("film-ended")
+        screen.keys("n")
 
 
 def main() -> int:
@@ -284,6 +297,7 @@ def main() -> int:
         parser.add_argument(name, type=Path)
     output = HERE.parents[1] / ".captures" / "window"
     parser.add_argument("-o", dest="output", type=Path, default=output)
+    parser.add_argument("--measure", action="store_true", help="leave the steps out")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="stlfr-window-") as scratch:
         work = Path(scratch)
@@ -292,14 +306,8 @@ def main() -> int:
         walk = Walk(screen, blender)
         try:
             walk.install(given.extension)
-            walk.open_scene()
-            walk.create_rig()
-            walk.film()
-            walk.compare()
-            walk.render()
-            walk.look_around()
-            walk.refusals()
-            walk.another_file()
+            if not given.measure:
+                walk.all_steps()
             shutil.copytree(given.capture, work / "measured")
             measure.all_of_it(screen, blender, work / "measured")
         finally:
