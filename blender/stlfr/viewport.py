@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -161,10 +162,11 @@ def _display_space(engine: Any, scene: Any) -> Iterator[None]:
 def _draw(texture: Any, wanted: Wish) -> None:
     """The part within the border."""
     place = wanted.place.snapped(texture.width, texture.height)
+    is_exact = place is not wanted.place
     part = place.part(wanted.border)
     left, right, bottom, top = wanted.border
     x, y = part.x + part.width, part.y + part.height
-    shader = gpu.shader.from_builtin("IMAGE")
+    shader = _exact() if is_exact else gpu.shader.from_builtin("IMAGE")
     batch = batch_for_shader(
         shader,
         "TRI_FAN",
@@ -175,7 +177,31 @@ def _draw(texture: Any, wanted: Wish) -> None:
     )
     shader.bind()
     shader.uniform_sampler("image", texture)
+    if is_exact:
+        matrix = gpu.matrix.get_projection_matrix() @ gpu.matrix.get_model_view_matrix()
+        shader.uniform_float("ModelViewProjectionMatrix", matrix)
     batch.draw(shader)
+
+
+@functools.cache
+def _exact() -> Any:
+    """A shader that shows texels as they are. Blender's own interpolates, and its pixels lie a hundredth aside."""
+    info = gpu.types.GPUShaderCreateInfo()
+    interface = gpu.types.GPUStageInterfaceInfo("stlfr_exact")
+    interface.smooth("VEC2", "uv")
+    info.push_constant("MAT4", "ModelViewProjectionMatrix")
+    info.sampler(0, "FLOAT_2D", "image")
+    info.vertex_in(0, "VEC2", "pos")
+    info.vertex_in(1, "VEC2", "texCoord")
+    info.vertex_out(interface)
+    info.fragment_out(0, "VEC4", "fragColor")
+    info.vertex_source(
+        "void main() { uv = texCoord; gl_Position = ModelViewProjectionMatrix * vec4(pos, 0.0, 1.0); }"
+    )
+    info.fragment_source(
+        "void main() { fragColor = texelFetch(image, ivec2(uv * vec2(textureSize(image, 0))), 0); }"
+    )
+    return gpu.shader.create_from_info(info)
 
 
 def _say(region: Any, text: str) -> None:
@@ -237,6 +263,7 @@ def register() -> None:
 
 def unregister() -> None:
     """Leave nothing behind."""
+    _exact.cache_clear()
     with contextlib.suppress(ValueError):
         bpy.app.handlers.load_pre.remove(end_all)
     end_all()

@@ -176,7 +176,10 @@ def test_at_once_by_the_fast_method_then_by_the_chosen_one(
 
 
 def test_the_latest_wish_wins(viewer: Any, module: Module) -> None:
-    """What is asked for while a picture is being made is made next, but for all in between; none of them is stale."""
+    """What is asked for while a fast picture is being made is made next, but for all in between.
+
+    The fast picture itself is shown: it is the latest there is.
+    """
     module.go_on.clear()
     viewer.want(request(1.0))
     until(lambda: len(module.asked) == 1)
@@ -184,9 +187,18 @@ def test_the_latest_wish_wins(viewer: Any, module: Module) -> None:
         viewer.want(request(float(time_s)))
     module.go_on.set()
     until(lambda: not viewer.is_busy)
-    assert module.stopped == 1  # the first, at its next step
+    assert module.stopped == 0 and viewer.counts.fast == 2
     assert [time_s for _, time_s, _ in module.asked] == [1.0, 9.0, 9.0]
     assert viewer.picture.request.time_s == 9.0 and viewer.picture.is_final
+
+
+def test_pictures_come_while_changes_come_faster(viewer: Any, module: Module) -> None:
+    """Scrubbing: something changes during every picture, and pictures are seen all the same."""
+    for time_s in range(1, 40):
+        viewer.want(request(float(time_s)))
+        time.sleep(0.01)
+    assert viewer.counts.fast > 5 and viewer.counts.final == 0
+    assert viewer.picture is not None and not viewer.picture.is_final
 
 
 def test_a_full_picture_is_given_up_when_something_changes(

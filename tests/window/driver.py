@@ -137,11 +137,17 @@ class Blender:
         partial = self.work / "ask.partial"
         partial.write_text(question)
         partial.replace(asked)
-        until(answer.exists, f"an answer to {question}")
+        until(lambda: self.must_run() and answer.exists(), f"an answer to {question}")
         reply = json.loads(answer.read_text())
         if "error" in reply:
             raise RuntimeError(f"{question}: {reply['error']}")
         return reply["value"]
+
+    def must_run(self) -> bool:
+        """An error where it has ended."""
+        if self.process is not None and self.process.poll() is not None:
+            raise RuntimeError(f"Blender has ended: {self.log.read_text()[-500:]}")
+        return True
 
     def wait(self, question: str) -> None:
         """Until an expression is true, inside."""

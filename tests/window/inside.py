@@ -58,6 +58,7 @@ def counts() -> dict[str, float]:
         "fast": sum(c.fast_drawn for c in all_counts),
         "final": sum(c.final for c in all_counts),
         "rendered": sum(c.fast for c in all_counts),
+        "took_s": sum(c.fast_took_s for c in all_counts),
         "asked_s": max((c.asked_s for c in all_counts), default=0.0),
         "final_drawn_s": max((c.final_drawn_s for c in all_counts), default=0.0),
         "busy": any(one.is_busy for one in part("viewport")._all),
@@ -117,6 +118,12 @@ def frame() -> list[int]:
         round(value)
         for value in (left + snapped.x, below, snapped.width, snapped.height)
     ]
+
+
+def has_render() -> bool:
+    """Whether F12 has made a picture."""
+    image = bpy.data.images.get("Render Result")
+    return image is not None and image.has_data
 
 
 def one_to_one() -> bool:
