@@ -25,21 +25,6 @@ class Sidebar:
     bl_category = "STLFR"
 
 
-class STLFR_PT_ended(Sidebar, bpy.types.Panel):
-    """What became of work that nobody waited for."""
-
-    bl_label = "Ended"
-
-    @classmethod
-    def poll(cls, _context: Any) -> bool:
-        return bool(jobs.ended)
-
-    def draw(self, context: Any) -> None:
-        for sentence in jobs.ended:
-            paragraph(self.layout, context, sentence, "INFO")
-        self.layout.operator("stlfr.dismiss", icon="CHECKMARK")
-
-
 class STLFR_PT_rig(Sidebar, bpy.types.Panel):
     """The rig and its cameras."""
 
@@ -187,6 +172,21 @@ class STLFR_PT_comparison(Sidebar, bpy.types.Panel):
         column.operator("stlfr.open_report", icon="URL")
 
 
+class STLFR_PT_ended(Sidebar, bpy.types.Panel):
+    """What became of work that nobody waited for."""
+
+    bl_label = "Ended"
+
+    @classmethod
+    def poll(cls, _context: Any) -> bool:
+        return bool(jobs.ended)
+
+    def draw(self, context: Any) -> None:
+        for sentence in jobs.ended:
+            paragraph(self.layout, context, sentence, "INFO")
+        self.layout.operator("stlfr.dismiss", icon="CHECKMARK")
+
+
 class RenderTab:
     """In the render properties, while the engine is `STLFR`."""
 
@@ -305,13 +305,13 @@ def _can_resume(settings: Any) -> bool:
 
 
 CLASSES = (
-    STLFR_PT_ended,
     STLFR_PT_rig,
     STLFR_PT_rig_camera,
     STLFR_PT_film,
     STLFR_UL_offsets,
     STLFR_PT_offsets,
     STLFR_PT_comparison,
+    STLFR_PT_ended,
     STLFR_PT_light_field,
     STLFR_PT_methods,
     STLFR_PT_trails,

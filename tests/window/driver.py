@@ -66,10 +66,10 @@ class Screen:
     def drag(
         self, start: tuple[float, float], moves: list[tuple[int, int]], button: int = 1
     ) -> None:
-        """Press, move in steps of 1/60 s, let go."""
+        """Press, move in steps of 1/30 s, let go."""
         steps: list[object] = []
         for x, y in moves:
-            steps += ["mousemove_relative", "--", x, y, "sleep", 1 / 60]
+            steps += ["mousemove_relative", "--", x, y, "sleep", 1 / 30]
         x, y = (round(value) for value in start)
         self.do(
             "xdotool",
@@ -123,7 +123,7 @@ class Blender:
         if self.process is None:
             return
         (self.work / "ask").write_text(
-            "bpy.app.timers.register(bpy.ops.wm.quit_blender) or True"
+            "bpy.app.timers.register(lambda: bpy.ops.wm.quit_blender() and None)"
         )
         try:
             self.process.wait(30.0)
@@ -161,11 +161,11 @@ class Blender:
     def click(self, area: str, region: str, x: float, y: float) -> None:
         self.screen.click(*self.spot(area, region, x, y))
 
-    def click_until(self, place: tuple[str, str, float, float], question: str) -> None:
-        """Click at a spot until it has done what it does: a slow window may not have heard the first click."""
+    def press(self, place: tuple[float, float], question: str) -> None:
+        """Click until it has done what it does: a busy window may not have heard the first click."""
         for _ in range(5):
-            self.click(*place)
-            for _ in range(10):
+            self.screen.click(*place)
+            for _ in range(15):
                 if self.ask(question):
                     return
                 time.sleep(0.3)
@@ -180,8 +180,11 @@ class Blender:
         self.screen.type(name)
         self.screen.keys("Return")
         time.sleep(1.0)
-        self.click("FILE_BROWSER", "EXECUTE", -60, 20)
-        time.sleep(2.0)
+        for _ in range(5):
+            if not self.ask("'FILE_BROWSER' in all_areas()"):
+                return
+            self.click("FILE_BROWSER", "EXECUTE", -60, 20)
+            time.sleep(2.0)
 
 
 def until(is_done: Callable[[], bool], what: str) -> None:

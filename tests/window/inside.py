@@ -120,6 +120,23 @@ def frame() -> list[int]:
     ]
 
 
+def last_operator() -> str:
+    """What was pressed last."""
+    operators = bpy.context.window_manager.operators
+    return operators[-1].bl_idname if operators else ""
+
+
+def lose_a_clock() -> bool:
+    """Show the first camera's clock as one that can't be known."""
+    settings = bpy.context.scene.stlfr
+    settings.offsets[0].is_known = False
+    settings.offsets[
+        0
+    ].reason = "nothing that moves in its frames is seen by another camera whose clock is known"
+    settings.offset_index = 0
+    return True
+
+
 def has_render() -> bool:
     """Whether F12 has made a picture."""
     image = bpy.data.images.get("Render Result")

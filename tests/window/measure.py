@@ -11,15 +11,15 @@ from driver import Blender, Screen
 
 F12 = 96
 """The key's number: by its name, it arrives with Alt held."""
-STEPS = 300
-"""How many moves of the pointer, 60 a second, a drag has. Longer takes longer; shorter, and the first picture counts more."""
+STEPS = 200
+"""How many moves of the pointer, 30 a second, a drag has. Longer takes longer; shorter, and the first picture counts more."""
 
 
 def all_of_it(screen: Screen, blender: Blender, capture: Path) -> None:
     """Print it, and leave screenshots."""
     camera = blender.ask(f"prepare({str(capture)!r})")
     time.sleep(1.0)
-    screen.click(1271, 60)
+    blender.press((1271, 60), "view()[1].shading.type == 'RENDERED'")
     screen.move(500, 500)
     screen.keys("KP_0")
     time.sleep(1.0)
@@ -66,7 +66,7 @@ def scrub(screen: Screen, blender: Blender) -> None:
     screen.keys("Home")
     time.sleep(2.0)
     blender.wait("not counts()['busy']")
-    timed(screen, blender, "scrubbing", ((x, y), [(3, 0)] * STEPS, 1))
+    timed(screen, blender, "scrubbing", ((x, y), [(5, 0)] * STEPS, 1))
 
 
 Drag = tuple[tuple[float, float], list[tuple[int, int]], int]

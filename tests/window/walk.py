@@ -82,8 +82,8 @@ class Walk:
         time.sleep(3.0)
         blender.wait("'PREFERENCES' in str(all_areas())")
         time.sleep(2.0)
-        blender.click_until(
-            ("PREFERENCES", "UI", 60, 206),
+        blender.press(
+            blender.spot("PREFERENCES", "UI", 60, 206),
             "bpy.context.preferences.active_section == 'EXTENSIONS'",
         )
         time.sleep(2.0)
@@ -137,7 +137,7 @@ class Walk:
             "len(part('rig_objects').members(bpy.context.scene, 'CAMERA')) == 4"
         )
         screen.shot("rig")
-        screen.click(*SHOW_RIG)
+        blender.press(SHOW_RIG, "last_operator() == 'STLFR_OT_rig_show'")
         time.sleep(2.0)
         screen.shot("rig-shown")
         screen.keys("ctrl+z")
@@ -147,15 +147,14 @@ class Walk:
         """Cancelled and resumed."""
         screen, blender = self.screen, self.blender
         screen.enter(*SAMPLES, "1")
-        screen.click(*FILM)
+        blender.press(FILM, "job() == 'Filming'")
         blender.wait("part('jobs').running().progress.done > 3")
         screen.shot("filming")
-        screen.click(*CANCEL)
-        blender.wait("not job()")
+        blender.press(CANCEL, "not job()")
         time.sleep(1.0)
         screen.shot("cancelled")
-        screen.click(FILM[0] + 50, FILM[1])  # Resume stands at the right
-        blender.wait("job() == 'Filming'")
+        resume = (FILM[0] + 50, FILM[1])  # at the right
+        blender.press(resume, "job() == 'Filming'")
         blender.wait("not job()")
         time.sleep(1.5)
         screen.shot("filmed")
@@ -163,18 +162,20 @@ class Walk:
     def compare(self) -> None:
         """Offsets, the comparison, and back."""
         screen, blender = self.screen, self.blender
-        screen.click(*OFFSETS)
-        blender.wait("len(bpy.context.scene.stlfr.offsets) == 4")
+        known = "len(bpy.context.scene.stlfr.offsets) == 4"
+        blender.press(OFFSETS, f"job() or {known}")
+        blender.wait(f"not job() and {known}")
         time.sleep(1.0)
         screen.shot("offsets")
-        screen.click(*COMPARE)
-        blender.wait("job() == 'Comparing'")
+        blender.press(COMPARE, "job() == 'Comparing'")
         screen.shot("comparing")
         blender.wait("not job() and len(bpy.data.scenes) == 3")
         time.sleep(4.0)
         screen.shot("comparison")
-        screen.click(*LAYOUT)
-        time.sleep(2.0)
+        blender.press(
+            LAYOUT, "bpy.context.window_manager.windows[0].workspace.name == 'Layout'"
+        )
+        time.sleep(1.0)
 
     def render(self) -> None:
         """The engine, F12 at the first frame, the range, an animation."""
@@ -189,8 +190,7 @@ class Walk:
         screen.move(*OVER_VIEW)
         screen.keys(measure.F12)
         self.rendered("f12")
-        screen.click(*SET_RANGE)
-        blender.wait("bpy.context.scene.frame_end < 20")
+        blender.press(SET_RANGE, "bpy.context.scene.frame_end < 20")
         screen.move(*OVER_VIEW)
         screen.shot("range")
         blender.ask("setattr(bpy.context.scene.render, 'filepath', '//animation/')")
@@ -213,7 +213,7 @@ class Walk:
     def look_around(self) -> None:
         """Rendered shading: through the camera, scrubbed, freely, refused, outside of the film, with a border."""
         screen, blender = self.screen, self.blender
-        screen.click(*RENDERED)
+        blender.press(RENDERED, "view()[1].shading.type == 'RENDERED'")
         screen.move(*OVER_VIEW)
         screen.keys("KP_0")
         self.at_rest("camera-view")
@@ -251,8 +251,12 @@ class Walk:
         self.screen.shot(name)
 
     def refusals(self) -> None:
-        """An orthographic camera of the rig; an unfinished and an empty folder."""
+        """An unknown clock, an orthographic camera of the rig, a folder without a capture."""
         screen, blender = self.screen, self.blender
+        blender.ask("lose_a_clock()")
+        screen.move(*SIDEBAR_TAB)
+        time.sleep(1.0)
+        screen.shot("unknown-clock")
         blender.ask("setattr(bpy.data.cameras['cam0'], 'type', 'ORTHO')")
         blender.ask("setattr(bpy.context.scene.stlfr, 'film_folder', '//again')")
         screen.click(*FILM)
@@ -268,8 +272,7 @@ class Walk:
     def another_file(self) -> None:
         """A new file while filming: the film goes on, and its end is said."""
         screen, blender = self.screen, self.blender
-        screen.click(*FILM)
-        blender.wait("job() == 'Filming'")
+        blender.press(FILM, "job() == 'Filming'")
         screen.move(*OVER_VIEW)
         screen.keys("ctrl+s")
         time.sleep(2.0)
