@@ -212,6 +212,18 @@ def test_a_missing_module_is_one_sentence(
         wheel.require(MANIFEST)
 
 
+def must_be_offsets(found: dict[str, Any]) -> None:
+    """Of three cameras, each known or with a reason."""
+    assert [o["id"] for o in found["offsets"]] == ["cam0", "cam1", "cam2"]
+    for offset in found["offsets"]:
+        assert offset["known"] != bool(offset["reason"])
+    assert found["offsets"][1]["known"] and found["offsets"][1]["offset_s"] == 0
+    unknown = [o["id"] for o in found["offsets"] if not o["known"]]
+    kind, sentence = found["report"]
+    assert kind == ("WARNING" if unknown else "INFO")
+    assert all(camera in sentence for camera in unknown)
+
+
 def test_from_rig_to_picture(blender_user: Path, program: Path, tmp_path: Path) -> None:
     """A rig, a film that is cancelled and resumed, offsets, and F12: what `stlfr render` writes."""
     found = step(blender_user, "film", tmp_path)
@@ -249,15 +261,7 @@ def test_from_rig_to_picture(blender_user: Path, program: Path, tmp_path: Path) 
         and re.match(r"Covered: frames (0\.\d|1) to [1-9]", sentence)
     )
 
-    # Offsets
-    assert [o["id"] for o in found["offsets"]] == ["cam0", "cam1", "cam2"]
-    for offset in found["offsets"]:
-        assert offset["known"] != bool(offset["reason"])
-    assert found["offsets"][1]["known"] and found["offsets"][1]["offset_s"] == 0
-    unknown = [o["id"] for o in found["offsets"] if not o["known"]]
-    kind, sentence = found["report"]
-    assert kind == ("WARNING" if unknown else "INFO")
-    assert all(camera in sentence for camera in unknown)
+    must_be_offsets(found)
 
     # What is shown
     for text in (

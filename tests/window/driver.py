@@ -175,11 +175,14 @@ class Blender:
         """In Blender's file view."""
         self.wait("'FILE_BROWSER' in all_areas()")
         time.sleep(1.0)
-        self.click("FILE_BROWSER", "EXECUTE", 200, 20)
-        self.screen.keys("ctrl+a")
-        self.screen.type(name)
-        self.screen.keys("Return")
-        time.sleep(1.0)
+        for _ in range(5):
+            self.click("FILE_BROWSER", "EXECUTE", 200, 20)
+            self.screen.keys("ctrl+a")
+            self.screen.type(name)
+            self.screen.keys("Return")
+            time.sleep(1.0)
+            if self.ask(f"file_name() in ('', {name!r})"):
+                break
         for _ in range(5):
             if not self.ask("'FILE_BROWSER' in all_areas()"):
                 return

@@ -120,6 +120,15 @@ def frame() -> list[int]:
     ]
 
 
+def file_name() -> str:
+    """What the file view's field holds; empty where there is no file view."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "FILE_BROWSER":
+                return area.spaces.active.params.filename or "nothing"
+    return ""
+
+
 def last_operator() -> str:
     """What was pressed last."""
     operators = bpy.context.window_manager.operators
