@@ -394,10 +394,10 @@ def test_comparing_is_the_command_lines(own_capture: Path, program: Path) -> Non
 
 def test_comparing_replaces_nothing_of_anybody_elses(own_capture: Path) -> None:
     (own_capture / "truth").rename(own_capture / "away")
-    with pytest.raises(ValueError, match="has no truth/truth.json to compare with"):
+    with pytest.raises(ValueError, match=r"has no truth/truth\.json to compare with"):
         stlfr.compare(own_capture)
     (own_capture / "away").rename(own_capture / "truth")
     shutil.rmtree(own_capture / "review", ignore_errors=True)
     (own_capture / "review/report.html").mkdir(parents=True)
-    with pytest.raises(ValueError, match="report.html"):
+    with pytest.raises(ValueError, match=r"report\.html"):
         stlfr.compare(own_capture)

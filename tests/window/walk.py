@@ -146,15 +146,16 @@ class Walk:
     def film(self) -> None:
         """Cancelled and resumed."""
         screen, blender = self.screen, self.blender
-        screen.enter(*SAMPLES, "1")
+        screen.enter(*SAMPLES, "8")
         blender.press(FILM, "job() == 'Filming'")
-        blender.wait("part('jobs').running().progress.done > 3")
-        screen.shot("filming")
+        blender.wait("part('jobs').running().progress.done > 0")
         blender.press(CANCEL, "not job()")
         time.sleep(1.0)
         screen.shot("cancelled")
-        resume = (FILM[0] + 50, FILM[1])  # at the right
-        blender.press(resume, "job() == 'Filming'")
+        if blender.ask("part('filming').is_begun(part('paths').absolute('//capture'))"):
+            resume = (FILM[0] + 50, FILM[1])  # at the right
+            blender.press(resume, "job() == 'Filming'")
+            screen.shot("filming")
         blender.wait("not job()")
         time.sleep(1.5)
         screen.shot("filmed")
