@@ -76,7 +76,7 @@ class StlfrEngine(bpy.types.RenderEngine):
     def _wait(self, work: _Work) -> None:
         """Until the work has ended, or the user has had enough of it.
 
-        What is being rendered then ends by itself, unseen: an instant can't be interrupted.
+        What is being rendered then ends at its next step, unseen.
         """
         work.start()
         while not work.ended.wait(POLL_S):

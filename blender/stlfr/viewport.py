@@ -228,7 +228,9 @@ def redraw() -> None:
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D" and area.spaces.active.shading.type == "RENDERED":
-                area.tag_redraw()
+                for region in area.regions:  # the others cost as much as the view
+                    if region.type == "WINDOW":
+                        region.tag_redraw()
 
 
 def _follow() -> None:
@@ -251,8 +253,6 @@ def end_all(*_: Any) -> None:
     """Another file is opened, or the extension goes: nothing comes any more."""
     for one in list(_all):
         one.close()
-    for one in list(_all):
-        one.close(live.PATIENCE_S)
     fields.close()
 
 
@@ -267,5 +267,7 @@ def unregister() -> None:
     with contextlib.suppress(ValueError):
         bpy.app.handlers.load_pre.remove(end_all)
     end_all()
+    for one in list(_all):
+        one.close(live.PATIENCE_S)  # Python may end after this, with no thread running
     if bpy.app.timers.is_registered(_poll):
         bpy.app.timers.unregister(_poll)
