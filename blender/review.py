@@ -1,268 +1,53 @@
 """Lay out a comparison in Blender's sequence editor: review.json to review.blend.
 
-Run as `python -I blender/review.py REVIEW/review.json`. Each reel (the video, new views, filming
-cameras) becomes a scene: truth, traditional LFR, ST-LFR and their difference in a 2 x 2 layout, each in
-a channel of its own with its label above it, a marker at every shot. The difference is |truth - ST-LFR|
-times a gain, computed by the sequencer, so that the gain can be changed there. An error is one
-sentence on stderr, with exit code 2 for bad input and 1 for a failure.
+Run as `python -I blender/review.py REVIEW/review.json`. Each reel (the video, new views, filming cameras)
+becomes a scene, as `stlfr/reels.py` lays it out. An error is one sentence on stderr, with exit code 2 for
+bad input and 1 for a failure.
 """
 
 from __future__ import annotations
 
-import json
+import importlib
+import importlib.util
 import sys
-from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import bpy
 
-GAP_PX = 8
-"""Between two pictures side by side. Larger wastes the frame; at 0 nobody sees where one ends."""
 
-LABEL_PX = 28
-"""The height above a picture that its label has. Larger wastes the frame; smaller, and text of 18 px covers
-the pictures."""
-
-MIN_PANEL_PX = 480
-"""Narrower pictures are enlarged by whole factors, so pixels stay square. Larger, and the sequence plays and
-renders more slowly; smaller, and labels no longer fit above their pictures."""
-
-BACKGROUND_CHANNEL = 1
-QUADRANTS = {
-    "truth": (0, 0),
-    "traditional": (1, 0),
-    "space_time": (0, 1),
-    "diff": (1, 1),
-}
-"""Column and row, from the top left."""
-
-CHANNELS = {"truth": 2, "traditional": 3, "space_time": 4, "diff": 5}
-CHANNEL_NAMES = {
-    "truth": "Truth",
-    "traditional": "Traditional LFR",
-    "space_time": "ST-LFR",
-    "diff": "Difference",
-}
-FIRST_LABEL_CHANNEL = 7
-"""Above the pictures' channels, so that labels are drawn over them."""
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Where the four pictures stand. Offsets are pixels from the middle, y up."""
-
-    panel_px: tuple[int, int]
-
-    @property
-    def cell_px(self) -> tuple[int, int]:
-        return (self.panel_px[0] + GAP_PX, self.panel_px[1] + LABEL_PX)
-
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """Even, as encoders want it."""
-        width, height = (2 * side + GAP_PX for side in self.cell_px)
-        return (width + width % 2, height + height % 2)
-
-    def middle_px(self, panel: str) -> tuple[float, float]:
-        """The middle of a panel's picture."""
-        column, row = QUADRANTS[panel]
-        x = (column - 0.5) * self.cell_px[0]
-        y = (0.5 - row) * self.cell_px[1] - LABEL_PX / 2
-        return (x, y)
-
-    def label_at(self, panel: str) -> tuple[float, float]:
-        """The left end of a panel's label, in shares of the frame."""
-        x, y = self.middle_px(panel)
-        left = x - self.panel_px[0] / 2
-        above = y + self.panel_px[1] / 2 + LABEL_PX / 2
-        return (0.5 + left / self.size_px[0], 0.5 + above / self.size_px[1])
-
-
-@dataclass(frozen=True)
-class Panel:
-    """One picture of a shot."""
-
-    title: str
-    file: Path
-
-
-@dataclass(frozen=True)
-class Shot:
-    """Pictures of one view that stand side by side for some frames."""
-
-    label: str
-    start: int
-    frames: int
-    is_movie: bool
-    panels: dict[str, Panel]
-    """By quadrant, those that there are: `truth`, `traditional`, `space_time`."""
-
-
-def read_shots(entries: list[dict[str, Any]], folder: Path) -> list[Shot]:
-    """The shots of a reel as review.json in `folder` lists them, one after the other from frame 1 on."""
-    shots, start = [], 1
-    for entry in entries:
-        panels = {}
-        if entry["truth"] is not None:
-            panels["truth"] = Panel("Truth", folder / entry["truth"])
-        for name in ("traditional", "space_time"):
-            if (panel := entry[name]) is not None:
-                panels[name] = Panel(panel["title"], folder / panel["file"])
-        frames = entry["frames"]
-        shots.append(Shot(entry["label"], start, frames, entry["is_movie"], panels))
-        start += frames
-    return shots
-
-
-def picture_strip(strips: Any, name: str, file: Path, channel: int, shot: Shot) -> Any:
-    """A still or a movie, as long as its shot."""
-    new = strips.new_movie if shot.is_movie else strips.new_image
-    strip = new(name, str(file), channel, shot.start, fit_method="ORIGINAL")
-    strip.frame_final_duration = shot.frames
-    return strip
-
-
-def place(strip: Any, grid: Grid, panel: str) -> None:
-    """Put a picture into its quadrant, enlarged without smoothing."""
-    element = strip.elements[0]
-    scale = min(
-        grid.panel_px[0] / max(1, element.orig_width),
-        grid.panel_px[1] / max(1, element.orig_height),
+def load_extension() -> None:
+    """Import the folder stlfr/ as `stlfr_extension`: `stlfr` is the compiled module's name."""
+    folder = Path(__file__).resolve().parent / "stlfr"
+    spec = importlib.util.spec_from_file_location(
+        "stlfr_extension",
+        folder / "__init__.py",
+        submodule_search_locations=[str(folder)],
     )
-    strip.transform.scale_x = strip.transform.scale_y = scale
-    strip.transform.offset_x, strip.transform.offset_y = grid.middle_px(panel)
-    strip.transform.filter = "NEAREST"
+    assert spec is not None and spec.loader is not None
+    package = importlib.util.module_from_spec(spec)
+    sys.modules["stlfr_extension"] = package
+    spec.loader.exec_module(package)
 
 
-def label(
-    strips: Any, text: str, at: tuple[float, float], channel: int, shot: Shot
-) -> None:
-    """White text, as long as its shot; `at` is the left end of its middle line."""
-    strip = strips.new_effect(
-        text[:60], "TEXT", channel, shot.start, length=shot.frames
-    )
-    strip.text, strip.font_size = text, 18.0
-    strip.location = at
-    strip.anchor_x, strip.anchor_y, strip.alignment_x = "LEFT", "CENTER", "LEFT"
-    strip.color = (0.9, 0.9, 0.9, 1.0)
-    strip.blend_type = "ALPHA_OVER"
-
-
-def add_shot(strips: Any, shot: Shot, grid: Grid, gain: float) -> None:
-    """One shot: up to four pictures and their labels."""
-    for name, panel in shot.panels.items():
-        title = f"{panel.title}: {shot.label}"[:60]
-        strip = picture_strip(strips, title, panel.file, CHANNELS[name], shot)
-        strip.blend_type = "ALPHA_OVER"
-        place(strip, grid, name)
-    titles = {
-        name: f"{panel.title}    {shot.label}" for name, panel in shot.panels.items()
-    }
-    if "truth" in shot.panels and "space_time" in shot.panels:
-        add_difference(strips, shot, grid, gain)
-        titles["diff"] = f"|Truth - ST-LFR| x {gain:g}"
-    for channel, (name, title) in enumerate(titles.items(), FIRST_LABEL_CHANNEL):
-        label(strips, title, grid.label_at(name), channel, shot)
-
-
-def add_difference(strips: Any, shot: Shot, grid: Grid, gain: float) -> None:
-    """A meta strip of both pictures, the upper one blended as a difference; the gain is the meta's."""
-    meta = strips.new_meta(
-        f"Difference: {shot.label}"[:60], CHANNELS["diff"], shot.start
-    )
-    for channel, name in enumerate(("truth", "space_time"), start=1):
-        panel = shot.panels[name]
-        title = f"{panel.title} (difference)"
-        strip = picture_strip(meta.strips, title, panel.file, channel, shot)
-        strip.blend_type = "DIFFERENCE" if channel == 2 else "REPLACE"
-        place(strip, grid, "diff")
-    meta.frame_final_duration = shot.frames
-    meta.color_multiply = gain
-    meta.blend_type = "ALPHA_OVER"
-
-
-def add_reel(scene: Any, folder: Path, reel: dict[str, Any], gain: float) -> None:
-    """A scene of all the shots of a reel, one after the other."""
-    shots = read_shots(reel["shots"], folder)
-    sizes = [
-        picture_size(panel.file) for shot in shots for panel in shot.panels.values()
-    ]
-    width, height = (max(side) for side in zip(*sizes, strict=True))
-    scale = -(-MIN_PANEL_PX // width)
-    grid = Grid((width * scale, height * scale))
-    configure(scene, reel["rate_hz"], grid)
-    editor = scene.sequence_editor_create()
-    total = sum(shot.frames for shot in shots)
-    ground = editor.strips.new_effect(
-        "Background", "COLOR", BACKGROUND_CHANNEL, 1, length=total
-    )
-    ground.color = (0.09, 0.09, 0.09)
-    for shot in shots:
-        add_shot(editor.strips, shot, grid, gain)
-        scene.timeline_markers.new(shot.label[:60], frame=shot.start)
-    scene.frame_start, scene.frame_end = 1, total
-    scene.frame_set(1)
-    for panel, channel in CHANNELS.items():
-        editor.channels[channel].name = CHANNEL_NAMES[panel]
-    editor.channels[BACKGROUND_CHANNEL].name = "Background"
-
-
-def picture_size(path: Path) -> tuple[int, int]:
-    """Width and height of an image or a movie."""
-    if path.suffix == ".png":
-        image = bpy.data.images.load(str(path))
-        size = (image.size[0], image.size[1])
-        bpy.data.images.remove(image)
-    else:
-        clip = bpy.data.movieclips.load(str(path))
-        size = (clip.size[0], clip.size[1])
-        bpy.data.movieclips.remove(clip)
-    if min(size) < 1:
-        raise ValueError(f"{path}: can't be read as a picture")
-    return size
-
-
-def configure(scene: Any, rate_hz: float, grid: Grid) -> None:
-    """Size, rate and colours: pixels are shown as their files hold them."""
-    render = scene.render
-    render.resolution_x, render.resolution_y = grid.size_px
-    render.resolution_percentage = 100
-    rate = Fraction(rate_hz).limit_denominator(1001)
-    whole = max(1, round(rate))
-    render.fps, render.fps_base = whole, float(whole / rate)
-    render.use_sequencer, render.dither_intensity = True, 0.0
-    scene.display_settings.display_device = "sRGB"
-    scene.sequencer_colorspace_settings.name = "sRGB"
-    view = scene.view_settings
-    view.view_transform, view.look = "Standard", "None"
-    view.exposure, view.gamma = 0.0, 1.0
+load_extension()
+errors = importlib.import_module("stlfr_extension.errors")
+reels = importlib.import_module("stlfr_extension.reels")
 
 
 def build(layout_file: Path) -> Path:
     """Write review.blend beside review.json."""
-    layout = json.loads(layout_file.read_text(encoding="utf-8"))
-    folder = layout_file.resolve().parent
-    if layout.get("format") != "stlfr-review" or layout.get("version") != 1:
-        raise ValueError(f"{layout_file}: is no stlfr-review of version 1")
+    reels.read_layout(layout_file)
     bpy.ops.wm.read_homefile(app_template="Video_Editing", use_factory_startup=True)
-    scenes = list(bpy.data.scenes)
-    for reel in layout["reels"]:
-        add_reel(
-            bpy.data.scenes.new(reel["name"]), folder, reel, layout["difference_gain"]
-        )
-    if not layout["reels"]:
-        raise ValueError(f"{layout_file}: reels is empty, so there is nothing to show")
-    first = bpy.data.scenes[layout["reels"][0]["name"]]
+    others = list(bpy.data.scenes)
+    first = reels.add_all(layout_file)[0]
     for window in bpy.context.window_manager.windows:
         window.scene = first
     for workspace in bpy.data.workspaces:
         workspace.sequencer_scene = first
-    for scene in scenes:
+    for scene in others:
         bpy.data.scenes.remove(scene)
-    target = folder / "review.blend"
-    partial = folder / f".{target.name}.partial.blend"
+    target = layout_file.resolve().parent / "review.blend"
+    partial = target.with_name(f".{target.name}.partial.blend")
     bpy.context.preferences.filepaths.save_version = 0
     bpy.ops.wm.save_as_mainfile(
         filepath=str(partial), compress=True, relative_remap=False
@@ -282,7 +67,7 @@ def main() -> int:
         return 2
     try:
         build(Path(sys.argv[1]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (errors.BadInputError, OSError, ValueError, KeyError, TypeError) as error:
         print(error, file=sys.stderr)
         return 2
     except RuntimeError as error:

@@ -127,7 +127,8 @@
 //! ```
 //!
 //! `stlfr.methods()` lists the methods of each stage. `capture.render(..., proceed=f)` calls
-//! `f(done, total)` before every instant, and stops if it returns something false.
+//! `f(done, total)` before every step of every instant, and stops if it returns something false.
+//! `capture.moment(0.1).view(camera)` renders many views of one instant, what they share but once.
 //!
 //! # Conventions
 //!

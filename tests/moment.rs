@@ -98,3 +98,13 @@ fn outside_of_the_recording_there_is_no_moment() {
     let error = field.moment(10.0, &ViewOptions::default()).map(drop).unwrap_err();
     assert!(error.to_string().contains("no camera has frames around"), "{error}");
 }
+
+#[test]
+fn a_moment_can_keep_its_light_field() {
+    let (_folder, field) = filmed();
+    let time_s = 2.1 / 30.0 - field.capture().time_origin_s;
+    let (options, target) = (Preset::Draft.options().view(), &places(&field)[0]);
+    let expected = field.view(target, time_s, &options).unwrap();
+    let moment = Arc::new(field).shared_moment(time_s, &options).unwrap();
+    assert!(moment.view(target).unwrap() == expected);
+}

@@ -51,6 +51,7 @@ fn formatting_and_lints() {
             "blender",
             "tests/bench",
             "tests/python",
+            "tests/window",
         ]));
     }
 }

@@ -23,17 +23,20 @@ The extension and the headless scripts (`capture.py`, `check.py`) share these mo
 Of the extension alone:
 
 - `engine`: the render engine `STLFR`
+- `viewport`: its `Rendered` shading; `live` renders for it, `viewpoint` is the region's camera
 - `view`: which image of the light field a frame of the scene shows
-- `fields`: the capture that is open
-- `properties`, `panels`, `operators`: what the user sees and presses
+- `fields`: the capture that is open; `timing`: which scene frames it covers
+- `properties`, `panels`, `operators`, `comparison`: what the user sees and presses
+- `reels`: a comparison as scenes of strips
+- `words`: sentences in the panels' words
 - `rig_objects`: a rig file as camera objects, and back
 - `filming`: what lies in a folder that is being filmed into
-- `jobs`: long work in a process of its own; `estimate` is one
+- `jobs`: long work in a process of its own; `estimate` and `compare` are some, `long_work` their operators
 - `paths`: `//` and what is absolute
 - `wheel`: the compiled module has to be this extension's
 
-`film`, `scenes`, and of the extension `engine`, `properties`, `panels`, `operators`,
-`paths` and `rig_objects` import `bpy`; everything else starts at once and tests anywhere. Importing this
+`film`, `scenes`, and of the extension `comparison`, `engine`, `long_work`, `operators`, `panels`, `paths`,
+`properties`, `reels`, `rig_objects` and `viewport` import `bpy`; everything else starts at once and tests anywhere. Importing this
 package registers nothing and imports none of them.
 """
 
@@ -45,17 +48,26 @@ def register() -> None:
     from . import wheel
 
     wheel.require()
-    from . import engine, operators, panels, properties
+    from . import comparison, engine, operators, panels, properties
 
-    for module in (properties, operators, panels, engine):
+    for module in (properties, operators, comparison, panels, engine):
         module.register()
 
 
 def unregister() -> None:
     """Blender disables the extension: work under way is ended, and nothing is left."""
-    from . import engine, fields, jobs, operators, panels, properties
+    from . import (
+        comparison,
+        engine,
+        fields,
+        jobs,
+        long_work,
+        operators,
+        panels,
+        properties,
+    )
 
     jobs.end_all()
-    fields.close()
-    for module in (engine, panels, operators, properties):
+    for module in (long_work, engine, panels, comparison, operators, properties):
         module.unregister()
+    fields.close()

@@ -1,14 +1,16 @@
-"""The render engine `STLFR`: F12 renders the scene camera's view of the light field."""
+"""The render engine `STLFR`: F12 renders the scene camera's view of the light field, `Rendered` shading the viewport's."""
 
 from __future__ import annotations
 
 import threading
+import weakref
 from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.app.handlers import persistent
 
-from . import fields, view
+from . import fields, view, viewport
 from .errors import BadInputError, FailureError
 from .paths import absolute
 
@@ -16,12 +18,16 @@ POLL_S = 0.05
 """How long Escape may go unnoticed. Larger, and Blender seems to hang; smaller, and asking takes time from rendering."""
 
 
+said: dict[str, tuple[int, str]] = {}
+"""Why the last picture of a scene couldn't be rendered, and at which frame."""
+
+
 class StlfrEngine(bpy.types.RenderEngine):
     """Renders the chosen capture's light field from the scene's camera, at the scene's time.
 
     The picture is scene-linear: under the view transform `Standard`, without a look and without
     dither, it is what `stlfr render` writes. Pixels that no camera sees are transparent.
-    Known limits: final renders only, perspective cameras, one eye, no depth of field.
+    Known limits: perspective cameras and views, one eye, no depth of field.
     """
 
     bl_idname = "STLFR"
@@ -29,8 +35,26 @@ class StlfrEngine(bpy.types.RenderEngine):
     bl_use_preview = False
     bl_use_eevee_viewport = True
 
+    _viewport: viewport.Viewport | None = None
+
+    def view_update(self, context: Any, depsgraph: Any) -> None:
+        """Blender asks for it; what has changed is read when drawing."""
+
+    def view_draw(self, context: Any, depsgraph: Any) -> None:
+        if self._viewport is None:
+            self._viewport = viewport.Viewport()
+            # Not `__del__`: Blender has taken what it would read by then.
+            weakref.finalize(self, self._viewport.close).atexit = False
+        try:
+            capture = capture_folder(depsgraph.scene)
+        except BadInputError as error:
+            self._viewport.refuse(context.region, str(error))
+            return
+        self._viewport.draw(self, context, depsgraph.scene, capture)
+
     def render(self, depsgraph: Any) -> None:
         scene = depsgraph.scene
+        said.pop(scene.name, None)
         try:
             work = _Work(
                 view.request(scene, _camera(self, scene), capture_folder(scene))
@@ -41,7 +65,9 @@ class StlfrEngine(bpy.types.RenderEngine):
         except fields.StoppedError:
             return
         except (BadInputError, FailureError) as error:
-            # Nothing is written then. With `error_set` the sentence would be said twice.
+            # Nothing is written then. With `error_set` the sentence would be said twice. In a small window
+            # of a render it is cut off: the render properties show all of it.
+            said[scene.name] = (scene.frame_current, str(error))
             self.report({"ERROR"}, str(error))
             return
         assert work.samples is not None
@@ -50,7 +76,7 @@ class StlfrEngine(bpy.types.RenderEngine):
     def _wait(self, work: _Work) -> None:
         """Until the work has ended, or the user has had enough of it.
 
-        What is being rendered then ends by itself, unseen: an instant can't be interrupted.
+        What is being rendered then ends at its next step, unseen.
         """
         work.start()
         while not work.ended.wait(POLL_S):
@@ -127,8 +153,38 @@ def _panels() -> list[Any]:
     ]
 
 
+@persistent
+def _show_time(*_: Any) -> None:
+    """After an animation: the properties show the scene's frame again."""
+
+    def redraw() -> None:
+        for window in bpy.context.window_manager.windows:
+            for area in window.screen.areas:
+                if area.type in ("PROPERTIES", "VIEW_3D"):
+                    area.tag_redraw()
+
+    # Blender sets the frame back after it has called this.
+    bpy.app.timers.register(redraw, first_interval=0.1)
+
+
+@persistent
+def _forget(*_: Any) -> None:
+    """Of another file."""
+    said.clear()
+
+
+HANDLERS = {
+    "render_complete": _show_time,
+    "render_cancel": _show_time,
+    "load_post": _forget,
+}
+
+
 def register() -> None:
     """Make it known to Blender."""
+    viewport.register()
+    for name, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, name).append(handler)
     bpy.utils.register_class(StlfrEngine)
     for panel in _panels():
         panel.COMPAT_ENGINES.add(StlfrEngine.bl_idname)
@@ -139,3 +195,6 @@ def unregister() -> None:
     for panel in _panels():
         panel.COMPAT_ENGINES.discard(StlfrEngine.bl_idname)
     bpy.utils.unregister_class(StlfrEngine)
+    for name, handler in HANDLERS.items():
+        getattr(bpy.app.handlers, name).remove(handler)
+    viewport.unregister()

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from . import filming, words
 from .errors import BadInputError
+from .plan import CAPTURE_FILE
 from .view import Request, Samples
 
 if TYPE_CHECKING:
@@ -17,25 +20,68 @@ Stamp = tuple[tuple[int, int], ...]
 
 _lock = threading.Lock()
 _open: tuple[Path, Stamp, stlfr.Capture] | None = None
+_spans: dict[Path, tuple[Stamp, tuple[float, float] | None]] = {}
 
 
 class StoppedError(Exception):
     """The caller asked to stop."""
 
 
+@contextlib.contextmanager
+def _own_errors() -> Iterator[None]:
+    """What the module refuses, as this package's errors."""
+    try:
+        yield
+    except InterruptedError:
+        raise StoppedError from None
+    except ValueError as error:
+        raise BadInputError(words.in_blender(str(error))) from None
+
+
 def render(request: Request, proceed: Callable[[int, int], bool]) -> Samples:
     """The image, as `stlfr render` writes it. Offsets that aren't known yet are estimated, and saved in the capture."""
-    try:
+    with _own_errors():
         return _capture(request.capture).render(
             request.time_s,
             camera=request.camera,
             options=request.options,
             proceed=proceed,
         )
-    except InterruptedError:
-        raise StoppedError from None
-    except ValueError as error:
-        raise BadInputError(str(error)) from None
+
+
+def moment(request: Request) -> stlfr.Moment:
+    """What the views of a request's instant share."""
+    with _own_errors():
+        return _capture(request.capture).moment(request.time_s, options=request.options)
+
+
+def seen(at: stlfr.Moment, request: Request) -> Samples:
+    """A request's image of its instant."""
+    with _own_errors():
+        return at.view(request.camera)
+
+
+def span_s(folder: Path) -> tuple[float, float] | None:
+    """The first and the last time of the reference camera's frames: what is surely covered.
+
+    None where the folder holds no capture.
+    """
+    stamp = _stamp(folder)
+    known = _spans.get(folder)
+    if known is None or known[0] != stamp:
+        known = (stamp, _find_span_s(folder))
+        _spans[folder] = known
+    return known[1]
+
+
+def _find_span_s(folder: Path) -> tuple[float, float] | None:
+    try:
+        with _own_errors():
+            capture = _capture(folder)
+            times_s = capture.times(capture.reference)
+    except BadInputError:
+        return None
+    return float(times_s[0]), float(times_s[-1])
 
 
 def close() -> None:
@@ -43,6 +89,22 @@ def close() -> None:
     global _open
     with _lock:
         _open = None
+        _spans.clear()
+
+
+def must_be_capture(folder: Path) -> None:
+    """Refuse a folder that holds none, and say what it holds instead."""
+    if (folder / CAPTURE_FILE).is_file():
+        return
+    if not folder.exists():
+        raise BadInputError(f"there is no folder {folder}")
+    if filming.is_begun(folder):
+        raise BadInputError(
+            f"the film in {folder} isn't finished: name that folder under Film, and press Resume"
+        )
+    raise BadInputError(
+        f"{folder} holds no capture: film one there, or choose the folder in which {CAPTURE_FILE} lies"
+    )
 
 
 def _capture(folder: Path) -> stlfr.Capture:
@@ -53,13 +115,14 @@ def _capture(folder: Path) -> stlfr.Capture:
     with _lock:
         stamp = _stamp(folder)
         if _open is None or _open[:2] != (folder, stamp):
+            must_be_capture(folder)
             _open = (folder, stamp, stlfr.open(folder))
         return _open[2]
 
 
 def _stamp(folder: Path) -> Stamp:
     states = []
-    for name in ("capture.json", "offsets.json"):
+    for name in (CAPTURE_FILE, "offsets.json"):
         try:
             state = (folder / name).stat()
             states.append((state.st_mtime_ns, state.st_size))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from . import folder, reading, truth
+from . import folder, native, reading, truth
 from . import rig as rigs
 from .errors import BadInputError
 from .plan import CAPTURE_FILE, HIDDEN_FOLDER, PLAN_FILE
@@ -31,6 +31,8 @@ class Options:
     truth: bool
     instants: int
     workers: int
+    lead_s: float = 0.0
+    """How long before the scene's first frame filming begins."""
 
     def blend_copy(self, capture: Path) -> Path:
         """Where the copy of the .blend lies."""
@@ -51,6 +53,25 @@ def begin(capture: Path, rig_content: dict[str, Any], options: Options) -> Path:
     folder.write_json(hidden / RIG_COPY, rig_content)
     folder.write_json(hidden / OPTIONS_COPY, vars(options))
     return options.blend_copy(capture)
+
+
+LEAD_MARGIN_S = 0.001
+"""What the lead has more than the last camera's delay: offsets are estimated, and Blender keeps single precision. Larger
+films what nobody sees; smaller, and the scene's first frame may lie before a camera's first image."""
+
+
+LEAD_FRAMES = 10
+"""Among how many of its frames a camera's first is looked for: some may be lost. More takes longer to draw jitter for;
+fewer, and a camera that loses its first ones is left out."""
+
+
+def lead_s(rig_content: dict[str, Any]) -> float:
+    """How long before the scene's first frame filming begins: every camera has a frame by then."""
+    native.check_rig(rig_content)
+    rig = rigs.from_content(rig_content)
+    shutters = rigs.shutters(rig, LEAD_FRAMES)
+    first_s = [times[0] for s in shutters if (times := s.world_times_s)]
+    return max(0.0, max(first_s, default=0.0) + LEAD_MARGIN_S)
 
 
 def tidy(capture: Path) -> None:
@@ -115,17 +136,30 @@ def command(
 
 
 def finish(capture: Path) -> float:
-    """After the film: remove the scene's copy; gives the time offset at which the light field shows it.
+    """After the film: remove the scene's copy; gives the time offset at which the light field shows it."""
+    options = _options(capture)
+    offset_s = time_offset_s(capture)
+    if options is None or offset_s is None:
+        raise BadInputError(f"{capture} holds no film that was begun here")
+    options.blend_copy(capture).unlink(missing_ok=True)
+    return offset_s
 
-    That is the capture's time at the scene's first frame: minus the world time at which the
-    reference camera's clock reads 0.
+
+def time_offset_s(capture: Path) -> float | None:
+    """The capture's time at the first frame of the scene that was filmed; None where it wasn't filmed from a panel.
+
+    That is how long filming had gone on by then, less the world time at which the reference camera's
+    clock reads 0.
     """
     options = _options(capture)
+    try:
+        rig = rigs.load(capture / HIDDEN_FOLDER / RIG_COPY)
+    except BadInputError:
+        return None
     if options is None:
-        raise BadInputError(f"{capture} holds no film that was begun here")
-    rig = rigs.load(capture / HIDDEN_FOLDER / RIG_COPY)
-    options.blend_copy(capture).unlink(missing_ok=True)
-    return -truth.reference_zero_s(rig, rigs.shutters(rig, options.frames))
+        return None
+    zero_s = truth.reference_zero_s(rig, rigs.shutters(rig, options.frames))
+    return options.lead_s - zero_s
 
 
 def _script() -> Path:

@@ -142,6 +142,9 @@ class Job:
 
 _running: list[Job] = []
 
+ended: list[str] = []
+"""What became of work that ended badly, or whose file was closed meanwhile; the panel shows it."""
+
 
 def running() -> Job | None:
     """The job that runs, if one does: there is one at a time."""

@@ -6,43 +6,28 @@ far it is.
 
 from __future__ import annotations
 
-import contextlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.props import BoolProperty, FloatProperty, IntProperty, StringProperty
+from bpy.props import (
+    BoolProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    StringProperty,
+)
 
 import stlfr
 
-from . import engine, filming, jobs, native, rig_objects
-from .errors import BadInputError, FailureError
+from . import engine, fields, filming, jobs, native, rig_objects, scenes, timing
+from .errors import BadInputError
+from .long_work import LongWork, Result, reported
 from .paths import absolute
+from .properties import FROM_BLEND
 from .rig_objects import shortest
-
-POLL_S = 0.2
-"""The interval at which the panel shows a job's progress. Larger, and it lags; smaller, and Blender redraws its areas
-for nothing."""
-
-Result = set[str]
-
-
-def reported(work: Callable[[Any, Any], Result]) -> Callable[[Any, Any], Result]:
-    """An operator's method whose errors become its report. Blender counts its arguments: operator and context."""
-
-    def method(self: Any, context: Any) -> Result:
-        try:
-            return work(self, context)
-        except (BadInputError, FailureError) as error:
-            self.report({"ERROR"}, str(error))
-        except (OSError, RuntimeError) as error:
-            # Of the disk, or of one of Blender's own operators.
-            self.report({"ERROR"}, " ".join(str(error).split()))
-        return {"CANCELLED"}
-
-    return method
 
 
 class STLFR_OT_rig_create(bpy.types.Operator):
@@ -52,18 +37,76 @@ class STLFR_OT_rig_create(bpy.types.Operator):
     bl_label = "Create Rig"
     bl_options = {"REGISTER", "UNDO"}
 
-    rig_name: StringProperty(name="Name", default="rig")
-    columns: IntProperty(name="Columns", default=8, min=1, max=100)
-    rows: IntProperty(name="Rows", default=1, min=1, max=100)
-    spacing_m: FloatProperty(
-        name="Spacing", default=0.06, min=0.0, max=1e3, subtype="DISTANCE", precision=4
+    rig_name: StringProperty(name="Name", description="The rig's", default="rig")
+    columns: IntProperty(
+        name="Columns", description="Cameras side by side", default=8, min=1, max=100
     )
-    width_px: IntProperty(name="Width", default=640, min=8, max=16384)
-    height_px: IntProperty(name="Height", default=480, min=8, max=16384)
-    lens_mm: FloatProperty(name="Lens", default=38.6, min=1.0, max=5000.0)
-    rate_hz: FloatProperty(name="Rate", default=30.0, min=1e-3, max=1e5)
-    jitter_s: FloatProperty(name="Jitter", default=0.001, min=0.0, precision=6)
-    seed: IntProperty(name="Seed", default=7, min=0)
+    rows: IntProperty(
+        name="Rows", description="Cameras above each other", default=1, min=1, max=100
+    )
+    spacing_m: FloatProperty(
+        name="Spacing",
+        description="From one camera to the next",
+        default=0.06,
+        min=0.0,
+        max=1e3,
+        subtype="DISTANCE",
+        precision=4,
+    )
+    width_px: IntProperty(
+        name="Width",
+        description="Of the images",
+        default=640,
+        min=8,
+        max=16384,
+        subtype="PIXEL",
+    )
+    height_px: IntProperty(
+        name="Height",
+        description="Of the images",
+        default=480,
+        min=8,
+        max=16384,
+        subtype="PIXEL",
+    )
+    lens_mm: FloatProperty(
+        name="Lens",
+        description="Focal length, for a sensor 36 mm wide",
+        default=38.6,
+        min=1.0,
+        max=5000.0,
+        subtype="DISTANCE_CAMERA",
+        precision=1,
+    )
+    rate_hz: FloatProperty(
+        name="Frames a Second",
+        description="How often each camera takes an image",
+        default=30.0,
+        min=1e-3,
+        max=1e5,
+    )
+    delays: EnumProperty(
+        name="Delays",
+        description="When the cameras take their first images",
+        items=[
+            ("random", "Random", "Each somewhere within one frame: not synchronized"),
+            ("none", "None", "All at the same time: synchronized"),
+        ],
+    )
+    jitter_s: FloatProperty(
+        name="Jitter",
+        description="Standard deviation of each image's time: how irregularly cameras trigger",
+        default=0.001,
+        min=0.0,
+        precision=5,
+        unit="TIME_ABSOLUTE",
+    )
+    seed: IntProperty(
+        name="Seed",
+        description="Another seed draws other delays and jitter",
+        default=7,
+        min=0,
+    )
 
     @reported
     def execute(self, context: Any) -> Result:
@@ -77,10 +120,12 @@ class STLFR_OT_rig_create(bpy.types.Operator):
             "sizes_px": [[self.width_px, self.height_px]],
             "lenses_mm": [shortest(self.lens_mm)],
             "rates_hz": [shortest(self.rate_hz)],
+            "delays": self.delays,
             "jitters_s": [shortest(self.jitter_s)],
             "seed": self.seed,
         }
         rig_objects.build(context.scene, native.generate_rig(options))
+        rig_objects.select(context.view_layer, rig_objects.all_of(context.scene))
         return {"FINISHED"}
 
     def invoke(self, context: Any, _event: Any) -> Result:
@@ -94,13 +139,14 @@ class STLFR_OT_rig_load(bpy.types.Operator):
     bl_label = "Load Rig"
     bl_options = {"REGISTER", "UNDO"}
 
-    filepath: StringProperty(subtype="FILE_PATH")
+    filepath: StringProperty(subtype="FILE_PATH", options=FROM_BLEND)
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
 
     @reported
     def execute(self, context: Any) -> Result:
         content = rig_objects.read(absolute(self.filepath))
         rig_objects.build(context.scene, content)
+        rig_objects.select(context.view_layer, rig_objects.all_of(context.scene))
         return {"FINISHED"}
 
     def invoke(self, context: Any, _event: Any) -> Result:
@@ -114,7 +160,9 @@ class STLFR_OT_rig_save(bpy.types.Operator):
     bl_idname = "stlfr.rig_save"
     bl_label = "Save Rig"
 
-    filepath: StringProperty(subtype="FILE_PATH", default="//rig.json")
+    filepath: StringProperty(
+        subtype="FILE_PATH", default="//rig.json", options=FROM_BLEND
+    )
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
     check_existing: BoolProperty(default=True, options={"HIDDEN"})
 
@@ -129,80 +177,20 @@ class STLFR_OT_rig_save(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
 
-class LongWork:
-    """An operator whose work is a job."""
+class STLFR_OT_rig_show(bpy.types.Operator):
+    """Select the rig, and turn the 3D view to it."""
 
-    job: jobs.Job
-    scene_name: str
-    timer: Any = None
-
-    # The operator's own:
-    report: Callable[[set[str], str], None]
-    start: Callable[[Any], jobs.Job]
-    """Gives the job, for a context."""
-    take: Callable[[Any, jobs.Job], tuple[str, str]]
-    """Takes over into a scene what a job found; gives the kind of a report, and its sentence."""
-
-    def tidy(self) -> None:
-        """After a job that found nothing."""
+    bl_idname = "stlfr.rig_show"
+    bl_label = "Show Rig"
+    bl_options = {"REGISTER", "UNDO"}
 
     @reported
     def execute(self, context: Any) -> Result:
-        self._begin(context)
-        self.job.wait()
-        return self._end(context)
-
-    def invoke(self, context: Any, _event: Any) -> Result:
-        return self._begin_beside(context)
-
-    @reported
-    def _begin_beside(self, context: Any) -> Result:
-        self._begin(context)
-        self.timer = context.window_manager.event_timer_add(
-            POLL_S, window=context.window
-        )
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: Any, event: Any) -> Result:
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        for area in context.screen.areas if context.screen else ():
-            area.tag_redraw()
-        if self.job.is_running:
-            return {"PASS_THROUGH"}
-        context.window_manager.event_timer_remove(self.timer)
-        result = reported(LongWork._end)(self, context)
-        with contextlib.suppress(RuntimeError):  # without an undo system
-            bpy.ops.ed.undo_push(message=self.job.title)
-        return result
-
-    def cancel(self, context: Any) -> None:
-        """Another file is opened, or Blender ends."""
-        self.job.cancel()
-        context.window_manager.event_timer_remove(self.timer)
-
-    def _begin(self, context: Any) -> None:
-        jobs.must_be_free()
-        self.job = self.start(context)
-        self.scene_name = context.scene.name  # the scene itself may move in memory
-
-    def _end(self, _context: Any) -> Result:
-        job = self.job
-        if job.cancelled or job.error is not None:
-            self.tidy()
-        if job.cancelled:
-            self.report({"WARNING"}, f"{job.title} was cancelled")
-            return {"CANCELLED"}
-        if job.error is not None:
-            raise FailureError(job.error)
-        scene = bpy.data.scenes.get(self.scene_name)
-        if scene is None:
-            raise FailureError(
-                f"{job.title} is done, but scene {self.scene_name} is gone"
-            )
-        kind, sentence = self.take(scene, job)
-        self.report({kind}, sentence)
+        rig_objects.select(context.view_layer, rig_objects.all_of(context.scene))
+        if context.area is not None and context.area.type == "VIEW_3D":
+            region = next(r for r in context.area.regions if r.type == "WINDOW")
+            with context.temp_override(area=context.area, region=region):
+                bpy.ops.view3d.view_selected("EXEC_DEFAULT", use_all_regions=False)
         return {"FINISHED"}
 
 
@@ -217,7 +205,8 @@ class STLFR_OT_film(LongWork, bpy.types.Operator):
     )
 
     def start(self, context: Any) -> jobs.Job:
-        self.capture = absolute(context.scene.stlfr.film_folder)
+        self.folder = context.scene.stlfr.film_folder
+        self.capture = absolute(self.folder)
         if not self.resume:
             prepare_film(context.scene, self.capture)
         command = filming.command(
@@ -226,10 +215,20 @@ class STLFR_OT_film(LongWork, bpy.types.Operator):
         return jobs.Job("Filming", command)
 
     def take(self, scene: Any, job: jobs.Job) -> tuple[str, str]:
-        scene.stlfr.time_offset_s = filming.finish(self.capture)
-        scene.stlfr.capture = str(self.capture)
-        scene.stlfr.offsets.clear()
+        offset_s = filming.finish(self.capture)
+        scene.stlfr.capture = self.folder
+        scene.stlfr.start_frame = scene.frame_start
+        scene.stlfr.time_offset_s = offset_s
         return "INFO", f"Filmed into {self.capture}"
+
+    def without_scene(self) -> Callable[[jobs.Job], str]:
+        capture = self.capture
+
+        def after(_job: jobs.Job) -> str:
+            filming.finish(capture)
+            return f"The film in {capture} is done; its file is closed: choose that folder as the capture to use it"
+
+        return after
 
     def tidy(self) -> None:
         filming.tidy(self.capture)
@@ -243,6 +242,7 @@ class STLFR_OT_offsets(LongWork, bpy.types.Operator):
 
     def start(self, context: Any) -> jobs.Job:
         capture = engine.capture_folder(context.scene)
+        fields.must_be_capture(capture)
         script = Path(__file__).resolve().parent / "estimate.py"
         command = [*python(), str(script), str(capture), str(module_folder())]
         return jobs.Job("Estimating offsets", command)
@@ -266,32 +266,39 @@ class STLFR_OT_cancel(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class STLFR_OT_open_review(bpy.types.Operator):
-    """Add the scenes of the comparison's review.blend to this file: truth and results as strips."""
+class STLFR_OT_set_range(bpy.types.Operator):
+    """Let the scene start and end with the frames that the capture covers."""
 
-    bl_idname = "stlfr.open_review"
-    bl_label = "Load Comparison"
+    bl_idname = "stlfr.set_range"
+    bl_label = "Set Scene Range"
     bl_options = {"REGISTER", "UNDO"}
 
     @reported
     def execute(self, context: Any) -> Result:
-        scenes = append_scenes(review_file(context.scene, "review.blend"))
-        if context.window is not None:
-            context.window.scene = scenes[0]
-        self.report({"INFO"}, f"Added {', '.join(scene.name for scene in scenes)}")
+        scene = context.scene
+        capture = engine.capture_folder(scene)
+        fields.must_be_capture(capture)
+        covered = timing.covered(scene, capture)
+        frames = None if covered is None else timing.whole_frames(covered)
+        if frames is None:
+            raise BadInputError(
+                "no whole frame of the scene is covered: change the speed or the time offset"
+            )
+        first = max(0, frames[0])  # a scene can't start before frame 0
+        scene.frame_start, scene.frame_end = first, max(first, frames[1])
+        scene.frame_set(min(max(scene.frame_current, first), frames[1]))
         return {"FINISHED"}
 
 
-class STLFR_OT_open_report(bpy.types.Operator):
-    """Open the comparison's report in the browser."""
+class STLFR_OT_dismiss(bpy.types.Operator):
+    """Read it, and take it away."""
 
-    bl_idname = "stlfr.open_report"
-    bl_label = "Open Report"
+    bl_idname = "stlfr.dismiss"
+    bl_label = "Dismiss"
 
-    @reported
-    def execute(self, context: Any) -> Result:
-        url = review_file(context.scene, "report.html").as_uri()
-        return set(bpy.ops.wm.url_open(url=url))
+    def execute(self, _context: Any) -> Result:
+        jobs.ended.clear()
+        return {"FINISHED"}
 
 
 def python() -> list[str]:
@@ -316,15 +323,19 @@ def prepare_film(scene: Any, capture: Path) -> None:
         samples=settings.film_samples,
         truth=settings.film_truth,
         instants=settings.film_instants,
-        workers=settings.film_workers,
+        workers=0 if settings.film_all_cores else settings.film_workers,
+        lead_s=filming.lead_s(content),
     )
     blend = filming.begin(capture, content, options)
     try:
         rig_objects.write(content, blend.with_name(filming.RIG_COPY))
+        scene[scenes.LEAD] = options.lead_s  # of the copy alone
         bpy.ops.wm.save_as_mainfile(
             filepath=str(blend), copy=True, check_existing=False, relative_remap=True
         )
+        del scene[scenes.LEAD]
     except BaseException:
+        scene.pop(scenes.LEAD, None)
         filming.tidy(capture)
         raise
 
@@ -349,35 +360,16 @@ def show_offsets(shown: Any, found: list[dict[str, Any]]) -> tuple[str, str]:
     )
 
 
-def review_file(scene: Any, name: str) -> Path:
-    """A file that `stlfr compare` has written for the chosen capture."""
-    capture = engine.capture_folder(scene)
-    file = capture / "review" / name
-    if not file.is_file():
-        raise BadInputError(
-            f"{file} isn't there: make the comparison with `stlfr compare {capture}`"
-        )
-    return file
-
-
-def append_scenes(blend: Path) -> list[Any]:
-    """Add the scenes of another .blend to this one."""
-    with bpy.data.libraries.load(str(blend), link=False) as (there, here):
-        here.scenes = list(there.scenes)
-    if not here.scenes:
-        raise BadInputError(f"{blend} holds no scene")
-    return list(here.scenes)
-
-
 CLASSES = (
     STLFR_OT_rig_create,
     STLFR_OT_rig_load,
     STLFR_OT_rig_save,
+    STLFR_OT_rig_show,
     STLFR_OT_film,
     STLFR_OT_offsets,
     STLFR_OT_cancel,
-    STLFR_OT_open_review,
-    STLFR_OT_open_report,
+    STLFR_OT_set_range,
+    STLFR_OT_dismiss,
 )
 
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import bpy
 
-from . import engine, filming, jobs, rig_objects, view
+from . import engine, filming, jobs, rig_objects, timing, view, words
 from .errors import BadInputError
+from .long_work import draw_progress
 from .paths import absolute
+
+LETTER_PX = 7.0
+"""About the width of a letter, for an interface at scale 1. Larger breaks lines too early; smaller, and their ends are cut
+off."""
 
 
 class Sidebar:
@@ -17,32 +23,6 @@ class Sidebar:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "STLFR"
-
-
-class STLFR_PT_job(Sidebar, bpy.types.Panel):
-    """Work under way."""
-
-    bl_label = "Under Way"
-
-    @classmethod
-    def poll(cls, _context: Any) -> bool:
-        return jobs.running() is not None
-
-    def draw(self, _context: Any) -> None:
-        job = jobs.running()
-        if job is None:
-            return
-        progress = job.progress
-        if progress.total:
-            self.layout.progress(
-                factor=progress.done / progress.total,
-                text=f"{progress.done} of {progress.total}: {progress.what}",
-            )
-            if job.time_left_s is not None:
-                self.layout.label(text=f"{duration(job.time_left_s)} left")
-        else:
-            self.layout.label(text=job.title)
-        self.layout.operator("stlfr.cancel", icon="CANCEL")
 
 
 class STLFR_PT_rig(Sidebar, bpy.types.Panel):
@@ -59,8 +39,12 @@ class STLFR_PT_rig(Sidebar, bpy.types.Panel):
         if not cameras:
             layout.label(text="No rig in this scene", icon="INFO")
             return
-        layout.operator("stlfr.rig_save", icon="FILE_TICK")
+        row = layout.row(align=True)
+        row.operator("stlfr.rig_show", icon="VIEWZOOM")
+        row.operator("stlfr.rig_save", text="Save", icon="FILE_TICK")
         column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
         column.prop(settings, "rig_name")
         column.prop(settings, "rig_reference")
         column.prop(settings, "rig_seed")
@@ -84,6 +68,7 @@ class STLFR_PT_rig_camera(Sidebar, bpy.types.Panel):
         active = context.object
         own, lens, layout = active.stlfr, active.data, self.layout
         layout.use_property_split = True
+        layout.use_property_decorate = False
         layout.prop(own, "camera_id")
         column = layout.column(align=True)
         column.prop(own, "width_px")
@@ -106,14 +91,19 @@ class STLFR_PT_film(Sidebar, bpy.types.Panel):
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.stlfr
         layout.use_property_split = True
+        layout.use_property_decorate = False
         layout.prop(settings, "film_folder")
         column = layout.column(align=True)
         column.prop(settings, "film_frames")
         column.prop(settings, "film_samples")
-        column.prop(settings, "film_workers")
+        column.prop(settings, "film_all_cores")
+        if not settings.film_all_cores:
+            column.prop(settings, "film_workers")
         layout.prop(settings, "film_truth")
         if settings.film_truth:
             layout.prop(settings, "film_instants")
+        if progress_instead(layout, "Filming"):
+            return
         row = layout.row(align=True)
         row.enabled = jobs.running() is None
         row.operator("stlfr.film", icon="RENDER_ANIMATION").resume = False
@@ -134,9 +124,9 @@ class STLFR_UL_offsets(bpy.types.UIList):
         _active: Any,
         _name: Any,
     ) -> None:
-        row = layout.row()
-        row.label(text=item.camera_id)
-        row.label(text=offset_text(item))
+        parts = layout.split(factor=0.3)
+        parts.label(text=item.camera_id)
+        parts.label(text=offset_text(item))
 
 
 class STLFR_PT_offsets(Sidebar, bpy.types.Panel):
@@ -147,17 +137,19 @@ class STLFR_PT_offsets(Sidebar, bpy.types.Panel):
     def draw(self, context: Any) -> None:
         layout, settings = self.layout, context.scene.stlfr
         layout.prop(settings, "capture")
-        row = layout.row()
-        row.enabled = bool(settings.capture) and jobs.running() is None
-        row.operator("stlfr.offsets", icon="TIME")
+        if not progress_instead(layout, "Estimating offsets"):
+            row = layout.row()
+            row.enabled = bool(settings.capture) and jobs.running() is None
+            row.operator("stlfr.offsets", icon="TIME")
         if not settings.offsets:
             return
+        layout.label(text="Milliseconds, ± standard error:")
         layout.template_list(
             "STLFR_UL_offsets", "", settings, "offsets", settings, "offset_index"
         )
         index = settings.offset_index
         if index < len(settings.offsets) and not settings.offsets[index].is_known:
-            layout.label(text=settings.offsets[index].reason, icon="ERROR")
+            paragraph(layout, context, settings.offsets[index].reason, "ERROR")
 
 
 class STLFR_PT_comparison(Sidebar, bpy.types.Panel):
@@ -166,10 +158,33 @@ class STLFR_PT_comparison(Sidebar, bpy.types.Panel):
     bl_label = "Comparison"
 
     def draw(self, context: Any) -> None:
-        column = self.layout.column()
-        column.enabled = bool(context.scene.stlfr.capture)
+        layout, folder = self.layout, capture_of(context.scene)
+        if folder is None:
+            layout.label(text="Choose a capture first", icon="INFO")
+            return
+        if not progress_instead(layout, "Comparing"):
+            row = layout.row()
+            row.enabled = jobs.running() is None
+            row.operator("stlfr.compare", icon="PLAY")
+        column = layout.column()
+        column.enabled = (folder / "review" / "review.json").is_file()
         column.operator("stlfr.open_review", icon="SEQUENCE")
         column.operator("stlfr.open_report", icon="URL")
+
+
+class STLFR_PT_ended(Sidebar, bpy.types.Panel):
+    """What became of work that nobody waited for."""
+
+    bl_label = "Ended"
+
+    @classmethod
+    def poll(cls, _context: Any) -> bool:
+        return bool(jobs.ended)
+
+    def draw(self, context: Any) -> None:
+        for sentence in jobs.ended:
+            paragraph(self.layout, context, sentence, "INFO")
+        self.layout.operator("stlfr.dismiss", icon="CHECKMARK")
 
 
 class RenderTab:
@@ -195,9 +210,19 @@ class STLFR_PT_light_field(RenderTab, bpy.types.Panel):
         layout.use_property_split = True
         layout.prop(scene.stlfr, "capture")
         column = layout.column(align=True)
+        column.prop(scene.stlfr, "start_frame")
         column.prop(scene.stlfr, "time_offset_s")
         column.prop(scene.stlfr, "speed")
-        layout.label(text=f"This frame: {view.capture_time_s(scene):.4f} s")
+        column = layout.column(align=True)
+        column.label(text=f"This frame: {view.capture_time_s(scene):.4f} s")
+        folder = capture_of(scene)
+        if folder is not None:
+            sentence, is_covered = timing.sentence(scene, folder)
+            column.label(text=sentence, icon="NONE" if is_covered else "ERROR")
+            column.operator("stlfr.set_range", icon="PREVIEW_RANGE")
+        frame, sentence = engine.said.get(scene.name, (None, ""))
+        if frame == scene.frame_current:
+            paragraph(layout, context, sentence, "ERROR")
 
 
 class STLFR_PT_methods(RenderTab, bpy.types.Panel):
@@ -239,16 +264,37 @@ class STLFR_PT_trails(RenderTab, bpy.types.Panel):
 
 
 def offset_text(item: Any) -> str:
-    """`+12.345 ± 0.012 ms`."""
+    """`+12.345 ± 0.012`, milliseconds."""
     if not item.is_known:
         return "unknown"
-    return f"{1e3 * item.offset_s:+.3f} ± {1e3 * item.std_err_s:.3f} ms"
+    return f"{1e3 * item.offset_s:+.3f} ± {1e3 * item.std_err_s:.3f}"
 
 
-def duration(seconds: float) -> str:
-    """`3 min 20 s`."""
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+def paragraph(layout: Any, context: Any, text: str, icon: str) -> None:
+    """A sentence of any length, in lines as wide as the region."""
+    scale = context.preferences.system.ui_scale or 1.0  # 0 without a window
+    columns = max(12, int(context.region.width / (LETTER_PX * scale)) - 8)
+    box = layout.column(align=True)
+    box.scale_y = 0.8
+    for number, line in enumerate(words.wrapped(text, columns)):
+        box.label(text=line, icon="BLANK1" if number else icon)
+
+
+def progress_instead(layout: Any, title: str) -> bool:
+    """Draw how far work of that title is, in the row of the button that began it; whether it is under way."""
+    job = jobs.running()
+    if job is None or job.title != title:
+        return False
+    draw_progress(layout, job)
+    return True
+
+
+def capture_of(scene: Any) -> Path | None:
+    """The chosen capture's folder; None where none is."""
+    try:
+        return engine.capture_folder(scene)
+    except BadInputError:
+        return None
 
 
 def _can_resume(settings: Any) -> bool:
@@ -259,13 +305,13 @@ def _can_resume(settings: Any) -> bool:
 
 
 CLASSES = (
-    STLFR_PT_job,
     STLFR_PT_rig,
     STLFR_PT_rig_camera,
     STLFR_PT_film,
     STLFR_UL_offsets,
     STLFR_PT_offsets,
     STLFR_PT_comparison,
+    STLFR_PT_ended,
     STLFR_PT_light_field,
     STLFR_PT_methods,
     STLFR_PT_trails,

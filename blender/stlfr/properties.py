@@ -5,6 +5,7 @@ Blender keeps numbers in single precision: times a few seconds long are good to 
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import bpy
@@ -20,12 +21,19 @@ from bpy.props import (
 
 import stlfr
 
+from . import timing, viewport
+from .errors import BadInputError
+from .paths import absolute
+
 STAGES = stlfr.methods()
 
 
-AUTO = ("auto", "Auto", "The cheapest method that the capture requires")
+AUTO = ("auto", "Automatic", "The cheapest method that the capture requires")
 
-NO_PRESET = ("none", "None", "The methods below")
+NO_PRESET = ("none", "Custom", "The methods below")
+
+FROM_BLEND = {"PATH_SUPPORTS_BLEND_RELATIVE"}
+"""A path may begin with `//`, the folder of the .blend."""
 
 
 def _methods(stage: str, *more: tuple[str, str, str]) -> dict[str, Any]:
@@ -46,22 +54,38 @@ def _methods(stage: str, *more: tuple[str, str, str]) -> dict[str, Any]:
     }
 
 
-def _forget_offsets(settings: Any, _context: Any) -> None:
-    """Another capture's clocks."""
+def _open_capture(settings: Any, _context: Any) -> None:
+    """Another capture's clocks, and a time offset at which its light field is there at the start frame."""
     settings.offsets.clear()
+    with contextlib.suppress(BadInputError):  # the panel says so
+        timing.adopt(settings, absolute(settings.capture) if settings.capture else None)
+    viewport.redraw()
+
+
+def _redraw(_settings: Any, _context: Any) -> None:
+    """Another picture."""
+    viewport.redraw()
 
 
 class StlfrOffset(bpy.types.PropertyGroup):
     """The offset of one camera, as it was estimated."""
 
-    camera_id: StringProperty(name="Camera")
-    is_known: BoolProperty(name="Known")
+    camera_id: StringProperty(name="Camera", description="Its name in the capture")
+    is_known: BoolProperty(
+        name="Known", description="Whether the offset could be estimated"
+    )
     offset_s: FloatProperty(
         name="Offset",
-        description="Seconds that this camera's clock reads less than the reference's",
+        description="How much less this camera's clock reads than the reference's",
         precision=6,
+        unit="TIME_ABSOLUTE",
     )
-    std_err_s: FloatProperty(name="Standard error", precision=6)
+    std_err_s: FloatProperty(
+        name="Standard Error",
+        description="Of the offset",
+        precision=6,
+        unit="TIME_ABSOLUTE",
+    )
     reason: StringProperty(name="Reason", description="Why the offset is unknown")
 
 
@@ -70,6 +94,7 @@ class StlfrObject(bpy.types.PropertyGroup):
 
     role: EnumProperty(
         name="Role",
+        description="What the object is for the rig",
         items=[
             ("NONE", "None", "Not part of a rig"),
             ("RIG", "Rig", "Says where the rig stands; it looks along its -Z"),
@@ -78,12 +103,28 @@ class StlfrObject(bpy.types.PropertyGroup):
         ],
     )
     order: IntProperty(name="Order", description="Place in the rig's list", min=0)
-    camera_id: StringProperty(name="Id", description="Names its folder in the capture")
-    width_px: IntProperty(name="Width", default=640, min=8, max=16384)
-    height_px: IntProperty(name="Height", default=480, min=8, max=16384)
+    camera_id: StringProperty(
+        name="Name", description="Names the camera's folder in the capture"
+    )
+    width_px: IntProperty(
+        name="Width",
+        description="Of its images",
+        default=640,
+        min=8,
+        max=16384,
+        subtype="PIXEL",
+    )
+    height_px: IntProperty(
+        name="Height",
+        description="Of its images",
+        default=480,
+        min=8,
+        max=16384,
+        subtype="PIXEL",
+    )
     rate_hz: FloatProperty(
-        name="Rate",
-        description="Frames a second",
+        name="Frames a Second",
+        description="How often the camera takes an image",
         default=30.0,
         min=1e-3,
         max=1e5,
@@ -91,29 +132,32 @@ class StlfrObject(bpy.types.PropertyGroup):
     )
     delay_s: FloatProperty(
         name="Delay",
-        description="Seconds after the scene's start at which the middle of the first exposure lies",
-        precision=6,
+        description="How long after the start the middle of the camera's first exposure lies",
+        precision=5,
         step=0.1,
+        unit="TIME_ABSOLUTE",
     )
     jitter_s: FloatProperty(
         name="Jitter",
-        description="Standard deviation of each frame's time, seconds",
+        description="Standard deviation of each image's time: how irregularly the camera triggers",
         min=0.0,
-        precision=6,
+        precision=5,
         step=0.1,
+        unit="TIME_ABSOLUTE",
     )
     jitter_stamped: BoolProperty(
-        name="Stamped",
-        description="Whether the camera writes down its frames' true times",
+        name="Writes Its Times",
+        description="The camera notes when it took each image, jitter included. Else only its rate is known",
         default=True,
     )
     color: EnumProperty(
         name="Colour",
+        description="What the camera records",
         items=[("rgb", "RGB", "In colour"), ("gray", "Grey", "In shades of grey")],
     )
     more: StringProperty(
-        name="More",
-        description="The rig file's other fields of this camera, as JSON",
+        name="Other Fields",
+        description="What else the rig file says of this camera, as JSON: exposure, noise, lens distortion, lost frames",
     )
     entry: StringProperty(
         name="Entry", description="As the rig file had it", options={"HIDDEN"}
@@ -127,41 +171,53 @@ class StlfrScene(bpy.types.PropertyGroup):
         name="Capture",
         description="Folder of the capture whose light field is rendered",
         subtype="DIR_PATH",
-        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
-        update=_forget_offsets,
+        options=FROM_BLEND,
+        update=_open_capture,
     )
     time_offset_s: FloatProperty(
         name="Time Offset",
-        description="The capture's time at the scene's first frame, seconds on the reference camera's clock. "
-        "After filming it is minus the reference camera's delay, so that the light field and Cycles show "
-        "the same instant",
-        precision=6,
+        description="The capture's time at the start frame, on the reference camera's clock. After filming, "
+        "the light field and Cycles show the same instant",
+        precision=5,
         step=0.1,
+        unit="TIME_ABSOLUTE",
+        update=_redraw,
+    )
+    start_frame: IntProperty(
+        name="Start Frame",
+        description="The scene's frame at which the capture's time is the time offset",
+        default=1,
+        update=_redraw,
     )
     speed: FloatProperty(
         name="Speed",
         description="Seconds of the capture in a second of the scene: below 1 is slow motion, 0 stands still",
         default=1.0,
         precision=3,
+        update=_redraw,
     )
     preset: EnumProperty(
         name="Preset",
-        description="Named options of all stages: speed for accuracy",
+        description="All methods by one name: speed for accuracy",
+        update=_redraw,
         **{**_methods("preset", NO_PRESET), "default": NO_PRESET[0]},
     )
     sync: EnumProperty(
-        name="Sync",
-        description="How each camera's image at the instant is made",
+        name="Motion",
+        description="How each camera's image at the instant is made from its frames before and after",
+        update=_redraw,
         **_methods("sync", AUTO),
     )
     proxy: EnumProperty(
-        name="Proxy",
-        description="What stands for the scene's shape",
+        name="Scene Shape",
+        description="What stands for the scene's shape when the cameras' images are blended",
+        update=_redraw,
         **_methods("proxy", AUTO),
     )
     use_plane_depth: BoolProperty(
         name="Focus by Hand",
         description="Set the plane's depth; else it is fitted to what the cameras see",
+        update=_redraw,
     )
     plane_depth_m: FloatProperty(
         name="Plane Depth",
@@ -170,17 +226,22 @@ class StlfrScene(bpy.types.PropertyGroup):
         min=1e-3,
         max=1e6,
         subtype="DISTANCE",
+        update=_redraw,
     )
     use_trail: BoolProperty(
-        name="Trails", description="Overlay what moved before the instant"
+        name="Trails",
+        description="Overlay what moved before the instant",
+        update=_redraw,
     )
     trail_duration_s: FloatProperty(
         name="Duration",
-        description="How far the trails reach back, seconds of the capture",
+        description="How far the trails reach back, in the capture's time",
         default=0.1,
         min=0.0,
         max=1e6,
         precision=4,
+        unit="TIME_ABSOLUTE",
+        update=_redraw,
     )
     trail_instants: IntProperty(
         name="Instants",
@@ -188,18 +249,24 @@ class StlfrScene(bpy.types.PropertyGroup):
         default=16,
         min=1,
         max=10_000,
+        update=_redraw,
     )
-    trail_mode: EnumProperty(name="Mode", **_methods("trail"))
+    trail_mode: EnumProperty(
+        name="Mode",
+        description="How the instants are overlaid",
+        update=_redraw,
+        **_methods("trail"),
+    )
 
-    rig_name: StringProperty(name="Name", default="rig")
+    rig_name: StringProperty(name="Name", description="The rig's", default="rig")
     rig_seed: IntProperty(
         name="Seed", description="Decides the jitter and the noise", min=0
     )
     rig_reference: StringProperty(
-        name="Reference", description="The camera whose clock is everybody's time"
+        name="Reference", description="The camera whose clock all times are on"
     )
     rig_more: StringProperty(
-        name="More", description="The rig file's other fields, as JSON"
+        name="Other Fields", description="What else the rig file says, as JSON"
     )
 
     film_folder: StringProperty(
@@ -207,26 +274,44 @@ class StlfrScene(bpy.types.PropertyGroup):
         description="The new capture's folder",
         default="//capture",
         subtype="DIR_PATH",
-        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
+        options=FROM_BLEND,
     )
     film_frames: IntProperty(
-        name="Frames", description="Frames a camera", default=9, min=1, max=100_000
+        name="Frames",
+        description="Images that each camera takes",
+        default=9,
+        min=1,
+        max=100_000,
     )
     film_samples: IntProperty(
-        name="Samples", description="Samples a pixel", default=16, min=1, max=100_000
+        name="Samples",
+        description="Samples a pixel: more, and images have less noise and take longer",
+        default=16,
+        min=1,
+        max=100_000,
     )
     film_truth: BoolProperty(
         name="Truth",
-        description="Also render what only a simulator knows, to compare with",
+        description="Also render what the light field should show, to compare with: it takes four times the samples",
         default=True,
     )
     film_instants: IntProperty(
-        name="Instants", description="Instants with truth", default=3, min=1, max=1000
+        name="Instants",
+        description="At how many instants the truth is rendered",
+        default=3,
+        min=1,
+        max=1000,
+    )
+    film_all_cores: BoolProperty(
+        name="Use All Cores",
+        description="One filming process for every core. Each takes the memory that the scene takes",
+        default=True,
     )
     film_workers: IntProperty(
         name="Processes",
-        description="Filming processes; 0: one for every core",
-        min=0,
+        description="How many filming processes there are",
+        default=1,
+        min=1,
         max=1000,
     )
 

@@ -23,6 +23,10 @@ from .native import Content
 
 COLLECTION = "stlfr rig"
 
+EMPTY_SIZE_M, CAMERA_SIZE_M = 0.4, 0.12
+"""How large the rig and its cameras are drawn. Larger, and neighbours 6 cm apart hide each other; smaller, and the rig
+isn't found in a scene of ten metres."""
+
 FORMAT, VERSION = "stlfr-rig", 1
 """What is written into a rig file's head."""
 
@@ -101,9 +105,32 @@ def members(scene: Any, role: str | None = None) -> list[Any]:
     return sorted(found, key=lambda o: (o.stlfr.role, o.stlfr.order, o.name))
 
 
+def all_of(scene: Any) -> list[Any]:
+    """The empty `rig`, then what hangs on it."""
+    empty = scene.objects.get(scenes.RIG_OBJECT)
+    return ([] if empty is None else [empty]) + members(scene)
+
+
+def select(view_layer: Any, objects: list[Any]) -> None:
+    """Select these objects alone; the first becomes the active one, by which the rig is moved."""
+    view_layer.update()  # it still lists what was removed
+    for other in view_layer.objects:
+        other.select_set(False)
+    seen = [o for o in objects if o.name in view_layer.objects]
+    for one in seen:
+        one.select_set(True)
+    if seen:
+        view_layer.objects.active = seen[0]
+
+
 def describe(scene: Any) -> Content:
     """The rig file of the scene's objects, as they stand now."""
     shooting = members(scene, "CAMERA")
+    for one in members(scene):
+        if one.data.type != "PERSP":
+            raise BadInputError(
+                f"{one.name} of the rig isn't a perspective camera, the only kind that can film"
+            )
     if not shooting:
         raise BadInputError(
             f"scene {scene.name} has no rig: create or load one in the sidebar, under STLFR"
@@ -142,7 +169,7 @@ def _empty(scene: Any) -> Any:
             f'another scene of this file has the object "{scenes.RIG_OBJECT}": one rig a file'
         )
     empty = bpy.data.objects.new(scenes.RIG_OBJECT, None)
-    empty.empty_display_type, empty.empty_display_size = "ARROWS", 0.1
+    empty.empty_display_type, empty.empty_display_size = "ARROWS", EMPTY_SIZE_M
     empty.stlfr.role = "RIG"
     collection = bpy.data.collections.new(COLLECTION)
     scene.collection.children.link(collection)
@@ -163,7 +190,7 @@ def _add(empty: Any, role: str, order: int, entry: Content) -> Any:
     lens.sensor_fit = "AUTO"
     lens.lens, lens.sensor_width = entry["lens_mm"], entry["sensor_width_mm"]
     lens.shift_x, lens.shift_y = entry.get("shift_x", 0.0), entry.get("shift_y", 0.0)
-    lens.clip_start, lens.display_size = 0.01, 0.03
+    lens.clip_start, lens.display_size = 0.01, CAMERA_SIZE_M
     camera_object = bpy.data.objects.new(entry["id"], lens)
     for collection in empty.users_collection:
         collection.objects.link(camera_object)

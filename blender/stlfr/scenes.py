@@ -25,6 +25,10 @@ PACKAGE = "stlfr_scenes"
 RIG_OBJECT = "rig"
 """The object that says where the rig stands; without one, the scene's active camera does."""
 
+LEAD = "stlfr_lead_s"
+"""A scene's property: by how many seconds filming begins before the scene's first frame. The extension sets it in the
+copy that is filmed, so that every camera has a frame before the scene's first."""
+
 
 def names() -> list[str]:
     """The scenes there are."""
@@ -86,8 +90,8 @@ def open_scene(scene_name: str | None, blend_file: Path | None) -> Any:
             f"{blend_file}: Blender can't open it ({' '.join(str(error).split())})"
         ) from None
     scene = bpy.context.scene
-    whole, subframe = frame_at(scene, 0.0)
-    scene.frame_set(whole, subframe=subframe)
+    whole = scene.frame_start
+    scene.frame_set(whole)
     cuts = [m for m in scene.timeline_markers if m.camera and m.frame <= whole]
     if cuts:
         scene.camera = max(cuts, key=lambda marker: marker.frame).camera
@@ -119,14 +123,15 @@ def _what_is_missing(bpy: Any) -> str | None:
 
 
 def frame_at(scene: Any, world_time_s: float) -> tuple[int, float]:
-    """The Blender frame and sub-frame of a world time: 0 s is the scene's first frame."""
-    frame = scene.frame_start + world_time_s * scene.render.fps / scene.render.fps_base
+    """The Blender frame and sub-frame of a world time: 0 s is the scene's first frame, or its `LEAD` before it."""
+    seconds = world_time_s - scene.get(LEAD, 0.0)
+    frame = scene.frame_start + seconds * scene.render.fps / scene.render.fps_base
     whole = int(frame // 1)
     return whole, frame - whole
 
 
 def world_from_rig(scene: Any) -> Array:
-    """Where the rig stands at world time 0: a 4x4 matrix from the rig's COLMAP axes to the world, in metres.
+    """Where the rig stands at the scene's first frame: a 4x4 matrix from the rig's COLMAP axes to the world, in metres.
 
     The object `rig`, else the active camera, read as a camera: it looks along its -Z, +Y is up.
     """
@@ -138,8 +143,7 @@ def world_from_rig(scene: Any) -> Array:
             f"scene {scene.name} doesn't say where the rig stands: it has neither an object named "
             f'"{RIG_OBJECT}" nor an active camera'
         )
-    whole, subframe = frame_at(scene, 0.0)
-    scene.frame_set(whole, subframe=subframe)
+    scene.frame_set(scene.frame_start)
     matrix = np.array(stand.matrix_world, dtype=np.float64)
     matrix[:3, :3] /= np.linalg.norm(matrix[:3, :3], axis=0)
     matrix[:3, :3] = matrix[:3, :3] @ COLMAP_FROM_BLENDER_AXES

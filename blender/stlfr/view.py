@@ -1,14 +1,15 @@
 """Which image of the light field a frame of the scene shows. No `bpy` here: scenes and objects are read.
 
-Scene time starts at the scene's first frame, as in filming. The capture's time, seconds on its
-reference camera's clock, is `(frame - first frame) / fps * speed + time_offset_s`. After filming,
-the offset is minus the reference camera's delay, so that the light field and Cycles show the same
+The capture's time, seconds on its reference camera's clock, is
+`(frame - start frame) / fps * speed + time_offset_s`. After filming, the start frame is the scene's first
+frame then, and the offset is the capture's time at it, so that the light field and Cycles show the same
 instant. With the speed at 0 and the offset animated, time goes as one likes: it stands still
 (bullet time), slows down, or runs back.
 """
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from .described import describe_object
 from .errors import BadInputError
 
 Samples = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+Linear = npt.NDArray[np.float32]
+"""RGBA as Blender has it, (H, W, 4): scene-linear, alpha premultiplied, the bottom row first."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +53,25 @@ def request(scene: Any, camera_object: Any, capture: Path) -> Request:
 
 def capture_time_s(scene: Any) -> float:
     """The capture's time at the scene's current frame, seconds on the reference camera's clock."""
-    frames = scene.frame_current + scene.frame_subframe - scene.frame_start
-    scene_s = frames * scene.render.fps_base / scene.render.fps
     settings = scene.stlfr
+    frames = scene.frame_current + scene.frame_subframe - settings.start_frame
+    scene_s = frames * scene.render.fps_base / scene.render.fps
     return float(scene_s * settings.speed + settings.time_offset_s)
+
+
+def covered_frames(
+    scene: Any, span_s: tuple[float, float]
+) -> tuple[float, float] | None:
+    """The scene's frames, fractions included, that show a span of the capture; None where time stands still."""
+    settings = scene.stlfr
+    if settings.speed == 0.0:
+        return None
+    frames_a_second = scene.render.fps / scene.render.fps_base / settings.speed
+    ends = [
+        settings.start_frame + (time_s - settings.time_offset_s) * frames_a_second
+        for time_s in span_s
+    ]
+    return min(ends), max(ends)
 
 
 def options(settings: Any) -> dict[str, Any]:
@@ -98,17 +116,24 @@ def border_px(render: Any, width_px: int, height_px: int) -> tuple[int, int, int
     )
 
 
-def scene_linear(samples: Samples) -> npt.NDArray[np.float32]:
-    """RGBA as Blender has it, (H, W, 4): scene-linear, alpha premultiplied, the bottom row first.
+def scene_linear(samples: Samples) -> Linear:
+    """As Blender has it: samples (H, W, 1 to 4), display-encoded (sRGB), grey or RGB, with or without alpha."""
+    top = np.iinfo(samples.dtype).max
+    channels = samples.shape[2]
+    result = np.ones((*samples.shape[:2], 4), dtype=np.float32)
+    upright = samples[::-1]
+    result[..., :3] = _decoded(top)[upright[..., : 3 if channels >= 3 else 1]]
+    if channels in (2, 4):
+        result[..., 3] = upright[..., -1] / np.float32(top)
+        result[..., :3] *= result[..., 3:]
+    return result
 
-    From samples (H, W, 1 to 4), display-encoded (sRGB), grey or RGB, with or without alpha.
-    """
-    encoded = samples.astype(np.float64) / np.iinfo(samples.dtype).max
-    channels = encoded.shape[2]
-    alpha = (
-        encoded[:, :, -1:] if channels in (2, 4) else np.ones((*encoded.shape[:2], 1))
+
+@functools.cache
+def _decoded(top: int) -> npt.NDArray[np.float32]:
+    """The linear value of every sample."""
+    encoded = np.arange(top + 1) / top
+    linear = np.where(
+        encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4
     )
-    color = encoded[:, :, : 3 if channels >= 3 else 1]
-    linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
-    rgb = np.broadcast_to(linear * alpha, (*encoded.shape[:2], 3))
-    return np.concatenate([rgb, alpha], axis=2)[::-1].astype(np.float32)
+    return linear.astype(np.float32)

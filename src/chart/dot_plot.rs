@@ -41,9 +41,52 @@ pub struct Dot {
 /// CSS classes of colours that a page has.
 const SERIES_CLASSES: usize = 6;
 
-const WIDTH: f64 = 720.0;
-/// Room for the rows' labels. Smaller: long names are cut on the left.
-const LABEL_WIDTH: f64 = 150.0;
+/// How wide a page has to be for the plot beside its rows' labels, and for the one below them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Size {
+    Wide,
+    Narrow,
+}
+
+impl Size {
+    fn class(self) -> &'static str {
+        match self {
+            Self::Wide => "wide",
+            Self::Narrow => "narrow",
+        }
+    }
+
+    fn width(self) -> f64 {
+        match self {
+            Self::Wide => 720.0,
+            Self::Narrow => 340.0,
+        }
+    }
+
+    /// Room at the left for the rows' labels. Smaller: long names are cut.
+    fn label_width(self) -> f64 {
+        match self {
+            Self::Wide => 150.0,
+            Self::Narrow => 12.0,
+        }
+    }
+
+    /// How far below a row's top its dots are. On a narrow page, its label stands above them.
+    fn dots_below(self) -> f64 {
+        match self {
+            Self::Wide => 0.5 * ROW_HEIGHT,
+            Self::Narrow => 1.1 * ROW_HEIGHT,
+        }
+    }
+
+    fn row_height(self) -> f64 {
+        match self {
+            Self::Wide => ROW_HEIGHT,
+            Self::Narrow => 1.6 * ROW_HEIGHT,
+        }
+    }
+}
+
 const RIGHT_MARGIN: f64 = 16.0;
 /// Larger: plots of many cameras fill pages. Smaller: labels of neighbouring rows touch.
 const ROW_HEIGHT: f64 = 24.0;
@@ -72,13 +115,16 @@ impl Dot {
 }
 
 impl DotPlot {
-    /// The plot as inline SVG of class `plot`; an empty string if there is no finite dot.
+    /// The plot as inline SVG of class `plot`, twice: `wide`, and `narrow` for a telephone; the page shows one
+    /// of them. An empty string if there is no finite dot.
     pub fn svg(&self) -> String {
         let Some(range) = self.range() else { return String::new() };
-        let axis = Axis::spanning(range, LABEL_WIDTH, WIDTH - RIGHT_MARGIN);
         let mut svg = String::new();
-        // Writing to a string does not fail.
-        self.write(&mut svg, &axis).unwrap_or_default();
+        for size in [Size::Wide, Size::Narrow] {
+            let axis = Axis::spanning(range, size.label_width(), size.width() - RIGHT_MARGIN);
+            // Writing to a string does not fail.
+            self.write(&mut svg, &axis, size).unwrap_or_default();
+        }
         svg
     }
 
@@ -99,23 +145,25 @@ impl DotPlot {
         })
     }
 
-    fn write(&self, svg: &mut String, axis: &Axis) -> Result {
-        let bottom = TOP + ROW_HEIGHT * self.rows.len() as f64;
+    fn write(&self, svg: &mut String, axis: &Axis, size: Size) -> Result {
+        let bottom = TOP + size.row_height() * self.rows.len() as f64;
         let label = HtmlEscape(self.x_label.as_str());
         write!(
             svg,
-            "<svg class=\"plot\" viewBox=\"0 0 {WIDTH} {}\" role=\"img\" aria-label=\"{label}\">",
+            "<svg class=\"plot {}\" viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{label}\">",
+            size.class(),
+            size.width(),
             bottom + FOOT
         )?;
         self.write_ticks(svg, axis, bottom)?;
-        let middle = (LABEL_WIDTH + WIDTH - RIGHT_MARGIN) / 2.0;
+        let middle = (size.label_width() + size.width() - RIGHT_MARGIN) / 2.0;
         write!(
             svg,
             "<text x=\"{middle}\" y=\"{}\" text-anchor=\"middle\">{label}</text>",
             bottom + 36.0
         )?;
         for (k, row) in self.rows.iter().enumerate() {
-            row.write(svg, axis, TOP + ROW_HEIGHT * (k as f64 + 0.5))?;
+            row.write(svg, axis, TOP + size.row_height() * k as f64, size)?;
         }
         svg.push_str("</svg>");
         Ok(())
@@ -138,13 +186,16 @@ impl DotPlot {
 }
 
 impl DotRow {
-    /// The row's label and dots, at the height `y`.
-    fn write(&self, svg: &mut String, axis: &Axis, y: f64) -> Result {
+    /// The row's label and dots, from the height `top` down.
+    fn write(&self, svg: &mut String, axis: &Axis, top: f64, size: Size) -> Result {
+        let y = top + size.dots_below();
+        let (x, baseline, anchor) = match size {
+            Size::Wide => (size.label_width() - 12.0, y + 4.0, "end"),
+            Size::Narrow => (0.0, top + 0.6 * ROW_HEIGHT, "start"),
+        };
         write!(
             svg,
-            "<text class=\"label\" x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
-            LABEL_WIDTH - 12.0,
-            y + 4.0,
+            "<text class=\"label\" x=\"{x}\" y=\"{baseline:.1}\" text-anchor=\"{anchor}\">{}</text>",
             HtmlEscape(self.label.as_str())
         )?;
         for dot in self.dots.iter().filter(|d| d.is_finite()) {
@@ -185,14 +236,14 @@ mod tests {
         let svg = svg(&rows, "error & more", false);
         assert!(!svg.contains("<script>") && !svg.contains("<b>") && !svg.contains("NaN"));
         assert!(svg.contains("&lt;script&gt;") && svg.contains("error &amp; more"));
-        assert_eq!(svg.matches("<circle").count(), 1);
+        assert_eq!(svg.matches("<circle").count(), 2, "one in each size");
     }
 
     #[test]
     fn dots_bars_and_ticks_have_the_pages_classes() {
         let rows = [DotRow { label: "cam0".into(), dots: vec![Dot { series: 7, ..dot(2.0) }] }];
         let svg = svg(&rows, "a", true);
-        for class in ["plot", "zero", "grid", "label", "bar s1", "s1"] {
+        for class in ["plot wide", "plot narrow", "zero", "grid", "label", "bar s1", "s1"] {
             assert!(svg.contains(&format!("class=\"{class}\"")), "{class}");
         }
     }

@@ -9,7 +9,9 @@ use std::sync::Arc;
 use stlfr::capture::{Capture, Truth};
 use stlfr::compare::results::Headline;
 use stlfr::compare::video::VideoOptions;
-use stlfr::compare::{CompareOptions, ComparedLightField, OffsetScore, Renderer, Summary, compare};
+use stlfr::compare::{
+    CompareOptions, ComparedLightField, FILES, OffsetScore, Renderer, Summary, compare,
+};
 use stlfr::json;
 use stlfr::method::Method;
 use stlfr::offset::{MAX_OFFSETS_BYTES, Offsets};
@@ -39,10 +41,6 @@ pub struct Args {
     #[command(flatten)]
     options: OptionsArgs,
 }
-
-/// The files of a report that always have the same names.
-const FILES: [&str; 5] =
-    ["report.html", "metrics.json", "timings.json", "review.json", "review.blend"];
 
 pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     if let Some(file) = &args.offsets {

@@ -60,6 +60,10 @@ use results::{Headline, StageTime};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
+/// The files of a comparison's folder that always have the same names.
+pub const FILES: [&str; 5] =
+    ["report.html", "metrics.json", "timings.json", "review.json", "review.blend"];
+
 /// The sync method of traditional light field rendering, which everything is compared with.
 pub const TRADITIONAL: SyncMethod = SyncMethod::Nearest;
 

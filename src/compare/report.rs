@@ -5,8 +5,10 @@
 
 use super::results::{Metrics, StageTime, ViewMethod};
 use crate::chart::{Dot, DotPlot, DotRow};
+use crate::interpolation::SyncMethod;
 use crate::method::Method;
 use crate::metrics::RegionScores;
+use crate::options::ProxyMethod;
 use crate::raster::Image;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -86,7 +88,8 @@ pub(super) fn html(
         offset_plot => Value::from_safe_string(offset_plot(metrics)),
         sync_plot => Value::from_safe_string(sync_plot(metrics)),
         view_plot => Value::from_safe_string(view_plot(metrics)),
-        methods => sync_methods(metrics),
+        methods => explained(sync_methods(metrics)),
+        proxies => explained(proxies(metrics)),
         measured => measured_percent(metrics),
     })
 }
@@ -127,15 +130,42 @@ fn measured_percent(metrics: &Metrics) -> Option<[String; 2]> {
     Some([min, max].map(|fraction| format!("{:.1}", 100.0 * fraction)))
 }
 
-/// The names of the sync methods that were measured, in their order.
-fn sync_methods(metrics: &Metrics) -> Vec<&'static str> {
+/// A method where the reader meets it.
+#[derive(Serialize)]
+struct Explained {
+    name: &'static str,
+    help: String,
+}
+
+impl Explained {
+    /// In the middle of a sentence.
+    fn of<M: Method>(method: M) -> Self {
+        let mut letters = method.help().chars();
+        let first = letters.next().map(|c| c.to_lowercase().collect::<String>());
+        Self { name: method.name(), help: first.unwrap_or_default() + letters.as_str() }
+    }
+}
+
+fn explained<M: Method>(methods: Vec<M>) -> Value {
+    let all: Vec<Explained> = methods.into_iter().map(Explained::of).collect();
+    Value::from(Serde(all))
+}
+
+/// The sync methods that were measured, in their order.
+fn sync_methods(metrics: &Metrics) -> Vec<SyncMethod> {
     let mut methods = Vec::new();
     for row in &metrics.sync {
-        if !methods.contains(&row.method.name()) {
-            methods.push(row.method.name());
+        if !methods.contains(&row.method) {
+            methods.push(row.method);
         }
     }
     methods
+}
+
+/// The proxies that views were blended through, in their order.
+fn proxies(metrics: &Metrics) -> Vec<ProxyMethod> {
+    let is_used = |p: &ProxyMethod| metrics.views.iter().any(|v| v.proxy == *p);
+    ProxyMethod::ALL.iter().copied().filter(is_used).collect()
 }
 
 /// Offset errors in thousandths of a frame, with two standard errors to either side.
@@ -166,7 +196,7 @@ fn sync_plot(metrics: &Metrics) -> String {
         let dot = Dot {
             value: db,
             bar: None,
-            series: methods.iter().position(|m| *m == result.method.name()).unwrap_or(0),
+            series: methods.iter().position(|m| *m == result.method).unwrap_or(0),
             title: format!("{}, {}: {db:.2} dB", result.view, result.method.name()),
         };
         Some((result.camera.clone(), dot))

@@ -8,14 +8,15 @@ use std::path::PathBuf;
 pub enum RenderError {
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    #[error("{camera} has no frames around {time_s:?} s: it covers {first_s} to {last_s} s")]
+    #[error("{camera} has no frames around {}", outside(*.time_s, *.first_s, *.last_s, "it covers"))]
     CameraTime { camera: String, time_s: f64, first_s: f64, last_s: f64 },
     #[error("{camera}'s clock is unknown: {reason}")]
     CameraClock { camera: String, reason: String },
-    #[error("no camera has frames around {time_s:?} s: they cover {first_s} to {last_s} s")]
+    #[error("no camera has frames around {}", outside(*.time_s, *.first_s, *.last_s, "they cover"))]
     Time { time_s: f64, first_s: f64, last_s: f64 },
     #[error(
-        "no frames can be around {time_s:?} s: whatever the offsets, {of} filmed within {first_s:.3} to {last_s:.3} s"
+        "no frames can be around {}",
+        outside(*.time_s, *.first_s, *.last_s, &format!("whatever the offsets, {of} filmed within"))
     )]
     Beyond { time_s: f64, of: String, first_s: f64, last_s: f64 },
     #[error("no camera of this capture has a known clock")]
@@ -32,6 +33,24 @@ pub enum RenderError {
     Stopped,
 }
 
+/// Decimals of a second in a message. More: nobody reads them. Fewer: a time that is rounded is another frame's.
+const DECIMALS: usize = 4;
+
+/// `0.2 s: they cover 0 to 0.15 s`, with more decimals where the time would else read as one within.
+fn outside(time_s: f64, first_s: f64, last_s: f64, covered: &str) -> String {
+    let rounded = |t: f64, decimals: usize| format!("{t:.decimals$}").parse().unwrap_or(t);
+    let is_within = |decimals: &usize| {
+        let [time_s, first_s, last_s] = [time_s, first_s, last_s].map(|t| rounded(t, *decimals));
+        (first_s..=last_s).contains(&time_s)
+    };
+    let decimals = (DECIMALS..f64::DIGITS as usize).find(|d| !is_within(d));
+    let shown = |t: f64| {
+        let t = decimals.map_or(t, |d| rounded(t, d)) + 0.0; // no -0
+        if t.abs() < 1e9 { t.to_string() } else { format!("{t:e}") }
+    };
+    format!("{} s: {covered} {} to {} s", shown(time_s), shown(first_s), shown(last_s))
+}
+
 impl RenderError {
     /// Whether another instant may be better.
     pub(super) fn is_of_the_instant(&self) -> bool {
@@ -43,5 +62,29 @@ impl RenderError {
                 | Self::NoPoints
                 | Self::NothingSeen
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_rounded_and_never_read_as_covered() {
+        let message = |time_s: f64| {
+            let (first_s, last_s) = (-0.0, 0.266_666_666_666_666_7);
+            RenderError::Time { time_s, first_s, last_s }.to_string()
+        };
+        let around = "no camera has frames around";
+        assert_eq!(
+            message(-0.019_292_000_681_161_88),
+            format!("{around} -0.0193 s: they cover 0 to 0.2667 s")
+        );
+        assert_eq!(
+            message(0.266_666_67),
+            format!("{around} 0.26666667 s: they cover 0 to 0.266666667 s")
+        );
+        assert_eq!(message(-1e-7), format!("{around} -0.0000001 s: they cover 0 to 0.2666667 s"));
+        assert_eq!(message(1e300), format!("{around} 1e300 s: they cover 0 to 0.2667 s"));
     }
 }

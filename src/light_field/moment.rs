@@ -9,6 +9,9 @@ use crate::lumigraph::{DepthMap, Rendered};
 use crate::options::{ProxyMethod, ViewOptions};
 use crate::raster::Image;
 use crate::stereo::fuse;
+use std::borrow::Cow;
+use std::ops::Deref;
+use std::sync::Arc;
 
 /// What the depths of a pixel of a camera take, bytes: as they are estimated, and as a map, each with a
 /// standard error. Larger: caches hold fewer instants than they could; smaller: more memory than they are to.
@@ -20,13 +23,33 @@ const DEPTH_BYTES: usize = 16;
 /// differ: a `Moment` estimates every camera's depths in one common range, and a view takes those of the cameras
 /// nearest to it.
 pub struct Moment<'a> {
-    field: &'a LightField,
+    field: Held<'a>,
     time_s: f64,
     options: ViewOptions,
     /// Of all cameras, as bright as the reference records them.
     images: Vec<Option<Synchronized>>,
     depths: Option<Depths>,
 }
+
+/// The light field of a moment.
+enum Held<'a> {
+    Borrowed(&'a LightField),
+    Shared(Arc<LightField>),
+}
+
+impl Deref for Held<'_> {
+    type Target = LightField;
+
+    fn deref(&self) -> &LightField {
+        match self {
+            Self::Borrowed(field) => field,
+            Self::Shared(field) => field,
+        }
+    }
+}
+
+/// What all views of an instant share: the cameras' images, and their depths if the options want them.
+type Shared = (Vec<Option<Synchronized>>, Option<Depths>);
 
 /// Depths of all cameras.
 struct Depths {
@@ -55,6 +78,31 @@ impl LightField {
         options: &ViewOptions,
         proceed: &(dyn Fn() -> bool + Sync),
     ) -> Result<Moment<'_>, RenderError> {
+        let (images, depths) = self.shared(time_s, options, proceed)?;
+        let field = Held::Borrowed(self);
+        Ok(Moment { field, time_s, options: options.clone(), images, depths })
+    }
+
+    /// [`Self::moment`] that keeps the light field alive.
+    ///
+    /// # Errors
+    /// Those of [`Self::moment`].
+    pub fn shared_moment(
+        self: Arc<Self>,
+        time_s: f64,
+        options: &ViewOptions,
+    ) -> Result<Moment<'static>, RenderError> {
+        let (images, depths) = self.shared(time_s, options, &|| true)?;
+        let field = Held::Shared(self);
+        Ok(Moment { field, time_s, options: options.clone(), images, depths })
+    }
+
+    fn shared(
+        &self,
+        time_s: f64,
+        options: &ViewOptions,
+        proceed: &(dyn Fn() -> bool + Sync),
+    ) -> Result<Shared, RenderError> {
         let usable = self.usable(time_s);
         if usable.is_empty() {
             return Err(self.no_camera_at(time_s));
@@ -63,12 +111,15 @@ impl LightField {
         if !proceed() {
             return Err(RenderError::Stopped);
         }
-        let images = self.corrected(&images).into_owned();
+        let images = match self.corrected(&images) {
+            Cow::Owned(corrected) => corrected,
+            Cow::Borrowed(_) => images,
+        };
         let depths = match options.proxy.method {
             ProxyMethod::Depth => self.depths_of_all(&usable, &images, time_s, options)?,
             ProxyMethod::Plane | ProxyMethod::Mesh => None,
         };
-        Ok(Moment { field: self, time_s, options: options.clone(), images, depths })
+        Ok((images, depths))
     }
 
     /// `None` with fewer than two cameras, or if no point of the scene is known.

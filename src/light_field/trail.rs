@@ -29,8 +29,8 @@ impl LightField {
     /// skipped: its error is the result. A pixel is covered if it is covered at any of the instants,
     /// and integrates over those.
     ///
-    /// `proceed` is called before every instant with the number of finished instants and of all; if it
-    /// returns false, the result is [`RenderError::Stopped`].
+    /// `proceed` is called before every step of every instant with the number of finished instants and of
+    /// all; if it returns false, the result is [`RenderError::Stopped`].
     pub fn with_trail(
         &self,
         from: Viewpoint,
@@ -41,10 +41,12 @@ impl LightField {
         let instants_s = options.trail.instants_s(time_s);
         let mut overlay: Option<Overlay> = None;
         for (k, &instant_s) in instants_s.iter().enumerate() {
-            if !proceed(k, instants_s.len()) {
+            let mut go_on = || proceed(k, instants_s.len());
+            if !go_on() {
                 return Err(RenderError::Stopped);
             }
-            let rendered = match (self.instant(from, instant_s, options), &mut overlay) {
+            let instant = self.instant(from, instant_s, options, &mut go_on);
+            let rendered = match (instant, &mut overlay) {
                 (Err(error), Some(_)) if error.is_of_the_instant() => continue,
                 (rendered, _) => rendered?,
             };
@@ -63,9 +65,10 @@ impl LightField {
         from: Viewpoint,
         time_s: f64,
         options: &ViewOptions,
+        proceed: &mut dyn FnMut() -> bool,
     ) -> Result<Rendered, RenderError> {
         match from {
-            Viewpoint::View(target) => self.view(target, time_s, options),
+            Viewpoint::View(target) => self.view_while(target, time_s, options, proceed),
             Viewpoint::Like(camera) => {
                 let image = self.synchronized(camera, time_s, options)?.image;
                 let coverage = vec![true; image.width() * image.height()];

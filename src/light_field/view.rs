@@ -22,16 +22,32 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Rendered, RenderError> {
+        self.view_while(target, time_s, options, &mut || true)
+    }
+
+    /// [`Self::view`]; ends with [`RenderError::Stopped`] where `proceed` returns false, which is called
+    /// between its steps.
+    pub(super) fn view_while(
+        &self,
+        target: &Camera,
+        time_s: f64,
+        options: &ViewOptions,
+        proceed: &mut dyn FnMut() -> bool,
+    ) -> Result<Rendered, RenderError> {
+        let mut go_on = || if proceed() { Ok(()) } else { Err(RenderError::Stopped) };
         if self.usable(time_s).is_empty() {
             return Err(self.no_camera_at(time_s));
         }
         let mut images = self.blanks(time_s);
         let whole = self.synchronize_geometry(&mut images, target, time_s, options)?;
+        go_on()?;
         self.keep_candidates(&mut images, target, time_s, options);
         let geometry = self.geometry(&images, target, time_s, options)?;
         let mut needed = self.needed(&images, &geometry, target, &options.blend);
         needed.retain(|(c, _)| !whole.contains(c));
+        go_on()?;
         self.synchronize(&mut images, &needed, time_s, options)?;
+        go_on()?;
         let rendered = self.blend(&images, &geometry, target, &options.blend);
         if rendered.coverage.iter().any(|c| *c) {
             Ok(rendered)

@@ -1,13 +1,14 @@
-//! `stlfr.open` and `stlfr.Capture`.
+//! `stlfr.open`, `stlfr.Capture` and `stlfr.Moment`.
 
 use super::convert::{from_python, image_to_python, json_of, to_python, value_error};
 use crate::camera::{Camera, CameraFormat};
 use crate::capture::{Capture, Opening};
-use crate::light_field::{LightField, RenderError, Viewpoint};
+use crate::light_field::{LightField, Moment, RenderError, Viewpoint};
 use crate::offset::known_or_estimated;
 use crate::options::{RenderOptions, ViewOptions};
 use crate::pipeline;
 use crate::progress::Reporter;
+use crate::raster::BitDepth;
 use crate::registration::FrameStore;
 use crate::toolchain::find_ffmpeg;
 use nalgebra::Point3;
@@ -32,9 +33,13 @@ pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
 #[pyclass(name = "Capture", module = "stlfr", frozen)]
 pub struct PyCapture {
     capture: Arc<Capture>,
-    /// The light field of the last view: its registered frames serve the next one.
-    opened: Mutex<Option<Opened>>,
+    /// The light fields of the last views: their registered frames serve the next ones.
+    opened: Mutex<Vec<Opened>>,
 }
+
+/// How many options' light fields stay open, the last used ones. More: memory. Fewer: a viewer that renders by a
+/// fast method and then by an accurate one registers its frames anew each time.
+const MAX_OPENED: usize = 2;
 
 /// A light field, and the options that it was opened with.
 #[derive(Clone)]
@@ -115,8 +120,8 @@ impl PyCapture {
 
     /// The image that `stlfr render` writes, (H, W, channels).
     ///
-    /// `proceed(done, total)` is called before every instant of a trail (of one without a trail);
-    /// rendering stops with an `InterruptedError` where it returns something false.
+    /// `proceed(done, total)` is called before every step of every instant of a trail (of one without
+    /// a trail); rendering stops with an `InterruptedError` where it returns something false.
     #[pyo3(signature = (time_s, *, camera=None, like=None, options=None, proceed=None))]
     fn render<'py>(
         slf: &Bound<'py, Self>,
@@ -128,10 +133,8 @@ impl PyCapture {
     ) -> PyResult<Bound<'py, PyAny>> {
         let (py, this) = (slf.py(), slf.get());
         let options = checked(options)?;
-        let camera: Option<CameraFormat> = from_python(camera, "camera")?;
         let time_s = time_s - this.capture.time_origin_s;
-        let camera = camera.map(|c| c.camera()).transpose();
-        let camera = camera.map_err(|e| value_error(format!("camera: {e}")))?;
+        let camera = camera.map(camera_of).transpose()?;
         let from = match (&camera, like) {
             (Some(camera), None) => Viewpoint::View(camera),
             (None, Some(id)) => Viewpoint::Like(this.index(id)?),
@@ -158,9 +161,56 @@ impl PyCapture {
         image_to_python(py, &rendered.image, coverage, this.capture.bit_depth())
     }
 
+    /// The instant, for many views of it.
+    #[pyo3(signature = (time_s, *, options=None))]
+    fn moment(
+        &self,
+        py: Python<'_>,
+        time_s: f64,
+        options: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<PyMoment> {
+        let options = checked(options)?;
+        let depth = self.capture.bit_depth();
+        let time_s = time_s - self.capture.time_origin_s;
+        let moment = py.detach(|| {
+            let Opened { view, field, .. } = self.opened(options)?;
+            field.shared_moment(time_s, &view)
+        });
+        Ok(PyMoment { moment: moment.map_err(value_error)?, depth })
+    }
+
     fn __repr__(&self) -> String {
         format!("<stlfr.Capture '{}': {} cameras>", self.capture.name, self.capture.cameras.len())
     }
+}
+
+/// One instant of a capture, for many views of it.
+#[pyclass(name = "Moment", module = "stlfr", frozen)]
+pub struct PyMoment {
+    moment: Moment<'static>,
+    depth: BitDepth,
+}
+
+#[pymethods]
+impl PyMoment {
+    /// The view of a camera object, (H, W, channels).
+    fn view<'py>(
+        &self,
+        py: Python<'py>,
+        camera: &Bound<'py, PyAny>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let camera = camera_of(camera)?;
+        let rendered = py.detach(|| self.moment.view(&camera)).map_err(value_error)?;
+        let coverage = rendered.coverage.contains(&false).then_some(rendered.coverage.as_slice());
+        image_to_python(py, &rendered.image, coverage, self.depth)
+    }
+}
+
+/// A camera object's camera.
+fn camera_of(object: &Bound<'_, PyAny>) -> PyResult<Camera> {
+    let format: Option<CameraFormat> = from_python(Some(object), "camera")?;
+    let camera = format.ok_or_else(|| value_error("camera: is missing"))?.camera();
+    camera.map_err(|e| value_error(format!("camera: {e}")))
 }
 
 /// Pixels of world points through a camera object; NaN where a point has no image.
@@ -170,9 +220,7 @@ pub fn project<'py>(
     camera: &Bound<'py, PyAny>,
     points: PyArrayLikeDyn<'py, f64, AllowTypeChange>,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    let format: Option<CameraFormat> = from_python(Some(camera), "camera")?;
-    let camera = format.ok_or_else(|| value_error("camera: is missing"))?.camera();
-    projected(py, &camera.map_err(|e| value_error(format!("camera: {e}")))?, &points)
+    projected(py, &camera_of(camera)?, &points)
 }
 
 fn projected<'py>(
@@ -200,7 +248,7 @@ fn projected<'py>(
 }
 
 /// The options of a call, checked as the command line checks its file.
-fn checked(options: Option<&Bound<'_, PyAny>>) -> PyResult<RenderOptions> {
+pub(super) fn checked(options: Option<&Bound<'_, PyAny>>) -> PyResult<RenderOptions> {
     let options = match options {
         Some(options) => RenderOptions::parse(&json_of(options)?, None),
         None => Ok(RenderOptions::default()),
@@ -220,20 +268,25 @@ impl PyCapture {
     /// The light field and its options of a view, cached for the next call.
     fn opened(&self, options: RenderOptions) -> Result<Opened, RenderError> {
         let mut cached = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(opened) = cached.as_ref().filter(|opened| opened.options == options) {
-            return Ok(opened.clone());
+        if let Some(k) = cached.iter().position(|opened| opened.options == options) {
+            let opened = cached.remove(k);
+            cached.insert(0, opened.clone());
+            return Ok(opened);
         }
         let reporter = Reporter::silent();
         let shares_field = |opened: &&Opened| {
             let other = &opened.options;
             other.registration == options.registration && other.offset == options.offset
         };
-        let field = match cached.as_ref().filter(shares_field) {
+        let field = match cached.iter().find(shares_field) {
             Some(opened) => opened.field.clone(),
             None => Arc::new(pipeline::open_field(self.capture.clone(), &options, &reporter)?),
         };
         let view = pipeline::resolved(&field, &options, &reporter)?.view();
-        Ok(cached.insert(Opened { options, view, field }).clone())
+        let opened = Opened { options, view, field };
+        cached.insert(0, opened.clone());
+        cached.truncate(MAX_OPENED);
+        Ok(opened)
     }
 
     fn index(&self, camera_id: &str) -> PyResult<usize> {

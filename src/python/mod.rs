@@ -2,6 +2,7 @@
 //! converts back. Bad input is a `ValueError` with the sentence that the command line prints.
 
 mod capture;
+mod compare;
 mod convert;
 mod exchange;
 mod methods;
@@ -13,7 +14,9 @@ use pyo3::prelude::*;
 #[pymodule(name = "_native")]
 mod native {
     #[pymodule_export]
-    use super::capture::{PyCapture, open, project};
+    use super::capture::{PyCapture, PyMoment, open, project};
+    #[pymodule_export]
+    use super::compare::compare;
     #[pymodule_export]
     use super::exchange::colmap_text;
     #[pymodule_export]

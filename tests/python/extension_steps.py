@@ -103,7 +103,8 @@ def film(folder: str) -> dict[str, Any]:
     create_rig()
     settings = scene.stlfr
     settings.film_frames, settings.film_samples, settings.film_truth = 2, 1, False
-    settings.film_folder, settings.film_workers = "//capture", 1
+    settings.film_folder = "//capture"
+    settings.film_all_cores, settings.film_workers = False, 1
     before = described(scene)
     settings.film_folder, settings.film_truth = "//refused", True
     sentences["too few frames"] = refused(bpy.ops.stlfr.film)
@@ -138,6 +139,7 @@ def film(folder: str) -> dict[str, Any]:
         "frames when stopped": len(stopped),
         "kept": kept,
         "capture": settings.capture,
+        "start": [settings.start_frame, part("timing").sentence(scene, capture)],
         "time_offset_s": settings.time_offset_s,
         "offsets": [shown_offset(o) for o in settings.offsets],
         "report": operators.show_offsets(settings.offsets, job_result(capture)),
@@ -316,24 +318,22 @@ def stop_rendering(capture: str) -> dict[str, Any]:
 
 
 def review(capture: str) -> dict[str, Any]:
-    """The scene of a comparison is added to the file, which otherwise stays as it is."""
+    """The comparison is made and its scenes are added to the file, which otherwise stays as it is; twice."""
     assert enable()
-    folder = Path(capture) / "review"
-    folder.mkdir()
-    other = bpy.data.scenes.new("review")
-    other.sequence_editor_create()
-    strips = other.sequence_editor.strips
-    strips.new_effect("truth", "COLOR", channel=1, frame_start=1, length=10)
-    bpy.data.libraries.write(str(folder / "review.blend"), {other})
-    bpy.data.scenes.remove(other)
     before = sorted(scene.name for scene in bpy.data.scenes)
-    bpy.context.scene.stlfr.capture = capture
+    scene = bpy.context.scene
+    scene.stlfr.capture = capture
+    scene.stlfr.preset = "draft"
+    bpy.ops.stlfr.compare()
     bpy.ops.stlfr.open_review()
-    added = [scene for scene in bpy.data.scenes if scene.name not in before]
+    added = [s for s in bpy.data.scenes if s.name not in before]
     return {
-        "added": [scene.name for scene in added],
-        "strips": [s.name for scene in added for s in scene.sequence_editor.strips],
+        "added": [s.name for s in added],
+        "strips": sorted(s.name for one in added for s in one.sequence_editor.strips),
+        "selected": sum(s.select for a in added for s in a.sequence_editor.strips_all),
+        "prefetch": [s.sequence_editor.use_prefetch for s in added],
         "there": all(name in bpy.data.scenes for name in before),
+        "shown": bpy.context.scene.name == scene.name,
     }
 
 
@@ -385,13 +385,15 @@ def modal(capture: str) -> dict[str, Any]:
     operators, jobs = part("operators"), part("jobs")
     scene, seen = bpy.context.scene, []
     scene.stlfr.capture = capture
-    windows = SimpleNamespace(event_timer_remove=lambda timer: seen.append(timer))
-    area = SimpleNamespace(tag_redraw=lambda: seen.append("redrawn"))
-    context = SimpleNamespace(
-        scene=scene,
-        window_manager=windows,
+    area = SimpleNamespace(type="VIEW_3D", tag_redraw=lambda: seen.append("redrawn"))
+    window = SimpleNamespace(
+        workspace=SimpleNamespace(status_text_set=lambda draw: seen.append("status")),
         screen=SimpleNamespace(areas=[area]),
     )
+    windows = SimpleNamespace(
+        event_timer_remove=lambda timer: seen.append(timer), windows=[window]
+    )
+    context = SimpleNamespace(scene=scene, window_manager=windows)
     operator = SimpleNamespace(
         job=operators.STLFR_OT_offsets.start(None, context),
         timer="timer",
@@ -399,7 +401,7 @@ def modal(capture: str) -> dict[str, Any]:
         report=lambda kind, text: seen.append(f"{kind}: {text}"),
         take=lambda *arguments: operators.STLFR_OT_offsets.take(None, *arguments),
     )
-    step = operators.LongWork.modal
+    step = part("long_work").LongWork.modal
     first = step(operator, context, SimpleNamespace(type="MOUSEMOVE"))
     results: list[set[str]] = []
     while results[-1:] != [{"FINISHED"}]:

@@ -149,6 +149,12 @@ def picture(
     }
 
 
+def must_be_icon(name: str) -> None:
+    """Blender has it."""
+    icons = bpy.types.UILayout.bl_rna.functions["prop"].parameters["icon"].enum_items
+    assert name in icons.keys(), name  # noqa: SIM118 - a collection of Blender's
+
+
 class Layout:
     """Stands for Blender's layout, which this Blender can't show: refuses what isn't there."""
 
@@ -156,13 +162,20 @@ class Layout:
         self.drawn: list[str] = []
         self.enabled = True
         self.use_property_split = False
+        self.use_property_decorate = True
+        self.scale_y = 1.0
 
     def row(self, align: bool = False) -> Layout:
         return self
 
     column = row
 
+    def split(self, factor: float = 0.0) -> Layout:
+        assert 0 <= factor <= 1
+        return self
+
     def label(self, text: str = "", icon: str = "NONE") -> None:
+        must_be_icon(icon)
         self.drawn.append(text)
 
     def prop(self, data: Any, name: str, text: str = "") -> None:
@@ -170,10 +183,7 @@ class Layout:
 
     def operator(self, name: str, text: str = "", icon: str = "NONE") -> Any:
         kind = getattr(bpy.ops.stlfr, name.removeprefix("stlfr.")).get_rna_type()
-        icons = (
-            bpy.types.UILayout.bl_rna.functions["prop"].parameters["icon"].enum_items
-        )
-        assert icon in icons.keys(), icon  # noqa: SIM118 - a collection of Blender's
+        must_be_icon(icon)
         self.drawn.append(text or kind.name)
         return SimpleNamespace()
 
@@ -200,7 +210,13 @@ def drawn() -> list[str]:
         (o for o in scene.objects if o.type == "CAMERA" and o.stlfr.role == "CAMERA"),
         None,
     )
-    context = SimpleNamespace(scene=scene, object=camera, engine="STLFR")
+    context = SimpleNamespace(
+        scene=scene,
+        object=camera,
+        engine="STLFR",
+        preferences=bpy.context.preferences,
+        region=SimpleNamespace(width=280),
+    )
     for kind in part("panels").CLASSES:
         if not issubclass(kind, bpy.types.Panel):
             continue

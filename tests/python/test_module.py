@@ -28,6 +28,12 @@ def described(capture_dir: Path) -> list[dict[str, Any]]:
     return cameras
 
 
+def places(capture_dir: Path) -> list[dict[str, Any]]:
+    """Where the cameras are, as a view is asked for."""
+    fields = ("width", "height", "model", "params", "cam_from_world")
+    return [{name: c[name] for name in fields} for c in described(capture_dir)]
+
+
 def project_by_hand(
     camera: dict[str, Any], points: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float64]:
@@ -331,3 +337,67 @@ def test_a_trail_can_be_stopped(own_capture: Path) -> None:
 
     with pytest.raises(KeyError, match="mine"):
         capture.render(time_s, like="cam3", options=options, proceed=fail)
+
+
+def test_a_view_is_stopped_between_its_steps(own_capture: Path) -> None:
+    """Not only before it begins."""
+    capture, (camera, *_) = stlfr.open(own_capture), places(own_capture)
+    time_s = float(np.mean(capture.times("cam3")))
+    asked: list[tuple[int, int]] = []
+
+    def proceed(done: int, total: int) -> bool:
+        asked.append((done, total))
+        return len(asked) < 3
+
+    with pytest.raises(InterruptedError, match="rendering was stopped"):
+        capture.render(time_s, camera=camera, proceed=proceed)
+    assert asked == [(0, 1)] * 3
+
+
+def test_a_moments_views_are_those_of_render(own_capture: Path) -> None:
+    """Also from places where some pixels are unseen, and after other options were used in between."""
+    capture, cameras = stlfr.open(own_capture), places(own_capture)
+    time_s = float(np.mean(capture.times("cam3")))
+    options = {"preset": "draft"}
+    moment = capture.moment(time_s, options=options)
+    capture.render(time_s, camera=cameras[0], options={"preset": "balanced"})
+    aside = json.loads(json.dumps(cameras[0]))
+    aside["cam_from_world"]["translation"][0] += 0.8
+    for camera in (cameras[0], cameras[4], aside):
+        expected = capture.render(time_s, camera=camera, options=options)
+        found = moment.view(camera)
+        assert found.shape[2] == (4 if camera is aside else 3)
+        np.testing.assert_array_equal(found, expected)
+    with pytest.raises(ValueError, match="no camera has frames around 50 s: they"):
+        capture.moment(50.0)
+    with pytest.raises(ValueError, match="camera: "):
+        moment.view({"width": 3})
+
+
+def test_comparing_is_the_command_lines(own_capture: Path, program: Path) -> None:
+    """The same numbers; progress goes to standard output where it is asked for."""
+    script = "import sys, stlfr; print(stlfr.compare(sys.argv[1], options={'preset': 'draft'}, lines=True)['report'])"
+    command = [sys.executable, "-I", "-c", script, str(own_capture)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    *lines, report = ended.stdout.splitlines()
+    said = [json.loads(line) for line in lines]
+    assert said[-1]["done"] == said[-1]["total"] > 0
+    assert said[-1]["what"] == "Comparing with the truth"
+    folder = own_capture / "review"
+    assert Path(report) == folder / "report.html" and Path(report).is_file()
+    found = (folder / "metrics.json").read_text()
+    shutil.rmtree(folder)
+    by_program: list[str | Path] = [program, "-q", "compare", own_capture]
+    subprocess.run([*by_program, "--preset", "draft"], check=True, capture_output=True)
+    assert (folder / "metrics.json").read_text() == found
+
+
+def test_comparing_replaces_nothing_of_anybody_elses(own_capture: Path) -> None:
+    (own_capture / "truth").rename(own_capture / "away")
+    with pytest.raises(ValueError, match=r"has no truth/truth\.json to compare with"):
+        stlfr.compare(own_capture)
+    (own_capture / "away").rename(own_capture / "truth")
+    shutil.rmtree(own_capture / "review", ignore_errors=True)
+    (own_capture / "review/report.html").mkdir(parents=True)
+    with pytest.raises(ValueError, match=r"report\.html"):
+        stlfr.compare(own_capture)

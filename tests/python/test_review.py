@@ -125,7 +125,7 @@ def test_strips_are_aligned_and_pixels_are_the_files(
         (0, 1): ours,
         (1, 1): difference,
     }.items():
-        x, y = 8 + column * (WIDTH * SCALE + 8), 32 + row * (HEIGHT * SCALE + 28)
+        x, y = 8 + column * (WIDTH * SCALE + 8), 60 + row * (HEIGHT * SCALE + 28)
         large = np.kron(expected, np.ones((SCALE, SCALE, 1)))
         shown = frame[y : y + HEIGHT * SCALE, x : x + WIDTH * SCALE].astype(np.float64)
         assert np.abs(shown - large).max() <= 2, (column, row)

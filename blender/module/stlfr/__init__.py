@@ -2,9 +2,11 @@
 
 from ._native import (
     Capture,
+    Moment,
     __version__,
     check_rig,
     colmap_text,
+    compare,
     generate_rig,
     methods,
     open,
@@ -14,9 +16,11 @@ from ._native import (
 
 __all__ = [
     "Capture",
+    "Moment",
     "__version__",
     "check_rig",
     "colmap_text",
+    "compare",
     "generate_rig",
     "methods",
     "open",

@@ -55,6 +55,18 @@ def open(path: str | PathLike[str]) -> Capture:
 def project(camera: dict[str, Any], points: npt.ArrayLike) -> npt.NDArray[np.float64]:
     """The pixels of world points in a camera object as in capture.json; as `Capture.project`."""
 
+def compare(
+    path: str | PathLike[str],
+    *,
+    options: dict[str, Any] | None = None,
+    lines: bool = False,
+) -> dict[str, str]:
+    """Compare a capture with its truth into its folder `review`, as `stlfr compare` does, but for `review.blend`.
+
+    Gives the files `report` (HTML) and `review` (what stands beside what, JSON). With `lines`, progress goes to
+    standard output, one JSON object `done`, `total`, `what` a line. Raises ValueError with one sentence.
+    """
+
 def read_rig(path: str | PathLike[str]) -> dict[str, Any]:
     """The content of a rig file, checked. Fields that have their default values are left out.
 
@@ -137,6 +149,21 @@ class Capture:
         sees some of the pixels, alpha comes after them. Time is seconds on the reference's clock.
         `options` is what a file for `stlfr render --options` holds: with `{"preset": "draft"}`, what
         is not in it is the preset's.
-        `proceed(done, total)` is called before every instant of a trail, once without a trail; where
-        it returns something false, rendering stops with an InterruptedError.
+        `proceed(done, total)` is called before every step of every instant of a trail, of one instant
+        without a trail; where it returns something false, rendering stops with an InterruptedError.
         """
+
+    def moment(self, time_s: float, *, options: dict[str, Any] | None = None) -> Moment:
+        """The instant for many views of it: what doesn't depend on the viewpoint is computed once, here.
+
+        A trail in the options is left out.
+        """
+
+@final
+class Moment:
+    """One instant of a capture."""
+
+    def view(
+        self, camera: dict[str, Any]
+    ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
+        """The view of a camera object, as `Capture.render` gives it."""
