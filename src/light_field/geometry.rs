@@ -10,6 +10,7 @@ use crate::options::{ProxyMethod, ViewOptions};
 use crate::stereo::{CameraImage, InverseDepths, Matcher, Surface, fuse};
 use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Share of the range of inverse depths that is added at both ends. Larger: time; smaller: what has no
 /// feature and is nearer or farther than all features gets a wrong depth.
@@ -27,7 +28,7 @@ pub struct Geometry {
     /// Of the view.
     pub view: DepthMap,
     /// Of every camera, in the capture's order. `None`: nothing is hidden from it.
-    pub sources: Vec<Option<DepthMap>>,
+    pub sources: Vec<Option<Arc<DepthMap>>>,
 }
 
 impl LightField {
@@ -177,13 +178,13 @@ impl LightField {
         &self,
         CameraDepths { cameras, depths }: &CameraDepths,
         surfaces: &[Surface],
-    ) -> Vec<Option<DepthMap>> {
+    ) -> Vec<Option<Arc<DepthMap>>> {
         let filmed = &self.capture().cameras;
         let mut sources = vec![None; filmed.len()];
         for (&c, depths) in cameras.iter().zip(depths) {
             let camera = &filmed[c].camera;
             let own = depths.as_ref().map(|d| d.depth_map(camera));
-            sources[c] = Some(own.unwrap_or_else(|| fuse(camera, surfaces)));
+            sources[c] = Some(Arc::new(own.unwrap_or_else(|| fuse(camera, surfaces))));
         }
         sources
     }

@@ -54,7 +54,7 @@ type Shared = (Vec<Option<Synchronized>>, Option<Depths>);
 /// Depths of all cameras.
 struct Depths {
     estimated: CameraDepths,
-    in_cameras: Vec<Option<DepthMap>>,
+    in_cameras: Vec<Option<Arc<DepthMap>>>,
 }
 
 impl LightField {

@@ -9,6 +9,7 @@ use crate::options::ViewOptions;
 use crate::raster::{Image, Tiles};
 use rayon::prelude::*;
 use std::borrow::Cow;
+use std::sync::Arc;
 
 impl LightField {
     /// The view from anywhere at a time.
@@ -171,11 +172,12 @@ impl LightField {
         geometry: &'a Geometry,
     ) -> Vec<Source<'a>> {
         let cameras = self.capture().cameras.iter().zip(images).zip(&geometry.sources);
-        let source = |((filmed, image), depth): ((&'a FilmedCamera, _), &'a Option<DepthMap>)| {
-            let Synchronized { image, bridged_px }: &Synchronized = Option::as_ref(image)?;
-            let (depth, bridged_px) = (depth.as_ref(), bridged_px.as_deref());
-            Some(Source { camera: &filmed.camera, image, depth, bridged_px })
-        };
+        let source =
+            |((filmed, image), depth): ((&'a FilmedCamera, _), &'a Option<Arc<DepthMap>>)| {
+                let Synchronized { image, bridged_px }: &Synchronized = Option::as_ref(image)?;
+                let (depth, bridged_px) = (depth.as_deref(), bridged_px.as_deref());
+                Some(Source { camera: &filmed.camera, image, depth, bridged_px })
+            };
         cameras.filter_map(source).collect()
     }
 }

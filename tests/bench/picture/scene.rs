@@ -5,6 +5,7 @@ use super::summary::Summary;
 use super::truth::{Judge, True, depth_errors, psnr_db};
 use super::{Error, write};
 use std::path::Path;
+use std::sync::Arc;
 use stlfr::camera::Camera;
 use stlfr::interpolation::{SyncMethod, Synchronized};
 use stlfr::light_field::{Geometry, LightField};
@@ -111,7 +112,7 @@ impl<'a> Scene<'a> {
         let of_all = stereo(&self.all_cameras)?;
         let of_peers: Vec<Geometry> =
             self.peers.iter().map(|(_, images)| stereo(images)).collect::<Result<_, _>>()?;
-        let sources = self.cameras.iter().map(|c| Some(c.depth.clone())).collect();
+        let sources = self.cameras.iter().map(|c| Some(Arc::new(c.depth.clone()))).collect();
         let exact = Geometry { view: t.depth.clone(), sources };
         println!("  view {}", t.id);
         for (name, found) in [
