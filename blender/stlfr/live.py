@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -115,7 +116,10 @@ class Live:
         self._changed = threading.Condition()
         self._wanted: Request | None = None
         self._serial = 0
+        self._begun = 0
         self._served = 0
+        self._completing = threading.Lock()
+        self._completer: threading.Thread | None = None
         self._closed = False
         self._picture: Picture | None = None
         self._error: str | None = None
@@ -147,7 +151,7 @@ class Live:
         with self._changed:
             self._wanted = self._picture = self._error = None
             self._serial += 1
-            self._served = self._serial
+            self._served = self._begun = self._serial
             self._changed.notify_all()
 
     @property
@@ -183,43 +187,69 @@ class Live:
             self._serial += 1
             self._picture = self._wanted = None
             self._changed.notify_all()
-        if self._thread is not None and patience_s > 0.0:
-            self._thread.join(patience_s)
+        for thread in (self._thread, self._completer):
+            if thread is not None and patience_s > 0.0:
+                thread.join(patience_s)
 
     def _run(self) -> None:
         while True:
             with self._changed:
-                while not self._closed and self._served == self._serial:
+                while not self._closed and self._begun == self._serial:
                     self._changed.wait()
                 if self._closed:
                     self._moment = None
                     return
                 serial, request = self._serial, self._wanted
+                self._begun = serial
             assert request is not None
-            self._serve(serial, request)
-            with self._changed:
-                if self._serial == serial:
-                    self._served = serial
-                    self._news = True
+            self._begin(serial, request)
 
-    def _serve(self, serial: int, request: Request) -> None:
-        """A picture at once, and a better one if nothing changes meanwhile."""
+    def _begin(self, serial: int, request: Request) -> None:
+        if self._does(serial, lambda: self._show(serial, self._fast(request))):
+            self._begin_full(serial, request)
+
+    def _begin_full(self, serial: int, request: Request) -> None:
+        """If nothing changes meanwhile: in a thread of its own. Its steps can be long where frames are new, and fast
+        pictures don't wait for the end of one that is given up.
+        """
+        if self._rests(serial):
+            self._completer = threading.Thread(
+                target=self._complete,
+                args=(serial, request),
+                daemon=True,
+                name="stlfr viewport",
+            )
+            self._completer.start()
+
+    def _complete(self, serial: int, request: Request) -> None:
+        with self._completing:
+            if self._serial == serial:
+                self._does(serial, lambda: self._full(serial, request))
+
+    def _full(self, serial: int, request: Request) -> None:
+        start_s = time.monotonic()
+        samples = fields.render(request, lambda *_: self._serial == serial)
+        self.counts.final += 1
+        self.counts.final_took_s = time.monotonic() - start_s
+        self._show(serial, Picture(view.scene_linear(samples), request, True))
+        with self._changed:
+            if self._serial == serial:
+                self._served, self._news = serial, True
+
+    def _does(self, serial: int, work: Callable[[], None]) -> bool:
+        """Whether it is done; what went wrong is said."""
         try:
-            self._show(serial, self._fast(request))
-            if not self._rests(serial):
-                return
-            start_s = time.monotonic()
-            samples = fields.render(request, lambda *_: self._serial == serial)
-            self.counts.final += 1
-            self.counts.final_took_s = time.monotonic() - start_s
-            self._show(serial, Picture(view.scene_linear(samples), request, True))
+            work()
         except fields.StoppedError:
-            pass
+            return False
         except (BadInputError, FailureError) as error:
             self._fail(serial, str(error))
         except BaseException as error:  # noqa: BLE001 - a panic of the module is no Exception
             name = type(error).__name__
             self._fail(serial, f"rendering failed: {error} ({name})")
+        else:
+            return True
+        return False
 
     def _fast(self, request: Request) -> Picture:
         """By the fast method; from the second view of an instant on, what its views share is kept."""
@@ -263,6 +293,7 @@ class Live:
         with self._changed:
             if self._serial == serial and not self._closed:
                 self._picture, self._error, self._news = None, sentence, True
+                self._served = serial
 
 
 @dataclass(frozen=True)

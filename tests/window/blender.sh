@@ -4,7 +4,7 @@
 #   blender.sh install ROOT             Debian's unstable release with Blender, Xvfb and Mesa into ROOT: as root, 2 GB
 #   blender.sh run ROOT HOME ARGUMENT…  that Blender, 1600x1000 pixels; its configuration lies in HOME
 #   blender.sh do ROOT COMMAND…         a command beside it, as `xdotool key 96` or `import -window root shot.png`
-#   blender.sh stop ROOT                end the screen
+#   blender.sh stop ROOT                end the screen, and unmount what ROOT shows of the machine: before ROOT is deleted
 #
 # The folder for temporary files is seen inside at the same place as outside. Debian's Blender is newer than the
 # project's own, so that both are tried. The screen has no graphics card: Mesa draws.
@@ -30,7 +30,7 @@ within() {
 mounted() {
     local place
     for place in proc sys dev; do
-        mountpoint -q "$root/$place" || mount --rbind "/$place" "$root/$place"
+        mountpoint -q "$root/$place" || mount --rbind --make-rslave "/$place" "$root/$place"
     done
     mkdir -p "$root$shared"
     mountpoint -q "$root$shared" || mount --bind "$shared" "$root$shared"
@@ -80,6 +80,10 @@ do)
 stop)
     [ ! -e "$root/screen.pid" ] || kill "$(cat "$root/screen.pid")"
     rm -f "$root/screen.pid"
+    for place in "$root$shared" "$root/dev" "$root/sys" "$root/proc"; do
+        # Private first: what is unmounted here stays mounted outside.
+        mountpoint -q "$place" && mount --make-rprivate "$place" && umount -R -l "$place" || true
+    done
     ;;
 *) usage ;;
 esac
