@@ -20,7 +20,7 @@ const SOFT_SPACINGS: f64 = 0.5;
 const ZOOMS: std::ops::RangeInclusive<f64> = 0.25..=16.0;
 /// Largest turn from the rig's own direction, degrees. Larger: one looks away from what was filmed; smaller: a
 /// zoomed view can't reach its border.
-const MAX_TURN_DEG: f64 = 45.0;
+const MAX_TURN_DEG: f64 = 20.0;
 /// Smallest width and height of a picture, pixels. Larger: narrow windows are refused; smaller: pictures in which
 /// nothing can be triangulated.
 const MIN_SIZE_PX: u32 = 16;

@@ -1,7 +1,7 @@
 //! The threads that answer requests.
 
 use super::queue::{Answer, Job, Lane, Stale};
-use super::{LiveError, PictureRequest, Queue, Studio};
+use super::{Level, LiveError, PictureRequest, Queue, Studio};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -49,7 +49,10 @@ fn pool(lane: Lane) -> std::io::Result<ThreadPool> {
 fn stand_back() {
     // SAFETY: on Linux, process 0 is the calling thread; no memory is involved. If it is refused, the thread
     // keeps its priority.
-    unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, FULL_NICENESS) };
+    unsafe {
+        let own = libc::getpriority(libc::PRIO_PROCESS, 0);
+        libc::setpriority(libc::PRIO_PROCESS, 0, own + FULL_NICENESS);
+    }
 }
 
 #[cfg(not(target_os = "linux"))]
@@ -64,9 +67,9 @@ fn work(studio: &Studio, queue: &Queue, lane: Lane, pool: &ThreadPool) {
         let Some(job) = queue.take(lane) else { return };
         let request = job.request.clone();
         let answer = answer(studio, &job, pool);
-        let is_shown = answer.is_ok();
+        let is_shown = answer.is_ok() && request.level == Level::Full && !request.viewer.is_empty();
         let stale = queue.answer(job, answer);
-        if lane == Lane::Full && is_shown {
+        if is_shown {
             // The viewer looks at the picture now, and may look around from there.
             ahead.push_back((request, stale));
         } else {

@@ -9,7 +9,7 @@ export const METHODS = {
 };
 
 const ZOOMS = [0.25, 16];
-const MAX_TURN_DEG = 45;
+const MAX_TURN_DEG = 20;
 /** Times that are nearer are one instant, seconds. */
 const SAME_INSTANT_S = 1e-6;
 
