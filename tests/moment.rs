@@ -58,6 +58,11 @@ fn views_of_a_moment_are_the_same_bytes_as_one_by_one() {
     let time_s = 2.1 / 30.0 - field.capture().time_origin_s;
     let mut all: Vec<ViewOptions> =
         [Preset::Draft, Preset::Balanced].map(|p| p.options().view()).to_vec();
+    // Fewer cameras than there are have weight.
+    let mut few = all[1].clone();
+    few.blend.method = BlendMethod::SpaceTime;
+    (few.proxy.depth.cameras, few.proxy.depth.further_cameras) = (2, 0);
+    all.push(few);
     all.push(RenderOptions::default().view());
     for method in [ProxyMethod::Plane, ProxyMethod::Mesh] {
         for mut options in all.clone() {

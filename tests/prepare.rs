@@ -149,3 +149,24 @@ fn links_lead_nowhere() {
     assert!(delete_prepared(folder.path()).is_err());
     assert_eq!(std::fs::read_dir(elsewhere.path()).unwrap().count(), 1);
 }
+
+fn delete_by_command(folder: &Path) -> (Option<i32>, String) {
+    let program = env!("CARGO_BIN_EXE_stlfr");
+    let output =
+        std::process::Command::new(program).arg("prepare").arg(folder).arg("--delete").output();
+    let output = output.expect("the program runs");
+    let said = [output.stdout, output.stderr].concat();
+    (output.status.code(), String::from_utf8(said).expect("text"))
+}
+
+#[test]
+fn of_a_damaged_capture_too_it_is_deleted() {
+    let folder = filmed();
+    prepared(&opened(folder.path()));
+    std::fs::write(folder.path().join("capture.json"), "{").unwrap();
+    assert_eq!(delete_by_command(folder.path()), (Some(0), "Deleted.\n".to_owned()));
+    assert_eq!(delete_by_command(folder.path()), (Some(0), "Nothing was prepared.\n".to_owned()));
+    std::fs::remove_file(folder.path().join("capture.json")).unwrap();
+    let (code, said) = delete_by_command(folder.path());
+    assert!(code == Some(2) && said.contains("capture.json"), "{said}");
+}

@@ -2,11 +2,12 @@
 
 use super::CliError;
 use super::error::of_io;
-use super::files::{OptionsArgs, open_capture};
+use super::files::{OptionsArgs, must_be_a_file, open_capture};
 use super::print::Page;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
+use stlfr::capture::CAPTURE_FILE;
 use stlfr::light_field::delete_prepared;
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
@@ -31,20 +32,26 @@ pub struct Args {
     options: OptionsArgs,
 }
 
+/// Also of a capture that can't be opened.
+fn delete(capture: &Path, page: &mut Page) -> Result<(), CliError> {
+    must_be_a_file(&capture.join(CAPTURE_FILE))?;
+    let deleted = delete_prepared(capture).map_err(|error| {
+        let folder = capture.join(".stlfr/registered");
+        of_io(format!("{}: can't be deleted ({error})", folder.display()), &error)
+    })?;
+    page.line(if deleted { "Deleted." } else { "Nothing was prepared." });
+    Ok(())
+}
+
 /// Bytes of a megabyte.
 const MB: f64 = 1e6;
 
 pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+    if args.delete {
+        return delete(&args.capture, page);
+    }
     let options = args.options.read()?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
-    if args.delete {
-        let deleted = delete_prepared(&capture.folder).map_err(|error| {
-            let folder = args.capture.join(".stlfr/registered");
-            of_io(format!("{}: can't be deleted ({error})", folder.display()), &error)
-        })?;
-        page.line(if deleted { "Deleted." } else { "Nothing was prepared." });
-        return Ok(());
-    }
     let field = pipeline::open_field(capture, &options, reporter)?;
     let (pairs, bytes) = field.preparation_size();
     reporter.note(&format!(

@@ -44,7 +44,8 @@ fn corners(width: usize, height: usize) -> [Point2<f64>; 4] {
 }
 
 /// How far outside a triangle a pixel's centre still counts as inside, in barycentric coordinates: between two
-/// triangles, rounding leaves no gap. Larger: a triangle covers pixels of its neighbours.
+/// triangles, rounding leaves no gap. Larger: a triangle covers pixels of its neighbours; smaller: gaps, which stay
+/// unwarped.
 const OUTSIDE: f64 = 1e-9;
 
 /// Sets the warp at the pixels of one triangle.

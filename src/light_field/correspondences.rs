@@ -8,9 +8,10 @@ use crate::registration::{Frame, Match, Trajectory, flow};
 use nalgebra::{Point2, Vector2};
 use std::sync::Arc;
 
-/// How many matches are cached, those of all cameras and frames together: 64 MB of them, more than all cameras'
-/// around an instant. More only saves matching again.
-pub(super) const MAX_CACHED_MATCHES: usize = (64 << 20) / size_of::<Option<Matched>>();
+/// The most bytes of correspondences that are cached, those of all cameras and frames together: several times all
+/// cameras' around an instant. More only saves matching again; less: cameras that a view needs are matched again
+/// for the next instant.
+pub(super) const MAX_CACHED_BYTES: usize = 64 << 20;
 
 /// A step of the interpolation towards the other frame that is longer is not believed, pixels: the
 /// disparity that it is extrapolated from was wrong. Larger: matches start far off and are lost;
@@ -89,8 +90,9 @@ impl Correspondences {
         seen
     }
 
-    fn count(&self) -> usize {
-        self.features.len() * self.partners.len().max(1)
+    fn bytes(&self) -> usize {
+        let each = size_of::<Feature>() + self.partners.len() * size_of::<Option<Matched>>();
+        self.features.len() * each
     }
 }
 
@@ -113,7 +115,7 @@ impl LightField {
         // Not the instant: what is cached depends on the key alone.
         let time_s = self.middle_s(&around);
         let found = Arc::new(self.corresponding(&around, time_s, max_epipolar_px)?);
-        self.correspondences.insert(key, found.clone(), found.count());
+        self.correspondences.insert(key, found.clone(), found.bytes());
         Ok(found)
     }
 

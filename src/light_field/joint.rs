@@ -67,10 +67,11 @@ impl LightField {
         Ok(result)
     }
 
-    /// Drops what images share that are made from all cameras: it takes as long as for the first view of an
+    /// Drops what views share besides registered frames, so that the next takes as long as the first one of an
     /// instant.
-    pub(crate) fn forget_joints(&self) {
+    pub(crate) fn forget_shared(&self) {
         self.joints.retain(|_| false);
+        self.correspondences.retain(|_| false);
     }
 
     /// Makes what the images of these cameras share, before threads that don't know of each other make it.

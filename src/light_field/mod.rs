@@ -71,6 +71,7 @@ pub struct LightField {
     triangles: BoundedCache<(usize, usize), Arc<Triangles>>,
     /// The largest changes of frame pairs, by camera and earlier frame.
     changes: BoundedCache<(usize, usize), f32>,
+    /// The cost is their size in bytes.
     correspondences: BoundedCache<CorrespondencesKey, Arc<Correspondences>>,
     points: BoundedCache<PointsKey, Arc<Vec<Point3<f64>>>>,
     /// All cameras' images at an instant, with their depths.
@@ -98,7 +99,7 @@ impl LightField {
             store: OnceLock::new(),
             triangles: BoundedCache::new(registered::MAX_CACHED_TRIANGLES),
             changes: BoundedCache::new(registered::MAX_CACHED_CHANGES),
-            correspondences: BoundedCache::new(correspondences::MAX_CACHED_MATCHES),
+            correspondences: BoundedCache::new(correspondences::MAX_CACHED_BYTES),
             points: BoundedCache::new(points::MAX_CACHED_POINTS),
             joints: BoundedCache::new(joint::MAX_CACHED_INSTANTS),
         }

@@ -5,7 +5,7 @@ use super::points::nearest;
 use super::{Geometry, LightField, RenderError};
 use crate::camera::Camera;
 use crate::interpolation::Synchronized;
-use crate::lumigraph::{DepthMap, Rendered};
+use crate::lumigraph::{BlendMethod, DepthMap, Rendered};
 use crate::options::{ProxyMethod, ViewOptions};
 use crate::raster::Image;
 use crate::stereo::fuse;
@@ -164,8 +164,23 @@ impl Moment<'_> {
     /// Those of [`Self::view`].
     pub fn view_by(&self, target: &Camera, options: &ViewOptions) -> Result<Rendered, RenderError> {
         let geometry = self.geometry_by(target, options)?;
-        let rendered = self.field.blend_corrected(&self.images, &geometry, target, &options.blend);
+        let images = self.candidates(target, options);
+        let rendered = self.field.blend_corrected(&images, &geometry, target, &options.blend);
         if rendered.coverage.contains(&true) { Ok(rendered) } else { Err(RenderError::NothingSeen) }
+    }
+
+    /// The images that a view is blended from.
+    fn candidates(
+        &self,
+        target: &Camera,
+        options: &ViewOptions,
+    ) -> Cow<'_, [Option<Synchronized>]> {
+        if options.blend.method != BlendMethod::SpaceTime {
+            return Cow::Borrowed(&self.images);
+        }
+        let mut images = self.images.clone();
+        self.field.keep_candidates(&mut images, target, self.time_s, options);
+        Cow::Owned(images)
     }
 
     /// Which cameras the pixels of [`Self::view_by`] come from: that view with every camera's image replaced by a colour,
@@ -190,7 +205,8 @@ impl Moment<'_> {
             Some(Synchronized { image, bridged_px: bridged_px.clone() })
         };
         assert!(colors.len() >= self.images.len(), "a colour for each camera");
-        let tinted: Vec<_> = self.images.iter().zip(colors).map(tinted).collect();
+        let images = self.candidates(target, options);
+        let tinted: Vec<_> = images.iter().zip(colors).map(tinted).collect();
         Ok(self.field.blend_corrected(&tinted, &geometry, target, &options.blend))
     }
 

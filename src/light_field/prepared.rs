@@ -6,7 +6,8 @@
 //! of eight bytes, little-endian, so that views are the same bytes as without it. What is missing or damaged is
 //! registered anew. The folder may be deleted at any time.
 //!
-//! Known limits: folders of earlier contents and options stay. A checksum tells damage, not a forger.
+//! Known limits: folders of earlier contents and options stay. A checksum tells damage, not a forger. Pairs that another
+//! kind of processor registered are used, though they may differ in their last bits.
 
 use super::{LightField, RenderError};
 use crate::host::{link_within, read_bytes, remove_special, write_atomically};
@@ -15,6 +16,9 @@ use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+
+/// Part of the key: changed whenever the same frames are registered to other tracks.
+const REGISTRATION: &[u8] = b"stlfr-tracks-1";
 
 /// The folder of all prepared pairs inside a capture.
 const FOLDER: &str = ".stlfr/registered";
@@ -50,6 +54,7 @@ impl Store {
     fn of(field: &LightField) -> Option<Self> {
         let capture = field.capture();
         let mut hasher = blake3::Hasher::new();
+        hasher.update(REGISTRATION);
         hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
         hasher.update(capture.content_hash().ok()?.as_bytes());
         let options = serde_json::to_string(field.frames.options()).ok()?;

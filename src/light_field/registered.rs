@@ -11,7 +11,8 @@ use std::sync::Arc;
 /// each camera of a rig. More only saves registering again.
 pub(super) const MAX_CACHED_TRACKS: usize = (32 << 20) / size_of::<Track>();
 
-/// How many triangles are cached: those of as many tracks, of which two frames have about two each.
+/// How many triangles are cached: those of as many tracks, about four each in the two frames together. More only saves
+/// triangulating again; fewer: pairs whose tracks are cached are triangulated for every view.
 pub(super) const MAX_CACHED_TRIANGLES: usize = 4 * MAX_CACHED_TRACKS;
 
 /// Of how many frame pairs the change is cached. More only saves comparing two frames again.

@@ -179,7 +179,7 @@ impl<'a> Views<'a> {
         self.field.keep_candidates(&mut candidates, camera, time_s, &view);
         let mut needed = self.field.needed(&candidates, &geometry, camera, &view.blend);
         needed.retain(|(c, _)| !whole.contains(c));
-        self.field.forget_joints();
+        self.field.forget_shared();
         let watch = Stopwatch::start();
         match stage {
             Stage::Sync => {

@@ -11,7 +11,7 @@
 //!   Then what the preparation takes, beside OpenCV's DIS in both directions for the same pairs.
 //!
 //! All use all cores. The peers are left out where the project's Python environment is missing. What is prepared is
-//! deleted again.
+//! deleted again; a capture that is prepared already is refused.
 
 #[path = "live/moving.rs"]
 mod moving;

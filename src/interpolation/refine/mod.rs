@@ -42,8 +42,7 @@ pub fn refined(
     motions: &[Motion],
     options: &RefineOptions,
 ) -> Image {
-    let (w, h, channels) =
-        (frames.earlier.width(), frames.earlier.height(), frames.earlier.channels());
+    let (w, h) = (frames.earlier.width(), frames.earlier.height());
     let options = &scaled(options, w.max(h));
     let step = MIN_STEP.max(2 * options.window_radius_px);
     // A block that touches what is needed, the windows around its pixels, and the windows of their costs.
@@ -75,6 +74,13 @@ pub fn refined(
         .map(|k| refiner.refine((k % blocks_x) as isize, (k / blocks_x) as isize))
         .collect();
 
+    blended(&cross_faded, &blocks, step)
+}
+
+/// The blocks, which fade into each other, and the cross-faded frames where there is none.
+fn blended(cross_faded: &Image, blocks: &[Option<Vec<f32>>], step: usize) -> Image {
+    let (w, h, channels) = (cross_faded.width(), cross_faded.height(), cross_faded.channels());
+    let blocks_x = w.div_ceil(step) + 1;
     let mut data = cross_faded.data().to_vec();
     data.par_chunks_mut(w * channels).enumerate().for_each(|(y, row)| {
         for (x, out) in row.chunks_exact_mut(channels).enumerate() {

@@ -73,6 +73,9 @@ pub fn bench(
     view: &Camera,
     methods: &[(&'static str, RenderOptions)],
 ) -> Result<(), Error> {
+    if Path::new(folder).join(".stlfr/registered").exists() {
+        return Err("is prepared, which this benchmark would delete: copy the capture".into());
+    }
     println!(
         "| method | unprepared: first view | prepared: first view | a view | views a second | one thread |"
     );
