@@ -179,42 +179,40 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
             true
         })
     });
-    let writer = write_all(views, writer, depth)?;
+    let result = write_all(views, writer, depth);
     drop(task);
-    writer.finish()
+    result
 }
 
 /// Finished views that may wait to be written. More: memory; fewer: rendering waits for a file that takes longer
 /// than others.
 const WAITING_VIEWS: usize = 2;
 
-/// Writes views while the next ones are rendered. Views before an error are written.
+/// Writes views while the next ones are rendered. Views before an error are written, but no video is finished then.
 fn write_all(
     views: impl Iterator<Item = Result<Rendered, RenderError>>,
     mut writer: Writer,
     depth: BitDepth,
-) -> Result<Writer, CliError> {
-    let (send, received) = sync_channel::<Rendered>(WAITING_VIEWS);
+) -> Result<(), CliError> {
+    let (send, received) = sync_channel(WAITING_VIEWS);
     std::thread::scope(|scope| {
+        // ffmpeg ends with the thread that started it, which therefore finishes the video.
         let writing = scope.spawn(move || {
-            for (index, Rendered { image, coverage, .. }) in received.into_iter().enumerate() {
+            for (index, view) in received.into_iter().enumerate() {
+                let Rendered { image, coverage, .. } = view?;
                 writer.write(index, &image, Some(&coverage), depth)?;
             }
-            Ok::<_, CliError>(writer)
+            writer.finish()
         });
-        let mut rendered = Ok(());
         for view in views {
+            let failed = view.is_err();
             // Without a receiver, writing has failed, and says why.
-            let sent = view.map(|view| send.send(view).is_ok());
-            if !matches!(sent, Ok(true)) {
-                rendered = sent.map(drop);
+            if send.send(view).is_err() || failed {
                 break;
             }
         }
         drop(send);
-        let written = writing.join().unwrap_or_else(|panic| resume_unwind(panic));
-        rendered?;
-        written
+        writing.join().unwrap_or_else(|panic| resume_unwind(panic))
     })
 }
 

@@ -10,6 +10,7 @@ directions between all consecutive frames, without decoding.
 import json
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ def flow_s(cameras: list[list[str]]) -> float:
     for frames in cameras:
         images = [opencv.imread(frame, cv2.IMREAD_GRAYSCALE) for frame in frames]
         start = time.perf_counter()
-        for earlier, later in zip(images, images[1:], strict=False):
+        for earlier, later in pairwise(images):
             dis.calc(earlier, later, None)
             dis.calc(later, earlier, None)
         seconds += time.perf_counter() - start
