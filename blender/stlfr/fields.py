@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING
 from . import filming, words
 from .errors import BadInputError
 from .plan import CAPTURE_FILE
-from .view import Request, Samples
+from .view import Request, Samples, Stamp
 
 if TYPE_CHECKING:
     import stlfr
-
-Stamp = tuple[tuple[int, int], ...]
 
 _lock = threading.Lock()
 _open: tuple[Path, Stamp, stlfr.Capture] | None = None
@@ -66,7 +64,7 @@ def span_s(folder: Path) -> tuple[float, float] | None:
 
     None where the folder holds no capture.
     """
-    stamp = _stamp(folder)
+    stamp = stamp_of(folder)
     known = _spans.get(folder)
     if known is None or known[0] != stamp:
         known = (stamp, _find_span_s(folder))
@@ -113,14 +111,15 @@ def _capture(folder: Path) -> stlfr.Capture:
 
     global _open
     with _lock:
-        stamp = _stamp(folder)
+        stamp = stamp_of(folder)
         if _open is None or _open[:2] != (folder, stamp):
             must_be_capture(folder)
             _open = (folder, stamp, stlfr.open(folder))
         return _open[2]
 
 
-def _stamp(folder: Path) -> Stamp:
+def stamp_of(folder: Path) -> Stamp:
+    """Of a capture's description and its saved offsets; a file that isn't there has zeros."""
     states = []
     for name in (CAPTURE_FILE, "offsets.json"):
         try:

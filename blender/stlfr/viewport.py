@@ -114,7 +114,11 @@ def wish(context: Any, scene: Any, capture: Path) -> Wish:
         place = Rect(0.0, 0.0, *size_px)
         border = _border(space, space.use_render_border)
     request = view.Request(
-        capture, view.capture_time_s(scene), camera, view.options(scene.stlfr)
+        capture,
+        view.capture_time_s(scene),
+        camera,
+        view.options(scene.stlfr),
+        fields.stamp_of(capture),
     )
     return Wish(request, place, border)
 
