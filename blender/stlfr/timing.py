@@ -37,6 +37,14 @@ def whole_frames(covered: tuple[float, float]) -> tuple[int, int] | None:
     return (first, last) if first <= last else None
 
 
+def scene_range(covered: tuple[float, float] | None) -> tuple[int, int] | None:
+    """The whole frames among those covered that a scene can have; None where there is none. None is before 0."""
+    whole = None if covered is None else whole_frames(covered)
+    if whole is None or whole[1] < 0:
+        return None
+    return max(0, whole[0]), whole[1]
+
+
 def sentence(scene: Any, capture: Path) -> tuple[str, bool]:
     """Which frames are covered, and whether the scene's is among them."""
     span_s = fields.span_s(capture)
