@@ -6,6 +6,7 @@ far it is.
 
 from __future__ import annotations
 
+import functools
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -230,8 +231,8 @@ class STLFR_OT_film(LongWork, bpy.types.Operator):
 
         return after
 
-    def tidy(self) -> None:
-        filming.tidy(self.capture)
+    def tidying(self) -> Callable[[], None]:
+        return functools.partial(filming.tidy, self.capture)
 
 
 class STLFR_OT_offsets(LongWork, bpy.types.Operator):
