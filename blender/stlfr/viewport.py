@@ -17,7 +17,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 from gpu_extras.batch import batch_for_shader
 
-from . import fields, live, view, viewpoint, words
+from . import fields, live, spans, view, viewpoint, words
 from .errors import BadInputError
 from .viewpoint import Rect
 
@@ -257,6 +257,7 @@ def end_all(*_: Any) -> None:
     """Another file is opened, or the extension goes: nothing comes any more."""
     for one in list(_all):
         one.close()
+    spans.forget()
     fields.close()
 
 
