@@ -34,6 +34,9 @@ MIN_RATE_HZ, MAX_RATE_HZ = 1e-2, 1e5
 """Between these, Blender has a frame rate. Further apart, and a scene plays at another than its reel's; closer, and slow or
 fast videos are refused."""
 
+MAX_FRAMES = 1_048_574
+"""Blender's last frame. Larger, and strips end where no frame is; smaller, and long videos are refused."""
+
 BACKGROUND_CHANNEL = 1
 QUADRANTS = {
     "truth": (0, 0),
@@ -129,10 +132,10 @@ def read_shots(entries: list[dict[str, Any]], folder: Path) -> list[Shot]:
     for entry in entries:
         panels = {}
         if entry["truth"] is not None:
-            panels["truth"] = Panel("Truth", folder / entry["truth"])
+            panels["truth"] = Panel("Truth", _file(entry["truth"], folder))
         for name in ("traditional", "space_time"):
             if (panel := entry[name]) is not None:
-                panels[name] = Panel(str(panel["title"]), folder / panel["file"])
+                panels[name] = Panel(str(panel["title"]), _file(panel["file"], folder))
         frames = entry["frames"]
         if not isinstance(frames, int) or frames < 1:
             raise ValueError(f"frames is {frames}, not a whole number above 0")
@@ -141,9 +144,19 @@ def read_shots(entries: list[dict[str, Any]], folder: Path) -> list[Shot]:
         label = str(entry["label"])
         shots.append(Shot(label, start, frames, bool(entry["is_movie"]), panels))
         start += frames
+    if start > MAX_FRAMES:
+        raise ValueError(f"a reel has {start - 1} frames, more than Blender's scenes")
     if not shots:
         raise ValueError("shots is empty")
     return shots
+
+
+def _file(name: str, folder: Path) -> Path:
+    """A picture in a review's folder, never one outside of it."""
+    path = folder / name
+    if not path.resolve().is_relative_to(folder):
+        raise ValueError(f"{name} leads out of the folder")
+    return path
 
 
 def picture_strip(strips: Any, name: str, file: Path, channel: int, shot: Shot) -> Any:

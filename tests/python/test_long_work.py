@@ -83,7 +83,7 @@ def test_an_error_after_the_end_is_said_and_the_timer_ends_in_order(
 
     job = ended_job("pass")
     second = long_work.Followed(job, lambda _: "The second is done", never)
-    long_work._followed += [long_work.Followed(job, fail, never), second]
+    long_work._followed.extend([long_work.Followed(job, fail, never), second])
     assert long_work._follow() is None
     assert [("mine" in said) for said in jobs.ended] == [True, False]
     assert jobs.ended[1] == "The second is done"

@@ -100,6 +100,14 @@ def no_movie(found: dict[str, Any]) -> None:
         (lambda found: found["reels"][1].update(shots=[]), "shots is empty"),
         (lambda found: found["reels"][1].update(shots=[7]), "is no such layout"),
         (lambda found: found["reels"][1]["shots"][0].update(frames=0), "frames is 0"),
+        (
+            lambda found: found["reels"][1]["shots"][0].update(frames=1 << 40),
+            "more than Blender's scenes",
+        ),
+        (
+            lambda found: found["reels"][1]["shots"][0].update(truth="../a.png"),
+            "leads out of the folder",
+        ),
         (lambda found: found.update(reels=7), "is no such layout"),
         (lambda found: found.update(difference_gain=None), "is no such layout"),
     ],
