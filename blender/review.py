@@ -36,7 +36,7 @@ reels = importlib.import_module("stlfr_extension.reels")
 
 def build(layout_file: Path) -> Path:
     """Write review.blend beside review.json."""
-    reels.read_layout(layout_file)
+    reels.read_reels(layout_file)
     bpy.ops.wm.read_homefile(app_template="Video_Editing", use_factory_startup=True)
     others = list(bpy.data.scenes)
     first = reels.add_all(layout_file)[0]
@@ -67,7 +67,7 @@ def main() -> int:
         return 2
     try:
         build(Path(sys.argv[1]))
-    except (errors.BadInputError, OSError, ValueError, KeyError, TypeError) as error:
+    except (errors.BadInputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
     except RuntimeError as error:

@@ -25,7 +25,7 @@ Of the extension alone:
 - `engine`: the render engine `STLFR`
 - `viewport`: its `Rendered` shading; `live` renders for it, `viewpoint` is the region's camera
 - `view`: which image of the light field a frame of the scene shows
-- `fields`: the capture that is open; `timing`: which scene frames it covers
+- `fields`: the capture that is open; `timing`: which scene frames it covers; `spans`: read beside the main thread
 - `properties`, `panels`, `operators`, `comparison`: what the user sees and presses
 - `reels`: a comparison as scenes of strips
 - `words`: sentences in the panels' words
@@ -36,7 +36,7 @@ Of the extension alone:
 - `wheel`: the compiled module has to be this extension's
 
 `film`, `scenes`, and of the extension `comparison`, `engine`, `long_work`, `operators`, `panels`, `paths`,
-`properties`, `reels`, `rig_objects` and `viewport` import `bpy`; everything else starts at once and tests anywhere. Importing this
+`properties`, `reels`, `rig_objects`, `spans` and `viewport` import `bpy`; everything else starts at once and tests anywhere. Importing this
 package registers nothing and imports none of them.
 """
 
@@ -61,6 +61,7 @@ def unregister() -> None:
         engine,
         fields,
         jobs,
+        live,
         long_work,
         operators,
         panels,
@@ -70,4 +71,4 @@ def unregister() -> None:
     jobs.end_all()
     for module in (long_work, engine, panels, comparison, operators, properties):
         module.unregister()
-    fields.close()
+    fields.close(live.PATIENCE_S)

@@ -18,7 +18,8 @@ WORKSPACE = "Video Editing"
 """Blender's own, in which strips are seen."""
 
 MARK = "stlfr_comparison"
-"""A property of the scenes that show a comparison: of which capture."""
+"""A property of the scenes that show a comparison: of which folder, and the scene's own name. Blender copies properties,
+so a copy and a scene that was renamed have another's name there: they are the user's."""
 
 
 class STLFR_OT_compare(LongWork, bpy.types.Operator):
@@ -90,20 +91,27 @@ def review_file(scene: Any, name: str) -> Path:
 def show(context: Any, layout_file: Path) -> list[Any]:
     """Add a comparison's scenes in place of those of the same one before, and turn to them.
 
+    Where that fails, those before stay. Copies that the user made of them, or has renamed, stay in any case.
     The window's own scene stays: the Video Editing workspace shows another one in its sequencer.
     """
-    mark = str(layout_file.resolve().parent)
-    for scene in [s for s in bpy.data.scenes if s.get(MARK) == mark]:
-        if scene != context.scene:
-            bpy.data.scenes.remove(scene)
-    scenes = reels.add_all(layout_file)
+    folder = str(layout_file.resolve().parent)
+    before = [
+        scene
+        for scene in bpy.data.scenes
+        if scene != context.scene and scene.get(MARK) == _mark(scene, folder)
+    ]
+    scenes = reels.add_all(layout_file, before)
     for scene in scenes:
-        scene[MARK] = mark
+        scene[MARK] = _mark(scene, folder)
     if context.window is not None and not bpy.app.background:
         workspace = _workspace(context)
         workspace.sequencer_scene = scenes[0]
         context.window.workspace = workspace
     return scenes
+
+
+def _mark(scene: Any, folder: str) -> str:
+    return f"{scene.name} of {folder}"
 
 
 def _workspace(context: Any) -> Any:

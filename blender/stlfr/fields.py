@@ -1,4 +1,8 @@
-"""The capture that is open, so that one image's registered frames serve the next. No `bpy` here."""
+"""The capture that is open, so that one image's registered frames serve the next. No `bpy` here.
+
+Opening one can take long, as its videos are looked through: Blender's main thread waits for it only where a
+script or a button asks for what the capture holds.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +15,26 @@ from typing import TYPE_CHECKING
 from . import filming, words
 from .errors import BadInputError
 from .plan import CAPTURE_FILE
-from .view import Request, Samples
+from .view import Request, Samples, Stamp
 
 if TYPE_CHECKING:
     import stlfr
 
-Stamp = tuple[tuple[int, int], ...]
+Span = tuple[float, float]
+"""A first and a last time, seconds."""
+
+_opening = threading.Lock()
+"""Held while one is opened, so that no two threads open the same."""
 
 _lock = threading.Lock()
+"""Of what follows; never held for long."""
+
 _open: tuple[Path, Stamp, stlfr.Capture] | None = None
-_spans: dict[Path, tuple[Stamp, tuple[float, float] | None]] = {}
+_spans: dict[Path, tuple[Stamp, Span | None]] = {}
+_closed = 0
+"""How often everything was forgotten: what was begun before is not kept."""
+
+_reader: threading.Thread | None = None
 
 
 class StoppedError(Exception):
@@ -61,35 +75,64 @@ def seen(at: stlfr.Moment, request: Request) -> Samples:
         return at.view(request.camera)
 
 
-def span_s(folder: Path) -> tuple[float, float] | None:
+def span_s(folder: Path) -> Span | None:
     """The first and the last time of the reference camera's frames: what is surely covered.
 
-    None where the folder holds no capture.
+    None where the folder holds no capture. Opens it where that isn't known yet.
     """
-    stamp = _stamp(folder)
+    stamp, closed = stamp_of(folder), _closed
     known = _spans.get(folder)
     if known is None or known[0] != stamp:
         known = (stamp, _find_span_s(folder))
-        _spans[folder] = known
+        with _lock:
+            if closed == _closed:
+                _spans[folder] = known
     return known[1]
 
 
-def _find_span_s(folder: Path) -> tuple[float, float] | None:
+def knows_span(folder: Path) -> bool:
+    """Whether `span_s` returns at once."""
+    known = _spans.get(folder)
+    return known is not None and known[0] == stamp_of(folder)
+
+
+def read_span(folder: Path) -> None:
+    """Find `span_s` in a thread of its own, if none does so yet: one at a time. Returns at once."""
+    global _reader
+    if is_reading() or knows_span(folder):
+        return
+    _reader = threading.Thread(
+        target=span_s, args=(folder,), daemon=True, name="stlfr span"
+    )
+    _reader.start()
+
+
+def is_reading() -> bool:
+    """Whether such a thread works."""
+    return _reader is not None and _reader.is_alive()
+
+
+def _find_span_s(folder: Path) -> Span | None:
     try:
         with _own_errors():
             capture = _capture(folder)
             times_s = capture.times(capture.reference)
-    except BadInputError:
+            return float(times_s[0]), float(times_s[-1])
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException:  # noqa: BLE001 - a panic of the module is no Exception
         return None
-    return float(times_s[0]), float(times_s[-1])
 
 
-def close() -> None:
-    """Forget the open capture."""
-    global _open
+def close(patience_s: float = 0.0) -> None:
+    """Forget the open capture, at once; what is being opened isn't kept. Waits at most so long for the thread."""
+    global _open, _closed
     with _lock:
         _open = None
+        _closed += 1
         _spans.clear()
+    if _reader is not None and patience_s > 0.0:
+        _reader.join(patience_s)
 
 
 def must_be_capture(folder: Path) -> None:
@@ -112,15 +155,22 @@ def _capture(folder: Path) -> stlfr.Capture:
     import stlfr
 
     global _open
-    with _lock:
-        stamp = _stamp(folder)
-        if _open is None or _open[:2] != (folder, stamp):
-            must_be_capture(folder)
-            _open = (folder, stamp, stlfr.open(folder))
-        return _open[2]
+    with _opening:
+        stamp = stamp_of(folder)
+        with _lock:
+            if _open is not None and _open[:2] == (folder, stamp):
+                return _open[2]
+            closed = _closed
+        must_be_capture(folder)
+        capture = stlfr.open(folder)
+        with _lock:
+            if closed == _closed:
+                _open = (folder, stamp, capture)
+        return capture
 
 
-def _stamp(folder: Path) -> Stamp:
+def stamp_of(folder: Path) -> Stamp:
+    """Of a capture's description and its saved offsets; a file that isn't there has zeros."""
     states = []
     for name in (CAPTURE_FILE, "offsets.json"):
         try:

@@ -254,7 +254,7 @@ class Live:
     def _fast(self, request: Request) -> Picture:
         """By the fast method; from the second view of an instant on, what its views share is kept."""
         start_s = time.monotonic()
-        instant = _Instant(request.capture, request.time_s)
+        instant = _Instant(request.capture, request.stamp, request.time_s)
         repeated, self._last = instant == self._last, instant
         pace = self._paces[repeated]
         small = replace(
@@ -301,4 +301,5 @@ class _Instant:
     """Of a capture."""
 
     capture: Path
+    stamp: view.Stamp
     time_s: float

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
@@ -21,8 +22,19 @@ for nothing."""
 
 Result = set[str]
 
-Following = tuple[jobs.Job, Callable[[jobs.Job], str]]
-_followed: list[Following] = []
+
+@dataclass(frozen=True)
+class Followed:
+    """A job whose file was closed, and what is to be done after it. Its operator is gone by then."""
+
+    job: jobs.Job
+    after: Callable[[jobs.Job], str]
+    """Where it found something; gives the sentence that says so."""
+    tidy: Callable[[], None]
+    """Where it found nothing."""
+
+
+_followed: list[Followed] = []
 
 
 def reported(work: Callable[[Any, Any], Result]) -> Callable[[Any, Any], Result]:
@@ -55,8 +67,9 @@ class LongWork:
     take: Callable[[Any, jobs.Job], tuple[str, str]]
     """Takes over into a scene what a job found; gives the kind of a report, and its sentence."""
 
-    def tidy(self) -> None:
-        """After a job that found nothing."""
+    def tidying(self) -> Callable[[], None]:
+        """What is to be done after a job that found nothing; it doesn't need the operator."""
+        return lambda: None
 
     def without_scene(self) -> Callable[[jobs.Job], str]:
         """What is to be done after a job whose file was closed; gives the sentence that says what it found."""
@@ -96,7 +109,7 @@ class LongWork:
     def cancel(self, context: Any) -> None:
         """Another file is opened, or Blender ends: the job goes on, unless Blender's end ends it."""
         context.window_manager.event_timer_remove(self.timer)
-        _followed.append((self.job, self.without_scene()))
+        _followed.append(Followed(self.job, self.without_scene(), self.tidying()))
         if not bpy.app.timers.is_registered(_follow):
             bpy.app.timers.register(_follow, first_interval=POLL_S, persistent=True)
 
@@ -109,7 +122,7 @@ class LongWork:
     def _end(self, _context: Any) -> Result:
         job = self.job
         if job.cancelled or job.error is not None:
-            self.tidy()
+            self.tidying()()
         if job.cancelled:
             self.report({"WARNING"}, f"{job.title} was cancelled")
             return {"CANCELLED"}
@@ -129,25 +142,32 @@ class LongWork:
 def _follow() -> float | None:
     """Look after jobs whose file was closed."""
     show_progress(bpy.context)
-    for following in _followed[:]:
-        job, after = following
-        if job.is_running:
+    for followed in _followed[:]:
+        if followed.job.is_running:
             continue
-        _followed.remove(following)
-        if job.cancelled:
-            continue
-        if job.error is not None:
-            jobs.ended.append(f"{job.title} failed: {words.in_blender(job.error)}")
-        else:
-            try:
-                jobs.ended.append(after(job))
-            except (BadInputError, FailureError, OSError) as error:
-                jobs.ended.append(f"{job.title}: {error}")
+        _followed.remove(followed)
+        conclude(followed)
         show_progress(bpy.context)
     if _followed:
         return POLL_S
     hide_progress()
     return None
+
+
+def conclude(followed: Followed) -> None:
+    """After the job's end: what is left to do, and the sentence about it for the panel. It raises nothing, so that the
+    timer goes on.
+    """
+    job = followed.job
+    try:
+        if job.error is not None:
+            jobs.ended.append(f"{job.title} failed: {words.in_blender(job.error)}")
+        if job.cancelled or job.error is not None:
+            followed.tidy()
+        else:
+            jobs.ended.append(followed.after(job))
+    except Exception as error:  # noqa: BLE001 - the timer would end, and the status bar keep its text
+        jobs.ended.append(f"{job.title}: {words.in_blender(str(error))}")
 
 
 def progress_text(job: jobs.Job) -> str:

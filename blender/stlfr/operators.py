@@ -6,6 +6,7 @@ far it is.
 
 from __future__ import annotations
 
+import functools
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -230,8 +231,8 @@ class STLFR_OT_film(LongWork, bpy.types.Operator):
 
         return after
 
-    def tidy(self) -> None:
-        filming.tidy(self.capture)
+    def tidying(self) -> Callable[[], None]:
+        return functools.partial(filming.tidy, self.capture)
 
 
 class STLFR_OT_offsets(LongWork, bpy.types.Operator):
@@ -278,15 +279,14 @@ class STLFR_OT_set_range(bpy.types.Operator):
         scene = context.scene
         capture = engine.capture_folder(scene)
         fields.must_be_capture(capture)
-        covered = timing.covered(scene, capture)
-        frames = None if covered is None else timing.whole_frames(covered)
+        frames = timing.scene_range(timing.covered(scene, capture))
         if frames is None:
             raise BadInputError(
                 "no whole frame of the scene is covered: change the speed or the time offset"
             )
-        first = max(0, frames[0])  # a scene can't start before frame 0
-        scene.frame_start, scene.frame_end = first, max(first, frames[1])
-        scene.frame_set(min(max(scene.frame_current, first), frames[1]))
+        first, last = frames
+        scene.frame_start, scene.frame_end = first, last
+        scene.frame_set(min(max(scene.frame_current, first), last))
         return {"FINISHED"}
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from . import engine, filming, jobs, rig_objects, timing, view, words
+from . import engine, filming, jobs, rig_objects, spans, timing, view, words
 from .errors import BadInputError
 from .long_work import draw_progress
 from .paths import absolute
@@ -217,12 +217,20 @@ class STLFR_PT_light_field(RenderTab, bpy.types.Panel):
         column.label(text=f"This frame: {view.capture_time_s(scene):.4f} s")
         folder = capture_of(scene)
         if folder is not None:
-            sentence, is_covered = timing.sentence(scene, folder)
-            column.label(text=sentence, icon="NONE" if is_covered else "ERROR")
-            column.operator("stlfr.set_range", icon="PREVIEW_RANGE")
+            _covered(column, scene, folder)
         frame, sentence = engine.said.get(scene.name, (None, ""))
         if frame == scene.frame_current:
             paragraph(layout, context, sentence, "ERROR")
+
+
+def _covered(layout: Any, scene: Any, folder: Path) -> None:
+    """Which frames are covered, as soon as that is known."""
+    if not spans.is_known(folder):
+        layout.label(text="The capture is being read", icon="TIME")
+        return
+    sentence, is_covered = timing.sentence(scene, folder)
+    layout.label(text=sentence, icon="NONE" if is_covered else "ERROR")
+    layout.operator("stlfr.set_range", icon="PREVIEW_RANGE")
 
 
 class STLFR_PT_methods(RenderTab, bpy.types.Panel):

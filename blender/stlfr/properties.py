@@ -6,6 +6,7 @@ Blender keeps numbers in single precision: times a few seconds long are good to 
 from __future__ import annotations
 
 import contextlib
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -21,7 +22,7 @@ from bpy.props import (
 
 import stlfr
 
-from . import timing, viewport
+from . import spans, timing, viewport
 from .errors import BadInputError
 from .paths import absolute
 
@@ -58,8 +59,26 @@ def _open_capture(settings: Any, _context: Any) -> None:
     """Another capture's clocks, and a time offset at which its light field is there at the start frame."""
     settings.offsets.clear()
     with contextlib.suppress(BadInputError):  # the panel says so
-        timing.adopt(settings, absolute(settings.capture) if settings.capture else None)
+        if settings.capture:
+            _adopt(settings, absolute(settings.capture))
     viewport.redraw()
+
+
+def _adopt(settings: Any, folder: Path) -> None:
+    """As it was filmed, else as soon as it is read, unless another capture or offset is chosen by then."""
+    if timing.adopt_filmed(settings, folder):
+        return
+    name = settings.id_data.name  # the scene itself may move in memory
+    chosen = (settings.capture, settings.time_offset_s)
+
+    def adopt() -> None:
+        scene = bpy.data.scenes.get(name)
+        if scene is None:
+            return
+        if (scene.stlfr.capture, scene.stlfr.time_offset_s) == chosen:
+            timing.adopt_start(scene.stlfr, folder)
+
+    spans.when_known(folder, adopt)
 
 
 def _redraw(_settings: Any, _context: Any) -> None:

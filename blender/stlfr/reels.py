@@ -8,6 +8,7 @@ with its label above it, the shot's name above all, and a marker at every shot. 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -28,6 +29,13 @@ text of 18 px covers the pictures."""
 MIN_PANEL_PX = 480
 """Narrower pictures are enlarged by whole factors, so pixels stay square. Larger, and the sequence plays and
 renders more slowly; smaller, and labels no longer fit above their pictures."""
+
+MIN_RATE_HZ, MAX_RATE_HZ = 1e-2, 1e5
+"""Between these, Blender has a frame rate. Further apart, and a scene plays at another than its reel's; closer, and slow or
+fast videos are refused."""
+
+MAX_FRAMES = 1_048_574
+"""Blender's last frame. Larger, and strips end where no frame is; smaller, and long videos are refused."""
 
 BACKGROUND_CHANNEL = 1
 QUADRANTS = {
@@ -107,20 +115,48 @@ class Shot:
     """By quadrant, those that there are: `truth`, `traditional`, `space_time`."""
 
 
+@dataclass(frozen=True)
+class Reel:
+    """Shots that follow each other, at one rate."""
+
+    name: str
+    rate_hz: float
+    shots: list[Shot]
+    gain: float
+    """What differences are multiplied by."""
+
+
 def read_shots(entries: list[dict[str, Any]], folder: Path) -> list[Shot]:
     """The shots of a reel as review.json in `folder` lists them, one after the other from frame 1 on."""
     shots, start = [], 1
     for entry in entries:
         panels = {}
         if entry["truth"] is not None:
-            panels["truth"] = Panel("Truth", folder / entry["truth"])
+            panels["truth"] = Panel("Truth", _file(entry["truth"], folder))
         for name in ("traditional", "space_time"):
             if (panel := entry[name]) is not None:
-                panels[name] = Panel(panel["title"], folder / panel["file"])
+                panels[name] = Panel(str(panel["title"]), _file(panel["file"], folder))
         frames = entry["frames"]
-        shots.append(Shot(entry["label"], start, frames, entry["is_movie"], panels))
+        if not isinstance(frames, int) or frames < 1:
+            raise ValueError(f"frames is {frames}, not a whole number above 0")
+        if not panels:
+            raise ValueError("a shot has no picture")
+        label = str(entry["label"])
+        shots.append(Shot(label, start, frames, bool(entry["is_movie"]), panels))
         start += frames
+    if start > MAX_FRAMES:
+        raise ValueError(f"a reel has {start - 1} frames, more than Blender's scenes")
+    if not shots:
+        raise ValueError("shots is empty")
     return shots
+
+
+def _file(name: str, folder: Path) -> Path:
+    """A picture in a review's folder, never one outside of it."""
+    path = folder / name
+    if not path.resolve().is_relative_to(folder):
+        raise ValueError(f"{name} leads out of the folder")
+    return path
 
 
 def picture_strip(strips: Any, name: str, file: Path, channel: int, shot: Shot) -> Any:
@@ -194,16 +230,16 @@ def add_difference(strips: Any, shot: Shot, grid: Grid, gain: float) -> None:
     meta.select = False
 
 
-def add_reel(scene: Any, folder: Path, reel: dict[str, Any], gain: float) -> None:
-    """A scene of all the shots of a reel, one after the other."""
-    shots = read_shots(reel["shots"], folder)
+def add_reel(scene: Any, reel: Reel) -> None:
+    """Fill a scene with all the shots of a reel, one after the other."""
+    shots = reel.shots
     sizes = [
         picture_size(panel.file) for shot in shots for panel in shot.panels.values()
     ]
     width, height = (max(side) for side in zip(*sizes, strict=True))
     scale = -(-MIN_PANEL_PX // width)
     grid = Grid((width * scale, height * scale))
-    configure(scene, reel["rate_hz"], grid)
+    configure(scene, reel.rate_hz, grid)
     editor = scene.sequence_editor_create()
     editor.use_prefetch = (
         False  # it fills the memory with pictures that nobody asked for
@@ -215,7 +251,7 @@ def add_reel(scene: Any, folder: Path, reel: dict[str, Any], gain: float) -> Non
     ground.color = (0.09, 0.09, 0.09)
     ground.select = False
     for shot in shots:
-        add_shot(editor.strips, shot, grid, gain)
+        add_shot(editor.strips, shot, grid, reel.gain)
         scene.timeline_markers.new(shot.label[:60], frame=shot.start)
     scene.frame_start, scene.frame_end = 1, total
     scene.frame_set(1)
@@ -225,17 +261,18 @@ def add_reel(scene: Any, folder: Path, reel: dict[str, Any], gain: float) -> Non
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """Width and height of an image or a movie."""
-    if path.suffix == ".png":
-        image = bpy.data.images.load(str(path))
-        size = (image.size[0], image.size[1])
-        bpy.data.images.remove(image)
-    else:
-        clip = bpy.data.movieclips.load(str(path))
-        size = (clip.size[0], clip.size[1])
-        bpy.data.movieclips.remove(clip)
-    if min(size) < 1:
-        raise ValueError(f"{path}: can't be read as a picture")
+    """Width and height of an image or a movie; a `BadInputError` where it is none."""
+    is_image = path.suffix == ".png"
+    kind = bpy.data.images if is_image else bpy.data.movieclips
+    try:
+        loaded = kind.load(str(path))
+    except RuntimeError:
+        raise BadInputError(f"{path}: can't be read as a picture") from None
+    size = (loaded.size[0], loaded.size[1])
+    frames = 1 if is_image else loaded.frame_duration  # what is no movie has a size
+    kind.remove(loaded)
+    if min(*size, frames) < 1:
+        raise BadInputError(f"{path}: can't be read as a picture")
     return size
 
 
@@ -255,27 +292,58 @@ def configure(scene: Any, rate_hz: float, grid: Grid) -> None:
     view.exposure, view.gamma = 0.0, 1.0
 
 
-def read_layout(layout_file: Path) -> dict[str, Any]:
-    """review.json; a `BadInputError` where it is none, or shows nothing."""
+def read_reels(layout_file: Path) -> list[Reel]:
+    """What review.json shows; a `BadInputError` where it is none, or shows nothing."""
     try:
-        layout: dict[str, Any] = json.loads(reading.read_text(layout_file))
+        layout = json.loads(reading.read_text(layout_file))
     except (OSError, ValueError) as error:
         raise BadInputError(f"{layout_file}: can't be read ({error})") from None
-    if layout.get("format") != "stlfr-review" or layout.get("version") != 1:
+    is_review = isinstance(layout, dict) and layout.get("format") == "stlfr-review"
+    if not is_review or layout.get("version") != 1:
         raise BadInputError(f"{layout_file}: is no stlfr-review of version 1")
-    if not layout["reels"]:
+    try:
+        reels = [
+            _reel(entry, layout, layout_file.resolve().parent)
+            for entry in layout["reels"]
+        ]
+    except KeyError as error:
+        raise BadInputError(f"{layout_file}: has no {error.args[0]}") from None
+    except (TypeError, ValueError, AttributeError) as error:
+        raise BadInputError(f"{layout_file}: is no such layout ({error})") from None
+    if not reels:
         raise BadInputError(
             f"{layout_file}: reels is empty, so there is nothing to show"
         )
-    return layout
+    return reels
 
 
-def add_all(layout_file: Path) -> list[Any]:
-    """A scene for every reel of review.json; gives them in its order."""
-    layout = read_layout(layout_file)
-    found = []
-    for reel in layout["reels"]:
-        scene = bpy.data.scenes.new(reel["name"])
-        found.append(scene)
-        add_reel(scene, layout_file.resolve().parent, reel, layout["difference_gain"])
-    return found
+def _reel(entry: dict[str, Any], layout: dict[str, Any], folder: Path) -> Reel:
+    rate_hz = float(entry["rate_hz"])
+    if not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
+        raise ValueError(
+            f"rate_hz is {rate_hz}, not between {MIN_RATE_HZ:g} and {MAX_RATE_HZ:g}"
+        )
+    gain = float(layout["difference_gain"])
+    return Reel(str(entry["name"]), rate_hz, read_shots(entry["shots"], folder), gain)
+
+
+def add_all(layout_file: Path, instead_of: Sequence[Any] = ()) -> list[Any]:
+    """A scene for every reel of review.json, in place of others; gives them in its order.
+
+    On an error, nothing is added, and the others stay.
+    """
+    reels = read_reels(layout_file)
+    added: list[Any] = []
+    try:
+        for reel in reels:
+            added.append(bpy.data.scenes.new(reel.name))
+            add_reel(added[-1], reel)
+    except BaseException:
+        for scene in added:
+            bpy.data.scenes.remove(scene)
+        raise
+    for scene in instead_of:
+        bpy.data.scenes.remove(scene)
+    for scene, reel in zip(added, reels, strict=True):
+        scene.name = reel.name  # those before them had it
+    return added

@@ -13,15 +13,19 @@ SLACK_FRAMES = 1e-3
 promised that can't be rendered; smaller, and the first frame is missed by rounding."""
 
 
-def adopt(settings: Any, capture: Path | None) -> None:
-    """Give a newly chosen capture a time offset: as it was filmed, else so that it begins at the start frame."""
-    if capture is None:
-        return
+def adopt_filmed(settings: Any, capture: Path) -> bool:
+    """Give a newly chosen capture the time offset with which it was filmed; whether there is one."""
     offset_s = filming.time_offset_s(capture)
-    if offset_s is None and (span_s := fields.span_s(capture)) is not None:
-        offset_s = span_s[0]
     if offset_s is not None:
         settings.time_offset_s = offset_s
+    return offset_s is not None
+
+
+def adopt_start(settings: Any, capture: Path) -> None:
+    """Give it the time offset with which it begins at the start frame."""
+    span_s = fields.span_s(capture)
+    if span_s is not None:
+        settings.time_offset_s = span_s[0]
 
 
 def covered(scene: Any, capture: Path) -> tuple[float, float] | None:
@@ -35,6 +39,14 @@ def whole_frames(covered: tuple[float, float]) -> tuple[int, int] | None:
     first = math.ceil(covered[0] - SLACK_FRAMES)
     last = math.floor(covered[1] + SLACK_FRAMES)
     return (first, last) if first <= last else None
+
+
+def scene_range(covered: tuple[float, float] | None) -> tuple[int, int] | None:
+    """The whole frames among those covered that a scene can have; None where there is none. None is before 0."""
+    whole = None if covered is None else whole_frames(covered)
+    if whole is None or whole[1] < 0:
+        return None
+    return max(0, whole[0]), whole[1]
 
 
 def sentence(scene: Any, capture: Path) -> tuple[str, bool]:

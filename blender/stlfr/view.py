@@ -20,6 +20,9 @@ import numpy.typing as npt
 from .described import describe_object
 from .errors import BadInputError
 
+Stamp = tuple[tuple[int, int], ...]
+"""When the files that a capture is described by were last written, and how large they are."""
+
 Samples = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 Linear = npt.NDArray[np.float32]
 """RGBA as Blender has it, (H, W, 4): scene-linear, alpha premultiplied, the bottom row first."""
@@ -33,6 +36,8 @@ class Request:
     time_s: float
     camera: dict[str, Any]
     options: dict[str, Any]
+    stamp: Stamp = ()
+    """Of the capture's files: another one asks for another image."""
 
 
 def request(scene: Any, camera_object: Any, capture: Path) -> Request:

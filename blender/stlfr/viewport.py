@@ -17,7 +17,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 from gpu_extras.batch import batch_for_shader
 
-from . import fields, live, view, viewpoint, words
+from . import fields, live, spans, view, viewpoint, words
 from .errors import BadInputError
 from .viewpoint import Rect
 
@@ -114,7 +114,11 @@ def wish(context: Any, scene: Any, capture: Path) -> Wish:
         place = Rect(0.0, 0.0, *size_px)
         border = _border(space, space.use_render_border)
     request = view.Request(
-        capture, view.capture_time_s(scene), camera, view.options(scene.stlfr)
+        capture,
+        view.capture_time_s(scene),
+        camera,
+        view.options(scene.stlfr),
+        fields.stamp_of(capture),
     )
     return Wish(request, place, border)
 
@@ -253,6 +257,7 @@ def end_all(*_: Any) -> None:
     """Another file is opened, or the extension goes: nothing comes any more."""
     for one in list(_all):
         one.close()
+    spans.forget()
     fields.close()
 
 

@@ -148,14 +148,14 @@ def viewer(module: Module) -> Iterator[Any]:
 CHOSEN = {"preset": "best"}
 
 
-def request(time_s: float, x_px: float = 8.0) -> Any:
+def request(time_s: float, x_px: float = 8.0, written: int = 1) -> Any:
     camera = {
         "width": 16,
         "height": 16,
         "model": "PINHOLE",
         "params": [10.0, 10.0, x_px, 8.0],
     }
-    return view.Request(Path("film"), time_s, camera, CHOSEN)
+    return view.Request(Path("film"), time_s, camera, CHOSEN, ((written, 9),))
 
 
 def until(is_done: Callable[[], bool]) -> None:
@@ -220,6 +220,31 @@ def test_views_of_one_instant_share_their_work(viewer: Any, module: Module) -> N
         until(lambda: not viewer.is_busy)
     kinds = [kind for kind, _, options in module.asked if options == live.FAST]
     assert kinds == ["render", "moment", "seen", "seen"]
+
+
+def test_a_capture_that_is_written_anew_is_shown_anew(
+    viewer: Any, module: Module
+) -> None:
+    """Filmed again, or with other offsets: neither the picture nor what views share is the old one."""
+    for x_px in (7.0, 8.0):
+        viewer.want(request(1.0, x_px))
+        until(lambda: not viewer.is_busy)
+    assert not viewer.want(request(1.0, 8.0))
+    assert viewer.want(request(1.0, 8.0, written=2))
+    until(lambda: not viewer.is_busy)
+    viewer.want(request(1.0, 9.0, written=2))
+    until(lambda: not viewer.is_busy)
+    kinds = [kind for kind, _, options in module.asked if options == live.FAST]
+    assert kinds == ["render", "moment", "seen", "render", "moment", "seen"]
+
+
+def test_the_stamp_changes_with_the_files(tmp_path: Path) -> None:
+    stamps = {fields.stamp_of(tmp_path)}
+    for name in ("capture.json", "offsets.json"):
+        for text in ("{}", "{ }"):
+            (tmp_path / name).write_text(text)
+            stamps.add(fields.stamp_of(tmp_path))
+    assert len(stamps) == 5
 
 
 def test_an_error_is_said_and_the_old_picture_dropped(

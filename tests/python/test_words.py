@@ -102,6 +102,14 @@ def test_whole_frames_forgive_rounding() -> None:
     assert timing.whole_frames((1.2, 1.8)) is None
 
 
+def test_a_scene_has_no_frame_before_the_first() -> None:
+    assert timing.scene_range((2.5, 8.9)) == (3, 8)
+    assert timing.scene_range((-20.0, 5.2)) == (0, 5)
+    assert timing.scene_range((-20.0, 0.0)) == (0, 0)
+    for covered in ((-20.0, -5.0), (1.2, 1.8), None):
+        assert timing.scene_range(covered) is None
+
+
 def test_folders_without_a_capture_say_what_they_hold(tmp_path: Path) -> None:
     with pytest.raises(errors.BadInputError, match="there is no folder"):
         fields.must_be_capture(tmp_path / "none")

@@ -166,4 +166,8 @@ class Moment:
     def view(
         self, camera: dict[str, Any]
     ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
-        """The view of a camera object, as `Capture.render` gives it."""
+        """The view of a camera object, as `Capture.render` gives it, but over depth per pixel.
+
+        There, the depths of all cameras share one range, and a view takes those of the cameras nearest to it:
+        pixels differ slightly.
+        """
