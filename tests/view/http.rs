@@ -147,7 +147,7 @@ fn what_is_no_get_or_too_large_is_refused() {
 fn pictures_out_of_bounds_are_refused_in_a_sentence() {
     let served = Served::start(capture());
     for (query, status, words) in [
-        ("w=160&h=120&t=99", 422, "no camera has frames around 99.0 s"),
+        ("w=160&h=120&t=99", 422, "no camera has frames around 99 s"),
         ("w=160&h=120&t=0.08&x=50", 400, "too far from the cameras"),
         ("w=161&h=120&t=0.08", 400, "size: is 161×120"),
         ("w=0&h=120", 400, "size: is 0×120"),
