@@ -136,6 +136,12 @@ impl Queue {
         state.waiting.iter().any(|j| Lane::of(j.request.level) == lane && is_apart(&j.request))
     }
 
+    /// How many requests were taken and not forgotten.
+    #[cfg(test)]
+    pub(super) fn running(&self) -> usize {
+        self.lock().running.len()
+    }
+
     /// Ends all workers after what they do now.
     pub fn close(&self) {
         self.lock().is_closed = true;
