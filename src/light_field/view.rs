@@ -28,7 +28,7 @@ impl LightField {
 
     /// [`Self::view`]; ends with [`RenderError::Stopped`] where `proceed` returns false, which is called
     /// between its steps.
-    pub(super) fn view_while(
+    pub(crate) fn view_while(
         &self,
         target: &Camera,
         time_s: f64,

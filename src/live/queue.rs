@@ -84,12 +84,15 @@ impl Queue {
     pub fn submit(&self, request: PictureRequest) -> Result<oneshot::Receiver<Answer>, LiveError> {
         let (reply, receiver) = oneshot::channel();
         let mut state = self.lock();
-        if request.level != Level::Saved && !request.viewer.is_empty() {
-            state.overtake(&request);
-        }
         state.waiting.retain(Job::is_wanted);
-        if state.waiting.len() >= MAX_WAITING {
+        let overtakes = request.level != Level::Saved && !request.viewer.is_empty();
+        let stays = |job: &&Job| !(overtakes && job.is_of(&request.viewer));
+        // Whoever is refused keeps the picture that is worked on.
+        if state.waiting.iter().filter(stays).count() >= MAX_WAITING {
             return Err(LiveError::Busy);
+        }
+        if overtakes {
+            state.overtake(&request);
         }
         state.waiting.push_back(Job { request, reply, stale: Arc::default() });
         drop(state);
@@ -131,6 +134,12 @@ impl Queue {
         let mut state = self.lock();
         state.waiting.retain(Job::is_wanted);
         state.waiting.iter().any(|j| Lane::of(j.request.level) == lane && is_apart(&j.request))
+    }
+
+    /// How many requests were taken and not forgotten.
+    #[cfg(test)]
+    pub(super) fn running(&self) -> usize {
+        self.lock().running.len()
     }
 
     /// Ends all workers after what they do now.
@@ -212,9 +221,25 @@ mod tests {
         let ask = |k: usize| queue.submit(request(&format!("v{k}"), "quick"));
         let mut waiting: Vec<_> = (0..MAX_WAITING).map(|k| ask(k).unwrap()).collect();
         assert!(matches!(ask(MAX_WAITING), Err(LiveError::Busy)));
+        assert!(ask(0).is_ok(), "a newer request takes no more room than the older");
+        assert!(matches!(waiting[0].try_recv(), Ok(Err(LiveError::Superseded))));
         waiting.pop();
         assert!(ask(MAX_WAITING).is_ok(), "one who has gone makes room");
         queue.close();
         assert!(queue.take(Lane::Quick).is_none());
+    }
+
+    #[test]
+    fn who_is_refused_keeps_the_picture_that_is_worked_on() {
+        let queue = Queue::default();
+        let _first = queue.submit(request("a", "full")).unwrap();
+        let job = queue.take(Lane::Full).unwrap();
+        let ask = |k: usize| queue.submit(request(&format!("v{k}"), "quick")).unwrap();
+        let mut waiting: Vec<_> = (0..MAX_WAITING).map(ask).collect();
+        assert!(matches!(queue.submit(request("a", "quick")), Err(LiveError::Busy)));
+        assert!(job.is_wanted());
+        waiting.pop();
+        let _second = queue.submit(request("a", "quick")).unwrap();
+        assert!(!job.is_wanted());
     }
 }

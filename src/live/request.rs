@@ -3,7 +3,7 @@
 //! | name | value |
 //! |---|---|
 //! | `method` | `st`, `lfr`, `truth`, `sources` |
-//! | `level` | `quick`, or `full`: the chosen options |
+//! | `level` | `quick`; `full`: the chosen options; `saved`: the same without loss, as `stlfr render` writes it |
 //! | `t` | seconds on the reference's clock, as in the capture's file |
 //! | `x`, `y`, `z` | to the right, up, ahead, metres: see [`super::RigFrame`] |
 //! | `at` | in their place, `cN` for a camera's, `tN` for that of an image of the truth |
@@ -36,7 +36,7 @@ pub enum Level {
     Quick,
     /// The chosen options.
     Full,
-    /// The same, as a file without loss.
+    /// The same, as the file without loss that `stlfr render` writes.
     Saved,
 }
 

@@ -17,10 +17,10 @@ const LONE_MARGIN_M: f64 = 0.1;
 /// by jerks.
 const SOFT_SPACINGS: f64 = 0.5;
 /// Zooms. Larger: pixels as large as hands, or a lens of more than 150°; smaller: one can't look closely.
-const ZOOMS: std::ops::RangeInclusive<f64> = 0.25..=16.0;
+pub(super) const ZOOMS: std::ops::RangeInclusive<f64> = 0.25..=16.0;
 /// Largest turn from the rig's own direction, degrees. Larger: one looks away from what was filmed; smaller: a
 /// zoomed view can't reach its border.
-const MAX_TURN_DEG: f64 = 20.0;
+pub(super) const MAX_TURN_DEG: f64 = 20.0;
 /// Smallest width and height of a picture, pixels. Larger: narrow windows are refused; smaller: pictures in which
 /// nothing can be triangulated.
 const MIN_SIZE_PX: u32 = 16;

@@ -1,7 +1,7 @@
 //! What the page knows of the capture.
 
 use super::Studio;
-use super::rig_frame::Lens;
+use super::rig_frame::{Lens, MAX_TURN_DEG, ZOOMS};
 use serde::Serialize;
 
 /// The page's `scene.json`. Places are in the rig's axes ([`super::RigFrame`]), metres; times are on the reference's
@@ -18,6 +18,10 @@ pub(super) struct Scene {
     low: [f64; 3],
     high: [f64; 3],
     spacing_m: f64,
+    /// The least and the largest.
+    zooms: [f64; 2],
+    /// The largest turn to any side.
+    max_turn_deg: f64,
     /// The first and the last time of the slider; `None` for a capture that is the same at any time.
     span_s: Option<[f64; 2]>,
     /// The times of the reference's frames.
@@ -66,6 +70,8 @@ impl Scene {
             low,
             high,
             spacing_m: rig.spacing_m(),
+            zooms: [*ZOOMS.start(), *ZOOMS.end()],
+            max_turn_deg: MAX_TURN_DEG,
             span_s: span_s
                 .filter(|_| !capture.is_static())
                 .map(|(first, last)| [first + origin_s, last + origin_s]),

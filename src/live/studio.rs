@@ -37,6 +37,15 @@ pub struct Picture {
     pub seconds: f64,
 }
 
+/// What is asked of the light field.
+struct Asked<'p> {
+    target: &'p Camera,
+    /// In the light field, seconds.
+    time_s: f64,
+    level: Level,
+    proceed: Proceed<'p>,
+}
+
 /// All that an instant depends on: the time, bit by bit, and the images.
 type InstantKey = (u64, &'static str);
 
@@ -107,19 +116,6 @@ impl<'a> Studio<'a> {
         &self.colors
     }
 
-    /// What makes a picture now.
-    fn made_by(&self, request: &PictureRequest) -> String {
-        let options = self.options(request.level);
-        let time_s = request.time_s - self.capture().time_origin_s;
-        let sync = match request.method {
-            Method::Truth => return String::new(),
-            Method::Traditional => TRADITIONAL,
-            _ if self.prepared(self.full.sync, time_s).is_some() => self.full.sync,
-            _ => options.sync,
-        };
-        format!("{}, {}", sync.name(), options.proxy.method.name())
-    }
-
     fn options(&self, level: Level) -> &ViewOptions {
         match level {
             Level::Quick => &self.quick,
@@ -137,12 +133,13 @@ impl<'a> Studio<'a> {
         proceed: Proceed,
     ) -> Result<Picture, LiveError> {
         let start = Instant::now();
-        let made_by = self.made_by(request);
         let target = self.places.camera(request)?;
-        let rendered = match self.rendered(request, &target, proceed) {
+        let (rendered, sync) = match self.rendered(request, &target, proceed) {
             Err(LiveError::Render(RenderError::Stopped)) => return Err(LiveError::Superseded),
             rendered => rendered?,
         };
+        let proxy = self.options(request.level).proxy.method;
+        let made_by = sync.map(|s| format!("{}, {}", s.name(), proxy.name())).unwrap_or_default();
         let bytes = match request.level {
             Level::Quick | Level::Full => encode(&rendered),
             Level::Saved => encode_saved(&rendered, self.capture().bit_depth()),
@@ -151,19 +148,22 @@ impl<'a> Studio<'a> {
         Ok(Picture { bytes, made_by, seconds: start.elapsed().as_secs_f64() })
     }
 
+    /// The picture, and how its images were synchronized; `None` for the truth.
     fn rendered(
         &self,
         request: &PictureRequest,
         target: &Camera,
         proceed: Proceed,
-    ) -> Result<Rendered, LiveError> {
+    ) -> Result<(Rendered, Option<SyncMethod>), LiveError> {
         let time_s = request.time_s - self.capture().time_origin_s;
-        Ok(match request.method {
-            Method::Truth => self.truth.view(request, target)?,
-            Method::SpaceTime => self.view(target, time_s, request.level)?,
-            Method::Traditional => self.traditional(target, time_s, request.level, proceed)?,
-            Method::Sources => self.tinted(target, time_s, request.level, proceed)?,
-        })
+        let asked = Asked { target, time_s, level: request.level, proceed };
+        let (rendered, sync) = match request.method {
+            Method::Truth => return Ok((self.truth.view(request, target)?, None)),
+            Method::SpaceTime => self.view(&asked)?,
+            Method::Traditional => (self.traditional(&asked)?, TRADITIONAL),
+            Method::Sources => self.tinted(&asked)?,
+        };
+        Ok((rendered, Some(sync)))
     }
 
     /// Prepares the instant of a picture, so that views of it are quick, as long as `proceed` says so. What can't be
@@ -178,52 +178,60 @@ impl<'a> Studio<'a> {
         drop(self.instant(sync, time_s, proceed));
     }
 
-    /// The view, from the prepared instant if it is.
-    fn view(&self, target: &Camera, time_s: f64, level: Level) -> Result<Rendered, RenderError> {
-        let options = self.options(level);
-        match self.prepared(self.full.sync, time_s) {
+    /// The view, from the prepared instant if it is, and how its images were synchronized.
+    fn view(&self, asked: &Asked) -> Result<(Rendered, SyncMethod), RenderError> {
+        let options = self.options(asked.level);
+        let sync = self.full.sync;
+        match self.prepared(sync, asked.time_s) {
             // With depth per pixel, a prepared instant's views are others than those of `stlfr render`.
-            Some(instant) if level != Level::Saved => instant.view_by(target, options),
-            _ => self.field.view(target, time_s, options),
+            Some(instant) if asked.level != Level::Saved => {
+                Ok((instant.view_by(asked.target, options)?, sync))
+            }
+            _ => Ok((self.afresh(asked, options)?, options.sync)),
         }
     }
 
-    /// The view from each camera's nearest frame, over the same shape as [`Self::view`]: images of other
-    /// instants than the view's show none.
-    fn traditional(
-        &self,
-        target: &Camera,
-        time_s: f64,
-        level: Level,
-        proceed: Proceed,
-    ) -> Result<Rendered, RenderError> {
-        let options = self.options(level);
-        let nearest = options.clone().with_sync(TRADITIONAL);
-        if options.proxy.method == ProxyMethod::Depth {
-            let geometry = self.instant(self.full.sync, time_s, proceed)?.geometry(target)?;
-            let images: Vec<Option<Synchronized>> =
-                self.field.synchronized_all(time_s, &nearest)?;
-            return Ok(self.field.blend(&images, &geometry, target, &options.blend));
+    /// The view as `stlfr render` makes it.
+    fn afresh(&self, asked: &Asked, options: &ViewOptions) -> Result<Rendered, RenderError> {
+        self.field.view_while(asked.target, asked.time_s, options, &mut || (asked.proceed)())
+    }
+
+    /// The view from each camera's nearest frame. With depth per pixel it is shown over the same shape as
+    /// [`Self::view`], since frames of other instants than the view's show none; it is saved as
+    /// `stlfr render --sync nearest` makes it.
+    fn traditional(&self, asked: &Asked) -> Result<Rendered, RenderError> {
+        let nearest = self.options(asked.level).clone().with_sync(TRADITIONAL);
+        let is_saved = asked.level == Level::Saved;
+        if nearest.proxy.method == ProxyMethod::Depth && !is_saved {
+            return self.over_depth(asked, &nearest);
         }
-        match self.prepared(TRADITIONAL, time_s) {
-            Some(instant) => instant.view_by(target, &nearest),
-            None => self.field.view(target, time_s, &nearest),
+        match self.prepared(TRADITIONAL, asked.time_s) {
+            Some(instant) if !is_saved => instant.view_by(asked.target, &nearest),
+            _ => self.afresh(asked, &nearest),
         }
     }
 
-    fn tinted(
-        &self,
-        target: &Camera,
-        time_s: f64,
-        level: Level,
-        proceed: Proceed,
-    ) -> Result<Rendered, RenderError> {
+    /// The view by other options, over the shape that the synchronized images show.
+    fn over_depth(&self, asked: &Asked, options: &ViewOptions) -> Result<Rendered, RenderError> {
+        let &Asked { target, time_s, proceed, .. } = asked;
+        let geometry = self.instant(self.full.sync, time_s, proceed)?.geometry(target)?;
+        if !proceed() {
+            return Err(RenderError::Stopped);
+        }
+        let images: Vec<Option<Synchronized>> = self.field.synchronized_all(time_s, options)?;
+        let rendered = self.field.blend(&images, &geometry, target, &options.blend);
+        if rendered.coverage.contains(&true) { Ok(rendered) } else { Err(RenderError::NothingSeen) }
+    }
+
+    /// The view with the cameras' colours, and how its images were synchronized.
+    fn tinted(&self, asked: &Asked) -> Result<(Rendered, SyncMethod), RenderError> {
+        let &Asked { target, time_s, level, proceed } = asked;
         let options = self.options(level);
-        let instant = match (self.prepared(self.full.sync, time_s), level) {
-            (Some(instant), _) => instant,
+        let (instant, sync) = match (self.prepared(self.full.sync, time_s), level) {
+            (Some(instant), _) => (instant, self.full.sync),
             // Weights hardly depend on the images, and what shines through may be a frame.
-            (None, Level::Quick) => self.instant(TRADITIONAL, time_s, proceed)?,
-            (None, _) => self.instant(self.full.sync, time_s, proceed)?,
+            (None, Level::Quick) => (self.instant(TRADITIONAL, time_s, proceed)?, TRADITIONAL),
+            (None, _) => (self.instant(self.full.sync, time_s, proceed)?, self.full.sync),
         };
         let mut view = instant.view_by(target, options)?;
         let tint = instant.sources(target, options, self.colors.rgb())?;
@@ -234,7 +242,7 @@ impl<'a> Studio<'a> {
             let gray = luma(shown);
             pixel.iter_mut().for_each(|v| *v = gray * (1.0 - TINT) + *v * TINT);
         }
-        Ok(view)
+        Ok((view, sync))
     }
 
     fn key(sync: SyncMethod, time_s: f64) -> InstantKey {

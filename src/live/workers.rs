@@ -14,6 +14,12 @@ const QUICK_WORKERS: usize = 2;
 /// By how much threads of the full quality stand back (Unix's niceness). More: they starve where another program
 /// runs; less: a picture that nobody waits for any more slows down those that follow a hand.
 const FULL_NICENESS: i32 = 5;
+/// How many instants wait to be prepared. More: while pictures are asked for without a pause, memory, and instants
+/// that viewers have left long ago; fewer: of several viewers, the first wait when they look around.
+const MAX_AHEAD: usize = 8;
+
+/// Pictures that viewers look at, whose instants are to be prepared.
+type Ahead = VecDeque<(PictureRequest, Arc<Stale>)>;
 
 /// Starts the threads, which end when the queue is closed. Quick and full pictures have threads of their own, so
 /// that what is quick never waits in a full picture's line.
@@ -61,7 +67,7 @@ fn stand_back() {
 }
 
 fn work(studio: &Studio, queue: &Queue, lane: Lane, pool: &ThreadPool) {
-    let mut ahead = VecDeque::new();
+    let mut ahead = Ahead::new();
     loop {
         prepare(studio, queue, &mut ahead, pool);
         let Some(job) = queue.take(lane) else { return };
@@ -71,20 +77,25 @@ fn work(studio: &Studio, queue: &Queue, lane: Lane, pool: &ThreadPool) {
         let stale = queue.answer(job, answer);
         if is_shown {
             // The viewer looks at the picture now, and may look around from there.
-            ahead.push_back((request, stale));
+            plan(queue, &mut ahead, (request, stale));
         } else {
             queue.finish(&stale);
         }
     }
 }
 
+/// Puts a picture at the end, in the oldest's place where there are too many.
+fn plan(queue: &Queue, ahead: &mut Ahead, shown: (PictureRequest, Arc<Stale>)) {
+    ahead.push_back(shown);
+    if ahead.len() > MAX_AHEAD
+        && let Some((_, oldest)) = ahead.pop_front()
+    {
+        queue.finish(&oldest);
+    }
+}
+
 /// Prepares the instants that viewers are at, while nobody waits for a full picture of another.
-fn prepare(
-    studio: &Studio,
-    queue: &Queue,
-    ahead: &mut VecDeque<(PictureRequest, Arc<Stale>)>,
-    pool: &ThreadPool,
-) {
+fn prepare(studio: &Studio, queue: &Queue, ahead: &mut Ahead, pool: &ThreadPool) {
     while let Some((request, stale)) = ahead.pop_front() {
         let is_free = || !queue.has_apart(Lane::Full, &request);
         let proceed = || stale.is_instant_wanted() && is_free();
@@ -109,4 +120,28 @@ fn answer(studio: &Studio, job: &Job, pool: &ThreadPool) -> Answer {
 /// that what fails leaves nothing behind.
 fn unwound<T>(of: impl FnOnce() -> T) -> Option<T> {
     catch_unwind(AssertUnwindSafe(of)).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_planned_is_bounded_and_the_oldest_is_forgotten() {
+        let (queue, mut ahead) = (Queue::default(), Ahead::new());
+        let ask = |viewer: usize, time_s: f64| {
+            let query = format!("w=64&h=48&viewer=v{viewer}&t={time_s}");
+            queue.submit(PictureRequest::parse(&query).unwrap()).unwrap()
+        };
+        for viewer in 0..=MAX_AHEAD {
+            let _receiver = ask(viewer, 0.0);
+            let job = queue.take(Lane::Full).unwrap();
+            let request = job.request.clone();
+            let stale = queue.answer(job, Err(LiveError::Superseded));
+            plan(&queue, &mut ahead, (request, stale.clone()));
+        }
+        let viewers: Vec<&str> = ahead.iter().map(|(r, _)| r.viewer.as_str()).collect();
+        assert_eq!((viewers.len(), viewers[0]), (MAX_AHEAD, "v1."));
+        assert_eq!(queue.running(), MAX_AHEAD);
+    }
 }

@@ -3,9 +3,9 @@
 use crate::common::{assert_refused, stderr, stlfr, succeed, text};
 use crate::filmed::{TRUE_S, capture, copy};
 use crate::served::{PATIENCE, Served};
-use std::io::{Read, Write};
+use std::io::{ErrorKind, Read, Write};
 use std::os::unix::process::ExitStatusExt;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 const PICTURE: &str = "picture?w=160&h=120&t=0.08&x=0.01";
 
@@ -147,7 +147,7 @@ fn what_is_no_get_or_too_large_is_refused() {
 fn pictures_out_of_bounds_are_refused_in_a_sentence() {
     let served = Served::start(capture());
     for (query, status, words) in [
-        ("w=160&h=120&t=99", 422, "no camera has frames around 99.0 s"),
+        ("w=160&h=120&t=99", 422, "no camera has frames around 99 s"),
         ("w=160&h=120&t=0.08&x=50", 400, "too far from the cameras"),
         ("w=161&h=120&t=0.08", 400, "size: is 161×120"),
         ("w=0&h=120", 400, "size: is 0×120"),
@@ -166,30 +166,49 @@ fn pictures_out_of_bounds_are_refused_in_a_sentence() {
     }
 }
 
+/// Saves a picture, and has the program render it by these options; whether they are the same, byte by byte.
+fn is_saved_as_rendered(served: &Served, query: &str, options: &[&str]) -> bool {
+    let folder = tempfile::tempdir().unwrap();
+    let (view, image) = (folder.path().join("view.json"), folder.path().join("view.png"));
+    std::fs::write(&view, served.get(&format!("view.json?{query}")).body).unwrap();
+    let time = query.split('&').find_map(|p| p.strip_prefix("t=")).unwrap();
+    let place = ["--camera", text(&view), "--time", time, "-o", text(&image)];
+    succeed(&[&["render", text(capture())], options, &place].concat());
+    let saved = served.get(&format!("picture?{query}&level=saved"));
+    assert_eq!(saved.status, 200, "{query}: {}", saved.text());
+    saved.body == std::fs::read(&image).unwrap()
+}
+
+const PLACES: [&str; 2] =
+    ["w=160&h=120&t=0.08&x=0.02&y=0.01", "w=120&h=100&t=0.05&x=-0.03&zoom=1.5&yaw=2&pitch=-1"];
+
 /// What a picture shows is what the library renders.
 #[test]
 fn what_is_saved_is_what_render_writes() {
     let served = Served::start(capture());
-    let folder = tempfile::tempdir().unwrap();
-    let (view, image) = (folder.path().join("view.json"), folder.path().join("view.png"));
-    for query in
-        ["w=160&h=120&t=0.08&x=0.02&y=0.01", "w=120&h=100&t=0.05&x=-0.03&zoom=1.5&yaw=2&pitch=-1"]
-    {
-        std::fs::write(&view, served.get(&format!("view.json?{query}")).body).unwrap();
-        let time = query.split('&').find_map(|p| p.strip_prefix("t=")).unwrap();
-        succeed(&[
-            "render",
-            text(capture()),
-            "--camera",
-            text(&view),
-            "--time",
-            time,
-            "-o",
-            text(&image),
-        ]);
-        let saved = served.get(&format!("picture?{query}&level=saved"));
-        assert!(saved.body == std::fs::read(&image).unwrap(), "{query}");
+    for query in PLACES {
+        assert!(is_saved_as_rendered(&served, query, &[]), "{query}");
+        let traditional = format!("{query}&method=lfr");
+        assert!(is_saved_as_rendered(&served, &traditional, &["--sync", "nearest"]), "{query}");
     }
+}
+
+/// The shape of a picture that is shown may be that of a prepared instant.
+#[test]
+fn over_depth_per_pixel_too_what_is_saved_is_what_render_writes() {
+    let folder = tempfile::tempdir().unwrap();
+    let depth = folder.path().join("depth.json");
+    std::fs::write(&depth, r#"{"proxy": {"method": "depth"}}"#).unwrap();
+    let options = ["--options", text(&depth)];
+    let served = Served::start_with(capture(), &options);
+    let query = PLACES[0];
+    let traditional = format!("{query}&method=lfr");
+    let nearest = [&options[..], &["--sync", "nearest"]].concat();
+    // Prepares the instant.
+    let shown = served.get(&format!("picture?{traditional}"));
+    assert_eq!(shown.header("x-made-by"), Some("nearest, depth"));
+    assert!(is_saved_as_rendered(&served, query, &options));
+    assert!(is_saved_as_rendered(&served, &traditional, &nearest));
 }
 
 #[test]
@@ -210,38 +229,54 @@ fn one_who_sends_or_takes_nothing_keeps_nobody_waiting() {
     let mut half = served.connect();
     half.write_all(b"GET / HTTP/1.1\r\nHost: ").unwrap();
     let mut greedy = served.connect();
-    let ask = format!("GET /{}/{PICTURE} HTTP/1.1\r\n{}\r\n\r\n", served.token, served.host());
-    for _ in 0..200 {
+    // More than the system keeps for one who takes nothing.
+    for name in [PICTURE; 20].iter().chain(&["main.js"; 600]) {
+        let ask = format!("GET /{}/{name} HTTP/1.1\r\n{}\r\n\r\n", served.token, served.host());
         greedy.write_all(ask.as_bytes()).unwrap();
     }
     let start = Instant::now();
     assert_eq!(served.get("scene.json").status, 200);
     assert_eq!(served.get(PICTURE).status, 200);
     assert!(start.elapsed().as_secs() < 10);
-    // Both are cut, long before a minute has passed.
+    // All are cut, long before a minute has passed.
     let mut rest = Vec::new();
     let _ = half.read_to_end(&mut rest);
     let _ = silent.read_to_end(&mut rest);
     assert!(start.elapsed() < PATIENCE / 2, "{:?}", start.elapsed());
+    // Reading would be taking: that it was cut shows when it sends.
+    while greedy.write_all(b"G").is_ok() {
+        assert!(start.elapsed() < PATIENCE, "one who takes nothing holds a connection");
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    rest.clear();
+    let _ = greedy.read_to_end(&mut rest);
+    let answered = rest.windows(12).filter(|w| *w == b"HTTP/1.1 200").count();
+    assert!((1..620).contains(&answered), "it was cut while it took nothing: {answered}");
 }
+
+/// How many connections the server keeps open.
+const CONNECTIONS: usize = 48;
 
 #[test]
 fn there_are_not_more_connections_than_may_be_open() {
     let served = Served::start(capture());
-    let open: Vec<_> = (0..400).map(|_| served.connect()).collect();
+    let mut open: Vec<_> = (0..CONNECTIONS + 40).map(|_| served.connect()).collect();
+    for (k, beyond) in open.iter_mut().enumerate().skip(CONNECTIONS) {
+        assert_eq!(beyond.read(&mut [0]).unwrap(), 0, "connection {k} is one too many");
+    }
+    for (k, within) in open.iter_mut().enumerate().take(CONNECTIONS) {
+        within.set_nonblocking(true).unwrap();
+        let error = within.read(&mut [0]).expect_err("nothing was asked for");
+        assert_eq!(error.kind(), ErrorKind::WouldBlock, "connection {k} is open");
+    }
     drop(open);
+    let page = format!(
+        "GET /{}/ HTTP/1.1\r\n{}\r\nConnection: close\r\n\r\n",
+        served.token,
+        served.host()
+    );
     let start = Instant::now();
-    while !served
-        .raw(
-            format!(
-                "GET /{}/ HTTP/1.1\r\n{}\r\nConnection: close\r\n\r\n",
-                served.token,
-                served.host()
-            )
-            .as_bytes(),
-        )
-        .starts_with(b"HTTP/1.1 200")
-    {
+    while !served.raw(page.as_bytes()).starts_with(b"HTTP/1.1 200") {
         assert!(start.elapsed() < PATIENCE, "the server answers again");
     }
 }
@@ -299,18 +334,27 @@ fn many_viewers_share_one_light_field() {
 fn a_viewers_newer_request_takes_the_place_of_the_older() {
     let served = Served::start(capture());
     let statuses: Vec<u16> = std::thread::scope(|scope| {
-        let ask = |k: usize| {
+        let get = |query: String| {
             let served = &served;
-            move || {
-                std::thread::sleep(std::time::Duration::from_millis(20 * k as u64));
-                served.get(&format!("picture?w=160&h=120&t=0.0{}&viewer=v", 3 + k)).status
-            }
+            move || served.get(&format!("picture?w=160&h=120&{query}")).status
         };
-        let threads: Vec<_> = (0..5).map(|k| scope.spawn(ask(k))).collect();
+        // One full picture is made at a time, so the viewer's wait in line.
+        let others: Vec<_> =
+            (0..12).map(|k| scope.spawn(get(format!("t=0.0{}", 20 + 5 * k)))).collect();
+        std::thread::sleep(Duration::from_millis(20));
+        let ask = |k: usize| {
+            std::thread::sleep(Duration::from_millis(20));
+            scope.spawn(get(format!("t=0.0{}&viewer=v", 3 + k)))
+        };
+        let threads: Vec<_> = (0..5).map(ask).collect();
+        for other in others {
+            assert_eq!(other.join().unwrap(), 200);
+        }
         threads.into_iter().map(|t| t.join().unwrap()).collect()
     });
     assert_eq!(statuses[4], 200);
     assert!(statuses.iter().all(|s| [200, 409].contains(s)), "{statuses:?}");
+    assert!(statuses.contains(&409), "none was overtaken: {statuses:?}");
 }
 
 #[test]
@@ -326,7 +370,7 @@ fn without_a_browser_the_address_is_printed_all_the_same() {
     let mut line = [0; 17];
     child.stdout.as_mut().unwrap().read_exact(&mut line).unwrap();
     assert_eq!(&line, b"http://127.0.0.1:");
-    std::thread::sleep(std::time::Duration::from_millis(300));
+    std::thread::sleep(Duration::from_millis(300));
     child.kill().unwrap();
     let output = child.wait_with_output().unwrap();
     assert!(stderr(&output).contains("open the address by hand"), "{}", stderr(&output));

@@ -169,6 +169,20 @@ fn a_link_keeps_the_place_and_a_new_window_finds_it() {
     );
 }
 
+/// A link says no turn and no zoom where they are plain.
+#[test]
+fn a_link_that_is_followed_takes_back_turn_and_zoom() {
+    let served = Served::start(capture());
+    let mut browser = Chromium::start();
+    let mut tab = open(&mut browser, &served, DESK, "x=0.01&y=0&z=0&yaw=2&zoom=1.5&t=0.08");
+    assert_eq!((number(&mut tab, "yaw"), number(&mut tab, "zoom")), (2.0, 1.5));
+    tab.value("void (location.hash = 'x=0.02&y=0&z=0')");
+    assert_eq!(number(&mut tab, "x"), 0.02);
+    assert_eq!((link(&mut tab, "yaw"), link(&mut tab, "zoom")), (None, None));
+    assert_eq!(number(&mut tab, "t"), 0.08, "what it doesn't say stays");
+    is_well(&mut tab);
+}
+
 #[test]
 fn what_is_saved_is_the_picture_and_its_camera() {
     let served = Served::start(capture());

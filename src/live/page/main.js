@@ -309,6 +309,8 @@ function fill() {
   scene.cameras.forEach(({ id }, k) => option(byId("at"), `c${k}`, id));
   scene.truths.forEach(({ id, time_s: time }, k) => option(byId("at"), `t${k}`, `${id} · ${time.toFixed(4)} s`));
   ["x", "y", "z"].forEach((axis, k) => Object.assign(byId(axis), { min: scene.low[k], max: scene.high[k] }));
+  const [least, largest] = scene.zooms.map(Math.log2);
+  Object.assign(byId("zoom"), { min: least, max: largest });
   byId("time-row").hidden = !scene.span_s;
   if (scene.span_s) fillTime(scene.span_s);
   byId("name").textContent = document.title = scene.name;

@@ -8,8 +8,6 @@ export const METHODS = {
   sources: "Which cameras",
 };
 
-const ZOOMS = [0.25, 16];
-const MAX_TURN_DEG = 20;
 /** Times that are nearer are one instant, seconds. */
 const SAME_INSTANT_S = 1e-6;
 
@@ -29,13 +27,13 @@ export class State {
   set(values) {
     const next = { ...values };
     if (["x", "y", "z"].some((axis) => axis in next) && !("at" in next)) next.at = "";
-    const { low, high, span_s: span } = this.scene;
+    const { low, high, zooms, max_turn_deg: turn, span_s: span } = this.scene;
     ["x", "y", "z"].forEach((axis, k) => {
       if (axis in next) next[axis] = clamp(next[axis], low[k], high[k]);
     });
-    if ("zoom" in next) next.zoom = clamp(next.zoom, ...ZOOMS);
+    if ("zoom" in next) next.zoom = clamp(next.zoom, ...zooms);
     for (const axis of ["yaw", "pitch"]) {
-      if (axis in next) next[axis] = clamp(next[axis], -MAX_TURN_DEG, MAX_TURN_DEG);
+      if (axis in next) next[axis] = clamp(next[axis], -turn, turn);
     }
     if ("t" in next) next.t = span ? clamp(next.t, ...span) : 0;
     if ("split" in next) next.split = clamp(next.split, 0, 100);
@@ -111,10 +109,13 @@ export class State {
     return new URLSearchParams(fields).toString();
   }
 
-  /** Goes to where a link leads; what it doesn't say stays, and what is no number is passed over. */
+  /** Goes to where a link leads. What it doesn't say stays, but turn and zoom of a place; what is no number is passed over. */
   follow(link) {
     const fields = new URLSearchParams(link);
-    const next = {};
+    const at = fields.get("at") ?? "";
+    const isNamed = /^[ct]\d{1,6}$/.test(at);
+    // A link leaves out the turn and the zoom that are plain.
+    const next = isNamed || ["x", "y", "z"].some((axis) => fields.has(axis)) ? { yaw: 0, pitch: 0, zoom: 1 } : {};
     for (const name of ["x", "y", "z", "yaw", "pitch", "zoom", "t", "split"]) {
       const value = Number(fields.get(name) || NaN);
       if (Number.isFinite(value)) next[name] = value;
@@ -124,11 +125,10 @@ export class State {
       next.left = methods.left;
       next.right = methods.right in METHODS ? methods.right : "";
     }
-    const at = fields.get("at") ?? "";
-    if (/^[ct]\d{1,6}$/.test(at)) {
+    if (isNamed) {
       this.goTo(at);
       next.at = at;
-    } else if ("x" in next) {
+    } else if (["x", "y", "z"].some((axis) => axis in next)) {
       next.at = "";
     }
     this.assign(next);
