@@ -20,7 +20,7 @@ async function file(name, fields) {
 /** What of a name may stand in a file's name. */
 const slug = (name) => name.replace(/[^\p{L}\p{N}._-]+/gu, "-").slice(0, 60) || "view";
 
-/** The picture as it is shown, without loss. */
+/** The picture that the command renders for this view, without loss. */
 export async function savePicture(state, size, method) {
   const [w, h] = size;
   const blob = await file("picture", { ...state.query(), w, h, method, level: "saved" });
