@@ -4,7 +4,7 @@
 mod common;
 
 use common::wall::Scene;
-use common::{assert_refused, describe, run, stderr, stlfr, succeed, text};
+use common::{assert_refused, describe, interruptible, run, stderr, stlfr, succeed, text};
 use serde_json::{Value, json};
 use std::fs::File;
 use std::os::unix::fs::{FileTypeExt, symlink};
@@ -318,7 +318,7 @@ fn names(folder: &Path) -> Vec<String> {
 
 #[test]
 fn an_interrupted_video_leaves_nothing() {
-    use std::os::unix::process::{CommandExt, ExitStatusExt};
+    use std::os::unix::process::ExitStatusExt;
     let folder = capture();
     for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
         let out = tempfile::tempdir().unwrap();
@@ -330,15 +330,7 @@ fn an_interrupted_video_leaves_nothing() {
             "-o",
             text(&target),
         ]);
-        // What ignores a signal, as `nohup` does, passes that on.
-        // SAFETY: it is called between fork and exec, where `signal` may be.
-        unsafe {
-            command.pre_exec(move || {
-                libc::signal(signal, libc::SIG_DFL);
-                Ok(())
-            });
-        }
-        let mut child = command.spawn().unwrap();
+        let mut child = interruptible(&mut command).spawn().unwrap();
         while !names(out.path()).iter().any(|name| name.ends_with(".tmp")) {
             assert!(child.try_wait().unwrap().is_none(), "it ended by itself");
             std::thread::sleep(std::time::Duration::from_millis(5));

@@ -31,6 +31,20 @@ pub fn stlfr() -> Command {
     command
 }
 
+/// The same as a terminal starts it: signals end it. What ignores a signal, as `nohup` does, would pass that on.
+pub fn interruptible(command: &mut Command) -> &mut Command {
+    use std::os::unix::process::CommandExt;
+    let defaults = || {
+        for signal in [libc::SIGINT, libc::SIGTERM, libc::SIGHUP] {
+            // SAFETY: it is called between fork and exec, where `signal` may be.
+            unsafe { libc::signal(signal, libc::SIG_DFL) };
+        }
+        Ok(())
+    };
+    // SAFETY: it calls nothing but `signal`.
+    unsafe { command.pre_exec(defaults) }
+}
+
 /// The system's ffmpeg, or that which `stlfr setup` brings.
 pub fn ffmpeg() -> PathBuf {
     find_ffmpeg().unwrap_or_else(|| {

@@ -2,12 +2,12 @@
 
 #![allow(dead_code)] // the tests and the benchmark each use some of it
 
-use crate::common::{stlfr, text};
+use crate::common::{interruptible, stlfr, text};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::path::Path;
 use std::process::{Child, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How long a test waits for what must come.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -36,12 +36,9 @@ impl Served {
 
     /// The same with more words of a command line.
     pub fn start_with(capture: &Path, more: &[&str]) -> Self {
-        let mut child = stlfr()
-            .args(["-q", "view", text(capture), "--no-open"])
-            .args(more)
-            .stdout(Stdio::piped())
-            .spawn()
-            .expect("the program starts");
+        let mut command = stlfr();
+        command.args(["-q", "view", text(capture), "--no-open"]).args(more).stdout(Stdio::piped());
+        let mut child = interruptible(&mut command).spawn().expect("the program starts");
         let mut address = String::new();
         let stdout = child.stdout.take().expect("it was piped");
         BufReader::new(stdout).read_line(&mut address).expect("it prints an address");
@@ -99,6 +96,11 @@ impl Served {
         let process = i32::try_from(self.child.id()).expect("process ids are small");
         // SAFETY: the child has not been waited for, so its id is its own.
         unsafe { libc::kill(process, libc::SIGINT) };
+        let started = Instant::now();
+        while self.is_running() {
+            assert!(started.elapsed() < PATIENCE, "it goes on");
+            std::thread::sleep(Duration::from_millis(5));
+        }
         self.child.wait().expect("it can be waited for")
     }
 }
