@@ -14,8 +14,8 @@ use stlfr::progress::Reporter;
 
 /// Register all frame pairs of a capture beforehand, so that views need not.
 ///
-/// render and compare then find them in the capture's folder, under .stlfr/registered. Images stay the same to the
-/// byte. Stopped at any time, the same command continues. Other frames, offsets or registration options need
+/// render, view and compare then find them in the capture's folder, under .stlfr/registered. Images stay the same to
+/// the byte. Stopped at any time, the same command continues. Other frames, offsets or registration options need
 /// pairs of their own; the presets share theirs.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \

@@ -179,9 +179,7 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
             true
         })
     });
-    let result = write_all(views, writer, depth);
-    drop(task);
-    result
+    write_all(views, writer, depth)
 }
 
 /// Finished views that may wait to be written. More: memory; fewer: rendering waits for a file that takes longer

@@ -64,7 +64,8 @@ impl LightField {
         Ok(points)
     }
 
-    /// The same without the cache: it takes as long as for the first view of an instant.
+    /// The same without cached points: but for correspondences that are known, it takes as long as for the first view
+    /// of an instant.
     pub(super) fn uncached_points(
         &self,
         target: &Camera,

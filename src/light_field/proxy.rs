@@ -21,8 +21,8 @@ impl LightField {
         proxy_of(|| self.points(target, time_s, options), target, &options.proxy)
     }
 
-    /// [`Self::proxy`] without the cached points: it takes as long as for the first view of an
-    /// instant.
+    /// [`Self::proxy`] without cached points: but for correspondences that are known, it takes as long as for the
+    /// first view of an instant.
     pub(crate) fn uncached_proxy(
         &self,
         target: &Camera,
