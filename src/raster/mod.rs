@@ -15,6 +15,8 @@ pub use file::{ImageFileError, MAX_PIXELS, Samples, quantize, read_image, write_
 pub(crate) use file::{encode_png, read_header};
 pub(crate) use filter::box_filter;
 pub use sample::Sampling;
+#[cfg(target_arch = "x86_64")]
+pub(crate) use sample::has_avx2_and_fma;
 pub(crate) use sample::{sample, sample_all};
 pub use tiles::Tiles;
 

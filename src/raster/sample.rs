@@ -77,8 +77,9 @@ pub(crate) fn sample<const C: usize>(
     out
 }
 
+/// Whether the processor has these instructions.
 #[cfg(target_arch = "x86_64")]
-fn has_avx2_and_fma() -> bool {
+pub(crate) fn has_avx2_and_fma() -> bool {
     is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
 }
 

@@ -5,6 +5,9 @@
 //! in the rounding between a product and its sum, where FMA rounds once. Their results agree to
 //! 1e-5 for values of order 1, which a test asserts.
 
+#[cfg(target_arch = "x86_64")]
+pub(super) use crate::raster::has_avx2_and_fma;
+
 /// Values of a word. Rows of a window are padded to a multiple of this many samples of weight 0,
 /// which add nothing to the sums.
 pub const LANES: usize = 8;
@@ -218,12 +221,6 @@ fn four(plane: &[f32], at: usize) -> &[f32; 4] {
 
 #[cfg(target_arch = "x86_64")]
 pub use avx2::Avx2;
-
-/// Whether the processor has the instructions that [`Avx2`] needs.
-#[cfg(target_arch = "x86_64")]
-pub fn has_avx2_and_fma() -> bool {
-    std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma")
-}
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
