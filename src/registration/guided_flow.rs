@@ -126,7 +126,7 @@ pub(super) fn extensions(
         let motion = (start.1 - start.0).norm();
         let limit = options.max_motion_change_px + options.max_motion_change_share * motion;
         // Without the check, nobody can agree.
-        let agrees = options.min_support > 0 && support == Support::Neighbors(options.min_support);
+        let agrees = options.min_support > 0 && support == Support::Neighbors { agree: true };
         (agrees || change.motion.norm() <= limit).then_some(matched.target)
     };
     starts.iter().zip(&matches).map(judge).collect()
@@ -168,17 +168,14 @@ fn seek_lost(
 enum Support {
     /// It has too few neighbours to judge by.
     Alone,
-    /// How many move like it, counted up to the number that is asked for.
-    Neighbors(usize),
+    /// Enough move like it, or too few do.
+    Neighbors { agree: bool },
 }
 
 /// Whether each of these positions and motions moves like [`RegistrationOptions::min_support`] of its
 /// neighbours. Also true where there are fewer than that.
 pub(super) fn consensus(motions: &[Moved], options: &RegistrationOptions) -> Vec<bool> {
-    let agrees = |support| match support {
-        Support::Alone => true,
-        Support::Neighbors(count) => count >= options.min_support,
-    };
+    let agrees = |s| matches!(s, Support::Alone | Support::Neighbors { agree: true });
     support(motions, options).into_iter().map(agrees).collect()
 }
 
@@ -189,13 +186,17 @@ fn support(motions: &[Moved], options: &RegistrationOptions) -> Vec<Support> {
         .par_iter()
         .enumerate()
         .map(|(k, own)| {
+            let (wanted, radius_px) = (options.min_support, options.support_radius_px);
             let limit = options.support_px + options.support_share * own.motion.norm();
-            let near = neighbors.unsorted_within(&own.at, options.support_radius_px);
-            if near.len().saturating_sub(1) < options.min_support {
-                return Support::Alone;
+            let alike = |n: usize| n != k && own.distance(&motions[n]) <= limit;
+            if neighbors.at_least_within(&own.at, radius_px, wanted, alike) {
+                return Support::Neighbors { agree: true };
             }
-            let alike = |n: &&usize| **n != k && own.distance(&motions[**n]) <= limit;
-            Support::Neighbors(near.iter().filter(alike).take(options.min_support).count())
+            // The point itself is one of them.
+            match neighbors.count_within(&own.at, radius_px) <= wanted {
+                true => Support::Alone,
+                false => Support::Neighbors { agree: false },
+            }
         })
         .collect()
 }

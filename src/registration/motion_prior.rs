@@ -28,17 +28,10 @@ impl MotionPrior {
     /// The component-wise median displacement, pixels, of the five nearest positions within
     /// `radius_px` of `p`, fewer where there are fewer. `None` if there is none.
     pub fn predict(&self, p: &Point2<f64>, radius_px: f64) -> Option<Vector2<f64>> {
-        let mut near: Vec<(f64, usize)> = self
-            .neighbors
-            .within(p, radius_px)
-            .into_iter()
-            .map(|k| ((self.displacements[k].0 - p).norm(), k))
-            .collect();
-        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        near.truncate(MEDIAN_OF);
+        let near = self.neighbors.nearest(p, MEDIAN_OF, radius_px);
         let median = |axis: usize| {
             let mut values: Vec<f64> =
-                near.iter().map(|&(_, k)| self.displacements[k].1[axis]).collect();
+                near.iter().map(|&k| self.displacements[k].1[axis]).collect();
             values.sort_by(f64::total_cmp);
             values.get(values.len() / 2).copied()
         };

@@ -3,6 +3,10 @@
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::Point2;
 
+/// The fraction of the radius that a query searches first. It does not change results. Larger: more points are
+/// compared; smaller: more queries search twice.
+const CLOSE_FRACTION: f64 = 1.0 / 3.0;
+
 /// A set of points of the image plane for radius queries.
 pub struct Neighbors {
     tree: Option<ImmutableKdTree<f64, 2>>,
@@ -22,7 +26,8 @@ impl Neighbors {
     /// The indices, ascending, of the points within `radius` of `p`, bound included; duplicates of a
     /// point all count.
     pub fn within(&self, p: &Point2<f64>, radius: f64) -> Vec<usize> {
-        let mut indices = self.unsorted_within(p, radius);
+        let mut indices: Vec<usize> =
+            self.with_distances(p, radius).into_iter().map(|(_, k)| k).collect();
         indices.sort_unstable();
         indices
     }
@@ -35,15 +40,45 @@ impl Neighbors {
         })
     }
 
-    /// As [`Self::within`], in no particular order, which is faster.
-    pub fn unsorted_within(&self, p: &Point2<f64>, radius: f64) -> Vec<usize> {
+    /// The indices of the `count` points nearest to `p` within `radius`, nearest first; of equally near ones
+    /// the first. Fewer where there are fewer.
+    pub fn nearest(&self, p: &Point2<f64>, count: usize, radius: f64) -> Vec<usize> {
+        let mut near = self.with_distances(p, CLOSE_FRACTION * radius);
+        if near.len() < count {
+            near = self.with_distances(p, radius);
+        }
+        near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        near.into_iter().take(count).map(|(_, k)| k).collect()
+    }
+
+    /// Whether at least `wanted` of the points within `radius` of `p` pass a test. Not every point is tested.
+    pub fn at_least_within(
+        &self,
+        p: &Point2<f64>,
+        radius: f64,
+        wanted: usize,
+        test: impl Fn(usize) -> bool,
+    ) -> bool {
+        [CLOSE_FRACTION * radius, radius].into_iter().any(|radius| {
+            let passing = self.with_distances(p, radius).into_iter().filter(|near| test(near.1));
+            passing.take(wanted).count() == wanted
+        })
+    }
+
+    /// How many points are within `radius` of `p`, bound included.
+    pub fn count_within(&self, p: &Point2<f64>, radius: f64) -> usize {
+        self.with_distances(p, radius).len()
+    }
+
+    /// The squared distances and indices of the points within `radius` of `p`, in no particular order.
+    fn with_distances(&self, p: &Point2<f64>, radius: f64) -> Vec<(f64, usize)> {
         let Some(tree) = &self.tree else { return Vec::new() };
         let items = tree
             .query(&[p.x, p.y])
             .within::<SquaredEuclidean<f64>>(radius * radius)
             .unsorted()
             .execute();
-        items.into_iter().map(|item| item.item as usize).collect()
+        items.into_iter().map(|item| (item.distance, item.item as usize)).collect()
     }
 }
 
@@ -64,6 +99,18 @@ mod tests {
             let all: Vec<usize> =
                 (0..points.len()).filter(|&k| (points[k] - p).norm() <= 9.0).collect();
             assert_eq!(neighbors.within(p, 9.0), all);
+            assert_eq!(neighbors.count_within(p, 9.0), all.len());
+            let mut nearest = all.clone();
+            nearest.sort_by(|&a, &b| (points[a] - p).norm().total_cmp(&(points[b] - p).norm()));
+            for count in [0, 1, 5, 300] {
+                let expected = &nearest[..count.min(nearest.len())];
+                assert_eq!(neighbors.nearest(p, count, 9.0), expected);
+            }
+            let odd = all.iter().filter(|k| **k % 2 == 1).count();
+            for wanted in 0..8 {
+                let found = neighbors.at_least_within(p, 9.0, wanted, |k| k % 2 == 1);
+                assert_eq!(found, wanted <= odd);
+            }
             for radius in [0.0, 0.5, 3.0] {
                 let aside = p + nalgebra::Vector2::new(0.7, -0.3);
                 let any = points.iter().any(|q| (q - aside).norm() <= radius);
@@ -76,6 +123,7 @@ mod tests {
     fn none_and_many_duplicates() {
         let none = Neighbors::new([]);
         assert!(none.within(&Point2::origin(), 1.0).is_empty());
+        assert!(none.nearest(&Point2::origin(), 3, 1.0).is_empty());
         assert!(!none.any_within(&Point2::origin(), 1e9));
         let same = Neighbors::new((0..1000).map(|_| Point2::new(1.0, 2.0)));
         assert_eq!(same.within(&Point2::new(1.0, 2.5), 1.0).len(), 1000);

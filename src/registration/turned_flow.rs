@@ -188,8 +188,8 @@ fn agreeing(turns: &[Turn]) -> Vec<Turn> {
     };
     let supported = |k: &usize| {
         let own = &turns[*k];
-        let around = near.unsorted_within(&own.source, SUPPORT_RADIUS_PX);
-        around.iter().filter(|n| *n != k && agrees(own, &turns[**n])).count() >= MIN_SUPPORT
+        let alike = |n: usize| n != *k && agrees(own, &turns[n]);
+        near.at_least_within(&own.source, SUPPORT_RADIUS_PX, MIN_SUPPORT, alike)
     };
     (0..turns.len()).filter(supported).map(|k| turns[k]).collect()
 }
@@ -202,10 +202,8 @@ fn tracked(
     refiner: &mut AffineRefiner,
     options: &RegistrationOptions,
 ) -> Option<Match> {
-    let mut around = near.within(corner, SUPPORT_RADIUS_PX);
-    let distance = |k: usize| (turns[k].source - corner).norm();
-    around.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
-    let guesses = around.iter().take(GUESSES).map(|&k| (turns[k].of(corner), turns[k].deformation));
+    let around = near.nearest(corner, GUESSES, SUPPORT_RADIUS_PX);
+    let guesses = around.iter().map(|&k| (turns[k].of(corner), turns[k].deformation));
     guesses
         .filter_map(|(guess, deformation)| {
             turned_match(frames, corner, (guess, deformation), refiner, options)
