@@ -179,6 +179,7 @@ fn morph(o: &MorphOptions) -> Checked {
             ("rho", o.rho, 0.0..=1.0),
             ("tau", o.tau, 0.0..=32.0),
             ("grid_px", o.grid_px as f64, 1.0..=256.0),
+            ("tolerance_px", o.tolerance_px, 0.0..=1.0),
         ],
     )
 }

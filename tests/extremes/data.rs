@@ -36,13 +36,14 @@ fn edge(a: Feature, b: Feature, mean_fitness: Option<f64>) -> Edge {
     Edge { ends: [a, b], mean_fitness }
 }
 
-/// The warp at every pixel, and that it is the formula's: exactly on its grid's points, and with a
-/// grid of 1 everywhere. Returns the latter.
+/// The warp at every pixel, and that it is the formula's: exactly on its grid's points, with a grid of 1
+/// everywhere, and to within the tolerance where far edges count in clusters. Returns the exact one.
 #[track_caller]
 fn morphed(edges: &[Edge], options: &MorphOptions, bound_px: f64) -> Vec<Point2<f64>> {
     let mut all = Vec::new();
-    for grid_px in [4, 1] {
-        let options = MorphOptions { grid_px, ..options.clone() };
+    for (grid_px, tolerance_px) in [(4, 0.0), (1, 0.02), (1, 0.0)] {
+        let options = MorphOptions { grid_px, tolerance_px, ..options.clone() };
+        let bound_px = bound_px + tolerance_px;
         let warp = morph_warp(edges, W, H, &options);
         all = warp.source.iter().map(|s| Point2::from(*s).cast::<f64>()).collect();
         for (k, found) in all.iter().enumerate() {
@@ -373,7 +374,7 @@ fn b_and_tau_from_0_to_32() {
     for b in [0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 8.0, 16.0, 32.0] {
         for (tau, rho, a) in [(0.0, 0.0, 0.5), (10.0, 0.0, 0.5), (32.0, 0.0, 0.0), (32.0, 1.0, 1.0)]
         {
-            let options = MorphOptions { a, b, rho, tau, grid_px: 1 };
+            let options = MorphOptions { a, b, rho, tau, grid_px: 1, tolerance_px: 0.0 };
             // A fraction b of the distance's rounding, times how differently the edges move.
             morphed(&edges, &options, 2e-3 + 1e-3 * b);
             for (x, y) in [(0, 0), (50, 40), (95, 71)] {
@@ -384,7 +385,7 @@ fn b_and_tau_from_0_to_32() {
         }
     }
     // Nothing falls with the distance: the mean of all edges, wherever.
-    let flat = MorphOptions { a: 0.5, b: 0.0, rho: 0.0, tau: 0.0, grid_px: 1 };
+    let flat = MorphOptions { a: 0.5, b: 0.0, rho: 0.0, tau: 0.0, grid_px: 1, tolerance_px: 0.0 };
     let ends = [[3.0, 0.0], [-1.0, 2.0]]
         .map(|moved| edge(feature([20.5, 20.5], moved), feature([30.5, 20.5], moved), Some(0.1)));
     let warp = morphed(&ends, &flat, 1e-3);

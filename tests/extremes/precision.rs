@@ -116,7 +116,7 @@ fn the_morphs_field_to_a_hundredth_of_a_pixel() {
                 Edge { ends: [a, b], mean_fitness: (k % 3 == 0).then_some(0.1 + 0.01 * k as f64) }
             })
             .collect();
-        let options = MorphOptions { b, grid_px: 1, ..MorphOptions::default() };
+        let options = MorphOptions { b, grid_px: 1, tolerance_px: 0.0, ..MorphOptions::default() };
         let warp = morph_warp(&edges, w, h, &options);
         for k in (0..w * h).step_by(7) {
             let at = Point2::new((k % w) as f64 + 0.5, (k / w) as f64 + 0.5);
