@@ -35,7 +35,10 @@ pub fn resolved(
         return Ok(options.clone());
     }
     let plan = plan(field, options, reporter)?;
-    for decision in [Stage::Sync, Stage::Proxy].into_iter().filter_map(|s| plan.decision(s)) {
+    let auto = &options.auto;
+    let stages = [(Stage::Sync, auto.sync), (Stage::Proxy, auto.proxy), (Stage::Blend, auto.blend)];
+    let is_left = stages.into_iter().filter(|(_, is_auto)| *is_auto);
+    for decision in is_left.filter_map(|(stage, _)| plan.decision(stage)) {
         let choice = decision.choice;
         let (stage, method) = (choice.stage().name(), choice.name());
         reporter.note(&format!("Auto: {stage} {method}. {}", decision.because));

@@ -3,11 +3,12 @@
 mod common;
 
 use common::wall::{FRAME_S, Scene, open};
-use common::{assert_refused, edit, run, succeed, text};
+use common::{assert_refused, edit, run, succeed, text, tiny_copy};
 use serde_json::{Value, json};
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::LightField;
-use stlfr::options::{ProxyMethod, RenderOptions};
+use stlfr::lumigraph::BlendMethod;
+use stlfr::options::{AutoOptions, ProxyMethod, RenderOptions};
 use stlfr::pipeline::{open_field, resolved};
 use stlfr::plan::{Choice, Plan, Stage, plan};
 use stlfr::progress::Reporter;
@@ -23,9 +24,7 @@ fn plan_of(folder: &TempDir, options: &RenderOptions) -> (Plan, LightField) {
 
 /// Options whose methods the capture decides.
 fn auto() -> RenderOptions {
-    let mut options = RenderOptions::default();
-    (options.auto.sync, options.auto.proxy) = (true, true);
-    options
+    RenderOptions { auto: AutoOptions::all(), ..RenderOptions::default() }
 }
 
 fn planned(scene: &Scene, change: impl FnOnce(&mut Value)) -> Plan {
@@ -212,6 +211,34 @@ fn only_the_methods_that_are_auto_are_decided() {
 }
 
 #[test]
+fn held_out_frames_decide_the_weights_if_asked() {
+    let folder = tiny_copy();
+    let field = open_field(open(&folder), &auto(), &Reporter::silent()).unwrap();
+    let by = |sync: bool, blend: bool| {
+        let mut options = auto();
+        (options.auto.sync, options.auto.blend) = (sync, blend);
+        options.blend.method = BlendMethod::Uniform;
+        plan(&field, &options, &Reporter::silent()).unwrap()
+    };
+    let all = by(true, true);
+    assert!([SyncMethod::Refined, SyncMethod::AllCameras].contains(&all.options.sync), "{all:?}");
+    let decision = all.decision(Stage::Blend).unwrap();
+    let is_better = decision.measured.expect("held-out frames were compared") > 0.0;
+    let chosen = if is_better { BlendMethod::SpaceTime } else { BlendMethod::Lumigraph };
+    assert_eq!((decision.choice, all.options.blend.method), (Choice::Blend(chosen), chosen));
+    let sync_only = by(true, false);
+    assert_eq!(sync_only.options.blend.method, BlendMethod::Uniform);
+    // Nothing is rendered for what isn't asked for.
+    assert_choices(&by(false, false), &[Choice::BlendAsGiven]);
+}
+
+#[test]
+fn without_a_frame_between_others_the_weights_are_as_given() {
+    let scene = Scene { board: Some([-1.5, -0.8]), shared: [true; 3], ..Scene::default() };
+    assert_choices(&planned(&scene, |_| ()), &[Choice::BlendAsGiven]);
+}
+
+#[test]
 fn auto_renders_what_the_planned_options_do() {
     let folder = Scene::default().film();
     let path = |name: &str| text(&folder.path().join(name)).to_owned();
@@ -225,7 +252,7 @@ fn auto_renders_what_the_planned_options_do() {
         succeed(&[arguments.as_slice(), choice].concat());
         std::fs::read(image).unwrap()
     };
-    let auto = render(&["--sync", "auto", "--proxy", "auto"], &path("auto.png"));
+    let auto = render(&["--sync", "auto", "--proxy", "auto", "--blend", "auto"], &path("auto.png"));
     let by_file = render(&["--options", &path("options.json")], &path("file.png"));
     assert_eq!(auto, by_file);
     let refined = render(&[], &path("refined.png"));

@@ -98,6 +98,9 @@ def _methods(settings: Any) -> dict[str, Any]:
     auto = {
         stage: True for stage in ("sync", "proxy") if getattr(settings, stage) == "auto"
     }
+    if "sync" in auto:
+        # The weights in time depend on how images are synchronized, and have no choice of their own here.
+        auto["blend"] = True
     proxy: dict[str, Any] = {} if "proxy" in auto else {"method": settings.proxy}
     if settings.proxy == "plane" and settings.use_plane_depth:
         proxy["plane_depth_m"] = settings.plane_depth_m

@@ -8,6 +8,7 @@ use super::print::Page;
 use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::host::write_json;
+use stlfr::options::AutoOptions;
 use stlfr::pipeline;
 use stlfr::plan::{Plan, plan};
 use stlfr::progress::Reporter;
@@ -15,7 +16,7 @@ use stlfr::progress::Reporter;
 /// What this capture requires, and why: for every stage the cheapest method that keeps its error
 /// within a budget.
 ///
-/// `--sync auto` and `--proxy auto` of `render`, and `auto` in an options file, choose by it.
+/// `--sync auto`, `--proxy auto` and `--blend auto` of `render`, and `auto` in an options file, choose by it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr plan .captures/demo\n  \
@@ -41,7 +42,9 @@ pub struct Args {
 pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let mut options = options_or_default(args.options.as_deref())?;
     options.auto.budget_px = args.budget_px.unwrap_or(options.auto.budget_px);
-    (options.auto.sync, options.auto.proxy) = (true, true);
+    let given = &options.auto;
+    let (budget_px, budget_db) = (given.budget_px, given.budget_db);
+    options.auto = AutoOptions { budget_px, budget_db, ..AutoOptions::all() };
     options.check().map_err(|error| CliError::BadInput(error.to_string()))?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
     if let Some(output) = &args.output {

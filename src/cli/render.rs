@@ -13,7 +13,7 @@ use stlfr::camera::Camera;
 use stlfr::capture::Capture;
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::{LightField, RenderError, Viewpoint, check_times_before_offsets};
-use stlfr::lumigraph::Rendered;
+use stlfr::lumigraph::{BlendMethod, Rendered};
 use stlfr::options::{ProxyMethod, RenderOptions, TrailMode};
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
@@ -70,6 +70,9 @@ pub struct Args {
     /// What stands for the scene's shape.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<ProxyMethod>())]
     proxy: Option<Choice<ProxyMethod>>,
+    /// How cameras are weighted where they see the same point.
+    #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<BlendMethod>())]
+    blend: Option<Choice<BlendMethod>>,
     /// Overlay what moved in this many seconds before the instant: temporal integration.
     #[arg(long, value_name = "SECONDS")]
     trail: Option<f64>,
@@ -115,6 +118,10 @@ impl Args {
         if let Some(proxy) = self.proxy {
             options.proxy.method = proxy.method().unwrap_or(options.proxy.method);
             options.auto.proxy = proxy == Choice::Auto;
+        }
+        if let Some(blend) = self.blend {
+            options.blend.method = blend.method().unwrap_or(options.blend.method);
+            options.auto.blend = blend == Choice::Auto;
         }
         let trail = &mut options.trail;
         trail.duration_s = self.trail.unwrap_or(trail.duration_s);

@@ -1,6 +1,6 @@
 //! Three points on the trade of speed for accuracy, by name.
 
-use super::RenderOptions;
+use super::{AutoOptions, RenderOptions};
 use crate::interpolation::SyncMethod;
 use crate::json;
 use crate::method::methods;
@@ -44,7 +44,8 @@ impl Preset {
                 options.blend.cameras = 2;
             }
             Self::Best => {
-                (options.auto.sync, options.auto.proxy) = (true, true);
+                options.auto = AutoOptions::all();
+                options.blend.cameras = 4;
             }
         }
         options

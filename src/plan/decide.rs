@@ -3,6 +3,7 @@
 use super::motion::MAX_NOISE;
 use super::{Choice, ClockSummary, Decision, Motion, Shape};
 use crate::interpolation::SyncMethod;
+use crate::lumigraph::BlendMethod;
 use crate::options::ProxyMethod;
 use crate::registration::Gains;
 
@@ -115,6 +116,41 @@ pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, De
          all that it changes is for the better (held-out frames: {frames})."
     );
     (method, by_number(Choice::Sync(method), gain_db, budget_db, because))
+}
+
+/// Whether images from all cameras pay, which take twice as long as refined ones; `gain_db` is how much better
+/// held-out frames are by them.
+pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
+    let pays = gain_db > budget_db;
+    let method = if pays { SyncMethod::AllCameras } else { SyncMethod::Refined };
+    let because = format!(
+        "Where frames change, views by all cameras' images are {} than by refined ones (held-out frames: \
+         {frames}).",
+        better_or_worse(gain_db)
+    );
+    (method, by_number(Choice::Sync(method), gain_db, budget_db, because))
+}
+
+fn better_or_worse(gain_db: f64) -> String {
+    let word = if gain_db < 0.0 { "worse" } else { "better" };
+    format!("{:.2} dB {word}", gain_db.abs())
+}
+
+/// Which weights are better on held-out frames: `gain_db` is how much better those in space and time are than
+/// those in space alone. They take hardly longer, so that any gain decides. `None` where none was measured.
+pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decision) {
+    let Some(gain_db) = gain_db else {
+        let because = "No held-out frames were compared: that needs refined motion, depth per pixel and a frame \
+                       between other cameras' frames.";
+        return (None, by_description(Choice::BlendAsGiven, because));
+    };
+    let method = if gain_db > 0.0 { BlendMethod::SpaceTime } else { BlendMethod::default() };
+    let because = format!(
+        "Where frames change, views by weights in space and time are {} than by those in space alone \
+         (held-out frames: {frames}).",
+        better_or_worse(gain_db)
+    );
+    (Some(method), by_number(Choice::Blend(method), gain_db, 0.0, because))
 }
 
 /// The fraction of the budget that a trajectory's curvature may displace a feature by. Larger:
@@ -247,6 +283,19 @@ mod tests {
         assert_eq!(decided(0.05).0, SyncMethod::Triangulation);
         assert_eq!(decided(0.6).0, SyncMethod::Refined);
         assert!(decided(0.6).1.because.contains("0.60 dB"), "{}", decided(0.6).1.because);
+    }
+
+    #[test]
+    fn held_out_frames_decide_on_all_cameras_and_on_weights_in_time() {
+        let sync = |gain_db| all_cameras(gain_db, "cam1's 3", 0.07);
+        assert_eq!(sync(0.05).0, SyncMethod::Refined);
+        assert_eq!(sync(0.3).0, SyncMethod::AllCameras);
+        assert!(sync(-0.25).1.because.contains("0.25 dB worse"), "{}", sync(-0.25).1.because);
+        let weights = |gain_db| blend(gain_db, "cam1's 3");
+        assert_eq!(weights(Some(0.01)).0, Some(BlendMethod::SpaceTime));
+        assert_eq!(weights(Some(-0.01)).0, Some(BlendMethod::default()));
+        assert_eq!(weights(None).0, None);
+        assert_eq!(weights(None).1.choice, Choice::BlendAsGiven);
     }
 
     #[test]

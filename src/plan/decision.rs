@@ -1,6 +1,7 @@
 //! What can be decided, and how a decision is stated.
 
 use crate::interpolation::SyncMethod;
+use crate::lumigraph::BlendMethod;
 use crate::method::Method;
 use crate::options::ProxyMethod;
 use serde::ser::{Serialize, SerializeStruct, Serializer};
@@ -13,6 +14,7 @@ pub enum Stage {
     StillPairs,
     Trajectory,
     Proxy,
+    Blend,
     Gains,
     Lenses,
     References,
@@ -37,6 +39,9 @@ pub enum Choice {
     Proxy(ProxyMethod),
     /// The proxy of the given options is left as it is.
     ProxyAsGiven,
+    Blend(BlendMethod),
+    /// The blend of the given options is left as it is.
+    BlendAsGiven,
     EqualGains,
     CorrectedGains,
     PinholeLenses,
@@ -68,6 +73,7 @@ impl Stage {
             Self::StillPairs => "still pairs",
             Self::Trajectory => "trajectory",
             Self::Proxy => "proxy",
+            Self::Blend => "blend",
             Self::Gains => "gains",
             Self::Lenses => "lenses",
             Self::References => "references",
@@ -84,6 +90,7 @@ impl Choice {
             Self::NoPairs | Self::PairsRegistered | Self::PairsCrossFaded => Stage::StillPairs,
             Self::Straight | Self::Curved => Stage::Trajectory,
             Self::Proxy(_) | Self::ProxyAsGiven => Stage::Proxy,
+            Self::Blend(_) | Self::BlendAsGiven => Stage::Blend,
             Self::EqualGains | Self::CorrectedGains => Stage::Gains,
             Self::PinholeLenses | Self::DistortedLenses => Stage::Lenses,
             Self::OneDirection | Self::TwoDirections => Stage::References,
@@ -102,7 +109,8 @@ impl Choice {
             Self::Straight => "straight",
             Self::Curved => "curved",
             Self::Proxy(method) => method.name(),
-            Self::ProxyAsGiven => "as given",
+            Self::Blend(method) => method.name(),
+            Self::ProxyAsGiven | Self::BlendAsGiven => "as given",
             Self::EqualGains => "equal",
             Self::CorrectedGains => "corrected",
             Self::PinholeLenses => "pinhole",

@@ -6,6 +6,8 @@
 //! | whose clocks are known? | clocks in `capture.json` | whether offsets are estimated |
 //! | does anything move? | features' motion, blocks that change ([`Motion`]) | the sync method |
 //! | can refinement pay? | views between cameras by both methods, held-out frames ([`Probe`]) | the sync method |
+//! | do other cameras' images pay? | held-out frames by both methods ([`Probe`]) | the sync method |
+//! | do weights in time pay? | the same | the blend's method |
 //! | does it move all the time, in all cameras? | frame pairs of which no block changes | whether still pairs are registered |
 //! | on straight lines? | curvature of trajectories through four frames | curved trajectories |
 //! | is a plane enough? | points' parallax against it ([`Shape`]) | the proxy method |
@@ -60,7 +62,8 @@ impl Plan {
 }
 
 /// Plans the views of a light field. Only the stages that `options.auto` names are changed in the
-/// options; all are decided.
+/// options. All are decided, as far as they can be without views; views are rendered to decide the sync method and
+/// the blend if those are left to the capture.
 pub fn plan(
     field: &LightField,
     options: &RenderOptions,
@@ -86,24 +89,57 @@ pub fn plan(
     if options.auto.proxy {
         decided.proxy.method = proxy.unwrap_or(decided.proxy.method);
     }
-    let [cheaper, dearer] = [SyncMethod::Triangulation, SyncMethod::Refined]
-        .map(|sync| RenderOptions { sync, ..decided.clone() }.view())
-        .map(probing);
-    if sync == SyncMethod::Refined
-        && let Some(probe) = Probe::open(field)?
-        && let Some(gain_db) = probe.possible_gain_db(field, &cheaper, &dearer)?
-    {
-        (sync, of_sync) = decide::refinement(gain_db, &probe.names(), options.auto.budget_db);
+    let is_probed = sync == SyncMethod::Refined && (options.auto.sync || options.auto.blend);
+    let probe = if is_probed { Probe::open(field)? } else { None };
+    let frames = probe.as_ref().map_or_else(String::new, Probe::names);
+    let by = |sync| RenderOptions { sync, ..decided.clone() }.view();
+    if let Some(probe) = probe.as_ref().filter(|_| options.auto.sync) {
+        let [cheaper, dearer] =
+            [SyncMethod::Triangulation, SyncMethod::Refined].map(|sync| probing(by(sync)));
+        if let Some(gain_db) = probe.possible_gain_db(field, &cheaper, &dearer)? {
+            (sync, of_sync) = decide::refinement(gain_db, &frames, options.auto.budget_db);
+        }
+    }
+    // All cameras' images come from their depths.
+    let is_depth = decided.proxy.method == ProxyMethod::Depth;
+    let mut errors = None;
+    if let Some(probe) = probe.as_ref().filter(|_| is_depth) {
+        if options.auto.sync && sync == SyncMethod::Refined {
+            let candidates = [SyncMethod::Refined, SyncMethod::AllCameras];
+            let [refined, all] = candidates.map(by);
+            if let Some([of_refined, of_all]) = probe.errors(field, [&refined, &all])? {
+                let errors_of = [of_refined, of_all];
+                let compared = errors_of.map(|e| e.by(decided.blend.method, options.auto.blend));
+                if let Some(gain_db) = gain_db(compared) {
+                    (sync, of_sync) = decide::all_cameras(gain_db, &frames, options.auto.budget_db);
+                }
+                errors = candidates.iter().position(|s| *s == sync).map(|k| errors_of[k]);
+            }
+        } else if !options.auto.sync && options.sync.of_one_camera() == SyncMethod::Refined {
+            errors = probe.errors(field, [&by(options.sync)])?.map(|[of_given]| of_given);
+        }
     }
     if options.auto.sync {
         decided.sync = sync;
     }
-    decisions.extend([of_sync, of_still, of_trajectory, of_proxy]);
+    let space_time_gain_db = errors.and_then(|e| gain_db([e.in_space, e.in_space_and_time]));
+    let (blend, of_blend) = decide::blend(space_time_gain_db, &frames);
+    if options.auto.blend {
+        decided.blend.method = blend.unwrap_or(decided.blend.method);
+    }
+    decisions.extend([of_sync, of_still, of_trajectory, of_proxy, of_blend]);
     decisions.push(decide::gains(field.gains()));
     decisions.push(decide::lenses(largest_distortion_px(capture)));
     decisions.push(decide::references(extent_ratio(capture)));
-    decided.auto = AutoOptions { sync: false, proxy: false, ..options.auto.clone() };
+    let AutoOptions { budget_px, budget_db, .. } = options.auto;
+    decided.auto = AutoOptions { budget_px, budget_db, ..AutoOptions::default() };
     Ok(Plan { budget_px, decisions, options: decided })
+}
+
+/// How much better views with the second squared error are than those with the first, decibels; `None` where there
+/// is no error to compare.
+fn gain_db([error, other]: [f64; 2]) -> Option<f64> {
+    (error > 0.0 && other > 0.0).then(|| 10.0 * (error / other).log10())
 }
 
 /// The value that this fraction of them does not exceed; `None` of none.

@@ -1,19 +1,20 @@
-//! What refinement can gain on views of this capture: how much it changes views between its cameras,
-//! beside the error of held-out frames.
+//! What dearer methods gain on views of this capture. Refinement, beside triangulation: how much it changes views
+//! between its cameras, beside the error of held-out frames. All cameras' images and weights in time: the errors
+//! of held-out frames alone.
 
 use crate::camera::Camera;
 use crate::light_field::held_out::{
     by_distance_from, halfway_to_neighbor, inner_cameras, only, recorded, well_covered_frames,
 };
 use crate::light_field::{LightField, RenderError};
-use crate::lumigraph::Rendered;
+use crate::lumigraph::{BlendMethod, BlendOptions, Rendered};
 use crate::metrics::moving_part;
 use crate::options::ViewOptions;
 use crate::raster::Image;
 
 /// How many held-out frames are rendered, each of another camera, spread over the recording: what
-/// refinement gains differs by half a decibel from instant to instant. More cost three views each;
-/// fewer depend on their instants.
+/// refinement gains differs by half a decibel from instant to instant. More cost up to seven views
+/// each; fewer depend on their instants.
 const FRAMES: usize = 4;
 
 /// How many neighbours, the nearest ones, a held-out frame is rendered from. More cost time; fewer
@@ -89,7 +90,7 @@ impl Probe {
     /// the gain if all that the dearer options change is for the better, and views are as wrong as
     /// those of held-out cameras. `None` where none can be rendered, or nothing is seen.
     ///
-    /// What held-out frames gain is no guide: they stand twice as far from their neighbours as
+    /// What held-out frames gain is no guide here: they stand twice as far from their neighbours as
     /// views do, the proxy is off by twice as much there, and an outline in the wrong place costs a
     /// sharp view more than a blurred one.
     pub fn possible_gain_db(
@@ -107,9 +108,9 @@ impl Probe {
             let seen = cheap.coverage.iter().zip(&dear.coverage).map(|(a, b)| *a && *b);
             let counts = seen.zip(&frame.near_changing).map(|(a, b)| a && *b);
             difference += squared(&cheap.image, &dear.image, counts);
-            let counts = again.coverage.iter().zip(&frame.changing).map(|(a, b)| *a && *b);
-            let image = field.gains().corrected(frame.bright_as, &again.image);
-            error += squared(&image.unwrap_or(again.image), &frame.truth, counts);
+            let counts: Vec<bool> =
+                again.coverage.iter().zip(&frame.changing).map(|(a, b)| *a && *b).collect();
+            error += frame.squared_error(field, &again, &counts);
         }
         // Nothing seen, or no error at all: 0/0, or more than any budget.
         let gain_db = 10.0 * (difference / error).ln_1p() / std::f64::consts::LN_10;
@@ -117,7 +118,79 @@ impl Probe {
     }
 }
 
+/// Squared errors of held-out frames, summed up, by the weights that they are blended with.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct HeldOutErrors {
+    pub in_space: f64,
+    pub in_space_and_time: f64,
+}
+
+impl HeldOutErrors {
+    /// The error by this blend; by the better of both if the blend is to be decided, too.
+    pub fn by(&self, blend: BlendMethod, is_decided_later: bool) -> f64 {
+        match blend {
+            _ if is_decided_later => self.in_space.min(self.in_space_and_time),
+            BlendMethod::SpaceTime => self.in_space_and_time,
+            BlendMethod::Lumigraph | BlendMethod::Uniform => self.in_space,
+        }
+    }
+}
+
+impl Probe {
+    /// The errors of the held-out frames where things change, by each of these options with both kinds of
+    /// weights. Frames count that all can render, and pixels that all cover; `None` if there is none.
+    ///
+    /// All are equally sharp, so that an outline in the wrong place costs all alike.
+    pub fn errors<const N: usize>(
+        &self,
+        field: &LightField,
+        candidates: [&ViewOptions; N],
+    ) -> Result<Option<[HeldOutErrors; N]>, RenderError> {
+        let mut sums = [HeldOutErrors::default(); N];
+        let mut is_any = false;
+        for frame in &self.frames {
+            let views = candidates.map(|options| frame.by_both_weights(options));
+            let mut all = Vec::with_capacity(N);
+            for view in views {
+                all.extend(view?);
+            }
+            let Ok(views): Result<[[Rendered; 2]; N], _> = all.try_into() else { continue };
+            let covered = |k: usize| views.iter().flatten().all(|view| view.coverage[k]);
+            let counts: Vec<bool> =
+                frame.changing.iter().enumerate().map(|(k, c)| *c && covered(k)).collect();
+            is_any |= counts.contains(&true);
+            for (sum, [in_space, in_time]) in sums.iter_mut().zip(&views) {
+                sum.in_space += frame.squared_error(field, in_space, &counts);
+                sum.in_space_and_time += frame.squared_error(field, in_time, &counts);
+            }
+        }
+        Ok(is_any.then_some(sums))
+    }
+}
+
 impl HeldOutFrame {
+    /// The view in this frame's place with weights in space, and with those in space and time; `None` where it
+    /// can't be rendered.
+    fn by_both_weights(&self, options: &ViewOptions) -> Result<Option<[Rendered; 2]>, RenderError> {
+        let [in_space, in_time] = [BlendMethod::default(), BlendMethod::SpaceTime].map(|method| {
+            let blend = BlendOptions { method, ..options.blend.clone() };
+            ViewOptions { blend, ..options.clone() }
+        });
+        // Weights in time need how far pixels were bridged; those in space ignore it.
+        let Some(moment) = renderable(self.neighbors.moment(self.time_s, &in_time))? else {
+            return Ok(None);
+        };
+        let in_space = renderable(moment.view_by(&self.camera, &in_space))?;
+        let in_time = renderable(moment.view_by(&self.camera, &in_time))?;
+        Ok(in_space.zip(in_time).map(<[Rendered; 2]>::from))
+    }
+
+    /// The squared error of a view in this frame's place, over the pixels that count.
+    fn squared_error(&self, field: &LightField, view: &Rendered, counts: &[bool]) -> f64 {
+        let image = field.gains().corrected(self.bright_as, &view.image);
+        squared(image.as_ref().unwrap_or(&view.image), &self.truth, counts.iter().copied())
+    }
+
     /// The `number`-th of [`FRAMES`] frames, of this camera; `None` if it shows nothing.
     fn open(
         whole: &LightField,
@@ -170,8 +243,13 @@ fn rendered(
     time_s: f64,
     options: &ViewOptions,
 ) -> Result<Option<Rendered>, RenderError> {
-    match field.view(at, time_s, options) {
-        Ok(view) => Ok(Some(view)),
+    renderable(field.view(at, time_s, options))
+}
+
+/// `None` where something can't be rendered. A frame that can't be read is an error.
+fn renderable<T>(result: Result<T, RenderError>) -> Result<Option<T>, RenderError> {
+    match result {
+        Ok(value) => Ok(Some(value)),
         Err(RenderError::Capture(error)) => Err(error.into()),
         Err(_) => Ok(None),
     }

@@ -56,7 +56,7 @@ use crate::compare::CompareError;
 use crate::host::write_atomically;
 use crate::light_field::RenderError;
 use crate::method::{Method, methods};
-use crate::options::{Preset, RenderOptions};
+use crate::options::{AutoOptions, Preset, RenderOptions};
 use crate::progress::Reporter;
 use bench::Bench;
 use schemars::JsonSchema;
@@ -207,8 +207,7 @@ pub fn tradeoff(
         clock: options.clock,
         reporter,
     };
-    let mut auto = base.clone();
-    (auto.auto.sync, auto.auto.proxy) = (true, true);
+    let auto = RenderOptions { auto: AutoOptions::all(), ..base.clone() };
     let planned = bench.planned(&auto)?;
     let mut labels = vec![(AUTO, planned.options.clone())];
     for preset in Preset::ALL {

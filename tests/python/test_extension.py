@@ -301,7 +301,11 @@ def test_pictures_are_the_command_lines(
         name: by_command_line(program, own_capture, wanted, tmp_path)
         for name, wanted in found.items()
     }
-    assert found["auto"]["options"]["auto"] == {"sync": True, "proxy": True}
+    assert found["auto"]["options"]["auto"] == {
+        "sync": True,
+        "proxy": True,
+        "blend": True,
+    }
     assert found["draft"]["options"] == {"preset": "draft"}
     for name in ("like", "auto", "draft", "aside", "trail"):
         assert rendered[name].shape == expected[name].shape
