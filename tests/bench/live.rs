@@ -1,6 +1,6 @@
 //! Views a second while one looks around, beside OpenCV's remap and blend.
 //!
-//! `cargo bench --bench live -- CAPTURE… [--views N]` prints two tables a capture, by preset.
+//! `cargo bench --bench live -- CAPTURE… [--views N]` prints three tables a capture, by preset.
 //!
 //! - A fixed instant, halfway through the recording, and a viewpoint that moves along the rig, up and ahead: seconds
 //!   from the opened capture to the first view, views a second (from the median), how much of it is the geometry, and
@@ -10,6 +10,9 @@
 //!   prepared and of one that is (`stlfr prepare`); views a second; and what one thread reaches of two threads' speed.
 //!   Then what the preparation takes, beside OpenCV's DIS in both directions for the same pairs.
 //!
+//! Between them, the stages of a view at the fixed instant, beside how long its bytes take through memory at the
+//! bandwidth that reading a large array reaches.
+//!
 //! All use all cores. The peers are left out where the project's Python environment is missing. What is prepared is
 //! deleted again; a capture that is prepared already is refused.
 
@@ -17,6 +20,8 @@
 mod moving;
 #[path = "live/peer.rs"]
 mod peer;
+#[path = "live/stages.rs"]
+mod stages;
 
 use nalgebra::Vector3;
 use std::sync::Arc;
@@ -93,14 +98,14 @@ fn bench(folder: &str, count: usize) -> Result<(), Error> {
         "| method | first view | a view | views a second | geometry | OpenCV's remap and blend |"
     );
     println!("|---|---|---|---|---|---|");
+    let mut stages = vec![];
     for (name, options) in methods() {
         // Clocks as recorded: times don't depend on how right they are.
         let mut offsets = Offsets::known(&capture);
         offsets.cameras.iter_mut().for_each(|c| c.offset_s = Some(c.offset_s.unwrap_or(0.0)));
         let field = LightField::new(capture.clone(), offsets, &options.registration);
-        let options = options.view();
         let start = Instant::now();
-        let moment = field.moment(middle_s(&capture), &options)?;
+        let moment = field.moment(middle_s(&capture), &options.view())?;
         moment.view(&views[0])?;
         let prepared_s = start.elapsed().as_secs_f64();
         // Once, so that what views share is cached.
@@ -113,7 +118,9 @@ fn bench(folder: &str, count: usize) -> Result<(), Error> {
             "| {name} | {prepared_s:.1} s | {view_ms:.1} ms | {:.1} | {geometry_ms:.1} ms | {peer} |",
             1000.0 / view_ms
         );
+        stages.extend(stages::of(name, &field, &moment, &views, &options)?);
     }
+    stages::print(&stages);
     moving::bench(folder, &views[count / 3], &methods()).map_err(|error| -> Error { error })
 }
 
