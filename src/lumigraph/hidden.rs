@@ -2,13 +2,17 @@
 
 use super::DepthMap;
 use crate::raster::Image;
+use rayon::prelude::*;
+use std::f32::consts::TAU;
 
-/// The nearest pixel before another one along a line that is seen, and is no nearer to the view.
-#[derive(Clone, Copy)]
-struct Seen {
-    pixel: usize,
-    distance_px: f32,
-}
+/// Number of directions in which a hidden pixel's surroundings are searched. Larger: time; smaller: streaks.
+const DIRECTIONS: usize = 16;
+/// How far they are searched, pixels. Larger: time, for colours from far away; smaller: the middle of what is hidden
+/// stays as the camera shows it.
+const REACH_PX: usize = 128;
+/// How many pixels in a row are averaged in each direction. Larger: the colours of other things; smaller: streaks, and the
+/// mixed colours of outlines.
+const AVERAGED_PX: usize = 6;
 
 /// What a camera shows of a pixel's point.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,51 +25,78 @@ pub(super) enum Shown {
     Nothing,
 }
 
-/// Fills the hidden pixels of an image with the mean of the nearest seen pixels to the left, to the right, above
-/// and below, weighted by nearness. A pixel of a surface that is nearer to the view by more than a fraction of its
-/// depth counts for none: it is what hides. Where there is none, pixels stay as they are.
+/// Fills the hidden pixels of an image with the mean of what is seen around them, in all directions, weighted by
+/// nearness. A pixel of a surface that is nearer to the view by more than a fraction of its depth counts for none, nor
+/// does what is beyond it: it is what hides. Where there is none, pixels stay as they are.
 pub(super) fn fill(image: &mut Image, shown: &[Shown], depth: &DepthMap, fraction: f32) {
-    if !shown.contains(&Shown::Hidden) {
-        return;
+    let hidden: Vec<usize> = (0..shown.len()).filter(|&k| shown[k] == Shown::Hidden).collect();
+    let surroundings = Surroundings { image, shown, depth, fraction };
+    let colors: Vec<Option<[f32; 3]>> = hidden.par_iter().map(|&k| surroundings.color(k)).collect();
+    let channels = image.channels();
+    for (k, color) in hidden.into_iter().zip(colors) {
+        if let Some(color) = color {
+            image.data_mut()[k * channels..][..channels].copy_from_slice(&color[..channels]);
+        }
     }
-    let (w, h, channels) = (image.width(), image.height(), image.channels());
-    let mut sums = vec![[0.0_f32; 4]; w * h];
-    let mut run = |line: &mut dyn Iterator<Item = usize>| {
-        let mut last: Option<Seen> = None;
-        for k in line {
-            if shown[k] == Shown::Seen {
-                last = Some(Seen { pixel: k, distance_px: 0.0 });
+}
+
+/// What hidden pixels are filled from.
+struct Surroundings<'a> {
+    image: &'a Image,
+    shown: &'a [Shown],
+    depth: &'a DepthMap,
+    fraction: f32,
+}
+
+impl Surroundings<'_> {
+    /// The colour of a hidden pixel; `None` where nothing is seen around it.
+    fn color(&self, hidden: usize) -> Option<[f32; 3]> {
+        let (mut sum, mut weights) = ([0.0_f32; 3], 0.0_f32);
+        for n in 0..DIRECTIONS {
+            let angle = TAU * n as f32 / DIRECTIONS as f32;
+            if let Some((mean, distance_px)) = self.towards(hidden, [angle.cos(), angle.sin()]) {
+                // The distance is at least 1.
+                let weight = 1.0 / distance_px;
+                sum.iter_mut().zip(mean).for_each(|(sum, v)| *sum += weight * v);
+                weights += weight;
+            }
+        }
+        (weights > 0.0).then(|| sum.map(|v| v / weights))
+    }
+
+    /// The mean of the first pixels that are seen in a direction, and the distance of the first.
+    fn towards(&self, hidden: usize, direction: [f32; 2]) -> Option<([f32; 3], f32)> {
+        let (w, h, channels) = (self.image.width(), self.image.height(), self.image.channels());
+        let at = [hidden % w, hidden / w].map(|v| v as f32 + 0.5);
+        let min_depth = self.depth.data()[hidden] * (1.0 - self.fraction);
+        let (mut sum, mut count, mut first_px) = ([0.0_f32; 3], 0, 0.0);
+        for step in 1..=REACH_PX {
+            let [x, y] = [0, 1].map(|axis| at[axis] + step as f32 * direction[axis]);
+            if x < 0.0 || y < 0.0 || x >= w as f32 || y >= h as f32 {
+                break;
+            }
+            let k = y as usize * w + x as usize;
+            if self.shown[k] != Shown::Seen {
+                if count > 0 {
+                    break;
+                }
                 continue;
             }
-            let Some(seen) = &mut last else { continue };
-            seen.distance_px += 1.0;
-            let [own, other] = [k, seen.pixel].map(|k| depth.data()[k]);
-            // Also false where one of them has no depth.
-            if other >= own * (1.0 - fraction) {
-                let weight = 1.0 / seen.distance_px;
-                for (sum, v) in
-                    sums[k].iter_mut().zip(image.data()[seen.pixel * channels..][..channels].iter())
-                {
-                    *sum += weight * v;
-                }
-                sums[k][3] += weight;
+            // Also where one of them has no depth.
+            if !(self.depth.data()[k] >= min_depth) {
+                break;
+            }
+            if count == 0 {
+                first_px = step as f32;
+            }
+            let pixel = &self.image.data()[k * channels..][..channels];
+            sum.iter_mut().zip(pixel).for_each(|(sum, v)| *sum += v);
+            count += 1;
+            if count == AVERAGED_PX {
+                break;
             }
         }
-    };
-    for y in 0..h {
-        run(&mut (0..w).map(|x| y * w + x));
-        run(&mut (0..w).rev().map(|x| y * w + x));
-    }
-    for x in 0..w {
-        run(&mut (0..h).map(|y| y * w + x));
-        run(&mut (0..h).rev().map(|y| y * w + x));
-    }
-    for ((pixel, sum), of) in image.data_mut().chunks_exact_mut(channels).zip(&sums).zip(shown) {
-        if *of == Shown::Hidden && sum[3] > 0.0 {
-            for (out, sum_of_channel) in pixel.iter_mut().zip(sum) {
-                *out = sum_of_channel / sum[3];
-            }
-        }
+        (count > 0).then(|| (sum.map(|v| v / count as f32), first_px))
     }
 }
 
