@@ -38,6 +38,7 @@ pub use shape::Shape;
 
 use crate::interpolation::SyncMethod;
 use crate::light_field::{LightField, RenderError};
+use crate::lumigraph::BlendMethod;
 use crate::options::{AutoOptions, ProxyMethod, RenderOptions, ViewOptions};
 use crate::progress::Reporter;
 use serde::Serialize;
@@ -75,7 +76,7 @@ pub fn plan(
     let mut decided = options.clone();
     let mut decisions = vec![decide::offsets(&ClockSummary::of(capture))];
 
-    let (mut sync, mut of_sync) = decide::sync(&motion, budget_px);
+    let (sync, of_sync) = decide::sync(&motion, budget_px);
     let (curved, of_trajectory) = decide::trajectory(&motion, budget_px);
     decided.interpolation.curved &= curved || !options.auto.sync;
     let (still_change, of_still) = decide::still_pairs(&motion, budget_px);
@@ -89,6 +90,40 @@ pub fn plan(
     if options.auto.proxy {
         decided.proxy.method = proxy.unwrap_or(decided.proxy.method);
     }
+    let ByViews { sync, of_sync, blend, of_blend } =
+        by_views(field, options, &decided, (sync, of_sync))?;
+    if options.auto.sync {
+        decided.sync = sync;
+    }
+    if options.auto.blend {
+        decided.blend.method = blend.unwrap_or(decided.blend.method);
+    }
+    decisions.extend([of_sync, of_still, of_trajectory, of_proxy, of_blend]);
+    decisions.push(decide::gains(field.gains()));
+    decisions.push(decide::lenses(largest_distortion_px(capture)));
+    decisions.push(decide::references(extent_ratio(capture)));
+    let AutoOptions { budget_px, budget_db, .. } = options.auto;
+    decided.auto = AutoOptions { budget_px, budget_db, ..AutoOptions::default() };
+    Ok(Plan { budget_px, decisions, options: decided })
+}
+
+/// What views decide.
+struct ByViews {
+    sync: SyncMethod,
+    of_sync: Decision,
+    /// `None` leaves the blend as it is.
+    blend: Option<BlendMethod>,
+    of_blend: Decision,
+}
+
+/// The sync method and the blend, where something moves and they are left to the capture; else the sync method stays as
+/// motion decided it.
+fn by_views(
+    field: &LightField,
+    options: &RenderOptions,
+    decided: &RenderOptions,
+    (mut sync, mut of_sync): (SyncMethod, Decision),
+) -> Result<ByViews, RenderError> {
     let is_probed = sync == SyncMethod::Refined && (options.auto.sync || options.auto.blend);
     let probe = if is_probed { Probe::open(field)? } else { None };
     let frames = probe.as_ref().map_or_else(String::new, Probe::names);
@@ -119,21 +154,9 @@ pub fn plan(
             errors = probe.errors(field, [&by(options.sync)])?.map(|[of_given]| of_given);
         }
     }
-    if options.auto.sync {
-        decided.sync = sync;
-    }
     let space_time_gain_db = errors.and_then(|e| gain_db([e.in_space, e.in_space_and_time]));
     let (blend, of_blend) = decide::blend(space_time_gain_db, &frames);
-    if options.auto.blend {
-        decided.blend.method = blend.unwrap_or(decided.blend.method);
-    }
-    decisions.extend([of_sync, of_still, of_trajectory, of_proxy, of_blend]);
-    decisions.push(decide::gains(field.gains()));
-    decisions.push(decide::lenses(largest_distortion_px(capture)));
-    decisions.push(decide::references(extent_ratio(capture)));
-    let AutoOptions { budget_px, budget_db, .. } = options.auto;
-    decided.auto = AutoOptions { budget_px, budget_db, ..AutoOptions::default() };
-    Ok(Plan { budget_px, decisions, options: decided })
+    Ok(ByViews { sync, of_sync, blend, of_blend })
 }
 
 /// How much better views with the second squared error are than those with the first, decibels; `None` where there

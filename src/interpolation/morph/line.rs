@@ -158,8 +158,8 @@ fn accumulate(
     for line in lines {
         let py = y - line.p[1];
         let [m0, m1, m2, m3] = line.map;
-        for l in 0..LANES {
-            let px = xs[l] - line.p[0];
+        for (l, x) in xs.iter().enumerate() {
+            let px = x - line.p[0];
             let along = px * line.direction[0] + py * line.direction[1];
             let across = py * line.direction[0] - px * line.direction[1];
             let beyond = along - along.max(0.0).min(line.length);
