@@ -130,14 +130,17 @@ fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<Piec
     order.sort_by(|&a, &b| real[b].mean_fitness.total_cmp(&real[a].mean_fitness).then(a.cmp(&b)));
     let ends = |k: usize| real[order[k]].ends.map(|v| vertices[v].source);
     let middles: Vec<_> = (0..order.len()).map(|k| center(&ends(k)[0], &ends(k)[1])).collect();
-    let longest = (0..order.len()).map(|k| (ends(k)[1] - ends(k)[0]).norm()).fold(0.0, f64::max);
+    let lengths: Vec<f64> = (0..order.len()).map(|k| (ends(k)[1] - ends(k)[0]).norm()).collect();
+    let longest = lengths.iter().copied().fold(0.0, f64::max);
     let neighbors = Neighbors::new(middles.iter().copied());
 
     // Where each edge is split: fractions along it, and the vertex there.
     let mut splits: Vec<Vec<(f64, usize)>> = vec![Vec::new(); order.len()];
     for k in 0..order.len() {
         let [a, b] = real[order[k]].ends;
-        for fitter in neighbors.within(&middles[k], longest) {
+        // Edges that cross have their middles within the mean of their lengths.
+        let reach = 0.5 * (lengths[k] + longest);
+        for fitter in neighbors.within(&middles[k], reach) {
             let [c, d] = real[order[fitter]].ends;
             if fitter >= k || [c, d].contains(&a) || [c, d].contains(&b) {
                 continue;

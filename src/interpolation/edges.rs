@@ -4,6 +4,7 @@ use super::EdgeOptions;
 use crate::registration::{Level, Neighbors};
 use nalgebra::{Point2, Vector2};
 use rayon::prelude::*;
+use std::collections::HashMap;
 
 /// A feature's positions, pixels, in the two frames and at the instant: a vertex of the morph's edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -130,37 +131,34 @@ fn without_duplicates(
         (b - a).norm()
     };
     edges.sort_by(|x, y| length(y).total_cmp(&length(x)).then(x.ends.cmp(&y.ends)));
-    let middle = |e: &RealEdge| nalgebra::center(&ends(e)[0], &ends(e)[1]);
-    let neighbors = Neighbors::new(edges.iter().map(middle));
     let min_cosine = options.duplicate_angle_deg.to_radians().cos();
-
-    let mut is_unique = vec![true; edges.len()];
-    for k in 0..edges.len() {
-        if !is_unique[k] {
-            continue;
-        }
-        let [a, b] = ends(&edges[k]);
-        let long = length(&edges[k]);
+    let is_duplicate = |e: &RealEdge, longer: &RealEdge| {
+        let ([a, b], [c, d]) = (ends(longer), ends(e));
+        let long = length(longer);
         let direction = (b - a) / long;
-        // A shorter edge on this one has its middle within half this one's length of its middle.
-        let reach = 0.5 * long + options.duplicate_distance_px;
-        for n in neighbors.within(&middle(&edges[k]), reach) {
-            if n <= k || !is_unique[n] {
-                continue;
-            }
-            let [c, d] = ends(&edges[n]);
-            let parallel = ((d - c).dot(&direction) / (d - c).norm()).abs() >= min_cosine;
-            let near = |p: Point2<f64>| {
-                let along = (p - a).dot(&direction).clamp(0.0, long);
-                (p - (a + direction * along)).norm() <= options.duplicate_distance_px
-            };
-            if parallel && near(c) && near(d) {
-                is_unique[n] = false;
-            }
+        let parallel = ((d - c).dot(&direction) / (d - c).norm()).abs() >= min_cosine;
+        let near = |p: Point2<f64>| {
+            let along = (p - a).dot(&direction).clamp(0.0, long);
+            (p - (a + direction * along)).norm() <= options.duplicate_distance_px
+        };
+        parallel && near(c) && near(d)
+    };
+    // The middle of a duplicate is within half the longer edge's length and the distance of that one's middle: the
+    // edges so far, few of which lie on each other, in cells of that size.
+    let longest = edges.first().map_or(0.0, length);
+    let cell_px = (0.5 * longest + options.duplicate_distance_px).max(1.0);
+    let mut cells: HashMap<[i64; 2], Vec<RealEdge>> = HashMap::new();
+    edges.retain(|edge| {
+        let [a, b] = ends(edge);
+        let [x, y] = [a.x + b.x, a.y + b.y].map(|twice| (0.5 * twice / cell_px).floor() as i64);
+        let around = (x - 1..=x + 1).flat_map(|x| (y - 1..=y + 1).map(move |y| [x, y]));
+        let mut longer = around.filter_map(|cell| cells.get(&cell)).flatten();
+        let is_unique = !longer.any(|longer| is_duplicate(edge, longer));
+        if is_unique {
+            cells.entry([x, y]).or_default().push(*edge);
         }
-    }
-    let mut is_unique = is_unique.into_iter();
-    edges.retain(|_| is_unique.next().unwrap_or(true));
+        is_unique
+    });
     edges
 }
 
