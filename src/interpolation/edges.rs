@@ -143,8 +143,8 @@ fn without_duplicates(
         };
         parallel && near(c) && near(d)
     };
-    // The middle of a duplicate is within half the longer edge's length and the distance of that one's middle: the
-    // edges so far, few of which lie on each other, in cells of that size.
+    // A duplicate's middle is at most half the longer edge's length plus the maximum distance from that edge's middle.
+    // The unique edges so far are in cells of that size, so that an edge is compared with nine cells alone.
     let longest = edges.first().map_or(0.0, length);
     let cell_px = (0.5 * longest + options.duplicate_distance_px).max(1.0);
     let mut cells: HashMap<[i64; 2], Vec<RealEdge>> = HashMap::new();

@@ -12,7 +12,7 @@
 //!
 //! The methods of [`SyncMethod`] share their code. `crossfade` has no warp. `triangulation` and the morphs
 //! differ in the warp. `morph` is `edge-morph` without the boost of real edges. `refined` starts from
-//! `triangulation`; from `edge-morph` it takes up to twice as long, with the same result to 0.02 dB on
+//! `triangulation`; from `edge-morph` it takes longer, with the same result to 0.02 dB on
 //! ten recordings and a worse one on a scene without texture. `all-cameras` starts from `refined`; it is made by
 //! [`crate::light_field`], which knows the other cameras.
 //!

@@ -12,17 +12,17 @@ use stlfr::light_field::{Geometry, LightField, Moment};
 use stlfr::lumigraph::{DepthMap, Source, blend, contributing};
 use stlfr::options::RenderOptions;
 
-/// Values of the array that bandwidth is measured over: 256 MiB, far beyond all caches.
-const VALUES: usize = 1 << 26;
+/// Number of values that bandwidth is measured over: 256 MiB. Larger: memory; smaller: caches hold them.
+const VALUE_COUNT: usize = 1 << 26;
 /// Bytes of a value of an image or a map.
-const VALUE: f64 = 4.0;
-/// How often what is not repeated view by view is timed.
+const VALUE_BYTES: f64 = 4.0;
+/// Number of times that bandwidth and a camera's image are timed. Larger: time; smaller: noise.
 const RUNS: usize = 5;
 
 /// Bytes a second that all threads read together: the best of a few sums over a large array.
 fn read_bandwidth() -> f64 {
-    let values = vec![1.0_f32; VALUES];
-    let part = VALUES / (16 * rayon::current_num_threads());
+    let values = vec![1.0_f32; VALUE_COUNT];
+    let part = VALUE_COUNT / (16 * rayon::current_num_threads());
     let sum = |part: &[f32]| -> f32 {
         let mut lanes = [0.0_f32; 32];
         for values in part.chunks_exact(32) {
@@ -34,7 +34,7 @@ fn read_bandwidth() -> f64 {
         let start = Instant::now();
         let total: f32 = values.par_chunks(part).map(sum).sum();
         assert!(black_box(total) > 0.0);
-        VALUE * VALUES as f64 / start.elapsed().as_secs_f64()
+        VALUE_BYTES * VALUE_COUNT as f64 / start.elapsed().as_secs_f64()
     };
     (0..RUNS).map(run).fold(0.0, f64::max)
 }
@@ -59,7 +59,8 @@ pub struct StageTime {
     method: &'static str,
     stage: &'static str,
     ms: f64,
-    /// Bytes that it must read or write at least once.
+    /// Bytes of colour images and of the view's depths that it must read or write at least once; without the
+    /// cameras' own depths.
     bytes: f64,
 }
 
@@ -101,7 +102,7 @@ pub fn of(
     let pixels = (views[0].width * views[0].height) as f64;
     let blended = options.blend.cameras as f64;
     let stage = |(stage, ms, values): (&'static str, f64, f64)| {
-        let bytes = VALUE * values * pixels;
+        let bytes = VALUE_BYTES * values * pixels;
         StageTime { method, stage, ms, bytes }
     };
     // Values a pixel: two frames and an image; depths; depths, the images' samples and the view.
@@ -109,7 +110,7 @@ pub fn of(
         ("a camera's image at the instant", image_ms, 9.0),
         ("geometry: depths in the view", shape_ms, 1.0),
         ("places in the images, weights", weights_ms, 1.0),
-        ("samples and their sum", blend_ms - weights_ms, 1.0 + 3.0 * blended + 3.0),
+        ("samples and their sum", (blend_ms - weights_ms).max(0.0), 1.0 + 3.0 * blended + 3.0),
     ];
     Ok(stages.map(stage).into())
 }
