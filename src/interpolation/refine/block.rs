@@ -1,13 +1,15 @@
 //! The refinement of one block of pixels, by the motions of the tracks around it, each under three
 //! hypotheses of visibility.
 
+use super::Bridge;
+use super::best_costs::BestCosts;
+use super::candidates::Candidates;
 use super::four_frames::FourFrames;
 use super::static_block::{average, is_static};
 use crate::interpolation::local_motion::LocalMotion;
-use crate::interpolation::windows::{cross_fade, difference};
+use crate::interpolation::windows::{cross_fade, difference, largest_around};
 use crate::interpolation::{Motion, RefineOptions};
 use crate::raster::{Image, box_filter, sample_all};
-use crate::registration::Neighbors;
 use nalgebra::{Point2, Vector2};
 
 /// Maximum number of motions that the outer frames are warped by where the middle ones agree. Larger: time;
@@ -22,17 +24,26 @@ const MIN_DOUBLE_FRACTION: f32 = 1e-3;
 /// underflows.
 const MIN_WEIGHT: f32 = 1e-30;
 
+/// How much it counts against a motion that others explain a frame's pixels better, relative to the cost of the
+/// hypothesis itself. Larger: outlines are eroded; smaller: where two surfaces look alike, pixels of one are taken
+/// for the other.
+const OTHERS_SHARE: f32 = 2.0;
+
 /// Refines the blocks of an image.
 pub struct BlockRefiner<'a> {
     pub frames: &'a FourFrames<'a>,
     pub motions: &'a [Motion],
-    /// The motions' positions.
-    pub neighbors: Neighbors,
+    /// The candidates among them.
+    pub candidates: Candidates<'a>,
+    /// How well motions explain the earlier and the later frame.
+    pub best_costs: [BestCosts<'a>; 2],
     /// The cross-fade of the two warped frames.
     pub cross_faded: &'a Image,
     /// Mean difference of the two warped frames over the window around each pixel, row by row.
     pub costs: &'a [f32],
-    /// The same of the frame before and of the frame after, not warped, and the cross-fade; `None` if
+    /// Distance of the places that each pixel comes from in the two frames, row by row.
+    pub motion_px: &'a [f32],
+    /// Costs of the frame before and of the frame after, not warped, and the cross-fade; `None` if
     /// the frame does not exist or has no weight.
     pub outer_costs: [Option<Vec<f32>>; 2],
     /// With lengths scaled to the image's size.
@@ -44,7 +55,15 @@ pub struct BlockRefiner<'a> {
 /// The weighted sum of a block's hypotheses, per pixel.
 struct WeightedSums {
     colors: Vec<f32>,
+    bridges: Vec<Bridge>,
     weights: Vec<f32>,
+}
+
+/// A refined block, row by row. Pixels outside the image are black.
+pub struct RefinedBlock {
+    pub colors: Vec<f32>,
+    /// `None` where the warped frames agree: theirs hold.
+    pub bridges: Option<Vec<Bridge>>,
 }
 
 /// A block's square of pixels, part of which may be outside the image.
@@ -72,9 +91,9 @@ impl Square {
 }
 
 impl BlockRefiner<'_> {
-    /// The refined block (`bx`, `by`), of twice the step a side, row by row; `None` if no track is near,
-    /// or it is not needed. Pixels outside the image are black.
-    pub fn refine(&self, bx: isize, by: isize) -> Option<Vec<f32>> {
+    /// The refined block (`bx`, `by`), of twice the step a side; `None` if no track is near, or it is not
+    /// needed.
+    pub fn refine(&self, bx: isize, by: isize) -> Option<RefinedBlock> {
         let (w, h) = (self.cross_faded.width(), self.cross_faded.height());
         let (step, side) = (self.step as isize, 2 * self.step);
         let origin = [(bx - 1) * step, (by - 1) * step];
@@ -91,10 +110,11 @@ impl BlockRefiner<'_> {
         }
         if agree && is_static(&self.outer_costs, self.costs, self.options.outer_slack, indices) {
             let outer_weight = self.frames.outer_weight(self.options);
-            return Some(average(self.frames, self.cross_faded, outer_weight, square.pixels()));
+            let colors = average(self.frames, self.cross_faded, outer_weight, square.pixels());
+            return Some(RefinedBlock { colors, bridges: None });
         }
         let center = Point2::new((origin[0] + step) as f64, (origin[1] + step) as f64);
-        let mut candidates = self.candidates(&center);
+        let mut candidates = self.candidates.around(self.motions, &center);
         if candidates.is_empty() {
             return None;
         }
@@ -105,15 +125,16 @@ impl BlockRefiner<'_> {
             candidates.iter().map(|c| self.patches(c, origin, !agree)).collect();
         let mut sums = WeightedSums {
             colors: vec![0.0; side * side * self.cross_faded.channels()],
+            bridges: vec![Bridge::default(); side * side],
             weights: vec![0.0; side * side],
         };
         self.add_cross_fade(&patches, square, &mut sums);
         if !agree {
-            for patches in &patches {
-                self.add_motion(patches, &mut sums);
+            for (motion, patches) in candidates.iter().zip(&patches) {
+                self.add_motion(motion, patches, square, &mut sums);
             }
         }
-        Some(sums.mean(self.cross_faded.channels()))
+        Some(sums.mean(self.cross_faded.channels(), !agree))
     }
 
     /// Adds the cross-fade as a hypothesis of its own, at the pixels inside the image.
@@ -130,9 +151,11 @@ impl BlockRefiner<'_> {
             patches.iter().map(|p| [p[0].as_ref(), p[3].as_ref()]).collect();
         let fused = self.fused(&own, &outer, &costs);
         for (k, pixel) in square.pixels().enumerate() {
-            if pixel.is_some() {
+            if let Some((column, row)) = pixel {
                 let (x, y) = (k % square.side + radius, k / square.side + radius);
-                sums.add(k, self.weight(costs[y * side + x]), fused.pixel(x, y));
+                let motion_px = self.motion_px[row * square.image[0] + column];
+                let bridge = Bridge { motion_px, difference: costs[y * side + x] };
+                sums.add(k, self.weight(bridge.difference), fused.pixel(x, y), bridge);
             }
         }
     }
@@ -163,21 +186,11 @@ impl BlockRefiner<'_> {
         origin: [isize; 2],
         with_middle: bool,
     ) -> [Option<Image>; 4] {
-        let radius = self.options.window_radius_px;
-        let side = 2 * self.step + 2 * radius;
+        let side = 2 * self.step + 2 * self.options.window_radius_px;
         let channels = self.cross_faded.channels();
-        let middle = Vector2::repeat(self.step as f64);
         let warped = |image: &Image, frame: usize| {
             let mut patch = vec![0.0; side * side * channels];
-            let positions = (0..side * side).map(|k| {
-                let x = origin[0] - radius as isize + (k % side) as isize;
-                let y = origin[1] - radius as isize + (k / side) as isize;
-                let at = Vector2::new(x as f64 + 0.5, y as f64 + 0.5);
-                let from = at - Vector2::new(origin[0] as f64, origin[1] as f64) - middle;
-                let shift = motion.at(frame, from);
-                [(at.x + shift.x) as f32, (at.y + shift.y) as f32]
-            });
-            sample_all(image, positions, &mut patch);
+            sample_all(image, self.places(motion, frame, origin), &mut patch);
             Image::from_data(side, side, channels, patch)
         };
         let f = self.frames;
@@ -187,6 +200,44 @@ impl BlockRefiner<'_> {
             with_middle.then(|| warped(f.later, 2)),
             f.after.map(|image| warped(image, 3)),
         ]
+    }
+
+    /// Where a block's pixels and those of the windows around it are in a frame, 0 to 3, by a motion.
+    fn places(
+        &self,
+        motion: &LocalMotion,
+        frame: usize,
+        origin: [isize; 2],
+    ) -> impl Iterator<Item = [f32; 2]> {
+        let radius = self.options.window_radius_px;
+        let side = 2 * self.step + 2 * radius;
+        let corner = origin.map(|o| (o - radius as isize) as f64);
+        let middle = origin.map(|o| (o + self.step as isize) as f64);
+        (0..side * side).map(move |k| {
+            let [x, y] = [k % side, k / side].map(|v| v as f64 + 0.5);
+            let at = Vector2::new(corner[0] + x, corner[1] + y);
+            let shift = motion.at(frame, at - Vector2::from(middle));
+            [(at.x + shift.x) as f32, (at.y + shift.y) as f32]
+        })
+    }
+
+    /// By how much another motion explains a middle frame's pixels, 0 or 1, better than this one, whose costs are
+    /// given; over a block with the windows around it. The smallest within a window: at a surface's
+    /// outline, windows are partly of what is behind it.
+    fn better_explained(
+        &self,
+        n: usize,
+        motion: &LocalMotion,
+        origin: [isize; 2],
+        costs: impl Fn(usize) -> f32,
+    ) -> Vec<f32> {
+        let side = 2 * self.step + 2 * self.options.window_radius_px;
+        let less =
+            |(k, [x, y]): (usize, [f32; 2])| (self.best_costs[n].at(x, y) - costs(k)).min(0.0);
+        let less: Vec<f32> = self.places(motion, n + 1, origin).enumerate().map(less).collect();
+        let mut excess = largest_around(&less, side, self.options.window_radius_px);
+        excess.iter_mut().for_each(|v| *v = -*v);
+        excess
     }
 
     /// The middle frames' cross-fade, with the outer two frames averaged in where they agree with it as
@@ -233,62 +284,48 @@ impl BlockRefiner<'_> {
         (-cost / self.options.softness).exp().max(MIN_WEIGHT)
     }
 
-    /// The candidate motions around a point, nearest first: each fitted to tracks that move alike, weighted
-    /// by nearness.
-    fn candidates(&self, center: &Point2<f64>) -> Vec<LocalMotion> {
-        let mut near = self.neighbors.within(center, self.options.search_radius_px);
-        let distance = |k: usize| (self.motions[k].at - center).norm();
-        near.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
-        let mut assigned = vec![false; near.len()];
-        let mut candidates = Vec::new();
-        for seed in 0..near.len() {
-            if assigned[seed] || candidates.len() == self.options.max_motions {
-                continue;
-            }
-            let own = &self.motions[near[seed]];
-            let mut members = Vec::new();
-            for k in seed..near.len() {
-                // Between the middle frames, where tracks are most accurate.
-                let distance_px = own.distance(&self.motions[near[k]]);
-                if assigned[k] || distance_px > self.options.same_motion_px {
-                    continue;
-                }
-                assigned[k] = true;
-                members.push(&self.motions[near[k]]);
-            }
-            if members.len() >= self.options.min_tracks {
-                candidates.extend(LocalMotion::fit(&members, center));
-            }
-        }
-        candidates
-    }
-
     /// Adds a motion under its three hypotheses: both frames see the point, only the earlier does, only
     /// the later does.
-    fn add_motion(&self, patches: &[Option<Image>; 4], sums: &mut WeightedSums) {
+    fn add_motion(
+        &self,
+        motion: &LocalMotion,
+        patches: &[Option<Image>; 4],
+        square: Square,
+        sums: &mut WeightedSums,
+    ) {
         let radius = self.options.window_radius_px;
-        let block = 2 * self.step;
-        let side = block + 2 * radius;
+        let side = square.side + 2 * radius;
         let [before, Some(earlier), Some(later), after] = patches else { return };
         let cost = |a: &Image, b: &Image| self.window_mean(&difference(a, b), side);
         let both = cost(earlier, later);
-        let only_earlier = before.as_ref().map(|p| cost(p, earlier));
-        let only_later = after.as_ref().map(|p| cost(later, p));
+        let only = [
+            before.as_ref().map(|before| cost(before, earlier)),
+            after.as_ref().map(|after| cost(later, after)),
+        ];
+        let [others_earlier, others_later] = [0, 1].map(|n| {
+            let seen_twice =
+                |k: usize| only[n].as_ref().map_or(both[k], |only| only[k].min(both[k]));
+            self.better_explained(n, motion, square.origin, seen_twice)
+        });
         let middle = cross_fade(earlier, later, self.frames.fraction);
         let fused = self.fused(&middle, &[[before.as_ref(), after.as_ref()]], &both);
-        for k in 0..block * block {
-            let (x, y) = (k % block + radius, k / block + radius);
+        let motion_px = (motion.at(2, Vector2::zeros()) - motion.at(1, Vector2::zeros())).norm();
+        let bridge = |difference| Bridge { motion_px: motion_px as f32, difference };
+        for k in 0..square.side * square.side {
+            let (x, y) = (k % square.side + radius, k / square.side + radius);
             let at = y * side + x;
-            sums.add(k, self.weight(both[at]), fused.pixel(x, y));
-            for (costs, color, fraction) in [
-                (&only_earlier, earlier.pixel(x, y), 1.0 - self.frames.fraction),
-                (&only_later, later.pixel(x, y), self.frames.fraction),
+            let cost = both[at] + OTHERS_SHARE * (others_earlier[at] + others_later[at]);
+            sums.add(k, self.weight(cost), fused.pixel(x, y), bridge(cost));
+            for (costs, others, color, fraction) in [
+                (&only[0], others_earlier[at], earlier.pixel(x, y), 1.0 - self.frames.fraction),
+                (&only[1], others_later[at], later.pixel(x, y), self.frames.fraction),
             ] {
                 if let Some(costs) = costs {
                     // What the nearer frame does not show has had little time to appear.
-                    let cost = costs[at]
-                        + self.options.one_frame_cost / (2.0 * fraction).max(MIN_DOUBLE_FRACTION);
-                    sums.add(k, self.weight(cost), color);
+                    let unlikely =
+                        self.options.one_frame_cost / (2.0 * fraction).max(MIN_DOUBLE_FRACTION);
+                    let cost = costs[at] + unlikely + OTHERS_SHARE * others;
+                    sums.add(k, self.weight(cost), color, bridge(cost));
                 }
             }
         }
@@ -297,8 +334,9 @@ impl BlockRefiner<'_> {
 
 impl WeightedSums {
     /// Adds a hypothesis at pixel k of the block.
-    fn add(&mut self, k: usize, weight: f32, color: &[f32]) {
+    fn add(&mut self, k: usize, weight: f32, color: &[f32], bridge: Bridge) {
         self.weights[k] += weight;
+        self.bridges[k].add(weight, bridge);
         let at = k * color.len();
         for (sum, c) in self.colors[at..].iter_mut().zip(color) {
             *sum += weight * c;
@@ -306,13 +344,15 @@ impl WeightedSums {
     }
 
     /// The weighted mean at every pixel; black where nothing was added.
-    fn mean(mut self, channels: usize) -> Vec<f32> {
-        for (color, &weight) in self.colors.chunks_exact_mut(channels).zip(&self.weights) {
+    fn mean(mut self, channels: usize, with_bridges: bool) -> RefinedBlock {
+        let pixels = self.colors.chunks_exact_mut(channels).zip(&mut self.bridges);
+        for ((color, bridge), &weight) in pixels.zip(&self.weights) {
             // Nothing is added outside the image. Inside, the weights are at least MIN_WEIGHT.
             if weight > 0.0 {
                 color.iter_mut().for_each(|c| *c /= weight);
+                *bridge = bridge.times(1.0 / weight);
             }
         }
-        self.colors
+        RefinedBlock { colors: self.colors, bridges: with_bridges.then_some(self.bridges) }
     }
 }

@@ -1,0 +1,146 @@
+//! How well the motions around a frame's pixels explain them.
+
+use super::candidates::Candidates;
+use crate::interpolation::windows::difference;
+use crate::interpolation::{Motion, RefineOptions};
+use crate::raster::{Image, box_filter, sample_all};
+use nalgebra::{Point2, Vector2};
+use std::sync::OnceLock;
+
+/// Side of the cells, pixels, which share their candidate motions. Larger: motions of other surfaces are tried;
+/// smaller: time.
+const CELL: usize = 16;
+
+/// Per pixel of a frame, the smallest cost of any motion around it: its difference from where the motion leads in
+/// another frame. Where it is small the pixel shows a surface that moves so, and none that moves otherwise.
+/// Cells are computed when first asked for.
+pub struct BestCosts<'a> {
+    frame: &'a Image,
+    /// The other frames, each with its index in [`Motion::to`].
+    others: Vec<(usize, &'a Image)>,
+    /// From their positions in the frame.
+    motions: Vec<Motion>,
+    candidates: Candidates<'a>,
+    radius: usize,
+    cells: Vec<OnceLock<Vec<f32>>>,
+    across: usize,
+}
+
+impl<'a> BestCosts<'a> {
+    /// Of a frame and of the `others` where they exist, each with its index in [`Motion::to`]. `options` have
+    /// lengths scaled to the image's size.
+    pub fn new(
+        (index, frame): (usize, &'a Image),
+        others: [(usize, Option<&'a Image>); 2],
+        motions: &[Motion],
+        options: &'a RefineOptions,
+    ) -> Self {
+        let from_frame = |m: &Motion| {
+            let own = m.to[index];
+            Motion { at: m.at + own, to: m.to.map(|to| to - own), ..*m }
+        };
+        let motions: Vec<Motion> = motions.iter().map(from_frame).collect();
+        let across = frame.width().div_ceil(CELL);
+        let cells = across * frame.height().div_ceil(CELL);
+        Self {
+            frame,
+            others: others.into_iter().filter_map(|(k, image)| Some((k, image?))).collect(),
+            candidates: Candidates::new(&motions, options),
+            motions,
+            radius: options.window_radius_px,
+            cells: (0..cells).map(|_| OnceLock::new()).collect(),
+            across,
+        }
+    }
+
+    /// At a place in the frame, of the pixel there or of the nearest one; infinite where no motion is near.
+    pub fn at(&self, x: f32, y: f32) -> f32 {
+        let pixel = |v: f32, size: usize| (v.max(0.0) as usize).min(size - 1);
+        let (x, y) = (pixel(x, self.frame.width()), pixel(y, self.frame.height()));
+        let cell = self.cells[y / CELL * self.across + x / CELL]
+            .get_or_init(|| self.cell([x / CELL, y / CELL].map(|v| (v * CELL) as f64)));
+        cell[y % CELL * CELL + x % CELL]
+    }
+
+    /// Costs of the cell whose top-left corner this is, row by row.
+    fn cell(&self, corner: [f64; 2]) -> Vec<f32> {
+        let (radius, channels) = (self.radius, self.frame.channels());
+        let side = CELL + 2 * radius;
+        let middle = Point2::from(corner.map(|v| v + CELL as f64 / 2.0));
+        let place = |k: usize| {
+            let [x, y] = [k % side, k / side].map(|v| v as f64 + 0.5 - radius as f64);
+            Vector2::new(corner[0] + x, corner[1] + y)
+        };
+        let patch = |image: &Image, shift: &dyn Fn(Vector2<f64>) -> Vector2<f64>| {
+            let mut patch = vec![0.0; side * side * channels];
+            let places = (0..side * side).map(|k| {
+                let at = place(k) + shift(place(k) - middle.coords);
+                [at.x as f32, at.y as f32]
+            });
+            sample_all(image, places, &mut patch);
+            Image::from_data(side, side, channels, patch)
+        };
+        let own = patch(self.frame, &|_| Vector2::zeros());
+        let mut best = vec![f32::INFINITY; CELL * CELL];
+        for motion in self.candidates.around(&self.motions, &middle) {
+            for (index, image) in &self.others {
+                let other = patch(image, &|from| motion.at(*index, from));
+                let costs = box_filter(&difference(&own, &other), side, side, radius);
+                for (row, best) in best.chunks_exact_mut(CELL).enumerate() {
+                    let costs = &costs[(row + radius) * side + radius..];
+                    best.iter_mut().zip(costs).for_each(|(best, cost)| *best = best.min(*cost));
+                }
+            }
+        }
+        best
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Matrix2;
+
+    const SIZE: usize = 60;
+
+    /// Vertical stripes that are `shift` px to the right, in front of which a bright square hides some.
+    fn stripes(shift: f32, square: bool) -> Image {
+        let value = |k: usize| {
+            let (x, y) = ((k % SIZE) as f32, (k / SIZE) as f32);
+            let hidden = (22.0..38.0).contains(&x) && (22.0..38.0).contains(&y);
+            if square && hidden { 1.0 } else { 0.4 + 0.3 * (0.5 * (x - shift) + 0.1 * y).sin() }
+        };
+        Image::from_data(SIZE, SIZE, 1, (0..SIZE * SIZE).map(value).collect())
+    }
+
+    #[test]
+    fn what_a_motion_explains_costs_nothing() {
+        let motion = |k: usize| Motion {
+            at: Point2::new(5.0 * (k % 12) as f64 + 3.0, 5.0 * (k / 12) as f64 + 3.0),
+            to: [0.0, 0.0, 3.0, 6.0].map(|x| Vector2::new(x, 0.0)),
+            deformation: Matrix2::identity(),
+        };
+        let motions: Vec<Motion> = (0..144).map(motion).collect();
+        let (frame, later) = (stripes(0.0, false), stripes(3.0, true));
+        let before = stripes(0.0, false);
+        let options = RefineOptions::default();
+        let new = |before| {
+            BestCosts::new((1, &frame), [(0, before), (2, Some(&later))], &motions, &options)
+        };
+        let [alone, with_before] = [None, Some(&before)].map(new);
+        assert!(alone.at(10.5, 10.5) < 1e-3 && alone.at(50.5, 30.5) < 1e-3);
+        // The later frame hides it; the frame before shows it.
+        assert!(alone.at(27.5, 30.5) > 0.1);
+        assert!(with_before.at(27.5, 30.5) < 1e-3);
+        // Outside, that of the nearest pixel.
+        assert!(alone.at(-5.0, 10.5) == alone.at(0.5, 10.5));
+    }
+
+    #[test]
+    fn without_motions_nothing_is_explained() {
+        let frame = stripes(0.0, false);
+        let options = RefineOptions::default();
+        let costs = BestCosts::new((1, &frame), [(0, Some(&frame)), (2, None)], &[], &options);
+        assert!(costs.at(30.0, 30.0) == f32::INFINITY);
+    }
+}

@@ -1,0 +1,51 @@
+//! The candidate motions around a point.
+
+use crate::interpolation::local_motion::LocalMotion;
+use crate::interpolation::{Motion, RefineOptions};
+use crate::registration::Neighbors;
+use nalgebra::Point2;
+
+/// Finds the candidate motions around points.
+pub struct Candidates<'a> {
+    /// The motions' positions.
+    neighbors: Neighbors,
+    /// With lengths scaled to the image's size.
+    options: &'a RefineOptions,
+}
+
+impl<'a> Candidates<'a> {
+    /// Of these motions.
+    pub fn new(motions: &[Motion], options: &'a RefineOptions) -> Self {
+        Self { neighbors: Neighbors::new(motions.iter().map(|m| m.at)), options }
+    }
+
+    /// The candidate motions around a point, nearest first: each fitted to tracks that move alike, weighted
+    /// by nearness. `motions` are those that this was made of.
+    pub fn around(&self, motions: &[Motion], center: &Point2<f64>) -> Vec<LocalMotion> {
+        let mut near = self.neighbors.within(center, self.options.search_radius_px);
+        let distance = |k: usize| (motions[k].at - center).norm();
+        near.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
+        let mut assigned = vec![false; near.len()];
+        let mut candidates = Vec::new();
+        for seed in 0..near.len() {
+            if assigned[seed] || candidates.len() == self.options.max_motions {
+                continue;
+            }
+            let own = &motions[near[seed]];
+            let mut members = Vec::new();
+            for k in seed..near.len() {
+                // Between the middle frames, where tracks are most accurate.
+                let distance_px = own.distance(&motions[near[k]]);
+                if assigned[k] || distance_px > self.options.same_motion_px {
+                    continue;
+                }
+                assigned[k] = true;
+                members.push(&motions[near[k]]);
+            }
+            if members.len() >= self.options.min_tracks {
+                candidates.extend(LocalMotion::fit(&members, center));
+            }
+        }
+        candidates
+    }
+}
