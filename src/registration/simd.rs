@@ -34,6 +34,10 @@ pub trait F32x8: Copy {
     fn mul_add(self, factor: Self, term: Self) -> Self;
     /// Absolute values.
     fn abs(self) -> Self;
+    /// The smaller of the two, element-wise.
+    fn min(self, other: Self) -> Self;
+    /// The larger of the two, element-wise.
+    fn max(self, other: Self) -> Self;
     /// The floor of every value, and its fractional part in 0..1. The values must be below 2²³ in
     /// magnitude.
     fn floor_and_fraction(self) -> ([i32; LANES], Self);
@@ -186,6 +190,16 @@ impl F32x8 for Scalar {
     }
 
     #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        self.zip_map(other, f32::min)
+    }
+
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        self.zip_map(other, f32::max)
+    }
+
+    #[inline(always)]
     fn floor_and_fraction(self) -> ([i32; LANES], Self) {
         let whole = self.0.map(|v| {
             let truncated = v as i32;
@@ -294,6 +308,16 @@ mod avx2 {
         #[inline(always)]
         fn abs(self) -> Self {
             unsafe { Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0)) }
+        }
+
+        #[inline(always)]
+        fn min(self, other: Self) -> Self {
+            unsafe { Self(_mm256_min_ps(self.0, other.0)) }
+        }
+
+        #[inline(always)]
+        fn max(self, other: Self) -> Self {
+            unsafe { Self(_mm256_max_ps(self.0, other.0)) }
         }
 
         #[inline(always)]
