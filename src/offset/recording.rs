@@ -79,7 +79,7 @@ pub struct Recording<'a> {
 const MAX_CACHED_TRACKS: usize = (256 << 20) / size_of::<Track>();
 /// How many candidates are cached, 128 MB of them. Fewer cost time, where candidates are computed
 /// again.
-const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
+pub const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
 
 /// The two cameras of a pair, and the frames of a triple.
 type TripleKey = ([usize; 2], [usize; 2]);

@@ -87,11 +87,15 @@ impl Gradients {
         Self { width: level.width, height: level.height, scale, strength, direction }
     }
 
-    /// The bytes of those of a pyramid.
-    pub fn bytes_of(pyramid: &Pyramid) -> usize {
-        let levels = pyramid.levels();
-        let level = &levels[LEVEL.min(levels.len() - 1)];
-        2 * (level.width * level.height + LANES) * size_of::<f32>()
+    #[cfg(test)]
+    pub fn bytes(&self) -> usize {
+        size_of::<f32>() * (self.strength.len() + self.direction.len())
+    }
+
+    /// The bytes of those of a pyramid with levels of these sizes, the full-sized first.
+    pub fn bytes_of(sizes: &[[usize; 2]]) -> usize {
+        let [width, height] = sizes[LEVEL.min(sizes.len() - 1)];
+        2 * (width * height + LANES) * size_of::<f32>()
     }
 }
 
