@@ -162,6 +162,11 @@ impl Level {
         at(y) * self.stride + at(x)
     }
 
+    /// A row, without the padding.
+    pub fn row(&self, y: usize) -> &[f32] {
+        &self.value[self.index(0, y as isize)..][..self.width]
+    }
+
     /// The gradient `(∂/∂x, ∂/∂y)` at a pixel of the image, in values (0..=1) per pixel of this
     /// level, by Scharr's 3×3 derivatives; the border is repeated outwards.
     pub fn gradient(&self, x: usize, y: usize) -> (f32, f32) {
