@@ -3,6 +3,9 @@
 //! The candidates of a round are computed in order of time, those of all pairs together: pairs share
 //! cameras, and a frame that is read for one pair is still cached for the others. Large rigs are split
 //! into groups of pairs whose frames fit the cache. Results depend on neither order nor groups.
+//!
+//! The first round of a longer recording is of its middle alone. It tells which frame of camera j lies
+//! between two of camera i, which the nominal clocks get wrong for about every other triple.
 
 use super::pair::{
     InitialOffset, PairEstimate, PairFailure, PairTriples, TripleFrames, choose_triples,
@@ -17,6 +20,9 @@ use std::collections::BTreeSet;
 /// The maximum number of rounds. Larger costs time where the choice alternates; smaller may end on
 /// triples that the estimate no longer implies.
 const MAX_ROUNDS: usize = 5;
+/// The triples of either direction that the first round has. Larger costs time; smaller has no estimate
+/// more often, which costs a round of all triples.
+const FIRST_TRIPLES: usize = 4;
 /// The frames of a camera that are in use at an instant: two of a track, and one before and one after.
 const FRAMES_AT_ONCE: usize = 4;
 
@@ -24,12 +30,27 @@ const FRAMES_AT_ONCE: usize = 4;
 /// frames, and the reverse.
 pub struct PairRounds {
     cameras: [usize; 2],
+    start: InitialOffset,
     initial: InitialOffset,
     with_rate: bool,
+    stage: Stage,
+    /// How many rounds of all triples are left.
+    rounds: usize,
     /// Those of the last round.
     frames: Vec<TripleFrames>,
     estimate: Result<PairEstimate, PairFailure>,
-    finished: bool,
+}
+
+/// Which triples the next round has, and the offset that they were first chosen by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// The recording's middle, by the start.
+    Middle,
+    /// All, by the middle's estimate.
+    FromMiddle,
+    /// All, by the start.
+    FromStart,
+    Finished,
 }
 
 impl PairRounds {
@@ -39,43 +60,92 @@ impl PairRounds {
         start: Result<InitialOffset, PairFailure>,
         with_rate: bool,
     ) -> Self {
+        let initial = start.unwrap_or_default();
         Self {
             cameras,
-            initial: start.unwrap_or_default(),
+            start: initial,
+            initial,
             with_rate,
+            stage: if start.is_ok() { Stage::Middle } else { Stage::Finished },
+            rounds: MAX_ROUNDS,
             frames: Vec::new(),
             estimate: Err(start.err().unwrap_or(PairFailure::NoOverlap)),
-            finished: start.is_err(),
         }
     }
 
     /// Chooses the triples of the next round. §7 requires camera j's frame to lie between the two of
     /// camera i; which one does depends on the offset, so triples and offset are determined in turn.
     fn choose(&mut self, recording: &Recording) {
-        if self.finished {
+        if self.stage == Stage::Finished {
             return;
         }
         let frames = choose_triples(recording, self.cameras, &self.initial);
-        self.finished = frames.is_empty() || frames == self.frames;
+        if self.stage == Stage::Middle {
+            if let Some(middle) = middle(&frames, self.cameras[0]) {
+                self.frames = middle;
+                return;
+            }
+            self.stage = Stage::FromStart;
+        }
+        if self.rounds == 0 || frames.is_empty() || frames == self.frames {
+            self.stage = Stage::Finished;
+            return;
+        }
+        self.rounds -= 1;
         self.frames = frames;
     }
 
     /// Estimates from the chosen triples.
     fn fit(&mut self, recording: &Recording) -> Result<(), CaptureError> {
-        if self.finished {
+        if self.stage == Stage::Finished {
             return Ok(());
         }
         let triples = PairTriples::new(recording, self.cameras, self.frames.clone())?;
+        if self.stage == Stage::Middle {
+            let estimate = fit_pair(recording, &triples, &self.initial, false);
+            self.stage = Stage::FromStart;
+            if let Some(pair) = estimate.ok().filter(|pair| self.is_near_start(recording, pair)) {
+                self.stage = Stage::FromMiddle;
+                self.initial = InitialOffset::constant(pair.offset_s);
+            }
+            return Ok(());
+        }
         self.estimate = fit_pair(recording, &triples, &self.initial, self.with_rate);
         match &self.estimate {
             Ok(pair) => {
                 let (value_s, rate, center_s) = (pair.offset_s, pair.rate, pair.center_s);
                 self.initial = InitialOffset { value_s, rate, center_s };
             }
-            Err(_) => self.finished = true,
+            // The middle may have been wrong.
+            Err(_) if self.stage == Stage::FromMiddle => {
+                (self.stage, self.initial) = (Stage::FromStart, self.start);
+                (self.rounds, self.frames) = (MAX_ROUNDS, Vec::new());
+            }
+            Err(_) => self.stage = Stage::Finished,
         }
         Ok(())
     }
+
+    /// Whether an estimate is certain, and within the frame that the start may be off by.
+    fn is_near_start(&self, recording: &Recording, pair: &PairEstimate) -> bool {
+        let [i, j] = self.cameras.map(|c| recording.timelines.frame_s(c));
+        pair.std_err_s <= recording.options.max_std_err_frames * i.min(j)
+            && (pair.offset_s - self.start.value_s).abs() <= i.max(j)
+    }
+}
+
+/// Those in the middle of each direction's triples; `None` where that would be most of them.
+fn middle(frames: &[TripleFrames], i: usize) -> Option<Vec<TripleFrames>> {
+    let (forward, backward) = frames.split_at(frames.partition_point(|([a, _], _)| *a == i));
+    let mut chosen = Vec::new();
+    for direction in [forward, backward] {
+        if direction.len() <= 2 * FIRST_TRIPLES {
+            return None;
+        }
+        let first = (direction.len() - FIRST_TRIPLES) / 2;
+        chosen.extend_from_slice(&direction[first..first + FIRST_TRIPLES]);
+    }
+    Some(chosen)
 }
 
 /// Every pair's estimate, or why it has none, in the order of `pairs`. The error is that of a frame
@@ -89,9 +159,9 @@ pub fn estimate_pairs(
     while !rest.is_empty() {
         let (group, others) = rest.split_at_mut(group_size(recording, rest));
         rest = others;
-        for _ in 0..MAX_ROUNDS {
+        loop {
             group.iter_mut().for_each(|pair| pair.choose(recording));
-            let active = group.iter().filter(|pair| !pair.finished);
+            let active = group.iter().filter(|pair| pair.stage != Stage::Finished);
             let triples: Vec<_> = active.flat_map(|pair| pair.frames.iter().copied()).collect();
             if triples.is_empty() {
                 break;
@@ -170,4 +240,111 @@ fn compute_triples(
         before = now;
     }
     candidates(before)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::OffsetOptions;
+    use super::super::recording::TrackCache;
+    use super::super::timeline::Timelines;
+    use super::*;
+    use crate::capture::Capture;
+    use crate::raster::{BitDepth, Image, write_image};
+    use crate::registration::{FrameStore, RegistrationOptions};
+    use std::path::Path;
+
+    const DELAYS_FRAMES: [f64; 3] = [0.3, 0.0, -0.2];
+
+    /// Three cameras of a row before a plane that moves upwards, slower and slower.
+    fn write_capture(folder: &Path) {
+        let (w, h, rate_hz) = (128, 96, 30.0);
+        let mut cameras = Vec::new();
+        for (c, delay) in DELAYS_FRAMES.into_iter().enumerate() {
+            for n in 0..20 {
+                let t = f64::from(n) + delay;
+                let value = |k: usize| {
+                    let x = (k % w) as f64 + 4.0 * c as f64;
+                    let y = (k / w) as f64 + 3.0 * t - 0.03 * t * t;
+                    let waves = (0.71 * x + 0.2 * y).sin() * (0.63 * y - 0.11 * x).cos()
+                        + (0.23 * x).cos() * (0.31 * y + 1.0).sin();
+                    (0.5 + 0.2 * waves) as f32
+                };
+                let image = Image::from_data(w, h, 1, (0..w * h).map(value).collect());
+                let path = folder.join(format!("cam{c}/{n:04}.png"));
+                write_image(&path, &image, None, BitDepth::Sixteen).unwrap();
+            }
+            cameras.push(serde_json::json!({
+                "id": format!("cam{c}"), "frames": format!("cam{c}/%04d.png"),
+                "width": w, "height": h, "model": "PINHOLE", "params": [100, 100, 64, 48],
+                "cam_from_world": {
+                    "rotation_wxyz": [1, 0, 0, 0], "translation": [-0.08 * c as f64, 0, 0]
+                },
+                "color": "gray",
+                "clock": {"rate_hz": rate_hz, "first_s": 0.0, "shared": false}
+            }));
+        }
+        let capture = serde_json::json!({
+            "format": "stlfr-capture", "version": 1, "name": "plane", "cameras": cameras
+        });
+        std::fs::write(folder.join("capture.json"), capture.to_string()).unwrap();
+    }
+
+    /// Pair by pair, all triples in every round.
+    fn naive(recording: &Recording, cameras: [usize; 2]) -> Result<PairEstimate, PairFailure> {
+        let mut initial = InitialOffset::default();
+        let mut estimate = Err(PairFailure::NoOverlap);
+        let mut before = Vec::new();
+        for _ in 0..MAX_ROUNDS {
+            let frames = choose_triples(recording, cameras, &initial);
+            if frames == before {
+                break;
+            }
+            let triples = PairTriples::new(recording, cameras, frames.clone()).unwrap();
+            let pair = fit_pair(recording, &triples, &initial, false)?;
+            initial = InitialOffset::constant(pair.offset_s);
+            (estimate, before) = (Ok(pair), frames);
+        }
+        estimate
+    }
+
+    #[test]
+    fn estimates_are_those_of_a_naive_reference() {
+        let folder = tempfile::tempdir().unwrap();
+        write_capture(folder.path());
+        let capture = std::sync::Arc::new(Capture::open(folder.path()).unwrap());
+        let options = OffsetOptions::default();
+        let (pairs, frame_s) = ([[0, 1], [0, 2], [1, 2]], capture.frame_s());
+        // All pairs in one group, and each in its own.
+        for max_bytes in [192 << 20, 0] {
+            let registration = RegistrationOptions::default();
+            let frames = FrameStore::with_bound(capture.clone(), &registration, max_bytes);
+            let tracks = TrackCache::default();
+            let timelines = Timelines::nominal(&capture);
+            let recording = Recording::new(&frames, timelines, &tracks, &options);
+            let rounds = |cameras| PairRounds::new(cameras, Ok(InitialOffset::default()), false);
+            let all: Vec<_> = pairs.map(rounds).into();
+            assert_eq!(group_size(&recording, &all), if max_bytes > 0 { 3 } else { 1 });
+            let estimates = estimate_pairs(&recording, all, &Reporter::silent()).unwrap();
+            for (cameras, estimate) in pairs.into_iter().zip(estimates) {
+                let truth = DELAYS_FRAMES[cameras[1]] - DELAYS_FRAMES[cameras[0]];
+                let error = estimate.as_ref().unwrap().offset_s / frame_s - truth;
+                assert!(error.abs() < 0.01, "{cameras:?}: {error} frame");
+                assert_eq!(estimate, naive(&recording, cameras), "{cameras:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn no_start_has_no_estimate_and_few_triples_have_no_middle() {
+        let none = PairRounds::new([0, 1], Err(PairFailure::PeriodicMotion), false);
+        assert!(none.stage == Stage::Finished && none.estimate == Err(PairFailure::PeriodicMotion));
+        let frames = |n: usize| -> Vec<TripleFrames> {
+            (0..n).map(|k| ([0, 1], [k, k])).chain((0..n).map(|k| ([1, 0], [k, k]))).collect()
+        };
+        assert_eq!(middle(&frames(2 * FIRST_TRIPLES), 0), None);
+        let chosen = middle(&frames(20), 0).unwrap();
+        let expected = [[0, 1], [1, 0]].into_iter().flat_map(|c| (8..12).map(move |k| (c, [k, k])));
+        assert_eq!(chosen, expected.collect::<Vec<_>>());
+        assert_eq!(middle(&frames(20)[..21], 0), None);
+    }
 }

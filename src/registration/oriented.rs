@@ -370,7 +370,7 @@ fn peak(mut histogram: [f32; BINS]) -> Option<f32> {
     let curvature = before - 2.0 * at + after;
     // Not negative only where all three are equal.
     let shift = if curvature < 0.0 { 0.5 * (before - after) / curvature } else { 0.0 };
-    (at > 0.0).then(|| largest as f32 + 0.5 + shift)
+    (at > 0.0).then_some(largest as f32 + 0.5 + shift)
 }
 
 /// Scales to length 1; `None` if all entries are 0.
