@@ -194,9 +194,10 @@ impl Capture {
             }
             .into());
         }
-        Ok(match filmed.color {
-            Color::Rgb => image.to_rgb(),
-            Color::Gray => image.to_gray(),
+        Ok(match (filmed.color, image.channels()) {
+            (Color::Rgb, 1) => image.to_rgb(),
+            (Color::Gray, 3) => image.to_gray(),
+            _ => image,
         })
     }
 

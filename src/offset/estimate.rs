@@ -1,10 +1,10 @@
 //! Offsets from recordings: the stages of the estimation in their order.
 
 use super::lost_frames::{LostFrames, detect_lost_frames};
-use super::pair::{InitialOffset, MIN_AGREEMENT, PairEstimate, PairFailure, choose_triples};
-use super::pair_fit::estimate_pair;
+use super::pair::{InitialOffset, MIN_AGREEMENT, PairEstimate, PairFailure};
 use super::pairing::{clocks, pairs};
 use super::recording::{Recording, TrackCache};
+use super::rounds::{PairRounds, estimate_pairs};
 use super::timeline::Timelines;
 use super::{
     CameraOffset, ClockEstimate, Clocks, ONE_FRAME, OffsetOptions, Offsets, align, solve_clocks,
@@ -13,7 +13,6 @@ use crate::capture::{Capture, CaptureError};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use rayon::prelude::*;
-use std::collections::BTreeSet;
 
 /// The offsets of all cameras, with the pairs that they were solved from.
 #[derive(Clone, Debug)]
@@ -39,6 +38,8 @@ pub fn estimate(
         return Ok(Estimate { offsets: Offsets::known(capture), pairs: Vec::new() });
     }
     let pairs = pairs(capture, &clock, options);
+    // Before threads ask for them at once, and each estimates them.
+    frames.gains();
     let track_cache = TrackCache::default();
     let mut recording = Recording::new(frames, Timelines::nominal(capture), &track_cache, options);
     let mut starts = initial_offsets(&recording, &pairs, reporter)?;
@@ -50,7 +51,11 @@ pub fn estimate(
         recording = Recording::new(frames, lost.timelines, &track_cache, options);
     }
     let drifts = drifts(capture, &clock, count);
-    let results = estimate_pairs(&recording, &pairs, &starts, |c| drifts[clock[c]], reporter)?;
+    let rounds = pairs.iter().zip(&starts).map(|(&pair, &start)| {
+        let with_rate = pair.iter().any(|&c| drifts[clock[c]]);
+        PairRounds::new(pair, start, with_rate)
+    });
+    let results = estimate_pairs(&recording, rounds.collect(), reporter)?;
     let solution = Solution::new(
         &recording,
         PairResults { pairs: &pairs, results },
@@ -81,53 +86,6 @@ fn initial_offsets(
             initial
         })
         .collect()
-}
-
-/// Every pair's estimate, or why it has none; `drifts` says which cameras' clocks may drift.
-fn estimate_pairs(
-    recording: &Recording,
-    pairs: &[[usize; 2]],
-    starts: &[Result<InitialOffset, PairFailure>],
-    drifts: impl Fn(usize) -> bool + Sync,
-    reporter: &Reporter,
-) -> Result<Vec<Result<PairEstimate, PairFailure>>, CaptureError> {
-    track_frames(recording, pairs, starts, reporter)?;
-    let task = reporter.task("Offsets", pairs.len());
-    pairs
-        .par_iter()
-        .zip(starts)
-        .map(|(&pair, &start)| {
-            let with_rate = pair.iter().any(|&c| drifts(c));
-            let estimate = match start {
-                Ok(initial) => estimate_pair(recording, pair, initial, with_rate),
-                Err(failure) => Ok(Err(failure)),
-            };
-            task.advance(1);
-            estimate
-        })
-        .collect()
-}
-
-/// Computes the tracks that the pairs are going to ask for, each once.
-fn track_frames(
-    recording: &Recording,
-    pairs: &[[usize; 2]],
-    starts: &[Result<InitialOffset, PairFailure>],
-    reporter: &Reporter,
-) -> Result<(), CaptureError> {
-    let needed: BTreeSet<(usize, usize)> = pairs
-        .iter()
-        .zip(starts)
-        .filter_map(|(&pair, start)| Some(choose_triples(recording, pair, start.as_ref().ok()?)))
-        .flatten()
-        .map(|([a, _], [k, _])| (a, k))
-        .collect();
-    let task = reporter.task("Tracks", needed.len());
-    needed.into_par_iter().try_for_each(|(camera, k)| {
-        recording.tracks(camera, k)?;
-        task.advance(1);
-        Ok(())
-    })
 }
 
 /// By clock: whether its rate may be off. That of the reference's clock is 0 by definition.

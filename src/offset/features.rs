@@ -3,8 +3,7 @@
 //! Static features have no candidate (eq. (10)), and in front of a textured background the strongest
 //! corners would all be static.
 
-use crate::raster::Image;
-use crate::registration::Frame;
+use crate::registration::{Frame, Level};
 use nalgebra::Point2;
 
 /// The smallest motion that counts as change, pixels, estimated from gradients. Larger leaves slow
@@ -28,52 +27,48 @@ pub fn changing(
     corners: &[Point2<f64>],
     count: usize,
 ) -> Vec<Point2<f64>> {
-    let change = Change { current: frame.image.to_gray(), next: next.image.to_gray() };
-    let (mut selected, static_corners): (Vec<_>, Vec<_>) =
-        corners.iter().copied().partition(|p| change.motion_px(p) >= MIN_MOTION_PX);
-    selected.truncate(count);
+    let [current, next] = [frame, next].map(|frame| &frame.pyramid.levels()[0]);
+    let (mut selected, mut static_corners) = (Vec::new(), Vec::new());
+    for p in corners {
+        if selected.len() == count {
+            break;
+        }
+        let changes = motion_px([current, next], p) >= MIN_MOTION_PX;
+        if changes { &mut selected } else { &mut static_corners }.push(*p);
+    }
     let remaining = MAX_STATIC.min(count - selected.len());
     selected.extend(static_corners.into_iter().take(remaining));
     selected
 }
 
-/// Two successive images, grey.
-struct Change {
-    current: Image,
-    next: Image,
-}
-
-impl Change {
-    /// The root of the summed squared temporal change over the summed squared gradient in the window
-    /// around p: the size of a small motion along the gradients, pixels; 0 without a gradient.
-    fn motion_px(&self, p: &Point2<f64>) -> f32 {
-        let (w, h) = (self.current.width(), self.current.height());
-        // The corner is inside the image; the window is clipped so that its gradients are too.
-        let range = |at: f64, size: usize| {
-            let middle = at as usize;
-            middle.saturating_sub(RADIUS).max(1)..(middle + RADIUS + 1).min(size.saturating_sub(1))
-        };
-        let (mut change, mut gradient) = (0.0, 0.0);
-        let current = self.current.data();
-        let next = self.next.data();
-        for y in range(p.y, h) {
-            for x in range(p.x, w) {
-                let at = y * w + x;
-                change += (next[at] - current[at]).powi(2);
-                let (dx, dy) =
-                    (current[at + 1] - current[at - 1], current[at + w] - current[at - w]);
-                // 1/4, since central differences span two pixels; 1/2, since motion has one direction of
-                // two.
-                gradient += 0.125 * (dx * dx + dy * dy);
-            }
+/// The root of the summed squared temporal change over the summed squared gradient in the window
+/// around p: the size of a small motion along the gradients, pixels; 0 without a gradient.
+fn motion_px([current, next]: [&Level; 2], p: &Point2<f64>) -> f32 {
+    // The corner is inside the image; the window is clipped so that its gradients are too.
+    let range = |at: f64, size: usize| {
+        let middle = at as usize;
+        middle.saturating_sub(RADIUS).max(1)..(middle + RADIUS + 1).min(size.saturating_sub(1))
+    };
+    let columns = range(p.x, current.width);
+    let (mut change, mut gradient) = (0.0, 0.0);
+    for y in range(p.y, current.height) {
+        let [above, row, below] = [y - 1, y, y + 1].map(|y| current.row(y));
+        let later = next.row(y);
+        for x in columns.clone() {
+            change += (later[x] - row[x]).powi(2);
+            let (dx, dy) = (row[x + 1] - row[x - 1], below[x] - above[x]);
+            // 1/4, since central differences span two pixels; 1/2, since motion has one direction of
+            // two.
+            gradient += 0.125 * (dx * dx + dy * dy);
         }
-        if gradient > 0.0 { (change / gradient).sqrt() } else { 0.0 }
     }
+    if gradient > 0.0 { (change / gradient).sqrt() } else { 0.0 }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::raster::Image;
     use crate::registration::RegistrationOptions;
 
     /// A texture whose right half moves by `dx` pixels.

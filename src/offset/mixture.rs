@@ -59,7 +59,8 @@ pub struct ResidualModel {
 /// depth edges and under changing light have several times the error of others, those of thin
 /// structures many times. Larger factors explain outliers as inliers; smaller ones let the worst
 /// inliers set the common scale, at the weight of good ones.
-const SCALES: [f64; 3] = [1.0, 4.0, 16.0];
+const SCALES: [f64; 3] = [1.0, SCALE_RATIO, SCALE_RATIO * SCALE_RATIO];
+const SCALE_RATIO: f64 = 4.0;
 /// The initial fractions of the three components and of the outliers. More outliers reject inliers of
 /// noisy recordings at the start; fewer let outliers widen the first scale.
 const INITIAL_FRACTIONS: Fractions = [0.5, 0.15, 0.05, 0.3];
@@ -168,11 +169,9 @@ impl ResidualModel {
             let r = (o.value_s - line.x - line.y * o.at_s) * o.across_px_s;
             // Densities in time: those in pixels times the speed.
             let peak = o.across_px_s.abs() / (sigma * std::f64::consts::TAU.sqrt());
-            let z = r / sigma;
-            let densities: [f64; SCALES.len()] = std::array::from_fn(|k| {
-                let z = z / SCALES[k];
-                fractions[k] * peak / SCALES[k] * (-0.5 * z * z).exp()
-            });
+            let gaussians = gaussians(r / sigma);
+            let densities: [f64; SCALES.len()] =
+                std::array::from_fn(|k| fractions[k] * peak / SCALES[k] * gaussians[k]);
             // Positive, since the outliers' fraction is.
             let total = outlier + densities.iter().sum::<f64>();
             // The expected precision, in units of the narrowest component's.
@@ -187,6 +186,16 @@ impl ResidualModel {
         }
         sums
     }
+}
+
+/// The Gaussians of the components, 1 at their middle, at `z` standard deviations of the narrowest one.
+fn gaussians(z: f64) -> [f64; SCALES.len()] {
+    const POWER: i32 = (SCALE_RATIO * SCALE_RATIO) as i32;
+    let z = z / SCALES[2];
+    // Each is a power of the next wider one, which costs less than its exponential.
+    let wide = (-0.5 * z * z).exp();
+    let middle = wide.powi(POWER);
+    [middle.powi(POWER), middle, wide]
 }
 
 /// One number for each component, then one for the outliers.
@@ -285,6 +294,17 @@ mod tests {
             let mixture = MODEL.fit(&observations, start, true).unwrap();
             assert!((mixture.rate - 0.01).abs() < 0.008, "{mixture:?}");
             assert!((mixture.value_s - 0.3).abs() < 0.04);
+        }
+    }
+
+    #[test]
+    fn gaussians_are_exponentials() {
+        for k in -4000..4000 {
+            let z = 0.01 * f64::from(k);
+            for (gaussian, scale) in gaussians(z).into_iter().zip(SCALES) {
+                let expected = (-0.5 * (z / scale) * (z / scale)).exp();
+                assert!((gaussian - expected).abs() <= 1e-12 * expected + 1e-300, "{z} {scale}");
+            }
         }
     }
 

@@ -29,6 +29,7 @@
 //! | `lost_frames` | the observation of lost frames |
 //! | `clock_models` | their joint fit: block-coordinate descent and dynamic programming |
 //! | `pair`, `pair_fit` | one pair: the choice of triples; offset, rate and standard error |
+//! | `rounds` | all pairs: choice and fit in turn, and the order in which frames are read |
 //! | `consensus` | RANSAC and WLS |
 //! | `mixture` | maximum likelihood under the mixture model |
 //! | `uncertainty` | cluster-robust standard errors |
@@ -68,6 +69,7 @@ mod pair_fit;
 mod pairing;
 mod plot;
 mod recording;
+mod rounds;
 mod store;
 mod timeline;
 mod uncertainty;

@@ -4,48 +4,12 @@ use super::consensus::{ransac, weighted_least_squares};
 use super::mixture::{Mixture, Observation, ResidualModel};
 use super::pair::{
     FrameEstimate, InitialOffset, MIN_AGREEMENT, NOMINAL_CLOCK_FRAMES, PairEstimate, PairFailure,
-    PairTriples, choose_triples,
+    PairTriples,
 };
 use super::recording::{Recording, Sample, Triple};
 use super::uncertainty::{Sandwich, effective_number, std_err_inflation};
 use super::{OffsetMethod, OffsetOptions};
-use crate::capture::CaptureError;
 use std::sync::Arc;
-
-/// The maximum number of rounds of choosing frame triples by the estimate and estimating from them.
-/// Larger costs time where the choice alternates; smaller may end on triples that the estimate no
-/// longer implies.
-const MAX_ROUNDS: usize = 5;
-
-/// Estimates the pair (i, j) from both directions: camera i's tracks against camera j's frames, and
-/// the reverse.
-///
-/// `start` is the offset to about a frame. §7 requires camera j's frame to lie between the two of
-/// camera i; which one does depends on the offset, so triples and offset are determined in turn.
-pub fn estimate_pair(
-    recording: &Recording,
-    cameras: [usize; 2],
-    start: InitialOffset,
-    with_rate: bool,
-) -> Result<Result<PairEstimate, PairFailure>, CaptureError> {
-    let mut initial = start;
-    let mut frames_before = Vec::new();
-    let mut estimate = Err(PairFailure::NoOverlap);
-    for _ in 0..MAX_ROUNDS {
-        let frames = choose_triples(recording, cameras, &initial);
-        if frames.is_empty() || frames == frames_before {
-            break;
-        }
-        let triples = PairTriples::new(recording, cameras, frames)?;
-        estimate = fit_pair(recording, &triples, &initial, with_rate);
-        let Ok(pair) = &estimate else { break };
-        initial =
-            InitialOffset { value_s: pair.offset_s, rate: pair.rate, center_s: pair.center_s };
-        frames_before = triples.frames;
-    }
-    recording.release_pair(cameras);
-    Ok(estimate)
-}
 
 /// The moving features that a pair needs, as a fraction of all tracked ones: fewer may be mismatches.
 /// Larger calls scenes with a small moving body motionless; smaller estimates from mismatches.

@@ -79,7 +79,7 @@ pub struct Recording<'a> {
 const MAX_CACHED_TRACKS: usize = (256 << 20) / size_of::<Track>();
 /// How many candidates are cached, 128 MB of them. Fewer cost time, where candidates are computed
 /// again.
-const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
+pub const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
 
 /// The two cameras of a pair, and the frames of a triple.
 type TripleKey = ([usize; 2], [usize; 2]);
@@ -174,17 +174,9 @@ impl<'a> Recording<'a> {
     ) -> Result<Triple, CaptureError> {
         let cameras = &self.frames.capture().cameras;
         let (source, target) = (self.frames.get(a, k)?, self.frames.get(b, m)?);
-        let tracks = self.tracks(a, k)?;
-        let tracks: Vec<&Track> = tracks.iter().collect();
+        let all_tracks = self.tracks(a, k)?;
         let times_i = &self.timelines.times_s[a];
         let time_b_s = self.timelines.times_s[b][m];
-        // The middle of the motion is a good start for any frame of b inside the interval.
-        let starts: Vec<_> =
-            tracks.iter().map(|t| (t.earlier, t.earlier + 0.5 * t.motion())).collect();
-        let in_b: Vec<_> = flow(&source, &target, &starts, self.frames.options())
-            .into_iter()
-            .map(|correspondence| correspondence.map(|f| f.target))
-            .collect();
         let three_frames = ThreeFrames {
             camera_i: &cameras[a].camera,
             camera_j: &cameras[b].camera,
@@ -193,6 +185,16 @@ impl<'a> Recording<'a> {
             curved: self.options.method == OffsetMethod::JointCurved,
             min_across_px: self.options.min_across_px,
         };
+        // The others have no candidate and don't count as moving, whatever camera b shows.
+        let tracks: Vec<&Track> =
+            all_tracks.iter().filter(|track| three_frames.can_cross(track)).collect();
+        // The middle of the motion is a good start for any frame of b inside the interval.
+        let starts: Vec<_> =
+            tracks.iter().map(|t| (t.earlier, t.earlier + 0.5 * t.motion())).collect();
+        let in_b: Vec<_> = flow(&source, &target, &starts, self.frames.options())
+            .into_iter()
+            .map(|correspondence| correspondence.map(|f| f.target))
+            .collect();
         let crossings = three_frames.crossings(&tracks, &in_b);
         let samples = crossings
             .iter()
@@ -207,12 +209,10 @@ impl<'a> Recording<'a> {
             })
             .collect();
         let moves = |track: &&Track, in_b: &Option<_>| {
-            in_b.is_some()
-                && track.motion().norm() >= self.options.min_across_px
-                && three_frames.has_trajectory(track)
+            in_b.is_some() && track.motion().norm() >= self.options.min_across_px
         };
         let moving = tracks.iter().zip(&in_b).filter(|(track, in_b)| moves(track, in_b)).count();
-        Ok(Triple { samples, tracks: tracks.len(), moving, across: crossings.len() })
+        Ok(Triple { samples, tracks: all_tracks.len(), moving, across: crossings.len() })
     }
 
     fn cell(&self, camera: usize, track: &Track) -> usize {

@@ -42,20 +42,7 @@ const MIN_EIGENVALUE: f32 = 4e-8;
 pub fn corners(level: &Level, options: &CornerOptions) -> Vec<Point2<f64>> {
     let (w, h) = (level.width, level.height);
     let strength = min_eigenvalues(level, options.radius_px);
-    let largest = strength.iter().fold(0.0_f32, |a, &b| a.max(b));
-    let floor = (largest * options.min_quality).max(MIN_EIGENVALUE);
-
-    let mut peaks: Vec<(f32, usize)> = Vec::new();
-    for y in 0..h {
-        let row = &strength[y * w..(y + 1) * w];
-        for (x, &s) in row.iter().enumerate() {
-            // The row's neighbours first: they reject most pixels.
-            let rejected = s < floor || x > 0 && row[x - 1] >= s || x + 1 < w && row[x + 1] > s;
-            if !rejected && is_peak(&strength, w, h, x, y) {
-                peaks.push((s, y * w + x));
-            }
-        }
-    }
+    let mut peaks = peaks(&strength, w, h, options.min_quality);
     peaks.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
 
     let mut selected = MinDistanceSet::new(w, h, options.min_distance_px);
@@ -68,19 +55,57 @@ pub fn corners(level: &Level, options: &CornerOptions) -> Vec<Point2<f64>> {
     selected.points
 }
 
-/// Whether a pixel is a local maximum; of equal neighbours the first in reading order is.
-fn is_peak(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> bool {
-    let s = strength[y * w + x];
-    for ny in y.saturating_sub(1)..=(y + 1).min(h - 1) {
-        for nx in x.saturating_sub(1)..=(x + 1).min(w - 1) {
-            let other = strength[ny * w + nx];
-            let earlier = (ny, nx) < (y, x);
-            if other > s || (other == s && earlier) {
-                return false;
-            }
+/// The local maxima above a fraction of the largest strength, and their indices; of equal neighbours the
+/// first in reading order.
+fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
+    #[cfg(target_arch = "x86_64")]
+    if has_avx2_and_fma() {
+        // SAFETY: the processor has the features.
+        return unsafe { peaks_avx2(strength, w, h, min_quality) };
+    }
+    peaks_by_rows(strength, w, h, min_quality)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn peaks_avx2(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
+    peaks_by_rows(strength, w, h, min_quality)
+}
+
+#[inline(always)]
+fn peaks_by_rows(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
+    let mut largest = [0.0_f32; LANES];
+    for word in strength.chunks(LANES) {
+        for (largest, s) in largest.iter_mut().zip(word) {
+            *largest = largest.max(*s);
         }
     }
-    true
+    let largest = largest.into_iter().fold(0.0, f32::max);
+    let floor = (largest * min_quality).max(MIN_EIGENVALUE);
+    // Three rows with a lowest value on both sides; row y is at y + 1 modulo 3.
+    let lowest = vec![f32::NEG_INFINITY; w + 2];
+    let mut rows = [lowest.clone(), lowest.clone(), lowest.clone()];
+    rows[1][1..=w].copy_from_slice(&strength[..w]);
+    let mut is_peak = vec![false; w];
+    let mut peaks = Vec::new();
+    for y in 0..h {
+        let next = &mut rows[(y + 2) % 3];
+        match strength.get((y + 1) * w..(y + 2) * w) {
+            Some(row) => next[1..=w].copy_from_slice(row),
+            None => next.copy_from_slice(&lowest),
+        }
+        let [above, row, below] = [y, y + 1, y + 2].map(|y| &rows[y % 3][..]);
+        for x in 0..w {
+            let s = row[x + 1];
+            // Of the neighbours before, none is as large; of those after, none is larger.
+            let before = above[x].max(above[x + 1]).max(above[x + 2]).max(row[x]);
+            let after = below[x].max(below[x + 1]).max(below[x + 2]).max(row[x + 2]);
+            is_peak[x] = (s >= floor) & (s > before) & (s >= after);
+        }
+        let columns = is_peak.iter().enumerate().filter(|(_, is_peak)| **is_peak);
+        peaks.extend(columns.map(|(x, _)| (row[x + 1], y * w + x)));
+    }
+    peaks
 }
 
 /// The sub-pixel position of a peak, by a parabola through its neighbours along each axis.
@@ -215,8 +240,14 @@ pub(super) struct MinDistanceSet {
     cell: f64,
     columns: usize,
     rows: usize,
-    cells: Vec<Vec<u32>>,
+    /// By cell: the last of its points, or [`NONE`].
+    last: Vec<u32>,
+    /// By point: the one before it in its cell, or [`NONE`].
+    before: Vec<u32>,
 }
+
+/// No point.
+const NONE: u32 = u32::MAX;
 
 impl MinDistanceSet {
     /// An empty set of points of an image; sizes and distance in pixels.
@@ -230,7 +261,8 @@ impl MinDistanceSet {
             cell,
             columns,
             rows,
-            cells: vec![Vec::new(); columns * rows],
+            last: vec![NONE; columns * rows],
+            before: Vec::new(),
         }
     }
 
@@ -241,13 +273,16 @@ impl MinDistanceSet {
         let around = |c: usize, n: usize| c.saturating_sub(1)..=(c + 1).min(n - 1);
         let too_near = around(cy, self.rows).any(|y| {
             around(cx, self.columns).any(|x| {
-                self.cells[y * self.columns + x]
-                    .iter()
-                    .any(|&k| (self.points[k as usize] - p).norm() < self.min_distance)
+                let before = |k: &u32| Some(self.before[*k as usize]).filter(|&k| k != NONE);
+                let last = Some(self.last[y * self.columns + x]).filter(|&k| k != NONE);
+                std::iter::successors(last, before)
+                    .any(|k| (self.points[k as usize] - p).norm() < self.min_distance)
             })
         });
         if !too_near {
-            self.cells[cy * self.columns + cx].push(self.points.len() as u32);
+            let last = &mut self.last[cy * self.columns + cx];
+            self.before.push(*last);
+            *last = self.points.len() as u32;
             self.points.push(p);
         }
         !too_near
@@ -306,6 +341,41 @@ mod tests {
         }
         let few = detected(&image, &CornerOptions { max_corners: 7, ..options });
         assert_eq!(few[..], points[..7]);
+    }
+
+    /// Few values, so that many neighbours are equal.
+    #[test]
+    fn peaks_agree_with_a_naive_reference() {
+        let mut random = Random::new(2);
+        for (w, h) in [(1, 1), (1, 9), (9, 1), (2, 2), (3, 5), (17, 12), (40, 31)] {
+            for values in [3.0, 40.0] {
+                let strength: Vec<f32> =
+                    (0..w * h).map(|_| (values * random.unit()).floor() as f32).collect();
+                let largest = strength.iter().fold(0.0_f32, |a, &b| a.max(b));
+                let expected: Vec<(f32, usize)> = (0..w * h)
+                    .filter(|&k| strength[k] > 0.0 && strength[k] >= 0.4 * largest)
+                    .filter(|&k| is_peak(&strength, w, h, k % w, k / w))
+                    .map(|k| (strength[k], k))
+                    .collect();
+                assert_eq!(peaks(&strength, w, h, 0.4), expected, "{w}×{h}");
+                assert_eq!(peaks_by_rows(&strength, w, h, 0.4), expected, "{w}×{h}");
+            }
+        }
+    }
+
+    /// Whether a pixel is a local maximum; of equal neighbours the first in reading order is.
+    fn is_peak(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> bool {
+        let s = strength[y * w + x];
+        for ny in y.saturating_sub(1)..=(y + 1).min(h - 1) {
+            for nx in x.saturating_sub(1)..=(x + 1).min(w - 1) {
+                let other = strength[ny * w + nx];
+                let earlier = (ny, nx) < (y, x);
+                if other > s || (other == s && earlier) {
+                    return false;
+                }
+            }
+        }
+        true
     }
 
     /// The same strengths written as simply as possible, in f64.

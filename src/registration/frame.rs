@@ -1,6 +1,7 @@
 //! A frame as registration uses it: the image with its pyramid and corners.
 
 use super::oriented::Gradients;
+use super::pyramid::Level;
 use super::{Pyramid, RegistrationOptions, corners};
 use crate::raster::Image;
 use nalgebra::Point2;
@@ -45,9 +46,33 @@ impl Frame {
         self.gradients.get_or_init(|| Gradients::new(&self.pyramid))
     }
 
-    /// Bytes of the image, its pyramid and its gradients.
-    pub(super) fn bytes(&self) -> usize {
-        let level: usize = self.pyramid.levels().iter().map(|l| l.value.len()).sum();
-        size_of::<f32>() * (self.image.data().len() + level) + Gradients::bytes_of(&self.pyramid)
+    /// Bytes of the image, its pyramid and its gradients, of an image of this width and height.
+    pub(super) fn bytes_of(
+        size: [usize; 2],
+        channels: usize,
+        options: &RegistrationOptions,
+    ) -> usize {
+        let sizes = Pyramid::sizes(size, options.klt.levels);
+        let pad = options.klt.pad_px();
+        let levels: usize = sizes.iter().map(|&size| Level::samples(size, pad)).sum();
+        let image = size[0] * size[1] * channels;
+        size_of::<f32>() * (image + levels) + Gradients::bytes_of(&sizes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bytes_are_those_of_the_samples() {
+        let options = RegistrationOptions::default();
+        for (w, h, channels) in [(1, 1, 3), (31, 70, 1), (65, 64, 3), (320, 240, 1)] {
+            let frame = Frame::new(Image::filled(w, h, channels, 0.5), &options);
+            let levels: usize = frame.pyramid.levels().iter().map(|l| l.value.len()).sum();
+            let samples = w * h * channels + levels;
+            let expected = size_of::<f32>() * samples + frame.gradients().bytes();
+            assert_eq!(Frame::bytes_of([w, h], channels, &options), expected);
+        }
     }
 }

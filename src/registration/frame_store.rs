@@ -1,7 +1,7 @@
 //! The frames of a capture, decoded and prepared for registration when they are first used, and shared.
 
 use super::{Frame, GainMethod, Gains, RegistrationOptions};
-use crate::capture::{Capture, CaptureError};
+use crate::capture::{Capture, CaptureError, Color};
 use crate::host::BoundedCache;
 use crate::raster::Image;
 use std::sync::{Arc, OnceLock};
@@ -13,13 +13,14 @@ pub struct FrameStore {
     options: RegistrationOptions,
     /// By camera and frame index; the cost is in bytes.
     frames: BoundedCache<(usize, usize), Arc<Frame>>,
+    max_bytes: usize,
     /// Minimum cost of a frame, bytes, so that the number of frames is bounded too.
     min_cost: usize,
     gains: OnceLock<Gains>,
 }
 
-/// Default bound of the cache, bytes: 35 colour frames of 640×480, which is four for each of eight cameras
-/// at an instant, and a few more. Larger: memory; smaller: frames are decoded more than once.
+/// Default bound of the cache, bytes: 32 colour frames of 640×480, which is four for each of eight cameras
+/// at an instant. Larger: memory; smaller: frames are decoded more than once.
 const MAX_BYTES: usize = 192 << 20;
 
 /// Maximum number of cached frames per camera, so that a long recording of small images takes no more
@@ -44,6 +45,7 @@ impl FrameStore {
             capture,
             options: options.clone(),
             frames: BoundedCache::new(max_bytes),
+            max_bytes,
             min_cost: max_bytes.div_ceil(max_frames),
             gains: OnceLock::new(),
         }
@@ -78,9 +80,25 @@ impl FrameStore {
         }
         let image = self.capture.read_frame(camera, index)?;
         let frame = Arc::new(self.prepared(camera, image));
-        let cost = frame.bytes().max(self.min_cost);
-        self.frames.insert((camera, index), frame.clone(), cost);
+        self.frames.insert((camera, index), frame.clone(), self.cost(camera));
         Ok(frame)
+    }
+
+    /// Whether this many frames of each of these cameras are cached at the same time.
+    pub fn holds(&self, cameras: impl Iterator<Item = usize>, frames_each: usize) -> bool {
+        let cost: usize = cameras.map(|c| self.cost(c)).sum();
+        cost.saturating_mul(frames_each) <= self.max_bytes
+    }
+
+    /// The cost of a camera's frame, bytes.
+    fn cost(&self, camera: usize) -> usize {
+        let filmed = &self.capture.cameras[camera];
+        let size = [filmed.camera.width, filmed.camera.height];
+        let channels = match filmed.color {
+            Color::Rgb => 3,
+            Color::Gray => 1,
+        };
+        Frame::bytes_of(size, channels, &self.options).max(self.min_cost)
     }
 
     /// The image of a camera as a frame whose pyramid is as bright as the reference camera's.

@@ -13,6 +13,7 @@ use super::{Frame, RegistrationOptions, flow};
 use crate::capture::Capture;
 use crate::raster::{Image, LUMINANCE, encoded_from_linear, linear_from_encoded};
 use nalgebra::{DMatrix, DVector, Point2};
+use rayon::prelude::*;
 
 /// The gains of a capture's cameras: the linear light that each records over what the reference camera
 /// records of the same surface, by channel.
@@ -94,6 +95,7 @@ impl Gains {
     /// read is not compared; the error shows when the frame is used.
     pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {
         let images: Vec<Option<Image>> = (0..capture.cameras.len())
+            .into_par_iter()
             .map(|c| capture.read_frame(c, capture.cameras[c].frames.len() / 2).ok())
             .map(|image| image.as_ref().map(small))
             .collect();
@@ -105,7 +107,7 @@ impl Gains {
         };
         let reference = images[capture.reference].as_ref().map_or(1.0, level);
         let frames: Vec<Option<Frame>> = images
-            .iter()
+            .par_iter()
             .map(|image| {
                 let image = image.as_ref()?;
                 Some(Frame::new(scaled(image, [reference / level(image); 3]), options))

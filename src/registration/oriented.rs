@@ -4,8 +4,12 @@
 //! frame shows a feature turned, and hardly larger.
 
 use super::Pyramid;
+#[cfg(target_arch = "x86_64")]
+use super::simd::{Avx2, has_avx2_and_fma};
+use super::simd::{F32x8, LANES, Scalar};
 use nalgebra::{Point2, Vector2};
 use std::f32::consts::TAU;
+use std::ops::Range;
 
 /// Cells of a descriptor along a side, and directions of a cell. More: it tells more features apart, and
 /// tolerates less deformation.
@@ -39,6 +43,14 @@ pub(super) struct Oriented {
 /// The level whose gradients describe a feature. Coarser: small things lose their descriptors; finer: noise.
 const LEVEL: usize = 1;
 
+/// Directions of a full turn, the unit of angles in this file.
+const TURN: f32 = DIRECTIONS as f32;
+/// Columns and rows of a window, padded so that a word can begin at any of its samples.
+const SPAN: usize = (2 * RADIUS_PX as usize + 1).next_multiple_of(LANES) + LANES;
+/// Cells along a side of the grid that is summed into: one more on the left, and two on the right, which
+/// catch what is outside.
+const GRID: usize = CELLS + 3;
+
 /// The gradients of a frame's level, by central differences.
 #[derive(Debug)]
 pub(super) struct Gradients {
@@ -46,118 +58,307 @@ pub(super) struct Gradients {
     height: usize,
     /// Pixels of the level over those of the frame.
     scale: f64,
-    /// The strength, and the direction in radians from x towards y, 0 to 2π; row by row.
-    polar: Vec<[f32; 2]>,
+    /// Row by row, and a word of padding.
+    strength: Vec<f32>,
+    /// From x towards y, 0 to [`TURN`]; row by row, and a word of padding.
+    direction: Vec<f32>,
 }
 
 impl Gradients {
     pub fn new(pyramid: &Pyramid) -> Self {
+        #[cfg(target_arch = "x86_64")]
+        if has_avx2_and_fma() {
+            // SAFETY: the processor has the features.
+            return unsafe { Self::new_avx2(pyramid) };
+        }
+        Self::new_by::<Scalar>(pyramid)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn new_avx2(pyramid: &Pyramid) -> Self {
+        Self::new_by::<Avx2>(pyramid)
+    }
+
+    #[inline(always)]
+    fn new_by<V: F32x8>(pyramid: &Pyramid) -> Self {
         let levels = pyramid.levels();
         let n = LEVEL.min(levels.len() - 1);
         let level = &levels[n];
-        let polar = |k: usize| {
-            let [x, y] = [k % level.width, k / level.width].map(|v| v as isize);
-            let k = level.index(x, y);
-            let gx = level.value[k + 1] - level.value[k - 1];
-            let gy = level.value[k + level.stride] - level.value[k - level.stride];
-            [(gx * gx + gy * gy).sqrt(), around_once(gy.atan2(gx))]
-        };
-        Self {
-            width: level.width,
-            height: level.height,
-            scale: 1.0 / f64::from(1_u32 << n),
-            polar: (0..level.width * level.height).map(polar).collect(),
+        let size = level.width * level.height;
+        let [mut strength, mut direction] = [vec![0.0; size + LANES], vec![0.0; size + LANES]];
+        for y in 0..level.height {
+            // A row's last word runs into the next row, which is written later, or into the padding.
+            for x in (0..level.width).step_by(LANES) {
+                let k = level.index(x as isize, y as isize);
+                let gx = V::load(&level.value, k + 1).sub(V::load(&level.value, k - 1));
+                let [above, below] = [k - level.stride, k + level.stride];
+                let gy = V::load(&level.value, below).sub(V::load(&level.value, above));
+                let at = y * level.width + x;
+                gx.mul_add(gx, gy.mul(gy)).sqrt().store(&mut strength, at);
+                directions(gx, gy).store(&mut direction, at);
+            }
         }
+        let scale = 1.0 / f64::from(1_u32 << n);
+        Self { width: level.width, height: level.height, scale, strength, direction }
     }
 
-    /// The bytes of those of a pyramid.
-    pub fn bytes_of(pyramid: &Pyramid) -> usize {
-        let levels = pyramid.levels();
-        let level = &levels[LEVEL.min(levels.len() - 1)];
-        level.width * level.height * size_of::<[f32; 2]>()
+    #[cfg(test)]
+    pub fn bytes(&self) -> usize {
+        size_of::<f32>() * (self.strength.len() + self.direction.len())
     }
 
-    /// Those around a point of the level, the first pixel's centre at (0, 0), inside the image.
-    fn around(&self, [cx, cy]: [f32; 2]) -> Vec<Sample> {
+    /// The bytes of those of a pyramid with levels of these sizes, the full-sized first.
+    pub fn bytes_of(sizes: &[[usize; 2]]) -> usize {
+        let [width, height] = sizes[LEVEL.min(sizes.len() - 1)];
+        2 * (width * height + LANES) * size_of::<f32>()
+    }
+}
+
+/// Coefficients of the arctangent's odd polynomial on 0..=1, from x on, to 2e-8 (Abramowitz and Stegun 4.4.49).
+const ARCTANGENT: [f32; 9] = [
+    1.0,
+    -0.333_331_45,
+    0.199_935_5,
+    -0.142_089,
+    0.106_562_64,
+    -0.075_289_64,
+    0.042_909_615,
+    -0.016_165_737,
+    0.002_866_225_7,
+];
+
+/// The directions of vectors from x towards y, 0 to [`TURN`]; 0 without a direction.
+#[inline(always)]
+fn directions<V: F32x8>(x: V, y: V) -> V {
+    let (along, across) = (x.abs(), y.abs());
+    let longer = along.max(across).max(V::splat(f32::MIN_POSITIVE));
+    let slope = along.min(across).div(longer);
+    let squared = slope.mul(slope);
+    let mut sum = V::zero();
+    for coefficient in ARCTANGENT.into_iter().rev() {
+        sum = sum.mul_add(squared, V::splat(coefficient));
+    }
+    let octant = sum.mul(slope).mul(V::splat(TURN / TAU));
+    let quadrant = along.if_below(across, V::splat(0.25 * TURN).sub(octant), octant);
+    let half = x.if_below(V::zero(), V::splat(0.5 * TURN).sub(quadrant), quadrant);
+    y.if_below(V::zero(), V::splat(TURN).sub(half), half)
+}
+
+/// The samples within [`RADIUS_PX`] of a point of the level.
+struct Disc<'a> {
+    gradients: &'a Gradients,
+    /// The first pixel's centre is at (0, 0).
+    center: [f32; 2],
+    columns: Range<usize>,
+    rows: Range<usize>,
+}
+
+impl<'a> Disc<'a> {
+    #[inline(always)]
+    fn new(gradients: &'a Gradients, center: [f32; 2]) -> Self {
         let span = |c: f32, size: usize| {
             let at = |v: isize| v.clamp(0, size as isize) as usize;
             let c = c.round() as isize;
             at(c - RADIUS_PX)..at(c + RADIUS_PX + 1)
         };
-        let mut samples = Vec::with_capacity((2 * RADIUS_PX as usize + 1).pow(2));
-        for y in span(cy, self.height) {
-            for x in span(cx, self.width) {
-                let from = [x as f32 - cx, y as f32 - cy];
-                let square = from[0] * from[0] + from[1] * from[1];
-                // Beyond the circle no cell is reached, however they are turned.
-                if square <= (RADIUS_PX * RADIUS_PX) as f32 {
-                    let [strength, direction] = self.polar[y * self.width + x];
-                    let fade = (square * (-0.5 / WINDOW_SIGMA_PX.powi(2))).exp();
-                    samples.push(Sample { from, fade, strength, direction });
+        let [columns, rows] = [(center[0], gradients.width), (center[1], gradients.height)]
+            .map(|(c, size)| span(c, size));
+        Self { gradients, center, columns, rows }
+    }
+
+    /// The columns of a row that are inside the disc. Beyond it no cell is reached, however they are turned.
+    #[inline(always)]
+    fn columns_of(&self, y: usize) -> Range<usize> {
+        let dy = y as f32 - self.center[1];
+        let half = ((RADIUS_PX * RADIUS_PX) as f32 - dy * dy).max(0.0).sqrt();
+        let first = (self.center[0] - half).ceil().max(0.0) as usize;
+        let end = (self.center[0] + half).floor().max(-1.0) + 1.0;
+        first.max(self.columns.start)..(end as usize).min(self.columns.end)
+    }
+
+    /// A Gaussian window along both axes: its product is the window's at a sample.
+    #[inline(always)]
+    fn fades(&self, sigma_px: f32) -> [[f32; SPAN]; 2] {
+        let mut fades = [[0.0; SPAN]; 2];
+        for (axis, span) in [&self.columns, &self.rows].into_iter().enumerate() {
+            for (fade, at) in fades[axis].iter_mut().zip(span.clone()) {
+                let from = at as f32 - self.center[axis];
+                *fade = (from * from * (-0.5 / (sigma_px * sigma_px))).exp();
+            }
+        }
+        fades
+    }
+
+    /// The largest bin of the histogram of directions, between bins by a parabola.
+    #[inline(always)]
+    fn main_direction<V: F32x8>(&self) -> Option<f32> {
+        const BINS_PER_DIRECTION: f32 = BINS as f32 / TURN;
+        let [fade_x, fade_y] = self.fades(DIRECTION_SIGMA_PX);
+        // Neighbours have one each, so that their sums don't wait for each other. A direction rounded up to a
+        // full turn has a bin of its own.
+        let mut sums = [[0.0; BINS + 1]; 2];
+        for y in self.rows.clone() {
+            let fade_y = V::splat(fade_y[y - self.rows.start]);
+            let columns = self.columns_of(y);
+            for x in columns.clone().step_by(LANES) {
+                let at = y * self.gradients.width + x;
+                let direction = V::load(&self.gradients.direction, at);
+                let (bins, _) = direction.mul(V::splat(BINS_PER_DIRECTION)).floor_and_fraction();
+                let fade = V::load(&fade_x, x - self.columns.start).mul(fade_y);
+                let weights = V::load(&self.gradients.strength, at).mul(fade).to_array();
+                for l in 0..LANES.min(columns.end - x) {
+                    sums[l % 2][bins[l] as usize] += weights[l];
                 }
             }
         }
-        samples
+        let mut histogram = [0.0; BINS];
+        for (k, (even, odd)) in sums[0].iter().zip(&sums[1]).enumerate() {
+            histogram[k % BINS] += even + odd;
+        }
+        peak(histogram).map(|bin| bin / BINS_PER_DIRECTION)
+    }
+
+    /// The cells' directions, relative to the main one.
+    #[inline(always)]
+    fn cells<V: F32x8>(&self, angle: f32) -> [V; CELLS * CELLS] {
+        let (sin, cos) = (angle / TURN * TAU).sin_cos();
+        let [fade_x, fade_y] = self.fades(WINDOW_SIGMA_PX);
+        // Of the first cell's centre, in a grid with one more cell on the left.
+        const CENTER: f32 = 0.5 * CELLS as f32 + 0.5;
+        // Neighbours have one each, so that their sums don't wait for each other.
+        let mut grids = [[V::zero(); GRID * GRID]; 2];
+        let lanes = V::from_array(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+        let (lowest, highest) = (V::zero(), V::splat((CELLS + 1) as f32));
+        for y in self.rows.clone() {
+            let dy = y as f32 - self.center[1];
+            let fade_y = V::splat(fade_y[y - self.rows.start]);
+            let columns = self.columns_of(y);
+            for x in columns.clone().step_by(LANES) {
+                let at = y * self.gradients.width + x;
+                // In cells, in the feature's own frame. What is outside all cells falls on the grid's border.
+                let dx = lanes.add(V::splat(x as f32 - self.center[0]));
+                let u = dx.mul_add(V::splat(cos / CELL_PX), V::splat(sin * dy / CELL_PX + CENTER));
+                let v = dx.mul_add(V::splat(-sin / CELL_PX), V::splat(cos * dy / CELL_PX + CENTER));
+                let (column, fu) = u.max(lowest).min(highest).floor_and_fraction();
+                let (row, fv) = v.max(lowest).min(highest).floor_and_fraction();
+                let turn = V::load(&self.gradients.direction, at).sub(V::splat(angle));
+                let (direction, fd) = turn.floor_and_fraction();
+                let fade = V::load(&fade_x, x - self.columns.start).mul(fade_y);
+                let weights = V::load(&self.gradients.strength, at).mul(fade);
+                let [upper, lower] = [weights.sub(weights.mul(fv)), weights.mul(fv)];
+                let corners = [
+                    upper.sub(upper.mul(fu)).to_array(),
+                    upper.mul(fu).to_array(),
+                    lower.sub(lower.mul(fu)).to_array(),
+                    lower.mul(fu).to_array(),
+                ];
+                let fd = fd.to_array();
+                for l in 0..LANES.min(columns.end - x) {
+                    // Of negative ones too: a power of two divides the range of usize.
+                    let d = direction[l] as usize % DIRECTIONS;
+                    let own = V::from_array(&ONE_DIRECTION[d]);
+                    let next = V::from_array(&ONE_DIRECTION[(d + 1) % DIRECTIONS]);
+                    let shares = next.sub(own).mul_add(V::splat(fd[l]), own);
+                    let cell = row[l] as usize * GRID + column[l] as usize;
+                    // One check for all four.
+                    let grid = &mut grids[l % 2][cell..cell + GRID + 2];
+                    for (k, to) in [0, 1, GRID, GRID + 1].into_iter().enumerate() {
+                        grid[to] = shares.mul_add(V::splat(corners[k][l]), grid[to]);
+                    }
+                }
+            }
+        }
+        let mut cells = [V::zero(); CELLS * CELLS];
+        for (k, cell) in cells.iter_mut().enumerate() {
+            let at = (k / CELLS + 1) * GRID + k % CELLS + 1;
+            *cell = grids[0][at].add(grids[1][at]);
+        }
+        cells
     }
 }
 
-/// A gradient near a feature.
-struct Sample {
-    /// The offset from the feature, pixels.
-    from: [f32; 2],
-    /// The descriptor's window there.
-    fade: f32,
-    strength: f32,
-    direction: f32,
-}
+/// By direction: a word that is 1 there and 0 elsewhere.
+const ONE_DIRECTION: [[f32; LANES]; DIRECTIONS] = {
+    assert!(LANES == DIRECTIONS);
+    let mut all = [[0.0; LANES]; DIRECTIONS];
+    let mut d = 0;
+    while d < DIRECTIONS {
+        all[d][d] = 1.0;
+        d += 1;
+    }
+    all
+};
 
 impl Oriented {
     /// The descriptor of a point of the frame, pixels. `None` where there is no gradient.
     pub fn new(gradients: &Gradients, at: &Point2<f64>) -> Option<Self> {
+        #[cfg(target_arch = "x86_64")]
+        if has_avx2_and_fma() {
+            // SAFETY: the processor has the features.
+            return unsafe { Self::new_avx2(gradients, at) };
+        }
+        Self::new_by::<Scalar>(gradients, at)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn new_avx2(gradients: &Gradients, at: &Point2<f64>) -> Option<Self> {
+        Self::new_by::<Avx2>(gradients, at)
+    }
+
+    #[inline(always)]
+    fn new_by<V: F32x8>(gradients: &Gradients, at: &Point2<f64>) -> Option<Self> {
         // Levels are centred on even pixels, so positions relative to pixel centres scale.
         let at = (at.coords - Vector2::repeat(0.5)) * gradients.scale;
-        let samples = gradients.around([at.x as f32, at.y as f32]);
-        let angle = main_direction(&samples)?;
-        let (sin, cos) = angle.sin_cos();
-        let mut entries = [0.0; SIZE];
-        let half = 0.5 * CELLS as f32;
-        for sample in &samples {
-            let [x, y] = sample.from;
-            // In cells, in the feature's own frame.
-            let [u, v] = [(cos * x + sin * y) / CELL_PX, (cos * y - sin * x) / CELL_PX];
-            let turn = around_once(sample.direction - angle) / TAU * DIRECTIONS as f32;
-            let cell = [u + half - 0.5, v + half - 0.5];
-            add(&mut entries, cell, turn, sample.strength * sample.fade);
+        let disc = Disc::new(gradients, [at.x as f32, at.y as f32]);
+        let angle = disc.main_direction::<V>()?;
+        let mut cells = disc.cells::<V>(angle);
+        normalize(&mut cells)?;
+        for cell in &mut cells {
+            *cell = cell.min(V::splat(MAX_ENTRY));
         }
-        normalize(&mut entries)?;
-        entries.iter_mut().for_each(|e| *e = e.min(MAX_ENTRY));
-        normalize(&mut entries)?;
-        Some(Self { angle, entries })
+        normalize(&mut cells)?;
+        let mut entries = [0.0; SIZE];
+        for (k, cell) in cells.into_iter().enumerate() {
+            cell.store(&mut entries, k * DIRECTIONS);
+        }
+        Some(Self { angle: angle / TURN * TAU, entries })
     }
 
     /// The squared distance of two descriptors, 0 to 2.
     pub fn distance(&self, other: &Self) -> f32 {
-        self.entries.iter().zip(&other.entries).map(|(a, b)| (a - b) * (a - b)).sum()
-    }
-}
-
-/// An angle between −2π and 2π, radians, as one between 0 and 2π.
-fn around_once(angle: f32) -> f32 {
-    if angle < 0.0 { (angle + TAU).max(0.0) } else { angle }
-}
-
-/// The largest bin of the histogram of directions, between bins by a parabola.
-fn main_direction(samples: &[Sample]) -> Option<f32> {
-    let mut histogram = [0.0; BINS];
-    let scale = -0.5 / DIRECTION_SIGMA_PX.powi(2);
-    for Sample { from: [x, y], strength, direction, .. } in samples {
-        let square = x * x + y * y;
-        // Beyond three standard deviations nothing counts.
-        if square < (3.0 * DIRECTION_SIGMA_PX).powi(2) {
-            let bin = (direction / TAU * BINS as f32) as usize;
-            histogram[bin % BINS] += strength * (scale * square).exp();
+        #[cfg(target_arch = "x86_64")]
+        if has_avx2_and_fma() {
+            // SAFETY: the processor has the features.
+            return unsafe { self.distance_avx2(other) };
         }
+        self.distance_by::<Scalar>(other)
     }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn distance_avx2(&self, other: &Self) -> f32 {
+        self.distance_by::<Avx2>(other)
+    }
+
+    #[inline(always)]
+    fn distance_by<V: F32x8>(&self, other: &Self) -> f32 {
+        let mut sums = [V::zero(); 2];
+        for at in (0..SIZE).step_by(2 * LANES) {
+            for (k, sum) in sums.iter_mut().enumerate() {
+                let at = at + k * LANES;
+                let apart = V::load(&self.entries, at).sub(V::load(&other.entries, at));
+                *sum = apart.mul_add(apart, *sum);
+            }
+        }
+        sums[0].add(sums[1]).sum() as f32
+    }
+}
+
+/// The largest bin of a histogram around a circle, smoothed, between bins by a parabola: 0 to [`BINS`]. `None`
+/// if all are 0.
+fn peak(mut histogram: [f32; BINS]) -> Option<f32> {
     for _ in 0..2 {
         let raw = histogram;
         for (k, smooth) in histogram.iter_mut().enumerate() {
@@ -169,42 +370,28 @@ fn main_direction(samples: &[Sample]) -> Option<f32> {
     let curvature = before - 2.0 * at + after;
     // Not negative only where all three are equal.
     let shift = if curvature < 0.0 { 0.5 * (before - after) / curvature } else { 0.0 };
-    (at > 0.0).then(|| (largest as f32 + 0.5 + shift) / BINS as f32 * TAU)
-}
-
-/// Adds a gradient to the cells and directions around it, by linear interpolation.
-fn add(entries: &mut [f32; SIZE], cell: [f32; 2], direction: f32, weight: f32) {
-    // Positive, so that truncation is the floor; a cell is added, and taken away by the test below.
-    let [x, y] = [cell[0] + 1.0, cell[1] + 1.0];
-    if !(x >= 0.0 && y >= 0.0) {
-        return;
-    }
-    let (column, row, d) = (x as usize, y as usize, direction as usize);
-    let [fx, fy, fd] = [x - column as f32, y - row as f32, direction - d as f32];
-    for (row, wy) in [(row, 1.0 - fy), (row + 1, fy)] {
-        for (column, wx) in [(column, 1.0 - fx), (column + 1, fx)] {
-            let is_cell = |v: usize| (1..=CELLS).contains(&v);
-            if !(is_cell(row) && is_cell(column)) {
-                continue;
-            }
-            let at = ((row - 1) * CELLS + column - 1) * DIRECTIONS;
-            for (k, wd) in [(d, 1.0 - fd), (d + 1, fd)] {
-                entries[at + k % DIRECTIONS] += weight * wx * wy * wd;
-            }
-        }
-    }
+    (at > 0.0).then_some(largest as f32 + 0.5 + shift)
 }
 
 /// Scales to length 1; `None` if all entries are 0.
-fn normalize(entries: &mut [f32; SIZE]) -> Option<()> {
-    let length = entries.iter().map(|e| e * e).sum::<f32>().sqrt();
-    entries.iter_mut().for_each(|e| *e /= length.max(f32::MIN_POSITIVE));
+#[inline(always)]
+fn normalize<V: F32x8>(cells: &mut [V; CELLS * CELLS]) -> Option<()> {
+    let mut squares = V::zero();
+    for cell in cells.iter() {
+        squares = cell.mul_add(*cell, squares);
+    }
+    let length = squares.sum().sqrt();
+    let scale = V::splat((1.0 / length.max(f64::from(f32::MIN_POSITIVE))) as f32);
+    for cell in cells.iter_mut() {
+        *cell = cell.mul(scale);
+    }
     (length > 0.0).then_some(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::random::Random;
     use crate::raster::Image;
     use crate::registration::Pyramid;
 
@@ -218,6 +405,106 @@ mod tests {
                 + 0.2 * (0.17 * u - 0.29 * v).sin()
         };
         Pyramid::new(&Image::from_data(64, 64, 1, (0..64 * 64).map(value).collect()), 1, 16)
+    }
+
+    #[test]
+    fn gradients_agree_with_a_naive_reference() {
+        let mut random = Random::new(6);
+        for (w, h) in [(64, 41), (9, 5), (1, 1)] {
+            // Few values, so that some gradients are 0 and others along an axis.
+            let data = (0..w * h).map(|_| (4.0 * random.unit()).floor() as f32 / 4.0).collect();
+            let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 1, 16);
+            let level = &pyramid.levels()[0];
+            for gradients in [Gradients::new(&pyramid), Gradients::new_by::<Scalar>(&pyramid)] {
+                for k in 0..w * h {
+                    let at = |dx: isize, dy: isize| {
+                        let at = level.index((k % w) as isize + dx, (k / w) as isize + dy);
+                        f64::from(level.value[at])
+                    };
+                    let (x, y) = (at(1, 0) - at(-1, 0), at(0, 1) - at(0, -1));
+                    let turn = f64::from(TURN);
+                    let direction = (y.atan2(x) / std::f64::consts::TAU * turn).rem_euclid(turn);
+                    assert!((f64::from(gradients.strength[k]) - x.hypot(y)).abs() < 1e-6);
+                    assert!((f64::from(gradients.direction[k]) - direction).abs() < 1e-5);
+                }
+            }
+        }
+    }
+
+    /// The descriptor written as simply as possible: sample by sample, and entry by entry.
+    fn naive(pyramid: &Pyramid, at: &Point2<f64>) -> Option<(f32, Vec<f32>)> {
+        let gradients = Gradients::new(pyramid);
+        let at = (at.coords - Vector2::repeat(0.5)) * gradients.scale;
+        let (cx, cy) = (at.x as f32, at.y as f32);
+        let mut samples = Vec::new();
+        for k in 0..gradients.width * gradients.height {
+            let from = [(k % gradients.width) as f32 - cx, (k / gradients.width) as f32 - cy];
+            let square = from[0] * from[0] + from[1] * from[1];
+            if square <= (RADIUS_PX * RADIUS_PX) as f32 {
+                samples.push((from, square, gradients.strength[k], gradients.direction[k]));
+            }
+        }
+        let mut histogram = [0.0; BINS];
+        for (_, square, strength, direction) in &samples {
+            let fade = (square * (-0.5 / DIRECTION_SIGMA_PX.powi(2))).exp();
+            histogram[(direction / TURN * BINS as f32) as usize % BINS] += strength * fade;
+        }
+        let angle = peak(histogram)? / BINS as f32 * TURN;
+        let (sin, cos) = (angle / TURN * TAU).sin_cos();
+        let near = |a: f32, b: f32| (1.0 - (a - b).abs()).max(0.0);
+        let middle = 0.5 * (CELLS - 1) as f32;
+        let entry = |k: usize| {
+            let of = |(from, square, strength, direction): &([f32; 2], f32, f32, f32)| {
+                let [x, y] = *from;
+                let [u, v] = [(cos * x + sin * y) / CELL_PX, (cos * y - sin * x) / CELL_PX];
+                let turn = (direction - angle).rem_euclid(TURN);
+                let own = (k % DIRECTIONS) as f32;
+                let along = near(turn, own) + near(turn, own + TURN);
+                let [column, row] = [k / DIRECTIONS % CELLS, k / DIRECTIONS / CELLS];
+                let across = near(u + middle, column as f32) * near(v + middle, row as f32);
+                strength * (square * (-0.5 / WINDOW_SIGMA_PX.powi(2))).exp() * along * across
+            };
+            samples.iter().map(of).sum()
+        };
+        let normalized = |entries: Vec<f32>| -> Vec<f32> {
+            let length = entries.iter().map(|e| e * e).sum::<f32>().sqrt();
+            entries.into_iter().map(|e| e / length).collect()
+        };
+        let entries = normalized((0..SIZE).map(entry).collect());
+        let clipped = entries.into_iter().map(|e| e.min(MAX_ENTRY)).collect();
+        Some((angle / TURN * TAU, normalized(clipped)))
+    }
+
+    /// Also at and beyond the image's border, and where levels are smaller than a window.
+    #[test]
+    fn descriptors_agree_with_a_naive_reference() {
+        let mut random = Random::new(5);
+        for (w, h) in [(64, 64), (71, 40), (23, 37), (9, 5)] {
+            let data = (0..w * h).map(|_| random.unit() as f32).collect();
+            let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 2, 16);
+            let gradients = Gradients::new(&pyramid);
+            let mut described = Vec::new();
+            for k in 0..60 {
+                let mut along = |size: usize| random.unit() * size as f64;
+                let at = Point2::new(along(w), along(h));
+                let at = if k % 3 == 0 { at.map(f64::round) } else { at };
+                let (angle, entries) = naive(&pyramid, &at).unwrap();
+                let mut all = vec![Oriented::new_by::<Scalar>(&gradients, &at).unwrap()];
+                all.push(Oriented::new(&gradients, &at).unwrap());
+                for own in &all {
+                    assert!((own.angle - angle).abs() < 1e-4, "{at}: {} {angle}", own.angle);
+                    for (a, b) in own.entries.iter().zip(&entries) {
+                        assert!((a - b).abs() < 1e-4, "{at}: {a} {b}");
+                    }
+                }
+                described.append(&mut all);
+            }
+            for (a, b) in described.iter().zip(&described[1..]) {
+                let pairs = a.entries.iter().zip(&b.entries);
+                let expected: f32 = pairs.map(|(a, b)| (a - b) * (a - b)).sum();
+                assert!((a.distance(b) - expected).abs() < 1e-5);
+            }
+        }
     }
 
     #[test]

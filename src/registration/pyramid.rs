@@ -42,10 +42,18 @@ impl Pyramid {
     /// ([`super::KltOptions::pad_px`]).
     pub fn new(image: &Image, levels: usize, pad: usize) -> Self {
         let mut all = vec![Level::of_image(image, pad)];
-        while all.len() < levels && all[all.len() - 1].can_be_halved() {
+        for _ in 1..Self::sizes([image.width(), image.height()], levels).len() {
             all.push(all[all.len() - 1].halved());
         }
         Self { levels: all }
+    }
+
+    /// The width and height of every level of the pyramid of an image of this size, pixels.
+    pub(super) fn sizes(full: [usize; 2], levels: usize) -> Vec<[usize; 2]> {
+        let halved = |size: &[usize; 2]| {
+            (size[0].min(size[1]) >= 2 * MIN_LEVEL_PX).then(|| size.map(|v| v.div_ceil(2)))
+        };
+        std::iter::successors(Some(full), halved).take(levels.max(1)).collect()
     }
 
     /// The levels, full-sized first. There is at least one.
@@ -81,7 +89,7 @@ impl Level {
     fn empty(width: usize, height: usize, pad: usize) -> Self {
         let pad = pad.max(LANES);
         let stride = width + 2 * pad;
-        let mut value = Vec::with_capacity(stride * (height + 2 * pad));
+        let mut value = Vec::with_capacity(Self::samples([width, height], pad));
         value.resize(pad * stride, 0.0);
         Self { width, height, pad, stride, value }
     }
@@ -110,8 +118,10 @@ impl Level {
         self
     }
 
-    fn can_be_halved(&self) -> bool {
-        self.width.min(self.height) >= 2 * MIN_LEVEL_PX
+    /// The samples of a level of this size, its padding included.
+    pub(super) fn samples([width, height]: [usize; 2], pad: usize) -> usize {
+        let pad = pad.max(LANES);
+        (width + 2 * pad) * (height + 2 * pad)
     }
 
     /// The level smoothed by [1 4 6 4 1]/16 both ways and subsampled by two: the centre of pixel i of
@@ -150,6 +160,11 @@ impl Level {
     pub(super) fn index(&self, x: isize, y: isize) -> usize {
         let at = |v: isize| (v + self.pad as isize) as usize;
         at(y) * self.stride + at(x)
+    }
+
+    /// A row, without the padding.
+    pub fn row(&self, y: usize) -> &[f32] {
+        &self.value[self.index(0, y as isize)..][..self.width]
     }
 
     /// The gradient `(∂/∂x, ∂/∂y)` at a pixel of the image, in values (0..=1) per pixel of this

@@ -32,8 +32,18 @@ pub trait F32x8: Copy {
     /// `self·factor + term`, element-wise. Scalar code rounds the product and the sum, FMA only the
     /// sum.
     fn mul_add(self, factor: Self, term: Self) -> Self;
+    /// `self / other`, element-wise.
+    fn div(self, other: Self) -> Self;
+    /// Square roots.
+    fn sqrt(self) -> Self;
+    /// Element-wise: `then` where `self` is below `other`, and `otherwise` elsewhere.
+    fn if_below(self, other: Self, then: Self, otherwise: Self) -> Self;
     /// Absolute values.
     fn abs(self) -> Self;
+    /// The smaller of the two, element-wise.
+    fn min(self, other: Self) -> Self;
+    /// The larger of the two, element-wise.
+    fn max(self, other: Self) -> Self;
     /// The floor of every value, and its fractional part in 0..1. The values must be below 2²³ in
     /// magnitude.
     fn floor_and_fraction(self) -> ([i32; LANES], Self);
@@ -181,8 +191,34 @@ impl F32x8 for Scalar {
     }
 
     #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        self.zip_map(other, |a, b| a / b)
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        Self(self.0.map(f32::sqrt))
+    }
+
+    #[inline(always)]
+    fn if_below(self, other: Self, then: Self, otherwise: Self) -> Self {
+        let choice = |l: usize| if self.0[l] < other.0[l] { then.0[l] } else { otherwise.0[l] };
+        Self(std::array::from_fn(choice))
+    }
+
+    #[inline(always)]
     fn abs(self) -> Self {
         Self(self.0.map(f32::abs))
+    }
+
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        self.zip_map(other, f32::min)
+    }
+
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        self.zip_map(other, f32::max)
     }
 
     #[inline(always)]
@@ -294,6 +330,34 @@ mod avx2 {
         #[inline(always)]
         fn abs(self) -> Self {
             unsafe { Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0)) }
+        }
+
+        #[inline(always)]
+        fn div(self, other: Self) -> Self {
+            unsafe { Self(_mm256_div_ps(self.0, other.0)) }
+        }
+
+        #[inline(always)]
+        fn sqrt(self) -> Self {
+            unsafe { Self(_mm256_sqrt_ps(self.0)) }
+        }
+
+        #[inline(always)]
+        fn if_below(self, other: Self, then: Self, otherwise: Self) -> Self {
+            unsafe {
+                let below = _mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0);
+                Self(_mm256_blendv_ps(otherwise.0, then.0, below))
+            }
+        }
+
+        #[inline(always)]
+        fn min(self, other: Self) -> Self {
+            unsafe { Self(_mm256_min_ps(self.0, other.0)) }
+        }
+
+        #[inline(always)]
+        fn max(self, other: Self) -> Self {
+            unsafe { Self(_mm256_max_ps(self.0, other.0)) }
         }
 
         #[inline(always)]
