@@ -1,7 +1,7 @@
 //! The growth of time and memory with the capture: pixels, cameras, features and frames; and the
 //! largest captures.
 //!
-//! `cargo bench --bench growth -- [pixels|area|cameras|features|frames|memory|largest]`; all of them
+//! `cargo bench --bench growth -- [pixels|area|cameras|features|frames|memory|prepared|largest]`; all of them
 //! without a word. Times are processor time, to which other processes add little; films are of
 //! [`swing::Swing`]. Tables go to stdout, plots to `target/growth/growth.svg` and `memory.svg`.
 
@@ -128,7 +128,8 @@ fn main() -> Done<()> {
         ("features", features),
         ("frames", frames),
     ];
-    let names: Vec<&str> = parts.iter().map(|p| p.0).chain(["memory", "largest"]).collect();
+    let names: Vec<&str> =
+        parts.iter().map(|p| p.0).chain(["memory", "prepared", "largest"]).collect();
     if let Some(word) = words.iter().find(|w| !names.contains(&w.as_str())) {
         return Err(format!("{word}: is none of {names:?}").into());
     }
@@ -142,6 +143,9 @@ fn main() -> Done<()> {
     }
     if wanted("memory") {
         draw("memory.svg", &[memory::grow(&[100, 300, 1000, 3000])?])?;
+    }
+    if wanted("prepared") {
+        memory::of_prepared(&[100, 300, 1000, 3000])?;
     }
     if wanted("largest") {
         largest::run()?;

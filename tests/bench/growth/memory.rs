@@ -66,6 +66,44 @@ pub fn grow(lengths: &[usize]) -> Done<Chart> {
     })
 }
 
+/// The peaks of preparing a film, and of a view of the prepared one, over these lengths: prints a table.
+pub fn of_prepared(lengths: &[usize]) -> Done<()> {
+    println!("\n320×240, 3 cameras: resident at most [MiB] (wall time [s])");
+    println!("| frames | prepare | bytes on disk [MiB] | render --camera, prepared |");
+    println!("|---|---|---|---|");
+    for &frames in lengths {
+        let swing =
+            Swing { width: 320, height: 240, channels: 3, frames, print: 1.5, ..Swing::default() };
+        let capture = folder(&format!("prepared-{frames}"))?;
+        swing.film(&capture);
+        truth(&swing, &capture)?;
+        let peak = |command| -> Done<String> {
+            let run = peak::run(&mut of(command, &swing, &capture));
+            if !run.status.success() {
+                return Err(format!("stlfr {command} of {frames} frames: {}", run.status).into());
+            }
+            Ok(format!("{:.0} ({:.0})", run.peak_mib, run.seconds))
+        };
+        let prepared = peak("prepare")?;
+        let bytes = size_of(&capture.join(".stlfr"))?;
+        let rendered = peak("render --camera")?;
+        println!("| {frames} | {prepared} | {:.0} | {rendered} |", bytes as f64 / 1048576.0);
+        std::fs::remove_dir_all(&capture)?;
+    }
+    Ok(())
+}
+
+/// The bytes of all files in a folder and those in it.
+fn size_of(folder: &Path) -> Done<u64> {
+    let mut bytes = 0;
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        let kind = entry.file_type()?;
+        bytes += if kind.is_dir() { size_of(&entry.path())? } else { entry.metadata()?.len() };
+    }
+    Ok(bytes)
+}
+
 /// The program with the arguments of a command.
 fn of(command: &str, swing: &Swing, capture: &Path) -> Command {
     let mut stlfr = Command::new(env!("CARGO_BIN_EXE_stlfr"));
@@ -77,7 +115,7 @@ fn of(command: &str, swing: &Swing, capture: &Path) -> Command {
     };
     let like = format!("cam{}", swing.reference());
     match command {
-        "offsets" => stlfr.arg("offsets").arg(capture),
+        "offsets" | "prepare" => stlfr.arg(command).arg(capture),
         "render --like" => {
             let times = times(swing.frames / FRAMES_AN_INSTANT);
             let images = capture.join("out/%d.png");
