@@ -4,7 +4,7 @@ use super::edge_set::edge_set;
 use super::edges::{Feature, real_edges};
 use super::local_motion::Motion;
 use super::morph::morph_warp;
-use super::refine::{Bridge, FourFrames, motion_px, refined};
+use super::refine::{FourFrames, PixelMotion, motion_px, refined};
 use super::triangulation::{delaunay, warp_by};
 use super::warp::{Warp, cross_dissolve_in, warped};
 use super::windows::{cross_fade, difference, largest_around};
@@ -23,9 +23,9 @@ const DISAGREEMENT_PX: f32 = 200.0;
 /// The mean difference of the warped frames, 0..=1, up to which they agree. Larger and smaller: as of
 /// [`DISAGREEMENT_PX`], the other way round.
 const MIN_DISAGREEMENT: f32 = 0.03;
-/// Half the side of the window that the warped frames' difference is averaged over, pixels; a refined image brings its
-/// own. Larger: outlines are not believed
-/// over more of their surroundings; smaller: noise counts.
+/// Half the side of the window that the warped frames' difference is averaged over, pixels; for refined images it is
+/// [`super::RefineOptions::window_radius_px`]. Larger: outlines are not believed over more of their surroundings;
+/// smaller: noise counts.
 const DISAGREEMENT_RADIUS_PX: usize = 2;
 
 /// A camera's image at an instant between its frames.
@@ -68,7 +68,7 @@ pub struct FramePair<'a> {
     /// The tiles of the image that are needed, `None` for all. The others may be made by a cheaper
     /// method, or black.
     pub parts: Option<&'a Tiles>,
-    /// Whether [`Synchronized::bridged_px`] is wanted, which takes as long as a warp.
+    /// Whether [`Synchronized::bridged_px`] is wanted. It takes as long as a warp, but for refined images.
     pub wants_bridged: bool,
 }
 
@@ -131,23 +131,24 @@ impl FramePair<'_> {
         if sync != SyncMethod::Refined {
             let bridged_px = self
                 .wants_bridged
-                .then(|| bridged_px(&bridges(images, warps), images[0], fraction));
+                .then(|| bridged_px(&motions_of(images, warps), images[0], fraction));
             let image = cross_dissolve_in(images, warps, fraction as f32, self.parts);
             return Synchronized { image, bridged_px };
         }
-        // What is bridged counts some pixels around.
-        let parts = self.parts.map(|parts| parts.grown(OUTLINE_PX));
+        // `bridged_px` takes the maximum within OUTLINE_PX.
+        let grown = self.parts.filter(|_| self.wants_bridged).map(|parts| parts.grown(OUTLINE_PX));
         let frames = FourFrames {
             before: self.around[0].map(|f| &f.image),
             earlier: images[0],
             later: images[1],
             after: self.around[1].map(|f| &f.image),
             fraction: fraction as f32,
-            parts: if self.wants_bridged { parts.as_ref() } else { self.parts },
+            parts: grown.as_ref().or(self.parts),
+            with_motions: self.wants_bridged,
         };
         let motions = self.motions(time_s, options.curved);
-        let (image, bridges) = refined(&frames, warps, &motions, &options.refine);
-        let bridged_px = self.wants_bridged.then(|| bridged_px(&bridges, &image, fraction));
+        let (image, motions) = refined(&frames, warps, &motions, &options.refine);
+        let bridged_px = motions.map(|motions| bridged_px(&motions, &image, fraction));
         Synchronized { image, bridged_px }
     }
 
@@ -231,23 +232,23 @@ impl FramePair<'_> {
     }
 }
 
-/// How two warps bridge each pixel, row by row.
-fn bridges(images: [&Image; 2], warps: [&Warp; 2]) -> Vec<Bridge> {
+/// How each pixel moves by two warps, row by row.
+fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Vec<PixelMotion> {
     let (w, h) = (warps[0].width, warps[0].height);
     let apart = difference(&warped(images[0], warps[0], None), &warped(images[1], warps[1], None));
     let apart = box_filter(&apart, w, h, DISAGREEMENT_RADIUS_PX);
-    let bridge = |(motion_px, difference)| Bridge { motion_px, difference };
-    motion_px(warps).into_iter().zip(apart).map(bridge).collect()
+    let pixel_motion = |(motion_px, cost)| PixelMotion { motion_px, cost };
+    motion_px(warps).into_iter().zip(apart).map(pixel_motion).collect()
 }
 
-/// [`Synchronized::bridged_px`] of an image at a fraction of the interval, and the largest around each pixel.
-fn bridged_px(bridges: &[Bridge], image: &Image, fraction: f64) -> Vec<f32> {
+/// [`Synchronized::bridged_px`] of an image at a fraction of the interval: the largest around each pixel.
+fn bridged_px(motions: &[PixelMotion], image: &Image, fraction: f64) -> Vec<f32> {
     let share = (4.0 * fraction * (1.0 - fraction)) as f32;
-    let px = |bridge: &Bridge| {
-        let unknown = DISAGREEMENT_PX * (bridge.difference - MIN_DISAGREEMENT).max(0.0);
-        share * (bridge.motion_px + unknown)
+    let px = |motion: &PixelMotion| {
+        let unknown = DISAGREEMENT_PX * (motion.cost - MIN_DISAGREEMENT).max(0.0);
+        share * (motion.motion_px + unknown)
     };
-    let px: Vec<f32> = bridges.iter().map(px).collect();
+    let px: Vec<f32> = motions.iter().map(px).collect();
     largest_around(&px, image.width(), OUTLINE_PX)
 }
 
@@ -264,7 +265,7 @@ mod tests {
         warps[0].source[at][0] -= 3.0;
         warps[1].source[at][0] += 5.0;
         let flat = Image::filled(w, h, 1, 0.5);
-        let found = bridged_px(&bridges([&flat, &flat], [&warps[0], &warps[1]]), &flat, 0.25);
+        let found = bridged_px(&motions_of([&flat, &flat], [&warps[0], &warps[1]]), &flat, 0.25);
         for (k, px) in found.iter().enumerate() {
             let near = (k % w).abs_diff(15) <= OUTLINE_PX && (k / w).abs_diff(10) <= OUTLINE_PX;
             assert!((px - if near { 6.0 } else { 0.0 }).abs() < 1e-5, "{k}: {px}");
@@ -275,7 +276,7 @@ mod tests {
     fn where_the_frames_disagree_motion_is_unknown() {
         let still = Warp::identity(30, 20);
         let images = [0.2, 0.6].map(|value| Image::filled(30, 20, 1, value));
-        let found = bridged_px(&bridges(images.each_ref(), [&still, &still]), &images[0], 0.5);
+        let found = bridged_px(&motions_of(images.each_ref(), [&still, &still]), &images[0], 0.5);
         assert!(found.iter().all(|px| (px - 200.0 * 0.37).abs() < 1e-3), "{found:?}");
     }
 }

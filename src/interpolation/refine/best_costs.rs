@@ -7,9 +7,9 @@ use crate::raster::{Image, box_filter, sample_all};
 use nalgebra::{Point2, Vector2};
 use std::sync::OnceLock;
 
-/// Side of the cells, pixels, which share their candidate motions. Larger: motions of other surfaces are tried;
-/// smaller: time.
-const CELL: usize = 16;
+/// Minimum side of the cells, pixels, which share their candidate motions; it is at least four times a window's
+/// radius. Larger: motions of other surfaces are tried; smaller: time.
+const MIN_CELL: usize = 16;
 
 /// Per pixel of a frame, the smallest cost of any motion around it: its difference from where the motion leads in
 /// another frame. Where it is small the pixel shows a surface that moves so, and none that moves otherwise.
@@ -19,9 +19,10 @@ pub struct BestCosts<'a> {
     /// The other frames, each with its index in [`Motion::to`].
     others: Vec<(usize, &'a Image)>,
     /// From their positions in the frame.
-    motions: Vec<Motion>,
     candidates: Candidates<'a>,
     radius: usize,
+    /// Side of a cell, pixels.
+    side: usize,
     cells: Vec<OnceLock<Vec<f32>>>,
     across: usize,
 }
@@ -39,15 +40,16 @@ impl<'a> BestCosts<'a> {
             let own = m.to[index];
             Motion { at: m.at + own, to: m.to.map(|to| to - own), ..*m }
         };
-        let motions: Vec<Motion> = motions.iter().map(from_frame).collect();
-        let across = frame.width().div_ceil(CELL);
-        let cells = across * frame.height().div_ceil(CELL);
+        let radius = options.window_radius_px;
+        let side = MIN_CELL.max(4 * radius);
+        let across = frame.width().div_ceil(side);
+        let cells = across * frame.height().div_ceil(side);
         Self {
             frame,
             others: others.into_iter().filter_map(|(k, image)| Some((k, image?))).collect(),
-            candidates: Candidates::new(&motions, options),
-            motions,
-            radius: options.window_radius_px,
+            candidates: Candidates::new(motions.iter().map(from_frame).collect(), options),
+            radius,
+            side,
             cells: (0..cells).map(|_| OnceLock::new()).collect(),
             across,
         }
@@ -57,16 +59,17 @@ impl<'a> BestCosts<'a> {
     pub fn at(&self, x: f32, y: f32) -> f32 {
         let pixel = |v: f32, size: usize| (v.max(0.0) as usize).min(size - 1);
         let (x, y) = (pixel(x, self.frame.width()), pixel(y, self.frame.height()));
-        let cell = self.cells[y / CELL * self.across + x / CELL]
-            .get_or_init(|| self.cell([x / CELL, y / CELL].map(|v| (v * CELL) as f64)));
-        cell[y % CELL * CELL + x % CELL]
+        let side = self.side;
+        let cell = self.cells[y / side * self.across + x / side]
+            .get_or_init(|| self.cell([x / side, y / side].map(|v| (v * side) as f64)));
+        cell[y % side * side + x % side]
     }
 
     /// Costs of the cell whose top-left corner this is, row by row.
     fn cell(&self, corner: [f64; 2]) -> Vec<f32> {
         let (radius, channels) = (self.radius, self.frame.channels());
-        let side = CELL + 2 * radius;
-        let middle = Point2::from(corner.map(|v| v + CELL as f64 / 2.0));
+        let side = self.side + 2 * radius;
+        let middle = Point2::from(corner.map(|v| v + self.side as f64 / 2.0));
         let place = |k: usize| {
             let [x, y] = [k % side, k / side].map(|v| v as f64 + 0.5 - radius as f64);
             Vector2::new(corner[0] + x, corner[1] + y)
@@ -81,12 +84,12 @@ impl<'a> BestCosts<'a> {
             Image::from_data(side, side, channels, patch)
         };
         let own = patch(self.frame, &|_| Vector2::zeros());
-        let mut best = vec![f32::INFINITY; CELL * CELL];
-        for motion in self.candidates.around(&self.motions, &middle) {
+        let mut best = vec![f32::INFINITY; self.side * self.side];
+        for motion in self.candidates.around(&middle) {
             for (index, image) in &self.others {
                 let other = patch(image, &|from| motion.at(*index, from));
                 let costs = box_filter(&difference(&own, &other), side, side, radius);
-                for (row, best) in best.chunks_exact_mut(CELL).enumerate() {
+                for (row, best) in best.chunks_exact_mut(self.side).enumerate() {
                     let costs = &costs[(row + radius) * side + radius..];
                     best.iter_mut().zip(costs).for_each(|(best, cost)| *best = best.min(*cost));
                 }
@@ -134,6 +137,36 @@ mod tests {
         assert!(with_before.at(27.5, 30.5) < 1e-3);
         // Outside, that of the nearest pixel.
         assert!(alone.at(-5.0, 10.5) == alone.at(0.5, 10.5));
+    }
+
+    /// In an image of several cells whose size is no multiple of theirs.
+    #[test]
+    fn costs_equal_direct_ones() {
+        let (w, h) = (41, 37);
+        let value = |k: usize, x_px: f32| {
+            0.5 + 0.4 * (0.7 * ((k % w) as f32 - x_px) + 0.9 * (k / w) as f32).sin()
+        };
+        let of = |x_px| Image::from_data(w, h, 1, (0..w * h).map(|k| value(k, x_px)).collect());
+        let (frame, later) = (of(0.0), of(2.3));
+        let motion = |k: usize| Motion {
+            at: Point2::new(6.0 * (k % 7) as f64 + 2.0, 6.0 * (k / 7) as f64 + 2.0),
+            to: [0.0, 0.0, 3.0, 6.0].map(|x| Vector2::new(x, 0.0)),
+            deformation: Matrix2::identity(),
+        };
+        let motions: Vec<Motion> = (0..49).map(motion).collect();
+        let options = RefineOptions { window_radius_px: 3, ..RefineOptions::default() };
+        let others = [(0, None), (2, Some(&later))];
+        let costs = BestCosts::new((1, &frame), others, &motions, &options);
+        for (x, y) in [(3, 3), (15, 16), (16, 15), (25, 33), (32, 20), (33, 30)] {
+            let offset = |k: usize, size: usize| (k % size) as isize - 3;
+            let difference = |k: usize| {
+                let [x, y] = [x + offset(k, 7), y + offset(k / 7, 7)].map(|v| v as usize);
+                (frame.pixel(x, y)[0] - later.pixel(x + 3, y)[0]).abs()
+            };
+            let direct = (0..49).map(difference).sum::<f32>() / 49.0;
+            let cost = costs.at(x as f32 + 0.5, y as f32 + 0.5);
+            assert!((cost - direct).abs() < 1e-5, "({x}, {y}): {cost} {direct}");
+        }
     }
 
     #[test]

@@ -1,14 +1,14 @@
 //! The refinement of one block of pixels, by the motions of the tracks around it, each under three
 //! hypotheses of visibility.
 
-use super::Bridge;
+use super::PixelMotion;
 use super::best_costs::BestCosts;
 use super::candidates::Candidates;
 use super::four_frames::FourFrames;
 use super::static_block::{average, is_static};
 use crate::interpolation::local_motion::LocalMotion;
 use crate::interpolation::windows::{cross_fade, difference, largest_around};
-use crate::interpolation::{Motion, RefineOptions};
+use crate::interpolation::RefineOptions;
 use crate::raster::{Image, box_filter, sample_all};
 use nalgebra::{Point2, Vector2};
 
@@ -24,16 +24,14 @@ const MIN_DOUBLE_FRACTION: f32 = 1e-3;
 /// underflows.
 const MIN_WEIGHT: f32 = 1e-30;
 
-/// How much it counts against a motion that others explain a frame's pixels better, relative to the cost of the
-/// hypothesis itself. Larger: outlines are eroded; smaller: where two surfaces look alike, pixels of one are taken
+/// Weight of the cost by which another motion explains a frame's pixels better. Larger: outlines are eroded; smaller: where two surfaces look alike, pixels of one are taken
 /// for the other.
-const OTHERS_SHARE: f32 = 2.0;
+const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
 
 /// Refines the blocks of an image.
 pub struct BlockRefiner<'a> {
     pub frames: &'a FourFrames<'a>,
-    pub motions: &'a [Motion],
-    /// The candidates among them.
+    /// The candidate motions.
     pub candidates: Candidates<'a>,
     /// How well motions explain the earlier and the later frame.
     pub best_costs: [BestCosts<'a>; 2],
@@ -55,15 +53,15 @@ pub struct BlockRefiner<'a> {
 /// The weighted sum of a block's hypotheses, per pixel.
 struct WeightedSums {
     colors: Vec<f32>,
-    bridges: Vec<Bridge>,
+    motions: Option<Vec<PixelMotion>>,
     weights: Vec<f32>,
 }
 
 /// A refined block, row by row. Pixels outside the image are black.
 pub struct RefinedBlock {
     pub colors: Vec<f32>,
-    /// `None` where the warped frames agree: theirs hold.
-    pub bridges: Option<Vec<Bridge>>,
+    /// `None` where the warped frames agree, whose motion holds, or nobody asked.
+    pub motions: Option<Vec<PixelMotion>>,
 }
 
 /// A block's square of pixels, part of which may be outside the image.
@@ -111,10 +109,10 @@ impl BlockRefiner<'_> {
         if agree && is_static(&self.outer_costs, self.costs, self.options.outer_slack, indices) {
             let outer_weight = self.frames.outer_weight(self.options);
             let colors = average(self.frames, self.cross_faded, outer_weight, square.pixels());
-            return Some(RefinedBlock { colors, bridges: None });
+            return Some(RefinedBlock { colors, motions: None });
         }
         let center = Point2::new((origin[0] + step) as f64, (origin[1] + step) as f64);
-        let mut candidates = self.candidates.around(self.motions, &center);
+        let mut candidates = self.candidates.around(&center);
         if candidates.is_empty() {
             return None;
         }
@@ -125,7 +123,8 @@ impl BlockRefiner<'_> {
             candidates.iter().map(|c| self.patches(c, origin, !agree)).collect();
         let mut sums = WeightedSums {
             colors: vec![0.0; side * side * self.cross_faded.channels()],
-            bridges: vec![Bridge::default(); side * side],
+            motions: (self.frames.with_motions && !agree)
+                .then(|| vec![PixelMotion::default(); side * side]),
             weights: vec![0.0; side * side],
         };
         self.add_cross_fade(&patches, square, &mut sums);
@@ -134,7 +133,7 @@ impl BlockRefiner<'_> {
                 self.add_motion(motion, patches, square, &mut sums);
             }
         }
-        Some(sums.mean(self.cross_faded.channels(), !agree))
+        Some(sums.mean(self.cross_faded.channels()))
     }
 
     /// Adds the cross-fade as a hypothesis of its own, at the pixels inside the image.
@@ -154,8 +153,8 @@ impl BlockRefiner<'_> {
             if let Some((column, row)) = pixel {
                 let (x, y) = (k % square.side + radius, k / square.side + radius);
                 let motion_px = self.motion_px[row * square.image[0] + column];
-                let bridge = Bridge { motion_px, difference: costs[y * side + x] };
-                sums.add(k, self.weight(bridge.difference), fused.pixel(x, y), bridge);
+                let motion = PixelMotion { motion_px, cost: costs[y * side + x] };
+                sums.add(k, self.weight(motion.cost), fused.pixel(x, y), motion);
             }
         }
     }
@@ -303,19 +302,18 @@ impl BlockRefiner<'_> {
             after.as_ref().map(|after| cost(later, after)),
         ];
         let [others_earlier, others_later] = [0, 1].map(|n| {
-            let seen_twice =
-                |k: usize| only[n].as_ref().map_or(both[k], |only| only[k].min(both[k]));
-            self.better_explained(n, motion, square.origin, seen_twice)
+            let own_cost = |k: usize| only[n].as_ref().map_or(both[k], |only| only[k].min(both[k]));
+            self.better_explained(n, motion, square.origin, own_cost)
         });
         let middle = cross_fade(earlier, later, self.frames.fraction);
         let fused = self.fused(&middle, &[[before.as_ref(), after.as_ref()]], &both);
         let motion_px = (motion.at(2, Vector2::zeros()) - motion.at(1, Vector2::zeros())).norm();
-        let bridge = |difference| Bridge { motion_px: motion_px as f32, difference };
+        let pixel_motion = |cost| PixelMotion { motion_px: motion_px as f32, cost };
         for k in 0..square.side * square.side {
             let (x, y) = (k % square.side + radius, k / square.side + radius);
             let at = y * side + x;
-            let cost = both[at] + OTHERS_SHARE * (others_earlier[at] + others_later[at]);
-            sums.add(k, self.weight(cost), fused.pixel(x, y), bridge(cost));
+            let cost = both[at] + BETTER_EXPLAINED_WEIGHT * (others_earlier[at] + others_later[at]);
+            sums.add(k, self.weight(cost), fused.pixel(x, y), pixel_motion(cost));
             for (costs, others, color, fraction) in [
                 (&only[0], others_earlier[at], earlier.pixel(x, y), 1.0 - self.frames.fraction),
                 (&only[1], others_later[at], later.pixel(x, y), self.frames.fraction),
@@ -324,8 +322,8 @@ impl BlockRefiner<'_> {
                     // What the nearer frame does not show has had little time to appear.
                     let unlikely =
                         self.options.one_frame_cost / (2.0 * fraction).max(MIN_DOUBLE_FRACTION);
-                    let cost = costs[at] + unlikely + OTHERS_SHARE * others;
-                    sums.add(k, self.weight(cost), color, bridge(cost));
+                    let cost = costs[at] + unlikely + BETTER_EXPLAINED_WEIGHT * others;
+                    sums.add(k, self.weight(cost), color, pixel_motion(cost));
                 }
             }
         }
@@ -334,9 +332,11 @@ impl BlockRefiner<'_> {
 
 impl WeightedSums {
     /// Adds a hypothesis at pixel k of the block.
-    fn add(&mut self, k: usize, weight: f32, color: &[f32], bridge: Bridge) {
+    fn add(&mut self, k: usize, weight: f32, color: &[f32], motion: PixelMotion) {
         self.weights[k] += weight;
-        self.bridges[k].add(weight, bridge);
+        if let Some(motions) = &mut self.motions {
+            motions[k].add(weight, motion);
+        }
         let at = k * color.len();
         for (sum, c) in self.colors[at..].iter_mut().zip(color) {
             *sum += weight * c;
@@ -344,15 +344,18 @@ impl WeightedSums {
     }
 
     /// The weighted mean at every pixel; black where nothing was added.
-    fn mean(mut self, channels: usize, with_bridges: bool) -> RefinedBlock {
-        let pixels = self.colors.chunks_exact_mut(channels).zip(&mut self.bridges);
-        for ((color, bridge), &weight) in pixels.zip(&self.weights) {
+    fn mean(mut self, channels: usize) -> RefinedBlock {
+        for (color, &weight) in self.colors.chunks_exact_mut(channels).zip(&self.weights) {
             // Nothing is added outside the image. Inside, the weights are at least MIN_WEIGHT.
             if weight > 0.0 {
                 color.iter_mut().for_each(|c| *c /= weight);
-                *bridge = bridge.times(1.0 / weight);
             }
         }
-        RefinedBlock { colors: self.colors, bridges: with_bridges.then_some(self.bridges) }
+        for (motion, &weight) in self.motions.iter_mut().flatten().zip(&self.weights) {
+            if weight > 0.0 {
+                *motion = motion.times(1.0 / weight);
+            }
+        }
+        RefinedBlock { colors: self.colors, motions: self.motions }
     }
 }

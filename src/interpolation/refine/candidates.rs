@@ -7,6 +7,7 @@ use nalgebra::Point2;
 
 /// Finds the candidate motions around points.
 pub struct Candidates<'a> {
+    motions: Vec<Motion>,
     /// The motions' positions.
     neighbors: Neighbors,
     /// With lengths scaled to the image's size.
@@ -15,13 +16,14 @@ pub struct Candidates<'a> {
 
 impl<'a> Candidates<'a> {
     /// Of these motions.
-    pub fn new(motions: &[Motion], options: &'a RefineOptions) -> Self {
-        Self { neighbors: Neighbors::new(motions.iter().map(|m| m.at)), options }
+    pub fn new(motions: Vec<Motion>, options: &'a RefineOptions) -> Self {
+        Self { neighbors: Neighbors::new(motions.iter().map(|m| m.at)), motions, options }
     }
 
     /// The candidate motions around a point, nearest first: each fitted to tracks that move alike, weighted
-    /// by nearness. `motions` are those that this was made of.
-    pub fn around(&self, motions: &[Motion], center: &Point2<f64>) -> Vec<LocalMotion> {
+    /// by nearness.
+    pub fn around(&self, center: &Point2<f64>) -> Vec<LocalMotion> {
+        let motions = &self.motions;
         let mut near = self.neighbors.within(center, self.options.search_radius_px);
         let distance = |k: usize| (motions[k].at - center).norm();
         near.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));

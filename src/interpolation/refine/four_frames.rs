@@ -18,6 +18,8 @@ pub struct FourFrames<'a> {
     pub fraction: f32,
     /// The tiles of the image that are needed, `None` for all. What is far from them is black.
     pub parts: Option<&'a Tiles>,
+    /// Whether each pixel's [`PixelMotion`](super::PixelMotion) is wanted.
+    pub with_motions: bool,
 }
 
 impl FourFrames<'_> {

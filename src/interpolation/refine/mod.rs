@@ -6,14 +6,14 @@
 //! motions of the tracks around them, each under three hypotheses. Either both frames see the point, and
 //! agree with each other. Or only the earlier does, and agrees with the frame before it. Or only the
 //! later does, and agrees with the frame after it. The nearer the instant is to a frame, the less likely
-//! it is that only the other sees the point. What another motion explains better counts against a hypothesis: two
-//! bodies that look alike, one after the other at a place, agree there without being one. Every pixel is the mean of all hypotheses and of the warped
+//! it is that only the other sees the point. A hypothesis costs more where another motion explains its pixels
+//! better. Otherwise two similar bodies, at one place in successive frames, are matched to each other. Every pixel is the mean of all hypotheses and of the warped
 //! frames' cross-fade, weighted by agreement over a small window. Blocks overlap and fade into each other,
-//! so that their borders do not show. Static blocks are the mean of the four frames. The hypotheses also tell how
-//! far each pixel moves, and how sure that is.
+//! so that their borders do not show. Static blocks are the mean of the four frames. Each pixel's motion and
+//! its cost are the same weighted means.
 //!
-//! Known limits: a surface that none of the four frames shows is not found; one that a single frame shows has no
-//! second to agree with. Outlines are accurate to about two
+//! Known limits: a surface that none of the four frames shows is not found. One that a single frame shows can't
+//! be verified. Outlines are accurate to about two
 //! pixels, because a window of a few pixels decides.
 
 mod best_costs;
@@ -37,24 +37,24 @@ use rayon::prelude::*;
 /// move differently; smaller: more blocks, which costs time.
 const MIN_STEP: usize = 8;
 
-/// How a pixel was bridged in time.
+/// How a pixel moves, by the hypotheses that it is the mean of.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Bridge {
-    /// Its motion between the earlier and the later frame, pixels.
+pub struct PixelMotion {
+    /// Between the earlier and the later frame, pixels.
     pub motion_px: f32,
-    /// How much the frames disagree about it: their mean difference over a window, 0..=1, and what counts
-    /// against the motion besides.
-    pub difference: f32,
+    /// The hypotheses' cost: the mean difference of the frames over a window, 0..=1, and what counts against a
+    /// hypothesis besides. 0 if the frames agree.
+    pub cost: f32,
 }
 
-impl Bridge {
+impl PixelMotion {
     fn times(self, weight: f32) -> Self {
-        Self { motion_px: weight * self.motion_px, difference: weight * self.difference }
+        Self { motion_px: weight * self.motion_px, cost: weight * self.cost }
     }
 
     fn add(&mut self, weight: f32, other: Self) {
         self.motion_px += weight * other.motion_px;
-        self.difference += weight * other.difference;
+        self.cost += weight * other.cost;
     }
 }
 
@@ -63,13 +63,13 @@ impl Bridge {
 ///
 /// `warps` take the earlier and the later frame to the instant; they have the frames' size. `motions` are those
 /// of the tracks at the instant. Without motions, only static blocks are averaged. Beside the image, how each
-/// pixel was bridged, row by row.
+/// pixel moves, row by row, if that is wanted.
 pub fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
     motions: &[Motion],
     options: &RefineOptions,
-) -> (Image, Vec<Bridge>) {
+) -> (Image, Option<Vec<PixelMotion>>) {
     let (w, h) = (frames.earlier.width(), frames.earlier.height());
     let options = &scaled(options, w.max(h));
     let step = MIN_STEP.max(2 * options.window_radius_px);
@@ -101,8 +101,7 @@ pub fn refined(
     ];
     let refiner = BlockRefiner {
         frames,
-        motions,
-        candidates: Candidates::new(motions, options),
+        candidates: Candidates::new(motions.to_vec(), options),
         best_costs,
         cross_faded: &cross_faded,
         costs: &costs,
@@ -118,9 +117,12 @@ pub fn refined(
         .map(|k| refiner.refine((k % blocks_x) as isize, (k / blocks_x) as isize))
         .collect();
 
-    let bridge = |(&motion_px, difference)| Bridge { motion_px, difference };
-    let bridges: Vec<Bridge> = motion_px.iter().zip(costs).map(bridge).collect();
-    (blended(&cross_faded, &blocks, step), blended_bridges(bridges, w, &blocks, step))
+    let pixel_motion = |(&motion_px, cost)| PixelMotion { motion_px, cost };
+    let motions = frames.with_motions.then(|| {
+        let motions = motion_px.iter().zip(costs).map(pixel_motion).collect();
+        blended_motions(motions, w, &blocks, step)
+    });
+    (blended(&cross_faded, &blocks, step), motions)
 }
 
 /// The distance of the places that each pixel comes from in the two frames, row by row.
@@ -153,24 +155,24 @@ fn blended(cross_faded: &Image, blocks: &[Option<RefinedBlock>], step: usize) ->
     Image::from_data(w, h, channels, data)
 }
 
-/// The same of how pixels were bridged, in an image that is `w` wide; `bridges` are those of the warped frames.
-fn blended_bridges(
-    mut bridges: Vec<Bridge>,
+/// The same of how pixels move, in an image that is `w` wide; `motions` are those of the warped frames.
+fn blended_motions(
+    mut motions: Vec<PixelMotion>,
     w: usize,
     blocks: &[Option<RefinedBlock>],
     step: usize,
-) -> Vec<Bridge> {
-    bridges.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
+) -> Vec<PixelMotion> {
+    motions.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
         for (x, out) in row.iter_mut().enumerate() {
-            let mut sum = Bridge::default();
+            let mut sum = PixelMotion::default();
             for (block, within, weight) in covering(x, y, w, step) {
-                let block = blocks[block].as_ref().and_then(|block| block.bridges.as_deref());
-                sum.add(weight, block.map_or(*out, |bridges| bridges[within]));
+                let block = blocks[block].as_ref().and_then(|block| block.motions.as_deref());
+                sum.add(weight, block.map_or(*out, |motions| motions[within]));
             }
             *out = sum;
         }
     });
-    bridges
+    motions
 }
 
 /// The options with their lengths scaled to an image whose longer side is `size_px`.
@@ -252,7 +254,16 @@ mod tests {
     fn around(frames: &[Image; 4], fraction: f32) -> FourFrames<'_> {
         let [before, earlier, later, after] = frames;
         let parts = None;
-        FourFrames { before: Some(before), earlier, later, after: Some(after), fraction, parts }
+        let with_motions = true;
+        FourFrames {
+            before: Some(before),
+            earlier,
+            later,
+            after: Some(after),
+            fraction,
+            parts,
+            with_motions,
+        }
     }
 
     fn psnr(image: &Image, truth: &Image) -> f64 {
@@ -336,20 +347,22 @@ mod tests {
     }
 
     #[test]
-    fn motion_and_disagreement_are_known_where_motions_are() {
+    fn pixels_move_as_their_tracks_and_cost_more_without() {
         let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
         let (four, still) = (around(&frames, 0.5), Warp::identity(W, H));
         let options = RefineOptions::default();
         let (_, followed) = refined(&four, [&still, &still], &motions(), &options);
         let (_, lost) = refined(&four, [&still, &still], &at_rest(), &options);
-        let at = |bridges: &[Bridge], x: usize, y: usize| bridges[y * W + x];
+        let at = |motions: &Option<Vec<PixelMotion>>, x: usize, y: usize| {
+            motions.as_ref().unwrap()[y * W + x]
+        };
         for (x, y) in [(40, 25), (48, 32), (55, 38)] {
             let (followed, lost) = (at(&followed, x, y), at(&lost, x, y));
             assert!((followed.motion_px - 6.0).abs() < 0.5, "{followed:?}");
-            assert!(followed.difference < 0.02, "{followed:?}");
-            assert!(lost.motion_px < 0.5 && lost.difference > 0.05, "{lost:?}");
+            assert!(followed.cost < 0.02, "{followed:?}");
+            assert!(lost.motion_px < 0.5 && lost.cost > 0.05, "{lost:?}");
         }
-        assert!(at(&followed, 5, 5) == Bridge::default(), "{:?}", at(&followed, 5, 5));
+        assert!(at(&followed, 5, 5) == PixelMotion::default(), "{:?}", at(&followed, 5, 5));
     }
 
     /// Frames are averaged along the trajectory, or in place where the difference is small.
@@ -402,9 +415,16 @@ mod tests {
     #[test]
     fn where_the_frames_agree_nothing_changes() {
         let frame = scene(0.0);
-        let (before, after, parts) = (None, None, None);
-        let four =
-            FourFrames { before, earlier: &frame, later: &frame, after, fraction: 0.3, parts };
+        let (before, after, parts, with_motions) = (None, None, None, false);
+        let four = FourFrames {
+            before,
+            earlier: &frame,
+            later: &frame,
+            after,
+            fraction: 0.3,
+            parts,
+            with_motions,
+        };
         let still = Warp::identity(W, H);
         let (result, _) = refined(&four, [&still, &still], &motions(), &RefineOptions::default());
         let worst = (result.data().iter().zip(frame.data())).map(|(a, b)| (a - b).abs());
@@ -445,14 +465,18 @@ mod tests {
         let still = Warp::identity(W, H);
         let of = |parts: Option<&Tiles>| {
             let four = FourFrames { parts, ..around(&frames, 0.5) };
-            refined(&four, [&still, &still], &motions(), &RefineOptions::default()).0
+            refined(&four, [&still, &still], &motions(), &RefineOptions::default())
         };
-        let whole = of(None);
+        let (whole, motions_of_whole) = of(None);
         let mut parts = Tiles::none(W, H);
         parts.mark_sample(29.0, 20.0);
         parts.mark_sample(70.0, 46.0);
-        let some = of(Some(&parts));
-        let same = |k: usize| some.data()[k] == whole.data()[k];
+        let (some, motions_of_some) = of(Some(&parts));
+        let [motions_of_whole, motions_of_some] =
+            [motions_of_whole, motions_of_some].map(Option::unwrap);
+        let same = |k: usize| {
+            some.data()[k] == whole.data()[k] && motions_of_some[k] == motions_of_whole[k]
+        };
         let needed = |k: usize| parts.touches([(k % W) as isize, (k / W) as isize], 1);
         assert!((0..W * H).filter(|k| needed(*k)).all(same));
         assert!(!(0..W * H).all(same));
@@ -469,6 +493,7 @@ mod tests {
                 after: Some(&b),
                 fraction: 0.5,
                 parts: None,
+                with_motions: true,
             };
             let still = Warp::identity(w, h);
             let (result, _) =
