@@ -20,6 +20,9 @@ const OUTLINE_PX: usize = 4;
 /// motion was not found. Larger: frames near in time replace others where only highlights change; smaller: what
 /// was not followed is believed.
 const DISAGREEMENT_PX: f32 = 200.0;
+/// Weight of the change of a motion beside the motion: a body that turns or bounces between two frames leaves the
+/// path through its places in them. Larger: other cameras replace what turns slowly; smaller: a bounce is believed.
+const CHANGE_WEIGHT: f32 = 4.0;
 /// The mean difference of the warped frames, 0..=1, up to which they agree. Larger and smaller: as of
 /// [`DISAGREEMENT_PX`], the other way round.
 const MIN_DISAGREEMENT: f32 = 0.03;
@@ -33,8 +36,8 @@ const DISAGREEMENT_RADIUS_PX: usize = 2;
 pub struct Synchronized {
     /// The image.
     pub image: Image,
-    /// How far each pixel was bridged, pixels, row by row: its motion between the two frames, and more
-    /// where the frames disagree about it, times 4s(1 − s) with s the instant's place between them.
+    /// How far each pixel was bridged, pixels, row by row: its motion between the two frames, and more where it
+    /// changes or the frames disagree about it, times 4s(1 − s) with s the instant's place between them.
     /// Interpolation's error grows with it; it is 0 at a frame. `None` where nothing was interpolated, or
     /// nobody asked.
     pub bridged_px: Option<Vec<f32>>,
@@ -237,7 +240,7 @@ fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Vec<PixelMotion> {
     let (w, h) = (warps[0].width, warps[0].height);
     let apart = difference(&warped(images[0], warps[0], None), &warped(images[1], warps[1], None));
     let apart = box_filter(&apart, w, h, DISAGREEMENT_RADIUS_PX);
-    let pixel_motion = |(motion_px, cost)| PixelMotion { motion_px, cost };
+    let pixel_motion = |(motion_px, cost)| PixelMotion { motion_px, change_px: 0.0, cost };
     motion_px(warps).into_iter().zip(apart).map(pixel_motion).collect()
 }
 
@@ -246,7 +249,7 @@ fn bridged_px(motions: &[PixelMotion], image: &Image, fraction: f64) -> Vec<f32>
     let share = (4.0 * fraction * (1.0 - fraction)) as f32;
     let px = |motion: &PixelMotion| {
         let unknown = DISAGREEMENT_PX * (motion.cost - MIN_DISAGREEMENT).max(0.0);
-        share * (motion.motion_px + unknown)
+        share * (motion.motion_px + CHANGE_WEIGHT * motion.change_px + unknown)
     };
     let px: Vec<f32> = motions.iter().map(px).collect();
     largest_around(&px, image.width(), OUTLINE_PX)

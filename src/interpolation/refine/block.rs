@@ -6,9 +6,9 @@ use super::best_costs::BestCosts;
 use super::candidates::Candidates;
 use super::four_frames::FourFrames;
 use super::static_block::{average, is_static};
+use crate::interpolation::RefineOptions;
 use crate::interpolation::local_motion::LocalMotion;
 use crate::interpolation::windows::{cross_fade, difference, largest_around};
-use crate::interpolation::RefineOptions;
 use crate::raster::{Image, box_filter, sample_all};
 use nalgebra::{Point2, Vector2};
 
@@ -27,6 +27,11 @@ const MIN_WEIGHT: f32 = 1e-30;
 /// Weight of the cost by which another motion explains a frame's pixels better. Larger: outlines are eroded; smaller: where two surfaces look alike, pixels of one are taken
 /// for the other.
 const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
+
+/// Motion, pixels per frame, up to which a surface is at rest. That frames agree at rest does not tell that nothing
+/// moves: what passes between them leaves no trace. Larger: slow motion is not believed; smaller: errors of tracks
+/// count as motion.
+const AT_REST_PX: f32 = 1.0;
 
 /// Refines the blocks of an image.
 pub struct BlockRefiner<'a> {
@@ -77,14 +82,16 @@ struct Square {
 impl Square {
     /// The pixels row by row, `None` for those outside the image.
     fn pixels(self) -> impl Iterator<Item = Option<(usize, usize)>> {
-        let [w, h] = self.image;
-        let inside =
-            move |x: isize, y: isize| x >= 0 && y >= 0 && (x as usize) < w && (y as usize) < h;
-        (0..self.side * self.side).map(move |k| {
-            let x = self.origin[0] + (k % self.side) as isize;
-            let y = self.origin[1] + (k / self.side) as isize;
-            inside(x, y).then_some((x as usize, y as usize))
-        })
+        (0..self.side * self.side).map(move |k| self.pixel(k))
+    }
+
+    /// Pixel k, row by row, `None` outside the image.
+    fn pixel(self, k: usize) -> Option<(usize, usize)> {
+        let at = |n: usize, k: usize| {
+            let at = usize::try_from(self.origin[n] + k as isize).ok()?;
+            (at < self.image[n]).then_some(at)
+        };
+        Some((at(0, k % self.side)?, at(1, k / self.side)?))
     }
 }
 
@@ -153,7 +160,7 @@ impl BlockRefiner<'_> {
             if let Some((column, row)) = pixel {
                 let (x, y) = (k % square.side + radius, k / square.side + radius);
                 let motion_px = self.motion_px[row * square.image[0] + column];
-                let motion = PixelMotion { motion_px, cost: costs[y * side + x] };
+                let motion = PixelMotion { motion_px, change_px: 0.0, cost: costs[y * side + x] };
                 sums.add(k, self.weight(motion.cost), fused.pixel(x, y), motion);
             }
         }
@@ -307,13 +314,29 @@ impl BlockRefiner<'_> {
         });
         let middle = cross_fade(earlier, later, self.frames.fraction);
         let fused = self.fused(&middle, &[[before.as_ref(), after.as_ref()]], &both);
-        let motion_px = (motion.at(2, Vector2::zeros()) - motion.at(1, Vector2::zeros())).norm();
-        let pixel_motion = |cost| PixelMotion { motion_px: motion_px as f32, cost };
+        let steps =
+            [0, 1, 2].map(|n| motion.at(n + 1, Vector2::zeros()) - motion.at(n, Vector2::zeros()));
+        let change_px = |exists: bool, n: usize| {
+            if exists { (steps[n + 1] - steps[n]).norm() as f32 } else { 0.0 }
+        };
+        let moves = PixelMotion {
+            motion_px: steps[1].norm() as f32,
+            change_px: change_px(before.is_some(), 0).max(change_px(after.is_some(), 1)),
+            cost: 0.0,
+        };
+        let pixel_motion = |k: usize, cost: f32| {
+            let at_rest = moves.motion_px < AT_REST_PX;
+            let warped = square
+                .pixel(k)
+                .filter(|_| at_rest)
+                .map(|(x, y)| self.costs[y * square.image[0] + x]);
+            PixelMotion { cost: warped.map_or(cost, |warped| warped.max(cost)), ..moves }
+        };
         for k in 0..square.side * square.side {
             let (x, y) = (k % square.side + radius, k / square.side + radius);
             let at = y * side + x;
             let cost = both[at] + BETTER_EXPLAINED_WEIGHT * (others_earlier[at] + others_later[at]);
-            sums.add(k, self.weight(cost), fused.pixel(x, y), pixel_motion(cost));
+            sums.add(k, self.weight(cost), fused.pixel(x, y), pixel_motion(k, cost));
             for (costs, others, color, fraction) in [
                 (&only[0], others_earlier[at], earlier.pixel(x, y), 1.0 - self.frames.fraction),
                 (&only[1], others_later[at], later.pixel(x, y), self.frames.fraction),
@@ -323,7 +346,7 @@ impl BlockRefiner<'_> {
                     let unlikely =
                         self.options.one_frame_cost / (2.0 * fraction).max(MIN_DOUBLE_FRACTION);
                     let cost = costs[at] + unlikely + BETTER_EXPLAINED_WEIGHT * others;
-                    sums.add(k, self.weight(cost), color, pixel_motion(cost));
+                    sums.add(k, self.weight(cost), color, pixel_motion(k, cost));
                 }
             }
         }

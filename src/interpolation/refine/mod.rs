@@ -42,18 +42,23 @@ const MIN_STEP: usize = 8;
 pub struct PixelMotion {
     /// Between the earlier and the later frame, pixels.
     pub motion_px: f32,
+    /// The change of the motion from one frame to the next, pixels per frame: the larger of those at the two
+    /// frames. 0 where it is not known.
+    pub change_px: f32,
     /// The hypotheses' cost: the mean difference of the frames over a window, 0..=1, and what counts against a
-    /// hypothesis besides. 0 if the frames agree.
+    /// hypothesis besides; at rest at least the warped frames' difference. 0 if the frames agree.
     pub cost: f32,
 }
 
 impl PixelMotion {
     fn times(self, weight: f32) -> Self {
-        Self { motion_px: weight * self.motion_px, cost: weight * self.cost }
+        let Self { motion_px, change_px, cost } = self;
+        Self { motion_px: weight * motion_px, change_px: weight * change_px, cost: weight * cost }
     }
 
     fn add(&mut self, weight: f32, other: Self) {
         self.motion_px += weight * other.motion_px;
+        self.change_px += weight * other.change_px;
         self.cost += weight * other.cost;
     }
 }
@@ -117,7 +122,7 @@ pub fn refined(
         .map(|k| refiner.refine((k % blocks_x) as isize, (k / blocks_x) as isize))
         .collect();
 
-    let pixel_motion = |(&motion_px, cost)| PixelMotion { motion_px, cost };
+    let pixel_motion = |(&motion_px, cost)| PixelMotion { motion_px, change_px: 0.0, cost };
     let motions = frames.with_motions.then(|| {
         let motions = motion_px.iter().zip(costs).map(pixel_motion).collect();
         blended_motions(motions, w, &blocks, step)
