@@ -439,7 +439,9 @@ mod tests {
         });
         let triples: Vec<_> = triples.collect();
         let count = AtomicUsize::new(0);
-        let computed = || drop(count.fetch_add(1, Ordering::Relaxed));
+        let computed = || {
+            count.fetch_add(1, Ordering::Relaxed);
+        };
         // Two threads may decode the same frame at once.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         for _ in 0..2 {
