@@ -228,6 +228,7 @@ fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::camera::CameraModel;
     use crate::offset::tests::camera;
     use crate::registration::FlowDirection;
     use nalgebra::{Isometry3, Matrix2, Point3};
@@ -272,10 +273,19 @@ mod tests {
 
     #[test]
     fn what_cannot_cross_has_no_candidate_from_any_side() {
-        let middle = camera(0.0);
+        for k in [0.0, -0.2, 0.2] {
+            let counts =
+                crossing_counts(CameraModel::SimpleRadial { f: 686.0, cx: 320.0, cy: 240.0, k });
+            assert!(counts[0] > 150 && counts[1] > 100, "{k}: {counts:?}");
+        }
+    }
+
+    /// How many features of several speeds don't cross, and how many do, far from the image's middle.
+    fn crossing_counts(model: CameraModel) -> [usize; 2] {
+        let middle = Camera { model, ..camera(0.0) };
         let turned = |angle: f64| Camera {
             cam_from_world: Isometry3::translation(-0.06 * angle.cos(), -0.06 * angle.sin(), 0.0),
-            ..camera(0.0)
+            ..middle.clone()
         };
         let mut counts = [0; 2];
         for n in 0..400 {
@@ -286,7 +296,7 @@ mod tests {
             let jump = if n % 7.0 == 0.0 { 9.0 } else { 0.0 };
             let at = |t: f64| {
                 let away = speed * t + if t > 1.5 { jump } else { 0.0 };
-                Point2::new(300.0 + away * cos, 200.0 + away * sin)
+                Point2::new(60.0 + away * cos, 420.0 + away * sin)
             };
             let track = track(at);
             let other = turned(angle + std::f64::consts::FRAC_PI_2);
@@ -302,7 +312,7 @@ mod tests {
             assert!(frames.can_cross(&track) || !crosses, "{n}");
             counts[usize::from(crosses)] += 1;
         }
-        assert!(counts[0] > 200 && counts[1] > 100, "{counts:?}");
+        counts
     }
 
     #[test]

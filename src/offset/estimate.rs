@@ -24,8 +24,8 @@ pub struct Estimate {
 
 /// Estimates the offsets of all cameras of the store's capture from its images (§7).
 ///
-/// The stages: rough alignment, lost frames where the capture allows for them, tracking, pairs, and
-/// all clocks together. A camera whose offset is not determined has none, and a reason. Nothing is
+/// The stages: rough alignment, lost frames where the capture allows for them, pairs with their tracks
+/// and candidates, and all clocks together. A camera whose offset is not determined has none, and a reason. Nothing is
 /// read if all cameras share one clock. The error is that of a frame that cannot be read.
 pub fn estimate(
     frames: &FrameStore,

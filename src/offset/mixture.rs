@@ -60,6 +60,8 @@ pub struct ResidualModel {
 /// structures many times. Larger factors explain outliers as inliers; smaller ones let the worst
 /// inliers set the common scale, at the weight of good ones.
 const SCALES: [f64; 3] = [1.0, SCALE_RATIO, SCALE_RATIO * SCALE_RATIO];
+/// Ratio of successive scales; its square is an integer, which `gaussians` uses as an exponent. Larger
+/// leaves gaps between the components; smaller covers fewer errors.
 const SCALE_RATIO: f64 = 4.0;
 /// The initial fractions of the three components and of the outliers. More outliers reject inliers of
 /// noisy recordings at the start; fewer let outliers widen the first scale.

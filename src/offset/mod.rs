@@ -29,7 +29,8 @@
 //! | `lost_frames` | the observation of lost frames |
 //! | `clock_models` | their joint fit: block-coordinate descent and dynamic programming |
 //! | `pair`, `pair_fit` | one pair: the choice of triples; offset, rate and standard error |
-//! | `rounds` | all pairs: choice and fit in turn, and the order in which frames are read |
+//! | `rounds` | all pairs: choice and fit in turn |
+//! | `time_order` | the order in which candidates are computed and frames are read |
 //! | `consensus` | RANSAC and WLS |
 //! | `mixture` | maximum likelihood under the mixture model |
 //! | `uncertainty` | cluster-robust standard errors |
@@ -71,6 +72,7 @@ mod plot;
 mod recording;
 mod rounds;
 mod store;
+mod time_order;
 mod timeline;
 mod uncertainty;
 mod zhou_tao;

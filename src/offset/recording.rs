@@ -161,6 +161,11 @@ impl<'a> Recording<'a> {
         Ok(triple)
     }
 
+    /// Whether the candidates of these frames are cached. They count as used.
+    pub fn has_triple(&self, cameras: [usize; 2], frames: [usize; 2]) -> bool {
+        self.triples.get(&(cameras, frames)).is_some()
+    }
+
     /// Drops the cached candidates of a pair, in both directions: those of a large array take
     /// hundreds of megabytes.
     pub fn release_pair(&self, [a, b]: [usize; 2]) {

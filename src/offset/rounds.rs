@@ -1,36 +1,37 @@
 //! All pairs: rounds of choosing frame triples by the estimates and estimating from them.
 //!
-//! The candidates of a round are computed in order of time, those of all pairs together: pairs share
-//! cameras, and a frame that is read for one pair is still cached for the others. Large rigs are split
-//! into groups of pairs whose frames fit the cache. Results depend on neither order nor groups.
+//! The candidates of a round are computed for all pairs of a group together. Large rigs are split into
+//! groups of pairs whose frames fit the cache. Results do not depend on the groups.
 //!
-//! The first round of a longer recording is of its middle alone. It tells which frame of camera j lies
-//! between two of camera i, which the nominal clocks get wrong for about every other triple.
+//! The first round of a longer recording has the triples of its middle alone. Its estimate tells which
+//! frame of camera j lies between two of camera i, which the nominal clocks get wrong for about every
+//! other triple.
 
 use super::pair::{
     InitialOffset, PairEstimate, PairFailure, PairTriples, TripleFrames, choose_triples,
 };
 use super::pair_fit::fit_pair;
 use super::recording::{MAX_CACHED_SAMPLES, Recording};
+use super::time_order::{FRAMES_AT_ONCE, compute_triples};
 use crate::capture::CaptureError;
-use crate::progress::{Reporter, Task};
+use crate::progress::Reporter;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// The maximum number of rounds. Larger costs time where the choice alternates; smaller may end on
-/// triples that the estimate no longer implies.
+/// Maximum number of rounds of all triples from one initial offset. Larger costs time where the choice
+/// alternates; smaller may end on triples that the estimate no longer implies.
 const MAX_ROUNDS: usize = 5;
 /// The triples of either direction that the first round has. Larger costs time; smaller has no estimate
 /// more often, which costs a round of all triples.
 const FIRST_TRIPLES: usize = 4;
-/// The frames of a camera that are in use at an instant: two of a track, and one before and one after.
-const FRAMES_AT_ONCE: usize = 4;
 
 /// One pair (i, j) between two rounds, from both directions: camera i's tracks against camera j's
 /// frames, and the reverse.
 pub struct PairRounds {
     cameras: [usize; 2],
-    start: InitialOffset,
+    /// The offset to about a frame; `None` for a pair that has none.
+    start: Option<InitialOffset>,
     initial: InitialOffset,
     with_rate: bool,
     stage: Stage,
@@ -60,11 +61,10 @@ impl PairRounds {
         start: Result<InitialOffset, PairFailure>,
         with_rate: bool,
     ) -> Self {
-        let initial = start.unwrap_or_default();
         Self {
             cameras,
-            start: initial,
-            initial,
+            start: start.ok(),
+            initial: start.unwrap_or_default(),
             with_rate,
             stage: if start.is_ok() { Stage::Middle } else { Stage::Finished },
             rounds: MAX_ROUNDS,
@@ -97,16 +97,17 @@ impl PairRounds {
 
     /// Estimates from the chosen triples.
     fn fit(&mut self, recording: &Recording) -> Result<(), CaptureError> {
-        if self.stage == Stage::Finished {
+        let Some(start) = self.start.filter(|_| self.stage != Stage::Finished) else {
             return Ok(());
-        }
+        };
         let triples = PairTriples::new(recording, self.cameras, self.frames.clone())?;
         if self.stage == Stage::Middle {
             let estimate = fit_pair(recording, &triples, &self.initial, false);
             self.stage = Stage::FromStart;
-            if let Some(pair) = estimate.ok().filter(|pair| self.is_near_start(recording, pair)) {
+            if let Some(pair) = estimate.ok().filter(|pair| is_near(recording, &start, pair)) {
                 self.stage = Stage::FromMiddle;
-                self.initial = InitialOffset::constant(pair.offset_s);
+                let (value_s, center_s) = (pair.offset_s, pair.center_s);
+                self.initial = InitialOffset { value_s, center_s, ..start };
             }
             return Ok(());
         }
@@ -118,7 +119,7 @@ impl PairRounds {
             }
             // The middle may have been wrong.
             Err(_) if self.stage == Stage::FromMiddle => {
-                (self.stage, self.initial) = (Stage::FromStart, self.start);
+                (self.stage, self.initial) = (Stage::FromStart, start);
                 (self.rounds, self.frames) = (MAX_ROUNDS, Vec::new());
             }
             Err(_) => self.stage = Stage::Finished,
@@ -126,15 +127,23 @@ impl PairRounds {
         Ok(())
     }
 
-    /// Whether an estimate is certain, and within the frame that the start may be off by.
-    fn is_near_start(&self, recording: &Recording, pair: &PairEstimate) -> bool {
-        let [i, j] = self.cameras.map(|c| recording.timelines.frame_s(c));
-        pair.std_err_s <= recording.options.max_std_err_frames * i.min(j)
-            && (pair.offset_s - self.start.value_s).abs() <= i.max(j)
+    /// The number of triples of one round of all triples, without the corrections of later rounds.
+    fn expected_triples(&self, recording: &Recording) -> usize {
+        let max_frames = recording.options.max_frames;
+        let of = |c: usize| (recording.timelines.times_s[c].len() - 1).min(max_frames);
+        self.start.map_or(0, |_| self.cameras.map(of).iter().sum())
     }
 }
 
-/// Those in the middle of each direction's triples; `None` where that would be most of them.
+/// Whether an estimate is certain, and within the frame that the start may be off by.
+fn is_near(recording: &Recording, start: &InitialOffset, pair: &PairEstimate) -> bool {
+    let [i, j] = pair.cameras.map(|c| recording.timelines.frame_s(c));
+    pair.std_err_s <= recording.options.max_std_err_frames * i.min(j)
+        && (pair.offset_s - start.at(pair.center_s)).abs() <= i.max(j)
+}
+
+/// Those in the middle of each direction's triples. `None` if a direction has at most 2·FIRST_TRIPLES
+/// triples.
 fn middle(frames: &[TripleFrames], i: usize) -> Option<Vec<TripleFrames>> {
     let (forward, backward) = frames.split_at(frames.partition_point(|([a, _], _)| *a == i));
     let mut chosen = Vec::new();
@@ -155,10 +164,23 @@ pub fn estimate_pairs(
     mut pairs: Vec<PairRounds>,
     reporter: &Reporter,
 ) -> Result<Vec<Result<PairEstimate, PairFailure>>, CaptureError> {
+    let expected = |pairs: &[PairRounds]| -> usize {
+        pairs.iter().map(|pair| pair.expected_triples(recording)).sum()
+    };
+    // All pairs of a group end at about the same time, so that only triples tell the time left.
+    let task = reporter.task("Offsets", expected(&pairs));
+    let mut done = 0;
     let mut rest = &mut pairs[..];
     while !rest.is_empty() {
         let (group, others) = rest.split_at_mut(group_size(recording, rest));
         rest = others;
+        let in_group = expected(group);
+        let count = AtomicUsize::new(0);
+        let computed = || {
+            if count.fetch_add(1, Ordering::Relaxed) < in_group {
+                task.advance(1);
+            }
+        };
         loop {
             group.iter_mut().for_each(|pair| pair.choose(recording));
             let active = group.iter().filter(|pair| pair.stage != Stage::Finished);
@@ -166,80 +188,54 @@ pub fn estimate_pairs(
             if triples.is_empty() {
                 break;
             }
-            let task = reporter.task("Offsets", triples.len());
-            compute_triples(recording, triples, &clocks_s(recording, group), &task)?;
+            let clocks_s = clocks_s(recording.timelines.times_s.len(), group);
+            compute_triples(recording, triples, &clocks_s, &computed)?;
             group.par_iter_mut().try_for_each(|pair| pair.fit(recording))?;
         }
         group.iter().for_each(|pair| recording.release_pair(pair.cameras));
+        done += in_group;
+        task.set(done);
     }
     Ok(pairs.into_iter().map(|pair| pair.estimate).collect())
 }
 
-/// The number of the first pairs whose frames at an instant fit the frames' cache, and whose candidates
-/// of two rounds that of the candidates; at least one.
+/// The number of leading pairs whose frames at an instant fit the frame cache, and whose candidates of
+/// two rounds fit the candidate cache; at least 1.
 fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     let options = recording.options;
-    let samples = 4 * options.max_frames.saturating_mul(options.max_features);
+    // Two directions, two rounds.
+    let samples = options.max_frames.saturating_mul(options.max_features).saturating_mul(4);
     let max_pairs = (MAX_CACHED_SAMPLES / samples.max(1)).clamp(1, pairs.len());
     let mut cameras = BTreeSet::new();
     let fits = |pair: &&PairRounds| {
         cameras.extend(pair.cameras);
-        recording.frames.holds(cameras.iter().copied(), FRAMES_AT_ONCE)
+        recording.frames.fits(cameras.iter().copied(), FRAMES_AT_ONCE)
     };
     pairs[..max_pairs].iter().take_while(fits).count().max(1)
 }
 
-/// Each camera's clock relative to one of the group's, as far as pairs connect them, seconds.
-fn clocks_s(recording: &Recording, group: &[PairRounds]) -> Vec<f64> {
-    let mut clocks_s: Vec<Option<f64>> = vec![None; recording.timelines.times_s.len()];
-    clocks_s[group[0].cameras[0]] = Some(0.0);
-    for _ in 0..group.len() {
-        for pair in group {
-            let ([i, j], offset_s) = (pair.cameras, pair.initial.value_s);
-            match [i, j].map(|c| clocks_s[c]) {
-                [Some(known), None] => clocks_s[j] = Some(known + offset_s),
-                [None, Some(known)] => clocks_s[i] = Some(known - offset_s),
-                _ => {}
+/// By camera: its clock's offset relative to that of another camera of the group, as far as pairs
+/// with an initial offset connect them, seconds. 0 for all others.
+fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
+    let connected: Vec<_> = group.iter().filter(|pair| pair.start.is_some()).collect();
+    let mut clocks_s: Vec<Option<f64>> = vec![None; cameras];
+    for root in connected.iter().map(|pair| pair.cameras[0]) {
+        clocks_s[root].get_or_insert(0.0);
+        let mut changed = true;
+        while changed {
+            changed = false;
+            for pair in &connected {
+                let ([i, j], offset_s) = (pair.cameras, pair.initial.value_s);
+                match [i, j].map(|c| clocks_s[c]) {
+                    [Some(known), None] => clocks_s[j] = Some(known + offset_s),
+                    [None, Some(known)] => clocks_s[i] = Some(known - offset_s),
+                    _ => continue,
+                }
+                changed = true;
             }
         }
     }
     clocks_s.into_iter().map(Option::unwrap_or_default).collect()
-}
-
-/// Computes the candidates of these triples, which the recording caches, in order of time by the
-/// cameras' clocks.
-fn compute_triples(
-    recording: &Recording,
-    mut triples: Vec<TripleFrames>,
-    clocks_s: &[f64],
-    task: &Task,
-) -> Result<(), CaptureError> {
-    let frame_s = recording.frames.capture().frame_s();
-    let instant = |&([a, _], [k, _]): &TripleFrames| {
-        let frames = (recording.timelines.times_s[a][k] + clocks_s[a]) / frame_s;
-        // Off the multiples of half a frame, near which rounding would split an instant.
-        if frames.is_finite() { (frames + 0.25).floor() as i64 } else { 0 }
-    };
-    triples.sort_by_cached_key(|triple| (instant(triple), *triple));
-    let tracks = |triples: &[TripleFrames]| {
-        let needed: BTreeSet<_> = triples.iter().map(|([a, _], [k, _])| (*a, *k)).collect();
-        needed.into_par_iter().try_for_each(|(a, k)| recording.tracks(a, k).map(drop))
-    };
-    let candidates = |triples: &[TripleFrames]| {
-        triples.par_iter().try_for_each(|&(cameras, frames)| {
-            recording.triple(cameras, frames)?;
-            task.advance(1);
-            Ok(())
-        })
-    };
-    // The tracks of one instant beside the candidates of the one before, so that no thread waits.
-    let mut before: &[TripleFrames] = &[];
-    for now in triples.chunk_by(|x, y| instant(x) == instant(y)) {
-        let (candidates, tracks) = rayon::join(|| candidates(before), || tracks(now));
-        candidates.and(tracks)?;
-        before = now;
-    }
-    candidates(before)
 }
 
 #[cfg(test)]
@@ -251,17 +247,20 @@ mod tests {
     use crate::capture::Capture;
     use crate::raster::{BitDepth, Image, write_image};
     use crate::registration::{FrameStore, RegistrationOptions};
+    use std::collections::BTreeMap;
     use std::path::Path;
+    use std::sync::Arc;
 
     const DELAYS_FRAMES: [f64; 3] = [0.3, 0.0, -0.2];
 
-    /// Three cameras of a row before a plane that moves upwards, slower and slower.
-    fn write_capture(folder: &Path) {
+    /// Three cameras of a row before a plane that moves upwards, slower and slower. Their clocks have
+    /// these rates.
+    fn write_capture(folder: &Path, rates: [f64; 3]) -> Arc<Capture> {
         let (w, h, rate_hz) = (128, 96, 30.0);
         let mut cameras = Vec::new();
         for (c, delay) in DELAYS_FRAMES.into_iter().enumerate() {
-            for n in 0..20 {
-                let t = f64::from(n) + delay;
+            for n in 0..24 {
+                let t = f64::from(n) * (1.0 + rates[c]) + delay;
                 let value = |k: usize| {
                     let x = (k % w) as f64 + 4.0 * c as f64;
                     let y = (k / w) as f64 + 3.0 * t - 0.03 * t * t;
@@ -287,6 +286,7 @@ mod tests {
             "format": "stlfr-capture", "version": 1, "name": "plane", "cameras": cameras
         });
         std::fs::write(folder.join("capture.json"), capture.to_string()).unwrap();
+        Arc::new(Capture::open(folder).unwrap())
     }
 
     /// Pair by pair, all triples in every round.
@@ -310,8 +310,7 @@ mod tests {
     #[test]
     fn estimates_are_those_of_a_naive_reference() {
         let folder = tempfile::tempdir().unwrap();
-        write_capture(folder.path());
-        let capture = std::sync::Arc::new(Capture::open(folder.path()).unwrap());
+        let capture = write_capture(folder.path(), [0.0; 3]);
         let options = OffsetOptions::default();
         let (pairs, frame_s) = ([[0, 1], [0, 2], [1, 2]], capture.frame_s());
         // All pairs in one group, and each in its own.
@@ -332,6 +331,130 @@ mod tests {
                 assert_eq!(estimate, naive(&recording, cameras), "{cameras:?}");
             }
         }
+    }
+
+    /// Calls `test` with the recording of a capture whose clocks have these rates.
+    fn with_recording(rates: [f64; 3], test: impl FnOnce(&Recording)) {
+        let folder = tempfile::tempdir().unwrap();
+        let capture = write_capture(folder.path(), rates);
+        let frames = FrameStore::new(capture.clone(), &RegistrationOptions::default());
+        let (tracks, options) = (TrackCache::default(), OffsetOptions::default());
+        test(&Recording::new(&frames, Timelines::nominal(&capture), &tracks, &options));
+    }
+
+    #[test]
+    fn the_middle_has_the_rate_of_the_start() {
+        let clock_rate = 0.05;
+        with_recording([0.0, clock_rate, 0.0], |recording| {
+            let frame_s = recording.frames.capture().frame_s();
+            let rate = clock_rate / (1.0 + clock_rate);
+            let value_s = (rate - 1.0) * DELAYS_FRAMES[0] * frame_s;
+            let truth = InitialOffset { value_s, rate, center_s: 0.0 };
+            let start = InitialOffset { value_s: value_s + 0.4 * frame_s, ..truth };
+            let mut pair = PairRounds::new([0, 1], Ok(start), true);
+            pair.choose(recording);
+            pair.fit(recording).unwrap();
+            assert_eq!((pair.stage, pair.initial.rate), (Stage::FromMiddle, rate));
+            for time_s in [0.0, 23.0 * frame_s] {
+                let error = (pair.initial.at(time_s) - truth.at(time_s)) / frame_s;
+                assert!(error.abs() < 0.1, "{error} frame");
+            }
+            let estimates = estimate_pairs(recording, vec![pair], &Reporter::silent()).unwrap();
+            let estimate = estimates[0].as_ref().unwrap();
+            let error = (estimate.offset_s - truth.at(estimate.center_s)) / frame_s;
+            assert!(error.abs() < 0.01 && (estimate.rate - rate).abs() < 1e-3, "{error} frame");
+        });
+    }
+
+    #[test]
+    fn a_wrong_middle_falls_back_to_the_start() {
+        with_recording([0.0; 3], |recording| {
+            let frame_s = recording.frames.capture().frame_s();
+            let mut pair = PairRounds::new([0, 1], Ok(InitialOffset::default()), false);
+            (pair.stage, pair.initial) =
+                (Stage::FromMiddle, InitialOffset::constant(5.0 * frame_s));
+            pair.choose(recording);
+            pair.fit(recording).unwrap();
+            assert_eq!((pair.stage, pair.rounds), (Stage::FromStart, MAX_ROUNDS));
+            assert_eq!(pair.initial, InitialOffset::default());
+            let estimates = estimate_pairs(recording, vec![pair], &Reporter::silent()).unwrap();
+            assert_eq!(estimates[0], naive(recording, [0, 1]));
+            assert!(estimates[0].is_ok());
+        });
+    }
+
+    #[test]
+    fn an_estimate_is_near_within_a_frame_of_the_start_at_its_time() {
+        with_recording([0.0; 3], |recording| {
+            let frame_s = recording.frames.capture().frame_s();
+            let start = InitialOffset { value_s: 0.2, rate: 0.01, center_s: 5.0 };
+            let max_std_err_s = recording.options.max_std_err_frames * frame_s;
+            let is_near = |center_s: f64, away_frames: f64, std_err_s: f64| {
+                let offset_s = 0.2 + 0.01 * (center_s - 5.0) + away_frames * frame_s;
+                let estimate = PairEstimate { offset_s, std_err_s, center_s, ..Default::default() };
+                is_near(recording, &start, &PairEstimate { cameras: [0, 1], ..estimate })
+            };
+            for center_s in [0.0, 5.0, 60.0] {
+                assert!(is_near(center_s, 0.9, 0.9 * max_std_err_s));
+                assert!(is_near(center_s, -0.9, 0.9 * max_std_err_s));
+                assert!(!is_near(center_s, 1.1, 0.9 * max_std_err_s));
+                assert!(!is_near(center_s, -1.1, 0.9 * max_std_err_s));
+                assert!(!is_near(center_s, 0.0, 1.1 * max_std_err_s));
+                assert!(!is_near(center_s, 0.0, f64::NAN));
+            }
+        });
+    }
+
+    #[test]
+    fn clocks_follow_pairs_that_have_a_start() {
+        let start = |cameras, offset_s| {
+            PairRounds::new(cameras, Ok(InitialOffset::constant(offset_s)), false)
+        };
+        let group = [
+            PairRounds::new([4, 0], Err(PairFailure::NoMotion), false),
+            start([0, 1], 0.5),
+            start([3, 2], 0.25),
+            start([2, 1], -1.0),
+            start([5, 4], 2.0),
+            PairRounds::new([1, 6], Err(PairFailure::NoOverlap), false),
+        ];
+        assert_eq!(clocks_s(7, &group), [0.0, 0.5, 1.5, 1.25, 2.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_cache_of_an_instant_decodes_frames_at_most_twice() {
+        let folder = tempfile::tempdir().unwrap();
+        let capture = write_capture(folder.path(), [0.0; 3]);
+        let registration = RegistrationOptions::default();
+        let bounded = |max_bytes| FrameStore::with_bound(capture.clone(), &registration, max_bytes);
+        let mut stores = (1..).map(|n| bounded(n << 16));
+        let frames = stores.find(|store| store.fits(0..3, FRAMES_AT_ONCE)).unwrap();
+        let (tracks, options) = (TrackCache::default(), OffsetOptions::default());
+        let recording = Recording::new(&frames, Timelines::nominal(&capture), &tracks, &options);
+        let clocks_s = DELAYS_FRAMES.map(|delay| delay * capture.frame_s());
+        let pairs = [[0, 1], [0, 2], [1, 2]];
+        let triples = pairs.into_iter().flat_map(|[i, j]| {
+            let initial = InitialOffset::constant(clocks_s[j] - clocks_s[i]);
+            choose_triples(&recording, [i, j], &initial)
+        });
+        let triples: Vec<_> = triples.collect();
+        let count = AtomicUsize::new(0);
+        let computed = || {
+            count.fetch_add(1, Ordering::Relaxed);
+        };
+        // Two threads may decode the same frame at once.
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        for _ in 0..2 {
+            pool.install(|| compute_triples(&recording, triples.clone(), &clocks_s, &computed))
+                .unwrap();
+            assert_eq!(count.load(Ordering::Relaxed), triples.len());
+        }
+        let mut decoded = BTreeMap::new();
+        for frame in frames.decoded.lock().unwrap().iter() {
+            *decoded.entry(*frame).or_insert(0) += 1;
+        }
+        assert_eq!(decoded.len(), 3 * 24);
+        assert!(decoded.values().all(|&n| n <= 2), "{decoded:?}");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! A frame as registration uses it: the image with its pyramid and corners.
 
-use super::oriented::Gradients;
+use super::directions::Gradients;
 use super::pyramid::Level;
 use super::{Pyramid, RegistrationOptions, corners};
 use crate::raster::Image;
@@ -46,7 +46,7 @@ impl Frame {
         self.gradients.get_or_init(|| Gradients::new(&self.pyramid))
     }
 
-    /// Bytes of the image, its pyramid and its gradients, of an image of this width and height.
+    /// Bytes of a frame of this width and height, pixels: image, pyramid and gradients.
     pub(super) fn bytes_of(
         size: [usize; 2],
         channels: usize,

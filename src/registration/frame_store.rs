@@ -17,6 +17,9 @@ pub struct FrameStore {
     /// Minimum cost of a frame, bytes, so that the number of frames is bounded too.
     min_cost: usize,
     gains: OnceLock<Gains>,
+    /// Camera and index of every frame that was decoded, in order.
+    #[cfg(test)]
+    pub(crate) decoded: std::sync::Mutex<Vec<(usize, usize)>>,
 }
 
 /// Default bound of the cache, bytes: 32 colour frames of 640×480, which is four for each of eight cameras
@@ -48,6 +51,8 @@ impl FrameStore {
             max_bytes,
             min_cost: max_bytes.div_ceil(max_frames),
             gains: OnceLock::new(),
+            #[cfg(test)]
+            decoded: std::sync::Mutex::default(),
         }
     }
 
@@ -79,13 +84,15 @@ impl FrameStore {
             return Ok(frame);
         }
         let image = self.capture.read_frame(camera, index)?;
+        #[cfg(test)]
+        self.decoded.lock().unwrap().push((camera, index));
         let frame = Arc::new(self.prepared(camera, image));
         self.frames.insert((camera, index), frame.clone(), self.cost(camera));
         Ok(frame)
     }
 
-    /// Whether this many frames of each of these cameras are cached at the same time.
-    pub fn holds(&self, cameras: impl Iterator<Item = usize>, frames_each: usize) -> bool {
+    /// Whether this many frames of each camera fit the cache together.
+    pub fn fits(&self, cameras: impl Iterator<Item = usize>, frames_each: usize) -> bool {
         let cost: usize = cameras.map(|c| self.cost(c)).sum();
         cost.saturating_mul(frames_each) <= self.max_bytes
     }

@@ -16,6 +16,7 @@
 
 mod affine;
 mod corners;
+mod directions;
 mod epipolar_test;
 mod flow;
 mod frame;

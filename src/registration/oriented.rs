@@ -3,7 +3,7 @@
 //! As in Lowe's SIFT (IJCV 60(2), 2004), at one scale: 4×4 cells of eight directions each. A camera's next
 //! frame shows a feature turned, and hardly larger.
 
-use super::Pyramid;
+use super::directions::{DIRECTIONS, Gradients, TURN};
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2, has_avx2_and_fma};
 use super::simd::{F32x8, LANES, Scalar};
@@ -11,10 +11,8 @@ use nalgebra::{Point2, Vector2};
 use std::f32::consts::TAU;
 use std::ops::Range;
 
-/// Cells of a descriptor along a side, and directions of a cell. More: it tells more features apart, and
-/// tolerates less deformation.
+/// Cells of a descriptor along a side. More: it tells more features apart, and tolerates less deformation.
 const CELLS: usize = 4;
-const DIRECTIONS: usize = 8;
 /// Numbers of a descriptor.
 const SIZE: usize = CELLS * CELLS * DIRECTIONS;
 /// A cell's side, pixels of the level. Larger: descriptors cross outlines; smaller: they tell fewer features
@@ -40,110 +38,11 @@ pub(super) struct Oriented {
     entries: [f32; SIZE],
 }
 
-/// The level whose gradients describe a feature. Coarser: small things lose their descriptors; finer: noise.
-const LEVEL: usize = 1;
-
-/// Directions of a full turn, the unit of angles in this file.
-const TURN: f32 = DIRECTIONS as f32;
 /// Columns and rows of a window, padded so that a word can begin at any of its samples.
 const SPAN: usize = (2 * RADIUS_PX as usize + 1).next_multiple_of(LANES) + LANES;
 /// Cells along a side of the grid that is summed into: one more on the left, and two on the right, which
 /// catch what is outside.
 const GRID: usize = CELLS + 3;
-
-/// The gradients of a frame's level, by central differences.
-#[derive(Debug)]
-pub(super) struct Gradients {
-    width: usize,
-    height: usize,
-    /// Pixels of the level over those of the frame.
-    scale: f64,
-    /// Row by row, and a word of padding.
-    strength: Vec<f32>,
-    /// From x towards y, 0 to [`TURN`]; row by row, and a word of padding.
-    direction: Vec<f32>,
-}
-
-impl Gradients {
-    pub fn new(pyramid: &Pyramid) -> Self {
-        #[cfg(target_arch = "x86_64")]
-        if has_avx2_and_fma() {
-            // SAFETY: the processor has the features.
-            return unsafe { Self::new_avx2(pyramid) };
-        }
-        Self::new_by::<Scalar>(pyramid)
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    fn new_avx2(pyramid: &Pyramid) -> Self {
-        Self::new_by::<Avx2>(pyramid)
-    }
-
-    #[inline(always)]
-    fn new_by<V: F32x8>(pyramid: &Pyramid) -> Self {
-        let levels = pyramid.levels();
-        let n = LEVEL.min(levels.len() - 1);
-        let level = &levels[n];
-        let size = level.width * level.height;
-        let [mut strength, mut direction] = [vec![0.0; size + LANES], vec![0.0; size + LANES]];
-        for y in 0..level.height {
-            // A row's last word runs into the next row, which is written later, or into the padding.
-            for x in (0..level.width).step_by(LANES) {
-                let k = level.index(x as isize, y as isize);
-                let gx = V::load(&level.value, k + 1).sub(V::load(&level.value, k - 1));
-                let [above, below] = [k - level.stride, k + level.stride];
-                let gy = V::load(&level.value, below).sub(V::load(&level.value, above));
-                let at = y * level.width + x;
-                gx.mul_add(gx, gy.mul(gy)).sqrt().store(&mut strength, at);
-                directions(gx, gy).store(&mut direction, at);
-            }
-        }
-        let scale = 1.0 / f64::from(1_u32 << n);
-        Self { width: level.width, height: level.height, scale, strength, direction }
-    }
-
-    #[cfg(test)]
-    pub fn bytes(&self) -> usize {
-        size_of::<f32>() * (self.strength.len() + self.direction.len())
-    }
-
-    /// The bytes of those of a pyramid with levels of these sizes, the full-sized first.
-    pub fn bytes_of(sizes: &[[usize; 2]]) -> usize {
-        let [width, height] = sizes[LEVEL.min(sizes.len() - 1)];
-        2 * (width * height + LANES) * size_of::<f32>()
-    }
-}
-
-/// Coefficients of the arctangent's odd polynomial on 0..=1, from x on, to 2e-8 (Abramowitz and Stegun 4.4.49).
-const ARCTANGENT: [f32; 9] = [
-    1.0,
-    -0.333_331_45,
-    0.199_935_5,
-    -0.142_089,
-    0.106_562_64,
-    -0.075_289_64,
-    0.042_909_615,
-    -0.016_165_737,
-    0.002_866_225_7,
-];
-
-/// The directions of vectors from x towards y, 0 to [`TURN`]; 0 without a direction.
-#[inline(always)]
-fn directions<V: F32x8>(x: V, y: V) -> V {
-    let (along, across) = (x.abs(), y.abs());
-    let longer = along.max(across).max(V::splat(f32::MIN_POSITIVE));
-    let slope = along.min(across).div(longer);
-    let squared = slope.mul(slope);
-    let mut sum = V::zero();
-    for coefficient in ARCTANGENT.into_iter().rev() {
-        sum = sum.mul_add(squared, V::splat(coefficient));
-    }
-    let octant = sum.mul(slope).mul(V::splat(TURN / TAU));
-    let quadrant = along.if_below(across, V::splat(0.25 * TURN).sub(octant), octant);
-    let half = x.if_below(V::zero(), V::splat(0.5 * TURN).sub(quadrant), quadrant);
-    y.if_below(V::zero(), V::splat(TURN).sub(half), half)
-}
 
 /// The samples within [`RADIUS_PX`] of a point of the level.
 struct Disc<'a> {
@@ -204,7 +103,9 @@ impl<'a> Disc<'a> {
             for x in columns.clone().step_by(LANES) {
                 let at = y * self.gradients.width + x;
                 let direction = V::load(&self.gradients.direction, at);
-                let (bins, _) = direction.mul(V::splat(BINS_PER_DIRECTION)).floor_and_fraction();
+                let bins = direction.mul(V::splat(BINS_PER_DIRECTION));
+                // NaN, the direction of a gradient that is not finite, becomes 0.
+                let (bins, _) = bins.max(V::zero()).min(V::splat(BINS as f32)).floor_and_fraction();
                 let fade = V::load(&fade_x, x - self.columns.start).mul(fade_y);
                 let weights = V::load(&self.gradients.strength, at).mul(fade).to_array();
                 for l in 0..LANES.min(columns.end - x) {
@@ -228,16 +129,16 @@ impl<'a> Disc<'a> {
         const CENTER: f32 = 0.5 * CELLS as f32 + 0.5;
         // Neighbours have one each, so that their sums don't wait for each other.
         let mut grids = [[V::zero(); GRID * GRID]; 2];
-        let lanes = V::from_array(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+        let columns = V::from_array(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
         let (lowest, highest) = (V::zero(), V::splat((CELLS + 1) as f32));
         for y in self.rows.clone() {
             let dy = y as f32 - self.center[1];
             let fade_y = V::splat(fade_y[y - self.rows.start]);
-            let columns = self.columns_of(y);
-            for x in columns.clone().step_by(LANES) {
+            let row_columns = self.columns_of(y);
+            for x in row_columns.clone().step_by(LANES) {
                 let at = y * self.gradients.width + x;
                 // In cells, in the feature's own frame. What is outside all cells falls on the grid's border.
-                let dx = lanes.add(V::splat(x as f32 - self.center[0]));
+                let dx = columns.add(V::splat(x as f32 - self.center[0]));
                 let u = dx.mul_add(V::splat(cos / CELL_PX), V::splat(sin * dy / CELL_PX + CENTER));
                 let v = dx.mul_add(V::splat(-sin / CELL_PX), V::splat(cos * dy / CELL_PX + CENTER));
                 let (column, fu) = u.max(lowest).min(highest).floor_and_fraction();
@@ -254,17 +155,17 @@ impl<'a> Disc<'a> {
                     lower.mul(fu).to_array(),
                 ];
                 let fd = fd.to_array();
-                for l in 0..LANES.min(columns.end - x) {
+                for l in 0..LANES.min(row_columns.end - x) {
                     // Of negative ones too: a power of two divides the range of usize.
                     let d = direction[l] as usize % DIRECTIONS;
                     let own = V::from_array(&ONE_DIRECTION[d]);
                     let next = V::from_array(&ONE_DIRECTION[(d + 1) % DIRECTIONS]);
-                    let shares = next.sub(own).mul_add(V::splat(fd[l]), own);
+                    let direction_weights = next.sub(own).mul_add(V::splat(fd[l]), own);
                     let cell = row[l] as usize * GRID + column[l] as usize;
                     // One check for all four.
                     let grid = &mut grids[l % 2][cell..cell + GRID + 2];
                     for (k, to) in [0, 1, GRID, GRID + 1].into_iter().enumerate() {
-                        grid[to] = shares.mul_add(V::splat(corners[k][l]), grid[to]);
+                        grid[to] = direction_weights.mul_add(V::splat(corners[k][l]), grid[to]);
                     }
                 }
             }
@@ -407,30 +308,6 @@ mod tests {
         Pyramid::new(&Image::from_data(64, 64, 1, (0..64 * 64).map(value).collect()), 1, 16)
     }
 
-    #[test]
-    fn gradients_agree_with_a_naive_reference() {
-        let mut random = Random::new(6);
-        for (w, h) in [(64, 41), (9, 5), (1, 1)] {
-            // Few values, so that some gradients are 0 and others along an axis.
-            let data = (0..w * h).map(|_| (4.0 * random.unit()).floor() as f32 / 4.0).collect();
-            let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 1, 16);
-            let level = &pyramid.levels()[0];
-            for gradients in [Gradients::new(&pyramid), Gradients::new_by::<Scalar>(&pyramid)] {
-                for k in 0..w * h {
-                    let at = |dx: isize, dy: isize| {
-                        let at = level.index((k % w) as isize + dx, (k / w) as isize + dy);
-                        f64::from(level.value[at])
-                    };
-                    let (x, y) = (at(1, 0) - at(-1, 0), at(0, 1) - at(0, -1));
-                    let turn = f64::from(TURN);
-                    let direction = (y.atan2(x) / std::f64::consts::TAU * turn).rem_euclid(turn);
-                    assert!((f64::from(gradients.strength[k]) - x.hypot(y)).abs() < 1e-6);
-                    assert!((f64::from(gradients.direction[k]) - direction).abs() < 1e-5);
-                }
-            }
-        }
-    }
-
     /// The descriptor written as simply as possible: sample by sample, and entry by entry.
     fn naive(pyramid: &Pyramid, at: &Point2<f64>) -> Option<(f32, Vec<f32>)> {
         let gradients = Gradients::new(pyramid);
@@ -503,6 +380,7 @@ mod tests {
                 let pairs = a.entries.iter().zip(&b.entries);
                 let expected: f32 = pairs.map(|(a, b)| (a - b) * (a - b)).sum();
                 assert!((a.distance(b) - expected).abs() < 1e-5);
+                assert!((a.distance_by::<Scalar>(b) - a.distance(b)).abs() < 1e-6);
             }
         }
     }
@@ -529,5 +407,19 @@ mod tests {
     fn a_flat_image_has_no_direction() {
         let flat = Pyramid::new(&Image::filled(40, 40, 1, 0.5), 1, 16);
         assert!(Oriented::new(&Gradients::new(&flat), &Point2::new(3.0, 38.0)).is_none());
+    }
+    #[test]
+    fn values_that_are_not_finite_have_no_descriptor() {
+        let mut random = Random::new(7);
+        for bad in [f32::NAN, f32::INFINITY] {
+            let mut data: Vec<_> = (0..64 * 64).map(|_| random.unit() as f32).collect();
+            (data[32 * 64 + 32], data[33 * 64 + 32]) = (bad, bad);
+            let pyramid = Pyramid::new(&Image::from_data(64, 64, 1, data), 1, 16);
+            let gradients = Gradients::new(&pyramid);
+            for at in [Point2::new(32.5, 32.5), Point2::new(36.0, 30.0)] {
+                assert!(Oriented::new(&gradients, &at).is_none());
+                assert!(Oriented::new_by::<Scalar>(&gradients, &at).is_none());
+            }
+        }
     }
 }

@@ -40,12 +40,13 @@ pub trait F32x8: Copy {
     fn if_below(self, other: Self, then: Self, otherwise: Self) -> Self;
     /// Absolute values.
     fn abs(self) -> Self;
-    /// The smaller of the two, element-wise.
+    /// The smaller of the two, element-wise. Where `self` is NaN: `other`. Where `other` is NaN: `self`
+    /// by [`Scalar`], NaN by AVX2.
     fn min(self, other: Self) -> Self;
-    /// The larger of the two, element-wise.
+    /// The larger of the two, element-wise. NaN as in [`Self::min`].
     fn max(self, other: Self) -> Self;
     /// The floor of every value, and its fractional part in 0..1. The values must be below 2²³ in
-    /// magnitude.
+    /// magnitude, and not NaN: its floor is 0 by [`Scalar`], `i32::MIN` by AVX2.
     fn floor_and_fraction(self) -> ([i32; LANES], Self);
     /// As [`Self::load`], without a bounds check.
     ///
@@ -440,5 +441,48 @@ mod tests {
         let (floor, fraction) = v.floor_and_fraction();
         assert_eq!(floor, [-2, -1, -1, 0, 0, 1, 2, 100]);
         assert_eq!(fraction.0, [0.5, 0.0, 0.75, 0.0, 0.25, 0.0, 0.75, 0.0]);
+    }
+    /// Results of the operations that round alike by both implementations.
+    #[inline(always)]
+    fn exact<V: F32x8>(a: &[f32; LANES], b: &[f32; LANES]) -> [[f32; LANES]; 5] {
+        let (a, b) = (V::from_array(a), V::from_array(b));
+        let choice = a.if_below(b, V::splat(1.0), V::splat(2.0));
+        [a.div(b), a.abs().sqrt(), choice, a.min(b), a.max(b)].map(V::to_array)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn exact_avx2(a: &[f32; LANES], b: &[f32; LANES]) -> [[f32; LANES]; 5] {
+        exact::<Avx2>(a, b)
+    }
+
+    #[test]
+    fn min_and_max_of_nan_are_the_other() {
+        let (nan, b) = ([f32::NAN; LANES], [3.0; LANES]);
+        let check = |[_, _, choice, min, max]: [[f32; LANES]; 5]| {
+            assert_eq!([choice, min, max], [[2.0; LANES], b, b]);
+        };
+        check(exact::<Scalar>(&nan, &b));
+        #[cfg(target_arch = "x86_64")]
+        if has_avx2_and_fma() {
+            // SAFETY: the processor has the features.
+            check(unsafe { exact_avx2(&nan, &b) });
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[test]
+    fn avx2_gives_what_scalar_gives() {
+        if !has_avx2_and_fma() {
+            return;
+        }
+        let mut random = crate::random::Random::new(8);
+        for _ in 0..100 {
+            let mut word = || std::array::from_fn(|_| (8.0 * random.unit() - 4.0) as f32);
+            let (a, mut b): ([f32; LANES], [f32; LANES]) = (word(), word());
+            b[2] = a[2];
+            // SAFETY: the processor has the features.
+            assert_eq!(unsafe { exact_avx2(&a, &b) }, exact::<Scalar>(&a, &b));
+        }
     }
 }

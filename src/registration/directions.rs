@@ -1,0 +1,139 @@
+//! The strengths and directions of gradients, of which descriptors of features are histograms.
+
+use super::Pyramid;
+#[cfg(target_arch = "x86_64")]
+use super::simd::{Avx2, has_avx2_and_fma};
+use super::simd::{F32x8, LANES, Scalar};
+use std::f32::consts::TAU;
+
+/// Directions of a descriptor's cell. More: it tells more features apart, and tolerates less deformation.
+pub const DIRECTIONS: usize = 8;
+/// A full turn, in directions: the unit of angles in gradients and descriptors.
+pub const TURN: f32 = DIRECTIONS as f32;
+/// The level whose gradients describe a feature. Coarser: small things lose their descriptors; finer: noise.
+const LEVEL: usize = 1;
+
+/// The gradients of a frame's level, by central differences.
+#[derive(Debug)]
+pub(super) struct Gradients {
+    pub width: usize,
+    pub height: usize,
+    /// Pixels of the level over those of the frame.
+    pub scale: f64,
+    /// Row by row, and a word of padding.
+    pub strength: Vec<f32>,
+    /// From x towards y, 0 to [`TURN`]; row by row, and a word of padding.
+    pub direction: Vec<f32>,
+}
+
+impl Gradients {
+    pub fn new(pyramid: &Pyramid) -> Self {
+        #[cfg(target_arch = "x86_64")]
+        if has_avx2_and_fma() {
+            // SAFETY: the processor has the features.
+            return unsafe { Self::new_avx2(pyramid) };
+        }
+        Self::new_by::<Scalar>(pyramid)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn new_avx2(pyramid: &Pyramid) -> Self {
+        Self::new_by::<Avx2>(pyramid)
+    }
+
+    #[inline(always)]
+    fn new_by<V: F32x8>(pyramid: &Pyramid) -> Self {
+        let levels = pyramid.levels();
+        let n = LEVEL.min(levels.len() - 1);
+        let level = &levels[n];
+        let size = level.width * level.height;
+        let [mut strength, mut direction] = [vec![0.0; size + LANES], vec![0.0; size + LANES]];
+        for y in 0..level.height {
+            // A row's last word runs into the next row, which is written later, or into the padding.
+            for x in (0..level.width).step_by(LANES) {
+                let k = level.index(x as isize, y as isize);
+                let gx = V::load(&level.value, k + 1).sub(V::load(&level.value, k - 1));
+                let [above, below] = [k - level.stride, k + level.stride];
+                let gy = V::load(&level.value, below).sub(V::load(&level.value, above));
+                let at = y * level.width + x;
+                gx.mul_add(gx, gy.mul(gy)).sqrt().store(&mut strength, at);
+                directions(gx, gy).store(&mut direction, at);
+            }
+        }
+        let scale = 1.0 / f64::from(1_u32 << n);
+        Self { width: level.width, height: level.height, scale, strength, direction }
+    }
+
+    #[cfg(test)]
+    pub fn bytes(&self) -> usize {
+        size_of::<f32>() * (self.strength.len() + self.direction.len())
+    }
+
+    /// The bytes of those of a pyramid with levels of these sizes, the full-sized first.
+    pub fn bytes_of(sizes: &[[usize; 2]]) -> usize {
+        let [width, height] = sizes[LEVEL.min(sizes.len() - 1)];
+        2 * (width * height + LANES) * size_of::<f32>()
+    }
+}
+
+/// Coefficients of the arctangent's odd polynomial on 0..=1, from x on, to 2e-8 (Abramowitz and Stegun 4.4.49).
+const ARCTANGENT: [f32; 9] = [
+    1.0,
+    -0.333_331_45,
+    0.199_935_5,
+    -0.142_089,
+    0.106_562_64,
+    -0.075_289_64,
+    0.042_909_615,
+    -0.016_165_737,
+    0.002_866_225_7,
+];
+
+/// The directions of vectors from x towards y, 0 to [`TURN`]; 0 without a direction.
+#[inline(always)]
+fn directions<V: F32x8>(x: V, y: V) -> V {
+    let (along, across) = (x.abs(), y.abs());
+    let longer = along.max(across).max(V::splat(f32::MIN_POSITIVE));
+    let slope = along.min(across).div(longer);
+    let squared = slope.mul(slope);
+    let mut sum = V::zero();
+    for coefficient in ARCTANGENT.into_iter().rev() {
+        sum = sum.mul_add(squared, V::splat(coefficient));
+    }
+    let octant = sum.mul(slope).mul(V::splat(TURN / TAU));
+    let quadrant = along.if_below(across, V::splat(0.25 * TURN).sub(octant), octant);
+    let half = x.if_below(V::zero(), V::splat(0.5 * TURN).sub(quadrant), quadrant);
+    y.if_below(V::zero(), V::splat(TURN).sub(half), half)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Random;
+    use crate::raster::Image;
+
+    #[test]
+    fn gradients_agree_with_a_naive_reference() {
+        let mut random = Random::new(6);
+        for (w, h) in [(64, 41), (9, 5), (1, 1)] {
+            // Few values, so that some gradients are 0 and others along an axis.
+            let data = (0..w * h).map(|_| (4.0 * random.unit()).floor() as f32 / 4.0).collect();
+            let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 1, 16);
+            let level = &pyramid.levels()[0];
+            for gradients in [Gradients::new(&pyramid), Gradients::new_by::<Scalar>(&pyramid)] {
+                for k in 0..w * h {
+                    let at = |dx: isize, dy: isize| {
+                        let at = level.index((k % w) as isize + dx, (k / w) as isize + dy);
+                        f64::from(level.value[at])
+                    };
+                    let (x, y) = (at(1, 0) - at(-1, 0), at(0, 1) - at(0, -1));
+                    let turn = f64::from(TURN);
+                    let direction = (y.atan2(x) / std::f64::consts::TAU * turn).rem_euclid(turn);
+                    assert!((f64::from(gradients.strength[k]) - x.hypot(y)).abs() < 1e-6);
+                    assert!((f64::from(gradients.direction[k]) - direction).abs() < 1e-5);
+                }
+            }
+        }
+    }
+}
