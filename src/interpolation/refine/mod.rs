@@ -370,6 +370,25 @@ mod tests {
         assert!(at(&followed, 5, 5) == PixelMotion::default(), "{:?}", at(&followed, 5, 5));
     }
 
+    /// Before the earlier frame it moved the other way.
+    #[test]
+    fn the_change_of_a_bouncing_bodys_motion_is_known() {
+        let frames = [1.0, 0.0, 1.0, 2.0].map(scene);
+        let (four, still) = (around(&frames, 0.5), Warp::identity(W, H));
+        let bounced = |m: Motion| match m.to[2].x {
+            0.0 => m,
+            _ => Motion { to: [3.0, -3.0, 3.0, 9.0].map(|x| Vector2::new(x, 0.0)), ..m },
+        };
+        let bouncing: Vec<Motion> = motions().into_iter().map(bounced).collect();
+        let of = |motions: &[Motion]| {
+            let (_, motions) = refined(&four, [&still, &still], motions, &RefineOptions::default());
+            motions.unwrap()[32 * W + 48]
+        };
+        let (steady, bouncing) = (of(&motions()), of(&bouncing));
+        assert!(steady.change_px < 0.5, "{steady:?}");
+        assert!((bouncing.change_px - 12.0).abs() < 0.5, "{bouncing:?}");
+    }
+
     /// Frames are averaged along the trajectory, or in place where the difference is small.
     #[test]
     fn slow_motion_is_not_blurred() {
