@@ -1,0 +1,316 @@
+//! Tests of the refinement on textured squares, trains and pans in closed form.
+
+use super::*;
+use crate::random::Random;
+use crate::raster::Tiles;
+use nalgebra::{Matrix2, Point2, Vector2};
+
+const W: usize = 96;
+const H: usize = 64;
+
+fn texture(x: f32, y: f32, seed: f32) -> f32 {
+    0.5 + 0.2 * (x * 0.9 + seed).sin() * (y * 0.7).cos() + 0.2 * (x * 0.31 - y * 0.53 + seed).sin()
+}
+
+/// A textured square that moves right by 6 px per frame in front of a static textured wall.
+fn scene(frame: f32) -> Image {
+    let left = 30.0 + 6.0 * frame;
+    let data = (0..W * H)
+        .map(|k| {
+            let (x, y) = ((k % W) as f32 + 0.5, (k / W) as f32 + 0.5);
+            if x >= left && x < left + 30.0 && (18.0..46.0).contains(&y) {
+                texture(x - left, y, 3.0)
+            } else {
+                0.6 * texture(x, y, 0.0)
+            }
+        })
+        .collect();
+    Image::from_data(W, H, 1, data)
+}
+
+fn motions() -> Vec<Motion> {
+    let mut all = Vec::new();
+    for y in (2..H).step_by(5) {
+        for x in (2..W).step_by(5) {
+            let on_square = (35..62).contains(&x) && (20..44).contains(&y);
+            let step = if on_square { 6.0 } else { 0.0 };
+            let to = [-1.5, -0.5, 0.5, 1.5].map(|t| Vector2::new(step * t, 0.0));
+            let at = Point2::new(x as f64 + 0.5, y as f64 + 0.5);
+            all.push(Motion { at, to, deformation: Matrix2::identity() });
+        }
+    }
+    all
+}
+
+/// The same tracks without motion.
+fn at_rest() -> Vec<Motion> {
+    motions().into_iter().map(|m| Motion { to: [Vector2::zeros(); 4], ..m }).collect()
+}
+
+fn around(frames: &[Image; 4], fraction: f32) -> FourFrames<'_> {
+    let [before, earlier, later, after] = frames;
+    let parts = None;
+    let with_motions = true;
+    FourFrames {
+        before: Some(before),
+        earlier,
+        later,
+        after: Some(after),
+        fraction,
+        parts,
+        with_motions,
+    }
+}
+
+fn psnr(image: &Image, truth: &Image) -> f64 {
+    let sum: f64 =
+        (image.data().iter().zip(truth.data())).map(|(a, b)| f64::from(a - b).powi(2)).sum();
+    -10.0 * (sum / (W * H) as f64).log10()
+}
+
+#[test]
+fn outlines_are_right_where_a_cross_fade_shows_both_frames() {
+    let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
+    let truth = scene(0.5);
+    let four = around(&frames, 0.5);
+    let still = Warp::identity(W, H);
+    let options = RefineOptions::default();
+    let (result, _) = refined(&four, [&still, &still], &motions(), &options);
+    let (cross_faded, _) = refined(&four, [&still, &still], &[], &options);
+    let (before, after) = (psnr(&cross_faded, &truth), psnr(&result, &truth));
+    assert!(after > before + 8.0, "{before} {after}");
+}
+
+fn noisy(image: &Image, amplitude: f32, random: &mut Random) -> Image {
+    let noise = |v: &f32| v + amplitude * random.signed() as f32;
+    let data = image.data().iter().map(noise).collect();
+    Image::from_data(W, H, 1, data)
+}
+
+/// Four frames of a static scene have half of two frames' noise variance, without tracks too.
+#[test]
+fn static_scenes_are_averaged() {
+    let mut random = Random::new(3);
+    let truth = scene(0.0);
+    let frames = [0; 4].map(|_| noisy(&truth, 0.02, &mut random));
+    let still = Warp::identity(W, H);
+    let options = RefineOptions::default();
+    let of = |options: &RefineOptions| {
+        psnr(&refined(&around(&frames, 0.5), [&still, &still], &[], options).0, &truth)
+    };
+    let two = of(&RefineOptions { outer_share: 0.0, ..options.clone() });
+    let four = of(&options);
+    assert!((2.7..3.3).contains(&(four - two)), "{two} {four}");
+}
+
+/// Two dark wagons, in front of a light wall that only a gap of 8 px between them shows, move right by 8 px
+/// per frame.
+fn train(frame: f32) -> Image {
+    let left = 12.0 + 8.0 * frame;
+    let value = |k: usize| {
+        let (x, y) = ((k % W) as f32 + 0.5 - left, (k / W) as f32 + 0.5);
+        let on_wagon = (0.0..28.0).contains(&x) || (36.0..64.0).contains(&x);
+        let wagon = on_wagon && (14.0..50.0).contains(&y);
+        if wagon { 0.2 * texture(x, y, 3.0) } else { 0.25 + 0.9 * texture(x + left, y, 0.0) }
+    };
+    Image::from_data(W, H, 1, (0..W * H).map(value).collect())
+}
+
+fn motions_of_train() -> Vec<Motion> {
+    let still = at_rest().into_iter().filter(|m| !(12.0..52.0).contains(&m.at.y));
+    let left = 12.0 + 4.0;
+    let on_wagons = at_rest().into_iter().filter(|m| {
+        let x = m.at.x - left;
+        let on_wagon = (3.0..25.0).contains(&x) || (39.0..61.0).contains(&x);
+        on_wagon && (17.0..47.0).contains(&m.at.y)
+    });
+    let moving = on_wagons
+        .map(|m| Motion { to: [-12.0, -4.0, 4.0, 12.0].map(|x| Vector2::new(x, 0.0)), ..m });
+    still.chain(moving).collect()
+}
+
+/// At rest, the gap's place is dark in both frames: another wagon in each.
+#[test]
+fn what_other_motions_explain_does_not_fill_a_gap() {
+    let frames = [-1.0, 0.0, 1.0, 2.0].map(train);
+    let (four, still) = (around(&frames, 0.5), Warp::identity(W, H));
+    let motions = motions_of_train();
+    let (result, _) = refined(&four, [&still, &still], &motions, &RefineOptions::default());
+    let gap = || (20..44).flat_map(|y| (46..51).map(move |x| (x, y)));
+    let darkest = gap().map(|(x, y)| result.pixel(x, y)[0]).fold(1.0, f32::min);
+    // The wall is 0.37 or more there.
+    assert!(darkest > 0.3, "{darkest}");
+}
+
+#[test]
+fn pixels_move_as_their_tracks_and_cost_more_without() {
+    let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
+    let (four, still) = (around(&frames, 0.5), Warp::identity(W, H));
+    let options = RefineOptions::default();
+    let (_, followed) = refined(&four, [&still, &still], &motions(), &options);
+    let (_, lost) = refined(&four, [&still, &still], &at_rest(), &options);
+    let at = |motions: &Option<Vec<PixelMotion>>, x: usize, y: usize| {
+        motions.as_ref().unwrap()[y * W + x]
+    };
+    for (x, y) in [(40, 25), (48, 32), (55, 38)] {
+        let (followed, lost) = (at(&followed, x, y), at(&lost, x, y));
+        assert!((followed.motion_px - 6.0).abs() < 0.5, "{followed:?}");
+        assert!(followed.cost < 0.02, "{followed:?}");
+        assert!(lost.motion_px < 0.5 && lost.cost > 0.05, "{lost:?}");
+    }
+    assert!(at(&followed, 5, 5) == PixelMotion::default(), "{:?}", at(&followed, 5, 5));
+}
+
+/// Before the earlier frame it moved the other way.
+#[test]
+fn the_change_of_a_bouncing_bodys_motion_is_known() {
+    let frames = [1.0, 0.0, 1.0, 2.0].map(scene);
+    let (four, still) = (around(&frames, 0.5), Warp::identity(W, H));
+    let bounced = |m: Motion| match m.to[2].x {
+        0.0 => m,
+        _ => Motion { to: [3.0, -3.0, 3.0, 9.0].map(|x| Vector2::new(x, 0.0)), ..m },
+    };
+    let bouncing: Vec<Motion> = motions().into_iter().map(bounced).collect();
+    let of = |motions: &[Motion]| {
+        let (_, motions) = refined(&four, [&still, &still], motions, &RefineOptions::default());
+        motions.unwrap()[32 * W + 48]
+    };
+    let (steady, bouncing) = (of(&motions()), of(&bouncing));
+    assert!(steady.change_px < 0.5, "{steady:?}");
+    assert!((bouncing.change_px - 12.0).abs() < 0.5, "{bouncing:?}");
+}
+
+/// Frames are averaged along the trajectory, or in place where the difference is small.
+#[test]
+fn slow_motion_is_not_blurred() {
+    for (step, min_db) in [(0.02, 50.0), (0.08, 45.0), (0.33, 45.0)] {
+        let db = panned(step);
+        assert!(db > min_db, "{step} px: {db}");
+    }
+}
+
+fn panned(step: f32) -> f64 {
+    let pan = |frame: f32| {
+        let place = |k: usize| ((k % W) as f32 + 0.5 - step * frame, (k / W) as f32 + 0.5);
+        let value = |k| texture(place(k).0, place(k).1, 1.0);
+        Image::from_data(W, H, 1, (0..W * H).map(value).collect())
+    };
+    let frames = [-1.0, 0.0, 1.0, 2.0].map(pan);
+    let warp = |to: f32| Warp {
+        source: Warp::identity(W, H).source.iter().map(|[x, y]| [x + to, *y]).collect(),
+        ..Warp::identity(W, H)
+    };
+    let (from_earlier, from_later) = (warp(-0.5 * step), warp(0.5 * step));
+    let mut slow = at_rest();
+    for motion in &mut slow {
+        motion.to = [-1.5, -0.5, 0.5, 1.5].map(|t| Vector2::new(f64::from(step) * t, 0.0));
+    }
+    let (result, _) = refined(
+        &around(&frames, 0.5),
+        [&from_earlier, &from_later],
+        &slow,
+        &RefineOptions::default(),
+    );
+    psnr(&result, &pan(0.5))
+}
+
+/// No track follows the square. The wall that only the later frame shows in its place must not appear
+/// yet.
+#[test]
+fn near_a_frame_what_only_the_other_shows_does_not_appear() {
+    let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
+    let four = around(&frames, 0.05);
+    let still = at_rest();
+    let warp = Warp::identity(W, H);
+    let (result, _) = refined(&four, [&warp, &warp], &still, &RefineOptions::default());
+    let db = psnr(&result, &frames[1]);
+    assert!(db > 35.0, "{db}");
+}
+
+#[test]
+fn where_the_frames_agree_nothing_changes() {
+    let frame = scene(0.0);
+    let (before, after, parts, with_motions) = (None, None, None, false);
+    let four = FourFrames {
+        before,
+        earlier: &frame,
+        later: &frame,
+        after,
+        fraction: 0.3,
+        parts,
+        with_motions,
+    };
+    let still = Warp::identity(W, H);
+    let (result, _) = refined(&four, [&still, &still], &motions(), &RefineOptions::default());
+    let worst = (result.data().iter().zip(frame.data())).map(|(a, b)| (a - b).abs());
+    assert!(worst.fold(0.0, f32::max) < 1e-6);
+}
+
+#[test]
+fn four_frames_have_less_noise_than_two_and_a_frame_stays_as_filmed() {
+    let clean = scene(0.0);
+    let mut random = Random::new(1);
+    let frames = [0; 4].map(|_| noisy(&clean, 0.03, &mut random));
+    let still = at_rest();
+    let warp = Warp::identity(W, H);
+    let at = |fraction: f32, outer_share: f32| {
+        let four = around(&frames, fraction);
+        let options = RefineOptions { outer_share, ..RefineOptions::default() };
+        refined(&four, [&warp, &warp], &still, &options).0
+    };
+    let (two, four) = (psnr(&at(0.5, 0.0), &clean), psnr(&at(0.5, 1.0), &clean));
+    assert!(four > two + 2.0, "{two} {four}");
+    for outer_share in [0.0, 1.0] {
+        assert!(psnr(&at(0.0, outer_share), &frames[1]) > 90.0);
+    }
+}
+
+#[test]
+fn the_fades_of_overlapping_blocks_sum_to_one() {
+    for (step, x) in [8, 13, 51].into_iter().flat_map(|s| (0..3 * s).map(move |x| (s, x))) {
+        let sum: f32 = covering(x, x, 3 * step, step).iter().map(|(.., weight)| weight).sum();
+        assert!((sum - 1.0).abs() < 1e-6);
+    }
+}
+
+/// To the bit.
+#[test]
+fn needed_tiles_equal_those_of_the_whole_image() {
+    let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
+    let still = Warp::identity(W, H);
+    let of = |parts: Option<&Tiles>| {
+        let four = FourFrames { parts, ..around(&frames, 0.5) };
+        refined(&four, [&still, &still], &motions(), &RefineOptions::default())
+    };
+    let (whole, motions_of_whole) = of(None);
+    let mut parts = Tiles::none(W, H);
+    parts.mark_sample(29.0, 20.0);
+    parts.mark_sample(70.0, 46.0);
+    let (some, motions_of_some) = of(Some(&parts));
+    let [motions_of_whole, motions_of_some] =
+        [motions_of_whole, motions_of_some].map(Option::unwrap);
+    let same =
+        |k: usize| some.data()[k] == whole.data()[k] && motions_of_some[k] == motions_of_whole[k];
+    let needed = |k: usize| parts.touches([(k % W) as isize, (k / W) as isize], 1);
+    assert!((0..W * H).filter(|k| needed(*k)).all(same));
+    assert!(!(0..W * H).all(same));
+}
+
+#[test]
+fn tiny_images_stay_finite() {
+    for (w, h) in [(1, 1), (3, 17), (16, 2)] {
+        let (a, b) = (Image::filled(w, h, 3, 0.1), Image::filled(w, h, 3, 0.9));
+        let four = FourFrames {
+            before: Some(&a),
+            earlier: &a,
+            later: &b,
+            after: Some(&b),
+            fraction: 0.5,
+            parts: None,
+            with_motions: true,
+        };
+        let still = Warp::identity(w, h);
+        let (result, _) = refined(&four, [&still, &still], &motions(), &RefineOptions::default());
+        assert!(result.data().iter().all(|v| v.is_finite()));
+    }
+}
