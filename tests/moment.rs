@@ -78,22 +78,26 @@ fn views_of_a_moment_are_the_same_bytes_as_one_by_one() {
 #[test]
 fn over_depth_per_pixel_they_are_as_near_to_the_truth() {
     let (_folder, field) = filmed();
-    let frames = 2.1;
-    let time_s = frames / 30.0 - field.capture().time_origin_s;
     for method in [BlendMethod::Lumigraph, BlendMethod::SpaceTime] {
         let mut options = RenderOptions::default().view();
         options.proxy.method = ProxyMethod::Depth;
         options.blend.method = method;
-        let (mut gain_db, views) = (0.0, both(&field, time_s, &options));
-        for (target, rendered) in places(&field).iter().zip(&views) {
-            let truth = world().film(target, frames, 0.0, 1);
-            let [of_moment, alone] = rendered.each_ref().map(|r| psnr_db(&r.image, &truth, 24));
-            // Where levels lie decides on a few pixels at outlines.
-            assert!((of_moment - alone).abs() < 0.6, "{method:?}: {of_moment} dB, {alone} dB");
-            assert!(of_moment > 34.0, "{method:?}: {of_moment} dB");
-            gain_db += of_moment - alone;
+        let mut gains_db = Vec::new();
+        for frames in [1.1, 1.6, 2.1, 2.6] {
+            let time_s = frames / 30.0 - field.capture().time_origin_s;
+            let views = both(&field, time_s, &options);
+            for (target, rendered) in places(&field).iter().zip(&views) {
+                let truth = world().film(target, frames, 0.0, 1);
+                let [of_moment, alone] = rendered.each_ref().map(|r| psnr_db(&r.image, &truth, 24));
+                // Where levels lie decides on a few pixels at outlines.
+                assert!((of_moment - alone).abs() < 0.6, "{method:?}: {of_moment} dB, {alone} dB");
+                assert!(of_moment > 34.0, "{method:?}: {of_moment} dB");
+                gains_db.push(of_moment - alone);
+            }
         }
-        assert!(gain_db > -0.2, "{method:?}: {gain_db} dB");
+        let mean_db = gains_db.iter().sum::<f64>() / gains_db.len() as f64;
+        // -0.05 to -0.12 dB were measured.
+        assert!(mean_db > -0.2, "{method:?}: {gains_db:?} dB");
     }
 }
 
