@@ -97,7 +97,7 @@ fn over_depth_per_pixel_they_are_as_near_to_the_truth() {
         }
         let mean_db = gains_db.iter().sum::<f64>() / gains_db.len() as f64;
         // -0.05 to -0.12 dB were measured.
-        assert!(mean_db > -0.2, "{method:?}: {gains_db:?} dB");
+        assert!(mean_db > -0.15, "{method:?}: {gains_db:?} dB");
     }
 }
 

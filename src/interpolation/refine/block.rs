@@ -28,8 +28,8 @@ const MIN_WEIGHT: f32 = 1e-30;
 /// for the other.
 const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
 
-/// Motion, pixels per frame, up to which a surface is at rest. That frames agree at rest does not tell that nothing
-/// moves: what passes between them leaves no trace. Larger: slow motion is not believed; smaller: errors of tracks
+/// Motion, pixels per frame, below which a surface is at rest. Frames may agree at rest although something passes
+/// between them. Larger: slow motion is not believed; smaller: errors of tracks
 /// count as motion.
 const AT_REST_PX: f32 = 1.0;
 
@@ -238,10 +238,11 @@ impl BlockRefiner<'_> {
         costs: impl Fn(usize) -> f32,
     ) -> Vec<f32> {
         let side = 2 * self.step + 2 * self.options.window_radius_px;
-        let less =
+        let deficit =
             |(k, [x, y]): (usize, [f32; 2])| (self.best_costs[n].at(x, y) - costs(k)).min(0.0);
-        let less: Vec<f32> = self.places(motion, n + 1, origin).enumerate().map(less).collect();
-        let mut excess = largest_around(&less, side, self.options.window_radius_px);
+        let deficits: Vec<f32> =
+            self.places(motion, n + 1, origin).enumerate().map(deficit).collect();
+        let mut excess = largest_around(&deficits, side, self.options.window_radius_px);
         excess.iter_mut().for_each(|v| *v = -*v);
         excess
     }
@@ -319,18 +320,16 @@ impl BlockRefiner<'_> {
         let change_px = |exists: bool, n: usize| {
             if exists { (steps[n + 1] - steps[n]).norm() as f32 } else { 0.0 }
         };
-        let moves = PixelMotion {
+        let of_block = PixelMotion {
             motion_px: steps[1].norm() as f32,
             change_px: change_px(before.is_some(), 0).max(change_px(after.is_some(), 1)),
             cost: 0.0,
         };
+        let at_rest = of_block.motion_px < AT_REST_PX;
         let pixel_motion = |k: usize, cost: f32| {
-            let at_rest = moves.motion_px < AT_REST_PX;
-            let warped = square
-                .pixel(k)
-                .filter(|_| at_rest)
-                .map(|(x, y)| self.costs[y * square.image[0] + x]);
-            PixelMotion { cost: warped.map_or(cost, |warped| warped.max(cost)), ..moves }
+            let pixel = square.pixel(k).filter(|_| at_rest);
+            let min_cost = pixel.map_or(0.0, |(x, y)| self.costs[y * square.image[0] + x]);
+            PixelMotion { cost: cost.max(min_cost), ..of_block }
         };
         for k in 0..square.side * square.side {
             let (x, y) = (k % square.side + radius, k / square.side + radius);

@@ -85,7 +85,7 @@ pub fn of_prepared(lengths: &[usize]) -> Done<()> {
             Ok(format!("{:.0} ({:.0})", run.peak_mib, run.seconds))
         };
         let prepared = peak("prepare")?;
-        let bytes = size_of(&capture.join(".stlfr"))?;
+        let bytes = bytes_in(&capture.join(".stlfr"))?;
         let rendered = peak("render --camera")?;
         println!("| {frames} | {prepared} | {:.0} | {rendered} |", bytes as f64 / 1048576.0);
         std::fs::remove_dir_all(&capture)?;
@@ -94,12 +94,12 @@ pub fn of_prepared(lengths: &[usize]) -> Done<()> {
 }
 
 /// The bytes of all files in a folder and those in it.
-fn size_of(folder: &Path) -> Done<u64> {
+fn bytes_in(folder: &Path) -> Done<u64> {
     let mut bytes = 0;
     for entry in std::fs::read_dir(folder)? {
         let entry = entry?;
         let kind = entry.file_type()?;
-        bytes += if kind.is_dir() { size_of(&entry.path())? } else { entry.metadata()?.len() };
+        bytes += if kind.is_dir() { bytes_in(&entry.path())? } else { entry.metadata()?.len() };
     }
     Ok(bytes)
 }
