@@ -5,7 +5,7 @@ use crate::capture::Capture;
 use crate::light_field::{LightField, RenderError};
 use crate::offset::known_or_cached_or_estimated;
 use crate::options::RenderOptions;
-use crate::plan::{Stage, plan};
+use crate::plan::{Choice, Kept, Methods, Stage, plan};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::sync::Arc;
@@ -25,7 +25,8 @@ pub fn open_field(
 }
 
 /// The options with nothing left to the capture: where `options.auto` leaves methods to it, those
-/// that it requires ([`plan`]). Says which, and why, on the reporter.
+/// that it requires ([`plan`]), or those that an earlier plan decided for the same capture and options. Says
+/// which, and why, on the reporter.
 pub fn resolved(
     field: &LightField,
     options: &RenderOptions,
@@ -34,8 +35,26 @@ pub fn resolved(
     if !options.auto.any() {
         return Ok(options.clone());
     }
-    let plan = plan(field, options, reporter)?;
     let auto = &options.auto;
+    let kept = Kept::of(field, options);
+    if let Some(methods) = kept.as_ref().and_then(|kept| kept.load(|why| reporter.note(why))) {
+        let left = [
+            (auto.sync, Choice::Sync(methods.sync)),
+            (auto.proxy, Choice::Proxy(methods.proxy)),
+            (auto.blend, Choice::Blend(methods.blend)),
+        ];
+        let names: Vec<String> = left
+            .iter()
+            .filter(|(is_auto, _)| *is_auto)
+            .map(|(_, choice)| format!("{} {}", choice.stage().name(), choice.name()))
+            .collect();
+        reporter.note(&format!("Auto: {}, as planned before (.stlfr/plans).", names.join(", ")));
+        return Ok(methods.put_into(options.clone()));
+    }
+    let plan = plan(field, options, reporter)?;
+    if let Some(kept) = kept {
+        kept.save(&Methods::of(&plan.options));
+    }
     let stages = [(Stage::Sync, auto.sync), (Stage::Proxy, auto.proxy), (Stage::Blend, auto.blend)];
     let is_left = stages.into_iter().filter(|(_, is_auto)| *is_auto);
     for decision in is_left.filter_map(|(stage, _)| plan.decision(stage)) {

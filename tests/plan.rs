@@ -3,7 +3,7 @@
 mod common;
 
 use common::wall::{FRAME_S, Scene, open};
-use common::{assert_refused, edit, run, succeed, text, tiny_copy};
+use common::{assert_refused, edit, run, stderr, succeed, text, tiny_copy};
 use serde_json::{Value, json};
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::LightField;
@@ -208,6 +208,36 @@ fn only_the_methods_that_are_auto_are_decided() {
     assert_eq!(resolved.sync, SyncMethod::Refined);
     assert_eq!(resolved.proxy.method, ProxyMethod::Plane);
     assert!(!resolved.auto.any());
+}
+
+#[test]
+fn a_plan_is_kept_for_the_same_capture_and_options() {
+    let folder = still().film();
+    let plans = folder.path().join(".stlfr/plans");
+    let files = || std::fs::read_dir(&plans).map_or(0, Iterator::count);
+    let planned = |more: &[&str]| {
+        let image = folder.path().join("view.png");
+        let arguments = ["render", text(folder.path()), "--like", "cam1", "--time", "0", "-o"];
+        let auto = ["--sync", "auto", "--proxy", "auto", "--blend", "auto"];
+        let output = succeed(&[&arguments[..], &[text(&image)], &auto, more].concat());
+        (std::fs::read(&image).unwrap(), stderr(&output))
+    };
+    let because = "the best plane displaces points by";
+    let (first, why) = planned(&[]);
+    assert!(why.contains(because) && files() == 1, "{why}");
+    let (again, why) = planned(&[]);
+    assert!(why.contains("Auto: sync nearest, proxy plane, blend"), "{why}");
+    assert!(why.contains("as planned before") && files() == 1 && again == first, "{why}");
+
+    // What is damaged is planned anew; so are other options, and another capture.
+    let file = std::fs::read_dir(&plans).unwrap().next().unwrap().unwrap().path();
+    let other = std::fs::read_to_string(&file).unwrap().replace("nearest", "refined");
+    std::fs::write(&file, other).unwrap();
+    let (again, why) = planned(&[]);
+    assert!(why.contains("is damaged") && why.contains(because) && again == first, "{why}");
+    assert!(planned(&["--preset", "draft"]).1.contains(because) && files() == 2);
+    edit(folder.path(), |json| json["name"] = json!("another"));
+    assert!(planned(&[]).1.contains(because) && files() == 3);
 }
 
 #[test]

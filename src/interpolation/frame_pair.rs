@@ -103,8 +103,9 @@ fn in_set(tracks: &[Track], forward: bool) -> impl Iterator<Item = &Track> {
 
 impl FramePair<'_> {
     /// The camera's image, from its own frames alone ([`SyncMethod::of_one_camera`]), at a time between the
-    /// two frames, seconds; at another time, that of the nearer frame's. At a frame's time it is the frame, up to resampling. Values are in 0..=1, but for those
-    /// that [`SyncMethod::Nearest`] and [`SyncMethod::Crossfade`] take over from the frames.
+    /// two frames, seconds; at another time, that of the nearer frame's. At a frame's time it is the frame, up to
+    /// resampling. Values are in 0..=1, but for those that [`SyncMethod::Nearest`] and [`SyncMethod::Crossfade`]
+    /// take over from the frames.
     ///
     /// # Panics
     /// If `times_s` has no entry for the later frame.

@@ -36,8 +36,8 @@ const DISTANCE_POWER: i32 = 3;
 /// and zoom are taken for translation; smaller: two close tracks' errors are taken for rotation.
 const RIDGE_PX: f64 = 2.0;
 
-/// An affine motion around a point: the displacements there, and their derivatives by position.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// An affine motion around a point: the displacements there, and their derivatives by position. By default none.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct LocalMotion {
     to: [Vector2<f64>; 4],
     per_px: [Matrix2<f64>; 4],

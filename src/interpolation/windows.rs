@@ -1,36 +1,35 @@
 //! Per-pixel difference and cross-fade of two images, and the mean over windows.
 
-use crate::raster::Image;
+use crate::raster::{Image, padded, sliding};
 
 /// The absolute difference of two images of one shape, averaged over the channels, row by row.
 pub(super) fn difference(a: &Image, b: &Image) -> Vec<f32> {
-    let channels = a.channels();
-    (a.data().chunks_exact(channels).zip(b.data().chunks_exact(channels)))
-        .map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>() / channels as f32)
-        .collect()
+    #[inline(always)]
+    fn of_pixel(a: &[f32], b: &[f32]) -> f32 {
+        a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>() / a.len() as f32
+    }
+    let (a_data, b_data) = (a.data(), b.data());
+    match a.channels() {
+        // The number is known to the compiler, which takes many pixels at a time.
+        3 => (a_data.as_chunks::<3>().0.iter().zip(b_data.as_chunks::<3>().0))
+            .map(|(a, b)| of_pixel(a, b))
+            .collect(),
+        n => (a_data.chunks_exact(n).zip(b_data.chunks_exact(n)))
+            .map(|(a, b)| of_pixel(a, b))
+            .collect(),
+    }
 }
 
 /// The largest value of a plane over a (2·radius + 1)² window, of its part inside the plane; `w` wide.
 pub(super) fn largest_around(values: &[f32], w: usize, radius: usize) -> Vec<f32> {
-    let h = values.len() / w;
-    let mut across = values.to_vec();
-    for (row, out) in values.chunks_exact(w).zip(across.chunks_exact_mut(w)) {
-        for shift in 1..=radius.min(w - 1) {
-            for x in 0..w - shift {
-                out[x] = out[x].max(row[x + shift]);
-                out[x + shift] = out[x + shift].max(row[x]);
-            }
-        }
+    let side = 2 * radius + 1;
+    let largest = sliding(&padded(values, w, radius, f32::NEG_INFINITY), side, 1, f32::max);
+    let mut across = vec![f32::NEG_INFINITY; values.len() + 2 * radius * w];
+    let rows = across[radius * w..].chunks_exact_mut(w);
+    for (row, out) in largest.chunks(w + 2 * radius).zip(rows) {
+        out.copy_from_slice(&row[..w]);
     }
-    let mut out = across.clone();
-    for shift in 1..=radius.min(h - 1) {
-        let n = w * (h - shift);
-        for k in 0..n {
-            out[k] = out[k].max(across[k + shift * w]);
-            out[k + shift * w] = out[k + shift * w].max(across[k]);
-        }
-    }
-    out
+    sliding(&across, side, w, f32::max)
 }
 
 /// The cross-fade of two images of one shape: `a` at a fraction of 0, `b` at 1.

@@ -25,12 +25,14 @@
 
 mod decide;
 mod decision;
+mod kept;
 mod motion;
 mod probe;
 mod rig;
 mod shape;
 
 pub use decision::{Choice, Decision, Stage};
+pub(crate) use kept::{Kept, Methods};
 pub use motion::Motion;
 pub use probe::Probe;
 pub use rig::{ClockSummary, extent_ratio, largest_distortion_px};
@@ -39,7 +41,7 @@ pub use shape::Shape;
 use crate::interpolation::SyncMethod;
 use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::BlendMethod;
-use crate::options::{AutoOptions, ProxyMethod, RenderOptions, ViewOptions};
+use crate::options::{ProxyMethod, RenderOptions, ViewOptions};
 use crate::progress::Reporter;
 use serde::Serialize;
 
@@ -102,9 +104,8 @@ pub fn plan(
     decisions.push(decide::gains(field.gains()));
     decisions.push(decide::lenses(largest_distortion_px(capture)));
     decisions.push(decide::references(extent_ratio(capture)));
-    let AutoOptions { budget_px, budget_db, .. } = options.auto;
-    decided.auto = AutoOptions { budget_px, budget_db, ..AutoOptions::default() };
-    Ok(Plan { budget_px, decisions, options: decided })
+    let options = Methods::of(&decided).put_into(decided);
+    Ok(Plan { budget_px, decisions, options })
 }
 
 /// What views decide.

@@ -1,25 +1,59 @@
-//! Means over windows.
+//! Filters over windows.
+
+/// Every `count` successive values combined, from each on that has as many after it; `values` are `stride` apart. By
+/// doubling: the time grows with the logarithm of the count.
+///
+/// # Panics
+/// If the count is 0, or there are fewer values.
+pub(crate) fn sliding(
+    values: &[f32],
+    count: usize,
+    stride: usize,
+    combine: impl Fn(f32, f32) -> f32,
+) -> Vec<f32> {
+    let out_len = values.len() - (count - 1) * stride;
+    let pairs = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| combine(*a, *b)).collect();
+    // Of as many values as the power of two.
+    let mut doubled = values.to_vec();
+    let (mut power, mut done) = (1, 0);
+    let mut out: Option<Vec<f32>> = None;
+    loop {
+        if count & power != 0 {
+            let rest = &doubled[done * stride..][..out_len];
+            out = Some(out.map_or_else(|| rest.to_vec(), |out| pairs(&out, rest)));
+            done += power;
+        }
+        if done == count {
+            return out.expect("the count is not 0");
+        }
+        doubled = pairs(&doubled, &doubled[power * stride..]);
+        power *= 2;
+    }
+}
+
+/// The rows of a plane `w` wide, with `count` more values at both ends of each.
+pub(crate) fn padded(values: &[f32], w: usize, count: usize, value: f32) -> Vec<f32> {
+    let mut out = vec![value; values.len() / w * (w + 2 * count)];
+    for (row, out) in values.chunks_exact(w).zip(out.chunks_exact_mut(w + 2 * count)) {
+        out[count..count + w].copy_from_slice(row);
+    }
+    out
+}
 
 /// The box filter of a `w`×`h` plane: the mean over a (2·radius + 1)² window, of its part inside the plane.
 pub(crate) fn box_filter(values: &[f32], w: usize, h: usize, radius: usize) -> Vec<f32> {
     let span = |at: usize, size: usize| (at.saturating_sub(radius), (at + radius + 1).min(size));
-    let mut across = vec![0.0_f32; values.len()];
-    // Where the whole window is inside.
-    let inside = radius.min(w)..w.saturating_sub(radius).max(radius.min(w));
-    let share = 1.0 / (2 * radius + 1) as f32;
-    for (row, out) in values.chunks_exact(w).zip(across.chunks_exact_mut(w)) {
-        for x in (0..inside.start).chain(inside.end..w) {
+    let shares: Vec<f32> = (0..w)
+        .map(|x| {
             let (from, to) = span(x, w);
-            out[x] = row[from..to].iter().sum::<f32>() / (to - from) as f32;
-        }
-        let n = inside.len();
-        let out = &mut out[inside.clone()];
-        // One column of the window after the other, over many pixels at a time.
-        for first in 0..=(2 * radius).min(w - n) {
-            for (out, v) in out.iter_mut().zip(&row[first..first + n]) {
-                *out += share * v;
-            }
-        }
+            1.0 / (to - from) as f32
+        })
+        .collect();
+    // All rows at once: what reaches from one into the next is not read.
+    let sums = sliding(&padded(values, w, radius, 0.0), 2 * radius + 1, 1, |a, b| a + b);
+    let mut across = Vec::with_capacity(values.len());
+    for row in sums.chunks(w + 2 * radius) {
+        across.extend(row.iter().zip(&shares).map(|(sum, share)| sum * share));
     }
     let mut out = vec![0.0; values.len()];
     // In f64, what is added and taken away again leaves nothing in f32.
@@ -44,6 +78,21 @@ pub(crate) fn box_filter(values: &[f32], w: usize, h: usize, radius: usize) -> V
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sliding_combines_successive_values() {
+        let values: Vec<f32> = (0..60).map(|k| ((k * 37) % 101) as f32).collect();
+        for (count, stride) in [(1, 1), (2, 1), (5, 1), (7, 3), (9, 5), (20, 3)] {
+            let window = |k: usize| (0..count).map(move |n| k + n * stride);
+            let starts = 0..60 - (count - 1) * stride;
+            let sums: Vec<f32> =
+                starts.clone().map(|k| window(k).map(|k| values[k]).sum()).collect();
+            assert_eq!(sliding(&values, count, stride, |a, b| a + b), sums);
+            let largest: Vec<f32> =
+                starts.map(|k| window(k).map(|k| values[k]).fold(0.0, f32::max)).collect();
+            assert_eq!(sliding(&values, count, stride, f32::max), largest);
+        }
+    }
 
     #[test]
     fn the_box_filter_equals_direct_means() {

@@ -23,14 +23,11 @@ pub(crate) fn sample<const C: usize>(
     sampling: Sampling,
 ) -> [f32; C] {
     let mut out = [0.0; C];
-    let (w, h) = (image.width(), image.height());
-    let (left, top) = (x - 0.5, y - 0.5);
-    // One pixel further on the right than the filter reaches, for reading four values at a time.
-    let inside = left >= 1.0 && top >= 1.0 && left < w as f32 - 3.0 && top < h as f32 - 2.0;
-    match (sampling, inside) {
-        (Sampling::Bilinear, false) => image.sample_bilinear(x, y, &mut out),
-        (Sampling::Cubic, false) => image.sample_cubic(x, y, &mut out),
-        (Sampling::Bilinear, true) => {
+    let w = image.width();
+    match (sampling, inside(image, x, y)) {
+        (Sampling::Bilinear, None) => image.sample_bilinear(x, y, &mut out),
+        (Sampling::Cubic, None) => image.sample_cubic(x, y, &mut out),
+        (Sampling::Bilinear, Some((left, top))) => {
             let (i, j) = (left as usize, top as usize);
             let (fx, fy) = (left - i as f32, top - j as f32);
             let at = (j * w + i) * C;
@@ -42,12 +39,12 @@ pub(crate) fn sample<const C: usize>(
             }
         }
         #[cfg(target_arch = "x86_64")]
-        (Sampling::Cubic, true) if C == 3 && has_avx2_and_fma() => {
+        (Sampling::Cubic, Some((left, top))) if C == 3 && has_avx2_and_fma() => {
             // Safe: the processor has both.
             let rgb = unsafe { cubic_rgb_avx2(image.data(), w, left, top) };
             out.copy_from_slice(&rgb[..C]);
         }
-        (Sampling::Cubic, true) => {
+        (Sampling::Cubic, Some((left, top))) => {
             let (i, j) = (left as usize, top as usize);
             let (wx, wy) = (catmull_rom(left - i as f32), catmull_rom(top - j as f32));
             let mut sum = [0.0; 4];
@@ -75,6 +72,16 @@ pub(crate) fn sample<const C: usize>(
         }
     }
     out
+}
+
+/// A position from the centre of the first pixel, if the filters around it lie inside the image.
+#[inline(always)]
+fn inside(image: &Image, x: f32, y: f32) -> Option<(f32, f32)> {
+    let (w, h) = (image.width(), image.height());
+    let (left, top) = (x - 0.5, y - 0.5);
+    // One pixel further on the right than the filter reaches, for reading four values at a time.
+    let inside = left >= 1.0 && top >= 1.0 && left < w as f32 - 3.0 && top < h as f32 - 2.0;
+    inside.then_some((left, top))
 }
 
 /// Whether the processor has these instructions.
@@ -162,8 +169,24 @@ pub(crate) fn sample_all(
             out.copy_from_slice(&sample::<C>(image, x, y, Sampling::Cubic));
         }
     }
+    /// The same where the loop is compiled for these instructions, too.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn each_rgb_avx2(image: &Image, positions: impl Iterator<Item = [f32; 2]>, out: &mut [f32]) {
+        for ([x, y], out) in positions.zip(out.chunks_exact_mut(3)) {
+            if let Some((left, top)) = inside(image, x, y) {
+                let [r, g, b, _] = cubic_rgb_avx2(image.data(), image.width(), left, top);
+                out.copy_from_slice(&[r, g, b]);
+            } else {
+                image.sample_cubic(x, y, out);
+            }
+        }
+    }
     match image.channels() {
         1 => each::<1>(image, positions, out),
+        #[cfg(target_arch = "x86_64")]
+        // Safe: the processor has both.
+        3 if has_avx2_and_fma() => unsafe { each_rgb_avx2(image, positions, out) },
         3 => each::<3>(image, positions, out),
         n => {
             for ([x, y], out) in positions.zip(out.chunks_exact_mut(n)) {

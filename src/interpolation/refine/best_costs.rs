@@ -1,9 +1,11 @@
 //! How well the motions around a frame's pixels explain them.
 
 use super::candidates::Candidates;
+use super::patch::Patch;
+use crate::interpolation::local_motion::LocalMotion;
 use crate::interpolation::windows::difference;
 use crate::interpolation::{Motion, RefineOptions};
-use crate::raster::{Image, box_filter, sample_all};
+use crate::raster::{Image, box_filter};
 use nalgebra::{Point2, Vector2};
 use std::sync::OnceLock;
 
@@ -59,35 +61,27 @@ impl<'a> BestCosts<'a> {
     pub fn at(&self, x: f32, y: f32) -> f32 {
         let pixel = |v: f32, size: usize| (v.max(0.0) as usize).min(size - 1);
         let (x, y) = (pixel(x, self.frame.width()), pixel(y, self.frame.height()));
-        let side = self.side;
-        let cell = self.cells[y / side * self.across + x / side]
-            .get_or_init(|| self.cell([x / side, y / side].map(|v| (v * side) as f64)));
-        cell[y % side * side + x % side]
+        let ([column, row], [x, y]) =
+            ([x, y].map(|v| v / self.side), [x, y].map(|v| v % self.side));
+        let cell = self.cells[row * self.across + column]
+            .get_or_init(|| self.cell(Point2::from([column, row].map(|v| (v * self.side) as f64))));
+        cell[y * self.side + x]
     }
 
     /// Costs of the cell whose top-left corner this is, row by row.
-    fn cell(&self, corner: [f64; 2]) -> Vec<f32> {
-        let (radius, channels) = (self.radius, self.frame.channels());
+    fn cell(&self, corner: Point2<f64>) -> Vec<f32> {
+        let radius = self.radius;
         let side = self.side + 2 * radius;
-        let middle = Point2::from(corner.map(|v| v + self.side as f64 / 2.0));
-        let place = |k: usize| {
-            let [x, y] = [k % side, k / side].map(|v| v as f64 + 0.5 - radius as f64);
-            Vector2::new(corner[0] + x, corner[1] + y)
+        let patch = Patch {
+            corner: corner - Vector2::repeat(radius as f64),
+            center: corner + Vector2::repeat(self.side as f64 / 2.0),
+            side,
         };
-        let patch = |image: &Image, shift: &dyn Fn(Vector2<f64>) -> Vector2<f64>| {
-            let mut patch = vec![0.0; side * side * channels];
-            let places = (0..side * side).map(|k| {
-                let at = place(k) + shift(place(k) - middle.coords);
-                [at.x as f32, at.y as f32]
-            });
-            sample_all(image, places, &mut patch);
-            Image::from_data(side, side, channels, patch)
-        };
-        let own = patch(self.frame, &|_| Vector2::zeros());
+        let own = patch.sampled(self.frame, &LocalMotion::default(), 0);
         let mut best = vec![f32::INFINITY; self.side * self.side];
-        for motion in self.candidates.around(&middle) {
+        for motion in self.candidates.around(&patch.center) {
             for (index, image) in &self.others {
-                let other = patch(image, &|from| motion.at(*index, from));
+                let other = patch.sampled(image, &motion, *index);
                 let costs = box_filter(&difference(&own, &other), side, side, radius);
                 for (row, best) in best.chunks_exact_mut(self.side).enumerate() {
                     let costs = &costs[(row + radius) * side + radius..];

@@ -5,11 +5,12 @@ use super::PixelMotion;
 use super::best_costs::BestCosts;
 use super::candidates::Candidates;
 use super::four_frames::FourFrames;
+use super::patch::Patch;
 use super::static_block::{average, is_static};
 use crate::interpolation::RefineOptions;
 use crate::interpolation::local_motion::LocalMotion;
 use crate::interpolation::windows::{cross_fade, difference, largest_around};
-use crate::raster::{Image, box_filter, sample_all};
+use crate::raster::{Image, box_filter};
 use nalgebra::{Point2, Vector2};
 
 /// Maximum number of motions that the outer frames are warped by where the middle ones agree. Larger: time;
@@ -24,13 +25,12 @@ const MIN_DOUBLE_FRACTION: f32 = 1e-3;
 /// underflows.
 const MIN_WEIGHT: f32 = 1e-30;
 
-/// Weight of the cost by which another motion explains a frame's pixels better. Larger: outlines are eroded; smaller: where two surfaces look alike, pixels of one are taken
-/// for the other.
+/// Weight of the cost by which another motion explains a frame's pixels better. Larger: outlines are eroded;
+/// smaller: where two surfaces look alike, pixels of one are taken for the other.
 const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
 
 /// Motion, pixels per frame, below which a surface is at rest. Frames may agree at rest although something passes
-/// between them. Larger: slow motion is not believed; smaller: errors of tracks
-/// count as motion.
+/// between them. Larger: slow motion is not believed; smaller: errors of tracks count as motion.
 const AT_REST_PX: f32 = 1.0;
 
 /// Refines the blocks of an image.
@@ -192,13 +192,8 @@ impl BlockRefiner<'_> {
         origin: [isize; 2],
         with_middle: bool,
     ) -> [Option<Image>; 4] {
-        let side = 2 * self.step + 2 * self.options.window_radius_px;
-        let channels = self.cross_faded.channels();
-        let warped = |image: &Image, frame: usize| {
-            let mut patch = vec![0.0; side * side * channels];
-            sample_all(image, self.places(motion, frame, origin), &mut patch);
-            Image::from_data(side, side, channels, patch)
-        };
+        let patch = self.patch(origin);
+        let warped = |image: &Image, frame: usize| patch.sampled(image, motion, frame);
         let f = self.frames;
         [
             f.before.map(|image| warped(image, 0)),
@@ -208,23 +203,15 @@ impl BlockRefiner<'_> {
         ]
     }
 
-    /// Where a block's pixels and those of the windows around it are in a frame, 0 to 3, by a motion.
-    fn places(
-        &self,
-        motion: &LocalMotion,
-        frame: usize,
-        origin: [isize; 2],
-    ) -> impl Iterator<Item = [f32; 2]> {
+    /// A block with the windows around it.
+    fn patch(&self, origin: [isize; 2]) -> Patch {
         let radius = self.options.window_radius_px;
-        let side = 2 * self.step + 2 * radius;
-        let corner = origin.map(|o| (o - radius as isize) as f64);
-        let middle = origin.map(|o| (o + self.step as isize) as f64);
-        (0..side * side).map(move |k| {
-            let [x, y] = [k % side, k / side].map(|v| v as f64 + 0.5);
-            let at = Vector2::new(corner[0] + x, corner[1] + y);
-            let shift = motion.at(frame, at - Vector2::from(middle));
-            [(at.x + shift.x) as f32, (at.y + shift.y) as f32]
-        })
+        let at = |offset: isize| Point2::from(origin.map(|v| (v + offset) as f64));
+        Patch {
+            corner: at(-(radius as isize)),
+            center: at(self.step as isize),
+            side: 2 * self.step + 2 * radius,
+        }
     }
 
     /// By how much another motion explains a middle frame's pixels, 0 or 1, better than this one, whose costs are
@@ -237,12 +224,12 @@ impl BlockRefiner<'_> {
         origin: [isize; 2],
         costs: impl Fn(usize) -> f32,
     ) -> Vec<f32> {
-        let side = 2 * self.step + 2 * self.options.window_radius_px;
+        let patch = self.patch(origin);
         let deficit =
             |(k, [x, y]): (usize, [f32; 2])| (self.best_costs[n].at(x, y) - costs(k)).min(0.0);
-        let deficits: Vec<f32> =
-            self.places(motion, n + 1, origin).enumerate().map(deficit).collect();
-        let mut excess = largest_around(&deficits, side, self.options.window_radius_px);
+        let places = patch.places(motion, n + 1).into_iter();
+        let deficits: Vec<f32> = places.enumerate().map(deficit).collect();
+        let mut excess = largest_around(&deficits, patch.side, self.options.window_radius_px);
         excess.iter_mut().for_each(|v| *v = -*v);
         excess
     }
