@@ -8,6 +8,7 @@ use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
+use stlfr::host;
 use stlfr::live::{Server, Studio};
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
@@ -34,7 +35,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
-    bound_arenas();
+    host::bound_arenas();
     let options = args.options.read()?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
     // Before long work, which would be in vain without it.
@@ -51,20 +52,6 @@ pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
         reporter.note("No browser could be opened: open the address by hand.");
     }
     server.serve(&studio).map_err(|error| CliError::Failure(format!("the server ended ({error})")))
-}
-
-/// How many arenas the allocator has. More: freed images stay in the arena of the thread that made them, which over
-/// minutes adds a hundred megabytes; fewer than two: threads wait for each other.
-#[cfg(all(target_os = "linux", target_env = "gnu"))]
-const ARENAS: i32 = 2;
-
-/// Keeps the memory of a server that runs for long near what it holds.
-fn bound_arenas() {
-    #[cfg(all(target_os = "linux", target_env = "gnu"))]
-    // SAFETY: it sets a number of the allocator, which takes effect where the next arena would be made.
-    unsafe {
-        libc::mallopt(libc::M_ARENA_MAX, ARENAS);
-    }
 }
 
 fn refused(port: u16, error: &std::io::Error) -> CliError {

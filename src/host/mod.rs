@@ -1,6 +1,7 @@
 //! What the program asks of the machine: files read within bounds and written whole, child processes,
-//! signals, time, caches in memory and on disk.
+//! signals, time, memory, caches in memory and on disk.
 
+mod allocator;
 mod cache;
 pub(crate) mod cache_file;
 mod interrupt;
@@ -11,6 +12,7 @@ mod stopwatch;
 pub(crate) mod temporary;
 mod write;
 
+pub use allocator::{bound_arenas, reuse_freed_memory};
 pub use cache::BoundedCache;
 pub use interrupt::remove_unfinished_on_signals;
 pub use obstacle::obstacle;

@@ -119,6 +119,8 @@ fn frames() -> Done<Chart> {
 }
 
 fn main() -> Done<()> {
+    // As the program does.
+    stlfr::host::reuse_freed_memory();
     let words: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
     type Part = (&'static str, fn() -> Done<Chart>);
     let parts: [Part; 5] = [

@@ -132,6 +132,8 @@ fn middle_s(capture: &Capture) -> f64 {
 }
 
 fn main() -> Result<(), Error> {
+    // As the program does.
+    stlfr::host::reuse_freed_memory();
     let mut folders = Vec::new();
     let mut count = 40;
     let mut arguments = std::env::args().skip(1).filter(|a| a != "--bench");

@@ -187,6 +187,8 @@ fn around_presets() -> Vec<RenderOptions> {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
+    // As the program does.
+    stlfr::host::reuse_freed_memory();
     let mut options = TradeoffOptions {
         rounds: 0,
         clock: Clock::Cpu,

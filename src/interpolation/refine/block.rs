@@ -5,6 +5,7 @@ use super::PixelMotion;
 use super::best_costs::BestCosts;
 use super::candidates::Candidates;
 use super::four_frames::FourFrames;
+use super::layout::Layout;
 use super::patch::Patch;
 use super::static_block::{average, is_static};
 use crate::interpolation::RefineOptions;
@@ -51,8 +52,8 @@ pub struct BlockRefiner<'a> {
     pub outer_costs: [Option<Vec<f32>>; 2],
     /// With lengths scaled to the image's size.
     pub options: &'a RefineOptions,
-    /// Distance between blocks, pixels; half a block's side.
-    pub step: usize,
+    /// Of the blocks.
+    pub layout: Layout,
 }
 
 /// The weighted sum of a block's hypotheses, per pixel.
@@ -96,17 +97,14 @@ impl Square {
 }
 
 impl BlockRefiner<'_> {
-    /// The refined block (`bx`, `by`), of twice the step a side; `None` if no track is near, or it is not
-    /// needed.
-    pub fn refine(&self, bx: isize, by: isize) -> Option<RefinedBlock> {
-        let (w, h) = (self.cross_faded.width(), self.cross_faded.height());
-        let (step, side) = (self.step as isize, 2 * self.step);
-        let origin = [(bx - 1) * step, (by - 1) * step];
+    /// The refined block with this top-left pixel; `None` if no track is near, or it is not needed.
+    pub fn refine(&self, origin: [isize; 2]) -> Option<RefinedBlock> {
+        let side = self.layout.side;
         if self.frames.parts.is_some_and(|parts| !parts.touches(origin, side)) {
             return None;
         }
-        let square = Square { origin, side, image: [w, h] };
-        let indices = || square.pixels().flatten().map(|(x, y)| y * w + x);
+        let square = Square { origin, side, image: self.layout.image };
+        let indices = || square.pixels().flatten().map(|(x, y)| y * square.image[0] + x);
         let max_cost = indices().map(|k| self.costs[k]).fold(0.0, f32::max);
         let agree = max_cost <= self.options.min_difference;
         // Where the middle frames agree, only the outer frames remain to be averaged in.
@@ -118,8 +116,7 @@ impl BlockRefiner<'_> {
             let colors = average(self.frames, self.cross_faded, outer_weight, square.pixels());
             return Some(RefinedBlock { colors, motions: None });
         }
-        let center = Point2::new((origin[0] + step) as f64, (origin[1] + step) as f64);
-        let mut candidates = self.candidates.around(&center);
+        let mut candidates = self.candidates.around(&self.patch(origin).center);
         if candidates.is_empty() {
             return None;
         }
@@ -209,8 +206,8 @@ impl BlockRefiner<'_> {
         let at = |offset: isize| Point2::from(origin.map(|v| (v + offset) as f64));
         Patch {
             corner: at(-(radius as isize)),
-            center: at(self.step as isize),
-            side: 2 * self.step + 2 * radius,
+            center: at(self.layout.side as isize / 2),
+            side: self.layout.side + 2 * radius,
         }
     }
 

@@ -20,6 +20,7 @@ mod best_costs;
 mod block;
 mod candidates;
 mod four_frames;
+mod layout;
 mod patch;
 mod static_block;
 #[cfg(test)]
@@ -33,12 +34,8 @@ use best_costs::BestCosts;
 use block::{BlockRefiner, RefinedBlock};
 use candidates::Candidates;
 pub use four_frames::FourFrames;
+use layout::Layout;
 use rayon::prelude::*;
-
-/// Minimum distance between blocks, pixels; a block's side is twice the distance. The distance is at least
-/// twice a window's radius, and so grows with images beyond 640 pixels. Larger: one motion for pixels that
-/// move differently; smaller: more blocks, which costs time.
-const MIN_STEP: usize = 8;
 
 /// How a pixel moves, by the hypotheses that it is the mean of.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -80,9 +77,9 @@ pub fn refined(
 ) -> (Image, Option<Vec<PixelMotion>>) {
     let (w, h) = (frames.earlier.width(), frames.earlier.height());
     let options = &scaled(options, w.max(h));
-    let step = MIN_STEP.max(2 * options.window_radius_px);
+    let layout = Layout::new([w, h], options.window_radius_px);
     // A block that touches what is needed, the windows around its pixels, and the windows of their costs.
-    let near = frames.parts.map(|parts| parts.grown(2 * step + 2 * options.window_radius_px));
+    let near = frames.parts.map(|parts| parts.grown(layout.side + 2 * options.window_radius_px));
     let warped = [(frames.earlier, warps[0]), (frames.later, warps[1])]
         .map(|(image, warp)| warped(image, warp, near.as_ref()));
     let cross_faded = cross_fade(&warped[0], &warped[1], frames.fraction);
@@ -116,21 +113,17 @@ pub fn refined(
         motion_px: &motion_px,
         outer_costs,
         options,
-        step,
+        layout,
     };
-    // Block (bx, by) covers pixels from (bx − 1)·step to (bx + 1)·step.
-    let (blocks_x, blocks_y) = (w.div_ceil(step) + 1, h.div_ceil(step) + 1);
-    let blocks: Vec<Option<RefinedBlock>> = (0..blocks_x * blocks_y)
-        .into_par_iter()
-        .map(|k| refiner.refine((k % blocks_x) as isize, (k / blocks_x) as isize))
-        .collect();
+    let blocks: Vec<Option<RefinedBlock>> =
+        (0..layout.count()).into_par_iter().map(|k| refiner.refine(layout.origin(k))).collect();
 
     let pixel_motion = |(&motion_px, cost)| PixelMotion { motion_px, change_px: 0.0, cost };
     let motions = frames.with_motions.then(|| {
         let motions = motion_px.iter().zip(costs).map(pixel_motion).collect();
-        blended_motions(motions, w, &blocks, step)
+        blended_motions(motions, &blocks, &layout)
     });
-    (blended(&cross_faded, &blocks, step), motions)
+    (blended(&cross_faded, &blocks, &layout), motions)
 }
 
 /// The distance of the places that each pixel comes from in the two frames, row by row.
@@ -140,13 +133,13 @@ pub(super) fn motion_px(warps: [&Warp; 2]) -> Vec<f32> {
 }
 
 /// The blocks, which fade into each other, and the cross-faded frames where there is none.
-fn blended(cross_faded: &Image, blocks: &[Option<RefinedBlock>], step: usize) -> Image {
+fn blended(cross_faded: &Image, blocks: &[Option<RefinedBlock>], layout: &Layout) -> Image {
     let (w, h, channels) = (cross_faded.width(), cross_faded.height(), cross_faded.channels());
     let mut data = cross_faded.data().to_vec();
     data.par_chunks_mut(w * channels).enumerate().for_each(|(y, row)| {
         for (x, out) in row.chunks_exact_mut(channels).enumerate() {
             let mut sum = [0.0; 3];
-            for (block, within, weight) in covering(x, y, w, step) {
+            for (block, within, weight) in layout.covering(x, y) {
                 let from = match &blocks[block] {
                     Some(block) => &block.colors[within * channels..][..channels],
                     None => cross_faded.pixel(x, y),
@@ -163,17 +156,16 @@ fn blended(cross_faded: &Image, blocks: &[Option<RefinedBlock>], step: usize) ->
     Image::from_data(w, h, channels, data)
 }
 
-/// The same of how pixels move, in an image that is `w` wide; `motions` are those of the warped frames.
+/// The same of how pixels move; `motions` are those of the warped frames.
 fn blended_motions(
     mut motions: Vec<PixelMotion>,
-    w: usize,
     blocks: &[Option<RefinedBlock>],
-    step: usize,
+    layout: &Layout,
 ) -> Vec<PixelMotion> {
-    motions.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
+    motions.par_chunks_mut(layout.image[0]).enumerate().for_each(|(y, row)| {
         for (x, out) in row.iter_mut().enumerate() {
             let mut sum = PixelMotion::default();
-            for (block, within, weight) in covering(x, y, w, step) {
+            for (block, within, weight) in layout.covering(x, y) {
                 let block = blocks[block].as_ref().and_then(|block| block.motions.as_deref());
                 sum.add(weight, block.map_or(*out, |motions| motions[within]));
             }
@@ -191,20 +183,4 @@ fn scaled(options: &RefineOptions, size_px: usize) -> RefineOptions {
         search_radius_px: options.search_radius_px * scale,
         ..options.clone()
     }
-}
-
-/// The four blocks that a pixel is in, the pixel's index in each, and each one's weight there, in an image that is
-/// `w` wide.
-fn covering(x: usize, y: usize, w: usize, step: usize) -> [(usize, usize, f32); 4] {
-    let (bx, by, across) = (x / step, y / step, w.div_ceil(step) + 1);
-    [(bx, by), (bx + 1, by), (bx, by + 1), (bx + 1, by + 1)].map(|(bx, by)| {
-        let (in_x, in_y) = (x + step - bx * step, y + step - by * step);
-        (by * across + bx, in_y * 2 * step + in_x, fade(in_x, step) * fade(in_y, step))
-    })
-}
-
-/// A block's weight at a pixel within it: a triangle, so that overlapping blocks' weights sum to 1.
-fn fade(within: usize, step: usize) -> f32 {
-    let d = (within as f32 + 0.5 - step as f32).abs() / step as f32;
-    1.0 - d
 }

@@ -265,14 +265,6 @@ fn four_frames_have_less_noise_than_two_and_a_frame_stays_as_filmed() {
     }
 }
 
-#[test]
-fn the_fades_of_overlapping_blocks_sum_to_one() {
-    for (step, x) in [8, 13, 51].into_iter().flat_map(|s| (0..3 * s).map(move |x| (s, x))) {
-        let sum: f32 = covering(x, x, 3 * step, step).iter().map(|(.., weight)| weight).sum();
-        assert!((sum - 1.0).abs() < 1e-6);
-    }
-}
-
 /// To the bit.
 #[test]
 fn needed_tiles_equal_those_of_the_whole_image() {
