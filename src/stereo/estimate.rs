@@ -137,7 +137,9 @@ impl Matcher {
 fn winner_takes_all(sums: &[i16], levels: &Levels) -> Vec<f32> {
     let n = levels.count;
     let of = |sums: &[i16]| {
-        let best = (0..n).min_by_key(|&k| sums[k]).unwrap_or(0);
+        // First the least value, then its first place: both are searched many levels at a time.
+        let least = sums.iter().copied().min();
+        let best = sums.iter().position(|sum| Some(*sum) == least).unwrap_or(0);
         let mut level = best as f32;
         if best > 0 && best + 1 < n {
             let [a, b, c] = [sums[best - 1], sums[best], sums[best + 1]].map(f32::from);
