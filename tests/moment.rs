@@ -83,21 +83,21 @@ fn over_depth_per_pixel_they_are_as_near_to_the_truth() {
         options.proxy.method = ProxyMethod::Depth;
         options.blend.method = method;
         let mut gains_db = Vec::new();
-        for frames in [1.1, 1.6, 2.1, 2.6] {
+        for frames in (0..16).map(|k| 1.05 + 0.125 * f64::from(k)) {
             let time_s = frames / 30.0 - field.capture().time_origin_s;
             let views = both(&field, time_s, &options);
             for (target, rendered) in places(&field).iter().zip(&views) {
                 let truth = world().film(target, frames, 0.0, 1);
                 let [of_moment, alone] = rendered.each_ref().map(|r| psnr_db(&r.image, &truth, 24));
                 // Where levels lie decides on a few pixels at outlines.
-                assert!((of_moment - alone).abs() < 0.6, "{method:?}: {of_moment} dB, {alone} dB");
+                assert!(of_moment - alone > -0.6, "{method:?}: {of_moment} dB, {alone} dB");
                 assert!(of_moment > 34.0, "{method:?}: {of_moment} dB");
                 gains_db.push(of_moment - alone);
             }
         }
         let mean_db = gains_db.iter().sum::<f64>() / gains_db.len() as f64;
-        // -0.05 to -0.12 dB were measured.
-        assert!(mean_db > -0.15, "{method:?}: {gains_db:?} dB");
+        // Of 60 views, 0.03 ± 0.03 dB.
+        assert!(mean_db > -0.1, "{method:?}: {mean_db} dB: {gains_db:?} dB");
     }
 }
 
