@@ -5,7 +5,7 @@
 const MIN_SIDE: usize = 16;
 
 /// How many times a block's side is as long as what it shares with a neighbour. (With 2, images of the six scenes that
-/// parameters are chosen on are 0.03 dB better in the mean, and take 2.2 times as long to refine.) Larger: borders of
+/// parameters are chosen on are 0.03 dB better in the mean, and take twice as long to refine.) Larger: borders of
 /// blocks show; smaller: time.
 const SIDES_PER_OVERLAP: usize = 4;
 
