@@ -26,7 +26,7 @@ pub fn open_field(
 
 /// The options with nothing left to the capture: where `options.auto` leaves methods to it, those
 /// that it requires ([`plan`]), or those that an earlier plan decided for the same capture and options. Says
-/// which, and why, on the reporter.
+/// which on the reporter, and why if it plans.
 pub fn resolved(
     field: &LightField,
     options: &RenderOptions,
@@ -52,8 +52,9 @@ pub fn resolved(
         return Ok(methods.put_into(options.clone()));
     }
     let plan = plan(field, options, reporter)?;
-    if let Some(kept) = kept {
-        kept.save(&Methods::of(&plan.options));
+    // A read-only capture can be used all the same.
+    if let Some(Err(error)) = kept.map(|kept| kept.save(&Methods::of(&plan.options))) {
+        reporter.note(&format!("The plan is not kept for the next command: {error}."));
     }
     let stages = [(Stage::Sync, auto.sync), (Stage::Proxy, auto.proxy), (Stage::Blend, auto.blend)];
     let is_left = stages.into_iter().filter(|(_, is_auto)| *is_auto);

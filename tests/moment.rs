@@ -91,12 +91,12 @@ fn over_depth_per_pixel_they_are_as_near_to_the_truth() {
                 let [of_moment, alone] = rendered.each_ref().map(|r| psnr_db(&r.image, &truth, 24));
                 // Where levels lie decides on a few pixels at outlines.
                 assert!(of_moment - alone > -0.6, "{method:?}: {of_moment} dB, {alone} dB");
-                assert!(of_moment > 34.0, "{method:?}: {of_moment} dB");
+                assert!(of_moment.min(alone) > 34.0, "{method:?}: {of_moment} dB, {alone} dB");
                 gains_db.push(of_moment - alone);
             }
         }
         let mean_db = gains_db.iter().sum::<f64>() / gains_db.len() as f64;
-        // Of 60 views, 0.03 ± 0.03 dB.
+        // 0.00 and 0.02 were measured; of 60 views 0.03, with a standard error of 0.03.
         assert!(mean_db > -0.1, "{method:?}: {mean_db} dB: {gains_db:?} dB");
     }
 }

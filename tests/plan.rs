@@ -204,10 +204,15 @@ fn only_the_methods_that_are_auto_are_decided() {
     let mut options = RenderOptions::default();
     options.auto.proxy = true;
     let field = open_field(open(&folder), &options, &Reporter::silent()).unwrap();
-    let resolved = resolved(&field, &options, &Reporter::silent()).unwrap();
-    assert_eq!(resolved.sync, SyncMethod::Refined);
-    assert_eq!(resolved.proxy.method, ProxyMethod::Plane);
-    assert!(!resolved.auto.any());
+    options.blend.method = BlendMethod::Uniform;
+    // Planned, then kept.
+    let [planned, kept] =
+        [(); 2].map(|()| resolved(&field, &options, &Reporter::silent()).unwrap());
+    assert_eq!(planned.sync, SyncMethod::Refined);
+    assert_eq!(planned.proxy.method, ProxyMethod::Plane);
+    assert_eq!(planned.blend.method, BlendMethod::Uniform);
+    assert!(!planned.auto.any());
+    assert_eq!(kept, planned);
 }
 
 #[test]

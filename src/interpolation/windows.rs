@@ -10,7 +10,7 @@ pub(super) fn difference(a: &Image, b: &Image) -> Vec<f32> {
     }
     let (a_data, b_data) = (a.data(), b.data());
     match a.channels() {
-        // The number is known to the compiler, which takes many pixels at a time.
+        // The compiler knows the number. It then takes many pixels at a time.
         3 => (a_data.as_chunks::<3>().0.iter().zip(b_data.as_chunks::<3>().0))
             .map(|(a, b)| of_pixel(a, b))
             .collect(),

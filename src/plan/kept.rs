@@ -1,11 +1,12 @@
-//! `CAPTURE/.stlfr/plans/KEY.json`: the methods that a plan decided, kept for the next command, since planning
-//! renders dozens of views.
+//! `CAPTURE/.stlfr/plans/KEY.json`: the methods that a plan decided, kept for the next command. Planning renders
+//! dozens of views.
 //!
 //! KEY is a hash of all that a plan depends on: the capture's content, the offsets, the options, the program's
 //! version. A file that is missing, damaged or of another key is planned anew. The folder may be deleted at any
 //! time.
 //!
-//! Known limit: plans of earlier contents and options stay, of a few hundred bytes each.
+//! Known limits: plans of earlier contents and options stay, of a few hundred bytes each. A checksum tells damage, not a
+//! forger, who can choose other methods, but nothing else.
 
 use crate::host::{cache_file, link_within};
 use crate::interpolation::SyncMethod;
@@ -15,7 +16,7 @@ use crate::options::{AutoOptions, ProxyMethod, RenderOptions};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// Part of the key: changed whenever plans of the same capture may turn out otherwise.
+/// Part of the key: changed whenever plans of the same capture may turn out otherwise, as with every change of views.
 const PLANNING: &[u8] = b"stlfr-plan-1";
 
 /// The folder of all plans inside a capture.
@@ -44,14 +45,20 @@ impl Methods {
         }
     }
 
-    /// The options with these methods, and nothing left to the capture.
+    /// The options with these methods where they are left to the capture; nothing is left to it then.
     pub fn put_into(&self, mut options: RenderOptions) -> RenderOptions {
-        options.sync = self.sync;
-        options.interpolation.curved = self.curved;
-        options.interpolation.still_change = self.still_change;
-        options.proxy.method = self.proxy;
-        options.blend.method = self.blend;
-        let AutoOptions { budget_px, budget_db, .. } = options.auto;
+        let AutoOptions { sync, proxy, blend, budget_px, budget_db } = options.auto;
+        if sync {
+            options.sync = self.sync;
+            options.interpolation.curved = self.curved;
+            options.interpolation.still_change = self.still_change;
+        }
+        if proxy {
+            options.proxy.method = self.proxy;
+        }
+        if blend {
+            options.blend.method = self.blend;
+        }
         options.auto = AutoOptions { budget_px, budget_db, ..AutoOptions::default() };
         options
     }
@@ -74,17 +81,22 @@ impl Kept {
         let all = (field.offsets(), field.frames().options(), options);
         hasher.update(serde_json::to_string(&all).ok()?.as_bytes());
         let key = hasher.finalize().to_hex().to_string();
-        let path = capture.folder.join(FOLDER).join(format!("{}.json", &key[..32]));
-        link_within(&capture.folder, &path).is_none().then_some(Self { path, key })
+        let folder = capture.folder.join(FOLDER);
+        let path = folder.join(format!("{}.json", &key[..32]));
+        link_within(&capture.folder, &folder).is_none().then_some(Self { path, key })
     }
 
-    /// What was decided before; what doesn't hold is said to `note` in one sentence.
+    /// What was decided before. Tells `note` in one sentence of a file that doesn't hold.
     pub fn load(&self, note: impl FnOnce(&str)) -> Option<Methods> {
-        cache_file::load(&self.path, &self.key, note)
+        let methods: Methods = cache_file::load(&self.path, &self.key, note)?;
+        (0.0..=1.0).contains(&methods.still_change).then_some(methods)
     }
 
-    /// Keeps what was decided. A folder that can't be written to is no error: the next command plans anew.
-    pub fn save(&self, methods: &Methods) {
-        cache_file::save(&self.path, &self.key, methods).ok();
+    /// Keeps what was decided.
+    ///
+    /// # Errors
+    /// If the file can't be written.
+    pub fn save(&self, methods: &Methods) -> std::io::Result<()> {
+        cache_file::save(&self.path, &self.key, methods)
     }
 }

@@ -1,6 +1,6 @@
 //! Filters over windows.
 
-/// Every `count` successive values combined, from each on that has as many after it; `values` are `stride` apart. By
+/// For each value that has `count` − 1 after it, these `count` combined, in any order; they are `stride` apart. By
 /// doubling: the time grows with the logarithm of the count.
 ///
 /// # Panics
@@ -13,7 +13,7 @@ pub(crate) fn sliding(
 ) -> Vec<f32> {
     let out_len = values.len() - (count - 1) * stride;
     let pairs = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| combine(*a, *b)).collect();
-    // Of as many values as the power of two.
+    // Each combines `power` values.
     let mut doubled = values.to_vec();
     let (mut power, mut done) = (1, 0);
     let mut out: Option<Vec<f32>> = None;

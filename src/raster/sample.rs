@@ -169,7 +169,7 @@ pub(crate) fn sample_all(
             out.copy_from_slice(&sample::<C>(image, x, y, Sampling::Cubic));
         }
     }
-    /// The same where the loop is compiled for these instructions, too.
+    /// The same for RGB. The whole loop is compiled for these instructions, so that sampling is inlined.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma")]
     fn each_rgb_avx2(image: &Image, positions: impl Iterator<Item = [f32; 2]>, out: &mut [f32]) {

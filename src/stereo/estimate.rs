@@ -137,7 +137,7 @@ impl Matcher {
 fn winner_takes_all(sums: &[i16], levels: &Levels) -> Vec<f32> {
     let n = levels.count;
     let of = |sums: &[i16]| {
-        // First the least value, then its first place: both are searched many levels at a time.
+        // First the least value, then its first place. Each search takes many levels at a time.
         let least = sums.iter().copied().min();
         let best = sums.iter().position(|sum| Some(*sum) == least).unwrap_or(0);
         let mut level = best as f32;

@@ -52,7 +52,7 @@ pub struct BlockRefiner<'a> {
     pub outer_costs: [Option<Vec<f32>>; 2],
     /// With lengths scaled to the image's size.
     pub options: &'a RefineOptions,
-    /// Of the blocks.
+    /// Where the blocks lie.
     pub layout: Layout,
 }
 

@@ -4,7 +4,7 @@
 /// 640 pixels. Larger: one motion for pixels that move differently; smaller: more blocks, which costs time.
 const MIN_SIDE: usize = 16;
 
-/// How many times a block's side is as long as what it shares with a neighbour. (With 2, images of the six scenes that
+/// A block's side over its overlap with a neighbour. (With 2, images of the six scenes that
 /// parameters are chosen on are 0.03 dB better in the mean, and take twice as long to refine.) Larger: borders of
 /// blocks show; smaller: time.
 const SIDES_PER_OVERLAP: usize = 4;
@@ -65,7 +65,7 @@ impl Layout {
     fn along(&self, at: usize) -> [(usize, usize, f32); 2] {
         let step = self.step();
         let (block, within) = (at / step, at % step);
-        // What the next block shares, it takes over evenly.
+        // Where both overlap, the next block takes over evenly.
         let shared = (within + self.overlap).checked_sub(step);
         let next = shared.map_or(0.0, |shared| (shared as f32 + 0.5) / self.overlap as f32);
         [(block, within + self.overlap, 1.0 - next), (block + 1, shared.unwrap_or(0), next)]

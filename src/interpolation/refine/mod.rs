@@ -7,7 +7,7 @@
 //! agree with each other. Or only the earlier does, and agrees with the frame before it. Or only the
 //! later does, and agrees with the frame after it. The nearer the instant is to a frame, the less likely
 //! it is that only the other sees the point. A hypothesis costs more where another motion explains its
-//! pixels better: otherwise two similar bodies, at one place in successive frames, are matched to each
+//! pixels better. Otherwise two similar bodies, at one place in successive frames, are matched to each
 //! other. Every pixel is the mean of all hypotheses and of the warped frames' cross-fade, weighted by
 //! agreement over a small window. Blocks overlap and fade into each other, so that their borders do not
 //! show. Static blocks are the mean of the four frames. Each pixel's motion and its cost are the same

@@ -1,4 +1,4 @@
-//! Squares of pixels, and what a frame shows at the places that a motion leads them to.
+//! Squares of pixels. A motion leads each pixel to a place in a frame.
 
 use crate::interpolation::local_motion::LocalMotion;
 use crate::raster::{Image, sample_all};
