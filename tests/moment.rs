@@ -97,7 +97,7 @@ fn over_depth_per_pixel_they_are_as_near_to_the_truth() {
         }
         let mean_db = gains_db.iter().sum::<f64>() / gains_db.len() as f64;
         // 0.00 and 0.02 were measured; of 60 views 0.03, with a standard error of 0.03.
-        assert!(mean_db > -0.1, "{method:?}: {mean_db} dB: {gains_db:?} dB");
+        assert!(mean_db.abs() < 0.1, "{method:?}: {mean_db} dB: {gains_db:?} dB");
     }
 }
 

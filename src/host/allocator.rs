@@ -3,12 +3,11 @@
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 mod glibc {
     /// Blocks of at least this size, bytes, are mapped and unmapped one by one; the allocator's largest on 64 bits.
-    /// Larger: it is ignored. Smaller: the kernel clears an image's pages at every use, and interrupts the other threads to
-    /// unmap them (a tenth of a view's time over depth per pixel).
+    /// Larger: it is ignored. Smaller: the kernel clears an image's pages at every use, and interrupts the other
+    /// threads to unmap them (a tenth of a view's time over depth per pixel).
     const MMAP_THRESHOLD: i32 = 32 << 20;
     /// Free memory at the top of the main arena, bytes, above which it is returned; other arenas return whole heaps.
-    /// Larger: what a stage has freed stays
-    /// until the program ends; smaller: as above.
+    /// Larger: what a stage has freed stays until the program ends; smaller: as above.
     const TRIM_THRESHOLD: i32 = 128 << 20;
     /// How many arenas a server has. More: freed images stay in the arena of the thread that made them, which over
     /// minutes adds a hundred megabytes; fewer than two: threads wait for each other.
