@@ -1,6 +1,7 @@
 //! Views a second while one looks around, beside OpenCV's remap and blend.
 //!
-//! `cargo bench --bench live -- CAPTURE… [--views N]` prints three tables a capture, by preset.
+//! `cargo bench --bench live -- CAPTURE… [--views N] [--method NAME]` prints three tables a capture, by preset; NAME is
+//! what a row begins with.
 //!
 //! - A fixed instant, halfway through the recording, and a viewpoint that moves along the rig, up and ahead: seconds
 //!   from the opened capture to the first view, views a second (from the median), how much of it is the geometry, and
@@ -89,7 +90,11 @@ fn each_ms(
     Ok(median(all))
 }
 
-fn bench(folder: &str, count: usize) -> Result<(), Error> {
+fn bench(
+    folder: &str,
+    count: usize,
+    methods: &[(&'static str, RenderOptions)],
+) -> Result<(), Error> {
     let capture = Arc::new(Capture::open(folder.as_ref())?);
     let views = path(&capture, count);
     let size = (views[0].width, views[0].height);
@@ -99,7 +104,7 @@ fn bench(folder: &str, count: usize) -> Result<(), Error> {
     );
     println!("|---|---|---|---|---|---|");
     let mut stages = vec![];
-    for (name, options) in methods() {
+    for (name, options) in methods {
         // Clocks as recorded: times don't depend on how right they are.
         let mut offsets = Offsets::known(&capture);
         offsets.cameras.iter_mut().for_each(|c| c.offset_s = Some(c.offset_s.unwrap_or(0.0)));
@@ -118,10 +123,10 @@ fn bench(folder: &str, count: usize) -> Result<(), Error> {
             "| {name} | {prepared_s:.1} s | {view_ms:.1} ms | {:.1} | {geometry_ms:.1} ms | {peer} |",
             1000.0 / view_ms
         );
-        stages.extend(stages::of(name, &field, &moment, &views, &options)?);
+        stages.extend(stages::of(name, &field, &moment, &views, options)?);
     }
     stages::print(&stages);
-    moving::bench(folder, &views[count / 3], &methods()).map_err(|error| -> Error { error })
+    moving::bench(folder, &views[count / 3], methods).map_err(|error| -> Error { error })
 }
 
 /// The middle of the recording, between frames.
@@ -136,13 +141,21 @@ fn main() -> Result<(), Error> {
     stlfr::host::reuse_freed_memory();
     let mut folders = Vec::new();
     let mut count = 40;
+    let mut methods = methods();
     let mut arguments = std::env::args().skip(1).filter(|a| a != "--bench");
     while let Some(argument) = arguments.next() {
-        if argument == "--views" {
-            count = arguments.next().ok_or("--views lacks a value")?.parse()?;
-        } else {
-            folders.push(argument);
+        let mut value = || arguments.next().ok_or(format!("{argument} lacks a value"));
+        match argument.as_str() {
+            "--views" => count = value()?.parse()?,
+            "--method" => {
+                let name = value()?;
+                methods.retain(|(method, _)| method.starts_with(&name));
+            }
+            _ => folders.push(argument),
         }
     }
-    folders.iter().try_for_each(|folder| bench(folder, count))
+    if methods.is_empty() {
+        return Err("--method: no row begins so".into());
+    }
+    folders.iter().try_for_each(|folder| bench(folder, count, &methods))
 }

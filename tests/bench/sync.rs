@@ -1,7 +1,7 @@
 //! Synchronized images against the truth, method by method and option by option: PSNR over the whole
 //! image and over its moving part, and milliseconds an image.
 //!
-//! `cargo bench --bench sync -- CAPTURE [--sweep | --sweep=NAME]`
+//! `cargo bench --bench sync -- CAPTURE… [--sync=METHOD] [--sweep | --sweep=NAME]`; without METHOD, of all.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -197,7 +197,7 @@ fn targets(capture: &Capture, truth: &Truth) -> Result<Vec<Target>, Error> {
     Ok(targets)
 }
 
-fn bench(folder: &str, cases: &[Case]) -> Result<(), Error> {
+fn bench(folder: &str, methods: &[SyncMethod], cases: &[Case]) -> Result<(), Error> {
     let capture = Arc::new(Capture::open(folder.as_ref())?);
     let truth = Truth::open(folder.as_ref())?.ok_or("has no truth")?;
     let targets = targets(&capture, &truth)?;
@@ -214,7 +214,7 @@ fn bench(folder: &str, cases: &[Case]) -> Result<(), Error> {
     };
     println!("{folder}: PSNR whole, moving [dB]; ms an image, registration cached");
     let (default, view) = field(&|_| ());
-    for &sync in SyncMethod::ALL {
+    for &sync in methods {
         let (whole, moving, ms) = score(&default, &view.clone().with_sync(sync), &targets);
         println!("  {:32} {whole:6.2} {moving:6.2} {ms:8.1}", format!("{sync:?}"));
     }
@@ -232,8 +232,13 @@ fn main() -> Result<(), Error> {
     let sweep = std::env::args().any(|a| a.starts_with("--sweep"));
     let only = std::env::args().find_map(|a| a.strip_prefix("--sweep=").map(str::to_owned));
     let cases = if sweep { cases(only.as_deref()) } else { Vec::new() };
+    let method = std::env::args().find_map(|a| a.strip_prefix("--sync=").map(str::to_owned));
+    let methods: Vec<SyncMethod> = match method {
+        Some(name) => vec![SyncMethod::from_name(&name).ok_or("--sync: no such method")?],
+        None => SyncMethod::ALL.to_vec(),
+    };
     for folder in std::env::args().skip(1).filter(|a| !a.starts_with("--")) {
-        bench(&folder, &cases)?;
+        bench(&folder, &methods, &cases)?;
     }
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! How well the motions around a frame's pixels explain them.
 
 use super::candidates::Candidates;
+use super::cost_points::CostPoints;
 use super::patch::Patch;
 use crate::interpolation::local_motion::LocalMotion;
 use crate::interpolation::windows::difference;
@@ -22,7 +23,9 @@ pub struct BestCosts<'a> {
     others: Vec<(usize, &'a Image)>,
     /// From their positions in the frame.
     candidates: Candidates<'a>,
+    /// Points in a window's radius, and pixels from a point to the next.
     radius: usize,
+    step: usize,
     /// Side of a cell, pixels.
     side: usize,
     cells: Vec<OnceLock<Vec<f32>>>,
@@ -42,8 +45,8 @@ impl<'a> BestCosts<'a> {
             let own = m.to[index];
             Motion { at: m.at + own, to: m.to.map(|to| to - own), ..*m }
         };
-        let radius = options.window_radius_px;
-        let side = MIN_CELL.max(4 * radius);
+        let side = MIN_CELL.max(4 * options.window_radius_px);
+        let CostPoints { radius, step, .. } = CostPoints::new(options.window_radius_px, side);
         let across = frame.width().div_ceil(side);
         let cells = across * frame.height().div_ceil(side);
         Self {
@@ -51,13 +54,19 @@ impl<'a> BestCosts<'a> {
             others: others.into_iter().filter_map(|(k, image)| Some((k, image?))).collect(),
             candidates: Candidates::new(motions.iter().map(from_frame).collect(), options),
             radius,
+            step,
             side,
             cells: (0..cells).map(|_| OnceLock::new()).collect(),
             across,
         }
     }
 
-    /// At a place in the frame, of the pixel there or of the nearest one; infinite where no motion is near.
+    /// Points along a cell's side.
+    fn points(&self) -> usize {
+        self.side.div_ceil(self.step)
+    }
+
+    /// At a place in the frame, of the point nearest to the pixel there; infinite where no motion is near.
     pub fn at(&self, x: f32, y: f32) -> f32 {
         let pixel = |v: f32, size: usize| (v.max(0.0) as usize).min(size - 1);
         let (x, y) = (pixel(x, self.frame.width()), pixel(y, self.frame.height()));
@@ -65,25 +74,28 @@ impl<'a> BestCosts<'a> {
             ([x, y].map(|v| v / self.side), [x, y].map(|v| v % self.side));
         let cell = self.cells[row * self.across + column]
             .get_or_init(|| self.cell(Point2::from([column, row].map(|v| (v * self.side) as f64))));
-        cell[y * self.side + x]
+        cell[y / self.step * self.points() + x / self.step]
     }
 
-    /// Costs of the cell whose top-left corner this is, row by row.
+    /// Costs of the cell whose top-left corner this is, row by row. Each point is in the middle of the pixels that it
+    /// stands for.
     fn cell(&self, corner: Point2<f64>) -> Vec<f32> {
-        let radius = self.radius;
-        let side = self.side + 2 * radius;
+        let (radius, points) = (self.radius, self.points());
+        let side = points + 2 * radius;
+        let first = (self.step / 2) as f64 - (radius * self.step) as f64;
         let patch = Patch {
-            corner: corner - Vector2::repeat(radius as f64),
+            corner: corner + Vector2::repeat(first),
             center: corner + Vector2::repeat(self.side as f64 / 2.0),
             side,
+            step: self.step,
         };
         let own = patch.sampled(self.frame, &LocalMotion::default(), 0);
-        let mut best = vec![f32::INFINITY; self.side * self.side];
+        let mut best = vec![f32::INFINITY; points * points];
         for motion in self.candidates.around(&patch.center) {
             for (index, image) in &self.others {
                 let other = patch.sampled(image, &motion, *index);
                 let costs = box_filter(&difference(&own, &other), side, side, radius);
-                for (row, best) in best.chunks_exact_mut(self.side).enumerate() {
+                for (row, best) in best.chunks_exact_mut(points).enumerate() {
                     let costs = &costs[(row + radius) * side + radius..];
                     best.iter_mut().zip(costs).for_each(|(best, cost)| *best = best.min(*cost));
                 }

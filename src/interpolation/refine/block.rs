@@ -4,9 +4,11 @@
 use super::PixelMotion;
 use super::best_costs::BestCosts;
 use super::candidates::Candidates;
+use super::cost_points::CostPoints;
 use super::four_frames::FourFrames;
 use super::layout::Layout;
 use super::patch::Patch;
+use super::square::Square;
 use super::static_block::{average, is_static};
 use crate::interpolation::RefineOptions;
 use crate::interpolation::local_motion::LocalMotion;
@@ -54,6 +56,16 @@ pub struct BlockRefiner<'a> {
     pub options: &'a RefineOptions,
     /// Where the blocks lie.
     pub layout: Layout,
+    /// Where a block's costs are computed.
+    pub points: CostPoints,
+}
+
+/// A frame around a block, warped to the instant.
+struct Warped {
+    /// At the block's pixels.
+    colors: Image,
+    /// At the points of the costs.
+    points: Image,
 }
 
 /// The weighted sum of a block's hypotheses, per pixel.
@@ -70,32 +82,6 @@ pub struct RefinedBlock {
     pub motions: Option<Vec<PixelMotion>>,
 }
 
-/// A block's square of pixels, part of which may be outside the image.
-#[derive(Clone, Copy)]
-struct Square {
-    /// The top-left pixel.
-    origin: [isize; 2],
-    side: usize,
-    /// Width and height of the image.
-    image: [usize; 2],
-}
-
-impl Square {
-    /// The pixels row by row, `None` for those outside the image.
-    fn pixels(self) -> impl Iterator<Item = Option<(usize, usize)>> {
-        (0..self.side * self.side).map(move |k| self.pixel(k))
-    }
-
-    /// Pixel k, row by row, `None` outside the image.
-    fn pixel(self, k: usize) -> Option<(usize, usize)> {
-        let at = |n: usize, k: usize| {
-            let at = usize::try_from(self.origin[n] + k as isize).ok()?;
-            (at < self.image[n]).then_some(at)
-        };
-        Some((at(0, k % self.side)?, at(1, k / self.side)?))
-    }
-}
-
 impl BlockRefiner<'_> {
     /// The refined block with this top-left pixel; `None` if no track is near, or it is not needed.
     pub fn refine(&self, origin: [isize; 2]) -> Option<RefinedBlock> {
@@ -104,26 +90,25 @@ impl BlockRefiner<'_> {
             return None;
         }
         let square = Square { origin, side, image: self.layout.image };
-        let indices = || square.pixels().flatten().map(|(x, y)| y * square.image[0] + x);
-        let max_cost = indices().map(|k| self.costs[k]).fold(0.0, f32::max);
+        let max_cost = square.rows_of(self.costs).flatten().copied().fold(0.0, f32::max);
         let agree = max_cost <= self.options.min_difference;
         // Where the middle frames agree, only the outer frames remain to be averaged in.
         if agree && self.outer_costs.iter().all(Option::is_none) {
             return None;
         }
-        if agree && is_static(&self.outer_costs, self.costs, self.options.outer_slack, indices) {
+        if agree && is_static(&self.outer_costs, self.costs, self.options.outer_slack, square) {
             let outer_weight = self.frames.outer_weight(self.options);
-            let colors = average(self.frames, self.cross_faded, outer_weight, square.pixels());
+            let colors = average(self.frames, self.cross_faded, outer_weight, square);
             return Some(RefinedBlock { colors, motions: None });
         }
-        let mut candidates = self.candidates.around(&self.patch(origin).center);
+        let mut candidates = self.candidates.around(&self.pixels(origin).center);
         if candidates.is_empty() {
             return None;
         }
         if agree {
             candidates.truncate(MAX_AGREEING_MOTIONS);
         }
-        let patches: Vec<[Option<Image>; 4]> =
+        let patches: Vec<[Option<Warped>; 4]> =
             candidates.iter().map(|c| self.patches(c, origin, !agree)).collect();
         let mut sums = WeightedSums {
             colors: vec![0.0; side * side * self.cross_faded.channels()],
@@ -143,42 +128,43 @@ impl BlockRefiner<'_> {
     /// Adds the cross-fade as a hypothesis of its own, at the pixels inside the image.
     fn add_cross_fade(
         &self,
-        patches: &[[Option<Image>; 4]],
+        patches: &[[Option<Warped>; 4]],
         square: Square,
         sums: &mut WeightedSums,
     ) {
-        let radius = self.options.window_radius_px;
-        let side = square.side + 2 * radius;
-        let (own, costs) = self.cross_fade_patch(square.origin, side);
-        let outer: Vec<[Option<&Image>; 2]> =
+        let own = Warped {
+            colors: self.cross_faded_at(square.origin, square.side, 1),
+            points: self.cross_faded_at(
+                square.origin.map(|v| v - self.points.margin_px() as isize),
+                self.points.side(),
+                self.points.step,
+            ),
+        };
+        let outer: Vec<[Option<&Warped>; 2]> =
             patches.iter().map(|p| [p[0].as_ref(), p[3].as_ref()]).collect();
+        let costs = square.all_of(self.costs);
         let fused = self.fused(&own, &outer, &costs);
-        for (k, pixel) in square.pixels().enumerate() {
-            if let Some((column, row)) = pixel {
-                let (x, y) = (k % square.side + radius, k / square.side + radius);
-                let motion_px = self.motion_px[row * square.image[0] + column];
-                let motion = PixelMotion { motion_px, change_px: 0.0, cost: costs[y * side + x] };
-                sums.add(k, self.weight(motion.cost), fused.pixel(x, y), motion);
+        for (first, columns, y) in square.rows() {
+            let motion_px = &self.motion_px[y * square.image[0]..][columns];
+            for (k, &motion_px) in (first..).zip(motion_px) {
+                let motion = PixelMotion { motion_px, change_px: 0.0, cost: costs[k] };
+                let color = fused.pixel(k % square.side, k / square.side);
+                sums.add(k, self.weight(motion.cost), color, motion);
             }
         }
     }
 
-    /// The cross-fade and its costs over a block with the windows around it, the image's border repeated
-    /// outwards.
-    fn cross_fade_patch(&self, origin: [isize; 2], side: usize) -> (Image, Vec<f32>) {
-        let (w, h) = (self.cross_faded.width(), self.cross_faded.height());
-        let channels = self.cross_faded.channels();
-        let radius = self.options.window_radius_px as isize;
+    /// The cross-fade at a square of pixels, `step` apart from the first on, the image's border repeated outwards.
+    fn cross_faded_at(&self, first: [isize; 2], side: usize, step: usize) -> Image {
+        let image = self.cross_faded;
         let clamp = |at: isize, size: usize| at.clamp(0, size as isize - 1) as usize;
-        let mut image = vec![0.0; side * side * channels];
-        let mut costs = vec![0.0; side * side];
-        for (k, color) in image.chunks_exact_mut(channels).enumerate() {
-            let x = clamp(origin[0] - radius + (k % side) as isize, w);
-            let y = clamp(origin[1] - radius + (k / side) as isize, h);
-            color.copy_from_slice(self.cross_faded.pixel(x, y));
-            costs[k] = self.costs[y * w + x];
+        let mut data = Vec::with_capacity(side * side * image.channels());
+        for k in 0..side * side {
+            let x = clamp(first[0] + (k % side * step) as isize, image.width());
+            let y = clamp(first[1] + (k / side * step) as isize, image.height());
+            data.extend_from_slice(image.pixel(x, y));
         }
-        (Image::from_data(side, side, channels, image), costs)
+        Image::from_data(side, side, image.channels(), data)
     }
 
     /// The four frames around a block, warped to the instant by a motion; the middle two only if
@@ -188,9 +174,12 @@ impl BlockRefiner<'_> {
         motion: &LocalMotion,
         origin: [isize; 2],
         with_middle: bool,
-    ) -> [Option<Image>; 4] {
-        let patch = self.patch(origin);
-        let warped = |image: &Image, frame: usize| patch.sampled(image, motion, frame);
+    ) -> [Option<Warped>; 4] {
+        let (patch, pixels) = (self.patch(origin), self.pixels(origin));
+        let warped = |image: &Image, frame: usize| Warped {
+            colors: pixels.sampled(image, motion, frame),
+            points: patch.sampled(image, motion, frame),
+        };
         let f = self.frames;
         [
             f.before.map(|image| warped(image, 0)),
@@ -200,20 +189,27 @@ impl BlockRefiner<'_> {
         ]
     }
 
-    /// A block with the windows around it.
+    /// The pixels of a block.
+    fn pixels(&self, origin: [isize; 2]) -> Patch {
+        let side = self.layout.side;
+        let corner = Point2::from(origin.map(|v| v as f64));
+        Patch { corner, center: corner + Vector2::repeat((side / 2) as f64), side, step: 1 }
+    }
+
+    /// The points of its costs.
     fn patch(&self, origin: [isize; 2]) -> Patch {
-        let radius = self.options.window_radius_px;
-        let at = |offset: isize| Point2::from(origin.map(|v| (v + offset) as f64));
+        let pixels = self.pixels(origin);
         Patch {
-            corner: at(-(radius as isize)),
-            center: at(self.layout.side as isize / 2),
-            side: self.layout.side + 2 * radius,
+            corner: pixels.corner - Vector2::repeat(self.points.margin_px() as f64),
+            side: self.points.side(),
+            step: self.points.step,
+            ..pixels
         }
     }
 
     /// By how much another motion explains a middle frame's pixels, 0 or 1, better than this one, whose costs are
-    /// given; over a block with the windows around it. The smallest within a window: at a surface's
-    /// outline, windows are partly of what is behind it.
+    /// given; at the points of a block. The smallest within a window: at a surface's outline, windows are partly of
+    /// what is behind it.
     fn better_explained(
         &self,
         n: usize,
@@ -226,7 +222,7 @@ impl BlockRefiner<'_> {
             |(k, [x, y]): (usize, [f32; 2])| (self.best_costs[n].at(x, y) - costs(k)).min(0.0);
         let places = patch.places(motion, n + 1).into_iter();
         let deficits: Vec<f32> = places.enumerate().map(deficit).collect();
-        let mut excess = largest_around(&deficits, patch.side, self.options.window_radius_px);
+        let mut excess = largest_around(&deficits, patch.side, self.points.radius);
         excess.iter_mut().for_each(|v| *v = -*v);
         excess
     }
@@ -236,18 +232,20 @@ impl BlockRefiner<'_> {
     /// The outer frames have full weight halfway between two frames, and none at a frame, which
     /// stays as filmed. `outer` holds the frames before and after, warped by several motions; each
     /// pixel takes the one of the smallest difference.
-    fn fused(&self, middle: &Image, outer: &[[Option<&Image>; 2]], costs: &[f32]) -> Image {
-        let (side, channels) = (middle.width(), middle.channels());
+    /// `costs` are the middle frames', at the block's pixels.
+    fn fused(&self, middle: &Warped, outer: &[[Option<&Warped>; 2]], costs: &[f32]) -> Image {
+        let channels = middle.colors.channels();
         let full = self.frames.outer_weight(self.options);
-        let mut out = middle.clone();
+        let mut out = middle.colors.clone();
         if full <= 0.0 {
             return out;
         }
         for n in 0..2 {
-            let candidates: Vec<(&Image, Vec<f32>)> = outer
-                .iter()
-                .filter_map(|pair| pair[n])
-                .map(|image| (image, self.window_mean(&difference(image, middle), side)))
+            let candidates: Vec<(&Image, Vec<f32>)> = (outer.iter().filter_map(|pair| pair[n]))
+                .map(|outer| {
+                    let costs = self.window_mean(&difference(&outer.points, &middle.points));
+                    (&outer.colors, self.points.at_pixels(&costs))
+                })
                 .collect();
             for (k, out) in out.data_mut().chunks_exact_mut(channels).enumerate() {
                 let by_cost =
@@ -256,7 +254,7 @@ impl BlockRefiner<'_> {
                 let excess = (cost[k] - costs[k] - self.options.outer_slack).max(0.0);
                 let weight = 0.25 * full * (-excess / self.options.outer_softness).exp();
                 let at = k * channels;
-                let (color, middle) = (&image.data()[at..], &middle.data()[at..]);
+                let (color, middle) = (&image.data()[at..], &middle.colors.data()[at..]);
                 for ((out, color), middle) in out.iter_mut().zip(color).zip(middle) {
                     *out += weight * (color - middle);
                 }
@@ -265,9 +263,10 @@ impl BlockRefiner<'_> {
         out
     }
 
-    /// Mean over the window of a patch that is `side` pixels wide and high.
-    fn window_mean(&self, values: &[f32], side: usize) -> Vec<f32> {
-        box_filter(values, side, side, self.options.window_radius_px)
+    /// Mean over the window around each of a block's points.
+    fn window_mean(&self, values: &[f32]) -> Vec<f32> {
+        let side = self.points.side();
+        box_filter(values, side, side, self.points.radius)
     }
 
     /// The weight of a hypothesis by its cost.
@@ -280,25 +279,46 @@ impl BlockRefiner<'_> {
     fn add_motion(
         &self,
         motion: &LocalMotion,
-        patches: &[Option<Image>; 4],
+        patches: &[Option<Warped>; 4],
         square: Square,
         sums: &mut WeightedSums,
     ) {
-        let radius = self.options.window_radius_px;
-        let side = square.side + 2 * radius;
         let [before, Some(earlier), Some(later), after] = patches else { return };
-        let cost = |a: &Image, b: &Image| self.window_mean(&difference(a, b), side);
+        let cost = |a: &Warped, b: &Warped| self.window_mean(&difference(&a.points, &b.points));
         let both = cost(earlier, later);
         let only = [
             before.as_ref().map(|before| cost(before, earlier)),
             after.as_ref().map(|after| cost(later, after)),
         ];
-        let [others_earlier, others_later] = [0, 1].map(|n| {
+        let others = [0, 1].map(|n| {
             let own_cost = |k: usize| only[n].as_ref().map_or(both[k], |only| only[k].min(both[k]));
             self.better_explained(n, motion, square.origin, own_cost)
         });
-        let middle = cross_fade(earlier, later, self.frames.fraction);
-        let fused = self.fused(&middle, &[[before.as_ref(), after.as_ref()]], &both);
+        let middle = Warped {
+            colors: cross_fade(&earlier.colors, &later.colors, self.frames.fraction),
+            points: cross_fade(&earlier.points, &later.points, self.frames.fraction),
+        };
+        let outer = [[before.as_ref(), after.as_ref()]];
+        let fused = self.fused(&middle, &outer, &self.points.at_pixels(&both));
+        let total = |costs: &[f32], explained: &[f32]| {
+            let sum = costs.iter().zip(explained).map(|(a, b)| a + BETTER_EXPLAINED_WEIGHT * b);
+            self.points.at_pixels(&sum.collect::<Vec<_>>())
+        };
+        let by_either: Vec<f32> = others[0].iter().zip(&others[1]).map(|(a, b)| a + b).collect();
+        // Costs, what one frame alone costs more, and colours.
+        let mut hypotheses = vec![(total(&both, &by_either), 0.0, &fused)];
+        for (n, (frame, fraction)) in
+            [(earlier, 1.0 - self.frames.fraction), (later, self.frames.fraction)]
+                .into_iter()
+                .enumerate()
+        {
+            if let Some(only) = &only[n] {
+                // What the nearer frame does not show has had little time to appear.
+                let unlikely =
+                    self.options.one_frame_cost / (2.0 * fraction).max(MIN_DOUBLE_FRACTION);
+                hypotheses.push((total(only, &others[n]), unlikely, &frame.colors));
+            }
+        }
         let steps =
             [0, 1, 2].map(|n| motion.at(n + 1, Vector2::zeros()) - motion.at(n, Vector2::zeros()));
         let change_px = |exists: bool, n: usize| {
@@ -310,27 +330,16 @@ impl BlockRefiner<'_> {
             cost: 0.0,
         };
         let at_rest = of_block.motion_px < AT_REST_PX;
+        let min_costs = at_rest.then(|| square.all_of(self.costs));
         let pixel_motion = |k: usize, cost: f32| {
-            let pixel = square.pixel(k).filter(|_| at_rest);
-            let min_cost = pixel.map_or(0.0, |(x, y)| self.costs[y * square.image[0] + x]);
+            let min_cost = min_costs.as_ref().map_or(0.0, |costs| costs[k]);
             PixelMotion { cost: cost.max(min_cost), ..of_block }
         };
-        for k in 0..square.side * square.side {
-            let (x, y) = (k % square.side + radius, k / square.side + radius);
-            let at = y * side + x;
-            let cost = both[at] + BETTER_EXPLAINED_WEIGHT * (others_earlier[at] + others_later[at]);
-            sums.add(k, self.weight(cost), fused.pixel(x, y), pixel_motion(k, cost));
-            for (costs, others, color, fraction) in [
-                (&only[0], others_earlier[at], earlier.pixel(x, y), 1.0 - self.frames.fraction),
-                (&only[1], others_later[at], later.pixel(x, y), self.frames.fraction),
-            ] {
-                if let Some(costs) = costs {
-                    // What the nearer frame does not show has had little time to appear.
-                    let unlikely =
-                        self.options.one_frame_cost / (2.0 * fraction).max(MIN_DOUBLE_FRACTION);
-                    let cost = costs[at] + unlikely + BETTER_EXPLAINED_WEIGHT * others;
-                    sums.add(k, self.weight(cost), color, pixel_motion(k, cost));
-                }
+        for (costs, more, colors) in hypotheses {
+            let colors = colors.data().chunks_exact(colors.channels());
+            for (k, (cost, color)) in costs.iter().zip(colors).enumerate() {
+                let cost = cost + more;
+                sums.add(k, self.weight(cost), color, pixel_motion(k, cost));
             }
         }
     }

@@ -24,9 +24,7 @@ impl<'a> Candidates<'a> {
     /// by nearness.
     pub fn around(&self, center: &Point2<f64>) -> Vec<LocalMotion> {
         let motions = &self.motions;
-        let mut near = self.neighbors.within(center, self.options.search_radius_px);
-        let distance = |k: usize| (motions[k].at - center).norm();
-        near.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
+        let near = self.neighbors.nearest(center, usize::MAX, self.options.search_radius_px);
         let mut assigned = vec![false; near.len()];
         let mut candidates = Vec::new();
         for seed in 0..near.len() {

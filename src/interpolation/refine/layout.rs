@@ -1,5 +1,7 @@
 //! Where the blocks of an image lie, and how they fade into each other.
 
+use std::ops::Range;
+
 /// Minimum side of a block, pixels; it is at least four times a window's radius, and so grows with images beyond
 /// 640 pixels. Larger: one motion for pixels that move differently; smaller: more blocks, which costs time.
 const MIN_SIDE: usize = 16;
@@ -34,12 +36,17 @@ impl Layout {
 
     /// Blocks in a row.
     fn across(&self) -> usize {
-        self.image[0].div_ceil(self.step()) + 1
+        self.along_side(0)
+    }
+
+    /// Blocks along the image's width or height.
+    fn along_side(&self, n: usize) -> usize {
+        (self.image[n] + self.overlap).div_ceil(self.step())
     }
 
     /// All blocks.
     pub fn count(&self) -> usize {
-        self.across() * (self.image[1].div_ceil(self.step()) + 1)
+        self.across() * self.along_side(1)
     }
 
     /// The top-left pixel of a block, which may be outside the image.
@@ -48,28 +55,56 @@ impl Layout {
         [at(block % self.across()), at(block / self.across())]
     }
 
-    /// The blocks that a pixel is in, the pixel's index in each, and each one's weight there; the weights' sum
-    /// is 1.
-    pub fn covering(&self, x: usize, y: usize) -> impl Iterator<Item = (usize, usize, f32)> {
-        let Self { side, .. } = *self;
-        let across = self.across();
-        let [in_x, in_y] = [x, y].map(|at| self.along(at));
-        in_y.into_iter().flat_map(move |(by, y, of_y)| {
-            in_x.into_iter()
-                .map(move |(bx, x, of_x)| (by * across + bx, y * side + x, of_x * of_y))
-                .filter(|(.., weight)| *weight > 0.0)
+    /// The blocks' parts in row `y` of the image. Where parts overlap, their weights sum to 1.
+    pub fn parts(&self, y: usize) -> impl Iterator<Item = RowPart> {
+        let Self { image: [width, _], side, overlap } = *self;
+        let (across, step) = (self.across(), self.step());
+        let rows = self.along(y).into_iter().filter(|(.., weight)| *weight > 0.0);
+        rows.flat_map(move |(block_row, row, weight)| {
+            (0..across).map(move |k| {
+                let first = if k == 0 { overlap } else { 0 };
+                let start = (k * step + first - overlap).min(width);
+                let end = (k * step + side - overlap).min(width);
+                RowPart { block: block_row * across + k, row, first, columns: start..end, weight }
+            })
         })
     }
 
-    /// The same along one axis: two blocks, of which the second may have no weight.
+    /// The weights of a block's pixels along a row or a column. (The product of both is a pixel's.)
+    pub fn weights(&self) -> Vec<f32> {
+        let share = |shared: usize| (shared as f32 + 0.5) / self.overlap as f32;
+        let weight = |k: usize| match k.checked_sub(self.step()) {
+            // Where both overlap, the next block takes over evenly.
+            Some(shared) => 1.0 - share(shared),
+            None if k < self.overlap => share(k),
+            None => 1.0,
+        };
+        (0..self.side).map(weight).collect()
+    }
+
+    /// Of a row or a column of pixels: two blocks, the pixel's place in each, and its weight there, which may be 0
+    /// for the second.
     fn along(&self, at: usize) -> [(usize, usize, f32); 2] {
         let step = self.step();
         let (block, within) = (at / step, at % step);
-        // Where both overlap, the next block takes over evenly.
         let shared = (within + self.overlap).checked_sub(step);
         let next = shared.map_or(0.0, |shared| (shared as f32 + 0.5) / self.overlap as f32);
         [(block, within + self.overlap, 1.0 - next), (block + 1, shared.unwrap_or(0), next)]
     }
+}
+
+/// What a block has of a row of the image.
+pub struct RowPart {
+    /// The block.
+    pub block: usize,
+    /// Its own row.
+    pub row: usize,
+    /// Its own first column inside the image.
+    pub first: usize,
+    /// The image's columns; they may be none.
+    pub columns: Range<usize>,
+    /// The row's weight.
+    pub weight: f32,
 }
 
 #[cfg(test)]
@@ -80,20 +115,19 @@ mod tests {
     fn blocks_cover_every_pixel_with_weights_that_sum_to_one() {
         for (image, radius) in [([1, 1], 0), ([64, 47], 2), ([37, 90], 5), ([13, 400], 50)] {
             let layout = Layout::new(image, radius);
-            for k in 0..image[0] * image[1] {
-                let (x, y) = (k % image[0], k / image[0]);
-                let mut sum = 0.0;
-                for (block, within, weight) in layout.covering(x, y) {
-                    let [left, top] = layout.origin(block);
-                    let at = [
-                        left + (within % layout.side) as isize,
-                        top + (within / layout.side) as isize,
-                    ];
-                    assert_eq!(at, [x as isize, y as isize]);
-                    assert!(block < layout.count() && within < layout.side.pow(2));
-                    sum += weight;
+            let weights = layout.weights();
+            for y in 0..image[1] {
+                let mut sums = vec![0.0_f32; image[0]];
+                for RowPart { block, row, first, columns, weight } in layout.parts(y) {
+                    for (k, x) in columns.enumerate() {
+                        let [left, top] = layout.origin(block);
+                        let at = [left + (first + k) as isize, top + row as isize];
+                        assert_eq!(at, [x as isize, y as isize]);
+                        assert!(block < layout.count() && row < layout.side);
+                        sums[x] += weight * weights[first + k];
+                    }
                 }
-                assert!((sum - 1.0_f32).abs() < 1e-6, "({x}, {y}): {sum}");
+                assert!(sums.iter().all(|sum| (sum - 1.0).abs() < 1e-6), "{y}: {sums:?}");
             }
         }
     }
@@ -101,11 +135,8 @@ mod tests {
     #[test]
     fn a_block_fades_evenly_into_the_next() {
         let layout = Layout::new([100, 100], 4);
-        let of_first = |x: usize| {
-            let first = layout.covering(x, 5).filter(|(block, ..)| *block == 0);
-            first.map(|(.., weight)| weight).sum::<f32>()
-        };
-        let weights: Vec<f32> = (7..13).map(of_first).collect();
-        assert_eq!(weights, [1.0, 0.875, 0.625, 0.375, 0.125, 0.0]);
+        let weights = layout.weights();
+        assert_eq!(weights[..5], [0.125, 0.375, 0.625, 0.875, 1.0]);
+        assert_eq!(weights[11..], [1.0, 0.875, 0.625, 0.375, 0.125]);
     }
 }

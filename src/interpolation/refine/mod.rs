@@ -19,9 +19,11 @@
 mod best_costs;
 mod block;
 mod candidates;
+mod cost_points;
 mod four_frames;
 mod layout;
 mod patch;
+mod square;
 mod static_block;
 #[cfg(test)]
 mod tests;
@@ -33,9 +35,11 @@ use crate::raster::{Image, box_filter};
 use best_costs::BestCosts;
 use block::{BlockRefiner, RefinedBlock};
 use candidates::Candidates;
+use cost_points::CostPoints;
 pub use four_frames::FourFrames;
 use layout::Layout;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// How a pixel moves, by the hypotheses that it is the mean of.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -114,14 +118,15 @@ pub fn refined(
         outer_costs,
         options,
         layout,
+        points: CostPoints::new(options.window_radius_px, layout.side),
     };
     let blocks: Vec<Option<RefinedBlock>> =
         (0..layout.count()).into_par_iter().map(|k| refiner.refine(layout.origin(k))).collect();
 
     let pixel_motion = |(&motion_px, cost)| PixelMotion { motion_px, change_px: 0.0, cost };
     let motions = frames.with_motions.then(|| {
-        let motions = motion_px.iter().zip(costs).map(pixel_motion).collect();
-        blended_motions(motions, &blocks, &layout)
+        let of_warps: Vec<PixelMotion> = motion_px.iter().zip(costs).map(pixel_motion).collect();
+        blended_motions(&of_warps, &blocks, &layout)
     });
     (blended(&cross_faded, &blocks, &layout), motions)
 }
@@ -135,41 +140,42 @@ pub(super) fn motion_px(warps: [&Warp; 2]) -> Vec<f32> {
 /// The blocks, which fade into each other, and the cross-faded frames where there is none.
 fn blended(cross_faded: &Image, blocks: &[Option<RefinedBlock>], layout: &Layout) -> Image {
     let (w, h, channels) = (cross_faded.width(), cross_faded.height(), cross_faded.channels());
-    let mut data = cross_faded.data().to_vec();
+    let weights: Vec<f32> =
+        layout.weights().into_iter().flat_map(|v| std::iter::repeat_n(v, channels)).collect();
+    let mut data = vec![0.0; w * h * channels];
     data.par_chunks_mut(w * channels).enumerate().for_each(|(y, row)| {
-        for (x, out) in row.chunks_exact_mut(channels).enumerate() {
-            let mut sum = [0.0; 3];
-            for (block, within, weight) in layout.covering(x, y) {
-                let from = match &blocks[block] {
-                    Some(block) => &block.colors[within * channels..][..channels],
-                    None => cross_faded.pixel(x, y),
-                };
-                for (sum, v) in sum.iter_mut().zip(from) {
-                    *sum += weight * v;
-                }
-            }
-            for (out, sum) in out.iter_mut().zip(sum) {
-                *out = sum.clamp(0.0, 1.0);
-            }
+        for part in layout.parts(y) {
+            let Range { start, end } = part.columns;
+            let from = match &blocks[part.block] {
+                Some(block) => &block.colors[(part.row * layout.side + part.first) * channels..],
+                None => &cross_faded.row(y)[start * channels..],
+            };
+            let out = row[start * channels..end * channels].iter_mut();
+            let weights = &weights[part.first * channels..];
+            out.zip(from).zip(weights).for_each(|((out, v), w)| *out += w * part.weight * v);
         }
+        row.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     });
     Image::from_data(w, h, channels, data)
 }
 
-/// The same of how pixels move; `motions` are those of the warped frames.
+/// The same of how pixels move; `of_warps` are the motions of the warped frames.
 fn blended_motions(
-    mut motions: Vec<PixelMotion>,
+    of_warps: &[PixelMotion],
     blocks: &[Option<RefinedBlock>],
     layout: &Layout,
 ) -> Vec<PixelMotion> {
-    motions.par_chunks_mut(layout.image[0]).enumerate().for_each(|(y, row)| {
-        for (x, out) in row.iter_mut().enumerate() {
-            let mut sum = PixelMotion::default();
-            for (block, within, weight) in layout.covering(x, y) {
-                let block = blocks[block].as_ref().and_then(|block| block.motions.as_deref());
-                sum.add(weight, block.map_or(*out, |motions| motions[within]));
-            }
-            *out = sum;
+    let (w, weights) = (layout.image[0], layout.weights());
+    let mut motions = vec![PixelMotion::default(); of_warps.len()];
+    motions.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
+        for part in layout.parts(y) {
+            let own = blocks[part.block].as_ref().and_then(|block| block.motions.as_deref());
+            let from = match own {
+                Some(motions) => &motions[part.row * layout.side + part.first..],
+                None => &of_warps[y * w + part.columns.start..],
+            };
+            let out = row[part.columns].iter_mut().zip(from);
+            out.zip(&weights[part.first..]).for_each(|((out, v), w)| out.add(w * part.weight, *v));
         }
     });
     motions
