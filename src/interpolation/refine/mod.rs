@@ -21,25 +21,29 @@ mod block;
 mod candidates;
 mod cost_points;
 mod four_frames;
+mod hypotheses;
 mod layout;
 mod patch;
 mod square;
 mod static_block;
 #[cfg(test)]
 mod tests;
+mod tried_motion;
+mod weighted_sums;
 
 use super::warp::{Warp, warped};
 use super::windows::{cross_fade, difference};
 use super::{Motion, RefineOptions};
 use crate::raster::{Image, box_filter};
 use best_costs::BestCosts;
-use block::{BlockRefiner, RefinedBlock};
+use block::BlockRefiner;
 use candidates::Candidates;
 use cost_points::CostPoints;
 pub use four_frames::FourFrames;
 use layout::Layout;
 use rayon::prelude::*;
 use std::ops::Range;
+use weighted_sums::RefinedBlock;
 
 /// How a pixel moves, by the hypotheses that it is the mean of.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -93,7 +97,7 @@ pub fn refined(
     let outer_costs = [frames.before, frames.after]
         .map(|f| f.filter(|_| outer_counts).map(|f| cost(f, &cross_faded)));
 
-    let motion_px = motion_px(warps);
+    let motion_px = frames.with_motions.then(|| motion_px(warps));
     let best_costs = [
         BestCosts::new(
             (1, frames.earlier),
@@ -114,7 +118,7 @@ pub fn refined(
         best_costs,
         cross_faded: &cross_faded,
         costs: &costs,
-        motion_px: &motion_px,
+        motion_px: motion_px.as_deref(),
         outer_costs,
         options,
         layout,
@@ -124,7 +128,7 @@ pub fn refined(
         (0..layout.count()).into_par_iter().map(|k| refiner.refine(layout.origin(k))).collect();
 
     let pixel_motion = |(&motion_px, cost)| PixelMotion { motion_px, change_px: 0.0, cost };
-    let motions = frames.with_motions.then(|| {
+    let motions = motion_px.as_ref().map(|motion_px| {
         let of_warps: Vec<PixelMotion> = motion_px.iter().zip(costs).map(pixel_motion).collect();
         blended_motions(&of_warps, &blocks, &layout)
     });

@@ -1,5 +1,6 @@
 //! A block's square of pixels.
 
+use nalgebra::Point2;
 use std::ops::Range;
 
 /// A square of pixels, part of which may be outside the image.
@@ -14,6 +15,11 @@ pub struct Square {
 }
 
 impl Square {
+    /// Its middle, to half a pixel.
+    pub fn center(self) -> Point2<f64> {
+        Point2::from(self.origin.map(|v| (v + self.side as isize / 2) as f64))
+    }
+
     /// The rows inside the image: the index of the first pixel there, of the square's row by row, and the image's
     /// columns and row.
     pub fn rows(self) -> impl Iterator<Item = (usize, Range<usize>, usize)> {
