@@ -4,7 +4,7 @@ use super::edge_set::edge_set;
 use super::edges::{Feature, real_edges};
 use super::local_motion::Motion;
 use super::morph::morph_warp;
-use super::refine::{FourFrames, PixelMotion, motion_px, refined};
+use super::refine::{FourFrames, PairCosts, PixelMotion, motion_px, refined};
 use super::triangulation::{delaunay, warp_by};
 use super::warp::{Warp, cross_dissolve_in, warped};
 use super::windows::{cross_fade, difference, largest_around};
@@ -64,6 +64,8 @@ pub struct FramePair<'a> {
     pub tracks: &'a [Track],
     /// Their triangles, if they are known already: [`Triangles::new`] of the same tracks and image size.
     pub triangles: Option<&'a Triangles>,
+    /// What refinement needs of the pair alone, if it is known already: [`Self::pair_costs`].
+    pub pair_costs: Option<&'a PairCosts>,
     /// All frame times of the camera in seconds, strictly ascending.
     pub times_s: &'a [f64],
     /// Index of the earlier frame.
@@ -150,21 +152,43 @@ impl FramePair<'_> {
             parts: grown.as_ref().or(self.parts),
             with_motions: self.wants_bridged,
         };
-        let motions = self.motions(time_s, options.curved);
-        let (image, motions) = refined(&frames, warps, &motions, &options.refine);
+        let motions = self.motions(options.curved, |trajectory, _| trajectory.at(time_s));
+        let own;
+        let pair_costs = match self.pair_costs {
+            Some(pair_costs) => pair_costs,
+            None => {
+                own = self.pair_costs(options);
+                &own
+            }
+        };
+        let (image, motions) = refined(&frames, warps, &motions, pair_costs, &options.refine);
         let bridged_px = motions.map(|motions| bridged_px(&motions, &image, fraction));
         Synchronized { image, bridged_px }
     }
 
-    /// The motions of all tracks to the four frames around the instant.
-    fn motions(&self, time_s: f64, curved: bool) -> Vec<Motion> {
+    /// What [`SyncMethod::Refined`] needs of the pair alone, the same at all instants.
+    pub fn pair_costs(&self, options: &InterpolationOptions) -> PairCosts {
+        let motions = [
+            self.motions(options.curved, |_, track| track.earlier),
+            self.motions(options.curved, |_, track| track.later),
+        ];
+        let size = [self.earlier.image.width(), self.earlier.image.height()];
+        PairCosts::new(size, motions, &options.refine)
+    }
+
+    /// The motions of all tracks to the four frames, from where they are `at` some instant.
+    fn motions(
+        &self,
+        curved: bool,
+        at: impl Fn(&Trajectory, &Track) -> Point2<f64>,
+    ) -> Vec<Motion> {
         let time = |frame: Option<usize>| frame.and_then(|k| self.times_s.get(k)).copied();
         let (before, after) = (time(self.index.checked_sub(1)), time(Some(self.index + 2)));
         self.tracks
             .iter()
             .filter_map(|track| {
                 let trajectory = self.trajectory(track, curved)?;
-                let at = trajectory.at(time_s);
+                let at = at(&trajectory, track);
                 // The trajectory extrapolates a track that was not extended to a frame.
                 let displacement = |tracked: Option<Point2<f64>>, time: Option<f64>| {
                     tracked

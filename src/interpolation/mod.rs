@@ -40,7 +40,7 @@ pub use frame_pair::{FramePair, Synchronized, Triangles};
 pub use local_motion::Motion;
 pub use morph::morph_warp;
 pub use options::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
-pub use refine::{FourFrames, PixelMotion, refined};
+pub use refine::{FourFrames, PairCosts, PixelMotion, refined};
 pub use sync_method::SyncMethod;
 pub use triangulation::{delaunay, triangulation_warp};
 pub use warp::{Warp, cross_dissolve};

@@ -167,6 +167,16 @@ impl RefineOptions {
     /// magazine at 640×480, a radius of 2 gives 29.1 dB and one of 4 30.0 dB; at 320×240, 2 is best.)
     /// Larger: windows are too small in large images; smaller: too large.
     pub const SIZE_PX: f64 = 320.0;
+
+    /// These options with their lengths scaled to an image whose longer side is `size_px`.
+    pub(super) fn scaled(&self, size_px: usize) -> Self {
+        let scale = (size_px as f64 / Self::SIZE_PX).max(1.0);
+        Self {
+            window_radius_px: (self.window_radius_px as f64 * scale).round() as usize,
+            search_radius_px: self.search_radius_px * scale,
+            ..self.clone()
+        }
+    }
 }
 
 impl Default for RefineOptions {

@@ -39,7 +39,7 @@ pub use trail::Viewpoint;
 
 use crate::capture::Capture;
 use crate::host::BoundedCache;
-use crate::interpolation::Triangles;
+use crate::interpolation::{PairCosts, Triangles};
 use crate::offset::Offsets;
 use crate::registration::{FrameStore, Gains, RegistrationOptions, Track};
 use correspondences::{Correspondences, CorrespondencesKey};
@@ -47,6 +47,7 @@ use joint::{Joint, JointKey};
 use nalgebra::Point3;
 use points::PointsKey;
 use prepared::Store;
+use registered::PairCostsKey;
 use std::sync::{Arc, OnceLock};
 
 /// A capture, its clocks and its registered frames: what all views share.
@@ -69,6 +70,8 @@ pub struct LightField {
     store: OnceLock<Option<Store>>,
     /// The triangles of these tracks; the cost is their number.
     triangles: BoundedCache<(usize, usize), Arc<Triangles>>,
+    /// What refinement needs of frame pairs; the cost is its size in bytes.
+    pair_costs: BoundedCache<PairCostsKey, Arc<PairCosts>>,
     /// The largest changes of frame pairs, by camera and earlier frame.
     changes: BoundedCache<(usize, usize), f32>,
     /// The cost is their size in bytes.
@@ -98,6 +101,7 @@ impl LightField {
             tracks: BoundedCache::new(registered::MAX_CACHED_TRACKS),
             store: OnceLock::new(),
             triangles: BoundedCache::new(registered::MAX_CACHED_TRIANGLES),
+            pair_costs: BoundedCache::new(registered::MAX_CACHED_COST_BYTES),
             changes: BoundedCache::new(registered::MAX_CACHED_CHANGES),
             correspondences: BoundedCache::new(correspondences::MAX_CACHED_BYTES),
             points: BoundedCache::new(points::MAX_CACHED_POINTS),

@@ -2,7 +2,7 @@
 
 use super::{LightField, RenderError};
 use crate::capture::CaptureError;
-use crate::interpolation::{Triangles, largest_change};
+use crate::interpolation::{FramePair, InterpolationOptions, PairCosts, Triangles, largest_change};
 use crate::registration::{Track, Verdict, epipolar_test, temporal_flow};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -17,6 +17,35 @@ pub(super) const MAX_CACHED_TRIANGLES: usize = 4 * MAX_CACHED_TRACKS;
 
 /// Of how many frame pairs the change is cached. More only saves comparing two frames again.
 pub(super) const MAX_CACHED_CHANGES: usize = 1 << 16;
+
+/// How much memory the costs take that refinement has of frame pairs, bytes: about 30 pairs of 1500 tracks. More only
+/// saves computing them again; fewer: several cameras' pairs take turns.
+pub(super) const MAX_CACHED_COST_BYTES: usize = 32 << 20;
+
+/// All that [`LightField::pair_costs`] depends on, besides what the light field was opened with.
+#[derive(Clone, PartialEq, Eq, Hash)]
+pub(super) struct PairCostsKey {
+    pair: (usize, usize),
+    /// The options, bit by bit.
+    options: [u64; 6],
+}
+
+impl PairCostsKey {
+    fn new(
+        pair: (usize, usize),
+        InterpolationOptions { curved, refine, .. }: &InterpolationOptions,
+    ) -> Self {
+        let options = [
+            u64::from(*curved),
+            refine.window_radius_px as u64,
+            refine.search_radius_px.to_bits(),
+            refine.same_motion_px.to_bits(),
+            refine.min_tracks as u64,
+            refine.max_motions as u64,
+        ];
+        Self { pair, options }
+    }
+}
 
 impl LightField {
     /// The tracks between frames `k` and `k + 1` of a camera that the epipolar test leaves.
@@ -53,6 +82,22 @@ impl LightField {
         let triangles = Arc::new(Triangles::new(tracks, width, height));
         self.triangles.insert((camera, k), triangles.clone(), triangles.count());
         triangles
+    }
+
+    /// The costs of [`FramePair::pair_costs`], of the frames `k` and `k + 1` of a camera.
+    pub(super) fn pair_costs(
+        &self,
+        (camera, k): (usize, usize),
+        pair: &FramePair,
+        options: &InterpolationOptions,
+    ) -> Arc<PairCosts> {
+        let key = PairCostsKey::new((camera, k), options);
+        if let Some(costs) = self.pair_costs.get(&key) {
+            return costs;
+        }
+        let costs = Arc::new(pair.pair_costs(options));
+        self.pair_costs.insert(key, costs.clone(), costs.bytes());
+        costs
     }
 
     /// Whether the frame pair of `k` and `k + 1` goes without registration, because none of its

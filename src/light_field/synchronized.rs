@@ -57,17 +57,21 @@ impl LightField {
         let size = [earlier_frame.image.width(), earlier_frame.image.height()];
         let triangles = matches!(sync, SyncMethod::Triangulation | SyncMethod::Refined)
             .then(|| self.triangles((camera, k), &tracks, size));
-        let pair = FramePair {
+        let mut pair = FramePair {
             around: [before.as_deref(), after.as_deref()],
             earlier: &earlier_frame,
             later: &later_frame,
             tracks: &tracks,
             triangles: triangles.as_deref(),
+            pair_costs: None,
             times_s: self.times(camera),
             index: k,
             parts,
             wants_bridged: options.blend.method == BlendMethod::SpaceTime,
         };
+        let costs = (sync == SyncMethod::Refined)
+            .then(|| self.pair_costs((camera, k), &pair, &options.interpolation));
+        pair.pair_costs = costs.as_deref();
         Ok(pair.interpolate(time_s, sync, &options.interpolation))
     }
 

@@ -2,11 +2,12 @@
 
 use super::candidates::Candidates;
 use super::cost_points::CostPoints;
+use super::four_frames::FourFrames;
 use super::patch::Patch;
 use crate::interpolation::local_motion::LocalMotion;
 use crate::interpolation::windows::difference;
 use crate::interpolation::{Motion, RefineOptions};
-use crate::raster::{Image, box_filter};
+use crate::raster::box_filter;
 use nalgebra::{Point2, Vector2};
 use std::sync::OnceLock;
 
@@ -14,15 +15,16 @@ use std::sync::OnceLock;
 /// radius. Larger: motions of other surfaces are tried; smaller: time.
 const MIN_CELL: usize = 16;
 
-/// Per pixel of a frame, the smallest cost of any motion around it: its difference from where the motion leads in
-/// another frame. Where it is small the pixel shows a surface that moves so, and none that moves otherwise.
-/// Cells are computed when first asked for.
-pub struct BestCosts<'a> {
-    frame: &'a Image,
-    /// The other frames, each with its index in [`Motion::to`].
-    others: Vec<(usize, &'a Image)>,
+/// Per point of a frame, the smallest cost of any motion around it: its difference from where the motion leads in
+/// another frame. Where it is small the point shows a surface that moves so, and none that moves otherwise.
+/// It depends on no instant. Cells are computed when first asked for.
+pub struct BestCosts {
+    /// The frame: 1 the earlier, 2 the later.
+    frame: usize,
+    /// Width and height of the frame.
+    size: [usize; 2],
     /// From their positions in the frame.
-    candidates: Candidates<'a>,
+    candidates: Candidates,
     /// Points in a window's radius, and pixels from a point to the next.
     radius: usize,
     step: usize,
@@ -32,33 +34,44 @@ pub struct BestCosts<'a> {
     across: usize,
 }
 
-impl<'a> BestCosts<'a> {
-    /// Of a frame and of the `others` where they exist, each with its index in [`Motion::to`]. `options` have
-    /// lengths scaled to the image's size.
-    pub fn new(
-        (index, frame): (usize, &'a Image),
-        others: [(usize, Option<&'a Image>); 2],
-        motions: &[Motion],
-        options: &'a RefineOptions,
-    ) -> Self {
-        let from_frame = |m: &Motion| {
-            let own = m.to[index];
-            Motion { at: m.at + own, to: m.to.map(|to| to - own), ..*m }
+/// Those of the earlier and of the later frame of a pair: what of refinement is the same at all instants between
+/// them.
+pub struct PairCosts([BestCosts; 2]);
+
+impl PairCosts {
+    /// By the motions of the tracks around the earlier frame, and around the later one: as [`Motion`] has them, at
+    /// that frame's instant. `size` is the frames' width and height.
+    pub fn new(size: [usize; 2], motions: [Vec<Motion>; 2], options: &RefineOptions) -> Self {
+        let options = &options.scaled(size[0].max(size[1]));
+        let [earlier, later] = motions;
+        Self([(1, earlier), (2, later)].map(|(frame, m)| BestCosts::new(frame, size, m, options)))
+    }
+
+    /// Of the earlier frame (0) or the later one (1).
+    pub fn of(&self, n: usize) -> &BestCosts {
+        &self.0[n]
+    }
+
+    /// About how much memory it takes when all of it is computed, bytes.
+    pub fn bytes(&self) -> usize {
+        let of_frame = |best: &BestCosts| {
+            let cell = size_of::<OnceLock<Vec<f32>>>() + best.points().pow(2) * size_of::<f32>();
+            best.cells.len() * cell + best.candidates.count() * size_of::<Motion>()
         };
+        self.0.iter().map(of_frame).sum()
+    }
+}
+
+impl BestCosts {
+    /// Of a frame of this size, 1 or 2, by motions around their positions there. `options` have lengths scaled to the
+    /// image's size.
+    fn new(frame: usize, size: [usize; 2], motions: Vec<Motion>, options: &RefineOptions) -> Self {
         let side = MIN_CELL.max(4 * options.window_radius_px);
         let CostPoints { radius, step, .. } = CostPoints::new(options.window_radius_px, side);
-        let across = frame.width().div_ceil(side);
-        let cells = across * frame.height().div_ceil(side);
-        Self {
-            frame,
-            others: others.into_iter().filter_map(|(k, image)| Some((k, image?))).collect(),
-            candidates: Candidates::new(motions.iter().map(from_frame).collect(), options),
-            radius,
-            step,
-            side,
-            cells: (0..cells).map(|_| OnceLock::new()).collect(),
-            across,
-        }
+        let [across, down] = size.map(|length| length.div_ceil(side));
+        let candidates = Candidates::new(motions, options);
+        let cells = (0..across * down).map(|_| OnceLock::new()).collect();
+        Self { frame, size, candidates, radius, step, side, cells, across }
     }
 
     /// Points along a cell's side.
@@ -67,19 +80,27 @@ impl<'a> BestCosts<'a> {
     }
 
     /// At a place in the frame, of the point nearest to the pixel there; infinite where no motion is near.
-    pub fn at(&self, x: f32, y: f32) -> f32 {
+    /// `frames` are those of the pair.
+    pub fn at(&self, frames: &FourFrames, [x, y]: [f32; 2]) -> f32 {
         let pixel = |v: f32, size: usize| (v.max(0.0) as usize).min(size - 1);
-        let (x, y) = (pixel(x, self.frame.width()), pixel(y, self.frame.height()));
+        let (x, y) = (pixel(x, self.size[0]), pixel(y, self.size[1]));
         let ([column, row], [x, y]) =
             ([x, y].map(|v| v / self.side), [x, y].map(|v| v % self.side));
-        let cell = self.cells[row * self.across + column]
-            .get_or_init(|| self.cell(Point2::from([column, row].map(|v| (v * self.side) as f64))));
+        let cell = self.cells[row * self.across + column].get_or_init(|| {
+            let corner = Point2::from([column, row].map(|v| (v * self.side) as f64));
+            self.cell(frames, corner)
+        });
         cell[y / self.step * self.points() + x / self.step]
     }
 
     /// Costs of the cell whose top-left corner this is, row by row. Each point is in the middle of the pixels that it
     /// stands for.
-    fn cell(&self, corner: Point2<f64>) -> Vec<f32> {
+    fn cell(&self, frames: &FourFrames, corner: Point2<f64>) -> Vec<f32> {
+        let FourFrames { before, earlier, later, after, .. } = *frames;
+        let (frame, others) = match self.frame {
+            1 => (earlier, [(0, before), (2, Some(later))]),
+            _ => (later, [(1, Some(earlier)), (3, after)]),
+        };
         let (radius, points) = (self.radius, self.points());
         let side = points + 2 * radius;
         let first = (self.step / 2) as f64 - (radius * self.step) as f64;
@@ -89,11 +110,12 @@ impl<'a> BestCosts<'a> {
             side,
             step: self.step,
         };
-        let own = patch.sampled(self.frame, &LocalMotion::default(), 0);
+        let own = patch.sampled(frame, &LocalMotion::default(), 0);
         let mut best = vec![f32::INFINITY; points * points];
         for motion in self.candidates.around(&patch.center) {
-            for (index, image) in &self.others {
-                let other = patch.sampled(image, &motion, *index);
+            for (index, image) in others {
+                let Some(image) = image else { continue };
+                let other = patch.sampled(image, &motion, index);
                 let costs = box_filter(&difference(&own, &other), side, side, radius);
                 for (row, best) in best.chunks_exact_mut(points).enumerate() {
                     let costs = &costs[(row + radius) * side + radius..];
@@ -107,7 +129,9 @@ impl<'a> BestCosts<'a> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::pair_costs;
     use super::*;
+    use crate::raster::Image;
     use nalgebra::Matrix2;
 
     const SIZE: usize = 60;
@@ -122,6 +146,11 @@ mod tests {
         Image::from_data(SIZE, SIZE, 1, (0..SIZE * SIZE).map(value).collect())
     }
 
+    fn pair<'a>(earlier: &'a Image, later: &'a Image, before: Option<&'a Image>) -> FourFrames<'a> {
+        let (after, fraction, parts, with_motions) = (None, 0.5, None, false);
+        FourFrames { before, earlier, later, after, fraction, parts, with_motions }
+    }
+
     #[test]
     fn what_a_motion_explains_costs_nothing() {
         let motion = |k: usize| Motion {
@@ -132,20 +161,22 @@ mod tests {
         let motions: Vec<Motion> = (0..144).map(motion).collect();
         let (frame, later) = (stripes(0.0, false), stripes(3.0, true));
         let before = stripes(0.0, false);
-        let options = RefineOptions::default();
-        let new = |before| {
-            BestCosts::new((1, &frame), [(0, before), (2, Some(&later))], &motions, &options)
+        let of = |before| {
+            let frames = pair(&frame, &later, before);
+            let costs = pair_costs(&frames, &motions, &RefineOptions::default());
+            move |x: f32, y: f32| costs.of(0).at(&frames, [x, y])
         };
-        let [alone, with_before] = [None, Some(&before)].map(new);
-        assert!(alone.at(10.5, 10.5) < 1e-3 && alone.at(50.5, 30.5) < 1e-3);
+        let [alone, with_before] = [None, Some(&before)].map(of);
+        assert!(alone(10.5, 10.5) < 1e-3 && alone(50.5, 30.5) < 1e-3);
         // The later frame hides it; the frame before shows it.
-        assert!(alone.at(27.5, 30.5) > 0.1);
-        assert!(with_before.at(27.5, 30.5) < 1e-3);
+        assert!(alone(27.5, 30.5) > 0.1);
+        assert!(with_before(27.5, 30.5) < 1e-3);
         // Outside, that of the nearest pixel.
-        assert!(alone.at(-5.0, 10.5) == alone.at(0.5, 10.5));
+        assert!(alone(-5.0, 10.5) == alone(0.5, 10.5));
     }
 
-    /// In an image of several cells whose size is no multiple of theirs.
+    /// In an image of several cells whose size is no multiple of theirs. With the larger window, every second pixel of
+    /// it counts.
     #[test]
     fn costs_equal_direct_ones() {
         let (w, h) = (41, 37);
@@ -160,26 +191,30 @@ mod tests {
             deformation: Matrix2::identity(),
         };
         let motions: Vec<Motion> = (0..49).map(motion).collect();
-        let options = RefineOptions { window_radius_px: 3, ..RefineOptions::default() };
-        let others = [(0, None), (2, Some(&later))];
-        let costs = BestCosts::new((1, &frame), others, &motions, &options);
-        for (x, y) in [(3, 3), (15, 16), (16, 15), (25, 33), (32, 20), (33, 30)] {
-            let offset = |k: usize, size: usize| (k % size) as isize - 3;
-            let difference = |k: usize| {
-                let [x, y] = [x + offset(k, 7), y + offset(k / 7, 7)].map(|v| v as usize);
-                (frame.pixel(x, y)[0] - later.pixel(x + 3, y)[0]).abs()
-            };
-            let direct = (0..49).map(difference).sum::<f32>() / 49.0;
-            let cost = costs.at(x as f32 + 0.5, y as f32 + 0.5);
-            assert!((cost - direct).abs() < 1e-5, "({x}, {y}): {cost} {direct}");
+        let frames = pair(&frame, &later, None);
+        for (radius, step) in [(3_usize, 1), (4, 2)] {
+            let options = RefineOptions { window_radius_px: radius, ..RefineOptions::default() };
+            let costs = pair_costs(&frames, &motions, &options);
+            for (x, y) in [(5, 5), (15, 17), (17, 15), (25, 31), (33, 21), (33, 29)] {
+                let offsets = || (0..=2 * radius).step_by(step);
+                let difference = |(dx, dy): (usize, usize)| {
+                    let (x, y) = (x + dx - radius, y + dy - radius);
+                    (frame.pixel(x, y)[0] - later.pixel(x + 3, y)[0]).abs()
+                };
+                let window = offsets().flat_map(|dy| offsets().map(move |dx| (dx, dy)));
+                let direct: Vec<f32> = window.map(difference).collect();
+                let direct = direct.iter().sum::<f32>() / direct.len() as f32;
+                let cost = costs.of(0).at(&frames, [x as f32 + 0.5, y as f32 + 0.5]);
+                assert!((cost - direct).abs() < 1e-5, "{radius}, ({x}, {y}): {cost} {direct}");
+            }
         }
     }
 
     #[test]
     fn without_motions_nothing_is_explained() {
         let frame = stripes(0.0, false);
-        let options = RefineOptions::default();
-        let costs = BestCosts::new((1, &frame), [(0, Some(&frame)), (2, None)], &[], &options);
-        assert!(costs.at(30.0, 30.0) == f32::INFINITY);
+        let frames = pair(&frame, &frame, Some(&frame));
+        let costs = pair_costs(&frames, &[], &RefineOptions::default());
+        assert!(costs.of(0).at(&frames, [30.0, 30.0]) == f32::INFINITY);
     }
 }

@@ -1,6 +1,6 @@
 //! The refinement of one block of pixels: what of it is required.
 
-use super::best_costs::BestCosts;
+use super::best_costs::PairCosts;
 use super::candidates::Candidates;
 use super::cost_points::CostPoints;
 use super::four_frames::FourFrames;
@@ -20,9 +20,9 @@ const MAX_AGREEING_MOTIONS: usize = 2;
 pub struct BlockRefiner<'a> {
     pub frames: &'a FourFrames<'a>,
     /// The candidate motions.
-    pub candidates: Candidates<'a>,
+    pub candidates: Candidates,
     /// How well motions explain the earlier and the later frame.
-    pub best_costs: [BestCosts<'a>; 2],
+    pub best_costs: &'a PairCosts,
     /// The cross-fade of the two warped frames.
     pub cross_faded: &'a Image,
     /// Mean difference of the two warped frames over the window around each pixel, row by row.

@@ -6,18 +6,24 @@ use crate::registration::Neighbors;
 use nalgebra::Point2;
 
 /// Finds the candidate motions around points.
-pub struct Candidates<'a> {
+pub struct Candidates {
     motions: Vec<Motion>,
     /// The motions' positions.
     neighbors: Neighbors,
     /// With lengths scaled to the image's size.
-    options: &'a RefineOptions,
+    options: RefineOptions,
 }
 
-impl<'a> Candidates<'a> {
-    /// Of these motions.
-    pub fn new(motions: Vec<Motion>, options: &'a RefineOptions) -> Self {
-        Self { neighbors: Neighbors::new(motions.iter().map(|m| m.at)), motions, options }
+impl Candidates {
+    /// Of these motions. `options` have lengths scaled to the image's size.
+    pub fn new(motions: Vec<Motion>, options: &RefineOptions) -> Self {
+        let neighbors = Neighbors::new(motions.iter().map(|m| m.at));
+        Self { neighbors, motions, options: options.clone() }
+    }
+
+    /// How many motions there are.
+    pub fn count(&self) -> usize {
+        self.motions.len()
     }
 
     /// The candidate motions around a point, nearest first: each fitted to tracks that move alike, weighted

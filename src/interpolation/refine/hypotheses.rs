@@ -169,8 +169,8 @@ impl<'a> Block<'a> {
         motion: &LocalMotion,
         costs: impl Fn(usize) -> f32,
     ) -> Vec<f32> {
-        let best = &self.refiner.best_costs[n];
-        let deficit = |(k, [x, y]): (usize, [f32; 2])| (best.at(x, y) - costs(k)).min(0.0);
+        let best = self.refiner.best_costs.of(n);
+        let deficit = |(k, place)| (best.at(self.refiner.frames, place) - costs(k)).min(0.0);
         let places = self.points.places(motion, n + 1).into_iter();
         let deficits: Vec<f32> = places.enumerate().map(deficit).collect();
         let mut excess = largest_around(&deficits, self.points.side, self.refiner.points.radius);

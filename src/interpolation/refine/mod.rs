@@ -35,7 +35,7 @@ use super::warp::{Warp, warped};
 use super::windows::{cross_fade, difference};
 use super::{Motion, RefineOptions};
 use crate::raster::{Image, box_filter};
-use best_costs::BestCosts;
+pub use best_costs::PairCosts;
 use block::BlockRefiner;
 use candidates::Candidates;
 use cost_points::CostPoints;
@@ -75,16 +75,17 @@ impl PixelMotion {
 /// averaged with the outer frames where these agree. Values are in 0..=1.
 ///
 /// `warps` take the earlier and the later frame to the instant; they have the frames' size. `motions` are those
-/// of the tracks at the instant. Without motions, only static blocks are averaged. Beside the image, how each
-/// pixel moves, row by row, if that is wanted.
+/// of the tracks at the instant, `best_costs` those of the pair. Without motions, only static blocks are averaged.
+/// Beside the image, how each pixel moves, row by row, if that is wanted.
 pub fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
     motions: &[Motion],
+    best_costs: &PairCosts,
     options: &RefineOptions,
 ) -> (Image, Option<Vec<PixelMotion>>) {
     let (w, h) = (frames.earlier.width(), frames.earlier.height());
-    let options = &scaled(options, w.max(h));
+    let options = &options.scaled(w.max(h));
     let layout = Layout::new([w, h], options.window_radius_px);
     // A block that touches what is needed, the windows around its pixels, and the windows of their costs.
     let near = frames.parts.map(|parts| parts.grown(layout.side + 2 * options.window_radius_px));
@@ -98,20 +99,6 @@ pub fn refined(
         .map(|f| f.filter(|_| outer_counts).map(|f| cost(f, &cross_faded)));
 
     let motion_px = frames.with_motions.then(|| motion_px(warps));
-    let best_costs = [
-        BestCosts::new(
-            (1, frames.earlier),
-            [(0, frames.before), (2, Some(frames.later))],
-            motions,
-            options,
-        ),
-        BestCosts::new(
-            (2, frames.later),
-            [(1, Some(frames.earlier)), (3, frames.after)],
-            motions,
-            options,
-        ),
-    ];
     let refiner = BlockRefiner {
         frames,
         candidates: Candidates::new(motions.to_vec(), options),
@@ -183,14 +170,4 @@ fn blended_motions(
         }
     });
     motions
-}
-
-/// The options with their lengths scaled to an image whose longer side is `size_px`.
-fn scaled(options: &RefineOptions, size_px: usize) -> RefineOptions {
-    let scale = (size_px as f64 / RefineOptions::SIZE_PX).max(1.0);
-    RefineOptions {
-        window_radius_px: (options.window_radius_px as f64 * scale).round() as usize,
-        search_radius_px: options.search_radius_px * scale,
-        ..options.clone()
-    }
 }

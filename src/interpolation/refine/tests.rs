@@ -5,6 +5,33 @@ use crate::random::Random;
 use crate::raster::Tiles;
 use nalgebra::{Matrix2, Point2, Vector2};
 
+/// Refined with the costs of the pair that these motions give.
+fn refined(
+    frames: &FourFrames,
+    warps: [&Warp; 2],
+    motions: &[Motion],
+    options: &RefineOptions,
+) -> (Image, Option<Vec<PixelMotion>>) {
+    let costs = pair_costs(frames, motions, options);
+    super::refined(frames, warps, motions, &costs, options)
+}
+
+pub(super) fn pair_costs(
+    frames: &FourFrames,
+    motions: &[Motion],
+    options: &RefineOptions,
+) -> PairCosts {
+    let of_frame = |frame: usize| {
+        let from = |m: &Motion| {
+            let own = m.to[frame];
+            Motion { at: m.at + own, to: m.to.map(|to| to - own), ..*m }
+        };
+        motions.iter().map(from).collect()
+    };
+    let size = [frames.earlier.width(), frames.earlier.height()];
+    PairCosts::new(size, [1, 2].map(of_frame), options)
+}
+
 const W: usize = 96;
 const H: usize = 64;
 
@@ -74,11 +101,14 @@ fn outlines_are_right_where_a_cross_fade_shows_both_frames() {
     let truth = scene(0.5);
     let four = around(&frames, 0.5);
     let still = Warp::identity(W, H);
-    let options = RefineOptions::default();
-    let (result, _) = refined(&four, [&still, &still], &motions(), &options);
-    let (cross_faded, _) = refined(&four, [&still, &still], &[], &options);
-    let (before, after) = (psnr(&cross_faded, &truth), psnr(&result, &truth));
-    assert!(after > before + 8.0, "{before} {after}");
+    // With costs at every pixel, and at every second one.
+    for window_radius_px in [2, 4] {
+        let options = RefineOptions { window_radius_px, ..RefineOptions::default() };
+        let (result, _) = refined(&four, [&still, &still], &motions(), &options);
+        let (cross_faded, _) = refined(&four, [&still, &still], &[], &options);
+        let (before, after) = (psnr(&cross_faded, &truth), psnr(&result, &truth));
+        assert!(after > before + 8.0, "{window_radius_px}: {before} {after}");
+    }
 }
 
 fn noisy(image: &Image, amplitude: f32, random: &mut Random) -> Image {
