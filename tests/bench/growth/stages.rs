@@ -7,7 +7,7 @@ use std::sync::Arc;
 use stlfr::capture::Capture;
 use stlfr::chart::{Chart, Series};
 use stlfr::host::process_cpu_s;
-use stlfr::interpolation::SyncMethod;
+use stlfr::interpolation::{EdgeOptions, Feature, SyncMethod, edge_set, real_edges};
 use stlfr::light_field::LightField;
 use stlfr::offset::{self, Offsets};
 use stlfr::options::RenderOptions;
@@ -37,13 +37,13 @@ pub struct Case {
 /// Runs a series of films, smallest first; prints a table with exponents, and returns its plot.
 pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
     println!("\nProcessor time [ms] by {what}");
-    println!("| {what} | features | {} |", STAGES.join(" | "));
-    println!("|---|---|{}", "---|".repeat(STAGES.len()));
+    println!("| {what} | features | edges of the morph, real ones | {} |", STAGES.join(" | "));
+    println!("|---|---|---|{}", "---|".repeat(STAGES.len()));
     let mut all: Vec<Vec<(f64, f64)>> = vec![Vec::new(); STAGES.len()];
     for case in cases {
-        let (features, costs) = measure(name, case)?;
+        let (features, [edges, real], costs) = measure(name, case)?;
         let row: Vec<String> = costs.iter().map(|ms| format!("{ms:.1}")).collect();
-        println!("| {} | {features} | {} |", case.size, row.join(" | "));
+        println!("| {} | {features} | {edges}, {real} | {} |", case.size, row.join(" | "));
         for (points, ms) in all.iter_mut().zip(costs) {
             points.push((case.size, ms));
         }
@@ -51,10 +51,10 @@ pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
     let fits: Vec<_> = all.iter().map(|points| growth(points)).collect();
     let row: Vec<String> =
         fits.iter().map(|f| format!("{:.2} ± {:.2}", f.exponent, f.std_err)).collect();
-    println!("| exponent | | {} |", row.join(" | "));
+    println!("| exponent | | | {} |", row.join(" | "));
     let last = |points: &[(f64, f64)]| growth(&points[points.len() - 2..]).exponent;
     let row: Vec<String> = all.iter().map(|points| format!("{:.2}", last(points))).collect();
-    println!("| of the last step | | {} |", row.join(" | "));
+    println!("| of the last step | | | {} |", row.join(" | "));
     let costs = || all.iter().flatten().map(|p| p.1);
     let (min, max) = (costs().fold(f64::INFINITY, f64::min), costs().fold(0.0, f64::max));
     let series = STAGES
@@ -82,8 +82,30 @@ pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
     })
 }
 
-/// Features of a frame, and milliseconds of every stage.
-fn measure(name: &str, case: &Case) -> Done<(usize, [f64; STAGES.len()])> {
+/// All edges of `edge-morph` and the real ones, of a pair of frames warped halfway.
+fn edges(
+    field: &LightField,
+    (camera, k): (usize, usize),
+    options: &EdgeOptions,
+) -> Done<[usize; 2]> {
+    let tracks = field.tracks(camera, k)?;
+    let features: Vec<Feature> = (tracks.iter().filter(|track| track.in_forward_set()))
+        .map(|track| {
+            let (source, other) = (track.earlier, track.later);
+            Feature { source, other, target: nalgebra::center(&source, &other) }
+        })
+        .collect();
+    let [source, other] = [k, k + 1].map(|k| field.frames().get(camera, k));
+    let (source, other) = (source?, other?);
+    let [a, b] = [&source, &other].map(|frame| &frame.pyramid.levels()[0]);
+    let real = real_edges(&features, a, b, options);
+    let (w, h) = (source.image.width(), source.image.height());
+    let all = edge_set(&features, &real, options.all_features, w, h);
+    Ok([all.len(), all.iter().filter(|edge| edge.mean_fitness.is_some()).count()])
+}
+
+/// Features of a frame, edges, and milliseconds of every stage.
+fn measure(name: &str, case: &Case) -> Done<(usize, [usize; 2], [f64; STAGES.len()])> {
     let film = folder(name)?;
     case.swing.film(&film);
     let capture = Arc::new(Capture::open(&film)?);
@@ -115,6 +137,7 @@ fn measure(name: &str, case: &Case) -> Done<(usize, [f64; STAGES.len()])> {
         field.synchronized(reference, time_s, &view)?;
         costs.push(timed(|| field.synchronized(reference, time_s, &view)).1);
     }
+    let edges = edges(&field, (reference, k), &options.interpolation.edges)?;
     let target = case.swing.camera([0.4, 0.0]);
     let images =
         field.synchronized_all(time_s, &options.view().with_sync(SyncMethod::Crossfade))?;
@@ -127,7 +150,7 @@ fn measure(name: &str, case: &Case) -> Done<(usize, [f64; STAGES.len()])> {
     view?;
     costs.push(cost);
     std::fs::remove_dir_all(&film)?;
-    Ok((features, costs.try_into().expect("a cost for each stage")))
+    Ok((features, edges, costs.try_into().expect("a cost for each stage")))
 }
 
 fn true_offsets(capture: &Capture, swing: &Swing) -> Offsets {
