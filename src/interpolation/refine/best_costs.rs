@@ -48,7 +48,7 @@ impl PairCosts {
     }
 
     /// Of the earlier frame (0) or the later one (1).
-    pub fn of(&self, n: usize) -> &BestCosts {
+    pub(super) fn of(&self, n: usize) -> &BestCosts {
         &self.0[n]
     }
 

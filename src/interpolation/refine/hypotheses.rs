@@ -29,8 +29,8 @@ const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
 /// between them. Larger: slow motion is not believed; smaller: errors of tracks count as motion.
 const AT_REST_PX: f32 = 1.0;
 
-/// Largest share of a pixel that is left out, of a hypothesis or of an outer frame. Larger: faint errors; smaller:
-/// frames are warped for nothing.
+/// Largest weight that is left out, of a hypothesis relative to a pixel's best one, or of an outer frame. Larger:
+/// faint errors; smaller: frames are warped for nothing.
 const MAX_LEFT_OUT: f32 = 1e-3;
 
 /// A block, and the motions that are tried on it.
@@ -92,16 +92,16 @@ impl<'a> Block<'a> {
     /// The mean of all hypotheses, weighted by their costs.
     pub fn mean(&self) -> RefinedBlock {
         let hypotheses = self.hypotheses();
-        let mut weights = vec![0.0; self.costs.len()];
+        let mut best = vec![0.0_f32; self.costs.len()];
         for hypothesis in &hypotheses {
-            weights.iter_mut().zip(&hypothesis.weights).for_each(|(sum, weight)| *sum += weight);
+            best.iter_mut().zip(&hypothesis.weights).for_each(|(best, w)| *best = best.max(*w));
         }
         let channels = self.refiner.cross_faded.channels();
         let with_motions = self.by_motion && self.refiner.motion_px.is_some();
         let mut sums = WeightedSums::new(self.costs.len(), channels, with_motions);
         for hypothesis in &hypotheses {
-            let mut shares = hypothesis.weights.iter().zip(&weights);
-            if shares.any(|(weight, sum)| *weight > MAX_LEFT_OUT * sum) {
+            let mut shares = hypothesis.weights.iter().zip(&best);
+            if shares.any(|(weight, best)| *weight > MAX_LEFT_OUT * best) {
                 let colors = self.colors(hypothesis);
                 sums.add(&hypothesis.weights, colors.data());
                 if with_motions {

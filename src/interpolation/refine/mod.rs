@@ -9,7 +9,8 @@
 //! it is that only the other sees the point. A hypothesis costs more where another motion explains its
 //! pixels better. Otherwise two similar bodies, at one place in successive frames, are matched to each
 //! other. Every pixel is the mean of all hypotheses and of the warped frames' cross-fade, weighted by
-//! agreement over a small window. Blocks overlap and fade into each other, so that their borders do not
+//! agreement over a small window. That agreement is computed at points, a few in a window, and interpolated
+//! between them. Blocks overlap and fade into each other, so that their borders do not
 //! show. Static blocks are the mean of the four frames. Each pixel's motion and its cost are the same
 //! weighted means.
 //!
