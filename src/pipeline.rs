@@ -36,19 +36,19 @@ pub fn resolved(
         return Ok(options.clone());
     }
     let auto = &options.auto;
+    type OfMethods = fn(&Methods) -> Choice;
+    let stages: [(bool, Stage, OfMethods); 3] = [
+        (auto.sync, Stage::Sync, |methods| Choice::Sync(methods.sync)),
+        (auto.proxy, Stage::Proxy, |methods| Choice::Proxy(methods.proxy)),
+        (auto.blend, Stage::Blend, |methods| Choice::Blend(methods.blend)),
+    ];
+    let left = stages.into_iter().filter(|(is_auto, ..)| *is_auto);
     let kept = Kept::of(field, options);
     if let Some(methods) = kept.as_ref().and_then(|kept| kept.load(|why| reporter.note(why))) {
-        let left = [
-            (auto.sync, Choice::Sync(methods.sync)),
-            (auto.proxy, Choice::Proxy(methods.proxy)),
-            (auto.blend, Choice::Blend(methods.blend)),
-        ];
-        let names: Vec<String> = left
-            .iter()
-            .filter(|(is_auto, _)| *is_auto)
-            .map(|(_, choice)| format!("{} {}", choice.stage().name(), choice.name()))
-            .collect();
-        reporter.note(&format!("Auto: {}, as planned before (.stlfr/plans).", names.join(", ")));
+        let choices =
+            left.map(|(_, stage, of)| format!("{} {}", stage.name(), of(&methods).name()));
+        let choices: Vec<String> = choices.collect();
+        reporter.note(&format!("Auto: {}, as planned before (.stlfr/plans).", choices.join(", ")));
         return Ok(methods.put_into(options.clone()));
     }
     let plan = plan(field, options, reporter)?;
@@ -56,12 +56,10 @@ pub fn resolved(
     if let Some(Err(error)) = kept.map(|kept| kept.save(&Methods::of(&plan.options))) {
         reporter.note(&format!("The plan is not kept for the next command: {error}."));
     }
-    let stages = [(Stage::Sync, auto.sync), (Stage::Proxy, auto.proxy), (Stage::Blend, auto.blend)];
-    let is_left = stages.into_iter().filter(|(_, is_auto)| *is_auto);
-    for decision in is_left.filter_map(|(stage, _)| plan.decision(stage)) {
-        let choice = decision.choice;
-        let (stage, method) = (choice.stage().name(), choice.name());
-        reporter.note(&format!("Auto: {stage} {method}. {}", decision.because));
+    for (_, stage, _) in left {
+        let Some(decision) = plan.decision(stage) else { continue };
+        let (method, because) = (decision.choice.name(), &decision.because);
+        reporter.note(&format!("Auto: {} {method}. {because}", stage.name()));
     }
     Ok(plan.options)
 }

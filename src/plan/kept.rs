@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// Part of the key: changed whenever plans of the same capture may turn out otherwise, as with every change of views.
-const PLANNING: &[u8] = b"stlfr-plan-1";
+const PLANNING: &[u8] = b"stlfr-plan-2";
 
 /// The folder of all plans inside a capture.
 const FOLDER: &str = ".stlfr/plans";
