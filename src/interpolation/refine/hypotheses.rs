@@ -2,7 +2,7 @@
 //! visibility, and the cross-fade of the two warped frames.
 
 use super::PixelMotion;
-use super::block::BlockRefiner;
+use super::inputs::Inputs;
 use super::patch::Patch;
 use super::square::Square;
 use super::tried_motion::TriedMotion;
@@ -35,7 +35,7 @@ const MAX_LEFT_OUT: f32 = 1e-3;
 
 /// A block, and the motions that are tried on it.
 pub struct Block<'a> {
-    refiner: &'a BlockRefiner<'a>,
+    inputs: &'a Inputs<'a>,
     square: Square,
     tried: Vec<TriedMotion<'a>>,
     /// Where costs are computed.
@@ -67,7 +67,7 @@ struct Hypothesis {
 impl<'a> Block<'a> {
     /// Of a square of pixels, with its candidate motions.
     pub fn new(
-        refiner: &'a BlockRefiner<'a>,
+        inputs: &'a Inputs<'a>,
         square: Square,
         motions: Vec<LocalMotion>,
         by_motion: bool,
@@ -75,18 +75,18 @@ impl<'a> Block<'a> {
         let corner = Point2::from(square.origin.map(|v| v as f64));
         let pixels = Patch { corner, center: square.center(), side: square.side, step: 1 };
         let points = Patch {
-            corner: corner - Vector2::repeat(refiner.points.margin_px() as f64),
-            side: refiner.points.side(),
-            step: refiner.points.step,
+            corner: corner - Vector2::repeat(inputs.points.margin_px() as f64),
+            side: inputs.points.side(),
+            step: inputs.points.step,
             ..pixels
         };
-        let frames = refiner.frames;
+        let frames = inputs.frames;
         let middle = [frames.earlier, frames.later].map(|frame| by_motion.then_some(frame));
         let frames = [frames.before, middle[0], middle[1], frames.after];
         let tried = |motion| TriedMotion::new(motion, frames, pixels, points);
         let tried = motions.into_iter().map(tried).collect();
-        let costs = square.all_of(refiner.costs);
-        Self { refiner, square, tried, points, costs, by_motion }
+        let costs = square.all_of(inputs.costs);
+        Self { inputs, square, tried, points, costs, by_motion }
     }
 
     /// The mean of all hypotheses, weighted by their costs.
@@ -96,8 +96,8 @@ impl<'a> Block<'a> {
         for hypothesis in &hypotheses {
             best.iter_mut().zip(&hypothesis.weights).for_each(|(best, w)| *best = best.max(*w));
         }
-        let channels = self.refiner.cross_faded.channels();
-        let with_motions = self.by_motion && self.refiner.motion_px.is_some();
+        let channels = self.inputs.cross_faded.channels();
+        let with_motions = self.by_motion && self.inputs.motion_px.is_some();
         let mut sums = WeightedSums::new(self.costs.len(), channels, with_motions);
         for hypothesis in &hypotheses {
             let mut shares = hypothesis.weights.iter().zip(&best);
@@ -123,7 +123,7 @@ impl<'a> Block<'a> {
     }
 
     fn hypothesis(&self, shows: Shows, costs: Vec<f32>) -> Hypothesis {
-        let softness = self.refiner.options.softness;
+        let softness = self.inputs.options.softness;
         let weight = |cost: &f32| (-cost / softness).exp().max(MIN_WEIGHT);
         Hypothesis { shows, weights: costs.iter().map(weight).collect(), costs }
     }
@@ -142,17 +142,17 @@ impl<'a> Block<'a> {
         });
         let at_pixels = |costs: &[f32], explained: &[f32]| {
             let sum = costs.iter().zip(explained).map(|(a, b)| a + BETTER_EXPLAINED_WEIGHT * b);
-            self.refiner.points.at_pixels(&sum.collect::<Vec<_>>())
+            self.inputs.points.at_pixels(&sum.collect::<Vec<_>>())
         };
         let by_either: Vec<f32> =
             explained[0].iter().zip(&explained[1]).map(|(a, b)| a + b).collect();
-        let shows = Shows::Both(index, self.refiner.points.at_pixels(&both));
+        let shows = Shows::Both(index, self.inputs.points.at_pixels(&both));
         all.push(self.hypothesis(shows, at_pixels(&both, &by_either)));
-        let fraction = self.refiner.frames.fraction;
+        let fraction = self.inputs.frames.fraction;
         for (n, fraction) in [1.0 - fraction, fraction].into_iter().enumerate() {
             let Some(costs) = &by_one[n] else { continue };
             // What the nearer frame does not show has had little time to appear.
-            let one_frame_cost = self.refiner.options.one_frame_cost;
+            let one_frame_cost = self.inputs.options.one_frame_cost;
             let unlikely = one_frame_cost / (2.0 * fraction).max(MIN_DOUBLE_FRACTION);
             let mut costs = at_pixels(costs, &explained[n]);
             costs.iter_mut().for_each(|cost| *cost += unlikely);
@@ -169,18 +169,18 @@ impl<'a> Block<'a> {
         motion: &LocalMotion,
         costs: impl Fn(usize) -> f32,
     ) -> Vec<f32> {
-        let best = self.refiner.best_costs.of(n);
-        let deficit = |(k, place)| (best.at(self.refiner.frames, place) - costs(k)).min(0.0);
+        let best = self.inputs.best_costs.of(n);
+        let deficit = |(k, place)| (best.at(self.inputs.frames, place) - costs(k)).min(0.0);
         let places = self.points.places(motion, n + 1).into_iter();
         let deficits: Vec<f32> = places.enumerate().map(deficit).collect();
-        let mut excess = largest_around(&deficits, self.points.side, self.refiner.points.radius);
+        let mut excess = largest_around(&deficits, self.points.side, self.inputs.points.radius);
         excess.iter_mut().for_each(|v| *v = -*v);
         excess
     }
 
     /// Mean over the window around each point.
     fn window_mean(&self, values: &[f32]) -> Vec<f32> {
-        box_filter(values, self.points.side, self.points.side, self.refiner.points.radius)
+        box_filter(values, self.points.side, self.points.side, self.inputs.points.radius)
     }
 
     /// What the pixels look like if a hypothesis is right.
@@ -188,7 +188,7 @@ impl<'a> Block<'a> {
         let wanted = "the middle frames are wanted where motions are hypotheses";
         match &hypothesis.shows {
             Shows::CrossFade => {
-                let margin = self.refiner.points.margin_px() as isize;
+                let margin = self.inputs.points.margin_px() as isize;
                 let points = self.cross_faded(
                     self.square.origin.map(|v| v - margin),
                     self.points.side,
@@ -199,7 +199,7 @@ impl<'a> Block<'a> {
             }
             Shows::Both(index, costs) => {
                 let tried = &self.tried[*index];
-                let fraction = self.refiner.frames.fraction;
+                let fraction = self.inputs.frames.fraction;
                 let faded = |earlier: Option<&Image>, later: Option<&Image>| {
                     cross_fade(earlier.expect(wanted), later.expect(wanted), fraction)
                 };
@@ -216,7 +216,7 @@ impl<'a> Block<'a> {
     /// The cross-fade of the two warped frames at a square of pixels, `step` apart from the first on, the image's
     /// border repeated outwards.
     fn cross_faded(&self, first: [isize; 2], side: usize, step: usize) -> Image {
-        let image = self.refiner.cross_faded;
+        let image = self.inputs.cross_faded;
         let clamp = |at: isize, size: usize| at.clamp(0, size as isize - 1) as usize;
         let mut data = Vec::with_capacity(side * side * image.channels());
         for k in 0..side * side {
@@ -239,8 +239,8 @@ impl<'a> Block<'a> {
         tried: &[TriedMotion],
         costs: &[f32],
     ) -> Image {
-        let options = self.refiner.options;
-        let full = 0.25 * self.refiner.frames.outer_weight(options);
+        let options = self.inputs.options;
+        let full = 0.25 * self.inputs.frames.outer_weight(options);
         if full <= 0.0 {
             return middle;
         }
@@ -252,7 +252,7 @@ impl<'a> Block<'a> {
             for (index, tried) in tried.iter().enumerate() {
                 let Some(outer) = tried.at_points(frame) else { continue };
                 let means = self.window_mean(&difference(outer, at_points));
-                let of_motion = self.refiner.points.at_pixels(&means);
+                let of_motion = self.inputs.points.at_pixels(&means);
                 for (best, cost) in best.iter_mut().zip(of_motion) {
                     if cost < best.1 {
                         *best = (index, cost);
@@ -287,7 +287,7 @@ impl<'a> Block<'a> {
     fn motions(&self, hypothesis: &Hypothesis) -> Vec<PixelMotion> {
         let costs = hypothesis.costs.iter();
         let (Shows::Both(index, _) | Shows::One(index, _)) = hypothesis.shows else {
-            let motion_px = self.square.all_of(self.refiner.motion_px.unwrap_or_default());
+            let motion_px = self.square.all_of(self.inputs.motion_px.unwrap_or_default());
             let of_pixel = |(motion_px, &cost)| PixelMotion { motion_px, change_px: 0.0, cost };
             return motion_px.into_iter().zip(costs).map(of_pixel).collect();
         };

@@ -23,6 +23,7 @@ mod candidates;
 mod cost_points;
 mod four_frames;
 mod hypotheses;
+mod inputs;
 mod layout;
 mod patch;
 mod square;
@@ -37,10 +38,10 @@ use super::windows::{cross_fade, difference};
 use super::{Motion, RefineOptions};
 use crate::raster::{Image, box_filter};
 pub use best_costs::PairCosts;
-use block::BlockRefiner;
 use candidates::Candidates;
 use cost_points::CostPoints;
 pub use four_frames::FourFrames;
+use inputs::Inputs;
 use layout::Layout;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -100,7 +101,7 @@ pub fn refined(
         .map(|f| f.filter(|_| outer_counts).map(|f| cost(f, &cross_faded)));
 
     let motion_px = frames.with_motions.then(|| motion_px(warps));
-    let refiner = BlockRefiner {
+    let inputs = Inputs {
         frames,
         candidates: Candidates::new(motions.to_vec(), options),
         best_costs,
@@ -112,8 +113,10 @@ pub fn refined(
         layout,
         points: CostPoints::new(options.window_radius_px, layout.side),
     };
-    let blocks: Vec<Option<RefinedBlock>> =
-        (0..layout.count()).into_par_iter().map(|k| refiner.refine(layout.origin(k))).collect();
+    let blocks: Vec<Option<RefinedBlock>> = (0..layout.count())
+        .into_par_iter()
+        .map(|k| block::refine(&inputs, layout.origin(k)))
+        .collect();
 
     let pixel_motion = |(&motion_px, cost)| PixelMotion { motion_px, change_px: 0.0, cost };
     let motions = motion_px.as_ref().map(|motion_px| {
