@@ -13,6 +13,7 @@ use super::rays::ViewBounds;
 use crate::camera::Camera;
 use nalgebra::{Point2, Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use spade::handles::VertexHandle as Handle;
 use spade::{DelaunayTriangulation, HasPosition, Triangulation};
 
 /// Triangles in the world, metres.
@@ -114,17 +115,16 @@ impl Mesh {
     pub fn build(points: &[Point3<f64>], target: &Camera, options: &MeshOptions) -> Option<Self> {
         let bounds = ViewBounds::of(target)?.enlarged(options.margin.max(0.0));
         let focal = target.focal_px();
-        let projections = supported(projected(points, target, &bounds, focal), focal, options);
-        let plane = back_plane(&projections, &bounds)?;
-        let mut all = projections;
-        all.extend(bounds.corners().map(|at| ProjectedPoint {
-            at,
-            inverse_depth: plane.dot(&Vector3::new(at.x, at.y, 1.0)),
-            weight: 1.0,
-        }));
-        let sites = triangulated(&all, focal);
-        let mut builder = Builder { corners: Vec::new(), triangles: Vec::new() };
-        builder.corners.extend(all.iter().copied());
+        let mut all = projected(points, target, &bounds, focal);
+        let mut sites = triangulated(&all, focal);
+        drop_unsupported(&mut all, &mut sites, options);
+        let plane = back_plane(&all, &bounds)?;
+        for at in bounds.corners() {
+            let inverse_depth = plane.dot(&Vector3::new(at.x, at.y, 1.0));
+            insert(&mut sites, &at, focal, all.len());
+            all.push(ProjectedPoint { at, inverse_depth, weight: 1.0 });
+        }
+        let mut builder = Builder { corners: all, triangles: Vec::new() };
         for face in sites.inner_faces() {
             let triangle = face.vertices().map(|v| v.data().index);
             builder.add(triangle, focal, options);
@@ -146,75 +146,99 @@ fn projected(
     bounds: &ViewBounds,
     focal: f64,
 ) -> Vec<ProjectedPoint> {
-    let cell = |s: &ProjectedPoint| {
+    let cell = |at: &Point2<f64>| {
         let size = CELL_PX / focal;
-        ((s.at.y / size).floor() as i64, (s.at.x / size).floor() as i64)
+        ((at.y / size).floor() as i64, (at.x / size).floor() as i64)
     };
-    let mut projections: Vec<ProjectedPoint> = points
+    let mut projections: Vec<((i64, i64), ProjectedPoint)> = points
         .iter()
         .filter_map(|point| {
             let p = target.cam_from_world * point;
             let at = Point2::new(p.x / p.z, p.y / p.z);
             let inverse_depth = 1.0 / p.z;
             let counts = inverse_depth > 0.0 && inverse_depth.is_finite() && bounds.contains(&at);
-            counts.then_some(ProjectedPoint { at, inverse_depth, weight: 1.0 })
+            counts.then(|| (cell(&at), ProjectedPoint { at, inverse_depth, weight: 1.0 }))
         })
         .collect();
-    let order = |a: &ProjectedPoint, b: &ProjectedPoint| {
+    projections.sort_unstable_by(|(a_cell, a), (b_cell, b)| {
         let near_first = b.inverse_depth.total_cmp(&a.inverse_depth);
         let position = a.at.y.total_cmp(&b.at.y).then(a.at.x.total_cmp(&b.at.x));
-        cell(a).cmp(&cell(b)).then(near_first).then(position)
-    };
-    projections.sort_by(order);
-    projections.dedup_by_key(|s| cell(s));
-    projections
+        a_cell.cmp(b_cell).then(near_first).then(position)
+    });
+    projections.dedup_by_key(|(cell, _)| *cell);
+    projections.into_iter().map(|(_, s)| s).collect()
 }
 
 /// Delaunay's triangulation in pixels. Sites that can't be inserted are skipped.
 fn triangulated(projections: &[ProjectedPoint], focal: f64) -> Sites {
     let mut sites = Sites::new();
-    // spade takes coordinates that are 0 or in [2⁻¹⁴², 2²⁰¹]; a millionth of a pixel is 0.
-    let coordinate = |v: f64| if (v * focal).abs() < 1e-6 { 0.0 } else { v * focal };
     for (index, s) in projections.iter().enumerate() {
-        let position = spade::Point2::new(coordinate(s.at.x), coordinate(s.at.y));
-        let _ = sites.insert(Site { position, index: index as u32 });
+        insert(&mut sites, &s.at, focal, index);
     }
     sites
 }
 
-/// The points that enough of their neighbours in the triangulation support. All of them if there are
-/// fewer than four, or none has support.
-fn supported(
-    projections: Vec<ProjectedPoint>,
-    focal: f64,
+fn insert(sites: &mut Sites, at: &Point2<f64>, focal: f64, index: usize) {
+    // spade takes coordinates that are 0 or in [2⁻¹⁴², 2²⁰¹]; a millionth of a pixel is 0.
+    let coordinate = |v: f64| if (v * focal).abs() < 1e-6 { 0.0 } else { v * focal };
+    let position = spade::Point2::new(coordinate(at.x), coordinate(at.y));
+    let _ = sites.insert(Site { position, index: index as u32 });
+}
+
+/// Drops the points that too few of their neighbours in the triangulation support, from it too. None if there are
+/// fewer than four, or none has support: where all contradict all, no point is better than the rest.
+fn drop_unsupported(
+    projections: &mut Vec<ProjectedPoint>,
+    sites: &mut Sites,
     options: &MeshOptions,
-) -> Vec<ProjectedPoint> {
+) {
     if projections.len() < 4 || options.min_support == 0 {
-        return projections;
+        return;
     }
-    let sites = triangulated(&projections, focal);
-    let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); projections.len()];
-    for edge in sites.undirected_edges() {
-        let [a, b] = edge.vertices().map(|v| v.data().index);
-        neighbours[a as usize].push(b);
-        neighbours[b as usize].push(a);
+    let mut unsupported = Vec::new();
+    for site in sites.vertices() {
+        if !has_support(projections, &site, options) {
+            unsupported.push(site.fix());
+        }
     }
-    let agrees = |a: usize, b: usize| {
-        let (a, b) = (projections[a].inverse_depth, projections[b].inverse_depth);
-        (a - b).abs() <= options.support_share * a
-    };
-    let is_supported = |k: usize| {
-        let mut around: Vec<u32> = neighbours[k].clone();
-        around.extend(neighbours[k].iter().flat_map(|&n| &neighbours[n as usize]));
-        around.sort_unstable();
-        around.dedup();
-        let support = around.iter().filter(|&&n| n as usize != k && agrees(k, n as usize)).count();
-        support >= options.min_support
-    };
-    let supported: Vec<ProjectedPoint> =
-        (0..projections.len()).filter(|&k| is_supported(k)).map(|k| projections[k]).collect();
-    // Where all contradict all, no point is better than the rest.
-    if supported.is_empty() { projections } else { supported }
+    if unsupported.len() == sites.num_vertices() {
+        return;
+    }
+    // The last first: a removed site's handle goes to the last one.
+    for site in unsupported.into_iter().rev() {
+        sites.remove(site);
+    }
+    let mut kept = Vec::with_capacity(projections.len());
+    for handle in sites.fixed_vertices() {
+        let site = sites.vertex_data_mut(handle);
+        kept.push(projections[site.index as usize]);
+        site.index = kept.len() as u32 - 1;
+    }
+    *projections = kept;
+}
+
+/// The neighbours of a site.
+fn around(site: Handle<Site>) -> impl Iterator<Item = Handle<Site>> {
+    site.out_edges().map(|edge| edge.to())
+}
+
+/// Whether enough of the neighbours of a site, and of theirs, agree with it.
+fn has_support(projections: &[ProjectedPoint], site: &Handle<Site>, options: &MeshOptions) -> bool {
+    let depth = |s: &Handle<Site>| projections[s.data().index as usize].inverse_depth;
+    let own = depth(site);
+    let agrees = |s: &Handle<Site>| (own - depth(s)).abs() <= options.support_share * own;
+    let near = around(*site).filter(agrees).count();
+    if near >= options.min_support {
+        return true;
+    }
+    let mut all: Vec<u32> = around(*site)
+        .chain(around(*site).flat_map(around))
+        .filter(|s| s.fix() != site.fix() && agrees(s))
+        .map(|s| s.data().index)
+        .collect();
+    all.sort_unstable();
+    all.dedup();
+    all.len() >= options.min_support
 }
 
 /// The back plane's inverse depth as a linear function of the ray: along the farthest points, and

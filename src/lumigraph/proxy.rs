@@ -47,7 +47,7 @@ fn plane_depth(plane: &Plane, target: &Camera) -> DepthMap {
     depths.par_chunks_exact_mut(target.width).enumerate().for_each_init(
         || RayRow::new(target),
         |rays, (row, depths)| {
-            rays.set(target, row);
+            rays.set(row);
             for ((depth, &x), &y) in depths.iter_mut().zip(&rays.x).zip(&rays.y) {
                 // Negative behind the view, which `from_data` makes NaN; ∞ along the plane.
                 *depth = (1.0 / (g.x * x + g.y * y + g.z)) as f32;

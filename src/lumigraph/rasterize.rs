@@ -9,6 +9,7 @@
 use super::DepthMap;
 use super::rays::RayRow;
 use crate::camera::Camera;
+use crate::raster::widened;
 use nalgebra::{Point2, Vector3};
 use rayon::prelude::*;
 
@@ -26,6 +27,8 @@ const MIN_VOLUME: f64 = 1e-15;
 /// camera; it bounds how far aside the triangle projects. Larger: visible parts are cut off. Smaller:
 /// bounds overflow.
 const NEAR_FRACTION: f64 = 1e-4;
+/// Pixels that are tested at a time.
+const LANES: usize = 4;
 /// Points along each edge that bound a triangle's image by a distorted lens. Larger: slower. Smaller:
 /// the margin around them, and so the box, is larger.
 const BEND_STEPS: usize = 8;
@@ -51,7 +54,7 @@ pub(super) fn rasterize(
     camera: &Camera,
 ) -> DepthMap {
     let prepared: Vec<Prepared> =
-        triangles.iter().filter_map(|t| prepare(points, t, camera)).collect();
+        triangles.par_iter().filter_map(|t| prepare(points, t, camera)).collect();
     let mut depths = vec![f32::NAN; camera.width * camera.height];
     depths.par_chunks_mut(BAND_ROWS * camera.width).enumerate().for_each(|(band, depths)| {
         let first = band * BAND_ROWS;
@@ -61,11 +64,9 @@ pub(super) fn rasterize(
         let mut rays = RayRow::new(camera);
         let mut nearest = vec![0.0; camera.width];
         for (row, depths) in (first..last).zip(depths.chunks_exact_mut(camera.width)) {
-            rays.set(camera, row);
+            rays.set(row);
             nearest.fill(0.0);
-            for t in in_band.iter().filter(|t| t.rows.0 <= row && row < t.rows.1) {
-                t.draw(&rays, &mut nearest);
-            }
+            draw(&in_band, row, &rays, &mut nearest);
             for (depth, &inverse) in depths.iter_mut().zip(&nearest) {
                 if inverse > 0.0 {
                     *depth = (1.0 / inverse) as f32;
@@ -102,18 +103,50 @@ fn prepare(points: &[Vector3<f64>], triangle: &[u32; 3], camera: &Camera) -> Opt
     Some(Prepared { edges, g, columns, rows })
 }
 
-impl Prepared {
-    /// Raises the row's inverse depths where this triangle is nearer.
-    fn draw(&self, rays: &RayRow, nearest: &mut [f64]) {
-        let [a, b, c] = &self.edges;
-        let columns = self.columns.0..self.columns.1;
+widened! {
+    /// Raises a row's inverse depths where one of the triangles is nearer.
+    fn draw(triangles: &[&Prepared], row: usize, rays: &RayRow, nearest: &mut [f64]) = draw_any
+}
+
+#[inline(always)]
+fn draw_any(triangles: &[&Prepared], row: usize, rays: &RayRow, nearest: &mut [f64]) {
+    for t in triangles.iter().filter(|t| t.rows.0 <= row && row < t.rows.1) {
+        let columns = t.columns.0..t.columns.1;
         let (xs, ys) = (&rays.x[columns.clone()], &rays.y[columns.clone()]);
-        for ((&x, &y), nearest) in xs.iter().zip(ys).zip(&mut nearest[columns]) {
-            let at = |n: &Vector3<f64>| n.x * x + n.y * y + n.z;
+        let nearest = &mut nearest[columns];
+        // Whole words first. The last may overlap the one before: drawing twice is drawing once.
+        let mut left = xs.len();
+        while left >= LANES {
+            let k = xs.len() - left;
+            t.draw_word::<LANES>(word(xs, k), word(ys, k), word_mut(nearest, k));
+            left = if left < 2 * LANES && left > LANES { LANES } else { left - LANES };
+        }
+        for k in xs.len() - left..xs.len() {
+            t.draw_word::<1>(word(xs, k), word(ys, k), word_mut(nearest, k));
+        }
+    }
+}
+
+#[inline(always)]
+fn word<const N: usize>(values: &[f64], at: usize) -> &[f64; N] {
+    values[at..].first_chunk().expect("the row goes on")
+}
+
+#[inline(always)]
+fn word_mut<const N: usize>(values: &mut [f64], at: usize) -> &mut [f64; N] {
+    values[at..].first_chunk_mut().expect("the row goes on")
+}
+
+impl Prepared {
+    #[inline(always)]
+    fn draw_word<const N: usize>(&self, x: &[f64; N], y: &[f64; N], nearest: &mut [f64; N]) {
+        let [a, b, c] = &self.edges;
+        for k in 0..N {
+            let at = |n: &Vector3<f64>| n.x * x[k] + n.y * y[k] + n.z;
             let inverse = at(&self.g);
-            if at(a) >= -ON_EDGE && at(b) >= -ON_EDGE && at(c) >= -ON_EDGE && inverse > *nearest {
-                *nearest = inverse;
-            }
+            let edge = |n: &Vector3<f64>| at(n) >= -ON_EDGE;
+            let hit = edge(a) & edge(b) & edge(c) & (inverse > nearest[k]);
+            nearest[k] = if hit { inverse } else { nearest[k] };
         }
     }
 }

@@ -5,25 +5,28 @@ use nalgebra::Point2;
 
 /// Directions (x, y, 1) in the camera's frame of one row's pixel centres. Both are NaN where the lens
 /// can't be inverted.
-pub(crate) struct RayRow {
+pub(crate) struct RayRow<'a> {
+    camera: &'a Camera,
     pub x: Vec<f64>,
     pub y: Vec<f64>,
 }
 
-impl RayRow {
-    pub fn new(camera: &Camera) -> Self {
-        Self { x: vec![0.0; camera.width], y: vec![0.0; camera.width] }
+impl<'a> RayRow<'a> {
+    /// No row's rays yet.
+    pub fn new(camera: &'a Camera) -> Self {
+        let (fx, _, cx, _) = camera.model.intrinsics();
+        // Those of every row of a pinhole camera.
+        let x = (0..camera.width).map(|column| (column as f64 + 0.5 - cx) / fx).collect();
+        Self { camera, x, y: vec![0.0; camera.width] }
     }
 
     /// Makes this the rays of `row`.
-    pub fn set(&mut self, camera: &Camera, row: usize) {
+    pub fn set(&mut self, row: usize) {
+        let camera = self.camera;
         let v = row as f64 + 0.5;
         if camera.model.is_pinhole() {
-            let (fx, fy, cx, cy) = camera.model.intrinsics();
+            let (_, fy, _, cy) = camera.model.intrinsics();
             self.y.fill((v - cy) / fy);
-            for (column, x) in self.x.iter_mut().enumerate() {
-                *x = (column as f64 + 0.5 - cx) / fx;
-            }
             return;
         }
         for (column, (x, y)) in self.x.iter_mut().zip(&mut self.y).enumerate() {

@@ -143,7 +143,7 @@ struct Row<'a> {
     reprojections: &'a [Reprojection],
     target: &'a Camera,
     options: &'a BlendOptions,
-    rays: RayRow,
+    rays: RayRow<'a>,
     x: Vec<f32>,
     y: Vec<f32>,
     penalty: Vec<f32>,
@@ -207,7 +207,7 @@ impl<'a> Row<'a> {
 
     /// Reprojects the row's points into all sources that may have weight there.
     fn measure(&mut self, y: usize, depths: &[f32]) {
-        self.rays.set(self.target, y);
+        self.rays.set(y);
         let narrow = |v: &[f64]| v.iter().map(|&v| v as f32).collect::<Vec<f32>>();
         let (x, y) = (narrow(&self.rays.x), narrow(&self.rays.y));
         let length: Vec<f32> =

@@ -9,6 +9,7 @@ mod filter;
 mod png;
 mod sample;
 mod tiles;
+mod widened;
 
 pub use color::{LUMINANCE, encoded_from_linear, gray_from_rgb, linear_from_encoded, luma};
 pub use file::{ImageFileError, MAX_PIXELS, Samples, quantize, read_image, write_image};
@@ -19,6 +20,7 @@ pub use sample::Sampling;
 pub(crate) use sample::has_avx2_and_fma;
 pub(crate) use sample::{sample, sample_all};
 pub use tiles::Tiles;
+pub(crate) use widened::widened;
 
 /// Bits a channel of an image file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -49,7 +49,7 @@ pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
     fused.par_chunks_mut(w).enumerate().for_each_init(
         || (RayRow::new(target), Vec::new(), Vec::new()),
         |(rays, candidates, votes), (y, fused)| {
-            rays.set(target, y);
+            rays.set(y);
             for (x, fused) in fused.iter_mut().enumerate() {
                 let ray = [rays.x[x] as f32, rays.y[x] as f32];
                 let at = splats.iter().map(|s| s[y * w + x]);
@@ -206,7 +206,7 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<Candidate> {
     let mut rays = RayRow::new(camera);
     let mut places = Vec::with_capacity(surface.depths.values.len());
     for y in 0..camera.height {
-        rays.set(camera, y);
+        rays.set(y);
         for x in 0..camera.width {
             let k = y * camera.width + x;
             let (inverse, std_err) = (surface.depths.values[k], surface.depths.std_err[k]);

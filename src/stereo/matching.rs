@@ -80,7 +80,7 @@ pub(super) fn upsampled(
     out.par_chunks_mut(w).enumerate().for_each_init(
         || (RayRow::new(camera), Scratch::new(4, partners.len()), [0; 4]),
         |(rays, scratch, costs), (y, out)| {
-            rays.set(camera, y);
+            rays.set(y);
             for (x, out) in out.iter_mut().enumerate() {
                 let (columns, rows) = (around(x, coarse.width), around(y, coarse.height));
                 let candidate = |k: usize| values[rows[k / 2] * coarse.width + columns[k % 2]];
@@ -117,7 +117,7 @@ pub(super) fn costs(reference: &Prepared, partners: &[&Prepared], levels: &Level
     out.par_chunks_mut(w * n).enumerate().for_each_init(
         || (RayRow::new(camera), Scratch::new(n, partners.len())),
         |(rays, scratch), (y, out)| {
-            rays.set(camera, y);
+            rays.set(y);
             let own = &reference.descriptors[y * w..(y + 1) * w];
             let row = Row { own, partners, relatives: &relatives, inverses: &inverses, rays };
             row.costs(scratch, out);
@@ -133,7 +133,7 @@ struct Row<'a> {
     relatives: &'a [Relative],
     /// The inverse depths of the levels, 1/m.
     inverses: &'a [f32],
-    rays: &'a RayRow,
+    rays: &'a RayRow<'a>,
 }
 
 /// Space for one pixel.
@@ -294,7 +294,7 @@ mod tests {
             let mut scratch = Scratch::new(levels.count, partners.len());
             let mut row_costs = vec![0; 41 * levels.count];
             for (y, found) in found.chunks_exact(41 * levels.count).enumerate() {
-                rays.set(&all[0].camera, y);
+                rays.set(y);
                 let own = &all[0].descriptors[y * 41..(y + 1) * 41];
                 let (partners, relatives) = (&partners[..], &relatives[..]);
                 let row = Row { own, partners, relatives, inverses: &inverses, rays: &rays };

@@ -70,7 +70,7 @@ fn sums(values: &[f32], reference: &Prepared, partners: &[&Prepared], level: f32
     sums.par_chunks_mut(w).enumerate().for_each_init(
         || RayRow::new(camera),
         |rays, (y, sums)| {
-            rays.set(camera, y);
+            rays.set(y);
             for (x, sum) in sums.iter_mut().enumerate() {
                 let own = reference.gray().data()[y * w + x];
                 let value = values[y * w + x];

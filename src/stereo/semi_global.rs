@@ -1,6 +1,6 @@
 //! Semi-global matching (Hirschmüller, TPAMI 2008): costs plus what neighbours along eight directions say.
 
-use crate::raster::Image;
+use crate::raster::{Image, widened};
 
 /// Penalty of a step by one level, in units of the costs. Larger: slanted surfaces become stairs; smaller:
 /// noise.
@@ -26,19 +26,8 @@ pub(super) fn aggregate(costs: &[u8], gray: &Image, levels: usize) -> Vec<i16> {
     sums
 }
 
-fn sweep(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") {
-        // Safe: the processor has it.
-        return unsafe { sweep_avx2(costs, gray, n, sums, backward) };
-    }
-    sweep_by(costs, gray, n, sums, backward);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn sweep_avx2(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) {
-    sweep_by(costs, gray, n, sums, backward);
+widened! {
+    fn sweep(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) = sweep_by
 }
 
 /// Adds four directions: those that come from the left and from above, or the opposite ones.

@@ -2,6 +2,7 @@
 
 use super::super::MorphOptions;
 use super::super::edge_set::Edge;
+use crate::raster::widened;
 
 /// An edge as the inner loop uses it: the displacement at X is map·(X − p) + shift.
 #[derive(Clone, Copy, Debug)]
@@ -120,20 +121,9 @@ pub(super) fn displacements(
     }
 }
 
-/// Eq. (7) for an exponent of [`integer_power`], vectorized.
-pub(super) fn sums(lines: &[Line], xs: &[f32; LANES], y: f32, a: f32, power: i32) -> Sums {
-    #[cfg(target_arch = "x86_64")]
-    if std::arch::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has the feature. The operations are the same, and so the results.
-        return unsafe { sums_avx2(lines, xs, y, a, power) };
-    }
-    sums_any(lines, xs, y, a, power)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn sums_avx2(lines: &[Line], xs: &[f32; LANES], y: f32, a: f32, power: i32) -> Sums {
-    sums_any(lines, xs, y, a, power)
+widened! {
+    /// Eq. (7) for an exponent of [`integer_power`], vectorized.
+    pub(super) fn sums(lines: &[Line], xs: &[f32; LANES], y: f32, a: f32, power: i32) -> Sums = sums_any
 }
 
 #[inline(always)]
