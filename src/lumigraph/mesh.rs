@@ -121,7 +121,7 @@ impl Mesh {
         let plane = back_plane(&all, &bounds)?;
         for at in bounds.corners() {
             let inverse_depth = plane.dot(&Vector3::new(at.x, at.y, 1.0));
-            insert(&mut sites, &at, focal, all.len());
+            let _ = sites.insert(site(&at, focal, all.len()));
             all.push(ProjectedPoint { at, inverse_depth, weight: 1.0 });
         }
         let mut builder = Builder { corners: all, triangles: Vec::new() };
@@ -171,18 +171,15 @@ fn projected(
 
 /// Delaunay's triangulation in pixels. Sites that can't be inserted are skipped.
 fn triangulated(projections: &[ProjectedPoint], focal: f64) -> Sites {
-    let mut sites = Sites::new();
-    for (index, s) in projections.iter().enumerate() {
-        insert(&mut sites, &s.at, focal, index);
-    }
-    sites
+    let sites = projections.iter().enumerate().map(|(k, s)| site(&s.at, focal, k)).collect();
+    Sites::bulk_load(sites).unwrap_or_default()
 }
 
-fn insert(sites: &mut Sites, at: &Point2<f64>, focal: f64, index: usize) {
+fn site(at: &Point2<f64>, focal: f64, index: usize) -> Site {
     // spade takes coordinates that are 0 or in [2⁻¹⁴², 2²⁰¹]; a millionth of a pixel is 0.
     let coordinate = |v: f64| if (v * focal).abs() < 1e-6 { 0.0 } else { v * focal };
     let position = spade::Point2::new(coordinate(at.x), coordinate(at.y));
-    let _ = sites.insert(Site { position, index: index as u32 });
+    Site { position, index: index as u32 }
 }
 
 /// Drops the points that too few of their neighbours in the triangulation support, from it too. None if there are
