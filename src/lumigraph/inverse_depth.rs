@@ -54,9 +54,12 @@ pub(super) fn fit_plane(
     }
     let mut g = Vector3::new(0.0, 0.0, weighted_median(points, |p| p.inverse_depth));
     for _ in 0..ROUNDS {
-        let scale = weighted_median(points, |p| (p.inverse_depth - g.dot(&p.ray())).abs());
+        let scale = match through {
+            Through::Middle => weighted_median(points, |p| residual(p, &g).abs()),
+            Through::Back(_) => 0.0,
+        };
         let next = least_squares(points, |p| {
-            let residual = p.inverse_depth - g.dot(&p.ray());
+            let residual = residual(p, &g);
             match through {
                 Through::Middle if scale > 0.0 => 1.0 / (1.0 + (residual / scale).powi(2)),
                 Through::Back(weight) if residual > 0.0 => weight,
@@ -69,6 +72,10 @@ pub(super) fn fit_plane(
         g = next;
     }
     Some(flattened(g, points, bounds))
+}
+
+fn residual(p: &ProjectedPoint, g: &Vector3<f64>) -> f64 {
+    p.inverse_depth - g.dot(&p.ray())
 }
 
 fn least_squares(

@@ -87,6 +87,8 @@ const CELL_PX: f64 = 0.5;
 /// Weight of vertices in front of the back plane, over that of vertices behind it. Larger: the plane
 /// tilts along the foreground. Smaller: a single far point turns it.
 const FRONT_WEIGHT: f64 = 0.02;
+/// Corners of the back plane.
+const CORNERS: usize = 4;
 /// The back plane's inverse depth, over that of the vertex nearest to it: below 1, so that all vertices
 /// are in front. Larger: rounding puts a vertex behind it. Smaller: the background is farther than it
 /// is.
@@ -116,14 +118,15 @@ impl Mesh {
         let bounds = ViewBounds::of(target)?.enlarged(options.margin.max(0.0));
         let focal = target.focal_px();
         let mut all = projected(points, target, &bounds, focal);
-        let mut sites = triangulated(&all, focal);
+        let corners = bounds.corners();
+        let mut sites = triangulated(&all, &corners, focal);
         drop_unsupported(&mut all, &mut sites, options);
         let plane = back_plane(&all, &bounds)?;
-        for at in bounds.corners() {
-            let inverse_depth = plane.dot(&Vector3::new(at.x, at.y, 1.0));
-            let _ = sites.insert(site(&at, focal, all.len()));
-            all.push(ProjectedPoint { at, inverse_depth, weight: 1.0 });
-        }
+        all.extend(corners.map(|at| ProjectedPoint {
+            at,
+            inverse_depth: plane.dot(&Vector3::new(at.x, at.y, 1.0)),
+            weight: 1.0,
+        }));
         let mut builder = Builder { corners: all, triangles: Vec::new() };
         for face in sites.inner_faces() {
             let triangle = face.vertices().map(|v| v.data().index);
@@ -169,17 +172,16 @@ fn projected(
     projections.into_iter().map(|(_, s)| s).collect()
 }
 
-/// Delaunay's triangulation in pixels. Sites that can't be inserted are skipped.
-fn triangulated(projections: &[ProjectedPoint], focal: f64) -> Sites {
-    let sites = projections.iter().enumerate().map(|(k, s)| site(&s.at, focal, k)).collect();
-    Sites::bulk_load(sites).unwrap_or_default()
-}
-
-fn site(at: &Point2<f64>, focal: f64, index: usize) -> Site {
+/// Delaunay's triangulation of points, and of the corners after them, in pixels. Of several at one place, one remains.
+fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: f64) -> Sites {
     // spade takes coordinates that are 0 or in [2⁻¹⁴², 2²⁰¹]; a millionth of a pixel is 0.
     let coordinate = |v: f64| if (v * focal).abs() < 1e-6 { 0.0 } else { v * focal };
-    let position = spade::Point2::new(coordinate(at.x), coordinate(at.y));
-    Site { position, index: index as u32 }
+    let places = projections.iter().map(|s| &s.at).chain(corners).enumerate();
+    let sites = places.map(|(index, at)| {
+        let position = spade::Point2::new(coordinate(at.x), coordinate(at.y));
+        Site { position, index: index as u32 }
+    });
+    Sites::bulk_load(sites.collect()).unwrap_or_default()
 }
 
 /// Drops the points that too few of their neighbours in the triangulation support, from it too. None if there are
@@ -189,27 +191,41 @@ fn drop_unsupported(
     sites: &mut Sites,
     options: &MeshOptions,
 ) {
-    if projections.len() < 4 || options.min_support == 0 {
+    let count = projections.len();
+    if count < 4 || options.min_support == 0 {
         return;
     }
-    let mut unsupported = Vec::new();
-    for site in sites.vertices() {
-        if !has_support(projections, &site, options) {
-            unsupported.push(site.fix());
-        }
-    }
-    if unsupported.len() == sites.num_vertices() {
+    let points = || sites.vertices().filter(|s| (s.data().index as usize) < count);
+    let unsupported: Vec<_> =
+        points().filter(|s| !has_support(projections, s, options)).map(|s| s.fix()).collect();
+    if unsupported.len() == points().count() {
         return;
     }
     // The last first: a removed site's handle goes to the last one.
     for site in unsupported.into_iter().rev() {
         sites.remove(site);
     }
-    let mut kept = Vec::with_capacity(projections.len());
+    // Those at one place with another are not in the triangulation.
+    let mut is_kept = vec![false; count];
+    for site in sites.vertices() {
+        if let Some(is_kept) = is_kept.get_mut(site.data().index as usize) {
+            *is_kept = true;
+        }
+    }
+    let mut kept = Vec::with_capacity(count);
+    // Corners come after the last point.
+    let mut renumbered: Vec<u32> = is_kept
+        .iter()
+        .zip(&*projections)
+        .map(|(&is_kept, point)| {
+            kept.extend(is_kept.then_some(*point));
+            kept.len().saturating_sub(1) as u32
+        })
+        .collect();
+    renumbered.extend((0..CORNERS).map(|corner| (kept.len() + corner) as u32));
     for handle in sites.fixed_vertices() {
         let site = sites.vertex_data_mut(handle);
-        kept.push(projections[site.index as usize]);
-        site.index = kept.len() as u32 - 1;
+        site.index = renumbered[site.index as usize];
     }
     *projections = kept;
 }
@@ -221,17 +237,21 @@ fn around(site: Handle<Site>) -> impl Iterator<Item = Handle<Site>> {
 
 /// Whether enough of the neighbours of a site, and of theirs, agree with it.
 fn has_support(projections: &[ProjectedPoint], site: &Handle<Site>, options: &MeshOptions) -> bool {
-    let depth = |s: &Handle<Site>| projections[s.data().index as usize].inverse_depth;
-    let own = depth(site);
-    let agrees = |s: &Handle<Site>| (own - depth(s)).abs() <= options.support_share * own;
-    let near = around(*site).filter(agrees).count();
+    let index = |s: &Handle<Site>| s.data().index as usize;
+    let own = projections[index(site)].inverse_depth;
+    let agrees =
+        |k: &usize| (own - projections[*k].inverse_depth).abs() <= options.support_share * own;
+    // Corners have no depth yet.
+    let around = |s| around(s).filter(|s| index(s) < projections.len());
+    let near = around(*site).map(|s| index(&s)).filter(agrees).count();
     if near >= options.min_support {
         return true;
     }
-    let mut all: Vec<u32> = around(*site)
+    let mut all: Vec<usize> = around(*site)
         .chain(around(*site).flat_map(around))
-        .filter(|s| s.fix() != site.fix() && agrees(s))
-        .map(|s| s.data().index)
+        .filter(|s| s.fix() != site.fix())
+        .map(|s| index(&s))
+        .filter(agrees)
         .collect();
     all.sort_unstable();
     all.dedup();

@@ -55,25 +55,26 @@ pub(super) fn rasterize(
 ) -> DepthMap {
     let prepared: Vec<Prepared> =
         triangles.par_iter().filter_map(|t| prepare(points, t, camera)).collect();
+    let mut in_bands = vec![Vec::new(); camera.height.div_ceil(BAND_ROWS)];
+    for t in &prepared {
+        // There is a row.
+        for band in t.rows.0 / BAND_ROWS..=(t.rows.1 - 1) / BAND_ROWS {
+            in_bands[band].push(t);
+        }
+    }
     let mut depths = vec![f32::NAN; camera.width * camera.height];
-    depths.par_chunks_mut(BAND_ROWS * camera.width).enumerate().for_each(|(band, depths)| {
-        let first = band * BAND_ROWS;
-        let last = first + depths.len() / camera.width;
-        let in_band: Vec<&Prepared> =
-            prepared.iter().filter(|t| t.rows.0 < last && t.rows.1 > first).collect();
-        let mut rays = RayRow::new(camera);
-        let mut nearest = vec![0.0; camera.width];
-        for (row, depths) in (first..last).zip(depths.chunks_exact_mut(camera.width)) {
-            rays.set(row);
-            nearest.fill(0.0);
-            draw(&in_band, row, &rays, &mut nearest);
-            for (depth, &inverse) in depths.iter_mut().zip(&nearest) {
+    depths.par_chunks_mut(BAND_ROWS * camera.width).zip(&in_bands).enumerate().for_each_init(
+        || Band::new(camera),
+        |band, (index, (depths, triangles))| {
+            band.set(index * BAND_ROWS);
+            draw(triangles, band);
+            for (depth, &inverse) in depths.iter_mut().zip(&band.nearest) {
                 if inverse > 0.0 {
                     *depth = (1.0 / inverse) as f32;
                 }
             }
-        }
-    });
+        },
+    );
     DepthMap::from_data(camera.width, camera.height, depths)
 }
 
@@ -103,26 +104,75 @@ fn prepare(points: &[Vector3<f64>], triangle: &[u32; 3], camera: &Camera) -> Opt
     Some(Prepared { edges, g, columns, rows })
 }
 
+/// Neighbouring rows of the image.
+struct Band<'a> {
+    first_row: usize,
+    rays: Vec<RayRow<'a>>,
+    /// The largest inverse depth at each pixel, row by row; 0 where there is no triangle.
+    nearest: Vec<f64>,
+}
+
+impl<'a> Band<'a> {
+    fn new(camera: &'a Camera) -> Self {
+        let rows = BAND_ROWS.min(camera.height);
+        let rays = (0..rows).map(|_| RayRow::new(camera)).collect();
+        Self { first_row: 0, rays, nearest: vec![0.0; rows * camera.width] }
+    }
+
+    /// Makes it the rows from one on, empty.
+    fn set(&mut self, first_row: usize) {
+        self.first_row = first_row;
+        self.rays.iter_mut().enumerate().for_each(|(k, rays)| rays.set(first_row + k));
+        self.nearest.fill(0.0);
+    }
+}
+
 widened! {
-    /// Raises a row's inverse depths where one of the triangles is nearer.
-    fn draw(triangles: &[&Prepared], row: usize, rays: &RayRow, nearest: &mut [f64]) = draw_any
+    /// Raises a band's inverse depths where one of the triangles is nearer.
+    fn draw(triangles: &[&Prepared], band: &mut Band) = draw_any
 }
 
 #[inline(always)]
-fn draw_any(triangles: &[&Prepared], row: usize, rays: &RayRow, nearest: &mut [f64]) {
-    for t in triangles.iter().filter(|t| t.rows.0 <= row && row < t.rows.1) {
-        let columns = t.columns.0..t.columns.1;
+fn draw_any(triangles: &[&Prepared], band: &mut Band) {
+    for t in triangles {
+        let from = t.rows.0.max(band.first_row) - band.first_row;
+        let until = t.rows.1.min(band.first_row + band.rays.len()) - band.first_row;
+        for (row, rays) in band.rays[from..until].iter().enumerate() {
+            let width = rays.x.len();
+            let nearest = &mut band.nearest[(from + row) * width..][..width];
+            t.draw_row(rays, nearest);
+        }
+    }
+}
+
+impl Prepared {
+    #[inline(always)]
+    fn draw_row(&self, rays: &RayRow, nearest: &mut [f64]) {
+        let columns = self.columns.0..self.columns.1;
         let (xs, ys) = (&rays.x[columns.clone()], &rays.y[columns.clone()]);
         let nearest = &mut nearest[columns];
         // Whole words first. The last may overlap the one before: drawing twice is drawing once.
         let mut left = xs.len();
         while left >= LANES {
             let k = xs.len() - left;
-            t.draw_word::<LANES>(word(xs, k), word(ys, k), word_mut(nearest, k));
+            self.draw_word::<LANES>(word(xs, k), word(ys, k), word_mut(nearest, k));
             left = if left < 2 * LANES && left > LANES { LANES } else { left - LANES };
         }
         for k in xs.len() - left..xs.len() {
-            t.draw_word::<1>(word(xs, k), word(ys, k), word_mut(nearest, k));
+            self.draw_word::<1>(word(xs, k), word(ys, k), word_mut(nearest, k));
+        }
+    }
+
+    #[inline(always)]
+    fn draw_word<const N: usize>(&self, x: &[f64; N], y: &[f64; N], nearest: &mut [f64; N]) {
+        let [a, b, c] = &self.edges;
+        for k in 0..N {
+            let at = |n: &Vector3<f64>| n.x * x[k] + n.y * y[k] + n.z;
+            let inverse = at(&self.g);
+            let edge = |n: &Vector3<f64>| at(n) >= -ON_EDGE;
+            let own = if edge(a) & edge(b) & edge(c) { inverse } else { 0.0 };
+            // Every pixel is written: a masked store would hold up the next word's load.
+            nearest[k] = if own > nearest[k] { own } else { nearest[k] };
         }
     }
 }
@@ -135,20 +185,6 @@ fn word<const N: usize>(values: &[f64], at: usize) -> &[f64; N] {
 #[inline(always)]
 fn word_mut<const N: usize>(values: &mut [f64], at: usize) -> &mut [f64; N] {
     values[at..].first_chunk_mut().expect("the row goes on")
-}
-
-impl Prepared {
-    #[inline(always)]
-    fn draw_word<const N: usize>(&self, x: &[f64; N], y: &[f64; N], nearest: &mut [f64; N]) {
-        let [a, b, c] = &self.edges;
-        for k in 0..N {
-            let at = |n: &Vector3<f64>| n.x * x[k] + n.y * y[k] + n.z;
-            let inverse = at(&self.g);
-            let edge = |n: &Vector3<f64>| at(n) >= -ON_EDGE;
-            let hit = edge(a) & edge(b) & edge(c) & (inverse > nearest[k]);
-            nearest[k] = if hit { inverse } else { nearest[k] };
-        }
-    }
 }
 
 type Range = (usize, usize);

@@ -11,8 +11,8 @@ use super::rays::ViewBounds;
 use super::source::{BlendOptions, Source};
 use super::weights::BlendMethod;
 use crate::camera::{Camera, CameraModel};
+use crate::raster::widened;
 use nalgebra::{Matrix3, Point2, Vector3};
-use std::ops::Range;
 
 /// Largest distance of a camera at the view's centre, as a fraction of the farthest camera's distance
 /// from it. Larger: nearby cameras are taken for the view itself. Smaller: by rounding, the view of an
@@ -32,7 +32,10 @@ const CONE_MARGIN: f64 = 0.02;
 /// Factor of a bound that is below 1 by more than f32 rounds. Larger: rounding decides; smaller: bounds are loose.
 const ROUNDING: f32 = 0.999;
 
-/// A row of the view to render.
+/// What a difference of sines is lowered by, which is more than f32 rounds: as [`ROUNDING`].
+const ROUNDED: f32 = 1e-6;
+
+/// Some pixels of a row of the view to render.
 pub(super) struct TargetRow<'a> {
     /// Rays (x, y, 1) and their lengths.
     pub x: &'a [f32],
@@ -40,18 +43,6 @@ pub(super) struct TargetRow<'a> {
     pub length: &'a [f32],
     /// Inverse depths, 1/m; 0 where there is no proxy.
     pub inverse_depth: &'a [f32],
-}
-
-impl TargetRow<'_> {
-    /// Some of the row's pixels.
-    pub fn part(&self, columns: Range<usize>) -> TargetRow<'_> {
-        TargetRow {
-            x: &self.x[columns.clone()],
-            y: &self.y[columns.clone()],
-            length: &self.length[columns.clone()],
-            inverse_depth: &self.inverse_depth[columns],
-        }
-    }
 }
 
 /// The points of a row in one source.
@@ -65,6 +56,55 @@ pub(super) struct Hits<'a> {
     pub trust: &'a mut [f32],
     /// Whether some source shows the point; points that this one does are added.
     pub seen: &'a mut [bool],
+}
+
+/// A cone around the rays of some pixels of a row.
+pub(super) struct Cone {
+    axis: Vector3<f32>,
+    /// Of the largest angle between a ray and the axis.
+    sine: f32,
+    cosine: f32,
+    /// The length of the longest ray.
+    longest: f32,
+    /// The smallest inverse depth.
+    farthest: f32,
+}
+
+impl Cone {
+    /// The cone of these pixels, of which there are some. Between the first and the last pixel of a pinhole's row, the
+    /// rays are neither longer nor further from the one in the middle.
+    pub fn around(row: &TargetRow, is_pinhole: bool) -> Self {
+        let n = row.x.len();
+        let unit = |k: usize| Vector3::new(row.x[k], row.y[k], 1.0) / row.length[k];
+        let axis = unit(n / 2);
+        let (mut sine, mut longest) = (0.0_f32, 0.0_f32);
+        for k in (0..n).step_by(if is_pinhole { (n - 1).max(1) } else { 1 }) {
+            sine = sine.max(unit(k).cross(&axis).norm());
+            longest = longest.max(row.length[k]);
+        }
+        let farthest = row.inverse_depth.iter().copied().fold(f32::INFINITY, f32::min);
+        Self { axis, sine, cosine: (1.0 - sine * sine).max(0.0).sqrt(), longest, farthest }
+    }
+}
+
+widened! {
+    /// [`Reprojection::measure`] for pixels `fx·x + cx`, `fy·y + cy`.
+    fn measure_pinhole(
+        reprojection: &Reprojection,
+        intrinsics: [f32; 4],
+        row: &TargetRow,
+        hits: &mut Hits
+    ) = measure_pinhole_any
+}
+
+#[inline(always)]
+fn measure_pinhole_any(
+    reprojection: &Reprojection,
+    [fx, fy, cx, cy]: [f32; 4],
+    row: &TargetRow,
+    hits: &mut Hits,
+) {
+    reprojection.measure(row, hits, |nx, ny| (fx * nx + cx, fy * ny + cy));
 }
 
 /// One source relative to the view to render.
@@ -131,34 +171,25 @@ impl Reprojection {
         self.shift_target == Vector3::zeros()
     }
 
-    /// A bound below the penalties of the row's points, from the angle alone: with r the ray, ρ the inverse depth and
-    /// d the shift, `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, because q = r + ρd
-    /// is not longer than |r| + ρ|d|. That grows with ρ.
-    pub fn min_angle(&self, row: &TargetRow) -> f32 {
-        let d = self.shift_target;
-        let n = row.x.len();
-        let (xs, ys, lengths, inverse) =
-            (&row.x[..n], &row.y[..n], &row.length[..n], &row.inverse_depth[..n]);
-        let mut sine2 = f32::INFINITY;
-        let (mut farthest, mut longest) = (f32::INFINITY, 0.0_f32);
-        for k in 0..n {
-            let (x, y, length) = (xs[k], ys[k], lengths[k]);
-            let cross = [y * d.z - d.y, d.x - x * d.z, x * d.y - y * d.x];
-            let cross2 = cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2];
-            sine2 = sine2.min(cross2 / (length * length));
-            longest = longest.max(length);
-            farthest = farthest.min(inverse[k]);
-        }
-        // Lengths are at least 1.
-        ROUNDING * sine2.sqrt() * farthest / (longest + farthest * d.norm())
+    /// A bound below the penalties of the points of a cone's pixels, from the angle alone: with r the ray, ρ the inverse
+    /// depth and d the shift, `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, because q = r + ρd
+    /// is not longer than |r| + ρ|d|. That grows with ρ. The angle between r and d is at most a cone's smaller than
+    /// the axis's. NaN where a ray is.
+    pub fn min_angle(&self, cone: &Cone) -> f32 {
+        let (d, axis) = (self.shift_target, cone.axis);
+        let length = d.norm();
+        let sine = (axis.cross(&d).norm() * cone.cosine - axis.dot(&d).abs() * cone.sine)
+            - ROUNDED * length;
+        // Lengths are at least 1. `max` would ignore NaN.
+        let sine = if sine < 0.0 { 0.0 } else { sine };
+        ROUNDING * sine * cone.farthest / (cone.longest + cone.farthest * length)
     }
 
     /// Fills `hits`. `source` is the one that this reprojection is of.
     pub fn row(&self, row: &TargetRow, source: &Source, hits: &mut Hits) {
         if self.model.is_pinhole() {
             let (fx, fy, cx, cy) = self.model.intrinsics();
-            let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v as f32);
-            self.measure(row, hits, |nx, ny| (fx * nx + cx, fy * ny + cy));
+            measure_pinhole(self, [fx, fy, cx, cy].map(|v| v as f32), row, hits);
         } else {
             let model = self.model;
             self.measure(row, hits, |nx, ny| {

@@ -30,11 +30,11 @@
 use super::DepthMap;
 use super::hidden::{self, Shown};
 use super::rays::RayRow;
-use super::reproject::{Hits, Reprojection, TargetRow};
+use super::reproject::{Cone, Hits, Reprojection, TargetRow};
 use super::source::{BlendOptions, Rendered, Source};
-use super::weights::{BlendMethod, SOFT, WeightRow};
+use super::weights::{BlendMethod, Penalties, SOFT, Weights};
 use crate::camera::Camera;
-use crate::raster::{Image, Tiles, gray_from_rgb, sample};
+use crate::raster::{Image, Tiles, gray_from_rgb, sample, sample_each};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -73,15 +73,19 @@ pub fn blend(
         .zip(shown.par_chunks_exact_mut(w))
         .enumerate()
         .for_each_init(
-            || Row::new(sources, &reprojections, target, options),
-            |row, (y, ((pixels, covered), shown))| {
-                row.measure(y, depth.row(y));
-                match (channels, colored == sources.len()) {
-                    (1, _) => row.blend::<1>(pixels),
-                    (_, true) => row.blend::<3>(pixels),
-                    (_, false) => row.blend_mixed(pixels),
+            || Part::new(sources, &reprojections, target, options),
+            |part, (y, ((pixels, covered), shown))| {
+                part.set_row(y, depth.row(y));
+                for columns in parts(w) {
+                    part.measure(columns.clone());
+                    let pixels = &mut pixels[channels * columns.start..channels * columns.end];
+                    match (channels, colored == sources.len()) {
+                        (1, _) => part.blend::<1>(pixels),
+                        (_, true) => part.blend::<3>(pixels),
+                        (_, false) => part.blend_mixed(pixels),
+                    }
+                    part.cover(&mut covered[columns.clone()], &mut shown[columns]);
                 }
-                row.cover(covered, shown);
             },
         );
     hidden::fill(&mut image, &shown, depth, options.hidden_share as f32);
@@ -108,11 +112,14 @@ pub fn contributing(
         sources.iter().map(|s| Tiles::none(s.camera.width, s.camera.height)).collect()
     };
     let rows = (0..target.height).into_par_iter().fold(
-        || (Row::new(sources, &reprojections, target, options), nothing()),
-        |(mut row, mut tiles), y| {
-            row.measure(y, depth.row(y));
-            row.contributing(&mut tiles);
-            (row, tiles)
+        || (Part::new(sources, &reprojections, target, options), nothing()),
+        |(mut part, mut tiles), y| {
+            part.set_row(y, depth.row(y));
+            for columns in parts(target.width) {
+                part.measure(columns);
+                part.contributing(&mut tiles);
+            }
+            (part, tiles)
         },
     );
     rows.map(|(_, tiles)| tiles).reduce(nothing, |mut all, more| {
@@ -136,35 +143,54 @@ fn check(sources: &[Source], depth: &DepthMap, target: &Camera) {
     }
 }
 
-/// One row's geometry in all sources, and scratch space. Values of every pixel in every source are
-/// stored source by source.
-struct Row<'a> {
+/// Neighbouring pixels of a row that are measured, weighed and blended together. Larger: depths differ more within a
+/// part, so that fewer sources are culled; smaller: deciding takes longer than it saves.
+const PART_PX: usize = 64;
+
+/// The columns of a row's parts.
+fn parts(width: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..width).step_by(PART_PX).map(move |from| from..(from + PART_PX).min(width))
+}
+
+/// A part of a row in the sources that may have weight there, and scratch space. Values of every pixel in every source
+/// are stored source by source.
+struct Part<'a> {
     sources: &'a [Source<'a>],
     reprojections: &'a [Reprojection],
-    target: &'a Camera,
     options: &'a BlendOptions,
-    rays: RayRow<'a>,
+    row: RowRays<'a>,
+    /// How many pixels it has.
+    count: usize,
+    /// The sources that may have weight; the others have no values.
+    active: Vec<usize>,
     x: Vec<f32>,
     y: Vec<f32>,
     penalty: Vec<f32>,
     trust: Vec<f32>,
     /// Whether some source shows the pixel's point.
-    seen: Vec<bool>,
-    weights: WeightRow,
+    seen: [bool; PART_PX],
+    weights: Weights,
     /// The sources, nearest to the view first.
     order: Vec<usize>,
     /// Whether some sources are grey and others coloured.
     is_mixed: bool,
+    /// Whether the view is a pinhole's.
+    is_pinhole: bool,
 }
 
-/// The pixels of a row that sources are culled for together. Larger: depths differ more within a part, so that
-/// fewer are; smaller: deciding takes longer than it saves.
-const PART_PX: usize = 64;
+/// The rays of a row of the view, and its inverse depths.
+struct RowRays<'a> {
+    rays: RayRow<'a>,
+    x: Vec<f32>,
+    y: Vec<f32>,
+    length: Vec<f32>,
+    inverse_depth: Vec<f32>,
+}
 
 /// The largest penalty at which weights end, of the pixels of a part of a row: that of the worst of these sources,
 /// or a little above the best.
 fn worst_end<'a>(penalties: impl Iterator<Item = &'a [f32]>, count: usize) -> f32 {
-    let (mut best, mut worst) = (vec![f32::INFINITY; count], vec![0.0_f32; count]);
+    let (mut best, mut worst) = ([f32::INFINITY; PART_PX], [0.0_f32; PART_PX]);
     for row in penalties {
         for ((best, worst), &p) in best.iter_mut().zip(&mut worst).zip(row) {
             *best = best.min(p);
@@ -172,168 +198,189 @@ fn worst_end<'a>(penalties: impl Iterator<Item = &'a [f32]>, count: usize) -> f3
         }
     }
     let ends = best.iter().zip(&worst).map(|(best, worst)| worst.max(best * (1.0 + SOFT)));
-    ends.fold(0.0, f32::max)
+    ends.take(count).fold(0.0, f32::max)
 }
 
-impl<'a> Row<'a> {
+impl<'a> Part<'a> {
     fn new(
         sources: &'a [Source],
         reprojections: &'a [Reprojection],
         target: &'a Camera,
         options: &'a BlendOptions,
     ) -> Self {
-        let size = sources.len() * target.width;
-        let zeros = || vec![0.0; size];
+        let zeros = || vec![0.0; sources.len() * PART_PX];
         let gray = sources.iter().filter(|s| s.image.channels() == 1).count();
         let mut order: Vec<usize> = (0..sources.len()).collect();
         let distance = |i: &usize| (sources[*i].camera.center() - target.center()).norm();
         order.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let row = || vec![0.0; target.width];
         Self {
             sources,
             reprojections,
-            target,
             options,
-            rays: RayRow::new(target),
+            row: RowRays {
+                rays: RayRow::new(target),
+                x: row(),
+                y: row(),
+                length: row(),
+                inverse_depth: row(),
+            },
+            count: 0,
+            active: Vec::new(),
             x: zeros(),
             y: zeros(),
             penalty: zeros(),
             trust: zeros(),
-            seen: vec![false; target.width],
-            weights: WeightRow::new(target.width, sources.len()),
+            seen: [false; PART_PX],
+            weights: Weights::default(),
             order,
             is_mixed: gray > 0 && gray < sources.len(),
+            is_pinhole: target.model.is_pinhole(),
         }
     }
 
-    /// Reprojects the row's points into all sources that may have weight there.
-    fn measure(&mut self, y: usize, depths: &[f32]) {
-        self.rays.set(y);
-        let narrow = |v: &[f64]| v.iter().map(|&v| v as f32).collect::<Vec<f32>>();
-        let (x, y) = (narrow(&self.rays.x), narrow(&self.rays.y));
-        let length: Vec<f32> =
-            x.iter().zip(&y).map(|(x, y)| (x * x + y * y + 1.0).sqrt()).collect();
-        let inverse = |z: &f32| if z.is_nan() { 0.0 } else { (1.0 / z).max(MIN_INVERSE_DEPTH) };
-        let inverse_depth: Vec<f32> = depths.iter().map(inverse).collect();
-        let row = TargetRow { x: &x, y: &y, length: &length, inverse_depth: &inverse_depth };
-        let width = self.target.width;
+    /// Makes the next parts those of a row.
+    fn set_row(&mut self, y: usize, depths: &[f32]) {
+        let row = &mut self.row;
+        row.rays.set(y);
+        for (k, &z) in depths.iter().enumerate() {
+            let (x, y) = (row.rays.x[k] as f32, row.rays.y[k] as f32);
+            (row.x[k], row.y[k]) = (x, y);
+            row.length[k] = (x * x + y * y + 1.0).sqrt();
+            row.inverse_depth[k] = if z.is_nan() { 0.0 } else { (1.0 / z).max(MIN_INVERSE_DEPTH) };
+        }
+    }
+
+    /// The indices of the part's values in a source.
+    fn of(&self, source: usize) -> Range<usize> {
+        source * PART_PX..source * PART_PX + self.count
+    }
+
+    /// Reprojects the points of some of the row's pixels, first into the nearest sources. Further ones are culled where
+    /// they have no weight: the best penalty that they may have is no better than that at which weights end.
+    fn measure(&mut self, columns: Range<usize>) {
+        self.count = columns.len();
         self.seen.fill(false);
-        for from in (0..width).step_by(PART_PX) {
-            let columns = from..(from + PART_PX).min(width);
-            self.measure_part(&row.part(columns.clone()), &columns);
-        }
-    }
-
-    /// Reprojects some of the row's points, first into the nearest sources. Further ones are culled where they
-    /// have no weight: the best penalty that they may have is no better than that at which weights end.
-    fn measure_part(&mut self, row: &TargetRow, columns: &Range<usize>) {
-        let width = self.target.width;
-        let order = std::mem::take(&mut self.order);
+        self.active.clear();
         let first = match self.options.method {
-            BlendMethod::Uniform => order.len(),
+            BlendMethod::Uniform => self.order.len(),
             BlendMethod::Lumigraph | BlendMethod::SpaceTime => self.options.cameras.max(1) + 1,
         };
-        let mut limit = f32::INFINITY;
-        for (rank, &i) in order.iter().enumerate() {
+        let row = TargetRow {
+            x: &self.row.x[columns.clone()],
+            y: &self.row.y[columns.clone()],
+            length: &self.row.length[columns.clone()],
+            inverse_depth: &self.row.inverse_depth[columns],
+        };
+        let mut cone_and_limit = None;
+        for (rank, &i) in self.order.iter().enumerate() {
             if rank == first && !self.is_mixed {
-                let at = |&i: &usize| &self.penalty[i * width..(i + 1) * width][columns.clone()];
-                limit = worst_end(order[..first].iter().map(at), columns.len());
+                let at = |&i: &usize| &self.penalty[self.of(i)];
+                let limit = worst_end(self.order[..first].iter().map(at), self.count);
+                // At 0, sources at the view's own centre tie.
+                let may_cull = limit > 0.0 && limit < f32::INFINITY;
+                cone_and_limit = may_cull.then(|| (Cone::around(&row, self.is_pinhole), limit));
             }
-            let own = i * width + columns.start..i * width + columns.end;
+            let own = self.of(i);
             let reprojection = &self.reprojections[i];
-            // At 0, sources at the view's own centre tie.
-            let may_cull = limit > 0.0 && limit < f32::INFINITY;
-            if may_cull && reprojection.min_angle(row) >= limit {
-                self.penalty[own.clone()].fill(f32::INFINITY);
-                self.trust[own].fill(0.0);
+            if cone_and_limit
+                .as_ref()
+                .is_some_and(|(cone, limit)| reprojection.min_angle(cone) >= *limit)
+            {
                 continue;
             }
+            self.active.push(i);
             let mut hits = Hits {
                 x: &mut self.x[own.clone()],
                 y: &mut self.y[own.clone()],
                 penalty: &mut self.penalty[own.clone()],
                 trust: &mut self.trust[own],
-                seen: &mut self.seen[columns.clone()],
+                seen: &mut self.seen[..self.count],
             };
-            reprojection.row(row, &self.sources[i], &mut hits);
+            reprojection.row(&row, &self.sources[i], &mut hits);
         }
-        self.order = order;
+        // Sums over sources don't depend on which were culled.
+        self.active.sort_unstable();
     }
 
     fn weigh(&mut self) {
+        let penalties = Penalties {
+            sources: &self.active,
+            penalty: &self.penalty,
+            trust: &self.trust,
+            width: PART_PX,
+            count: self.count,
+        };
         match self.options.method {
-            BlendMethod::Uniform => self.weights.uniform(&self.trust),
+            BlendMethod::Uniform => self.weights.uniform(&penalties),
             BlendMethod::Lumigraph | BlendMethod::SpaceTime => {
-                self.weights.lumigraph(&self.penalty, &self.trust, self.options.cameras);
+                self.weights.lumigraph(&penalties, self.options.cameras);
             }
         }
     }
 
     /// Computes the weights of the coloured sources, as if there were no others.
     fn weigh_colored(&mut self) {
-        let width = self.target.width;
-        let gray = |s: &Source| s.image.channels() == 1;
-        for (i, _) in self.sources.iter().enumerate().filter(|(_, s)| gray(s)) {
-            self.penalty[i * width..(i + 1) * width].fill(f32::INFINITY);
-            self.trust[i * width..(i + 1) * width].fill(0.0);
+        for (i, source) in self.sources.iter().enumerate() {
+            if source.image.channels() == 1 {
+                let own = self.of(i);
+                self.penalty[own.clone()].fill(f32::INFINITY);
+                self.trust[own].fill(0.0);
+            }
         }
         self.weigh();
     }
 
-    /// Marks the tiles that this row is blended from, source by source.
+    /// Marks the tiles that this part is blended from, source by source.
     fn contributing(&mut self, tiles: &mut [Tiles]) {
         self.weigh();
         self.mark(tiles);
-        let colored = self.sources.iter().filter(|s| s.image.channels() == 3).count();
-        if colored > 0 && colored < self.sources.len() {
+        if self.is_mixed {
             self.weigh_colored();
             self.mark(tiles);
         }
     }
 
     fn mark(&self, tiles: &mut [Tiles]) {
-        let width = self.target.width;
-        let places = self.x.chunks_exact(width).zip(self.y.chunks_exact(width));
-        let weighted = places.zip(self.weights.weights.chunks_exact(width));
-        for (tiles, ((x, y), weights)) in tiles.iter_mut().zip(weighted) {
-            for ((&x, &y), &weight) in x.iter().zip(y).zip(weights) {
-                if weight > 0.0 {
-                    tiles.mark_sample(x, y);
+        for &i in &self.active {
+            for k in self.of(i) {
+                if self.weights.weights[k] > 0.0 {
+                    tiles[i].mark_sample(self.x[k], self.y[k]);
                 }
             }
         }
     }
 
-    /// Blends the row from sources that all have C channels.
+    /// Blends the part from sources that all have C channels.
     fn blend<const C: usize>(&mut self, pixels: &mut [f32]) {
         self.weigh();
-        let width = self.target.width;
-        for (i, source) in self.sources.iter().enumerate() {
-            let row = i * width..(i + 1) * width;
-            let at = self.x[row.clone()].iter().zip(&self.y[row.clone()]);
-            let weights = &self.weights.weights[row];
-            for ((pixel, &weight), (&x, &y)) in pixels.chunks_exact_mut(C).zip(weights).zip(at) {
-                if weight > 0.0 {
-                    let value: [f32; C] = sample(source.image, x, y, self.options.sampling);
-                    for (out, v) in pixel.iter_mut().zip(value) {
-                        *out += weight * v;
-                    }
+        for &i in &self.active {
+            let own = self.of(i);
+            let at = self.x[own.clone()].iter().zip(&self.y[own.clone()]);
+            let weighted = at.zip(&self.weights.weights[own]).zip(pixels.chunks_exact_mut(C));
+            let places = weighted
+                .filter(|((_, weight), _)| **weight > 0.0)
+                .map(|(((&x, &y), &weight), pixel)| ([x, y], (weight, pixel)));
+            let (image, sampling) = (self.sources[i].image, self.options.sampling);
+            sample_each::<C, _>(image, places, sampling, |(weight, pixel), value| {
+                for (out, v) in pixel.iter_mut().zip(value) {
+                    *out += weight * v;
                 }
-            }
+            });
         }
         // Cubic lobes overshoot.
         pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     }
 
-    /// Blends the row where some sources are grey: luminance from all sources, colour from the others.
+    /// Blends the part where some sources are grey: luminance from all sources, colour from the others.
     fn blend_mixed(&mut self, pixels: &mut [f32]) {
-        let width = self.target.width;
         let sources = self.sources;
         let is_colored = |i: usize| sources[i].image.channels() == 3;
         self.weigh();
-        let (mut colored_weight, mut trust_of_any) = (vec![0.0; width], vec![0.0_f32; width]);
-        for i in 0..sources.len() {
-            for x in 0..width {
-                let (k, weight) = (i * width + x, self.weights.weights[i * width + x]);
+        let (mut colored_weight, mut trust_of_any) = ([0.0; PART_PX], [0.0_f32; PART_PX]);
+        for &i in &self.active {
+            for (x, k) in self.of(i).enumerate() {
+                let weight = self.weights.weights[k];
                 trust_of_any[x] = trust_of_any[x].max(self.trust[k]);
                 if weight > 0.0 {
                     let gray = gray_from_rgb(self.sample_rgb(k, i));
@@ -344,20 +391,20 @@ impl<'a> Row<'a> {
         }
         let trust = self.trust.clone();
         self.weigh_colored();
-        let mut trust_of_colored = vec![0.0_f32; width];
-        for row in self.trust.chunks_exact(width) {
-            for (best, t) in trust_of_colored.iter_mut().zip(row) {
+        let mut trust_of_colored = [0.0_f32; PART_PX];
+        for &i in &self.active {
+            for (best, t) in trust_of_colored.iter_mut().zip(&self.trust[self.of(i)]) {
                 *best = best.max(*t);
             }
         }
-        for i in (0..sources.len()).filter(|&i| is_colored(i)) {
-            for x in 0..width {
+        for &i in self.active.iter().filter(|&&i| is_colored(i)) {
+            for (x, k) in self.of(i).enumerate() {
                 // Colour fades as the last coloured camera loses the point that others see, unless
                 // the luminance is that camera's too. Where a weight is positive, some trust is.
                 let fade = colored_weight[x].max(trust_of_colored[x] / trust_of_any[x]);
-                let weight = self.weights.weights[i * width + x];
+                let weight = self.weights.weights[k];
                 if weight > 0.0 {
-                    let value = self.sample_rgb(i * width + x, i);
+                    let value = self.sample_rgb(k, i);
                     let gray = gray_from_rgb(value);
                     for (out, v) in pixels[3 * x..3 * x + 3].iter_mut().zip(value) {
                         *out += weight * fade * (v - gray);
@@ -380,8 +427,8 @@ impl<'a> Row<'a> {
 
     /// Which pixels some camera has in its image, and whether one shows their points.
     fn cover(&self, covered: &mut [bool], shown: &mut [Shown]) {
-        for trust in self.trust.chunks_exact(covered.len()) {
-            for (covered, &t) in covered.iter_mut().zip(trust) {
+        for &i in &self.active {
+            for (covered, &t) in covered.iter_mut().zip(&self.trust[self.of(i)]) {
                 *covered |= t > 0.0;
             }
         }

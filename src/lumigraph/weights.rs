@@ -7,7 +7,9 @@
 //! penalties, whatever ties there are.
 
 use crate::method::methods;
+use crate::raster::widened;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// The weights of the cameras that see a point, the cheapest method first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -33,14 +35,34 @@ methods!(BlendMethod {
 /// cameras that almost tie are blended. Smaller: the transition between them is sharper, a jump at 0.
 pub(super) const SOFT: f32 = 0.05;
 
-/// The weights of a row of pixels, source by source.
+/// The penalties of some sources at `count` neighbouring pixels.
 ///
-/// Penalties are angular deviations, raised by poor resolution and towards the image's border;
-/// infinite where the camera doesn't see the point. A penalty of 0 is the target's own centre:
-/// then only such cameras count, in proportion to their trust (0 at the image's border to 1).
-pub(super) struct WeightRow {
-    width: usize,
-    /// Weights, source by source; they sum to 1, or to 0 where no camera sees the point.
+/// They are angular deviations, raised by poor resolution and towards the image's border; infinite where the camera
+/// doesn't see the point. A penalty of 0 is the target's own centre: then only such cameras count, in proportion to
+/// their trust (0 at the image's border to 1).
+pub(super) struct Penalties<'a> {
+    /// The sources, ascending.
+    pub sources: &'a [usize],
+    /// Values of each source, from `width` times its index on.
+    pub penalty: &'a [f32],
+    pub trust: &'a [f32],
+    pub width: usize,
+    pub count: usize,
+}
+
+impl Penalties<'_> {
+    /// The indices of a source's values.
+    #[inline(always)]
+    fn of(&self, source: usize) -> Range<usize> {
+        source * self.width..source * self.width + self.count
+    }
+}
+
+/// The weights of the pixels of [`Penalties`].
+#[derive(Default)]
+pub(super) struct Weights {
+    /// Those of each source, where its penalties are; they sum to 1, or to 0 where no camera sees the point. Only
+    /// those of the sources that penalties were given for count.
     pub weights: Vec<f32>,
     /// The k+1 smallest penalties, ascending: rank by rank, pixel by pixel.
     ranks: Vec<f32>,
@@ -49,62 +71,32 @@ pub(super) struct WeightRow {
     inserted: Vec<f32>,
 }
 
-impl WeightRow {
-    pub fn new(width: usize, sources: usize) -> Self {
-        Self {
-            width,
-            weights: vec![0.0; width * sources],
-            ranks: Vec::new(),
-            sum: vec![0.0; width],
-            inserted: vec![0.0; width],
-        }
-    }
-
+impl Weights {
     /// Computes the weights of the k best cameras; `k` = 0 counts as 1.
-    pub fn lumigraph(&mut self, penalties: &[f32], trust: &[f32], k: usize) {
-        let width = self.width;
-        let k = k.clamp(1, (self.weights.len() / width).max(1));
-        self.rank(penalties, k + 1);
-        let (best, next) = self.ranks.split_at_mut(width);
-        let threshold = &mut next[(k - 1) * width..];
-        for (threshold, &best) in threshold.iter_mut().zip(&*best) {
-            // Infinite where k cameras or fewer see the point: none has to fade out.
-            *threshold = threshold.max(best * (1.0 + SOFT));
-        }
-        for (sum, (best, threshold)) in self.sum.iter_mut().zip(best.iter().zip(&*threshold)) {
-            // Scratch until the sum is computed: the decrease of the weights at the threshold.
-            *sum = best / threshold;
-        }
-        let rows = penalties.chunks_exact(width).zip(trust.chunks_exact(width));
-        for (weights, (p, trust)) in self.weights.chunks_exact_mut(width).zip(rows) {
-            let pixels = weights.iter_mut().zip(p).zip(trust);
-            let limits = best.iter().zip(&*threshold).zip(&self.sum);
-            for (((w, &p), &trust), ((&best, &threshold), &fall)) in pixels.zip(limits) {
-                // (1 − p / threshold) / p, times the best p: at most 1, and never an overflow.
-                // Where no camera sees the point it is NaN, which is below no threshold.
-                let blended = best / p - fall;
-                let alone = if p == 0.0 { trust } else { 0.0 };
-                let counted = if p < threshold { blended } else { 0.0 };
-                *w = if best == 0.0 { alone } else { counted };
-            }
-        }
-        self.normalize();
+    pub fn lumigraph(&mut self, penalties: &Penalties, k: usize) {
+        self.weights.resize(penalties.penalty.len(), 0.0);
+        lumigraph(penalties, k.clamp(1, penalties.sources.len().max(1)), self);
     }
 
     /// Computes equal weights of the cameras that see the point, lower towards their borders.
-    pub fn uniform(&mut self, trust: &[f32]) {
-        self.weights.copy_from_slice(trust);
-        self.normalize();
+    pub fn uniform(&mut self, penalties: &Penalties) {
+        self.weights.resize(penalties.penalty.len(), 0.0);
+        for &source in penalties.sources {
+            let own = penalties.of(source);
+            self.weights[own.clone()].copy_from_slice(&penalties.trust[own]);
+        }
+        self.normalize(penalties);
     }
 
-    fn rank(&mut self, penalties: &[f32], count: usize) {
-        let width = self.width;
+    #[inline(always)]
+    fn rank(&mut self, penalties: &Penalties, count: usize) {
         self.ranks.clear();
-        self.ranks.resize(count * width, f32::INFINITY);
+        self.ranks.resize(count * penalties.count, f32::INFINITY);
         // Insertion by exchanges, side by side for all pixels.
-        for row in penalties.chunks_exact(width) {
-            self.inserted.copy_from_slice(row);
-            for rank in self.ranks.chunks_exact_mut(width) {
+        for &source in penalties.sources {
+            self.inserted.clear();
+            self.inserted.extend_from_slice(&penalties.penalty[penalties.of(source)]);
+            for rank in self.ranks.chunks_exact_mut(penalties.count) {
                 for (rank, inserted) in rank.iter_mut().zip(&mut self.inserted) {
                     let (a, b) = (*rank, *inserted);
                     *rank = if b < a { b } else { a };
@@ -114,20 +106,56 @@ impl WeightRow {
         }
     }
 
-    fn normalize(&mut self) {
-        self.sum.fill(0.0);
-        for weights in self.weights.chunks_exact(self.width) {
-            for (sum, w) in self.sum.iter_mut().zip(weights) {
+    #[inline(always)]
+    fn normalize(&mut self, penalties: &Penalties) {
+        self.sum.clear();
+        self.sum.resize(penalties.count, 0.0);
+        for &source in penalties.sources {
+            for (sum, w) in self.sum.iter_mut().zip(&self.weights[penalties.of(source)]) {
                 *sum += w;
             }
         }
-        for weights in self.weights.chunks_exact_mut(self.width) {
-            for (w, &sum) in weights.iter_mut().zip(&self.sum) {
+        for &source in penalties.sources {
+            for (w, &sum) in self.weights[penalties.of(source)].iter_mut().zip(&self.sum) {
                 let fraction = *w / sum;
                 *w = if sum > 0.0 { fraction } else { 0.0 };
             }
         }
     }
+}
+
+widened! {
+    fn lumigraph(penalties: &Penalties, k: usize, out: &mut Weights) = lumigraph_any
+}
+
+#[inline(always)]
+fn lumigraph_any(penalties: &Penalties, k: usize, out: &mut Weights) {
+    let count = penalties.count;
+    out.rank(penalties, k + 1);
+    let (best, next) = out.ranks.split_at_mut(count);
+    let threshold = &mut next[(k - 1) * count..];
+    for (threshold, &best) in threshold.iter_mut().zip(&*best) {
+        // Infinite where k cameras or fewer see the point: none has to fade out.
+        *threshold = threshold.max(best * (1.0 + SOFT));
+    }
+    out.sum.clear();
+    // Scratch until the sum is computed: the decrease of the weights at the threshold.
+    out.sum.extend(best.iter().zip(&*threshold).map(|(best, threshold)| best / threshold));
+    for &source in penalties.sources {
+        let own = penalties.of(source);
+        let pixels = out.weights[own.clone()].iter_mut().zip(&penalties.penalty[own.clone()]);
+        let pixels = pixels.zip(&penalties.trust[own]);
+        let limits = best.iter().zip(&*threshold).zip(&out.sum);
+        for (((w, &p), &trust), ((&best, &threshold), &fall)) in pixels.zip(limits) {
+            // (1 − p / threshold) / p, times the best p: at most 1, and never an overflow.
+            // Where no camera sees the point it is NaN, which is below no threshold.
+            let blended = best / p - fall;
+            let alone = if p == 0.0 { trust } else { 0.0 };
+            let counted = if p < threshold { blended } else { 0.0 };
+            *w = if best == 0.0 { alone } else { counted };
+        }
+    }
+    out.normalize(penalties);
 }
 
 #[cfg(test)]
@@ -136,9 +164,17 @@ mod tests {
     use super::*;
 
     fn weights(penalties: &[f32], k: usize) -> Vec<f32> {
-        let mut row = WeightRow::new(1, penalties.len());
-        row.lumigraph(penalties, &vec![1.0; penalties.len()], k);
-        row.weights
+        of_pixels(penalties, penalties.len(), k)
+    }
+
+    /// The weights of these pixels' penalties by `n` sources.
+    fn of_pixels(penalty: &[f32], n: usize, k: usize) -> Vec<f32> {
+        let width = penalty.len() / n.max(1);
+        let trust = &vec![1.0; penalty.len()];
+        let sources = &(0..n).collect::<Vec<_>>();
+        let mut weights = Weights::default();
+        weights.lumigraph(&Penalties { sources, penalty, trust, width, count: width }, k);
+        weights.weights
     }
 
     /// The formula, one pixel, with a sort.
@@ -160,11 +196,10 @@ mod tests {
             let (width, n) = (37, 7);
             let level = |r: &mut Random| if r.unit() < 0.2 { INF } else { r.unit() as f32 + 0.01 };
             let penalties: Vec<f32> = (0..width * n).map(|_| level(&mut random)).collect();
-            let mut row = WeightRow::new(width, n);
-            row.lumigraph(&penalties, &vec![1.0; width * n], k);
+            let weights = of_pixels(&penalties, n, k);
             for x in 0..width {
                 let at = |v: &[f32]| (0..n).map(|i| v[i * width + x]).collect::<Vec<_>>();
-                for (a, b) in at(&row.weights).iter().zip(naive(&at(&penalties), k)) {
+                for (a, b) in at(&weights).iter().zip(naive(&at(&penalties), k)) {
                     assert!((a - b).abs() < 1e-5, "{a} {b}");
                 }
             }

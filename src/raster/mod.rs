@@ -18,7 +18,7 @@ pub(crate) use filter::{box_filter, padded, sliding};
 pub use sample::Sampling;
 #[cfg(target_arch = "x86_64")]
 pub(crate) use sample::has_avx2_and_fma;
-pub(crate) use sample::{sample, sample_all};
+pub(crate) use sample::{sample, sample_all, sample_each};
 pub use tiles::Tiles;
 pub(crate) use widened::widened;
 

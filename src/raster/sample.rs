@@ -159,41 +159,61 @@ pub(crate) fn sample_all(
     positions: impl Iterator<Item = [f32; 2]>,
     out: &mut [f32],
 ) {
-    #[inline(always)]
-    fn each<const C: usize>(
+    fn into_out<const C: usize>(
         image: &Image,
         positions: impl Iterator<Item = [f32; 2]>,
         out: &mut [f32],
     ) {
-        for ([x, y], out) in positions.zip(out.chunks_exact_mut(C)) {
-            out.copy_from_slice(&sample::<C>(image, x, y, Sampling::Cubic));
-        }
-    }
-    /// The same for RGB. The whole loop is compiled for these instructions, so that sampling is inlined.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    fn each_rgb_avx2(image: &Image, positions: impl Iterator<Item = [f32; 2]>, out: &mut [f32]) {
-        for ([x, y], out) in positions.zip(out.chunks_exact_mut(3)) {
-            if let Some((left, top)) = inside(image, x, y) {
-                let [r, g, b, _] = cubic_rgb_avx2(image.data(), image.width(), left, top);
-                out.copy_from_slice(&[r, g, b]);
-            } else {
-                image.sample_cubic(x, y, out);
-            }
-        }
+        let places = positions.zip(out.chunks_exact_mut(C));
+        sample_each::<C, _>(image, places, Sampling::Cubic, |out, v| out.copy_from_slice(&v));
     }
     match image.channels() {
-        1 => each::<1>(image, positions, out),
-        #[cfg(target_arch = "x86_64")]
-        // Safe: the processor has both.
-        3 if has_avx2_and_fma() => unsafe { each_rgb_avx2(image, positions, out) },
-        3 => each::<3>(image, positions, out),
+        1 => into_out::<1>(image, positions, out),
+        3 => into_out::<3>(image, positions, out),
         n => {
             for ([x, y], out) in positions.zip(out.chunks_exact_mut(n)) {
                 image.sample_cubic(x, y, out);
             }
         }
     }
+}
+
+/// Gives `put` what comes with each position, and [`sample`] of the image there.
+#[inline(always)]
+pub(crate) fn sample_each<const C: usize, T>(
+    image: &Image,
+    places: impl Iterator<Item = ([f32; 2], T)>,
+    sampling: Sampling,
+    put: impl FnMut(T, [f32; C]),
+) {
+    #[inline(always)]
+    fn any<const C: usize, T>(
+        image: &Image,
+        places: impl Iterator<Item = ([f32; 2], T)>,
+        sampling: Sampling,
+        mut put: impl FnMut(T, [f32; C]),
+    ) {
+        for ([x, y], with) in places {
+            put(with, sample(image, x, y, sampling));
+        }
+    }
+    /// The whole loop is compiled for these instructions, so that [`cubic_rgb_avx2`] is inlined.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn by_avx2<const C: usize, T>(
+        image: &Image,
+        places: impl Iterator<Item = ([f32; 2], T)>,
+        sampling: Sampling,
+        put: impl FnMut(T, [f32; C]),
+    ) {
+        any(image, places, sampling, put);
+    }
+    #[cfg(target_arch = "x86_64")]
+    if has_avx2_and_fma() {
+        // SAFETY: the processor has both.
+        return unsafe { by_avx2(image, places, sampling, put) };
+    }
+    any(image, places, sampling, put);
 }
 
 #[cfg(test)]
