@@ -7,6 +7,8 @@ use crate::capture::FilmedCamera;
 use crate::lumigraph::triangulate;
 use crate::options::ViewOptions;
 use nalgebra::Point3;
+use rayon::prelude::*;
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// How many triangulated points are cached, those of all cameras together: 12 MB of them. More only
@@ -48,20 +50,24 @@ impl LightField {
         options: &ViewOptions,
     ) -> Result<Vec<Point3<f64>>, RenderError> {
         let instant = Instant { time_s, options };
-        let mut points = Vec::new();
-        for (camera, partners) in self.with_partners(target, instant) {
-            let key = PointsKey::new(camera, &partners, instant);
-            let of_camera = match self.points.get(&key) {
-                Some(cached) => cached,
-                None => {
-                    let of_camera = Arc::new(self.points_of(camera, &partners, instant)?);
-                    self.points.insert(key, of_camera.clone(), of_camera.len());
-                    of_camera
-                }
-            };
-            points.extend_from_slice(&of_camera);
+        let key =
+            |(camera, partners): &(usize, Vec<usize>)| PointsKey::new(*camera, partners, instant);
+        let cameras = self.with_partners(target, instant);
+        let cached: Vec<_> = cameras.iter().map(|c| self.points.get(&key(c))).collect();
+        if cached.contains(&None) {
+            self.load_frames(&cameras, instant)?;
         }
-        Ok(points)
+        let of = |(of, cached): (&(usize, Vec<usize>), Option<_>)| -> Result<_, RenderError> {
+            if let Some(cached) = cached {
+                return Ok(cached);
+            }
+            let of_camera = Arc::new(self.points_of(of.0, &of.1, instant)?);
+            self.points.insert(key(of), of_camera.clone(), of_camera.len());
+            Ok(of_camera)
+        };
+        let of_cameras: Vec<_> =
+            cameras.par_iter().zip(cached).map(of).collect::<Result<_, _>>()?;
+        Ok(of_cameras.iter().flat_map(|points| points.iter().copied()).collect())
     }
 
     /// The same without cached points: but for correspondences that are known, it takes as long as for the first view
@@ -78,6 +84,27 @@ impl LightField {
             points.extend(self.points_of(camera, &partners, instant)?);
         }
         Ok(points)
+    }
+
+    /// Decodes the frames around an instant that are not cached, of all these cameras and partners: side by side, and
+    /// each once. None if the cache doesn't hold all of them.
+    fn load_frames(
+        &self,
+        cameras: &[(usize, Vec<usize>)],
+        instant: Instant,
+    ) -> Result<(), RenderError> {
+        let all: BTreeSet<usize> =
+            cameras.iter().flat_map(|(c, partners)| partners.iter().chain([c])).copied().collect();
+        if !self.frames.fits(all.iter().copied(), 2) {
+            return Ok(());
+        }
+        all.into_par_iter().try_for_each(|camera| {
+            let (k, later) = self.bracket(camera, instant.time_s)?;
+            [k, later].into_par_iter().try_for_each(|frame| {
+                self.frames.get(camera, frame)?;
+                Ok(())
+            })
+        })
     }
 
     /// The cameras nearest to a view, each with those that its features are matched with.
