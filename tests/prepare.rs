@@ -44,7 +44,7 @@ fn view(field: &LightField) -> Image {
     field.view(target, time_s, &options).expect("a view").image
 }
 
-/// All files of tracks, by name.
+/// All files of tracks, by name, and that of the gains.
 fn files(folder: &Path) -> Vec<PathBuf> {
     let keys = std::fs::read_dir(folder.join(".stlfr/registered")).expect("a folder");
     let all = keys.flat_map(|key| std::fs::read_dir(key.unwrap().path()).unwrap());
@@ -76,6 +76,29 @@ fn views_are_the_same_bytes_and_what_is_there_is_kept() {
     let again = prepared(&opened(folder.path()));
     assert_eq!(again, Prepared { found: 7, ..first });
     assert_eq!(std::fs::read(&all[3]).unwrap(), before);
+}
+
+#[test]
+fn gains_are_kept_and_their_damage_is_noticed() {
+    let folder = filmed();
+    let expected = opened(folder.path()).gains().clone();
+    assert!(expected.largest_difference().1 > 0.0, "measured");
+    prepared(&opened(folder.path()));
+    assert_eq!(*opened(folder.path()).gains(), expected);
+    let file = files(folder.path()).into_iter().find(|f| f.ends_with("gains")).unwrap();
+    let bytes = std::fs::read(&file).unwrap();
+    assert_eq!(bytes.len(), 32 + 8 * (3 * 3 + 2));
+    for at in [0, 31, 32, bytes.len() - 1] {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 4;
+        std::fs::write(&file, damaged).unwrap();
+        assert_eq!(*opened(folder.path()).gains(), expected, "byte {at}");
+        std::fs::write(&file, &bytes[..at]).unwrap();
+        assert_eq!(*opened(folder.path()).gains(), expected, "{at} bytes");
+    }
+    // Prepared anew, it is whole again.
+    prepared(&opened(folder.path()));
+    assert_eq!(std::fs::read(&file).unwrap(), bytes);
 }
 
 /// A file that was moved to the place of another is not believed.

@@ -213,7 +213,7 @@ impl LightField {
         &self,
         Around { camera, near, far }: Around,
     ) -> Result<(Arc<Frame>, Vec<Feature>), RenderError> {
-        let frame = self.frames.get(camera, near)?;
+        let frame = self.frames().get(camera, near)?;
         if near == far {
             let corners = frame.corners(self.frames.options());
             let still = |&in_frame: &Point2<f64>| Feature { in_frame, trajectory: None };
@@ -245,7 +245,7 @@ impl LightField {
     ) -> Result<Vec<Option<Matched>>, RenderError> {
         let Wanted { frame: source, features, disparities, time_s } = *wanted;
         let registration = self.frames.options();
-        let near_frame = self.frames.get(camera, near)?;
+        let near_frame = self.frames().get(camera, near)?;
         let expected: Vec<_> =
             features.iter().zip(disparities).map(|(f, d)| f.at(time_s) + d).collect();
         let starts: Vec<_> =
@@ -259,7 +259,7 @@ impl LightField {
         // Times ascend strictly, so the interval is not 0.
         let interval_s = times[far] - times[near];
         let elapsed_s = time_s - times[near];
-        let far_frame = self.frames.get(camera, far)?;
+        let far_frame = self.frames().get(camera, far)?;
         let found: Vec<(usize, Point2<f64>)> = (matches.iter().enumerate())
             .filter_map(|(n, m)| Some((n, m.as_ref().map(target)?)))
             .collect();

@@ -50,7 +50,7 @@ impl LightField {
             return Ok(own);
         };
         let blended = self.blend(&joint.images, &geometry, filmed, &options.blend);
-        let gains = self.frames.gains();
+        let gains = self.gains();
         let image = gains.as_filmed(camera, &blended.image).unwrap_or(blended.image);
         let mut result = own;
         let channels = result.image.channels();

@@ -119,12 +119,14 @@ impl LightField {
 
     /// The decoded frames, with what registration derives from them.
     pub fn frames(&self) -> &FrameStore {
+        // With the gains that were prepared.
+        self.store();
         &self.frames
     }
 
     /// How much more light each camera records than the reference.
     pub fn gains(&self) -> &Gains {
-        self.frames.gains()
+        self.frames().gains()
     }
 
     /// The median distance of a camera from its nearest neighbour at another place, metres; 0

@@ -101,7 +101,7 @@ impl LightField {
         all.into_par_iter().try_for_each(|camera| {
             let (k, later) = self.bracket(camera, instant.time_s)?;
             [k, later].into_par_iter().try_for_each(|frame| {
-                self.frames.get(camera, frame)?;
+                self.frames().get(camera, frame)?;
                 Ok(())
             })
         })

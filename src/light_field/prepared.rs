@@ -1,8 +1,8 @@
-//! Registered frame pairs on disk: `CAPTURE/.stlfr/registered/KEY/CAMERA-FRAME.tracks`, written by
-//! [`LightField::prepare`] and read by every later view.
+//! Registered frame pairs on disk: `CAPTURE/.stlfr/registered/KEY/CAMERA-FRAME.tracks`, and beside them the cameras'
+//! `gains`, written by [`LightField::prepare`] and read by every later view.
 //!
 //! KEY is a hash of all that registration depends on: the capture's content, the clocks, the options, the
-//! program's version. A file holds a checksum of its name, the key and what follows, then the tracks as numbers
+//! program's version. A file holds a checksum of its name, the key and what follows, then the tracks or gains as numbers
 //! of eight bytes, little-endian, so that views are the same bytes as without it. What is missing or damaged is
 //! registered anew. The folder may be deleted at any time.
 //!
@@ -11,17 +11,20 @@
 
 use super::{LightField, RenderError};
 use crate::host::{link_within, read_bytes, remove_special, write_atomically};
-use crate::registration::{FlowDirection, Track};
+use crate::registration::{FlowDirection, Gains, Track};
 use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 /// Part of the key: changed whenever the same frames are registered to other tracks.
-const REGISTRATION: &[u8] = b"stlfr-tracks-1";
+const REGISTRATION: &[u8] = b"stlfr-tracks-2";
 
 /// The folder of all prepared pairs inside a capture.
 const FOLDER: &str = ".stlfr/registered";
+
+/// The file of the cameras' gains.
+const GAINS: &str = "gains";
 
 /// Largest file, bytes: half a million tracks. Larger: what stands in a file's place fills the memory. Smaller:
 /// pairs of very many features are registered anew.
@@ -45,7 +48,7 @@ pub struct Prepared {
     pub pairs: usize,
     /// How many of them were there already.
     pub found: usize,
-    /// The size of all of them, bytes.
+    /// The size of all of them, and of the gains, bytes.
     pub bytes: u64,
 }
 
@@ -71,27 +74,49 @@ impl Store {
         link_within(&capture.folder, &folder).is_none().then_some(Self { folder, key })
     }
 
-    fn path(&self, (camera, k): (usize, usize)) -> PathBuf {
-        self.folder.join(format!("{camera}-{k}.tracks"))
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
     }
 
-    fn checksum(&self, pair: (usize, usize), content: &[u8]) -> [u8; blake3::OUT_LEN] {
+    fn checksum(&self, name: &str, content: &[u8]) -> [u8; blake3::OUT_LEN] {
         let mut hasher = blake3::Hasher::new();
         hasher.update(self.key.as_bytes());
-        [pair.0, pair.1].iter().for_each(|n| {
-            hasher.update(&(*n as u64).to_le_bytes());
-        });
+        hasher.update(name.as_bytes());
+        // A name has no such byte.
+        hasher.update(&[0]);
         hasher.update(content);
         hasher.finalize().into()
     }
 
+    /// What a file holds after its checksum, if it is there as it was written.
+    fn read(&self, name: &str) -> Option<Vec<u8>> {
+        let mut bytes = read_bytes(&self.path(name), MAX_BYTES).ok()?;
+        let (checksum, content) = bytes.split_first_chunk::<{ blake3::OUT_LEN }>()?;
+        let is_whole = *checksum == self.checksum(name, content);
+        is_whole.then(|| bytes.split_off(blake3::OUT_LEN))
+    }
+
+    /// Writes numbers to a file; how many bytes that is.
+    fn write(&self, name: &str, numbers: impl Iterator<Item = f64>) -> std::io::Result<u64> {
+        let content: Vec<u8> = numbers.flat_map(f64::to_le_bytes).collect();
+        let bytes = [&self.checksum(name, &content)[..], &content].concat();
+        let path = self.path(name);
+        remove_special(&path)?;
+        write_atomically(&path, &bytes)?;
+        Ok(bytes.len() as u64)
+    }
+
+    /// The gains of this many cameras, if they are there as they were written.
+    fn load_gains(&self, cameras: usize) -> Option<Gains> {
+        let content = self.read(GAINS)?;
+        let (numbers, rest) = content.as_chunks::<8>();
+        let numbers: Vec<f64> = numbers.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
+        rest.is_empty().then(|| Gains::from_numbers(cameras, &numbers)).flatten()
+    }
+
     /// The tracks of a pair, if they are there as they were written.
     pub fn load(&self, pair: (usize, usize)) -> Option<Vec<Track>> {
-        let bytes = read_bytes(&self.path(pair), MAX_BYTES).ok()?;
-        let (checksum, content) = bytes.split_first_chunk::<{ blake3::OUT_LEN }>()?;
-        if *checksum != self.checksum(pair, content) {
-            return None;
-        }
+        let content = self.read(&tracks_file(pair))?;
         let (tracks, rest) = content.as_chunks::<TRACK_BYTES>();
         rest.is_empty().then_some(())?;
         tracks.iter().map(decoded).collect()
@@ -99,13 +124,12 @@ impl Store {
 
     /// Writes the tracks of a pair; how many bytes that is.
     fn save(&self, pair: (usize, usize), tracks: &[Track]) -> std::io::Result<u64> {
-        let content: Vec<u8> = tracks.iter().flat_map(encoded).flat_map(f64::to_le_bytes).collect();
-        let bytes = [&self.checksum(pair, &content)[..], &content].concat();
-        let path = self.path(pair);
-        remove_special(&path)?;
-        write_atomically(&path, &bytes)?;
-        Ok(bytes.len() as u64)
+        self.write(&tracks_file(pair), tracks.iter().flat_map(encoded))
     }
+}
+
+fn tracks_file((camera, k): (usize, usize)) -> String {
+    format!("{camera}-{k}.tracks")
 }
 
 /// NaN stands for what was not found.
@@ -165,11 +189,16 @@ fn decoded(bytes: &[u8; TRACK_BYTES]) -> Option<Track> {
 }
 
 impl LightField {
-    /// The registered pairs on disk, if any were ever prepared for this capture: otherwise nothing is hashed.
+    /// The registered pairs on disk, if any were ever prepared for this capture: otherwise nothing is hashed. Gains on disk
+    /// are those of the frames from then on.
     pub(super) fn store(&self) -> Option<&Store> {
         let open = || {
             let any = self.capture().folder.join(FOLDER).is_dir();
-            any.then(|| Store::of(self)).flatten()
+            let store = any.then(|| Store::of(self)).flatten()?;
+            if let Some(gains) = store.load_gains(self.times_s.len()) {
+                self.frames.know_gains(gains);
+            }
+            Some(store)
         };
         self.store.get_or_init(open).as_ref()
     }
@@ -179,7 +208,8 @@ impl LightField {
         let pairs: usize =
             (0..self.times_s.len()).map(|c| self.times(c).len().saturating_sub(1)).sum();
         let tracks = 2 * self.frames.options().corners.max_corners;
-        (pairs, (pairs * (tracks * TRACK_BYTES + blake3::OUT_LEN)) as u64)
+        let gains = size_of::<f64>() * self.gains().numbers().count() + blake3::OUT_LEN;
+        (pairs, (pairs * (tracks * TRACK_BYTES + blake3::OUT_LEN) + gains) as u64)
     }
 
     /// Registers all frame pairs and keeps them on disk, so that views need not; those that are there are left as
@@ -204,9 +234,11 @@ impl LightField {
         let refused = || std::io::Error::other("it is reached through a link");
         let store = Store::of(self).ok_or_else(refused).map_err(wrong(&folder))?;
         std::fs::create_dir_all(&store.folder).map_err(wrong(&store.folder))?;
+        let gains = self.gains().numbers();
+        let gains_bytes = store.write(GAINS, gains).map_err(wrong(&store.path(GAINS)))?;
         let frames = (0..self.times_s.len()).map(|c| self.times(c).len()).max().unwrap_or(0);
         let (done, found) = (AtomicUsize::new(0), AtomicUsize::new(0));
-        let (pairs, bytes) = (AtomicUsize::new(0), AtomicU64::new(0));
+        let (pairs, bytes) = (AtomicUsize::new(0), AtomicU64::new(gains_bytes));
         // By time, so that pairs share the frames that are decoded.
         for k in 0..frames.saturating_sub(1) {
             (0..self.times_s.len()).into_par_iter().try_for_each(|camera| {
@@ -222,7 +254,9 @@ impl LightField {
                         }
                         None => {
                             let tracks = self.tracks(camera, k)?;
-                            store.save(pair, &tracks).map_err(wrong(&store.path(pair)))?
+                            store
+                                .save(pair, &tracks)
+                                .map_err(wrong(&store.path(&tracks_file(pair))))?
                         }
                     };
                     pairs.fetch_add(1, Ordering::Relaxed);

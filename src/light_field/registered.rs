@@ -58,9 +58,9 @@ impl LightField {
             self.tracks.insert((camera, k), tracks.clone(), tracks.len());
             return Ok(tracks);
         }
-        let mut tracks = temporal_flow(&self.frames, camera, k)?;
+        let mut tracks = temporal_flow(self.frames(), camera, k)?;
         if self.frames.options().epipolar_test {
-            let verdicts = epipolar_test(&self.frames, &self.times_s, camera, k, &tracks)?;
+            let verdicts = epipolar_test(self.frames(), &self.times_s, camera, k, &tracks)?;
             let mut verdicts = verdicts.into_iter();
             tracks.retain(|_| verdicts.next() != Some(Verdict::Rejected));
         }
@@ -111,7 +111,7 @@ impl LightField {
         if let Some(change) = self.changes.get(&(camera, k)) {
             return Ok(change <= still_change);
         }
-        let [earlier, later] = [self.frames.get(camera, k)?, self.frames.get(camera, k + 1)?];
+        let [earlier, later] = [self.frames().get(camera, k)?, self.frames().get(camera, k + 1)?];
         let change = largest_change(&earlier.image, &later.image);
         self.changes.insert((camera, k), change, 1);
         Ok(change <= still_change)

@@ -32,14 +32,14 @@ impl LightField {
         parts: Option<&Tiles>,
     ) -> Result<Synchronized, RenderError> {
         let (k, later) = self.bracket(camera, time_s)?;
-        let earlier_frame = self.frames.get(camera, k)?;
+        let earlier_frame = self.frames().get(camera, k)?;
         if k == later {
             return Ok(Synchronized::filmed(earlier_frame.image.clone()));
         }
         if options.sync == SyncMethod::AllCameras {
             return self.joint(camera, time_s, options);
         }
-        let later_frame = self.frames.get(camera, later)?;
+        let later_frame = self.frames().get(camera, later)?;
         let still_change = options.interpolation.still_change;
         let sync = if options.sync.needs_tracks() && self.is_still(camera, k, still_change)? {
             SyncMethod::Crossfade
@@ -52,7 +52,7 @@ impl LightField {
                 .map(|n| n.filter(|&n| n < self.times(camera).len())),
             _ => [None, None],
         };
-        let [before, after] = around.map(|n| n.map(|n| self.frames.get(camera, n)).transpose());
+        let [before, after] = around.map(|n| n.map(|n| self.frames().get(camera, n)).transpose());
         let (before, after) = (before?, after?);
         let size = [earlier_frame.image.width(), earlier_frame.image.height()];
         let triangles = matches!(sync, SyncMethod::Triangulation | SyncMethod::Refined)

@@ -153,7 +153,7 @@ impl LightField {
         &self,
         images: &'a [Option<Synchronized>],
     ) -> Cow<'a, [Option<Synchronized>]> {
-        let gains = self.frames.gains();
+        let gains = self.gains();
         if gains.are_equal() {
             return Cow::Borrowed(images);
         }

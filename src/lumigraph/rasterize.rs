@@ -361,4 +361,31 @@ mod tests {
             assert!(got.data().iter().all(|z| z.is_nan()), "{t:?}");
         }
     }
+
+    #[test]
+    fn bands_are_drawn_alike_with_and_without_avx2() {
+        let mut random = Random::new(9);
+        for camera in [small(), bent()] {
+            let mut vertex = || {
+                let [x, y] = [0, 1].map(|_| random.in_range(-1.5, 1.5));
+                Vector3::new(x, y, random.in_range(0.5, 4.0))
+            };
+            let points: Vec<_> = (0..90).map(|_| vertex()).collect();
+            let triangles: Vec<_> = (0..30).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
+            let all: Vec<_> =
+                triangles.iter().filter_map(|t| prepare(&points, t, &camera)).collect();
+            for first_row in (0..camera.height).step_by(BAND_ROWS) {
+                let touches =
+                    |t: &&Prepared| t.rows.0 < first_row + BAND_ROWS && t.rows.1 > first_row;
+                let triangles: Vec<&Prepared> = all.iter().filter(touches).collect();
+                let [mut band, mut plain] = [(); 2].map(|()| Band::new(&camera));
+                band.set(first_row);
+                plain.set(first_row);
+                draw(&triangles, &mut band);
+                draw_any(&triangles, &mut plain);
+                assert_eq!(band.nearest, plain.nearest);
+                assert!(band.nearest.iter().any(|v| *v > 0.0));
+            }
+        }
+    }
 }

@@ -304,3 +304,94 @@ impl Reprojection {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::rays::RayRow;
+    use super::super::tests::Random;
+    use super::*;
+    use crate::camera::tests::pinhole_at;
+    use nalgebra::UnitQuaternion;
+
+    /// A part of a row: rays, their lengths, and inverse depths.
+    type Part = [Vec<f32>; 4];
+
+    fn row(part: &Part) -> TargetRow<'_> {
+        let [x, y, length, inverse_depth] = part;
+        TargetRow { x, y, length, inverse_depth }
+    }
+
+    /// Where a source shows a part's points, their penalties and the trust in them.
+    fn measured(
+        reprojection: &Reprojection,
+        part: &Part,
+        measure: impl Fn(&Reprojection, &TargetRow, &mut Hits),
+    ) -> [Vec<f32>; 4] {
+        let n = part[0].len();
+        let mut out = [(); 4].map(|()| vec![0.0; n]);
+        let [x, y, penalty, trust] = &mut out;
+        measure(
+            reprojection,
+            &row(part),
+            &mut Hits { x, y, penalty, trust, seen: &mut vec![false; n] },
+        );
+        out
+    }
+
+    fn bent(mut camera: Camera) -> Camera {
+        let (fx, fy, cx, cy) = camera.model.intrinsics();
+        let (k1, k2, p1, p2) = (-0.2, 0.05, 1e-3, -1e-3);
+        camera.model = CameraModel::OpenCv { fx, fy, cx, cy, k1, k2, p1, p2 };
+        camera
+    }
+
+    /// Random parts of a view's rows, with the reprojections of random sources.
+    fn problems(mut each: impl FnMut(&Camera, &Part, &Reprojection)) {
+        let mut random = Random::new(51);
+        let mut number = |low, high| random.in_range(low, high);
+        for k in 0..400 {
+            let target = if k % 2 == 0 { pinhole_at([0.0; 3]) } else { bent(pinhole_at([0.0; 3])) };
+            let (y, from) = (number(0.0, 479.0) as usize, number(0.0, 600.0) as usize);
+            let columns = from..(from + 1 + number(0.0, 63.0) as usize).min(640);
+            let mut rays = RayRow::new(&target);
+            rays.set(y);
+            let narrow =
+                |v: &[f64]| v[columns.clone()].iter().map(|v| *v as f32).collect::<Vec<_>>();
+            let (x, y) = (narrow(&rays.x), narrow(&rays.y));
+            let length = x.iter().zip(&y).map(|(x, y)| (x * x + y * y + 1.0).sqrt()).collect();
+            let inverse_depth = x.iter().map(|_| number(0.1, 3.0) as f32).collect();
+            let mut source = pinhole_at([number(-0.5, 0.5), number(-0.3, 0.3), number(-0.8, 0.3)]);
+            source.cam_from_world.rotation =
+                UnitQuaternion::from_euler_angles(number(-0.2, 0.2), number(-0.2, 0.2), 0.1);
+            let reprojection = Reprojection::new(&source, &target, 1.0, &BlendOptions::default());
+            each(&target, &[x, y, length, inverse_depth], &reprojection);
+        }
+    }
+
+    #[test]
+    fn a_cone_s_bound_is_below_every_penalty() {
+        let mut positive = 0;
+        problems(|target, part, reprojection| {
+            let cone = Cone::around(&row(part), target.model.is_pinhole());
+            let bound = reprojection.min_angle(&cone);
+            let [_, _, penalty, _] = measured(reprojection, part, |r, row, hits| {
+                r.measure(row, hits, |x, y| (500.0 * x + 320.0, 500.0 * y + 240.0));
+            });
+            assert!(penalty.iter().all(|p| *p >= bound), "{bound} {penalty:?}");
+            positive += usize::from(bound > 0.0);
+        });
+        assert!(positive > 300, "{positive}");
+    }
+
+    #[test]
+    fn points_are_measured_alike_with_and_without_avx2() {
+        let intrinsics = [500.0, 510.0, 320.0, 240.0];
+        problems(|_, part, reprojection| {
+            let [a, b] = [measure_pinhole, measure_pinhole_any]
+                .map(|f| measured(reprojection, part, |r, row, hits| f(r, intrinsics, row, hits)));
+            let bits =
+                |all: [Vec<f32>; 4]| all.map(|v| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>());
+            assert_eq!(bits(a), bits(b));
+        });
+    }
+}

@@ -254,4 +254,28 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn weights_are_alike_with_and_without_avx2() {
+        let mut random = Random::new(21);
+        let (width, n) = (61, 5);
+        let level = |r: &mut Random| if r.unit() < 0.2 { INF } else { r.unit() as f32 };
+        let penalty: Vec<f32> = (0..width * n).map(|_| level(&mut random)).collect();
+        let (trust, sources) = (vec![1.0; width * n], [0, 1, 3, 4]);
+        let penalties = Penalties {
+            sources: &sources,
+            penalty: &penalty,
+            trust: &trust,
+            width,
+            count: width - 3,
+        };
+        for k in 1..4 {
+            let zeros = || Weights { weights: vec![0.0; width * n], ..Weights::default() };
+            let [mut a, mut b] = [zeros(), zeros()];
+            lumigraph(&penalties, k, &mut a);
+            lumigraph_any(&penalties, k, &mut b);
+            assert_eq!(a.weights, b.weights);
+            assert!(a.weights.iter().any(|w| *w > 0.0));
+        }
+    }
 }

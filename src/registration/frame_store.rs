@@ -116,6 +116,11 @@ impl FrameStore {
         }
     }
 
+    /// Makes these the cameras' gains, as an earlier store has estimated them. Too late once they are known.
+    pub(crate) fn know_gains(&self, gains: Gains) {
+        let _ = self.gains.set(gains);
+    }
+
     /// The cameras' gains, estimated from the images by the first call. All 1 for a single camera, or if
     /// [`RegistrationOptions::gains`] is [`GainMethod::Equal`].
     pub fn gains(&self) -> &Gains {

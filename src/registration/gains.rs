@@ -52,6 +52,20 @@ impl Gains {
         Self { factors: vec![[1.0; 3]; cameras], largest: (0.0, 0.0) }
     }
 
+    /// The gains as numbers, three a camera, then the largest difference and its standard error.
+    pub(crate) fn numbers(&self) -> impl Iterator<Item = f64> {
+        self.factors.iter().flatten().copied().chain([self.largest.0, self.largest.1])
+    }
+
+    /// The gains that [`Self::numbers`] gave; `None` for others.
+    pub(crate) fn from_numbers(cameras: usize, numbers: &[f64]) -> Option<Self> {
+        let (factors, rest) = numbers.as_chunks();
+        let are_gains = factors.iter().flatten().all(|g: &f64| g.is_finite() && *g > 0.0);
+        let [difference, std_err] = *rest else { return None };
+        (are_gains && factors.len() == cameras)
+            .then(|| Self { factors: factors.to_vec(), largest: (difference, std_err) })
+    }
+
     /// Whether all gains are 1, so that nothing is corrected.
     pub fn are_equal(&self) -> bool {
         self.factors.iter().all(|f| *f == [1.0; 3])
