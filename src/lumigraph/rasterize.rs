@@ -58,9 +58,8 @@ pub(super) fn rasterize(
     let mut in_bands = vec![Vec::new(); camera.height.div_ceil(BAND_ROWS)];
     for t in &prepared {
         // There is a row.
-        for band in t.rows.0 / BAND_ROWS..=(t.rows.1 - 1) / BAND_ROWS {
-            in_bands[band].push(t);
-        }
+        let bands = t.rows.0 / BAND_ROWS..=(t.rows.1 - 1) / BAND_ROWS;
+        in_bands[bands].iter_mut().for_each(|band| band.push(t));
     }
     let mut depths = vec![f32::NAN; camera.width * camera.height];
     depths.par_chunks_mut(BAND_ROWS * camera.width).zip(&in_bands).enumerate().for_each_init(
