@@ -60,13 +60,14 @@ use std::sync::{Arc, OnceLock};
 /// Times are seconds on the reference camera's clock, from the capture's start
 /// ([`Capture::time_origin_s`]).
 pub struct LightField {
+    /// But for its options and its capture, used through [`LightField::frames`].
     frames: FrameStore,
     offsets: Offsets,
     /// Every camera's frame times on the reference's clock; `None` if they are unknown.
     times_s: Vec<Option<Vec<f64>>>,
     /// By camera and earlier frame; the cost is the number of tracks.
     tracks: BoundedCache<(usize, usize), Arc<Vec<Track>>>,
-    /// Where tracks are on disk; looked for when the first are needed.
+    /// Where tracks and gains are on disk; looked for when frames are first needed.
     store: OnceLock<Option<Store>>,
     /// The triangles of these tracks; the cost is their number.
     triangles: BoundedCache<(usize, usize), Arc<Triangles>>,
@@ -115,6 +116,11 @@ impl LightField {
 
     pub fn offsets(&self) -> &Offsets {
         &self.offsets
+    }
+
+    /// How frames are registered.
+    pub(crate) fn registration(&self) -> &RegistrationOptions {
+        self.frames.options()
     }
 
     /// The decoded frames, with what registration derives from them.

@@ -49,25 +49,7 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Vec<Point3<f64>>, RenderError> {
-        let instant = Instant { time_s, options };
-        let key =
-            |(camera, partners): &(usize, Vec<usize>)| PointsKey::new(*camera, partners, instant);
-        let cameras = self.with_partners(target, instant);
-        let cached: Vec<_> = cameras.iter().map(|c| self.points.get(&key(c))).collect();
-        if cached.contains(&None) {
-            self.load_frames(&cameras, instant)?;
-        }
-        let of = |(of, cached): (&(usize, Vec<usize>), Option<_>)| -> Result<_, RenderError> {
-            if let Some(cached) = cached {
-                return Ok(cached);
-            }
-            let of_camera = Arc::new(self.points_of(of.0, &of.1, instant)?);
-            self.points.insert(key(of), of_camera.clone(), of_camera.len());
-            Ok(of_camera)
-        };
-        let of_cameras: Vec<_> =
-            cameras.par_iter().zip(cached).map(of).collect::<Result<_, _>>()?;
-        Ok(of_cameras.iter().flat_map(|points| points.iter().copied()).collect())
+        self.points_by(target, Instant { time_s, options }, true)
     }
 
     /// The same without cached points: but for correspondences that are known, it takes as long as for the first view
@@ -78,32 +60,58 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Vec<Point3<f64>>, RenderError> {
-        let instant = Instant { time_s, options };
-        let mut points = Vec::new();
-        for (camera, partners) in self.with_partners(target, instant) {
-            points.extend(self.points_of(camera, &partners, instant)?);
-        }
-        Ok(points)
+        self.points_by(target, Instant { time_s, options }, false)
+    }
+
+    fn points_by(
+        &self,
+        target: &Camera,
+        instant: Instant,
+        cached: bool,
+    ) -> Result<Vec<Point3<f64>>, RenderError> {
+        // Once: threads that need them at the same time would all estimate them.
+        self.gains();
+        let cameras = self.with_partners(target, instant);
+        let key = |of: &(usize, Vec<usize>)| PointsKey::new(of.0, &of.1, instant);
+        let known: Vec<Option<Arc<Vec<Point3<f64>>>>> =
+            cameras.iter().map(|c| self.points.get(&key(c)).filter(|_| cached)).collect();
+        let unknown = cameras.iter().zip(&known).filter(|(_, known)| known.is_none());
+        self.load_frames(unknown.map(|(camera, _)| camera), instant)?;
+        let of = |(of, known): (&(usize, Vec<usize>), _)| -> Result<_, RenderError> {
+            if let Some(known) = known {
+                return Ok(known);
+            }
+            let found = Arc::new(self.points_of(of.0, &of.1, instant)?);
+            if cached {
+                self.points.insert(key(of), found.clone(), found.len());
+            }
+            Ok(found)
+        };
+        let all: Vec<_> = cameras.par_iter().zip(known).map(of).collect::<Result<_, _>>()?;
+        Ok(all.iter().flat_map(|points| points.iter().copied()).collect())
     }
 
     /// Decodes the frames around an instant that are not cached, of all these cameras and partners: side by side, and
-    /// each once. None if the cache doesn't hold all of them.
-    fn load_frames(
+    /// each once. Decodes nothing if the cache doesn't hold all of them.
+    fn load_frames<'a>(
         &self,
-        cameras: &[(usize, Vec<usize>)],
+        cameras: impl Iterator<Item = &'a (usize, Vec<usize>)>,
         instant: Instant,
     ) -> Result<(), RenderError> {
         let all: BTreeSet<usize> =
-            cameras.iter().flat_map(|(c, partners)| partners.iter().chain([c])).copied().collect();
-        if !self.frames.fits(all.iter().copied(), 2) {
+            cameras.flat_map(|(c, partners)| partners.iter().chain([c])).copied().collect();
+        if !self.frames().fits(all.iter().copied(), 2) {
             return Ok(());
         }
-        all.into_par_iter().try_for_each(|camera| {
+        let mut frames = Vec::new();
+        for camera in all {
             let (k, later) = self.bracket(camera, instant.time_s)?;
-            [k, later].into_par_iter().try_for_each(|frame| {
-                self.frames().get(camera, frame)?;
-                Ok(())
-            })
+            frames.push((camera, k));
+            frames.extend((later != k).then_some((camera, later)));
+        }
+        frames.into_par_iter().try_for_each(|(camera, frame)| {
+            self.frames().get(camera, frame)?;
+            Ok(())
         })
     }
 

@@ -6,8 +6,8 @@
 //! of eight bytes, little-endian, so that views are the same bytes as without it. What is missing or damaged is
 //! registered anew. The folder may be deleted at any time.
 //!
-//! Known limits: folders of earlier contents and options stay. A checksum tells damage, not a forger. Pairs that another
-//! kind of processor registered are used, though they may differ in their last bits.
+//! Known limits: folders of earlier contents and options stay. A checksum tells damage, not a forger. What another
+//! kind of processor wrote is used, though it may differ in the last bits.
 
 use super::{LightField, RenderError};
 use crate::host::{link_within, read_bytes, remove_special, write_atomically};
@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
-/// Part of the key: changed whenever the same frames are registered to other tracks.
+/// Part of the key: changed whenever the same frames are registered to other tracks, or files hold them otherwise.
 const REGISTRATION: &[u8] = b"stlfr-tracks-2";
 
 /// The folder of all prepared pairs inside a capture.
@@ -114,6 +114,15 @@ impl Store {
         rest.is_empty().then(|| Gains::from_numbers(cameras, &numbers)).flatten()
     }
 
+    /// Writes the gains unless they are there; how many bytes that is.
+    fn keep_gains(&self, gains: &Gains) -> std::io::Result<u64> {
+        let cameras = gains.cameras();
+        if self.load_gains(cameras).as_ref() == Some(gains) {
+            return Ok((size_of::<f64>() * Gains::numbers_of(cameras) + blake3::OUT_LEN) as u64);
+        }
+        self.write(GAINS, gains.numbers())
+    }
+
     /// The tracks of a pair, if they are there as they were written.
     pub fn load(&self, pair: (usize, usize)) -> Option<Vec<Track>> {
         let content = self.read(&tracks_file(pair))?;
@@ -190,7 +199,7 @@ fn decoded(bytes: &[u8; TRACK_BYTES]) -> Option<Track> {
 
 impl LightField {
     /// The registered pairs on disk, if any were ever prepared for this capture: otherwise nothing is hashed. Gains on disk
-    /// are those of the frames from then on.
+    /// are those of the frames from then on, unless some were known before.
     pub(super) fn store(&self) -> Option<&Store> {
         let open = || {
             let any = self.capture().folder.join(FOLDER).is_dir();
@@ -208,7 +217,7 @@ impl LightField {
         let pairs: usize =
             (0..self.times_s.len()).map(|c| self.times(c).len().saturating_sub(1)).sum();
         let tracks = 2 * self.frames.options().corners.max_corners;
-        let gains = size_of::<f64>() * self.gains().numbers().count() + blake3::OUT_LEN;
+        let gains = size_of::<f64>() * Gains::numbers_of(self.times_s.len()) + blake3::OUT_LEN;
         (pairs, (pairs * (tracks * TRACK_BYTES + blake3::OUT_LEN) + gains) as u64)
     }
 
@@ -234,8 +243,7 @@ impl LightField {
         let refused = || std::io::Error::other("it is reached through a link");
         let store = Store::of(self).ok_or_else(refused).map_err(wrong(&folder))?;
         std::fs::create_dir_all(&store.folder).map_err(wrong(&store.folder))?;
-        let gains = self.gains().numbers();
-        let gains_bytes = store.write(GAINS, gains).map_err(wrong(&store.path(GAINS)))?;
+        let gains_bytes = store.keep_gains(self.gains()).map_err(wrong(&store.path(GAINS)))?;
         let frames = (0..self.times_s.len()).map(|c| self.times(c).len()).max().unwrap_or(0);
         let (done, found) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let (pairs, bytes) = (AtomicUsize::new(0), AtomicU64::new(gains_bytes));
@@ -283,5 +291,66 @@ pub fn delete_prepared(capture: &Path) -> std::io::Result<bool> {
     match std::fs::remove_dir_all(&folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(false),
         result => result.map(|()| true),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::capture::Capture;
+    use crate::offset::Offsets;
+    use crate::raster::{BitDepth, Image, write_image};
+    use crate::registration::RegistrationOptions;
+    use std::sync::Arc;
+
+    /// Two black cameras.
+    fn filmed(folder: &Path) -> Arc<Capture> {
+        let camera = |c: usize| {
+            let image = Image::filled(64, 48, 1, 0.0);
+            let path = folder.join(format!("cam{c}/0.png"));
+            write_image(&path, &image, None, BitDepth::Eight).unwrap();
+            format!(
+                r#"{{"id": "cam{c}", "frames": "cam{c}/%d.png", "width": 64, "height": 48, "model": "PINHOLE",
+                "params": [64, 64, 32, 24], "clock": {{"rate_hz": 30, "first_s": 0, "shared": true}},
+                "cam_from_world": {{"rotation_wxyz": [1, 0, 0, 0], "translation": [{c}, 0, 0]}}}}"#
+            )
+        };
+        let cameras = [camera(0), camera(1)].join(",");
+        let text = format!(
+            r#"{{"format": "stlfr-capture", "version": 1, "name": "black", "cameras": [{cameras}]}}"#
+        );
+        std::fs::write(folder.join("capture.json"), text).unwrap();
+        Arc::new(Capture::open(folder).unwrap())
+    }
+
+    #[test]
+    fn gains_on_disk_are_read_if_they_are_plausible() {
+        let folder = tempfile::tempdir().unwrap();
+        let capture = filmed(folder.path());
+        let opened = || {
+            let offsets = Offsets::known(&capture);
+            LightField::new(capture.clone(), offsets, &RegistrationOptions::default())
+        };
+        let equal = Gains::equal(2);
+        assert_eq!(*opened().gains(), equal);
+        opened().prepare(0.0, |_| ()).unwrap();
+        let store = Store::of(&opened()).unwrap();
+        let written = |numbers: [f64; 8]| {
+            store.write(GAINS, numbers.into_iter()).unwrap();
+            opened().gains().clone()
+        };
+        let found = written([1.0, 1.0, 1.0, 2.0, 3.0, 0.5, 0.7, 0.1]);
+        assert_eq!((found.of(1), found.largest_difference()), ([2.0, 3.0, 0.5], (0.7, 0.1)));
+        for wrong in [0.0, -1.0, 1e-300, 1e300, f64::INFINITY, f64::NAN] {
+            assert_eq!(written([1.0, 1.0, 1.0, wrong, 3.0, 0.5, 0.7, 0.1]), equal, "{wrong}");
+        }
+        for wrong in [-1.0, f64::INFINITY, f64::NAN] {
+            assert_eq!(written([1.0, 1.0, 1.0, 2.0, 3.0, 0.5, wrong, 0.1]), equal, "{wrong}");
+        }
+        // What is whole is left as it is.
+        opened().prepare(0.0, |_| ()).unwrap();
+        let before = std::fs::metadata(store.path(GAINS)).unwrap().modified().unwrap();
+        opened().prepare(0.0, |_| ()).unwrap();
+        assert_eq!(std::fs::metadata(store.path(GAINS)).unwrap().modified().unwrap(), before);
     }
 }

@@ -159,7 +159,9 @@ fn projected(
             let p = target.cam_from_world * point;
             let at = Point2::new(p.x / p.z, p.y / p.z);
             let inverse_depth = 1.0 / p.z;
-            let counts = inverse_depth > 0.0 && inverse_depth.is_finite() && bounds.contains(&at);
+            // At a corner, the corner itself is the vertex.
+            let is_seen = bounds.contains(&at) && !bounds.corners().contains(&at);
+            let counts = inverse_depth > 0.0 && inverse_depth.is_finite() && is_seen;
             counts.then(|| (cell(&at), ProjectedPoint { at, inverse_depth, weight: 1.0 }))
         })
         .collect();
@@ -184,8 +186,8 @@ fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: 
     Sites::bulk_load(sites.collect()).unwrap_or_default()
 }
 
-/// Drops the points that too few of their neighbours in the triangulation support, from it too. None if there are
-/// fewer than four, or none has support: where all contradict all, no point is better than the rest.
+/// Drops the points that too few of their neighbours in the triangulation support, also from the triangulation. Keeps all
+/// if there are fewer than four, or none has support: where all contradict all, no point is better than the rest.
 fn drop_unsupported(
     projections: &mut Vec<ProjectedPoint>,
     sites: &mut Sites,

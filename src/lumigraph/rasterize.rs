@@ -13,8 +13,8 @@ use crate::raster::widened;
 use nalgebra::{Point2, Vector3};
 use rayon::prelude::*;
 
-/// Rows that one task renders. Larger: cores are idle at the end. Smaller: the triangles are searched
-/// more often.
+/// Rows that one task renders. Larger: cores are idle at the end. Smaller: a triangle is in
+/// more bands.
 const BAND_ROWS: usize = 16;
 /// Largest distance from a triangle at which a ray still hits it, as a fraction of the products' size:
 /// about 1e-8 px. Larger: outlines thicken. Smaller: cracks open at pixels that are exactly on a

@@ -79,7 +79,9 @@ impl Cone {
         let axis = unit(n / 2);
         let (mut sine, mut longest) = (0.0_f32, 0.0_f32);
         for k in (0..n).step_by(if is_pinhole { (n - 1).max(1) } else { 1 }) {
-            sine = sine.max(unit(k).cross(&axis).norm());
+            let ray = unit(k);
+            // Beyond a right angle there is no bound.
+            sine = if ray.dot(&axis) > 0.0 { sine.max(ray.cross(&axis).norm()) } else { 1.0 };
             longest = longest.max(row.length[k]);
         }
         let farthest = row.inverse_depth.iter().copied().fold(f32::INFINITY, f32::min);
@@ -174,7 +176,7 @@ impl Reprojection {
     /// A bound below the penalties of the points of a cone's pixels, from the angle alone: with r the ray, ρ the inverse
     /// depth and d the shift, `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, because q = r + ρd
     /// is not longer than |r| + ρ|d|. That grows with ρ. The angle between r and d is at most a cone's smaller than
-    /// the axis's. NaN where a ray is.
+    /// the axis's. NaN where the ray in the middle is.
     pub fn min_angle(&self, cone: &Cone) -> f32 {
         let (d, axis) = (self.shift_target, cone.axis);
         let length = d.norm();

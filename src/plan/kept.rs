@@ -78,7 +78,7 @@ impl Kept {
         hasher.update(PLANNING);
         hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
         hasher.update(capture.content_hash().ok()?.as_bytes());
-        let all = (field.offsets(), field.frames().options(), options);
+        let all = (field.offsets(), field.registration(), options);
         hasher.update(serde_json::to_string(&all).ok()?.as_bytes());
         let key = hasher.finalize().to_hex().to_string();
         let folder = capture.folder.join(FOLDER);

@@ -204,7 +204,7 @@ impl HeldOutFrame {
         neighbors.truncate(NEIGHBORS);
         let (less, known) = only(capture, whole.offsets(), &neighbors);
         let bright_as = neighbors[less.reference];
-        let field = LightField::new(less, known, whole.frames().options());
+        let field = LightField::new(less, known, whole.registration());
         let covered = well_covered_frames(&field, times_s);
         let Some(&frame) = covered.get((2 * number + 1) * covered.len() / (2 * FRAMES)) else {
             return Ok(None);

@@ -116,7 +116,7 @@ impl FrameStore {
         }
     }
 
-    /// Makes these the cameras' gains, as an earlier store has estimated them. Too late once they are known.
+    /// Makes these the cameras' gains, as an earlier store has estimated them. No effect once gains are known.
     pub(crate) fn know_gains(&self, gains: Gains) {
         let _ = self.gains.set(gains);
     }

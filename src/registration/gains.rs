@@ -39,6 +39,9 @@ const WIDTH_PX: usize = 250;
 /// Minimum number of features of a pair of cameras. Larger: pairs with little in common are not compared;
 /// smaller: mismatches decide.
 const MIN_FEATURES: usize = 12;
+/// Range of gains that are read back. Wider: a damaged file's images are black or white; narrower: gains of very dark
+/// or bright cameras are estimated for each light field.
+const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 /// Half the side of the windows whose mean light is compared, pixels. Larger: windows cross outlines;
 /// smaller: noise, and errors of the match.
 const RADIUS_PX: isize = 2;
@@ -57,12 +60,23 @@ impl Gains {
         self.factors.iter().flatten().copied().chain([self.largest.0, self.largest.1])
     }
 
+    /// How many [`Self::numbers`] there are of this many cameras.
+    pub(crate) fn numbers_of(cameras: usize) -> usize {
+        3 * cameras + 2
+    }
+
+    /// How many cameras they are of.
+    pub(crate) fn cameras(&self) -> usize {
+        self.factors.len()
+    }
+
     /// The gains that [`Self::numbers`] gave; `None` for others.
     pub(crate) fn from_numbers(cameras: usize, numbers: &[f64]) -> Option<Self> {
         let (factors, rest) = numbers.as_chunks();
-        let are_gains = factors.iter().flatten().all(|g: &f64| g.is_finite() && *g > 0.0);
+        let are_gains = factors.iter().flatten().all(|g| PLAUSIBLE.contains(g));
         let [difference, std_err] = *rest else { return None };
-        (are_gains && factors.len() == cameras)
+        let are_measured = [difference, std_err].iter().all(|v| v.is_finite() && *v >= 0.0);
+        (are_gains && are_measured && factors.len() == cameras)
             .then(|| Self { factors: factors.to_vec(), largest: (difference, std_err) })
     }
 
