@@ -5,7 +5,7 @@
 //! | `mod.rs` | what is decided when it is opened |
 //! | `clocks.rs` | which frames lie around an instant |
 //! | `registered.rs` | §4: tracks of frame pairs, cached |
-//! | `prepared.rs` | the same on disk |
+//! | `prepared.rs` | the same on disk, and the cameras' gains |
 //! | `synchronized.rs` | §5: a camera's image at an instant |
 //! | `joint.rs` | the same from all cameras |
 //! | `correspondences.rs` | §6: features that show the same point |

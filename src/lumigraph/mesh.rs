@@ -233,7 +233,7 @@ fn drop_unsupported(
 }
 
 /// The neighbours of a site.
-fn around(site: Handle<Site>) -> impl Iterator<Item = Handle<Site>> {
+fn neighbors(site: Handle<Site>) -> impl Iterator<Item = Handle<Site>> {
     site.out_edges().map(|edge| edge.to())
 }
 
@@ -244,7 +244,7 @@ fn has_support(projections: &[ProjectedPoint], site: &Handle<Site>, options: &Me
     let agrees =
         |k: &usize| (own - projections[*k].inverse_depth).abs() <= options.support_share * own;
     // Corners have no depth yet.
-    let around = |s| around(s).filter(|s| index(s) < projections.len());
+    let around = |s| neighbors(s).filter(|s| index(s) < projections.len());
     let near = around(*site).map(|s| index(&s)).filter(agrees).count();
     if near >= options.min_support {
         return true;

@@ -61,8 +61,8 @@ impl Penalties<'_> {
 /// The weights of the pixels of [`Penalties`].
 #[derive(Default)]
 pub(super) struct Weights {
-    /// Those of each source, where its penalties are; they sum to 1, or to 0 where no camera sees the point. Only
-    /// those of the sources that penalties were given for count.
+    /// Those of each source, where its penalties are; they sum to 1, or to 0 where no camera sees the point. What
+    /// other sources have is left over from before.
     pub weights: Vec<f32>,
     /// The k+1 smallest penalties, ascending: rank by rank, pixel by pixel.
     ranks: Vec<f32>,
