@@ -10,6 +10,7 @@ pub(crate) mod process;
 mod read;
 mod stopwatch;
 pub(crate) mod temporary;
+mod workers;
 mod write;
 
 pub use allocator::{bound_arenas, reuse_freed_memory};
@@ -20,4 +21,5 @@ pub(crate) use obstacle::{link_within, remove_special};
 pub(crate) use read::hash_file;
 pub use read::{open_bounded, open_file, read_bytes, read_text};
 pub use stopwatch::{Elapsed, Stopwatch, process_cpu_s};
+pub use workers::on_workers;
 pub use write::{try_folder, write_atomically, write_json};

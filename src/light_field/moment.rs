@@ -4,6 +4,7 @@ use super::geometry::{CameraDepths, sampled};
 use super::points::nearest;
 use super::{Geometry, LightField, RenderError};
 use crate::camera::Camera;
+use crate::host::on_workers;
 use crate::interpolation::Synchronized;
 use crate::lumigraph::{BlendMethod, DepthMap, Rendered};
 use crate::options::{ProxyMethod, ViewOptions};
@@ -78,7 +79,7 @@ impl LightField {
         options: &ViewOptions,
         proceed: &(dyn Fn() -> bool + Sync),
     ) -> Result<Moment<'_>, RenderError> {
-        let (images, depths) = self.shared(time_s, options, proceed)?;
+        let (images, depths) = on_workers(|| self.shared(time_s, options, proceed))?;
         let field = Held::Borrowed(self);
         Ok(Moment { field, time_s, options: options.clone(), images, depths })
     }
@@ -92,7 +93,7 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Moment<'static>, RenderError> {
-        let (images, depths) = self.shared(time_s, options, &|| true)?;
+        let (images, depths) = on_workers(|| self.shared(time_s, options, &|| true))?;
         let field = Held::Shared(self);
         Ok(Moment { field, time_s, options: options.clone(), images, depths })
     }
@@ -163,10 +164,13 @@ impl Moment<'_> {
     /// # Errors
     /// Those of [`Self::view`].
     pub fn view_by(&self, target: &Camera, options: &ViewOptions) -> Result<Rendered, RenderError> {
-        let geometry = self.geometry_by(target, options)?;
-        let images = self.candidates(target, options);
-        let rendered = self.field.blend_corrected(&images, &geometry, target, &options.blend);
-        if rendered.coverage.contains(&true) { Ok(rendered) } else { Err(RenderError::NothingSeen) }
+        on_workers(|| {
+            let geometry = self.geometry_by(target, options)?;
+            let images = self.candidates(target, options);
+            let rendered = self.field.blend_corrected(&images, &geometry, target, &options.blend);
+            let is_seen = rendered.coverage.contains(&true);
+            if is_seen { Ok(rendered) } else { Err(RenderError::NothingSeen) }
+        })
     }
 
     /// The images that a view is blended from.
@@ -230,7 +234,7 @@ impl Moment<'_> {
     /// # Errors
     /// Those of [`LightField::proxy`].
     pub fn geometry(&self, target: &Camera) -> Result<Geometry, RenderError> {
-        self.geometry_by(target, &self.options)
+        on_workers(|| self.geometry_by(target, &self.options))
     }
 
     fn geometry_by(&self, target: &Camera, options: &ViewOptions) -> Result<Geometry, RenderError> {

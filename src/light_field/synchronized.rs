@@ -1,6 +1,7 @@
 //! A camera's image at an instant at which it took none (§5).
 
 use super::{LightField, RenderError};
+use crate::host::on_workers;
 use crate::interpolation::{FramePair, SyncMethod, Synchronized};
 use crate::lumigraph::BlendMethod;
 use crate::options::ViewOptions;
@@ -20,7 +21,7 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Synchronized, RenderError> {
-        self.synchronized_in(camera, time_s, options, None)
+        on_workers(|| self.synchronized_in(camera, time_s, options, None))
     }
 
     /// The same for some parts of the image, if not all; the rest is less accurate.
@@ -82,7 +83,7 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Vec<Option<Synchronized>>, RenderError> {
-        self.synchronized_all_while(time_s, options, &|| true)
+        on_workers(|| self.synchronized_all_while(time_s, options, &|| true))
     }
 
     /// The same, as long as `proceed` says so, which is asked before every image; else

@@ -3,6 +3,7 @@
 use super::{Geometry, LightField, RenderError};
 use crate::camera::Camera;
 use crate::capture::{Color, FilmedCamera};
+use crate::host::on_workers;
 use crate::interpolation::Synchronized;
 use crate::lumigraph::{BlendOptions, DepthMap, Rendered, Source, blend, contributing};
 use crate::options::ViewOptions;
@@ -23,7 +24,7 @@ impl LightField {
         time_s: f64,
         options: &ViewOptions,
     ) -> Result<Rendered, RenderError> {
-        self.view_while(target, time_s, options, &mut || true)
+        on_workers(|| self.view_while(target, time_s, options, &mut || true))
     }
 
     /// [`Self::view`]; ends with [`RenderError::Stopped`] where `proceed` returns false, which is called
