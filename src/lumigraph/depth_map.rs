@@ -26,6 +26,12 @@ impl DepthMap {
         Self { width, height, data, relative_std_err: Vec::new() }
     }
 
+    /// A map of depths that are positive or NaN already.
+    pub(super) fn from_depths(width: usize, height: usize, data: Vec<f32>) -> Self {
+        debug_assert!(data.len() == width * height && data.iter().all(|z| !(*z <= 0.0)));
+        Self { width, height, data, relative_std_err: Vec::new() }
+    }
+
     /// The same map with standard errors, as fractions of the depths.
     ///
     /// # Panics

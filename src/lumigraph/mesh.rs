@@ -286,11 +286,13 @@ impl Builder {
         v.sort_by(|a, b| b.1.inverse_depth.total_cmp(&a.1.inverse_depth));
         let [a, b, c] = v.map(|(_, s)| s.inverse_depth);
         let at = v.map(|(_, s)| s.at);
-        let sides = [at[0] - at[1], at[1] - at[2], at[2] - at[0]];
-        let longest_px = focal * sides.iter().map(|s| s.norm()).fold(0.0, f64::max);
+        let longest_px = || {
+            let sides = [at[0] - at[1], at[1] - at[2], at[2] - at[0]];
+            focal * sides.iter().map(|s| s.norm()).fold(0.0, f64::max)
+        };
         if options.depth_edges == DepthEdges::Stretch
             || a - c <= options.edge_share * a
-            || longest_px > options.edge_px
+            || longest_px() > options.edge_px
         {
             self.triangles.push(triangle);
             return;

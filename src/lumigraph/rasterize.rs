@@ -61,20 +61,29 @@ pub(super) fn rasterize(
         let bands = t.rows.0 / BAND_ROWS..=(t.rows.1 - 1) / BAND_ROWS;
         in_bands[bands].iter_mut().for_each(|band| band.push(t));
     }
-    let mut depths = vec![f32::NAN; camera.width * camera.height];
+    let mut depths = vec![0.0; camera.width * camera.height];
     depths.par_chunks_mut(BAND_ROWS * camera.width).zip(&in_bands).enumerate().for_each_init(
         || Band::new(camera),
         |band, (index, (depths, triangles))| {
             band.set(index * BAND_ROWS);
             draw(triangles, band);
-            for (depth, &inverse) in depths.iter_mut().zip(&band.nearest) {
-                if inverse > 0.0 {
-                    *depth = (1.0 / inverse) as f32;
-                }
-            }
+            invert(&band.nearest, depths);
         },
     );
-    DepthMap::from_data(camera.width, camera.height, depths)
+    DepthMap::from_depths(camera.width, camera.height, depths)
+}
+
+widened! {
+    /// Depths from inverse depths; NaN where they are 0.
+    fn invert(inverse: &[f64], depths: &mut [f32]) = invert_any
+}
+
+#[inline(always)]
+fn invert_any(inverse: &[f64], depths: &mut [f32]) {
+    for (depth, &inverse) in depths.iter_mut().zip(inverse) {
+        let own = (1.0 / inverse) as f32;
+        *depth = if inverse > 0.0 { own } else { f32::NAN };
+    }
 }
 
 fn prepare(points: &[Vector3<f64>], triangle: &[u32; 3], camera: &Camera) -> Option<Prepared> {
@@ -200,20 +209,26 @@ fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range, Range)> {
         low = low.inf(&p);
         high = high.sup(&p);
     };
+    let projected =
+        |p: &Vector3<f64>| camera.model.pixel_from_normalized(&Point2::new(p.x / p.z, p.y / p.z));
     let pinhole = camera.model.is_pinhole();
-    let steps = if pinhole { 1 } else { BEND_STEPS };
     let mut longest: f64 = 0.0;
-    for k in 0..3 {
-        let Some((from, to)) = clip(v[k], v[(k + 1) % 3], near) else { continue };
-        let mut last: Option<Point2<f64>> = None;
-        for step in 0..=steps {
-            let p = from + (to - from) * (step as f64 / steps as f64);
-            let pixel = camera.model.pixel_from_normalized(&Point2::new(p.x / p.z, p.y / p.z));
-            if let Some(last) = last {
-                longest = longest.max((pixel - last).norm());
+    if pinhole && v.iter().all(|p| p.z > 0.0) {
+        // The corners of a straight triangle that needs no clipping.
+        v.iter().for_each(|p| add(projected(p)));
+    } else {
+        let steps = if pinhole { 1 } else { BEND_STEPS };
+        for k in 0..3 {
+            let Some((from, to)) = clip(v[k], v[(k + 1) % 3], near) else { continue };
+            let mut last: Option<Point2<f64>> = None;
+            for step in 0..=steps {
+                let pixel = projected(&(from + (to - from) * (step as f64 / steps as f64)));
+                if let Some(last) = last {
+                    longest = longest.max((pixel - last).norm());
+                }
+                last = Some(pixel);
+                add(pixel);
             }
-            last = Some(pixel);
-            add(pixel);
         }
     }
     // The image of a bent edge leaves the polygon through its samples by far less than a step.
@@ -359,6 +374,19 @@ mod tests {
             let got = rasterize(&p, &[t], &small());
             assert!(got.data().iter().all(|z| z.is_nan()), "{t:?}");
         }
+    }
+
+    #[test]
+    fn inverse_depths_are_inverted_alike_with_and_without_avx2() {
+        let inverse: Vec<f64> =
+            (0..37).map(|k| if k % 5 == 0 { 0.0 } else { 0.1 * f64::from(k) }).collect();
+        let [a, b] = [invert, invert_any].map(|invert| {
+            let mut depths = vec![0.0; inverse.len()];
+            invert(&inverse, &mut depths);
+            depths.iter().map(|z: &f32| z.to_bits()).collect::<Vec<_>>()
+        });
+        assert_eq!(a, b);
+        assert!(f32::from_bits(a[5]).is_nan() && f32::from_bits(a[4]) == 2.5);
     }
 
     #[test]
