@@ -32,15 +32,18 @@ impl Tiles {
     /// [`Sampling`](super::Sampling). Positions outside depend on the border, and NaN on the first
     /// pixel.
     pub fn mark_sample(&mut self, x: f32, y: f32) {
+        self.mark_samples([x, y], [x, y]);
+    }
+
+    /// The same for all samples in a rectangle, from its lowest position to its highest.
+    pub fn mark_samples(&mut self, low: [f32; 2], high: [f32; 2]) {
         // The cubic reaches over two pixels on each side; beyond the largest, `as` saturates.
-        let span = |v: f32, tiles: usize| {
+        let span = |axis: usize, tiles: usize| {
             let tile = |v: f32| (v.max(0.0) as usize / SIDE).min(tiles - 1);
-            tile(v - 2.0)..=tile(v + 2.0)
+            tile(low[axis] - 2.0)..=tile(high[axis] + 2.0)
         };
-        for row in span(y, self.down) {
-            for column in span(x, self.across) {
-                self.marked[row * self.across + column] = true;
-            }
+        for row in span(1, self.down) {
+            self.marked[row * self.across..][..self.across][span(0, self.across)].fill(true);
         }
     }
 

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::Instant;
 use stlfr::camera::Camera;
 use stlfr::capture::{Capture, FilmedCamera};
+use stlfr::host::on_workers;
 use stlfr::interpolation::Synchronized;
 use stlfr::light_field::{Geometry, LightField, Moment};
 use stlfr::lumigraph::{DepthMap, Source, blend, contributing};
@@ -76,11 +77,11 @@ pub fn of(
     let shapes: Vec<Geometry> =
         views.iter().map(|v| Ok(moment.geometry(v)?)).collect::<Result<_, Error>>()?;
     let shape_ms = each_ms(views, |v| Ok(moment.geometry(v).map(drop)?))?;
-    let each_shape = |run: &dyn Fn(&[Source], &DepthMap, &Camera)| {
+    let each_shape = |run: &(dyn Fn(&[Source], &DepthMap, &Camera) + Sync)| {
         let of = |(view, geometry): (&Camera, &Geometry)| {
             let sources = sources(capture, moment, geometry);
             let start = Instant::now();
-            run(&sources, &geometry.view, view);
+            on_workers(|| run(&sources, &geometry.view, view));
             1000.0 * start.elapsed().as_secs_f64()
         };
         median(views.iter().zip(&shapes).map(of).collect())
