@@ -15,6 +15,8 @@ mod depth_map;
 mod hidden;
 mod inverse_depth;
 mod mesh;
+mod nodes;
+mod part;
 mod plane;
 mod proxy;
 mod rasterize;

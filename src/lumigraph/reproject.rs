@@ -99,6 +99,26 @@ widened! {
     ) = measure_pinhole_any
 }
 
+widened! {
+    /// [`Reprojection::place`] for pixels `fx·x + cx`, `fy·y + cy`.
+    fn place_pinhole(
+        reprojection: &Reprojection,
+        intrinsics: [f32; 4],
+        row: &TargetRow,
+        places: [&mut [f32]; 3],
+    ) = place_pinhole_any
+}
+
+#[inline(always)]
+fn place_pinhole_any(
+    reprojection: &Reprojection,
+    [fx, fy, cx, cy]: [f32; 4],
+    row: &TargetRow,
+    places: [&mut [f32]; 3],
+) {
+    reprojection.place_each(row, places, |nx, ny| (fx * nx + cx, fy * ny + cy));
+}
+
 #[inline(always)]
 fn measure_pinhole_any(
     reprojection: &Reprojection,
@@ -173,6 +193,11 @@ impl Reprojection {
         self.shift_target == Vector3::zeros()
     }
 
+    /// Whether the penalties of a source change smoothly from pixel to pixel on a surface.
+    pub fn is_smooth(&self, source: &Source) -> bool {
+        source.depth.is_none() && (self.bridge_rad == 0.0 || source.bridged_px.is_none())
+    }
+
     /// A bound below the penalties of the points of a cone's pixels, from the angle alone: with r the ray, ρ the inverse
     /// depth and d the shift, `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, because q = r + ρd
     /// is not longer than |r| + ρ|d|. That grows with ρ. The angle between r and d is at most a cone's smaller than
@@ -187,17 +212,33 @@ impl Reprojection {
         ROUNDING * sine * cone.farthest / (cone.longest + cone.farthest * length)
     }
 
+    /// Fills x, y and the trust of `Hits`.
+    pub fn place(&self, row: &TargetRow, places: [&mut [f32]; 3]) {
+        if self.model.is_pinhole() {
+            place_pinhole(self, self.intrinsics(), row, places);
+        } else {
+            self.place_each(row, places, |nx, ny| self.bent(nx, ny));
+        }
+    }
+
+    fn intrinsics(&self) -> [f32; 4] {
+        let (fx, fy, cx, cy) = self.model.intrinsics();
+        [fx, fy, cx, cy].map(|v| v as f32)
+    }
+
+    /// A pixel by any lens.
+    fn bent(&self, nx: f32, ny: f32) -> (f32, f32) {
+        let normalized = Point2::new(f64::from(nx), f64::from(ny));
+        let pixel = self.model.pixel_from_normalized(&normalized);
+        (pixel.x as f32, pixel.y as f32)
+    }
+
     /// Fills `hits`. `source` is the one that this reprojection is of.
     pub fn row(&self, row: &TargetRow, source: &Source, hits: &mut Hits) {
         if self.model.is_pinhole() {
-            let (fx, fy, cx, cy) = self.model.intrinsics();
-            measure_pinhole(self, [fx, fy, cx, cy].map(|v| v as f32), row, hits);
+            measure_pinhole(self, self.intrinsics(), row, hits);
         } else {
-            let model = self.model;
-            self.measure(row, hits, |nx, ny| {
-                let pixel = model.pixel_from_normalized(&Point2::new(f64::from(nx), f64::from(ny)));
-                (pixel.x as f32, pixel.y as f32)
-            });
+            self.measure(row, hits, |nx, ny| self.bent(nx, ny));
         }
         if self.bridge_rad > 0.0 {
             self.bridge(source, hits);
@@ -222,15 +263,7 @@ impl Reprojection {
         for k in 0..n {
             let (x, y, length, inverse) = (xs[k], ys[k], lengths[k], inverse[k]);
             let q = self.direction(x, y, inverse);
-            // Behind the source q.z is not positive, and the results are discarded below.
-            let inverse_z = 1.0 / q.z;
-            let (nx, ny) = (q.x * inverse_z, q.y * inverse_z);
-            let (px, py) = pixel(nx, ny);
-            let inside = px.min(self.width - px).min(py.min(self.height - py));
-            let is_visible = (q.z > 0.0)
-                & (nx * nx + ny * ny <= self.max_radius2)
-                & (inside > 0.0)
-                & ((inverse > 0.0) | at_center);
+            let (px, py, border) = self.shown(q, &pixel);
 
             // tan(θ/2) = |a × b| / (|a||b| + a · b) of the directions a and b from the view's
             // and the source's centre; b = a + shift, so a × b = a × shift: no cancellation.
@@ -243,15 +276,47 @@ impl Reprojection {
             let angle = 2.0 * inverse * cross / (length * q_length + dot);
             let coarseness = (q_length * self.focal_ratio / length - 1.0).max(0.0);
 
-            let t = (inside * self.inverse_feather).min(1.0);
-            let border = t * t * (3.0 - 2.0 * t);
-            let counts = is_visible & (angle < f32::INFINITY) & (border > 0.0);
+            let counts = ((inverse > 0.0) | at_center) & (angle < f32::INFINITY) & (border > 0.0);
             let raised = angle * (1.0 + self.resolution * coarseness) / border;
             out_x[k] = px;
             out_y[k] = py;
             penalty[k] = if counts { raised } else { f32::INFINITY };
             trust[k] = if counts { border } else { 0.0 };
         }
+    }
+
+    #[inline(always)]
+    fn place_each(
+        &self,
+        row: &TargetRow,
+        [out_x, out_y, trust]: [&mut [f32]; 3],
+        pixel: impl Fn(f32, f32) -> (f32, f32),
+    ) {
+        let n = row.x.len();
+        let (xs, ys, inverse) = (&row.x[..n], &row.y[..n], &row.inverse_depth[..n]);
+        let (out_x, out_y, trust) = (&mut out_x[..n], &mut out_y[..n], &mut trust[..n]);
+        let at_center = self.at_center();
+        for k in 0..n {
+            let q = self.direction(xs[k], ys[k], inverse[k]);
+            let (px, py, border) = self.shown(q, &pixel);
+            (out_x[k], out_y[k]) = (px, py);
+            trust[k] = if (inverse[k] > 0.0) | at_center { border } else { 0.0 };
+        }
+    }
+
+    /// Where the source shows a point in a direction: pixels, and the trust in them by how far they are from the border,
+    /// 0 outside the image and behind the source.
+    #[inline(always)]
+    fn shown(&self, q: Vector3<f32>, pixel: impl Fn(f32, f32) -> (f32, f32)) -> (f32, f32, f32) {
+        // Behind the source q.z is not positive, and the results are discarded below.
+        let inverse_z = 1.0 / q.z;
+        let (nx, ny) = (q.x * inverse_z, q.y * inverse_z);
+        let (px, py) = pixel(nx, ny);
+        let inside = px.min(self.width - px).min(py.min(self.height - py));
+        let is_visible = (q.z > 0.0) & (nx * nx + ny * ny <= self.max_radius2) & (inside > 0.0);
+        let t = (inside * self.inverse_feather).min(1.0);
+        let border = t * t * (3.0 - 2.0 * t);
+        (px, py, if is_visible { border } else { 0.0 })
     }
 
     /// The pixel's point times its inverse depth, in the source's axes.
@@ -383,6 +448,22 @@ mod tests {
             positive += usize::from(bound > 0.0);
         });
         assert!(positive > 300, "{positive}");
+    }
+
+    #[test]
+    fn points_are_placed_where_they_are_measured() {
+        let intrinsics = [500.0, 510.0, 320.0, 240.0];
+        problems(|_, part, reprojection| {
+            let [x, y, _, trust] = measured(reprojection, part, |r, row, hits| {
+                measure_pinhole(r, intrinsics, row, hits);
+            });
+            for place in [place_pinhole, place_pinhole_any] {
+                let mut places = [(); 3].map(|()| vec![f32::NAN; x.len()]);
+                let [px, py, border] = &mut places;
+                place(reprojection, intrinsics, &row(part), [px, py, border]);
+                assert_eq!(places, [x.clone(), y.clone(), trust.clone()]);
+            }
+        });
     }
 
     #[test]

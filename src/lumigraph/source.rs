@@ -45,6 +45,11 @@ pub struct BlendOptions {
     /// β, the weight of coarser resolution. Larger: cameras that are farther away or have a shorter
     /// lens than the view are avoided even at the right angle. Smaller: their blur shows.
     pub resolution: f64,
+    /// Distance of the pixels whose weights are computed, along rows and columns; between them weights are
+    /// interpolated, as Buehler et al. do. At least 1, where all are computed, and at most 64. Larger: cameras mix where
+    /// surfaces end. Smaller: slower. It has no effect where depths of a camera, its bridged pixels or grey cameras
+    /// among coloured ones change weights from pixel to pixel.
+    pub weight_step_px: usize,
     /// Interpolation of the images between pixels.
     pub sampling: Sampling,
     /// Smallest depth of an occluded point beyond [`Source::depth`], as a fraction of it. Larger: the
@@ -63,6 +68,7 @@ impl Default for BlendOptions {
             cameras: 3,
             feather_px: 4.0,
             resolution: 1.0,
+            weight_step_px: 4,
             sampling: Sampling::Cubic,
             hidden_share: 0.03,
             bridge_rad: 0.004,

@@ -13,13 +13,13 @@ pub(super) fn assert_covered(map: &DepthMap) {
 }
 
 /// 96×72 pixels, 46° wide.
-fn camera_at(center: [f64; 3]) -> Camera {
+pub(super) fn camera_at(center: [f64; 3]) -> Camera {
     let model = CameraModel::Pinhole { fx: 112.0, fy: 112.0, cx: 48.0, cy: 36.0 };
     Camera { width: 96, height: 72, model, ..pinhole_at(center) }
 }
 
 /// A rig of eight on a line, as the paper's, 60 mm apart.
-fn rig() -> Vec<Camera> {
+pub(super) fn rig() -> Vec<Camera> {
     (0..8).map(|k| camera_at([0.06 * (f64::from(k) - 3.5), 0.0, 0.0])).collect()
 }
 
@@ -49,15 +49,15 @@ fn noise(camera: &Camera, channels: usize, random: &mut Random) -> Image {
     Image::from_data(camera.width, camera.height, channels, data)
 }
 
-fn sources<'a>(cameras: &'a [Camera], images: &'a [Image]) -> Vec<Source<'a>> {
+pub(super) fn sources<'a>(cameras: &'a [Camera], images: &'a [Image]) -> Vec<Source<'a>> {
     cameras.iter().zip(images).map(|(c, i)| Source::new(c, i)).collect()
 }
 
-fn tilted() -> Plane {
+pub(super) fn tilted() -> Plane {
     Plane { normal: Vector3::new(0.2, -0.1, 0.95).normalize(), d: 2.0 }
 }
 
-fn turned(mut camera: Camera, angles: [f64; 3]) -> Camera {
+pub(super) fn turned(mut camera: Camera, angles: [f64; 3]) -> Camera {
     let center = camera.center();
     let turn = UnitQuaternion::from_euler_angles(angles[0], angles[1], angles[2]);
     camera.cam_from_world =
@@ -125,7 +125,8 @@ fn equals_the_naive_one() {
             camera_at([random.in_range(-0.2, 0.2), random.in_range(-0.1, 0.1), 0.1]),
             [0.02, -0.03, 0.1],
         );
-        let options = BlendOptions { cameras: 1 + round, ..BlendOptions::default() };
+        let options =
+            BlendOptions { cameras: 1 + round, weight_step_px: 1, ..BlendOptions::default() };
         let depth = Proxy::Plane(tilted()).depth_map(&target);
         let got = blend(&sources, &depth, &target, &options);
         let want = naive(&sources, &depth, &target, &options);

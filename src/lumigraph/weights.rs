@@ -72,6 +72,11 @@ pub(super) struct Weights {
 }
 
 impl Weights {
+    /// Room for this many.
+    pub fn of(count: usize) -> Self {
+        Self { weights: vec![0.0; count], ..Self::default() }
+    }
+
     /// Computes the weights of the k best cameras; `k` = 0 counts as 1.
     pub fn lumigraph(&mut self, penalties: &Penalties, k: usize) {
         self.weights.resize(penalties.penalty.len(), 0.0);
@@ -158,6 +163,49 @@ fn lumigraph_any(penalties: &Penalties, k: usize, out: &mut Weights) {
     out.normalize(penalties);
 }
 
+widened! {
+    /// Weights between nodes every `step` pixels, of which the first is at the first pixel, times the trust; they are
+    /// added to a sum.
+    pub(super) fn weigh_between(
+        nodes: &[f32],
+        step: usize,
+        trust: &[f32],
+        weights: &mut [f32],
+        sum: &mut [f32],
+    ) = weigh_between_any
+}
+
+#[inline(always)]
+fn weigh_between_any(
+    nodes: &[f32],
+    step: usize,
+    trust: &[f32],
+    weights: &mut [f32],
+    sum: &mut [f32],
+) {
+    let cells = weights.chunks_mut(step).zip(nodes.windows(2));
+    for (weights, ends) in cells {
+        let slope = (ends[1] - ends[0]) / step as f32;
+        for (k, weight) in weights.iter_mut().enumerate() {
+            *weight = ends[0] + slope * k as f32;
+        }
+    }
+    for ((weight, trust), sum) in weights.iter_mut().zip(trust).zip(sum) {
+        *weight *= trust;
+        *sum += *weight;
+    }
+}
+
+widened! {
+    /// Divides weights by their sum.
+    pub(super) fn divide(weights: &mut [f32], sum: &[f32]) = divide_any
+}
+
+#[inline(always)]
+fn divide_any(weights: &mut [f32], sum: &[f32]) {
+    weights.iter_mut().zip(sum).for_each(|(weight, sum)| *weight /= sum);
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::tests::Random;
@@ -185,6 +233,34 @@ mod tests {
         let weight = |p: &f32| if *p < threshold { (1.0 - p / threshold) / p } else { 0.0 };
         let sum: f32 = penalties.iter().map(weight).sum();
         penalties.iter().map(|p| if sum > 0.0 { weight(p) / sum } else { 0.0 }).collect()
+    }
+
+    #[test]
+    fn weights_between_nodes_are_linear_with_and_without_avx2() {
+        let mut random = Random::new(21);
+        for (step, count) in [(2, 64_usize), (4, 64), (4, 61), (5, 60), (7, 3), (64, 64)] {
+            let mut some = |n: usize| (0..n).map(|_| random.unit() as f32).collect::<Vec<_>>();
+            let (nodes, trust, before) = (some(count.div_ceil(step) + 1), some(count), some(count));
+            let all = [weigh_between, weigh_between_any].map(|weigh| {
+                let (mut weights, mut sum) = (vec![f32::NAN; count], before.clone());
+                weigh(&nodes, step, &trust, &mut weights, &mut sum);
+                [weights, sum]
+            });
+            assert_eq!(all[0], all[1]);
+            let [weights, sum] = &all[0];
+            for k in 0..count {
+                let (cell, t) = (k / step, (k % step) as f32 / step as f32);
+                let expected = (nodes[cell] * (1.0 - t) + nodes[cell + 1] * t) * trust[k];
+                assert!((weights[k] - expected).abs() < 1e-6);
+                assert_eq!(sum[k], before[k] + weights[k]);
+            }
+            let divided = [divide, divide_any].map(|divide| {
+                let mut weights = weights.clone();
+                divide(&mut weights, sum);
+                weights
+            });
+            assert_eq!(divided[0], divided[1]);
+        }
     }
 
     const INF: f32 = f32::INFINITY;

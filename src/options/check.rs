@@ -252,6 +252,7 @@ fn blend(o: &BlendOptions) -> Checked {
         &[
             ("cameras", o.cameras as f64, 1.0..=1000.0),
             ("feather_px", o.feather_px, PIXELS),
+            ("weight_step_px", o.weight_step_px as f64, 1.0..=64.0),
             ("resolution", o.resolution, 0.0..=1e6),
             ("hidden_share", o.hidden_share, 0.0..=1000.0),
             ("bridge_rad", o.bridge_rad, 0.0..=1000.0),

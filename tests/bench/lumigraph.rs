@@ -257,6 +257,10 @@ fn blend_variants(base: &BlendOptions) -> Vec<(String, BlendOptions)> {
         blends.push((format!("k {cameras}"), BlendOptions { cameras, ..base.clone() }));
     }
     blends.push(("bilinear".into(), BlendOptions { sampling: Sampling::Bilinear, ..base.clone() }));
+    for weight_step_px in [1, 2, 8, 16] {
+        let name = format!("weights every {weight_step_px} px");
+        blends.push((name, BlendOptions { weight_step_px, ..base.clone() }));
+    }
     for feather_px in [0.0, 4.0, 12.0] {
         blends.push((format!("feather {feather_px}"), BlendOptions { feather_px, ..base.clone() }));
     }

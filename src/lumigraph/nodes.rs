@@ -1,0 +1,166 @@
+//! Weights at every few pixels of a view. Buehler et al. compute weights at the vertices of a triangulation of the view;
+//! here it is a square grid.
+
+use crate::camera::Camera;
+use std::ops::Range;
+
+/// The nodes around a row of the view: those of the rows of nodes above and below it. Values are stored source by
+/// source.
+pub(super) struct Nodes {
+    step: usize,
+    width: usize,
+    height: usize,
+    columns: usize,
+    sources: usize,
+    /// Two neighbouring rows of nodes: their number, and weights.
+    rows: [(Option<usize>, Vec<f32>); 2],
+    /// Weights at the nodes' columns in the row of the view.
+    between: Vec<f32>,
+}
+
+impl Nodes {
+    /// Nodes every `step` pixels of a view; `None` if each pixel is one, or there is a single column.
+    pub fn new(target: &Camera, sources: usize, step: usize) -> Option<Self> {
+        let columns = target.width.div_ceil(step) + 1;
+        let zeros = || vec![0.0; sources * columns];
+        (step > 1 && target.width > 1).then(|| Self {
+            step,
+            width: target.width,
+            height: target.height,
+            columns,
+            sources,
+            rows: [(None, zeros()), (None, zeros())],
+            between: zeros(),
+        })
+    }
+
+    /// Pixels from one to the next.
+    pub fn step(&self) -> usize {
+        self.step
+    }
+
+    /// How many there are in a row.
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    /// The pixels' columns of a row of nodes. The last ones are at the border, less than a step from the one before.
+    pub fn pixel_columns(&self) -> impl Iterator<Item = usize> + use<> {
+        let (step, last) = (self.step, self.width - 1);
+        (0..self.columns).map(move |column| (column * step).min(last))
+    }
+
+    /// The pixels' row of a row of nodes, likewise.
+    pub fn pixel_row(&self, row: usize) -> usize {
+        (row * self.step).min(self.height - 1)
+    }
+
+    /// The rows of nodes around a row of the view that are not known.
+    pub fn missing(&mut self, y: usize) -> impl Iterator<Item = usize> + use<> {
+        let above = y / self.step;
+        if self.rows[1].0 == Some(above) {
+            self.rows.swap(0, 1);
+        }
+        let needed = [above, above + 1].into_iter().zip(self.rows.each_mut());
+        let missing = needed.filter_map(|(row, known)| {
+            let is_missing = known.0 != Some(row);
+            known.0 = Some(row);
+            is_missing.then_some(row)
+        });
+        missing.collect::<Vec<_>>().into_iter()
+    }
+
+    /// Weights of a source, to be filled, in one of the rows that were missing.
+    ///
+    /// # Panics
+    /// If it was not.
+    pub fn weights_mut(&mut self, row: usize, source: usize, columns: Range<usize>) -> &mut [f32] {
+        let own = self.of(source, columns);
+        let known = self.rows.iter_mut().find(|(known, _)| *known == Some(row));
+        &mut known.expect("a row that was missing").1[own]
+    }
+
+    /// Makes [`Self::around`] that of a row of the view, of which no row of nodes is missing.
+    pub fn set_row(&mut self, y: usize) {
+        let fraction = (y % self.step) as f32 / self.step as f32;
+        let [(_, above), (_, below)] = &self.rows;
+        for ((between, a), b) in self.between.iter_mut().zip(above).zip(below) {
+            *between = a + (b - a) * fraction;
+        }
+    }
+
+    /// The weights of a source at the nodes before and after these columns of the view, of which the first has a node;
+    /// `None` if all are 0.
+    pub fn around(&self, source: usize, columns: Range<usize>) -> Option<&[f32]> {
+        let (from, last) = (columns.start / self.step, columns.end.div_ceil(self.step));
+        let weights = &self.between[self.of(source, from..last + 1)];
+        weights.iter().any(|w| *w > 0.0).then_some(weights)
+    }
+
+    fn of(&self, source: usize, columns: Range<usize>) -> Range<usize> {
+        debug_assert!(source < self.sources);
+        let first = source * self.columns;
+        first + columns.start..first + columns.end
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{Random, camera_at, rig, sources, tilted, turned};
+    use super::super::{BlendOptions, DepthMap, Proxy, blend};
+    use crate::camera::CameraModel;
+    use crate::raster::Image;
+
+    #[test]
+    fn interpolated_weights_are_near_computed_ones_and_cover_the_same_pixels() {
+        let mut random = Random::new(37);
+        let cameras = rig();
+        // Images that differ all over, so that every change of a weight shows.
+        let images: Vec<Image> = cameras
+            .iter()
+            .map(|c| Image::filled(c.width, c.height, 3, random.unit() as f32))
+            .collect();
+        let mut bent = camera_at([0.05, 0.0, 0.1]);
+        bent.model = CameraModel::OpenCv {
+            fx: 70.0,
+            fy: 70.0,
+            cx: 48.0,
+            cy: 36.0,
+            k1: -0.1,
+            k2: 0.0,
+            p1: 0.0,
+            p2: 0.0,
+        };
+        // Among the cameras, at one of them, beside them all, turned, and by another lens.
+        let targets = [
+            camera_at([0.013, 0.02, 0.1]),
+            cameras[2].clone(),
+            camera_at([-0.6, 0.1, -0.2]),
+            turned(camera_at([0.1, 0.0, 0.0]), [0.1, 0.3, 0.2]),
+            bent,
+        ];
+        for target in &targets {
+            let pixels = (target.width * target.height) as f64;
+            let mut depth = Proxy::Plane(tilted()).depth_map(target).data().to_vec();
+            // Single pixels without depth, and at the sky.
+            for depth_m in [f32::NAN, f32::INFINITY] {
+                (0..20).for_each(|_| depth[random.in_range(0.0, pixels) as usize] = depth_m);
+            }
+            let depth = DepthMap::from_data(target.width, target.height, depth);
+            for k in [1, 3] {
+                let [computed, interpolated, wide] = [1, 4, 7].map(|weight_step_px| {
+                    let options =
+                        BlendOptions { cameras: k, weight_step_px, ..BlendOptions::default() };
+                    blend(&sources(&cameras, &images), &depth, target, &options)
+                });
+                for other in [interpolated, wide] {
+                    assert!(computed.coverage == other.coverage);
+                    let apart = computed.image.data().iter().zip(other.image.data());
+                    let apart: Vec<f64> = apart.map(|(a, b)| f64::from((a - b).abs())).collect();
+                    let mean = apart.iter().sum::<f64>() / apart.len() as f64;
+                    assert!(mean < 0.02, "{mean}");
+                }
+            }
+        }
+    }
+}
