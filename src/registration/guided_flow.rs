@@ -193,9 +193,9 @@ fn support(motions: &[Moved], options: &RegistrationOptions) -> Vec<Support> {
                 return Support::Neighbors { agree: true };
             }
             // The point itself is one of them.
-            match neighbors.count_within(&own.at, radius_px) <= wanted {
-                true => Support::Alone,
-                false => Support::Neighbors { agree: false },
+            match neighbors.at_least_within(&own.at, radius_px, wanted + 1, |_| true) {
+                true => Support::Neighbors { agree: false },
+                false => Support::Alone,
             }
         })
         .collect()

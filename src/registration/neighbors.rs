@@ -59,15 +59,11 @@ impl Neighbors {
         wanted: usize,
         test: impl Fn(usize) -> bool,
     ) -> bool {
-        [CLOSE_FRACTION * radius, radius].into_iter().any(|radius| {
-            let passing = self.with_distances(p, radius).into_iter().filter(|near| test(near.1));
-            passing.take(wanted).count() == wanted
-        })
-    }
-
-    /// How many points are within `radius` of `p`, bound included.
-    pub fn count_within(&self, p: &Point2<f64>, radius: f64) -> usize {
-        self.with_distances(p, radius).len()
+        let Some(tree) = &self.tree else { return wanted == 0 };
+        let at = [p.x, p.y];
+        let within = tree.query(&at).within::<SquaredEuclidean<f64>>(radius * radius).unsorted();
+        let passing = within.iter().filter(|near| test(near.item as usize));
+        passing.take(wanted).count() == wanted
     }
 
     /// The squared distances and indices of the points within `radius` of `p`, in no particular order.
@@ -99,7 +95,6 @@ mod tests {
             let all: Vec<usize> =
                 (0..points.len()).filter(|&k| (points[k] - p).norm() <= 9.0).collect();
             assert_eq!(neighbors.within(p, 9.0), all);
-            assert_eq!(neighbors.count_within(p, 9.0), all.len());
             let mut nearest = all.clone();
             nearest.sort_by(|&a, &b| (points[a] - p).norm().total_cmp(&(points[b] - p).norm()));
             for count in [0, 1, 5, 300] {
