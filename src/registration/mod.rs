@@ -15,6 +15,7 @@
 //! | 4.2 eq. (3), 4.3 eqs. (4), (5) | [`epipolar_test`], [`select_references`] |
 
 mod affine;
+mod consensus;
 mod corners;
 mod directions;
 mod epipolar_test;

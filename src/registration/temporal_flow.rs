@@ -1,6 +1,7 @@
 //! §4.1: the bidirectional temporal flow of a camera, with its two labelled sets of correspondences.
 
-use super::guided_flow::{Moved, consensus, extensions, guided_flow};
+use super::consensus::{Consensus, Moved};
+use super::guided_flow::{extensions, guided_flow};
 use super::turned_flow::{Onward, turned_flow};
 use super::{Frame, FrameStore, Match, Neighbors, RegistrationOptions, Trajectory, flow};
 use crate::capture::CaptureError;
@@ -199,7 +200,8 @@ fn directed_flow(
 ) -> Vec<Match> {
     let starts: Vec<_> = corners.iter().map(|&p| (p, p)).collect();
     let matches = flow(source, target, &starts, options);
-    let mut matches = guided_flow([source, target], &starts, matches, options);
+    let mut consensus = Consensus::new(corners.iter().copied(), options);
+    let mut matches = guided_flow([source, target], &starts, matches, &mut consensus);
     turned_flow([source, target], corners, &mut matches, options);
     matches.into_iter().flatten().collect()
 }
@@ -250,7 +252,7 @@ fn merged(forward: &[Match], backward: &[Match], distance_px: f64) -> Vec<Track>
 /// Also true where a track has fewer neighbours than that.
 pub fn neighbor_consensus(tracks: &[Track], options: &RegistrationOptions) -> Vec<bool> {
     let moved = |t: &Track| Moved { at: t.earlier, motion: t.motion(), deformation: t.deformation };
-    consensus(&tracks.iter().map(moved).collect::<Vec<_>>(), options)
+    Consensus::of(&tracks.iter().map(moved).collect::<Vec<_>>(), options)
 }
 
 #[cfg(test)]
