@@ -24,7 +24,7 @@ pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_arra
 pub use video::{MAX_FRAMES, VideoFile};
 
 use crate::camera::{Camera, CameraFormatError};
-use crate::host::hash_file;
+use crate::host::{hash_file, link_within, remembered};
 use crate::json::{self, JsonError};
 use crate::progress::Reporter;
 use crate::raster::{BitDepth, Image, ImageFileError, read_image};
@@ -33,6 +33,11 @@ use std::path::{Path, PathBuf};
 
 /// The file in a capture's folder that describes it.
 pub const CAPTURE_FILE: &str = "capture.json";
+
+/// Where the hash of the content is remembered.
+const CONTENT_FILE: &str = ".stlfr/content.json";
+/// Part of its key: changed whenever the same content has another hash.
+const CONTENT: &str = "content-1 ";
 
 /// A capture: its folder, and its cameras in the order of `capture.json`.
 #[derive(Clone, Debug)]
@@ -214,7 +219,25 @@ impl Capture {
 
     /// A hash of all that an estimate from this capture depends on: `capture.json` and the bytes of
     /// the frames or videos. 64 hexadecimal digits.
+    ///
+    /// Where the capture has caches, it is remembered there, and files are read again only if any has changed.
     pub fn content_hash(&self) -> Result<String, CaptureError> {
+        let description = self.folder.join(CAPTURE_FILE);
+        let frames = self.cameras.iter().filter(|c| c.video.is_none()).flat_map(|c| &c.frames);
+        let files = std::iter::once(description.as_path()).chain(frames.map(PathBuf::as_path));
+        // Videos are known by their hashes.
+        let mut made_for = String::from(CONTENT);
+        for video in self.cameras.iter().filter_map(|c| c.video.as_ref()) {
+            made_for.push_str(&video.hash);
+        }
+        let memory = self.folder.join(CONTENT_FILE);
+        if link_within(&self.folder, &memory).is_some() {
+            return self.hash_content();
+        }
+        remembered(&memory, &made_for, files, || self.hash_content())
+    }
+
+    fn hash_content(&self) -> Result<String, CaptureError> {
         let mut hasher = blake3::Hasher::new();
         let add = |hasher: &mut blake3::Hasher, path: &Path| {
             hash_file(hasher, path)

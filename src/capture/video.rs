@@ -2,19 +2,18 @@
 //!
 //! A folder there is named after its video's content and appears when it is complete. It may be
 //! deleted at any time: the video is then decoded anew. So it is, with a note, where a frame is not what
-//! was decoded: `frames.json`, a cache file with a checksum of its own, has every frame's hash, and all
-//! are compared whenever the capture is opened. One process decodes a video, and others wait.
+//! was decoded: `frames.json`, a cache file with a checksum of its own, has every frame's hash, and all are compared when
+//! the capture is opened, if any file has changed since the last time. One process decodes a video, and others wait.
 //!
 //! Any kind of video that ffmpeg 5.1 or newer reads may be a camera's `frames`. The clock stays in
 //! `capture.json`, because containers round their time stamps (Matroska to 1 ms). A `rate_hz` that the
 //! file contradicts is refused; the message names the file that lists the video's own `times_s`.
 //!
-//! Known limits: folders of deleted videos stay. Opening a capture reads all decoded frames, as
-//! estimating offsets reads all frames of a sequence: 0.15 ms a frame of 640×480.
+//! Known limits: folders of deleted videos stay.
 
 use super::{CaptureError, Opening};
 use crate::host::temporary::Temporary;
-use crate::host::{cache_file, hash_file, link_within, open_file, remove_special};
+use crate::host::{cache_file, hash_file, link_within, open_file, remembered, remove_special};
 use crate::video::{self, VideoError, frame_name};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -35,6 +34,10 @@ const CACHE: &str = ".stlfr/video";
 
 /// Lists a folder's frames. It is written last.
 const INDEX_FILE: &str = "frames.json";
+/// Where the hashes that frames had are remembered.
+const HASHES_FILE: &str = "hashes.json";
+/// Part of its key: changed whenever the same frame has another hash.
+const HASHES: &str = "hashes-1";
 
 /// Rounding of time stamps, seconds: Matroska's are whole milliseconds. Larger: dropped frames of fast
 /// cameras pass. Smaller: rounded stamps are taken for dropped frames.
@@ -123,14 +126,20 @@ fn holds(folder: &Path, index: &Index) -> bool {
         && hashes(folder, frames).is_ok_and(|found| found == index.frames)
 }
 
-/// The hashes of a folder's first frames.
+/// The hashes of a folder's first frames, which are read if any has changed.
 fn hashes(folder: &Path, frames: usize) -> io::Result<Vec<String>> {
-    let of = |k| {
+    let files: Vec<PathBuf> = (0..frames).map(|k| folder.join(frame_name(k))).collect();
+    let read = || hash_all(&files);
+    remembered(&folder.join(HASHES_FILE), HASHES, files.iter().map(PathBuf::as_path), read)
+}
+
+fn hash_all(files: &[PathBuf]) -> io::Result<Vec<String>> {
+    let of = |file: &PathBuf| {
         let mut hasher = blake3::Hasher::new();
-        hash_file(&mut hasher, &folder.join(frame_name(k)))?;
+        hash_file(&mut hasher, file)?;
         Ok(hasher.finalize().to_hex().to_string())
     };
-    (0..frames).into_par_iter().map(of).collect()
+    files.par_iter().map(of).collect()
 }
 
 /// Where a video's frames are cached, and the key that they are cached by.
