@@ -54,52 +54,75 @@ pub fn epipolar_test(
     let options = frames.options();
     let mut verdicts = vec![Verdict::Untestable; tracks.len()];
     let Some(own_times) = &times_s[i] else { return Ok(verdicts) };
-    let interval = [own_times[k], own_times[k + 1]];
+    let interval_s = [own_times[k], own_times[k + 1]];
     // The forward flow's errors show at its far end, t + Δt; the backward flow's at t.
-    for (backward, source, t) in [(false, k, interval[1]), (true, k + 1, interval[0])] {
-        let source_frame = frames.get(i, source)?;
+    let directed = |backward: bool, source: usize, time_s: f64| {
+        let source = frames.get(i, source)?;
+        let of_direction =
+            |(_, track): &(usize, &Track)| (track.direction == FlowDirection::Backward) == backward;
         let features: Vec<Feature> = tracks
             .iter()
             .enumerate()
-            .filter(|(_, track)| (track.direction == FlowDirection::Backward) == backward)
+            .filter(of_direction)
             .filter_map(|(index, track)| {
                 let start = if backward { track.later } else { track.earlier };
                 let trajectory = track.trajectory(own_times, k)?;
                 Some(Feature { index, track, trajectory, start })
             })
             .collect();
-        let query = ReferenceQuery { camera: i, interval_s: interval, time_s: t };
-        let References { first, further } =
-            select_references(frames.capture(), times_s, &query, options);
-        for reference in &first {
-            let tested: Vec<&Feature> = features.iter().collect();
-            for (k, verdict) in test_with(frames, i, &source_frame, reference, &tested)? {
-                verdicts[k] = match (verdicts[k], verdict) {
-                    (Verdict::Rejected, _) | (_, Verdict::Rejected) => Verdict::Rejected,
-                    (Verdict::Passed, _) | (_, Verdict::Passed) => Verdict::Passed,
-                    _ => Verdict::Untestable,
-                };
-            }
+        let query = ReferenceQuery { camera: i, interval_s, time_s };
+        let references = select_references(frames.capture(), times_s, &query, options);
+        tested(frames, i, &source, &features, &references)
+    };
+    let (forward, backward) =
+        rayon::join(|| directed(false, k, interval_s[1]), || directed(true, k + 1, interval_s[0]));
+    for (index, verdict) in forward?.into_iter().chain(backward?) {
+        verdicts[index] = verdict;
+    }
+    Ok(verdicts)
+}
+
+/// The verdicts, by index of the track, of references on tracks of camera `i` that start in `source`.
+fn tested(
+    frames: &FrameStore,
+    i: usize,
+    source: &Frame,
+    features: &[Feature],
+    references: &References,
+) -> Result<Vec<(usize, Verdict)>, CaptureError> {
+    let all: Vec<&Feature> = features.iter().collect();
+    let mut verdicts: Vec<_> = all.iter().map(|f| (f.index, Verdict::Untestable)).collect();
+    for reference in &references.first {
+        let found = test_with(frames, i, source, reference, &all)?;
+        for ((_, known), verdict) in verdicts.iter_mut().zip(found) {
+            *known = match (*known, verdict) {
+                (Verdict::Rejected, _) | (_, Verdict::Rejected) => Verdict::Rejected,
+                (Verdict::Passed, _) | (_, Verdict::Passed) => Verdict::Passed,
+                _ => Verdict::Untestable,
+            };
         }
-        for reference in &further {
-            let untested: Vec<&Feature> =
-                features.iter().filter(|f| verdicts[f.index] == Verdict::Untestable).collect();
-            for (k, verdict) in test_with(frames, i, &source_frame, reference, &untested)? {
-                verdicts[k] = verdict;
-            }
+    }
+    for reference in &references.further {
+        let is_untested = |k: &usize| verdicts[*k].1 == Verdict::Untestable;
+        let untested: Vec<usize> = (0..all.len()).filter(is_untested).collect();
+        let features: Vec<&Feature> = untested.iter().map(|&k| all[k]).collect();
+        for (k, verdict) in
+            untested.into_iter().zip(test_with(frames, i, source, reference, &features)?)
+        {
+            verdicts[k].1 = verdict;
         }
     }
     Ok(verdicts)
 }
 
-/// The verdicts of one reference, by index of the track, on tracks of camera `i` that start in `source`.
+/// The verdicts of one reference on tracks of camera `i` that start in `source`, in their order.
 fn test_with(
     frames: &FrameStore,
     i: usize,
     source: &Frame,
     reference: &Reference,
     features: &[&Feature],
-) -> Result<Vec<(usize, Verdict)>, CaptureError> {
+) -> Result<Vec<Verdict>, CaptureError> {
     if features.is_empty() {
         return Ok(Vec::new());
     }
@@ -117,9 +140,10 @@ fn test_with(
         let next = frames.get(reference.camera, reference.frame + 1)?;
         pair.interpolate([&target, &next], between, features, &mut matched);
     }
-    let verdicts = features.iter().zip(&matched).map(|(feature, p_j)| {
-        (feature.index, pair.verdict(feature, p_j.as_ref()).unwrap_or(Verdict::Untestable))
-    });
+    let verdicts = features
+        .iter()
+        .zip(&matched)
+        .map(|(feature, p_j)| pair.verdict(feature, p_j.as_ref()).unwrap_or(Verdict::Untestable));
     Ok(verdicts.collect())
 }
 

@@ -165,24 +165,27 @@ pub fn temporal_flow_of(
 ) -> Result<Vec<Track>, CaptureError> {
     let options = frames.options();
     let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
-    let forward = directed_flow(&earlier, &later, of_earlier, options);
-    let backward = directed_flow(&later, &earlier, of_later, options);
+    // Each direction has parts that one thread does.
+    let (forward, backward) = rayon::join(
+        || directed_flow(&earlier, &later, of_earlier, options),
+        || directed_flow(&later, &earlier, of_later, options),
+    );
     let mut tracks = merged(&forward, &backward, options.merge_distance_px);
     let mut consensus = neighbor_consensus(&tracks, options).into_iter();
     tracks.retain(|_| consensus.next().unwrap_or(true));
 
     let count = frames.capture().cameras[camera].frames.len();
-    if let Some(before) = k.checked_sub(1) {
-        let frame = frames.get(camera, before)?;
-        let starts: Vec<_> = tracks.iter().map(Track::backward).collect();
-        let found = extensions([&earlier, &frame], &starts, options);
-        tracks.iter_mut().zip(found).for_each(|(track, p)| track.before = p);
-    }
-    if k + 2 < count {
-        let frame = frames.get(camera, k + 2)?;
-        let starts: Vec<_> = tracks.iter().map(Track::forward).collect();
-        let found = extensions([&later, &frame], &starts, options);
-        tracks.iter_mut().zip(found).for_each(|(track, p)| track.after = p);
+    let extended = |from: &Frame, frame: Option<usize>, onward: fn(&Track) -> Onward| {
+        let Some(frame) = frame else { return Ok::<_, CaptureError>(vec![None; tracks.len()]) };
+        let starts: Vec<_> = tracks.iter().map(onward).collect();
+        Ok(extensions([from, &*frames.get(camera, frame)?], &starts, options))
+    };
+    let (before, after) = rayon::join(
+        || extended(&earlier, k.checked_sub(1), Track::backward),
+        || extended(&later, Some(k + 2).filter(|k| *k < count), Track::forward),
+    );
+    for ((track, before), after) in tracks.iter_mut().zip(before?).zip(after?) {
+        (track.before, track.after) = (before, after);
     }
     if k > 0 && k + 2 < count {
         let times_s = &frames.capture().cameras[camera].clock.times_s[k - 1..k + 3];

@@ -131,11 +131,9 @@ impl PairProblem {
     /// The number of tracks. Decoding is not included, as for the peer; pyramids and corners of both
     /// frames are.
     fn register(&self) -> usize {
-        let corner_counts = self.images.each_ref().map(|i| {
-            let frame = Frame::new(i.clone(), &self.options);
-            frame.corners(&self.options).len()
-        });
-        assert!(corner_counts[0] > 0);
+        let corners = |i: &Image| Frame::new(i.clone(), &self.options).corners(&self.options).len();
+        let (a, b) = rayon::join(|| corners(&self.images[0]), || corners(&self.images[1]));
+        assert!(a > 0 && b > 0);
         let tracks = temporal_flow(&self.store, 0, 1).expect("tracks");
         epipolar_test(&self.store, &self.times_s, 0, 1, &tracks).expect("verdicts").len()
     }

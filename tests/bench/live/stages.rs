@@ -10,7 +10,7 @@ use stlfr::capture::{Capture, FilmedCamera};
 use stlfr::host::on_workers;
 use stlfr::interpolation::Synchronized;
 use stlfr::light_field::{Geometry, LightField, Moment};
-use stlfr::lumigraph::{DepthMap, Source, blend, contributing};
+use stlfr::lumigraph::{DepthMap, Source, blend};
 use stlfr::options::RenderOptions;
 
 /// Number of values that bandwidth is measured over: 256 MiB. Larger: memory; smaller: caches hold them.
@@ -77,21 +77,13 @@ pub fn of(
     let shapes: Vec<Geometry> =
         views.iter().map(|v| Ok(moment.geometry(v)?)).collect::<Result<_, Error>>()?;
     let shape_ms = each_ms(views, |v| Ok(moment.geometry(v).map(drop)?))?;
-    let each_shape = |run: &(dyn Fn(&[Source], &DepthMap, &Camera) + Sync)| {
-        let of = |(view, geometry): (&Camera, &Geometry)| {
-            let sources = sources(capture, moment, geometry);
-            let start = Instant::now();
-            on_workers(|| run(&sources, &geometry.view, view));
-            1000.0 * start.elapsed().as_secs_f64()
-        };
-        median(views.iter().zip(&shapes).map(of).collect())
+    let blend_of = |(view, geometry): (&Camera, &Geometry)| {
+        let sources = sources(capture, moment, geometry);
+        let start = Instant::now();
+        on_workers(|| drop(black_box(blend(&sources, &geometry.view, view, &options.blend))));
+        1000.0 * start.elapsed().as_secs_f64()
     };
-    let weights_ms = each_shape(&|sources, depths, view| {
-        black_box(contributing(sources, depths, view, &options.blend));
-    });
-    let blend_ms = each_shape(&|sources, depths, view| {
-        black_box(blend(sources, depths, view, &options.blend));
-    });
+    let blend_ms = median(views.iter().zip(&shapes).map(blend_of).collect());
     let time_s = middle_s(capture);
     let image = |_| -> Result<f64, Error> {
         let start = Instant::now();
@@ -110,8 +102,7 @@ pub fn of(
     let stages = [
         ("a camera's image at the instant", image_ms, 9.0),
         ("geometry: depths in the view", shape_ms, 1.0),
-        ("places in the images, weights", weights_ms, 1.0),
-        ("samples and their sum", (blend_ms - weights_ms).max(0.0), 1.0 + 3.0 * blended + 3.0),
+        ("places, weights, samples and their sum", blend_ms, 1.0 + 3.0 * blended + 3.0),
     ];
     Ok(stages.map(stage).into())
 }
