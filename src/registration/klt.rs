@@ -204,15 +204,19 @@ impl<'a> Tracker<'a> {
             }
         }
         let [left, top] = [p.x, p.y].map(|v| v - self.options.radius_px as f64);
+        let is_inside = |from: f64, size: usize| from >= 0.0 && from + side as f64 <= size as f64;
+        let whole = is_inside(left, level.width) && is_inside(top, level.height);
         let mut sums = [V::zero(); 5];
         for x in (0..row).step_by(LANES) {
             let mut weights = [0.0; LANES];
             for (l, weight) in weights.iter_mut().enumerate().take(side - x) {
-                *weight = fraction_inside(left + (x + l) as f64, level.width) / SCHARR_SCALE;
+                let inside = |v: f64| fraction_inside(v, level.width);
+                *weight = if whole { 1.0 } else { inside(left + (x + l) as f64) } / SCHARR_SCALE;
             }
             let weights = V::from_array(&weights);
             for y in 0..side {
-                let used = weights.mul(V::splat(fraction_inside(top + y as f64, level.height)));
+                let inside = |v: f64| V::splat(fraction_inside(v, level.height));
+                let used = if whole { weights } else { weights.mul(inside(top + y as f64)) };
                 let at = (y + 1) * wide + x + 1;
                 let [gx, gy] = scharr::<V>(&self.value, at, wide);
                 let (gx, gy) = (gx.mul(used), gy.mul(used));
