@@ -2,11 +2,10 @@
 //! triangulation around them.
 
 use super::edges::{Feature, RealEdge};
-use crate::registration::Neighbors;
-use nalgebra::{Point2, Vector2, center};
-use spade::{
-    ConstrainedDelaunayTriangulation, InsertionError, Point2 as SpadePoint, Triangulation,
-};
+use super::segment_cells::SegmentCells;
+use nalgebra::{Point2, Vector2};
+use spade::handles::FixedVertexHandle;
+use spade::{ConstrainedDelaunayTriangulation, HasPosition, Triangulation};
 use std::collections::HashMap;
 
 /// An edge of the edge set (§5.2), which guides the morph.
@@ -71,27 +70,49 @@ pub fn triangles(positions: &[Point2<f64>]) -> Vec<[usize; 3]> {
     Mesh::new(positions, &used, &[]).triangles().collect()
 }
 
-/// A triangulation with the index of the vertex that each of its points is.
-struct Mesh {
-    cdt: ConstrainedDelaunayTriangulation<SpadePoint<f64>>,
-    /// From the index of the triangulation's point to that of the vertex.
-    index: HashMap<usize, usize>,
+/// A triangulation of vertices by their index.
+struct Mesh(ConstrainedDelaunayTriangulation<Site>);
+
+/// A vertex of the triangulation.
+struct Site {
+    position: spade::Point2<f64>,
+    index: usize,
+}
+
+impl HasPosition for Site {
+    type Scalar = f64;
+
+    fn position(&self) -> spade::Point2<f64> {
+        self.position
+    }
 }
 
 impl Mesh {
     fn new(positions: &[Point2<f64>], used: &[bool], constraints: &[[usize; 2]]) -> Self {
-        let mut cdt = ConstrainedDelaunayTriangulation::new();
-        let mut index = HashMap::new();
-        let mut handles = vec![None; positions.len()];
-        for (k, position) in positions.iter().enumerate().filter(|&(k, _)| used[k]) {
-            if let Ok(handle) = insert(&mut cdt, *position) {
-                // Of coincident vertices the first is used.
-                index.entry(handle.index()).or_insert(k);
-                handles[k] = Some(handle);
+        // Of coincident vertices the first is used.
+        let mut first_at = HashMap::with_capacity(positions.len());
+        let mut sites = Vec::with_capacity(positions.len());
+        let mut site_of = vec![None; positions.len()];
+        for (index, place) in positions.iter().enumerate().filter(|&(k, _)| used[k]) {
+            let place = [place.x, place.y].map(accepted);
+            if place.iter().any(|v| spade::validate_coordinate(*v).is_err()) {
+                continue;
+            }
+            let first = *first_at.entry(place.map(f64::to_bits)).or_insert(index);
+            site_of[index] = Some(first);
+            if first == index {
+                sites.push(Site { position: place.into(), index });
             }
         }
-        for [a, b] in constraints {
-            if let (Some(a), Some(b)) = (handles[*a], handles[*b])
+        // Only invalid coordinates are refused, and there are none.
+        let mut cdt = ConstrainedDelaunayTriangulation::bulk_load(sites).unwrap_or_default();
+        let mut handles: Vec<Option<FixedVertexHandle>> = vec![None; positions.len()];
+        for site in cdt.vertices() {
+            handles[site.data().index] = Some(site.fix());
+        }
+        let handle = |k: usize| site_of[k].and_then(|first| handles[first]);
+        for &[a, b] in constraints {
+            if let (Some(a), Some(b)) = (handle(a), handle(b))
                 && a != b
             {
                 // A constraint that still crosses another, by rounding, is not added; its edge
@@ -99,28 +120,22 @@ impl Mesh {
                 let _ = cdt.try_add_constraint(a, b);
             }
         }
-        Self { cdt, index }
+        Self(cdt)
     }
 
     fn virtual_edges(&self) -> impl Iterator<Item = [usize; 2]> {
-        self.cdt
-            .undirected_edges()
-            .filter(|e| !e.is_constraint_edge())
-            .map(|e| e.vertices().map(|v| self.index[&v.fix().index()]))
+        let edges = self.0.undirected_edges().filter(|e| !e.is_constraint_edge());
+        edges.map(|e| e.vertices().map(|v| v.data().index))
     }
 
     fn triangles(&self) -> impl Iterator<Item = [usize; 3]> {
-        self.cdt.inner_faces().map(|f| f.vertices().map(|v| self.index[&v.fix().index()]))
+        self.0.inner_faces().map(|f| f.vertices().map(|v| v.data().index))
     }
 }
 
-fn insert(
-    cdt: &mut ConstrainedDelaunayTriangulation<SpadePoint<f64>>,
-    p: Point2<f64>,
-) -> Result<spade::handles::FixedVertexHandle, InsertionError> {
-    // spade accepts 0 and magnitudes of at least 2⁻¹⁴²; a coordinate this small is on the border.
-    let flushed = |v: f64| if v.abs() < 1e-30 { 0.0 } else { v };
-    cdt.insert(SpadePoint::new(flushed(p.x), flushed(p.y)))
+/// A coordinate as spade accepts it: 0, or a magnitude of at least 2⁻¹⁴². One this small is on the border.
+fn accepted(v: f64) -> f64 {
+    if v.abs() < 1e-30 { 0.0 } else { v }
 }
 
 /// Splits real edges where they cross (§5.2): the new vertex, appended to `vertices`, lies on the fitter edge
@@ -128,27 +143,22 @@ fn insert(
 fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<Piece> {
     let mut order: Vec<usize> = (0..real.len()).collect();
     order.sort_by(|&a, &b| real[b].mean_fitness.total_cmp(&real[a].mean_fitness).then(a.cmp(&b)));
-    let ends = |k: usize| real[order[k]].ends.map(|v| vertices[v].source);
-    let middles: Vec<_> = (0..order.len()).map(|k| center(&ends(k)[0], &ends(k)[1])).collect();
-    let lengths: Vec<f64> = (0..order.len()).map(|k| (ends(k)[1] - ends(k)[0]).norm()).collect();
-    let longest = lengths.iter().copied().fold(0.0, f64::max);
-    let neighbors = Neighbors::new(middles.iter().copied());
-
+    let places: Vec<_> = order.iter().map(|&k| real[k].ends.map(|v| vertices[v].source)).collect();
+    let ends = |k: usize| places[k];
+    let mut cells = SegmentCells::new(&places);
+    let mut fitter = Vec::new();
     // Where each edge is split: fractions along it, and the vertex there.
     let mut splits: Vec<Vec<(f64, usize)>> = vec![Vec::new(); order.len()];
     for k in 0..order.len() {
         let [a, b] = real[order[k]].ends;
-        // Edges that cross have their middles within the mean of their lengths.
-        let reach = 0.5 * (lengths[k] + longest);
-        for fitter in neighbors.within(&middles[k], reach) {
+        let segment = ends(k);
+        cells.near(&segment, &mut fitter);
+        for &fitter in &fitter {
             let [c, d] = real[order[fitter]].ends;
-            if fitter >= k || [c, d].contains(&a) || [c, d].contains(&b) {
+            if [c, d].contains(&a) || [c, d].contains(&b) {
                 continue;
             }
-            let Some((along, along_fitter)) = crossing(
-                [vertices[a].source, vertices[b].source],
-                [vertices[c].source, vertices[d].source],
-            ) else {
+            let Some((along, along_fitter)) = crossing(segment, ends(fitter)) else {
                 continue;
             };
             let vertex = vertices[c].lerp(&vertices[d], along_fitter);
@@ -156,6 +166,7 @@ fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<Piec
             splits[fitter].push((along_fitter, vertices.len()));
             vertices.push(vertex);
         }
+        cells.insert(&segment, k);
     }
     let mut pieces = Vec::with_capacity(real.len());
     for (k, mut cuts) in splits.into_iter().enumerate() {

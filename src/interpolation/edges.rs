@@ -1,10 +1,10 @@
 //! §5.1: real edges: segments between two features that follow an image edge in both frames.
 
 use super::EdgeOptions;
+use super::segment_cells::SegmentCells;
 use crate::registration::{Level, Neighbors};
-use nalgebra::{Point2, Vector2};
+use nalgebra::{Point2, Vector2, center};
 use rayon::prelude::*;
-use std::collections::HashMap;
 
 /// A feature's positions, pixels, in the two frames and at the instant: a vertex of the morph's edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,14 +54,14 @@ pub fn real_edges(
     let candidates: Vec<RealEdge> = (0..features.len())
         .into_par_iter()
         .flat_map_iter(|a| {
-            neighbors
-                .within(&features[a].source, options.max_length_px)
-                .into_iter()
-                .filter(move |&b| b > a)
-                .filter_map(|b| {
-                    real_edge([a, b], [&features[a], &features[b]], source, other, options)
-                })
-                .collect::<Vec<_>>()
+            let mut found = Vec::new();
+            neighbors.each_within(&features[a].source, options.max_length_px, |b| {
+                if b > a {
+                    let ends = [&features[a], &features[b]];
+                    found.extend(real_edge([a, b], ends, source, other, options));
+                }
+            });
+            found
         })
         .collect();
     without_duplicates(candidates, features, options)
@@ -79,22 +79,19 @@ fn real_edge(
     if change > options.max_length_change * length + options.max_length_change_px {
         return None;
     }
-    let (fitness, mean_fitness) = fitness(source, a.source, b.source, options)?;
-    if fitness <= options.min_fitness {
-        return None;
-    }
-    let (fitness, _) = self::fitness(other, a.other, b.other, options)?;
-    (fitness > options.min_fitness).then_some(RealEdge { ends, mean_fitness })
+    let mean_fitness = mean_fitness(source, a.source, b.source, options)?;
+    self::mean_fitness(other, a.other, b.other, options)?;
+    Some(RealEdge { ends, mean_fitness })
 }
 
-/// The fitness of eq. (6), which is the minimum over an edge's samples, and the samples' mean f̄. `None` for
-/// edges shorter than a pixel, whose direction is noise.
-fn fitness(
+/// f̄, the mean of the samples of eq. (6). `None` where the edge's fitness, the least of them, is not above the
+/// threshold, and for edges shorter than a pixel, whose direction is noise.
+fn mean_fitness(
     level: &Level,
     a: Point2<f64>,
     b: Point2<f64>,
     options: &EdgeOptions,
-) -> Option<(f64, f64)> {
+) -> Option<f64> {
     let along = b - a;
     let length = along.norm();
     if !(length >= 1.0) {
@@ -102,7 +99,7 @@ fn fitness(
     }
     let normal = Vector2::new(-along.y, along.x) / length;
     let steps = (length / options.sample_step_px.max(0.25)).ceil().max(1.0) as usize;
-    let (mut min, mut sum) = (f64::INFINITY, 0.0);
+    let mut sum = 0.0;
     for k in 0..=steps {
         let p = a + along * (k as f64 / steps as f64);
         let clamp = |v: f64, size: usize| (v.max(0.0) as usize).min(size - 1);
@@ -113,10 +110,12 @@ fn fitness(
         let agreement =
             if magnitude > 0.0 { (gradient.dot(&normal) / magnitude).abs() } else { 0.0 };
         let f = magnitude + options.beta * agreement;
-        min = min.min(f);
+        if !(f > options.min_fitness) {
+            return None;
+        }
         sum += f;
     }
-    Some((min, sum / (steps + 1) as f64))
+    Some(sum / (steps + 1) as f64)
 }
 
 /// Removes duplicates (§5.2, Fig. 8): of near-parallel edges that lie on each other, all but the longest.
@@ -143,23 +142,19 @@ fn without_duplicates(
         };
         parallel && near(c) && near(d)
     };
-    // A duplicate's middle is at most half the longer edge's length plus the maximum distance from that edge's middle.
-    // The unique edges so far are in cells of that size, so that an edge is compared with nine cells alone.
-    let longest = edges.first().map_or(0.0, length);
-    let cell_px = (0.5 * longest + options.duplicate_distance_px).max(1.0);
-    let mut cells: HashMap<[i64; 2], Vec<RealEdge>> = HashMap::new();
-    edges.retain(|edge| {
-        let [a, b] = ends(edge);
-        let [x, y] = [a.x + b.x, a.y + b.y].map(|twice| (0.5 * twice / cell_px).floor() as i64);
-        let around = (x - 1..=x + 1).flat_map(|x| (y - 1..=y + 1).map(move |y| [x, y]));
-        let mut longer = around.filter_map(|cell| cells.get(&cell)).flatten();
-        let is_unique = !longer.any(|longer| is_duplicate(edge, longer));
-        if is_unique {
-            cells.entry([x, y]).or_default().push(*edge);
+    let mut cells = SegmentCells::new(&edges.iter().map(ends).collect::<Vec<_>>());
+    let (mut unique, mut near) = (Vec::<RealEdge>::new(), Vec::new());
+    for edge in edges {
+        let [a, b] = ends(&edge);
+        // A duplicate's middle is as near to the longer edge as its ends.
+        let (middle, reach) = (center(&a, &b), Vector2::repeat(options.duplicate_distance_px));
+        cells.near(&[middle - reach, middle + reach], &mut near);
+        if !near.iter().any(|&longer| is_duplicate(&edge, &unique[longer])) {
+            cells.insert(&[a, b], unique.len());
+            unique.push(edge);
         }
-        is_unique
-    });
-    edges
+    }
+    unique
 }
 
 #[cfg(test)]
@@ -216,10 +211,10 @@ mod tests {
     fn zero_gradients_have_no_direction_and_coincident_features_no_length() {
         let flat = Pyramid::new(&Image::filled(60, 50, 1, 0.5), 1, 4);
         let level = &flat.levels()[0];
-        let options = EdgeOptions::default();
+        let options = EdgeOptions { min_fitness: -1.0, ..EdgeOptions::default() };
         let (a, b) = (Point2::new(10.0, 10.0), Point2::new(20.0, 10.0));
-        assert_eq!(fitness(level, a, b, &options), Some((0.0, 0.0)));
-        assert_eq!(fitness(level, a, a, &options), None);
+        assert_eq!(mean_fitness(level, a, b, &options), Some(0.0));
+        assert_eq!(mean_fitness(level, a, a, &options), None);
         assert!(edge_ends(&[at_rest(30.0, 10.0), at_rest(30.0, 10.0)]).is_empty());
     }
 }

@@ -27,6 +27,7 @@ mod local_motion;
 mod morph;
 mod options;
 mod refine;
+mod segment_cells;
 mod sync_method;
 mod triangulation;
 mod warp;

@@ -143,8 +143,8 @@ fn residual(tracks: &[Track], options: &RegistrationOptions) -> f64 {
         .par_iter()
         .enumerate()
         .filter_map(|(n, track)| {
-            let mut near = neighbors.within(&track.earlier, radius);
-            near.retain(|&m| m != n);
+            let mut near = Vec::new();
+            neighbors.each_within(&track.earlier, radius, |m| near.extend((m != n).then_some(m)));
             let distance = |m: usize| (tracks[m].earlier - track.earlier).norm();
             near.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
             near.truncate(PREDICTING);

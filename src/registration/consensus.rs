@@ -99,9 +99,9 @@ impl<'a> Consensus<'a> {
         } else {
             let mut is_affected = vec![false; self.motions.len()];
             for k in (0..is_changed.len()).filter(|&k| is_changed[k]) {
-                let near =
-                    self.neighbors.within(&self.positions[k], self.options.support_radius_px);
-                near.into_iter().for_each(|n| is_affected[n] = true);
+                let radius_px = self.options.support_radius_px;
+                self.neighbors
+                    .each_within(&self.positions[k], radius_px, |n| is_affected[n] = true);
             }
             is_affected
         };

@@ -23,13 +23,13 @@ impl Neighbors {
         Self { tree }
     }
 
-    /// The indices, ascending, of the points within `radius` of `p`, bound included; duplicates of a
-    /// point all count.
-    pub fn within(&self, p: &Point2<f64>, radius: f64) -> Vec<usize> {
-        let mut indices: Vec<usize> =
-            self.with_distances(p, radius).into_iter().map(|(_, k)| k).collect();
-        indices.sort_unstable();
-        indices
+    /// Does something with the index of each point within `radius` of `p`, bound included, in no particular
+    /// order; duplicates of a point all count.
+    pub fn each_within(&self, p: &Point2<f64>, radius: f64, mut act: impl FnMut(usize)) {
+        let Some(tree) = &self.tree else { return };
+        let at = [p.x, p.y];
+        let within = tree.query(&at).within::<SquaredEuclidean<f64>>(radius * radius).unsorted();
+        within.iter().for_each(|near| act(near.item as usize));
     }
 
     /// Whether any point is within `radius` of `p`, bound included.
@@ -91,10 +91,16 @@ mod tests {
             })
             .collect();
         let neighbors = Neighbors::new(points.iter().copied());
+        let within = |p: &Point2<f64>, radius: f64| {
+            let mut found = Vec::new();
+            neighbors.each_within(p, radius, |k| found.push(k));
+            found.sort_unstable();
+            found
+        };
         for p in &points[..40] {
             let all: Vec<usize> =
                 (0..points.len()).filter(|&k| (points[k] - p).norm() <= 9.0).collect();
-            assert_eq!(neighbors.within(p, 9.0), all);
+            assert_eq!(within(p, 9.0), all);
             let mut nearest = all.clone();
             nearest.sort_by(|&a, &b| (points[a] - p).norm().total_cmp(&(points[b] - p).norm()));
             for count in [0, 1, 5, 300] {
@@ -117,10 +123,12 @@ mod tests {
     #[test]
     fn none_and_many_duplicates() {
         let none = Neighbors::new([]);
-        assert!(none.within(&Point2::origin(), 1.0).is_empty());
+        none.each_within(&Point2::origin(), 1.0, |_| panic!("there are none"));
         assert!(none.nearest(&Point2::origin(), 3, 1.0).is_empty());
         assert!(!none.any_within(&Point2::origin(), 1e9));
         let same = Neighbors::new((0..1000).map(|_| Point2::new(1.0, 2.0)));
-        assert_eq!(same.within(&Point2::new(1.0, 2.5), 1.0).len(), 1000);
+        let mut count = 0;
+        same.each_within(&Point2::new(1.0, 2.5), 1.0, |_| count += 1);
+        assert_eq!(count, 1000);
     }
 }

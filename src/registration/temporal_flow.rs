@@ -233,16 +233,18 @@ fn merged(forward: &[Match], backward: &[Match], distance_px: f64) -> Vec<Track>
     let mut tracks: Vec<Track> = forward.iter().map(|m| track(FlowDirection::Forward, m)).collect();
     let at_earlier = Neighbors::new(forward.iter().map(|m| m.source));
     for m in backward {
-        let twin = at_earlier
-            .within(&m.target, distance_px)
-            .into_iter()
-            .filter(|&k| (forward[k].target - m.source).norm() <= distance_px)
-            .min_by(|&a, &b| {
-                let gap = |k: usize| (forward[k].source - m.target).norm();
-                gap(a).total_cmp(&gap(b))
-            });
+        let mut twin: Option<(f64, usize)> = None;
+        at_earlier.each_within(&m.target, distance_px, |k| {
+            if (forward[k].target - m.source).norm() <= distance_px {
+                let gap = (forward[k].source - m.target).norm();
+                // Of equally near ones the first.
+                if twin.is_none_or(|known| (gap, k) < known) {
+                    twin = Some((gap, k));
+                }
+            }
+        });
         match twin {
-            Some(k) => tracks[k].direction = FlowDirection::Both,
+            Some((_, k)) => tracks[k].direction = FlowDirection::Both,
             None => tracks.push(track(FlowDirection::Backward, m)),
         }
     }

@@ -167,15 +167,15 @@ fn best_of(
     reach: f64,
 ) -> Option<(usize, f32)> {
     let [mut best, mut second] = [(usize::MAX, f32::INFINITY); 2];
-    for n in near.within(p, reach) {
-        let Some(other) = &described[n] else { continue };
+    near.each_within(p, reach, |n| {
+        let Some(other) = &described[n] else { return };
         let distance = own.distance(other);
         if distance < best.1 {
             [best, second] = [(n, distance), best];
         } else if distance < second.1 {
             second = (n, distance);
         }
-    }
+    });
     (best.1 < MAX_RATIO * second.1).then_some(best)
 }
 

@@ -22,6 +22,7 @@ use super::MorphOptions;
 use super::line::{LANES, Line, MIN_DISTANCE_PX, Sums, integer_power, sums};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
+use std::ops::Range;
 
 /// A cluster is far from a tile at this many times its radius. Larger: more edges count one by one; smaller: clusters
 /// that are opened anyway are tried first.
@@ -41,7 +42,7 @@ struct Cluster {
     /// Σ strength·‖linear part of the displacement‖.
     slope: f64,
     /// Its edges, by their order in [`Clusters::lines`].
-    range: std::ops::Range<usize>,
+    range: Range<usize>,
     /// Its two parts, by index. `None` for a leaf.
     parts: Option<[usize; 2]>,
 }
@@ -109,29 +110,16 @@ impl Clusters {
     /// `None` where every edge is to count by itself: no tolerance, or exponents that are computed otherwise.
     pub fn new(lines: &[Line], options: &MorphOptions) -> Option<Self> {
         let power = integer_power(options).filter(|_| options.tolerance_px > 0.0)?;
-        let mut found = Self { lines: lines.to_vec(), clusters: Vec::new(), power };
-        found.split(0..lines.len());
-        Some(found)
-    }
-
-    /// Adds the cluster of these edges after its parts; its index.
-    fn split(&mut self, range: std::ops::Range<usize>) -> usize {
-        let parts = (range.len() > LEAF).then(|| {
-            let lines = &mut self.lines[range.clone()];
-            let extent = |axis: usize| {
-                let middles = || lines.iter().map(|line| middle(line)[axis]);
-                middles().fold(f64::NEG_INFINITY, f64::max)
-                    - middles().fold(f64::INFINITY, f64::min)
-            };
-            let axis = usize::from(extent(1) > extent(0));
-            let half = lines.len() / 2;
-            lines.select_nth_unstable_by(half, |a, b| middle(a)[axis].total_cmp(&middle(b)[axis]));
-            let half = range.start + half;
-            [self.split(range.start..half), self.split(half..range.end)]
-        });
-        let cluster = Cluster::new(&self.lines[range.clone()], range, parts);
-        self.clusters.push(cluster);
-        self.clusters.len() - 1
+        let mut places: Vec<Place> =
+            (0..lines.len()).map(|line| Place { middle: middle(&lines[line]), line }).collect();
+        let mut nodes = Vec::with_capacity(lines.len() / 2);
+        split(&mut places, 0, &mut nodes);
+        let lines: Vec<Line> = places.iter().map(|place| lines[place.line]).collect();
+        let cluster = |(range, parts): (Range<usize>, _)| {
+            Cluster::new(&lines[range.clone()], &places[range.clone()], range, parts)
+        };
+        let clusters = nodes.into_iter().map(cluster).collect();
+        Some(Self { lines, clusters, power })
     }
 
     /// The sums of eq. (7) at the nodes of a tile, row by row.
@@ -257,6 +245,38 @@ impl Nodes {
     }
 }
 
+/// Where an edge's middle is, pixels, and its index among the lines.
+struct Place {
+    middle: [f64; 2],
+    line: usize,
+}
+
+/// Orders the edges so that every cluster's are neighbours, and adds the cluster of all after its parts: which
+/// edges it has, the first of all being number `first`, and its parts. Its index.
+fn split(
+    places: &mut [Place],
+    first: usize,
+    nodes: &mut Vec<(Range<usize>, Option<[usize; 2]>)>,
+) -> usize {
+    let range = first..first + places.len();
+    let parts = (places.len() > LEAF).then(|| {
+        let (mut min, mut max) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
+        for axis in [0, 1] {
+            for place in places.iter() {
+                min[axis] = min[axis].min(place.middle[axis]);
+                max[axis] = max[axis].max(place.middle[axis]);
+            }
+        }
+        let axis = usize::from(max[1] - min[1] > max[0] - min[0]);
+        let half = places.len() / 2;
+        places.select_nth_unstable_by(half, |a, b| a.middle[axis].total_cmp(&b.middle[axis]));
+        let (before, behind) = places.split_at_mut(half);
+        [split(before, first, nodes), split(behind, first + half, nodes)]
+    });
+    nodes.push((range, parts));
+    nodes.len() - 1
+}
+
 fn middle(line: &Line) -> [f64; 2] {
     [0, 1]
         .map(|k| f64::from(line.p[k]) + 0.5 * f64::from(line.length) * f64::from(line.direction[k]))
@@ -273,39 +293,46 @@ fn apart(a: [f32; 2], b: [f32; 2]) -> f64 {
 }
 
 impl Cluster {
-    fn new(lines: &[Line], range: std::ops::Range<usize>, parts: Option<[usize; 2]>) -> Self {
+    fn new(
+        lines: &[Line],
+        places: &[Place],
+        range: Range<usize>,
+        parts: Option<[usize; 2]>,
+    ) -> Self {
+        let strengths = || lines.iter().map(|line| f64::from(line.strength));
         // Strengths are at least 1, so that their sum isn't 0.
-        let strength: f64 = lines.iter().map(|line| f64::from(line.strength)).sum();
-        let mean = |of: &dyn Fn(&Line) -> f64| {
-            lines.iter().map(|line| f64::from(line.strength) * of(line)).sum::<f64>() / strength
-        };
+        let strength: f64 = strengths().sum();
+        let mut middles = [0.0; 2];
+        for (strength, place) in strengths().zip(places) {
+            middles = [0, 1].map(|k| middles[k] + strength * place.middle[k]);
+        }
         // In f32 as the sums have it, so that the radius is around the very same point.
-        let centre = [0, 1].map(|axis| mean(&|line| middle(line)[axis]) as f32).map(f64::from);
-        let displacement = |line: &Line| -> [f64; 2] {
-            let from = [0, 1].map(|k| centre[k] - f64::from(line.p[k]));
-            let m = line.map.map(f64::from);
-            let by = |k: usize| m[2 * k] * from[0] + m[2 * k + 1] * from[1];
-            [0, 1].map(|k| by(k) + f64::from(line.shift[k]))
-        };
-        let shift = [0, 1].map(|axis| mean(&|line| displacement(line)[axis]));
-        let sum = |of: &dyn Fn(&Line) -> f64| strength * mean(of);
-        let radius = |line: &Line| {
+        let centre = middles.map(|sum| f64::from((sum / strength) as f32));
+        let (mut maps, mut shifts) = ([0.0; 4], [0.0; 2]);
+        let (mut slope, mut radius) = (0.0, 0.0_f64);
+        for ((strength, line), place) in strengths().zip(lines).zip(places) {
+            let map = line.map.map(f64::from);
+            maps = [0, 1, 2, 3].map(|k| maps[k] + strength * map[k]);
+            let shift = displacement(line, centre);
+            shifts = [0, 1].map(|k| shifts[k] + strength * shift[k]);
+            slope += strength * map.iter().map(|m| m * m).sum::<f64>().sqrt();
             let half = 0.5 * f64::from(line.length);
-            let m = middle(line);
-            norm([m[0] - centre[0], m[1] - centre[1]]) + half
-        };
+            radius = radius.max(norm([0, 1].map(|k| place.middle[k] - centre[k])) + half);
+        }
+        let shift = shifts.map(|sum| sum / strength);
+        let deviation = strengths().zip(lines).map(|(strength, line)| {
+            let d = displacement(line, centre);
+            strength * norm([d[0] - shift[0], d[1] - shift[1]])
+        });
         Self {
-            radius: lines.iter().map(radius).fold(0.0, f64::max),
-            deviation: sum(&|line| {
-                let d = displacement(line);
-                norm([d[0] - shift[0], d[1] - shift[1]])
-            }),
-            slope: sum(&|line| line.map.iter().map(|m| f64::from(*m).powi(2)).sum::<f64>().sqrt()),
+            radius,
+            deviation: deviation.sum(),
+            slope,
             line: Line {
                 p: centre.map(|v| v as f32),
                 direction: [1.0, 0.0],
                 length: 0.0,
-                map: [0, 1, 2, 3].map(|k| mean(&|line| f64::from(line.map[k])) as f32),
+                map: maps.map(|sum| (sum / strength) as f32),
                 shift: shift.map(|v| v as f32),
                 log_strength: strength.ln(),
                 strength: strength as f32,
@@ -314,4 +341,12 @@ impl Cluster {
             parts,
         }
     }
+}
+
+/// An edge's displacement at a place, pixels.
+fn displacement(line: &Line, place: [f64; 2]) -> [f64; 2] {
+    let from = [0, 1].map(|k| place[k] - f64::from(line.p[k]));
+    let m = line.map.map(f64::from);
+    let by = |k: usize| m[2 * k] * from[0] + m[2 * k + 1] * from[1];
+    [0, 1].map(|k| by(k) + f64::from(line.shift[k]))
 }
