@@ -15,8 +15,8 @@ pub struct Surface<'a> {
     pub depths: &'a InverseDepths,
 }
 
-/// Farthest that a splat reaches, pixels. Larger: surfaces swell; smaller: they have holes where the view is
-/// nearer than the camera.
+/// Farthest that a splat reaches, pixels: of the view, or of the camera where those are larger. Larger: surfaces
+/// swell; smaller: slanted ones have holes.
 const REACH_PX: f32 = 0.8;
 
 /// A candidate is chosen before farther ones if this many times its votes are not fewer than the most. Larger:
@@ -198,11 +198,23 @@ fn vote(
     votes
 }
 
+/// Where a pixel of a camera is in the view.
+struct Place {
+    /// Pixels; NaN where the view doesn't see it.
+    x: f32,
+    y: f32,
+    /// How many pixels of the view it is wide; at least 1.
+    size: f32,
+    inverse: f32,
+    std_err: f32,
+}
+
 /// The nearest surface of a camera at every pixel of the view.
 fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<Candidate> {
     let (w, h) = (target.width, target.height);
     let camera = surface.camera;
     let relative = Relative::new(camera, target);
+    let enlarged = (target.focal_px() / camera.focal_px()) as f32;
     let mut rays = RayRow::new(camera);
     let mut places = Vec::with_capacity(surface.depths.values.len());
     for y in 0..camera.height {
@@ -213,18 +225,19 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<Candidate> {
             let turned = relative.turned(rays.x[x] as f32, rays.y[x] as f32);
             let q = relative.point(&turned, inverse);
             let [px, py] = relative.pixel(&q);
-            places.push([px, py, inverse / q.z, std_err / q.z]);
+            // Behind the view q.z is not positive, and the pixel is NaN. Just before it, a pixel is as wide as the view.
+            let (size, scale) = ((enlarged / q.z).clamp(1.0, w.max(h) as f32), 1.0 / q.z);
+            let (inverse, std_err) = (inverse * scale, std_err * scale);
+            places.push(Place { x: px, y: py, size, inverse, std_err });
         }
     }
     let mut nearest = vec![0.0_f32; w * h];
-    each_reached(&places, [w, h], |k, _, [inverse, _]| {
-        nearest[k] = nearest[k].max(inverse);
-    });
+    each_reached(&places, [w, h], |k, _, place| nearest[k] = nearest[k].max(place.inverse));
     let mut sums = vec![[0.0_f32; 3]; w * h];
-    each_reached(&places, [w, h], |k, near, [inverse, std_err]| {
-        if inverse >= nearest[k] - tolerance {
+    each_reached(&places, [w, h], |k, near, place| {
+        if place.inverse >= nearest[k] - tolerance {
             let [sum, errors, weight] = sums[k];
-            sums[k] = [sum + near * inverse, errors + near * std_err, weight + near];
+            sums[k] = [sum + near * place.inverse, errors + near * place.std_err, weight + near];
         }
     });
     let mean = |[sum, errors, weight]: &[f32; 3]| {
@@ -238,23 +251,19 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<Candidate> {
 }
 
 /// The pixels that each place reaches, with a weight by nearness.
-fn each_reached(places: &[[f32; 4]], [w, h]: [usize; 2], mut f: impl FnMut(usize, f32, [f32; 2])) {
-    for &[px, py, inverse, std_err] in places {
-        // Positions from −1 on, so that truncation rounds down; also false for NaN.
-        if !(px > -0.5 && py > -0.5 && px < w as f32 + 0.5 && py < h as f32 + 0.5) {
-            continue;
-        }
-        let (x, y) = (px + 0.5, py + 0.5);
-        let (column, row) = (x as usize, y as usize);
-        let (right, lower) = (x - column as f32, y - row as f32);
-        for (below, dy) in [(0, lower), (1, 1.0 - lower)] {
-            for (beside, dx) in [(0, right), (1, 1.0 - right)] {
-                // One more than the pixel's column and row.
-                let (u, v) = (column + beside, row + below);
-                let inside = u > 0 && v > 0 && u <= w && v <= h;
-                if inside && dx < REACH_PX && dy < REACH_PX {
-                    f((v - 1) * w + u - 1, (1.0 - dx) * (1.0 - dy), [inverse, std_err]);
-                }
+fn each_reached(places: &[Place], [w, h]: [usize; 2], mut act: impl FnMut(usize, f32, &Place)) {
+    // Pixels whose centres are nearer than `reach` to `at`. Casts saturate; of NaN they give 0.
+    let span = |at: f32, reach: f32, size: usize| {
+        let first = (at - 0.5 - reach).floor() + 1.0;
+        let end = (at - 0.5 + reach).ceil();
+        first as usize..(end as usize).min(size)
+    };
+    for place in places {
+        let reach = REACH_PX * place.size;
+        let near = |at: f32, k: usize| 1.0 - (k as f32 + 0.5 - at).abs() / place.size;
+        for v in span(place.y, reach, h) {
+            for u in span(place.x, reach, w) {
+                act(v * w + u, near(place.x, u) * near(place.y, v), place);
             }
         }
     }

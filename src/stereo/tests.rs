@@ -17,8 +17,11 @@ const BOARD_M: f64 = 1.2;
 const BOARD: [f64; 4] = [-0.16, 0.14, -0.12, 0.15];
 
 fn camera_at(center: [f64; 3]) -> Camera {
-    let model =
-        CameraModel::Pinhole { fx: FOCAL_PX, fy: FOCAL_PX, cx: W as f64 / 2.0, cy: H as f64 / 2.0 };
+    with_lens(center, FOCAL_PX)
+}
+
+fn with_lens(center: [f64; 3], f: f64) -> Camera {
+    let model = CameraModel::Pinhole { fx: f, fy: f, cx: W as f64 / 2.0, cy: H as f64 / 2.0 };
     Camera { width: W, height: H, model, ..pinhole_at(center) }
 }
 
@@ -36,8 +39,8 @@ fn texture(x: f64, y: f64, seed: f64) -> f32 {
 /// Depth and grey value of a pixel: a wall, and a board before it.
 fn seen(camera: &Camera, x: usize, y: usize) -> (f64, f32) {
     let center = camera.center();
-    let rx = (x as f64 + 0.5 - W as f64 / 2.0) / FOCAL_PX;
-    let ry = (y as f64 + 0.5 - H as f64 / 2.0) / FOCAL_PX;
+    let rx = (x as f64 + 0.5 - W as f64 / 2.0) / camera.focal_px();
+    let ry = (y as f64 + 0.5 - H as f64 / 2.0) / camera.focal_px();
     let depth = BOARD_M - center.z;
     let (bx, by) = (center.x + rx * depth, center.y + ry * depth);
     let [left, right, upper, lower] = BOARD;
@@ -141,6 +144,23 @@ fn the_fused_surface_is_that_of_the_scene_in_any_view() {
         let (px, _) = errors_of(&target, |k| 1.0 / f64::from(fused.data()[k]), |_| 1.0, 8);
         let wrong = px.iter().filter(|e| **e > 0.5).count() as f64 / px.len() as f64;
         assert!(px[px.len() / 2] < 0.03 && wrong < 0.03, "{center:?}: {wrong}");
+    }
+}
+
+/// Where a camera's pixel is several of the view's: the wall doesn't show between those of the board.
+#[test]
+fn the_fused_surface_has_no_holes_where_the_view_enlarges() {
+    let (cameras, depths) = depths_of_all(&StereoOptions::default());
+    let pairs = cameras.iter().zip(&depths);
+    let surfaces: Vec<Surface> = pairs.map(|(camera, depths)| Surface { camera, depths }).collect();
+    for (center, focal_px, margin) in
+        [([0.02, 0.0, 0.7], FOCAL_PX, 16), ([0.03, 0.0, 0.0], 3.0 * FOCAL_PX, 24)]
+    {
+        let target = with_lens(center, focal_px);
+        let fused = fuse(&target, &surfaces);
+        let (px, _) = errors_of(&target, |k| 1.0 / f64::from(fused.data()[k]), |_| 1.0, margin);
+        let wrong = px.iter().filter(|e| **e > 0.5).count() as f64 / px.len() as f64;
+        assert!(px.len() > 1000 && wrong < 0.03, "{focal_px}: {wrong} of {}", px.len());
     }
 }
 

@@ -1,8 +1,8 @@
 //! Views and synchronized images against the truth, beside what true parts would give and beside other programs.
 //!
-//! `cargo bench --bench picture -- rig RIG.json OUT.json [--synchronized | --pan N]` writes the rig with the views
-//! that are measured: halfway between the middle cameras, beside that, 12 cm above it, and 12 cm ahead. All
-//! shutters are the reference's, or the views are those of a pan, if wanted.
+//! `cargo bench --bench picture -- rig RIG.json OUT.json [--synchronized | --pan N | --close]` writes the rig with the
+//! views that are measured: halfway between the middle cameras, beside that, 12 cm above it, and 12 cm ahead. All
+//! shutters are the reference's, or the views are those of a pan, or such as enlarge, if wanted.
 //!
 //! `cargo bench --bench picture -- CAPTURE… [--instants N] [--out DIR] [--alone]`: filmed captures with `truth/`.
 //! Clocks are the true ones. Prints PSNR and FLIP of all pixels whose point some camera sees, and of the moving
@@ -122,7 +122,7 @@ impl Arguments {
         let (mut words, mut options) = (Vec::new(), Vec::new());
         while let Some(arg) = all.next() {
             match arg.strip_prefix("--") {
-                Some(name @ ("synchronized" | "alone")) => {
+                Some(name @ ("synchronized" | "alone" | "close")) => {
                     options.push((name.to_owned(), String::new()));
                 }
                 Some(name @ ("instants" | "out" | "options" | "with" | "pan")) => {
@@ -142,10 +142,14 @@ impl Arguments {
 }
 
 fn write_rig(from: &str, to: &str, arguments: &Arguments) -> Result<(), Error> {
-    let purpose = match (arguments.option("pan"), arguments.option("synchronized")) {
-        (Some(count), _) => Purpose::Pan(count.parse()?),
-        (None, Some(_)) => Purpose::Synchronized,
-        (None, None) => Purpose::Views,
+    let purpose = if let Some(count) = arguments.option("pan") {
+        Purpose::Pan(count.parse()?)
+    } else if arguments.option("synchronized").is_some() {
+        Purpose::Synchronized
+    } else if arguments.option("close").is_some() {
+        Purpose::Close
+    } else {
+        Purpose::Views
     };
     rig::write(from, to, purpose)
 }

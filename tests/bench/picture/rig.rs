@@ -6,16 +6,25 @@ use std::path::Path;
 use stlfr::camera::PoseFormat;
 use stlfr::rig::{Rig, RigView};
 
-/// A view: its name, its place along the rig as a share of half the rig's width, and metres from there.
-type View = (&'static str, f64, [f64; 3]);
+/// A view: its name, its place along the rig as a share of half the rig's width, metres from there, and how many
+/// times as long its lens is as a camera's.
+type View = (&'static str, f64, [f64; 3], f64);
 
 /// The views of the benchmark. Of eight cameras in a line, `between` and `side` are halfway between two, and the
 /// others are above and in front of one.
 const VIEWS: [View; 4] = [
-    ("between", 0.0, [0.0; 3]),
-    ("side", -4.0 / 7.0, [0.0; 3]),
-    ("high", -1.0 / 7.0, [0.0, -0.12, 0.0]),
-    ("ahead", 1.0 / 7.0, [0.0, 0.0, 0.12]),
+    ("between", 0.0, [0.0; 3], 1.0),
+    ("side", -4.0 / 7.0, [0.0; 3], 1.0),
+    ("high", -1.0 / 7.0, [0.0, -0.12, 0.0], 1.0),
+    ("ahead", 1.0 / 7.0, [0.0, 0.0, 0.12], 1.0),
+];
+
+/// Views that enlarge what the cameras see.
+const CLOSE: [View; 4] = [
+    ("near", 0.0, [0.0, 0.0, 0.5], 1.0),
+    ("zoom2", 0.0, [0.0; 3], 2.0),
+    ("zoom4", 0.0, [0.0; 3], 4.0),
+    ("zoom8", 0.0, [0.0; 3], 8.0),
 ];
 
 /// Views of the pan, in rigs and truths: this and their number.
@@ -34,7 +43,9 @@ pub enum Purpose {
     Views,
     /// The same, with all shutters at the reference's.
     Synchronized,
-    /// The first of them, and a pan of so many views.
+    /// Those that enlarge.
+    Close,
+    /// The first view that is measured, and a pan of so many.
     Pan(usize),
 }
 
@@ -49,7 +60,7 @@ pub fn write(from: &str, to: &str, purpose: Purpose) -> Result<(), Error> {
     let mut poses = poses?;
     poses.sort_by(|a, b| a.translation.x.total_cmp(&b.translation.x));
     let lens = rig.cameras[0].view();
-    let view = |id: &str, share: f64, offset: [f64; 3]| {
+    let view = |id: &str, share: f64, offset: [f64; 3], enlarged: f64| {
         let from_rig = (on_rig(&poses, share) * Translation3::from(offset)).inverse();
         let round = |v: f64| (v * DECIMALS).round() / DECIMALS + 0.0;
         let q = from_rig.rotation;
@@ -57,17 +68,22 @@ pub fn write(from: &str, to: &str, purpose: Purpose) -> Result<(), Error> {
             rotation_wxyz: [q.w, q.i, q.j, q.k].map(round),
             translation: from_rig.translation.vector.map(round).into(),
         };
-        RigView { id: id.to_owned(), cam_from_rig, ..lens.clone() }
+        let mut view = RigView { id: id.to_owned(), cam_from_rig, ..lens.clone() };
+        view.lens_mm *= enlarged;
+        view
     };
+    let all =
+        |views: &[View]| views.iter().map(|(id, at, off, by)| view(id, *at, *off, *by)).collect();
     let [left, right] = PAN_SHARES;
     rig.views = match purpose {
         Purpose::Pan(count) => {
             let step = (right - left) / count.saturating_sub(1).max(1) as f64;
             let share = |k: usize| left + step * k as f64;
-            let pan = (0..count).map(|k| view(&format!("{PAN}{k:03}"), share(k), [0.0; 3]));
-            [view("between", 0.0, [0.0; 3])].into_iter().chain(pan).collect()
+            let pan = (0..count).map(|k| view(&format!("{PAN}{k:03}"), share(k), [0.0; 3], 1.0));
+            [view("between", 0.0, [0.0; 3], 1.0)].into_iter().chain(pan).collect()
         }
-        _ => VIEWS.iter().map(|(id, share, offset)| view(id, *share, *offset)).collect(),
+        Purpose::Close => all(&CLOSE),
+        Purpose::Views | Purpose::Synchronized => all(&VIEWS),
     };
     let folder = Path::new(to).parent().ok_or("has no folder")?;
     std::fs::create_dir_all(folder)?;
