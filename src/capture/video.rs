@@ -34,7 +34,8 @@ const CACHE: &str = ".stlfr/video";
 
 /// Lists a folder's frames. It is written last.
 const INDEX_FILE: &str = "frames.json";
-/// Where the hashes that frames had are remembered.
+/// Ending of the file beside a folder in which the hashes that its frames had are remembered. Inside, it would be
+/// written while another process replaces the folder.
 const HASHES_FILE: &str = "hashes.json";
 /// Part of its key: changed whenever the same frame has another hash.
 const HASHES: &str = "hashes-1";
@@ -129,17 +130,17 @@ fn holds(folder: &Path, index: &Index) -> bool {
 /// The hashes of a folder's first frames, which are read if any has changed.
 fn hashes(folder: &Path, frames: usize) -> io::Result<Vec<String>> {
     let files: Vec<PathBuf> = (0..frames).map(|k| folder.join(frame_name(k))).collect();
-    let read = || hash_all(&files);
-    remembered(&folder.join(HASHES_FILE), HASHES, files.iter().map(PathBuf::as_path), read)
+    let memory = folder.with_extension(HASHES_FILE);
+    remembered(&memory, HASHES, files.iter().map(PathBuf::as_path), || hash_all(folder, frames))
 }
 
-fn hash_all(files: &[PathBuf]) -> io::Result<Vec<String>> {
-    let of = |file: &PathBuf| {
+fn hash_all(folder: &Path, frames: usize) -> io::Result<Vec<String>> {
+    let of = |k| {
         let mut hasher = blake3::Hasher::new();
-        hash_file(&mut hasher, file)?;
+        hash_file(&mut hasher, &folder.join(frame_name(k)))?;
         Ok(hasher.finalize().to_hex().to_string())
     };
-    files.par_iter().map(of).collect()
+    (0..frames).into_par_iter().map(of).collect()
 }
 
 /// Where a video's frames are cached, and the key that they are cached by.
@@ -224,7 +225,7 @@ fn decode_into(
         return Err(wrong(format!("'{name}' has no frames, or some without a time stamp")));
     }
     let failed = |source| CaptureError::Write { path: folder.join(INDEX_FILE), source };
-    let frames = hashes(folder, frames).map_err(failed)?;
+    let frames = hash_all(folder, frames).map_err(failed)?;
     let index = Index { times_s: decoded.times_s, frames };
     cache_file::save(&folder.join(INDEX_FILE), cache.key, &index).map_err(failed)?;
     Ok(index)
@@ -281,18 +282,20 @@ mod tests {
 
     #[test]
     fn an_index_that_decoding_can_not_have_made_does_not_hold() {
-        let folder = tempfile::tempdir().unwrap();
+        let cache = tempfile::tempdir().unwrap();
+        let folder = cache.path().join("0");
+        std::fs::create_dir(&folder).unwrap();
         let whole = |times_s: &[f64], frames: &[String]| {
             let index = Index { times_s: times_s.to_vec(), frames: frames.to_vec() };
-            cache_file::save(&folder.path().join(INDEX_FILE), "k", &index).unwrap();
+            cache_file::save(&folder.join(INDEX_FILE), "k", &index).unwrap();
             let notes = std::cell::Cell::new(0);
-            let found = whole(folder.path(), "k", |_| notes.set(notes.get() + 1));
+            let found = whole(&folder, "k", |_| notes.set(notes.get() + 1));
             assert_eq!(notes.get(), usize::from(found.is_none()));
             found.is_some()
         };
-        let frame = folder.path().join(frame_name(0));
+        let frame = folder.join(frame_name(0));
         std::fs::write(&frame, "pixels").unwrap();
-        let hash = hashes(folder.path(), 1).unwrap();
+        let hash = hashes(&folder, 1).unwrap();
         assert!(whole(&[0.0], &hash));
         assert!(!whole(&[], &[]), "no frames");
         assert!(!whole(&[0.0, 1.0], &hash) && !whole(&[], &hash), "other stamps than frames");
@@ -302,8 +305,27 @@ mod tests {
         let elsewhere = tempfile::tempdir().unwrap();
         std::fs::rename(&frame, elsewhere.path().join("0")).unwrap();
         std::os::unix::fs::symlink(elsewhere.path().join("0"), &frame).unwrap();
-        assert_eq!(hashes(folder.path(), 1).unwrap(), hash);
+        assert_eq!(hashes(&folder, 1).unwrap(), hash);
         assert!(!whole(&[0.0], &hash), "a link");
+    }
+
+    /// Who holds the lock may remove the folder meanwhile.
+    #[test]
+    fn a_folder_whose_frames_are_checked_is_not_written_to() {
+        let cache = tempfile::tempdir().unwrap();
+        let folder = cache.path().join("0");
+        std::fs::create_dir(&folder).unwrap();
+        std::fs::write(folder.join(frame_name(0)), "pixels").unwrap();
+        let memory = folder.with_extension(HASHES_FILE);
+        for _ in 0..100 {
+            hashes(&folder, 1).unwrap();
+            if memory.exists() {
+                break; // the frame has settled
+            }
+            std::thread::sleep(std::time::Duration::from_millis(100));
+        }
+        assert!(memory.exists());
+        assert_eq!(folder.read_dir().unwrap().count(), 1);
     }
 
     #[test]

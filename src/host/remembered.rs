@@ -12,8 +12,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 /// FAT are even seconds. Larger: what was just filmed is read more often. Smaller: a change may go unseen.
 const SETTLED: Duration = Duration::from_secs(3);
 
-/// What tells that a file has changed, as Git's index has it: its number, its size, and the times of the last change of
-/// its content and of its entry. Nobody sets the latter at will.
+/// What tells that a file has changed, as Git's index has it: its disk and number, its size, and the times of the last
+/// change of its content and of its entry. Where a disk keeps the latter, nobody sets it at will.
 struct Traces {
     key: String,
     /// The latest of all times, nanoseconds since 1970.
@@ -26,7 +26,7 @@ impl Traces {
         let mut latest_ns = i128::MIN;
         for file in files {
             let found = std::fs::metadata(file)?;
-            for number in [found.ino(), found.size()] {
+            for number in [found.dev(), found.ino(), found.size()] {
                 hasher.update(&number.to_le_bytes());
             }
             let times = [found.mtime(), found.mtime_nsec(), found.ctime(), found.ctime_nsec()];

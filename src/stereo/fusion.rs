@@ -203,8 +203,8 @@ struct Place {
     /// Pixels; NaN where the view doesn't see it.
     x: f32,
     y: f32,
-    /// How many pixels of the view it is wide; at least 1.
-    size: f32,
+    /// Pixels of the camera that a pixel of the view is wide; at most 1.
+    step: f32,
     inverse: f32,
     std_err: f32,
 }
@@ -214,7 +214,7 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<Candidate> {
     let (w, h) = (target.width, target.height);
     let camera = surface.camera;
     let relative = Relative::new(camera, target);
-    let enlarged = (target.focal_px() / camera.focal_px()) as f32;
+    let reduced = (camera.focal_px() / target.focal_px()) as f32;
     let mut rays = RayRow::new(camera);
     let mut places = Vec::with_capacity(surface.depths.values.len());
     for y in 0..camera.height {
@@ -225,10 +225,10 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<Candidate> {
             let turned = relative.turned(rays.x[x] as f32, rays.y[x] as f32);
             let q = relative.point(&turned, inverse);
             let [px, py] = relative.pixel(&q);
-            // Behind the view q.z is not positive, and the pixel is NaN. Just before it, a pixel is as wide as the view.
-            let (size, scale) = ((enlarged / q.z).clamp(1.0, w.max(h) as f32), 1.0 / q.z);
+            // Behind the view q.z is not positive, and the pixel is NaN. Just before it, a pixel fills the view.
+            let (step, scale) = ((q.z * reduced).clamp(1.0 / w.max(h) as f32, 1.0), 1.0 / q.z);
             let (inverse, std_err) = (inverse * scale, std_err * scale);
-            places.push(Place { x: px, y: py, size, inverse, std_err });
+            places.push(Place { x: px, y: py, step, inverse, std_err });
         }
     }
     let mut nearest = vec![0.0_f32; w * h];
@@ -252,19 +252,47 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<Candidate> {
 
 /// The pixels that each place reaches, with a weight by nearness.
 fn each_reached(places: &[Place], [w, h]: [usize; 2], mut act: impl FnMut(usize, f32, &Place)) {
-    // Pixels whose centres are nearer than `reach` to `at`. Casts saturate; of NaN they give 0.
-    let span = |at: f32, reach: f32, size: usize| {
+    for place in places {
+        if place.step <= REACH_PX {
+            each_around(place, [w, h], &mut act);
+            continue;
+        }
+        // No pixel but the four around the place is in reach.
+        // Positions from −1 on, so that truncation rounds down; also false for NaN.
+        let inside = |at: f32, size: usize| at > -0.5 && at < size as f32 + 0.5;
+        if !(inside(place.x, w) && inside(place.y, h)) {
+            continue;
+        }
+        let (x, y) = (place.x + 0.5, place.y + 0.5);
+        let (column, row) = (x as usize, y as usize);
+        let (right, lower) = (x - column as f32, y - row as f32);
+        for (below, dy) in [(0, lower), (1, 1.0 - lower)] {
+            for (beside, dx) in [(0, right), (1, 1.0 - right)] {
+                let (dx, dy) = (dx * place.step, dy * place.step);
+                // One more than the pixel's column and row.
+                let (u, v) = (column + beside, row + below);
+                let inside = u > 0 && v > 0 && u <= w && v <= h;
+                if inside && dx < REACH_PX && dy < REACH_PX {
+                    act((v - 1) * w + u - 1, (1.0 - dx) * (1.0 - dy), place);
+                }
+            }
+        }
+    }
+}
+
+/// The same where a place reaches beyond the four pixels around it.
+fn each_around(place: &Place, [w, h]: [usize; 2], act: &mut impl FnMut(usize, f32, &Place)) {
+    let reach = REACH_PX / place.step;
+    // Pixels whose centres are nearer than that. Casts saturate; of NaN they give 0.
+    let span = |at: f32, size: usize| {
         let first = (at - 0.5 - reach).floor() + 1.0;
         let end = (at - 0.5 + reach).ceil();
         first as usize..(end as usize).min(size)
     };
-    for place in places {
-        let reach = REACH_PX * place.size;
-        let near = |at: f32, k: usize| 1.0 - (k as f32 + 0.5 - at).abs() / place.size;
-        for v in span(place.y, reach, h) {
-            for u in span(place.x, reach, w) {
-                act(v * w + u, near(place.x, u) * near(place.y, v), place);
-            }
+    let near = |at: f32, k: usize| 1.0 - (k as f32 + 0.5 - at).abs() * place.step;
+    for v in span(place.y, h) {
+        for u in span(place.x, w) {
+            act(v * w + u, near(place.x, u) * near(place.y, v), place);
         }
     }
 }
