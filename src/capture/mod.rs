@@ -220,8 +220,8 @@ impl Capture {
     /// A hash of all that an estimate from this capture depends on: `capture.json` and the bytes of
     /// the frames or videos. 64 hexadecimal digits.
     ///
-    /// Where the capture has caches, it is remembered there. Files are read again if any has changed, or changed in the
-    /// last seconds before they were read.
+    /// Where the capture has caches, it is remembered there. Files are read again if any has changed since, or had changed
+    /// only seconds before.
     pub fn content_hash(&self) -> Result<String, CaptureError> {
         let description = self.folder.join(CAPTURE_FILE);
         let frames = self.cameras.iter().filter(|c| c.video.is_none()).flat_map(|c| &c.frames);

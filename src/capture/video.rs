@@ -34,9 +34,9 @@ const CACHE: &str = ".stlfr/video";
 
 /// Lists a folder's frames. It is written last.
 const INDEX_FILE: &str = "frames.json";
-/// Ending of the file beside a folder in which the hashes that its frames had are remembered. Inside, it would be
-/// written while another process replaces the folder.
-const HASHES_FILE: &str = "hashes.json";
+/// Extension of the file beside a folder that remembers the hashes of its frames. Inside, it would be written while
+/// another process replaces the folder.
+const HASHES_EXTENSION: &str = "hashes.json";
 /// Part of its key: changed whenever the same frame has another hash.
 const HASHES: &str = "hashes-1";
 
@@ -130,7 +130,7 @@ fn holds(folder: &Path, index: &Index) -> bool {
 /// The hashes of a folder's first frames, which are read if any has changed.
 fn hashes(folder: &Path, frames: usize) -> io::Result<Vec<String>> {
     let files: Vec<PathBuf> = (0..frames).map(|k| folder.join(frame_name(k))).collect();
-    let memory = folder.with_extension(HASHES_FILE);
+    let memory = folder.with_extension(HASHES_EXTENSION);
     remembered(&memory, HASHES, files.iter().map(PathBuf::as_path), || hash_all(folder, frames))
 }
 
@@ -316,7 +316,7 @@ mod tests {
         let folder = cache.path().join("0");
         std::fs::create_dir(&folder).unwrap();
         std::fs::write(folder.join(frame_name(0)), "pixels").unwrap();
-        let memory = folder.with_extension(HASHES_FILE);
+        let memory = folder.with_extension(HASHES_EXTENSION);
         for _ in 0..100 {
             hashes(&folder, 1).unwrap();
             if memory.exists() {

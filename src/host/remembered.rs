@@ -12,8 +12,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 /// FAT are even seconds. Larger: what was just filmed is read more often. Smaller: a change may go unseen.
 const SETTLED: Duration = Duration::from_secs(3);
 
-/// What tells that a file has changed, as Git's index has it: its disk and number, its size, and the times of the last
-/// change of its content and of its entry. Where a disk keeps the latter, nobody sets it at will.
+/// What tells that a file has changed, as Git's index has it: its file system and number, its size, and the times of
+/// the last change of its content and of its entry. Where the file system keeps the latter, nobody sets it at will.
 struct Traces {
     key: String,
     /// The latest of all times, nanoseconds since 1970.

@@ -7,7 +7,7 @@
 //!
 //! with θ_i the angle at X between C and C_i. Buehler adds the three parts; multiplied, the
 //! penalty is exactly 0 where the view's centre is the camera's, so that this camera alone
-//! contributes, up to its border: less where weights are interpolated across it
+//! contributes, up to its border, or to the last node before it where weights are interpolated
 //! ([`BlendOptions::weight_step_px`]). It is infinite outside the image, so that ranks change smoothly there.
 //! [`super::weights`] turns penalties into weights.
 //!

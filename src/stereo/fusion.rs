@@ -205,7 +205,9 @@ struct Place {
     y: f32,
     /// Pixels of the camera that a pixel of the view is wide; at most 1.
     step: f32,
+    /// In the view, 1/m.
     inverse: f32,
+    /// 1/m.
     std_err: f32,
 }
 
@@ -253,46 +255,18 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<Candidate> {
 /// The pixels that each place reaches, with a weight by nearness.
 fn each_reached(places: &[Place], [w, h]: [usize; 2], mut act: impl FnMut(usize, f32, &Place)) {
     for place in places {
-        if place.step <= REACH_PX {
-            each_around(place, [w, h], &mut act);
-            continue;
-        }
-        // No pixel but the four around the place is in reach.
-        // Positions from −1 on, so that truncation rounds down; also false for NaN.
-        let inside = |at: f32, size: usize| at > -0.5 && at < size as f32 + 0.5;
-        if !(inside(place.x, w) && inside(place.y, h)) {
-            continue;
-        }
-        let (x, y) = (place.x + 0.5, place.y + 0.5);
-        let (column, row) = (x as usize, y as usize);
-        let (right, lower) = (x - column as f32, y - row as f32);
-        for (below, dy) in [(0, lower), (1, 1.0 - lower)] {
-            for (beside, dx) in [(0, right), (1, 1.0 - right)] {
-                let (dx, dy) = (dx * place.step, dy * place.step);
-                // One more than the pixel's column and row.
-                let (u, v) = (column + beside, row + below);
-                let inside = u > 0 && v > 0 && u <= w && v <= h;
-                if inside && dx < REACH_PX && dy < REACH_PX {
-                    act((v - 1) * w + u - 1, (1.0 - dx) * (1.0 - dy), place);
-                }
+        let reach = REACH_PX / place.step;
+        // Pixels whose centres are nearer than that. Casts round down, saturate, and give 0 for NaN.
+        let span = |at: f32, size: usize| {
+            (at + 0.5 - reach) as usize..((at + 0.5 + reach) as usize).min(size)
+        };
+        let near = |at: f32, k: usize| 1.0 - (k as f32 + 0.5 - at).abs() * place.step;
+        let columns = span(place.x, w);
+        for v in span(place.y, h) {
+            let near_row = near(place.y, v);
+            for u in columns.clone() {
+                act(v * w + u, near(place.x, u) * near_row, place);
             }
-        }
-    }
-}
-
-/// The same where a place reaches beyond the four pixels around it.
-fn each_around(place: &Place, [w, h]: [usize; 2], act: &mut impl FnMut(usize, f32, &Place)) {
-    let reach = REACH_PX / place.step;
-    // Pixels whose centres are nearer than that. Casts saturate; of NaN they give 0.
-    let span = |at: f32, size: usize| {
-        let first = (at - 0.5 - reach).floor() + 1.0;
-        let end = (at - 0.5 + reach).ceil();
-        first as usize..(end as usize).min(size)
-    };
-    let near = |at: f32, k: usize| 1.0 - (k as f32 + 0.5 - at).abs() * place.step;
-    for v in span(place.y, h) {
-        for u in span(place.x, w) {
-            act(v * w + u, near(place.x, u) * near(place.y, v), place);
         }
     }
 }

@@ -1,8 +1,8 @@
 //! Views and synchronized images against the truth, beside what true parts would give and beside other programs.
 //!
 //! `cargo bench --bench picture -- rig RIG.json OUT.json [--synchronized | --pan N | --close]` writes the rig with the
-//! views that are measured: halfway between the middle cameras, beside that, 12 cm above it, and 12 cm ahead. All
-//! shutters are the reference's, or the views are those of a pan, or such as enlarge, if wanted.
+//! views that are measured: halfway between the middle cameras, beside that, 12 cm above it, and 12 cm ahead. If
+//! wanted, all shutters are the reference's, or the views are those of a pan, or ones that enlarge.
 //!
 //! `cargo bench --bench picture -- CAPTURE… [--instants N] [--out DIR] [--alone]`: filmed captures with `truth/`.
 //! Clocks are the true ones. Prints PSNR and FLIP of all pixels whose point some camera sees, and of the moving

@@ -43,7 +43,7 @@ pub enum Purpose {
     Views,
     /// The same, with all shutters at the reference's.
     Synchronized,
-    /// Those that enlarge.
+    /// Views that enlarge what the cameras see.
     Close,
     /// The first view that is measured, and a pan of so many.
     Pan(usize),
