@@ -107,6 +107,18 @@
 //! Times are seconds on the reference camera's clock. Outside of what the cameras recorded there is no
 //! image; the message states the times that there are.
 //!
+//! # In the browser
+//!
+//! `stlfr view CAPTURE` opens a page, and ends with Ctrl+C. Drag to move the viewpoint, turn the wheel to
+//! zoom, play the recording, slow it down, or stop time and move along the cameras. ST-LFR, traditional light
+//! field rendering, the truth and *which cameras a pixel comes from* stand beside each other, with a border
+//! to drag. *Save* gives the picture, and the `view.json` that `stlfr render --camera` takes. A link keeps
+//! the place. `?` lists the keys; the keyboard alone suffices.
+//!
+//! While something changes, the page shows what keeps up; at rest, the options of the command line:
+//! `--preset` and `--options` are those of `render`. The page is served on this machine alone, at an address
+//! with a random token.
+//!
 //! # From Python
 //!
 //! `stlfr setup` installs the module `stlfr` into `.venv`. It has type stubs, releases the GIL, and
@@ -129,6 +141,31 @@
 //! `stlfr.methods()` lists the methods of each stage. `capture.render(..., proceed=f)` calls
 //! `f(done, total)` before every step of every instant, and stops if it returns something false.
 //! `capture.moment(0.1).view(camera)` renders many views of one instant, what they share but once.
+//!
+//! # Limits
+//!
+//! - Something must move, and not only along the line of cameras. Otherwise offsets are unknown, and the
+//!   program says so.
+//! - Where only thin or plain objects move, offsets are off by up to 0.01 frame over 12 frames. Their error
+//!   bars say so.
+//! - Lost frames are found only where other cameras film around them. One lost at a recording's very start
+//!   or end may be missed. Several cameras that lose a frame at nearly the same time hide each other's
+//!   losses: their offsets are unknown where several places fit.
+//! - COLMAP confirms a calibration only as finely as the images show it. With small, noisy or distant
+//!   images, larger errors pass the check. It says how large. With few features and much noise it can name
+//!   cameras that are right.
+//! - Cameras' gains and white balances are corrected by one factor a channel for the whole recording.
+//!   Automatic exposure is not followed.
+//! - Bodies that move by more than 60 pixels a frame lose their tracks. They are blurred, and their depth is
+//!   wrong.
+//! - Thin things that move further than they are thick, as a pendulum's rod, vanish between two frames.
+//! - In narrow gaps between bodies that move along the line of cameras, what is behind them gets their
+//!   motion. There, OpenCV's DIS interpolates up to 0.5 dB better.
+//! - A body that bounces between two frames is misplaced in a camera's image. `--sync all-cameras` takes it
+//!   from cameras that filmed it then.
+//! - `capture --engine workbench` films instants. A camera with an exposure time needs Cycles.
+//! - The Blender extension is tested in `bpy` without a window. `tests/window/walk.py` tries it in a window,
+//!   by hand, with software OpenGL; no graphics card has drawn it yet.
 //!
 //! # Conventions
 //!
