@@ -59,7 +59,7 @@
 //! ```text
 //! text
 //! host method progress random
-//! json
+//! json option
 //! raster
 //! camera video metrics chart
 //! capture
@@ -81,7 +81,7 @@
 //! | [`host`] | files read within bounds and written whole, child processes, signals, clocks, caches |
 //! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; pseudo-random numbers, the same on every machine |
 //! | [`text`] | names and sentences, as they may reach a terminal or another program's file |
-//! | [`method`] | names of what a user chooses among |
+//! | [`method`], [`option`] | names of what a user chooses among; options, declared once |
 //! | [`raster`] | images as the stages work on them, and image files |
 //! | [`metrics`] | PSNR, SSIM, FLIP, the moving part |
 //! | [`video`] | video files, through ffmpeg |
@@ -189,6 +189,7 @@ pub mod lumigraph;
 pub mod method;
 pub mod metrics;
 pub mod offset;
+pub mod option;
 pub mod options;
 pub mod pipeline;
 pub mod plan;

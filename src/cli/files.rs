@@ -28,15 +28,18 @@ pub fn open_capture(folder: &Path, reporter: &Reporter) -> Result<Capture, CliEr
     Ok(Capture::open_with(folder, &Opening { ffmpeg: ffmpeg.as_deref(), reporter })?)
 }
 
-/// What every stage's options start from.
+/// Options of all stages: a preset's, changed by a file, changed by single options.
 #[derive(Debug, clap::Args)]
 pub struct OptionsArgs {
     /// Named options of all stages: a point of the trade of speed for accuracy.
     #[arg(long, value_name = "NAME", value_parser = method::<Preset>())]
     preset: Option<Preset>,
-    /// Options of all stages, a JSON file; what it has goes before the preset.
+    /// Options of all stages, a JSON file; it overrides the preset.
     #[arg(long, value_name = "FILE")]
     options: Option<PathBuf>,
+    /// One option, such as blend.cameras=4; it overrides the file. See stlfr options.
+    #[arg(long, value_name = "NAME=VALUE")]
+    set: Vec<String>,
 }
 
 impl OptionsArgs {
@@ -44,21 +47,23 @@ impl OptionsArgs {
     pub fn words(&self) -> Vec<String> {
         let preset = self.preset.iter().flat_map(|p| ["--preset".into(), p.name().into()]);
         let file = self.options.iter().flat_map(|f| ["--options".into(), f.display().to_string()]);
-        preset.chain(file).collect()
+        let set = self.set.iter().flat_map(|s| ["--set".into(), s.clone()]);
+        preset.chain(file).chain(set).collect()
     }
 
-    /// The file's options, those of the preset where it has none, checked.
+    /// The options, checked.
     pub fn read(&self) -> Result<RenderOptions, CliError> {
-        match &self.options {
-            Some(path) => read_options(path, self.preset),
-            None => Ok(self.preset.map_or_else(RenderOptions::default, Preset::options)),
+        let mut options = match &self.options {
+            Some(path) => read_options(path, self.preset)?,
+            None => self.preset.map_or_else(RenderOptions::default, Preset::options),
+        };
+        for set in &self.set {
+            let (name, value) = set.split_once('=').unwrap_or((set, ""));
+            let result = options.set(name.trim(), value.trim());
+            result.map_err(|error| CliError::BadInput(format!("--set: {error}")))?;
         }
+        Ok(options)
     }
-}
-
-/// A JSON file of options, checked; the defaults without one.
-pub fn options_or_default(path: Option<&Path>) -> Result<RenderOptions, CliError> {
-    path.map_or_else(|| Ok(RenderOptions::default()), |path| read_options(path, None))
 }
 
 fn read_options(path: &Path, preset: Option<Preset>) -> Result<RenderOptions, CliError> {

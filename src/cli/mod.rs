@@ -8,6 +8,7 @@ mod error;
 mod exchange;
 mod files;
 mod offsets;
+mod options;
 mod outputs;
 mod plan;
 mod prepare;
@@ -59,6 +60,7 @@ enum Command {
     View(view::Args),
     Compare(compare::Args),
     Tradeoff(tradeoff::Args),
+    Options(options::Args),
     Import(exchange::ImportArgs),
     Export(exchange::ExportArgs),
 }
@@ -86,6 +88,7 @@ impl Cli {
             Command::View(args) => view::run(args, &reporter),
             Command::Compare(args) => compare::run(args, page, &reporter),
             Command::Tradeoff(args) => tradeoff::run(args, page, &reporter),
+            Command::Options(args) => options::run(args, page),
             Command::Import(args) => exchange::run_import(args),
             Command::Export(args) => exchange::run_export(args, &reporter),
         }

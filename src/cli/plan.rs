@@ -2,7 +2,7 @@
 
 use super::CliError;
 use super::error::of_io;
-use super::files::{open_capture, options_or_default};
+use super::files::{OptionsArgs, open_capture};
 use super::outputs::Output;
 use super::print::Page;
 use std::path::PathBuf;
@@ -34,13 +34,12 @@ pub struct Args {
     /// Write the options of all stages, with the methods chosen, into a file.
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Options of all stages, a JSON file.
-    #[arg(long, value_name = "FILE")]
-    options: Option<PathBuf>,
+    #[command(flatten)]
+    options: OptionsArgs,
 }
 
 pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    let mut options = options_or_default(args.options.as_deref())?;
+    let mut options = args.options.read()?;
     options.auto.budget_px = args.budget_px.unwrap_or(options.auto.budget_px);
     let given = &options.auto;
     let (budget_px, budget_db) = (given.budget_px, given.budget_db);

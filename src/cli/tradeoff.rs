@@ -1,7 +1,7 @@
 //! `stlfr tradeoff`
 
 use super::CliError;
-use super::files::{open_capture, options_or_default};
+use super::files::{OptionsArgs, open_capture};
 use super::outputs::Output;
 use super::print::Page;
 use super::values::method;
@@ -40,9 +40,8 @@ pub struct Args {
     /// Print JSON and nothing else.
     #[arg(long)]
     json: bool,
-    /// Options that all combinations start from, a JSON file.
-    #[arg(long, value_name = "FILE")]
-    options: Option<PathBuf>,
+    #[command(flatten)]
+    options: OptionsArgs,
 }
 
 /// A count within bounds.
@@ -54,7 +53,7 @@ fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Cl
 }
 
 pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    let base = options_or_default(args.options.as_deref())?;
+    let base = args.options.read()?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
     Output::Folder(&args.output, &FILES).check(Some(&args.capture))?;
     let options = TradeoffOptions {

@@ -13,6 +13,9 @@ use std::sync::Arc;
 /// for the next instant.
 pub(super) const MAX_CACHED_BYTES: usize = 64 << 20;
 
+/// Largest distance of a match from its epipolar line.
+const MAX_EPIPOLAR_PX: f64 = 1.0;
+
 /// A step of the interpolation towards the other frame that is longer is not believed, pixels: the
 /// disparity that it is extrapolated from was wrong. Larger: matches start far off and are lost;
 /// smaller: fast motion is searched for at the wrong place.
@@ -32,10 +35,10 @@ struct Around {
     far: usize,
 }
 
-/// What the correspondences of a camera depend on, besides what the light field was opened with: its frames, those
-/// of its partners, and the limit of distances from epipolar lines, bit by bit.
+/// What the correspondences of a camera depend on, besides what the light field was opened with: its frames and those
+/// of its partners.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) struct CorrespondencesKey(Vec<Around>, u64);
+pub(super) struct CorrespondencesKey(Vec<Around>);
 
 /// Where a feature is in another camera's nearer and in its farther frame, pixels.
 type Matched = [Point2<f64>; 2];
@@ -79,13 +82,13 @@ impl Correspondences {
     pub fn observations<'a>(
         &self,
         field: &'a LightField,
-        Instant { time_s, options }: Instant,
+        Instant { time_s, .. }: Instant,
     ) -> Vec<Observations<'a>> {
         let own = &field.capture().cameras[self.own.camera].camera;
         let mut seen: Vec<Observations> =
             self.features.iter().map(|f| vec![(own, f.at(time_s))]).collect();
         for (around, matched) in &self.partners {
-            field.observe((*around, matched), time_s, options.proxy.max_epipolar_px, &mut seen);
+            field.observe((*around, matched), time_s, &mut seen);
         }
         seen
     }
@@ -107,14 +110,13 @@ impl LightField {
         let cameras = std::iter::once(camera).chain(partners.iter().copied());
         let around: Vec<Around> =
             cameras.map(|c| self.around(c, instant)).collect::<Result<_, _>>()?;
-        let max_epipolar_px = instant.options.proxy.max_epipolar_px;
-        let key = CorrespondencesKey(around.clone(), max_epipolar_px.to_bits());
+        let key = CorrespondencesKey(around.clone());
         if let Some(known) = self.correspondences.get(&key) {
             return Ok(known);
         }
         // Not the instant: what is cached depends on the key alone.
         let time_s = self.middle_s(&around);
-        let found = Arc::new(self.corresponding(&around, time_s, max_epipolar_px)?);
+        let found = Arc::new(self.corresponding(&around, time_s)?);
         self.correspondences.insert(key, found.clone(), found.bytes());
         Ok(found)
     }
@@ -136,7 +138,6 @@ impl LightField {
         &self,
         around: &[Around],
         time_s: f64,
-        max_epipolar_px: f64,
     ) -> Result<Correspondences, RenderError> {
         let cameras = &self.capture().cameras;
         let own = &cameras[around[0].camera].camera;
@@ -159,7 +160,7 @@ impl LightField {
             let wanted =
                 Wanted { frame: &frame, features: &features, disparities: &disparities, time_s };
             let matched = self.matched(partner, &wanted)?;
-            self.observe((partner, &matched), time_s, max_epipolar_px, &mut seen);
+            self.observe((partner, &matched), time_s, &mut seen);
             partners.push((partner, matched));
         }
         Ok(Correspondences { own: around[0], features, partners })
@@ -170,7 +171,6 @@ impl LightField {
         &'a self,
         (around, matched): (Around, &[Option<Matched>]),
         time_s: f64,
-        max_epipolar_px: f64,
         seen: &mut [Observations<'a>],
     ) {
         let other = &self.capture().cameras[around.camera].camera;
@@ -190,7 +190,7 @@ impl LightField {
                 .and_then(|p_i| geometry.line_in_j(&p_i))
                 .zip(other.model.ideal_from_pixel(&p))
                 .map(|(line, p_j)| line.distance(&p_j).abs());
-            if off_line.is_some_and(|d| d <= max_epipolar_px) {
+            if off_line.is_some_and(|d| d <= MAX_EPIPOLAR_PX) {
                 seen.push((other, p));
             }
         }

@@ -15,20 +15,22 @@ use std::sync::Arc;
 /// saves triangulating again for another view of an earlier instant.
 pub(super) const MAX_CACHED_POINTS: usize = 1 << 19;
 
+/// Largest reprojection error of a point (root mean square).
+const MAX_REPROJECTION_ERROR_PX: f64 = 0.7;
+
 /// All that the points of a camera depend on, besides what the light field was opened with.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) struct PointsKey {
     camera: usize,
     partners: Vec<usize>,
     /// The time and the options, bit by bit.
-    numbers: [u64; 4],
+    numbers: [u64; 2],
 }
 
 impl PointsKey {
     fn new(camera: usize, partners: &[usize], Instant { time_s, options }: Instant) -> Self {
-        let (epipolar, error) = (options.proxy.max_epipolar_px, options.proxy.max_error_px);
         let still_change = f64::from(options.interpolation.still_change);
-        let numbers = [time_s, epipolar, error, still_change].map(f64::to_bits);
+        let numbers = [time_s, still_change].map(f64::to_bits);
         Self { camera, partners: partners.to_vec(), numbers }
     }
 }
@@ -139,13 +141,12 @@ impl LightField {
         partners: &[usize],
         instant: Instant,
     ) -> Result<Vec<Point3<f64>>, RenderError> {
-        let options = &instant.options.proxy;
         let seen = self.correspondences(camera, partners, instant)?.observations(self, instant);
         Ok(seen
             .iter()
             .filter(|observations| observations.len() > 1)
             .filter_map(|observations| triangulate(observations))
-            .filter(|t| t.rms_px <= options.max_error_px)
+            .filter(|t| t.rms_px <= MAX_REPROJECTION_ERROR_PX)
             .map(|t| t.point)
             .collect())
     }

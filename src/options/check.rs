@@ -1,24 +1,14 @@
 //! Which options can be worked with. One table: outside it, a stage would divide by nothing, run
 //! for hours, or take the machine's memory.
 
-use super::{AutoOptions, ProxyOptions, RenderOptions, TrailOptions};
+use super::RenderOptions;
 use crate::interpolation::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
 use crate::lumigraph::{BlendOptions, MeshOptions};
 use crate::offset::OffsetOptions;
+use crate::option::{DeclaredOption, OptionError, OptionField, OptionValue};
 use crate::registration::{CornerOptions, KltOptions, RegistrationOptions};
 use crate::stereo::StereoOptions;
 use std::ops::RangeInclusive;
-
-/// An option out of its range.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("{field}: is {value:?}, must be from {min:?} to {max:?}")]
-pub struct OptionError {
-    /// As in the file, such as `registration.klt.levels`.
-    pub field: String,
-    pub value: f64,
-    pub min: f64,
-    pub max: f64,
-}
 
 type Checked = Result<(), OptionError>;
 
@@ -32,18 +22,32 @@ const COUNT: RangeInclusive<f64> = 0.0..=1e6;
 const SOME: RangeInclusive<f64> = 1.0..=1e6;
 
 impl RenderOptions {
-    /// Refuses what no stage can work with. To be called where options come from outside: a file,
-    /// the command line, Python.
-    pub fn check(&self) -> Checked {
+    pub(super) fn check_undeclared(&self) -> Checked {
         registration(&self.registration)?;
         offset(&self.offset)?;
         interpolation(&self.interpolation)?;
-        proxy(&self.proxy)?;
-        blend(&self.blend)?;
-        trail(&self.trail)?;
-        auto(&self.auto)
+        mesh(&self.proxy.mesh)?;
+        depth(&self.proxy.depth)?;
+        blend(&self.blend)
     }
 }
+
+/// Groups of options that are not yet declared by `options!`.
+macro_rules! undeclared {
+    ($($group:ty),*) => { $(
+        impl OptionValue for $group {
+            fn declare(&self, _: &Self, _: OptionField, _: &mut Vec<DeclaredOption>) {}
+        }
+    )* };
+}
+undeclared!(
+    RegistrationOptions,
+    OffsetOptions,
+    InterpolationOptions,
+    BlendOptions,
+    MeshOptions,
+    StereoOptions
+);
 
 /// The options `prefix.name`, each with its value and the range that it must be in. NaN is in none.
 fn all_within(prefix: &str, options: &[(&str, f64, RangeInclusive<f64>)]) -> Checked {
@@ -204,21 +208,6 @@ fn refine(o: &RefineOptions) -> Checked {
     )
 }
 
-fn proxy(o: &ProxyOptions) -> Checked {
-    mesh(&o.mesh)?;
-    depth(&o.depth)?;
-    all_within(
-        "proxy",
-        &[
-            ("plane_depth_m", o.plane_depth_m.unwrap_or(1.0), 1e-9..=1e12),
-            ("cameras", o.cameras as f64, SOME),
-            ("partners", o.partners as f64, SOME),
-            ("max_epipolar_px", o.max_epipolar_px, PIXELS),
-            ("max_error_px", o.max_error_px, PIXELS),
-        ],
-    )
-}
-
 fn mesh(o: &MeshOptions) -> Checked {
     all_within(
         "proxy.mesh",
@@ -256,24 +245,6 @@ fn blend(o: &BlendOptions) -> Checked {
             ("resolution", o.resolution, 0.0..=1e6),
             ("hidden_share", o.hidden_share, 0.0..=1000.0),
             ("bridge_rad", o.bridge_rad, 0.0..=1000.0),
-        ],
-    )
-}
-
-fn auto(o: &AutoOptions) -> Checked {
-    all_within(
-        "auto",
-        &[("budget_px", o.budget_px, PIXELS), ("budget_db", o.budget_db, 0.0..=100.0)],
-    )
-}
-
-fn trail(o: &TrailOptions) -> Checked {
-    all_within(
-        "trail",
-        &[
-            ("duration_s", o.duration_s, 0.0..=1e6),
-            // Each is a view of its own.
-            ("instants", o.instants as f64, 1.0..=10_000.0),
         ],
     )
 }

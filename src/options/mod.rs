@@ -8,39 +8,46 @@
 
 mod auto;
 mod check;
+mod parse;
 mod presets;
+mod proxy;
 mod trail;
 
+pub use crate::option::OptionError;
 pub use auto::AutoOptions;
-pub use check::OptionError;
 pub use presets::Preset;
+pub use proxy::{ProxyMethod, ProxyOptions};
 pub use trail::{TrailMode, TrailOptions};
 
 use crate::interpolation::{InterpolationOptions, SyncMethod};
-use crate::lumigraph::{BlendOptions, MeshOptions};
-use crate::method::methods;
+use crate::lumigraph::BlendOptions;
+use crate::method::Method;
 use crate::offset::OffsetOptions;
+use crate::option::{DeclaredOption, OptionField, OptionValue, options, options_schema};
 use crate::registration::RegistrationOptions;
-use crate::stereo::StereoOptions;
-use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 
-/// The options of all stages, as an option file holds them: a JSON object whose missing fields have
-/// their defaults. Unknown fields are refused.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RenderOptions {
-    pub sync: SyncMethod,
-    pub proxy: ProxyOptions,
-    /// Decided when a light field is opened.
-    pub registration: RegistrationOptions,
-    /// Decided when a light field is opened.
-    pub offset: OffsetOptions,
-    pub interpolation: InterpolationOptions,
-    pub blend: BlendOptions,
-    /// Used by `render` only: what is compared with the truth is an instant.
-    pub trail: TrailOptions,
-    /// Which methods the capture decides, in place of those above.
-    pub auto: AutoOptions,
+options! {
+    /// The options of all stages, as an options file holds them: a JSON object whose missing fields
+    /// have their defaults. Unknown fields are refused.
+    pub struct RenderOptions {
+        /// How a camera's image is made at an instant between its frames.
+        sync: SyncMethod = SyncMethod::Refined,
+        /// The geometry proxy (§6).
+        proxy: ProxyOptions,
+        /// Registration (§4); fixed once a light field is open.
+        registration: RegistrationOptions,
+        /// Temporal offsets (§7); fixed once a light field is open.
+        offset: OffsetOptions,
+        /// Temporal interpolation (§5).
+        interpolation: InterpolationOptions,
+        /// Blending of the cameras' images (§6).
+        blend: BlendOptions,
+        /// Temporal integration; for `render` only.
+        trail: TrailOptions,
+        /// Methods that the capture decides, in place of those above.
+        auto: AutoOptions,
+    }
 }
 
 /// How one view of an open light field is rendered. Two views of one light field may have different
@@ -62,6 +69,32 @@ impl ViewOptions {
 }
 
 impl RenderOptions {
+    /// All options, with their declarations and their values here.
+    pub fn declared(&self) -> Vec<DeclaredOption> {
+        let mut options = Vec::new();
+        self.declare(&Self::default(), OptionField::default(), &mut options);
+        options
+    }
+
+    /// The JSON Schema of an options file.
+    pub fn schema() -> Value {
+        let mut schema = options_schema(&Self::default().declared());
+        schema["$schema"] = json!("https://json-schema.org/draft/2020-12/schema");
+        schema["title"] = json!("stlfr options");
+        schema["properties"]["preset"] = json!({
+            "description": "The preset that supplies what the file leaves out.",
+            "enum": Preset::names(),
+        });
+        schema
+    }
+
+    /// Refuses values outside of their ranges. To be called where options come from outside: a
+    /// file, the command line, Python.
+    pub fn check(&self) -> Result<(), OptionError> {
+        self.declared().iter().try_for_each(DeclaredOption::check)?;
+        self.check_undeclared()
+    }
+
     /// The options of a view.
     pub fn view(&self) -> ViewOptions {
         ViewOptions {
@@ -74,71 +107,13 @@ impl RenderOptions {
     }
 }
 
-/// The geometry proxy: what stands for the scene's shape (§6).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct ProxyOptions {
-    /// The kind of proxy. Files of earlier versions call it `rung`.
-    #[serde(alias = "rung")]
-    pub method: ProxyMethod,
-    /// Depth of the plane before the view, metres: what is in focus. `None`: fitted to the points
-    /// that the cameras see.
-    pub plane_depth_m: Option<f64>,
-    pub mesh: MeshOptions,
-    pub depth: StereoOptions,
-    /// How many cameras' features are triangulated: those nearest to the view. Fewer: fewer points
-    /// at the view's borders and behind outlines; more cost time.
-    pub cameras: usize,
-    /// How many neighbours each of them is matched with. Fewer: less accurate points; more cost time.
-    pub partners: usize,
-    /// Largest distance of a match from its epipolar line at the instant, pixels. Larger keeps
-    /// mismatches, smaller drops points that move.
-    pub max_epipolar_px: f64,
-    /// Largest reprojection error of a point (root mean square), pixels. Larger keeps mismatches,
-    /// smaller drops points that move.
-    pub max_error_px: f64,
-}
-
-/// The proxies, cheapest first.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ProxyMethod {
-    /// One plane, fitted to the scene's points or at a set depth.
-    Plane,
-    /// The paper's: triangulated correspondences, meshed, with a plane behind.
-    #[default]
-    Mesh,
-    /// Depth per pixel from the images of several cameras, and what hides what.
-    Depth,
-}
-
-methods!(ProxyMethod {
-    Plane = "plane": "One plane, fitted or at a set depth",
-    Mesh = "mesh": "The paper's: triangulated correspondences, meshed, with a plane behind",
-    Depth = "depth": "Depth per pixel that all cameras agree on, and what hides what",
-});
-
-impl Default for ProxyOptions {
-    fn default() -> Self {
-        Self {
-            method: ProxyMethod::default(),
-            plane_depth_m: None,
-            mesh: MeshOptions::default(),
-            depth: StereoOptions::default(),
-            cameras: 3,
-            partners: 4,
-            max_epipolar_px: 1.0,
-            max_error_px: 0.7,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::lumigraph::BlendMethod;
-    use crate::method::Method;
     use crate::offset::OffsetMethod;
+    use crate::option::OptionKind;
+    use serde::Serialize;
 
     /// Option files, the command line and Python name a method alike.
     fn named_as_in_files<M: Method + Serialize + std::fmt::Debug>() {
@@ -161,17 +136,136 @@ mod tests {
         named_as_in_files::<Preset>();
     }
 
+    /// The paths of a JSON value's leaves.
+    fn leaves(value: &Value, path: &str, found: &mut Vec<String>) {
+        match value {
+            Value::Object(fields) => {
+                for (name, value) in fields {
+                    let dot = if path.is_empty() { "" } else { "." };
+                    leaves(value, &format!("{path}{dot}{name}"), found);
+                }
+            }
+            _ => found.push(path.to_owned()),
+        }
+    }
+
     #[test]
-    fn fields_of_earlier_versions_are_read() {
-        let text = r#"{"proxy": {"rung": "plane"}, "blend": {"rung": "uniform"},
-            "offset": {"rung": "joint"}}"#;
-        for preset in [None, Some(Preset::Draft)] {
-            let options = RenderOptions::parse(text, preset).unwrap();
-            assert_eq!(options.proxy.method, ProxyMethod::Plane);
-            assert_eq!(options.blend.method, BlendMethod::Uniform);
-            assert_eq!(options.offset.method, OffsetMethod::Joint);
-            let both = r#"{"proxy": {"rung": "plane", "method": "mesh"}}"#;
-            assert!(RenderOptions::parse(both, preset).is_err());
+    fn every_option_is_declared() {
+        let json = serde_json::to_value(RenderOptions::default()).unwrap();
+        let mut paths = Vec::new();
+        leaves(&json, "", &mut paths);
+        // Groups that are declared elsewhere still.
+        let elsewhere =
+            ["registration", "offset", "interpolation", "blend", "proxy.mesh", "proxy.depth"];
+        paths.retain(|path| !elsewhere.iter().any(|group| path.starts_with(group)));
+        let options = RenderOptions::default().declared();
+        let mut names: Vec<String> = options.iter().map(|o| o.name.clone()).collect();
+        names.sort();
+        paths.sort();
+        assert_eq!(names, paths);
+        for option in &options {
+            let DeclaredOption { name, help, kind, .. } = option;
+            assert!(help.len() > 10 && help.len() < 200, "{name}: {help}");
+            assert!(help.ends_with('.') && !help.contains(['`', '[']), "{name}: {help}");
+            let is_number = matches!(kind, OptionKind::Number | OptionKind::Integer);
+            assert_eq!(is_number, option.range.is_some() && option.unit.is_some(), "{name}");
+            assert_eq!(*kind == OptionKind::Choice, !option.choices.is_empty(), "{name}");
+            assert_eq!(option.default, option.value, "{name}");
+            assert_eq!(json.pointer(&pointer(name)), Some(&option.default), "{name}");
+            assert_eq!(option.check(), Ok(()));
+        }
+    }
+
+    fn pointer(name: &str) -> String {
+        format!("/{}", name.replace('.', "/"))
+    }
+
+    #[test]
+    fn numbers_out_of_range_are_refused_by_name() {
+        let mut json = serde_json::to_value(RenderOptions::default()).unwrap();
+        for option in RenderOptions::default().declared() {
+            let Some([min, max]) = option.range else { continue };
+            let mut error = |value: Value| {
+                let old = json.pointer_mut(&pointer(&option.name)).unwrap();
+                let old = std::mem::replace(old, value);
+                let options = serde_json::from_value::<RenderOptions>(json.clone());
+                *json.pointer_mut(&pointer(&option.name)).unwrap() = old;
+                // Serde refuses counts below 0.
+                options.ok().map(|options| options.check().map_err(|e| e.to_string()))
+            };
+            let integer = option.kind == OptionKind::Integer;
+            let number = |v: f64| if integer { json!(v as i64) } else { json!(v) };
+            for limit in [min, max] {
+                assert_eq!(error(number(limit)), Some(Ok(())), "{}", option.name);
+            }
+            for beyond in [min - 1.0, 2.0 * max + 1.0] {
+                let Some(error) = error(number(beyond)) else { continue };
+                let error = error.unwrap_err();
+                assert!(error.starts_with(&format!("{}: is ", option.name)), "{error}");
+                assert!(error.ends_with(&format!("must be from {min:?} to {max:?}")), "{error}");
+            }
+        }
+    }
+
+    #[test]
+    fn nan_is_in_no_range() {
+        let mut options = RenderOptions::default();
+        options.trail.duration_s = f64::NAN;
+        let error = options.check().unwrap_err().to_string();
+        assert_eq!(error, "trail.duration_s: is NaN, must be from 0.0 to 1000000.0");
+    }
+
+    /// Whether a schema allows a value; as far as the schemas here go.
+    fn allows(schema: &Value, value: &Value) -> bool {
+        let is_of = |kind: &Value| match kind.as_str().unwrap() {
+            "object" => value.is_object(),
+            "number" => value.is_number(),
+            "integer" => value.is_u64(),
+            "boolean" => value.is_boolean(),
+            "string" => value.is_string(),
+            "null" => value.is_null(),
+            kind => panic!("{kind}"),
+        };
+        let is_typed = match &schema["type"] {
+            Value::Array(kinds) => kinds.iter().any(is_of),
+            Value::Null => true,
+            kind => is_of(kind),
+        };
+        let is_listed = schema["enum"].as_array().is_none_or(|names| names.contains(value));
+        let within = value.as_f64().is_none_or(|v| {
+            schema["minimum"].as_f64().is_none_or(|min| min <= v)
+                && schema["maximum"].as_f64().is_none_or(|max| v <= max)
+        });
+        let fields = value.as_object().into_iter().flatten();
+        let mut fields = fields.map(|(name, value)| (schema["properties"].get(name), value));
+        let are_known = fields.all(|(schema, value)| schema.is_some_and(|s| allows(s, value)));
+        is_typed && is_listed && within && are_known
+    }
+
+    #[test]
+    fn the_schema_allows_all_presets_and_nothing_else() {
+        let schema = RenderOptions::schema();
+        for preset in Preset::ALL {
+            let mut options = serde_json::to_value(preset.options()).unwrap();
+            for group in ["registration", "offset", "interpolation", "blend"] {
+                options.as_object_mut().unwrap().remove(group);
+            }
+            for group in ["mesh", "depth"] {
+                options["proxy"].as_object_mut().unwrap().remove(group);
+            }
+            assert!(allows(&schema, &options));
+        }
+        assert!(allows(&schema, &json!({"preset": "draft", "proxy": {"plane_depth_m": 2}})));
+        for wrong in [
+            json!({"preset": "worst"}),
+            json!({"trails": {}}),
+            json!({"trail": {"instants": 0}}),
+            json!({"trail": {"instants": 1.5}}),
+            json!({"trail": {"mode": 3}}),
+            json!({"proxy": {"plane_depth_m": "far"}}),
+            json!([]),
+        ] {
+            assert!(!allows(&schema, &wrong), "{wrong}");
         }
     }
 }

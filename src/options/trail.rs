@@ -1,28 +1,17 @@
-//! Temporal integration (Fig. 1): how far a picture reaches back in time.
+//! Temporal integration (Fig. 1): an image of a span of time before an instant.
 
 use crate::method::methods;
+use crate::option::options;
 use serde::{Deserialize, Serialize};
-
-/// How far an image reaches back in time.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct TrailOptions {
-    /// Length of the trail before the instant, seconds; 0: none.
-    pub duration_s: f64,
-    /// Instants that are overlaid, evenly spaced, the trail's first and last included. Fewer show
-    /// as separate images of what moves, more cost time in proportion.
-    pub instants: usize,
-    pub mode: TrailMode,
-}
 
 /// How the instants of a trail make one image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TrailMode {
-    /// The mean of the light, as a long exposure has it
+    /// The mean of the instants' light, as in a long exposure.
     #[default]
     Mean,
-    /// The brightest value: highlights leave full streaks
+    /// The brightest of the instants' values, so that highlights leave full streaks.
     Lighten,
 }
 
@@ -31,15 +20,20 @@ methods!(TrailMode {
     Lighten = "lighten": "The brightest value: highlights leave full streaks",
 });
 
-impl Default for TrailOptions {
-    fn default() -> Self {
-        Self { duration_s: 0.0, instants: 16, mode: TrailMode::Mean }
+options! {
+    /// Temporal integration: a view is made of several instants that end at its own.
+    pub struct TrailOptions {
+        /// Length of the trail before the instant; 0: no trail.
+        duration_s: f64 [0.0..=1e6, "s"] = 0.0,
+        /// Evenly spaced instants that are overlaid, the first and the last included.
+        instants: usize [1..=10_000, "instants"] = 16,
+        /// How the instants make one image.
+        mode: TrailMode = TrailMode::Mean,
     }
 }
 
 impl TrailOptions {
-    /// The instants of a trail that ends at a time, seconds, the last one first. Only that one
-    /// without a duration, or with one instant.
+    /// The instants of a trail that ends at `time_s`, latest first. Without a trail, `time_s` alone.
     pub(crate) fn instants_s(&self, time_s: f64) -> Vec<f64> {
         if self.duration_s <= 0.0 || self.instants < 2 {
             return vec![time_s];
@@ -48,7 +42,7 @@ impl TrailOptions {
         (0..self.instants).map(|k| time_s - step_s * k as f64).collect()
     }
 
-    /// How many instants an image has.
+    /// Number of instants that make one view.
     pub fn count(&self) -> usize {
         self.instants_s(0.0).len()
     }

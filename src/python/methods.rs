@@ -1,9 +1,9 @@
-//! `stlfr.methods`: the methods that a user chooses among.
+//! `stlfr.methods` and `stlfr.options`: the methods and options that a user chooses.
 
 use super::convert::to_python;
 use crate::interpolation::SyncMethod;
 use crate::method::Method;
-use crate::options::{Preset, ProxyMethod, TrailMode};
+use crate::options::{Preset, ProxyMethod, RenderOptions, TrailMode};
 use pyo3::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -31,6 +31,12 @@ pub fn methods(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
         ("preset", stage::<Preset>()),
     ]);
     to_python(py, &stages)
+}
+
+/// Every option with its default, range, unit and help.
+#[pyfunction]
+pub fn options(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    to_python(py, &RenderOptions::default().declared())
 }
 
 fn stage<M: Method>() -> Stage {

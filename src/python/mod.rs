@@ -20,7 +20,7 @@ mod native {
     #[pymodule_export]
     use super::exchange::colmap_text;
     #[pymodule_export]
-    use super::methods::methods;
+    use super::methods::{methods, options};
     #[pymodule_export]
     use super::rig::{check_rig, generate_rig, read_rig};
     use pyo3::prelude::*;

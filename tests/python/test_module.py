@@ -267,6 +267,21 @@ def test_what_cannot_be_rendered_is_a_value_error(
     assert (printed.returncode, printed.stderr) == (2, f"{raised.value}\n")
 
 
+def test_the_options_are_those_that_render_takes(capture_dir: Path) -> None:
+    """Every option has help and its default, which `render` takes by its path."""
+    capture = stlfr.open(capture_dir)
+    options = {option["name"]: option for option in stlfr.options()}
+    assert options["trail.instants"]["unit"] == "instants"
+    assert options["trail.instants"]["range"] == [1.0, 10000.0]
+    for name, option in options.items():
+        assert option["help"].endswith(".")
+        value: Any = option["default"]
+        for field in reversed(name.split(".")):
+            value = {field: value}
+        with pytest.raises(ValueError, match="no camera of this capture"):
+            capture.render(0.0, like="none", options=value)
+
+
 def test_the_methods_are_those_that_render_takes(capture_dir: Path) -> None:
     """Every method of the options, and no other."""
     capture = stlfr.open(capture_dir)

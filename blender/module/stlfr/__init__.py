@@ -10,6 +10,7 @@ from ._native import (
     generate_rig,
     methods,
     open,
+    options,
     project,
     read_rig,
 )
@@ -24,6 +25,7 @@ __all__ = [
     "generate_rig",
     "methods",
     "open",
+    "options",
     "project",
     "read_rig",
 ]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import Any, TypedDict, final, type_check_only
+from typing import Any, Literal, TypedDict, final, type_check_only
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +48,21 @@ class Stage(TypedDict):
 
 def methods() -> dict[str, Stage]:
     """The methods of `sync` and `proxy`, the modes of `trail`, and `preset`: named options of all stages."""
+
+@type_check_only
+class Option(TypedDict):
+    """The declaration of one option of an options file."""
+
+    name: str
+    help: str
+    kind: Literal["number", "integer", "boolean", "choice"]
+    default: Any
+    range: list[float] | None
+    unit: str | None
+    choices: list[Method]
+
+def options() -> list[Option]:
+    """Every option, by its path in an options file, such as `blend.cameras`; as `stlfr options --json`."""
 
 def open(path: str | PathLike[str]) -> Capture:
     """Open and check a capture's folder. Raises ValueError with one sentence where it is wrong."""

@@ -1,0 +1,229 @@
+//! Options, each declared once: type, default, range, unit and help stand together ([`options!`]).
+//! Checks, the list of all options, the JSON Schema and the help on the command line follow from that.
+
+use crate::method::Method;
+use serde::Serialize;
+use serde_json::{Value, json};
+use std::ops::RangeInclusive;
+
+/// An option out of its range.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{field}: is {value:?}, must be from {min:?} to {max:?}")]
+pub struct OptionError {
+    /// The option's path in an options file, such as `registration.levels`.
+    pub field: String,
+    pub value: f64,
+    pub min: f64,
+    pub max: f64,
+}
+
+/// The type of an option's value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum OptionKind {
+    Number,
+    Integer,
+    Boolean,
+    /// One of several names.
+    Choice,
+}
+
+/// One name that an option may have as its value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct OptionChoice {
+    pub name: &'static str,
+    pub help: &'static str,
+}
+
+/// An option's declaration, and its value in some set of options.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DeclaredOption {
+    /// Its path in an options file, such as `blend.cameras`.
+    pub name: String,
+    /// One or two sentences of help.
+    pub help: String,
+    pub kind: OptionKind,
+    pub default: Value,
+    #[serde(skip)]
+    pub value: Value,
+    /// Smallest and largest value of a number, both allowed.
+    pub range: Option<[f64; 2]>,
+    /// The unit of a number, or what it counts.
+    pub unit: Option<&'static str>,
+    /// The names of a choice, the cheapest method first.
+    pub choices: Vec<OptionChoice>,
+    /// The value of a number. Unlike JSON, it may be NaN.
+    #[serde(skip)]
+    number: Option<f64>,
+}
+
+impl DeclaredOption {
+    /// Refuses a number outside of its range, or NaN.
+    pub fn check(&self) -> Result<(), OptionError> {
+        let (Some(value), Some([min, max])) = (self.number, self.range) else { return Ok(()) };
+        if (min..=max).contains(&value) {
+            return Ok(());
+        }
+        Err(OptionError { field: self.name.clone(), value, min, max })
+    }
+
+    /// The JSON Schema of the value.
+    fn schema(&self) -> Value {
+        let kind = match self.kind {
+            OptionKind::Number => "number",
+            OptionKind::Integer => "integer",
+            OptionKind::Boolean => "boolean",
+            OptionKind::Choice => "string",
+        };
+        let mut schema = json!({"description": self.help, "type": kind, "default": self.default});
+        if self.default.is_null() {
+            schema["type"] = json!([kind, "null"]);
+        }
+        if let Some([min, max]) = self.range {
+            (schema["minimum"], schema["maximum"]) = (json!(min), json!(max));
+        }
+        if !self.choices.is_empty() {
+            schema["enum"] = self.choices.iter().map(|choice| choice.name).collect();
+        }
+        schema
+    }
+}
+
+/// The JSON Schema of an object with these options. No field is required, and no other is allowed.
+pub fn options_schema(options: &[DeclaredOption]) -> Value {
+    let group = || json!({"type": "object", "properties": {}, "additionalProperties": false});
+    let mut root = group();
+    for option in options {
+        let mut path: Vec<&str> = option.name.split('.').collect();
+        let leaf = path.pop().unwrap_or_default();
+        let mut at = &mut root["properties"];
+        for name in path {
+            if at.get(name).is_none() {
+                at[name] = group();
+            }
+            at = &mut at[name]["properties"];
+        }
+        at[leaf] = option.schema();
+    }
+    root
+}
+
+/// The declaration of one field of an options struct.
+#[derive(Clone, Debug, Default)]
+pub struct OptionField {
+    /// Its path from the options file's root.
+    pub name: String,
+    pub help: &'static str,
+    pub range: Option<[f64; 2]>,
+    pub unit: Option<&'static str>,
+}
+
+impl OptionField {
+    fn declare(self, kind: OptionKind, [value, default]: [Value; 2]) -> DeclaredOption {
+        // Comment markers leave a space before every line.
+        let help = self.help.split_whitespace().collect::<Vec<_>>().join(" ");
+        let Self { name, range, unit, .. } = self;
+        let (choices, number) = (Vec::new(), None);
+        DeclaredOption { name, help, kind, default, value, range, unit, choices, number }
+    }
+}
+
+/// A type that an option, or a group of options, can have.
+pub trait OptionValue {
+    /// Appends the option, or all options of the group.
+    fn declare(&self, default: &Self, field: OptionField, options: &mut Vec<DeclaredOption>);
+}
+
+/// A value as an options file has it: `f32` with its shortest digits.
+fn in_json(value: &impl Serialize) -> Value {
+    serde_json::to_string(value).and_then(|text| serde_json::from_str(&text)).unwrap_or_default()
+}
+
+macro_rules! option_values {
+    ($($type:ty: $kind:ident, $number:expr;)*) => { $(
+        impl OptionValue for $type {
+            fn declare(&self, default: &Self, field: OptionField, options: &mut Vec<DeclaredOption>) {
+                let number: fn(&Self) -> Option<f64> = $number;
+                let option = field.declare(OptionKind::$kind, [self, default].map(in_json));
+                options.push(DeclaredOption { number: number(self), ..option });
+            }
+        }
+    )* };
+}
+option_values! {
+    f64: Number, |v| Some(*v);
+    f32: Number, |v| Some(f64::from(*v));
+    Option<f64>: Number, |v| *v;
+    usize: Integer, |v| Some(*v as f64);
+    bool: Boolean, |_| None;
+}
+
+impl<M: Method> OptionValue for M {
+    fn declare(&self, default: &Self, field: OptionField, options: &mut Vec<DeclaredOption>) {
+        let values = [self, default].map(|method| Value::from(method.name()));
+        let choice = |m: &M| OptionChoice { name: m.name(), help: m.help() };
+        let choices = M::ALL.iter().map(choice).collect();
+        let option = field.declare(OptionKind::Choice, values);
+        options.push(DeclaredOption { choices, ..option });
+    }
+}
+
+/// The limits of a range, both included.
+pub fn limits<T: Into<f64>>(range: RangeInclusive<T>) -> [f64; 2] {
+    let (min, max) = range.into_inner();
+    [min.into(), max.into()]
+}
+
+/// Declares a struct of options, each a line such as
+/// `cameras: usize [1..=1000, "cameras"] = 3,` under a comment that is its help.
+///
+/// Enums and Booleans have no range. A field that is itself a struct of options has no default.
+macro_rules! options {
+    (
+        $(#[doc = $about:literal])*
+        pub struct $name:ident { $(
+            $(#[doc = $help:literal])*
+            $field:ident: $type:ty $([$range:expr, $unit:literal])? $(= $default:expr)?,
+        )* }
+    ) => {
+        $(#[doc = $about])*
+        #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+        #[serde(default, deny_unknown_fields)]
+        pub struct $name {
+            $($(#[doc = $help])* pub $field: $type,)*
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $($field: $crate::option::options!(@ $($default)?),)* }
+            }
+        }
+
+        impl $crate::option::OptionValue for $name {
+            fn declare(
+                &self,
+                default: &Self,
+                group: $crate::option::OptionField,
+                options: &mut Vec<$crate::option::DeclaredOption>,
+            ) {
+                let dot = if group.name.is_empty() { "" } else { "." };
+                $(
+                    #[allow(unused_mut)]
+                    let mut field = $crate::option::OptionField {
+                        name: format!("{}{dot}{}", group.name, stringify!($field)),
+                        help: concat!($($help, "\n"),*),
+                        ..Default::default()
+                    };
+                    $(
+                        field.range = Some($crate::option::limits($range));
+                        field.unit = Some($unit);
+                    )?
+                    $crate::option::OptionValue::declare(&self.$field, &default.$field, field, options);
+                )*
+            }
+        }
+    };
+    (@) => { Default::default() };
+    (@ $default:expr) => { $default };
+}
+pub(crate) use options;

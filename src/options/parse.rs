@@ -1,0 +1,132 @@
+//! Options as files and command lines give them: in part, over a preset.
+
+use super::{Preset, RenderOptions};
+use crate::json;
+use serde::Deserialize;
+use serde_json::Value;
+
+impl RenderOptions {
+    /// Reads an options file: a JSON object. Missing options are the preset's: the given one, or else
+    /// that of the file's field `preset`, or else the defaults.
+    ///
+    /// An error is a sentence that starts with the field.
+    pub fn parse(text: &str, preset: Option<Preset>) -> Result<Self, String> {
+        let Value::Object(mut file) = json::parse(text)? else {
+            return Err("must be an object".into());
+        };
+        let named = file.remove("preset");
+        if preset.is_none() && named.is_none() {
+            return json::parse(text);
+        }
+        let named = named.map(|name| json::parse(&format!("{{\"preset\": {name}}}")));
+        let named: Option<NamedPreset> = named.transpose()?;
+        let start = preset.or(named.map(|n| n.preset)).map_or_else(Self::default, Preset::options);
+        let mut merged = serde_json::to_value(start).map_err(|e| e.to_string())?;
+        merge(&mut merged, &Value::Object(file));
+        json::parse(&merged.to_string())
+    }
+
+    /// Sets one option by its path, such as `blend.cameras`, to a value as a file would have it; names
+    /// need no quotes.
+    ///
+    /// An error is a sentence that starts with the option.
+    pub fn set(&mut self, name: &str, value: &str) -> Result<(), String> {
+        let mut options = serde_json::to_value(&*self).map_err(|e| e.to_string())?;
+        let option = options.pointer_mut(&format!("/{}", name.replace('.', "/")));
+        let option = option.filter(|option| !option.is_object());
+        let option = option.ok_or_else(|| format!("{name}: no such option"))?;
+        *option = serde_json::from_str(value).unwrap_or_else(|_| Value::from(value));
+        let changed: Self = json::parse(&options.to_string())?;
+        changed.check().map_err(|error| error.to_string())?;
+        *self = changed;
+        Ok(())
+    }
+}
+
+/// The field `preset` of an options file.
+#[derive(Deserialize)]
+struct NamedPreset {
+    preset: Preset,
+}
+
+/// Merges objects field by field; any other value replaces what was there.
+fn merge(into: &mut Value, over: &Value) {
+    match (into, over) {
+        (Value::Object(into), Value::Object(over)) => {
+            for (name, value) in over {
+                merge(into.entry(name.clone()).or_insert(Value::Null), value);
+            }
+        }
+        (into, over) => *into = over.clone(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::method::Method;
+
+    #[test]
+    fn options_go_before_the_preset() {
+        let mut wanted = Preset::Draft.options();
+        wanted.blend.cameras = 5;
+        let text = r#"{"blend": {"cameras": 5}}"#;
+        assert_eq!(RenderOptions::parse(text, Some(Preset::Draft)), Ok(wanted.clone()));
+        let text = r#"{"preset": "draft", "blend": {"cameras": 5}}"#;
+        assert_eq!(RenderOptions::parse(text, None), Ok(wanted));
+        let text = r#"{"preset": "draft"}"#;
+        assert_eq!(RenderOptions::parse(text, None), Ok(Preset::Draft.options()));
+        let best = RenderOptions::parse(text, Some(Preset::Best));
+        assert_eq!(best, Ok(Preset::Best.options()));
+        assert_eq!(RenderOptions::parse("{}", None), Ok(RenderOptions::default()));
+    }
+
+    #[test]
+    fn the_field_that_is_wrong_is_named() {
+        for preset in [None, Some(Preset::Draft)] {
+            for (text, field) in [
+                (r#"{"blend": {"camera": 5}}"#, "blend"),
+                (r#"{"sync": 3}"#, "sync"),
+                (r#"{"preset": "worst"}"#, "preset"),
+                (r#"{"preset": {"a": 1}}"#, "preset"),
+                ("[]", "must be an object"),
+                ("{", "EOF"),
+            ] {
+                let message = RenderOptions::parse(text, preset).unwrap_err();
+                assert!(message.starts_with(field), "{message}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_option_is_set_by_its_name() {
+        let mut options = RenderOptions::default();
+        for (name, value) in [
+            ("sync", "nearest"),
+            ("blend.cameras", "7"),
+            ("proxy.plane_depth_m", "1.5"),
+            ("auto.sync", "true"),
+        ] {
+            assert_eq!(options.set(name, value), Ok(()));
+        }
+        assert_eq!((options.sync.name(), options.blend.cameras), ("nearest", 7));
+        assert_eq!((options.proxy.plane_depth_m, options.auto.sync), (Some(1.5), true));
+        options.set("proxy.plane_depth_m", "null").unwrap();
+        assert_eq!(options.proxy.plane_depth_m, None);
+        let before = options.clone();
+        for (name, value) in [
+            ("blend.camera", "7"),
+            ("blend", "{}"),
+            ("blend.cameras", "many"),
+            ("blend.cameras", "-1"),
+            ("blend.cameras", "0"),
+            ("blend.cameras", ""),
+            ("sync", "no-such-method"),
+            ("trail.duration_s", "NaN"),
+        ] {
+            let error = options.set(name, value).unwrap_err();
+            assert!(error.starts_with(&format!("{name}: ")), "{error}");
+            assert_eq!(options, before);
+        }
+    }
+}
