@@ -36,17 +36,17 @@ const DISAGREEMENT_RADIUS_PX: usize = 2;
 pub struct Synchronized {
     /// The image.
     pub image: Image,
-    /// How far each pixel was bridged, pixels, row by row: its motion between the two frames, and more where it
+    /// Expected error of interpolation per pixel, row by row, in pixels of motion: the motion between the two frames, and more where it
     /// changes or the frames disagree about it, times 4s(1 − s) with s the instant's place between them.
     /// Interpolation's error grows with it; it is 0 at a frame. `None` where nothing was interpolated, or
     /// nobody asked.
-    pub bridged_px: Option<Vec<f32>>,
+    pub interpolation_error_px: Option<Vec<f32>>,
 }
 
 impl Synchronized {
-    /// An image in which nothing was bridged: a frame as it was filmed, or a method that follows no motion.
+    /// An image that is not interpolated along motion: a frame as filmed, or a cross-fade of two.
     pub fn filmed(image: Image) -> Self {
-        Self { image, bridged_px: None }
+        Self { image, interpolation_error_px: None }
     }
 }
 
@@ -73,8 +73,8 @@ pub struct FramePair<'a> {
     /// The tiles of the image that are needed, `None` for all. The others may be made by a cheaper
     /// method, or black.
     pub parts: Option<&'a Tiles>,
-    /// Whether [`Synchronized::bridged_px`] is wanted. It takes as long as a warp, but for refined images.
-    pub wants_bridged: bool,
+    /// Whether [`Synchronized::interpolation_error_px`] is wanted. It takes as long as a warp, but for refined images.
+    pub with_interpolation_error: bool,
 }
 
 /// The [`delaunay`] triangles of tracks in the earlier frame and in the later one, the same at all instants.
@@ -135,14 +135,17 @@ impl FramePair<'_> {
         let warps = [true, false].map(|forward| self.warp(time_s, forward, sync, options));
         let warps = [&warps[0], &warps[1]];
         if sync != SyncMethod::Refined {
-            let bridged_px = self
-                .wants_bridged
-                .then(|| bridged_px(&motions_of(images, warps), images[0], fraction));
+            let interpolation_error_px = self
+                .with_interpolation_error
+                .then(|| interpolation_error_px(&motions_of(images, warps), images[0], fraction));
             let image = cross_dissolve_in(images, warps, fraction as f32, self.parts);
-            return Synchronized { image, bridged_px };
+            return Synchronized { image, interpolation_error_px };
         }
-        // `bridged_px` takes the maximum within OUTLINE_PX.
-        let grown = self.parts.filter(|_| self.wants_bridged).map(|parts| parts.grown(OUTLINE_PX));
+        // `interpolation_error_px` takes the maximum within OUTLINE_PX.
+        let grown = self
+            .parts
+            .filter(|_| self.with_interpolation_error)
+            .map(|parts| parts.grown(OUTLINE_PX));
         let frames = FourFrames {
             before: self.around[0].map(|f| &f.image),
             earlier: images[0],
@@ -150,7 +153,7 @@ impl FramePair<'_> {
             after: self.around[1].map(|f| &f.image),
             fraction: fraction as f32,
             parts: grown.as_ref().or(self.parts),
-            with_motions: self.wants_bridged,
+            with_motions: self.with_interpolation_error,
         };
         let motions = self.motions(options.curved, |trajectory, _| trajectory.at(time_s));
         let own;
@@ -162,8 +165,9 @@ impl FramePair<'_> {
             }
         };
         let (image, motions) = refined(&frames, warps, &motions, pair_costs, &options.refine);
-        let bridged_px = motions.map(|motions| bridged_px(&motions, &image, fraction));
-        Synchronized { image, bridged_px }
+        let interpolation_error_px =
+            motions.map(|motions| interpolation_error_px(&motions, &image, fraction));
+        Synchronized { image, interpolation_error_px }
     }
 
     /// What [`SyncMethod::Refined`] needs of the pair alone, the same at all instants.
@@ -269,8 +273,8 @@ fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Vec<PixelMotion> {
     motion_px(warps).into_iter().zip(apart).map(pixel_motion).collect()
 }
 
-/// [`Synchronized::bridged_px`] of an image at a fraction of the interval: the largest around each pixel.
-fn bridged_px(motions: &[PixelMotion], image: &Image, fraction: f64) -> Vec<f32> {
+/// [`Synchronized::interpolation_error_px`] of an image at a fraction of the interval: the largest around each pixel.
+fn interpolation_error_px(motions: &[PixelMotion], image: &Image, fraction: f64) -> Vec<f32> {
     let share = (4.0 * fraction * (1.0 - fraction)) as f32;
     let px = |motion: &PixelMotion| {
         let unknown = DISAGREEMENT_PX * (motion.cost - MIN_DISAGREEMENT).max(0.0);
@@ -285,7 +289,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_moves_is_bridged_with_its_outline() {
+    fn what_moves_may_be_wrong_as_far_as_its_outline() {
         let (w, h) = (30, 20);
         let mut warps = [Warp::identity(w, h), Warp::identity(w, h)];
         // One pixel comes from 3 px to the left, and 5 px to the right.
@@ -293,7 +297,11 @@ mod tests {
         warps[0].source[at][0] -= 3.0;
         warps[1].source[at][0] += 5.0;
         let flat = Image::filled(w, h, 1, 0.5);
-        let found = bridged_px(&motions_of([&flat, &flat], [&warps[0], &warps[1]]), &flat, 0.25);
+        let found = interpolation_error_px(
+            &motions_of([&flat, &flat], [&warps[0], &warps[1]]),
+            &flat,
+            0.25,
+        );
         for (k, px) in found.iter().enumerate() {
             let near = (k % w).abs_diff(15) <= OUTLINE_PX && (k / w).abs_diff(10) <= OUTLINE_PX;
             assert!((px - if near { 6.0 } else { 0.0 }).abs() < 1e-5, "{k}: {px}");
@@ -304,7 +312,11 @@ mod tests {
     fn where_the_frames_disagree_motion_is_unknown() {
         let still = Warp::identity(30, 20);
         let images = [0.2, 0.6].map(|value| Image::filled(30, 20, 1, value));
-        let found = bridged_px(&motions_of(images.each_ref(), [&still, &still]), &images[0], 0.5);
+        let found = interpolation_error_px(
+            &motions_of(images.each_ref(), [&still, &still]),
+            &images[0],
+            0.5,
+        );
         assert!(found.iter().all(|px| (px - 200.0 * 0.37).abs() < 1e-3), "{found:?}");
     }
 }

@@ -51,7 +51,7 @@ impl LightField {
         cameras
     }
 
-    /// Takes away the images that a view is not blended from. Where time has weight, what was bridged must be
+    /// Takes away the images that a view is not blended from. Where time has weight, the interpolation errors must be
     /// known: those of [`Self::geometry_cameras`] alone.
     pub(crate) fn keep_candidates(
         &self,

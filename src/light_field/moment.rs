@@ -203,10 +203,10 @@ impl Moment<'_> {
     ) -> Result<Rendered, RenderError> {
         let geometry = self.geometry_by(target, options)?;
         let tinted = |(image, color): (&Option<Synchronized>, &[f32; 3])| {
-            let Synchronized { image, bridged_px } = image.as_ref()?;
+            let Synchronized { image, interpolation_error_px } = image.as_ref()?;
             let (width, height) = (image.width(), image.height());
             let image = Image::from_data(width, height, 3, color.repeat(width * height));
-            Some(Synchronized { image, bridged_px: bridged_px.clone() })
+            Some(Synchronized { image, interpolation_error_px: interpolation_error_px.clone() })
         };
         assert!(colors.len() >= self.images.len(), "a colour for each camera");
         let images = self.candidates(target, options);
@@ -217,7 +217,7 @@ impl Moment<'_> {
     /// About how much memory it holds, bytes.
     pub fn bytes(&self) -> usize {
         let of_image = |s: &Synchronized| {
-            size_of_val(s.image.data()) + s.bridged_px.as_deref().map_or(0, size_of_val)
+            size_of_val(s.image.data()) + s.interpolation_error_px.as_deref().map_or(0, size_of_val)
         };
         let pixels = |s: &Synchronized| s.image.width() * s.image.height();
         let depths = |s: &Synchronized| self.depths.as_ref().map_or(0, |_| DEPTH_BYTES * pixels(s));

@@ -68,7 +68,7 @@ impl LightField {
             times_s: self.times(camera),
             index: k,
             parts,
-            wants_bridged: options.blend.method == BlendMethod::SpaceTime,
+            with_interpolation_error: options.blend.method == BlendMethod::SpaceTime,
         };
         let costs = (sync == SyncMethod::Refined)
             .then(|| self.pair_costs((camera, k), &pair, &options.interpolation));

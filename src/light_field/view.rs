@@ -161,7 +161,7 @@ impl LightField {
         let correct = |(camera, image): (usize, &Option<Synchronized>)| {
             let s = image.as_ref()?;
             let image = gains.corrected(camera, &s.image).unwrap_or_else(|| s.image.clone());
-            Some(Synchronized { image, bridged_px: s.bridged_px.clone() })
+            Some(Synchronized { image, interpolation_error_px: s.interpolation_error_px.clone() })
         };
         Cow::Owned(images.par_iter().enumerate().map(correct).collect())
     }
@@ -175,9 +175,11 @@ impl LightField {
         let cameras = self.capture().cameras.iter().zip(images).zip(&geometry.sources);
         let source =
             |((filmed, image), depth): ((&'a FilmedCamera, _), &'a Option<Arc<DepthMap>>)| {
-                let Synchronized { image, bridged_px }: &Synchronized = Option::as_ref(image)?;
-                let (depth, bridged_px) = (depth.as_deref(), bridged_px.as_deref());
-                Some(Source { camera: &filmed.camera, image, depth, bridged_px })
+                let Synchronized { image, interpolation_error_px }: &Synchronized =
+                    Option::as_ref(image)?;
+                let (depth, interpolation_error_px) =
+                    (depth.as_deref(), interpolation_error_px.as_deref());
+                Some(Source { camera: &filmed.camera, image, depth, interpolation_error_px })
             };
         cameras.filter_map(source).collect()
     }

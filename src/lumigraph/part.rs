@@ -146,7 +146,7 @@ impl<'a> Part<'a> {
         let distance = |i: &usize| (sources[*i].camera.center() - target.center()).norm();
         order.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
         let is_mixed = gray > 0 && gray < sources.len();
-        // What is hidden, bridged or grey changes from pixel to pixel.
+        // What is hidden, interpolated or grey changes from pixel to pixel.
         let is_smooth = !is_mixed && reprojections.iter().zip(sources).all(|(r, s)| r.is_smooth(s));
         let nodes = Nodes::new(target, sources.len(), options.weight_step_px.clamp(1, PART_PX));
         Self {

@@ -145,8 +145,8 @@ pub(super) struct Reprojection {
     inverse_feather: f32,
     resolution: f32,
     hidden_share: f32,
-    /// The angle that a bridged pixel counts as; 0 if time has no weight.
-    bridge_rad: f32,
+    /// The angle that a pixel of interpolation error counts as; 0 if time has no weight.
+    interpolation_error_rad: f32,
 }
 
 impl Reprojection {
@@ -180,8 +180,8 @@ impl Reprojection {
             inverse_feather: (1.0 / options.feather_px.max(0.01)) as f32,
             resolution: options.resolution.max(0.0) as f32,
             hidden_share: options.hidden_share.max(1e-6) as f32,
-            bridge_rad: match options.method {
-                BlendMethod::SpaceTime => options.bridge_rad.max(0.0) as f32,
+            interpolation_error_rad: match options.method {
+                BlendMethod::SpaceTime => options.interpolation_error_rad.max(0.0) as f32,
                 BlendMethod::Lumigraph | BlendMethod::Uniform => 0.0,
             },
         }
@@ -195,7 +195,8 @@ impl Reprojection {
 
     /// Whether the penalties of a source change smoothly from pixel to pixel on a surface.
     pub fn is_smooth(&self, source: &Source) -> bool {
-        source.depth.is_none() && (self.bridge_rad == 0.0 || source.bridged_px.is_none())
+        source.depth.is_none()
+            && (self.interpolation_error_rad == 0.0 || source.interpolation_error_px.is_none())
     }
 
     /// A bound below the penalties of the points of a cone's pixels, from the angle alone: with r the ray, ρ the inverse
@@ -240,8 +241,8 @@ impl Reprojection {
         } else {
             self.measure(row, hits, |nx, ny| self.bent(nx, ny));
         }
-        if self.bridge_rad > 0.0 {
-            self.bridge(source, hits);
+        if self.interpolation_error_rad > 0.0 {
+            self.add_interpolation_error(source, hits);
         }
         // A source at the view's centre looks along the same rays: nothing is occluded in it.
         match source.depth {
@@ -332,14 +333,15 @@ impl Reprojection {
 
     /// Adds the expected error of interpolation to that of the proxy. The two are independent, so that
     /// their squares add.
-    fn bridge(&self, source: &Source, hits: &mut Hits) {
-        let Some(bridged) = source.bridged_px else { return };
+    fn add_interpolation_error(&self, source: &Source, hits: &mut Hits) {
+        let Some(error_px) = source.interpolation_error_px else { return };
         let (w, h) = (source.camera.width, source.camera.height);
         for k in 0..hits.trust.len() {
             if hits.trust[k] > 0.0 {
                 // Where there is trust, the position is inside the image.
                 let (x, y) = (hits.x[k] as usize, hits.y[k] as usize);
-                let angle = self.bridge_rad * bridged[y.min(h - 1) * w + x.min(w - 1)];
+                let angle =
+                    self.interpolation_error_rad * error_px[y.min(h - 1) * w + x.min(w - 1)];
                 hits.penalty[k] = hits.penalty[k].hypot(angle / hits.trust[k]);
             }
         }

@@ -15,15 +15,15 @@ pub struct Source<'a> {
     pub image: &'a Image,
     /// The proxy's depths in this camera; points behind them are occluded. `None`: no point is.
     pub depth: Option<&'a DepthMap>,
-    /// How far each pixel was bridged in time, pixels
-    /// ([`Synchronized::bridged_px`](crate::interpolation::Synchronized)). `None`: no pixel was.
-    pub bridged_px: Option<&'a [f32]>,
+    /// Expected error of each pixel's temporal interpolation, pixels
+    /// ([`Synchronized::interpolation_error_px`](crate::interpolation::Synchronized)). `None`: 0 everywhere.
+    pub interpolation_error_px: Option<&'a [f32]>,
 }
 
 impl<'a> Source<'a> {
     /// A source in which no point is occluded.
     pub fn new(camera: &'a Camera, image: &'a Image) -> Self {
-        Self { camera, image, depth: None, bridged_px: None }
+        Self { camera, image, depth: None, interpolation_error_px: None }
     }
 }
 
@@ -47,7 +47,7 @@ pub struct BlendOptions {
     pub resolution: f64,
     /// Distance of the pixels whose weights are computed, along rows and columns; between them weights are
     /// interpolated, as Buehler et al. do. At least 1, where all are computed, and at most 64. Larger: cameras mix where
-    /// surfaces end. Smaller: slower. It has no effect where depths of a camera, its bridged pixels or grey cameras
+    /// surfaces end. Smaller: slower. It has no effect where depths of a camera, its interpolation errors or grey cameras
     /// among coloured ones change weights from pixel to pixel.
     pub weight_step_px: usize,
     /// Interpolation of the images between pixels.
@@ -55,10 +55,10 @@ pub struct BlendOptions {
     /// Smallest depth of an occluded point beyond [`Source::depth`], as a fraction of it. Larger: the
     /// foreground's edge shows twice. Smaller: slanted surfaces occlude themselves.
     pub hidden_share: f64,
-    /// The angle, radians, that a pixel bridged in time counts as
+    /// The angle, radians, that one pixel of interpolation error counts as
     /// ([`BlendMethod::SpaceTime`]). Larger: cameras that stand farther away replace those that filmed
     /// longer before or after. Smaller: the errors of interpolation show.
-    pub bridge_rad: f64,
+    pub interpolation_error_rad: f64,
 }
 
 impl Default for BlendOptions {
@@ -71,7 +71,7 @@ impl Default for BlendOptions {
             weight_step_px: 4,
             sampling: Sampling::Cubic,
             hidden_share: 0.03,
-            bridge_rad: 0.004,
+            interpolation_error_rad: 0.004,
         }
     }
 }

@@ -406,18 +406,18 @@ fn options_round_trip_and_refuse_unknown_fields() {
     assert!(serde_json::from_str::<BlendOptions>(r#"{"camera": 3}"#).is_err());
 }
 
-/// Sources with how far each of their pixels was bridged, pixels.
-fn bridged<'a>(
+/// Sources with the interpolation errors of their pixels.
+fn interpolated<'a>(
     cameras: &'a [Camera],
     images: &'a [Image],
-    bridged_px: &'a [Vec<f32>],
+    interpolation_error_px: &'a [Vec<f32>],
 ) -> Vec<Source<'a>> {
-    let pairs = sources(cameras, images).into_iter().zip(bridged_px);
-    pairs.map(|(source, px)| Source { bridged_px: Some(px), ..source }).collect()
+    let pairs = sources(cameras, images).into_iter().zip(interpolation_error_px);
+    pairs.map(|(source, px)| Source { interpolation_error_px: Some(px), ..source }).collect()
 }
 
 #[test]
-fn what_was_bridged_far_gives_way_to_what_was_filmed_then() {
+fn what_was_interpolated_far_gives_way_to_what_was_filmed_then() {
     // As far to the left of the view as to the right.
     let cameras = [camera_at([-0.03, 0.0, 0.0]), camera_at([0.03, 0.0, 0.0])];
     let target = camera_at([0.0; 3]);
@@ -427,14 +427,15 @@ fn what_was_bridged_far_gives_way_to_what_was_filmed_then() {
     let by_both = BlendOptions { method: BlendMethod::SpaceTime, ..by_place.clone() };
     let middle = |px: [f32; 2], options: &BlendOptions| {
         let px = px.map(|px| vec![px; 96 * 72]);
-        blend(&bridged(&cameras, &images, &px), &depth, &target, options).image.pixel(48, 36)[0]
+        blend(&interpolated(&cameras, &images, &px), &depth, &target, options).image.pixel(48, 36)
+            [0]
     };
     assert!((middle([0.0, 40.0], &by_place) - 0.5).abs() < 0.01);
     assert!((middle([0.0, 0.0], &by_both) - 0.5).abs() < 0.01);
     assert!((middle([20.0, 20.0], &by_both) - 0.5).abs() < 0.01);
     assert!(middle([0.0, 40.0], &by_both) < 0.2);
     assert!(middle([40.0, 0.0], &by_both) > 0.8);
-    // Continuous in time too: no jump where nothing is bridged any more.
+    // Continuous in time too: no jump where nothing is interpolated any more.
     let (near, at) = (middle([0.0, 1e-4], &by_both), middle([0.0, 0.0], &by_both));
     assert!((near - at).abs() < 1e-3, "{near} {at}");
 }
@@ -448,12 +449,12 @@ fn a_frame_comes_back_at_its_place_and_time() {
     let options = BlendOptions { method: BlendMethod::SpaceTime, ..BlendOptions::default() };
     for k in [0, 3, 7] {
         let depth = Proxy::Plane(tilted()).depth_map(&cameras[k]);
-        let found = blend(&bridged(&cameras, &images, &px), &depth, &cameras[k], &options);
+        let found = blend(&interpolated(&cameras, &images, &px), &depth, &cameras[k], &options);
         let apart = found.image.data().iter().zip(images[k].data()).map(|(a, b)| (a - b).abs());
         assert!(apart.fold(0.0, f32::max) < 1e-4, "camera {k}");
         // At another time its neighbours help.
         px[k] = vec![30.0; 96 * 72];
-        let found = blend(&bridged(&cameras, &images, &px), &depth, &cameras[k], &options);
+        let found = blend(&interpolated(&cameras, &images, &px), &depth, &cameras[k], &options);
         assert!(found.image != images[k]);
         px[k] = vec![0.0; 96 * 72];
     }

@@ -16,8 +16,8 @@
 //! own), fading to grey where none of them sees the point. A coloured camera's luminance is what a
 //! grey one would have recorded in its place: summed before it is encoded.
 //!
-//! With [`BlendMethod::SpaceTime`] the penalty is `√(p_i² + (λ·m_i)²)`, with m_i how far the camera's
-//! pixel was bridged in time ([`Source::bridged_px`]) and λ the angle that a pixel counts as: the errors
+//! With [`BlendMethod::SpaceTime`] the penalty is `√(p_i² + (λ·m_i)²)`, with m_i the
+//! interpolation error of the camera's pixel ([`Source::interpolation_error_px`]) and λ the angle that a pixel counts as: the errors
 //! of the proxy and of interpolation are independent. At a camera's place and at the time of its frame
 //! it is still 0.
 //!
@@ -137,8 +137,8 @@ fn check(sources: &[Source], depth: &DepthMap, target: &Camera) {
     for source in sources {
         let size = (source.camera.width, source.camera.height);
         assert_eq!((source.image.width(), source.image.height()), size, "size of an image");
-        if let Some(bridged) = source.bridged_px {
-            assert_eq!(bridged.len(), size.0 * size.1, "size of a source's bridged pixels");
+        if let Some(error_px) = source.interpolation_error_px {
+            assert_eq!(error_px.len(), size.0 * size.1, "size of a source's interpolation errors");
         }
         if let Some(d) = source.depth {
             assert_eq!((d.width(), d.height()), size, "size of a source's depths");

@@ -28,7 +28,7 @@ pub enum BlendMethod {
 methods!(BlendMethod {
     Uniform = "uniform": "All cameras that see the point, with equal weights",
     Lumigraph = "lumigraph": "The paper's: the cameras with the nearest rays, by angle and resolution",
-    SpaceTime = "space-time": "By angle, resolution, and how far each camera's pixel was bridged in time",
+    SpaceTime = "space-time": "By angle, resolution, and the expected error of interpolation in time",
 });
 
 /// Smallest distance of the threshold above the best penalty, as a fraction of it. Larger: more than k

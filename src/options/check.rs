@@ -244,7 +244,7 @@ fn blend(o: &BlendOptions) -> Checked {
             ("weight_step_px", o.weight_step_px as f64, 1.0..=64.0),
             ("resolution", o.resolution, 0.0..=1e6),
             ("hidden_share", o.hidden_share, 0.0..=1000.0),
-            ("bridge_rad", o.bridge_rad, 0.0..=1000.0),
+            ("interpolation_error_rad", o.interpolation_error_rad, 0.0..=1000.0),
         ],
     )
 }

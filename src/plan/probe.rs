@@ -176,7 +176,7 @@ impl HeldOutFrame {
             let blend = BlendOptions { method, ..options.blend.clone() };
             ViewOptions { blend, ..options.clone() }
         });
-        // Weights in time need how far pixels were bridged; those in space ignore it.
+        // Weights in time need interpolation errors; weights in space ignore them.
         let Some(moment) = renderable(self.neighbors.moment(self.time_s, &in_time))? else {
             return Ok(None);
         };

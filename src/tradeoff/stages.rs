@@ -44,9 +44,9 @@ impl Stage {
 
 /// The options that synchronized images depend on.
 pub(super) fn sync_part(o: &RenderOptions) -> Value {
-    // What was bridged is computed where it has weight.
-    let is_bridged = o.blend.method == BlendMethod::SpaceTime;
-    json!([is_bridged, image_part(o)])
+    // Interpolation errors are computed where they have weight.
+    let with_interpolation_error = o.blend.method == BlendMethod::SpaceTime;
+    json!([with_interpolation_error, image_part(o)])
 }
 
 /// The same of the images alone.
@@ -65,8 +65,15 @@ fn image_part(o: &RenderOptions) -> Value {
             json!([o.offset, o.sync, o.registration, o.interpolation])
         }
         SyncMethod::AllCameras => {
-            let bridge_rad = o.blend.bridge_rad;
-            json!([o.offset, o.sync, o.registration, o.interpolation, o.proxy, bridge_rad])
+            let interpolation_error_rad = o.blend.interpolation_error_rad;
+            json!([
+                o.offset,
+                o.sync,
+                o.registration,
+                o.interpolation,
+                o.proxy,
+                interpolation_error_rad
+            ])
         }
     }
 }

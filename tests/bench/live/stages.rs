@@ -47,10 +47,10 @@ fn sources<'a>(
     geometry: &'a Geometry,
 ) -> Vec<Source<'a>> {
     let of = |((filmed, image), depth): ((&'a FilmedCamera, &'a Option<Synchronized>), _)| {
-        let Synchronized { image, bridged_px } = image.as_ref()?;
+        let Synchronized { image, interpolation_error_px } = image.as_ref()?;
         let depth: &Option<Arc<DepthMap>> = depth;
-        let (camera, bridged_px) = (&filmed.camera, bridged_px.as_deref());
-        Some(Source { camera, image, depth: depth.as_deref(), bridged_px })
+        let (camera, interpolation_error_px) = (&filmed.camera, interpolation_error_px.as_deref());
+        Some(Source { camera, image, depth: depth.as_deref(), interpolation_error_px })
     };
     capture.cameras.iter().zip(moment.images()).zip(&geometry.sources).filter_map(of).collect()
 }
