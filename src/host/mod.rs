@@ -4,6 +4,7 @@
 mod allocator;
 mod cache;
 pub(crate) mod cache_file;
+mod disk_cache;
 mod interrupt;
 mod obstacle;
 pub(crate) mod process;
@@ -16,6 +17,7 @@ mod write;
 
 pub use allocator::{bound_arenas, reuse_freed_memory};
 pub use cache::BoundedCache;
+pub use disk_cache::{CacheKind, CacheUse, DiskCache};
 pub use interrupt::remove_unfinished_on_signals;
 pub use obstacle::obstacle;
 pub(crate) use obstacle::{link_within, remove_special};

@@ -1,0 +1,589 @@
+//! A capture's cache on disk, in `CAPTURE/.stlfr/cache/`: results that take long to compute.
+//!
+//! An entry is the file `KIND/KEY`. KEY is a BLAKE3 hash of the program's version, the kind and its version, the
+//! capture's content, and the inputs of the computation, serialized. The file holds a checksum, keyed with KEY, and then
+//! the result's bytes. It appears when it is whole. A damaged file counts as absent, with a note.
+//!
+//! Files that belong to an entry, such as the frames of a decoded video, lie beside it in the folder `KIND/KEY.files`.
+//!
+//! All entries together take at most [`MAX_BYTES`]; the entries that were unused for longest are removed first. The cache
+//! is never reached through a link inside the capture. It may be deleted at any time.
+//!
+//! Known limits: a checksum detects damage, not a forger. Entries that were used within [`RECENT`] are not removed, so
+//! that the cache may exceed its bound for that long.
+
+use super::obstacle::{link_within, remove_special};
+use super::read::read_bytes;
+use super::write::write_atomically;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{File, Metadata};
+use std::io::{Error, ErrorKind, Result};
+use std::path::{Component, Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime};
+
+/// The cache's folder inside a capture.
+const FOLDER: &str = ".stlfr/cache";
+
+/// Bound on the bytes of all entries of a capture, decoded videos included.
+const MAX_BYTES: u64 = 32 << 30;
+
+/// Largest entry that is read, bytes.
+const MAX_ENTRY_BYTES: u64 = 64 << 20;
+
+/// Entries used more recently than this are in use. The time of use is kept to this precision.
+const RECENT: Duration = Duration::from_secs(3600);
+
+/// Digits of KEY in names.
+const KEY_DIGITS: usize = 32;
+
+/// Extension of the folder of files that belong to an entry.
+const FILES_EXTENSION: &str = "files";
+
+/// A kind of results, whose entries are listed and deleted together.
+#[derive(Clone, Copy, Debug)]
+pub struct CacheKind {
+    /// The name of its folder.
+    pub name: &'static str,
+    /// Part of the key: incremented when the same inputs give other results, or when their format changes.
+    pub version: u32,
+}
+
+/// What a kind of entries takes.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct CacheUse {
+    pub kind: String,
+    pub entries: usize,
+    pub bytes: u64,
+}
+
+/// The cache of one capture, for one content of the capture.
+#[derive(Clone)]
+pub struct DiskCache {
+    capture: PathBuf,
+    content: String,
+    shared: Arc<Shared>,
+}
+
+/// What the clones of a cache share.
+struct Shared {
+    max_bytes: u64,
+    recent: Duration,
+    note: Box<dyn Fn(&str) + Send + Sync>,
+    /// The damaged entries that were noted.
+    noted: Mutex<BTreeSet<PathBuf>>,
+    /// Entries whose files this process reads; they are not removed.
+    pinned: Mutex<BTreeSet<PathBuf>>,
+    size: Mutex<Size>,
+}
+
+#[derive(Default)]
+struct Size {
+    /// Bytes of all entries, once they were counted.
+    bytes: Option<u64>,
+    /// Bytes at which entries are removed next.
+    limit: u64,
+}
+
+/// An entry as it is found on disk.
+struct Found {
+    path: PathBuf,
+    bytes: u64,
+    used: SystemTime,
+}
+
+impl DiskCache {
+    /// The cache of the capture in a folder. `note` is told, in one sentence each, which entries are damaged.
+    ///
+    /// Keys don't depend on the capture's content: see [`Self::for_content`].
+    pub fn new(capture: &Path, note: impl Fn(&str) + Send + Sync + 'static) -> Self {
+        Self::bounded(capture, MAX_BYTES, RECENT, note)
+    }
+
+    fn bounded(
+        capture: &Path,
+        max_bytes: u64,
+        recent: Duration,
+        note: impl Fn(&str) + Send + Sync + 'static,
+    ) -> Self {
+        let size = Mutex::new(Size { bytes: None, limit: max_bytes });
+        let shared = Shared {
+            max_bytes,
+            recent,
+            note: Box::new(note),
+            noted: Mutex::default(),
+            pinned: Mutex::default(),
+            size,
+        };
+        Self { capture: capture.to_owned(), content: String::new(), shared: Arc::new(shared) }
+    }
+
+    /// The same cache with keys for this content of the capture.
+    pub fn for_content(&self, content: &str) -> Self {
+        Self { content: content.to_owned(), ..self.clone() }
+    }
+
+    /// The full key of inputs, 64 hexadecimal digits.
+    ///
+    /// # Errors
+    /// If the inputs can't be serialized as JSON.
+    pub fn key(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<String> {
+        Ok(self.hash(kind, inputs)?.to_hex().to_string())
+    }
+
+    fn hash(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<blake3::Hash> {
+        let mut hasher = blake3::Hasher::new();
+        let all = (env!("CARGO_PKG_VERSION"), kind.name, kind.version, &self.content, inputs);
+        serde_json::to_writer(&mut hasher, &all)?;
+        Ok(hasher.finalize())
+    }
+
+    fn folder(&self) -> PathBuf {
+        self.capture.join(FOLDER)
+    }
+
+    /// The link through which a kind's entries would be reached, if there is one. Nothing is read or written then.
+    pub fn link(&self, kind: CacheKind) -> Option<PathBuf> {
+        link_within(&self.capture, &self.folder().join(kind.name))
+    }
+
+    /// The file of an entry, and its full key.
+    fn entry(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<(PathBuf, blake3::Hash)> {
+        if let Some(link) = self.link(kind) {
+            return Err(Error::other(format!("{} is a link", link.display())));
+        }
+        let key = self.hash(kind, inputs)?;
+        Ok((self.folder().join(kind.name).join(&key.to_hex()[..KEY_DIGITS]), key))
+    }
+
+    /// The file of an entry.
+    ///
+    /// # Errors
+    /// If the cache is reached through a link.
+    pub fn path(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<PathBuf> {
+        Ok(self.entry(kind, inputs)?.0)
+    }
+
+    /// The folder of the files that belong to an entry. The caller creates it before the entry is saved, and checks what is
+    /// in it.
+    ///
+    /// # Errors
+    /// As [`Self::path`].
+    pub fn files(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<PathBuf> {
+        Ok(self.path(kind, inputs)?.with_extension(FILES_EXTENSION))
+    }
+
+    /// The bytes of an entry; `None` if it is absent or damaged.
+    pub fn load(&self, kind: CacheKind, inputs: &impl Serialize) -> Option<Vec<u8>> {
+        let (path, key) = self.entry(kind, inputs).ok()?;
+        let found = path.symlink_metadata().ok()?;
+        let content = found.is_file().then(|| unsealed(&path, &key)).flatten();
+        match content {
+            Some(_) => self.mark_used(&path, &found),
+            None => self.note_damage(&path),
+        }
+        content
+    }
+
+    /// Writes the bytes of an entry; returns the file's size.
+    ///
+    /// # Errors
+    /// If it can't be written, which a read-only capture survives.
+    pub fn save(&self, kind: CacheKind, inputs: &impl Serialize, content: &[u8]) -> Result<u64> {
+        let (path, key) = self.entry(kind, inputs)?;
+        let bytes = [checksum(&key, content).as_bytes(), content].concat();
+        remove_special(&path)?;
+        write_atomically(&path, &bytes)?;
+        let size = bytes.len() as u64;
+        self.add(size + files_of(&path).map_or(0, |files| folder_bytes(&files)));
+        Ok(size)
+    }
+
+    /// The value of an entry that was saved as JSON; `None` if it is absent or damaged.
+    pub fn load_json<T: DeserializeOwned>(
+        &self,
+        kind: CacheKind,
+        inputs: &impl Serialize,
+    ) -> Option<T> {
+        let value = serde_json::from_slice(&self.load(kind, inputs)?).ok();
+        if value.is_none() {
+            self.note_damage(&self.path(kind, inputs).ok()?);
+        }
+        value
+    }
+
+    /// Writes a value as indented JSON; returns the file's size.
+    ///
+    /// # Errors
+    /// As [`Self::save`].
+    pub fn save_json(
+        &self,
+        kind: CacheKind,
+        inputs: &impl Serialize,
+        value: &impl Serialize,
+    ) -> Result<u64> {
+        let mut content = serde_json::to_vec_pretty(value)?;
+        content.push(b'\n');
+        self.save(kind, inputs, &content)
+    }
+
+    /// Notes that an entry is damaged, once.
+    pub fn note_damage(&self, path: &Path) {
+        if lock(&self.shared.noted).insert(path.to_owned()) {
+            let path = path.display();
+            (self.shared.note)(&format!(
+                "{path}: is damaged or of another version, and is made anew."
+            ));
+        }
+    }
+
+    /// Keeps an entry, whose files are read from now on, from being removed by this process.
+    pub fn pin(&self, path: &Path) {
+        lock(&self.shared.pinned).insert(path.to_owned());
+    }
+
+    /// Sets the time of use, so that entries in use are removed last.
+    fn mark_used(&self, path: &Path, found: &Metadata) {
+        let now = SystemTime::now();
+        let is_recent = |t| now.duration_since(t).is_ok_and(|age| age < self.shared.recent);
+        if !found.modified().is_ok_and(is_recent) {
+            // In a read-only capture the time stays.
+            let _ = File::open(path).and_then(|file| file.set_modified(now));
+        }
+    }
+
+    /// Adds to the bytes of all entries, and removes entries beyond the bound.
+    fn add(&self, bytes: u64) {
+        let mut size = lock(&self.shared.size);
+        let total = size
+            .bytes
+            .map(|total| total + bytes)
+            .unwrap_or_else(|| self.found().values().flatten().map(|entry| entry.bytes).sum());
+        size.bytes = Some(total);
+        if total > size.limit {
+            let left = self.shrink();
+            // What is in use can't be removed: the next attempt waits until it is worth a look at all entries.
+            *size = Size {
+                bytes: Some(left),
+                limit: self.shared.max_bytes.max(left + self.shared.max_bytes / 16),
+            };
+        }
+    }
+
+    /// Removes the entries that were unused for longest; returns the bytes that are left.
+    fn shrink(&self) -> u64 {
+        let mut entries: Vec<Found> = self.found().into_values().flatten().collect();
+        entries.sort_by_key(|entry| entry.used);
+        let now = SystemTime::now();
+        let mut left: u64 = entries.iter().map(|entry| entry.bytes).sum();
+        for entry in entries {
+            let age = now.duration_since(entry.used).unwrap_or_default();
+            if left <= self.shared.max_bytes || age < self.shared.recent {
+                break;
+            }
+            if !lock(&self.shared.pinned).contains(&entry.path) && remove(&entry.path).is_ok() {
+                left -= entry.bytes;
+            }
+        }
+        left
+    }
+
+    /// All entries by kind.
+    fn found(&self) -> BTreeMap<String, Vec<Found>> {
+        let folder = self.folder();
+        if link_within(&self.capture, &folder).is_some() {
+            return BTreeMap::new();
+        }
+        let is_folder = |entry: &std::fs::DirEntry| entry.file_type().is_ok_and(|t| t.is_dir());
+        let kinds = std::fs::read_dir(folder).into_iter().flatten().flatten().filter(is_folder);
+        let of_kind = |kind: std::fs::DirEntry| {
+            let name = kind.file_name().into_string().ok()?;
+            let entries = entries(&kind.path());
+            (!name.starts_with('.') && !entries.is_empty()).then_some((name, entries))
+        };
+        kinds.filter_map(of_kind).collect()
+    }
+
+    /// What each kind of entries takes.
+    pub fn listing(&self) -> Vec<CacheUse> {
+        let of_kind = |(kind, found): (String, Vec<Found>)| CacheUse {
+            kind,
+            entries: found.len(),
+            bytes: found.iter().map(|entry| entry.bytes).sum(),
+        };
+        self.found().into_iter().map(of_kind).collect()
+    }
+
+    /// Deletes the entries of a kind, or all; returns how many there were and their bytes.
+    ///
+    /// # Errors
+    /// If they can't be deleted, or are reached through a link.
+    pub fn delete(&self, kind: Option<&str>) -> Result<CacheUse> {
+        let folder = kind.map_or(self.folder(), |kind| self.folder().join(kind));
+        if kind.is_some_and(|kind| !is_name(kind)) {
+            return Err(Error::new(ErrorKind::InvalidInput, "is no kind of entries"));
+        }
+        if let Some(link) = link_within(&self.capture, &folder) {
+            return Err(Error::other(format!("{} is a link", link.display())));
+        }
+        let mut deleted = CacheUse { kind: kind.unwrap_or_default().into(), ..CacheUse::default() };
+        for found in self.listing().iter().filter(|found| kind.is_none_or(|k| k == found.kind)) {
+            deleted.entries += found.entries;
+            deleted.bytes += found.bytes;
+        }
+        lock(&self.shared.size).bytes = None;
+        ignore_absent(std::fs::remove_dir_all(&folder))?;
+        Ok(deleted)
+    }
+}
+
+impl std::fmt::Debug for DiskCache {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        f.debug_struct("DiskCache")
+            .field("capture", &self.capture)
+            .field("content", &self.content)
+            .finish_non_exhaustive()
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Each holds whole values at any time.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn checksum(key: &blake3::Hash, content: &[u8]) -> blake3::Hash {
+    blake3::keyed_hash(key.as_bytes(), content)
+}
+
+/// The content of a file, if it has the checksum of this key.
+fn unsealed(path: &Path, key: &blake3::Hash) -> Option<Vec<u8>> {
+    let mut bytes = read_bytes(path, MAX_ENTRY_BYTES).ok()?;
+    let (found, content) = bytes.split_first_chunk::<{ blake3::OUT_LEN }>()?;
+    (*found == *checksum(key, content).as_bytes()).then(|| bytes.split_off(blake3::OUT_LEN))
+}
+
+/// Whether a text names something in a folder, and no path.
+fn is_name(text: &str) -> bool {
+    matches!(Path::new(text).components().collect::<Vec<_>>()[..], [Component::Normal(name)] if name == text)
+}
+
+/// The folder of an entry's files, if there is one.
+fn files_of(path: &Path) -> Option<PathBuf> {
+    let files = path.with_extension(FILES_EXTENSION);
+    files.symlink_metadata().is_ok_and(|found| found.is_dir()).then_some(files)
+}
+
+fn folder_bytes(folder: &Path) -> u64 {
+    let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    files.filter_map(|file| file.metadata().ok()).map(|found| found.len()).sum()
+}
+
+/// The entries of a kind's folder. Their files count, also where the entry itself is missing.
+fn entries(folder: &Path) -> Vec<Found> {
+    let mut found: BTreeMap<PathBuf, Found> = BTreeMap::new();
+    for item in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+        let (path, Ok(metadata)) = (item.path(), item.metadata()) else { continue };
+        let extension = path.extension().map(|e| e == FILES_EXTENSION);
+        let stem = path.file_stem().unwrap_or_default();
+        let is_key = stem.len() == KEY_DIGITS
+            && stem.as_encoded_bytes().iter().all(|digit| digit.is_ascii_hexdigit());
+        let bytes = match extension {
+            None if metadata.is_file() => metadata.len(),
+            Some(true) if metadata.is_dir() => folder_bytes(&path),
+            _ => continue,
+        };
+        if !is_key {
+            continue;
+        }
+        let path = path.with_extension("");
+        let used = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+        let entry = found.entry(path.clone()).or_insert(Found { path, bytes: 0, used });
+        entry.bytes += bytes;
+        entry.used = entry.used.max(used);
+    }
+    found.into_values().collect()
+}
+
+/// Removes an entry, and then its files.
+fn remove(path: &Path) -> Result<()> {
+    ignore_absent(std::fs::remove_file(path))?;
+    files_of(path).map_or(Ok(()), |files| ignore_absent(std::fs::remove_dir_all(files)))
+}
+
+fn ignore_absent(result: Result<()>) -> Result<()> {
+    match result {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    const NUMBERS: CacheKind = CacheKind { name: "numbers", version: 1 };
+
+    /// A cache, and how many notes it gave.
+    fn cache(folder: &Path) -> (DiskCache, Arc<AtomicUsize>) {
+        let notes = Arc::new(AtomicUsize::new(0));
+        let count = notes.clone();
+        let note = move |sentence: &str| {
+            assert!(sentence.contains("is damaged or of another version"), "{sentence}");
+            count.fetch_add(1, Ordering::Relaxed);
+        };
+        (DiskCache::new(folder, note), notes)
+    }
+
+    #[test]
+    fn entries_are_read_for_their_own_inputs_kind_and_content() {
+        let folder = tempfile::tempdir().unwrap();
+        let (cache, notes) = cache(folder.path());
+        assert_eq!(cache.load(NUMBERS, &(1, 0.5)), None);
+        assert_eq!(cache.save(NUMBERS, &(1, 0.5), b"one").unwrap(), 35);
+        assert_eq!(cache.load(NUMBERS, &(1, 0.5)).as_deref(), Some(b"one".as_slice()));
+        assert_eq!(cache.load(NUMBERS, &(2, 0.5)), None);
+        assert_eq!(cache.load(CacheKind { version: 2, ..NUMBERS }, &(1, 0.5)), None);
+        assert_eq!(cache.load(CacheKind { name: "others", ..NUMBERS }, &(1, 0.5)), None);
+        assert_eq!(cache.for_content("other").load(NUMBERS, &(1, 0.5)), None);
+        let value = BTreeMap::from([("x".to_owned(), 1e-300)]);
+        cache.save_json(NUMBERS, &"json", &value).unwrap();
+        assert_eq!(cache.load_json(NUMBERS, &"json"), Some(value));
+        assert_eq!(notes.load(Ordering::Relaxed), 0);
+        assert_eq!(cache.load_json::<u8>(NUMBERS, &"json"), None);
+        assert_eq!(notes.load(Ordering::Relaxed), 1, "of another type");
+    }
+
+    #[test]
+    fn every_changed_bit_and_every_length_is_noticed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("entry");
+        let key = blake3::hash(b"key");
+        let bytes = [checksum(&key, b"content").as_bytes(), b"content".as_slice()].concat();
+        let holds = |bytes: &[u8], key: &blake3::Hash| {
+            std::fs::write(&path, bytes).unwrap();
+            unsealed(&path, key).is_some()
+        };
+        for at in 0..bytes.len() {
+            for bit in 0..8 {
+                let mut flipped = bytes.clone();
+                flipped[at] ^= 1 << bit;
+                assert!(!holds(&flipped, &key), "byte {at}, bit {bit}");
+            }
+            assert!(!holds(&bytes[..at], &key), "{at} bytes");
+        }
+        assert!(holds(&bytes, &key) && !holds(&bytes, &blake3::hash(b"other")));
+    }
+
+    #[test]
+    fn damaged_entries_are_noted_once_and_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let (cache, notes) = cache(folder.path());
+        let _ = [1, 2].map(|n| cache.save(NUMBERS, &n, b"content").unwrap());
+        let [one, two] = [1, 2].map(|n| cache.path(NUMBERS, &n).unwrap());
+        std::fs::copy(&two, &one).unwrap();
+        assert!(cache.load(NUMBERS, &1).is_none() && cache.load(NUMBERS, &1).is_none());
+        assert_eq!(notes.load(Ordering::Relaxed), 1, "of another entry");
+        std::fs::remove_file(&two).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", &two).unwrap();
+        assert!(cache.load(NUMBERS, &2).is_none());
+        assert_eq!(notes.load(Ordering::Relaxed), 2, "a link to a device");
+        cache.save(NUMBERS, &2, b"content").unwrap();
+        assert!(cache.load(NUMBERS, &2).is_some());
+    }
+
+    #[test]
+    fn entries_unused_for_longest_are_removed_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let content = [0; 100 - blake3::OUT_LEN];
+        let age = |cache: &DiskCache, n: u8, hours: u64| {
+            let used = SystemTime::now() - Duration::from_secs(3600 * hours);
+            let file = File::open(cache.path(NUMBERS, &n).unwrap()).unwrap();
+            file.set_modified(used).unwrap();
+        };
+        let cache = DiskCache::bounded(folder.path(), 350, RECENT, |_| ());
+        for n in 0..3 {
+            cache.save(NUMBERS, &n, &content).unwrap();
+            age(&cache, n, 10 - u64::from(n));
+        }
+        cache.load(NUMBERS, &0).unwrap();
+        // Its files count with it, and go with it.
+        let files = cache.files(NUMBERS, &1).unwrap();
+        std::fs::create_dir(&files).unwrap();
+        std::fs::write(files.join("0.png"), [0; 20]).unwrap();
+        assert_eq!(cache.listing()[0], CacheUse { kind: "numbers".into(), entries: 3, bytes: 320 });
+        let used = SystemTime::now() - Duration::from_secs(3600 * 9);
+        File::open(&files).unwrap().set_modified(used).unwrap();
+        cache.save(NUMBERS, &3, &content).unwrap();
+        let there: Vec<bool> = (0..4).map(|n| cache.load(NUMBERS, &n).is_some()).collect();
+        assert_eq!(there, [true, false, true, true]);
+        assert!(!files.exists());
+
+        // What is recent or pinned stays.
+        age(&cache, 2, 5);
+        cache.pin(&cache.path(NUMBERS, &2).unwrap());
+        for n in 4..8 {
+            cache.save(NUMBERS, &n, &content).unwrap();
+        }
+        assert_eq!(cache.listing()[0].entries, 7);
+    }
+
+    #[test]
+    fn kinds_are_listed_and_deleted() {
+        let folder = tempfile::tempdir().unwrap();
+        let (cache, _) = cache(folder.path());
+        assert!(cache.listing().is_empty());
+        assert_eq!(cache.delete(None).unwrap().entries, 0);
+        for wrong in ["", ".", "..", "../cache", "/", "numbers/.."] {
+            assert!(cache.delete(Some(wrong)).is_err(), "{wrong}");
+        }
+        let others = CacheKind { name: "others", version: 1 };
+        cache.save(NUMBERS, &1, b"12").unwrap();
+        cache.save(NUMBERS, &2, b"12").unwrap();
+        cache.save(others, &1, b"12").unwrap();
+        std::fs::write(folder.path().join(FOLDER).join("others/lock"), "").unwrap();
+        let listing = cache.listing().into_iter().map(|of| (of.kind, of.entries, of.bytes));
+        let expected = [("numbers".to_owned(), 2, 68), ("others".to_owned(), 1, 34)];
+        assert!(listing.eq(expected));
+        assert_eq!(cache.delete(Some("numbers")).unwrap().bytes, 68);
+        assert_eq!((cache.listing().len(), cache.load(NUMBERS, &1)), (1, None));
+        assert_eq!(cache.delete(None).unwrap().entries, 1);
+        assert!(!folder.path().join(FOLDER).exists());
+    }
+
+    #[test]
+    fn links_lead_nowhere() {
+        for link in [".stlfr", FOLDER, ".stlfr/cache/numbers"] {
+            let [folder, elsewhere] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+            let (cache, _) = cache(folder.path());
+            let link = folder.path().join(link);
+            std::fs::create_dir_all(link.parent().unwrap()).unwrap();
+            std::os::unix::fs::symlink(elsewhere.path(), &link).unwrap();
+            assert_eq!(cache.link(NUMBERS), Some(link.clone()));
+            let error = cache.save(NUMBERS, &1, b"1").unwrap_err().to_string();
+            assert!(error.contains("is a link"), "{error}");
+            assert!(cache.load(NUMBERS, &1).is_none() && cache.listing().is_empty());
+            assert!(cache.delete(Some("numbers")).is_err());
+            assert_eq!(elsewhere.path().read_dir().unwrap().count(), 0);
+        }
+    }
+
+    #[test]
+    fn a_read_only_capture_is_read_all_the_same() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let (cache, _) = cache(folder.path());
+        cache.save(NUMBERS, &1, b"1").unwrap();
+        let numbers = folder.path().join(FOLDER).join("numbers");
+        let allow = |mode| {
+            std::fs::set_permissions(&numbers, std::fs::Permissions::from_mode(mode)).unwrap();
+        };
+        allow(0o555);
+        assert!(cache.load(NUMBERS, &1).is_some());
+        // An administrator may write all the same.
+        let _ = cache.save(NUMBERS, &2, b"2");
+        allow(0o755);
+    }
+}
