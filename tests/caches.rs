@@ -301,9 +301,9 @@ fn video(frames: usize) -> (TempDir, PathBuf) {
     (folder, ffmpeg)
 }
 
-/// The folder of the one decoded video.
+/// The folder of the one decoded video; its cache entry has the same name without the extension.
 fn decoded(folder: &Path) -> PathBuf {
-    let cache = folder.join(".stlfr/video");
+    let cache = folder.join(".stlfr/cache/video");
     let mut folders = std::fs::read_dir(cache).unwrap().flatten().map(|e| e.path());
     folders.find(|path| path.is_dir()).unwrap()
 }
@@ -328,12 +328,14 @@ fn damaged_frames_of_a_video_are_decoded_anew() {
         }
         Err(error) => one_sentence(error),
     };
+    let list = cache.with_extension("");
+    outcomes("a video's cache entry", |_| list.clone(), outcome);
     outcomes("a video's frames.json", |_| cache.join("frames.json"), outcome);
     let any_frame = |random: &mut Random| cache.join(format!("{:06}.png", below(random, 5)));
     outcomes("a video's frame", any_frame, outcome);
 
     // Swapped frames, one that is gone, zeros, a pipe, and a list without a checksum.
-    let [zero, one, list] = ["000000.png", "000001.png", "frames.json"].map(|f| cache.join(f));
+    let [zero, one] = ["000000.png", "000001.png"].map(|f| cache.join(f));
     let swap = || {
         std::fs::rename(&zero, cache.join("x")).unwrap();
         std::fs::rename(&one, &zero).unwrap();
@@ -348,7 +350,7 @@ fn damaged_frames_of_a_video_are_decoded_anew() {
         std::fs::remove_file(&list).unwrap();
         common::make_pipe(&list);
     };
-    let unsigned = || std::fs::write(&list, read_json(&list)["content"].to_string()).unwrap();
+    let unsigned = || std::fs::write(&list, &std::fs::read(&list).unwrap()[32..]).unwrap();
     let pipe_for_lock = || {
         vanish();
         let lock = cache.with_extension("lock");

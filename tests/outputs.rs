@@ -352,8 +352,8 @@ fn a_cache_behind_a_link_is_refused() {
     assert_refused(&run(&["offsets", text(folder.path())]), 2, ".stlfr: is a link");
     std::fs::remove_file(folder.path().join(".stlfr")).unwrap();
     std::fs::create_dir(folder.path().join(".stlfr")).unwrap();
-    symlink(elsewhere.path(), folder.path().join(".stlfr/video")).unwrap();
-    assert_refused(&run(&["offsets", text(folder.path())]), 2, ".stlfr/video: is a link");
+    symlink(elsewhere.path(), folder.path().join(".stlfr/cache")).unwrap();
+    assert_refused(&run(&["offsets", text(folder.path())]), 2, ".stlfr/cache: is a link");
     assert_eq!(names(elsewhere.path()), ["mine"]);
 }
 
@@ -387,8 +387,8 @@ fn a_full_disk_is_no_broken_video() {
         .output()
         .unwrap();
     assert_refused(&output, 1, "can't be written (File too large");
-    assert!(stderr(&output).contains(".stlfr/video"), "{}", stderr(&output));
-    assert!(names(&folder.path().join(".stlfr/video")).iter().all(|n| n.ends_with(".lock")));
+    assert!(stderr(&output).contains(".stlfr/cache/video"), "{}", stderr(&output));
+    assert!(names(&folder.path().join(".stlfr/cache/video")).iter().all(|n| n.ends_with(".lock")));
     let video = ["render", text(folder.path()), "--like", "a", "--times", "0:0.3:9", "-o"];
     let out = folder.path().join("out.mkv");
     let output = Command::new("bash")

@@ -98,7 +98,7 @@ fn videos_equal_their_image_sequences() {
     let expected = render(images.path());
     assert!(expected == render(videos.path()), "other pixels");
 
-    let cache = videos.path().join(".stlfr/video");
+    let cache = videos.path().join(".stlfr/cache/video");
     let index = |k: usize| {
         let capture = open(videos.path()).unwrap();
         capture.cameras[k].frames[0].clone()
@@ -180,7 +180,7 @@ fn bad_videos_are_one_sentence() {
         let message = error(folder.path());
         assert!(message.contains(words), "{words}: {message}");
     }
-    let left = std::fs::read_dir(folder.path().join(".stlfr/video")).unwrap().flatten();
+    let left = std::fs::read_dir(folder.path().join(".stlfr/cache/video")).unwrap().flatten();
     assert!(left.map(|e| e.path()).all(|p| p.extension().is_some_and(|e| e == "lock")));
 
     std::fs::write(&path, &whole).unwrap();

@@ -2,7 +2,7 @@
 
 use super::clock::MAX_TIME_S;
 use super::video::VideoFile;
-use super::{CaptureError, Clock, FilmedCamera, Opening, frames, video};
+use super::{CaptureError, CaptureSource, Clock, FilmedCamera, frames, video};
 use crate::camera::{CameraFormat, PoseFormat};
 use crate::raster::{BitDepth, ImageFileError, read_header};
 use crate::text::{ID_PATTERN, MAX_ID_LENGTH, check_id, printable, short};
@@ -137,13 +137,12 @@ impl CaptureFormat {
 impl FilmedCameraFormat {
     pub(super) fn open(
         &self,
-        path: &Path,
-        root: &Path,
         index: usize,
-        opening: &Opening,
+        source: &CaptureSource,
     ) -> Result<FilmedCamera, CaptureError> {
+        let (description, root) = (source.description, source.root);
         let wrong = |field: &str, reason: String| CaptureError::Field {
-            path: path.to_owned(),
+            path: description.to_owned(),
             field: format!("cameras[{index}] ({}).{field}", self.id),
             reason,
         };
@@ -156,14 +155,14 @@ impl FilmedCameraFormat {
         }
         .camera()
         .map_err(|source| CaptureError::Camera {
-            path: path.to_owned(),
+            path: description.to_owned(),
             camera: format!("cameras[{index}] ({})", self.id),
             source,
         })?;
         let (video, files) = match frames::video(root, &self.frames) {
             Some(path) => {
                 let path = path.map_err(|e| wrong("frames", e))?;
-                let (video, files) = video::open(root, &path, |e| wrong("frames", e), opening)?;
+                let (video, files) = video::open(source, &path, |e| wrong("frames", e))?;
                 (Some(video), files)
             }
             None => (None, frames::find(root, &self.frames).map_err(|e| wrong("frames", e))?),

@@ -7,6 +7,7 @@
 
 mod belongings;
 mod clock;
+mod content;
 mod format;
 mod frames;
 mod npy;
@@ -24,20 +25,17 @@ pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_arra
 pub use video::{MAX_FRAMES, VideoFile};
 
 use crate::camera::{Camera, CameraFormatError};
-use crate::host::{hash_file, link_within, remembered};
+use crate::host::{DiskCache, read_text};
 use crate::json::{self, JsonError};
 use crate::progress::Reporter;
-use crate::raster::{BitDepth, Image, ImageFileError, read_image};
+use crate::raster::{BitDepth, Image, ImageFileError, read_hashed_image};
 use crate::video::ffmpeg_on_path;
+use content::ContentHashes;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The file in a capture's folder that describes it.
 pub const CAPTURE_FILE: &str = "capture.json";
-
-/// Where the hash of the content is remembered.
-const CONTENT_FILE: &str = ".stlfr/content.json";
-/// Part of its key: changed whenever the same content has another hash.
-const CONTENT: &str = "content-1 ";
 
 /// A capture: its folder, and its cameras in the order of `capture.json`.
 #[derive(Clone, Debug)]
@@ -53,6 +51,9 @@ pub struct Capture {
     /// The reference's first time stamp in its file, seconds. It is subtracted from all times, so
     /// that the reference's first frame is at 0.
     pub time_origin_s: f64,
+    /// Its cache on disk, with keys that don't depend on the content.
+    cache: DiskCache,
+    hashes: Arc<ContentHashes>,
 }
 
 /// A camera of a capture, with its frames.
@@ -83,6 +84,16 @@ pub struct Opening<'a> {
     pub reporter: &'a Reporter,
 }
 
+/// The folder of a capture that is being opened.
+struct CaptureSource<'a> {
+    /// `capture.json`.
+    description: &'a Path,
+    /// The folder, links followed.
+    root: &'a Path,
+    cache: &'a DiskCache,
+    opening: &'a Opening<'a>,
+}
+
 /// An error of a capture's folder. Every message is one sentence with the file and the field.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
@@ -107,6 +118,9 @@ pub enum CaptureError {
     /// A frame can't be read, or has another size than its camera.
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
+    /// A frame has other bytes than when it was first read.
+    #[error("{path}: changed while it was being used")]
+    Changed { path: PathBuf },
     /// A video isn't decoded yet, and there is no ffmpeg.
     #[error("{path}: is a video, and reading one needs ffmpeg: install it, or run stlfr setup")]
     NoFfmpeg { path: PathBuf },
@@ -129,17 +143,22 @@ impl Capture {
     /// of `opening`.
     pub fn open_with(folder: &Path, opening: &Opening) -> Result<Self, CaptureError> {
         let path = folder.join(CAPTURE_FILE);
-        let format: CaptureFormat = json::read(&path)
-            .map_err(|source| CaptureError::Json { path: path.clone(), source })?;
+        let failed = |source| CaptureError::Json { path: path.clone(), source };
+        let text = read_text(&path, json::MAX_BYTES).map_err(JsonError::Read).map_err(failed)?;
+        let format: CaptureFormat =
+            json::parse(&text).map_err(JsonError::Content).map_err(failed)?;
         format.check(&path)?;
 
         let root = folder
             .canonicalize()
             .map_err(|source| CaptureError::Read { path: folder.to_owned(), source })?;
         let reference = format.reference_index(&path)?;
+        let reporter = *opening.reporter;
+        let cache = DiskCache::new(&root, move |sentence| reporter.note(sentence));
+        let source = CaptureSource { description: &path, root: &root, cache: &cache, opening };
         let mut cameras = Vec::with_capacity(format.cameras.len());
         for (index, filmed) in format.cameras.iter().enumerate() {
-            cameras.push(filmed.open(&path, &root, index, opening)?);
+            cameras.push(filmed.open(index, &source)?);
         }
         let time_origin_s = cameras[reference].clock.times_s[0];
         for (index, camera) in cameras.iter_mut().enumerate() {
@@ -150,7 +169,30 @@ impl Capture {
                 reason,
             })?;
         }
-        Ok(Self { name: format.name, folder: folder.to_owned(), reference, cameras, time_origin_s })
+        let hashes = Arc::new(ContentHashes::new(&text, &cameras));
+        Ok(Self {
+            name: format.name,
+            folder: folder.to_owned(),
+            reference,
+            cameras,
+            time_origin_s,
+            cache,
+            hashes,
+        })
+    }
+
+    /// Cameras whose frames are never read; the first is the reference.
+    #[cfg(test)]
+    pub(crate) fn without_files(cameras: Vec<FilmedCamera>) -> Self {
+        Self {
+            name: String::new(),
+            folder: PathBuf::new(),
+            reference: 0,
+            time_origin_s: 0.0,
+            cache: DiskCache::new(Path::new(""), |_| ()),
+            hashes: Arc::new(ContentHashes::new("", &cameras)),
+            cameras,
+        }
     }
 
     /// Index of the camera with that id; `None` if there is none.
@@ -182,11 +224,13 @@ impl Capture {
 
     /// Decodes one frame: as RGB or as grey, by the camera's `color`.
     ///
-    /// An error if the file can't be read, or has changed its size since the capture was opened.
+    /// An error if the file can't be read, has another size than its camera, or has changed since the capture's content
+    /// was first read.
     pub fn read_frame(&self, camera: usize, frame: usize) -> Result<Image, CaptureError> {
         let filmed = &self.cameras[camera];
         let path = &filmed.frames[frame];
-        let (image, _) = read_image(path)?;
+        let (image, hash) = read_hashed_image(path)?;
+        self.require_unchanged((camera, frame), hash)?;
         let (w, h) = (filmed.camera.width, filmed.camera.height);
         if (image.width(), image.height()) != (w, h) {
             return Err(ImageFileError::Content {
@@ -215,43 +259,6 @@ impl Capture {
     /// The bit depth of results: the largest of the inputs'.
     pub fn bit_depth(&self) -> BitDepth {
         self.cameras.iter().map(|c| c.bit_depth).max().unwrap_or(BitDepth::Eight)
-    }
-
-    /// A hash of all that an estimate from this capture depends on: `capture.json` and the bytes of
-    /// the frames or videos. 64 hexadecimal digits.
-    ///
-    /// Where the capture has caches, it is remembered there. Files are read again if any has changed since, or had changed
-    /// only seconds before.
-    pub fn content_hash(&self) -> Result<String, CaptureError> {
-        let description = self.folder.join(CAPTURE_FILE);
-        let frames = self.cameras.iter().filter(|c| c.video.is_none()).flat_map(|c| &c.frames);
-        let files = std::iter::once(description.as_path()).chain(frames.map(PathBuf::as_path));
-        // Videos are known by their hashes.
-        let mut made_for = String::from(CONTENT);
-        for video in self.cameras.iter().filter_map(|c| c.video.as_ref()) {
-            made_for.push_str(&video.hash);
-        }
-        let memory = self.folder.join(CONTENT_FILE);
-        if link_within(&self.folder, &memory).is_some() {
-            return self.hash_content();
-        }
-        remembered(&memory, &made_for, files, || self.hash_content())
-    }
-
-    fn hash_content(&self) -> Result<String, CaptureError> {
-        let mut hasher = blake3::Hasher::new();
-        let add = |hasher: &mut blake3::Hasher, path: &Path| {
-            hash_file(hasher, path)
-                .map_err(|source| CaptureError::Read { path: path.to_owned(), source })
-        };
-        add(&mut hasher, &self.folder.join(CAPTURE_FILE))?;
-        for camera in &self.cameras {
-            match &camera.video {
-                Some(video) => drop(hasher.update(video.hash.as_bytes())),
-                None => camera.frames.iter().try_for_each(|frame| add(&mut hasher, frame))?,
-            }
-        }
-        Ok(hasher.finalize().to_hex().to_string())
     }
 }
 

@@ -80,10 +80,44 @@ fn every_wrong_field_is_named() {
 #[test]
 fn the_hash_follows_the_content() {
     let (folder, capture) = written(|_| ());
+    let hash = || Capture::open(folder.path()).unwrap().content_hash().unwrap().to_owned();
     let capture = capture.unwrap();
     let before = capture.content_hash().unwrap();
-    assert_eq!(before, capture.content_hash().unwrap());
+    assert_eq!((before.len(), before), (64, hash().as_str()));
     let frame = folder.path().join("b/01.png");
     write_image(&frame, &Image::filled(8, 6, 3, 0.4), None, BitDepth::Eight).unwrap();
-    assert_ne!(before, capture.content_hash().unwrap());
+    let changed = hash();
+    assert!(before != changed && before == capture.content_hash().unwrap());
+    let description = folder.path().join(CAPTURE_FILE);
+    let text = std::fs::read_to_string(&description).unwrap();
+    std::fs::write(&description, text + " ").unwrap();
+    assert!(![before, &changed].contains(&hash().as_str()));
+}
+
+/// Nothing computed from other bytes gets the key of the content.
+#[test]
+fn a_frame_that_changes_while_it_is_used_is_refused() {
+    let change = |folder: &tempfile::TempDir| {
+        let frame = folder.path().join("b/01.png");
+        write_image(&frame, &Image::filled(8, 6, 3, 0.4), None, BitDepth::Eight).unwrap();
+    };
+    let refused = |error: CaptureError| {
+        let message = error.to_string();
+        assert!(message.ends_with("b/01.png: changed while it was being used"), "{message}");
+    };
+    // Hashed, then read.
+    let (folder, capture) = written(|_| ());
+    let capture = capture.unwrap();
+    capture.content_hash().unwrap();
+    change(&folder);
+    refused(capture.read_frame(1, 1).unwrap_err());
+    capture.read_frame(1, 2).unwrap();
+    // Read, then hashed, or read again.
+    let (folder, capture) = written(|_| ());
+    let capture = capture.unwrap();
+    capture.read_frame(1, 1).unwrap();
+    capture.read_frame(1, 1).unwrap();
+    change(&folder);
+    refused(capture.content_hash().unwrap_err());
+    refused(capture.read_frame(1, 1).unwrap_err());
 }

@@ -1,47 +1,32 @@
-//! A camera's video, decoded into `CAPTURE/.stlfr/video/` and read from there as an image sequence.
+//! A camera's video, decoded into the capture's cache and read from there as an image sequence.
 //!
-//! A folder there is named after its video's content and appears when it is complete. It may be
-//! deleted at any time: the video is then decoded anew. So it is, with a note, where a frame is not what
-//! was decoded: `frames.json`, a cache file with a checksum of its own, has every frame's hash, and all are compared when
-//! the capture is opened, if any file has changed since the last time. One process decodes a video, and others wait.
+//! Frames are the files of a cache entry that has their hashes; it is saved when they are complete. They are compared
+//! with the hashes when the capture is opened, unless no file has changed since the last time, and decoded anew where
+//! they differ. One process decodes a video, and others wait.
 //!
 //! Any kind of video that ffmpeg 5.1 or newer reads may be a camera's `frames`. The clock stays in
 //! `capture.json`, because containers round their time stamps (Matroska to 1 ms). A `rate_hz` that the
 //! file contradicts is refused; the message names the file that lists the video's own `times_s`.
-//!
-//! Known limits: folders of deleted videos stay.
 
-use super::{CaptureError, Opening};
+use super::{CaptureError, CaptureSource};
 use crate::host::temporary::Temporary;
-use crate::host::{cache_file, hash_file, link_within, open_file, remembered, remove_special};
+use crate::host::{CacheKind, DiskCache, file_hashes, remove_special, write_json};
 use crate::video::{self, VideoError, frame_name};
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-/// Frames of one camera that a simulated rig films, and that a video is decoded to. Larger: a crafted
-/// video or a typing error fills the disk. Smaller: an hour at 24 Hz is refused.
+/// Most frames of one camera that a simulated rig films, and that a video is decoded to: an hour at 24 Hz.
 pub const MAX_FRAMES: usize = 100_000;
 
-/// Part of the cache's key: changed whenever the same video is decoded to other pixels.
-const DECODING: &[u8] = b"stlfr-video-1";
+const DECODED_VIDEOS: CacheKind = CacheKind { name: "video", version: 1 };
 
-/// The folder of all decoded videos inside a capture.
-const CACHE: &str = ".stlfr/video";
+/// Lists the video's own time stamps, for the user.
+const STAMPS_FILE: &str = "frames.json";
 
-/// Lists a folder's frames. It is written last.
-const INDEX_FILE: &str = "frames.json";
-/// Extension of the file beside a folder that remembers the hashes of its frames. Inside, it would be written while
-/// another process replaces the folder.
-const HASHES_EXTENSION: &str = "hashes.json";
-/// Part of its key: changed whenever the same frame has another hash.
-const HASHES: &str = "hashes-1";
-
-/// Rounding of time stamps, seconds: Matroska's are whole milliseconds. Larger: dropped frames of fast
-/// cameras pass. Smaller: rounded stamps are taken for dropped frames.
+/// Rounding of time stamps, seconds: Matroska's are whole milliseconds.
 const ROUNDING_S: f64 = 2e-3;
 
 /// A camera's video file.
@@ -50,138 +35,175 @@ pub struct VideoFile {
     /// The video, links followed.
     pub path: PathBuf,
     /// Hash of its bytes.
-    pub(super) hash: String,
+    pub(super) hash: blake3::Hash,
+    /// Hashes of the decoded frames' files.
+    pub(super) frames: Vec<blake3::Hash>,
     /// The file's own time stamps, seconds.
     pub(super) stamps_s: Vec<f64>,
     /// The file that lists them.
-    pub(super) index: PathBuf,
+    pub(super) stamps_file: PathBuf,
 }
 
-/// The list of a folder's decoded frames.
+/// The cache entry of a decoded video.
 #[derive(Serialize, Deserialize)]
-struct Index {
+struct DecodedVideo {
     /// The video's own time stamps.
     times_s: Vec<f64>,
-    /// The hash of every image file, in their order.
+    /// The hash of every frame's file, in hexadecimal digits.
     frames: Vec<String>,
 }
 
-/// A video and its frames inside the capture's folder `root`, decoded if they aren't yet. `wrong`
-/// makes an error of a reason.
+/// A video of a capture, with its cache entry.
+struct SourceVideo<'a> {
+    source: &'a CaptureSource<'a>,
+    path: &'a Path,
+    /// Its file name.
+    name: String,
+    hash: blake3::Hash,
+    /// The cache entry.
+    entry: PathBuf,
+    /// The folder of decoded frames.
+    folder: PathBuf,
+}
+
+/// A video and its frames, decoded if they aren't yet. `wrong` makes an error of a reason.
 pub(super) fn open(
-    root: &Path,
+    source: &CaptureSource,
     path: &Path,
     wrong: impl Fn(String) -> CaptureError,
-    opening: &Opening,
 ) -> Result<(VideoFile, Vec<PathBuf>), CaptureError> {
-    let hash = hash(path).map_err(|source| CaptureError::Read { path: path.to_owned(), source })?;
-    let cache = root.join(CACHE);
-    let folder = cache.join(&hash[..32]);
-    // Through a link, the cache would be written, and what is old in it deleted, elsewhere.
-    if let Some(path) = link_within(root, &folder) {
+    let cache = source.cache;
+    if let Some(path) = cache.link(DECODED_VIDEOS) {
         return Err(CaptureError::CacheLink { path });
     }
-    let note = |sentence: &str| opening.reporter.note(sentence);
-    let index = match whole(&folder, &hash, note) {
-        Some(index) => index,
-        None => decode(&Cache { all: &cache, folder: &folder, key: &hash }, path, &wrong, opening)?,
-    };
-    let frames = (0..index.frames.len()).map(|k| folder.join(frame_name(k))).collect();
-    let video = VideoFile {
-        path: path.to_owned(),
+    let hash = hash(cache, path)?;
+    let failed = |source| CaptureError::Write { path: path.to_owned(), source };
+    let video = SourceVideo {
+        source,
+        path,
+        name: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         hash,
-        stamps_s: index.times_s,
-        index: folder.join(INDEX_FILE),
+        entry: cache.path(DECODED_VIDEOS, &hash.as_bytes()).map_err(failed)?,
+        folder: cache.files(DECODED_VIDEOS, &hash.as_bytes()).map_err(failed)?,
     };
-    Ok((video, frames))
+    cache.pin(&video.entry);
+    let (frames, stamps_s) = match video.cached() {
+        Some(cached) => cached,
+        None => video.decode(&wrong)?,
+    };
+    let files = (0..frames.len()).map(|k| video.folder.join(frame_name(k))).collect();
+    let stamps_file = video.folder.join(STAMPS_FILE);
+    Ok((VideoFile { path: path.to_owned(), hash, frames, stamps_s, stamps_file }, files))
 }
 
-fn hash(path: &Path) -> io::Result<String> {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(DECODING);
-    hasher.update_reader(open_file(path)?)?;
-    Ok(hasher.finalize().to_hex().to_string())
+fn hash(cache: &DiskCache, path: &Path) -> Result<blake3::Hash, CaptureError> {
+    let found = file_hashes(cache, &[path])
+        .map_err(|(_, source)| CaptureError::Read { path: path.to_owned(), source })?;
+    Ok(found[0])
 }
 
-/// The index of a folder whose frames are all what was decoded from the video with this hash; `note` is
-/// told where they were and are no more.
-fn whole(folder: &Path, key: &str, note: impl Fn(&str)) -> Option<Index> {
-    let index: Index = cache_file::load(&folder.join(INDEX_FILE), key, &note)?;
-    if holds(folder, &index) {
-        return Some(index);
+/// Hashes of decoded frames, and their time stamps in seconds.
+type DecodedFrames = (Vec<blake3::Hash>, Vec<f64>);
+
+impl SourceVideo<'_> {
+    /// The decoded frames, if they are all there as they were written.
+    fn cached(&self) -> Option<DecodedFrames> {
+        let cache = self.source.cache;
+        let found: DecodedVideo = cache.load_json(DECODED_VIDEOS, &self.hash.as_bytes())?;
+        let hashes = matching_hashes(cache, &self.folder, &found);
+        if hashes.is_none() {
+            cache.note_damage(&self.entry);
+        }
+        Some((hashes?, found.times_s))
     }
-    note(&cache_file::damaged(folder));
-    None
+
+    fn decode(
+        &self,
+        wrong: &impl Fn(String) -> CaptureError,
+    ) -> Result<DecodedFrames, CaptureError> {
+        let failed = |source| CaptureError::Write { path: self.folder.clone(), source };
+        let Some(ffmpeg) = self.source.opening.ffmpeg else {
+            return Err(CaptureError::NoFfmpeg { path: self.path.to_owned() });
+        };
+        let parent = self.folder.parent().unwrap_or(&self.folder);
+        std::fs::create_dir_all(parent).map_err(failed)?;
+        let lock = lock_file(&self.folder).map_err(failed)?;
+        let _phase = self.source.opening.reporter.phase(&format!("decoding {}", self.name));
+        lock.lock().map_err(failed)?;
+        if let Some(decoded) = self.cached() {
+            return Ok(decoded); // the process that held the lock has decoded it
+        }
+        // Under the lock: no other process touches the folder.
+        remove(&self.folder).map_err(failed)?;
+        let temporary = Temporary::inside(parent).map_err(failed)?;
+        let partial = temporary.path().join(FRAMES);
+        std::fs::create_dir(&partial).map_err(failed)?;
+        let decoded = self.decode_into(ffmpeg, &partial, wrong).map_err(|error| match error {
+            // The temporary folder is gone by then.
+            CaptureError::Write { path, source } if path.starts_with(&partial) => failed(source),
+            error => error,
+        })?;
+        temporary.place(FRAMES, &self.folder).map_err(failed)?;
+        let cache = self.source.cache;
+        // What was decoded may be what the video became meanwhile.
+        if hash(cache, self.path)? != self.hash {
+            return Err(CaptureError::Changed { path: self.path.to_owned() });
+        }
+        let (hashes, times_s) = decoded;
+        let frames = hashes.iter().map(|hash| hash.to_hex().to_string()).collect();
+        let entry = DecodedVideo { times_s, frames };
+        cache.save_json(DECODED_VIDEOS, &self.hash.as_bytes(), &entry).map_err(failed)?;
+        Ok((hashes, entry.times_s))
+    }
+
+    fn decode_into(
+        &self,
+        ffmpeg: &Path,
+        folder: &Path,
+        wrong: &impl Fn(String) -> CaptureError,
+    ) -> Result<DecodedFrames, CaptureError> {
+        let name = &self.name;
+        let decoded = video::decode(ffmpeg, self.path, folder, MAX_FRAMES);
+        let times_s = decoded.map(|decoded| decoded.times_s).map_err(|error| match error {
+            VideoError::File { path, source } => CaptureError::Write { path, source },
+            error => wrong(format!("'{name}' {error}")),
+        })?;
+        let frames = (0..).take_while(|k| folder.join(frame_name(*k)).exists()).count();
+        if frames == 0 || frames != times_s.len() {
+            return Err(wrong(format!("'{name}' has no frames, or some without a time stamp")));
+        }
+        let failed = |source| CaptureError::Write { path: folder.join(STAMPS_FILE), source };
+        let hashes = hash_frames(self.source.cache, folder, frames).map_err(failed)?;
+        let stamps = serde_json::json!({ "times_s": times_s });
+        write_json(&folder.join(STAMPS_FILE), &stamps).map_err(failed)?;
+        Ok((hashes, times_s))
+    }
 }
 
-/// Whether a folder has the frames of an index that decoding can have made: a checksum has no secret, so
-/// that anybody can write one for any index.
-fn holds(folder: &Path, index: &Index) -> bool {
-    let frames = index.frames.len();
+/// The hashes of a folder's frames, if they are those of a cache entry that decoding can have saved: a checksum has no
+/// secret, so that anybody can write one for any entry.
+fn matching_hashes(
+    cache: &DiskCache,
+    folder: &Path,
+    entry: &DecodedVideo,
+) -> Option<Vec<blake3::Hash>> {
+    let frames = entry.frames.len();
     // Through a link, files outside of the capture would be read.
     let is_file =
         |k| folder.join(frame_name(k)).symlink_metadata().is_ok_and(|found| found.is_file());
-    (1..=MAX_FRAMES).contains(&frames)
-        && index.times_s.len() == frames
-        && (0..frames).all(is_file)
-        && hashes(folder, frames).is_ok_and(|found| found == index.frames)
+    let is_plausible = (1..=MAX_FRAMES).contains(&frames)
+        && entry.times_s.len() == frames
+        && (0..frames).all(is_file);
+    let hashes = is_plausible.then(|| hash_frames(cache, folder, frames).ok()).flatten()?;
+    let is_same = hashes.iter().zip(&entry.frames).all(|(a, b)| a.to_hex().as_str() == b);
+    is_same.then_some(hashes)
 }
 
-/// The hashes of a folder's first frames, which are read if any has changed.
-fn hashes(folder: &Path, frames: usize) -> io::Result<Vec<String>> {
+/// The hashes of a folder's first frames.
+fn hash_frames(cache: &DiskCache, folder: &Path, frames: usize) -> io::Result<Vec<blake3::Hash>> {
     let files: Vec<PathBuf> = (0..frames).map(|k| folder.join(frame_name(k))).collect();
-    let memory = folder.with_extension(HASHES_EXTENSION);
-    remembered(&memory, HASHES, files.iter().map(PathBuf::as_path), || hash_all(folder, frames))
-}
-
-fn hash_all(folder: &Path, frames: usize) -> io::Result<Vec<String>> {
-    let of = |k| {
-        let mut hasher = blake3::Hasher::new();
-        hash_file(&mut hasher, &folder.join(frame_name(k)))?;
-        Ok(hasher.finalize().to_hex().to_string())
-    };
-    (0..frames).into_par_iter().map(of).collect()
-}
-
-/// Where a video's frames are cached, and the key that they are cached by.
-struct Cache<'a> {
-    all: &'a Path,
-    folder: &'a Path,
-    key: &'a str,
-}
-
-fn decode(
-    cache: &Cache,
-    path: &Path,
-    wrong: &impl Fn(String) -> CaptureError,
-    opening: &Opening,
-) -> Result<Index, CaptureError> {
-    let folder = cache.folder;
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let failed = |source| CaptureError::Write { path: folder.to_owned(), source };
-    let Some(ffmpeg) = opening.ffmpeg else {
-        return Err(CaptureError::NoFfmpeg { path: path.to_owned() });
-    };
-    std::fs::create_dir_all(cache.all).map_err(failed)?;
-    let lock = lock_file(folder).map_err(failed)?;
-    let _phase = opening.reporter.phase(&format!("decoding {name}"));
-    lock.lock().map_err(failed)?;
-    if let Some(index) = whole(folder, cache.key, |_| ()) {
-        return Ok(index); // the process that held the lock has decoded it
-    }
-    // Under the lock: no other process touches the folder.
-    remove(folder).map_err(failed)?;
-    let temporary = Temporary::inside(cache.all).map_err(failed)?;
-    let partial = temporary.path().join(FRAMES);
-    std::fs::create_dir(&partial).map_err(failed)?;
-    let decoded = Cache { folder: &partial, ..*cache };
-    let index = decode_into(ffmpeg, &decoded, path, &name, wrong).map_err(|error| match error {
-        // The temporary folder is gone by then.
-        CaptureError::Write { path, source } if path.starts_with(&partial) => failed(source),
-        error => error,
-    })?;
-    temporary.place(FRAMES, folder).map_err(failed)?;
-    Ok(index)
+    let files: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
+    file_hashes(cache, &files).map_err(|(_, error)| error)
 }
 
 /// The file that is locked while a folder is made. What is no file and has its name is removed: opening
@@ -206,29 +228,6 @@ fn remove(folder: &Path) -> io::Result<()> {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
         _ => Ok(()),
     }
-}
-
-fn decode_into(
-    ffmpeg: &Path,
-    cache: &Cache,
-    path: &Path,
-    name: &str,
-    wrong: &impl Fn(String) -> CaptureError,
-) -> Result<Index, CaptureError> {
-    let folder = cache.folder;
-    let decoded = video::decode(ffmpeg, path, folder, MAX_FRAMES).map_err(|error| match error {
-        VideoError::File { path, source } => CaptureError::Write { path, source },
-        error => wrong(format!("'{name}' {error}")),
-    })?;
-    let frames = (0..).take_while(|k| folder.join(frame_name(*k)).exists()).count();
-    if frames == 0 || frames != decoded.times_s.len() {
-        return Err(wrong(format!("'{name}' has no frames, or some without a time stamp")));
-    }
-    let failed = |source| CaptureError::Write { path: folder.join(INDEX_FILE), source };
-    let frames = hash_all(folder, frames).map_err(failed)?;
-    let index = Index { times_s: decoded.times_s, frames };
-    cache_file::save(&folder.join(INDEX_FILE), cache.key, &index).map_err(failed)?;
-    Ok(index)
 }
 
 impl VideoFile {
@@ -263,7 +262,7 @@ impl VideoFile {
 
     /// Advice where the clock and the file contradict each other.
     pub(super) fn offer(&self) -> String {
-        format!("give times_s (the video's own are in {})", self.index.display())
+        format!("give times_s (the video's own are in {})", self.stamps_file.display())
     }
 }
 
@@ -274,58 +273,38 @@ mod tests {
     fn stamped(stamps_s: &[f64]) -> VideoFile {
         VideoFile {
             path: "a.mkv".into(),
-            hash: String::new(),
+            hash: blake3::hash(b""),
+            frames: Vec::new(),
             stamps_s: stamps_s.to_vec(),
-            index: "frames.json".into(),
+            stamps_file: "frames.json".into(),
         }
     }
 
     #[test]
-    fn an_index_that_decoding_can_not_have_made_does_not_hold() {
-        let cache = tempfile::tempdir().unwrap();
-        let folder = cache.path().join("0");
+    fn an_entry_that_decoding_can_not_have_saved_does_not_hold() {
+        let capture = tempfile::tempdir().unwrap();
+        let folder = capture.path().join("0");
         std::fs::create_dir(&folder).unwrap();
-        let whole = |times_s: &[f64], frames: &[String]| {
-            let index = Index { times_s: times_s.to_vec(), frames: frames.to_vec() };
-            cache_file::save(&folder.join(INDEX_FILE), "k", &index).unwrap();
-            let notes = std::cell::Cell::new(0);
-            let found = whole(&folder, "k", |_| notes.set(notes.get() + 1));
-            assert_eq!(notes.get(), usize::from(found.is_none()));
-            found.is_some()
+        let cache = DiskCache::new(capture.path(), |_| ());
+        let holds = |times_s: &[f64], frames: &[String]| {
+            let entry = DecodedVideo { times_s: times_s.to_vec(), frames: frames.to_vec() };
+            matching_hashes(&cache, &folder, &entry).is_some()
         };
         let frame = folder.join(frame_name(0));
         std::fs::write(&frame, "pixels").unwrap();
-        let hash = hashes(&folder, 1).unwrap();
-        assert!(whole(&[0.0], &hash));
-        assert!(!whole(&[], &[]), "no frames");
-        assert!(!whole(&[0.0, 1.0], &hash) && !whole(&[], &hash), "other stamps than frames");
+        let hash = [blake3::hash(b"pixels").to_hex().to_string()];
+        assert!(holds(&[0.0], &hash));
+        assert!(!holds(&[0.0], &[blake3::hash(b"others").to_hex().to_string()]));
+        assert!(!holds(&[], &[]), "no frames");
+        assert!(!holds(&[0.0, 1.0], &hash) && !holds(&[], &hash), "other stamps than frames");
         let many = MAX_FRAMES + 1;
-        assert!(!whole(&vec![0.0; many], &vec![String::new(); many]), "too many frames");
+        assert!(!holds(&vec![0.0; many], &vec![String::new(); many]), "too many frames");
 
         let elsewhere = tempfile::tempdir().unwrap();
         std::fs::rename(&frame, elsewhere.path().join("0")).unwrap();
         std::os::unix::fs::symlink(elsewhere.path().join("0"), &frame).unwrap();
-        assert_eq!(hashes(&folder, 1).unwrap(), hash);
-        assert!(!whole(&[0.0], &hash), "a link");
-    }
-
-    /// Who holds the lock may remove the folder meanwhile.
-    #[test]
-    fn a_folder_whose_frames_are_checked_is_not_written_to() {
-        let cache = tempfile::tempdir().unwrap();
-        let folder = cache.path().join("0");
-        std::fs::create_dir(&folder).unwrap();
-        std::fs::write(folder.join(frame_name(0)), "pixels").unwrap();
-        let memory = folder.with_extension(HASHES_EXTENSION);
-        for _ in 0..100 {
-            hashes(&folder, 1).unwrap();
-            if memory.exists() {
-                break; // the frame has settled
-            }
-            std::thread::sleep(std::time::Duration::from_millis(100));
-        }
-        assert!(memory.exists());
-        assert_eq!(folder.read_dir().unwrap().count(), 1);
+        assert_eq!(hash_frames(&cache, &folder, 1).unwrap()[0].to_hex().as_str(), hash[0]);
+        assert!(!holds(&[0.0], &hash), "a link");
     }
 
     #[test]

@@ -77,7 +77,7 @@ impl From<CaptureError> for CliError {
             | CaptureError::ImageFile(ImageFileError::Write { source, .. }) => {
                 of_io(sentence, source)
             }
-            CaptureError::NoFfmpeg { .. } => Self::Failure(sentence),
+            CaptureError::NoFfmpeg { .. } | CaptureError::Changed { .. } => Self::Failure(sentence),
             _ => Self::BadInput(sentence),
         }
     }

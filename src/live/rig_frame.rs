@@ -248,9 +248,7 @@ mod tests {
             bit_depth: BitDepth::Eight,
         };
         let cameras = cameras.into_iter().enumerate().map(filmed).collect();
-        let (name, folder) = (String::new(), std::path::PathBuf::new());
-        let capture = Capture { name, folder, reference: 0, cameras, time_origin_s: 0.0 };
-        RigFrame::new(&capture, 0.1)
+        RigFrame::new(&Capture::without_files(cameras), 0.1)
     }
 
     fn line() -> RigFrame {

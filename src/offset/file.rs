@@ -35,7 +35,7 @@
 use super::edited;
 use super::store::{CameraOffset, Offsets};
 use crate::capture::{Capture, CaptureError};
-use crate::host::{read_text, write_json};
+use crate::host::{CacheKind, read_text, write_json};
 use crate::json::{self, JsonError};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -45,6 +45,9 @@ use std::path::PathBuf;
 /// Largest file of offsets that is read, bytes. Larger: one of many empty cameras takes more than a
 /// gigabyte of memory. Smaller: a thousand cameras that lost a thousand frames each are refused.
 pub const MAX_OFFSETS_BYTES: u64 = 16 << 20;
+
+/// The hash is a key like those of the capture's cache.
+const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 1 };
 
 /// What a capture's `offsets.json` holds.
 #[derive(Clone, Debug, PartialEq)]
@@ -93,12 +96,8 @@ impl Offsets {
     /// The hash that identifies offsets of this capture estimated with these options, hexadecimal. The
     /// error is that of a frame file that cannot be read.
     pub fn hash(capture: &Capture, options: &impl Serialize) -> Result<String, CaptureError> {
-        let options = serde_json::to_string(options).unwrap_or_default();
-        let mut hasher = blake3::Hasher::new();
-        hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
-        hasher.update(capture.content_hash()?.as_bytes());
-        hasher.update(options.as_bytes());
-        Ok(hasher.finalize().to_hex().to_string())
+        // Options can't fail to be written.
+        Ok(capture.cache()?.key(ESTIMATED_OFFSETS, options).unwrap_or_default())
     }
 
     /// What `offsets.json` in the capture's folder holds. The error is that of a file that can't be

@@ -2,9 +2,10 @@
 
 use super::png::{self, PngFile};
 use super::{BitDepth, Image};
-use crate::host::{open_bounded, write_atomically};
+use crate::host::{open_bounded, read_bytes, write_atomically};
 use image::{ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits};
-use std::io::{BufRead, BufReader};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::{Path, PathBuf};
 
 /// An error of an image file. Every message is one sentence with the file.
@@ -47,16 +48,22 @@ fn image_error(path: &Path, reason: impl std::fmt::Display) -> ImageFileError {
 }
 
 /// An image file whose header is read: its pixels are at most [`MAX_PIXELS`].
-enum Opened {
-    Png(Box<PngFile>),
+enum Opened<R: BufRead + Seek> {
+    Png(Box<PngFile<R>>),
     Other(Box<dyn ImageDecoder>),
 }
 
-impl Opened {
-    fn new(path: &Path) -> Result<Self, ImageFileError> {
+impl Opened<BufReader<File>> {
+    fn open(path: &Path) -> Result<Self, ImageFileError> {
         let failed = |source| ImageFileError::Read { path: path.to_owned(), source };
         let (file, _) = open_bounded(path, MAX_FILE_BYTES).map_err(failed)?;
-        let mut file = BufReader::new(file);
+        Self::new(path, BufReader::new(file))
+    }
+}
+
+impl<R: BufRead + Seek + 'static> Opened<R> {
+    fn new(path: &Path, mut file: R) -> Result<Self, ImageFileError> {
+        let failed = |source| ImageFileError::Read { path: path.to_owned(), source };
         let is_png = file.fill_buf().map_err(failed)?.starts_with(&png::SIGNATURE);
         let opened = if is_png {
             let png = PngFile::open(file).map_err(|e| image_error(path, e))?;
@@ -91,10 +98,21 @@ impl Opened {
             }
         }
     }
+
+    fn decode(self, path: &Path) -> Result<Image, ImageFileError> {
+        let depth = self.header().bit_depth;
+        match self {
+            Self::Png(file) => file.decode().map_err(|e| image_error(path, e)),
+            Self::Other(decoder) => {
+                let decoded = DynamicImage::from_decoder(decoder);
+                Ok(unpacked(decoded.map_err(|e| image_error(path, e))?, depth))
+            }
+        }
+    }
 }
 
 pub(crate) fn read_header(path: &Path) -> Result<Header, ImageFileError> {
-    Opened::new(path).map(|opened| opened.header())
+    Opened::open(path).map(|opened| opened.header())
 }
 
 fn bit_depth(color: ColorType) -> BitDepth {
@@ -111,16 +129,17 @@ fn bit_depth(color: ColorType) -> BitDepth {
 /// What is no regular file, a file of more than 448 MiB, and an image of more than [`MAX_PIXELS`] are
 /// errors, found before the pixels are read.
 pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
-    let opened = Opened::new(path)?;
+    let opened = Opened::open(path)?;
     let depth = opened.header().bit_depth;
-    let image = match opened {
-        Opened::Png(file) => file.decode().map_err(|e| image_error(path, e))?,
-        Opened::Other(decoder) => {
-            let decoded = DynamicImage::from_decoder(decoder);
-            unpacked(decoded.map_err(|e| image_error(path, e))?, depth)
-        }
-    };
-    Ok((image, depth))
+    Ok((opened.decode(path)?, depth))
+}
+
+/// As [`read_image`], with the BLAKE3 hash of the bytes that the image was decoded from.
+pub(crate) fn read_hashed_image(path: &Path) -> Result<(Image, blake3::Hash), ImageFileError> {
+    let bytes = read_bytes(path, MAX_FILE_BYTES)
+        .map_err(|source| ImageFileError::Read { path: path.to_owned(), source })?;
+    let hash = blake3::hash(&bytes);
+    Ok((Opened::new(path, Cursor::new(bytes))?.decode(path)?, hash))
 }
 
 fn unpacked(decoded: DynamicImage, depth: BitDepth) -> Image {

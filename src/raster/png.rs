@@ -3,8 +3,7 @@
 
 use super::{BitDepth, Image};
 use png::{ColorType, DecodingError, Limits, Reader, Transformations};
-use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufRead, Seek};
 
 /// The first bytes of every PNG file.
 pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
@@ -14,10 +13,10 @@ pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
 const MAX_DECODER_BYTES: usize = 16 << 20;
 
 /// A file whose header is read.
-pub(super) struct PngFile(Reader<BufReader<File>>);
+pub(super) struct PngFile<R: BufRead + Seek>(Reader<R>);
 
-impl PngFile {
-    pub fn open(file: BufReader<File>) -> Result<Self, DecodingError> {
+impl<R: BufRead + Seek> PngFile<R> {
+    pub fn open(file: R) -> Result<Self, DecodingError> {
         let limits = Limits { bytes: MAX_DECODER_BYTES };
         let mut decoder = png::Decoder::new_with_limits(file, limits);
         decoder.set_ignore_text_chunk(true);
