@@ -1,32 +1,30 @@
-//! Values to positions on the page, and the round values between them.
+//! Axes: values to positions on the page, and ticks at round values.
 
-/// An axis: values to positions on the page, linear or logarithmic.
+/// Maps values to positions on the page, linearly or logarithmically.
 pub(super) struct Axis {
     /// The range of values, or of their decimal logarithms.
     low: f64,
     high: f64,
-    /// Positions of `low` and of `high`.
+    /// Positions of `low` and `high`.
     from: f64,
     to: f64,
     log: bool,
 }
 
-/// Margin beyond the values on either side, as a fraction of their range. Larger: points crowd in
-/// the middle. Smaller: dots are cut by the frame.
+/// Margin beyond the values on either side, as a fraction of their range.
 const MARGIN: f64 = 0.05;
 
-/// About how many ticks an axis has. Larger: their numbers touch. Smaller: values can't be read off.
+/// Number of ticks aimed at.
 const TICKS: f64 = 6.0;
 
-/// Ticks at most. Larger: rounding near a huge value could draw thousands. Smaller: none of the
-/// usual dozen may be missing.
+/// Bounds the ticks where rounding near a huge value gives thousands.
 const MAX_TICKS: usize = 20;
 
 impl Axis {
-    /// An axis around all values, from position `from` to position `to`.
+    /// The axis that shows all values, from position `from` to position `to`.
     ///
-    /// Values that aren't finite, and those without a logarithm where the axis is logarithmic, are
-    /// ignored. A single value, or none, still gets a range.
+    /// Values that aren't finite, or have no logarithm on a logarithmic axis, are ignored. A single
+    /// value, or none, still gets a range.
     pub fn around(values: impl Iterator<Item = f64>, log: bool, from: f64, to: f64) -> Self {
         let values = values.map(|v| if log { v.log10() } else { v }).filter(|v| v.is_finite());
         let (low, high) = values
@@ -36,19 +34,14 @@ impl Axis {
         Self { low: low - margin, high: high + margin, from, to, log }
     }
 
-    /// A linear axis that shows exactly `low` to `high`, from position `from` to position `to`.
-    pub fn spanning([low, high]: [f64; 2], from: f64, to: f64) -> Self {
-        Self { low, high, from, to, log: false }
-    }
-
-    /// Position of a value; `None` outside of the axis.
+    /// Position of a value; `None` outside the axis.
     pub fn at(&self, value: f64) -> Option<f64> {
         let value = if self.log { value.log10() } else { value };
         let fraction = (value - self.low) / (self.high - self.low);
         (0.0..=1.0).contains(&fraction).then_some(self.from + fraction * (self.to - self.from))
     }
 
-    /// Round values on the axis, about six.
+    /// Round values on the axis, about [`TICKS`].
     pub fn ticks(&self) -> Vec<f64> {
         let raw = (self.high - self.low) / TICKS;
         if self.log && raw > 0.12 {
@@ -71,7 +64,7 @@ impl Axis {
     }
 }
 
-/// A tick's number without the digits that come from rounding, and with a proper minus.
+/// A tick's number, without digits of rounding errors, and with a typographic minus.
 pub(super) fn tick_text(tick: f64) -> String {
     if tick != 0.0 && (tick.abs() < 1e-4 || tick.abs() >= 1e6) {
         return format!("{tick:.0e}").replace('-', "−");
@@ -95,7 +88,7 @@ mod tests {
 
     #[test]
     fn ticks_are_round_and_inside() {
-        let ticks = |low, high| Axis::spanning([low, high], 0.0, 100.0).ticks();
+        let ticks = |low, high| Axis::around([low, high].into_iter(), false, 0.0, 100.0).ticks();
         assert_eq!(ticks(0.0, 6.0), [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
         assert_eq!(ticks(-0.0031, 0.0031).len(), 7);
     }

@@ -1,26 +1,23 @@
-//! Placement of texts beside points, so that they can be read.
+//! Placement of texts beside points, without overlaps.
 
 use super::drawing::{ADVANCE, TEXT_SIZE};
 
 /// A box on the page: left, top, right and bottom.
 pub(super) type Box4 = [f64; 4];
 
-/// Distances from a point that are tried, in turn. Larger: texts stray from their points. Smaller:
-/// crowded texts overlap.
+/// Distances from a point that are tried, in turn, pixels.
 const DISTANCES: [f64; 6] = [7.0, 14.0, 24.0, 36.0, 50.0, 66.0];
-/// Directions around a point that are tried at each distance. Larger: slower, and no better.
-/// Smaller: free room is missed.
+/// Number of directions around a point that are tried at each distance.
 const DIRECTIONS: usize = 16;
-/// The direction that is tried first, radians anticlockwise from the right: up and to the left. In
-/// a plot of quality over cost no better point lies there.
+/// The direction that is tried first, radians anticlockwise from the right: up and to the left, where a
+/// plot of quality over cost has no better point.
 const FIRST_ANGLE: f64 = 2.4;
 
 fn overlap(a: &Box4, b: &Box4) -> bool {
     a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
 }
 
-/// The box of a text at a direction (radians, anticlockwise from the right) and a distance from
-/// `at`.
+/// The box of a text in a direction (radians, anticlockwise from the right) and at a distance from `at`.
 fn text_box(at: [f64; 2], width: f64, angle: f64, distance: f64) -> Box4 {
     let (w, h) = (0.5 * width, 0.5 * TEXT_SIZE);
     let (dx, dy) = (angle.cos(), -angle.sin());
@@ -29,8 +26,10 @@ fn text_box(at: [f64; 2], width: f64, angle: f64, distance: f64) -> Box4 {
     [x - w, y - h, x + w, y + h]
 }
 
-/// A box for each text, beside its point: the nearest that is tried inside the frame and clear of
-/// the obstacles and of the boxes before it; the first that is tried where none is clear.
+/// Chooses a box for each text, beside its point.
+///
+/// A box is the nearest candidate inside the frame that overlaps neither an obstacle nor an earlier
+/// box. Without one, it is the first candidate.
 pub(super) fn place(labels: &[([f64; 2], &str)], obstacles: &[Box4], frame: &Box4) -> Vec<Box4> {
     let mut taken: Vec<Box4> = obstacles.to_vec();
     labels

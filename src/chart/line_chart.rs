@@ -1,7 +1,7 @@
-//! Line and scatter charts: numbers by numbers, with ticks, error bars, labels and a key.
+//! Line and scatter charts, with ticks, error bars, labels and a key.
 
 use super::axis::{Axis, tick_text};
-use super::drawing::{ADVANCE, Anchor, Color, Drawing, Shape};
+use super::drawing::{ADVANCE, Drawing, TEXT_SIZE};
 use super::labels::{self, Box4};
 
 /// A line or scatter chart. The default is empty, with linear axes.
@@ -12,11 +12,11 @@ pub struct Chart {
     pub y_label: String,
     /// Whether the x axis is logarithmic. Values that aren't positive are then not drawn.
     pub log_x: bool,
-    /// As `log_x`, for the y axis.
+    /// Like `log_x`, for the y axis.
     pub log_y: bool,
-    /// A range that the y axis shows in any case.
+    /// A range that the y axis includes.
     pub y_shows: Option<(f64, f64)>,
-    /// The later over the earlier.
+    /// Later series are drawn over earlier ones.
     pub series: Vec<Series>,
     /// Horizontal lines, such as a truth or a target, with their labels.
     pub rules: Vec<(f64, String)>,
@@ -38,15 +38,15 @@ pub struct Label {
 /// A set of points of one colour.
 #[derive(Clone, Debug, Default)]
 pub struct Series {
-    /// Its entry in the legend; a series without one has an empty label.
+    /// Its entry in the legend; empty for none.
     pub label: String,
-    /// In the order in which a line joins them. Points that aren't finite are not drawn.
+    /// In the order in which the line joins them. Points that aren't finite are not drawn.
     pub points: Vec<ChartPoint>,
     /// Whether the points are joined by a line.
     pub line: bool,
     /// Whether each point has a dot.
     pub dots: bool,
-    /// Whether the series is grey, as a background to the others.
+    /// Whether the series is grey.
     pub faint: bool,
 }
 
@@ -67,30 +67,24 @@ impl From<(f64, f64)> for ChartPoint {
     }
 }
 
-/// Size of a chart without a key, in the page's units (a pixel at a zoom of 1).
+/// Size of a chart without a key, pixels at a zoom of 1.
 const WIDTH: f64 = 560.0;
 const HEIGHT: f64 = 340.0;
 /// Left, right, top and bottom of the frame, from the chart's edges: room for ticks and titles.
 const MARGINS: [f64; 4] = [74.0, 16.0, 34.0, 48.0];
-/// Height of a line of text. Smaller than the letters' 11.7, lines overlap.
+/// Height of a line of text.
 const ROW: f64 = 15.0;
-/// Enlargement of a chart with a key, which stands beside it and makes the page wide anyway.
+/// Enlargement of a chart with a key beside it.
 const KEYED: f64 = 1.4;
 /// Distinct in colour and in lightness.
-const COLORS: [Color; 8] = [
-    [0x0b, 0x62, 0xa4],
-    [0xd1, 0x49, 0x5b],
-    [0x2a, 0x9d, 0x5c],
-    [0x8a, 0x5f, 0xbf],
-    [0xc7, 0x7d, 0x00],
-    [0x00, 0x86, 0x8b],
-    [0x6b, 0x4c, 0x3b],
-    [0x55, 0x55, 0x55],
-];
-const INK: Color = [0; 3];
-const FRAME: Color = [0x88; 3];
-const GRID: Color = [0xe4; 3];
-const FAINT: Color = [0xb4; 3];
+const COLORS: [&str; 8] =
+    ["#0b62a4", "#d1495b", "#2a9d5c", "#8a5fbf", "#c77d00", "#00868b", "#6b4c3b", "#555555"];
+const FAINT: &str = "#b4b4b4";
+const FRAME: &str = "#888888";
+const GRID: &str = "#e4e4e4";
+const RULE: &str = "stroke=\"#333333\" stroke-width=\"1\" stroke-dasharray=\"5 4\"";
+const PLAIN: &str = "fill=\"#000000\"";
+const BOLD: &str = "font-weight=\"bold\" fill=\"#000000\"";
 
 /// Charts side by side, `columns` a row, as one standalone SVG file.
 ///
@@ -100,42 +94,29 @@ pub fn svg(charts: &[Chart], columns: usize) -> String {
     let rows = charts.len().div_ceil(columns);
     let sizes = charts.iter().map(Chart::size);
     let [w, h] = sizes.fold([WIDTH, HEIGHT], |a, b| [a[0].max(b[0]), a[1].max(b[1])]);
-    let mut page = Page { origin: [0.0; 2], shapes: Vec::new() };
+    let size @ [width, height] = [w * columns as f64, h * rows as f64];
+    let mut page = Drawing::on_white(size);
     for (k, chart) in charts.iter().enumerate() {
         page.origin = [w * (k % columns) as f64, h * (k / columns) as f64];
         chart.draw(&mut page);
     }
-    Drawing { size: [w * columns as f64, h * rows as f64], shapes: page.shapes }.svg()
+    let attributes = format!(
+        "width=\"{width}\" height=\"{height}\" font-family=\"'Noto Sans Mono', monospace\" \
+         font-size=\"{TEXT_SIZE}\""
+    );
+    page.svg(size, &attributes)
 }
 
-/// The page's shapes, and the place of the chart that is being drawn.
-struct Page {
-    /// Top left corner of the chart.
-    origin: [f64; 2],
-    shapes: Vec<Shape>,
+/// The style of a line.
+fn stroke(color: &str, width: f64) -> String {
+    format!("stroke=\"{color}\" stroke-width=\"{width}\"")
 }
 
-impl Page {
-    fn at(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        [x + self.origin[0], y + self.origin[1]]
-    }
-
-    fn path(&mut self, points: &[[f64; 2]], color: Color, width: f64, dashed: bool) {
-        let points = points.iter().map(|p| self.at(*p)).collect();
-        self.shapes.push(Shape::Path { points, color, width, dashed });
-    }
-
-    fn disc(&mut self, at: [f64; 2], radius: f64, color: Color) {
-        self.shapes.push(Shape::Disc { at: self.at(at), radius, color });
-    }
-
-    fn text(&mut self, at: [f64; 2], text: &str, anchor: Anchor, bold: bool) {
-        let (at, text) = (self.at(at), text.to_owned());
-        self.shapes.push(Shape::Text { at, text, anchor, bold, color: INK, upward: false });
-    }
+fn fill(color: &str) -> String {
+    format!("fill=\"{color}\"")
 }
 
-/// A chart's axes, in its frame: left, top, right and bottom.
+/// A chart's axes, and the frame that they span.
 struct Axes {
     x: Axis,
     y: Axis,
@@ -157,7 +138,7 @@ impl Chart {
         longest.map_or(0.0, |n| ADVANCE * n as f64 + 16.0)
     }
 
-    /// The row that the key starts at: below the legend, which stands above it.
+    /// The row at which the key starts, below the legend.
     fn key_from(&self) -> usize {
         let names = self.series.iter().filter(|s| !s.label.is_empty()).count();
         if names > 0 { names + 1 } else { 0 }
@@ -181,14 +162,14 @@ impl Chart {
         Axes { x, y, frame }
     }
 
-    fn draw(&self, page: &mut Page) {
+    fn draw(&self, page: &mut Drawing) {
         let axes = self.axes();
         let [left, top, right, bottom] = axes.frame;
         self.draw_grid(page, &axes);
         for (value, label) in &self.rules {
             let Some(at) = axes.y.at(*value) else { continue };
-            page.path(&[[left, at], [right, at]], [0x33; 3], 1.0, true);
-            page.text([right - 4.0, at - 4.0], label, Anchor::End, false);
+            page.path(&[[left, at], [right, at]], RULE);
+            page.text([right - 4.0, at - 4.0], label, "end", PLAIN);
         }
         for (k, series) in self.series.iter().enumerate() {
             series.draw(page, &axes, self.color(k));
@@ -196,49 +177,45 @@ impl Chart {
         self.draw_labels(page, &axes);
         self.draw_legend(page, &axes);
         let corners = [[left, top], [right, top], [right, bottom], [left, bottom], [left, top]];
-        page.path(&corners, FRAME, 1.0, false);
+        page.path(&corners, &stroke(FRAME, 1.0));
         for (row, line) in self.key.iter().enumerate() {
             let at = [right + 16.0, top + 10.0 + ROW * (self.key_from() + row) as f64];
-            page.text(at, line, Anchor::Start, false);
+            page.text(at, line, "start", PLAIN);
         }
     }
 
-    fn color(&self, series: usize) -> Color {
+    fn color(&self, series: usize) -> &'static str {
         if self.series[series].faint { FAINT } else { COLORS[series % COLORS.len()] }
     }
 
-    /// Ticks with their grid lines, the title and the axes' labels.
-    fn draw_grid(&self, page: &mut Page, axes: &Axes) {
+    /// Draws ticks with their grid lines, the title and the axes' labels.
+    fn draw_grid(&self, page: &mut Drawing, axes: &Axes) {
         let [left, top, right, bottom] = axes.frame;
         for tick in axes.x.ticks() {
             let Some(at) = axes.x.at(tick) else { continue };
-            page.path(&[[at, top], [at, bottom]], GRID, 1.0, false);
-            page.text([at, bottom + 15.0], &tick_text(tick), Anchor::Middle, false);
+            page.path(&[[at, top], [at, bottom]], &stroke(GRID, 1.0));
+            page.text([at, bottom + 15.0], &tick_text(tick), "middle", PLAIN);
         }
         for tick in axes.y.ticks() {
             let Some(at) = axes.y.at(tick) else { continue };
-            page.path(&[[left, at], [right, at]], GRID, 1.0, false);
-            page.text([left - 6.0, at + 4.0], &tick_text(tick), Anchor::End, false);
+            page.path(&[[left, at], [right, at]], &stroke(GRID, 1.0));
+            page.text([left - 6.0, at + 4.0], &tick_text(tick), "end", PLAIN);
         }
         let middle = 0.5 * (left + right);
-        page.text([middle, 20.0], &self.title, Anchor::Middle, true);
-        page.text([middle, bottom + 36.0], &self.x_label, Anchor::Middle, false);
-        let (at, text) = (page.at([14.0, 0.5 * (top + bottom)]), self.y_label.clone());
-        let (anchor, color) = (Anchor::Middle, INK);
-        page.shapes.push(Shape::Text { at, text, anchor, bold: false, color, upward: true });
+        page.text([middle, 20.0], &self.title, "middle", BOLD);
+        page.text([middle, bottom + 36.0], &self.x_label, "middle", PLAIN);
+        page.upward_text([14.0, 0.5 * (top + bottom)], &self.y_label, PLAIN);
     }
 
-    /// The series' colours and labels: inside the frame, or above the key where there is one.
-    fn draw_legend(&self, page: &mut Page, axes: &Axes) {
+    /// Draws the series' colours and labels: above the key, or inside the frame if there is no key.
+    fn draw_legend(&self, page: &mut Drawing, axes: &Axes) {
         let [left, top, right, _] = axes.frame;
         let labelled = self.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty());
         let beside = if self.key.is_empty() { left + 8.0 } else { right + 16.0 };
         for (row, (k, series)) in labelled.enumerate() {
             let at = top + 14.0 + ROW * row as f64;
-            let swatch = page.at([beside, at - 9.0]);
-            let color = self.color(k);
-            page.shapes.push(Shape::Rect { at: swatch, size: [10.0, 10.0], color });
-            page.text([beside + 14.0, at], &series.label, Anchor::Start, false);
+            page.square([beside, at - 9.0], 10.0, &fill(self.color(k)));
+            page.text([beside + 14.0, at], &series.label, "start", PLAIN);
         }
     }
 
@@ -251,8 +228,8 @@ impl Chart {
         [left, top, left + 26.0 + ADVANCE * longest, top + ROW * rows + 4.0]
     }
 
-    /// Texts beside points, clear of dots, of lines, of the legend and of each other.
-    fn draw_labels(&self, page: &mut Page, axes: &Axes) {
+    /// Draws texts beside points, clear of dots, of lines, of the legend and of each other.
+    fn draw_labels(&self, page: &mut Drawing, axes: &Axes) {
         let placed: Vec<([f64; 2], &Label)> = self
             .labels
             .iter()
@@ -273,21 +250,22 @@ impl Chart {
         {
             let near = [at[0].clamp(spot[0], spot[2]), at[1].clamp(spot[1], spot[3])];
             if (near[0] - at[0]).hypot(near[1] - at[1]) > 10.0 {
-                page.path(&[*at, near], FRAME, 0.8, false);
+                page.path(&[*at, near], &stroke(FRAME, 0.8));
             }
-            page.text([spot[0], spot[3] - 2.0], &label.text, Anchor::Start, label.bold);
+            let style = if label.bold { BOLD } else { PLAIN };
+            page.text([spot[0], spot[3] - 2.0], &label.text, "start", style);
         }
     }
 }
 
 impl Series {
-    /// Its points that lie on the axes, with their positions.
+    /// The points that lie on the axes, with their positions.
     fn placed(&self, axes: &Axes) -> Vec<([f64; 2], ChartPoint)> {
         let place = |p: &ChartPoint| Some(([axes.x.at(p.x)?, axes.y.at(p.y)?], *p));
         self.points.iter().filter_map(place).collect()
     }
 
-    /// Positions that labels keep clear of: its dots, and its line every six units.
+    /// Positions that labels avoid: the dots, and the line every 6 pixels.
     fn obstacles(&self, axes: &Axes) -> Vec<[f64; 2]> {
         let mut positions: Vec<[f64; 2]> = self.placed(axes).iter().map(|(at, _)| *at).collect();
         if self.line {
@@ -302,23 +280,23 @@ impl Series {
         positions
     }
 
-    fn draw(&self, page: &mut Page, axes: &Axes, color: Color) {
+    fn draw(&self, page: &mut Drawing, axes: &Axes, color: &str) {
         let placed = self.placed(axes);
         if self.line && placed.len() > 1 {
             let points: Vec<_> = placed.iter().map(|(at, _)| *at).collect();
-            page.path(&points, color, 1.8, false);
+            page.path(&points, &stroke(color, 1.8));
         }
         for (at, point) in placed {
             let ends = axes.y.at(point.y - point.bar).zip(axes.y.at(point.y + point.bar));
             if let Some((low, high)) = ends.filter(|_| point.bar > 0.0) {
-                page.path(&[[at[0], low], [at[0], high]], color, 1.0, false);
+                page.path(&[[at[0], low], [at[0], high]], &stroke(color, 1.0));
             }
             let ends = point.x_range.and_then(|(a, b)| axes.x.at(a).zip(axes.x.at(b)));
             if let Some((low, high)) = ends {
-                page.path(&[[low, at[1]], [high, at[1]]], color, 1.0, false);
+                page.path(&[[low, at[1]], [high, at[1]]], &stroke(color, 1.0));
             }
             if self.dots {
-                page.disc(at, 2.8, color);
+                page.disc(at, 2.8, &fill(color), "");
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Charts as SVG, drawn by hand: the few kinds that offsets, trade-offs, reports and benchmarks need.
+//! Charts as SVG, for offsets, trade-offs, reports and benchmarks.
 //!
 //! | file | contents |
 //! |---|---|
@@ -6,7 +6,7 @@
 //! | `dot_plot.rs` | rows of labelled dots on one axis: inline, in the colours of an HTML page |
 //! | `axis.rs` | values to positions, and ticks |
 //! | `labels.rs` | placement of texts beside points |
-//! | `drawing.rs` | shapes, as SVG |
+//! | `drawing.rs` | lines, dots and texts as SVG |
 //!
 //! Known limits: no legend avoids the points, and labels assume a monospaced font.
 
