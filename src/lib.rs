@@ -58,7 +58,7 @@
 //!
 //! ```text
 //! text
-//! host method progress random
+//! host method progress random simd
 //! json option
 //! raster
 //! camera video metrics chart
@@ -80,6 +80,7 @@
 //! |---|---|
 //! | [`host`] | files read within bounds and written whole, child processes, signals, clocks, caches |
 //! | [`json`], [`progress`], [`random`] | reading JSON with the field that is wrong; progress with time left; pseudo-random numbers, the same on every machine |
+//! | `simd` | kernels compiled for the processor: AVX2, or any |
 //! | [`text`] | names and sentences, as they may reach a terminal or another program's file |
 //! | [`method`], [`option`] | names of what a user chooses among; options, declared once |
 //! | [`raster`] | images as the stages work on them, and image files |
@@ -200,6 +201,7 @@ pub mod random;
 pub mod raster;
 pub mod registration;
 pub mod rig;
+mod simd;
 pub mod stereo;
 pub mod text;
 pub mod toolchain;

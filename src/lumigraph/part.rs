@@ -8,7 +8,8 @@ use super::reproject::{Cone, Hits, Reprojection, TargetRow};
 use super::source::{BlendOptions, Source};
 use super::weights::{BlendMethod, Penalties, SOFT, Weights, divide, weigh_between};
 use crate::camera::Camera;
-use crate::raster::{Tiles, gray_from_rgb, sample, sample_each, widened};
+use crate::raster::{Tiles, gray_from_rgb, sample, sample_each};
+use crate::simd::multiversion;
 use std::ops::Range;
 
 /// Neighbouring pixels of a row that are measured, weighed and blended together. Larger: depths differ more within a
@@ -98,7 +99,7 @@ impl<'a> RowRays<'a> {
     }
 }
 
-widened! {
+multiversion! {
     fn set_rays(row: &mut RowRays, depths: &[f32]) = set_rays_any
 }
 

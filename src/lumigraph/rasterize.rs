@@ -9,7 +9,7 @@
 use super::DepthMap;
 use super::rays::RayRow;
 use crate::camera::Camera;
-use crate::raster::widened;
+use crate::simd::multiversion;
 use nalgebra::{Point2, Vector3};
 use rayon::prelude::*;
 
@@ -73,7 +73,7 @@ pub(super) fn rasterize(
     DepthMap::from_depths(camera.width, camera.height, depths)
 }
 
-widened! {
+multiversion! {
     /// Depths from inverse depths; NaN where they are 0.
     fn invert(inverse: &[f64], depths: &mut [f32]) = invert_any
 }
@@ -135,7 +135,7 @@ impl<'a> Band<'a> {
     }
 }
 
-widened! {
+multiversion! {
     /// Raises a band's inverse depths where one of the triangles is nearer.
     fn draw(triangles: &[&Prepared], band: &mut Band) = draw_any
 }

@@ -11,7 +11,7 @@ use super::rays::ViewBounds;
 use super::source::{BlendOptions, Source};
 use super::weights::BlendMethod;
 use crate::camera::{Camera, CameraModel};
-use crate::raster::widened;
+use crate::simd::multiversion;
 use nalgebra::{Matrix3, Point2, Vector3};
 
 /// Largest distance of a camera at the view's centre, as a fraction of the farthest camera's distance
@@ -89,7 +89,7 @@ impl Cone {
     }
 }
 
-widened! {
+multiversion! {
     /// [`Reprojection::measure`] for pixels `fx·x + cx`, `fy·y + cy`.
     fn measure_pinhole(
         reprojection: &Reprojection,
@@ -99,7 +99,7 @@ widened! {
     ) = measure_pinhole_any
 }
 
-widened! {
+multiversion! {
     /// [`Reprojection::place`] for pixels `fx·x + cx`, `fy·y + cy`.
     fn place_pinhole(
         reprojection: &Reprojection,

@@ -7,7 +7,7 @@
 //! penalties, whatever ties there are.
 
 use crate::method::methods;
-use crate::raster::widened;
+use crate::simd::multiversion;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
@@ -129,7 +129,7 @@ impl Weights {
     }
 }
 
-widened! {
+multiversion! {
     fn lumigraph(penalties: &Penalties, k: usize, out: &mut Weights) = lumigraph_any
 }
 
@@ -163,7 +163,7 @@ fn lumigraph_any(penalties: &Penalties, k: usize, out: &mut Weights) {
     out.normalize(penalties);
 }
 
-widened! {
+multiversion! {
     /// Weights between nodes every `step` pixels, of which the first is at the first pixel, times the trust; they are
     /// added to a sum.
     pub(super) fn weigh_between(
@@ -196,7 +196,7 @@ fn weigh_between_any(
     }
 }
 
-widened! {
+multiversion! {
     /// Divides weights by their sum.
     pub(super) fn divide(weights: &mut [f32], sum: &[f32]) = divide_any
 }

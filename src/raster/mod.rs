@@ -9,18 +9,14 @@ mod filter;
 mod png;
 mod sample;
 mod tiles;
-mod widened;
 
 pub use color::{LUMINANCE, encoded_from_linear, gray_from_rgb, linear_from_encoded, luma};
 pub use file::{ImageFileError, MAX_PIXELS, Samples, quantize, read_image, write_image};
 pub(crate) use file::{encode_png, read_hashed_image, read_header};
 pub(crate) use filter::{box_filter, padded, sliding};
 pub use sample::Sampling;
-#[cfg(target_arch = "x86_64")]
-pub(crate) use sample::has_avx2_and_fma;
 pub(crate) use sample::{sample, sample_all, sample_each};
 pub use tiles::Tiles;
-pub(crate) use widened::widened;
 
 /// Bits a channel of an image file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -1,6 +1,9 @@
 //! Fast samples of images between their pixels.
 
 use super::{Image, catmull_rom};
+#[cfg(target_arch = "x86_64")]
+use crate::simd::has_avx2_and_fma;
+use crate::simd::multiversion;
 use serde::{Deserialize, Serialize};
 
 /// The interpolation of images between pixels.
@@ -82,12 +85,6 @@ fn inside(image: &Image, x: f32, y: f32) -> Option<(f32, f32)> {
     // One pixel further on the right than the filter reaches, for reading four values at a time.
     let inside = left >= 1.0 && top >= 1.0 && left < w as f32 - 3.0 && top < h as f32 - 2.0;
     inside.then_some((left, top))
-}
-
-/// Whether the processor has these instructions.
-#[cfg(target_arch = "x86_64")]
-pub(crate) fn has_avx2_and_fma() -> bool {
-    is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
 }
 
 /// Catmull–Rom's cubic inside an RGB image `w` wide, at a distance in pixels from the centre of the first pixel;
@@ -178,42 +175,26 @@ pub(crate) fn sample_all(
     }
 }
 
-/// Gives `put` what comes with each position, and [`sample`] of the image there.
-#[inline(always)]
-pub(crate) fn sample_each<const C: usize, T>(
-    image: &Image,
-    places: impl Iterator<Item = ([f32; 2], T)>,
-    sampling: Sampling,
-    put: impl FnMut(T, [f32; C]),
-) {
-    #[inline(always)]
-    fn any<const C: usize, T>(
-        image: &Image,
-        places: impl Iterator<Item = ([f32; 2], T)>,
-        sampling: Sampling,
-        mut put: impl FnMut(T, [f32; C]),
-    ) {
-        for ([x, y], with) in places {
-            put(with, sample(image, x, y, sampling));
-        }
-    }
-    /// The whole loop is compiled for these instructions, so that [`cubic_rgb_avx2`] is inlined.
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    fn by_avx2<const C: usize, T>(
+multiversion! {
+    /// Gives `put` what comes with each position, and [`sample`] of the image there.
+    pub(crate) fn sample_each[const C: usize, T](
         image: &Image,
         places: impl Iterator<Item = ([f32; 2], T)>,
         sampling: Sampling,
         put: impl FnMut(T, [f32; C]),
-    ) {
-        any(image, places, sampling, put);
+    ) = sample_each_by
+}
+
+#[inline(always)]
+fn sample_each_by<const C: usize, T>(
+    image: &Image,
+    places: impl Iterator<Item = ([f32; 2], T)>,
+    sampling: Sampling,
+    mut put: impl FnMut(T, [f32; C]),
+) {
+    for ([x, y], with) in places {
+        put(with, sample(image, x, y, sampling));
     }
-    #[cfg(target_arch = "x86_64")]
-    if has_avx2_and_fma() {
-        // SAFETY: the processor has both.
-        return unsafe { by_avx2(image, places, sampling, put) };
-    }
-    any(image, places, sampling, put);
 }
 
 #[cfg(test)]

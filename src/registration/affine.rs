@@ -11,7 +11,7 @@
 
 use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::Level;
-use super::simd::{F32x8, LANES, catmull_rom};
+use crate::simd::{F32x8, LANES};
 use nalgebra::{Cholesky, Const, Matrix2, Point2, SMatrix, SVector, Vector2};
 use serde::{Deserialize, Serialize};
 
@@ -426,6 +426,25 @@ impl<V: F32x8> Moments<V> {
             }
         })
     }
+}
+
+/// The weights of Catmull and Rom's cubic convolution for the samples at −1, 0, 1 and 2, at a
+/// position `f` in 0..1.
+///
+/// This is the SIMD kernel, in Horner form. Its scalar reference is `raster::catmull_rom`, in
+/// expanded form. The two round differently, so neither can replace the other without changing
+/// results; a test holds them equal to 1e-6.
+#[inline(always)]
+pub fn catmull_rom<V: F32x8>(f: V) -> [V; 4] {
+    let c = V::splat;
+    let half = c(0.5);
+    let squared = f.mul(f);
+    [
+        f.mul(f.mul(c(1.0).sub(half.mul(f))).sub(half)),
+        c(1.0).add(squared.mul(c(1.5).mul(f).sub(c(2.5)))),
+        f.mul(half.add(f.mul(c(2.0).sub(c(1.5).mul(f))))),
+        half.mul(squared.mul(f.sub(c(1.0)))),
+    ]
 }
 
 /// Samples a level at window coordinates through an [`AffineWarp`].

@@ -3,9 +3,7 @@
 
 use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::Level;
-#[cfg(target_arch = "x86_64")]
-use super::simd::{Avx2, has_avx2_and_fma};
-use super::simd::{F32x8, LANES, Scalar};
+use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
@@ -55,23 +53,12 @@ pub fn corners(level: &Level, options: &CornerOptions) -> Vec<Point2<f64>> {
     selected.points
 }
 
+multiversion! {
+    fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> = peaks_by_rows
+}
+
 /// The local maxima above a fraction of the largest strength, and their indices; of equal neighbours the
 /// first in reading order.
-fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
-    #[cfg(target_arch = "x86_64")]
-    if has_avx2_and_fma() {
-        // SAFETY: the processor has the features.
-        return unsafe { peaks_avx2(strength, w, h, min_quality) };
-    }
-    peaks_by_rows(strength, w, h, min_quality)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn peaks_avx2(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
-    peaks_by_rows(strength, w, h, min_quality)
-}
-
 #[inline(always)]
 fn peaks_by_rows(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
     let mut largest = [0.0_f32; LANES];
@@ -125,23 +112,12 @@ fn refined(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> Point2<f
     Point2::new(x as f64 + 0.5 + dx, y as f64 + 0.5 + dy)
 }
 
+multiversion! {
+    fn min_eigenvalues(level: &Level, radius: usize) -> Vec<f32> = min_eigenvalues_by::<V>
+}
+
 /// The smaller eigenvalue, per pixel, of the structure tensor averaged over a triangular window (a box
 /// applied twice), whose response has a peak where a box's has a plateau. The border is repeated.
-fn min_eigenvalues(level: &Level, radius: usize) -> Vec<f32> {
-    #[cfg(target_arch = "x86_64")]
-    if has_avx2_and_fma() {
-        // SAFETY: the processor has the features.
-        return unsafe { min_eigenvalues_avx2(level, radius) };
-    }
-    min_eigenvalues_by::<Scalar>(level, radius)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn min_eigenvalues_avx2(level: &Level, radius: usize) -> Vec<f32> {
-    min_eigenvalues_by::<Avx2>(level, radius)
-}
-
 #[inline(always)]
 fn min_eigenvalues_by<V: F32x8>(level: &Level, radius: usize) -> Vec<f32> {
     let (w, h) = (level.width, level.height);

@@ -1,9 +1,7 @@
 //! The strengths and directions of gradients, of which descriptors of features are histograms.
 
 use super::Pyramid;
-#[cfg(target_arch = "x86_64")]
-use super::simd::{Avx2, has_avx2_and_fma};
-use super::simd::{F32x8, LANES, Scalar};
+use crate::simd::{F32x8, LANES, multiversion};
 use std::f32::consts::TAU;
 
 /// Directions of a descriptor's cell. More: it tells more features apart, and tolerates less deformation.
@@ -26,20 +24,18 @@ pub(super) struct Gradients {
     pub direction: Vec<f32>,
 }
 
+multiversion! {
+    fn gradients(pyramid: &Pyramid) -> Gradients = gradients_by::<V>
+}
+
+#[inline(always)]
+fn gradients_by<V: F32x8>(pyramid: &Pyramid) -> Gradients {
+    Gradients::new_by::<V>(pyramid)
+}
+
 impl Gradients {
     pub fn new(pyramid: &Pyramid) -> Self {
-        #[cfg(target_arch = "x86_64")]
-        if has_avx2_and_fma() {
-            // SAFETY: the processor has the features.
-            return unsafe { Self::new_avx2(pyramid) };
-        }
-        Self::new_by::<Scalar>(pyramid)
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    fn new_avx2(pyramid: &Pyramid) -> Self {
-        Self::new_by::<Avx2>(pyramid)
+        gradients(pyramid)
     }
 
     #[inline(always)]
@@ -112,6 +108,7 @@ mod tests {
     use super::*;
     use crate::random::Random;
     use crate::raster::Image;
+    use crate::simd::Scalar;
 
     #[test]
     fn gradients_agree_with_a_naive_reference() {

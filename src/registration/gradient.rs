@@ -1,6 +1,6 @@
 //! Derivatives of a plane of samples by Scharr's 3×3 kernels.
 
-use super::simd::{F32x8, LANES};
+use crate::simd::{F32x8, LANES};
 
 /// Divisor that turns the sums of [`scharr`] into a change of value per pixel: the weights of
 /// Scharr's kernel, 3 + 10 + 3, over a baseline of two pixels.

@@ -11,10 +11,8 @@ use super::KltOptions;
 use super::affine::AffineRefiner;
 use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::{Level, Pyramid};
-#[cfg(target_arch = "x86_64")]
-use super::simd::{Avx2, has_avx2_and_fma};
-use super::simd::{F32x8, LANES, Scalar};
 use super::window::{Window, corner, fraction_inside};
+use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::{Matrix2, Point2, Vector2};
 
 /// A level but the finest has converged when a step is below this, pixels of that level. Larger: the
@@ -111,7 +109,7 @@ impl<'a> Tracker<'a> {
         levels: usize,
     ) -> Option<Tracked> {
         let refine = self.options.affine.radius_px > 0;
-        self.answer(&Request { source, target, from, guess, levels, refine })
+        answer(self, &Request { source, target, from, guess, levels, refine })
     }
 
     /// As [`Self::track_over`], without the affine step ([`KltOptions::affine`]).
@@ -123,22 +121,7 @@ impl<'a> Tracker<'a> {
         guess: Point2<f64>,
         levels: usize,
     ) -> Option<Tracked> {
-        self.answer(&Request { source, target, from, guess, levels, refine: false })
-    }
-
-    fn answer(&mut self, request: &Request) -> Option<Tracked> {
-        #[cfg(target_arch = "x86_64")]
-        if has_avx2_and_fma() {
-            // SAFETY: the processor has the features.
-            return unsafe { self.answer_avx2(request) };
-        }
-        self.answer_by::<Scalar>(request)
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    fn answer_avx2(&mut self, request: &Request) -> Option<Tracked> {
-        self.answer_by::<Avx2>(request)
+        answer(self, &Request { source, target, from, guess, levels, refine: false })
     }
 
     #[inline(always)]
@@ -356,6 +339,15 @@ impl<'a> Tracker<'a> {
     }
 }
 
+multiversion! {
+    fn answer(tracker: &mut Tracker, request: &Request) -> Option<Tracked> = answer_by::<V>
+}
+
+#[inline(always)]
+fn answer_by<V: F32x8>(tracker: &mut Tracker, request: &Request) -> Option<Tracked> {
+    tracker.answer_by::<V>(request)
+}
+
 /// How the steps on a level ended.
 enum Outcome {
     /// They converged, or their number was exhausted.
@@ -370,6 +362,7 @@ enum Outcome {
 mod tests {
     use super::*;
     use crate::raster::Image;
+    use crate::simd::Scalar;
 
     /// A smooth texture, shifted.
     fn texture(w: usize, h: usize, dx: f64, dy: f64) -> Image {

@@ -33,7 +33,6 @@ mod options;
 mod oriented;
 mod pyramid;
 mod references;
-mod simd;
 mod temporal_flow;
 mod trajectory;
 mod turned_flow;

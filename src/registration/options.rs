@@ -1,7 +1,7 @@
 //! Options of registration (§4).
 
-use super::simd::LANES;
 use super::{AffineOptions, CornerOptions};
+use crate::simd::LANES;
 use serde::{Deserialize, Serialize};
 
 /// Whether the cameras' gains (exposure and white balance) are estimated from the images.

@@ -4,9 +4,7 @@
 //! frame shows a feature turned, and hardly larger.
 
 use super::directions::{DIRECTIONS, Gradients, TURN};
-#[cfg(target_arch = "x86_64")]
-use super::simd::{Avx2, has_avx2_and_fma};
-use super::simd::{F32x8, LANES, Scalar};
+use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::{Point2, Vector2};
 use std::f32::consts::TAU;
 use std::ops::Range;
@@ -194,18 +192,7 @@ const ONE_DIRECTION: [[f32; LANES]; DIRECTIONS] = {
 impl Oriented {
     /// The descriptor of a point of the frame, pixels. `None` where there is no gradient.
     pub fn new(gradients: &Gradients, at: &Point2<f64>) -> Option<Self> {
-        #[cfg(target_arch = "x86_64")]
-        if has_avx2_and_fma() {
-            // SAFETY: the processor has the features.
-            return unsafe { Self::new_avx2(gradients, at) };
-        }
-        Self::new_by::<Scalar>(gradients, at)
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    fn new_avx2(gradients: &Gradients, at: &Point2<f64>) -> Option<Self> {
-        Self::new_by::<Avx2>(gradients, at)
+        oriented(gradients, at)
     }
 
     #[inline(always)]
@@ -229,32 +216,34 @@ impl Oriented {
 
     /// The squared distance of two descriptors, 0 to 2.
     pub fn distance(&self, other: &Self) -> f32 {
-        #[cfg(target_arch = "x86_64")]
-        if has_avx2_and_fma() {
-            // SAFETY: the processor has the features.
-            return unsafe { self.distance_avx2(other) };
-        }
-        self.distance_by::<Scalar>(other)
+        squared_distance(&self.entries, &other.entries)
     }
+}
 
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    fn distance_avx2(&self, other: &Self) -> f32 {
-        self.distance_by::<Avx2>(other)
-    }
+multiversion! {
+    fn oriented(gradients: &Gradients, at: &Point2<f64>) -> Option<Oriented> = oriented_by::<V>
+}
 
-    #[inline(always)]
-    fn distance_by<V: F32x8>(&self, other: &Self) -> f32 {
-        let mut sums = [V::zero(); 2];
-        for at in (0..SIZE).step_by(2 * LANES) {
-            for (k, sum) in sums.iter_mut().enumerate() {
-                let at = at + k * LANES;
-                let apart = V::load(&self.entries, at).sub(V::load(&other.entries, at));
-                *sum = apart.mul_add(apart, *sum);
-            }
+#[inline(always)]
+fn oriented_by<V: F32x8>(gradients: &Gradients, at: &Point2<f64>) -> Option<Oriented> {
+    Oriented::new_by::<V>(gradients, at)
+}
+
+multiversion! {
+    fn squared_distance(a: &[f32; SIZE], b: &[f32; SIZE]) -> f32 = squared_distance_by::<V>
+}
+
+#[inline(always)]
+fn squared_distance_by<V: F32x8>(a: &[f32; SIZE], b: &[f32; SIZE]) -> f32 {
+    let mut sums = [V::zero(); 2];
+    for at in (0..SIZE).step_by(2 * LANES) {
+        for (k, sum) in sums.iter_mut().enumerate() {
+            let at = at + k * LANES;
+            let apart = V::load(a, at).sub(V::load(b, at));
+            *sum = apart.mul_add(apart, *sum);
         }
-        sums[0].add(sums[1]).sum() as f32
     }
+    sums[0].add(sums[1]).sum() as f32
 }
 
 /// The largest bin of a histogram around a circle, smoothed, between bins by a parabola: 0 to [`BINS`]. `None`
@@ -295,6 +284,7 @@ mod tests {
     use crate::random::Random;
     use crate::raster::Image;
     use crate::registration::Pyramid;
+    use crate::simd::Scalar;
 
     /// A pattern that is turned by `angle` around the image's middle.
     fn turned(angle: f32) -> Pyramid {
@@ -380,7 +370,10 @@ mod tests {
                 let pairs = a.entries.iter().zip(&b.entries);
                 let expected: f32 = pairs.map(|(a, b)| (a - b) * (a - b)).sum();
                 assert!((a.distance(b) - expected).abs() < 1e-5);
-                assert!((a.distance_by::<Scalar>(b) - a.distance(b)).abs() < 1e-6);
+                assert!(
+                    (squared_distance_by::<Scalar>(&a.entries, &b.entries) - a.distance(b)).abs()
+                        < 1e-6
+                );
             }
         }
     }

@@ -4,8 +4,8 @@
 //! in the cache already, which costs less than reading stored gradient planes.
 
 use super::gradient::{SCHARR_SCALE, scharr};
-use super::simd::{F32x8, LANES, Scalar};
 use crate::raster::{Image, luma};
+use crate::simd::{F32x8, LANES, Scalar};
 
 /// A grey image pyramid (§4.1): the full-sized level first, each level half as large as the one
 /// before.

@@ -9,10 +9,8 @@
 use super::affine::{AffineRefiner, Deformed};
 use super::oriented::Oriented;
 use super::pyramid::Level;
-use super::simd::Scalar;
-#[cfg(target_arch = "x86_64")]
-use super::simd::{Avx2, has_avx2_and_fma};
 use super::{AffineOptions, Frame, Match, Neighbors, RegistrationOptions};
+use crate::simd::{F32x8, multiversion};
 use nalgebra::{Matrix2, Point2, Rotation2};
 use rayon::prelude::*;
 
@@ -255,29 +253,23 @@ fn turned_match(
     })
 }
 
-fn refine(
-    refiner: &mut AffineRefiner,
-    levels: [&Level; 2],
-    (from, guess): (Point2<f64>, Point2<f64>),
-    deformation: Matrix2<f64>,
-) -> Option<Deformed> {
-    #[cfg(target_arch = "x86_64")]
-    if has_avx2_and_fma() {
-        // SAFETY: the processor has the features.
-        return unsafe { refine_avx2(refiner, levels, (from, guess), deformation) };
-    }
-    refiner.refine::<Scalar>(levels, from, guess, deformation, &window())
+multiversion! {
+    fn refine(
+        refiner: &mut AffineRefiner,
+        levels: [&Level; 2],
+        ends: (Point2<f64>, Point2<f64>),
+        deformation: Matrix2<f64>,
+    ) -> Option<Deformed> = refine_by::<V>
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn refine_avx2(
+#[inline(always)]
+fn refine_by<V: F32x8>(
     refiner: &mut AffineRefiner,
     levels: [&Level; 2],
     (from, guess): (Point2<f64>, Point2<f64>),
     deformation: Matrix2<f64>,
 ) -> Option<Deformed> {
-    refiner.refine::<Avx2>(levels, from, guess, deformation, &window())
+    refiner.refine::<V>(levels, from, guess, deformation, &window())
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Windows of a pyramid level at sub-pixel positions, by bilinear interpolation.
 
 use super::pyramid::Level;
-use super::simd::{F32x8, LANES};
+use crate::simd::{F32x8, LANES};
 use nalgebra::Vector2;
 
 /// Where the window of the given radius around `p` begins in a level's padded plane: the index of
@@ -129,9 +129,10 @@ impl<V: F32x8, const B: usize> Columns<'_, V, B> {
 
 #[cfg(all(test, target_arch = "x86_64"))]
 mod tests {
+    use super::super::affine::catmull_rom;
     use super::super::gradient::scharr;
-    use super::super::simd::{Avx2, Scalar, catmull_rom, has_avx2_and_fma};
     use super::*;
+    use crate::simd::{Avx2, Scalar, has_avx2_and_fma};
 
     #[test]
     fn avx2_equals_scalar_to_1e_5() {

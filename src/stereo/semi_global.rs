@@ -1,6 +1,7 @@
 //! Semi-global matching (Hirschmüller, TPAMI 2008): costs plus what neighbours along eight directions say.
 
-use crate::raster::{Image, widened};
+use crate::raster::Image;
+use crate::simd::multiversion;
 
 /// Penalty of a step by one level, in units of the costs. Larger: slanted surfaces become stairs; smaller:
 /// noise.
@@ -26,7 +27,7 @@ pub(super) fn aggregate(costs: &[u8], gray: &Image, levels: usize) -> Vec<i16> {
     sums
 }
 
-widened! {
+multiversion! {
     fn sweep(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) = sweep_by
 }
 

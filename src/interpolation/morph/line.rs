@@ -2,7 +2,7 @@
 
 use super::super::MorphOptions;
 use super::super::edge_set::Edge;
-use crate::raster::widened;
+use crate::simd::multiversion;
 
 /// An edge as the inner loop uses it: the displacement at X is map·(X − p) + shift.
 #[derive(Clone, Copy, Debug)]
@@ -121,7 +121,7 @@ pub(super) fn displacements(
     }
 }
 
-widened! {
+multiversion! {
     /// Eq. (7) for an exponent of [`integer_power`], vectorized.
     pub(super) fn sums(lines: &[Line], xs: &[f32; LANES], y: f32, a: f32, power: i32) -> Sums = sums_any
 }

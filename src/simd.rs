@@ -1,39 +1,69 @@
-//! SIMD words of eight `f32` values, the unit of the tracker's arithmetic.
+//! One source for all processors: kernels are compiled twice, for AVX2 with FMA and for any processor.
 //!
-//! Kernels are written once over the trait [`F32x8`]. It has a [`Scalar`] implementation for every
-//! processor and an AVX2 + FMA one. Both do the same operations in the same order. They differ only
-//! in the rounding between a product and its sum, where FMA rounds once. Their results agree to
-//! 1e-5 for values of order 1, which a test asserts.
+//! A kernel is an `#[inline(always)]` function of slices that [`multiversion!`] makes a dispatcher for. Plain loops
+//! that the compiler vectorizes give the same bits by both. What it doesn't vectorize well computes on words
+//! `V:` [`F32x8`], whose products and sums are fused by AVX2 only; both agree to 1e-5 for values of order 1.
 
+use std::ops::{Add, Div, Mul, Sub};
+
+/// Defines a function that calls a kernel as compiled for the processor that it runs on.
+///
+/// `fn f(a: A) -> R = kernel` calls plain loops, and `= kernel::<V>` a kernel of words `V:` [`F32x8`]. The kernel's
+/// other generic parameters are repeated in brackets, `fn f[const C: usize](…)`.
+macro_rules! multiversion {
+    (
+        $(#[$meta:meta])*
+        $visibility:vis fn $name:ident $([$($generics:tt)*])? ($($argument:ident: $type:ty),* $(,)?) $(-> $result:ty)?
+            = $kernel:ident $(::<$word:ident>)?
+    ) => {
+        $(#[$meta])*
+        #[inline]
+        $visibility fn $name $(<$($generics)*>)? ($($argument: $type),*) $(-> $result)? {
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2,fma,popcnt")]
+            #[inline]
+            fn by_avx2 $(<$($generics)*>)? ($($argument: $type),*) $(-> $result)? {
+                $kernel $(::<$crate::simd::multiversion!(@avx2 $word)>)? ($($argument),*)
+            }
+            #[cfg(target_arch = "x86_64")]
+            if $crate::simd::has_avx2_and_fma() {
+                // SAFETY: the processor has these instructions.
+                return unsafe { by_avx2($($argument),*) };
+            }
+            $kernel $(::<$crate::simd::multiversion!(@scalar $word)>)? ($($argument),*)
+        }
+    };
+    (@avx2 $word:ident) => { $crate::simd::Avx2 };
+    (@scalar $word:ident) => { $crate::simd::Scalar };
+}
+
+pub(crate) use multiversion;
+
+/// Whether the processor has AVX2 and FMA; all that have AVX2 count bits too.
 #[cfg(target_arch = "x86_64")]
-pub(super) use crate::raster::has_avx2_and_fma;
+#[inline(always)]
+pub(crate) fn has_avx2_and_fma() -> bool {
+    is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
+}
 
-/// Values of a word. Rows of a window are padded to a multiple of this many samples of weight 0,
-/// which add nothing to the sums.
+/// Values of a word.
 pub const LANES: usize = 8;
 
-/// A word of eight `f32` values.
+/// A word of eight `f32` values; operators work element by element.
 ///
-/// Kernels must not use it inside closures: the compiler does not compile a closure for the
-/// instruction set of the function around it.
-pub trait F32x8: Copy {
+/// Closures must not use it: they are not compiled for the instructions of the function around them.
+pub trait F32x8:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
+{
     /// The word whose eight values are all `value`.
     fn splat(value: f32) -> Self;
     /// The word with these values, in order.
     fn from_array(lanes: &[f32; LANES]) -> Self;
     /// The eight values, in order.
     fn to_array(self) -> [f32; LANES];
-    /// `self + other`, element-wise.
-    fn add(self, other: Self) -> Self;
-    /// `self − other`, element-wise.
-    fn sub(self, other: Self) -> Self;
-    /// `self·other`, element-wise.
-    fn mul(self, other: Self) -> Self;
     /// `self·factor + term`, element-wise. Scalar code rounds the product and the sum, FMA only the
     /// sum.
     fn mul_add(self, factor: Self, term: Self) -> Self;
-    /// `self / other`, element-wise.
-    fn div(self, other: Self) -> Self;
     /// Square roots.
     fn sqrt(self) -> Self;
     /// Element-wise: `then` where `self` is below `other`, and `otherwise` elsewhere.
@@ -119,26 +149,20 @@ pub trait F32x8: Copy {
     }
 }
 
-/// The weights of Catmull and Rom's cubic convolution for the samples at −1, 0, 1 and 2, at a
-/// position `f` in 0..1.
-///
-/// This is the SIMD kernel, in Horner form. Its scalar reference is `raster::catmull_rom`, in
-/// expanded form. The two round differently, so neither can replace the other without changing
-/// results; a test holds them equal to 1e-6.
-#[inline(always)]
-pub fn catmull_rom<V: F32x8>(f: V) -> [V; 4] {
-    let c = V::splat;
-    let half = c(0.5);
-    let squared = f.mul(f);
-    [
-        f.mul(f.mul(c(1.0).sub(half.mul(f))).sub(half)),
-        c(1.0).add(squared.mul(c(1.5).mul(f).sub(c(2.5)))),
-        f.mul(half.add(f.mul(c(2.0).sub(c(1.5).mul(f))))),
-        half.mul(squared.mul(f.sub(c(1.0)))),
-    ]
+/// Implements an operator of words.
+macro_rules! operator {
+    ($word:ident, $operator:ident $method:ident, |$a:ident, $b:ident| $value:expr) => {
+        impl std::ops::$operator for $word {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                let ($a, $b) = (self, other);
+                $value
+            }
+        }
+    };
 }
-
-/// The implementation of [`F32x8`] for every processor: an array.
+/// [`F32x8`] for every processor: an array.
 #[derive(Clone, Copy)]
 pub struct Scalar([f32; LANES]);
 
@@ -148,6 +172,11 @@ impl Scalar {
         Self(std::array::from_fn(|l| f(self.0[l], other.0[l])))
     }
 }
+
+operator!(Scalar, Add add, |a, b| a.zip_map(b, |a, b| a + b));
+operator!(Scalar, Sub sub, |a, b| a.zip_map(b, |a, b| a - b));
+operator!(Scalar, Mul mul, |a, b| a.zip_map(b, |a, b| a * b));
+operator!(Scalar, Div div, |a, b| a.zip_map(b, |a, b| a / b));
 
 impl F32x8 for Scalar {
     #[inline(always)]
@@ -163,7 +192,7 @@ impl F32x8 for Scalar {
     #[inline(always)]
     unsafe fn load_unchecked(row: &[f32], at: usize) -> Self {
         // SAFETY: the caller's.
-        Self(unsafe { *row.as_ptr().add(at).cast::<[f32; LANES]>() })
+        Self(unsafe { *row.as_ptr().add(at).cast() })
     }
 
     #[inline(always)]
@@ -172,28 +201,8 @@ impl F32x8 for Scalar {
     }
 
     #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        self.zip_map(other, |a, b| a + b)
-    }
-
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        self.zip_map(other, |a, b| a - b)
-    }
-
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        self.zip_map(other, |a, b| a * b)
-    }
-
-    #[inline(always)]
     fn mul_add(self, factor: Self, term: Self) -> Self {
-        self.mul(factor).add(term)
-    }
-
-    #[inline(always)]
-    fn div(self, other: Self) -> Self {
-        self.zip_map(other, |a, b| a / b)
+        self * factor + term
     }
 
     #[inline(always)]
@@ -264,15 +273,18 @@ mod avx2 {
     use super::{F32x8, LANES};
     use std::arch::x86_64::*;
 
-    /// The implementation of [`F32x8`] by a 256-bit register.
-    ///
-    /// It may be used only where the processor has AVX2 and FMA ([`super::has_avx2_and_fma`]), and
-    /// inside a function that is compiled for them, into which its methods are inlined.
+    /// [`F32x8`] for AVX2 and FMA: a 256-bit register. Only [`multiversion!`](super::multiversion) names it, so that
+    /// its methods are inlined into functions that are compiled for these instructions.
     #[derive(Clone, Copy)]
     pub struct Avx2(__m256);
 
-    // SAFETY of all blocks below: the processor has both, as the type demands; loads and stores
-    // are of arrays that have the values.
+    // SAFETY of all blocks below: the processor has both, as the type demands; loads and stores are of arrays that
+    // have the values.
+    operator!(Avx2, Add add, |a, b| unsafe { Avx2(_mm256_add_ps(a.0, b.0)) });
+    operator!(Avx2, Sub sub, |a, b| unsafe { Avx2(_mm256_sub_ps(a.0, b.0)) });
+    operator!(Avx2, Mul mul, |a, b| unsafe { Avx2(_mm256_mul_ps(a.0, b.0)) });
+    operator!(Avx2, Div div, |a, b| unsafe { Avx2(_mm256_div_ps(a.0, b.0)) });
+
     impl F32x8 for Avx2 {
         #[inline(always)]
         fn splat(value: f32) -> Self {
@@ -298,21 +310,6 @@ mod avx2 {
         }
 
         #[inline(always)]
-        fn add(self, other: Self) -> Self {
-            unsafe { Self(_mm256_add_ps(self.0, other.0)) }
-        }
-
-        #[inline(always)]
-        fn sub(self, other: Self) -> Self {
-            unsafe { Self(_mm256_sub_ps(self.0, other.0)) }
-        }
-
-        #[inline(always)]
-        fn mul(self, other: Self) -> Self {
-            unsafe { Self(_mm256_mul_ps(self.0, other.0)) }
-        }
-
-        #[inline(always)]
         fn mul_add(self, factor: Self, term: Self) -> Self {
             unsafe { Self(_mm256_fmadd_ps(self.0, factor.0, term.0)) }
         }
@@ -331,11 +328,6 @@ mod avx2 {
         #[inline(always)]
         fn abs(self) -> Self {
             unsafe { Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0)) }
-        }
-
-        #[inline(always)]
-        fn div(self, other: Self) -> Self {
-            unsafe { Self(_mm256_div_ps(self.0, other.0)) }
         }
 
         #[inline(always)]
@@ -425,64 +417,41 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_cubic_weights_equal_their_scalar_reference_to_1e_6() {
-        let fractions: [f32; LANES] = std::array::from_fn(|l| l as f32 / 8.0);
-        let weights = catmull_rom(Scalar(fractions));
-        for (l, &f) in fractions.iter().enumerate() {
-            for (weight, expected) in weights.iter().zip(crate::raster::catmull_rom(f)) {
-                assert!((weight.0[l] - expected).abs() < 1e-6);
-            }
-        }
-    }
-
-    #[test]
     fn floors_and_fractions_of_negative_and_whole_values() {
         let v = Scalar([-1.5, -1.0, -0.25, 0.0, 0.25, 1.0, 2.75, 100.0]);
         let (floor, fraction) = v.floor_and_fraction();
         assert_eq!(floor, [-2, -1, -1, 0, 0, 1, 2, 100]);
         assert_eq!(fraction.0, [0.5, 0.0, 0.75, 0.0, 0.25, 0.0, 0.75, 0.0]);
     }
-    /// Results of the operations that round alike by both implementations.
+
+    /// Operations that round alike by both implementations.
     #[inline(always)]
-    fn exact<V: F32x8>(a: &[f32; LANES], b: &[f32; LANES]) -> [[f32; LANES]; 5] {
+    fn exact_by<V: F32x8>(a: &[f32; LANES], b: &[f32; LANES]) -> [[f32; LANES]; 5] {
         let (a, b) = (V::from_array(a), V::from_array(b));
         let choice = a.if_below(b, V::splat(1.0), V::splat(2.0));
-        [a.div(b), a.abs().sqrt(), choice, a.min(b), a.max(b)].map(V::to_array)
+        [a / b, a.abs().sqrt(), choice, a.min(b), a.max(b)].map(V::to_array)
     }
 
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma")]
-    fn exact_avx2(a: &[f32; LANES], b: &[f32; LANES]) -> [[f32; LANES]; 5] {
-        exact::<Avx2>(a, b)
+    multiversion! {
+        fn exact(a: &[f32; LANES], b: &[f32; LANES]) -> [[f32; LANES]; 5] = exact_by::<V>
     }
 
     #[test]
     fn min_and_max_of_nan_are_the_other() {
         let (nan, b) = ([f32::NAN; LANES], [3.0; LANES]);
-        let check = |[_, _, choice, min, max]: [[f32; LANES]; 5]| {
+        for [_, _, choice, min, max] in [exact_by::<Scalar>(&nan, &b), exact(&nan, &b)] {
             assert_eq!([choice, min, max], [[2.0; LANES], b, b]);
-        };
-        check(exact::<Scalar>(&nan, &b));
-        #[cfg(target_arch = "x86_64")]
-        if has_avx2_and_fma() {
-            // SAFETY: the processor has the features.
-            check(unsafe { exact_avx2(&nan, &b) });
         }
     }
 
-    #[cfg(target_arch = "x86_64")]
     #[test]
     fn avx2_gives_what_scalar_gives() {
-        if !has_avx2_and_fma() {
-            return;
-        }
         let mut random = crate::random::Random::new(8);
         for _ in 0..100 {
             let mut word = || std::array::from_fn(|_| (8.0 * random.unit() - 4.0) as f32);
             let (a, mut b): ([f32; LANES], [f32; LANES]) = (word(), word());
             b[2] = a[2];
-            // SAFETY: the processor has the features.
-            assert_eq!(unsafe { exact_avx2(&a, &b) }, exact::<Scalar>(&a, &b));
+            assert_eq!(exact(&a, &b), exact_by::<Scalar>(&a, &b));
         }
     }
 }
