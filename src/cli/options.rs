@@ -33,22 +33,27 @@ pub fn run(args: &Args, page: &mut Page) -> Result<(), CliError> {
         _ => {
             let rows: Vec<[String; 4]> = options.iter().map(row).collect();
             let width = |column: usize| rows.iter().map(|row| row[column].len()).max().unwrap_or(0);
-            let [name, value, allowed] = [0, 1, 2].map(width);
-            for row in &rows {
-                let [n, v, a, help] = row;
-                page.line(format_args!("{n:name$}  {v:value$}  {a:allowed$}  {help}"));
+            let [name, value, range] = [0, 1, 2].map(width);
+            for [n, v, r, help] in &rows {
+                page.line(format_args!("{n:name$}  {v:value$}  {r:range$}  {help}"));
             }
             Ok(())
         }
     }
 }
 
-/// Name, value, allowed values, and help.
+/// Name, value, range of a number, and help with the names of a choice.
 fn row(option: &DeclaredOption) -> [String; 4] {
     let value = option.value.as_str().map_or_else(|| option.value.to_string(), str::to_owned);
-    let allowed = match option.range {
-        Some([min, max]) => format!("{min}..{max} {}", option.unit.unwrap_or_default()),
-        None => option.choices.iter().map(|choice| choice.name).collect::<Vec<_>>().join("|"),
-    };
-    [option.name.clone(), value, allowed, option.help.clone()]
+    let range = option.range.map(|range| {
+        let [min, max] = range.map(|limit| match limit.abs() {
+            0.0 | 1e-3..1e6 => limit.to_string(),
+            _ => format!("{limit:e}"),
+        });
+        format!("{min}..{max} {}", option.unit.unwrap_or_default())
+    });
+    let names: Vec<_> = option.choices.iter().map(|choice| choice.name).collect();
+    let names = if names.is_empty() { String::new() } else { format!(" ({})", names.join(", ")) };
+    let help = format!("{}{names}", option.help.trim_end_matches('.'));
+    [option.name.clone(), value, range.unwrap_or_default(), help]
 }
