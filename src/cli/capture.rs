@@ -2,14 +2,14 @@
 
 use super::CliError;
 use super::files::must_be_a_file;
-use super::outputs::Output;
+use super::outputs::CommandOutput;
 use super::print::Page;
 use super::values::Size;
 use std::path::PathBuf;
 use stlfr::capture::MAX_FRAMES;
 use stlfr::progress::Reporter;
 use stlfr::rig::Rig;
-use stlfr::toolchain::{FilmOptions, Scene, ensure_environment, film, project_root};
+use stlfr::toolchain::{FilmOptions, FilmedScene, ensure_environment, film, project_root};
 
 /// Film a scene in Blender with a simulated camera rig. After an interruption, the same command
 /// continues.
@@ -19,7 +19,7 @@ use stlfr::toolchain::{FilmOptions, Scene, ensure_environment, film, project_roo
     stlfr capture rigs/linear8.json --blend my-scene.blend -o .captures/mine --frames 30\n\n\
     In a .blend, an object named `rig` (or else the scene's camera) says where the rig stands.")]
 #[command(group = clap::ArgGroup::new("source").required(true))]
-pub struct Args {
+pub struct CaptureArgs {
     /// The rig's file, such as rigs/linear8.json.
     rig: PathBuf,
     /// A scene of blender/scenes.
@@ -69,26 +69,26 @@ pub struct Args {
     video: bool,
 }
 
-pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &CaptureArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     // Wrong arguments are errors before a set-up that may take minutes.
     for file in std::iter::once(&args.rig).chain(&args.blend) {
         must_be_a_file(file)?;
     }
     Rig::read(&args.rig)?;
-    Output::Capture(&args.output).check(None)?;
+    CommandOutput::Capture(&args.output).check(None)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     film(&environment, &args.options(), reporter)?;
     page.line(args.output.display());
     Ok(())
 }
 
-impl Args {
+impl CaptureArgs {
     fn options(&self) -> FilmOptions {
         FilmOptions {
             rig: self.rig.clone(),
             scene: match (&self.scene, &self.blend) {
-                (_, Some(file)) => Scene::Blend(file.clone()),
-                (name, None) => Scene::Named(name.clone().unwrap_or_default()),
+                (_, Some(file)) => FilmedScene::Blend(file.clone()),
+                (name, None) => FilmedScene::Named(name.clone().unwrap_or_default()),
             },
             capture: self.output.clone(),
             size_px: self.size.map(|s| (s.width, s.height)),

@@ -3,7 +3,7 @@
 use super::CliError;
 use super::error::of_io;
 use super::files::open_capture;
-use super::outputs::Output;
+use super::outputs::CommandOutput;
 use super::print::Page;
 use std::path::PathBuf;
 use stlfr::host::write_json;
@@ -16,7 +16,7 @@ use stlfr::toolchain::{check, ensure_environment, project_root};
 #[command(after_help = "Examples:\n  \
     stlfr check .captures/demo\n  \
     stlfr check .captures/demo --json check.json")]
-pub struct Args {
+pub struct CheckArgs {
     /// The capture's folder.
     capture: PathBuf,
     /// File for the measured values.
@@ -24,10 +24,10 @@ pub struct Args {
     json: Option<PathBuf>,
 }
 
-pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     open_capture(&args.capture, reporter)?; // an error before a set-up that may take minutes
     if let Some(json) = &args.json {
-        Output::File(json).check(Some(&args.capture))?;
+        CommandOutput::File(json).check(Some(&args.capture))?;
     }
     let environment = ensure_environment(&project_root()?, reporter)?;
     let check = check(&environment, &args.capture, reporter)?;

@@ -2,7 +2,7 @@
 
 use super::CliError;
 use super::files::{OptionsArgs, open_capture};
-use super::outputs::Output;
+use super::outputs::CommandOutput;
 use super::print::Page;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -26,7 +26,7 @@ use stlfr::toolchain::{Environment, find_ffmpeg, project_root, review};
     stlfr compare .captures/demo\n  \
     stlfr compare .captures/demo --video -o review\n  \
     stlfr compare .captures/demo --offsets mine.json")]
-pub struct Args {
+pub struct CompareArgs {
     /// The capture's folder; it must have truth.
     capture: PathBuf,
     /// Where the report goes [default: CAPTURE/review].
@@ -42,7 +42,7 @@ pub struct Args {
     options: OptionsArgs,
 }
 
-pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &CompareArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     if let Some(file) = &args.offsets {
         return score_offsets(&args.capture, file, page, reporter);
     }
@@ -115,7 +115,7 @@ pub fn with_truth(
     ffmpeg: Option<PathBuf>,
     reporter: &Reporter,
 ) -> Result<Summary, CliError> {
-    Output::Folder(out, &FILES).check(Some(&capture.folder))?;
+    CommandOutput::Folder(out, &FILES).check(Some(&capture.folder))?;
     let truth = Truth::open(&capture.folder)?;
     let field = ComparedLightField::open(Arc::new(capture), options, reporter)?;
     let compare_options = CompareOptions {

@@ -1,7 +1,7 @@
 //! `stlfr demo`
 
 use super::files::open_capture;
-use super::outputs::Output;
+use super::outputs::CommandOutput;
 use super::print::Page;
 use super::values::Size;
 use super::{CliError, compare};
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use stlfr::capture::Capture;
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
-use stlfr::toolchain::{FilmOptions, Scene, check, ensure_environment, film, project_root};
+use stlfr::toolchain::{FilmOptions, FilmedScene, check, ensure_environment, film, project_root};
 
 /// The main job, end to end: set up, film a scene with eight cameras that are not synchronized,
 /// check the calibration, reconstruct, and compare with the truth.
@@ -19,7 +19,7 @@ use stlfr::toolchain::{FilmOptions, Scene, check, ensure_environment, film, proj
 #[command(after_help = "Examples:\n  \
     stlfr demo\n  \
     stlfr demo --size 640x480 --video -o .captures/demo-large")]
-pub struct Args {
+pub struct DemoArgs {
     /// Size of the images.
     #[arg(long, value_name = "WxH", default_value_t = DEFAULT_SIZE)]
     size: Size,
@@ -43,7 +43,7 @@ const DEFAULT_SIZE: Size = Size { width: 320, height: 240 };
 /// Frames of the true slow motion that `--video` shows.
 const VIDEO_FRAMES: u32 = 48;
 
-pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &DemoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let capture = args.film(reporter)?;
     reporter.note("Reconstructing, and comparing with the truth.");
     let ffmpeg = args.video.then(compare::ffmpeg).transpose()?;
@@ -54,13 +54,13 @@ pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliE
     Ok(())
 }
 
-impl Args {
+impl DemoArgs {
     /// Set-up, film and check.
     fn film(&self, reporter: &Reporter) -> Result<Capture, CliError> {
         let root = project_root()?;
         let folder =
             self.output.clone().unwrap_or_else(|| root.join(".captures").join(self.name()));
-        Output::Capture(&folder).check(None)?;
+        CommandOutput::Capture(&folder).check(None)?;
         let environment = ensure_environment(&root, reporter)?;
         reporter.note(&format!("Filming the scene magazine into {}.", folder.display()));
         film(&environment, &self.options(&root, folder.clone()), reporter)?;
@@ -93,7 +93,7 @@ impl Args {
     fn options(&self, root: &Path, capture: PathBuf) -> FilmOptions {
         FilmOptions {
             rig: root.join("rigs/linear8.json"),
-            scene: Scene::Named("magazine".into()),
+            scene: FilmedScene::Named("magazine".into()),
             capture,
             size_px: Some((self.size.width, self.size.height)),
             frames: self.frames,

@@ -3,7 +3,7 @@
 use super::CliError;
 use super::error::of_io;
 use super::files::open_capture;
-use super::outputs::Output;
+use super::outputs::CommandOutput;
 use std::path::{Path, PathBuf};
 use stlfr::exchange::{self, ExchangeError, ImportClock, NamedCamera};
 use stlfr::progress::Reporter;
@@ -85,7 +85,7 @@ pub fn run_import(args: &ImportArgs) -> Result<(), CliError> {
     if !(args.rate.is_finite() && args.rate > 0.0 && args.first.is_finite()) {
         return Err(CliError::BadInput("--rate must be positive and --first finite".into()));
     }
-    Output::Capture(&args.output).check(None)?;
+    CommandOutput::Capture(&args.output).check(None)?;
     let cameras = read(&args.calibration)?;
     let clock = ImportClock { rate_hz: args.rate, first_s: args.first, shared: args.shared };
     Ok(exchange::import(&cameras, &args.images, clock, &args.output)?)
@@ -109,9 +109,9 @@ pub fn run_export(args: &ExportArgs, reporter: &Reporter) -> Result<(), CliError
     let capture = open_capture(&args.capture, reporter)?;
     let output = &args.output;
     let written = match args.format {
-        Format::Colmap => Output::Folder(output, &exchange::COLMAP_BINARY_FILES),
-        Format::ColmapText => Output::Folder(output, &exchange::COLMAP_TEXT_FILES),
-        Format::Llff | Format::Nerf => Output::File(output),
+        Format::Colmap => CommandOutput::Folder(output, &exchange::COLMAP_BINARY_FILES),
+        Format::ColmapText => CommandOutput::Folder(output, &exchange::COLMAP_TEXT_FILES),
+        Format::Llff | Format::Nerf => CommandOutput::File(output),
     };
     written.check(Some(&args.capture))?;
     let cameras: Vec<NamedCamera> = capture

@@ -23,7 +23,7 @@ use stlfr::registration::FrameStore;
 #[command(after_help = "Examples:\n  \
     stlfr offsets .captures/demo\n  \
     stlfr offsets .captures/demo --json > offsets.json")]
-pub struct Args {
+pub struct OffsetsArgs {
     /// The capture's folder.
     capture: PathBuf,
     /// Print JSON and nothing else.
@@ -33,7 +33,7 @@ pub struct Args {
     options: OptionsArgs,
 }
 
-pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &OffsetsArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let options = args.options.read()?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
     capture.require_two_cameras()?;

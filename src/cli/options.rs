@@ -14,7 +14,7 @@ use stlfr::options::RenderOptions;
     stlfr options\n  \
     stlfr options --preset draft --set blend.cameras=2\n  \
     stlfr options --schema > options.schema.json")]
-pub struct Args {
+pub struct OptionListArgs {
     #[command(flatten)]
     options: OptionsArgs,
     /// Print the list as JSON and nothing else.
@@ -25,7 +25,7 @@ pub struct Args {
     schema: bool,
 }
 
-pub fn run(args: &Args, page: &mut Page) -> Result<(), CliError> {
+pub fn run(args: &OptionListArgs, page: &mut Page) -> Result<(), CliError> {
     let options = args.options.read()?.declared();
     match (args.schema, args.json) {
         (true, _) => page.json(&RenderOptions::schema()),

@@ -8,7 +8,7 @@ use stlfr::host::try_folder;
 
 /// What a command is to write.
 #[derive(Clone, Copy)]
-pub enum Output<'a> {
+pub enum CommandOutput<'a> {
     File(&'a Path),
     /// A folder, and the files in it whose names are known.
     Folder(&'a Path, &'a [&'a str]),
@@ -22,7 +22,7 @@ impl From<OutputError> for CliError {
     }
 }
 
-impl Output<'_> {
+impl CommandOutput<'_> {
     /// Refuses an output that can't be written, or that would take the place of something that is no
     /// regular file or belongs to a capture. The capture in the folder `own`, which the command reads,
     /// need not be around it.
@@ -38,7 +38,7 @@ impl Output<'_> {
     }
 }
 
-/// As [`Output::check`], for many files.
+/// As [`CommandOutput::check`], for many files.
 pub fn check_files(
     files: impl Iterator<Item = PathBuf>,
     own: Option<&Path>,
@@ -78,14 +78,14 @@ mod tests {
     #[test]
     fn outputs_are_tried() {
         let folder = tempfile::tempdir().unwrap();
-        let check = |path: &Path| Output::File(path).check(None);
+        let check = |path: &Path| CommandOutput::File(path).check(None);
         check(&folder.path().join("a/b/c.png")).unwrap();
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
         assert!(check(Path::new("/proc/none/c.png")).is_err());
         std::fs::write(folder.path().join("file"), "").unwrap();
         check(&folder.path().join("file")).unwrap();
         assert!(check(&folder.path().join("file/c.png")).is_err());
-        assert!(Output::Folder(&folder.path().join("file"), &[]).check(None).is_err());
+        assert!(CommandOutput::Folder(&folder.path().join("file"), &[]).check(None).is_err());
         let many = ["0.png", "1.png"].map(|name| folder.path().join("many").join(name));
         check_files(many.into_iter(), None).unwrap();
     }

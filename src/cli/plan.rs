@@ -3,7 +3,7 @@
 use super::CliError;
 use super::error::of_io;
 use super::files::{OptionsArgs, open_capture};
-use super::outputs::Output;
+use super::outputs::CommandOutput;
 use super::print::Page;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -22,7 +22,7 @@ use stlfr::progress::Reporter;
     stlfr plan .captures/demo\n  \
     stlfr plan .captures/demo --budget-px 0.1 -o options.json\n  \
     stlfr render .captures/demo --options options.json --like cam3 --time 0.1 -o cam3.png")]
-pub struct Args {
+pub struct PlanArgs {
     /// The capture's folder.
     capture: PathBuf,
     /// How far a cheaper method may move what is seen, pixels [default: 0.25].
@@ -38,7 +38,7 @@ pub struct Args {
     options: OptionsArgs,
 }
 
-pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &PlanArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let mut options = args.options.read()?;
     options.auto.budget_px = args.budget_px.unwrap_or(options.auto.budget_px);
     let given = &options.auto;
@@ -47,7 +47,7 @@ pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliE
     options.check().map_err(|error| CliError::BadInput(error.to_string()))?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
     if let Some(output) = &args.output {
-        Output::File(output).check(Some(&args.capture))?;
+        CommandOutput::File(output).check(Some(&args.capture))?;
     }
     let field = pipeline::open_field(capture.clone(), &options, reporter)?;
     let plan = plan(&field, &options, reporter)?;

@@ -22,7 +22,7 @@ use stlfr::progress::Reporter;
     stlfr prepare .captures/demo\n  \
     stlfr prepare .captures/demo --options mine.json\n  \
     stlfr prepare .captures/demo --delete")]
-pub struct Args {
+pub struct PrepareArgs {
     /// The capture's folder.
     capture: PathBuf,
     /// Delete what was prepared, whatever the options, and do nothing else.
@@ -46,7 +46,7 @@ fn delete(capture: &Path, page: &mut Page) -> Result<(), CliError> {
 /// Bytes of a megabyte.
 const MB: f64 = 1e6;
 
-pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &PrepareArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     if args.delete {
         return delete(&args.capture, page);
     }

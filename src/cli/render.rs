@@ -3,8 +3,8 @@
 use super::CliError;
 use super::files::{OptionsArgs, open_capture, read_view};
 use super::outputs::check_files;
-use super::span::{Output, Times};
-use super::values::{Choice, method, method_or_auto};
+use super::span::{ImageOutput, Times};
+use super::values::{MethodChoice, method, method_or_auto};
 use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -35,7 +35,7 @@ use stlfr::video::{Codec, VideoFormat, VideoWriter};
     A view is a camera object as in capture.json:\n  \
     {\"width\": 640, \"height\": 480, \"model\": \"PINHOLE\", \"params\": [686.2, 686.2, 320, 240],\n   \
     \"cam_from_world\": {\"rotation_wxyz\": [1, 0, 0, 0], \"translation\": [0, 0, 0]}}")]
-pub struct Args {
+pub struct RenderArgs {
     /// The capture's folder.
     capture: PathBuf,
     /// The view, a JSON file.
@@ -63,16 +63,16 @@ pub struct Args {
     times: Option<Times>,
     /// The image, for --times a pattern such as out/%04d.png or a video such as out.mkv.
     #[arg(short, long, value_name = "FILE")]
-    output: Output,
+    output: ImageOutput,
     /// How each camera's image is synchronized to the instant.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<SyncMethod>())]
-    sync: Option<Choice<SyncMethod>>,
+    sync: Option<MethodChoice<SyncMethod>>,
     /// What stands for the scene's shape.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<ProxyMethod>())]
-    proxy: Option<Choice<ProxyMethod>>,
+    proxy: Option<MethodChoice<ProxyMethod>>,
     /// How cameras are weighted where they see the same point.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<BlendMethod>())]
-    blend: Option<Choice<BlendMethod>>,
+    blend: Option<MethodChoice<BlendMethod>>,
     /// Overlay what moved in this many seconds before the instant: temporal integration.
     #[arg(long, value_name = "SECONDS")]
     trail: Option<f64>,
@@ -88,7 +88,7 @@ pub struct Args {
 
 /// What is to be rendered, checked as far as it can be without the capture.
 #[derive(Debug)]
-pub struct Request {
+pub struct RenderRequest {
     pub view: View,
     /// Seconds on the reference's clock as its file has it: subtract the capture's origin.
     pub times_s: Vec<f64>,
@@ -96,7 +96,7 @@ pub struct Request {
 
 /// Where finished images go.
 enum Writer<'a> {
-    Files(&'a Output),
+    Files(&'a ImageOutput),
     Video { path: PathBuf, ffmpeg: PathBuf, rate_hz: f64, video: Option<VideoWriter> },
 }
 
@@ -107,21 +107,21 @@ pub enum View {
     Like(String),
 }
 
-impl Args {
+impl RenderArgs {
     /// The preset's options, the file's before them, and the command line's before those.
     fn render_options(&self) -> Result<RenderOptions, CliError> {
         let mut options = self.options.read()?;
         if let Some(sync) = self.sync {
             options.sync = sync.method().unwrap_or(options.sync);
-            options.auto.sync = sync == Choice::Auto;
+            options.auto.sync = sync == MethodChoice::Auto;
         }
         if let Some(proxy) = self.proxy {
             options.proxy.method = proxy.method().unwrap_or(options.proxy.method);
-            options.auto.proxy = proxy == Choice::Auto;
+            options.auto.proxy = proxy == MethodChoice::Auto;
         }
         if let Some(blend) = self.blend {
             options.blend.method = blend.method().unwrap_or(options.blend.method);
-            options.auto.blend = blend == Choice::Auto;
+            options.auto.blend = blend == MethodChoice::Auto;
         }
         let trail = &mut options.trail;
         trail.duration_s = self.trail.unwrap_or(trail.duration_s);
@@ -133,13 +133,13 @@ impl Args {
     }
 
     /// The views to render, checked.
-    pub fn request(&self) -> Result<Request, CliError> {
+    pub fn request(&self) -> Result<RenderRequest, CliError> {
         let wrong = |sentence: &str| Err(CliError::BadInput(sentence.to_owned()));
         let times_s = match (self.time, &self.times, &self.output) {
             (Some(time_s), _, _) if !time_s.is_finite() => return wrong("--time: must be finite"),
-            (Some(time_s), _, Output::Image(_)) => vec![time_s],
+            (Some(time_s), _, ImageOutput::Image(_)) => vec![time_s],
             (Some(_), ..) => return wrong("--time gives one image: -o must name a .png"),
-            (None, Some(_), Output::Image(_)) => {
+            (None, Some(_), ImageOutput::Image(_)) => {
                 return wrong("--times gives many images: -o must be like out/%04d.png or out.mkv");
             }
             (None, Some(times), _) => times.instants_s(),
@@ -150,11 +150,11 @@ impl Args {
             (None, Some(id)) => View::Like(id.clone()),
             (None, None) => return wrong("--camera or --like must be given"),
         };
-        Ok(Request { view, times_s })
+        Ok(RenderRequest { view, times_s })
     }
 }
 
-pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     let request = args.request()?;
     let options = args.render_options()?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
@@ -237,8 +237,8 @@ pub fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
 }
 
 impl<'a> Writer<'a> {
-    fn new(output: &'a Output, capture: &Capture) -> Result<Self, CliError> {
-        let Output::Video(path) = output else { return Ok(Self::Files(output)) };
+    fn new(output: &'a ImageOutput, capture: &Capture) -> Result<Self, CliError> {
+        let ImageOutput::Video(path) = output else { return Ok(Self::Files(output)) };
         let ffmpeg = find_ffmpeg().ok_or_else(|| {
             CliError::Failure("a video needs ffmpeg: install it, or run stlfr setup".into())
         })?;
@@ -289,10 +289,10 @@ mod tests {
     #[derive(Debug, Parser)]
     struct Program {
         #[command(flatten)]
-        args: Args,
+        args: RenderArgs,
     }
 
-    fn request(line: &str) -> Result<Request, String> {
+    fn request(line: &str) -> Result<RenderRequest, String> {
         let words = std::iter::once("render").chain(line.split(' '));
         let program = Program::try_parse_from(words).map_err(|e| e.to_string())?;
         program.args.request().map_err(|e| e.to_string())

@@ -2,7 +2,7 @@
 
 use super::CliError;
 use super::error::of_io;
-use super::outputs::Output;
+use super::outputs::CommandOutput;
 use super::print::Page;
 use super::values::Size;
 use std::num::NonZeroUsize;
@@ -10,7 +10,9 @@ use std::path::PathBuf;
 use stlfr::capture::{self, MAX_FRAMES};
 use stlfr::host::write_atomically;
 use stlfr::rig::limits::MAX_CAMERAS;
-use stlfr::rig::{self, Delays, Distortion, Layout, Loss, LossStamps, Rig, RigColor, RigOptions};
+use stlfr::rig::{
+    self, Delays, Loss, LossStamps, Rig, RigColor, RigDistortion, RigLayout, RigOptions,
+};
 use stlfr::text::MAX_ID_LENGTH;
 use stlfr::tradeoff;
 
@@ -26,7 +28,7 @@ use stlfr::tradeoff;
     stlfr rig --check rigs/mine.json\n  \
     stlfr rig --schema rig > rig.schema.json")]
 #[command(group = clap::ArgGroup::new("what").required(true).args(["layout", "check", "schema"]))]
-pub struct Args {
+pub struct RigArgs {
     /// Where the cameras stand: from left to right, row by row, or on an arc whose cameras look at
     /// one point.
     layout: Option<LayoutName>,
@@ -37,11 +39,11 @@ pub struct Args {
     #[arg(long, value_name = "FORMAT")]
     schema: Option<SchemaName>,
     #[command(flatten)]
-    place: Place,
+    place: PlaceArgs,
     #[command(flatten)]
-    clock: Clock,
+    clock: ClockArgs,
     #[command(flatten)]
-    sensor: Sensor,
+    sensor: SensorArgs,
     /// Seed of all random numbers.
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
@@ -69,7 +71,7 @@ enum SchemaName {
 
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Places and lenses")]
-struct Place {
+struct PlaceArgs {
     /// Cameras of a line or an arc.
     #[arg(long, value_name = "N", default_value = "8", value_parser = number_of)]
     count: NonZeroUsize,
@@ -96,12 +98,12 @@ struct Place {
     sensor: f64,
     /// Lens distortion of all cameras, COLMAP's OPENCV model.
     #[arg(long, value_name = "K1,K2,P1,P2", value_parser = distortion, allow_hyphen_values = true)]
-    distortion: Option<Distortion>,
+    distortion: Option<RigDistortion>,
 }
 
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Shutters and clocks")]
-struct Clock {
+struct ClockArgs {
     /// Frame rates.
     #[arg(long, value_name = "HZ,…", default_value = "30", value_delimiter = ',')]
     rate: Vec<f64>,
@@ -144,7 +146,7 @@ enum LostStamps {
 
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Sensors")]
-struct Sensor {
+struct SensorArgs {
     /// Colour or grey cameras.
     #[arg(long, value_name = "COLOR,…", default_value = "rgb", value_delimiter = ',')]
     color: Vec<ColorName>,
@@ -165,7 +167,7 @@ enum ColorName {
     Gray,
 }
 
-pub fn run(args: &Args, page: &mut Page) -> Result<(), CliError> {
+pub fn run(args: &RigArgs, page: &mut Page) -> Result<(), CliError> {
     if let Some(schema) = args.schema {
         let schema = match schema {
             SchemaName::Rig => rig::schema(),
@@ -186,7 +188,7 @@ pub fn run(args: &Args, page: &mut Page) -> Result<(), CliError> {
     match &args.output {
         None => page.text(text),
         Some(file) => {
-            Output::File(file).check(None)?;
+            CommandOutput::File(file).check(None)?;
             write_atomically(file, text.as_bytes()).map_err(|error| {
                 of_io(format!("{}: can't be written ({error})", file.display()), &error)
             })?;
@@ -195,17 +197,19 @@ pub fn run(args: &Args, page: &mut Page) -> Result<(), CliError> {
     Ok(())
 }
 
-impl Args {
+impl RigArgs {
     fn options(&self) -> RigOptions {
         let (place, clock, sensor) = (&self.place, &self.clock, &self.sensor);
         RigOptions {
             name: self.name(),
             layout: match self.layout {
-                Some(LayoutName::Grid) => Layout::Grid { rows: place.rows, columns: place.columns },
-                Some(LayoutName::Arc) => {
-                    Layout::Arc { count: place.count, distance_m: place.distance }
+                Some(LayoutName::Grid) => {
+                    RigLayout::Grid { rows: place.rows, columns: place.columns }
                 }
-                Some(LayoutName::Line) | None => Layout::Line { count: place.count },
+                Some(LayoutName::Arc) => {
+                    RigLayout::Arc { count: place.count, distance_m: place.distance }
+                }
+                Some(LayoutName::Line) | None => RigLayout::Line { count: place.count },
             },
             spacing_m: place.spacing,
             sizes_px: place.size.iter().map(|s| (s.width, s.height)).collect(),
@@ -268,9 +272,9 @@ fn delays(text: &str) -> Result<Delays, String> {
     }
 }
 
-fn distortion(text: &str) -> Result<Distortion, String> {
+fn distortion(text: &str) -> Result<RigDistortion, String> {
     match numbers(text).as_deref() {
-        Some(&[k1, k2, p1, p2]) => Ok(Distortion { k1, k2, p1, p2 }),
+        Some(&[k1, k2, p1, p2]) => Ok(RigDistortion { k1, k2, p1, p2 }),
         _ => Err("is not four numbers such as -0.2,0.05,0.001,0".into()),
     }
 }

@@ -1,7 +1,7 @@
 //! `stlfr setup`
 
 use super::CliError;
-use super::outputs::Output;
+use super::outputs::CommandOutput;
 use super::print::Page;
 use std::path::PathBuf;
 use stlfr::progress::Reporter;
@@ -12,18 +12,18 @@ use stlfr::toolchain::{build_extension, ensure_environment, project_root};
 #[command(after_help = "Examples:\n  \
     stlfr setup\n  \
     stlfr setup --extension stlfr.zip")]
-pub struct Args {
+pub struct SetupArgs {
     /// Also build the Blender extension, to be installed from disk in Blender's preferences.
     #[arg(long, value_name = "FILE.zip")]
     extension: Option<PathBuf>,
 }
 
-pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &SetupArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     if let Some(zip) = &args.extension {
         if zip.extension().is_none_or(|e| e != "zip") {
             return Err(CliError::BadInput("--extension: must name a .zip".into()));
         }
-        Output::File(zip).check(None)?;
+        CommandOutput::File(zip).check(None)?;
     }
     let environment = ensure_environment(&project_root()?, reporter)?;
     let Some(zip) = &args.extension else {

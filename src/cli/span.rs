@@ -49,14 +49,14 @@ impl Times {
 
 /// Where images go: one file, a numbered sequence, or a video.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Output {
+pub enum ImageOutput {
     Image(PathBuf),
     /// Printf pattern, such as `out/%04d.png`.
     Sequence(PathBuf),
     Video(PathBuf),
 }
 
-impl FromStr for Output {
+impl FromStr for ImageOutput {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -73,7 +73,7 @@ impl FromStr for Output {
     }
 }
 
-impl Output {
+impl ImageOutput {
     /// The files of so many images.
     pub fn files(&self, images: usize) -> impl Iterator<Item = PathBuf> {
         let files = if matches!(self, Self::Sequence(_)) { images } else { 1 };
@@ -120,12 +120,12 @@ mod tests {
 
     #[test]
     fn outputs() {
-        let sequence: Output = "out/%04d.png".parse().unwrap();
+        let sequence: ImageOutput = "out/%04d.png".parse().unwrap();
         assert_eq!(sequence.file(7), Some("out/0007.png".into()));
-        assert_eq!("a.png".parse(), Ok(Output::Image("a.png".into())));
-        assert_eq!("a.mkv".parse(), Ok(Output::Video("a.mkv".into())));
+        assert_eq!("a.png".parse(), Ok(ImageOutput::Image("a.png".into())));
+        assert_eq!("a.mkv".parse(), Ok(ImageOutput::Video("a.mkv".into())));
         for wrong in ["a", "a.jpg", "%s.png", "%4d.png", "%04d%d.png"] {
-            assert!(wrong.parse::<Output>().is_err(), "{wrong}");
+            assert!(wrong.parse::<ImageOutput>().is_err(), "{wrong}");
         }
     }
 }

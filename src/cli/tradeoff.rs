@@ -2,7 +2,7 @@
 
 use super::CliError;
 use super::files::{OptionsArgs, open_capture};
-use super::outputs::Output;
+use super::outputs::CommandOutput;
 use super::print::Page;
 use super::values::method;
 use std::path::PathBuf;
@@ -21,7 +21,7 @@ use stlfr::tradeoff::{Clock, FILES, Point, Tradeoff, TradeoffOptions, methods, t
     stlfr tradeoff .captures/demo -o tradeoff\n  \
     stlfr tradeoff .captures/demo -o tradeoff --rounds 2 --runs 5\n  \
     stlfr render .captures/demo --options tradeoff/recommended.json --like cam3 --time 0.1 -o cam3.png")]
-pub struct Args {
+pub struct TradeoffArgs {
     /// The capture's folder.
     capture: PathBuf,
     /// A folder of its own: a new one, or that of a run that was stopped.
@@ -52,10 +52,10 @@ fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Cl
     }
 }
 
-pub fn run(args: &Args, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &TradeoffArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let base = args.options.read()?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
-    Output::Folder(&args.output, &FILES).check(Some(&args.capture))?;
+    CommandOutput::Folder(&args.output, &FILES).check(Some(&args.capture))?;
     let options = TradeoffOptions {
         runs: args.runs,
         rounds: args.rounds,

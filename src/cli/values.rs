@@ -6,12 +6,12 @@ use stlfr::method::Method;
 
 /// A method, or what the capture requires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Choice<T> {
+pub enum MethodChoice<T> {
     Auto,
     Method(T),
 }
 
-impl<T: Copy> Choice<T> {
+impl<T: Copy> MethodChoice<T> {
     /// The method, if it is one.
     pub fn method(&self) -> Option<T> {
         match self {
@@ -37,11 +37,11 @@ pub fn method<T: Method>() -> impl TypedValueParser<Value = T> {
 }
 
 /// A stage's methods, and `auto`.
-pub fn method_or_auto<T: Method>() -> impl TypedValueParser<Value = Choice<T>> {
+pub fn method_or_auto<T: Method>() -> impl TypedValueParser<Value = MethodChoice<T>> {
     let auto =
         PossibleValue::new(AUTO).help("The cheapest that this capture requires: see stlfr plan");
     PossibleValuesParser::new(std::iter::once(auto).chain(possible::<T>())).try_map(|name| {
-        if name == AUTO { Ok(Choice::Auto) } else { named(&name).map(Choice::Method) }
+        if name == AUTO { Ok(MethodChoice::Auto) } else { named(&name).map(MethodChoice::Method) }
     })
 }
 
@@ -82,10 +82,10 @@ mod tests {
             || Command::new("c").arg(Arg::new("p").value_parser(method_or_auto::<ProxyMethod>()));
         let parsed = |text: &str| {
             let found = command().try_get_matches_from(["c", text]).ok()?;
-            found.get_one::<Choice<ProxyMethod>>("p").copied()
+            found.get_one::<MethodChoice<ProxyMethod>>("p").copied()
         };
-        assert_eq!(parsed("auto"), Some(Choice::Auto));
-        assert_eq!(parsed("plane"), Some(Choice::Method(ProxyMethod::Plane)));
+        assert_eq!(parsed("auto"), Some(MethodChoice::Auto));
+        assert_eq!(parsed("plane"), Some(MethodChoice::Method(ProxyMethod::Plane)));
         assert_eq!(parsed("sphere"), None);
     }
 

@@ -21,7 +21,7 @@ use stlfr::progress::Reporter;
     stlfr view .captures/demo --port 8800 --no-open\n\n\
     The page is served on this machine alone, at the address that is printed. Whoever has the address may look. \
     On the page, ? says what a key does.")]
-pub struct Args {
+pub struct ViewArgs {
     /// The capture's folder.
     capture: PathBuf,
     /// The port of the page's address [default: a free one].
@@ -34,7 +34,7 @@ pub struct Args {
     options: OptionsArgs,
 }
 
-pub fn run(args: &Args, reporter: &Reporter) -> Result<(), CliError> {
+pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     host::bound_arenas();
     let options = args.options.read()?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);

@@ -10,7 +10,7 @@ use super::{CompareError, CompareOptions, Renderer, TRADITIONAL};
 use crate::capture::Truth;
 use crate::interpolation::{SyncMethod, Synchronized};
 use crate::method::Method;
-use crate::metrics::{Reference, RegionScores};
+use crate::metrics::{ReferenceImage, RegionScores};
 use crate::raster::{BitDepth, Image, write_image};
 use rayon::prelude::*;
 use std::path::Path;
@@ -128,7 +128,7 @@ impl Comparison<'_> {
         let capture = self.renderer.capture();
         let camera = view.like.unwrap_or_default();
         let id = &capture.cameras[camera].id;
-        let reference = Reference::new(truth.image.clone(), self.options.pixels_per_degree);
+        let reference = ReferenceImage::new(truth.image.clone(), self.options.pixels_per_degree);
         let mut rows = Vec::new();
         let mut as_written = Vec::new();
         for (&method, by_method) in self.methods.iter().zip(images) {

@@ -8,7 +8,7 @@ use super::{CompareError, TRADITIONAL};
 use crate::interpolation::{SyncMethod, Synchronized};
 use crate::lumigraph::Rendered;
 use crate::method::Method;
-use crate::metrics::Reference;
+use crate::metrics::ReferenceImage;
 use crate::options::ProxyMethod;
 use crate::raster::Image;
 use rayon::prelude::*;
@@ -124,7 +124,7 @@ impl Comparison<'_> {
         let Target { instant, view, truth } = target;
         let covered = common_coverage(blends, images, truth.moving.len());
         let fraction = covered.iter().filter(|c| **c).count() as f64 / covered.len() as f64;
-        let reference = Reference::new(truth.image.clone(), self.options.pixels_per_degree);
+        let reference = ReferenceImage::new(truth.image.clone(), self.options.pixels_per_degree);
         let result = |(blend, image): (&Blend, &ImageOrReason)| {
             let mut row = ViewResult {
                 view: self.truth.views[view.index].id.clone(),

@@ -13,12 +13,12 @@ pub const COLMAP_TEXT_FILES: [&str; 3] = ["cameras.txt", "images.txt", "points3D
 /// The same of a binary model.
 pub const COLMAP_BINARY_FILES: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
 
-struct Lens {
+struct ModelLens {
     size: (u64, u64),
     model: CameraModel,
 }
 
-struct Image {
+struct ModelImage {
     name: String,
     camera_id: u32,
     rotation_wxyz: [f64; 4],
@@ -57,7 +57,7 @@ pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
         .collect()
 }
 
-fn named(lenses: &HashMap<u32, Lens>, image: Image) -> Result<NamedCamera, String> {
+fn named(lenses: &HashMap<u32, ModelLens>, image: ModelImage) -> Result<NamedCamera, String> {
     let lens = lenses
         .get(&image.camera_id)
         .ok_or_else(|| format!("there is no camera {}", image.camera_id))?;
@@ -89,7 +89,7 @@ fn value<T: FromStr>(fields: &mut SplitWhitespace, what: &str) -> Result<T, Stri
     field.parse().map_err(|_| format!("{what} can't be '{field}'"))
 }
 
-fn text_lenses(text: &str) -> Result<HashMap<u32, Lens>, String> {
+fn text_lenses(text: &str) -> Result<HashMap<u32, ModelLens>, String> {
     let mut lenses = HashMap::new();
     for (k, line) in text.lines().enumerate() {
         let line = line.trim();
@@ -105,7 +105,7 @@ fn text_lenses(text: &str) -> Result<HashMap<u32, Lens>, String> {
     Ok(lenses)
 }
 
-fn text_lens(line: &str) -> Result<(u32, Lens), String> {
+fn text_lens(line: &str) -> Result<(u32, ModelLens), String> {
     let fields = &mut line.split_whitespace();
     let id = value(fields, "CAMERA_ID")?;
     let name: String = value(fields, "MODEL")?;
@@ -113,7 +113,7 @@ fn text_lens(line: &str) -> Result<(u32, Lens), String> {
     let params: Vec<f64> = fields
         .map(|p| p.parse().map_err(|_| format!("PARAMS can't be '{p}'")))
         .collect::<Result<_, _>>()?;
-    Ok((id, Lens { size, model: model(&name, &params)? }))
+    Ok((id, ModelLens { size, model: model(&name, &params)? }))
 }
 
 fn model(name: &str, params: &[f64]) -> Result<CameraModel, String> {
@@ -122,7 +122,7 @@ fn model(name: &str, params: &[f64]) -> Result<CameraModel, String> {
 }
 
 /// Each image has two lines, the second its points, which may be empty.
-fn text_images(text: &str) -> Result<Vec<(u32, Image)>, String> {
+fn text_images(text: &str) -> Result<Vec<(u32, ModelImage)>, String> {
     let mut images = Vec::new();
     let mut lines = text.lines().enumerate();
     while let Some((k, line)) = lines.next() {
@@ -147,7 +147,7 @@ fn after_fields(line: &str, count: usize) -> &str {
     })
 }
 
-fn text_image(line: &str) -> Result<(u32, Image), String> {
+fn text_image(line: &str) -> Result<(u32, ModelImage), String> {
     let fields = &mut line.split_whitespace();
     let number = value(fields, "IMAGE_ID")?;
     let (mut rotation_wxyz, mut translation) = ([0.0; 4], [0.0; 3]);
@@ -163,7 +163,7 @@ fn text_image(line: &str) -> Result<(u32, Image), String> {
     if name.is_empty() {
         return Err("NAME is missing".into());
     }
-    Ok((number, Image { name: name.to_owned(), camera_id, rotation_wxyz, translation }))
+    Ok((number, ModelImage { name: name.to_owned(), camera_id, rotation_wxyz, translation }))
 }
 
 /// Little-endian values off the front of a file.
@@ -211,7 +211,7 @@ impl Bytes<'_> {
     }
 }
 
-fn binary_lenses(bytes: &[u8]) -> Result<HashMap<u32, Lens>, String> {
+fn binary_lenses(bytes: &[u8]) -> Result<HashMap<u32, ModelLens>, String> {
     let mut bytes = Bytes(bytes);
     let mut lenses = HashMap::new();
     for _ in 0..bytes.u64()? {
@@ -226,7 +226,7 @@ fn binary_lenses(bytes: &[u8]) -> Result<HashMap<u32, Lens>, String> {
         for _ in 0..count {
             params.extend(bytes.f64s::<1>()?);
         }
-        let lens = Lens { size, model: model(name, &params)? };
+        let lens = ModelLens { size, model: model(name, &params)? };
         if lenses.insert(id, lens).is_some() {
             return Err(format!("there are two cameras {id}"));
         }
@@ -236,7 +236,7 @@ fn binary_lenses(bytes: &[u8]) -> Result<HashMap<u32, Lens>, String> {
     Ok(lenses)
 }
 
-fn binary_images(bytes: &[u8]) -> Result<Vec<(u32, Image)>, String> {
+fn binary_images(bytes: &[u8]) -> Result<Vec<(u32, ModelImage)>, String> {
     let mut bytes = Bytes(bytes);
     let mut images = Vec::new();
     for _ in 0..bytes.u64()? {
@@ -246,7 +246,7 @@ fn binary_images(bytes: &[u8]) -> Result<Vec<(u32, Image)>, String> {
         let name = bytes.name()?;
         let points = bytes.u64()?;
         bytes.skip(points, 24)?; // x, y, and the point's number
-        images.push((number, Image { name, camera_id, rotation_wxyz, translation }));
+        images.push((number, ModelImage { name, camera_id, rotation_wxyz, translation }));
         check_count(images.len(), "images")?;
     }
     bytes.is_at_end()?;

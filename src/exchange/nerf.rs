@@ -15,14 +15,14 @@ use std::path::Path;
 #[derive(Debug, Serialize, Deserialize)]
 struct Frames {
     #[serde(deserialize_with = "bounded")]
-    frames: Vec<Entry>,
+    frames: Vec<FrameEntry>,
 }
 
 /// The fields that are read of a frame, and of the file itself, which may both have a lens, of the many
 /// that such files have. (With serde's `flatten` for the lens, all others would be held, at 16 times
 /// their length in the file.)
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
-struct Entry {
+struct FrameEntry {
     #[serde(skip_serializing_if = "Option::is_none")]
     file_path: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -58,10 +58,10 @@ struct Entry {
 }
 
 /// A list of at most [`MAX_ENTRIES`], found before there are more.
-fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Entry>, D::Error> {
-    struct Entries;
-    impl<'de> Visitor<'de> for Entries {
-        type Value = Vec<Entry>;
+fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>, D::Error> {
+    struct EntryList;
+    impl<'de> Visitor<'de> for EntryList {
+        type Value = Vec<FrameEntry>;
 
         fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
             f.write_str("a list")
@@ -76,10 +76,10 @@ fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Entry>, D::
             Ok(entries)
         }
     }
-    deserializer.deserialize_seq(Entries)
+    deserializer.deserialize_seq(EntryList)
 }
 
-impl Entry {
+impl FrameEntry {
     /// A frame's own lens, else the file's, field by field.
     fn lens_or(&self, all: &Self) -> Self {
         Self {
@@ -190,7 +190,7 @@ pub fn read_nerf(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let text = read_text(path, json::MAX_BYTES)
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })?;
     let wrong = |reason: String| content(path, reason);
-    let all: Entry = json::parse(&text).map_err(wrong)?;
+    let all: FrameEntry = json::parse(&text).map_err(wrong)?;
     let Frames { frames } = json::parse(&text).map_err(wrong)?;
     if frames.is_empty() {
         return Err(content(path, "frames: there is none"));
@@ -201,7 +201,7 @@ pub fn read_nerf(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     cameras.collect()
 }
 
-fn camera(frame: Entry, all: &Entry) -> Result<NamedCamera, String> {
+fn camera(frame: FrameEntry, all: &FrameEntry) -> Result<NamedCamera, String> {
     let (size, model) = frame.lens_or(all).model()?;
     let name = frame.file_path.ok_or("file_path is missing")?;
     let m = frame.transform_matrix.ok_or("transform_matrix is missing")?;
@@ -219,7 +219,7 @@ fn camera(frame: Entry, all: &Entry) -> Result<NamedCamera, String> {
 pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let mut transforms = Frames { frames: Vec::new() };
     for NamedCamera { name, camera } in cameras {
-        let lens = Entry::of(camera).ok_or_else(|| {
+        let lens = FrameEntry::of(camera).ok_or_else(|| {
             content(path, format!("can't describe {name}, a {}", camera.model.name()))
         })?;
         let (axes, center) = axes_and_center(camera);
@@ -228,7 +228,7 @@ pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeEr
             *row = [axes[(r, 0)], -axes[(r, 1)], -axes[(r, 2)], center[r]];
         }
         let (file_path, transform_matrix) = (Some(name.clone()), Some(m));
-        transforms.frames.push(Entry { file_path, transform_matrix, ..lens });
+        transforms.frames.push(FrameEntry { file_path, transform_matrix, ..lens });
     }
     let mut text = serde_json::to_string_pretty(&transforms).map_err(|e| content(path, e))?;
     text.push('\n');

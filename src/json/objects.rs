@@ -9,9 +9,9 @@ use std::fmt;
 pub(super) struct Objects<T>(pub T);
 
 /// A struct's visitor, which takes no list.
-struct Fields<V>(V);
+struct StructVisitor<V>(V);
 
-impl<'de, V: Visitor<'de>> Visitor<'de> for Fields<V> {
+impl<'de, V: Visitor<'de>> Visitor<'de> for StructVisitor<V> {
     type Value = V::Value;
 
     fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
@@ -70,7 +70,7 @@ impl<'de, D: Deserializer<'de>> Deserializer<'de> for Objects<D> {
         deserialize_tuple(len: usize) Objects;
         deserialize_tuple_struct(name: &'static str, len: usize) Objects;
         deserialize_map() Objects;
-        deserialize_struct(name: &'static str, fields: &'static [&'static str]) Fields;
+        deserialize_struct(name: &'static str, fields: &'static [&'static str]) StructVisitor;
         deserialize_enum(name: &'static str, variants: &'static [&'static str]) Objects;
         deserialize_identifier() Objects;
         deserialize_ignored_any() Objects;
@@ -211,6 +211,6 @@ impl<'de, A: VariantAccess<'de>> VariantAccess<'de> for Objects<A> {
         fields: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, Self::Error> {
-        self.0.struct_variant(fields, Fields(visitor))
+        self.0.struct_variant(fields, StructVisitor(visitor))
     }
 }

@@ -4,17 +4,17 @@ use rayon::prelude::*;
 use std::ops::{AddAssign, Mul};
 
 /// What a plane holds: f32, or f64 where differences of the results matter.
-pub(super) trait Sample:
+pub(super) trait FilterSample:
     Copy + Default + Send + Sync + AddAssign + Mul<Output = Self>
 {
 }
-impl Sample for f32 {}
-impl Sample for f64 {}
+impl FilterSample for f32 {}
+impl FilterSample for f64 {}
 
 /// Correlates a plane, row by row of `width` samples, with `horizontal` along the rows and
 /// `vertical` along the columns. Both kernels have odd lengths; outside, the border's samples
 /// repeat.
-pub(super) fn separable<T: Sample>(
+pub(super) fn separable<T: FilterSample>(
     plane: &[T],
     width: usize,
     horizontal: &[T],
@@ -43,7 +43,7 @@ pub(super) fn separable<T: Sample>(
     filtered
 }
 
-fn padded<T: Sample>(row: &[T], radius: usize) -> Vec<T> {
+fn padded<T: FilterSample>(row: &[T], radius: usize) -> Vec<T> {
     let mut padded = Vec::with_capacity(row.len() + 2 * radius);
     padded.resize(radius, row[0]);
     padded.extend_from_slice(row);

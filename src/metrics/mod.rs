@@ -7,4 +7,4 @@ mod scores;
 pub mod ssim;
 
 pub use mask::moving_part;
-pub use scores::{ErrorMaps, Reference, RegionScores, Scores, median};
+pub use scores::{ErrorMaps, ReferenceImage, RegionScores, Scores, median};

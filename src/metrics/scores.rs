@@ -30,7 +30,7 @@ pub struct RegionScores {
 }
 
 /// A true image, with what all comparisons with it need.
-pub struct Reference {
+pub struct ReferenceImage {
     image: Image,
     gray: Image,
     flip: FlipImage,
@@ -47,7 +47,7 @@ pub struct ErrorMaps {
     flip: Vec<f32>,
 }
 
-impl Reference {
+impl ReferenceImage {
     /// `pixels_per_degree` is FLIP's viewing condition.
     pub fn new(image: Image, pixels_per_degree: f64) -> Self {
         let (gray, flip) = (image.to_gray(), FlipImage::new(&image, pixels_per_degree));
@@ -146,7 +146,7 @@ mod tests {
         for (k, v) in test.data_mut().iter_mut().enumerate() {
             *v += if at(k / 3) { error } else { 0.0 };
         }
-        Reference::new(truth, DEFAULT_PIXELS_PER_DEGREE).compare(&test)
+        ReferenceImage::new(truth, DEFAULT_PIXELS_PER_DEGREE).compare(&test)
     }
 
     #[test]
@@ -181,7 +181,7 @@ mod tests {
         let maps = with_error(0.1, |_| true);
         assert_eq!(maps.scores(Some(&[false; 192])), Scores::default());
         let tiny = Image::filled(4, 4, 1, 0.5);
-        let maps = Reference::new(tiny.clone(), 67.0).compare(&tiny);
+        let maps = ReferenceImage::new(tiny.clone(), 67.0).compare(&tiny);
         assert_eq!(maps.scores(None).ssim, None);
     }
 

@@ -68,13 +68,13 @@ impl Rig {
     }
 }
 
-type Checked = Result<(), FieldError>;
+type FieldCheck = Result<(), FieldError>;
 
-fn wrong(field: impl Into<String>, reason: impl Into<String>) -> Checked {
+fn wrong(field: impl Into<String>, reason: impl Into<String>) -> FieldCheck {
     Err(FieldError { field: field.into(), reason: reason.into() })
 }
 
-fn within<T: PartialOrd + Display>(field: &str, value: T, range: &Range<T>) -> Checked {
+fn within<T: PartialOrd + Display>(field: &str, value: T, range: &Limits<T>) -> FieldCheck {
     // A NaN is in no range.
     if value >= range.min && value <= range.max {
         return Ok(());
@@ -82,7 +82,7 @@ fn within<T: PartialOrd + Display>(field: &str, value: T, range: &Range<T>) -> C
     wrong(field, format!("must be a number from {} to {}, not {value}", range.min, range.max))
 }
 
-fn identifier(field: &str, value: &str) -> Checked {
+fn identifier(field: &str, value: &str) -> FieldCheck {
     let length = value.chars().count();
     if length > MAX_ID_LENGTH {
         let reason = format!("has {length} characters, at most {MAX_ID_LENGTH} are allowed");
@@ -96,7 +96,7 @@ fn identifier(field: &str, value: &str) -> Checked {
     wrong(field, format!("can't be {value:?}: it names a folder or file of the capture"))
 }
 
-pub(super) fn rig(rig: &Rig) -> Checked {
+pub(super) fn rig(rig: &Rig) -> FieldCheck {
     if rig.format != FORMAT {
         return wrong("format", format!("must be {FORMAT:?}, not {:?}", rig.format));
     }
@@ -104,7 +104,7 @@ pub(super) fn rig(rig: &Rig) -> Checked {
         return wrong("version", format!("must be {VERSION}, not {}", rig.version));
     }
     identifier("name", &rig.name)?;
-    within("seed", rig.seed, &Range { min: 0, max: MAX_SEED })?;
+    within("seed", rig.seed, &Limits { min: 0, max: MAX_SEED })?;
     if rig.cameras.is_empty() {
         return wrong("cameras", "must hold at least one camera");
     }
@@ -124,16 +124,16 @@ pub(super) fn rig(rig: &Rig) -> Checked {
     Ok(())
 }
 
-fn camera(at: &str, camera: &RigCamera, rig: &Rig) -> Checked {
+fn camera(at: &str, camera: &RigCamera, rig: &Rig) -> FieldCheck {
     let field = |name: &str| format!("{at}.{name}");
     view(at, &camera.view())?;
     within(&field("rate_hz"), camera.rate_hz, &RATE_HZ)?;
     within(&field("delay_s"), camera.delay_s, &TIME_S)?;
     let max = MAX_JITTER_FRAMES / camera.rate_hz;
-    within(&field("jitter_s"), camera.jitter_s, &Range { min: 0.0, max })?;
+    within(&field("jitter_s"), camera.jitter_s, &Limits { min: 0.0, max })?;
     within(&field("drift_ppm"), camera.drift_ppm, &DRIFT_PPM)?;
     let max = 1.0 / camera.rate_hz;
-    within(&field("exposure_s"), camera.exposure_s, &Range { min: 0.0, max })?;
+    within(&field("exposure_s"), camera.exposure_s, &Limits { min: 0.0, max })?;
     within(&field("gain"), camera.gain, &GAIN)?;
     within(&field("noise"), camera.noise, &NOISE)?;
     if camera.bit_depth != 8 && camera.bit_depth != 16 {
@@ -150,7 +150,7 @@ fn camera(at: &str, camera: &RigCamera, rig: &Rig) -> Checked {
 }
 
 /// Fields of one clock that contradict each other.
-fn clock(at: &str, camera: &RigCamera, rig: &Rig) -> Checked {
+fn clock(at: &str, camera: &RigCamera, rig: &Rig) -> FieldCheck {
     let is_reference = camera.id == rig.reference;
     let known = if is_reference { "the reference camera" } else { "a camera with a shared clock" };
     if is_reference || camera.clock_shared {
@@ -168,7 +168,7 @@ fn clock(at: &str, camera: &RigCamera, rig: &Rig) -> Checked {
     Ok(())
 }
 
-fn distortion(at: &str, camera: &RigCamera) -> Checked {
+fn distortion(at: &str, camera: &RigCamera) -> FieldCheck {
     let d = camera.distortion;
     for (name, value) in [("k1", d.k1), ("k2", d.k2), ("p1", d.p1), ("p2", d.p2)] {
         within(&format!("{at}.distortion.{name}"), value, &DISTORTION)?;
@@ -198,7 +198,7 @@ fn distortion(at: &str, camera: &RigCamera) -> Checked {
     Ok(())
 }
 
-fn view(at: &str, view: &RigView) -> Checked {
+fn view(at: &str, view: &RigView) -> FieldCheck {
     let field = |name: &str| format!("{at}.{name}");
     identifier(&field("id"), &view.id)?;
     within(&field("width"), view.width, &SIZE_PX)?;
@@ -214,7 +214,7 @@ fn view(at: &str, view: &RigView) -> Checked {
     pose(&field("cam_from_rig"), &view.cam_from_rig)
 }
 
-fn pose(at: &str, pose: &PoseFormat) -> Checked {
+fn pose(at: &str, pose: &PoseFormat) -> FieldCheck {
     let [w, x, y, z] = pose.rotation_wxyz;
     let length = (w * w + x * x + y * y + z * z).sqrt();
     if !((length - 1.0).abs() <= MAX_QUATERNION_ERROR) {

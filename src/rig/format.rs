@@ -70,8 +70,8 @@ pub struct RigCamera {
     pub shift_y: f64,
     /// COLMAP's OPENCV model, about the pinhole that the lens amounts to. It must be invertible all
     /// along the image's border.
-    #[serde(default, skip_serializing_if = "Distortion::is_none")]
-    pub distortion: Distortion,
+    #[serde(default, skip_serializing_if = "RigDistortion::is_none")]
+    pub distortion: RigDistortion,
     pub cam_from_rig: PoseFormat,
     #[schemars(range(min = RATE_HZ.min, max = RATE_HZ.max))]
     pub rate_hz: f64,
@@ -151,7 +151,7 @@ pub struct RigView {
 /// Coefficients of COLMAP's OPENCV model; without unit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Distortion {
+pub struct RigDistortion {
     #[schemars(range(min = DISTORTION.min, max = DISTORTION.max))]
     pub k1: f64,
     #[schemars(range(min = DISTORTION.min, max = DISTORTION.max))]
@@ -178,7 +178,7 @@ impl RigCamera {
         let f = self.lens_mm / self.sensor_width_mm * side;
         let cx = 0.5 * f64::from(self.width) - self.shift_x * side;
         let cy = 0.5 * f64::from(self.height) + self.shift_y * side;
-        let Distortion { k1, k2, p1, p2 } = self.distortion;
+        let RigDistortion { k1, k2, p1, p2 } = self.distortion;
         if self.distortion.is_none() {
             CameraModel::Pinhole { fx: f, fy: f, cx, cy }
         } else {
@@ -193,7 +193,7 @@ impl RigColor {
     }
 }
 
-impl Distortion {
+impl RigDistortion {
     /// Whether straight lines stay straight.
     pub fn is_none(&self) -> bool {
         *self == Self::default()

@@ -1,7 +1,7 @@
 //! Rigs from a few numbers. The same options give the same rig, to the byte.
 
 use super::check::FieldError;
-use super::format::{Distortion, Rig, RigCamera, RigColor, RigView};
+use super::format::{Rig, RigCamera, RigColor, RigDistortion, RigView};
 use super::limits::{FORMAT, MAX_CAMERAS, MAX_LOSS_WITHIN, VERSION};
 use crate::camera::PoseFormat;
 use crate::capture::MAX_DRIFT_PPM;
@@ -13,7 +13,7 @@ use std::num::NonZeroUsize;
 /// Where the cameras stand. All look along the rig's +z, except those of an arc.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
-pub enum Layout {
+pub enum RigLayout {
     /// From left to right.
     Line { count: NonZeroUsize },
     /// Row by row, from the top left.
@@ -23,7 +23,7 @@ pub enum Layout {
     Arc { count: NonZeroUsize, distance_m: f64 },
 }
 
-impl Layout {
+impl RigLayout {
     /// The number of cameras; the largest integer where the product is larger.
     fn count(&self) -> usize {
         match self {
@@ -77,7 +77,7 @@ pub struct Loss {
 #[serde(default, deny_unknown_fields)]
 pub struct RigOptions {
     pub name: String,
-    pub layout: Layout,
+    pub layout: RigLayout,
     /// Distance between neighbours' centres.
     pub spacing_m: f64,
     /// Widths and heights.
@@ -87,7 +87,7 @@ pub struct RigOptions {
     /// Size of all sensors along their longer side.
     pub sensor_width_mm: f64,
     /// Distortion of all lenses.
-    pub distortion: Distortion,
+    pub distortion: RigDistortion,
     /// Frame rates.
     pub rates_hz: Vec<f64>,
     /// Times of the first frames.
@@ -121,12 +121,12 @@ impl Default for RigOptions {
     fn default() -> Self {
         Self {
             name: "rig".into(),
-            layout: Layout::Line { count: NonZeroUsize::MIN.saturating_add(7) },
+            layout: RigLayout::Line { count: NonZeroUsize::MIN.saturating_add(7) },
             spacing_m: 0.06,
             sizes_px: vec![(640, 480)],
             lenses_mm: vec![38.6],
             sensor_width_mm: 36.0,
-            distortion: Distortion::default(),
+            distortion: RigDistortion::default(),
             rates_hz: vec![30.0],
             delays: Delays::Random,
             jitters_s: vec![0.001],
@@ -254,7 +254,7 @@ impl RigOptions {
         if !(0.0..=MAX_DRIFT_PPM).contains(&drift_ppm) {
             return Err(GenerateError::Drift { drift_ppm });
         }
-        if let Layout::Arc { count, distance_m } = self.layout {
+        if let RigLayout::Arc { count, distance_m } = self.layout {
             let half_width_m = 0.5 * self.spacing_m.abs() * (count.get() - 1) as f64;
             if !(distance_m > half_width_m && distance_m.is_finite()) {
                 return Err(GenerateError::Arc { distance_m });
@@ -275,14 +275,14 @@ impl RigOptions {
         let along = |k: usize, n: usize| (k as f64 - 0.5 * (n - 1) as f64) * self.spacing_m;
         let ahead = |x: f64, y: f64| Stand { center: Vector3::new(x, y, 0.0), yaw_rad: 0.0 };
         match self.layout {
-            Layout::Line { count } => {
+            RigLayout::Line { count } => {
                 (0..count.get()).map(|k| ahead(along(k, count.get()), 0.0)).collect()
             }
-            Layout::Grid { rows, columns } => (0..rows.get() * columns.get())
+            RigLayout::Grid { rows, columns } => (0..rows.get() * columns.get())
                 .map(|k| (k / columns.get(), k % columns.get()))
                 .map(|(row, column)| ahead(along(column, columns.get()), along(row, rows.get())))
                 .collect(),
-            Layout::Arc { count, distance_m } => (0..count.get())
+            RigLayout::Arc { count, distance_m } => (0..count.get())
                 .map(|k| along(k, count.get()) / distance_m)
                 .map(|angle| on_arc(angle, distance_m))
                 .collect(),
@@ -323,15 +323,15 @@ impl RigOptions {
         let beside = 0.5 * self.spacing_m;
         let between = match self.layout {
             // Where a camera stands in the middle: half-way to the next.
-            Layout::Line { count } if count.get() % 2 == 1 => {
+            RigLayout::Line { count } if count.get() % 2 == 1 => {
                 Stand { center: Vector3::new(beside, 0.0, 0.0), yaw_rad: 0.0 }
             }
-            Layout::Grid { rows, columns } => {
+            RigLayout::Grid { rows, columns } => {
                 let aside = |n: usize| if n % 2 == 1 { beside } else { 0.0 };
                 let center = Vector3::new(aside(columns.get()), aside(rows.get()), 0.0);
                 Stand { center, yaw_rad: 0.0 }
             }
-            Layout::Arc { count, distance_m } if count.get() % 2 == 1 => {
+            RigLayout::Arc { count, distance_m } if count.get() % 2 == 1 => {
                 on_arc(beside / distance_m, distance_m)
             }
             _ => Stand { center: Vector3::zeros(), yaw_rad: 0.0 },

@@ -9,7 +9,7 @@ use crate::capture::MAX_DRIFT_PPM;
 
 /// A closed range of values.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Range<T> {
+pub struct Limits<T> {
     /// The smallest value allowed.
     pub min: T,
     /// The largest value allowed.
@@ -32,29 +32,29 @@ pub const MAX_CAMERAS: usize = 1000;
 
 /// Width and height of an image, pixels; their product is limited by
 /// [`MAX_PIXELS`](crate::raster::MAX_PIXELS).
-pub const SIZE_PX: Range<u32> = Range { min: 8, max: 16_384 };
+pub const SIZE_PX: Limits<u32> = Limits { min: 8, max: 16_384 };
 /// Focal length, millimetres.
-pub const LENS_MM: Range<f64> = Range { min: 1.0, max: 5000.0 };
+pub const LENS_MM: Limits<f64> = Limits { min: 1.0, max: 5000.0 };
 /// Longer side of the sensor, millimetres.
-pub const SENSOR_MM: Range<f64> = Range { min: 1.0, max: 500.0 };
+pub const SENSOR_MM: Limits<f64> = Limits { min: 1.0, max: 500.0 };
 /// Lens shift, as a fraction of the image's longer side.
-pub const SHIFT: Range<f64> = Range { min: -10.0, max: 10.0 };
+pub const SHIFT: Limits<f64> = Limits { min: -10.0, max: 10.0 };
 /// Each coordinate of a translation, metres.
-pub const LENGTH_M: Range<f64> = Range { min: -1e6, max: 1e6 };
+pub const LENGTH_M: Limits<f64> = Limits { min: -1e6, max: 1e6 };
 /// Frame rate, hertz.
-pub const RATE_HZ: Range<f64> = Range { min: 1e-3, max: 1e5 };
+pub const RATE_HZ: Limits<f64> = Limits { min: 1e-3, max: 1e5 };
 /// Delay of a camera's first frame, seconds after the scene's start.
-pub const TIME_S: Range<f64> = Range { min: -1e6, max: 1e6 };
+pub const TIME_S: Limits<f64> = Limits { min: -1e6, max: 1e6 };
 /// Drift of a clock, millionths: as much as can be estimated.
-pub const DRIFT_PPM: Range<f64> = Range { min: -MAX_DRIFT_PPM, max: MAX_DRIFT_PPM };
+pub const DRIFT_PPM: Limits<f64> = Limits { min: -MAX_DRIFT_PPM, max: MAX_DRIFT_PPM };
 /// Nominal number of a lost frame.
-pub const LOST_FRAME: Range<u32> = Range { min: 1, max: 1_000_000_000 };
+pub const LOST_FRAME: Limits<u32> = Limits { min: 1, max: 1_000_000_000 };
 /// Factor of light before it is encoded for display.
-pub const GAIN: Range<f64> = Range { min: 0.01, max: 100.0 };
+pub const GAIN: Limits<f64> = Limits { min: 0.01, max: 100.0 };
 /// Standard deviation of the sensor's noise, display-encoded, of a full scale of 1.
-pub const NOISE: Range<f64> = Range { min: 0.0, max: 0.5 };
+pub const NOISE: Limits<f64> = Limits { min: 0.0, max: 0.5 };
 /// Each coefficient of the distortion.
-pub const DISTORTION: Range<f64> = Range { min: -10.0, max: 10.0 };
+pub const DISTORTION: Limits<f64> = Limits { min: -10.0, max: 10.0 };
 
 /// Largest standard deviation of the jitter, frames. Larger: two frames of one camera could swap.
 /// Smaller: shutters of real cameras that free-run are refused.

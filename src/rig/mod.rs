@@ -15,8 +15,8 @@ pub mod limits;
 mod write;
 
 pub use check::{FieldError, RigError, RigTextError};
-pub use format::{Distortion, Rig, RigCamera, RigColor, RigView};
-pub use generate::{Delays, GenerateError, Layout, Loss, LossStamps, RigOptions};
+pub use format::{Rig, RigCamera, RigColor, RigDistortion, RigView};
+pub use generate::{Delays, GenerateError, Loss, LossStamps, RigLayout, RigOptions};
 
 /// The JSON Schema of a rig file.
 pub fn schema() -> serde_json::Value {

@@ -37,7 +37,7 @@ fn a_line_is_the_papers_rig() {
 
 #[test]
 fn a_grid_goes_row_by_row_from_the_top_left() {
-    let layout = Layout::Grid { rows: count(2), columns: count(3) };
+    let layout = RigLayout::Grid { rows: count(2), columns: count(3) };
     let rig = RigOptions { layout, spacing_m: 0.1, ..Default::default() }.generate().unwrap();
     let centers = centers(&rig);
     assert!(near(centers[0], [-0.1, -0.05, 0.0]) && near(centers[5], [0.1, 0.05, 0.0]));
@@ -46,7 +46,7 @@ fn a_grid_goes_row_by_row_from_the_top_left() {
 
 #[test]
 fn an_arcs_cameras_see_its_centre_in_the_middle() {
-    let layout = Layout::Arc { count: count(5), distance_m: 1.5 };
+    let layout = RigLayout::Arc { count: count(5), distance_m: 1.5 };
     let rig = RigOptions { layout, spacing_m: 0.2, ..Default::default() }.generate().unwrap();
     for c in &rig.cameras {
         let pixel = camera(c).project(&Point3::new(0.0, 0.0, 1.5)).unwrap();
@@ -56,7 +56,7 @@ fn an_arcs_cameras_see_its_centre_in_the_middle() {
     // Left of the centre, looking right.
     assert!(centers(&rig)[0].x < 0.0 && camera(&rig.cameras[0]).axis().x > 0.0);
     assert!(EpipolarGeometry::new(&camera(&rig.cameras[0]), &camera(&rig.cameras[1])).is_some());
-    let narrow = Layout::Arc { count: count(5), distance_m: 0.3 };
+    let narrow = RigLayout::Arc { count: count(5), distance_m: 0.3 };
     let refused = RigOptions { layout: narrow, spacing_m: 0.2, ..Default::default() }.generate();
     assert_eq!(refused, Err(GenerateError::Arc { distance_m: 0.3 }));
 }
@@ -65,9 +65,9 @@ fn an_arcs_cameras_see_its_centre_in_the_middle() {
 fn views_stand_where_no_camera_does() {
     for n in 1..6 {
         let layouts = [
-            Layout::Line { count: count(n) },
-            Layout::Arc { count: count(n), distance_m: 2.0 },
-            Layout::Grid { rows: count(n), columns: count(3) },
+            RigLayout::Line { count: count(n) },
+            RigLayout::Arc { count: count(n), distance_m: 2.0 },
+            RigLayout::Grid { rows: count(n), columns: count(3) },
         ];
         for layout in layouts {
             let rig = RigOptions { layout, ..Default::default() }.generate().unwrap();
@@ -123,8 +123,8 @@ fn files_read_back_and_seeds_matter() {
     let path = folder.path().join("rig.json");
     let loss = Some(Loss { count: 2, within: 9, stamps: LossStamps::Mixed });
     let options = RigOptions {
-        layout: Layout::Arc { count: count(7), distance_m: 1.9 },
-        distortion: Distortion { k1: -0.2, k2: 0.05, p1: 1e-3, p2: -2e-3 },
+        layout: RigLayout::Arc { count: count(7), distance_m: 1.9 },
+        distortion: RigDistortion { k1: -0.2, k2: 0.05, p1: 1e-3, p2: -2e-3 },
         jitter_stamped: false,
         exposures_s: vec![0.004],
         gains: vec![1.0, 1.3],
@@ -184,7 +184,7 @@ fn limits_are_those_of_the_captures_that_a_rig_makes() {
     assert!(rig.check().unwrap_err().to_string().starts_with("cameras[0].drift_ppm"));
     let large = RigOptions { sizes_px: vec![(16_000, 16_000)], ..Default::default() };
     assert!(complaint(large).starts_with("cameras[0].width times the height"));
-    let layout = Layout::Grid { rows: count(32), columns: count(32) };
+    let layout = RigLayout::Grid { rows: count(32), columns: count(32) };
     let many = RigOptions { layout, ..Default::default() };
     assert_eq!(complaint(many), "a rig has from 1 to 1000 cameras, not 1024");
 }
@@ -196,7 +196,7 @@ fn options_are_read_from_json() {
     let given = r#"{"layout": {"arc": {"count": 5, "distance_m": 1.5}}, "delays": {"listed": [0.25]},
         "loss": {"count": 1, "within": 9, "stamps": "mixed"}, "sizes_px": [[64, 48]]}"#;
     let expected = RigOptions {
-        layout: Layout::Arc { count: count(5), distance_m: 1.5 },
+        layout: RigLayout::Arc { count: count(5), distance_m: 1.5 },
         delays: Delays::Listed(vec![0.25]),
         loss: Some(Loss { count: 1, within: 9, stamps: LossStamps::Mixed }),
         sizes_px: vec![(64, 48)],

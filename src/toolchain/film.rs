@@ -10,7 +10,7 @@ use std::path::PathBuf;
 pub struct FilmOptions {
     /// The rig's file.
     pub rig: PathBuf,
-    pub scene: Scene,
+    pub scene: FilmedScene,
     /// The capture's folder; a recording of the same kind that was interrupted there is resumed.
     pub capture: PathBuf,
     /// Width and height in pixels, for all cameras.
@@ -37,7 +37,7 @@ pub struct FilmOptions {
 
 /// Where a scene comes from.
 #[derive(Clone, Debug)]
-pub enum Scene {
+pub enum FilmedScene {
     /// A scene of `blender/scenes`.
     Named(String),
     /// A `.blend` file.
@@ -53,8 +53,8 @@ pub fn film(
     let mut command = script::command(environment, "capture.py");
     command.arg(&options.rig).arg("-o").arg(&options.capture);
     match &options.scene {
-        Scene::Named(name) => command.arg("--scene").arg(name),
-        Scene::Blend(file) => command.arg("--blend").arg(file),
+        FilmedScene::Named(name) => command.arg("--scene").arg(name),
+        FilmedScene::Blend(file) => command.arg("--blend").arg(file),
     };
     if let Some((width, height)) = options.size_px {
         command.arg("--size").arg(format!("{width}x{height}"));

@@ -16,7 +16,7 @@ pub use check::{
     Check, CheckValues, CheckedCamera, CheckedFormat, CheckedLens, CheckedModel, check,
 };
 pub use extension::{ExtensionError, build_extension};
-pub use film::{FilmOptions, Scene, film};
+pub use film::{FilmOptions, FilmedScene, film};
 pub use review::review;
 pub use script::ScriptError;
 pub use setup::{Environment, SetupError, ensure_environment, find_ffmpeg, project_root};

@@ -11,7 +11,7 @@ use crate::light_field::held_out::{
 };
 use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::Rendered;
-use crate::metrics::{Reference, RegionScores};
+use crate::metrics::{ReferenceImage, RegionScores};
 use crate::offset::Offsets;
 use crate::options::RenderOptions;
 use crate::raster::BitDepth;
@@ -41,7 +41,7 @@ pub(super) struct Target {
     pub against: Against,
     /// The camera whose frame it is, which must not be used.
     pub held_out: Option<usize>,
-    reference: Reference,
+    reference: ReferenceImage,
     /// The moving pixels, and those that the most accurate methods cover, row by row.
     moving: Vec<bool>,
     covered: Vec<bool>,
@@ -129,8 +129,8 @@ impl Scene<'_> {
         Ok((found, timed))
     }
 
-    fn reference(&self, image: Image) -> Reference {
-        Reference::new(image, CompareOptions::default().pixels_per_degree)
+    fn reference(&self, image: Image) -> ReferenceImage {
+        ReferenceImage::new(image, CompareOptions::default().pixels_per_degree)
     }
 
     /// A target, with the pixels that the most accurate methods cover; `None` if they can't render it.

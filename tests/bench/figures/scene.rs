@@ -17,7 +17,7 @@ use stlfr::options::{ProxyMethod, RenderOptions, ViewOptions};
 use stlfr::progress::Reporter;
 use stlfr::raster::{Image, read_image};
 use stlfr::registration::{FrameStore, RegistrationOptions};
-use stlfr::toolchain::{FilmOptions, Scene as Source, ensure_environment, film};
+use stlfr::toolchain::{FilmOptions, FilmedScene as Source, ensure_environment, film};
 
 /// The filmed size, pixels, and frames a camera.
 const SIZE_PX: (u32, u32) = (640, 480);
