@@ -1,50 +1,97 @@
-//! What a pixel descriptors like, in eight bytes: which pixels around it are darker (the census transform, Zabih
-//! and Woodfill 1994), and between which grey values the image lies within half a pixel of it (Birchfield and
-//! Tomasi 1998).
+//! Descriptors of pixels in eight bytes: the census transform (Zabih and Woodfill 1994), and the range of grey
+//! values within half a pixel (Birchfield and Tomasi 1998).
 
+use super::CameraImage;
+use crate::camera::Camera;
 use crate::raster::Image;
 
-/// Half the side of the census window, pixels. Larger: foreground swells over its outline; smaller: codes of
-/// different places are alike.
+/// Half the side of the census window, pixels.
 const RADIUS: isize = 2;
-
-/// The least difference of two values that counts as one: half a step of 8 bits. Larger: faint texture is lost;
-/// smaller: on plain surfaces, the rounding of an interpolated image is taken for texture.
+/// Smallest difference of grey values, 0..=1, that sets a census bit: half a step of 8 bits.
 const MIN_DIFFERENCE: f32 = 0.5 / 255.0;
 
-/// A pixel's descriptor, in two words that are loaded together.
+/// A pixel's descriptor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Descriptor {
-    /// The census code, 24 bits.
+    /// Census code, 24 bits.
     code: u32,
-    /// Grey values, 0 to 255: the pixel's, the least and the most around it, and 0.
+    /// Four bytes: the pixel's grey value, the minimum and maximum around it, and 0.
     grays: u32,
 }
 
 impl Descriptor {
-    /// What is outside the image.
-    pub const NOWHERE: Self = Self { code: 0, grays: u32::MAX };
+    /// Descriptor of pixels outside the image; its cost is 255.
+    pub const OUTSIDE: Self = Self { code: 0, grays: u32::MAX };
 
-    fn new(code: u32, [value, least, most]: [u8; 3]) -> Self {
-        Self { code, grays: u32::from_le_bytes([value, least, most, 0]) }
+    fn new(code: u32, [value, min, max]: [u8; 3]) -> Self {
+        Self { code, grays: u32::from_le_bytes([value, min, max, 0]) }
     }
 
-    /// How far this pixel is from another: `bit` for every differing bit of the census codes, and how far its
-    /// grey value is from those of the other, at most `max_gray`. 255 from [`Self::NOWHERE`].
+    /// Matching cost: `bit` for every differing census bit, plus the distance of the grey value from the
+    /// other pixel's range, at max `max_gray`.
     ///
-    /// All of it is in 32 bits and without branches, for eight pixels at a time.
+    /// Only 32-bit integers and no branches, so that eight pixels are compared at a time.
     #[inline(always)]
     pub fn cost(&self, Self { code, grays }: Self, bit: u32, max_gray: i32) -> u8 {
-        let [least, most] = [8, 16].map(|shift| (grays >> shift & 255) as i32);
+        let [min, max] = [8, 16].map(|shift| (grays >> shift & 255) as i32);
         let value = (self.grays & 255) as i32;
-        let beyond = (value - most).max(least - value).max(0).min(max_gray);
+        let beyond = (value - max).max(min - value).max(0).min(max_gray);
         let cost = bit * (self.code ^ code).count_ones() + beyond as u32;
         (cost | grays >> 24) as u8
     }
 }
 
-/// The descriptors of all pixels of a grey image, row by row; the border is repeated outwards.
-pub(super) fn descriptors(gray: &Image) -> Vec<Descriptor> {
+/// A grey image and the descriptors of its pixels.
+#[derive(Clone, Debug)]
+pub(super) struct CensusImage {
+    pub camera: Camera,
+    pub gray: Image,
+    pub descriptors: Vec<Descriptor>,
+}
+
+impl CensusImage {
+    pub fn new(camera: Camera, gray: Image) -> Self {
+        let descriptors = descriptors(&gray);
+        Self { camera, gray, descriptors }
+    }
+
+    /// The image at half the size; the last row or column of an odd number is dropped.
+    fn halved(&self) -> Option<Self> {
+        let camera = halved(&self.camera)?;
+        let at = |x: usize, y: usize| self.gray.pixel(x, y)[0];
+        let mean = |k: usize| {
+            let (x, y) = (2 * (k % camera.width), 2 * (k / camera.width));
+            0.25 * (at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1))
+        };
+        let (w, h) = (camera.width, camera.height);
+        let gray = Image::from_data(w, h, 1, (0..w * h).map(mean).collect());
+        Some(Self::new(camera, gray))
+    }
+}
+
+/// The camera at half its resolution. `None` if less than 2×2 pixels remain.
+pub(super) fn halved(camera: &Camera) -> Option<Camera> {
+    camera.halved().filter(|c| c.width > 1 && c.height > 1)
+}
+
+/// An image with descriptors at full and at halved resolutions.
+#[derive(Clone, Debug)]
+pub struct CensusPyramid {
+    /// Images from fine to coarse; at min one.
+    pub(super) levels: Vec<CensusImage>,
+}
+
+impl CensusPyramid {
+    /// Halves the image `halvings` times, or until it is too small.
+    pub fn new(view: &CameraImage, halvings: usize) -> Self {
+        let full = CensusImage::new(view.camera.clone(), view.image.to_gray());
+        let levels = std::iter::successors(Some(full), CensusImage::halved);
+        Self { levels: levels.take(halvings + 1).collect() }
+    }
+}
+
+/// Descriptors of all pixels, row by row; the border is repeated outwards.
+fn descriptors(gray: &Image) -> Vec<Descriptor> {
     let (w, h) = (gray.width() as isize, gray.height() as isize);
     let bytes: Vec<u8> =
         gray.data().iter().map(|v| (255.0 * v.clamp(0.0, 1.0)).round() as u8).collect();
@@ -62,12 +109,12 @@ pub(super) fn descriptors(gray: &Image) -> Vec<Descriptor> {
                     }
                 }
             }
-            let (mut least, mut most) = (value, value);
+            let (mut min, mut max) = (value, value);
             for near in [at(x - 1, y), at(x + 1, y), at(x, y - 1), at(x, y + 1)] {
                 let half = value.midpoint(bytes[near]);
-                (least, most) = (least.min(half), most.max(half));
+                (min, max) = (min.min(half), max.max(half));
             }
-            descriptors.push(Descriptor::new(code, [value, least, most]));
+            descriptors.push(Descriptor::new(code, [value, min, max]));
         }
     }
     descriptors
@@ -80,12 +127,12 @@ mod tests {
     #[test]
     fn costs_are_bits_and_grey_values() {
         let own = Descriptor::new(0b1011, [100, 90, 110]);
-        for (code, least, most, expected) in
+        for (code, min, max, expected) in
             [(0b1011, 95, 105, 0), (0b0010, 95, 105, 4), (0, 107, 120, 13), (0b1011, 0, 10, 24)]
         {
-            assert_eq!(own.cost(Descriptor::new(code, [least, least, most]), 2, 24), expected);
+            assert_eq!(own.cost(Descriptor::new(code, [min, min, max]), 2, 24), expected);
         }
-        assert_eq!(own.cost(Descriptor::NOWHERE, 2, 24), 255);
+        assert_eq!(own.cost(Descriptor::OUTSIDE, 2, 24), 255);
     }
 
     /// An interpolated image is plain but for rounding where the filmed one is plain.

@@ -1,24 +1,22 @@
-//! Semi-global matching (Hirschmüller, TPAMI 2008): costs plus what neighbours along eight directions say.
+//! Semi-global matching (Hirschmüller, TPAMI 2008): costs are aggregated along eight directions.
 
+use super::cost_volume::DepthLevels;
 use crate::raster::Image;
 use crate::simd::multiversion;
 
-/// Penalty of a step by one level, in units of the costs. Larger: slanted surfaces become stairs; smaller:
-/// noise.
+/// Penalty of a change by one level, in units of the costs.
 const SMALL_STEP: i16 = 6;
-/// Penalty of a jump where the image is flat. Larger: thin things vanish; smaller: flat surfaces tear.
+/// Penalty of a larger change where the image is flat.
 const JUMP: i16 = 70;
-/// Smallest penalty of a jump, at strong image edges. Larger: surfaces swell over their outlines; smaller:
-/// texture tears surfaces.
+/// Smallest penalty of a larger change, at strong image edges.
 const MIN_JUMP: i16 = 14;
-/// Difference of grey values, 0..=1, at which the penalty of a jump has fallen to half. Larger: jumps are as
-/// costly at edges as elsewhere; smaller: noise counts as an edge.
+/// Difference of grey values, 0..=1, that halves the penalty of a larger change.
 const EDGE: f32 = 0.03;
 
-/// A cost no path reaches.
+/// Cost beyond that of any path.
 const NEVER: i16 = i16::MAX / 4;
 
-/// The sums over eight directions, pixel by pixel, level by level.
+/// Aggregated costs of eight directions, pixel by pixel, level by level.
 pub(super) fn aggregate(costs: &[u8], gray: &Image, levels: usize) -> Vec<i16> {
     let mut sums = vec![0_i16; costs.len()];
     for backward in [false, true] {
@@ -28,103 +26,104 @@ pub(super) fn aggregate(costs: &[u8], gray: &Image, levels: usize) -> Vec<i16> {
 }
 
 multiversion! {
+    /// Adds the costs along four directions: from the left and from above, or the opposite ones.
     fn sweep(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) = sweep_by
 }
 
-/// Adds four directions: those that come from the left and from above, or the opposite ones.
 #[inline(always)]
 fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) {
     let (w, h) = (gray.width(), gray.height());
-    // Paths are padded by a level at both ends, so that the loops need no bounds.
+    let back = if backward { 1 } else { -1 };
+    // A path has a padding level at both ends, and a row of paths a zero path at both ends: paths start there.
     let pad = n + 2;
-    let mut above = [0; 3].map(|_| vec![NEVER; w * pad]);
-    let mut above_least = [0; 3].map(|_| vec![0_i16; w]);
-    let mut here = above.clone();
-    let mut here_least = above_least.clone();
-    let mut left = vec![NEVER; pad];
-    let mut next = vec![NEVER; pad];
+    let mut zero = vec![0; pad];
+    (zero[0], zero[n + 1]) = (NEVER, NEVER);
+    let mut above = [0; 3].map(|_| zero.repeat(w + 2));
+    let mut above_min = [0; 3].map(|_| vec![0_i16; w + 2]);
+    let (mut here, mut here_min) = (above.clone(), above_min.clone());
+    let (mut left, mut next) = (zero.clone(), zero.clone());
     for row in 0..h {
         let y = if backward { h - 1 - row } else { row };
-        let mut left_least = 0;
+        left.copy_from_slice(&zero);
+        let mut left_min = 0;
         for column in 0..w {
             let x = if backward { w - 1 - column } else { column };
-            let k = y * w + x;
-            let cost = &costs[k * n..(k + 1) * n];
-            let sum = &mut sums[k * n..(k + 1) * n];
-            let value = gray.data()[k];
-            let least = step(
-                (column > 0).then_some((&left, left_least)),
-                jump(value, gray, if backward { (x + 1, y) } else { (x.wrapping_sub(1), y) }),
-                cost,
-                (&mut next, sum),
-            );
+            let levels = (y * w + x) * n..(y * w + x + 1) * n;
+            let (cost, sum) = (&costs[levels.clone()], &mut sums[levels]);
+            let jump = |dx: isize, dy: isize| {
+                let from = [x.wrapping_add_signed(dx), y.wrapping_add_signed(dy)];
+                jump_penalty(gray, [x, y], from)
+            };
+            left_min = extend((&left, left_min), jump(back, 0), cost, &mut next, sum);
             std::mem::swap(&mut left, &mut next);
-            left_least = least;
             for (direction, dx) in [-1_isize, 0, 1].into_iter().enumerate() {
-                let from = x as isize + dx;
-                let inside = row > 0 && from >= 0 && from < w as isize;
-                let from_y = if backward { y + 1 } else { y.wrapping_sub(1) };
-                let at = from as usize;
-                let before = if inside {
-                    Some((&above[direction][at * pad..(at + 1) * pad], above_least[direction][at]))
-                } else {
-                    None
-                };
-                let penalty = jump(value, gray, (at, from_y));
-                let out = &mut here[direction][x * pad..(x + 1) * pad];
-                here_least[direction][x] = step(before, penalty, cost, (out, sum));
+                let at = (x + 1).wrapping_add_signed(dx);
+                let before = &above[direction][at * pad..(at + 1) * pad];
+                let before = (before, above_min[direction][at]);
+                let out = &mut here[direction][(x + 1) * pad..(x + 2) * pad];
+                here_min[direction][x + 1] = extend(before, jump(dx, back), cost, out, sum);
             }
         }
         std::mem::swap(&mut above, &mut here);
-        std::mem::swap(&mut above_least, &mut here_least);
+        std::mem::swap(&mut above_min, &mut here_min);
     }
 }
 
-/// The penalty of a jump between a pixel of this value and another one.
-fn jump(value: f32, gray: &Image, (x, y): (usize, usize)) -> i16 {
-    if x >= gray.width() || y >= gray.height() {
+/// Penalty of a larger change between two neighbouring pixels.
+#[inline(always)]
+fn jump_penalty(gray: &Image, [x, y]: [usize; 2], from: [usize; 2]) -> i16 {
+    if from[0] >= gray.width() || from[1] >= gray.height() {
         return JUMP;
     }
-    let difference = (gray.pixel(x, y)[0] - value).abs();
+    let difference = (gray.pixel(from[0], from[1])[0] - gray.pixel(x, y)[0]).abs();
     ((f32::from(JUMP) / (1.0 + difference / EDGE)) as i16).max(MIN_JUMP)
 }
 
-/// One step along a path: the costs of all levels, and the least of them.
+/// Extends a path, given with its minimum, by one pixel: writes its costs, adds them to the sums, and returns
+/// their minimum.
 #[inline(always)]
-fn step<P: AsRef<[i16]> + ?Sized>(
-    before: Option<(&P, i16)>,
+fn extend(
+    (before, before_min): (&[i16], i16),
     jump: i16,
     cost: &[u8],
-    (out, sum): (&mut [i16], &mut [i16]),
+    out: &mut [i16],
+    sum: &mut [i16],
 ) -> i16 {
     let n = cost.len();
-    let out = &mut out[..n + 2];
-    let mut least = NEVER;
-    match before {
-        None => {
-            for ((out, sum), &cost) in out[1..=n].iter_mut().zip(sum).zip(cost) {
-                *out = i16::from(cost);
-                *sum += *out;
-                least = least.min(*out);
-            }
-        }
-        Some((before, before_least)) => {
-            let before = &before.as_ref()[..n + 2];
-            let bound = before_least + jump;
-            let (low, same, high) = (&before[..n], &before[1..=n], &before[2..]);
-            let paths = low.iter().zip(same).zip(high);
-            for (((out, sum), &cost), ((&low, &same), &high)) in
-                out[1..=n].iter_mut().zip(sum).zip(cost).zip(paths)
-            {
-                let stepped = low.min(high) + SMALL_STEP;
-                let best = same.min(stepped).min(bound) - before_least;
-                *out = i16::from(cost) + best;
-                *sum += *out;
-                least = least.min(*out);
-            }
-        }
+    let (before, out) = (&before[..n + 2], &mut out[..n + 2]);
+    let paths = before[..n].iter().zip(&before[1..=n]).zip(&before[2..]);
+    let bound = before_min + jump;
+    let mut min = NEVER;
+    for (((out, sum), &cost), ((&low, &same), &high)) in
+        out[1..=n].iter_mut().zip(sum).zip(cost).zip(paths)
+    {
+        let stepped = low.min(high) + SMALL_STEP;
+        *out = i16::from(cost) + same.min(stepped).min(bound) - before_min;
+        *sum += *out;
+        min = min.min(*out);
     }
-    least
+    min
+}
+
+/// The inverse depth of the minimum at every pixel, interpolated between levels by a parabola.
+pub(super) fn winner_takes_all(sums: &[i16], levels: &DepthLevels) -> Vec<f32> {
+    let n = levels.count;
+    let of = |sums: &[i16]| {
+        // The value first, then its first place: either search takes many levels at a time.
+        let min = sums.iter().copied().min();
+        let best = sums.iter().position(|sum| Some(*sum) == min).unwrap_or(0);
+        let mut level = best as f32;
+        if best > 0 && best + 1 < n {
+            let [a, b, c] = [sums[best - 1], sums[best], sums[best + 1]].map(f32::from);
+            // Not negative, since b is the minimum.
+            let curvature = a - 2.0 * b + c;
+            if curvature > 0.0 {
+                level += 0.5 * (a - c) / curvature;
+            }
+        }
+        levels.at(level)
+    };
+    sums.chunks_exact(n).map(of).collect()
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The stage as a whole, on scenes known in closed form, and its kernels against naive ones.
 
-use super::levels::Levels;
+use super::cost_volume::DepthLevels;
 use super::semi_global::aggregate;
 use super::*;
 use crate::camera::tests::pinhole_at;
@@ -272,9 +272,9 @@ fn semi_global_matching_equals_the_recursion() {
 
 #[test]
 fn levels_span_the_range() {
-    let levels = Levels::new([0.5, 1.0], 0.11);
+    let levels = DepthLevels::new([0.5, 1.0], 0.11);
     assert_eq!(levels.count, 6);
     assert!((levels.at(0.0) - 0.5).abs() < 1e-6 && (levels.at(5.0) - 1.0).abs() < 1e-6);
-    assert_eq!(Levels::new([0.5, 0.5], 0.1).count, 1);
-    assert_eq!(Levels::new([1e-5, 1e9], 1e-3).count, 1024);
+    assert_eq!(DepthLevels::new([0.5, 0.5], 0.1).count, 1);
+    assert_eq!(DepthLevels::new([1e-5, 1e9], 1e-3).count, 1024);
 }

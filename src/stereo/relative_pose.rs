@@ -1,11 +1,13 @@
-//! Where the points of one camera's rays are in another camera.
+//! Projection of one camera's pixels, at given inverse depths, into another camera.
 
 use crate::camera::{Camera, CameraModel};
 use nalgebra::{Matrix3, Point2, Vector3};
 
-/// One camera relative to another: points are `r / ρ`, r = (x, y, 1) a ray of the first camera and ρ its
-/// inverse depth. Everything is computed times ρ, so that the sky is like any other point.
-pub(super) struct Relative {
+/// Pose of a camera relative to a reference camera.
+///
+/// A point is `r / ρ`, with r = (x, y, 1) the reference camera's ray and ρ the inverse depth. All is computed
+/// times ρ, which is finite for points at infinity too.
+pub(super) struct RelativePose {
     rotation: Matrix3<f32>,
     shift: Vector3<f32>,
     model: CameraModel,
@@ -13,7 +15,7 @@ pub(super) struct Relative {
     is_pinhole: bool,
 }
 
-impl Relative {
+impl RelativePose {
     pub fn new(from: &Camera, to: &Camera) -> Self {
         let rotation = to.cam_from_world.rotation * from.cam_from_world.rotation.inverse();
         let shift = to.cam_from_world.rotation * (from.center() - to.center());
@@ -27,19 +29,19 @@ impl Relative {
         }
     }
 
-    /// The ray in the other camera's axes, before the shift.
+    /// Rotates the ray (x, y, 1) into the other camera's axes.
     #[inline(always)]
-    pub fn turned(&self, x: f32, y: f32) -> Vector3<f32> {
+    pub fn rotated(&self, x: f32, y: f32) -> Vector3<f32> {
         self.rotation * Vector3::new(x, y, 1.0)
     }
 
-    /// The point times its inverse depth, in the other camera's axes.
+    /// The point times its inverse depth, in the other camera's axes, from the rotated ray.
     #[inline(always)]
-    pub fn point(&self, turned: &Vector3<f32>, inverse: f32) -> Vector3<f32> {
-        turned + self.shift * inverse
+    pub fn point(&self, rotated: &Vector3<f32>, inverse: f32) -> Vector3<f32> {
+        rotated + self.shift * inverse
     }
 
-    /// The pixel of such a point; NaN or infinite if it has none.
+    /// Projects such a point; NaN or infinite if it has no pixel.
     #[inline(always)]
     pub fn pixel(&self, q: &Vector3<f32>) -> [f32; 2] {
         if !(q.z > 0.0) {
@@ -51,7 +53,7 @@ impl Relative {
             return [fx * nx + cx, fy * ny + cy];
         }
         let normalized = Point2::new(f64::from(nx), f64::from(ny));
-        // Beyond its fold, a lens would put the point back into the image.
+        // Beyond its fold, the lens polynomial would project the point back into the image.
         if !self.model.is_short_of_fold(&normalized) {
             return [f32::NAN; 2];
         }
@@ -59,22 +61,22 @@ impl Relative {
         [pixel.x as f32, pixel.y as f32]
     }
 
-    /// The pixels of a ray's points at these inverse depths; NaN or infinite where there is none.
+    /// Projects a ray's points at these inverse depths; NaN or infinite where a point has no pixel.
     #[inline(always)]
     pub fn path(&self, [x, y]: [f32; 2], inverses: &[f32], xs: &mut [f32], ys: &mut [f32]) {
-        let turned = self.turned(x, y);
+        let rotated = self.rotated(x, y);
         if !self.is_pinhole {
             for ((inverse, x), y) in inverses.iter().zip(xs).zip(ys) {
-                [*x, *y] = self.pixel(&self.point(&turned, *inverse));
+                [*x, *y] = self.pixel(&self.point(&rotated, *inverse));
             }
             return;
         }
         let [fx, fy, cx, cy] = self.intrinsics;
         for ((inverse, x), y) in inverses.iter().zip(xs).zip(ys) {
-            let z = turned.z + self.shift.z * inverse;
+            let z = rotated.z + self.shift.z * inverse;
             let scale = if z > 0.0 { 1.0 / z } else { f32::NAN };
-            *x = fx * (turned.x + self.shift.x * inverse) * scale + cx;
-            *y = fy * (turned.y + self.shift.y * inverse) * scale + cy;
+            *x = fx * (rotated.x + self.shift.x * inverse) * scale + cx;
+            *y = fy * (rotated.y + self.shift.y * inverse) * scale + cy;
         }
     }
 }

@@ -1,0 +1,297 @@
+//! Matching cost of every pixel of a camera at every inverse depth, from its partners' images.
+
+use super::census::{CensusImage, Descriptor};
+use super::relative_pose::RelativePose;
+use crate::camera::Camera;
+use crate::lumigraph::RayRow;
+use crate::simd::multiversion;
+use rayon::prelude::*;
+
+/// Largest number of levels.
+const MAX_LEVELS: usize = 1024;
+/// Largest cost of a difference of grey values, of 255.
+const MAX_GRAY: i32 = 24;
+/// Cost of one differing census bit, in grey values.
+const BIT: u32 = 2;
+/// Cost where no partner sees the point: that of a poor match.
+const UNSEEN: u8 = 40;
+
+/// Inverse depths at even distances, 1/m, which are even steps of disparity.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct DepthLevels {
+    /// Smallest inverse depth: the farthest surface.
+    pub first: f32,
+    /// Distance between two levels.
+    pub step: f32,
+    /// Number of levels, at least 1.
+    pub count: usize,
+}
+
+impl DepthLevels {
+    /// Levels from `low` to `high`, 1/m, at most `step` apart unless [`MAX_LEVELS`] are too few.
+    pub fn new([low, high]: [f64; 2], step: f64) -> Self {
+        // The step is positive, so that the quotient is finite; an empty range has one level.
+        let count = ((high - low) / step).ceil().clamp(0.0, (MAX_LEVELS - 1) as f64) as usize + 1;
+        let step = if count > 1 { (high - low) / (count - 1) as f64 } else { step };
+        Self { first: low as f32, step: step as f32, count }
+    }
+
+    /// Inverse depth of a level, which may be fractional.
+    pub fn at(&self, level: f32) -> f32 {
+        self.first + self.step * level
+    }
+}
+
+/// A reference image and the partners that it is matched with.
+pub(super) struct StereoSet<'a> {
+    pub image: &'a CensusImage,
+    pub partners: Vec<Partner<'a>>,
+}
+
+/// A partner's image and its pose relative to the reference.
+pub(super) struct Partner<'a> {
+    pub image: &'a CensusImage,
+    pub pose: RelativePose,
+}
+
+impl<'a> StereoSet<'a> {
+    pub fn new(image: &'a CensusImage, partners: impl Iterator<Item = &'a CensusImage>) -> Self {
+        let pose = |p: &CensusImage| RelativePose::new(&image.camera, &p.camera);
+        let partners = partners.map(|image| Partner { image, pose: pose(image) }).collect();
+        Self { image, partners }
+    }
+}
+
+/// Costs of all levels at every pixel of the reference, pixel by pixel.
+///
+/// A cost is the mean over the better half of the partners: in the others the point may be occluded.
+pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
+    let camera = &set.image.camera;
+    let (w, n) = (camera.width, levels.count);
+    let inverses: Vec<f32> = (0..n).map(|level| levels.at(level as f32)).collect();
+    let mut out = vec![UNSEEN; w * camera.height * n];
+    out.par_chunks_mut(w * n).enumerate().for_each_init(
+        || (RayRow::new(camera), MatchScratch::new(n, set.partners.len())),
+        |(rays, scratch), (y, out)| {
+            rays.set(y);
+            let own = &set.image.descriptors[y * w..(y + 1) * w];
+            row_costs(&CostRow { own, set, inverses: &inverses, rays }, scratch, out);
+        },
+    );
+    out
+}
+
+/// Inverse depths at twice the resolution of `coarse`: every pixel takes that of the four coarse pixels
+/// around it with the smallest cost.
+pub(super) fn upsampled(values: &[f32], coarse: &Camera, set: &StereoSet) -> Vec<f32> {
+    let camera = &set.image.camera;
+    let w = camera.width;
+    let mut out = vec![f32::NAN; w * camera.height];
+    let around = |v: usize, size: usize| {
+        let near = (v / 2).min(size - 1);
+        let other =
+            if v.is_multiple_of(2) { near.saturating_sub(1) } else { (near + 1).min(size - 1) };
+        [near, other]
+    };
+    out.par_chunks_mut(w).enumerate().for_each_init(
+        || (RayRow::new(camera), MatchScratch::new(4, set.partners.len()), [0; 4]),
+        |(rays, scratch, costs), (y, out)| {
+            rays.set(y);
+            for (x, out) in out.iter_mut().enumerate() {
+                let (columns, rows) = (around(x, coarse.width), around(y, coarse.height));
+                let candidate = |k: usize| values[rows[k / 2] * coarse.width + columns[k % 2]];
+                let candidates = [0, 1, 2, 3].map(candidate);
+                for (k, Partner { image, pose }) in set.partners.iter().enumerate() {
+                    let rotated = pose.rotated(rays.x[x] as f32, rays.y[x] as f32);
+                    for (n, candidate) in candidates.iter().enumerate() {
+                        let point = pose.point(&rotated, *candidate);
+                        [scratch.x[n], scratch.y[n]] = pose.pixel(&point);
+                    }
+                    scratch.compare(&set.image.descriptors[y * w + x], image, k);
+                }
+                scratch.better_half(costs);
+                // The first of equals is the nearest.
+                let best = (0..4).min_by_key(|&n| costs[n]).unwrap_or(0);
+                *out = candidates[best];
+            }
+        },
+    );
+    out
+}
+
+/// One row of the reference.
+struct CostRow<'a> {
+    own: &'a [Descriptor],
+    set: &'a StereoSet<'a>,
+    /// Inverse depths of the levels, 1/m.
+    inverses: &'a [f32],
+    rays: &'a RayRow<'a>,
+}
+
+multiversion! {
+    /// Costs of all levels at every pixel of a row.
+    fn row_costs(row: &CostRow, scratch: &mut MatchScratch, out: &mut [u8]) = row_costs_by
+}
+
+#[inline(always)]
+fn row_costs_by(row: &CostRow, scratch: &mut MatchScratch, out: &mut [u8]) {
+    for (x, out) in out.chunks_exact_mut(row.inverses.len()).enumerate() {
+        let ray = [row.rays.x[x] as f32, row.rays.y[x] as f32];
+        for (k, Partner { image, pose }) in row.set.partners.iter().enumerate() {
+            pose.path(ray, row.inverses, &mut scratch.x, &mut scratch.y);
+            scratch.compare(&row.own[x], image, k);
+        }
+        scratch.better_half(out);
+    }
+}
+
+/// Buffers for matching one pixel at several inverse depths.
+struct MatchScratch {
+    /// Positions in a partner's image, by level.
+    x: Vec<f32>,
+    y: Vec<f32>,
+    /// Indices of the pixels there; [`OUTSIDE`] beyond the image.
+    at: Vec<u32>,
+    descriptors: Vec<Descriptor>,
+    partners: usize,
+    /// Costs, partner by partner; 255 where a partner doesn't see the point. Of three partners, there is an
+    /// unseen fourth.
+    costs: Vec<u8>,
+    sorted: Vec<u8>,
+}
+
+/// Index of a pixel outside any image.
+const OUTSIDE: u32 = u32::MAX;
+
+impl MatchScratch {
+    fn new(levels: usize, partners: usize) -> Self {
+        let rows = if partners == 3 { 4 } else { partners };
+        Self {
+            x: vec![0.0; levels],
+            y: vec![0.0; levels],
+            at: vec![0; levels],
+            descriptors: vec![Descriptor::OUTSIDE; levels],
+            partners,
+            costs: vec![u8::MAX; levels * rows],
+            sorted: Vec::new(),
+        }
+    }
+
+    /// Computes the costs of partner `k` at the positions.
+    #[inline(always)]
+    fn compare(&mut self, own: &Descriptor, partner: &CensusImage, k: usize) {
+        let (w, h) = (partner.gray.width(), partner.gray.height());
+        let (wf, hf) = (w as f32, h as f32);
+        for ((at, &x), &y) in self.at.iter_mut().zip(&self.x).zip(&self.y) {
+            // Also false for NaN.
+            let is_seen = (x >= 0.0) & (y >= 0.0) & (x < wf) & (y < hf);
+            let (x, y) = if is_seen { (x, y) } else { (0.0, 0.0) };
+            // SAFETY: both are finite and within the image. `as` would check that again.
+            let pixel =
+                unsafe { y.to_int_unchecked::<i32>() * w as i32 + x.to_int_unchecked::<i32>() };
+            *at = if is_seen { pixel as u32 } else { OUTSIDE };
+        }
+        for (descriptor, &at) in self.descriptors.iter_mut().zip(&self.at) {
+            *descriptor = *partner.descriptors.get(at as usize).unwrap_or(&Descriptor::OUTSIDE);
+        }
+        // Apart from the loads, so that it is vectorized.
+        let n = self.at.len();
+        for (cost, other) in self.costs[k * n..(k + 1) * n].iter_mut().zip(&self.descriptors) {
+            *cost = own.cost(*other, BIT, MAX_GRAY);
+        }
+    }
+
+    /// The mean over the better half of the partners, level by level.
+    #[inline(always)]
+    fn better_half(&mut self, out: &mut [u8]) {
+        let n = out.len();
+        // Three and four partners, the usual numbers, without branches.
+        if self.costs.len() == 4 * n {
+            let (a, rest) = self.costs.split_at(n);
+            let (b, rest) = rest.split_at(n);
+            let (c, d) = rest.split_at(n);
+            for (k, out) in out.iter_mut().enumerate() {
+                let (low, high) = (a[k].min(b[k]), a[k].max(b[k]));
+                let (low2, high2) = (c[k].min(d[k]), c[k].max(d[k]));
+                let first = low.min(low2);
+                let (middle, middle2) = (low.max(low2), high.min(high2));
+                let second = middle.min(middle2);
+                let needed = if self.partners == 4 { second } else { middle.max(middle2) };
+                let mean = ((u16::from(first) + u16::from(second)) / 2) as u8;
+                let seen = if needed == u8::MAX { first } else { mean };
+                *out = if first == u8::MAX { UNSEEN } else { seen };
+            }
+            return;
+        }
+        for (level, out) in out.iter_mut().enumerate() {
+            self.sorted.clear();
+            let costs = self.costs.iter().skip(level).step_by(n);
+            self.sorted.extend(costs.filter(|c| **c < u8::MAX));
+            self.sorted.sort_unstable();
+            let half = self.sorted.len().div_ceil(2);
+            let sum: u32 = self.sorted[..half].iter().map(|&c| u32::from(c)).sum();
+            *out = if half > 0 { (sum / half as u32) as u8 } else { UNSEEN };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::camera::CameraModel;
+    use crate::camera::tests::pinhole_at;
+    use crate::random::Random;
+    use crate::raster::Image;
+
+    fn noise(x: f64, random: &mut Random) -> CensusImage {
+        let model = CameraModel::Pinhole { fx: 60.0, fy: 60.0, cx: 20.0, cy: 15.0 };
+        let camera = Camera { width: 41, height: 30, model, ..pinhole_at([x, 0.01 * x, 0.0]) };
+        let data = (0..41 * 30).map(|_| random.unit() as f32).collect();
+        CensusImage::new(camera, Image::from_data(41, 30, 1, data))
+    }
+
+    /// The very same numbers with every instruction set.
+    #[test]
+    fn costs_depend_on_no_instruction_set() {
+        let mut random = Random::new(5);
+        let all = [0.0, 0.06, -0.06, 0.12, -0.12].map(|x| noise(x, &mut random));
+        let levels = DepthLevels::new([0.3, 2.0], 0.05);
+        for count in 1..5 {
+            let set = StereoSet::new(&all[0], all[1..=count].iter());
+            let found = cost_volume(&set, &levels);
+            let inverses: Vec<f32> = (0..levels.count).map(|l| levels.at(l as f32)).collect();
+            let mut rays = RayRow::new(&all[0].camera);
+            let mut scratch = MatchScratch::new(levels.count, count);
+            let mut costs = vec![0; 41 * levels.count];
+            for (y, found) in found.chunks_exact(41 * levels.count).enumerate() {
+                rays.set(y);
+                let own = &all[0].descriptors[y * 41..(y + 1) * 41];
+                let row = CostRow { own, set: &set, inverses: &inverses, rays: &rays };
+                row_costs_by(&row, &mut scratch, &mut costs);
+                assert!(costs == found);
+            }
+        }
+    }
+
+    #[test]
+    fn the_mean_of_the_better_half_counts() {
+        let cases: [(&[u8], u8); 8] = [
+            (&[10, 40, 20, 60], 15),
+            (&[255, 40, 20, 60], 30),
+            (&[255, 40, 255, 255], 40),
+            (&[255; 4], UNSEEN),
+            // Of three that see the point, two count.
+            (&[40, 20, 60], 30),
+            (&[40, 255, 20], 20),
+            (&[255, 70, 255], 70),
+            (&[255; 3], UNSEEN),
+        ];
+        for (costs, expected) in cases {
+            let mut scratch = MatchScratch::new(1, costs.len());
+            scratch.costs[..costs.len()].copy_from_slice(costs);
+            let mut out = [0];
+            scratch.better_half(&mut out);
+            assert_eq!(out, [expected]);
+        }
+    }
+}

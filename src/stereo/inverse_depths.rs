@@ -1,0 +1,139 @@
+//! Inverse depths of one camera, from its own image and those of its partners.
+
+use super::census::{CensusPyramid, halved};
+use super::cost_volume::{DepthLevels, StereoSet, cost_volume, upsampled};
+use super::refine::refine;
+use super::semi_global::{aggregate, winner_takes_all};
+use super::{CameraImage, StereoOptions};
+use crate::camera::Camera;
+use crate::lumigraph::DepthMap;
+use rayon::prelude::*;
+
+/// Largest difference of two measurements of one surface, levels.
+const TOLERANCE_LEVELS: f32 = 1.5;
+/// Largest distance of a partner, over that of the nearest one.
+const MAX_PARTNER_DISTANCE: f64 = 2.5;
+/// Largest number of costs (pixels times levels), by memory: a byte for each, and two for its sum.
+const MAX_COSTS: usize = 1 << 26;
+
+/// Inverse depths of a camera's pixels, row by row; NaN where unknown.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InverseDepths {
+    /// Inverse depths, 1/m.
+    pub values: Vec<f32>,
+    /// Their standard errors, 1/m.
+    pub std_err: Vec<f32>,
+    /// Largest difference of two measurements of one surface, 1/m.
+    pub tolerance: f32,
+}
+
+impl InverseDepths {
+    /// The depths, metres.
+    pub fn depth_map(&self, camera: &Camera) -> DepthMap {
+        let depths = self.values.iter().map(|v| 1.0 / v).collect();
+        DepthMap::from_data(camera.width, camera.height, depths)
+    }
+}
+
+/// The cameras that camera `index` is matched with, nearest first: the nearest at another place, unless they
+/// stand much farther than the nearest one.
+pub fn partners(cameras: &[&Camera], index: usize, options: &StereoOptions) -> Vec<usize> {
+    let center = cameras[index].center();
+    let distance = |k: &usize| (cameras[*k].center() - center).norm();
+    let mut order: Vec<usize> = (0..cameras.len()).filter(|k| distance(k) > 0.0).collect();
+    // Stable, so that ties keep the cameras' order.
+    order.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+    let limit = order.first().map_or(0.0, |k| MAX_PARTNER_DISTANCE * distance(k));
+    order.retain(|k| distance(k) <= limit);
+    order.truncate(options.partners.max(1));
+    order
+}
+
+/// How many times the images of these cameras are halved: as often as the options say, and until the cost volume of
+/// every camera fits into memory. `range` is that of the inverse depths of all cameras, 1/m.
+pub fn halvings(cameras: &[&Camera], range: [f64; 2], options: &StereoOptions) -> usize {
+    let mut images: Vec<Camera> = cameras.iter().map(|c| (*c).clone()).collect();
+    let mut halvings = 0;
+    let partners: Vec<Vec<usize>> =
+        (0..cameras.len()).map(|k| partners(cameras, k, options)).collect();
+    loop {
+        let costs = |(own, partners): (&Camera, &Vec<usize>)| {
+            let levels = levels(own, cameras[*partners.last()?], range, options);
+            Some((own.width * own.height).saturating_mul(levels.count))
+        };
+        let max_costs = images.iter().zip(&partners).filter_map(costs).max().unwrap_or(0);
+        if halvings >= options.halvings && max_costs <= MAX_COSTS {
+            return halvings;
+        }
+        let Some(smaller) = images.iter().map(halved).collect() else { return halvings };
+        images = smaller;
+        halvings += 1;
+    }
+}
+
+/// The depth hypotheses of a camera, by the disparity to its farthest partner.
+fn levels(
+    own: &Camera,
+    farthest: &Camera,
+    range: [f64; 2],
+    options: &StereoOptions,
+) -> DepthLevels {
+    let baseline = (farthest.center() - own.center()).norm();
+    DepthLevels::new(range, options.step_px / (own.focal_px() * baseline))
+}
+
+/// Estimates inverse depths within a range, 1/m, of an image by its partners, nearest first, all halved the same
+/// number of times. `None` without partners.
+pub fn inverse_depths(
+    reference: &CensusPyramid,
+    partners: &[&CensusPyramid],
+    range: [f64; 2],
+    options: &StereoOptions,
+) -> Option<InverseDepths> {
+    let set =
+        |k: usize| StereoSet::new(&reference.levels[k], partners.iter().map(move |p| &p.levels[k]));
+    let coarsest = reference.levels.len() - 1;
+    let coarse = set(coarsest);
+    let levels =
+        levels(&coarse.image.camera, &coarse.partners.last()?.image.camera, range, options);
+    let costs = cost_volume(&coarse, &levels);
+    let sums = aggregate(&costs, &coarse.image.gray, levels.count);
+    let mut values = winner_takes_all(&sums, &levels);
+    let mut step = levels.step;
+    let mut std_err = refine(&mut values, &coarse, step);
+    for k in (0..coarsest).rev() {
+        let fine = set(k);
+        values = upsampled(&values, &reference.levels[k + 1].camera, &fine);
+        step *= 0.5;
+        std_err = refine(&mut values, &fine, step);
+    }
+    Some(InverseDepths { values, std_err, tolerance: TOLERANCE_LEVELS * levels.step })
+}
+
+/// The images of several cameras at one instant, ready to be matched.
+pub struct Matcher<'a> {
+    cameras: Vec<&'a Camera>,
+    pyramids: Vec<CensusPyramid>,
+}
+
+impl<'a> Matcher<'a> {
+    /// Computes the images' descriptors. `range` holds the inverse depths of all cameras, 1/m.
+    pub fn new(views: &[CameraImage<'a>], range: [f64; 2], options: &StereoOptions) -> Self {
+        let cameras: Vec<&Camera> = views.iter().map(|v| v.camera).collect();
+        let halvings = halvings(&cameras, range, options);
+        let pyramids = views.par_iter().map(|v| CensusPyramid::new(v, halvings)).collect();
+        Self { cameras, pyramids }
+    }
+
+    /// Inverse depths of camera `index` within a range, 1/m. `None` without a camera at another place.
+    pub fn depths(
+        &self,
+        index: usize,
+        range: [f64; 2],
+        options: &StereoOptions,
+    ) -> Option<InverseDepths> {
+        let partners = partners(&self.cameras, index, options);
+        let partners: Vec<&CensusPyramid> = partners.iter().map(|&k| &self.pyramids[k]).collect();
+        inverse_depths(&self.pyramids[index], &partners, range, options)
+    }
+}
