@@ -331,8 +331,8 @@ fn options_out_of_range_are_refused_by_name() {
         (r#"{"interpolation": {"morph": {"rho": 32}}}"#, "interpolation.morph.rho"),
         (r#"{"interpolation": {"morph": {"grid_px": 0}}}"#, "interpolation.morph.grid_px"),
         (r#"{"registration": {"klt": {"levels": 0}}}"#, "registration.klt.levels"),
-        (r#"{"blend": {"feather_px": -1}}"#, "blend.feather_px"),
-        (r#"{"blend": {"feather_px": null}}"#, "blend.feather_px"),
+        (r#"{"blend": {"error_angle_rad": -1}}"#, "blend.error_angle_rad"),
+        (r#"{"blend": {"error_angle_rad": null}}"#, "blend.error_angle_rad"),
         (r#"{"proxy": {"plane_depth_m": 0}}"#, "proxy.plane_depth_m"),
         (r#"{"proxy": {"depth": 0}}"#, "proxy.depth"),
     ] {

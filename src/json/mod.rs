@@ -51,8 +51,8 @@ mod tests {
     fn the_field_is_named() {
         for (text, field) in [
             (r#"{"registration": {"klt": {"levels": -1}}}"#, "registration.klt.levels: "),
-            (r#"{"blend": {"feather_px": null}}"#, "blend.feather_px: "),
-            (r#"{"blend": {"feather_px": 1e999}}"#, "blend.feather_px: "),
+            (r#"{"blend": {"cameras": null}}"#, "blend.cameras: "),
+            (r#"{"blend": {"cameras": 1e999}}"#, "blend.cameras: "),
             (r#"{"sync": "none"}"#, "sync: "),
         ] {
             let message = parse::<RenderOptions>(text).unwrap_err();

@@ -7,7 +7,7 @@ use crate::camera::Camera;
 use crate::interpolation::Synchronized;
 use crate::lumigraph::{BlendMethod, DepthMap, Proxy};
 use crate::options::{ProxyMethod, ViewOptions};
-use crate::stereo::{CameraImage, InverseDepths, Matcher, Surface, fuse};
+use crate::stereo::{CameraImage, FURTHER_CAMERAS, InverseDepths, Matcher, Surface, fuse};
 use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -47,7 +47,7 @@ impl LightField {
             return Vec::new();
         }
         let mut cameras = nearest(&self.capture().cameras, &self.usable(time_s), target);
-        cameras.truncate(options.proxy.depth.cameras + options.proxy.depth.further_cameras);
+        cameras.truncate(options.proxy.depth.cameras + FURTHER_CAMERAS);
         cameras
     }
 

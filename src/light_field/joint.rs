@@ -12,7 +12,7 @@ use crate::options::{ProxyMethod, ViewOptions};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// The share of [`crate::lumigraph::BlendOptions::interpolation_error_rad`] that counts where a camera's own image is one of
+/// The share of [`crate::lumigraph::BlendOptions::error_angle_rad`] that counts where a camera's own image is one of
 /// those blended: it has no error of depth. Larger: where depth is wrong, other cameras' images replace it all the
 /// same; smaller: they don't where they are better.
 const OWN_SHARE: f64 = 0.25;
@@ -38,7 +38,7 @@ impl LightField {
         options.sync = SyncMethod::AllCameras.of_one_camera();
         options.proxy.method = ProxyMethod::Depth;
         options.blend.method = BlendMethod::SpaceTime;
-        options.blend.interpolation_error_rad *= OWN_SHARE;
+        options.blend.error_angle_rad *= OWN_SHARE;
         let filmed = &self.capture().cameras[camera].camera;
         let mut cameras = self.geometry_cameras(filmed, time_s, &options);
         cameras.sort_unstable();

@@ -50,7 +50,7 @@ fn proxy_of(
             Plane::fit(&weighted, target).map(Proxy::Plane)
         }
         ProxyMethod::Mesh | ProxyMethod::Depth => {
-            Mesh::build(points, target, &options.mesh).map(Proxy::Mesh)
+            Mesh::build(points, target, options.depth_edges).map(Proxy::Mesh)
         }
     };
     // A view of a bare spot, or of a single pixel, has no feature in it, but a depth.

@@ -11,6 +11,7 @@
 use super::inverse_depth::{ProjectedPoint, Through, fit_plane};
 use super::rays::ViewBounds;
 use crate::camera::Camera;
+use crate::method::methods;
 use nalgebra::{Point2, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use spade::handles::VertexHandle as Handle;
@@ -26,72 +27,45 @@ pub struct Mesh {
 }
 
 /// The treatment of a triangle whose vertices lie on two surfaces.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DepthEdges {
     /// The triangle stretches from one surface to the other, as in the paper.
     Stretch,
-    /// The triangle lies on the surface behind: right where the features of the surface in front reach
-    /// its outline.
+    /// The triangle lies on the surface behind.
     Back,
-    /// The triangle lies on the surface in front: right where features are dense, since those in front
-    /// stop short of the outline by the size of a corner.
+    /// The triangle lies on the surface in front, whose features stop short of its outline.
+    #[default]
     Front,
     /// The triangle is cut in the middle between the two surfaces.
     Cut,
 }
 
-/// Options of [`Mesh::build`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct MeshOptions {
-    /// Triangles that span a depth edge.
-    pub depth_edges: DepthEdges,
-    /// A triangle spans a depth edge if its vertices' inverse depths differ by more than this
-    /// fraction of the largest. Larger: edges stay stretched. Smaller: slanted surfaces turn into
-    /// steps.
-    pub edge_share: f64,
-    /// Longest side of a triangle that `depth_edges` applies to, pixels; longer ones stretch, since
-    /// the surface's outline may be anywhere in them. Larger: the foreground thickens where features
-    /// are sparse. Smaller: edges stay stretched. (Magazine scene, 320×240, `Front` over
-    /// `Stretch`: −0.1 dB from 400 and 800 points, +0.2 from 1500, +0.5 from 3000 and 5000;
-    /// without a limit −1.7 dB from 400.)
-    pub edge_px: f64,
-    /// A neighbour supports a point if their inverse depths differ by at most this fraction of the
-    /// point's. Larger: mismatches remain. Smaller: points of slanted or rough surfaces are dropped.
-    pub support_share: f64,
-    /// Supporting neighbours that a point needs, among those at one or two edges of the
-    /// triangulation. Larger: small objects with few features are dropped. 0: every mismatch remains.
-    pub min_support: usize,
-    /// Distance of the corners outside the image, as a fraction of its size. Larger: the triangles at
-    /// the border are longer. 0: they could miss the outermost pixels by rounding.
-    pub margin: f64,
-}
+methods!(DepthEdges {
+    Stretch = "stretch": "The triangle stretches from one surface to the other, as in the paper",
+    Back = "back": "The triangle lies on the surface behind",
+    Front = "front": "The triangle lies on the surface in front",
+    Cut = "cut": "The triangle is cut in the middle between the two surfaces",
+});
 
-impl Default for MeshOptions {
-    fn default() -> Self {
-        Self {
-            depth_edges: DepthEdges::Front,
-            edge_share: 0.1,
-            edge_px: 24.0,
-            support_share: 0.05,
-            min_support: 2,
-            margin: 0.05,
-        }
-    }
-}
-
-/// Side of the square cells of which each has one vertex, its nearest point, pixels. Larger: detail is
-/// lost. Smaller: the noise of two images of one point is a spike.
+/// A triangle spans a depth edge if its inverse depths differ by more than this fraction of the largest.
+const EDGE_FRACTION: f64 = 0.1;
+/// Longest side of a triangle that [`DepthEdges`] applies to, pixels: in longer ones, the outline may be anywhere.
+const MAX_EDGE_PX: f64 = 24.0;
+/// Largest difference of the inverse depths of two points that support each other, as a fraction.
+const SUPPORT_FRACTION: f64 = 0.05;
+/// Smallest number of supporting neighbours of a point, at one or two edges of the triangulation.
+const MIN_SUPPORT: usize = 2;
+/// Distance of the mesh's corners outside the image, as a fraction of its size.
+const MARGIN: f64 = 0.05;
+/// Side of the square cells of which each has one vertex, its nearest point, pixels.
 const CELL_PX: f64 = 0.5;
-/// Weight of vertices in front of the back plane, over that of vertices behind it. Larger: the plane
-/// tilts along the foreground. Smaller: a single far point turns it.
+/// Weight of vertices in front of the back plane, over that of vertices behind it.
 const FRONT_WEIGHT: f64 = 0.02;
-/// Corners of the back plane.
+/// Number of corners of the back plane.
 const CORNERS: usize = 4;
-/// The back plane's inverse depth, over that of the vertex nearest to it: below 1, so that all vertices
-/// are in front. Larger: rounding puts a vertex behind it. Smaller: the background is farther than it
-/// is.
+/// The back plane's inverse depth, over that of the vertex nearest to it: below 1, so that all vertices are in
+/// front.
 const BEHIND: f64 = 0.999;
 
 struct Site {
@@ -114,13 +88,13 @@ impl Mesh {
     /// Points behind the view, outside it, or not finite are ignored, and so are those that their
     /// neighbours contradict. One point, points on a line and duplicates are meshed with the corners
     /// like any others. `None` if no point remains, or no ray of the view can be computed.
-    pub fn build(points: &[Point3<f64>], target: &Camera, options: &MeshOptions) -> Option<Self> {
-        let bounds = ViewBounds::of(target)?.enlarged(options.margin.max(0.0));
+    pub fn build(points: &[Point3<f64>], target: &Camera, depth_edges: DepthEdges) -> Option<Self> {
+        let bounds = ViewBounds::of(target)?.enlarged(MARGIN);
         let focal = target.focal_px();
         let mut all = projected(points, target, &bounds, focal);
         let corners = bounds.corners();
         let mut sites = triangulated(&all, &corners, focal);
-        drop_unsupported(&mut all, &mut sites, options);
+        drop_unsupported(&mut all, &mut sites);
         let plane = back_plane(&all, &bounds)?;
         all.extend(corners.map(|at| ProjectedPoint {
             at,
@@ -130,7 +104,7 @@ impl Mesh {
         let mut builder = Builder { corners: all, triangles: Vec::new() };
         for face in sites.inner_faces() {
             let triangle = face.vertices().map(|v| v.data().index);
-            builder.add(triangle, focal, options);
+            builder.add(triangle, focal, depth_edges);
         }
         let world_from_cam = target.cam_from_world.inverse();
         let vertices = builder
@@ -188,18 +162,14 @@ fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: 
 
 /// Drops the points that too few of their neighbours in the triangulation support, also from the triangulation. Keeps all
 /// if there are fewer than four, or none has support: where all contradict all, no point is better than the rest.
-fn drop_unsupported(
-    projections: &mut Vec<ProjectedPoint>,
-    sites: &mut Sites,
-    options: &MeshOptions,
-) {
+fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut Sites) {
     let count = projections.len();
-    if count < 4 || options.min_support == 0 {
+    if count < 4 {
         return;
     }
     let points = || sites.vertices().filter(|s| (s.data().index as usize) < count);
     let unsupported: Vec<_> =
-        points().filter(|s| !has_support(projections, s, options)).map(|s| s.fix()).collect();
+        points().filter(|s| !has_support(projections, s)).map(|s| s.fix()).collect();
     if unsupported.len() == points().count() {
         return;
     }
@@ -238,15 +208,14 @@ fn neighbors(site: Handle<Site>) -> impl Iterator<Item = Handle<Site>> {
 }
 
 /// Whether enough of the neighbours of a site, and of theirs, agree with it.
-fn has_support(projections: &[ProjectedPoint], site: &Handle<Site>, options: &MeshOptions) -> bool {
+fn has_support(projections: &[ProjectedPoint], site: &Handle<Site>) -> bool {
     let index = |s: &Handle<Site>| s.data().index as usize;
     let own = projections[index(site)].inverse_depth;
-    let agrees =
-        |k: &usize| (own - projections[*k].inverse_depth).abs() <= options.support_share * own;
+    let agrees = |k: &usize| (own - projections[*k].inverse_depth).abs() <= SUPPORT_FRACTION * own;
     // Corners have no depth yet.
     let around = |s| neighbors(s).filter(|s| index(s) < projections.len());
     let near = around(*site).map(|s| index(&s)).filter(agrees).count();
-    if near >= options.min_support {
+    if near >= MIN_SUPPORT {
         return true;
     }
     let mut all: Vec<usize> = around(*site)
@@ -257,7 +226,7 @@ fn has_support(projections: &[ProjectedPoint], site: &Handle<Site>, options: &Me
         .collect();
     all.sort_unstable();
     all.dedup();
-    all.len() >= options.min_support
+    all.len() >= MIN_SUPPORT
 }
 
 /// The back plane's inverse depth as a linear function of the ray: along the farthest points, and
@@ -280,7 +249,7 @@ impl Builder {
         (self.corners.len() - 1) as u32
     }
 
-    fn add(&mut self, triangle: [u32; 3], focal: f64, options: &MeshOptions) {
+    fn add(&mut self, triangle: [u32; 3], focal: f64, depth_edges: DepthEdges) {
         // Nearest first.
         let mut v = triangle.map(|k| (k, self.corners[k as usize]));
         v.sort_by(|a, b| b.1.inverse_depth.total_cmp(&a.1.inverse_depth));
@@ -290,9 +259,9 @@ impl Builder {
             let sides = [at[0] - at[1], at[1] - at[2], at[2] - at[0]];
             focal * sides.iter().map(|s| s.norm()).fold(0.0, f64::max)
         };
-        if options.depth_edges == DepthEdges::Stretch
-            || a - c <= options.edge_share * a
-            || longest_px() > options.edge_px
+        if depth_edges == DepthEdges::Stretch
+            || a - c <= EDGE_FRACTION * a
+            || longest_px() > MAX_EDGE_PX
         {
             self.triangles.push(triangle);
             return;
@@ -300,7 +269,7 @@ impl Builder {
         // One vertex is in front of two, or two are in front of one.
         let one_in_front = a - b > b - c;
         let (front, back) = if one_in_front { (a, 0.5 * (b + c)) } else { (0.5 * (a + b), c) };
-        match options.depth_edges {
+        match depth_edges {
             DepthEdges::Stretch => {}
             DepthEdges::Back => self.flat(at, back),
             DepthEdges::Front => self.flat(at, front),
@@ -331,10 +300,6 @@ mod tests {
     const ALL: [DepthEdges; 4] =
         [DepthEdges::Stretch, DepthEdges::Back, DepthEdges::Front, DepthEdges::Cut];
 
-    fn options(depth_edges: DepthEdges) -> MeshOptions {
-        MeshOptions { depth_edges, edge_px: f64::INFINITY, ..MeshOptions::default() }
-    }
-
     fn on_ray(camera: &Camera, x: f64, y: f64, z: f64) -> Point3<f64> {
         camera.center() + camera.ray_world(&Point2::new(x, y)).unwrap() * z
     }
@@ -350,7 +315,7 @@ mod tests {
             })
             .collect();
         for depth_edges in ALL {
-            let mesh = Mesh::build(&points, &camera, &options(depth_edges)).unwrap();
+            let mesh = Mesh::build(&points, &camera, depth_edges).unwrap();
             let map = Proxy::Mesh(mesh).depth_map(&camera);
             assert!(map.data().iter().all(|z| (z - 2.0).abs() < 0.01));
         }
@@ -360,16 +325,16 @@ mod tests {
     fn mismatches_are_dropped_and_a_foreground_object_stays() {
         let camera = pinhole_at([0.0; 3]);
         let mut points = Vec::new();
-        for y in (10..480).step_by(20) {
-            for x in (10..640).step_by(20) {
+        for y in (12..480).step_by(16) {
+            for x in (4..640).step_by(16) {
                 let front = (200..300).contains(&x) && (200..300).contains(&y);
                 let z = if front { 1.0 } else { 3.0 };
                 points.push(on_ray(&camera, f64::from(x), f64::from(y), z));
             }
         }
-        points.push(on_ray(&camera, 500.0, 100.0, 0.4));
+        points.push(on_ray(&camera, 500.0, 100.5, 0.4));
         points.push(on_ray(&camera, 100.0, 400.0, 20.0));
-        // Halfway between the last vertex in front and the first behind, 1/z is halfway too.
+        // Halfway between 292 and 308, the last vertex in front and the first behind, 1/z is halfway too.
         let expected = [
             (DepthEdges::Stretch, 1.5, 1.5),
             (DepthEdges::Back, 3.0, 3.0),
@@ -377,7 +342,7 @@ mod tests {
             (DepthEdges::Cut, 1.0, 3.0),
         ];
         for (depth_edges, before, after) in expected {
-            let mesh = Mesh::build(&points, &camera, &options(depth_edges)).unwrap();
+            let mesh = Mesh::build(&points, &camera, depth_edges).unwrap();
             let map = Proxy::Mesh(mesh).depth_map(&camera);
             let at = |x: usize, y: usize| f64::from(map.row(y)[x]);
             assert!((at(500, 100) - 3.0).abs() < 0.05 && (at(100, 400) - 3.0).abs() < 0.05);
@@ -420,7 +385,7 @@ mod tests {
         for (case, points) in cases.iter().enumerate() {
             for depth_edges in ALL {
                 println!("case {case}, {depth_edges:?}");
-                let mesh = Mesh::build(points, &camera, &options(depth_edges)).unwrap();
+                let mesh = Mesh::build(points, &camera, depth_edges).unwrap();
                 assert_covered(&Proxy::Mesh(mesh).depth_map(&camera));
             }
         }
@@ -450,7 +415,7 @@ mod tests {
                 })
                 .collect();
             for depth_edges in ALL {
-                if let Some(mesh) = Mesh::build(&points, &camera, &options(depth_edges)) {
+                if let Some(mesh) = Mesh::build(&points, &camera, depth_edges) {
                     built += 1;
                     assert!(mesh.vertices.iter().all(|v| v.iter().all(|c| c.is_finite())));
                 }
@@ -462,7 +427,7 @@ mod tests {
     #[test]
     fn no_point_in_the_view_gives_none() {
         let camera = pinhole_at([0.0; 3]);
-        let build = |p: &[Point3<f64>]| Mesh::build(p, &camera, &MeshOptions::default());
+        let build = |p: &[Point3<f64>]| Mesh::build(p, &camera, DepthEdges::default());
         assert_eq!(build(&[]), None);
         assert_eq!(build(&[Point3::new(0.0, 0.0, -1.0), Point3::new(f64::NAN, 0.0, 1.0)]), None);
         assert_eq!(build(&[Point3::new(9.0, 0.0, 1.0)]), None);
@@ -478,8 +443,8 @@ mod tests {
                 on_ray(&camera, x, y, random.in_range(1.0, 1.2))
             })
             .collect();
-        let forward = Mesh::build(&points, &camera, &MeshOptions::default());
+        let forward = Mesh::build(&points, &camera, DepthEdges::default());
         points.reverse();
-        assert_eq!(Mesh::build(&points, &camera, &MeshOptions::default()), forward);
+        assert_eq!(Mesh::build(&points, &camera, DepthEdges::default()), forward);
     }
 }

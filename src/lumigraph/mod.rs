@@ -28,7 +28,7 @@ mod ulr;
 mod weights;
 
 pub use depth_map::DepthMap;
-pub use mesh::{DepthEdges, Mesh, MeshOptions};
+pub use mesh::{DepthEdges, Mesh};
 pub use plane::Plane;
 pub use proxy::Proxy;
 pub(crate) use rays::RayRow;

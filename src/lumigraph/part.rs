@@ -8,7 +8,7 @@ use super::reproject::{Cone, Hits, Reprojection, TargetRow};
 use super::source::{BlendOptions, Source};
 use super::weights::{BlendMethod, Penalties, SOFT, Weights, divide, weigh_between};
 use crate::camera::Camera;
-use crate::raster::{Tiles, gray_from_rgb, sample, sample_each};
+use crate::raster::{Sampling, Tiles, gray_from_rgb, sample, sample_each};
 use crate::simd::multiversion;
 use std::ops::Range;
 
@@ -366,8 +366,8 @@ impl<'a> Part<'a> {
             let places = weighted
                 .filter(|((_, weight), _)| **weight > 0.0)
                 .map(|(((&x, &y), &weight), pixel)| ([x, y], (weight, pixel)));
-            let (image, sampling) = (self.sources[i].image, self.options.sampling);
-            sample_each::<C, _>(image, places, sampling, |(weight, pixel), value| {
+            let image = self.sources[i].image;
+            sample_each::<C, _>(image, places, Sampling::Cubic, |(weight, pixel), value| {
                 for (out, v) in pixel.iter_mut().zip(value) {
                     *out += weight * v;
                 }
@@ -423,9 +423,9 @@ impl<'a> Part<'a> {
     fn sample_rgb(&self, k: usize, source: usize) -> [f32; 3] {
         let (image, x, y) = (self.sources[source].image, self.x[k], self.y[k]);
         if image.channels() == 3 {
-            return sample(image, x, y, self.options.sampling);
+            return sample(image, x, y, Sampling::Cubic);
         }
-        let [gray] = sample(image, x, y, self.options.sampling);
+        let [gray] = sample(image, x, y, Sampling::Cubic);
         [gray; 3]
     }
 

@@ -14,6 +14,10 @@ use crate::camera::{Camera, CameraModel};
 use crate::simd::multiversion;
 use nalgebra::{Matrix3, Point2, Vector3};
 
+/// Width over which a camera fades out towards its image's border, pixels.
+const FEATHER_PX: f32 = 4.0;
+/// Smallest depth of an occluded point beyond the surface, as a fraction of the surface's depth.
+pub(super) const OCCLUSION_FRACTION: f32 = 0.03;
 /// Largest distance of a camera at the view's centre, as a fraction of the farthest camera's distance
 /// from it. Larger: nearby cameras are taken for the view itself. Smaller: by rounding, the view of an
 /// input camera is blended from others too.
@@ -50,7 +54,7 @@ pub(super) struct Hits<'a> {
     /// Position in the source's image, pixels.
     pub x: &'a mut [f32],
     pub y: &'a mut [f32],
-    /// `2 tan(θ/2) · (1 + β · coarseness) / trust`; infinite where the source doesn't show the point.
+    /// `2 tan(θ/2) · (1 + coarseness) / trust`; infinite where the source doesn't show the point.
     pub penalty: &'a mut [f32],
     /// 1 in the image, falling to 0 at its border and outside, and less where the point is occluded.
     pub trust: &'a mut [f32],
@@ -142,11 +146,8 @@ pub(super) struct Reprojection {
     /// Focal length of the view over the source's.
     focal_ratio: f32,
     max_radius2: f32,
-    inverse_feather: f32,
-    resolution: f32,
-    hidden_share: f32,
     /// The angle that a pixel of interpolation error counts as; 0 if time has no weight.
-    interpolation_error_rad: f32,
+    error_angle_rad: f32,
 }
 
 impl Reprojection {
@@ -176,12 +177,8 @@ impl Reprojection {
             height: camera.height as f32,
             focal_ratio: (target.focal_px() / camera.focal_px()) as f32,
             max_radius2: radius2 as f32,
-            // Narrower than a hundredth of a pixel is no feather.
-            inverse_feather: (1.0 / options.feather_px.max(0.01)) as f32,
-            resolution: options.resolution.max(0.0) as f32,
-            hidden_share: options.hidden_share.max(1e-6) as f32,
-            interpolation_error_rad: match options.method {
-                BlendMethod::SpaceTime => options.interpolation_error_rad.max(0.0) as f32,
+            error_angle_rad: match options.method {
+                BlendMethod::SpaceTime => options.error_angle_rad.max(0.0) as f32,
                 BlendMethod::Lumigraph | BlendMethod::Uniform => 0.0,
             },
         }
@@ -196,7 +193,7 @@ impl Reprojection {
     /// Whether the penalties of a source change smoothly from pixel to pixel on a surface.
     pub fn is_smooth(&self, source: &Source) -> bool {
         source.depth.is_none()
-            && (self.interpolation_error_rad == 0.0 || source.interpolation_error_px.is_none())
+            && (self.error_angle_rad == 0.0 || source.interpolation_error_px.is_none())
     }
 
     /// A bound below the penalties of the points of a cone's pixels, from the angle alone: with r the ray, ρ the inverse
@@ -241,7 +238,7 @@ impl Reprojection {
         } else {
             self.measure(row, hits, |nx, ny| self.bent(nx, ny));
         }
-        if self.interpolation_error_rad > 0.0 {
+        if self.error_angle_rad > 0.0 {
             self.add_interpolation_error(source, hits);
         }
         // A source at the view's centre looks along the same rays: nothing is occluded in it.
@@ -278,7 +275,7 @@ impl Reprojection {
             let coarseness = (q_length * self.focal_ratio / length - 1.0).max(0.0);
 
             let counts = ((inverse > 0.0) | at_center) & (angle < f32::INFINITY) & (border > 0.0);
-            let raised = angle * (1.0 + self.resolution * coarseness) / border;
+            let raised = angle * (1.0 + coarseness) / border;
             out_x[k] = px;
             out_y[k] = py;
             penalty[k] = if counts { raised } else { f32::INFINITY };
@@ -315,7 +312,7 @@ impl Reprojection {
         let (px, py) = pixel(nx, ny);
         let inside = px.min(self.width - px).min(py.min(self.height - py));
         let is_visible = (q.z > 0.0) & (nx * nx + ny * ny <= self.max_radius2) & (inside > 0.0);
-        let t = (inside * self.inverse_feather).min(1.0);
+        let t = (inside / FEATHER_PX).min(1.0);
         let border = t * t * (3.0 - 2.0 * t);
         (px, py, if is_visible { border } else { 0.0 })
     }
@@ -340,8 +337,7 @@ impl Reprojection {
             if hits.trust[k] > 0.0 {
                 // Where there is trust, the position is inside the image.
                 let (x, y) = (hits.x[k] as usize, hits.y[k] as usize);
-                let angle =
-                    self.interpolation_error_rad * error_px[y.min(h - 1) * w + x.min(w - 1)];
+                let angle = self.error_angle_rad * error_px[y.min(h - 1) * w + x.min(w - 1)];
                 hits.penalty[k] = hits.penalty[k].hypot(angle / hits.trust[k]);
             }
         }
@@ -354,7 +350,7 @@ impl Reprojection {
             if hits.trust[k] > 0.0 {
                 let inverse = row.inverse_depth[k];
                 let depth = self.direction(row.x[k], row.y[k], inverse).z / inverse;
-                let beyond = |surface: f32| (depth / surface - 1.0) / self.hidden_share - 1.0;
+                let beyond = |surface: f32| (depth / surface - 1.0) / OCCLUSION_FRACTION - 1.0;
                 // NaN, where the source has no depth, occludes nothing.
                 let behind = beyond(map.farthest_around(hits.x[k], hits.y[k]));
                 if behind > 0.0 {

@@ -3,8 +3,8 @@
 use super::DepthMap;
 use super::weights::BlendMethod;
 use crate::camera::Camera;
-use crate::raster::{Image, Sampling};
-use serde::{Deserialize, Serialize};
+use crate::option::options;
+use crate::raster::Image;
 
 /// A camera with its image at the instant that is rendered.
 #[derive(Clone, Copy, Debug)]
@@ -27,52 +27,17 @@ impl<'a> Source<'a> {
     }
 }
 
-/// Options of [`blend`](super::blend).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct BlendOptions {
-    /// The cameras' weights. Files of earlier versions call the field `rung`.
-    #[serde(alias = "rung")]
-    pub method: BlendMethod,
-    /// Number of cameras that a pixel is blended from; 0 counts as 1. Larger: the noise of more images
-    /// is averaged, and the proxy's error blurs. Smaller: every camera's own errors show. (Magazine
-    /// scene: over true depth 2, 3, 4, 8 give 33.7, 33.8, 34.0, 34.2 dB, over a plane 25.9, 25.9,
-    /// 25.7, 24.4.)
-    pub cameras: usize,
-    /// Width over which a camera fades out towards its image's border, pixels. Larger: the image's
-    /// outer part is wasted. Smaller: the border of an image is visible.
-    pub feather_px: f64,
-    /// β, the weight of coarser resolution. Larger: cameras that are farther away or have a shorter
-    /// lens than the view are avoided even at the right angle. Smaller: their blur shows.
-    pub resolution: f64,
-    /// Distance of the pixels whose weights are computed, along rows and columns; between them weights are
-    /// interpolated, as Buehler et al. do. At least 1, where all are computed, and at most 64. Larger: cameras mix where
-    /// surfaces end. Smaller: slower. It has no effect where depths of a camera, its interpolation errors or grey cameras
-    /// among coloured ones change weights from pixel to pixel.
-    pub weight_step_px: usize,
-    /// Interpolation of the images between pixels.
-    pub sampling: Sampling,
-    /// Smallest depth of an occluded point beyond [`Source::depth`], as a fraction of it. Larger: the
-    /// foreground's edge shows twice. Smaller: slanted surfaces occlude themselves.
-    pub hidden_share: f64,
-    /// The angle, radians, that one pixel of interpolation error counts as
-    /// ([`BlendMethod::SpaceTime`]). Larger: cameras that stand farther away replace those that filmed
-    /// longer before or after. Smaller: the errors of interpolation show.
-    pub interpolation_error_rad: f64,
-}
-
-impl Default for BlendOptions {
-    fn default() -> Self {
-        Self {
-            method: BlendMethod::default(),
-            cameras: 3,
-            feather_px: 4.0,
-            resolution: 1.0,
-            weight_step_px: 4,
-            sampling: Sampling::Cubic,
-            hidden_share: 0.03,
-            interpolation_error_rad: 0.004,
-        }
+options! {
+    /// Options of blending.
+    pub struct BlendOptions {
+        /// The cameras' weights.
+        method: BlendMethod = BlendMethod::Lumigraph,
+        /// Cameras from which a pixel is blended.
+        cameras: usize [1..=1000, "cameras"] = 3,
+        /// Distance of the pixels whose weights are computed; between them, weights are interpolated.
+        weight_step_px: usize [1..=64, "px"] = 4,
+        /// Angle that one pixel of interpolation error counts as, for the method space-time.
+        error_angle_rad: f64 [0.0..=1000.0, "rad"] = 0.004,
     }
 }
 

@@ -4,7 +4,7 @@ use super::*;
 use crate::camera::tests::pinhole_at;
 use crate::camera::{Camera, CameraModel};
 pub(super) use crate::random::Random;
-use crate::raster::{Image, Sampling, Tiles};
+use crate::raster::{Image, Tiles};
 use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
 
 pub(super) fn assert_covered(map: &DepthMap) {
@@ -85,10 +85,9 @@ fn naive(sources: &[Source], depth: &DepthMap, target: &Camera, o: &BlendOptions
                 let angle = to_target.angle(&to_source);
                 let footprint = |camera: &Camera, to: &Vector3<f64>| to.norm() / camera.focal_px();
                 let ratio = footprint(s.camera, &to_source) / footprint(target, &to_target);
-                let t = (inside / o.feather_px).min(1.0);
-                let penalty =
-                    2.0 * (angle / 2.0).tan() * (1.0 + o.resolution * (ratio - 1.0).max(0.0))
-                        / (t * t * (3.0 - 2.0 * t));
+                let t = (inside / 4.0).min(1.0);
+                let penalty = 2.0 * (angle / 2.0).tan() * (1.0 + (ratio - 1.0).max(0.0))
+                    / (t * t * (3.0 - 2.0 * t));
                 let mut value = [0.0; 3];
                 s.image.sample_cubic(at.x as f32, at.y as f32, &mut value);
                 candidates.push((penalty, value));
@@ -174,14 +173,11 @@ fn inputs_are_reproduced_whatever_the_proxy() {
     let wild = (0..n).map(|_| random.in_range(-0.1, 5.0) as f32).collect();
     for depths in [vec![f32::NAN; n], vec![f32::INFINITY; n], vec![0.3; n], wild] {
         let depth = DepthMap::from_data(96, 72, depths);
-        for sampling in [Sampling::Bilinear, Sampling::Cubic] {
-            let options = BlendOptions { sampling, ..BlendOptions::default() };
-            for (camera, image) in cameras.iter().zip(&images) {
-                let rendered = blend(&sources, &depth, camera, &options);
-                assert!(rendered.coverage.iter().all(|c| *c));
-                for (a, b) in rendered.image.data().iter().zip(image.data()) {
-                    assert!((a - b).abs() < 1e-4, "{a} {b}");
-                }
+        for (camera, image) in cameras.iter().zip(&images) {
+            let rendered = blend(&sources, &depth, camera, &BlendOptions::default());
+            assert!(rendered.coverage.iter().all(|c| *c));
+            for (a, b) in rendered.image.data().iter().zip(image.data()) {
+                assert!((a - b).abs() < 1e-4, "{a} {b}");
             }
         }
     }
@@ -364,8 +360,8 @@ fn degenerate_views() {
     assert!(rendered.coverage.iter().all(|c| *c));
 
     for options in [
-        BlendOptions { cameras: 0, feather_px: 0.0, resolution: 0.0, ..options.clone() },
-        BlendOptions { cameras: 99, feather_px: 1e9, resolution: 1e9, ..options.clone() },
+        BlendOptions { cameras: 0, ..options.clone() },
+        BlendOptions { cameras: 99, ..options.clone() },
     ] {
         let target = camera_at([0.01, 0.0, 0.0]);
         let depth = Proxy::Plane(tilted()).depth_map(&target);
@@ -390,7 +386,7 @@ fn the_number_of_threads_does_not_matter() {
     let render = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let mesh = Mesh::build(&points, &target, &MeshOptions::default()).unwrap();
+            let mesh = Mesh::build(&points, &target, DepthEdges::default()).unwrap();
             let depth = Proxy::Mesh(mesh).depth_map(&target);
             blend(&sources(&cameras, &images), &depth, &target, &BlendOptions::default())
         })
@@ -402,7 +398,6 @@ fn the_number_of_threads_does_not_matter() {
 fn options_round_trip_and_refuse_unknown_fields() {
     let text = serde_json::to_string(&BlendOptions::default()).unwrap();
     assert_eq!(serde_json::from_str::<BlendOptions>(&text).unwrap(), BlendOptions::default());
-    assert_eq!(serde_json::from_str::<MeshOptions>("{}").unwrap(), MeshOptions::default());
     assert!(serde_json::from_str::<BlendOptions>(r#"{"camera": 3}"#).is_err());
 }
 

@@ -3,7 +3,7 @@
 //!
 //! The penalty of camera i at the pixel's point X, seen from the view's centre C:
 //!
-//! `p_i = 2 tan(θ_i / 2) · (1 + β · coarseness_i) / (border_i · visible_i)`
+//! `p_i = 2 tan(θ_i / 2) · (1 + coarseness_i) / (border_i · visible_i)`
 //!
 //! with θ_i the angle at X between C and C_i. Buehler adds the three parts; multiplied, the
 //! penalty is exactly 0 where the view's centre is the camera's, so that this camera alone
@@ -30,7 +30,7 @@
 use super::DepthMap;
 use super::hidden::{self, Shown};
 use super::part::Part;
-use super::reproject::Reprojection;
+use super::reproject::{OCCLUSION_FRACTION, Reprojection};
 use super::source::{BlendOptions, Rendered, Source};
 use crate::camera::Camera;
 use crate::raster::{Image, Tiles};
@@ -90,7 +90,7 @@ pub fn blend(
         );
     // Without depths, no camera's point is hidden.
     if sources.iter().any(|s| s.depth.is_some()) {
-        hidden::fill(&mut image, &shown, depth, options.hidden_share as f32);
+        hidden::fill(&mut image, &shown, depth, OCCLUSION_FRACTION);
     }
     Rendered { image, coverage }
 }

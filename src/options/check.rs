@@ -3,11 +3,9 @@
 
 use super::RenderOptions;
 use crate::interpolation::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
-use crate::lumigraph::{BlendOptions, MeshOptions};
 use crate::offset::OffsetOptions;
 use crate::option::{DeclaredOption, OptionError, OptionField, OptionValue};
 use crate::registration::{CornerOptions, KltOptions, RegistrationOptions};
-use crate::stereo::StereoOptions;
 use std::ops::RangeInclusive;
 
 type Checked = Result<(), OptionError>;
@@ -25,10 +23,7 @@ impl RenderOptions {
     pub(super) fn check_undeclared(&self) -> Checked {
         registration(&self.registration)?;
         offset(&self.offset)?;
-        interpolation(&self.interpolation)?;
-        mesh(&self.proxy.mesh)?;
-        depth(&self.proxy.depth)?;
-        blend(&self.blend)
+        interpolation(&self.interpolation)
     }
 }
 
@@ -40,14 +35,7 @@ macro_rules! undeclared {
         }
     )* };
 }
-undeclared!(
-    RegistrationOptions,
-    OffsetOptions,
-    InterpolationOptions,
-    BlendOptions,
-    MeshOptions,
-    StereoOptions
-);
+undeclared!(RegistrationOptions, OffsetOptions, InterpolationOptions);
 
 /// The options `prefix.name`, each with its value and the range that it must be in. NaN is in none.
 fn all_within(prefix: &str, options: &[(&str, f64, RangeInclusive<f64>)]) -> Checked {
@@ -208,47 +196,6 @@ fn refine(o: &RefineOptions) -> Checked {
     )
 }
 
-fn mesh(o: &MeshOptions) -> Checked {
-    all_within(
-        "proxy.mesh",
-        &[
-            ("edge_share", o.edge_share, 0.0..=1.0),
-            ("edge_px", o.edge_px, 0.0..=1e6),
-            ("support_share", o.support_share, SHARE),
-            ("min_support", o.min_support as f64, COUNT),
-            ("margin", o.margin, 0.0..=10.0),
-        ],
-    )
-}
-
-fn depth(o: &StereoOptions) -> Checked {
-    all_within(
-        "proxy.depth",
-        &[
-            ("cameras", o.cameras as f64, SOME),
-            ("further_cameras", o.further_cameras as f64, COUNT),
-            ("partners", o.partners as f64, SOME),
-            // Time and memory grow with its inverse.
-            ("step_px", o.step_px, 0.25..=16.0),
-            ("halvings", o.halvings as f64, 0.0..=8.0),
-        ],
-    )
-}
-
-fn blend(o: &BlendOptions) -> Checked {
-    all_within(
-        "blend",
-        &[
-            ("cameras", o.cameras as f64, 1.0..=1000.0),
-            ("feather_px", o.feather_px, PIXELS),
-            ("weight_step_px", o.weight_step_px as f64, 1.0..=64.0),
-            ("resolution", o.resolution, 0.0..=1e6),
-            ("hidden_share", o.hidden_share, 0.0..=1000.0),
-            ("interpolation_error_rad", o.interpolation_error_rad, 0.0..=1000.0),
-        ],
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -289,12 +236,5 @@ mod tests {
                 assert!(error.starts_with(&path[1..].replace('/', ".")), "{error}");
             }
         }
-    }
-
-    #[test]
-    fn nothing_is_in_no_range() {
-        let mut options = RenderOptions::default();
-        options.blend.feather_px = f64::NAN;
-        assert!(options.check().unwrap_err().to_string().starts_with("blend.feather_px: is NaN"));
     }
 }

@@ -1,6 +1,6 @@
 //! The geometry proxy (§6).
 
-use crate::lumigraph::MeshOptions;
+use crate::lumigraph::DepthEdges;
 use crate::method::methods;
 use crate::option::options;
 use crate::stereo::StereoOptions;
@@ -32,8 +32,8 @@ options! {
         method: ProxyMethod = ProxyMethod::Mesh,
         /// Depth of the plane in the view: what is in focus; null: fitted to the scene's points.
         plane_depth_m: Option<f64> [1e-9..=1e12, "m"] = None,
-        /// Options of the mesh.
-        mesh: MeshOptions,
+        /// How the mesh treats triangles between two surfaces.
+        depth_edges: DepthEdges = DepthEdges::Front,
         /// Options of depth per pixel.
         depth: StereoOptions,
         /// Cameras nearest to the view whose features are triangulated.

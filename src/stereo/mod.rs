@@ -30,29 +30,23 @@ pub use fusion::{Surface, fuse};
 pub use inverse_depths::{InverseDepths, Matcher, halvings, inverse_depths, partners};
 
 use crate::camera::Camera;
+use crate::option::options;
 use crate::raster::Image;
-use serde::{Deserialize, Serialize};
 
 /// Number of cameras beyond [`StereoOptions::cameras`] that only serve as partners.
 pub const FURTHER_CAMERAS: usize = 2;
 
-/// Options of depth per pixel.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct StereoOptions {
-    /// Number of cameras whose depths are estimated and fused: those nearest to the view.
-    pub cameras: usize,
-    /// Largest number of neighbours that each camera is matched with.
-    pub partners: usize,
-    /// Distance between two depth hypotheses, pixels of disparity to the farthest partner.
-    pub step_px: f64,
-    /// How many times images are halved before matching.
-    pub halvings: usize,
-}
-
-impl Default for StereoOptions {
-    fn default() -> Self {
-        Self { cameras: 6, partners: 4, step_px: 1.0, halvings: 0 }
+options! {
+    /// Options of depth per pixel.
+    pub struct StereoOptions {
+        /// Cameras nearest to the view whose depths are estimated and fused.
+        cameras: usize [1..=1_000_000, "cameras"] = 6,
+        /// Neighbours with which each of these is matched, at most.
+        partners: usize [1..=1_000_000, "cameras"] = 4,
+        /// Disparity between two depth hypotheses, to the farthest partner.
+        step_px: f64 [0.25..=16.0, "px"] = 1.0,
+        /// How many times images are halved before matching.
+        halvings: usize [0..=8, "halvings"] = 0,
     }
 }
 

@@ -5,7 +5,6 @@ use crate::lumigraph::BlendMethod;
 use crate::method::Method;
 use crate::offset::OffsetMethod;
 use crate::options::{ProxyMethod, RenderOptions};
-use crate::raster::Sampling;
 
 /// Every method with every other: sync, proxy and blend, the other options as given.
 ///
@@ -104,9 +103,6 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
             add(Box::new(move |o| o.blend.cameras = cameras));
         }
     }
-    for sampling in [Sampling::Bilinear, Sampling::Cubic] {
-        add(Box::new(move |o| o.blend.sampling = sampling));
-    }
     let changed = |change: Change| {
         let mut varied = options.clone();
         change(&mut varied);
@@ -146,7 +142,6 @@ pub fn name(options: &RenderOptions) -> String {
     let differ = depth != (default.proxy.depth.cameras, default.proxy.depth.halvings);
     say(differ, format!("depth {}/{}", depth.0, depth.1));
     say(blend != BlendMethod::Uniform && k != default.blend.cameras, format!("k {k}"));
-    say(options.blend.sampling != default.blend.sampling, "bilinear".into());
     words.join(", ")
 }
 

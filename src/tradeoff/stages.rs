@@ -65,15 +65,8 @@ fn image_part(o: &RenderOptions) -> Value {
             json!([o.offset, o.sync, o.registration, o.interpolation])
         }
         SyncMethod::AllCameras => {
-            let interpolation_error_rad = o.blend.interpolation_error_rad;
-            json!([
-                o.offset,
-                o.sync,
-                o.registration,
-                o.interpolation,
-                o.proxy,
-                interpolation_error_rad
-            ])
+            let error_angle_rad = o.blend.error_angle_rad;
+            json!([o.offset, o.sync, o.registration, o.interpolation, o.proxy, error_angle_rad])
         }
     }
 }

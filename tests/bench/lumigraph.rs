@@ -13,12 +13,11 @@ use std::path::{Path, PathBuf};
 use stlfr::camera::Camera;
 use stlfr::capture::{Truth, TruthView, read_array};
 use stlfr::lumigraph::{
-    BlendMethod, BlendOptions, DepthEdges, DepthMap, Mesh, MeshOptions, Plane, Proxy, Rendered,
-    Source, blend, triangulate,
+    BlendMethod, BlendOptions, DepthEdges, DepthMap, Mesh, Plane, Proxy, Rendered, Source, blend,
+    triangulate,
 };
 use stlfr::random::Random;
-use stlfr::raster::{BitDepth, read_image, write_image};
-use stlfr::raster::{Image, Sampling};
+use stlfr::raster::{BitDepth, Image, read_image, write_image};
 
 struct View {
     id: String,
@@ -256,13 +255,9 @@ fn blend_variants(base: &BlendOptions) -> Vec<(String, BlendOptions)> {
     for cameras in [1, 2, 3, 4, 8] {
         blends.push((format!("k {cameras}"), BlendOptions { cameras, ..base.clone() }));
     }
-    blends.push(("bilinear".into(), BlendOptions { sampling: Sampling::Bilinear, ..base.clone() }));
     for weight_step_px in [1, 2, 8, 16] {
         let name = format!("weights every {weight_step_px} px");
         blends.push((name, BlendOptions { weight_step_px, ..base.clone() }));
-    }
-    for feather_px in [0.0, 4.0, 12.0] {
-        blends.push((format!("feather {feather_px}"), BlendOptions { feather_px, ..base.clone() }));
     }
     blends
 }
@@ -276,10 +271,10 @@ fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
     let weighted = |p: &Problem| p.points.iter().map(|p| (*p, 1.0)).collect::<Vec<_>>();
     let plane =
         |p: &Problem| Proxy::Plane(Plane::fit(&weighted(p), &p.view.camera).expect("points"));
-    let mesh_of = |p: &Problem, options: &MeshOptions| {
-        Proxy::Mesh(Mesh::build(&p.points, &p.view.camera, options).expect("points"))
+    let mesh_of = |p: &Problem, depth_edges: DepthEdges| {
+        Proxy::Mesh(Mesh::build(&p.points, &p.view.camera, depth_edges).expect("points"))
     };
-    let mesh = |p: &Problem| mesh_of(p, &MeshOptions::default());
+    let mesh = |p: &Problem| mesh_of(p, DepthEdges::default());
 
     bench.line(Line::new("true depth", Some("depth"), &base, Occlusion::None), &depth);
     bench.line(
@@ -296,14 +291,11 @@ fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
     bench.line(Line::new("mesh, occluded by mesh", None, &base, Occlusion::Proxy), &mesh);
     bench.line(Line::new("mesh, occluded by true depth", None, &base, Occlusion::Truth), &mesh);
     for depth_edges in [DepthEdges::Stretch, DepthEdges::Back, DepthEdges::Front, DepthEdges::Cut] {
-        for edge_px in [8.0, 16.0, 24.0, 32.0, 1e9] {
-            let options = MeshOptions { depth_edges, edge_px, ..MeshOptions::default() };
-            let name = format!("mesh, {depth_edges:?} {edge_px}");
-            let file = format!("mesh-{depth_edges:?}-{edge_px}");
-            bench.line(Line::new(&name, Some(&file), &base, Occlusion::None), &|p| {
-                mesh_of(p, &options)
-            });
-        }
+        let name = format!("mesh, {depth_edges:?}");
+        let file = format!("mesh-{depth_edges:?}");
+        bench.line(Line::new(&name, Some(&file), &base, Occlusion::None), &|p| {
+            mesh_of(p, depth_edges)
+        });
     }
     for (name, options) in &blend_variants(&base) {
         bench.line(

@@ -14,7 +14,7 @@ use stlfr::interpolation::{
     triangulation_warp,
 };
 use stlfr::light_field::{LightField, RenderError};
-use stlfr::lumigraph::{Mesh, MeshOptions, Plane, Proxy};
+use stlfr::lumigraph::{DepthEdges, Mesh, Plane, Proxy};
 use stlfr::method::Method;
 use stlfr::offset::Offsets;
 use stlfr::options::{ProxyMethod, RenderOptions, ViewOptions};
@@ -144,7 +144,7 @@ fn all_features_on_one_line() {
 fn assert_depth(points: &[Point3<f64>], camera: &Camera, depth_m: f32) {
     let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
     let plane = Plane::fit(&weighted, camera).map(Proxy::Plane);
-    let mesh = Mesh::build(points, camera, &MeshOptions::default()).map(Proxy::Mesh);
+    let mesh = Mesh::build(points, camera, DepthEdges::default()).map(Proxy::Mesh);
     assert!(plane.is_some());
     // A mesh may want more support than a degenerate set has; an invented one is worse than none.
     for proxy in [plane, mesh].into_iter().flatten() {
