@@ -100,11 +100,11 @@ impl<'a> RowRays<'a> {
 }
 
 multiversion! {
-    fn set_rays(row: &mut RowRays, depths: &[f32]) = set_rays_any
+    fn set_rays(row: &mut RowRays, depths: &[f32]) = set_rays_by
 }
 
 #[inline(always)]
-fn set_rays_any(row: &mut RowRays, depths: &[f32]) {
+fn set_rays_by(row: &mut RowRays, depths: &[f32]) {
     let n = depths.len();
     // One length for all slices lets the loop run without bounds checks.
     let (from_x, from_y) = (&row.rays.x[..n], &row.rays.y[..n]);
@@ -381,11 +381,11 @@ impl<'a> Part<'a> {
     pub fn blend_mixed(&mut self, pixels: &mut [f32]) {
         let sources = self.sources;
         let is_colored = |i: usize| sources[i].image.channels() == 3;
-        let (mut colored_weight, mut trust_of_any) = ([0.0; PART_PX], [0.0_f32; PART_PX]);
+        let (mut colored_weight, mut trust_of_by) = ([0.0; PART_PX], [0.0_f32; PART_PX]);
         for &i in &self.active {
             for (x, k) in self.of(i).enumerate() {
                 let weight = self.weights.weights[k];
-                trust_of_any[x] = trust_of_any[x].max(self.trust[k]);
+                trust_of_by[x] = trust_of_by[x].max(self.trust[k]);
                 if weight > 0.0 {
                     let gray = gray_from_rgb(self.sample_rgb(k, i));
                     pixels[3 * x..3 * x + 3].iter_mut().for_each(|v| *v += weight * gray);
@@ -405,7 +405,7 @@ impl<'a> Part<'a> {
             for (x, k) in self.of(i).enumerate() {
                 // Colour fades as the last coloured camera loses the point that others see, unless
                 // the luminance is that camera's too. Where a weight is positive, some trust is.
-                let fade = colored_weight[x].max(trust_of_colored[x] / trust_of_any[x]);
+                let fade = colored_weight[x].max(trust_of_colored[x] / trust_of_by[x]);
                 let weight = self.weights.weights[k];
                 if weight > 0.0 {
                     let value = self.sample_rgb(k, i);
@@ -461,7 +461,7 @@ mod tests {
                 _ => 0.01 * k as f32,
             })
             .collect();
-        let [a, b] = [set_rays, set_rays_any].map(|set| {
+        let [a, b] = [set_rays, set_rays_by].map(|set| {
             let mut row = RowRays::new(&camera);
             row.rays.set(7);
             set(&mut row, &depths);

@@ -75,11 +75,11 @@ pub(super) fn rasterize(
 
 multiversion! {
     /// Depths from inverse depths; NaN where they are 0.
-    fn invert(inverse: &[f64], depths: &mut [f32]) = invert_any
+    fn invert(inverse: &[f64], depths: &mut [f32]) = invert_by
 }
 
 #[inline(always)]
-fn invert_any(inverse: &[f64], depths: &mut [f32]) {
+fn invert_by(inverse: &[f64], depths: &mut [f32]) {
     for (depth, &inverse) in depths.iter_mut().zip(inverse) {
         let own = (1.0 / inverse) as f32;
         *depth = if inverse > 0.0 { own } else { f32::NAN };
@@ -137,11 +137,11 @@ impl<'a> Band<'a> {
 
 multiversion! {
     /// Raises a band's inverse depths where one of the triangles is nearer.
-    fn draw(triangles: &[&Prepared], band: &mut Band) = draw_any
+    fn draw(triangles: &[&Prepared], band: &mut Band) = draw_by
 }
 
 #[inline(always)]
-fn draw_any(triangles: &[&Prepared], band: &mut Band) {
+fn draw_by(triangles: &[&Prepared], band: &mut Band) {
     for t in triangles {
         let from = t.rows.0.max(band.first_row) - band.first_row;
         let until = t.rows.1.min(band.first_row + band.rays.len()) - band.first_row;
@@ -380,7 +380,7 @@ mod tests {
     fn inverse_depths_are_inverted_alike_with_and_without_avx2() {
         let inverse: Vec<f64> =
             (0..37).map(|k| if k % 5 == 0 { 0.0 } else { 0.1 * f64::from(k) }).collect();
-        let [a, b] = [invert, invert_any].map(|invert| {
+        let [a, b] = [invert, invert_by].map(|invert| {
             let mut depths = vec![0.0; inverse.len()];
             invert(&inverse, &mut depths);
             depths.iter().map(|z: &f32| z.to_bits()).collect::<Vec<_>>()
@@ -409,7 +409,7 @@ mod tests {
                 band.set(first_row);
                 plain.set(first_row);
                 draw(&triangles, &mut band);
-                draw_any(&triangles, &mut plain);
+                draw_by(&triangles, &mut plain);
                 assert_eq!(band.nearest, plain.nearest);
                 assert!(band.nearest.iter().any(|v| *v > 0.0));
             }

@@ -100,7 +100,7 @@ multiversion! {
         intrinsics: [f32; 4],
         row: &TargetRow,
         hits: &mut Hits
-    ) = measure_pinhole_any
+    ) = measure_pinhole_by
 }
 
 multiversion! {
@@ -110,11 +110,11 @@ multiversion! {
         intrinsics: [f32; 4],
         row: &TargetRow,
         places: [&mut [f32]; 3],
-    ) = place_pinhole_any
+    ) = place_pinhole_by
 }
 
 #[inline(always)]
-fn place_pinhole_any(
+fn place_pinhole_by(
     reprojection: &Reprojection,
     [fx, fy, cx, cy]: [f32; 4],
     row: &TargetRow,
@@ -124,7 +124,7 @@ fn place_pinhole_any(
 }
 
 #[inline(always)]
-fn measure_pinhole_any(
+fn measure_pinhole_by(
     reprojection: &Reprojection,
     [fx, fy, cx, cy]: [f32; 4],
     row: &TargetRow,
@@ -455,7 +455,7 @@ mod tests {
             let [x, y, _, trust] = measured(reprojection, part, |r, row, hits| {
                 measure_pinhole(r, intrinsics, row, hits);
             });
-            for place in [place_pinhole, place_pinhole_any] {
+            for place in [place_pinhole, place_pinhole_by] {
                 let mut places = [(); 3].map(|()| vec![f32::NAN; x.len()]);
                 let [px, py, border] = &mut places;
                 place(reprojection, intrinsics, &row(part), [px, py, border]);
@@ -468,7 +468,7 @@ mod tests {
     fn points_are_measured_alike_with_and_without_avx2() {
         let intrinsics = [500.0, 510.0, 320.0, 240.0];
         problems(|_, part, reprojection| {
-            let [a, b] = [measure_pinhole, measure_pinhole_any]
+            let [a, b] = [measure_pinhole, measure_pinhole_by]
                 .map(|f| measured(reprojection, part, |r, row, hits| f(r, intrinsics, row, hits)));
             let bits =
                 |all: [Vec<f32>; 4]| all.map(|v| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>());

@@ -130,11 +130,11 @@ impl Weights {
 }
 
 multiversion! {
-    fn lumigraph(penalties: &Penalties, k: usize, out: &mut Weights) = lumigraph_any
+    fn lumigraph(penalties: &Penalties, k: usize, out: &mut Weights) = lumigraph_by
 }
 
 #[inline(always)]
-fn lumigraph_any(penalties: &Penalties, k: usize, out: &mut Weights) {
+fn lumigraph_by(penalties: &Penalties, k: usize, out: &mut Weights) {
     let count = penalties.count;
     out.rank(penalties, k + 1);
     let (best, next) = out.ranks.split_at_mut(count);
@@ -172,11 +172,11 @@ multiversion! {
         trust: &[f32],
         weights: &mut [f32],
         sum: &mut [f32],
-    ) = weigh_between_any
+    ) = weigh_between_by
 }
 
 #[inline(always)]
-fn weigh_between_any(
+fn weigh_between_by(
     nodes: &[f32],
     step: usize,
     trust: &[f32],
@@ -198,11 +198,11 @@ fn weigh_between_any(
 
 multiversion! {
     /// Divides weights by their sum.
-    pub(super) fn divide(weights: &mut [f32], sum: &[f32]) = divide_any
+    pub(super) fn divide(weights: &mut [f32], sum: &[f32]) = divide_by
 }
 
 #[inline(always)]
-fn divide_any(weights: &mut [f32], sum: &[f32]) {
+fn divide_by(weights: &mut [f32], sum: &[f32]) {
     weights.iter_mut().zip(sum).for_each(|(weight, sum)| *weight /= sum);
 }
 
@@ -241,7 +241,7 @@ mod tests {
         for (step, count) in [(2, 64_usize), (4, 64), (4, 61), (5, 60), (7, 3), (64, 64)] {
             let mut some = |n: usize| (0..n).map(|_| random.unit() as f32).collect::<Vec<_>>();
             let (nodes, trust, before) = (some(count.div_ceil(step) + 1), some(count), some(count));
-            let all = [weigh_between, weigh_between_any].map(|weigh| {
+            let all = [weigh_between, weigh_between_by].map(|weigh| {
                 let (mut weights, mut sum) = (vec![f32::NAN; count], before.clone());
                 weigh(&nodes, step, &trust, &mut weights, &mut sum);
                 [weights, sum]
@@ -254,7 +254,7 @@ mod tests {
                 assert!((weights[k] - expected).abs() < 1e-6);
                 assert_eq!(sum[k], before[k] + weights[k]);
             }
-            let divided = [divide, divide_any].map(|divide| {
+            let divided = [divide, divide_by].map(|divide| {
                 let mut weights = weights.clone();
                 divide(&mut weights, sum);
                 weights
@@ -349,7 +349,7 @@ mod tests {
             let zeros = || Weights { weights: vec![0.0; width * n], ..Weights::default() };
             let [mut a, mut b] = [zeros(), zeros()];
             lumigraph(&penalties, k, &mut a);
-            lumigraph_any(&penalties, k, &mut b);
+            lumigraph_by(&penalties, k, &mut b);
             assert_eq!(a.weights, b.weights);
             assert!(a.weights.iter().any(|w| *w > 0.0));
         }

@@ -31,7 +31,7 @@ const CONTEXTS: [(&str, &str, &str); 6] = [
     ("interpolation.max_edge_length_px", "sync", "edge-morph"),
     ("interpolation.edge_boost", "sync", "edge-morph"),
     ("interpolation.grid_px", "sync", "edge-morph"),
-    ("blend.interpolation_error_rad", "blend.method", "space-time"),
+    ("blend.error_angle_rad", "blend.method", "space-time"),
 ];
 /// Options that no image of an instant depends on, and those by which the capture decides others.
 const UNMEASURED: [&str; 2] = ["trail.", "auto."];
