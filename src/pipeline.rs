@@ -5,7 +5,7 @@ use crate::capture::Capture;
 use crate::light_field::{LightField, RenderError};
 use crate::offset::known_or_cached_or_estimated;
 use crate::options::RenderOptions;
-use crate::plan::{Choice, Kept, Methods, Stage, plan};
+use crate::plan::{Choice, Methods, Stage, load_plan, plan, save_plan};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::sync::Arc;
@@ -43,18 +43,17 @@ pub fn resolved(
         (auto.blend, Stage::Blend, |methods| Choice::Blend(methods.blend)),
     ];
     let left = stages.into_iter().filter(|(is_auto, ..)| *is_auto);
-    let kept = Kept::of(field, options);
-    if let Some(methods) = kept.as_ref().and_then(|kept| kept.load(|why| reporter.note(why))) {
+    if let Some(methods) = load_plan(field, options) {
         let choices =
             left.map(|(_, stage, of)| format!("{} {}", stage.name(), of(&methods).name()));
         let choices: Vec<String> = choices.collect();
-        reporter.note(&format!("Auto: {}, as planned before (.stlfr/plans).", choices.join(", ")));
+        reporter.note(&format!("Auto: {}, as planned before.", choices.join(", ")));
         return Ok(methods.put_into(options.clone()));
     }
     let plan = plan(field, options, reporter)?;
     // A read-only capture can be used all the same.
-    if let Some(Err(error)) = kept.map(|kept| kept.save(&Methods::of(&plan.options))) {
-        reporter.note(&format!("The plan is not kept for the next command: {error}."));
+    if let Err(error) = save_plan(field, options, &Methods::of(&plan.options)) {
+        reporter.note(&format!("The plan can't be cached for the next command: {error}."));
     }
     for (_, stage, _) in left {
         let Some(decision) = plan.decision(stage) else { continue };

@@ -391,13 +391,10 @@ fn damaged_measurements_are_made_anew() {
     let options = TradeoffOptions { runs: 1, rounds: 0, ..TradeoffOptions::default() };
     let measured = || tradeoff(&capture, &options, out.path(), &Reporter::silent());
     let whole = quality(&measured().unwrap());
-    let points = out.path().join("points");
+    let cache = folder.path().join(".stlfr/cache");
     let names = |kind: &str| {
-        let entries = std::fs::read_dir(&points).unwrap().flatten().map(|e| e.path());
-        let is_of = |path: &PathBuf| {
-            path.file_name().unwrap().to_string_lossy().starts_with(&format!("{kind}-"))
-        };
-        let mut found: Vec<PathBuf> = entries.filter(is_of).collect();
+        let entries = std::fs::read_dir(cache.join(format!("tradeoff-{kind}"))).unwrap();
+        let mut found: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
         found.sort();
         found
     };
@@ -405,7 +402,7 @@ fn damaged_measurements_are_made_anew() {
         Ok(found) => same(quality(&found) == whole),
         Err(error) => one_sentence(error),
     };
-    for kind in ["prepared", "auto", "point", "time"] {
+    for kind in ["preparations", "plans", "points", "times"] {
         let files = names(kind);
         assert!(!files.is_empty(), "{kind}");
         let any = |random: &mut Random| files[below(random, files.len())].clone();
@@ -413,10 +410,12 @@ fn damaged_measurements_are_made_anew() {
     }
 
     // A point with a camera that isn't there, and the place of one taken by another.
-    let files = names("point");
-    let mut point = read_json(&files[0]);
-    point["content"]["cameras"] = json!([99]);
-    std::fs::write(&files[0], point.to_string()).unwrap();
+    let files = names("points");
+    let whole = std::fs::read(&files[0]).unwrap();
+    let mut point: Value = serde_json::from_slice(&whole[32..]).unwrap();
+    point["cameras"] = json!([99]);
+    let other = [&whole[..32], point.to_string().as_bytes()].concat();
+    std::fs::write(&files[0], other).unwrap();
     std::fs::copy(&files[2], &files[1]).unwrap();
     let mut command = stlfr();
     command.args(["tradeoff", text(folder.path()), "--rounds", "0", "--runs", "1", "-o"]);

@@ -158,7 +158,7 @@ fn writers() -> Vec<Writer> {
         writer(
             "tradeoff",
             "tradeoff capture --rounds 0 --runs 1 -o out",
-            &["points/", "tradeoff.json", "tradeoff.svg", "recommended.json"],
+            &["tradeoff-", "tradeoff.json", "tradeoff.svg", "recommended.json"],
         ),
     ]
 }
@@ -175,7 +175,11 @@ fn files(folder: &Path, timed: &[&str]) -> BTreeMap<PathBuf, Vec<u8>> {
                 folders.push(path);
             } else if let Ok(bytes) = std::fs::read(&path) {
                 let name = below.to_string_lossy();
-                let name = ["out/", "capture/review/"].iter().find_map(|p| name.strip_prefix(p));
+                if name.contains("/.stlfr/cache/hashes/") {
+                    continue; // named by the times of the copy's files
+                }
+                let prefixes = ["out/", "capture/review/", "capture/.stlfr/cache/"];
+                let name = prefixes.iter().find_map(|p| name.strip_prefix(p));
                 let is_timed = name.is_some_and(|name| timed.iter().any(|t| name.starts_with(t)));
                 found.insert(below.to_owned(), if is_timed { Vec::new() } else { bytes });
             }

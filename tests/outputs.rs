@@ -295,7 +295,8 @@ fn what_killed_runs_left_is_removed() {
     assert!(import(importable.path(), "capture").status.success() && !left.exists());
     // A trade-off takes what it left for its own.
     let out = tempfile::tempdir().unwrap();
-    let left = [leave_in(out.path()), leave_in(&out.path().join("points"))];
+    let left =
+        [leave_in(out.path()), leave_in(&folder.path().join(".stlfr/cache/tradeoff-points"))];
     let arguments = ["tradeoff", text(folder.path()), "--rounds", "0", "--runs", "1", "-o"];
     let mut tradeoff = stlfr().args(arguments).arg(out.path()).arg("-q").spawn().unwrap();
     let gone = || left.iter().all(|left| !left.exists());

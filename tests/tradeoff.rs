@@ -3,7 +3,7 @@
 mod common;
 
 use common::wall::{Scene, open};
-use common::{assert_refused, edit, read_json, run, stlfr, succeed, text, tiny_capture};
+use common::{assert_refused, edit, run, stlfr, succeed, text, tiny_copy};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,18 +14,21 @@ use stlfr::progress::Reporter;
 use stlfr::tradeoff::{Against, Tradeoff, TradeoffOptions, tradeoff};
 use tempfile::TempDir;
 
-/// What the files of `points/` hold, by name, without their checksums.
-fn measured(out: &Path) -> BTreeMap<String, Value> {
-    let Ok(entries) = std::fs::read_dir(out.join("points")) else { return BTreeMap::new() };
-    let files = entries.flatten().filter(|e| e.file_name().to_string_lossy().ends_with(".json"));
-    files
-        .filter(|e| !e.file_name().to_string_lossy().starts_with('.'))
-        .map(|e| {
-            let mut file = read_json(&e.path()); // written whole
-            file.as_object_mut().unwrap().remove("checksum").expect("it has one");
-            (e.file_name().into_string().unwrap(), file)
-        })
-        .collect()
+/// What the measurements in a capture's cache hold, by kind and name, without their checksums.
+fn measured(capture: &Path) -> BTreeMap<String, Value> {
+    let folders = std::fs::read_dir(capture.join(".stlfr/cache")).into_iter().flatten().flatten();
+    let folders = folders.filter(|f| f.file_name().to_string_lossy().starts_with("tradeoff-"));
+    let mut found = BTreeMap::new();
+    for folder in folders {
+        let kind = folder.file_name().into_string().unwrap();
+        let entries = std::fs::read_dir(folder.path()).unwrap().flatten();
+        for entry in entries.filter(|e| !e.file_name().to_string_lossy().starts_with('.')) {
+            let file = std::fs::read(entry.path()).unwrap(); // written whole
+            let value = serde_json::from_slice(&file[32..]).unwrap();
+            found.insert(format!("{kind}/{}", entry.file_name().display()), value);
+        }
+    }
+    found
 }
 
 /// Whether `later` only adds to `earlier`.
@@ -48,31 +51,33 @@ fn capture_without_truth() -> TempDir {
 
 #[test]
 fn the_tiny_capture_against_its_truth_goes_on_after_a_kill() {
-    let folder = tempfile::tempdir().unwrap();
+    let (folder, capture) = (tempfile::tempdir().unwrap(), tiny_copy());
+    let capture = capture.path();
+    std::fs::remove_dir_all(capture.join(".stlfr")).ok();
     let out = folder.path().join("out");
-    let arguments = ["-q", "tradeoff", text(tiny_capture()), "--rounds", "0", "--runs", "2"];
+    let arguments = ["-q", "tradeoff", text(capture), "--rounds", "0", "--runs", "2"];
     let mut command = stlfr();
     command.args(arguments).arg("-o").arg(&out).stdout(Stdio::null());
     let mut child = command.spawn().unwrap();
     let started = Instant::now();
-    while measured(&out).keys().filter(|k| k.starts_with("point")).count() < 5 {
+    while measured(capture).keys().filter(|k| k.starts_with("tradeoff-points/")).count() < 5 {
         assert!(started.elapsed() < Duration::from_secs(120), "nothing is measured");
         std::thread::sleep(Duration::from_millis(10));
     }
     child.kill().unwrap();
     child.wait().unwrap();
-    let before = measured(&out);
+    let before = measured(capture);
     assert!(!out.join("tradeoff.json").exists(), "killed in the middle");
 
     let again = || succeed(&[&arguments[..], &["-o", text(&out), "--json"]].concat()).stdout;
     let printed = again();
-    let after = measured(&out);
+    let after = measured(capture);
     for (name, value) in &before {
         assert!(extends(value, &after[name]), "{name} was measured again");
     }
     // All is there: times, too, stay what they are.
     assert_eq!(again(), printed);
-    assert_eq!(measured(&out), after);
+    assert_eq!(measured(capture), after);
 
     let found: Tradeoff = serde_json::from_slice(&printed).unwrap();
     assert_eq!(found.against, Against::Truth);
@@ -99,6 +104,7 @@ fn without_truth_cameras_are_held_out_and_quality_repeats() {
     let options = TradeoffOptions { runs: 1, rounds: 0, ..TradeoffOptions::default() };
     let measure = || {
         let out = tempfile::tempdir().unwrap();
+        std::fs::remove_dir_all(folder.path().join(".stlfr")).ok();
         let found = tradeoff(&open(&folder), &options, out.path(), &Reporter::silent()).unwrap();
         let mut quality: Vec<_> = found
             .points
@@ -117,7 +123,7 @@ fn without_truth_cameras_are_held_out_and_quality_repeats() {
         "the most accurate methods are the reference"
     );
     assert_eq!(measure().1, quality);
-    assert!(!folder.path().join("offsets.json").exists(), "nothing is written into the capture");
+    assert!(!folder.path().join("offsets.json").exists(), "offsets are measured, not saved");
 }
 
 #[test]

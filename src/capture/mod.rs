@@ -12,16 +12,14 @@ mod format;
 mod frames;
 mod npy;
 mod reach;
-mod tracks;
 mod truth;
 mod video;
 
 pub use belongings::{OutputError, OutputGuard};
 pub use clock::{Clock, MAX_DRIFT_PPM, are_frame_times, bracket};
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
-pub use npy::NpyError;
-pub use tracks::{CameraTracks, TrackedPoint, Tracks};
-pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};
+pub use npy::read_array;
+pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView};
 pub use video::{MAX_FRAMES, VideoFile};
 
 use crate::camera::{Camera, CameraFormatError};
@@ -32,7 +30,6 @@ use crate::raster::{BitDepth, Image, ImageFileError, read_hashed_image};
 use crate::video::ffmpeg_on_path;
 use content::ContentHashes;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// The file in a capture's folder that describes it.
 pub const CAPTURE_FILE: &str = "capture.json";
@@ -53,7 +50,7 @@ pub struct Capture {
     pub time_origin_s: f64,
     /// Its cache on disk, with keys that don't depend on the content.
     cache: DiskCache,
-    hashes: Arc<ContentHashes>,
+    hashes: ContentHashes,
 }
 
 /// A camera of a capture, with its frames.
@@ -169,7 +166,7 @@ impl Capture {
                 reason,
             })?;
         }
-        let hashes = Arc::new(ContentHashes::new(&text, &cameras));
+        let hashes = ContentHashes::new(&text, &cameras);
         Ok(Self {
             name: format.name,
             folder: folder.to_owned(),
@@ -190,7 +187,7 @@ impl Capture {
             reference: 0,
             time_origin_s: 0.0,
             cache: DiskCache::new(Path::new(""), |_| ()),
-            hashes: Arc::new(ContentHashes::new("", &cameras)),
+            hashes: ContentHashes::new("", &cameras),
             cameras,
         }
     }

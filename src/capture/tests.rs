@@ -121,3 +121,17 @@ fn a_frame_that_changes_while_it_is_used_is_refused() {
     refused(capture.content_hash().unwrap_err());
     refused(capture.read_frame(1, 1).unwrap_err());
 }
+
+#[test]
+fn fewer_cameras_are_another_content_with_the_same_frames() {
+    let (folder, capture) = written(|_| ());
+    let capture = capture.unwrap();
+    let second = capture.with_cameras(&[1]);
+    assert_eq!((second.reference, second.cameras[0].id.as_str()), (0, "b"));
+    second.read_frame(0, 1).unwrap();
+    let hashes = [&capture, &second].map(|capture| capture.content_hash().unwrap());
+    assert_ne!(hashes[0], hashes[1]);
+    let frame = folder.path().join("b/01.png");
+    write_image(&frame, &Image::filled(8, 6, 3, 0.4), None, BitDepth::Eight).unwrap();
+    assert!(capture.read_frame(1, 1).is_err());
+}

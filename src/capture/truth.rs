@@ -12,14 +12,33 @@
 //! | `shutter` | the true middle of every exposure, hidden jitter included |
 //! | `views` | images of all cameras and of views beside them at common instants, with depth (metres along +z, +inf where there is nothing) and motion (the pixels that a surface point moves within a frame, the larger of before and after) |
 //! | `video` | one view, evenly over time |
-//! | `tracks` | points of the surfaces in 3D, their pixels and their visibility at every frame of every camera: see [`Tracks`](super::Tracks) |
+//! | `tracks` | points of the surfaces in 3D, their pixels and their visibility at every frame of every camera |
+//!
+//! `tracks/tracks.json`:
+//!
+//! ```json
+//! { "format": "stlfr-tracks", "version": 1, "objects": ["wall", "ball"], "object": [0, 1, 1],
+//!   "cameras": [ { "id": "cam0", "times_s": [0.0103, 0.0437],
+//!                  "world": "cam0.world.npy", "pixels": "cam0.pixels.npy",
+//!                  "visible": "cam0.visible.npy" } ] }
+//! ```
+//!
+//! `object` has for each point the index of its object in `objects`. A point stays at its place on
+//! the surface, which may move and bend. For each camera, with F frames and P points:
+//!
+//! | file | type | shape | |
+//! |---|---|---|---|
+//! | `world` | f64 | F, P, 3 | metres |
+//! | `pixels` | f64 | F, P, 2 | the point's projection, also outside of the image or hidden; NaN behind the camera |
+//! | `visible` | u8 | F, P | 1 where the point is inside the image and nothing occludes it |
+//!
+//! `times_s` are the true middles of the exposures. Files are relative to `truth/tracks/`.
 //!
 //! A method under test writes `{"reference": "cam3", "cameras": [{"id": "cam0", "offset_s":
 //! 0.0123, "std_err_s": 0.0001}, …]}` (`null` for a camera whose offset is unknown), and
 //! `stlfr compare CAPTURE --offsets FILE` prints each camera's error in frames, its error in
 //! standard errors, the median and the maximum.
 
-use super::npy::{NpyError, read_npy};
 use crate::camera::{Camera, CameraFormat, CameraFormatError};
 use crate::json::{self, JsonError};
 use crate::text::check_id;
@@ -48,7 +67,7 @@ pub struct Truth {
     /// True images of one view over time.
     #[serde(default)]
     pub video: Option<TruthVideo>,
-    /// `tracks.json` of the point tracks, see [`Tracks`](super::Tracks).
+    /// `tracks.json` of the point tracks, relative to `truth/`.
     #[serde(default)]
     pub tracks: Option<String>,
     #[serde(skip)]
@@ -138,15 +157,6 @@ pub enum TruthError {
     Camera { path: PathBuf, index: usize, source: CameraFormatError },
 }
 
-impl From<NpyError> for TruthError {
-    fn from(error: NpyError) -> Self {
-        match error {
-            NpyError::Read { path, source } => Self::Read { path, source },
-            NpyError::Content { path, reason } => Self::Content { path, reason },
-        }
-    }
-}
-
 impl Truth {
     /// Reads `CAPTURE/truth/truth.json`; `None` if the capture has no truth.
     pub fn open(capture: &Path) -> Result<Option<Self>, TruthError> {
@@ -229,11 +239,4 @@ impl TruthView {
     pub fn camera(&self) -> Result<Camera, CameraFormatError> {
         self.camera.camera()
     }
-}
-
-/// Reads an H×W array of little-endian f32 in numpy's format, version 1: width, height, and the
-/// values row by row. An error for any other array.
-pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), TruthError> {
-    let ([height, width], values) = read_npy(path)?;
-    Ok((width, height, values))
 }

@@ -7,6 +7,7 @@ mod demo;
 mod error;
 mod exchange;
 mod files;
+mod info;
 mod offsets;
 mod options;
 mod outputs;
@@ -52,6 +53,7 @@ enum Command {
     Setup(setup::SetupArgs),
     Rig(Box<rig::RigArgs>),
     Capture(capture::CaptureArgs),
+    Info(info::InfoArgs),
     Check(check::CheckArgs),
     Plan(plan::PlanArgs),
     Offsets(offsets::OffsetsArgs),
@@ -80,6 +82,7 @@ impl Cli {
             Command::Setup(args) => setup::run(args, page, &reporter),
             Command::Rig(args) => rig::run(args, page),
             Command::Capture(args) => capture::run(args, page, &reporter),
+            Command::Info(args) => info::run(args, page, &reporter),
             Command::Check(args) => check::run(args, page, &reporter),
             Command::Plan(args) => plan::run(args, page, &reporter),
             Command::Offsets(args) => offsets::run(args, page, &reporter),

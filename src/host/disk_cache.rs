@@ -14,6 +14,7 @@
 
 use super::obstacle::{link_within, remove_special};
 use super::read::read_bytes;
+use super::temporary::remove_abandoned;
 use super::write::write_atomically;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -72,6 +73,8 @@ struct Shared {
     max_bytes: u64,
     recent: Duration,
     note: Box<dyn Fn(&str) + Send + Sync>,
+    /// Kinds whose folder was cleared of what killed processes left.
+    cleared: Mutex<BTreeSet<&'static str>>,
     /// The damaged entries that were noted.
     noted: Mutex<BTreeSet<PathBuf>>,
     /// Entries whose files this process reads; they are not removed.
@@ -113,6 +116,7 @@ impl DiskCache {
             max_bytes,
             recent,
             note: Box::new(note),
+            cleared: Mutex::default(),
             noted: Mutex::default(),
             pinned: Mutex::default(),
             size,
@@ -154,8 +158,12 @@ impl DiskCache {
         if let Some(link) = self.link(kind) {
             return Err(Error::other(format!("{} is a link", link.display())));
         }
+        let folder = self.folder().join(kind.name);
+        if lock(&self.shared.cleared).insert(kind.name) {
+            remove_abandoned(&folder);
+        }
         let key = self.hash(kind, inputs)?;
-        Ok((self.folder().join(kind.name).join(&key.to_hex()[..KEY_DIGITS]), key))
+        Ok((folder.join(&key.to_hex()[..KEY_DIGITS]), key))
     }
 
     /// The file of an entry.
@@ -288,6 +296,11 @@ impl DiskCache {
             }
         }
         left
+    }
+
+    /// Whether there may be entries of a kind.
+    pub fn has(&self, kind: CacheKind) -> bool {
+        self.link(kind).is_none() && self.folder().join(kind.name).is_dir()
     }
 
     /// All entries by kind.
@@ -540,9 +553,11 @@ mod tests {
             assert!(cache.delete(Some(wrong)).is_err(), "{wrong}");
         }
         let others = CacheKind { name: "others", version: 1 };
+        assert!(!cache.has(others));
         cache.save(NUMBERS, &1, b"12").unwrap();
         cache.save(NUMBERS, &2, b"12").unwrap();
         cache.save(others, &1, b"12").unwrap();
+        assert!(cache.has(others));
         std::fs::write(folder.path().join(FOLDER).join("others/lock"), "").unwrap();
         let listing = cache.listing().into_iter().map(|of| (of.kind, of.entries, of.bytes));
         let expected = [("numbers".to_owned(), 2, 68), ("others".to_owned(), 1, 34)];

@@ -3,7 +3,6 @@
 
 mod allocator;
 mod cache;
-pub(crate) mod cache_file;
 mod disk_cache;
 mod file_hashes;
 mod interrupt;

@@ -14,13 +14,9 @@ pub(crate) fn only(
     offsets: &Offsets,
     cameras: &[usize],
 ) -> (Arc<Capture>, Offsets) {
-    let mut less = capture.clone();
-    less.cameras = cameras.iter().map(|&c| capture.cameras[c].clone()).collect();
-    // Whose clock it is doesn't matter any more: the offsets are known.
-    less.reference = cameras.iter().position(|&c| c == capture.reference).unwrap_or(0);
     let mut known = offsets.clone();
     known.cameras = cameras.iter().map(|&c| offsets.cameras[c].clone()).collect();
-    (Arc::new(less), known)
+    (Arc::new(capture.with_cameras(cameras)), known)
 }
 
 /// All other cameras, the nearest first.

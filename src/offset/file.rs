@@ -54,8 +54,8 @@ const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 1 };
 pub enum SavedOffsets {
     /// There is no file, or one of an earlier version, or one in which frames vanish.
     Missing,
-    /// The program's own estimate, and the hash that identifies it.
-    Estimated { offsets: Offsets, hash: String },
+    /// The program's own estimate with these options, and the hash that identifies it.
+    Estimated { offsets: Offsets, options: Value, hash: String },
     /// What somebody has edited or written, validated, the cameras in the capture's order.
     Edited(Offsets),
 }
@@ -96,8 +96,9 @@ impl Offsets {
     /// The hash that identifies offsets of this capture estimated with these options, hexadecimal. The
     /// error is that of a frame file that cannot be read.
     pub fn hash(capture: &Capture, options: &impl Serialize) -> Result<String, CaptureError> {
-        // Options can't fail to be written.
-        Ok(capture.cache()?.key(ESTIMATED_OFFSETS, options).unwrap_or_default())
+        // As the file has them. Options can't fail to be written.
+        let options = serde_json::to_value(options).unwrap_or_default();
+        Ok(capture.cache()?.key(ESTIMATED_OFFSETS, &options).unwrap_or_default())
     }
 
     /// What `offsets.json` in the capture's folder holds. The error is that of a file that can't be
@@ -117,11 +118,12 @@ impl Offsets {
             }
         };
         let is_own = file.checksum.as_deref() == Some(&file.checksum());
-        let OffsetsFile { reference, cameras, hash, checksum, .. } = file;
+        let OffsetsFile { reference, cameras, options, hash, checksum } = file;
         let offsets = Self { reference, cameras };
         match (hash, checksum) {
             (Some(hash), Some(_)) if is_own && offsets.fits(capture) => {
-                Ok(SavedOffsets::Estimated { offsets, hash })
+                let options = options.unwrap_or_default();
+                Ok(SavedOffsets::Estimated { offsets, options, hash })
             }
             (Some(_), checksum) if is_own || checksum.is_none() => Ok(SavedOffsets::Missing),
             _ => match edited::checked(offsets, capture) {

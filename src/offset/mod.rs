@@ -169,7 +169,7 @@ fn cached_or_estimated(
     let capture = frames.capture();
     let all_options = (options, frames.options());
     let hash = Offsets::hash(capture, &all_options)?;
-    if let SavedOffsets::Estimated { offsets, hash: saved } = saved {
+    if let SavedOffsets::Estimated { offsets, hash: saved, .. } = saved {
         if saved == hash {
             reporter.note("Offsets are those of offsets.json, estimated before.");
             return Ok(offsets);

@@ -23,16 +23,16 @@
 //! end stand for all; a body that shows fewer than a handful of corners and no changing block is not
 //! seen to move.
 
+mod cached;
 mod decide;
 mod decision;
-mod kept;
 mod motion;
 mod probe;
 mod rig;
 mod shape;
 
+pub(crate) use cached::{Methods, load_plan, save_plan};
 pub use decision::{Choice, Decision, Stage};
-pub(crate) use kept::{Kept, Methods};
 pub use motion::Motion;
 pub use probe::Probe;
 pub use rig::{ClockSummary, extent_ratio, largest_distortion_px};

@@ -1,7 +1,7 @@
 //! What combinations are measured on: the capture, what views are compared with, and what is
 //! prepared for them.
 
-use super::store::{CachedPoint, Planned, Prepared, Store};
+use super::store::{CachedPoint, PLANS, POINTS, PREPARATIONS, Planned, Prepared, Store};
 use super::targets::{Against, Target, TargetView};
 use super::{Clock, TradeoffError};
 use crate::capture::Capture;
@@ -35,8 +35,8 @@ pub(super) fn prepared(
     reporter: &Reporter,
 ) -> Result<Prepared, TradeoffError> {
     let still_change = options.interpolation.still_change;
-    let key = store.key("prepared", &(&options.registration, &options.offset, still_change));
-    if let Some(cached) = store.load::<Prepared>(&key)
+    let inputs = (&options.registration, &options.offset, still_change);
+    if let Some(cached) = store.load::<Prepared>(PREPARATIONS, &inputs)
         && cached.offsets.fits(capture)
     {
         return Ok(cached);
@@ -59,7 +59,7 @@ pub(super) fn prepared(
     field.register(0.5 * (first + last), still_change)?;
     let registration_took = watch.elapsed();
     let prepared = Prepared { offsets, offsets_took, registration_took };
-    store.save(&key, &prepared)?;
+    store.save(PREPARATIONS, &inputs, &prepared);
     Ok(prepared)
 }
 
@@ -70,8 +70,7 @@ impl Bench<'_> {
             let took = Elapsed { wall_s: 0.0, cpu_s: 0.0 };
             return Ok(Planned { options: asked.clone(), took });
         }
-        let key = self.store.key("auto", &asked);
-        if let Some(cached) = self.store.load(&key) {
+        if let Some(cached) = self.store.load(PLANS, asked) {
             return Ok(cached);
         }
         let prepared = self.prepared(asked)?;
@@ -81,7 +80,7 @@ impl Bench<'_> {
         // What was left to the capture is decided.
         let options = RenderOptions { auto: AutoOptions::default(), ..plan.options };
         let planned = Planned { options, took: watch.elapsed() };
-        self.store.save(&key, &planned)?;
+        self.store.save(PLANS, asked, &planned);
         Ok(planned)
     }
 
@@ -89,14 +88,9 @@ impl Bench<'_> {
         prepared(self.capture, &self.store, options, self.reporter)
     }
 
-    /// The name that a combination is cached by.
-    pub fn key(&self, options: &RenderOptions) -> String {
-        self.store.key("point", options)
-    }
-
     /// What is known of a combination so far.
     pub fn cached(&self, options: &RenderOptions) -> CachedPoint {
-        let cached = self.store.load::<CachedPoint>(&self.key(options));
+        let cached = self.store.load::<CachedPoint>(POINTS, options);
         cached.filter(|cached| cached.options == *options).unwrap_or_else(|| CachedPoint {
             options: options.clone(),
             scores: BTreeMap::new(),

@@ -3,7 +3,7 @@
 use super::TradeoffError;
 use super::bench::Bench;
 use super::stages::{Views, sync_part};
-use super::store::CachedPoint;
+use super::store::{CachedPoint, POINTS};
 use super::targets::{Scene, Target};
 use crate::light_field::{LightField, RenderError};
 use crate::options::RenderOptions;
@@ -102,7 +102,8 @@ impl Bench<'_> {
             Err(RenderError::Capture(error)) => return Err(error.into()),
             Err(error) => point.reason = Some(error.to_string()),
         }
-        self.store.save(&self.key(&point.options), point)
+        self.store.save(POINTS, &point.options, point);
+        Ok(())
     }
 }
 

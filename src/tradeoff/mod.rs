@@ -6,8 +6,8 @@
 //! - `tradeoff.json`: every combination with its options, quality, time and preparation
 //! - `tradeoff.svg`: time against quality, the Pareto front numbered
 //! - `recommended.json`: the recommended options, for `--options`
-//! - `points/`: the measurements so far; an interrupted run resumes from them. Each has a checksum, and
-//!   is made anew, with a note, where it doesn't hold
+//!
+//! Measurements are cached with the capture, so that an interrupted run is resumed.
 //!
 //! **Combinations** ([`methods`], [`variations`]): every sync method with every proxy and blend; the
 //! presets and what `auto` chooses; then around the Pareto front every main parameter, and the offsets'
@@ -63,7 +63,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use store::{CachedPoint, Store, write_json};
+use store::{CachedPoint, Store, refuse_foreign, write_json};
 use summary::Summarized;
 use targets::Scene;
 
@@ -191,7 +191,8 @@ pub fn tradeoff(
         return Err(TradeoffError::IsCapture { folder: out.to_owned() });
     }
     let truth = Truth::open(&capture.folder)?;
-    let store = Store::open(out, capture, truth.as_ref(), reporter)?;
+    refuse_foreign(out)?;
+    let store = Store::open(capture, truth.as_ref(), reporter)?;
     let base = &options.base;
     let prepared = bench::prepared(capture, &store, base, reporter)?;
     let scene = Scene { capture, offsets: &prepared.offsets, base };

@@ -1,24 +1,27 @@
-//! Measurements on disk, one small file a combination, so that an interrupted run is resumed and a
-//! larger run adds to a smaller one.
+//! Measurements in the capture's cache, one entry a combination, so that an interrupted run is resumed and a larger run
+//! adds to a smaller one; and the folder of results.
 
 use super::TradeoffError;
 use crate::capture::{Capture, CaptureError, Truth};
 use crate::host::temporary::{is_temporary, remove_abandoned};
-use crate::host::{Elapsed, cache_file, hash_file};
+use crate::host::{CacheKind, DiskCache, Elapsed, hash_file};
 use crate::metrics::RegionScores;
 use crate::offset::Offsets;
 use crate::options::RenderOptions;
 use crate::progress::Reporter;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// The files that a trade-off's folder holds.
 pub const FILES: [&str; 3] = ["tradeoff.json", "tradeoff.svg", "recommended.json"];
-/// The folder of measurements in it.
-pub(super) const POINTS: &str = "points";
+
+pub(super) const PREPARATIONS: CacheKind = CacheKind { name: "tradeoff-preparations", version: 1 };
+pub(super) const PLANS: CacheKind = CacheKind { name: "tradeoff-plans", version: 1 };
+pub(super) const POINTS: CacheKind = CacheKind { name: "tradeoff-points", version: 1 };
+pub(super) const TIMES: CacheKind = CacheKind { name: "tradeoff-times", version: 1 };
 
 /// What is known of one combination.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -51,69 +54,55 @@ pub(super) struct Planned {
     pub took: Elapsed,
 }
 
-/// The folder, and the hash of all that measurements in it rest on besides their options.
+/// The capture's cache, keyed with everything that measurements depend on besides their options.
 pub(super) struct Store {
-    folder: PathBuf,
-    base: String,
+    cache: DiskCache,
     reporter: Reporter,
-    /// The files that a note was about.
-    noted: Mutex<BTreeSet<PathBuf>>,
+    /// Whether it was noted that nothing can be written.
+    noted: AtomicBool,
 }
 
 impl Store {
-    /// Refuses a folder that holds anything else.
+    /// # Errors
+    /// If a file of the capture or of the truth can't be read.
     pub fn open(
-        folder: &Path,
         capture: &Capture,
         truth: Option<&Truth>,
         reporter: &Reporter,
     ) -> Result<Self, TradeoffError> {
-        remove_abandoned(folder);
-        remove_abandoned(&folder.join(POINTS));
-        refuse_foreign(folder)?;
-        let mut hasher = blake3::Hasher::new();
-        hasher.update(env!("CARGO_PKG_VERSION").as_bytes());
-        hasher.update(capture.content_hash()?.as_bytes());
-        hasher.update(&rayon::current_num_threads().to_le_bytes());
-        for view in truth.iter().flat_map(|t| &t.views) {
-            hasher.update(serde_json::to_string(view).unwrap_or_default().as_bytes());
-        }
+        let mut hashes = Vec::new();
         for file in truth.iter().flat_map(|t| t.views.iter().flat_map(|v| [&v.image, &v.motion])) {
             let path = truth.map(|t| t.file(file)).transpose()?.unwrap_or_default();
+            let mut hasher = blake3::Hasher::new();
             hash_file(&mut hasher, &path).map_err(|source| CaptureError::Read { path, source })?;
+            hashes.push(hasher.finalize().to_hex().to_string());
         }
-        let base = hasher.finalize().to_hex().to_string();
-        let noted = Mutex::default();
-        Ok(Self { folder: folder.to_owned(), base, reporter: *reporter, noted })
+        let views = truth.map(|truth| &truth.views);
+        let cache = capture.cache()?;
+        // Views can't fail to be serialized.
+        let conditions = cache.key(POINTS, &(rayon::current_num_threads(), views, hashes));
+        let cache = cache.for_content(&conditions.unwrap_or_default());
+        Ok(Self { cache, reporter: *reporter, noted: AtomicBool::new(false) })
     }
 
-    /// The name that a measurement with these options is cached by.
-    pub fn key(&self, what: &str, options: &impl Serialize) -> String {
-        let mut hasher = blake3::Hasher::new();
-        hasher.update(self.base.as_bytes());
-        hasher.update(serde_json::to_string(options).unwrap_or_default().as_bytes());
-        format!("{what}-{}", &hasher.finalize().to_hex()[..24])
+    /// A measurement of this kind with these options, if it is cached.
+    pub fn load<T: DeserializeOwned>(
+        &self,
+        kind: CacheKind,
+        options: &impl Serialize,
+    ) -> Option<T> {
+        self.cache.load_json(kind, options)
     }
 
-    fn path(&self, key: &str) -> PathBuf {
-        self.folder.join(POINTS).join(format!("{key}.json"))
-    }
-
-    /// What was cached by this name; `None` if nothing was, or if the file is not what was written,
-    /// which is noted.
-    pub fn load<T: DeserializeOwned>(&self, key: &str) -> Option<T> {
-        let path = self.path(key);
-        cache_file::load(&path, key, |sentence| {
-            // Every measurement is asked for again until it is made anew.
-            if self.noted.lock().unwrap_or_else(PoisonError::into_inner).insert(path.clone()) {
-                self.reporter.note(sentence);
-            }
-        })
-    }
-
-    pub fn save(&self, key: &str, value: &impl Serialize) -> Result<(), TradeoffError> {
-        let path = self.path(key);
-        cache_file::save(&path, key, value).map_err(|source| TradeoffError::Write { path, source })
+    /// Caches a measurement. Notes once if that can't be, as in a read-only capture.
+    pub fn save(&self, kind: CacheKind, options: &impl Serialize, value: &impl Serialize) {
+        let saved = self.cache.save_json(kind, options, value);
+        if let Err(error) = saved
+            && !self.noted.swap(true, Ordering::Relaxed)
+        {
+            let sentence = "Measurements can't be cached for the next command";
+            self.reporter.note(&format!("{sentence}: {error}."));
+        }
     }
 }
 
@@ -124,7 +113,8 @@ pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Trad
 }
 
 /// Only a folder that isn't there, that is empty, or that holds a trade-off is written to.
-fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
+pub(super) fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
+    remove_abandoned(folder);
     if folder.exists() && !folder.is_dir() {
         return Err(TradeoffError::NoFolder { folder: folder.to_owned() });
     }
@@ -132,8 +122,7 @@ fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
     for entry in entries.flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
         let is_of_a_run_at_work = is_temporary(&entry.file_name());
-        let own = FILES.contains(&name.as_str()) || name == POINTS || is_of_a_run_at_work;
-        if !own {
+        if !FILES.contains(&name.as_str()) && !is_of_a_run_at_work {
             return Err(TradeoffError::Foreign { folder: folder.to_owned(), name });
         }
     }
@@ -149,7 +138,6 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let missing = folder.path().join("new");
         assert!(refuse_foreign(&missing).is_ok() && refuse_foreign(folder.path()).is_ok());
-        std::fs::create_dir(folder.path().join(POINTS)).unwrap();
         std::fs::write(folder.path().join("tradeoff.json"), "{}").unwrap();
         assert!(refuse_foreign(folder.path()).is_ok());
         std::fs::write(folder.path().join("thesis.tex"), "").unwrap();

@@ -3,11 +3,12 @@
 use super::TradeoffError;
 use super::bench::Bench;
 use super::stages::{Stage, Views};
-use super::store::CachedPoint;
+use super::store::{CachedPoint, TIMES};
 use crate::host::Elapsed;
 use crate::light_field::LightField;
 use crate::progress::Task;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 /// The times of one stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -16,21 +17,17 @@ pub(super) struct CachedStage {
     pub runs: Vec<Elapsed>,
 }
 
-/// A stage of one combination, shared by others, and the name that its times are cached by.
+/// A stage of one combination, shared by others, and the options that its times depend on.
 pub(super) struct UntimedStage {
     stage: Stage,
-    key: String,
+    options: Value,
     point: CachedPoint,
 }
 
 impl Bench<'_> {
-    fn stage_key(&self, stage: Stage, point: &CachedPoint) -> String {
-        self.store.key("time", &stage.part(point))
-    }
-
-    /// The times of a stage so far.
-    fn stage(&self, stage: Stage, point: &CachedPoint) -> CachedStage {
-        self.store.load(&self.stage_key(stage, point)).unwrap_or_default()
+    /// The times so far of a stage with these options.
+    fn stage(&self, options: &Value) -> CachedStage {
+        self.store.load(TIMES, options).unwrap_or_default()
     }
 
     /// The distinct stages, of combinations that can be rendered, that lack runs.
@@ -38,10 +35,10 @@ impl Bench<'_> {
         let mut found: Vec<UntimedStage> = Vec::new();
         for point in points.filter(|p| p.reason.is_none()) {
             for stage in Stage::ALL {
-                let key = self.stage_key(stage, point);
-                let is_known = found.iter().any(|other| other.key == key);
-                if !is_known && self.stage(stage, point).runs.len() < self.runs {
-                    found.push(UntimedStage { stage, key, point: point.clone() });
+                let options = stage.part(point);
+                let is_known = found.iter().any(|other| other.options == options);
+                if !is_known && self.stage(&options).runs.len() < self.runs {
+                    found.push(UntimedStage { stage, options, point: point.clone() });
                 }
             }
         }
@@ -64,13 +61,13 @@ impl Bench<'_> {
             views.view(&point.options)?;
         }
         for run in 0..self.runs {
-            for UntimedStage { stage, key, point } in untimed {
-                let mut cached: CachedStage = self.store.load(key).unwrap_or_default();
+            for UntimedStage { stage, options, point } in untimed {
+                let mut cached = self.stage(options);
                 if cached.runs.len() > run {
                     continue;
                 }
                 cached.runs.push(views.timed(*stage, &point.options)?);
-                self.store.save(key, &cached)?;
+                self.store.save(TIMES, options, &cached);
                 task.advance(1);
             }
         }
@@ -79,7 +76,7 @@ impl Bench<'_> {
 
     /// What whole views of a combination took, run by run: its three stages.
     pub fn runs(&self, point: &CachedPoint) -> Vec<[Elapsed; 3]> {
-        let stages = Stage::ALL.map(|stage| self.stage(stage, point).runs);
+        let stages = Stage::ALL.map(|stage| self.stage(&stage.part(point)).runs);
         let runs = stages.iter().map(Vec::len).min().unwrap_or(0);
         (0..runs).map(|run| [0, 1, 2].map(|stage| stages[stage][run])).collect()
     }

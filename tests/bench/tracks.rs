@@ -8,16 +8,19 @@
 #[path = "../common/bodies.rs"]
 #[allow(dead_code)]
 mod bodies;
+#[path = "tracks/points.rs"]
+mod points;
 #[path = "../common/worlds.rs"]
 mod worlds;
 
 use bodies::{Recording, Surface};
 use nalgebra::{Point2, Vector2};
+use points::CameraPoints;
 use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::camera::{Camera, EpipolarGeometry};
-use stlfr::capture::{Capture, Tracks, Truth};
+use stlfr::capture::{Capture, Truth};
 use stlfr::random::Random;
 use stlfr::registration::{
     FlowDirection, FrameStore, ReferenceQuery, RegistrationOptions, Track, Verdict, epipolar_test,
@@ -34,7 +37,7 @@ const LARGE_PX: f64 = 20.0;
 /// Whose positions are known.
 enum Known {
     World { case: Case, cameras: Vec<Camera> },
-    Film { points: Tracks },
+    Film { points: Vec<CameraPoints> },
 }
 
 #[derive(Clone, Copy)]
@@ -79,10 +82,9 @@ impl Scene {
     fn film(folder: &str) -> Self {
         let capture = Arc::new(Capture::open(folder.as_ref()).expect("a capture"));
         let truth = Truth::open(folder.as_ref()).expect("readable truth").expect("truth");
-        let points = truth.tracks().expect("readable tracks").expect("tracks in the truth");
+        let points = points::read(&truth);
         // True times: this is about tracks, not about offsets.
         let times_s = points
-            .cameras
             .iter()
             .map(|c| Some(c.times_s.iter().map(|t| t - capture.time_origin_s).collect()))
             .collect();
@@ -100,7 +102,7 @@ impl Scene {
                 Some((p, case.world.is_seen(&surface, &cameras[camera], time)))
             }
             (Known::Film { points }, Point::Numbered(n)) => {
-                let point = points.cameras[camera].frames.get(frame)?.get(n)?;
+                let point = points[camera].frames.get(frame)?.get(n)?;
                 point.px.x.is_finite().then_some((point.px, point.visible))
             }
             _ => None,
@@ -121,7 +123,7 @@ impl Scene {
                 })
                 .collect(),
             Known::Film { points } => {
-                let seen: Vec<(usize, Point2<f64>)> = points.cameras[camera].frames[k]
+                let seen: Vec<(usize, Point2<f64>)> = points[camera].frames[k]
                     .iter()
                     .enumerate()
                     .filter(|(_, p)| p.visible)
@@ -150,7 +152,7 @@ impl Scene {
     /// Of a film's points that are seen in both frames: whether each moves over so many pixels.
     fn visible(&self, camera: usize, k: usize, over_px: f64) -> Vec<bool> {
         let Known::Film { points } = &self.known else { return Vec::new() };
-        let frames = &points.cameras[camera].frames;
+        let frames = &points[camera].frames;
         let both = frames[k].iter().zip(&frames[k + 1]).filter(|(a, b)| a.visible && b.visible);
         both.map(|(a, b)| (b.px - a.px).norm() > over_px).collect()
     }

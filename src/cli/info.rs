@@ -1,0 +1,359 @@
+//! `stlfr info`
+
+use super::CliError;
+use super::error::of_io;
+use super::files::must_be_a_file;
+use super::print::Page;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use stlfr::capture::{CAPTURE_FILE, Capture, CaptureError, CaptureFormat, Opening, Truth};
+use stlfr::host::{CacheUse, DiskCache};
+use stlfr::json;
+use stlfr::offset::{CameraOffset, Offsets, SavedOffsets};
+use stlfr::progress::Reporter;
+
+/// What a capture holds, and what is estimated and cached beside it.
+///
+/// Nothing is decoded or estimated. What is cached in the capture's folder, under .stlfr/cache, may be deleted at any
+/// time: it is computed again when it is needed. Kinds are listed with their sizes: decoded videos, registered frames,
+/// plans, measurements of trade-offs, and hashes of files.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    stlfr info .captures/demo\n  \
+    stlfr info .captures/demo --json\n  \
+    stlfr info .captures/demo --delete-cache\n  \
+    stlfr info .captures/demo --delete-cache video")]
+pub struct InfoArgs {
+    /// The capture's folder.
+    capture: PathBuf,
+    /// Print JSON and nothing else.
+    #[arg(long)]
+    json: bool,
+    /// Delete what is cached, or one kind of it, and do nothing else.
+    #[arg(long, value_name = "KIND", num_args = 0..=1, conflicts_with = "json")]
+    delete_cache: Option<Option<String>>,
+}
+
+pub fn run(args: &InfoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
+    if let Some(kind) = &args.delete_cache {
+        return delete(&args.capture, kind.as_deref(), page);
+    }
+    let info = Info::of(&args.capture, reporter)?;
+    if args.json {
+        page.json(&info)
+    } else {
+        info.print(&args.capture, page);
+        Ok(())
+    }
+}
+
+/// Also of a capture that can't be opened.
+fn delete(capture: &Path, kind: Option<&str>, page: &mut Page) -> Result<(), CliError> {
+    must_be_a_file(&capture.join(CAPTURE_FILE))?;
+    let cache = DiskCache::new(capture, |_| ());
+    let kinds: Vec<String> = cache.listing().into_iter().map(|found| found.kind).collect();
+    if let Some(kind) = kind.filter(|kind| !kinds.iter().any(|k| k == kind) && !kinds.is_empty()) {
+        let kinds = kinds.join(", ");
+        return Err(CliError::BadInput(format!(
+            "--delete-cache: no '{kind}' is cached, but {kinds}"
+        )));
+    }
+    let deleted = cache.delete(kind).map_err(|error| {
+        let folder = capture.display();
+        of_io(format!("{folder}: the cache can't be deleted ({error})"), &error)
+    })?;
+    page.line(match deleted.entries {
+        0 => "Nothing was cached.".to_owned(),
+        n => format!("Deleted {n} {}, {}.", entries(n), size(deleted.bytes)),
+    });
+    Ok(())
+}
+
+/// What is known of a capture.
+#[derive(Serialize)]
+struct Info {
+    name: String,
+    /// The reference camera's id.
+    reference: String,
+    cameras: Vec<CameraInfo>,
+    /// The first and the last time at which every camera whose clock is known has images, seconds.
+    times_of_all_s: Option<(f64, f64)>,
+    /// The first and the last time at which any of them has images, seconds.
+    times_of_any_s: Option<(f64, f64)>,
+    /// Times of true images by view, seconds.
+    truth: BTreeMap<String, Vec<f64>>,
+    offsets: OffsetsState,
+    cache: Vec<CacheUse>,
+}
+
+#[derive(Serialize)]
+struct CameraInfo {
+    id: String,
+    width: u32,
+    height: u32,
+    model: String,
+    /// The frames in capture.json: a pattern, or a video.
+    source: String,
+    /// `None` for a video that isn't decoded yet.
+    frames: Option<usize>,
+    /// `None` for one frame.
+    rate_hz: Option<f64>,
+    clock: ClockState,
+    /// Where the clock is known: from the camera's clock to the reference's.
+    offset_s: Option<f64>,
+    std_err_s: Option<f64>,
+}
+
+#[derive(Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum ClockState {
+    Reference,
+    /// The same clock as the reference's.
+    Shared,
+    Estimated,
+    /// As offsets.json says, which was edited.
+    Edited,
+    Unknown,
+}
+
+#[derive(Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum OffsetsState {
+    /// All clocks are the reference's.
+    Unneeded,
+    Missing,
+    /// offsets.json was estimated from these frames.
+    Estimated,
+    /// offsets.json was estimated from other frames, or by another version.
+    Outdated,
+    Edited,
+    /// Videos aren't decoded yet.
+    Unchecked,
+}
+
+impl Info {
+    fn of(folder: &Path, reporter: &Reporter) -> Result<Self, CliError> {
+        // Without an ffmpeg, nothing is decoded.
+        let capture = match Capture::open_with(folder, &Opening { ffmpeg: None, reporter }) {
+            Ok(capture) => Some(capture),
+            Err(CaptureError::NoFfmpeg { .. }) => None,
+            Err(error) => return Err(error.into()),
+        };
+        let path = folder.join(CAPTURE_FILE);
+        let format: CaptureFormat = json::read(&path)
+            .map_err(|source| CaptureError::Json { path: path.clone(), source })?;
+        let (state, offsets) = match &capture {
+            None => (OffsetsState::Unchecked, None),
+            Some(capture) => offsets(capture)?,
+        };
+        let number = capture.as_ref().map_or_else(
+            || match &format.reference {
+                Some(id) => format.cameras.iter().position(|camera| camera.id == *id).unwrap_or(0),
+                None => (format.cameras.len() - 1) / 2,
+            },
+            |capture| capture.reference,
+        );
+        let spans = capture.as_ref().zip(offsets.as_ref()).map(|(c, o)| spans_s(c, o));
+        let camera = |(k, from): (usize, &stlfr::capture::FilmedCameraFormat)| {
+            let filmed = capture.as_ref().map(|capture| &capture.cameras[k]);
+            let offset = offsets.as_ref().map(|offsets| &offsets.cameras[k]);
+            let offset_s = offset.and_then(|offset| offset.offset_s);
+            let shares = |k: usize| format.cameras[k].clock.shared;
+            CameraInfo {
+                id: from.id.clone(),
+                width: from.width,
+                height: from.height,
+                model: from.model.clone(),
+                source: from.frames.clone(),
+                frames: filmed.map(|filmed| filmed.frames.len()),
+                rate_hz: from.clock.rate_hz.or_else(|| {
+                    let frame_s = filmed.map(|filmed| filmed.clock.frame_s());
+                    frame_s.filter(|s| *s > 0.0).map(|s| 1.0 / s)
+                }),
+                clock: match (offset_s, state) {
+                    _ if k == number => ClockState::Reference,
+                    _ if shares(k) && shares(number) => ClockState::Shared,
+                    (Some(_), OffsetsState::Edited) => ClockState::Edited,
+                    (Some(_), _) => ClockState::Estimated,
+                    (None, _) => ClockState::Unknown,
+                },
+                offset_s,
+                std_err_s: offset.and_then(|offset| offset.std_err_s),
+            }
+        };
+        Ok(Self {
+            reference: format.cameras[number].id.clone(),
+            cameras: format.cameras.iter().enumerate().map(camera).collect(),
+            name: format.name,
+            times_of_all_s: spans.and_then(|(all, _)| all),
+            times_of_any_s: spans.and_then(|(_, any)| any),
+            truth: true_times_s(folder)?,
+            offsets: state,
+            cache: DiskCache::new(folder, |_| ()).listing(),
+        })
+    }
+
+    fn print(&self, folder: &Path, page: &mut Page) {
+        let count = self.cameras.len();
+        let cameras = if count == 1 { "camera" } else { "cameras" };
+        page.line(format_args!("{}: {count} {cameras}, reference {}", self.name, self.reference));
+        page.line(format_args!(
+            "\n{:<12} {:>11} {:<16} {:>9} {:>7}  clock",
+            "camera", "size", "model", "rate", "frames"
+        ));
+        self.cameras.iter().for_each(|camera| page.line(camera.row()));
+        page.line("");
+        match (self.times_of_all_s, self.times_of_any_s) {
+            (_, None) => page.line("Times    unknown: videos aren't decoded yet"),
+            (None, Some((first, last))) => {
+                page.line(format_args!(
+                    "Times    {first:.4} to {last:.4} s from any camera, none from all"
+                ));
+            }
+            (Some(all), Some(any)) => page.line(format_args!(
+                "Times    {:.4} to {:.4} s from all cameras, {:.4} to {:.4} s from any",
+                all.0, all.1, any.0, any.1
+            )),
+        }
+        let unknown = self.cameras.iter().filter(|c| c.clock == ClockState::Unknown).count();
+        if unknown > 0 && self.times_of_any_s.is_some() {
+            page.line(format_args!("         without {unknown} of unknown clock"));
+        }
+        page.line(format_args!("Offsets  {}", self.offsets.sentence()));
+        if self.truth.is_empty() {
+            page.line("Truth    none");
+        }
+        for (k, (id, times)) in self.truth.iter().enumerate() {
+            let head = if k == 0 { "Truth" } else { "" };
+            page.line(format_args!("{head:<8} {id} at {}", times_of(times)));
+        }
+        if self.cache.is_empty() {
+            page.line("Cache    empty");
+        }
+        for (k, CacheUse { kind, entries: n, bytes }) in self.cache.iter().enumerate() {
+            let (head, entries) = (if k == 0 { "Cache" } else { "" }, entries(*n));
+            page.line(format_args!(
+                "{head:<8} {kind:<22} {n:>6} {entries:<7} {:>10}",
+                size(*bytes)
+            ));
+        }
+        if !self.cache.is_empty() {
+            page.line(format_args!(
+                "         deleted by: stlfr info {} --delete-cache [KIND]",
+                folder.display()
+            ));
+        }
+    }
+}
+
+impl CameraInfo {
+    fn row(&self) -> String {
+        let rate = self.rate_hz.map_or("-".into(), |rate| format!("{} Hz", rounded(rate)));
+        let frames = self.frames.map_or("?".into(), |frames| frames.to_string());
+        let clock = match self.clock {
+            ClockState::Reference => "reference".to_owned(),
+            ClockState::Shared => "known: the reference's".to_owned(),
+            ClockState::Unknown => "unknown".to_owned(),
+            ClockState::Estimated => format!("estimated: {}", self.offset()),
+            ClockState::Edited => format!("edited: {}", self.offset()),
+        };
+        let size = format!("{}×{}", self.width, self.height);
+        format!("{:<12} {size:>11} {:<16} {rate:>9} {frames:>7}  {clock}", self.id, self.model)
+    }
+
+    fn offset(&self) -> String {
+        let ms = |seconds: Option<f64>| 1e3 * seconds.unwrap_or(f64::NAN);
+        format!("{:.4} ± {:.4} ms", ms(self.offset_s), ms(self.std_err_s))
+    }
+}
+
+impl OffsetsState {
+    fn sentence(self) -> &'static str {
+        match self {
+            Self::Unneeded => "need no estimate",
+            Self::Missing => "not estimated yet (stlfr offsets)",
+            Self::Estimated => "offsets.json, estimated from these frames",
+            Self::Outdated => "offsets.json is of other frames or of another version",
+            Self::Edited => "offsets.json, edited by hand",
+            Self::Unchecked => "not looked at: videos aren't decoded yet",
+        }
+    }
+}
+
+/// The offsets that are known without an estimate, or that offsets.json has.
+fn offsets(capture: &Capture) -> Result<(OffsetsState, Option<Offsets>), CliError> {
+    let is_known = |camera| capture.has_reference_clock(camera);
+    let mut known = Offsets::known(capture);
+    if capture.is_static() || (0..capture.cameras.len()).all(is_known) {
+        return Ok((OffsetsState::Unneeded, Some(known)));
+    }
+    for (camera, offset) in known.cameras.iter_mut().enumerate().filter(|(k, _)| !is_known(*k)) {
+        let id = capture.cameras[camera].id.clone();
+        *offset = CameraOffset { id, ..CameraOffset::default() };
+    }
+    Ok(match Offsets::saved(capture)? {
+        SavedOffsets::Missing => (OffsetsState::Missing, Some(known)),
+        SavedOffsets::Edited(offsets) => (OffsetsState::Edited, Some(offsets)),
+        SavedOffsets::Estimated { offsets, options, hash } => {
+            if Offsets::hash(capture, &options)? == hash {
+                (OffsetsState::Estimated, Some(offsets))
+            } else {
+                (OffsetsState::Outdated, Some(known))
+            }
+        }
+    })
+}
+
+/// Times of the true images by view, seconds.
+fn true_times_s(folder: &Path) -> Result<BTreeMap<String, Vec<f64>>, CliError> {
+    let mut by_view = BTreeMap::<String, Vec<f64>>::new();
+    for view in Truth::open(folder)?.into_iter().flat_map(|truth| truth.views) {
+        by_view.entry(view.id).or_default().push(view.time_s);
+    }
+    by_view.values_mut().for_each(|times| times.sort_by(f64::total_cmp));
+    Ok(by_view)
+}
+
+type Span = Option<(f64, f64)>;
+
+/// The times that all cameras cover, and that any covers, of those whose clocks are known.
+fn spans_s(capture: &Capture, offsets: &Offsets) -> (Span, Span) {
+    let times_s = offsets.common_times_s(capture);
+    let of_camera = |times: &Vec<f64>| Some((*times.first()?, *times.last()?));
+    let spans: Vec<(f64, f64)> = times_s.iter().flatten().filter_map(of_camera).collect();
+    let origin_s = capture.time_origin_s;
+    let fold = |start: fn(f64, f64) -> f64, end: fn(f64, f64) -> f64| {
+        let span = spans.iter().copied().reduce(|a, b| (start(a.0, b.0), end(a.1, b.1)));
+        span.filter(|(first, last)| first <= last).map(|(a, b)| (a + origin_s, b + origin_s))
+    };
+    (fold(f64::max, f64::min), fold(f64::min, f64::max))
+}
+
+/// The first few times.
+fn times_of(times_s: &[f64]) -> String {
+    const SHOWN: usize = 6;
+    let shown: Vec<String> = times_s.iter().take(SHOWN).map(|t| rounded(*t)).collect();
+    let more = times_s.len().saturating_sub(SHOWN);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("{} s{more}", shown.join(", "))
+}
+
+/// With at most four decimals.
+fn rounded(value: f64) -> String {
+    let text = format!("{value:.4}");
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+fn entries(count: usize) -> &'static str {
+    if count == 1 { "entry" } else { "entries" }
+}
+
+fn size(bytes: u64) -> String {
+    match bytes as f64 {
+        b if b < 1e3 => format!("{b} B"),
+        b if b < 1e6 => format!("{:.1} kB", b / 1e3),
+        b if b < 1e9 => format!("{:.1} MB", b / 1e6),
+        b => format!("{:.1} GB", b / 1e9),
+    }
+}
