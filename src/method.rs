@@ -1,25 +1,24 @@
-//! The methods of a stage: what a user chooses among by name.
+//! Methods: the alternatives of a stage, chosen by name.
 
-/// One stage's methods (or another choice among few), each with its name and a line of help.
+/// An enum of a stage's methods, or of another choice among few, each with a name and a line of help.
 ///
-/// The name is what stands in option files, on the command line and in reports. Serde's names are the
-/// same; [`crate::options`] tests that.
+/// The name is the same in options files, on the command line and in reports.
 pub trait Method: Copy + Default + PartialEq + Send + Sync + 'static {
-    /// All of them, the cheapest first.
+    /// All methods, cheapest first.
     const ALL: &'static [Self];
 
-    /// The name: lower case, words joined by hyphens.
+    /// The method's name: lower case, words joined by hyphens.
     fn name(self) -> &'static str;
 
-    /// One line that says what the method does.
+    /// What the method does, in one line.
     fn help(self) -> &'static str;
 
-    /// The method of that name; `None` if there is none.
+    /// The method with a name; `None` if no method has it.
     fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|method| method.name() == name)
     }
 
-    /// All names, the cheapest method's first.
+    /// The names of all methods, cheapest first.
     fn names() -> Vec<&'static str> {
         Self::ALL.iter().map(|method| method.name()).collect()
     }

@@ -12,15 +12,46 @@ use stlfr::capture::{Capture, Truth};
 #[test]
 fn every_command_has_help_with_an_example() {
     let help = String::from_utf8(run(&["--help"]).stdout).unwrap();
-    for command in
-        ["demo", "setup", "rig", "capture", "check", "offsets", "render", "compare", "tradeoff"]
-    {
+    for command in [
+        "demo", "setup", "rig", "capture", "check", "offsets", "render", "compare", "tradeoff",
+        "options",
+    ] {
         assert!(help.contains(&format!("\n  {command} ")), "{help}");
         let output = run(&[command, "--help"]);
         let text = String::from_utf8(output.stdout).unwrap();
         assert!(output.status.success() && text.contains("Example"), "{text}");
         assert!(text.contains(&format!("\n  stlfr {command}")), "{text}");
     }
+}
+
+#[test]
+fn options_are_listed_and_set_by_name() {
+    let printed = |more: &[&str]| {
+        let output = run(&[&["options"], more].concat());
+        assert!(output.status.success(), "{}", stderr(&output));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let schema: serde_json::Value = serde_json::from_str(&printed(&["--schema"])).unwrap();
+    let list: serde_json::Value = serde_json::from_str(&printed(&["--json"])).unwrap();
+    let table = printed(&["--preset", "draft", "--set", "trail.instants=7"]);
+    assert_eq!(table.lines().count(), list.as_array().unwrap().len());
+    for (line, option) in table.lines().zip(list.as_array().unwrap()) {
+        let name = option["name"].as_str().unwrap();
+        assert!(line.starts_with(&format!("{name} ")), "{line}");
+        let path = format!("/properties/{}", name.replace('.', "/properties/"));
+        assert_eq!(schema.pointer(&path).unwrap()["default"], option["default"], "{name}");
+    }
+    let words = |name: &str| table.lines().find(|l| l.starts_with(name)).unwrap().split(' ');
+    assert!(words("trail.instants ").any(|word| word == "7"), "{table}");
+    assert!(words("sync ").any(|word| word == "triangulation"), "{table}");
+    assert_refused(
+        &run(&["options", "--set", "blend.camera=4"]),
+        2,
+        "blend.camera: no such option",
+    );
+    assert_refused(&run(&["options", "--set", "blend.cameras=0"]), 2, "blend.cameras: is 0.0");
+    assert_refused(&run(&["options", "--set", "trail.mode"]), 2, "trail.mode: ");
+    assert_refused(&run(&["options", "--options", "/nowhere.json"]), 2, "/nowhere.json");
 }
 
 #[test]
