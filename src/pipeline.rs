@@ -3,7 +3,7 @@
 
 use crate::capture::Capture;
 use crate::light_field::{LightField, RenderError};
-use crate::offset::known_or_cached_or_estimated;
+use crate::offset::resolve_offsets;
 use crate::options::RenderOptions;
 use crate::plan::{Choice, Methods, Stage, load_plan, plan, save_plan};
 use crate::progress::Reporter;
@@ -20,7 +20,7 @@ pub fn open_field(
     reporter: &Reporter,
 ) -> Result<LightField, RenderError> {
     let frames = FrameStore::new(capture, &options.registration);
-    let offsets = known_or_cached_or_estimated(&frames, &options.offset, reporter)?;
+    let offsets = resolve_offsets(&frames, &options.offset, reporter)?;
     Ok(LightField::with_frames(frames, offsets))
 }
 

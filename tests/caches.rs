@@ -14,9 +14,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::capture::{Capture, Opening};
-use stlfr::offset::{
-    OffsetOptions, Offsets, SavedOffsets, known_or_cached_or_estimated, known_or_estimated,
-};
+use stlfr::offset::{OffsetOptions, Offsets, SavedOffsets, offsets_from_images, resolve_offsets};
 use stlfr::progress::Reporter;
 use stlfr::random::Random;
 use stlfr::raster::{BitDepth, Image, read_image};
@@ -127,7 +125,7 @@ fn damaged_offsets_are_no_estimate() {
     let folder = filmed();
     let (options, silent) = (OffsetOptions::default(), Reporter::silent());
     let frames = frames_of(folder.path());
-    let estimated = known_or_estimated(&frames, &options, &silent).unwrap();
+    let estimated = offsets_from_images(&frames, &options, &silent).unwrap();
     let path = folder.path().join("offsets.json");
     let own = Offsets::saved(frames.capture()).unwrap();
     assert!(matches!(own, SavedOffsets::Estimated { .. }));
@@ -135,7 +133,7 @@ fn damaged_offsets_are_no_estimate() {
     outcomes(
         "offsets.json, `offsets`",
         |_| path.clone(),
-        || match known_or_estimated(&frames, &options, &silent) {
+        || match offsets_from_images(&frames, &options, &silent) {
             Ok(found) => same(found == estimated),
             Err(error) => one_sentence(error),
         },
@@ -145,7 +143,7 @@ fn damaged_offsets_are_no_estimate() {
         |_| path.clone(),
         || {
             let saved = Offsets::saved(frames.capture());
-            match known_or_cached_or_estimated(&frames, &options, &silent) {
+            match resolve_offsets(&frames, &options, &silent) {
                 Err(error) => one_sentence(error),
                 Ok(found) if found == estimated => Ok(Outcome::Same),
                 // A digit that changed may be an edit; it is said.

@@ -5,6 +5,10 @@ mod common;
 #[allow(dead_code)] // the benchmark uses all of it
 #[path = "bench/offsets/scene.rs"]
 mod scene;
+#[path = "bench/offsets/zhou_tao.rs"]
+mod zhou_tao;
+#[path = "bench/offsets/zhou_tao_tests.rs"]
+mod zhou_tao_tests;
 
 use common::{run, stderr};
 use scene::SyntheticCapture;

@@ -322,7 +322,7 @@ fn options_out_of_range_are_refused_by_name() {
     let (capture, path) = (text(folder.path()), text(&file));
     for (options, words) in [
         // Each of these panicked, hung, or took all memory.
-        (r#"{"offset": {"tolerance_share": -1}}"#, "options.json: offset.tolerance_share: is -1.0"),
+        (r#"{"offset": {"search_s": -1}}"#, "options.json: offset.search_s: is -1.0"),
         (r#"{"registration": {"klt": {"radius_px": 1000000000}}}"#, "registration.klt.radius_px"),
         (r#"{"registration": {"klt": {"iterations": 1000000000}}}"#, "registration.klt.iterations"),
         (r#"{"registration": {"corners": {"radius_px": 1000000000}}}"#, "corners.radius_px"),

@@ -47,26 +47,20 @@ impl Clock {
         }
     }
 
-    /// Median time between frames, seconds; 0 for a single frame.
+    /// The median time between frames, seconds; 0 for a single frame.
     pub fn frame_s(&self) -> f64 {
         let mut gaps: Vec<f64> = self.times_s.windows(2).map(|w| w[1] - w[0]).collect();
         gaps.sort_by(f64::total_cmp);
         gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
     }
 
-    /// Index of the frame nearest to a time, the earlier one of two equally near.
+    /// The index of the frame nearest to a time, the earlier one of two equally near.
     pub fn nearest(&self, time_s: f64) -> usize {
-        let after = self.times_s.partition_point(|&t| t < time_s);
-        if after == 0 {
-            return 0;
-        }
-        if after == self.times_s.len() {
-            return after - 1;
-        }
-        if time_s - self.times_s[after - 1] <= self.times_s[after] - time_s {
-            after - 1
-        } else {
-            after
+        let times = &self.times_s;
+        let after = times.partition_point(|&t| t < time_s).min(times.len().saturating_sub(1));
+        match after.checked_sub(1) {
+            Some(before) if time_s - times[before] <= times[after] - time_s => before,
+            _ => after,
         }
     }
 }

@@ -5,7 +5,7 @@ use super::files::{OptionsArgs, open_capture};
 use super::print::Page;
 use std::path::PathBuf;
 use std::sync::Arc;
-use stlfr::offset::{Offsets, known_or_estimated};
+use stlfr::offset::{Offsets, offsets_from_images};
 use stlfr::progress::Reporter;
 use stlfr::registration::FrameStore;
 
@@ -38,7 +38,7 @@ pub fn run(args: &OffsetsArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
     capture.require_two_cameras()?;
     let frames = FrameStore::new(capture.clone(), &options.registration);
-    let offsets = known_or_estimated(&frames, &options.offset, reporter)?;
+    let offsets = offsets_from_images(&frames, &options.offset, reporter)?;
     if args.json {
         page.json(&offsets)?;
     } else {

@@ -1,32 +1,41 @@
 //! Offsets from recordings: the stages of the estimation in their order.
 
+use super::alignment::{Activities, rough_offset};
+use super::clock::{ClockEstimate, ClockModel, clocks};
+use super::joint::{ClockLayout, solve_clocks};
 use super::lost_frames::{LostFrames, detect_lost_frames};
-use super::pair::{InitialOffset, MIN_AGREEMENT, PairEstimate, PairFailure};
-use super::pairing::{clocks, pairs};
-use super::recording::{Recording, TrackCache};
-use super::rounds::{PairRounds, estimate_pairs};
-use super::timeline::Timelines;
-use super::{
-    CameraOffset, ClockEstimate, Clocks, ONE_FRAME, OffsetOptions, Offsets, align, solve_clocks,
+use super::pair::{
+    MAX_STD_ERR_FRAMES, MIN_AGREEMENT, PairEstimate, PairFailure, PairRounds, estimate_pairs, pairs,
 };
+use super::recording::{Recording, TrackCache};
+use super::{CameraOffset, ONE_FRAME, OffsetOptions, Offsets};
 use crate::capture::{Capture, CaptureError};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use rayon::prelude::*;
 
-/// The offsets of all cameras, with the pairs that they were solved from.
+/// The reason of a camera of which too few observations show its lost frames.
+const AMBIGUOUS_LOSSES: &str = "frames may be missing, and too few of its images show where";
+/// The reason of a camera of which other lost frames explain the observations nearly as well.
+const UNDECIDED_LOSSES: &str =
+    "frames are missing, or may be, and the images fit several places where they could be";
+/// The reason of a camera if the reference's lost frames are ambiguous.
+const AMBIGUOUS_REFERENCE: &str =
+    "the reference camera may miss frames, and too few of its images show where";
+
+/// The offsets of all cameras, and the pairs that they were solved from.
 #[derive(Clone, Debug)]
 pub struct Estimate {
     pub offsets: Offsets,
-    /// The pairs that were used: those with an estimate, certain enough and not contradicted.
+    /// The pairs that were used: their estimates are certain enough and not contradicted.
     pub pairs: Vec<PairEstimate>,
 }
 
 /// Estimates the offsets of all cameras of the store's capture from its images (§7).
 ///
-/// The stages: rough alignment, lost frames where the capture allows for them, pairs with their tracks
-/// and candidates, and all clocks together. A camera whose offset is not determined has none, and a reason. Nothing is
-/// read if all cameras share one clock. The error is that of a frame that cannot be read.
+/// The stages are: rough alignment, lost frames if the capture allows for them, pairs, and all clocks
+/// together. A camera of which the offset is not determined has none, and a reason. Nothing is read if
+/// all cameras share one clock. The error is that of a frame that cannot be read.
 pub fn estimate(
     frames: &FrameStore,
     options: &OffsetOptions,
@@ -38,47 +47,45 @@ pub fn estimate(
         return Ok(Estimate { offsets: Offsets::known(capture), pairs: Vec::new() });
     }
     let pairs = pairs(capture, &clock, options);
-    // Before threads ask for them at once, and each estimates them.
+    // The gains are computed once, before parallel threads ask for them.
     frames.gains();
     let track_cache = TrackCache::default();
-    let mut recording = Recording::new(frames, Timelines::nominal(capture), &track_cache, options);
+    let nominal = capture.cameras.iter().map(|c| c.clock.clone()).collect();
+    let mut recording = Recording::new(frames, nominal, &track_cache, options);
     let mut starts = initial_offsets(&recording, &pairs, reporter)?;
-    let mut ambiguous = vec![false; capture.cameras.len()];
-    let mut undecided = ambiguous.clone();
+    let mut lost = LostFrames::none(capture);
     if capture.cameras.iter().any(|c| c.clock.lost) {
-        let lost: LostFrames = detect_lost_frames(&recording, &pairs, &mut starts, reporter)?;
-        (ambiguous, undecided) = (lost.ambiguous, lost.undecided);
-        recording = Recording::new(frames, lost.timelines, &track_cache, options);
+        lost = detect_lost_frames(&recording, &pairs, &mut starts, reporter)?;
+        recording = Recording::new(frames, lost.clocks(capture), &track_cache, options);
     }
     let drifts = drifts(capture, &clock, count);
-    let rounds = pairs.iter().zip(&starts).map(|(&pair, &start)| {
+    let rounds = pairs.iter().zip(starts).map(|(&pair, start)| {
         let with_rate = pair.iter().any(|&c| drifts[clock[c]]);
         PairRounds::new(pair, start, with_rate)
     });
     let results = estimate_pairs(&recording, rounds.collect(), reporter)?;
-    let solution = Solution::new(
-        &recording,
-        PairResults { pairs: &pairs, results },
-        Cameras { clock, drifts, ambiguous, undecided },
-    );
-    Ok(solution.into_estimate())
+    let first_s = recording.clocks.iter().map(|c| c.times_s[0]).collect();
+    let layout = ClockLayout { of_camera: clock, first_s, drifts, frame_s: capture.frame_s() };
+    let results = PairResults { pairs: &pairs, results };
+    Ok(JointSolution::new(capture, results, layout, lost).into_estimate())
 }
 
-/// Every pair's offset to about a frame. A camera with a single frame shows no motion.
+/// Every pair's offset to about a frame, or the failure of its alignment. A camera with a single frame
+/// shows no motion.
 fn initial_offsets(
     recording: &Recording,
     pairs: &[[usize; 2]],
     reporter: &Reporter,
-) -> Result<Vec<Result<InitialOffset, PairFailure>>, CaptureError> {
-    let activities = align::Activities::new(recording, pairs)?;
+) -> Result<Vec<Result<ClockModel, PairFailure>>, CaptureError> {
+    let activities = Activities::new(recording, pairs)?;
     let task = reporter.task("Rough alignment", pairs.len());
     pairs
         .par_iter()
         .enumerate()
         .map(|(n, pair)| {
-            let has_motion = pair.iter().all(|&c| recording.timelines.times_s[c].len() > 1);
+            let has_motion = pair.iter().all(|&c| recording.clocks[c].times_s.len() > 1);
             let initial = if has_motion {
-                align::rough_offset(recording, pairs, n, &activities)
+                rough_offset(recording, pairs, n, &activities)
             } else {
                 Ok(Err(PairFailure::NoMotion))
             };
@@ -88,7 +95,7 @@ fn initial_offsets(
         .collect()
 }
 
-/// By clock: whether its rate may be off. That of the reference's clock is 0 by definition.
+/// By clock: whether its rate is an unknown. The rate of the reference's clock is 0 by definition.
 fn drifts(capture: &Capture, clock: &[usize], count: usize) -> Vec<bool> {
     let mut drifts = vec![false; count];
     for (c, camera) in capture.cameras.iter().enumerate() {
@@ -104,9 +111,9 @@ struct PairResults<'a> {
 }
 
 impl PairResults<'_> {
-    /// Whether less than [`MIN_AGREEMENT`] of the moving features agree with a pair, while another
-    /// pair of one of its cameras points to a time that the nominal clocks contradict: a periodic
-    /// motion agrees with both.
+    /// Whether a pair may have locked onto the wrong period of a motion: less than [`MIN_AGREEMENT`] of
+    /// the moving features agree with it, and another pair of one of its cameras contradicts the nominal
+    /// clocks.
     fn contradict(&self, pair: &PairEstimate) -> bool {
         let shares_camera = |other: &[usize; 2]| other.iter().any(|c| pair.cameras.contains(c));
         let mut others =
@@ -120,7 +127,7 @@ impl PairResults<'_> {
         self.results.iter().flatten().any(|p| p.cameras.contains(&camera))
     }
 
-    /// The failure of the camera's pair that came furthest, as a sentence.
+    /// The failure of the camera's pair that passed the most stages, as a sentence.
     fn failure_reason(&self, camera: usize) -> &'static str {
         let own = self.pairs.iter().zip(&self.results).filter(|(pair, _)| pair.contains(&camera));
         let failures = own
@@ -147,95 +154,78 @@ impl PairResults<'_> {
     }
 }
 
-/// What is known of the cameras' clocks beside their offsets.
-struct Cameras {
-    /// The clock of each camera; 0 is the reference's.
-    clock: Vec<usize>,
-    /// By clock.
-    drifts: Vec<bool>,
-    /// By camera: whether too few of its images show its lost frames.
-    ambiguous: Vec<bool>,
-    /// By camera: whether other lost frames fit nearly as well. Its offset is withheld; the offsets of
-    /// others are known through it, since they are the same under any of these losses.
-    undecided: Vec<bool>,
-}
-
 /// All clocks solved together from the usable pairs.
-struct Solution<'a> {
-    recording: &'a Recording<'a>,
+struct JointSolution<'a> {
+    capture: &'a Capture,
     results: PairResults<'a>,
-    cameras: Cameras,
+    layout: ClockLayout,
+    lost: LostFrames,
     used: Vec<PairEstimate>,
-    /// By clock; `None` where it is not determined to `max_std_err_frames`.
+    /// By clock; `None` if it is not determined to [`MAX_STD_ERR_FRAMES`].
     solved: Vec<Option<ClockEstimate>>,
 }
 
-impl<'a> Solution<'a> {
-    fn new(recording: &'a Recording<'a>, results: PairResults<'a>, cameras: Cameras) -> Self {
-        let frame_s = recording.frames.capture().frame_s();
-        let max_std_err_s = recording.options.max_std_err_frames * frame_s;
+impl<'a> JointSolution<'a> {
+    fn new(
+        capture: &'a Capture,
+        results: PairResults<'a>,
+        layout: ClockLayout,
+        lost: LostFrames,
+    ) -> Self {
+        let max_std_err_s = MAX_STD_ERR_FRAMES * layout.frame_s;
         let used: Vec<PairEstimate> = results
             .results
             .iter()
             .flatten()
             .filter(|p| p.std_err_s <= max_std_err_s && !results.contradict(p))
-            .filter(|p| p.cameras.iter().all(|&c| !cameras.ambiguous[c]))
+            .filter(|p| p.cameras.iter().all(|&c| !lost.ambiguous[c]))
             .cloned()
             .collect();
-        let first_s = recording.timelines.times_s.iter().map(|t| t[0]).collect();
-        let clocks = Clocks {
-            of_camera: cameras.clock.clone(),
-            first_s,
-            drifts: cameras.drifts.clone(),
-            frame_s,
-        };
-        let solved = solve_clocks(&used, &clocks)
+        let solved = solve_clocks(&used, &layout)
             .into_iter()
             .map(|clock| clock.filter(|s| s.std_err_s <= max_std_err_s))
             .collect();
-        Self { recording, results, cameras, used, solved }
+        Self { capture, results, layout, lost, used, solved }
     }
 
     fn into_estimate(self) -> Estimate {
-        let capture = self.recording.frames.capture();
-        let cameras = (0..capture.cameras.len()).map(|c| self.camera_offset(c)).collect();
-        let reference = capture.cameras[capture.reference].id.clone();
+        let cameras = (0..self.capture.cameras.len()).map(|c| self.camera_offset(c)).collect();
+        let reference = self.capture.cameras[self.capture.reference].id.clone();
         Estimate { offsets: Offsets { reference, cameras }, pairs: self.used }
     }
 
     fn camera_offset(&self, c: usize) -> CameraOffset {
-        let capture = self.recording.frames.capture();
-        let camera = &capture.cameras[c];
-        let decided = !self.cameras.undecided[c] || c == capture.reference;
-        let solved = self.solved[self.cameras.clock[c]].filter(|_| decided);
-        let drifts = camera.clock.drift && c != capture.reference;
-        let lost_before = &self.recording.timelines.lost_before[c];
+        let camera = &self.capture.cameras[c];
+        let is_reference = c == self.capture.reference;
+        // The offsets of other cameras are the same whatever an undecided camera lost.
+        let decided = !self.lost.undecided[c] || is_reference;
+        let solved = self.solved[self.layout.of_camera[c]].as_ref().filter(|_| decided);
+        let drifting = solved.filter(|_| camera.clock.drift && !is_reference);
         CameraOffset {
             id: camera.id.clone(),
-            offset_s: solved.map(|s| s.offset_s),
+            offset_s: solved.map(|s| s.clock.offset_s),
             std_err_s: solved.map(|s| s.std_err_s),
-            rate_ppm: solved.filter(|_| drifts).map(|s| 1e6 * s.rate),
-            rate_std_err_ppm: solved.filter(|_| drifts).map(|s| 1e6 * s.rate_std_err),
-            lost_before: camera.clock.lost.then(|| lost_before.clone()),
+            rate_ppm: drifting.map(|s| 1e6 * s.clock.rate),
+            rate_std_err_ppm: drifting.map(|s| 1e6 * s.rate_std_err),
+            lost_before: camera.clock.lost.then(|| self.lost.lost_before[c].clone()),
             reason: solved.is_none().then(|| self.reason(c).into()),
         }
     }
 
     /// Why a camera has no offset.
     fn reason(&self, camera: usize) -> &'static str {
-        let capture = self.recording.frames.capture();
         if self.results.has_estimate(camera) {
-            if self.cameras.undecided[camera] {
+            if self.lost.undecided[camera] {
                 return UNDECIDED_LOSSES;
             }
-            if self.cameras.ambiguous[camera] {
+            if self.lost.ambiguous[camera] {
                 return AMBIGUOUS_LOSSES;
             }
-            if self.cameras.ambiguous[capture.reference] {
+            if self.lost.ambiguous[self.capture.reference] {
                 return AMBIGUOUS_REFERENCE;
             }
         }
-        if capture.cameras[camera].frames.len() == 1 {
+        if self.capture.cameras[camera].frames.len() == 1 {
             return ONE_FRAME;
         }
         if self.used.iter().any(|p| p.cameras.contains(&camera)) {
@@ -244,12 +234,3 @@ impl<'a> Solution<'a> {
         self.results.failure_reason(camera)
     }
 }
-
-/// The reason of a camera whose own lost frames are undecided.
-const AMBIGUOUS_LOSSES: &str = "frames may be missing, and too few of its images show where";
-/// The reason of a camera whose lost frames can't be told from others.
-const UNDECIDED_LOSSES: &str =
-    "frames are missing, or may be, and the images fit several places where they could be";
-/// The reason of a camera whose reference's lost frames are undecided.
-const AMBIGUOUS_REFERENCE: &str =
-    "the reference camera may miss frames, and too few of its images show where";

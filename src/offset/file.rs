@@ -1,4 +1,4 @@
-//! `CAPTURE/offsets.json`: offsets that were estimated, kept for the next command, or edited by hand.
+//! `CAPTURE/offsets.json`: estimated offsets, stored for the next command, or edited by hand.
 //!
 //! | field | what |
 //! |---|---|
@@ -8,23 +8,22 @@
 //! | `hash` | of the program's version, the capture's content and these options |
 //! | `checksum` | of all fields above |
 //!
-//! Where the checksum holds, the offsets are the program's own estimate: they are used while the hash
-//! is that of the capture and the options, and are estimated anew otherwise.
+//! If the checksum matches, the offsets are the program's own estimate. They are used if the hash is
+//! that of the capture and the options, and estimated anew otherwise. A file with a hash and without a
+//! checksum is an earlier version's, and is estimated anew too.
 //!
-//! Where the checksum doesn't hold, or neither it nor `hash` is there, somebody has edited or written the
-//! file. `render`, `compare` and `plan` then use its offsets as given, and say so; whatever the options
-//! are, and without a look at the frames. `stlfr offsets` says what the images tell: it estimates, and
-//! leaves the file as it is. Deleted, it is written anew. A file with a hash and without a checksum is
-//! an earlier version's, and is estimated anew.
+//! If the checksum does not match, or both it and `hash` are missing, the file was edited by hand.
+//! `render`, `compare` and `plan` then use its offsets as given, whatever the options and the frames,
+//! and say so. `stlfr offsets` estimates from the images, and leaves the file as it is.
 //!
-//! Of a file that was edited, every field is validated. What doesn't pass ends the command, in a sentence
+//! Every field of an edited file is validated. The first violation ends the command, in a sentence
 //! with the file and the field:
 //!
 //! | field | must be |
 //! |---|---|
 //! | the file | a regular file of at most 16 MiB, JSON, with no other fields than these |
 //! | `reference` | the capture's reference camera |
-//! | `id` | that of a camera of the capture; each once, all there, in any order |
+//! | `id` | that of a camera of the capture; each once, none missing, in any order |
 //! | `offset_s` | a number, or null; 0 for the reference. It puts the camera's images no further from the reference's than all recordings last, one after the other ([`Capture::reach_s`]) |
 //! | `std_err_s` | null where `offset_s` is; else from 0 to that length; 0 for the reference |
 //! | `rate_ppm` | from −1000 to 1000; only where there is an offset; 0, if anything, for the reference |
@@ -32,9 +31,8 @@
 //! | `lost_before` | numbers of the camera's images, ascending, at most as many as it has images |
 //! | `reason` | a line of text exactly where `offset_s` is null |
 
-use super::edited;
-use super::store::{CameraOffset, Offsets};
-use crate::capture::{Capture, CaptureError};
+use super::offsets::{CameraOffset, Offsets};
+use crate::capture::{Capture, CaptureError, FilmedCamera, MAX_DRIFT_PPM, are_frame_times};
 use crate::host::{CacheKind, read_text, write_json};
 use crate::json::{self, JsonError};
 use serde::{Deserialize, Serialize};
@@ -42,21 +40,24 @@ use serde_json::Value;
 use std::io::ErrorKind;
 use std::path::PathBuf;
 
-/// Largest file of offsets that is read, bytes. Larger: one of many empty cameras takes more than a
-/// gigabyte of memory. Smaller: a thousand cameras that lost a thousand frames each are refused.
+/// The largest file of offsets that is read, bytes; parsing takes many times as much memory.
 pub const MAX_OFFSETS_BYTES: u64 = 16 << 20;
+/// The longest reason of an unknown offset, characters.
+const MAX_REASON_CHARS: usize = 500;
+/// The remedy for a refused file.
+const REMEDY: &str = "without the file, offsets are estimated";
 
-/// The hash is a key like those of the capture's cache.
+/// The kind of the key that identifies an estimate.
 const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 1 };
 
-/// What a capture's `offsets.json` holds.
+/// The content of a capture's `offsets.json`.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SavedOffsets {
-    /// There is no file, or one of an earlier version, or one in which frames vanish.
+    /// There is no file, or it is truncated or an earlier version's.
     Missing,
     /// The program's own estimate with these options, and the hash that identifies it.
     Estimated { offsets: Offsets, options: Value, hash: String },
-    /// What somebody has edited or written, validated, the cameras in the capture's order.
+    /// Offsets edited by hand, validated, the cameras in the capture's order.
     Edited(Offsets),
 }
 
@@ -74,7 +75,7 @@ struct OffsetsFile {
 }
 
 impl OffsetsFile {
-    /// The hash of all other fields' values, however they are laid out in the file.
+    /// The hash of the other fields' values, independent of the file's layout.
     fn checksum(&self) -> String {
         let fields = (&self.reference, &self.cameras, &self.options, &self.hash);
         // Strings, numbers and lists can't fail to be written.
@@ -93,16 +94,16 @@ impl Offsets {
         capture.folder.join("offsets.svg")
     }
 
-    /// The hash that identifies offsets of this capture estimated with these options, hexadecimal. The
-    /// error is that of a frame file that cannot be read.
+    /// The hexadecimal hash that identifies offsets of a capture estimated with these options. The error
+    /// is that of a frame file that cannot be read.
     pub fn hash(capture: &Capture, options: &impl Serialize) -> Result<String, CaptureError> {
-        // As the file has them. Options can't fail to be written.
+        // The options as the file has them, which cannot fail to be written.
         let options = serde_json::to_value(options).unwrap_or_default();
         Ok(capture.cache()?.key(ESTIMATED_OFFSETS, &options).unwrap_or_default())
     }
 
-    /// What `offsets.json` in the capture's folder holds. The error is that of a file that can't be
-    /// read, or that was edited and doesn't pass the validation.
+    /// Reads `offsets.json` from the capture's folder. The error is that of a file that cannot be read,
+    /// or of an edited one that fails the validation.
     pub fn saved(capture: &Capture) -> Result<SavedOffsets, CaptureError> {
         let path = Self::path(capture);
         let text = match read_text(&path, MAX_OFFSETS_BYTES) {
@@ -113,7 +114,7 @@ impl Offsets {
         let file: OffsetsFile = match json::parse(&text) {
             Ok(file) => file,
             Err(reason) => {
-                let reason = format!("{reason} ({WAY_OUT})");
+                let reason = format!("{reason} ({REMEDY})");
                 return Err(CaptureError::Json { path, source: JsonError::Content(reason) });
             }
         };
@@ -126,18 +127,18 @@ impl Offsets {
                 Ok(SavedOffsets::Estimated { offsets, options, hash })
             }
             (Some(_), checksum) if is_own || checksum.is_none() => Ok(SavedOffsets::Missing),
-            _ => match edited::checked(offsets, capture) {
+            _ => match validated(offsets, capture) {
                 Ok(offsets) => Ok(SavedOffsets::Edited(offsets)),
-                Err(edited::Refused { field, reason }) => {
-                    let reason = format!("{reason} ({WAY_OUT})");
+                Err(InvalidField { field, reason }) => {
+                    let reason = format!("{reason} ({REMEDY})");
                     Err(CaptureError::Field { path, field, reason })
                 }
             },
         }
     }
 
-    /// Writes `offsets.json` into the capture's folder, atomically: an estimate with these options, and
-    /// its hash.
+    /// Writes an estimate with these options, and its hash, to `offsets.json` in the capture's folder,
+    /// atomically.
     pub fn save(
         &self,
         capture: &Capture,
@@ -157,5 +158,187 @@ impl Offsets {
     }
 }
 
-/// What to do about a file that is refused.
-const WAY_OUT: &str = "without the file, offsets are estimated";
+/// An invalid field, and the predicate of the sentence about it.
+struct InvalidField {
+    field: String,
+    reason: String,
+}
+
+type FieldResult = Result<(), InvalidField>;
+
+fn refuse(field: impl Into<String>, reason: impl Into<String>) -> FieldResult {
+    Err(InvalidField { field: field.into(), reason: reason.into() })
+}
+
+/// Validates edited offsets by the table in the module's head, and puts the cameras in the capture's
+/// order.
+fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, InvalidField> {
+    let reference = &capture.cameras[capture.reference].id;
+    if given.reference != *reference {
+        let reason = format!("is '{}', the capture's is '{reference}'", given.reference);
+        refuse("reference", reason)?;
+    }
+    let mut in_order: Vec<Option<(usize, CameraOffset)>> = vec![None; capture.cameras.len()];
+    for (k, camera) in given.cameras.into_iter().enumerate() {
+        let field = format!("cameras[{k}].id");
+        let Some(index) = capture.camera_index(&camera.id) else {
+            refuse(field, format!("no camera of the capture has the id '{}'", camera.id))?;
+            continue;
+        };
+        if in_order[index].is_some() {
+            refuse(field, format!("'{}' is there twice", camera.id))?;
+        }
+        in_order[index] = Some((k, camera));
+    }
+    let reach_s = capture.reach_s();
+    let mut cameras = Vec::new();
+    for (index, entry) in in_order.into_iter().enumerate() {
+        let Some((k, camera)) = entry else {
+            refuse("cameras", format!("'{}' is missing", capture.cameras[index].id))?;
+            continue;
+        };
+        let of = CameraFields { k, camera: &camera };
+        let filmed = &capture.cameras[index];
+        of.offset(reach_s, capture.has_reference_clock(index))?;
+        of.rate(filmed.clock.drift && index != capture.reference)?;
+        of.lost_before(filmed)?;
+        of.reason()?;
+        cameras.push((k, camera));
+    }
+    let indices: Vec<usize> = cameras.iter().map(|(k, _)| *k).collect();
+    let cameras = cameras.into_iter().map(|(_, camera)| camera).collect();
+    let offsets = Offsets { reference: given.reference, cameras };
+    validate_times(&offsets, &indices, capture)?;
+    Ok(offsets)
+}
+
+/// The fields of one camera, and its index in the file.
+struct CameraFields<'a> {
+    k: usize,
+    camera: &'a CameraOffset,
+}
+
+impl CameraFields<'_> {
+    fn refuse(&self, field: &str, reason: impl Into<String>) -> FieldResult {
+        refuse(format!("cameras[{}] ({}).{field}", self.k, self.camera.id), reason)
+    }
+
+    fn offset(&self, reach_s: f64, is_on_reference: bool) -> FieldResult {
+        let CameraOffset { offset_s, std_err_s, .. } = *self.camera;
+        if is_on_reference {
+            for (field, value) in [("offset_s", offset_s), ("std_err_s", std_err_s)] {
+                if value != Some(0.0) {
+                    self.refuse(field, "must be 0 on the reference camera's clock")?;
+                }
+            }
+            return Ok(());
+        }
+        match (offset_s, std_err_s) {
+            (None, None) => Ok(()),
+            (None, Some(_)) => self.refuse("std_err_s", "must be null where offset_s is"),
+            (Some(_), None) => self.refuse("std_err_s", "is missing"),
+            (Some(offset_s), _) if !offset_s.is_finite() => {
+                self.refuse("offset_s", "must be finite")
+            }
+            (_, Some(error_s)) if !(0.0..=reach_s).contains(&error_s) => {
+                self.refuse("std_err_s", format!("is {error_s:?}, must be from 0 to {reach_s} s"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn rate(&self, may_drift: bool) -> FieldResult {
+        let (rate, error) = (self.camera.rate_ppm, self.camera.rate_std_err_ppm);
+        let Some(rate) = rate else {
+            return match error {
+                Some(_) => self.refuse("rate_std_err_ppm", "is there without a rate_ppm"),
+                None => Ok(()),
+            };
+        };
+        if self.camera.offset_s.is_none() {
+            return self.refuse("rate_ppm", "is there without an offset_s");
+        }
+        if !may_drift && rate != 0.0 {
+            return self.refuse("rate_ppm", "must be 0: the capture says nothing of a drift");
+        }
+        if !(rate.abs() <= MAX_DRIFT_PPM) {
+            let reason = format!("is {rate:?}, must be from -{MAX_DRIFT_PPM} to {MAX_DRIFT_PPM}");
+            return self.refuse("rate_ppm", reason);
+        }
+        match error {
+            Some(error) if (0.0..=MAX_DRIFT_PPM).contains(&error) => Ok(()),
+            Some(error) => self.refuse(
+                "rate_std_err_ppm",
+                format!("is {error:?}, must be from 0 to {MAX_DRIFT_PPM}"),
+            ),
+            None => self.refuse("rate_std_err_ppm", "is missing"),
+        }
+    }
+
+    fn lost_before(&self, filmed: &FilmedCamera) -> FieldResult {
+        let Some(lost) = &self.camera.lost_before else { return Ok(()) };
+        let frames = filmed.frames.len();
+        if !filmed.clock.lost && !lost.is_empty() {
+            let reason = "must be empty: the capture says nothing of lost frames";
+            return self.refuse("lost_before", reason);
+        }
+        if lost.len() > frames {
+            let reason = format!("has {} entries, and the camera {frames} images", lost.len());
+            return self.refuse("lost_before", reason);
+        }
+        if let Some(pair) = lost.windows(2).find(|pair| pair[0] > pair[1]) {
+            let reason = format!("must ascend, and {} is before {}", pair[0], pair[1]);
+            return self.refuse("lost_before", reason);
+        }
+        match lost.last() {
+            Some(last) if *last >= frames => self.refuse(
+                "lost_before",
+                format!("has image {last}, and the camera's are 0 to {}", frames - 1),
+            ),
+            _ => Ok(()),
+        }
+    }
+
+    fn reason(&self) -> FieldResult {
+        match (&self.camera.reason, self.camera.offset_s) {
+            (Some(_), Some(_)) => self.refuse("reason", "is there although offset_s is known"),
+            (None, None) => self.refuse("reason", "is missing, and offset_s is null"),
+            (Some(reason), None) => {
+                let is_line = !reason.trim().is_empty() && !reason.contains(char::is_control);
+                if is_line && reason.chars().count() <= MAX_REASON_CHARS {
+                    return Ok(());
+                }
+                self.refuse(
+                    "reason",
+                    format!("must be a line of at most {MAX_REASON_CHARS} characters"),
+                )
+            }
+            (None, Some(_)) => Ok(()),
+        }
+    }
+}
+
+/// Checks that all images have ascending times on the reference's clock, within the capture's reach.
+/// `indices` are the cameras' in the file.
+fn validate_times(offsets: &Offsets, indices: &[usize], capture: &Capture) -> FieldResult {
+    let all = offsets.common_times_s(capture);
+    let reach_s = capture.reach_s();
+    for (index, ((times, camera), &k)) in all.iter().zip(&offsets.cameras).zip(indices).enumerate()
+    {
+        let (Some(times), Some(offset_s)) = (times, camera.offset_s) else { continue };
+        let of = CameraFields { k, camera };
+        let (first_s, last_s) = capture.widest_span_s(Some(index));
+        if !(first_s <= times[0] && times[times.len() - 1] <= last_s) {
+            let reason = format!(
+                "is {offset_s:?}, which puts its images further from the reference's than all recordings last, {reach_s:.3} s"
+            );
+            return of.refuse("offset_s", reason);
+        }
+        if !are_frame_times(times) {
+            return of.refuse("offset_s", format!(
+                "is {offset_s:?}, so large that the times of successive frames are equal once rounded"
+            ));
+        }
+    }
+    Ok(())
+}

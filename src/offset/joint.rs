@@ -8,7 +8,9 @@
 //!
 //! Known limit: one rate holds for a whole recording.
 
+use super::clock::{ClockEstimate, ClockModel};
 use super::pair::PairEstimate;
+use super::recording::Sample;
 use super::uncertainty::Sandwich;
 use crate::capture::MAX_DRIFT_PPM;
 use nalgebra::{DMatrix, DVector};
@@ -16,7 +18,7 @@ use std::collections::BTreeMap;
 
 /// The clocks that are solved for. Clock 0 is the reference's, whose offset and rate are 0.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Clocks {
+pub struct ClockLayout {
     /// By camera: the index of its clock.
     pub of_camera: Vec<usize>,
     /// By camera: the time of its first frame on its own clock, at which the offset is defined, seconds.
@@ -27,39 +29,19 @@ pub struct Clocks {
     pub frame_s: f64,
 }
 
-/// The solution for one clock.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ClockEstimate {
-    /// Reference time minus the clock's time, seconds, at the first frame of the clock's camera.
-    pub offset_s: f64,
-    /// The standard error of `offset_s`, seconds.
-    pub std_err_s: f64,
-    /// The change of the offset, seconds a second; 0 for a clock that does not drift.
-    pub rate: f64,
-    /// The standard error of `rate`, seconds a second; 0 for a clock that does not drift.
-    pub rate_std_err: f64,
-}
-
-/// The number of IRLS iterations towards least absolute deviations, which a few wrong pairs do not
-/// move. Larger costs time; smaller starts the robust iterations from a biased solution and scale.
+/// The number of IRLS iterations towards least absolute deviations, which are robust to a few wrong
+/// pairs.
 const L1_ITERATIONS: usize = 30;
-/// The number of IRLS iterations with redescending weights. Larger costs time; smaller stops before
-/// wrong pairs have lost their weight.
+/// The number of IRLS iterations with redescending weights.
 const ROBUST_ITERATIONS: usize = 10;
-/// The smallest deviation in the weights of the L1 iterations, standard errors. Larger approaches
-/// least squares; smaller lets a pair that fits exactly outweigh all others.
+/// The smallest deviation in the weights of the L1 iterations, standard errors.
 const MIN_L1_DEVIATION: f64 = 0.01;
-/// The deviation up to which a pair has full weight, standard errors. Larger lets wrong pairs bias
-/// the solution; smaller discards information of correct ones.
+/// The deviation up to which a pair has full weight, standard errors.
 const FULL_WEIGHT_DEVIATION: f64 = 2.0;
 /// The smallest standard error of a pair, as a fraction of the pairs' median: errors common to all
-/// pairs bound the precision of each. Larger ignores that some pairs are better; smaller lets one
-/// pair of underestimated error determine the solution.
+/// pairs bound the precision of each.
 const MIN_STD_ERR_FRACTION: f64 = 0.3;
-/// The standard deviation of the prior on every rate, three times the largest drift, seconds a
-/// second. Larger leaves a rate without
-/// information almost singular; smaller biases rates towards 0. It shifts a determined rate by at
-/// most a thousandth of its standard error.
+/// The standard deviation of the prior on every rate, three times the largest drift, seconds a second.
 const RATE_PRIOR: f64 = 3.0 * (1e-6 * MAX_DRIFT_PPM);
 /// The standard deviation of a Gaussian over its median absolute deviation.
 const SIGMA_OVER_MAD: f64 = 1.4826;
@@ -68,8 +50,8 @@ const SIGMA_OVER_MAD: f64 = 1.4826;
 ///
 /// Each pair is weighted by its information and, robustly, by its deviation from the solution. The
 /// result is by clock; `None` for a clock that no chain of pairs connects to the reference. Pairs of
-/// cameras that share a clock are ignored.
-pub fn solve_clocks(pairs: &[PairEstimate], clocks: &Clocks) -> Vec<Option<ClockEstimate>> {
+/// cameras that share a clock are ignored. An offset is that at the first frame of a clock's camera.
+pub fn solve_clocks(pairs: &[PairEstimate], clocks: &ClockLayout) -> Vec<Option<ClockEstimate>> {
     let count = clocks.drifts.len();
     let connects_clocks = |p: &&PairEstimate| {
         let [a, b] = p.cameras.map(|c| clocks.of_camera[c]);
@@ -91,33 +73,39 @@ pub fn solve_clocks(pairs: &[PairEstimate], clocks: &Clocks) -> Vec<Option<Clock
     for (clock, solved) in solved.iter_mut().enumerate().skip(1) {
         let Some(offset) = unknowns.offset[clock] else { continue };
         let rate = unknowns.rate[clock];
-        *solved = Some(ClockEstimate {
+        let camera = clocks.of_camera.iter().position(|c| *c == clock);
+        let model = ClockModel {
             offset_s: solution.x[offset],
-            std_err_s: variances[offset].sqrt(),
             rate: rate.map_or(0.0, |r| solution.x[r]),
+            reference_s: camera.map_or(0.0, |c| clocks.first_s[c]),
+            ..ClockModel::default()
+        };
+        *solved = Some(ClockEstimate {
+            clock: model,
+            std_err_s: variances[offset].sqrt(),
             rate_std_err: rate.map_or(0.0, |r| variances[r].sqrt()),
         });
     }
     solved
 }
 
-/// The columns of the unknowns.
+/// The columns of the unknowns in the normal matrix.
 struct Unknowns<'a> {
-    clocks: &'a Clocks,
-    /// By clock: the column of its offset, `None` for the reference and unconnected clocks.
+    clocks: &'a ClockLayout,
+    /// By clock: the column of its offset; `None` for the reference and unconnected clocks.
     offset: Vec<Option<usize>>,
-    /// By clock: the column of its rate, `None` also for clocks that do not drift.
+    /// By clock: the column of its rate; `None` for the same clocks and those that do not drift.
     rate: Vec<Option<usize>>,
     count: usize,
 }
 
 /// The row of one equation: up to four columns with their coefficients.
-struct Row {
+struct EquationRow {
     entries: [(usize, f64); 4],
     len: usize,
 }
 
-impl Row {
+impl EquationRow {
     fn entries(&self) -> &[(usize, f64)] {
         &self.entries[..self.len]
     }
@@ -128,7 +116,7 @@ impl Row {
 }
 
 impl<'a> Unknowns<'a> {
-    fn new(clocks: &'a Clocks, connected: &[bool]) -> Self {
+    fn new(clocks: &'a ClockLayout, connected: &[bool]) -> Self {
         let mut count = 0;
         let mut next = |is_unknown: bool| {
             is_unknown.then(|| {
@@ -143,8 +131,8 @@ impl<'a> Unknowns<'a> {
     }
 
     /// The row of `offset_b − offset_a` at times on the two cameras' own clocks, seconds.
-    fn row(&self, [a, b]: [usize; 2], time_a_s: f64, time_b_s: f64) -> Row {
-        let mut row = Row { entries: [(0, 0.0); 4], len: 0 };
+    fn row(&self, [a, b]: [usize; 2], time_a_s: f64, time_b_s: f64) -> EquationRow {
+        let mut row = EquationRow { entries: [(0, 0.0); 4], len: 0 };
         for (camera, sign, time_s) in [(b, 1.0, time_b_s), (a, -1.0, time_a_s)] {
             let clock = self.clocks.of_camera[camera];
             let elapsed_s = time_s - self.clocks.first_s[camera];
@@ -160,7 +148,7 @@ impl<'a> Unknowns<'a> {
 }
 
 /// A pair's part of the normal equations.
-struct System {
+struct PairSystem {
     /// The entries of the normal matrix by row and column, sparse: dense matrices for all pairs of a
     /// large array would take gigabytes.
     normal: BTreeMap<(usize, usize), f64>,
@@ -173,18 +161,18 @@ struct System {
     factor: f64,
 }
 
-fn systems(used: &[&PairEstimate], unknowns: &Unknowns) -> Vec<System> {
+fn systems(used: &[&PairEstimate], unknowns: &Unknowns) -> Vec<PairSystem> {
     let mut errors: Vec<f64> = used.iter().map(|p| p.std_err_s).collect();
     errors.sort_by(f64::total_cmp);
     let min_sigma_s = MIN_STD_ERR_FRACTION * errors[errors.len() / 2];
     used.iter().map(|p| system(p, unknowns, min_sigma_s)).collect()
 }
 
-fn system(pair: &PairEstimate, unknowns: &Unknowns, min_sigma_s: f64) -> System {
+fn system(pair: &PairEstimate, unknowns: &Unknowns, min_sigma_s: f64) -> PairSystem {
     let n = unknowns.count;
     let (mut normal, mut mean_row) = (BTreeMap::new(), DVector::zeros(n));
     let (mut total, mut mean_value, mut right) = (0.0, 0.0, DVector::zeros(n));
-    let mut add = |row: &Row, value: f64, sign: f64, weight: f64| {
+    let mut add = |row: &EquationRow, value: f64, sign: f64, weight: f64| {
         for &(i, x) in row.entries() {
             mean_row[i] += weight * sign * x;
             right[i] += weight * x * value;
@@ -195,11 +183,11 @@ fn system(pair: &PairEstimate, unknowns: &Unknowns, min_sigma_s: f64) -> System 
         mean_value += weight * sign * value;
         total += weight;
     };
-    // Without rates the pair is one equation: its estimate.
+    // Without rates a pair's estimate is its only equation.
     let is_one_equation = pair.samples.is_empty() || unknowns.rate.iter().all(Option::is_none);
     if is_one_equation {
-        let time_j_s = pair.center_s - pair.offset_s;
-        add(&unknowns.row(pair.cameras, pair.center_s, time_j_s), pair.offset_s, 1.0, 1.0);
+        let (time_i_s, offset_s) = (pair.clock.reference_s, pair.clock.offset_s);
+        add(&unknowns.row(pair.cameras, time_i_s, time_i_s - offset_s), offset_s, 1.0, 1.0);
     } else {
         for (s, weight) in pair.samples.iter() {
             let sign = if s.cameras == pair.cameras { 1.0 } else { -1.0 };
@@ -211,7 +199,7 @@ fn system(pair: &PairEstimate, unknowns: &Unknowns, min_sigma_s: f64) -> System 
     // The total is positive: a pair without information has no estimate.
     let factor = 1.0 / (sigma_s * sigma_s * total);
     normal.values_mut().for_each(|v: &mut f64| *v *= factor);
-    System {
+    PairSystem {
         normal,
         right: right * factor,
         mean: (mean_row / total, mean_value / total),
@@ -220,7 +208,8 @@ fn system(pair: &PairEstimate, unknowns: &Unknowns, min_sigma_s: f64) -> System 
     }
 }
 
-struct Solution {
+/// The state of the IRLS iterations.
+struct RobustSolution {
     x: DVector<f64>,
     /// By pair: its robust weight.
     weights: Vec<f64>,
@@ -233,9 +222,9 @@ struct Solution {
 }
 
 /// Solves the normal equations by IRLS. `None` if they are singular.
-fn solve_robustly(systems: &[System], unknowns: &Unknowns) -> Option<Solution> {
+fn solve_robustly(systems: &[PairSystem], unknowns: &Unknowns) -> Option<RobustSolution> {
     let n = unknowns.count;
-    let mut solution: Option<Solution> = None;
+    let mut solution: Option<RobustSolution> = None;
     for iteration in 0..L1_ITERATIONS + ROBUST_ITERATIONS {
         let weight = |z: f64| match iteration {
             0 => 1.0,
@@ -272,25 +261,25 @@ fn solve_robustly(systems: &[System], unknowns: &Unknowns) -> Option<Solution> {
         } else {
             1.0
         };
-        solution = Some(Solution { x, weights, inverse: cholesky.inverse(), scale });
+        solution = Some(RobustSolution { x, weights, inverse: cholesky.inverse(), scale });
     }
     solution
 }
 
-impl System {
+impl PairSystem {
     /// The absolute residual of the pair's mean equation, in its standard errors.
     fn deviation(&self, x: &DVector<f64>) -> f64 {
         (self.mean.1 - self.mean.0.dot(x)).abs() / self.sigma_s
     }
 }
 
-impl Solution {
-    /// The variance of each unknown: the cluster-robust one over all candidates, with clusters by time
-    /// and place across pairs, or that of the pairs' disagreement if it is larger.
+impl RobustSolution {
+    /// The variance of each unknown: the larger one of the cluster-robust variance, with clusters by time
+    /// and place across pairs, and the variance implied by the pairs' disagreement.
     fn variances(
         &self,
         used: &[&PairEstimate],
-        systems: &[System],
+        systems: &[PairSystem],
         unknowns: &Unknowns,
     ) -> Vec<f64> {
         let n = unknowns.count;
@@ -300,7 +289,7 @@ impl Solution {
             // The pair's weight in the solution, divided among its candidates.
             let factor = systems[k].factor * self.weights[k];
             let is_one_equation = unknowns.rate.iter().all(Option::is_none);
-            let information = |(s, w): &(super::recording::Sample, f64)| w * s.across_px_s.powi(2);
+            let information = |(s, w): &(Sample, f64)| w * s.across_px_s.powi(2);
             let total: f64 = pair.samples.iter().map(information).sum();
             let scale = if is_one_equation { factor / total } else { factor };
             for sample in pair.samples.iter() {
@@ -324,7 +313,7 @@ impl Solution {
 }
 
 /// By clock: whether a chain of pairs connects it to the reference's.
-fn connected_to_reference(pairs: &[&PairEstimate], clocks: &Clocks) -> Vec<bool> {
+fn connected_to_reference(pairs: &[&PairEstimate], clocks: &ClockLayout) -> Vec<bool> {
     let mut connected = vec![false; clocks.drifts.len()];
     connected[0] = true;
     loop {
@@ -344,15 +333,15 @@ fn connected_to_reference(pairs: &[&PairEstimate], clocks: &Clocks) -> Vec<bool>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::offset::recording::Sample;
     use crate::random::Random;
 
     fn pair(a: usize, b: usize, offset_s: f64) -> PairEstimate {
-        PairEstimate { cameras: [a, b], offset_s, std_err_s: 1e-4, ..PairEstimate::default() }
+        let clock = ClockModel::constant(offset_s);
+        PairEstimate { cameras: [a, b], clock, std_err_s: 1e-4, ..PairEstimate::default() }
     }
 
-    fn clocks(of_camera: &[usize], count: usize) -> Clocks {
-        Clocks {
+    fn clocks(of_camera: &[usize], count: usize) -> ClockLayout {
+        ClockLayout {
             of_camera: of_camera.into(),
             first_s: vec![0.0; of_camera.len()],
             drifts: vec![false; count],
@@ -370,7 +359,7 @@ mod tests {
         let truth = [0.0, 0.01, -0.005, 0.02];
         let solved = solve_clocks(&all_pairs(&truth), &clocks(&[0, 1, 2, 3], 4));
         for (c, s) in solved.into_iter().enumerate() {
-            assert!((s.unwrap().offset_s - truth[c]).abs() < 1e-12);
+            assert!((s.unwrap().clock.offset_s - truth[c]).abs() < 1e-12);
         }
     }
 
@@ -378,9 +367,9 @@ mod tests {
     fn one_wrong_pair_has_no_influence() {
         let truth = [0.0, 0.01, -0.005, 0.02, 0.015];
         let mut pairs = all_pairs(&truth);
-        pairs[2].offset_s += 0.01;
+        pairs[2].clock.offset_s += 0.01;
         for (c, s) in solve_clocks(&pairs, &clocks(&[0, 1, 2, 3, 4], 5)).into_iter().enumerate() {
-            assert!((s.unwrap().offset_s - truth[c]).abs() < 5e-4, "{c} {s:?}");
+            assert!((s.as_ref().unwrap().clock.offset_s - truth[c]).abs() < 5e-4, "{c} {s:?}");
         }
     }
 
@@ -391,7 +380,7 @@ mod tests {
         assert!(solved[1].is_some() && solved[2].is_none() && solved[3].is_none());
         // Cameras 1 and 2 share a clock: camera 3 is reached through it.
         let solved = solve_clocks(&pairs, &clocks(&[0, 1, 1, 2], 3));
-        assert!((solved[2].unwrap().offset_s - 0.03).abs() < 1e-12);
+        assert!((solved[2].as_ref().unwrap().clock.offset_s - 0.03).abs() < 1e-12);
         assert_eq!(solve_clocks(&[], &clocks(&[0], 1)).len(), 1);
     }
 
@@ -439,7 +428,7 @@ mod tests {
                             (sample, 25.0)
                         })
                         .collect(),
-                    center_s: 2.5,
+                    clock: ClockModel { reference_s: 2.5, ..ClockModel::default() },
                     std_err_s: 0.2 / 150.0 / 20.0,
                     std_err_inflation: 1.0,
                     ..pair(a, b, 0.0)
@@ -447,9 +436,9 @@ mod tests {
                 .collect();
             let solved = solve_clocks(&pairs, &clocks);
             for c in [1, 2] {
-                let s = solved[c].unwrap();
-                squares[0] += ((s.offset_s - truth[c].0) / s.std_err_s).powi(2);
-                squares[1] += ((s.rate - truth[c].1) / s.rate_std_err).powi(2);
+                let s = solved[c].clone().unwrap();
+                squares[0] += ((s.clock.offset_s - truth[c].0) / s.std_err_s).powi(2);
+                squares[1] += ((s.clock.rate - truth[c].1) / s.rate_std_err).powi(2);
                 n += 1.0;
                 assert!(s.rate_std_err < 5e-4 && s.std_err_s < 1e-3, "{s:?}");
             }

@@ -1,60 +1,71 @@
-//! Plots of the data behind an estimate: `offsets.svg`, beside `offsets.json`.
+//! Plots of the data behind an estimate: `offsets.svg`, next to `offsets.json`.
 
+use super::clock::ClockModel;
 use super::{Estimate, PairEstimate};
 use crate::capture::Capture;
 use crate::chart::{Chart, ChartPoint, Series, svg};
 
-/// Four charts, as SVG text.
+/// Four charts, as SVG text; `capture` must be that of the estimate.
 ///
-/// They show each pair's own estimate relative to the joint one, its fraction of inliers, the estimates
-/// of single frame triples over time, and the inliers' distances from their epipolar lines by the
-/// nominal and by the estimated clocks (Fig. 23). `capture` must be the one of the estimate. Pairs of
-/// cameras without an offset are omitted where the joint estimate is needed.
+/// The charts show each pair's own estimate relative to the joint one, its fraction of inliers, the
+/// estimates of single frame triples over time, and the inliers' distances from their epipolar lines
+/// by the nominal and by the estimated clocks (Fig. 23). The first and the third omit pairs of cameras
+/// without an offset.
 pub fn plot(estimate: &Estimate, capture: &Capture) -> String {
-    svg(
-        &[
-            pairs(estimate, capture),
-            inlier_fractions(estimate, capture),
-            over_time(estimate, capture),
-            distances(estimate),
-        ],
-        2,
-    )
+    let joint = JointClocks(estimate.offsets.clocks(capture));
+    let pair_axis = pair_axis(estimate, capture);
+    let charts = [
+        pairs(estimate, &joint, &pair_axis),
+        inlier_fractions(estimate, &pair_axis),
+        over_time(estimate, capture, &joint),
+        distances(estimate),
+    ];
+    svg(&charts, 2)
 }
 
 /// Milliseconds in a second.
 const MS: f64 = 1e3;
 
-/// The joint estimate of `offset_j − offset_i`, seconds, at a time on camera i's clock; `None` if
-/// either camera's offset is unknown.
-fn joint_s(estimate: &Estimate, capture: &Capture, [i, j]: [usize; 2], time_s: f64) -> Option<f64> {
-    let offset_at = |c: usize| {
-        let camera = &estimate.offsets.cameras[c];
-        let elapsed_s = time_s - capture.cameras[c].clock.times_s[0];
-        Some(camera.offset_s? + 1e-6 * camera.rate_ppm.unwrap_or(0.0) * elapsed_s)
+/// By camera: the jointly estimated clock; `None` if its offset is unknown.
+struct JointClocks(Vec<Option<ClockModel>>);
+
+impl JointClocks {
+    /// `offset_j − offset_i` at a time, seconds; `None` if either camera's offset is unknown.
+    fn offset_s(&self, cameras: [usize; 2], time_s: f64) -> Option<f64> {
+        let [i, j] = cameras.map(|c| self.0[c].as_ref().map(|clock| clock.offset_at(time_s)));
+        Some(j? - i?)
+    }
+}
+
+/// The label of an axis of pairs, with the names of the first and the last one.
+fn pair_axis(estimate: &Estimate, capture: &Capture) -> String {
+    let name = |pair: &PairEstimate| {
+        let [i, j] = pair.cameras.map(|c| &capture.cameras[c].id);
+        format!("{i}–{j}")
     };
-    Some(offset_at(j)? - offset_at(i)?)
+    match &estimate.pairs[..] {
+        [] => "pair".into(),
+        [only] => format!("pair (0: {})", name(only)),
+        [first, .., last] => {
+            format!("pair (0: {} … {}: {})", name(first), estimate.pairs.len() - 1, name(last))
+        }
+    }
 }
 
-fn pair_name(capture: &Capture, [i, j]: [usize; 2]) -> String {
-    format!("{}–{}", capture.cameras[i].id, capture.cameras[j].id)
-}
-
-/// Each pair's estimate minus the joint one.
-fn pairs(estimate: &Estimate, capture: &Capture) -> Chart {
+/// The estimate of each pair minus the joint one.
+fn pairs(estimate: &Estimate, joint: &JointClocks, pair_axis: &str) -> Chart {
     let points = estimate.pairs.iter().enumerate().filter_map(|(k, pair)| {
-        let joint = joint_s(estimate, capture, pair.cameras, pair.center_s)?;
+        let joint_s = joint.offset_s(pair.cameras, pair.clock.reference_s)?;
         Some(ChartPoint {
             x: k as f64,
-            y: MS * (pair.offset_s - joint),
+            y: MS * (pair.clock.offset_s - joint_s),
             bar: 2.0 * MS * pair.std_err_s,
             x_range: None,
         })
     });
-    let names: Vec<String> = estimate.pairs.iter().map(|p| pair_name(capture, p.cameras)).collect();
     Chart {
         title: "Each pair alone, against all pairs together".into(),
-        x_label: labelled("pair", &names),
+        x_label: pair_axis.into(),
         y_label: "difference, ms; bars are 2 standard errors".into(),
         series: vec![Series { points: points.collect(), dots: true, ..Series::default() }],
         rules: vec![(0.0, String::new())],
@@ -62,23 +73,13 @@ fn pairs(estimate: &Estimate, capture: &Capture) -> Chart {
     }
 }
 
-/// An axis label with the names of the first and the last value.
-fn labelled(axis: &str, names: &[String]) -> String {
-    match names {
-        [] => axis.into(),
-        [only] => format!("{axis} (0: {only})"),
-        [first, .., last] => format!("{axis} (0: {first} … {}: {last})", names.len() - 1),
-    }
-}
-
 /// The fraction of each pair's candidates that are inliers.
-fn inlier_fractions(estimate: &Estimate, capture: &Capture) -> Chart {
+fn inlier_fractions(estimate: &Estimate, pair_axis: &str) -> Chart {
     let fraction = |p: &PairEstimate| p.inliers as f64 / p.candidates.max(1) as f64;
     let points = estimate.pairs.iter().enumerate().map(|(k, p)| (k as f64, fraction(p)).into());
-    let names: Vec<String> = estimate.pairs.iter().map(|p| pair_name(capture, p.cameras)).collect();
     Chart {
         title: "Candidates that agree".into(),
-        x_label: labelled("pair", &names),
+        x_label: pair_axis.into(),
         y_label: "share".into(),
         y_shows: Some((0.0, 1.0)),
         series: vec![Series { points: points.collect(), dots: true, ..Series::default() }],
@@ -87,7 +88,7 @@ fn inlier_fractions(estimate: &Estimate, capture: &Capture) -> Chart {
 }
 
 /// The estimates of single frame triples minus the joint one.
-fn over_time(estimate: &Estimate, capture: &Capture) -> Chart {
+fn over_time(estimate: &Estimate, capture: &Capture, joint: &JointClocks) -> Chart {
     let mut series = [
         Series { label: "RANSAC and WLS (the paper's)".into(), dots: true, ..Series::default() },
         Series { label: "weighted by information".into(), dots: true, ..Series::default() },
@@ -95,9 +96,9 @@ fn over_time(estimate: &Estimate, capture: &Capture) -> Chart {
     for pair in &estimate.pairs {
         for frame in &pair.frames {
             let time_s = capture.cameras[frame.camera].clock.times_s[frame.frame];
-            let Some(joint) = joint_s(estimate, capture, pair.cameras, time_s) else { continue };
+            let Some(joint_s) = joint.offset_s(pair.cameras, time_s) else { continue };
             for (series, value) in series.iter_mut().zip([frame.offset_s, frame.by_information_s]) {
-                series.points.push((time_s, MS * (value - joint)).into());
+                series.points.push((time_s, MS * (value - joint_s)).into());
             }
         }
     }
@@ -111,19 +112,18 @@ fn over_time(estimate: &Estimate, capture: &Capture) -> Chart {
     }
 }
 
-/// The number of quantiles that a distribution is drawn with.
+/// The number of quantiles of a plotted distribution.
 const QUANTILES: usize = 60;
 
 /// The distribution of the inliers' distances from their epipolar lines (Fig. 23).
 fn distances(estimate: &Estimate) -> Chart {
-    let mut nominal = Vec::new();
-    let mut estimated = Vec::new();
+    let (mut nominal, mut estimated) = (Vec::new(), Vec::new());
     for pair in &estimate.pairs {
         for (sample, weight) in pair.samples.iter() {
             let sign = if sample.cameras == pair.cameras { 1.0 } else { -1.0 };
             let value = sign * sample.offset_s();
             let time_i = if sign > 0.0 { sample.time_a_s } else { sample.time_b_s };
-            let fitted = pair.offset_s + pair.rate * (time_i - pair.center_s);
+            let fitted = pair.clock.offset_at(time_i);
             // Outliers carry no information about the clocks.
             if *weight > 0.1 / (pair.sigma_px * pair.sigma_px) {
                 nominal.push((value * sample.across_px_s).abs());

@@ -1,18 +1,24 @@
 //! Standard errors of weighted least squares with correlated errors.
 //!
-//! The errors of candidates are correlated: those of one instant share frames and their noise, those
-//! of one place share texture, occlusions and the tracker's bias over time. The two-way
-//! cluster-robust (sandwich) covariance accounts for both (Cameron, Gelbach and Miller 2011: clusters
-//! by time, plus clusters by place, minus the independent part that both count).
+//! The errors of candidates are correlated: candidates of one instant share the noise of its frames,
+//! candidates of one place share texture, occlusions and the tracker's bias. The two-way cluster-robust
+//! (sandwich) covariance accounts for both (Cameron, Gelbach and Miller 2011): clusters by time, plus
+//! clusters by place, minus the independent part that both count.
 //!
-//! The features of a small body have a common error (occlusion at its outline, the few corners that
-//! they all lie on) that their scatter underestimates. Standard errors are therefore inflated where
-//! few tracker windows carry all the information ([`std_err_inflation`]).
+//! The features of a small body have a common error, such as occlusion at its outline, which their
+//! scatter underestimates. Standard errors are therefore inflated if few tracker windows carry all the
+//! information ([`std_err_inflation`]).
 //!
 //! Known limit: an error that all features at all times share does not show in any scatter.
 
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
+
+/// The smallest number of degrees of freedom.
+const MIN_DEGREES: f64 = 0.5;
+/// The fraction of a column that the others must leave unexplained; below it, the normal matrix counts
+/// as singular.
+const MIN_UNEXPLAINED: f64 = 1e-10;
 
 /// The sandwich covariance of a weighted least-squares problem, accumulated row by row.
 pub struct Sandwich {
@@ -70,8 +76,8 @@ impl Sandwich {
         (unexplained.min() > MIN_UNEXPLAINED).then(|| &scales * cholesky.inverse() * &scales)
     }
 
-    /// The variance of each unknown. `None` if the unknowns are not determined, or all equations are
-    /// of one cluster by time, which leaves no scatter to estimate a variance from.
+    /// The variance of each unknown. `None` if the unknowns are not determined, or if all equations
+    /// belong to one cluster by time, without scatter.
     pub fn variances(&self) -> Option<Vec<f64>> {
         if self.by_time.len() < 2 {
             return None;
@@ -93,7 +99,7 @@ impl Sandwich {
 }
 
 /// The effective number of independent clusters (Kish 1965): the squared sum of the clusters'
-/// information over the sum of its squares. Items are (cluster, information); 0 without information.
+/// information over the sum of its squares; 0 without information. Items are (cluster, information).
 pub fn effective_number(informed: impl Iterator<Item = (usize, f64)>) -> f64 {
     let mut by_key: BTreeMap<usize, f64> = BTreeMap::new();
     for (key, information) in informed {
@@ -104,10 +110,11 @@ pub fn effective_number(informed: impl Iterator<Item = (usize, f64)>) -> f64 {
     if squares > 0.0 { sum * sum / squares } else { 0.0 }
 }
 
-/// The factor on a standard error that is estimated from the scatter of this many independent
-/// clusters: Student's quantile over the Gaussian's, at two standard errors (by its expansion,
-/// Abramowitz and Stegun 26.7.5). Its square is a variance inflation factor. It falls to 1 for many
-/// clusters, and is the same for all numbers below 1.5.
+/// The factor on a standard error that is estimated from the scatter of a number of independent
+/// clusters; its square is a variance inflation factor.
+///
+/// It is Student's quantile over the Gaussian's at two standard errors, by its expansion (Abramowitz and
+/// Stegun 26.7.5). It falls to 1 for many clusters, and is constant below 1.5 clusters.
 pub fn std_err_inflation(independent: f64) -> f64 {
     let n = (independent - 1.0).max(MIN_DEGREES);
     let x: f64 = 2.0;
@@ -119,15 +126,7 @@ pub fn std_err_inflation(independent: f64) -> f64 {
     1.0 + (orders[0] / n + orders[1] / (n * n) + orders[2] / (n * n * n)) / x
 }
 
-/// The smallest number of degrees of freedom. Larger makes error bars of single windows too short;
-/// towards 0 they become infinite.
-const MIN_DEGREES: f64 = 0.5;
-/// The fraction of a column that the others may leave unexplained before the normal matrix counts as
-/// singular. Larger withholds the variances of weakly determined rates; smaller returns rounding.
-const MIN_UNEXPLAINED: f64 = 1e-10;
-
-/// `Σ g gᵀ` over the clusters' scores g, corrected for the number of clusters. (Student's wider tails
-/// for few clusters made the error bars of filmed scenes a third too long.)
+/// `Σ g gᵀ` over the clusters' scores g, corrected for the number of clusters.
 fn clustered<'a>(
     scores: impl ExactSizeIterator<Item = &'a DVector<f64>>,
     unknowns: usize,

@@ -3,7 +3,6 @@
 
 use super::RenderOptions;
 use crate::interpolation::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
-use crate::offset::OffsetOptions;
 use crate::option::{DeclaredOption, OptionError, OptionField, OptionValue};
 use crate::registration::{CornerOptions, KltOptions, RegistrationOptions};
 use std::ops::RangeInclusive;
@@ -22,7 +21,6 @@ const SOME: RangeInclusive<f64> = 1.0..=1e6;
 impl RenderOptions {
     pub(super) fn check_undeclared(&self) -> Checked {
         registration(&self.registration)?;
-        offset(&self.offset)?;
         interpolation(&self.interpolation)
     }
 }
@@ -35,7 +33,7 @@ macro_rules! undeclared {
         }
     )* };
 }
-undeclared!(RegistrationOptions, OffsetOptions, InterpolationOptions);
+undeclared!(RegistrationOptions, InterpolationOptions);
 
 /// The options `prefix.name`, each with its value and the range that it must be in. NaN is in none.
 fn all_within(prefix: &str, options: &[(&str, f64, RangeInclusive<f64>)]) -> Checked {
@@ -112,27 +110,6 @@ fn klt(o: &KltOptions) -> Checked {
             // 0 divides; below 0.001 nothing deforms.
             ("deformation", o.deformation, 1e-4..=10.0),
             ("max_shift_px", o.max_shift_px, PIXELS),
-        ],
-    )
-}
-
-fn offset(o: &OffsetOptions) -> Checked {
-    all_within(
-        "offset",
-        &[
-            ("neighbors", o.neighbors as f64, SOME),
-            ("max_frames", o.max_frames as f64, SOME),
-            ("max_features", o.max_features as f64, 1.0..=100_000.0),
-            ("tolerance_share", o.tolerance_share, 1e-6..=1.0),
-            ("gamma", o.gamma, 0.0..=1e6),
-            ("min_across_px", o.min_across_px, 1e-3..=1000.0),
-            ("residual_px", o.residual_px, 1e-3..=100.0),
-            // Every shift within it is tried.
-            ("search_s", o.search_s, 0.0..=3600.0),
-            ("min_overlap_s", o.min_overlap_s, 0.0..=1e6),
-            ("min_inliers", o.min_inliers as f64, SOME),
-            ("min_inlier_share", o.min_inlier_share, 0.0..=1.0),
-            ("max_std_err_frames", o.max_std_err_frames, 0.0..=100.0),
         ],
     )
 }

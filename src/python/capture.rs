@@ -4,7 +4,7 @@ use super::convert::{from_python, image_to_python, json_of, to_python, value_err
 use crate::camera::{Camera, CameraFormat};
 use crate::capture::{Capture, Opening};
 use crate::light_field::{LightField, Moment, RenderError, Viewpoint};
-use crate::offset::known_or_estimated;
+use crate::offset::offsets_from_images;
 use crate::options::{RenderOptions, ViewOptions};
 use crate::pipeline;
 use crate::progress::Reporter;
@@ -113,7 +113,7 @@ impl PyCapture {
         let offsets = py.detach(|| {
             self.capture.require_two_cameras()?;
             let frames = FrameStore::new(self.capture.clone(), &options.registration);
-            known_or_estimated(&frames, &options.offset, &Reporter::silent())
+            offsets_from_images(&frames, &options.offset, &Reporter::silent())
         });
         to_python(py, &offsets.map_err(value_error)?)
     }

@@ -38,6 +38,8 @@ mod scene;
 mod sweep;
 #[path = "offsets/together.rs"]
 mod together;
+#[path = "offsets/zhou_tao.rs"]
+mod zhou_tao;
 
 use std::path::Path;
 use stlfr::chart::{Chart, svg};

@@ -211,7 +211,7 @@ pub fn pairs(arguments: &[String]) -> Result<(), Box<dyn std::error::Error>> {
             let (Some(true_i_s), Some(true_j_s)) = (truth.offset_s(i), truth.offset_s(j)) else {
                 continue;
             };
-            let error = (pair.offset_s - (true_j_s - true_i_s)) / capture.frame_s();
+            let error = (pair.clock.offset_s - (true_j_s - true_i_s)) / capture.frame_s();
             println!(
                 "    {i}–{j}: {:+.4} ± {:.4} frame, {} of {} candidates, {:.3} px",
                 error,

@@ -9,6 +9,7 @@
 
 use super::captures::by_default;
 use super::scene::{self, SyntheticCapture};
+use super::zhou_tao::{FourPoints, cross_ratio_offset};
 use super::{median, save};
 use nalgebra::Point2;
 use std::ops::Range;
@@ -16,7 +17,7 @@ use std::path::Path;
 use std::sync::Arc;
 use stlfr::capture::{Capture, Truth};
 use stlfr::chart::{Chart, ChartPoint, Series};
-use stlfr::offset::{FourPoints, ThreeFrames, cross_ratio_offset, ransac, weighted_least_squares};
+use stlfr::offset::{ThreeFrames, ransac, weighted_least_squares};
 use stlfr::registration::{FrameStore, RegistrationOptions, Track, flow, temporal_flow};
 
 const NAMES: [&str; 4] =

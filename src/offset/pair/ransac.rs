@@ -1,7 +1,7 @@
 //! The robust mean of the candidates of one frame triple (§7): exhaustive RANSAC, then weighted
 //! least squares (WLS), eqs. (11) to (13).
 //!
-//! Known limit: candidates count alike here, whatever the speed of their features.
+//! Known limit: all candidates count alike, whatever the speed of their features.
 
 /// The inliers of the value that has the most of them within `tolerance`, as a range of `values`.
 ///
@@ -26,10 +26,9 @@ pub fn ransac(values: &[f64], tolerance: f64) -> std::ops::Range<usize> {
     best
 }
 
-/// The maximum number of WLS iterations. Larger costs time; smaller stops slow convergence early.
+/// The maximum number of WLS iterations.
 const MAX_ITERATIONS: usize = 100;
-/// The change of the mean, times γ, at which WLS has converged. Larger stops early; smaller only adds
-/// iterations.
+/// The change of the mean, times γ, at which WLS has converged.
 const TOLERANCE: f64 = 1e-9;
 
 /// Iterated weighted least squares, eqs. (11) to (13): starting at the mean, the weighted mean with

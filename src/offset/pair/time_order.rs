@@ -1,44 +1,41 @@
 //! The candidates of many frame triples, computed in order of time.
 //!
-//! Pairs share cameras. In order of time, a frame that is read for one pair is still cached for the
-//! other pairs of its group. Results do not depend on the order.
+//! Pairs share cameras. In order of time, a frame that is read for one pair is still cached when the
+//! other pairs of its group need it. Results do not depend on the order.
 
-use super::pair::TripleFrames;
-use super::recording::Recording;
-use super::timeline::Timelines;
-use crate::capture::CaptureError;
+use crate::capture::{CaptureError, Clock};
+use crate::offset::recording::{Recording, TripleFrames};
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 
-/// The frames of a camera that the tracks of an instant need: two of a track, and one before and one
-/// after. Candidates of the instant before are computed at the same time. They need two more frames
-/// where instants are not successive frames; such a frame may be decoded again. Larger splits rigs into
-/// more groups, which decodes more frames again; smaller drops frames of an instant that is in work.
+/// The number of a camera's frames that the tracks of an instant read: the two of a track, and one
+/// before and after.
 pub const FRAMES_AT_ONCE: usize = 4;
 
-/// Computes the candidates of these triples, which the recording caches, in order of time by the
-/// cameras' clocks. `computed` is called after each. Triples that are cached already are skipped.
+/// Computes and caches the candidates of those triples that are not cached yet, in order of time.
+///
+/// `clocks_s` are the offsets of the cameras' clocks. `computed` is called after each triple.
 pub fn compute_triples(
     recording: &Recording,
     mut triples: Vec<TripleFrames>,
     clocks_s: &[f64],
     computed: &(impl Fn() + Sync),
 ) -> Result<(), CaptureError> {
-    triples.retain(|&(cameras, frames)| !recording.has_triple(cameras, frames));
+    triples.retain(|&triple| !recording.has_triple(triple));
     let tracks = |triples: &[TripleFrames]| {
         let needed: BTreeSet<_> = triples.iter().map(|([a, _], [k, _])| (*a, *k)).collect();
         needed.into_par_iter().try_for_each(|(a, k)| recording.tracks(a, k).map(drop))
     };
     let candidates = |triples: &[TripleFrames]| {
-        triples.par_iter().try_for_each(|&(cameras, frames)| {
-            recording.triple(cameras, frames)?;
+        triples.par_iter().try_for_each(|&triple| {
+            recording.triple(triple)?;
             computed();
             Ok(())
         })
     };
     // The tracks of one instant beside the candidates of the one before, so that no thread waits.
     let mut before = Vec::new();
-    for now in instants(&recording.timelines, triples, clocks_s) {
+    for now in instants(&recording.clocks, triples, clocks_s) {
         let (candidates, tracks) = rayon::join(|| candidates(&before), || tracks(&now));
         candidates.and(tracks)?;
         before = now;
@@ -46,19 +43,19 @@ pub fn compute_triples(
     candidates(&before)
 }
 
-/// The triples by instant, in order of time: an instant is as long as the shortest frame period of
+/// Groups triples by instant, in order of time. An instant is as long as the shortest frame period of
 /// their cameras.
 fn instants(
-    timelines: &Timelines,
+    clocks: &[Clock],
     triples: Vec<TripleFrames>,
     clocks_s: &[f64],
 ) -> Vec<Vec<TripleFrames>> {
     let cameras: BTreeSet<usize> = triples.iter().flat_map(|(cameras, _)| *cameras).collect();
-    let periods_s = cameras.into_iter().map(|c| timelines.frame_s(c)).filter(|&s| s > 0.0);
+    let periods_s = cameras.into_iter().map(|c| clocks[c].frame_s()).filter(|&s| s > 0.0);
     let period_s = periods_s.fold(f64::INFINITY, f64::min);
     let timed = |triple: TripleFrames| {
         let ([a, _], [k, _]) = triple;
-        let time_s = timelines.times_s[a][k] + clocks_s[a];
+        let time_s = clocks[a].times_s[k] + clocks_s[a];
         // Off the multiples of half a frame, near which rounding would split an instant.
         let instant = (time_s / period_s + 0.25).floor() as i64;
         (instant, time_s, triple)
@@ -73,17 +70,17 @@ fn instants(
 mod tests {
     use super::*;
 
-    fn timelines(times_s: Vec<Vec<f64>>) -> Timelines {
-        let lost_before = vec![Vec::new(); times_s.len()];
-        Timelines { times_s, lost_before }
+    fn clocks(times_s: Vec<Vec<f64>>) -> Vec<Clock> {
+        let clock = |times_s| Clock { times_s, shared: false, drift: false, lost: false };
+        times_s.into_iter().map(clock).collect()
     }
 
     #[test]
     fn instants_are_as_long_as_the_shortest_frame_period() {
         let times = |n: usize, rate_hz: f64| (0..n).map(|k| k as f64 / rate_hz).collect();
-        let timelines = timelines(vec![times(1, 1.0), times(3, 1.0), times(240, 120.0)]);
+        let clocks = clocks(vec![times(1, 1.0), times(3, 1.0), times(240, 120.0)]);
         let triples = (0..239).rev().map(|k| ([2, 1], [k, 0])).chain([([1, 2], [1, 0])]).collect();
-        let instants = instants(&timelines, triples, &[0.0; 3]);
+        let instants = instants(&clocks, triples, &[0.0; 3]);
         assert_eq!(instants.len(), 239);
         for (k, instant) in instants.iter().enumerate() {
             let expected = [([1, 2], [1, 0]), ([2, 1], [k, 0])];
@@ -93,18 +90,18 @@ mod tests {
 
     #[test]
     fn triples_of_an_instant_are_in_order_of_time() {
-        let timelines = timelines(vec![vec![0.0, 1.0, 2.0]; 3]);
+        let clocks = clocks(vec![vec![0.0, 1.0, 2.0]; 3]);
         let triples = vec![([0, 1], [1, 0]), ([1, 2], [0, 0]), ([2, 0], [0, 0]), ([0, 1], [0, 0])];
-        let instants = instants(&timelines, triples, &[0.3, 0.1, -0.8]);
+        let instants = instants(&clocks, triples, &[0.3, 0.1, -0.8]);
         let first = vec![([1, 2], [0, 0]), ([0, 1], [0, 0])];
         assert_eq!(instants, [vec![([2, 0], [0, 0])], first, vec![([0, 1], [1, 0])]]);
     }
 
     #[test]
     fn single_frames_are_one_instant() {
-        let timelines = timelines(vec![vec![5.0]; 2]);
+        let clocks = clocks(vec![vec![5.0]; 2]);
         let triples = vec![([1, 0], [0, 0]), ([0, 1], [0, 0])];
         let sorted = vec![([0, 1], [0, 0]), ([1, 0], [0, 0])];
-        assert_eq!(instants(&timelines, triples, &[0.0; 2]), [sorted]);
+        assert_eq!(instants(&clocks, triples, &[0.0; 2]), [sorted]);
     }
 }

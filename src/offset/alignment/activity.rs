@@ -1,11 +1,11 @@
-//! The temporal activity of a recording, interval by interval, at a cost far below tracking: the signal
-//! that rough alignment correlates.
+//! The temporal activity of a recording, interval by interval: the signal that rough alignment
+//! correlates. It costs far less than tracking.
 //!
-//! Two successive frames, downsampled to about 80 pixels across, give a coarse grid of sums: the energy
-//! of the temporal derivative, `Σ I_t²`, and its correlation with the gradient, `−Σ I_t ∇I`, which
-//! points in the direction of motion. Cells between the same epipolar lines of two nearby cameras see
-//! the same energy and the same motion across these lines. The sign of the motion distinguishes it from
-//! its reverse, which energy alone does not.
+//! Two successive frames are downsampled to about 80 pixels across. A coarse grid sums the energy of the
+//! temporal derivative, `Σ I_t²`, and its correlation with the gradient, `−Σ I_t ∇I`, which points in
+//! the direction of motion. Cells between corresponding epipolar lines of two nearby cameras see the
+//! same energy and the same motion across the lines. Energy alone does not distinguish a motion from
+//! its reverse.
 //!
 //! Known limit: motion along the epipolar lines contributes energy only.
 
@@ -13,30 +13,28 @@ use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::{Capture, CaptureError};
 use nalgebra::{Point2, Vector2};
 
-/// The grid's cells across. More are noisier; fewer mix several epipolar bands in a cell.
+/// The grid's cells across.
 const COLUMNS: usize = 16;
-/// The grid's cells down. More are noisier; fewer mix several epipolar bands in a cell.
+/// The grid's cells down.
 const ROWS: usize = 12;
-/// The width that frames are downsampled to, pixels. Larger is slower and sees motion of less than a
-/// texture period only; smaller averages small motions away.
+/// The width of the downsampled frames, pixels.
 const WIDTH: usize = 80;
-/// The number of epipolar bands that a pair compares. More separate motions better, but suffer from
-/// parallax between cell and band; fewer make different motions look alike.
+/// The number of epipolar bands that a pair compares.
 pub const BANDS: usize = 6;
 
-/// One camera's activity, reduced to the bands of its pairs: the grid itself would take 2.3 kB a frame.
+/// One camera's activity, summed over the epipolar bands of its pairs.
 #[derive(Clone, Debug, Default)]
 pub struct Activity {
     /// The middle of each interval on the camera's clock, seconds.
     pub times_s: Vec<f64>,
     /// The total energy of each interval.
     pub energies: Vec<f64>,
-    /// By pair and interval: the root of each band's energy, then the signed root of its motion across
-    /// the epipolar lines.
+    /// By pair and interval: the root of each band's energy, followed by the signed root of each band's
+    /// motion across the epipolar lines.
     pub signals: Vec<Vec<[f32; 2 * BANDS]>>,
 }
 
-/// By cell: energy, and the correlation with the gradient in x and in y, per second.
+/// By cell: the energy, and the correlation with the gradient in x and in y, per second.
 type Cells = [[f32; 3]; COLUMNS * ROWS];
 
 impl Activity {
@@ -108,8 +106,8 @@ fn cells(before: &Downsampled, current: &Downsampled, interval: f32) -> Cells {
     cells
 }
 
-/// The epipolar band of each cell of a camera's grid, and the direction across the bands there, whose
-/// sense is the same in both cameras of a pair.
+/// The epipolar band of each cell of a camera's grid, and the direction across the band, of equal sense
+/// in both cameras of a pair.
 #[derive(Clone, Debug)]
 pub struct Bands {
     of_cell: Vec<Option<(usize, Vector2<f64>)>>,
@@ -133,7 +131,7 @@ impl Bands {
         Some([Self::new(a, of_a, max_distance), Self::new(b, of_b, max_distance)])
     }
 
-    /// The energies of an interval by band, then the motions, as (signed) roots.
+    /// The signal of an interval: the root of each band's energy, then the signed root of its motion.
     fn signal(&self, cells: &Cells) -> [f32; 2 * BANDS] {
         let mut sums = [0.0; 2 * BANDS];
         for (cell, of_cell) in cells.iter().zip(&self.of_cell) {

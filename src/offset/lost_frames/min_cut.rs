@@ -1,26 +1,24 @@
 //! Minimization of an energy of binary variables by a minimum cut (Kolmogorov and Zabih, PAMI 26(2),
 //! 2004), found by Dinic's algorithm.
 //!
-//! Known limit: terms that are not submodular are replaced by upper bounds. The labels found are then
-//! some with a low energy, not always those with the lowest.
+//! Known limit: terms that are not submodular are replaced by upper bounds. The labels then have a low
+//! energy, not always the minimum.
 
 /// An energy of binary variables: a sum of terms of one, two and three variables.
 #[derive(Clone)]
 pub struct Energy {
-    /// By variable: what it costs that it is 1.
+    /// By variable: the cost of the label 1.
     unary: Vec<f64>,
-    /// Two variables, and what it costs that the first is 1 and the second 0.
+    /// Two variables, and the cost of the label 1 for the first and 0 for the second.
     edges: Vec<(usize, usize, f64)>,
 }
 
 /// The energies of three variables' labels: `[x][y][z]`.
-pub type Triple = [[[f64; 2]; 2]; 2];
+pub type TripleCosts = [[[f64; 2]; 2]; 2];
 
-/// What a forbidden label costs. Larger loses digits of the other terms; smaller than the sum of all
-/// other terms would allow it.
+/// The cost of a forbidden label: more than the sum of all other terms.
 const FORBIDDEN: f64 = 1e7;
-/// The capacity up to which an edge counts as saturated. Larger leaves flow unsent; smaller than
-/// rounding sends it for ever.
+/// The capacity up to which an edge counts as saturated; above rounding errors.
 const SATURATED: f64 = 1e-9;
 
 impl Energy {
@@ -28,21 +26,22 @@ impl Energy {
         Self { unary: vec![0.0; variables], edges: Vec::new() }
     }
 
+    /// Fixes the label of a variable.
     pub fn fix(&mut self, variable: usize, label: bool) {
         self.unary[variable] += if label { -FORBIDDEN } else { FORBIDDEN };
     }
 
-    /// Adds what it costs that a variable is 1.
+    /// Adds a cost of the label 1 for a variable.
     pub fn add_unary(&mut self, variable: usize, cost: f64) {
         self.unary[variable] += cost;
     }
 
-    /// Adds what it costs that x is 1 and y is 0, which must not be negative.
+    /// Adds a cost of the label 1 for x and 0 for y; it must not be negative.
     pub fn add_edge(&mut self, x: usize, y: usize, cost: f64) {
         self.edges.push((x, y, cost));
     }
 
-    /// Forbids that x is 1 and y is 0.
+    /// Forbids the label 1 for x and 0 for y.
     pub fn forbid(&mut self, x: usize, y: usize) {
         self.edges.push((x, y, FORBIDDEN));
     }
@@ -55,8 +54,8 @@ impl Energy {
         }
     }
 
-    /// Adds a term of three variables, of which some may be the same.
-    pub fn add_triple(&mut self, [x, y, z]: [usize; 3], e: &Triple) {
+    /// Adds a term of three variables, which need not be distinct.
+    pub fn add_triple(&mut self, [x, y, z]: [usize; 3], e: &TripleCosts) {
         let variables = [x, y, z];
         let single = [e[1][0][0], e[0][1][0], e[0][0][1]].map(|v| v - e[0][0][0]);
         let product = |both: f64, i: usize, j: usize| both - e[0][0][0] - single[i] - single[j];
@@ -70,7 +69,7 @@ impl Energy {
         for (variable, cost) in variables.into_iter().zip(single) {
             self.unary[variable] += cost;
         }
-        // The cubic term is a minimum over a further variable w: of −2cw + cw (x + y + z) if it is
+        // The cubic term is a minimum over an auxiliary variable w: of −2cw + cw (x + y + z) if it is
         // negative, otherwise of cw − cw (x + y + z) + c (xy + xz + yz).
         if cubic.abs() > SATURATED {
             let further = self.unary.len();
@@ -84,15 +83,15 @@ impl Energy {
             if coefficient <= 0.0 {
                 self.add_product(variables[i], variables[j], coefficient);
             } else {
-                // Not submodular: bound by a cost of the one variable that is dearer.
+                // The product is not submodular: a cost of the dearer variable bounds it.
                 let dearer = if single[i] > single[j] { i } else { j };
                 self.unary[variables[dearer]] += coefficient;
             }
         }
     }
 
-    /// The labels of minimum energy, of the first `count` variables; of several, those with the fewest
-    /// ones.
+    /// Minimizes the energy, and returns the labels of the first `count` variables. Among several minima
+    /// it is the one with the fewest labels of 1.
     pub fn minimize(&self, count: usize) -> Vec<bool> {
         let (source, sink) = (self.unary.len(), self.unary.len() + 1);
         let mut network = Network::new(sink + 1);
@@ -111,11 +110,11 @@ impl Energy {
     }
 }
 
-/// A flow network. Edge `2n + 1` is the reverse of edge `2n`.
+/// A flow network in which edge `2n + 1` is the reverse of edge `2n`.
 struct Network {
     /// By node: its edges.
     leaving: Vec<Vec<usize>>,
-    /// By edge: where it leads.
+    /// By edge: the node that it leads to.
     to: Vec<usize>,
     /// By edge: its residual capacity.
     capacity: Vec<f64>,
@@ -134,7 +133,7 @@ impl Network {
         }
     }
 
-    /// Sends the maximum flow; the levels of the nodes that the source still reaches.
+    /// Sends the maximum flow, and returns the levels of the nodes that the source still reaches.
     fn saturate(&mut self, source: usize, sink: usize) -> Vec<Option<usize>> {
         loop {
             let levels = self.levels(source);
@@ -163,8 +162,8 @@ impl Network {
         levels
     }
 
-    /// Sends flow along one path of ascending levels; whether there was one. `next` holds each node's
-    /// first edge that may still lead to the sink.
+    /// Sends flow along one path of ascending levels, and returns whether there was one. `next` holds each
+    /// node's first edge that may still lead to the sink.
     fn augment(
         &mut self,
         levels: &[Option<usize>],
@@ -218,7 +217,7 @@ mod tests {
             for _ in 0..2 * count {
                 let variables = [0; 3].map(|_| (random.unit() * count as f64) as usize);
                 let f = random.unit();
-                let table: Triple = std::array::from_fn(|x| {
+                let table: TripleCosts = std::array::from_fn(|x| {
                     std::array::from_fn(|y| {
                         std::array::from_fn(|z| {
                             let moved = (1.0 - f) * x as f64 + f * y as f64 - z as f64;
@@ -231,8 +230,9 @@ mod tests {
             }
             let value = |labels: &[usize]| {
                 let single: f64 = unary.iter().zip(labels).map(|(u, l)| u * *l as f64).sum();
-                let of =
-                    |([x, y, z], t): &([usize; 3], Triple)| t[labels[*x]][labels[*y]][labels[*z]];
+                let of = |([x, y, z], t): &([usize; 3], TripleCosts)| {
+                    t[labels[*x]][labels[*y]][labels[*z]]
+                };
                 single + triples.iter().map(of).sum::<f64>()
             };
             let lowest = (0..1 << count)

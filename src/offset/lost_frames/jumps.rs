@@ -1,22 +1,23 @@
-//! Jump moves (Veksler 1999): some images of some cameras move by whole frames, all others stay. A minimum
-//! cut finds a move of low cost among all sets of images, those of several cameras included: the move of
-//! lowest cost where all terms are submodular.
+//! Jump moves (Veksler 1999): some images of some cameras move by whole frames, all others stay. A
+//! minimum cut finds a move of low cost among all sets of images, including those of several cameras. It
+//! is the cheapest move if all terms are submodular.
 //!
-//! Block-coordinate descent changes one camera at a time. Where neighbours lose frames at about the
-//! same time, a better model differs from a worse one in all of them at once. A move of negative cost
-//! is an improvement. The cost of a given image's move bounds that image's min-marginal (Kohli and Torr,
-//! CVIU 112(1), 2008) from above: where it costs next to nothing, the image's time is undecided.
+//! Block-coordinate descent changes one camera at a time. If neighbours lose frames at about the same
+//! time, a better model differs in all of them at once. A move of negative cost is an improvement. The
+//! cost of a given image's move bounds that image's min-marginal (Kohli and Torr, CVIU 112(1), 2008)
+//! from above: if it is near 0, the image's time is undecided.
 //!
-//! Known limits: offsets within a frame and rates stay as they are. Observations that contradict each other give
-//! terms that are not submodular ([`super::min_cut`]), and a move through them may be missed.
+//! Known limits: offsets within a frame and rates stay as they are. Observations that contradict each
+//! other give terms that are not submodular ([`super::min_cut`]), and a move through them may be missed.
 
 use super::fit::{gap_penalty, robust_loss};
-use super::min_cut::{Energy, Triple};
-use super::{ClockModel, NominalClock, TimingObservation};
+use super::min_cut::{Energy, TripleCosts};
+use super::{FittedClock, TimingObservation};
+use crate::offset::clock::NominalClock;
 use std::ops::Range;
 
-/// Images of a camera that move together: from `image` up to that of the camera's next node.
-struct Node {
+/// Images of a camera that move together: from `image` up to the image of the camera's next node.
+struct MoveNode {
     camera: usize,
     image: usize,
     /// The frames missing between the camera's previous node and this one; 0 at the first.
@@ -26,17 +27,17 @@ struct Node {
 /// A set of nodes that move.
 pub struct Move {
     moves: Vec<bool>,
-    /// By how much it changes the objective.
+    /// The change of the objective.
     pub cost: f64,
 }
 
-/// The problem: a component's models and observations.
+/// The models and observations of a component, whose images move.
 #[derive(Clone, Copy)]
-pub struct Problem<'a> {
+pub struct MoveProblem<'a> {
     pub clocks: &'a [NominalClock<'a>],
-    /// By camera; `None` for those of other components.
-    pub models: &'a [Option<ClockModel>],
-    /// The component's, each once.
+    /// By camera; `None` for cameras of other components.
+    pub models: &'a [Option<FittedClock>],
+    /// The component's observations, each once.
     pub observations: &'a [TimingObservation],
     /// The camera whose first image keeps its time.
     pub origin: usize,
@@ -46,18 +47,18 @@ pub struct Problem<'a> {
 
 /// The moves of a component by one number of frames.
 pub struct Jumps<'a> {
-    problem: Problem<'a>,
-    nodes: Vec<Node>,
+    problem: MoveProblem<'a>,
+    nodes: Vec<MoveNode>,
     /// By camera: its nodes, ascending by image.
     of_camera: Vec<Range<usize>>,
-    /// The nodes of each observation's three images, and its cost by which of them move.
-    terms: Vec<([usize; 3], Triple)>,
-    /// By how many frames nodes move.
+    /// The nodes of each observation's three images, and its costs by the labels of these nodes.
+    terms: Vec<([usize; 3], TripleCosts)>,
+    /// The number of frames by which nodes move.
     frames: i32,
 }
 
 impl<'a> Jumps<'a> {
-    pub fn new(problem: Problem<'a>, frames: i32) -> Self {
+    pub fn new(problem: MoveProblem<'a>, frames: i32) -> Self {
         let (nodes, of_camera) = nodes(&problem);
         let mut jumps = Self { problem, nodes, of_camera, terms: Vec::new(), frames };
         jumps.terms = problem.observations.iter().filter_map(|o| jumps.term(o)).collect();
@@ -72,12 +73,14 @@ impl<'a> Jumps<'a> {
     }
 
     /// An observation's nodes and costs.
-    fn term(&self, o: &TimingObservation) -> Option<([usize; 3], Triple)> {
+    fn term(&self, o: &TimingObservation) -> Option<([usize; 3], TripleCosts)> {
         let ([a, b], [k, m]) = (o.cameras, o.images);
         let [clock_a, clock_b] = o.cameras.map(|c| &self.problem.clocks[c]);
-        let [model_a, model_b] = o.cameras.map(|c| self.problem.models[c].as_ref());
-        let (start_s, end_s) = (model_a?.time_s(clock_a, k)?, model_a?.time_s(clock_a, k + 1)?);
-        let image_s = model_b?.time_s(clock_b, m)?;
+        let [model_a, model_b] =
+            o.cameras.map(|c| self.problem.models[c].as_ref().map(|m| &m.clock));
+        let start_s = model_a?.image_time_s(clock_a, k)?;
+        let end_s = model_a?.image_time_s(clock_a, k + 1)?;
+        let image_s = model_b?.image_time_s(clock_b, m)?;
         let [step_a_s, step_b_s] = [clock_a, clock_b].map(|c| f64::from(self.frames) * c.frame_s);
         let cost = |moved: [usize; 3]| {
             let [x, y, z] = moved.map(|x| x as f64);
@@ -92,8 +95,8 @@ impl<'a> Jumps<'a> {
         Some(([self.node(a, k)?, self.node(a, k + 1)?, self.node(b, m)?], costs))
     }
 
-    /// The nodes whose times decide on a camera: its first and last ones, and those on both sides of
-    /// each of its lost frames.
+    /// The nodes whose times decide whether a camera is undecided: the first and the last one, and those
+    /// on both sides of each of its lost frames.
     pub fn decisive_nodes(&self, camera: usize) -> Vec<usize> {
         let range = self.of_camera[camera].clone();
         let at_loss = range.clone().filter(|n| self.nodes[*n].lost > 0);
@@ -105,8 +108,8 @@ impl<'a> Jumps<'a> {
         decisive
     }
 
-    /// A move of low cost, of those that contain a node if one is given; `None` if nothing moves, or all such
-    /// moves are impossible.
+    /// The cheapest move that the minimum cut finds, among those that contain a node if one is given.
+    /// `None` if nothing moves, or all such moves are impossible.
     pub fn cheapest(&self, containing: Option<usize>) -> Option<Move> {
         let mut energy = Energy::new(self.nodes.len());
         energy.fix(self.of_camera[self.problem.origin].start, false);
@@ -117,7 +120,7 @@ impl<'a> Jumps<'a> {
             energy.add_triple(*nodes, costs);
         }
         for (before, after) in self.neighbours() {
-            // The time between the two grows where the first of these moves alone.
+            // The time between the two nodes grows if `up` moves alone, and shrinks if `down` does.
             let (up, down) = if self.frames > 0 { (after, before) } else { (before, after) };
             let (lost, frames) = (self.nodes[after].lost, self.frames.unsigned_abs());
             if let Some(less) = lost.checked_sub(frames) {
@@ -136,13 +139,13 @@ impl<'a> Jumps<'a> {
         (moves.contains(&true) && contains && !origin).then_some(Move { moves, cost })
     }
 
-    /// Pairs of a camera's successive nodes.
+    /// The pairs of successive nodes of one camera.
     fn neighbours(&self) -> impl Iterator<Item = (usize, usize)> {
         let same_camera = |n: &usize| self.nodes[*n].camera == self.nodes[n + 1].camera;
         (0..self.nodes.len().saturating_sub(1)).filter(same_camera).map(|n| (n, n + 1))
     }
 
-    /// By how much a move changes the objective; `None` if a loss count would descend.
+    /// The change of the objective by a move; `None` if a loss count would descend.
     fn cost(&self, moves: &[bool]) -> Option<f64> {
         let mut cost = 0.0;
         for ([x, y, z], costs) in &self.terms {
@@ -161,7 +164,7 @@ impl<'a> Jumps<'a> {
         gap_penalty(lost, self.problem.loss_penalty)
     }
 
-    /// By how much a move changes the number of frames lost between two neighbours.
+    /// The change of the number of frames lost between two neighbouring nodes by a move.
     fn further_losses(&self, moves: &[bool], (before, after): (usize, usize)) -> i32 {
         self.frames * (i32::from(moves[after]) - i32::from(moves[before]))
     }
@@ -174,18 +177,18 @@ impl<'a> Jumps<'a> {
     }
 
     /// The models after a move.
-    pub fn apply(&self, of: &Move) -> Vec<Option<ClockModel>> {
+    pub fn apply(&self, of: &Move) -> Vec<Option<FittedClock>> {
         let mut models = self.problem.models.to_vec();
         for (c, range) in self.of_camera.iter().enumerate() {
             let Some(model) = models[c].as_mut() else { continue };
             if of.moves[range.clone()].first() == Some(&true) {
-                model.offset_s += f64::from(self.frames) * self.problem.clocks[c].frame_s;
+                model.clock.offset_s += f64::from(self.frames) * self.problem.clocks[c].frame_s;
             }
         }
         for pair in self.neighbours() {
             let (before, after) = (&self.nodes[pair.0], &self.nodes[pair.1]);
             let Some(model) = models[after.camera].as_mut() else { continue };
-            let lost_before = &mut model.lost_before;
+            let lost_before = &mut model.clock.lost_before;
             let further = self.further_losses(&of.moves, pair);
             for _ in 0..further {
                 lost_before.push(after.image);
@@ -202,10 +205,11 @@ impl<'a> Jumps<'a> {
     }
 }
 
-/// The nodes of all cameras, and their ranges by camera. A camera that loses no frames moves as a whole;
-/// of another one, each image with an observation is a node, and the first and last ones that others
-/// could observe.
-fn nodes(problem: &Problem) -> (Vec<Node>, Vec<Range<usize>>) {
+/// The nodes of all cameras, and their ranges by camera.
+///
+/// A camera that loses no frames moves as a whole. For another camera, each image with an observation
+/// starts a node, and so do the first and the last image that other cameras could observe.
+fn nodes(problem: &MoveProblem) -> (Vec<MoveNode>, Vec<Range<usize>>) {
     let mut images: Vec<Vec<usize>> = vec![Vec::new(); problem.models.len()];
     for o in problem.observations {
         let ([a, b], [k, m]) = (o.cameras, o.images);
@@ -213,8 +217,8 @@ fn nodes(problem: &Problem) -> (Vec<Node>, Vec<Range<usize>>) {
         images[b].push(m);
     }
     for (images, model) in images.iter_mut().zip(problem.models) {
-        // Between the image before a loss and that after it no other one may hide.
-        let lost_before = model.iter().flat_map(|m| &m.lost_before);
+        // No image without a node may lie between the two images around a loss.
+        let lost_before = model.iter().flat_map(|m| &m.clock.lost_before);
         images.extend(lost_before.flat_map(|n| [n.saturating_sub(1), *n]));
     }
     let ends = observable_ends(problem);
@@ -230,8 +234,8 @@ fn nodes(problem: &Problem) -> (Vec<Node>, Vec<Range<usize>>) {
         if let Some(model) = &problem.models[camera] {
             for (n, &image) in images.iter().enumerate() {
                 let between = |lost: &&usize| n > 0 && **lost > images[n - 1] && **lost <= image;
-                let lost = model.lost_before.iter().filter(between).count();
-                nodes.push(Node { camera, image, lost: lost as u32 });
+                let lost = model.clock.lost_before.iter().filter(between).count();
+                nodes.push(MoveNode { camera, image, lost: lost as u32 });
             }
         }
         of_camera.push(start..nodes.len());
@@ -239,12 +243,14 @@ fn nodes(problem: &Problem) -> (Vec<Node>, Vec<Range<usize>>) {
     (nodes, of_camera)
 }
 
-/// By camera: the first and the last image within a frame of another camera's image, if there is any, of
-/// those cameras that the observations connect it with.
-fn observable_ends(problem: &Problem) -> Vec<Vec<usize>> {
-    let times: Vec<Vec<f64>> = (problem.models.iter().zip(problem.clocks))
-        .map(|(model, clock)| model.as_ref().map_or_else(Vec::new, |m| m.times_s(clock)))
-        .collect();
+/// By camera: the first and the last image within a frame of an image of the cameras that observations
+/// connect it with; empty if there are none.
+fn observable_ends(problem: &MoveProblem) -> Vec<Vec<usize>> {
+    let image_times_s = |(model, clock): (&Option<FittedClock>, &NominalClock)| {
+        model.as_ref().map_or_else(Vec::new, |m| m.clock.image_times_s(clock))
+    };
+    let times: Vec<Vec<f64>> =
+        problem.models.iter().zip(problem.clocks).map(image_times_s).collect();
     let mut spans_s: Vec<Option<[f64; 2]>> = vec![None; times.len()];
     for o in problem.observations {
         let [a, b] = o.cameras;

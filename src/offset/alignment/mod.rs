@@ -1,20 +1,32 @@
 //! Rough alignment of recordings that were started by hand, seconds apart: a pair's offset to about a
 //! frame.
 //!
-//! The normalized cross-correlation of activity signals ([`super::activity`]) proposes a few offsets.
-//! Each is verified by the epipolar candidates (eq. (10)) of a few frame triples, and the one with the
-//! largest fraction of inliers is chosen.
+//! The normalized cross-correlation of activity signals ([`activity`]) proposes a few offsets. Each is
+//! verified by the epipolar candidates (eq. (10)) of a few frame triples, and the one with the largest
+//! fraction of inliers is chosen.
 //!
-//! Known limits: recordings shorter than the option `min_overlap_s` are taken to be aligned to about a
-//! frame, and periodic motion has no unique alignment.
+//! Known limits: recordings of less than 2 s are taken to be aligned to about a frame, and periodic
+//! motion has no unique alignment.
 
-use super::activity::{Activity, BANDS, Bands};
-use super::mixture::Observation;
-use super::pair::{InitialOffset, MIN_AGREEMENT, NOMINAL_CLOCK_FRAMES, PairFailure};
-use super::pair_fit::residual_model;
+mod activity;
+
+use super::clock::ClockModel;
+use super::pair::{
+    MIN_AGREEMENT, MIN_INLIERS, NOMINAL_CLOCK_FRAMES, Observation, PairFailure, ResidualModel,
+};
 use super::recording::Recording;
 use crate::capture::CaptureError;
+use activity::{Activity, BANDS, Bands};
 use rayon::prelude::*;
+
+/// The minimum overlap of two recordings in the search, seconds.
+const MIN_OVERLAP_S: f64 = 2.0;
+/// The maximum number of correlation peaks that are verified.
+const MAX_CANDIDATES: usize = 5;
+/// The number of frame triples that verify an offset.
+const TESTED_FRAMES: usize = 6;
+/// The agreement from which on an offset rivals the best one, as a fraction of the best one's.
+const RIVAL_FRACTION: f64 = 0.8;
 
 /// The correlation of two signals at an offset `offset_b − offset_a`, seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,18 +36,8 @@ struct Shift {
     correlation: f64,
 }
 
-/// The number of correlation peaks that are verified. Larger costs time; smaller misses true offsets
-/// whose peak is low.
-const MAX_CANDIDATES: usize = 5;
-/// The number of frame triples that verify an offset. Larger costs time; smaller leaves the choice to
-/// few features.
-const TESTED_FRAMES: usize = 6;
-/// The agreement at which an offset rivals the best one, as a fraction of the best one's. Larger
-/// chooses among periods of a motion by noise; smaller calls aperiodic motion periodic.
-const RIVAL_FRACTION: f64 = 0.8;
-
-/// The activity of every camera that needs alignment. Pairs of short recordings have no signals, nor
-/// have pairs of cameras with a common centre.
+/// The activity of every camera that needs alignment. Pairs of short recordings and pairs of cameras
+/// with a common centre have no signals.
 pub struct Activities {
     of_camera: Vec<Activity>,
     /// By pair: the index of its signal in each of its cameras' activities.
@@ -43,7 +45,7 @@ pub struct Activities {
 }
 
 impl Activities {
-    /// Reads all frames of the cameras that need alignment.
+    /// Computes the activity of the cameras that need alignment, from all their frames.
     pub fn new(recording: &Recording, pairs: &[[usize; 2]]) -> Result<Self, CaptureError> {
         let capture = recording.frames.capture();
         let bands: Vec<Option<[Bands; 2]>> = pairs
@@ -78,29 +80,27 @@ impl Activities {
 
 /// Whether both recordings of a pair are longer than the minimum overlap.
 fn is_long(recording: &Recording, pair: [usize; 2]) -> bool {
-    let options = recording.options;
-    let duration = |c: usize| {
-        let (first, last) = recording.timelines.span_s(c);
-        last - first
+    let duration_s = |c: usize| {
+        let times = &recording.clocks[c].times_s;
+        times[times.len() - 1] - times[0]
     };
-    options.search_s > 0.0 && pair.iter().all(|&c| duration(c) > options.min_overlap_s)
+    recording.options.search_s > 0.0 && pair.iter().all(|&c| duration_s(c) > MIN_OVERLAP_S)
 }
 
-/// The offset of pair `n` to about a frame; 0, by the nominal clocks, for short recordings.
+/// The offset of the pair with index `n` to about a frame; 0, by the nominal clocks, for short recordings.
 pub fn rough_offset(
     recording: &Recording,
     pairs: &[[usize; 2]],
     n: usize,
     activities: &Activities,
-) -> Result<Result<InitialOffset, PairFailure>, CaptureError> {
-    let Some(indices) = activities.signals[n] else { return Ok(Ok(InitialOffset::default())) };
+) -> Result<Result<ClockModel, PairFailure>, CaptureError> {
+    let Some(indices) = activities.signals[n] else { return Ok(Ok(ClockModel::default())) };
     let [a, b] = pairs[n];
-    let frame_s = recording.timelines.frame_s(a).max(recording.timelines.frame_s(b));
+    let frame_s = recording.clocks[a].frame_s().max(recording.clocks[b].frame_s());
     let [of_a, of_b] = [a, b].map(|c| &activities.of_camera[c]);
     let signals = [(of_a, indices[0]), (of_b, indices[1])]
         .map(|(of, n)| Signal { times_s: &of.times_s, values: &of.signals[n] });
-    let mut shifts =
-        peaks(&signals, recording.options.search_s, recording.options.min_overlap_s, frame_s);
+    let mut shifts = peaks(&signals, recording.options.search_s, frame_s);
     if shifts.is_empty() {
         return Ok(Err(PairFailure::NoOverlap));
     }
@@ -115,9 +115,9 @@ pub fn rough_offset(
     Ok(choose(&agreements, frame_s))
 }
 
-/// The offset of the largest agreement among (offset, agreement) pairs. Of several rivals the nominal
-/// clocks' offset is chosen, if it is one of them.
-fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<InitialOffset, PairFailure> {
+/// Chooses the offset of the largest agreement among (offset, agreement) pairs. If the nominal clocks'
+/// offset is among several rivals, it is chosen.
+fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<ClockModel, PairFailure> {
     let max = agreements.iter().map(|a| a.1).fold(0.0, f64::max);
     let rivals: Vec<f64> = agreements
         .iter()
@@ -126,7 +126,7 @@ fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<InitialOffset, Pair
         .collect();
     let near = |x: f64, y: f64| (x - y).abs() <= NOMINAL_CLOCK_FRAMES * frame_s;
     if let Some(nominal) = rivals.iter().find(|&&offset| near(offset, 0.0)) {
-        return Ok(InitialOffset::constant(*nominal));
+        return Ok(ClockModel::constant(*nominal));
     }
     let Some(best) = agreements.iter().find(|a| a.1 == max) else {
         return Err(PairFailure::NoOverlap);
@@ -136,22 +136,22 @@ fn choose(agreements: &[(f64, f64)], frame_s: f64) -> Result<InitialOffset, Pair
     }
     if max == 0.0 {
         // No offset has inliers; the pair's own estimate determines why.
-        return Ok(InitialOffset::default());
+        return Ok(ClockModel::default());
     }
     let is_unique = rivals.iter().all(|&other| near(other, best.0));
-    if is_unique { Ok(InitialOffset::constant(best.0)) } else { Err(PairFailure::PeriodicMotion) }
+    if is_unique { Ok(ClockModel::constant(best.0)) } else { Err(PairFailure::PeriodicMotion) }
 }
 
-/// The fraction of the features that move across their epipolar lines whose candidates agree on one
-/// offset near the given one. The triples are those of camera a's most active frames, spread over the
-/// overlap. The fraction is 0 for fewer inliers than a pair needs.
+/// The inliers near an offset, as a fraction of the features that move across their epipolar lines; 0
+/// for fewer inliers than a pair requires. The triples have camera a's most active frames, spread over
+/// the overlap.
 fn agreement(
     recording: &Recording,
     [a, b]: [usize; 2],
     offset_s: f64,
     activity: &Activity,
 ) -> Result<f64, CaptureError> {
-    let times = &recording.timelines.times_s[a];
+    let times = &recording.clocks[a].times_s;
     let possible: Vec<(usize, usize)> = (0..times.len() - 1)
         .filter_map(|k| Some((k, recording.image_between([a, b], k, offset_s)?)))
         .collect();
@@ -162,17 +162,13 @@ fn agreement(
             activity.energies[x.0].total_cmp(&activity.energies[y.0]).then(y.0.cmp(&x.0))
         });
         let Some(&(k, m)) = most_active else { continue };
-        let triple = recording.triple([a, b], [k, m])?;
+        let triple = recording.triple(([a, b], [k, m]))?;
         across += triple.across;
-        observations.extend(triple.samples.iter().map(|s| Observation {
-            value_s: s.offset_s(),
-            at_s: 0.0,
-            across_px_s: s.across_px_s,
-        }));
+        observations.extend(triple.samples.iter().map(Observation::from));
     }
-    let model = residual_model(recording.timelines.frame_s(a), recording.options);
+    let model = ResidualModel::new(recording.clocks[a].frame_s());
     let score = model.consensus_value(&observations).map_or(0.0, |(_, score)| score);
-    let enough = score >= recording.options.min_inliers as f64;
+    let enough = score >= MIN_INLIERS as f64;
     Ok(if enough { score / across.max(1) as f64 } else { 0.0 })
 }
 
@@ -200,7 +196,7 @@ impl Signal<'_> {
 }
 
 /// The highest local maxima of the correlation within the search range, highest first.
-fn peaks(signals: &[Signal; 2], search_s: f64, min_overlap_s: f64, frame_s: f64) -> Vec<Shift> {
+fn peaks(signals: &[Signal; 2], search_s: f64, frame_s: f64) -> Vec<Shift> {
     // A peak is about a frame wide.
     let step = 0.5 * frame_s;
     let max_steps = (search_s / step).ceil();
@@ -213,7 +209,7 @@ fn peaks(signals: &[Signal; 2], search_s: f64, min_overlap_s: f64, frame_s: f64)
         .into_par_iter()
         .map(|k| {
             let offset_s = k as f64 * step;
-            let correlation = correlation(signals, offset_s, min_overlap_s)?;
+            let correlation = correlation(signals, offset_s)?;
             Some(Shift { offset_s, correlation })
         })
         .collect();
@@ -228,9 +224,9 @@ fn peaks(signals: &[Signal; 2], search_s: f64, min_overlap_s: f64, frame_s: f64)
 }
 
 /// The mean of the normalized cross-correlations of energy and motion, each over all bands, every band
-/// about its own mean. `None` where the recordings overlap by less than `min_overlap_s`, or one of them
-/// is constant.
-fn correlation([a, b]: &[Signal; 2], offset_s: f64, min_overlap_s: f64) -> Option<f64> {
+/// about its own mean. `None` if the recordings overlap by less than [`MIN_OVERLAP_S`], or one of them is
+/// constant.
+fn correlation([a, b]: &[Signal; 2], offset_s: f64) -> Option<f64> {
     let mut overlap: Vec<([f32; 2 * BANDS], [f32; 2 * BANDS])> = Vec::new();
     let (mut first_s, mut last_s) = (f64::INFINITY, f64::NEG_INFINITY);
     for (time_s, value) in a.times_s.iter().zip(a.values) {
@@ -242,7 +238,7 @@ fn correlation([a, b]: &[Signal; 2], offset_s: f64, min_overlap_s: f64) -> Optio
     // Samples are the middles of intervals: half an interval at either end belongs to the overlap. One
     // interval more keeps rounding from excluding the bound itself.
     let interval = (last_s - first_s) / (overlap.len().max(2) - 1) as f64;
-    if !(last_s - first_s + 2.0 * interval >= min_overlap_s) {
+    if !(last_s - first_s + 2.0 * interval >= MIN_OVERLAP_S) {
         return None;
     }
     let n = overlap.len() as f64;
@@ -311,7 +307,7 @@ mod tests {
                 .map(|(rate, start)| sampled_signal(seed, rate, start, duration_s));
             let signals = signals.each_ref().map(|(times_s, values)| Signal { times_s, values });
             let frame_s = 1.0 / rates[1];
-            let best = peaks(&signals, 5.0, 2.0, frame_s)[0];
+            let best = peaks(&signals, 5.0, frame_s)[0];
             assert!((best.offset_s - offset_s).abs() <= frame_s, "{seed}: {best:?} {offset_s}");
         }
     }
@@ -322,26 +318,26 @@ mod tests {
         let constant = vec![[1.0; 2 * BANDS]; times_s.len()];
         let varying = Signal { times_s: &times_s, values: &values };
         let flat = Signal { times_s: &times_s, values: &constant };
-        assert_eq!(correlation(&[varying, flat], 0.0, 2.0), None);
+        assert_eq!(correlation(&[varying, flat], 0.0), None);
         let later: Vec<f64> = times_s.iter().map(|t| t + 100.0).collect();
         let (_, values) = sampled_signal(1, 30.0, 0.0, 4.0);
         let apart = [
             Signal { times_s: &times_s, values: &values },
             Signal { times_s: &later, values: &values },
         ];
-        assert!(peaks(&apart, 5.0, 2.0, 1.0 / 30.0).is_empty());
+        assert!(peaks(&apart, 5.0, 1.0 / 30.0).is_empty());
     }
 
     #[test]
     fn nominal_clocks_decide_between_rivals() {
         let frame_s = 0.04;
-        assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.45)], frame_s), Ok(InitialOffset::constant(0.02)));
-        assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.1)], frame_s), Ok(InitialOffset::constant(1.0)));
+        assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.45)], frame_s), Ok(ClockModel::constant(0.02)));
+        assert_eq!(choose(&[(1.0, 0.5), (0.02, 0.1)], frame_s), Ok(ClockModel::constant(1.0)));
         assert_eq!(choose(&[(1.0, 0.4), (0.02, 0.1)], frame_s), Err(PairFailure::NoConsensus));
-        assert_eq!(choose(&[(1.0, 0.1), (0.02, 0.4)], frame_s), Ok(InitialOffset::constant(0.02)));
+        assert_eq!(choose(&[(1.0, 0.1), (0.02, 0.4)], frame_s), Ok(ClockModel::constant(0.02)));
         assert_eq!(choose(&[(1.0, 0.5), (2.0, 0.45)], frame_s), Err(PairFailure::PeriodicMotion));
-        assert_eq!(choose(&[(1.0, 0.5), (1.02, 0.45)], frame_s), Ok(InitialOffset::constant(1.0)));
-        assert_eq!(choose(&[(1.0, 0.0)], frame_s), Ok(InitialOffset::default()));
+        assert_eq!(choose(&[(1.0, 0.5), (1.02, 0.45)], frame_s), Ok(ClockModel::constant(1.0)));
+        assert_eq!(choose(&[(1.0, 0.0)], frame_s), Ok(ClockModel::default()));
         assert_eq!(choose(&[], frame_s), Err(PairFailure::NoOverlap));
     }
 }

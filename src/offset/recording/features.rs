@@ -6,21 +6,18 @@
 use crate::registration::{Frame, Level};
 use nalgebra::Point2;
 
-/// The smallest motion that counts as change, pixels, estimated from gradients. Larger leaves slow
-/// features out; smaller selects static features by their noise.
+/// The smallest motion that counts as change, pixels, estimated from gradients.
 const MIN_MOTION_PX: f32 = 0.3;
-/// The half width of the window around a feature, pixels. Larger counts the motion of neighbours;
-/// smaller is noisier.
+/// The half-width of the window around a feature, pixels.
 const RADIUS: usize = 4;
-/// The number of static corners that are tracked too, so that a recording without motion is
-/// distinguished from one without features. Larger costs time; with none, both look alike.
+/// The maximum number of static corners that are tracked too. They distinguish a recording without
+/// motion from one without features.
 const MAX_STATIC: usize = 64;
 
-/// The strongest corners of `frame` whose neighbourhood changes until `next`, at most `count`, followed
-/// by up to 64 static ones within the same count.
+/// Selects the strongest corners whose neighbourhood changes from `frame` to `next`, then up to 64
+/// static ones, at most `count` in all.
 ///
-/// `corners` are pixels inside the image, strongest first; their order is preserved within both
-/// groups.
+/// `corners` are pixels inside the image, strongest first. Both groups preserve their order.
 pub fn changing(
     frame: &Frame,
     next: &Frame,
@@ -41,8 +38,8 @@ pub fn changing(
     selected
 }
 
-/// The root of the summed squared temporal change over the summed squared gradient in the window
-/// around p: the size of a small motion along the gradients, pixels; 0 without a gradient.
+/// The size of a small motion along the gradients in the window around p, pixels; 0 without a gradient.
+/// It is the root of the summed squared temporal change over the summed squared gradient.
 fn motion_px([current, next]: [&Level; 2], p: &Point2<f64>) -> f32 {
     // The corner is inside the image; the window is clipped so that its gradients are too.
     let range = |at: f64, size: usize| {

@@ -1,117 +1,46 @@
-//! Which frames each camera lost, from the timing observations of all pairs: block-coordinate
-//! fitting of clock models, each block solved by dynamic programming.
+//! Block-coordinate fitting of the clock models of all cameras to timing observations.
 //!
-//! A camera's [`ClockModel`] maps its nominal times to a common clock: an offset, a rate where
-//! clocks drift, and one frame period for each frame that is missing. A [`TimingObservation`] says
-//! that an image of one camera was taken at a given fraction of the interval between two images of
-//! another. The models are fitted in turn, each to all others, until none changes (block-coordinate
-//! descent). For a given offset and rate, the optimal set of lost frames is a shortest path through
-//! a trellis of images and loss counts, found by dynamic programming ([`fit`]).
+//! The models are fitted in turn, each to all others, until none changes (block-coordinate descent). For
+//! a given offset and rate, the optimal set of lost frames is a shortest path through a trellis of
+//! images and loss counts, found by dynamic programming ([`super::fit`]).
 //!
 //! The objective is a sum of truncated squared residuals plus a penalty per lost frame. An outlier
-//! costs 1 under any model, so that the penalty is counted in outliers. Residuals within an interval with lost
-//! frames are weighed by its length, and further frames lost in one place cost less than the first.
+//! costs 1 under any model, so that penalties are counted in outliers. Residuals within an interval
+//! with lost frames are weighted by its length. Further frames lost in one place cost less than the
+//! first.
 //!
 //! Neighbours that lose frames at about the same time hide each other's losses: their images can move
-//! by a frame together at little cost. [`jumps`] finds such moves, of any set of images. A move that lowers
-//! the objective is made. The cameras of a move that costs less than an outlier are undecided.
+//! by a frame together at little cost. [`super::jumps`] finds such moves, for any set of images. A move
+//! that lowers the objective is made. If a move costs less than an outlier, its cameras are undecided.
 //!
-//! Known limits: frames that all cameras lose at the same time leave no trace. Where observations contradict
-//! each other, a cheap move may be missed. The camera whose clock is the common one keeps its offset of 0 even
-//! where it is undecided.
+//! Known limits: frames that all cameras lose at the same time leave no trace. If observations
+//! contradict each other, a cheap move may be missed. The camera of the common clock keeps its offset
+//! of 0 even if it is undecided.
 
-mod fit;
-mod jumps;
-mod min_cut;
-
-use fit::{FitOptions, FittedModel, LagObservation, fit_clock_model, gap_penalty};
-use jumps::{Jumps, Move, Problem};
+use super::fit::{ClockFit, FitOptions, LagObservation, fit_clock_model, gap_penalty};
+use super::jumps::{Jumps, Move, MoveProblem};
+use super::{FittedClock, TimingObservation};
+use crate::offset::clock::NominalClock;
 use nalgebra::Vector2;
 
-/// The relative timing of three images: image `images[1]` of camera `cameras[1]` was taken at
-/// `fraction` of the interval from image `images[0]` of camera `cameras[0]` to its next image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct TimingObservation {
-    pub cameras: [usize; 2],
-    pub images: [usize; 2],
-    /// 0 to 1, or slightly outside where the trajectory was extrapolated.
-    pub fraction: f64,
-}
-
-/// A camera's clock as the capture states it.
-#[derive(Clone, Copy, Debug)]
-pub struct NominalClock<'a> {
-    /// The time of every image on the camera's own clock, ascending, seconds.
-    pub times_s: &'a [f64],
-    /// The frame period, seconds.
-    pub frame_s: f64,
-    /// Whether frames may be missing without a gap in `times_s`.
-    pub may_lose_frames: bool,
-    /// Whether the clock's rate may be off.
-    pub drifts: bool,
-}
-
-/// A camera's time on the common clock.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ClockModel {
-    /// Common time minus own time at the camera's first image, seconds.
-    pub offset_s: f64,
-    /// The change of the offset, seconds a second of the camera's own clock.
-    pub rate: f64,
-    /// The images before which a frame is missing, ascending; one entry for each missing frame.
-    pub lost_before: Vec<usize>,
-    /// Whether too many of the observations contradict the model.
-    pub ambiguous: bool,
-    /// Whether other lost frames, of this camera and of others, explain the observations nearly as well:
-    /// times of some of its images are then off by a frame.
-    pub undecided: bool,
-    /// The connected component of the observation graph that the camera belongs to. Only models of
-    /// the same component share a clock.
-    pub component: usize,
-}
-
-impl ClockModel {
-    /// The time of an image on the common clock, seconds; `None` beyond the last image.
-    pub fn time_s(&self, clock: &NominalClock, image: usize) -> Option<f64> {
-        let time_s = *clock.times_s.get(image)?;
-        let lost = self.lost_before.iter().filter(|n| **n <= image).count() as f64;
-        let own_s = time_s + lost * clock.frame_s;
-        Some(own_s + self.offset_s + self.rate * (own_s - clock.times_s[0]))
-    }
-
-    /// The times of all images on the common clock, seconds.
-    pub fn times_s(&self, clock: &NominalClock) -> Vec<f64> {
-        (0..clock.times_s.len()).map_while(|image| self.time_s(clock, image)).collect()
-    }
-}
-
-/// The penalty of one lost frame while cameras are added one after the other, in outliers that it has to
-/// explain. Larger: cameras start from models that lack losses. Smaller: losses are invented while hardly
-/// any other camera contradicts them, and may stay.
+/// The penalty of one lost frame while cameras are added one after the other, in outliers. It is higher
+/// than the final one, since few other cameras contradict a false loss yet.
 const START_LOSS_PENALTY: f64 = 1.8;
-/// The penalty of one lost frame in the final models, in outliers: the logarithm of the odds against a loss
-/// at a given image over that of the odds against an outlier. Larger: a loss that no observation rules out
-/// is taken for none. Smaller: of all losses, only those with many observations are certain.
+/// The penalty of one lost frame in the final models, in outliers: the log odds against a loss at a
+/// given image over the log odds against an outlier.
 const LOSS_PENALTY: f64 = 0.75;
-/// The outliers by which a model must be better than any other that has images a frame off: a single
-/// outlier, more or less, must not decide. Larger: cameras with few observations at their recordings'
-/// ends are unknown. Smaller: cameras are a frame off by a single mismatch.
+/// The outliers by which a model must be better than any other with images a frame off: a single
+/// outlier must not decide.
 const DECISIVE_OUTLIERS: f64 = 1.0;
-/// By how many frames images move at once. More find gaps of several frames that are misplaced, and take
-/// longer; fewer leave them misplaced.
+/// The frames by which images move at once.
 const JUMPS: [i32; 4] = [1, -1, 2, -2];
-/// The decrease of the objective that a move must bring, in outliers. Larger keeps worse models; smaller
-/// than rounding repeats moves for ever.
+/// The minimum decrease of the objective by a move, in outliers.
 const MIN_IMPROVEMENT: f64 = 1e-6;
-/// The maximum number of sweeps over all cameras, of alternations within one camera's fit, and of jump moves.
-/// Larger costs time where the models cycle between solutions of equal cost; smaller stops long
-/// chains of cameras before they converge.
+/// The maximum number of sweeps over all cameras, and of jump moves.
 const MAX_SWEEPS: usize = 12;
-/// The change of an offset, in frames, below which a model counts as converged. Larger stops before
-/// the minimum; smaller only adds sweeps.
+/// The change of an offset, frames, below which a model has converged.
 const OFFSET_TOLERANCE_FRAMES: f64 = 1e-3;
-/// The fraction of observations that may be outliers before a model is ambiguous. Larger accepts
-/// models that most observations contradict; smaller rejects models of scenes with many mismatches.
+/// The fraction of outliers among the observations beyond which a model is ambiguous.
 const MAX_OUTLIER_FRACTION: f64 = 0.4;
 
 /// Fits the clock model of every camera to all timing observations.
@@ -122,7 +51,7 @@ pub fn fit_clock_models(
     clocks: &[NominalClock],
     reference: usize,
     observations: &[TimingObservation],
-) -> Vec<Option<ClockModel>> {
+) -> Vec<Option<FittedClock>> {
     let mut descent = CoordinateDescent::new(clocks, observations);
     let mut component = 0;
     for root in std::iter::once(reference).chain(0..clocks.len()) {
@@ -130,7 +59,8 @@ pub fn fit_clock_models(
             continue;
         }
         descent.loss_penalty = START_LOSS_PENALTY;
-        descent.models[root] = Some(ClockModel { component, ..ClockModel::default() });
+        let clock = ClockFit::nominal(&clocks[root]).clock;
+        descent.models[root] = Some(FittedClock { clock, component, ..FittedClock::default() });
         while let Some(camera) = descent.next_camera() {
             descent.add_camera(camera, component);
         }
@@ -149,7 +79,7 @@ struct CoordinateDescent<'a> {
     clocks: &'a [NominalClock<'a>],
     /// By camera: each observation is listed for both of its cameras.
     observations: Vec<Vec<TimingObservation>>,
-    models: Vec<Option<ClockModel>>,
+    models: Vec<Option<FittedClock>>,
     /// The penalty of one lost frame, in outliers.
     loss_penalty: f64,
 }
@@ -192,49 +122,42 @@ impl<'a> CoordinateDescent<'a> {
         let loss_penalty = self.loss_penalty;
         let unconstrained = self.fit(camera, FitOptions { loss_penalty, allow_steps_back: true });
         let before = self.models.clone();
-        let constrained = self.fit(camera, FitOptions::losses_only(loss_penalty)).model;
-        self.models[camera] = Some(ClockModel { component, ..constrained });
+        let clock = self.fit(camera, FitOptions::losses_only(loss_penalty)).clock;
+        self.models[camera] = Some(FittedClock { clock, component, ..FittedClock::default() });
         if unconstrained.steps_back.is_empty() {
             return;
         }
         self.converge(component);
         let (constrained_cost, constrained_models) =
             (self.total_cost(component), std::mem::replace(&mut self.models, before));
-        let own = ClockModel { component, ..unconstrained.model };
-        self.attribute_steps_back(camera, &own, &unconstrained.steps_back, component);
-        self.models[camera] = Some(own);
+        self.attribute_steps_back(camera, &unconstrained, component);
+        let clock = unconstrained.clock;
+        self.models[camera] = Some(FittedClock { clock, component, ..FittedClock::default() });
         self.converge(component);
         if self.total_cost(component) >= constrained_cost {
             self.models = constrained_models;
         }
     }
 
-    /// Gives every fitted camera of the component that may lose frames one more lost frame at each
-    /// of the times at which `camera`'s model `own` steps back.
-    fn attribute_steps_back(
-        &mut self,
-        camera: usize,
-        own: &ClockModel,
-        steps_back: &[usize],
-        component: usize,
-    ) {
+    /// Adds a lost frame to every fitted camera of the component that may lose frames, at each of the
+    /// times at which the fit of `camera` steps back.
+    fn attribute_steps_back(&mut self, camera: usize, fit: &ClockFit, component: usize) {
         let clock = &self.clocks[camera];
         // The other cameras are one frame late there, and one more after each further step.
         let step_time_s = |(n, image): (usize, &usize)| {
-            Some(own.time_s(clock, *image)? - (n + 1) as f64 * clock.frame_s)
+            Some(fit.clock.image_time_s(clock, *image)? - (n + 1) as f64 * clock.frame_s)
         };
         let step_times_s: Vec<f64> =
-            steps_back.iter().enumerate().filter_map(step_time_s).collect();
+            fit.steps_back.iter().enumerate().filter_map(step_time_s).collect();
         for c in self.members(component) {
             let may_lose_frames = self.clocks[c].may_lose_frames;
             let Some(model) = self.models[c].as_mut().filter(|_| may_lose_frames) else {
                 continue;
             };
-            let times = model.times_s(&self.clocks[c]);
-            // The first image after the step: an earlier one has the time that it had.
+            let times = model.clock.image_times_s(&self.clocks[c]);
             let first_after = |t: &f64| times.partition_point(|own| own < t).min(times.len() - 1);
-            model.lost_before.extend(step_times_s.iter().map(first_after));
-            model.lost_before.sort_unstable();
+            model.clock.lost_before.extend(step_times_s.iter().map(first_after));
+            model.clock.lost_before.sort_unstable();
         }
     }
 
@@ -251,12 +174,12 @@ impl<'a> CoordinateDescent<'a> {
         for _ in 0..MAX_SWEEPS {
             let mut converged = true;
             for &c in &members {
-                let fitted = self.fit(c, FitOptions::losses_only(self.loss_penalty)).model;
-                let model = ClockModel { component, ..fitted };
-                let before = self.models[c].replace(model.clone()).unwrap_or_default();
-                converged &= model.lost_before == before.lost_before
-                    && (model.offset_s - before.offset_s).abs()
+                let clock = self.fit(c, FitOptions::losses_only(self.loss_penalty)).clock;
+                let before = self.models[c].take().unwrap_or_default().clock;
+                converged &= clock.lost_before == before.lost_before
+                    && (clock.offset_s - before.offset_s).abs()
                         < OFFSET_TOLERANCE_FRAMES * self.clocks[c].frame_s;
+                self.models[c] = Some(FittedClock { clock, component, ..FittedClock::default() });
             }
             if converged {
                 break;
@@ -270,15 +193,15 @@ impl<'a> CoordinateDescent<'a> {
             let fitted = self.fit(c, FitOptions::losses_only(self.loss_penalty));
             let count = self.observations[c].len() as f64;
             if let Some(model) = &mut self.models[c] {
-                let losses = self.loss_penalty * model.lost_before.len() as f64;
+                let losses = self.loss_penalty * model.clock.lost_before.len() as f64;
                 model.ambiguous = fitted.cost - losses > MAX_OUTLIER_FRACTION * count;
             }
         }
     }
 
-    /// The models of a component's cameras; `None` for the others, which no move of it concerns.
-    fn models_of(&self, component: usize) -> Vec<Option<ClockModel>> {
-        let of = |m: &Option<ClockModel>| m.clone().filter(|m| m.component == component);
+    /// The models of a component's cameras; `None` for all other cameras.
+    fn models_of(&self, component: usize) -> Vec<Option<FittedClock>> {
+        let of = |m: &Option<FittedClock>| m.clone().filter(|m| m.component == component);
         self.models.iter().map(of).collect()
     }
 
@@ -309,8 +232,8 @@ impl<'a> CoordinateDescent<'a> {
         }
     }
 
-    /// Flags the cameras of which images could move by a frame at nearly the same objective, alone or
-    /// together with others.
+    /// Flags the cameras with images that could move by whole frames, alone or together with others, at
+    /// nearly the same objective.
     fn flag_undecided(&mut self, origin: usize, component: usize) {
         let observations = self.component_observations(component);
         let models = self.models_of(component);
@@ -345,12 +268,12 @@ impl<'a> CoordinateDescent<'a> {
 
     fn problem<'b>(
         &'b self,
-        models: &'b [Option<ClockModel>],
+        models: &'b [Option<FittedClock>],
         observations: &'b [TimingObservation],
         origin: usize,
-    ) -> Problem<'b> {
+    ) -> MoveProblem<'b> {
         let loss_penalty = self.loss_penalty;
-        Problem { clocks: self.clocks, models, observations, origin, loss_penalty }
+        MoveProblem { clocks: self.clocks, models, observations, origin, loss_penalty }
     }
 
     /// The observations of a component, each once.
@@ -363,15 +286,16 @@ impl<'a> CoordinateDescent<'a> {
     fn total_cost(&self, component: usize) -> f64 {
         let camera_cost = |c: usize| {
             let line = self.models[c].as_ref().map_or_else(Vector2::zeros, |model| {
-                Vector2::new(model.offset_s / self.clocks[c].frame_s, model.rate)
+                Vector2::new(model.clock.offset_s / self.clocks[c].frame_s, model.clock.rate)
             });
             let loss_count = |o: &LagObservation| {
-                let before = self.models[c].iter().flat_map(|m| &m.lost_before);
+                let before = self.models[c].iter().flat_map(|m| &m.clock.lost_before);
                 before.filter(|n| **n <= o.image).count() as i32
             };
             let as_second = self.observations[c].iter().filter(|o| o.cameras[1] == c);
             let lags = as_second.filter_map(|o| self.lag_observation(c, o));
-            let lost_before = self.models[c].iter().flat_map(|m| m.lost_before.chunk_by(usize::eq));
+            let lost_before =
+                self.models[c].iter().flat_map(|m| m.clock.lost_before.chunk_by(usize::eq));
             let penalty = |gap: &[usize]| gap_penalty(gap.len() as u32, self.loss_penalty);
             let sum: f64 = lags.map(|o| o.cost(&line, [loss_count(&o); 2])).sum();
             sum + lost_before.map(penalty).sum::<f64>()
@@ -379,19 +303,19 @@ impl<'a> CoordinateDescent<'a> {
         self.members(component).into_iter().map(camera_cost).sum()
     }
 
-    /// Makes one camera's clock the common clock of its component.
+    /// Makes the clock of the camera `root` the common clock of its component.
     fn rebase(&mut self, root: usize, component: usize) {
         let Some(origin) = self.models[root].clone() else { return };
         for c in self.members(component) {
             if let Some(model) = &mut self.models[c] {
-                model.offset_s -= origin.offset_s;
-                model.rate -= origin.rate;
+                model.clock.offset_s -= origin.clock.offset_s;
+                model.clock.rate -= origin.clock.rate;
             }
         }
     }
 
-    /// A camera's clock model, given those of all others.
-    fn fit(&self, camera: usize, options: FitOptions) -> FittedModel {
+    /// Fits a camera's clock model, given the models of all others.
+    fn fit(&self, camera: usize, options: FitOptions) -> ClockFit {
         let clock = &self.clocks[camera];
         let lags: Vec<LagObservation> = self.observations[camera]
             .iter()
@@ -400,8 +324,8 @@ impl<'a> CoordinateDescent<'a> {
         fit_clock_model(&lags, clock, options)
     }
 
-    /// A timing observation as the lag of one of its cameras behind the common clock, given the
-    /// other camera's model; `None` if that is not known yet.
+    /// Converts a timing observation to the lag of one of its cameras behind the common clock, given the
+    /// other camera's model; `None` if the other camera has no model yet.
     fn lag_observation(
         &self,
         camera: usize,
@@ -435,9 +359,6 @@ impl<'a> CoordinateDescent<'a> {
 
     /// The time of a camera's image on the common clock, seconds; `None` without a model.
     fn time_s(&self, camera: usize, image: usize) -> Option<f64> {
-        self.models[camera].as_ref()?.time_s(&self.clocks[camera], image)
+        self.models[camera].as_ref()?.clock.image_time_s(&self.clocks[camera], image)
     }
 }
-
-#[cfg(test)]
-mod tests;

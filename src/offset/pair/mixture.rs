@@ -10,9 +10,10 @@
 //! Known limit: EM converges to a local maximum, so that the start decides between two equally large
 //! groups of candidates.
 
+use crate::offset::recording::Sample;
 use nalgebra::{Matrix2, Vector2};
 
-/// One observation of the line: a candidate's offset.
+/// An observation of the line: a candidate's offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
     /// The observed value, seconds.
@@ -22,6 +23,13 @@ pub struct Observation {
     /// The feature's signed speed across the epipolar line, pixels a second: a residual in seconds
     /// times this is one in pixels.
     pub across_px_s: f64,
+}
+
+impl From<&Sample> for Observation {
+    /// `offset_b − offset_a` by a sample, at position 0.
+    fn from(sample: &Sample) -> Self {
+        Self { value_s: sample.offset_s(), at_s: 0.0, across_px_s: sample.across_px_s }
+    }
 }
 
 /// The fitted mixture.
@@ -41,7 +49,7 @@ pub struct Mixture {
     pub weights: Vec<f64>,
 }
 
-/// The prior knowledge of the residuals.
+/// The prior on the residuals' distribution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ResidualModel {
     /// The initial standard deviation of the narrowest component, and the scale of the MSAC score,
@@ -57,34 +65,46 @@ pub struct ResidualModel {
 
 /// The standard deviations of the inliers' components, over that of the narrowest one. Features on
 /// depth edges and under changing light have several times the error of others, those of thin
-/// structures many times. Larger factors explain outliers as inliers; smaller ones let the worst
-/// inliers set the common scale, at the weight of good ones.
+/// structures many times.
 const SCALES: [f64; 3] = [1.0, SCALE_RATIO, SCALE_RATIO * SCALE_RATIO];
-/// Ratio of successive scales; its square is an integer, which `gaussians` uses as an exponent. Larger
-/// leaves gaps between the components; smaller covers fewer errors.
+/// The ratio of successive scales; its square is an integer, which `gaussians` uses as an exponent.
 const SCALE_RATIO: f64 = 4.0;
-/// The initial fractions of the three components and of the outliers. More outliers reject inliers of
-/// noisy recordings at the start; fewer let outliers widen the first scale.
+/// The expected standard deviation of features' distances from their epipolar lines, at which the fit
+/// starts, pixels.
+const START_PX: f64 = 0.5;
+/// The smallest standard deviation of the narrowest component, over [`START_PX`]: no tracker resolves
+/// less.
+const MIN_SIGMA: f64 = 0.02;
+/// The largest standard deviation of the narrowest component, over [`START_PX`].
+const MAX_SIGMA: f64 = 4.0;
+/// The range of times that outliers are uniform over, frames. Only its order of magnitude matters.
+const OUTLIER_RANGE_FRAMES: f64 = 3.0;
+/// The initial fractions of the three components and of the outliers.
 const INITIAL_FRACTIONS: Fractions = [0.5, 0.15, 0.05, 0.3];
-/// The smallest fraction of a component: one of 0 would stay 0. Larger biases pure data; smaller
-/// delays a component's return.
+/// The smallest fraction of a component: one of 0 would stay 0.
 const MIN_FRACTION: f64 = 1e-3;
-/// The maximum number of EM iterations. Larger costs time; smaller stops before convergence.
+/// The maximum number of EM iterations.
 const MAX_ITERATIONS: usize = 60;
-/// The change of the line, over `range_s`, below which EM may have converged. Larger stops early;
-/// smaller only adds iterations.
+/// The change of the line, over `range_s`, below which EM may have converged.
 const LINE_TOLERANCE: f64 = 1e-9;
-/// The relative change of the standard deviation below which EM may have converged. Larger
-/// stops early; smaller only adds iterations.
+/// The relative change of the standard deviation below which EM may have converged.
 const SIGMA_TOLERANCE: f64 = 1e-4;
-/// The number of observed values that are scored as starts. Larger costs time with the number of
-/// observations; smaller may score no inlier where most observations are outliers.
+/// The maximum number of observed values that are scored as starts.
 const MAX_STARTS: usize = 400;
-/// The bound of MSAC's truncated squares, in `start_px`. Larger counts outliers in the consensus;
-/// smaller misses inliers.
+/// The bound of MSAC's truncated squares, in `start_px`.
 const MSAC_BOUND: f64 = 3.0;
 
 impl ResidualModel {
+    /// The default model for cameras whose frames are `frame_s` seconds apart.
+    pub fn new(frame_s: f64) -> Self {
+        Self {
+            start_px: START_PX,
+            min_px: MIN_SIGMA * START_PX,
+            max_px: MAX_SIGMA * START_PX,
+            range_s: OUTLIER_RANGE_FRAMES * frame_s,
+        }
+    }
+
     /// The MSAC score of a constant line: 1 for each observation without residual, 0 for each beyond
     /// the bound.
     fn score(&self, observations: &[Observation], value_s: f64) -> f64 {
@@ -115,8 +135,8 @@ impl ResidualModel {
 
     /// Fits the mixture by EM from a constant line, with a slope if `with_rate`.
     ///
-    /// `None` where the observations do not determine the line: there are none, all have a speed of 0,
-    /// or all have the same position and a slope is asked for.
+    /// `None` if the observations do not determine the line: there are none, all have a speed of 0, or
+    /// all have the same position although a slope is fitted.
     pub fn fit(
         &self,
         observations: &[Observation],
@@ -164,8 +184,8 @@ impl ResidualModel {
         sigma: f64,
         fractions: Fractions,
         weights: &mut [f64],
-    ) -> Sums {
-        let mut sums = Sums::default();
+    ) -> MixtureSums {
+        let mut sums = MixtureSums::default();
         let outlier = fractions[SCALES.len()] / self.range_s;
         for (o, weight) in observations.iter().zip(weights) {
             let r = (o.value_s - line.x - line.y * o.at_s) * o.across_px_s;
@@ -190,7 +210,7 @@ impl ResidualModel {
     }
 }
 
-/// The Gaussians of the components, 1 at their middle, at `z` standard deviations of the narrowest one.
+/// The components' Gaussians, each with a peak of 1, at `z` standard deviations of the narrowest one.
 fn gaussians(z: f64) -> [f64; SCALES.len()] {
     const POWER: i32 = (SCALE_RATIO * SCALE_RATIO) as i32;
     let z = z / SCALES[2];
@@ -203,21 +223,23 @@ fn gaussians(z: f64) -> [f64; SCALES.len()] {
 /// One number for each component, then one for the outliers.
 type Fractions = [f64; SCALES.len() + 1];
 
+/// The sums over the observations that the maximization step needs.
 #[derive(Default)]
-struct Sums {
+struct MixtureSums {
     /// The expected number of observations in each component.
     counts: Fractions,
-    /// The squared residuals, px², each over its component's variance relative to the narrowest one's.
+    /// The sum of squared residuals, px², each over its component's variance relative to the narrowest
+    /// one's.
     squares: f64,
 }
 
-impl Sums {
+impl MixtureSums {
     fn inliers(&self) -> f64 {
         self.counts[..SCALES.len()].iter().sum()
     }
 }
 
-/// The weighted least-squares line, as value and slope; `None` where it is not determined.
+/// The weighted least-squares line, as value and slope; `None` if it is not determined.
 fn weighted_line(
     observations: &[Observation],
     weights: &[f64],

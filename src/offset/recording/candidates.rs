@@ -2,8 +2,8 @@
 //!
 //! A feature is tracked through two frames of camera i and has a correspondence in one frame of
 //! camera j. The candidate is the time at which its trajectory in camera i crosses the epipolar line
-//! of that correspondence. Beyond the paper's straight trajectory: a quadratic or cubic through three
-//! or four frames of camera i, where the method allows for curved motion.
+//! of that correspondence. The paper's trajectory is straight. Beyond it, curved trajectories are
+//! quadratic or cubic, through three or four frames of camera i.
 //!
 //! Known limit: a feature that moves along its epipolar line has no candidate.
 
@@ -34,33 +34,24 @@ impl Candidate {
 }
 
 /// The trajectory error at which a candidate's information is halved, pixels: the localization error
-/// of good features. Larger lets the ends of a recording, where trajectories are only quadratic, bias
-/// the offset; smaller ignores curved motion.
+/// of good features.
 const TRAJECTORY_SIGMA_PX: f64 = 0.03;
-/// The expected error of a trajectory, as a fraction of the change that its highest order makes: at
-/// video rates each order of motion is about this fraction of the one before. Larger discards curved
-/// motion; smaller overrates it.
+/// The expected error of a trajectory, as a fraction of the change that its highest order makes. At
+/// video rates each order of motion is about this fraction of the one before.
 const NEXT_ORDER_FRACTION: f64 = 0.2;
-/// The largest distance of a trajectory's last sample from its extrapolation, pixels, beside
-/// [`MAX_PREDICTION_ERROR_FRACTION`]. Larger accepts mismatches of slow features; smaller rejects
-/// features that are localized badly.
+/// The constant part of the largest distance of a trajectory's last sample from its extrapolation,
+/// pixels.
 const MAX_PREDICTION_ERROR_PX: f64 = 1.0;
-/// The same as a fraction of the trajectory's largest step. Larger accepts features of the background
-/// that a moving body occludes: their candidates agree on the time of the last frame that shows them.
-/// Smaller rejects fast oscillation.
+/// The part of that distance that grows with the trajectory's largest step, as a fraction of it. It
+/// rejects background features that a moving body occludes, whose candidates agree on a wrong time.
 const MAX_PREDICTION_ERROR_FRACTION: f64 = 0.3;
-
-/// The largest number of Newton steps. Larger costs time; smaller stops early on curved trajectories.
+/// The maximum number of Newton steps.
 const MAX_NEWTON_STEPS: usize = 4;
-/// The step, as a fraction of the interval, at which Newton's method has converged. Larger stops
-/// early; smaller only adds steps.
+/// The step, as a fraction of the interval, at which Newton's method has converged.
 const NEWTON_TOLERANCE: f64 = 1e-9;
-/// The speed across the line that a crossing needs, as a fraction of `min_across_px` per interval.
-/// Larger rejects accelerating features; smaller follows trajectories that turn back at the line.
+/// The speed across the line that a crossing requires, as a fraction of `min_across_px` per interval.
 const MIN_SLOPE_FRACTION: f64 = 0.5;
-
-/// The relative error of a motion's length. Larger seeks features that cannot cross; smaller loses some
-/// whose motion is `min_across_px` exactly.
+/// The relative rounding error of a motion's length.
 const ROUNDING: f64 = 1e-9;
 
 /// Two successive frames of camera i and one frame of camera j.
@@ -73,7 +64,7 @@ pub struct ThreeFrames<'a> {
     pub times_i: &'a [f64],
     /// The index of the earlier one of camera i's two frames; it must not be the last frame.
     pub index_i: usize,
-    /// Whether trajectories are curved through the frames before and after, where there are any.
+    /// Whether trajectories are curves through the frames before and after, if they exist, too.
     pub curved: bool,
     /// The smallest motion across the epipolar line between the two frames, pixels.
     pub min_across_px: f64,
@@ -91,8 +82,9 @@ impl ThreeFrames<'_> {
 
     /// The index of every feature that moves enough across its epipolar line, with its candidate.
     ///
-    /// The candidate is `None` if the trajectory crosses the line at no time near the two frames, or
-    /// the feature has no correspondence in camera j; the line is then that of the feature itself.
+    /// The candidate is `None` if the trajectory does not cross the line near the two frames, or if the
+    /// feature has no correspondence in camera j. In the latter case the line is that of the feature
+    /// itself.
     pub fn crossings(
         &self,
         tracks: &[&Track],
@@ -116,8 +108,8 @@ impl ThreeFrames<'_> {
         tracks.iter().zip(in_j).enumerate().filter_map(crossing).collect()
     }
 
-    /// Whether a feature has a smooth trajectory and moves enough to cross an epipolar line of some
-    /// direction, both of which a candidate requires.
+    /// Whether a feature can have a candidate: its trajectory is smooth, and its motion is large enough
+    /// across an epipolar line of some direction.
     pub fn can_cross(&self, track: &Track) -> bool {
         let ideal = |p| self.camera_i.model.ideal_from_pixel(p);
         let motion = ideal(&track.earlier).zip(ideal(&track.later)).map(|(from, to)| to - from);
@@ -127,7 +119,8 @@ impl ThreeFrames<'_> {
             && self.samples(track).is_some()
     }
 
-    /// The outer `None` means too little motion across the line, the inner one no crossing nearby.
+    /// A feature's candidate for a given epipolar line. The outer `None` means too little motion across
+    /// the line, the inner one no crossing near the two frames.
     fn crossing(&self, line: &Line, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
         let trajectory = Trajectory::new(samples.iter().copied())?;
@@ -183,9 +176,10 @@ impl ThreeFrames<'_> {
         Some(Candidate { time_s, across_px_s, trajectory_error_px })
     }
 
-    /// The trajectory's samples as (time, position), seconds and distortion-free pixels. `None` for a
-    /// feature that is not tracked into any neighbouring frame although there is one, or whose motion
-    /// there is not smooth.
+    /// The trajectory's samples as (time, position), seconds and distortion-free pixels.
+    ///
+    /// `None` if a curved trajectory is required and the feature is not tracked into any of the
+    /// neighbouring frames that exist, or moves abruptly there.
     fn samples(&self, track: &Track) -> Option<Vec<(f64, Point2<f64>)>> {
         let k = self.index_i;
         let last = self.times_i.len() - 1;
@@ -204,8 +198,8 @@ impl ThreeFrames<'_> {
     }
 }
 
-/// The trajectory of the next lower order: through all samples but the one farthest from a time.
-/// `None` for two samples.
+/// The trajectory of the next lower order, through all samples but the one farthest from a time. `None`
+/// for two samples.
 fn without_farthest(samples: &[(f64, Point2<f64>)], time_s: f64) -> Option<Trajectory> {
     let distance = |s: &(f64, Point2<f64>)| (s.0 - time_s).abs();
     let (first, last) = (samples.first()?, samples.last()?);
@@ -229,9 +223,18 @@ fn is_smooth(samples: &[(f64, Point2<f64>)]) -> bool {
 mod tests {
     use super::*;
     use crate::camera::CameraModel;
-    use crate::offset::tests::camera;
     use crate::registration::FlowDirection;
     use nalgebra::{Isometry3, Matrix2, Point3};
+
+    /// A camera of a row along the x axis, at x metres.
+    fn camera(x: f64) -> Camera {
+        Camera {
+            width: 640,
+            height: 480,
+            model: CameraModel::Pinhole { fx: 686.0, fy: 686.0, cx: 320.0, cy: 240.0 },
+            cam_from_world: Isometry3::translation(-x, 0.0, 0.0),
+        }
+    }
 
     fn track(at: impl Fn(f64) -> Point2<f64>) -> Track {
         Track {

@@ -1,5 +1,6 @@
-//! Offsets as a result, and what they say of the images' times.
+//! The result: the offset of every camera, and the frame times that it implies.
 
+use super::clock::{ClockModel, NominalClock};
 use crate::capture::{Capture, are_frame_times};
 use serde::{Deserialize, Serialize};
 
@@ -12,13 +13,12 @@ pub struct Offsets {
     pub cameras: Vec<CameraOffset>,
 }
 
-/// One camera's clock relative to the reference's.
+/// One camera's clock relative to the reference's, as files and Python state it.
 ///
 /// `time_ref = time_cam + (time_cam − first_cam)·rate_ppm·1e-6 + offset_s`, where `first_cam` is the
-/// time of the camera's first frame, and the rate is 0 for clocks without drift. For a camera that lost
-/// frames, `time_cam` of an image is its nominal time plus one frame period for each frame missing
-/// before it. A camera that starts later than the reference, both at 0 on their own clocks, has a
-/// positive offset.
+/// time of the camera's first frame. For a camera that lost frames, `time_cam` of an image is its
+/// nominal time plus one frame period for each frame missing before it. A camera that starts later
+/// than the reference, both at 0 on their own clocks, has a positive offset.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CameraOffset {
@@ -28,8 +28,7 @@ pub struct CameraOffset {
     pub offset_s: Option<f64>,
     /// The standard error of the offset, seconds; 0 where nothing is estimated.
     pub std_err_s: Option<f64>,
-    /// How much faster the reference's clock runs, parts per million; only for cameras whose clock
-    /// drifts by the capture.
+    /// The change of the offset, parts per million; only for cameras whose clock drifts by the capture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_ppm: Option<f64>,
     /// The standard error of the rate, parts per million.
@@ -44,57 +43,34 @@ pub struct CameraOffset {
     pub reason: Option<String>,
 }
 
-/// A camera's times, seconds, with its median frame period added for each frame missing before an
-/// image; `lost_before` ascends.
-pub(super) fn with_lost_frames(times_s: &[f64], lost_before: &[usize]) -> Vec<f64> {
-    let mut gaps: Vec<f64> = times_s.windows(2).map(|w| w[1] - w[0]).collect();
-    gaps.sort_by(f64::total_cmp);
-    let frame_s = gaps.get(gaps.len() / 2).copied().unwrap_or(0.0);
-    let missing = |image: usize| lost_before.partition_point(|&n| n <= image) as f64;
-    times_s.iter().enumerate().map(|(image, t)| t + frame_s * missing(image)).collect()
+impl CameraOffset {
+    /// The clock model from the camera's clock to the reference's; `None` if the offset is unknown.
+    pub fn clock(&self, nominal: &NominalClock) -> Option<ClockModel> {
+        let mut clock = ClockModel {
+            offset_s: self.offset_s?,
+            rate: 1e-6 * self.rate_ppm.unwrap_or(0.0),
+            reference_s: 0.0,
+            lost_before: self.lost_before.clone().unwrap_or_default(),
+        };
+        clock.reference_s = clock.own_time_s(nominal, 0)?;
+        Some(clock)
+    }
 }
 
 impl Offsets {
     /// The offsets of a capture whose clocks need no estimate: 0 for every camera, with a standard error
     /// of 0.
     pub fn known(capture: &Capture) -> Self {
+        let camera = |id: &String| CameraOffset {
+            id: id.clone(),
+            offset_s: Some(0.0),
+            std_err_s: Some(0.0),
+            ..CameraOffset::default()
+        };
         Self {
             reference: capture.cameras[capture.reference].id.clone(),
-            cameras: capture
-                .cameras
-                .iter()
-                .map(|c| CameraOffset {
-                    id: c.id.clone(),
-                    offset_s: Some(0.0),
-                    std_err_s: Some(0.0),
-                    ..CameraOffset::default()
-                })
-                .collect(),
+            cameras: capture.cameras.iter().map(|c| camera(&c.id)).collect(),
         }
-    }
-
-    /// By camera: the times of all its images on the reference's clock, seconds; `None` if its offset
-    /// is unknown. A camera with one frame has that frame at any time, so that an unknown offset of it
-    /// counts as 0.
-    pub fn common_times_s(&self, capture: &Capture) -> Vec<Option<Vec<f64>>> {
-        capture
-            .cameras
-            .iter()
-            .zip(&self.cameras)
-            .map(|(camera, offset)| {
-                let is_static = camera.clock.times_s.len() == 1;
-                let offset_s = offset.offset_s.or(is_static.then_some(0.0))?;
-                let rate = 1e-6 * offset.rate_ppm.unwrap_or(0.0);
-                let own = with_lost_frames(
-                    &camera.clock.times_s,
-                    offset.lost_before.as_deref().unwrap_or_default(),
-                );
-                let first_s = own[0];
-                let common: Vec<f64> =
-                    own.iter().map(|t| t + (t - first_s) * rate + offset_s).collect();
-                Some(common)
-            })
-            .collect()
     }
 
     /// Unknown offsets for all cameras but the reference, with the same reason.
@@ -109,8 +85,27 @@ impl Offsets {
         offsets
     }
 
-    /// Whether these can be offsets of a capture: of its cameras, and such that all their frames have
-    /// times on the reference's clock.
+    /// By camera: the clock model from its clock to the reference's; `None` if its offset is unknown.
+    pub fn clocks(&self, capture: &Capture) -> Vec<Option<ClockModel>> {
+        let clock = |(c, camera): (usize, &CameraOffset)| {
+            camera.clock(&NominalClock::of_camera(capture, c))
+        };
+        self.cameras.iter().take(capture.cameras.len()).enumerate().map(clock).collect()
+    }
+
+    /// By camera: the times of all its images on the reference's clock, seconds; `None` if its offset
+    /// is unknown. The single frame of a camera is valid at any time: its unknown offset counts as 0.
+    pub fn common_times_s(&self, capture: &Capture) -> Vec<Option<Vec<f64>>> {
+        let times_s = |(c, known): (usize, Option<ClockModel>)| {
+            let nominal = NominalClock::of_camera(capture, c);
+            let is_static = nominal.times_s.len() == 1;
+            let clock = known.or_else(|| is_static.then(ClockModel::default))?;
+            Some(clock.image_times_s(&nominal))
+        };
+        self.clocks(capture).into_iter().enumerate().map(times_s).collect()
+    }
+
+    /// Whether the offsets are of a capture's cameras and give all frames times that ascend.
     pub fn fits(&self, capture: &Capture) -> bool {
         self.cameras.len() == capture.cameras.len()
             && self.cameras.iter().zip(&capture.cameras).all(|(o, c)| o.id == c.id)
@@ -121,15 +116,6 @@ impl Offsets {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn lost_frames_delay_all_later_images() {
-        let times = [0.0, 1.0, 2.0, 3.0];
-        assert_eq!(with_lost_frames(&times, &[]), times);
-        assert_eq!(with_lost_frames(&times, &[2]), [0.0, 1.0, 3.0, 4.0]);
-        assert_eq!(with_lost_frames(&times, &[1, 3, 3]), [0.0, 2.0, 3.0, 6.0]);
-        assert_eq!(with_lost_frames(&[5.0], &[0]), [5.0]);
-    }
 
     #[test]
     fn fields_that_do_not_apply_are_omitted() {

@@ -5,48 +5,38 @@
 //! A lag, in frames, is modelled as `offset + rate · elapsed + lost(image)`, where `lost` counts the
 //! frames missing up to an image. It is a step function of the image that only ascends.
 
-use super::{ClockModel, MAX_SWEEPS, NominalClock};
 use crate::capture::MAX_DRIFT_PPM;
+use crate::offset::clock::{ClockModel, NominalClock};
 use nalgebra::{Matrix2, Vector2};
 
-/// The standard deviation of an inlier's lag, frames. Larger accepts observations of wrong frames;
-/// smaller calls observations of slow or curved motion outliers.
+/// The standard deviation of an inlier's lag, frames.
 const SIGMA_FRAMES: f64 = 0.08;
 /// The residual beyond which an observation is an outlier, frames: three standard deviations.
 pub const INLIER_BOUND_FRAMES: f64 = 3.0 * SIGMA_FRAMES;
-/// The interval from which on a longer one is no less certain, frames: all observations in it err together.
-/// Larger: of two long gaps the shorter one is preferred without evidence. Smaller: times in long intervals
-/// contradict correct models.
+/// The interval, frames, up to which the uncertainty of observations grows with its length.
 const MAX_LENGTH_FRAMES: f64 = 2.0;
-/// The longest interval whose observations determine a camera's offset and rate, frames. Larger biases
-/// them by the curvature of motion; smaller than one leaves none, since stamps jitter.
+/// The longest interval whose observations determine a camera's offset and rate, frames. It allows for
+/// jitter of time stamps.
 const MAX_INTERVAL_FRAMES: f64 = 1.5;
-/// The standard deviation of the prior on a drifting clock's rate, seconds a second. Larger lets few
-/// observations imply a drift instead of a loss; smaller pulls true drifts towards 0.
+/// The standard deviation of the prior on a drifting clock's rate, seconds a second.
 const RATE_SIGMA: f64 = 5e-4;
-/// The standard deviation that holds the rate of a clock without drift at 0. Larger lets such a
-/// clock drift; smaller adds nothing.
+/// The standard deviation that holds the rate of a clock without drift at 0.
 const NO_DRIFT_SIGMA: f64 = 1e-9;
-/// The largest rate that is tried as a start, seconds a second. Larger costs time and lets a loss
-/// pass for a drift in short recordings; smaller misses clocks that drift faster.
+/// The largest rate that is tried as a start, seconds a second.
 const MAX_RATE: f64 = 1e-6 * MAX_DRIFT_PPM;
-/// The largest number of rate steps to either side of 0: it bounds the time for long recordings.
-/// Smaller leaves rates untried; larger is only slower.
+/// The maximum number of rate steps to either side of 0.
 const MAX_RATE_STEPS: f64 = 1e3;
-/// The weight of the prior that holds the offset where no observation is an inlier, in observations.
-/// Larger biases the offset towards its start; 0 leaves the normal matrix singular.
+/// The weight, in observations, of the prior that holds the offset if no observation is an inlier.
 const OFFSET_PRIOR_WEIGHT: f64 = 1e-3;
-/// The penalty of each further frame lost at the same image, in outliers. Larger splits one gap of
-/// several frames or misses it; smaller turns mismatches by several frames into losses.
+/// The penalty of each further frame lost at the same image, in outliers.
 const FURTHER_LOSS_PENALTY: f64 = 0.3;
-/// The largest loss count relative to the line. Larger costs time with the square of the count;
-/// smaller misses losses beyond it.
+/// The largest loss count relative to the line. Time grows with its square.
 const MAX_LOST: i32 = 40;
-/// The number of observed lags that are tried as initial offsets. Larger is slower; smaller may
-/// leave all inliers untried where most observations are outliers.
+/// The maximum number of observed lags that are tried as initial offsets.
 const MAX_STARTS: usize = 64;
-/// The decrease of the cost below which the alternation has converged. Larger stops early; smaller
-/// than rounding never stops before [`MAX_SWEEPS`].
+/// The maximum number of alternations of the two steps.
+const MAX_ALTERNATIONS: usize = 12;
+/// The decrease of the cost below which the alternation has converged.
 const COST_TOLERANCE: f64 = 1e-9;
 
 /// The penalty of a number of frames lost between two images, in outliers.
@@ -57,13 +47,13 @@ pub fn gap_penalty(frames: u32, loss_penalty: f64) -> f64 {
     }
 }
 
-/// The clock model of minimum cost over all starting rates. Without observations it is the nominal
-/// clock with an offset of 0.
+/// Fits the clock model of minimum cost over all starting rates; the nominal clock without
+/// observations.
 pub fn fit_clock_model(
     lags: &[LagObservation],
     clock: &NominalClock,
     options: FitOptions,
-) -> FittedModel {
+) -> ClockFit {
     let mut best: Option<StepFit> = None;
     for rate in rate_grid(clock, lags) {
         let Some(offset) = initial_offset(lags, rate, clock.may_lose_frames) else { continue };
@@ -72,10 +62,10 @@ pub fn fit_clock_model(
             best = Some(fit);
         }
     }
-    best.map_or_else(FittedModel::default, |fit| fit.into_model(clock))
+    best.map_or_else(|| ClockFit::nominal(clock), |fit| fit.into_clock_fit(clock))
 }
 
-/// Which loss sequences are admissible, and at what penalty.
+/// The admissible loss sequences, and their penalty.
 #[derive(Clone, Copy)]
 pub struct FitOptions {
     /// The penalty of one lost frame, in outliers.
@@ -92,9 +82,8 @@ impl FitOptions {
 }
 
 /// A fitted clock model with its cost.
-#[derive(Default)]
-pub struct FittedModel {
-    pub model: ClockModel,
+pub struct ClockFit {
+    pub clock: ClockModel,
     /// The sum of truncated squares and penalties, in outliers.
     pub cost: f64,
     /// The images before which the loss count descends, one entry for each frame; empty unless
@@ -102,8 +91,16 @@ pub struct FittedModel {
     pub steps_back: Vec<usize>,
 }
 
-/// How late a camera was at a point of its recording: at `fraction` of the interval from `image` to
-/// its next one (0: at the image itself).
+impl ClockFit {
+    /// The nominal clock, with an offset of 0.
+    pub fn nominal(clock: &NominalClock) -> Self {
+        let clock = ClockModel { reference_s: clock.times_s[0], ..ClockModel::default() };
+        Self { clock, cost: 0.0, steps_back: Vec::new() }
+    }
+}
+
+/// The lag of a camera at a point of its recording: at `fraction` of the interval from `image` to the
+/// next one (0: at the image itself).
 #[derive(Clone, Copy, Debug)]
 pub struct LagObservation {
     pub image: usize,
@@ -112,8 +109,8 @@ pub struct LagObservation {
     pub lag_frames: f64,
     /// Nominal time since the camera's first image, frames.
     pub elapsed_frames: f64,
-    /// The length of the interval that the time was interpolated in, frames. Where that is the camera's
-    /// own interval, without the frames lost in it.
+    /// The length of the interval in which the time was interpolated, frames. If the interval is the
+    /// camera's own, frames lost in it do not count.
     pub interval_frames: f64,
 }
 
@@ -137,19 +134,18 @@ impl LagObservation {
     }
 }
 
-/// The robust loss of a residual in frames, of a time interpolated in an interval of a number of frames:
-/// the negative log-likelihood of a Gaussian, at most that of an outlier, in units of the latter. Without a
-/// residual it is 0 in an interval of one frame.
+/// The robust loss of a residual, frames, of a time interpolated in an interval of a number of frames:
+/// the negative log-likelihood of a Gaussian over that of an outlier, truncated at 1.
 ///
-/// Trajectories are curves of third order, fitted as if no frame were missing. In a longer interval the
-/// standard deviation of times grows by the third power of its length.
+/// Trajectories are curves of third order, fitted as if no frame were missing. The standard deviation
+/// of times in a longer interval grows with the third power of its length.
 pub fn robust_loss(residual: f64, interval_frames: f64) -> f64 {
     let factor = interval_frames.clamp(1.0, MAX_LENGTH_FRAMES).powi(3);
     let variance_term = 2.0 * factor.ln() / (INLIER_BOUND_FRAMES / SIGMA_FRAMES).powi(2);
     ((residual / (factor * INLIER_BOUND_FRAMES)).powi(2) + variance_term).min(1.0)
 }
 
-/// Starting rates, spaced so that over the whole recording one of them is within the inlier bound;
+/// The starting rates, spaced so that one of them is within the inlier bound over the whole recording;
 /// 0 alone for a clock without drift.
 fn rate_grid(clock: &NominalClock, lags: &[LagObservation]) -> Vec<f64> {
     if !clock.drifts {
@@ -163,8 +159,8 @@ fn rate_grid(clock: &NominalClock, lags: &[LagObservation]) -> Vec<f64> {
     (-steps..=steps).map(|n| f64::from(n) * step).collect()
 }
 
-/// The observed lag, in frames, of minimum robust loss at a given rate; modulo whole frames for a
-/// camera that may lose frames. `None` without observations.
+/// The observed lag of minimum robust loss at a given rate, frames; `None` without observations. For a
+/// camera that may lose frames, residuals are modulo whole frames.
 fn initial_offset(lags: &[LagObservation], rate: f64, may_lose_frames: bool) -> Option<f64> {
     let mut values: Vec<f64> =
         lags.iter().map(|o| o.lag_beyond(&Vector2::new(0.0, rate))).collect();
@@ -204,7 +200,7 @@ impl StepFit {
         options: FitOptions,
     ) -> Self {
         let mut fit = Self::shortest_path(lags, clock, line, options);
-        for _ in 0..MAX_SWEEPS {
+        for _ in 0..MAX_ALTERNATIONS {
             let next = Self::shortest_path(lags, clock, fit.refit_line(lags, clock), options);
             let converged = next.cost >= fit.cost - COST_TOLERANCE;
             if next.cost < fit.cost {
@@ -271,18 +267,18 @@ impl StepFit {
         normal.cholesky().map_or(self.line, |c| c.solve(&right))
     }
 
-    fn into_model(self, clock: &NominalClock) -> FittedModel {
-        let Some(&first) = self.loss_counts.first() else { return FittedModel::default() };
+    fn into_clock_fit(self, nominal: &NominalClock) -> ClockFit {
+        let Some(&first) = self.loss_counts.first() else { return ClockFit::nominal(nominal) };
         let (mut lost_before, mut steps_back) = (Vec::new(), Vec::new());
         for (pair, image) in self.loss_counts.windows(2).zip(&self.images[1..]) {
             let step = pair[1] - pair[0];
             let images = std::iter::repeat_n(*image, step.unsigned_abs() as usize);
             if step > 0 { lost_before.extend(images) } else { steps_back.extend(images) }
         }
-        let offset_s = clock.frame_s * (self.line.x + f64::from(first));
-        let model =
-            ClockModel { offset_s, rate: self.line.y, lost_before, ..ClockModel::default() };
-        FittedModel { model, cost: self.cost, steps_back }
+        let offset_s = nominal.frame_s * (self.line.x + f64::from(first));
+        let (rate, reference_s) = (self.line.y, nominal.times_s[0]);
+        let clock = ClockModel { offset_s, rate, reference_s, lost_before };
+        ClockFit { clock, cost: self.cost, steps_back }
     }
 }
 
@@ -347,8 +343,8 @@ impl Trellis {
     }
 }
 
-/// The loss counts that observations are near to, relative to the line; 0 alone for a camera that
-/// loses no frames.
+/// The range of the observed loss counts, relative to the line; 0 alone for a camera that loses no
+/// frames.
 fn candidate_loss_counts(
     lags: &[LagObservation],
     clock: &NominalClock,

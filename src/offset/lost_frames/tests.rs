@@ -1,7 +1,9 @@
 //! Clock models fitted to simulated timing observations.
 
+use super::descent::fit_clock_models;
 use super::fit::INLIER_BOUND_FRAMES;
-use super::*;
+use super::{FittedClock, TimingObservation};
+use crate::offset::clock::{ClockModel, NominalClock};
 use crate::random::Random;
 
 const FRAME_S: f64 = 1.0 / 30.0;
@@ -46,7 +48,7 @@ impl Recordings {
     fn observations(&self, random: &mut Random, outlier_fraction: f64) -> Vec<TimingObservation> {
         let clocks = self.clocks();
         let all: Vec<Vec<f64>> =
-            self.true_models.iter().zip(&clocks).map(|(m, clock)| m.times_s(clock)).collect();
+            self.true_models.iter().zip(&clocks).map(|(m, clock)| m.image_times_s(clock)).collect();
         let mut observations = Vec::new();
         for a in 0..all.len() {
             for b in (0..all.len()).filter(|b| *b != a && b.abs_diff(a) < 3) {
@@ -73,7 +75,7 @@ impl Recordings {
         observations
     }
 
-    fn fit(&self, observations: &[TimingObservation]) -> Vec<Option<ClockModel>> {
+    fn fit(&self, observations: &[TimingObservation]) -> Vec<Option<FittedClock>> {
         fit_clock_models(&self.clocks(), 0, observations)
     }
 }
@@ -89,8 +91,8 @@ fn no_loss_is_invented_among_hundreds_of_recordings_with_outliers() {
         {
             let model = model.unwrap();
             // With two cameras, both observations at an end may be outliers that agree.
-            assert!(model.lost_before.is_empty() || model.undecided, "{n}: {model:?}");
-            let error = (model.offset_s - truth.offset_s) / FRAME_S;
+            assert!(model.clock.lost_before.is_empty() || model.undecided, "{n}: {model:?}");
+            let error = (model.clock.offset_s - truth.offset_s) / FRAME_S;
             assert!(error.abs() < 0.1, "{n}: {error} frame");
         }
     }
@@ -119,7 +121,7 @@ fn all_losses_of_hundreds_of_recordings_are_found() {
             let model = model.unwrap();
             lost_frames += truth.lost_before.len();
             ambiguous += usize::from(model.undecided);
-            let correct = model.lost_before == truth.lost_before;
+            let correct = model.clock.lost_before == truth.lost_before;
             assert!(correct || model.undecided, "{n}: {model:?}, {truth:?}");
         }
     }
@@ -131,8 +133,8 @@ fn two_losses_at_one_image_and_a_camera_without_observations() {
     let random = &mut Random::new(10);
     let recordings = Recordings::new(random, vec![vec![7, 7], vec![], vec![4]], 20, false);
     let mut observations = recordings.observations(random, 0.0);
-    let lost = |models: &[Option<ClockModel>]| -> Vec<Option<Vec<usize>>> {
-        models.iter().map(|m| m.as_ref().map(|m| m.lost_before.clone())).collect()
+    let lost = |models: &[Option<FittedClock>]| -> Vec<Option<Vec<usize>>> {
+        models.iter().map(|m| m.as_ref().map(|m| m.clock.lost_before.clone())).collect()
     };
     let all = recordings.fit(&observations);
     assert_eq!(lost(&all), [Some(vec![7, 7]), Some(vec![]), Some(vec![4])]);
@@ -157,7 +159,7 @@ fn components_do_not_touch_each_other() {
         let fitted = fit_clock_models(&clocks, 0, &both);
         for (n, (half, observations)) in halves.iter().zip(&observations).enumerate() {
             for (model, alone) in fitted[3 * n..].iter().zip(half.fit(observations)) {
-                let model = model.clone().map(|m| ClockModel { component: 0, ..m });
+                let model = model.clone().map(|m| FittedClock { component: 0, ..m });
                 assert_eq!(model, alone, "half {n}");
             }
         }
@@ -185,9 +187,9 @@ fn weak_evidence_of_a_loss_makes_a_model_ambiguous() {
         });
         fit_clock_models(&clocks, 0, &observations.collect::<Vec<_>>())[1].clone().unwrap()
     };
-    let no_loss = |model: &ClockModel| model.lost_before.is_empty() && !model.undecided;
+    let no_loss = |model: &FittedClock| model.clock.lost_before.is_empty() && !model.undecided;
     assert!(no_loss(&fit(&[])) && fit(&[1.0]).undecided);
     assert!(fit(&[1.0, 1.0 + 0.6 * INLIER_BOUND_FRAMES]).undecided);
     let certain = fit(&[1.0, 1.0]);
-    assert!(certain.lost_before == [10] && !certain.undecided, "{certain:?}");
+    assert!(certain.clock.lost_before == [10] && !certain.undecided, "{certain:?}");
 }

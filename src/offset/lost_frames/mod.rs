@@ -1,27 +1,53 @@
-//! Detection of lost frames: a camera that drops a frame without a trace is one frame late from
-//! there on.
+//! Lost frames: a camera that drops a frame without a trace is one frame late from there on.
 //!
 //! One triple of frames gives a pair's offset at one instant (eq. (10)). Tracked along the recording,
 //! a pair's offset jumps up by a frame where the camera of the single frame lost one, and down where
 //! the other camera did. Jumps are bracketed by bisection, so that images on both sides of each are
-//! observed. The observations of all pairs together then decide which frames are missing
-//! ([`clock_models`](super::clock_models)).
+//! observed. The clock models of all cameras are then fitted to the observations of all pairs
+//! ([`descent`]).
 //!
-//! Known limits: a frame lost while nothing moves is attributed to the next image that shows motion;
-//! one lost after the first or before the last image of a recording may be missed, and these images are
-//! then a frame off. Where some images say that frames are missing, but not enough of them, the camera's
-//! offset is unknown. Neighbours that lose frames within a frame or two of each other hide each other's
-//! losses: where several places fit the images nearly as well, the offsets of these cameras are unknown.
+//! Known limits: a frame lost while nothing moves is attributed to the next image that shows motion.
+//! A frame lost after the first or before the last image of a recording may be missed; these images
+//! are then a frame off. The offset of a camera is unknown if too few of its observations agree, or if
+//! other losses fit nearly as well: cameras that lose frames within a frame or two of each other hide
+//! each other's losses.
 
-use super::clock_models::{ClockModel, NominalClock, TimingObservation, fit_clock_models};
-use super::mixture::Observation;
-use super::pair::{InitialOffset, MIN_AGREEMENT, PairFailure};
-use super::pair_fit::residual_model;
-use super::recording::Recording;
-use super::timeline::Timelines;
-use crate::capture::CaptureError;
+mod descent;
+mod fit;
+mod jumps;
+mod min_cut;
+
+use super::clock::{ClockModel, NominalClock, with_lost_frames};
+use super::pair::{MIN_AGREEMENT, MIN_INLIERS, Observation, PairFailure, ResidualModel};
+use super::recording::{Recording, spread};
+use crate::capture::{Capture, CaptureError, Clock};
 use crate::progress::Reporter;
+use descent::fit_clock_models;
 use rayon::prelude::*;
+
+/// The relative timing of three images: image `images[1]` of camera `cameras[1]` was taken at
+/// `fraction` of the interval from image `images[0]` of camera `cameras[0]` to its next image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimingObservation {
+    pub cameras: [usize; 2],
+    pub images: [usize; 2],
+    /// A fraction of 0 to 1, or slightly outside for an extrapolated trajectory.
+    pub fraction: f64,
+}
+
+/// A camera's clock model on the common clock of its component, fitted to timing observations.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FittedClock {
+    pub clock: ClockModel,
+    /// Whether too many of the observations contradict the model.
+    pub ambiguous: bool,
+    /// Whether other lost frames, of this camera and of others, explain the observations nearly as well:
+    /// times of some of its images are then off by a frame.
+    pub undecided: bool,
+    /// The connected component of the observation graph that the camera belongs to. Only models of
+    /// the same component share a common clock.
+    pub component: usize,
+}
 
 /// A pair's offset observed at one triple of frames.
 #[derive(Clone, Copy, Debug)]
@@ -38,110 +64,98 @@ struct TripleOffset {
     agreement: f64,
 }
 
-/// Where an offset is searched for, in frames from the one observed last, in order of preference.
-/// More steps find longer gaps and take longer; fewer lose the offset after a gap of several frames.
+/// The offsets that are tried, in frames from the offset observed last, in order of preference.
 const STEPS: [f64; 6] = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0];
-/// Where it is searched for at the start of a recording, in frames from the initial offset, which is
-/// that of the recording's main part and may be several losses later. More steps find more early
-/// losses and take longer; fewer miss the start of a recording with several losses.
+/// The offsets that are tried at the start of a recording, in frames from the initial offset. That is
+/// the offset of the recording's main part, which may be several losses later.
 const FIRST_STEPS: [f64; 7] = [0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0];
-/// The score that a triple needs, as a fraction of the inliers that a pair needs. Larger leaves
-/// images with few moving features unobserved; smaller admits offsets by chance, which the joint fit
-/// must outvote.
+/// The minimum score of a triple, as a fraction of the minimum inliers of a pair.
 const MIN_SCORE_FRACTION: f64 = 0.5;
-/// The score that a triple needs, as a fraction of its candidates. Larger leaves images with many
-/// mismatches unobserved; smaller admits offsets by chance.
+/// The minimum score of a triple, as a fraction of its candidates.
 const MIN_INLIER_FRACTION: f64 = 0.3;
-/// Occluded features and T-junctions agree on the time of one of the two frames, whatever the true
-/// offset. This near to a frame, as a fraction of the interval, a triple needs an agreement of
-/// [`MIN_AGREEMENT`]. Larger leaves true offsets near 0 unobserved; smaller admits occlusions.
+/// The distance of a time from a frame, as a fraction of the interval, within which a triple requires
+/// [`MIN_AGREEMENT`]: occluded features and T-junctions agree on the time of one of the two frames.
 const NEAR_FRAME: f64 = 0.2;
-/// How far outside camera a's interval camera b's image may be, as a fraction of the interval. Larger
-/// trusts extrapolated trajectories; smaller drops images that are almost inside.
+/// The maximum distance of camera b's image from camera a's interval, as a fraction of the interval.
 const MAX_OUTSIDE: f64 = 0.25;
-/// A change of the offset beyond this many frames is a jump by whole frames. Larger leaves jumps
-/// unbracketed; smaller bisects mere noise.
+/// The change of the offset, frames, beyond which it is a jump by whole frames.
 const MIN_JUMP_FRAMES: f64 = 0.6;
-/// An offset within this many frames of the expected one, with enough agreement, ends the search.
-/// Larger accepts a jump's neighbour; smaller tries all steps on noisy images.
+/// The difference from the expected offset, frames, within which an offset of enough agreement ends the
+/// search.
 const EXPECTED_WITHIN_FRAMES: f64 = 0.4;
-/// The images on either side of a lost frame that are observed again. Larger costs time; smaller
-/// leaves losses an image or two off uncorrected.
+/// The number of images on either side of a lost frame that are observed again.
 const IMAGES_AROUND_LOSS: usize = 2;
-/// The maximum number of rounds of observing again by the fitted clock models. Larger costs time
-/// where models keep changing; smaller stops before they are consistent with the observations.
+/// The maximum number of rounds of observing again by the fitted clock models.
 const MAX_ROUNDS: usize = 3;
 
-/// What [`detect_lost_frames`] gives.
+/// The lost frames of all cameras, and whether the observations determine them.
+#[derive(Clone, Debug)]
 pub struct LostFrames {
-    /// The cameras' times, with the lost frames accounted for.
-    pub timelines: Timelines,
-    /// By camera: whether the observations leave its lost frames undecided.
+    /// By camera: the images before which a frame is missing, ascending, one entry for each frame.
+    pub lost_before: Vec<Vec<usize>>,
+    /// By camera: whether too few observations agree on its lost frames.
     pub ambiguous: Vec<bool>,
     /// By camera: whether other lost frames explain the observations nearly as well.
     pub undecided: Vec<bool>,
 }
 
-/// The lost frames of all cameras.
+impl LostFrames {
+    /// No camera of a capture lost frames.
+    pub fn none(capture: &Capture) -> Self {
+        let none = vec![false; capture.cameras.len()];
+        let lost_before = vec![Vec::new(); none.len()];
+        Self { lost_before, ambiguous: none.clone(), undecided: none }
+    }
+
+    /// The cameras' clocks with the lost frames accounted for.
+    pub fn clocks(&self, capture: &Capture) -> Vec<Clock> {
+        with_lost_frames(capture, &self.lost_before)
+    }
+}
+
+/// Detects the lost frames of all cameras.
 ///
-/// `starts` holds each pair's initial offset; those of pairs whose cameras are observed together are
-/// replaced by the offsets of the fitted clock models. A camera that may lose frames and is never
-/// observed is ambiguous.
+/// `starts` holds each pair's initial offset. Offsets of pairs with fitted clock models are replaced by
+/// those of the models. A camera that may lose frames and is never observed is ambiguous.
 pub fn detect_lost_frames(
     recording: &Recording,
     pairs: &[[usize; 2]],
-    starts: &mut [Result<InitialOffset, PairFailure>],
+    starts: &mut [Result<ClockModel, PairFailure>],
     reporter: &Reporter,
 ) -> Result<LostFrames, CaptureError> {
-    let clocks = nominal_clocks(recording);
+    let capture = recording.frames.capture();
+    let count = capture.cameras.len();
+    let clocks: Vec<_> = (0..count).map(|c| NominalClock::of_camera(capture, c)).collect();
     let models = joint_models(recording, pairs, starts, &clocks, reporter)?;
     for (pair, start) in pairs.iter().zip(starts) {
         let [Some(i), Some(j)] = pair.map(|c| models[c].as_ref()) else { continue };
         if start.is_ok() && i.component == j.component {
-            *start = Ok(InitialOffset {
-                value_s: j.offset_s - i.offset_s,
-                rate: j.rate - i.rate,
-                center_s: clocks[pair[0]].times_s[0],
-            });
+            *start = Ok(j.clock.relative_to(&i.clock));
         }
     }
-    let is_ambiguous = |(model, clock): (&Option<ClockModel>, &NominalClock)| match model {
-        Some(model) => model.ambiguous,
-        None => clock.may_lose_frames,
-    };
-    let ambiguous = models.iter().zip(&clocks).map(is_ambiguous).collect();
-    let undecided = models.iter().map(|m| m.as_ref().is_some_and(|m| m.undecided)).collect();
-    let lost = models.into_iter().map(|m| m.map_or_else(Vec::new, |m| m.lost_before)).collect();
-    let timelines = Timelines::with_lost_frames(recording.frames.capture(), lost);
-    Ok(LostFrames { timelines, ambiguous, undecided })
-}
-
-fn nominal_clocks<'a>(recording: &'a Recording) -> Vec<NominalClock<'a>> {
-    let capture = recording.frames.capture();
-    let nominal_clock = |(c, times_s): (usize, &'a Vec<f64>)| {
-        let clock = &capture.cameras[c].clock;
-        NominalClock {
-            times_s,
-            frame_s: recording.timelines.frame_s(c),
-            may_lose_frames: clock.lost,
-            drifts: clock.drift && c != capture.reference,
+    let mut lost = LostFrames::none(capture);
+    for (c, model) in models.into_iter().enumerate() {
+        lost.ambiguous[c] = clocks[c].may_lose_frames;
+        if let Some(FittedClock { clock, ambiguous, undecided, .. }) = model {
+            lost.lost_before[c] = clock.lost_before;
+            (lost.ambiguous[c], lost.undecided[c]) = (ambiguous, undecided);
         }
-    };
-    recording.timelines.times_s.iter().enumerate().map(nominal_clock).collect()
+    }
+    Ok(lost)
 }
 
-/// All cameras' clock models, from the observations of every pair in both directions.
+/// Fits the clock models of all cameras to the observations of every pair in both directions.
 fn joint_models(
     recording: &Recording,
     pairs: &[[usize; 2]],
-    starts: &[Result<InitialOffset, PairFailure>],
+    starts: &[Result<ClockModel, PairFailure>],
     clocks: &[NominalClock],
     reporter: &Reporter,
-) -> Result<Vec<Option<ClockModel>>, CaptureError> {
+) -> Result<Vec<Option<FittedClock>>, CaptureError> {
     let directions: Vec<([usize; 2], f64)> = pairs
         .iter()
         .zip(starts)
-        .filter_map(|(pair, start)| Some((pair, (*start).ok()?.value_s)))
+        .filter_map(|(pair, start)| Some((pair, start.as_ref().ok()?.offset_s)))
         .flat_map(|(&[i, j], offset_s)| [([i, j], offset_s), ([j, i], -offset_s)])
         .collect();
     let task = reporter.task("Lost frames", directions.len());
@@ -176,8 +190,8 @@ fn joint_models(
     Ok(models)
 }
 
-/// Tracks the offset of the pair (a, b) along the recording, from its initial offset in the main
-/// part, and brackets its jumps.
+/// Tracks the offset of the pair (a, b) along the recording, from the initial offset of its main part,
+/// and brackets its jumps.
 fn track_offset(
     recording: &Recording,
     cameras: [usize; 2],
@@ -204,26 +218,26 @@ fn track_offset(
     Ok(offsets)
 }
 
-/// Observes the triples that the fitted clock models predict. At the recordings' ends and on either side of
-/// lost frames, it observes each image of camera a with every plausible image of camera b, and keeps all of these.
-/// Returns whether any observation changed.
+/// Adds observations of the triples that the fitted clock models predict, and returns whether there are
+/// any new ones. At the recordings' ends and on either side of lost frames, each image of camera a is
+/// observed with every plausible image of camera b.
 fn observe_again(
     recording: &Recording,
     cameras: [usize; 2],
     clocks: &[NominalClock],
-    models: &[Option<ClockModel>],
+    models: &[Option<FittedClock>],
     offsets: &mut Vec<TripleOffset>,
 ) -> Result<bool, CaptureError> {
     let [Some(model_a), Some(model_b)] = cameras.map(|c| models[c].as_ref()) else {
         return Ok(false);
     };
     let scan = PairScan::new(recording, cameras);
-    let times_a = model_a.times_s(&clocks[cameras[0]]);
-    let times_b = model_b.times_s(&clocks[cameras[1]]);
-    // A loss next to a recording's end is seen by few images: all of them are observed.
+    let times_a = model_a.clock.image_times_s(&clocks[cameras[0]]);
+    let times_b = model_b.clock.image_times_s(&clocks[cameras[1]]);
+    // Few images show a loss next to a recording's end: all of them are observed.
     let decisive_times: Vec<f64> = [(model_a, &times_a), (model_b, &times_b)]
         .into_iter()
-        .flat_map(|(model, times)| model.lost_before.iter().chain([&0]).map(|n| times[*n]))
+        .flat_map(|(model, times)| model.clock.lost_before.iter().chain([&0]).map(|n| times[*n]))
         .chain([times_a[times_a.len() - 1], times_b[times_b.len() - 1]])
         .collect();
     let reach_s = (IMAGES_AROUND_LOSS as f64 + 0.5) * scan.frame_s;
@@ -252,13 +266,13 @@ fn observe_again(
     Ok(changed)
 }
 
-/// Offsets as fractions of camera a's intervals.
+/// Converts offsets to fractions of camera a's intervals.
 fn timing_observations(
     recording: &Recording,
     cameras: [usize; 2],
     offsets: &[TripleOffset],
 ) -> Vec<TimingObservation> {
-    let [a, b] = cameras.map(|c| &recording.timelines.times_s[c]);
+    let [a, b] = cameras.map(|c| &recording.clocks[c].times_s);
     let fraction = |o: &TripleOffset| {
         let (start_s, end_s) = (a[o.k], a[o.k + 1]);
         // Times ascend strictly, so the interval is positive.
@@ -270,7 +284,7 @@ fn timing_observations(
         .collect()
 }
 
-/// Observes the offset of an ordered pair (a, b) at chosen triples: two images of a, one of b.
+/// Observations of the offset of an ordered pair (a, b) at chosen triples: two images of a, one of b.
 struct PairScan<'a, 'b> {
     recording: &'a Recording<'b>,
     cameras: [usize; 2],
@@ -280,13 +294,13 @@ struct PairScan<'a, 'b> {
 
 impl<'a, 'b> PairScan<'a, 'b> {
     fn new(recording: &'a Recording<'b>, cameras: [usize; 2]) -> Self {
-        Self { recording, cameras, frame_s: recording.timelines.frame_s(cameras[1]) }
+        Self { recording, cameras, frame_s: recording.clocks[cameras[1]].frame_s() }
     }
 
-    /// The images of camera a that are observed, evenly spread.
+    /// The images of camera a that are observed first, evenly spread.
     fn sampled_images(&self) -> Vec<usize> {
-        let count = self.recording.timelines.times_s[self.cameras[0]].len() - 1;
-        super::spread(count, self.recording.options.max_frames)
+        let count = self.recording.clocks[self.cameras[0]].times_s.len() - 1;
+        spread(count, self.recording.options.max_frames)
     }
 
     /// The offset at image k of camera a with the highest score, searched for at `steps` frames from
@@ -328,24 +342,18 @@ impl<'a, 'b> PairScan<'a, 'b> {
     /// The offset observed from images k and k + 1 of camera a and image m of camera b. `None` if
     /// too few candidates agree, or on a time outside camera a's interval.
     fn observe(&self, k: usize, m: usize) -> Result<Option<TripleOffset>, CaptureError> {
-        let options = self.recording.options;
-        let times = &self.recording.timelines.times_s[self.cameras[0]];
-        let triple = self.recording.triple(self.cameras, [k, m])?;
-        // Outside the interval trajectories are extrapolated: another image of b is inside.
+        let [times, times_b] = self.cameras.map(|c| &self.recording.clocks[c].times_s);
+        let triple = self.recording.triple((self.cameras, [k, m]))?;
         let (start, end) = (times[k], times[k + 1]);
         let slack = MAX_OUTSIDE * (end - start);
-        let observations: Vec<Observation> = triple
-            .samples
-            .iter()
-            .map(|s| Observation { value_s: s.offset_s(), at_s: 0.0, across_px_s: s.across_px_s })
-            .collect();
-        let model = residual_model(end - start, options);
+        let observations: Vec<Observation> = triple.samples.iter().map(Observation::from).collect();
+        let model = ResidualModel::new(end - start);
         let Some((offset_s, score)) = model.consensus_value(&observations) else {
             return Ok(None);
         };
-        let time_s = self.recording.timelines.times_s[self.cameras[1]][m] + offset_s;
+        let time_s = times_b[m] + offset_s;
         let inside = time_s >= start - slack && time_s <= end + slack;
-        let enough = score >= MIN_SCORE_FRACTION * options.min_inliers as f64
+        let enough = score >= MIN_SCORE_FRACTION * MIN_INLIERS as f64
             && score >= MIN_INLIER_FRACTION * observations.len() as f64;
         let agreement = score / triple.across.max(1) as f64;
         let fraction = (time_s - start) / (end - start);
@@ -355,8 +363,8 @@ impl<'a, 'b> PairScan<'a, 'b> {
         Ok(valid.then_some(TripleOffset { k, m, offset_s, score, agreement }))
     }
 
-    /// Observes the offset between two observations that are a jump apart, until those on both sides
-    /// of the jump are neighbours.
+    /// Bisects the images between two observations that are a jump apart, until the observations on both
+    /// sides of the jump are neighbours.
     fn bisect_jump(
         &self,
         from: TripleOffset,
@@ -396,7 +404,7 @@ impl<'a, 'b> PairScan<'a, 'b> {
     }
 }
 
-/// Of two observations, that of the higher score; the first of equals.
+/// The observation of the higher score; the first of two with equal scores.
 fn higher_score(one: Option<TripleOffset>, other: Option<TripleOffset>) -> Option<TripleOffset> {
     match (one, other) {
         (Some(x), Some(y)) if y.score > x.score => Some(y),
@@ -404,3 +412,6 @@ fn higher_score(one: Option<TripleOffset>, other: Option<TripleOffset>) -> Optio
         (None, y) => y,
     }
 }
+
+#[cfg(test)]
+mod tests;

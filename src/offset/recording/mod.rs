@@ -1,11 +1,13 @@
-//! What pairs are estimated from: the cameras' frames, tracks and times, and the candidates of
-//! frame triples.
+//! The recordings under one hypothesis of their clocks: frames, tracks, and the candidates of frame
+//! triples.
 
-use super::candidates::ThreeFrames;
-use super::features;
-use super::timeline::Timelines;
+mod candidates;
+mod features;
+
+pub use candidates::{Candidate, ThreeFrames};
+
 use super::{OffsetMethod, OffsetOptions};
-use crate::capture::CaptureError;
+use crate::capture::{CaptureError, Clock};
 use crate::host::BoundedCache;
 use crate::registration::{FrameStore, Track, flow, temporal_flow_of};
 use std::sync::Arc;
@@ -13,7 +15,7 @@ use std::sync::Arc;
 /// One feature's candidate for the offset of two cameras, a and b (eq. (10)).
 ///
 /// The feature's trajectory in camera a crosses the epipolar line of its image in camera b at
-/// `time_a_s` on a's clock; that image was taken at `time_b_s` on b's clock.
+/// `time_a_s` on a's clock. That image was taken at `time_b_s` on b's clock.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
     /// The indices of cameras a and b.
@@ -23,10 +25,9 @@ pub struct Sample {
     /// The feature's signed speed across the epipolar line, pixels a second, reduced where its
     /// trajectory is uncertain. Its square over the residual variance is the candidate's information.
     pub across_px_s: f64,
-    /// The cell of a coarse grid over camera a's image: the errors of features in one cell are
-    /// correlated.
+    /// The cell of a coarse grid over camera a's image. Errors of features in one cell are correlated.
     pub cell: usize,
-    /// The tile of a fine grid over camera a's image, as large as the tracker's windows: features in
+    /// The tile of a fine grid over camera a's image, as large as the tracker's windows. Features in
     /// one tile are tracked by the same pixels.
     pub window: usize,
 }
@@ -38,54 +39,49 @@ impl Sample {
     }
 }
 
-/// The candidates of a frame triple: two successive frames of camera a, one frame of camera b. The
-/// counts tell why there are no more candidates.
+/// The candidates of a frame triple, and the numbers of features at each stage of their selection.
 #[derive(Clone, Debug, Default)]
-pub struct Triple {
+pub struct FrameTriple {
     pub samples: Vec<Sample>,
     /// The number of features tracked between the two frames of camera a.
     pub tracks: usize,
-    /// The number of tracked features that move, on a smooth trajectory, and have a correspondence
-    /// in camera b.
+    /// The number of tracked features that move on a smooth trajectory and have a correspondence in
+    /// camera b.
     pub moving: usize,
     /// The number of features that move across their epipolar lines, with a candidate or without.
     pub across: usize,
 }
 
-/// The coarse grid's cells across and down. More cells treat correlated errors as independent, so
-/// that error bars are too short; fewer leave too few clusters to estimate a variance from.
+/// Cameras a and b; frame k of a, whose successor is the triple's second frame, and frame m of b.
+pub type TripleFrames = ([usize; 2], [usize; 2]);
+
+/// The smallest motion across the epipolar line from frame to frame that a candidate requires, pixels.
+const MIN_ACROSS_PX: f64 = 1.0;
+/// The coarse grid's cells across and down.
 const CELLS: [f64; 2] = [8.0, 6.0];
-/// The fine grid's tiles, pixels: two of the tracker's windows. Larger inflates the error bars of
-/// small, well-textured bodies; smaller trusts features that share their pixels.
+/// The size of the fine grid's tiles, pixels: two of the tracker's windows.
 const WINDOW_PX: f64 = 24.0;
-/// How far outside camera a's interval camera b's frame may be while the offset is still rough, as a
-/// fraction of the interval. Larger extrapolates trajectories too far; smaller leaves triples out
-/// whose frame turns out to be inside.
+/// The distance of camera b's frame from camera a's interval, as a fraction of the interval, up to
+/// which a trajectory is extrapolated.
 const MAX_OUTSIDE: f64 = 0.5;
+/// The maximum number of cached tracks: 256 MB, which hold 100 cameras with 600 features each.
+const MAX_CACHED_TRACKS: usize = (256 << 20) / size_of::<Track>();
+/// The maximum number of cached candidates: 128 MB.
+pub const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
 
 /// The recordings of all cameras under one hypothesis of their clocks. Tracks and candidates are
 /// computed on demand and cached.
 pub struct Recording<'a> {
     pub frames: &'a FrameStore,
-    /// The cameras' times; a later hypothesis accounts for lost frames.
-    pub timelines: Timelines,
+    /// By camera: its clock, with frame times that account for the lost frames of the hypothesis.
+    pub clocks: Vec<Clock>,
     pub options: &'a OffsetOptions,
     track_cache: &'a TrackCache,
-    triples: BoundedCache<TripleKey, Arc<Triple>>,
+    triples: BoundedCache<TripleFrames, Arc<FrameTriple>>,
 }
 
-/// How many tracks are cached, 256 MB of them: those of 100 cameras with 600 features each. Fewer cost
-/// time, where tracks are computed again.
-const MAX_CACHED_TRACKS: usize = (256 << 20) / size_of::<Track>();
-/// How many candidates are cached, 128 MB of them. Fewer cost time, where candidates are computed
-/// again.
-pub const MAX_CACHED_SAMPLES: usize = (128 << 20) / size_of::<Sample>();
-
-/// The two cameras of a pair, and the frames of a triple.
-type TripleKey = ([usize; 2], [usize; 2]);
-
-/// Tracks by camera and earlier frame. All pairs of a camera share them, and all hypotheses of the
-/// clocks: tracks do not depend on times. One estimate has one cache, with one number of features.
+/// The cached tracks of one estimate, by camera and earlier frame. Tracks do not depend on times, so
+/// that all pairs of a camera and all hypotheses of the clocks share them.
 pub struct TrackCache(BoundedCache<(usize, usize), Arc<Vec<Track>>>);
 
 impl Default for TrackCache {
@@ -94,103 +90,81 @@ impl Default for TrackCache {
     }
 }
 
-impl TrackCache {
-    /// The tracks of a camera between frames k and k + 1, at most `max_features` of them.
-    ///
-    /// Two threads that ask at once may both compute them, with equal results: waiting for each
-    /// other could deadlock inside the thread pool.
-    pub fn get(
-        &self,
-        frames: &FrameStore,
-        camera: usize,
-        k: usize,
-        max_features: usize,
-    ) -> Result<Arc<Vec<Track>>, CaptureError> {
-        if let Some(tracks) = self.0.get(&(camera, k)) {
-            return Ok(tracks);
-        }
-        let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
-        let corners = earlier.corners(frames.options());
-        let selected = features::changing(&earlier, &later, corners, max_features);
-        // §7 tracks the features selected on I_i(t) itself, without those of the backward flow.
-        let tracks = Arc::new(temporal_flow_of(frames, camera, k, [&selected, &[]])?);
-        self.0.insert((camera, k), tracks.clone(), tracks.len());
-        Ok(tracks)
-    }
-}
-
 impl<'a> Recording<'a> {
     pub fn new(
         frames: &'a FrameStore,
-        timelines: Timelines,
+        clocks: Vec<Clock>,
         track_cache: &'a TrackCache,
         options: &'a OffsetOptions,
     ) -> Self {
         let triples = BoundedCache::new(MAX_CACHED_SAMPLES);
-        Self { frames, timelines, options, track_cache, triples }
+        Self { frames, clocks, options, track_cache, triples }
     }
 
     /// The tracks of a camera between frames k and k + 1.
+    ///
+    /// Two threads that ask at the same time may both compute them, with equal results: waiting for
+    /// each other could deadlock inside the thread pool.
     pub fn tracks(&self, camera: usize, k: usize) -> Result<Arc<Vec<Track>>, CaptureError> {
-        self.track_cache.get(self.frames, camera, k, self.options.max_features)
+        let TrackCache(cache) = self.track_cache;
+        if let Some(tracks) = cache.get(&(camera, k)) {
+            return Ok(tracks);
+        }
+        let (earlier, later) = (self.frames.get(camera, k)?, self.frames.get(camera, k + 1)?);
+        let corners = earlier.corners(self.frames.options());
+        let selected = features::changing(&earlier, &later, corners, self.options.max_features);
+        // §7 tracks the features selected on I_i(t) itself, without those of the backward flow.
+        let tracks = Arc::new(temporal_flow_of(self.frames, camera, k, [&selected, &[]])?);
+        cache.insert((camera, k), tracks.clone(), tracks.len());
+        Ok(tracks)
     }
 
     /// The image of camera b nearest to the middle of frames k and k + 1 of camera a, given
-    /// `offset_s = offset_b − offset_a`. `None` if it lies outside the interval by more than
-    /// trajectories can be extrapolated.
+    /// `offset_s = offset_b − offset_a`. `None` if it is too far outside the interval.
     pub fn image_between(&self, [a, b]: [usize; 2], k: usize, offset_s: f64) -> Option<usize> {
-        let times = &self.timelines.times_s[a];
+        let [times, times_b] = [a, b].map(|c| &self.clocks[c].times_s);
         let (start, end) = (times[k], times[k + 1]);
-        let m = self.timelines.nearest(b, 0.5 * (start + end) - offset_s);
-        let time_s = self.timelines.times_s[b][m] + offset_s;
+        let m = self.clocks[b].nearest(0.5 * (start + end) - offset_s);
+        let time_s = times_b[m] + offset_s;
         let slack = MAX_OUTSIDE * (end - start);
         (time_s >= start - slack && time_s <= end + slack).then_some(m)
     }
 
     /// The candidates of frames k and k + 1 of camera a and frame m of camera b.
-    pub fn triple(
-        &self,
-        [a, b]: [usize; 2],
-        [k, m]: [usize; 2],
-    ) -> Result<Arc<Triple>, CaptureError> {
-        if let Some(triple) = self.triples.get(&([a, b], [k, m])) {
-            return Ok(triple);
+    pub fn triple(&self, triple: TripleFrames) -> Result<Arc<FrameTriple>, CaptureError> {
+        if let Some(cached) = self.triples.get(&triple) {
+            return Ok(cached);
         }
-        let triple = Arc::new(self.compute_triple([a, b], [k, m])?);
-        self.triples.insert(([a, b], [k, m]), triple.clone(), triple.samples.len());
-        Ok(triple)
+        let computed = Arc::new(self.compute_triple(triple)?);
+        self.triples.insert(triple, computed.clone(), computed.samples.len());
+        Ok(computed)
     }
 
-    /// Whether the candidates of these frames are cached. They count as used.
-    pub fn has_triple(&self, cameras: [usize; 2], frames: [usize; 2]) -> bool {
-        self.triples.get(&(cameras, frames)).is_some()
+    /// Whether the candidates of a triple are cached; marks them as recently used.
+    pub fn has_triple(&self, triple: TripleFrames) -> bool {
+        self.triples.get(&triple).is_some()
     }
 
-    /// Drops the cached candidates of a pair, in both directions: those of a large array take
-    /// hundreds of megabytes.
+    /// Drops the cached candidates of a pair, in both directions.
     pub fn release_pair(&self, [a, b]: [usize; 2]) {
         self.triples.retain(|(pair, _)| *pair != [a, b] && *pair != [b, a]);
     }
 
-    fn compute_triple(
-        &self,
-        [a, b]: [usize; 2],
-        [k, m]: [usize; 2],
-    ) -> Result<Triple, CaptureError> {
+    fn compute_triple(&self, ([a, b], [k, m]): TripleFrames) -> Result<FrameTriple, CaptureError> {
         let cameras = &self.frames.capture().cameras;
         let (source, target) = (self.frames.get(a, k)?, self.frames.get(b, m)?);
         let all_tracks = self.tracks(a, k)?;
-        let times_i = &self.timelines.times_s[a];
-        let time_b_s = self.timelines.times_s[b][m];
+        let times_i = &self.clocks[a].times_s;
+        let time_b_s = self.clocks[b].times_s[m];
         let three_frames = ThreeFrames {
             camera_i: &cameras[a].camera,
             camera_j: &cameras[b].camera,
             times_i,
             index_i: k,
             curved: self.options.method == OffsetMethod::JointCurved,
-            min_across_px: self.options.min_across_px,
+            min_across_px: MIN_ACROSS_PX,
         };
-        // The others have no candidate and don't count as moving, whatever camera b shows.
+        // The other tracks have no candidate and do not count as moving, whatever camera b shows.
         let tracks: Vec<&Track> =
             all_tracks.iter().filter(|track| three_frames.can_cross(track)).collect();
         // The middle of the motion is a good start for any frame of b inside the interval.
@@ -214,10 +188,10 @@ impl<'a> Recording<'a> {
             })
             .collect();
         let moves = |track: &&Track, in_b: &Option<_>| {
-            in_b.is_some() && track.motion().norm() >= self.options.min_across_px
+            in_b.is_some() && track.motion().norm() >= MIN_ACROSS_PX
         };
         let moving = tracks.iter().zip(&in_b).filter(|(track, in_b)| moves(track, in_b)).count();
-        Ok(Triple { samples, tracks: all_tracks.len(), moving, across: crossings.len() })
+        Ok(FrameTriple { samples, tracks: all_tracks.len(), moving, across: crossings.len() })
     }
 
     fn cell(&self, camera: usize, track: &Track) -> usize {
@@ -234,5 +208,26 @@ impl<'a> Recording<'a> {
         // Features lie inside the image, so the indices are not negative.
         let [x, y] = [track.earlier.x, track.earlier.y].map(|v| (v / WINDOW_PX).max(0.0) as usize);
         y * columns.ceil() as usize + x
+    }
+}
+
+/// At most `count` of the numbers below `n`, ascending and evenly spread; all of them if there are no
+/// more.
+pub fn spread(n: usize, count: usize) -> Vec<usize> {
+    if n <= count {
+        return (0..n).collect();
+    }
+    (0..count).map(|k| (2 * k + 1) * n / (2 * count)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_are_spread_evenly() {
+        assert_eq!(spread(3, 5), [0, 1, 2]);
+        assert_eq!(spread(10, 5), [1, 3, 5, 7, 9]);
+        assert!(spread(0, 5).is_empty() && spread(5, 0).is_empty());
     }
 }

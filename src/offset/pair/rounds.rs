@@ -1,148 +1,145 @@
-//! All pairs: rounds of choosing frame triples by the estimates and estimating from them.
+//! All pairs: rounds of choosing frame triples by the estimates, and estimating from them.
 //!
-//! The candidates of a round are computed for all pairs of a group together. Large rigs are split into
-//! groups of pairs whose frames fit the cache. Results do not depend on the groups.
+//! §7 requires camera j's frame to lie between two of camera i. Which frame does depends on the offset,
+//! so triples and offset are determined in turn. The first round of a longer recording has only the
+//! triples in its middle: by the nominal clocks, about every other triple would be wrong.
 //!
-//! The first round of a longer recording has the triples of its middle alone. Its estimate tells which
-//! frame of camera j lies between two of camera i, which the nominal clocks get wrong for about every
-//! other triple.
+//! A round computes the candidates of a group of pairs together. Large rigs are split into groups whose
+//! frames fit the cache. Results do not depend on the groups.
 
-use super::pair::{
-    InitialOffset, PairEstimate, PairFailure, PairTriples, TripleFrames, choose_triples,
-};
-use super::pair_fit::fit_pair;
-use super::recording::{MAX_CACHED_SAMPLES, Recording};
+use super::fit::{PairTriples, fit_pair};
 use super::time_order::{FRAMES_AT_ONCE, compute_triples};
+use super::{MAX_STD_ERR_FRAMES, PairEstimate, PairFailure, choose_triples};
 use crate::capture::CaptureError;
+use crate::offset::clock::ClockModel;
+use crate::offset::recording::{MAX_CACHED_SAMPLES, Recording, TripleFrames};
 use crate::progress::Reporter;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Maximum number of rounds of all triples from one initial offset. Larger costs time where the choice
-/// alternates; smaller may end on triples that the estimate no longer implies.
+/// The maximum number of rounds of all triples from one initial offset.
 const MAX_ROUNDS: usize = 5;
-/// The triples of either direction that the first round has. Larger costs time; smaller has no estimate
-/// more often, which costs a round of all triples.
+/// The number of triples of either direction in the first round.
 const FIRST_TRIPLES: usize = 4;
 
-/// One pair (i, j) between two rounds, from both directions: camera i's tracks against camera j's
-/// frames, and the reverse.
+/// The state of a pair (i, j) between two rounds. Its triples are of both directions: camera i's tracks
+/// against camera j's frames, and the reverse.
 pub struct PairRounds {
     cameras: [usize; 2],
-    /// The offset to about a frame; `None` for a pair that has none.
-    start: Option<InitialOffset>,
-    initial: InitialOffset,
+    /// The offset to about a frame; `None` if the pair has none.
+    start: Option<ClockModel>,
+    /// The offset that the next round starts from.
+    initial: ClockModel,
     with_rate: bool,
-    stage: Stage,
-    /// How many rounds of all triples are left.
+    stage: RoundStage,
+    /// The number of remaining rounds of all triples.
     rounds: usize,
-    /// Those of the last round.
+    /// The triples of the last round.
     frames: Vec<TripleFrames>,
     estimate: Result<PairEstimate, PairFailure>,
 }
 
-/// Which triples the next round has, and the offset that they were first chosen by.
+/// The triples of the next round, and the offset that they were first chosen by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
-    /// The recording's middle, by the start.
+enum RoundStage {
+    /// The triples in the recording's middle, by the start.
     Middle,
-    /// All, by the middle's estimate.
+    /// All triples, by the middle's estimate.
     FromMiddle,
-    /// All, by the start.
+    /// All triples, by the start.
     FromStart,
     Finished,
 }
 
 impl PairRounds {
-    /// `start` is the offset to about a frame, or why there is none.
+    /// `start` is the offset to about a frame, or the reason why there is none.
     pub fn new(
         cameras: [usize; 2],
-        start: Result<InitialOffset, PairFailure>,
+        start: Result<ClockModel, PairFailure>,
         with_rate: bool,
     ) -> Self {
+        let (start, failure) = match start {
+            Ok(start) => (Some(start), PairFailure::NoOverlap),
+            Err(failure) => (None, failure),
+        };
         Self {
             cameras,
-            start: start.ok(),
-            initial: start.unwrap_or_default(),
+            initial: start.clone().unwrap_or_default(),
+            stage: if start.is_some() { RoundStage::Middle } else { RoundStage::Finished },
+            start,
             with_rate,
-            stage: if start.is_ok() { Stage::Middle } else { Stage::Finished },
             rounds: MAX_ROUNDS,
             frames: Vec::new(),
-            estimate: Err(start.err().unwrap_or(PairFailure::NoOverlap)),
+            estimate: Err(failure),
         }
     }
 
-    /// Chooses the triples of the next round. §7 requires camera j's frame to lie between the two of
-    /// camera i; which one does depends on the offset, so triples and offset are determined in turn.
+    /// Chooses the triples of the next round.
     fn choose(&mut self, recording: &Recording) {
-        if self.stage == Stage::Finished {
+        if self.stage == RoundStage::Finished {
             return;
         }
         let frames = choose_triples(recording, self.cameras, &self.initial);
-        if self.stage == Stage::Middle {
+        if self.stage == RoundStage::Middle {
             if let Some(middle) = middle(&frames, self.cameras[0]) {
                 self.frames = middle;
                 return;
             }
-            self.stage = Stage::FromStart;
+            self.stage = RoundStage::FromStart;
         }
         if self.rounds == 0 || frames.is_empty() || frames == self.frames {
-            self.stage = Stage::Finished;
+            self.stage = RoundStage::Finished;
             return;
         }
         self.rounds -= 1;
         self.frames = frames;
     }
 
-    /// Estimates from the chosen triples.
+    /// Estimates the offset from the chosen triples.
     fn fit(&mut self, recording: &Recording) -> Result<(), CaptureError> {
-        let Some(start) = self.start.filter(|_| self.stage != Stage::Finished) else {
+        let Some(start) = self.start.clone().filter(|_| self.stage != RoundStage::Finished) else {
             return Ok(());
         };
-        let triples = PairTriples::new(recording, self.cameras, self.frames.clone())?;
-        if self.stage == Stage::Middle {
+        let triples = PairTriples::new(recording, self.cameras, &self.frames)?;
+        if self.stage == RoundStage::Middle {
             let estimate = fit_pair(recording, &triples, &self.initial, false);
-            self.stage = Stage::FromStart;
+            self.stage = RoundStage::FromStart;
             if let Some(pair) = estimate.ok().filter(|pair| is_near(recording, &start, pair)) {
-                self.stage = Stage::FromMiddle;
-                let (value_s, center_s) = (pair.offset_s, pair.center_s);
-                self.initial = InitialOffset { value_s, center_s, ..start };
+                self.stage = RoundStage::FromMiddle;
+                self.initial = ClockModel { rate: start.rate, ..pair.clock };
             }
             return Ok(());
         }
         self.estimate = fit_pair(recording, &triples, &self.initial, self.with_rate);
         match &self.estimate {
-            Ok(pair) => {
-                let (value_s, rate, center_s) = (pair.offset_s, pair.rate, pair.center_s);
-                self.initial = InitialOffset { value_s, rate, center_s };
-            }
+            Ok(pair) => self.initial = pair.clock.clone(),
             // The middle may have been wrong.
-            Err(_) if self.stage == Stage::FromMiddle => {
-                (self.stage, self.initial) = (Stage::FromStart, start);
+            Err(_) if self.stage == RoundStage::FromMiddle => {
+                (self.stage, self.initial) = (RoundStage::FromStart, start);
                 (self.rounds, self.frames) = (MAX_ROUNDS, Vec::new());
             }
-            Err(_) => self.stage = Stage::Finished,
+            Err(_) => self.stage = RoundStage::Finished,
         }
         Ok(())
     }
 
-    /// The number of triples of one round of all triples, without the corrections of later rounds.
+    /// The number of triples of one round of all triples.
     fn expected_triples(&self, recording: &Recording) -> usize {
         let max_frames = recording.options.max_frames;
-        let of = |c: usize| (recording.timelines.times_s[c].len() - 1).min(max_frames);
-        self.start.map_or(0, |_| self.cameras.map(of).iter().sum())
+        let count = |c: usize| (recording.clocks[c].times_s.len() - 1).min(max_frames);
+        if self.start.is_some() { self.cameras.map(count).iter().sum() } else { 0 }
     }
 }
 
 /// Whether an estimate is certain, and within the frame that the start may be off by.
-fn is_near(recording: &Recording, start: &InitialOffset, pair: &PairEstimate) -> bool {
-    let [i, j] = pair.cameras.map(|c| recording.timelines.frame_s(c));
-    pair.std_err_s <= recording.options.max_std_err_frames * i.min(j)
-        && (pair.offset_s - start.at(pair.center_s)).abs() <= i.max(j)
+fn is_near(recording: &Recording, start: &ClockModel, pair: &PairEstimate) -> bool {
+    let [i, j] = pair.cameras.map(|c| recording.clocks[c].frame_s());
+    pair.std_err_s <= MAX_STD_ERR_FRAMES * i.min(j)
+        && (pair.clock.offset_s - start.offset_at(pair.clock.reference_s)).abs() <= i.max(j)
 }
 
-/// Those in the middle of each direction's triples. `None` if a direction has at most 2·FIRST_TRIPLES
+/// The triples in the middle of each direction. `None` if a direction has at most 2·FIRST_TRIPLES
 /// triples.
 fn middle(frames: &[TripleFrames], i: usize) -> Option<Vec<TripleFrames>> {
     let (forward, backward) = frames.split_at(frames.partition_point(|([a, _], _)| *a == i));
@@ -157,8 +154,8 @@ fn middle(frames: &[TripleFrames], i: usize) -> Option<Vec<TripleFrames>> {
     Some(chosen)
 }
 
-/// Every pair's estimate, or why it has none, in the order of `pairs`. The error is that of a frame
-/// that cannot be read.
+/// Estimates every pair; the results are in the order of `pairs`. The error is that of a frame that
+/// cannot be read.
 pub fn estimate_pairs(
     recording: &Recording,
     mut pairs: Vec<PairRounds>,
@@ -167,7 +164,7 @@ pub fn estimate_pairs(
     let expected = |pairs: &[PairRounds]| -> usize {
         pairs.iter().map(|pair| pair.expected_triples(recording)).sum()
     };
-    // All pairs of a group end at about the same time, so that only triples tell the time left.
+    // Progress counts triples, since all pairs of a group end at about the same time.
     let task = reporter.task("Offsets", expected(&pairs));
     let mut done = 0;
     let mut rest = &mut pairs[..];
@@ -183,12 +180,12 @@ pub fn estimate_pairs(
         };
         loop {
             group.iter_mut().for_each(|pair| pair.choose(recording));
-            let active = group.iter().filter(|pair| pair.stage != Stage::Finished);
+            let active = group.iter().filter(|pair| pair.stage != RoundStage::Finished);
             let triples: Vec<_> = active.flat_map(|pair| pair.frames.iter().copied()).collect();
             if triples.is_empty() {
                 break;
             }
-            let clocks_s = clocks_s(recording.timelines.times_s.len(), group);
+            let clocks_s = clocks_s(recording.clocks.len(), group);
             compute_triples(recording, triples, &clocks_s, &computed)?;
             group.par_iter_mut().try_for_each(|pair| pair.fit(recording))?;
         }
@@ -199,8 +196,8 @@ pub fn estimate_pairs(
     Ok(pairs.into_iter().map(|pair| pair.estimate).collect())
 }
 
-/// The number of leading pairs whose frames at an instant fit the frame cache, and whose candidates of
-/// two rounds fit the candidate cache; at least 1.
+/// The number of leading pairs that form a group: their frames at an instant fit the frame cache, and
+/// their candidates of two rounds the candidate cache. It is at least 1.
 fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     let options = recording.options;
     // Two directions, two rounds.
@@ -214,8 +211,8 @@ fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
     pairs[..max_pairs].iter().take_while(fits).count().max(1)
 }
 
-/// By camera: its clock's offset relative to that of another camera of the group, as far as pairs
-/// with an initial offset connect them, seconds. 0 for all others.
+/// By camera: its clock's offset relative to that of another camera of the group, seconds. It is 0 for
+/// cameras that no pair with an initial offset connects to others.
 fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
     let connected: Vec<_> = group.iter().filter(|pair| pair.start.is_some()).collect();
     let mut clocks_s: Vec<Option<f64>> = vec![None; cameras];
@@ -225,7 +222,7 @@ fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
         while changed {
             changed = false;
             for pair in &connected {
-                let ([i, j], offset_s) = (pair.cameras, pair.initial.value_s);
+                let ([i, j], offset_s) = (pair.cameras, pair.initial.offset_s);
                 match [i, j].map(|c| clocks_s[c]) {
                     [Some(known), None] => clocks_s[j] = Some(known + offset_s),
                     [None, Some(known)] => clocks_s[i] = Some(known - offset_s),
@@ -240,16 +237,19 @@ fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::OffsetOptions;
-    use super::super::recording::TrackCache;
-    use super::super::timeline::Timelines;
     use super::*;
-    use crate::capture::Capture;
+    use crate::capture::{Capture, Clock};
+    use crate::offset::OffsetOptions;
+    use crate::offset::recording::TrackCache;
     use crate::raster::{BitDepth, Image, write_image};
     use crate::registration::{FrameStore, RegistrationOptions};
     use std::collections::BTreeMap;
     use std::path::Path;
     use std::sync::Arc;
+
+    fn nominal_clocks(capture: &Capture) -> Vec<Clock> {
+        capture.cameras.iter().map(|c| c.clock.clone()).collect()
+    }
 
     const DELAYS_FRAMES: [f64; 3] = [0.3, 0.0, -0.2];
 
@@ -291,7 +291,7 @@ mod tests {
 
     /// Pair by pair, all triples in every round.
     fn naive(recording: &Recording, cameras: [usize; 2]) -> Result<PairEstimate, PairFailure> {
-        let mut initial = InitialOffset::default();
+        let mut initial = ClockModel::default();
         let mut estimate = Err(PairFailure::NoOverlap);
         let mut before = Vec::new();
         for _ in 0..MAX_ROUNDS {
@@ -299,9 +299,9 @@ mod tests {
             if frames == before {
                 break;
             }
-            let triples = PairTriples::new(recording, cameras, frames.clone()).unwrap();
+            let triples = PairTriples::new(recording, cameras, &frames).unwrap();
             let pair = fit_pair(recording, &triples, &initial, false)?;
-            initial = InitialOffset::constant(pair.offset_s);
+            initial = ClockModel::constant(pair.clock.offset_s);
             (estimate, before) = (Ok(pair), frames);
         }
         estimate
@@ -318,15 +318,14 @@ mod tests {
             let registration = RegistrationOptions::default();
             let frames = FrameStore::with_bound(capture.clone(), &registration, max_bytes);
             let tracks = TrackCache::default();
-            let timelines = Timelines::nominal(&capture);
-            let recording = Recording::new(&frames, timelines, &tracks, &options);
-            let rounds = |cameras| PairRounds::new(cameras, Ok(InitialOffset::default()), false);
+            let recording = Recording::new(&frames, nominal_clocks(&capture), &tracks, &options);
+            let rounds = |cameras| PairRounds::new(cameras, Ok(ClockModel::default()), false);
             let all: Vec<_> = pairs.map(rounds).into();
             assert_eq!(group_size(&recording, &all), if max_bytes > 0 { 3 } else { 1 });
             let estimates = estimate_pairs(&recording, all, &Reporter::silent()).unwrap();
             for (cameras, estimate) in pairs.into_iter().zip(estimates) {
                 let truth = DELAYS_FRAMES[cameras[1]] - DELAYS_FRAMES[cameras[0]];
-                let error = estimate.as_ref().unwrap().offset_s / frame_s - truth;
+                let error = estimate.as_ref().unwrap().clock.offset_s / frame_s - truth;
                 assert!(error.abs() < 0.01, "{cameras:?}: {error} frame");
                 assert_eq!(estimate, naive(&recording, cameras), "{cameras:?}");
             }
@@ -339,7 +338,7 @@ mod tests {
         let capture = write_capture(folder.path(), rates);
         let frames = FrameStore::new(capture.clone(), &RegistrationOptions::default());
         let (tracks, options) = (TrackCache::default(), OffsetOptions::default());
-        test(&Recording::new(&frames, Timelines::nominal(&capture), &tracks, &options));
+        test(&Recording::new(&frames, nominal_clocks(&capture), &tracks, &options));
     }
 
     #[test]
@@ -349,20 +348,21 @@ mod tests {
             let frame_s = recording.frames.capture().frame_s();
             let rate = clock_rate / (1.0 + clock_rate);
             let value_s = (rate - 1.0) * DELAYS_FRAMES[0] * frame_s;
-            let truth = InitialOffset { value_s, rate, center_s: 0.0 };
-            let start = InitialOffset { value_s: value_s + 0.4 * frame_s, ..truth };
+            let truth = ClockModel { offset_s: value_s, rate, ..ClockModel::default() };
+            let start = ClockModel { offset_s: value_s + 0.4 * frame_s, ..truth.clone() };
             let mut pair = PairRounds::new([0, 1], Ok(start), true);
             pair.choose(recording);
             pair.fit(recording).unwrap();
-            assert_eq!((pair.stage, pair.initial.rate), (Stage::FromMiddle, rate));
+            assert_eq!((pair.stage, pair.initial.rate), (RoundStage::FromMiddle, rate));
             for time_s in [0.0, 23.0 * frame_s] {
-                let error = (pair.initial.at(time_s) - truth.at(time_s)) / frame_s;
+                let error = (pair.initial.offset_at(time_s) - truth.offset_at(time_s)) / frame_s;
                 assert!(error.abs() < 0.1, "{error} frame");
             }
             let estimates = estimate_pairs(recording, vec![pair], &Reporter::silent()).unwrap();
             let estimate = estimates[0].as_ref().unwrap();
-            let error = (estimate.offset_s - truth.at(estimate.center_s)) / frame_s;
-            assert!(error.abs() < 0.01 && (estimate.rate - rate).abs() < 1e-3, "{error} frame");
+            let clock = &estimate.clock;
+            let error = (clock.offset_s - truth.offset_at(clock.reference_s)) / frame_s;
+            assert!(error.abs() < 0.01 && (clock.rate - rate).abs() < 1e-3, "{error} frame");
         });
     }
 
@@ -370,13 +370,13 @@ mod tests {
     fn a_wrong_middle_falls_back_to_the_start() {
         with_recording([0.0; 3], |recording| {
             let frame_s = recording.frames.capture().frame_s();
-            let mut pair = PairRounds::new([0, 1], Ok(InitialOffset::default()), false);
+            let mut pair = PairRounds::new([0, 1], Ok(ClockModel::default()), false);
             (pair.stage, pair.initial) =
-                (Stage::FromMiddle, InitialOffset::constant(5.0 * frame_s));
+                (RoundStage::FromMiddle, ClockModel::constant(5.0 * frame_s));
             pair.choose(recording);
             pair.fit(recording).unwrap();
-            assert_eq!((pair.stage, pair.rounds), (Stage::FromStart, MAX_ROUNDS));
-            assert_eq!(pair.initial, InitialOffset::default());
+            assert_eq!((pair.stage, pair.rounds), (RoundStage::FromStart, MAX_ROUNDS));
+            assert_eq!(pair.initial, ClockModel::default());
             let estimates = estimate_pairs(recording, vec![pair], &Reporter::silent()).unwrap();
             assert_eq!(estimates[0], naive(recording, [0, 1]));
             assert!(estimates[0].is_ok());
@@ -387,12 +387,19 @@ mod tests {
     fn an_estimate_is_near_within_a_frame_of_the_start_at_its_time() {
         with_recording([0.0; 3], |recording| {
             let frame_s = recording.frames.capture().frame_s();
-            let start = InitialOffset { value_s: 0.2, rate: 0.01, center_s: 5.0 };
-            let max_std_err_s = recording.options.max_std_err_frames * frame_s;
+            let clock = |offset_s, reference_s| ClockModel {
+                offset_s,
+                rate: 0.01,
+                reference_s,
+                ..ClockModel::default()
+            };
+            let start = clock(0.2, 5.0);
+            let max_std_err_s = MAX_STD_ERR_FRAMES * frame_s;
             let is_near = |center_s: f64, away_frames: f64, std_err_s: f64| {
                 let offset_s = 0.2 + 0.01 * (center_s - 5.0) + away_frames * frame_s;
-                let estimate = PairEstimate { offset_s, std_err_s, center_s, ..Default::default() };
-                is_near(recording, &start, &PairEstimate { cameras: [0, 1], ..estimate })
+                let (cameras, clock) = ([0, 1], clock(offset_s, center_s));
+                let estimate = PairEstimate { cameras, clock, std_err_s, ..Default::default() };
+                is_near(recording, &start, &estimate)
             };
             for center_s in [0.0, 5.0, 60.0] {
                 assert!(is_near(center_s, 0.9, 0.9 * max_std_err_s));
@@ -407,9 +414,8 @@ mod tests {
 
     #[test]
     fn clocks_follow_pairs_that_have_a_start() {
-        let start = |cameras, offset_s| {
-            PairRounds::new(cameras, Ok(InitialOffset::constant(offset_s)), false)
-        };
+        let start =
+            |cameras, offset_s| PairRounds::new(cameras, Ok(ClockModel::constant(offset_s)), false);
         let group = [
             PairRounds::new([4, 0], Err(PairFailure::NoMotion), false),
             start([0, 1], 0.5),
@@ -430,11 +436,11 @@ mod tests {
         let mut stores = (1..).map(|n| bounded(n << 16));
         let frames = stores.find(|store| store.fits(0..3, FRAMES_AT_ONCE)).unwrap();
         let (tracks, options) = (TrackCache::default(), OffsetOptions::default());
-        let recording = Recording::new(&frames, Timelines::nominal(&capture), &tracks, &options);
+        let recording = Recording::new(&frames, nominal_clocks(&capture), &tracks, &options);
         let clocks_s = DELAYS_FRAMES.map(|delay| delay * capture.frame_s());
         let pairs = [[0, 1], [0, 2], [1, 2]];
         let triples = pairs.into_iter().flat_map(|[i, j]| {
-            let initial = InitialOffset::constant(clocks_s[j] - clocks_s[i]);
+            let initial = ClockModel::constant(clocks_s[j] - clocks_s[i]);
             choose_triples(&recording, [i, j], &initial)
         });
         let triples: Vec<_> = triples.collect();
@@ -460,7 +466,9 @@ mod tests {
     #[test]
     fn no_start_has_no_estimate_and_few_triples_have_no_middle() {
         let none = PairRounds::new([0, 1], Err(PairFailure::PeriodicMotion), false);
-        assert!(none.stage == Stage::Finished && none.estimate == Err(PairFailure::PeriodicMotion));
+        assert!(
+            none.stage == RoundStage::Finished && none.estimate == Err(PairFailure::PeriodicMotion)
+        );
         let frames = |n: usize| -> Vec<TripleFrames> {
             (0..n).map(|k| ([0, 1], [k, k])).chain((0..n).map(|k| ([1, 0], [k, k]))).collect()
         };

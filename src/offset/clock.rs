@@ -1,0 +1,171 @@
+//! Clock models: the offset, rate and lost frames of a clock relative to another one.
+
+use crate::capture::{Capture, Clock};
+
+/// The offset of a clock relative to another one, as a linear function of time, and its lost frames.
+///
+/// `target time = own time + offset_s + rate · (own time − reference_s)`. The own time of an image is
+/// its nominal time plus one frame period for each frame that is missing up to it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ClockModel {
+    /// Target time minus own time at `reference_s`, seconds.
+    pub offset_s: f64,
+    /// The change of the offset, seconds a second.
+    pub rate: f64,
+    /// The time at which the offset is `offset_s`, seconds.
+    pub reference_s: f64,
+    /// The images before which a frame is missing, ascending; one entry for each missing frame.
+    pub lost_before: Vec<usize>,
+}
+
+/// An estimated clock model with its standard errors.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ClockEstimate {
+    pub clock: ClockModel,
+    /// The standard error of the offset, seconds.
+    pub std_err_s: f64,
+    /// The standard error of the rate, seconds a second; 0 for a clock that does not drift.
+    pub rate_std_err: f64,
+}
+
+/// A camera's clock as the capture states it.
+#[derive(Clone, Copy, Debug)]
+pub struct NominalClock<'a> {
+    /// The time of every image on the camera's own clock, ascending, seconds.
+    pub times_s: &'a [f64],
+    /// The median time between successive images, seconds.
+    pub frame_s: f64,
+    /// Whether frames may be missing without a gap in `times_s`.
+    pub may_lose_frames: bool,
+    /// Whether the clock's rate may differ from the reference's.
+    pub drifts: bool,
+}
+
+impl<'a> NominalClock<'a> {
+    /// The nominal clock of a camera by index.
+    pub fn of_camera(capture: &'a Capture, camera: usize) -> Self {
+        let clock = &capture.cameras[camera].clock;
+        Self {
+            times_s: &clock.times_s,
+            frame_s: clock.frame_s(),
+            may_lose_frames: clock.lost,
+            drifts: clock.drift && camera != capture.reference,
+        }
+    }
+}
+
+impl ClockModel {
+    /// A clock with an offset that does not change.
+    pub fn constant(offset_s: f64) -> Self {
+        Self { offset_s, ..Self::default() }
+    }
+
+    /// A clock with the right times but for lost frames.
+    pub fn with_lost_frames(lost_before: Vec<usize>) -> Self {
+        Self { lost_before, ..Self::default() }
+    }
+
+    /// Target time minus own time at an own time, seconds.
+    pub fn offset_at(&self, time_s: f64) -> f64 {
+        self.offset_s + self.rate * (time_s - self.reference_s)
+    }
+
+    /// The target time at an own time, seconds.
+    pub fn apply(&self, time_s: f64) -> f64 {
+        time_s + (time_s - self.reference_s) * self.rate + self.offset_s
+    }
+
+    /// The clock relative to another one with the same target, to first order in the rates; its times
+    /// are on the other clock.
+    pub fn relative_to(&self, other: &Self) -> Self {
+        Self {
+            offset_s: self.offset_at(other.reference_s) - other.offset_s,
+            rate: self.rate - other.rate,
+            reference_s: other.reference_s,
+            lost_before: Vec::new(),
+        }
+    }
+
+    /// The own time of an image, lost frames accounted for, seconds; `None` beyond the last image.
+    pub fn own_time_s(&self, nominal: &NominalClock, image: usize) -> Option<f64> {
+        let missing = self.lost_before.partition_point(|&n| n <= image) as f64;
+        Some(nominal.times_s.get(image)? + nominal.frame_s * missing)
+    }
+
+    /// The target time of an image, seconds; `None` beyond the last image.
+    pub fn image_time_s(&self, nominal: &NominalClock, image: usize) -> Option<f64> {
+        Some(self.apply(self.own_time_s(nominal, image)?))
+    }
+
+    /// The target times of all images, seconds.
+    pub fn image_times_s(&self, nominal: &NominalClock) -> Vec<f64> {
+        (0..nominal.times_s.len()).map_while(|image| self.image_time_s(nominal, image)).collect()
+    }
+}
+
+/// The cameras' clocks with frame times that account for the lost frames; `lost_before` is by camera.
+pub fn with_lost_frames(capture: &Capture, lost_before: &[Vec<usize>]) -> Vec<Clock> {
+    let clock = |(c, lost): (usize, &Vec<usize>)| {
+        let model = ClockModel::with_lost_frames(lost.clone());
+        let times_s = model.image_times_s(&NominalClock::of_camera(capture, c));
+        Clock { times_s, ..capture.cameras[c].clock.clone() }
+    };
+    lost_before.iter().enumerate().map(clock).collect()
+}
+
+/// The index of each camera's clock, and the number of clocks.
+///
+/// The reference camera has clock 0. All cameras whose clock is marked as shared have the same one,
+/// that of the reference if its clock is shared too; every other camera has a clock of its own.
+pub fn clocks(capture: &Capture) -> (Vec<usize>, usize) {
+    let reference_shares = capture.cameras[capture.reference].clock.shared;
+    let mut next = 1;
+    let mut shared = reference_shares.then_some(0);
+    let mut clock = Vec::with_capacity(capture.cameras.len());
+    for (c, camera) in capture.cameras.iter().enumerate() {
+        let mut new_clock = || {
+            next += 1;
+            next - 1
+        };
+        clock.push(if c == capture.reference {
+            0
+        } else if camera.clock.shared {
+            *shared.get_or_insert_with(new_clock)
+        } else {
+            new_clock()
+        });
+    }
+    (clock, next)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lost_frames_delay_all_later_images() {
+        let own_times_s = |times_s: &[f64], lost_before: &[usize]| {
+            let nominal =
+                NominalClock { times_s, frame_s: 1.0, may_lose_frames: true, drifts: false };
+            ClockModel::with_lost_frames(lost_before.into()).image_times_s(&nominal)
+        };
+        let times = [0.0, 1.0, 2.0, 3.0];
+        assert_eq!(own_times_s(&times, &[]), times);
+        assert_eq!(own_times_s(&times, &[2]), [0.0, 1.0, 3.0, 4.0]);
+        assert_eq!(own_times_s(&times, &[1, 3, 3]), [0.0, 2.0, 3.0, 6.0]);
+        assert_eq!(own_times_s(&[5.0], &[0]), [5.0]);
+    }
+
+    #[test]
+    fn offsets_are_linear_in_time() {
+        let clock =
+            ClockModel { offset_s: 0.01, rate: 1e-4, reference_s: 5.0, ..ClockModel::default() };
+        assert!((clock.offset_at(15.0) - 0.011).abs() < 1e-15);
+        assert!((clock.apply(15.0) - 15.011).abs() < 1e-12);
+        assert_eq!(ClockModel::constant(0.2).offset_at(99.0), 0.2);
+        let other =
+            ClockModel { offset_s: 3.0, rate: 2e-4, reference_s: 25.0, ..ClockModel::default() };
+        let relative = clock.relative_to(&other);
+        assert!((relative.offset_at(35.0) - (0.013 - 3.002)).abs() < 1e-12);
+    }
+}

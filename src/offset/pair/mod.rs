@@ -1,0 +1,161 @@
+//! Pairs of cameras: their selection, their frame triples, and the estimate of each pair alone.
+
+mod fit;
+mod mixture;
+mod ransac;
+mod rounds;
+mod time_order;
+
+pub use mixture::{Mixture, Observation, ResidualModel};
+pub use ransac::{ransac, weighted_least_squares};
+pub use rounds::{PairRounds, estimate_pairs};
+
+use super::clock::ClockModel;
+use super::recording::{Recording, Sample, TripleFrames, spread};
+use super::{OffsetMethod, OffsetOptions};
+use crate::capture::Capture;
+use std::sync::Arc;
+
+/// The estimate from one pair of cameras, (i, j), alone.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PairEstimate {
+    /// The indices of cameras i and j.
+    pub cameras: [usize; 2],
+    /// `offset_j − offset_i` by time on camera i's clock. Its reference time is the middle of all
+    /// candidates; its rate is 0 if neither clock drifts.
+    pub clock: ClockModel,
+    /// The standard error of the offset, seconds.
+    pub std_err_s: f64,
+    /// The expected number of inliers, rounded.
+    pub inliers: usize,
+    /// The number of candidates, outliers included.
+    pub candidates: usize,
+    /// The inliers over all features that move across their epipolar lines, 0 to 1.
+    pub agreement: f64,
+    /// The standard deviation of the inliers' distances from their epipolar lines, pixels.
+    pub sigma_px: f64,
+    /// The estimates of single frame triples.
+    pub frames: Vec<FrameEstimate>,
+    /// The factor on standard errors for the few independent windows that the candidates come from, at
+    /// least 1. Its square is a variance inflation factor.
+    pub(super) std_err_inflation: f64,
+    /// All candidates, each with its weight in the mixture, 1 / px².
+    pub(super) samples: Arc<[(Sample, f64)]>,
+}
+
+/// The estimates from one frame triple: two successive frames of `camera`, one frame of the pair's
+/// other camera.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameEstimate {
+    /// The index of the camera with two frames.
+    pub camera: usize,
+    /// The index of the earlier one of its two frames.
+    pub frame: usize,
+    /// `offset_j − offset_i` by RANSAC and WLS, eqs. (11) to (13), seconds.
+    pub offset_s: f64,
+    /// `offset_j − offset_i` by the information-weighted mixture, seconds.
+    pub by_information_s: f64,
+}
+
+/// Why a pair has no estimate, in the order of the stages that fail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum PairFailure {
+    /// By the clocks, no frame of one camera lies between two frames of the other.
+    NoOverlap,
+    /// Too few features can be tracked.
+    TooFewFeatures,
+    /// Too few of the tracked features move.
+    NoMotion,
+    /// Too few of the moving features move across their epipolar lines.
+    MotionAlongEpipolarLines,
+    /// Too few candidates agree on one offset.
+    NoConsensus,
+    /// The offset contradicts the nominal clocks, and too few candidates agree on it to overrule them.
+    ContradictsClocks,
+    /// Several offsets, frames apart, have equally many inliers: the motion is periodic.
+    PeriodicMotion,
+}
+
+/// The error of nominal clocks, frames, up to which they are taken to be right.
+pub const NOMINAL_CLOCK_FRAMES: f64 = 1.5;
+/// The inliers that an offset beyond [`NOMINAL_CLOCK_FRAMES`] requires, as a fraction of all features
+/// that move across their epipolar lines. Swinging parts have inliers a period from the true offset.
+pub const MIN_AGREEMENT: f64 = 0.5;
+/// The minimum number of inliers of a pair.
+pub const MIN_INLIERS: usize = 12;
+/// The largest standard error of a pair that is used, and of an offset that is reported, frames.
+pub const MAX_STD_ERR_FRAMES: f64 = 0.1;
+/// The cosine between two baselines above which their epipolar lines count as parallel.
+const MAX_ALIGNMENT: f64 = 0.9;
+/// The number of cameras in other directions that each camera is paired with: a column and a diagonal
+/// of a grid.
+const OTHER_DIRECTIONS: usize = 2;
+
+/// The pairs of cameras to estimate, as ascending pairs of indices in ascending order.
+///
+/// Every camera is paired with its `neighbors` nearest cameras, all of those at equal distances, and
+/// with the nearest ones in other directions: motion along the epipolar lines of a grid's rows runs
+/// across those of its columns and diagonals. For [`OffsetMethod::Pairwise`] every camera is paired
+/// with the reference alone (§7). Cameras that share a clock or a centre form no pair.
+pub fn pairs(capture: &Capture, clock: &[usize], options: &OffsetOptions) -> Vec<[usize; 2]> {
+    let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
+    let mut pairs: Vec<[usize; 2]> = Vec::new();
+    for a in 0..centers.len() {
+        let to = |b: usize| centers[b] - centers[a];
+        let mut others: Vec<usize> =
+            (0..centers.len()).filter(|&b| clock[a] != clock[b] && to(b).norm() > 0.0).collect();
+        if options.method == OffsetMethod::Pairwise {
+            others.retain(|&b| b == capture.reference);
+        }
+        others.sort_by(|&x, &y| to(x).norm().total_cmp(&to(y).norm()).then(x.cmp(&y)));
+        // Ties count once: both sides of a line, all diagonals of a grid.
+        let reach = others
+            .get(options.neighbors.saturating_sub(1).min(others.len().wrapping_sub(1)))
+            .map_or(0.0, |&b| to(b).norm());
+        let near = others.partition_point(|&b| to(b).norm() <= reach * (1.0 + 1e-6));
+        let mut chosen = others[..near].to_vec();
+        for &b in &others[near..] {
+            let is_other_direction =
+                |n: &usize| to(b).normalize().dot(&to(*n).normalize()).abs() < MAX_ALIGNMENT;
+            if chosen.len() < near + OTHER_DIRECTIONS && chosen.iter().all(is_other_direction) {
+                chosen.push(b);
+            }
+        }
+        pairs.extend(chosen.into_iter().map(|b| [a.min(b), a.max(b)]));
+    }
+    pairs.sort_unstable();
+    pairs.dedup();
+    pairs
+}
+
+/// Chooses the frame triples of a pair, in both directions, at most `max_frames` in each.
+pub fn choose_triples(
+    recording: &Recording,
+    [i, j]: [usize; 2],
+    initial: &ClockModel,
+) -> Vec<TripleFrames> {
+    let max_frames = recording.options.max_frames;
+    let mut triples = Vec::new();
+    for (a, b, sign) in [(i, j, 1.0), (j, i, -1.0)] {
+        let times = &recording.clocks[a].times_s;
+        let offset_at = |k: usize| {
+            let middle = 0.5 * (times[k] + times[k + 1]);
+            // Rates are so small that they are the same on either clock.
+            sign * initial.offset_at(if sign > 0.0 { middle } else { middle + initial.offset_s })
+        };
+        let possible: Vec<(usize, usize)> = (0..times.len() - 1)
+            .filter_map(|k| Some((k, recording.image_between([a, b], k, offset_at(k))?)))
+            .collect();
+        // All pairs of a camera share frames, so that each is tracked once. If few of these lie in the
+        // overlap of two recordings, the pair has frames of its own.
+        let common = spread(times.len() - 1, max_frames);
+        let mut chosen: Vec<(usize, usize)> =
+            possible.iter().filter(|(k, _)| common.binary_search(k).is_ok()).copied().collect();
+        if chosen.len() < possible.len().min(max_frames) / 2 {
+            let spread = spread(possible.len(), max_frames);
+            chosen = spread.into_iter().map(|n| possible[n]).collect();
+        }
+        triples.extend(chosen.into_iter().map(|(k, m)| ([a, b], [k, m])));
+    }
+    triples
+}
