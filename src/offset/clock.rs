@@ -92,9 +92,16 @@ impl ClockModel {
         Some(nominal.times_s.get(image)? + nominal.frame_s * missing)
     }
 
+    /// The own times of all images, lost frames accounted for, seconds.
+    pub fn own_times_s(&self, nominal: &NominalClock) -> Vec<f64> {
+        (0..nominal.times_s.len()).map_while(|image| self.own_time_s(nominal, image)).collect()
+    }
+
     /// The target time of an image, seconds; `None` beyond the last image.
     pub fn image_time_s(&self, nominal: &NominalClock, image: usize) -> Option<f64> {
-        Some(self.apply(self.own_time_s(nominal, image)?))
+        let own_s = self.own_time_s(nominal, image)?;
+        // Sums in another order than `apply`: fits are reproducible to the last bit.
+        Some(own_s + self.offset_s + self.rate * (own_s - self.reference_s))
     }
 
     /// The target times of all images, seconds.
@@ -107,7 +114,7 @@ impl ClockModel {
 pub fn with_lost_frames(capture: &Capture, lost_before: &[Vec<usize>]) -> Vec<Clock> {
     let clock = |(c, lost): (usize, &Vec<usize>)| {
         let model = ClockModel::with_lost_frames(lost.clone());
-        let times_s = model.image_times_s(&NominalClock::of_camera(capture, c));
+        let times_s = model.own_times_s(&NominalClock::of_camera(capture, c));
         Clock { times_s, ..capture.cameras[c].clock.clone() }
     };
     lost_before.iter().enumerate().map(clock).collect()
@@ -147,7 +154,7 @@ mod tests {
         let own_times_s = |times_s: &[f64], lost_before: &[usize]| {
             let nominal =
                 NominalClock { times_s, frame_s: 1.0, may_lose_frames: true, drifts: false };
-            ClockModel::with_lost_frames(lost_before.into()).image_times_s(&nominal)
+            ClockModel::with_lost_frames(lost_before.into()).own_times_s(&nominal)
         };
         let times = [0.0, 1.0, 2.0, 3.0];
         assert_eq!(own_times_s(&times, &[]), times);

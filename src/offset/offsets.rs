@@ -100,7 +100,7 @@ impl Offsets {
             let nominal = NominalClock::of_camera(capture, c);
             let is_static = nominal.times_s.len() == 1;
             let clock = known.or_else(|| is_static.then(ClockModel::default))?;
-            Some(clock.image_times_s(&nominal))
+            Some(clock.own_times_s(&nominal).into_iter().map(|t| clock.apply(t)).collect())
         };
         self.clocks(capture).into_iter().enumerate().map(times_s).collect()
     }

@@ -60,7 +60,7 @@ pub fn fit_clock_models(
         }
         descent.loss_penalty = START_LOSS_PENALTY;
         let clock = ClockFit::nominal(&clocks[root]).clock;
-        descent.models[root] = Some(FittedClock { clock, component, ..FittedClock::default() });
+        descent.models[root] = Some(FittedClock::new(clock, component));
         while let Some(camera) = descent.next_camera() {
             descent.add_camera(camera, component);
         }
@@ -119,11 +119,9 @@ impl<'a> CoordinateDescent<'a> {
     /// Where an unconstrained fit steps back by a frame, all cameras fitted so far may have lost a
     /// frame there. That alternative replaces the constrained fit if its total cost is lower.
     fn add_camera(&mut self, camera: usize, component: usize) {
-        let loss_penalty = self.loss_penalty;
-        let unconstrained = self.fit(camera, FitOptions { loss_penalty, allow_steps_back: true });
+        let unconstrained = self.fit(camera, true);
         let before = self.models.clone();
-        let clock = self.fit(camera, FitOptions::losses_only(loss_penalty)).clock;
-        self.models[camera] = Some(FittedClock { clock, component, ..FittedClock::default() });
+        self.models[camera] = Some(FittedClock::new(self.fit(camera, false).clock, component));
         if unconstrained.steps_back.is_empty() {
             return;
         }
@@ -131,8 +129,7 @@ impl<'a> CoordinateDescent<'a> {
         let (constrained_cost, constrained_models) =
             (self.total_cost(component), std::mem::replace(&mut self.models, before));
         self.attribute_steps_back(camera, &unconstrained, component);
-        let clock = unconstrained.clock;
-        self.models[camera] = Some(FittedClock { clock, component, ..FittedClock::default() });
+        self.models[camera] = Some(FittedClock::new(unconstrained.clock, component));
         self.converge(component);
         if self.total_cost(component) >= constrained_cost {
             self.models = constrained_models;
@@ -174,12 +171,12 @@ impl<'a> CoordinateDescent<'a> {
         for _ in 0..MAX_SWEEPS {
             let mut converged = true;
             for &c in &members {
-                let clock = self.fit(c, FitOptions::losses_only(self.loss_penalty)).clock;
+                let clock = self.fit(c, false).clock;
                 let before = self.models[c].take().unwrap_or_default().clock;
                 converged &= clock.lost_before == before.lost_before
                     && (clock.offset_s - before.offset_s).abs()
                         < OFFSET_TOLERANCE_FRAMES * self.clocks[c].frame_s;
-                self.models[c] = Some(FittedClock { clock, component, ..FittedClock::default() });
+                self.models[c] = Some(FittedClock::new(clock, component));
             }
             if converged {
                 break;
@@ -190,7 +187,7 @@ impl<'a> CoordinateDescent<'a> {
     /// Flags the models that explain too few observations.
     fn flag_ambiguous(&mut self, component: usize) {
         for c in self.members(component) {
-            let fitted = self.fit(c, FitOptions::losses_only(self.loss_penalty));
+            let fitted = self.fit(c, false);
             let count = self.observations[c].len() as f64;
             if let Some(model) = &mut self.models[c] {
                 let losses = self.loss_penalty * model.clock.lost_before.len() as f64;
@@ -293,7 +290,7 @@ impl<'a> CoordinateDescent<'a> {
                 before.filter(|n| **n <= o.image).count() as i32
             };
             let as_second = self.observations[c].iter().filter(|o| o.cameras[1] == c);
-            let lags = as_second.filter_map(|o| self.lag_observation(c, o));
+            let lags = as_second.filter_map(|o| self.lag(c, o));
             let lost_before =
                 self.models[c].iter().flat_map(|m| m.clock.lost_before.chunk_by(usize::eq));
             let penalty = |gap: &[usize]| gap_penalty(gap.len() as u32, self.loss_penalty);
@@ -315,22 +312,16 @@ impl<'a> CoordinateDescent<'a> {
     }
 
     /// Fits a camera's clock model, given the models of all others.
-    fn fit(&self, camera: usize, options: FitOptions) -> ClockFit {
-        let clock = &self.clocks[camera];
-        let lags: Vec<LagObservation> = self.observations[camera]
-            .iter()
-            .filter_map(|o| self.lag_observation(camera, o))
-            .collect();
-        fit_clock_model(&lags, clock, options)
+    fn fit(&self, camera: usize, allow_steps_back: bool) -> ClockFit {
+        let lags: Vec<LagObservation> =
+            self.observations[camera].iter().filter_map(|o| self.lag(camera, o)).collect();
+        let options = FitOptions { loss_penalty: self.loss_penalty, allow_steps_back };
+        fit_clock_model(&lags, &self.clocks[camera], options)
     }
 
     /// Converts a timing observation to the lag of one of its cameras behind the common clock, given the
     /// other camera's model; `None` if the other camera has no model yet.
-    fn lag_observation(
-        &self,
-        camera: usize,
-        observation: &TimingObservation,
-    ) -> Option<LagObservation> {
+    fn lag(&self, camera: usize, observation: &TimingObservation) -> Option<LagObservation> {
         let [a, b] = observation.cameras;
         let [k, m] = observation.images;
         let clock = &self.clocks[camera];

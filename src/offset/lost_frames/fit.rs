@@ -70,15 +70,8 @@ pub fn fit_clock_model(
 pub struct FitOptions {
     /// The penalty of one lost frame, in outliers.
     pub loss_penalty: f64,
-    /// Whether the loss count may also descend: the other cameras lost a frame there.
+    /// Whether the loss count may also descend, where the other cameras lost a frame.
     pub allow_steps_back: bool,
-}
-
-impl FitOptions {
-    /// The loss count only ascends.
-    pub fn losses_only(loss_penalty: f64) -> Self {
-        Self { loss_penalty, allow_steps_back: false }
-    }
 }
 
 /// A fitted clock model with its cost.

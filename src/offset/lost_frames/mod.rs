@@ -49,6 +49,12 @@ pub struct FittedClock {
     pub component: usize,
 }
 
+impl FittedClock {
+    fn new(clock: ClockModel, component: usize) -> Self {
+        Self { clock, ambiguous: false, undecided: false, component }
+    }
+}
+
 /// A pair's offset observed at one triple of frames.
 #[derive(Clone, Copy, Debug)]
 struct TripleOffset {
