@@ -246,7 +246,7 @@ mod tests {
         let schema = RenderOptions::schema();
         for preset in Preset::ALL {
             let mut options = serde_json::to_value(preset.options()).unwrap();
-            for group in ["registration", "offset", "interpolation", "blend"] {
+            for group in ["registration", "interpolation", "blend"] {
                 options.as_object_mut().unwrap().remove(group);
             }
             for group in ["mesh", "depth"] {
