@@ -15,8 +15,6 @@ const PIXELS: RangeInclusive<f64> = 0.0..=1000.0;
 const SHARE: RangeInclusive<f64> = 0.0..=100.0;
 /// Counts of things of which none is a way to say "off".
 const COUNT: RangeInclusive<f64> = 0.0..=1e6;
-/// Counts of things that are needed.
-const SOME: RangeInclusive<f64> = 1.0..=1e6;
 
 impl RenderOptions {
     pub(super) fn check_undeclared(&self) -> Checked {
