@@ -1,4 +1,4 @@
-//! Progress with time left, on a terminal; one JSON line a step for a program that asks for them; nothing elsewhere.
+//! Progress reports: a bar with time left on a terminal, or JSON lines for another program.
 
 use crate::text::printable;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -6,7 +6,7 @@ use serde_json::json;
 use std::io::Write;
 use std::time::Duration;
 
-/// Where long work reports to: standard error, and only if that is a terminal; or, in lines, standard output.
+/// Receives progress: bars on standard error if that is a terminal, or lines on standard output.
 #[derive(Clone, Copy, Debug)]
 pub struct Reporter {
     to: Listener,
@@ -19,13 +19,13 @@ enum Listener {
     Lines,
 }
 
-/// One piece of long work; its bar vanishes when it is dropped.
+/// A running task; its bar disappears when it is dropped.
 pub struct Task {
     bar: ProgressBar,
     in_lines: bool,
 }
 
-/// How often a phase shows that it is alive.
+/// Interval at which the spinner of a phase moves.
 const TICK: Duration = Duration::from_millis(200);
 
 impl Reporter {
@@ -33,12 +33,12 @@ impl Reporter {
         Self { to: if quiet { Listener::Nobody } else { Listener::Terminal } }
     }
 
-    /// Reports nothing.
+    /// A reporter that prints nothing.
     pub fn silent() -> Self {
         Self { to: Listener::Nobody }
     }
 
-    /// Steps that can be counted, as lines `{"done", "total", "what"}` on standard output.
+    /// A reporter that prints counted steps as lines `{"done", "total", "what"}` on standard output.
     pub fn lines() -> Self {
         Self { to: Listener::Lines }
     }
@@ -68,7 +68,7 @@ impl Reporter {
         task
     }
 
-    /// Starts work whose steps can't be counted: its time so far is shown.
+    /// Starts a task without counted steps, which shows its elapsed time.
     pub fn phase(&self, label: &str) -> Task {
         if self.to != Listener::Terminal {
             return Task { bar: ProgressBar::hidden(), in_lines: false };
@@ -80,7 +80,7 @@ impl Reporter {
         Task { bar, in_lines: false }
     }
 
-    /// One sentence for the user.
+    /// Shows one sentence to the user.
     pub fn note(&self, sentence: &str) {
         if self.to == Listener::Terminal {
             // A note that nobody can read is none.
@@ -100,18 +100,18 @@ impl Task {
         self.say();
     }
 
-    /// Says that `done` steps were there before, which tells nothing about the time left.
+    /// Marks `done` steps as done earlier, so that they don't count for the time left.
     pub fn resume_at(&self, done: usize) {
         self.bar.set_position(done as u64);
         self.bar.reset_eta();
     }
 
-    /// Replaces the label.
+    /// Replaces the label of the task.
     pub fn describe(&self, label: &str) {
         self.bar.set_message(label.to_owned());
     }
 
-    /// How far it is, as a line. A line that nobody can read is none.
+    /// Prints the progress as a line; errors of standard output are ignored.
     fn say(&self) {
         if self.in_lines {
             let (done, total) = (self.bar.position(), self.bar.length().unwrap_or(0));
@@ -120,7 +120,7 @@ impl Task {
         }
     }
 
-    /// Takes it off the terminal before its end.
+    /// Removes the bar before the task ends.
     pub fn hide(&self) {
         self.bar.finish_and_clear();
     }

@@ -1,7 +1,6 @@
-//! Numbers that look random and are the same everywhere: SplitMix64 (Steele, Lea, Flood 2014).
-//! Generated rigs, simulated recordings and the tests' problems are drawn from them.
+//! Pseudo-random numbers that are equal on every platform: SplitMix64 (Steele, Lea, Flood 2014).
 
-/// A stream of numbers.
+/// A pseudo-random generator.
 #[derive(Clone, Debug)]
 pub struct Random(u64);
 
@@ -10,7 +9,7 @@ impl Random {
         Self(seed)
     }
 
-    /// A stream for a seed and a purpose, apart from those of other purposes.
+    /// A generator for a seed and a purpose, independent of those for other purposes.
     pub fn stream(seed: u64, purpose: &str) -> Self {
         let mut hasher = blake3::Hasher::new();
         hasher.update(&seed.to_le_bytes());
@@ -28,22 +27,22 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// Uniform in 0..1.
+    /// Uniform in [0, 1).
     pub fn unit(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Uniform between two numbers.
+    /// Uniform in [`low`, `high`).
     pub fn in_range(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
 
-    /// Uniform in −1..1.
+    /// Uniform in [−1, 1).
     pub fn signed(&mut self) -> f64 {
         self.in_range(-1.0, 1.0)
     }
 
-    /// Of mean 0 and standard deviation 1 (Box and Muller).
+    /// Normal with mean 0 and standard deviation 1 (Box–Muller).
     pub fn gaussian(&mut self) -> f64 {
         let radius = (-2.0 * (1.0 - self.unit()).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.unit()).cos()

@@ -1,16 +1,14 @@
-//! Text from files, as it may reach a terminal, a chart or another program's file.
+//! Makes text from files safe for a terminal, a chart or another program's file.
 
-/// The regular expression of an id in JSON Schemas (ECMAScript, with Unicode). The characters by number
-/// are the fillers of Hangul: letters that are not seen.
+/// Regular expression of an id in JSON Schemas (ECMAScript, with Unicode). It excludes Hangul fillers,
+/// which are invisible letters.
 pub const ID_PATTERN: &str =
     r"^(?! )(?!\.{1,2}$)(?!.*[\u115F\u1160\u3164\uFFA0])[\p{Alphabetic}\p{N}_. -]+(?<! )$";
-/// Characters of an id. Larger: tables and file names run over. Smaller: names of real cameras are
-/// refused.
+/// Largest number of characters of an id.
 pub const MAX_ID_LENGTH: usize = 100;
 
-/// Checks that an id is a name: letters that are seen, digits, `_`, `-`, `.` and spaces, at most
-/// [`MAX_ID_LENGTH`] of them, no space first or last, and neither `.` nor `..`. The error is the end of a
-/// sentence on the id.
+/// Checks that an id can name a file: at most [`MAX_ID_LENGTH`] visible letters, digits, `_`, `-`, `.`
+/// and inner spaces, and neither `.` nor `..`. The error completes the sentence "The id …".
 pub fn check_id(id: &str) -> Result<(), String> {
     let is_legal = |c: char| c.is_alphanumeric() || matches!(c, '_' | '-' | '.' | ' ');
     let length = id.chars().count();
@@ -32,14 +30,14 @@ pub fn check_id(id: &str) -> Result<(), String> {
     Err(format!("'{}' {reason}", printable(id)))
 }
 
-/// A value as a message quotes it: its first characters, as many as an id can have. Control characters
-/// stay; [`printable`] escapes them where the message is printed.
+/// Shortens a value for a message, to [`MAX_ID_LENGTH`] characters. Control characters are not escaped:
+/// see [`printable`].
 pub(crate) fn short(value: &str) -> String {
     value.chars().take(MAX_ID_LENGTH).collect()
 }
 
-/// Text on one line of a terminal: control characters, line separators and characters that turn the
-/// direction of writing or have no width are escaped as in Rust, `\u{1b}`.
+/// Escapes text for one line of a terminal: control characters, line separators, direction marks and
+/// characters without width become `\u{1b}` and the like.
 pub fn printable(text: &str) -> String {
     let shown = |c: char| if is_printable(c) { c.into() } else { c.escape_default().to_string() };
     text.chars().map(shown).collect()

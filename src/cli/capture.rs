@@ -1,10 +1,9 @@
 //! `stlfr capture`
 
 use super::CliError;
-use super::files::must_be_a_file;
-use super::outputs::CommandOutput;
+use super::files::{CommandOutput, must_be_a_file};
 use super::print::Page;
-use super::values::Size;
+use super::values::ImageSize;
 use std::path::PathBuf;
 use stlfr::capture::MAX_FRAMES;
 use stlfr::progress::Reporter;
@@ -31,9 +30,9 @@ pub struct CaptureArgs {
     /// The capture's folder.
     #[arg(short, long = "output", value_name = "CAPTURE")]
     output: PathBuf,
-    /// Size at which all cameras film, of the same aspect as in the rig.
+    /// ImageSize at which all cameras film, of the same aspect as in the rig.
     #[arg(long, value_name = "WxH")]
-    size: Option<Size>,
+    size: Option<ImageSize>,
     /// Frames of the reference camera; the others film as long [default: 9].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: Option<u32>,

@@ -1,14 +1,13 @@
 //! `stlfr check`
 
 use super::CliError;
-use super::error::of_io;
-use super::files::open_capture;
-use super::outputs::CommandOutput;
+use super::error::written;
+use super::files::{CommandOutput, open_capture};
 use super::print::Page;
 use std::path::PathBuf;
 use stlfr::host::write_json;
 use stlfr::progress::Reporter;
-use stlfr::toolchain::{check, ensure_environment, project_root};
+use stlfr::toolchain::{CheckValues, check, ensure_environment, project_root};
 
 /// Check a capture's calibration against COLMAP: projections, and a reconstruction from the pixels
 /// of one instant.
@@ -32,18 +31,17 @@ pub fn run(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Result<(),
     let environment = ensure_environment(&project_root()?, reporter)?;
     let check = check(&environment, &args.capture, reporter)?;
     if let Some(json) = &args.json {
-        write_json(json, &check.values).map_err(|error| {
-            of_io(format!("{}: can't be written ({error})", json.display()), &error)
-        })?;
+        written(json, write_json(json, &check.values))?;
     }
     for line in &check.table {
         page.line(line);
     }
-    match (check.values.ok, check.values.reason) {
-        (true, _) => Ok(()),
-        (false, reason) => Err(CliError::Failure(format!(
-            "the calibration is off: {}",
-            reason.unwrap_or_default()
-        ))),
-    }
+    verdict(&check.values)
+}
+
+/// An error if the calibration is off.
+pub fn verdict(values: &CheckValues) -> Result<(), CliError> {
+    let reason = values.reason.as_deref().unwrap_or_default();
+    let off = || CliError::Failure(format!("the calibration is off: {reason}"));
+    if values.ok { Ok(()) } else { Err(off()) }
 }

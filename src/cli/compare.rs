@@ -1,8 +1,7 @@
 //! `stlfr compare`
 
 use super::CliError;
-use super::files::{OptionsArgs, open_capture};
-use super::outputs::CommandOutput;
+use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

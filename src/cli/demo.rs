@@ -1,9 +1,9 @@
 //! `stlfr demo`
 
-use super::files::open_capture;
-use super::outputs::CommandOutput;
+use super::check::verdict;
+use super::files::{CommandOutput, open_capture};
 use super::print::Page;
-use super::values::Size;
+use super::values::ImageSize;
 use super::{CliError, compare};
 use std::path::{Path, PathBuf};
 use stlfr::capture::Capture;
@@ -20,9 +20,9 @@ use stlfr::toolchain::{FilmOptions, FilmedScene, check, ensure_environment, film
     stlfr demo\n  \
     stlfr demo --size 640x480 --video -o .captures/demo-large")]
 pub struct DemoArgs {
-    /// Size of the images.
+    /// ImageSize of the images.
     #[arg(long, value_name = "WxH", default_value_t = DEFAULT_SIZE)]
-    size: Size,
+    size: ImageSize,
     /// Frames a camera [default: 9]; 3 instants between them are compared.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(5..=100_000))]
     frames: Option<u32>,
@@ -38,7 +38,7 @@ pub struct DemoArgs {
     output: Option<PathBuf>,
 }
 
-const DEFAULT_SIZE: Size = Size { width: 320, height: 240 };
+const DEFAULT_SIZE: ImageSize = ImageSize { width: 320, height: 240 };
 
 /// Frames of the true slow motion that `--video` shows.
 const VIDEO_FRAMES: u32 = 48;
@@ -70,9 +70,7 @@ impl DemoArgs {
         for line in &check.table {
             reporter.note(line);
         }
-        if let Some(reason) = check.values.reason {
-            return Err(CliError::Failure(format!("the calibration is off: {reason}")));
-        }
+        verdict(&check.values)?;
         Ok(capture)
     }
 

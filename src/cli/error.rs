@@ -2,10 +2,13 @@
 
 use super::print::heard;
 use clap::error::ErrorKind as UsageKind;
+use std::error::Error;
 use std::io::{ErrorKind, Write};
+use std::path::Path;
 use std::process::ExitCode;
 use stlfr::capture::{CaptureError, TruthError};
 use stlfr::compare::CompareError;
+use stlfr::exchange::ExchangeError;
 use stlfr::json::JsonError;
 use stlfr::light_field::RenderError;
 use stlfr::raster::ImageFileError;
@@ -15,10 +18,10 @@ use stlfr::toolchain::{ExtensionError, ScriptError, SetupError};
 use stlfr::tradeoff::TradeoffError;
 use stlfr::video::VideoError;
 
-/// What ends a command.
+/// Why a command failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CliError {
-    /// Something given is wrong: exit code 2.
+    /// An input is wrong: exit code 2.
     #[error("{0}")]
     BadInput(String),
     /// The work failed: exit code 1.
@@ -50,8 +53,7 @@ impl From<ExtensionError> for CliError {
     }
 }
 
-/// What is missing, may not be read or is no file was given wrongly; what fails otherwise while it
-/// is read or written is a failure.
+/// Classifies a failed read or write: missing files, permissions and wrong kinds of files are bad input.
 pub(super) fn of_io(sentence: String, source: &std::io::Error) -> CliError {
     match source.kind() {
         ErrorKind::NotFound
@@ -66,46 +68,39 @@ pub(super) fn of_io(sentence: String, source: &std::io::Error) -> CliError {
     }
 }
 
+/// The result of writing a file.
+pub(super) fn written(path: &Path, result: std::io::Result<()>) -> Result<(), CliError> {
+    result.map_err(|error| of_io(format!("{}: can't be written ({error})", path.display()), &error))
+}
+
+/// Classifies an error by its cause: by [`of_io`] if it is a failed read or write, else as bad input.
+fn by_cause(error: &dyn Error) -> CliError {
+    let cause = error.source();
+    let io = cause.and_then(|cause| match cause.downcast_ref() {
+        Some(JsonError::Read(io)) => Some(io),
+        _ => cause.downcast_ref(),
+    });
+    io.map_or_else(|| CliError::BadInput(error.to_string()), |io| of_io(error.to_string(), io))
+}
+
+macro_rules! classified_by_cause {
+    ($($error:ty),+) => {
+        $(impl From<$error> for CliError {
+            fn from(error: $error) -> Self {
+                by_cause(&error)
+            }
+        })+
+    };
+}
+classified_by_cause!(ImageFileError, RigError, TruthError, ExchangeError);
+
 impl From<CaptureError> for CliError {
     fn from(error: CaptureError) -> Self {
-        let sentence = error.to_string();
-        match &error {
-            CaptureError::Read { source, .. }
-            | CaptureError::Write { source, .. }
-            | CaptureError::Json { source: JsonError::Read(source), .. } => of_io(sentence, source),
-            CaptureError::ImageFile(ImageFileError::Read { source, .. })
-            | CaptureError::ImageFile(ImageFileError::Write { source, .. }) => {
-                of_io(sentence, source)
+        match error {
+            CaptureError::NoFfmpeg { .. } | CaptureError::Changed { .. } => {
+                Self::Failure(error.to_string())
             }
-            CaptureError::NoFfmpeg { .. } | CaptureError::Changed { .. } => Self::Failure(sentence),
-            _ => Self::BadInput(sentence),
-        }
-    }
-}
-
-impl From<ImageFileError> for CliError {
-    fn from(error: ImageFileError) -> Self {
-        CaptureError::from(error).into()
-    }
-}
-
-impl From<RigError> for CliError {
-    fn from(error: RigError) -> Self {
-        let sentence = error.to_string();
-        match &error {
-            RigError::Json { source: JsonError::Read(source), .. } => of_io(sentence, source),
-            _ => Self::BadInput(sentence),
-        }
-    }
-}
-
-impl From<TruthError> for CliError {
-    fn from(error: TruthError) -> Self {
-        let sentence = error.to_string();
-        match &error {
-            TruthError::Read { source, .. }
-            | TruthError::Json { source: JsonError::Read(source), .. } => of_io(sentence, source),
-            _ => Self::BadInput(sentence),
+            _ => by_cause(&error),
         }
     }
 }
@@ -131,11 +126,8 @@ impl From<CompareError> for CliError {
     fn from(error: CompareError) -> Self {
         match error {
             CompareError::Capture(error) => error.into(),
-            CompareError::Truth(error) => error.into(),
-            CompareError::ImageFile(error) => error.into(),
-            CompareError::Write { ref source, .. } => of_io(error.to_string(), source),
             CompareError::Report(_) | CompareError::Video(_) => Self::Failure(error.to_string()),
-            _ => Self::BadInput(error.to_string()),
+            _ => by_cause(&error),
         }
     }
 }
@@ -144,19 +136,17 @@ impl From<TradeoffError> for CliError {
     fn from(error: TradeoffError) -> Self {
         match error {
             TradeoffError::Capture(error) => error.into(),
-            TradeoffError::Truth(error) => error.into(),
             TradeoffError::Compare(error) => error.into(),
             TradeoffError::Render(error) => error.into(),
-            TradeoffError::Write { ref source, .. } => of_io(error.to_string(), source),
-            _ => Self::BadInput(error.to_string()),
+            _ => by_cause(&error),
         }
     }
 }
 
-/// Says what went wrong, if anything did.
+/// Prints the error, if any, and returns the exit code.
 pub fn exit(result: Result<(), CliError>) -> ExitCode {
     let Err(error) = result else { return ExitCode::SUCCESS };
-    // Where stderr can't be written, the exit code has to say it.
+    // Without stderr, the exit code alone reports the error.
     let _ = writeln!(std::io::stderr(), "{}", printable(error.to_string().trim_end()));
     ExitCode::from(match error {
         CliError::BadInput(_) => 2,
@@ -164,14 +154,13 @@ pub fn exit(result: Result<(), CliError>) -> ExitCode {
     })
 }
 
-/// Help and version as clap prints them; a wrong command line in one sentence.
+/// Prints help and version as clap does, and an error in the command line as one sentence.
 pub fn usage(error: &clap::Error) -> ExitCode {
     match error.kind() {
         UsageKind::DisplayHelp | UsageKind::DisplayVersion => {
             exit(heard(error.print().and_then(|()| std::io::stdout().flush())))
         }
         UsageKind::DisplayHelpOnMissingArgumentOrSubcommand => {
-            // On stderr, of which the exit code says as much.
             let _ = error.print();
             ExitCode::from(2)
         }
@@ -191,7 +180,6 @@ fn sentence(message: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stlfr::exchange::ExchangeError;
 
     #[test]
     fn what_fails_in_mid_work_is_no_bad_input() {

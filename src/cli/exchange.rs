@@ -1,9 +1,7 @@
 //! `stlfr import` and `stlfr export`
 
 use super::CliError;
-use super::error::of_io;
-use super::files::open_capture;
-use super::outputs::CommandOutput;
+use super::files::{CommandOutput, open_capture};
 use std::path::{Path, PathBuf};
 use stlfr::exchange::{self, ExchangeError, ImportClock, NamedCamera};
 use stlfr::progress::Reporter;
@@ -67,18 +65,6 @@ enum Format {
     Llff,
     /// NeRF's transforms.json.
     Nerf,
-}
-
-impl From<ExchangeError> for CliError {
-    fn from(error: ExchangeError) -> Self {
-        let sentence = error.to_string();
-        match &error {
-            ExchangeError::Read { source, .. }
-            | ExchangeError::Write { source, .. }
-            | ExchangeError::Copy { source, .. } => of_io(sentence, source),
-            ExchangeError::Content { .. } => Self::BadInput(sentence),
-        }
-    }
 }
 
 pub fn run_import(args: &ImportArgs) -> Result<(), CliError> {

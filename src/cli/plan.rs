@@ -1,9 +1,8 @@
 //! `stlfr plan`
 
 use super::CliError;
-use super::error::of_io;
-use super::files::{OptionsArgs, open_capture};
-use super::outputs::CommandOutput;
+use super::error::written;
+use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -52,9 +51,7 @@ pub fn run(args: &PlanArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
     let field = pipeline::open_field(capture.clone(), &options, reporter)?;
     let plan = plan(&field, &options, reporter)?;
     if let Some(output) = &args.output {
-        write_json(output, &plan.options).map_err(|error| {
-            of_io(format!("{}: can't be written ({error})", output.display()), &error)
-        })?;
+        written(output, write_json(output, &plan.options))?;
     }
     if args.json {
         page.json(&plan)?;

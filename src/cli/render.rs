@@ -1,10 +1,8 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::files::{OptionsArgs, open_capture, read_view};
-use super::outputs::check_files;
-use super::span::{ImageOutput, Times};
-use super::values::{MethodChoice, method, method_or_auto};
+use super::files::{OptionsArgs, check_files, open_capture, read_view};
+use super::values::{ImageOutput, MethodChoice, Times, method, method_or_auto};
 use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::Arc;

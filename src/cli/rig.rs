@@ -1,10 +1,10 @@
 //! `stlfr rig`
 
 use super::CliError;
-use super::error::of_io;
-use super::outputs::CommandOutput;
+use super::error::written;
+use super::files::CommandOutput;
 use super::print::Page;
-use super::values::Size;
+use super::values::{ImageSize, method};
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use stlfr::capture::{self, MAX_FRAMES};
@@ -89,7 +89,7 @@ struct PlaceArgs {
     distance: f64,
     /// Image sizes.
     #[arg(long, value_name = "WxH,…", default_value = "640x480", value_delimiter = ',')]
-    size: Vec<Size>,
+    size: Vec<ImageSize>,
     /// Focal lengths.
     #[arg(long, value_name = "MM,…", default_value = "38.6", value_delimiter = ',')]
     lens: Vec<f64>,
@@ -127,8 +127,9 @@ struct ClockArgs {
     #[arg(long, value_name = "N", default_value_t = 9, value_parser = 1..MAX_FRAMES as i64)]
     lost_within: i64,
     /// Whether the cameras' times show lost frames: as a gap, not at all, or either in turn.
-    #[arg(long, value_name = "HOW", default_value = "stamped")]
-    lost_stamps: LostStamps,
+    #[arg(long, value_name = "HOW", default_value = "stamped",
+        value_parser = method::<LossStamps>())]
+    lost_stamps: LossStamps,
     /// All cameras share one clock: there is nothing to estimate.
     #[arg(long)]
     shared_clock: bool,
@@ -137,19 +138,13 @@ struct ClockArgs {
     exposure: Vec<f64>,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum LostStamps {
-    Stamped,
-    Hidden,
-    Mixed,
-}
-
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Sensors")]
 struct SensorArgs {
     /// Colour or grey cameras.
-    #[arg(long, value_name = "COLOR,…", default_value = "rgb", value_delimiter = ',')]
-    color: Vec<ColorName>,
+    #[arg(long, value_name = "COLOR,…", default_value = "rgb", value_delimiter = ',',
+        value_parser = method::<RigColor>())]
+    color: Vec<RigColor>,
     /// Factors of light.
     #[arg(long, value_name = "GAIN,…", default_value = "1", value_delimiter = ',')]
     gain: Vec<f64>,
@@ -159,12 +154,6 @@ struct SensorArgs {
     /// Bits a channel, 8 or 16.
     #[arg(long, value_name = "N", default_value_t = 8)]
     bit_depth: u32,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum ColorName {
-    Rgb,
-    Gray,
 }
 
 pub fn run(args: &RigArgs, page: &mut Page) -> Result<(), CliError> {
@@ -189,9 +178,7 @@ pub fn run(args: &RigArgs, page: &mut Page) -> Result<(), CliError> {
         None => page.text(text),
         Some(file) => {
             CommandOutput::File(file).check(None)?;
-            write_atomically(file, text.as_bytes()).map_err(|error| {
-                of_io(format!("{}: can't be written ({error})", file.display()), &error)
-            })?;
+            written(file, write_atomically(file, text.as_bytes()))?;
         }
     }
     Ok(())
@@ -224,24 +211,13 @@ impl RigArgs {
             loss: (clock.lost > 0).then_some(Loss {
                 count: clock.lost,
                 within: clock.lost_within as usize,
-                stamps: match clock.lost_stamps {
-                    LostStamps::Stamped => LossStamps::Stamped,
-                    LostStamps::Hidden => LossStamps::Hidden,
-                    LostStamps::Mixed => LossStamps::Mixed,
-                },
+                stamps: clock.lost_stamps,
             }),
             clock_shared: clock.shared_clock,
             exposures_s: clock.exposure.clone(),
             gains: sensor.gain.clone(),
             noises: sensor.noise.clone(),
-            colors: sensor
-                .color
-                .iter()
-                .map(|color| match color {
-                    ColorName::Rgb => RigColor::Rgb,
-                    ColorName::Gray => RigColor::Gray,
-                })
-                .collect(),
+            colors: sensor.color.clone(),
             bit_depth: sensor.bit_depth,
             seed: self.seed,
         }

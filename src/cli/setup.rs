@@ -1,7 +1,7 @@
 //! `stlfr setup`
 
 use super::CliError;
-use super::outputs::CommandOutput;
+use super::files::CommandOutput;
 use super::print::Page;
 use std::path::PathBuf;
 use stlfr::progress::Reporter;

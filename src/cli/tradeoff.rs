@@ -1,8 +1,7 @@
 //! `stlfr tradeoff`
 
 use super::CliError;
-use super::files::{OptionsArgs, open_capture};
-use super::outputs::CommandOutput;
+use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
 use super::values::method;
 use std::path::PathBuf;

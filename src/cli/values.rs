@@ -1,6 +1,7 @@
-//! Values of the command line that are more than a number or a name.
+//! Parsed values of the command line: methods, sizes, instants and image files.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use std::path::PathBuf;
 use std::str::FromStr;
 use stlfr::method::Method;
 
@@ -47,18 +48,18 @@ pub fn method_or_auto<T: Method>() -> impl TypedValueParser<Value = MethodChoice
 
 /// `320x240`: width and height in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Size {
+pub struct ImageSize {
     pub width: u32,
     pub height: u32,
 }
 
-impl std::fmt::Display for Size {
+impl std::fmt::Display for ImageSize {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}x{}", self.width, self.height)
     }
 }
 
-impl FromStr for Size {
+impl FromStr for ImageSize {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -67,6 +68,101 @@ impl FromStr for Size {
             Some((width @ 8..=99_999, height @ 8..=99_999)) => Ok(Self { width, height }),
             _ => Err("is no size like 320x240, at least 8x8".into()),
         }
+    }
+}
+
+/// `START:END:N`: N instants evenly from START to END, both included, in seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Times {
+    pub start_s: f64,
+    pub end_s: f64,
+    pub count: usize,
+}
+
+/// More images than anyone renders in one run; a typing error shall not fill the disk.
+const MAX_TIMES: usize = 1_000_000;
+
+impl FromStr for Times {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parts: Vec<&str> = text.split(':').collect();
+        let wrong = || "is no span of times like 0.1:0.4:30".to_owned();
+        let &[start, end, count] = parts.as_slice() else { return Err(wrong()) };
+        let times = Self {
+            start_s: start.parse().map_err(|_| wrong())?,
+            end_s: end.parse().map_err(|_| wrong())?,
+            count: count.parse().map_err(|_| wrong())?,
+        };
+        if !times.start_s.is_finite() || !times.end_s.is_finite() {
+            return Err(wrong());
+        }
+        if times.count == 0 || times.count > MAX_TIMES {
+            return Err(format!("asks for {} images, must be from 1 to {MAX_TIMES}", times.count));
+        }
+        Ok(times)
+    }
+}
+
+impl Times {
+    /// The instants, seconds.
+    pub fn instants_s(&self) -> Vec<f64> {
+        let last = self.count - 1;
+        // END's share is 1 exactly: the last one is END itself, not END and a rounding error beyond
+        // what was filmed. And no two times are too far apart to be subtracted.
+        let share = |k: usize| if last == 0 { 0.0 } else { k as f64 / last as f64 };
+        (0..self.count).map(|k| self.start_s * (1.0 - share(k)) + self.end_s * share(k)).collect()
+    }
+}
+
+/// Where images go: one file, a numbered sequence, or a video.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ImageOutput {
+    Image(PathBuf),
+    /// Printf pattern, such as `out/%04d.png`.
+    Sequence(PathBuf),
+    Video(PathBuf),
+}
+
+impl FromStr for ImageOutput {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let path = PathBuf::from(text);
+        match path.extension().and_then(|e| e.to_str()).map(str::to_lowercase).as_deref() {
+            Some("png") if text.contains('%') => {
+                let output = Self::Sequence(path);
+                output.file(0).map(|_| output).ok_or_else(|| "has no field like %04d".into())
+            }
+            Some("png") => Ok(Self::Image(path)),
+            Some("mkv") => Ok(Self::Video(path)),
+            _ => Err("must end in .png or .mkv".into()),
+        }
+    }
+}
+
+impl ImageOutput {
+    /// The files of so many images.
+    pub fn files(&self, images: usize) -> impl Iterator<Item = PathBuf> {
+        let files = if matches!(self, Self::Sequence(_)) { images } else { 1 };
+        (0..files).filter_map(|index| self.file(index))
+    }
+
+    /// The `index`-th file of a sequence; `None` where the pattern has no field for a number. The
+    /// file itself for the others.
+    pub fn file(&self, index: usize) -> Option<PathBuf> {
+        let (Self::Image(path) | Self::Sequence(path) | Self::Video(path)) = self;
+        if !matches!(self, Self::Sequence(_)) {
+            return Some(path.clone());
+        }
+        let text = path.to_str()?;
+        let (before, rest) = text.split_once('%')?;
+        let (digits, after) = rest.split_once('d')?;
+        let width: usize = match digits {
+            "" => 0,
+            _ => digits.strip_prefix('0')?.parse().ok().filter(|w| *w <= 18)?,
+        };
+        (!after.contains('%')).then(|| PathBuf::from(format!("{before}{index:0width$}{after}")))
     }
 }
 
@@ -91,9 +187,36 @@ mod tests {
 
     #[test]
     fn sizes() {
-        assert_eq!("320x240".parse(), Ok(Size { width: 320, height: 240 }));
+        assert_eq!("320x240".parse(), Ok(ImageSize { width: 320, height: 240 }));
         for wrong in ["320", "0x240", "320x", "320X240", "-1x5", "4x4", "320x240x3"] {
-            assert!(wrong.parse::<Size>().is_err(), "{wrong}");
+            assert!(wrong.parse::<ImageSize>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn spans_of_times() {
+        let times: Times = "0.1:0.4:4".parse().unwrap();
+        let instants = times.instants_s();
+        assert_eq!((instants.len(), instants[0], instants[3]), (4, 0.1, 0.4));
+        assert!((instants[1] - 0.2).abs() < 1e-12);
+        assert_eq!("-1:1:1".parse::<Times>().unwrap().instants_s(), [-1.0]);
+        let far: Times = "-1e308:1e308:3".parse().unwrap();
+        assert_eq!(far.instants_s(), [-1e308, 0.0, 1e308]);
+        assert_eq!("1:0:2".parse::<Times>().unwrap().instants_s(), [1.0, 0.0]);
+        for wrong in ["", "1:2", "1:2:0", "nan:1:2", "0:inf:2", "0:1:2:3", "0:1:-4", "0:1:9999999"]
+        {
+            assert!(wrong.parse::<Times>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn outputs() {
+        let sequence: ImageOutput = "out/%04d.png".parse().unwrap();
+        assert_eq!(sequence.file(7), Some("out/0007.png".into()));
+        assert_eq!("a.png".parse(), Ok(ImageOutput::Image("a.png".into())));
+        assert_eq!("a.mkv".parse(), Ok(ImageOutput::Video("a.mkv".into())));
+        for wrong in ["a", "a.jpg", "%s.png", "%4d.png", "%04d%d.png"] {
+            assert!(wrong.parse::<ImageOutput>().is_err(), "{wrong}");
         }
     }
 }

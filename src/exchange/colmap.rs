@@ -8,9 +8,9 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::str::{FromStr, SplitWhitespace};
 
-/// The names of a text model's files: cameras, images, points.
+/// Files of a text model: cameras, images, points.
 pub const COLMAP_TEXT_FILES: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
-/// The same of a binary model.
+/// Files of a binary model: cameras, images, points.
 pub const COLMAP_BINARY_FILES: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
 
 struct ModelLens {
@@ -25,12 +25,11 @@ struct ModelImage {
     translation: [f64; 3],
 }
 
-/// Reads a COLMAP model's folder: one camera an image, in the order of the images' numbers, named as
-/// the images. Binary files are preferred to text files, as COLMAP does.
+/// Reads the cameras of a COLMAP model's folder, one for each image, sorted by image number and named
+/// after the images. Binary files are preferred to text files, as in COLMAP.
 ///
-/// A model without images, one of more than 100,000 images or cameras, a file of more than 768 MiB or
-/// that is no regular file, an unknown camera model, and whatever a capture would refuse of a camera
-/// are errors.
+/// Errors: no images, more than [`MAX_ENTRIES`] images or cameras, a file that is not regular or larger
+/// than [`MAX_MODEL_BYTES`], an unknown camera model, a camera that a capture would refuse.
 pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let binary = folder.join("cameras.bin");
     let (images_path, lenses, mut images) = if binary.exists() {
@@ -83,7 +82,7 @@ fn text(path: &Path) -> Result<String, ExchangeError> {
     String::from_utf8(bytes(path)?).map_err(|_| content(path, "is no text"))
 }
 
-/// The next value of a line.
+/// Parses the next value of a line; `what` names it in the error.
 fn value<T: FromStr>(fields: &mut SplitWhitespace, what: &str) -> Result<T, String> {
     let field = fields.next().ok_or_else(|| format!("{what} is missing"))?;
     field.parse().map_err(|_| format!("{what} can't be '{field}'"))
@@ -121,7 +120,7 @@ fn model(name: &str, params: &[f64]) -> Result<CameraModel, String> {
         .ok_or_else(|| format!("the model {name} with {} parameters isn't known", params.len()))
 }
 
-/// Each image has two lines, the second its points, which may be empty.
+/// Each image has two lines. The second lists its points, and may be empty.
 fn text_images(text: &str) -> Result<Vec<(u32, ModelImage)>, String> {
     let mut images = Vec::new();
     let mut lines = text.lines().enumerate();
@@ -137,10 +136,10 @@ fn text_images(text: &str) -> Result<Vec<(u32, ModelImage)>, String> {
     Ok(images)
 }
 
-/// The values of an image's line before its name.
+/// Number of values before the name in an image's line.
 const IMAGE_FIELDS: usize = 9;
 
-/// What follows a line's first fields.
+/// The rest of a line after its first `count` fields.
 fn after_fields(line: &str, count: usize) -> &str {
     (0..count).fold(line, |rest, _| {
         rest.find(char::is_whitespace).map_or("", |end| rest[end..].trim_start())
@@ -166,7 +165,7 @@ fn text_image(line: &str) -> Result<(u32, ModelImage), String> {
     Ok((number, ModelImage { name: name.to_owned(), camera_id, rotation_wxyz, translation }))
 }
 
-/// Little-endian values off the front of a file.
+/// Reads little-endian values from the front of a file.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -199,7 +198,7 @@ impl Bytes<'_> {
         Ok(name.to_owned())
     }
 
-    /// Passes over `count` records of `size` bytes.
+    /// Skips `count` records of `size` bytes.
     fn skip(&mut self, count: u64, size: u64) -> Result<(), String> {
         let bytes = count.checked_mul(size).and_then(|n| usize::try_from(n).ok());
         self.0 = bytes.and_then(|n| self.0.get(n..)).ok_or("is cut short")?;
@@ -253,12 +252,10 @@ fn binary_images(bytes: &[u8]) -> Result<Vec<(u32, ModelImage)>, String> {
     Ok(images)
 }
 
-/// The files of COLMAP's text model by their names: `cameras.txt`, `images.txt` and an empty
-/// `points3D.txt`.
+/// Texts of COLMAP's model by file name: `cameras.txt`, `images.txt` and an empty `points3D.txt`.
 ///
-/// Each image has a camera of its own; both are numbered from 1 in the order given. Cameras are
-/// written as they stand ([`CameraFormat::camera`] checks them), and every number reads back as the
-/// same double.
+/// Each image has its own camera; both are numbered from 1 in the given order. Cameras are not checked
+/// (see [`CameraFormat::camera`]). Every number reads back as the same double.
 pub fn colmap_text(images: &[(String, CameraFormat)]) -> BTreeMap<&'static str, String> {
     let mut camera_lines = String::from("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n");
     let mut image_lines = String::from(
@@ -281,7 +278,7 @@ fn numbers(values: &[f64]) -> String {
     values.iter().copied().map(number).collect::<Vec<_>>().join(" ")
 }
 
-/// The shortest number that reads back as the same double, its exponent spelled as in C: `1e-07`.
+/// The shortest text that reads back as the same double, with an exponent as in C: `1e-07`.
 fn number(value: f64) -> String {
     let text = format!("{value:?}");
     let Some((digits, exponent)) = text.split_once('e') else { return text };
@@ -289,8 +286,8 @@ fn number(value: f64) -> String {
     format!("{digits}e{sign}{power:0>2}")
 }
 
-/// Writes the files of [`colmap_text`] into a folder, which is created if there is none. A name with a
-/// space is an error: COLMAP ends a name there.
+/// Writes the files of [`colmap_text`] into a folder, which is created if missing. A name with a space is
+/// an error, because COLMAP splits names at spaces.
 pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     if let Some(spaced) = cameras.iter().find(|c| c.name.contains(char::is_whitespace)) {
         let reason = format!(
@@ -306,8 +303,8 @@ pub fn write_colmap_text(folder: &Path, cameras: &[NamedCamera]) -> Result<(), E
         .try_for_each(|(name, text)| write(&folder.join(name), text.as_bytes()))
 }
 
-/// Writes the cameras as a COLMAP model in binary: `cameras.bin`, `images.bin` and an empty
-/// `points3D.bin`, numbered as in [`colmap_text`]. The folder is created if there is none.
+/// Writes the cameras as a binary COLMAP model: `cameras.bin`, `images.bin` and an empty `points3D.bin`,
+/// numbered as in [`colmap_text`]. The folder is created if missing.
 pub fn write_colmap_binary(folder: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let count = (cameras.len() as u64).to_le_bytes();
     let (mut lenses, mut images) = (count.to_vec(), count.to_vec());

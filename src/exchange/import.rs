@@ -1,4 +1,4 @@
-//! A capture from a calibration and a folder of image sequences.
+//! Makes a capture from a calibration and a folder of image sequences.
 
 use super::{ExchangeError, NamedCamera, content};
 use crate::camera::CameraFormat;
@@ -23,20 +23,19 @@ pub struct ImportClock {
 
 /// File extensions of images.
 const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
-/// Largest motion of a camera between two of its images, metres and radians. Larger: moving cameras are
-/// imported as fixed. Smaller: rounding is taken for motion.
+/// Pose difference between two images of a camera above which it counts as moving, metres and radians.
 const MAX_MOTION: f64 = 1e-6;
 
-/// Makes the capture `target` from a calibration and from the sequences in `images`, which are
-/// copied. It appears when it is whole and can be opened, and not before.
+/// Makes the capture `target` from a calibration, and copies the sequences in `images` into it. The
+/// target appears only once it is complete and can be opened.
 ///
 /// A camera's id is the first folder of its name, or its name without extension. Its sequence is the
-/// sub-folder of `images` with that name, in the order of the numbers in the files' names. Where no
-/// sub-folder has a camera's name, the sub-folders are assigned in order. Images of one folder are
-/// one camera.
+/// sub-folder of `images` with that id, sorted by the numbers in the file names. If no sub-folder has a
+/// camera's id, sub-folders are assigned to cameras in order. All images of one folder belong to one
+/// camera.
 ///
-/// A target that holds anything, a camera that moves, a mixed sequence, one with a gap, and a capture
-/// that can't be opened are errors.
+/// Errors: a target that is not empty, a moving camera, a sequence of mixed image types or with a gap, a
+/// capture that can't be opened.
 pub fn import(
     cameras: &[NamedCamera],
     images: &Path,
@@ -82,10 +81,10 @@ pub fn import(
     temporary.place(WHOLE, target).map_err(failed)
 }
 
-/// The capture in its temporary folder.
+/// Name of the capture inside its temporary folder.
 const WHOLE: &str = "capture";
 
-/// Copies a sequence's files into a new folder, numbered from 0.
+/// Copies the files of a sequence into a new folder, numbered from 0; the error has the failed file.
 fn copy(files: &[PathBuf], folder: &Path) -> Result<(), (PathBuf, std::io::Error)> {
     let extension = extension(&files[0]).unwrap_or_default();
     for (k, file) in files.iter().enumerate() {
@@ -126,7 +125,7 @@ fn described(
     }
 }
 
-/// The cameras by id, in the order of their first image; the error is a reason.
+/// Merges images of one camera: cameras by id, in the order of their first image. The error is a reason.
 fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
     let mut distinct: Vec<NamedCamera> = Vec::new();
     for NamedCamera { name, camera } in cameras {
@@ -145,7 +144,7 @@ fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
     Ok(distinct)
 }
 
-/// `cam0` of `cam0/0000.png` and of `images/cam0.png` and `cam0.png`; the error is a reason.
+/// The camera id in an image name: `cam0` in `cam0/0000.png`, `images/cam0.png` and `cam0.png`.
 fn id_of(name: &str) -> Result<String, String> {
     let mut parts: Vec<&str> = name.split('/').filter(|p| !matches!(*p, "" | ".")).collect();
     if parts.len() > 1 && parts[0] == "images" {
@@ -185,8 +184,7 @@ fn sequence_folders(cameras: &[NamedCamera], images: &Path) -> Result<Vec<PathBu
     Err(content(images, format!("has {present} folders for {wanted} cameras, none of their names")))
 }
 
-/// A folder's images, in the order of the numbers in their names, which must follow each other without
-/// a gap.
+/// Images of a folder, sorted by the numbers in their names, which must be consecutive.
 fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     let mut files = entries(folder)?;
     files.retain(|p| extension(p).is_some_and(|e| EXTENSIONS.contains(&e.as_str())));
@@ -215,7 +213,7 @@ fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     Ok(numbered.into_iter().map(|(_, file)| file).collect())
 }
 
-/// The last number in a file's name without its extension, 0 if there is none; the error is a reason.
+/// The last number in a file's stem, 0 without one; the error is a reason.
 fn number(file: &Path) -> Result<u64, String> {
     let name = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
     let end = name.rfind(|c: char| c.is_ascii_digit()).map_or(0, |at| at + 1);
@@ -242,7 +240,7 @@ fn is_empty(folder: &Path) -> Result<bool, ExchangeError> {
     Ok(entries.map_err(wrong)?.next().is_none())
 }
 
-/// What is in a folder, without hidden files.
+/// Entries of a folder, without hidden files.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     let wrong = |source| ExchangeError::Read { path: folder.to_owned(), source };
     let mut entries = Vec::new();

@@ -11,15 +11,14 @@ use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
 
 const COLUMNS: usize = 17;
-/// Largest file that is read, bytes: a hundred thousand cameras. Larger: a mistake takes memory.
-/// Smaller: large arrays are refused.
+/// Largest file that is read, bytes: a hundred thousand cameras.
 const MAX_BYTES: u64 = 16 << 20;
-/// Largest distance of the principal point from the middle, and difference of the focal lengths, that
-/// the file can describe, pixels. Larger: projections differ. Smaller: rounding is refused.
+/// Tolerance, in pixels, of two properties that the format assumes: a centred principal point, and
+/// equal focal lengths.
 const MAX_OFF_PX: f64 = 1e-6;
 
-/// Reads the cameras in the file's order, named `0`, `1` and so on. An error for an array of another
-/// shape or type, and for a pose or a lens that is none.
+/// Reads the cameras in the file's order, named `0`, `1` and so on. Errors: an array of another shape or
+/// type, an invalid pose or lens.
 pub fn read_llff(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let rows = rows(&read_bytes(path, MAX_BYTES)?).map_err(|reason| content(path, reason))?;
     let cameras = rows.iter().enumerate().map(|(k, row)| {
@@ -90,7 +89,7 @@ fn whole(rest: &[u8]) -> Result<(), String> {
 
 /// Writes the cameras, all with the same nearest and farthest depth, in metres.
 ///
-/// A lens that the file can't describe is an error: distorted, of two focal lengths, or off centre.
+/// A lens is an error if it is distorted, off centre, or has two focal lengths: the format can't hold it.
 pub fn write_llff(
     path: &Path,
     cameras: &[NamedCamera],

@@ -27,15 +27,15 @@ use crate::camera::{Camera, CameraFormat, CameraFormatError, CameraModel, PoseFo
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::path::{Path, PathBuf};
 
-/// A camera with its name in a calibration's file.
+/// A camera, and its name in a calibration file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NamedCamera {
-    /// Name of an image, such as `cam0/0000.png`, or a number where the format has no names.
+    /// Name of an image, such as `cam0/0000.png`, or a number if the format has no names.
     pub name: String,
     pub camera: Camera,
 }
 
-/// An error of a calibration's file: one sentence with the file.
+/// An error of a calibration file: one sentence with the file.
 #[derive(Debug, thiserror::Error)]
 pub enum ExchangeError {
     /// The file can't be read.
@@ -47,19 +47,16 @@ pub enum ExchangeError {
     /// A file can't be copied into a folder.
     #[error("{path}: can't be copied to {to} ({source})")]
     Copy { path: PathBuf, to: PathBuf, source: std::io::Error },
-    /// The file's contents are refused, or can't describe a camera.
+    /// The contents are invalid, or the format can't hold a camera.
     #[error("{path}: {reason}")]
     Content { path: PathBuf, reason: String },
 }
 
-/// Largest file of a COLMAP model that is read, bytes. Larger: what is no model takes more than a
-/// gigabyte of memory. Smaller: models of thousands of images, with their points, are refused.
+/// Largest file of a COLMAP model that is read, bytes: thousands of images with their points.
 const MAX_MODEL_BYTES: u64 = 768 << 20;
-/// Largest number of images, and of cameras, of a calibration. Larger: a mistake takes gigabytes of
-/// memory. Smaller: models of long videos, every frame an image, are refused.
+/// Largest number of images, and of cameras, in a calibration.
 const MAX_ENTRIES: usize = 100_000;
-/// Largest entry of RᵀR − I for a rotation R. Larger: scaled matrices pass for rotations. Smaller:
-/// matrices of a few printed digits, off by 1e-4, are refused.
+/// Largest entry of RᵀR − I for a rotation R; files with few printed digits are off by 1e-4.
 const MAX_ROTATION_ERROR: f64 = 1e-3;
 
 fn content(path: &Path, reason: impl std::fmt::Display) -> ExchangeError {
@@ -71,7 +68,7 @@ fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>, ExchangeError> {
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })
 }
 
-/// The reason of a file of too many entries, if there are.
+/// Refuses more than [`MAX_ENTRIES`]; the error is a reason.
 fn check_count(entries: usize, what: &str) -> Result<(), String> {
     if entries <= MAX_ENTRIES {
         return Ok(());
@@ -84,7 +81,7 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), ExchangeError> {
         .map_err(|source| ExchangeError::Write { path: path.to_owned(), source })
 }
 
-/// A camera from numbers of a file, checked as a capture's are.
+/// A camera from the numbers of a file, with the checks of a capture's cameras.
 fn checked(
     (width, height): (u64, u64),
     model: &CameraModel,
@@ -105,8 +102,8 @@ fn checked(
     .camera()
 }
 
-/// `cam_from_world` of a camera that stands at `center` with its axes right, down and forward as
-/// columns in the world; the error is a reason.
+/// `cam_from_world` of a camera at `center`. Columns of `axes` are its right, down and forward axes in
+/// the world. The error is a reason.
 fn pose_from_axes(axes: &Matrix3<f64>, center: Vector3<f64>) -> Result<Isometry3<f64>, String> {
     if !axes.iter().chain(center.iter()).all(|v| v.is_finite()) {
         return Err("a pose must be finite".into());

@@ -18,9 +18,9 @@ struct Frames {
     frames: Vec<FrameEntry>,
 }
 
-/// The fields that are read of a frame, and of the file itself, which may both have a lens, of the many
-/// that such files have. (With serde's `flatten` for the lens, all others would be held, at 16 times
-/// their length in the file.)
+/// Fields of a frame, or of the file as a whole: both may have a lens. Other fields are skipped.
+///
+/// Serde's `flatten` would hold the skipped fields in memory, at 16 times their length in the file.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 struct FrameEntry {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -57,7 +57,7 @@ struct FrameEntry {
     p2: Option<f64>,
 }
 
-/// A list of at most [`MAX_ENTRIES`], found before there are more.
+/// Reads a list, and stops with an error at more than [`MAX_ENTRIES`].
 fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>, D::Error> {
     struct EntryList;
     impl<'de> Visitor<'de> for EntryList {
@@ -80,7 +80,7 @@ fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>
 }
 
 impl FrameEntry {
-    /// A frame's own lens, else the file's, field by field.
+    /// The frame's lens; fields that it lacks are those of the file.
     fn lens_or(&self, all: &Self) -> Self {
         Self {
             camera_model: self.camera_model.clone().or_else(|| all.camera_model.clone()),
@@ -101,7 +101,7 @@ impl FrameEntry {
         }
     }
 
-    /// Size and model; the error is a reason.
+    /// Image size in pixels, and lens; the error is a reason.
     fn model(&self) -> Result<((u64, u64), CameraModel), String> {
         let (Some(w), Some(h)) = (self.w, self.h) else {
             return Err("w and h, the images' size, are missing".into());
@@ -141,7 +141,7 @@ impl FrameEntry {
         Ok(((w as u64, h as u64), model))
     }
 
-    /// The inverse of [`Self::model`]; `None` for a lens that the file has no fields for.
+    /// The inverse of [`Self::model`]; `None` for a lens that the format can't hold.
     fn of(camera: &crate::camera::Camera) -> Option<Self> {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let lens = Self {
@@ -184,8 +184,8 @@ impl FrameEntry {
     }
 }
 
-/// Reads the file's frames in their order, named by their paths. A file without frames, and a pose or
-/// a lens that is none, are errors.
+/// Reads the frames of the file in order, named by their paths. Errors: no frames, an invalid pose or
+/// lens.
 pub fn read_nerf(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let text = read_text(path, json::MAX_BYTES)
         .map_err(|source| ExchangeError::Read { path: path.to_owned(), source })?;
@@ -214,8 +214,7 @@ fn camera(frame: FrameEntry, all: &FrameEntry) -> Result<NamedCamera, String> {
     Ok(NamedCamera { name, camera })
 }
 
-/// Writes the cameras, every frame with its own lens. A lens that the file has no fields for,
-/// `FULL_OPENCV`, is an error.
+/// Writes the cameras, each frame with its own lens. `FULL_OPENCV` is an error: the format can't hold it.
 pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
     let mut transforms = Frames { frames: Vec::new() };
     for NamedCamera { name, camera } in cameras {

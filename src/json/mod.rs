@@ -1,4 +1,4 @@
-//! Files of JSON, as every stage reads them: what is wrong is one sentence that names the field.
+//! Reads JSON files. An error is one sentence that names the wrong field.
 
 mod objects;
 
@@ -7,9 +7,8 @@ use objects::Objects;
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
-/// Largest file that is read, bytes: the time stamps of a hundred cameras over twenty minutes. Larger: a
-/// file of many small entries takes more than a gigabyte of memory. Smaller: long recordings are
-/// refused.
+/// Largest file that is read, bytes: time stamps of a hundred cameras over twenty minutes. Parsed, it takes
+/// up to a gigabyte of memory.
 pub const MAX_BYTES: u64 = 64 << 20;
 
 /// Why a file could not be read as JSON. The caller's message names the file.
@@ -17,23 +16,22 @@ pub const MAX_BYTES: u64 = 64 << 20;
 pub enum JsonError {
     #[error(transparent)]
     Read(#[from] std::io::Error),
-    /// Starts with the field, if it is known.
+    /// A sentence that starts with the field, if it is known.
     #[error("{0}")]
     Content(String),
 }
 
-/// A value from a regular file of at most [`MAX_BYTES`].
+/// Reads a value from a regular file of at most [`MAX_BYTES`].
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, JsonError> {
     read_within(path, MAX_BYTES)
 }
 
-/// A value from a regular file of at most `max_bytes`.
+/// Reads a value from a regular file of at most `max_bytes`.
 pub fn read_within<T: DeserializeOwned>(path: &Path, max_bytes: u64) -> Result<T, JsonError> {
     parse(&read_text(path, max_bytes)?).map_err(JsonError::Content)
 }
 
-/// A value from text; the error is a sentence that starts with the field. A struct stands as an object,
-/// never as a list.
+/// Parses a value. The error is a sentence that starts with the field. Structs must be objects, not lists.
 pub fn parse<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     let value = serde_path_to_error::deserialize(Objects(&mut deserializer));

@@ -1,14 +1,14 @@
-//! A deserializer for which a struct stands as an object. Serde alone takes a list of the fields'
-//! values too, which no schema allows.
+//! A deserializer that refuses lists in place of structs. Serde alone accepts a list of the fields'
+//! values, which no schema allows.
 
 use serde::de::{DeserializeSeed, Deserializer, EnumAccess, MapAccess, SeqAccess};
 use serde::de::{VariantAccess, Visitor};
 use std::fmt;
 
-/// A deserializer, or what it hands on, inside of which structs are objects.
+/// Wraps a deserializer, and everything that it passes on, so that structs must be objects.
 pub(super) struct Objects<T>(pub T);
 
-/// A struct's visitor, which takes no list.
+/// Wraps the visitor of a struct; it refuses lists.
 struct StructVisitor<V>(V);
 
 impl<'de, V: Visitor<'de>> Visitor<'de> for StructVisitor<V> {

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use std::ops::{AddAssign, Mul};
 
-/// What a plane holds: f32, or f64 where differences of the results matter.
+/// Type of samples: f32, or f64 where results are subtracted from each other.
 pub(super) trait FilterSample:
     Copy + Default + Send + Sync + AddAssign + Mul<Output = Self>
 {
@@ -11,9 +11,8 @@ pub(super) trait FilterSample:
 impl FilterSample for f32 {}
 impl FilterSample for f64 {}
 
-/// Correlates a plane, row by row of `width` samples, with `horizontal` along the rows and
-/// `vertical` along the columns. Both kernels have odd lengths; outside, the border's samples
-/// repeat.
+/// Correlates a row-major plane with `horizontal` along the rows and `vertical` along the columns. Both
+/// kernels have odd lengths. Borders are replicated.
 pub(super) fn separable<T: FilterSample>(
     plane: &[T],
     width: usize,
@@ -57,13 +56,13 @@ pub(super) fn gaussian(sigma_px: f64, radius: usize) -> Vec<f64> {
     (-r..=r).map(|x| (-((x * x) as f64) / (2.0 * sigma_px * sigma_px)).exp()).collect()
 }
 
-/// The weights, scaled to sum to 1.
+/// The kernel scaled to sum 1.
 pub(super) fn normalized(kernel: &[f64]) -> Vec<f64> {
     let sum: f64 = kernel.iter().sum();
     kernel.iter().map(|w| w / sum).collect()
 }
 
-/// In single precision.
+/// The kernel in single precision.
 pub(super) fn single(kernel: &[f64]) -> Vec<f32> {
     kernel.iter().map(|w| *w as f32).collect()
 }
@@ -72,7 +71,7 @@ pub(super) fn single(kernel: &[f64]) -> Vec<f32> {
 mod tests {
     use super::*;
 
-    /// The definition, as simple as possible.
+    /// Direct evaluation of the definition.
     fn naive(plane: &[f32], width: usize, h: &[f32], v: &[f32]) -> Vec<f32> {
         let height = plane.len() / width;
         let at = |x: isize, y: isize| {

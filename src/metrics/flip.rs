@@ -1,29 +1,27 @@
 //! LDR-FLIP: Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: a difference
-//! evaluator for alternating images", Proc. ACM Comput. Graph. Interact. Tech. 3(2), 2020. How
-//! different two images look to someone who flips between them: 0 the same, 1 the most.
+//! evaluator for alternating images", Proc. ACM Comput. Graph. Interact. Tech. 3(2), 2020. It
+//! predicts how different two images look to someone who flips between them: 0 is equal, 1 the maximum.
 //!
-//! Own code: the crate `nv-flip` (0.1) compiles NVIDIA's C++, takes 8 bits only and can't keep what
-//! it filtered of a truth. Parity with NVIDIA's own `flip-evaluator` is tested on its real output.
+//! Own code: the crate `nv-flip` (0.1) compiles NVIDIA's C++, takes 8 bits only, and filters the truth
+//! again for every comparison. A test compares with the output of NVIDIA's `flip-evaluator`.
 
 use super::filter::{gaussian, normalized, separable, single};
 use crate::raster::{Image, linear_from_encoded};
 use rayon::prelude::*;
 
-/// Pixels per degree of visual angle that FLIP's authors take: a 0.7 m wide 4K monitor seen from
-/// 0.7 m.
+/// Pixels per degree of visual angle, the authors' default: a 0.7 m wide 4K monitor seen from 0.7 m.
 pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 67.020_643_276_582_25;
 
 /// Exponents of the colour and the feature difference, q_c and q_f.
 const COLOR_EXPONENT: f32 = 0.7;
 const FEATURE_EXPONENT: f32 = 0.5;
-/// Colour differences up to this fraction of the largest one take this fraction of the range
-/// (p_c and p_t).
+/// p_c and p_t: colour differences up to p_c of the largest are mapped to 0..p_t.
 const PIVOT: f32 = 0.4;
 const PIVOT_VALUE: f32 = 0.95;
-/// Peak-to-trough width of the eye's edge detector, degrees.
+/// Peak-to-trough width of the edge detector w, degrees.
 const FEATURE_WIDTH_DEG: f64 = 0.082;
-/// Gaussians of the contrast sensitivity functions: amplitude and spread of achromatic, red-green
-/// and the two of blue-yellow.
+/// Gaussians of the contrast sensitivity functions, amplitude and spread: one achromatic, one red-green,
+/// two blue-yellow.
 const CSF_ACHROMATIC: (f64, f64) = (1.0, 0.0047);
 const CSF_RED_GREEN: (f64, f64) = (1.0, 0.0053);
 const CSF_BLUE_YELLOW: [(f64, f64); 2] = [(34.1, 0.04), (13.5, 0.025)];
@@ -44,17 +42,17 @@ const RGB_FROM_XYZ: [[f64; 3]; 3] = [
 /// The D65 white point.
 const WHITE: [f32; 3] = [0.950_428_5, 1.0, 1.088_900_4];
 
-/// An image as FLIP compares it, computed once for a truth that several results are compared with.
+/// A filtered image, ready to be compared with several others.
 pub struct FlipImage {
-    /// Hunt-adjusted L*a*b* of the image as the eye filters it.
+    /// Hunt-adjusted L*a*b* after the contrast sensitivity filter.
     color: Vec<[f32; 3]>,
-    /// Strength of edges, and of points, at every pixel.
+    /// Edge magnitude at every pixel.
     edges: Vec<f32>,
     points: Vec<f32>,
 }
 
 impl FlipImage {
-    /// Filters an image of display-encoded (sRGB) values; grey is taken as RGB.
+    /// Filters an image of display-encoded (sRGB) values. Grey counts as RGB with equal channels.
     pub fn new(image: &Image, pixels_per_degree: f64) -> Self {
         let rgb = image.to_rgb();
         let opponent: Vec<[f32; 3]> = rgb
@@ -81,7 +79,7 @@ impl FlipImage {
     }
 }
 
-/// FLIP at every pixel, row by row, in 0..=1.
+/// FLIP at every pixel, row-major, in 0..=1.
 ///
 /// # Panics
 /// If the images differ in size.
@@ -102,8 +100,8 @@ pub fn flip_map(reference: &FlipImage, test: &FlipImage) -> Vec<f32> {
         .collect()
 }
 
-/// A channel as the eye resolves it: filtered with the sum of Gaussians of its contrast
-/// sensitivity, whose sum is 1.
+/// Filters a channel by its contrast sensitivity, a sum of Gaussians normalized to 1. `ppd` is pixels per
+/// degree.
 fn sensitivity(plane: &[f32], width: usize, csf: &[(f64, f64)], ppd: f64) -> Vec<f32> {
     use std::f64::consts::PI;
     let radius = (3.0 * (CSF_LARGEST_SPREAD / (2.0 * PI * PI)).sqrt() * ppd).ceil() as usize;
@@ -127,7 +125,7 @@ fn sensitivity(plane: &[f32], width: usize, csf: &[(f64, f64)], ppd: f64) -> Vec
     filtered
 }
 
-/// Strength of edges and points: norms of the first and second derivatives along both axes.
+/// Magnitudes of edges and of points: norms of the first and second derivatives along both axes.
 fn features(luminance: &[f32], width: usize, ppd: f64) -> (Vec<f32>, Vec<f32>) {
     let sigma = 0.5 * FEATURE_WIDTH_DEG * ppd;
     let radius = (3.0 * sigma).ceil() as usize;
@@ -146,14 +144,14 @@ fn features(luminance: &[f32], width: usize, ppd: f64) -> (Vec<f32>, Vec<f32>) {
     (norm(&edge), norm(&point))
 }
 
-/// Positive weights that sum to 1 and negative ones that sum to −1.
+/// Scales positive weights to sum 1, and negative ones to sum −1.
 fn balanced(kernel: &[f64]) -> Vec<f64> {
     let positive: f64 = kernel.iter().filter(|w| **w > 0.0).sum();
     let negative: f64 = -kernel.iter().filter(|w| **w < 0.0).sum::<f64>();
     kernel.iter().map(|w| w / if *w < 0.0 { negative } else { positive }).collect()
 }
 
-/// HyAB: city-block in lightness, Euclidean in colour.
+/// HyAB distance: city-block in lightness, Euclidean in chroma.
 fn hyab(a: [f32; 3], b: [f32; 3]) -> f32 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).hypot(a[2] - b[2])
 }
@@ -172,7 +170,7 @@ fn transformed(matrix: &[[f64; 3]; 3], v: [f32; 3]) -> [f32; 3] {
     matrix.map(|row| row[0] as f32 * v[0] + row[1] as f32 * v[1] + row[2] as f32 * v[2])
 }
 
-/// XYZ over the white point's.
+/// XYZ relative to the white point.
 fn relative_xyz(rgb: [f32; 3]) -> [f32; 3] {
     let xyz = transformed(&XYZ_FROM_RGB, rgb);
     [xyz[0] / WHITE[0], xyz[1] / WHITE[1], xyz[2] / WHITE[2]]
@@ -190,7 +188,7 @@ fn rgb_of_ycxcz(c: [f32; 3]) -> [f32; 3] {
     transformed(&RGB_FROM_XYZ, [x * WHITE[0], y * WHITE[1], z * WHITE[2]])
 }
 
-/// Linear RGB to L*a*b* with Hunt's adjustment: colours count less in the dark.
+/// Linear RGB to L*a*b* with Hunt's adjustment: chroma is scaled by lightness.
 fn hunt_lab(rgb: [f32; 3]) -> [f32; 3] {
     const DELTA: f32 = 6.0 / 29.0;
     let f = |t: f32| {
@@ -252,9 +250,8 @@ mod tests {
     }
 
     /// `tests/golden/flip_reference.json` is the output of NVIDIA's `flip-evaluator`, written by
-    /// `make_flip_reference.py` beside it. Its map is rounded to 5 decimals in the file, and it
-    /// filters and raises to powers in single precision, in another order than we do: 2e-4 a
-    /// pixel and 2e-5 in the mean is that, and 50 times less than a visible step.
+    /// `make_flip_reference.py` beside it. The tolerances, 2e-4 for a pixel and 2e-5 for the mean,
+    /// cover rounding to 5 decimals and single precision. They are 50 times below a visible step.
     #[test]
     fn equals_nvidias_evaluator() {
         let text = include_str!("../../tests/golden/flip_reference.json");

@@ -1,8 +1,9 @@
-//! The moving part: where an unsynchronized camera shows something else than the truth.
+//! The moving part: pixels at which an unsynchronized camera differs from the truth.
 
-/// Pixels whose surface point moves by more than `threshold_px` within ±1 frame, and those up to
-/// `dilation_px` beside, above or diagonal to them (a square), row by row of `width`. `motion_px`
-/// is the truth's motion array; what isn't finite in it doesn't move (there is no surface).
+/// Row-major mask of pixels whose surface point moves by more than `threshold_px` within ±1 frame,
+/// dilated by a square of radius `dilation_px`.
+///
+/// `motion_px` is the truth's motion. Pixels with non-finite motion have no surface, and don't move.
 pub fn moving_part(
     motion_px: &[f32],
     width: usize,

@@ -1,27 +1,26 @@
-//! Scores of an image beside a true one: error maps, and their means over sets of pixels.
+//! Scores of an image against a true one: error maps, and their means over sets of pixels.
 
 use super::flip::{FlipImage, flip_map};
 use super::ssim::{has_full_window, ssim_map};
 use crate::raster::Image;
 use serde::{Deserialize, Serialize};
 
-/// The three metrics over one set of pixels. A `None` is written as null: there is no NaN and no
-/// infinity in any file.
+/// The three metrics over one set of pixels. Files hold null for `None`, never NaN or infinity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scores {
-    /// How many pixels were measured.
+    /// Number of pixels in the set.
     pub pixels: usize,
-    /// 10·log₁₀(1/MSE) over all channels, decibels. `None` without pixels, and with pixels if the
-    /// images are identical there (it would be infinite).
+    /// 10·log₁₀(1/MSE) over all channels, decibels. `None` without pixels, or if the images are
+    /// identical there.
     pub psnr_db: Option<f64>,
     /// Mean SSIM of the luma, −1..=1; `None` if no pixel has a full window.
     pub ssim: Option<f64>,
-    /// Mean FLIP, 0..=1, 0 the best; `None` without pixels.
+    /// Mean FLIP in 0..=1, where 0 is best; `None` without pixels.
     pub flip: Option<f64>,
 }
 
-/// The scores of one image: over all measured pixels, and over the moving part of them.
+/// Scores of one image: over all measured pixels, and over their moving part.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RegionScores {
@@ -29,7 +28,7 @@ pub struct RegionScores {
     pub moving: Scores,
 }
 
-/// A true image, with what all comparisons with it need.
+/// A true image, with its precomputed luma and FLIP filters.
 pub struct ReferenceImage {
     image: Image,
     gray: Image,
@@ -37,11 +36,11 @@ pub struct ReferenceImage {
     pixels_per_degree: f64,
 }
 
-/// Errors at every pixel, row by row.
+/// Errors at every pixel, row-major.
 pub struct ErrorMaps {
     width: usize,
     height: usize,
-    /// Squared error, the mean of the channels.
+    /// Squared error, mean of the channels.
     squared: Vec<f32>,
     ssim: Vec<f32>,
     flip: Vec<f32>,
@@ -85,8 +84,8 @@ impl ReferenceImage {
 }
 
 impl ErrorMaps {
-    /// The metrics over the pixels where `mask` is true, or over all. Sums run in row order in
-    /// f64, so that the result doesn't depend on the number of threads.
+    /// Metrics over the pixels where `mask` is true, or over all. Sums run in row order in f64, so that
+    /// they don't depend on the number of threads.
     ///
     /// # Panics
     /// If the mask has another number of pixels.
@@ -112,7 +111,7 @@ impl ErrorMaps {
         }
     }
 
-    /// Over the pixels of `covered`, and over those of them that move.
+    /// Scores over the covered pixels, and over those of them that move.
     pub fn regions(&self, covered: Option<&[bool]>, moving: &[bool]) -> RegionScores {
         let both: Option<Vec<bool>> =
             covered.map(|c| c.iter().zip(moving).map(|(c, m)| *c && *m).collect());
@@ -123,7 +122,7 @@ impl ErrorMaps {
     }
 }
 
-/// The median (the mean of the middle two of an even number); `None` of nothing.
+/// The median; of an even number, the mean of the middle two. `None` for no values.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let n = values.len();

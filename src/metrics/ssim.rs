@@ -1,8 +1,7 @@
 //! SSIM: Wang, Bovik, Sheikh, Simoncelli, "Image quality assessment: from error visibility to
 //! structural similarity", IEEE TIP 13(4), 2004, with the constants of the paper.
 //!
-//! Own code: the crate `image-compare` (0.5) takes 8 bits only and `dssim` is another metric; the
-//! formula needs half a page.
+//! Own code: the crate `image-compare` (0.5) takes 8 bits only, and `dssim` is another metric.
 
 use super::filter::{gaussian, normalized, separable};
 use crate::raster::Image;
@@ -10,18 +9,18 @@ use rayon::prelude::*;
 
 /// The window's standard deviation in pixels (the paper's).
 const WINDOW_SIGMA_PX: f64 = 1.5;
-/// The window is 11×11 (the paper's). Pixels nearer than this to the border have no full window,
-/// and so no value.
+/// Radius of the window, 11×11 as in the paper. Pixels closer to the border have no full window, and no
+/// value.
 pub const WINDOW_RADIUS_PX: usize = 5;
 /// (K₁L)² and (K₂L)² with K₁ = 0.01, K₂ = 0.03 and L = 1, the range of our samples.
 const C1: f64 = 0.01 * 0.01;
 const C2: f64 = 0.03 * 0.03;
 
-/// SSIM at every pixel, row by row, of two grey images of display-encoded values (equation 13 of
-/// the paper), in −1..=1.
+/// SSIM (equation 13) at every pixel, row-major, in −1..=1, of two grey images with display-encoded
+/// values.
 ///
-/// Values within [`WINDOW_RADIUS_PX`] of the border come from a window with repeated borders;
-/// [`has_full_window`] tells which to leave out of a mean.
+/// Within [`WINDOW_RADIUS_PX`] of the border, image borders are replicated. Exclude those values from a
+/// mean by [`has_full_window`].
 ///
 /// # Panics
 /// If the images differ in size or are not grey.

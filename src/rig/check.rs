@@ -1,5 +1,4 @@
-//! The checks of a rig file: every field within its limits, and no two fields that contradict each
-//! other. Python asks here too, through the module's `check_rig` and `read_rig`.
+//! Checks of a rig file: every field is within its limits, and no two fields contradict each other.
 
 use super::limits::*;
 use super::{Rig, RigCamera, RigView};
@@ -21,18 +20,18 @@ pub enum RigError {
     Field { path: PathBuf, wrong: FieldError },
 }
 
-/// An error of a rig's text: one sentence that starts with the field, where it is known.
+/// An error of a rig's text: one sentence, which starts with the field if it is known.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub enum RigTextError {
-    /// The text is no JSON, or JSON of another shape.
+    /// The text is not JSON, or lacks the structure of a rig.
     #[error("{0}")]
     Json(String),
-    /// A field's value is refused.
+    /// A field has an invalid value.
     #[error(transparent)]
     Field(#[from] FieldError),
 }
 
-/// A field whose value is refused, and the reason: together one sentence.
+/// A field with an invalid value, and the reason; together one sentence.
 #[derive(Debug, PartialEq, thiserror::Error)]
 #[error("{field} {reason}")]
 pub struct FieldError {
@@ -43,7 +42,7 @@ pub struct FieldError {
 }
 
 impl Rig {
-    /// Reads and checks a rig file. The error is one sentence with the file and the field.
+    /// Reads and checks a rig file.
     pub fn read(path: &Path) -> Result<Self, RigError> {
         let json = |source| RigError::Json { path: path.to_owned(), source };
         let text = read_text(path, json::MAX_BYTES).map_err(|e| json(e.into()))?;
@@ -53,16 +52,15 @@ impl Rig {
         })
     }
 
-    /// Parses and checks a rig from the text of its file. The error is one sentence that starts with
-    /// the field.
+    /// Parses and checks the text of a rig file.
     pub fn parse(text: &str) -> Result<Self, RigTextError> {
         let rig: Self = json::parse(text).map_err(RigTextError::Json)?;
         rig.check()?;
         Ok(rig)
     }
 
-    /// Checks every field against [`super::limits`], and the fields against each other. The error is
-    /// the first field that is wrong, in the file's order.
+    /// Checks every field against [`super::limits`], and fields against each other. The error has the
+    /// first wrong field, in the file's order.
     pub fn check(&self) -> Result<(), FieldError> {
         rig(self)
     }
@@ -149,7 +147,7 @@ fn camera(at: &str, camera: &RigCamera, rig: &Rig) -> FieldCheck {
     distortion(at, camera)
 }
 
-/// Fields of one clock that contradict each other.
+/// Checks that the fields of a clock don't contradict each other.
 fn clock(at: &str, camera: &RigCamera, rig: &Rig) -> FieldCheck {
     let is_reference = camera.id == rig.reference;
     let known = if is_reference { "the reference camera" } else { "a camera with a shared clock" };
@@ -224,7 +222,7 @@ fn pose(at: &str, pose: &PoseFormat) -> FieldCheck {
 }
 
 impl RigCamera {
-    /// The camera's pose and lens, as a view without distortion.
+    /// The camera's pose and lens without distortion.
     pub fn view(&self) -> RigView {
         RigView {
             id: self.id.clone(),

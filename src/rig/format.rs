@@ -2,6 +2,7 @@
 
 use super::limits::*;
 use crate::camera::{CameraModel, PoseFormat};
+use crate::method::methods;
 use crate::text::MAX_ID_LENGTH;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -21,7 +22,7 @@ pub struct Rig {
     /// Always [`VERSION`].
     #[schemars(extend("const" = VERSION))]
     pub version: u32,
-    /// The rig's name, which a capture's truth repeats.
+    /// Name of the rig, also written into a capture's truth.
     #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub name: String,
     /// Id of the camera whose clock all times refer to. That clock neither drifts nor loses frames
@@ -99,8 +100,7 @@ pub struct RigCamera {
     /// Whether a lost frame leaves a gap in the camera's times. Otherwise it leaves no trace.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     pub lost_stamped: bool,
-    /// Whether the camera has the clock that all such cameras share, whose offset is known: it reads
-    /// world time.
+    /// Whether the camera is on the shared clock, which reads world time. Its offset is known.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub clock_shared: bool,
     /// Duration for which the shutter is open, around the frame's time; 0 is an instant. At most a
@@ -170,6 +170,11 @@ pub enum RigColor {
     Rgb,
     Gray,
 }
+
+methods!(RigColor {
+    Rgb = "rgb": "Colours",
+    Gray = "gray": "Luminance",
+});
 
 impl RigCamera {
     /// The lens model in pixels: Blender's lens with sensor fit `AUTO`, and the distortion.

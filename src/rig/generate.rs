@@ -1,16 +1,17 @@
-//! Rigs from a few numbers. The same options give the same rig, to the byte.
+//! Generates rigs from a few numbers. The same options give the same rig, to the byte.
 
 use super::check::FieldError;
 use super::format::{Rig, RigCamera, RigColor, RigDistortion, RigView};
 use super::limits::{FORMAT, MAX_CAMERAS, MAX_LOSS_WITHIN, VERSION};
 use crate::camera::PoseFormat;
 use crate::capture::MAX_DRIFT_PPM;
+use crate::method::methods;
 use crate::random::Random;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::num::NonZeroUsize;
 
-/// Where the cameras stand. All look along the rig's +z, except those of an arc.
+/// Placement of the cameras. All look along the rig's +z, except those of an arc.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum RigLayout {
@@ -18,13 +19,13 @@ pub enum RigLayout {
     Line { count: NonZeroUsize },
     /// Row by row, from the top left.
     Grid { rows: NonZeroUsize, columns: NonZeroUsize },
-    /// From left to right on a circle about a point straight ahead, at which all cameras look. The
-    /// spacing is along the arc.
+    /// From left to right on a circle around a point straight ahead, at which all cameras look.
+    /// Spacing is measured along the arc.
     Arc { count: NonZeroUsize, distance_m: f64 },
 }
 
 impl RigLayout {
-    /// The number of cameras; the largest integer where the product is larger.
+    /// Number of cameras, saturating.
     fn count(&self) -> usize {
         match self {
             Self::Line { count } | Self::Arc { count, .. } => count.get(),
@@ -33,46 +34,52 @@ impl RigLayout {
     }
 }
 
-/// When the first frames are exposed, after the scene's start.
+/// Exposure times of the first frames, after the scene's start.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub enum Delays {
-    /// All with the scene's start.
+    /// All at the scene's start.
     None,
-    /// Uniform within a frame of each camera.
+    /// Uniformly random within a frame of each camera.
     Random,
-    /// Seconds, the cameras in turn.
+    /// Seconds, assigned to cameras in turn.
     Listed(Vec<f64>),
 }
 
-/// Whether lost frames leave gaps in the cameras' times.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+/// Whether lost frames show as gaps in the cameras' time stamps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LossStamps {
     /// All losses leave gaps.
+    #[default]
     Stamped,
     /// No loss leaves a trace.
     Hidden,
-    /// Stamped and hidden, camera by camera.
+    /// Alternately stamped and hidden, by camera.
     Mixed,
 }
 
-/// Frames that every camera but the reference loses.
+methods!(LossStamps {
+    Stamped = "stamped": "Times have gaps",
+    Hidden = "hidden": "Times have no gaps",
+    Mixed = "mixed": "Either in turn, by camera",
+});
+
+/// Lost frames, of every camera but the reference.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Loss {
-    /// Lost frames of each camera.
+    /// Number of lost frames of each camera.
     pub count: usize,
-    /// The lost frames are among the frames 1 to `within − 1`.
+    /// Lost frames are drawn from frames 1 to `within − 1`.
     pub within: usize,
-    /// Whether the cameras' times show the losses.
+    /// Whether time stamps show the losses.
     pub stamps: LossStamps,
 }
 
-/// What a rig is generated from.
+/// Parameters of a generated rig.
 ///
-/// A list's entries go to the cameras in turn, from its start again where it ends. No list may be
-/// empty.
+/// Entries of a list are assigned to cameras in turn, cyclically. No list may be empty.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RigOptions {
@@ -92,11 +99,11 @@ pub struct RigOptions {
     pub rates_hz: Vec<f64>,
     /// Times of the first frames.
     pub delays: Delays,
-    /// Standard deviations of the exposures' times.
+    /// Standard deviations of the exposure times.
     pub jitters_s: Vec<f64>,
     /// Whether cameras stamp their frames with the jitter.
     pub jitter_stamped: bool,
-    /// Largest absolute drift. The drifts are uniform up to it; the reference has none.
+    /// Largest absolute drift. Drifts are uniformly random up to it; the reference has none.
     pub max_drift_ppm: f64,
     /// Lost frames, if any.
     pub loss: Option<Loss>,
@@ -104,15 +111,15 @@ pub struct RigOptions {
     pub clock_shared: bool,
     /// Durations for which the shutters are open.
     pub exposures_s: Vec<f64>,
-    /// Factors of light.
+    /// Factors on the light, before display encoding.
     pub gains: Vec<f64>,
-    /// Standard deviations of the noise, of a full scale of 1.
+    /// Standard deviations of the noise, for a full scale of 1.
     pub noises: Vec<f64>,
     /// Colour or grey cameras.
     pub colors: Vec<RigColor>,
     /// Bits a channel of all images, 8 or 16.
     pub bit_depth: u32,
-    /// Seed of the random delays, drifts and losses, and of the rig itself.
+    /// Seed of random delays, drifts and losses, and the `seed` of the rig file.
     pub seed: u64,
 }
 
@@ -153,24 +160,24 @@ pub enum GenerateError {
     /// More cameras than [`MAX_CAMERAS`].
     #[error("a rig has from 1 to {MAX_CAMERAS} cameras, not {count}")]
     Cameras { count: usize },
-    /// A drift that no clock may have, whichever is drawn.
+    /// The largest drift is beyond the limit.
     #[error("the largest drift must be from 0 to {MAX_DRIFT_PPM} ppm, not {drift_ppm}")]
     Drift { drift_ppm: f64 },
-    /// Lost frames are drawn from more than [`MAX_LOSS_WITHIN`] frames.
+    /// `Loss::within` is over [`MAX_LOSS_WITHIN`].
     #[error("lost frames must be among the first {MAX_LOSS_WITHIN}, not {within}")]
     LossWithin { within: usize },
-    /// An arc whose cameras would not fit on the half circle before its centre.
+    /// The cameras of the arc don't fit on a half circle.
     #[error("an arc needs a distance over half the array's width, not {distance_m} m")]
     Arc { distance_m: f64 },
     /// More lost frames than there are to lose.
     #[error("{count} lost frames don't fit among the frames 1 to {}", within.saturating_sub(1))]
     Loss { count: usize, within: usize },
-    /// A value is outside of its limits.
+    /// A value is outside its limits.
     #[error(transparent)]
     Field(#[from] FieldError),
 }
 
-/// Centre and rotation about the vertical of a camera in the rig's frame.
+/// A camera's centre, and rotation about the vertical, in the rig's frame.
 #[derive(Clone, Copy)]
 struct Stand {
     center: Vector3<f64>,
@@ -178,16 +185,15 @@ struct Stand {
     yaw_rad: f64,
 }
 
-/// Steps a metre, and a unit of a quaternion, that poses are rounded to. Larger: platforms whose sines
-/// differ in the last digit write other files. Smaller: cameras are not where the layout has them.
+/// Poses are rounded to multiples of 1 / this, so that files are equal on platforms whose sines differ.
 const POSE_STEPS: f64 = 1e9;
-/// Steps a second that delays are rounded to: a microsecond, which a person can read.
+/// Delays are rounded to microseconds.
 const TIME_STEPS: f64 = 1e6;
-/// Steps a millionth that drifts are rounded to.
+/// Drifts are rounded to multiples of 1 / this, ppm.
 const DRIFT_STEPS: f64 = 1e3;
 
 impl RigOptions {
-    /// Generates and checks the rig. The same options give the same rig, to the byte.
+    /// Generates and checks the rig.
     pub fn generate(&self) -> Result<Rig, GenerateError> {
         self.check()?;
         let stands = self.stands();
@@ -289,7 +295,7 @@ impl RigOptions {
         }
     }
 
-    /// The camera as it films in step with the scene's start.
+    /// The camera without delay, drift and losses.
     fn camera(&self, i: usize, stand: &Stand) -> RigCamera {
         let (width, height) = turn(&self.sizes_px, i);
         RigCamera {
@@ -318,7 +324,7 @@ impl RigOptions {
         }
     }
 
-    /// One view between the cameras and one off their line, with the reference's lens.
+    /// Two virtual views, with the reference's lens: one between the cameras, one off their line.
     fn views(&self, like: &RigCamera, stands: &[Stand], reference: usize) -> Vec<RigView> {
         let beside = 0.5 * self.spacing_m;
         let between = match self.layout {
@@ -371,13 +377,13 @@ impl Stand {
     }
 }
 
-/// On a circle about the point `distance_m` ahead of the rig's centre, looking at it.
+/// A camera on the circle around the point `distance_m` ahead of the rig's centre, looking at it.
 fn on_arc(angle: f64, distance_m: f64) -> Stand {
     let center = Vector3::new(angle.sin(), 0.0, 1.0 - angle.cos()) * distance_m;
     Stand { center, yaw_rad: angle }
 }
 
-/// The camera nearest to the rig's centre, the first of several.
+/// Index of the camera nearest to the rig's centre; the first in a tie.
 fn reference(stands: &[Stand]) -> usize {
     let distance = |s: &Stand| (Point3::from(s.center) - Point3::origin()).norm();
     let nearest = stands.iter().map(distance).fold(f64::INFINITY, f64::min);
@@ -385,7 +391,7 @@ fn reference(stands: &[Stand]) -> usize {
     stands.iter().position(|s| distance(s) <= nearest * (1.0 + 1e-9)).unwrap_or(0)
 }
 
-/// Distinct frames of 1 to `within − 1`, ascending.
+/// Draws distinct frames from 1 to `within − 1`, ascending.
 fn draw(random: &mut Random, loss: Loss) -> Vec<u32> {
     let mut remaining: Vec<u32> = (1..loss.within as u32).collect();
     let mut lost: Vec<u32> = (0..loss.count)
@@ -395,12 +401,12 @@ fn draw(random: &mut Random, loss: Loss) -> Vec<u32> {
     lost
 }
 
-/// The camera's entry of a list that isn't empty.
+/// The entry of a cyclic list for a camera.
 fn turn<T: Clone>(list: &[T], camera: usize) -> T {
     list[camera % list.len()].clone()
 }
 
-/// The nearest multiple of 1 / `steps`, without −0, which reads oddly.
+/// The nearest multiple of 1 / `steps`; −0 becomes 0.
 fn round(value: f64, steps: f64) -> f64 {
     (value * steps).round() / steps + 0.0
 }

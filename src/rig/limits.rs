@@ -1,7 +1,7 @@
-//! The limits of a rig's fields, in the JSON Schema and in the checks alike.
+//! Limits of a rig's fields, for the JSON Schema and the checks.
 //!
-//! They keep typing errors from asking for terabytes, and divisions from 0. Where a limit comes with
-//! a capture or a camera, it is theirs: [`MAX_DRIFT_PPM`],
+//! They keep typing errors from asking for terabytes, and divisors from 0. Further limits are those of
+//! captures and cameras: [`MAX_DRIFT_PPM`],
 //! [`MAX_FRAMES`](crate::capture::MAX_FRAMES), [`MAX_PIXELS`](crate::raster::MAX_PIXELS),
 //! [`MAX_QUATERNION_ERROR`](crate::camera::MAX_QUATERNION_ERROR).
 
@@ -22,12 +22,11 @@ pub const FORMAT: &str = "stlfr-rig";
 pub const VERSION: u32 = 1;
 /// Regular expression of ids and names: they name folders and files on every system.
 pub const IDENTIFIER: &str = r"^[A-Za-z0-9][A-Za-z0-9_-]*$";
-/// Ids that no camera can have: a camera's id names its folder in the capture, beside these.
+/// Ids that no camera can have, because a capture has folders of these names.
 pub const RESERVED: [&str; 3] = ["truth", "colmap", "review"];
-/// The largest seed: every JSON reader holds integers up to it exactly.
+/// The largest seed: JSON readers that use doubles hold integers up to it exactly.
 pub const MAX_SEED: u64 = 1 << 53;
-/// Cameras of a generated rig. Larger: a typing error fills the memory. Smaller: real arrays, of up
-/// to some hundred cameras, are refused.
+/// Largest number of cameras of a generated rig.
 pub const MAX_CAMERAS: usize = 1000;
 
 /// Width and height of an image, pixels; their product is limited by
@@ -45,27 +44,22 @@ pub const LENGTH_M: Limits<f64> = Limits { min: -1e6, max: 1e6 };
 pub const RATE_HZ: Limits<f64> = Limits { min: 1e-3, max: 1e5 };
 /// Delay of a camera's first frame, seconds after the scene's start.
 pub const TIME_S: Limits<f64> = Limits { min: -1e6, max: 1e6 };
-/// Drift of a clock, millionths: as much as can be estimated.
+/// Drift of a clock, ppm: as much as can be estimated.
 pub const DRIFT_PPM: Limits<f64> = Limits { min: -MAX_DRIFT_PPM, max: MAX_DRIFT_PPM };
 /// Nominal number of a lost frame.
 pub const LOST_FRAME: Limits<u32> = Limits { min: 1, max: 1_000_000_000 };
 /// Factor of light before it is encoded for display.
 pub const GAIN: Limits<f64> = Limits { min: 0.01, max: 100.0 };
-/// Standard deviation of the sensor's noise, display-encoded, of a full scale of 1.
+/// Standard deviation of the sensor's noise in display-encoded values, for a full scale of 1.
 pub const NOISE: Limits<f64> = Limits { min: 0.0, max: 0.5 };
 /// Each coefficient of the distortion.
 pub const DISTORTION: Limits<f64> = Limits { min: -10.0, max: 10.0 };
 
-/// Largest standard deviation of the jitter, frames. Larger: two frames of one camera could swap.
-/// Smaller: shutters of real cameras that free-run are refused.
+/// Largest standard deviation of the jitter, frames; with more, two frames of a camera could swap.
 pub const MAX_JITTER_FRAMES: f64 = 0.1;
-/// Largest extent of the pinhole image that holds all that a distorted lens sees, over the image's
-/// own. Larger: rendering takes more pixels than the image shows. Smaller: barrel distortions of
-/// wide lenses are refused.
+/// Largest size of the pinhole image that covers a distorted lens's view, relative to the lens's image.
 pub const MAX_SPREAD: f64 = 2.0;
-/// Points on each side of the image's border where a distortion is tried. Larger: slower. Smaller:
-/// a fold between two points is missed.
+/// Number of points on each side of the image's border where a distortion is checked.
 pub const BORDER_STEPS: u32 = 16;
-/// Largest number of frames that lost ones are drawn from. Larger: memory for every camera. Smaller:
-/// long recordings are refused.
+/// Largest number of frames from which lost ones are drawn.
 pub const MAX_LOSS_WITHIN: usize = 100_000;

@@ -1,12 +1,11 @@
 //! Simulated camera arrays: the rig file that Blender films with, its checks, its JSON Schema, and
 //! the generator of `stlfr rig`.
 //!
-//! - [`Rig::parse`] and [`Rig::read`]: a checked rig from JSON, or one sentence that says what is
-//!   wrong.
+//! - [`Rig::parse`] and [`Rig::read`]: a checked rig from JSON.
 //! - [`RigOptions::generate`]: a rig from a few numbers; [`Rig::to_json`] writes it.
 //! - [`limits`]: the range of every field.
 //!
-//! Known limit: shutter times are drawn where a rig is filmed, in Blender, and not here.
+//! Known limit: jitter is drawn in Blender, when a rig films.
 
 mod check;
 mod format;

@@ -1,4 +1,4 @@
-//! A rig as a file that people read: three or four lines a camera.
+//! Writes rig files for human readers: three or four lines a camera.
 
 use super::Rig;
 use serde::Serialize;
@@ -44,7 +44,7 @@ fn entries(list: &[impl Serialize]) -> String {
 }
 
 impl Rig {
-    /// The file's text.
+    /// The text of the rig's file.
     pub fn to_json(&self) -> String {
         let head = [
             ("format", spaced(&self.format)),

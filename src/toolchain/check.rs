@@ -1,4 +1,4 @@
-//! The calibration check against pycolmap and Blender.
+//! Checks a calibration against pycolmap and Blender.
 
 use super::script::{self, ScriptError};
 use super::setup::Environment;
@@ -11,49 +11,49 @@ use std::path::Path;
 #[derive(Clone, Debug)]
 pub struct Check {
     pub values: CheckValues,
-    /// The same for people, line by line.
+    /// A table of the values, line by line.
     pub table: Vec<String>,
 }
 
-/// The measured values, as the script prints them.
+/// Measured values, as the script prints them.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CheckValues {
     pub model: CheckedModel,
-    /// Which images pycolmap worked from; `None` for a single camera.
+    /// Which images pycolmap reconstructed from; `None` for a single camera.
     pub image_source: Option<String>,
     pub rotation_tolerance_deg: f64,
     pub position_tolerance_mm: f64,
-    /// A camera may be off by so many of its standard errors, if that is more.
+    /// A camera passes if it is off by at most this number of its standard errors.
     pub tolerance_std_errs: f64,
     pub cameras: Vec<CheckedCamera>,
     pub ok: bool,
-    /// What is not as it should be.
+    /// Why the check failed.
     pub reason: Option<String>,
 }
 
-/// The largest distances, in pixels, between our projection of a point and another's; `None` where
-/// only one of the two sees some points.
+/// Largest distances, in pixels, between this library's projection of a point and another program's.
+/// `None` if only one of the two sees some points.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CheckedModel {
-    /// pycolmap's, of this capture's cameras.
+    /// To pycolmap, for this capture's cameras.
     pub capture_px: Option<f64>,
-    /// Whether pycolmap read them from the capture's COLMAP model.
+    /// Whether pycolmap read the cameras from the capture's COLMAP model.
     pub colmap_folder: bool,
-    /// pycolmap's, of every lens model.
+    /// To pycolmap, for every lens model.
     pub lenses: Vec<CheckedLens>,
-    /// Blender's, of every image format and sensor fit.
+    /// To Blender, for every image format and sensor fit.
     pub blender: Vec<CheckedFormat>,
-    /// pycolmap's, of those Blender cameras.
+    /// To pycolmap, for those Blender cameras.
     pub blender_pycolmap_px: Option<f64>,
-    /// The largest distance from pycolmap's that passes.
+    /// Tolerance to pycolmap.
     pub tolerance_px: f64,
-    /// The largest distance from Blender's that passes.
+    /// Tolerance to Blender.
     pub blender_tolerance_px: f64,
 }
 
-/// A lens model of COLMAP's.
+/// Result for one of COLMAP's lens models.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CheckedLens {
@@ -61,8 +61,8 @@ pub struct CheckedLens {
     pub pycolmap_px: Option<f64>,
 }
 
-/// An image format (`landscape`, `portrait`, `square`) with a sensor fit of Blender's, over shifts,
-/// pixel aspects and resolution percentages.
+/// Result for an image format (`landscape`, `portrait`, `square`) and a sensor fit of Blender, over all
+/// shifts, pixel aspects and resolution percentages.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CheckedFormat {
@@ -71,8 +71,8 @@ pub struct CheckedFormat {
     pub blender_px: Option<f64>,
 }
 
-/// How far a camera's pose is from where the pixels put it, and the standard error of where that
-/// is along its worst axis; `None` where they put it nowhere.
+/// Difference between a camera's pose and pycolmap's reconstruction, with the reconstruction's standard
+/// error along its worst axis. `None` if the camera was not reconstructed.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CheckedCamera {

@@ -7,7 +7,7 @@ use crate::host::temporary::Temporary;
 use crate::progress::Reporter;
 use std::path::Path;
 
-/// Why there is no extension.
+/// Why the extension can't be built.
 #[derive(Debug, thiserror::Error)]
 pub enum ExtensionError {
     #[error(transparent)]
@@ -16,11 +16,11 @@ pub enum ExtensionError {
     Package(#[from] ScriptError),
 }
 
-/// The zip in its temporary folder.
+/// Name of the zip inside its temporary folder.
 const FILE: &str = "extension.zip";
 
-/// Writes the extension's zip, validated by Blender's own tool, with the wheel of the Python module
-/// in it. It is for the platform that it is built on.
+/// Writes the extension's zip for this platform, with the wheel of the Python module inside, validated
+/// by Blender's own tool.
 pub fn build_extension(
     environment: &Environment,
     zip: &Path,

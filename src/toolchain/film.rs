@@ -1,41 +1,41 @@
-//! Filming a capture in Blender.
+//! Films a capture in Blender.
 
 use super::script::{self, ScriptError};
 use super::setup::Environment;
 use crate::progress::Reporter;
 use std::path::PathBuf;
 
-/// What to film, and how. `None` takes the filming script's default.
+/// What to film, and how. `None` is the filming script's default.
 #[derive(Clone, Debug)]
 pub struct FilmOptions {
     /// The rig's file.
     pub rig: PathBuf,
     pub scene: FilmedScene,
-    /// The capture's folder; a recording of the same kind that was interrupted there is resumed.
+    /// The capture's folder. An interrupted recording with the same options is resumed there.
     pub capture: PathBuf,
     /// Width and height in pixels, for all cameras.
     pub size_px: Option<(u32, u32)>,
-    /// Frames a camera.
+    /// Frames of the reference camera.
     pub frames: Option<u32>,
     /// Samples a pixel.
     pub samples: Option<u32>,
     /// `cycles` or `workbench`.
     pub engine: Option<String>,
-    /// Instants with truth.
+    /// Number of instants with truth.
     pub instants: Option<u32>,
-    /// The instants themselves, seconds on the reference's clock; empty: spread evenly, `instants` of them.
+    /// Instants with truth, seconds on the reference's clock; empty for `instants` evenly spaced ones.
     pub instants_s: Vec<f64>,
-    /// Points with tracks.
+    /// Number of points with true tracks.
     pub tracks: Option<u32>,
-    /// Frames of the true slow motion.
+    /// Number of frames of the true slow motion.
     pub truth_video: Option<u32>,
-    /// Whether to write `truth/` at all.
+    /// Whether to write `truth/`.
     pub truth: bool,
-    /// Whether each camera's frames become one lossless video.
+    /// Whether to store each camera's frames as one lossless video.
     pub video: bool,
 }
 
-/// Where a scene comes from.
+/// The source of a scene.
 #[derive(Clone, Debug)]
 pub enum FilmedScene {
     /// A scene of `blender/scenes`.

@@ -1,8 +1,7 @@
-//! The Python side, run from here: the environment that it needs, filming, and the check of the
-//! calibration. Each is a process of its own that reports progress on stdout and says what is
-//! wrong in one sentence on stderr.
+//! Runs the Python programs: filming, the calibration check, the review, and the set-up of their
+//! environment. Each is a child process, with progress on stdout and one-sentence errors on stderr.
 //!
-//! Known limit: Linux and macOS; a child that outlives a killed parent is ended on Linux only.
+//! Known limits: Linux and macOS only. Children of a killed parent are ended on Linux only.
 
 mod check;
 mod extension;

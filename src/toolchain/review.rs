@@ -1,4 +1,4 @@
-//! Laying a comparison out in Blender.
+//! Shows a comparison in Blender.
 
 use super::script::{self, ScriptError};
 use super::setup::Environment;

@@ -1,6 +1,5 @@
-//! Running a script of `blender/`: JSON lines `{"done", "total", "what"}` on stdout are progress,
-//! other lines are for the user, and an error is one sentence on stderr, with exit code 2 for bad
-//! input.
+//! Runs a script of `blender/`. Its JSON lines `{"done", "total", "what"}` on stdout are progress, other
+//! lines are output. An error is one sentence on stderr, with exit code 2 for bad input.
 
 use super::setup::Environment;
 use crate::host::process::{self, Ended};
@@ -8,10 +7,10 @@ use crate::progress::{Reporter, Task};
 use serde::Deserialize;
 use std::process::Command;
 
-/// A script that did not succeed.
+/// Why a script failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ScriptError {
-    /// What the user gave is wrong.
+    /// An input is wrong.
     #[error("{0}")]
     BadInput(String),
     /// The work failed.
@@ -26,7 +25,7 @@ struct Progress {
     what: String,
 }
 
-/// A Python that sees its own packages and the script's arguments, nothing of the user's.
+/// A Python command that ignores the user's packages and variables.
 pub(super) fn command(environment: &Environment, script: &str) -> Command {
     let mut command = Command::new(&environment.python);
     command.arg("-I").arg(environment.project_root.join("blender").join(script));
@@ -62,7 +61,7 @@ pub(super) fn run(
     verdict(&name, &ended)
 }
 
-/// Success, or what the script's end says.
+/// Success, or the error that the script ended with.
 pub(super) fn verdict(name: &str, ended: &Ended) -> Result<(), ScriptError> {
     let sentence = || ended.stderr.lines().rev().find(|l| !l.trim().is_empty()).map(str::to_owned);
     match ended.status.code() {

@@ -32,8 +32,12 @@ TYPE = re.compile(
 CONSTANT = re.compile(
     r"^[ \t]*(?:pub(?:\([^)]*\))?\s+)?(?:const|static)\s+[A-Z_]\w*\s*:", re.MULTILINE
 )
-OPTIONS = re.compile(r"\bpub\s+struct\s+(\w*Options)\s*\{")
+# In the macro `options!` every field is public.
+OPTIONS = re.compile(
+    r"(options!\s*\{\s*(?:#\[[^\]]*\]\s*)*)?\bpub\s+struct\s+(\w*Options)\s*\{"
+)
 FIELD = re.compile(r"\bpub\s+(\w+)\s*:\s*([^,=\n]+)")
+MACRO_FIELD = re.compile(r"^\s*(\w+)\s*:\s*([^,=\n]+)", re.MULTILINE)
 RENDERS = re.compile(
     r"\bpub(?:\([^)]*\))?\s+fn\s+(\w+)[^{};]*?->([^{};]*\bRendered\b[^{};]*)[{;]"
 )
@@ -66,10 +70,11 @@ class House:
 
     def options(self) -> dict[str, list[tuple[str, str]]]:
         """The public fields of each `…Options` struct, with their types."""
-        return {
-            m[1]: FIELD.findall(m.string[m.end() : closing(m.string, m.end() - 1)])
-            for _, m in self.matches(OPTIONS)
-        }
+        found = {}
+        for _, match in self.matches(OPTIONS):
+            body = match.string[match.end() : closing(match.string, match.end() - 1)]
+            found[match[2]] = (MACRO_FIELD if match[1] else FIELD).findall(body)
+        return found
 
 
 def closing(bare: str, opening: int) -> int:

@@ -1,4 +1,4 @@
-//! Installing what is missing, and saying so.
+//! Installs the missing parts of the environment, with progress.
 
 use super::{Environment, SetupError, Stamps, interpreter, module, system};
 use crate::host::process::{self, Ended};
@@ -7,21 +7,21 @@ use crate::progress::Reporter;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// What one process gets to see of both worlds: the module must load beside Blender.
+/// All packages in one process: the module must load beside Blender.
 const IMPORTS: &str = "import bpy, pycolmap, numpy, stlfr";
 
-/// One installation. The caller of its functions holds the lock.
+/// An installation in progress. The caller holds the lock.
 struct Installer<'a> {
     root: &'a Path,
     python: &'a Path,
     venv: PathBuf,
     requirements: PathBuf,
-    /// Where the built wheel lies for a moment.
+    /// Temporary folder of the built wheel.
     wheels: PathBuf,
     reporter: &'a Reporter,
 }
 
-/// Makes the environment whole. The caller holds the lock.
+/// Completes the environment. The caller holds the lock.
 pub(super) fn install(
     environment: &Environment,
     stamps: &Stamps,
@@ -46,8 +46,8 @@ pub(super) fn install(
     Ok(())
 }
 
-/// Builds the wheel of the Python module, into an environment's folder that is the caller's to
-/// remove. The caller holds the lock.
+/// Builds the wheel of the Python module into a folder of the environment, which the caller removes. The
+/// caller holds the lock.
 pub(super) fn build_wheel(
     environment: &Environment,
     reporter: &Reporter,
@@ -80,7 +80,7 @@ impl<'a> Installer<'a> {
         })
     }
 
-    /// An empty environment, whatever was there before.
+    /// Creates an empty environment in place of an earlier one.
     fn make_venv(&self) -> Result<(), SetupError> {
         let base_python = interpreter::find()?;
         match std::fs::remove_dir_all(&self.venv) {
@@ -96,7 +96,7 @@ impl<'a> Installer<'a> {
         self.step("making the Python environment", &mut command).map(drop)
     }
 
-    /// Downloads and installs the packages while the module compiles; its build tool comes first.
+    /// Installs the build tool, then the other packages while the module compiles.
     fn install_packages_and_build(&self) -> Result<(), SetupError> {
         let mut tool = self.pip();
         tool.arg("--constraint").arg(&self.requirements).arg("maturin");
@@ -127,7 +127,7 @@ impl<'a> Installer<'a> {
         std::fs::remove_dir_all(&self.wheels).map_err(|e| SetupError::file(&self.wheels, e))
     }
 
-    /// Imports all in one process; a library that the system lacks shows here.
+    /// Imports all packages in one process, which finds missing system libraries.
     fn try_imports(&self) -> Result<(), SetupError> {
         let mut command = Command::new(self.python);
         command.args(["-I", "-c", IMPORTS]);
@@ -149,7 +149,7 @@ impl<'a> Installer<'a> {
         command
     }
 
-    /// Runs a command that has to succeed.
+    /// Runs a command; its failure is an error.
     fn step(&self, what: &'static str, command: &mut Command) -> Result<Ended, SetupError> {
         let (ended, output) = self.run(what, command)?;
         if ended.status.success() {
@@ -159,7 +159,7 @@ impl<'a> Installer<'a> {
         }
     }
 
-    /// Runs a command, its last line shown.
+    /// Runs a command, with its last line of output shown as progress.
     fn run(
         &self,
         what: &'static str,
@@ -199,8 +199,8 @@ impl<'a> Installer<'a> {
     }
 }
 
-/// The most informative line of stderr: the last that names an error, else the last, else how the
-/// process ended.
+/// The most informative line of stderr: the last that names an error, else the last. Without output,
+/// the exit status.
 fn reason(ended: &Ended) -> String {
     let lines = || ended.stderr.lines().rev().map(str::trim).filter(|l| !l.is_empty());
     lines()

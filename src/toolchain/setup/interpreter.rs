@@ -1,4 +1,4 @@
-//! Finding a Python 3.11 that can make environments.
+//! Finds a Python 3.11 that can create environments.
 
 use super::{SetupError, system};
 use std::process::{Command, Stdio};
@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 /// The version that `bpy` is built for.
 const VERSION: &str = "3.11";
 
-/// Prints the version, and whether environments can be made (Debian splits that off).
+/// Prints the version, and whether `venv` is there: Debian packages it separately.
 const PROBE: &str = "import sys
 try:
     import ensurepip, venv
@@ -15,7 +15,7 @@ except ImportError:
     able = 'unable'
 print('%d.%d' % sys.version_info[:2], able)";
 
-/// The command that starts it.
+/// The command that starts such a Python.
 pub(super) fn find() -> Result<&'static str, SetupError> {
     let mut unable = None;
     for python in ["python3.11", "python3", "python"] {

@@ -1,9 +1,9 @@
 //! The pinned Python environment `.venv` of the project: created once; its `stlfr` module is built
 //! again when the library's sources change.
 //!
-//! Two stamps, each written last, say which half is complete: one holds a hash of the pins, the Python
-//! and the folder that the packages were installed for, the other a hash of the module's sources. A file
-//! lock makes a second set-up wait. An interrupted half has no stamp and is done again.
+//! Two stamp files record what is complete, each written last. The packages' stamp is a hash of the
+//! pinned versions, the Python and the folder; the module's stamp is a hash of its sources. A part that
+//! was interrupted has no stamp, and is done again. A file lock makes a second set-up wait.
 
 mod install;
 mod interpreter;
@@ -17,7 +17,7 @@ use stamp::Stamps;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-/// The environment, ready to run.
+/// A complete environment.
 #[derive(Clone, Debug)]
 pub struct Environment {
     pub project_root: PathBuf,
@@ -25,7 +25,7 @@ pub struct Environment {
     pub python: PathBuf,
 }
 
-/// Why there is no environment. Each is one sentence, with the line to run where one helps.
+/// Why the set-up failed: one sentence, with the command that helps if there is one.
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
     #[error("{0} is not stlfr's source folder; set STLFR_HOME to where it is")]
@@ -45,7 +45,7 @@ pub enum SetupError {
 }
 
 impl SetupError {
-    /// A file operation that failed; the right to write is a case of its own.
+    /// A failed file operation; missing write permission is a variant of its own.
     fn file(path: &Path, source: std::io::Error) -> Self {
         use std::io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
         match source.kind() {
@@ -58,7 +58,7 @@ impl SetupError {
 }
 
 impl Environment {
-    /// The environment, if its packages are there; nothing is installed.
+    /// The environment if its packages are installed. This installs nothing.
     pub fn find(project_root: &Path) -> Option<Self> {
         let stamps = Stamps::read(project_root).ok()?;
         stamps.has_packages().then(|| Self {
@@ -78,7 +78,7 @@ pub fn project_root() -> Result<PathBuf, SetupError> {
     }
 }
 
-/// An ffmpeg to run: the system's, else the one that comes with the project's environment.
+/// The system's ffmpeg, else that of the project's environment.
 pub fn find_ffmpeg() -> Option<PathBuf> {
     ffmpeg_on_path().or_else(|| environment_ffmpeg(&project_root().ok()?))
 }
@@ -91,8 +91,8 @@ fn environment_ffmpeg(project_root: &Path) -> Option<PathBuf> {
     })
 }
 
-/// Makes the environment, or what is missing of it. Where it is whole, this takes some milliseconds
-/// and starts no Python.
+/// Creates the environment, or its missing parts. If it is complete, this takes milliseconds and starts
+/// no Python.
 pub fn ensure_environment(
     project_root: &Path,
     reporter: &Reporter,
@@ -112,7 +112,7 @@ pub fn ensure_environment(
     Ok(environment)
 }
 
-/// The wheel of the Python module, built from this tree, while it is there.
+/// A built wheel of the Python module; dropping it removes the file.
 pub(super) struct Wheel {
     pub path: PathBuf,
     _lock: File,
@@ -132,7 +132,7 @@ impl Drop for Wheel {
     }
 }
 
-/// Held until the file is dropped, by one process at a time.
+/// Locks the environment for one process, until the file is dropped.
 fn lock(project_root: &Path, reporter: &Reporter) -> Result<File, SetupError> {
     let path = project_root.join(".venv.lock");
     let file = File::create(&path).map_err(|e| SetupError::file(&path, e))?;

@@ -1,12 +1,12 @@
-//! Building the wheel of the Python module `stlfr` from this tree.
+//! Builds the wheel of the Python module `stlfr` from this tree.
 //!
-//! It compiles in a target folder of its own: in the program's, the library with the Python feature
-//! and the one without would take turns under one name, and each build would undo the other's.
+//! It has its own target folder. In the program's folder, builds with and without the Python feature
+//! would replace each other.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// The command that builds it, into the folder `wheels`.
+/// The command that builds the wheel into the folder `wheels`.
 pub(super) fn build_command(root: &Path, python: &Path, wheels: &Path) -> Command {
     let mut command = Command::new(root.join(".venv/bin/maturin"));
     command

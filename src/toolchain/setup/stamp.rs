@@ -1,15 +1,13 @@
-//! Hashes of what the environment was built from: no Python is started to compare them.
+//! Stamps: hashes of everything that the environment was built from.
 
 use super::SetupError;
 use crate::host::{hash_file, read_bytes, read_text, write_atomically};
 use std::path::{Path, PathBuf};
 
-/// Largest stamp, and description of a Python environment (`pyvenv.cfg`), that is read, bytes. Larger: a
-/// damaged one delays every start. Smaller: below some hundred bytes, that the environment's Python has
-/// changed is not noticed; below 64, a stamp's length, it is made anew at every start.
+/// Largest stamp or `pyvenv.cfg` that is read, bytes.
 const MAX_STAMP_BYTES: u64 = 64 << 10;
 
-/// The stamps as they should be, and whether they are there.
+/// The expected stamps of a source tree.
 pub(super) struct Stamps {
     packages: Stamp,
     module: Stamp,
@@ -75,7 +73,7 @@ impl Stamps {
         self.module.write()
     }
 
-    /// To be called before the module is replaced.
+    /// Removes the module's stamp; call it before replacing the module.
     pub fn remove_module(&self) -> Result<(), SetupError> {
         match std::fs::remove_file(&self.module.path) {
             Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
@@ -86,7 +84,7 @@ impl Stamps {
     }
 }
 
-/// The files that the Python module is built from, in a fixed order: everything but the program.
+/// Source files of the Python module, in a fixed order: all but those of the command line.
 fn module_sources(root: &Path) -> Result<Vec<PathBuf>, SetupError> {
     let mut files: Vec<PathBuf> =
         ["Cargo.toml", "Cargo.lock", "blender/pyproject.toml"].map(|f| root.join(f)).into();

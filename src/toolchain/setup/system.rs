@@ -1,9 +1,9 @@
-//! What the system has to have, and the line that brings it.
+//! Required system packages, and the command that installs them.
 
 use super::SetupError;
 use std::path::Path;
 
-/// The one line that installs Debian packages.
+/// The command that installs Debian packages.
 pub(super) fn install_line(packages: &[impl AsRef<str>]) -> String {
     // SAFETY: geteuid has no preconditions and can't fail.
     let sudo = if unsafe { libc::geteuid() } == 0 { "" } else { "sudo " };
@@ -11,20 +11,20 @@ pub(super) fn install_line(packages: &[impl AsRef<str>]) -> String {
     format!("{sudo}apt-get install -y {}", packages.join(" "))
 }
 
-/// The error that names the shared library which an import lacked, if that is what the output says.
+/// The error for a missing shared library, if an import's output names one.
 pub(super) fn missing_library(root: &Path, stderr: &str) -> Option<SetupError> {
     let library = library_in(stderr)?.to_owned();
     let list = std::fs::read_to_string(root.join("blender/system-packages.txt")).ok()?;
     Some(SetupError::NoLibrary { library, line: install_line(&packages(&list)) })
 }
 
-/// `libX.so.1` of "ImportError: libX.so.1: cannot open shared object file: …".
+/// Finds `libX.so.1` in "ImportError: libX.so.1: cannot open shared object file: …".
 fn library_in(stderr: &str) -> Option<&str> {
     let line = stderr.lines().find(|l| l.contains("cannot open shared object file"))?;
     line.split(": ").find(|part| part.contains(".so") && !part.contains(' '))
 }
 
-/// One package a line; `#` starts a comment.
+/// Parses a list with one package a line; `#` starts a comment.
 fn packages(list: &str) -> Vec<&str> {
     list.lines()
         .map(|line| line.split('#').next().unwrap_or_default().trim())
