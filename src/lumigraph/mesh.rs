@@ -2,13 +2,12 @@
 //! and oriented so that all the vertices are in the front. Finally, all the vertices (including
 //! the four corners of the plane) are triangulated to create a 3D mesh."
 //!
-//! Beyond the paper: mismatched points are dropped, and a triangle that spans a depth edge need not
-//! stretch between the two surfaces ([`DepthEdges`]).
+//! Beyond the paper: mismatched points are dropped, and triangles across depth edges are treated apart
+//! ([`DepthEdges`]).
 //!
-//! Known limit: a mesh is built for one view. In other views, a mesh cut at depth edges has gaps
-//! there.
+//! Known limit: a mesh is built for one view. In other views, it has gaps where it was cut.
 
-use super::inverse_depth::{ProjectedPoint, Through, fit_plane};
+use super::plane::{PlaneLoss, ProjectedPoint, fit_plane};
 use super::rays::ViewBounds;
 use crate::camera::Camera;
 use crate::method::methods;
@@ -17,12 +16,12 @@ use serde::{Deserialize, Serialize};
 use spade::handles::VertexHandle as Handle;
 use spade::{DelaunayTriangulation, HasPosition, Triangulation};
 
-/// Triangles in the world, metres.
+/// A triangle mesh in the world, metres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
-    /// Positions.
+    /// Positions of the vertices.
     pub vertices: Vec<Point3<f64>>,
-    /// Three indices of vertices each, in either orientation.
+    /// Indices of three vertices each, in either orientation.
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -68,26 +67,27 @@ const CORNERS: usize = 4;
 /// front.
 const BEHIND: f64 = 0.999;
 
-struct Site {
+/// A vertex of the triangulation.
+struct MeshSite {
     position: spade::Point2<f64>,
     index: u32,
 }
 
-impl HasPosition for Site {
+impl HasPosition for MeshSite {
     type Scalar = f64;
     fn position(&self) -> spade::Point2<f64> {
         self.position
     }
 }
 
-type Sites = DelaunayTriangulation<Site>;
+type MeshSites = DelaunayTriangulation<MeshSite>;
 
 impl Mesh {
-    /// Builds the mesh of points of the world, in metres, for a view; it covers the whole view.
+    /// Builds a mesh of points of the world, metres, that covers a view.
     ///
-    /// Points behind the view, outside it, or not finite are ignored, and so are those that their
-    /// neighbours contradict. One point, points on a line and duplicates are meshed with the corners
-    /// like any others. `None` if no point remains, or no ray of the view can be computed.
+    /// Points behind the view, outside it, or not finite are ignored, and so are those without support by their
+    /// neighbours. Any number of points may be duplicate or on a line. `None` if no point remains, or no ray of
+    /// the view can be computed.
     pub fn build(points: &[Point3<f64>], target: &Camera, depth_edges: DepthEdges) -> Option<Self> {
         let bounds = ViewBounds::of(target)?.enlarged(MARGIN);
         let focal = target.focal_px();
@@ -101,14 +101,14 @@ impl Mesh {
             inverse_depth: plane.dot(&Vector3::new(at.x, at.y, 1.0)),
             weight: 1.0,
         }));
-        let mut builder = Builder { corners: all, triangles: Vec::new() };
+        let mut builder = MeshBuilder { vertices: all, triangles: Vec::new() };
         for face in sites.inner_faces() {
             let triangle = face.vertices().map(|v| v.data().index);
             builder.add(triangle, focal, depth_edges);
         }
         let world_from_cam = target.cam_from_world.inverse();
         let vertices = builder
-            .corners
+            .vertices
             .iter()
             .map(|s| world_from_cam * Point3::from(s.ray() / s.inverse_depth))
             .collect();
@@ -116,7 +116,7 @@ impl Mesh {
     }
 }
 
-/// The points within the view's bounds, sorted by position, one a cell.
+/// Projects the points within the bounds, sorted by position; of the points of a cell, only the nearest remains.
 fn projected(
     points: &[Point3<f64>],
     target: &Camera,
@@ -148,21 +148,22 @@ fn projected(
     projections.into_iter().map(|(_, s)| s).collect()
 }
 
-/// Delaunay's triangulation of points, and of the corners after them, in pixels. Of several at one place, one remains.
-fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: f64) -> Sites {
+/// Delaunay triangulation of the points, followed by the corners, in pixels. Of several points at one position,
+/// one is in it.
+fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: f64) -> MeshSites {
     // spade takes coordinates that are 0 or in [2⁻¹⁴², 2²⁰¹]; a millionth of a pixel is 0.
     let coordinate = |v: f64| if (v * focal).abs() < 1e-6 { 0.0 } else { v * focal };
-    let places = projections.iter().map(|s| &s.at).chain(corners).enumerate();
-    let sites = places.map(|(index, at)| {
+    let positions = projections.iter().map(|s| &s.at).chain(corners).enumerate();
+    let sites = positions.map(|(index, at)| {
         let position = spade::Point2::new(coordinate(at.x), coordinate(at.y));
-        Site { position, index: index as u32 }
+        MeshSite { position, index: index as u32 }
     });
-    Sites::bulk_load(sites.collect()).unwrap_or_default()
+    MeshSites::bulk_load(sites.collect()).unwrap_or_default()
 }
 
-/// Drops the points that too few of their neighbours in the triangulation support, also from the triangulation. Keeps all
-/// if there are fewer than four, or none has support: where all contradict all, no point is better than the rest.
-fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut Sites) {
+/// Drops points with too few supporting neighbours, also from the triangulation. Drops none if there are fewer than
+/// four points, or no point has support.
+fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut MeshSites) {
     let count = projections.len();
     if count < 4 {
         return;
@@ -177,7 +178,7 @@ fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut Sites) {
     for site in unsupported.into_iter().rev() {
         sites.remove(site);
     }
-    // Those at one place with another are not in the triangulation.
+    // Points at the position of another are not in the triangulation.
     let mut is_kept = vec![false; count];
     for site in sites.vertices() {
         if let Some(is_kept) = is_kept.get_mut(site.data().index as usize) {
@@ -202,14 +203,14 @@ fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut Sites) {
     *projections = kept;
 }
 
-/// The neighbours of a site.
-fn neighbors(site: Handle<Site>) -> impl Iterator<Item = Handle<Site>> {
+/// The vertices at one edge from another.
+fn neighbors(site: Handle<MeshSite>) -> impl Iterator<Item = Handle<MeshSite>> {
     site.out_edges().map(|edge| edge.to())
 }
 
-/// Whether enough of the neighbours of a site, and of theirs, agree with it.
-fn has_support(projections: &[ProjectedPoint], site: &Handle<Site>) -> bool {
-    let index = |s: &Handle<Site>| s.data().index as usize;
+/// Whether enough vertices at one or two edges have a similar inverse depth.
+fn has_support(projections: &[ProjectedPoint], site: &Handle<MeshSite>) -> bool {
+    let index = |s: &Handle<MeshSite>| s.data().index as usize;
     let own = projections[index(site)].inverse_depth;
     let agrees = |k: &usize| (own - projections[*k].inverse_depth).abs() <= SUPPORT_FRACTION * own;
     // Corners have no depth yet.
@@ -229,29 +230,32 @@ fn has_support(projections: &[ProjectedPoint], site: &Handle<Site>) -> bool {
     all.len() >= MIN_SUPPORT
 }
 
-/// The back plane's inverse depth as a linear function of the ray: along the farthest points, and
-/// behind all of them. `None` without points.
+/// The g ([`super::plane`]) of the back plane: along the farthest points, and behind all points. `None` without
+/// points.
 fn back_plane(projections: &[ProjectedPoint], bounds: &ViewBounds) -> Option<Vector3<f64>> {
-    let g = fit_plane(projections, Through::Back(FRONT_WEIGHT), bounds)?;
+    let g = fit_plane(projections, PlaneLoss::Behind(FRONT_WEIGHT), bounds)?;
     // The plane is positive in all the bounds, so the ratio is.
     let behind = projections.iter().map(|s| s.inverse_depth / g.dot(&s.ray())).fold(1.0, f64::min);
     Some(g * (behind * BEHIND))
 }
 
-struct Builder {
-    corners: Vec<ProjectedPoint>,
+/// A mesh under construction.
+struct MeshBuilder {
+    vertices: Vec<ProjectedPoint>,
     triangles: Vec<[u32; 3]>,
 }
 
-impl Builder {
+impl MeshBuilder {
+    /// Appends a vertex; returns its index.
     fn vertex(&mut self, at: Point2<f64>, inverse_depth: f64) -> u32 {
-        self.corners.push(ProjectedPoint { at, inverse_depth, weight: 1.0 });
-        (self.corners.len() - 1) as u32
+        self.vertices.push(ProjectedPoint { at, inverse_depth, weight: 1.0 });
+        (self.vertices.len() - 1) as u32
     }
 
+    /// Adds a triangle, treated as `depth_edges` says where its vertices lie on two surfaces.
     fn add(&mut self, triangle: [u32; 3], focal: f64, depth_edges: DepthEdges) {
         // Nearest first.
-        let mut v = triangle.map(|k| (k, self.corners[k as usize]));
+        let mut v = triangle.map(|k| (k, self.vertices[k as usize]));
         v.sort_by(|a, b| b.1.inverse_depth.total_cmp(&a.1.inverse_depth));
         let [a, b, c] = v.map(|(_, s)| s.inverse_depth);
         let at = v.map(|(_, s)| s.at);
@@ -284,6 +288,7 @@ impl Builder {
         }
     }
 
+    /// Adds a triangle at one depth.
     fn flat(&mut self, at: [Point2<f64>; 3], inverse_depth: f64) {
         let triangle = at.map(|at| self.vertex(at, inverse_depth));
         self.triangles.push(triangle);

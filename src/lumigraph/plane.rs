@@ -1,39 +1,44 @@
-//! The plane proxy of §6: the paper's "3D planar proxy in which the plane's depth can be interactively
-//! controlled by the user. Its placement determines which region of the scene is in focus."
+//! The plane proxy of §6: the paper's "3D planar proxy in which the plane's depth can be interactively controlled by
+//! the user. Its placement determines which region of the scene is in focus."
+//!
+//! In a view, a plane's inverse depth is linear: `1/z = g · (x, y, 1)` at (x, y) of the plane z = 1, where
+//! `g · p_cam = 1` for the plane's points. Disparity is proportional to inverse depth, so that least squares of
+//! inverse depths are least squares of pixels.
 
-use super::inverse_depth::{ProjectedPoint, Through, fit_plane};
 use super::rays::ViewBounds;
 use crate::camera::Camera;
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::{Matrix3, Point2, Point3, Vector3};
+
+/// Margin around the camera's image in which points count, as a fraction of the image's size.
+const MARGIN: f64 = 0.5;
+/// Weight of a prior of no tilt, as a fraction of the points' weight.
+const TILT_PRIOR: f64 = 1e-6;
+/// Largest number of reweightings; about ten are needed.
+const ROUNDS: usize = 20;
+/// Smallest inverse depth of the plane anywhere in the view, over that at the points' mean.
+const MIN_FRACTION: f64 = 0.1;
 
 /// The plane of the points with `normal · x = d` in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {
-    /// Of unit length.
+    /// Unit normal.
     pub normal: Vector3<f64>,
     /// Signed distance from the world's origin along the normal, metres.
     pub d: f64,
 }
 
-/// Margin around the camera's image in which points count for a plane, as a fraction of the image's
-/// size. Larger: points that no view shows tilt the plane. Smaller: few points remain near the border.
-const MARGIN: f64 = 0.5;
-
 impl Plane {
-    /// The plane at a depth along the camera's axis, and perpendicular to it.
+    /// The plane perpendicular to the camera's axis at a depth.
     pub fn fronto_parallel(camera: &Camera, depth_m: f64) -> Self {
         let normal = camera.axis();
         Self { normal, d: normal.dot(&camera.center().coords) + depth_m }
     }
 
-    /// The plane nearest to weighted points in the inverse depth of `camera`, a camera amid the rig,
-    /// with outliers discounted: it blurs the blended view the least. A weight is 1, or the part of
-    /// the view that the point represents.
+    /// Fits a plane to weighted points by robust least squares of inverse depths in a camera.
     ///
-    /// Points behind the camera, far outside its image, not finite or without positive weight are
-    /// ignored. One point, or points on a line, give the plane through them that is nearest to facing
-    /// the camera. No plane is tilted so far that a ray of the view misses it. `None` if no point
-    /// remains.
+    /// Points behind the camera, far outside its image, not finite or without positive weight are ignored. One
+    /// point, or points on a line, give the plane through them that faces the camera most. Every ray of the view
+    /// meets the plane. `None` if no point remains.
     pub fn fit(points: &[(Point3<f64>, f64)], camera: &Camera) -> Option<Self> {
         let bounds = ViewBounds::of(camera)?;
         let counted = bounds.enlarged(MARGIN);
@@ -51,7 +56,7 @@ impl Plane {
                 counts.then_some(ProjectedPoint { at, inverse_depth: 1.0 / p.z, weight: *weight })
             })
             .collect();
-        let g = fit_plane(&projections, Through::Middle, &bounds)?;
+        let g = fit_plane(&projections, PlaneLoss::Robust, &bounds)?;
         // g · (R x + t) = 1. |g| is at least its inverse depth amid the view, which is positive.
         let length = g.norm();
         let normal = camera.cam_from_world.rotation.inverse_transform_vector(&g) / length;
@@ -59,9 +64,8 @@ impl Plane {
         (normal.iter().all(|v| v.is_finite()) && d.is_finite()).then_some(Self { normal, d })
     }
 
-    /// The plane that faces the camera at the median inverse depth of the points in front of it, in
-    /// its view or beside: a fallback for a view without points. `None` if all points are behind the
-    /// camera, or not finite.
+    /// The plane that faces the camera at the median inverse depth of all points in front of it, also of those
+    /// outside its image. `None` if there is none.
     pub fn amid(points: &[Point3<f64>], camera: &Camera) -> Option<Self> {
         let mut inverse: Vec<f64> =
             points.iter().map(|p| 1.0 / (camera.cam_from_world * p).z).collect();
@@ -70,13 +74,129 @@ impl Plane {
         Some(Self::fronto_parallel(camera, 1.0 / inverse.get(inverse.len() / 2)?))
     }
 
-    /// `g` of [`super::inverse_depth`] in the camera's view; `None` if the plane passes through the
-    /// camera's centre, where it is a line in the image, or all of it at depth 0.
+    /// The plane's g in the camera's view (module head). `None` if the plane passes through the camera's centre.
     pub(super) fn inverse_depth(&self, camera: &Camera) -> Option<Vector3<f64>> {
         let distance = self.d - self.normal.dot(&camera.center().coords);
         let g = camera.cam_from_world.rotation * self.normal / distance;
         g.iter().all(|v| v.is_finite()).then_some(g)
     }
+}
+
+/// A point in a view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct ProjectedPoint {
+    /// Position on the plane z = 1.
+    pub at: Point2<f64>,
+    /// 1/m, positive.
+    pub inverse_depth: f64,
+    /// Weight in a fit, positive.
+    pub weight: f64,
+}
+
+impl ProjectedPoint {
+    pub fn ray(&self) -> Vector3<f64> {
+        Vector3::new(self.at.x, self.at.y, 1.0)
+    }
+}
+
+/// The loss of a plane fit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum PlaneLoss {
+    /// Cauchy's, at the scale of the median residual: the plane passes amid the points.
+    Robust,
+    /// Asymmetric: points in front of the plane have this weight, those behind it 1.
+    Behind(f64),
+}
+
+/// Fits a plane's g to points by iteratively reweighted least squares, in front of the whole view. `None` if the
+/// weights don't sum to a positive number.
+pub(super) fn fit_plane(
+    points: &[ProjectedPoint],
+    loss: PlaneLoss,
+    bounds: &ViewBounds,
+) -> Option<Vector3<f64>> {
+    let total: f64 = points.iter().map(|p| p.weight).sum();
+    if !(total > 0.0 && total.is_finite()) {
+        return None;
+    }
+    let mut g = Vector3::new(0.0, 0.0, weighted_median(points, |p| p.inverse_depth));
+    for _ in 0..ROUNDS {
+        let scale = match loss {
+            PlaneLoss::Robust => weighted_median(points, |p| residual(p, &g).abs()),
+            PlaneLoss::Behind(_) => 0.0,
+        };
+        let next = least_squares(points, |p| {
+            let residual = residual(p, &g);
+            match loss {
+                PlaneLoss::Robust if scale > 0.0 => 1.0 / (1.0 + (residual / scale).powi(2)),
+                PlaneLoss::Behind(weight) if residual > 0.0 => weight,
+                _ => 1.0,
+            }
+        })?;
+        if next == g {
+            break;
+        }
+        g = next;
+    }
+    Some(flattened(g, points, bounds))
+}
+
+/// Inverse depth of a point beyond the plane's; positive in front of it.
+fn residual(p: &ProjectedPoint, g: &Vector3<f64>) -> f64 {
+    p.inverse_depth - g.dot(&p.ray())
+}
+
+/// Least squares with the points' weights times a factor.
+fn least_squares(
+    points: &[ProjectedPoint],
+    factor: impl Fn(&ProjectedPoint) -> f64,
+) -> Option<Vector3<f64>> {
+    let (mut normal, mut right, mut total) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
+    for p in points {
+        let (w, ray) = (p.weight * factor(p), p.ray());
+        normal += ray * ray.transpose() * w;
+        right += ray * (p.inverse_depth * w);
+        total += w;
+    }
+    normal[(0, 0)] += TILT_PRIOR * total;
+    normal[(1, 1)] += TILT_PRIOR * total;
+    normal.cholesky().map(|c| c.solve(&right))
+}
+
+/// Reduces a plane's tilt about the points' mean until it lies in front of the whole view.
+fn flattened(g: Vector3<f64>, points: &[ProjectedPoint], bounds: &ViewBounds) -> Vector3<f64> {
+    let total: f64 = points.iter().map(|p| p.weight).sum();
+    let mean_of = |f: &dyn Fn(&ProjectedPoint) -> f64| {
+        points.iter().map(|p| p.weight * f(p)).sum::<f64>() / total
+    };
+    let ray = Vector3::new(mean_of(&|p| p.at.x), mean_of(&|p| p.at.y), 1.0);
+    let nearest = points.iter().map(|p| p.inverse_depth).fold(f64::INFINITY, f64::min);
+    // A fit to positive inverse depths is positive at their middle but for rounding.
+    let middle = g.dot(&ray).max(nearest);
+    let mut fraction: f64 = 1.0;
+    for corner in bounds.corners() {
+        let change = g.x * (corner.x - ray.x) + g.y * (corner.y - ray.y);
+        if change < 0.0 {
+            fraction = fraction.min(middle * (1.0 - MIN_FRACTION) / -change);
+        }
+    }
+    let tilt = g.xy() * fraction;
+    Vector3::new(tilt.x, tilt.y, middle - tilt.dot(&ray.xy()))
+}
+
+/// The lower weighted median.
+fn weighted_median(points: &[ProjectedPoint], value: impl Fn(&ProjectedPoint) -> f64) -> f64 {
+    let mut sorted: Vec<(f64, f64)> = points.iter().map(|p| (value(p), p.weight)).collect();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * sorted.iter().map(|p| p.1).sum::<f64>();
+    let mut sum = 0.0;
+    for &(value, weight) in &sorted {
+        sum += weight;
+        if sum >= half {
+            return value;
+        }
+    }
+    sorted.last().map_or(f64::NAN, |p| p.0)
 }
 
 #[cfg(test)]

@@ -1,10 +1,11 @@
-//! Triangles to depths, exact for every lens: a pixel's ray r = (x, y, 1) meets the triangle
-//! (a, b, c) of the camera's frame where r · (b × c), r · (c × a) and r · (a × b) have one sign,
-//! at `1/z = r · g` (homogeneous rasterisation, Olano and Greer 1997). Nothing is divided by a
-//! vertex's depth, so vertices behind the camera need no clipping.
+//! Rasterization of triangles to depths, for every lens (homogeneous rasterization, Olano and Greer 1997).
 //!
-//! The products of a shared edge are the same numbers with opposite signs for its two triangles
-//! and both own what lies on it, so that a mesh has no cracks; the nearest surface wins.
+//! A pixel's ray r = (x, y, 1) meets the triangle (a, b, c) of the camera's frame where r · (b × c), r · (c × a) and
+//! r · (a × b) have the same sign, at `1/z = g · r`. Nothing is divided by a vertex's depth, so that vertices behind
+//! the camera need no clipping.
+//!
+//! The products of an edge that two triangles share are equal but for the sign, and a ray through an edge hits both
+//! triangles, so that a mesh has no cracks. The nearest triangle wins.
 
 use super::DepthMap;
 use super::rays::RayRow;
@@ -12,58 +13,51 @@ use crate::camera::Camera;
 use crate::simd::multiversion;
 use nalgebra::{Point2, Vector3};
 use rayon::prelude::*;
+use std::ops::Range;
 
-/// Rows that one task renders. Larger: cores are idle at the end. Smaller: a triangle is in
-/// more bands.
+/// Number of rows that one task renders.
 const BAND_ROWS: usize = 16;
-/// Largest distance from a triangle at which a ray still hits it, as a fraction of the products' size:
-/// about 1e-8 px. Larger: outlines thicken. Smaller: cracks open at pixels that are exactly on a
-/// vertex, and where the world's origin is kilometres away.
+/// Largest distance from a triangle at which a ray still hits it, in units of the products: about 1e-8 px.
 const ON_EDGE: f64 = 1e-11;
-/// Smallest solid angle of a triangle, sr. Larger: thin triangles are missing. Smaller: triangles seen
-/// edge-on have depths of rounding.
+/// Smallest solid angle of a triangle, sr: below it, depths are rounding noise.
 const MIN_VOLUME: f64 = 1e-15;
-/// Depth of the near plane, as a fraction of the depth of a triangle's nearest vertex in front of the
-/// camera; it bounds how far aside the triangle projects. Larger: visible parts are cut off. Smaller:
-/// bounds overflow.
+/// Depth of the near plane, over that of a triangle's nearest vertex in front of the camera.
 const NEAR_FRACTION: f64 = 1e-4;
-/// Pixels that are tested at a time.
-const LANES: usize = 4;
-/// Points along each edge that bound a triangle's image by a distorted lens. Larger: slower. Smaller:
-/// the margin around them, and so the box, is larger.
+/// Number of pixels that are tested at a time.
+const WORD_PX: usize = 4;
+/// Number of points along each edge that bound a triangle's image by a distorted lens.
 const BEND_STEPS: usize = 8;
 
-/// A triangle, ready to be drawn.
-struct Prepared {
+/// A triangle in the camera's view.
+struct ProjectedTriangle {
     /// Normals of the planes through the camera's centre and each edge.
     edges: [Vector3<f64>; 3],
-    /// 1/z = g · r.
+    /// Inverse depth by the ray: 1/z = g · r.
     g: Vector3<f64>,
-    /// First and one past the last column and row.
-    columns: (usize, usize),
-    rows: (usize, usize),
+    /// Columns and rows of the bounding box.
+    columns: Range<usize>,
+    rows: Range<usize>,
 }
 
-/// The depth of the nearest triangle at each pixel's centre. `points` are in the camera's frame.
+/// Depths of the nearest triangle at each pixel's centre. `points` are in the camera's frame.
 ///
-/// Triangles that are seen edge-on, have no area, or have a vertex that is not finite or not in
-/// `points` are skipped.
+/// Triangles that are seen edge-on, have no area, or have a vertex that is not finite or not in `points` are skipped.
 pub(super) fn rasterize(
     points: &[Vector3<f64>],
     triangles: &[[u32; 3]],
     camera: &Camera,
 ) -> DepthMap {
-    let prepared: Vec<Prepared> =
-        triangles.par_iter().filter_map(|t| prepare(points, t, camera)).collect();
+    let projected: Vec<ProjectedTriangle> =
+        triangles.par_iter().filter_map(|t| project(points, t, camera)).collect();
     let mut in_bands = vec![Vec::new(); camera.height.div_ceil(BAND_ROWS)];
-    for t in &prepared {
+    for t in &projected {
         // There is a row.
-        let bands = t.rows.0 / BAND_ROWS..=(t.rows.1 - 1) / BAND_ROWS;
+        let bands = t.rows.start / BAND_ROWS..=(t.rows.end - 1) / BAND_ROWS;
         in_bands[bands].iter_mut().for_each(|band| band.push(t));
     }
     let mut depths = vec![0.0; camera.width * camera.height];
     depths.par_chunks_mut(BAND_ROWS * camera.width).zip(&in_bands).enumerate().for_each_init(
-        || Band::new(camera),
+        || DepthBand::new(camera),
         |band, (index, (depths, triangles))| {
             band.set(index * BAND_ROWS);
             draw(triangles, band);
@@ -74,7 +68,7 @@ pub(super) fn rasterize(
 }
 
 multiversion! {
-    /// Depths from inverse depths; NaN where they are 0.
+    /// Inverts inverse depths; 0 becomes NaN.
     fn invert(inverse: &[f64], depths: &mut [f32]) = invert_by
 }
 
@@ -86,7 +80,12 @@ fn invert_by(inverse: &[f64], depths: &mut [f32]) {
     }
 }
 
-fn prepare(points: &[Vector3<f64>], triangle: &[u32; 3], camera: &Camera) -> Option<Prepared> {
+/// Projects a triangle. `None` if it is skipped, or outside the image.
+fn project(
+    points: &[Vector3<f64>],
+    triangle: &[u32; 3],
+    camera: &Camera,
+) -> Option<ProjectedTriangle> {
     let mut v = [Vector3::zeros(); 3];
     for (v, &index) in v.iter_mut().zip(triangle) {
         *v = *points.get(index as usize)?;
@@ -109,25 +108,25 @@ fn prepare(points: &[Vector3<f64>], triangle: &[u32; 3], camera: &Camera) -> Opt
     }
     let g = (edges[0] / lengths[0] + edges[1] / lengths[1] + edges[2] / lengths[2]) / volume;
     let (columns, rows) = image_box(&v, camera)?;
-    Some(Prepared { edges, g, columns, rows })
+    Some(ProjectedTriangle { edges, g, columns, rows })
 }
 
-/// Neighbouring rows of the image.
-struct Band<'a> {
+/// The depth buffer of some neighbouring rows.
+struct DepthBand<'a> {
     first_row: usize,
     rays: Vec<RayRow<'a>>,
-    /// The largest inverse depth at each pixel, row by row; 0 where there is no triangle.
+    /// Largest inverse depth at each pixel, row by row; 0 without triangle.
     nearest: Vec<f64>,
 }
 
-impl<'a> Band<'a> {
+impl<'a> DepthBand<'a> {
     fn new(camera: &'a Camera) -> Self {
         let rows = BAND_ROWS.min(camera.height);
         let rays = (0..rows).map(|_| RayRow::new(camera)).collect();
         Self { first_row: 0, rays, nearest: vec![0.0; rows * camera.width] }
     }
 
-    /// Makes it the rows from one on, empty.
+    /// Moves to the rows from `first_row` on, and clears the buffer.
     fn set(&mut self, first_row: usize) {
         self.first_row = first_row;
         self.rays.iter_mut().enumerate().for_each(|(k, rays)| rays.set(first_row + k));
@@ -136,15 +135,15 @@ impl<'a> Band<'a> {
 }
 
 multiversion! {
-    /// Raises a band's inverse depths where one of the triangles is nearer.
-    fn draw(triangles: &[&Prepared], band: &mut Band) = draw_by
+    /// Draws triangles into the depth buffer.
+    fn draw(triangles: &[&ProjectedTriangle], band: &mut DepthBand) = draw_by
 }
 
 #[inline(always)]
-fn draw_by(triangles: &[&Prepared], band: &mut Band) {
+fn draw_by(triangles: &[&ProjectedTriangle], band: &mut DepthBand) {
     for t in triangles {
-        let from = t.rows.0.max(band.first_row) - band.first_row;
-        let until = t.rows.1.min(band.first_row + band.rays.len()) - band.first_row;
+        let from = t.rows.start.max(band.first_row) - band.first_row;
+        let until = t.rows.end.min(band.first_row + band.rays.len()) - band.first_row;
         for (row, rays) in band.rays[from..until].iter().enumerate() {
             let width = rays.x.len();
             let nearest = &mut band.nearest[(from + row) * width..][..width];
@@ -153,24 +152,26 @@ fn draw_by(triangles: &[&Prepared], band: &mut Band) {
     }
 }
 
-impl Prepared {
+impl ProjectedTriangle {
+    /// Draws one row of the triangle.
     #[inline(always)]
     fn draw_row(&self, rays: &RayRow, nearest: &mut [f64]) {
-        let columns = self.columns.0..self.columns.1;
+        let columns = self.columns.clone();
         let (xs, ys) = (&rays.x[columns.clone()], &rays.y[columns.clone()]);
         let nearest = &mut nearest[columns];
         // Whole words first. The last may overlap the one before: drawing twice is drawing once.
         let mut left = xs.len();
-        while left >= LANES {
+        while left >= WORD_PX {
             let k = xs.len() - left;
-            self.draw_word::<LANES>(word(xs, k), word(ys, k), word_mut(nearest, k));
-            left = if left < 2 * LANES && left > LANES { LANES } else { left - LANES };
+            self.draw_word::<WORD_PX>(word(xs, k), word(ys, k), word_mut(nearest, k));
+            left = if left < 2 * WORD_PX && left > WORD_PX { WORD_PX } else { left - WORD_PX };
         }
         for k in xs.len() - left..xs.len() {
             self.draw_word::<1>(word(xs, k), word(ys, k), word_mut(nearest, k));
         }
     }
 
+    /// Draws N neighbouring pixels.
     #[inline(always)]
     fn draw_word<const N: usize>(&self, x: &[f64; N], y: &[f64; N], nearest: &mut [f64; N]) {
         let [a, b, c] = &self.edges;
@@ -195,10 +196,8 @@ fn word_mut<const N: usize>(values: &mut [f64], at: usize) -> &mut [f64; N] {
     values[at..].first_chunk_mut().expect("the row goes on")
 }
 
-type Range = (usize, usize);
-
-/// Columns and rows in which the triangle may be visible; `None` if there are none.
-fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range, Range)> {
+/// Columns and rows in which the triangle may be visible. `None` if it lies behind the camera or outside the image.
+fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range<usize>, Range<usize>)> {
     let in_front = v.iter().map(|p| p.z).filter(|z| *z > 0.0);
     let near = in_front.fold(f64::INFINITY, f64::min) * NEAR_FRACTION;
     if !(near > 0.0 && near.is_finite()) {
@@ -237,16 +236,16 @@ fn image_box(v: &[Vector3<f64>; 3], camera: &Camera) -> Option<(Range, Range)> {
         let last = size as f64;
         let first = (low - margin - 0.5).ceil().clamp(0.0, last);
         let end = ((high + margin - 0.5).floor() + 1.0).clamp(0.0, last);
-        (first < end).then_some((first as usize, end as usize))
+        (first < end).then_some(first as usize..end as usize)
     };
     let all = !(low.x.is_finite() && low.y.is_finite() && high.x.is_finite() && high.y.is_finite());
     if all {
-        return Some(((0, camera.width), (0, camera.height)));
+        return Some((0..camera.width, 0..camera.height));
     }
     Some((range(low.x, high.x, camera.width)?, range(low.y, high.y, camera.height)?))
 }
 
-/// The part of a segment with z of at least `near`.
+/// Clips a segment to z of at least `near`.
 fn clip(a: Vector3<f64>, b: Vector3<f64>, near: f64) -> Option<(Vector3<f64>, Vector3<f64>)> {
     match (a.z >= near, b.z >= near) {
         (true, true) => Some((a, b)),
@@ -400,12 +399,13 @@ mod tests {
             let points: Vec<_> = (0..90).map(|_| vertex()).collect();
             let triangles: Vec<_> = (0..30).map(|k| [3 * k, 3 * k + 1, 3 * k + 2]).collect();
             let all: Vec<_> =
-                triangles.iter().filter_map(|t| prepare(&points, t, &camera)).collect();
+                triangles.iter().filter_map(|t| project(&points, t, &camera)).collect();
             for first_row in (0..camera.height).step_by(BAND_ROWS) {
-                let touches =
-                    |t: &&Prepared| t.rows.0 < first_row + BAND_ROWS && t.rows.1 > first_row;
-                let triangles: Vec<&Prepared> = all.iter().filter(touches).collect();
-                let [mut band, mut plain] = [(); 2].map(|()| Band::new(&camera));
+                let touches = |t: &&ProjectedTriangle| {
+                    t.rows.start < first_row + BAND_ROWS && t.rows.end > first_row
+                };
+                let triangles: Vec<&ProjectedTriangle> = all.iter().filter(touches).collect();
+                let [mut band, mut plain] = [(); 2].map(|()| DepthBand::new(&camera));
                 band.set(first_row);
                 plain.set(first_row);
                 draw(&triangles, &mut band);

@@ -3,8 +3,7 @@
 use crate::camera::Camera;
 use nalgebra::Point2;
 
-/// Directions (x, y, 1) in the camera's frame of one row's pixel centres. Both are NaN where the lens
-/// can't be inverted.
+/// Rays (x, y, 1) of one row's pixel centres, in the camera's frame. NaN where the lens can't be inverted.
 pub(crate) struct RayRow<'a> {
     camera: &'a Camera,
     pub x: Vec<f64>,
@@ -12,15 +11,15 @@ pub(crate) struct RayRow<'a> {
 }
 
 impl<'a> RayRow<'a> {
-    /// No row's rays yet.
+    /// Allocates a row; [`Self::set`] computes the rays.
     pub fn new(camera: &'a Camera) -> Self {
         let (fx, _, cx, _) = camera.model.intrinsics();
-        // Those of every row of a pinhole camera.
+        // Every row of a pinhole has the same.
         let x = (0..camera.width).map(|column| (column as f64 + 0.5 - cx) / fx).collect();
         Self { camera, x, y: vec![0.0; camera.width] }
     }
 
-    /// Makes this the rays of `row`.
+    /// Computes the rays of a row.
     pub fn set(&mut self, row: usize) {
         let camera = self.camera;
         let v = row as f64 + 0.5;
@@ -37,19 +36,18 @@ impl<'a> RayRow<'a> {
     }
 }
 
-/// The bounds of a view on the plane z = 1: a box around the rays of its border.
+/// Bounding box of a view's border on the plane z = 1.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ViewBounds {
     pub min: Point2<f64>,
     pub max: Point2<f64>,
 }
 
-/// Positions along each side of the border. Larger: slower. Smaller: a distorted lens bends a side
-/// beyond the box between two of them.
+/// Number of positions along each side of the border.
 const STEPS: usize = 32;
 
 impl ViewBounds {
-    /// The bounds of a camera's view; `None` if no ray of the border can be computed.
+    /// Bounds of a camera's view. `None` if no ray of the border can be computed.
     pub fn of(camera: &Camera) -> Option<Self> {
         let (w, h) = (camera.width as f64, camera.height as f64);
         let mut bounds: Option<Self> = None;
@@ -67,7 +65,7 @@ impl ViewBounds {
         bounds
     }
 
-    /// The bounds, larger on every side by a fraction of their size.
+    /// Enlarges the bounds on every side by a fraction of their size.
     pub fn enlarged(&self, fraction: f64) -> Self {
         let by = (self.max - self.min) * fraction;
         Self { min: self.min - by, max: self.max + by }
@@ -82,7 +80,7 @@ impl ViewBounds {
         [a, Point2::new(b.x, a.y), b, Point2::new(a.x, b.y)]
     }
 
-    /// Largest squared distance from the optical axis.
+    /// Largest squared distance of a corner from the optical axis.
     pub fn max_radius2(&self) -> f64 {
         self.corners().iter().map(|c| c.coords.norm_squared()).fold(0.0, f64::max)
     }

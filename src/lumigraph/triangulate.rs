@@ -1,11 +1,9 @@
 //! A 3D point from its images in several cameras at one instant.
 //!
-//! The point is sought as a direction from the first camera and an inverse distance,
-//! `X = C_0 + s (r + u e_1 + v e_2) / ρ`, where s is the farthest camera's distance from the first. Its
-//! image in camera i is that of `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`, linear in
-//! (u, v, ρ) up to the division by depth, and ρ = 0 is a point at infinity like any other. So
-//! the linear solution is well conditioned, and neither a shift nor a scaling of the world
-//! changes the problem that is solved.
+//! The unknowns are a direction (u, v) from the first camera and an inverse distance ρ:
+//! `X = C_0 + s (r + u e_1 + v e_2) / ρ`, where s is the farthest camera's distance from the first. Camera i sees
+//! X along `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`, which is linear in (u, v, ρ) and finite at infinity,
+//! ρ = 0. The linear solution is well conditioned, and independent of the world's origin and scale.
 
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
@@ -21,18 +19,15 @@ pub struct Triangulated {
     pub max_angle_rad: f64,
 }
 
-/// Smallest parallax of two rays, pixels in the image of the longest lens among them: about as much as
-/// trackers resolve. Larger: far background is missing. Smaller: depths are noise.
+/// Smallest parallax of two rays, pixels of the longest lens among them: about what trackers resolve.
 const MIN_PARALLAX_PX: f64 = 0.07;
-/// Steps of Levenberg–Marquardt at most: the problem is almost linear, and it takes 2 to 5. Larger:
-/// slower where no step helps. Smaller: noisy points don't reach the minimum.
+/// Largest number of Levenberg–Marquardt steps; 2 to 5 are needed.
 const MAX_ITERATIONS: usize = 20;
 /// Length of a step that ends the minimization, in radians and fractions of the inverse distance.
-/// Larger: the minimum is missed. Smaller: steps of rounding follow.
 const MIN_STEP: f64 = 1e-14;
 
-/// One observation, in the coordinates of the module's head.
-struct Equation {
+/// One observation, in the coordinates of the module head.
+struct ObservationEquation {
     /// Camera axes from the axes (e_1, e_2, r).
     rotation: Matrix3<f64>,
     /// (C_0 − C_i) / s in camera axes.
@@ -43,7 +38,8 @@ struct Equation {
     focal: (f64, f64),
 }
 
-impl Equation {
+impl ObservationEquation {
+    /// The point times its inverse distance, in camera axes.
     fn direction(&self, p: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * Vector3::new(p.x, p.y, 1.0) + self.shift * p.z
     }
@@ -58,12 +54,11 @@ impl Equation {
     }
 }
 
-/// The point of the world whose projections are nearest to the observations, a pixel position in each
-/// camera's image, by least squares in pixels without distortion.
+/// Triangulates a point of the world from its pixels in several cameras: least squares of reprojection errors,
+/// pixels without distortion.
 ///
-/// `None` for fewer than two observations or distinct centres, pixels whose ray can't be computed,
-/// rays that are parallel to within `MIN_PARALLAX_PX` (0.07 px), a point at infinity, and a point
-/// behind any of its cameras.
+/// `None` for fewer than two observations or distinct centres, pixels without a ray, rays that are parallel to
+/// within 0.07 px, and a point at infinity or behind a camera.
 pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulated> {
     let rays: Vec<Vector3<f64>> = observations
         .iter()
@@ -82,12 +77,12 @@ pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulat
     }
 
     let axes = axes_along(&rays[0]);
-    let equations: Vec<Equation> = observations
+    let equations: Vec<ObservationEquation> = observations
         .iter()
         .map(|(camera, pixel)| {
             let rotation = camera.cam_from_world.rotation.to_rotation_matrix();
             let (fx, fy, ..) = camera.model.intrinsics();
-            Some(Equation {
+            Some(ObservationEquation {
                 rotation: rotation.matrix() * axes,
                 shift: rotation * ((center - camera.center()) / scale),
                 observed: camera.model.normalized_from_pixel(pixel)?,
@@ -114,6 +109,7 @@ pub fn triangulate(observations: &[(&Camera, Point2<f64>)]) -> Option<Triangulat
     Some(Triangulated { point, rms_px, max_angle_rad })
 }
 
+/// Largest angle between two rays.
 fn max_angle(rays: &[Vector3<f64>]) -> f64 {
     let mut largest: f64 = 0.0;
     for (i, a) in rays.iter().enumerate() {
@@ -131,9 +127,9 @@ fn axes_along(r: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_columns(&[e1, r.cross(&e1), *r])
 }
 
-/// The linear solution: `x · q_z − q_x = 0` for the observed x, and the same in y, with q linear in
-/// (u, v, ρ). `None` if the system is singular.
-fn linear(equations: &[Equation]) -> Option<Vector3<f64>> {
+/// Solves `x · q_z − q_x = 0` for the observed x, and alike for y, with q linear in (u, v, ρ). `None` if the system
+/// is singular.
+fn linear(equations: &[ObservationEquation]) -> Option<Vector3<f64>> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for e in equations {
         let (d, q) = (e.derivative(), e.rotation.column(2));
@@ -147,9 +143,9 @@ fn linear(equations: &[Equation]) -> Option<Vector3<f64>> {
     normal.cholesky().map(|c| c.solve(&right))
 }
 
-/// Squared reprojection error (pixels without distortion), its gradient and Gauss–Newton matrix.
-/// Infinite where the point is behind a camera.
-fn cost(equations: &[Equation], p: &Vector3<f64>) -> (f64, Vector3<f64>, Matrix3<f64>) {
+/// Squared reprojection error (pixels without distortion), its gradient and Gauss–Newton matrix. The error is
+/// infinite if the point is behind a camera.
+fn cost(equations: &[ObservationEquation], p: &Vector3<f64>) -> (f64, Vector3<f64>, Matrix3<f64>) {
     let (mut sum, mut gradient, mut normal) = (0.0, Vector3::zeros(), Matrix3::zeros());
     for e in equations {
         let q = e.direction(p);
@@ -168,9 +164,8 @@ fn cost(equations: &[Equation], p: &Vector3<f64>) -> (f64, Vector3<f64>, Matrix3
     (sum, gradient, normal)
 }
 
-/// The minimum of [`cost`] by Levenberg–Marquardt; the start if it is behind a camera, or no step
-/// lowers the cost.
-fn refine(equations: &[Equation], start: Vector3<f64>) -> Vector3<f64> {
+/// Minimizes [`cost`] by Levenberg–Marquardt. A start behind a camera is returned as it is.
+fn refine(equations: &[ObservationEquation], start: Vector3<f64>) -> Vector3<f64> {
     let mut p = start;
     let (mut error, mut gradient, mut normal) = cost(equations, &p);
     if !error.is_finite() {

@@ -1,27 +1,24 @@
 //! The weight of each camera in a pixel.
 //!
-//! Buehler et al.: the k best cameras by penalty, weights `(1 − p / p_{k+1}) / p`. As written,
-//! that is discontinuous where the k+1 best are equally good (0/0: the middle of a square of
-//! four cameras with k = 3). Here the threshold is at least a little above the best penalty, so
-//! that the best cameras never all reach zero: weights are then continuous functions of the
-//! penalties, whatever ties there are.
+//! Buehler et al. weigh the k best cameras by `(1 − p / p_{k+1}) / p`, normalized, which is discontinuous where the
+//! k+1 best penalties are equal (0/0). Here the threshold in place of p_{k+1} is at least a little above the best
+//! penalty, so that weights are continuous functions of the penalties.
 
 use crate::method::methods;
 use crate::simd::multiversion;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// The weights of the cameras that see a point, the cheapest method first.
+/// Methods to weigh the cameras that see a point, the cheapest first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BlendMethod {
-    /// Every camera that sees the point has the same weight (the paper's Fig. 14: 1/8 each).
+    /// Equal weights of all cameras that see the point (the paper's Fig. 14).
     Uniform,
-    /// Unstructured lumigraph rendering (Buehler et al., SIGGRAPH 2001; §6 of the paper): by angle
-    /// and resolution.
+    /// Unstructured lumigraph rendering (Buehler et al., SIGGRAPH 2001; §6): by angle and resolution.
     #[default]
     Lumigraph,
-    /// By place and time: as `Lumigraph`, with the error of interpolation beside that of the proxy.
+    /// By angle, resolution, and the error of temporal interpolation.
     SpaceTime,
 }
 
@@ -31,48 +28,48 @@ methods!(BlendMethod {
     SpaceTime = "space-time": "By angle, resolution, and the expected error of interpolation in time",
 });
 
-/// Smallest distance of the threshold above the best penalty, as a fraction of it. Larger: more than k
-/// cameras that almost tie are blended. Smaller: the transition between them is sharper, a jump at 0.
+/// Smallest distance of the threshold above the best penalty, as a fraction of it.
 pub(super) const SOFT: f32 = 0.05;
 
-/// The penalties of some sources at `count` neighbouring pixels.
+/// Penalties and confidences of some sources at `count` neighbouring pixels.
 ///
-/// They are angular deviations, raised by poor resolution and towards the image's border; infinite where the camera
-/// doesn't see the point. A penalty of 0 is the target's own centre: then only such cameras count, in proportion to
-/// their trust (0 at the image's border to 1).
+/// A penalty is infinite where the camera doesn't see the point, and 0 where the camera stands at the view's centre:
+/// then only such cameras count, in proportion to their confidence.
 pub(super) struct Penalties<'a> {
-    /// The sources, ascending.
+    /// Indices of the sources, ascending.
     pub sources: &'a [usize],
-    /// Values of each source, from `width` times its index on.
+    /// Penalties; those of a source start at `width` times its index.
     pub penalty: &'a [f32],
-    pub trust: &'a [f32],
+    /// Confidences, likewise.
+    pub confidence: &'a [f32],
     pub width: usize,
     pub count: usize,
 }
 
 impl Penalties<'_> {
-    /// The indices of a source's values.
+    /// Indices of a source's values.
     #[inline(always)]
     fn of(&self, source: usize) -> Range<usize> {
         source * self.width..source * self.width + self.count
     }
 }
 
-/// The weights of the pixels of [`Penalties`].
+/// The weights that follow from [`Penalties`].
 #[derive(Default)]
 pub(super) struct Weights {
-    /// Those of each source, where its penalties are; they sum to 1, or to 0 where no camera sees the point. What
-    /// other sources have is left over from before.
+    /// Weights, at the indices of the penalties. They sum to 1, or to 0 where no camera sees the point. Sources without
+    /// penalties have undefined weights.
     pub weights: Vec<f32>,
-    /// The k+1 smallest penalties, ascending: rank by rank, pixel by pixel.
+    /// The k+1 smallest penalties of every pixel, ascending, rank by rank.
     ranks: Vec<f32>,
-    /// Scratch space: a value for every pixel.
+    /// Scratch: sums of every pixel.
     sum: Vec<f32>,
+    /// Scratch: penalties of one source.
     inserted: Vec<f32>,
 }
 
 impl Weights {
-    /// Room for this many.
+    /// Room for this many weights.
     pub fn of(count: usize) -> Self {
         Self { weights: vec![0.0; count], ..Self::default() }
     }
@@ -83,16 +80,17 @@ impl Weights {
         lumigraph(penalties, k.clamp(1, penalties.sources.len().max(1)), self);
     }
 
-    /// Computes equal weights of the cameras that see the point, lower towards their borders.
+    /// Computes weights in proportion to the confidences.
     pub fn uniform(&mut self, penalties: &Penalties) {
         self.weights.resize(penalties.penalty.len(), 0.0);
         for &source in penalties.sources {
             let own = penalties.of(source);
-            self.weights[own.clone()].copy_from_slice(&penalties.trust[own]);
+            self.weights[own.clone()].copy_from_slice(&penalties.confidence[own]);
         }
         self.normalize(penalties);
     }
 
+    /// Sorts the smallest penalties of every pixel.
     #[inline(always)]
     fn rank(&mut self, penalties: &Penalties, count: usize) {
         self.ranks.clear();
@@ -111,6 +109,7 @@ impl Weights {
         }
     }
 
+    /// Divides weights by their sums.
     #[inline(always)]
     fn normalize(&mut self, penalties: &Penalties) {
         self.sum.clear();
@@ -130,6 +129,7 @@ impl Weights {
 }
 
 multiversion! {
+    /// Weights of the k best cameras (module head).
     fn lumigraph(penalties: &Penalties, k: usize, out: &mut Weights) = lumigraph_by
 }
 
@@ -144,18 +144,18 @@ fn lumigraph_by(penalties: &Penalties, k: usize, out: &mut Weights) {
         *threshold = threshold.max(best * (1.0 + SOFT));
     }
     out.sum.clear();
-    // Scratch until the sum is computed: the decrease of the weights at the threshold.
+    // Not sums yet: the decrease of the weights at the threshold.
     out.sum.extend(best.iter().zip(&*threshold).map(|(best, threshold)| best / threshold));
     for &source in penalties.sources {
         let own = penalties.of(source);
         let pixels = out.weights[own.clone()].iter_mut().zip(&penalties.penalty[own.clone()]);
-        let pixels = pixels.zip(&penalties.trust[own]);
+        let pixels = pixels.zip(&penalties.confidence[own]);
         let limits = best.iter().zip(&*threshold).zip(&out.sum);
-        for (((w, &p), &trust), ((&best, &threshold), &fall)) in pixels.zip(limits) {
+        for (((w, &p), &confidence), ((&best, &threshold), &fall)) in pixels.zip(limits) {
             // (1 − p / threshold) / p, times the best p: at most 1, and never an overflow.
             // Where no camera sees the point it is NaN, which is below no threshold.
             let blended = best / p - fall;
-            let alone = if p == 0.0 { trust } else { 0.0 };
+            let alone = if p == 0.0 { confidence } else { 0.0 };
             let counted = if p < threshold { blended } else { 0.0 };
             *w = if best == 0.0 { alone } else { counted };
         }
@@ -164,12 +164,12 @@ fn lumigraph_by(penalties: &Penalties, k: usize, out: &mut Weights) {
 }
 
 multiversion! {
-    /// Weights between nodes every `step` pixels, of which the first is at the first pixel, times the trust; they are
-    /// added to a sum.
+    /// Interpolates weights between nodes every `step` pixels, from the first pixel on, multiplies them by the
+    /// confidence, and adds them to `sum`.
     pub(super) fn weigh_between(
         nodes: &[f32],
         step: usize,
-        trust: &[f32],
+        confidence: &[f32],
         weights: &mut [f32],
         sum: &mut [f32],
     ) = weigh_between_by
@@ -179,7 +179,7 @@ multiversion! {
 fn weigh_between_by(
     nodes: &[f32],
     step: usize,
-    trust: &[f32],
+    confidence: &[f32],
     weights: &mut [f32],
     sum: &mut [f32],
 ) {
@@ -190,8 +190,8 @@ fn weigh_between_by(
             *weight = ends[0] + slope * k as f32;
         }
     }
-    for ((weight, trust), sum) in weights.iter_mut().zip(trust).zip(sum) {
-        *weight *= trust;
+    for ((weight, confidence), sum) in weights.iter_mut().zip(confidence).zip(sum) {
+        *weight *= confidence;
         *sum += *weight;
     }
 }
@@ -218,10 +218,10 @@ mod tests {
     /// The weights of these pixels' penalties by `n` sources.
     fn of_pixels(penalty: &[f32], n: usize, k: usize) -> Vec<f32> {
         let width = penalty.len() / n.max(1);
-        let trust = &vec![1.0; penalty.len()];
+        let confidence = &vec![1.0; penalty.len()];
         let sources = &(0..n).collect::<Vec<_>>();
         let mut weights = Weights::default();
-        weights.lumigraph(&Penalties { sources, penalty, trust, width, count: width }, k);
+        weights.lumigraph(&Penalties { sources, penalty, confidence, width, count: width }, k);
         weights.weights
     }
 
@@ -341,7 +341,7 @@ mod tests {
         let penalties = Penalties {
             sources: &sources,
             penalty: &penalty,
-            trust: &trust,
+            confidence: &trust,
             width,
             count: width - 3,
         };

@@ -151,6 +151,22 @@ fn cpu_ms() -> f64 {
     (ticks(11) + ticks(12)) * 10.0
 }
 
+/// What a view's depths come from.
+enum Shape {
+    Proxy(Proxy),
+    /// The true depths of the view.
+    True(DepthMap),
+}
+
+impl Shape {
+    fn depth_map(&self, camera: &Camera) -> DepthMap {
+        match self {
+            Self::Proxy(proxy) => proxy.depth_map(camera),
+            Self::True(depth) => depth.clone(),
+        }
+    }
+}
+
 /// The depths of every camera that occlude points in it.
 #[derive(Clone, Copy)]
 enum Occlusion {
@@ -162,7 +178,7 @@ enum Occlusion {
 }
 
 impl Occlusion {
-    fn maps(self, shape: &Proxy, cameras: &[&View]) -> Vec<DepthMap> {
+    fn maps(self, shape: &Shape, cameras: &[&View]) -> Vec<DepthMap> {
         match self {
             Self::None => Vec::new(),
             Self::Proxy => cameras.iter().map(|c| shape.depth_map(&c.camera)).collect(),
@@ -198,7 +214,7 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     /// Measures and prints one line of the table; also writes its pictures if it has a file name.
-    fn line(&self, line: Line, proxy: &dyn Fn(&Problem) -> Proxy) {
+    fn line(&self, line: Line, proxy: &dyn Fn(&Problem) -> Shape) {
         let Line { name, file, options, occlusion } = line;
         if std::env::var("ONLY").is_ok_and(|only| !name.contains(&only)) {
             return;
@@ -267,12 +283,15 @@ fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
     println!("{:44} {:>6} {:>6} {:>8} {:>8}", "", "dB", "worst", "proxy", "blend");
     let bench = Bench { problems, out };
     let base = BlendOptions::default();
-    let depth = |p: &Problem| Proxy::Depth(p.view.depth.clone());
+    let depth = |p: &Problem| Shape::True(p.view.depth.clone());
     let weighted = |p: &Problem| p.points.iter().map(|p| (*p, 1.0)).collect::<Vec<_>>();
-    let plane =
-        |p: &Problem| Proxy::Plane(Plane::fit(&weighted(p), &p.view.camera).expect("points"));
+    let plane = |p: &Problem| {
+        let plane = Plane::fit(&weighted(p), &p.view.camera).expect("points");
+        Shape::Proxy(Proxy::Plane(plane))
+    };
     let mesh_of = |p: &Problem, depth_edges: DepthEdges| {
-        Proxy::Mesh(Mesh::build(&p.points, &p.view.camera, depth_edges).expect("points"))
+        let mesh = Mesh::build(&p.points, &p.view.camera, depth_edges).expect("points");
+        Shape::Proxy(Proxy::Mesh(mesh))
     };
     let mesh = |p: &Problem| mesh_of(p, DepthEdges::default());
 

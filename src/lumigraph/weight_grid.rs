@@ -1,107 +1,116 @@
-//! Weights at every few pixels of a view. Buehler et al. compute weights at the vertices of a triangulation of the view;
-//! here it is a square grid.
+//! Weights at the nodes of a square grid over the view, between which they are interpolated. Buehler et al.
+//! interpolate over a triangulation of the view.
 
 use crate::camera::Camera;
 use std::ops::Range;
 
-/// The nodes around a row of the view: those of the rows of nodes above and below it. Values are stored source by
-/// source.
-pub(super) struct Nodes {
+/// The two rows of nodes around a row of the view. Weights are stored source by source.
+pub(super) struct WeightGrid {
+    /// Distance of the nodes, pixels.
     step: usize,
     width: usize,
     height: usize,
+    /// Number of nodes in a row.
     columns: usize,
     sources: usize,
-    /// Two neighbouring rows of nodes: their number, and weights.
-    rows: [(Option<usize>, Vec<f32>); 2],
-    /// Weights at the nodes' columns in the row of the view.
+    /// Two neighbouring rows of nodes.
+    rows: [NodeRow; 2],
+    /// Weights at the nodes' columns, interpolated to the row of the view.
     between: Vec<f32>,
 }
 
-impl Nodes {
-    /// Nodes every `step` pixels of a view; `None` if each pixel is one, or there is a single column.
+impl WeightGrid {
+    /// Nodes every `step` pixels of a view. `None` if each pixel would be one, or the view has a single column.
     pub fn new(target: &Camera, sources: usize, step: usize) -> Option<Self> {
         let columns = target.width.div_ceil(step) + 1;
-        let zeros = || vec![0.0; sources * columns];
+        let row = || NodeRow { index: None, weights: vec![0.0; sources * columns] };
         (step > 1 && target.width > 1).then(|| Self {
             step,
             width: target.width,
             height: target.height,
             columns,
             sources,
-            rows: [(None, zeros()), (None, zeros())],
-            between: zeros(),
+            rows: [row(), row()],
+            between: vec![0.0; sources * columns],
         })
     }
 
-    /// Pixels from one to the next.
+    /// Distance of the nodes, pixels.
     pub fn step(&self) -> usize {
         self.step
     }
 
-    /// How many there are in a row.
+    /// Number of nodes in a row.
     pub fn columns(&self) -> usize {
         self.columns
     }
 
-    /// The pixels' columns of a row of nodes. The last ones are at the border, less than a step from the one before.
+    /// Columns of the view that have nodes; the last is the view's last column.
     pub fn pixel_columns(&self) -> impl Iterator<Item = usize> + use<> {
         let (step, last) = (self.step, self.width - 1);
         (0..self.columns).map(move |column| (column * step).min(last))
     }
 
-    /// The pixels' row of a row of nodes, likewise.
+    /// Row of the view that a row of nodes lies in; the last is the view's last row.
     pub fn pixel_row(&self, row: usize) -> usize {
         (row * self.step).min(self.height - 1)
     }
 
-    /// The rows of nodes around a row of the view that are not known.
+    /// Moves to row `y` of the view; returns the indices of the node rows that must be filled.
     pub fn missing(&mut self, y: usize) -> impl Iterator<Item = usize> + use<> {
         let above = y / self.step;
-        if self.rows[1].0 == Some(above) {
+        if self.rows[1].index == Some(above) {
             self.rows.swap(0, 1);
         }
         let needed = [above, above + 1].into_iter().zip(self.rows.each_mut());
-        let missing = needed.filter_map(|(row, known)| {
-            let is_missing = known.0 != Some(row);
-            known.0 = Some(row);
-            is_missing.then_some(row)
+        let missing = needed.filter_map(|(index, row)| {
+            let is_missing = row.index != Some(index);
+            row.index = Some(index);
+            is_missing.then_some(index)
         });
         missing.collect::<Vec<_>>().into_iter()
     }
 
-    /// Weights of a source, to be filled, in one of the rows that were missing.
+    /// Weights of a source in a row of nodes that must be filled.
     ///
     /// # Panics
-    /// If it was not.
+    /// If the row is neither of the two.
     pub fn weights_mut(&mut self, row: usize, source: usize, columns: Range<usize>) -> &mut [f32] {
         let own = self.of(source, columns);
-        let known = self.rows.iter_mut().find(|(known, _)| *known == Some(row));
-        &mut known.expect("a row that was missing").1[own]
+        let row = self.rows.iter_mut().find(|known| known.index == Some(row));
+        &mut row.expect("one of the two rows of nodes").weights[own]
     }
 
-    /// Makes [`Self::around`] that of a row of the view, of which no row of nodes is missing.
+    /// Interpolates weights to row `y` of the view; its node rows must be filled.
     pub fn set_row(&mut self, y: usize) {
         let fraction = (y % self.step) as f32 / self.step as f32;
-        let [(_, above), (_, below)] = &self.rows;
-        for ((between, a), b) in self.between.iter_mut().zip(above).zip(below) {
+        let [above, below] = &self.rows;
+        for ((between, a), b) in self.between.iter_mut().zip(&above.weights).zip(&below.weights) {
             *between = a + (b - a) * fraction;
         }
     }
 
-    /// The weights of a source at the nodes before and after these columns of the view, of which the first has a node;
-    /// `None` if all are 0.
+    /// Weights of a source at the nodes from the first of these columns, which has a node, to the first at or after the
+    /// last. `None` if all are 0.
     pub fn around(&self, source: usize, columns: Range<usize>) -> Option<&[f32]> {
         let (from, last) = (columns.start / self.step, columns.end.div_ceil(self.step));
         let weights = &self.between[self.of(source, from..last + 1)];
         weights.iter().any(|w| *w > 0.0).then_some(weights)
     }
 
+    /// Indices of a source's weights in a row.
     fn of(&self, source: usize, columns: Range<usize>) -> Range<usize> {
         debug_assert!(source < self.sources);
         let first = source * self.columns;
         first + columns.start..first + columns.end
     }
+}
+
+/// Weights of one row of nodes.
+struct NodeRow {
+    /// The row's index; `None` before it is filled.
+    index: Option<usize>,
+    weights: Vec<f32>,
 }
 
 #[cfg(test)]

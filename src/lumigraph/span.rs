@@ -1,57 +1,46 @@
-//! A part of a row of the view: where the sources show its points, their weights, and the colours.
+//! Blending of a span of neighbouring pixels: their points in the sources, the sources' weights, and the colours.
 
 use super::DepthMap;
-use super::hidden::Shown;
-use super::nodes::Nodes;
+use super::blend::{BlendOptions, Source};
+use super::inpaint::PointVisibility;
+use super::penalties::{RayCone, Reprojection, SourceHits, TargetRow};
 use super::rays::RayRow;
-use super::reproject::{Cone, Hits, Reprojection, TargetRow};
-use super::source::{BlendOptions, Source};
+use super::weight_grid::WeightGrid;
 use super::weights::{BlendMethod, Penalties, SOFT, Weights, divide, weigh_between};
 use crate::camera::Camera;
 use crate::raster::{Sampling, Tiles, gray_from_rgb, sample, sample_each};
 use crate::simd::multiversion;
 use std::ops::Range;
 
-/// Neighbouring pixels of a row that are measured, weighed and blended together. Larger: depths differ more within a
-/// part, so that fewer sources are culled; smaller: deciding takes longer than it saves.
-const PART_PX: usize = 64;
-
-/// Neighbouring pixels whose tiles are marked together. Larger: more tiles than are needed. Smaller: slower.
+/// Largest number of pixels of a span.
+const SPAN_PX: usize = 64;
+/// Number of neighbouring pixels whose tiles are marked together.
 const MARKED_PX: usize = 8;
-/// Largest side of their rectangle in a source, pixels.
+/// Largest side of their bounding box in a source, pixels; beyond it, every pixel is marked alone.
 const MARKED_SIDE_PX: f32 = 12.0;
-
-/// Smallest inverse depth, 1/m. Larger: at 1e8 m, images of cameras a kilometre apart differ by a
-/// hundredth of a pixel, and nearer points by more. Smaller: the angles of the sky's points round to 0,
-/// and all cameras tie.
+/// Smallest inverse depth, 1/m: the sky's. At 0, the angles to all cameras would be 0, and all would tie.
 const MIN_INVERSE_DEPTH: f32 = 1e-8;
 
-/// Parts of `width` neighbours, of which there are `count`.
-fn parts(count: usize, width: usize) -> impl Iterator<Item = Range<usize>> {
+/// Ranges of `width` that cover `count` pixels.
+fn ranges(count: usize, width: usize) -> impl Iterator<Item = Range<usize>> {
     (0..count).step_by(width).map(move |from| from..(from + width).min(count))
 }
 
-/// A part of a row in the sources that may have weight there, and scratch space. Values of every pixel in every source
-/// are stored source by source.
-pub(super) struct Part<'a> {
+/// Blends one span of a row at a time. Values of every pixel in every source are stored source by source.
+pub(super) struct SpanBlender<'a> {
     sources: &'a [Source<'a>],
     reprojections: &'a [Reprojection],
     options: &'a BlendOptions,
     row: RowRays<'a>,
-    /// Where weights are computed, if not at every pixel.
-    nodes: Option<Nodes>,
-    /// How many pixels it has.
+    /// Nodes between which weights are interpolated. `None`: every pixel is weighed.
+    grid: Option<WeightGrid>,
+    /// Number of pixels of the span.
     count: usize,
-    /// The sources that may have weight; the others have no values.
+    /// Sources that may have weight, ascending; the others have no values.
     active: Vec<usize>,
-    x: Vec<f32>,
-    y: Vec<f32>,
-    penalty: Vec<f32>,
-    trust: Vec<f32>,
-    /// Whether some source shows the pixel's point.
-    seen: [bool; PART_PX],
+    values: SpanValues,
     weights: Weights,
-    /// The sources, nearest to the view first.
+    /// All sources, nearest to the view first.
     order: Vec<usize>,
     /// Whether some sources are grey and others coloured.
     is_mixed: bool,
@@ -59,7 +48,35 @@ pub(super) struct Part<'a> {
     is_pinhole: bool,
 }
 
-/// The rays of a row of the view, and its inverse depths.
+/// The points of a span in all sources, as in [`SourceHits`].
+struct SpanValues {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    penalty: Vec<f32>,
+    confidence: Vec<f32>,
+    visible: [bool; SPAN_PX],
+}
+
+impl SpanValues {
+    fn new(sources: usize) -> Self {
+        let zeros = || vec![0.0; sources * SPAN_PX];
+        let (x, y, penalty, confidence) = (zeros(), zeros(), zeros(), zeros());
+        Self { x, y, penalty, confidence, visible: [false; SPAN_PX] }
+    }
+
+    /// The values of one source, which are at these indices.
+    fn hits(&mut self, own: Range<usize>) -> SourceHits<'_> {
+        SourceHits {
+            visible: &mut self.visible[..own.len()],
+            x: &mut self.x[own.clone()],
+            y: &mut self.y[own.clone()],
+            penalty: &mut self.penalty[own.clone()],
+            confidence: &mut self.confidence[own],
+        }
+    }
+}
+
+/// Rays of a row of the view, their lengths, and inverse depths.
 struct RowRays<'a> {
     rays: RayRow<'a>,
     x: Vec<f32>,
@@ -80,7 +97,7 @@ impl<'a> RowRays<'a> {
         set_rays(self, depths);
     }
 
-    /// Moves the values of some columns, which ascend, to the front.
+    /// Moves the values of some columns, given in ascending order, to the front.
     fn keep(&mut self, columns: impl Iterator<Item = usize>) {
         for (k, column) in columns.enumerate() {
             for values in [&mut self.x, &mut self.y, &mut self.length, &mut self.inverse_depth] {
@@ -100,6 +117,7 @@ impl<'a> RowRays<'a> {
 }
 
 multiversion! {
+    /// Sets a row's rays, lengths and inverse depths.
     fn set_rays(row: &mut RowRays, depths: &[f32]) = set_rays_by
 }
 
@@ -120,77 +138,72 @@ fn set_rays_by(row: &mut RowRays, depths: &[f32]) {
     }
 }
 
-/// The largest penalty at which weights end, of the pixels of a part of a row: that of the worst of these sources,
-/// or a little above the best.
-fn worst_end<'a>(penalties: impl Iterator<Item = &'a [f32]>, count: usize) -> f32 {
-    let (mut best, mut worst) = ([f32::INFINITY; PART_PX], [0.0_f32; PART_PX]);
+/// The largest threshold of the weights ([`super::weights`]) over a span, from the penalties of k+1 sources.
+fn max_threshold<'a>(penalties: impl Iterator<Item = &'a [f32]>, count: usize) -> f32 {
+    let (mut best, mut worst) = ([f32::INFINITY; SPAN_PX], [0.0_f32; SPAN_PX]);
     for row in penalties {
         for ((best, worst), &p) in best.iter_mut().zip(&mut worst).zip(row) {
             *best = best.min(p);
             *worst = worst.max(p);
         }
     }
-    let ends = best.iter().zip(&worst).map(|(best, worst)| worst.max(best * (1.0 + SOFT)));
-    ends.take(count).fold(0.0, f32::max)
+    let thresholds = best.iter().zip(&worst).map(|(best, worst)| worst.max(best * (1.0 + SOFT)));
+    thresholds.take(count).fold(0.0, f32::max)
 }
 
-impl<'a> Part<'a> {
+impl<'a> SpanBlender<'a> {
     pub fn new(
         sources: &'a [Source],
         reprojections: &'a [Reprojection],
         target: &'a Camera,
         options: &'a BlendOptions,
     ) -> Self {
-        let zeros = || vec![0.0; sources.len() * PART_PX];
         let gray = sources.iter().filter(|s| s.image.channels() == 1).count();
         let mut order: Vec<usize> = (0..sources.len()).collect();
         let distance = |i: &usize| (sources[*i].camera.center() - target.center()).norm();
         order.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
         let is_mixed = gray > 0 && gray < sources.len();
-        // What is hidden, interpolated or grey changes from pixel to pixel.
+        // Occlusion, interpolation errors and grey cameras change weights from pixel to pixel.
         let is_smooth = !is_mixed && reprojections.iter().zip(sources).all(|(r, s)| r.is_smooth(s));
-        let nodes = Nodes::new(target, sources.len(), options.weight_step_px.clamp(1, PART_PX));
+        let grid = WeightGrid::new(target, sources.len(), options.weight_step_px.clamp(1, SPAN_PX));
         Self {
             sources,
             reprojections,
             options,
             row: RowRays::new(target),
-            nodes: nodes.filter(|_| is_smooth),
+            grid: grid.filter(|_| is_smooth),
             count: 0,
             active: Vec::new(),
-            x: zeros(),
-            y: zeros(),
-            penalty: zeros(),
-            trust: zeros(),
-            seen: [false; PART_PX],
-            weights: Weights::of(sources.len() * PART_PX),
+            values: SpanValues::new(sources.len()),
+            weights: Weights::of(sources.len() * SPAN_PX),
             order,
             is_mixed,
             is_pinhole: target.model.is_pinhole(),
         }
     }
 
-    /// Makes the next parts those of a row.
+    /// Moves to a row of the view.
     pub fn set_row(&mut self, y: usize, depth: &DepthMap) {
-        if let Some(mut nodes) = self.nodes.take() {
-            for row in nodes.missing(y) {
-                self.weigh_nodes(&mut nodes, row, depth);
+        if let Some(mut grid) = self.grid.take() {
+            for row in grid.missing(y) {
+                self.weigh_nodes(&mut grid, row, depth);
             }
-            nodes.set_row(y);
-            self.nodes = Some(nodes);
+            grid.set_row(y);
+            self.grid = Some(grid);
         }
         self.row.set(y, depth.row(y));
     }
 
-    fn weigh_nodes(&mut self, nodes: &mut Nodes, row: usize, depth: &DepthMap) {
-        let y = nodes.pixel_row(row);
+    /// Fills a row of nodes.
+    fn weigh_nodes(&mut self, grid: &mut WeightGrid, row: usize, depth: &DepthMap) {
+        let y = grid.pixel_row(row);
         self.row.set(y, depth.row(y));
-        self.row.keep(nodes.pixel_columns());
-        for columns in parts(nodes.columns(), PART_PX) {
+        self.row.keep(grid.pixel_columns());
+        for columns in ranges(grid.columns(), SPAN_PX) {
             self.measure(columns.clone());
             self.weigh_measured();
             for i in 0..self.sources.len() {
-                let own = nodes.weights_mut(row, i, columns.clone());
+                let own = grid.weights_mut(row, i, columns.clone());
                 match self.active.contains(&i) {
                     true => own.copy_from_slice(&self.weights.weights[self.of(i)]),
                     false => own.fill(0.0),
@@ -199,11 +212,11 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// The columns of a row's parts.
+    /// The columns of the row's spans.
     pub fn columns(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         // Whole cells between nodes.
-        let step = self.nodes.as_ref().map_or(1, Nodes::step);
-        parts(self.row.x.len(), PART_PX / step * step)
+        let step = self.grid.as_ref().map_or(1, WeightGrid::step);
+        ranges(self.row.x.len(), SPAN_PX / step * step)
     }
 
     /// Computes the weights of all sources at some of the row's pixels.
@@ -214,49 +227,44 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// Interpolates weights between nodes. Towards the border of a source's image they fall pixel by pixel. Whether
-    /// every pixel has one: there may be sources that none of the nodes around a pixel are seen by.
+    /// Interpolates weights between nodes, times the confidence. False if a pixel has none: a source may see it but no
+    /// node around it.
     fn weigh_between_nodes(&mut self, columns: Range<usize>) -> bool {
-        let Some(nodes) = &self.nodes else { return false };
+        let Some(grid) = &self.grid else { return false };
         self.count = columns.len();
         self.active.clear();
         let row = self.row.of(columns.clone());
-        let sum = &mut [0.0; PART_PX][..columns.len()];
+        let sum = &mut [0.0; SPAN_PX][..columns.len()];
         for i in 0..self.sources.len() {
-            let Some(at_nodes) = nodes.around(i, columns.clone()) else { continue };
+            let Some(at_nodes) = grid.around(i, columns.clone()) else { continue };
             self.active.push(i);
-            let own = i * PART_PX..i * PART_PX + self.count;
-            let (x, y) = (&mut self.x[own.clone()], &mut self.y[own.clone()]);
-            self.reprojections[i].place(&row, [x, y, &mut self.trust[own.clone()]]);
-            weigh_between(
-                at_nodes,
-                nodes.step(),
-                &self.trust[own.clone()],
-                &mut self.weights.weights[own],
-                sum,
-            );
+            let own = i * SPAN_PX..i * SPAN_PX + self.count;
+            let mut hits = self.values.hits(own.clone());
+            self.reprojections[i].place(&row, &mut hits);
+            let weights = &mut self.weights.weights[own];
+            weigh_between(at_nodes, grid.step(), hits.confidence, weights, sum);
         }
         if sum.iter().any(|sum| !(*sum > 0.0)) {
             return false;
         }
-        self.seen.fill(true);
+        self.values.visible.fill(true);
         for &i in &self.active {
-            let own = i * PART_PX..i * PART_PX + self.count;
+            let own = i * SPAN_PX..i * SPAN_PX + self.count;
             divide(&mut self.weights.weights[own], sum);
         }
         true
     }
 
-    /// The indices of the part's values in a source.
+    /// The indices of the span's values in a source.
     fn of(&self, source: usize) -> Range<usize> {
-        source * PART_PX..source * PART_PX + self.count
+        source * SPAN_PX..source * SPAN_PX + self.count
     }
 
-    /// Reprojects the points of some of the row's pixels, first into the nearest sources. Further ones are culled where
-    /// they have no weight: the best penalty that they may have is no better than that at which weights end.
+    /// Reprojects the points of some of the row's pixels, first into the nearest sources. A further source is culled if
+    /// the lower bound of its penalties is not below the largest threshold of the weights.
     fn measure(&mut self, columns: Range<usize>) {
         self.count = columns.len();
-        self.seen.fill(false);
+        self.values.visible.fill(false);
         self.active.clear();
         let first = match self.options.method {
             BlendMethod::Uniform => self.order.len(),
@@ -266,13 +274,12 @@ impl<'a> Part<'a> {
         let mut cone_and_limit = None;
         for (rank, &i) in self.order.iter().enumerate() {
             if rank == first && !self.is_mixed {
-                let at = |&i: &usize| &self.penalty[self.of(i)];
-                let limit = worst_end(self.order[..first].iter().map(at), self.count);
+                let penalties = |&i: &usize| &self.values.penalty[self.of(i)];
+                let limit = max_threshold(self.order[..first].iter().map(penalties), self.count);
                 // At 0, sources at the view's own centre tie.
                 let may_cull = limit > 0.0 && limit < f32::INFINITY;
-                cone_and_limit = may_cull.then(|| (Cone::around(&row, self.is_pinhole), limit));
+                cone_and_limit = may_cull.then(|| (RayCone::around(&row, self.is_pinhole), limit));
             }
-            let own = self.of(i);
             let reprojection = &self.reprojections[i];
             if cone_and_limit
                 .as_ref()
@@ -281,14 +288,8 @@ impl<'a> Part<'a> {
                 continue;
             }
             self.active.push(i);
-            let mut hits = Hits {
-                x: &mut self.x[own.clone()],
-                y: &mut self.y[own.clone()],
-                penalty: &mut self.penalty[own.clone()],
-                trust: &mut self.trust[own],
-                seen: &mut self.seen[..self.count],
-            };
-            reprojection.row(&row, &self.sources[i], &mut hits);
+            let own = self.of(i);
+            reprojection.measure(&row, &self.sources[i], &mut self.values.hits(own));
         }
         // Sums over sources don't depend on which were culled.
         self.active.sort_unstable();
@@ -297,9 +298,9 @@ impl<'a> Part<'a> {
     fn weigh_measured(&mut self) {
         let penalties = Penalties {
             sources: &self.active,
-            penalty: &self.penalty,
-            trust: &self.trust,
-            width: PART_PX,
+            penalty: &self.values.penalty,
+            confidence: &self.values.confidence,
+            width: SPAN_PX,
             count: self.count,
         };
         match self.options.method {
@@ -310,19 +311,19 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// Computes the weights of the coloured sources, as if there were no others.
+    /// Computes weights of the coloured sources alone.
     fn weigh_colored(&mut self) {
         for (i, source) in self.sources.iter().enumerate() {
             if source.image.channels() == 1 {
                 let own = self.of(i);
-                self.penalty[own.clone()].fill(f32::INFINITY);
-                self.trust[own].fill(0.0);
+                self.values.penalty[own.clone()].fill(f32::INFINITY);
+                self.values.confidence[own].fill(0.0);
             }
         }
         self.weigh_measured();
     }
 
-    /// Marks the tiles that this part is blended from, source by source.
+    /// Marks the tiles that the span is blended from, source by source.
     pub fn mark(&mut self, tiles: &mut [Tiles]) {
         self.mark_weighed(tiles);
         if self.is_mixed {
@@ -334,40 +335,41 @@ impl<'a> Part<'a> {
     fn mark_weighed(&self, tiles: &mut [Tiles]) {
         for &i in &self.active {
             let own = self.of(i);
-            let at =
-                self.x[own.clone()].chunks(MARKED_PX).zip(self.y[own.clone()].chunks(MARKED_PX));
-            for ((x, y), weights) in at.zip(self.weights.weights[own].chunks(MARKED_PX)) {
-                let places = x.iter().zip(y).zip(weights).filter(|(_, weight)| **weight > 0.0);
-                let places = places.map(|((&x, &y), _)| [x, y]);
+            let xs = self.values.x[own.clone()].chunks(MARKED_PX);
+            let ys = self.values.y[own.clone()].chunks(MARKED_PX);
+            let weights = self.weights.weights[own].chunks(MARKED_PX);
+            for ((x, y), weights) in xs.zip(ys).zip(weights) {
+                let positions = x.iter().zip(y).zip(weights).filter(|(_, weight)| **weight > 0.0);
+                let positions = positions.map(|((&x, &y), _)| [x, y]);
                 let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
-                for place in places.clone() {
-                    for ((low, high), v) in low.iter_mut().zip(&mut high).zip(place) {
+                for position in positions.clone() {
+                    for ((low, high), v) in low.iter_mut().zip(&mut high).zip(position) {
                         (*low, *high) = (low.min(v), high.max(v));
                     }
                 }
-                // Where a surface ends, the rectangle would hold tiles that no sample depends on.
+                // At a depth edge, a common bounding box would hold tiles that no sample needs.
                 if high[0] - low[0] < MARKED_SIDE_PX && high[1] - low[1] < MARKED_SIDE_PX {
                     if low[0] <= high[0] {
                         tiles[i].mark_samples(low, high);
                     }
                 } else {
-                    places.for_each(|[x, y]| tiles[i].mark_sample(x, y));
+                    positions.for_each(|[x, y]| tiles[i].mark_sample(x, y));
                 }
             }
         }
     }
 
-    /// Blends the part from sources that all have C channels.
+    /// Blends the span from sources that all have C channels.
     pub fn blend<const C: usize>(&mut self, pixels: &mut [f32]) {
         for &i in &self.active {
             let own = self.of(i);
-            let at = self.x[own.clone()].iter().zip(&self.y[own.clone()]);
+            let at = self.values.x[own.clone()].iter().zip(&self.values.y[own.clone()]);
             let weighted = at.zip(&self.weights.weights[own]).zip(pixels.chunks_exact_mut(C));
-            let places = weighted
+            let samples = weighted
                 .filter(|((_, weight), _)| **weight > 0.0)
                 .map(|(((&x, &y), &weight), pixel)| ([x, y], (weight, pixel)));
             let image = self.sources[i].image;
-            sample_each::<C, _>(image, places, Sampling::Cubic, |(weight, pixel), value| {
+            sample_each::<C, _>(image, samples, Sampling::Cubic, |(weight, pixel), value| {
                 for (out, v) in pixel.iter_mut().zip(value) {
                     *out += weight * v;
                 }
@@ -377,15 +379,14 @@ impl<'a> Part<'a> {
         pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     }
 
-    /// Blends the part where some sources are grey: luminance from all sources, colour from the others.
+    /// Blends the span where some sources are grey: luminance from all sources, chrominance from the coloured ones.
     pub fn blend_mixed(&mut self, pixels: &mut [f32]) {
         let sources = self.sources;
         let is_colored = |i: usize| sources[i].image.channels() == 3;
-        let (mut colored_weight, mut trust_of_by) = ([0.0; PART_PX], [0.0_f32; PART_PX]);
+        let mut colored_weight = [0.0; SPAN_PX];
         for &i in &self.active {
             for (x, k) in self.of(i).enumerate() {
                 let weight = self.weights.weights[k];
-                trust_of_by[x] = trust_of_by[x].max(self.trust[k]);
                 if weight > 0.0 {
                     let gray = gray_from_rgb(self.sample_rgb(k, i));
                     pixels[3 * x..3 * x + 3].iter_mut().for_each(|v| *v += weight * gray);
@@ -393,19 +394,15 @@ impl<'a> Part<'a> {
                 }
             }
         }
-        let trust = self.trust.clone();
+        let best_of_any = self.best_confidence();
+        let confidence = self.values.confidence.clone();
         self.weigh_colored();
-        let mut trust_of_colored = [0.0_f32; PART_PX];
-        for &i in &self.active {
-            for (best, t) in trust_of_colored.iter_mut().zip(&self.trust[self.of(i)]) {
-                *best = best.max(*t);
-            }
-        }
+        let best_of_colored = self.best_confidence();
         for &i in self.active.iter().filter(|&&i| is_colored(i)) {
             for (x, k) in self.of(i).enumerate() {
-                // Colour fades as the last coloured camera loses the point that others see, unless
-                // the luminance is that camera's too. Where a weight is positive, some trust is.
-                let fade = colored_weight[x].max(trust_of_colored[x] / trust_of_by[x]);
+                // Chrominance fades as the last coloured camera loses a point that others see, unless
+                // the luminance is that camera's too. Where a weight is positive, a confidence is.
+                let fade = colored_weight[x].max(best_of_colored[x] / best_of_any[x]);
                 let weight = self.weights.weights[k];
                 if weight > 0.0 {
                     let value = self.sample_rgb(k, i);
@@ -416,12 +413,24 @@ impl<'a> Part<'a> {
                 }
             }
         }
-        self.trust = trust;
+        self.values.confidence = confidence;
         pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     }
 
+    /// The largest confidence of any source, pixel by pixel.
+    fn best_confidence(&self) -> [f32; SPAN_PX] {
+        let mut best = [0.0_f32; SPAN_PX];
+        for &i in &self.active {
+            for (best, c) in best.iter_mut().zip(&self.values.confidence[self.of(i)]) {
+                *best = best.max(*c);
+            }
+        }
+        best
+    }
+
+    /// Samples a source, grey or coloured, at value `k`.
     fn sample_rgb(&self, k: usize, source: usize) -> [f32; 3] {
-        let (image, x, y) = (self.sources[source].image, self.x[k], self.y[k]);
+        let (image, x, y) = (self.sources[source].image, self.values.x[k], self.values.y[k]);
         if image.channels() == 3 {
             return sample(image, x, y, Sampling::Cubic);
         }
@@ -429,18 +438,20 @@ impl<'a> Part<'a> {
         [gray; 3]
     }
 
-    /// Which pixels some camera has in its image, and whether one shows their points.
-    pub fn cover(&self, covered: &mut [bool], shown: &mut [Shown]) {
+    /// Adds which pixels some camera has in its image, and sets the visibility of their points.
+    pub fn cover(&self, covered: &mut [bool], visibility: &mut [PointVisibility]) {
         for &i in &self.active {
-            for (covered, &t) in covered.iter_mut().zip(&self.trust[self.of(i)]) {
-                *covered |= t > 0.0;
+            for (covered, &c) in covered.iter_mut().zip(&self.values.confidence[self.of(i)]) {
+                *covered |= c > 0.0;
             }
         }
-        for ((shown, covered), seen) in shown.iter_mut().zip(covered).zip(&self.seen) {
-            *shown = match (*covered, seen) {
-                (false, _) => Shown::Nothing,
-                (true, false) => Shown::Hidden,
-                (true, true) => Shown::Seen,
+        for ((visibility, covered), visible) in
+            visibility.iter_mut().zip(covered).zip(&self.values.visible)
+        {
+            *visibility = match (*covered, visible) {
+                (false, _) => PointVisibility::OutOfView,
+                (true, false) => PointVisibility::Occluded,
+                (true, true) => PointVisibility::Visible,
             };
         }
     }

@@ -1,14 +1,12 @@
-//! Reprojection of a row of the view into each source: the points' positions in its image, and their
-//! penalties.
+//! Reprojection of a row of the view into each source, and the penalties of [`super::blend`].
 //!
-//! The points are `r / ρ`, r = (x, y, 1) the pixel's ray and ρ its inverse depth. Everything is
-//! computed up to the factor 1/ρ, so that points at infinity are like any others. What is the
-//! same for all pixels is computed in f64 once; the rows are f32, whose rounding moves positions
-//! by less than 1e-3 px in images up to 4000 px wide.
+//! Points are `r / ρ`, with r = (x, y, 1) the pixel's ray and ρ its inverse depth; all is computed times ρ, which is
+//! finite at infinity too. What is constant over the view is computed in f64. Rows are f32, whose rounding moves
+//! positions by less than 1e-3 px in images up to 4000 px wide.
 
 use super::DepthMap;
+use super::blend::{BlendOptions, Source};
 use super::rays::ViewBounds;
-use super::source::{BlendOptions, Source};
 use super::weights::BlendMethod;
 use crate::camera::{Camera, CameraModel};
 use crate::simd::multiversion;
@@ -18,65 +16,59 @@ use nalgebra::{Matrix3, Point2, Vector3};
 const FEATHER_PX: f32 = 4.0;
 /// Smallest depth of an occluded point beyond the surface, as a fraction of the surface's depth.
 pub(super) const OCCLUSION_FRACTION: f32 = 0.03;
-/// Largest distance of a camera at the view's centre, as a fraction of the farthest camera's distance
-/// from it. Larger: nearby cameras are taken for the view itself. Smaller: by rounding, the view of an
-/// input camera is blended from others too.
+/// Largest distance of a camera from the view's centre that counts as 0, over that of the farthest camera.
 const SAME_CENTER_FRACTION: f64 = 1e-6;
-/// Factor of the trust in a source where the point is occluded, so that it contributes only where the
-/// point is occluded in all sources. Larger: foreground shines through. 0: there are holes.
-const OCCLUDED_TRUST: f32 = 1e-3;
-/// Factor of the trust in a source where the point is beside a nearer surface: there, pixels are a mixture of
-/// both. Larger: outlines show a second time; smaller: cameras that stand far away are preferred.
-const OUTLINE_TRUST: f32 = 0.25;
-/// Margin around the cone of a camera's border rays, as a fraction of its radius; points outside have
-/// no image. Larger: a lens polynomial may fold back into the image. Smaller: corners of bent images
-/// are missing.
+/// Factor of the confidence in an occluded point: it contributes only if it is occluded in all sources.
+const OCCLUDED_CONFIDENCE: f32 = 1e-3;
+/// Factor of the confidence in a point beside a nearer surface, where pixels are mixtures of both.
+const OUTLINE_CONFIDENCE: f32 = 0.25;
+/// Margin around the cone of a camera's border rays, as a fraction of its radius. Points outside have no pixel: the
+/// lens polynomial might fold back into the image.
 const CONE_MARGIN: f64 = 0.02;
-
-/// Factor of a bound that is below 1 by more than f32 rounds. Larger: rounding decides; smaller: bounds are loose.
+/// Factor of a lower bound that makes up for f32 rounding.
 const ROUNDING: f32 = 0.999;
-
-/// What a difference of sines is lowered by, which is more than f32 rounds: as [`ROUNDING`].
+/// Decrease of a difference of sines that makes up for f32 rounding.
 const ROUNDED: f32 = 1e-6;
 
-/// Some pixels of a row of the view to render.
+/// Neighbouring pixels of a row of the view.
 pub(super) struct TargetRow<'a> {
-    /// Rays (x, y, 1) and their lengths.
+    /// Rays (x, y, 1).
     pub x: &'a [f32],
     pub y: &'a [f32],
+    /// Lengths of the rays.
     pub length: &'a [f32],
-    /// Inverse depths, 1/m; 0 where there is no proxy.
+    /// Inverse depths, 1/m; 0 without proxy.
     pub inverse_depth: &'a [f32],
 }
 
 /// The points of a row in one source.
-pub(super) struct Hits<'a> {
-    /// Position in the source's image, pixels.
+pub(super) struct SourceHits<'a> {
+    /// Positions in the source's image, pixels.
     pub x: &'a mut [f32],
     pub y: &'a mut [f32],
-    /// `2 tan(θ/2) · (1 + coarseness) / trust`; infinite where the source doesn't show the point.
+    /// Penalties; infinite where the source has no pixel of the point.
     pub penalty: &'a mut [f32],
-    /// 1 in the image, falling to 0 at its border and outside, and less where the point is occluded.
-    pub trust: &'a mut [f32],
-    /// Whether some source shows the point; points that this one does are added.
-    pub seen: &'a mut [bool],
+    /// Product of `border` and `visible`: 1 inside the image, 0 outside, less at its border and for occluded points.
+    pub confidence: &'a mut [f32],
+    /// Whether the point is visible in any source so far.
+    pub visible: &'a mut [bool],
 }
 
 /// A cone around the rays of some pixels of a row.
-pub(super) struct Cone {
+pub(super) struct RayCone {
     axis: Vector3<f32>,
-    /// Of the largest angle between a ray and the axis.
+    /// Sine and cosine of the largest angle between a ray and the axis.
     sine: f32,
     cosine: f32,
-    /// The length of the longest ray.
+    /// Length of the longest ray.
     longest: f32,
-    /// The smallest inverse depth.
+    /// Smallest inverse depth.
     farthest: f32,
 }
 
-impl Cone {
-    /// The cone of these pixels, of which there are some. Between the first and the last pixel of a pinhole's row, the
-    /// rays are neither longer nor further from the one in the middle.
+impl RayCone {
+    /// The cone around the rays of at least one pixel. For a pinhole, the first and the last ray are the longest and
+    /// the farthest from the one in the middle.
     pub fn around(row: &TargetRow, is_pinhole: bool) -> Self {
         let n = row.x.len();
         let unit = |k: usize| Vector3::new(row.x[k], row.y[k], 1.0) / row.length[k];
@@ -94,64 +86,106 @@ impl Cone {
 }
 
 multiversion! {
-    /// [`Reprojection::measure`] for pixels `fx·x + cx`, `fy·y + cy`.
-    fn measure_pinhole(
+    /// Computes positions, penalties and confidences; `pixel` projects a point of the plane z = 1.
+    fn measure_row[P: Fn(f32, f32) -> (f32, f32)](
         reprojection: &Reprojection,
-        intrinsics: [f32; 4],
         row: &TargetRow,
-        hits: &mut Hits
-    ) = measure_pinhole_by
+        hits: &mut SourceHits,
+        pixel: P,
+    ) = measure_row_by
+}
+
+#[inline(always)]
+fn measure_row_by(
+    reprojection: &Reprojection,
+    row: &TargetRow,
+    hits: &mut SourceHits,
+    pixel: impl Fn(f32, f32) -> (f32, f32),
+) {
+    let n = row.x.len();
+    // One length for all slices lets the loop run without bounds checks.
+    let (xs, ys, lengths, inverse) =
+        (&row.x[..n], &row.y[..n], &row.length[..n], &row.inverse_depth[..n]);
+    let (out_x, out_y) = (&mut hits.x[..n], &mut hits.y[..n]);
+    let (penalty, confidence) = (&mut hits.penalty[..n], &mut hits.confidence[..n]);
+    let at_center = reprojection.at_center();
+    let d = reprojection.shift_target;
+    for k in 0..n {
+        let (x, y, length, inverse) = (xs[k], ys[k], lengths[k], inverse[k]);
+        let q = reprojection.direction(x, y, inverse);
+        let (px, py, border) = reprojection.project(q, &pixel);
+
+        // tan(θ/2) = |a × b| / (|a||b| + a · b) of the directions a and b from the view's
+        // and the source's centre; b = a + shift, so a × b = a × shift: no cancellation.
+        let cross = Vector3::new(y * d.z - d.y, d.x - x * d.z, x * d.y - y * d.x);
+        let cross = (cross.x * cross.x + cross.y * cross.y + cross.z * cross.z).sqrt();
+        let dot = length * length + inverse * (x * d.x + y * d.y + d.z);
+        let q_length = (q.x * q.x + q.y * q.y + q.z * q.z).sqrt();
+        // The sum is 0 only where θ is 180° or the point is the source's centre: then ∞ or
+        // NaN, and the camera doesn't count.
+        let angle = 2.0 * inverse * cross / (length * q_length + dot);
+        let coarseness = (q_length * reprojection.focal_ratio / length - 1.0).max(0.0);
+
+        let counts = ((inverse > 0.0) | at_center) & (angle < f32::INFINITY) & (border > 0.0);
+        let raised = angle * (1.0 + coarseness) / border;
+        out_x[k] = px;
+        out_y[k] = py;
+        penalty[k] = if counts { raised } else { f32::INFINITY };
+        confidence[k] = if counts { border } else { 0.0 };
+    }
 }
 
 multiversion! {
-    /// [`Reprojection::place`] for pixels `fx·x + cx`, `fy·y + cy`.
-    fn place_pinhole(
+    /// [`measure_row`] without penalties.
+    fn place_row[P: Fn(f32, f32) -> (f32, f32)](
         reprojection: &Reprojection,
-        intrinsics: [f32; 4],
         row: &TargetRow,
-        places: [&mut [f32]; 3],
-    ) = place_pinhole_by
+        hits: &mut SourceHits,
+        pixel: P,
+    ) = place_row_by
 }
 
 #[inline(always)]
-fn place_pinhole_by(
+fn place_row_by(
     reprojection: &Reprojection,
-    [fx, fy, cx, cy]: [f32; 4],
     row: &TargetRow,
-    places: [&mut [f32]; 3],
+    hits: &mut SourceHits,
+    pixel: impl Fn(f32, f32) -> (f32, f32),
 ) {
-    reprojection.place_each(row, places, |nx, ny| (fx * nx + cx, fy * ny + cy));
+    let n = row.x.len();
+    let (xs, ys, inverse) = (&row.x[..n], &row.y[..n], &row.inverse_depth[..n]);
+    let (out_x, out_y) = (&mut hits.x[..n], &mut hits.y[..n]);
+    let confidence = &mut hits.confidence[..n];
+    let at_center = reprojection.at_center();
+    for k in 0..n {
+        let q = reprojection.direction(xs[k], ys[k], inverse[k]);
+        let (px, py, border) = reprojection.project(q, &pixel);
+        (out_x[k], out_y[k]) = (px, py);
+        confidence[k] = if (inverse[k] > 0.0) | at_center { border } else { 0.0 };
+    }
 }
 
-#[inline(always)]
-fn measure_pinhole_by(
-    reprojection: &Reprojection,
-    [fx, fy, cx, cy]: [f32; 4],
-    row: &TargetRow,
-    hits: &mut Hits,
-) {
-    reprojection.measure(row, hits, |nx, ny| (fx * nx + cx, fy * ny + cy));
-}
-
-/// One source relative to the view to render.
+/// The pose of one source relative to the view, and its lens.
 pub(super) struct Reprojection {
     /// Source axes from the view's.
     rotation: Matrix3<f32>,
-    /// The view's centre minus the source's: in the source's axes, and in the view's.
+    /// The view's centre minus the source's, in the source's axes.
     shift: Vector3<f32>,
+    /// This vector in the view's axes.
     shift_target: Vector3<f32>,
     model: CameraModel,
     width: f32,
     height: f32,
     /// Focal length of the view over the source's.
     focal_ratio: f32,
+    /// Largest squared distance of an image point from the axis, on the plane z = 1.
     max_radius2: f32,
-    /// The angle that a pixel of interpolation error counts as; 0 if time has no weight.
+    /// Angle that one pixel of interpolation error counts as; 0 if time has no weight.
     error_angle_rad: f32,
 }
 
 impl Reprojection {
-    /// The reprojections of all sources, in their order.
+    /// Reprojections into all sources, in their order.
     pub fn of_all(sources: &[Source], target: &Camera, options: &BlendOptions) -> Vec<Self> {
         let center = target.center();
         let extent =
@@ -184,23 +218,23 @@ impl Reprojection {
         }
     }
 
-    /// Whether the source has the view's centre: then it shows the pixel's colour at any depth, and
-    /// even without one.
+    /// Whether the source stands at the view's centre: its pixels don't depend on depth.
     pub fn at_center(&self) -> bool {
         self.shift_target == Vector3::zeros()
     }
 
-    /// Whether the penalties of a source change smoothly from pixel to pixel on a surface.
+    /// Whether a source's penalties change smoothly on a surface, so that weights may be interpolated.
     pub fn is_smooth(&self, source: &Source) -> bool {
         source.depth.is_none()
             && (self.error_angle_rad == 0.0 || source.interpolation_error_px.is_none())
     }
 
-    /// A bound below the penalties of the points of a cone's pixels, from the angle alone: with r the ray, ρ the inverse
-    /// depth and d the shift, `2ρ|r × d| / (|r||q| + r·q)` is at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, because q = r + ρd
-    /// is not longer than |r| + ρ|d|. That grows with ρ. The angle between r and d is at most a cone's smaller than
-    /// the axis's. NaN where the ray in the middle is.
-    pub fn min_angle(&self, cone: &Cone) -> f32 {
+    /// Lower bound of the penalties over a cone, by the angle alone. NaN if the cone's axis is.
+    ///
+    /// With r the ray, ρ the inverse depth, d the shift and q = r + ρd, the penalty `2ρ|r × d| / (|r||q| + r·q)` is
+    /// at least `ρ|r × d| / (|r|(|r| + ρ|d|))`, which increases with ρ. The angle between r and d is smaller than
+    /// that between the axis and d by at most the cone's angle.
+    pub fn min_angle(&self, cone: &RayCone) -> f32 {
         let (d, axis) = (self.shift_target, cone.axis);
         let length = d.norm();
         let sine = (axis.cross(&d).norm() * cone.cosine - axis.dot(&d).abs() * cone.sine)
@@ -210,102 +244,53 @@ impl Reprojection {
         ROUNDING * sine * cone.farthest / (cone.longest + cone.farthest * length)
     }
 
-    /// Fills x, y and the trust of `Hits`.
-    pub fn place(&self, row: &TargetRow, places: [&mut [f32]; 3]) {
-        if self.model.is_pinhole() {
-            place_pinhole(self, self.intrinsics(), row, places);
-        } else {
-            self.place_each(row, places, |nx, ny| self.bent(nx, ny));
-        }
-    }
-
-    fn intrinsics(&self) -> [f32; 4] {
+    /// Projects points of the plane z = 1 by a pinhole.
+    fn pinhole(&self) -> impl Fn(f32, f32) -> (f32, f32) + use<> {
         let (fx, fy, cx, cy) = self.model.intrinsics();
-        [fx, fy, cx, cy].map(|v| v as f32)
+        let [fx, fy, cx, cy] = [fx, fy, cx, cy].map(|v| v as f32);
+        move |nx, ny| (fx * nx + cx, fy * ny + cy)
     }
 
-    /// A pixel by any lens.
-    fn bent(&self, nx: f32, ny: f32) -> (f32, f32) {
+    /// Projects a point of the plane z = 1 by any lens.
+    fn distorted(&self, nx: f32, ny: f32) -> (f32, f32) {
         let normalized = Point2::new(f64::from(nx), f64::from(ny));
         let pixel = self.model.pixel_from_normalized(&normalized);
         (pixel.x as f32, pixel.y as f32)
     }
 
-    /// Fills `hits`. `source` is the one that this reprojection is of.
-    pub fn row(&self, row: &TargetRow, source: &Source, hits: &mut Hits) {
+    /// Computes positions and confidences, but for occlusion.
+    pub fn place(&self, row: &TargetRow, hits: &mut SourceHits) {
         if self.model.is_pinhole() {
-            measure_pinhole(self, self.intrinsics(), row, hits);
+            place_row(self, row, hits, self.pinhole());
         } else {
-            self.measure(row, hits, |nx, ny| self.bent(nx, ny));
+            place_row_by(self, row, hits, |nx, ny| self.distorted(nx, ny));
+        }
+    }
+
+    /// Computes `hits` in `source`, which this reprojection is of.
+    pub fn measure(&self, row: &TargetRow, source: &Source, hits: &mut SourceHits) {
+        if self.model.is_pinhole() {
+            measure_row(self, row, hits, self.pinhole());
+        } else {
+            measure_row_by(self, row, hits, |nx, ny| self.distorted(nx, ny));
         }
         if self.error_angle_rad > 0.0 {
             self.add_interpolation_error(source, hits);
         }
         // A source at the view's centre looks along the same rays: nothing is occluded in it.
         match source.depth {
-            Some(map) if !self.at_center() => self.hide(row, map, hits),
-            _ => hits.seen.iter_mut().zip(&*hits.trust).for_each(|(seen, t)| *seen |= *t > 0.0),
+            Some(map) if !self.at_center() => self.occlude(row, map, hits),
+            _ => {
+                let visible = hits.visible.iter_mut().zip(&*hits.confidence);
+                visible.for_each(|(visible, c)| *visible |= *c > 0.0);
+            }
         }
     }
 
-    #[inline(always)]
-    fn measure(&self, row: &TargetRow, hits: &mut Hits, pixel: impl Fn(f32, f32) -> (f32, f32)) {
-        let n = row.x.len();
-        // One length for all slices lets the loop run without bounds checks.
-        let (xs, ys, lengths, inverse) =
-            (&row.x[..n], &row.y[..n], &row.length[..n], &row.inverse_depth[..n]);
-        let (out_x, out_y) = (&mut hits.x[..n], &mut hits.y[..n]);
-        let (penalty, trust) = (&mut hits.penalty[..n], &mut hits.trust[..n]);
-        let at_center = self.at_center();
-        let d = self.shift_target;
-        for k in 0..n {
-            let (x, y, length, inverse) = (xs[k], ys[k], lengths[k], inverse[k]);
-            let q = self.direction(x, y, inverse);
-            let (px, py, border) = self.shown(q, &pixel);
-
-            // tan(θ/2) = |a × b| / (|a||b| + a · b) of the directions a and b from the view's
-            // and the source's centre; b = a + shift, so a × b = a × shift: no cancellation.
-            let cross = Vector3::new(y * d.z - d.y, d.x - x * d.z, x * d.y - y * d.x);
-            let cross = (cross.x * cross.x + cross.y * cross.y + cross.z * cross.z).sqrt();
-            let dot = length * length + inverse * (x * d.x + y * d.y + d.z);
-            let q_length = (q.x * q.x + q.y * q.y + q.z * q.z).sqrt();
-            // The sum is 0 only where θ is 180° or the point is the source's centre: then ∞ or
-            // NaN, and the camera doesn't count.
-            let angle = 2.0 * inverse * cross / (length * q_length + dot);
-            let coarseness = (q_length * self.focal_ratio / length - 1.0).max(0.0);
-
-            let counts = ((inverse > 0.0) | at_center) & (angle < f32::INFINITY) & (border > 0.0);
-            let raised = angle * (1.0 + coarseness) / border;
-            out_x[k] = px;
-            out_y[k] = py;
-            penalty[k] = if counts { raised } else { f32::INFINITY };
-            trust[k] = if counts { border } else { 0.0 };
-        }
-    }
-
-    #[inline(always)]
-    fn place_each(
-        &self,
-        row: &TargetRow,
-        [out_x, out_y, trust]: [&mut [f32]; 3],
-        pixel: impl Fn(f32, f32) -> (f32, f32),
-    ) {
-        let n = row.x.len();
-        let (xs, ys, inverse) = (&row.x[..n], &row.y[..n], &row.inverse_depth[..n]);
-        let (out_x, out_y, trust) = (&mut out_x[..n], &mut out_y[..n], &mut trust[..n]);
-        let at_center = self.at_center();
-        for k in 0..n {
-            let q = self.direction(xs[k], ys[k], inverse[k]);
-            let (px, py, border) = self.shown(q, &pixel);
-            (out_x[k], out_y[k]) = (px, py);
-            trust[k] = if (inverse[k] > 0.0) | at_center { border } else { 0.0 };
-        }
-    }
-
-    /// Where the source shows a point in a direction: pixels, and the trust in them by how far they are from the border,
+    /// Projects a direction in the source's axes: the pixel, and `border`, which falls to 0 at the image's border and is
     /// 0 outside the image and behind the source.
     #[inline(always)]
-    fn shown(&self, q: Vector3<f32>, pixel: impl Fn(f32, f32) -> (f32, f32)) -> (f32, f32, f32) {
+    fn project(&self, q: Vector3<f32>, pixel: impl Fn(f32, f32) -> (f32, f32)) -> (f32, f32, f32) {
         // Behind the source q.z is not positive, and the results are discarded below.
         let inverse_z = 1.0 / q.z;
         let (nx, ny) = (q.x * inverse_z, q.y * inverse_z);
@@ -330,40 +315,40 @@ impl Reprojection {
 
     /// Adds the expected error of interpolation to that of the proxy. The two are independent, so that
     /// their squares add.
-    fn add_interpolation_error(&self, source: &Source, hits: &mut Hits) {
+    fn add_interpolation_error(&self, source: &Source, hits: &mut SourceHits) {
         let Some(error_px) = source.interpolation_error_px else { return };
         let (w, h) = (source.camera.width, source.camera.height);
-        for k in 0..hits.trust.len() {
-            if hits.trust[k] > 0.0 {
-                // Where there is trust, the position is inside the image.
+        for k in 0..hits.confidence.len() {
+            if hits.confidence[k] > 0.0 {
+                // Where there is confidence, the position is inside the image.
                 let (x, y) = (hits.x[k] as usize, hits.y[k] as usize);
                 let angle = self.error_angle_rad * error_px[y.min(h - 1) * w + x.min(w - 1)];
-                hits.penalty[k] = hits.penalty[k].hypot(angle / hits.trust[k]);
+                hits.penalty[k] = hits.penalty[k].hypot(angle / hits.confidence[k]);
             }
         }
     }
 
-    /// Lowers the trust where the point lies behind the surface in the source's depth map: from 1 at
-    /// the tolerance to [`OCCLUDED_TRUST`] at twice that.
-    fn hide(&self, row: &TargetRow, map: &DepthMap, hits: &mut Hits) {
+    /// Lowers the confidence in points behind the source's surface: from 1 at [`OCCLUSION_FRACTION`] to
+    /// [`OCCLUDED_CONFIDENCE`] at twice that.
+    fn occlude(&self, row: &TargetRow, map: &DepthMap, hits: &mut SourceHits) {
         for k in 0..row.x.len() {
-            if hits.trust[k] > 0.0 {
+            if hits.confidence[k] > 0.0 {
                 let inverse = row.inverse_depth[k];
                 let depth = self.direction(row.x[k], row.y[k], inverse).z / inverse;
                 let beyond = |surface: f32| (depth / surface - 1.0) / OCCLUSION_FRACTION - 1.0;
                 // NaN, where the source has no depth, occludes nothing.
                 let behind = beyond(map.farthest_around(hits.x[k], hits.y[k]));
                 if behind > 0.0 {
-                    let visible = (1.0 - behind).max(OCCLUDED_TRUST);
-                    hits.seen[k] |= visible > OCCLUDED_TRUST;
-                    hits.trust[k] *= visible;
+                    let visible = (1.0 - behind).max(OCCLUDED_CONFIDENCE);
+                    hits.visible[k] |= visible > OCCLUDED_CONFIDENCE;
+                    hits.confidence[k] *= visible;
                     hits.penalty[k] /= visible;
                     continue;
                 }
-                hits.seen[k] = true;
+                hits.visible[k] = true;
                 if beyond(map.nearest_around(hits.x[k], hits.y[k])) > 0.0 {
-                    hits.trust[k] *= OUTLINE_TRUST;
-                    hits.penalty[k] /= OUTLINE_TRUST;
+                    hits.confidence[k] *= OUTLINE_CONFIDENCE;
+                    hits.penalty[k] /= OUTLINE_CONFIDENCE;
                 }
             }
         }
@@ -378,10 +363,10 @@ mod tests {
     use crate::camera::tests::pinhole_at;
     use nalgebra::UnitQuaternion;
 
-    /// A part of a row: rays, their lengths, and inverse depths.
-    type Part = [Vec<f32>; 4];
+    /// Part of a row: rays, their lengths, and inverse depths.
+    type RowPart = [Vec<f32>; 4];
 
-    fn row(part: &Part) -> TargetRow<'_> {
+    fn row(part: &RowPart) -> TargetRow<'_> {
         let [x, y, length, inverse_depth] = part;
         TargetRow { x, y, length, inverse_depth }
     }
@@ -389,16 +374,16 @@ mod tests {
     /// Where a source shows a part's points, their penalties and the trust in them.
     fn measured(
         reprojection: &Reprojection,
-        part: &Part,
-        measure: impl Fn(&Reprojection, &TargetRow, &mut Hits),
+        part: &RowPart,
+        measure: impl Fn(&Reprojection, &TargetRow, &mut SourceHits),
     ) -> [Vec<f32>; 4] {
         let n = part[0].len();
         let mut out = [(); 4].map(|()| vec![0.0; n]);
-        let [x, y, penalty, trust] = &mut out;
+        let [x, y, penalty, confidence] = &mut out;
         measure(
             reprojection,
             &row(part),
-            &mut Hits { x, y, penalty, trust, seen: &mut vec![false; n] },
+            &mut SourceHits { x, y, penalty, confidence, visible: &mut vec![false; n] },
         );
         out
     }
@@ -411,7 +396,7 @@ mod tests {
     }
 
     /// Random parts of a view's rows, with the reprojections of random sources.
-    fn problems(mut each: impl FnMut(&Camera, &Part, &Reprojection)) {
+    fn problems(mut each: impl FnMut(&Camera, &RowPart, &Reprojection)) {
         let mut random = Random::new(51);
         let mut number = |low, high| random.in_range(low, high);
         for k in 0..400 {
@@ -437,10 +422,10 @@ mod tests {
     fn a_cone_s_bound_is_below_every_penalty() {
         let mut positive = 0;
         problems(|target, part, reprojection| {
-            let cone = Cone::around(&row(part), target.model.is_pinhole());
+            let cone = RayCone::around(&row(part), target.model.is_pinhole());
             let bound = reprojection.min_angle(&cone);
             let [_, _, penalty, _] = measured(reprojection, part, |r, row, hits| {
-                r.measure(row, hits, |x, y| (500.0 * x + 320.0, 500.0 * y + 240.0));
+                measure_row(r, row, hits, |x, y| (500.0 * x + 320.0, 500.0 * y + 240.0));
             });
             assert!(penalty.iter().all(|p| *p >= bound), "{bound} {penalty:?}");
             positive += usize::from(bound > 0.0);
@@ -450,26 +435,24 @@ mod tests {
 
     #[test]
     fn points_are_placed_where_they_are_measured() {
-        let intrinsics = [500.0, 510.0, 320.0, 240.0];
         problems(|_, part, reprojection| {
-            let [x, y, _, trust] = measured(reprojection, part, |r, row, hits| {
-                measure_pinhole(r, intrinsics, row, hits);
+            let [x, y, _, confidence] = measured(reprojection, part, |r, row, hits| {
+                measure_row(r, row, hits, r.pinhole());
             });
-            for place in [place_pinhole, place_pinhole_by] {
-                let mut places = [(); 3].map(|()| vec![f32::NAN; x.len()]);
-                let [px, py, border] = &mut places;
-                place(reprojection, intrinsics, &row(part), [px, py, border]);
-                assert_eq!(places, [x.clone(), y.clone(), trust.clone()]);
+            for place in [place_row, place_row_by] {
+                let [px, py, _, border] = measured(reprojection, part, |r, row, hits| {
+                    place(r, row, hits, r.pinhole());
+                });
+                assert_eq!([px, py, border], [x.clone(), y.clone(), confidence.clone()]);
             }
         });
     }
 
     #[test]
     fn points_are_measured_alike_with_and_without_avx2() {
-        let intrinsics = [500.0, 510.0, 320.0, 240.0];
         problems(|_, part, reprojection| {
-            let [a, b] = [measure_pinhole, measure_pinhole_by]
-                .map(|f| measured(reprojection, part, |r, row, hits| f(r, intrinsics, row, hits)));
+            let [a, b] = [measure_row, measure_row_by]
+                .map(|f| measured(reprojection, part, |r, row, hits| f(r, row, hits, r.pinhole())));
             let bits =
                 |all: [Vec<f32>; 4]| all.map(|v| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>());
             assert_eq!(bits(a), bits(b));

@@ -1,60 +1,66 @@
-//! What is hidden from every camera: its colour comes from the surfaces around it that it may be a part of.
+//! Colours of points that are occluded in every camera, from the background around them.
 
 use super::DepthMap;
 use crate::raster::Image;
 use rayon::prelude::*;
 use std::f32::consts::TAU;
 
-/// Number of directions in which a hidden pixel's surroundings are searched. Larger: time; smaller: streaks.
+/// Number of directions in which the surroundings are searched.
 const DIRECTIONS: usize = 16;
-/// How far they are searched, pixels. Larger: time, for colours from far away; smaller: the middle of what is hidden
-/// stays as the camera shows it.
+/// Largest distance of the search, pixels.
 const REACH_PX: usize = 128;
-/// How many pixels in a row are averaged in each direction. Larger: the colours of other things; smaller: streaks, and the
-/// mixed colours of outlines.
+/// Number of pixels in a row that are averaged in each direction: outlines have mixed colours.
 const AVERAGED_PX: usize = 6;
 
-/// What a camera shows of a pixel's point.
+/// Visibility of a pixel's point in the cameras.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Shown {
-    /// The point itself.
-    Seen,
-    /// What hides it.
-    Hidden,
-    /// Nothing: no camera has it in its image.
-    Nothing,
+pub(super) enum PointVisibility {
+    /// Some camera sees the point.
+    Visible,
+    /// All cameras that have it in their image see a nearer surface.
+    Occluded,
+    /// No camera has it in its image.
+    OutOfView,
 }
 
-/// Fills the hidden pixels of an image with the mean of what is seen around them, in all directions, weighted by
-/// nearness. A pixel of a surface that is nearer to the view by more than a fraction of its depth counts for none, nor
-/// does what is beyond it: it is what hides. Where there is none, pixels stay as they are.
-pub(super) fn fill(image: &mut Image, shown: &[Shown], depth: &DepthMap, fraction: f32) {
-    let hidden: Vec<usize> = (0..shown.len()).filter(|&k| shown[k] == Shown::Hidden).collect();
-    let surroundings = Surroundings { image, shown, depth, fraction };
-    let colors: Vec<Option<[f32; 3]>> = hidden.par_iter().map(|&k| surroundings.color(k)).collect();
+/// Fills the occluded pixels of an image with the mean of the visible pixels around them, weighted by inverse distance.
+///
+/// A direction ends at a surface that is nearer by more than a fraction of the depth: it is the occluder. Pixels
+/// without visible surroundings stay as they are.
+pub(super) fn inpaint(
+    image: &mut Image,
+    visibility: &[PointVisibility],
+    depth: &DepthMap,
+    fraction: f32,
+) {
+    let is_occluded = |k: &usize| visibility[*k] == PointVisibility::Occluded;
+    let occluded: Vec<usize> = (0..visibility.len()).filter(is_occluded).collect();
+    let surroundings = Surroundings { image, visibility, depth, fraction };
+    let colors: Vec<Option<[f32; 3]>> =
+        occluded.par_iter().map(|&k| surroundings.color(k)).collect();
     let channels = image.channels();
-    for (k, color) in hidden.into_iter().zip(colors) {
+    for (k, color) in occluded.into_iter().zip(colors) {
         if let Some(color) = color {
             image.data_mut()[k * channels..][..channels].copy_from_slice(&color[..channels]);
         }
     }
 }
 
-/// What hidden pixels are filled from.
+/// The view that occluded pixels are filled from.
 struct Surroundings<'a> {
     image: &'a Image,
-    shown: &'a [Shown],
+    visibility: &'a [PointVisibility],
     depth: &'a DepthMap,
     fraction: f32,
 }
 
 impl Surroundings<'_> {
-    /// The colour of a hidden pixel; `None` where nothing is seen around it.
-    fn color(&self, hidden: usize) -> Option<[f32; 3]> {
+    /// The colour of an occluded pixel; `None` without visible surroundings.
+    fn color(&self, occluded: usize) -> Option<[f32; 3]> {
         let (mut sum, mut weights) = ([0.0_f32; 3], 0.0_f32);
         for n in 0..DIRECTIONS {
             let angle = TAU * n as f32 / DIRECTIONS as f32;
-            if let Some((mean, distance_px)) = self.towards(hidden, [angle.cos(), angle.sin()]) {
+            if let Some((mean, distance_px)) = self.towards(occluded, [angle.cos(), angle.sin()]) {
                 // The distance is at least 1.
                 let weight = 1.0 / distance_px;
                 sum.iter_mut().zip(mean).for_each(|(sum, v)| *sum += weight * v);
@@ -64,11 +70,11 @@ impl Surroundings<'_> {
         (weights > 0.0).then(|| sum.map(|v| v / weights))
     }
 
-    /// The mean of the first pixels that are seen in a direction, and the distance of the first.
-    fn towards(&self, hidden: usize, direction: [f32; 2]) -> Option<([f32; 3], f32)> {
+    /// The mean of the first visible pixels in a direction, and the distance of the first.
+    fn towards(&self, occluded: usize, direction: [f32; 2]) -> Option<([f32; 3], f32)> {
         let (w, h, channels) = (self.image.width(), self.image.height(), self.image.channels());
-        let at = [hidden % w, hidden / w].map(|v| v as f32 + 0.5);
-        let min_depth = self.depth.data()[hidden] * (1.0 - self.fraction);
+        let at = [occluded % w, occluded / w].map(|v| v as f32 + 0.5);
+        let min_depth = self.depth.data()[occluded] * (1.0 - self.fraction);
         let (mut sum, mut count, mut first_px) = ([0.0_f32; 3], 0, 0.0);
         for step in 1..=REACH_PX {
             let [x, y] = [0, 1].map(|axis| at[axis] + step as f32 * direction[axis]);
@@ -76,7 +82,7 @@ impl Surroundings<'_> {
                 break;
             }
             let k = y as usize * w + x as usize;
-            if self.shown[k] != Shown::Seen {
+            if self.visibility[k] != PointVisibility::Visible {
                 if count > 0 {
                     break;
                 }
@@ -112,12 +118,14 @@ mod tests {
         let is_hidden = |x: usize| (6..8).contains(&x);
         let depth = (0..w * h).map(|k| if is_body(k % w) { 1.0 } else { 2.0 }).collect();
         let depth = DepthMap::from_data(w, h, depth);
-        let of = |x: usize| if is_hidden(x) { Shown::Hidden } else { Shown::Seen };
-        let shown: Vec<Shown> = (0..w * h).map(|k| of(k % w)).collect();
+        let of = |x: usize| {
+            if is_hidden(x) { PointVisibility::Occluded } else { PointVisibility::Visible }
+        };
+        let visibility: Vec<PointVisibility> = (0..w * h).map(|k| of(k % w)).collect();
         let value = |x: usize| if is_body(x) || is_hidden(x) { 0.9 } else { 0.2 };
         let data: Vec<f32> = (0..w * h * 3).map(|k| value(k / 3 % w)).collect();
         let mut image = Image::from_data(w, h, 3, data);
-        fill(&mut image, &shown, &depth, 0.03);
+        inpaint(&mut image, &visibility, &depth, 0.03);
         for (k, v) in image.data().iter().enumerate() {
             let expected = if is_body(k / 3 % w) { 0.9 } else { 0.2 };
             assert!((v - expected).abs() < 1e-6, "{k}: {v}");
@@ -128,9 +136,14 @@ mod tests {
     fn what_has_nothing_behind_it_stays() {
         let depth = DepthMap::from_data(3, 1, vec![1.0, f32::NAN, 1.0]);
         let mut image = Image::from_data(3, 1, 1, vec![0.1, 0.5, 0.3]);
-        fill(&mut image, &[Shown::Seen, Shown::Hidden, Shown::Seen], &depth, 0.03);
+        inpaint(
+            &mut image,
+            &[PointVisibility::Visible, PointVisibility::Occluded, PointVisibility::Visible],
+            &depth,
+            0.03,
+        );
         assert_eq!(image.data(), [0.1, 0.5, 0.3]);
-        fill(&mut image, &[Shown::Hidden; 3], &depth, 0.03);
+        inpaint(&mut image, &[PointVisibility::Occluded; 3], &depth, 0.03);
         assert_eq!(image.data(), [0.1, 0.5, 0.3]);
     }
 
@@ -139,9 +152,14 @@ mod tests {
     fn nothing_comes_from_pixels_that_no_camera_shows() {
         let depth = DepthMap::from_data(4, 1, vec![2.0; 4]);
         let mut image = Image::from_data(4, 1, 1, vec![0.0, 0.9, 0.9, 0.4]);
-        fill(
+        inpaint(
             &mut image,
-            &[Shown::Nothing, Shown::Hidden, Shown::Hidden, Shown::Seen],
+            &[
+                PointVisibility::OutOfView,
+                PointVisibility::Occluded,
+                PointVisibility::Occluded,
+                PointVisibility::Visible,
+            ],
             &depth,
             0.03,
         );

@@ -1,0 +1,178 @@
+//! Unstructured lumigraph rendering (Buehler, Bosse, McMillan, Gortler, Cohen, SIGGRAPH 2001): every pixel of the view
+//! is a weighted mean of the cameras' images of its point of the proxy.
+//!
+//! The penalty of camera i at the pixel's point X, seen from the view's centre C, is
+//!
+//! `p_i = 2 tan(θ_i / 2) · (1 + coarseness_i) / (border_i · visible_i)`
+//!
+//! with θ_i the angle at X between C and C_i, and coarseness_i the loss of resolution. Buehler adds the three parts.
+//! Multiplied, the penalty is 0 where the camera stands at the view's centre, so that its image is reproduced exactly;
+//! it is infinite outside the image. [`super::weights`] turns penalties into weights.
+//!
+//! With [`BlendMethod::SpaceTime`] the penalty is `√(p_i² + (λ·m_i)²)`, with m_i the expected interpolation error of the
+//! camera's pixel and λ [`BlendOptions::error_angle_rad`]: the errors of the proxy and of interpolation are independent.
+//!
+//! Where grey and coloured cameras are mixed, luminance is blended from all cameras, and chrominance from the coloured
+//! ones, with weights of their own; it fades to grey where no coloured camera sees the point.
+//!
+//! Known limit: without [`Source::depth`], a camera contributes to points that are occluded in it.
+
+use super::DepthMap;
+use super::inpaint::{PointVisibility, inpaint};
+use super::penalties::{OCCLUSION_FRACTION, Reprojection};
+use super::span::SpanBlender;
+use super::weights::BlendMethod;
+use crate::camera::Camera;
+use crate::option::options;
+use crate::raster::{Image, Tiles};
+use rayon::prelude::*;
+
+/// Number of rows that one task blends.
+const BAND_ROWS: usize = 16;
+
+/// A camera and its image at the instant that is rendered.
+#[derive(Clone, Copy, Debug)]
+pub struct Source<'a> {
+    /// Lens and pose.
+    pub camera: &'a Camera,
+    /// Image of the camera's size, with 1 or 3 channels.
+    pub image: &'a Image,
+    /// Depths of the camera's pixels; points behind them are occluded. `None`: no point is.
+    pub depth: Option<&'a DepthMap>,
+    /// Expected error of each pixel's temporal interpolation, pixels. `None`: 0 everywhere.
+    pub interpolation_error_px: Option<&'a [f32]>,
+}
+
+impl<'a> Source<'a> {
+    /// A source in which no point is occluded.
+    pub fn new(camera: &'a Camera, image: &'a Image) -> Self {
+        Self { camera, image, depth: None, interpolation_error_px: None }
+    }
+}
+
+options! {
+    /// Options of blending.
+    pub struct BlendOptions {
+        /// The cameras' weights.
+        method: BlendMethod = BlendMethod::Lumigraph,
+        /// Cameras from which a pixel is blended.
+        cameras: usize [1..=1000, "cameras"] = 3,
+        /// Distance of the pixels whose weights are computed; between them, weights are interpolated.
+        weight_step_px: usize [1..=64, "px"] = 4,
+        /// Angle that one pixel of interpolation error counts as, for the method space-time.
+        error_angle_rad: f64 [0.0..=1000.0, "rad"] = 0.004,
+    }
+}
+
+/// A rendered view.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rendered {
+    /// The view; pixels without coverage are 0.
+    pub image: Image,
+    /// Whether any camera sees the pixel's point, row by row.
+    pub coverage: Vec<bool>,
+}
+
+/// Renders the view `target` from the sources' images, over the view's depths.
+///
+/// Only cameras at the view's centre contribute to pixels without depth. The image has 3 channels if any source has,
+/// else 1.
+///
+/// # Panics
+/// If the size of the depth map is not the view's, or that of an image or of a source's depths not its camera's.
+pub fn blend(
+    sources: &[Source],
+    depth: &DepthMap,
+    target: &Camera,
+    options: &BlendOptions,
+) -> Rendered {
+    check(sources, depth, target);
+    let (w, h) = (target.width, target.height);
+    let reprojections = Reprojection::of_all(sources, target, options);
+    let colored = sources.iter().filter(|s| s.image.channels() == 3).count();
+    let channels = if colored > 0 { 3 } else { 1 };
+    let mut image = Image::filled(w, h, channels, 0.0);
+    let mut coverage = vec![false; w * h];
+    let mut visibility = vec![PointVisibility::OutOfView; w * h];
+    image
+        .data_mut()
+        .par_chunks_mut(BAND_ROWS * w * channels)
+        .zip(coverage.par_chunks_mut(BAND_ROWS * w))
+        .zip(visibility.par_chunks_mut(BAND_ROWS * w))
+        .enumerate()
+        .for_each_init(
+            || SpanBlender::new(sources, &reprojections, target, options),
+            |span, (band, ((pixels, covered), visibility))| {
+                let rows = pixels.chunks_exact_mut(w * channels);
+                let rows = rows.zip(covered.chunks_exact_mut(w));
+                let rows = rows.zip(visibility.chunks_exact_mut(w));
+                for (row, ((pixels, covered), visibility)) in rows.enumerate() {
+                    span.set_row(band * BAND_ROWS + row, depth);
+                    for columns in span.columns() {
+                        span.weigh(columns.clone());
+                        let pixels = &mut pixels[channels * columns.start..channels * columns.end];
+                        match (channels, colored == sources.len()) {
+                            (1, _) => span.blend::<1>(pixels),
+                            (_, true) => span.blend::<3>(pixels),
+                            (_, false) => span.blend_mixed(pixels),
+                        }
+                        span.cover(&mut covered[columns.clone()], &mut visibility[columns]);
+                    }
+                }
+            },
+        );
+    // Without depths, no point is occluded.
+    if sources.iter().any(|s| s.depth.is_some()) {
+        inpaint(&mut image, &visibility, depth, OCCLUSION_FRACTION);
+    }
+    Rendered { image, coverage }
+}
+
+/// The tiles of each source's image that [`blend`] reads, in the sources' order. The poses of sources without tiles
+/// still affect the weights of the others.
+///
+/// # Panics
+/// Where [`blend`] does.
+pub fn contributing(
+    sources: &[Source],
+    depth: &DepthMap,
+    target: &Camera,
+    options: &BlendOptions,
+) -> Vec<Tiles> {
+    check(sources, depth, target);
+    let reprojections = Reprojection::of_all(sources, target, options);
+    let nothing = || -> Vec<Tiles> {
+        sources.iter().map(|s| Tiles::none(s.camera.width, s.camera.height)).collect()
+    };
+    let rows = (0..target.height).into_par_iter().fold(
+        || (SpanBlender::new(sources, &reprojections, target, options), nothing()),
+        |(mut span, mut tiles), y| {
+            span.set_row(y, depth);
+            for columns in span.columns() {
+                span.weigh(columns);
+                span.mark(&mut tiles);
+            }
+            (span, tiles)
+        },
+    );
+    rows.map(|(_, tiles)| tiles).reduce(nothing, |mut all, more| {
+        all.iter_mut().zip(&more).for_each(|(all, more)| all.add(more));
+        all
+    })
+}
+
+/// Panics if a size is wrong.
+fn check(sources: &[Source], depth: &DepthMap, target: &Camera) {
+    let size = (target.width, target.height);
+    assert_eq!((depth.width(), depth.height()), size, "size of the view's depths");
+    for source in sources {
+        let size = (source.camera.width, source.camera.height);
+        assert_eq!((source.image.width(), source.image.height()), size, "size of an image");
+        if let Some(error_px) = source.interpolation_error_px {
+            assert_eq!(error_px.len(), size.0 * size.1, "size of a source's interpolation errors");
+        }
+        if let Some(d) = source.depth {
+            assert_eq!((d.width(), d.height()), size, "size of a source's depths");
+        }
+    }
+}
