@@ -111,18 +111,16 @@ pub fn inverse_depths(
 }
 
 /// The images of several cameras at one instant, ready to be matched.
-pub struct Matcher<'a> {
-    cameras: Vec<&'a Camera>,
+pub struct Matcher {
     pyramids: Vec<CensusPyramid>,
 }
 
-impl<'a> Matcher<'a> {
+impl Matcher {
     /// Computes the images' descriptors. `range` holds the inverse depths of all cameras, 1/m.
-    pub fn new(views: &[CameraImage<'a>], range: [f64; 2], options: &StereoOptions) -> Self {
+    pub fn new(views: &[CameraImage], range: [f64; 2], options: &StereoOptions) -> Self {
         let cameras: Vec<&Camera> = views.iter().map(|v| v.camera).collect();
         let halvings = halvings(&cameras, range, options);
-        let pyramids = views.par_iter().map(|v| CensusPyramid::new(v, halvings)).collect();
-        Self { cameras, pyramids }
+        Self { pyramids: views.par_iter().map(|v| CensusPyramid::new(v, halvings)).collect() }
     }
 
     /// Inverse depths of camera `index` within a range, 1/m. `None` without a camera at another place.
@@ -132,7 +130,8 @@ impl<'a> Matcher<'a> {
         range: [f64; 2],
         options: &StereoOptions,
     ) -> Option<InverseDepths> {
-        let partners = partners(&self.cameras, index, options);
+        let cameras: Vec<&Camera> = self.pyramids.iter().map(|p| &p.levels[0].camera).collect();
+        let partners = partners(&cameras, index, options);
         let partners: Vec<&CensusPyramid> = partners.iter().map(|&k| &self.pyramids[k]).collect();
         inverse_depths(&self.pyramids[index], &partners, range, options)
     }
