@@ -47,24 +47,23 @@ methods!(DepthEdges {
     Cut = "cut": "The triangle is cut in the middle between the two surfaces",
 });
 
-/// A triangle spans a depth edge if its inverse depths differ by more than this fraction of the largest.
+/// A triangle spans a depth edge if its inverse depths differ by more than this fraction of the largest one.
 const EDGE_FRACTION: f64 = 0.1;
 /// Longest side of a triangle that [`DepthEdges`] applies to, pixels: in longer ones, the outline may be anywhere.
 const MAX_EDGE_PX: f64 = 24.0;
 /// Largest difference of the inverse depths of two points that support each other, as a fraction.
 const SUPPORT_FRACTION: f64 = 0.05;
-/// Smallest number of supporting neighbours of a point, at one or two edges of the triangulation.
+/// Smallest number of neighbours, at one or two edges of the triangulation, that must support a point.
 const MIN_SUPPORT: usize = 2;
 /// Distance of the mesh's corners outside the image, as a fraction of its size.
 const MARGIN: f64 = 0.05;
-/// Side of the square cells of which each has one vertex, its nearest point, pixels.
+/// Side of a square cell, pixels: only the nearest point of a cell becomes a vertex.
 const CELL_PX: f64 = 0.5;
 /// Weight of vertices in front of the back plane, over that of vertices behind it.
 const FRONT_WEIGHT: f64 = 0.02;
 /// Number of corners of the back plane.
 const CORNERS: usize = 4;
-/// The back plane's inverse depth, over that of the vertex nearest to it: below 1, so that all vertices are in
-/// front.
+/// Factor of the back plane's inverse depth that puts the plane behind all vertices.
 const BEHIND: f64 = 0.999;
 
 /// A vertex of the triangulation.

@@ -16,7 +16,7 @@ use nalgebra::{Matrix3, Point2, Vector3};
 const FEATHER_PX: f32 = 4.0;
 /// Smallest depth of an occluded point beyond the surface, as a fraction of the surface's depth.
 pub(super) const OCCLUSION_FRACTION: f32 = 0.03;
-/// Largest distance of a camera from the view's centre that counts as 0, over that of the farthest camera.
+/// Cameras nearer to the view's centre than this fraction of the farthest camera's distance count as at the centre.
 const SAME_CENTER_FRACTION: f64 = 1e-6;
 /// Factor of the confidence in an occluded point: it contributes only if it is occluded in all sources.
 const OCCLUDED_CONFIDENCE: f32 = 1e-3;
@@ -30,7 +30,7 @@ const ROUNDING: f32 = 0.999;
 /// Decrease of a difference of sines that makes up for f32 rounding.
 const ROUNDED: f32 = 1e-6;
 
-/// Neighbouring pixels of a row of the view.
+/// Some neighbouring pixels of a row of the view.
 pub(super) struct TargetRow<'a> {
     /// Rays (x, y, 1).
     pub x: &'a [f32],

@@ -9,7 +9,7 @@ use super::rays::ViewBounds;
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
-/// Margin around the camera's image in which points count, as a fraction of the image's size.
+/// Margin around the camera's image, as a fraction of its size, in which points still count.
 const MARGIN: f64 = 0.5;
 /// Weight of a prior of no tilt, as a fraction of the points' weight.
 const TILT_PRIOR: f64 = 1e-6;
@@ -18,7 +18,7 @@ const ROUNDS: usize = 20;
 /// Smallest inverse depth of the plane anywhere in the view, over that at the points' mean.
 const MIN_FRACTION: f64 = 0.1;
 
-/// The plane of the points with `normal · x = d` in the world.
+/// The plane `normal · x = d` in the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plane {
     /// Unit normal.

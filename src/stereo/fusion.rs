@@ -39,7 +39,7 @@ struct FusionCandidate {
 /// A pixel that no camera sees.
 const NOT_SEEN: FusionCandidate = FusionCandidate { inverse: f32::NAN, std_err: f32::INFINITY };
 
-/// The cameras' surfaces, as a view sees them.
+/// The cameras' surfaces relative to a view.
 struct SurfacesInView<'a> {
     surfaces: &'a [Surface<'a>],
     /// Poses of the cameras relative to the view.

@@ -11,9 +11,9 @@ use rayon::prelude::*;
 
 /// Largest difference of two measurements of one surface, levels.
 const TOLERANCE_LEVELS: f32 = 1.5;
-/// Largest distance of a partner, over that of the nearest one.
+/// Largest distance of a partner, as a multiple of the nearest partner's distance.
 const MAX_PARTNER_DISTANCE: f64 = 2.5;
-/// Largest number of costs (pixels times levels), by memory: a byte for each, and two for its sum.
+/// Largest size of a cost volume, pixels times levels; each takes three bytes.
 const MAX_COSTS: usize = 1 << 26;
 
 /// Inverse depths of a camera's pixels, row by row; NaN where unknown.
@@ -35,8 +35,8 @@ impl InverseDepths {
     }
 }
 
-/// The cameras that camera `index` is matched with, nearest first: the nearest at another place, unless they
-/// stand much farther than the nearest one.
+/// Selects the cameras that camera `index` is matched with, nearest first: the nearest ones at another place, without
+/// those that stand much farther than the first.
 pub fn partners(cameras: &[&Camera], index: usize, options: &StereoOptions) -> Vec<usize> {
     let center = cameras[index].center();
     let distance = |k: &usize| (cameras[*k].center() - center).norm();
@@ -49,8 +49,8 @@ pub fn partners(cameras: &[&Camera], index: usize, options: &StereoOptions) -> V
     order
 }
 
-/// How many times the images of these cameras are halved: as often as the options say, and until the cost volume of
-/// every camera fits into memory. `range` is that of the inverse depths of all cameras, 1/m.
+/// Decides how many times the images of these cameras are halved: at least as often as the options say, and until every
+/// cost volume fits into memory. `range` holds the inverse depths of all cameras, 1/m.
 pub fn halvings(cameras: &[&Camera], range: [f64; 2], options: &StereoOptions) -> usize {
     let mut images: Vec<Camera> = cameras.iter().map(|c| (*c).clone()).collect();
     let mut halvings = 0;
@@ -71,7 +71,7 @@ pub fn halvings(cameras: &[&Camera], range: [f64; 2], options: &StereoOptions) -
     }
 }
 
-/// The depth hypotheses of a camera, by the disparity to its farthest partner.
+/// Depth hypotheses of a camera, at even disparities to its farthest partner.
 fn levels(
     own: &Camera,
     farthest: &Camera,
@@ -82,8 +82,8 @@ fn levels(
     DepthLevels::new(range, options.step_px / (own.focal_px() * baseline))
 }
 
-/// Estimates inverse depths within a range, 1/m, of an image by its partners, nearest first, all halved the same
-/// number of times. `None` without partners.
+/// Estimates an image's inverse depths within a range, 1/m, from its partners, nearest first. All pyramids have the same
+/// number of levels. `None` without partners.
 pub fn inverse_depths(
     reference: &CensusPyramid,
     partners: &[&CensusPyramid],

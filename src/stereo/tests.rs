@@ -80,7 +80,7 @@ fn errors(camera: &Camera, depths: &InverseDepths, margin: usize) -> (Vec<f64>, 
     errors_of(camera, |k| f64::from(depths.values[k]), std_err, margin)
 }
 
-/// The same of any inverse depths and standard errors by pixel.
+/// Errors of any inverse depths, given pixel by pixel.
 fn errors_of(
     camera: &Camera,
     found: impl Fn(usize) -> f64,
