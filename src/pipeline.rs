@@ -21,7 +21,7 @@ pub fn open_field(
 ) -> Result<LightField, RenderError> {
     let frames = FrameStore::new(capture, &options.registration);
     let offsets = resolve_offsets(&frames, &options.offset, reporter)?;
-    Ok(LightField::with_frames(frames, offsets))
+    Ok(LightField::with_frames(&frames, offsets))
 }
 
 /// The options with nothing left to the capture: where `options.auto` leaves methods to it, those

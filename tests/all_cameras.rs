@@ -10,7 +10,7 @@ use stlfr::capture::Capture;
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::LightField;
 use stlfr::offset::Offsets;
-use stlfr::options::{RenderOptions, ViewOptions};
+use stlfr::options::RenderOptions;
 use stlfr::raster::Image;
 use tempfile::TempDir;
 
@@ -32,15 +32,15 @@ fn filmed(world: &World) -> (TempDir, LightField) {
         .write(folder.path());
     let capture = Arc::new(Capture::open(folder.path()).expect("a capture"));
     let offsets = Offsets::known(&capture);
-    let field = LightField::new(capture, offsets, &RenderOptions::default().registration);
+    let field = LightField::new(capture, offsets);
     (folder, field)
 }
 
 /// A camera's image at a time in frames on the world's clock.
 fn synchronized(field: &LightField, camera: usize, frames: f64, sync: SyncMethod) -> Image {
     let time_s = frames / 30.0 - field.capture().time_origin_s;
-    let options = ViewOptions { sync, ..ViewOptions::default() };
-    field.synchronized(camera, time_s, &options).expect("an instant of the film").image
+    let options = RenderOptions { sync, ..RenderOptions::default() };
+    field.synchronized(camera, time_s, &options).expect("an instant of the film").image.clone()
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn a_frame_stays_as_filmed_and_one_camera_alone_is_refined() {
     });
     let capture = Arc::new(Capture::open(folder.path()).expect("a capture"));
     let offsets = Offsets::known(&capture);
-    let alone = LightField::new(capture, offsets, &RenderOptions::default().registration);
+    let alone = LightField::new(capture, offsets);
     let of = |sync| synchronized(&alone, 0, 2.3, sync);
     assert_eq!(of(SyncMethod::AllCameras), of(SyncMethod::Refined));
 }

@@ -106,7 +106,11 @@ fn where_nothing_changes_nothing_is_registered() {
     assert_choices(&plan, &[Choice::Sync(SyncMethod::Refined), Choice::PairsCrossFaded]);
     let time_s = 1.6 * FRAME_S;
     let synchronized = |camera: usize, sync: SyncMethod| {
-        field.synchronized(camera, time_s, &plan.options.view().with_sync(sync)).unwrap().image
+        field
+            .synchronized(camera, time_s, &RenderOptions { sync, ..plan.options.clone() })
+            .unwrap()
+            .image
+            .clone()
     };
     let both = |camera: usize| {
         [SyncMethod::Crossfade, SyncMethod::Refined].map(|sync| synchronized(camera, sync))
@@ -172,11 +176,11 @@ fn a_camera_that_records_more_light_is_corrected() {
             Choice::Proxy(ProxyMethod::Plane),
         ],
     );
-    let [r, g, b] = field.gains().of(2);
+    let [r, g, b] = field.gains(&plan.options.registration).of(2);
     assert!([r, g, b].iter().all(|gain| (gain - 1.25).abs() < 0.02), "{r} {g} {b}");
     // Seen from there, the view is as bright as the reference records it.
     let camera = field.capture().cameras[2].camera.clone();
-    let view = field.view(&camera, 0.0, &plan.options.view()).unwrap().image;
+    let view = field.view(&camera, 0.0, &plan.options).unwrap().image;
     let wanted = scene.image(scene.centers_m[2], 0.0);
     let apart: f32 = view.data().iter().zip(wanted.data()).map(|(a, b)| (a - b).abs()).sum();
     assert!(apart / (view.data().len() as f32) < 2.0 / 255.0, "{apart}");

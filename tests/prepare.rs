@@ -7,10 +7,12 @@ use common::worlds::line_rig;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stlfr::capture::Capture;
-use stlfr::light_field::{LightField, Prepared, delete_prepared};
+use stlfr::host::DiskCache;
+use stlfr::light_field::{LightField, PREPARED, Preparation};
 use stlfr::offset::Offsets;
 use stlfr::options::RenderOptions;
 use stlfr::raster::Image;
+use stlfr::registration::{Gains, RegistrationOptions, Track};
 use tempfile::TempDir;
 
 /// Three cameras that film a board that moves right, before a still wall.
@@ -24,32 +26,45 @@ fn filmed() -> TempDir {
 }
 
 fn opened(folder: &Path) -> LightField {
-    with_features(folder, RenderOptions::default().registration.corners.max_corners)
-}
-
-fn with_features(folder: &Path, max_corners: usize) -> LightField {
     let capture = Arc::new(Capture::open(folder).expect("a capture"));
-    let mut registration = RenderOptions::default().registration;
-    registration.corners.max_corners = max_corners;
-    LightField::new(capture.clone(), Offsets::known(&capture), &registration)
+    LightField::new(capture.clone(), Offsets::known(&capture))
 }
 
-fn prepared(field: &LightField) -> Prepared {
-    field.prepare(0.0, |_| ()).expect("a capture that can be prepared")
+fn prepared(field: &LightField) -> Preparation {
+    field.prepare(&RenderOptions::default(), |_| ()).expect("a capture that can be prepared")
 }
 
 fn view(field: &LightField) -> Image {
-    let (target, options) = (&field.capture().cameras[1].camera, RenderOptions::default().view());
+    let (target, options) = (&field.capture().cameras[1].camera, RenderOptions::default());
     let time_s = 1.6 / 30.0 - field.capture().time_origin_s;
     field.view(target, time_s, &options).expect("a view").image
 }
 
+fn tracks(folder: &Path) -> Arc<Vec<Track>> {
+    opened(folder).tracks(1, 1, &RegistrationOptions::default()).unwrap()
+}
+
+fn gains(folder: &Path) -> Arc<Gains> {
+    opened(folder).gains(&RegistrationOptions::default())
+}
+
+/// Whether there was something to delete.
+fn delete_prepared(folder: &Path) -> std::io::Result<bool> {
+    let cache = DiskCache::new(folder, |_| ());
+    let deleted = PREPARED.map(|kind| cache.delete(Some(kind)));
+    let mut entries = 0;
+    for deleted in deleted {
+        entries += deleted?.entries;
+    }
+    Ok(entries > 0)
+}
+
 /// All files of tracks, by name, and that of the gains.
 fn files(folder: &Path) -> Vec<PathBuf> {
-    let keys = std::fs::read_dir(folder.join(".stlfr/registered")).expect("a folder");
-    let all = keys.flat_map(|key| std::fs::read_dir(key.unwrap().path()).unwrap());
+    let folders = PREPARED.map(|kind| folder.join(".stlfr/cache").join(kind));
+    let all = folders.iter().flat_map(|folder| std::fs::read_dir(folder).expect("a folder"));
     let mut all: Vec<PathBuf> = all.map(|entry| entry.unwrap().path()).collect();
-    all.sort();
+    all.sort_by_key(|file| !file.starts_with(&folders[0]));
     all
 }
 
@@ -58,7 +73,7 @@ fn views_are_the_same_bytes_and_what_is_there_is_kept() {
     let folder = filmed();
     let expected = view(&opened(folder.path()));
     let field = opened(folder.path());
-    let (pairs, bytes) = field.preparation_size();
+    let (pairs, bytes) = field.preparation_size(&RenderOptions::default());
     let first = prepared(&field);
     assert_eq!((pairs, first.pairs, first.found), (9, 9, 0));
     let on_disk: u64 = files(folder.path()).iter().map(|f| f.metadata().unwrap().len()).sum();
@@ -74,27 +89,28 @@ fn views_are_the_same_bytes_and_what_is_there_is_kept() {
     }
     assert_eq!(view(&opened(folder.path())), expected);
     let again = prepared(&opened(folder.path()));
-    assert_eq!(again, Prepared { found: 7, ..first });
+    assert_eq!(again, Preparation { found: 7, ..first });
     assert_eq!(std::fs::read(&all[3]).unwrap(), before);
 }
 
 #[test]
 fn gains_are_kept_and_their_damage_is_noticed() {
     let folder = filmed();
-    let expected = opened(folder.path()).gains().clone();
+    let expected = gains(folder.path());
     assert!(expected.largest_difference().1 > 0.0, "measured");
     prepared(&opened(folder.path()));
-    assert_eq!(*opened(folder.path()).gains(), expected);
-    let file = files(folder.path()).into_iter().find(|f| f.ends_with("gains")).unwrap();
+    assert_eq!(gains(folder.path()), expected);
+    let file = files(folder.path()).pop().expect("the gains, the last kind");
     let bytes = std::fs::read(&file).unwrap();
-    assert_eq!(bytes.len(), 32 + 8 * (3 * 3 + 2));
+    // A checksum, the number of cameras, three gains a camera, a difference and its standard error.
+    assert_eq!(bytes.len(), 32 + 1 + 8 * (3 * 3 + 2));
     for at in [0, 31, 32, bytes.len() - 1] {
         let mut damaged = bytes.clone();
         damaged[at] ^= 4;
         std::fs::write(&file, damaged).unwrap();
-        assert_eq!(*opened(folder.path()).gains(), expected, "byte {at}");
+        assert_eq!(gains(folder.path()), expected, "byte {at}");
         std::fs::write(&file, &bytes[..at]).unwrap();
-        assert_eq!(*opened(folder.path()).gains(), expected, "{at} bytes");
+        assert_eq!(gains(folder.path()), expected, "{at} bytes");
     }
     // Prepared anew, it is whole again.
     prepared(&opened(folder.path()));
@@ -107,15 +123,14 @@ fn a_file_holds_at_its_own_place_alone() {
     let folder = filmed();
     let expected = view(&opened(folder.path()));
     prepared(&opened(folder.path()));
-    let count = |field: &LightField| field.tracks(1, 1).unwrap().len();
-    let many = count(&opened(folder.path()));
+    let many = tracks(folder.path()).len();
     for file in files(folder.path()) {
         let of_another = files(folder.path())[0].clone();
         if file != of_another {
             std::fs::copy(&of_another, &file).unwrap();
         }
     }
-    assert_eq!(count(&opened(folder.path())), many);
+    assert_eq!(tracks(folder.path()).len(), many);
     assert_eq!(view(&opened(folder.path())), expected);
 }
 
@@ -123,33 +138,44 @@ fn a_file_holds_at_its_own_place_alone() {
 fn damage_is_noticed() {
     let folder = filmed();
     prepared(&opened(folder.path()));
-    let expected = opened(folder.path()).tracks(1, 1).unwrap();
-    let file = files(folder.path()).into_iter().find(|f| f.ends_with("1-1.tracks")).unwrap();
-    let bytes = std::fs::read(&file).unwrap();
-    let same = |what: &str| {
-        let found = opened(folder.path()).tracks(1, 1).unwrap();
-        assert!(found == expected, "{what}");
-    };
-    for at in [0, 31, 32, 33, 40, bytes.len() / 2, bytes.len() - 1] {
-        let mut damaged = bytes.clone();
-        damaged[at] ^= 4;
-        std::fs::write(&file, damaged).unwrap();
+    let expected = tracks(folder.path());
+    let files: Vec<(PathBuf, Vec<u8>)> = files(folder.path())
+        .into_iter()
+        .map(|file| (file.clone(), std::fs::read(file).unwrap()))
+        .collect();
+    let each = |change: &dyn Fn(&Path, &[u8])| files.iter().for_each(|(f, b)| change(f, b));
+    let same = |what: &str| assert!(tracks(folder.path()) == expected, "{what}");
+    for at in [0, 31, 32, 33, 40, 60] {
+        each(&|file, bytes| {
+            let mut damaged = bytes.to_vec();
+            damaged[at] ^= 4;
+            std::fs::write(file, damaged).unwrap();
+        });
         same(&format!("byte {at}"));
-        std::fs::write(&file, &bytes[..at]).unwrap();
+        each(&|file, bytes| std::fs::write(file, &bytes[..at]).unwrap());
         same(&format!("{at} bytes"));
     }
-    std::fs::remove_file(&file).unwrap();
-    std::os::unix::fs::symlink("/dev/zero", &file).unwrap();
+    each(&|file, bytes| {
+        let last = bytes.len() - 1;
+        std::fs::write(file, [&bytes[..last], &[bytes[last] ^ 4]].concat()).unwrap();
+    });
+    same("the last byte");
+    each(&|file, _| {
+        std::fs::remove_file(file).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", file).unwrap();
+    });
     same("a device");
     prepared(&opened(folder.path()));
-    assert_eq!(std::fs::read(&file).unwrap(), bytes, "the link is replaced");
+    each(&|file, bytes| assert_eq!(std::fs::read(file).unwrap(), bytes, "the link is replaced"));
 }
 
 #[test]
 fn other_contents_and_options_have_pairs_of_their_own() {
     let folder = filmed();
     let first = prepared(&opened(folder.path()));
-    assert_eq!(prepared(&with_features(folder.path(), 300)).found, 0);
+    let mut fewer = RenderOptions::default();
+    fewer.registration.corners.max_corners = 300;
+    assert_eq!(opened(folder.path()).prepare(&fewer, |_| ()).unwrap().found, 0);
     assert_eq!(prepared(&opened(folder.path())).found, first.pairs);
     let frame = opened(folder.path()).capture().cameras[0].frames[0].clone();
     let other = opened(folder.path()).capture().cameras[0].frames[2].clone();
@@ -165,10 +191,11 @@ fn links_lead_nowhere() {
     let (folder, elsewhere) = (filmed(), tempfile::tempdir().unwrap());
     std::fs::write(elsewhere.path().join("mine"), "precious").unwrap();
     std::fs::create_dir_all(folder.path().join(".stlfr")).unwrap();
-    let link = folder.path().join(".stlfr/registered");
+    let link = folder.path().join(".stlfr/cache");
     std::os::unix::fs::symlink(elsewhere.path(), &link).unwrap();
-    let error = opened(folder.path()).prepare(0.0, |_| ()).unwrap_err().to_string();
-    assert!(error.contains(".stlfr/registered") && error.contains("link"), "{error}");
+    let error = opened(folder.path()).prepare(&RenderOptions::default(), |_| ());
+    let error = error.unwrap_err().to_string();
+    assert!(error.contains(".stlfr/cache") && error.contains("link"), "{error}");
     assert!(delete_prepared(folder.path()).is_err());
     assert_eq!(std::fs::read_dir(elsewhere.path()).unwrap().count(), 1);
 }

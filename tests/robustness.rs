@@ -10,10 +10,11 @@ use common::{assert_refused, describe, edit, read_json, run, stderr, stlfr, succ
 use serde_json::{Value, json};
 use std::path::Path;
 use stlfr::interpolation::SyncMethod;
+use stlfr::light_field::Context;
 use stlfr::light_field::RenderError;
 use stlfr::method::Method;
 use stlfr::offset::Offsets;
-use stlfr::options::{ProxyMethod, ViewOptions};
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::random::Random;
 use stlfr::raster::{BitDepth, Image, write_image};
 use tempfile::TempDir;
@@ -93,8 +94,8 @@ fn blank_frames_show_no_offset_and_no_view() {
         let capture = open(&folder);
         let offsets = estimate(&capture);
         assert_unknown(&offsets, &[0, 2], "too few features can be followed");
-        let (field, options) = (field_of(&capture, offsets), ViewOptions::default());
-        let image = field.synchronized(1, 0.03, &options).unwrap().image;
+        let (field, options) = (field_of(&capture, offsets), RenderOptions::default());
+        let image = field.synchronized(1, 0.03, &options).unwrap().image.clone();
         assert!(image.data().iter().all(|v| (v - value).abs() < 0.01));
         let refused = field.view(&view(&scene.camera([0.01, 0.0, 0.0])), 0.03, &options);
         assert!(matches!(refused, Err(RenderError::NoPoints)), "{refused:?}");
@@ -126,7 +127,7 @@ fn one_frame_a_camera_is_the_same_at_any_time() {
     let capture = open(&folder);
     let offsets = estimate(&capture);
     assert_unknown(&offsets, &[0, 2], "one frame");
-    let (field, options) = (field_of(&capture, offsets), ViewOptions::default());
+    let (field, options) = (field_of(&capture, offsets), RenderOptions::default());
     let target = view(&scene.camera([0.02, 0.0, 0.0]));
     let first = field.view(&target, 0.0, &options).unwrap();
     assert!(first.coverage.iter().all(|c| *c));
@@ -142,7 +143,7 @@ fn a_view_without_a_feature_in_it_has_a_depth() {
     let scene = Scene::default();
     let folder = scene.film();
     let capture = open(&folder);
-    let (field, options) = (field_of(&capture, estimate(&capture)), ViewOptions::default());
+    let (field, options) = (field_of(&capture, estimate(&capture)), RenderOptions::default());
     let mut pixel = scene.camera([0.02, 0.0, 0.0]);
     (pixel["width"], pixel["height"]) = (json!(1), json!(1));
     pixel["params"] = json!([FOCAL_PX, FOCAL_PX, 0.5, 0.5]);
@@ -297,8 +298,9 @@ fn anything_that_opens_is_processed() {
             target.cam_from_world.translation.x -= 0.01;
             for time_s in [0.0, 0.02, 0.04, -3.0, 1e9] {
                 for &sync in SyncMethod::ALL {
-                    let options = options.clone().with_sync(sync);
-                    let synchronized = field.synchronized_all(time_s, &options).unwrap();
+                    let options = RenderOptions { sync, ..options.clone() };
+                    let synchronized =
+                        field.synchronized_all(time_s, &options, &Context::unattended()).unwrap();
                     for image in synchronized.iter().flatten() {
                         images += 1;
                         let finite = image.image.data().iter().all(|v| (0.0..=1.0).contains(v));

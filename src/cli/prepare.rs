@@ -8,13 +8,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 use stlfr::capture::CAPTURE_FILE;
-use stlfr::light_field::delete_prepared;
+use stlfr::host::DiskCache;
+use stlfr::light_field::PREPARED;
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
 
 /// Register all frame pairs of a capture beforehand, so that views need not.
 ///
-/// render, view and compare then find them in the capture's folder, under .stlfr/registered. Images stay the same to
+/// render, view and compare then find them in the capture's folder, under .stlfr/cache. Images stay the same to
 /// the byte. Stopped at any time, the same command continues. Other frames, offsets or registration options need
 /// pairs of their own; the presets share theirs.
 #[derive(Debug, clap::Args)]
@@ -35,11 +36,16 @@ pub struct PrepareArgs {
 /// Also of a capture that can't be opened.
 fn delete(capture: &Path, page: &mut Page) -> Result<(), CliError> {
     must_be_a_file(&capture.join(CAPTURE_FILE))?;
-    let deleted = delete_prepared(capture).map_err(|error| {
-        let folder = capture.join(".stlfr/registered");
-        of_io(format!("{}: can't be deleted ({error})", folder.display()), &error)
-    })?;
-    page.line(if deleted { "Deleted." } else { "Nothing was prepared." });
+    let cache = DiskCache::new(capture, |_| ());
+    let mut entries = 0;
+    for kind in PREPARED {
+        let deleted = cache.delete(Some(kind)).map_err(|error| {
+            let folder = capture.join(".stlfr/cache").join(kind);
+            of_io(format!("{}: can't be deleted ({error})", folder.display()), &error)
+        })?;
+        entries += deleted.entries;
+    }
+    page.line(if entries > 0 { "Deleted." } else { "Nothing was prepared." });
     Ok(())
 }
 
@@ -53,14 +59,14 @@ pub fn run(args: &PrepareArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     let options = args.options.read()?;
     let capture = Arc::new(open_capture(&args.capture, reporter)?);
     let field = pipeline::open_field(capture, &options, reporter)?;
-    let (pairs, bytes) = field.preparation_size();
+    let (pairs, bytes) = field.preparation_size(&options);
     reporter.note(&format!(
         "{pairs} frame pairs to register take at most {:.0} MB of disk.",
         bytes as f64 / MB
     ));
     let task = reporter.task("Registering frames", pairs);
     let start = Instant::now();
-    let prepared = field.prepare(options.interpolation.still_change, |done| task.set(done))?;
+    let prepared = field.prepare(&options, |done| task.set(done))?;
     let seconds = start.elapsed().as_secs_f64();
     drop(task);
     page.line(format_args!(

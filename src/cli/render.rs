@@ -10,7 +10,10 @@ use std::sync::mpsc::sync_channel;
 use stlfr::camera::Camera;
 use stlfr::capture::Capture;
 use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::{LightField, RenderError, Viewpoint, check_times_before_offsets};
+use stlfr::light_field::{
+    Context, LightField, RenderError, Request as ViewRequest, Viewpoint,
+    check_times_before_offsets, render,
+};
 use stlfr::lumigraph::{BlendMethod, Rendered};
 use stlfr::options::{ProxyMethod, RenderOptions, TrailMode};
 use stlfr::pipeline;
@@ -175,14 +178,15 @@ pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
         View::Like(_) => Viewpoint::Like(like.unwrap_or_default()),
     };
     field.check_times(from, &times_s)?;
-    let view = pipeline::resolved(&field, &options, reporter)?.view();
-    let instants = view.trail.count();
+    let options = pipeline::resolved(&field, &options, reporter)?;
+    let instants = options.trail.count();
     let task = reporter.task("rendering", times_s.len() * instants);
-    let views = times_s.iter().enumerate().map(|(index, time_s)| {
-        field.with_trail(from, *time_s, &view, |done, _| {
+    let views = times_s.iter().enumerate().map(|(index, &time_s)| {
+        let proceed = |done, _| {
             task.set(index * instants + done);
             true
-        })
+        };
+        render(&field, &ViewRequest::new(from, time_s, &options), &Context::new(&proceed))
     });
     write_all(views, writer, depth)
 }

@@ -14,6 +14,7 @@ use crate::metrics::{ReferenceImage, RegionScores};
 use crate::raster::{BitDepth, Image, write_image};
 use rayon::prelude::*;
 use std::path::Path;
+use std::sync::Arc;
 
 /// What the comparisons of all instants share.
 pub(super) struct Comparison<'a> {
@@ -47,7 +48,7 @@ pub(super) struct Target<'a> {
 pub(super) type ImageOrReason = Result<Image, String>;
 
 /// The same of a camera's image at the instant.
-pub(super) type SynchronizedOrReason = Result<Synchronized, String>;
+pub(super) type SynchronizedOrReason = Result<Arc<Synchronized>, String>;
 
 const RENDERING: &str = "synchronized images";
 const BLENDING: &str = "views";

@@ -1,14 +1,13 @@
 //! A light field, as what is compared.
 
-use super::Renderer;
 use super::results::StageTime;
-use crate::camera::Camera;
+use super::{ComparedView, Renderer};
 use crate::capture::Capture;
 use crate::interpolation::{SyncMethod, Synchronized};
-use crate::light_field::{LightField, RenderError};
+use crate::light_field::{Context, LightField, RenderError, Request, Viewpoint, render};
 use crate::lumigraph::Rendered;
 use crate::offset::Offsets;
-use crate::options::{ProxyMethod, RenderOptions, ViewOptions};
+use crate::options::{RenderOptions, TrailOptions};
 use crate::pipeline;
 use crate::progress::Reporter;
 use std::sync::Arc;
@@ -18,7 +17,6 @@ use std::time::Instant;
 pub struct ComparedLightField {
     field: LightField,
     options: RenderOptions,
-    view: ViewOptions,
     preparation_s: f64,
 }
 
@@ -33,8 +31,7 @@ impl ComparedLightField {
         let start = Instant::now();
         let field = pipeline::open_field(capture, options, reporter)?;
         let options = pipeline::resolved(&field, options, reporter)?;
-        let view = options.view();
-        Ok(Self { field, options, view, preparation_s: start.elapsed().as_secs_f64() })
+        Ok(Self { field, options, preparation_s: start.elapsed().as_secs_f64() })
     }
 }
 
@@ -52,24 +49,23 @@ impl Renderer for ComparedLightField {
         sync: SyncMethod,
         camera: usize,
         time_s: f64,
-    ) -> Result<Synchronized, String> {
-        let options = self.view.clone().with_sync(sync);
+    ) -> Result<Arc<Synchronized>, String> {
+        let options = RenderOptions { sync, ..self.options.clone() };
         self.field.synchronized(camera, time_s, &options).map_err(|e| e.to_string())
     }
 
-    fn view(
-        &self,
-        images: &[Option<Synchronized>],
-        shape: &[Option<Synchronized>],
-        proxy: ProxyMethod,
-        target: &Camera,
-        time_s: f64,
-    ) -> Result<Rendered, String> {
-        let mut options = self.view.clone();
-        options.proxy.method = proxy;
-        let geometry = self.field.geometry(shape, target, time_s, &options);
-        let geometry = geometry.map_err(|e| e.to_string())?;
-        Ok(self.field.blend(images, &geometry, target, &options.blend))
+    fn view(&self, view: &ComparedView) -> Result<Rendered, String> {
+        // An instant is compared with the truth, without a trail.
+        let mut options = RenderOptions { trail: TrailOptions::default(), ..self.options.clone() };
+        options.proxy.method = view.proxy;
+        let request = Request {
+            from: Viewpoint::View(view.target),
+            time_s: view.time_s,
+            options: &options,
+            images: view.images,
+            shape: view.shape,
+        };
+        render(&self.field, &request, &Context::unattended()).map_err(|e| e.to_string())
     }
 
     fn covered_span_s(&self) -> Option<(f64, f64)> {

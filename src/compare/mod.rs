@@ -50,6 +50,7 @@ pub use offset_score::{OffsetScore, ScoredOffset};
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError, TruthError};
 use crate::interpolation::{SyncMethod, Synchronized};
+use crate::light_field::Images;
 use crate::lumigraph::Rendered;
 use crate::method::Method;
 use crate::metrics::flip;
@@ -59,6 +60,7 @@ use crate::raster::ImageFileError;
 use results::{Headline, StageTime};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// The files of a comparison's folder that always have the same names.
 pub const FILES: [&str; 5] =
@@ -85,18 +87,10 @@ pub trait Renderer: Sync {
         sync: SyncMethod,
         camera: usize,
         time_s: f64,
-    ) -> Result<Synchronized, String>;
+    ) -> Result<Arc<Synchronized>, String>;
 
-    /// A view blended from one image a filming camera (`None`: excluded). A proxy that is estimated
-    /// from images is estimated from `shape`.
-    fn view(
-        &self,
-        images: &[Option<Synchronized>],
-        shape: &[Option<Synchronized>],
-        proxy: ProxyMethod,
-        target: &Camera,
-        time_s: f64,
-    ) -> Result<Rendered, String>;
+    /// A view that is blended from images of the filming cameras.
+    fn view(&self, view: &ComparedView) -> Result<Rendered, String>;
 
     /// The first and the last time at which all cameras can give an image.
     fn covered_span_s(&self) -> Option<(f64, f64)>;
@@ -106,6 +100,18 @@ pub trait Renderer: Sync {
 
     /// What the preparation took.
     fn timings(&self) -> Vec<StageTime>;
+}
+
+/// A view that is compared.
+#[derive(Clone, Copy, Debug)]
+pub struct ComparedView<'a> {
+    pub target: &'a Camera,
+    pub time_s: f64,
+    pub proxy: ProxyMethod,
+    /// The images that are blended.
+    pub images: Images<'a>,
+    /// The images that depth per pixel is estimated from.
+    pub shape: Images<'a>,
 }
 
 /// What is compared, and how it is measured.

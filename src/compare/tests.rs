@@ -138,7 +138,7 @@ impl Renderer for Fake {
         sync: SyncMethod,
         camera: usize,
         time_s: f64,
-    ) -> Result<Synchronized, String> {
+    ) -> Result<Arc<Synchronized>, String> {
         assert!((0.0..=0.25).contains(&time_s), "times start with the capture: {time_s}");
         let error = match sync {
             SyncMethod::Nearest => 0.1,
@@ -147,18 +147,17 @@ impl Renderer for Fake {
         };
         let mut image = self.truth.clone();
         image.data_mut().iter_mut().for_each(|v| *v += error);
-        Ok(Synchronized::filmed(image))
+        Ok(Arc::new(Synchronized::filmed(image)))
     }
 
-    fn view(
-        &self,
-        images: &[Option<Synchronized>],
-        _: &[Option<Synchronized>],
-        _: ProxyMethod,
-        target: &Camera,
-        _: f64,
-    ) -> Result<Rendered, String> {
-        let images: Vec<&Image> = images.iter().flatten().map(|s| &s.image).collect();
+    fn view(&self, view: &ComparedView) -> Result<Rendered, String> {
+        let &ComparedView { target, time_s, .. } = view;
+        let of = |camera: usize| match view.images {
+            Images::By(sync) => self.synchronized(sync, camera, time_s).ok(),
+            Images::Given(given) => given.of(camera).cloned(),
+        };
+        let images: Vec<Arc<Synchronized>> = (0..2).filter_map(of).collect();
+        let images: Vec<&Image> = images.iter().map(|s| &s.image).collect();
         let mean = |k: usize| images.iter().map(|i| i.data()[k]).sum::<f32>() / images.len() as f32;
         let coverage: Vec<bool> = (0..W * H).map(|k| k < self.covered).collect();
         let data = (0..W * H * 3).map(|k| if coverage[k / 3] { mean(k) } else { 0.0 }).collect();

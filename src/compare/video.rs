@@ -3,10 +3,11 @@
 
 use super::results::ViewMethod;
 use super::sheet::strip;
-use super::{Renderer, TRADITIONAL};
+use super::{ComparedView, Renderer, TRADITIONAL};
 use crate::camera::Camera;
 use crate::capture::{Capture, Truth, TruthError, TruthVideo};
-use crate::interpolation::{SyncMethod, Synchronized};
+use crate::interpolation::SyncMethod;
+use crate::light_field::Images;
 use crate::progress::Reporter;
 use crate::raster::{BitDepth, read_image};
 use crate::raster::{Image, ImageFileError};
@@ -169,22 +170,13 @@ impl<'a> Plan<'a> {
             }
             panels.push(Panel { slug: "truth", title: "Truth".into(), image: image.to_rgb() });
         }
-        let cameras = renderer.capture().cameras.len();
-        let all = |sync: SyncMethod| -> Vec<Option<Synchronized>> {
-            (0..cameras).map(|c| renderer.synchronized(sync, c, time_s).ok()).collect()
-        };
-        let shape = all(self.sync);
+        let (target, proxy) = (&shots.target, renderer.options().proxy.method);
+        let shape = Images::By(self.sync);
         for (method, sync) in
             [(ViewMethod::TraditionalLfr, TRADITIONAL), (ViewMethod::StLfr, self.sync)]
         {
-            let images = if sync == self.sync { shape.clone() } else { all(sync) };
-            let view = renderer.view(
-                &images,
-                &shape,
-                renderer.options().proxy.method,
-                &shots.target,
-                time_s,
-            );
+            let images = Images::By(sync);
+            let view = renderer.view(&ComparedView { target, time_s, proxy, images, shape });
             let view = view.ok().map(|v| v.image.to_rgb()).filter(fits);
             let none = if view.is_some() { "" } else { ": no image" };
             panels.push(Panel {

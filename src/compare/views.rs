@@ -4,14 +4,16 @@ use super::instant::{Comparison, ImageOrReason, Shown, SynchronizedOrReason, Tar
 use super::report::Figure;
 use super::results::{ExcludedCamera, ViewMethod, ViewResult};
 use super::truths::TrueImage;
-use super::{CompareError, TRADITIONAL};
+use super::{CompareError, ComparedView, TRADITIONAL};
 use crate::interpolation::{SyncMethod, Synchronized};
+use crate::light_field::{GivenImages, Images};
 use crate::lumigraph::Rendered;
 use crate::method::Method;
 use crate::metrics::ReferenceImage;
 use crate::options::ProxyMethod;
 use crate::raster::Image;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// One view through one proxy by one method, before it is measured.
 pub(super) struct Blend {
@@ -38,18 +40,27 @@ impl Comparison<'_> {
         };
         let true_image = |camera: usize| {
             let at = target.instant.views.iter().position(|v| v.like == Some(camera));
-            at.map(|k| Synchronized::filmed(truths[k].image.clone()))
+            at.map(|k| Arc::new(Synchronized::filmed(truths[k].image.clone())))
                 .ok_or_else(|| "the truth has no image of it at this instant".to_owned())
         };
-        let synchronized: Vec<_> = by(self.options.sync).into_iter().map(Result::ok).collect();
+        let true_images: Vec<_> = (0..capture.cameras.len()).map(true_image).collect();
+        let given = true_images.iter().map(|image| image.as_ref().ok().cloned()).collect();
+        let given = GivenImages::filmed(given);
+        let synchronized = Images::By(self.options.sync);
         let mut blends = Vec::new();
         for method in ViewMethod::ALL {
-            let images: Vec<SynchronizedOrReason> = match method {
-                ViewMethod::TraditionalLfr => by(TRADITIONAL),
-                ViewMethod::StLfr => by(self.options.sync),
-                ViewMethod::PerfectSync => (0..capture.cameras.len()).map(true_image).collect(),
+            // Images of other instants than the view's show no shape.
+            let (made, images, shape) = match method {
+                ViewMethod::TraditionalLfr => {
+                    (by(TRADITIONAL), Images::By(TRADITIONAL), synchronized)
+                }
+                ViewMethod::StLfr => (by(self.options.sync), synchronized, synchronized),
+                ViewMethod::PerfectSync => {
+                    (true_images.clone(), Images::Given(&given), Images::Given(&given))
+                }
             };
-            let excluded: Vec<ExcludedCamera> = images
+            let cameras = made.iter().flatten().count();
+            let excluded: Vec<ExcludedCamera> = made
                 .iter()
                 .zip(&capture.cameras)
                 .filter_map(|(image, camera)| {
@@ -57,16 +68,12 @@ impl Comparison<'_> {
                     Some(ExcludedCamera { camera: camera.id.clone(), reason })
                 })
                 .collect();
-            let images: Vec<Option<Synchronized>> = images.into_iter().map(Result::ok).collect();
-            // Images of other instants than the view's show no shape.
-            let shape = if method == ViewMethod::TraditionalLfr { &synchronized } else { &images };
             for &proxy in ProxyMethod::ALL {
-                let cameras = images.iter().flatten().count();
                 let rendered = if cameras == 0 {
                     Err("no camera has an image at this instant".to_owned())
                 } else {
-                    let (camera, time_s) = (&target.view.camera, target.instant.inner_s);
-                    self.renderer.view(&images, shape, proxy, camera, time_s)
+                    let (target, time_s) = (&target.view.camera, target.instant.inner_s);
+                    self.renderer.view(&ComparedView { target, time_s, proxy, images, shape })
                 };
                 let excluded = excluded.clone();
                 blends.push(Blend { proxy, method, cameras, excluded, rendered });

@@ -52,8 +52,8 @@ fn outside(time_s: f64, first_s: f64, last_s: f64, covered: &str) -> String {
 }
 
 impl RenderError {
-    /// Whether another instant may be better.
-    pub(super) fn is_of_the_instant(&self) -> bool {
+    /// Whether rendering may succeed at another instant.
+    pub(super) fn may_succeed_at_another_time(&self) -> bool {
         matches!(
             self,
             Self::Time { .. }

@@ -1,155 +1,170 @@
-//! §6: points of the scene at one instant, from spatial correspondences that are "interpolated to
-//! the same instant" and triangulated.
+//! §6: points of the scene at one instant, from spatial correspondences that are "interpolated to the same instant"
+//! and triangulated, and the proxy through them.
 
-use super::{LightField, RenderError};
+use super::correspondences::{Instant, frames_around, observations};
+use super::graph::LightField;
+use super::stages::{CameraPoints, Correspondences, Stage};
+use super::{Context, RenderError};
 use crate::camera::Camera;
 use crate::capture::FilmedCamera;
-use crate::lumigraph::triangulate;
-use crate::options::ViewOptions;
+use crate::lumigraph::{Mesh, Plane, Proxy, triangulate};
+use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
 use nalgebra::Point3;
 use rayon::prelude::*;
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
-/// How many triangulated points are cached, those of all cameras together: 12 MB of them. More only
-/// saves triangulating again for another view of an earlier instant.
-pub(super) const MAX_CACHED_POINTS: usize = 1 << 19;
+/// Largest reprojection error of a point (root mean square), pixels.
+const MAX_ERROR_PX: f64 = 0.7;
 
-/// Largest reprojection error of a point (root mean square).
-const MAX_REPROJECTION_ERROR_PX: f64 = 0.7;
+impl Stage for CameraPoints<'_> {
+    type Output = Vec<Point3<f64>>;
+    const NAME: &'static str = "points";
 
-/// All that the points of a camera depend on, besides what the light field was opened with.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub(super) struct PointsKey {
-    camera: usize,
-    partners: Vec<usize>,
-    /// The time and the options, bit by bit.
-    numbers: [u64; 2],
-}
+    fn bytes(points: &Vec<Point3<f64>>) -> usize {
+        size_of_val(points.as_slice())
+    }
 
-impl PointsKey {
-    fn new(camera: usize, partners: &[usize], Instant { time_s, options }: Instant) -> Self {
-        let still_change = f64::from(options.interpolation.still_change);
-        let numbers = [time_s, still_change].map(f64::to_bits);
-        Self { camera, partners: partners.to_vec(), numbers }
+    fn compute(
+        &self,
+        field: &LightField,
+        context: &Context,
+    ) -> Result<Vec<Point3<f64>>, RenderError> {
+        let cameras = std::iter::once(self.camera).chain(self.partners.iter().copied());
+        let instant = self.instant();
+        let around = cameras.map(|c| frames_around(field, c, instant)).collect::<Result<_, _>>()?;
+        let stage = Correspondences { around, registration: self.registration };
+        let matched = field.get(&stage, context)?;
+        Ok(observations(field, &matched, self.time_s)
+            .iter()
+            .filter(|observations| observations.len() > 1)
+            .filter_map(|observations| triangulate(observations))
+            .filter(|t| t.rms_px <= MAX_ERROR_PX)
+            .map(|t| t.point)
+            .collect())
     }
 }
 
-/// The instant, and what of a view's options points depend on.
-#[derive(Clone, Copy)]
-pub(super) struct Instant<'a> {
-    pub time_s: f64,
-    pub options: &'a ViewOptions,
+impl CameraPoints<'_> {
+    fn instant(&self) -> Instant<'_> {
+        let Self { time_s, registration, still_change, .. } = *self;
+        Instant { time_s, registration, still_change }
+    }
 }
 
 impl LightField {
     /// Points of the scene at a time, as the cameras nearest to the view see them; metres, world.
-    /// Those of each camera are cached: other views of the same instant start from the same points.
-    pub(crate) fn points(
+    ///
+    /// # Errors
+    /// [`RenderError::Capture`] if a frame can't be read.
+    pub fn points(
         &self,
         target: &Camera,
         time_s: f64,
-        options: &ViewOptions,
+        options: &RenderOptions,
     ) -> Result<Vec<Point3<f64>>, RenderError> {
-        self.points_by(target, Instant { time_s, options }, true)
-    }
-
-    /// The same without cached points: but for correspondences that are known, it takes as long as for the first view
-    /// of an instant.
-    pub(super) fn uncached_points(
-        &self,
-        target: &Camera,
-        time_s: f64,
-        options: &ViewOptions,
-    ) -> Result<Vec<Point3<f64>>, RenderError> {
-        self.points_by(target, Instant { time_s, options }, false)
-    }
-
-    fn points_by(
-        &self,
-        target: &Camera,
-        instant: Instant,
-        cached: bool,
-    ) -> Result<Vec<Point3<f64>>, RenderError> {
-        // Once: threads that need them at the same time would all estimate them.
-        self.gains();
-        let cameras = self.with_partners(target, instant);
-        let key = |of: &(usize, Vec<usize>)| PointsKey::new(of.0, &of.1, instant);
-        let known: Vec<Option<Arc<Vec<Point3<f64>>>>> =
-            cameras.iter().map(|c| self.points.get(&key(c)).filter(|_| cached)).collect();
-        let unknown = cameras.iter().zip(&known).filter(|(_, known)| known.is_none());
-        self.load_frames(unknown.map(|(camera, _)| camera), instant)?;
-        let of = |(of, known): (&(usize, Vec<usize>), _)| -> Result<_, RenderError> {
-            if let Some(known) = known {
-                return Ok(known);
-            }
-            let found = Arc::new(self.points_of(of.0, &of.1, instant)?);
-            if cached {
-                self.points.insert(key(of), found.clone(), found.len());
-            }
-            Ok(found)
-        };
-        let all: Vec<_> = cameras.par_iter().zip(known).map(of).collect::<Result<_, _>>()?;
+        let cameras = with_partners(self, target, time_s, &options.proxy);
+        let stages: Vec<CameraPoints> = cameras
+            .iter()
+            .map(|(camera, partners)| CameraPoints {
+                camera: *camera,
+                partners,
+                time_s,
+                registration: &options.registration,
+                still_change: options.interpolation.still_change,
+            })
+            .collect();
+        let unknown = stages.iter().filter(|stage| self.cached(*stage).is_none());
+        load_frames(self, unknown)?;
+        let context = &Context::unattended();
+        let all: Vec<_> =
+            stages.par_iter().map(|stage| self.get(stage, context)).collect::<Result<_, _>>()?;
         Ok(all.iter().flat_map(|points| points.iter().copied()).collect())
     }
 
-    /// Decodes the frames around an instant that are not cached, of all these cameras and partners: side by side, and
-    /// each once. Decodes nothing if the cache doesn't hold all of them.
-    fn load_frames<'a>(
-        &self,
-        cameras: impl Iterator<Item = &'a (usize, Vec<usize>)>,
-        instant: Instant,
-    ) -> Result<(), RenderError> {
-        let all: BTreeSet<usize> =
-            cameras.flat_map(|(c, partners)| partners.iter().chain([c])).copied().collect();
-        if !self.frames().fits(all.iter().copied(), 2) {
-            return Ok(());
-        }
-        let mut frames = Vec::new();
-        for camera in all {
-            let (k, later) = self.bracket(camera, instant.time_s)?;
-            frames.push((camera, k));
-            frames.extend((later != k).then_some((camera, later)));
-        }
-        frames.into_par_iter().try_for_each(|(camera, frame)| {
-            self.frames().get(camera, frame)?;
-            Ok(())
-        })
-    }
-
-    /// The cameras nearest to a view, each with those that its features are matched with.
-    fn with_partners(
+    /// The proxy of a view at a time; a mesh for [`ProxyMethod::Depth`].
+    ///
+    /// # Errors
+    /// [`RenderError::NoPoints`] if there are no points around the view, [`RenderError::NothingSeen`] if there are
+    /// points outside of the view only.
+    pub fn proxy(
         &self,
         target: &Camera,
-        Instant { time_s, options }: Instant,
-    ) -> Vec<(usize, Vec<usize>)> {
-        let usable = self.usable(time_s);
-        let cameras = &self.capture().cameras;
-        let with = |camera: usize| {
-            let mut partners = nearest(cameras, &usable, &cameras[camera].camera);
-            partners.retain(|&j| j != camera);
-            partners.truncate(options.proxy.partners);
-            (camera, partners)
+        time_s: f64,
+        options: &RenderOptions,
+    ) -> Result<Proxy, RenderError> {
+        // A plane whose depth the user sets needs no points.
+        if let (ProxyMethod::Plane, Some(depth_m)) =
+            (options.proxy.method, options.proxy.plane_depth_m)
+        {
+            return Ok(Proxy::Plane(Plane::fronto_parallel(target, depth_m)));
+        }
+        let points = &self.points(target, time_s, options)?;
+        let proxy = match options.proxy.method {
+            ProxyMethod::Plane => {
+                let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
+                Plane::fit(&weighted, target).map(Proxy::Plane)
+            }
+            ProxyMethod::Mesh | ProxyMethod::Depth => {
+                Mesh::build(points, target, options.proxy.depth_edges).map(Proxy::Mesh)
+            }
         };
-        let near = nearest(cameras, &usable, target);
-        near.into_iter().take(options.proxy.cameras).map(with).collect()
+        // A view of a bare spot, or of a single pixel, has no feature in it, but a depth.
+        let around = || Plane::amid(points, target).map(Proxy::Plane);
+        let is_seen = |p| target.project(p).is_some_and(|pixel| target.contains(&pixel));
+        proxy.or_else(around).ok_or_else(|| {
+            if points.is_empty() || points.iter().any(is_seen) {
+                RenderError::NoPoints
+            } else {
+                RenderError::NothingSeen
+            }
+        })
     }
+}
 
-    fn points_of(
-        &self,
-        camera: usize,
-        partners: &[usize],
-        instant: Instant,
-    ) -> Result<Vec<Point3<f64>>, RenderError> {
-        let seen = self.correspondences(camera, partners, instant)?.observations(self, instant);
-        Ok(seen
-            .iter()
-            .filter(|observations| observations.len() > 1)
-            .filter_map(|observations| triangulate(observations))
-            .filter(|t| t.rms_px <= MAX_REPROJECTION_ERROR_PX)
-            .map(|t| t.point)
-            .collect())
+/// Decodes the frames around an instant that these stages need: side by side, and each once. Decodes nothing if the
+/// memo doesn't hold all of them.
+fn load_frames<'a>(
+    field: &LightField,
+    stages: impl Iterator<Item = &'a CameraPoints<'a>>,
+) -> Result<(), RenderError> {
+    let stages: Vec<&CameraPoints> = stages.collect();
+    let Some(first) = stages.first() else { return Ok(()) };
+    let frames = field.frames(first.registration);
+    // Estimated once, before threads ask for them in parallel.
+    frames.gains();
+    let cameras: BTreeSet<usize> =
+        stages.iter().flat_map(|s| s.partners.iter().chain([&s.camera])).copied().collect();
+    if !frames.fits(cameras.iter().copied(), 2) {
+        return Ok(());
     }
+    let mut indices = Vec::new();
+    for camera in cameras {
+        let (k, later) = field.timeline().bracket(camera, first.time_s)?;
+        indices.push((camera, k));
+        indices.extend((later != k).then_some((camera, later)));
+    }
+    indices.into_par_iter().try_for_each(|(camera, index)| {
+        frames.get(camera, index)?;
+        Ok(())
+    })
+}
+
+/// The cameras nearest to a view, each with those that its features are matched with.
+fn with_partners(
+    field: &LightField,
+    target: &Camera,
+    time_s: f64,
+    options: &ProxyOptions,
+) -> Vec<(usize, Vec<usize>)> {
+    let usable = field.usable(time_s);
+    let cameras = &field.capture().cameras;
+    let with = |camera: usize| {
+        let mut partners = nearest(cameras, &usable, &cameras[camera].camera);
+        partners.retain(|&j| j != camera);
+        partners.truncate(options.partners);
+        (camera, partners)
+    };
+    nearest(cameras, &usable, target).into_iter().take(options.cameras).map(with).collect()
 }
 
 /// Cameras by the distance of their centres from a view's; ties by index.

@@ -1,14 +1,12 @@
 //! Temporal integration (Fig. 1): the paths of what moves, in one picture.
 //!
 //! The paper overlays the images of every camera's sequence and blends the overlays. Here the
-//! finished views of the instants are overlaid, each with the proxy of its own instant: the same
-//! for a plane that stays where it is, and right for shapes that move with time as well. It costs a
-//! view for every instant; the registered frames are shared.
+//! finished views of the instants are overlaid, each with the proxy of its own instant: equal
+//! for a plane that stays where it is, and right for shapes that move with time as well.
 
-use super::{LightField, RenderError};
 use crate::camera::Camera;
 use crate::lumigraph::Rendered;
-use crate::options::{TrailMode, ViewOptions};
+use crate::options::TrailMode;
 use crate::raster::{Image, encoded_from_linear, linear_from_encoded};
 
 /// From where an image with a trail is seen.
@@ -20,66 +18,8 @@ pub enum Viewpoint<'a> {
     Like(usize),
 }
 
-impl LightField {
-    /// A view, or a filming camera's image, integrated over the trail of the options; without a
-    /// trail, [`Self::view`] or [`Self::synchronized`] itself.
-    ///
-    /// A trail ends where the recording starts: instants before it are skipped, and so are those at
-    /// which no camera sees anything or the shape can't be triangulated. The last instant is never
-    /// skipped: its error is the result. A pixel is covered if it is covered at any of the instants,
-    /// and integrates over those.
-    ///
-    /// `proceed` is called before every step of every instant with the number of finished instants and of
-    /// all; if it returns false, the result is [`RenderError::Stopped`].
-    pub fn with_trail(
-        &self,
-        from: Viewpoint,
-        time_s: f64,
-        options: &ViewOptions,
-        mut proceed: impl FnMut(usize, usize) -> bool,
-    ) -> Result<Rendered, RenderError> {
-        let instants_s = options.trail.instants_s(time_s);
-        let mut overlay: Option<Overlay> = None;
-        for (k, &instant_s) in instants_s.iter().enumerate() {
-            let mut go_on = || proceed(k, instants_s.len());
-            if !go_on() {
-                return Err(RenderError::Stopped);
-            }
-            let instant = self.instant(from, instant_s, options, &mut go_on);
-            let rendered = match (instant, &mut overlay) {
-                (Err(error), Some(_)) if error.is_of_the_instant() => continue,
-                (rendered, _) => rendered?,
-            };
-            if instants_s.len() == 1 {
-                return Ok(rendered);
-            }
-            overlay
-                .get_or_insert_with(|| Overlay::like(&rendered, options.trail.mode))
-                .add(&rendered);
-        }
-        overlay.map(Overlay::finish).ok_or(RenderError::NothingSeen)
-    }
-
-    fn instant(
-        &self,
-        from: Viewpoint,
-        time_s: f64,
-        options: &ViewOptions,
-        proceed: &mut dyn FnMut() -> bool,
-    ) -> Result<Rendered, RenderError> {
-        match from {
-            Viewpoint::View(target) => self.view_while(target, time_s, options, proceed),
-            Viewpoint::Like(camera) => {
-                let image = self.synchronized(camera, time_s, options)?.image;
-                let coverage = vec![true; image.width() * image.height()];
-                Ok(Rendered { image, coverage })
-            }
-        }
-    }
-}
-
 /// Instants of one trail, added up.
-struct Overlay {
+pub(super) struct Overlay {
     mode: TrailMode,
     size: (usize, usize, usize),
     /// Sums of linear light, or the largest encoded values.
@@ -89,7 +29,7 @@ struct Overlay {
 }
 
 impl Overlay {
-    fn like(rendered: &Rendered, mode: TrailMode) -> Self {
+    pub fn like(rendered: &Rendered, mode: TrailMode) -> Self {
         let image = &rendered.image;
         Self {
             mode,
@@ -100,7 +40,7 @@ impl Overlay {
     }
 
     /// Adds an instant; all instants of a view have its size and channels.
-    fn add(&mut self, rendered: &Rendered) {
+    pub fn add(&mut self, rendered: &Rendered) {
         let channels = self.size.2;
         let pixels = rendered.image.data().chunks_exact(channels);
         for ((k, pixel), sums) in pixels.enumerate().zip(self.values.chunks_exact_mut(channels)) {
@@ -117,7 +57,7 @@ impl Overlay {
         }
     }
 
-    fn finish(self) -> Rendered {
+    pub fn finish(self) -> Rendered {
         let (width, height, channels) = self.size;
         let value = |k: usize, sum: f64| match (self.mode, self.counts[k / channels]) {
             (_, 0) => 0.0,

@@ -1,186 +1,158 @@
-//! A view (Fig. 2): the synchronized images that it is blended from, the scene's shape, the blend.
+//! A view (Fig. 2): the images that it is blended from, the scene's shape, the blend.
 
-use super::{Geometry, LightField, RenderError};
+use super::camera_image::image_in;
+use super::depth::images_of;
+use super::geometry::{Geometry, geometry, nearest_cameras};
+use super::graph::LightField;
+use super::stages::{CameraImage, ImageMethod, ImageSource};
+use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::capture::{Color, FilmedCamera};
-use crate::host::on_workers;
 use crate::interpolation::Synchronized;
-use crate::lumigraph::{BlendOptions, DepthMap, Rendered, Source, blend, contributing};
-use crate::options::ViewOptions;
+use crate::lumigraph::{BlendMethod, BlendOptions, Rendered, Source, blend, contributing};
 use crate::raster::{Image, Tiles};
 use rayon::prelude::*;
-use std::borrow::Cow;
 use std::sync::Arc;
 
-impl LightField {
-    /// The view from anywhere at a time.
-    ///
-    /// # Errors
-    /// [`RenderError::Time`] or [`RenderError::NoClock`] if no camera has an image at that time,
-    /// those of [`Self::proxy`], and [`RenderError::NothingSeen`] if no pixel is covered.
-    pub fn view(
-        &self,
-        target: &Camera,
-        time_s: f64,
-        options: &ViewOptions,
-    ) -> Result<Rendered, RenderError> {
-        on_workers(|| self.view_while(target, time_s, options, &mut || true))
-    }
+/// One image a camera, in the capture's order. `None`: the camera has none.
+type CameraImages = Vec<Option<Arc<Synchronized>>>;
 
-    /// [`Self::view`]; ends with [`RenderError::Stopped`] where `proceed` returns false, which is called
-    /// between its steps.
-    pub(crate) fn view_while(
-        &self,
-        target: &Camera,
-        time_s: f64,
-        options: &ViewOptions,
-        proceed: &mut dyn FnMut() -> bool,
-    ) -> Result<Rendered, RenderError> {
-        let mut go_on = || if proceed() { Ok(()) } else { Err(RenderError::Stopped) };
-        if self.usable(time_s).is_empty() {
-            return Err(self.no_camera_at(time_s));
+/// The view from a camera at an instant.
+pub(super) fn view(
+    field: &LightField,
+    target: &Camera,
+    request: &Request,
+    context: &Context,
+) -> Result<Rendered, RenderError> {
+    let &Request { time_s, options, .. } = request;
+    if field.usable(time_s).is_empty() {
+        return Err(field.timeline().no_camera_at(time_s));
+    }
+    context.check()?;
+    let geometry = geometry(field, target, request, context)?;
+    context.check()?;
+    let images = images(field, target, request, &geometry, context)?;
+    context.check()?;
+    let rendered = blend_images(field, &images, &geometry, target, &options.blend);
+    let is_seen = rendered.coverage.contains(&true);
+    if is_seen { Ok(rendered) } else { Err(RenderError::NothingSeen) }
+}
+
+/// The images that a view is blended from, as bright as the reference records them.
+fn images(
+    field: &LightField,
+    target: &Camera,
+    request: &Request,
+    geometry: &Geometry,
+    context: &Context,
+) -> Result<CameraImages, RenderError> {
+    let &Request { time_s, options, images, .. } = request;
+    let mut all: CameraImages = vec![None; field.capture().cameras.len()];
+    let near = nearest_cameras(field, target, time_s, options);
+    let candidates = match options.blend.method {
+        BlendMethod::SpaceTime => near.clone(),
+        BlendMethod::Lumigraph | BlendMethod::Uniform => field.usable(time_s),
+    };
+    let source = ImageSource::new(images, options);
+    let method = match &source {
+        ImageSource::Synchronized(method) => &**method,
+        ImageSource::Given(given) => {
+            let gains = field.gains(&options.registration);
+            let in_time = options.blend.method == BlendMethod::SpaceTime;
+            let candidates = if in_time { near } else { (0..all.len()).collect() };
+            for c in candidates {
+                all[c] = given.corrected_of(c, &gains);
+            }
+            return Ok(all);
         }
-        let mut images = self.blanks(time_s);
-        let whole = self.synchronize_geometry(&mut images, target, time_s, options)?;
-        go_on()?;
-        self.keep_candidates(&mut images, target, time_s, options);
-        let geometry = self.geometry(&images, target, time_s, options)?;
-        let mut needed = self.needed(&images, &geometry, target, &options.blend);
-        needed.retain(|(c, _)| !whole.contains(c));
-        go_on()?;
-        self.synchronize(&mut images, &needed, time_s, options)?;
-        go_on()?;
-        let rendered = self.blend(&images, &geometry, target, &options.blend);
-        if rendered.coverage.iter().any(|c| *c) {
-            Ok(rendered)
-        } else {
-            Err(RenderError::NothingSeen)
+    };
+    // The nearest cameras' whole images decide depths or weights; the others' may be cached.
+    let mut whole = near;
+    let is_cached = |&c: &usize| field.cached(&CameraImage { camera: c, time_s, method }).is_some();
+    whole.extend(candidates.iter().copied().filter(is_cached));
+    whole.retain(|c| candidates.contains(c));
+    whole.sort_unstable();
+    whole.dedup();
+    let found = images_of(field, &source, &whole, (time_s, &options.registration), context)?;
+    for (&c, image) in whole.iter().zip(found) {
+        all[c] = Some(image);
+    }
+    let missing: Vec<usize> = candidates.into_iter().filter(|&c| all[c].is_none()).collect();
+    if missing.is_empty() {
+        return Ok(all);
+    }
+    for &c in &missing {
+        all[c] = Some(Arc::new(Synchronized::filmed(blank(&field.capture().cameras[c]))));
+    }
+    let needed = needed(field, &all, geometry, target, &options.blend);
+    let gains = field.gains(&options.registration);
+    let with_error = options.blend.method == BlendMethod::SpaceTime;
+    let method = &ImageMethod { with_error, ..method.clone() };
+    let partial = |(c, parts): &(usize, Tiles)| {
+        let image = CameraImage { camera: *c, time_s, method };
+        let mut filmed = image_in(field, &image, Some(parts), context)?;
+        if let Some(image) = gains.corrected(*c, &filmed.image) {
+            filmed.image = image;
         }
+        Ok((*c, Arc::new(filmed)))
+    };
+    let needed = needed.par_iter().filter(|(c, _)| missing.contains(c)).map(partial);
+    for (c, image) in needed.collect::<Result<Vec<_>, RenderError>>()? {
+        all[c] = Some(image);
     }
+    Ok(all)
+}
 
-    /// Black images of the cameras that can give one at a time.
-    pub(crate) fn blanks(&self, time_s: f64) -> Vec<Option<Synchronized>> {
-        let mut images = vec![None; self.times_s.len()];
-        for c in self.usable(time_s) {
-            images[c] = Some(Synchronized::filmed(self.blank(c)));
-        }
-        images
-    }
+/// The cameras, of those with an image, that a view is blended from, and which parts of their images: most of a large
+/// rig are nowhere among the best.
+fn needed(
+    field: &LightField,
+    images: &CameraImages,
+    geometry: &Geometry,
+    target: &Camera,
+    options: &BlendOptions,
+) -> Vec<(usize, Tiles)> {
+    let sources = sources(field, images, geometry, options.method);
+    let needed = contributing(&sources, &geometry.view, target, options);
+    let cameras = (0..images.len()).filter(|&c| images[c].is_some());
+    cameras.zip(needed).filter(|(_, parts)| parts.any()).collect()
+}
 
-    /// Puts the images that the geometry is estimated from among `images`; which cameras' they are.
-    pub(crate) fn synchronize_geometry(
-        &self,
-        images: &mut [Option<Synchronized>],
-        target: &Camera,
-        time_s: f64,
-        options: &ViewOptions,
-    ) -> Result<Vec<usize>, RenderError> {
-        let cameras = self.geometry_cameras(target, time_s, options);
-        self.share_joint(&cameras, time_s, options)?;
-        let of = |c: &usize| self.synchronized(*c, time_s, options);
-        let synchronized: Vec<Synchronized> =
-            cameras.par_iter().map(of).collect::<Result<_, _>>()?;
-        for (&c, image) in cameras.iter().zip(synchronized) {
-            images[c] = Some(image);
-        }
-        Ok(cameras)
-    }
+/// Blends images that are as bright as the reference records them.
+pub(super) fn blend_images(
+    field: &LightField,
+    images: &[Option<Arc<Synchronized>>],
+    geometry: &Geometry,
+    target: &Camera,
+    options: &BlendOptions,
+) -> Rendered {
+    blend(&sources(field, images, geometry, options.method), &geometry.view, target, options)
+}
 
-    /// The cameras, of those with an image, that a view is blended from, and which parts of their
-    /// images: most of a large rig are nowhere among the best.
-    pub(crate) fn needed(
-        &self,
-        images: &[Option<Synchronized>],
-        geometry: &Geometry,
-        target: &Camera,
-        options: &BlendOptions,
-    ) -> Vec<(usize, Tiles)> {
-        let sources = self.sources(images, geometry);
-        let needed = contributing(&sources, &geometry.view, target, options);
-        let sources = (0..images.len()).filter(|&c| images[c].is_some());
-        sources.zip(needed).filter(|(_, parts)| parts.any()).collect()
-    }
+/// A black image of a camera's kind.
+fn blank(filmed: &FilmedCamera) -> Image {
+    let channels = if filmed.color == Color::Gray { 1 } else { 3 };
+    Image::filled(filmed.camera.width, filmed.camera.height, channels, 0.0)
+}
 
-    /// Puts parts of these cameras' images at a time among `images`.
-    pub(crate) fn synchronize(
-        &self,
-        images: &mut [Option<Synchronized>],
-        needed: &[(usize, Tiles)],
-        time_s: f64,
-        options: &ViewOptions,
-    ) -> Result<(), RenderError> {
-        let of =
-            |(c, parts): &(usize, Tiles)| self.synchronized_in(*c, time_s, options, Some(parts));
-        let synchronized: Vec<Synchronized> =
-            needed.par_iter().map(of).collect::<Result<_, _>>()?;
-        for ((c, _), image) in needed.iter().zip(synchronized) {
-            images[*c] = Some(image);
-        }
-        Ok(())
-    }
-
-    /// A black image of a camera's kind.
-    fn blank(&self, camera: usize) -> Image {
-        let filmed = &self.capture().cameras[camera];
-        let channels = if filmed.color == Color::Gray { 1 } else { 3 };
-        Image::filled(filmed.camera.width, filmed.camera.height, channels, 0.0)
-    }
-
-    /// Blends a view from one image a camera, as filmed, in the capture's order (`None`: the camera
-    /// has none). The view is as bright as the reference records it.
-    pub fn blend(
-        &self,
-        images: &[Option<Synchronized>],
-        geometry: &Geometry,
-        target: &Camera,
-        options: &BlendOptions,
-    ) -> Rendered {
-        self.blend_corrected(&self.corrected(images), geometry, target, options)
-    }
-
-    /// The same from images as bright as the reference records them.
-    pub(super) fn blend_corrected(
-        &self,
-        images: &[Option<Synchronized>],
-        geometry: &Geometry,
-        target: &Camera,
-        options: &BlendOptions,
-    ) -> Rendered {
-        blend(&self.sources(images, geometry), &geometry.view, target, options)
-    }
-
-    /// The images as bright as the reference records them.
-    pub(super) fn corrected<'a>(
-        &self,
-        images: &'a [Option<Synchronized>],
-    ) -> Cow<'a, [Option<Synchronized>]> {
-        let gains = self.gains();
-        if gains.are_equal() {
-            return Cow::Borrowed(images);
-        }
-        let correct = |(camera, image): (usize, &Option<Synchronized>)| {
-            let s = image.as_ref()?;
-            let image = gains.corrected(camera, &s.image).unwrap_or_else(|| s.image.clone());
-            Some(Synchronized { image, interpolation_error_px: s.interpolation_error_px.clone() })
-        };
-        Cow::Owned(images.par_iter().enumerate().map(correct).collect())
-    }
-
-    /// The cameras that have an image.
-    fn sources<'a>(
-        &'a self,
-        images: &'a [Option<Synchronized>],
-        geometry: &'a Geometry,
-    ) -> Vec<Source<'a>> {
-        let cameras = self.capture().cameras.iter().zip(images).zip(&geometry.sources);
-        let source =
-            |((filmed, image), depth): ((&'a FilmedCamera, _), &'a Option<Arc<DepthMap>>)| {
-                let Synchronized { image, interpolation_error_px }: &Synchronized =
-                    Option::as_ref(image)?;
-                let (depth, interpolation_error_px) =
-                    (depth.as_deref(), interpolation_error_px.as_deref());
-                Some(Source { camera: &filmed.camera, image, depth, interpolation_error_px })
-            };
-        cameras.filter_map(source).collect()
-    }
+/// The cameras that have an image. Errors of interpolation count in weights of time alone.
+fn sources<'a>(
+    field: &'a LightField,
+    images: &'a [Option<Arc<Synchronized>>],
+    geometry: &'a Geometry,
+    method: BlendMethod,
+) -> Vec<Source<'a>> {
+    let source = |camera: usize| {
+        let Synchronized { image, interpolation_error_px } = images[camera].as_deref()?;
+        let interpolation_error_px =
+            interpolation_error_px.as_deref().filter(|_| method == BlendMethod::SpaceTime);
+        let depth = geometry.sources[camera].as_deref();
+        Some(Source {
+            camera: &field.capture().cameras[camera].camera,
+            image,
+            depth,
+            interpolation_error_px,
+        })
+    };
+    (0..images.len()).filter_map(source).collect()
 }

@@ -6,20 +6,16 @@ use super::{Level, LiveError, Method, PictureRequest, Places};
 use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::compare::TRADITIONAL;
-use crate::host::BoundedCache;
-use crate::interpolation::{SyncMethod, Synchronized};
-use crate::light_field::{LightField, Moment, RenderError};
+use crate::interpolation::SyncMethod;
+use crate::light_field::{Context, Images, LightField, RenderError, Request, Viewpoint, render};
 use crate::lumigraph::Rendered;
 use crate::method::Method as _;
-use crate::options::{Preset, ProxyMethod, RenderOptions, TrailOptions, ViewOptions};
+use crate::options::{Preset, RenderOptions, TrailOptions};
 use crate::progress::Reporter;
 use crate::raster::luma;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// How much memory instants may take that views are made from, bytes. Larger: memory; smaller: two viewers at
-/// two times, with two methods each, make every instant anew (five of eight cameras of 640×480 fit).
-const MAX_INSTANT_BYTES: usize = 160 << 20;
 /// How much of the colours that stand for cameras is mixed into the picture. More: the scene can't be told;
 /// less: the cameras can't.
 const TINT: f32 = 0.5;
@@ -43,21 +39,16 @@ struct Asked<'p> {
     /// In the light field, seconds.
     time_s: f64,
     level: Level,
-    proceed: Proceed<'p>,
+    context: Context<'p>,
 }
-
-/// All that an instant depends on: the time, bit by bit, and the images.
-type InstantKey = (u64, &'static str);
 
 /// A light field with its truth, and what its pictures share.
 pub struct Studio<'a> {
     field: &'a LightField,
     places: Arc<Places>,
     truth: TrueViews,
-    full: ViewOptions,
-    quick: ViewOptions,
-    /// By the full options.
-    instants: BoundedCache<InstantKey, Arc<Moment<'a>>>,
+    full: RenderOptions,
+    quick: RenderOptions,
     colors: Colors,
     words: Vec<String>,
 }
@@ -78,9 +69,8 @@ impl<'a> Studio<'a> {
             field,
             places: Arc::new(places),
             truth,
-            full: ViewOptions { trail: TrailOptions::default(), ..options.view() },
-            quick: Preset::Draft.options().view(),
-            instants: BoundedCache::new(MAX_INSTANT_BYTES),
+            full: RenderOptions { trail: TrailOptions::default(), ..options.clone() },
+            quick: Preset::Draft.options(),
             colors,
             words: Vec::new(),
         }
@@ -116,7 +106,7 @@ impl<'a> Studio<'a> {
         &self.colors
     }
 
-    fn options(&self, level: Level) -> &ViewOptions {
+    fn options(&self, level: Level) -> &RenderOptions {
         match level {
             Level::Quick => &self.quick,
             Level::Full | Level::Saved => &self.full,
@@ -156,7 +146,9 @@ impl<'a> Studio<'a> {
         proceed: Proceed,
     ) -> Result<(Rendered, Option<SyncMethod>), LiveError> {
         let time_s = request.time_s - self.capture().time_origin_s;
-        let asked = Asked { target, time_s, level: request.level, proceed };
+        let proceed = |_, _| proceed();
+        let context = Context::new(&proceed);
+        let asked = Asked { target, time_s, level: request.level, context };
         let (rendered, sync) = match request.method {
             Method::Truth => return Ok((self.truth.view(request, target)?, None)),
             Method::SpaceTime => self.view(&asked)?,
@@ -166,8 +158,8 @@ impl<'a> Studio<'a> {
         Ok((rendered, Some(sync)))
     }
 
-    /// Prepares the instant of a picture, so that views of it are quick, as long as `proceed` says so. What can't be
-    /// prepared is said where it is asked for.
+    /// Computes the cameras' images at the instant of a picture, so that views of it are quick, as long as `proceed`
+    /// returns true. An error shows when the picture is asked for.
     pub fn prepare(&self, request: &PictureRequest, proceed: Proceed) {
         let sync = match request.method {
             Method::Truth => return,
@@ -175,66 +167,53 @@ impl<'a> Studio<'a> {
             Method::Traditional => TRADITIONAL,
         };
         let time_s = request.time_s - self.capture().time_origin_s;
-        drop(self.instant(sync, time_s, proceed));
+        let options = RenderOptions { sync, ..self.full.clone() };
+        let _ = self.field.synchronized_all(time_s, &options, &Context::new(&|_, _| proceed()));
     }
 
-    /// The view, from the prepared instant if it is, and how its images were synchronized.
+    /// The view, and how its images were synchronized. A quick one takes the images of full quality if they are cached.
     fn view(&self, asked: &Asked) -> Result<(Rendered, SyncMethod), RenderError> {
         let options = self.options(asked.level);
-        let sync = self.full.sync;
-        match self.prepared(sync, asked.time_s) {
-            // With depth per pixel, a prepared instant's views are others than those of `stlfr render`.
-            Some(instant) if asked.level != Level::Saved => {
-                Ok((instant.view_by(asked.target, options)?, sync))
-            }
-            _ => Ok((self.afresh(asked, options)?, options.sync)),
+        let request = Request::new(Viewpoint::View(asked.target), asked.time_s, options);
+        if asked.level == Level::Quick
+            && let Some(images) = self.field.cached_instant(asked.time_s, &self.full)
+        {
+            let request = Request { images: Images::Given(&images), ..request };
+            return Ok((render(self.field, &request, &asked.context)?, self.full.sync));
         }
+        Ok((render(self.field, &request, &asked.context)?, options.sync))
     }
 
-    /// The view as `stlfr render` makes it.
-    fn afresh(&self, asked: &Asked, options: &ViewOptions) -> Result<Rendered, RenderError> {
-        self.field.view_while(asked.target, asked.time_s, options, &mut || (asked.proceed)())
-    }
-
-    /// The view from each camera's nearest frame. With depth per pixel it is shown over the same shape as
-    /// [`Self::view`], since frames of other instants than the view's show none; it is saved as
-    /// `stlfr render --sync nearest` makes it.
+    /// The view from each camera's nearest frame. It is shown over the shape of [`Self::view`], since frames of other
+    /// instants than the view's show none; it is saved as `stlfr render --sync nearest` makes it.
     fn traditional(&self, asked: &Asked) -> Result<Rendered, RenderError> {
-        let nearest = self.options(asked.level).clone().with_sync(TRADITIONAL);
-        let is_saved = asked.level == Level::Saved;
-        if nearest.proxy.method == ProxyMethod::Depth && !is_saved {
-            return self.over_depth(asked, &nearest);
-        }
-        match self.prepared(TRADITIONAL, asked.time_s) {
-            Some(instant) if !is_saved => instant.view_by(asked.target, &nearest),
-            _ => self.afresh(asked, &nearest),
-        }
-    }
-
-    /// The view by other options, over the shape that the synchronized images show.
-    fn over_depth(&self, asked: &Asked, options: &ViewOptions) -> Result<Rendered, RenderError> {
-        let &Asked { target, time_s, proceed, .. } = asked;
-        let geometry = self.instant(self.full.sync, time_s, proceed)?.geometry(target)?;
-        if !proceed() {
-            return Err(RenderError::Stopped);
-        }
-        let images: Vec<Option<Synchronized>> = self.field.synchronized_all(time_s, options)?;
-        let rendered = self.field.blend(&images, &geometry, target, &options.blend);
-        if rendered.coverage.contains(&true) { Ok(rendered) } else { Err(RenderError::NothingSeen) }
+        let mut options = self.options(asked.level).clone();
+        let shape = if asked.level == Level::Saved { TRADITIONAL } else { options.sync };
+        options.sync = TRADITIONAL;
+        let request = Request::new(Viewpoint::View(asked.target), asked.time_s, &options);
+        render(self.field, &Request { shape: Images::By(shape), ..request }, &asked.context)
     }
 
     /// The view with the cameras' colours, and how its images were synchronized.
     fn tinted(&self, asked: &Asked) -> Result<(Rendered, SyncMethod), RenderError> {
-        let &Asked { target, time_s, level, proceed } = asked;
-        let options = self.options(level);
-        let (instant, sync) = match (self.prepared(self.full.sync, time_s), level) {
-            (Some(instant), _) => (instant, self.full.sync),
+        let &Asked { target, time_s, level, ref context } = asked;
+        let full = &self.full;
+        let (images, sync) = match (self.field.cached_instant(time_s, full), level) {
+            (Some(images), _) => (images, full.sync),
             // Weights hardly depend on the images, and what shines through may be a frame.
-            (None, Level::Quick) => (self.instant(TRADITIONAL, time_s, proceed)?, TRADITIONAL),
-            (None, _) => (self.instant(self.full.sync, time_s, proceed)?, self.full.sync),
+            (None, Level::Quick) => {
+                let nearest = RenderOptions { sync: TRADITIONAL, ..full.clone() };
+                (self.field.corrected_all(time_s, &nearest, context)?, TRADITIONAL)
+            }
+            (None, _) => (self.field.corrected_all(time_s, full, context)?, full.sync),
         };
-        let mut view = instant.view_by(target, options)?;
-        let tint = instant.sources(target, options, self.colors.rgb())?;
+        let tinted = images.with_colors(self.colors.rgb());
+        let options = self.options(level);
+        let request = Request::new(Viewpoint::View(target), time_s, options);
+        let shown = Request { images: Images::Given(&images), ..request };
+        let mut view = render(self.field, &shown, context)?;
+        let request = Request { images: Images::Given(&tinted), ..request };
+        let tint = render(self.field, &request, context)?;
         let shown = view.image.to_rgb();
         view.image = tint.image;
         let pixels = view.image.data_mut().chunks_exact_mut(3);
@@ -243,33 +222,5 @@ impl<'a> Studio<'a> {
             pixel.iter_mut().for_each(|v| *v = gray * (1.0 - TINT) + *v * TINT);
         }
         Ok((view, sync))
-    }
-
-    fn key(sync: SyncMethod, time_s: f64) -> InstantKey {
-        (time_s.to_bits(), sync.name())
-    }
-
-    fn prepared(&self, sync: SyncMethod, time_s: f64) -> Option<Arc<Moment<'a>>> {
-        self.instants.get(&Self::key(sync, time_s))
-    }
-
-    /// All cameras' images at a time by the full options, with the depths that those want, cached.
-    fn instant(
-        &self,
-        sync: SyncMethod,
-        time_s: f64,
-        proceed: Proceed,
-    ) -> Result<Arc<Moment<'a>>, RenderError> {
-        if let Some(instant) = self.prepared(sync, time_s) {
-            return Ok(instant);
-        }
-        let mut options = self.full.clone().with_sync(sync);
-        if sync == TRADITIONAL && sync != self.full.sync {
-            // Frames of other instants show no depths.
-            options.proxy.method = ProxyMethod::Mesh;
-        }
-        let instant = Arc::new(self.field.moment_while(time_s, &options, proceed)?);
-        self.instants.insert(Self::key(sync, time_s), instant.clone(), instant.bytes());
-        Ok(instant)
     }
 }

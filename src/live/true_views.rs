@@ -3,7 +3,7 @@
 use super::{LiveError, PictureRequest, Place};
 use crate::camera::Camera;
 use crate::capture::{Capture, Truth, TruthError};
-use crate::host::BoundedCache;
+use crate::host::Memo;
 use crate::lumigraph::{BlendOptions, DepthMap, Rendered, Source, blend};
 use crate::raster::{Image, ImageFileError, read_image};
 use nalgebra::{Isometry3, Translation3};
@@ -29,7 +29,7 @@ pub(super) struct TrueView {
 /// All images of a capture's truth; none without one.
 pub(super) struct TrueViews {
     views: Vec<TrueView>,
-    images: BoundedCache<usize, Arc<Image>>,
+    images: Memo,
 }
 
 /// The camera, turned as it is, in the origin: two of the same place are there exactly.
@@ -41,7 +41,7 @@ fn at_origin(camera: &Camera) -> Camera {
 
 impl Default for TrueViews {
     fn default() -> Self {
-        Self { views: Vec::new(), images: BoundedCache::new(MAX_BYTES) }
+        Self { views: Vec::new(), images: Memo::new(MAX_BYTES) }
     }
 }
 
@@ -90,21 +90,19 @@ impl TrueViews {
     }
 
     fn image(&self, index: usize, view: &TrueView) -> Result<Arc<Image>, LiveError> {
-        if let Some(image) = self.images.get(&index) {
-            return Ok(image);
-        }
-        let (image, _) = read_image(&view.file)?;
-        let (width, height) = (image.width(), image.height());
-        if (width, height) != (view.camera.width, view.camera.height) {
-            let (path, camera) = (view.file.clone(), &view.camera);
-            let reason = format!(
-                "is {width}×{height} pixels, its camera {}×{}",
-                camera.width, camera.height
-            );
-            return Err(ImageFileError::Content { path, reason }.into());
-        }
-        let image = Arc::new(image);
-        self.images.insert(index, image.clone(), size_of_val(image.data()));
-        Ok(image)
+        let bytes = |image: &Image| size_of_val(image.data());
+        self.images.get_or("true image", &index, bytes, || {
+            let (image, _) = read_image(&view.file)?;
+            let (width, height) = (image.width(), image.height());
+            if (width, height) != (view.camera.width, view.camera.height) {
+                let (path, camera) = (view.file.clone(), &view.camera);
+                let reason = format!(
+                    "is {width}×{height} pixels, its camera {}×{}",
+                    camera.width, camera.height
+                );
+                return Err(ImageFileError::Content { path, reason }.into());
+            }
+            Ok(image)
+        })
     }
 }

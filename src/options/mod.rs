@@ -2,8 +2,7 @@
 //!
 //! | options | decide | given to |
 //! |---|---|---|
-//! | [`RenderOptions`] | all of it: what an option file holds | the programs' entry points |
-//! | [`ViewOptions`] | one view of a light field that is open | [`crate::light_field::LightField`] |
+//! | [`RenderOptions`] | all of it: what an option file holds | the programs' entry points, [`crate::light_field::render()`] |
 //! | [`AutoOptions`] | which methods the capture itself decides | [`crate::plan`] |
 
 mod auto;
@@ -50,25 +49,13 @@ options! {
     }
 }
 
-/// How one view of an open light field is rendered. Two views of one light field may have different
-/// options.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct ViewOptions {
-    pub sync: SyncMethod,
-    pub proxy: ProxyOptions,
-    pub interpolation: InterpolationOptions,
-    pub blend: BlendOptions,
-    pub trail: TrailOptions,
-}
-
-impl ViewOptions {
-    /// The same with another sync method.
+impl RenderOptions {
+    /// These options with another sync method.
+    #[must_use]
     pub fn with_sync(self, sync: SyncMethod) -> Self {
         Self { sync, ..self }
     }
-}
 
-impl RenderOptions {
     /// All options, with their declarations and their values here.
     pub fn declared(&self) -> Vec<DeclaredOption> {
         let mut options = Vec::new();
@@ -93,17 +80,6 @@ impl RenderOptions {
     pub fn check(&self) -> Result<(), OptionError> {
         self.declared().iter().try_for_each(DeclaredOption::check)?;
         self.check_undeclared()
-    }
-
-    /// The options of a view.
-    pub fn view(&self) -> ViewOptions {
-        ViewOptions {
-            sync: self.sync,
-            proxy: self.proxy.clone(),
-            interpolation: self.interpolation.clone(),
-            blend: self.blend.clone(),
-            trail: self.trail.clone(),
-        }
     }
 }
 

@@ -53,8 +53,8 @@ impl Methods {
 }
 
 /// What a plan depends on besides the capture's content.
-fn inputs(field: &LightField, options: &RenderOptions) -> impl Serialize {
-    (field.offsets().clone(), field.registration().clone(), options.clone())
+fn inputs<'a>(field: &'a LightField, options: &'a RenderOptions) -> impl Serialize + 'a {
+    (field.offsets(), options)
 }
 
 /// The methods that were planned before, if any.

@@ -41,7 +41,7 @@ pub use shape::Shape;
 use crate::interpolation::SyncMethod;
 use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::BlendMethod;
-use crate::options::{ProxyMethod, RenderOptions, ViewOptions};
+use crate::options::{ProxyMethod, RenderOptions};
 use crate::progress::Reporter;
 use serde::Serialize;
 
@@ -74,7 +74,7 @@ pub fn plan(
 ) -> Result<Plan, RenderError> {
     let capture = field.capture();
     let budget_px = options.auto.budget_px;
-    let motion = Motion::survey(field.frames(), reporter)?;
+    let motion = Motion::survey(&field.frames(&options.registration), reporter)?;
     let mut decided = options.clone();
     let mut decisions = vec![decide::offsets(&ClockSummary::of(capture))];
 
@@ -87,7 +87,7 @@ pub fn plan(
         decided.interpolation.still_change = given.max(still_change);
     }
 
-    let shape = Shape::survey(field, &decided.view())?;
+    let shape = Shape::survey(field, &decided)?;
     let (proxy, of_proxy) = decide::proxy(shape.as_ref(), budget_px);
     if options.auto.proxy {
         decided.proxy.method = proxy.unwrap_or(decided.proxy.method);
@@ -101,7 +101,7 @@ pub fn plan(
         decided.blend.method = blend.unwrap_or(decided.blend.method);
     }
     decisions.extend([of_sync, of_still, of_trajectory, of_proxy, of_blend]);
-    decisions.push(decide::gains(field.gains()));
+    decisions.push(decide::gains(&field.gains(&options.registration)));
     decisions.push(decide::lenses(largest_distortion_px(capture)));
     decisions.push(decide::references(extent_ratio(capture)));
     let options = Methods::of(&decided).put_into(decided);
@@ -126,9 +126,9 @@ fn by_views(
     (mut sync, mut of_sync): (SyncMethod, Decision),
 ) -> Result<ByViews, RenderError> {
     let is_probed = sync == SyncMethod::Refined && (options.auto.sync || options.auto.blend);
-    let probe = if is_probed { Probe::open(field)? } else { None };
+    let probe = if is_probed { Probe::open(field, &options.registration)? } else { None };
     let frames = probe.as_ref().map_or_else(String::new, Probe::names);
-    let by = |sync| RenderOptions { sync, ..decided.clone() }.view();
+    let by = |sync| RenderOptions { sync, ..decided.clone() };
     if let Some(probe) = probe.as_ref().filter(|_| options.auto.sync) {
         let [cheaper, dearer] =
             [SyncMethod::Triangulation, SyncMethod::Refined].map(|sync| probing(by(sync)));
@@ -175,7 +175,7 @@ fn percentile(mut values: Vec<f64>, fraction: f64) -> Option<f64> {
 
 /// A view's options as a probe takes them: many views are rendered to see what synchronization changes, and depth
 /// per pixel takes several times as long as the mesh.
-fn probing(mut options: ViewOptions) -> ViewOptions {
+fn probing(mut options: RenderOptions) -> RenderOptions {
     if options.proxy.method == ProxyMethod::Depth {
         options.proxy.method = ProxyMethod::Mesh;
     }

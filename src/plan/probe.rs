@@ -9,8 +9,9 @@ use crate::light_field::held_out::{
 use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::{BlendMethod, BlendOptions, Rendered};
 use crate::metrics::moving_part;
-use crate::options::ViewOptions;
+use crate::options::RenderOptions;
 use crate::raster::Image;
+use crate::registration::RegistrationOptions;
 
 /// How many held-out frames are rendered, each of another camera, spread over the recording: what
 /// refinement gains differs by half a decibel from instant to instant. More cost up to seven views
@@ -57,6 +58,7 @@ struct HeldOutFrame {
     truth: Image,
     /// The camera whose brightness `neighbors` renders.
     bright_as: usize,
+    registration: RegistrationOptions,
     /// Where the frame differs from those before and after it, row by row; and what is near that.
     changing: Vec<bool>,
     near_changing: Vec<bool>,
@@ -65,12 +67,20 @@ struct HeldOutFrame {
 impl Probe {
     /// `None` where no frame lies between its neighbours' frames, as with one clock for all, or
     /// hardly anything changes.
-    pub fn open(whole: &LightField) -> Result<Option<Self>, RenderError> {
+    pub fn open(
+        whole: &LightField,
+        registration: &RegistrationOptions,
+    ) -> Result<Option<Self>, RenderError> {
         let times_s = whole.offsets().common_times_s(whole.capture());
         let mut frames = Vec::new();
         for camera in inner_cameras(whole.capture()) {
             let Some(times_s) = &times_s[camera] else { continue };
-            frames.extend(HeldOutFrame::open(whole, camera, times_s, frames.len())?);
+            frames.extend(HeldOutFrame::open(
+                whole,
+                (camera, times_s),
+                frames.len(),
+                registration,
+            )?);
             if frames.len() == FRAMES {
                 break;
             }
@@ -96,8 +106,8 @@ impl Probe {
     pub fn possible_gain_db(
         &self,
         field: &LightField,
-        cheaper: &ViewOptions,
-        dearer: &ViewOptions,
+        cheaper: &RenderOptions,
+        dearer: &RenderOptions,
     ) -> Result<Option<f64>, RenderError> {
         let (mut difference, mut error) = (0.0, 0.0);
         for frame in &self.frames {
@@ -144,7 +154,7 @@ impl Probe {
     pub fn errors<const N: usize>(
         &self,
         field: &LightField,
-        candidates: [&ViewOptions; N],
+        candidates: [&RenderOptions; N],
     ) -> Result<Option<[HeldOutErrors; N]>, RenderError> {
         let mut sums = [HeldOutErrors::default(); N];
         let mut is_any = false;
@@ -171,32 +181,33 @@ impl Probe {
 impl HeldOutFrame {
     /// The view in this frame's place with weights in space, and with those in space and time; `None` where it
     /// can't be rendered.
-    fn by_both_weights(&self, options: &ViewOptions) -> Result<Option<[Rendered; 2]>, RenderError> {
+    fn by_both_weights(
+        &self,
+        options: &RenderOptions,
+    ) -> Result<Option<[Rendered; 2]>, RenderError> {
         let [in_space, in_time] = [BlendMethod::default(), BlendMethod::SpaceTime].map(|method| {
             let blend = BlendOptions { method, ..options.blend.clone() };
-            ViewOptions { blend, ..options.clone() }
+            RenderOptions { blend, ..options.clone() }
         });
-        // Weights in time need interpolation errors; weights in space ignore them.
-        let Some(moment) = renderable(self.neighbors.moment(self.time_s, &in_time))? else {
-            return Ok(None);
-        };
-        let in_space = renderable(moment.view_by(&self.camera, &in_space))?;
-        let in_time = renderable(moment.view_by(&self.camera, &in_time))?;
+        let [in_space, in_time] = [in_space, in_time]
+            .map(|options| rendered(&self.neighbors, &self.camera, self.time_s, &options));
+        let (in_space, in_time) = (in_space?, in_time?);
         Ok(in_space.zip(in_time).map(<[Rendered; 2]>::from))
     }
 
     /// The squared error of a view in this frame's place, over the pixels that count.
     fn squared_error(&self, field: &LightField, view: &Rendered, counts: &[bool]) -> f64 {
-        let image = field.gains().corrected(self.bright_as, &view.image);
+        let gains = field.gains(&self.registration);
+        let image = gains.corrected(self.bright_as, &view.image);
         squared(image.as_ref().unwrap_or(&view.image), &self.truth, counts.iter().copied())
     }
 
     /// The `number`-th of [`FRAMES`] frames, of this camera; `None` if it shows nothing.
     fn open(
         whole: &LightField,
-        index: usize,
-        times_s: &[f64],
+        (index, times_s): (usize, &[f64]),
         number: usize,
+        registration: &RegistrationOptions,
     ) -> Result<Option<Self>, RenderError> {
         let capture = whole.capture();
         let filmed = &capture.cameras[index];
@@ -204,7 +215,7 @@ impl HeldOutFrame {
         neighbors.truncate(NEIGHBORS);
         let (less, known) = only(capture, whole.offsets(), &neighbors);
         let bright_as = neighbors[less.reference];
-        let field = LightField::new(less, known, whole.registration());
+        let field = LightField::new(less, known);
         let covered = well_covered_frames(&field, times_s);
         let Some(&frame) = covered.get((2 * number + 1) * covered.len() / (2 * FRAMES)) else {
             return Ok(None);
@@ -229,7 +240,8 @@ impl HeldOutFrame {
             view: halfway_to_neighbor(capture, index),
             view_s,
             near_changing: moving_part(&changing_px, truth.width(), 0.5, PARALLAX_PX),
-            truth: whole.gains().corrected(index, &truth).unwrap_or(truth),
+            truth: whole.gains(registration).corrected(index, &truth).unwrap_or(truth),
+            registration: registration.clone(),
             bright_as,
             changing,
         }))
@@ -241,7 +253,7 @@ fn rendered(
     field: &LightField,
     at: &Camera,
     time_s: f64,
-    options: &ViewOptions,
+    options: &RenderOptions,
 ) -> Result<Option<Rendered>, RenderError> {
     renderable(field.view(at, time_s, options))
 }

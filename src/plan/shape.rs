@@ -3,7 +3,7 @@
 use super::percentile;
 use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::{Plane, Proxy};
-use crate::options::ViewOptions;
+use crate::options::RenderOptions;
 
 /// At how many instants, evenly spread, the shape is measured. Larger: planning takes longer; smaller:
 /// shapes at other times are missed.
@@ -21,7 +21,10 @@ pub struct Shape {
 
 impl Shape {
     /// `None` where no point could be triangulated, or no instant is covered.
-    pub fn survey(field: &LightField, options: &ViewOptions) -> Result<Option<Self>, RenderError> {
+    pub fn survey(
+        field: &LightField,
+        options: &RenderOptions,
+    ) -> Result<Option<Self>, RenderError> {
         let capture = field.capture();
         let reference = capture.reference;
         let target = &capture.cameras[reference].camera;

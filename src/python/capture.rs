@@ -3,9 +3,9 @@
 use super::convert::{from_python, image_to_python, json_of, to_python, value_error};
 use crate::camera::{Camera, CameraFormat};
 use crate::capture::{Capture, Opening};
-use crate::light_field::{LightField, Moment, RenderError, Viewpoint};
+use crate::light_field::{Context, LightField, RenderError, Request, Viewpoint, render};
 use crate::offset::offsets_from_images;
-use crate::options::{RenderOptions, ViewOptions};
+use crate::options::{RenderOptions, TrailOptions};
 use crate::pipeline;
 use crate::progress::Reporter;
 use crate::raster::BitDepth;
@@ -45,8 +45,8 @@ const MAX_OPENED: usize = 2;
 #[derive(Clone)]
 struct Opened {
     options: RenderOptions,
-    /// The options of a view, with nothing left to the capture.
-    view: ViewOptions,
+    /// The options with nothing left to the capture.
+    resolved: RenderOptions,
     field: Arc<LightField>,
 }
 
@@ -140,16 +140,19 @@ impl PyCapture {
             (None, Some(id)) => Viewpoint::Like(this.index(id)?),
             _ => return Err(value_error("either camera or like must be given")),
         };
-        let mut failed = None;
+        let failed = Mutex::new(None);
+        let proceed = |done, total| {
+            goes_on(proceed.as_ref(), done, total).unwrap_or_else(|error| {
+                *failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+                false
+            })
+        };
         let rendered = py.detach(|| {
             let opened = this.opened(options)?;
-            opened.field.with_trail(from, time_s, &opened.view, |done, total| {
-                goes_on(proceed.as_ref(), done, total).unwrap_or_else(|error| {
-                    failed = Some(error);
-                    false
-                })
-            })
+            let request = Request::new(from, time_s, &opened.resolved);
+            render(&opened.field, &request, &Context::new(&proceed))
         });
+        let failed = failed.into_inner().unwrap_or_else(PoisonError::into_inner);
         let rendered = match (failed, rendered) {
             (Some(error), _) => return Err(error),
             (None, Err(RenderError::Stopped)) => {
@@ -173,10 +176,13 @@ impl PyCapture {
         let depth = self.capture.bit_depth();
         let time_s = time_s - self.capture.time_origin_s;
         let moment = py.detach(|| {
-            let Opened { view, field, .. } = self.opened(options)?;
-            field.shared_moment(time_s, &view)
+            let Opened { resolved, field, .. } = self.opened(options)?;
+            // The views of a moment are of one instant.
+            let options = RenderOptions { trail: TrailOptions::default(), ..resolved };
+            field.corrected_all(time_s, &options, &Context::unattended())?;
+            Ok::<_, RenderError>(PyMoment { field, time_s, options, depth })
         });
-        Ok(PyMoment { moment: moment.map_err(value_error)?, depth })
+        moment.map_err(value_error)
     }
 
     fn __repr__(&self) -> String {
@@ -187,7 +193,9 @@ impl PyCapture {
 /// One instant of a capture, for many views of it.
 #[pyclass(name = "Moment", module = "stlfr", frozen)]
 pub struct PyMoment {
-    moment: Moment<'static>,
+    field: Arc<LightField>,
+    time_s: f64,
+    options: RenderOptions,
     depth: BitDepth,
 }
 
@@ -200,7 +208,9 @@ impl PyMoment {
         camera: &Bound<'py, PyAny>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let camera = camera_of(camera)?;
-        let rendered = py.detach(|| self.moment.view(&camera)).map_err(value_error)?;
+        let request = Request::new(Viewpoint::View(&camera), self.time_s, &self.options);
+        let rendered = py.detach(|| render(&self.field, &request, &Context::unattended()));
+        let rendered = rendered.map_err(value_error)?;
         let coverage = rendered.coverage.contains(&false).then_some(rendered.coverage.as_slice());
         image_to_python(py, &rendered.image, coverage, self.depth)
     }
@@ -282,8 +292,8 @@ impl PyCapture {
             Some(opened) => opened.field.clone(),
             None => Arc::new(pipeline::open_field(self.capture.clone(), &options, &reporter)?),
         };
-        let view = pipeline::resolved(&field, &options, &reporter)?.view();
-        let opened = Opened { options, view, field };
+        let resolved = pipeline::resolved(&field, &options, &reporter)?;
+        let opened = Opened { options, resolved, field };
         cached.insert(0, opened.clone());
         cached.truncate(MAX_OPENED);
         Ok(opened)

@@ -1,69 +1,68 @@
-//! The frames of a capture, decoded and prepared for registration when they are first used, and shared.
+//! The decoded frames of a capture, prepared for registration.
 
 use super::{Frame, GainMethod, Gains, RegistrationOptions};
 use crate::capture::{Capture, CaptureError, Color};
-use crate::host::BoundedCache;
+use crate::host::Memo;
 use crate::raster::Image;
-use std::sync::{Arc, OnceLock};
+use std::convert::Infallible;
+use std::sync::Arc;
 
-/// The frames of a capture, prepared for registration, in a cache of bounded memory that holds those
-/// used last.
+/// The frames of a capture, decoded and prepared for registration when they are first used, and cached.
+#[derive(Clone)]
 pub struct FrameStore {
     capture: Arc<Capture>,
     options: RegistrationOptions,
-    /// By camera and frame index; the cost is in bytes.
-    frames: BoundedCache<(usize, usize), Arc<Frame>>,
-    max_bytes: usize,
-    /// Minimum cost of a frame, bytes, so that the number of frames is bounded too.
-    min_cost: usize,
-    gains: OnceLock<Gains>,
+    memo: Arc<Memo>,
     /// Camera and index of every frame that was decoded, in order.
     #[cfg(test)]
-    pub(crate) decoded: std::sync::Mutex<Vec<(usize, usize)>>,
+    pub(crate) decoded: Arc<std::sync::Mutex<Vec<(usize, usize)>>>,
 }
 
-/// Default bound of the cache, bytes: 32 colour frames of 640×480, which is four for each of eight cameras
-/// at an instant. Larger: memory; smaller: frames are decoded more than once.
-const MAX_BYTES: usize = 192 << 20;
+/// Default bound of the memo, bytes: 32 colour frames of 640×480, four for each of eight cameras at an instant,
+/// and as much again for what is computed from them.
+const MAX_BYTES: usize = 256 << 20;
+
+/// Fraction of that bound for frames.
+const FRAME_BYTES: usize = 192 << 20;
 
 /// Maximum number of cached frames per camera, so that a long recording of small images takes no more
-/// memory than a short one. Larger: memory; smaller: frames are decoded more than once.
+/// memory than a short one.
 const MAX_FRAMES: usize = 24;
 
+/// Name in the memo of the stage that decodes a frame.
+const FRAME_STAGE: &str = "frame";
+
+/// Name in the memo of the stage that estimates the gains.
+const GAINS_STAGE: &str = "gains";
+
 impl FrameStore {
-    /// A store with the default bound of memory, 192 MiB.
+    /// A store with a memo of its own, of the default bound.
     pub fn new(capture: Arc<Capture>, options: &RegistrationOptions) -> Self {
-        Self::with_bound(capture, options, MAX_BYTES)
+        Self::with_memo(capture, options, Arc::new(Memo::new(MAX_BYTES)))
     }
 
-    /// A store that caches at most `max_bytes` of frames. The frame used last is cached whatever its
-    /// size.
-    pub fn with_bound(
+    /// A store whose frames are cached in a memo, which must not hold those of another capture.
+    pub fn with_memo(
         capture: Arc<Capture>,
         options: &RegistrationOptions,
-        max_bytes: usize,
+        memo: Arc<Memo>,
     ) -> Self {
-        let max_frames = MAX_FRAMES * capture.cameras.len();
         Self {
             capture,
             options: options.clone(),
-            frames: BoundedCache::new(max_bytes),
-            max_bytes,
-            min_cost: max_bytes.div_ceil(max_frames),
-            gains: OnceLock::new(),
+            memo,
             #[cfg(test)]
-            decoded: std::sync::Mutex::default(),
+            decoded: Arc::default(),
         }
     }
 
-    /// The cost of the cached frames, bytes. A small frame counts as the 24th part of its camera's part
-    /// of the bound.
-    pub fn bytes(&self) -> usize {
-        self.frames.cost()
+    /// Where frames are cached.
+    pub fn memo(&self) -> &Arc<Memo> {
+        &self.memo
     }
 
     /// The capture that the frames are of.
-    pub fn capture(&self) -> &Capture {
+    pub fn capture(&self) -> &Arc<Capture> {
         &self.capture
     }
 
@@ -80,32 +79,38 @@ impl FrameStore {
     /// # Panics
     /// If there is no such camera or frame.
     pub fn get(&self, camera: usize, index: usize) -> Result<Arc<Frame>, CaptureError> {
-        if let Some(frame) = self.frames.get(&(camera, index)) {
-            return Ok(frame);
-        }
-        let image = self.capture.read_frame(camera, index)?;
-        #[cfg(test)]
-        self.decoded.lock().unwrap().push((camera, index));
-        let frame = Arc::new(self.prepared(camera, image));
-        self.frames.insert((camera, index), frame.clone(), self.cost(camera));
-        Ok(frame)
+        let inputs = (camera, index, &self.options);
+        self.memo.get_or(
+            FRAME_STAGE,
+            &inputs,
+            |_| self.bytes_of(camera),
+            || {
+                let image = self.capture.read_frame(camera, index)?;
+                #[cfg(test)]
+                self.decoded.lock().unwrap().push((camera, index));
+                Ok(self.prepared(camera, image))
+            },
+        )
     }
 
-    /// Whether this many frames of each camera fit the cache together.
+    /// Whether this many frames of each camera fit the memo together.
     pub fn fits(&self, cameras: impl Iterator<Item = usize>, frames_each: usize) -> bool {
-        let cost: usize = cameras.map(|c| self.cost(c)).sum();
-        cost.saturating_mul(frames_each) <= self.max_bytes
+        let bytes: usize = cameras.map(|c| self.bytes_of(c)).sum();
+        bytes.saturating_mul(frames_each) <= self.memo.max_bytes().min(FRAME_BYTES)
     }
 
-    /// The cost of a camera's frame, bytes.
-    fn cost(&self, camera: usize) -> usize {
+    /// What a camera's frame counts in the memo, bytes. A small frame counts as its camera's part of the bound
+    /// over [`MAX_FRAMES`].
+    fn bytes_of(&self, camera: usize) -> usize {
         let filmed = &self.capture.cameras[camera];
         let size = [filmed.camera.width, filmed.camera.height];
         let channels = match filmed.color {
             Color::Rgb => 3,
             Color::Gray => 1,
         };
-        Frame::bytes_of(size, channels, &self.options).max(self.min_cost)
+        let max_frames = MAX_FRAMES * self.capture.cameras.len();
+        let min_bytes = self.memo.max_bytes().min(FRAME_BYTES).div_ceil(max_frames);
+        Frame::bytes_of(size, channels, &self.options).max(min_bytes)
     }
 
     /// The image of a camera as a frame whose pyramid is as bright as the reference camera's.
@@ -116,25 +121,32 @@ impl FrameStore {
         }
     }
 
-    /// Makes these the cameras' gains, as an earlier store has estimated them. No effect once gains are known.
-    pub(crate) fn know_gains(&self, gains: Gains) {
-        let _ = self.gains.set(gains);
+    /// The cameras' gains, estimated from the images. All 1 for a single camera, or if
+    /// [`RegistrationOptions::gains`] is [`GainMethod::Equal`].
+    pub fn gains(&self) -> Arc<Gains> {
+        let cameras = self.capture.cameras.len();
+        let compute = || -> Result<Gains, Infallible> {
+            let stored = self.capture.load_stored(Gains::KIND, &self.options);
+            let stored = stored.filter(|gains: &Gains| gains.are_plausible(cameras));
+            Ok(match self.options.gains {
+                GainMethod::Equal => Gains::equal(cameras),
+                GainMethod::Estimated if cameras == 1 => Gains::equal(cameras),
+                GainMethod::Estimated => {
+                    stored.unwrap_or_else(|| Gains::estimate(&self.capture, &self.options))
+                }
+            })
+        };
+        let bytes = |_: &Gains| cameras * size_of::<[f64; 3]>();
+        let Ok(gains) = self.memo.get_or(GAINS_STAGE, &self.options, bytes, compute);
+        gains
     }
 
-    /// The cameras' gains, estimated from the images by the first call. All 1 for a single camera, or if
-    /// [`RegistrationOptions::gains`] is [`GainMethod::Equal`].
-    pub fn gains(&self) -> &Gains {
-        if let Some(gains) = self.gains.get() {
-            return gains;
-        }
-        // Threads that call at once all compute the same. They must not wait for each other: the
-        // estimate itself may run on, and wait for, the thread that would have to wait.
-        let gains = match self.options.gains {
-            GainMethod::Estimated if self.capture.cameras.len() > 1 => {
-                Gains::estimate(&self.capture, &self.options)
-            }
-            _ => Gains::equal(self.capture.cameras.len()),
-        };
-        self.gains.get_or_init(|| gains)
+    /// Stores the gains on disk, unless they are there; returns their size in bytes.
+    ///
+    /// # Errors
+    /// If they can't be written.
+    pub(crate) fn store_gains(&self) -> Result<u64, CaptureError> {
+        let gains = || Ok::<_, CaptureError>(self.gains());
+        Ok(self.capture.store(Gains::KIND, &self.options, gains)?.bytes)
     }
 }

@@ -11,13 +11,15 @@
 
 use super::{Frame, RegistrationOptions, flow};
 use crate::capture::Capture;
+use crate::host::CacheKind;
 use crate::raster::{Image, LUMINANCE, encoded_from_linear, linear_from_encoded};
 use nalgebra::{DMatrix, DVector, Point2};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// The gains of a capture's cameras: the linear light that each records over what the reference camera
 /// records of the same surface, by channel.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
     factors: Vec<[f64; 3]>,
     /// The largest measured difference of a factor from 1, and its standard error.
@@ -50,34 +52,20 @@ const RADIUS_PX: isize = 2;
 const USABLE: std::ops::RangeInclusive<f32> = 0.08..=0.96;
 
 impl Gains {
+    /// Gains that are stored on disk.
+    pub(crate) const KIND: CacheKind = CacheKind { name: "gains", version: 1 };
+
     /// Gains of 1 of `cameras` cameras.
     pub fn equal(cameras: usize) -> Self {
         Self { factors: vec![[1.0; 3]; cameras], largest: (0.0, 0.0) }
     }
 
-    /// The gains as numbers, three a camera, then the largest difference and its standard error.
-    pub(crate) fn numbers(&self) -> impl Iterator<Item = f64> {
-        self.factors.iter().flatten().copied().chain([self.largest.0, self.largest.1])
-    }
-
-    /// How many [`Self::numbers`] there are of this many cameras.
-    pub(crate) fn numbers_of(cameras: usize) -> usize {
-        3 * cameras + 2
-    }
-
-    /// How many cameras they are of.
-    pub(crate) fn cameras(&self) -> usize {
-        self.factors.len()
-    }
-
-    /// The gains that [`Self::numbers`] gave; `None` for others.
-    pub(crate) fn from_numbers(cameras: usize, numbers: &[f64]) -> Option<Self> {
-        let (factors, rest) = numbers.as_chunks();
-        let are_gains = factors.iter().flatten().all(|g| PLAUSIBLE.contains(g));
-        let [difference, std_err] = *rest else { return None };
+    /// Whether gains that were read from a file may be those of this many cameras.
+    pub(crate) fn are_plausible(&self, cameras: usize) -> bool {
+        let (difference, std_err) = self.largest;
         let are_measured = [difference, std_err].iter().all(|v| v.is_finite() && *v >= 0.0);
-        (are_gains && are_measured && factors.len() == cameras)
-            .then(|| Self { factors: factors.to_vec(), largest: (difference, std_err) })
+        let are_gains = self.factors.iter().flatten().all(|g| PLAUSIBLE.contains(g));
+        are_measured && are_gains && self.factors.len() == cameras
     }
 
     /// Whether all gains are 1, so that nothing is corrected.

@@ -6,10 +6,11 @@ use super::turned_flow::{Onward, turned_flow};
 use super::{Frame, FrameStore, Match, Neighbors, RegistrationOptions, Trajectory, flow};
 use crate::capture::CaptureError;
 use nalgebra::{Matrix2, Point2, Vector2};
+use serde::{Deserialize, Serialize};
 
 /// The direction of the bidirectional flow (§4.1) that a correspondence is of. Eq. (9) warps the earlier
 /// frame with the forward flow, and the later frame with the backward flow.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FlowDirection {
     /// A corner of the earlier frame, tracked to the later one.
     Forward,
@@ -22,7 +23,7 @@ pub enum FlowDirection {
 
 /// A temporal correspondence of one camera between its frames k and k + 1 (§4.1), extended by a frame
 /// at both ends where the feature could be tracked. Positions in pixels.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Track {
     /// The flow that it is of.
     pub direction: FlowDirection,

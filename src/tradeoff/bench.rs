@@ -52,11 +52,11 @@ pub(super) fn prepared(
     };
     let offsets_took = estimates.then(|| watch.elapsed());
     // Its frames are its own, so that decoding is in the time of registration.
-    let field = LightField::new(capture.clone(), offsets.clone(), &options.registration);
+    let field = LightField::new(capture.clone(), offsets.clone());
     let own_span = || field.span_s(capture.reference);
     let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();
     let watch = Stopwatch::start();
-    field.register(0.5 * (first + last), still_change)?;
+    field.register(0.5 * (first + last), options)?;
     let registration_took = watch.elapsed();
     let prepared = Prepared { offsets, offsets_took, registration_took };
     store.save(PREPARATIONS, &inputs, &prepared);
@@ -75,7 +75,7 @@ impl Bench<'_> {
         }
         let prepared = self.prepared(asked)?;
         let watch = Stopwatch::start();
-        let field = LightField::new(self.capture.clone(), prepared.offsets, &asked.registration);
+        let field = LightField::new(self.capture.clone(), prepared.offsets);
         let plan = plan(&field, asked, self.reporter)?;
         // What was left to the capture is decided.
         let options = RenderOptions { auto: AutoOptions::default(), ..plan.options };
@@ -94,7 +94,6 @@ impl Bench<'_> {
         cached.filter(|cached| cached.options == *options).unwrap_or_else(|| CachedPoint {
             options: options.clone(),
             scores: BTreeMap::new(),
-            cameras: Vec::new(),
             reason: None,
         })
     }

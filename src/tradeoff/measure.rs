@@ -2,10 +2,10 @@
 
 use super::TradeoffError;
 use super::bench::Bench;
-use super::stages::{Views, sync_part};
 use super::store::{CachedPoint, POINTS};
 use super::targets::{Scene, Target};
 use crate::light_field::{LightField, RenderError};
+use crate::method::Method;
 use crate::options::RenderOptions;
 use crate::progress::Task;
 
@@ -39,12 +39,11 @@ impl Bench<'_> {
         self.targets.iter().filter(lacks)
     }
 
-    /// The members of a group that lack a target, those that share synchronized images one after the
-    /// other.
+    /// The members of a group that lack a target, those that may share synchronized images one after the other.
     fn lacking(&self, group: &Group, points: &[CachedPoint], target: &Target) -> Vec<usize> {
         let lacks = |k: &usize| self.unscored(&points[*k]).any(|t| t.id == target.id);
         let mut found: Vec<usize> = group.members.iter().copied().filter(lacks).collect();
-        found.sort_by_cached_key(|&k| sync_part(&points[k].options).to_string());
+        found.sort_by_key(|&k| points[k].options.sync.name());
         found
     }
 
@@ -72,9 +71,8 @@ impl Bench<'_> {
                 open = Some((target.held_out, scene.field(target.held_out)));
             }
             let Some((_, field)) = &open else { continue };
-            let mut views = Views::new(field, &target.camera, target.time_s);
             for k in lacking {
-                self.score(&mut views, target, &mut points[k])?;
+                self.score(field, target, &mut points[k])?;
                 task.advance(1);
             }
         }
@@ -88,15 +86,12 @@ impl Bench<'_> {
 
     fn score(
         &self,
-        views: &mut Views,
+        field: &LightField,
         target: &Target,
         point: &mut CachedPoint,
     ) -> Result<(), TradeoffError> {
-        match views.view(&point.options) {
-            Ok((rendered, cameras)) => {
-                if self.timed.target == target.id {
-                    point.cameras = cameras;
-                }
+        match field.view(&target.camera, target.time_s, &point.options) {
+            Ok(rendered) => {
                 point.scores.insert(target.id.clone(), target.score(&rendered));
             }
             Err(RenderError::Capture(error)) => return Err(error.into()),

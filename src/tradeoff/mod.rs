@@ -18,15 +18,14 @@
 //! all pixels and FLIP stand beside it. It is the same from run to run.
 //!
 //! **Time**: seconds of one view at a new instant between frames that are registered already, the
-//! median of the runs. Its three stages (synchronized images, proxy, blend) are timed in turns and
-//! summed, because combinations share them. Registration and offsets are preparation, timed apart.
+//! median of the runs, which take turns. Registration and offsets are preparation, timed apart.
 //!
 //! | file | what |
 //! |---|---|
 //! | `mod.rs` | the order of things, `tradeoff.json` |
 //! | `combination.rs` | what is measured |
 //! | `targets.rs` | what it is compared with |
-//! | `bench.rs`, `stages.rs`, `timing.rs`, `measure.rs`, `store.rs` | measuring, and not twice |
+//! | `bench.rs`, `timing.rs`, `measure.rs`, `store.rs` | measuring, and not twice |
 //! | `pareto.rs` | the Pareto front |
 //! | `summary.rs` | from measurements to points |
 //! | `plot.rs` | the drawing |
@@ -39,7 +38,6 @@ mod combination;
 mod measure;
 mod pareto;
 mod plot;
-mod stages;
 mod store;
 mod summary;
 mod targets;

@@ -30,8 +30,6 @@ pub(super) struct CachedPoint {
     pub options: RenderOptions,
     /// By the target's id.
     pub scores: BTreeMap<String, RegionScores>,
-    /// The cameras that the timed view is blended from.
-    pub cameras: Vec<usize>,
     /// Why a view can't be rendered, instead of all else.
     pub reason: Option<String>,
 }

@@ -36,8 +36,6 @@ pub struct Point {
     /// One view at a new instant, seconds: on the wall, and of the processor over all threads.
     pub wall_s: Option<Spread>,
     pub cpu_s: Option<Spread>,
-    /// The medians of synchronized images, proxy and blend, on the wall.
-    pub stages_s: Option<[f64; 3]>,
     pub preparation: Option<Preparation>,
 }
 
@@ -157,7 +155,6 @@ impl<'a> Summarized<'a> {
             most_accurate_db: mean(bench, cached, Against::MostAccurate, |s| &s.whole).psnr_db,
             wall_s: view(bench, cached, |r| r.wall_s),
             cpu_s: view(bench, cached, |r| r.cpu_s),
-            stages_s: stages(bench, cached),
             preparation,
         })
     }
@@ -196,13 +193,7 @@ fn view(bench: &Bench, point: &CachedPoint, of: fn(&Elapsed) -> f64) -> Option<S
     if point.reason.is_some() {
         return None;
     }
-    spread(bench.runs(point).iter().map(|run| run.iter().map(of).sum()).collect())
-}
-
-fn stages(bench: &Bench, point: &CachedPoint) -> Option<[f64; 3]> {
-    let runs = bench.runs(point);
-    let stage = |k: usize| median(runs.iter().map(|run| run[k].wall_s).collect());
-    Some([stage(0)?, stage(1)?, stage(2)?])
+    spread(bench.runs(point).iter().map(of).collect())
 }
 
 fn spread(values: Vec<f64>) -> Option<Spread> {

@@ -87,13 +87,12 @@ impl Target {
 impl Scene<'_> {
     /// The light field without a camera.
     pub fn field(&self, held_out: Option<usize>) -> LightField {
-        let registration = &self.base.registration;
         let Some(index) = held_out else {
-            return LightField::new(self.capture.clone(), self.offsets.clone(), registration);
+            return LightField::new(self.capture.clone(), self.offsets.clone());
         };
         let others: Vec<usize> = (0..self.capture.cameras.len()).filter(|&c| c != index).collect();
         let (capture, offsets) = only(self.capture, self.offsets, &others);
-        LightField::new(capture, offsets, registration)
+        LightField::new(capture, offsets)
     }
 
     /// What there is to measure against, and the view to time.
@@ -112,7 +111,7 @@ impl Scene<'_> {
         let timed = self.between();
         let mut found = self.held_out_frames()?;
         let field = self.field(None);
-        let rendered = field.view(&timed.camera, timed.time_s, &most_accurate(self.base).view())?;
+        let rendered = field.view(&timed.camera, timed.time_s, &most_accurate(self.base))?;
         let image =
             as_written(&rendered.image, rendered.image.channels(), self.capture.bit_depth());
         found.push(Target {
@@ -141,7 +140,7 @@ impl Scene<'_> {
         truth: TrueImage,
         held_out: Option<usize>,
     ) -> Result<Option<Target>, TradeoffError> {
-        let rendered = match field.view(&camera, time_s, &most_accurate(self.base).view()) {
+        let rendered = match field.view(&camera, time_s, &most_accurate(self.base)) {
             Ok(rendered) => rendered,
             Err(RenderError::Capture(error)) => return Err(error.into()),
             Err(_) => return Ok(None),

@@ -1,83 +1,62 @@
-//! Timing the stages of combinations, each stage once for all combinations that share it.
+//! Timing views of combinations, in turns.
 
 use super::TradeoffError;
 use super::bench::Bench;
-use super::stages::{Stage, Views};
 use super::store::{CachedPoint, TIMES};
-use crate::host::Elapsed;
+use crate::host::{Elapsed, Stopwatch};
 use crate::light_field::LightField;
 use crate::progress::Task;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
 
-/// The times of one stage.
+/// What views of one combination took.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct CachedStage {
+pub(super) struct CachedTimes {
     pub runs: Vec<Elapsed>,
 }
 
-/// A stage of one combination, shared by others, and the options that its times depend on.
-pub(super) struct UntimedStage {
-    stage: Stage,
-    options: Value,
-    point: CachedPoint,
-}
-
 impl Bench<'_> {
-    /// The times so far of a stage with these options.
-    fn stage(&self, options: &Value) -> CachedStage {
-        self.store.load(TIMES, options).unwrap_or_default()
+    /// What views of a combination took, run by run.
+    pub fn runs(&self, point: &CachedPoint) -> Vec<Elapsed> {
+        self.store.load::<CachedTimes>(TIMES, &point.options).unwrap_or_default().runs
     }
 
-    /// The distinct stages, of combinations that can be rendered, that lack runs.
-    pub fn untimed<'p>(&self, points: impl Iterator<Item = &'p CachedPoint>) -> Vec<UntimedStage> {
-        let mut found: Vec<UntimedStage> = Vec::new();
-        for point in points.filter(|p| p.reason.is_none()) {
-            for stage in Stage::ALL {
-                let options = stage.part(point);
-                let is_known = found.iter().any(|other| other.options == options);
-                if !is_known && self.stage(&options).runs.len() < self.runs {
-                    found.push(UntimedStage { stage, options, point: point.clone() });
-                }
-            }
-        }
-        found
+    /// The combinations that can be rendered and lack runs.
+    pub fn untimed<'p>(
+        &self,
+        points: impl Iterator<Item = &'p CachedPoint>,
+    ) -> Vec<&'p CachedPoint> {
+        points.filter(|p| p.reason.is_none() && self.runs(p).len() < self.runs).collect()
     }
 
-    /// Times stages in turns, so that what else the machine does affects all alike.
+    /// Times a view of each combination in turns, so that what else the machine does affects all alike. Frames are
+    /// registered before, nothing of the instant is cached.
     pub fn time(
         &self,
         field: &LightField,
-        untimed: &[UntimedStage],
+        untimed: &[&CachedPoint],
         task: &Task,
     ) -> Result<(), TradeoffError> {
         let (camera, time_s) = (&self.timed.camera, self.timed.time_s);
-        let mut views = Views::new(field, camera, time_s);
-        // What is prepared once for all views between two frames isn't timed: everything once
-        // before.
-        for UntimedStage { point, .. } in untimed {
-            field.register(time_s, point.options.interpolation.still_change)?;
-            views.view(&point.options)?;
+        // What views between two frames share isn't timed: everything once before.
+        for point in untimed {
+            field.register(time_s, &point.options)?;
+            field.view(camera, time_s, &point.options)?;
         }
         for run in 0..self.runs {
-            for UntimedStage { stage, options, point } in untimed {
-                let mut cached = self.stage(options);
-                if cached.runs.len() > run {
+            for point in untimed {
+                let mut runs = self.runs(point);
+                if runs.len() > run {
                     continue;
                 }
-                cached.runs.push(views.timed(*stage, &point.options)?);
-                self.store.save(TIMES, options, &cached);
+                field.forget_instants();
+                let watch = Stopwatch::start();
+                field.view(camera, time_s, &point.options)?;
+                runs.push(watch.elapsed());
+                self.store.save(TIMES, &point.options, &CachedTimes { runs });
                 task.advance(1);
             }
         }
         Ok(())
-    }
-
-    /// What whole views of a combination took, run by run: its three stages.
-    pub fn runs(&self, point: &CachedPoint) -> Vec<[Elapsed; 3]> {
-        let stages = Stage::ALL.map(|stage| self.stage(&stage.part(point)).runs);
-        let runs = stages.iter().map(Vec::len).min().unwrap_or(0);
-        (0..runs).map(|run| [0, 1, 2].map(|stage| stages[stage][run])).collect()
     }
 }

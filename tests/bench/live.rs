@@ -29,7 +29,7 @@ use std::sync::Arc;
 use std::time::Instant;
 use stlfr::camera::Camera;
 use stlfr::capture::Capture;
-use stlfr::light_field::LightField;
+use stlfr::light_field::{Context, LightField, Request, Viewpoint};
 use stlfr::offset::Offsets;
 use stlfr::options::{Preset, ProxyMethod, RenderOptions};
 
@@ -108,22 +108,26 @@ fn bench(
         // Clocks as recorded: times don't depend on how right they are.
         let mut offsets = Offsets::known(&capture);
         offsets.cameras.iter_mut().for_each(|c| c.offset_s = Some(c.offset_s.unwrap_or(0.0)));
-        let field = LightField::new(capture.clone(), offsets, &options.registration);
+        let field = LightField::new(capture.clone(), offsets);
         let start = Instant::now();
-        let moment = field.moment(middle_s(&capture), &options.view())?;
-        moment.view(&views[0])?;
+        let time_s = middle_s(&capture);
+        let view = |target: &Camera| field.view(target, time_s, options);
+        let images = field.corrected_all(time_s, options, &Context::unattended())?;
+        view(&views[0])?;
         let prepared_s = start.elapsed().as_secs_f64();
         // Once, so that what views share is cached.
-        each_ms(&views, |v| Ok(moment.view(v).map(drop)?))?;
-        let view_ms = each_ms(&views, |v| Ok(moment.view(v).map(drop)?))?;
-        let geometry_ms = each_ms(&views, |v| Ok(moment.geometry(v).map(drop)?))?;
-        let peer = peer::remap_ms(&moment, &capture, &views, options.blend.cameras)?;
+        each_ms(&views, |v| Ok(view(v).map(drop)?))?;
+        let view_ms = each_ms(&views, |v| Ok(view(v).map(drop)?))?;
+        let geometry =
+            |v: &Camera| Ok(field.geometry(v, &Request::new(Viewpoint::View(v), time_s, options))?);
+        let geometry_ms = each_ms(&views, |v| geometry(v).map(drop))?;
+        let peer = peer::remap_ms(&images, &geometry, &capture, &views, options.blend.cameras)?;
         let peer = peer.map_or("-".to_owned(), |ms| format!("{ms:.1} ms"));
         println!(
             "| {name} | {prepared_s:.1} s | {view_ms:.1} ms | {:.1} | {geometry_ms:.1} ms | {peer} |",
             1000.0 / view_ms
         );
-        stages.extend(stages::of(name, &field, &moment, &views, options)?);
+        stages.extend(stages::of(name, &field, &geometry, &views, options)?);
     }
     stages::print(&stages);
     moving::bench(folder, &views[count / 3], methods).map_err(|error| -> Error { error })

@@ -90,13 +90,14 @@ impl Scene {
 
     fn measure(&self, options: &RenderOptions, with_offsets: bool) -> Result<Outcome, Error> {
         let watch = Stopwatch::start();
-        let field =
-            LightField::new(self.capture.clone(), self.clocks.clone(), &options.registration);
-        let view = options.view();
+        let field = LightField::new(self.capture.clone(), self.clocks.clone());
+        let view = options.clone();
         let mut images = Vec::new();
         for target in &self.targets {
             let (image, covered) = match target.filmed {
-                Some(camera) => (field.synchronized(camera, target.time_s, &view)?.image, None),
+                Some(camera) => {
+                    (field.synchronized(camera, target.time_s, &view)?.image.clone(), None)
+                }
                 None => {
                     let rendered = field.view(&target.camera, target.time_s, &view)?;
                     (rendered.image, Some(rendered.coverage))

@@ -61,7 +61,7 @@ fn open(folder: &str) -> Result<(LightField, Truth), Error> {
     for camera in &mut offsets.cameras {
         camera.offset_s = truth.offset_s(&camera.id);
     }
-    let field = LightField::new(capture, offsets, &RenderOptions::default().registration);
+    let field = LightField::new(capture, offsets);
     Ok((field, truth))
 }
 

@@ -11,7 +11,7 @@ use stlfr::light_field::LightField;
 use stlfr::method::Method;
 use stlfr::metrics::moving_part;
 use stlfr::offset::Offsets;
-use stlfr::options::{RenderOptions, ViewOptions};
+use stlfr::options::RenderOptions;
 use stlfr::raster::Image;
 use stlfr::raster::read_image;
 
@@ -34,12 +34,12 @@ fn mean_square(a: &Image, b: &Image, mask: Option<&[bool]>) -> (f64, f64) {
     (sum, n)
 }
 
-fn score(field: &LightField, view: &ViewOptions, targets: &[Target]) -> (f64, f64, f64) {
+fn score(field: &LightField, view: &RenderOptions, targets: &[Target]) -> (f64, f64, f64) {
     let (mut whole, mut moving, mut seconds) = ((0.0, 0.0), (0.0, 0.0), 0.0);
     for t in targets {
         field.synchronized(t.camera, t.time_s, view).expect("the truth is inside the film");
         let start = Instant::now();
-        let image = field.synchronized(t.camera, t.time_s, view).expect("as before").image;
+        let image = field.synchronized(t.camera, t.time_s, view).expect("as before").image.clone();
         seconds += start.elapsed().as_secs_f64();
         let (s, n) = mean_square(&image, &t.image, None);
         whole = (whole.0 + s, whole.1 + n);
@@ -79,9 +79,9 @@ fn bench(folder: &str, methods: &[SyncMethod]) -> Result<(), Error> {
     }
     println!("{folder}: PSNR whole, moving [dB]; ms an image, registration cached");
     let options = RenderOptions::default();
-    let field = LightField::new(capture, offsets, &options.registration);
+    let field = LightField::new(capture, offsets);
     for &sync in methods {
-        let (whole, moving, ms) = score(&field, &options.view().with_sync(sync), &targets);
+        let (whole, moving, ms) = score(&field, &options.clone().with_sync(sync), &targets);
         println!("  {:32} {whole:6.2} {moving:6.2} {ms:8.1}", format!("{sync:?}"));
     }
     Ok(())

@@ -9,10 +9,10 @@ use stlfr::camera::{Camera, CameraFormat};
 use stlfr::capture::Capture;
 use stlfr::light_field::LightField;
 use stlfr::offset::{self, Offsets};
-use stlfr::options::{ProxyMethod, RenderOptions, ViewOptions};
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::progress::Reporter;
 use stlfr::raster::{BitDepth, Image, write_image};
-use stlfr::registration::{FrameStore, RegistrationOptions};
+use stlfr::registration::FrameStore;
 use tempfile::TempDir;
 
 /// A textured wall before three cameras.
@@ -176,18 +176,18 @@ pub fn open(folder: &TempDir) -> Arc<Capture> {
 
 /// The light field of a capture, registered by the default options.
 pub fn field_of(capture: &Arc<Capture>, offsets: Offsets) -> LightField {
-    LightField::new(capture.clone(), offsets, &RegistrationOptions::default())
+    LightField::new(capture.clone(), offsets)
 }
 
 /// The default options of a view, but for the proxy.
-pub fn by_proxy(method: ProxyMethod) -> ViewOptions {
-    let mut options = ViewOptions::default();
+pub fn by_proxy(method: ProxyMethod) -> RenderOptions {
+    let mut options = RenderOptions::default();
     options.proxy.method = method;
     options
 }
 
 /// The same with a plane at a set depth as the proxy, metres.
-pub fn by_plane(depth_m: f64) -> ViewOptions {
+pub fn by_plane(depth_m: f64) -> RenderOptions {
     let mut options = by_proxy(ProxyMethod::Plane);
     options.proxy.plane_depth_m = Some(depth_m);
     options

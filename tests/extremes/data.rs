@@ -17,7 +17,7 @@ use stlfr::light_field::{LightField, RenderError};
 use stlfr::lumigraph::{DepthEdges, Mesh, Plane, Proxy};
 use stlfr::method::Method;
 use stlfr::offset::Offsets;
-use stlfr::options::{ProxyMethod, RenderOptions, ViewOptions};
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::random::Random;
 use stlfr::raster::{BitDepth, Image, write_image};
 use stlfr::registration::{FlowDirection, Pyramid, RegistrationOptions, Track, neighbor_consensus};
@@ -109,13 +109,15 @@ fn one_and_two_features_show_no_offset_and_no_shape() {
             assert!(reason.contains("too few features"), "{reason}");
         }
         // With clocks that are known, a frame is as it was filmed.
-        let field =
-            LightField::new(capture.clone(), Offsets::known(&capture), &options.registration);
+        let field = LightField::new(capture.clone(), Offsets::known(&capture));
         for &sync in SyncMethod::ALL {
             let filmed = capture.read_frame(1, 2).expect("a frame");
-            let options = ViewOptions { sync, ..ViewOptions::default() };
-            let found =
-                field.synchronized(1, 2.0 * FRAME_S, &options).expect("a frame's time").image;
+            let options = RenderOptions { sync, ..RenderOptions::default() };
+            let found = field
+                .synchronized(1, 2.0 * FRAME_S, &options)
+                .expect("a frame's time")
+                .image
+                .clone();
             assert_eq!(found.data(), filmed.data(), "{sync:?}");
         }
     }
@@ -186,7 +188,7 @@ fn all_outliers() {
     }
     let field = field_of(&capture, Offsets::known(&capture));
     let target = view(&scene.camera([0.02, 0.0, 0.0]));
-    let refused = field.view(&target, 1.5 * FRAME_S, &ViewOptions::default());
+    let refused = field.view(&target, 1.5 * FRAME_S, &RenderOptions::default());
     assert!(matches!(refused, Err(RenderError::NoPoints)), "{:?}", refused.err());
 
     // Tracks that move like none of their neighbours are dropped; those that agree stay.
@@ -253,7 +255,7 @@ fn constant_saturated_and_black_images() {
         // but at whatever depth, it looks the same.
         for &sync in SyncMethod::ALL {
             let options = by_plane(2.0).with_sync(sync);
-            let own = field.synchronized(1, time_s, &options).unwrap().image;
+            let own = field.synchronized(1, time_s, &options).unwrap().image.clone();
             let seen = field.view(&target, time_s, &options).unwrap();
             let covered = seen.image.data().iter().zip(&seen.coverage).filter(|(_, c)| **c);
             for found in own.data().iter().chain(covered.map(|(v, _)| v)) {

@@ -9,11 +9,11 @@ use nalgebra::{Point2, Point3, Vector3};
 use serde_json::{Value, json};
 use stlfr::camera::Camera;
 use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::{RenderError, Viewpoint};
+use stlfr::light_field::RenderError;
 use stlfr::lumigraph::{BlendOptions, Plane, Proxy, Source, blend, triangulate};
 use stlfr::method::Method;
 use stlfr::offset::Offsets;
-use stlfr::options::{ProxyMethod, ViewOptions};
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::raster::Image;
 
 /// Clocks that are known and agree, so that only space is degenerate.
@@ -59,7 +59,7 @@ fn a_view_at_an_input_camera_is_its_image() {
     let capture = open(&folder);
     let field = field_of(&capture, estimate(&capture));
     let time_s = 1.5 * FRAME_S;
-    let own = field.synchronized(1, time_s, &ViewOptions::default()).unwrap().image;
+    let own = field.synchronized(1, time_s, &RenderOptions::default()).unwrap().image.clone();
     for &method in ProxyMethod::ALL {
         let target = view(&scene.camera([0.0; 3]));
         let rendered = field.view(&target, time_s, &by_proxy(method)).unwrap();
@@ -197,7 +197,7 @@ fn fewer_cameras_than_a_pixel_is_blended_from() {
     });
     let capture = open(&folder);
     let field = field_of(&capture, estimate(&capture));
-    let mut options = ViewOptions::default();
+    let mut options = RenderOptions::default();
     options.blend.cameras = 8;
     let place_m = [-0.02, 0.0, 0.0];
     let target = view(&scene.camera(place_m));
@@ -215,8 +215,6 @@ fn one_camera_is_slow_motion() {
     });
     let capture = open(&folder);
     let field = field_of(&capture, Offsets::known(&capture));
-    let image = field
-        .with_trail(Viewpoint::Like(0), scene.time_s(1.6), &ViewOptions::default(), |_, _| true)
-        .unwrap();
+    let image = field.synchronized(0, scene.time_s(1.6), &RenderOptions::default()).unwrap();
     assert!(psnr_db(&image.image, &scene.image([0.0; 3], 1.6 * FRAME_S)) > 30.0);
 }

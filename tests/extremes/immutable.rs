@@ -7,20 +7,20 @@ use std::sync::Arc;
 use stlfr::camera::Camera;
 use stlfr::capture::Capture;
 use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::{LightField, Viewpoint};
+use stlfr::light_field::{Context, LightField, Request, Viewpoint, render};
 use stlfr::method::Method;
 use stlfr::offset::Offsets;
-use stlfr::options::{ProxyMethod, ViewOptions};
+use stlfr::options::{ProxyMethod, RenderOptions};
 
 /// How many threads ask one light field at once, each in an order of its own.
 const THREADS: usize = 4;
 
 /// One view of the capture.
-struct Request {
+struct Question {
     what: &'static str,
     target: Target,
     time_s: f64,
-    options: ViewOptions,
+    options: RenderOptions,
 }
 
 enum Target {
@@ -30,29 +30,34 @@ enum Target {
     Filmed(usize),
 }
 
-impl Request {
+impl Question {
     /// The bits of the image's values, and which pixels are covered.
     fn answer(&self, field: &LightField) -> (Vec<u32>, Vec<bool>) {
         let viewpoint = match &self.target {
             Target::Free(camera) => Viewpoint::View(camera),
             Target::Filmed(camera) => Viewpoint::Like(*camera),
         };
-        let seen = field.with_trail(viewpoint, self.time_s, &self.options, |_, _| true).unwrap();
+        let seen = render(
+            field,
+            &Request::new(viewpoint, self.time_s, &self.options),
+            &Context::unattended(),
+        )
+        .unwrap();
         (seen.image.data().iter().map(|v| v.to_bits()).collect(), seen.coverage)
     }
 }
 
-type Change = fn(&mut ViewOptions);
+type Change = fn(&mut RenderOptions);
 
 /// Two values of each option that a cached value could depend on, and of place and time.
-fn requests(scene: &Scene) -> Vec<Request> {
+fn requests(scene: &Scene) -> Vec<Question> {
     let free = |place_m| Target::Free(view(&scene.camera(place_m)));
     let (place_m, time_s) = ([0.021, 0.007, 0.1], 1.6 * FRAME_S);
     let mut requests = Vec::new();
     let mut of = |what, target, time_s, options| {
-        requests.push(Request { what, target, time_s, options });
+        requests.push(Question { what, target, time_s, options });
     };
-    let defaults = ViewOptions::default;
+    let defaults = RenderOptions::default;
     for &method in ProxyMethod::ALL {
         of(method.name(), free(place_m), time_s, by_proxy(method));
         let changes: [(&str, Change); 3] = [

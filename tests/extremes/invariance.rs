@@ -10,7 +10,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use std::sync::LazyLock;
 use stlfr::light_field::LightField;
 use stlfr::offset::Offsets;
-use stlfr::options::{RenderOptions, ViewOptions};
+use stlfr::options::RenderOptions;
 use stlfr::raster::Image;
 use stlfr::registration::RegistrationOptions;
 
@@ -28,9 +28,9 @@ impl Reconstruction {
         let options =
             RenderOptions { registration: registration.clone(), ..RenderOptions::default() };
         let offsets = estimate_by(&capture, &options);
-        let field = LightField::new(capture, offsets.clone(), registration);
+        let field = LightField::new(capture, offsets.clone());
         let target = view(&scene.camera([0.02, 0.0, 0.0]));
-        let seen = field.view(&target, scene.time_s(1.6), &ViewOptions::default()).unwrap();
+        let seen = field.view(&target, scene.time_s(1.6), &RenderOptions::default()).unwrap();
         Self { offsets, view: turned(&seen.image, (4 - scene.quarter_turns) % 4) }
     }
 }

@@ -7,11 +7,16 @@ use crate::common::swing::Swing;
 use crate::common::wall::{FRAME_S, Scene, estimate, field_of, open, view};
 use crate::naive;
 use nalgebra::{Matrix2, Point2, Vector2};
+use std::sync::Arc;
+use stlfr::camera::Camera;
 use stlfr::interpolation::SyncMethod;
+use stlfr::interpolation::Synchronized;
 use stlfr::interpolation::{Edge, Feature, MorphOptions, Warp, cross_dissolve, morph_warp};
+use stlfr::light_field::{Context, GivenImages, Images, LightField, Request, Viewpoint, render};
 use stlfr::lumigraph::BlendMethod;
+use stlfr::lumigraph::Rendered;
 use stlfr::offset::{CameraOffset, Offsets};
-use stlfr::options::{ProxyMethod, ViewOptions};
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::random::Random;
 use stlfr::raster::{BitDepth, Image, Samples, quantize};
 use stlfr::registration::{Frame, RegistrationOptions, flow};
@@ -187,6 +192,21 @@ fn lucas_kanade(
 }
 
 /// A view refines only what it is blended from: to the bit as if it refined all of every camera.
+/// The view that is blended from these whole images.
+fn of_given(
+    field: &LightField,
+    target: &Camera,
+    time_s: f64,
+    options: &RenderOptions,
+    images: Vec<Option<Arc<Synchronized>>>,
+) -> Rendered {
+    let images = GivenImages::filmed(images);
+    let images = Images::Given(&images);
+    let request = Request::new(Viewpoint::View(target), time_s, options);
+    let request = Request { images, shape: images, ..request };
+    render(field, &request, &Context::unattended()).unwrap()
+}
+
 #[test]
 fn views_of_parts_and_of_whole_images() {
     let scene = Scene { board: Some([-1.5, -0.8]), ..Scene::default() };
@@ -195,12 +215,11 @@ fn views_of_parts_and_of_whole_images() {
     let field = field_of(&capture, estimate(&capture));
     let (target, time_s) = (view(&scene.camera([0.021, 0.007, 0.1])), 1.6 * FRAME_S);
     for cameras in [1, 2, 3] {
-        let mut options = ViewOptions { sync: SyncMethod::Refined, ..ViewOptions::default() };
+        let mut options = RenderOptions { sync: SyncMethod::Refined, ..RenderOptions::default() };
         options.blend.cameras = cameras;
         let found = field.view(&target, time_s, &options).unwrap();
-        let images = field.synchronized_all(time_s, &options).unwrap();
-        let geometry = field.geometry(&images, &target, time_s, &options).unwrap();
-        let whole = field.blend(&images, &geometry, &target, &options.blend);
+        let images = field.synchronized_all(time_s, &options, &Context::unattended()).unwrap();
+        let whole = of_given(&field, &target, time_s, &options, images);
         assert!(found == whole, "{cameras} cameras");
         for (proxy, blend) in [
             (ProxyMethod::Depth, BlendMethod::Lumigraph),
@@ -210,9 +229,8 @@ fn views_of_parts_and_of_whole_images() {
             let mut options = options.clone();
             (options.proxy.method, options.blend.method) = (proxy, blend);
             let found = field.view(&target, time_s, &options).unwrap();
-            let images = field.synchronized_all(time_s, &options).unwrap();
-            let geometry = field.geometry(&images, &target, time_s, &options).unwrap();
-            let whole = field.blend(&images, &geometry, &target, &options.blend);
+            let images = field.synchronized_all(time_s, &options, &Context::unattended()).unwrap();
+            let whole = of_given(&field, &target, time_s, &options, images);
             assert!(found == whole, "{cameras} cameras, {proxy:?}, {blend:?}");
         }
     }

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use stlfr::camera::Camera;
 use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::{LightField, RenderError};
+use stlfr::light_field::{Context, LightField, RenderError};
 use stlfr::method::Method;
 use stlfr::offset::Offsets;
 use stlfr::options::{ProxyMethod, RenderOptions};
@@ -163,12 +163,16 @@ fn processed(seed: u64, options: &RenderOptions) -> (bool, Vec<(f64, f64)>) {
     let errors = errors.collect();
     let mut seen = false;
     for offsets in [estimated, Offsets::known(&capture)] {
-        let field = LightField::new(capture.clone(), offsets, &options.registration);
-        let mut options = options.view();
+        let field = LightField::new(capture.clone(), offsets);
+        let mut options = options.clone();
         options.proxy.method = pick(&mut random, ProxyMethod::ALL);
         let time_s = field.common_span_s().map_or(0.0, |(a, b)| a + random.unit() * (b - a));
         for &sync in SyncMethod::ALL {
-            let images = field.synchronized_all(time_s, &options.clone().with_sync(sync));
+            let images = field.synchronized_all(
+                time_s,
+                &RenderOptions { sync, ..options.clone() },
+                &Context::unattended(),
+            );
             for image in images.unwrap_or_else(|e| panic!("{seed}: {e}")).iter().flatten() {
                 assert_finite(&image.image, &format!("{seed}: {sync:?}"));
             }

@@ -13,7 +13,7 @@ use stlfr::capture::Capture;
 use stlfr::interpolation::{Feature, MorphOptions, SyncMethod, edge_set, morph_warp};
 use stlfr::lumigraph::{BlendOptions, Plane, Proxy, Source, blend};
 use stlfr::offset::{self, Offsets};
-use stlfr::options::{RenderOptions, ViewOptions};
+use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::random::Random;
 use stlfr::registration::{Frame, FrameStore, RegistrationOptions, flow};
@@ -61,7 +61,7 @@ fn images_of_a_pixel_and_more() {
             assert!((found - truth).abs() < 0.03, "{width}×{height}: {found} {truth}");
         }
         let refined = options.with_sync(SyncMethod::Refined);
-        let own = field.synchronized(1, time_s, &refined).expect("an image").image;
+        let own = field.synchronized(1, time_s, &refined).expect("an image").image.clone();
         for (found, truth) in own.data().iter().zip(swing.truth(1, 0.0).data()) {
             assert!((found - truth).abs() <= 1.0 / 255.0, "{width}×{height}");
         }
@@ -85,8 +85,8 @@ fn rows_8192_pixels_wide() {
     let field = field_of(&capture, Offsets::known(&capture));
     let at = 1.5;
     for sync in [SyncMethod::Triangulation, SyncMethod::EdgeMorph, SyncMethod::Refined] {
-        let options = ViewOptions { sync, ..ViewOptions::default() };
-        let found = field.synchronized(1, at / RATE_HZ, &options).expect("an image").image;
+        let options = RenderOptions { sync, ..RenderOptions::default() };
+        let found = field.synchronized(1, at / RATE_HZ, &options).expect("an image").image.clone();
         let off = rms(&found, &swing.truth(1, at), 8);
         assert!(off < 0.02, "{sync:?}: {off}");
     }
@@ -156,15 +156,16 @@ fn one_camera_to_sixty_four() {
         let at = 1.5;
         let camera = swing.reference();
         let own = field
-            .synchronized(camera, at / RATE_HZ, &ViewOptions::default())
+            .synchronized(camera, at / RATE_HZ, &RenderOptions::default())
             .expect("an image")
-            .image;
+            .image
+            .clone();
         let off = rms(&own, &swing.truth(camera, at), 6);
         assert!(off < 0.02, "{cameras}: {off}");
         if cameras > 2 {
             let place = [0.4, 0.0];
             let seen = field
-                .view(&swing.camera(place), at / RATE_HZ, &ViewOptions::default())
+                .view(&swing.camera(place), at / RATE_HZ, &RenderOptions::default())
                 .expect("a view");
             let off = rms(&seen.image, &swing.image(place, at), 8);
             assert!(off < 0.03, "{cameras}: {off}");
@@ -200,8 +201,11 @@ fn two_frames() {
     let (_folder, capture) = filmed(&swing);
     let field = field_of(&capture, true_offsets(&capture, &swing));
     for at in [0.0, 0.5, 1.0] {
-        let own =
-            field.synchronized(1, at / RATE_HZ, &ViewOptions::default()).expect("an image").image;
+        let own = field
+            .synchronized(1, at / RATE_HZ, &RenderOptions::default())
+            .expect("an image")
+            .image
+            .clone();
         let off = rms(&own, &swing.truth(1, at), 6);
         assert!(off < 0.02, "{at}: {off}");
     }

@@ -8,6 +8,7 @@ use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion, Vector2};
 use std::sync::Arc;
 use stlfr::camera::{Camera, CameraModel};
 use stlfr::capture::Capture;
+use stlfr::host::Memo;
 use stlfr::random::Random;
 use stlfr::raster::{encoded_from_linear, linear_from_encoded};
 use stlfr::registration::{
@@ -354,14 +355,14 @@ fn long_tracks_are_stable_and_flat_in_memory() {
     let (_folder, capture) = circling(FRAMES);
     let options = RegistrationOptions::default();
     const BOUND: usize = 1 << 20;
-    let store = FrameStore::with_bound(capture.clone(), &options, BOUND);
+    let store = FrameStore::with_memo(capture.clone(), &options, Arc::new(Memo::new(BOUND)));
     let mut long = LongTracks::start(&store, 0, 0).expect("corners");
     let first: Vec<(u64, Point2<f64>)> =
         long.tracks().iter().map(|t| (t.id, t.position())).collect();
     let (mut max_count, mut max_error_40) = (0, 0.0_f64);
     for k in 1..FRAMES {
         long.advance(&store).expect("the next frame");
-        assert!(store.bytes() <= BOUND, "{} bytes", store.bytes());
+        assert!(store.memo().bytes() <= BOUND, "{} bytes", store.memo().bytes());
         max_count = max_count.max(long.tracks().len());
         assert!(long.tracks().is_sorted_by(|a, b| a.id < b.id));
         if k == 40 {

@@ -239,6 +239,7 @@ fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::capture::{Capture, Clock};
+    use crate::host::Memo;
     use crate::offset::OffsetOptions;
     use crate::offset::recording::TrackCache;
     use crate::raster::{BitDepth, Image, write_image};
@@ -316,7 +317,11 @@ mod tests {
         // All pairs in one group, and each in its own.
         for max_bytes in [192 << 20, 0] {
             let registration = RegistrationOptions::default();
-            let frames = FrameStore::with_bound(capture.clone(), &registration, max_bytes);
+            let frames = FrameStore::with_memo(
+                capture.clone(),
+                &registration,
+                Arc::new(Memo::new(max_bytes)),
+            );
             let tracks = TrackCache::default();
             let recording = Recording::new(&frames, nominal_clocks(&capture), &tracks, &options);
             let rounds = |cameras| PairRounds::new(cameras, Ok(ClockModel::default()), false);
@@ -432,7 +437,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let capture = write_capture(folder.path(), [0.0; 3]);
         let registration = RegistrationOptions::default();
-        let bounded = |max_bytes| FrameStore::with_bound(capture.clone(), &registration, max_bytes);
+        let bounded = |max_bytes| {
+            FrameStore::with_memo(capture.clone(), &registration, Arc::new(Memo::new(max_bytes)))
+        };
         let mut stores = (1..).map(|n| bounded(n << 16));
         let frames = stores.find(|store| store.fits(0..3, FRAMES_AT_ONCE)).unwrap();
         let (tracks, options) = (TrackCache::default(), OffsetOptions::default());

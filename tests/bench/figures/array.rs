@@ -10,6 +10,7 @@ use nalgebra::{Point2, Vector2};
 use stlfr::compare::lettering::{TextStyle, width_px, write};
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::Viewpoint;
+use stlfr::light_field::{Context, Request, render};
 use stlfr::options::TrailMode;
 use stlfr::raster::Image;
 
@@ -69,7 +70,8 @@ fn trail(scene: &Scene, sync: SyncMethod) -> Result<Image, Error> {
     options.trail.mode = TrailMode::Mean;
 
     let from = Viewpoint::View(&truth.camera);
-    let image = scene.field.with_trail(from, end_s, &options, |_, _| true)?.image;
+    let image =
+        render(&scene.field, &Request::new(from, end_s, &options), &Context::unattended())?.image;
     Ok(magnified(&image, Part([150, 130, 320, 240]), 2))
 }
 

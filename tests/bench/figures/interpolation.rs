@@ -9,7 +9,7 @@ use stlfr::interpolation::{
     Edge, Feature, InterpolationOptions, SyncMethod, cross_dissolve, edge_set, morph_warp,
     real_edges,
 };
-use stlfr::options::{RenderOptions, ViewOptions};
+use stlfr::options::RenderOptions;
 use stlfr::raster::Image;
 use stlfr::registration::{
     Frame, RegistrationOptions, Track, Verdict, epipolar_test, temporal_flow,
@@ -63,12 +63,13 @@ impl Pair {
     }
 
     fn frames(&self) -> Result<[Arc<Frame>; 2], Error> {
-        let frame = |k| self.scene.field.frames().get(self.camera, k);
+        let frame =
+            |k| self.scene.field.frames(&RegistrationOptions::default()).get(self.camera, k);
         Ok([frame(self.k)?, frame(self.k + 1)?])
     }
 
     fn tracks(&self) -> Result<Arc<Vec<Track>>, Error> {
-        Ok(self.scene.field.tracks(self.camera, self.k)?)
+        Ok(self.scene.field.tracks(self.camera, self.k, &RegistrationOptions::default())?)
     }
 
     fn times_s(&self) -> Result<Vec<f64>, Error> {
@@ -118,11 +119,11 @@ impl Pair {
 
     /// The camera's image at the instant by a method, with the paper's options.
     fn synchronized(&self, sync: SyncMethod) -> Result<Image, Error> {
-        let options = ViewOptions {
+        let options = RenderOptions {
             interpolation: papers_interpolation(),
-            ..RenderOptions::default().view().with_sync(sync)
+            ..RenderOptions { sync, ..RenderOptions::default() }
         };
-        Ok(self.scene.field.synchronized(self.camera, self.time_s, &options)?.image)
+        Ok(self.scene.field.synchronized(self.camera, self.time_s, &options)?.image.clone())
     }
 
     fn panel(&self, image: &Image, title: &str) -> Panel {
@@ -161,7 +162,7 @@ pub fn figure_5() -> Result<Page, Error> {
 pub fn figure_6() -> Result<Page, Error> {
     let pair = Pair::open(true)?;
     let [frame, _] = pair.frames()?;
-    let frames = pair.scene.field.frames();
+    let frames = &pair.scene.field.frames(&RegistrationOptions::default());
     let tracks = temporal_flow(frames, pair.camera, pair.k)?;
     let verdicts = epipolar_test(frames, &pair.scene.times_s(), pair.camera, pair.k, &tracks)?;
     let base = magnified(&pale(&frame.image), MAGAZINE, 2);

@@ -7,8 +7,9 @@ use crate::scene::{Scene, center_of, over_plane};
 use nalgebra::{Isometry3, Point2, Point3, Translation3, UnitQuaternion, Vector3};
 use stlfr::camera::Camera;
 use stlfr::interpolation::SyncMethod;
+use stlfr::light_field::{Context, GivenImages, Images, Request, Viewpoint, render};
 use stlfr::lumigraph::{DepthMap, Proxy};
-use stlfr::options::{ProxyMethod, ViewOptions};
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::raster::Image;
 
 /// From where a proxy is drawn: turned to the side and down, degrees, and farther away by this share of the
@@ -24,7 +25,7 @@ const STEP_PX: usize = 8;
 const JUMP_SHARE: f32 = 0.08;
 
 /// The two proxies, with their letters.
-fn ways(focus_m: f64) -> [(ViewOptions, &'static str); 2] {
+fn ways(focus_m: f64) -> [(RenderOptions, &'static str); 2] {
     let plane = over_plane(focus_m, SyncMethod::Refined);
     let mut mesh = plane.clone();
     mesh.proxy.method = ProxyMethod::Mesh;
@@ -73,10 +74,13 @@ pub fn figure_17() -> Result<Page, Error> {
         let part = truth.top_of_moving(SIZE_PX);
         let mut row = Vec::new();
         for (options, title) in ways(truth.focus_m()) {
-            let mut images = scene.field.synchronized_all(time_s, &options)?;
+            let mut images =
+                scene.field.synchronized_all(time_s, &options, &Context::unattended())?;
             images[own] = None;
-            let geometry = scene.field.geometry(&images, &truth.camera, time_s, &options)?;
-            let image = scene.field.blend(&images, &geometry, &truth.camera, &options.blend).image;
+            let images = GivenImages::filmed(images);
+            let request = Request::new(Viewpoint::View(&truth.camera), time_s, &options);
+            let request = Request { images: Images::Given(&images), ..request };
+            let image = render(&scene.field, &request, &Context::unattended())?.image;
             row.push(Panel::new(magnified(&image, part, 2), title, truth.both_scores(&image)));
         }
         row.push(Panel::new(magnified(&truth.image, part, 2), "Truth", place));

@@ -13,7 +13,7 @@ use stlfr::light_field::LightField;
 use stlfr::lumigraph::DepthMap;
 use stlfr::metrics::moving_part;
 use stlfr::offset::{Offsets, estimate};
-use stlfr::options::{ProxyMethod, RenderOptions, ViewOptions};
+use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::progress::Reporter;
 use stlfr::raster::{Image, read_image};
 use stlfr::registration::{FrameStore, RegistrationOptions};
@@ -133,7 +133,7 @@ impl Scene {
         let mut instants_s: Vec<f64> =
             truth.views.iter().map(|v| v.time_s - capture.time_origin_s).collect();
         instants_s.dedup();
-        let field = LightField::with_frames(frames, offsets);
+        let field = LightField::with_frames(&frames, offsets);
         Ok(Self { field, capture, truth, instants_s })
     }
 
@@ -165,7 +165,7 @@ impl Scene {
         &self,
         camera: &Camera,
         time_s: f64,
-        options: &ViewOptions,
+        options: &RenderOptions,
     ) -> Result<Image, Error> {
         Ok(self.field.view(camera, time_s, options)?.image)
     }
@@ -191,8 +191,8 @@ impl Scene {
 }
 
 /// Options of a view over the plane at a depth.
-pub fn over_plane(depth_m: f64, sync: SyncMethod) -> ViewOptions {
-    let mut options = RenderOptions::default().view().with_sync(sync);
+pub fn over_plane(depth_m: f64, sync: SyncMethod) -> RenderOptions {
+    let mut options = RenderOptions { sync, ..RenderOptions::default() };
     options.proxy.method = ProxyMethod::Plane;
     options.proxy.plane_depth_m = Some(depth_m);
     options

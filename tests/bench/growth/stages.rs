@@ -8,10 +8,11 @@ use stlfr::capture::Capture;
 use stlfr::chart::{Chart, Series};
 use stlfr::host::process_cpu_s;
 use stlfr::interpolation::{EdgeOptions, Feature, SyncMethod, edge_set, real_edges};
-use stlfr::light_field::LightField;
+use stlfr::light_field::{Context, LightField, Request, Viewpoint};
 use stlfr::offset::{self, Offsets};
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
+use stlfr::registration::RegistrationOptions;
 use stlfr::registration::{FrameStore, epipolar_test, temporal_flow};
 
 /// What is timed, in the order of the pipeline.
@@ -86,16 +87,17 @@ pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
 fn edges(
     field: &LightField,
     (camera, k): (usize, usize),
+    registration: &RegistrationOptions,
     options: &EdgeOptions,
 ) -> Done<[usize; 2]> {
-    let tracks = field.tracks(camera, k)?;
+    let tracks = field.tracks(camera, k, registration)?;
     let features: Vec<Feature> = (tracks.iter().filter(|track| track.in_forward_set()))
         .map(|track| {
             let (source, other) = (track.earlier, track.later);
             Feature { source, other, target: nalgebra::center(&source, &other) }
         })
         .collect();
-    let [source, other] = [k, k + 1].map(|k| field.frames().get(camera, k));
+    let [source, other] = [k, k + 1].map(|k| field.frames(registration).get(camera, k));
     let (source, other) = (source?, other?);
     let [a, b] = [&source, &other].map(|frame| &frame.pyramid.levels()[0]);
     let real = real_edges(&features, a, b, options);
@@ -129,24 +131,28 @@ fn measure(name: &str, case: &Case) -> Done<(usize, [usize; 2], [f64; STAGES.len
     });
 
     let known = true_offsets(&capture, &case.swing);
-    let field = LightField::new(capture.clone(), known.clone(), &options.registration);
+    let field = LightField::new(capture.clone(), known.clone());
     let mut costs = vec![registration, offsets];
     for sync in [SyncMethod::Triangulation, SyncMethod::EdgeMorph, SyncMethod::Refined] {
         // Frames and tracks are there already: registration has a column of its own.
-        let view = options.view().with_sync(sync);
+        let view = RenderOptions { sync, ..options.clone() };
         field.synchronized(reference, time_s, &view)?;
         costs.push(timed(|| field.synchronized(reference, time_s, &view)).1);
     }
-    let edges = edges(&field, (reference, k), &options.interpolation.edges)?;
+    let edges = edges(&field, (reference, k), &options.registration, &options.interpolation.edges)?;
     let target = case.swing.camera([0.4, 0.0]);
-    let images =
-        field.synchronized_all(time_s, &options.view().with_sync(SyncMethod::Crossfade))?;
-    let (geometry, cost) = timed(|| field.geometry(&images, &target, time_s, &options.view()));
+    let images = field.synchronized_all(
+        time_s,
+        &RenderOptions { sync: SyncMethod::Crossfade, ..options.clone() },
+        &Context::unattended(),
+    )?;
+    let request = Request::new(Viewpoint::View(&target), time_s, options);
+    let (geometry, cost) = timed(|| field.geometry(&target, &request));
     costs.push(cost);
     let geometry = geometry?;
     costs.push(timed(|| field.blend(&images, &geometry, &target, &options.blend)).1);
-    let fresh = LightField::new(capture, known, &options.registration);
-    let (view, cost) = timed(|| fresh.view(&target, time_s, &options.view()));
+    let fresh = LightField::new(capture, known);
+    let (view, cost) = timed(|| fresh.view(&target, time_s, options));
     view?;
     costs.push(cost);
     std::fs::remove_dir_all(&film)?;

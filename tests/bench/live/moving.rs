@@ -7,7 +7,8 @@ use std::sync::Arc;
 use std::time::Instant;
 use stlfr::camera::Camera;
 use stlfr::capture::Capture;
-use stlfr::light_field::{LightField, delete_prepared};
+use stlfr::host::DiskCache;
+use stlfr::light_field::{LightField, PREPARED};
 use stlfr::offset::Offsets;
 use stlfr::options::{ProxyMethod, RenderOptions};
 
@@ -19,13 +20,21 @@ const INSTANTS: usize = 24;
 /// The same for views that take seconds.
 const SLOW_INSTANTS: usize = 4;
 
+fn delete_prepared(folder: &Path) -> Result<(), Error> {
+    let cache = DiskCache::new(folder, |_| ());
+    for kind in PREPARED {
+        cache.delete(Some(kind))?;
+    }
+    Ok(())
+}
+
 /// The capture opened anew, with nothing in memory.
-fn opened(folder: &str, options: &RenderOptions) -> Result<LightField, Error> {
+fn opened(folder: &str) -> Result<LightField, Error> {
     let capture = Arc::new(Capture::open(folder.as_ref())?);
     // Clocks as recorded: times don't depend on how right they are.
     let mut offsets = Offsets::known(&capture);
     offsets.cameras.iter_mut().for_each(|c| c.offset_s = Some(c.offset_s.unwrap_or(0.0)));
-    Ok(LightField::new(capture, offsets, &options.registration))
+    Ok(LightField::new(capture, offsets))
 }
 
 /// Milliseconds.
@@ -49,7 +58,7 @@ struct Scrub<'a> {
 impl Scrub<'_> {
     /// The median of a view at instants whose frames were used before, milliseconds.
     fn view_ms(&self) -> Result<f64, Error> {
-        let (capture, options) = (self.field.capture(), self.options.view());
+        let (capture, options) = (self.field.capture(), self.options);
         let clock = &capture.cameras[capture.reference].clock.times_s;
         let (middle_s, interval_s) = (middle_s(capture), clock[1] - clock[0]);
         let is_slow = options.proxy.method == ProxyMethod::Depth;
@@ -60,9 +69,9 @@ impl Scrub<'_> {
             })
         };
         for time_s in times(0.25) {
-            self.field.view(self.view, time_s, &options)?;
+            self.field.view(self.view, time_s, options)?;
         }
-        let of = |time_s| Ok(timed(|| Ok(self.field.view(self.view, time_s, &options)?))?.0);
+        let of = |time_s| Ok(timed(|| Ok(self.field.view(self.view, time_s, options)?))?.0);
         Ok(median(times(0.5).map(of).collect::<Result<_, Error>>()?))
     }
 }
@@ -73,7 +82,7 @@ pub fn bench(
     view: &Camera,
     methods: &[(&'static str, RenderOptions)],
 ) -> Result<(), Error> {
-    if Path::new(folder).join(".stlfr/registered").exists() {
+    if Path::new(folder).join(".stlfr/cache/tracks").exists() {
         return Err("is prepared, which this benchmark would delete: copy the capture".into());
     }
     println!(
@@ -84,13 +93,13 @@ pub fn bench(
         delete_prepared(Path::new(folder))?;
         let first = || {
             timed(|| {
-                let field = opened(folder, options)?;
-                field.view(view, middle_s(field.capture()), &options.view())?;
+                let field = opened(folder)?;
+                field.view(view, middle_s(field.capture()), options)?;
                 Ok(field)
             })
         };
         let (cold_ms, field) = first()?;
-        field.prepare(options.interpolation.still_change, |_| ())?;
+        field.prepare(options, |_| ())?;
         drop(field);
         let (first_ms, field) = first()?;
         let scrub = Scrub { field: &field, view, options };
@@ -109,12 +118,12 @@ pub fn bench(
 /// What the preparation of all pairs takes, beside DIS in both directions.
 fn preparation(folder: &str, options: &RenderOptions) -> Result<(), Error> {
     delete_prepared(Path::new(folder))?;
-    let field = opened(folder, options)?;
+    let field = opened(folder)?;
     let mut took = Vec::new();
     for count in [1, 2] {
         delete_prepared(Path::new(folder))?;
-        let field = opened(folder, options)?;
-        let prepare = || timed(|| Ok(field.prepare(0.0, |_| ())?));
+        let field = opened(folder)?;
+        let prepare = || timed(|| Ok(field.prepare(options, |_| ())?));
         took.push(threads(count)?.install(prepare)?);
     }
     let (ms, prepared) = took[1];

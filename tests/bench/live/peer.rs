@@ -7,13 +7,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use stlfr::camera::Camera;
 use stlfr::capture::Capture;
-use stlfr::light_field::Moment;
+use stlfr::light_field::{Geometry, GivenImages};
 use stlfr::raster::{BitDepth, write_image};
 use tempfile::TempDir;
 
 /// The median time of a view, milliseconds; `None` without the environment.
 pub fn remap_ms(
-    moment: &Moment,
+    images: &GivenImages,
+    geometry: &dyn Fn(&Camera) -> Result<Geometry, Error>,
     capture: &Capture,
     views: &[Camera],
     blended: usize,
@@ -24,7 +25,7 @@ pub fn remap_ms(
     let scratch = tempfile::tempdir()?;
     let file = |name: String| scratch.path().join(name);
     let mut cameras = Vec::new();
-    for (n, (filmed, image)) in capture.cameras.iter().zip(moment.images()).enumerate() {
+    for (n, (filmed, image)) in capture.cameras.iter().zip(images.all()).enumerate() {
         let Some(image) = image else { continue };
         let path = file(format!("{n}.png"));
         write_image(&path, &image.image, None, BitDepth::Eight)?;
@@ -33,7 +34,7 @@ pub fn remap_ms(
     let mut places = Vec::new();
     for (n, view) in views.iter().enumerate() {
         let path = file(format!("{n}.f32"));
-        let depths = moment.geometry(view)?.view;
+        let depths = geometry(view)?.view;
         let bytes: Vec<u8> = depths.data().iter().flat_map(|v| v.to_le_bytes()).collect();
         std::fs::write(&path, bytes)?;
         places.push(json!({"camera": of(view), "depths": path}));

@@ -6,11 +6,8 @@ use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Instant;
 use stlfr::camera::Camera;
-use stlfr::capture::{Capture, FilmedCamera};
 use stlfr::host::on_workers;
-use stlfr::interpolation::Synchronized;
-use stlfr::light_field::{Geometry, LightField, Moment};
-use stlfr::lumigraph::{DepthMap, Source, blend};
+use stlfr::light_field::{Context, Geometry, LightField};
 use stlfr::options::RenderOptions;
 
 /// Number of values that bandwidth is measured over: 256 MiB. Larger: memory; smaller: caches hold them.
@@ -40,21 +37,6 @@ fn read_bandwidth() -> f64 {
     (0..RUNS).map(run).fold(0.0, f64::max)
 }
 
-/// The images that views are blended from, with what hides what in them.
-fn sources<'a>(
-    capture: &'a Capture,
-    moment: &'a Moment,
-    geometry: &'a Geometry,
-) -> Vec<Source<'a>> {
-    let of = |((filmed, image), depth): ((&'a FilmedCamera, &'a Option<Synchronized>), _)| {
-        let Synchronized { image, interpolation_error_px } = image.as_ref()?;
-        let depth: &Option<Arc<DepthMap>> = depth;
-        let (camera, interpolation_error_px) = (&filmed.camera, interpolation_error_px.as_deref());
-        Some(Source { camera, image, depth: depth.as_deref(), interpolation_error_px })
-    };
-    capture.cameras.iter().zip(moment.images()).zip(&geometry.sources).filter_map(of).collect()
-}
-
 /// A stage of one method's views.
 pub struct StageTime {
     method: &'static str,
@@ -65,29 +47,29 @@ pub struct StageTime {
     bytes: f64,
 }
 
-/// The stages of one method's views at the instant of `moment`.
+/// The stages of one method's views at an instant.
 pub fn of(
     method: &'static str,
     field: &LightField,
-    moment: &Moment,
+    geometry: &dyn Fn(&Camera) -> Result<Geometry, Error>,
     views: &[Camera],
     options: &RenderOptions,
 ) -> Result<Vec<StageTime>, Error> {
-    let (capture, options) = (field.capture(), options.view());
-    let shapes: Vec<Geometry> =
-        views.iter().map(|v| Ok(moment.geometry(v)?)).collect::<Result<_, Error>>()?;
-    let shape_ms = each_ms(views, |v| Ok(moment.geometry(v).map(drop)?))?;
+    let (capture, time_s) = (field.capture(), middle_s(field.capture()));
+    let images = field.corrected_all(time_s, options, &Context::unattended())?;
+    let shapes: Vec<Geometry> = views.iter().map(geometry).collect::<Result<_, Error>>()?;
+    let shape_ms = each_ms(views, |v| geometry(v).map(drop))?;
     let blend_of = |(view, geometry): (&Camera, &Geometry)| {
-        let sources = sources(capture, moment, geometry);
         let start = Instant::now();
-        on_workers(|| drop(black_box(blend(&sources, &geometry.view, view, &options.blend))));
+        on_workers(|| drop(black_box(field.blend(images.all(), geometry, view, &options.blend))));
         1000.0 * start.elapsed().as_secs_f64()
     };
     let blend_ms = median(views.iter().zip(&shapes).map(blend_of).collect());
-    let time_s = middle_s(capture);
     let image = |_| -> Result<f64, Error> {
+        let fresh = LightField::new(Arc::new(capture.clone()), field.offsets().clone());
+        fresh.register(time_s, options)?;
         let start = Instant::now();
-        field.synchronized(capture.reference, time_s, &options)?;
+        fresh.synchronized(capture.reference, time_s, options)?;
         Ok(1000.0 * start.elapsed().as_secs_f64())
     };
     let image_ms = median((0..RUNS).map(image).collect::<Result<_, _>>()?);

@@ -58,7 +58,7 @@ impl Flicker {
         );
         println!("|---|---|---|---|---|---|---|");
         for sequence in [pan(&field, &truth)?, scrub(&field, &truth)?] {
-            let options = self.options.view();
+            let options = self.options.clone();
             let shots = sequence.cameras.iter().zip(&sequence.times_s);
             let views: Result<Vec<Image>, _> =
                 shots.map(|(c, t)| Ok(field.view(c, *t, &options)?.image)).collect();

@@ -65,7 +65,7 @@ fn open_synchronized(folder: &Path) -> Result<LightField, Error> {
     for camera in &mut offsets.cameras {
         camera.offset_s = Some(0.0);
     }
-    Ok(LightField::new(capture, offsets, &RenderOptions::default().registration))
+    Ok(LightField::new(capture, offsets))
 }
 
 fn compare(folder: &str, synchronized: &Path) -> Result<Vec<Pair>, Error> {
@@ -121,15 +121,15 @@ fn pair(name: &str, fields: [&LightField; 2], truth: &Truth, time_s: f64) -> Res
 
 /// The final view at an instant, by each of [`METHODS`].
 fn views(field: &LightField, target: &Camera, at_s: f64) -> Result<[Image; 2], Error> {
-    let mut options = RenderOptions::default().view();
+    let mut options = RenderOptions::default();
     options.proxy.method = ProxyMethod::Depth;
     options.blend.method = BlendMethod::SpaceTime;
-    let images = field.synchronized_all(at_s, &options)?;
-    let geometry = field.geometry(&images, target, at_s, &options)?;
-    Ok(METHODS.map(|(_, method)| {
+    let mut of = |method| {
         options.blend.method = method;
-        field.blend(&images, &geometry, target, &options.blend).image
-    }))
+        field.view(target, at_s, &options)
+    };
+    let [first, second] = METHODS.map(|(_, method)| of(method));
+    Ok([first?.image, second?.image])
 }
 
 /// Median and 90th percentile over the moving part.

@@ -8,23 +8,28 @@ use std::path::Path;
 use std::sync::Arc;
 use stlfr::camera::Camera;
 use stlfr::interpolation::{SyncMethod, Synchronized};
-use stlfr::light_field::{Geometry, LightField};
+use stlfr::light_field::{Context, Geometry, GivenImages, Images, LightField, Request, Viewpoint};
 use stlfr::lumigraph::BlendMethod::{self, Lumigraph, SpaceTime};
-use stlfr::options::{ProxyMethod, RenderOptions, ViewOptions};
+use stlfr::options::{ProxyMethod, RenderOptions};
 
 /// The images of all cameras, in the capture's order.
-type Images = Vec<Option<Synchronized>>;
+type CameraImages = Vec<Option<Arc<Synchronized>>>;
 
 /// One row of a view's table.
 struct Row<'a> {
     name: String,
-    images: &'a Images,
+    images: &'a CameraImages,
     geometry: &'a Geometry,
     method: BlendMethod,
 }
 
 impl<'a> Row<'a> {
-    fn new(name: &str, images: &'a Images, geometry: &'a Geometry, method: BlendMethod) -> Self {
+    fn new(
+        name: &str,
+        images: &'a CameraImages,
+        geometry: &'a Geometry,
+        method: BlendMethod,
+    ) -> Self {
         Self { name: name.to_owned(), images, geometry, method }
     }
 }
@@ -32,15 +37,15 @@ impl<'a> Row<'a> {
 /// Everything of one instant.
 pub struct Scene<'a> {
     field: &'a LightField,
-    options: ViewOptions,
+    options: RenderOptions,
     time_s: f64,
     cameras: Vec<True>,
     /// Of all cameras: true, from the nearest frames, synchronized, and by the peers that there are.
-    filmed: Images,
-    nearest: Images,
-    refined: Images,
-    all_cameras: Images,
-    peers: Vec<(&'static str, Images)>,
+    filmed: CameraImages,
+    nearest: CameraImages,
+    refined: CameraImages,
+    all_cameras: CameraImages,
+    peers: Vec<(&'static str, CameraImages)>,
 }
 
 impl<'a> Scene<'a> {
@@ -50,17 +55,28 @@ impl<'a> Scene<'a> {
         cameras: Vec<True>,
         python: Option<&Python>,
     ) -> Result<Self, Error> {
-        let options = RenderOptions::default().view();
+        let options = RenderOptions::default();
         let mut timed = options.clone();
         timed.blend.method = SpaceTime;
-        let by = |sync| field.synchronized_all(time_s, &timed.clone().with_sync(sync));
+        let by = |sync| {
+            field.synchronized_all(
+                time_s,
+                &RenderOptions { sync, ..timed.clone() },
+                &Context::unattended(),
+            )
+        };
         let (nearest, refined) = (by(SyncMethod::Nearest)?, by(SyncMethod::Refined)?);
         let all_cameras = by(SyncMethod::AllCameras)?;
-        let filmed = cameras.iter().map(|t| Some(Synchronized::filmed(t.image.clone()))).collect();
+        let filmed =
+            cameras.iter().map(|t| Some(Arc::new(Synchronized::filmed(t.image.clone())))).collect();
         let peers = match python {
             Some(python) => {
                 let names = PEERS.iter().map(|p| p.0);
-                names.zip(python.synchronized(field, time_s)?).collect()
+                let shared = |images: Vec<Option<Synchronized>>| {
+                    images.into_iter().map(|image| image.map(Arc::new)).collect()
+                };
+                let images = python.synchronized(field, time_s)?.into_iter().map(shared);
+                names.zip(images).collect()
             }
             None => Vec::new(),
         };
@@ -91,13 +107,16 @@ impl<'a> Scene<'a> {
 
     fn geometry(
         &self,
-        images: &Images,
+        images: &CameraImages,
         method: ProxyMethod,
         target: &Camera,
     ) -> Result<Geometry, Error> {
         let mut options = self.options.clone();
         options.proxy.method = method;
-        Ok(self.field.geometry(images, target, self.time_s, &options)?)
+        let images = GivenImages::filmed(images.clone());
+        let shape = Images::Given(&images);
+        let request = Request::new(Viewpoint::View(target), self.time_s, &options);
+        Ok(self.field.geometry(target, &Request { shape, ..request })?)
     }
 
     pub fn print_view(

@@ -1,0 +1,245 @@
+//! §5: a camera's image at an instant at which it took none.
+
+use super::frame_pair::is_still;
+use super::graph::LightField;
+use super::stages::{
+    AllCamerasImage, CameraImage, CorrectedImage, GivenImages, ImageMethod, PairTracks,
+    PairTriangles, RefinementCosts, Stage,
+};
+use super::{Context, RenderError};
+use crate::host::on_workers;
+use crate::interpolation::{FramePair, PairCosts, SyncMethod, Synchronized};
+use crate::options::RenderOptions;
+use crate::raster::Tiles;
+use crate::registration::RegistrationOptions;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+impl Stage for CameraImage<'_> {
+    type Output = Synchronized;
+    const NAME: &'static str = "camera image";
+
+    fn bytes(image: &Synchronized) -> usize {
+        size_of_val(image.image.data())
+            + image.interpolation_error_px.as_deref().map_or(0, size_of_val)
+    }
+
+    fn compute(&self, field: &LightField, context: &Context) -> Result<Synchronized, RenderError> {
+        image_in(field, self, None, context)
+    }
+}
+
+impl Stage for CorrectedImage<'_> {
+    type Output = Synchronized;
+    const NAME: &'static str = "corrected image";
+
+    fn bytes(image: &Synchronized) -> usize {
+        CameraImage::bytes(image)
+    }
+
+    fn compute(&self, field: &LightField, context: &Context) -> Result<Synchronized, RenderError> {
+        let filmed = field.get(&self.image, context)?;
+        let gains = field.gains(self.registration);
+        let image = gains.corrected(self.image.camera, &filmed.image);
+        let image = image.unwrap_or_else(|| filmed.image.clone());
+        Ok(Synchronized { image, interpolation_error_px: filmed.interpolation_error_px.clone() })
+    }
+}
+
+impl Stage for RefinementCosts<'_> {
+    type Output = PairCosts;
+    const NAME: &'static str = "refinement costs";
+
+    fn bytes(costs: &PairCosts) -> usize {
+        costs.bytes()
+    }
+
+    fn compute(&self, field: &LightField, context: &Context) -> Result<PairCosts, RenderError> {
+        let PairTracks { camera, frame, registration } = self.tracks;
+        let tracks = field.get_stored(&self.tracks, context)?;
+        let frames = field.frames(registration);
+        let (earlier, later) = (frames.get(camera, frame)?, frames.get(camera, frame + 1)?);
+        let pair = FramePair {
+            around: [None, None],
+            earlier: &earlier,
+            later: &later,
+            tracks: &tracks,
+            triangles: None,
+            pair_costs: None,
+            times_s: field.timeline().times_s(camera),
+            index: frame,
+            parts: None,
+            with_interpolation_error: false,
+        };
+        Ok(pair.pair_costs(self.interpolation))
+    }
+}
+
+/// A camera's image, as bright as the reference camera records it.
+pub(super) fn corrected(
+    field: &LightField,
+    image: CameraImage,
+    registration: &RegistrationOptions,
+    context: &Context,
+) -> Result<Arc<Synchronized>, RenderError> {
+    if field.gains(registration).are_equal() {
+        return field.get(&image, context);
+    }
+    field.get(&CorrectedImage { image, registration }, context)
+}
+
+/// A camera's image. Where `parts` are given, its other tiles may be less accurate.
+pub(super) fn image_in(
+    field: &LightField,
+    image: &CameraImage,
+    parts: Option<&Tiles>,
+    context: &Context,
+) -> Result<Synchronized, RenderError> {
+    context.check()?;
+    let &CameraImage { camera, time_s, method } = image;
+    let timeline = field.timeline();
+    let (frame, later) = timeline.bracket(camera, time_s)?;
+    let registration = &method.registration;
+    let frames = field.frames(registration);
+    let earlier_frame = frames.get(camera, frame)?;
+    if frame == later {
+        return Ok(Synchronized::filmed(earlier_frame.image.clone()));
+    }
+    let interpolation = method.interpolation.clone().unwrap_or_default();
+    if let Some(options) = &method.all_cameras {
+        let all = AllCamerasImage { image: *image, interpolation: &interpolation, options };
+        return all.compute(field, context);
+    }
+    let later_frame = frames.get(camera, later)?;
+    let pair = PairTracks { camera, frame, registration };
+    let follows_motion =
+        method.interpolation.is_some() && !is_still(field, pair, interpolation.still_change)?;
+    let sync = match method.sync {
+        sync if follows_motion || !sync.needs_tracks() => sync,
+        _ => SyncMethod::Crossfade,
+    };
+    let tracks = if follows_motion { field.get_stored(&pair, context)? } else { Arc::default() };
+    let triangles = matches!(sync, SyncMethod::Triangulation | SyncMethod::Refined)
+        .then(|| field.get(&PairTriangles(pair), context))
+        .transpose()?;
+    let is_refined = sync == SyncMethod::Refined;
+    let costs = RefinementCosts { tracks: pair, interpolation: &interpolation };
+    let costs = is_refined.then(|| field.get(&costs, context)).transpose()?;
+    let around = |index: Option<usize>| {
+        let index = index.filter(|&k| is_refined && k < timeline.times_s(camera).len());
+        index.map(|k| frames.get(camera, k)).transpose()
+    };
+    let (before, after) = (around(frame.checked_sub(1))?, around(Some(later + 1))?);
+    let pair = FramePair {
+        around: [before.as_deref(), after.as_deref()],
+        earlier: &earlier_frame,
+        later: &later_frame,
+        tracks: &tracks,
+        triangles: triangles.as_deref(),
+        pair_costs: costs.as_deref(),
+        times_s: timeline.times_s(camera),
+        index: frame,
+        parts,
+        with_interpolation_error: method.with_error,
+    };
+    Ok(pair.interpolate(time_s, sync, &interpolation))
+}
+
+impl LightField {
+    /// A camera's image at a time: its own frame where it has one at that very time.
+    ///
+    /// # Errors
+    /// [`RenderError::CameraTime`] outside the camera's frames, [`RenderError::CameraClock`] if its clock is
+    /// unknown, [`RenderError::Capture`] if a frame can't be read.
+    pub fn synchronized(
+        &self,
+        camera: usize,
+        time_s: f64,
+        options: &RenderOptions,
+    ) -> Result<Arc<Synchronized>, RenderError> {
+        let method = ImageMethod::new(options.sync, options);
+        let image = CameraImage { camera, time_s, method: &method };
+        on_workers(|| self.get(&image, &Context::unattended()))
+    }
+
+    /// The images of all cameras at a time, in the capture's order; `None` for cameras that can't give one.
+    ///
+    /// # Errors
+    /// [`RenderError::Capture`] if a frame can't be read, [`RenderError::Stopped`].
+    pub fn synchronized_all(
+        &self,
+        time_s: f64,
+        options: &RenderOptions,
+        context: &Context,
+    ) -> Result<Vec<Option<Arc<Synchronized>>>, RenderError> {
+        let method = ImageMethod::new(options.sync, options);
+        let image = |camera: usize| CameraImage { camera, time_s, method: &method };
+        let usable = self.usable(time_s);
+        on_workers(|| {
+            share(self, usable.iter().map(|&c| image(c)), context)?;
+            let images = usable.par_iter().map(|&c| Ok((c, self.get(&image(c), context)?)));
+            let mut all = vec![None; self.capture().cameras.len()];
+            for (camera, image) in images.collect::<Result<Vec<_>, RenderError>>()? {
+                all[camera] = Some(image);
+            }
+            Ok(all)
+        })
+    }
+}
+
+impl LightField {
+    /// The images of all cameras at a time, as bright as the reference camera records them.
+    ///
+    /// # Errors
+    /// Those of [`Self::synchronized_all`], and the error of [`super::render()`] if no camera has an image at that time.
+    pub fn corrected_all(
+        &self,
+        time_s: f64,
+        options: &RenderOptions,
+        context: &Context,
+    ) -> Result<GivenImages, RenderError> {
+        if self.usable(time_s).is_empty() {
+            return Err(self.timeline().no_camera_at(time_s));
+        }
+        self.synchronized_all(time_s, options, context)?;
+        let method = ImageMethod::new(options.sync, options);
+        let image = |camera| {
+            let image = CameraImage { camera, time_s, method: &method };
+            Ok((camera, corrected(self, image, &options.registration, context)?))
+        };
+        let found: Vec<_> = on_workers(|| {
+            self.usable(time_s).into_par_iter().map(image).collect::<Result<_, RenderError>>()
+        })?;
+        let mut all = vec![None; self.capture().cameras.len()];
+        found.into_iter().for_each(|(camera, image)| all[camera] = Some(image));
+        Ok(GivenImages::corrected(all))
+    }
+
+    /// [`Self::corrected_all`], if all of them are cached.
+    pub(crate) fn cached_instant(
+        &self,
+        time_s: f64,
+        options: &RenderOptions,
+    ) -> Option<GivenImages> {
+        let method = ImageMethod::new(options.sync, options);
+        let image = |camera: usize| CameraImage { camera, time_s, method: &method };
+        let usable = self.usable(time_s);
+        let are_cached = usable.iter().all(|&c| self.cached(&image(c)).is_some());
+        if !are_cached || usable.is_empty() {
+            return None;
+        }
+        self.corrected_all(time_s, options, &Context::unattended()).ok()
+    }
+}
+
+/// Computes what the images of all cameras share before threads ask for it in parallel.
+pub(super) fn share<'a>(
+    field: &LightField,
+    mut images: impl Iterator<Item = CameraImage<'a>>,
+    context: &Context,
+) -> Result<(), RenderError> {
+    match images.next() {
+        Some(image) if image.method.all_cameras.is_some() => field.get(&image, context).map(drop),
+        _ => Ok(()),
+    }
+}

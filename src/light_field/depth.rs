@@ -1,0 +1,231 @@
+//! Depth per pixel of cameras at an instant, from their images.
+
+use super::camera_image::{corrected, share};
+use super::graph::LightField;
+use super::points::nearest;
+use super::stages::{CameraDepth, CameraImage, ImageSource, OcclusionDepths, Stage, Stereo};
+use super::{Context, RenderError};
+use crate::camera::Camera;
+use crate::interpolation::Synchronized;
+use crate::lumigraph::DepthMap;
+use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
+use crate::registration::RegistrationOptions;
+use crate::stereo::{CameraImage as StereoImage, InverseDepths, Matcher, Surface, fuse};
+use nalgebra::{Point2, Point3};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Fraction of the range of inverse depths that is added at both ends, for what is nearer or farther than all features.
+const RANGE_MARGIN: f64 = 0.1;
+/// Distance between the samples of the proxy that give the range, pixels.
+const RANGE_STEP_PX: usize = 8;
+/// Smallest inverse depth, 1/m.
+const MIN_INVERSE_DEPTH: f64 = 1e-5;
+/// Bytes of a matcher, per pixel of its cameras.
+const MATCHER_BYTES: usize = 16;
+
+/// Images that are prepared for stereo, and the ranges of their depths.
+pub(super) struct PreparedStereo {
+    matcher: Matcher,
+    /// By camera of the stereo: inverse depths, 1/m; `None` if no point of the scene is in front of it.
+    ranges: Vec<Option<[f64; 2]>>,
+    bytes: usize,
+}
+
+impl Stage for Stereo<'_> {
+    /// `None` if nothing is known of the scene's depths.
+    type Output = Option<PreparedStereo>;
+    const NAME: &'static str = "stereo";
+
+    fn bytes(prepared: &Option<PreparedStereo>) -> usize {
+        prepared.as_ref().map_or(1, |p| p.bytes)
+    }
+
+    fn compute(
+        &self,
+        field: &LightField,
+        context: &Context,
+    ) -> Result<Option<PreparedStereo>, RenderError> {
+        let filmed = &field.capture().cameras;
+        let reference = &filmed[field.capture().reference].camera;
+        let middle = &filmed[nearest(filmed, self.cameras, reference)[0]].camera;
+        let points = match field.proxy(middle, self.time_s, &self.proxy_options()) {
+            Ok(proxy) => sampled(&proxy.depth_map(middle), middle),
+            Err(RenderError::NoPoints | RenderError::NothingSeen) => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        let cameras = || self.cameras.iter().map(|&c| &filmed[c].camera);
+        let ranges: Vec<_> = cameras().map(|camera| range(&points, camera)).collect();
+        let of_all = ranges.iter().flatten().fold([f64::INFINITY, 0.0], |[low, high], r| {
+            [f64::min(low, r[0]), f64::max(high, r[1])]
+        });
+        if of_all[1] <= 0.0 {
+            return Ok(None);
+        }
+        let images = self.images(field, context)?;
+        let views: Vec<StereoImage> = cameras()
+            .zip(&images)
+            .map(|(camera, image)| StereoImage { camera, image: &image.image })
+            .collect();
+        let matcher = Matcher::new(&views, of_all, &self.proxy.depth);
+        let pixels: usize = cameras().map(|c| c.width * c.height).sum();
+        Ok(Some(PreparedStereo { matcher, ranges, bytes: MATCHER_BYTES * pixels }))
+    }
+}
+
+impl Stereo<'_> {
+    /// The cameras' images, as bright as the reference records them.
+    fn images(
+        &self,
+        field: &LightField,
+        context: &Context,
+    ) -> Result<Vec<Arc<Synchronized>>, RenderError> {
+        images_of(field, self.images, self.cameras, (self.time_s, self.registration), context)
+    }
+
+    /// Options of the proxy that the range of depths is taken from.
+    fn proxy_options(&self) -> RenderOptions {
+        let mut options = RenderOptions {
+            registration: self.registration.clone(),
+            proxy: ProxyOptions { method: ProxyMethod::Mesh, ..self.proxy.clone() },
+            ..RenderOptions::default()
+        };
+        options.interpolation.still_change = self.still_change;
+        options
+    }
+
+    /// The depths of these cameras, which are among the stereo's; without those whose depths can't be estimated.
+    pub fn surfaces(
+        &self,
+        field: &LightField,
+        cameras: &[usize],
+        context: &Context,
+    ) -> Result<Vec<EstimatedDepth>, RenderError> {
+        // Once, before threads ask for it in parallel.
+        field.get(self, context)?;
+        let depth = |&camera: &usize| {
+            let depths = field.get(&CameraDepth { stereo: *self, camera }, context)?;
+            Ok(EstimatedDepth { camera, depths })
+        };
+        let mut depths: Vec<EstimatedDepth> =
+            cameras.par_iter().map(depth).collect::<Result<_, RenderError>>()?;
+        depths.retain(|d| d.depths.is_some());
+        Ok(depths)
+    }
+}
+
+/// The depths of a camera, by its index.
+pub(super) struct EstimatedDepth {
+    pub camera: usize,
+    pub depths: Arc<Option<InverseDepths>>,
+}
+
+impl Stage for CameraDepth<'_> {
+    /// `None` without a camera at another place, or without a range of depths.
+    type Output = Option<InverseDepths>;
+    const NAME: &'static str = "depth";
+
+    fn bytes(depths: &Option<InverseDepths>) -> usize {
+        let maps = depths.iter().flat_map(|d| [&d.values, &d.std_err]);
+        1 + maps.map(|map| size_of_val(map.as_slice())).sum::<usize>()
+    }
+
+    fn compute(
+        &self,
+        field: &LightField,
+        context: &Context,
+    ) -> Result<Option<InverseDepths>, RenderError> {
+        context.check()?;
+        let prepared = field.get(&self.stereo, context)?;
+        let Some(prepared) = prepared.as_ref() else { return Ok(None) };
+        let Some(index) = self.stereo.cameras.iter().position(|&c| c == self.camera) else {
+            return Ok(None);
+        };
+        let range = prepared.ranges[index];
+        Ok(range.and_then(|r| prepared.matcher.depths(index, r, &self.stereo.proxy.depth)))
+    }
+}
+
+impl Stage for OcclusionDepths<'_> {
+    /// By camera, in the capture's order; `None` for cameras that are not of the stereo.
+    type Output = Vec<Option<Arc<DepthMap>>>;
+    const NAME: &'static str = "occlusion depths";
+
+    fn bytes(maps: &Self::Output) -> usize {
+        let bytes = |map: &Arc<DepthMap>| size_of_val(map.data());
+        maps.iter().flatten().map(bytes).sum()
+    }
+
+    fn compute(&self, field: &LightField, context: &Context) -> Result<Self::Output, RenderError> {
+        let depths = self.stereo.surfaces(field, self.estimated, context)?;
+        let surfaces = surfaces(field, &depths);
+        let filmed = &field.capture().cameras;
+        let mut maps = vec![None; filmed.len()];
+        for &c in self.stereo.cameras {
+            let camera = &filmed[c].camera;
+            let own = surfaces.iter().zip(&depths).find(|(_, own)| own.camera == c);
+            let map = own.map(|(surface, _)| surface.depths.depth_map(camera));
+            maps[c] = Some(Arc::new(map.unwrap_or_else(|| fuse(camera, &surfaces))));
+        }
+        Ok(maps)
+    }
+}
+
+/// Depths of cameras as surfaces.
+pub(super) fn surfaces<'a>(
+    field: &'a LightField,
+    depths: &'a [EstimatedDepth],
+) -> Vec<Surface<'a>> {
+    let filmed = &field.capture().cameras;
+    let surface = |d: &'a EstimatedDepth| {
+        let depths = Option::as_ref(&d.depths)?;
+        Some(Surface { camera: &filmed[d.camera].camera, depths })
+    };
+    depths.iter().filter_map(surface).collect()
+}
+
+/// The images of these cameras at a time, as bright as the reference records them; all of them have one.
+pub(super) fn images_of(
+    field: &LightField,
+    source: &ImageSource,
+    cameras: &[usize],
+    (time_s, registration): (f64, &RegistrationOptions),
+    context: &Context,
+) -> Result<Vec<Arc<Synchronized>>, RenderError> {
+    match source {
+        ImageSource::Synchronized(method) => {
+            let image = |camera: usize| CameraImage { camera, time_s, method };
+            share(field, cameras.iter().map(|&c| image(c)), context)?;
+            let of = |&c: &usize| corrected(field, image(c), registration, context);
+            cameras.par_iter().map(of).collect()
+        }
+        ImageSource::Given(given) => {
+            let gains = field.gains(registration);
+            Ok(cameras.iter().filter_map(|&c| given.corrected_of(c, &gains)).collect())
+        }
+    }
+}
+
+/// Points of a depth map, world, metres.
+fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
+    let mut points = Vec::new();
+    for y in (0..camera.height).step_by(RANGE_STEP_PX) {
+        for x in (0..camera.width).step_by(RANGE_STEP_PX) {
+            let depth = f64::from(depths.row(y)[x]);
+            let ray = camera.ray_world(&Point2::new(x as f64 + 0.5, y as f64 + 0.5));
+            if let Some(ray) = ray.filter(|_| depth.is_finite()) {
+                points.push(camera.center() + ray * depth);
+            }
+        }
+    }
+    points
+}
+
+/// The range of the points' inverse depths in a camera, 1/m, with a margin. `None` if none is in front.
+fn range(points: &[Point3<f64>], camera: &Camera) -> Option<[f64; 2]> {
+    let depths = points.iter().map(|p| (camera.cam_from_world * p).z).filter(|z| *z > 0.0);
+    let [low, high] = depths
+        .fold([f64::INFINITY, 0.0_f64], |[low, high], z| [low.min(1.0 / z), high.max(1.0 / z)]);
+    let margin = RANGE_MARGIN * (high - low);
+    (low < f64::INFINITY).then(|| [(low - margin).max(MIN_INVERSE_DEPTH), high + margin])
+}

@@ -1,0 +1,111 @@
+//! §4: change and tracks between two successive frames of a camera.
+
+use super::graph::LightField;
+use super::stages::{FrameChange, PairTracks, PairTriangles, Stage, StoredStage};
+use super::{Context, RenderError};
+use crate::host::CacheKind;
+use crate::interpolation::{Triangles, largest_change};
+use crate::options::RenderOptions;
+use crate::registration::{RegistrationOptions, Track, Verdict, epipolar_test, temporal_flow};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+impl Stage for FrameChange<'_> {
+    type Output = f32;
+    const NAME: &'static str = "change";
+
+    fn bytes(_: &f32) -> usize {
+        size_of::<f32>()
+    }
+
+    fn compute(&self, field: &LightField, _: &Context) -> Result<f32, RenderError> {
+        let frames = field.frames(self.registration);
+        let earlier = frames.get(self.camera, self.frame)?;
+        let later = frames.get(self.camera, self.frame + 1)?;
+        Ok(largest_change(&earlier.image, &later.image))
+    }
+}
+
+impl Stage for PairTracks<'_> {
+    type Output = Vec<Track>;
+    const NAME: &'static str = "tracks";
+
+    fn bytes(tracks: &Vec<Track>) -> usize {
+        size_of_val(tracks.as_slice())
+    }
+
+    fn compute(&self, field: &LightField, _: &Context) -> Result<Vec<Track>, RenderError> {
+        let frames = field.frames(self.registration);
+        let mut tracks = temporal_flow(&frames, self.camera, self.frame)?;
+        if self.registration.epipolar_test {
+            let times_s = field.timeline().all_times_s();
+            let verdicts = epipolar_test(&frames, times_s, self.camera, self.frame, &tracks)?;
+            let mut verdicts = verdicts.into_iter();
+            tracks.retain(|_| verdicts.next() != Some(Verdict::Rejected));
+        }
+        Ok(tracks)
+    }
+}
+
+impl StoredStage for PairTracks<'_> {
+    const KIND: CacheKind = CacheKind { name: "tracks", version: 1 };
+}
+
+impl Stage for PairTriangles<'_> {
+    type Output = Triangles;
+    const NAME: &'static str = "triangles";
+
+    fn bytes(triangles: &Triangles) -> usize {
+        triangles.count() * size_of::<[usize; 3]>()
+    }
+
+    fn compute(&self, field: &LightField, context: &Context) -> Result<Triangles, RenderError> {
+        let tracks = field.get_stored(&self.0, context)?;
+        let camera = &field.capture().cameras[self.0.camera].camera;
+        Ok(Triangles::new(&tracks, camera.width, camera.height))
+    }
+}
+
+impl LightField {
+    /// The tracks between the frames `frame` and `frame + 1` of a camera that pass the epipolar test.
+    ///
+    /// # Errors
+    /// [`RenderError::Capture`] if a frame can't be read.
+    pub fn tracks(
+        &self,
+        camera: usize,
+        frame: usize,
+        registration: &RegistrationOptions,
+    ) -> Result<Arc<Vec<Track>>, RenderError> {
+        self.get_stored(&PairTracks { camera, frame, registration }, &Context::unattended())
+    }
+}
+
+/// Whether the pair of `frame` and `frame + 1` goes without registration, because none of its blocks changes by more
+/// than `still_change` ([`crate::interpolation::InterpolationOptions`]).
+pub(super) fn is_still(
+    field: &LightField,
+    tracks: PairTracks,
+    still_change: f32,
+) -> Result<bool, RenderError> {
+    let PairTracks { camera, frame, registration } = tracks;
+    let change = field.get(&FrameChange { camera, frame, registration }, &Context::unattended())?;
+    Ok(*change <= still_change)
+}
+
+impl LightField {
+    /// Registers the frames around a time, of all cameras that have some.
+    ///
+    /// # Errors
+    /// [`RenderError::Capture`] if a frame can't be read.
+    pub fn register(&self, time_s: f64, options: &RenderOptions) -> Result<(), RenderError> {
+        self.usable(time_s).into_par_iter().try_for_each(|camera| {
+            let (frame, later) = self.timeline().bracket(camera, time_s)?;
+            let tracks = PairTracks { camera, frame, registration: &options.registration };
+            if frame != later && !is_still(self, tracks, options.interpolation.still_change)? {
+                self.get_stored(&tracks, &Context::unattended())?;
+            }
+            Ok(())
+        })
+    }
+}

@@ -1,0 +1,154 @@
+//! The render graph: a capture with its clocks, and the results of its stages.
+
+use super::stages::{Stage, StoredStage};
+use super::timeline::Timeline;
+use super::{Context, RenderError, Viewpoint};
+use crate::capture::{Capture, Stored};
+use crate::host::Memo;
+use crate::offset::Offsets;
+use crate::registration::{FrameStore, Gains, RegistrationOptions};
+use nalgebra::Point3;
+use std::sync::Arc;
+
+/// A capture with known clocks, from which views are rendered.
+///
+/// It doesn't change, and may be used by several threads. Results of stages are cached in memory within a bound; no
+/// result depends on the views before it.
+///
+/// Times are seconds on the reference camera's clock, from the capture's start
+/// ([`Capture::time_origin_s`]).
+pub struct LightField {
+    capture: Arc<Capture>,
+    offsets: Offsets,
+    timeline: Timeline,
+    memo: Arc<Memo>,
+}
+
+impl LightField {
+    /// The light field of a capture with these offsets.
+    pub fn new(capture: Arc<Capture>, offsets: Offsets) -> Self {
+        Self::with_frames(&FrameStore::new(capture, &RegistrationOptions::default()), offsets)
+    }
+
+    /// The light field of a capture, with the frames that are cached already.
+    pub fn with_frames(frames: &FrameStore, offsets: Offsets) -> Self {
+        let capture = frames.capture().clone();
+        let timeline = Timeline::new(&capture, &offsets);
+        Self { capture, offsets, timeline, memo: frames.memo().clone() }
+    }
+
+    pub fn capture(&self) -> &Capture {
+        &self.capture
+    }
+
+    pub fn offsets(&self) -> &Offsets {
+        &self.offsets
+    }
+
+    /// The decoded frames, prepared for registration with these options.
+    pub fn frames(&self, registration: &RegistrationOptions) -> FrameStore {
+        FrameStore::with_memo(self.capture.clone(), registration, self.memo.clone())
+    }
+
+    /// How much more light each camera records than the reference.
+    pub fn gains(&self, registration: &RegistrationOptions) -> Arc<Gains> {
+        self.frames(registration).gains()
+    }
+
+    /// The result of a stage: cached, else computed.
+    pub(super) fn get<S: Stage>(
+        &self,
+        stage: &S,
+        context: &Context,
+    ) -> Result<Arc<S::Output>, RenderError> {
+        self.memo.get_or(S::NAME, stage, S::bytes, || stage.compute(self, context))
+    }
+
+    /// The result of a stage: cached in memory, stored on disk, else computed.
+    pub(super) fn get_stored<S: StoredStage>(
+        &self,
+        stage: &S,
+        context: &Context,
+    ) -> Result<Arc<S::Output>, RenderError> {
+        self.memo.get_or(S::NAME, stage, S::bytes, || {
+            let stored = self.capture.load_stored(S::KIND, &self.stored_inputs(stage));
+            stored.map_or_else(|| stage.compute(self, context), Ok)
+        })
+    }
+
+    /// Stores the result of a stage on disk, unless it is there.
+    pub(super) fn store<S: StoredStage>(
+        &self,
+        stage: &S,
+        context: &Context,
+    ) -> Result<Stored, RenderError> {
+        self.capture.store(S::KIND, &self.stored_inputs(stage), || self.get(stage, context))
+    }
+
+    /// A stage's inputs and the clocks, which on disk may be those of another light field.
+    fn stored_inputs<'a, S: StoredStage>(&'a self, stage: &'a S) -> (&'a S, &'a str) {
+        (stage, self.timeline.hash())
+    }
+
+    /// The result of a stage, if it is cached.
+    pub(super) fn cached<S: Stage>(&self, stage: &S) -> Option<Arc<S::Output>> {
+        self.memo.get(S::NAME, stage)
+    }
+
+    /// Drops the results that belong to an instant, so that the next view takes as long as the first of an instant
+    /// between registered frames.
+    pub(crate) fn forget_instants(&self) {
+        self.memo.forget(|stage| super::stages::OF_INSTANTS.contains(&stage));
+    }
+
+    pub(super) fn timeline(&self) -> &Timeline {
+        &self.timeline
+    }
+
+    /// The cameras that can give an image at a time, by index, ascending.
+    pub fn usable(&self, time_s: f64) -> Vec<usize> {
+        self.timeline.usable(time_s)
+    }
+
+    /// The first and the last time at which a camera can give an image, seconds; `None` if its clock is unknown.
+    pub fn span_s(&self, camera: usize) -> Option<(f64, f64)> {
+        self.timeline.span_s(camera)
+    }
+
+    /// The first and the last time at which every camera with a known clock can give an image, seconds; `None` if
+    /// there is none.
+    pub fn common_span_s(&self) -> Option<(f64, f64)> {
+        self.timeline.common_span_s()
+    }
+
+    /// Checks that there are images from a viewpoint at all of these times.
+    ///
+    /// # Errors
+    /// The error of rendering the first time at which the cameras had not begun or had ended.
+    pub fn check_times(&self, from: Viewpoint, times_s: &[f64]) -> Result<(), RenderError> {
+        times_s.iter().try_for_each(|&time_s| match from {
+            Viewpoint::Like(camera) => self.timeline.bracket(camera, time_s).map(drop),
+            Viewpoint::View(_) if self.usable(time_s).is_empty() => {
+                Err(self.timeline.no_camera_at(time_s))
+            }
+            Viewpoint::View(_) => Ok(()),
+        })
+    }
+
+    /// How many cameras have a time between two frames, at least this fraction of the interval away from both.
+    pub(crate) fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
+        self.timeline.between_frames(time_s, fraction)
+    }
+
+    /// The median distance of a camera from its nearest neighbour at another place, metres; 0 without one.
+    pub(crate) fn spacing_m(&self) -> f64 {
+        let centers: Vec<_> = self.capture.cameras.iter().map(|c| c.camera.center()).collect();
+        let nearest = |a: &Point3<f64>| {
+            let distances = centers.iter().map(|b| (a - b).norm()).filter(|d| *d > 0.0);
+            distances.min_by(f64::total_cmp)
+        };
+        let mut distances: Vec<f64> = centers.iter().filter_map(nearest).collect();
+        distances.sort_by(f64::total_cmp);
+        distances.get(distances.len() / 2).copied().unwrap_or(0.0)
+    }
+}

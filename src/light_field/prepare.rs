@@ -1,0 +1,78 @@
+//! What is computed beforehand and stored on disk, so that later views need not: the tracks of frame pairs, and the
+//! cameras' gains.
+
+use super::frame_pair::is_still;
+use super::graph::LightField;
+use super::stages::{PairTracks, StoredStage};
+use super::{Context, RenderError};
+use crate::options::RenderOptions;
+use crate::registration::{Gains, Track};
+use rayon::prelude::*;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+
+/// Largest size of an entry beside its result, bytes.
+const ENTRY_BYTES: usize = 64;
+
+/// The kinds of entries in a capture's cache that [`LightField::prepare`] stores.
+pub const PREPARED: [&str; 2] = [PairTracks::KIND.name, Gains::KIND.name];
+
+/// Result of [`LightField::prepare`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Preparation {
+    /// Number of frame pairs in which something moves.
+    pub pairs: usize,
+    /// Number of those that were stored already.
+    pub found: usize,
+    /// Size of all of them, and of the gains, bytes.
+    pub bytes: u64,
+}
+
+impl LightField {
+    /// The number of frame pairs, and the largest size that they take on disk, bytes.
+    pub fn preparation_size(&self, options: &RenderOptions) -> (usize, u64) {
+        let cameras = self.capture().cameras.len();
+        let pairs: usize =
+            (0..cameras).map(|c| self.timeline().times_s(c).len().saturating_sub(1)).sum();
+        let tracks = 2 * options.registration.corners.max_corners;
+        let gains = cameras * size_of::<[f64; 3]>();
+        (pairs, (pairs * (tracks * size_of::<Track>() + ENTRY_BYTES) + gains + ENTRY_BYTES) as u64)
+    }
+
+    /// Registers all frame pairs in which something moves, and stores them on disk; those that are stored stay as they
+    /// are. `progress` is called with the number of finished pairs.
+    ///
+    /// # Errors
+    /// [`RenderError::Capture`] if a frame can't be read, [`RenderError::Prepare`] if nothing can be written.
+    pub fn prepare(
+        &self,
+        options: &RenderOptions,
+        progress: impl Fn(usize) + Sync,
+    ) -> Result<Preparation, RenderError> {
+        let registration = &options.registration;
+        let cameras = self.capture().cameras.len();
+        let gains_bytes = self.frames(registration).store_gains()?;
+        let times = |camera: usize| self.timeline().times_s(camera);
+        let frames = (0..cameras).map(|c| times(c).len()).max().unwrap_or(0);
+        let (done, found) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let (pairs, bytes) = (AtomicUsize::new(0), AtomicU64::new(gains_bytes));
+        // By time, so that pairs share the frames that are decoded.
+        for frame in 0..frames.saturating_sub(1) {
+            (0..cameras).into_par_iter().try_for_each(|camera| {
+                if frame + 1 >= times(camera).len() {
+                    return Ok(());
+                }
+                let pair = PairTracks { camera, frame, registration };
+                if !is_still(self, pair, options.interpolation.still_change)? {
+                    let stored = self.store(&pair, &Context::unattended())?;
+                    pairs.fetch_add(1, Ordering::Relaxed);
+                    found.fetch_add(usize::from(stored.was_there), Ordering::Relaxed);
+                    bytes.fetch_add(stored.bytes, Ordering::Relaxed);
+                }
+                progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+                Ok::<(), RenderError>(())
+            })?;
+        }
+        let [pairs, found] = [pairs, found].map(AtomicUsize::into_inner);
+        Ok(Preparation { pairs, found, bytes: bytes.into_inner() })
+    }
+}

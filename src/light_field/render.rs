@@ -1,0 +1,124 @@
+//! The one way to a view.
+
+use super::graph::LightField;
+use super::stages::{CameraImage, ImageMethod, Images};
+use super::trail::Overlay;
+use super::view::{blend_images, view};
+use super::{Context, Geometry, RenderError, Viewpoint};
+use crate::camera::Camera;
+use crate::host::on_workers;
+use crate::interpolation::Synchronized;
+use crate::lumigraph::{BlendOptions, Rendered};
+use crate::options::RenderOptions;
+use std::sync::Arc;
+
+/// What is rendered.
+#[derive(Clone, Copy, Debug)]
+pub struct Request<'a> {
+    pub from: Viewpoint<'a>,
+    /// Seconds on the reference's clock, from the capture's start.
+    pub time_s: f64,
+    /// With nothing left to the capture.
+    pub options: &'a RenderOptions,
+    /// The images that are blended.
+    pub images: Images<'a>,
+    /// The images that depth per pixel is estimated from.
+    pub shape: Images<'a>,
+}
+
+impl<'a> Request<'a> {
+    /// A view whose images are synchronized by the method of the options.
+    pub fn new(from: Viewpoint<'a>, time_s: f64, options: &'a RenderOptions) -> Self {
+        let images = Images::By(options.sync);
+        Self { from, time_s, options, images, shape: images }
+    }
+}
+
+/// A view, or a filming camera's image, integrated over the trail of the options.
+///
+/// A trail ends where the recording starts: instants before it are skipped, and so are those at which no camera sees
+/// anything or the shape can't be triangulated. The last instant is never skipped: its error is the result. A pixel is
+/// covered if it is covered at any of the instants, and integrates over those.
+///
+/// # Errors
+/// [`RenderError::Time`], [`RenderError::CameraTime`] or [`RenderError::NoClock`] if there is no image at that time,
+/// those of [`LightField::proxy`], [`RenderError::NothingSeen`] if no pixel is covered, and
+/// [`RenderError::Stopped`].
+pub fn render(
+    field: &LightField,
+    request: &Request,
+    context: &Context,
+) -> Result<Rendered, RenderError> {
+    let instants_s = request.options.trail.instants_s(request.time_s);
+    let mut overlay: Option<Overlay> = None;
+    for (k, &time_s) in instants_s.iter().enumerate() {
+        let context = context.at(k, instants_s.len());
+        context.check()?;
+        let request = Request { time_s, ..*request };
+        let instant = on_workers(|| instant(field, &request, &context));
+        let rendered = match (instant, &mut overlay) {
+            (Err(error), Some(_)) if error.may_succeed_at_another_time() => continue,
+            (rendered, _) => rendered?,
+        };
+        if instants_s.len() == 1 {
+            return Ok(rendered);
+        }
+        overlay
+            .get_or_insert_with(|| Overlay::like(&rendered, request.options.trail.mode))
+            .add(&rendered);
+    }
+    overlay.map(Overlay::finish).ok_or(RenderError::NothingSeen)
+}
+
+fn instant(
+    field: &LightField,
+    request: &Request,
+    context: &Context,
+) -> Result<Rendered, RenderError> {
+    match request.from {
+        Viewpoint::View(target) => view(field, target, request, context),
+        Viewpoint::Like(camera) => {
+            let method = ImageMethod::new(request.options.sync, request.options);
+            let image = CameraImage { camera, time_s: request.time_s, method: &method };
+            let image = field.get(&image, context)?.image.clone();
+            let coverage = vec![true; image.width() * image.height()];
+            Ok(Rendered { image, coverage })
+        }
+    }
+}
+
+impl LightField {
+    /// The view from anywhere at a time: [`render`] without a trail.
+    ///
+    /// # Errors
+    /// Those of [`render`].
+    pub fn view(
+        &self,
+        target: &Camera,
+        time_s: f64,
+        options: &RenderOptions,
+    ) -> Result<Rendered, RenderError> {
+        let request = Request::new(Viewpoint::View(target), time_s, options);
+        on_workers(|| view(self, target, &request, &Context::unattended()))
+    }
+
+    /// The geometry of a view.
+    ///
+    /// # Errors
+    /// Those of [`Self::proxy`].
+    pub fn geometry(&self, target: &Camera, request: &Request) -> Result<Geometry, RenderError> {
+        on_workers(|| super::geometry::geometry(self, target, request, &Context::unattended()))
+    }
+
+    /// Blends one image a camera, in the capture's order, as bright as the reference records it. `None`: the camera
+    /// has none.
+    pub fn blend(
+        &self,
+        images: &[Option<Arc<Synchronized>>],
+        geometry: &Geometry,
+        target: &Camera,
+        options: &BlendOptions,
+    ) -> Rendered {
+        blend_images(self, images, geometry, target, options)
+    }
+}

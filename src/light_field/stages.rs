@@ -1,0 +1,290 @@
+//! The inputs of every stage. A stage's result depends on its inputs, the capture's frames and clocks, and nothing
+//! else. The memo's keys are these inputs, serialized.
+
+use super::graph::LightField;
+use super::{Context, RenderError};
+use crate::host::CacheKind;
+use crate::interpolation::{InterpolationOptions, SyncMethod, Synchronized};
+use crate::lumigraph::{BlendMethod, BlendOptions};
+use crate::options::{ProxyOptions, RenderOptions};
+use crate::raster::Image;
+use crate::registration::{Gains, RegistrationOptions};
+use serde::de::DeserializeOwned;
+use serde::{Serialize, Serializer};
+use std::any::Any;
+use std::sync::{Arc, OnceLock};
+
+/// A stage of the graph, with its inputs.
+pub(super) trait Stage: Serialize {
+    type Output: Any + Send + Sync;
+    /// Tells the stage's results from those of others.
+    const NAME: &'static str;
+
+    /// The size of a result, bytes.
+    fn bytes(output: &Self::Output) -> usize;
+
+    fn compute(&self, field: &LightField, context: &Context) -> Result<Self::Output, RenderError>;
+}
+
+/// A stage whose results [`LightField::prepare`] stores on disk.
+pub(super) trait StoredStage: Stage<Output: Serialize + DeserializeOwned> {
+    const KIND: CacheKind;
+}
+
+/// The stages whose results belong to an instant.
+pub(super) const OF_INSTANTS: [&str; 7] = [
+    Correspondences::NAME,
+    CameraPoints::NAME,
+    CameraImage::NAME,
+    CorrectedImage::NAME,
+    Stereo::NAME,
+    CameraDepth::NAME,
+    OcclusionDepths::NAME,
+];
+
+/// The largest change of a block between the frames `frame` and `frame + 1` of a camera.
+#[derive(Serialize)]
+pub(super) struct FrameChange<'a> {
+    pub camera: usize,
+    pub frame: usize,
+    pub registration: &'a RegistrationOptions,
+}
+
+/// The tracks between the frames `frame` and `frame + 1` of a camera that pass the epipolar test.
+#[derive(Clone, Copy, Serialize)]
+pub(super) struct PairTracks<'a> {
+    pub camera: usize,
+    pub frame: usize,
+    pub registration: &'a RegistrationOptions,
+}
+
+/// The triangulation of a pair's tracks.
+#[derive(Serialize)]
+pub(super) struct PairTriangles<'a>(pub PairTracks<'a>);
+
+/// Costs of the refinement that depend on a pair alone.
+#[derive(Serialize)]
+pub(super) struct RefinementCosts<'a> {
+    pub tracks: PairTracks<'a>,
+    pub interpolation: &'a InterpolationOptions,
+}
+
+/// A camera's image at an instant.
+#[derive(Clone, Copy, Serialize)]
+pub(super) struct CameraImage<'a> {
+    pub camera: usize,
+    pub time_s: f64,
+    pub method: &'a ImageMethod,
+}
+
+/// A camera's image at an instant, as bright as the reference camera records it.
+#[derive(Serialize)]
+pub(super) struct CorrectedImage<'a> {
+    pub image: CameraImage<'a>,
+    pub registration: &'a RegistrationOptions,
+}
+
+/// The options that a camera's image at an instant depends on.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct ImageMethod {
+    pub sync: SyncMethod,
+    pub registration: RegistrationOptions,
+    /// `None` for methods that follow no motion.
+    pub interpolation: Option<InterpolationOptions>,
+    /// Whether the error of interpolation is wanted beside the image.
+    pub with_error: bool,
+    /// Options of [`SyncMethod::AllCameras`] alone.
+    pub all_cameras: Option<AllCamerasOptions>,
+}
+
+/// Options of views from which [`SyncMethod::AllCameras`] takes a camera's image.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct AllCamerasOptions {
+    pub proxy: ProxyOptions,
+    pub blend: BlendOptions,
+}
+
+/// A camera's image between its frames, from all cameras.
+#[derive(Serialize)]
+pub(super) struct AllCamerasImage<'a> {
+    pub image: CameraImage<'a>,
+    pub interpolation: &'a InterpolationOptions,
+    pub options: &'a AllCamerasOptions,
+}
+
+impl ImageMethod {
+    pub fn new(sync: SyncMethod, options: &RenderOptions) -> Self {
+        let RenderOptions { registration, interpolation, proxy, blend, .. } = options.clone();
+        let follows_motion = sync.needs_tracks();
+        // Refinement finds the error on its way, so that views with and without weights of time share images.
+        let with_error =
+            sync == SyncMethod::Refined || follows_motion && blend.method == BlendMethod::SpaceTime;
+        let all_cameras =
+            (sync == SyncMethod::AllCameras).then_some(AllCamerasOptions { proxy, blend });
+        let interpolation = follows_motion.then_some(interpolation);
+        Self { sync, registration, interpolation, with_error, all_cameras }
+    }
+}
+
+/// Where the cameras' images at an instant come from.
+#[derive(Clone, Copy, Debug)]
+pub enum Images<'a> {
+    /// They are synchronized by this method.
+    By(SyncMethod),
+    /// They are these.
+    Given(&'a GivenImages),
+}
+
+/// Images of the cameras that are not synchronized from the capture, such as the truth's.
+#[derive(Debug)]
+pub struct GivenImages {
+    images: Vec<Option<Arc<Synchronized>>>,
+    /// Whether they are as bright as the reference records them; else as filmed.
+    are_corrected: bool,
+    hash: OnceLock<String>,
+}
+
+impl GivenImages {
+    /// One image a camera, in the capture's order, as bright as the camera records it. `None`: the camera has none.
+    pub fn filmed(images: Vec<Option<Arc<Synchronized>>>) -> Self {
+        Self { images, are_corrected: false, hash: OnceLock::new() }
+    }
+
+    /// One image a camera, in the capture's order, as bright as the reference camera records it.
+    pub fn corrected(images: Vec<Option<Arc<Synchronized>>>) -> Self {
+        Self { images, are_corrected: true, hash: OnceLock::new() }
+    }
+
+    /// These images' errors of interpolation, with a colour in place of each camera's image: RGB of 0 to 1, in the
+    /// capture's order. A pixel of a view of them is the mean of the colours by the cameras' weights.
+    ///
+    /// # Panics
+    /// If there are fewer colours than cameras.
+    pub fn with_colors(&self, colors: &[[f32; 3]]) -> Self {
+        assert!(colors.len() >= self.images.len(), "a colour for each camera");
+        let tinted = |(image, color): (&Option<Arc<Synchronized>>, &[f32; 3])| {
+            let Synchronized { image, interpolation_error_px } = image.as_deref()?;
+            let (width, height) = (image.width(), image.height());
+            let image = Image::from_data(width, height, 3, color.repeat(width * height));
+            Some(Arc::new(Synchronized {
+                image,
+                interpolation_error_px: interpolation_error_px.clone(),
+            }))
+        };
+        Self::corrected(self.images.iter().zip(colors).map(tinted).collect())
+    }
+
+    /// One image a camera, in the capture's order.
+    pub fn all(&self) -> &[Option<Arc<Synchronized>>] {
+        &self.images
+    }
+
+    /// A camera's image, as it was given.
+    pub(crate) fn of(&self, camera: usize) -> Option<&Arc<Synchronized>> {
+        self.images.get(camera)?.as_ref()
+    }
+
+    /// A camera's image, as bright as the reference records it.
+    pub(super) fn corrected_of(&self, camera: usize, gains: &Gains) -> Option<Arc<Synchronized>> {
+        let given = self.of(camera)?;
+        let image = gains.corrected(camera, &given.image).filter(|_| !self.are_corrected);
+        Some(image.map_or_else(
+            || given.clone(),
+            |image| {
+                Arc::new(Synchronized {
+                    image,
+                    interpolation_error_px: given.interpolation_error_px.clone(),
+                })
+            },
+        ))
+    }
+
+    fn hash(&self) -> &str {
+        self.hash.get_or_init(|| {
+            let mut hasher = blake3::Hasher::new();
+            hasher.update(&[u8::from(self.are_corrected)]);
+            for image in &self.images {
+                hasher.update(&[u8::from(image.is_some())]);
+                let data = image.iter().flat_map(|s| s.image.data());
+                hasher.update(&data.flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>());
+            }
+            hasher.finalize().to_hex().to_string()
+        })
+    }
+}
+
+impl Serialize for GivenImages {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.hash())
+    }
+}
+
+/// Where the cameras' images come from, with the options that they depend on.
+#[derive(Clone, Debug, Serialize)]
+pub(super) enum ImageSource<'a> {
+    Synchronized(Box<ImageMethod>),
+    Given(&'a GivenImages),
+}
+
+impl<'a> ImageSource<'a> {
+    pub fn new(images: Images<'a>, options: &RenderOptions) -> Self {
+        match images {
+            Images::By(sync) => Self::Synchronized(Box::new(ImageMethod::new(sync, options))),
+            Images::Given(given) => Self::Given(given),
+        }
+    }
+}
+
+/// A camera's frames around an instant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub(super) struct FramesAround {
+    pub camera: usize,
+    /// The frame that is nearer in time.
+    pub near: usize,
+    /// The frame on the instant's other side; `near` where nothing moves between them.
+    pub far: usize,
+}
+
+/// Features of the first camera, matched in the others, for all instants between the same frames.
+#[derive(Serialize)]
+pub(super) struct Correspondences<'a> {
+    pub around: Vec<FramesAround>,
+    pub registration: &'a RegistrationOptions,
+}
+
+/// Points of the scene at an instant that a camera and its partners see.
+#[derive(Serialize)]
+pub(super) struct CameraPoints<'a> {
+    pub camera: usize,
+    pub partners: &'a [usize],
+    pub time_s: f64,
+    pub registration: &'a RegistrationOptions,
+    pub still_change: f32,
+}
+
+/// The images of cameras at an instant, prepared for stereo, and the ranges of their depths.
+#[derive(Clone, Copy, Serialize)]
+pub(super) struct Stereo<'a> {
+    /// Ascending.
+    pub cameras: &'a [usize],
+    pub time_s: f64,
+    pub images: &'a ImageSource<'a>,
+    pub registration: &'a RegistrationOptions,
+    pub still_change: f32,
+    pub proxy: &'a ProxyOptions,
+}
+
+/// A camera's depths at an instant.
+#[derive(Serialize)]
+pub(super) struct CameraDepth<'a> {
+    pub stereo: Stereo<'a>,
+    pub camera: usize,
+}
+
+/// The depths of all cameras of a stereo, those of some of them estimated and the others' projected from these.
+#[derive(Serialize)]
+pub(super) struct OcclusionDepths<'a> {
+    pub stereo: Stereo<'a>,
+    /// The cameras whose depths are estimated, ascending.
+    pub estimated: &'a [usize],
+}

@@ -1,0 +1,147 @@
+//! When each camera filmed, on one clock: which frames lie around an instant, and which instants there are.
+
+use super::RenderError;
+use crate::capture::Capture;
+use crate::offset::{CameraOffset, Offsets, clocks};
+
+/// What can be said of times before offsets are known, which may take long to estimate: an error for
+/// the first of them at which no camera, or not this one, can have a frame whatever the offsets. Seconds
+/// from the capture's start.
+pub fn check_times_before_offsets(
+    capture: &Capture,
+    camera: Option<usize>,
+    times_s: &[f64],
+) -> Result<(), RenderError> {
+    let (first_s, last_s) = capture.widest_span_s(camera);
+    let outside = times_s.iter().find(|t| !(first_s..=last_s).contains(*t));
+    let Some(time_s) = outside.filter(|_| !capture.is_static()) else { return Ok(()) };
+    let origin_s = capture.time_origin_s;
+    let [time_s, first_s, last_s] = [*time_s, first_s, last_s].map(|t| t + origin_s);
+    let id = |camera: usize| capture.cameras[camera].id.clone();
+    let is_known = |c: usize| c == capture.reference || clocks(capture).1 == 1;
+    Err(match camera {
+        Some(c) if is_known(c) => {
+            RenderError::CameraTime { camera: id(c), time_s, first_s, last_s }
+        }
+        Some(c) => RenderError::Beyond { time_s, of: id(c), first_s, last_s },
+        None if clocks(capture).1 == 1 => RenderError::Time { time_s, first_s, last_s },
+        None => RenderError::Beyond { time_s, of: "the cameras".into(), first_s, last_s },
+    })
+}
+
+/// When each camera filmed, on the reference's clock. Seconds from the capture's start.
+pub(super) struct Timeline {
+    /// Each camera's frame times; `None` if they are unknown.
+    times_s: Vec<Option<Vec<f64>>>,
+    ids: Vec<String>,
+    /// Why a camera's times are unknown.
+    reasons: Vec<String>,
+    time_origin_s: f64,
+    /// Whether every camera has one frame, which is the same at any time.
+    is_static: bool,
+    hash: String,
+}
+
+impl Timeline {
+    pub fn new(capture: &Capture, offsets: &Offsets) -> Self {
+        let times_s = offsets.common_times_s(capture);
+        let mut hasher = blake3::Hasher::new();
+        // The hasher takes all bytes, and times are plain numbers.
+        let written = serde_json::to_writer(&mut hasher, &times_s);
+        debug_assert!(written.is_ok());
+        let reason = |c: &CameraOffset| c.reason.clone().unwrap_or_default();
+        Self {
+            times_s,
+            hash: hasher.finalize().to_hex().to_string(),
+            ids: capture.cameras.iter().map(|c| c.id.clone()).collect(),
+            reasons: offsets.cameras.iter().map(reason).collect(),
+            time_origin_s: capture.time_origin_s,
+            is_static: capture.is_static(),
+        }
+    }
+
+    /// A hash of all frame times.
+    pub fn hash(&self) -> &str {
+        &self.hash
+    }
+
+    /// Every camera's frame times; `None` if they are unknown.
+    pub fn all_times_s(&self) -> &[Option<Vec<f64>>] {
+        &self.times_s
+    }
+
+    /// The camera's frame times; empty if they are unknown.
+    pub fn times_s(&self, camera: usize) -> &[f64] {
+        self.times_s[camera].as_deref().unwrap_or_default()
+    }
+
+    /// The cameras that can give an image at a time, by index, ascending.
+    pub fn usable(&self, time_s: f64) -> Vec<usize> {
+        (0..self.times_s.len()).filter(|&c| self.bracket(c, time_s).is_ok()).collect()
+    }
+
+    /// The first and the last time at which a camera can give an image; `None` if its clock is unknown.
+    pub fn span_s(&self, camera: usize) -> Option<(f64, f64)> {
+        let times_s = self.times_s(camera);
+        Some((*times_s.first()?, *times_s.last()?))
+    }
+
+    /// The first and the last time at which every camera with a known clock can give an image; `None` if
+    /// there is none.
+    pub fn common_span_s(&self) -> Option<(f64, f64)> {
+        let spans = || (0..self.times_s.len()).filter_map(|c| self.span_s(c));
+        let first = spans().map(|s| s.0).fold(f64::NEG_INFINITY, f64::max);
+        let last = spans().map(|s| s.1).fold(f64::INFINITY, f64::min);
+        (first.is_finite() && first <= last).then_some((first, last))
+    }
+
+    /// How many cameras have a time between two frames, at least this fraction of the interval away from both.
+    pub fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
+        let is_between = |&camera: &usize| {
+            let times = self.times_s(camera);
+            self.bracket(camera, time_s).is_ok_and(|(k, later)| {
+                let passed = (time_s - times[k]) / (times[later] - times[k]);
+                k != later && (fraction..=1.0 - fraction).contains(&passed)
+            })
+        };
+        (0..self.times_s.len()).filter(is_between).count()
+    }
+
+    /// The frames on both sides of a time; one frame twice if it is of that very time. A static light field has its
+    /// frames at any time, whatever its clocks.
+    pub fn bracket(&self, camera: usize, time_s: f64) -> Result<(usize, usize), RenderError> {
+        if self.is_static {
+            return Ok((0, 0));
+        }
+        let id = || self.ids[camera].clone();
+        let Some(times_s) = &self.times_s[camera] else {
+            let reason = self.reasons[camera].clone();
+            return Err(RenderError::CameraClock { camera: id(), reason });
+        };
+        crate::capture::bracket(times_s, time_s).ok_or_else(|| {
+            let origin_s = self.time_origin_s;
+            RenderError::CameraTime {
+                camera: id(),
+                time_s: time_s + origin_s,
+                first_s: times_s[0] + origin_s,
+                last_s: times_s[times_s.len() - 1] + origin_s,
+            }
+        })
+    }
+
+    /// Why no camera has an image at a time.
+    pub fn no_camera_at(&self, time_s: f64) -> RenderError {
+        let origin_s = self.time_origin_s;
+        let spans = || (0..self.times_s.len()).filter_map(|c| self.span_s(c));
+        let first_s = spans().map(|s| s.0).fold(f64::INFINITY, f64::min);
+        let last_s = spans().map(|s| s.1).fold(f64::NEG_INFINITY, f64::max);
+        if first_s > last_s {
+            return RenderError::NoClock;
+        }
+        RenderError::Time {
+            time_s: time_s + origin_s,
+            first_s: first_s + origin_s,
+            last_s: last_s + origin_s,
+        }
+    }
+}
