@@ -53,7 +53,7 @@ pub fn run(args: &CompareArgs, page: &mut Page, reporter: &Reporter) -> Result<(
     Ok(())
 }
 
-/// Anybody's offsets beside the truth.
+/// Scores the offsets in a file against the truth.
 fn score_offsets(
     folder: &Path,
     file: &Path,
@@ -99,14 +99,14 @@ fn score_offsets(
     Ok(())
 }
 
-/// An ffmpeg, or what to do.
+/// Finds ffmpeg; the error says how to install it.
 pub fn ffmpeg() -> Result<PathBuf, CliError> {
     find_ffmpeg().ok_or_else(|| {
         CliError::Failure("--video needs ffmpeg: install it, or run stlfr setup".into())
     })
 }
 
-/// Reconstructs and compares; with a video if there is an ffmpeg for it.
+/// Renders and compares; with a video if `ffmpeg` is given.
 pub fn with_truth(
     capture: Capture,
     options: &RenderOptions,
@@ -132,7 +132,7 @@ pub fn with_truth(
     Ok(summary)
 }
 
-/// The numbers that matter, and where the rest is.
+/// Prints the main results, and the paths of the report.
 pub fn print(summary: &Summary, page: &mut Page) {
     for line in lines(&summary.headline) {
         page.line(line);

@@ -11,7 +11,7 @@ use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::toolchain::{FilmOptions, FilmedScene, check, ensure_environment, film, project_root};
 
-/// The main job, end to end: set up, film a scene with eight cameras that are not synchronized,
+/// Everything, end to end: set up, film a scene with eight cameras that are not synchronized,
 /// check the calibration, reconstruct, and compare with the truth.
 ///
 /// If it is interrupted, the same command resumes it; frames that were filmed are used again.
@@ -55,7 +55,7 @@ pub fn run(args: &DemoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
 }
 
 impl DemoArgs {
-    /// Set-up, film and check.
+    /// Sets up, films, and checks the calibration.
     fn film(&self, reporter: &Reporter) -> Result<Capture, CliError> {
         let root = project_root()?;
         let folder =
@@ -74,7 +74,7 @@ impl DemoArgs {
         Ok(capture)
     }
 
-    /// A capture's name tells its options: other options film into another folder.
+    /// The capture's folder name, which differs for other options.
     fn name(&self) -> String {
         let mut name = "demo".to_owned();
         if self.size != DEFAULT_SIZE {

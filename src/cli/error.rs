@@ -168,7 +168,7 @@ pub fn usage(error: &clap::Error) -> ExitCode {
     }
 }
 
-/// The first paragraph of clap's message on one line, without its "error: ".
+/// The first paragraph of clap's message on one line, without the prefix "error: ".
 fn sentence(message: &str) -> String {
     let first = message.split("\n\n").next().unwrap_or_default();
     let words: Vec<&str> = first.split_whitespace().collect();

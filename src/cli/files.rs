@@ -13,23 +13,21 @@ use stlfr::options::{Preset, RenderOptions};
 use stlfr::progress::Reporter;
 use stlfr::toolchain::find_ffmpeg;
 
-/// Largest file of options, and of a view, that is read, bytes. Larger: options, which are merged with a
-/// preset's, take 16 times as much memory. Smaller: below some thousand bytes, a file
-/// with every option is refused.
+/// Largest options or view file that is read, bytes.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// Refuses what is no regular file, or can't be read.
+/// An error unless `path` is a readable regular file.
 pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
     open_file(path).map(drop).map_err(|error| wrong(path, error))
 }
 
-/// Opens a capture, whose cameras may be videos.
+/// Opens a capture; videos are decoded by the ffmpeg that is found.
 pub fn open_capture(folder: &Path, reporter: &Reporter) -> Result<Capture, CliError> {
     let ffmpeg = find_ffmpeg();
     Ok(Capture::open_with(folder, &Opening { ffmpeg: ffmpeg.as_deref(), reporter })?)
 }
 
-/// Options of all stages: a preset's, changed by a file, changed by single options.
+/// Options of all stages: those of a preset, overridden by a file, overridden by single options.
 #[derive(Debug, clap::Args)]
 pub struct OptionsArgs {
     /// Named options of all stages: a point of the trade of speed for accuracy.
@@ -44,7 +42,7 @@ pub struct OptionsArgs {
 }
 
 impl OptionsArgs {
-    /// The words of a command line that give these options.
+    /// These options as command-line words.
     pub fn words(&self) -> Vec<String> {
         let preset = self.preset.iter().flat_map(|p| ["--preset".into(), p.name().into()]);
         let file = self.options.iter().flat_map(|f| ["--options".into(), f.display().to_string()]);
@@ -52,7 +50,7 @@ impl OptionsArgs {
         preset.chain(file).chain(set).collect()
     }
 
-    /// The options, checked.
+    /// Reads and checks the options.
     pub fn read(&self) -> Result<RenderOptions, CliError> {
         let mut options = match &self.options {
             Some(path) => read_options(path, self.preset)?,
@@ -74,7 +72,7 @@ fn read_options(path: &Path, preset: Option<Preset>) -> Result<RenderOptions, Cl
     Ok(options)
 }
 
-/// A view to render.
+/// Reads the camera of a view.
 pub fn read_view(path: &Path) -> Result<Camera, CliError> {
     let format: CameraFormat =
         json::read_within(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
@@ -85,11 +83,11 @@ fn wrong(path: &Path, error: impl std::fmt::Display) -> CliError {
     CliError::BadInput(format!("{}: {error}", path.display()))
 }
 
-/// What a command is to write.
+/// An output of a command.
 #[derive(Clone, Copy)]
 pub enum CommandOutput<'a> {
     File(&'a Path),
-    /// A folder, and the files in it whose names are known.
+    /// A folder, and the files that the command writes into it.
     Folder(&'a Path, &'a [&'a str]),
     /// A folder that is a capture or becomes one.
     Capture(&'a Path),
@@ -102,9 +100,8 @@ impl From<OutputError> for CliError {
 }
 
 impl CommandOutput<'_> {
-    /// Refuses an output that can't be written, or that would take the place of something that is no
-    /// regular file or belongs to a capture. The capture in the folder `own`, which the command reads,
-    /// need not be around it.
+    /// An error if the output can't be written, or would replace part of a capture or anything but a
+    /// regular file. `own` is the folder of the capture that the command reads.
     pub fn check(self, own: Option<&Path>) -> Result<(), CliError> {
         let mut guard = OutputGuard::new(own);
         match self {
@@ -117,7 +114,7 @@ impl CommandOutput<'_> {
     }
 }
 
-/// As [`CommandOutput::check`], for many files.
+/// [`CommandOutput::check`] for many files.
 pub fn check_files(
     files: impl Iterator<Item = PathBuf>,
     own: Option<&Path>,
@@ -135,14 +132,13 @@ pub fn check_files(
     Ok(())
 }
 
-/// An error if the output's folder, or the nearest one above that exists, can't be written to.
+/// An error if the nearest existing folder of the output can't be written to.
 fn must_be_writable(output: &Path) -> Result<(), CliError> {
     let failed = |error: std::io::Error| {
         of_io(format!("{}: can't be written ({error})", output.display()), &error)
     };
     let absolute = std::path::absolute(output).map_err(failed)?;
-    // The output itself counts where it is a folder already. What is there and is no folder can't
-    // have the output in it.
+    // The output may be a folder itself. An existing file above it can't contain it.
     let nearest = absolute.ancestors().find(|p| p.is_dir() || (p.exists() && *p != absolute));
     let Some(folder) = nearest.filter(|p| p.is_dir()) else {
         return Err(CliError::BadInput(format!("{}: has no folder to be in", output.display())));

@@ -1,4 +1,4 @@
-//! The commands: what they take, and the one call that each makes.
+//! The command line: one file for each command, with its arguments and its call of the library.
 
 mod capture;
 mod check;
@@ -66,7 +66,7 @@ enum Command {
 }
 
 impl Cli {
-    /// Runs the command, and prints what it has to say, also if it fails.
+    /// Runs the command, and prints its output even if it fails.
     pub fn run(&self) -> Result<(), CliError> {
         let mut page = Page::default();
         let result = self.run_on(&mut page);

@@ -1,16 +1,16 @@
-//! What commands print.
+//! Output of commands on stdout.
 
 use super::CliError;
 use std::fmt::Display;
 use std::io::{ErrorKind, Result, Write};
 use stlfr::text::printable;
 
-/// What a command has to say on stdout, line by line; it is printed once, at the command's end.
+/// The output of a command, printed at its end.
 #[derive(Debug, Default)]
 pub struct Page(String);
 
 impl Page {
-    /// A line, or several, of which nothing can drive a terminal.
+    /// Adds lines, with control characters escaped.
     pub fn line(&mut self, line: impl Display) {
         let line = line.to_string();
         let lines: Vec<String> = line.split('\n').map(printable).collect();
@@ -28,14 +28,14 @@ impl Page {
         Ok(())
     }
 
-    /// Prints it all.
+    /// Prints the output.
     pub fn print(&self) -> std::result::Result<(), CliError> {
         let mut stdout = std::io::stdout().lock();
         heard(stdout.write_all(self.0.as_bytes()).and_then(|()| stdout.flush()))
     }
 }
 
-/// A reader who has closed the pipe wants no more, which is no error.
+/// The result of printing; a closed pipe is not an error.
 pub fn heard(printed: Result<()>) -> std::result::Result<(), CliError> {
     match printed {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {

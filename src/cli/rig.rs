@@ -123,7 +123,7 @@ struct ClockArgs {
     /// Frames that each camera loses; the reference loses none.
     #[arg(long, value_name = "N", default_value_t = 0)]
     lost: usize,
-    /// Number of first frames that the lost ones are among; the very first is never lost.
+    /// Lost frames are among the first N; the very first is never lost.
     #[arg(long, value_name = "N", default_value_t = 9, value_parser = 1..MAX_FRAMES as i64)]
     lost_within: i64,
     /// Whether the cameras' times show lost frames: as a gap, not at all, or either in turn.
@@ -145,10 +145,10 @@ struct SensorArgs {
     #[arg(long, value_name = "COLOR,…", default_value = "rgb", value_delimiter = ',',
         value_parser = method::<RigColor>())]
     color: Vec<RigColor>,
-    /// Factors of light.
+    /// Factors on the light.
     #[arg(long, value_name = "GAIN,…", default_value = "1", value_delimiter = ',')]
     gain: Vec<f64>,
-    /// Standard deviations of the noise, of a full scale of 1.
+    /// Standard deviations of the noise, for a full scale of 1.
     #[arg(long, value_name = "SIGMA,…", default_value = "0", value_delimiter = ',')]
     noise: Vec<f64>,
     /// Bits a channel, 8 or 16.
@@ -223,7 +223,7 @@ impl RigArgs {
         }
     }
 
-    /// The name given, or the beginning of the file's.
+    /// The given name, else the stem of the output file.
     fn name(&self) -> String {
         let stem = || {
             let stem = self.output.as_ref()?.file_stem()?.to_str()?;

@@ -43,7 +43,7 @@ pub struct TradeoffArgs {
     options: OptionsArgs,
 }
 
-/// A count within bounds.
+/// Parses a count from `min` to `max`.
 fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Clone {
     move |text| match text.parse() {
         Ok(count) if (min..=max).contains(&count) => Ok(count),
@@ -71,7 +71,7 @@ pub fn run(args: &TradeoffArgs, page: &mut Page, reporter: &Reporter) -> Result<
     Ok(())
 }
 
-/// The methods' combinations, the Pareto front, and what has a name.
+/// Prints combinations of methods, the Pareto front, presets and `auto`.
 fn print_table(found: &Tradeoff, options: &TradeoffOptions, page: &mut Page) {
     page.line(format_args!(
         "{:<2}{:>24} {:>7} {:>8} {:>14} {:>14}  combination",

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use stlfr::method::Method;
 
-/// A method, or what the capture requires.
+/// A method, or `auto`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MethodChoice<T> {
     Auto,
@@ -13,7 +13,7 @@ pub enum MethodChoice<T> {
 }
 
 impl<T: Copy> MethodChoice<T> {
-    /// The method, if it is one.
+    /// The method, `None` for `auto`.
     pub fn method(&self) -> Option<T> {
         match self {
             Self::Auto => None,
@@ -32,12 +32,12 @@ fn named<T: Method>(name: &str) -> Result<T, String> {
     T::from_name(name).ok_or_else(|| format!("'{name}' is none of {}", T::names().join(", ")))
 }
 
-/// A stage's methods.
+/// Parses a method of a stage.
 pub fn method<T: Method>() -> impl TypedValueParser<Value = T> {
     PossibleValuesParser::new(possible::<T>()).try_map(|name| named(&name))
 }
 
-/// A stage's methods, and `auto`.
+/// Parses a method of a stage, or `auto`.
 pub fn method_or_auto<T: Method>() -> impl TypedValueParser<Value = MethodChoice<T>> {
     let auto =
         PossibleValue::new(AUTO).help("The cheapest that this capture requires: see stlfr plan");
@@ -79,7 +79,7 @@ pub struct Times {
     pub count: usize,
 }
 
-/// More images than anyone renders in one run; a typing error shall not fill the disk.
+/// Bounds the images that a typing error asks for.
 const MAX_TIMES: usize = 1_000_000;
 
 impl FromStr for Times {
@@ -108,10 +108,11 @@ impl Times {
     /// The instants, seconds.
     pub fn instants_s(&self) -> Vec<f64> {
         let last = self.count - 1;
-        // END's share is 1 exactly: the last one is END itself, not END and a rounding error beyond
-        // what was filmed. And no two times are too far apart to be subtracted.
-        let share = |k: usize| if last == 0 { 0.0 } else { k as f64 / last as f64 };
-        (0..self.count).map(|k| self.start_s * (1.0 - share(k)) + self.end_s * share(k)).collect()
+        // The fraction of END is exactly 1, so that rounding can't exceed it. END − START could overflow.
+        let fraction = |k: usize| if last == 0 { 0.0 } else { k as f64 / last as f64 };
+        (0..self.count)
+            .map(|k| self.start_s * (1.0 - fraction(k)) + self.end_s * fraction(k))
+            .collect()
     }
 }
 
@@ -142,14 +143,14 @@ impl FromStr for ImageOutput {
 }
 
 impl ImageOutput {
-    /// The files of so many images.
+    /// Paths of `images` images.
     pub fn files(&self, images: usize) -> impl Iterator<Item = PathBuf> {
         let files = if matches!(self, Self::Sequence(_)) { images } else { 1 };
         (0..files).filter_map(|index| self.file(index))
     }
 
-    /// The `index`-th file of a sequence; `None` where the pattern has no field for a number. The
-    /// file itself for the others.
+    /// Path of the `index`-th image: of a sequence, `None` if its pattern has no number field; else the
+    /// one file.
     pub fn file(&self, index: usize) -> Option<PathBuf> {
         let (Self::Image(path) | Self::Sequence(path) | Self::Video(path)) = self;
         if !matches!(self, Self::Sequence(_)) {
