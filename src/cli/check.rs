@@ -7,7 +7,7 @@ use super::print::Page;
 use std::path::PathBuf;
 use stlfr::host::write_json;
 use stlfr::progress::Reporter;
-use stlfr::toolchain::{CheckValues, check, ensure_environment, project_root};
+use stlfr::toolchain::{Check, check, ensure_environment, project_root};
 
 /// Check a capture's calibration against COLMAP: projections, and a reconstruction from the pixels
 /// of one instant.
@@ -36,12 +36,11 @@ pub fn run(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Result<(),
     for line in &check.table {
         page.line(line);
     }
-    verdict(&check.values)
+    verdict(check)
 }
 
 /// An error if the calibration is off.
-pub fn verdict(values: &CheckValues) -> Result<(), CliError> {
-    let reason = values.reason.as_deref().unwrap_or_default();
-    let off = || CliError::Failure(format!("the calibration is off: {reason}"));
-    if values.ok { Ok(()) } else { Err(off()) }
+pub fn verdict(check: Check) -> Result<(), CliError> {
+    let failure = check.failure.map(|reason| format!("the calibration is off: {reason}"));
+    failure.map_or(Ok(()), |sentence| Err(CliError::Failure(sentence)))
 }

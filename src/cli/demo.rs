@@ -70,7 +70,7 @@ impl DemoArgs {
         for line in &check.table {
             reporter.note(line);
         }
-        verdict(&check.values)?;
+        verdict(check)?;
         Ok(capture)
     }
 

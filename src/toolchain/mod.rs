@@ -11,9 +11,7 @@ mod review;
 mod script;
 mod setup;
 
-pub use check::{
-    Check, CheckValues, CheckedCamera, CheckedFormat, CheckedLens, CheckedModel, check,
-};
+pub use check::{Check, check};
 pub use extension::{ExtensionError, build_extension};
 pub use film::{FilmOptions, FilmedScene, film};
 pub use review::review;
