@@ -102,7 +102,7 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
 
 
 def add_scene(parser: Parser) -> None:
-    """What is filmed, by which rig, and into which folder."""
+    """Add the arguments for rig, scene and folder."""
     parser.add_argument("rig", type=Path, metavar="RIG", help="rig file")
     scene = parser.add_mutually_exclusive_group(required=True)
     scene.add_argument("--scene", metavar="NAME", help="a scene of blender/scenes")
@@ -123,7 +123,7 @@ def add_scene(parser: Parser) -> None:
 
 
 def add_film(parser: Parser) -> None:
-    """How it is filmed."""
+    """Add the arguments for sizes, samples and engine."""
     parser.add_argument(
         "--size",
         type=size,
@@ -158,7 +158,7 @@ def add_film(parser: Parser) -> None:
 
 
 def add_truth(parser: Parser) -> None:
-    """What only a simulator knows."""
+    """Add the arguments for the truth."""
     instants = parser.add_mutually_exclusive_group()
     instants.add_argument(
         "--instants",
@@ -192,7 +192,7 @@ def add_truth(parser: Parser) -> None:
 
 
 def add_processes(parser: Parser) -> None:
-    """What does the work."""
+    """Add the arguments for worker processes."""
     parser.add_argument(
         "--workers", type=count(1), metavar="N", help="filming processes (one per core)"
     )
@@ -209,7 +209,7 @@ def add_processes(parser: Parser) -> None:
 
 
 def filming_options(arguments: argparse.Namespace) -> Any:
-    """What the command line asks for."""
+    """The filming options of the command line."""
     return plans.Options(
         rig_file=arguments.rig.resolve(),
         scene_name=arguments.scene,
@@ -227,7 +227,7 @@ def filming_options(arguments: argparse.Namespace) -> Any:
 
 
 def capture(arguments: argparse.Namespace) -> None:
-    """Film what isn't there yet."""
+    """Film the missing images."""
     if arguments.module:
         sys.path.insert(0, arguments.module)
     plan = plans.make(filming_options(arguments))
@@ -281,7 +281,7 @@ def capture(arguments: argparse.Namespace) -> None:
 
 
 def report(done: int, total: int, what: str) -> None:
-    """One line of progress."""
+    """Print one line of progress."""
     print(json.dumps({"done": done, "total": total, "what": what}), flush=True)
 
 

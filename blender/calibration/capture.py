@@ -36,14 +36,14 @@ class Pose:
 
     @property
     def centre_m(self) -> Array:
-        """Where the camera stands in the world."""
+        """The camera's centre in the world."""
         centre: Array = -self.rotation.T @ self.translation_m
         return centre
 
 
 @dataclass(frozen=True)
 class EstimatedPose(Pose):
-    """A pose as images put it, in a world of their own, and how well they do, along the worst axis."""
+    """A pose estimated from images, in the reconstruction's world, with standard errors along its worst axis."""
 
     rotation_std_err_deg: float = 0.0
     centre_std_err: float = 0.0
@@ -84,7 +84,7 @@ def lens_of(camera: Camera, pycolmap: Any) -> Any:
 
 
 def view_of(camera: Camera) -> Camera:
-    """A camera entry without what it filmed: what the `stlfr` module takes as a camera."""
+    """A camera entry without its frames, in the form that the `stlfr` module reads."""
     fields = ("width", "height", "model", "params", "cam_from_world")
     return {name: camera[name] for name in fields}
 

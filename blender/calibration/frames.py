@@ -32,7 +32,7 @@ cameras by; smaller, and features depend on what moves."""
 
 @dataclass(frozen=True)
 class Picture:
-    """One camera's image, 8-bit (H, W, channels), and where it shows what stood still (None: everywhere)."""
+    """One camera's image, 8-bit (H, W, channels), and its mask of static pixels (None: all)."""
 
     pixels: npt.NDArray[np.uint8]
     still: npt.NDArray[np.bool_] | None = None
@@ -89,7 +89,7 @@ def picture_at(capture: Any, camera_id: str, times_s: Array, time_s: float) -> P
 def standing_still(
     before: npt.NDArray[np.uint8], after: npt.NDArray[np.uint8]
 ) -> npt.NDArray[np.bool_]:
-    """The pixels (H, W) far enough from all that differs between two images."""
+    """Mask (H, W) of pixels far enough from every difference between two images."""
     grey = [image.astype(np.float64).mean(axis=2) for image in (before, after)]
     moving = box_mean(np.abs(grey[1] - grey[0]), MOVING_WINDOW_PX) > MOVING_LEVELS
     still: npt.NDArray[np.bool_] = (
@@ -117,7 +117,7 @@ def read_image(path: Path, pycolmap: Any) -> npt.NDArray[np.uint8]:
 
 
 def box_mean(image: Array, window_px: int) -> Array:
-    """The mean over a square window (odd size) around every pixel, the image's border repeated."""
+    """The mean over a square window (odd size) around every pixel; borders are replicated."""
     half = window_px // 2
     for axis in (0, 1):
         padding = [(half + 1, half) if a == axis else (0, 0) for a in (0, 1)]

@@ -85,7 +85,7 @@ def poses_from_pixels(
 
 
 def mapping_options(pycolmap: Any) -> Any:
-    """Incremental mapping for a tightly packed rig: small angles are all there are."""
+    """Options of incremental mapping that accept the small angles of a tightly packed rig."""
     options = pycolmap.IncrementalPipelineOptions()
     options.ba_refine_focal_length = options.ba_refine_principal_point = False
     options.ba_refine_extra_params = False

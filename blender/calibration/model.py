@@ -36,7 +36,7 @@ Larger, and a shift of the principal point by a wrong rounding could hide; small
 
 
 def difference_px(camera: Camera, lens: Any, pose: Pose, project: Projector) -> float:
-    """Between pycolmap's projection, by its lens and pose, and ours, by the camera object."""
+    """The largest difference between the projections of pycolmap and of the `stlfr` module."""
     points_world_m = seen_points(camera, lens, pose)
     points_cam_m = points_world_m @ pose.rotation.T + pose.translation_m
     theirs = np.asarray(lens.img_from_cam(points_cam_m), dtype=np.float64)
@@ -57,7 +57,7 @@ def seen_points(camera: Camera, lens: Any, pose: Pose) -> Array:
 
 
 def largest_px(theirs: Array, ours: Array) -> float:
-    """The largest distance; infinite where only one of the two has a pixel, or none has any."""
+    """The largest distance; infinite if only one of the two sees a point, or no point is seen."""
     absent = np.isnan(theirs).any(axis=1)
     if not np.array_equal(absent, np.isnan(ours).any(axis=1)) or absent.all():
         return float("inf")
@@ -87,7 +87,7 @@ POSE = {"rotation_wxyz": [0.8, -0.2, 0.4, 0.4], "translation": [0.3, -1.1, 2.0]}
 
 
 def model_differences_px(project: Projector, pycolmap: Any) -> dict[str, float]:
-    """Between pycolmap and stlfr, lens model by lens model."""
+    """Differences between pycolmap and stlfr by lens model."""
     found = {}
     for name, params in MODELS.items():
         camera = {"width": 640, "height": 480, "model": name, "params": params}
@@ -196,7 +196,7 @@ def blender_differences_px(
 def blender_pixels(
     camera: Any, scene: Any, points_world_m: Array, width_px: int, height_px: int
 ) -> Array:
-    """Where Blender's own projection matrix puts points; NaN behind the camera.
+    """Pixels of points by Blender's own projection matrix; NaN behind the camera.
 
     The matrix is Blender's, in its single precision; the product is taken in double.
     """

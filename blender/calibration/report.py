@@ -115,7 +115,7 @@ def check_model(
 
 
 def finite(distances_px: list[float]) -> float | None:
-    """The largest; None where only one of two sees some points."""
+    """The largest distance; None if only one of the two sees some points."""
     largest = max(distances_px)
     return largest if np.isfinite(largest) else None
 
@@ -171,7 +171,7 @@ def table(result: dict[str, Any]) -> str:
 
 
 def pixels_table(result: dict[str, Any]) -> list[str]:
-    """A camera a line."""
+    """One line for each camera."""
     lines = [
         f"{'camera':<12} {'rotation':>10} {'std. error':>10} {'position':>10} {'std. error':>10}"
     ]
@@ -213,5 +213,5 @@ def model_table(found: dict[str, Any]) -> list[str]:
 
 
 def shown(distance_px: float | None) -> str:
-    """A distance, or that there is none."""
+    """A distance as text."""
     return "not the same" if distance_px is None else f"{distance_px:.1e} px"

@@ -1,4 +1,4 @@
-"""How far each camera's exported pose is from where the images put it."""
+"""Residuals: each camera's exported pose against its reconstruction from images."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ place it no better. Larger, and wrong ones pass there; smaller, and right ones a
 
 @dataclass(frozen=True)
 class Residual:
-    """How far one camera's exported pose is from where the pixels put it, and how well they do."""
+    """Difference between a camera's exported and reconstructed pose, with standard errors of the latter."""
 
     id: str
     rotation_deg: float
@@ -31,7 +31,7 @@ class Residual:
 
     @property
     def is_off(self) -> bool:
-        """Whether it is off by more than can be."""
+        """Whether the difference exceeds the tolerance and the standard errors."""
         return self.rotation_deg > max(
             ROTATION_TOLERANCE_DEG, STANDARD_ERRORS * self.rotation_std_err_deg
         ) or self.position_mm > max(
@@ -93,7 +93,7 @@ def robust_mean_rotation(rotations: list[Array]) -> Array:
 
 
 def angle_deg(rotation: Array) -> float:
-    """How far a rotation turns; accurate for tiny angles."""
+    """The angle of a rotation; accurate for tiny angles."""
     return float(
         np.degrees(
             2 * np.arcsin(min(1.0, np.linalg.norm(rotation - np.eye(3)) / np.sqrt(8)))

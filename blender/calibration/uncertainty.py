@@ -1,4 +1,4 @@
-"""How well the images alone place each camera: the standard errors of a mapping.
+"""Standard errors of reconstructed camera poses.
 
 The covariance of bundle adjustment with all points eliminated (Triggs et al., Bundle Adjustment: A
 Modern Synthesis, 2000, sections 6 and 9), from the reprojection errors that are left. Images say nothing
@@ -88,7 +88,7 @@ def _look(model: Any, image: Any, number: int, sights: dict[int, list[Sight]]) -
 
 
 def _information(sights: dict[int, list[Sight]], count: int) -> Array:
-    """What the images say of the cameras, whatever the points are: the Schur complement."""
+    """The information on camera poses with all points eliminated: the Schur complement."""
     information = np.zeros((6 * count, 6 * count))
     for seen in sights.values():
         points = np.linalg.inv(sum(s.by_point.T @ s.by_point for s in seen))
@@ -102,7 +102,7 @@ def _information(sights: dict[int, list[Sight]], count: int) -> Array:
 
 
 def _inverse(information: Array, span: float) -> Array:
-    """Without the seven freedoms. Lengths are made comparable with radians by the scene's `span`."""
+    """The inverse without the seven gauge freedoms. Lengths are made comparable with radians by the scene's `span`."""
     units = np.tile([1.0, 1.0, 1.0, span, span, span], len(information) // 6)
     values, vectors = np.linalg.eigh(information * np.outer(units, units))
     values[:FREEDOMS] = np.inf
@@ -110,7 +110,7 @@ def _inverse(information: Array, span: float) -> Array:
 
 
 def _aligning(centres: Array) -> Array:
-    """The matrix that takes the mean turn, the mean move and the mean growth out of all cameras' changes."""
+    """The projection that removes mean rotation, translation and scale from pose changes."""
     count, around = len(centres), centres - centres.mean(axis=0)
     mean_turn = np.tile(np.hstack([np.eye(3), np.zeros((3, 3))]), count) / count
     unturned = np.eye(6 * count)
@@ -129,7 +129,7 @@ def _span(model: Any, centres: Array) -> float:
 
 
 def _cross(vectors: Array) -> Array:
-    """The matrices (N, 3, 3) that take a vector to its cross product with each."""
+    """The cross-product matrices (N, 3, 3) of vectors."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]

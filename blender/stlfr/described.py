@@ -54,7 +54,7 @@ def pose_of(camera: Camera) -> RigidTransform:
 
 
 def centre_of(camera: Camera) -> Array:
-    """Where it stands in the world, metres."""
+    """The camera's centre in the world, metres."""
     matrix = pose_of(camera).matrix()
     return np.asarray(-matrix[:3, :3].T @ matrix[:3, 3])
 
@@ -67,7 +67,7 @@ def project(camera: Camera, points_m: Array) -> Array:
 
 
 def direction_of(camera: Camera, pixel: tuple[float, float]) -> Array:
-    """Where a pixel looks, in the world, one metre along the camera's +z; NaN where its lens has no inverse."""
+    """The viewing direction of a pixel in the world, with length 1 along the camera's +z; NaN without an inverse."""
     pinhole, distortion = lens_of(camera)
     ((x, y),) = distortions.ideal_from_pixels(pinhole, distortion, np.array([pixel]))
     ray = [

@@ -47,7 +47,7 @@ class Distortion:
         return self == Distortion()
 
     def distorted(self, points: Array) -> Array:
-        """Where points (N, 2) of the plane z = 1 go; past the lens's fold that means nothing."""
+        """Distorted points (N, 2) of the plane z = 1; meaningless past the lens's fold."""
         x, y = points.T
         r2 = x * x + y * y
         radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
@@ -77,7 +77,7 @@ class Distortion:
         )
 
     def undistorted(self, points: Array) -> Array:
-        """The points (N, 2) that go there, by Newton's method; NaN where there are none."""
+        """Inverse of `distorted` by Newton's method; NaN where there is none."""
         found = points.copy()
         step = np.full_like(points, np.inf)
         with np.errstate(all="ignore"):
@@ -115,13 +115,13 @@ def _is_small(step: Array, found: Array) -> Array:
 
 
 def ideal_from_pixels(lens: Pinhole, distortion: Distortion, pixels: Array) -> Array:
-    """Where pixels (N, 2) would be without distortion; NaN where the lens has no inverse."""
+    """Undistorted positions of pixels (N, 2); NaN where the lens has no inverse."""
     scale, center = _scale_and_center(lens)
     return distortion.undistorted((pixels - center) / scale) * scale + center
 
 
 def pixels_from_ideal(lens: Pinhole, distortion: Distortion, ideal: Array) -> Array:
-    """Where a pinhole's pixels (N, 2) are with distortion; NaN past the lens's fold."""
+    """Distorted positions of a pinhole's pixels (N, 2); NaN past the lens's fold."""
     scale, center = _scale_and_center(lens)
     points = (ideal - center) / scale
     pixels = distortion.distorted(points) * scale + center

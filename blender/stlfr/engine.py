@@ -38,7 +38,7 @@ class StlfrEngine(bpy.types.RenderEngine):
     _viewport: viewport.Viewport | None = None
 
     def view_update(self, context: Any, depsgraph: Any) -> None:
-        """Blender asks for it; what has changed is read when drawing."""
+        """Required by Blender; changes are read when drawing."""
 
     def view_draw(self, context: Any, depsgraph: Any) -> None:
         if self._viewport is None:
@@ -155,7 +155,7 @@ def _panels() -> list[Any]:
 
 @persistent
 def _show_time(*_: Any) -> None:
-    """After an animation: the properties show the scene's frame again."""
+    """After an animation, show the scene's frame in the properties again."""
 
     def redraw() -> None:
         for window in bpy.context.window_manager.windows:
@@ -169,7 +169,7 @@ def _show_time(*_: Any) -> None:
 
 @persistent
 def _forget(*_: Any) -> None:
-    """Of another file."""
+    """Forget the open capture when another file is loaded."""
     said.clear()
 
 

@@ -43,7 +43,7 @@ class StoppedError(Exception):
 
 @contextlib.contextmanager
 def _own_errors() -> Iterator[None]:
-    """What the module refuses, as this package's errors."""
+    """Turn the module's errors into this package's."""
     try:
         yield
     except InterruptedError:
@@ -70,7 +70,7 @@ def moment(request: Request) -> stlfr.Moment:
 
 
 def seen(at: stlfr.Moment, request: Request) -> Samples:
-    """A request's image of its instant."""
+    """Render a request at its instant."""
     with _own_errors():
         return at.view(request.camera)
 
@@ -108,7 +108,7 @@ def read_span(folder: Path) -> None:
 
 
 def is_reading() -> bool:
-    """Whether such a thread works."""
+    """Whether a thread is reading the span."""
     return _reader is not None and _reader.is_alive()
 
 
@@ -170,7 +170,7 @@ def _capture(folder: Path) -> stlfr.Capture:
 
 
 def stamp_of(folder: Path) -> Stamp:
-    """Of a capture's description and its saved offsets; a file that isn't there has zeros."""
+    """Time stamps and sizes of the capture's description and offsets; zeros for a missing file."""
     states = []
     for name in (CAPTURE_FILE, "offsets.json"):
         try:

@@ -283,7 +283,7 @@ class Studio:
 
     @contextlib.contextmanager
     def _unbiased(self) -> Iterator[None]:
-        """The lens is shifted against Workbench's bias within."""
+        """Shift the lens within to compensate Workbench's bias."""
         render, lens = self.scene.render, self.scene.camera.data
         if render.engine != "BLENDER_WORKBENCH":
             yield

@@ -81,7 +81,7 @@ class Job:
 
     @property
     def time_left_s(self) -> float | None:
-        """From the pace so far; None where that says nothing yet."""
+        """Estimated from the pace so far; None if that is unknown."""
         progress = self.progress
         if self._first is None or progress.done <= self._first[1]:
             return None

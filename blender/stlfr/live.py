@@ -47,7 +47,7 @@ thread."""
 
 @dataclass(frozen=True)
 class Picture:
-    """What there is to show."""
+    """A picture, and how it was made."""
 
     pixels: Linear
     request: Request
@@ -87,7 +87,7 @@ class Counts:
     """When each fast picture was ready, the last ones."""
 
     def drawn(self, is_final: bool) -> None:
-        """Another picture is on the screen."""
+        """Count a picture that was drawn."""
         if is_final:
             self.final_drawn_s = time.monotonic()
         else:
@@ -102,7 +102,7 @@ class Counts:
         return (len(times) - 1) / (times[-1] - times[0])
 
     def ready(self, now_s: float) -> None:
-        """Another fast picture; after a pause, the count starts anew."""
+        """Count a fast picture; after a pause, the count starts again."""
         if self.times_s and now_s - self.times_s[-1] > 1.0:
             self.times_s.clear()
         self.times_s = [*self.times_s[-20:], now_s]
@@ -131,7 +131,7 @@ class Live:
         self.counts = Counts()
 
     def want(self, request: Request) -> bool:
-        """Ask for a picture; whether that is news. What was asked for before is given up."""
+        """Request a picture, in place of an earlier request; returns whether the request is new."""
         with self._changed:
             if self._closed or request == self._wanted:
                 return False
@@ -147,7 +147,7 @@ class Live:
         return True
 
     def refuse(self) -> None:
-        """Nothing can be asked for: drop what is shown, and what is being rendered."""
+        """Drop the shown picture and the running request."""
         with self._changed:
             self._wanted = self._picture = self._error = None
             self._serial += 1
@@ -161,12 +161,12 @@ class Live:
 
     @property
     def error(self) -> str | None:
-        """Why there is none, one sentence."""
+        """Why there is no picture, one sentence."""
         return self._error
 
     @property
     def is_closed(self) -> bool:
-        """Whether nothing comes any more."""
+        """Whether this is closed."""
         return self._closed
 
     @property
@@ -237,7 +237,7 @@ class Live:
                 self._served, self._news = serial, True
 
     def _does(self, serial: int, work: Callable[[], None]) -> bool:
-        """Whether it is done; what went wrong is said."""
+        """Run a step; returns its success, and stores its error."""
         try:
             work()
         except fields.StoppedError:
@@ -277,7 +277,7 @@ class Live:
         return Picture(view.scene_linear(samples), request, False)
 
     def _rests(self, serial: int) -> bool:
-        """Whether nothing changes for a moment."""
+        """Whether requests have stopped changing for a moment."""
         with self._changed:
             return not self._changed.wait_for(lambda: self._serial != serial, REST_S)
 

@@ -19,7 +19,7 @@ Content = dict[str, Any]
 
 @contextlib.contextmanager
 def _own_errors() -> Iterator[None]:
-    """What the module refuses, and that it is missing, as this package's errors."""
+    """Turn the module's errors, and its absence, into this package's."""
     try:
         yield
     except ImportError as error:

@@ -173,7 +173,7 @@ class STLFR_PT_comparison(Sidebar, bpy.types.Panel):
 
 
 class STLFR_PT_ended(Sidebar, bpy.types.Panel):
-    """What became of work that nobody waited for."""
+    """Results of jobs that have ended."""
 
     bl_label = "Ended"
 
@@ -201,7 +201,7 @@ class RenderTab:
 
 
 class STLFR_PT_light_field(RenderTab, bpy.types.Panel):
-    """Which light field, and when."""
+    """The capture, and its time."""
 
     bl_label = "Light Field"
 
@@ -234,7 +234,7 @@ def _covered(layout: Any, scene: Any, folder: Path) -> None:
 
 
 class STLFR_PT_methods(RenderTab, bpy.types.Panel):
-    """How well."""
+    """The methods and their options."""
 
     bl_label = "Methods"
     bl_parent_id = "STLFR_PT_light_field"

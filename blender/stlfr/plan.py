@@ -284,7 +284,7 @@ def _job(what: str, shot: _Shot, seed: int, files: tuple[str, ...]) -> Job:
 
 
 def _seed(rig: Rig, purpose: str, view: rigs.RigView, index: int) -> int:
-    """Its own for every image; Cycles takes 31 bits."""
+    """A seed for each image; Cycles takes 31 bits."""
     digest = hashlib.sha256(f"{rig.seed}/{purpose}/{view.id}/{index}".encode()).digest()
     return int.from_bytes(digest[:4], "little") & 0x7FFFFFFF
 
@@ -344,7 +344,7 @@ def release(capture: Path) -> None:
 
 
 def _has_files(capture: Path) -> bool:
-    """Whether there is anything in the folder but what a plan leaves there before its first frame."""
+    """Whether the folder holds more than the files of a plan without frames."""
     return capture.is_dir() and any(
         entry.name != HIDDEN_FOLDER for entry in capture.iterdir()
     )

@@ -82,7 +82,7 @@ def _adopt(settings: Any, folder: Path) -> None:
 
 
 def _redraw(_settings: Any, _context: Any) -> None:
-    """Another picture."""
+    """Redraw the viewports."""
     viewport.redraw()
 
 
