@@ -60,7 +60,7 @@ fn nothing_of_a_capture_is_written_over() {
     let root = folder.path();
     let before = contents(root);
     for (suffix, arguments) in file_outputs(text(root)) {
-        for target in ["truth/0", "truth/new/0", "colmap/0", ".stlfr/video/0"] {
+        for target in ["truth/0", "truth/new/0", "colmap/0", ".stlfr/cache/video/0"] {
             let target = root.join(target).with_extension(suffix);
             let refused = run_into(&arguments, &target);
             assert_refused(&refused, 2, "belongs to the capture, and is not written over");

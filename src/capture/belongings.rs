@@ -254,7 +254,7 @@ mod tests {
                 ("truth/truth.json", "belongs to the capture"),
                 ("truth/views/new/0.png", "belongs to the capture"),
                 ("colmap/cameras.txt", "belongs to the capture"),
-                (".stlfr/video/0/0.png", "belongs to the capture"),
+                (".stlfr/cache/video/0", "belongs to the capture"),
                 ("offsets.json", "belongs to the capture"),
                 ("truth", "is a folder"),
                 ("new/", "names no file"),

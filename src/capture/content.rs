@@ -5,30 +5,40 @@
 
 use super::{Capture, CaptureError, FilmedCamera};
 use crate::host::{CacheKind, DiskCache, file_hashes};
-use std::path::Path;
-use std::sync::{Arc, OnceLock};
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 /// Hashes of the files of an opened capture. Those of images are set when they are first read.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(super) struct ContentHashes {
     /// Of `capture.json`.
     description: blake3::Hash,
-    /// By camera and frame.
-    frames: Vec<Arc<Vec<OnceLock<blake3::Hash>>>>,
-    /// Of everything, in hexadecimal digits.
-    content: Arc<OnceLock<String>>,
+    frames: HashMap<PathBuf, OnceLock<blake3::Hash>>,
 }
 
 impl ContentHashes {
     pub fn new(description: &str, cameras: &[FilmedCamera]) -> Self {
-        let known = |camera: &FilmedCamera| match &camera.video {
-            Some(video) => video.frames.iter().copied().map(OnceLock::from).collect(),
-            None => vec![OnceLock::new(); camera.frames.len()],
-        };
-        Self {
-            description: blake3::hash(description.as_bytes()),
-            frames: cameras.iter().map(known).map(Arc::new).collect(),
-            content: Arc::default(),
+        let mut frames = HashMap::new();
+        for camera in cameras {
+            let known = camera.video.iter().flat_map(|video| &video.frames);
+            let known =
+                known.copied().map(OnceLock::from).chain(std::iter::repeat(OnceLock::new()));
+            frames.extend(camera.frames.iter().cloned().zip(known));
+        }
+        Self { description: blake3::hash(description.as_bytes()), frames }
+    }
+
+    /// `None` for a file that wasn't read yet.
+    fn get(&self, frame: &Path) -> Option<blake3::Hash> {
+        self.frames.get(frame).and_then(OnceLock::get).copied()
+    }
+
+    /// Refuses a frame whose bytes aren't those that were read before.
+    pub fn require_unchanged(&self, frame: &Path, found: blake3::Hash) -> Result<(), CaptureError> {
+        match self.frames.get(frame).map(|known| known.get_or_init(|| found)) {
+            Some(known) if *known != found => Err(CaptureError::Changed { path: frame.to_owned() }),
+            _ => Ok(()),
         }
     }
 }
@@ -40,72 +50,42 @@ impl Capture {
         Self {
             reference: cameras.iter().position(|&c| c == self.reference).unwrap_or(0),
             cameras: cameras.iter().map(|&c| self.cameras[c].clone()).collect(),
-            hashes: ContentHashes {
-                frames: cameras.iter().map(|&c| self.hashes.frames[c].clone()).collect(),
-                content: Arc::default(),
-                ..self.hashes
-            },
             ..self.clone()
         }
-    }
-
-    /// Refuses a frame whose bytes aren't those that were read before.
-    pub(super) fn require_unchanged(
-        &self,
-        (camera, frame): (usize, usize),
-        found: blake3::Hash,
-    ) -> Result<(), CaptureError> {
-        let known = self.hashes.frames[camera][frame].get_or_init(|| found);
-        if *known == found {
-            return Ok(());
-        }
-        Err(CaptureError::Changed { path: self.cameras[camera].frames[frame].clone() })
     }
 
     /// A hash of everything that results from this capture depend on: `capture.json` and the bytes of the frames or videos.
     /// 64 hexadecimal digits.
     ///
-    /// Computed once. Hashes of files that haven't changed since an earlier command come from the cache.
+    /// Frames are read once. Hashes of files that haven't changed since an earlier command come from the cache.
     ///
     /// # Errors
     /// [`CaptureError::Read`], or [`CaptureError::Changed`] for a frame that was read before, with other bytes.
-    pub fn content_hash(&self) -> Result<&str, CaptureError> {
-        if let Some(content) = self.hashes.content.get() {
-            return Ok(content);
+    pub fn content_hash(&self) -> Result<String, CaptureError> {
+        let frames = || self.cameras.iter().flat_map(|camera| &camera.frames);
+        if frames().any(|frame| self.hashes.get(frame).is_none()) {
+            let images = self.cameras.iter().filter(|camera| camera.video.is_none());
+            let files: Vec<&Path> = images.flat_map(|c| &c.frames).map(PathBuf::as_path).collect();
+            let found = file_hashes(&self.cache, &files).map_err(|(file, source)| {
+                CaptureError::Read { path: files[file].to_owned(), source }
+            })?;
+            let mut found = files.iter().zip(found);
+            found.try_for_each(|(file, hash)| self.hashes.require_unchanged(file, hash))?;
         }
-        self.hash_frames()?;
         let mut hasher = blake3::Hasher::new();
         hasher.update(self.hashes.description.as_bytes());
         hasher.update(&self.reference.to_le_bytes());
-        for (camera, frames) in self.cameras.iter().zip(&self.hashes.frames) {
+        for camera in &self.cameras {
             hasher.update(camera.id.as_bytes());
-            hasher.update(&frames.len().to_le_bytes());
+            hasher.update(&camera.frames.len().to_le_bytes());
             if let Some(video) = &camera.video {
                 hasher.update(video.hash.as_bytes());
             }
-            for frame in frames.iter().filter_map(OnceLock::get) {
-                hasher.update(frame.as_bytes());
+            for hash in camera.frames.iter().filter_map(|frame| self.hashes.get(frame)) {
+                hasher.update(hash.as_bytes());
             }
         }
-        Ok(self.hashes.content.get_or_init(|| hasher.finalize().to_hex().to_string()))
-    }
-
-    /// Hashes all images, unless each was read before.
-    fn hash_frames(&self) -> Result<(), CaptureError> {
-        let is_known = |frames: &Arc<Vec<OnceLock<_>>>| frames.iter().all(|f| f.get().is_some());
-        if self.hashes.frames.iter().all(is_known) {
-            return Ok(());
-        }
-        let is_image = |camera: &(usize, &FilmedCamera)| camera.1.video.is_none();
-        let images: Vec<(usize, usize)> = (self.cameras.iter().enumerate().filter(is_image))
-            .flat_map(|(c, camera)| (0..camera.frames.len()).map(move |k| (c, k)))
-            .collect();
-        let files: Vec<&Path> = images.iter().map(|&(c, k)| &*self.cameras[c].frames[k]).collect();
-        let found = file_hashes(&self.cache, &files).map_err(|(file, source)| {
-            CaptureError::Read { path: files[file].to_owned(), source }
-        })?;
-        let mut images = images.iter().zip(found);
-        images.try_for_each(|(&image, hash)| self.require_unchanged(image, hash))
+        Ok(hasher.finalize().to_hex().to_string())
     }
 
     /// Whether there may be cached results of a kind; nothing is hashed.
@@ -118,6 +98,6 @@ impl Capture {
     /// # Errors
     /// As [`Self::content_hash`].
     pub fn cache(&self) -> Result<DiskCache, CaptureError> {
-        Ok(self.cache.for_content(self.content_hash()?))
+        Ok(self.cache.for_content(&self.content_hash()?))
     }
 }

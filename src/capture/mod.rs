@@ -32,6 +32,7 @@ use crate::raster::{BitDepth, Image, ImageFileError, read_hashed_image};
 use crate::video::ffmpeg_on_path;
 use content::ContentHashes;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The file in a capture's folder that describes it.
 pub const CAPTURE_FILE: &str = "capture.json";
@@ -52,7 +53,7 @@ pub struct Capture {
     pub time_origin_s: f64,
     /// Its cache on disk, with keys that don't depend on the content.
     cache: DiskCache,
-    hashes: ContentHashes,
+    hashes: Arc<ContentHashes>,
 }
 
 /// A camera of a capture, with its frames.
@@ -168,7 +169,7 @@ impl Capture {
                 reason,
             })?;
         }
-        let hashes = ContentHashes::new(&text, &cameras);
+        let hashes = Arc::new(ContentHashes::new(&text, &cameras));
         Ok(Self {
             name: format.name,
             folder: folder.to_owned(),
@@ -189,7 +190,7 @@ impl Capture {
             reference: 0,
             time_origin_s: 0.0,
             cache: DiskCache::new(Path::new(""), |_| ()),
-            hashes: ContentHashes::new("", &cameras),
+            hashes: Arc::new(ContentHashes::new("", &cameras)),
             cameras,
         }
     }
@@ -229,7 +230,7 @@ impl Capture {
         let filmed = &self.cameras[camera];
         let path = &filmed.frames[frame];
         let (image, hash) = read_hashed_image(path)?;
-        self.require_unchanged((camera, frame), hash)?;
+        self.hashes.require_unchanged(path, hash)?;
         let (w, h) = (filmed.camera.width, filmed.camera.height);
         if (image.width(), image.height()) != (w, h) {
             return Err(ImageFileError::Content {
