@@ -103,8 +103,9 @@
 //! ([`capture::OutputGuard`]). It appears when it is whole. An interrupted command removes what it has
 //! begun; what a killed one left is removed by the next that writes into the same folder.
 //! What is read is a regular file of a bounded size: a pipe, a device or a file of gigabytes is refused
-//! before it is read. What a command keeps for the next (decoded videos, measurements) has a checksum,
-//! and is made anew, with a note, where it doesn't hold. `offsets.json` may be edited ([`offset::file`]).
+//! before it is read. Decoded videos, registered frames, plans and measurements are cached in `CAPTURE/.stlfr/cache`. A
+//! damaged entry is noted and computed again; `stlfr info` lists and deletes them. `offsets.json` may be edited
+//! ([`offset::file`]).
 //! Times are seconds on the reference camera's clock. Outside of what the cameras recorded there is no
 //! image; the message states the times that there are.
 //!

@@ -1,7 +1,7 @@
 //! The identity of a capture's content: hashes of the bytes that were read.
 //!
-//! Everything cached on disk is keyed with it. A frame that is read later, with other bytes, is an error, so that what is
-//! computed from it never gets the key of the earlier content.
+//! Results cached on disk are keyed with it. A frame that changes after it was first read is an error, so that no result
+//! gets the key of another content.
 
 use super::{Capture, CaptureError, FilmedCamera};
 use crate::host::{CacheKind, DiskCache, file_hashes};

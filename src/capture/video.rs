@@ -1,12 +1,11 @@
 //! A camera's video, decoded into the capture's cache and read from there as an image sequence.
 //!
-//! Frames are the files of a cache entry that has their hashes; it is saved when they are complete. They are compared
-//! with the hashes when the capture is opened, unless no file has changed since the last time, and decoded anew where
-//! they differ. One process decodes a video, and others wait.
+//! The cache entry holds the hashes of the decoded frames, and is saved when all frames are there. Frames that don't match
+//! it when the capture is opened are decoded again. While one process decodes a video, others wait.
 //!
-//! Any kind of video that ffmpeg 5.1 or newer reads may be a camera's `frames`. The clock stays in
-//! `capture.json`, because containers round their time stamps (Matroska to 1 ms). A `rate_hz` that the
-//! file contradicts is refused; the message names the file that lists the video's own `times_s`.
+//! ffmpeg 5.1 or newer must be able to read the video. The clock stays in `capture.json`, because containers round their
+//! time stamps (Matroska to 1 ms). A `rate_hz` that contradicts the file is refused; the message names the file that lists
+//! the video's own `times_s`.
 
 use super::{CaptureError, CaptureSource};
 use crate::host::temporary::Temporary;
@@ -23,7 +22,7 @@ pub const MAX_FRAMES: usize = 100_000;
 
 const DECODED_VIDEOS: CacheKind = CacheKind { name: "video", version: 1 };
 
-/// Lists the video's own time stamps, for the user.
+/// The file of the video's own time stamps, for the user to read.
 const STAMPS_FILE: &str = "frames.json";
 
 /// Rounding of time stamps, seconds: Matroska's are whole milliseconds.
@@ -38,9 +37,9 @@ pub struct VideoFile {
     pub(super) hash: blake3::Hash,
     /// Hashes of the decoded frames' files.
     pub(super) frames: Vec<blake3::Hash>,
-    /// The file's own time stamps, seconds.
+    /// The video's own time stamps, seconds.
     pub(super) stamps_s: Vec<f64>,
-    /// The file that lists them.
+    /// The file that lists the time stamps.
     pub(super) stamps_file: PathBuf,
 }
 
@@ -66,7 +65,8 @@ struct SourceVideo<'a> {
     folder: PathBuf,
 }
 
-/// A video and its frames, decoded if they aren't yet. `wrong` makes an error of a reason.
+/// Opens a video and decodes it unless its frames are cached; returns it with its frame files. `wrong` makes an error of a
+/// reason.
 pub(super) fn open(
     source: &CaptureSource,
     path: &Path,
@@ -106,7 +106,7 @@ fn hash(cache: &DiskCache, path: &Path) -> Result<blake3::Hash, CaptureError> {
 type DecodedFrames = (Vec<blake3::Hash>, Vec<f64>);
 
 impl SourceVideo<'_> {
-    /// The decoded frames, if they are all there as they were written.
+    /// The cached frames, if they are complete and match their hashes.
     fn cached(&self) -> Option<DecodedFrames> {
         let cache = self.source.cache;
         let found: DecodedVideo = cache.load_json(DECODED_VIDEOS, &self.hash.as_bytes())?;
@@ -164,7 +164,7 @@ impl SourceVideo<'_> {
     ) -> Result<DecodedFrames, CaptureError> {
         let name = &self.name;
         let decoded = video::decode(ffmpeg, self.path, folder, MAX_FRAMES);
-        let times_s = decoded.map(|decoded| decoded.times_s).map_err(|error| match error {
+        let times_s = decoded.map_err(|error| match error {
             VideoError::File { path, source } => CaptureError::Write { path, source },
             error => wrong(format!("'{name}' {error}")),
         })?;
@@ -180,8 +180,8 @@ impl SourceVideo<'_> {
     }
 }
 
-/// The hashes of a folder's frames, if they are those of a cache entry that decoding can have saved: a checksum has no
-/// secret, so that anybody can write one for any entry.
+/// The hashes of a folder's frames, if they match the cache entry. The entry is checked for plausibility: its checksum
+/// has no secret, so that anybody can write one.
 fn matching_hashes(
     cache: &DiskCache,
     folder: &Path,
@@ -206,8 +206,7 @@ fn hash_frames(cache: &DiskCache, folder: &Path, frames: usize) -> io::Result<Ve
     file_hashes(cache, &files).map_err(|(_, error)| error)
 }
 
-/// The file that is locked while a folder is made. What is no file and has its name is removed: opening
-/// a pipe would wait, and a link lead elsewhere.
+/// Opens the file that is locked while a video is decoded into `folder`. A pipe or a link in its place is removed.
 fn lock_file(folder: &Path) -> io::Result<File> {
     let path = folder.with_extension("lock");
     remove_special(&path)?;
@@ -216,7 +215,7 @@ fn lock_file(folder: &Path) -> io::Result<File> {
     File::options().write(true).create(true).truncate(false).custom_flags(flags).open(path)
 }
 
-/// The frames in a temporary folder.
+/// The name of the frames' folder in a temporary folder.
 const FRAMES: &str = "frames";
 
 fn remove(folder: &Path) -> io::Result<()> {
@@ -231,11 +230,8 @@ fn remove(folder: &Path) -> io::Result<()> {
 }
 
 impl VideoFile {
-    /// An error for a constant rate that the file's own time stamps contradict: frames were dropped,
-    /// or the rate is another. The error is a reason.
-    ///
-    /// Stamps may be rounded by [`ROUNDING_S`] and may drift: two frames contradict by half a frame,
-    /// and all of them by 1 %.
+    /// Refuses a constant rate that the video's own time stamps contradict: by half a frame between two frames, or by 1 %
+    /// over all frames. Stamps may be rounded by [`ROUNDING_S`]. The error is a reason.
     pub(super) fn agrees_with_rate(&self, rate_hz: f64) -> Result<(), String> {
         let frame_s = 1.0 / rate_hz;
         let gaps = self.stamps_s.windows(2).map(|w| w[1] - w[0]);
@@ -260,7 +256,7 @@ impl VideoFile {
         }
     }
 
-    /// Advice where the clock and the file contradict each other.
+    /// Advice for a clock that contradicts the file.
     pub(super) fn offer(&self) -> String {
         format!("give times_s (the video's own are in {})", self.stamps_file.display())
     }

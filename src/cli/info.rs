@@ -13,11 +13,11 @@ use stlfr::json;
 use stlfr::offset::{CameraOffset, Offsets, SavedOffsets};
 use stlfr::progress::Reporter;
 
-/// What a capture holds, and what is estimated and cached beside it.
+/// Show what a capture holds, and what is estimated and cached beside it.
 ///
-/// Nothing is decoded or estimated. What is cached in the capture's folder, under .stlfr/cache, may be deleted at any
-/// time: it is computed again when it is needed. Kinds are listed with their sizes: decoded videos, registered frames,
-/// plans, measurements of trade-offs, and hashes of files.
+/// Nothing is decoded or estimated. Decoded videos, registered frames, plans, measurements and hashes of files are cached
+/// in the capture's folder, under .stlfr/cache. They may be deleted at any time, and are computed again when they are
+/// needed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr info .captures/demo\n  \
@@ -30,7 +30,7 @@ pub struct InfoArgs {
     /// Print JSON and nothing else.
     #[arg(long)]
     json: bool,
-    /// Delete what is cached, or one kind of it, and do nothing else.
+    /// Delete all cached results, or those of one kind, and do nothing else.
     #[arg(long, value_name = "KIND", num_args = 0..=1, conflicts_with = "json")]
     delete_cache: Option<Option<String>>,
 }
@@ -48,7 +48,7 @@ pub fn run(args: &InfoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
     }
 }
 
-/// Also of a capture that can't be opened.
+/// Deletes cached results, also of a capture that can't be opened.
 fn delete(capture: &Path, kind: Option<&str>, page: &mut Page) -> Result<(), CliError> {
     must_be_a_file(&capture.join(CAPTURE_FILE))?;
     let cache = DiskCache::new(capture, |_| ());
@@ -70,16 +70,16 @@ fn delete(capture: &Path, kind: Option<&str>, page: &mut Page) -> Result<(), Cli
     Ok(())
 }
 
-/// What is known of a capture.
+/// Summary of a capture.
 #[derive(Serialize)]
 struct Info {
     name: String,
     /// The reference camera's id.
     reference: String,
     cameras: Vec<CameraInfo>,
-    /// The first and the last time at which every camera whose clock is known has images, seconds.
+    /// First and last time covered by every camera whose clock is known, seconds.
     times_of_all_s: Option<(f64, f64)>,
-    /// The first and the last time at which any of them has images, seconds.
+    /// First and last time covered by any of them, seconds.
     times_of_any_s: Option<(f64, f64)>,
     /// Times of true images by view, seconds.
     truth: BTreeMap<String, Vec<f64>>,
@@ -100,27 +100,29 @@ struct CameraInfo {
     /// `None` for one frame.
     rate_hz: Option<f64>,
     clock: ClockState,
-    /// Where the clock is known: from the camera's clock to the reference's.
+    /// Time on the reference's clock less that on the camera's; `None` if unknown.
     offset_s: Option<f64>,
     std_err_s: Option<f64>,
 }
 
 #[derive(Clone, Copy, PartialEq, Serialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "snake_case")]
 enum ClockState {
     Reference,
     /// The same clock as the reference's.
     Shared,
+    /// No offset is needed: every camera took one frame.
+    OneFrame,
     Estimated,
-    /// As offsets.json says, which was edited.
+    /// The offset in offsets.json was edited by hand.
     Edited,
     Unknown,
 }
 
 #[derive(Clone, Copy, PartialEq, Serialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(rename_all = "snake_case")]
 enum OffsetsState {
-    /// All clocks are the reference's.
+    /// All cameras share one clock, or took one frame.
     Unneeded,
     Missing,
     /// offsets.json was estimated from these frames.
@@ -128,7 +130,7 @@ enum OffsetsState {
     /// offsets.json was estimated from other frames, or by another version.
     Outdated,
     Edited,
-    /// Videos aren't decoded yet.
+    /// Unknown while videos aren't decoded.
     Unchecked,
 }
 
@@ -174,6 +176,7 @@ impl Info {
                 clock: match (offset_s, state) {
                     _ if k == number => ClockState::Reference,
                     _ if shares(k) && shares(number) => ClockState::Shared,
+                    (Some(_), OffsetsState::Unneeded) => ClockState::OneFrame,
                     (Some(_), OffsetsState::Edited) => ClockState::Edited,
                     (Some(_), _) => ClockState::Estimated,
                     (None, _) => ClockState::Unknown,
@@ -254,6 +257,7 @@ impl CameraInfo {
         let clock = match self.clock {
             ClockState::Reference => "reference".to_owned(),
             ClockState::Shared => "known: the reference's".to_owned(),
+            ClockState::OneFrame => "one frame".to_owned(),
             ClockState::Unknown => "unknown".to_owned(),
             ClockState::Estimated => format!("estimated: {}", self.offset()),
             ClockState::Edited => format!("edited: {}", self.offset()),
@@ -281,7 +285,7 @@ impl OffsetsState {
     }
 }
 
-/// The offsets that are known without an estimate, or that offsets.json has.
+/// The offsets in offsets.json if they are of these frames, else those that need no estimate.
 fn offsets(capture: &Capture) -> Result<(OffsetsState, Option<Offsets>), CliError> {
     let is_known = |camera| capture.has_reference_clock(camera);
     let mut known = Offsets::known(capture);
@@ -317,7 +321,7 @@ fn true_times_s(folder: &Path) -> Result<BTreeMap<String, Vec<f64>>, CliError> {
 
 type Span = Option<(f64, f64)>;
 
-/// The times that all cameras cover, and that any covers, of those whose clocks are known.
+/// Times covered by all cameras, and by any, among those whose clocks are known.
 fn spans_s(capture: &Capture, offsets: &Offsets) -> (Span, Span) {
     let times_s = offsets.common_times_s(capture);
     let of_camera = |times: &Vec<f64>| Some((*times.first()?, *times.last()?));
@@ -330,7 +334,7 @@ fn spans_s(capture: &Capture, offsets: &Offsets) -> (Span, Span) {
     (fold(f64::max, f64::min), fold(f64::min, f64::max))
 }
 
-/// The first few times.
+/// Lists a few times, and counts the others.
 fn times_of(times_s: &[f64]) -> String {
     const SHOWN: usize = 6;
     let shown: Vec<String> = times_s.iter().take(SHOWN).map(|t| rounded(*t)).collect();
@@ -339,7 +343,7 @@ fn times_of(times_s: &[f64]) -> String {
     format!("{} s{more}", shown.join(", "))
 }
 
-/// With at most four decimals.
+/// Formats a number with at most four decimals.
 fn rounded(value: f64) -> String {
     let text = format!("{value:.4}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()

@@ -43,7 +43,7 @@ const KEY_DIGITS: usize = 32;
 /// Extension of the folder of files that belong to an entry.
 const FILES_EXTENSION: &str = "files";
 
-/// A kind of results, whose entries are listed and deleted together.
+/// A kind of cached results, listed and deleted together.
 #[derive(Clone, Copy, Debug)]
 pub struct CacheKind {
     /// The name of its folder.
@@ -52,7 +52,7 @@ pub struct CacheKind {
     pub version: u32,
 }
 
-/// What a kind of entries takes.
+/// The entries of a kind and their size on disk.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct CacheUse {
     pub kind: String,
@@ -68,16 +68,16 @@ pub struct DiskCache {
     shared: Arc<Shared>,
 }
 
-/// What the clones of a cache share.
+/// State that the clones of a cache share.
 struct Shared {
     max_bytes: u64,
     recent: Duration,
     note: Box<dyn Fn(&str) + Send + Sync>,
-    /// Kinds whose folder was cleared of what killed processes left.
+    /// Kinds in whose folders the temporary files of killed processes were looked for.
     cleared: Mutex<BTreeSet<&'static str>>,
     /// The damaged entries that were noted.
     noted: Mutex<BTreeSet<PathBuf>>,
-    /// Entries whose files this process reads; they are not removed.
+    /// Entries whose files this process uses; they are not removed.
     pinned: Mutex<BTreeSet<PathBuf>>,
     size: Mutex<Size>,
 }
@@ -90,7 +90,7 @@ struct Size {
     limit: u64,
 }
 
-/// An entry as it is found on disk.
+/// An entry found on disk.
 struct Found {
     path: PathBuf,
     bytes: u64,
@@ -204,7 +204,7 @@ impl DiskCache {
     /// Writes the bytes of an entry; returns the file's size.
     ///
     /// # Errors
-    /// If it can't be written, which a read-only capture survives.
+    /// If it can't be written. Callers go on: a capture may be read-only.
     pub fn save(&self, kind: CacheKind, inputs: &impl Serialize, content: &[u8]) -> Result<u64> {
         let (path, key) = self.entry(kind, inputs)?;
         let bytes = [checksum(&key, content).as_bytes(), content].concat();
@@ -253,12 +253,12 @@ impl DiskCache {
         }
     }
 
-    /// Keeps an entry, whose files are read from now on, from being removed by this process.
+    /// Protects an entry whose files are in use from being removed by this process.
     pub fn pin(&self, path: &Path) {
         lock(&self.shared.pinned).insert(path.to_owned());
     }
 
-    /// Sets the time of use, so that entries in use are removed last.
+    /// Records the time of use as the file's modification time.
     fn mark_used(&self, path: &Path, found: &Metadata) {
         let now = SystemTime::now();
         let is_recent = |t| now.duration_since(t).is_ok_and(|age| age < self.shared.recent);
@@ -325,7 +325,7 @@ impl DiskCache {
         kinds.filter_map(of_kind).collect()
     }
 
-    /// What each kind of entries takes.
+    /// The entries of each kind and their size on disk.
     pub fn listing(&self) -> Vec<CacheUse> {
         let of_kind = |(kind, found): (String, Vec<Found>)| CacheUse {
             kind,
@@ -376,7 +376,7 @@ fn checksum(key: &blake3::Hash, content: &[u8]) -> blake3::Hash {
     blake3::keyed_hash(key.as_bytes(), content)
 }
 
-/// The content of a file, if it has the checksum of this key.
+/// Reads a file's content, if its checksum matches the key.
 fn unsealed(path: &Path, key: &blake3::Hash) -> Option<Vec<u8>> {
     let mut bytes = read_bytes(path, MAX_ENTRY_BYTES).ok()?;
     let (found, content) = bytes.split_first_chunk::<{ blake3::OUT_LEN }>()?;
@@ -399,7 +399,7 @@ fn folder_bytes(folder: &Path) -> u64 {
     files.filter_map(|file| file.metadata().ok()).map(|found| found.len()).sum()
 }
 
-/// The entries of a kind's folder. Their files count, also where the entry itself is missing.
+/// The entries in a kind's folder, each with its files, also files whose entry is missing.
 fn entries(folder: &Path) -> Vec<Found> {
     let mut found: BTreeMap<PathBuf, Found> = BTreeMap::new();
     for item in std::fs::read_dir(folder).into_iter().flatten().flatten() {

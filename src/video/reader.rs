@@ -18,20 +18,13 @@ const CONTAINERS: &str =
 /// The file in which ffmpeg lists the time stamps, in microseconds.
 const STAMPS_FILE: &str = "stamps.txt";
 
-/// A decoded video.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Decoded {
-    /// The file's time stamp of every frame, seconds.
-    pub times_s: Vec<f64>,
-}
-
 /// The name of a decoded frame.
 pub(crate) fn frame_name(index: usize) -> String {
     format!("{index:06}.png")
 }
 
-/// Decodes the first video stream into `folder` as 000000.png, 000001.png and so on, in constant
-/// memory. `path` must be absolute.
+/// Decodes the first video stream into `folder` as 000000.png, 000001.png and so on, in constant memory. Returns the
+/// file's time stamp of every frame, seconds. `path` must be absolute.
 ///
 /// More than `max_frames` frames are an error. So is any error in the file, so that no frame is
 /// concealed or repeated.
@@ -40,7 +33,7 @@ pub fn decode(
     path: &Path,
     folder: &Path,
     max_frames: usize,
-) -> Result<Decoded, VideoError> {
+) -> Result<Vec<f64>, VideoError> {
     let mut input = OsString::from("file:");
     input.push(path);
     let frames = (max_frames + 1).to_string();
@@ -78,7 +71,7 @@ pub fn decode(
     if times_s.len() > max_frames {
         return Err(wrong(format!("has more than {max_frames} frames")));
     }
-    Ok(Decoded { times_s })
+    Ok(times_s)
 }
 
 /// The disk's own error, if ffmpeg met one while it wrote.
