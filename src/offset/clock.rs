@@ -60,7 +60,7 @@ impl ClockModel {
         Self { offset_s, ..Self::default() }
     }
 
-    /// A clock with the right times but for lost frames.
+    /// A clock whose times are right except for lost frames.
     pub fn with_lost_frames(lost_before: Vec<usize>) -> Self {
         Self { lost_before, ..Self::default() }
     }
@@ -75,8 +75,8 @@ impl ClockModel {
         time_s + (time_s - self.reference_s) * self.rate + self.offset_s
     }
 
-    /// The clock relative to another one with the same target, to first order in the rates; its times
-    /// are on the other clock.
+    /// The offset relative to another clock with the same target, by time on the other clock, to first
+    /// order in the rates.
     pub fn relative_to(&self, other: &Self) -> Self {
         Self {
             offset_s: self.offset_at(other.reference_s) - other.offset_s,

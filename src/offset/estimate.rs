@@ -104,7 +104,7 @@ fn drifts(capture: &Capture, clock: &[usize], count: usize) -> Vec<bool> {
     drifts
 }
 
-/// The pairs and, in their order, their estimates.
+/// All pairs, and their estimates in the same order.
 struct PairResults<'a> {
     pairs: &'a [[usize; 2]],
     results: Vec<Result<PairEstimate, PairFailure>>,

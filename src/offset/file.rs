@@ -166,7 +166,7 @@ struct InvalidField {
 
 type FieldResult = Result<(), InvalidField>;
 
-fn refuse(field: impl Into<String>, reason: impl Into<String>) -> FieldResult {
+fn refuse<T>(field: impl Into<String>, reason: impl Into<String>) -> Result<T, InvalidField> {
     Err(InvalidField { field: field.into(), reason: reason.into() })
 }
 
@@ -176,37 +176,33 @@ fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, InvalidField>
     let reference = &capture.cameras[capture.reference].id;
     if given.reference != *reference {
         let reason = format!("is '{}', the capture's is '{reference}'", given.reference);
-        refuse("reference", reason)?;
+        return refuse("reference", reason);
     }
     let mut in_order: Vec<Option<(usize, CameraOffset)>> = vec![None; capture.cameras.len()];
     for (k, camera) in given.cameras.into_iter().enumerate() {
         let field = format!("cameras[{k}].id");
         let Some(index) = capture.camera_index(&camera.id) else {
-            refuse(field, format!("no camera of the capture has the id '{}'", camera.id))?;
-            continue;
+            return refuse(field, format!("no camera of the capture has the id '{}'", camera.id));
         };
         if in_order[index].is_some() {
-            refuse(field, format!("'{}' is there twice", camera.id))?;
+            return refuse(field, format!("'{}' is there twice", camera.id));
         }
         in_order[index] = Some((k, camera));
     }
-    let reach_s = capture.reach_s();
-    let mut cameras = Vec::new();
+    let (mut indices, mut cameras) = (Vec::new(), Vec::new());
     for (index, entry) in in_order.into_iter().enumerate() {
         let Some((k, camera)) = entry else {
-            refuse("cameras", format!("'{}' is missing", capture.cameras[index].id))?;
-            continue;
+            return refuse("cameras", format!("'{}' is missing", capture.cameras[index].id));
         };
-        let of = CameraFields { k, camera: &camera };
+        let fields = CameraFields { k, camera: &camera };
         let filmed = &capture.cameras[index];
-        of.offset(reach_s, capture.has_reference_clock(index))?;
-        of.rate(filmed.clock.drift && index != capture.reference)?;
-        of.lost_before(filmed)?;
-        of.reason()?;
-        cameras.push((k, camera));
+        fields.offset(capture.reach_s(), capture.has_reference_clock(index))?;
+        fields.rate(filmed.clock.drift && index != capture.reference)?;
+        fields.lost_before(filmed)?;
+        fields.reason()?;
+        indices.push(k);
+        cameras.push(camera);
     }
-    let indices: Vec<usize> = cameras.iter().map(|(k, _)| *k).collect();
-    let cameras = cameras.into_iter().map(|(_, camera)| camera).collect();
     let offsets = Offsets { reference: given.reference, cameras };
     validate_times(&offsets, &indices, capture)?;
     Ok(offsets)
@@ -219,102 +215,77 @@ struct CameraFields<'a> {
 }
 
 impl CameraFields<'_> {
-    fn refuse(&self, field: &str, reason: impl Into<String>) -> FieldResult {
+    /// Refuses a field for a reason unless it is valid.
+    fn require(&self, valid: bool, field: &str, reason: impl Into<String>) -> FieldResult {
+        if valid {
+            return Ok(());
+        }
         refuse(format!("cameras[{}] ({}).{field}", self.k, self.camera.id), reason)
     }
 
     fn offset(&self, reach_s: f64, is_on_reference: bool) -> FieldResult {
         let CameraOffset { offset_s, std_err_s, .. } = *self.camera;
         if is_on_reference {
-            for (field, value) in [("offset_s", offset_s), ("std_err_s", std_err_s)] {
-                if value != Some(0.0) {
-                    self.refuse(field, "must be 0 on the reference camera's clock")?;
-                }
-            }
-            return Ok(());
+            let reason = "must be 0 on the reference camera's clock";
+            self.require(offset_s == Some(0.0), "offset_s", reason)?;
+            return self.require(std_err_s == Some(0.0), "std_err_s", reason);
         }
-        match (offset_s, std_err_s) {
-            (None, None) => Ok(()),
-            (None, Some(_)) => self.refuse("std_err_s", "must be null where offset_s is"),
-            (Some(_), None) => self.refuse("std_err_s", "is missing"),
-            (Some(offset_s), _) if !offset_s.is_finite() => {
-                self.refuse("offset_s", "must be finite")
-            }
-            (_, Some(error_s)) if !(0.0..=reach_s).contains(&error_s) => {
-                self.refuse("std_err_s", format!("is {error_s:?}, must be from 0 to {reach_s} s"))
-            }
-            _ => Ok(()),
-        }
+        let Some(offset_s) = offset_s else {
+            let reason = "must be null where offset_s is";
+            return self.require(std_err_s.is_none(), "std_err_s", reason);
+        };
+        self.require(std_err_s.is_some(), "std_err_s", "is missing")?;
+        self.require(offset_s.is_finite(), "offset_s", "must be finite")?;
+        let error_s = std_err_s.unwrap_or_default();
+        let reason = format!("is {error_s:?}, must be from 0 to {reach_s} s");
+        self.require((0.0..=reach_s).contains(&error_s), "std_err_s", reason)
     }
 
     fn rate(&self, may_drift: bool) -> FieldResult {
+        const MAX: f64 = MAX_DRIFT_PPM;
         let (rate, error) = (self.camera.rate_ppm, self.camera.rate_std_err_ppm);
         let Some(rate) = rate else {
-            return match error {
-                Some(_) => self.refuse("rate_std_err_ppm", "is there without a rate_ppm"),
-                None => Ok(()),
-            };
+            let reason = "is there without a rate_ppm";
+            return self.require(error.is_none(), "rate_std_err_ppm", reason);
         };
-        if self.camera.offset_s.is_none() {
-            return self.refuse("rate_ppm", "is there without an offset_s");
-        }
-        if !may_drift && rate != 0.0 {
-            return self.refuse("rate_ppm", "must be 0: the capture says nothing of a drift");
-        }
-        if !(rate.abs() <= MAX_DRIFT_PPM) {
-            let reason = format!("is {rate:?}, must be from -{MAX_DRIFT_PPM} to {MAX_DRIFT_PPM}");
-            return self.refuse("rate_ppm", reason);
-        }
-        match error {
-            Some(error) if (0.0..=MAX_DRIFT_PPM).contains(&error) => Ok(()),
-            Some(error) => self.refuse(
-                "rate_std_err_ppm",
-                format!("is {error:?}, must be from 0 to {MAX_DRIFT_PPM}"),
-            ),
-            None => self.refuse("rate_std_err_ppm", "is missing"),
-        }
+        self.require(self.camera.offset_s.is_some(), "rate_ppm", "is there without an offset_s")?;
+        let reason = "must be 0: the capture says nothing of a drift";
+        self.require(may_drift || rate == 0.0, "rate_ppm", reason)?;
+        let reason = format!("is {rate:?}, must be from -{MAX} to {MAX}");
+        self.require(rate.abs() <= MAX, "rate_ppm", reason)?;
+        self.require(error.is_some(), "rate_std_err_ppm", "is missing")?;
+        let error = error.unwrap_or_default();
+        let reason = format!("is {error:?}, must be from 0 to {MAX}");
+        self.require((0.0..=MAX).contains(&error), "rate_std_err_ppm", reason)
     }
 
     fn lost_before(&self, filmed: &FilmedCamera) -> FieldResult {
         let Some(lost) = &self.camera.lost_before else { return Ok(()) };
+        let require = |valid, reason: String| self.require(valid, "lost_before", reason);
         let frames = filmed.frames.len();
-        if !filmed.clock.lost && !lost.is_empty() {
-            let reason = "must be empty: the capture says nothing of lost frames";
-            return self.refuse("lost_before", reason);
-        }
-        if lost.len() > frames {
-            let reason = format!("has {} entries, and the camera {frames} images", lost.len());
-            return self.refuse("lost_before", reason);
-        }
+        let reason = "must be empty: the capture says nothing of lost frames";
+        require(filmed.clock.lost || lost.is_empty(), reason.into())?;
+        let reason = format!("has {} entries, and the camera {frames} images", lost.len());
+        require(lost.len() <= frames, reason)?;
         if let Some(pair) = lost.windows(2).find(|pair| pair[0] > pair[1]) {
-            let reason = format!("must ascend, and {} is before {}", pair[0], pair[1]);
-            return self.refuse("lost_before", reason);
+            require(false, format!("must ascend, and {} is before {}", pair[0], pair[1]))?;
         }
-        match lost.last() {
-            Some(last) if *last >= frames => self.refuse(
-                "lost_before",
-                format!("has image {last}, and the camera's are 0 to {}", frames - 1),
-            ),
-            _ => Ok(()),
-        }
+        let last = lost.last().copied().unwrap_or(0);
+        let reason =
+            format!("has image {last}, and the camera's are 0 to {}", frames.saturating_sub(1));
+        require(last < frames, reason)
     }
 
     fn reason(&self) -> FieldResult {
-        match (&self.camera.reason, self.camera.offset_s) {
-            (Some(_), Some(_)) => self.refuse("reason", "is there although offset_s is known"),
-            (None, None) => self.refuse("reason", "is missing, and offset_s is null"),
-            (Some(reason), None) => {
-                let is_line = !reason.trim().is_empty() && !reason.contains(char::is_control);
-                if is_line && reason.chars().count() <= MAX_REASON_CHARS {
-                    return Ok(());
-                }
-                self.refuse(
-                    "reason",
-                    format!("must be a line of at most {MAX_REASON_CHARS} characters"),
-                )
-            }
-            (None, Some(_)) => Ok(()),
-        }
+        let is_known = self.camera.offset_s.is_some();
+        let Some(reason) = &self.camera.reason else {
+            return self.require(is_known, "reason", "is missing, and offset_s is null");
+        };
+        self.require(!is_known, "reason", "is there although offset_s is known")?;
+        let is_line = !reason.trim().is_empty() && !reason.contains(char::is_control);
+        let valid = is_line && reason.chars().count() <= MAX_REASON_CHARS;
+        let rule = format!("must be a line of at most {MAX_REASON_CHARS} characters");
+        self.require(valid, "reason", rule)
     }
 }
 
@@ -323,22 +294,19 @@ impl CameraFields<'_> {
 fn validate_times(offsets: &Offsets, indices: &[usize], capture: &Capture) -> FieldResult {
     let all = offsets.common_times_s(capture);
     let reach_s = capture.reach_s();
-    for (index, ((times, camera), &k)) in all.iter().zip(&offsets.cameras).zip(indices).enumerate()
-    {
+    for (index, (times, camera)) in all.iter().zip(&offsets.cameras).enumerate() {
         let (Some(times), Some(offset_s)) = (times, camera.offset_s) else { continue };
-        let of = CameraFields { k, camera };
+        let fields = CameraFields { k: indices[index], camera };
         let (first_s, last_s) = capture.widest_span_s(Some(index));
-        if !(first_s <= times[0] && times[times.len() - 1] <= last_s) {
-            let reason = format!(
-                "is {offset_s:?}, which puts its images further from the reference's than all recordings last, {reach_s:.3} s"
-            );
-            return of.refuse("offset_s", reason);
-        }
-        if !are_frame_times(times) {
-            return of.refuse("offset_s", format!(
-                "is {offset_s:?}, so large that the times of successive frames are equal once rounded"
-            ));
-        }
+        let is_within = first_s <= times[0] && times[times.len() - 1] <= last_s;
+        let reason = format!(
+            "is {offset_s:?}, which puts its images further from the reference's than all recordings last, {reach_s:.3} s"
+        );
+        fields.require(is_within, "offset_s", reason)?;
+        let reason = format!(
+            "is {offset_s:?}, so large that the times of successive frames are equal once rounded"
+        );
+        fields.require(are_frame_times(times), "offset_s", reason)?;
     }
     Ok(())
 }

@@ -112,7 +112,7 @@ pub fn offsets_from_images(
     })
 }
 
-/// The offsets of a capture; `edited` decides about those that were edited by hand.
+/// The offsets of a capture; `edited` handles those of an edited `offsets.json`.
 fn resolve(
     frames: &FrameStore,
     options: &OffsetOptions,

@@ -26,6 +26,7 @@ struct MoveNode {
 
 /// A set of nodes that move.
 pub struct Move {
+    /// By node: whether it moves.
     moves: Vec<bool>,
     /// The change of the objective.
     pub cost: f64,
@@ -45,7 +46,7 @@ pub struct MoveProblem<'a> {
     pub loss_penalty: f64,
 }
 
-/// The moves of a component by one number of frames.
+/// All moves of a component's images by a given number of frames.
 pub struct Jumps<'a> {
     problem: MoveProblem<'a>,
     nodes: Vec<MoveNode>,

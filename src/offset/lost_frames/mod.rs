@@ -106,7 +106,7 @@ pub struct LostFrames {
 }
 
 impl LostFrames {
-    /// No camera of a capture lost frames.
+    /// The result for a capture without lost frames.
     pub fn none(capture: &Capture) -> Self {
         let none = vec![false; capture.cameras.len()];
         let lost_before = vec![Vec::new(); none.len()];

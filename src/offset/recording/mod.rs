@@ -52,7 +52,7 @@ pub struct FrameTriple {
     pub across: usize,
 }
 
-/// Cameras a and b; frame k of a, whose successor is the triple's second frame, and frame m of b.
+/// A frame triple: cameras a and b, then frame k of a and frame m of b. The second frame of a is k + 1.
 pub type TripleFrames = ([usize; 2], [usize; 2]);
 
 /// The smallest motion across the epipolar line from frame to frame that a candidate requires, pixels.
