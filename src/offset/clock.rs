@@ -100,7 +100,7 @@ impl ClockModel {
     /// The target time of an image, seconds; `None` beyond the last image.
     pub fn image_time_s(&self, nominal: &NominalClock, image: usize) -> Option<f64> {
         let own_s = self.own_time_s(nominal, image)?;
-        // Sums in another order than `apply`: fits are reproducible to the last bit.
+        // The order of the sum differs from that of `apply`; the last bit of fits depends on it.
         Some(own_s + self.offset_s + self.rate * (own_s - self.reference_s))
     }
 

@@ -58,7 +58,11 @@ pub fn estimate(
         lost = detect_lost_frames(&recording, &pairs, &mut starts, reporter)?;
         recording = Recording::new(frames, lost.clocks(capture), &track_cache, options);
     }
-    let drifts = drifts(capture, &clock, count);
+    // The rate of the reference's clock is 0 by definition.
+    let mut drifts = vec![false; count];
+    for (camera, &clock) in capture.cameras.iter().zip(&clock) {
+        drifts[clock] |= camera.clock.drift && clock != 0;
+    }
     let rounds = pairs.iter().zip(starts).map(|(&pair, start)| {
         let with_rate = pair.iter().any(|&c| drifts[clock[c]]);
         PairRounds::new(pair, start, with_rate)
@@ -93,15 +97,6 @@ fn initial_offsets(
             initial
         })
         .collect()
-}
-
-/// By clock: whether its rate is an unknown. The rate of the reference's clock is 0 by definition.
-fn drifts(capture: &Capture, clock: &[usize], count: usize) -> Vec<bool> {
-    let mut drifts = vec![false; count];
-    for (c, camera) in capture.cameras.iter().enumerate() {
-        drifts[clock[c]] |= camera.clock.drift && clock[c] != 0;
-    }
-    drifts
 }
 
 /// All pairs, and their estimates in the same order.
