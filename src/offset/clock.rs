@@ -60,11 +60,6 @@ impl ClockModel {
         Self { offset_s, ..Self::default() }
     }
 
-    /// A clock whose times are right except for lost frames.
-    pub fn with_lost_frames(lost_before: Vec<usize>) -> Self {
-        Self { lost_before, ..Self::default() }
-    }
-
     /// Target time minus own time at an own time, seconds.
     pub fn offset_at(&self, time_s: f64) -> f64 {
         self.offset_s + self.rate * (time_s - self.reference_s)
@@ -110,14 +105,11 @@ impl ClockModel {
     }
 }
 
-/// The cameras' clocks with frame times that account for the lost frames; `lost_before` is by camera.
-pub fn with_lost_frames(capture: &Capture, lost_before: &[Vec<usize>]) -> Vec<Clock> {
-    let clock = |(c, lost): (usize, &Vec<usize>)| {
-        let model = ClockModel::with_lost_frames(lost.clone());
-        let times_s = model.own_times_s(&NominalClock::of_camera(capture, c));
-        Clock { times_s, ..capture.cameras[c].clock.clone() }
-    };
-    lost_before.iter().enumerate().map(clock).collect()
+/// A camera's clock with frame times that account for its lost frames.
+pub fn with_lost_frames(capture: &Capture, camera: usize, lost_before: &[usize]) -> Clock {
+    let model = ClockModel { lost_before: lost_before.into(), ..ClockModel::default() };
+    let times_s = model.own_times_s(&NominalClock::of_camera(capture, camera));
+    Clock { times_s, ..capture.cameras[camera].clock.clone() }
 }
 
 /// The index of each camera's clock, and the number of clocks.
@@ -154,7 +146,8 @@ mod tests {
         let own_times_s = |times_s: &[f64], lost_before: &[usize]| {
             let nominal =
                 NominalClock { times_s, frame_s: 1.0, may_lose_frames: true, drifts: false };
-            ClockModel::with_lost_frames(lost_before.into()).own_times_s(&nominal)
+            let lost_before = lost_before.into();
+            ClockModel { lost_before, ..ClockModel::default() }.own_times_s(&nominal)
         };
         let times = [0.0, 1.0, 2.0, 3.0];
         assert_eq!(own_times_s(&times, &[]), times);

@@ -1,7 +1,7 @@
 //! Offsets from recordings: the stages of the estimation in their order.
 
 use super::alignment::{Activities, rough_offset};
-use super::clock::{ClockEstimate, ClockModel, clocks};
+use super::clock::{ClockEstimate, ClockModel, clocks, with_lost_frames};
 use super::joint::{ClockLayout, solve_clocks};
 use super::lost_frames::{LostFrames, detect_lost_frames};
 use super::pair::{
@@ -53,10 +53,13 @@ pub fn estimate(
     let nominal = capture.cameras.iter().map(|c| c.clock.clone()).collect();
     let mut recording = Recording::new(frames, nominal, &track_cache, options);
     let mut starts = initial_offsets(&recording, &pairs, reporter)?;
-    let mut lost = LostFrames::none(capture);
+    let mut lost = vec![LostFrames::default(); capture.cameras.len()];
     if capture.cameras.iter().any(|c| c.clock.lost) {
         lost = detect_lost_frames(&recording, &pairs, &mut starts, reporter)?;
-        recording = Recording::new(frames, lost.clocks(capture), &track_cache, options);
+        let clock =
+            |(c, lost): (usize, &LostFrames)| with_lost_frames(capture, c, &lost.lost_before);
+        let clocks = lost.iter().enumerate().map(clock).collect();
+        recording = Recording::new(frames, clocks, &track_cache, options);
     }
     // The rate of the reference's clock is 0 by definition.
     let mut drifts = vec![false; count];
@@ -154,7 +157,8 @@ struct JointSolution<'a> {
     capture: &'a Capture,
     results: PairResults<'a>,
     layout: ClockLayout,
-    lost: LostFrames,
+    /// By camera.
+    lost: Vec<LostFrames>,
     used: Vec<PairEstimate>,
     /// By clock; `None` if it is not determined to [`MAX_STD_ERR_FRAMES`].
     solved: Vec<Option<ClockEstimate>>,
@@ -165,7 +169,7 @@ impl<'a> JointSolution<'a> {
         capture: &'a Capture,
         results: PairResults<'a>,
         layout: ClockLayout,
-        lost: LostFrames,
+        lost: Vec<LostFrames>,
     ) -> Self {
         let max_std_err_s = MAX_STD_ERR_FRAMES * layout.frame_s;
         let used: Vec<PairEstimate> = results
@@ -173,7 +177,7 @@ impl<'a> JointSolution<'a> {
             .iter()
             .flatten()
             .filter(|p| p.std_err_s <= max_std_err_s && !results.contradict(p))
-            .filter(|p| p.cameras.iter().all(|&c| !lost.ambiguous[c]))
+            .filter(|p| p.cameras.iter().all(|&c| !lost[c].ambiguous))
             .cloned()
             .collect();
         let solved = solve_clocks(&used, &layout)
@@ -193,7 +197,7 @@ impl<'a> JointSolution<'a> {
         let camera = &self.capture.cameras[c];
         let is_reference = c == self.capture.reference;
         // The offsets of other cameras are the same whatever an undecided camera lost.
-        let decided = !self.lost.undecided[c] || is_reference;
+        let decided = !self.lost[c].undecided || is_reference;
         let solved = self.solved[self.layout.of_camera[c]].as_ref().filter(|_| decided);
         let drifting = solved.filter(|_| camera.clock.drift && !is_reference);
         CameraOffset {
@@ -202,7 +206,7 @@ impl<'a> JointSolution<'a> {
             std_err_s: solved.map(|s| s.std_err_s),
             rate_ppm: drifting.map(|s| 1e6 * s.clock.rate),
             rate_std_err_ppm: drifting.map(|s| 1e6 * s.rate_std_err),
-            lost_before: camera.clock.lost.then(|| self.lost.lost_before[c].clone()),
+            lost_before: camera.clock.lost.then(|| self.lost[c].lost_before.clone()),
             reason: solved.is_none().then(|| self.reason(c).into()),
         }
     }
@@ -210,13 +214,13 @@ impl<'a> JointSolution<'a> {
     /// Why a camera has no offset.
     fn reason(&self, camera: usize) -> &'static str {
         if self.results.has_estimate(camera) {
-            if self.lost.undecided[camera] {
+            if self.lost[camera].undecided {
                 return UNDECIDED_LOSSES;
             }
-            if self.lost.ambiguous[camera] {
+            if self.lost[camera].ambiguous {
                 return AMBIGUOUS_LOSSES;
             }
-            if self.lost.ambiguous[self.capture.reference] {
+            if self.lost[self.capture.reference].ambiguous {
                 return AMBIGUOUS_REFERENCE;
             }
         }

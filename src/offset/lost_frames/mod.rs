@@ -17,10 +17,10 @@ mod fit;
 mod jumps;
 mod min_cut;
 
-use super::clock::{ClockModel, NominalClock, with_lost_frames};
+use super::clock::{ClockModel, NominalClock};
 use super::pair::{MIN_AGREEMENT, MIN_INLIERS, Observation, PairFailure, ResidualModel};
 use super::recording::{Recording, spread};
-use crate::capture::{Capture, CaptureError, Clock};
+use crate::capture::CaptureError;
 use crate::progress::Reporter;
 use descent::fit_clock_models;
 use rayon::prelude::*;
@@ -94,32 +94,18 @@ const IMAGES_AROUND_LOSS: usize = 2;
 /// The maximum number of rounds of observing again by the fitted clock models.
 const MAX_ROUNDS: usize = 3;
 
-/// The lost frames of all cameras, and whether the observations determine them.
-#[derive(Clone, Debug)]
+/// The lost frames of a camera, and whether the observations determine them.
+#[derive(Clone, Debug, Default)]
 pub struct LostFrames {
-    /// By camera: the images before which a frame is missing, ascending, one entry for each frame.
-    pub lost_before: Vec<Vec<usize>>,
-    /// By camera: whether too few observations agree on its lost frames.
-    pub ambiguous: Vec<bool>,
-    /// By camera: whether other lost frames explain the observations nearly as well.
-    pub undecided: Vec<bool>,
+    /// The images before which a frame is missing, ascending, one entry for each frame.
+    pub lost_before: Vec<usize>,
+    /// Whether too few observations agree on the lost frames.
+    pub ambiguous: bool,
+    /// Whether other lost frames explain the observations nearly as well.
+    pub undecided: bool,
 }
 
-impl LostFrames {
-    /// The result for a capture without lost frames.
-    pub fn none(capture: &Capture) -> Self {
-        let none = vec![false; capture.cameras.len()];
-        let lost_before = vec![Vec::new(); none.len()];
-        Self { lost_before, ambiguous: none.clone(), undecided: none }
-    }
-
-    /// The cameras' clocks with the lost frames accounted for.
-    pub fn clocks(&self, capture: &Capture) -> Vec<Clock> {
-        with_lost_frames(capture, &self.lost_before)
-    }
-}
-
-/// Detects the lost frames of all cameras.
+/// Detects the lost frames of all cameras; the result is by camera.
 ///
 /// `starts` holds each pair's initial offset. Offsets of pairs with fitted clock models are replaced by
 /// those of the models. A camera that may lose frames and is never observed is ambiguous.
@@ -128,7 +114,7 @@ pub fn detect_lost_frames(
     pairs: &[[usize; 2]],
     starts: &mut [Result<ClockModel, PairFailure>],
     reporter: &Reporter,
-) -> Result<LostFrames, CaptureError> {
+) -> Result<Vec<LostFrames>, CaptureError> {
     let capture = recording.frames.capture();
     let count = capture.cameras.len();
     let clocks: Vec<_> = (0..count).map(|c| NominalClock::of_camera(capture, c)).collect();
@@ -139,15 +125,13 @@ pub fn detect_lost_frames(
             *start = Ok(j.clock.relative_to(&i.clock));
         }
     }
-    let mut lost = LostFrames::none(capture);
-    for (c, model) in models.into_iter().enumerate() {
-        lost.ambiguous[c] = clocks[c].may_lose_frames;
-        if let Some(FittedClock { clock, ambiguous, undecided, .. }) = model {
-            lost.lost_before[c] = clock.lost_before;
-            (lost.ambiguous[c], lost.undecided[c]) = (ambiguous, undecided);
+    let lost_frames = |(model, nominal): (Option<FittedClock>, &NominalClock)| match model {
+        Some(FittedClock { clock, ambiguous, undecided, .. }) => {
+            LostFrames { lost_before: clock.lost_before, ambiguous, undecided }
         }
-    }
-    Ok(lost)
+        None => LostFrames { ambiguous: nominal.may_lose_frames, ..LostFrames::default() },
+    };
+    Ok(models.into_iter().zip(&clocks).map(lost_frames).collect())
 }
 
 /// Fits the clock models of all cameras to the observations of every pair in both directions.
