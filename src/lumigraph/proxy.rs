@@ -14,8 +14,6 @@ pub struct DepthMap {
     width: usize,
     height: usize,
     data: Vec<f32>,
-    /// Standard errors as fractions of the depths; empty if unknown.
-    relative_std_err: Vec<f32>,
 }
 
 impl DepthMap {
@@ -30,30 +28,13 @@ impl DepthMap {
                 *z = f32::NAN;
             }
         }
-        Self { width, height, data, relative_std_err: Vec::new() }
+        Self { width, height, data }
     }
 
     /// A map of depths that are known to be positive or NaN.
     pub(super) fn from_depths(width: usize, height: usize, data: Vec<f32>) -> Self {
         debug_assert!(data.len() == width * height && data.iter().all(|z| !(*z <= 0.0)));
-        Self { width, height, data, relative_std_err: Vec::new() }
-    }
-
-    /// Adds standard errors, as fractions of the depths.
-    ///
-    /// # Panics
-    /// If there are not as many as depths.
-    #[must_use]
-    pub fn with_relative_std_err(mut self, errors: Vec<f32>) -> Self {
-        assert_eq!(errors.len(), self.data.len(), "standard errors of the depths");
-        self.relative_std_err = errors;
-        self
-    }
-
-    /// Standard errors as fractions of the depths, row by row: infinite where no camera sees the pixel, NaN where
-    /// there is no depth. `None` if unknown.
-    pub fn relative_std_err(&self) -> Option<&[f32]> {
-        (!self.relative_std_err.is_empty()).then_some(&self.relative_std_err)
+        Self { width, height, data }
     }
 
     /// A map without depths.

@@ -22,23 +22,6 @@ const RADIUS_PX: f32 = 0.8;
 const ENOUGH: i32 = 2;
 /// Smallest number of votes of a surface: mismatches beside outlines have fewer.
 const MIN_VOTES: i32 = 1;
-/// Standard error beside a depth edge, as a fraction of the jump: the pixel may belong to either surface.
-const EDGE_STD_ERR: f32 = 0.5;
-/// Half-width of the neighbourhood of a depth edge, pixels.
-const OUTLINE_PX: usize = 2;
-
-/// A depth hypothesis of one of the view's pixels.
-#[derive(Clone, Copy, Default)]
-struct FusionCandidate {
-    /// Inverse depth, 1/m; 0 if there is no hypothesis.
-    inverse: f32,
-    /// Standard error, 1/m.
-    std_err: f32,
-}
-
-/// A pixel that no camera sees.
-const NOT_SEEN: FusionCandidate = FusionCandidate { inverse: f32::NAN, std_err: f32::INFINITY };
-
 /// The cameras' surfaces relative to a view.
 struct SurfacesInView<'a> {
     surfaces: &'a [Surface<'a>],
@@ -48,16 +31,14 @@ struct SurfacesInView<'a> {
     tolerance: f32,
 }
 
-/// Fuses the depths of a view, metres, with their standard errors. Pixels that no camera sees have the depth of
-/// the background around them, and an infinite standard error.
+/// Fuses the depths of a view, metres. Pixels that no camera sees have the depth of the background around them.
 pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
     let tolerance = surfaces.iter().map(|s| s.depths.tolerance).fold(0.0, f32::max);
     let poses = surfaces.iter().map(|s| RelativePose::new(target, s.camera)).collect();
     let in_view = SurfacesInView { surfaces, poses, tolerance };
     let (w, h) = (target.width, target.height);
-    let splats: Vec<Vec<FusionCandidate>> =
-        surfaces.par_iter().map(|s| splat(target, s, tolerance)).collect();
-    let mut fused = vec![NOT_SEEN; w * h];
+    let splats: Vec<Vec<f32>> = surfaces.par_iter().map(|s| splat(target, s, tolerance)).collect();
+    let mut fused = vec![f32::NAN; w * h];
     fused.par_chunks_mut(w).enumerate().for_each_init(
         || (RayRow::new(target), Vec::new(), Vec::new()),
         |(rays, candidates, votes), (y, fused)| {
@@ -65,32 +46,22 @@ pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
             for (x, fused) in fused.iter_mut().enumerate() {
                 candidates.clear();
                 let splats = splats.iter().map(|s| s[y * w + x]);
-                candidates.extend(splats.filter(|c| c.inverse > 0.0));
+                candidates.extend(splats.filter(|c| *c > 0.0));
                 if are_one_surface(candidates, surfaces.len(), tolerance) {
-                    *fused = mean_of(candidates, candidates.first().copied(), tolerance);
+                    *fused = mean_of(candidates, candidates.first(), tolerance);
                     continue;
                 }
                 // The nearest first.
-                candidates.sort_by(|a, b| b.inverse.total_cmp(&a.inverse));
+                candidates.sort_by(|a, b| b.total_cmp(a));
                 let ray = [rays.x[x] as f32, rays.y[x] as f32];
                 votes.clear();
-                votes.extend(candidates.iter().map(|c| in_view.votes(ray, c.inverse)));
+                votes.extend(candidates.iter().map(|c| in_view.votes(ray, *c)));
                 *fused = elected(candidates, votes, tolerance);
             }
         },
     );
-    let mut values: Vec<f32> = fused.iter().map(|c| c.inverse).collect();
-    fill_from_background(&mut values, w);
-    let jumps = depth_jumps(&values, w);
-    let relative = |((c, value), jump): ((&FusionCandidate, &f32), &f32)| {
-        let std_err =
-            if *jump > tolerance { c.std_err.hypot(EDGE_STD_ERR * jump) } else { c.std_err };
-        // Values are positive or NaN.
-        std_err / value
-    };
-    let errors = fused.iter().zip(&values).zip(&jumps).map(relative).collect();
-    DepthMap::from_data(w, h, values.iter().map(|v| 1.0 / v).collect())
-        .with_relative_std_err(errors)
+    fill_from_background(&mut fused, w);
+    DepthMap::from_data(w, h, fused.iter().map(|v| 1.0 / v).collect())
 }
 
 impl SurfacesInView<'_> {
@@ -118,42 +89,32 @@ impl SurfacesInView<'_> {
 
 /// Whether more than half of the cameras have candidates, and all candidates are one surface: then no vote is
 /// needed.
-fn are_one_surface(candidates: &[FusionCandidate], cameras: usize, tolerance: f32) -> bool {
-    let inverse = candidates.iter().map(|c| c.inverse);
-    let (low, high) = inverse.fold((f32::INFINITY, 0.0_f32), |(l, h), v| (l.min(v), h.max(v)));
+fn are_one_surface(candidates: &[f32], cameras: usize, tolerance: f32) -> bool {
+    let (low, high) =
+        candidates.iter().fold((f32::INFINITY, 0.0_f32), |(l, h), v| (l.min(*v), h.max(*v)));
     2 * candidates.len() > cameras && high - low <= tolerance
 }
 
-/// Fuses candidates, the nearest first, on the nearest surface with enough votes.
-fn elected(candidates: &[FusionCandidate], votes: &[i32], tolerance: f32) -> FusionCandidate {
+/// Fuses candidate inverse depths, the nearest first, on the nearest surface with enough votes. NaN without votes.
+fn elected(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     let most = votes.iter().copied().max().unwrap_or(0);
     if most < MIN_VOTES {
-        return NOT_SEEN;
+        return f32::NAN;
     }
     let first = votes.iter().position(|&v| v * ENOUGH >= most);
-    mean_of(candidates, first.map(|first| candidates[first]), tolerance)
+    mean_of(candidates, first.map(|first| &candidates[first]), tolerance)
 }
 
-/// The mean of the candidates on the surface of `first`. Their errors are averaged as if fully correlated, since
-/// they come from the same images.
-fn mean_of(
-    candidates: &[FusionCandidate],
-    first: Option<FusionCandidate>,
-    tolerance: f32,
-) -> FusionCandidate {
-    let Some(first) = first else { return NOT_SEEN };
-    let (mut sum, mut squares, mut errors, mut count) = (0.0, 0.0, 0.0, 0.0);
+/// The mean of the candidates on the surface of `first`, which is one of them.
+fn mean_of(candidates: &[f32], first: Option<&f32>, tolerance: f32) -> f32 {
+    let Some(first) = first else { return f32::NAN };
+    let (mut sum, mut count) = (0.0, 0.0);
     for c in candidates {
-        let from_first = c.inverse - first.inverse;
-        if from_first.abs() <= tolerance {
-            (sum, squares) = (sum + from_first, squares + from_first * from_first);
-            (errors, count) = (errors + c.std_err * c.std_err, count + 1.0);
+        if (c - first).abs() <= tolerance {
+            (sum, count) = (sum + (c - first), count + 1.0);
         }
     }
-    // `first` is one of the candidates, so the count is not 0.
-    let mean = sum / count;
-    let variance = (squares / count - mean * mean).max(0.0) + errors / count;
-    FusionCandidate { inverse: first.inverse + mean, std_err: variance.sqrt() }
+    first + sum / count
 }
 
 /// Fills NaN with the farthest of the nearest values to the left, to the right, above and below: what the cameras
@@ -185,25 +146,6 @@ fn fill_from_background(values: &mut [f32], width: usize) {
     values.copy_from_slice(&filled);
 }
 
-/// At every pixel, the largest difference to a pixel within [`OUTLINE_PX`].
-fn depth_jumps(values: &[f32], width: usize) -> Vec<f32> {
-    let height = values.len() / width;
-    let around =
-        |k: usize, size: usize| k.saturating_sub(OUTLINE_PX)..(k + OUTLINE_PX + 1).min(size);
-    let of = |k: usize| {
-        let (x, y) = (k % width, k / width);
-        let mut largest = 0.0_f32;
-        for v in around(y, height) {
-            for u in around(x, width) {
-                // `max` ignores NaN.
-                largest = largest.max((values[v * width + u] - values[k]).abs());
-            }
-        }
-        largest
-    };
-    (0..values.len()).into_par_iter().map(of).collect()
-}
-
 /// A camera's pixel, projected into the view.
 struct Splat {
     /// Position in the view, pixels; NaN where the view doesn't see it.
@@ -213,12 +155,11 @@ struct Splat {
     step: f32,
     /// Inverse depth in the view, 1/m.
     inverse: f32,
-    /// Standard error, 1/m.
-    std_err: f32,
 }
 
-/// The nearest surface of a camera at every pixel of the view, by splatting with a depth buffer.
-fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<FusionCandidate> {
+/// Inverse depth of a camera's nearest surface at every pixel of the view, 1/m, by splatting with a depth buffer; 0
+/// without surface.
+fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<f32> {
     let (w, h) = (target.width, target.height);
     let camera = surface.camera;
     let pose = RelativePose::new(camera, target);
@@ -228,35 +169,25 @@ fn splat(target: &Camera, surface: &Surface, tolerance: f32) -> Vec<FusionCandid
     for y in 0..camera.height {
         rays.set(y);
         for x in 0..camera.width {
-            let k = y * camera.width + x;
-            let (inverse, std_err) = (surface.depths.values[k], surface.depths.std_err[k]);
+            let inverse = surface.depths.values[y * camera.width + x];
             let rotated = pose.rotated(rays.x[x] as f32, rays.y[x] as f32);
             let q = pose.point(&rotated, inverse);
             let [x, y] = pose.pixel(&q);
             // Behind the view q.z is not positive, and the pixel is NaN. Just before it, a pixel fills the view.
             let step = (q.z * focal_ratio).clamp(1.0 / w.max(h) as f32, 1.0);
-            let scale = 1.0 / q.z;
-            splats.push(Splat { x, y, step, inverse: inverse * scale, std_err: std_err * scale });
+            splats.push(Splat { x, y, step, inverse: inverse * (1.0 / q.z) });
         }
     }
     let mut nearest = vec![0.0_f32; w * h];
     for_each_pixel(&splats, [w, h], |k, _, splat| nearest[k] = nearest[k].max(splat.inverse));
-    let mut sums = vec![[0.0_f32; 3]; w * h];
+    let mut sums = vec![[0.0_f32; 2]; w * h];
     for_each_pixel(&splats, [w, h], |k, weight, splat| {
         if splat.inverse >= nearest[k] - tolerance {
-            let [sum, errors, total] = sums[k];
-            sums[k] =
-                [sum + weight * splat.inverse, errors + weight * splat.std_err, total + weight];
+            let [sum, total] = sums[k];
+            sums[k] = [sum + weight * splat.inverse, total + weight];
         }
     });
-    let mean = |[sum, errors, weight]: &[f32; 3]| {
-        if *weight > 0.0 {
-            FusionCandidate { inverse: sum / weight, std_err: errors / weight }
-        } else {
-            FusionCandidate::default()
-        }
-    };
-    sums.iter().map(mean).collect()
+    sums.iter().map(|[sum, weight]| if *weight > 0.0 { sum / weight } else { 0.0 }).collect()
 }
 
 /// Visits the pixels within the radius of each splat, with weights that fall bilinearly with distance.
@@ -285,11 +216,11 @@ mod tests {
     /// A point that one camera alone claims and another sees through is no surface: what is behind fills it.
     #[test]
     fn a_mismatch_where_no_camera_sees_anything_is_no_surface() {
-        let [near, far] = [1.0, 0.5].map(|inverse| FusionCandidate { inverse, std_err: 0.01 });
-        assert!(elected(&[near], &[0], 0.1).inverse.is_nan());
-        assert!(elected(&[], &[], 0.1).inverse.is_nan());
-        assert_eq!(elected(&[near], &[1], 0.1).inverse, 1.0);
-        assert_eq!(elected(&[near, far], &[-1, 2], 0.1).inverse, 0.5);
+        let [near, far] = [1.0, 0.5];
+        assert!(elected(&[near], &[0], 0.1).is_nan());
+        assert!(elected(&[], &[], 0.1).is_nan());
+        assert_eq!(elected(&[near], &[1], 0.1), 1.0);
+        assert_eq!(elected(&[near, far], &[-1, 2], 0.1), 0.5);
         let mut values = vec![0.5, f32::NAN, 1.0];
         fill_from_background(&mut values, 3);
         assert_eq!(values, [0.5, 0.5, 1.0]);

@@ -21,8 +21,6 @@ const MAX_COSTS: usize = 1 << 26;
 pub struct InverseDepths {
     /// Inverse depths, 1/m.
     pub values: Vec<f32>,
-    /// Their standard errors, 1/m.
-    pub std_err: Vec<f32>,
     /// Largest difference of two measurements of one surface, 1/m.
     pub tolerance: f32,
 }
@@ -100,14 +98,14 @@ pub fn inverse_depths(
     let sums = aggregate(&costs, &coarse.image.gray, levels.count);
     let mut values = winner_takes_all(&sums, &levels);
     let mut step = levels.step;
-    let mut std_err = refine(&mut values, &coarse, step);
+    refine(&mut values, &coarse, step);
     for k in (0..coarsest).rev() {
         let fine = set(k);
         values = upsampled(&values, &reference.levels[k + 1].camera, &fine);
         step *= 0.5;
-        std_err = refine(&mut values, &fine, step);
+        refine(&mut values, &fine, step);
     }
-    Some(InverseDepths { values, std_err, tolerance: TOLERANCE_LEVELS * levels.step })
+    Some(InverseDepths { values, tolerance: TOLERANCE_LEVELS * levels.step })
 }
 
 /// The images of several cameras at one instant, ready to be matched.

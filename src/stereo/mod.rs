@@ -1,4 +1,4 @@
-//! Depth per pixel by multi-view stereo, with its uncertainty, at one instant (beyond the paper).
+//! Depth per pixel by multi-view stereo at one instant (beyond the paper).
 //!
 //! ```text
 //! images ── census ── cost volume ── semi-global ── refinement ── InverseDepths of each camera ── fuse(view)
@@ -13,7 +13,7 @@
 //! | `census.rs` | descriptors of pixels that tolerate brightness changes, over an image pyramid |
 //! | `cost_volume.rs` | matching cost of every pixel at every inverse depth |
 //! | `semi_global.rs` | smoothness except at image edges (Hirschmüller 2008) |
-//! | `refine.rs` | sub-level inverse depths and their standard errors |
+//! | `refine.rs` | sub-level inverse depths |
 //! | `inverse_depths.rs` | these steps in order, for one camera |
 //! | `fusion.rs` | the depths of a new view, splatted from all cameras (Merrell et al. 2007) |
 

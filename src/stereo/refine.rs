@@ -1,5 +1,5 @@
-//! Sub-level inverse depths and their standard errors: Gauss–Newton steps (Lucas and Kanade 1981) that match
-//! the partners' grey values to the reference's.
+//! Sub-level inverse depths: Gauss–Newton steps (Lucas and Kanade 1981) that match the partners' grey values to the
+//! reference's.
 
 use super::cost_volume::{Partner, StereoSet};
 use crate::lumigraph::RayRow;
@@ -20,17 +20,14 @@ const MAX_DIFFERENCE: f32 = 0.06;
 const GRAY_STD_ERR: f32 = 0.01;
 /// Prior information of every pixel, from smoothness, as an inverse variance in levels⁻².
 const PRIOR: f32 = 4.0;
-/// Smallest standard error, levels.
-const MIN_STD_ERR: f32 = 0.15;
 
-/// Refines inverse depths in place, 1/m, whose levels are `level` apart. Returns their standard errors, 1/m.
-pub(super) fn refine(values: &mut [f32], set: &StereoSet, level: f32) -> Vec<f32> {
+/// Refines inverse depths in place, 1/m, whose levels are `level` apart.
+pub(super) fn refine(values: &mut [f32], set: &StereoSet, level: f32) {
     let (w, h) = (set.image.camera.width, set.image.camera.height);
     let prior = PRIOR / (level * level);
-    let mut information = Vec::new();
     for _ in 0..STEPS {
         let sums = normal_equations(values, set, level);
-        let [slope, info, residual] = [0, 1, 2].map(|k| {
+        let [slope, info] = [0, 1].map(|k| {
             let plane: Vec<f32> = sums.iter().map(|s| s[k]).collect();
             box_filter(&plane, w, h, RADIUS)
         });
@@ -39,19 +36,16 @@ pub(super) fn refine(values: &mut [f32], set: &StereoSet, level: f32) -> Vec<f32
             let step = slope / (info + prior / WINDOW);
             *value += step.clamp(-MAX_STEP * level, MAX_STEP * level);
         }
-        information = info.iter().zip(&residual).map(|(i, r)| i / r.max(1.0)).collect();
     }
-    let min_variance = (MIN_STD_ERR * level).powi(2);
-    information.iter().map(|i| ((i * WINDOW + prior).recip() + min_variance).sqrt()).collect()
 }
 
-/// At every pixel, the sums over the partners of g·r/σ² and g²/σ², and the mean of r²/σ²: r is the difference of
-/// the grey values, g the derivative of the partner's by inverse depth.
-fn normal_equations(values: &[f32], set: &StereoSet, level: f32) -> Vec<[f32; 3]> {
+/// At every pixel, the sums over the partners of g·r/σ² and g²/σ²: r is the difference of the grey values, g the
+/// derivative of the partner's by inverse depth.
+fn normal_equations(values: &[f32], set: &StereoSet, level: f32) -> Vec<[f32; 2]> {
     let camera = &set.image.camera;
     let w = camera.width;
     let precision = GRAY_STD_ERR.powi(-2);
-    let mut sums = vec![[0.0_f32; 3]; values.len()];
+    let mut sums = vec![[0.0_f32; 2]; values.len()];
     sums.par_chunks_mut(w).enumerate().for_each_init(
         || RayRow::new(camera),
         |rays, (y, sums)| {
@@ -59,7 +53,6 @@ fn normal_equations(values: &[f32], set: &StereoSet, level: f32) -> Vec<[f32; 3]
             for (x, sum) in sums.iter_mut().enumerate() {
                 let own = set.image.gray.data()[y * w + x];
                 let value = values[y * w + x];
-                let mut count = 0.0_f32;
                 for Partner { image, pose } in &set.partners {
                     let rotated = pose.rotated(rays.x[x] as f32, rays.y[x] as f32);
                     let at = |inverse: f32| {
@@ -72,15 +65,9 @@ fn normal_equations(values: &[f32], set: &StereoSet, level: f32) -> Vec<[f32; 3]
                     };
                     let (g, r) = ((high - low) / level, own - 0.5 * (low + high));
                     if r.abs() < MAX_DIFFERENCE {
-                        *sum = [
-                            sum[0] + precision * g * r,
-                            sum[1] + precision * g * g,
-                            sum[2] + precision * r * r,
-                        ];
-                        count += 1.0;
+                        *sum = [sum[0] + precision * g * r, sum[1] + precision * g * g];
                     }
                 }
-                sum[2] /= count.max(1.0);
             }
         },
     );

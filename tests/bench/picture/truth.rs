@@ -132,33 +132,18 @@ pub fn depth_errors(found: &DepthMap, truth: &True) -> String {
             let error = (disparity(found, x, y) - own).abs();
             // A pixel without depth is wrong by any measure.
             let error = if error.is_nan() { f32::INFINITY } else { error };
-            let std_err = found.relative_std_err().map(|e| e[y * w + x] * disparity(found, x, y));
-            let of = if jump > JUMP_PX { &mut edge } else { &mut away };
-            of.push([error, std_err.unwrap_or(f32::NAN)]);
+            if jump > JUMP_PX { &mut edge } else { &mut away }.push(error);
         }
     }
-    format!("away from edges {}; at edges {}", figures(&away), figures(&edge))
+    format!("away from edges {}; at edges {}", figures(away), figures(edge))
 }
 
-/// The median of the errors and the share over 1 px; where standard errors are known, the share of the errors
-/// within 2 of them, and the median in standard errors.
-fn figures(errors: &[[f32; 2]]) -> String {
+/// Median of the errors, and share over 1 px.
+fn figures(mut errors: Vec<f32>) -> String {
     if errors.is_empty() {
         return "none".to_owned();
     }
-    let median = |mut v: Vec<f32>| {
-        v.sort_by(f32::total_cmp);
-        v[v.len() / 2]
-    };
-    let share = |f: fn(&&[f32; 2]) -> bool| {
-        100.0 * errors.iter().filter(f).count() as f64 / errors.len() as f64
-    };
-    let px = median(errors.iter().map(|e| e[0]).collect());
-    let mut text = format!("{px:5.3} px, {:4.1} %", share(|e| e[0] > 1.0));
-    if !errors[0][1].is_nan() {
-        let z = median(errors.iter().map(|e| e[0] / e[1]).collect());
-        let within = share(|e| e[0] <= 2.0 * e[1]);
-        text += &format!(" ({within:4.1} % within 2 standard errors, median {z:4.2})");
-    }
-    text
+    errors.sort_by(f32::total_cmp);
+    let over = errors.iter().filter(|e| **e > 1.0).count() as f64 / errors.len() as f64;
+    format!("{:5.3} px, {:4.1} %", errors[errors.len() / 2], 100.0 * over)
 }
