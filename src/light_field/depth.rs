@@ -126,8 +126,7 @@ impl Stage for CameraDepth<'_> {
     const NAME: &'static str = "depth";
 
     fn bytes(depths: &Option<InverseDepths>) -> usize {
-        let maps = depths.iter().flat_map(|d| [&d.values, &d.std_err]);
-        1 + maps.map(|map| size_of_val(map.as_slice())).sum::<usize>()
+        1 + depths.as_ref().map_or(0, |d| size_of_val(d.values.as_slice()))
     }
 
     fn compute(
@@ -142,7 +141,7 @@ impl Stage for CameraDepth<'_> {
             return Ok(None);
         };
         let range = prepared.ranges[index];
-        Ok(range.and_then(|r| prepared.matcher.depths(index, r, &self.stereo.proxy.depth)))
+        Ok(range.and_then(|r| prepared.matcher.depths(index, r)))
     }
 }
 

@@ -76,9 +76,9 @@ pub(super) fn halved(camera: &Camera) -> Option<Camera> {
 
 /// An image with descriptors at full and at halved resolutions.
 #[derive(Clone, Debug)]
-pub struct CensusPyramid {
+pub(super) struct CensusPyramid {
     /// Images from fine to coarse; at min one.
-    pub(super) levels: Vec<CensusImage>,
+    pub levels: Vec<CensusImage>,
 }
 
 impl CensusPyramid {

@@ -33,9 +33,54 @@ impl InverseDepths {
     }
 }
 
-/// Selects the cameras that camera `index` is matched with, nearest first: the nearest ones at another place, without
-/// those that stand much farther than the first.
-pub fn partners(cameras: &[&Camera], index: usize, options: &StereoOptions) -> Vec<usize> {
+/// The images of several cameras at one instant, ready to be matched.
+pub struct Matcher {
+    pyramids: Vec<CensusPyramid>,
+    /// Indices of each camera's partners, nearest first.
+    partners: Vec<Vec<usize>>,
+    step_px: f64,
+}
+
+impl Matcher {
+    /// Computes the images' descriptors. `range` holds the inverse depths of all cameras, 1/m.
+    pub fn new(views: &[CameraImage], range: [f64; 2], options: &StereoOptions) -> Self {
+        let cameras: Vec<&Camera> = views.iter().map(|v| v.camera).collect();
+        let partners: Vec<Vec<usize>> =
+            (0..views.len()).map(|k| partners(&cameras, k, options.partners)).collect();
+        let halvings = halvings(&cameras, &partners, range, options);
+        let pyramids = views.par_iter().map(|v| CensusPyramid::new(v, halvings)).collect();
+        Self { pyramids, partners, step_px: options.step_px }
+    }
+
+    /// Estimates the inverse depths of camera `index` within a range, 1/m. `None` without a camera at another place.
+    pub fn depths(&self, index: usize, range: [f64; 2]) -> Option<InverseDepths> {
+        let (reference, partners) = (&self.pyramids[index], &self.partners[index]);
+        let set = |k: usize| {
+            let partners = partners.iter().map(move |&p| &self.pyramids[p].levels[k]);
+            StereoSet::new(&reference.levels[k], partners)
+        };
+        let coarsest = reference.levels.len() - 1;
+        let coarse = set(coarsest);
+        let farthest = &coarse.partners.last()?.image.camera;
+        let levels = depth_levels(&coarse.image.camera, farthest, range, self.step_px);
+        let costs = cost_volume(&coarse, &levels);
+        let sums = aggregate(&costs, &coarse.image.gray, levels.count);
+        let mut values = winner_takes_all(&sums, &levels);
+        let mut step = levels.step;
+        refine(&mut values, &coarse, step);
+        for k in (0..coarsest).rev() {
+            let fine = set(k);
+            values = upsampled(&values, &reference.levels[k + 1].camera, &fine);
+            step *= 0.5;
+            refine(&mut values, &fine, step);
+        }
+        Some(InverseDepths { values, tolerance: TOLERANCE_LEVELS * levels.step })
+    }
+}
+
+/// Selects at most `count` cameras that camera `index` is matched with: the nearest ones at another place, without those
+/// that stand much farther than the first.
+fn partners(cameras: &[&Camera], index: usize, count: usize) -> Vec<usize> {
     let center = cameras[index].center();
     let distance = |k: &usize| (cameras[*k].center() - center).norm();
     let mut order: Vec<usize> = (0..cameras.len()).filter(|k| distance(k) > 0.0).collect();
@@ -43,23 +88,26 @@ pub fn partners(cameras: &[&Camera], index: usize, options: &StereoOptions) -> V
     order.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
     let limit = order.first().map_or(0.0, |k| MAX_PARTNER_DISTANCE * distance(k));
     order.retain(|k| distance(k) <= limit);
-    order.truncate(options.partners.max(1));
+    order.truncate(count.max(1));
     order
 }
 
-/// Decides how many times the images of these cameras are halved: at least as often as the options say, and until every
-/// cost volume fits into memory. `range` holds the inverse depths of all cameras, 1/m.
-pub fn halvings(cameras: &[&Camera], range: [f64; 2], options: &StereoOptions) -> usize {
+/// Decides how many times all images are halved: at least as often as the options say, and until every cost volume fits
+/// into memory.
+fn halvings(
+    cameras: &[&Camera],
+    partners: &[Vec<usize>],
+    range: [f64; 2],
+    options: &StereoOptions,
+) -> usize {
     let mut images: Vec<Camera> = cameras.iter().map(|c| (*c).clone()).collect();
     let mut halvings = 0;
-    let partners: Vec<Vec<usize>> =
-        (0..cameras.len()).map(|k| partners(cameras, k, options)).collect();
     loop {
         let costs = |(own, partners): (&Camera, &Vec<usize>)| {
-            let levels = levels(own, cameras[*partners.last()?], range, options);
+            let levels = depth_levels(own, cameras[*partners.last()?], range, options.step_px);
             Some((own.width * own.height).saturating_mul(levels.count))
         };
-        let max_costs = images.iter().zip(&partners).filter_map(costs).max().unwrap_or(0);
+        let max_costs = images.iter().zip(partners).filter_map(costs).max().unwrap_or(0);
         if halvings >= options.halvings && max_costs <= MAX_COSTS {
             return halvings;
         }
@@ -70,67 +118,7 @@ pub fn halvings(cameras: &[&Camera], range: [f64; 2], options: &StereoOptions) -
 }
 
 /// Depth hypotheses of a camera, at even disparities to its farthest partner.
-fn levels(
-    own: &Camera,
-    farthest: &Camera,
-    range: [f64; 2],
-    options: &StereoOptions,
-) -> DepthLevels {
+fn depth_levels(own: &Camera, farthest: &Camera, range: [f64; 2], step_px: f64) -> DepthLevels {
     let baseline = (farthest.center() - own.center()).norm();
-    DepthLevels::new(range, options.step_px / (own.focal_px() * baseline))
-}
-
-/// Estimates an image's inverse depths within a range, 1/m, from its partners, nearest first. All pyramids have the same
-/// number of levels. `None` without partners.
-pub fn inverse_depths(
-    reference: &CensusPyramid,
-    partners: &[&CensusPyramid],
-    range: [f64; 2],
-    options: &StereoOptions,
-) -> Option<InverseDepths> {
-    let set =
-        |k: usize| StereoSet::new(&reference.levels[k], partners.iter().map(move |p| &p.levels[k]));
-    let coarsest = reference.levels.len() - 1;
-    let coarse = set(coarsest);
-    let levels =
-        levels(&coarse.image.camera, &coarse.partners.last()?.image.camera, range, options);
-    let costs = cost_volume(&coarse, &levels);
-    let sums = aggregate(&costs, &coarse.image.gray, levels.count);
-    let mut values = winner_takes_all(&sums, &levels);
-    let mut step = levels.step;
-    refine(&mut values, &coarse, step);
-    for k in (0..coarsest).rev() {
-        let fine = set(k);
-        values = upsampled(&values, &reference.levels[k + 1].camera, &fine);
-        step *= 0.5;
-        refine(&mut values, &fine, step);
-    }
-    Some(InverseDepths { values, tolerance: TOLERANCE_LEVELS * levels.step })
-}
-
-/// The images of several cameras at one instant, ready to be matched.
-pub struct Matcher {
-    pyramids: Vec<CensusPyramid>,
-}
-
-impl Matcher {
-    /// Computes the images' descriptors. `range` holds the inverse depths of all cameras, 1/m.
-    pub fn new(views: &[CameraImage], range: [f64; 2], options: &StereoOptions) -> Self {
-        let cameras: Vec<&Camera> = views.iter().map(|v| v.camera).collect();
-        let halvings = halvings(&cameras, range, options);
-        Self { pyramids: views.par_iter().map(|v| CensusPyramid::new(v, halvings)).collect() }
-    }
-
-    /// Inverse depths of camera `index` within a range, 1/m. `None` without a camera at another place.
-    pub fn depths(
-        &self,
-        index: usize,
-        range: [f64; 2],
-        options: &StereoOptions,
-    ) -> Option<InverseDepths> {
-        let cameras: Vec<&Camera> = self.pyramids.iter().map(|p| &p.levels[0].camera).collect();
-        let partners = partners(&cameras, index, options);
-        let partners: Vec<&CensusPyramid> = partners.iter().map(|&k| &self.pyramids[k]).collect();
-        inverse_depths(&self.pyramids[index], &partners, range, options)
-    }
+    DepthLevels::new(range, step_px / (own.focal_px() * baseline))
 }

@@ -25,9 +25,8 @@ mod refine;
 mod relative_pose;
 mod semi_global;
 
-pub use census::CensusPyramid;
 pub use fusion::{Surface, fuse};
-pub use inverse_depths::{InverseDepths, Matcher, halvings, inverse_depths, partners};
+pub use inverse_depths::{InverseDepths, Matcher};
 
 use crate::camera::Camera;
 use crate::option::options;

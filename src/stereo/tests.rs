@@ -68,7 +68,7 @@ fn depths_of_all(options: &StereoOptions) -> (Vec<Camera>, Vec<InverseDepths>) {
     let views: Vec<CameraImage> =
         pairs.map(|(camera, image)| CameraImage { camera, image }).collect();
     let matcher = Matcher::new(&views, range(), options);
-    let depths = (0..5).map(|k| matcher.depths(k, range(), options).unwrap()).collect();
+    let depths = (0..5).map(|k| matcher.depths(k, range()).unwrap()).collect();
     drop(views);
     (cameras, depths)
 }
@@ -155,7 +155,7 @@ fn without_a_camera_at_another_place_there_is_no_depth() {
     let options = StereoOptions::default();
     for views in [vec![view], vec![view; 3]] {
         let matcher = Matcher::new(&views, range(), &options);
-        assert_eq!(matcher.depths(0, range(), &options), None);
+        assert_eq!(matcher.depths(0, range()), None);
     }
 }
 
@@ -171,7 +171,7 @@ fn whatever_the_images_depths_are_within_the_range() {
                 let views = cameras.each_ref().map(|camera| CameraImage { camera, image: &image });
                 let options = StereoOptions::default();
                 let matcher = Matcher::new(&views, range, &options);
-                let depths = matcher.depths(1, range, &options).unwrap();
+                let depths = matcher.depths(1, range).unwrap();
                 let [low, high] = range.map(|v| v as f32);
                 let slack = 2.0 * depths.tolerance;
                 let inside = |v: &f32| (low - slack..=high + slack).contains(v);
