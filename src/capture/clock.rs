@@ -1,42 +1,38 @@
-//! A camera's own clock.
+//! A camera's own clock, and bounds on the times of its frames while its offset is unknown.
 
-/// Shortest time between two frames, seconds. Larger: fast cameras are refused. Smaller: offsets
-/// and trajectories, which divide by it, overflow, and times of a wrong unit pass.
+use super::{Capture, FilmedCamera};
+
+/// Shortest time between two frames, seconds. Offsets and trajectories divide by it.
 const MIN_FRAME_S: f64 = 1e-9;
-/// Largest absolute time, seconds (3000 years). Larger: microseconds since 1970 pass for seconds.
-/// Smaller: seconds since 1970 are refused.
+/// Largest absolute time, seconds (3000 years): seconds since 1970 pass, microseconds don't.
 pub(super) const MAX_TIME_S: f64 = 1e11;
 
-/// Largest drift of a clock against the reference's, millionths: of a simulated rig, and of the
-/// clocks that are estimated.
-///
-/// Quartz is off by 100 at most. Larger: the estimate of a drift has more rates to try, and a
-/// rate that few features show is less certain. Smaller: cheap oscillators are outside of it.
+/// Largest drift of a clock against the reference's, parts per million, simulated or estimated. Quartz drifts by at most
+/// 100.
 pub const MAX_DRIFT_PPM: f64 = 1000.0;
 
 /// The times of a camera's frames on its own clock.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clock {
-    /// The middle of every frame's exposure: seconds from the capture's start, strictly ascending.
+    /// The middle of each frame's exposure: seconds from the capture's start, strictly ascending.
     pub times_s: Vec<f64>,
-    /// Whether the reference has the same clock, so that there is no offset to estimate.
+    /// Whether it is the clock that all cameras with this flag share.
     pub shared: bool,
     /// Whether its rate may differ from the reference's.
     pub drift: bool,
-    /// Whether frames may be missing without a trace.
+    /// Whether frames may be missing although the times show no gap.
     pub lost: bool,
 }
 
 impl Clock {
-    /// Subtracts the capture's start. Done once, where times are read: 1.8e9 s (Unix time) leaves
-    /// an f64 2.4e-7 s, a capture's own seconds leave it 1e-16 s.
+    /// Subtracts the capture's start, which keeps the precision of f64: 2.4e-7 s at Unix times, 1e-16 s near 0.
     pub(super) fn rebase(&mut self, origin_s: f64) {
         for t in &mut self.times_s {
             *t -= origin_s;
         }
     }
 
-    /// Refuses times that do not ascend; the error is a reason.
+    /// Refuses times that don't ascend. The error is a reason.
     pub(super) fn ascends(&self) -> Result<(), String> {
         match self.times_s.windows(2).position(|w| !(w[1] - w[0] >= MIN_FRAME_S)) {
             None => Ok(()),
@@ -65,21 +61,69 @@ impl Clock {
     }
 }
 
-/// Indices of the frames on both sides of a time: the last one at or before it, and the first one
-/// at or after it. They are equal for a frame at that very time.
+/// Indices of the frames around a time: the last at or before it, and the first at or after it. They are equal if a frame
+/// has exactly this time.
 ///
-/// `None` before the first time, after the last one, and for NaN. `times_s` must ascend; of equal
-/// times, the first counts.
+/// `None` before the first time, after the last, and for NaN. `times_s` must ascend; of equal times, the first counts.
 pub fn bracket(times_s: &[f64], time_s: f64) -> Option<(usize, usize)> {
     let after = times_s.partition_point(|&t| t < time_s);
     let found = *times_s.get(after)?;
     if found == time_s { Some((after, after)) } else { Some((after.checked_sub(1)?, after)) }
 }
 
-/// Whether times can be those of a camera's frames on another clock: finite and ascending. An offset so
-/// large that the time between frames is lost in rounding gives no such times.
+/// Whether times are finite and strictly ascending. After a very large offset is added, rounding makes times equal.
 pub fn are_frame_times(times_s: &[f64]) -> bool {
     times_s.iter().all(|t| t.is_finite()) && times_s.windows(2).all(|w| w[0] < w[1])
+}
+
+impl FilmedCamera {
+    /// Upper bound on the recording's duration on any clock, seconds, its last frame included. A camera that loses frames
+    /// is assumed to have lost at most as many as it has.
+    fn max_duration_s(&self) -> f64 {
+        let times = &self.clock.times_s;
+        let duration_s = times[times.len() - 1] - times[0] + self.clock.frame_s();
+        let lost = if self.clock.lost { 2.0 } else { 1.0 };
+        duration_s * lost * (1.0 + 1e-6 * MAX_DRIFT_PPM)
+    }
+}
+
+impl Capture {
+    /// Upper bound on the time between a camera's recording and the reference's, seconds. Offsets can be estimated only
+    /// along chains of overlapping recordings, and no chain is longer than all recordings one after the other.
+    pub fn reach_s(&self) -> f64 {
+        self.cameras.iter().map(FilmedCamera::max_duration_s).sum()
+    }
+
+    /// Whether a camera is the reference, or shares its clock.
+    pub fn has_reference_clock(&self, camera: usize) -> bool {
+        let shares = |c: usize| self.cameras[c].clock.shared;
+        camera == self.reference || (shares(camera) && shares(self.reference))
+    }
+
+    /// Bounds on the times of a camera's frames on the reference's clock, whatever its offset, seconds; of all cameras for
+    /// `None`. They are exact for a camera with the reference's clock that loses no frames.
+    pub fn widest_span_s(&self, camera: Option<usize>) -> (f64, f64) {
+        let reference = &self.cameras[self.reference];
+        let span = |c: usize| {
+            let clock = &self.cameras[c].clock;
+            let (first, last) = (clock.times_s[0], clock.times_s[clock.times_s.len() - 1]);
+            if !self.has_reference_clock(c) {
+                let (reach, reference) = (self.reach_s(), &reference.clock.times_s);
+                (reference[0] - reach, reference[reference.len() - 1] + reach)
+            } else if clock.lost {
+                (first, first + self.cameras[c].max_duration_s())
+            } else {
+                (first, last)
+            }
+        };
+        match camera {
+            Some(camera) => span(camera),
+            None => (0..self.cameras.len())
+                .map(span)
+                .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+                .unwrap_or_default(),
+        }
+    }
 }
 
 #[cfg(test)]

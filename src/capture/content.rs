@@ -4,7 +4,7 @@
 //! gets the key of another content.
 
 use super::{Capture, CaptureError, FilmedCamera};
-use crate::host::{CacheKind, DiskCache, file_hashes};
+use crate::host::{DiskCache, file_hashes};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -43,6 +43,16 @@ impl ContentHashes {
     }
 }
 
+/// The hash of a capture's content, once it is computed. Clones start without it, since their cameras may be replaced.
+#[derive(Debug, Default)]
+pub(super) struct ContentHash(OnceLock<String>);
+
+impl Clone for ContentHash {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
+}
+
 impl Capture {
     /// The capture with some of its cameras only, in this order. The first is the reference if the reference isn't among
     /// them.
@@ -57,11 +67,14 @@ impl Capture {
     /// A hash of everything that results from this capture depend on: `capture.json` and the bytes of the frames or videos.
     /// 64 hexadecimal digits.
     ///
-    /// Frames are read once. Hashes of files that haven't changed since an earlier command come from the cache.
+    /// Computed once. Hashes of files that haven't changed since an earlier command come from the cache.
     ///
     /// # Errors
     /// [`CaptureError::Read`], or [`CaptureError::Changed`] for a frame that was read before, with other bytes.
-    pub fn content_hash(&self) -> Result<String, CaptureError> {
+    pub fn content_hash(&self) -> Result<&str, CaptureError> {
+        if let Some(content) = self.content.0.get() {
+            return Ok(content);
+        }
         let frames = || self.cameras.iter().flat_map(|camera| &camera.frames);
         if frames().any(|frame| self.hashes.get(frame).is_none()) {
             let images = self.cameras.iter().filter(|camera| camera.video.is_none());
@@ -85,12 +98,7 @@ impl Capture {
                 hasher.update(hash.as_bytes());
             }
         }
-        Ok(hasher.finalize().to_hex().to_string())
-    }
-
-    /// Whether there may be cached results of a kind; nothing is hashed.
-    pub fn has_cached(&self, kind: CacheKind) -> bool {
-        self.cache.has(kind)
+        Ok(self.content.0.get_or_init(|| hasher.finalize().to_hex().to_string()))
     }
 
     /// The capture's cache on disk, keyed with its content.
@@ -98,6 +106,6 @@ impl Capture {
     /// # Errors
     /// As [`Self::content_hash`].
     pub fn cache(&self) -> Result<DiskCache, CaptureError> {
-        Ok(self.cache.for_content(&self.content_hash()?))
+        Ok(self.cache.for_content(self.content_hash()?))
     }
 }

@@ -88,8 +88,7 @@ pub struct ClockFormat {
     pub lost: bool,
 }
 
-/// Characters of a capture's name. Larger: it fills tables and reports. Smaller: the name of a long file
-/// and a rig is refused.
+/// Longest name of a capture, characters.
 const MAX_NAME_LENGTH: usize = 1000;
 
 impl CaptureFormat {
@@ -194,7 +193,7 @@ impl FilmedCameraFormat {
 }
 
 impl ClockFormat {
-    /// The clock of a camera with that many frames; the error is a reason.
+    /// The clock of a camera with this many frames. The error is a reason.
     fn open(&self, frames: usize, video: Option<&VideoFile>) -> Result<Clock, String> {
         let offer = || video.map_or(String::new(), |v| format!("; {}", v.offer()));
         let times_s = match (self.rate_hz, self.first_s, &self.times_s) {

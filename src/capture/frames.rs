@@ -32,8 +32,8 @@ impl<'a> Pattern<'a> {
     }
 }
 
-/// The files of a pattern, numbered from 0 without gaps; the error is a reason. `root` is the
-/// capture's folder, links followed.
+/// Finds the files of a pattern, numbered from 0 without gaps, in `root`, the capture's canonical folder. The error is a
+/// reason.
 pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     let parsed = Pattern::parse(pattern)?;
     must_be_relative(pattern)?;
@@ -62,8 +62,7 @@ pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     Ok(files)
 }
 
-/// The video file that a camera's `frames` names; `None` if it names a sequence. The error is a
-/// reason.
+/// Finds the video that a camera's `frames` names; `None` if it names a sequence. The error is a reason.
 pub(super) fn video(root: &Path, name: &str) -> Option<Result<PathBuf, String>> {
     (!name.contains('%')).then(|| {
         must_be_relative(name)?;
@@ -92,7 +91,7 @@ fn must_be_relative(name: &str) -> Result<(), String> {
     Err(format!("'{name}' must be relative to the capture and stay inside it"))
 }
 
-/// The smallest number of an existing file beyond the first missing one: the sequence has a gap.
+/// The number of the first file after a gap that begins at `missing`; `None` if there is no such file.
 fn number_beyond(root: &Path, pattern: &Pattern, missing: usize) -> Option<usize> {
     let sample = root.join(pattern.name(0));
     let file_before = Path::new(pattern.before)

@@ -1,27 +1,23 @@
 //! A capture: a folder with `capture.json` and the cameras' frames.
 //!
-//! Opening the folder checks every field, every frame's header and every clock, so that the stages
-//! need not. Pixels are decoded when they are used.
+//! Opening a capture checks every field, every frame's header and every clock. Pixels are decoded when they are used.
 //!
-//! Frames are an image sequence or a video file; a video is decoded once, into a cache.
+//! A camera's frames are an image sequence or a video file. A video is decoded once, into the capture's cache.
 
-mod belongings;
 mod clock;
 mod content;
 mod format;
 mod frames;
-mod npy;
-mod reach;
+mod output_guard;
 mod stored;
 mod truth;
 mod video;
 
-pub use belongings::{OutputError, OutputGuard};
 pub use clock::{Clock, MAX_DRIFT_PPM, are_frame_times, bracket};
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
-pub use npy::read_array;
+pub use output_guard::{OutputError, OutputGuard};
 pub(crate) use stored::Stored;
-pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView};
+pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};
 pub use video::{MAX_FRAMES, VideoFile};
 
 use crate::camera::{Camera, CameraFormatError};
@@ -30,7 +26,7 @@ use crate::json::{self, JsonError};
 use crate::progress::Reporter;
 use crate::raster::{BitDepth, Image, ImageFileError, read_hashed_image};
 use crate::video::ffmpeg_on_path;
-use content::ContentHashes;
+use content::{ContentHash, ContentHashes};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -40,47 +36,48 @@ pub const CAPTURE_FILE: &str = "capture.json";
 /// A capture: its folder, and its cameras in the order of `capture.json`.
 #[derive(Clone, Debug)]
 pub struct Capture {
-    /// The capture's name in its file.
+    /// The capture's name in `capture.json`.
     pub name: String,
     /// The folder as it was given to [`Capture::open`].
     pub folder: PathBuf,
     /// Index of the reference camera, whose clock all times refer to.
     pub reference: usize,
-    /// All cameras, in the file's order.
+    /// All cameras, in the order of `capture.json`.
     pub cameras: Vec<FilmedCamera>,
-    /// The reference's first time stamp in its file, seconds. It is subtracted from all times, so
-    /// that the reference's first frame is at 0.
+    /// The reference's first time stamp in `capture.json`, seconds. It is subtracted from all times, so that the
+    /// reference's first frame is at 0.
     pub time_origin_s: f64,
     /// Its cache on disk, with keys that don't depend on the content.
     cache: DiskCache,
     hashes: Arc<ContentHashes>,
+    content: ContentHash,
 }
 
 /// A camera of a capture, with its frames.
 #[derive(Clone, Debug)]
 pub struct FilmedCamera {
-    /// Unique among the capture's cameras.
+    /// The camera's id, unique in the capture.
     pub id: String,
-    /// Lens and pose.
+    /// Camera model and pose.
     pub camera: Camera,
-    /// Whether its frames are read as RGB or as grey.
+    /// Whether frames are converted to RGB or to grey.
     pub color: Color,
-    /// Times of its frames on its own clock.
+    /// Times of the frames on the camera's own clock.
     pub clock: Clock,
-    /// Frame files in order, inside the capture's folder; those of a video lie in its cache.
+    /// Frame files in order, inside the capture's folder. Decoded frames of a video lie in its cache.
     pub frames: Vec<PathBuf>,
-    /// The video that the frames were decoded from, if they were.
+    /// The video that the frames were decoded from; `None` for an image sequence.
     pub video: Option<VideoFile>,
-    /// The largest bit depth of its frames.
+    /// The largest bit depth of the frames.
     pub bit_depth: BitDepth,
 }
 
-/// The means to open a capture whose cameras are videos.
+/// Decoding of videos while a capture is opened.
 #[derive(Clone, Copy)]
 pub struct Opening<'a> {
-    /// The ffmpeg that decodes videos; without one, a video that isn't decoded yet is an error.
+    /// Decodes videos. Without it, a video that isn't decoded yet is an error.
     pub ffmpeg: Option<&'a Path>,
-    /// Reports that a video is being decoded.
+    /// Reports decoding, and damaged cache entries.
     pub reporter: &'a Reporter,
 }
 
@@ -100,13 +97,13 @@ pub enum CaptureError {
     /// A file or folder can't be read.
     #[error("{path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
-    /// `capture.json` is no JSON of the right shape.
+    /// `capture.json` is not JSON, or has missing or wrong fields.
     #[error("{path}: {source}")]
     Json { path: PathBuf, source: JsonError },
     /// The cache of decoded videos can't be written.
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
-    /// The cache of decoded videos would lie outside of the capture.
+    /// The cache would lie outside of the capture, behind a link.
     #[error("{path}: is a link, and the cache of a capture must lie inside of it")]
     CacheLink { path: PathBuf },
     /// A field's value is refused.
@@ -132,15 +129,13 @@ pub fn schema() -> serde_json::Value {
 }
 
 impl Capture {
-    /// Opens and checks a capture's folder. Videos that aren't decoded yet are decoded by the first
-    /// ffmpeg on `PATH`.
+    /// Opens and checks a capture's folder. New videos are decoded by the first ffmpeg on `PATH`.
     pub fn open(folder: &Path) -> Result<Self, CaptureError> {
         let (ffmpeg, reporter) = (ffmpeg_on_path(), &Reporter::silent());
         Self::open_with(folder, &Opening { ffmpeg: ffmpeg.as_deref(), reporter })
     }
 
-    /// Opens and checks a capture's folder. Videos that aren't decoded yet are decoded by the means
-    /// of `opening`.
+    /// Opens and checks a capture's folder. New videos are decoded by the ffmpeg of `opening`.
     pub fn open_with(folder: &Path, opening: &Opening) -> Result<Self, CaptureError> {
         let path = folder.join(CAPTURE_FILE);
         let failed = |source| CaptureError::Json { path: path.clone(), source };
@@ -178,10 +173,11 @@ impl Capture {
             time_origin_s,
             cache,
             hashes,
+            content: ContentHash::default(),
         })
     }
 
-    /// Cameras whose frames are never read; the first is the reference.
+    /// A capture of cameras without frame files; the first is the reference.
     #[cfg(test)]
     pub(crate) fn without_files(cameras: Vec<FilmedCamera>) -> Self {
         Self {
@@ -191,6 +187,7 @@ impl Capture {
             time_origin_s: 0.0,
             cache: DiskCache::new(Path::new(""), |_| ()),
             hashes: Arc::new(ContentHashes::new("", &cameras)),
+            content: ContentHash::default(),
             cameras,
         }
     }
@@ -200,17 +197,17 @@ impl Capture {
         self.cameras.iter().position(|c| c.id == id)
     }
 
-    /// The times of a camera's frames as in the file, to rounding: seconds on the camera's own clock.
+    /// Times of a camera's frames as in `capture.json`, up to rounding: seconds on the camera's own clock.
     pub fn times_in_file_s(&self, camera: usize) -> Vec<f64> {
         self.cameras[camera].clock.times_s.iter().map(|t| t + self.time_origin_s).collect()
     }
 
-    /// Whether every camera has one frame: a static light field, which is the same at any time.
+    /// Whether every camera has one frame: a light field that is constant in time.
     pub fn is_static(&self) -> bool {
         self.cameras.iter().all(|c| c.frames.len() == 1)
     }
 
-    /// An error for a capture of one camera, which has no offsets.
+    /// Refuses a capture of one camera, which has no offsets.
     pub fn require_two_cameras(&self) -> Result<(), CaptureError> {
         if self.cameras.len() > 1 {
             return Ok(());
@@ -222,9 +219,10 @@ impl Capture {
         })
     }
 
-    /// Decodes one frame: as RGB or as grey, by the camera's `color`.
+    /// Decodes one frame and converts it to RGB or grey, as [`FilmedCamera::color`] says.
     ///
-    /// An error if the file can't be read, has another size than its camera, or has changed since the capture's content
+    /// # Errors
+    /// If the file can't be read, has another size than its camera, or has changed since the capture's content
     /// was first read.
     pub fn read_frame(&self, camera: usize, frame: usize) -> Result<Image, CaptureError> {
         let filmed = &self.cameras[camera];
@@ -250,8 +248,8 @@ impl Capture {
         })
     }
 
-    /// The reference camera's median time between frames, seconds: the unit "frame". 0 if it has one
-    /// frame.
+    /// The reference camera's median time between frames, seconds; 0 if it has one frame. Offsets "in frames" are in this
+    /// unit.
     pub fn frame_s(&self) -> f64 {
         self.cameras[self.reference].clock.frame_s()
     }

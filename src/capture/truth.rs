@@ -1,9 +1,10 @@
-//! `truth/`: the ground truth of a simulated capture. No stage reads it; only the comparison does.
+//! `truth/`: the ground truth of a simulated capture. Only `compare` and `tradeoff` read it.
 //!
 //! # A benchmark of sub-frame synchronization
 //!
 //! A capture with its truth is a test case for any method that synchronizes cameras.
-//! `stlfr capture RIG --scene NAME --tracks 1000 -o CAPTURE` films one. The shutters are delayed by fractions of a frame, each with its jitter, by the rig's file.
+//! `stlfr capture RIG --scene NAME --tracks 1000 -o CAPTURE` films one. The rig's file delays each shutter by a fraction
+//! of a frame, and adds jitter.
 //!
 //! | where | what |
 //! |---|---|
@@ -40,6 +41,7 @@
 //! standard errors, the median and the maximum.
 
 use crate::camera::{Camera, CameraFormat, CameraFormatError};
+use crate::host::read_bytes;
 use crate::json::{self, JsonError};
 use crate::text::check_id;
 use serde::{Deserialize, Serialize};
@@ -58,9 +60,9 @@ pub struct Truth {
     pub scene: String,
     /// Name of the rig.
     pub rig: String,
-    /// Every camera's clock.
+    /// The clock of every camera.
     pub offsets: Vec<TruthOffset>,
-    /// Every camera's exposures.
+    /// The exposures of every camera.
     pub shutter: Vec<TruthShutter>,
     /// True images.
     pub views: Vec<TruthView>,
@@ -83,11 +85,10 @@ pub struct TruthOffset {
     pub id: String,
     /// Offset at the camera's first time, seconds.
     pub offset_s: f64,
-    /// Drift, millionths.
+    /// Drift, parts per million.
     #[serde(default)]
     pub rate_ppm: f64,
-    /// The numbers of the images before which a frame is missing, once for each frame, whether the
-    /// camera's times show it or not.
+    /// The images before which a frame is missing, once for each missing frame.
     #[serde(default)]
     pub lost_before: Vec<u32>,
 }
@@ -102,8 +103,7 @@ pub struct TruthShutter {
     pub times_s: Vec<f64>,
 }
 
-/// Largest number of true images. Larger: comparing all names pairwise takes minutes. Smaller: a hundred
-/// instants of a hundred cameras are refused.
+/// Largest number of true images.
 const MAX_VIEWS: usize = 10_000;
 
 /// A true image of a view at an instant.
@@ -114,7 +114,7 @@ pub struct TruthView {
     pub id: String,
     /// The instant, seconds on the reference's clock.
     pub time_s: f64,
-    /// Id of the filming camera that the view is of, if it is of one.
+    /// Id of the filming camera at the view's place, if there is one.
     pub like: Option<String>,
     /// Lens and pose.
     pub camera: CameraFormat,
@@ -122,7 +122,7 @@ pub struct TruthView {
     pub image: String,
     /// npy, f32, H×W: metres along the camera's +z.
     pub depth: String,
-    /// npy, f32, H×W: pixels that the surface point moves within ±1 frame.
+    /// npy, f32, H×W: motion of the surface point within ±1 frame, pixels.
     pub motion: String,
 }
 
@@ -146,7 +146,7 @@ pub enum TruthError {
     /// A file can't be read.
     #[error("{path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
-    /// A file is no JSON of the right shape.
+    /// A file is not JSON, or has missing or wrong fields.
     #[error("{path}: {source}")]
     Json { path: PathBuf, source: JsonError },
     /// A file's contents are refused.
@@ -189,7 +189,7 @@ impl Truth {
         Ok(Some(truth))
     }
 
-    /// The ids that are printed and drawn are names, as in `capture.json`. The error is a reason.
+    /// Refuses ids that `capture.json` couldn't have. The error is a reason.
     fn check_ids(&self) -> Result<(), String> {
         let checked = |list: &str, index: usize, field: &str, id: &str| {
             check_id(id).map_err(|reason| format!("{list}[{index}].{field}: {reason}"))
@@ -204,23 +204,22 @@ impl Truth {
         video.collect::<Result<(), _>>().map_err(|reason| format!("video.view: {reason}"))
     }
 
-    /// The true offset of a camera, seconds; `None` for an unknown id.
+    /// A camera's true offset, seconds; `None` for an unknown id.
     pub fn offset_s(&self, id: &str) -> Option<f64> {
         self.clock(id).map(|o| o.offset_s)
     }
 
-    /// The truth of a camera's clock; `None` for an unknown id.
+    /// A camera's true clock; `None` for an unknown id.
     pub fn clock(&self, id: &str) -> Option<&TruthOffset> {
         self.offsets.iter().find(|o| o.id == id)
     }
 
-    /// The true middle of every exposure of a camera, seconds on the reference's clock; `None` for an
-    /// unknown id.
+    /// A camera's true exposure times, seconds on the reference's clock; `None` for an unknown id.
     pub fn shutter_s(&self, id: &str) -> Option<&[f64]> {
         self.shutter.iter().find(|s| s.id == id).map(|s| s.times_s.as_slice())
     }
 
-    /// The path of a file of the truth. An error if it doesn't exist, or lies outside of `truth/`.
+    /// The path of a file. An error if it doesn't exist, or lies outside of `truth/`.
     pub fn file(&self, relative: &str) -> Result<PathBuf, TruthError> {
         let path = self.folder.join(relative);
         let inside = Path::new(relative).components().all(|c| matches!(c, Component::Normal(_)));
@@ -238,5 +237,84 @@ impl TruthView {
     /// The view's camera, which [`Truth::open`] has checked.
     pub fn camera(&self) -> Result<Camera, CameraFormatError> {
         self.camera.camera()
+    }
+}
+
+/// Largest array that is read, bytes: 8192×8192 float32 and a header.
+const MAX_ARRAY_BYTES: u64 = (256 << 20) + 10 + 0xffff;
+
+/// Reads a depth or motion image, an H×W array in numpy's format, version 1: width, height, and values row by row.
+///
+/// # Errors
+/// For another type, Fortran's order, another number of axes, or a size that the header contradicts.
+pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), TruthError> {
+    let bytes = read_bytes(path, MAX_ARRAY_BYTES)
+        .map_err(|source| TruthError::Read { path: path.to_owned(), source })?;
+    parse_array(&bytes).map_err(|reason| TruthError::Content { path: path.to_owned(), reason })
+}
+
+/// Parses an array of little-endian float32. The error is a reason.
+fn parse_array(file: &[u8]) -> Result<(usize, usize, Vec<f32>), String> {
+    let rest = file.strip_prefix(b"\x93NUMPY\x01\x00").ok_or("is no npy file")?;
+    let (length, rest) = rest.split_first_chunk().ok_or("is cut short")?;
+    let (header, data) =
+        rest.split_at_checked(u16::from_le_bytes(*length).into()).ok_or("is cut short")?;
+    let header = std::str::from_utf8(header).map_err(|_| "has no readable header")?;
+    if !header.contains("'<f4'") || !header.contains("'fortran_order': False") {
+        return Err("must hold little-endian float32 in C order".into());
+    }
+    let shape: Vec<usize> = header
+        .split_once('(')
+        .and_then(|(_, rest)| rest.split_once(')'))
+        .map(|(shape, _)| shape.split(',').filter_map(|n| n.trim().parse().ok()).collect())
+        .unwrap_or_default();
+    let &[height, width] = shape.as_slice() else { return Err("must have 2 axes".into()) };
+    let (values, tail) = data.as_chunks();
+    if height.checked_mul(width) != Some(values.len()) || !tail.is_empty() {
+        return Err("has another size than its header says".into());
+    }
+    Ok((width, height, values.iter().map(|value| f32::from_le_bytes(*value)).collect()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file as numpy writes it.
+    fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
+        let mut header =
+            format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
+        while (header.len() + 11) % 64 != 0 {
+            header.push(' ');
+        }
+        header.push('\n');
+        let mut file = b"\x93NUMPY\x01\x00".to_vec();
+        file.extend(u16::try_from(header.len()).unwrap().to_le_bytes());
+        file.extend(header.as_bytes());
+        file.extend(data);
+        file
+    }
+
+    #[test]
+    fn an_array_is_read_and_a_wrong_one_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.npy");
+        let data: Vec<u8> = (0..6).flat_map(|i| (i as f32).to_le_bytes()).collect();
+        std::fs::write(&path, npy("<f4", "3, 2", &data)).unwrap();
+        let values = vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0];
+        assert_eq!(read_array(&path).unwrap(), (2, 3, values));
+
+        let complaint = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            read_array(&path).unwrap_err().to_string()
+        };
+        assert!(complaint(b"text").ends_with("is no npy file"));
+        assert!(complaint(&npy("<f8", "3, 2", &data)).ends_with("float32 in C order"));
+        assert!(complaint(&npy("<f4", "1, 3, 2", &data)).ends_with("must have 2 axes"));
+        assert!(complaint(&npy("<f4", "3, 3", &data)).contains("another size"));
+        assert!(complaint(&npy("<f4", "3, 2", &data[1..])).contains("another size"));
+        let huge = format!("{}, {}", usize::MAX, usize::MAX);
+        assert!(complaint(&npy("<f4", &huge, &data)).contains("another size"));
+        assert!(complaint(&npy("<f4", "3, 2", &data)[..40]).ends_with("is cut short"));
     }
 }

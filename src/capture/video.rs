@@ -83,8 +83,8 @@ pub(super) fn open(
         path,
         name: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         hash,
-        entry: cache.path(DECODED_VIDEOS, &hash.as_bytes()).map_err(failed)?,
-        folder: cache.files(DECODED_VIDEOS, &hash.as_bytes()).map_err(failed)?,
+        entry: cache.path(DECODED_VIDEOS, hash.as_bytes()).map_err(failed)?,
+        folder: cache.files(DECODED_VIDEOS, hash.as_bytes()).map_err(failed)?,
     };
     cache.pin(&video.entry);
     let (frames, stamps_s) = match video.cached() {
@@ -109,7 +109,7 @@ impl SourceVideo<'_> {
     /// The cached frames, if they are complete and match their hashes.
     fn cached(&self) -> Option<DecodedFrames> {
         let cache = self.source.cache;
-        let found: DecodedVideo = cache.load_json(DECODED_VIDEOS, &self.hash.as_bytes())?;
+        let found: DecodedVideo = cache.load_json(DECODED_VIDEOS, self.hash.as_bytes())?;
         let hashes = matching_hashes(cache, &self.folder, &found);
         if hashes.is_none() {
             cache.note_damage(&self.entry);
@@ -134,7 +134,8 @@ impl SourceVideo<'_> {
             return Ok(decoded); // the process that held the lock has decoded it
         }
         // Under the lock: no other process touches the folder.
-        remove(&self.folder).map_err(failed)?;
+        let cache = self.source.cache;
+        cache.remove(DECODED_VIDEOS, self.hash.as_bytes()).map_err(failed)?;
         let temporary = Temporary::inside(parent).map_err(failed)?;
         let partial = temporary.path().join(FRAMES);
         std::fs::create_dir(&partial).map_err(failed)?;
@@ -144,7 +145,6 @@ impl SourceVideo<'_> {
             error => error,
         })?;
         temporary.place(FRAMES, &self.folder).map_err(failed)?;
-        let cache = self.source.cache;
         // What was decoded may be what the video became meanwhile.
         if hash(cache, self.path)? != self.hash {
             return Err(CaptureError::Changed { path: self.path.to_owned() });
@@ -152,7 +152,7 @@ impl SourceVideo<'_> {
         let (hashes, times_s) = decoded;
         let frames = hashes.iter().map(|hash| hash.to_hex().to_string()).collect();
         let entry = DecodedVideo { times_s, frames };
-        cache.save_json(DECODED_VIDEOS, &self.hash.as_bytes(), &entry).map_err(failed)?;
+        cache.save_json(DECODED_VIDEOS, self.hash.as_bytes(), &entry).map_err(failed)?;
         Ok((hashes, entry.times_s))
     }
 
@@ -217,17 +217,6 @@ fn lock_file(folder: &Path) -> io::Result<File> {
 
 /// The name of the frames' folder in a temporary folder.
 const FRAMES: &str = "frames";
-
-fn remove(folder: &Path) -> io::Result<()> {
-    let removed = match folder.symlink_metadata() {
-        Ok(found) if !found.is_dir() => std::fs::remove_file(folder),
-        _ => std::fs::remove_dir_all(folder),
-    };
-    match removed {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(()),
-    }
-}
 
 impl VideoFile {
     /// Refuses a constant rate that the video's own time stamps contradict: by half a frame between two frames, or by 1 %

@@ -1,14 +1,13 @@
-//! Values that were used last, within a bound.
+//! A cache in memory with a bound: values that were unused for longest are dropped first.
 
 use std::collections::HashMap;
 use std::hash::Hash;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// A cache that several threads share. It holds the values that were used last, as long as their
-/// costs sum up to no more than a bound; the value that was inserted last is always held.
+/// A cache that threads share. It holds the most recently used values whose costs sum to at most a bound, and always the
+/// value that was inserted last.
 ///
-/// A value must depend on nothing but its key: which values are held then changes how long the work
-/// takes, never what comes out of it.
+/// A value must depend on its key alone, so that the bound changes the time of a computation and never its result.
 pub struct BoundedCache<K, V> {
     max_cost: usize,
     entries: Mutex<Entries<K, V>>,
@@ -17,7 +16,7 @@ pub struct BoundedCache<K, V> {
 struct Entries<K, V> {
     by_key: HashMap<K, Entry<V>>,
     cost: usize,
-    /// Counts the uses, so that the value that was used longest ago is known.
+    /// Number of uses so far.
     clock: u64,
 }
 
@@ -28,7 +27,7 @@ struct Entry<V> {
 }
 
 impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
-    /// An empty cache with a bound on the sum of the costs, in whatever unit [`Self::insert`] is given.
+    /// An empty cache with a bound on the sum of the costs, in the unit of [`Self::insert`].
     pub fn new(max_cost: usize) -> Self {
         let entries = Entries { by_key: HashMap::new(), cost: 0, clock: 0 };
         Self { max_cost, entries: Mutex::new(entries) }
@@ -44,7 +43,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
         Some(entry.value.clone())
     }
 
-    /// Holds a value, and drops those that were used longest ago until the bound holds again.
+    /// Inserts a value, and drops the values that were unused for longest until the bound holds.
     pub fn insert(&self, key: K, value: V, cost: usize) {
         let mut entries = self.lock();
         entries.clock += 1;
@@ -62,14 +61,14 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
         }
     }
 
-    /// Drops the values whose keys don't pass.
+    /// Drops the values whose keys don't pass a test.
     pub fn retain(&self, passes: impl Fn(&K) -> bool) {
         let mut entries = self.lock();
         entries.by_key.retain(|key, _| passes(key));
         entries.cost = entries.by_key.values().map(|entry| entry.cost).sum();
     }
 
-    /// The sum of the costs of what is held.
+    /// The sum of the costs of all values held.
     pub fn cost(&self) -> usize {
         self.lock().cost
     }

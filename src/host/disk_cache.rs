@@ -14,8 +14,7 @@
 
 use super::obstacle::{link_within, remove_special};
 use super::read::read_bytes;
-use super::temporary::remove_abandoned;
-use super::write::write_atomically;
+use super::temporary::{remove_abandoned, write_atomically};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::{BTreeMap, BTreeSet};
@@ -187,6 +186,14 @@ impl DiskCache {
     /// As [`Self::path`].
     pub fn files(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<PathBuf> {
         Ok(self.path(kind, inputs)?.with_extension(FILES_EXTENSION))
+    }
+
+    /// Removes an entry and its files, if they are there.
+    ///
+    /// # Errors
+    /// If they can't be removed, or the cache is reached through a link.
+    pub fn remove(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<()> {
+        remove(&self.path(kind, inputs)?)
     }
 
     /// The bytes of an entry; `None` if it is absent or damaged.
@@ -428,7 +435,11 @@ fn entries(folder: &Path) -> Vec<Found> {
 /// Removes an entry, and then its files.
 fn remove(path: &Path) -> Result<()> {
     ignore_absent(std::fs::remove_file(path))?;
-    files_of(path).map_or(Ok(()), |files| ignore_absent(std::fs::remove_dir_all(files)))
+    let files = path.with_extension(FILES_EXTENSION);
+    ignore_absent(match files.symlink_metadata() {
+        Ok(found) if !found.is_dir() => std::fs::remove_file(files),
+        _ => std::fs::remove_dir_all(files),
+    })
 }
 
 fn ignore_absent(result: Result<()>) -> Result<()> {

@@ -10,12 +10,11 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 const HASHES: CacheKind = CacheKind { name: "hashes", version: 1 };
 
-/// A file that changed less than this before it is read may change again and have the same times: those of FAT are even
-/// seconds.
+/// A file that changed less than this ago may change again within the resolution of its times, which is 2 s on FAT.
 const SETTLED: Duration = Duration::from_secs(3);
 
-/// What tells that a file has changed, as Git's index has it: its file system and number, its size, and the times of
-/// the last change of its content and of its entry. Where the file system keeps the latter, nobody sets it at will.
+/// Metadata that changes with a file's content, as in Git's index: device, inode, size, and the times of the last change
+/// of content and of metadata.
 type Trace = ([u64; 3], [i64; 4]);
 
 fn trace(file: &Path) -> Result<Trace> {
@@ -24,7 +23,7 @@ fn trace(file: &Path) -> Result<Trace> {
     Ok(([found.dev(), found.ino(), found.size()], times))
 }
 
-/// Whether any later change of the file will show in its trace.
+/// Whether every later change of the file will change its trace.
 fn is_settled((_, times): &Trace, settled: Duration) -> bool {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let latest = now.as_nanos() as i128 - settled.as_nanos() as i128;

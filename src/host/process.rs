@@ -1,4 +1,4 @@
-//! A child process that never outlives its use.
+//! Child processes that end with the value that stands for them.
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
@@ -11,7 +11,7 @@ pub(crate) struct Process {
     stderr: Option<JoinHandle<String>>,
 }
 
-/// How a child ended.
+/// A child's exit status and error output.
 pub(crate) struct Ended {
     pub status: ExitStatus,
     pub stderr: String,
@@ -34,7 +34,7 @@ impl Process {
         Ok(Self { child, stderr })
     }
 
-    /// Gives every line of stdout to `on_line` until it ends.
+    /// Calls `on_line` with every line of stdout until it ends.
     pub fn read_lines(&mut self, mut on_line: impl FnMut(&str)) -> std::io::Result<()> {
         let Some(stdout) = self.child.stdout.take() else { return Ok(()) };
         let mut reader = BufReader::new(stdout);
@@ -51,7 +51,7 @@ impl Process {
         self.child.stdin.take()
     }
 
-    /// Waits for the end.
+    /// Waits until the child has ended.
     pub fn wait(mut self) -> std::io::Result<Ended> {
         let status = self.child.wait()?;
         let stderr = self.stderr.take().and_then(|t| t.join().ok()).unwrap_or_default();
@@ -83,8 +83,7 @@ fn ask_to_end(child: &Child) {
     }
 }
 
-/// The kernel ends the child when the thread that started it ends: that thread waits for the child
-/// in all of this module's uses.
+/// Lets the kernel end the child with the thread that starts it. In all uses, that thread waits for the child.
 #[cfg(target_os = "linux")]
 fn end_with_parent(command: &mut Command) {
     use std::os::unix::process::CommandExt;

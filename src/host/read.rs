@@ -1,14 +1,14 @@
-//! Reading files that anybody may have written: regular files only, up to a stated size, so that neither
-//! a device nor a pipe nor a mistake fills the memory or is waited for.
+//! Reading files from an unknown source: regular files only, up to a stated size. A device, a pipe or a file of gigabytes
+//! neither fills the memory nor blocks.
 
-use super::obstacle::Kind;
+use super::obstacle::file_kind;
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{Error, ErrorKind, Read, Result};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
-/// Opens a regular file to read from; links are followed. Anything else is an error that says what it
-/// is. Opening never waits.
+/// Opens a regular file for reading; links are followed. Anything else is an error that names its kind. Opening never
+/// blocks.
 pub fn open_file(path: &Path) -> Result<File> {
     must_be_regular(&std::fs::metadata(path)?)?;
     // Between the two it may become a pipe, at which opening would wait for a writer.
@@ -18,15 +18,14 @@ pub fn open_file(path: &Path) -> Result<File> {
     Ok(file)
 }
 
-/// As [`open_file`], with the file's length; a file of more than `max_bytes` is an error that names the
-/// limit.
+/// Opens a regular file of at most `max_bytes`; returns it with its length.
 pub fn open_bounded(path: &Path, max_bytes: u64) -> Result<(File, u64)> {
     let file = open_file(path)?;
     let bytes = file.metadata()?.len();
     if bytes > max_bytes { Err(too_large(max_bytes)) } else { Ok((file, bytes)) }
 }
 
-/// The bytes of a regular file of at most `max_bytes`, which is checked before any is read.
+/// Reads a regular file of at most `max_bytes`. The size is checked before bytes are read.
 pub fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
     let (file, length) = open_bounded(path, max_bytes)?;
     let mut bytes = Vec::with_capacity(length as usize);
@@ -35,14 +34,13 @@ pub fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
     if bytes.len() as u64 > max_bytes { Err(too_large(max_bytes)) } else { Ok(bytes) }
 }
 
-/// The text of a regular file of at most `max_bytes`; as [`read_bytes`], and an error for what is no
-/// UTF-8.
+/// Reads a regular file of at most `max_bytes` as UTF-8.
 pub fn read_text(path: &Path, max_bytes: u64) -> Result<String> {
     String::from_utf8(read_bytes(path, max_bytes)?)
         .map_err(|_| Error::new(ErrorKind::InvalidData, "is no text in UTF-8"))
 }
 
-/// Adds a regular file's length and bytes to a hash, without holding them.
+/// Adds a regular file's length and bytes to a hash, chunk by chunk.
 pub(crate) fn hash_file(hasher: &mut blake3::Hasher, path: &Path) -> Result<()> {
     let file = open_file(path)?;
     hasher.update(&file.metadata()?.len().to_le_bytes());
@@ -54,7 +52,7 @@ fn must_be_regular(found: &Metadata) -> Result<()> {
     if found.is_file() {
         return Ok(());
     }
-    let sentence = format!("is {}, not a regular file", Kind::of(found.file_type()).name());
+    let sentence = format!("is {}, not a regular file", file_kind(found.file_type()));
     Err(Error::new(ErrorKind::InvalidInput, sentence))
 }
 

@@ -1,13 +1,16 @@
-//! What is not finished yet: it lies in a temporary folder beside its place, and gets its name when it
-//! is whole.
+//! Files and folders that are written whole or not at all: into a temporary folder beside their place, then renamed.
 //!
-//! A temporary folder is locked for as long as the process that made it lives, so that any later
-//! process knows the ones that a killed process left, in whatever container or on whatever machine
-//! it ran. They are removed by the next process that writes into the folder they lie in.
+//! A process holds a lock on its temporary folders. Those of a killed process are not locked, whatever container or
+//! machine it ran on: the next process that writes into the same folder removes them. A signal that ends the program
+//! removes its own.
 //!
 //! Known limit: where the file system has no locks, folders of killed processes stay.
 
 use super::obstacle::obstacle;
+use serde::Serialize;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+use signal_hook::low_level::emulate_default_handler;
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs::{File, TryLockError};
@@ -20,13 +23,13 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 const PREFIX: &str = ".stlfr-";
 const SUFFIX: &str = ".tmp";
 
-/// How often a folder is emptied that a child process still writes into. Larger: an interrupted program
-/// ends later. Smaller: the folder may stay.
+/// Most attempts to remove a folder that a child process still writes into.
 const REMOVALS: usize = 100;
 
-/// What this process has begun, and the folders that it has cleared of what others left.
+/// The temporary folders of this process.
 struct Begun {
     folders: BTreeSet<PathBuf>,
+    /// Folders in which those of killed processes were looked for.
     cleared: BTreeSet<PathBuf>,
 }
 
@@ -41,7 +44,7 @@ fn begun() -> MutexGuard<'static, Begun> {
     BEGUN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A temporary folder. Dropped, or when a signal ends the program, it is removed with all that is in it.
+/// A temporary folder. It is removed with its contents when it is dropped, or when a signal ends the program.
 pub(crate) struct Temporary {
     path: PathBuf,
     /// Holds the lock.
@@ -49,8 +52,8 @@ pub(crate) struct Temporary {
 }
 
 impl Temporary {
-    /// A temporary folder beside `target`, on the same disk; missing folders on the way are created. An
-    /// error if something that is no regular file has the target's name.
+    /// Creates a temporary folder beside `target`, on the same disk, and missing folders on the way. An error if `target`
+    /// exists and is no regular file.
     pub fn for_file(target: &Path) -> Result<Self> {
         if let Some(obstacle) = obstacle(target) {
             return Err(Error::new(ErrorKind::InvalidInput, obstacle));
@@ -61,7 +64,7 @@ impl Temporary {
         Self::inside(parent(target))
     }
 
-    /// A temporary folder inside `folder`, which is created if it is missing.
+    /// Creates a temporary folder inside `folder`, which is created if it is missing.
     pub fn inside(folder: &Path) -> Result<Self> {
         std::fs::create_dir_all(folder)?;
         // The current folder may change; the folder's own path is what a signal removes.
@@ -98,8 +101,8 @@ impl Temporary {
         &self.path
     }
 
-    /// Moves one of its files or folders to its place, once the disk has it. A file replaces a file, a
-    /// folder an empty folder.
+    /// Flushes one of its files or folders to the disk and moves it to `target`. A file replaces a file, a folder an empty
+    /// folder.
     pub fn place(&self, name: &str, target: &Path) -> Result<()> {
         let whole = self.path.join(name);
         File::open(&whole)?.sync_all()?;
@@ -119,7 +122,7 @@ fn parent(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// The lock of a folder that was just made; `None` if another process has it, or has removed the folder.
+/// Locks a new folder; `None` if another process has locked or removed it.
 fn locked(path: &Path) -> Result<Option<File>> {
     let found = |error: Error| match error.kind() {
         ErrorKind::NotFound => Ok(None),
@@ -138,7 +141,7 @@ fn locked(path: &Path) -> Result<Option<File>> {
     }
 }
 
-/// Removes a folder with all that is in it, also while a child process writes into it.
+/// Removes a folder with its contents, also while a child process writes into it.
 fn remove(path: &Path) {
     for _ in 0..REMOVALS {
         match std::fs::remove_dir_all(path) {
@@ -149,13 +152,13 @@ fn remove(path: &Path) {
     }
 }
 
-/// Whether a file's name is that of a temporary folder.
+/// Whether a name is that of a temporary folder.
 pub(crate) fn is_temporary(name: &OsStr) -> bool {
     let name = name.as_encoded_bytes();
     name.starts_with(PREFIX.as_bytes()) && name.ends_with(SUFFIX.as_bytes())
 }
 
-/// Removes the temporary folders in a folder whose processes live no more.
+/// Removes the temporary folders that killed processes left in a folder.
 pub(crate) fn remove_abandoned(folder: &Path) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for entry in entries.flatten().filter(|e| is_temporary(&e.file_name())) {
@@ -169,17 +172,67 @@ pub(crate) fn remove_abandoned(folder: &Path) {
     }
 }
 
-/// Removes what this process has begun. Nothing can be begun or finished after it: the caller ends the
-/// process.
-pub(super) fn abandon() -> impl Sized {
+/// Removes this process's temporary folders. None can be created or finished while the result lives: the caller ends
+/// the process.
+fn abandon() -> impl Sized {
     let begun = begun();
     begun.folders.iter().for_each(|path| remove(path));
     begun
 }
 
+/// Lets Ctrl-C, SIGTERM and SIGHUP remove unfinished files before they end the program. Signals that the process was
+/// started to ignore stay ignored.
+///
+/// For a program's main function: a library leaves signals to its program.
+pub fn remove_unfinished_on_signals() -> std::io::Result<()> {
+    let heeded = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| !is_ignored(signal));
+    let mut signals = Signals::new(heeded)?;
+    std::thread::Builder::new().name("signals".into()).spawn(move || {
+        if let Some(signal) = signals.forever().next() {
+            let _no_folder_is_created_from_now_on = abandon();
+            // It ends the process as if nobody had heeded the signal, which the shell can tell.
+            let _ = emulate_default_handler(signal);
+        }
+    })?;
+    Ok(())
+}
+
+/// Whether the process was started to ignore a signal, as `nohup` does.
+fn is_ignored(signal: i32) -> bool {
+    let mut action = std::mem::MaybeUninit::<libc::sigaction>::uninit();
+    // SAFETY: without a new action the present one is written, in full where 0 is returned.
+    unsafe {
+        libc::sigaction(signal, std::ptr::null(), action.as_mut_ptr()) == 0
+            && action.assume_init().sa_sigaction == libc::SIG_IGN
+    }
+}
+
+const FILE: &str = "file";
+
+/// Writes a file whole or not at all, and creates missing folders. Only a regular file is replaced: a link, a folder or
+/// a device at `path` is an error.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+    let temporary = Temporary::for_file(path)?;
+    std::fs::write(temporary.path().join(FILE), bytes)?;
+    temporary.place(FILE, path)
+}
+
+/// Writes a value as an indented JSON file that ends with a line break, whole or not at all.
+pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
+    let mut text = serde_json::to_string_pretty(value)?;
+    text.push('\n');
+    write_atomically(path, text.as_bytes())
+}
+
+/// An error if nothing can be written into an existing folder.
+pub fn try_folder(folder: &Path) -> Result<()> {
+    Temporary::inside(folder).map(drop)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::os::unix::fs::symlink;
 
     #[test]
     fn what_a_dead_process_left_is_removed_and_what_a_living_one_has_stays() {
@@ -196,5 +249,39 @@ mod tests {
         let path = mine.path().to_owned();
         drop(mine);
         assert!(!path.exists());
+    }
+
+    #[test]
+    fn only_a_regular_file_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, link, dangling, socket] =
+            ["file", "link", "dangling", "socket"].map(|name| folder.path().join(name));
+        write_atomically(&file, b"first").unwrap();
+        write_atomically(&file, b"second").unwrap();
+        assert_eq!(std::fs::read(&file).unwrap(), b"second");
+        symlink(&file, &link).unwrap();
+        symlink("nowhere", &dangling).unwrap();
+        let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+        for (path, words) in [
+            (link.as_path(), "a link"),
+            (&dangling, "a link"),
+            (&socket, "a socket"),
+            (folder.path(), "a folder"),
+            (Path::new("/dev/null"), "a device"),
+        ] {
+            let message = write_atomically(path, b"third").unwrap_err().to_string();
+            assert!(message.contains(words), "{message}");
+        }
+        assert_eq!(std::fs::read(&file).unwrap(), b"second");
+        assert!(!Path::new("/dev/null").symlink_metadata().unwrap().is_file());
+    }
+
+    #[test]
+    fn the_longest_name_is_no_longer_while_it_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("n".repeat(255));
+        write_atomically(&path, b"whole").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"whole");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }

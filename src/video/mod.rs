@@ -1,5 +1,4 @@
-//! Video files, by an ffmpeg that runs as a child process: without a shell, and so that no file name
-//! is taken for an option.
+//! Video files, read and written by ffmpeg as a child process, without a shell. No file name is taken for an option.
 
 mod reader;
 mod writer;
@@ -16,7 +15,7 @@ pub enum VideoError {
     /// ffmpeg failed to write; the reason is its own message.
     #[error("{path}: can't be written ({reason})")]
     Encode { path: PathBuf, reason: String },
-    /// A file is no video that can be decoded; the reason is a sentence without its subject.
+    /// A file can't be decoded; the reason is a sentence without its subject.
     #[error("{reason}")]
     Decode { reason: String },
     /// A file can't be read or written, or ffmpeg can't be started.
@@ -30,7 +29,7 @@ pub fn ffmpeg_on_path() -> Option<PathBuf> {
     std::env::split_paths(&paths).map(|p| p.join("ffmpeg")).find(|p| p.is_file())
 }
 
-/// A message of ffmpeg's without the "[name @ address]" before it.
+/// Strips "[name @ address]" from the start of an ffmpeg message.
 fn without_address(line: &str) -> &str {
     let mut line = line.trim();
     while let Some((_, rest)) = line.strip_prefix('[').and_then(|l| l.split_once("] ")) {

@@ -1,7 +1,7 @@
 //! Decoding a video into numbered images.
 //!
-//! Colours are ffmpeg's conversion to full-range grey or RGB: in 8 bits where the video has 8, and
-//! in 16 where it has more. A rotation in the file's metadata is applied, as by a player.
+//! ffmpeg converts colours to full-range grey or RGB, with 8 bits where the video has 8, and 16 where it has more. A
+//! rotation in the file's metadata is applied, as by a player.
 
 use super::{VideoError, without_address};
 use crate::host::process;
@@ -10,8 +10,7 @@ use std::io;
 use std::path::Path;
 use std::process::Command;
 
-/// Containers that are read: those that contain their pictures. A playlist or a script for ffmpeg
-/// would make it open other files.
+/// Containers that are read. A playlist or a script would make ffmpeg open other files.
 const CONTAINERS: &str =
     "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,mxf,nut,yuv4mpegpipe,ogg,asf,flv,ivf";
 
@@ -26,8 +25,8 @@ pub(crate) fn frame_name(index: usize) -> String {
 /// Decodes the first video stream into `folder` as 000000.png, 000001.png and so on, in constant memory. Returns the
 /// file's time stamp of every frame, seconds. `path` must be absolute.
 ///
-/// More than `max_frames` frames are an error. So is any error in the file, so that no frame is
-/// concealed or repeated.
+/// # Errors
+/// For more than `max_frames` frames, and for any error in the file, so that no frame is concealed or repeated.
 pub fn decode(
     ffmpeg: &Path,
     path: &Path,
@@ -74,7 +73,7 @@ pub fn decode(
     Ok(times_s)
 }
 
-/// The disk's own error, if ffmpeg met one while it wrote.
+/// The disk's error that ffmpeg reports, if any.
 fn full_disk(messages: &str) -> Option<io::Error> {
     [libc::ENOSPC, libc::EDQUOT, libc::EFBIG, libc::EROFS].into_iter().find_map(|number| {
         let error = io::Error::from_raw_os_error(number);
@@ -88,7 +87,7 @@ fn wrong(reason: String) -> VideoError {
     VideoError::Decode { reason }
 }
 
-/// The third column of a framecrc listing, whose time base is a microsecond.
+/// Parses time stamps, the third column of a framecrc listing with a time base of a microsecond.
 fn times_s(listing: &str) -> Result<Vec<f64>, VideoError> {
     let stamp = |line: &str| line.split(',').nth(2)?.trim().parse::<i64>().ok();
     listing

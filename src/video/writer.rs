@@ -30,8 +30,8 @@ pub struct VideoFormat {
 }
 
 impl Codec {
-    /// H.264 if that ffmpeg has it, else FFV1. It starts ffmpeg, so that one that can't run is an
-    /// error before anything is rendered.
+    /// H.264 if the given ffmpeg supports it, else FFV1. Starts ffmpeg, so that one that can't run is found before
+    /// rendering begins.
     pub fn for_browsers(ffmpeg: &Path) -> Result<Self, VideoError> {
         let output = Command::new(ffmpeg)
             .args(["-hide_banner", "-encoders"])
@@ -50,36 +50,23 @@ impl Codec {
         }
     }
 
-    fn arguments(self) -> &'static [&'static str] {
-        match self {
-            Self::Ffv1 => {
-                &["-c:v", "ffv1", "-level", "3", "-g", "1", "-slicecrc", "1", "-f", "matroska"]
-            }
-            Self::H264 => &[
-                "-c:v",
-                "libx264",
-                "-pix_fmt",
-                "yuv420p",
-                "-crf",
-                "16",
-                "-movflags",
-                "+faststart",
-                "-f",
-                "mp4",
-            ],
-        }
+    fn arguments(self) -> impl Iterator<Item = &'static str> {
+        let arguments = match self {
+            Self::Ffv1 => "-c:v ffv1 -level 3 -g 1 -slicecrc 1 -f matroska",
+            Self::H264 => "-c:v libx264 -pix_fmt yuv420p -crf 16 -movflags +faststart -f mp4",
+        };
+        arguments.split(' ')
     }
 }
 
-/// A video file that is being written. It has its name only once it is finished; dropped before, it
-/// leaves no file.
+/// A video file that is being written. It appears at its path when it is finished; dropped before, it leaves no file.
 pub struct VideoWriter {
     path: PathBuf,
     process: Option<Process>,
     stdin: Option<ChildStdin>,
     size: (usize, usize, usize),
     depth: BitDepth,
-    /// Declared last: it is removed once ffmpeg, which writes into it, has ended.
+    /// Declared last, so that it is removed after ffmpeg, which writes into it, has ended.
     temporary: Temporary,
 }
 
@@ -87,7 +74,7 @@ pub struct VideoWriter {
 const FILE: &str = "video";
 
 impl VideoWriter {
-    /// Begins a video whose frames all have the size and the channels, 1 or 3, of `like`.
+    /// Begins a video whose frames all have the size and channels (1 or 3) of `like`.
     pub fn create(
         ffmpeg: &Path,
         path: &Path,
@@ -131,7 +118,7 @@ impl VideoWriter {
     /// Appends a frame.
     ///
     /// # Panics
-    /// If its size or channels are others than the first's.
+    /// If its size or channels differ from those of the first.
     pub fn push(&mut self, image: &Image) -> Result<(), VideoError> {
         assert_eq!(
             (image.width(), image.height(), image.channels()),

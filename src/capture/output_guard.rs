@@ -1,8 +1,8 @@
-//! What belongs to the capture, so that no output takes its place.
+//! Checks of output paths, so that no output replaces a part of a capture.
 //!
-//! A capture owns its description, its frames (also those that its patterns could name), `truth/`,
-//! `colmap/`, its offsets and its caches, links followed. Other files in its folder, and its `review/`,
-//! are outputs like any others. A folder that is being filmed into belongs to the film as a whole.
+//! Protected are `capture.json`, the frames (also names that the patterns of frames could take), `truth/`, `colmap/`,
+//! the offsets and the cache, also where links lead to them. Other files in the capture's folder, and its `review/`, may
+//! be replaced. A folder into which a simulated rig films is protected as a whole.
 
 use super::{CAPTURE_FILE, frames};
 use crate::host::obstacle;
@@ -11,7 +11,7 @@ use serde::Deserialize;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-/// An output that can't be written where it should: one sentence with its path.
+/// A refused output: one sentence with its path.
 #[derive(Debug, thiserror::Error)]
 #[error("{path}: {reason}")]
 pub struct OutputError {
@@ -19,23 +19,23 @@ pub struct OutputError {
     pub reason: String,
 }
 
-/// What of a capture is neither frames nor description, whether it is there or not.
+/// Protected paths in a capture's folder, besides its description and frames.
 const PARTS: [&str; 6] = ["truth", "colmap", ".stlfr", FILM, "offsets.json", "offsets.svg"];
 
-/// The hidden folder of the filming script; where there is no description yet, it is filming.
+/// The filming script's hidden folder. If it is there and `capture.json` is not, filming is unfinished.
 const FILM: &str = ".film";
 
-/// Checks outputs before work begins: a file must have the place of a regular file or of none, and
-/// neither a file nor a folder may have that of what belongs to the capture.
+/// Checks outputs before a computation begins. An output file may replace a regular file or nothing, and no output may
+/// replace a part of a capture.
 pub struct OutputGuard {
-    /// The capture that the command reads, which need not be around the output.
+    /// The capture that the command reads. The output may lie elsewhere.
     own: Option<PathBuf>,
-    /// What was found out about the folders around earlier outputs.
-    known: HashMap<PathBuf, Option<Belongings>>,
+    /// The captures found so far, by folder; `None` for a folder that is no capture.
+    known: HashMap<PathBuf, Option<ProtectedPaths>>,
 }
 
-/// What belongs to one capture; all paths are real ones.
-struct Belongings {
+/// The protected paths of one capture, canonical.
+struct ProtectedPaths {
     root: PathBuf,
     is_filming: bool,
     description: PathBuf,
@@ -44,15 +44,15 @@ struct Belongings {
     frames: HashSet<PathBuf>,
 }
 
-/// The names of a camera's frames: their folder, and what stands before and after the number; a
-/// video's has no number.
+/// The names that a camera's frames may have: their folder, and the text before and after the number. A video has no
+/// number.
 struct FramePattern {
     folder: PathBuf,
     before: String,
     after: Option<String>,
 }
 
-/// What is read of a description that may be wrong elsewhere.
+/// The fields of `capture.json` that name frames. Other fields may be wrong.
 #[derive(Default, Deserialize)]
 struct Description {
     format: Option<String>,
@@ -67,12 +67,12 @@ struct DescribedCamera {
 }
 
 impl OutputGuard {
-    /// A guard of all captures around the outputs, and of the capture in the folder `own`.
+    /// Protects all captures around the outputs, and the capture in the folder `own`.
     pub fn new(own: Option<&Path>) -> Self {
         Self { own: own.map(Path::to_owned), known: HashMap::new() }
     }
 
-    /// Refuses a file.
+    /// Refuses an output file that isn't allowed.
     pub fn check_file(&mut self, path: &Path) -> Result<(), OutputError> {
         let name = path.as_os_str().as_encoded_bytes();
         if path.file_name().is_none() || name.ends_with(b"/") || name.ends_with(b"/.") {
@@ -81,40 +81,41 @@ impl OutputGuard {
         if let Some(obstacle) = obstacle(path) {
             return refuse(path, obstacle);
         }
-        self.refusal(path, Belongings::against_file).map_or(Ok(()), |reason| refuse(path, reason))
+        self.refusal(path, ProtectedPaths::against_file)
+            .map_or(Ok(()), |reason| refuse(path, reason))
     }
 
-    /// Refuses a folder for files with these names, which may be in it already.
+    /// Refuses an output folder that isn't allowed. It will hold files with these names, which it may hold already.
     pub fn check_folder(&mut self, path: &Path, files: &[&str]) -> Result<(), OutputError> {
         self.check_capture(path)?;
-        if let Some(reason) = self.refusal(path, Belongings::against_folder) {
+        if let Some(reason) = self.refusal(path, ProtectedPaths::against_folder) {
             return refuse(path, reason);
         }
         files.iter().try_for_each(|file| self.check_file(&path.join(file)))
     }
 
-    /// Refuses a folder for a new capture, or for the one that is there to be continued.
+    /// Refuses a folder for a new or unfinished capture that isn't allowed.
     pub fn check_capture(&mut self, path: &Path) -> Result<(), OutputError> {
         if path.symlink_metadata().is_ok() && !path.is_dir() {
             return refuse(path, "is no folder");
         }
-        self.refusal(path, Belongings::against_capture)
+        self.refusal(path, ProtectedPaths::against_capture)
             .map_or(Ok(()), |reason| refuse(path, reason))
     }
 
-    /// What a capture around a path, or the own one, has against it.
+    /// The reason why a capture around a path, or the command's own, refuses it.
     fn refusal(
         &mut self,
         path: &Path,
-        against: fn(&Belongings, &Path) -> Option<&'static str>,
+        against: fn(&ProtectedPaths, &Path) -> Option<&'static str>,
     ) -> Option<&'static str> {
         let absolute = std::path::absolute(path).ok()?;
         let real = real(&absolute);
         let around = absolute.ancestors().chain(real.ancestors()).map(Path::to_owned);
         around.chain(self.own.clone()).find_map(|folder| {
             let known = self.known.entry(folder);
-            let known = known.or_insert_with_key(|folder| Belongings::of(folder));
-            known.as_ref().and_then(|belongings| against(belongings, &real))
+            let known = known.or_insert_with_key(|folder| ProtectedPaths::of(folder));
+            known.as_ref().and_then(|protected| against(protected, &real))
         })
     }
 }
@@ -123,7 +124,7 @@ fn refuse(path: &Path, reason: impl Into<String>) -> Result<(), OutputError> {
     Err(OutputError { path: path.to_owned(), reason: reason.into() })
 }
 
-/// A path whose folders' links are followed, as far as they exist; a link of that very name is not.
+/// Follows the links among a path's existing folders, but not the path itself.
 fn real(absolute: &Path) -> PathBuf {
     let found = absolute.ancestors().skip(1).find_map(|folder| {
         let rest = absolute.strip_prefix(folder).ok()?;
@@ -132,7 +133,7 @@ fn real(absolute: &Path) -> PathBuf {
     found.unwrap_or_else(|| absolute.to_owned())
 }
 
-impl Belongings {
+impl ProtectedPaths {
     /// `None` for a folder that is no capture.
     fn of(folder: &Path) -> Option<Self> {
         let description = folder.join(CAPTURE_FILE);

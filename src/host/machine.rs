@@ -1,0 +1,90 @@
+//! The machine: its worker threads, its clocks, and glibc's allocator.
+
+use serde::{Deserialize, Serialize};
+use std::time::Instant;
+
+/// Runs `work` on one of rayon's threads.
+///
+/// Called from another thread, each parallel loop in `work` would wake one of rayon's threads, and that one the next,
+/// while the caller is still about to sleep. With no core free, the scheduler lets two of them share one for milliseconds.
+pub fn on_workers<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    rayon::scope(|_| work())
+}
+
+/// Time that a computation took.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Elapsed {
+    pub wall_s: f64,
+    /// Processor time of all threads: other programs on the machine add little to it.
+    pub cpu_s: f64,
+}
+
+/// Measures the time since it was started.
+pub struct Stopwatch {
+    wall: Instant,
+    cpu_s: f64,
+}
+
+impl Stopwatch {
+    pub fn start() -> Self {
+        Self { wall: Instant::now(), cpu_s: process_cpu_s() }
+    }
+
+    pub fn elapsed(&self) -> Elapsed {
+        Elapsed { wall_s: self.wall.elapsed().as_secs_f64(), cpu_s: process_cpu_s() - self.cpu_s }
+    }
+}
+
+/// Processor time that this process has used, over all its threads, seconds.
+pub fn process_cpu_s() -> f64 {
+    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+    // SAFETY: the structure is there to be written to.
+    let result = unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &mut time) };
+    if result == 0 { time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64 } else { 0.0 }
+}
+
+/// Keeps freed memory for the next image instead of returning it to the kernel, which would clear it again. For programs;
+/// a library leaves the allocator to its process. Does nothing without glibc.
+pub fn reuse_freed_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    {
+        // Blocks of at least 32 MiB are mapped one by one.
+        set_allocator(libc::M_MMAP_THRESHOLD, 32 << 20);
+        // The main arena keeps up to 128 MiB of free memory.
+        set_allocator(libc::M_TRIM_THRESHOLD, 128 << 20);
+    }
+}
+
+/// Limits the allocator to two arenas: each keeps what its threads have freed, which adds up in a server. Does nothing
+/// without glibc.
+pub fn bound_arenas() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    set_allocator(libc::M_ARENA_MAX, 2);
+}
+
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+fn set_allocator(parameter: i32, value: i32) {
+    // SAFETY: it sets a number of the allocator, which takes effect where memory is next allocated or freed.
+    unsafe {
+        libc::mallopt(parameter, value);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn work_takes_both_and_sleep_only_one() {
+        let watch = Stopwatch::start();
+        let mut sum = 0.0_f64;
+        while watch.elapsed().cpu_s < 0.01 {
+            sum += sum.sin() + 1.0;
+        }
+        assert!(sum > 0.0 && watch.elapsed().wall_s > 0.0);
+        let watch = Stopwatch::start();
+        std::thread::sleep(std::time::Duration::from_millis(30));
+        assert!(watch.elapsed().wall_s >= 0.03);
+    }
+}
