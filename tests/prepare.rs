@@ -174,7 +174,7 @@ fn other_contents_and_options_have_pairs_of_their_own() {
     let folder = filmed();
     let first = prepared(&opened(folder.path()));
     let mut fewer = RenderOptions::default();
-    fewer.registration.corners.max_corners = 300;
+    fewer.registration.max_corners = 300;
     assert_eq!(opened(folder.path()).prepare(&fewer, |_| ()).unwrap().found, 0);
     assert_eq!(prepared(&opened(folder.path())).found, first.pairs);
     let frame = opened(folder.path()).capture().cameras[0].frames[0].clone();

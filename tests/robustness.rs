@@ -325,14 +325,13 @@ fn options_out_of_range_are_refused_by_name() {
     for (options, words) in [
         // Each of these panicked, hung, or took all memory.
         (r#"{"offset": {"search_s": -1}}"#, "options.json: offset.search_s: is -1.0"),
-        (r#"{"registration": {"klt": {"radius_px": 1000000000}}}"#, "registration.klt.radius_px"),
-        (r#"{"registration": {"klt": {"iterations": 1000000000}}}"#, "registration.klt.iterations"),
-        (r#"{"registration": {"corners": {"radius_px": 1000000000}}}"#, "corners.radius_px"),
+        (r#"{"registration": {"window_radius_px": 1000000000}}"#, "registration.window_radius_px"),
+        (r#"{"registration": {"max_corners": 1000000000}}"#, "registration.max_corners"),
         (r#"{"interpolation": {"edges": {"max_length_px": 1e300}}}"#, "edges.max_length_px"),
         // And these made no sense.
         (r#"{"interpolation": {"morph": {"rho": 32}}}"#, "interpolation.morph.rho"),
         (r#"{"interpolation": {"morph": {"grid_px": 0}}}"#, "interpolation.morph.grid_px"),
-        (r#"{"registration": {"klt": {"levels": 0}}}"#, "registration.klt.levels"),
+        (r#"{"registration": {"levels": 0}}"#, "registration.levels"),
         (r#"{"blend": {"error_angle_rad": -1}}"#, "blend.error_angle_rad"),
         (r#"{"blend": {"error_angle_rad": null}}"#, "blend.error_angle_rad"),
         (r#"{"proxy": {"plane_depth_m": 0}}"#, "proxy.plane_depth_m"),

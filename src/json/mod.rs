@@ -48,7 +48,7 @@ mod tests {
     #[test]
     fn the_field_is_named() {
         for (text, field) in [
-            (r#"{"registration": {"klt": {"levels": -1}}}"#, "registration.klt.levels: "),
+            (r#"{"registration": {"levels": -1}}"#, "registration.levels: "),
             (r#"{"blend": {"cameras": null}}"#, "blend.cameras: "),
             (r#"{"blend": {"cameras": 1e999}}"#, "blend.cameras: "),
             (r#"{"sync": "none"}"#, "sync: "),
@@ -65,7 +65,7 @@ mod tests {
         for (text, field) in [
             ("[]", "invalid type: sequence, expected an object"),
             (r#"{"registration": []}"#, "registration: invalid type: sequence"),
-            (r#"{"registration": {"klt": [3]}}"#, "registration.klt: invalid type: sequence"),
+            (r#"{"trail": [3]}"#, "trail: invalid type: sequence"),
         ] {
             let message = parse::<RenderOptions>(text).unwrap_err();
             assert!(message.starts_with(field), "{message}");

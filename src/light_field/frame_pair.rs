@@ -6,7 +6,7 @@ use super::{Context, RenderError};
 use crate::host::CacheKind;
 use crate::interpolation::{Triangles, largest_change};
 use crate::options::RenderOptions;
-use crate::registration::{RegistrationOptions, Track, Verdict, epipolar_test, temporal_flow};
+use crate::registration::{RegistrationOptions, Track, Verdict, epipolar_check, temporal_flow};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -39,7 +39,7 @@ impl Stage for PairTracks<'_> {
         let mut tracks = temporal_flow(&frames, self.camera, self.frame)?;
         if self.registration.epipolar_test {
             let times_s = field.timeline().all_times_s();
-            let verdicts = epipolar_test(&frames, times_s, self.camera, self.frame, &tracks)?;
+            let verdicts = epipolar_check(&frames, times_s, self.camera, self.frame, &tracks)?;
             let mut verdicts = verdicts.into_iter();
             tracks.retain(|_| verdicts.next() != Some(Verdict::Rejected));
         }

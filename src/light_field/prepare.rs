@@ -33,7 +33,7 @@ impl LightField {
         let cameras = self.capture().cameras.len();
         let pairs: usize =
             (0..cameras).map(|c| self.timeline().times_s(c).len().saturating_sub(1)).sum();
-        let tracks = 2 * options.registration.corners.max_corners;
+        let tracks = 2 * options.registration.max_corners;
         let gains = cameras * size_of::<[f64; 3]>();
         (pairs, (pairs * (tracks * size_of::<Track>() + ENTRY_BYTES) + gains + ENTRY_BYTES) as u64)
     }

@@ -4,7 +4,6 @@
 use super::RenderOptions;
 use crate::interpolation::{EdgeOptions, InterpolationOptions, MorphOptions, RefineOptions};
 use crate::option::{DeclaredOption, OptionError, OptionField, OptionValue};
-use crate::registration::{CornerOptions, KltOptions, RegistrationOptions};
 use std::ops::RangeInclusive;
 
 type Checked = Result<(), OptionError>;
@@ -18,7 +17,6 @@ const COUNT: RangeInclusive<f64> = 0.0..=1e6;
 
 impl RenderOptions {
     pub(super) fn check_undeclared(&self) -> Checked {
-        registration(&self.registration)?;
         interpolation(&self.interpolation)
     }
 }
@@ -31,7 +29,7 @@ macro_rules! undeclared {
         }
     )* };
 }
-undeclared!(RegistrationOptions, InterpolationOptions);
+undeclared!(InterpolationOptions);
 
 /// The options `prefix.name`, each with its value and the range that it must be in. NaN is in none.
 fn all_within(prefix: &str, options: &[(&str, f64, RangeInclusive<f64>)]) -> Checked {
@@ -44,72 +42,6 @@ fn all_within(prefix: &str, options: &[(&str, f64, RangeInclusive<f64>)]) -> Che
             max: *range.end(),
         }),
     }
-}
-
-fn registration(o: &RegistrationOptions) -> Checked {
-    corners(&o.corners)?;
-    klt(&o.klt)?;
-    all_within(
-        "registration",
-        &[
-            ("max_back_error_px", o.max_back_error_px, PIXELS),
-            ("merge_distance_px", o.merge_distance_px, PIXELS),
-            ("max_motion_change_px", o.max_motion_change_px, PIXELS),
-            ("max_motion_change_share", o.max_motion_change_share, SHARE),
-            // Every feature asks all others within it: time grows with its square.
-            ("support_radius_px", o.support_radius_px, 0.0..=200.0),
-            ("support_px", o.support_px, PIXELS),
-            ("support_share", o.support_share, SHARE),
-            ("min_support", o.min_support as f64, COUNT),
-            ("epsilon_px", o.epsilon_px, PIXELS),
-            ("time_weight", o.time_weight, 0.0..=1e6),
-            ("max_references", o.max_references as f64, COUNT),
-            ("further_references", o.further_references as f64, COUNT),
-            ("min_test_motion_px", o.min_test_motion_px, PIXELS),
-            ("min_across_share", o.min_across_share, 0.0..=1.0),
-        ],
-    )
-}
-
-fn corners(o: &CornerOptions) -> Checked {
-    all_within(
-        "registration.corners",
-        &[
-            ("max_corners", o.max_corners as f64, 1.0..=100_000.0),
-            ("min_distance_px", o.min_distance_px, PIXELS),
-            ("min_quality", f64::from(o.min_quality), 0.0..=1.0),
-            // 0: a single pixel's tensor has no second eigenvalue.
-            ("radius_px", o.radius_px as f64, 1.0..=16.0),
-        ],
-    )
-}
-
-fn klt(o: &KltOptions) -> Checked {
-    all_within(
-        "registration.klt",
-        &[
-            // 0: a single pixel has one gradient, and no translation can be solved from it.
-            ("radius_px", o.radius_px as f64, 1.0..=32.0),
-            ("levels", o.levels as f64, 1.0..=16.0),
-            ("iterations", o.iterations as f64, 1.0..=1000.0),
-            ("epsilon_px", o.epsilon_px, 0.0..=1.0),
-            ("min_eigenvalue", o.min_eigenvalue, 0.0..=1.0),
-            ("max_residual", o.max_residual, 0.0..=1.0),
-        ],
-    )?;
-    let o = &o.affine;
-    all_within(
-        "registration.klt.affine",
-        &[
-            ("radius_px", o.radius_px as f64, 0.0..=32.0),
-            ("sigma_share", o.sigma_share, 0.1..=10.0),
-            ("iterations", o.iterations as f64, 1.0..=1000.0),
-            ("epsilon_px", o.epsilon_px, 0.0..=1.0),
-            // 0 divides; below 0.001 nothing deforms.
-            ("deformation", o.deformation, 1e-4..=10.0),
-            ("max_shift_px", o.max_shift_px, PIXELS),
-        ],
-    )
 }
 
 fn interpolation(o: &InterpolationOptions) -> Checked {

@@ -5,8 +5,7 @@ use crate::capture::CaptureError;
 use crate::interpolation::{changed_fraction, largest_change};
 use crate::progress::Reporter;
 use crate::registration::{
-    FrameStore, Neighbors, RegistrationOptions, Track, Trajectory, neighbor_consensus,
-    temporal_flow,
+    FrameStore, Neighbors, Track, Trajectory, neighbor_consensus, temporal_flow,
 };
 use nalgebra::Vector2;
 use rayon::prelude::*;
@@ -96,7 +95,7 @@ impl Motion {
         Ok(Self {
             largest_px,
             curvature_px: curvature(&tracks, times_s, k),
-            residual_px: residual(&tracks, options),
+            residual_px: residual(&tracks),
             changed_fraction,
             still_pairs: usize::from(is_still),
             still_change: if is_still { change } else { 0.0 },
@@ -136,15 +135,16 @@ fn curvature(tracks: &[Track], times_s: &[f64], k: usize) -> f64 {
 }
 
 /// Half of the motion that a track's neighbours don't predict: the 99th percentile.
-fn residual(tracks: &[Track], options: &RegistrationOptions) -> f64 {
+fn residual(tracks: &[Track]) -> f64 {
     let neighbors = Neighbors::new(tracks.iter().map(|t| t.earlier));
-    let radius = NEIGHBORHOOD_PX.max(options.support_radius_px);
     let missed: Vec<f64> = tracks
         .par_iter()
         .enumerate()
         .filter_map(|(n, track)| {
             let mut near = Vec::new();
-            neighbors.each_within(&track.earlier, radius, |m| near.extend((m != n).then_some(m)));
+            neighbors.each_within(&track.earlier, NEIGHBORHOOD_PX, |m| {
+                near.extend((m != n).then_some(m))
+            });
             let distance = |m: usize| (tracks[m].earlier - track.earlier).norm();
             near.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
             near.truncate(PREDICTING);

@@ -1,14 +1,20 @@
-//! Whether points move like their neighbours.
+//! Consensus of neighbours: a surface has more than one feature, so that a motion unlike its neighbours' is a
+//! mismatch.
 
 use super::{Match, Neighbors, RegistrationOptions, Start};
 use nalgebra::{Matrix2, Point2, Vector2};
 use rayon::prelude::*;
 
-/// If one motion in so many changes, all points are judged again. Larger: that happens when few are affected; smaller:
-/// all are found affected one by one.
+/// Radius within which a point's neighbours are compared with it, pixels.
+const SUPPORT_RADIUS_PX: f64 = 20.0;
+/// A neighbour supports a point if their motions differ by at most this, pixels, plus [`SUPPORT_FRACTION`] of
+/// the point's motion.
+const SUPPORT_PX: f64 = 1.5;
+const SUPPORT_FRACTION: f64 = 0.2;
+/// If more than one motion in so many changes, all points are compared again.
 const MIN_UNCHANGED: usize = 8;
 
-/// How a point and its surroundings move.
+/// The motion of a point and of its surroundings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Moved {
     pub at: Point2<f64>,
@@ -19,7 +25,7 @@ pub(super) struct Moved {
 }
 
 impl Moved {
-    /// How far two motions are from being one, pixels: by the deformation of either.
+    /// Distance of two motions from a common affine one, pixels: the smaller by either's deformation.
     fn distance(&self, other: &Self) -> f64 {
         let (apart, change) = (other.at - self.at, other.motion - self.motion);
         let by = |deformation: &Matrix2<f64>| (change - (deformation * apart - apart)).norm();
@@ -27,8 +33,8 @@ impl Moved {
     }
 }
 
-/// How far each match is from its guess, with its position in the source; `None` without a match. Guesses turn with
-/// their surroundings, so that what is left does not.
+/// The differences of matches from their initial guesses; `None` without a match. The guesses contain the
+/// deformation.
 pub(super) fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Option<Moved>> {
     let of = |(start, m): (&Start, &Option<Match>)| {
         let deformation = Matrix2::identity();
@@ -37,23 +43,23 @@ pub(super) fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Op
     starts.iter().zip(matches).map(of).collect()
 }
 
-/// What the points around one say about it.
+/// The consensus about a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Support {
-    /// It has too few neighbours to judge by.
+    /// It has too few neighbours.
     Alone,
-    /// Enough move like it, or too few do.
+    /// Whether enough of its neighbours move like it.
     Neighbors { agree: bool },
 }
 
 impl Support {
-    /// Whether none speaks against it.
+    /// False for outliers.
     pub fn is_consistent(self) -> bool {
         self != Self::Neighbors { agree: false }
     }
 }
 
-/// What neighbours say about points whose motions are found, and found again, one after another.
+/// The consensus about points whose motions change from one attempt to the next.
 pub(super) struct Consensus<'a> {
     options: &'a RegistrationOptions,
     positions: Vec<Point2<f64>>,
@@ -63,7 +69,7 @@ pub(super) struct Consensus<'a> {
 }
 
 impl<'a> Consensus<'a> {
-    /// Of points at these positions, pixels, without motions yet.
+    /// The consensus about points at these positions, pixels, without motions yet.
     pub fn new(
         positions: impl Iterator<Item = Point2<f64>>,
         options: &'a RegistrationOptions,
@@ -74,21 +80,20 @@ impl<'a> Consensus<'a> {
         Self { options, positions, neighbors, motions, support }
     }
 
-    /// The options that it judges by.
+    /// The options with the thresholds.
     pub fn options(&self) -> &'a RegistrationOptions {
         self.options
     }
 
-    /// Whether each of these points moves like [`RegistrationOptions::min_support`] of its neighbours. Also true where
-    /// there are fewer than that.
+    /// Whether each of these points moves like enough of its neighbours, or has too few.
     pub fn of(motions: &[Moved], options: &'a RegistrationOptions) -> Vec<bool> {
         let mut consensus = Self::new(motions.iter().map(|m| m.at), options);
         let support = consensus.update(motions.iter().copied().map(Some).collect());
         support.iter().map(|s| s.is_some_and(Support::is_consistent)).collect()
     }
 
-    /// The motions as they are now, at the positions that were given. Returned is what the neighbours of each point say,
-    /// `None` without a motion. Only points near those whose motions changed are judged again.
+    /// Sets the motions, in the order of the positions, and returns the consensus about each point, `None` without
+    /// a motion. Only points near changed motions are compared again.
     pub fn update(&mut self, motions: Vec<Option<Moved>>) -> &[Option<Support>] {
         let is_changed: Vec<bool> =
             motions.iter().zip(&self.motions).map(|(now, before)| now != before).collect();
@@ -99,9 +104,8 @@ impl<'a> Consensus<'a> {
         } else {
             let mut is_affected = vec![false; self.motions.len()];
             for k in (0..is_changed.len()).filter(|&k| is_changed[k]) {
-                let radius_px = self.options.support_radius_px;
-                self.neighbors
-                    .each_within(&self.positions[k], radius_px, |n| is_affected[n] = true);
+                let at = &self.positions[k];
+                self.neighbors.each_within(at, SUPPORT_RADIUS_PX, |n| is_affected[n] = true);
             }
             is_affected
         };
@@ -114,11 +118,11 @@ impl<'a> Consensus<'a> {
 
     fn judge(&self, k: usize) -> Option<Support> {
         let own = self.motions[k].as_ref()?;
-        let (wanted, radius_px) = (self.options.min_support, self.options.support_radius_px);
-        let limit = self.options.support_px + self.options.support_share * own.motion.norm();
+        let wanted = self.options.consistency().support;
+        let limit = SUPPORT_PX + SUPPORT_FRACTION * own.motion.norm();
         let at_least = |wanted, test: &dyn Fn(usize, &Moved) -> bool| {
             let test = |n: usize| self.motions[n].as_ref().is_some_and(|other| test(n, other));
-            self.neighbors.at_least_within(&own.at, radius_px, wanted, test)
+            self.neighbors.at_least_within(&own.at, SUPPORT_RADIUS_PX, wanted, test)
         };
         let agree = at_least(wanted, &|n, other| n != k && own.distance(other) <= limit);
         // The point itself is one of them.

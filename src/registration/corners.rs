@@ -5,47 +5,28 @@ use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::Level;
 use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::Point2;
-use serde::{Deserialize, Serialize};
 
-/// Options of the corner detector (§4.1).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct CornerOptions {
-    /// Maximum number of corners per image, the strongest first. Larger: time grows in proportion;
-    /// smaller: faint textures get none.
-    pub max_corners: usize,
-    /// Minimum distance between two corners, pixels. Larger: small objects get none; smaller: the
-    /// strongest textures get them all.
-    pub min_distance_px: f64,
-    /// Minimum eigenvalue as a fraction of the image's largest. Larger: faint texture gets no corner;
-    /// smaller: noise does.
-    pub min_quality: f32,
-    /// Half the side of the box filter that is applied to the tensor twice, pixels. Larger: corners
-    /// drift off the structure that made them; smaller: noise decides.
-    pub radius_px: usize,
-}
-
-impl Default for CornerOptions {
-    fn default() -> Self {
-        Self { max_corners: 4000, min_distance_px: 4.0, min_quality: 1e-3, radius_px: 1 }
-    }
-}
-
-/// Minimum eigenvalue in any image, per pixel, values 0..=1: a gradient of 0.05 of an 8-bit step per
-/// pixel. Larger: dark scenes have no corners; smaller: rounding in constant images makes some.
+/// Minimum distance between two corners, pixels.
+pub(super) const MIN_DISTANCE_PX: f64 = 4.0;
+/// Minimum eigenvalue as a fraction of the image's largest.
+const MIN_QUALITY: f32 = 1e-3;
+/// Half-width of the box filter that is applied to the structure tensor twice, pixels.
+const RADIUS_PX: usize = 1;
+/// Minimum eigenvalue in any image, per pixel, values 0..=1: a gradient of 0.05 of an 8-bit step per pixel, above
+/// the rounding of constant images.
 const MIN_EIGENVALUE: f32 = 4e-8;
 
-/// The corners of a pyramid level (§4.1), strongest first, at sub-pixel positions in the level's pixels,
-/// the top-left pixel's centre at (0.5, 0.5). Constant images have none.
-pub fn corners(level: &Level, options: &CornerOptions) -> Vec<Point2<f64>> {
+/// The corners of a pyramid level (§4.1), strongest first, at most `max_corners`. Sub-pixel positions in the
+/// level's pixels, the top-left pixel's centre at (0.5, 0.5). Constant images have none.
+pub fn corners(level: &Level, max_corners: usize) -> Vec<Point2<f64>> {
     let (w, h) = (level.width, level.height);
-    let strength = min_eigenvalues(level, options.radius_px);
-    let mut peaks = peaks(&strength, w, h, options.min_quality);
+    let strength = min_eigenvalues(level, RADIUS_PX);
+    let mut peaks = peaks(&strength, w, h, MIN_QUALITY);
     peaks.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
 
-    let mut selected = MinDistanceSet::new(w, h, options.min_distance_px);
+    let mut selected = MinDistanceSet::new(w, h);
     for (_, at) in peaks {
-        if selected.points.len() >= options.max_corners {
+        if selected.points.len() >= max_corners {
             break;
         }
         selected.insert(refined(&strength, w, h, at % w, at / w));
@@ -209,11 +190,9 @@ impl Tensor {
     }
 }
 
-/// A set of points with a minimum distance between them, looked up by a grid of that cell size.
-pub(super) struct MinDistanceSet {
+/// A set of points at least [`MIN_DISTANCE_PX`] apart, in a grid of cells of that size.
+struct MinDistanceSet {
     points: Vec<Point2<f64>>,
-    min_distance: f64,
-    cell: f64,
     columns: usize,
     rows: usize,
     /// By cell: the last of its points, or [`NONE`].
@@ -226,15 +205,12 @@ pub(super) struct MinDistanceSet {
 const NONE: u32 = u32::MAX;
 
 impl MinDistanceSet {
-    /// An empty set of points of an image; sizes and distance in pixels.
-    pub fn new(width: usize, height: usize, min_distance: f64) -> Self {
-        let cell = min_distance.max(1.0);
-        let columns = (width as f64 / cell) as usize + 1;
-        let rows = (height as f64 / cell) as usize + 1;
+    /// An empty set of points of an image of this size, pixels.
+    fn new(width: usize, height: usize) -> Self {
+        let columns = (width as f64 / MIN_DISTANCE_PX) as usize + 1;
+        let rows = (height as f64 / MIN_DISTANCE_PX) as usize + 1;
         Self {
             points: Vec::new(),
-            min_distance,
-            cell,
             columns,
             rows,
             last: vec![NONE; columns * rows],
@@ -242,17 +218,16 @@ impl MinDistanceSet {
         }
     }
 
-    /// Adds a point unless another is nearer than the minimum distance; returns whether it did. The
-    /// point must be inside the image.
-    pub fn insert(&mut self, p: Point2<f64>) -> bool {
-        let (cx, cy) = ((p.x / self.cell) as usize, (p.y / self.cell) as usize);
+    /// Adds a point of the image unless another is nearer than the minimum distance.
+    fn insert(&mut self, p: Point2<f64>) {
+        let (cx, cy) = ((p.x / MIN_DISTANCE_PX) as usize, (p.y / MIN_DISTANCE_PX) as usize);
         let around = |c: usize, n: usize| c.saturating_sub(1)..=(c + 1).min(n - 1);
         let too_near = around(cy, self.rows).any(|y| {
             around(cx, self.columns).any(|x| {
                 let before = |k: &u32| Some(self.before[*k as usize]).filter(|&k| k != NONE);
                 let last = Some(self.last[y * self.columns + x]).filter(|&k| k != NONE);
                 std::iter::successors(last, before)
-                    .any(|k| (self.points[k as usize] - p).norm() < self.min_distance)
+                    .any(|k| (self.points[k as usize] - p).norm() < MIN_DISTANCE_PX)
             })
         });
         if !too_near {
@@ -261,7 +236,6 @@ impl MinDistanceSet {
             *last = self.points.len() as u32;
             self.points.push(p);
         }
-        !too_near
     }
 }
 
@@ -272,8 +246,8 @@ mod tests {
     use crate::random::Random;
     use crate::raster::Image;
 
-    fn detected(image: &Image, options: &CornerOptions) -> Vec<Point2<f64>> {
-        corners(&Pyramid::new(image, 1, 8).levels()[0], options)
+    fn detected(image: &Image, max_corners: usize) -> Vec<Point2<f64>> {
+        corners(&Pyramid::new(image, 1, 8).levels()[0], max_corners)
     }
 
     #[test]
@@ -284,9 +258,7 @@ mod tests {
                 image.data_mut()[y * 60 + x] = 0.9;
             }
         }
-        let options =
-            CornerOptions { min_distance_px: 8.0, min_quality: 0.2, ..Default::default() };
-        let mut points = detected(&image, &options);
+        let mut points = detected(&image, 4);
         points.sort_by(|a, b| (a.y > 25.0, a.x).partial_cmp(&(b.y > 25.0, b.x)).unwrap());
         let expected = [(20.0, 15.0), (40.0, 15.0), (20.0, 35.0), (40.0, 35.0)];
         assert_eq!(points.len(), 4);
@@ -298,7 +270,7 @@ mod tests {
     #[test]
     fn constant_images_have_none() {
         for (w, h) in [(1, 1), (2, 7), (64, 48)] {
-            assert!(detected(&Image::filled(w, h, 1, 0.5), &CornerOptions::default()).is_empty());
+            assert!(detected(&Image::filled(w, h, 1, 0.5), 100).is_empty());
         }
     }
 
@@ -307,15 +279,14 @@ mod tests {
         let mut random = Random::new(1);
         let data = (0..90 * 70).map(|_| random.unit() as f32).collect();
         let image = Image::from_data(90, 70, 1, data);
-        let options = CornerOptions { min_distance_px: 6.0, ..Default::default() };
-        let points = detected(&image, &options);
+        let points = detected(&image, 4000);
         assert!(points.len() > 50);
         for (k, a) in points.iter().enumerate() {
             for b in &points[..k] {
-                assert!((a - b).norm() >= 6.0);
+                assert!((a - b).norm() >= MIN_DISTANCE_PX);
             }
         }
-        let few = detected(&image, &CornerOptions { max_corners: 7, ..options });
+        let few = detected(&image, 7);
         assert_eq!(few[..], points[..7]);
     }
 

@@ -5,17 +5,13 @@ use super::{Frame, RegistrationOptions, Tracker};
 use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;
 
-/// Pyramid levels of the backward tracking, whose answer should be near its start. Larger: time, and
-/// help for wrong tracks only; smaller: it fails where the track is off by a few pixels.
+/// Pyramid levels of the backward tracking, whose result is near its start.
 const BACKWARD_LEVELS: usize = 2;
-/// Two initial guesses nearer than this lead to the same result, pixels. Larger: better guesses are
-/// skipped; smaller: time is spent on the same result.
+/// Two initial guesses nearer than this, pixels, lead to the same result.
 const SAME_GUESS_PX: f64 = 1.0;
-/// Points are tracked in horizontal bands of this height, pixels. Larger: a band's windows do not fit
-/// the cache; smaller: neither do those above and below. Results do not depend on it.
+/// Points are tracked in horizontal bands of this height, pixels, whose windows fit the processor's cache.
 const BAND_PX: f64 = 24.0;
-/// Points that a thread tracks at a time. Larger: threads wait for the last one; smaller: buffers are
-/// made more often. Results do not depend on it.
+/// Points that a thread tracks at a time.
 const CHUNK: usize = 128;
 
 /// A correspondence between two frames.
@@ -29,7 +25,7 @@ pub struct Match {
     pub deformation: Matrix2<f64>,
     /// Mean absolute difference of the two windows' values (0..=1).
     pub residual: f64,
-    /// Forward-backward error: the distance in pixels from `source` to the point that `target` is
+    /// Forward–backward error: the distance in pixels from `source` to the point that `target` is
     /// tracked back to.
     pub forward_backward_error_px: f64,
 }
@@ -41,17 +37,17 @@ pub type Start = (Point2<f64>, Point2<f64>);
 /// guess, and back again.
 ///
 /// The result is in the order of `starts`, whatever the number of threads. It is `None` where a point
-/// is lost, or where its forward-backward error exceeds [`RegistrationOptions::max_back_error_px`].
+/// is lost or exceeds a threshold of [`RegistrationOptions::consistency`].
 pub fn flow(
     source: &Frame,
     target: &Frame,
     starts: &[Start],
     options: &RegistrationOptions,
 ) -> Vec<Option<Match>> {
-    flow_over(source, target, starts, [options.klt.levels, BACKWARD_LEVELS], options)
+    flow_over(source, target, starts, [options.levels, BACKWARD_LEVELS], options)
 }
 
-/// As [`flow`], on the finest levels only: their numbers forward and backward.
+/// As [`flow`], on so many of the finest levels, forward and backward.
 pub(super) fn flow_over(
     source: &Frame,
     target: &Frame,
@@ -59,7 +55,7 @@ pub(super) fn flow_over(
     [levels, backward_levels]: [usize; 2],
     options: &RegistrationOptions,
 ) -> Vec<Option<Match>> {
-    // Band by band, so that the windows of one point are still in the cache for the next.
+    let thresholds = options.consistency();
     let mut order: Vec<u32> = (0..starts.len() as u32).collect();
     order.sort_by_cached_key(|&k| {
         let p = starts[k as usize].0;
@@ -68,24 +64,29 @@ pub(super) fn flow_over(
     let matches: Vec<Option<Match>> = order
         .par_chunks(CHUNK)
         .flat_map_iter(|chunk| {
-            let mut tracker = Tracker::new(&options.klt);
+            let mut tracker = Tracker::new(options);
             chunk
                 .iter()
                 .map(|&k| {
                     let (from, guess) = starts[k as usize];
                     let [source, target] = [&source.pyramid, &target.pyramid];
-                    let tracked = tracker.track_over(source, target, from, guess, levels)?;
+                    let tracked = tracker
+                        .track_over(source, target, from, guess, levels)
+                        .filter(|t| t.residual <= thresholds.residual)?;
                     let to = tracked.position;
-                    let back =
-                        tracker.track_translation(target, source, to, from, backward_levels)?;
+                    let back = tracker
+                        .track_over(target, source, to, from, backward_levels)
+                        .filter(|t| t.residual <= thresholds.residual)?;
                     let forward_backward_error_px = (back.position - from).norm();
-                    (forward_backward_error_px <= options.max_back_error_px).then_some(Match {
-                        source: from,
-                        target: to,
-                        deformation: Matrix2::identity(),
-                        residual: tracked.residual,
-                        forward_backward_error_px,
-                    })
+                    (forward_backward_error_px <= thresholds.forward_backward_error_px).then_some(
+                        Match {
+                            source: from,
+                            target: to,
+                            deformation: Matrix2::identity(),
+                            residual: tracked.residual,
+                            forward_backward_error_px,
+                        },
+                    )
                 })
                 .collect::<Vec<_>>()
         })

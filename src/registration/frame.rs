@@ -1,13 +1,13 @@
-//! A frame as registration uses it: the image with its pyramid and corners.
+//! A frame with its pyramid, corners and gradients.
 
-use super::directions::Gradients;
+use super::polar_gradients::PolarGradients;
 use super::pyramid::Level;
 use super::{Pyramid, RegistrationOptions, corners};
 use crate::raster::Image;
 use nalgebra::Point2;
 use std::sync::OnceLock;
 
-/// A frame with what registration derives from it.
+/// A frame with its pyramid, corners and gradients.
 #[derive(Debug)]
 pub struct Frame {
     /// The image as filmed.
@@ -15,13 +15,13 @@ pub struct Frame {
     /// The pyramid to track in, of the image as bright as the reference camera records it.
     pub pyramid: Pyramid,
     corners: OnceLock<Vec<Point2<f64>>>,
-    gradients: OnceLock<Gradients>,
+    gradients: OnceLock<PolarGradients>,
 }
 
 impl Frame {
     /// A frame whose pyramid is of the image itself: that of a camera as bright as the reference.
     pub fn new(image: Image, options: &RegistrationOptions) -> Self {
-        let pyramid = Pyramid::new(&image, options.klt.levels, options.klt.pad_px());
+        let pyramid = Pyramid::new(&image, options.levels, options.pad_px());
         let (corners, gradients) = (OnceLock::new(), OnceLock::new());
         Self { image, pyramid, corners, gradients }
     }
@@ -38,12 +38,12 @@ impl Frame {
 
     /// The frame's corners (§4.1), pixels. They are computed by the first call, whose options count.
     pub fn corners(&self, options: &RegistrationOptions) -> &[Point2<f64>] {
-        self.corners.get_or_init(|| corners(&self.pyramid.levels()[0], &options.corners))
+        self.corners.get_or_init(|| corners(&self.pyramid.levels()[0], options.max_corners))
     }
 
-    /// What features that turn are described by. Computed by the first call.
-    pub(super) fn gradients(&self) -> &Gradients {
-        self.gradients.get_or_init(|| Gradients::new(&self.pyramid))
+    /// Gradients for the descriptors of rotating patches. Computed by the first call.
+    pub(super) fn gradients(&self) -> &PolarGradients {
+        self.gradients.get_or_init(|| PolarGradients::new(&self.pyramid))
     }
 
     /// Bytes of a frame of this width and height, pixels: image, pyramid and gradients.
@@ -52,11 +52,11 @@ impl Frame {
         channels: usize,
         options: &RegistrationOptions,
     ) -> usize {
-        let sizes = Pyramid::sizes(size, options.klt.levels);
-        let pad = options.klt.pad_px();
+        let sizes = Pyramid::sizes(size, options.levels);
+        let pad = options.pad_px();
         let levels: usize = sizes.iter().map(|&size| Level::samples(size, pad)).sum();
         let image = size[0] * size[1] * channels;
-        size_of::<f32>() * (image + levels) + Gradients::bytes_of(&sizes)
+        size_of::<f32>() * (image + levels) + PolarGradients::bytes_of(&sizes)
     }
 }
 

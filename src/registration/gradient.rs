@@ -2,14 +2,12 @@
 
 use crate::simd::{F32x8, LANES};
 
-/// Divisor that turns the sums of [`scharr`] into a change of value per pixel: the weights of
-/// Scharr's kernel, 3 + 10 + 3, over a baseline of two pixels.
+/// Divisor of [`scharr`]: the kernel's weights, 3 + 10 + 3, over a baseline of two pixels.
 pub const SCHARR_SCALE: f32 = 32.0;
 
-/// Scharr's derivatives at eight neighbouring samples, `[∂/∂x, ∂/∂y]`, times [`SCHARR_SCALE`].
+/// Scharr's derivatives `[∂/∂x, ∂/∂y]` at eight neighbouring samples, times [`SCHARR_SCALE`].
 ///
-/// `plane` is row-major with `stride` samples a row; the first of the eight samples has index
-/// `at`.
+/// `plane` is row-major with `stride` samples a row; `at` is the index of the first of the eight.
 ///
 /// # Panics
 /// If the 3×3 neighbourhoods of all eight samples are not inside the plane.
@@ -31,9 +29,9 @@ pub fn scharr<V: F32x8>(plane: &[f32], at: usize, stride: usize) -> [V; 2] {
         ]
     };
     let (three, ten) = (V::splat(3.0), V::splat(10.0));
-    // The corners' differences are shared: along the diagonals.
-    let (falling, rising) = (h.sub(a), c.sub(f));
-    let dx = falling.add(rising).mul(three).add(e.sub(d).mul(ten));
-    let dy = falling.sub(rising).mul(three).add(g.sub(b).mul(ten));
+    // Both derivatives need the differences along the diagonals.
+    let (falling, rising) = (h - a, c - f);
+    let dx = (falling + rising) * three + (e - d) * ten;
+    let dy = (falling - rising) * three + (g - b) * ten;
     [dx, dy]
 }

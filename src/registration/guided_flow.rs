@@ -1,26 +1,26 @@
-//! Points that are lost, or that move unlike their neighbours, are sought again from where their neighbours
-//! say; and tracks are extended by a frame.
+//! Second attempts at lost points and at outliers, from initial guesses by a motion prior; and the extension
+//! of tracks by a frame.
 
 use super::consensus::{Consensus, Support, innovations};
 use super::flow::{Start, flow_over, is_new};
-use super::turned_flow::{Onward, turned_matches};
-use super::{Frame, Match, MotionPrior, RegistrationOptions};
+use super::rotating_patches::affine_matches;
+use super::{AffineStart, Frame, Match, MotionPrior, RegistrationOptions};
 use nalgebra::{Matrix2, Point2};
 
-/// Pyramid levels, forward and backward, where the motion prior gives the guess. Larger: small objects in
-/// fast motion are pulled away by their background; smaller: the prior must be more accurate.
+/// Pyramid levels, forward and backward, where the motion prior gives the initial guess.
 const PRIOR_LEVELS: [usize; 2] = [2, 2];
-/// Maximum number of times that lost features are sought again with the motion prior, which gains
-/// features each time. Larger: time for few more; smaller: large motion is followed near slow motion
-/// only.
+/// Maximum number of attempts with the motion prior, which each attempt's matches improve.
 const PRIOR_ROUNDS: usize = 2;
-/// Pyramid levels, forward and backward, of extending a track by a frame, where its motion gives the
-/// guess. Larger: as of [`PRIOR_LEVELS`]; smaller: changes of motion are lost.
+/// Pyramid levels, forward and backward, where a track is extended by constant motion.
 const EXTENSION_LEVELS: [usize; 2] = [2, 1];
+/// Maximum change of a track's motion from one frame to the next, pixels, in addition to
+/// [`MAX_MOTION_CHANGE_FRACTION`], where its neighbours' motion doesn't change alike.
+const MAX_MOTION_CHANGE_PX: f64 = 2.0;
+/// Maximum change of a track's motion as a fraction of the motion.
+const MAX_MOTION_CHANGE_FRACTION: f64 = 0.5;
 
-/// Improves the `matches` of a flow from `source` to `target`: points that were lost, or that differ from
-/// their guess unlike their neighbours, are sought again from where their neighbours' differences predict
-/// them. All are in the order of `starts`, of whose positions the consensus is.
+/// Tracks lost points and outliers again, from initial guesses that their neighbours predict. `matches` and the
+/// consensus are in the order of `starts`.
 pub(super) fn guided_flow(
     [source, target]: [&Frame; 2],
     starts: &[Start],
@@ -46,8 +46,7 @@ pub(super) fn guided_flow(
     matches
 }
 
-/// Initial guesses, by index, of the points that were lost or that differ from their first guess unlike
-/// their neighbours. Points without neighbours have none.
+/// New initial guesses, by index, of lost points and of outliers, as far as they have neighbours.
 fn predicted_by_neighbors(
     starts: &[Start],
     matches: &[Option<Match>],
@@ -71,54 +70,53 @@ fn predicted_by_neighbors(
         .collect()
 }
 
-/// Tracks extended by a frame: the positions in the target of those that were found and whose motion
-/// changes little, or as that of their neighbours does. `tracks` has each track's position in the source, and
-/// in the target at constant speed.
+/// Extends tracks by a frame: their positions in the target, `None` if lost, or if their motion changes much
+/// and unlike their neighbours'. `tracks` has initial guesses at constant motion.
 ///
-/// Bodies turn round: near the end of a swing, motion changes by 20 px from frame to frame. So no
-/// fixed bound alone tells a change from a mismatch.
+/// Near the end of a swing, motion changes by 20 px from frame to frame, which no fixed bound tells from a
+/// mismatch.
 pub(super) fn extensions(
     [source, target]: [&Frame; 2],
-    tracks: &[Onward],
+    tracks: &[AffineStart],
     options: &RegistrationOptions,
 ) -> Vec<Option<Point2<f64>>> {
     let starts: Vec<Start> = tracks.iter().map(|t| (t.from, t.guess)).collect();
     let starts = &starts[..];
     let mut matches = flow_over(source, target, starts, EXTENSION_LEVELS, options);
-    seek_lost([source, target], starts, &mut matches, options);
+    track_lost([source, target], starts, &mut matches, options);
     let mut consensus = Consensus::new(starts.iter().map(|start| start.0), options);
     let mut matches = guided_flow([source, target], starts, matches, &mut consensus);
-    turned_extensions([source, target], tracks, &mut matches, options);
+    rotating_extensions([source, target], tracks, &mut matches, options);
     let support = consensus.update(innovations(starts, &matches));
     let judge = |((start, m), support): ((&Start, &Option<Match>), &Option<Support>)| {
         let (matched, support) = ((*m)?, (*support)?);
         let motion = (start.1 - start.0).norm();
-        let limit = options.max_motion_change_px + options.max_motion_change_share * motion;
-        // Without the check, nobody can agree.
-        let agrees = options.min_support > 0 && support == Support::Neighbors { agree: true };
+        let limit = MAX_MOTION_CHANGE_PX + MAX_MOTION_CHANGE_FRACTION * motion;
+        let agrees =
+            options.consistency().support > 0 && support == Support::Neighbors { agree: true };
         let change = (matched.target - start.1).norm();
         (agrees || change <= limit).then_some(matched.target)
     };
     starts.iter().zip(&matches).zip(support).map(judge).collect()
 }
 
-/// Tracks what turned and is turning on.
-fn turned_extensions(
+/// Extends the tracks of rotating patches.
+fn rotating_extensions(
     frames: [&Frame; 2],
-    tracks: &[Onward],
+    tracks: &[AffineStart],
     matches: &mut [Option<Match>],
     options: &RegistrationOptions,
 ) {
-    let turned: Vec<usize> =
+    let rotating: Vec<usize> =
         (0..tracks.len()).filter(|&k| tracks[k].deformation != Matrix2::identity()).collect();
-    let starts: Vec<Onward> = turned.iter().map(|&k| tracks[k]).collect();
-    for (k, found) in turned.into_iter().zip(turned_matches(frames, &starts, options)) {
+    let starts: Vec<AffineStart> = rotating.iter().map(|&k| tracks[k]).collect();
+    for (k, found) in rotating.into_iter().zip(affine_matches(frames, &starts, options)) {
         matches[k] = found;
     }
 }
 
-/// Seeks lost points over all levels: a change of motion may be larger than the finest levels reach.
-fn seek_lost(
+/// Tracks lost points again over all levels, for large changes of motion.
+fn track_lost(
     [source, target]: [&Frame; 2],
     starts: &[Start],
     matches: &mut [Option<Match>],
@@ -126,7 +124,7 @@ fn seek_lost(
 ) {
     let lost: Vec<usize> = (0..starts.len()).filter(|&k| matches[k].is_none()).collect();
     let again: Vec<Start> = lost.iter().map(|&k| starts[k]).collect();
-    let levels = [options.klt.levels, PRIOR_LEVELS[1]];
+    let levels = [options.levels, PRIOR_LEVELS[1]];
     let found = flow_over(source, target, &again, levels, options);
     for (k, found) in lost.into_iter().zip(found) {
         matches[k] = found;

@@ -4,44 +4,62 @@
 //! template's, computed once per level, and Newton steps are taken to convergence from the coarsest
 //! level to the finest.
 //!
-//! Known limits: the window only translates and its brightness does not change (the optional affine
-//! step allows both). A window across a depth edge follows the side that has more texture.
+//! Known limits: the window only translates and its brightness does not change. A window across a
+//! depth edge follows the side that has more texture.
 
-use super::KltOptions;
-use super::affine::AffineRefiner;
+use super::RegistrationOptions;
 use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::{Level, Pyramid};
 use super::window::{Window, corner, fraction_inside};
 use crate::simd::{F32x8, LANES, multiversion};
-use nalgebra::{Matrix2, Point2, Vector2};
+use nalgebra::{Point2, Vector2};
 
-/// A level but the finest has converged when a step is below this, pixels of that level. Larger: the
-/// finer levels take more steps; smaller: the coarse ones take steps whose gain the next level
-/// loses.
+/// Minimum eigenvalue of a window's structure tensor, per pixel, values 0..=1.
+const MIN_EIGENVALUE: f64 = 2e-6;
+/// Convergence threshold on the coarser levels, pixels of the level: the finest decides the accuracy.
 const COARSE_EPSILON_PX: f64 = 0.03;
 /// Steps are extrapolated to their limit only where each is below this fraction of the one before.
-/// Larger: the limit of slow, irregular convergence is guessed wrong; smaller: more steps are taken.
 const MAX_RATIO: f64 = 0.5;
 /// An extrapolated step replaces the real ones where it is below this fraction of the convergence
-/// threshold. Larger: fewer steps, with an error of about the threshold; smaller: more steps.
+/// threshold.
 const MAX_EXTRAPOLATED: f64 = 0.4;
 
-/// Where the tracker found a window.
+/// Parameters of the tracker.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct KltParameters {
+    /// Half-width of the window, pixels.
+    pub window_radius_px: usize,
+    /// Maximum number of pyramid levels.
+    pub levels: usize,
+    /// Maximum number of Newton steps per level.
+    pub iterations: usize,
+    /// Step length below which the finest level has converged, pixels.
+    pub epsilon_px: f64,
+}
+
+impl From<&RegistrationOptions> for KltParameters {
+    fn from(options: &RegistrationOptions) -> Self {
+        let &RegistrationOptions { window_radius_px, levels, .. } = options;
+        Self { window_radius_px, levels, iterations: 20, epsilon_px: 0.003 }
+    }
+}
+
+/// A window that was found in the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tracked {
     /// The window's centre in the target, pixels; inside the image.
     pub position: Point2<f64>,
-    /// Mean absolute difference of the two windows' values (0..=1), before the affine step.
+    /// Mean absolute difference of the two windows' values (0..=1).
     pub residual: f64,
 }
 
 /// The KLT tracker (§4.1), with the buffers of one window, which are reused from point to point.
 ///
 /// It is cheap to make one per thread and costly to make one per point.
-pub struct Tracker<'a> {
-    options: &'a KltOptions,
+pub struct Tracker {
+    parameters: KltParameters,
     side: usize,
-    /// Samples of a row of `dx` and `dy`, padded to whole SIMD words.
+    /// Samples of a row of `dx` and `dy`, padded to a multiple of [`LANES`].
     row: usize,
     /// Samples of a row of `value`, which is one sample wider on every side.
     wide: usize,
@@ -49,45 +67,90 @@ pub struct Tracker<'a> {
     value: Vec<f32>,
     dx: Vec<f32>,
     dy: Vec<f32>,
-    refiner: AffineRefiner,
 }
 
 /// Sums over the template's window.
 struct TemplateSums {
     /// The structure tensor: xx, xy, yy.
     tensor: [f64; 3],
-    /// Σ I·∇I, I the template's values; the Newton step is by its difference to Σ J·∇I, J the
-    /// target's.
+    /// Σ I·∇I, I the template's values. Newton steps are by its difference to Σ J·∇I, J the
+    /// target's values.
     value_gradient: [f64; 2],
 }
 
-/// One window to track, and how.
+/// The outcome of the steps on a level.
+enum Outcome {
+    /// They converged, or reached the maximum number.
+    Converged,
+    /// The template has too little texture.
+    Flat,
+    /// The window left the image.
+    Outside,
+}
+
+/// A window to track.
 struct Request<'a> {
     source: &'a Pyramid,
     target: &'a Pyramid,
     from: Point2<f64>,
     guess: Point2<f64>,
     levels: usize,
-    refine: bool,
 }
 
-impl<'a> Tracker<'a> {
-    /// A tracker for windows of `2·radius_px + 1` pixels a side.
-    pub fn new(options: &'a KltOptions) -> Self {
-        let side = 2 * options.radius_px + 1;
+multiversion! {
+    fn track(tracker: &mut Tracker, request: &Request) -> Option<Tracked> = track_by::<V>
+}
+
+#[inline(always)]
+fn track_by<V: F32x8>(tracker: &mut Tracker, request: &Request) -> Option<Tracked> {
+    let &Request { source, target, from, guess, levels } = request;
+    let levels = levels.min(source.levels().len()).min(target.levels().len()).max(1);
+    let mut flow = (guess - from) / f64::from(1_u32 << (levels - 1));
+    let mut residual = 0.0;
+    for k in (0..levels).rev() {
+        let scale = f64::from(1_u32 << k);
+        // Levels are centred on even pixels, so positions relative to pixel centres scale.
+        let p = (from.coords - Vector2::repeat(0.5)) / scale;
+        let (level, other) = (&source.levels()[k], &target.levels()[k]);
+        let template = tracker.load_template::<V>(level, &p);
+        let epsilon_px = if k > 0 { COARSE_EPSILON_PX } else { 0.0 };
+        let epsilon_px = tracker.parameters.epsilon_px.max(epsilon_px);
+        match tracker.iterate::<V>(other, &p, &mut flow, &template, epsilon_px) {
+            Outcome::Converged => {}
+            // A coarse window may be flat or half outside where the fine one is good.
+            Outcome::Flat | Outcome::Outside if k > 0 => {}
+            Outcome::Flat | Outcome::Outside => return None,
+        }
+        if k > 0 {
+            flow *= 2.0;
+        } else {
+            residual = tracker.residual::<V>(other, &(p + flow))?;
+        }
+    }
+    let position = from + flow;
+    let inside = position.x >= 0.0
+        && position.y >= 0.0
+        && position.x <= target.width() as f64
+        && position.y <= target.height() as f64;
+    inside.then_some(Tracked { position, residual })
+}
+
+impl Tracker {
+    /// A tracker for windows of `2·window_radius_px + 1` pixels a side.
+    pub fn new(parameters: impl Into<KltParameters>) -> Self {
+        let parameters = parameters.into();
+        let side = 2 * parameters.window_radius_px + 1;
         let (row, wide) = (side.next_multiple_of(LANES), (side + 2).next_multiple_of(LANES));
         let value = vec![0.0; wide * (side + 2) + LANES];
         let zeros = vec![0.0; row * side];
-        let refiner = AffineRefiner::new(&options.affine);
-        Self { options, side, row, wide, value, dx: zeros.clone(), dy: zeros, refiner }
+        Self { parameters, side, row, wide, value, dx: zeros.clone(), dy: zeros }
     }
 
     /// Finds the window around `from` of the source in the target, starting at `guess`; pixels, the
     /// top-left pixel's centre at (0.5, 0.5).
     ///
-    /// `None` if the window has too little texture ([`KltOptions::min_eigenvalue`]), if it leaves
-    /// the image, or if it differs too much where it ends up ([`KltOptions::max_residual`]). Both
-    /// pyramids need a border of [`KltOptions::pad_px`].
+    /// `None` if the window has too little texture or leaves the image. Both pyramids need a border of
+    /// [`RegistrationOptions::pad_px`].
     pub fn track(
         &mut self,
         source: &Pyramid,
@@ -95,7 +158,7 @@ impl<'a> Tracker<'a> {
         from: Point2<f64>,
         guess: Point2<f64>,
     ) -> Option<Tracked> {
-        self.track_over(source, target, from, guess, self.options.levels)
+        self.track_over(source, target, from, guess, self.parameters.levels)
     }
 
     /// As [`Self::track`], on the `levels` finest levels only, for a guess that is near. 0 counts as
@@ -108,66 +171,7 @@ impl<'a> Tracker<'a> {
         guess: Point2<f64>,
         levels: usize,
     ) -> Option<Tracked> {
-        let refine = self.options.affine.radius_px > 0;
-        answer(self, &Request { source, target, from, guess, levels, refine })
-    }
-
-    /// As [`Self::track_over`], without the affine step ([`KltOptions::affine`]).
-    pub fn track_translation(
-        &mut self,
-        source: &Pyramid,
-        target: &Pyramid,
-        from: Point2<f64>,
-        guess: Point2<f64>,
-        levels: usize,
-    ) -> Option<Tracked> {
-        answer(self, &Request { source, target, from, guess, levels, refine: false })
-    }
-
-    #[inline(always)]
-    fn answer_by<V: F32x8>(&mut self, request: &Request) -> Option<Tracked> {
-        let &Request { source, target, from, guess, .. } = request;
-        let levels = request.levels.min(source.levels().len()).min(target.levels().len()).max(1);
-        let mut flow = (guess - from) / f64::from(1_u32 << (levels - 1));
-        let mut residual = 0.0;
-        for k in (0..levels).rev() {
-            let scale = f64::from(1_u32 << k);
-            // Levels are centred on even pixels, so positions relative to pixel centres scale.
-            let p = (from.coords - Vector2::repeat(0.5)) / scale;
-            let (level, other) = (&source.levels()[k], &target.levels()[k]);
-            let template = self.load_template::<V>(level, &p);
-            // The next level starts from here, and would lose a finer answer.
-            let epsilon_px = if k > 0 { COARSE_EPSILON_PX } else { 0.0 };
-            let epsilon_px = self.options.epsilon_px.max(epsilon_px);
-            match self.iterate::<V>(other, &p, &mut flow, &template, epsilon_px) {
-                Outcome::Converged => {}
-                // A coarse window may be flat or half outside where the fine one is good.
-                Outcome::Flat | Outcome::Outside if k > 0 => {}
-                Outcome::Flat | Outcome::Outside => return None,
-            }
-            if k > 0 {
-                flow *= 2.0;
-            } else {
-                residual = self.residual::<V>(other, &(p + flow))?;
-            }
-        }
-        let mut position = from + flow;
-        if request.refine && residual <= self.options.max_residual {
-            let (level, other) = (&source.levels()[0], &target.levels()[0]);
-            let refined = self.refiner.refine::<V>(
-                [level, other],
-                from,
-                position,
-                Matrix2::identity(),
-                &self.options.affine,
-            );
-            position = refined.map_or(position, |refined| refined.position);
-        }
-        let inside = position.x >= 0.0
-            && position.y >= 0.0
-            && position.x <= target.width() as f64
-            && position.y <= target.height() as f64;
-        (inside && residual <= self.options.max_residual).then_some(Tracked { position, residual })
+        track(self, &Request { source, target, from, guess, levels })
     }
 
     /// Reads the template around `p` (the first pixel's centre at 0), and computes its derivatives
@@ -176,7 +180,7 @@ impl<'a> Tracker<'a> {
     fn load_template<V: F32x8>(&mut self, level: &Level, p: &Vector2<f64>) -> TemplateSums {
         let (side, row, wide) = (self.side, self.row, self.wide);
         // The sums of a window outside the image are 0, which the caller finds to have no texture.
-        let Some((base, within)) = corner(level, p, self.options.radius_px + 1) else {
+        let Some((base, within)) = corner(level, p, self.parameters.window_radius_px + 1) else {
             return TemplateSums { tensor: [0.0; 3], value_gradient: [0.0; 2] };
         };
         let window = Window::new(&level.value, base, level.stride, [wide, side + 2], within);
@@ -186,7 +190,7 @@ impl<'a> Tracker<'a> {
                 columns.row()[0].store(&mut self.value, y * wide + x);
             }
         }
-        let [left, top] = [p.x, p.y].map(|v| v - self.options.radius_px as f64);
+        let [left, top] = [p.x, p.y].map(|v| v - self.parameters.window_radius_px as f64);
         let is_inside = |from: f64, size: usize| from >= 0.0 && from + side as f64 <= size as f64;
         let whole = is_inside(left, level.width) && is_inside(top, level.height);
         let mut sums = [V::zero(); 5];
@@ -199,10 +203,10 @@ impl<'a> Tracker<'a> {
             let weights = V::from_array(&weights);
             for y in 0..side {
                 let inside = |v: f64| V::splat(fraction_inside(v, level.height));
-                let used = if whole { weights } else { weights.mul(inside(top + y as f64)) };
+                let used = if whole { weights } else { weights * inside(top + y as f64) };
                 let at = (y + 1) * wide + x + 1;
                 let [gx, gy] = scharr::<V>(&self.value, at, wide);
-                let (gx, gy) = (gx.mul(used), gy.mul(used));
+                let (gx, gy) = (gx * used, gy * used);
                 gx.store(&mut self.dx, y * row + x);
                 gy.store(&mut self.dy, y * row + x);
                 let value = V::load(&self.value, at);
@@ -233,13 +237,13 @@ impl<'a> Tracker<'a> {
         let smaller = 0.5 * ((xx + yy) - ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt());
         let determinant = xx * yy - xy * xy;
         // λ_min is positive, and so is the determinant that is divided by.
-        if !(smaller >= self.options.min_eigenvalue * area && determinant > 0.0) {
+        if !(smaller >= MIN_EIGENVALUE * area && determinant > 0.0) {
             return Outcome::Flat;
         }
         let [ixx, ixy, iyy] = [yy, -xy, xx].map(|v| v / determinant);
         let start = *flow;
         let mut previous = Vector2::zeros();
-        for step in 0..self.options.iterations {
+        for step in 0..self.parameters.iterations {
             let Some([x, y]) = self.correlate::<V>(target, &(p + *flow)) else {
                 *flow = start;
                 return Outcome::Outside;
@@ -273,12 +277,12 @@ impl<'a> Tracker<'a> {
     /// than a pixel outside the image.
     #[inline(always)]
     fn correlate<V: F32x8>(&self, target: &Level, q: &Vector2<f64>) -> Option<[f64; 2]> {
-        let (base, within) = corner(target, q, self.options.radius_px)?;
+        let (base, within) = corner(target, q, self.parameters.window_radius_px)?;
         let size = [self.row, self.side];
         let window = Window::new(&target.value, base, target.stride, size, within);
         let mut sums = [V::zero(); 2];
         let mut x = 0;
-        // Two words at once where possible: their sums do not wait for each other.
+        // Sixteen columns at once where possible: their two sums are computed in parallel.
         while x + 2 * LANES <= self.row {
             self.correlate_columns::<V, 2>(&window, x, &mut sums);
             x += 2 * LANES;
@@ -289,7 +293,7 @@ impl<'a> Tracker<'a> {
         Some(V::sums(&sums))
     }
 
-    /// Adds the sums of B words of columns from column `x` on.
+    /// Adds the sums of 8·B columns from column `x` on.
     #[inline(always)]
     fn correlate_columns<V: F32x8, const B: usize>(
         &self,
@@ -305,7 +309,7 @@ impl<'a> Tracker<'a> {
             let values = columns.row();
             for b in 0..B {
                 let at = y * self.row + x + b * LANES;
-                // SAFETY: rows are whole words, and both planes have `side` of them.
+                // SAFETY: rows are multiples of LANES, and both planes have `side` of them.
                 let [gx, gy] =
                     unsafe { [V::load_unchecked(&self.dx, at), V::load_unchecked(&self.dy, at)] };
                 of_block[b][0] = values[b].mul_add(gx, of_block[b][0]);
@@ -313,7 +317,7 @@ impl<'a> Tracker<'a> {
             }
         }
         for [x, y] in of_block {
-            *sums = [sums[0].add(x), sums[1].add(y)];
+            *sums = [sums[0] + x, sums[1] + y];
         }
     }
 
@@ -321,7 +325,7 @@ impl<'a> Tracker<'a> {
     /// is more than a pixel outside the image.
     #[inline(always)]
     fn residual<V: F32x8>(&self, target: &Level, q: &Vector2<f64>) -> Option<f64> {
-        let (base, within) = corner(target, q, self.options.radius_px)?;
+        let (base, within) = corner(target, q, self.parameters.window_radius_px)?;
         let size = [self.row, self.side];
         let window = Window::new(&target.value, base, target.stride, size, within);
         let mut sum = V::zero();
@@ -332,30 +336,11 @@ impl<'a> Tracker<'a> {
             let mut columns = window.columns::<V, 1>(x);
             for y in 0..self.side {
                 let own = V::load(&self.value, (y + 1) * self.wide + x + 1);
-                sum = columns.row()[0].sub(own).abs().mul_add(weights, sum);
+                sum = (columns.row()[0] - own).abs().mul_add(weights, sum);
             }
         }
         Some(sum.sum() / (self.side * self.side) as f64)
     }
-}
-
-multiversion! {
-    fn answer(tracker: &mut Tracker, request: &Request) -> Option<Tracked> = answer_by::<V>
-}
-
-#[inline(always)]
-fn answer_by<V: F32x8>(tracker: &mut Tracker, request: &Request) -> Option<Tracked> {
-    tracker.answer_by::<V>(request)
-}
-
-/// How the steps on a level ended.
-enum Outcome {
-    /// They converged, or their number was exhausted.
-    Converged,
-    /// The template has too little texture.
-    Flat,
-    /// The window left the image.
-    Outside,
 }
 
 #[cfg(test)]
@@ -377,14 +362,14 @@ mod tests {
         Image::from_data(w, h, 1, data)
     }
 
-    fn pyramids(options: &KltOptions, dx: f64, dy: f64) -> (Pyramid, Pyramid) {
+    fn pyramids(options: &RegistrationOptions, dx: f64, dy: f64) -> (Pyramid, Pyramid) {
         let make = |i: &Image| Pyramid::new(i, options.levels, options.pad_px());
         (make(&texture(160, 120, 0.0, 0.0)), make(&texture(160, 120, dx, dy)))
     }
 
     #[test]
     fn known_shifts_are_found() {
-        let options = KltOptions::default();
+        let options = RegistrationOptions::default();
         for (dx, dy) in [(0.0, 0.0), (0.25, -0.4), (3.3, 1.7), (-9.6, 7.2)] {
             let (a, b) = pyramids(&options, dx, dy);
             let mut tracker = Tracker::new(&options);
@@ -399,7 +384,7 @@ mod tests {
 
     #[test]
     fn a_guess_reaches_what_the_pyramid_cannot() {
-        let options = KltOptions { levels: 1, ..Default::default() };
+        let options = RegistrationOptions { levels: 1, ..Default::default() };
         let (a, b) = pyramids(&options, 30.0, 0.0);
         let mut tracker = Tracker::new(&options);
         let from = Point2::new(60.0, 60.0);
@@ -409,7 +394,7 @@ mod tests {
 
     #[test]
     fn windows_that_leave_the_image_or_have_no_texture_are_lost() {
-        let options = KltOptions::default();
+        let options = RegistrationOptions::default();
         let (a, b) = pyramids(&options, -20.0, 0.0);
         let mut tracker = Tracker::new(&options);
         let from = Point2::new(3.0, 60.0);
@@ -420,7 +405,7 @@ mod tests {
 
     #[test]
     fn tiny_images_do_not_panic() {
-        let options = KltOptions::default();
+        let options = RegistrationOptions::default();
         for (w, h) in [(1, 1), (2, 9), (9, 2)] {
             let p = Pyramid::new(&texture(w, h, 0.0, 0.0), 4, options.pad_px());
             let mut tracker = Tracker::new(&options);
@@ -433,7 +418,7 @@ mod tests {
     /// The same sums written as simply as possible, in f64.
     #[test]
     fn sums_agree_with_a_naive_reference() {
-        let options = KltOptions::default();
+        let options = RegistrationOptions::default();
         let (a, b) = pyramids(&options, 0.4, -0.3);
         let (level, other) = (&a.levels()[0], &b.levels()[0]);
         let at = |l: &Level, x: f64, y: f64| f64::from(l.value[l.index(x as isize, y as isize)]);
@@ -457,7 +442,7 @@ mod tests {
             let sums = tracker.correlate::<Scalar>(other, &q).unwrap();
             let b = [sums[0] - template.value_gradient[0], sums[1] - template.value_gradient[1]];
             let mut expected = [0.0; 5];
-            let r = options.radius_px as i32;
+            let r = options.window_radius_px as i32;
             for y in -r..=r {
                 for x in -r..=r {
                     let (x, y) = (f64::from(x), f64::from(y));

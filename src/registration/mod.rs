@@ -6,19 +6,16 @@
 //! | 4.1 corners | [`corners`] |
 //! | 4.1 pyramidal KLT | [`Tracker`], on [`Pyramid`]s |
 //! | 4.1 bidirectional flow, merging | [`temporal_flow`], [`flow`] |
-//! | beyond: affine windows | [`AffineOptions`] |
 //! | beyond: motion predicted by neighbours | [`MotionPrior`] |
-//! | beyond: features that turn | `turned_flow` |
-//! | beyond: tracks over many frames | [`LongTracks`] |
+//! | beyond: rotating patches | [`AffineTracker`] |
 //! | beyond: photometric calibration | [`Gains`] |
 //! | 4.2 eq. (2), and curves beyond it | [`Trajectory`] |
-//! | 4.2 eq. (3), 4.3 eqs. (4), (5) | [`epipolar_test`], [`select_references`] |
+//! | 4.2 eq. (3), 4.3 eqs. (4), (5) | [`epipolar_check`], [`select_references`] |
 
-mod affine;
+mod affine_tracker;
 mod consensus;
 mod corners;
-mod directions;
-mod epipolar_test;
+mod epipolar_check;
 mod flow;
 mod frame;
 mod frame_store;
@@ -26,30 +23,29 @@ mod gains;
 mod gradient;
 mod guided_flow;
 mod klt;
-mod long_tracks;
 mod motion_prior;
 mod neighbors;
 mod options;
-mod oriented;
+mod polar_gradients;
 mod pyramid;
 mod references;
+mod rotating_patches;
+mod sift;
 mod temporal_flow;
 mod trajectory;
-mod turned_flow;
 mod window;
 
-pub use affine::AffineOptions;
-pub use corners::{CornerOptions, corners};
-pub use epipolar_test::{Verdict, epipolar_test};
+pub use affine_tracker::{AffineStart, AffineTracker, Deformed};
+pub use corners::corners;
+pub use epipolar_check::{Verdict, epipolar_check};
 pub use flow::{Match, Start, flow};
 pub use frame::Frame;
 pub use frame_store::FrameStore;
 pub use gains::Gains;
-pub use klt::{Tracked, Tracker};
-pub use long_tracks::{LongTrack, LongTracks};
+pub use klt::{KltParameters, Tracked, Tracker};
 pub use motion_prior::MotionPrior;
 pub use neighbors::Neighbors;
-pub use options::{GainMethod, KltOptions, RegistrationOptions};
+pub use options::{ConsistencyThresholds, GainMethod, RegistrationOptions};
 pub use pyramid::{Level, Pyramid};
 pub use references::{Reference, ReferenceQuery, References, select_references};
 pub use temporal_flow::{

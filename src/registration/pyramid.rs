@@ -1,7 +1,5 @@
-//! Grey image pyramids, made once per image and shared by everything that tracks in it.
-//!
-//! A level stores values only. Gradients are computed where they are needed, from a window that is
-//! in the cache already, which costs less than reading stored gradient planes.
+//! §4.1: grey image pyramids. They store values only: gradients are recomputed from windows that are in the
+//! processor's cache, which is faster than reading stored planes.
 
 use super::gradient::{SCHARR_SCALE, scharr};
 use crate::raster::{Image, luma};
@@ -14,8 +12,7 @@ pub struct Pyramid {
     levels: Vec<Level>,
 }
 
-/// One level of a [`Pyramid`]: luma in 0..=1. Its border is repeated outwards, so that a window near
-/// it needs no bounds checks.
+/// One level of a [`Pyramid`]: luma in 0..=1, its border repeated outwards.
 #[derive(Clone, Debug)]
 pub struct Level {
     /// Pixels of a row, without the padding.
@@ -30,8 +27,7 @@ pub struct Level {
     pub(super) value: Vec<f32>,
 }
 
-/// No level has a shorter side than this, pixels. Larger: fast motion is out of reach in small
-/// images; smaller: the coarsest windows are larger than their level and hold only its border.
+/// Minimum length of a level's shorter side, pixels.
 const MIN_LEVEL_PX: usize = 16;
 
 impl Pyramid {
@@ -39,7 +35,7 @@ impl Pyramid {
     ///
     /// It has `levels` levels, fewer where a level's shorter side would be below 16 pixels, and
     /// always at least one. `pad` is the width of the border, pixels, that the largest window needs
-    /// ([`super::KltOptions::pad_px`]).
+    /// ([`super::RegistrationOptions::pad_px`]).
     pub fn new(image: &Image, levels: usize, pad: usize) -> Self {
         let mut all = vec![Level::of_image(image, pad)];
         for _ in 1..Self::sizes([image.width(), image.height()], levels).len() {
@@ -85,7 +81,7 @@ impl Level {
     }
 
     /// A level without rows, to be filled by [`Self::push_row`] and [`Self::with_vertical_border`].
-    /// The padding is at least a SIMD word, which a gradient at the border reads.
+    /// The padding is at least [`LANES`] wide, which gradients at the border read.
     fn empty(width: usize, height: usize, pad: usize) -> Self {
         let pad = pad.max(LANES);
         let stride = width + 2 * pad;
@@ -118,7 +114,7 @@ impl Level {
         self
     }
 
-    /// The samples of a level of this size, its padding included.
+    /// Number of samples of a level of this size, its padding included.
     pub(super) fn samples([width, height]: [usize; 2], pad: usize) -> usize {
         let pad = pad.max(LANES);
         (width + 2 * pad) * (height + 2 * pad)

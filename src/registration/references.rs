@@ -1,6 +1,5 @@
 //! §4.3: the reference cameras that the epipolar test is made with, eqs. (4) and (5).
 
-use super::RegistrationOptions;
 use crate::capture::Capture;
 
 /// A reference camera and its frame, chosen by eqs. (4) and (5).
@@ -41,14 +40,17 @@ pub struct ReferenceQuery {
     pub time_s: f64,
 }
 
+/// σ of eq. (4): the distance, in units of the nearest camera's, that counts as much as a frame of time.
+const TIME_WEIGHT: f64 = 1.0;
+/// Maximum number of first references: on a grid, one along the row and one along the column.
+const MAX_FIRST: usize = 2;
+/// Maximum number of further references.
+const MAX_FURTHER: usize = 1;
 /// Maximum time between two frames of a slower reference that are interpolated between, in frames of the
-/// tested camera. Larger: its track between them is far from straight; smaller: slow cameras cannot
-/// test.
+/// tested camera.
 const MAX_GAP_FRAMES: f64 = 4.0;
 
-/// Maximum cosine of the angle between two references' baselines, of 45°. On a grid, the neighbours in a row
-/// and in a column are 90° apart, two neighbours in a row 0° or 180°. Larger: both references of a
-/// grid may lie along its row; smaller: none of an irregular rig's cameras may be a second reference.
+/// Maximum cosine of the angle between the baselines of two first references: 45°.
 const MAX_BASELINE_COSINE: f64 = 0.707;
 
 impl Reference {
@@ -89,7 +91,6 @@ pub fn select_references(
     capture: &Capture,
     times_s: &[Option<Vec<f64>>],
     query: &ReferenceQuery,
-    options: &RegistrationOptions,
 ) -> References {
     let i = query.camera;
     let here = capture.cameras[i].camera.center();
@@ -108,7 +109,7 @@ pub fn select_references(
         let Some((distance_s, reference)) = Reference::nearest(j, times, query) else {
             continue;
         };
-        let w = baselines[j].norm() / nearest + options.time_weight * distance_s / frame_s;
+        let w = baselines[j].norm() / nearest + TIME_WEIGHT * distance_s / frame_s;
         candidates.push((w, reference));
     }
     candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.camera.cmp(&b.1.camera)));
@@ -119,9 +120,9 @@ pub fn select_references(
             .first
             .iter()
             .all(|c| baselines[c.camera].normalize().dot(&direction).abs() < MAX_BASELINE_COSINE);
-        if is_across && references.first.len() < options.max_references {
+        if is_across && references.first.len() < MAX_FIRST {
             references.first.push(candidate);
-        } else if references.further.len() < options.further_references {
+        } else if references.further.len() < MAX_FURTHER {
             references.further.push(candidate);
         }
     }

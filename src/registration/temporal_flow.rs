@@ -2,8 +2,10 @@
 
 use super::consensus::{Consensus, Moved};
 use super::guided_flow::{extensions, guided_flow};
-use super::turned_flow::{Onward, turned_flow};
-use super::{Frame, FrameStore, Match, Neighbors, RegistrationOptions, Trajectory, flow};
+use super::rotating_patches::match_rotating_patches;
+use super::{
+    AffineStart, Frame, FrameStore, Match, Neighbors, RegistrationOptions, Trajectory, flow,
+};
 use crate::capture::CaptureError;
 use nalgebra::{Matrix2, Point2, Vector2};
 use serde::{Deserialize, Serialize};
@@ -16,8 +18,7 @@ pub enum FlowDirection {
     Forward,
     /// A corner of the later frame, tracked to the earlier one.
     Backward,
-    /// Both: two correspondences within [`RegistrationOptions::merge_distance_px`] of each other at
-    /// both ends, of which the forward one is used.
+    /// Both: two correspondences near each other at both ends, of which the forward one is used.
     Both,
 }
 
@@ -25,7 +26,7 @@ pub enum FlowDirection {
 /// at both ends where the feature could be tracked. Positions in pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Track {
-    /// The flow that it is of.
+    /// The flow that the track is of.
     pub direction: FlowDirection,
     /// Position in frame k − 1; `None` if the feature was lost or there is no such frame.
     pub before: Option<Point2<f64>>,
@@ -35,8 +36,8 @@ pub struct Track {
     pub later: Point2<f64>,
     /// Position in frame k + 2; `None` if the feature was lost or there is no such frame.
     pub after: Option<Point2<f64>>,
-    /// The linear part of the motion around the feature, from frame k to frame k + 1: the identity where its
-    /// window only translated.
+    /// The linear part of the motion around the feature, from frame k to frame k + 1: the identity where the
+    /// window only translates.
     pub deformation: Matrix2<f64>,
     /// Mean absolute difference of the windows in frames k and k + 1, values 0..=1.
     pub residual: f64,
@@ -45,12 +46,12 @@ pub struct Track {
 }
 
 impl Track {
-    /// Whether it is of the forward flow, which warps the earlier frame in eq. (9).
+    /// Whether the track is of the forward flow, which warps the earlier frame in eq. (9).
     pub fn in_forward_set(&self) -> bool {
         self.direction != FlowDirection::Backward
     }
 
-    /// Whether it is of the backward flow, which warps the later frame in eq. (9).
+    /// Whether the track is of the backward flow, which warps the later frame in eq. (9).
     pub fn in_backward_set(&self) -> bool {
         self.direction != FlowDirection::Forward
     }
@@ -60,23 +61,22 @@ impl Track {
         self.later - self.earlier
     }
 
-    /// Where it was a frame before, should it move on as it turns and moves.
-    fn backward(&self) -> Onward {
+    /// The track's extension to frame k − 1 at constant affine motion.
+    fn backward(&self) -> AffineStart {
         let inverse = self.deformation.try_inverse().unwrap_or_else(Matrix2::identity);
         let guess = self.earlier - inverse * self.motion();
-        Onward { from: self.earlier, guess, deformation: inverse }
+        AffineStart { from: self.earlier, guess, deformation: inverse }
     }
 
-    /// Where it will be a frame later, should it move on as it turns and moves.
-    fn forward(&self) -> Onward {
+    /// The track's extension to frame k + 2 at constant affine motion.
+    fn forward(&self) -> AffineStart {
         let guess = self.later + self.deformation * self.motion();
-        Onward { from: self.later, guess, deformation: self.deformation }
+        AffineStart { from: self.later, guess, deformation: self.deformation }
     }
 
-    /// Drops the extension on whose side the motion has a kink, as where a body bounces: a curve through a kink
-    /// leaves the path in the middle interval, where the other three positions describe it. Where the motion
-    /// turns smoothly, its acceleration changes little from one frame to the next. `times_s` are the
-    /// frames' times.
+    /// Drops the extension beyond a kink of the motion, as where a body bounces: a curve through a kink leaves the
+    /// trajectory in the middle interval. Smooth motion changes its acceleration little from one frame to the
+    /// next. `times_s` are the frames' times.
     fn drop_kink(&mut self, times_s: &[f64]) {
         let (Some(before), Some(after)) = (self.before, self.after) else { return };
         // Times ascend strictly, so that no interval is 0.
@@ -89,7 +89,7 @@ impl Track {
             velocity(self.later, after, 2),
         ];
         let [at_earlier, at_later] = [middle - first, last - middle];
-        let limit = MAX_JERK_PX + JERK_SHARE * at_earlier.norm().min(at_later.norm());
+        let limit = MAX_JERK_PX + JERK_FRACTION * at_earlier.norm().min(at_later.norm());
         if (at_later - at_earlier).norm() > limit {
             let dropped = if at_earlier.norm() > at_later.norm() {
                 &mut self.before
@@ -119,12 +119,13 @@ impl Track {
     }
 }
 
-/// Largest change of a smooth motion's acceleration from one frame to the next, pixels, in addition to
-/// [`JERK_SHARE`] of the smaller of the two. Larger: curves overshoot where bodies bounce; smaller: turns lose a
-/// position.
+/// Maximum change of a smooth motion's acceleration from one frame to the next, pixels, in addition to
+/// [`JERK_FRACTION`] of the smaller acceleration.
 const MAX_JERK_PX: f64 = 12.0;
-/// The share of the acceleration in that limit. Larger and smaller: as of [`MAX_JERK_PX`], where motion turns hard.
-const JERK_SHARE: f64 = 0.5;
+const JERK_FRACTION: f64 = 0.5;
+/// Correspondences of the forward and the backward flow within this distance of each other at both ends are
+/// merged, pixels.
+const MERGE_DISTANCE_PX: f64 = 1.0;
 
 /// The bidirectional temporal flow (§4.1) between frames `k` and `k + 1` of a camera, from the corners of
 /// both.
@@ -150,8 +151,7 @@ pub fn temporal_flow(
     temporal_flow_of(frames, camera, k, [of_earlier, of_later])
 }
 
-/// As [`temporal_flow`], of given points instead of corners: those of frame `k`, and those of frame
-/// `k + 1`, pixels.
+/// As [`temporal_flow`], of the given points of frame `k` and of frame `k + 1` instead of corners, pixels.
 ///
 /// # Errors
 /// If one of the frames cannot be read.
@@ -166,17 +166,16 @@ pub fn temporal_flow_of(
 ) -> Result<Vec<Track>, CaptureError> {
     let options = frames.options();
     let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
-    // Each direction has parts that one thread does.
     let (forward, backward) = rayon::join(
         || directed_flow(&earlier, &later, of_earlier, options),
         || directed_flow(&later, &earlier, of_later, options),
     );
-    let mut tracks = merged(&forward, &backward, options.merge_distance_px);
+    let mut tracks = merged(&forward, &backward, MERGE_DISTANCE_PX);
     let mut consensus = neighbor_consensus(&tracks, options).into_iter();
     tracks.retain(|_| consensus.next().unwrap_or(true));
 
     let count = frames.capture().cameras[camera].frames.len();
-    let extended = |from: &Frame, frame: Option<usize>, onward: fn(&Track) -> Onward| {
+    let extended = |from: &Frame, frame: Option<usize>, onward: fn(&Track) -> AffineStart| {
         let Some(frame) = frame else { return Ok::<_, CaptureError>(vec![None; tracks.len()]) };
         let starts: Vec<_> = tracks.iter().map(onward).collect();
         Ok(extensions([from, &*frames.get(camera, frame)?], &starts, options))
@@ -206,7 +205,7 @@ fn directed_flow(
     let matches = flow(source, target, &starts, options);
     let mut consensus = Consensus::new(corners.iter().copied(), options);
     let mut matches = guided_flow([source, target], &starts, matches, &mut consensus);
-    turned_flow([source, target], corners, &mut matches, options);
+    match_rotating_patches([source, target], corners, &mut matches, options);
     matches.into_iter().flatten().collect()
 }
 
@@ -252,10 +251,8 @@ fn merged(forward: &[Match], backward: &[Match], distance_px: f64) -> Vec<Track>
     tracks
 }
 
-/// For each track, whether it moves like [`RegistrationOptions::min_support`] of its neighbours. A
-/// surface has more than one feature, so that a track unlike its neighbours is a mismatch.
-///
-/// Also true where a track has fewer neighbours than that.
+/// For each track, whether it moves like enough of its neighbours, or has too few neighbours. A surface has
+/// more than one feature, so that a track unlike its neighbours is a mismatch.
 pub fn neighbor_consensus(tracks: &[Track], options: &RegistrationOptions) -> Vec<bool> {
     let moved = |t: &Track| Moved { at: t.earlier, motion: t.motion(), deformation: t.deformation };
     Consensus::of(&tracks.iter().map(moved).collect::<Vec<_>>(), options)

@@ -105,7 +105,7 @@ impl<V: F32x8, const B: usize> Columns<'_, V, B> {
             let [left, right] = unsafe {
                 [V::load_unchecked(self.plane, at), V::load_unchecked(self.plane, at + 1)]
             };
-            *out = right.sub(left).mul_add(self.within[0], left);
+            *out = (right - left).mul_add(self.within[0], left);
         }
         self.next += self.stride;
         row
@@ -120,7 +120,7 @@ impl<V: F32x8, const B: usize> Columns<'_, V, B> {
         let below = self.next_plane_row();
         let mut row = [V::zero(); B];
         for b in 0..B {
-            row[b] = below[b].sub(self.above[b]).mul_add(self.within[1], self.above[b]);
+            row[b] = (below[b] - self.above[b]).mul_add(self.within[1], self.above[b]);
         }
         self.above = below;
         row
@@ -129,7 +129,7 @@ impl<V: F32x8, const B: usize> Columns<'_, V, B> {
 
 #[cfg(all(test, target_arch = "x86_64"))]
 mod tests {
-    use super::super::affine::catmull_rom;
+    use super::super::affine_tracker::catmull_rom;
     use super::super::gradient::scharr;
     use super::*;
     use crate::simd::{Avx2, Scalar, has_avx2_and_fma};
@@ -154,10 +154,9 @@ mod tests {
             let mut columns = window.columns::<V, 2>(0);
             let [first_row, _] = columns.row();
             let [_, second_row] = columns.row();
-            let cubic =
-                V::gather_4x4(plane, first, 20, weights, catmull_rom(fraction.mul(fraction)));
+            let cubic = V::gather_4x4(plane, first, 20, weights, catmull_rom(fraction * fraction));
             let mut out = vec![fraction.to_array(), floor.map(|w| w as f32), v.abs().to_array()];
-            out.extend([first_row, second_row, cubic, v.sub(fraction)].map(V::to_array));
+            out.extend([first_row, second_row, cubic, v - fraction].map(V::to_array));
             out.extend(scharr::<V>(plane, 40, 20).map(V::to_array));
             out.push([v.sum() as f32; LANES]);
             out

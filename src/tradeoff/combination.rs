@@ -59,7 +59,7 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
         }
     }
     for count in [500, 1000, 2000, 4000] {
-        add(Box::new(move |o| o.registration.corners.max_corners = count));
+        add(Box::new(move |o| o.registration.max_corners = count));
     }
     if options.sync.needs_tracks() {
         for curved in [false, true] {
@@ -122,8 +122,8 @@ pub fn name(options: &RenderOptions) -> String {
     let mut say = |differs: bool, word: String| words.extend(differs.then_some(word));
     let offsets = options.offset.method.name();
     say(options.offset.method != default.offset.method, format!("{offsets} offsets"));
-    let features = options.registration.corners.max_corners;
-    say(features != default.registration.corners.max_corners, format!("{features} features"));
+    let features = options.registration.max_corners;
+    say(features != default.registration.max_corners, format!("{features} features"));
     say(!options.interpolation.curved, "straight".into());
     say(options.interpolation.still_change > 0.0, "still cross-faded".into());
     let grid = options.interpolation.morph.grid_px;

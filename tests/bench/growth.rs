@@ -64,8 +64,6 @@ fn pixels() -> Done<Chart> {
             let swing = film(160 * scale, 120 * scale, 3);
             let swing = Swing { print, disparity_px: 4.0 * print, ..swing };
             let mut options = RenderOptions::default();
-            options.registration.corners.min_distance_px *= print;
-            options.registration.support_radius_px *= print;
             options.interpolation.edges.max_length_px *= print;
             Case { size: (swing.width * swing.height) as f64, swing, options }
         })
@@ -100,7 +98,7 @@ fn features() -> Done<Chart> {
     let cases: Vec<Case> = [500, 1000, 2000, 4000]
         .map(|count| {
             let mut options = RenderOptions::default();
-            options.registration.corners.max_corners = count;
+            options.registration.max_corners = count;
             options.offset.max_features = count;
             Case { size: count as f64, swing: film(640, 480, 3), options }
         })

@@ -24,8 +24,8 @@ use stlfr::host::process_cpu_s;
 use stlfr::raster::Image;
 use stlfr::raster::read_image;
 use stlfr::registration::{
-    CornerOptions, Frame, FrameStore, KltOptions, Pyramid, RegistrationOptions, Tracker, corners,
-    epipolar_test, temporal_flow,
+    Frame, FrameStore, KltParameters, Pyramid, RegistrationOptions, Tracker, corners,
+    epipolar_check, temporal_flow,
 };
 
 const REPEATS: usize = 41;
@@ -84,7 +84,12 @@ fn problems(folder: &Path) -> Vec<Problem> {
 type Tracked = Vec<Option<Point2<f64>>>;
 
 /// Pyramids and tracks; on the calling thread, or on all of the pool's.
-fn ours(images: &[Image; 2], points: &[Point2<f64>], options: &KltOptions, pool: bool) -> Tracked {
+fn ours(
+    images: &[Image; 2],
+    points: &[Point2<f64>],
+    options: &RegistrationOptions,
+    pool: bool,
+) -> Tracked {
     let pyramid = |image: &Image| Pyramid::new(image, options.levels, options.pad_px());
     let track = |chunk: &[Point2<f64>], a: &Pyramid, b: &Pyramid| {
         let mut tracker = Tracker::new(options);
@@ -135,7 +140,7 @@ impl PairProblem {
         let (a, b) = rayon::join(|| corners(&self.images[0]), || corners(&self.images[1]));
         assert!(a > 0 && b > 0);
         let tracks = temporal_flow(&self.store, 0, 1).expect("tracks");
-        epipolar_test(&self.store, &self.times_s, 0, 1, &tracks).expect("verdicts").len()
+        epipolar_check(&self.store, &self.times_s, 0, 1, &tracks).expect("verdicts").len()
     }
 }
 
@@ -191,8 +196,7 @@ fn main() {
 
 /// The corners of an image, as OpenCV gets them: in single precision.
 fn rounded_corners(image: &Image, pad_px: usize) -> Vec<Point2<f64>> {
-    let options = CornerOptions { max_corners: 2000, ..Default::default() };
-    corners(&Pyramid::new(image, 1, pad_px).levels()[0], &options)
+    corners(&Pyramid::new(image, 1, pad_px).levels()[0], 2000)
         .iter()
         .map(|p| p.map(|v| f64::from((v - 0.5) as f32) + 0.5))
         .collect()
@@ -230,9 +234,7 @@ struct OneThread {
     own_ms: Vec<f64>,
     peer_ms: Vec<f64>,
     ratios: Vec<f64>,
-    refined_ms: Vec<f64>,
     own: Tracked,
-    refined: Tracked,
 }
 
 /// Times on two threads.
@@ -249,8 +251,7 @@ struct TwoThreads {
 struct Comparison<'a> {
     images: &'a [Image; 2],
     points: &'a [Point2<f64>],
-    same: &'a KltOptions,
-    refined: &'a KltOptions,
+    options: &'a RegistrationOptions,
     /// The command that makes the peer track.
     command: String,
 }
@@ -261,15 +262,12 @@ impl Comparison<'_> {
         let mut all = OneThread::default();
         for _ in 0..REPEATS {
             let start = process_cpu_s();
-            all.own = ours(self.images, self.points, self.same, false);
+            all.own = ours(self.images, self.points, self.options, false);
             let own = 1e3 * (process_cpu_s() - start);
             let theirs = peer.ask(&self.command).processor_ms;
             all.own_ms.push(own);
             all.peer_ms.push(theirs);
             all.ratios.push(theirs / own);
-            let start = process_cpu_s();
-            all.refined = ours(self.images, self.points, self.refined, false);
-            all.refined_ms.push(1e3 * (process_cpu_s() - start));
         }
         all
     }
@@ -280,7 +278,7 @@ impl Comparison<'_> {
         for _ in 0..REPEATS {
             for pool in [false, true] {
                 let (start, processor) = (Instant::now(), process_cpu_s());
-                ours(self.images, self.points, self.same, pool);
+                ours(self.images, self.points, self.options, pool);
                 walls[usize::from(pool)].push(1e3 * start.elapsed().as_secs_f64());
                 cpu[usize::from(pool)].push(1e3 * (process_cpu_s() - processor));
             }
@@ -303,30 +301,20 @@ fn accuracy(tracked: &Tracked, points: &[Point2<f64>], truth: Option<&Truth>) ->
 }
 
 fn same_points(folder: &Path, peer: &mut Peer) {
-    let same = KltOptions {
-        max_residual: 1.0,
-        affine: stlfr::registration::AffineOptions { radius_px: 0, ..Default::default() },
-        ..Default::default()
-    };
-    let refined = KltOptions { max_residual: 1.0, ..Default::default() };
+    let options = RegistrationOptions::default();
     println!(
-        "{:22} | points both | ours-OpenCV median p90 [px] | error: ours, OpenCV, refined (median, within 0.1, within 1) | ms: ours, OpenCV, ratio | two threads: OpenCV/ours (wall) | our speed-up (minimal walls), processor time over one thread's | refined ms",
+        "{:22} | points both | ours-OpenCV median p90 [px] | error: ours, OpenCV (median, within 0.1, within 1) | ms: ours, OpenCV, ratio | two threads: OpenCV/ours (wall) | our speed-up (minimal walls), processor time over one thread's",
         ""
     );
     for problem in problems(folder) {
         let images = [0, 1].map(|k| read_image(&problem.files[k]).expect("an image").0.to_gray());
-        let points = rounded_corners(&images[0], same.pad_px());
+        let points = rounded_corners(&images[0], options.pad_px());
         send(&problem, &points, folder, peer);
-        let side = 2 * same.radius_px + 1;
-        let command =
-            format!("track {side} {} {} {}", same.levels, same.iterations, same.epsilon_px);
-        let comparison = Comparison {
-            images: &images,
-            points: &points,
-            same: &same,
-            refined: &refined,
-            command,
-        };
+        let KltParameters { window_radius_px, levels, iterations, epsilon_px } = (&options).into();
+        let side = 2 * window_radius_px + 1;
+        let command = format!("track {side} {levels} {iterations} {epsilon_px}");
+        let comparison =
+            Comparison { images: &images, points: &points, options: &options, command };
         let one = comparison.one_thread(peer);
         let theirs = peer_tracks(folder, peer);
         let two = comparison.two_threads(peer);
@@ -334,7 +322,7 @@ fn same_points(folder: &Path, peer: &mut Peer) {
             one.own.iter().zip(&theirs).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
         let accuracy = |tracked| accuracy(tracked, &points, problem.truth.as_ref());
         println!(
-            "{:22} | {} {} | {:.4} {:.4} | {}, {}, {} | {:.1}, {:.1}, {:.2} | {:.2} | {:.2}, {:.2} | {:.1}",
+            "{:22} | {} {} | {:.4} {:.4} | {}, {} | {:.1}, {:.1}, {:.2} | {:.2} | {:.2}, {:.2}",
             problem.name,
             points.len(),
             differences.len(),
@@ -342,14 +330,12 @@ fn same_points(folder: &Path, peer: &mut Peer) {
             quantile(&differences, 0.9),
             accuracy(&one.own),
             accuracy(&theirs),
-            accuracy(&one.refined),
             median(&one.own_ms),
             median(&one.peer_ms),
             median(&one.ratios),
             two.ratio,
             two.speed_up,
             two.overhead,
-            median(&one.refined_ms),
         );
     }
 }

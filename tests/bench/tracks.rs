@@ -2,8 +2,7 @@
 //! test; what the checks remove of the wrong ones, and lose of the right ones.
 //!
 //! `cargo bench --bench tracks [-- CAPTURE…]`: filmed captures with `truth/tracks`, whose points are
-//! tracked (`--translation`: without the deforming window; `--further=N`: N references beyond the
-//! nearest); without any, the five worlds of `tests/common/worlds.rs`, whose corners are.
+//! tracked; without any, the five worlds of `tests/common/worlds.rs`, whose corners are.
 
 #[path = "../common/bodies.rs"]
 #[allow(dead_code)]
@@ -23,7 +22,7 @@ use stlfr::camera::{Camera, EpipolarGeometry};
 use stlfr::capture::{Capture, Truth};
 use stlfr::random::Random;
 use stlfr::registration::{
-    FlowDirection, FrameStore, ReferenceQuery, RegistrationOptions, Track, Verdict, epipolar_test,
+    FlowDirection, FrameStore, ReferenceQuery, RegistrationOptions, Track, Verdict, epipolar_check,
     neighbor_consensus, select_references, temporal_flow, temporal_flow_of,
 };
 use worlds::Case;
@@ -171,19 +170,13 @@ impl Scene {
 
     /// How far the track's trajectory is off the epipolar line of its point's true position, in the
     /// reference camera that tests it.
-    fn across(
-        &self,
-        sample: &Sample,
-        camera: usize,
-        k: usize,
-        options: &RegistrationOptions,
-    ) -> Option<f64> {
+    fn across(&self, sample: &Sample, camera: usize, k: usize) -> Option<f64> {
         let times = self.times_s[camera].as_ref()?;
         let interval = [times[k], times[k + 1]];
         let backward = sample.track.direction == FlowDirection::Backward;
         let time_s = if backward { interval[0] } else { interval[1] };
         let query = ReferenceQuery { camera, interval_s: interval, time_s };
-        let references = select_references(&self.capture, &self.times_s, &query, options);
+        let references = select_references(&self.capture, &self.times_s, &query);
         let reference = references.first.first()?;
         let [own, other] = [camera, reference.camera].map(|c| &self.capture.cameras[c].camera);
         let at =
@@ -287,7 +280,7 @@ fn score(scene: &Scene, options: &RegistrationOptions) -> Counts {
 impl Scoring<'_> {
     fn verdicts(&self, samples: &[Sample]) -> Vec<Verdict> {
         let tracks: Vec<Track> = samples.iter().map(|s| s.track.clone()).collect();
-        epipolar_test(&self.store, &self.scene.times_s, self.camera, self.k, &tracks)
+        epipolar_check(&self.store, &self.scene.times_s, self.camera, self.k, &tracks)
             .expect("verdicts")
     }
 
@@ -298,8 +291,8 @@ impl Scoring<'_> {
     /// Whether a track is off the epipolar line by over ε + 1 px.
     fn is_off_line(&self, sample: &Sample) -> bool {
         self.scene
-            .across(sample, self.camera, self.k, self.options)
-            .is_some_and(|d| d > self.options.epsilon_px + 1.0)
+            .across(sample, self.camera, self.k)
+            .is_some_and(|d| d > self.options.epipolar_tolerance_px + 1.0)
     }
 
     /// The tracks as registration gives them, before and after the epipolar test.
@@ -349,14 +342,12 @@ impl Scoring<'_> {
 
     /// Tracks without any check, and which check stops the wrong ones.
     fn score_unchecked(&self, counts: &mut Counts) {
-        let mut unchecked = self.options.clone();
-        unchecked.max_back_error_px = 1000.0;
-        unchecked.min_support = 0;
-        unchecked.klt.max_residual = 1.0;
+        let unchecked = RegistrationOptions { consistency_checks: false, ..self.options.clone() };
         let raw_store = FrameStore::new(self.scene.capture.clone(), &unchecked);
         let raw = self.scene.tracks(&raw_store, self.camera, self.k);
         let tracks: Vec<Track> = raw.iter().map(|s| s.track.clone()).collect();
         let consensus = neighbor_consensus(&tracks, self.options);
+        let thresholds = self.options.consistency();
         for ((sample, verdict), agrees) in raw.iter().zip(self.verdicts(&raw)).zip(consensus) {
             if self.is_off_line(sample) {
                 count(&mut counts.across, verdict);
@@ -365,8 +356,8 @@ impl Scoring<'_> {
                 continue;
             }
             let stops = [
-                sample.track.forward_backward_error_px > self.options.max_back_error_px,
-                sample.track.residual > self.options.klt.max_residual,
+                sample.track.forward_backward_error_px > thresholds.forward_backward_error_px,
+                sample.track.residual > thresholds.residual,
                 !agrees,
                 verdict == Verdict::Rejected,
             ];
@@ -389,19 +380,12 @@ fn count(counts: &mut [usize; 3], verdict: Verdict) {
 
 fn main() {
     let folders: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
-    let plain = std::env::args().any(|a| a == "--translation");
     let scenes: Vec<Scene> = if folders.is_empty() {
         worlds::cases().into_iter().map(Scene::world).collect()
     } else {
         folders.iter().map(|f| Scene::film(f)).collect()
     };
-    let mut options = RegistrationOptions::default();
-    if !plain {
-        options.klt.affine = stlfr::registration::AffineOptions::default();
-    }
-    if let Some(n) = std::env::args().find_map(|a| a.strip_prefix("--further=")?.parse().ok()) {
-        options.further_references = n;
-    }
+    let options = RegistrationOptions::default();
     println!("errors: number, median, 99 % [px], within 0.1 px, within 1 px");
     for scene in &scenes {
         let c = score(scene, &options);

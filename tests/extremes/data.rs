@@ -102,7 +102,7 @@ fn one_and_two_features_show_no_offset_and_no_shape() {
     let capture = open(&folder);
     for count in [1, 2] {
         let mut options = RenderOptions::default();
-        options.registration.corners.max_corners = count;
+        options.registration.max_corners = count;
         let offsets = estimate_by(&capture, &options);
         for camera in [&offsets.cameras[0], &offsets.cameras[2]] {
             let reason = camera.reason.as_deref().expect("is unknown");

@@ -114,9 +114,7 @@ fn cameras_in_another_order() {
 
 #[test]
 fn images_turned_with_their_cameras() {
-    // Where a track stops depends on the order in which its window is summed.
-    let mut options = RegistrationOptions::default();
-    (options.klt.epsilon_px, options.klt.iterations) = (1e-5, 60);
+    let options = RegistrationOptions::default();
     let upright = Reconstruction::new(&Scene::default(), &options);
     for quarter_turns in 1..4 {
         let scene = Scene { quarter_turns, ..Scene::default() };

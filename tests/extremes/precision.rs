@@ -19,7 +19,7 @@ use stlfr::offset::{CameraOffset, Offsets};
 use stlfr::options::{ProxyMethod, RenderOptions};
 use stlfr::random::Random;
 use stlfr::raster::{BitDepth, Image, Samples, quantize};
-use stlfr::registration::{Frame, RegistrationOptions, flow};
+use stlfr::registration::{Frame, KltParameters, RegistrationOptions, Tracker};
 
 /// Values of any kind that an image may hold: noise, steps, next to nothing.
 fn image(random: &mut Random, width: usize, height: usize, channels: usize) -> Image {
@@ -135,27 +135,30 @@ fn the_morphs_field_to_a_hundredth_of_a_pixel() {
 /// A window's place as the tracker finds it, and as its equations have it in f64.
 #[test]
 fn tracked_windows_to_a_thousandth_of_a_pixel() {
-    let mut options = RegistrationOptions::default();
+    let options = RegistrationOptions::default();
     // Beyond the default precision, until the steps vanish.
-    (options.klt.epsilon_px, options.klt.iterations) = (1e-6, 300);
+    let parameters = KltParameters { epsilon_px: 1e-6, iterations: 300, ..(&options).into() };
+    let mut tracker = Tracker::new(parameters);
     for print in [1.0, 2.0] {
         let swing = Swing { print, ..Swing::default() };
         let images = [3.0, 3.8].map(|t| swing.truth(1, t));
         let [a, b] = images.each_ref().map(|i| Frame::new(i.clone(), &options));
-        let starts: Vec<_> = a.corners(&options).iter().map(|p| (*p, *p)).collect();
         let mut apart = Vec::new();
-        for found in flow(&a, &b, &starts, &options).into_iter().flatten() {
-            let radius = options.klt.radius_px as isize;
+        for source in a.corners(&options) {
+            let Some(found) = tracker.track(&a.pyramid, &b.pyramid, *source, *source) else {
+                continue;
+            };
+            let radius = options.window_radius_px as isize;
             let margin = radius as f64 + 4.0;
             let inside = |p: &Point2<f64>| {
                 let (w, h) = (swing.width as f64, swing.height as f64);
                 p.x.min(p.y).min(w - p.x).min(h - p.y) > margin
             };
-            if !inside(&found.source) || !inside(&found.target) {
+            if !inside(source) || !inside(&found.position) {
                 continue;
             }
-            let exact = lucas_kanade(&images, found.source, found.target, radius);
-            apart.push((found.target - exact).norm());
+            let exact = lucas_kanade(&images, *source, found.position, radius);
+            apart.push((found.position - exact).norm());
         }
         apart.sort_by(f64::total_cmp);
         let (median, worst) = (apart[apart.len() / 2], apart[apart.len() - 1]);

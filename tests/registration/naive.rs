@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix2, Point2, SMatrix, SVector, Vector2};
 use stlfr::raster::Image;
-use stlfr::registration::{AffineOptions, KltOptions};
+use stlfr::registration::KltParameters;
 
 /// A grey image in f64.
 pub struct Plane {
@@ -108,7 +108,7 @@ fn levels(a: &Image, b: &Image, max_levels: usize) -> Vec<[Plane; 2]> {
 
 /// The position in `b` of the window around `from` in `a`, pixels; `None` where the full-sized window has too
 /// little texture or leaves the image.
-pub fn track(a: &Image, b: &Image, from: Point2<f64>, o: &KltOptions) -> Option<Point2<f64>> {
+pub fn track(a: &Image, b: &Image, from: Point2<f64>, o: &KltParameters) -> Option<Point2<f64>> {
     let levels = levels(a, b, o.levels);
     let mut flow = Vector2::zeros();
     for (k, planes) in levels.iter().enumerate().rev() {
@@ -135,9 +135,9 @@ fn track_level(
     [a, b]: &[Plane; 2],
     p: &Vector2<f64>,
     mut flow: Vector2<f64>,
-    o: &KltOptions,
+    o: &KltParameters,
 ) -> Option<Vector2<f64>> {
-    let r = o.radius_px as i64;
+    let r = o.window_radius_px as i64;
     let area = ((2 * r + 1) * (2 * r + 1)) as f64;
     let window = || (-r..=r).flat_map(|y| (-r..=r).map(move |x| (x, y)));
     let place = |(x, y): (i64, i64)| Vector2::new(x as f64, y as f64);
@@ -149,7 +149,7 @@ fn track_level(
         })
         .collect();
     let tensor: Matrix2<f64> = template.iter().map(|(_, g)| g * g.transpose()).sum();
-    if !(tensor.symmetric_eigenvalues().min() >= o.min_eigenvalue * area) {
+    if !(tensor.symmetric_eigenvalues().min() >= MIN_EIGENVALUE * area) {
         return None;
     }
     let inverse = tensor.try_inverse()?;
@@ -177,6 +177,16 @@ fn track_level(
     Some(flow)
 }
 
+/// The tracker's smallest eigenvalue of a window with texture, per pixel.
+const MIN_EIGENVALUE: f64 = 2e-6;
+/// Of deforming windows: half their side, iterations, the step that ends them, the deformation that is expected, and
+/// the distance to the translation that is allowed.
+const RADIUS_PX: i64 = 8;
+const ITERATIONS: usize = 12;
+const EPSILON_PX: f64 = 0.02;
+const DEFORMATION: f64 = 0.1;
+const MAX_SHIFT_PX: f64 = 5.0;
+
 /// A sample of a deforming window's template.
 struct Sample {
     /// From the window's middle, pixels.
@@ -188,9 +198,9 @@ struct Sample {
 }
 
 /// The template around a pixel, of the samples inside the image.
-fn deforming_template(a: &Plane, (cx, cy): (i64, i64), o: &AffineOptions) -> Vec<Sample> {
-    let r = o.radius_px as i64;
-    let sigma = o.sigma_share * r as f64;
+fn deforming_template(a: &Plane, (cx, cy): (i64, i64)) -> Vec<Sample> {
+    let r = RADIUS_PX;
+    let sigma = 0.6 * r as f64;
     let mean = a.at(cx, cy);
     let inside = |v: i64, n: usize| v >= 0 && v < n as i64;
     (-r..=r)
@@ -223,9 +233,8 @@ pub fn deformed(
     b: &Image,
     from: Point2<f64>,
     translated: Point2<f64>,
-    o: &AffineOptions,
 ) -> Option<Point2<f64>> {
-    /// Noise of 8-bit values, against which a deformation of `o.deformation` is expected.
+    /// Noise of 8-bit values, against which a deformation of `DEFORMATION` is expected.
     const NOISE: f64 = 0.012;
     let (a, b) = (Plane::new(a), Plane::new(b));
     let pixel = from.coords.map(f64::floor);
@@ -235,12 +244,12 @@ pub fn deformed(
     let offset = from.coords - pixel - Vector2::repeat(0.5);
     let (cx, cy) = (pixel.x as i64, pixel.y as i64);
     let mean = a.at(cx, cy);
-    let template = deforming_template(&a, (cx, cy), o);
+    let template = deforming_template(&a, (cx, cy));
     let mut normal = SMatrix::<f64, 8, 8>::zeros();
     for sample in &template {
         normal += sample.weight * sample.slopes * sample.slopes.transpose();
     }
-    let prior = (NOISE / o.deformation).powi(2);
+    let prior = (NOISE / DEFORMATION).powi(2);
     for k in 2..7 {
         normal[(k, k)] += prior;
     }
@@ -248,7 +257,7 @@ pub fn deformed(
     let (mut matrix, mut middle) =
         (Matrix2::identity(), translated.coords - Vector2::repeat(0.5) - offset);
     let (mut gain, mut bias) = (1.0, 0.0);
-    for _ in 0..o.iterations {
+    for _ in 0..ITERATIONS {
         let mut right = SVector::<f64, 8>::zeros();
         for sample in &template {
             let sampled = b.cubic(&(middle + matrix * sample.place));
@@ -267,10 +276,10 @@ pub fn deformed(
         if !(gain > 0.25 && gain < 4.0) {
             return None;
         }
-        if moved.norm() < o.epsilon_px {
+        if moved.norm() < EPSILON_PX {
             break;
         }
     }
     let position = Point2::from(middle + matrix * offset + Vector2::repeat(0.5));
-    ((position - translated).norm() <= o.max_shift_px).then_some(position)
+    ((position - translated).norm() <= MAX_SHIFT_PX).then_some(position)
 }

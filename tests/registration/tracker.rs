@@ -8,16 +8,8 @@ use stlfr::random::Random;
 use stlfr::raster::Image;
 use stlfr::raster::read_image;
 use stlfr::registration::{
-    AffineOptions, CornerOptions, KltOptions, Pyramid, RegistrationOptions, Tracker, corners,
+    AffineStart, AffineTracker, KltParameters, Pyramid, RegistrationOptions, Tracker, corners,
 };
-
-fn translation_only() -> KltOptions {
-    KltOptions {
-        max_residual: 1.0,
-        affine: AffineOptions { radius_px: 0, ..Default::default() },
-        ..Default::default()
-    }
-}
 
 /// Odd sizes, single pixels, points at borders and corners, 8 and 16 bit, grey and colour.
 #[test]
@@ -33,7 +25,10 @@ fn the_tracker_agrees_with_a_naive_one() {
         let value = waves(&mut random, channels);
         let a = pictured(w, h, channels, steps, &value);
         let b = pictured(w, h, channels, steps, |x, y, c| value(x - shift.x, y - shift.y, c));
-        let options = KltOptions { radius_px: [2, 3, 5, 7][case % 4], ..translation_only() };
+        let options = RegistrationOptions {
+            window_radius_px: [2, 3, 5, 7][case % 4],
+            ..RegistrationOptions::default()
+        };
         let [pa, pb] = [&a, &b].map(|i| Pyramid::new(i, options.levels, options.pad_px()));
         let mut tracker = Tracker::new(&options);
         for k in 0..12 {
@@ -44,7 +39,7 @@ fn the_tracker_agrees_with_a_naive_one() {
                 _ => Point2::new(random.unit() * w as f64, random.unit() * h as f64),
             };
             let fast = tracker.track(&pa, &pb, from, from).map(|t| t.position);
-            let slow = naive::track(&a, &b, from, &options);
+            let slow = naive::track(&a, &b, from, &KltParameters::from(&options));
             match (fast, slow) {
                 (Some(fast), Some(slow)) => {
                     // Where the window has texture both ways, single precision decides nothing;
@@ -67,14 +62,14 @@ fn the_tracker_agrees_with_a_naive_one() {
 fn constant_images_lose_every_point() {
     for (w, h) in [(1, 1), (9, 1), (31, 17), (64, 64)] {
         let image = Image::filled(w, h, 3, 0.3);
-        let options = KltOptions::default();
+        let options = RegistrationOptions::default();
         let pyramid = Pyramid::new(&image, options.levels, options.pad_px());
         let mut tracker = Tracker::new(&options);
         for at in [(0.0, 0.0), (0.5, 0.5), (w as f64, h as f64)] {
             let at = Point2::new(at.0, at.1);
             assert_eq!(tracker.track(&pyramid, &pyramid, at, at), None);
         }
-        assert!(corners(&pyramid.levels()[0], &CornerOptions::default()).is_empty());
+        assert!(corners(&pyramid.levels()[0], 100).is_empty());
     }
 }
 
@@ -82,7 +77,7 @@ fn constant_images_lose_every_point() {
 #[test]
 fn the_deforming_window_agrees_with_a_naive_one() {
     let mut random = Random::new(19);
-    let (mut refined, mut apart) = (0, Vec::new());
+    let (mut tracked, mut apart) = (0, Vec::new());
     for case in 0..40 {
         let sizes = [(17, 31), (33, 40), (64, 47), (95, 81)];
         let (w, h) = sizes[case % sizes.len()];
@@ -98,43 +93,40 @@ fn the_deforming_window_agrees_with_a_naive_one() {
             let p = matrix * (Vector2::new(x, y) - middle - shift) + middle;
             0.5 + gain * (value(p.x, p.y, c) - 0.5)
         });
-        let affine = AffineOptions { radius_px: [3, 7, 11][case % 3], ..Default::default() };
-        let plain = translation_only();
-        let deforming = KltOptions { affine: affine.clone(), ..translation_only() };
-        let pad_px = plain.pad_px().max(deforming.pad_px());
-        let [pa, pb] = [&a, &b].map(|i| Pyramid::new(i, plain.levels, pad_px));
+        let options = RegistrationOptions::default();
+        let [pa, pb] = [&a, &b].map(|i| Pyramid::new(i, options.levels, options.pad_px()));
         for k in 0..12 {
             let from = match k {
                 0 => Point2::new(1.5, 1.5),
                 1 => Point2::new(w as f64 - 0.1, 0.5 * h as f64),
                 _ => Point2::new(random.unit() * w as f64, random.unit() * h as f64),
             };
-            let found = Tracker::new(&plain).track(&pa, &pb, from, from);
-            let fast = Tracker::new(&deforming).track(&pa, &pb, from, from);
-            let (Some(found), Some(fast)) = (found, fast) else { continue };
-            // The translation's answer stays where the refinement fails.
-            let slow = naive::deformed(&a, &b, from, found.position, &affine);
-            refined += usize::from(slow.is_some());
-            apart.push((fast.position - slow.unwrap_or(found.position)).norm());
+            let translated = Tracker::new(&options).track(&pa, &pb, from, from);
+            let Some(guess) = translated.map(|t| t.position) else { continue };
+            let start = AffineStart { from, guess, deformation: Matrix2::identity() };
+            let fast = AffineTracker::default().track(&pa, &pb, &start).map(|t| t.position);
+            let slow = naive::deformed(&a, &b, from, guess);
+            tracked += usize::from(slow.is_some());
+            apart.push((fast.unwrap_or(guess) - slow.unwrap_or(guess)).norm());
         }
     }
     apart.sort_by(f64::total_cmp);
     // A step more or less, and what reaches beyond the padded border, is decided by little.
     let near = apart.iter().filter(|d| **d < 2e-3).count();
     println!(
-        "{refined} of {} refined, {near} agree; median {}",
+        "{tracked} of {} tracked, {near} agree; median {}",
         apart.len(),
         apart[apart.len() / 2]
     );
-    assert!(refined > 250 && near * 100 >= 97 * apart.len(), "{near} of {}", apart.len());
+    assert!(tracked > 250 && near * 100 >= 97 * apart.len(), "{near} of {}", apart.len());
 }
 
-/// A patch that turns, tilts, grows and changes its light: the refinement finds it, which the
-/// translation can't.
+/// A patch that turns, tilts, grows and changes its light: a deforming window finds it, which a
+/// translated one can't.
 #[test]
 fn deforming_windows_are_found() {
     let mut random = Random::new(3);
-    let (mut refined_px, mut plain_px) = (Vec::new(), Vec::new());
+    let (mut deforming_px, mut translated_px) = (Vec::new(), Vec::new());
     for _ in 0..40 {
         let value = waves(&mut random, 1);
         let mut entry = || 0.24 * (random.unit() - 0.5);
@@ -149,21 +141,24 @@ fn deforming_windows_are_found() {
             0.5 + gain * (value(p.x, p.y, c) - 0.5) + bias
         });
         let from = Point2::from(middle);
-        let error = |options: &KltOptions| {
-            let [pa, pb] = [&a, &b].map(|i| Pyramid::new(i, options.levels, options.pad_px()));
-            Tracker::new(options)
-                .track(&pa, &pb, from, from)
-                .map_or(f64::INFINITY, |t| (t.position - from - shift).norm())
+        let options = RegistrationOptions::default();
+        let [pa, pb] = [&a, &b].map(|i| Pyramid::new(i, options.levels, options.pad_px()));
+        let error = |found: Option<Point2<f64>>| {
+            found.map_or(f64::INFINITY, |position| (position - from - shift).norm())
         };
-        let affine = AffineOptions::default();
-        refined_px.push(error(&KltOptions { max_residual: 1.0, affine, ..Default::default() }));
-        plain_px.push(error(&translation_only()));
+        let translated = Tracker::new(&options).track(&pa, &pb, from, from).map(|t| t.position);
+        let deforming = translated.and_then(|guess| {
+            let start = AffineStart { from, guess, deformation: Matrix2::identity() };
+            Some(AffineTracker::default().track(&pa, &pb, &start)?.position)
+        });
+        deforming_px.push(error(deforming));
+        translated_px.push(error(translated));
     }
-    for errors in [&mut refined_px, &mut plain_px] {
+    for errors in [&mut deforming_px, &mut translated_px] {
         errors.sort_by(f64::total_cmp);
     }
-    assert!(refined_px[20] < 0.01 && refined_px[35] < 0.05, "{refined_px:?}");
-    assert!(plain_px[20] > 10.0 * refined_px[20], "{plain_px:?}");
+    assert!(deforming_px[20] < 0.01 && deforming_px[35] < 0.05, "{deforming_px:?}");
+    assert!(translated_px[20] > 10.0 * deforming_px[20], "{translated_px:?}");
 }
 
 /// The stored tracks of the KLT data: (x, y) with the top-left pixel's centre at (0.5, 0.5), by
@@ -189,19 +184,18 @@ fn stored() -> Vec<Vec<Option<Point2<f64>>>> {
 /// 9 (median), with half steps 0.06 px (tests/golden/klt/README.md). Hence the bound.
 #[test]
 fn real_images_give_the_stored_tracks() {
-    // The table's window; its program only moves it.
-    let klt = KltOptions { radius_px: 3, ..translation_only() };
-    let options = RegistrationOptions { klt, ..Default::default() };
+    // The table's window.
+    let options = RegistrationOptions { window_radius_px: 3, ..Default::default() };
     let folder = common::root().join("tests/golden/klt");
     let pyramids: Vec<Pyramid> = (0..10)
         .map(|k| {
             let (image, _) = read_image(&folder.join(format!("img{k}.pgm"))).expect("an image");
-            Pyramid::new(&image, options.klt.levels, options.klt.pad_px())
+            Pyramid::new(&image, options.levels, options.pad_px())
         })
         .collect();
     let stored = stored();
     assert_eq!(stored.len(), 150);
-    let mut tracker = Tracker::new(&options.klt);
+    let mut tracker = Tracker::new(&options);
     let mut distances = Vec::new();
     let mut alive = 0;
     for feature in &stored {

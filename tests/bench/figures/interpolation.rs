@@ -12,7 +12,7 @@ use stlfr::interpolation::{
 use stlfr::options::RenderOptions;
 use stlfr::raster::Image;
 use stlfr::registration::{
-    Frame, RegistrationOptions, Track, Verdict, epipolar_test, temporal_flow,
+    Frame, RegistrationOptions, Track, Verdict, epipolar_check, temporal_flow,
 };
 
 /// The magazine in the filming cameras' images.
@@ -31,21 +31,14 @@ struct Pair {
 /// Corners a frame. Larger: the mismatches drown in right matches, and the schemes hardly differ; smaller: the
 /// magazine has too few real edges.
 const CORNERS: usize = 1500;
-/// Largest mean difference of two matched windows, values 0..=1. Larger: mismatches that are untestable spoil all
-/// schemes; smaller: the tracker has removed them before the epipolar test could.
-const MAX_RESIDUAL: f64 = 0.2;
-
 /// Registration as in the paper: forward and backward flow, whose mismatches the epipolar test alone removes.
 fn papers_registration(epipolar_test: bool) -> RegistrationOptions {
-    let mut options = RegistrationOptions {
-        min_support: 0,
-        max_back_error_px: f64::INFINITY,
+    RegistrationOptions {
+        max_corners: CORNERS,
+        consistency_checks: false,
         epipolar_test,
         ..RegistrationOptions::default()
-    };
-    options.corners.max_corners = CORNERS;
-    options.klt.max_residual = MAX_RESIDUAL;
-    options
+    }
 }
 
 /// Interpolation as in the paper, on straight lines; but all features are vertices of the edge set.
@@ -164,7 +157,7 @@ pub fn figure_6() -> Result<Page, Error> {
     let [frame, _] = pair.frames()?;
     let frames = &pair.scene.field.frames(&RegistrationOptions::default());
     let tracks = temporal_flow(frames, pair.camera, pair.k)?;
-    let verdicts = epipolar_test(frames, &pair.scene.times_s(), pair.camera, pair.k, &tracks)?;
+    let verdicts = epipolar_check(frames, &pair.scene.times_s(), pair.camera, pair.k, &tracks)?;
     let base = magnified(&pale(&frame.image), MAGAZINE, 2);
     let (mut before, mut after) = (base.clone(), base);
     let mut rejected = 0;

@@ -13,7 +13,7 @@ use stlfr::offset::{self, Offsets};
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::registration::RegistrationOptions;
-use stlfr::registration::{FrameStore, epipolar_test, temporal_flow};
+use stlfr::registration::{FrameStore, epipolar_check, temporal_flow};
 
 /// What is timed, in the order of the pipeline.
 const STAGES: [&str; 8] = [
@@ -122,7 +122,7 @@ fn measure(name: &str, case: &Case) -> Done<(usize, [usize; 2], [f64; STAGES.len
     let features = store.get(reference, k)?.corners(&options.registration).len();
     let (_, registration) = timed(|| {
         let tracks = temporal_flow(&store, reference, k)?;
-        epipolar_test(&store, &times, reference, k, &tracks)
+        epipolar_check(&store, &times, reference, k, &tracks)
     });
     drop(store);
     let (_, offsets) = timed(|| {

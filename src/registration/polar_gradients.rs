@@ -1,64 +1,59 @@
-//! The strengths and directions of gradients, of which descriptors of features are histograms.
+//! Gradients in polar form, of which descriptors are histograms.
 
 use super::Pyramid;
 use crate::simd::{F32x8, LANES, multiversion};
 use std::f32::consts::TAU;
 
-/// Directions of a descriptor's cell. More: it tells more features apart, and tolerates less deformation.
+/// Directions of a descriptor's cell.
 pub const DIRECTIONS: usize = 8;
 /// A full turn, in directions: the unit of angles in gradients and descriptors.
 pub const TURN: f32 = DIRECTIONS as f32;
-/// The level whose gradients describe a feature. Coarser: small things lose their descriptors; finer: noise.
+/// The pyramid level whose gradients describe a feature.
 const LEVEL: usize = 1;
 
-/// The gradients of a frame's level, by central differences.
+/// The gradients of one level of a frame, by central differences.
 #[derive(Debug)]
-pub(super) struct Gradients {
+pub(super) struct PolarGradients {
     pub width: usize,
     pub height: usize,
     /// Pixels of the level over those of the frame.
     pub scale: f64,
-    /// Row by row, and a word of padding.
+    /// Magnitudes, row by row, and [`LANES`] more.
     pub strength: Vec<f32>,
-    /// From x towards y, 0 to [`TURN`]; row by row, and a word of padding.
+    /// Angles from x towards y, 0 to [`TURN`], row by row, and [`LANES`] more.
     pub direction: Vec<f32>,
 }
 
 multiversion! {
-    fn gradients(pyramid: &Pyramid) -> Gradients = gradients_by::<V>
+    fn gradients(pyramid: &Pyramid) -> PolarGradients = gradients_by::<V>
 }
 
 #[inline(always)]
-fn gradients_by<V: F32x8>(pyramid: &Pyramid) -> Gradients {
-    Gradients::new_by::<V>(pyramid)
+fn gradients_by<V: F32x8>(pyramid: &Pyramid) -> PolarGradients {
+    let levels = pyramid.levels();
+    let n = LEVEL.min(levels.len() - 1);
+    let level = &levels[n];
+    let size = level.width * level.height;
+    let [mut strength, mut direction] = [vec![0.0; size + LANES], vec![0.0; size + LANES]];
+    for y in 0..level.height {
+        // A row's last eight run into the next row, which is written later, or into the padding.
+        for x in (0..level.width).step_by(LANES) {
+            let k = level.index(x as isize, y as isize);
+            let gx = V::load(&level.value, k + 1) - V::load(&level.value, k - 1);
+            let [above, below] = [k - level.stride, k + level.stride];
+            let gy = V::load(&level.value, below) - V::load(&level.value, above);
+            let at = y * level.width + x;
+            gx.mul_add(gx, gy * gy).sqrt().store(&mut strength, at);
+            directions(gx, gy).store(&mut direction, at);
+        }
+    }
+    let scale = 1.0 / f64::from(1_u32 << n);
+    PolarGradients { width: level.width, height: level.height, scale, strength, direction }
 }
 
-impl Gradients {
+impl PolarGradients {
     pub fn new(pyramid: &Pyramid) -> Self {
         gradients(pyramid)
-    }
-
-    #[inline(always)]
-    fn new_by<V: F32x8>(pyramid: &Pyramid) -> Self {
-        let levels = pyramid.levels();
-        let n = LEVEL.min(levels.len() - 1);
-        let level = &levels[n];
-        let size = level.width * level.height;
-        let [mut strength, mut direction] = [vec![0.0; size + LANES], vec![0.0; size + LANES]];
-        for y in 0..level.height {
-            // A row's last word runs into the next row, which is written later, or into the padding.
-            for x in (0..level.width).step_by(LANES) {
-                let k = level.index(x as isize, y as isize);
-                let gx = V::load(&level.value, k + 1).sub(V::load(&level.value, k - 1));
-                let [above, below] = [k - level.stride, k + level.stride];
-                let gy = V::load(&level.value, below).sub(V::load(&level.value, above));
-                let at = y * level.width + x;
-                gx.mul_add(gx, gy.mul(gy)).sqrt().store(&mut strength, at);
-                directions(gx, gy).store(&mut direction, at);
-            }
-        }
-        let scale = 1.0 / f64::from(1_u32 << n);
-        Self { width: level.width, height: level.height, scale, strength, direction }
     }
 
     #[cfg(test)]
@@ -66,7 +61,7 @@ impl Gradients {
         size_of::<f32>() * (self.strength.len() + self.direction.len())
     }
 
-    /// The bytes of those of a pyramid with levels of these sizes, the full-sized first.
+    /// Bytes of the gradients of a pyramid with levels of these sizes, the full-sized first.
     pub fn bytes_of(sizes: &[[usize; 2]]) -> usize {
         let [width, height] = sizes[LEVEL.min(sizes.len() - 1)];
         2 * (width * height + LANES) * size_of::<f32>()
@@ -86,21 +81,21 @@ const ARCTANGENT: [f32; 9] = [
     0.002_866_225_7,
 ];
 
-/// The directions of vectors from x towards y, 0 to [`TURN`]; 0 without a direction.
+/// Angles of vectors from x towards y, 0 to [`TURN`]; 0 for the zero vector.
 #[inline(always)]
 fn directions<V: F32x8>(x: V, y: V) -> V {
     let (along, across) = (x.abs(), y.abs());
     let longer = along.max(across).max(V::splat(f32::MIN_POSITIVE));
-    let slope = along.min(across).div(longer);
-    let squared = slope.mul(slope);
+    let slope = along.min(across) / longer;
+    let squared = slope * slope;
     let mut sum = V::zero();
     for coefficient in ARCTANGENT.into_iter().rev() {
         sum = sum.mul_add(squared, V::splat(coefficient));
     }
-    let octant = sum.mul(slope).mul(V::splat(TURN / TAU));
-    let quadrant = along.if_below(across, V::splat(0.25 * TURN).sub(octant), octant);
-    let half = x.if_below(V::zero(), V::splat(0.5 * TURN).sub(quadrant), quadrant);
-    y.if_below(V::zero(), V::splat(TURN).sub(half), half)
+    let octant = sum * slope * V::splat(TURN / TAU);
+    let quadrant = along.if_below(across, V::splat(0.25 * TURN) - octant, octant);
+    let half = x.if_below(V::zero(), V::splat(0.5 * TURN) - quadrant, quadrant);
+    y.if_below(V::zero(), V::splat(TURN) - half, half)
 }
 
 #[cfg(test)]
@@ -118,7 +113,7 @@ mod tests {
             let data = (0..w * h).map(|_| (4.0 * random.unit()).floor() as f32 / 4.0).collect();
             let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 1, 16);
             let level = &pyramid.levels()[0];
-            for gradients in [Gradients::new(&pyramid), Gradients::new_by::<Scalar>(&pyramid)] {
+            for gradients in [PolarGradients::new(&pyramid), gradients_by::<Scalar>(&pyramid)] {
                 for k in 0..w * h {
                     let at = |dx: isize, dy: isize| {
                         let at = level.index((k % w) as isize + dx, (k / w) as isize + dy);

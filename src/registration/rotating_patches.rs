@@ -4,95 +4,71 @@
 //! or moves past its surroundings by 50 pixels, is lost as a whole, so that no neighbour can tell where to look.
 //! Here lost corners are matched to the other frame's corners by descriptors that don't depend on their
 //! direction. Matches count that agree with each other on one motion. They and the corners
-//! around them are then tracked by windows that are turned alike.
+//! around them are then tracked by affinely deforming windows.
 
-use super::affine::{AffineRefiner, Deformed};
-use super::oriented::Oriented;
-use super::pyramid::Level;
-use super::{AffineOptions, Frame, Match, Neighbors, RegistrationOptions};
-use crate::simd::{F32x8, multiversion};
+use super::corners::MIN_DISTANCE_PX;
+use super::sift::SiftDescriptor;
+use super::{AffineStart, AffineTracker, Frame, Match, Neighbors, RegistrationOptions};
 use nalgebra::{Matrix2, Point2, Rotation2};
 use rayon::prelude::*;
 
-/// Maximum motion, as a fraction of the image's longer side. Larger: time, and wrong matches; smaller: fast
-/// things stay lost.
+/// Maximum motion, as a fraction of the image's longer side.
 const MAX_MOTION: f64 = 0.1;
-/// Largest ratio of the squared distances of the best and the second best descriptor. Larger: repeated patterns
-/// match at random; smaller: fewer matches.
+/// Maximum ratio of the squared distances to the best and to the second best descriptor.
 const MAX_RATIO: f32 = 0.7;
-/// Matches within this distance, pixels, tell about each other. Larger: other surfaces do; smaller: too few.
+/// Radius within which matches must agree, pixels.
 const SUPPORT_RADIUS_PX: f64 = 40.0;
-/// How far two matches of one motion may differ, pixels, and in addition as a fraction of their distance.
-/// Larger: wrong matches agree by chance; smaller: tilting surfaces don't.
+/// Maximum difference of two matches of one motion, pixels, and in addition as a fraction of their distance.
 const SUPPORT_PX: f64 = 2.0;
-const SUPPORT_SHARE: f64 = 0.2;
-/// Number of matches that must agree with one. Larger: small things stay lost; smaller: chance decides.
+const SUPPORT_FRACTION: f64 = 0.2;
+/// Minimum number of other matches that agree with one.
 const MIN_SUPPORT: usize = 3;
-/// Number of nearest turned features whose motion is tried for a lost corner. Larger: time; smaller: the one
-/// motion tried may be another surface's.
+/// Number of nearest rotating patches whose motion is tried for a lost corner.
 const GUESSES: usize = 3;
-/// Number of times that what was found tells about what is still lost. Larger: time for few more.
+/// Propagation rounds: new matches seed the next.
 const ROUNDS: usize = 3;
-/// Bounds on a window's change of area. Larger: windows collapse to a line; smaller: real foreshortening fails.
+/// Maximum change of a window's area; the minimum is its inverse.
 const MAX_AREA_RATIO: f64 = 2.0;
-/// Largest difference of the two windows relative to their contrast. Larger: plain windows match anything; smaller:
-/// noise loses tracks.
+/// Maximum difference of the two windows relative to their contrast.
 const MAX_UNEXPLAINED: f64 = 0.35;
 
-/// The window of the tracking: smaller than where it refines a translation, because bodies that turn are small.
-fn window() -> AffineOptions {
-    AffineOptions { radius_px: 8, iterations: 12, max_shift_px: 5.0, ..AffineOptions::default() }
-}
-
-/// A track's end, and the guess of it in the next frame; pixels.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Onward {
-    pub from: Point2<f64>,
-    pub guess: Point2<f64>,
-    /// The linear part of the motion: the identity where the window only translated.
-    pub deformation: Matrix2<f64>,
-}
-
-/// A local motion: a point, where it goes, and how its surroundings are deformed.
+/// An affine motion of a patch: its middle in the source and in the target, and its deformation.
 #[derive(Clone, Copy)]
-struct Turn {
+struct PatchMotion {
     source: Point2<f64>,
     target: Point2<f64>,
     deformation: Matrix2<f64>,
 }
 
-impl Turn {
-    /// Where the motion takes another point.
-    fn of(&self, p: &Point2<f64>) -> Point2<f64> {
+impl PatchMotion {
+    /// The target position of another point that moves with the patch.
+    fn apply(&self, p: &Point2<f64>) -> Point2<f64> {
         self.target + self.deformation * (p - self.source)
     }
 }
 
-/// Seeks the corners that have no match again, as features that may turn. `corners` are the source's, in the order
-/// of `matches`.
-pub(super) fn turned_flow(
+/// Matches the corners that have no match yet, as patches that may rotate. `corners` are the source's, in the
+/// order of `matches`.
+pub(super) fn match_rotating_patches(
     [source, target]: [&Frame; 2],
     corners: &[Point2<f64>],
     matches: &mut [Option<Match>],
     options: &RegistrationOptions,
 ) {
     let mut lost: Vec<usize> = (0..corners.len()).filter(|&k| matches[k].is_none()).collect();
-    let mut turns = agreeing(&seeds([source, target], corners, &lost, matches, options));
+    let mut motions = agreeing(&seeds([source, target], corners, &lost, matches, options));
     for _ in 0..ROUNDS {
-        if turns.is_empty() || lost.is_empty() {
+        if motions.is_empty() || lost.is_empty() {
             break;
         }
-        let near = Neighbors::new(turns.iter().map(|t| t.source));
+        let near = Neighbors::new(motions.iter().map(|t| t.source));
         let found: Vec<Option<Match>> = lost
             .par_iter()
-            .map_init(
-                || AffineRefiner::new(&window()),
-                |refiner, &k| {
-                    tracked([source, target], &corners[k], (&turns, &near), refiner, options)
-                },
-            )
+            .map_init(AffineTracker::default, |tracker, &k| {
+                tracked([source, target], &corners[k], (&motions, &near), tracker, options)
+            })
             .collect();
-        turns = found.iter().flatten().map(turn_of).collect();
+        motions = found.iter().flatten().map(motion_of).collect();
         for (k, found) in lost.iter().zip(found) {
             matches[*k] = found;
         }
@@ -100,30 +76,30 @@ pub(super) fn turned_flow(
     }
 }
 
-fn turn_of(m: &Match) -> Turn {
-    Turn { source: m.source, target: m.target, deformation: m.deformation }
+fn motion_of(m: &Match) -> PatchMotion {
+    PatchMotion { source: m.source, target: m.target, deformation: m.deformation }
 }
 
-/// The lost corners whose descriptor has one counterpart, among the target's corners that nothing was tracked to.
+/// Mutual best matches, by descriptor, of the lost corners and the target's corners that have no match.
 fn seeds(
     [source, target]: [&Frame; 2],
     corners: &[Point2<f64>],
     lost: &[usize],
     matches: &[Option<Match>],
     options: &RegistrationOptions,
-) -> Vec<Turn> {
+) -> Vec<PatchMotion> {
     let size = source.pyramid.width().max(source.pyramid.height());
     let reach = MAX_MOTION * size as f64;
     let taken = Neighbors::new(matches.iter().flatten().map(|m| m.target));
     let lost_at = Neighbors::new(lost.iter().map(|&k| corners[k]));
     let free: Vec<Point2<f64>> = (target.corners(options).iter())
-        .filter(|p| !taken.any_within(p, options.corners.min_distance_px))
+        .filter(|p| !taken.any_within(p, MIN_DISTANCE_PX))
         .filter(|p| lost_at.any_within(p, reach))
         .copied()
         .collect();
     let lost: Vec<Point2<f64>> = lost.iter().map(|&k| corners[k]).collect();
     let [from, to] =
-        [(source, &lost), (target, &free)].map(|(frame, points)| described(frame, points));
+        [(source, &lost), (target, &free)].map(|(frame, points)| descriptors(frame, points));
     let near = Neighbors::new(free.iter().copied());
     // The best of each lost corner, and the best of those for each free corner.
     let best: Vec<Option<(usize, f32)>> = lost
@@ -143,30 +119,34 @@ fn seeds(
         let (n, _) = (*best)?;
         let angle = to[n].as_ref()?.angle - from[k].as_ref()?.angle;
         let deformation = *Rotation2::new(f64::from(angle)).matrix();
-        (best_of_free[n].1 == k).then(|| Turn { source: lost[k], target: free[n], deformation })
+        (best_of_free[n].1 == k).then(|| PatchMotion {
+            source: lost[k],
+            target: free[n],
+            deformation,
+        })
     };
     best.iter().enumerate().filter_map(mutual).collect()
 }
 
 /// The descriptors of points of a frame.
-fn described(frame: &Frame, points: &[Point2<f64>]) -> Vec<Option<Oriented>> {
+fn descriptors(frame: &Frame, points: &[Point2<f64>]) -> Vec<Option<SiftDescriptor>> {
     if points.is_empty() {
         return Vec::new();
     }
     let gradients = frame.gradients();
-    points.par_iter().map(|p| Oriented::new(gradients, p)).collect()
+    points.par_iter().map(|p| SiftDescriptor::new(gradients, p)).collect()
 }
 
-/// The candidate that is like a corner, if no other is nearly as like it.
+/// The candidate of the nearest descriptor, with the squared distance, if it passes the ratio test.
 fn best_of(
     p: &Point2<f64>,
-    own: &Oriented,
-    (described, near): (&[Option<Oriented>], &Neighbors),
+    own: &SiftDescriptor,
+    (candidates, near): (&[Option<SiftDescriptor>], &Neighbors),
     reach: f64,
 ) -> Option<(usize, f32)> {
     let [mut best, mut second] = [(usize::MAX, f32::INFINITY); 2];
     near.each_within(p, reach, |n| {
-        let Some(other) = &described[n] else { return };
+        let Some(other) = &candidates[n] else { return };
         let distance = own.distance(other);
         if distance < best.1 {
             [best, second] = [(n, distance), best];
@@ -177,99 +157,82 @@ fn best_of(
     (best.1 < MAX_RATIO * second.1).then_some(best)
 }
 
-/// Those that agree with enough others on one motion.
-fn agreeing(turns: &[Turn]) -> Vec<Turn> {
-    let near = Neighbors::new(turns.iter().map(|t| t.source));
-    let agrees = |a: &Turn, b: &Turn| {
+/// The motions that agree with enough others.
+fn agreeing(motions: &[PatchMotion]) -> Vec<PatchMotion> {
+    let near = Neighbors::new(motions.iter().map(|t| t.source));
+    let agrees = |a: &PatchMotion, b: &PatchMotion| {
         let apart = (b.source - a.source).norm();
-        (a.of(&b.source) - b.target).norm() <= SUPPORT_PX + SUPPORT_SHARE * apart
+        (a.apply(&b.source) - b.target).norm() <= SUPPORT_PX + SUPPORT_FRACTION * apart
     };
     let supported = |k: &usize| {
-        let own = &turns[*k];
-        let alike = |n: usize| n != *k && agrees(own, &turns[n]);
+        let own = &motions[*k];
+        let alike = |n: usize| n != *k && agrees(own, &motions[n]);
         near.at_least_within(&own.source, SUPPORT_RADIUS_PX, MIN_SUPPORT, alike)
     };
-    (0..turns.len()).filter(supported).map(|k| turns[k]).collect()
+    (0..motions.len()).filter(supported).map(|k| motions[k]).collect()
 }
 
-/// A lost corner tracked as the nearest turned features move; the best of them.
+/// A lost corner tracked from the motions of the nearest rotating patches: the match of least residual.
 fn tracked(
     frames: [&Frame; 2],
     corner: &Point2<f64>,
-    (turns, near): (&[Turn], &Neighbors),
-    refiner: &mut AffineRefiner,
+    (motions, near): (&[PatchMotion], &Neighbors),
+    tracker: &mut AffineTracker,
     options: &RegistrationOptions,
 ) -> Option<Match> {
     let around = near.nearest(corner, GUESSES, SUPPORT_RADIUS_PX);
-    let guesses = around.iter().map(|&k| (turns[k].of(corner), turns[k].deformation));
-    guesses
-        .filter_map(|(guess, deformation)| {
-            turned_match(frames, corner, (guess, deformation), refiner, options)
-        })
+    let starts = around.iter().map(|&k| AffineStart {
+        from: *corner,
+        guess: motions[k].apply(corner),
+        deformation: motions[k].deformation,
+    });
+    starts
+        .filter_map(|start| affine_match(frames, &start, tracker, options))
         .min_by(|a, b| a.residual.total_cmp(&b.residual))
 }
 
-/// Points tracked from guesses of their places and deformations, and back.
-pub(super) fn turned_matches(
+/// Tracks deforming windows from initial guesses, and back.
+pub(super) fn affine_matches(
     frames: [&Frame; 2],
-    starts: &[Onward],
+    starts: &[AffineStart],
     options: &RegistrationOptions,
 ) -> Vec<Option<Match>> {
-    let of = |refiner: &mut AffineRefiner, start: &Onward| {
-        turned_match(frames, &start.from, (start.guess, start.deformation), refiner, options)
+    let tracked = |tracker: &mut AffineTracker, start: &AffineStart| {
+        affine_match(frames, start, tracker, options)
     };
-    starts.par_iter().map_init(|| AffineRefiner::new(&window()), of).collect()
+    starts.par_iter().map_init(AffineTracker::default, tracked).collect()
 }
 
-/// A point tracked from a guess of its place and deformation, and back.
-fn turned_match(
+/// Tracks a deforming window, and back.
+fn affine_match(
     [source, target]: [&Frame; 2],
-    corner: &Point2<f64>,
-    (guess, deformation): (Point2<f64>, Matrix2<f64>),
-    refiner: &mut AffineRefiner,
+    start: &AffineStart,
+    tracker: &mut AffineTracker,
     options: &RegistrationOptions,
 ) -> Option<Match> {
-    let levels = [&source.pyramid.levels()[0], &target.pyramid.levels()[0]];
-    let there = refine(refiner, levels, (*corner, guess), deformation)?;
+    let [a, b] = [&source.pyramid, &target.pyramid];
+    let there = tracker.track(a, b, start)?;
     let area = there.deformation.determinant();
     let is_inside = |v: f64, size: usize| v >= 0.0 && v <= size as f64;
-    let inside = is_inside(there.position.x, levels[1].width)
-        && is_inside(there.position.y, levels[1].height);
+    let inside = is_inside(there.position.x, b.width()) && is_inside(there.position.y, b.height());
     if !inside || !(1.0 / MAX_AREA_RATIO..MAX_AREA_RATIO).contains(&area) {
         return None;
     }
-    if there.residual > options.klt.max_residual || there.unexplained > MAX_UNEXPLAINED {
+    let thresholds = options.consistency();
+    if there.residual > thresholds.residual || there.unexplained > MAX_UNEXPLAINED {
         return None;
     }
-    let inverse = there.deformation.try_inverse()?;
-    let back = refine(refiner, [levels[1], levels[0]], (there.position, *corner), inverse)?;
-    let forward_backward_error_px = (back.position - corner).norm();
-    (forward_backward_error_px <= options.max_back_error_px).then_some(Match {
-        source: *corner,
+    let deformation = there.deformation.try_inverse()?;
+    let back = AffineStart { from: there.position, guess: start.from, deformation };
+    let back = tracker.track(b, a, &back)?;
+    let forward_backward_error_px = (back.position - start.from).norm();
+    (forward_backward_error_px <= thresholds.forward_backward_error_px).then_some(Match {
+        source: start.from,
         target: there.position,
         deformation: there.deformation,
         residual: there.residual,
         forward_backward_error_px,
     })
-}
-
-multiversion! {
-    fn refine(
-        refiner: &mut AffineRefiner,
-        levels: [&Level; 2],
-        ends: (Point2<f64>, Point2<f64>),
-        deformation: Matrix2<f64>,
-    ) -> Option<Deformed> = refine_by::<V>
-}
-
-#[inline(always)]
-fn refine_by<V: F32x8>(
-    refiner: &mut AffineRefiner,
-    levels: [&Level; 2],
-    (from, guess): (Point2<f64>, Point2<f64>),
-    deformation: Matrix2<f64>,
-) -> Option<Deformed> {
-    refiner.refine::<V>(levels, from, guess, deformation, &window())
 }
 
 #[cfg(test)]
@@ -321,7 +284,7 @@ mod tests {
             .copied()
             .collect();
         let mut matches = vec![None; corners.len()];
-        turned_flow([&frames[0], &frames[1]], &corners, &mut matches, &options);
+        match_rotating_patches([&frames[0], &frames[1]], &corners, &mut matches, &options);
         let turn = Rotation2::new(angle);
         let error = |m: &Match| (m.target - (middle + shift + turn * (m.source - middle))).norm();
         let mut errors: Vec<f64> = matches.iter().flatten().map(error).collect();
@@ -342,7 +305,7 @@ mod tests {
     fn nothing_lost_nothing_sought_and_noise_has_no_counterpart() {
         let options = RegistrationOptions::default();
         let still = frame(0.0, Vector2::zeros(), &options);
-        turned_flow([&still, &still], &[], &mut [], &options);
+        match_rotating_patches([&still, &still], &[], &mut [], &options);
         // Another disc before another wall.
         let other: Vec<f32> = (0..SIDE * SIDE)
             .map(|k| texture(Vector2::new((k % SIDE) as f64, (k / SIDE) as f64), 99) as f32)
@@ -350,7 +313,7 @@ mod tests {
         let other = Frame::new(Image::from_data(SIDE, SIDE, 1, other), &options);
         let corners = still.corners(&options).to_vec();
         let mut matches = vec![None; corners.len()];
-        turned_flow([&still, &other], &corners, &mut matches, &options);
+        match_rotating_patches([&still, &other], &corners, &mut matches, &options);
         let found = matches.iter().flatten().count();
         assert!(100 * found < corners.len(), "{found} of {}", corners.len());
     }

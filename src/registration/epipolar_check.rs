@@ -1,4 +1,4 @@
-//! §4.2: mismatches found by the epipolar constraint, eqs. (1) to (3).
+//! §4.2: the epipolar test, which finds mismatches by eqs. (1) to (3).
 
 use super::flow::{flow_over, is_new};
 use super::{
@@ -17,7 +17,7 @@ pub enum Verdict {
     /// Its spatial correspondence does not lie on the line: the temporal or the spatial correspondence is
     /// wrong, and neither is used.
     Rejected,
-    /// No reference can test it: they do not see the feature, or it moves along its epipolar line.
+    /// No reference can test it: none sees the feature, or the feature moves along its epipolar line.
     Untestable,
 }
 
@@ -44,14 +44,13 @@ struct Feature<'a> {
 ///
 /// # Panics
 /// If the camera has no frame `k + 1`, or no entry for it in `times_s`.
-pub fn epipolar_test(
+pub fn epipolar_check(
     frames: &FrameStore,
     times_s: &[Option<Vec<f64>>],
     i: usize,
     k: usize,
     tracks: &[Track],
 ) -> Result<Vec<Verdict>, CaptureError> {
-    let options = frames.options();
     let mut verdicts = vec![Verdict::Untestable; tracks.len()];
     let Some(own_times) = &times_s[i] else { return Ok(verdicts) };
     let interval_s = [own_times[k], own_times[k + 1]];
@@ -71,7 +70,7 @@ pub fn epipolar_test(
             })
             .collect();
         let query = ReferenceQuery { camera: i, interval_s, time_s };
-        let references = select_references(frames.capture(), times_s, &query, options);
+        let references = select_references(frames.capture(), times_s, &query);
         tested(frames, i, &source, &features, &references)
     };
     let (forward, backward) =
@@ -147,8 +146,11 @@ fn test_with(
     Ok(verdicts.collect())
 }
 
-/// Pyramid levels of the second attempt, whose guess is by the motion prior. Larger: a coarse window is
-/// pulled away by its background; smaller is not possible.
+/// Minimum motion of features that must move across their epipolar lines to be testable, pixels.
+const MIN_TEST_MOTION_PX: f64 = 1.0;
+/// Minimum motion across the epipolar lines of a testable feature, as a fraction of its motion.
+const MIN_ACROSS_FRACTION: f64 = 0.1;
+/// Pyramid levels of the second attempt, whose initial guess is by the motion prior.
 const RETRY_LEVELS: usize = 1;
 
 /// The tested camera i and a reference camera j.
@@ -218,7 +220,7 @@ impl Pair<'_> {
         };
         let is_off = |p_i: &Point2<f64>, matched: &Option<Match>| {
             matched.as_ref().is_none_or(|m| {
-                line_distance(p_i, &m.target).is_none_or(|d| d > self.options.epsilon_px)
+                line_distance(p_i, &m.target).is_none_or(|d| d > self.options.epipolar_tolerance_px)
             })
         };
         let mut tried = vec![None; starts.len()];
@@ -263,7 +265,7 @@ impl Pair<'_> {
         let p_j = self.camera_j.model.ideal_from_pixel(in_reference?)?;
         let at = feature.trajectory.at(self.time_s);
         let line = geometry.line_in_j(&ideal_i(&at)?)?;
-        if line.distance(&p_j).abs() > self.options.epsilon_px {
+        if line.distance(&p_j).abs() > self.options.epipolar_tolerance_px {
             return Some(Verdict::Rejected);
         }
         // An error along the line does not show. The motion is tested as far as the line moves with
@@ -273,8 +275,8 @@ impl Pair<'_> {
         let end = geometry.line_in_j(&ideal_i(&feature.track.later)?)?;
         let foot = line.nearest(&p_j);
         let across = (start.distance(&foot) - end.distance(&foot)).abs();
-        let is_testable = motion.norm() <= self.options.min_test_motion_px
-            || across >= self.options.min_across_share * motion.norm();
+        let is_testable =
+            motion.norm() <= MIN_TEST_MOTION_PX || across >= MIN_ACROSS_FRACTION * motion.norm();
         is_testable.then_some(Verdict::Passed)
     }
 }

@@ -1,50 +1,45 @@
-//! Descriptors of features that turn: gradients around a point, relative to their own main direction.
-//!
-//! As in Lowe's SIFT (IJCV 60(2), 2004), at one scale: 4×4 cells of eight directions each. A camera's next
-//! frame shows a feature turned, and hardly larger.
+//! Rotation-invariant descriptors: Lowe's SIFT (IJCV 60(2), 2004) at one scale, 4×4 cells of eight
+//! directions each. From one frame to the next a feature may rotate, but hardly changes its size.
 
-use super::directions::{DIRECTIONS, Gradients, TURN};
+use super::polar_gradients::{DIRECTIONS, PolarGradients, TURN};
 use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::{Point2, Vector2};
 use std::f32::consts::TAU;
 use std::ops::Range;
 
-/// Cells of a descriptor along a side. More: it tells more features apart, and tolerates less deformation.
+/// Cells of a descriptor along a side.
 const CELLS: usize = 4;
-/// Numbers of a descriptor.
+/// Entries of a descriptor.
 const SIZE: usize = CELLS * CELLS * DIRECTIONS;
-/// A cell's side, pixels of the level. Larger: descriptors cross outlines; smaller: they tell fewer features
-/// apart.
+/// A cell's side, pixels of the level.
 const CELL_PX: f32 = 4.0;
 /// Radius of the window, pixels: the cells' half diagonal, with half a cell around for the interpolation.
 const RADIUS_PX: isize = 14;
-/// Bins of the histogram whose largest is the main direction. More: noise moves it; fewer: it is less accurate.
+/// Bins of the histogram whose largest is the main direction.
 const BINS: usize = 36;
-/// Standard deviation of the descriptor's window, pixels of the level. Larger: outlines count; smaller: fewer
-/// gradients tell features apart.
+/// Standard deviation of the descriptor's window, pixels of the level.
 const WINDOW_SIGMA_PX: f32 = 8.0;
-/// Standard deviation of the main direction's window, pixels of the level. Larger: outlines decide it; smaller:
-/// noise.
+/// Standard deviation of the main direction's window, pixels of the level.
 const DIRECTION_SIGMA_PX: f32 = 5.0;
-/// Largest entry of a normalized descriptor. Larger: one strong edge decides; smaller: contrast is lost.
+/// Maximum entry of a normalized descriptor: SIFT's clipping of strong edges.
 const MAX_ENTRY: f32 = 0.2;
 
-/// A feature with its main direction and its descriptor.
-pub(super) struct Oriented {
+/// A feature's main direction and its descriptor.
+pub(super) struct SiftDescriptor {
     /// The main direction of its gradients, radians, from x towards y.
     pub angle: f32,
     entries: [f32; SIZE],
 }
 
-/// Columns and rows of a window, padded so that a word can begin at any of its samples.
+/// Columns and rows of a window, padded so that [`LANES`] samples can be read from any of them on.
 const SPAN: usize = (2 * RADIUS_PX as usize + 1).next_multiple_of(LANES) + LANES;
-/// Cells along a side of the grid that is summed into: one more on the left, and two on the right, which
-/// catch what is outside.
+/// Cells along a side of the histogram grid: one more on the left and two on the right, for samples
+/// outside of the descriptor.
 const GRID: usize = CELLS + 3;
 
 /// The samples within [`RADIUS_PX`] of a point of the level.
 struct Disc<'a> {
-    gradients: &'a Gradients,
+    gradients: &'a PolarGradients,
     /// The first pixel's centre is at (0, 0).
     center: [f32; 2],
     columns: Range<usize>,
@@ -53,7 +48,7 @@ struct Disc<'a> {
 
 impl<'a> Disc<'a> {
     #[inline(always)]
-    fn new(gradients: &'a Gradients, center: [f32; 2]) -> Self {
+    fn new(gradients: &'a PolarGradients, center: [f32; 2]) -> Self {
         let span = |c: f32, size: usize| {
             let at = |v: isize| v.clamp(0, size as isize) as usize;
             let c = c.round() as isize;
@@ -64,7 +59,7 @@ impl<'a> Disc<'a> {
         Self { gradients, center, columns, rows }
     }
 
-    /// The columns of a row that are inside the disc. Beyond it no cell is reached, however they are turned.
+    /// The columns of a row that are inside the disc, beyond which no cell reaches at any rotation.
     #[inline(always)]
     fn columns_of(&self, y: usize) -> Range<usize> {
         let dy = y as f32 - self.center[1];
@@ -74,7 +69,7 @@ impl<'a> Disc<'a> {
         first.max(self.columns.start)..(end as usize).min(self.columns.end)
     }
 
-    /// A Gaussian window along both axes: its product is the window's at a sample.
+    /// A Gaussian along both axes; a sample's weight is the product of its two values.
     #[inline(always)]
     fn fades(&self, sigma_px: f32) -> [[f32; SPAN]; 2] {
         let mut fades = [[0.0; SPAN]; 2];
@@ -87,13 +82,13 @@ impl<'a> Disc<'a> {
         fades
     }
 
-    /// The largest bin of the histogram of directions, between bins by a parabola.
+    /// The peak of the histogram of directions, 0 to [`TURN`]; `None` without gradients.
     #[inline(always)]
     fn main_direction<V: F32x8>(&self) -> Option<f32> {
         const BINS_PER_DIRECTION: f32 = BINS as f32 / TURN;
         let [fade_x, fade_y] = self.fades(DIRECTION_SIGMA_PX);
-        // Neighbours have one each, so that their sums don't wait for each other. A direction rounded up to a
-        // full turn has a bin of its own.
+        // Two histograms, of odd and even columns, so that their sums are computed in parallel. The last bin
+        // is of directions rounded up to a full turn.
         let mut sums = [[0.0; BINS + 1]; 2];
         for y in self.rows.clone() {
             let fade_y = V::splat(fade_y[y - self.rows.start]);
@@ -101,11 +96,11 @@ impl<'a> Disc<'a> {
             for x in columns.clone().step_by(LANES) {
                 let at = y * self.gradients.width + x;
                 let direction = V::load(&self.gradients.direction, at);
-                let bins = direction.mul(V::splat(BINS_PER_DIRECTION));
+                let bins = direction * V::splat(BINS_PER_DIRECTION);
                 // NaN, the direction of a gradient that is not finite, becomes 0.
                 let (bins, _) = bins.max(V::zero()).min(V::splat(BINS as f32)).floor_and_fraction();
-                let fade = V::load(&fade_x, x - self.columns.start).mul(fade_y);
-                let weights = V::load(&self.gradients.strength, at).mul(fade).to_array();
+                let fade = V::load(&fade_x, x - self.columns.start) * fade_y;
+                let weights = (V::load(&self.gradients.strength, at) * fade).to_array();
                 for l in 0..LANES.min(columns.end - x) {
                     sums[l % 2][bins[l] as usize] += weights[l];
                 }
@@ -118,14 +113,14 @@ impl<'a> Disc<'a> {
         peak(histogram).map(|bin| bin / BINS_PER_DIRECTION)
     }
 
-    /// The cells' directions, relative to the main one.
+    /// The cells' histograms of directions, relative to the main direction.
     #[inline(always)]
     fn cells<V: F32x8>(&self, angle: f32) -> [V; CELLS * CELLS] {
         let (sin, cos) = (angle / TURN * TAU).sin_cos();
         let [fade_x, fade_y] = self.fades(WINDOW_SIGMA_PX);
-        // Of the first cell's centre, in a grid with one more cell on the left.
+        // Position of the descriptor's centre, in cells of the grid.
         const CENTER: f32 = 0.5 * CELLS as f32 + 0.5;
-        // Neighbours have one each, so that their sums don't wait for each other.
+        // Two grids, of odd and even columns, so that their sums are computed in parallel.
         let mut grids = [[V::zero(); GRID * GRID]; 2];
         let columns = V::from_array(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
         let (lowest, highest) = (V::zero(), V::splat((CELLS + 1) as f32));
@@ -135,30 +130,30 @@ impl<'a> Disc<'a> {
             let row_columns = self.columns_of(y);
             for x in row_columns.clone().step_by(LANES) {
                 let at = y * self.gradients.width + x;
-                // In cells, in the feature's own frame. What is outside all cells falls on the grid's border.
-                let dx = columns.add(V::splat(x as f32 - self.center[0]));
+                // In cells, relative to the main direction. Samples outside of all cells fall on the grid's border.
+                let dx = columns + V::splat(x as f32 - self.center[0]);
                 let u = dx.mul_add(V::splat(cos / CELL_PX), V::splat(sin * dy / CELL_PX + CENTER));
                 let v = dx.mul_add(V::splat(-sin / CELL_PX), V::splat(cos * dy / CELL_PX + CENTER));
                 let (column, fu) = u.max(lowest).min(highest).floor_and_fraction();
                 let (row, fv) = v.max(lowest).min(highest).floor_and_fraction();
-                let turn = V::load(&self.gradients.direction, at).sub(V::splat(angle));
+                let turn = V::load(&self.gradients.direction, at) - V::splat(angle);
                 let (direction, fd) = turn.floor_and_fraction();
-                let fade = V::load(&fade_x, x - self.columns.start).mul(fade_y);
-                let weights = V::load(&self.gradients.strength, at).mul(fade);
-                let [upper, lower] = [weights.sub(weights.mul(fv)), weights.mul(fv)];
+                let fade = V::load(&fade_x, x - self.columns.start) * fade_y;
+                let weights = V::load(&self.gradients.strength, at) * fade;
+                let [upper, lower] = [weights - weights * fv, weights * fv];
                 let corners = [
-                    upper.sub(upper.mul(fu)).to_array(),
-                    upper.mul(fu).to_array(),
-                    lower.sub(lower.mul(fu)).to_array(),
-                    lower.mul(fu).to_array(),
+                    (upper - upper * fu).to_array(),
+                    (upper * fu).to_array(),
+                    (lower - lower * fu).to_array(),
+                    (lower * fu).to_array(),
                 ];
                 let fd = fd.to_array();
                 for l in 0..LANES.min(row_columns.end - x) {
-                    // Of negative ones too: a power of two divides the range of usize.
+                    // Right for negative ones too: the range of usize is a multiple of the power of two.
                     let d = direction[l] as usize % DIRECTIONS;
                     let own = V::from_array(&ONE_DIRECTION[d]);
                     let next = V::from_array(&ONE_DIRECTION[(d + 1) % DIRECTIONS]);
-                    let direction_weights = next.sub(own).mul_add(V::splat(fd[l]), own);
+                    let direction_weights = (next - own).mul_add(V::splat(fd[l]), own);
                     let cell = row[l] as usize * GRID + column[l] as usize;
                     // One check for all four.
                     let grid = &mut grids[l % 2][cell..cell + GRID + 2];
@@ -171,13 +166,13 @@ impl<'a> Disc<'a> {
         let mut cells = [V::zero(); CELLS * CELLS];
         for (k, cell) in cells.iter_mut().enumerate() {
             let at = (k / CELLS + 1) * GRID + k % CELLS + 1;
-            *cell = grids[0][at].add(grids[1][at]);
+            *cell = grids[0][at] + grids[1][at];
         }
         cells
     }
 }
 
-/// By direction: a word that is 1 there and 0 elsewhere.
+/// One-hot vectors, by direction.
 const ONE_DIRECTION: [[f32; LANES]; DIRECTIONS] = {
     assert!(LANES == DIRECTIONS);
     let mut all = [[0.0; LANES]; DIRECTIONS];
@@ -189,29 +184,10 @@ const ONE_DIRECTION: [[f32; LANES]; DIRECTIONS] = {
     all
 };
 
-impl Oriented {
+impl SiftDescriptor {
     /// The descriptor of a point of the frame, pixels. `None` where there is no gradient.
-    pub fn new(gradients: &Gradients, at: &Point2<f64>) -> Option<Self> {
-        oriented(gradients, at)
-    }
-
-    #[inline(always)]
-    fn new_by<V: F32x8>(gradients: &Gradients, at: &Point2<f64>) -> Option<Self> {
-        // Levels are centred on even pixels, so positions relative to pixel centres scale.
-        let at = (at.coords - Vector2::repeat(0.5)) * gradients.scale;
-        let disc = Disc::new(gradients, [at.x as f32, at.y as f32]);
-        let angle = disc.main_direction::<V>()?;
-        let mut cells = disc.cells::<V>(angle);
-        normalize(&mut cells)?;
-        for cell in &mut cells {
-            *cell = cell.min(V::splat(MAX_ENTRY));
-        }
-        normalize(&mut cells)?;
-        let mut entries = [0.0; SIZE];
-        for (k, cell) in cells.into_iter().enumerate() {
-            cell.store(&mut entries, k * DIRECTIONS);
-        }
-        Some(Self { angle: angle / TURN * TAU, entries })
+    pub fn new(gradients: &PolarGradients, at: &Point2<f64>) -> Option<Self> {
+        descriptor(gradients, at)
     }
 
     /// The squared distance of two descriptors, 0 to 2.
@@ -221,12 +197,26 @@ impl Oriented {
 }
 
 multiversion! {
-    fn oriented(gradients: &Gradients, at: &Point2<f64>) -> Option<Oriented> = oriented_by::<V>
+    fn descriptor(gradients: &PolarGradients, at: &Point2<f64>) -> Option<SiftDescriptor> = descriptor_by::<V>
 }
 
 #[inline(always)]
-fn oriented_by<V: F32x8>(gradients: &Gradients, at: &Point2<f64>) -> Option<Oriented> {
-    Oriented::new_by::<V>(gradients, at)
+fn descriptor_by<V: F32x8>(gradients: &PolarGradients, at: &Point2<f64>) -> Option<SiftDescriptor> {
+    // Levels are centred on even pixels, so positions relative to pixel centres scale.
+    let at = (at.coords - Vector2::repeat(0.5)) * gradients.scale;
+    let disc = Disc::new(gradients, [at.x as f32, at.y as f32]);
+    let angle = disc.main_direction::<V>()?;
+    let mut cells = disc.cells::<V>(angle);
+    normalize(&mut cells)?;
+    for cell in &mut cells {
+        *cell = cell.min(V::splat(MAX_ENTRY));
+    }
+    normalize(&mut cells)?;
+    let mut entries = [0.0; SIZE];
+    for (k, cell) in cells.into_iter().enumerate() {
+        cell.store(&mut entries, k * DIRECTIONS);
+    }
+    Some(SiftDescriptor { angle: angle / TURN * TAU, entries })
 }
 
 multiversion! {
@@ -239,15 +229,15 @@ fn squared_distance_by<V: F32x8>(a: &[f32; SIZE], b: &[f32; SIZE]) -> f32 {
     for at in (0..SIZE).step_by(2 * LANES) {
         for (k, sum) in sums.iter_mut().enumerate() {
             let at = at + k * LANES;
-            let apart = V::load(a, at).sub(V::load(b, at));
+            let apart = V::load(a, at) - V::load(b, at);
             *sum = apart.mul_add(apart, *sum);
         }
     }
-    sums[0].add(sums[1]).sum() as f32
+    (sums[0] + sums[1]).sum() as f32
 }
 
-/// The largest bin of a histogram around a circle, smoothed, between bins by a parabola: 0 to [`BINS`]. `None`
-/// if all are 0.
+/// Position, 0 to [`BINS`], of the peak of a smoothed circular histogram, between bins by a parabola. `None`
+/// if all bins are 0.
 fn peak(mut histogram: [f32; BINS]) -> Option<f32> {
     for _ in 0..2 {
         let raw = histogram;
@@ -273,7 +263,7 @@ fn normalize<V: F32x8>(cells: &mut [V; CELLS * CELLS]) -> Option<()> {
     let length = squares.sum().sqrt();
     let scale = V::splat((1.0 / length.max(f64::from(f32::MIN_POSITIVE))) as f32);
     for cell in cells.iter_mut() {
-        *cell = cell.mul(scale);
+        *cell = *cell * scale;
     }
     (length > 0.0).then_some(())
 }
@@ -300,7 +290,7 @@ mod tests {
 
     /// The descriptor written as simply as possible: sample by sample, and entry by entry.
     fn naive(pyramid: &Pyramid, at: &Point2<f64>) -> Option<(f32, Vec<f32>)> {
-        let gradients = Gradients::new(pyramid);
+        let gradients = PolarGradients::new(pyramid);
         let at = (at.coords - Vector2::repeat(0.5)) * gradients.scale;
         let (cx, cy) = (at.x as f32, at.y as f32);
         let mut samples = Vec::new();
@@ -349,15 +339,15 @@ mod tests {
         for (w, h) in [(64, 64), (71, 40), (23, 37), (9, 5)] {
             let data = (0..w * h).map(|_| random.unit() as f32).collect();
             let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 2, 16);
-            let gradients = Gradients::new(&pyramid);
+            let gradients = PolarGradients::new(&pyramid);
             let mut described = Vec::new();
             for k in 0..60 {
                 let mut along = |size: usize| random.unit() * size as f64;
                 let at = Point2::new(along(w), along(h));
                 let at = if k % 3 == 0 { at.map(f64::round) } else { at };
                 let (angle, entries) = naive(&pyramid, &at).unwrap();
-                let mut all = vec![Oriented::new_by::<Scalar>(&gradients, &at).unwrap()];
-                all.push(Oriented::new(&gradients, &at).unwrap());
+                let mut all = vec![descriptor_by::<Scalar>(&gradients, &at).unwrap()];
+                all.push(SiftDescriptor::new(&gradients, &at).unwrap());
                 for own in &all {
                     assert!((own.angle - angle).abs() < 1e-4, "{at}: {} {angle}", own.angle);
                     for (a, b) in own.entries.iter().zip(&entries) {
@@ -382,7 +372,7 @@ mod tests {
     fn a_turned_feature_has_the_same_descriptor_and_its_angle_turns() {
         let middle = Point2::new(32.5, 32.5);
         let of = |pyramid: &Pyramid, p: &Point2<f64>| {
-            Oriented::new(&Gradients::new(pyramid), p).unwrap()
+            SiftDescriptor::new(&PolarGradients::new(pyramid), p).unwrap()
         };
         let upright = of(&turned(0.0), &middle);
         let other = of(&turned(0.0), &Point2::new(24.5, 38.5));
@@ -399,7 +389,9 @@ mod tests {
     #[test]
     fn a_flat_image_has_no_direction() {
         let flat = Pyramid::new(&Image::filled(40, 40, 1, 0.5), 1, 16);
-        assert!(Oriented::new(&Gradients::new(&flat), &Point2::new(3.0, 38.0)).is_none());
+        assert!(
+            SiftDescriptor::new(&PolarGradients::new(&flat), &Point2::new(3.0, 38.0)).is_none()
+        );
     }
     #[test]
     fn values_that_are_not_finite_have_no_descriptor() {
@@ -408,10 +400,10 @@ mod tests {
             let mut data: Vec<_> = (0..64 * 64).map(|_| random.unit() as f32).collect();
             (data[32 * 64 + 32], data[33 * 64 + 32]) = (bad, bad);
             let pyramid = Pyramid::new(&Image::from_data(64, 64, 1, data), 1, 16);
-            let gradients = Gradients::new(&pyramid);
+            let gradients = PolarGradients::new(&pyramid);
             for at in [Point2::new(32.5, 32.5), Point2::new(36.0, 30.0)] {
-                assert!(Oriented::new(&gradients, &at).is_none());
-                assert!(Oriented::new_by::<Scalar>(&gradients, &at).is_none());
+                assert!(SiftDescriptor::new(&gradients, &at).is_none());
+                assert!(descriptor_by::<Scalar>(&gradients, &at).is_none());
             }
         }
     }

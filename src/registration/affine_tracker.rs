@@ -1,112 +1,85 @@
-//! Beyond the paper: an affine last step of a track, with gain and bias. The window is a patch of a
-//! surface that turns, tilts, comes nearer and changes its brightness, where Lucas and Kanade's only
-//! translates.
+//! Beyond the paper: tracking of a window that deforms affinely and changes its gain and bias, as a patch of
+//! a surface does that turns, tilts, comes nearer or changes its brightness.
 //!
 //! Baker and Matthews's inverse compositional method (IJCV 56(3), 2004). The template is the source's
 //! window at whole pixels, and its derivatives are computed once. The target is sampled by cubic
-//! convolution. The window can be larger than the translation's, whose size is limited by the
-//! deformation that a translation ignores; a larger window averages more noise.
+//! convolution.
 //!
 //! Known limit: a window across an outline follows the surface that has more texture in it.
 
 use super::gradient::{SCHARR_SCALE, scharr};
-use super::pyramid::Level;
-use crate::simd::{F32x8, LANES};
+use super::pyramid::{Level, Pyramid};
+use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::{Cholesky, Const, Matrix2, Point2, SMatrix, SVector, Vector2};
-use serde::{Deserialize, Serialize};
 
-/// Options of the affine last step of a track (beyond the paper).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct AffineOptions {
-    /// Half the side of the window, pixels; 0 switches the step off. Larger: the window crosses
-    /// outlines and curved surfaces; smaller: more noise.
-    pub radius_px: usize,
-    /// Standard deviation of the Gaussian weights, as a fraction of the radius. Larger: the window's
-    /// rim counts, with what crosses an outline there; smaller: more noise.
-    pub sigma_share: f64,
-    /// Maximum number of iterations. Larger: time is spent on windows that do not converge; smaller:
-    /// large deformations are not reached.
-    pub iterations: usize,
-    /// The step has converged when it moves by less than this, pixels. Larger: the error left is of
-    /// this size; smaller: more iterations.
-    pub epsilon_px: f64,
-    /// Standard deviation of the Gaussian prior of the deformation: of the matrix's entries minus
-    /// the identity's, and of the gain minus 1. Larger: windows with little texture deform at
-    /// random; smaller: real rotation is held back.
-    pub deformation: f64,
-    /// A result further than this from the translation's is discarded, pixels. Larger: windows that
-    /// slid to another texture are accepted; smaller: real corrections of fast rotation are lost.
-    pub max_shift_px: f64,
-}
-
-impl Default for AffineOptions {
-    fn default() -> Self {
-        Self {
-            radius_px: 11,
-            sigma_share: 0.6,
-            iterations: 6,
-            epsilon_px: 0.02,
-            deformation: 0.1,
-            max_shift_px: 1.5,
-        }
-    }
-}
-
-impl AffineOptions {
-    /// The border that a pyramid needs for these windows, pixels; they may grow by a half. 0 if the
-    /// step is off.
-    pub fn pad_px(&self) -> usize {
-        if self.radius_px == 0 { 0 } else { self.radius_px * 3 / 2 + LANES + 3 }
-    }
-}
-
+/// Half-width of the window, pixels.
+const RADIUS_PX: usize = 8;
+/// Rows of the window.
+const SIDE: usize = 2 * RADIUS_PX + 1;
+/// Samples of a row, padded to a multiple of [`LANES`]; the padding has weight 0.
+const ROW: usize = SIDE.next_multiple_of(LANES);
+/// Samples of the window, the padding included.
+const AREA: usize = SIDE * ROW;
+/// Standard deviation of the Gaussian weights, pixels.
+const SIGMA_PX: f64 = 0.6 * RADIUS_PX as f64;
+/// Maximum number of iterations.
+const ITERATIONS: usize = 12;
+/// Step length below which the window has converged, pixels.
+const EPSILON_PX: f64 = 0.02;
+/// Standard deviation of the Gaussian prior of the deformation: of the matrix's entries around the initial
+/// matrix's, and of the gain around 1.
+const DEFORMATION: f64 = 0.1;
+/// Maximum distance of the result from the initial guess, pixels.
+const MAX_SHIFT_PX: f64 = 5.0;
 /// Number of parameters: the shift (2), the matrix's entries row by row (4), gain and bias.
 const N: usize = 8;
-/// Standard deviation of the noise of values in 0..=1 (8 bits, a few samples per pixel), which the
-/// prior of the deformation is weighted by. Larger: the deformation of windows with little texture
-/// is held back; smaller: noise deforms them.
+/// Standard deviation of the noise of values in 0..=1, which the prior is weighted by.
 const NOISE: f64 = 0.012;
-/// Largest gain between two windows; the smallest is its inverse. Larger: windows that fit nothing
-/// are accepted with an extreme gain; smaller: real changes of exposure fail.
+/// Maximum gain between two windows; the minimum is its inverse.
 const MAX_GAIN: f64 = 4.0;
 
-/// The affine step, with the buffers of one window, which are reused from point to point.
-///
-/// The planes are row-major with rows padded to whole SIMD words; the padding has weight 0.
+/// A tracker of affinely deforming windows, with the buffers of one window, which are reused from point
+/// to point.
 #[derive(Debug)]
-pub struct AffineRefiner {
-    radius: usize,
-    /// Samples of a row, the padding included.
-    row: usize,
+pub struct AffineTracker {
     /// The column of each sample of a row, counted from the middle.
-    column: Vec<f32>,
-    /// The Gaussian weights.
-    gaussian: Vec<f32>,
+    column: [f32; ROW],
+    gaussian: [f32; AREA],
     /// The Gaussian weights, 0 outside the image.
-    weight: Vec<f32>,
+    weight: [f32; AREA],
     /// The template's values.
-    value: Vec<f32>,
+    value: [f32; AREA],
     /// The weights times the template's derivatives, and times its value minus `center_value`.
-    weighted_dx: Vec<f32>,
-    weighted_dy: Vec<f32>,
-    weighted_value: Vec<f32>,
+    weighted_dx: [f32; AREA],
+    weighted_dy: [f32; AREA],
+    weighted_value: [f32; AREA],
     /// The value at the window's middle; values are taken relative to it for their precision.
     center_value: f32,
 }
 
-/// Where the affine step found a window.
+/// A window to track, and where the search starts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AffineStart {
+    /// The window's middle in the source, pixels, the top-left pixel's centre at (0.5, 0.5).
+    pub from: Point2<f64>,
+    /// The initial guess of its position in the target, pixels.
+    pub guess: Point2<f64>,
+    /// The initial guess of the matrix from the window's coordinates in the source to those in the target,
+    /// which the prior pulls to.
+    pub deformation: Matrix2<f64>,
+}
+
+/// A window that was found in the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Deformed {
     /// The position in the target, pixels.
     pub position: Point2<f64>,
     /// The matrix from the window's coordinates in the source to those in the target.
     pub deformation: Matrix2<f64>,
-    /// Weighted mean absolute difference of the two windows' values, 0..=1, the target's gain and bias
-    /// taken out.
+    /// Weighted mean absolute difference of the two windows' values, 0..=1, without gain and bias.
     pub residual: f64,
-    /// The same relative to the contrast of the source's window: near 0 where the windows are alike, near
-    /// 1 where they are unlike.
+    /// The residual over the contrast of the source's window: near 0 where the windows are alike, near 1
+    /// where they are not.
     pub unexplained: f64,
 }
 
@@ -123,97 +96,106 @@ struct AffineWarp {
 /// The normal equations of the template, factorized.
 struct NormalEquations {
     solver: Cholesky<f64, Const<N>>,
-    /// What the prior added to the diagonal.
+    /// The prior's part of the diagonal.
     prior: [f64; N],
 }
 
-impl AffineRefiner {
-    /// A refiner for windows of `2·radius_px + 1` pixels a side.
-    pub fn new(options: &AffineOptions) -> Self {
-        let radius = options.radius_px;
-        let row = (2 * radius + 1).next_multiple_of(LANES);
-        let sigma = (options.sigma_share * radius as f64).max(0.1);
-        let mut gaussian = vec![0.0; row * (2 * radius + 1)];
-        for (k, weight) in gaussian.iter_mut().enumerate() {
-            let (x, y) = ((k % row) as f64 - radius as f64, (k / row) as f64 - radius as f64);
-            if x <= radius as f64 {
-                *weight = (-0.5 * (x * x + y * y) / (sigma * sigma)).exp() as f32;
-            }
+multiversion! {
+    fn track(
+        tracker: &mut AffineTracker,
+        source: &Level,
+        target: &Level,
+        start: &AffineStart,
+    ) -> Option<Deformed> = track_by::<V>
+}
+
+#[inline(always)]
+fn track_by<V: F32x8>(
+    tracker: &mut AffineTracker,
+    source: &Level,
+    target: &Level,
+    &AffineStart { from, guess, deformation }: &AffineStart,
+) -> Option<Deformed> {
+    let pixel = from.coords.map(f64::floor);
+    let offset = from.coords - pixel - Vector2::repeat(0.5);
+    let inside = |v: f64, size: usize| v >= 0.0 && v < size as f64;
+    if !(inside(pixel.x, source.width) && inside(pixel.y, source.height)) {
+        return None;
+    }
+    let mut warp = AffineWarp {
+        middle: guess.coords - Vector2::repeat(0.5) - deformation * offset,
+        matrix: deformation,
+        gain: 1.0,
+        bias: 0.0,
+    };
+    let from_given = deformation.try_inverse()?;
+    let NormalEquations { solver, prior } =
+        tracker.load_template::<V>(source, pixel.x as usize, pixel.y as usize)?;
+    for _ in 0..ITERATIONS {
+        let mut right = tracker.right_hand_side::<V>(target, &warp)?;
+        // The prior pulls the whole deformation, not the step, to the given one. A step deforms
+        // the template, which is the inverse of deforming the target; the gain's is not inverted.
+        let a = from_given * warp.matrix - Matrix2::identity();
+        for (k, v) in [(2, a.m11), (3, a.m12), (4, a.m21), (5, a.m22), (6, 1.0 - warp.gain)] {
+            right[k] += prior[k] * v;
         }
-        let zeros = || vec![0.0; gaussian.len()];
-        Self {
-            radius,
-            row,
-            column: (0..row).map(|x| x as f32 - radius as f32).collect(),
-            weight: zeros(),
-            value: zeros(),
-            weighted_dx: zeros(),
-            weighted_dy: zeros(),
-            weighted_value: zeros(),
-            center_value: 0.0,
-            gaussian,
+        let step = solver.solve(&right);
+        let step_matrix = Matrix2::new(1.0 + step[2], step[3], step[4], 1.0 + step[5]);
+        warp.matrix *= step_matrix.try_inverse()?;
+        let moved = warp.matrix * Vector2::new(step[0], step[1]);
+        warp.middle -= moved;
+        warp.bias += warp.gain * (step[7] - f64::from(tracker.center_value) * step[6]);
+        warp.gain *= 1.0 + step[6];
+        if !(warp.gain > 1.0 / MAX_GAIN && warp.gain < MAX_GAIN) {
+            return None;
+        }
+        if moved.norm() < EPSILON_PX {
+            break;
         }
     }
+    let position = Point2::from(warp.middle + warp.matrix * offset + Vector2::repeat(0.5));
+    if (position - guess).norm() > MAX_SHIFT_PX {
+        return None;
+    }
+    let [residual, unexplained] = tracker.residual::<V>(target, &warp)?;
+    Some(Deformed { position, deformation: warp.matrix, residual, unexplained })
+}
 
-    /// The position in the target of the point `from` of the source, and the window's deformation;
-    /// `guess` is the position that the search starts at, and `deformation` the matrix, which the
-    /// prior pulls to. Pixels, the top-left pixel's centre at (0.5, 0.5).
-    ///
-    /// `None` if `from` or the warped window is outside, if the texture does not determine the
-    /// parameters, if the gain is not between 1/4 and 4, or if the result is further than
-    /// [`AffineOptions::max_shift_px`] from `guess`.
-    #[inline(always)]
-    pub fn refine<V: F32x8>(
-        &mut self,
-        [source, target]: [&Level; 2],
-        from: Point2<f64>,
-        guess: Point2<f64>,
-        deformation: Matrix2<f64>,
-        options: &AffineOptions,
-    ) -> Option<Deformed> {
-        let pixel = from.coords.map(f64::floor);
-        let offset = from.coords - pixel - Vector2::repeat(0.5);
-        let inside = |v: f64, size: usize| v >= 0.0 && v < size as f64;
-        if !(inside(pixel.x, source.width) && inside(pixel.y, source.height)) {
-            return None;
-        }
-        let mut warp = AffineWarp {
-            middle: guess.coords - Vector2::repeat(0.5) - deformation * offset,
-            matrix: deformation,
-            gain: 1.0,
-            bias: 0.0,
+impl Default for AffineTracker {
+    fn default() -> Self {
+        let from_middle = |k: usize| k as f64 - RADIUS_PX as f64;
+        let gaussian = |k: usize| {
+            let (x, y) = (from_middle(k % ROW), from_middle(k / ROW));
+            let inside = x <= RADIUS_PX as f64;
+            if inside { (-0.5 * (x * x + y * y) / (SIGMA_PX * SIGMA_PX)).exp() as f32 } else { 0.0 }
         };
-        let from_given = deformation.try_inverse()?;
-        let NormalEquations { solver, prior } =
-            self.load_template::<V>(source, pixel.x as usize, pixel.y as usize, options)?;
-        for _ in 0..options.iterations {
-            let mut right = self.right_hand_side::<V>(target, &warp)?;
-            // The prior pulls the whole deformation, not the step, to the given one. A step deforms
-            // the template, which is the inverse of deforming the target; the gain's is not inverted.
-            let a = from_given * warp.matrix - Matrix2::identity();
-            for (k, v) in [(2, a.m11), (3, a.m12), (4, a.m21), (5, a.m22), (6, 1.0 - warp.gain)] {
-                right[k] += prior[k] * v;
-            }
-            let step = solver.solve(&right);
-            let step_matrix = Matrix2::new(1.0 + step[2], step[3], step[4], 1.0 + step[5]);
-            warp.matrix *= step_matrix.try_inverse()?;
-            let moved = warp.matrix * Vector2::new(step[0], step[1]);
-            warp.middle -= moved;
-            warp.bias += warp.gain * (step[7] - f64::from(self.center_value) * step[6]);
-            warp.gain *= 1.0 + step[6];
-            if !(warp.gain > 1.0 / MAX_GAIN && warp.gain < MAX_GAIN) {
-                return None;
-            }
-            if moved.norm() < options.epsilon_px {
-                break;
-            }
+        let zeros = [0.0; AREA];
+        Self {
+            column: std::array::from_fn(|x| x as f32 - RADIUS_PX as f32),
+            gaussian: std::array::from_fn(gaussian),
+            weight: zeros,
+            value: zeros,
+            weighted_dx: zeros,
+            weighted_dy: zeros,
+            weighted_value: zeros,
+            center_value: 0.0,
         }
-        let position = Point2::from(warp.middle + warp.matrix * offset + Vector2::repeat(0.5));
-        if (position - guess).norm() > options.max_shift_px {
-            return None;
-        }
-        let [residual, unexplained] = self.residual::<V>(target, &warp)?;
-        Some(Deformed { position, deformation: warp.matrix, residual, unexplained })
+    }
+}
+
+impl AffineTracker {
+    /// Finds the window around `start.from` of the source in the target, at the pyramids' full size.
+    ///
+    /// `None` if `start.from` or the warped window is outside, if the texture does not determine the
+    /// parameters, if the gain is not between 1/4 and 4, or if the result is further than 5 pixels from
+    /// `start.guess`.
+    pub fn track(
+        &mut self,
+        source: &Pyramid,
+        target: &Pyramid,
+        start: &AffineStart,
+    ) -> Option<Deformed> {
+        track(self, &source.levels()[0], &target.levels()[0], start)
     }
 
     /// The weighted mean of the absolute difference of the warped target and the template, values 0..=1, and
@@ -221,11 +203,11 @@ impl AffineRefiner {
     #[inline(always)]
     fn residual<V: F32x8>(&self, target: &Level, warp: &AffineWarp) -> Option<[f64; 2]> {
         let (gain, bias) = (V::splat(1.0 / warp.gain as f32), V::splat(warp.bias as f32));
-        let sampler = Sampler::new(target, warp, self.radius, self.row)?;
+        let sampler = Sampler::new(target, warp)?;
         let mut mean = [V::zero(); 2];
         for at in (0..self.value.len()).step_by(LANES) {
             let w = V::load(&self.weight, at);
-            accumulate(&mut mean, [V::load(&self.value, at).mul(w), w]);
+            accumulate(&mut mean, [V::load(&self.value, at) * w, w]);
         }
         let [sum, weight] = V::sums(&mean);
         if weight <= 0.0 {
@@ -233,15 +215,14 @@ impl AffineRefiner {
         }
         let mean = V::splat((sum / weight) as f32);
         let mut sums = [V::zero(); 2];
-        for y in 0..2 * self.radius + 1 {
-            let at = y * self.row;
-            for x in (0..self.row).step_by(LANES) {
-                let sampled =
-                    sampler.sample(V::load(&self.column, x), y as f32 - self.radius as f32);
+        for y in 0..SIDE {
+            let at = y * ROW;
+            for x in (0..ROW).step_by(LANES) {
+                let sampled = sampler.sample(V::load(&self.column, x), y as f32 - RADIUS_PX as f32);
                 let value = V::load(&self.value, at + x);
-                let e = sampled.sub(bias).mul(gain).sub(value);
+                let e = (sampled - bias) * gain - value;
                 let w = V::load(&self.weight, at + x);
-                accumulate(&mut sums, [e.abs().mul(w), value.sub(mean).abs().mul(w)]);
+                accumulate(&mut sums, [e.abs() * w, (value - mean).abs() * w]);
             }
         }
         let [difference, contrast] = V::sums(&sums);
@@ -257,9 +238,8 @@ impl AffineRefiner {
         source: &Level,
         cx: usize,
         cy: usize,
-        options: &AffineOptions,
     ) -> Option<NormalEquations> {
-        let r = self.radius as isize;
+        let r = RADIUS_PX as isize;
         let (cx, cy) = (cx as isize, cy as isize);
         // Samples outside the image are copies of its border, and have weight 0.
         let columns = (r - cx).max(0)..(source.width as isize - cx + r).min(2 * r + 1);
@@ -268,22 +248,22 @@ impl AffineRefiner {
         let (center, scale) = (V::splat(self.center_value), V::splat(1.0 / SCHARR_SCALE));
         let mut moments = Moments::<V>::new();
         for y in 0..2 * r + 1 {
-            let out = y as usize * self.row;
-            let all = out..out + self.row;
+            let out = y as usize * ROW;
+            let all = out..out + ROW;
             self.weight[all.clone()].fill(0.0);
             if rows.contains(&y) {
                 let inside = out + columns.start as usize..out + columns.end as usize;
                 self.weight[inside.clone()].copy_from_slice(&self.gaussian[inside]);
             }
             let at = source.index(cx - r, cy + y - r);
-            self.value[all].copy_from_slice(&source.value[at..at + self.row]);
+            self.value[all].copy_from_slice(&source.value[at..at + ROW]);
             let mut of_row = RowMoments::new();
-            for x in (0..self.row).step_by(LANES) {
+            for x in (0..ROW).step_by(LANES) {
                 let [gx, gy] = scharr::<V>(&source.value, at + x, source.stride);
-                let (gx, gy) = (gx.mul(scale), gy.mul(scale));
+                let (gx, gy) = (gx * scale, gy * scale);
                 let w = V::load(&self.weight, out + x);
-                let v = V::load(&self.value, out + x).sub(center);
-                let (wx, wy, wv) = (w.mul(gx), w.mul(gy), w.mul(v));
+                let v = V::load(&self.value, out + x) - center;
+                let (wx, wy, wv) = (w * gx, w * gy, w * v);
                 of_row.add([gx, gy, v], [wx, wy, wv, w], V::load(&self.column, x));
                 wx.store(&mut self.weighted_dx, out + x);
                 wy.store(&mut self.weighted_dy, out + x);
@@ -292,7 +272,7 @@ impl AffineRefiner {
             moments.add(&of_row, V::splat((y - r) as f32));
         }
         let mut matrix = moments.matrix();
-        let d = (NOISE / options.deformation).powi(2);
+        let d = (NOISE / DEFORMATION).powi(2);
         let prior = [0.0, 0.0, d, d, d, d, d, 0.0];
         for (k, p) in prior.iter().enumerate() {
             matrix[(k, k)] += p;
@@ -310,26 +290,26 @@ impl AffineRefiner {
         warp: &AffineWarp,
     ) -> Option<SVector<f64, N>> {
         let (gain, bias) = (V::splat(1.0 / warp.gain as f32), V::splat(warp.bias as f32));
-        let sampler = Sampler::new(target, warp, self.radius, self.row)?;
+        let sampler = Sampler::new(target, warp)?;
         let mut sums = [V::zero(); N];
-        for y in 0..2 * self.radius + 1 {
-            let at = y * self.row;
-            let row_from_middle = y as f32 - self.radius as f32;
+        for y in 0..SIDE {
+            let at = y * ROW;
+            let row_from_middle = y as f32 - RADIUS_PX as f32;
             // By shift x, y; their moments along the row; by gain; by bias.
             let mut of_row = [V::zero(); 6];
-            for x in (0..self.row).step_by(LANES) {
+            for x in (0..ROW).step_by(LANES) {
                 let column = V::load(&self.column, x);
                 let sampled = sampler.sample(column, row_from_middle);
-                let e = sampled.sub(bias).mul(gain).sub(V::load(&self.value, at + x));
-                let ex = e.mul(V::load(&self.weighted_dx, at + x));
-                let ey = e.mul(V::load(&self.weighted_dy, at + x));
-                let ev = e.mul(V::load(&self.weighted_value, at + x));
-                let ew = e.mul(V::load(&self.weight, at + x));
-                accumulate(&mut of_row, [ex, ey, ex.mul(column), ey.mul(column), ev, ew]);
+                let e = (sampled - bias) * gain - V::load(&self.value, at + x);
+                let ex = e * V::load(&self.weighted_dx, at + x);
+                let ey = e * V::load(&self.weighted_dy, at + x);
+                let ev = e * V::load(&self.weighted_value, at + x);
+                let ew = e * V::load(&self.weight, at + x);
+                accumulate(&mut of_row, [ex, ey, ex * column, ey * column, ev, ew]);
             }
             let [ex, ey, ex_x, ey_x, ev, ew] = of_row;
             let y = V::splat(row_from_middle);
-            accumulate(&mut sums, [ex, ey, ex_x, ex.mul(y), ey_x, ey.mul(y), ev, ew]);
+            accumulate(&mut sums, [ex, ey, ex_x, ex * y, ey_x, ey * y, ev, ew]);
         }
         Some(SVector::from(V::sums(&sums)))
     }
@@ -352,27 +332,27 @@ impl<V: F32x8> RowMoments<V> {
         Self { tensor: [[zero; 3]; 3], shift_light: [[zero; 2]; 4], light: [zero; 3] }
     }
 
-    /// Adds a word of samples at columns `x`: the derivatives by position and gain; the same times
-    /// the weights, and the weights.
+    /// Adds eight samples at columns `x`: the derivatives by position and gain, these times the weights,
+    /// and the weights.
     #[inline(always)]
     fn add(&mut self, [gx, gy, v]: [V; 3], [wx, wy, wv, w]: [V; 4], x: V) {
-        let products = [wx.mul(gx), wx.mul(gy), wy.mul(gy)];
+        let products = [wx * gx, wx * gy, wy * gy];
         for (sums, p) in self.tensor.iter_mut().zip(products) {
-            let px = p.mul(x);
-            accumulate(sums, [p, px, px.mul(x)]);
+            let px = p * x;
+            accumulate(sums, [p, px, px * x]);
         }
-        let products = [wx.mul(v), wy.mul(v), wx, wy];
+        let products = [wx * v, wy * v, wx, wy];
         for (sums, p) in self.shift_light.iter_mut().zip(products) {
-            accumulate(sums, [p, p.mul(x)]);
+            accumulate(sums, [p, p * x]);
         }
-        accumulate(&mut self.light, [wv.mul(v), wv, w]);
+        accumulate(&mut self.light, [wv * v, wv, w]);
     }
 }
 
 #[inline(always)]
 fn accumulate<V: F32x8, const M: usize>(sums: &mut [V; M], terms: [V; M]) {
     for (sum, term) in sums.iter_mut().zip(terms) {
-        *sum = sum.add(term);
+        *sum = *sum + term;
     }
 }
 
@@ -395,11 +375,11 @@ impl<V: F32x8> Moments<V> {
     #[inline(always)]
     fn add(&mut self, row: &RowMoments<V>, y: V) {
         for (sums, &[p, px, pxx]) in self.tensor.iter_mut().zip(&row.tensor) {
-            let py = p.mul(y);
-            accumulate(sums, [p, px, py, pxx, px.mul(y), py.mul(y)]);
+            let py = p * y;
+            accumulate(sums, [p, px, py, pxx, px * y, py * y]);
         }
         for (sums, &[p, px]) in self.shift_light.iter_mut().zip(&row.shift_light) {
-            accumulate(sums, [p, px, p.mul(y)]);
+            accumulate(sums, [p, px, p * y]);
         }
         accumulate(&mut self.light, row.light);
     }
@@ -428,22 +408,19 @@ impl<V: F32x8> Moments<V> {
     }
 }
 
-/// The weights of Catmull and Rom's cubic convolution for the samples at −1, 0, 1 and 2, at a
-/// position `f` in 0..1.
+/// Catmull and Rom's cubic weights of the samples at −1, 0, 1 and 2, for a position `f` in 0..1.
 ///
-/// This is the SIMD kernel, in Horner form. Its scalar reference is `raster::catmull_rom`, in
-/// expanded form. The two round differently, so neither can replace the other without changing
-/// results; a test holds them equal to 1e-6.
+/// In Horner form, which rounds differently from `raster::catmull_rom`; both agree to 1e-6.
 #[inline(always)]
 pub fn catmull_rom<V: F32x8>(f: V) -> [V; 4] {
     let c = V::splat;
     let half = c(0.5);
-    let squared = f.mul(f);
+    let squared = f * f;
     [
-        f.mul(f.mul(c(1.0).sub(half.mul(f))).sub(half)),
-        c(1.0).add(squared.mul(c(1.5).mul(f).sub(c(2.5)))),
-        f.mul(half.add(f.mul(c(2.0).sub(c(1.5).mul(f))))),
-        half.mul(squared.mul(f.sub(c(1.0)))),
+        f * (f * (c(1.0) - half * f) - half),
+        c(1.0) + squared * (c(1.5) * f - c(2.5)),
+        f * (half + f * (c(2.0) - c(1.5) * f)),
+        half * (squared * (f - c(1.0))),
     ]
 }
 
@@ -462,8 +439,8 @@ struct Sampler<'a> {
 
 impl<'a> Sampler<'a> {
     /// `None` if the window leaves the padded image.
-    fn new(target: &'a Level, warp: &AffineWarp, radius: usize, row: usize) -> Option<Self> {
-        let reach = (row - radius).max(radius) as f64;
+    fn new(target: &'a Level, warp: &AffineWarp) -> Option<Self> {
+        let reach = (ROW - RADIUS_PX) as f64;
         let m = &warp.matrix;
         let pad = target.pad as f64;
         let fits = |middle: f64, a: f64, b: f64, size: usize| {
@@ -492,7 +469,7 @@ impl<'a> Sampler<'a> {
     #[inline(always)]
     fn coordinates<V: F32x8>(&self, axis: usize, column: V, row: f32) -> ([i32; LANES], V) {
         let start = self.middle[axis] + self.per_row[axis] * row;
-        V::splat(start).add(V::splat(self.per_column[axis]).mul(column)).floor_and_fraction()
+        (V::splat(start) + V::splat(self.per_column[axis]) * column).floor_and_fraction()
     }
 
     /// Eight samples of a row of the window, by cubic convolution.
@@ -507,5 +484,22 @@ impl<'a> Sampler<'a> {
         }
         let (x, y) = (catmull_rom(fx), catmull_rom(fy));
         V::gather_4x4(&self.target.value, &first, self.target.stride, x, y)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simd::Scalar;
+
+    #[test]
+    fn the_cubic_weights_equal_their_scalar_reference_to_1e_6() {
+        let fractions: [f32; LANES] = std::array::from_fn(|l| l as f32 / 8.0);
+        let weights = catmull_rom(Scalar::from_array(&fractions)).map(Scalar::to_array);
+        for (l, &f) in fractions.iter().enumerate() {
+            for (weight, expected) in weights.iter().zip(crate::raster::catmull_rom(f)) {
+                assert!((weight[l] - expected).abs() < 1e-6);
+            }
+        }
     }
 }
