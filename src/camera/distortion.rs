@@ -2,36 +2,31 @@
 
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// The map of a lens on the plane z = 1. Coefficients are unitless.
+/// A lens's distortion as a map of the plane z = 1. Coefficients are unitless.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Distortion {
-    /// Straight lines stay straight.
+    /// No distortion.
     None,
     /// Brown's model with a rational radial part: with s = x² + y²,
     /// (1 + k₁s + k₂s² + k₃s³) / (1 + k₄s + k₅s² + k₆s³), plus the tangential p₁, p₂.
     Brown { k: [f64; 6], p: [f64; 2] },
-    /// Kannala and Brandt's: the angle θ from the axis goes to θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸).
+    /// Kannala and Brandt's model: the angle θ from the axis is mapped to θ (1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸).
     Fisheye { k: [f64; 4] },
 }
 
-/// Newton's method stops when a step is shorter than this; a normalized unit is some hundreds of
-/// pixels. Larger: pixels don't return to themselves to the last digits. Smaller: no step ever is.
+/// Newton's method stops when a step is shorter than this, in normalized units.
 const STEP: f64 = 1e-14;
-/// Steps of Newton's method at most: it takes 3 to 6, and some 30 next to the fold, where it converges
-/// linearly. Larger: slower where there is no inverse. Smaller: points near the fold have none.
+/// Maximum number of Newton steps: 3 to 6 are usual, some 30 next to the fold, where convergence is linear.
 const ITERATIONS: usize = 60;
-/// Smallest slope of the distortion, and determinant of its derivative, short of the fold, where two
-/// branches meet. Larger: the domain ends early. Smaller: a pixel's rounding decides on the branch.
+/// Minimum slope of the distortion, and minimum determinant of its derivative, inside of the fold.
 const MIN_SLOPE: f64 = 1e-9;
-/// Largest residual of a solution, in normalized units. Larger: wrong solutions pass. Smaller: right
-/// ones fail by their rounding.
+/// Maximum residual of a solution, in normalized units.
 const MAX_RESIDUAL: f64 = 1e-12;
-/// Largest angle from the axis, radians: at 90° the plane z = 1 has no point. Larger: tangents are
-/// rounding. Smaller: fisheye images lose their border.
+/// Maximum angle from the axis, radians: at 90° the plane z = 1 has no point.
 const MAX_ANGLE: f64 = std::f64::consts::FRAC_PI_2 - 1e-6;
 
 impl Distortion {
-    /// The distorted point, by the model's formula: meaningful only short of the fold.
+    /// The distorted point, by the model's formula. It is meaningful only inside of the fold.
     pub fn distorted(&self, n: &Point2<f64>) -> Point2<f64> {
         match self {
             Self::None => *n,
@@ -55,8 +50,8 @@ impl Distortion {
         }
     }
 
-    /// Whether a point lies nearer to the axis than the fold, the radius where the radial part stops
-    /// growing. Beyond it the formula folds the scene back over the image, which no lens does.
+    /// Whether a point is inside of the fold, the radius where the radial distortion stops growing. Beyond the
+    /// fold the formula maps several points to one pixel, which no lens does.
     pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
         match self {
             Self::None => true,
@@ -73,8 +68,8 @@ impl Distortion {
         }
     }
 
-    /// The point short of the fold that is distorted to `d`; `None` where there is none, or for
-    /// coordinates that aren't finite.
+    /// The point inside of the fold that is distorted to `d`; `None` if there is none, or if a coordinate isn't
+    /// finite.
     pub fn undistorted(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
         if !(d.x.is_finite() && d.y.is_finite()) {
             return None;
@@ -86,7 +81,7 @@ impl Distortion {
         }
     }
 
-    /// Newton's method in two dimensions, its steps halved where they would cross the fold.
+    /// Inverts Brown's model by Newton's method; steps that would cross the fold are halved.
     fn undistorted_brown(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
         // A pincushion's own point may be beyond its fold; nearer to the axis is always short of it.
         let mut n = *d;
@@ -116,7 +111,7 @@ impl Distortion {
         ((self.distorted(&n) - d).norm() < MAX_RESIDUAL * (1.0 + d.coords.norm())).then_some(n)
     }
 
-    /// ∂ distorted / ∂ n of Brown's model; the identity for the others, which don't need it.
+    /// Jacobian of [`Self::distorted`] for Brown's model; the identity for the others.
     fn derivative(&self, n: &Point2<f64>) -> Matrix2<f64> {
         let Self::Brown { k, p: [p1, p2] } = self else { return Matrix2::identity() };
         let (x, y) = (n.x, n.y);
@@ -136,7 +131,7 @@ impl Distortion {
     }
 }
 
-/// Newton's method on the angle, inside a bracket; 90° and more have no point on the plane z = 1.
+/// Inverts the fisheye model by Newton's method on the angle, inside a bracket. `None` from 90° on.
 fn undistorted_fisheye(k: &[f64; 4], d: &Point2<f64>) -> Option<Point2<f64>> {
     let target = d.coords.norm();
     if target == 0.0 {
@@ -174,7 +169,7 @@ fn undistorted_fisheye(k: &[f64; 4], d: &Point2<f64>) -> Option<Point2<f64>> {
     (fits && theta < MAX_ANGLE && is_positive_up_to(&slope, t2)).then(|| d * (theta.tan() / target))
 }
 
-/// The values of a polynomial of s, lowest power first.
+/// Value of a polynomial at s, lowest power first.
 fn polynomial<const N: usize>(coefficients: &[f64; N], s: f64) -> f64 {
     coefficients.iter().rev().fold(0.0, |sum, c| sum * s + c)
 }
@@ -191,7 +186,7 @@ fn denominator_coefficients(k: &[f64; 6]) -> [f64; 4] {
     [1.0, k[3], k[4], k[5]]
 }
 
-/// d(r N/D)/dr times D², in powers of s = r²: N D + 2 s (N′ D − N D′).
+/// Slope of the radial distortion r N/D, times D²: N D + 2 s (N′ D − N D′), in powers of s = r².
 fn radial_slope(k: &[f64; 6]) -> [f64; 7] {
     let above = [1.0, k[0], k[1], k[2]];
     let below = denominator_coefficients(k);
@@ -204,18 +199,17 @@ fn radial_slope(k: &[f64; 6]) -> [f64; 7] {
     slope
 }
 
-/// 1 + k₁θ² + … in powers of θ².
+/// Coefficients of the distorted angle over θ: 1 + k₁θ² + …, in powers of θ².
 fn angular(k: &[f64; 4]) -> [f64; 5] {
     [1.0, k[0], k[1], k[2], k[3]]
 }
 
-/// Its angle's derivative: 1 + 3 k₁θ² + 5 k₂θ⁴ + ….
+/// Coefficients of the distorted angle's derivative: 1 + 3 k₁θ² + 5 k₂θ⁴ + …, in powers of θ².
 fn angular_slope(k: &[f64; 4]) -> [f64; 5] {
     [1.0, 3.0 * k[0], 5.0 * k[1], 7.0 * k[2], 9.0 * k[3]]
 }
 
-/// Halvings of the interval before a polynomial that touches zero counts as crossing it. Larger:
-/// slower next to a double root. Smaller: such lenses lose a part of their image.
+/// Maximum number of halvings before a polynomial that touches zero counts as crossing it.
 const MAX_DEPTH: usize = 40;
 
 /// Whether a polynomial (lowest power first, 1 at 0) is above [`MIN_SLOPE`] on all of [0, end].

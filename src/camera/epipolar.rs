@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 /// A line `normal · p + offset = 0` in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Line {
-    /// Of unit length.
+    /// Unit normal.
     pub normal: Vector2<f64>,
     /// Minus the signed distance of the line from the image's origin along the normal, pixels.
     pub offset: f64,
@@ -30,16 +30,15 @@ impl Line {
 /// [`ideal_from_pixel`](super::CameraModel::ideal_from_pixel) gives them.
 #[derive(Clone, Debug)]
 pub struct EpipolarGeometry {
-    /// `line in j = j_from_i · p_i`.
+    /// The matrix F: `line in j = j_from_i · p_i`.
     j_from_i: Matrix3<f64>,
 }
 
-/// Smallest baseline, as a fraction of the centres' distance from the world's origin. Larger: rigs far
-/// from the origin lose their epipolar geometry. Smaller: baselines are rounding.
+/// Minimum baseline, as a fraction of the centres' distance from the world's origin; below it rounding
+/// dominates.
 const MIN_BASELINE_FRACTION: f64 = 1e-12;
 
-/// Smallest length of a line's normal, over the norm of F. Larger: pixels beside the epipole have no
-/// line. Smaller: the epipole's line is rounding.
+/// Minimum length of a line's normal, relative to the norm of F; below it the pixel is the epipole.
 const MIN_LINE_FRACTION: f64 = 1e-12;
 
 impl EpipolarGeometry {

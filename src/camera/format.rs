@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 pub struct PoseFormat {
     /// Quaternion of unit length, to [`MAX_QUATERNION_ERROR`].
     pub rotation_wxyz: [f64; 4],
-    /// Metres.
+    /// Translation, metres.
     pub translation: [f64; 3],
 }
 
@@ -64,20 +64,18 @@ pub enum CameraFormatError {
     Translation,
 }
 
-/// `PINHOLE has 4, …`.
+/// The models with their numbers of parameters, for messages: `PINHOLE has 4, …`.
 fn known_models() -> String {
     CameraModel::KNOWN.map(|(name, _, count)| format!("{name} has {count}")).join(", ")
 }
 
-/// Largest width and height of an image. Larger: a typing error asks for terabytes. Smaller: line
-/// cameras are refused.
+/// Maximum width and height of an image, pixels.
 const MAX_SIZE_PX: u32 = 65_536;
-/// Largest difference of a quaternion's length from 1. Larger: matrices and typing errors pass for
-/// rotations. Smaller: Blender's quaternions, which are single precision, may be refused.
+/// Maximum difference of a quaternion's length from 1: Blender's are single precision.
 pub const MAX_QUATERNION_ERROR: f64 = 1e-3;
 
 impl CameraFormat {
-    /// Checks every field and makes the camera.
+    /// Checks every field and converts to a camera.
     pub fn camera(&self) -> Result<Camera, CameraFormatError> {
         for (field, value) in [("width", self.width), ("height", self.height)] {
             if value == 0 || value > MAX_SIZE_PX {

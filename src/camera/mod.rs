@@ -26,30 +26,27 @@ pub struct Camera {
     pub width: usize,
     /// Image height, pixels.
     pub height: usize,
-    /// Lens, from the plane z = 1 to pixels.
+    /// Lens model, from the plane z = 1 to pixels.
     pub model: CameraModel,
-    /// Pose: a world point, in metres, to the camera's frame (+x right, +y down, +z forward).
+    /// Pose: maps world points, metres, to the camera's frame (+x right, +y down, +z forward).
     pub cam_from_world: Isometry3<f64>,
 }
 
-/// Smallest depth of a point with an image, as a fraction of its distance: points at over 89.9999°
-/// from the axis have none. Larger: wide fisheye images lose their border. Smaller: coordinates
-/// are rounding divided by rounding.
+/// Minimum depth of a point that projects, as a fraction of its distance: an angle of 89.9999° from the axis.
 const MIN_DEPTH_FRACTION: f64 = 1e-6;
 
 impl Camera {
-    /// The same camera with pixels of twice the size. An odd number of them loses the last. `None` if none is
-    /// left.
+    /// The camera with pixels of twice the size. An odd row or column is dropped. `None` if no pixel is left.
     pub fn halved(&self) -> Option<Self> {
         let (width, height) = (self.width / 2, self.height / 2);
         let model = self.model.halved();
         (width > 0 && height > 0).then(|| Self { width, height, model, ..self.clone() })
     }
 
-    /// The pixel position of a world point, in metres. It may lie outside the image.
+    /// Projects a world point, metres, to a pixel position, which may lie outside of the image.
     ///
-    /// `None` for a point behind the camera, at its centre, at 90° from its axis, or beyond the
-    /// radius where the lens model folds back, and for coordinates that are NaN.
+    /// `None` for a point behind the camera, at its centre, at 90° from its axis, or beyond the fold of the
+    /// lens model, and for NaN.
     pub fn project(&self, point_world: &Point3<f64>) -> Option<Point2<f64>> {
         let p = self.cam_from_world * point_world;
         self.project_cam(&p)
@@ -76,7 +73,7 @@ impl Camera {
         Some(Vector3::new(n.x, n.y, 1.0))
     }
 
-    /// [`Self::ray`] in the world's axes. Its length is not 1: its z in the camera's frame is.
+    /// [`Self::ray`] in world coordinates. Its depth is 1, not its length.
     pub fn ray_world(&self, pixel: &Point2<f64>) -> Option<Vector3<f64>> {
         Some(self.cam_from_world.rotation.inverse_transform_vector(&self.ray(pixel)?))
     }

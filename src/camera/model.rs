@@ -28,7 +28,7 @@ pub enum CameraModel {
 }
 
 impl CameraModel {
-    /// All models: COLMAP's name, its number in COLMAP's binary files, and its number of parameters.
+    /// All models: COLMAP's name, its number in COLMAP's binary files, and the number of parameters.
     pub const KNOWN: [(&str, i32, usize); 9] = [
         ("SIMPLE_PINHOLE", 0, 3),
         ("PINHOLE", 1, 4),
@@ -121,7 +121,7 @@ impl CameraModel {
         }
     }
 
-    /// The model of the same lens with pixels of twice the size.
+    /// The model for pixels of twice the size.
     pub fn halved(&self) -> Self {
         let intrinsics = match self {
             Self::SimplePinhole { .. }
@@ -143,34 +143,32 @@ impl CameraModel {
         0.5 * (fx + fy)
     }
 
-    /// Whether straight lines of the scene are straight in the image.
+    /// Whether the model has no distortion.
     pub fn is_pinhole(&self) -> bool {
         self.distortion() == Distortion::None
     }
 
-    /// Pixel of a point of the plane z = 1, by the model's formula: meaningful only for points that
-    /// are short of the fold, see [`Self::is_short_of_fold`].
+    /// Projects a point of the plane z = 1. It is meaningful only inside of the fold
+    /// ([`Self::is_short_of_fold`]).
     pub fn pixel_from_normalized(&self, n: &Point2<f64>) -> Point2<f64> {
         let (fx, fy, cx, cy) = self.intrinsics();
         let d = self.distortion().distorted(n);
         Point2::new(fx * d.x + cx, fy * d.y + cy)
     }
 
-    /// Whether a point of the plane z = 1 lies nearer to the axis than the fold: the radius where the
-    /// distortion stops growing, and beyond which it folds the scene back over the image.
+    /// Whether a point of the plane z = 1 is inside of the fold, the radius where the distortion stops growing.
     pub fn is_short_of_fold(&self, n: &Point2<f64>) -> bool {
         self.distortion().is_short_of_fold(n)
     }
 
-    /// Point of the plane z = 1 that a pixel shows; `None` where no point short of the fold is
-    /// distorted that far.
+    /// The point of the plane z = 1 that projects to a pixel; `None` if no point inside of the fold does.
     pub fn normalized_from_pixel(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         let (fx, fy, cx, cy) = self.intrinsics();
         self.distortion().undistorted(&Point2::new((pixel.x - cx) / fx, (pixel.y - cy) / fy))
     }
 
-    /// The pixel without distortion, by the same focal lengths and principal point: there, epipolar
-    /// curves are lines. The same pixel for a pinhole; `None` as [`Self::normalized_from_pixel`].
+    /// The undistorted pixel, with the same focal lengths and principal point. Among undistorted pixels,
+    /// epipolar curves are lines. `None` as for [`Self::normalized_from_pixel`].
     pub fn ideal_from_pixel(&self, pixel: &Point2<f64>) -> Option<Point2<f64>> {
         if self.is_pinhole() {
             return Some(*pixel);

@@ -29,18 +29,13 @@ pub(crate) struct Header {
     pub bit_depth: BitDepth,
 }
 
-/// Largest number of pixels of an image: 8192×8192. Larger: a view, at some 25 bytes a pixel, takes
-/// gigabytes. Smaller: the images of large cameras are refused.
+/// Maximum number of pixels of an image: 8192×8192.
 pub const MAX_PIXELS: u64 = 1 << 26;
 
-/// Largest image file that is read, bytes: an 8192×8192 one of 16-bit RGB that nothing compresses, and
-/// something beside it. Larger: decoders that hold the whole file fill the memory. Smaller: the largest
-/// images are refused.
+/// Maximum size of an image file, bytes: 8192×8192 pixels of incompressible 16-bit RGB, and metadata.
 const MAX_FILE_BYTES: u64 = 448 << 20;
 
-/// Memory of the decoder of other formats than PNG, bytes: an 8192×8192 image, what it is unpacked
-/// from and scratch space. Larger: a crafted header fills the memory. Smaller: the largest images of a
-/// capture are refused.
+/// Maximum memory of decoders of other formats than PNG, bytes: an 8192×8192 image and its buffers.
 const MAX_DECODE_BYTES: u64 = 1 << 30;
 
 fn image_error(path: &Path, reason: impl std::fmt::Display) -> ImageFileError {
@@ -211,7 +206,7 @@ pub fn quantize(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> (u
     (channels, samples)
 }
 
-/// What [`write_image`] writes.
+/// Encodes the file of [`write_image`].
 pub(crate) fn encode_png(
     image: &Image,
     coverage: Option<&[bool]>,

@@ -1,7 +1,7 @@
-//! Filters over windows.
+//! Sliding-window filters.
 
-/// For each value that has `count` − 1 after it, these `count` combined, in any order; they are `stride` apart. By
-/// doubling: the time grows with the logarithm of the count.
+/// Combines every `count` values that are `stride` apart, by a commutative and associative operation: one
+/// result per window. By doubling, in time logarithmic in the count.
 ///
 /// # Panics
 /// If the count is 0, or there are fewer values.
@@ -31,7 +31,7 @@ pub(crate) fn sliding(
     }
 }
 
-/// The rows of a plane `w` wide, with `count` more values at both ends of each.
+/// Pads both ends of each row of a plane `w` wide by `count` values.
 pub(crate) fn padded(values: &[f32], w: usize, count: usize, value: f32) -> Vec<f32> {
     let mut out = vec![value; values.len() / w * (w + 2 * count)];
     for (row, out) in values.chunks_exact(w).zip(out.chunks_exact_mut(w + 2 * count)) {
@@ -40,7 +40,7 @@ pub(crate) fn padded(values: &[f32], w: usize, count: usize, value: f32) -> Vec<
     out
 }
 
-/// The box filter of a `w`×`h` plane: the mean over a (2·radius + 1)² window, of its part inside the plane.
+/// Box filter of a `w`×`h` plane: the mean of a (2·radius + 1)² window's part inside the plane.
 pub(crate) fn box_filter(values: &[f32], w: usize, h: usize, radius: usize) -> Vec<f32> {
     let span = |at: usize, size: usize| (at.saturating_sub(radius), (at + radius + 1).min(size));
     let shares: Vec<f32> = (0..w)

@@ -18,7 +18,7 @@ pub use sample::Sampling;
 pub(crate) use sample::{sample, sample_all, sample_each};
 pub use tiles::Tiles;
 
-/// Bits a channel of an image file.
+/// Bits per sample of an image file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum BitDepth {
     Eight,
@@ -63,7 +63,7 @@ impl Image {
         self.height
     }
 
-    /// Samples a pixel.
+    /// Samples per pixel.
     pub fn channels(&self) -> usize {
         self.channels
     }
@@ -73,7 +73,7 @@ impl Image {
         &self.data
     }
 
-    /// As [`Self::data`], to be changed.
+    /// All samples, mutable.
     pub fn data_mut(&mut self) -> &mut [f32] {
         &mut self.data
     }
@@ -108,8 +108,8 @@ impl Image {
         Image { width: self.width, height: self.height, channels: 3, data }
     }
 
-    /// Bilinear sample at a position in pixels, into `out`: one value a channel. Positions
-    /// outside have the border's value, and NaN that of the first pixel.
+    /// Bilinear sample at a position in pixels, one value per channel. Outside of the image the border is
+    /// repeated; NaN gives the first pixel.
     pub fn sample_bilinear(&self, x: f32, y: f32, out: &mut [f32]) {
         let split = |v: f32, size: usize| {
             let v = (v - 0.5).max(0.0).min((size - 1) as f32);
@@ -127,9 +127,8 @@ impl Image {
         }
     }
 
-    /// Catmull–Rom sample at a position in pixels, into `out`: one value a channel. It is sharper
-    /// than [`Self::sample_bilinear`], equals the pixel at its centre, and may overshoot 0 to 1 by
-    /// the filter's lobes. Outside and NaN are as there.
+    /// Catmull–Rom sample at a position in pixels, one value per channel. It interpolates the pixels' values,
+    /// and may overshoot 0..=1. Outside positions and NaN as for [`Self::sample_bilinear`].
     pub fn sample_cubic(&self, x: f32, y: f32, out: &mut [f32]) {
         let split = |v: f32, size: usize| {
             let v = (v - 0.5).max(0.0).min((size - 1) as f32);
@@ -150,8 +149,7 @@ impl Image {
     }
 }
 
-/// The weights of four neighbouring samples in Catmull–Rom's cubic, at a fraction of 0 to 1 between
-/// the middle two.
+/// Catmull–Rom weights of four neighbouring samples, at a fraction 0..=1 between the middle two.
 pub(crate) fn catmull_rom(f: f32) -> [f32; 4] {
     let (f2, f3) = (f * f, f * f * f);
     [

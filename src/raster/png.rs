@@ -8,8 +8,7 @@ use std::io::{BufRead, Seek};
 /// The first bytes of every PNG file.
 pub(super) const SIGNATURE: [u8; 8] = *b"\x89PNG\r\n\x1a\n";
 
-/// Memory of the decoder besides the image, bytes. Larger: what an image isn't made from takes memory.
-/// Smaller: rows of 65,536 pixels of 16 bits, and palettes, are refused.
+/// Maximum memory of the decoder besides the image, bytes: a row of 65,536 16-bit pixels and a palette.
 const MAX_DECODER_BYTES: usize = 16 << 20;
 
 /// A file whose header is read.
@@ -38,7 +37,7 @@ impl<R: BufRead + Seek> PngFile<R> {
         }
     }
 
-    /// Channels of a decoded pixel, and those of them that aren't alpha.
+    /// Channels of a decoded pixel, and how many of them are colour or grey.
     fn channels(&self) -> (usize, usize) {
         match self.0.output_color_type().0 {
             ColorType::Grayscale => (1, 1),

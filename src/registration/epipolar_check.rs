@@ -14,8 +14,8 @@ use nalgebra::Point2;
 pub enum Verdict {
     /// Its spatial correspondence lies on the epipolar line, eq. (3).
     Passed,
-    /// Its spatial correspondence does not lie on the line: the temporal or the spatial correspondence is
-    /// wrong, and neither is used.
+    /// Its spatial correspondence does not lie on the line: the temporal or the spatial one is wrong, and
+    /// neither is used.
     Rejected,
     /// No reference can test it: none sees the feature, or the feature moves along its epipolar line.
     Untestable,
@@ -81,7 +81,7 @@ pub fn epipolar_check(
     Ok(verdicts)
 }
 
-/// The verdicts, by index of the track, of references on tracks of camera `i` that start in `source`.
+/// Tests tracks of camera `i` that start in frame `source`: verdicts by index of the track.
 fn tested(
     frames: &FrameStore,
     i: usize,
@@ -114,7 +114,7 @@ fn tested(
     Ok(verdicts)
 }
 
-/// The verdicts of one reference on tracks of camera `i` that start in `source`, in their order.
+/// Tests tracks of camera `i` that start in frame `source` with one reference: verdicts in their order.
 fn test_with(
     frames: &FrameStore,
     i: usize,
@@ -163,8 +163,8 @@ struct Pair<'a> {
 }
 
 impl Pair<'_> {
-    /// Spatial flow of the features from the source frame to the reference's frame `target`, which is of
-    /// time `target_s`: their positions there, pixels.
+    /// Spatial flow of the features from `source` to the reference's frame `target`, of time `target_s`: their
+    /// positions there, pixels.
     fn match_features(
         &self,
         source: &Frame,
@@ -203,9 +203,9 @@ impl Pair<'_> {
         }
     }
 
-    /// A second attempt for features that were not matched, or not on their epipolar line. The guess is
-    /// first the predicted position plus its neighbours' disparity, and then, as that position may be
-    /// wrong, the start plus its neighbours' displacement. The match of the smaller residual is taken.
+    /// A second attempt at features that were not matched, or not on their epipolar line. The initial guess is
+    /// first the predicted position plus the neighbours' disparity, then the start plus the neighbours'
+    /// displacement. The match of the smaller residual is used.
     fn retry(
         &self,
         source: &Frame,
@@ -258,7 +258,7 @@ impl Pair<'_> {
         }
     }
 
-    /// Eq. (3) of a feature and its position in the reference; `None` if that cannot test it.
+    /// Applies eq. (3) to a feature and its position in the reference; `None` if the reference cannot test it.
     fn verdict(&self, feature: &Feature, in_reference: Option<&Point2<f64>>) -> Option<Verdict> {
         let geometry = EpipolarGeometry::new(self.camera_i, self.camera_j)?;
         let ideal_i = |p: &Point2<f64>| self.camera_i.model.ideal_from_pixel(p);

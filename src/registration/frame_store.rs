@@ -66,7 +66,7 @@ impl FrameStore {
         &self.capture
     }
 
-    /// The options that the frames are prepared with.
+    /// The options of registration.
     pub fn options(&self) -> &RegistrationOptions {
         &self.options
     }
@@ -113,7 +113,7 @@ impl FrameStore {
         Frame::bytes_of(size, channels, &self.options).max(min_bytes)
     }
 
-    /// The image of a camera as a frame whose pyramid is as bright as the reference camera's.
+    /// Builds a frame whose pyramid is as bright as the reference camera's.
     fn prepared(&self, camera: usize, image: Image) -> Frame {
         match self.gains().corrected(camera, &image) {
             Some(corrected) => Frame::with_corrected(image, corrected, &self.options),

@@ -26,29 +26,22 @@ pub struct Gains {
     largest: (f64, f64),
 }
 
-/// Minimum difference of a gain from 1 that is corrected. Moving objects and specular surfaces make up to
-/// 0.019 between equal cameras. Larger: visible differences remain (0.03 is 3 of 255 in the brightest
-/// parts); smaller: equal cameras are made unequal.
+/// Minimum difference of a gain from 1 that is corrected. Moving objects and specular surfaces make up to 0.019
+/// between equal cameras; 0.03 is 3 of 255 in the brightest parts.
 const MIN_DIFFERENCE: f64 = 0.03;
-/// Minimum difference of a gain from 1 that is corrected, in standard errors. Larger: real differences
-/// remain; smaller: noise is corrected.
+/// Minimum difference of a gain from 1 that is corrected, in standard errors.
 const MIN_STD_ERRORS: f64 = 4.0;
-/// Number of nearest neighbours that each camera is compared with. Larger: time, and pairs with little in
-/// common; smaller: one bad pair decides.
+/// Number of nearest cameras that each camera is compared with.
 const NEIGHBORS: usize = 2;
-/// Images are halved until they are no wider than this, pixels. Larger: time; smaller: too few features.
+/// Images are halved until they are no wider than this, pixels.
 const WIDTH_PX: usize = 250;
-/// Minimum number of features of a pair of cameras. Larger: pairs with little in common are not compared;
-/// smaller: mismatches decide.
+/// Minimum number of features of a pair of cameras.
 const MIN_FEATURES: usize = 12;
-/// Range of gains that are read back. Wider: a damaged file's images are black or white; narrower: gains of very dark
-/// or bright cameras are estimated for each light field.
+/// Range of gains that are accepted from the disk cache.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
-/// Half the side of the windows whose mean light is compared, pixels. Larger: windows cross outlines;
-/// smaller: noise, and errors of the match.
+/// Half-width of the windows whose mean light is compared, pixels.
 const RADIUS_PX: isize = 2;
-/// Range of encoded values (0..=1) that are compared. Wider: clipped values and noise bias the ratios;
-/// narrower: dark and bright scenes have too few features.
+/// Range of encoded values (0..=1) that are compared: neither clipped nor noise.
 const USABLE: std::ops::RangeInclusive<f32> = 0.08..=0.96;
 
 impl Gains {
@@ -220,8 +213,8 @@ fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     Some(sums.map(|sum| sum / area))
 }
 
-/// The light that camera `cameras[1]` records over what `cameras[0]` records, by channel: the logarithm of
-/// the ratio, and its variance.
+/// Ratio of the light that camera `cameras[1]` records of the same surfaces to that of `cameras[0]`, by
+/// channel: its logarithm and the logarithm's variance.
 struct Ratio {
     cameras: [usize; 2],
     log: [f64; 3],
@@ -268,11 +261,10 @@ impl Ratio {
     }
 }
 
-/// Minimum standard error of a log ratio: two views of a surface differ by specular reflection. Larger:
-/// accurate pairs count no more than others; smaller: one pair with many features decides.
+/// Minimum standard error of a log ratio: specular reflection differs between two views.
 const MIN_STD_ERR: f64 = 0.002;
-/// Standard deviation of the prior of a camera's log gain, around 0. Larger: the normal equations of cameras
-/// that were compared with none are ill-conditioned; smaller: gains are pulled to 1.
+/// Standard deviation of the prior of a camera's log gain, around 0. It regularizes cameras that were compared
+/// with none.
 const PRIOR_STD_ERR: f64 = 10.0;
 
 /// The weighted least-squares solution of all cameras' gains, the reference camera's 1.

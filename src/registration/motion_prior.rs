@@ -1,22 +1,19 @@
-//! A motion prior: where to look for a feature, from the displacements of its neighbours.
+//! A motion prior: predicts a feature's displacement from its neighbours'.
 
 use super::Neighbors;
 use nalgebra::{Point2, Vector2};
 
-/// Displacements (motion or disparity, pixels) of tracked features, to predict those of features near
-/// them.
+/// Displacements (motion or disparity, pixels) of tracked features, which predict those of features nearby.
 pub struct MotionPrior {
     neighbors: Neighbors,
     displacements: Vec<(Point2<f64>, Vector2<f64>)>,
 }
 
-/// Number of nearest neighbours whose median is the prediction. Larger: the median is of more than one
-/// surface; smaller: one mismatch decides (a median of 5 is right where 2 are wrong).
+/// Number of nearest neighbours whose median is the prediction. Up to two of five may be wrong.
 const MEDIAN_OF: usize = 5;
 
 impl MotionPrior {
-    /// Usual radius of [`Self::predict`], pixels. Larger: the displacement of another surface is
-    /// predicted; smaller: isolated features have no prediction.
+    /// Usual radius of [`Self::predict`], pixels.
     pub const RADIUS_PX: f64 = 40.0;
 
     /// The prior of `(position, displacement)` pairs, pixels; of none, it predicts nothing.

@@ -3,8 +3,7 @@
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::Point2;
 
-/// The fraction of the radius that a query searches first. It does not change results. Larger: more points are
-/// compared; smaller: more queries search twice.
+/// Fraction of the radius that [`Neighbors::nearest`] searches first, for speed.
 const CLOSE_FRACTION: f64 = 1.0 / 3.0;
 
 /// A set of points of the image plane for radius queries.
@@ -23,8 +22,7 @@ impl Neighbors {
         Self { tree }
     }
 
-    /// Does something with the index of each point within `radius` of `p`, bound included, in no particular
-    /// order; duplicates of a point all count.
+    /// Calls `act` with the index of each point within `radius` of `p`, bound included, in no particular order.
     pub fn each_within(&self, p: &Point2<f64>, radius: f64, mut act: impl FnMut(usize)) {
         let Some(tree) = &self.tree else { return };
         let at = [p.x, p.y];

@@ -16,7 +16,7 @@ const LEVEL: usize = 1;
 pub(super) struct PolarGradients {
     pub width: usize,
     pub height: usize,
-    /// Pixels of the level over those of the frame.
+    /// Size of the level relative to the frame.
     pub scale: f64,
     /// Magnitudes, row by row, and [`LANES`] more.
     pub strength: Vec<f32>,
@@ -68,7 +68,8 @@ impl PolarGradients {
     }
 }
 
-/// Coefficients of the arctangent's odd polynomial on 0..=1, from x on, to 2e-8 (Abramowitz and Stegun 4.4.49).
+/// Coefficients of the arctangent's odd polynomial on 0..=1, from the linear one on, to 2e-8 (Abramowitz and
+/// Stegun 4.4.49).
 const ARCTANGENT: [f32; 9] = [
     1.0,
     -0.333_331_45,

@@ -12,9 +12,8 @@ pub struct Reference {
     /// Time of the test, seconds on the common clock: the frame's, or the queried one if `between` is
     /// set.
     pub time_s: f64,
-    /// Set if the camera has no frame in the interval, because its rate is lower: the times, seconds,
-    /// of `frame` and of the next one, which are before and after the interval. The camera's own
-    /// track between the two is interpolated.
+    /// Set for a camera of a lower rate without a frame in the interval: the times, seconds, of `frame` and of
+    /// the next one, around the interval. The camera's own track between them is interpolated.
     pub between: Option<[f64; 2]>,
 }
 
@@ -23,20 +22,18 @@ pub struct Reference {
 pub struct References {
     /// Every track is tested with each of these.
     pub first: Vec<Reference>,
-    /// Tracks that the first cannot test are tested with these, one after another: another camera may
-    /// see what one does not.
+    /// Tracks that the first references cannot test are tested with these, one after another.
     pub further: Vec<Reference>,
 }
 
-/// The flow that references are selected for.
+/// A flow between two frames, for which references are selected.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferenceQuery {
     /// Index of the camera whose tracks are tested: i of eq. (4).
     pub camera: usize,
     /// Times of its two frames, t and t + Δt, seconds on the common clock.
     pub interval_s: [f64; 2],
-    /// The time in the interval that eq. (5) takes the nearest frame to: t + Δt for the forward flow,
-    /// t for the backward flow.
+    /// The time that eq. (5) seeks the nearest frame to: t + Δt for the forward flow, t for the backward flow.
     pub time_s: f64,
 }
 

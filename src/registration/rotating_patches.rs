@@ -1,10 +1,9 @@
-//! Beyond the paper: features that turn, or that jump too far for the tracker.
+//! Beyond the paper: features that rotate, or that move too far for the tracker.
 //!
-//! A tracker's window only translates, and it looks near its guess. What spins by 30 degrees from frame to frame,
-//! or moves past its surroundings by 50 pixels, is lost as a whole, so that no neighbour can tell where to look.
-//! Here lost corners are matched to the other frame's corners by descriptors that don't depend on their
-//! direction. Matches count that agree with each other on one motion. They and the corners
-//! around them are then tracked by affinely deforming windows.
+//! The tracker's window only translates, from a guess that must be near. A body that rotates by 30 degrees a
+//! frame, or passes its surroundings by 50 pixels, is lost as a whole, so that no neighbour predicts its
+//! motion. Here its corners are matched to the other frame's corners by rotation-invariant descriptors. Matches
+//! that agree on one motion seed the tracking of the corners around them by affinely deforming windows.
 
 use super::corners::MIN_DISTANCE_PX;
 use super::sift::SiftDescriptor;

@@ -16,8 +16,7 @@ pub struct Trajectory {
 }
 
 impl Trajectory {
-    /// Maximum number of samples. Larger: the polynomial oscillates between noisy samples; smaller:
-    /// curvature is ignored.
+    /// Maximum number of samples.
     pub const MAX: usize = 4;
 
     /// The trajectory through samples `(time in seconds, position in pixels)`, in order of time.

@@ -4,11 +4,11 @@ use super::pyramid::Level;
 use crate::simd::{F32x8, LANES};
 use nalgebra::Vector2;
 
-/// Where the window of the given radius around `p` begins in a level's padded plane: the index of
-/// its top-left sample, and the fractional position `[x, y]` after it, in 0..1.
+/// Top-left corner of the window of the given radius around `p` in a level's padded plane: the index of its
+/// first sample, and the fractional position `[x, y]` after it, in 0..1.
 ///
-/// `p` is in pixels with the first pixel's centre at (0, 0). `None` if it is more than a pixel
-/// outside the image.
+/// `p` is in pixels with the first pixel's centre at (0, 0). `None` if it is more than a pixel outside the
+/// image.
 #[inline(always)]
 pub fn corner(level: &Level, p: &Vector2<f64>, radius: usize) -> Option<(usize, [f32; 2])> {
     let inside = |v: f64, size: usize| v >= -1.0 && v <= size as f64;
@@ -20,9 +20,8 @@ pub fn corner(level: &Level, p: &Vector2<f64>, radius: usize) -> Option<(usize, 
     Some((base, [(p.x - x) as f32, (p.y - y) as f32]))
 }
 
-/// The fraction, 0..=1, of a linearly interpolated sample that comes from inside the image, along
-/// one axis of `size` pixels. `v` is in pixels with the first pixel's centre at 0. The padding is a
-/// copy of the border and carries no information.
+/// Fraction, 0..=1, of a linearly interpolated sample that comes from inside the image, along one axis of
+/// `size` pixels. `v` is in pixels with the first pixel's centre at 0. The padding carries no information.
 #[inline(always)]
 pub fn fraction_inside(v: f64, size: usize) -> f32 {
     (1.0 + v.min(size as f64 - 1.0 - v)).clamp(0.0, 1.0) as f32
@@ -41,7 +40,7 @@ pub struct Window<'a> {
     within: [f32; 2],
 }
 
-/// An iterator over the rows of a strip of a [`Window`], B words of eight columns wide.
+/// Reads a strip of a [`Window`], 8·B columns wide, row by row.
 pub struct Columns<'a, V, const B: usize> {
     plane: &'a [f32],
     stride: usize,
