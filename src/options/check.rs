@@ -12,8 +12,6 @@ type Checked = Result<(), OptionError>;
 const PIXELS: RangeInclusive<f64> = 0.0..=1000.0;
 /// Shares of something that may be larger than the whole.
 const SHARE: RangeInclusive<f64> = 0.0..=100.0;
-/// Counts of things of which none is a way to say "off".
-const COUNT: RangeInclusive<f64> = 0.0..=1e6;
 
 impl RenderOptions {
     pub(super) fn check_undeclared(&self) -> Checked {
