@@ -38,8 +38,7 @@ const NOISE: f64 = 0.012;
 /// Maximum gain between two windows; the minimum is its inverse.
 const MAX_GAIN: f64 = 4.0;
 
-/// A tracker of affinely deforming windows, with the buffers of one window, which are reused from point
-/// to point.
+/// A tracker of affinely deforming windows, with buffers that are reused from point to point.
 #[derive(Debug)]
 pub struct AffineTracker {
     /// The column of each sample of a row, counted from the middle.
@@ -78,13 +77,12 @@ pub struct Deformed {
     pub deformation: Matrix2<f64>,
     /// Weighted mean absolute difference of the two windows' values, 0..=1, without gain and bias.
     pub residual: f64,
-    /// The residual over the contrast of the source's window: near 0 where the windows are alike, near 1
-    /// where they are not.
+    /// The residual over the contrast of the source's window: 0 for equal windows, near 1 for unlike ones.
     pub unexplained: f64,
 }
 
-/// The affine map from window coordinates (pixels from the window's middle) to the target's (pixels,
-/// the first pixel's centre at 0), and from the template's values to the target's.
+/// The affine maps from window coordinates (pixels from the window's middle) to the target's (pixels, the first
+/// pixel's centre at 0), and from the template's values to the target's.
 #[derive(Clone, Copy)]
 struct AffineWarp {
     middle: Vector2<f64>,
@@ -186,9 +184,8 @@ impl Default for AffineTracker {
 impl AffineTracker {
     /// Finds the window around `start.from` of the source in the target, at the pyramids' full size.
     ///
-    /// `None` if `start.from` or the warped window is outside, if the texture does not determine the
-    /// parameters, if the gain is not between 1/4 and 4, or if the result is further than 5 pixels from
-    /// `start.guess`.
+    /// `None` if a window is outside, if the texture does not determine the parameters, or if the result is
+    /// implausible: a gain beyond 4 or 1/4, or a shift of over 5 pixels from `start.guess`.
     pub fn track(
         &mut self,
         source: &Pyramid,
@@ -198,8 +195,8 @@ impl AffineTracker {
         track(self, &source.levels()[0], &target.levels()[0], start)
     }
 
-    /// The weighted mean of the absolute difference of the warped target and the template, values 0..=1, and
-    /// its ratio to that of the template and its mean. `None` if the warped window leaves the padded image.
+    /// The weighted mean absolute difference of the warped target and the template, values 0..=1, and its ratio
+    /// to the template's contrast. `None` if the warped window leaves the padded image.
     #[inline(always)]
     fn residual<V: F32x8>(&self, target: &Level, warp: &AffineWarp) -> Option<[f64; 2]> {
         let (gain, bias) = (V::splat(1.0 / warp.gain as f32), V::splat(warp.bias as f32));
@@ -280,9 +277,8 @@ impl AffineTracker {
         Some(NormalEquations { solver: Cholesky::new(matrix)?, prior })
     }
 
-    /// The right-hand side of the normal equations: Σ w·e·(derivatives by the parameters), with e
-    /// the target's value at the template's gain and bias minus the template's. `None` if the
-    /// warped window leaves the padded image.
+    /// The right-hand side of the normal equations: Σ w·e·(derivatives by the parameters), e the difference of
+    /// the target to the template without gain and bias. `None` if the warped window leaves the padded image.
     #[inline(always)]
     fn right_hand_side<V: F32x8>(
         &self,
@@ -315,7 +311,7 @@ impl AffineTracker {
     }
 }
 
-/// Sums, over a row, of the weighted products of two derivatives, and their moments along the row.
+/// Sums over a row of the weighted products of two derivatives, and their moments along the row.
 struct RowMoments<V> {
     /// dx·dx, dx·dy, dy·dy, each times 1, x, x².
     tensor: [[V; 3]; 3],
@@ -356,7 +352,7 @@ fn accumulate<V: F32x8, const M: usize>(sums: &mut [V; M], terms: [V; M]) {
     }
 }
 
-/// Sums, over the window, of the weighted products of two derivatives times x^i·y^j.
+/// Sums over the window of the weighted products of two derivatives times x^i·y^j.
 struct Moments<V> {
     /// dx·dx, dx·dy, dy·dy, each times 1, x, y, x², xy, y².
     tensor: [[V; 6]; 3],
@@ -384,8 +380,7 @@ impl<V: F32x8> Moments<V> {
         accumulate(&mut self.light, row.light);
     }
 
-    /// The normal matrix. The derivatives in the order of the parameters are dx, dy, x·dx, y·dx,
-    /// x·dy, y·dy, v, 1.
+    /// The normal matrix of the derivatives dx, dy, x·dx, y·dx, x·dy, y·dy, v, 1.
     #[inline(always)]
     fn matrix(&self) -> SMatrix<f64, N, N> {
         let [a, b, c] = &self.tensor;
@@ -408,9 +403,8 @@ impl<V: F32x8> Moments<V> {
     }
 }
 
-/// Catmull and Rom's cubic weights of the samples at −1, 0, 1 and 2, for a position `f` in 0..1.
-///
-/// In Horner form, which rounds differently from `raster::catmull_rom`; both agree to 1e-6.
+/// Catmull and Rom's cubic weights of the samples at −1, 0, 1 and 2, for a position `f` in 0..1. In Horner form,
+/// they agree with `raster::catmull_rom` to 1e-6.
 #[inline(always)]
 pub fn catmull_rom<V: F32x8>(f: V) -> [V; 4] {
     let c = V::splat;
@@ -464,8 +458,7 @@ impl<'a> Sampler<'a> {
         })
     }
 
-    /// The target coordinates of eight samples along one axis, relative to the middle's pixel: whole
-    /// and fractional parts.
+    /// Target coordinates of eight samples along one axis, from the middle's pixel: whole and fractional parts.
     #[inline(always)]
     fn coordinates<V: F32x8>(&self, axis: usize, column: V, row: f32) -> ([i32; LANES], V) {
         let start = self.middle[axis] + self.per_row[axis] * row;
