@@ -125,7 +125,10 @@ fn a_brighter_camera_is_as_good_as_another() {
         let options = RegistrationOptions { gains, ..Default::default() };
         let store = FrameStore::new(capture.clone(), &options);
         let tracks = temporal_flow(&store, 0, 1).expect("tracks");
-        let verdicts = epipolar_check(&store, &times(capture), 0, 1, &tracks).expect("verdicts");
+        // The third camera's clock is unknown, so that the bright one alone tests.
+        let mut times = times(capture);
+        times[2] = None;
+        let verdicts = epipolar_check(&store, &times, 0, 1, &tracks).expect("verdicts");
         verdicts.iter().filter(|v| **v == Verdict::Passed).count()
     };
     let told = |capture: &Arc<Capture>| {
