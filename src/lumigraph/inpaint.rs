@@ -112,17 +112,17 @@ mod tests {
 
     /// A body at 1 m before a wall at 2 m; right of it, a band of the wall that no camera sees.
     #[test]
-    fn what_is_hidden_is_filled_from_behind() {
+    fn what_is_occluded_is_filled_from_behind() {
         let (w, h) = (12, 5);
         let is_body = |x: usize| (3..6).contains(&x);
-        let is_hidden = |x: usize| (6..8).contains(&x);
+        let is_occluded = |x: usize| (6..8).contains(&x);
         let depth = (0..w * h).map(|k| if is_body(k % w) { 1.0 } else { 2.0 }).collect();
         let depth = DepthMap::from_data(w, h, depth);
         let of = |x: usize| {
-            if is_hidden(x) { PointVisibility::Occluded } else { PointVisibility::Visible }
+            if is_occluded(x) { PointVisibility::Occluded } else { PointVisibility::Visible }
         };
         let visibility: Vec<PointVisibility> = (0..w * h).map(|k| of(k % w)).collect();
-        let value = |x: usize| if is_body(x) || is_hidden(x) { 0.9 } else { 0.2 };
+        let value = |x: usize| if is_body(x) || is_occluded(x) { 0.9 } else { 0.2 };
         let data: Vec<f32> = (0..w * h * 3).map(|k| value(k / 3 % w)).collect();
         let mut image = Image::from_data(w, h, 3, data);
         inpaint(&mut image, &visibility, &depth, 0.03);

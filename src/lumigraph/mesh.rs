@@ -64,7 +64,7 @@ const FRONT_WEIGHT: f64 = 0.02;
 /// Number of corners of the back plane.
 const CORNERS: usize = 4;
 /// Factor of the back plane's inverse depth that puts the plane behind all vertices.
-const BEHIND: f64 = 0.999;
+const BACK_FACTOR: f64 = 0.999;
 
 /// A vertex of the triangulation.
 struct MeshSite {
@@ -235,7 +235,7 @@ fn back_plane(projections: &[ProjectedPoint], bounds: &ViewBounds) -> Option<Vec
     let g = fit_plane(projections, PlaneLoss::Behind(FRONT_WEIGHT), bounds)?;
     // The plane is positive in all the bounds, so the ratio is.
     let behind = projections.iter().map(|s| s.inverse_depth / g.dot(&s.ray())).fold(1.0, f64::min);
-    Some(g * (behind * BEHIND))
+    Some(g * (behind * BACK_FACTOR))
 }
 
 /// A mesh under construction.

@@ -28,7 +28,7 @@ const CONE_MARGIN: f64 = 0.02;
 /// Factor of a lower bound that makes up for f32 rounding.
 const ROUNDING: f32 = 0.999;
 /// Decrease of a difference of sines that makes up for f32 rounding.
-const ROUNDED: f32 = 1e-6;
+const SINE_ROUNDING: f32 = 1e-6;
 
 /// Some neighbouring pixels of a row of the view.
 pub(super) struct TargetRow<'a> {
@@ -238,7 +238,7 @@ impl Reprojection {
         let (d, axis) = (self.shift_target, cone.axis);
         let length = d.norm();
         let sine = (axis.cross(&d).norm() * cone.cosine - axis.dot(&d).abs() * cone.sine)
-            - ROUNDED * length;
+            - SINE_ROUNDING * length;
         // Lengths are at least 1. `max` would ignore NaN.
         let sine = if sine < 0.0 { 0.0 } else { sine };
         ROUNDING * sine * cone.farthest / (cone.longest + cone.farthest * length)

@@ -6,7 +6,7 @@ use super::inpaint::PointVisibility;
 use super::penalties::{RayCone, Reprojection, SourceHits, TargetRow};
 use super::rays::RayRow;
 use super::weight_grid::WeightGrid;
-use super::weights::{BlendMethod, Penalties, SOFT, Weights, divide, weigh_between};
+use super::weights::{BlendMethod, Penalties, THRESHOLD_MARGIN, Weights, divide, weigh_between};
 use crate::camera::Camera;
 use crate::raster::{Sampling, Tiles, gray_from_rgb, sample, sample_each};
 use crate::simd::multiversion;
@@ -44,7 +44,7 @@ pub(super) struct SpanBlender<'a> {
     order: Vec<usize>,
     /// Whether some sources are grey and others coloured.
     is_mixed: bool,
-    /// Whether the view is a pinhole's.
+    /// Whether the view has a pinhole.
     is_pinhole: bool,
 }
 
@@ -92,6 +92,7 @@ impl<'a> RowRays<'a> {
         Self { rays, x: row(), y: row(), length: row(), inverse_depth: row() }
     }
 
+    /// Moves to row `y`.
     fn set(&mut self, y: usize, depths: &[f32]) {
         self.rays.set(y);
         set_rays(self, depths);
@@ -106,6 +107,7 @@ impl<'a> RowRays<'a> {
         }
     }
 
+    /// The values of some columns.
     fn of(&self, columns: Range<usize>) -> TargetRow<'_> {
         TargetRow {
             x: &self.x[columns.clone()],
@@ -147,7 +149,8 @@ fn max_threshold<'a>(penalties: impl Iterator<Item = &'a [f32]>, count: usize) -
             *worst = worst.max(p);
         }
     }
-    let thresholds = best.iter().zip(&worst).map(|(best, worst)| worst.max(best * (1.0 + SOFT)));
+    let thresholds =
+        best.iter().zip(&worst).map(|(best, worst)| worst.max(best * (1.0 + THRESHOLD_MARGIN)));
     thresholds.take(count).fold(0.0, f32::max)
 }
 
@@ -175,7 +178,7 @@ impl<'a> SpanBlender<'a> {
             count: 0,
             active: Vec::new(),
             values: SpanValues::new(sources.len()),
-            weights: Weights::of(sources.len() * SPAN_PX),
+            weights: Weights::with_room(sources.len() * SPAN_PX),
             order,
             is_mixed,
             is_pinhole: target.model.is_pinhole(),
@@ -199,13 +202,13 @@ impl<'a> SpanBlender<'a> {
         let y = grid.pixel_row(row);
         self.row.set(y, depth.row(y));
         self.row.keep(grid.pixel_columns());
-        for columns in ranges(grid.columns(), SPAN_PX) {
+        for columns in ranges(grid.columns, SPAN_PX) {
             self.measure(columns.clone());
             self.weigh_measured();
             for i in 0..self.sources.len() {
                 let own = grid.weights_mut(row, i, columns.clone());
                 match self.active.contains(&i) {
-                    true => own.copy_from_slice(&self.weights.weights[self.of(i)]),
+                    true => own.copy_from_slice(&self.weights.weights[self.indices(i)]),
                     false => own.fill(0.0),
                 }
             }
@@ -215,7 +218,7 @@ impl<'a> SpanBlender<'a> {
     /// The columns of the row's spans.
     pub fn columns(&self) -> impl Iterator<Item = Range<usize>> + use<> {
         // Whole cells between nodes.
-        let step = self.grid.as_ref().map_or(1, WeightGrid::step);
+        let step = self.grid.as_ref().map_or(1, |grid| grid.step);
         ranges(self.row.x.len(), SPAN_PX / step * step)
     }
 
@@ -242,7 +245,7 @@ impl<'a> SpanBlender<'a> {
             let mut hits = self.values.hits(own.clone());
             self.reprojections[i].place(&row, &mut hits);
             let weights = &mut self.weights.weights[own];
-            weigh_between(at_nodes, grid.step(), hits.confidence, weights, sum);
+            weigh_between(at_nodes, grid.step, hits.confidence, weights, sum);
         }
         if sum.iter().any(|sum| !(*sum > 0.0)) {
             return false;
@@ -256,7 +259,7 @@ impl<'a> SpanBlender<'a> {
     }
 
     /// The indices of the span's values in a source.
-    fn of(&self, source: usize) -> Range<usize> {
+    fn indices(&self, source: usize) -> Range<usize> {
         source * SPAN_PX..source * SPAN_PX + self.count
     }
 
@@ -274,7 +277,7 @@ impl<'a> SpanBlender<'a> {
         let mut cone_and_limit = None;
         for (rank, &i) in self.order.iter().enumerate() {
             if rank == first && !self.is_mixed {
-                let penalties = |&i: &usize| &self.values.penalty[self.of(i)];
+                let penalties = |&i: &usize| &self.values.penalty[self.indices(i)];
                 let limit = max_threshold(self.order[..first].iter().map(penalties), self.count);
                 // At 0, sources at the view's own centre tie.
                 let may_cull = limit > 0.0 && limit < f32::INFINITY;
@@ -288,13 +291,14 @@ impl<'a> SpanBlender<'a> {
                 continue;
             }
             self.active.push(i);
-            let own = self.of(i);
+            let own = self.indices(i);
             reprojection.measure(&row, &self.sources[i], &mut self.values.hits(own));
         }
         // Sums over sources don't depend on which were culled.
         self.active.sort_unstable();
     }
 
+    /// Computes weights from the penalties.
     fn weigh_measured(&mut self) {
         let penalties = Penalties {
             sources: &self.active,
@@ -315,7 +319,7 @@ impl<'a> SpanBlender<'a> {
     fn weigh_colored(&mut self) {
         for (i, source) in self.sources.iter().enumerate() {
             if source.image.channels() == 1 {
-                let own = self.of(i);
+                let own = self.indices(i);
                 self.values.penalty[own.clone()].fill(f32::INFINITY);
                 self.values.confidence[own].fill(0.0);
             }
@@ -332,9 +336,10 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
+    /// Marks the tiles that have weight.
     fn mark_weighed(&self, tiles: &mut [Tiles]) {
         for &i in &self.active {
-            let own = self.of(i);
+            let own = self.indices(i);
             let xs = self.values.x[own.clone()].chunks(MARKED_PX);
             let ys = self.values.y[own.clone()].chunks(MARKED_PX);
             let weights = self.weights.weights[own].chunks(MARKED_PX);
@@ -362,7 +367,7 @@ impl<'a> SpanBlender<'a> {
     /// Blends the span from sources that all have C channels.
     pub fn blend<const C: usize>(&mut self, pixels: &mut [f32]) {
         for &i in &self.active {
-            let own = self.of(i);
+            let own = self.indices(i);
             let at = self.values.x[own.clone()].iter().zip(&self.values.y[own.clone()]);
             let weighted = at.zip(&self.weights.weights[own]).zip(pixels.chunks_exact_mut(C));
             let samples = weighted
@@ -385,7 +390,7 @@ impl<'a> SpanBlender<'a> {
         let is_colored = |i: usize| sources[i].image.channels() == 3;
         let mut colored_weight = [0.0; SPAN_PX];
         for &i in &self.active {
-            for (x, k) in self.of(i).enumerate() {
+            for (x, k) in self.indices(i).enumerate() {
                 let weight = self.weights.weights[k];
                 if weight > 0.0 {
                     let gray = gray_from_rgb(self.sample_rgb(k, i));
@@ -399,7 +404,7 @@ impl<'a> SpanBlender<'a> {
         self.weigh_colored();
         let best_of_colored = self.best_confidence();
         for &i in self.active.iter().filter(|&&i| is_colored(i)) {
-            for (x, k) in self.of(i).enumerate() {
+            for (x, k) in self.indices(i).enumerate() {
                 // Chrominance fades as the last coloured camera loses a point that others see, unless
                 // the luminance is that camera's too. Where a weight is positive, a confidence is.
                 let fade = colored_weight[x].max(best_of_colored[x] / best_of_any[x]);
@@ -421,7 +426,7 @@ impl<'a> SpanBlender<'a> {
     fn best_confidence(&self) -> [f32; SPAN_PX] {
         let mut best = [0.0_f32; SPAN_PX];
         for &i in &self.active {
-            for (best, c) in best.iter_mut().zip(&self.values.confidence[self.of(i)]) {
+            for (best, c) in best.iter_mut().zip(&self.values.confidence[self.indices(i)]) {
                 *best = best.max(*c);
             }
         }
@@ -441,7 +446,7 @@ impl<'a> SpanBlender<'a> {
     /// Adds which pixels some camera has in its image, and sets the visibility of their points.
     pub fn cover(&self, covered: &mut [bool], visibility: &mut [PointVisibility]) {
         for &i in &self.active {
-            for (covered, &c) in covered.iter_mut().zip(&self.values.confidence[self.of(i)]) {
+            for (covered, &c) in covered.iter_mut().zip(&self.values.confidence[self.indices(i)]) {
                 *covered |= c > 0.0;
             }
         }

@@ -7,12 +7,11 @@ use std::ops::Range;
 /// The two rows of nodes around a row of the view. Weights are stored source by source.
 pub(super) struct WeightGrid {
     /// Distance of the nodes, pixels.
-    step: usize,
+    pub step: usize,
     width: usize,
     height: usize,
     /// Number of nodes in a row.
-    columns: usize,
-    sources: usize,
+    pub columns: usize,
     /// Two neighbouring rows of nodes.
     rows: [NodeRow; 2],
     /// Weights at the nodes' columns, interpolated to the row of the view.
@@ -29,20 +28,9 @@ impl WeightGrid {
             width: target.width,
             height: target.height,
             columns,
-            sources,
             rows: [row(), row()],
             between: vec![0.0; sources * columns],
         })
-    }
-
-    /// Distance of the nodes, pixels.
-    pub fn step(&self) -> usize {
-        self.step
-    }
-
-    /// Number of nodes in a row.
-    pub fn columns(&self) -> usize {
-        self.columns
     }
 
     /// Columns of the view that have nodes; the last is the view's last column.
@@ -57,7 +45,7 @@ impl WeightGrid {
     }
 
     /// Moves to row `y` of the view; returns the indices of the node rows that must be filled.
-    pub fn missing(&mut self, y: usize) -> impl Iterator<Item = usize> + use<> {
+    pub fn missing(&mut self, y: usize) -> Vec<usize> {
         let above = y / self.step;
         if self.rows[1].index == Some(above) {
             self.rows.swap(0, 1);
@@ -68,7 +56,7 @@ impl WeightGrid {
             row.index = Some(index);
             is_missing.then_some(index)
         });
-        missing.collect::<Vec<_>>().into_iter()
+        missing.collect()
     }
 
     /// Weights of a source in a row of nodes that must be filled.
@@ -76,7 +64,7 @@ impl WeightGrid {
     /// # Panics
     /// If the row is neither of the two.
     pub fn weights_mut(&mut self, row: usize, source: usize, columns: Range<usize>) -> &mut [f32] {
-        let own = self.of(source, columns);
+        let own = self.indices(source, columns);
         let row = self.rows.iter_mut().find(|known| known.index == Some(row));
         &mut row.expect("one of the two rows of nodes").weights[own]
     }
@@ -94,13 +82,12 @@ impl WeightGrid {
     /// last. `None` if all are 0.
     pub fn around(&self, source: usize, columns: Range<usize>) -> Option<&[f32]> {
         let (from, last) = (columns.start / self.step, columns.end.div_ceil(self.step));
-        let weights = &self.between[self.of(source, from..last + 1)];
+        let weights = &self.between[self.indices(source, from..last + 1)];
         weights.iter().any(|w| *w > 0.0).then_some(weights)
     }
 
     /// Indices of a source's weights in a row.
-    fn of(&self, source: usize, columns: Range<usize>) -> Range<usize> {
-        debug_assert!(source < self.sources);
+    fn indices(&self, source: usize, columns: Range<usize>) -> Range<usize> {
         let first = source * self.columns;
         first + columns.start..first + columns.end
     }

@@ -29,7 +29,7 @@ methods!(BlendMethod {
 });
 
 /// Smallest distance of the threshold above the best penalty, as a fraction of it.
-pub(super) const SOFT: f32 = 0.05;
+pub(super) const THRESHOLD_MARGIN: f32 = 0.05;
 
 /// Penalties and confidences of some sources at `count` neighbouring pixels.
 ///
@@ -49,7 +49,7 @@ pub(super) struct Penalties<'a> {
 impl Penalties<'_> {
     /// Indices of a source's values.
     #[inline(always)]
-    fn of(&self, source: usize) -> Range<usize> {
+    fn indices(&self, source: usize) -> Range<usize> {
         source * self.width..source * self.width + self.count
     }
 }
@@ -70,7 +70,7 @@ pub(super) struct Weights {
 
 impl Weights {
     /// Room for this many weights.
-    pub fn of(count: usize) -> Self {
+    pub fn with_room(count: usize) -> Self {
         Self { weights: vec![0.0; count], ..Self::default() }
     }
 
@@ -84,7 +84,7 @@ impl Weights {
     pub fn uniform(&mut self, penalties: &Penalties) {
         self.weights.resize(penalties.penalty.len(), 0.0);
         for &source in penalties.sources {
-            let own = penalties.of(source);
+            let own = penalties.indices(source);
             self.weights[own.clone()].copy_from_slice(&penalties.confidence[own]);
         }
         self.normalize(penalties);
@@ -98,7 +98,7 @@ impl Weights {
         // Insertion by exchanges, side by side for all pixels.
         for &source in penalties.sources {
             self.inserted.clear();
-            self.inserted.extend_from_slice(&penalties.penalty[penalties.of(source)]);
+            self.inserted.extend_from_slice(&penalties.penalty[penalties.indices(source)]);
             for rank in self.ranks.chunks_exact_mut(penalties.count) {
                 for (rank, inserted) in rank.iter_mut().zip(&mut self.inserted) {
                     let (a, b) = (*rank, *inserted);
@@ -115,12 +115,12 @@ impl Weights {
         self.sum.clear();
         self.sum.resize(penalties.count, 0.0);
         for &source in penalties.sources {
-            for (sum, w) in self.sum.iter_mut().zip(&self.weights[penalties.of(source)]) {
+            for (sum, w) in self.sum.iter_mut().zip(&self.weights[penalties.indices(source)]) {
                 *sum += w;
             }
         }
         for &source in penalties.sources {
-            for (w, &sum) in self.weights[penalties.of(source)].iter_mut().zip(&self.sum) {
+            for (w, &sum) in self.weights[penalties.indices(source)].iter_mut().zip(&self.sum) {
                 let fraction = *w / sum;
                 *w = if sum > 0.0 { fraction } else { 0.0 };
             }
@@ -141,13 +141,13 @@ fn lumigraph_by(penalties: &Penalties, k: usize, out: &mut Weights) {
     let threshold = &mut next[(k - 1) * count..];
     for (threshold, &best) in threshold.iter_mut().zip(&*best) {
         // Infinite where k cameras or fewer see the point: none has to fade out.
-        *threshold = threshold.max(best * (1.0 + SOFT));
+        *threshold = threshold.max(best * (1.0 + THRESHOLD_MARGIN));
     }
     out.sum.clear();
     // Not sums yet: the decrease of the weights at the threshold.
     out.sum.extend(best.iter().zip(&*threshold).map(|(best, threshold)| best / threshold));
     for &source in penalties.sources {
-        let own = penalties.of(source);
+        let own = penalties.indices(source);
         let pixels = out.weights[own.clone()].iter_mut().zip(&penalties.penalty[own.clone()]);
         let pixels = pixels.zip(&penalties.confidence[own]);
         let limits = best.iter().zip(&*threshold).zip(&out.sum);
@@ -229,7 +229,8 @@ mod tests {
     fn naive(penalties: &[f32], k: usize) -> Vec<f32> {
         let mut sorted = penalties.to_vec();
         sorted.sort_by(f32::total_cmp);
-        let threshold = sorted.get(k).copied().unwrap_or(INF).max(sorted[0] * (1.0 + SOFT));
+        let threshold =
+            sorted.get(k).copied().unwrap_or(INF).max(sorted[0] * (1.0 + THRESHOLD_MARGIN));
         let weight = |p: &f32| if *p < threshold { (1.0 - p / threshold) / p } else { 0.0 };
         let sum: f32 = penalties.iter().map(weight).sum();
         penalties.iter().map(|p| if sum > 0.0 { weight(p) / sum } else { 0.0 }).collect()

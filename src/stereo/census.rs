@@ -27,16 +27,16 @@ impl Descriptor {
         Self { code, grays: u32::from_le_bytes([value, min, max, 0]) }
     }
 
-    /// Matching cost: `bit` for every differing census bit, plus the distance of the grey value from the
-    /// other pixel's range, at max `max_gray`.
+    /// Matching cost: `bit_cost` for every differing census bit, plus the distance of the grey value from the
+    /// other pixel's range, at most `max_gray_cost`.
     ///
     /// Only 32-bit integers and no branches, so that eight pixels are compared at a time.
     #[inline(always)]
-    pub fn cost(&self, Self { code, grays }: Self, bit: u32, max_gray: i32) -> u8 {
+    pub fn cost(&self, Self { code, grays }: Self, bit_cost: u32, max_gray_cost: i32) -> u8 {
         let [min, max] = [8, 16].map(|shift| (grays >> shift & 255) as i32);
         let value = (self.grays & 255) as i32;
-        let beyond = (value - max).max(min - value).max(0).min(max_gray);
-        let cost = bit * (self.code ^ code).count_ones() + beyond as u32;
+        let beyond = (value - max).max(min - value).max(0).min(max_gray_cost);
+        let cost = bit_cost * (self.code ^ code).count_ones() + beyond as u32;
         (cost | grays >> 24) as u8
     }
 }
@@ -77,7 +77,7 @@ pub(super) fn halved(camera: &Camera) -> Option<Camera> {
 /// An image with descriptors at full and at halved resolutions.
 #[derive(Clone, Debug)]
 pub(super) struct CensusPyramid {
-    /// Images from fine to coarse; at min one.
+    /// Images from fine to coarse, at least one.
     pub levels: Vec<CensusImage>,
 }
 

@@ -10,11 +10,11 @@ use rayon::prelude::*;
 /// Largest number of levels.
 const MAX_LEVELS: usize = 1024;
 /// Largest cost of a difference of grey values, of 255.
-const MAX_GRAY: i32 = 24;
+const MAX_GRAY_COST: i32 = 24;
 /// Cost of one differing census bit, in grey values.
-const BIT: u32 = 2;
+const BIT_COST: u32 = 2;
 /// Cost where no partner sees the point: that of a poor match.
-const UNSEEN: u8 = 40;
+const UNSEEN_COST: u8 = 40;
 
 /// Inverse depths at even distances, 1/m, which are even steps of disparity.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,7 +69,7 @@ pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
     let camera = &set.image.camera;
     let (w, n) = (camera.width, levels.count);
     let inverses: Vec<f32> = (0..n).map(|level| levels.at(level as f32)).collect();
-    let mut out = vec![UNSEEN; w * camera.height * n];
+    let mut out = vec![UNSEEN_COST; w * camera.height * n];
     out.par_chunks_mut(w * n).enumerate().for_each_init(
         || (RayRow::new(camera), MatchScratch::new(n, set.partners.len())),
         |(rays, scratch), (y, out)| {
@@ -197,7 +197,7 @@ impl MatchScratch {
         // Apart from the loads, so that it is vectorized.
         let n = self.at.len();
         for (cost, other) in self.costs[k * n..(k + 1) * n].iter_mut().zip(&self.descriptors) {
-            *cost = own.cost(*other, BIT, MAX_GRAY);
+            *cost = own.cost(*other, BIT_COST, MAX_GRAY_COST);
         }
     }
 
@@ -219,7 +219,7 @@ impl MatchScratch {
                 let needed = if self.partners == 4 { second } else { middle.max(middle2) };
                 let mean = ((u16::from(first) + u16::from(second)) / 2) as u8;
                 let seen = if needed == u8::MAX { first } else { mean };
-                *out = if first == u8::MAX { UNSEEN } else { seen };
+                *out = if first == u8::MAX { UNSEEN_COST } else { seen };
             }
             return;
         }
@@ -230,7 +230,7 @@ impl MatchScratch {
             self.sorted.sort_unstable();
             let half = self.sorted.len().div_ceil(2);
             let sum: u32 = self.sorted[..half].iter().map(|&c| u32::from(c)).sum();
-            *out = if half > 0 { (sum / half as u32) as u8 } else { UNSEEN };
+            *out = if half > 0 { (sum / half as u32) as u8 } else { UNSEEN_COST };
         }
     }
 }
@@ -279,12 +279,12 @@ mod tests {
             (&[10, 40, 20, 60], 15),
             (&[255, 40, 20, 60], 30),
             (&[255, 40, 255, 255], 40),
-            (&[255; 4], UNSEEN),
+            (&[255; 4], UNSEEN_COST),
             // Of three that see the point, two count.
             (&[40, 20, 60], 30),
             (&[40, 255, 20], 20),
             (&[255, 70, 255], 70),
-            (&[255; 3], UNSEEN),
+            (&[255; 3], UNSEEN_COST),
         ];
         for (costs, expected) in cases {
             let mut scratch = MatchScratch::new(1, costs.len());

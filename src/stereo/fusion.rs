@@ -18,9 +18,9 @@ pub struct Surface<'a> {
 
 /// Radius of a splat, pixels of the view, or of the camera where those are larger.
 const RADIUS_PX: f32 = 0.8;
-/// A candidate is taken before farther ones if this many times its votes are not fewer than the most.
-const ENOUGH: i32 = 2;
-/// Smallest number of votes of a surface: mismatches beside outlines have fewer.
+/// Largest ratio of the most votes to those of the nearest candidate at which that candidate is taken.
+const MAX_VOTE_RATIO: i32 = 2;
+/// Smallest number of votes of a surface; mismatches beside outlines have fewer.
 const MIN_VOTES: i32 = 1;
 /// The cameras' surfaces relative to a view.
 struct SurfacesInView<'a> {
@@ -56,7 +56,7 @@ pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
                 let ray = [rays.x[x] as f32, rays.y[x] as f32];
                 votes.clear();
                 votes.extend(candidates.iter().map(|c| in_view.votes(ray, *c)));
-                *fused = elected(candidates, votes, tolerance);
+                *fused = elect(candidates, votes, tolerance);
             }
         },
     );
@@ -96,12 +96,12 @@ fn are_one_surface(candidates: &[f32], cameras: usize, tolerance: f32) -> bool {
 }
 
 /// Fuses candidate inverse depths, the nearest first, on the nearest surface with enough votes. NaN without votes.
-fn elected(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
+fn elect(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     let most = votes.iter().copied().max().unwrap_or(0);
     if most < MIN_VOTES {
         return f32::NAN;
     }
-    let first = votes.iter().position(|&v| v * ENOUGH >= most);
+    let first = votes.iter().position(|&v| v * MAX_VOTE_RATIO >= most);
     mean_of(candidates, first.map(|first| &candidates[first]), tolerance)
 }
 
@@ -217,10 +217,10 @@ mod tests {
     #[test]
     fn a_mismatch_where_no_camera_sees_anything_is_no_surface() {
         let [near, far] = [1.0, 0.5];
-        assert!(elected(&[near], &[0], 0.1).is_nan());
-        assert!(elected(&[], &[], 0.1).is_nan());
-        assert_eq!(elected(&[near], &[1], 0.1), 1.0);
-        assert_eq!(elected(&[near, far], &[-1, 2], 0.1), 0.5);
+        assert!(elect(&[near], &[0], 0.1).is_nan());
+        assert!(elect(&[], &[], 0.1).is_nan());
+        assert_eq!(elect(&[near], &[1], 0.1), 1.0);
+        assert_eq!(elect(&[near, far], &[-1, 2], 0.1), 0.5);
         let mut values = vec![0.5, f32::NAN, 1.0];
         fill_from_background(&mut values, 3);
         assert_eq!(values, [0.5, 0.5, 1.0]);

@@ -5,16 +5,16 @@ use crate::raster::Image;
 use crate::simd::multiversion;
 
 /// Penalty of a change by one level, in units of the costs.
-const SMALL_STEP: i16 = 6;
+const STEP_PENALTY: i16 = 6;
 /// Penalty of a larger change where the image is flat.
-const JUMP: i16 = 70;
+const JUMP_PENALTY: i16 = 70;
 /// Smallest penalty of a larger change, at strong image edges.
-const MIN_JUMP: i16 = 14;
+const MIN_JUMP_PENALTY: i16 = 14;
 /// Difference of grey values, 0..=1, that halves the penalty of a larger change.
-const EDGE: f32 = 0.03;
+const EDGE_DIFFERENCE: f32 = 0.03;
 
 /// Cost beyond that of any path.
-const NEVER: i16 = i16::MAX / 4;
+const UNREACHABLE: i16 = i16::MAX / 4;
 
 /// Aggregated costs of eight directions, pixel by pixel, level by level.
 pub(super) fn aggregate(costs: &[u8], gray: &Image, levels: usize) -> Vec<i16> {
@@ -37,7 +37,7 @@ fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bo
     // A path has a padding level at both ends, and a row of paths a zero path at both ends: paths start there.
     let pad = n + 2;
     let mut zero = vec![0; pad];
-    (zero[0], zero[n + 1]) = (NEVER, NEVER);
+    (zero[0], zero[n + 1]) = (UNREACHABLE, UNREACHABLE);
     let mut above = [0; 3].map(|_| zero.repeat(w + 2));
     let mut above_min = [0; 3].map(|_| vec![0_i16; w + 2]);
     let (mut here, mut here_min) = (above.clone(), above_min.clone());
@@ -73,10 +73,10 @@ fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bo
 #[inline(always)]
 fn jump_penalty(gray: &Image, [x, y]: [usize; 2], from: [usize; 2]) -> i16 {
     if from[0] >= gray.width() || from[1] >= gray.height() {
-        return JUMP;
+        return JUMP_PENALTY;
     }
     let difference = (gray.pixel(from[0], from[1])[0] - gray.pixel(x, y)[0]).abs();
-    ((f32::from(JUMP) / (1.0 + difference / EDGE)) as i16).max(MIN_JUMP)
+    ((f32::from(JUMP_PENALTY) / (1.0 + difference / EDGE_DIFFERENCE)) as i16).max(MIN_JUMP_PENALTY)
 }
 
 /// Extends a path, given with its minimum, by one pixel: writes its costs, adds them to the sums, and returns
@@ -93,11 +93,11 @@ fn extend(
     let (before, out) = (&before[..n + 2], &mut out[..n + 2]);
     let paths = before[..n].iter().zip(&before[1..=n]).zip(&before[2..]);
     let bound = before_min + jump;
-    let mut min = NEVER;
+    let mut min = UNREACHABLE;
     for (((out, sum), &cost), ((&low, &same), &high)) in
         out[1..=n].iter_mut().zip(sum).zip(cost).zip(paths)
     {
-        let stepped = low.min(high) + SMALL_STEP;
+        let stepped = low.min(high) + STEP_PENALTY;
         *out = i16::from(cost) + same.min(stepped).min(bound) - before_min;
         *sum += *out;
         min = min.min(*out);
