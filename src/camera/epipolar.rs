@@ -5,14 +5,14 @@ use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
 /// A line `normal · p + offset = 0` in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Line {
+pub struct EpipolarLine {
     /// Unit normal.
     pub normal: Vector2<f64>,
     /// Minus the signed distance of the line from the image's origin along the normal, pixels.
     pub offset: f64,
 }
 
-impl Line {
+impl EpipolarLine {
     /// Signed distance of a point, pixels.
     pub fn distance(&self, p: &Point2<f64>) -> f64 {
         self.normal.dot(&p.coords) + self.offset
@@ -79,14 +79,14 @@ impl EpipolarGeometry {
     /// The epipolar line in camera j of a pixel of camera i, both without distortion.
     ///
     /// `None` if the pixel is the epipole, whose line is undefined.
-    pub fn line_in_j(&self, p_i: &Point2<f64>) -> Option<Line> {
+    pub fn line_in_j(&self, p_i: &Point2<f64>) -> Option<EpipolarLine> {
         let l = self.j_from_i * Vector3::new(p_i.x, p_i.y, 1.0);
         let length = l.xy().norm();
         // At the epipole, l is rounding of the matrix's largest entries.
         if !(length > MIN_LINE_FRACTION * self.j_from_i.norm()) {
             return None;
         }
-        Some(Line { normal: l.xy() / length, offset: l.z / length })
+        Some(EpipolarLine { normal: l.xy() / length, offset: l.z / length })
     }
 }
 

@@ -13,7 +13,7 @@ mod epipolar;
 mod format;
 mod model;
 
-pub use epipolar::{EpipolarGeometry, Line};
+pub use epipolar::{EpipolarGeometry, EpipolarLine};
 pub use format::{CameraFormat, CameraFormatError, MAX_QUATERNION_ERROR, PoseFormat};
 pub use model::CameraModel;
 

@@ -2,7 +2,7 @@
 
 use super::EdgeOptions;
 use super::segment_cells::SegmentCells;
-use crate::registration::{Level, Neighbors};
+use crate::registration::{Neighbors, PyramidLevel};
 use nalgebra::{Point2, Vector2, center};
 use rayon::prelude::*;
 
@@ -46,8 +46,8 @@ pub struct RealEdge {
 /// the number of threads. Coincident features make no edge.
 pub fn real_edges(
     features: &[Feature],
-    source: &Level,
-    other: &Level,
+    source: &PyramidLevel,
+    other: &PyramidLevel,
     options: &EdgeOptions,
 ) -> Vec<RealEdge> {
     let neighbors = Neighbors::new(features.iter().map(|f| f.source));
@@ -70,8 +70,8 @@ pub fn real_edges(
 fn real_edge(
     ends: [usize; 2],
     [a, b]: [&Feature; 2],
-    source: &Level,
-    other: &Level,
+    source: &PyramidLevel,
+    other: &PyramidLevel,
     options: &EdgeOptions,
 ) -> Option<RealEdge> {
     let length = (b.source - a.source).norm();
@@ -87,7 +87,7 @@ fn real_edge(
 /// f̄, the mean of the samples of eq. (6). `None` where the edge's fitness, the least of them, is not above the
 /// threshold, and for edges shorter than a pixel, whose direction is noise.
 fn mean_fitness(
-    level: &Level,
+    level: &PyramidLevel,
     a: Point2<f64>,
     b: Point2<f64>,
     options: &EdgeOptions,

@@ -43,12 +43,12 @@ fn image_error(path: &Path, reason: impl std::fmt::Display) -> ImageFileError {
 }
 
 /// An image file whose header is read: its pixels are at most [`MAX_PIXELS`].
-enum Opened<R: BufRead + Seek> {
+enum OpenedImage<R: BufRead + Seek> {
     Png(Box<PngFile<R>>),
     Other(Box<dyn ImageDecoder>),
 }
 
-impl Opened<BufReader<File>> {
+impl OpenedImage<BufReader<File>> {
     fn open(path: &Path) -> Result<Self, ImageFileError> {
         let failed = |source| ImageFileError::Read { path: path.to_owned(), source };
         let (file, _) = open_bounded(path, MAX_FILE_BYTES).map_err(failed)?;
@@ -56,7 +56,7 @@ impl Opened<BufReader<File>> {
     }
 }
 
-impl<R: BufRead + Seek + 'static> Opened<R> {
+impl<R: BufRead + Seek + 'static> OpenedImage<R> {
     fn new(path: &Path, mut file: R) -> Result<Self, ImageFileError> {
         let failed = |source| ImageFileError::Read { path: path.to_owned(), source };
         let is_png = file.fill_buf().map_err(failed)?.starts_with(&png::SIGNATURE);
@@ -107,7 +107,7 @@ impl<R: BufRead + Seek + 'static> Opened<R> {
 }
 
 pub(crate) fn read_header(path: &Path) -> Result<Header, ImageFileError> {
-    Opened::open(path).map(|opened| opened.header())
+    OpenedImage::open(path).map(|opened| opened.header())
 }
 
 fn bit_depth(color: ColorType) -> BitDepth {
@@ -124,7 +124,7 @@ fn bit_depth(color: ColorType) -> BitDepth {
 /// What is no regular file, a file of more than 448 MiB, and an image of more than [`MAX_PIXELS`] are
 /// errors, found before the pixels are read.
 pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
-    let opened = Opened::open(path)?;
+    let opened = OpenedImage::open(path)?;
     let depth = opened.header().bit_depth;
     Ok((opened.decode(path)?, depth))
 }
@@ -134,7 +134,7 @@ pub(crate) fn read_hashed_image(path: &Path) -> Result<(Image, blake3::Hash), Im
     let bytes = read_bytes(path, MAX_FILE_BYTES)
         .map_err(|source| ImageFileError::Read { path: path.to_owned(), source })?;
     let hash = blake3::hash(&bytes);
-    Ok((Opened::new(path, Cursor::new(bytes))?.decode(path)?, hash))
+    Ok((OpenedImage::new(path, Cursor::new(bytes))?.decode(path)?, hash))
 }
 
 fn unpacked(decoded: DynamicImage, depth: BitDepth) -> Image {

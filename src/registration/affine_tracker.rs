@@ -8,7 +8,7 @@
 //! Known limit: a window across an outline follows the surface that has more texture in it.
 
 use super::gradient::{SCHARR_SCALE, scharr};
-use super::pyramid::{Level, Pyramid};
+use super::pyramid::{Pyramid, PyramidLevel};
 use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::{Cholesky, Const, Matrix2, Point2, SMatrix, SVector, Vector2};
 
@@ -101,8 +101,8 @@ struct NormalEquations {
 multiversion! {
     fn track(
         tracker: &mut AffineTracker,
-        source: &Level,
-        target: &Level,
+        source: &PyramidLevel,
+        target: &PyramidLevel,
         start: &AffineStart,
     ) -> Option<Deformed> = track_by::<V>
 }
@@ -110,8 +110,8 @@ multiversion! {
 #[inline(always)]
 fn track_by<V: F32x8>(
     tracker: &mut AffineTracker,
-    source: &Level,
-    target: &Level,
+    source: &PyramidLevel,
+    target: &PyramidLevel,
     &AffineStart { from, guess, deformation }: &AffineStart,
 ) -> Option<Deformed> {
     let pixel = from.coords.map(f64::floor);
@@ -198,7 +198,7 @@ impl AffineTracker {
     /// The weighted mean absolute difference of the warped target and the template, values 0..=1, and its ratio
     /// to the template's contrast. `None` if the warped window leaves the padded image.
     #[inline(always)]
-    fn residual<V: F32x8>(&self, target: &Level, warp: &AffineWarp) -> Option<[f64; 2]> {
+    fn residual<V: F32x8>(&self, target: &PyramidLevel, warp: &AffineWarp) -> Option<[f64; 2]> {
         let (gain, bias) = (V::splat(1.0 / warp.gain as f32), V::splat(warp.bias as f32));
         let sampler = Sampler::new(target, warp)?;
         let mut mean = [V::zero(); 2];
@@ -232,7 +232,7 @@ impl AffineTracker {
     #[inline(always)]
     fn load_template<V: F32x8>(
         &mut self,
-        source: &Level,
+        source: &PyramidLevel,
         cx: usize,
         cy: usize,
     ) -> Option<NormalEquations> {
@@ -282,7 +282,7 @@ impl AffineTracker {
     #[inline(always)]
     fn right_hand_side<V: F32x8>(
         &self,
-        target: &Level,
+        target: &PyramidLevel,
         warp: &AffineWarp,
     ) -> Option<SVector<f64, N>> {
         let (gain, bias) = (V::splat(1.0 / warp.gain as f32), V::splat(warp.bias as f32));
@@ -420,7 +420,7 @@ pub fn catmull_rom<V: F32x8>(f: V) -> [V; 4] {
 
 /// Samples a level at window coordinates through an [`AffineWarp`].
 struct Sampler<'a> {
-    target: &'a Level,
+    target: &'a PyramidLevel,
     /// Index of the top-left of the 4×4 samples around the middle's pixel.
     corner: isize,
     /// The first column of the matrix: the step in the target per column of the window.
@@ -433,7 +433,7 @@ struct Sampler<'a> {
 
 impl<'a> Sampler<'a> {
     /// `None` if the window leaves the padded image.
-    fn new(target: &'a Level, warp: &AffineWarp) -> Option<Self> {
+    fn new(target: &'a PyramidLevel, warp: &AffineWarp) -> Option<Self> {
         let reach = (ROW - RADIUS_PX) as f64;
         let m = &warp.matrix;
         let pad = target.pad as f64;

@@ -11,7 +11,7 @@ const SUPPORT_RADIUS_PX: f64 = 20.0;
 /// the point's motion.
 const SUPPORT_PX: f64 = 1.5;
 const SUPPORT_FRACTION: f64 = 0.2;
-/// If more than one motion in so many changes, all points are compared again.
+/// All points are compared again if more than 1 in this many motions changes, in place of the affected ones.
 const MIN_UNCHANGED: usize = 8;
 
 /// The motion of a point and of its surroundings.
@@ -25,7 +25,7 @@ pub(super) struct Moved {
 }
 
 impl Moved {
-    /// Distance of two motions from a common affine one, pixels: the smaller by either's deformation.
+    /// How far two motions are from one affine motion, pixels: the smaller value of both deformations.
     fn distance(&self, other: &Self) -> f64 {
         let (apart, change) = (other.at - self.at, other.motion - self.motion);
         let by = |deformation: &Matrix2<f64>| (change - (deformation * apart - apart)).norm();
@@ -46,14 +46,14 @@ pub(super) fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Op
 /// The consensus about a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Support {
-    /// It has too few neighbours.
+    /// The point has too few neighbours.
     Alone,
-    /// Whether enough of its neighbours move like it.
+    /// Whether enough of the point's neighbours move like it.
     Neighbors { agree: bool },
 }
 
 impl Support {
-    /// False for outliers.
+    /// Whether the point is no outlier: enough neighbours move like it, or it has too few.
     pub fn is_consistent(self) -> bool {
         self != Self::Neighbors { agree: false }
     }

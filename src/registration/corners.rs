@@ -2,7 +2,7 @@
 //! between them.
 
 use super::gradient::{SCHARR_SCALE, scharr};
-use super::pyramid::Level;
+use super::pyramid::PyramidLevel;
 use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::Point2;
 
@@ -18,7 +18,7 @@ const MIN_EIGENVALUE: f32 = 4e-8;
 
 /// The corners of a pyramid level (§4.1), strongest first, at most `max_corners`. Sub-pixel positions in the
 /// level's pixels, the top-left pixel's centre at (0.5, 0.5). Constant images have none.
-pub fn corners(level: &Level, max_corners: usize) -> Vec<Point2<f64>> {
+pub fn corners(level: &PyramidLevel, max_corners: usize) -> Vec<Point2<f64>> {
     let (w, h) = (level.width, level.height);
     let strength = min_eigenvalues(level, RADIUS_PX);
     let mut peaks = peaks(&strength, w, h, MIN_QUALITY);
@@ -94,13 +94,13 @@ fn refined(strength: &[f32], w: usize, h: usize, x: usize, y: usize) -> Point2<f
 }
 
 multiversion! {
-    fn min_eigenvalues(level: &Level, radius: usize) -> Vec<f32> = min_eigenvalues_by::<V>
+    fn min_eigenvalues(level: &PyramidLevel, radius: usize) -> Vec<f32> = min_eigenvalues_by::<V>
 }
 
 /// The smaller eigenvalue, per pixel, of the structure tensor averaged over a triangular window (a box
 /// applied twice), whose response has a peak where a box's has a plateau. The border is repeated.
 #[inline(always)]
-fn min_eigenvalues_by<V: F32x8>(level: &Level, radius: usize) -> Vec<f32> {
+fn min_eigenvalues_by<V: F32x8>(level: &PyramidLevel, radius: usize) -> Vec<f32> {
     let (w, h) = (level.width, level.height);
     let side = 2 * radius + 1;
     let taps: Vec<f32> = (1..=side)
@@ -171,7 +171,7 @@ impl Tensor {
     /// Loads the products of a row's derivatives (times [`SCHARR_SCALE`] squared), its ends repeated
     /// `margin` times.
     #[inline(always)]
-    fn load<V: F32x8>(&mut self, level: &Level, y: usize, margin: usize) {
+    fn load<V: F32x8>(&mut self, level: &PyramidLevel, y: usize, margin: usize) {
         let [xx, xy, yy] = &mut self.planes;
         for x in (0..level.width).step_by(LANES) {
             let at = level.index(x as isize, y as isize);
@@ -195,13 +195,13 @@ struct MinDistanceSet {
     points: Vec<Point2<f64>>,
     columns: usize,
     rows: usize,
-    /// By cell: the last of its points, or [`NONE`].
+    /// The last point of each cell, or [`NONE`].
     last: Vec<u32>,
-    /// By point: the one before it in its cell, or [`NONE`].
+    /// For each point, the point before it in the same cell, or [`NONE`].
     before: Vec<u32>,
 }
 
-/// No point.
+/// Marks the end of a list of points.
 const NONE: u32 = u32::MAX;
 
 impl MinDistanceSet {

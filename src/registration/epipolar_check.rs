@@ -22,7 +22,7 @@ pub enum Verdict {
 }
 
 /// A track to be tested.
-struct Feature<'a> {
+struct TestedTrack<'a> {
     /// Index of the track.
     index: usize,
     track: &'a Track,
@@ -59,14 +59,14 @@ pub fn epipolar_check(
         let source = frames.get(i, source)?;
         let of_direction =
             |(_, track): &(usize, &Track)| (track.direction == FlowDirection::Backward) == backward;
-        let features: Vec<Feature> = tracks
+        let features: Vec<TestedTrack> = tracks
             .iter()
             .enumerate()
             .filter(of_direction)
             .filter_map(|(index, track)| {
                 let start = if backward { track.later } else { track.earlier };
                 let trajectory = track.trajectory(own_times, k)?;
-                Some(Feature { index, track, trajectory, start })
+                Some(TestedTrack { index, track, trajectory, start })
             })
             .collect();
         let query = ReferenceQuery { camera: i, interval_s, time_s };
@@ -86,10 +86,10 @@ fn tested(
     frames: &FrameStore,
     i: usize,
     source: &Frame,
-    features: &[Feature],
+    features: &[TestedTrack],
     references: &References,
 ) -> Result<Vec<(usize, Verdict)>, CaptureError> {
-    let all: Vec<&Feature> = features.iter().collect();
+    let all: Vec<&TestedTrack> = features.iter().collect();
     let mut verdicts: Vec<_> = all.iter().map(|f| (f.index, Verdict::Untestable)).collect();
     for reference in &references.first {
         let found = test_with(frames, i, source, reference, &all)?;
@@ -104,7 +104,7 @@ fn tested(
     for reference in &references.further {
         let is_untested = |k: &usize| verdicts[*k].1 == Verdict::Untestable;
         let untested: Vec<usize> = (0..all.len()).filter(is_untested).collect();
-        let features: Vec<&Feature> = untested.iter().map(|&k| all[k]).collect();
+        let features: Vec<&TestedTrack> = untested.iter().map(|&k| all[k]).collect();
         for (k, verdict) in
             untested.into_iter().zip(test_with(frames, i, source, reference, &features)?)
         {
@@ -120,7 +120,7 @@ fn test_with(
     i: usize,
     source: &Frame,
     reference: &Reference,
-    features: &[&Feature],
+    features: &[&TestedTrack],
 ) -> Result<Vec<Verdict>, CaptureError> {
     if features.is_empty() {
         return Ok(Vec::new());
@@ -170,7 +170,7 @@ impl Pair<'_> {
         source: &Frame,
         target: &Frame,
         target_s: f64,
-        features: &[&Feature],
+        features: &[&TestedTrack],
     ) -> Vec<Option<Point2<f64>>> {
         let starts: Vec<Start> =
             features.iter().map(|f| (f.start, f.trajectory.at(target_s))).collect();
@@ -185,7 +185,7 @@ impl Pair<'_> {
         &self,
         [frame, next]: [&Frame; 2],
         [first_s, next_s]: [f64; 2],
-        features: &[&Feature],
+        features: &[&TestedTrack],
         matched: &mut [Option<Point2<f64>>],
     ) {
         let (indices, starts): (Vec<usize>, Vec<Start>) = matched
@@ -259,7 +259,11 @@ impl Pair<'_> {
     }
 
     /// Applies eq. (3) to a feature and its position in the reference; `None` if the reference cannot test it.
-    fn verdict(&self, feature: &Feature, in_reference: Option<&Point2<f64>>) -> Option<Verdict> {
+    fn verdict(
+        &self,
+        feature: &TestedTrack,
+        in_reference: Option<&Point2<f64>>,
+    ) -> Option<Verdict> {
         let geometry = EpipolarGeometry::new(self.camera_i, self.camera_j)?;
         let ideal_i = |p: &Point2<f64>| self.camera_i.model.ideal_from_pixel(p);
         let p_j = self.camera_j.model.ideal_from_pixel(in_reference?)?;
@@ -314,7 +318,7 @@ mod tests {
         let (a, b) = (camera(0.0), camera(0.06));
         let pair = Pair { camera_i: &a, camera_j: &b, time_s: 0.5, options: &options };
         let trajectory = t.trajectory(&[0.0, 1.0], 0).unwrap();
-        let feature = Feature { index: 0, track: t, trajectory, start: t.earlier };
+        let feature = TestedTrack { index: 0, track: t, trajectory, start: t.earlier };
         let verdict = pair.verdict(&feature, in_reference.map(Point2::from).as_ref());
         verdict.unwrap_or(Verdict::Untestable)
     }

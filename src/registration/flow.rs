@@ -47,7 +47,7 @@ pub fn flow(
     flow_over(source, target, starts, [options.levels, BACKWARD_LEVELS], options)
 }
 
-/// As [`flow`], on so many of the finest levels, forward and backward.
+/// As [`flow`], on the given numbers of finest levels, forward and backward.
 pub(super) fn flow_over(
     source: &Frame,
     target: &Frame,

@@ -1,7 +1,7 @@
 //! A frame with its pyramid, corners and gradients.
 
 use super::polar_gradients::PolarGradients;
-use super::pyramid::Level;
+use super::pyramid::PyramidLevel;
 use super::{Pyramid, RegistrationOptions, corners};
 use crate::raster::Image;
 use nalgebra::Point2;
@@ -54,7 +54,7 @@ impl Frame {
     ) -> usize {
         let sizes = Pyramid::sizes(size, options.levels);
         let pad = options.pad_px();
-        let levels: usize = sizes.iter().map(|&size| Level::samples(size, pad)).sum();
+        let levels: usize = sizes.iter().map(|&size| PyramidLevel::samples(size, pad)).sum();
         let image = size[0] * size[1] * channels;
         size_of::<f32>() * (image + levels) + PolarGradients::bytes_of(&sizes)
     }

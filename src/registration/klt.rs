@@ -9,7 +9,7 @@
 
 use super::RegistrationOptions;
 use super::gradient::{SCHARR_SCALE, scharr};
-use super::pyramid::{Level, Pyramid};
+use super::pyramid::{Pyramid, PyramidLevel};
 use super::window::{Window, corner, fraction_inside};
 use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::{Point2, Vector2};
@@ -89,7 +89,7 @@ enum Outcome {
 }
 
 /// A window to track.
-struct Request<'a> {
+struct TrackRequest<'a> {
     source: &'a Pyramid,
     target: &'a Pyramid,
     from: Point2<f64>,
@@ -98,12 +98,12 @@ struct Request<'a> {
 }
 
 multiversion! {
-    fn track(tracker: &mut Tracker, request: &Request) -> Option<Tracked> = track_by::<V>
+    fn track(tracker: &mut Tracker, request: &TrackRequest) -> Option<Tracked> = track_by::<V>
 }
 
 #[inline(always)]
-fn track_by<V: F32x8>(tracker: &mut Tracker, request: &Request) -> Option<Tracked> {
-    let &Request { source, target, from, guess, levels } = request;
+fn track_by<V: F32x8>(tracker: &mut Tracker, request: &TrackRequest) -> Option<Tracked> {
+    let &TrackRequest { source, target, from, guess, levels } = request;
     let levels = levels.min(source.levels().len()).min(target.levels().len()).max(1);
     let mut flow = (guess - from) / f64::from(1_u32 << (levels - 1));
     let mut residual = 0.0;
@@ -171,13 +171,13 @@ impl Tracker {
         guess: Point2<f64>,
         levels: usize,
     ) -> Option<Tracked> {
-        track(self, &Request { source, target, from, guess, levels })
+        track(self, &TrackRequest { source, target, from, guess, levels })
     }
 
     /// Reads the template around `p` (the first pixel's centre at 0), and computes its derivatives
     /// and sums.
     #[inline(always)]
-    fn load_template<V: F32x8>(&mut self, level: &Level, p: &Vector2<f64>) -> TemplateSums {
+    fn load_template<V: F32x8>(&mut self, level: &PyramidLevel, p: &Vector2<f64>) -> TemplateSums {
         let (side, row, wide) = (self.side, self.row, self.wide);
         // The sums of a window outside the image are 0, which the caller finds to have no texture.
         let Some((base, within)) = corner(level, p, self.parameters.window_radius_px + 1) else {
@@ -226,7 +226,7 @@ impl Tracker {
     #[inline(always)]
     fn iterate<V: F32x8>(
         &self,
-        target: &Level,
+        target: &PyramidLevel,
         p: &Vector2<f64>,
         flow: &mut Vector2<f64>,
         template: &TemplateSums,
@@ -276,7 +276,7 @@ impl Tracker {
     /// Σ J·∇I over the window, with J the target's values around `q`. `None` if the window is more
     /// than a pixel outside the image.
     #[inline(always)]
-    fn correlate<V: F32x8>(&self, target: &Level, q: &Vector2<f64>) -> Option<[f64; 2]> {
+    fn correlate<V: F32x8>(&self, target: &PyramidLevel, q: &Vector2<f64>) -> Option<[f64; 2]> {
         let (base, within) = corner(target, q, self.parameters.window_radius_px)?;
         let size = [self.row, self.side];
         let window = Window::new(&target.value, base, target.stride, size, within);
@@ -324,7 +324,7 @@ impl Tracker {
     /// Mean absolute difference of the template and the target's window around `q`. `None` if that
     /// is more than a pixel outside the image.
     #[inline(always)]
-    fn residual<V: F32x8>(&self, target: &Level, q: &Vector2<f64>) -> Option<f64> {
+    fn residual<V: F32x8>(&self, target: &PyramidLevel, q: &Vector2<f64>) -> Option<f64> {
         let (base, within) = corner(target, q, self.parameters.window_radius_px)?;
         let size = [self.row, self.side];
         let window = Window::new(&target.value, base, target.stride, size, within);
@@ -421,8 +421,9 @@ mod tests {
         let options = RegistrationOptions::default();
         let (a, b) = pyramids(&options, 0.4, -0.3);
         let (level, other) = (&a.levels()[0], &b.levels()[0]);
-        let at = |l: &Level, x: f64, y: f64| f64::from(l.value[l.index(x as isize, y as isize)]);
-        let sample = |l: &Level, x: f64, y: f64| {
+        let at =
+            |l: &PyramidLevel, x: f64, y: f64| f64::from(l.value[l.index(x as isize, y as isize)]);
+        let sample = |l: &PyramidLevel, x: f64, y: f64| {
             let (x0, y0) = (x.floor(), y.floor());
             let (fx, fy) = (x - x0, y - y0);
             (1.0 - fy) * ((1.0 - fx) * at(l, x0, y0) + fx * at(l, x0 + 1.0, y0))

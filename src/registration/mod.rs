@@ -46,7 +46,7 @@ pub use klt::{KltParameters, Tracked, Tracker};
 pub use motion_prior::MotionPrior;
 pub use neighbors::Neighbors;
 pub use options::{ConsistencyThresholds, GainMethod, RegistrationOptions};
-pub use pyramid::{Level, Pyramid};
+pub use pyramid::{Pyramid, PyramidLevel};
 pub use references::{Reference, ReferenceQuery, References, select_references};
 pub use temporal_flow::{
     FlowDirection, Track, neighbor_consensus, temporal_flow, temporal_flow_of,

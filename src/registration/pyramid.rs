@@ -9,12 +9,12 @@ use crate::simd::{F32x8, LANES, Scalar};
 /// before.
 #[derive(Clone, Debug)]
 pub struct Pyramid {
-    levels: Vec<Level>,
+    levels: Vec<PyramidLevel>,
 }
 
 /// One level of a [`Pyramid`]: luma in 0..=1, its border repeated outwards.
 #[derive(Clone, Debug)]
-pub struct Level {
+pub struct PyramidLevel {
     /// Pixels of a row, without the padding.
     pub width: usize,
     /// Rows, without the padding.
@@ -37,7 +37,7 @@ impl Pyramid {
     /// always at least one. `pad` is the width of the border, pixels, that the largest window needs
     /// ([`super::RegistrationOptions::pad_px`]).
     pub fn new(image: &Image, levels: usize, pad: usize) -> Self {
-        let mut all = vec![Level::of_image(image, pad)];
+        let mut all = vec![PyramidLevel::of_image(image, pad)];
         for _ in 1..Self::sizes([image.width(), image.height()], levels).len() {
             all.push(all[all.len() - 1].halved());
         }
@@ -53,7 +53,7 @@ impl Pyramid {
     }
 
     /// The levels, full-sized first. There is at least one.
-    pub fn levels(&self) -> &[Level] {
+    pub fn levels(&self) -> &[PyramidLevel] {
         &self.levels
     }
 
@@ -68,7 +68,7 @@ impl Pyramid {
     }
 }
 
-impl Level {
+impl PyramidLevel {
     fn of_image(image: &Image, pad: usize) -> Self {
         let mut level = Self::empty(image.width(), image.height(), pad);
         for y in 0..image.height() {

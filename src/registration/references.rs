@@ -37,7 +37,7 @@ pub struct ReferenceQuery {
     pub time_s: f64,
 }
 
-/// σ of eq. (4): the distance, in units of the nearest camera's, that counts as much as a frame of time.
+/// σ of eq. (4): the weight of a frame of time, relative to the distance of the nearest camera.
 const TIME_WEIGHT: f64 = 1.0;
 /// Maximum number of first references: on a grid, one along the row and one along the column.
 const MAX_FIRST: usize = 2;

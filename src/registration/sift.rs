@@ -26,7 +26,7 @@ const MAX_ENTRY: f32 = 0.2;
 
 /// A feature's main direction and its descriptor.
 pub(super) struct SiftDescriptor {
-    /// The main direction of its gradients, radians, from x towards y.
+    /// The main direction of the gradients, radians, from x towards y.
     pub angle: f32,
     entries: [f32; SIZE],
 }
@@ -40,7 +40,7 @@ const GRID: usize = CELLS + 3;
 /// The samples within [`RADIUS_PX`] of a point of the level.
 struct Disc<'a> {
     gradients: &'a PolarGradients,
-    /// The first pixel's centre is at (0, 0).
+    /// Position in the level, pixels, with the first pixel's centre at (0, 0).
     center: [f32; 2],
     columns: Range<usize>,
     rows: Range<usize>,
@@ -253,7 +253,7 @@ fn peak(mut histogram: [f32; BINS]) -> Option<f32> {
     (at > 0.0).then_some(largest as f32 + 0.5 + shift)
 }
 
-/// Scales to length 1; `None` if all entries are 0.
+/// Normalizes to length 1; `None` if all entries are 0.
 #[inline(always)]
 fn normalize<V: F32x8>(cells: &mut [V; CELLS * CELLS]) -> Option<()> {
     let mut squares = V::zero();

@@ -41,7 +41,7 @@ pub struct Track {
     pub deformation: Matrix2<f64>,
     /// Mean absolute difference of the windows in frames k and k + 1, values 0..=1.
     pub residual: f64,
-    /// Forward-backward error between frames k and k + 1, pixels.
+    /// Forward–backward error between frames k and k + 1, pixels.
     pub forward_backward_error_px: f64,
 }
 

@@ -1,6 +1,6 @@
 //! Windows of a pyramid level at sub-pixel positions, by bilinear interpolation.
 
-use super::pyramid::Level;
+use super::pyramid::PyramidLevel;
 use crate::simd::{F32x8, LANES};
 use nalgebra::Vector2;
 
@@ -10,7 +10,7 @@ use nalgebra::Vector2;
 /// `p` is in pixels with the first pixel's centre at (0, 0). `None` if it is more than a pixel outside the
 /// image.
 #[inline(always)]
-pub fn corner(level: &Level, p: &Vector2<f64>, radius: usize) -> Option<(usize, [f32; 2])> {
+pub fn corner(level: &PyramidLevel, p: &Vector2<f64>, radius: usize) -> Option<(usize, [f32; 2])> {
     let inside = |v: f64, size: usize| v >= -1.0 && v <= size as f64;
     if !(inside(p.x, level.width) && inside(p.y, level.height)) {
         return None;

@@ -7,7 +7,7 @@
 //!
 //! Known limit: a feature that moves along its epipolar line has no candidate.
 
-use crate::camera::{Camera, EpipolarGeometry, Line};
+use crate::camera::{Camera, EpipolarGeometry, EpipolarLine};
 use crate::registration::{Track, Trajectory};
 use nalgebra::Point2;
 
@@ -121,7 +121,7 @@ impl ThreeFrames<'_> {
 
     /// A feature's candidate for a given epipolar line. The outer `None` means too little motion across
     /// the line, the inner one no crossing near the two frames.
-    fn crossing(&self, line: &Line, track: &Track) -> Option<Option<Candidate>> {
+    fn crossing(&self, line: &EpipolarLine, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
         let trajectory = Trajectory::new(samples.iter().copied())?;
         let start = self.times_i[self.index_i];
@@ -139,7 +139,7 @@ impl ThreeFrames<'_> {
     /// frame.
     fn candidate(
         &self,
-        line: &Line,
+        line: &EpipolarLine,
         trajectory: &Trajectory,
         samples: &[(f64, Point2<f64>)],
         initial_s: f64,

@@ -3,7 +3,7 @@
 //! Static features have no candidate (eq. (10)), and in front of a textured background the strongest
 //! corners would all be static.
 
-use crate::registration::{Frame, Level};
+use crate::registration::{Frame, PyramidLevel};
 use nalgebra::Point2;
 
 /// The smallest motion that counts as change, pixels, estimated from gradients.
@@ -40,7 +40,7 @@ pub fn changing(
 
 /// The size of a small motion along the gradients in the window around p, pixels; 0 without a gradient.
 /// It is the root of the summed squared temporal change over the summed squared gradient.
-fn motion_px([current, next]: [&Level; 2], p: &Point2<f64>) -> f32 {
+fn motion_px([current, next]: [&PyramidLevel; 2], p: &Point2<f64>) -> f32 {
     // The corner is inside the image; the window is clipped so that its gradients are too.
     let range = |at: f64, size: usize| {
         let middle = at as usize;
