@@ -327,10 +327,10 @@ fn options_out_of_range_are_refused_by_name() {
         (r#"{"offset": {"search_s": -1}}"#, "options.json: offset.search_s: is -1.0"),
         (r#"{"registration": {"window_radius_px": 1000000000}}"#, "registration.window_radius_px"),
         (r#"{"registration": {"max_corners": 1000000000}}"#, "registration.max_corners"),
-        (r#"{"interpolation": {"edges": {"max_length_px": 1e300}}}"#, "edges.max_length_px"),
+        (r#"{"interpolation": {"max_edge_length_px": 1e300}}"#, "interpolation.max_edge_length_px"),
         // And these made no sense.
-        (r#"{"interpolation": {"morph": {"rho": 32}}}"#, "interpolation.morph.rho"),
-        (r#"{"interpolation": {"morph": {"grid_px": 0}}}"#, "interpolation.morph.grid_px"),
+        (r#"{"interpolation": {"edge_boost": 33}}"#, "interpolation.edge_boost"),
+        (r#"{"interpolation": {"grid_px": 0}}"#, "interpolation.grid_px"),
         (r#"{"registration": {"levels": 0}}"#, "registration.levels"),
         (r#"{"blend": {"error_angle_rad": -1}}"#, "blend.error_angle_rad"),
         (r#"{"blend": {"error_angle_rad": null}}"#, "blend.error_angle_rad"),

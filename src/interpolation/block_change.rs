@@ -1,19 +1,16 @@
-//! Detection of change between two frames, by blocks of pixels.
+//! Change between two frames, by blocks of pixels.
 
-use super::windows::difference;
+use super::warp::difference;
 use crate::raster::Image;
 
-/// Side of the blocks that are compared, pixels. Larger: small moving objects are averaged away;
-/// smaller: noise resembles change.
+/// Side of a block, pixels.
 const BLOCK: usize = 8;
 
-/// A block changes if its mean difference is over this many times the lower quartile of all blocks'. Noise
-/// differs by 2 to 4 times between light and dark, flat and textured parts. Larger: motion of low
-/// contrast is missed; smaller: noise is taken for change.
-const OVER_NOISE: f32 = 6.0;
+/// Minimum ratio of a changed block's difference to the lower quartile of all blocks'. (Noise varies by 2 to 4
+/// times between light and dark, flat and textured parts.)
+const MIN_NOISE_RATIO: f32 = 6.0;
 
-/// Minimum mean difference of a block that changes, values 0..=1: 1.5 steps of 8 bits. Larger: motion of low
-/// contrast is missed; smaller: rounding is taken for change.
+/// Minimum mean difference of a changed block, values 0..=1: 1.5 steps of 8 bits.
 const MIN_CHANGE: f32 = 1.5 / 255.0;
 
 /// The largest mean absolute difference of a block of 8×8 pixels between two images, values 0..=1. Blocks
@@ -47,7 +44,7 @@ pub(crate) fn changed_pixels(a: &Image, b: &Image) -> Vec<bool> {
     (0..w * a.height()).map(|k| block(k).is_some_and(|changed| *changed)).collect()
 }
 
-/// The mean difference of every block, row by row of blocks.
+/// The mean difference of every block, by rows of blocks.
 fn block_means(a: &Image, b: &Image) -> Vec<Vec<f32>> {
     let shape = |i: &Image| (i.width(), i.height(), i.channels());
     assert_eq!(shape(a), shape(b), "width, height and channels of both images");
@@ -64,7 +61,7 @@ fn block_means(a: &Image, b: &Image) -> Vec<Vec<f32>> {
     difference(a, b).chunks(BLOCK * w).map(means_of).collect()
 }
 
-/// Whether each whole block's luma changes by more than noise, row by row of blocks.
+/// Whether each whole block's luma changes by more than noise, by rows of blocks.
 fn changed_blocks(a: &Image, b: &Image) -> Vec<Vec<bool>> {
     let (across, down) = (a.width() / BLOCK, a.height() / BLOCK);
     let mut means = block_means(&a.to_gray(), &b.to_gray());
@@ -73,7 +70,7 @@ fn changed_blocks(a: &Image, b: &Image) -> Vec<Vec<bool>> {
     let mut sorted: Vec<f32> = means.iter().flatten().copied().collect();
     sorted.sort_by(f32::total_cmp);
     let Some(noise) = sorted.get(sorted.len() / 4) else { return Vec::new() };
-    let limit = (OVER_NOISE * noise).max(MIN_CHANGE);
+    let limit = (MIN_NOISE_RATIO * noise).max(MIN_CHANGE);
     means.iter().map(|row| row.iter().map(|d| *d > limit).collect()).collect()
 }
 

@@ -1,5 +1,5 @@
-//! §5.2: the edge set: real edges without crossings, and the virtual edges of a constrained Delaunay
-//! triangulation around them.
+//! §5.2: the edge set. Real edges are split where they cross; a constrained Delaunay triangulation adds the
+//! virtual edges.
 
 use super::edges::{Feature, RealEdge};
 use super::segment_cells::SegmentCells;
@@ -8,46 +8,26 @@ use spade::handles::FixedVertexHandle;
 use spade::{ConstrainedDelaunayTriangulation, HasPosition, Triangulation};
 use std::collections::HashMap;
 
-/// An edge of the edge set (§5.2), which guides the morph.
+/// An edge of the edge set (§5.2), by which the morph warps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
-    /// Its two ends.
     pub ends: [Feature; 2],
-    /// f̄ of a real edge; `None` for a virtual one.
+    /// f̄ of a real edge, eq. (8); `None` for a virtual one.
     pub mean_fitness: Option<f64>,
-}
-
-/// A piece of a real edge between two crossings, its vertices by index.
-#[derive(Clone, Copy, Debug)]
-struct Piece {
-    ends: [usize; 2],
-    mean_fitness: f64,
 }
 
 /// The edge set (§5.2) of a frame of `width`×`height` pixels: the pieces of the real edges between their
 /// crossings, then the virtual edges of their constrained Delaunay triangulation in the source frame.
 ///
-/// The triangulation's vertices are the real edges' ends, their crossings and the image's corners, and
-/// with `all_features` all features (in the paper, not). Of coincident features the first is a vertex.
-/// Without features the edges are the image's border and a diagonal.
-pub fn edge_set(
-    features: &[Feature],
-    real: &[RealEdge],
-    all_features: bool,
-    width: usize,
-    height: usize,
-) -> Vec<Edge> {
+/// The triangulation's vertices are all features (in the paper, the real edges' ends alone), the crossings and
+/// the image's corners. Of coincident features the first is a vertex. Without features the edges are the
+/// image's border and a diagonal.
+pub fn edge_set(features: &[Feature], real: &[RealEdge], width: usize, height: usize) -> Vec<Edge> {
     let mut vertices = features.to_vec();
     let pieces = without_crossings(&mut vertices, real);
-    let mut used = vec![all_features; features.len()];
-    used.resize(vertices.len(), true);
-    for end in pieces.iter().flat_map(|p| p.ends) {
-        used[end] = true;
-    }
     for (x, y) in [(0, 0), (width, 0), (0, height), (width, height)] {
         let p = Point2::new(x as f64, y as f64);
         vertices.push(Feature { source: p, other: p, target: p });
-        used.push(true);
     }
 
     let mut edges: Vec<Edge> = pieces
@@ -56,7 +36,7 @@ pub fn edge_set(
         .collect();
     let constraints: Vec<[usize; 2]> = pieces.iter().map(|p| p.ends).collect();
     let sources: Vec<_> = vertices.iter().map(|v| v.source).collect();
-    let mesh = Mesh::new(&sources, &used, &constraints);
+    let mesh = Delaunay::new(&sources, &constraints);
     edges.extend(
         mesh.virtual_edges()
             .map(|ends| Edge { ends: ends.map(|k| vertices[k]), mean_fitness: None }),
@@ -64,14 +44,13 @@ pub fn edge_set(
     edges
 }
 
-/// The triangles, by index, of the Delaunay triangulation of these positions.
-pub fn triangles(positions: &[Point2<f64>]) -> Vec<[usize; 3]> {
-    let used = vec![true; positions.len()];
-    Mesh::new(positions, &used, &[]).triangles().collect()
+/// The Delaunay triangles of these positions, by index.
+pub(super) fn delaunay(positions: &[Point2<f64>]) -> Vec<[usize; 3]> {
+    Delaunay::new(positions, &[]).triangles().collect()
 }
 
-/// A triangulation of vertices by their index.
-struct Mesh(ConstrainedDelaunayTriangulation<Site>);
+/// A constrained Delaunay triangulation of indexed vertices.
+struct Delaunay(ConstrainedDelaunayTriangulation<Site>);
 
 /// A vertex of the triangulation.
 struct Site {
@@ -87,13 +66,13 @@ impl HasPosition for Site {
     }
 }
 
-impl Mesh {
-    fn new(positions: &[Point2<f64>], used: &[bool], constraints: &[[usize; 2]]) -> Self {
-        // Of coincident vertices the first is used.
+impl Delaunay {
+    fn new(positions: &[Point2<f64>], constraints: &[[usize; 2]]) -> Self {
+        // Coincident vertices are merged into the first.
         let mut first_at = HashMap::with_capacity(positions.len());
         let mut sites = Vec::with_capacity(positions.len());
         let mut site_of = vec![None; positions.len()];
-        for (index, place) in positions.iter().enumerate().filter(|&(k, _)| used[k]) {
+        for (index, place) in positions.iter().enumerate() {
             let place = [place.x, place.y].map(accepted);
             if place.iter().any(|v| spade::validate_coordinate(*v).is_err()) {
                 continue;
@@ -133,14 +112,14 @@ impl Mesh {
     }
 }
 
-/// A coordinate as spade accepts it: 0, or a magnitude of at least 2⁻¹⁴². One this small is on the border.
+/// A coordinate that spade accepts: 0, or a magnitude of at least 2⁻¹⁴².
 fn accepted(v: f64) -> f64 {
     if v.abs() < 1e-30 { 0.0 } else { v }
 }
 
-/// Splits real edges where they cross (§5.2): the new vertex, appended to `vertices`, lies on the fitter edge
-/// in all images. Both edges are split there, which does not bend the fitter one.
-fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<Piece> {
+/// Splits real edges where they cross (§5.2). The new vertex, appended to `vertices`, lies on the fitter edge
+/// in all images, so that the fitter edge stays straight.
+fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<RealEdge> {
     let mut order: Vec<usize> = (0..real.len()).collect();
     order.sort_by(|&a, &b| real[b].mean_fitness.total_cmp(&real[a].mean_fitness).then(a.cmp(&b)));
     let places: Vec<_> = order.iter().map(|&k| real[k].ends.map(|v| vertices[v].source)).collect();
@@ -174,14 +153,14 @@ fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<Piec
         cuts.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
         let mut from = edge.ends[0];
         for to in cuts.into_iter().map(|(_, vertex)| vertex).chain([edge.ends[1]]) {
-            pieces.push(Piece { ends: [from, to], mean_fitness: edge.mean_fitness });
+            pieces.push(RealEdge { ends: [from, to], mean_fitness: edge.mean_fitness });
             from = to;
         }
     }
     pieces
 }
 
-/// Where two segments cross, as fractions along each; `None` if they are parallel, do not cross, or only
+/// The crossing of two segments, as fractions along each; `None` if they are parallel, do not cross, or
 /// touch at an end.
 fn crossing([a, b]: [Point2<f64>; 2], [c, d]: [Point2<f64>; 2]) -> Option<(f64, f64)> {
     let (u, v) = (b - a, d - c);
@@ -209,7 +188,7 @@ mod tests {
 
     #[test]
     fn without_features_the_corners_and_a_diagonal_remain() {
-        let edges = edge_set(&[], &[], true, 40, 30);
+        let edges = edge_set(&[], &[], 40, 30);
         assert_eq!(edges.len(), 5);
         assert!(edges.iter().all(|e| e.mean_fitness.is_none()));
     }
@@ -226,7 +205,7 @@ mod tests {
             RealEdge { ends: [0, 1], mean_fitness: 0.9 },
             RealEdge { ends: [2, 3], mean_fitness: 0.5 },
         ];
-        let edges = edge_set(&features, &real, true, 40, 30);
+        let edges = edge_set(&features, &real, 40, 30);
         let pieces: Vec<_> = edges.iter().filter(|e| e.mean_fitness.is_some()).collect();
         assert_eq!(pieces.len(), 4);
         let middle = Point2::new(15.0, 15.0);
@@ -239,7 +218,7 @@ mod tests {
     #[test]
     fn collinear_duplicate_and_hundreds_of_random_edges_stay_finite() {
         let line: Vec<_> = (0..20).map(|k| feature(f64::from(k % 10), 5.0, 0.0)).collect();
-        assert!(edge_set(&line, &[], true, 40, 30).len() >= 5);
+        assert!(edge_set(&line, &[], 40, 30).len() >= 5);
         let mut numbers = Random::new(7);
         let mut random = || numbers.unit();
         for _ in 0..20 {
@@ -249,7 +228,7 @@ mod tests {
                 .map(|k| RealEdge { ends: [k % 60, (k * 7 + 1) % 60], mean_fitness: random() })
                 .filter(|e| e.ends[0] != e.ends[1])
                 .collect();
-            let edges = edge_set(&features, &real, false, 40, 30);
+            let edges = edge_set(&features, &real, 40, 30);
             assert!(edges.iter().flat_map(|e| e.ends).all(|f| f.target.x.is_finite()));
         }
     }

@@ -1,10 +1,23 @@
-//! §5.1: real edges: segments between two features that follow an image edge in both frames.
+//! §5.1: real edges, which are segments between two features that follow an image edge in both frames.
 
-use super::EdgeOptions;
 use super::segment_cells::SegmentCells;
 use crate::registration::{Neighbors, PyramidLevel};
 use nalgebra::{Point2, Vector2, center};
 use rayon::prelude::*;
+
+/// β of eq. (6): weight of the agreement of gradient and normal, in values (0..=1) per pixel.
+const BETA: f64 = 0.05;
+/// Minimum fitness of a real edge, eq. (6), in values per pixel.
+const MIN_FITNESS: f64 = 0.08;
+/// Distance between the samples s_k of eq. (6), pixels.
+const SAMPLE_STEP_PX: f64 = 2.0;
+/// Maximum change of an edge's length between the frames: this fraction of it plus [`MAX_LENGTH_CHANGE_PX`].
+const MAX_LENGTH_CHANGE_FRACTION: f64 = 0.05;
+const MAX_LENGTH_CHANGE_PX: f64 = 0.5;
+/// Maximum angle between duplicate edges, degrees.
+const DUPLICATE_ANGLE_DEG: f64 = 10.0;
+/// Maximum distance of a duplicate's ends from the longer edge, pixels.
+const DUPLICATE_DISTANCE_PX: f64 = 2.0;
 
 /// A feature's positions, pixels, in the two frames and at the instant: a vertex of the morph's edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,7 +42,7 @@ impl Feature {
     }
 }
 
-/// A real edge (§5.1): a segment between two features that follows an image edge.
+/// A segment between two features that follows an image edge (§5.1).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RealEdge {
     /// Indices of the two features.
@@ -38,9 +51,9 @@ pub struct RealEdge {
     pub mean_fitness: f64,
 }
 
-/// The real edges among features (§5.1): segments of at most [`EdgeOptions::max_length_px`] whose fitness,
-/// eq. (6), exceeds the threshold in both frames, and whose length hardly changes between them. Of
-/// near-parallel edges on one image edge, only the longest (§5.2).
+/// The real edges among features (§5.1): segments of at most `max_length_px` whose fitness, eq. (6), exceeds a
+/// threshold in both frames, and whose length hardly changes between them. Near-parallel edges on one image
+/// edge are reduced to the longest (§5.2).
 ///
 /// `source` and `other` are the full-sized pyramid levels of the two frames. The order does not depend on
 /// the number of threads. Coincident features make no edge.
@@ -48,23 +61,23 @@ pub fn real_edges(
     features: &[Feature],
     source: &PyramidLevel,
     other: &PyramidLevel,
-    options: &EdgeOptions,
+    max_length_px: f64,
 ) -> Vec<RealEdge> {
     let neighbors = Neighbors::new(features.iter().map(|f| f.source));
     let candidates: Vec<RealEdge> = (0..features.len())
         .into_par_iter()
         .flat_map_iter(|a| {
             let mut found = Vec::new();
-            neighbors.each_within(&features[a].source, options.max_length_px, |b| {
+            neighbors.each_within(&features[a].source, max_length_px, |b| {
                 if b > a {
                     let ends = [&features[a], &features[b]];
-                    found.extend(real_edge([a, b], ends, source, other, options));
+                    found.extend(real_edge([a, b], ends, source, other));
                 }
             });
             found
         })
         .collect();
-    without_duplicates(candidates, features, options)
+    without_duplicates(candidates, features)
 }
 
 fn real_edge(
@@ -72,33 +85,27 @@ fn real_edge(
     [a, b]: [&Feature; 2],
     source: &PyramidLevel,
     other: &PyramidLevel,
-    options: &EdgeOptions,
 ) -> Option<RealEdge> {
     let length = (b.source - a.source).norm();
     let change = ((b.other - a.other).norm() - length).abs();
-    if change > options.max_length_change * length + options.max_length_change_px {
+    if change > MAX_LENGTH_CHANGE_FRACTION * length + MAX_LENGTH_CHANGE_PX {
         return None;
     }
-    let mean_fitness = mean_fitness(source, a.source, b.source, options)?;
-    self::mean_fitness(other, a.other, b.other, options)?;
+    let mean_fitness = mean_fitness(source, a.source, b.source)?;
+    self::mean_fitness(other, a.other, b.other)?;
     Some(RealEdge { ends, mean_fitness })
 }
 
-/// f̄, the mean of the samples of eq. (6). `None` where the edge's fitness, the least of them, is not above the
+/// f̄, the mean of the samples of eq. (6). `None` where the minimum of the samples is not above the
 /// threshold, and for edges shorter than a pixel, whose direction is noise.
-fn mean_fitness(
-    level: &PyramidLevel,
-    a: Point2<f64>,
-    b: Point2<f64>,
-    options: &EdgeOptions,
-) -> Option<f64> {
+fn mean_fitness(level: &PyramidLevel, a: Point2<f64>, b: Point2<f64>) -> Option<f64> {
     let along = b - a;
     let length = along.norm();
     if !(length >= 1.0) {
         return None;
     }
     let normal = Vector2::new(-along.y, along.x) / length;
-    let steps = (length / options.sample_step_px.max(0.25)).ceil().max(1.0) as usize;
+    let steps = (length / SAMPLE_STEP_PX).ceil().max(1.0) as usize;
     let mut sum = 0.0;
     for k in 0..=steps {
         let p = a + along * (k as f64 / steps as f64);
@@ -109,8 +116,8 @@ fn mean_fitness(
         // Without a gradient there is no direction to agree with: the second term is 0.
         let agreement =
             if magnitude > 0.0 { (gradient.dot(&normal) / magnitude).abs() } else { 0.0 };
-        let f = magnitude + options.beta * agreement;
-        if !(f > options.min_fitness) {
+        let f = magnitude + BETA * agreement;
+        if !(f > MIN_FITNESS) {
             return None;
         }
         sum += f;
@@ -118,19 +125,15 @@ fn mean_fitness(
     Some(sum / (steps + 1) as f64)
 }
 
-/// Removes duplicates (§5.2, Fig. 8): of near-parallel edges that lie on each other, all but the longest.
-fn without_duplicates(
-    mut edges: Vec<RealEdge>,
-    features: &[Feature],
-    options: &EdgeOptions,
-) -> Vec<RealEdge> {
+/// Removes edges that lie near-parallel on a longer one (§5.2, Fig. 8).
+fn without_duplicates(mut edges: Vec<RealEdge>, features: &[Feature]) -> Vec<RealEdge> {
     let ends = |e: &RealEdge| e.ends.map(|k| features[k].source);
     let length = |e: &RealEdge| {
         let [a, b] = ends(e);
         (b - a).norm()
     };
     edges.sort_by(|x, y| length(y).total_cmp(&length(x)).then(x.ends.cmp(&y.ends)));
-    let min_cosine = options.duplicate_angle_deg.to_radians().cos();
+    let min_cosine = DUPLICATE_ANGLE_DEG.to_radians().cos();
     let is_duplicate = |e: &RealEdge, longer: &RealEdge| {
         let ([a, b], [c, d]) = (ends(longer), ends(e));
         let long = length(longer);
@@ -138,7 +141,7 @@ fn without_duplicates(
         let parallel = ((d - c).dot(&direction) / (d - c).norm()).abs() >= min_cosine;
         let near = |p: Point2<f64>| {
             let along = (p - a).dot(&direction).clamp(0.0, long);
-            (p - (a + direction * along)).norm() <= options.duplicate_distance_px
+            (p - (a + direction * along)).norm() <= DUPLICATE_DISTANCE_PX
         };
         parallel && near(c) && near(d)
     };
@@ -147,7 +150,7 @@ fn without_duplicates(
     for edge in edges {
         let [a, b] = ends(&edge);
         // A duplicate's middle is as near to the longer edge as its ends.
-        let (middle, reach) = (center(&a, &b), Vector2::repeat(options.duplicate_distance_px));
+        let (middle, reach) = (center(&a, &b), Vector2::repeat(DUPLICATE_DISTANCE_PX));
         cells.near(&[middle - reach, middle + reach], &mut near);
         if !near.iter().any(|&longer| is_duplicate(&edge, &unique[longer])) {
             cells.insert(&[a, b], unique.len());
@@ -177,7 +180,7 @@ mod tests {
     fn edge_ends(features: &[Feature]) -> Vec<[usize; 2]> {
         let pyramid = step();
         let level = &pyramid.levels()[0];
-        let edges = real_edges(features, level, level, &EdgeOptions::default());
+        let edges = real_edges(features, level, level, 24.0);
         edges.iter().map(|e| e.ends).collect()
     }
 
@@ -211,10 +214,12 @@ mod tests {
     fn zero_gradients_have_no_direction_and_coincident_features_no_length() {
         let flat = Pyramid::new(&Image::filled(60, 50, 1, 0.5), 1, 4);
         let level = &flat.levels()[0];
-        let options = EdgeOptions { min_fitness: -1.0, ..EdgeOptions::default() };
         let (a, b) = (Point2::new(10.0, 10.0), Point2::new(20.0, 10.0));
-        assert_eq!(mean_fitness(level, a, b, &options), Some(0.0));
-        assert_eq!(mean_fitness(level, a, a, &options), None);
+        assert_eq!(mean_fitness(level, a, b), None);
+        assert_eq!(
+            mean_fitness(&step().levels()[0], Point2::new(30.0, 10.0), Point2::new(30.0, 10.0)),
+            None
+        );
         assert!(edge_ends(&[at_rest(30.0, 10.0), at_rest(30.0, 10.0)]).is_empty());
     }
 }

@@ -1,12 +1,13 @@
-//! Which segments may cross or touch: cells of the image plane, and the segments whose bounding boxes reach them.
+//! A uniform grid over line segments, which finds those whose bounding boxes meet.
 
 use nalgebra::Point2;
 
-/// Cells along the longest segment, and at most along the area. They do not change results. Larger: a segment is in
-/// more cells; smaller: more segments are compared.
-const CELLS_ALONG: [f64; 2] = [3.0, 256.0];
+/// Cells along the longest segment.
+const CELLS_PER_SEGMENT: f64 = 3.0;
+/// Maximum number of cells along a side of the grid.
+const MAX_CELLS: f64 = 256.0;
 
-/// Segments by the cells that their bounding boxes reach, row by row.
+/// Cells of the plane, row by row, each with the segments whose bounding boxes reach it.
 pub struct SegmentCells {
     area: Bounds,
     cell_px: f64,
@@ -32,21 +33,21 @@ impl Bounds {
 }
 
 impl SegmentCells {
-    /// None yet of these segments, which may be inserted. Their ends are finite.
+    /// An empty grid for these segments, whose ends are finite.
     pub fn new(segments: &[[Point2<f64>; 2]]) -> Self {
         let none = Bounds { min: Point2::origin(), max: Point2::origin() };
         let all = segments.iter().map(Bounds::of);
         let area = all.reduce(|a, b| Bounds { min: a.min.inf(&b.min), max: a.max.sup(&b.max) });
         let area = area.unwrap_or(none);
         let longest = segments.iter().map(|[a, b]| (b - a).norm()).fold(0.0, f64::max);
-        let [along, most] = CELLS_ALONG;
-        let cell_px = (longest / along).max((area.max - area.min).max() / most).max(1.0);
+        let cell_px =
+            (longest / CELLS_PER_SEGMENT).max((area.max - area.min).max() / MAX_CELLS).max(1.0);
         let [across, down] =
             [0, 1].map(|k| ((area.max[k] - area.min[k]) / cell_px).floor() as usize + 1);
         Self { area, cell_px, across, cells: vec![Vec::new(); across * down] }
     }
 
-    /// The cells that a bounding box reaches; the outermost ones for what is outside the area.
+    /// The cells that a bounding box reaches. Positions outside the grid belong to its border cells.
     fn reached(&self, bounds: &Bounds) -> impl Iterator<Item = usize> + use<> {
         let down = self.cells.len() / self.across;
         let cell = |p: Point2<f64>, k: usize| {
@@ -59,7 +60,7 @@ impl SegmentCells {
         rows.flat_map(move |y| columns.clone().map(move |x| y * across + x))
     }
 
-    /// Adds a segment by its index.
+    /// Adds a segment under an index.
     pub fn insert(&mut self, segment: &[Point2<f64>; 2], index: usize) {
         let bounds = Bounds::of(segment);
         for cell in self.reached(&bounds) {
@@ -67,7 +68,7 @@ impl SegmentCells {
         }
     }
 
-    /// The indices, ascending and each once, of the segments whose bounding boxes meet that of `segment`.
+    /// Finds the segments whose bounding boxes meet that of `segment`: their indices, ascending and unique.
     pub fn near(&self, segment: &[Point2<f64>; 2], found: &mut Vec<usize>) {
         found.clear();
         let bounds = Bounds::of(segment);

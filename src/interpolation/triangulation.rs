@@ -1,15 +1,44 @@
-//! Direct triangulation (Fig. 10 (b)): the image warped triangle by triangle, the method below the morph.
+//! Direct triangulation (Fig. 10 (b)): piecewise affine warps over Delaunay triangles of the features.
 
 use super::Warp;
-use super::edge_set::triangles;
+use super::edge_set::delaunay;
 use super::edges::Feature;
+use super::tracked_pair::flow_tracks;
+use crate::registration::Track;
 use nalgebra::{Matrix3, Point2, RowVector3, Vector2, Vector3};
 
-/// The Delaunay triangles of positions and of the corners of an image of `width`×`height` pixels, by index; the
-/// corners, from left to right and from top to bottom, come after the positions.
-pub fn delaunay(positions: &[Point2<f64>], width: usize, height: usize) -> Vec<[usize; 3]> {
-    let all: Vec<_> = positions.iter().copied().chain(corners(width, height)).collect();
-    triangles(&all)
+/// The Delaunay triangles of a pair's tracks in the earlier and the later frame, which are the same at all
+/// instants. Vertices are the tracks of one flow by index, then the image's corners row by row.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Triangles([Vec<[usize; 3]>; 2]);
+
+impl Triangles {
+    /// Triangulates the tracks of a frame pair of this size in pixels.
+    pub fn new(tracks: &[Track], width: usize, height: usize) -> Self {
+        Self([true, false].map(|forward| {
+            let source = |t: &Track| if forward { t.earlier } else { t.later };
+            triangulated(flow_tracks(tracks, forward).map(source), width, height)
+        }))
+    }
+
+    /// The triangles in the earlier frame (`forward`) or the later one.
+    pub(super) fn of(&self, forward: bool) -> &[[usize; 3]] {
+        &self.0[usize::from(!forward)]
+    }
+
+    /// Number of triangles in both frames.
+    pub fn count(&self) -> usize {
+        self.0.iter().map(Vec::len).sum()
+    }
+}
+
+/// The Delaunay triangles of positions and of the image's corners.
+fn triangulated(
+    positions: impl Iterator<Item = Point2<f64>>,
+    width: usize,
+    height: usize,
+) -> Vec<[usize; 3]> {
+    delaunay(&positions.chain(corners(width, height)).collect::<Vec<_>>())
 }
 
 /// The piecewise affine warp that takes every Delaunay triangle of the features and of the image's corners
@@ -18,13 +47,12 @@ pub fn delaunay(positions: &[Point2<f64>], width: usize, height: usize) -> Vec<[
 /// Triangles that flip between the two, or have no area, are skipped. The warp is the identity at pixels
 /// that no triangle covers.
 pub fn triangulation_warp(features: &[Feature], width: usize, height: usize) -> Warp {
-    let sources: Vec<_> = features.iter().map(|f| f.source).collect();
-    warp_by(&delaunay(&sources, width, height), features, width, height)
+    let triangles = triangulated(features.iter().map(|f| f.source), width, height);
+    warp_triangles(&triangles, features, width, height)
 }
 
-/// The same with the [`delaunay`] triangles of the features' places in the source frame, which are the same at
-/// all instants.
-pub(super) fn warp_by(
+/// [`triangulation_warp`] by triangles of the features and the image's corners.
+pub(super) fn warp_triangles(
     triangles: &[[usize; 3]],
     features: &[Feature],
     width: usize,
@@ -34,7 +62,7 @@ pub(super) fn warp_by(
     let vertex = |k: usize| features.get(k).copied().unwrap_or_else(|| still[k - features.len()]);
     let mut warp = Warp::identity(width, height);
     for triangle in triangles {
-        fill(&mut warp, triangle.map(vertex));
+        fill_triangle(&mut warp, triangle.map(vertex));
     }
     warp
 }
@@ -43,13 +71,11 @@ fn corners(width: usize, height: usize) -> [Point2<f64>; 4] {
     [(0, 0), (width, 0), (0, height), (width, height)].map(|(x, y)| Point2::new(x as f64, y as f64))
 }
 
-/// How far outside a triangle a pixel's centre still counts as inside, in barycentric coordinates: between two
-/// triangles, rounding leaves no gap. Larger: a triangle covers pixels of its neighbours; smaller: gaps, which stay
-/// unwarped.
+/// Barycentric tolerance of a pixel's centre outside a triangle, so that rounding leaves no gaps.
 const OUTSIDE: f64 = 1e-9;
 
-/// Sets the warp at the pixels of one triangle.
-fn fill(warp: &mut Warp, corners: [Feature; 3]) {
+/// Sets the warp at the pixels of one triangle, by scanlines.
+fn fill_triangle(warp: &mut Warp, corners: [Feature; 3]) {
     let column = |k: usize| {
         let p = corners[k].target;
         Vector3::new(p.x, p.y, 1.0)
@@ -65,7 +91,7 @@ fn fill(warp: &mut Warp, corners: [Feature; 3]) {
         return;
     }
     let Some(barycentric) = target.try_inverse() else { return };
-    // Of (x, y, 1) to the source.
+    // From (x, y, 1) to the source.
     let [to_x, to_y] = [|f: &Feature| f.source.x, |f: &Feature| f.source.y]
         .map(|of| RowVector3::from_iterator(corners.iter().map(of)) * barycentric);
     let bounds = |of: fn(&Feature) -> f64, size: usize| {
@@ -96,7 +122,7 @@ fn fill(warp: &mut Warp, corners: [Feature; 3]) {
     }
 }
 
-/// From where to where a row of pixels is inside a triangle, given the matrix to its barycentric coordinates.
+/// The interval of x that row `y` has inside a triangle, given the matrix to its barycentric coordinates.
 fn span(barycentric: &Matrix3<f64>, y: f64) -> Option<[f64; 2]> {
     let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
     for corner in barycentric.row_iter() {

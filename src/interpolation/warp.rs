@@ -1,8 +1,6 @@
-//! Backward warps, which give every pixel of an image its source position in a frame, and the cross dissolve
-//! of two warped frames, eq. (9).
+//! Backward warps, the cross dissolve of two warped frames, eq. (9), and per-pixel operations on images.
 
-use super::windows::cross_fade;
-use crate::raster::{Image, Tiles, sample_all};
+use crate::raster::{Image, Tiles, padded, sample_all, sliding};
 use rayon::prelude::*;
 
 /// A backward warp: the source position of every pixel of an image.
@@ -12,8 +10,7 @@ pub struct Warp {
     pub width: usize,
     /// Height of the image, pixels.
     pub height: usize,
-    /// Positions `[x, y]` in the source frame, row by row, in pixels with the top-left pixel's centre at
-    /// (0.5, 0.5). They may be outside the frame, whose border is repeated.
+    /// Positions `[x, y]` in the source frame, row by row, pixels. Outside the frame its border is repeated.
     pub source: Vec<[f32; 2]>,
 }
 
@@ -27,8 +24,7 @@ impl Warp {
     }
 }
 
-/// The frame, warped, by cubic convolution; values may leave 0..=1. Black outside `parts`, if not all of it is
-/// needed.
+/// Warps a frame by cubic convolution; values may leave 0..=1. Black outside `parts`, if given.
 pub(super) fn warped(image: &Image, warp: &Warp, parts: Option<&Tiles>) -> Image {
     let channels = image.channels();
     let mut data = vec![0.0; warp.source.len() * channels];
@@ -48,19 +44,10 @@ pub(super) fn warped(image: &Image, warp: &Warp, parts: Option<&Tiles>) -> Image
 }
 
 /// The cross dissolve of two warped frames, eq. (9), clamped to 0..=1. `fraction` is (t' − t)/Δt, 0 at the
-/// earlier frame.
+/// earlier frame. Black outside `parts`, if given.
 ///
 /// Both frames must have the same channels, and both warps the same size.
 pub fn cross_dissolve(
-    [earlier, later]: [&Image; 2],
-    [from_earlier, from_later]: [&Warp; 2],
-    fraction: f32,
-) -> Image {
-    cross_dissolve_in([earlier, later], [from_earlier, from_later], fraction, None)
-}
-
-/// The same in some parts of the image, if not all; the others are black.
-pub(super) fn cross_dissolve_in(
     [earlier, later]: [&Image; 2],
     [from_earlier, from_later]: [&Warp; 2],
     fraction: f32,
@@ -71,4 +58,58 @@ pub(super) fn cross_dissolve_in(
     let mut image = cross_fade(&from, &to, fraction);
     image.data_mut().iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     image
+}
+
+/// The cross-fade of two images of one shape: `a` at a fraction of 0, `b` at 1.
+pub(super) fn cross_fade(a: &Image, b: &Image, fraction: f32) -> Image {
+    let data = (a.data().iter().zip(b.data())).map(|(a, b)| a + (b - a) * fraction).collect();
+    Image::from_data(a.width(), a.height(), a.channels(), data)
+}
+
+/// The absolute difference of two images of one shape, averaged over the channels, row by row.
+pub(super) fn difference(a: &Image, b: &Image) -> Vec<f32> {
+    #[inline(always)]
+    fn of_pixel(a: &[f32], b: &[f32]) -> f32 {
+        a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f32>() / a.len() as f32
+    }
+    let (a_data, b_data) = (a.data(), b.data());
+    match a.channels() {
+        // The compiler knows the number of channels, and vectorizes.
+        3 => (a_data.as_chunks::<3>().0.iter().zip(b_data.as_chunks::<3>().0))
+            .map(|(a, b)| of_pixel(a, b))
+            .collect(),
+        n => (a_data.chunks_exact(n).zip(b_data.chunks_exact(n)))
+            .map(|(a, b)| of_pixel(a, b))
+            .collect(),
+    }
+}
+
+/// The maximum filter of a plane of width `w` over a (2·radius + 1)² window, clipped at the borders.
+pub(super) fn max_filter(values: &[f32], w: usize, radius: usize) -> Vec<f32> {
+    let side = 2 * radius + 1;
+    let along_rows = sliding(&padded(values, w, radius, f32::NEG_INFINITY), side, 1, f32::max);
+    let mut padded_rows = vec![f32::NEG_INFINITY; values.len() + 2 * radius * w];
+    let rows = padded_rows[radius * w..].chunks_exact_mut(w);
+    for (row, out) in along_rows.chunks(w + 2 * radius).zip(rows) {
+        out.copy_from_slice(&row[..w]);
+    }
+    sliding(&padded_rows, side, w, f32::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_maximum_filter_equals_a_search() {
+        for (w, h, radius) in [(1, 1, 0), (1, 1, 3), (7, 5, 1), (16, 9, 2), (5, 12, 20)] {
+            let values: Vec<f32> = (0..w * h).map(|k| ((k * 37) % 101) as f32).collect();
+            for (k, largest) in max_filter(&values, w, radius).iter().enumerate() {
+                let near = |a: usize, b: usize| a.abs_diff(b) <= radius;
+                let inside = (0..w * h).filter(|n| near(n % w, k % w) && near(n / w, k / w));
+                let direct = inside.map(|n| values[n]).fold(0.0, f32::max);
+                assert!(*largest == direct, "{w}×{h}, {radius}: {largest} {direct}");
+            }
+        }
+    }
 }

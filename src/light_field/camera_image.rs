@@ -8,7 +8,9 @@ use super::stages::{
 };
 use super::{Context, RenderError};
 use crate::host::on_workers;
-use crate::interpolation::{FramePair, PairCosts, SyncMethod, Synchronized};
+use crate::interpolation::{
+    FramePair, PairCosts, PairMethod, SyncMethod, Synchronized, TrackedPair,
+};
 use crate::options::RenderOptions;
 use crate::raster::Tiles;
 use crate::registration::RegistrationOptions;
@@ -55,23 +57,12 @@ impl Stage for RefinementCosts<'_> {
     }
 
     fn compute(&self, field: &LightField, context: &Context) -> Result<PairCosts, RenderError> {
-        let PairTracks { camera, frame, registration } = self.tracks;
+        let PairTracks { camera, frame: index, .. } = self.tracks;
         let tracks = field.get_stored(&self.tracks, context)?;
-        let frames = field.frames(registration);
-        let (earlier, later) = (frames.get(camera, frame)?, frames.get(camera, frame + 1)?);
-        let pair = FramePair {
-            around: [None, None],
-            earlier: &earlier,
-            later: &later,
-            tracks: &tracks,
-            triangles: None,
-            pair_costs: None,
-            times_s: field.timeline().times_s(camera),
-            index: frame,
-            parts: None,
-            with_interpolation_error: false,
-        };
-        Ok(pair.pair_costs(self.interpolation))
+        let times_s = field.timeline().times_s(camera);
+        let tracked = TrackedPair { tracks: &tracks, times_s, index };
+        let camera = &field.capture().cameras[camera].camera;
+        Ok(PairCosts::new(&tracked, [camera.width, camera.height], self.interpolation))
     }
 }
 
@@ -111,38 +102,46 @@ pub(super) fn image_in(
         return all.compute(field, context);
     }
     let later_frame = frames.get(camera, later)?;
-    let pair = PairTracks { camera, frame, registration };
-    let follows_motion =
-        method.interpolation.is_some() && !is_still(field, pair, interpolation.still_change)?;
+    let pair_tracks = PairTracks { camera, frame, registration };
+    let follows_motion = method.interpolation.is_some()
+        && !is_still(field, pair_tracks, interpolation.still_change)?;
     let sync = match method.sync {
         sync if follows_motion || !sync.needs_tracks() => sync,
         _ => SyncMethod::Crossfade,
     };
-    let tracks = if follows_motion { field.get_stored(&pair, context)? } else { Arc::default() };
-    let triangles = matches!(sync, SyncMethod::Triangulation | SyncMethod::Refined)
-        .then(|| field.get(&PairTriangles(pair), context))
-        .transpose()?;
-    let is_refined = sync == SyncMethod::Refined;
-    let costs = RefinementCosts { tracks: pair, interpolation: &interpolation };
-    let costs = is_refined.then(|| field.get(&costs, context)).transpose()?;
-    let around = |index: Option<usize>| {
-        let index = index.filter(|&k| is_refined && k < timeline.times_s(camera).len());
-        index.map(|k| frames.get(camera, k)).transpose()
-    };
-    let (before, after) = (around(frame.checked_sub(1))?, around(Some(later + 1))?);
+    let tracks =
+        if follows_motion { field.get_stored(&pair_tracks, context)? } else { Arc::default() };
+    let times_s = timeline.times_s(camera);
     let pair = FramePair {
-        around: [before.as_deref(), after.as_deref()],
         earlier: &earlier_frame,
         later: &later_frame,
-        tracks: &tracks,
-        triangles: triangles.as_deref(),
-        pair_costs: costs.as_deref(),
-        times_s: timeline.times_s(camera),
-        index: frame,
+        tracked: TrackedPair { tracks: &tracks, times_s, index: frame },
         parts,
         with_interpolation_error: method.with_error,
     };
-    Ok(pair.interpolate(time_s, sync, &interpolation))
+    let interpolate = |method: PairMethod| pair.interpolate(time_s, method, &interpolation);
+    Ok(match sync {
+        SyncMethod::Nearest => interpolate(PairMethod::Nearest),
+        SyncMethod::Crossfade => interpolate(PairMethod::Crossfade),
+        SyncMethod::Triangulation => {
+            let triangles = field.get(&PairTriangles(pair_tracks), context)?;
+            interpolate(PairMethod::Triangulation(&triangles))
+        }
+        SyncMethod::Morph => interpolate(PairMethod::Morph { boosted: false }),
+        SyncMethod::EdgeMorph => interpolate(PairMethod::Morph { boosted: true }),
+        SyncMethod::Refined | SyncMethod::AllCameras => {
+            let triangles = field.get(&PairTriangles(pair_tracks), context)?;
+            let costs = RefinementCosts { tracks: pair_tracks, interpolation: &interpolation };
+            let costs = field.get(&costs, context)?;
+            let outer = |index: Option<usize>| {
+                let index = index.filter(|&k| k < times_s.len());
+                index.map(|k| frames.get(camera, k)).transpose()
+            };
+            let (before, after) = (outer(frame.checked_sub(1))?, outer(Some(later + 1))?);
+            let around = [before.as_deref(), after.as_deref()];
+            interpolate(PairMethod::Refined { triangles: &triangles, costs: &costs, around })
+        }
+    })
 }
 
 impl LightField {

@@ -6,7 +6,6 @@
 //! | [`AutoOptions`] | which methods the capture itself decides | [`crate::plan`] |
 
 mod auto;
-mod check;
 mod parse;
 mod presets;
 mod proxy;
@@ -78,8 +77,7 @@ impl RenderOptions {
     /// Refuses values outside of their ranges. To be called where options come from outside: a
     /// file, the command line, Python.
     pub fn check(&self) -> Result<(), OptionError> {
-        self.declared().iter().try_for_each(DeclaredOption::check)?;
-        self.check_undeclared()
+        self.declared().iter().try_for_each(DeclaredOption::check)
     }
 }
 
@@ -130,9 +128,6 @@ mod tests {
         let json = serde_json::to_value(RenderOptions::default()).unwrap();
         let mut paths = Vec::new();
         leaves(&json, "", &mut paths);
-        // Groups that are declared elsewhere still.
-        let elsewhere = ["interpolation"];
-        paths.retain(|path| !elsewhere.iter().any(|group| path.starts_with(group)));
         let options = RenderOptions::default().declared();
         let mut names: Vec<String> = options.iter().map(|o| o.name.clone()).collect();
         names.sort();
@@ -221,13 +216,7 @@ mod tests {
     fn the_schema_allows_all_presets_and_nothing_else() {
         let schema = RenderOptions::schema();
         for preset in Preset::ALL {
-            let mut options = serde_json::to_value(preset.options()).unwrap();
-            for group in ["registration", "interpolation", "blend"] {
-                options.as_object_mut().unwrap().remove(group);
-            }
-            for group in ["mesh", "depth"] {
-                options["proxy"].as_object_mut().unwrap().remove(group);
-            }
+            let options = serde_json::to_value(preset.options()).unwrap();
             assert!(allows(&schema, &options));
         }
         assert!(allows(&schema, &json!({"preset": "draft", "proxy": {"plane_depth_m": 2}})));

@@ -68,21 +68,10 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
     }
     if matches!(options.sync, SyncMethod::Morph | SyncMethod::EdgeMorph) {
         for grid_px in [4, 8] {
-            add(Box::new(move |o| o.interpolation.morph.grid_px = grid_px));
+            add(Box::new(move |o| o.interpolation.grid_px = grid_px));
         }
         for max_length_px in [12.0, 24.0, 48.0] {
-            add(Box::new(move |o| o.interpolation.edges.max_length_px = max_length_px));
-        }
-    }
-    if options.sync.of_one_camera() == SyncMethod::Refined {
-        for outer_share in [0.0, 1.0] {
-            add(Box::new(move |o| o.interpolation.refine.outer_share = outer_share));
-        }
-        for max_motions in [3, 6] {
-            add(Box::new(move |o| o.interpolation.refine.max_motions = max_motions));
-        }
-        for min_difference in [0.03, 0.06] {
-            add(Box::new(move |o| o.interpolation.refine.min_difference = min_difference));
+            add(Box::new(move |o| o.interpolation.max_edge_length_px = max_length_px));
         }
     }
     // A plane at a set depth needs no points.
@@ -126,14 +115,10 @@ pub fn name(options: &RenderOptions) -> String {
     say(features != default.registration.max_corners, format!("{features} features"));
     say(!options.interpolation.curved, "straight".into());
     say(options.interpolation.still_change > 0.0, "still cross-faded".into());
-    let grid = options.interpolation.morph.grid_px;
-    say(grid != default.interpolation.morph.grid_px, format!("grid {grid}"));
-    let longest = options.interpolation.edges.max_length_px;
-    say(longest != default.interpolation.edges.max_length_px, format!("L {longest}"));
-    let (own, refine) = (&options.interpolation.refine, &default.interpolation.refine);
-    say(own.outer_share != refine.outer_share, format!("outer {}", own.outer_share));
-    say(own.max_motions != refine.max_motions, format!("{} motions", own.max_motions));
-    say(own.min_difference != refine.min_difference, format!("above {}", own.min_difference));
+    let grid = options.interpolation.grid_px;
+    say(grid != default.interpolation.grid_px, format!("grid {grid}"));
+    let longest = options.interpolation.max_edge_length_px;
+    say(longest != default.interpolation.max_edge_length_px, format!("L {longest}"));
     let points = (options.proxy.cameras, options.proxy.partners);
     let differ = points != (default.proxy.cameras, default.proxy.partners);
     say(differ, format!("points {}x{}", points.0, points.1));

@@ -64,7 +64,7 @@ fn pixels() -> Done<Chart> {
             let swing = film(160 * scale, 120 * scale, 3);
             let swing = Swing { print, disparity_px: 4.0 * print, ..swing };
             let mut options = RenderOptions::default();
-            options.interpolation.edges.max_length_px *= print;
+            options.interpolation.max_edge_length_px *= print;
             Case { size: (swing.width * swing.height) as f64, swing, options }
         })
         .into();

@@ -10,8 +10,7 @@ use crate::naive;
 use nalgebra::{Matrix2, Point2, Point3, Vector2};
 use stlfr::camera::Camera;
 use stlfr::interpolation::{
-    Edge, EdgeOptions, Feature, MorphOptions, SyncMethod, edge_set, morph_warp, real_edges,
-    triangulation_warp,
+    Edge, Feature, SyncMethod, edge_set, morph_warp, real_edges, triangulation_warp,
 };
 use stlfr::light_field::{LightField, RenderError};
 use stlfr::lumigraph::{DepthEdges, Mesh, Plane, Proxy};
@@ -36,15 +35,14 @@ fn edge(a: Feature, b: Feature, mean_fitness: Option<f64>) -> Edge {
     Edge { ends: [a, b], mean_fitness }
 }
 
-/// The warp at every pixel, and that it is the formula's: exactly on its grid's points, with a grid of 1
-/// everywhere, and to within the tolerance where far edges count in clusters. Returns the exact one.
+/// The warp at every pixel, and that it is the formula's to within the tolerance of clusters: on its grid's
+/// points, with a grid of 1 everywhere. Returns the latter.
 #[track_caller]
-fn morphed(edges: &[Edge], options: &MorphOptions, bound_px: f64) -> Vec<Point2<f64>> {
+fn morphed(edges: &[Edge], boost: f64, bound_px: f64) -> Vec<Point2<f64>> {
     let mut all = Vec::new();
-    for (grid_px, tolerance_px) in [(4, 0.0), (1, 0.02), (1, 0.0)] {
-        let options = MorphOptions { grid_px, tolerance_px, ..options.clone() };
-        let bound_px = bound_px + tolerance_px;
-        let warp = morph_warp(edges, W, H, &options);
+    let bound_px = bound_px + naive::MORPH_TOLERANCE_PX;
+    for grid_px in [4, 1] {
+        let warp = morph_warp(edges, [W, H], boost, grid_px);
         all = warp.source.iter().map(|s| Point2::from(*s).cast::<f64>()).collect();
         for (k, found) in all.iter().enumerate() {
             let (x, y) = (k % W, k / W);
@@ -52,9 +50,9 @@ fn morphed(edges: &[Edge], options: &MorphOptions, bound_px: f64) -> Vec<Point2<
                 continue;
             }
             let at = Point2::new(x as f64 + 0.5, y as f64 + 0.5);
-            let exact = naive::morph(edges, at, &options).unwrap_or(at);
+            let exact = naive::morph(edges, at, boost).unwrap_or(at);
             let apart = (found - exact).norm();
-            assert!(apart <= bound_px, "{at}: {found}, must be {exact}: {apart}, {options:?}");
+            assert!(apart <= bound_px, "{at}: {found}, must be {exact}: {apart}, {boost}");
         }
     }
     all
@@ -66,8 +64,8 @@ fn at_pixel(warp: &[Point2<f64>], x: usize, y: usize) -> Vector2<f64> {
 
 #[test]
 fn no_feature_leaves_the_image_as_it_is() {
-    let edges = edge_set(&[], &[], true, W, H);
-    let warp = morphed(&edges, &MorphOptions::default(), 1e-4);
+    let edges = edge_set(&[], &[], W, H);
+    let warp = morphed(&edges, 4.0, 1e-4);
     for (x, y) in (0..H).flat_map(|y| (0..W).map(move |x| (x, y))) {
         assert!(at_pixel(&warp, x, y).norm() < 1e-4);
     }
@@ -80,10 +78,9 @@ fn one_feature_and_two_take_their_own_places_along() {
     let one = [feature([30.5, 20.5], [3.0, -2.0])];
     let two = [one[0], feature([60.5, 50.5], [-4.0, 1.0])];
     for features in [&one[..], &two[..]] {
-        let edges = edge_set(features, &[], true, W, H);
+        let edges = edge_set(features, &[], W, H);
         // Edges end in a feature; on it only they count, and all agree.
-        let options = MorphOptions { a: 0.0, ..MorphOptions::default() };
-        let warp = morphed(&edges, &options, 1e-3);
+        let warp = morphed(&edges, 4.0, 1e-3);
         let triangles = triangulation_warp(features, W, H);
         for f in features {
             let (x, y) = (f.target.x as usize, f.target.y as usize);
@@ -127,12 +124,12 @@ fn one_and_two_features_show_no_offset_and_no_shape() {
 fn all_features_on_one_line() {
     let line: Vec<Feature> =
         (0..9).map(|k| feature([8.5 + 10.0 * f64::from(k), 36.5], [0.0, 2.0])).collect();
-    let edges = edge_set(&line, &[], true, W, H);
+    let edges = edge_set(&line, &[], W, H);
     assert!(edges.len() >= 8 + 4, "between neighbours, and around the image: {}", edges.len());
-    let options = MorphOptions { a: 0.0, ..MorphOptions::default() };
-    let warp = morphed(&edges, &options, 1e-3);
+    let warp = morphed(&edges, 4.0, 1e-3);
     for x in 8..=88 {
-        assert!((at_pixel(&warp, x, 36) - Vector2::new(0.0, 2.0)).norm() < 1e-3, "on the line");
+        // Edges on the line outweigh each of the others, which are 5 px away or more, by 1e4.
+        assert!((at_pixel(&warp, x, 36) - Vector2::new(0.0, 2.0)).norm() < 1e-2, "on the line");
     }
     // Points on a line leave a plane free to turn about it: it goes through them all the same.
     let camera = view(&Scene::default().camera([0.0; 3]));
@@ -162,9 +159,9 @@ fn assert_depth(points: &[Point3<f64>], camera: &Camera, depth_m: f32) {
 fn all_features_in_one_place() {
     let one = feature([40.5, 30.5], [2.0, 1.0]);
     let (single, many) = (vec![one], vec![one; 50]);
-    let of = |features: &[Feature]| edge_set(features, &[], true, W, H);
+    let of = |features: &[Feature]| edge_set(features, &[], W, H);
     assert_eq!(of(&single), of(&many), "of vertices at one place the first stays");
-    morphed(&of(&many), &MorphOptions::default(), 1e-3);
+    morphed(&of(&many), 4.0, 1e-3);
     assert_eq!(triangulation_warp(&single, W, H), triangulation_warp(&many, W, H));
     let camera = view(&Scene::default().camera([0.0; 3]));
     assert_depth(&[Point3::new(0.1, 0.05, 2.0); 30], &camera, 2.0);
@@ -278,17 +275,13 @@ fn zero_gradient_in_equation_6() {
         let mut random = Random::new(9);
         Image::from_data(W, H, 1, (0..W * H).map(|_| random.unit() as f32).collect())
     };
-    let options = EdgeOptions { min_fitness: 0.01, max_length_px: 60.0, ..Default::default() };
+    let max_length_px = 60.0;
     let (a, b) = (Point2::new(48.0, 5.0), Point2::new(48.0, 25.0));
     let below = [Point2::new(48.0, 45.0), Point2::new(48.0, 65.0)];
     let across = [Point2::new(48.0, 20.0), Point2::new(48.0, 60.0)];
-    assert_eq!(naive::fitness(&flat, a, b, &options), (0.0, 0.0));
-    assert_eq!(naive::fitness(&step, below[0], below[1], &options), (0.0, 0.0));
-    assert_eq!(
-        naive::fitness(&step, across[0], across[1], &options).0,
-        0.0,
-        "the minimum along it"
-    );
+    assert_eq!(naive::fitness(&flat, a, b), (0.0, 0.0));
+    assert_eq!(naive::fitness(&step, below[0], below[1]), (0.0, 0.0));
+    assert_eq!(naive::fitness(&step, across[0], across[1]).0, 0.0, "the minimum along it");
 
     let mut edges = 0;
     let mut random = Random::new(10);
@@ -305,14 +298,14 @@ fn zero_gradient_in_equation_6() {
                 2 => across,
                 _ => [place(&mut random), place(&mut random)],
             };
-            if (q - p).norm() < 1.0 || (q - p).norm() > options.max_length_px {
+            if (q - p).norm() < 1.0 || (q - p).norm() > max_length_px {
                 continue;
             }
             let ends = [p, q].map(|p| Feature { source: p, other: p, target: p });
-            let found = real_edges(&ends, level, level, &options);
-            let (min, mean) = naive::fitness(image, p, q, &options);
-            if (min - options.min_fitness).abs() > 1e-6 {
-                assert_eq!(found.len(), usize::from(min > options.min_fitness), "{p} {q}");
+            let found = real_edges(&ends, level, level, max_length_px);
+            let (min, mean) = naive::fitness(image, p, q);
+            if (min - naive::MIN_FITNESS).abs() > 1e-6 {
+                assert_eq!(found.len(), usize::from(min > naive::MIN_FITNESS), "{p} {q}");
             }
             for edge in found {
                 edges += 1;
@@ -336,62 +329,42 @@ fn scattered(random: &mut Random, fitness: impl Fn(usize) -> Option<f64>) -> Vec
 fn f_max_equals_f_min_in_equation_8() {
     let alike = scattered(&mut Random::new(11), |_| Some(0.37));
     let virtual_ones = scattered(&mut Random::new(11), |_| None);
-    for b in [2.0, 4.0, 2.5] {
-        let options = MorphOptions { b, tau: 32.0, ..MorphOptions::default() };
-        let boosted = morphed(&alike, &options, 2e-3);
-        let unboosted = morphed(&virtual_ones, &options, 2e-3);
-        assert_eq!(boosted, unboosted, "a range of nothing boosts nothing");
-    }
+    let boosted = morphed(&alike, 32.0, 2e-3);
+    let unboosted = morphed(&virtual_ones, 32.0, 2e-3);
+    assert_eq!(boosted, unboosted, "a range of nothing boosts nothing");
     // A single real edge is both the fittest and the least fit.
     let one = scattered(&mut Random::new(11), |k| (k == 3).then_some(0.2));
-    let options = MorphOptions { tau: 32.0, ..MorphOptions::default() };
-    assert_eq!(morphed(&one, &options, 2e-3), morphed(&virtual_ones, &options, 2e-3));
+    assert_eq!(morphed(&one, 32.0, 2e-3), morphed(&virtual_ones, 32.0, 2e-3));
 }
 
 #[test]
-fn a_of_zero_with_a_pixel_on_the_line_in_equation_7() {
+fn a_pixel_on_the_line_in_equation_7() {
     let upright = edge(feature([20.5, 10.5], [2.0, 0.0]), feature([20.5, 60.5], [2.0, 0.0]), None);
     let level = edge(feature([10.5, 40.5], [0.0, -4.0]), feature([80.5, 40.5], [0.0, -4.0]), None);
-    for b in [1.0, 2.0, 3.0, 4.0, 8.0, 32.0] {
-        let options = MorphOptions { a: 0.0, b, tau: 0.0, ..MorphOptions::default() };
-        let warp = morphed(&[upright, level], &options, 2e-3);
-        // Weights are infinite in the formula; the nearest that is told apart is 1e-3 px away. From
-        // the other edge's 10 px it outweighs by 1e4^b.
-        let alone = 10.0 * 1e4_f64.powf(-b) + 1e-4;
-        assert!((at_pixel(&warp, 20, 20) - Vector2::new(2.0, 0.0)).norm() < alone.max(2e-3));
-        assert!((at_pixel(&warp, 60, 40) - Vector2::new(0.0, -4.0)).norm() < alone.max(2e-3));
-        // On both, both count the same.
-        assert!((at_pixel(&warp, 20, 40) - Vector2::new(1.0, -2.0)).norm() < 1e-3);
-    }
+    let warp = morphed(&[upright, level], 0.0, 2e-3);
+    // From the other edge's 20 px it outweighs by 1e6.
+    assert!((at_pixel(&warp, 20, 20) - Vector2::new(2.0, 0.0)).norm() < 2e-3);
+    assert!((at_pixel(&warp, 60, 40) - Vector2::new(0.0, -4.0)).norm() < 2e-3);
+    // On both, both count the same.
+    assert!((at_pixel(&warp, 20, 40) - Vector2::new(1.0, -2.0)).norm() < 1e-3);
 }
 
 #[test]
-fn b_and_tau_from_0_to_32() {
+fn boosts_from_0_to_32() {
     let mut random = Random::new(12);
     let edges = scattered(&mut random, |k| (k % 3 == 0).then_some(0.1 + 0.02 * k as f64));
     let shifted: Vec<Edge> = edges
         .iter()
         .map(|e| Edge { ends: e.ends.map(|f| feature(f.target.into(), [3.0, -2.0])), ..*e })
         .collect();
-    for b in [0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 8.0, 16.0, 32.0] {
-        for (tau, rho, a) in [(0.0, 0.0, 0.5), (10.0, 0.0, 0.5), (32.0, 0.0, 0.0), (32.0, 1.0, 1.0)]
-        {
-            let options = MorphOptions { a, b, rho, tau, grid_px: 1, tolerance_px: 0.0 };
-            // A fraction b of the distance's rounding, times how differently the edges move.
-            morphed(&edges, &options, 2e-3 + 1e-3 * b);
-            for (x, y) in [(0, 0), (50, 40), (95, 71)] {
-                let warp = morphed(&shifted, &options, 1e-3);
-                let moved = at_pixel(&warp, x, y);
-                assert!((moved - Vector2::new(3.0, -2.0)).norm() < 1e-3, "whatever the weights");
-            }
+    for boost in [0.0, 4.0, 10.0, 32.0] {
+        morphed(&edges, boost, 6e-3);
+        let warp = morphed(&shifted, boost, 1e-3);
+        for (x, y) in [(0, 0), (50, 40), (95, 71)] {
+            let moved = at_pixel(&warp, x, y);
+            assert!((moved - Vector2::new(3.0, -2.0)).norm() < 1e-3, "whatever the weights");
         }
     }
-    // Nothing falls with the distance: the mean of all edges, wherever.
-    let flat = MorphOptions { a: 0.5, b: 0.0, rho: 0.0, tau: 0.0, grid_px: 1, tolerance_px: 0.0 };
-    let ends = [[3.0, 0.0], [-1.0, 2.0]]
-        .map(|moved| edge(feature([20.5, 20.5], moved), feature([30.5, 20.5], moved), Some(0.1)));
-    let warp = morphed(&ends, &flat, 1e-3);
-    assert!((at_pixel(&warp, 90, 60) - Vector2::new(1.0, 1.0)).norm() < 1e-3);
 }
 
 #[test]
@@ -411,16 +384,12 @@ fn edges_of_zero_length_and_of_the_images() {
         edge(still(0.0, 0.0), still(w, h), Some(0.15)),
         edge(still(0.0, h), still(w, 0.0), None),
     ];
-    for options in [
-        MorphOptions::default(),
-        MorphOptions { rho: 1.0, b: 4.0, ..MorphOptions::default() },
-        MorphOptions { b: 8.0, a: 0.0, ..MorphOptions::default() },
-    ] {
-        assert_eq!(morphed(&with_points, &options, 1e-2), morphed(&some, &options, 1e-2));
+    for boost in [0.0, 4.0, 32.0] {
+        assert_eq!(morphed(&with_points, boost, 1e-2), morphed(&some, boost, 1e-2));
         let long = [&some[..], &sides[..]].concat();
-        morphed(&long, &options, 1e-2);
+        morphed(&long, boost, 1e-2);
         // Alone, they hold everything where it is.
-        let warp = morphed(&sides, &options, 1e-4);
+        let warp = morphed(&sides, boost, 1e-4);
         assert!(at_pixel(&warp, 7, 65).norm() < 1e-4);
     }
 }

@@ -8,7 +8,7 @@
 //! | geometry: coincident cameras, epipoles, infinity, planes through centres, lenses | [`geometry`] | `tests/robustness.rs` (motion along the epipolar lines, odd views) |
 //! | data: none to two features, lines, duplicates, outliers, flat images, eqs. (6) to (8) | [`data`] | `interpolation::{edges, edge_set, morph, refine}`, `offset::{consensus, mixture}`, `lumigraph::mesh` |
 //! | size: pixels, cameras, frames, edges | [`size`] | `tests/bench/growth.rs` (the largest, and how cost grows) |
-//! | precision: f32 against f64 with bounds, no NaN | [`precision`] | `registration::{klt, simd, corners}`, `lumigraph::{tests, weights, sample}`, `interpolation::windows` |
+//! | precision: f32 against f64 with bounds, no NaN | [`precision`] | `registration::{klt, simd, corners}`, `lumigraph::{tests, weights, sample}`, `interpolation::warp` |
 //! | random captures and options | [`random`] | `tests/robustness.rs` (captures of anything), `tests/fuzz` (every parser) |
 //!
 //! [`naive`] holds the formulas that fast code is compared with.

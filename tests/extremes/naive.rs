@@ -2,16 +2,24 @@
 //! the fast code.
 
 use nalgebra::{Point2, Vector2};
-use stlfr::interpolation::{Edge, EdgeOptions, MorphOptions};
+use stlfr::interpolation::Edge;
 use stlfr::raster::Image;
 
-/// A distance from an edge below this counts as this, and an edge that is shorter is passed over, as
-/// `morph` documents it.
+/// An edge that is shorter is passed over, as `morph` documents it.
 const MIN_PX: f64 = 1e-3;
+/// a and b of eq. (7), β of eq. (6) and the distance of its samples, pixels.
+const A_PX: f64 = 0.5;
+const B: f64 = 4.0;
+const BETA: f64 = 0.05;
+const SAMPLE_STEP_PX: f64 = 2.0;
+/// The minimum fitness of a real edge.
+pub const MIN_FITNESS: f64 = 0.08;
+/// How far the morph may be off, pixels, because far edges count in clusters.
+pub const MORPH_TOLERANCE_PX: f64 = 0.02;
 
 /// Where Beier and Neely's morph, eqs. (7) and (8), takes a pixel of the image from. `None` without
 /// any edge that has a direction.
-pub fn morph(edges: &[Edge], at: Point2<f64>, o: &MorphOptions) -> Option<Point2<f64>> {
+pub fn morph(edges: &[Edge], at: Point2<f64>, boost: f64) -> Option<Point2<f64>> {
     let fitness = || edges.iter().filter_map(|e| e.mean_fitness);
     let min = fitness().fold(f64::INFINITY, f64::min);
     let range = fitness().fold(f64::NEG_INFINITY, f64::max) - min;
@@ -33,11 +41,11 @@ pub fn morph(edges: &[Edge], at: Point2<f64>, o: &MorphOptions) -> Option<Point2
             u if u > 1.0 => (at - q).norm(),
             _ => v.abs(),
         };
-        let boost = edge.mean_fitness.map_or(0.0, |f| {
+        let log_boost = edge.mean_fitness.map_or(0.0, |f| {
             let ratio = if range > 0.0 { (f - min) / range } else { 0.0 };
-            o.tau * (1.0 + ratio).ln()
+            boost * (1.0 + ratio).ln()
         });
-        let log_weight = o.b * (o.rho * length.ln() - (o.a + distance).max(MIN_PX).ln()) + boost;
+        let log_weight = log_boost - B * (A_PX + distance).ln();
         found.push((log_weight, taken - at));
     }
     let largest = found.iter().map(|f| f.0).fold(f64::NEG_INFINITY, f64::max);
@@ -66,17 +74,17 @@ pub fn gradient(image: &Image, x: usize, y: usize) -> Vector2<f64> {
 }
 
 /// Eq. (6), which is a minimum along a segment of a pixel or more, and the mean along it.
-pub fn fitness(image: &Image, a: Point2<f64>, b: Point2<f64>, o: &EdgeOptions) -> (f64, f64) {
+pub fn fitness(image: &Image, a: Point2<f64>, b: Point2<f64>) -> (f64, f64) {
     let line = b - a;
     let normal = Vector2::new(-line.y, line.x).normalize();
-    let steps = (line.norm() / o.sample_step_px).ceil().max(1.0) as usize;
+    let steps = (line.norm() / SAMPLE_STEP_PX).ceil().max(1.0) as usize;
     let values: Vec<f64> = (0..=steps)
         .map(|k| {
             let p = a + line * (k as f64 / steps as f64);
             let inside = |v: f64, size: usize| (v.max(0.0) as usize).min(size - 1);
             let g = gradient(image, inside(p.x, image.width()), inside(p.y, image.height()));
             let across = if g.norm() > 0.0 { g.dot(&normal).abs() / g.norm() } else { 0.0 };
-            g.norm() + o.beta * across
+            g.norm() + BETA * across
         })
         .collect();
     let min = values.iter().copied().fold(f64::INFINITY, f64::min);

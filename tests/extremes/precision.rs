@@ -1,7 +1,7 @@
 //! f32 kernels against f64 references with stated bounds, over random inputs and the ends of their
 //! ranges. (Private ones stand beside the code: the tracker's sums and registers in
 //! `registration::klt` and `simd`, corners in `corners`, the blend and its weights in
-//! `lumigraph::tests` and `weights`, windows in `interpolation::windows`.)
+//! `lumigraph::tests` and `weights`, windows in `interpolation::warp`.)
 
 use crate::common::swing::Swing;
 use crate::common::wall::{FRAME_S, Scene, estimate, field_of, open, view};
@@ -11,7 +11,7 @@ use std::sync::Arc;
 use stlfr::camera::Camera;
 use stlfr::interpolation::SyncMethod;
 use stlfr::interpolation::Synchronized;
-use stlfr::interpolation::{Edge, Feature, MorphOptions, Warp, cross_dissolve, morph_warp};
+use stlfr::interpolation::{Edge, Feature, Warp, cross_dissolve, morph_warp};
 use stlfr::light_field::{Context, GivenImages, Images, LightField, Request, Viewpoint, render};
 use stlfr::lumigraph::BlendMethod;
 use stlfr::lumigraph::Rendered;
@@ -84,7 +84,7 @@ fn warps_and_their_cross_fade() {
             Warp { width: w, height: h, source }
         });
         for fraction in [0.0, 0.3, 1.0] {
-            let found = cross_dissolve([&frames[0], &frames[1]], [&warps[0], &warps[1]], fraction);
+            let found = cross_dissolve(frames.each_ref(), warps.each_ref(), fraction, None);
             for (at, v) in found.data().iter().enumerate() {
                 let [a, b] = [0, 1].map(|n| {
                     let [x, y] = warps[n].source[at / channels];
@@ -102,8 +102,7 @@ fn warps_and_their_cross_fade() {
 #[test]
 fn the_morphs_field_to_a_hundredth_of_a_pixel() {
     let mut random = Random::new(3);
-    for (w, h, b) in [(8192, 3, 2.0), (8192, 3, 4.0), (3, 4320, 4.0), (64, 48, 3.0), (64, 48, 6.5)]
-    {
+    for (w, h, boost) in [(8192, 3, 0.0), (8192, 3, 4.0), (3, 4320, 4.0), (64, 48, 10.0)] {
         let place = |r: &mut Random| {
             let target = Point2::new(r.in_range(0.0, w as f64), r.in_range(0.0, h as f64));
             let moved = Vector2::new(5.0 * (0.01 * target.x).sin(), 3.0 * (0.02 * target.x).cos());
@@ -121,11 +120,10 @@ fn the_morphs_field_to_a_hundredth_of_a_pixel() {
                 Edge { ends: [a, b], mean_fitness: (k % 3 == 0).then_some(0.1 + 0.01 * k as f64) }
             })
             .collect();
-        let options = MorphOptions { b, grid_px: 1, tolerance_px: 0.0, ..MorphOptions::default() };
-        let warp = morph_warp(&edges, w, h, &options);
+        let warp = morph_warp(&edges, [w, h], boost, 1);
         for k in (0..w * h).step_by(7) {
             let at = Point2::new((k % w) as f64 + 0.5, (k / w) as f64 + 0.5);
-            let exact = naive::morph(&edges, at, &options).expect("there are edges");
+            let exact = naive::morph(&edges, at, boost).expect("there are edges");
             let found = Point2::from(warp.source[k]).cast::<f64>();
             assert!((found - exact).norm() < 0.01, "{at}: {found} {exact}");
         }

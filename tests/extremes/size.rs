@@ -10,7 +10,7 @@ use crate::naive;
 use nalgebra::{Point2, Vector2};
 use std::sync::Arc;
 use stlfr::capture::Capture;
-use stlfr::interpolation::{Feature, MorphOptions, SyncMethod, edge_set, morph_warp};
+use stlfr::interpolation::{Feature, SyncMethod, edge_set, morph_warp};
 use stlfr::lumigraph::{BlendOptions, Plane, Proxy, Source, blend};
 use stlfr::offset::{self, Offsets};
 use stlfr::options::RenderOptions;
@@ -254,18 +254,18 @@ fn a_hundred_thousand_edges() {
             Feature { source: target + moved(target), other: target - moved(target), target }
         })
         .collect();
-    let edges = edge_set(&features, &[], true, w, h);
+    let edges = edge_set(&features, &[], w, h);
     assert!(edges.len() > 100_000, "{}", edges.len());
-    let options = MorphOptions { grid_px: 256, ..MorphOptions::default() };
-    let warp = morph_warp(&edges, w, h, &options);
+    let warp = morph_warp(&edges, [w, h], 4.0, 256);
     for k in [0, 1000, 33_333] {
         // A grid point next to a feature.
         let p = features[k].target;
         let (x, y) = (p.x as usize / 256 * 256, p.y as usize / 256 * 256);
         let at = Point2::new(x as f64 + 0.5, y as f64 + 0.5);
         let found = Point2::from(warp.source[y * w + x]).cast::<f64>();
-        let exact = naive::morph(&edges, at, &options).expect("there are edges");
-        assert!((found - exact).norm() < 0.01 + options.tolerance_px, "{at}: {found} {exact}");
+        let exact = naive::morph(&edges, at, 4.0).expect("there are edges");
+        let bound_px = 0.01 + naive::MORPH_TOLERANCE_PX;
+        assert!((found - exact).norm() < bound_px, "{at}: {found} {exact}");
         assert!(x == 0 || y == 0 || (found - at - moved(at)).norm() < 0.5, "{at}: {found}");
     }
 }

@@ -1,73 +1,71 @@
-//! Far edges counted in clusters: a treecode (Barnes and Hut 1986).
+//! A treecode (Barnes and Hut 1986) for the sums of eq. (7): far edges are approximated by clusters.
 //!
-//! Displacements are linear in the place, so that the sum of a cluster's is one linear map. What differs is
-//! the edges' weights: their distances from a place are within the cluster's radius of the distance from its
-//! centre. So a cluster counts as one edge of no length at its centre, with the sum of the strengths.
+//! Displacements are linear in the position, so that the sum of a cluster's displacements is one linear map.
+//! Only the edges' weights are approximated: a cluster has the weight of one edge of no length at its centre,
+//! with the sum of the strengths.
 //!
-//! **The error.** With `e` the largest error of a cluster's weight, `d` an edge's displacement, `D′` the mean that
-//! the clusters give, and `W` the exact sum of weights, the mean is off by at most Σ strength·e·|d − D′| / W. With `W′`
-//! the sum that the clusters give, and `D₀` a fixed displacement near the tile, so that a cluster's part of the sum is
-//! known without its edges:
+//! **The error.** Let `e` be the largest error of a cluster's weight, `d` an edge's displacement, `D′` the
+//! approximate mean, and `W` the exact sum of weights. Then the error of the mean is at most
+//! Σ strength·e·|d − D′| / W. With the approximate sum of weights `W′`, and a fixed displacement `D₀` near the
+//! tile, the bound needs no single edge:
 //!
 //! ```text
 //! error ≤ (P + Q·|D′ − D₀|) / (W′ − Q),   P = Σ strength·e·|d − D₀|,   Q = Σ strength·e
 //! ```
 //!
-//! Clusters with the largest part are opened until that is at most [`MorphOptions::tolerance_px`] at every node of a
-//! tile.
+//! The clusters with the largest terms are opened until the bound is at most [`TOLERANCE_PX`] at every node of
+//! a tile.
 //!
 //! Known limit: the bound leaves out the rounding of f32, about 1e-4 px.
 
-use super::MorphOptions;
-use super::line::{LANES, Line, MIN_DISTANCE_PX, Sums, integer_power, sums};
+use super::{A_PX, LANES, Line, WarpSums, line_sums};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::ops::Range;
 
-/// A cluster is far from a tile at this many times its radius. Larger: more edges count one by one; smaller: clusters
-/// that are opened anyway are tried first.
+/// Maximum error of a displacement, pixels.
+pub(super) const TOLERANCE_PX: f64 = 0.02;
+/// Distance, in radii, from which a cluster may stand for its edges.
 const FAR_RADII: f64 = 2.0;
-/// Largest number of edges of a cluster that is not split. Larger: more far edges count one by one; smaller: the
-/// tree is larger than the edges.
-const LEAF: usize = 8;
+/// Maximum number of edges of a leaf.
+const LEAF_SIZE: usize = 8;
 
-/// A cluster of edges: a node of a binary tree over their middles.
+/// A cluster of edges: a node of a binary tree over their midpoints.
 struct Cluster {
-    /// As one edge: `p` is its centre.
+    /// The approximating edge; `p` is the cluster's centre.
     line: Line,
-    /// How far the ends of its edges are from the centre at most, pixels.
+    /// Maximum distance of the edges' ends from the centre, pixels.
     radius: f64,
-    /// Σ strength·|displacement at the centre − their mean|.
+    /// Σ strength·|displacement at the centre − mean displacement|.
     deviation: f64,
     /// Σ strength·‖linear part of the displacement‖.
     slope: f64,
-    /// Its edges, by their order in [`Clusters::lines`].
+    /// The edges' range in [`Clusters::lines`].
     range: Range<usize>,
-    /// Its two parts, by index. `None` for a leaf.
-    parts: Option<[usize; 2]>,
+    /// Indices of the children; `None` for a leaf.
+    children: Option<[usize; 2]>,
 }
 
-/// All edges in clusters; the last is the whole.
+/// The tree of clusters; the last cluster is the root.
 pub(super) struct Clusters {
     lines: Vec<Line>,
     clusters: Vec<Cluster>,
-    power: i32,
 }
 
-/// Nodes that share one selection of clusters: their coordinates.
+/// Coordinates of the grid's nodes that share one selection of clusters.
 pub(super) struct Tile {
     pub xs: [f32; LANES],
     pub ys: Vec<f32>,
-    /// How many of `xs` are nodes of the grid.
+    /// Number of `xs` that are nodes of the grid.
     pub lanes: usize,
 }
 
 impl Tile {
-    /// The minimum and the maximum distance of the tile's nodes from a point: bounds.
+    /// Bounds of the nodes' distances from a point: minimum and maximum.
     fn distances(&self, [px, py]: [f32; 2]) -> (f64, f64) {
         let along = |first: f32, last: f32, p: f32| {
-            let (before, behind) = (f64::from(first - p), f64::from(p - last));
-            (before.max(behind).max(0.0), before.abs().max(behind.abs()))
+            let (before, after) = (f64::from(first - p), f64::from(p - last));
+            (before.max(after).max(0.0), before.abs().max(after.abs()))
         };
         let (near_x, far_x) = along(self.xs[0], self.xs[self.lanes - 1], px);
         let (near_y, far_y) = along(self.ys[0], self.ys[self.ys.len() - 1], py);
@@ -75,14 +73,14 @@ impl Tile {
     }
 }
 
-/// A cluster that counts as one edge, for a tile.
+/// A cluster that approximates its edges at a tile.
 struct FarCluster {
     cluster: usize,
-    /// Its parts of P and Q, and the minimum weight of its edges.
+    /// Its terms of P and Q, and its minimum weight.
     p: f64,
     q: f64,
     weight: f64,
-    /// Its part of the bound's numerator, where the mean is as far from D₀ as is expected.
+    /// Its term of the bound's numerator, at the expected distance of the mean from D₀.
     bound: f64,
 }
 
@@ -107,26 +105,23 @@ impl Ord for FarCluster {
 }
 
 impl Clusters {
-    /// `None` where every edge is to count by itself: no tolerance, or exponents that are computed otherwise.
-    pub fn new(lines: &[Line], options: &MorphOptions) -> Option<Self> {
-        let power = integer_power(options).filter(|_| options.tolerance_px > 0.0)?;
-        let mut places: Vec<Place> =
-            (0..lines.len()).map(|line| Place { middle: middle(&lines[line]), line }).collect();
+    pub fn new(lines: &[Line]) -> Self {
+        let midpoint = |(line, l): (usize, &Line)| Midpoint { at: midpoint(l), line };
+        let mut midpoints: Vec<Midpoint> = lines.iter().enumerate().map(midpoint).collect();
         let mut nodes = Vec::with_capacity(lines.len() / 2);
-        split(&mut places, 0, &mut nodes);
-        let lines: Vec<Line> = places.iter().map(|place| lines[place.line]).collect();
-        let cluster = |(range, parts): (Range<usize>, _)| {
-            Cluster::new(&lines[range.clone()], &places[range.clone()], range, parts)
+        split(&mut midpoints, 0, &mut nodes);
+        let lines: Vec<Line> = midpoints.iter().map(|m| lines[m.line]).collect();
+        let cluster = |(range, children): (Range<usize>, _)| {
+            Cluster::new(&lines[range.clone()], &midpoints[range.clone()], range, children)
         };
         let clusters = nodes.into_iter().map(cluster).collect();
-        Some(Self { lines, clusters, power })
+        Self { lines, clusters }
     }
 
     /// The sums of eq. (7) at the nodes of a tile, row by row.
-    pub fn sums(&self, tile: &Tile, options: &MorphOptions) -> Vec<Sums> {
-        let a = options.a as f32;
-        let at = |lines: &[Line]| -> Vec<Sums> {
-            tile.ys.iter().map(|&y| sums(lines, &tile.xs, y, a, self.power)).collect()
+    pub fn sums(&self, tile: &Tile) -> Vec<WarpSums> {
+        let at = |lines: &[Line]| -> Vec<WarpSums> {
+            tile.ys.iter().map(|&y| line_sums(lines, &tile.xs, y)).collect()
         };
         let root = self.clusters.len() - 1;
         let (mut near, mut far) = (Vec::new(), Vec::new());
@@ -135,31 +130,31 @@ impl Clusters {
         let central = by_near[tile.ys.len() / 2].means()[tile.lanes / 2];
         let is_near = central.iter().all(|v| v.is_finite());
         let reference = if is_near { central } else { self.clusters[root].line.shift };
-        let first = Nodes::of(&by_near, tile, reference);
+        let first = NodeBounds::of(&by_near, tile, reference);
         let far_cluster =
-            |cluster: usize| self.far_cluster(cluster, tile, reference, first.farthest, options);
+            |cluster: usize| self.far_cluster(cluster, tile, reference, first.farthest);
         let mut far: BinaryHeap<FarCluster> = far.into_iter().map(far_cluster).collect();
 
         let mut opened = Vec::new();
-        let mut budget = options.tolerance_px;
+        let mut budget = TOLERANCE_PX;
         loop {
             let (mut bound, mut weight) = (0.0, first.weight);
             for cluster in &far {
                 bound += cluster.bound;
                 weight += cluster.weight - cluster.q;
             }
-            // Also where rounding left no number.
+            // Negated, so that NaN opens clusters too.
             while !(bound <= budget * weight) {
                 let Some(open) = far.pop() else { break };
                 bound -= open.bound;
                 weight -= open.weight - open.q;
                 let cluster = &self.clusters[open.cluster];
-                match cluster.parts {
-                    Some(parts) => {
-                        for part in parts.map(far_cluster) {
-                            bound += part.bound;
-                            weight += part.weight - part.q;
-                            far.push(part);
+                match cluster.children {
+                    Some(children) => {
+                        for child in children.map(far_cluster) {
+                            bound += child.bound;
+                            weight += child.weight - child.q;
+                            far.push(child);
                         }
                     }
                     None => {
@@ -170,154 +165,143 @@ impl Clusters {
             }
             let mut others = opened.clone();
             others.extend(far.iter().map(|c| self.clusters[c.cluster].line));
-            let found: Vec<Sums> =
+            let all: Vec<WarpSums> =
                 by_near.iter().zip(at(&others)).map(|(near, other)| near.plus(&other)).collect();
             let (p, q) = far.iter().fold((0.0, 0.0), |(p, q), c| (p + c.p, q + c.q));
-            let nodes = Nodes::of(&found, tile, reference);
-            let is_within = p + q * nodes.farthest <= options.tolerance_px * (nodes.weight - q);
+            let nodes = NodeBounds::of(&all, tile, reference);
+            let is_within = p + q * nodes.farthest <= TOLERANCE_PX * (nodes.weight - q);
             if far.is_empty() || is_within {
-                return found;
+                return all;
             }
             // The mean is farther from D₀ than was expected.
             budget *= 0.5;
         }
     }
 
-    /// Parts a cluster into edges that are near to the tile and clusters that aren't.
+    /// Splits a cluster into edges near the tile and clusters far from it.
     fn near(&self, k: usize, tile: &Tile, near: &mut Vec<Line>, far: &mut Vec<usize>) {
         let cluster = &self.clusters[k];
         let (min, _) = tile.distances(cluster.line.p);
         if min > FAR_RADII * cluster.radius {
             return far.push(k);
         }
-        match cluster.parts {
-            Some(parts) => parts.iter().for_each(|&part| self.near(part, tile, near, far)),
+        match cluster.children {
+            Some(children) => children.iter().for_each(|&child| self.near(child, tile, near, far)),
             None => near.extend(&self.lines[cluster.range.clone()]),
         }
     }
 
-    /// What a cluster that counts as one adds to the bound. The mean displacement is expected within
-    /// `farthest` of the reference.
-    fn far_cluster(
-        &self,
-        k: usize,
-        tile: &Tile,
-        reference: [f32; 2],
-        farthest: f64,
-        options: &MorphOptions,
-    ) -> FarCluster {
+    /// A cluster's terms of the bound, if the mean displacement is within `farthest` of the reference.
+    fn far_cluster(&self, k: usize, tile: &Tile, reference: [f32; 2], farthest: f64) -> FarCluster {
         let cluster = &self.clusters[k];
         let line = &cluster.line;
         let strength = f64::from(line.strength);
-        let weight = |distance: f64| {
-            (options.a + distance).max(f64::from(MIN_DISTANCE_PX)).powi(-self.power)
-        };
+        let weight = |distance: f64| (f64::from(A_PX) + distance).powi(-4);
         let (min, max) = tile.distances(line.p);
-        // The weight is convex and falls with distance: it is off the most towards the tile, and from its nearest
-        // node, or from one that the cluster reaches.
+        // The weight is convex and decreases with distance, so that its error is largest at the nearest node.
         let error = weight((min - cluster.radius).max(0.0)) - weight(min.max(cluster.radius));
-        let apart = apart(line.shift, reference);
-        let p = error * (strength * apart + cluster.deviation + cluster.slope * max);
+        let from_reference = distance(line.shift, reference);
+        let p = error * (strength * from_reference + cluster.deviation + cluster.slope * max);
         let q = error * strength;
         let weight = strength * weight(max + cluster.radius);
         FarCluster { cluster: k, p, q, weight, bound: p + q * farthest }
     }
 }
 
-/// What a selection gives at the nodes of a tile.
-struct Nodes {
-    /// The least sum of weights.
+/// Extremes of the sums over the nodes of a tile.
+struct NodeBounds {
+    /// The minimum sum of weights.
     weight: f64,
-    /// The largest distance of a displacement from the reference, pixels.
+    /// The maximum distance of a displacement from the reference, pixels.
     farthest: f64,
 }
 
-impl Nodes {
-    fn of(rows: &[Sums], tile: &Tile, reference: [f32; 2]) -> Self {
+impl NodeBounds {
+    fn of(rows: &[WarpSums], tile: &Tile, reference: [f32; 2]) -> Self {
         let (mut weight, mut farthest) = (f64::INFINITY, 0.0_f64);
         for row in rows {
             for (d, w) in row.means().iter().zip(row.weights).take(tile.lanes) {
                 weight = weight.min(f64::from(w));
-                farthest = farthest.max(if w > 0.0 { apart(*d, reference) } else { 0.0 });
+                farthest = farthest.max(if w > 0.0 { distance(*d, reference) } else { 0.0 });
             }
         }
         Self { weight, farthest }
     }
 }
 
-/// Where an edge's middle is, pixels, and its index among the lines.
-struct Place {
-    middle: [f64; 2],
+/// An edge's midpoint, pixels, and its index among the lines.
+struct Midpoint {
+    at: [f64; 2],
     line: usize,
 }
 
-/// Orders the edges so that every cluster's are neighbours, and adds the cluster of all after its parts: which
-/// edges it has, the first of all being number `first`, and its parts. Its index.
+/// Builds the tree over these edges by median splits. It orders them so that those of each cluster are
+/// contiguous, and appends each cluster's range, which starts at `first`, and children. Returns the root.
 fn split(
-    places: &mut [Place],
+    midpoints: &mut [Midpoint],
     first: usize,
     nodes: &mut Vec<(Range<usize>, Option<[usize; 2]>)>,
 ) -> usize {
-    let range = first..first + places.len();
-    let parts = (places.len() > LEAF).then(|| {
+    let range = first..first + midpoints.len();
+    let children = (midpoints.len() > LEAF_SIZE).then(|| {
         let (mut min, mut max) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         for axis in [0, 1] {
-            for place in places.iter() {
-                min[axis] = min[axis].min(place.middle[axis]);
-                max[axis] = max[axis].max(place.middle[axis]);
+            for midpoint in midpoints.iter() {
+                min[axis] = min[axis].min(midpoint.at[axis]);
+                max[axis] = max[axis].max(midpoint.at[axis]);
             }
         }
         let axis = usize::from(max[1] - min[1] > max[0] - min[0]);
-        let half = places.len() / 2;
-        places.select_nth_unstable_by(half, |a, b| a.middle[axis].total_cmp(&b.middle[axis]));
-        let (before, behind) = places.split_at_mut(half);
-        [split(before, first, nodes), split(behind, first + half, nodes)]
+        let half = midpoints.len() / 2;
+        midpoints.select_nth_unstable_by(half, |a, b| a.at[axis].total_cmp(&b.at[axis]));
+        let (before, after) = midpoints.split_at_mut(half);
+        [split(before, first, nodes), split(after, first + half, nodes)]
     });
-    nodes.push((range, parts));
+    nodes.push((range, children));
     nodes.len() - 1
 }
 
-fn middle(line: &Line) -> [f64; 2] {
+fn midpoint(line: &Line) -> [f64; 2] {
     [0, 1]
         .map(|k| f64::from(line.p[k]) + 0.5 * f64::from(line.length) * f64::from(line.direction[k]))
 }
 
-/// Coordinates and displacements are of the images' size, so that no square leaves f64.
+/// Length of a vector of the images' size, whose squares do not overflow.
 fn norm([x, y]: [f64; 2]) -> f64 {
     (x * x + y * y).sqrt()
 }
 
-/// How far two displacements are apart, pixels.
-fn apart(a: [f32; 2], b: [f32; 2]) -> f64 {
+/// Distance of two displacements, pixels.
+fn distance(a: [f32; 2], b: [f32; 2]) -> f64 {
     norm([0, 1].map(|k| f64::from(a[k] - b[k])))
 }
 
 impl Cluster {
     fn new(
         lines: &[Line],
-        places: &[Place],
+        midpoints: &[Midpoint],
         range: Range<usize>,
-        parts: Option<[usize; 2]>,
+        children: Option<[usize; 2]>,
     ) -> Self {
         let strengths = || lines.iter().map(|line| f64::from(line.strength));
         // Strengths are at least 1, so that their sum isn't 0.
         let strength: f64 = strengths().sum();
-        let mut middles = [0.0; 2];
-        for (strength, place) in strengths().zip(places) {
-            middles = [0, 1].map(|k| middles[k] + strength * place.middle[k]);
+        let mut centre = [0.0; 2];
+        for (strength, midpoint) in strengths().zip(midpoints) {
+            centre = [0, 1].map(|k| centre[k] + strength * midpoint.at[k]);
         }
-        // In f32 as the sums have it, so that the radius is around the very same point.
-        let centre = middles.map(|sum| f64::from((sum / strength) as f32));
+        // Rounded to f32 as in the sums, so that the radius is about the same point.
+        let centre = centre.map(|sum| f64::from((sum / strength) as f32));
         let (mut maps, mut shifts) = ([0.0; 4], [0.0; 2]);
         let (mut slope, mut radius) = (0.0, 0.0_f64);
-        for ((strength, line), place) in strengths().zip(lines).zip(places) {
+        for ((strength, line), midpoint) in strengths().zip(lines).zip(midpoints) {
             let map = line.map.map(f64::from);
             maps = [0, 1, 2, 3].map(|k| maps[k] + strength * map[k]);
             let shift = displacement(line, centre);
             shifts = [0, 1].map(|k| shifts[k] + strength * shift[k]);
             slope += strength * map.iter().map(|m| m * m).sum::<f64>().sqrt();
             let half = 0.5 * f64::from(line.length);
-            radius = radius.max(norm([0, 1].map(|k| place.middle[k] - centre[k])) + half);
+            radius = radius.max(norm([0, 1].map(|k| midpoint.at[k] - centre[k])) + half);
         }
         let shift = shifts.map(|sum| sum / strength);
         let deviation = strengths().zip(lines).map(|(strength, line)| {
@@ -334,18 +318,17 @@ impl Cluster {
                 length: 0.0,
                 map: maps.map(|sum| (sum / strength) as f32),
                 shift: shift.map(|v| v as f32),
-                log_strength: strength.ln(),
                 strength: strength as f32,
             },
             range,
-            parts,
+            children,
         }
     }
 }
 
-/// An edge's displacement at a place, pixels.
-fn displacement(line: &Line, place: [f64; 2]) -> [f64; 2] {
-    let from = [0, 1].map(|k| place[k] - f64::from(line.p[k]));
+/// An edge's displacement at a position, pixels.
+fn displacement(line: &Line, at: [f64; 2]) -> [f64; 2] {
+    let from = [0, 1].map(|k| at[k] - f64::from(line.p[k]));
     let m = line.map.map(f64::from);
     let by = |k: usize| m[2 * k] * from[0] + m[2 * k + 1] * from[1];
     [0, 1].map(|k| by(k) + f64::from(line.shift[k]))

@@ -1,31 +1,162 @@
-//! The four frames around an instant.
+//! Compositing of four frames: the outer two are averaged into the middle ones where they agree, which halves
+//! the noise variance.
 
-use crate::interpolation::RefineOptions;
-use crate::raster::{Image, Tiles};
+use super::FourFrames;
+use super::blocks::BlockArea;
+use super::costs::{CostPoints, PointGrid};
+use super::motions::AffineMotion;
+use crate::interpolation::warp::difference;
+use crate::raster::Image;
+use std::cell::OnceCell;
 
-/// The frames around an instant, and where it lies between the middle two. All images have the same size
-/// and channels.
-pub struct FourFrames<'a> {
-    /// The frame before the earlier one, if it exists.
-    pub before: Option<&'a Image>,
-    /// The frame at t.
-    pub earlier: &'a Image,
-    /// The frame at t + Δt.
-    pub later: &'a Image,
-    /// The frame after the later one, if it exists.
-    pub after: Option<&'a Image>,
-    /// (t' − t)/Δt of the instant t': 0 at the earlier frame, 1 at the later.
-    pub fraction: f32,
-    /// The tiles of the image that are needed, `None` for all. What is far from them is black.
-    pub parts: Option<&'a Tiles>,
-    /// Whether each pixel's [`PixelMotion`](super::PixelMotion) is wanted.
-    pub with_motions: bool,
-}
+/// Excess of an outer frame's cost over the middle frames' at which it has full weight, values 0..=1.
+const OUTER_SLACK: f32 = 0.01;
+/// Further excess by which an outer frame's weight falls to 1/e.
+const OUTER_SOFTNESS: f32 = 0.01;
+/// Maximum mean excess in a static block, as a fraction of [`OUTER_SLACK`].
+const STATIC_EXCESS_FRACTION: f32 = 0.25;
+/// Maximum weight that is neglected, relative to the largest one.
+pub const NEGLIGIBLE_WEIGHT: f32 = 1e-3;
 
 impl FourFrames<'_> {
-    /// The maximum weight of the outer frames relative to the middle ones: 0 at a frame, largest halfway
+    /// The weight of an outer frame among four that agree: 0 at a frame, which stays as filmed, and 1/4 halfway
     /// between two.
-    pub(super) fn outer_weight(&self, options: &RefineOptions) -> f32 {
-        options.outer_share * 4.0 * self.fraction * (1.0 - self.fraction)
+    pub fn outer_weight(&self) -> f32 {
+        0.25 * (4.0 * self.fraction * (1.0 - self.fraction))
     }
+}
+
+/// A block of the four frames, motion-compensated. It is sampled at the points of costs, and on demand at the
+/// pixels.
+pub struct CompensatedFrames<'a> {
+    /// The motion, about the block's centre.
+    pub motion: AffineMotion,
+    frames: [Option<&'a Image>; 4],
+    pixels: PointGrid,
+    at_points: [Option<Image>; 4],
+    at_pixels: [OnceCell<Image>; 4],
+}
+
+impl<'a> CompensatedFrames<'a> {
+    /// Samples the given frames.
+    pub fn new(
+        motion: AffineMotion,
+        frames: [Option<&'a Image>; 4],
+        pixels: PointGrid,
+        points: PointGrid,
+    ) -> Self {
+        let mut at_points = [None, None, None, None];
+        for (n, (frame, out)) in frames.iter().zip(&mut at_points).enumerate() {
+            *out = frame.map(|image| points.sample(image, &motion, n));
+        }
+        Self { motion, frames, pixels, at_points, at_pixels: Default::default() }
+    }
+
+    /// Frame 0 to 3 at the points of costs, if given.
+    pub fn at_points(&self, frame: usize) -> Option<&Image> {
+        self.at_points[frame].as_ref()
+    }
+
+    /// Frame 0 to 3 at the block's pixels, if given.
+    pub fn at_pixels(&self, frame: usize) -> Option<&Image> {
+        let image = self.frames[frame]?;
+        let sample = || self.pixels.sample(image, &self.motion, frame);
+        Some(self.at_pixels[frame].get_or_init(sample))
+    }
+}
+
+/// A composite of the two middle frames in a block.
+pub struct MiddleFrames {
+    pub at_pixels: Image,
+    pub at_points: Image,
+    /// The cost of these two frames at the pixels.
+    pub costs: Vec<f32>,
+}
+
+/// Averages the outer frames into the middle ones, with at most `outer_weight` each. Each pixel takes the
+/// motion of the smallest cost.
+pub fn fuse(
+    middle: MiddleFrames,
+    compensated: &[CompensatedFrames],
+    points: &CostPoints,
+    outer_weight: f32,
+) -> Image {
+    let MiddleFrames { at_pixels: mut fused, at_points, costs } = middle;
+    if outer_weight <= 0.0 {
+        return fused;
+    }
+    let channels = fused.channels();
+    let middle = fused.clone();
+    for frame in [0, 3] {
+        // Each pixel's motion of the smallest cost, and this cost.
+        let mut best = vec![(0, f32::INFINITY); costs.len()];
+        for (index, frames) in compensated.iter().enumerate() {
+            let Some(outer) = frames.at_points(frame) else { continue };
+            let means = points.window_means(&difference(outer, &at_points));
+            for (best, cost) in best.iter_mut().zip(points.at_pixels(&means)) {
+                if cost < best.1 {
+                    *best = (index, cost);
+                }
+            }
+        }
+        let weight = |((_, cost), own): (&(usize, f32), &f32)| {
+            let excess = (cost - own - OUTER_SLACK).max(0.0);
+            outer_weight * (-excess / OUTER_SOFTNESS).exp()
+        };
+        let weights: Vec<f32> = best.iter().zip(&costs).map(weight).collect();
+        for (index, frames) in compensated.iter().enumerate() {
+            let takes = |k: usize| best[k].0 == index && weights[k] > NEGLIGIBLE_WEIGHT;
+            if !(0..costs.len()).any(takes) {
+                continue;
+            }
+            let Some(outer) = frames.at_pixels(frame) else { continue };
+            let pixels = fused.data_mut().chunks_exact_mut(channels).enumerate();
+            for (k, out) in pixels.filter(|(k, _)| takes(*k)) {
+                let span = k * channels..(k + 1) * channels;
+                let colors = outer.data()[span.clone()].iter().zip(&middle.data()[span]);
+                for (out, (outer, middle)) in out.iter_mut().zip(colors) {
+                    *out += weights[k] * (outer - middle);
+                }
+            }
+        }
+    }
+    fused
+}
+
+/// Whether nothing moves in a block: the outer frames differ from the middle ones by at most the slack at each
+/// pixel, and by less in the mean. `outer_costs` and `costs` are those of the image's pixels.
+pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: BlockArea) -> bool {
+    outer_costs.iter().flatten().all(|outer| {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (outer, own) in area.rows_of(outer).zip(area.rows_of(costs)) {
+            for (outer, own) in outer.iter().zip(own) {
+                let excess = outer - own;
+                if excess > OUTER_SLACK {
+                    return false;
+                }
+                (sum, count) = (sum + excess.max(0.0), count + 1.0);
+            }
+        }
+        sum <= STATIC_EXCESS_FRACTION * OUTER_SLACK * count
+    })
+}
+
+/// The mean of the four frames in a static block, without resampling; black outside the image.
+pub fn static_mean(frames: &FourFrames, cross_faded: &Image, area: BlockArea) -> Vec<f32> {
+    let weight = frames.outer_weight();
+    let channels = cross_faded.channels();
+    let mut colors = vec![0.0; area.side * area.side * channels];
+    for (first, columns, y) in area.rows() {
+        let columns = columns.start * channels..columns.end * channels;
+        let middle = &cross_faded.row(y)[columns.clone()];
+        let out = &mut colors[first * channels..][..middle.len()];
+        out.copy_from_slice(middle);
+        for image in [frames.before, frames.after].into_iter().flatten() {
+            let outer = &image.row(y)[columns.clone()];
+            for ((out, outer), middle) in out.iter_mut().zip(outer).zip(middle) {
+                *out += weight * (outer - middle);
+            }
+        }
+    }
+    colors
 }

@@ -5,31 +5,31 @@ use crate::random::Random;
 use crate::raster::Tiles;
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Refined with the costs of the pair that these motions give.
+/// Refines with the costs of the pair by the same motions.
 fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
-    motions: &[Motion],
-    options: &RefineOptions,
+    motions: &[TrackMotion],
+    options: &InterpolationOptions,
 ) -> (Image, Option<Vec<PixelMotion>>) {
     let costs = pair_costs(frames, motions, options);
-    super::refined(frames, warps, motions, &costs, options)
+    super::refined(frames, warps, motions.to_vec(), &costs, options)
 }
 
 pub(super) fn pair_costs(
     frames: &FourFrames,
-    motions: &[Motion],
-    options: &RefineOptions,
+    motions: &[TrackMotion],
+    options: &InterpolationOptions,
 ) -> PairCosts {
     let of_frame = |frame: usize| {
-        let from = |m: &Motion| {
+        let from = |m: &TrackMotion| {
             let own = m.to[frame];
-            Motion { at: m.at + own, to: m.to.map(|to| to - own), ..*m }
+            TrackMotion { at: m.at + own, to: m.to.map(|to| to - own), ..*m }
         };
         motions.iter().map(from).collect()
     };
     let size = [frames.earlier.width(), frames.earlier.height()];
-    PairCosts::new(size, [1, 2].map(of_frame), options)
+    PairCosts::of_motions(size, [1, 2].map(of_frame), options)
 }
 
 const W: usize = 96;
@@ -55,7 +55,7 @@ fn scene(frame: f32) -> Image {
     Image::from_data(W, H, 1, data)
 }
 
-fn motions() -> Vec<Motion> {
+fn motions() -> Vec<TrackMotion> {
     let mut all = Vec::new();
     for y in (2..H).step_by(5) {
         for x in (2..W).step_by(5) {
@@ -63,15 +63,15 @@ fn motions() -> Vec<Motion> {
             let step = if on_square { 6.0 } else { 0.0 };
             let to = [-1.5, -0.5, 0.5, 1.5].map(|t| Vector2::new(step * t, 0.0));
             let at = Point2::new(x as f64 + 0.5, y as f64 + 0.5);
-            all.push(Motion { at, to, deformation: Matrix2::identity() });
+            all.push(TrackMotion { at, to, deformation: Matrix2::identity() });
         }
     }
     all
 }
 
-/// The same tracks without motion.
-fn at_rest() -> Vec<Motion> {
-    motions().into_iter().map(|m| Motion { to: [Vector2::zeros(); 4], ..m }).collect()
+/// Tracks at the same positions, without motion.
+fn at_rest() -> Vec<TrackMotion> {
+    motions().into_iter().map(|m| TrackMotion { to: [Vector2::zeros(); 4], ..m }).collect()
 }
 
 fn around(frames: &[Image; 4], fraction: f32) -> FourFrames<'_> {
@@ -103,7 +103,7 @@ fn outlines_are_right_where_a_cross_fade_shows_both_frames() {
     let still = Warp::identity(W, H);
     // With costs at every pixel, and at every second one.
     for window_radius_px in [2, 4] {
-        let options = RefineOptions { window_radius_px, ..RefineOptions::default() };
+        let options = InterpolationOptions { window_radius_px, ..InterpolationOptions::default() };
         let (result, _) = refined(&four, [&still, &still], &motions(), &options);
         let (cross_faded, _) = refined(&four, [&still, &still], &[], &options);
         let (before, after) = (psnr(&cross_faded, &truth), psnr(&result, &truth));
@@ -124,12 +124,11 @@ fn static_scenes_are_averaged() {
     let truth = scene(0.0);
     let frames = [0; 4].map(|_| noisy(&truth, 0.02, &mut random));
     let still = Warp::identity(W, H);
-    let options = RefineOptions::default();
-    let of = |options: &RefineOptions| {
-        psnr(&refined(&around(&frames, 0.5), [&still, &still], &[], options).0, &truth)
+    let of = |frames: FourFrames| {
+        psnr(&refined(&frames, [&still, &still], &[], &InterpolationOptions::default()).0, &truth)
     };
-    let two = of(&RefineOptions { outer_share: 0.0, ..options.clone() });
-    let four = of(&options);
+    let four = of(around(&frames, 0.5));
+    let two = of(FourFrames { before: None, after: None, ..around(&frames, 0.5) });
     assert!((2.7..3.3).contains(&(four - two)), "{two} {four}");
 }
 
@@ -146,7 +145,7 @@ fn train(frame: f32) -> Image {
     Image::from_data(W, H, 1, (0..W * H).map(value).collect())
 }
 
-fn motions_of_train() -> Vec<Motion> {
+fn motions_of_train() -> Vec<TrackMotion> {
     let still = at_rest().into_iter().filter(|m| !(12.0..52.0).contains(&m.at.y));
     let left = 12.0 + 4.0;
     let on_wagons = at_rest().into_iter().filter(|m| {
@@ -155,7 +154,7 @@ fn motions_of_train() -> Vec<Motion> {
         on_wagon && (17.0..47.0).contains(&m.at.y)
     });
     let moving = on_wagons
-        .map(|m| Motion { to: [-12.0, -4.0, 4.0, 12.0].map(|x| Vector2::new(x, 0.0)), ..m });
+        .map(|m| TrackMotion { to: [-12.0, -4.0, 4.0, 12.0].map(|x| Vector2::new(x, 0.0)), ..m });
     still.chain(moving).collect()
 }
 
@@ -165,7 +164,7 @@ fn what_other_motions_explain_does_not_fill_a_gap() {
     let frames = [-1.0, 0.0, 1.0, 2.0].map(train);
     let (four, still) = (around(&frames, 0.5), Warp::identity(W, H));
     let motions = motions_of_train();
-    let (result, _) = refined(&four, [&still, &still], &motions, &RefineOptions::default());
+    let (result, _) = refined(&four, [&still, &still], &motions, &InterpolationOptions::default());
     let gap = || (20..44).flat_map(|y| (46..51).map(move |x| (x, y)));
     let darkest = gap().map(|(x, y)| result.pixel(x, y)[0]).fold(1.0, f32::min);
     // The wall is 0.37 or more there.
@@ -176,7 +175,7 @@ fn what_other_motions_explain_does_not_fill_a_gap() {
 fn pixels_move_as_their_tracks_and_cost_more_without() {
     let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
     let (four, still) = (around(&frames, 0.5), Warp::identity(W, H));
-    let options = RefineOptions::default();
+    let options = InterpolationOptions::default();
     let (_, followed) = refined(&four, [&still, &still], &motions(), &options);
     let (_, lost) = refined(&four, [&still, &still], &at_rest(), &options);
     let at = |motions: &Option<Vec<PixelMotion>>, x: usize, y: usize| {
@@ -196,13 +195,14 @@ fn pixels_move_as_their_tracks_and_cost_more_without() {
 fn the_change_of_a_bouncing_bodys_motion_is_known() {
     let frames = [1.0, 0.0, 1.0, 2.0].map(scene);
     let (four, still) = (around(&frames, 0.5), Warp::identity(W, H));
-    let bounced = |m: Motion| match m.to[2].x {
+    let bounced = |m: TrackMotion| match m.to[2].x {
         0.0 => m,
-        _ => Motion { to: [3.0, -3.0, 3.0, 9.0].map(|x| Vector2::new(x, 0.0)), ..m },
+        _ => TrackMotion { to: [3.0, -3.0, 3.0, 9.0].map(|x| Vector2::new(x, 0.0)), ..m },
     };
-    let bouncing: Vec<Motion> = motions().into_iter().map(bounced).collect();
-    let of = |motions: &[Motion]| {
-        let (_, motions) = refined(&four, [&still, &still], motions, &RefineOptions::default());
+    let bouncing: Vec<TrackMotion> = motions().into_iter().map(bounced).collect();
+    let of = |motions: &[TrackMotion]| {
+        let (_, motions) =
+            refined(&four, [&still, &still], motions, &InterpolationOptions::default());
         motions.unwrap()[32 * W + 48]
     };
     let (steady, bouncing) = (of(&motions()), of(&bouncing));
@@ -239,7 +239,7 @@ fn panned(step: f32) -> f64 {
         &around(&frames, 0.5),
         [&from_earlier, &from_later],
         &slow,
-        &RefineOptions::default(),
+        &InterpolationOptions::default(),
     );
     psnr(&result, &pan(0.5))
 }
@@ -252,7 +252,7 @@ fn near_a_frame_what_only_the_other_shows_does_not_appear() {
     let four = around(&frames, 0.05);
     let still = at_rest();
     let warp = Warp::identity(W, H);
-    let (result, _) = refined(&four, [&warp, &warp], &still, &RefineOptions::default());
+    let (result, _) = refined(&four, [&warp, &warp], &still, &InterpolationOptions::default());
     let db = psnr(&result, &frames[1]);
     assert!(db > 35.0, "{db}");
 }
@@ -271,7 +271,8 @@ fn where_the_frames_agree_nothing_changes() {
         with_motions,
     };
     let still = Warp::identity(W, H);
-    let (result, _) = refined(&four, [&still, &still], &motions(), &RefineOptions::default());
+    let (result, _) =
+        refined(&four, [&still, &still], &motions(), &InterpolationOptions::default());
     let worst = (result.data().iter().zip(frame.data())).map(|(a, b)| (a - b).abs());
     assert!(worst.fold(0.0, f32::max) < 1e-6);
 }
@@ -283,15 +284,15 @@ fn four_frames_have_less_noise_than_two_and_a_frame_stays_as_filmed() {
     let frames = [0; 4].map(|_| noisy(&clean, 0.03, &mut random));
     let still = at_rest();
     let warp = Warp::identity(W, H);
-    let at = |fraction: f32, outer_share: f32| {
-        let four = around(&frames, fraction);
-        let options = RefineOptions { outer_share, ..RefineOptions::default() };
-        refined(&four, [&warp, &warp], &still, &options).0
+    let of = |frames: FourFrames| {
+        refined(&frames, [&warp, &warp], &still, &InterpolationOptions::default()).0
     };
-    let (two, four) = (psnr(&at(0.5, 0.0), &clean), psnr(&at(0.5, 1.0), &clean));
+    let without = |four: FourFrames<'_>| of(FourFrames { before: None, after: None, ..four });
+    let four = psnr(&of(around(&frames, 0.5)), &clean);
+    let two = psnr(&without(around(&frames, 0.5)), &clean);
     assert!(four > two + 2.0, "{two} {four}");
-    for outer_share in [0.0, 1.0] {
-        assert!(psnr(&at(0.0, outer_share), &frames[1]) > 90.0);
+    for at_a_frame in [of(around(&frames, 0.0)), without(around(&frames, 0.0))] {
+        assert!(psnr(&at_a_frame, &frames[1]) > 90.0);
     }
 }
 
@@ -302,7 +303,7 @@ fn needed_tiles_equal_those_of_the_whole_image() {
     let still = Warp::identity(W, H);
     let of = |parts: Option<&Tiles>| {
         let four = FourFrames { parts, ..around(&frames, 0.5) };
-        refined(&four, [&still, &still], &motions(), &RefineOptions::default())
+        refined(&four, [&still, &still], &motions(), &InterpolationOptions::default())
     };
     let (whole, motions_of_whole) = of(None);
     let mut parts = Tiles::none(W, H);
@@ -332,7 +333,8 @@ fn tiny_images_stay_finite() {
             with_motions: true,
         };
         let still = Warp::identity(w, h);
-        let (result, _) = refined(&four, [&still, &still], &motions(), &RefineOptions::default());
+        let (result, _) =
+            refined(&four, [&still, &still], &motions(), &InterpolationOptions::default());
         assert!(result.data().iter().all(|v| v.is_finite()));
     }
 }

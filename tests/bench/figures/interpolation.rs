@@ -90,9 +90,8 @@ impl Pair {
         let (w, h) = (source.image.width(), source.image.height());
         let features = self.features(forward)?;
         let [source, other] = [source, other].map(|f| &f.pyramid.levels()[0]);
-        let options = papers_interpolation().edges;
-        let real = real_edges(&features, source, other, &options);
-        Ok(edge_set(&features, &real, options.all_features, w, h))
+        let real = real_edges(&features, source, other, papers_interpolation().max_edge_length_px);
+        Ok(edge_set(&features, &real, w, h))
     }
 
     /// The morph by some of the edges.
@@ -104,10 +103,12 @@ impl Pair {
         let warp = |forward: bool| -> Result<_, Error> {
             let mut edges = self.edges(forward)?;
             edges.retain(|e| virtual_edges || e.mean_fitness.is_some());
-            Ok(morph_warp(&edges, w, h, &papers_interpolation().morph))
+            let InterpolationOptions { edge_boost, grid_px, .. } = papers_interpolation();
+            Ok(morph_warp(&edges, [w, h], edge_boost, grid_px))
         };
         let fraction = ((self.time_s - start) / (end - start)) as f32;
-        Ok(cross_dissolve([&earlier.image, &later.image], [&warp(true)?, &warp(false)?], fraction))
+        let images = [&earlier.image, &later.image];
+        Ok(cross_dissolve(images, [&warp(true)?, &warp(false)?], fraction, None))
     }
 
     /// The camera's image at the instant by a method, with the paper's options.

@@ -7,7 +7,7 @@ use crate::swing::{RATE_HZ, Swing};
 use nalgebra::{Point2, Vector2};
 use std::process::Command;
 use stlfr::host::process_cpu_s;
-use stlfr::interpolation::{Feature, MorphOptions, edge_set, morph_warp};
+use stlfr::interpolation::{Feature, edge_set, morph_warp};
 use stlfr::json;
 use stlfr::offset::Offsets;
 use stlfr::random::Random;
@@ -110,14 +110,13 @@ fn edges(count: usize) -> Done<()> {
         .collect();
     let start = process_cpu_s();
     // The image's corners move with all that is in it here.
-    let edges: Vec<_> = edge_set(&features, &[], true, w, h)
+    let edges: Vec<_> = edge_set(&features, &[], w, h)
         .into_iter()
         .filter(|e| e.ends.iter().all(|f| f.source != f.target))
         .collect();
     let built = process_cpu_s() - start;
     let start = process_cpu_s();
-    let options = MorphOptions { grid_px: 32, ..MorphOptions::default() };
-    let warp = morph_warp(&edges, w, h, &options);
+    let warp = morph_warp(&edges, [w, h], 4.0, 32);
     let warped = process_cpu_s() - start;
     let off = warp
         .source

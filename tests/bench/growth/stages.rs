@@ -7,12 +7,11 @@ use std::sync::Arc;
 use stlfr::capture::Capture;
 use stlfr::chart::{Chart, Series};
 use stlfr::host::process_cpu_s;
-use stlfr::interpolation::{EdgeOptions, Feature, SyncMethod, edge_set, real_edges};
+use stlfr::interpolation::{Feature, SyncMethod, edge_set, real_edges};
 use stlfr::light_field::{Context, LightField, Request, Viewpoint};
 use stlfr::offset::{self, Offsets};
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
-use stlfr::registration::RegistrationOptions;
 use stlfr::registration::{FrameStore, epipolar_check, temporal_flow};
 
 /// What is timed, in the order of the pipeline.
@@ -87,22 +86,21 @@ pub fn series(name: &str, what: &str, cases: &[Case]) -> Done<Chart> {
 fn edges(
     field: &LightField,
     (camera, k): (usize, usize),
-    registration: &RegistrationOptions,
-    options: &EdgeOptions,
+    options: &RenderOptions,
 ) -> Done<[usize; 2]> {
-    let tracks = field.tracks(camera, k, registration)?;
+    let tracks = field.tracks(camera, k, &options.registration)?;
     let features: Vec<Feature> = (tracks.iter().filter(|track| track.in_forward_set()))
         .map(|track| {
             let (source, other) = (track.earlier, track.later);
             Feature { source, other, target: nalgebra::center(&source, &other) }
         })
         .collect();
-    let [source, other] = [k, k + 1].map(|k| field.frames(registration).get(camera, k));
+    let [source, other] = [k, k + 1].map(|k| field.frames(&options.registration).get(camera, k));
     let (source, other) = (source?, other?);
     let [a, b] = [&source, &other].map(|frame| &frame.pyramid.levels()[0]);
-    let real = real_edges(&features, a, b, options);
+    let real = real_edges(&features, a, b, options.interpolation.max_edge_length_px);
     let (w, h) = (source.image.width(), source.image.height());
-    let all = edge_set(&features, &real, options.all_features, w, h);
+    let all = edge_set(&features, &real, w, h);
     Ok([all.len(), all.iter().filter(|edge| edge.mean_fitness.is_some()).count()])
 }
 
@@ -139,7 +137,7 @@ fn measure(name: &str, case: &Case) -> Done<(usize, [usize; 2], [f64; STAGES.len
         field.synchronized(reference, time_s, &view)?;
         costs.push(timed(|| field.synchronized(reference, time_s, &view)).1);
     }
-    let edges = edges(&field, (reference, k), &options.registration, &options.interpolation.edges)?;
+    let edges = edges(&field, (reference, k), options)?;
     let target = case.swing.camera([0.4, 0.0]);
     let images = field.synchronized_all(
         time_s,

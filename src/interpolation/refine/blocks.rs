@@ -1,0 +1,193 @@
+//! Overlapping blocks of pixels, and the weights by which they fade into each other.
+
+use nalgebra::Point2;
+use std::ops::Range;
+
+/// Minimum side of a block, pixels. It is at least four times a window's radius.
+const MIN_SIDE_PX: usize = 16;
+/// A block's side over its overlap with a neighbour. (With 2, images of six scenes are 0.03 dB better in the
+/// mean, and take twice as long to refine.)
+const SIDES_PER_OVERLAP: usize = 4;
+
+/// Blocks of one size that overlap and cover an image.
+#[derive(Clone, Copy, Debug)]
+pub struct BlockGrid {
+    /// Width and height of the image.
+    pub image: [usize; 2],
+    /// Side of a block, pixels.
+    pub side: usize,
+    /// Overlap of two neighbours, pixels.
+    overlap: usize,
+}
+
+/// The intersection of a block with a row of the image.
+pub struct BlockRow {
+    /// Index of the block.
+    pub block: usize,
+    /// Row in the block.
+    pub row: usize,
+    /// First column in the block that is inside the image.
+    pub first: usize,
+    /// Columns in the image; may be empty.
+    pub columns: Range<usize>,
+    /// Weight of the row. The product with a column's weight is a pixel's weight.
+    pub weight: f32,
+}
+
+impl BlockGrid {
+    /// The grid for an image of this width and height, and for windows of this radius.
+    pub fn new(image: [usize; 2], window_radius_px: usize) -> Self {
+        let side = MIN_SIDE_PX.max(4 * window_radius_px);
+        Self { image, side, overlap: side / SIDES_PER_OVERLAP }
+    }
+
+    /// Distance between the origins of neighbours, pixels.
+    fn step(&self) -> usize {
+        self.side - self.overlap
+    }
+
+    /// Number of blocks along an axis.
+    fn along_axis(&self, axis: usize) -> usize {
+        (self.image[axis] + self.overlap).div_ceil(self.step())
+    }
+
+    /// Number of blocks.
+    pub fn count(&self) -> usize {
+        self.along_axis(0) * self.along_axis(1)
+    }
+
+    /// The pixels of a block.
+    pub fn area(&self, block: usize) -> BlockArea {
+        let across = self.along_axis(0);
+        let at = |n: usize| (n * self.step()) as isize - self.overlap as isize;
+        let origin = [at(block % across), at(block / across)];
+        BlockArea { origin, side: self.side, image: self.image }
+    }
+
+    /// The blocks in row `y` of the image. The weights of overlapping blocks sum to 1.
+    pub fn row(&self, y: usize) -> impl Iterator<Item = BlockRow> {
+        let Self { image: [width, _], side, overlap } = *self;
+        let (across, step) = (self.along_axis(0), self.step());
+        let rows = self.blocks_at(y).into_iter().filter(|(.., weight)| *weight > 0.0);
+        rows.flat_map(move |(block_row, row, weight)| {
+            (0..across).map(move |k| {
+                let first = if k == 0 { overlap } else { 0 };
+                let start = (k * step + first - overlap).min(width);
+                let end = (k * step + side - overlap).min(width);
+                BlockRow { block: block_row * across + k, row, first, columns: start..end, weight }
+            })
+        })
+    }
+
+    /// The weights of a block's columns.
+    pub fn column_weights(&self) -> Vec<f32> {
+        let ramp = |k: usize| (k as f32 + 0.5) / self.overlap as f32;
+        let weight = |k: usize| match k.checked_sub(self.step()) {
+            Some(shared) => 1.0 - ramp(shared),
+            None if k < self.overlap => ramp(k),
+            None => 1.0,
+        };
+        (0..self.side).map(weight).collect()
+    }
+
+    /// The two rows of blocks at row `y` of the image: index, row in the block, and weight, which may be 0
+    /// for the second.
+    fn blocks_at(&self, y: usize) -> [(usize, usize, f32); 2] {
+        let step = self.step();
+        let (block, within) = (y / step, y % step);
+        let shared = (within + self.overlap).checked_sub(step);
+        let next = shared.map_or(0.0, |shared| (shared as f32 + 0.5) / self.overlap as f32);
+        [(block, within + self.overlap, 1.0 - next), (block + 1, shared.unwrap_or(0), next)]
+    }
+}
+
+/// A block's square of pixels, part of which may be outside the image.
+#[derive(Clone, Copy)]
+pub struct BlockArea {
+    /// The top-left pixel.
+    pub origin: [isize; 2],
+    /// Pixels along a side.
+    pub side: usize,
+    /// Width and height of the image.
+    pub image: [usize; 2],
+}
+
+impl BlockArea {
+    /// The centre, to half a pixel.
+    pub fn center(self) -> Point2<f64> {
+        Point2::from(self.origin.map(|v| (v + self.side as isize / 2) as f64))
+    }
+
+    /// The rows inside the image: the index of their first pixel in the block, and the image's columns and
+    /// row.
+    pub fn rows(self) -> impl Iterator<Item = (usize, Range<usize>, usize)> {
+        let Self { origin, side, image } = self;
+        let inside = move |n: usize| {
+            let bound = |at: isize| at.clamp(0, image[n] as isize) as usize;
+            bound(origin[n])..bound(origin[n] + side as isize)
+        };
+        let columns = inside(0);
+        let first = columns.start as isize - origin[0];
+        let index = move |y: usize| ((y as isize - origin[1]) * side as isize + first) as usize;
+        inside(1).map(move |y| (index(y), columns.clone(), y))
+    }
+
+    /// The values inside the image, row by row, of a plane of the image's size.
+    pub fn rows_of<T>(self, values: &[T]) -> impl Iterator<Item = &[T]> {
+        let width = self.image[0];
+        self.rows().map(move |(_, columns, y)| &values[y * width..][columns])
+    }
+
+    /// The block of a plane of the image's size; 0 outside the image.
+    pub fn crop(self, values: &[f32]) -> Vec<f32> {
+        let mut all = vec![0.0; self.side * self.side];
+        for ((first, ..), row) in self.rows().zip(self.rows_of(values)) {
+            all[first..first + row.len()].copy_from_slice(row);
+        }
+        all
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_cover_every_pixel_with_weights_that_sum_to_one() {
+        for (image, radius) in [([1, 1], 0), ([64, 47], 2), ([37, 90], 5), ([13, 400], 50)] {
+            let grid = BlockGrid::new(image, radius);
+            let weights = grid.column_weights();
+            for y in 0..image[1] {
+                let mut sums = vec![0.0_f32; image[0]];
+                for BlockRow { block, row, first, columns, weight } in grid.row(y) {
+                    for (k, x) in columns.enumerate() {
+                        let [left, top] = grid.area(block).origin;
+                        let at = [left + (first + k) as isize, top + row as isize];
+                        assert_eq!(at, [x as isize, y as isize]);
+                        assert!(block < grid.count() && row < grid.side);
+                        sums[x] += weight * weights[first + k];
+                    }
+                }
+                assert!(sums.iter().all(|sum| (sum - 1.0).abs() < 1e-6), "{y}: {sums:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_block_fades_evenly_into_the_next() {
+        let grid = BlockGrid::new([100, 100], 4);
+        let weights = grid.column_weights();
+        assert_eq!(weights[..5], [0.125, 0.375, 0.625, 0.875, 1.0]);
+        assert_eq!(weights[11..], [1.0, 0.875, 0.625, 0.375, 0.125]);
+    }
+
+    #[test]
+    fn outside_the_image_is_nothing() {
+        let image: Vec<f32> = (1..=12).map(|v| v as f32).collect();
+        let of = |x, y| BlockArea { origin: [x, y], side: 3, image: [4, 3] };
+        assert_eq!(of(-1, -2).crop(&image), [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0]);
+        assert_eq!(of(1, 0).crop(&image), [2.0, 3.0, 4.0, 6.0, 7.0, 8.0, 10.0, 11.0, 12.0]);
+        assert_eq!(of(3, 2).crop(&image), [12.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(of(9, 9).rows_of(&image).count(), 0);
+    }
+}

@@ -1,0 +1,370 @@
+//! Costs of motions: differences of frames, averaged over a window. A window's mean hardly changes from a pixel
+//! to the next, so that costs are computed at a few points and interpolated between them.
+
+use super::FourFrames;
+use super::motions::{AffineMotion, MotionHypotheses};
+use crate::interpolation::InterpolationOptions;
+use crate::interpolation::tracked_pair::{TrackMotion, TrackedPair};
+use crate::interpolation::warp::difference;
+use crate::raster::{Image, box_filter, sample_all};
+use nalgebra::{Point2, Vector2};
+use std::sync::OnceLock;
+
+/// Minimum number of points in a window's radius. (At 640×480, with costs at every pixel, images of six scenes
+/// are 0.02 dB better in the mean, −0.12 to +0.14, and take twice as long to refine.)
+const MIN_POINTS_IN_RADIUS: usize = 2;
+/// Minimum side of the cells of [`FrameCosts`], pixels. It is at least four times a window's radius.
+const MIN_CELL_PX: usize = 16;
+
+/// A square grid of points in the centres of pixels, which may extend beyond the image.
+#[derive(Clone, Copy)]
+pub struct PointGrid {
+    /// The top-left corner of the first point's pixel.
+    pub corner: Point2<f64>,
+    /// The centre of affine motions.
+    pub center: Point2<f64>,
+    /// Points along a side.
+    pub side: usize,
+    /// Distance of neighbouring points, pixels.
+    pub step: usize,
+}
+
+impl PointGrid {
+    /// The positions of a row of points in frame 0 to 3, by a motion.
+    fn row(
+        &self,
+        motion: &AffineMotion,
+        frame: usize,
+        row: usize,
+    ) -> impl Iterator<Item = [f32; 2]> {
+        let y = (row * self.step) as f64 + 0.5;
+        let from_center = |x: f64| self.corner - self.center + Vector2::new(x, y);
+        let position = |x: f64| self.center + from_center(x) + motion.at(frame, from_center(x));
+        // The motion is affine, so that positions along a row are equidistant.
+        let (first, per_px) = (position(0.5), position(1.5) - position(0.5));
+        (0..self.side).map(move |k| {
+            let position = first + per_px * (k * self.step) as f64;
+            [position.x as f32, position.y as f32]
+        })
+    }
+
+    /// The positions of all points in frame 0 to 3, row by row.
+    pub fn positions(&self, motion: &AffineMotion, frame: usize) -> Vec<[f32; 2]> {
+        let mut positions = Vec::with_capacity(self.side * self.side);
+        for row in 0..self.side {
+            positions.extend(self.row(motion, frame, row));
+        }
+        positions
+    }
+
+    /// Samples frame 0 to 3 at those positions: one pixel a point.
+    pub fn sample(&self, image: &Image, motion: &AffineMotion, frame: usize) -> Image {
+        let channels = image.channels();
+        let mut samples = vec![0.0; self.side * self.side * channels];
+        for (row, out) in samples.chunks_exact_mut(self.side * channels).enumerate() {
+            sample_all(image, self.row(motion, frame, row), out);
+        }
+        Image::from_data(self.side, self.side, channels, samples)
+    }
+}
+
+/// The points of a block and of the windows around it, at which costs are computed.
+#[derive(Clone, Copy, Debug)]
+pub struct CostPoints {
+    /// Distance of neighbouring points, pixels.
+    pub step: usize,
+    /// Points in a window's radius.
+    pub radius: usize,
+    /// Side of the block, pixels.
+    block: usize,
+}
+
+impl CostPoints {
+    /// The points for windows of this radius and blocks of this side, pixels.
+    pub fn new(window_radius_px: usize, block: usize) -> Self {
+        let step = (window_radius_px / MIN_POINTS_IN_RADIUS).max(1);
+        Self { step, radius: (window_radius_px + step / 2) / step, block }
+    }
+
+    /// Distance of the first point from the block's first pixel, pixels.
+    pub fn margin_px(&self) -> usize {
+        self.radius * self.step
+    }
+
+    /// Points along a side, including those of the windows beyond the block.
+    pub fn side(&self) -> usize {
+        (self.block - 1).div_ceil(self.step) + 1 + 2 * self.radius
+    }
+
+    /// The mean over the window around each point.
+    pub fn window_means(&self, values: &[f32]) -> Vec<f32> {
+        box_filter(values, self.side(), self.side(), self.radius)
+    }
+
+    /// Interpolates values at the points bilinearly to the block's pixels.
+    pub fn at_pixels(&self, values: &[f32]) -> Vec<f32> {
+        let (side, step, radius) = (self.side(), self.step, self.radius);
+        let mut out = Vec::with_capacity(self.block * self.block);
+        if step == 1 {
+            let rows = values.chunks_exact(side).skip(radius).take(self.block);
+            rows.for_each(|row| out.extend_from_slice(&row[radius..][..self.block]));
+            return out;
+        }
+        // The neighbour after the last point has no weight.
+        let next = |k: usize| (k + 1).min(side - 1);
+        let mut row = vec![0.0; side];
+        for y in 0..self.block {
+            let (above, fraction) = (radius + y / step, (y % step) as f32 / step as f32);
+            let [a, b] = [above, next(above)].map(|k| &values[k * side..][..side]);
+            for ((out, a), b) in row.iter_mut().zip(a).zip(b) {
+                *out = a + (b - a) * fraction;
+            }
+            for x in 0..self.block {
+                let (left, fraction) = (radius + x / step, (x % step) as f32 / step as f32);
+                out.push(row[left] + (row[next(left)] - row[left]) * fraction);
+            }
+        }
+        out
+    }
+}
+
+/// The minimum costs of motions in the earlier and the later frame of a pair, the same at all instants.
+///
+/// They depend on the inputs of [`Self::new`] and on the pair's frames. Only parts of the frames are ever
+/// needed, so that each cell is computed when it is first read.
+pub struct PairCosts([FrameCosts; 2]);
+
+impl PairCosts {
+    /// The costs of a pair of frames of this width and height, by the motions of its tracks.
+    pub fn new(tracked: &TrackedPair, size: [usize; 2], options: &InterpolationOptions) -> Self {
+        let earlier = tracked.motions(options.curved, |_, track| track.earlier);
+        let later = tracked.motions(options.curved, |_, track| track.later);
+        Self::of_motions(size, [earlier, later], options)
+    }
+
+    /// The costs by motions from the positions in the earlier frame, and from those in the later one.
+    pub(super) fn of_motions(
+        size: [usize; 2],
+        [earlier, later]: [Vec<TrackMotion>; 2],
+        options: &InterpolationOptions,
+    ) -> Self {
+        let options = &options.scaled_to(size);
+        Self([(1, earlier), (2, later)].map(|(frame, m)| FrameCosts::new(frame, size, m, options)))
+    }
+
+    /// The costs of the earlier frame (0) or the later one (1).
+    pub(super) fn of(&self, n: usize) -> &FrameCosts {
+        &self.0[n]
+    }
+
+    /// Approximate memory once all cells are computed, bytes.
+    pub fn bytes(&self) -> usize {
+        let of_frame = |costs: &FrameCosts| {
+            let cell =
+                size_of::<OnceLock<Vec<f32>>>() + costs.points_per_side().pow(2) * size_of::<f32>();
+            costs.cells.len() * cell + costs.motions.tracks() * size_of::<TrackMotion>()
+        };
+        self.0.iter().map(of_frame).sum()
+    }
+}
+
+/// The minimum cost of any nearby motion at each point of a frame: the difference from the motion-compensated
+/// neighbouring frames. Where it is small, that motion explains the point, and others don't.
+pub(super) struct FrameCosts {
+    /// The frame: 1 the earlier, 2 the later.
+    frame: usize,
+    /// Width and height of the frame.
+    size: [usize; 2],
+    /// Motions from positions in the frame.
+    motions: MotionHypotheses,
+    points: CostPoints,
+    /// Side of a cell, whose points share their motions, pixels.
+    side: usize,
+    cells: Vec<OnceLock<Vec<f32>>>,
+    across: usize,
+}
+
+impl FrameCosts {
+    /// `options` have lengths scaled to the image's size.
+    fn new(
+        frame: usize,
+        size: [usize; 2],
+        motions: Vec<TrackMotion>,
+        options: &InterpolationOptions,
+    ) -> Self {
+        let side = MIN_CELL_PX.max(4 * options.window_radius_px);
+        let points = CostPoints::new(options.window_radius_px, side);
+        let [across, down] = size.map(|length| length.div_ceil(side));
+        let motions = MotionHypotheses::new(motions, options.search_radius_px);
+        let cells = (0..across * down).map(|_| OnceLock::new()).collect();
+        Self { frame, size, motions, points, side, cells, across }
+    }
+
+    fn points_per_side(&self) -> usize {
+        self.side.div_ceil(self.points.step)
+    }
+
+    /// The cost at the point nearest to a position; infinite where no motion is near. `frames` are those of the
+    /// pair.
+    pub fn at(&self, frames: &FourFrames, [x, y]: [f32; 2]) -> f32 {
+        let pixel = |v: f32, size: usize| (v.max(0.0) as usize).min(size - 1);
+        let (x, y) = (pixel(x, self.size[0]), pixel(y, self.size[1]));
+        let ([column, row], [x, y]) =
+            ([x, y].map(|v| v / self.side), [x, y].map(|v| v % self.side));
+        let cell = self.cells[row * self.across + column].get_or_init(|| {
+            let corner = Point2::from([column, row].map(|v| (v * self.side) as f64));
+            self.cell(frames, corner)
+        });
+        let step = self.points.step;
+        cell[y / step * self.points_per_side() + x / step]
+    }
+
+    /// The costs of the cell with this top-left corner, row by row. Each point is in the middle of the pixels
+    /// that it represents.
+    fn cell(&self, frames: &FourFrames, corner: Point2<f64>) -> Vec<f32> {
+        let images = frames.images();
+        // The middle frame beside it, and the outer one.
+        let neighbors = if self.frame == 1 { [0, 2] } else { [1, 3] };
+        let CostPoints { radius, step, .. } = self.points;
+        let points = self.points_per_side();
+        let side = points + 2 * radius;
+        let first = (step / 2) as f64 - (radius * step) as f64;
+        let grid = PointGrid {
+            corner: corner + Vector2::repeat(first),
+            center: corner + Vector2::repeat(self.side as f64 / 2.0),
+            side,
+            step,
+        };
+        let mut min = vec![f32::INFINITY; points * points];
+        let Some(frame) = images[self.frame] else { return min };
+        let own = grid.sample(frame, &AffineMotion::default(), 0);
+        for motion in self.motions.around(&grid.center) {
+            for neighbor in neighbors {
+                let Some(image) = images[neighbor] else { continue };
+                let other = grid.sample(image, &motion, neighbor);
+                let costs = box_filter(&difference(&own, &other), side, side, radius);
+                for (row, min) in min.chunks_exact_mut(points).enumerate() {
+                    let costs = &costs[(row + radius) * side + radius..];
+                    min.iter_mut().zip(costs).for_each(|(min, cost)| *min = min.min(*cost));
+                }
+            }
+        }
+        min
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::pair_costs;
+    use super::*;
+    use nalgebra::Matrix2;
+
+    const SIZE: usize = 60;
+
+    /// Vertical stripes that are `shift` px to the right, in front of which a bright square hides some.
+    fn stripes(shift: f32, square: bool) -> Image {
+        let value = |k: usize| {
+            let (x, y) = ((k % SIZE) as f32, (k / SIZE) as f32);
+            let hidden = (22.0..38.0).contains(&x) && (22.0..38.0).contains(&y);
+            if square && hidden { 1.0 } else { 0.4 + 0.3 * (0.5 * (x - shift) + 0.1 * y).sin() }
+        };
+        Image::from_data(SIZE, SIZE, 1, (0..SIZE * SIZE).map(value).collect())
+    }
+
+    fn pair<'a>(earlier: &'a Image, later: &'a Image, before: Option<&'a Image>) -> FourFrames<'a> {
+        let (after, fraction, parts, with_motions) = (None, 0.5, None, false);
+        FourFrames { before, earlier, later, after, fraction, parts, with_motions }
+    }
+
+    #[test]
+    fn what_a_motion_explains_costs_nothing() {
+        let motion = |k: usize| TrackMotion {
+            at: Point2::new(5.0 * (k % 12) as f64 + 3.0, 5.0 * (k / 12) as f64 + 3.0),
+            to: [0.0, 0.0, 3.0, 6.0].map(|x| Vector2::new(x, 0.0)),
+            deformation: Matrix2::identity(),
+        };
+        let motions: Vec<TrackMotion> = (0..144).map(motion).collect();
+        let (frame, later) = (stripes(0.0, false), stripes(3.0, true));
+        let before = stripes(0.0, false);
+        let of = |before| {
+            let frames = pair(&frame, &later, before);
+            let costs = pair_costs(&frames, &motions, &InterpolationOptions::default());
+            move |x: f32, y: f32| costs.of(0).at(&frames, [x, y])
+        };
+        let [alone, with_before] = [None, Some(&before)].map(of);
+        assert!(alone(10.5, 10.5) < 1e-3 && alone(50.5, 30.5) < 1e-3);
+        // The later frame hides it; the frame before shows it.
+        assert!(alone(27.5, 30.5) > 0.1);
+        assert!(with_before(27.5, 30.5) < 1e-3);
+        // Outside, that of the nearest pixel.
+        assert!(alone(-5.0, 10.5) == alone(0.5, 10.5));
+    }
+
+    /// In an image of several cells whose size is no multiple of theirs. With the larger window, every second pixel of
+    /// it counts.
+    #[test]
+    fn costs_equal_direct_ones() {
+        let (w, h) = (41, 37);
+        let value = |k: usize, x_px: f32| {
+            0.5 + 0.4 * (0.7 * ((k % w) as f32 - x_px) + 0.9 * (k / w) as f32).sin()
+        };
+        let of = |x_px| Image::from_data(w, h, 1, (0..w * h).map(|k| value(k, x_px)).collect());
+        let (frame, later) = (of(0.0), of(2.3));
+        let motion = |k: usize| TrackMotion {
+            at: Point2::new(6.0 * (k % 7) as f64 + 2.0, 6.0 * (k / 7) as f64 + 2.0),
+            to: [0.0, 0.0, 3.0, 6.0].map(|x| Vector2::new(x, 0.0)),
+            deformation: Matrix2::identity(),
+        };
+        let motions: Vec<TrackMotion> = (0..49).map(motion).collect();
+        let frames = pair(&frame, &later, None);
+        for (radius, step) in [(3_usize, 1), (4, 2)] {
+            let options = InterpolationOptions {
+                window_radius_px: radius,
+                ..InterpolationOptions::default()
+            };
+            let costs = pair_costs(&frames, &motions, &options);
+            for (x, y) in [(5, 5), (15, 17), (17, 15), (25, 31), (33, 21), (33, 29)] {
+                let offsets = || (0..=2 * radius).step_by(step);
+                let difference = |(dx, dy): (usize, usize)| {
+                    let (x, y) = (x + dx - radius, y + dy - radius);
+                    (frame.pixel(x, y)[0] - later.pixel(x + 3, y)[0]).abs()
+                };
+                let window = offsets().flat_map(|dy| offsets().map(move |dx| (dx, dy)));
+                let direct: Vec<f32> = window.map(difference).collect();
+                let direct = direct.iter().sum::<f32>() / direct.len() as f32;
+                let cost = costs.of(0).at(&frames, [x as f32 + 0.5, y as f32 + 0.5]);
+                assert!((cost - direct).abs() < 1e-5, "{radius}, ({x}, {y}): {cost} {direct}");
+            }
+        }
+    }
+
+    #[test]
+    fn without_motions_nothing_is_explained() {
+        let frame = stripes(0.0, false);
+        let frames = pair(&frame, &frame, Some(&frame));
+        let costs = pair_costs(&frames, &[], &InterpolationOptions::default());
+        assert!(costs.of(0).at(&frames, [30.0, 30.0]) == f32::INFINITY);
+    }
+
+    #[test]
+    fn planes_are_interpolated_exactly() {
+        for (radius, block) in
+            [(0, 16), (1, 16), (2, 16), (3, 16), (4, 16), (5, 20), (7, 28), (8, 32)]
+        {
+            let points = CostPoints::new(radius, block);
+            let side = points.side();
+            // At the pixel of the first point, and from there on.
+            let value = |x: f32, y: f32| 0.5 + 0.25 * x - 0.125 * y;
+            let at = |k: usize| (k * points.step) as f32 - points.margin_px() as f32;
+            let values: Vec<f32> =
+                (0..side * side).map(|k| value(at(k % side), at(k / side))).collect();
+            let pixels = points.at_pixels(&values);
+            assert_eq!(pixels.len(), block * block);
+            for (k, got) in pixels.iter().enumerate() {
+                let want = value((k % block) as f32, (k / block) as f32);
+                assert!((got - want).abs() < 1e-5, "{radius}, {k}: {got} {want}");
+            }
+            assert!(points.margin_px().abs_diff(radius) <= points.step / 2);
+        }
+    }
+}
