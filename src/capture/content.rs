@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-/// Hashes of the files of an opened capture. Those of images are set when they are first read.
+/// Hashes of the files of an opened capture. Hashes of images are set when the images are first read.
 #[derive(Debug)]
 pub(super) struct ContentHashes {
     /// Of `capture.json`.
@@ -43,7 +43,7 @@ impl ContentHashes {
     }
 }
 
-/// The hash of a capture's content, once it is computed. Clones start without it, since their cameras may be replaced.
+/// The hash of a capture's content, computed once. Clones compute their own, since their cameras may be replaced.
 #[derive(Debug, Default)]
 pub(super) struct ContentHash(OnceLock<String>);
 
@@ -64,8 +64,7 @@ impl Capture {
         }
     }
 
-    /// A hash of everything that results from this capture depend on: `capture.json` and the bytes of the frames or videos.
-    /// 64 hexadecimal digits.
+    /// Hash of the capture's content, `capture.json` and the bytes of the frames or videos: 64 hexadecimal digits.
     ///
     /// Computed once. Hashes of files that haven't changed since an earlier command come from the cache.
     ///

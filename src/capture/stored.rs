@@ -1,4 +1,4 @@
-//! Results that are stored in a capture's cache on disk in binary form.
+//! Results in a capture's cache on disk, in postcard's binary form.
 
 use super::{Capture, CaptureError};
 use crate::host::{CacheKind, DiskCache};
@@ -16,12 +16,12 @@ pub(crate) struct Stored {
 }
 
 impl Capture {
-    /// The cache, if it has entries of a kind. Without entries, the capture's content need not be hashed.
+    /// The cache, if it may have entries of a kind. Otherwise the capture's content isn't hashed.
     fn cache_with(&self, kind: CacheKind) -> Option<DiskCache> {
         self.cache.has(kind).then(|| self.cache().ok()).flatten()
     }
 
-    /// The result that is stored for these inputs, if there is one.
+    /// Loads the result for these inputs, if it is stored.
     pub(crate) fn load_stored<T: DeserializeOwned>(
         &self,
         kind: CacheKind,
@@ -30,7 +30,7 @@ impl Capture {
         postcard::from_bytes(&self.cache_with(kind)?.load(kind, inputs)?).ok()
     }
 
-    /// Stores a result for these inputs unless it is there; `compute` makes it.
+    /// Computes and stores the result for these inputs, unless it is stored already.
     ///
     /// # Errors
     /// Those of [`Self::cache`] and of `compute`, and [`CaptureError::Write`] if it can't be written.

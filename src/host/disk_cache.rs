@@ -59,7 +59,7 @@ pub struct CacheUse {
     pub bytes: u64,
 }
 
-/// The cache of one capture, for one content of the capture.
+/// The cache of one capture.
 #[derive(Clone)]
 pub struct DiskCache {
     capture: PathBuf,
@@ -97,9 +97,8 @@ struct Found {
 }
 
 impl DiskCache {
-    /// The cache of the capture in a folder. `note` is told, in one sentence each, which entries are damaged.
-    ///
-    /// Keys don't depend on the capture's content: see [`Self::for_content`].
+    /// The cache of the capture in a folder, with keys that don't depend on the capture's content
+    /// ([`Self::for_content`]). `note` is called with a sentence for each damaged entry.
     pub fn new(capture: &Path, note: impl Fn(&str) + Send + Sync + 'static) -> Self {
         Self::bounded(capture, MAX_BYTES, RECENT, note)
     }
@@ -123,7 +122,7 @@ impl DiskCache {
         Self { capture: capture.to_owned(), content: String::new(), shared: Arc::new(shared) }
     }
 
-    /// The same cache with keys for this content of the capture.
+    /// This cache with keys that depend on the capture's content, here its hash.
     pub fn for_content(&self, content: &str) -> Self {
         Self { content: content.to_owned(), ..self.clone() }
     }
@@ -147,7 +146,7 @@ impl DiskCache {
         self.capture.join(FOLDER)
     }
 
-    /// The link through which a kind's entries would be reached, if there is one. Nothing is read or written then.
+    /// The link on the way to a kind's entries, if there is one. Nothing is read or written through it.
     pub fn link(&self, kind: CacheKind) -> Option<PathBuf> {
         link_within(&self.capture, &self.folder().join(kind.name))
     }
@@ -390,7 +389,7 @@ fn unsealed(path: &Path, key: &blake3::Hash) -> Option<Vec<u8>> {
     (*found == *checksum(key, content).as_bytes()).then(|| bytes.split_off(blake3::OUT_LEN))
 }
 
-/// Whether a text names something in a folder, and no path.
+/// Whether a text is a single file name.
 fn is_name(text: &str) -> bool {
     matches!(Path::new(text).components().collect::<Vec<_>>()[..], [Component::Normal(name)] if name == text)
 }
