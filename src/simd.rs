@@ -1,20 +1,22 @@
-//! One source for all processors: kernels are compiled twice, for AVX2 with FMA and for any processor.
+//! Function multiversioning: kernels have one source and are compiled twice, for AVX2 with FMA and for any
+//! processor.
 //!
-//! A kernel is an `#[inline(always)]` function of slices that [`multiversion!`] makes a dispatcher for. Plain loops
-//! that the compiler vectorizes give the same bits by both. What it doesn't vectorize well computes on words
-//! `V:` [`F32x8`], whose products and sums are fused by AVX2 only; both agree to 1e-5 for values of order 1.
+//! A kernel is an `#[inline(always)]` function, and [`multiversion!`] defines the function that calls it. Plain
+//! loops, which the compiler vectorizes, give the same bits by both versions. Kernels that it doesn't vectorize
+//! well compute with vectors `V:` [`F32x8`]. Their multiply–adds are fused by AVX2 only, and agree to 1e-5 for
+//! values of order 1.
 
 use std::ops::{Add, Div, Mul, Sub};
 
-/// Defines a function that calls a kernel as compiled for the processor that it runs on.
+/// Defines a function that calls a kernel in the version for the processor.
 ///
-/// `fn f(a: A) -> R = kernel` calls plain loops, and `= kernel::<V>` a kernel of words `V:` [`F32x8`]. The kernel's
-/// other generic parameters are repeated in brackets, `fn f[const C: usize](…)`.
+/// `fn f(a: A) -> R = kernel` calls plain loops, and `= kernel::<V>` a kernel of vectors `V:` [`F32x8`].
+/// Further generic parameters stand in brackets: `fn f[const C: usize](…)`.
 macro_rules! multiversion {
     (
         $(#[$meta:meta])*
         $visibility:vis fn $name:ident $([$($generics:tt)*])? ($($argument:ident: $type:ty),* $(,)?) $(-> $result:ty)?
-            = $kernel:ident $(::<$word:ident>)?
+            = $kernel:ident $(::<$vector:ident>)?
     ) => {
         $(#[$meta])*
         #[inline]
@@ -23,46 +25,45 @@ macro_rules! multiversion {
             #[target_feature(enable = "avx2,fma,popcnt")]
             #[inline]
             fn by_avx2 $(<$($generics)*>)? ($($argument: $type),*) $(-> $result)? {
-                $kernel $(::<$crate::simd::multiversion!(@avx2 $word)>)? ($($argument),*)
+                $kernel $(::<$crate::simd::multiversion!(@avx2 $vector)>)? ($($argument),*)
             }
             #[cfg(target_arch = "x86_64")]
             if $crate::simd::has_avx2_and_fma() {
                 // SAFETY: the processor has these instructions.
                 return unsafe { by_avx2($($argument),*) };
             }
-            $kernel $(::<$crate::simd::multiversion!(@scalar $word)>)? ($($argument),*)
+            $kernel $(::<$crate::simd::multiversion!(@scalar $vector)>)? ($($argument),*)
         }
     };
-    (@avx2 $word:ident) => { $crate::simd::Avx2 };
-    (@scalar $word:ident) => { $crate::simd::Scalar };
+    (@avx2 $vector:ident) => { $crate::simd::Avx2 };
+    (@scalar $vector:ident) => { $crate::simd::Scalar };
 }
 
 pub(crate) use multiversion;
 
-/// Whether the processor has AVX2 and FMA; all that have AVX2 count bits too.
+/// Whether the processor has AVX2 and FMA. All processors with AVX2 have POPCNT too.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 pub(crate) fn has_avx2_and_fma() -> bool {
     is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
 }
 
-/// Values of a word.
+/// Number of values of a vector.
 pub const LANES: usize = 8;
 
-/// A word of eight `f32` values; operators work element by element.
+/// A SIMD vector of eight `f32` values; operators work element by element.
 ///
 /// Closures must not use it: they are not compiled for the instructions of the function around them.
 pub trait F32x8:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
-    /// The word whose eight values are all `value`.
+    /// The vector whose eight values are all `value`.
     fn splat(value: f32) -> Self;
-    /// The word with these values, in order.
+    /// The vector with these values, in order.
     fn from_array(lanes: &[f32; LANES]) -> Self;
     /// The eight values, in order.
     fn to_array(self) -> [f32; LANES];
-    /// `self·factor + term`, element-wise. Scalar code rounds the product and the sum, FMA only the
-    /// sum.
+    /// `self·factor + term`, element-wise. [`Scalar`] rounds the product and the sum, AVX2 the sum only.
     fn mul_add(self, factor: Self, term: Self) -> Self;
     /// Square roots.
     fn sqrt(self) -> Self;
@@ -70,13 +71,13 @@ pub trait F32x8:
     fn if_below(self, other: Self, then: Self, otherwise: Self) -> Self;
     /// Absolute values.
     fn abs(self) -> Self;
-    /// The smaller of the two, element-wise. Where `self` is NaN: `other`. Where `other` is NaN: `self`
-    /// by [`Scalar`], NaN by AVX2.
+    /// Element-wise minimum. Where `self` is NaN: `other`. Where `other` is NaN: `self` by [`Scalar`], NaN by
+    /// AVX2.
     fn min(self, other: Self) -> Self;
-    /// The larger of the two, element-wise. NaN as in [`Self::min`].
+    /// Element-wise maximum. NaN as for [`Self::min`].
     fn max(self, other: Self) -> Self;
-    /// The floor of every value, and its fractional part in 0..1. The values must be below 2²³ in
-    /// magnitude, and not NaN: its floor is 0 by [`Scalar`], `i32::MIN` by AVX2.
+    /// Element-wise floor and fractional part, in 0..1, of values below 2²³ in magnitude. The floor of NaN is 0
+    /// by [`Scalar`], `i32::MIN` by AVX2.
     fn floor_and_fraction(self) -> ([i32; LANES], Self);
     /// As [`Self::load`], without a bounds check.
     ///
@@ -97,7 +98,7 @@ pub trait F32x8:
         y: [Self; 4],
     ) -> Self;
 
-    /// The word of eight zeros.
+    /// The vector of eight zeros.
     #[inline(always)]
     fn zero() -> Self {
         Self::splat(0.0)
@@ -109,7 +110,7 @@ pub trait F32x8:
     /// If `row` ends before the eighth.
     #[inline(always)]
     fn load(row: &[f32], at: usize) -> Self {
-        Self::from_array(row[at..].first_chunk().expect("rows are padded to whole words"))
+        Self::from_array(row[at..].first_chunk().expect("rows are padded to whole vectors"))
     }
 
     /// Writes the eight values to `row` from index `at` on.
@@ -149,10 +150,10 @@ pub trait F32x8:
     }
 }
 
-/// Implements an operator of words.
+/// Implements an operator of vectors.
 macro_rules! operator {
-    ($word:ident, $operator:ident $method:ident, |$a:ident, $b:ident| $value:expr) => {
-        impl std::ops::$operator for $word {
+    ($vector:ident, $operator:ident $method:ident, |$a:ident, $b:ident| $value:expr) => {
+        impl std::ops::$operator for $vector {
             type Output = Self;
             #[inline(always)]
             fn $method(self, other: Self) -> Self {
@@ -162,7 +163,7 @@ macro_rules! operator {
         }
     };
 }
-/// [`F32x8`] for every processor: an array.
+/// [`F32x8`] as an array, for every processor.
 #[derive(Clone, Copy)]
 pub struct Scalar([f32; LANES]);
 
@@ -273,8 +274,8 @@ mod avx2 {
     use super::{F32x8, LANES};
     use std::arch::x86_64::*;
 
-    /// [`F32x8`] for AVX2 and FMA: a 256-bit register. Only [`multiversion!`](super::multiversion) names it, so that
-    /// its methods are inlined into functions that are compiled for these instructions.
+    /// [`F32x8`] as a 256-bit register, for AVX2 and FMA. Only [`multiversion!`](super::multiversion) names it,
+    /// so that its methods are inlined into functions compiled for these instructions.
     #[derive(Clone, Copy)]
     pub struct Avx2(__m256);
 

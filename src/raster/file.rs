@@ -118,11 +118,10 @@ fn bit_depth(color: ColorType) -> BitDepth {
     }
 }
 
-/// Reads an image file, and its bit depth. Grey has one channel, all else three; alpha is ignored.
-/// Samples are the file's divided by their largest value.
+/// Reads an image file, and its bit depth. Grey images have one channel, all others three; alpha is ignored.
+/// Samples are divided by their largest value.
 ///
-/// What is no regular file, a file of more than 448 MiB, and an image of more than [`MAX_PIXELS`] are
-/// errors, found before the pixels are read.
+/// Errors are found before pixels are read: no regular file, more than 448 MiB, more than [`MAX_PIXELS`].
 pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
     let opened = OpenedImage::open(path)?;
     let depth = opened.header().bit_depth;

@@ -56,7 +56,7 @@ impl FrameStore {
         }
     }
 
-    /// Where frames are cached.
+    /// The memo that caches the frames.
     pub fn memo(&self) -> &Arc<Memo> {
         &self.memo
     }
@@ -99,8 +99,8 @@ impl FrameStore {
         bytes.saturating_mul(frames_each) <= self.memo.max_bytes().min(FRAME_BYTES)
     }
 
-    /// What a camera's frame counts in the memo, bytes. A small frame counts as its camera's part of the bound
-    /// over [`MAX_FRAMES`].
+    /// The cost of a camera's frame in the memo, bytes: at least 1/[`MAX_FRAMES`] of its camera's part of the
+    /// bound.
     fn bytes_of(&self, camera: usize) -> usize {
         let filmed = &self.capture.cameras[camera];
         let size = [filmed.camera.width, filmed.camera.height];

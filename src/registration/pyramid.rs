@@ -31,11 +31,9 @@ pub struct PyramidLevel {
 const MIN_LEVEL_PX: usize = 16;
 
 impl Pyramid {
-    /// The pyramid of an image; a colour image by its luma.
-    ///
-    /// It has `levels` levels, fewer where a level's shorter side would be below 16 pixels, and
-    /// always at least one. `pad` is the width of the border, pixels, that the largest window needs
-    /// ([`super::RegistrationOptions::pad_px`]).
+    /// The pyramid of an image, of a colour image's luma: `levels` levels, fewer where a level's shorter side
+    /// would be below 16 pixels, and at least one. `pad` is the width of the border, pixels, that the largest
+    /// window needs ([`super::RegistrationOptions::pad_px`]).
     pub fn new(image: &Image, levels: usize, pad: usize) -> Self {
         let mut all = vec![PyramidLevel::of_image(image, pad)];
         for _ in 1..Self::sizes([image.width(), image.height()], levels).len() {
