@@ -140,8 +140,9 @@
 //! image = capture.render(0.1, like="cam3")
 //! ```
 //!
-//! `stlfr.methods()` lists the methods of each stage. `capture.render(..., proceed=f)` calls
-//! `f(done, total)` before every step of every instant, and stops if it returns something false.
+//! `stlfr.methods()` lists the methods of each stage, `stlfr.options()` all options with their defaults,
+//! ranges and units. `capture.render(..., proceed=f)` calls `f(done, total)` before every step of every
+//! instant, and stops if it returns something false.
 //! `capture.moment(0.1).view(camera)` renders many views of one instant, what they share but once.
 //!
 //! # Limits

@@ -33,9 +33,9 @@ options! {
         sync: SyncMethod = SyncMethod::Refined,
         /// The geometry proxy (§6).
         proxy: ProxyOptions,
-        /// Registration (§4); fixed once a light field is open.
+        /// Registration (§4).
         registration: RegistrationOptions,
-        /// Temporal offsets (§7); fixed once a light field is open.
+        /// Temporal offsets (§7), estimated when a light field is opened.
         offset: OffsetOptions,
         /// Temporal interpolation (§5).
         interpolation: InterpolationOptions,

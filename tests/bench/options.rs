@@ -91,15 +91,14 @@ impl Scene {
     fn measure(&self, options: &RenderOptions, with_offsets: bool) -> Result<Outcome, Error> {
         let watch = Stopwatch::start();
         let field = LightField::new(self.capture.clone(), self.clocks.clone());
-        let view = options.clone();
         let mut images = Vec::new();
         for target in &self.targets {
             let (image, covered) = match target.filmed {
                 Some(camera) => {
-                    (field.synchronized(camera, target.time_s, &view)?.image.clone(), None)
+                    (field.synchronized(camera, target.time_s, options)?.image.clone(), None)
                 }
                 None => {
-                    let rendered = field.view(&target.camera, target.time_s, &view)?;
+                    let rendered = field.view(&target.camera, target.time_s, options)?;
                     (rendered.image, Some(rendered.coverage))
                 }
             };
