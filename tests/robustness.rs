@@ -329,7 +329,6 @@ fn options_out_of_range_are_refused_by_name() {
         (r#"{"registration": {"max_corners": 1000000000}}"#, "registration.max_corners"),
         (r#"{"interpolation": {"max_edge_length_px": 1e300}}"#, "interpolation.max_edge_length_px"),
         // And these made no sense.
-        (r#"{"interpolation": {"edge_boost": 33}}"#, "interpolation.edge_boost"),
         (r#"{"interpolation": {"grid_px": 0}}"#, "interpolation.grid_px"),
         (r#"{"registration": {"levels": 0}}"#, "registration.levels"),
         (r#"{"blend": {"error_angle_rad": -1}}"#, "blend.error_angle_rad"),

@@ -3,7 +3,7 @@
 use super::InterpolationOptions;
 use super::edge_set::edge_set;
 use super::edges::real_edges;
-use super::morph::morph_warp;
+use super::morph::{EDGE_BOOST, morph_warp};
 use super::refine::{FourFrames, PairCosts, PixelMotion, motion_px, refined};
 use super::tracked_pair::TrackedPair;
 use super::triangulation::{Triangles, warp_triangles};
@@ -152,7 +152,7 @@ impl FramePair<'_> {
             let [source, other] = [source, other].map(|f| &f.pyramid.levels()[0]);
             let real = real_edges(&features, source, other, options.max_edge_length_px);
             let edges = edge_set(&features, &real, w, h);
-            let boost = if boosted { options.edge_boost } else { 0.0 };
+            let boost = if boosted { EDGE_BOOST } else { 0.0 };
             morph_warp(&edges, [w, h], boost, options.grid_px)
         })
     }

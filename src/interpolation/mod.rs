@@ -35,7 +35,7 @@ pub(crate) use block_change::{changed_fraction, changed_pixels};
 pub use edge_set::{Edge, edge_set};
 pub use edges::{Feature, RealEdge, real_edges};
 pub use frame_pair::{FramePair, PairMethod, Synchronized};
-pub use morph::morph_warp;
+pub use morph::{EDGE_BOOST, morph_warp};
 pub use options::{InterpolationOptions, SyncMethod};
 pub use refine::PairCosts;
 pub use tracked_pair::TrackedPair;

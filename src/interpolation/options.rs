@@ -57,8 +57,6 @@ options! {
         still_change: f32 [0.0..=1.0, "of the value range"] = 0.0,
         /// Maximum length of a real edge, L_max of §5.1. The time grows with its square.
         max_edge_length_px: f64 [0.0..=200.0, "px"] = 24.0,
-        /// Exponent τ of eq. (8): a real edge weighs up to 2^τ times as much as a virtual edge.
-        edge_boost: f64 [0.0..=32.0, "exponent"] = 4.0,
         /// Distance of the grid nodes at which the morph is evaluated; 1 is exact.
         grid_px: usize [1..=256, "px"] = 4,
         /// Half-width of the window over which refinement compares frames, in images of 320 pixels; larger

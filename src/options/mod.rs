@@ -133,6 +133,7 @@ mod tests {
         names.sort();
         paths.sort();
         assert_eq!(names, paths);
+        assert!(names.len() <= 40, "{names:?}");
         for option in &options {
             let DeclaredOption { name, help, kind, .. } = option;
             assert!(help.len() > 10 && help.len() < 200, "{name}: {help}");

@@ -25,11 +25,10 @@ use stlfr::registration::FrameStore;
 type Error = Box<dyn std::error::Error>;
 
 /// Options that act with another method only, and the options that choose it.
-const CONTEXTS: [(&str, &str, &str); 6] = [
+const CONTEXTS: [(&str, &str, &str); 5] = [
     ("proxy.plane_depth_m", "proxy.method", "plane"),
     ("proxy.depth.", "proxy.method", "depth"),
     ("interpolation.max_edge_length_px", "sync", "edge-morph"),
-    ("interpolation.edge_boost", "sync", "edge-morph"),
     ("interpolation.grid_px", "sync", "edge-morph"),
     ("blend.error_angle_rad", "blend.method", "space-time"),
 ];

@@ -17,6 +17,8 @@ use rayon::prelude::*;
 const A_PX: f32 = 0.5;
 /// Minimum length of an edge, at the instant and in the source, pixels: shorter ones have no direction.
 const MIN_LENGTH_PX: f64 = 1e-3;
+/// τ of eq. (8): a real edge weighs up to 2^τ times as much as a virtual one.
+pub const EDGE_BOOST: f64 = 4.0;
 /// Largest exponent of the boost, eq. (8), for which f32 holds all weights: 2^4 · 2^32 = 7e10.
 const MAX_BOOST: f64 = 32.0;
 /// Nodes that are computed at once: the lanes of an AVX2 register.

@@ -6,8 +6,8 @@ use crate::page::{Page, Panel};
 use crate::scene::{Clocks, Scene, TrueView};
 use std::sync::Arc;
 use stlfr::interpolation::{
-    Edge, Feature, InterpolationOptions, SyncMethod, cross_dissolve, edge_set, morph_warp,
-    real_edges,
+    EDGE_BOOST, Edge, Feature, InterpolationOptions, SyncMethod, cross_dissolve, edge_set,
+    morph_warp, real_edges,
 };
 use stlfr::options::RenderOptions;
 use stlfr::raster::Image;
@@ -103,8 +103,7 @@ impl Pair {
         let warp = |forward: bool| -> Result<_, Error> {
             let mut edges = self.edges(forward)?;
             edges.retain(|e| virtual_edges || e.mean_fitness.is_some());
-            let InterpolationOptions { edge_boost, grid_px, .. } = papers_interpolation();
-            Ok(morph_warp(&edges, [w, h], edge_boost, grid_px))
+            Ok(morph_warp(&edges, [w, h], EDGE_BOOST, papers_interpolation().grid_px))
         };
         let fraction = ((self.time_s - start) / (end - start)) as f32;
         let images = [&earlier.image, &later.image];
