@@ -72,15 +72,15 @@ impl Delaunay {
         let mut first_at = HashMap::with_capacity(positions.len());
         let mut sites = Vec::with_capacity(positions.len());
         let mut site_of = vec![None; positions.len()];
-        for (index, place) in positions.iter().enumerate() {
-            let place = [place.x, place.y].map(accepted);
-            if place.iter().any(|v| spade::validate_coordinate(*v).is_err()) {
+        for (index, position) in positions.iter().enumerate() {
+            let position = [position.x, position.y].map(accepted);
+            if position.iter().any(|v| spade::validate_coordinate(*v).is_err()) {
                 continue;
             }
-            let first = *first_at.entry(place.map(f64::to_bits)).or_insert(index);
+            let first = *first_at.entry(position.map(f64::to_bits)).or_insert(index);
             site_of[index] = Some(first);
             if first == index {
-                sites.push(Site { position: place.into(), index });
+                sites.push(Site { position: position.into(), index });
             }
         }
         // Only invalid coordinates are refused, and there are none.
@@ -122,22 +122,22 @@ fn accepted(v: f64) -> f64 {
 fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<RealEdge> {
     let mut order: Vec<usize> = (0..real.len()).collect();
     order.sort_by(|&a, &b| real[b].mean_fitness.total_cmp(&real[a].mean_fitness).then(a.cmp(&b)));
-    let places: Vec<_> = order.iter().map(|&k| real[k].ends.map(|v| vertices[v].source)).collect();
-    let ends = |k: usize| places[k];
-    let mut cells = SegmentCells::new(&places);
+    let segments: Vec<_> =
+        order.iter().map(|&k| real[k].ends.map(|v| vertices[v].source)).collect();
+    let mut cells = SegmentCells::new(&segments);
     let mut fitter = Vec::new();
     // Where each edge is split: fractions along it, and the vertex there.
     let mut splits: Vec<Vec<(f64, usize)>> = vec![Vec::new(); order.len()];
     for k in 0..order.len() {
         let [a, b] = real[order[k]].ends;
-        let segment = ends(k);
+        let segment = segments[k];
         cells.near(&segment, &mut fitter);
         for &fitter in &fitter {
             let [c, d] = real[order[fitter]].ends;
             if [c, d].contains(&a) || [c, d].contains(&b) {
                 continue;
             }
-            let Some((along, along_fitter)) = crossing(segment, ends(fitter)) else {
+            let Some((along, along_fitter)) = crossing(segment, segments[fitter]) else {
                 continue;
             };
             let vertex = vertices[c].lerp(&vertices[d], along_fitter);

@@ -67,14 +67,14 @@ pub fn real_edges(
     let candidates: Vec<RealEdge> = (0..features.len())
         .into_par_iter()
         .flat_map_iter(|a| {
-            let mut found = Vec::new();
+            let mut edges = Vec::new();
             neighbors.each_within(&features[a].source, max_length_px, |b| {
                 if b > a {
                     let ends = [&features[a], &features[b]];
-                    found.extend(real_edge([a, b], ends, source, other));
+                    edges.extend(real_edge([a, b], ends, source, other));
                 }
             });
-            found
+            edges
         })
         .collect();
     without_duplicates(candidates, features)
