@@ -89,7 +89,7 @@ impl Offsets {
         capture.folder.join("offsets.json")
     }
 
-    /// The path of the plot beside `offsets.json`.
+    /// The path of the plot, in the folder of `offsets.json`.
     pub fn plot_path(capture: &Capture) -> PathBuf {
         capture.folder.join("offsets.svg")
     }

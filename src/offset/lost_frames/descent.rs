@@ -77,7 +77,7 @@ pub fn fit_clock_models(
 /// Block-coordinate descent over the cameras' clock models.
 struct CoordinateDescent<'a> {
     clocks: &'a [NominalClock<'a>],
-    /// By camera: each observation is listed for both of its cameras.
+    /// By camera: the observations that it takes part in.
     observations: Vec<Vec<TimingObservation>>,
     models: Vec<Option<FittedClock>>,
     /// The penalty of one lost frame, in outliers.
@@ -116,8 +116,8 @@ impl<'a> CoordinateDescent<'a> {
 
     /// Fits a further camera to the models of its component.
     ///
-    /// Where an unconstrained fit steps back by a frame, all cameras fitted so far may have lost a
-    /// frame there. That alternative replaces the constrained fit if its total cost is lower.
+    /// If an unconstrained fit steps back by a frame, all cameras fitted so far may have lost a frame
+    /// there. This alternative replaces the constrained fit if its total cost is lower.
     fn add_camera(&mut self, camera: usize, component: usize) {
         let unconstrained = self.fit(camera, true);
         let before = self.models.clone();

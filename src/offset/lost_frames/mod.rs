@@ -371,7 +371,7 @@ impl<'a, 'b> PairScan<'a, 'b> {
         self.bisect_jump(between, to, bracketing)
     }
 
-    /// An observation between two others: in the middle, or as near to it as possible.
+    /// An observation of an image between two others, as near to their middle as possible.
     fn observe_between(
         &self,
         from: TripleOffset,
