@@ -135,7 +135,7 @@ impl DotPlot {
         let label = HtmlEscape(self.x_label.as_str());
         let attributes =
             format!("class=\"plot {}\" role=\"img\" aria-label=\"{label}\"", layout.class);
-        drawing.svg([layout.width, bottom + FOOT], &attributes)
+        drawing.svg(&attributes, [layout.width, bottom + FOOT], "")
     }
 }
 

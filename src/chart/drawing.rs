@@ -25,10 +25,10 @@ impl Drawing {
         Self { elements, origin: [0.0; 2] }
     }
 
-    /// The SVG element of this size, which has `attributes` besides.
-    pub fn svg(&self, [width, height]: [f64; 2], attributes: &str) -> String {
+    /// The SVG element of this size, with further attributes before and after it.
+    pub fn svg(&self, before: &str, [width, height]: [f64; 2], after: &str) -> String {
         format!(
-            "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" {attributes}>\n\
+            "<svg {before} viewBox=\"0 0 {width} {height}\" {after}>\n\
              {}</svg>\n",
             self.elements
         )
@@ -103,7 +103,7 @@ mod tests {
         );
         let path = drawn(|d| d.path(&[[0.0, 25.0], [45.0, 25.0]], ""));
         assert!(path.contains("points=\"10.0,30.0 55.0,30.0\""));
-        let page = Drawing::default().svg([60.0, 40.0], "");
+        let page = Drawing::default().svg("", [60.0, 40.0], "");
         assert!(page.contains("viewBox=\"0 0 60 40\"") && page.ends_with("</svg>\n"));
     }
 

@@ -82,6 +82,8 @@ const COLORS: [&str; 8] =
 const FAINT: &str = "#b4b4b4";
 const FRAME: &str = "#888888";
 const GRID: &str = "#e4e4e4";
+/// Standalone files need it; elements inside HTML do not.
+const NAMESPACE: &str = "xmlns=\"http://www.w3.org/2000/svg\"";
 const RULE: &str = "stroke=\"#333333\" stroke-width=\"1\" stroke-dasharray=\"5 4\"";
 const PLAIN: &str = "fill=\"#000000\"";
 const BOLD: &str = "font-weight=\"bold\" fill=\"#000000\"";
@@ -104,7 +106,7 @@ pub fn svg(charts: &[Chart], columns: usize) -> String {
         "width=\"{width}\" height=\"{height}\" font-family=\"'Noto Sans Mono', monospace\" \
          font-size=\"{TEXT_SIZE}\""
     );
-    page.svg(size, &attributes)
+    page.svg(NAMESPACE, size, &attributes)
 }
 
 /// The style of a line.
