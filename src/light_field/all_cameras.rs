@@ -4,8 +4,8 @@
 //! A body that bounces between two frames leaves no trace of it in them. Another camera has a frame just then.
 
 use super::geometry::geometry;
-use super::graph::LightField;
-use super::stages::{AllCamerasImage, CameraImage, ImageMethod, ImageSource, Images, Stage};
+use super::graph::{LightField, Stage};
+use super::stages::{AllCamerasImage, CameraImage, ImageMethod, ImageSource, Images};
 use super::view::blend_images;
 use super::{Context, RenderError, Request, Viewpoint, depth};
 use crate::interpolation::{SyncMethod, Synchronized};

@@ -1,10 +1,10 @@
 //! §5: a camera's image at an instant at which it took none.
 
 use super::frame_pair::is_still;
-use super::graph::LightField;
+use super::graph::{LightField, Stage};
 use super::stages::{
     AllCamerasImage, CameraImage, CorrectedImage, GivenImages, ImageMethod, PairTracks,
-    PairTriangles, RefinementCosts, Stage,
+    PairTriangles, RefinementCosts,
 };
 use super::{Context, RenderError};
 use crate::host::on_workers;

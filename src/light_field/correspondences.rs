@@ -1,8 +1,8 @@
 //! §6: which features of several cameras show the same point, at all instants between the same frames.
 
 use super::frame_pair::is_still;
-use super::graph::LightField;
-use super::stages::{Correspondences, FramesAround, PairTracks, Stage};
+use super::graph::{LightField, Stage};
+use super::stages::{Correspondences, FramesAround, PairTracks};
 use super::{Context, RenderError};
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::lumigraph::triangulate;

@@ -1,9 +1,9 @@
 //! Depth per pixel of cameras at an instant, from their images.
 
 use super::camera_image::{corrected, share};
-use super::graph::LightField;
+use super::graph::{LightField, Stage};
 use super::points::nearest;
-use super::stages::{CameraDepth, CameraImage, ImageSource, OcclusionDepths, Stage, Stereo};
+use super::stages::{CameraDepth, CameraImage, ImageSource, OcclusionDepths, Stereo};
 use super::{Context, RenderError};
 use crate::camera::Camera;
 use crate::interpolation::Synchronized;

@@ -1,7 +1,7 @@
 //! §4: change and tracks between two successive frames of a camera.
 
-use super::graph::LightField;
-use super::stages::{FrameChange, PairTracks, PairTriangles, Stage, StoredStage};
+use super::graph::{LightField, Stage, StoredStage};
+use super::stages::{FrameChange, PairTracks, PairTriangles};
 use super::{Context, RenderError};
 use crate::host::CacheKind;
 use crate::interpolation::{Triangles, largest_change};

@@ -1,14 +1,34 @@
 //! The render graph: a capture with its clocks, and the results of its stages.
 
-use super::stages::{Stage, StoredStage};
+use super::context::Context;
+use super::error::RenderError;
 use super::timeline::Timeline;
-use super::{Context, RenderError, Viewpoint};
 use crate::capture::{Capture, Stored};
-use crate::host::Memo;
+use crate::host::{CacheKind, Memo};
 use crate::offset::Offsets;
 use crate::registration::{FrameStore, Gains, RegistrationOptions};
 use nalgebra::Point3;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::any::Any;
 use std::sync::Arc;
+
+/// A stage of the graph, with its inputs.
+pub(super) trait Stage: Serialize {
+    type Output: Any + Send + Sync;
+    /// Tells the stage's results from those of others.
+    const NAME: &'static str;
+
+    /// The size of a result, bytes.
+    fn bytes(output: &Self::Output) -> usize;
+
+    fn compute(&self, field: &LightField, context: &Context) -> Result<Self::Output, RenderError>;
+}
+
+/// A stage whose results [`LightField::prepare`] stores on disk.
+pub(super) trait StoredStage: Stage<Output: Serialize + DeserializeOwned> {
+    const KIND: CacheKind;
+}
 
 /// A capture with known clocks, from which views are rendered.
 ///
@@ -95,10 +115,9 @@ impl LightField {
         self.memo.get(S::NAME, stage)
     }
 
-    /// Drops the results that belong to an instant, so that the next view takes as long as the first of an instant
-    /// between registered frames.
-    pub(crate) fn forget_instants(&self) {
-        self.memo.forget(|stage| super::stages::OF_INSTANTS.contains(&stage));
+    /// Drops the results of the stages that pass.
+    pub(super) fn forget(&self, passes: impl Fn(&str) -> bool) {
+        self.memo.forget(passes);
     }
 
     pub(super) fn timeline(&self) -> &Timeline {
@@ -119,20 +138,6 @@ impl LightField {
     /// there is none.
     pub fn common_span_s(&self) -> Option<(f64, f64)> {
         self.timeline.common_span_s()
-    }
-
-    /// Checks that there are images from a viewpoint at all of these times.
-    ///
-    /// # Errors
-    /// The error of rendering the first time at which the cameras had not begun or had ended.
-    pub fn check_times(&self, from: Viewpoint, times_s: &[f64]) -> Result<(), RenderError> {
-        times_s.iter().try_for_each(|&time_s| match from {
-            Viewpoint::Like(camera) => self.timeline.bracket(camera, time_s).map(drop),
-            Viewpoint::View(_) if self.usable(time_s).is_empty() => {
-                Err(self.timeline.no_camera_at(time_s))
-            }
-            Viewpoint::View(_) => Ok(()),
-        })
     }
 
     /// How many cameras have a time between two frames, at least this fraction of the interval away from both.

@@ -22,6 +22,7 @@
 //! | `geometry.rs` | the depths of a view, and what is occluded in the cameras |
 //! | `view.rs` | §6: the blended view |
 //! | `all_cameras.rs` | a camera's image from all cameras |
+//! | `request.rs` | a view as it is asked for |
 //! | `render.rs`, `trail.rs` | a view, and Fig. 1: temporal integration |
 //! | `prepare.rs` | what is stored on disk for later views |
 //! | `held_out.rs` | cameras that are held out, so that their frames are the truth |
@@ -39,6 +40,7 @@ pub(crate) mod held_out;
 mod points;
 mod prepare;
 mod render;
+mod request;
 mod stages;
 mod timeline;
 mod trail;
@@ -49,7 +51,7 @@ pub use error::RenderError;
 pub use geometry::Geometry;
 pub use graph::LightField;
 pub use prepare::{PREPARED, Preparation};
-pub use render::{Request, render};
+pub use render::render;
+pub use request::{Request, Viewpoint};
 pub use stages::{GivenImages, Images};
 pub use timeline::check_times_before_offsets;
-pub use trail::Viewpoint;

@@ -2,8 +2,8 @@
 //! and triangulated, and the proxy through them.
 
 use super::correspondences::{Instant, frames_around, observations};
-use super::graph::LightField;
-use super::stages::{CameraPoints, Correspondences, Stage};
+use super::graph::{LightField, Stage};
+use super::stages::{CameraPoints, Correspondences};
 use super::{Context, RenderError};
 use crate::camera::Camera;
 use crate::capture::FilmedCamera;

@@ -2,8 +2,8 @@
 //! cameras' gains.
 
 use super::frame_pair::is_still;
-use super::graph::LightField;
-use super::stages::{PairTracks, StoredStage};
+use super::graph::{LightField, StoredStage};
+use super::stages::PairTracks;
 use super::{Context, RenderError};
 use crate::options::RenderOptions;
 use crate::registration::{Gains, Track};

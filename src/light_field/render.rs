@@ -1,38 +1,16 @@
 //! The one way to a view.
 
 use super::graph::LightField;
-use super::stages::{CameraImage, ImageMethod, Images};
+use super::stages::{CameraImage, ImageMethod};
 use super::trail::Overlay;
 use super::view::{blend_images, view};
-use super::{Context, Geometry, RenderError, Viewpoint};
+use super::{Context, Geometry, RenderError, Request, Viewpoint};
 use crate::camera::Camera;
 use crate::host::on_workers;
 use crate::interpolation::Synchronized;
 use crate::lumigraph::{BlendOptions, Rendered};
 use crate::options::RenderOptions;
 use std::sync::Arc;
-
-/// What is rendered.
-#[derive(Clone, Copy, Debug)]
-pub struct Request<'a> {
-    pub from: Viewpoint<'a>,
-    /// Seconds on the reference's clock, from the capture's start.
-    pub time_s: f64,
-    /// With nothing left to the capture.
-    pub options: &'a RenderOptions,
-    /// The images that are blended.
-    pub images: Images<'a>,
-    /// The images that depth per pixel is estimated from.
-    pub shape: Images<'a>,
-}
-
-impl<'a> Request<'a> {
-    /// A view whose images are synchronized by the method of the options.
-    pub fn new(from: Viewpoint<'a>, time_s: f64, options: &'a RenderOptions) -> Self {
-        let images = Images::By(options.sync);
-        Self { from, time_s, options, images, shape: images }
-    }
-}
 
 /// A view, or a filming camera's image, integrated over the trail of the options.
 ///

@@ -1,46 +1,14 @@
 //! The inputs of every stage. A stage's result depends on its inputs, the capture's frames and clocks, and nothing
 //! else. The memo's keys are these inputs, serialized.
 
-use super::graph::LightField;
-use super::{Context, RenderError};
-use crate::host::CacheKind;
+use super::graph::{LightField, Stage};
 use crate::interpolation::{InterpolationOptions, SyncMethod, Synchronized};
 use crate::lumigraph::{BlendMethod, BlendOptions};
 use crate::options::{ProxyOptions, RenderOptions};
 use crate::raster::Image;
 use crate::registration::{Gains, RegistrationOptions};
-use serde::de::DeserializeOwned;
 use serde::{Serialize, Serializer};
-use std::any::Any;
 use std::sync::{Arc, OnceLock};
-
-/// A stage of the graph, with its inputs.
-pub(super) trait Stage: Serialize {
-    type Output: Any + Send + Sync;
-    /// Tells the stage's results from those of others.
-    const NAME: &'static str;
-
-    /// The size of a result, bytes.
-    fn bytes(output: &Self::Output) -> usize;
-
-    fn compute(&self, field: &LightField, context: &Context) -> Result<Self::Output, RenderError>;
-}
-
-/// A stage whose results [`LightField::prepare`] stores on disk.
-pub(super) trait StoredStage: Stage<Output: Serialize + DeserializeOwned> {
-    const KIND: CacheKind;
-}
-
-/// The stages whose results belong to an instant.
-pub(super) const OF_INSTANTS: [&str; 7] = [
-    Correspondences::NAME,
-    CameraPoints::NAME,
-    CameraImage::NAME,
-    CorrectedImage::NAME,
-    Stereo::NAME,
-    CameraDepth::NAME,
-    OcclusionDepths::NAME,
-];
 
 /// The largest change of a block between the frames `frame` and `frame + 1` of a camera.
 #[derive(Serialize)]
@@ -287,4 +255,23 @@ pub(super) struct OcclusionDepths<'a> {
     pub stereo: Stereo<'a>,
     /// The cameras whose depths are estimated, ascending.
     pub estimated: &'a [usize],
+}
+
+/// Stages whose results belong to an instant.
+const OF_INSTANTS: [&str; 7] = [
+    Correspondences::NAME,
+    CameraPoints::NAME,
+    CameraImage::NAME,
+    CorrectedImage::NAME,
+    Stereo::NAME,
+    CameraDepth::NAME,
+    OcclusionDepths::NAME,
+];
+
+impl LightField {
+    /// Drops the results that belong to an instant, so that the next view takes as long as the first of an instant
+    /// between registered frames.
+    pub(crate) fn forget_instants(&self) {
+        self.forget(|stage| OF_INSTANTS.contains(&stage));
+    }
 }

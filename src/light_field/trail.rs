@@ -4,19 +4,9 @@
 //! finished views of the instants are overlaid, each with the proxy of its own instant: equal
 //! for a plane that stays where it is, and right for shapes that move with time as well.
 
-use crate::camera::Camera;
 use crate::lumigraph::Rendered;
 use crate::options::TrailMode;
 use crate::raster::{Image, encoded_from_linear, linear_from_encoded};
-
-/// From where an image with a trail is seen.
-#[derive(Clone, Copy, Debug)]
-pub enum Viewpoint<'a> {
-    /// Any camera
-    View(&'a Camera),
-    /// A filming camera, by its index
-    Like(usize),
-}
 
 /// Instants of one trail, added up.
 pub(super) struct Overlay {

@@ -1,6 +1,6 @@
 //! Colours of points that are occluded in every camera, from the background around them.
 
-use super::DepthMap;
+use super::depth_map::DepthMap;
 use crate::raster::Image;
 use rayon::prelude::*;
 use std::f32::consts::TAU;

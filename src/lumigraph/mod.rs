@@ -10,13 +10,15 @@
 //! |---|---|
 //! | `triangulate.rs` | 3D points from correspondences at one instant |
 //! | `plane.rs`, `mesh.rs` | the paper's two proxies |
-//! | `proxy.rs`, `rasterize.rs` | the proxy's depth at every pixel of a view |
+//! | `proxy.rs`, `rasterize.rs`, `depth_map.rs` | the proxy's depth at every pixel of a view |
+//! | `source.rs` | the images that a view is blended from, and the options |
 //! | `penalties.rs` | the penalty of each camera at a pixel |
 //! | `weights.rs`, `weight_grid.rs` | the weight of each camera, from the penalties |
 //! | `blend.rs`, `span.rs` | the view, as weighted means of the cameras' images |
 //! | `inpaint.rs` | colours of points that are occluded in every camera |
 
 mod blend;
+mod depth_map;
 mod inpaint;
 mod mesh;
 mod penalties;
@@ -24,16 +26,19 @@ mod plane;
 mod proxy;
 mod rasterize;
 mod rays;
+mod source;
 mod span;
 mod triangulate;
 mod weight_grid;
 mod weights;
 
-pub use blend::{BlendOptions, Rendered, Source, blend, contributing};
+pub use blend::{blend, contributing};
+pub use depth_map::DepthMap;
 pub use mesh::{DepthEdges, Mesh};
 pub use plane::Plane;
-pub use proxy::{DepthMap, Proxy};
+pub use proxy::Proxy;
 pub(crate) use rays::RayRow;
+pub use source::{BlendOptions, Rendered, Source};
 pub use triangulate::{Triangulated, triangulate};
 pub use weights::BlendMethod;
 

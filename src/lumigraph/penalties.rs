@@ -4,9 +4,9 @@
 //! finite at infinity too. What is constant over the view is computed in f64. Rows are f32, whose rounding moves
 //! positions by less than 1e-3 px in images up to 4000 px wide.
 
-use super::DepthMap;
-use super::blend::{BlendOptions, Source};
+use super::depth_map::DepthMap;
 use super::rays::ViewBounds;
+use super::source::{BlendOptions, Source};
 use super::weights::BlendMethod;
 use crate::camera::{Camera, CameraModel};
 use crate::simd::multiversion;

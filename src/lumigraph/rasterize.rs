@@ -7,7 +7,7 @@
 //! The products of an edge that two triangles share are equal but for the sign, and a ray through an edge hits both
 //! triangles, so that a mesh has no cracks. The nearest triangle wins.
 
-use super::DepthMap;
+use super::depth_map::DepthMap;
 use super::rays::RayRow;
 use crate::camera::Camera;
 use crate::simd::multiversion;

@@ -1,10 +1,10 @@
 //! Blending of a span of neighbouring pixels: their points in the sources, the sources' weights, and the colours.
 
-use super::DepthMap;
-use super::blend::{BlendOptions, Source};
+use super::depth_map::DepthMap;
 use super::inpaint::PointVisibility;
 use super::penalties::{RayCone, Reprojection, SourceHits, TargetRow};
 use super::rays::RayRow;
+use super::source::{BlendOptions, Source};
 use super::weight_grid::WeightGrid;
 use super::weights::{BlendMethod, Penalties, THRESHOLD_MARGIN, Weights, divide, weigh_between};
 use crate::camera::Camera;

@@ -1,0 +1,54 @@
+//! A view as it is asked for.
+
+use super::RenderError;
+use super::graph::LightField;
+use super::stages::Images;
+use crate::camera::Camera;
+use crate::options::RenderOptions;
+
+/// From where an image with a trail is seen.
+#[derive(Clone, Copy, Debug)]
+pub enum Viewpoint<'a> {
+    /// Any camera
+    View(&'a Camera),
+    /// A filming camera, by its index
+    Like(usize),
+}
+
+/// What is rendered.
+#[derive(Clone, Copy, Debug)]
+pub struct Request<'a> {
+    pub from: Viewpoint<'a>,
+    /// Seconds on the reference's clock, from the capture's start.
+    pub time_s: f64,
+    /// With nothing left to the capture.
+    pub options: &'a RenderOptions,
+    /// The images that are blended.
+    pub images: Images<'a>,
+    /// The images that depth per pixel is estimated from.
+    pub shape: Images<'a>,
+}
+
+impl<'a> Request<'a> {
+    /// A view whose images are synchronized by the method of the options.
+    pub fn new(from: Viewpoint<'a>, time_s: f64, options: &'a RenderOptions) -> Self {
+        let images = Images::By(options.sync);
+        Self { from, time_s, options, images, shape: images }
+    }
+}
+
+impl LightField {
+    /// Checks that there are images from a viewpoint at all of these times.
+    ///
+    /// # Errors
+    /// The error of rendering the first time at which the cameras had not begun or had ended.
+    pub fn check_times(&self, from: Viewpoint, times_s: &[f64]) -> Result<(), RenderError> {
+        times_s.iter().try_for_each(|&time_s| match from {
+            Viewpoint::Like(camera) => self.timeline().bracket(camera, time_s).map(drop),
+            Viewpoint::View(_) if self.usable(time_s).is_empty() => {
+                Err(self.timeline().no_camera_at(time_s))
+            }
+            Viewpoint::View(_) => Ok(()),
+        })
+    }
+}
