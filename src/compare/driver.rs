@@ -1,4 +1,4 @@
-//! The driver: every instant of the truth, then the folder's files.
+//! Compares every instant of the truth, then writes the folder's files.
 
 use super::results::{CaptureFacts, Metrics, OffsetResult, headline};
 use super::stage_times::StageTimes;
@@ -13,7 +13,7 @@ use serde_json::json;
 use std::path::Path;
 use std::time::Instant;
 
-/// Compares what the renderer makes with the truth, and writes the folder `out`.
+/// Compares the renderer's images with the truth, and writes the folder `out`.
 ///
 /// Views of the truth that stand where a filming camera does measure its synchronized image; the
 /// others are blended from each camera's nearest frame (traditional LFR), from the synchronized
@@ -88,7 +88,7 @@ pub fn compare(
     Ok(Summary { headline: metrics.headline, report, review, video: video?.map(|v| v.path) })
 }
 
-/// The video's encoder: that it works is checked before anything is rendered.
+/// The video's encoder, tested before anything is rendered.
 fn encoder(options: &video::VideoOptions) -> Result<video::Encoder, CompareError> {
     let codec = Codec::for_browsers(&options.ffmpeg).map_err(video::VideoError::from)?;
     Ok(video::Encoder { ffmpeg: options.ffmpeg.clone(), codec })

@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use std::path::Path;
 use std::sync::Arc;
 
-/// What the comparisons of all instants share.
+/// Inputs of the comparison that all instants share.
 pub(super) struct Comparison<'a> {
     pub renderer: &'a dyn Renderer,
     pub truth: &'a Truth,
@@ -37,17 +37,17 @@ pub(super) struct Results {
     pub view_figures: usize,
 }
 
-/// What images are measured against: one true image of an instant.
+/// A true image, with everything that measures images against it.
 pub(super) struct Target<'a> {
     pub instant: &'a TrueInstant,
     pub view: &'a TrueView,
     pub truth: &'a TrueImage,
 }
 
-/// An image, or the sentence that says why there is none.
+/// An image, or a sentence why there is none.
 pub(super) type ImageOrReason = Result<Image, String>;
 
-/// The same of a camera's image at the instant.
+/// A camera's synchronized image, or a sentence why there is none.
 pub(super) type SynchronizedOrReason = Result<Arc<Synchronized>, String>;
 
 const RENDERING: &str = "synchronized images";
@@ -55,7 +55,7 @@ const BLENDING: &str = "views";
 const MEASURING: &str = "truth, metrics, sheets and files";
 
 impl Comparison<'_> {
-    /// Compares everything that the truth has of one instant.
+    /// Compares all true images of one instant.
     pub fn compare(
         &self,
         instant: &TrueInstant,
@@ -101,8 +101,8 @@ impl Comparison<'_> {
         Ok(())
     }
 
-    /// `[method][camera]`: all cameras where a view is blended from them, else those that the truth
-    /// has an image of.
+    /// Synchronized images by method and camera: of all cameras if there is a view to blend, else of those with
+    /// a true image.
     fn synchronize(&self, instant: &TrueInstant) -> Vec<Vec<SynchronizedOrReason>> {
         let blends = instant.views.iter().any(|v| v.like.is_none());
         let cameras = self.renderer.capture().cameras.len();
@@ -118,7 +118,7 @@ impl Comparison<'_> {
         self.methods.iter().map(|&m| (0..cameras).map(|c| one(m, c)).collect()).collect()
     }
 
-    /// All sync methods of one filming camera; with the report's pictures if it is `in_report`.
+    /// Measures all sync methods on a filming camera; adds its pictures to the report if `in_report`.
     fn measure_sync(
         &self,
         target: &Target,
@@ -168,7 +168,7 @@ impl Comparison<'_> {
         Ok((rows, figure))
     }
 
-    /// Writes an image of a target in the input's bit depth; its name relative to the folder.
+    /// Writes an image in the input's bit depth; returns its path relative to the folder.
     pub(super) fn write(
         &self,
         target: &Target,
@@ -209,7 +209,7 @@ impl Comparison<'_> {
         Ok(write_image(&path, &sheet.draw(), None, BitDepth::Eight)?)
     }
 
-    /// An image as its file holds it, if it has the truth's size.
+    /// An image as its file holds it; an error if its size differs from the truth's.
     pub(super) fn checked(&self, image: Result<&Image, &String>, truth: &Image) -> ImageOrReason {
         let image = image.map_err(Clone::clone)?;
         if (image.width(), image.height()) != (truth.width(), truth.height()) {
@@ -225,7 +225,7 @@ impl Comparison<'_> {
     }
 }
 
-/// A result as sheets and figures show it.
+/// A result for sheets and figures.
 pub(super) struct Shown<'a> {
     pub title: String,
     pub image: Result<&'a Image, &'a String>,

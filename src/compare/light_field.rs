@@ -1,4 +1,4 @@
-//! A light field, as what is compared.
+//! A light field as a [`Renderer`].
 
 use super::results::StageTime;
 use super::{ComparedView, Renderer};
@@ -21,8 +21,7 @@ pub struct ComparedLightField {
 }
 
 impl ComparedLightField {
-    /// Opens it, with the offsets known, cached or estimated, and the methods that the capture
-    /// requires where the options leave them to it.
+    /// Opens a capture's light field: with known, stored or estimated offsets, and with planned methods for `auto`.
     pub fn open(
         capture: Arc<Capture>,
         options: &RenderOptions,

@@ -1,4 +1,4 @@
-//! §8: the results beside the truth.
+//! §8: comparison of results with the truth.
 //!
 //! [`compare`] renders what the truth has images of, measures it, and writes into one folder
 //!
@@ -69,9 +69,8 @@ pub const FILES: [&str; 5] =
 /// The sync method of traditional light field rendering, which everything is compared with.
 pub const TRADITIONAL: SyncMethod = SyncMethod::Nearest;
 
-/// What renders the images that are compared: a light field whose preparation (offsets, planning) is
-/// done, or a test's images of known error. Calls come from one thread, one after the other, so that
-/// an implementation may use all cores and cache.
+/// Renders the compared images: an opened light field, or a test's images of known error. Calls are
+/// sequential, so that an implementation may use all cores and a cache.
 ///
 /// Times are seconds on the reference's clock, from the capture's start
 /// ([`Capture::time_origin_s`] subtracted). An `Err` is one sentence for the report: why this
@@ -98,7 +97,7 @@ pub trait Renderer: Sync {
     /// The options of all stages, to be written beside the numbers.
     fn options(&self) -> &RenderOptions;
 
-    /// What the preparation took.
+    /// Times of the preparation.
     fn timings(&self) -> Vec<StageTime>;
 }
 
@@ -114,7 +113,7 @@ pub struct ComparedView<'a> {
     pub shape: Images<'a>,
 }
 
-/// What is compared, and how it is measured.
+/// Options of a comparison.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CompareOptions {
@@ -122,20 +121,17 @@ pub struct CompareOptions {
     pub sync: SyncMethod,
     /// Whether all sync methods are measured on the filming cameras, not only `nearest` and `sync`.
     pub all_methods: bool,
-    /// A surface point that moves more than this within ±1 frame belongs to the moving part.
-    /// Larger: slow motion isn't measured apart. Smaller: the moving part fills with what any
-    /// method renders well.
+    /// Motion within ±1 frame above which a surface point belongs to the moving part, pixels.
     pub moving_threshold_px: f32,
-    /// What the moving part is dilated by. Smaller: ghosts beside a moving edge are missed.
-    /// Larger: the still background dilutes the numbers.
+    /// Dilation radius of the moving part, pixels.
     pub moving_dilation_px: usize,
-    /// FLIP's viewing condition; its authors' by default.
+    /// FLIP's viewing condition, pixels per degree.
     pub pixels_per_degree: f64,
-    /// What the difference images of the sheets are multiplied by.
+    /// Factor of the sheets' difference images.
     pub difference_gain: f32,
-    /// How many views the report holds the pictures of; the sheets have all.
+    /// Number of views with pictures in the report; the sheets have all.
     pub report_views: usize,
-    /// A side-by-side video too.
+    /// Options of a side-by-side video, if one is wanted.
     pub video: Option<video::VideoOptions>,
 }
 
@@ -154,7 +150,7 @@ impl Default for CompareOptions {
     }
 }
 
-/// Why there is no comparison. Every message is one sentence.
+/// Why a comparison failed: one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
     #[error("{folder} has no truth/truth.json to compare with")]
@@ -177,12 +173,12 @@ pub enum CompareError {
     Video(#[from] video::VideoError),
 }
 
-/// The numbers that matter, and where the rest is.
+/// The main results, and the paths of the files.
 #[derive(Clone, Debug)]
 pub struct Summary {
     pub headline: Headline,
     pub report: PathBuf,
-    /// What `review.blend` is laid out from.
+    /// `review.json`, the layout of `review.blend`.
     pub review: PathBuf,
     pub video: Option<PathBuf>,
 }

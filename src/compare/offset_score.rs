@@ -1,4 +1,4 @@
-//! Anybody's offsets beside the truth: the score of the sub-frame synchronization benchmark.
+//! Scores offsets against the truth: the sub-frame synchronization benchmark.
 
 use crate::capture::Truth;
 use crate::offset::Offsets;
@@ -8,7 +8,7 @@ use crate::offset::Offsets;
 pub struct ScoredOffset {
     pub id: String,
     pub true_s: f64,
-    /// `None`: not given, or said to be unknown.
+    /// `None` if not given, or given as unknown.
     pub offset_s: Option<f64>,
     pub std_err_s: Option<f64>,
 }
@@ -17,17 +17,17 @@ pub struct ScoredOffset {
 #[derive(Clone, Debug, PartialEq)]
 pub struct OffsetScore {
     pub cameras: Vec<ScoredOffset>,
-    /// A frame of the reference camera, seconds.
+    /// Frame interval of the reference camera, seconds.
     pub frame_s: f64,
 }
 
 impl ScoredOffset {
-    /// Given minus true, seconds.
+    /// Given minus true offset, seconds.
     pub fn error_s(&self) -> Option<f64> {
         self.offset_s.map(|offset_s| offset_s - self.true_s)
     }
 
-    /// The error in standard errors, where one above 0 is given.
+    /// The error in standard errors; `None` without a positive standard error.
     pub fn z(&self) -> Option<f64> {
         let std_err_s = self.std_err_s.filter(|s| *s > 0.0)?;
         self.error_s().map(|error_s| error_s / std_err_s)
@@ -35,8 +35,8 @@ impl ScoredOffset {
 }
 
 impl OffsetScore {
-    /// Sets offsets beside the truth. They must be relative to the camera `reference`, as the
-    /// truth's are; the error says so in one sentence.
+    /// Scores offsets. They must be relative to the camera `reference`, like the truth's; otherwise the error is one
+    /// sentence.
     pub fn new(
         offsets: &Offsets,
         truth: &Truth,
@@ -70,7 +70,7 @@ impl OffsetScore {
         Ok(Self { cameras, frame_s })
     }
 
-    /// The errors' sizes in frames, ascending; cameras without an offset have none.
+    /// Absolute errors in frames, ascending, of cameras with an offset.
     pub fn errors_frames(&self) -> Vec<f64> {
         let mut errors: Vec<f64> = self
             .cameras

@@ -19,7 +19,7 @@ use minijinja::{Environment, UndefinedBehavior, context};
 use serde::Serialize;
 use std::path::Path;
 
-/// Pictures of one view and instant, between which the reader slides.
+/// Pictures of one view and instant, which the report compares by a slider.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Figure {
     /// The view and the instant.
@@ -30,7 +30,7 @@ pub(super) struct Figure {
     pub pictures: Vec<Picture>,
 }
 
-/// One picture, ready to be inlined.
+/// A picture as inlined data.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Picture {
     label: String,
@@ -94,7 +94,7 @@ pub(super) fn html(
     })
 }
 
-/// A number with that many decimals and a proper minus; a dash for a missing or infinite one.
+/// A number with `digits` decimals and a typographic minus; a dash if it is missing or infinite.
 fn num(value: Value, digits: usize) -> String {
     match f64::try_from(value) {
         Ok(v) if v.is_finite() => rounded(v, digits).replace('-', "−"),
@@ -102,7 +102,7 @@ fn num(value: Value, digits: usize) -> String {
     }
 }
 
-/// As [`num`], with a plus where it isn't 0.
+/// [`num`] with a sign, unless it is 0.
 fn signed(value: Value, digits: usize) -> String {
     let plus = f64::try_from(value.clone())
         .is_ok_and(|v| v.is_finite() && v > 0.0 && rounded(v, digits) != rounded(0.0, digits));
@@ -130,7 +130,7 @@ fn measured_percent(metrics: &Metrics) -> Option<[String; 2]> {
     Some([min, max].map(|fraction| format!("{:.1}", 100.0 * fraction)))
 }
 
-/// A method where the reader meets it.
+/// A method's name and help, for the report.
 #[derive(Serialize)]
 struct Explained {
     name: &'static str,
@@ -138,7 +138,7 @@ struct Explained {
 }
 
 impl Explained {
-    /// In the middle of a sentence.
+    /// The help text for the middle of a sentence.
     fn of<M: Method>(method: M) -> Self {
         let mut letters = method.help().chars();
         let first = letters.next().map(|c| c.to_lowercase().collect::<String>());
@@ -222,7 +222,7 @@ fn view_plot(metrics: &Metrics) -> String {
     DotPlot { rows: by_label(dots), x_label, symmetric: false }.svg()
 }
 
-/// One row for each label, in the order of their first dots.
+/// Groups dots into rows by label, in order of first appearance.
 fn by_label(dots: impl Iterator<Item = (String, Dot)>) -> Vec<DotRow> {
     let mut rows: Vec<DotRow> = Vec::new();
     for (label, dot) in dots {

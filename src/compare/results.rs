@@ -6,8 +6,7 @@ use crate::metrics::{RegionScores, median};
 use crate::options::ProxyMethod;
 use serde::Serialize;
 
-/// `metrics.json`: every number but the times that the work took, so that two runs write the same
-/// bytes.
+/// `metrics.json`: all results but run times, so that two runs write the same bytes.
 #[derive(Clone, Debug, Serialize)]
 pub struct Metrics {
     pub format: &'static str,
@@ -24,7 +23,7 @@ pub struct Metrics {
     pub views: Vec<ViewResult>,
 }
 
-/// What was filmed.
+/// Facts about the capture.
 #[derive(Clone, Debug, Serialize)]
 pub struct CaptureFacts {
     pub name: String,
@@ -36,18 +35,18 @@ pub struct CaptureFacts {
     pub frames: (usize, usize),
     /// Image size of the reference camera, pixels.
     pub size_px: (usize, usize),
-    /// The reference's time from frame to frame, seconds: the unit "frame".
+    /// Frame interval of the reference camera, seconds: the unit "frame".
     pub frame_s: f64,
     pub bits: u32,
 }
 
-/// The numbers that matter most. Gains are medians over images, in decibels of PSNR.
+/// The main results. Gains are medians over images, in decibels of PSNR.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Headline {
     pub offset: OffsetHeadline,
     pub sync: SyncHeadline,
     pub views: Vec<ViewHeadline>,
-    /// How many times a camera had no synchronized image for a view, or a view no image at all.
+    /// Number of missing images: a camera's synchronized image of a view, or a view.
     pub missing_images: usize,
 }
 
@@ -61,7 +60,7 @@ pub struct OffsetHeadline {
     pub estimated: usize,
 }
 
-/// What the chosen sync method gains over the nearest frame on the moving part.
+/// Gain of the chosen sync method over the nearest frame, on the moving part.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct SyncHeadline {
     pub method: SyncMethod,
@@ -70,19 +69,19 @@ pub struct SyncHeadline {
     pub images: usize,
 }
 
-/// What ST-LFR gains over traditional LFR, and lacks to perfect sync, through one proxy.
+/// Gain of ST-LFR over traditional LFR, and gap to perfect sync, for one proxy.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ViewHeadline {
     pub proxy: ProxyMethod,
     pub gain_whole_db: Option<f64>,
     pub gain_moving_db: Option<f64>,
-    /// Negative where ST-LFR came out above perfect sync.
+    /// Negative if ST-LFR is better than perfect sync.
     pub gap_whole_db: Option<f64>,
     pub gap_moving_db: Option<f64>,
     pub views: usize,
 }
 
-/// One camera's offset beside the truth.
+/// One camera's estimated and true offset.
 #[derive(Clone, Debug, Serialize)]
 pub struct OffsetResult {
     pub camera: String,
@@ -94,7 +93,7 @@ pub struct OffsetResult {
     pub std_err_frames: Option<f64>,
     /// The error in standard errors.
     pub z: Option<f64>,
-    /// Why there is none.
+    /// Why there is no result.
     pub reason: Option<String>,
 }
 
@@ -112,7 +111,7 @@ pub struct SyncResult {
     pub reason: Option<String>,
 }
 
-/// Where the images that a view is blended from come from.
+/// The source of the images that a view is blended from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ViewMethod {
@@ -120,14 +119,14 @@ pub enum ViewMethod {
     TraditionalLfr,
     /// The chosen sync method.
     StLfr,
-    /// The true images of all cameras at the instant: what no sync can exceed, but by luck.
+    /// The true images of all cameras at the instant, an upper bound for synchronization.
     PerfectSync,
 }
 
 impl ViewMethod {
     pub const ALL: [Self; 3] = [Self::TraditionalLfr, Self::StLfr, Self::PerfectSync];
 
-    /// As people write it.
+    /// The name for readers.
     pub fn title(self) -> &'static str {
         match self {
             Self::TraditionalLfr => "Traditional LFR",
@@ -176,7 +175,7 @@ pub struct StageTime {
     pub seconds: f64,
 }
 
-/// Sums the results up.
+/// Summarizes the results.
 pub(super) fn headline(
     options: &CompareOptions,
     offsets: &[OffsetResult],
@@ -207,8 +206,7 @@ pub(super) fn headline(
     }
 }
 
-/// The chosen method's PSNR above the nearest frame's on the moving part, for every image that has
-/// both.
+/// PSNR gains of the chosen method over the nearest frame on the moving part, one for each image with both.
 fn sync_gains(options: &CompareOptions, sync: &[SyncResult]) -> Vec<f64> {
     let psnr = |view: &str, method: SyncMethod| {
         let found = sync.iter().find(|s| s.view == view && s.method == method)?;

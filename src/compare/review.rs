@@ -1,4 +1,4 @@
-//! `review.json`: which pictures stand side by side. `review.blend` is laid out from it.
+//! `review.json`: the layout of `review.blend`.
 
 use super::results::{Metrics, ViewMethod};
 use super::{TRADITIONAL, video};
@@ -9,11 +9,10 @@ use serde::Serialize;
 /// The file's name in the review's folder.
 pub const FILE: &str = "review.json";
 
-/// How long a still is shown, seconds. Larger: stepping through takes long; smaller: two can't be
-/// compared.
+/// Display time of a still, seconds.
 const STILL_S: f64 = 2.0;
 
-/// Frames shown a second where no video says otherwise.
+/// Frame rate without a video, hertz.
 const STILL_RATE_HZ: f64 = 12.0;
 
 /// The whole file. Paths are relative to its folder.
@@ -22,12 +21,12 @@ pub(super) struct Layout {
     format: &'static str,
     version: u32,
     title: String,
-    /// What differences are multiplied by.
+    /// Factor of the differences.
     difference_gain: f32,
     reels: Vec<Reel>,
 }
 
-/// Pictures that are shown one after the other, at one rate.
+/// A sequence of shots with one frame rate.
 #[derive(Debug, Serialize)]
 struct Reel {
     name: &'static str,
@@ -35,7 +34,7 @@ struct Reel {
     shots: Vec<Shot>,
 }
 
-/// The truth and the two methods, side by side for a number of frames. `None`: there is none.
+/// The truth and two methods, side by side for a number of frames. `None` for a missing picture.
 #[derive(Debug, Serialize)]
 struct Shot {
     label: String,
@@ -85,7 +84,7 @@ fn movie_reel(video: &video::Written) -> Reel {
     Reel { name: "Video", rate_hz: video.rate_hz, shots: vec![shot] }
 }
 
-/// The truth's picture lies in the folder of the methods' pictures.
+/// Path of the true picture, in the folder of the methods' pictures.
 fn truth_beside(file: &str) -> Option<String> {
     Some(format!("{}/truth.png", file.rsplit_once('/')?.0))
 }

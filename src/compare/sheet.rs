@@ -14,8 +14,7 @@ const MOVING_TINT: [f32; 3] = [1.0, 0.62, 0.18];
 const STILL_TINT: [f32; 3] = [0.45; 3];
 /// Between panels, and around them.
 const MARGIN_PX: usize = 12;
-/// Panels narrower than this are enlarged by whole factors. Larger: sheets of small images are
-/// needlessly wide. Smaller: captions are cut off.
+/// Panels narrower than this are enlarged by whole factors, pixels.
 const MIN_PANEL_PX: usize = 300;
 
 /// One method's image beside the truth.
@@ -114,7 +113,7 @@ pub fn difference(a: &Image, b: &Image, gain: f32) -> Image {
     Image::from_data(a.width(), a.height(), a.channels(), data.collect())
 }
 
-/// One line a metric, of the whole image and of its moving part.
+/// One line for each metric: whole image and moving part.
 fn score_lines(scores: &RegionScores) -> [String; 3] {
     let number = |v: Option<f64>, digits: usize| match v {
         Some(v) => format!("{v:.digits$}"),
@@ -135,7 +134,7 @@ fn score_lines(scores: &RegionScores) -> [String; 3] {
     ]
 }
 
-/// Copies an image into an RGB one at (x, y), every pixel `scale` × `scale` times.
+/// Copies an image into an RGB sheet at (x, y), enlarged by `scale`.
 ///
 /// # Panics
 /// If it reaches beyond the sheet.

@@ -7,16 +7,14 @@ use crate::metrics::moving_part;
 use crate::raster::Image;
 use crate::raster::{BitDepth, read_image};
 
-/// Times of the truth that are nearer than this are one instant, seconds: a thousandth of the fastest
-/// exposures. Larger: instants of fast cameras are merged; smaller: times that were rounded differently
-/// are two instants.
+/// True times that differ by less than this are one instant, seconds.
 const SAME_INSTANT_S: f64 = 1e-6;
 
-/// One instant that the truth has images of.
+/// An instant with true images.
 pub(crate) struct TrueInstant {
-    /// As the truth states it.
+    /// The time in the truth's file.
     pub time_s: f64,
-    /// From the capture's start, as the renderer takes it.
+    /// Seconds from the capture's start.
     pub inner_s: f64,
     pub views: Vec<TrueView>,
 }
@@ -25,10 +23,10 @@ pub(crate) struct TrueInstant {
 pub(crate) struct TrueView {
     /// Its index in `truth.views`.
     pub index: usize,
-    /// The filming camera that stands there.
+    /// The filming camera at the same place, if there is one.
     pub like: Option<usize>,
     pub camera: Camera,
-    /// A name for files, unlike all others'.
+    /// A unique name for files.
     pub stem: String,
 }
 
@@ -76,15 +74,14 @@ pub(crate) fn instants(truth: &Truth, capture: &Capture) -> Result<Vec<TrueInsta
     Ok(instants)
 }
 
-/// A file name from a view's id: letters, digits, `-` and `_`; with the index where that makes two
-/// the same.
+/// A file name from a view's id, made of letters, digits, `-` and `_`; with the index if that isn't unique.
 fn stem(truth: &Truth, index: usize) -> String {
     let own = slug(&truth.views[index].id);
     let alike = truth.views.iter().filter(|v| slug(&v.id).eq_ignore_ascii_case(&own)).count();
     if alike > 1 || own.is_empty() { format!("{own}-{index}") } else { own }
 }
 
-/// What of a name is safe in a file name.
+/// Replaces characters that are unsafe in a file name.
 pub(crate) fn slug(name: &str) -> String {
     let keep = |c: char| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' };
     name.chars().take(60).map(keep).collect()
@@ -97,7 +94,7 @@ impl TrueImage {
 }
 
 impl TrueView {
-    /// Reads the image, grey if what it is compared with is, and its moving part.
+    /// Reads a true image and its moving part; the image becomes grey if the compared ones are.
     pub fn read(
         &self,
         truth: &Truth,
@@ -139,7 +136,7 @@ fn other_size(is: (usize, usize), wanted: (usize, usize)) -> String {
     format!("is {}×{} pixels, its camera {}×{}", is.0, is.1, wanted.0, wanted.1)
 }
 
-/// What a file of that depth holds of an image: bounded and rounded, grey or RGB.
+/// The image as a file of this bit depth holds it: clamped and rounded, grey or RGB.
 pub(crate) fn as_written(image: &Image, channels: usize, depth: BitDepth) -> Image {
     let mut image = if channels == 1 { image.to_gray() } else { image.to_rgb() };
     let most = ((1u32 << bits(depth)) - 1) as f32;

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VideoOptions {
-    /// Frames, where the truth has no video whose times are taken.
+    /// Number of frames, unless the truth has a video, whose times are used.
     pub frames: usize,
     /// Frames shown a second.
     pub rate_hz: f64,
@@ -34,7 +34,7 @@ impl Default for VideoOptions {
     }
 }
 
-/// Why there is no video. Every message is one sentence.
+/// Why a video can't be made: one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
     #[error(transparent)]
@@ -51,13 +51,13 @@ pub enum VideoError {
     Image(#[from] ImageFileError),
 }
 
-/// What encodes the video that is shown in browsers.
+/// Encoder of the video for browsers.
 pub struct Encoder {
     pub ffmpeg: PathBuf,
     pub codec: Codec,
 }
 
-/// What is shown, and when.
+/// Content of the video: viewpoint, times and methods.
 pub struct Plan<'a> {
     renderer: &'a dyn Renderer,
     /// The sync method of ST-LFR.
@@ -71,7 +71,7 @@ struct Shots {
     target: Camera,
     /// Seconds from the capture's start.
     times_s: Vec<f64>,
-    /// One true image a time, or none at all.
+    /// One true image for each time, or none.
     truth: Vec<PathBuf>,
     view: String,
 }
@@ -147,7 +147,7 @@ impl<'a> Plan<'a> {
         Ok(Written { path, view, size_px, frames: count, rate_hz: self.rate_hz, movies })
     }
 
-    /// The truth, if there is any, and what the methods make of one time.
+    /// The true image, if there is one, and the methods' images at one time.
     fn panels(&self, k: usize) -> Result<Vec<Panel>, VideoError> {
         let (renderer, shots) = (self.renderer, &self.shots);
         let time_s = shots.times_s[k];

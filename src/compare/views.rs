@@ -15,7 +15,7 @@ use crate::raster::Image;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// One view through one proxy by one method, before it is measured.
+/// A blended view for one proxy and one method, before it is measured.
 pub(super) struct Blend {
     proxy: ProxyMethod,
     method: ViewMethod,
@@ -26,7 +26,7 @@ pub(super) struct Blend {
 }
 
 impl Comparison<'_> {
-    /// One view through every proxy, by every method.
+    /// Blends a view by every method with every proxy.
     pub(super) fn blend(
         &self,
         target: &Target,
@@ -121,7 +121,7 @@ impl Comparison<'_> {
         Ok((rows, figure))
     }
 
-    /// A row for every blend, its image written.
+    /// Results of all blends; writes their images.
     fn view_results(
         &self,
         target: &Target,
@@ -161,7 +161,7 @@ impl Comparison<'_> {
     }
 }
 
-/// The pixels that every method covers through every proxy, so that all are measured on the same.
+/// Pixels that all methods cover with all proxies, on which all are measured.
 fn common_coverage(blends: &[Blend], images: &[ImageOrReason], pixels: usize) -> Vec<bool> {
     let mut covered = vec![true; pixels];
     for blend in blends.iter().zip(images).filter(|(_, image)| image.is_ok()).map(|(b, _)| b) {
@@ -174,7 +174,7 @@ fn common_coverage(blends: &[Blend], images: &[ImageOrReason], pixels: usize) ->
     covered
 }
 
-/// The truth where a pixel isn't measured, so that the metrics' windows see no black there.
+/// Fills unmeasured pixels with the truth, so that windows of metrics see no black.
 fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
     let n = image.channels();
     let mut filled = image.clone();

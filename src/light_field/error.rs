@@ -33,7 +33,7 @@ pub enum RenderError {
     Stopped,
 }
 
-/// Decimals of a second in a message. More: nobody reads them. Fewer: a time that is rounded is another frame's.
+/// Decimals of seconds in messages.
 const DECIMALS: usize = 4;
 
 /// `0.2 s: they cover 0 to 0.15 s`, with more decimals where the time would else read as one within.

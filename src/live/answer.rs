@@ -10,7 +10,7 @@ use hyper::{Response, StatusCode};
 
 pub(super) type Reply = Response<Full<Bytes>>;
 
-/// Nothing from elsewhere, nothing written in the page itself, and no other page around it.
+/// Content security policy: no other origins, no inline scripts or styles, no framing.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; \
                       require-trusted-types-for 'script'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
@@ -30,9 +30,9 @@ const HEADERS: [(header::HeaderName, &str); 8] = [
     ),
 ];
 
-/// How long a picture took, milliseconds.
+/// Header: rendering time of a picture, milliseconds.
 const MILLISECONDS: header::HeaderName = header::HeaderName::from_static("x-milliseconds");
-/// The methods that made a picture.
+/// Header: the methods of a picture.
 const MADE_BY: header::HeaderName = header::HeaderName::from_static("x-made-by");
 
 pub(super) fn respond(
@@ -50,7 +50,7 @@ pub(super) fn respond(
     response
 }
 
-/// One sentence.
+/// A response of one sentence.
 pub(super) fn sentence(status: StatusCode, sentence: impl Into<String>) -> Reply {
     respond(status, "text/plain; charset=utf-8", sentence.into())
 }

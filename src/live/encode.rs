@@ -6,14 +6,12 @@ use image::ExtendedColorType::Rgb8;
 use image::ImageEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 
-/// What nothing is known of, grey of 0 to 1: unlike black, which may be of the scene. Lighter: it dazzles; darker:
-/// it may be of the scene.
+/// Grey value of pixels that no camera sees, in 0..=1.
 const UNKNOWN: f32 = 0.11;
 
-/// A view to be looked at, as a PNG of 8 bits: what no camera sees is dark grey. The error is a reason.
+/// Encodes a view as an 8-bit PNG with the fastest compression. Pixels that no camera sees are dark grey.
 ///
-/// At its fastest, PNG takes an eighth of the time of JPEG to encode, and no longer to decode; that it is four times
-/// as large is nothing within one machine (`cargo bench --bench view`).
+/// PNG encodes in an eighth of the time of JPEG (`cargo bench --bench view`). The error is a reason.
 pub(super) fn encode(view: &Rendered) -> Result<Vec<u8>, String> {
     let image = filled(view);
     let (width, height) = (image.width() as u32, image.height() as u32);
@@ -31,7 +29,7 @@ fn failed(error: image::ImageError) -> String {
     format!("the picture can't be encoded ({error})")
 }
 
-/// A view as `stlfr render` writes it.
+/// Encodes a view as `stlfr render` writes it.
 pub(super) fn encode_saved(view: &Rendered, depth: BitDepth) -> Result<Vec<u8>, String> {
     let coverage = Some(view.coverage.as_slice()).filter(|c| c.contains(&false));
     encode_png(&view.image, coverage, depth).map_err(failed)
@@ -46,17 +44,16 @@ fn filled(view: &Rendered) -> Image {
     image
 }
 
-/// A colour for each camera: by its place, so that what is blended from neighbours has a colour between theirs.
+/// Colours of cameras by position, so that a blend of neighbours has a colour between theirs.
 pub(super) struct Colors(Vec<[f32; 3]>);
 
-/// Hues of the leftmost and the rightmost camera, as fractions of the circle. Farther apart: both ends look alike;
-/// nearer: neighbours do.
+/// Hues of the leftmost and the rightmost camera, as fractions of the colour circle.
 const HUES: [f64; 2] = [0.02, 0.78];
-/// Lightness of the lowest and the highest row of cameras. Farther apart: hues can't be told; nearer: rows can't.
+/// Lightness of the lowest and the highest row of cameras.
 const LIGHTNESS: [f64; 2] = [0.36, 0.68];
 
 impl Colors {
-    /// Of cameras at these places, right and up, by their order.
+    /// Colours of cameras at these positions in the rig's axes.
     pub fn of(places: &[[f64; 3]]) -> Self {
         let share = |axis: usize, value: f64| {
             let below = places.iter().filter(|p| p[axis] < value - SAME_PLACE_M).count();
@@ -80,14 +77,13 @@ impl Colors {
     }
 }
 
-/// Cameras whose places along an axis differ by less are in one row, metres. Larger: rows of small rigs are one;
-/// smaller: rounding tells cameras of one row apart.
+/// Cameras whose coordinates differ by less than this are in one row, metres.
 const SAME_PLACE_M: f64 = 1e-4;
 
-/// How far colours are from grey, of the farthest. More: they dazzle; less: neighbours look alike.
+/// Saturation of the colours, in 0..=1.
 const SATURATION: f64 = 0.75;
 
-/// A colour of a hue from 0 to 1.
+/// The saturated colour of a hue in 0..=1.
 fn vivid(hue: f64, lightness: f64) -> [f32; 3] {
     let chroma = SATURATION * (1.0 - (2.0 * lightness - 1.0).abs());
     [0.0, 2.0 / 3.0, 1.0 / 3.0].map(|shift| {

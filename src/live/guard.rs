@@ -1,16 +1,16 @@
-//! Which requests are answered at all.
+//! Checks which requests may be answered.
 
 use super::token::Token;
 use hyper::http::request::Parts;
 use hyper::{Method, StatusCode, header};
 
-/// Longest address, bytes. Larger: memory for whoever asks; smaller: pictures with all their names are refused.
+/// Longest accepted address, bytes.
 const MAX_ADDRESS: usize = 1024;
 
-/// Why a request is refused, with the status that says so.
+/// Status and reason of a refused request.
 pub(super) type Refusal = (StatusCode, &'static str);
 
-/// What a request must come with.
+/// The host names and the token that a request must have.
 pub(super) struct Guard {
     token: Token,
     /// `127.0.0.1:PORT` and `localhost:PORT`.
@@ -26,7 +26,7 @@ impl Guard {
         self.token.text()
     }
 
-    /// The part of the address behind the token: `""` for the page.
+    /// Checks a request, and returns the part of its address after the token: `""` for the page.
     pub fn admit<'a>(&self, request: &'a Parts) -> Result<&'a str, Refusal> {
         let field = |name: header::HeaderName| -> Option<Result<&str, Refusal>> {
             let mut all = request.headers.get_all(name).iter();
@@ -71,5 +71,5 @@ impl Guard {
     }
 }
 
-/// The same for a wrong token as for a wrong name: neither tells the other.
+/// Refusal of both wrong tokens and wrong names, so that an answer reveals neither.
 pub(super) const NOT_FOUND: Refusal = (StatusCode::NOT_FOUND, "there is nothing at this address");

@@ -55,10 +55,10 @@ use crate::capture::TruthError;
 use crate::light_field::RenderError;
 use crate::raster::ImageFileError;
 
-/// Why there is no picture. Every message is one sentence, which the page shows.
+/// Why a picture can't be made: one sentence, which the page shows.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveError {
-    /// The address asks for something that there is not.
+    /// The address is invalid.
     #[error("{0}")]
     Request(String),
     #[error(transparent)]
@@ -67,13 +67,13 @@ pub enum LiveError {
     Truth(#[from] TruthError),
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
-    /// The viewer asked for something else meanwhile.
+    /// A newer request of the same viewer replaced this one.
     #[error("a newer request took its place")]
     Superseded,
-    /// More viewers than are answered.
+    /// Too many requests are waiting.
     #[error("too many pictures are asked for at once: close a viewer")]
     Busy,
-    /// An error of the program.
+    /// The program failed unexpectedly.
     #[error("rendering failed by an error of the program; its output in the terminal says more")]
     Panicked,
 }

@@ -1,4 +1,4 @@
-//! A connection that is not waited for without end.
+//! A connection whose writes have a timeout.
 
 use std::io::{Error, ErrorKind, Result};
 use std::pin::Pin;
@@ -8,11 +8,11 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::time::{Instant, Sleep, sleep};
 
-/// A stream whose writes fail if nothing is taken for a while.
+/// A stream whose writes fail if the receiver reads nothing for a while.
 pub(super) struct Patient {
     stream: TcpStream,
     patience: Duration,
-    /// When the write that waits has waited for too long.
+    /// The time at which a waiting write fails.
     deadline: Pin<Box<Sleep>>,
     is_waiting: bool,
 }
@@ -22,7 +22,7 @@ impl Patient {
         Self { stream, patience, deadline: Box::pin(sleep(patience)), is_waiting: false }
     }
 
-    /// Fails a write that is not ready, once it has waited for too long.
+    /// Turns a pending write into an error after the deadline.
     fn timed<T>(&mut self, context: &mut Context, written: Poll<Result<T>>) -> Poll<Result<T>> {
         if written.is_ready() {
             self.is_waiting = false;

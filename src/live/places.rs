@@ -1,10 +1,10 @@
-//! The cameras of pictures.
+//! Viewpoints of pictures.
 
 use super::{LiveError, PictureRequest, Place, RigFrame};
 use crate::camera::Camera;
 use crate::capture::Capture;
 
-/// From where pictures can be taken: around the rig, at its cameras, and at the images of the truth.
+/// All viewpoints: around the rig, at its cameras, and at true images.
 #[derive(Clone, Debug)]
 pub struct Places {
     rig: RigFrame,
@@ -13,7 +13,7 @@ pub struct Places {
 }
 
 impl Places {
-    /// Those of a capture, `spacing_m` the distance of neighbouring cameras.
+    /// The viewpoints of a capture; `spacing_m` is the distance of neighbouring cameras.
     pub(super) fn new(capture: &Capture, spacing_m: f64, truths: Vec<Camera>) -> Self {
         let cameras = capture.cameras.iter().map(|c| c.camera.clone()).collect();
         Self { rig: RigFrame::new(capture, spacing_m), cameras, truths }

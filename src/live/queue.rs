@@ -1,4 +1,4 @@
-//! What viewers wait for: of each, the latest request alone.
+//! The queue of requests, which keeps only the latest of each viewer.
 
 use super::{Level, LiveError, Picture, PictureRequest};
 use std::collections::VecDeque;
@@ -6,10 +6,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use tokio::sync::oneshot;
 
-/// How many pictures may be waited for at once. More: memory, and the last waits long; fewer: viewers are refused.
+/// Largest number of waiting requests.
 const MAX_WAITING: usize = 32;
 
-/// A picture or why there is none.
+/// A picture, or why it can't be made.
 pub type Answer = Result<Picture, LiveError>;
 
 /// A request that a worker has taken.
@@ -19,23 +19,23 @@ pub(super) struct Job {
     stale: Arc<Stale>,
 }
 
-/// What of a request has been overtaken by its viewer's next.
+/// Which parts of a request are outdated by its viewer's next one.
 #[derive(Default)]
 pub(super) struct Stale {
     picture: AtomicBool,
-    /// The time or the method too, not the viewpoint alone.
+    /// Whether the time or the method is outdated, not only the viewpoint.
     instant: AtomicBool,
 }
 
 impl Stale {
-    /// Whether the viewer is still at the instant, wherever else it looks from.
+    /// Whether the viewer is still at the instant, from any viewpoint.
     pub fn is_instant_wanted(&self) -> bool {
         !self.instant.load(Ordering::Relaxed)
     }
 }
 
 impl Job {
-    /// Whether somebody still waits for it.
+    /// Whether a viewer still waits for the picture.
     pub fn is_wanted(&self) -> bool {
         !self.stale.picture.load(Ordering::Relaxed) && !self.reply.is_closed()
     }
@@ -45,7 +45,7 @@ impl Job {
     }
 }
 
-/// Requests that wait, in the order in which they came, and those that are worked on.
+/// Waiting requests in order of arrival, and running ones.
 #[derive(Default)]
 pub struct Queue {
     state: Mutex<State>,
@@ -59,7 +59,7 @@ struct State {
     is_closed: bool,
 }
 
-/// Requests that one kind of worker answers: what is quick never waits for what is not.
+/// A kind of requests with its own workers, so that quick ones never wait for slow ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Lane {
     Quick,
@@ -76,8 +76,8 @@ impl Lane {
 }
 
 impl Queue {
-    /// Puts a request in place of its viewer's earlier one, which is answered with [`LiveError::Superseded`] if it
-    /// waits, and stopped if it is worked on. What is to be saved takes no other's place.
+    /// Replaces the viewer's earlier request: a waiting one is answered with [`LiveError::Superseded`], a running
+    /// one is stopped. A request to save replaces none.
     ///
     /// # Errors
     /// [`LiveError::Busy`] if too many wait.
@@ -100,7 +100,7 @@ impl Queue {
         Ok(receiver)
     }
 
-    /// The next request of a lane; waits for one. `None` when the queue is closed.
+    /// Waits for the next request of a lane. `None` once the queue is closed.
     pub(super) fn take(&self, lane: Lane) -> Option<Job> {
         let mut state = self.lock();
         loop {
@@ -116,19 +116,19 @@ impl Queue {
         }
     }
 
-    /// Answers a request that was taken. The worker may go on with its instant, until [`Self::finish`].
+    /// Answers a running request. The worker may continue with its instant, until [`Self::finish`].
     pub(super) fn answer(&self, job: Job, answer: Answer) -> Arc<Stale> {
         // Whoever waited may have gone.
         let _ = job.reply.send(answer);
         job.stale
     }
 
-    /// Forgets a request that was taken.
+    /// Removes a running request.
     pub(super) fn finish(&self, stale: &Arc<Stale>) {
         self.lock().running.retain(|(_, other)| !Arc::ptr_eq(other, stale));
     }
 
-    /// Whether a request of a lane waits that is of another instant, or by another method, than this one.
+    /// Whether a request with another instant or method waits in a lane.
     pub(super) fn has_apart(&self, lane: Lane, own: &PictureRequest) -> bool {
         let is_apart = |r: &PictureRequest| (r.time_s, r.method) != (own.time_s, own.method);
         let mut state = self.lock();
@@ -136,13 +136,13 @@ impl Queue {
         state.waiting.iter().any(|j| Lane::of(j.request.level) == lane && is_apart(&j.request))
     }
 
-    /// How many requests were taken and not forgotten.
+    /// Number of running requests.
     #[cfg(test)]
     pub(super) fn running(&self) -> usize {
         self.lock().running.len()
     }
 
-    /// Ends all workers after what they do now.
+    /// Ends all workers after their current requests.
     pub fn close(&self) {
         self.lock().is_closed = true;
         self.changed.notify_all();
@@ -155,7 +155,7 @@ impl Queue {
 }
 
 impl State {
-    /// Drops what waits for the viewer, and marks what is worked on.
+    /// Drops the viewer's waiting request, and marks the running one as outdated.
     fn overtake(&mut self, next: &PictureRequest) {
         while let Some(at) = self.waiting.iter().position(|job| job.is_of(&next.viewer)) {
             if let Some(job) = self.waiting.remove(at) {

@@ -1,4 +1,4 @@
-//! A picture as an address asks for it: `picture?method=st&t=0.1&x=0&y=0&z=0&w=640&h=400`.
+//! Parses the address of a picture: `picture?method=st&t=0.1&x=0&y=0&z=0&w=640&h=400`.
 //!
 //! | name | value |
 //! |---|---|
@@ -16,42 +16,42 @@
 
 use super::{LiveError, Viewpoint};
 
-/// What makes the picture.
+/// The source of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Method {
-    /// The light field, by the chosen options.
+    /// The light field, with the chosen options.
     SpaceTime,
     /// Each camera's nearest frame.
     Traditional,
-    /// The truth, where there is some.
+    /// The true image, if there is one.
     Truth,
     /// Which cameras each pixel comes from.
     Sources,
 }
 
-/// How well.
+/// The quality of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Level {
-    /// As fast as one looks around.
+    /// Fast, for a moving viewpoint.
     Quick,
     /// The chosen options.
     Full,
-    /// The same, as the file without loss that `stlfr render` writes.
+    /// Like [`Self::Full`], encoded as `stlfr render` writes it.
     Saved,
 }
 
-/// From where.
+/// A viewpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Place {
     /// In the rig's axes, metres.
     Free([f64; 3]),
     /// A camera's, by its index.
     Camera(usize),
-    /// That of an image of the truth, by its index.
+    /// The viewpoint of a true image, by its index.
     Truth(usize),
 }
 
-/// A picture that is asked for.
+/// A requested picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PictureRequest {
     pub method: Method,
@@ -60,16 +60,15 @@ pub struct PictureRequest {
     pub time_s: f64,
     pub place: Place,
     pub view: Viewpoint,
-    /// Who asks, and for which part of the page; empty for one whose requests are apart from each other.
+    /// Viewer and slot of the page. A request replaces an earlier one with the same name, unless it is empty.
     pub viewer: String,
 }
 
-/// Longest name of a viewer with its slot. Larger: memory for whoever asks; smaller: viewers take each other's
-/// place by chance.
+/// Longest name of a viewer with its slot, bytes.
 const MAX_VIEWER_LENGTH: usize = 40;
 
 impl PictureRequest {
-    /// Reads the part of an address after `?`. Every name may be given once; unknown ones are refused.
+    /// Parses the part of an address after `?`. Repeated and unknown names are errors.
     pub fn parse(query: &str) -> Result<Self, LiveError> {
         let mut fields = Fields::new(query)?;
         let method = fields.choice(
@@ -122,7 +121,7 @@ fn wrong(name: &str, reason: &str) -> LiveError {
     LiveError::Request(format!("{name}: {reason}"))
 }
 
-/// The names of an address with their values.
+/// Names and values of an address that are not read yet.
 struct Fields<'a>(Vec<(&'a str, &'a str)>);
 
 impl<'a> Fields<'a> {
@@ -147,7 +146,7 @@ impl<'a> Fields<'a> {
         Some(self.0.swap_remove(at).1)
     }
 
-    /// One of these; the first without the name.
+    /// Reads one of several values; the first is the default.
     fn choice<T: Copy>(&mut self, name: &str, all: &[(&str, T)]) -> Result<T, LiveError> {
         let Some(value) = self.take(name) else { return Ok(all[0].1) };
         let found = all.iter().find(|(n, _)| *n == value);

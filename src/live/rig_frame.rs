@@ -5,24 +5,19 @@ use crate::camera::{Camera, CameraModel};
 use crate::capture::Capture;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-/// How far beyond the outermost cameras a viewpoint may lie, as a fraction of the rig's extent. Larger: views of
-/// bare spots; smaller: one can't step aside.
+/// Margin of viewpoints beyond the outermost cameras, as a fraction of the rig's extent.
 const MARGIN_SHARE: f64 = 0.5;
-/// The same in distances between cameras, where that is farther. Larger and smaller: as above, for small rigs.
+/// Smallest margin of viewpoints, in distances between neighbouring cameras.
 const MARGIN_SPACINGS: f64 = 2.0;
-/// The same around a single camera, metres. Larger: nothing is seen from there; smaller: one can't move.
+/// Margin of viewpoints around a single camera, metres.
 const LONE_MARGIN_M: f64 = 0.1;
-/// Distance at which a camera's direction loses half its weight, as a fraction of the distance between cameras.
-/// Larger: in a rig that turns inwards, the view at a camera's place doesn't look its way; smaller: the view turns
-/// by jerks.
+/// Distance at which a camera's viewing direction has half its weight, in distances between cameras.
 const SOFT_SPACINGS: f64 = 0.5;
-/// Zooms. Larger: pixels as large as hands, or a lens of more than 150°; smaller: one can't look closely.
+/// Allowed zooms: focal lengths relative to the reference's.
 pub(super) const ZOOMS: std::ops::RangeInclusive<f64> = 0.25..=16.0;
-/// Largest turn from the rig's own direction, degrees. Larger: one looks away from what was filmed; smaller: a
-/// zoomed view can't reach its border.
+/// Largest rotation away from the rig's viewing direction, degrees.
 pub(super) const MAX_TURN_DEG: f64 = 20.0;
-/// Smallest width and height of a picture, pixels. Larger: narrow windows are refused; smaller: pictures in which
-/// nothing can be triangulated.
+/// Smallest width and height of a picture, pixels.
 const MIN_SIZE_PX: u32 = 16;
 
 /// The axes, the extent and the lens of a rig.
@@ -36,7 +31,7 @@ pub struct RigFrame {
     lens: Lens,
 }
 
-/// A camera's place and direction in the world.
+/// A camera's centre and viewing direction in the world.
 #[derive(Clone, Debug)]
 struct Pose {
     center: Point3<f64>,
@@ -55,7 +50,7 @@ pub struct Lens {
     pub cy: f64,
 }
 
-/// How a view looks from its place.
+/// Direction, zoom and size of a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Viewpoint {
     /// To the right and up, degrees.
@@ -73,7 +68,8 @@ impl Pose {
     }
 }
 
-/// The rotation to the world of which z is `ahead` and y nearest to `down`. `None` if they leave it open.
+/// The rotation to the world whose z axis is `ahead` and whose y axis is nearest to `down`. `None` if they are
+/// parallel.
 fn looking(ahead: Vector3<f64>, down: Vector3<f64>) -> Option<UnitQuaternion<f64>> {
     let ahead = ahead.try_normalize(1e-6)?;
     let right = down.cross(&ahead).try_normalize(1e-6)?;
@@ -83,7 +79,7 @@ fn looking(ahead: Vector3<f64>, down: Vector3<f64>) -> Option<UnitQuaternion<f64
 }
 
 impl RigFrame {
-    /// The frame of a capture's cameras. In a rig whose cameras look everywhere, the axes are the reference's.
+    /// The frame of a capture's cameras. If their mean direction is undefined, the axes are the reference's.
     pub fn new(capture: &Capture, spacing_m: f64) -> Self {
         let poses: Vec<Pose> = capture.cameras.iter().map(|c| Pose::of(&c.camera)).collect();
         let sum = |of: fn(&Pose) -> Vector3<f64>| poses.iter().map(of).sum::<Vector3<f64>>();
@@ -122,7 +118,7 @@ impl RigFrame {
         self.poses.iter().map(|p| self.place(&p.center)).collect()
     }
 
-    /// The least and the largest place of a viewpoint, by axis.
+    /// Bounds of viewpoints, by axis.
     pub fn bounds(&self) -> [[f64; 3]; 2] {
         let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for place in self.places() {
@@ -137,7 +133,7 @@ impl RigFrame {
         [low.map(|v| v - margin), high.map(|v| v + margin)]
     }
 
-    /// The view from a place in the rig's axes. It looks as the cameras around it do.
+    /// The view from a position in the rig's axes, in the mean direction of the cameras nearby.
     ///
     /// # Errors
     /// If the place is out of bounds, or as [`Self::from_camera`].
@@ -167,7 +163,7 @@ impl RigFrame {
         self.camera(camera.center(), camera.cam_from_world.rotation.inverse(), view)
     }
 
-    /// The mean direction of the cameras, the nearest with the largest weight.
+    /// The mean viewing direction of the cameras, weighted by proximity.
     fn direction(&self, center: &Point3<f64>) -> UnitQuaternion<f64> {
         let soft_m = (SOFT_SPACINGS * self.spacing_m).max(1e-9);
         let (mut ahead, mut down) = (Vector3::zeros(), Vector3::zeros());

@@ -1,4 +1,4 @@
-//! What the page knows of the capture.
+//! The description of a capture for the page.
 
 use super::Studio;
 use super::rig_frame::{Lens, MAX_TURN_DEG, ZOOMS};

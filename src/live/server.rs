@@ -1,4 +1,4 @@
-//! The server: connections, and what stands at which address.
+//! The server: connections, and responses by address.
 
 use super::answer::{Reply, failed, picture, respond, sentence};
 use super::guard::{Guard, NOT_FOUND};
@@ -20,19 +20,17 @@ use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio::sync::Semaphore;
 
-/// How many connections are open at once; more are closed at once. Larger: memory for whoever connects; smaller: a
-/// browser opens six, and several viewers are shut out.
+/// Largest number of open connections; a browser opens six.
 const MAX_CONNECTIONS: usize = 48;
-/// How long a request may take to arrive, and a connection may rest. Longer: who sends nothing holds a connection;
-/// shorter: a busy machine's own requests are cut.
+/// Timeout of a request's arrival, and of an idle connection.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long a browser may take nothing of a response. Longer and shorter: as above.
+/// Timeout of a response of which nothing is read.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(20);
-/// Most bytes of a request. Larger: memory for whoever connects; smaller: browsers' own headers are refused.
+/// Largest request, bytes.
 const MAX_REQUEST_BYTES: usize = 16 << 10;
-/// Most headers of a request: as above.
+/// Largest number of headers of a request.
 const MAX_HEADERS: usize = 64;
-/// Pause after a connection that the system couldn't give. Longer: the page waits; shorter: a core is kept busy.
+/// Pause after a failed accept.
 const RETRY: Duration = Duration::from_millis(50);
 
 const HTML: &str = "text/html; charset=utf-8";
@@ -53,14 +51,14 @@ const PAGE: [(&str, &str, &str); 9] = [
     ("save.js", SCRIPT, include_str!("page/save.js")),
 ];
 
-/// A server that has its port, and waits for a light field.
+/// A server with its port, before it serves a light field.
 pub struct Server {
     listener: TcpListener,
     guard: Guard,
     address: SocketAddr,
 }
 
-/// What all connections share.
+/// State that all connections share.
 struct Site {
     guard: Guard,
     queue: Arc<Queue>,
@@ -69,7 +67,7 @@ struct Site {
 }
 
 impl Server {
-    /// Takes a port of this machine, a free one for 0.
+    /// Binds a port of this machine; 0 chooses a free one.
     ///
     /// # Errors
     /// If another program has it, or the system gives no randomness.
@@ -109,7 +107,7 @@ impl Server {
     }
 }
 
-/// Takes connections, as many as there may be.
+/// Accepts connections, up to [`MAX_CONNECTIONS`].
 async fn accept(listener: TcpListener, site: Arc<Site>) -> Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let free = Arc::new(Semaphore::new(MAX_CONNECTIONS));

@@ -1,4 +1,4 @@
-//! Pictures of a light field, made as they are asked for.
+//! Renders the requested pictures of a light field.
 
 use super::encode::{Colors, encode, encode_saved};
 use super::true_views::TrueViews;
@@ -16,33 +16,32 @@ use crate::raster::luma;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// How much of the colours that stand for cameras is mixed into the picture. More: the scene can't be told;
-/// less: the cameras can't.
+/// Opacity of the cameras' colours over the picture, in 0..=1.
 const TINT: f32 = 0.5;
 
-/// Whether to go on: a viewer may have asked for something else.
+/// Returns whether to continue: a viewer may have sent a newer request.
 pub(super) type Proceed<'p> = &'p (dyn Fn() -> bool + Sync);
 
-/// A picture as it is sent.
+/// An encoded picture.
 pub struct Picture {
-    /// A PNG file's.
+    /// A PNG file.
     pub bytes: Vec<u8>,
     /// The methods that made it, such as `refined, mesh`; empty for the truth.
     pub made_by: String,
-    /// How long it took, seconds.
+    /// Rendering time, seconds.
     pub seconds: f64,
 }
 
-/// What is asked of the light field.
+/// A request in the light field's terms.
 struct Asked<'p> {
     target: &'p Camera,
-    /// In the light field, seconds.
+    /// Seconds from the capture's start.
     time_s: f64,
     level: Level,
     context: Context<'p>,
 }
 
-/// A light field with its truth, and what its pictures share.
+/// Renders pictures of a light field and of its truth.
 pub struct Studio<'a> {
     field: &'a LightField,
     places: Arc<Places>,
@@ -76,7 +75,7 @@ impl<'a> Studio<'a> {
         }
     }
 
-    /// The same with the words of a command line that choose the options, which the page shows.
+    /// Sets the command-line words of the options, which the page shows.
     #[must_use]
     pub fn with_words(self, words: Vec<String>) -> Self {
         Self { words, ..self }
@@ -113,7 +112,7 @@ impl<'a> Studio<'a> {
         }
     }
 
-    /// The picture, as long as `proceed` says so.
+    /// Renders and encodes a picture, as long as `proceed` returns true.
     ///
     /// # Errors
     /// Those of [`Places::camera`], those of rendering, and [`LiveError::Superseded`].

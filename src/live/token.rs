@@ -3,14 +3,14 @@
 use std::fs::File;
 use std::io::{Read, Result};
 
-/// Bytes of randomness. Fewer: it can be guessed; more: a longer address.
+/// Length of the random secret, bytes.
 const BYTES: usize = 24;
 
-/// A secret that nobody can guess, in letters and digits.
+/// A random secret in letters and digits.
 pub(super) struct Token(String);
 
 impl Token {
-    /// A new one, of the operating system's randomness.
+    /// A new secret from the operating system's random generator.
     pub fn new() -> Result<Self> {
         let mut bytes = [0; BYTES];
         File::open("/dev/urandom")?.read_exact(&mut bytes)?;
@@ -21,7 +21,7 @@ impl Token {
         &self.0
     }
 
-    /// Whether somebody knows it. How long that takes doesn't depend on how much of it is right.
+    /// Compares in constant time.
     pub fn is(&self, given: &str) -> bool {
         let pairs = self.0.bytes().zip(given.bytes());
         given.len() == self.0.len() && pairs.fold(0, |wrong, (a, b)| wrong | (a ^ b)) == 0

@@ -1,4 +1,4 @@
-//! Pictures of the truth: its images, as a view from the same place shows them.
+//! Pictures of the truth, rotated and zoomed from its images.
 
 use super::{LiveError, PictureRequest, Place};
 use crate::camera::Camera;
@@ -10,10 +10,9 @@ use nalgebra::{Isometry3, Translation3};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// How much memory true images may take, bytes. Larger: memory; smaller: they are read for every picture.
+/// Size of the cache of true images, bytes.
 const MAX_BYTES: usize = 64 << 20;
-/// How far from its time an image of the truth is asked for, seconds. Larger: it is shown beside another
-/// instant; smaller: the rounding of an address hides it.
+/// Largest difference between a requested time and a true image's, seconds; addresses round times.
 const SAME_INSTANT_S: f64 = 1e-6;
 
 /// An image of the truth.
@@ -32,7 +31,7 @@ pub(super) struct TrueViews {
     images: Memo,
 }
 
-/// The camera, turned as it is, in the origin: two of the same place are there exactly.
+/// The camera with its orientation, moved to the origin.
 fn at_origin(camera: &Camera) -> Camera {
     let cam_from_world =
         Isometry3::from_parts(Translation3::identity(), camera.cam_from_world.rotation);
@@ -67,7 +66,7 @@ impl TrueViews {
         self.views.get(index)
     }
 
-    /// The image of the place that is asked for, turned and zoomed as the view is.
+    /// The true image at the requested viewpoint, resampled with the view's rotation and zoom.
     pub fn view(&self, request: &PictureRequest, target: &Camera) -> Result<Rendered, LiveError> {
         let Place::Truth(index) = request.place else {
             let there =

@@ -8,17 +8,14 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::thread::Scope;
 
-/// How many quick requests are worked on at once. More: each takes longer; fewer: cores wait while a picture is
-/// encoded, and viewers for each other.
+/// Number of threads for quick requests.
 const QUICK_WORKERS: usize = 2;
-/// By how much threads of the full quality stand back (Unix's niceness). More: they starve where another program
-/// runs; less: a picture that nobody waits for any more slows down those that follow a hand.
+/// Niceness of threads for full quality, so that quick pictures have priority.
 const FULL_NICENESS: i32 = 5;
-/// How many instants wait to be prepared. More: while pictures are asked for without a pause, memory, and instants
-/// that viewers have left long ago; fewer: of several viewers, the first wait when they look around.
+/// Largest number of instants that wait to be prepared.
 const MAX_AHEAD: usize = 8;
 
-/// Pictures that viewers look at, whose instants are to be prepared.
+/// Requests whose instants are to be prepared in advance.
 type Ahead = VecDeque<(PictureRequest, Arc<Stale>)>;
 
 /// Starts the threads, which end when the queue is closed. Quick and full pictures have threads of their own, so
@@ -84,7 +81,7 @@ fn work(studio: &Studio, queue: &Queue, lane: Lane, pool: &ThreadPool) {
     }
 }
 
-/// Puts a picture at the end, in the oldest's place where there are too many.
+/// Appends a request; the oldest is dropped beyond [`MAX_AHEAD`].
 fn plan(queue: &Queue, ahead: &mut Ahead, shown: (PictureRequest, Arc<Stale>)) {
     ahead.push_back(shown);
     if ahead.len() > MAX_AHEAD
@@ -94,7 +91,7 @@ fn plan(queue: &Queue, ahead: &mut Ahead, shown: (PictureRequest, Arc<Stale>)) {
     }
 }
 
-/// Prepares the instants that viewers are at, while nobody waits for a full picture of another.
+/// Prepares the viewers' instants until a full picture of another instant is requested.
 fn prepare(studio: &Studio, queue: &Queue, ahead: &mut Ahead, pool: &ThreadPool) {
     while let Some((request, stale)) = ahead.pop_front() {
         let is_free = || !queue.has_apart(Lane::Full, &request);
@@ -116,8 +113,7 @@ fn answer(studio: &Studio, job: &Job, pool: &ThreadPool) -> Answer {
     unwound(picture).unwrap_or(Err(LiveError::Panicked))
 }
 
-/// The result, or nothing if it panics, of which the thread's own message tells. Caches hold whole values only, so
-/// that what fails leaves nothing behind.
+/// The result, `None` after a panic. Caches hold complete values only, so that a panic can't damage them.
 fn unwound<T>(of: impl FnOnce() -> T) -> Option<T> {
     catch_unwind(AssertUnwindSafe(of)).ok()
 }

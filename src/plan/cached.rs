@@ -7,7 +7,7 @@ use crate::lumigraph::BlendMethod;
 use crate::options::{AutoOptions, ProxyMethod, RenderOptions};
 use serde::{Deserialize, Serialize};
 
-/// Its version changes with every change of views, since plans may turn out otherwise.
+/// The version changes with every change of views, because they decide plans.
 const PLANS: CacheKind = CacheKind { name: "plans", version: 1 };
 
 /// The methods that a plan decided.
@@ -33,7 +33,7 @@ impl Methods {
         }
     }
 
-    /// The options with these methods where they are left to the capture; nothing is left to it then.
+    /// Replaces `auto` in options by these methods.
     pub fn put_into(&self, mut options: RenderOptions) -> RenderOptions {
         let AutoOptions { sync, proxy, blend, budget_px, budget_db } = options.auto;
         if sync {

@@ -1,4 +1,4 @@
-//! From what was measured to a method and a sentence. No images here.
+//! Decisions by measurements: a method and a sentence.
 
 use super::motion::MAX_NOISE;
 use super::{Choice, ClockSummary, Decision, Motion, Shape};
@@ -31,9 +31,7 @@ pub fn offsets(clocks: &ClockSummary) -> Decision {
     by_description(Choice::EstimatedOffsets, because)
 }
 
-/// A crossfade of two images that lie this many budgets apart blurs by less than a budget: halfway,
-/// the mean is at the right place, and each of the two images is half the distance off. Larger: what
-/// moves is blurred; smaller: what hardly moves is registered.
+/// Largest motion that is cross-faded, in budgets: halfway, each image is off by half the motion.
 const CROSSFADE_BUDGETS: f64 = 2.0;
 
 pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
@@ -74,12 +72,10 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
     by(SyncMethod::Refined, residual_px, budget_px, because)
 }
 
-/// How much noisier other pairs may be than those that were examined. Larger: pairs in which
-/// something of low contrast moves are cross-faded; smaller: noisy still pairs are registered.
+/// Factor of noise by which other pairs may exceed the examined ones.
 const NOISE_MARGIN: f32 = 1.25;
 
-/// How much the blocks of a frame pair may change for the pair to go without registration, mean of
-/// values 0..=1.
+/// Largest change of a block, in 0..=1, up to which a frame pair is static and not registered.
 pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     let Motion { still_pairs, still_change, still_px, pairs, .. } = *motion;
     if pairs == 0 {
@@ -107,7 +103,7 @@ pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     (limit, by_number(Choice::PairsCrossFaded, still_px, limit_px, because))
 }
 
-/// Whether refinement pays, where views by it and by triangulation could be compared.
+/// Decides on refinement by its possible gain over triangulation.
 pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let refines = gain_db > budget_db;
     let method = if refines { SyncMethod::Refined } else { SyncMethod::Triangulation };

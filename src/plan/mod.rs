@@ -45,7 +45,7 @@ use crate::options::{ProxyMethod, RenderOptions};
 use crate::progress::Reporter;
 use serde::Serialize;
 
-/// What a capture requires.
+/// The methods that a capture requires.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
     /// The error that a simplification may make, pixels.
@@ -108,7 +108,7 @@ pub fn plan(
     Ok(Plan { budget_px, decisions, options })
 }
 
-/// What views decide.
+/// Decisions that need rendered views.
 struct ByViews {
     sync: SyncMethod,
     of_sync: Decision,
@@ -160,8 +160,7 @@ fn by_views(
     Ok(ByViews { sync, of_sync, blend, of_blend })
 }
 
-/// How much better views with the second squared error are than those with the first, decibels; `None` where there
-/// is no error to compare.
+/// Gain of the second squared error over the first, decibels; `None` if an error is 0.
 fn gain_db([error, other]: [f64; 2]) -> Option<f64> {
     (error > 0.0 && other > 0.0).then(|| 10.0 * (error / other).log10())
 }

@@ -1,4 +1,4 @@
-//! How things move in the images, from a few frame pairs of every camera.
+//! Motion in the images, from a few frame pairs of every camera.
 
 use super::percentile;
 use crate::capture::CaptureError;
@@ -10,21 +10,16 @@ use crate::registration::{
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-/// How many frame pairs of a camera are examined: the first, the last, and between. Larger: planning
-/// takes longer; smaller: motion at other times is missed.
+/// Number of examined frame pairs of a camera: the first, the last, and between.
 const PAIRS: usize = 3;
 
-/// How many tracks of one pair must move at least as far for a motion to count. Larger: small bodies
-/// are missed; smaller: mismatches that agree by chance count.
+/// Number of tracks of a pair that must move at least as far for a motion to count.
 const WITNESSES: usize = 5;
 
-/// Features that move by less from one frame to the next stand still, pixels. Larger: slow motion is
-/// missed; smaller: still features, most of most scenes, hide how the rest moves.
+/// Features that move by less than this from frame to frame are static, pixels.
 const STILL_PX: f64 = 0.5;
 
-/// A pair whose blocks change by more than this is not still, values 0..=1: its light may have changed,
-/// or all of the image moves. Larger: low contrast that moves in a changing light is cross-faded;
-/// smaller: noisy still pairs are registered.
+/// Largest noise of a static pair, in 0..=1. With more, the light changes or the whole image moves.
 pub(super) const MAX_NOISE: f32 = 4.0 / 255.0;
 
 /// How far around a track its neighbours predict its motion, pixels, and how many of them. Larger:
@@ -32,10 +27,10 @@ pub(super) const MAX_NOISE: f32 = 4.0 / 255.0;
 const NEIGHBORHOOD_PX: f64 = 40.0;
 const PREDICTING: usize = 6;
 
-/// What the pairs show; each the largest of all pairs of all cameras. Pixels.
+/// Motion measures, each the maximum over all pairs of all cameras, pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
-    /// How far features move from one frame to the next.
+    /// Largest motion of features from frame to frame.
     pub largest_px: f64,
     /// How far trajectories through four frames are, halfway between the middle two, from the chord
     /// through these: the 95th percentile of what moves.
@@ -105,7 +100,7 @@ impl Motion {
     }
 }
 
-/// The earlier frames of pairs spread over a recording.
+/// First frames of pairs, spread over a recording.
 fn spread(frames: usize) -> Vec<usize> {
     let pairs = frames.saturating_sub(1);
     let mut found: Vec<usize> = match pairs {
@@ -116,7 +111,7 @@ fn spread(frames: usize) -> Vec<usize> {
     found
 }
 
-/// The motion that at least [`WITNESSES`] tracks have; 0 if there are fewer.
+/// The largest motion that at least [`WITNESSES`] tracks reach; 0 if there are fewer.
 fn largest(tracks: &[Track]) -> f64 {
     let mut motions: Vec<f64> = tracks.iter().map(|t| t.motion().norm()).collect();
     motions.sort_by(|a, b| b.total_cmp(a));
@@ -180,7 +175,7 @@ mod tests {
         }
     }
 
-    /// Halfway, a trajectory of a second difference of 4 px is half a pixel off the line.
+    /// A second difference of 4 px puts a trajectory's midpoint 0.5 px off its chord.
     #[test]
     fn curvature_is_measured_on_what_moves() {
         let times_s = [0.0, 1.0, 2.0, 3.0];

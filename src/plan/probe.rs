@@ -13,29 +13,23 @@ use crate::options::RenderOptions;
 use crate::raster::Image;
 use crate::registration::RegistrationOptions;
 
-/// How many held-out frames are rendered, each of another camera, spread over the recording: what
-/// refinement gains differs by half a decibel from instant to instant. More cost up to seven views
-/// each; fewer depend on their instants.
+/// Number of held-out frames, each of another camera, spread over the recording. Gains differ by half a decibel
+/// between instants.
 const FRAMES: usize = 4;
 
-/// How many neighbours, the nearest ones, a held-out frame is rendered from. More cost time; fewer
-/// than two are on one side.
+/// Number of nearest cameras from which a held-out frame is rendered.
 const NEIGHBORS: usize = 4;
 
-/// Fractions of the way from a frame to the next at which views may be rendered, the preferred one
-/// first. More: an instant between most cameras' frames is found more often; fewer: less often.
+/// Fractions of the frame interval at which views may be rendered, the preferred one first.
 const FRACTIONS: [f64; 3] = [0.5, 0.25, 0.75];
 
-/// How far around what changes in a camera's frame it may lie in a view beside it, pixels. Larger: noise
-/// of what stands still counts; smaller: what is near is missed.
+/// Dilation of the changing part for its parallax in a neighbouring view, pixels.
 const PARALLAX_PX: usize = 16;
 
-/// An instant nearer to a frame than this fraction of the interval shows no errors of
-/// synchronization. Larger: hardly an instant is left; smaller: what is measured is noise.
+/// Smallest distance of an instant from a frame, as a fraction of the interval; nearer, synchronization has no error.
 const MIN_FRACTION: f64 = 0.1;
 
-/// A changing part smaller than this is not measured, pixels. Larger: small bodies don't count;
-/// smaller: a few noisy pixels decide.
+/// Smallest changing part that is measured, pixels.
 const MIN_PIXELS: usize = 64;
 
 /// Frames that are held out, to be rendered from their cameras' neighbours.
@@ -54,7 +48,7 @@ struct HeldOutFrame {
     /// next.
     view: Camera,
     view_s: f64,
-    /// As the reference would have recorded it.
+    /// The frame, corrected to the reference's gains.
     truth: Image,
     /// The camera whose brightness `neighbors` renders.
     bright_as: usize,
@@ -195,7 +189,7 @@ impl HeldOutFrame {
         Ok(in_space.zip(in_time).map(<[Rendered; 2]>::from))
     }
 
-    /// The squared error of a view in this frame's place, over the pixels that count.
+    /// Squared error of a view against this frame, over the pixels where `counts` is true.
     fn squared_error(&self, field: &LightField, view: &Rendered, counts: &[bool]) -> f64 {
         let gains = field.gains(&self.registration);
         let image = gains.corrected(self.bright_as, &view.image);

@@ -1,10 +1,10 @@
-//! What the rig's description alone decides.
+//! Decisions by the rig's description alone.
 
 use crate::capture::Capture;
 use crate::offset::clocks;
 use nalgebra::{DMatrix, Point2};
 
-/// Whose clocks are known.
+/// Which clocks are known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClockSummary {
     pub cameras: usize,
@@ -25,11 +25,10 @@ impl ClockSummary {
     }
 }
 
-/// How many points along each side of an image the lens is evaluated at. Larger: slower; smaller: the
-/// largest shift may lie between two points.
+/// Number of points along each side of an image at which lens distortion is evaluated.
 const SIDE: usize = 17;
 
-/// How far lenses move a pixel from where a pinhole would have it, at most.
+/// Largest displacement of a pixel by lens distortion.
 pub fn largest_distortion_px(capture: &Capture) -> f64 {
     let mut largest: f64 = 0.0;
     for camera in capture.cameras.iter().map(|c| &c.camera) {

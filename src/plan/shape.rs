@@ -1,15 +1,14 @@
-//! How far a plane is from the scene's shape, as views between the cameras see it.
+//! Distance of the scene's shape from a plane, as parallax in views between the cameras.
 
 use super::percentile;
 use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::{Plane, Proxy};
 use crate::options::RenderOptions;
 
-/// At how many instants, evenly spread, the shape is measured. Larger: planning takes longer; smaller:
-/// shapes at other times are missed.
+/// Number of evenly spread instants at which the shape is measured.
 const INSTANTS: usize = 3;
 
-/// What the points of the scene show, in the reference camera's view.
+/// The scene's deviation from a plane, in the reference camera's view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shape {
     /// How far the best plane displaces a point in a view halfway between two neighbouring cameras,

@@ -1,5 +1,4 @@
-//! What combinations are measured on: the capture, what views are compared with, and what is
-//! prepared for them.
+//! The bench: the capture, the reference images, and prepared light fields.
 
 use super::store::{CachedPoint, PLANS, POINTS, PREPARATIONS, Planned, Prepared, Store};
 use super::targets::{Against, Target, TargetView};
@@ -64,7 +63,7 @@ pub(super) fn prepared(
 }
 
 impl Bench<'_> {
-    /// What the capture makes of options, where they leave methods to it, and what planning takes.
+    /// The planned methods for options with `auto`, and the planning time.
     pub fn planned(&self, asked: &RenderOptions) -> Result<Planned, TradeoffError> {
         if !asked.auto.any() {
             let took = Elapsed { wall_s: 0.0, cpu_s: 0.0 };
@@ -88,7 +87,7 @@ impl Bench<'_> {
         prepared(self.capture, &self.store, options, self.reporter)
     }
 
-    /// What is known of a combination so far.
+    /// Stored measurements of a combination.
     pub fn cached(&self, options: &RenderOptions) -> CachedPoint {
         let cached = self.store.load::<CachedPoint>(POINTS, options);
         cached.filter(|cached| cached.options == *options).unwrap_or_else(|| CachedPoint {
@@ -98,7 +97,7 @@ impl Bench<'_> {
         })
     }
 
-    /// The kinds of targets that there are, the one that counts first.
+    /// The kind of reference images that quality is measured against.
     pub fn against(&self) -> Against {
         let order = [Against::Truth, Against::HeldOut, Against::MostAccurate];
         let there = |a: &Against| self.targets.iter().any(|t| t.against == *a);

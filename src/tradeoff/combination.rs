@@ -1,4 +1,4 @@
-//! Which combinations are worth a measurement.
+//! The combinations that are measured.
 
 use crate::interpolation::SyncMethod;
 use crate::lumigraph::BlendMethod;
@@ -37,12 +37,12 @@ pub fn most_accurate(base: &RenderOptions) -> RenderOptions {
     options
 }
 
-/// What the scene and the rig leave to vary.
+/// Which parameters can matter on a capture.
 #[derive(Clone, Copy, Debug)]
 pub struct Variable {
-    /// Whether offsets are estimated at all,
+    /// Whether offsets are estimated.
     pub offsets: bool,
-    /// and how many cameras a view may be blended from.
+    /// Number of cameras that a view may be blended from.
     pub cameras: usize,
 }
 
@@ -100,7 +100,7 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
     changes.into_iter().map(changed).filter(|varied| varied != options).collect()
 }
 
-/// The methods, and what of the main parameters is not the default.
+/// The methods, and the main parameters that differ from their defaults.
 pub fn name(options: &RenderOptions) -> String {
     let default = RenderOptions::default();
     let mut words = vec![options.sync.name().to_owned(), options.proxy.method.name().to_owned()];

@@ -17,7 +17,7 @@ struct Group {
 }
 
 impl Bench<'_> {
-    /// Measures what isn't known yet of these combinations; all that is known of them.
+    /// Measures combinations as far as they aren't stored, and returns all measurements.
     pub fn measure(
         &self,
         label: &str,
@@ -33,7 +33,7 @@ impl Bench<'_> {
         Ok(points)
     }
 
-    /// The targets that a point lacks.
+    /// Targets without a score of this point.
     fn unscored<'p>(&'p self, point: &'p CachedPoint) -> impl Iterator<Item = &'p Target> {
         let lacks = |t: &&Target| point.reason.is_none() && !point.scores.contains_key(&t.id);
         self.targets.iter().filter(lacks)

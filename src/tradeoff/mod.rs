@@ -1,5 +1,5 @@
-//! Speed for accuracy: what every sensible combination of methods and main parameters costs and gives
-//! on one capture.
+//! Speed for accuracy: time and quality of every sensible combination of methods and main parameters on one
+//! capture.
 //!
 //! [`tradeoff`] measures, into one folder:
 //!
@@ -65,17 +65,17 @@ use store::{CachedPoint, Store, refuse_foreign, write_json};
 use summary::Summarized;
 use targets::Scene;
 
-/// How much is measured.
+/// Options of a trade-off.
 #[derive(Clone, Debug)]
 pub struct TradeoffOptions {
-    /// Times that each view is timed. More tell the median and the spread better.
+    /// Number of timed runs of each view.
     pub runs: usize,
     /// How many rounds of variations of the Pareto front by single parameters; 0 measures the methods
     /// alone.
     pub rounds: usize,
-    /// What all combinations start from.
+    /// Options that all combinations start from.
     pub base: RenderOptions,
-    /// Combinations to measure besides.
+    /// Further combinations to measure.
     pub also: Vec<RenderOptions>,
     pub clock: Clock,
 }
@@ -103,11 +103,10 @@ impl Default for TradeoffOptions {
     }
 }
 
-/// The fastest point within this of the best is recommended, decibels: the eye sees no difference.
-/// Larger: what is recommended is visibly worse; smaller: it is slow for nothing that is seen.
+/// The fastest point within this quality of the best is recommended, decibels: an invisible difference.
 pub const SLACK_DB: f64 = 0.2;
 
-/// Why there is no trade-off. Every message is one sentence.
+/// Why a trade-off can't be measured: one sentence.
 #[derive(Debug, thiserror::Error)]
 pub enum TradeoffError {
     #[error(transparent)]
@@ -141,16 +140,16 @@ pub struct Tradeoff {
     /// The capture's name.
     pub capture: String,
     pub cameras: usize,
-    /// Of the timed view: width, height.
+    /// Width and height of the timed view.
     pub size_px: (usize, usize),
     /// Threads that views are rendered with.
     pub threads: usize,
     pub against: Against,
     /// The clock that the Pareto front is computed from.
     pub clock: Clock,
-    /// Views that quality is the mean of.
+    /// Number of views over which quality is averaged.
     pub views: usize,
-    /// What planning took, for `auto`, seconds.
+    /// Planning time of `auto`, seconds.
     pub planning_s: f64,
     /// Fastest first; then those that can't be rendered.
     pub points: Vec<Point>,
@@ -175,7 +174,7 @@ impl Tradeoff {
     }
 }
 
-/// The label of what the plan chooses.
+/// Label of the planned combination.
 pub const AUTO: &str = "auto";
 
 /// Measures a capture's trade-off into the folder `out`.
@@ -231,7 +230,7 @@ pub fn tradeoff(
     Ok(tradeoff)
 }
 
-/// Adds what isn't there yet.
+/// Adds combinations that aren't in the list yet.
 fn add(wanted: &mut Vec<RenderOptions>, more: impl IntoIterator<Item = RenderOptions>) {
     for options in more {
         if !wanted.contains(&options) {

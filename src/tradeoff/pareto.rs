@@ -1,6 +1,6 @@
 //! The Pareto front of time and quality.
 
-/// One point: its cost and its quality.
+/// Cost and quality of a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trade {
     pub seconds: f64,

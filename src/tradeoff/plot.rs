@@ -1,9 +1,9 @@
-//! Time against quality, drawn.
+//! The plot of time against quality.
 
 use super::{Against, Clock, Point, Spread, Tradeoff};
 use crate::chart::{self, Chart, ChartPoint, Label, Series};
 
-/// What the y axis shows.
+/// Label of the y axis.
 fn quality(tradeoff: &Tradeoff) -> &'static str {
     let moving = tradeoff.points.iter().any(|p| p.moving.psnr_db.is_some());
     match (tradeoff.against, moving) {

@@ -23,18 +23,18 @@ pub(super) const PLANS: CacheKind = CacheKind { name: "tradeoff-plans", version:
 pub(super) const POINTS: CacheKind = CacheKind { name: "tradeoff-points", version: 1 };
 pub(super) const TIMES: CacheKind = CacheKind { name: "tradeoff-times", version: 1 };
 
-/// What is known of one combination.
+/// Stored measurements of one combination.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct CachedPoint {
     pub options: RenderOptions,
     /// By the target's id.
     pub scores: BTreeMap<String, RegionScores>,
-    /// Why a view can't be rendered, instead of all else.
+    /// Why a view can't be rendered; there are no scores then.
     pub reason: Option<String>,
 }
 
-/// What views with one registration and one offset method start from.
+/// A light field for one registration and offset method, with its preparation times.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Prepared {
@@ -44,7 +44,7 @@ pub(super) struct Prepared {
     pub registration_took: Elapsed,
 }
 
-/// What `auto` makes of the capture.
+/// The plan for `auto`, and its time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Planned {

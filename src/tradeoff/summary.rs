@@ -1,4 +1,4 @@
-//! From what was measured to points of the trade-off.
+//! Turns measurements into points of the trade-off.
 
 use super::bench::Bench;
 use super::pareto::{Trade, fastest_within, pareto_front};
@@ -15,9 +15,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Point {
-    /// Its methods, and which parameters are not the defaults.
+    /// Its methods, and the parameters that differ from their defaults.
     pub name: String,
-    /// The presets that it is, and whether the plan chooses it.
+    /// Names of equal presets, and `auto` if the plan chose it.
     pub labels: Vec<String>,
     /// Options of all stages, as an options file has them.
     #[schemars(with = "serde_json::Value")]
@@ -39,7 +39,7 @@ pub struct Point {
     pub preparation: Option<Preparation>,
 }
 
-/// The means of the views that have the pixels.
+/// Means over all views with such pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeanScores {
@@ -48,7 +48,7 @@ pub struct MeanScores {
     pub flip: Option<f64>,
 }
 
-/// Of several runs, seconds.
+/// Statistics of several runs, seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Spread {
@@ -58,7 +58,7 @@ pub struct Spread {
     pub runs: usize,
 }
 
-/// What is done once for all views between two frames of each camera; seconds on the wall.
+/// Wall-clock times of preparation, done once for all views between two frames of each camera, seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Preparation {
@@ -74,15 +74,13 @@ impl Preparation {
     }
 }
 
-/// What identical images count as in a mean of PSNR, decibels, where their own is infinite. Larger: one
-/// identical view decides the mean; smaller: it counts less than a nearly identical one.
+/// PSNR of identical images in means, decibels, in place of infinity.
 const IDENTICAL_DB: f64 = 99.0;
 
-/// Qualities are rounded to this before points are compared, decibels. Larger: real differences are
-/// lost; smaller: rounding noise puts points on the Pareto front.
+/// Qualities are rounded to this before points are compared, decibels.
 const STEP_DB: f64 = 0.01;
 
-/// Measured points as they trade.
+/// All measurements, ready to become points.
 pub(super) struct Summarized<'a> {
     bench: &'a Bench<'a>,
     cached: &'a [CachedPoint],

@@ -1,4 +1,4 @@
-//! What views are compared with: the truth, held-out cameras, or the most accurate view.
+//! Reference images: the truth, held-out cameras, or the most accurate view.
 
 use super::TradeoffError;
 use super::combination::most_accurate;
@@ -20,26 +20,26 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// What quality is measured against.
+/// The kind of reference images.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Against {
-    /// Views of a simulator that no camera filmed, or where it has none the filming cameras'.
+    /// True images of new views; without those, of the filming cameras.
     Truth,
     /// A camera's own frame, at its own time, rendered from the other cameras.
     HeldOut,
-    /// The view by the dearest method of every stage: how much is lost, not how much is right.
+    /// The view by the slowest method of every stage: this measures loss, not accuracy.
     MostAccurate,
 }
 
-/// A view whose image is known.
+/// A view with a reference image.
 pub(super) struct Target {
     pub id: String,
     pub camera: Camera,
     /// From the capture's start.
     pub time_s: f64,
     pub against: Against,
-    /// The camera whose frame it is, which must not be used.
+    /// The camera of the frame, which must not be used to render it.
     pub held_out: Option<usize>,
     reference: ReferenceImage,
     /// The moving pixels, and those that the most accurate methods cover, row by row.
@@ -57,11 +57,10 @@ pub(super) struct TargetView {
     pub time_s: f64,
 }
 
-/// How many cameras are held out, one at a time, where there is no truth. Larger: more time; smaller:
-/// the quality of one place stands for all.
+/// Number of cameras that are held out, one at a time, without truth.
 const HELD_OUT: usize = 2;
 
-/// Everything that is measured against, with what it takes to find out.
+/// A capture with its truth, from which targets are made.
 pub(super) struct Scene<'a> {
     pub capture: &'a Arc<Capture>,
     pub offsets: &'a Offsets,
@@ -95,7 +94,7 @@ impl Scene<'_> {
         LightField::new(capture, offsets)
     }
 
-    /// What there is to measure against, and the view to time.
+    /// The targets, and the view to time.
     pub fn targets(
         &self,
         truth: Option<&Truth>,
@@ -178,7 +177,7 @@ impl Scene<'_> {
         Ok(found)
     }
 
-    /// The middle frames of cameras amid the others.
+    /// Middle frames of inner cameras, as held-out targets.
     fn held_out_frames(&self) -> Result<Vec<Target>, TradeoffError> {
         let times_s = self.offsets.common_times_s(self.capture);
         let mut found: Vec<Target> = Vec::new();

@@ -8,7 +8,7 @@ use crate::light_field::LightField;
 use crate::progress::Task;
 use serde::{Deserialize, Serialize};
 
-/// What views of one combination took.
+/// Timed views of one combination.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct CachedTimes {
@@ -16,7 +16,7 @@ pub(super) struct CachedTimes {
 }
 
 impl Bench<'_> {
-    /// What views of a combination took, run by run.
+    /// The times of a combination's views, one for each run.
     pub fn runs(&self, point: &CachedPoint) -> Vec<Elapsed> {
         self.store.load::<CachedTimes>(TIMES, &point.options).unwrap_or_default().runs
     }
