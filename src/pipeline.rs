@@ -5,7 +5,7 @@ use crate::capture::Capture;
 use crate::light_field::{LightField, RenderError};
 use crate::offset::resolve_offsets;
 use crate::options::RenderOptions;
-use crate::plan::{Choice, Methods, Stage, load_plan, plan, save_plan};
+use crate::plan::{Choice, Methods, PlanStage, load_plan, plan, save_plan};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::sync::Arc;
@@ -37,10 +37,10 @@ pub fn resolved(
     }
     let auto = &options.auto;
     type OfMethods = fn(&Methods) -> Choice;
-    let stages: [(bool, Stage, OfMethods); 3] = [
-        (auto.sync, Stage::Sync, |methods| Choice::Sync(methods.sync)),
-        (auto.proxy, Stage::Proxy, |methods| Choice::Proxy(methods.proxy)),
-        (auto.blend, Stage::Blend, |methods| Choice::Blend(methods.blend)),
+    let stages: [(bool, PlanStage, OfMethods); 3] = [
+        (auto.sync, PlanStage::Sync, |methods| Choice::Sync(methods.sync)),
+        (auto.proxy, PlanStage::Proxy, |methods| Choice::Proxy(methods.proxy)),
+        (auto.blend, PlanStage::Blend, |methods| Choice::Blend(methods.blend)),
     ];
     let left = stages.into_iter().filter(|(is_auto, ..)| *is_auto);
     if let Some(methods) = load_plan(field, options) {

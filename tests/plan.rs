@@ -10,7 +10,7 @@ use stlfr::light_field::LightField;
 use stlfr::lumigraph::BlendMethod;
 use stlfr::options::{AutoOptions, ProxyMethod, RenderOptions};
 use stlfr::pipeline::{open_field, resolved};
-use stlfr::plan::{Choice, Plan, Stage, plan};
+use stlfr::plan::{Choice, Plan, PlanStage, plan};
 use stlfr::progress::Reporter;
 use stlfr::raster::{Image, read_image, write_image};
 use stlfr::raster::{encoded_from_linear, linear_from_encoded};
@@ -196,7 +196,7 @@ fn lenses_and_a_second_direction_are_seen() {
         }
     });
     assert_choices(&plan, &[Choice::DistortedLenses]);
-    assert!(plan.decision(Stage::Lenses).unwrap().measured.unwrap() > 0.1);
+    assert!(plan.decision(PlanStage::Lenses).unwrap().measured.unwrap() > 0.1);
     let centers_m = [[-0.06, 0.0, 0.0], [0.0; 3], [0.0, 0.06, 0.0]];
     let plan = planned(&Scene { centers_m, ..still() }, |_| ());
     assert_choices(&plan, &[Choice::TwoDirections]);
@@ -263,7 +263,7 @@ fn held_out_frames_decide_the_weights_if_asked() {
     };
     let all = by(true, true);
     assert!([SyncMethod::Refined, SyncMethod::AllCameras].contains(&all.options.sync), "{all:?}");
-    let decision = all.decision(Stage::Blend).unwrap();
+    let decision = all.decision(PlanStage::Blend).unwrap();
     let is_better = decision.measured.expect("held-out frames were compared") > 0.0;
     let chosen = if is_better { BlendMethod::SpaceTime } else { BlendMethod::Lumigraph };
     assert_eq!((decision.choice, all.options.blend.method), (Choice::Blend(chosen), chosen));

@@ -7,7 +7,7 @@ use super::values::method;
 use std::path::PathBuf;
 use std::sync::Arc;
 use stlfr::progress::Reporter;
-use stlfr::tradeoff::{Clock, FILES, Point, Tradeoff, TradeoffOptions, methods, tradeoff};
+use stlfr::tradeoff::{FILES, Point, TimingClock, Tradeoff, TradeoffOptions, methods, tradeoff};
 
 /// Speed for accuracy on this capture: what every sensible combination of methods and main
 /// parameters costs and gives.
@@ -34,8 +34,8 @@ pub struct TradeoffArgs {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = parsed(0, 10))]
     rounds: usize,
     /// Which clock the Pareto front is computed from.
-    #[arg(long, value_name = "CLOCK", value_parser = method::<Clock>(), default_value = "wall")]
-    clock: Clock,
+    #[arg(long, value_name = "CLOCK", value_parser = method::<TimingClock>(), default_value = "wall")]
+    clock: TimingClock,
     /// Print JSON and nothing else.
     #[arg(long)]
     json: bool,

@@ -69,7 +69,8 @@ pub fn compare(
     let video = match (encoder, &options.video) {
         (Some(encoder), Some(video_options)) => stages
             .time("video", || {
-                let plan = video::Plan::new(renderer, options.sync, Some(truth), video_options)?;
+                let plan =
+                    video::VideoPlan::new(renderer, options.sync, Some(truth), video_options)?;
                 plan.write(&encoder, out, reporter)
             })
             .map(Some),
@@ -90,7 +91,7 @@ pub fn compare(
 
 /// The video's encoder, tested before anything is rendered.
 fn encoder(options: &video::VideoOptions) -> Result<video::Encoder, CompareError> {
-    let codec = Codec::for_browsers(&options.ffmpeg).map_err(video::VideoError::from)?;
+    let codec = Codec::for_browsers(&options.ffmpeg).map_err(video::ReviewVideoError::from)?;
     Ok(video::Encoder { ffmpeg: options.ffmpeg.clone(), codec })
 }
 

@@ -1,7 +1,7 @@
 //! One instant of the truth: synchronize the cameras, measure them, write the pictures. The views
 //! that are blended from them are in `views.rs`.
 
-use super::report::{Figure, Picture};
+use super::report::{Figure, ReportPicture};
 use super::results::{SyncResult, ViewResult};
 use super::sheet::{Panel, Sheet};
 use super::stage_times::StageTimes;
@@ -38,7 +38,7 @@ pub(super) struct Results {
 }
 
 /// A true image, with everything that measures images against it.
-pub(super) struct Target<'a> {
+pub(super) struct ComparedTarget<'a> {
     pub instant: &'a TrueInstant,
     pub view: &'a TrueView,
     pub truth: &'a TrueImage,
@@ -68,8 +68,11 @@ impl Comparison<'_> {
             .time(MEASURING, || instant.views.par_iter().map(read).collect::<Result<_, _>>())?;
         let images = stages.time(RENDERING, || self.synchronize(instant));
 
-        let targets =
-            instant.views.iter().zip(&truths).map(|(view, truth)| Target { instant, view, truth });
+        let targets = instant.views.iter().zip(&truths).map(|(view, truth)| ComparedTarget {
+            instant,
+            view,
+            truth,
+        });
         let (filmed, free): (Vec<_>, Vec<_>) = targets.partition(|t| t.view.like.is_some());
         let most_moving = filmed.iter().map(|t| t.truth.moving_pixels()).max();
         let in_report = filmed
@@ -121,11 +124,11 @@ impl Comparison<'_> {
     /// Measures all sync methods on a filming camera; adds its pictures to the report if `in_report`.
     fn measure_sync(
         &self,
-        target: &Target,
+        target: &ComparedTarget,
         images: &[Vec<SynchronizedOrReason>],
         in_report: bool,
     ) -> Result<(Vec<SyncResult>, Option<Figure>), CompareError> {
-        let Target { instant, view, truth } = target;
+        let ComparedTarget { instant, view, truth } = target;
         let capture = self.renderer.capture();
         let camera = view.like.unwrap_or_default();
         let id = &capture.cameras[camera].id;
@@ -171,7 +174,7 @@ impl Comparison<'_> {
     /// Writes an image in the input's bit depth; returns its path relative to the folder.
     pub(super) fn write(
         &self,
-        target: &Target,
+        target: &ComparedTarget,
         name: &str,
         image: &Image,
         coverage: Option<&[bool]>,
@@ -234,8 +237,9 @@ pub(super) struct Shown<'a> {
 
 /// The truth and the methods' images, for the report.
 pub(super) fn figure(title: String, is_view: bool, truth: &TrueImage, shown: &[Shown]) -> Figure {
-    let mut pictures = vec![Picture::new("Truth", &truth.image, None)];
-    pictures
-        .extend(shown.iter().filter_map(|s| Some(Picture::new(&s.title, s.image.ok()?, s.scores))));
+    let mut pictures = vec![ReportPicture::new("Truth", &truth.image, None)];
+    pictures.extend(
+        shown.iter().filter_map(|s| Some(ReportPicture::new(&s.title, s.image.ok()?, s.scores))),
+    );
     Figure { title, is_view, pictures }
 }

@@ -170,7 +170,7 @@ pub enum CompareError {
     #[error("the report could not be filled in: {0}")]
     Report(#[from] minijinja::Error),
     #[error(transparent)]
-    Video(#[from] video::VideoError),
+    Video(#[from] video::ReviewVideoError),
 }
 
 /// The main results, and the paths of the files.

@@ -27,12 +27,12 @@ pub(super) struct Figure {
     /// Whether it is a new view rather than a filming camera's image.
     pub is_view: bool,
     /// The truth first, then the methods.
-    pub pictures: Vec<Picture>,
+    pub pictures: Vec<ReportPicture>,
 }
 
 /// A picture as inlined data.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Picture {
+pub(super) struct ReportPicture {
     label: String,
     width: usize,
     height: usize,
@@ -40,7 +40,7 @@ pub(super) struct Picture {
     scores: Option<RegionScores>,
 }
 
-impl Picture {
+impl ReportPicture {
     pub fn new(label: &str, image: &Image, scores: Option<RegionScores>) -> Self {
         let (width, height) = (image.width(), image.height());
         Self {

@@ -41,12 +41,12 @@ struct Shot {
     frames: usize,
     is_movie: bool,
     truth: Option<String>,
-    traditional: Option<Panel>,
-    space_time: Option<Panel>,
+    traditional: Option<ReviewPanel>,
+    space_time: Option<ReviewPanel>,
 }
 
 #[derive(Debug, Serialize)]
-struct Panel {
+struct ReviewPanel {
     title: String,
     file: String,
 }
@@ -71,7 +71,7 @@ pub(super) fn layout(metrics: &Metrics, video: Option<&video::Written>) -> Layou
 fn movie_reel(video: &video::Written) -> Reel {
     let file = |slug: &str| video.movies.iter().find(|m| m.slug == slug).map(|m| m.file.clone());
     let panel = |method: ViewMethod| {
-        Some(Panel { title: method.title().into(), file: file(method.slug())? })
+        Some(ReviewPanel { title: method.title().into(), file: file(method.slug())? })
     };
     let shot = Shot {
         label: video.view.clone(),
@@ -89,7 +89,11 @@ fn truth_beside(file: &str) -> Option<String> {
     Some(format!("{}/truth.png", file.rsplit_once('/')?.0))
 }
 
-fn still(label: String, traditional: Option<Panel>, space_time: Option<Panel>) -> Option<Shot> {
+fn still(
+    label: String,
+    traditional: Option<ReviewPanel>,
+    space_time: Option<ReviewPanel>,
+) -> Option<Shot> {
     let any = traditional.as_ref().or(space_time.as_ref())?;
     Some(Shot {
         label,
@@ -111,7 +115,10 @@ fn view_shots(metrics: &Metrics) -> Vec<Shot> {
                     r.view == row.view && r.proxy == row.proxy && r.method == method
                 };
                 let file = rows().find(same)?.image.clone()?;
-                Some(Panel { title: format!("{}, {}", method.title(), row.proxy.name()), file })
+                Some(ReviewPanel {
+                    title: format!("{}, {}", method.title(), row.proxy.name()),
+                    file,
+                })
             };
             let label = format!("{} at {:.4} s, {}", row.view, row.time_s, row.proxy.name());
             still(label, panel(ViewMethod::TraditionalLfr), panel(ViewMethod::StLfr))
@@ -126,7 +133,7 @@ fn camera_shots(metrics: &Metrics) -> Vec<Shot> {
         .filter_map(|row| {
             let panel = |method: SyncMethod| {
                 let found = rows().find(|r| r.view == row.view && r.method == method)?;
-                Some(Panel {
+                Some(ReviewPanel {
                     title: format!("{}, {}", row.camera, method.name()),
                     file: found.image.clone()?,
                 })

@@ -36,7 +36,7 @@ impl Default for VideoOptions {
 
 /// Why a video can't be made: one sentence.
 #[derive(Debug, thiserror::Error)]
-pub enum VideoError {
+pub enum ReviewVideoError {
     #[error(transparent)]
     File(#[from] crate::video::VideoError),
     #[error("video.{field} is {value}, must be {wanted}")]
@@ -58,7 +58,7 @@ pub struct Encoder {
 }
 
 /// Content of the video: viewpoint, times and methods.
-pub struct Plan<'a> {
+pub struct VideoPlan<'a> {
     renderer: &'a dyn Renderer,
     /// The sync method of ST-LFR.
     sync: SyncMethod,
@@ -76,7 +76,7 @@ struct Shots {
     view: String,
 }
 
-impl<'a> Plan<'a> {
+impl<'a> VideoPlan<'a> {
     /// The truth's video if it has one; else its first new view, or the reference camera's place,
     /// over the span that all cameras cover.
     pub fn new(
@@ -84,14 +84,18 @@ impl<'a> Plan<'a> {
         sync: SyncMethod,
         truth: Option<&Truth>,
         options: &VideoOptions,
-    ) -> Result<Self, VideoError> {
+    ) -> Result<Self, ReviewVideoError> {
         let rate_hz = options.rate_hz;
         if !(rate_hz.is_finite() && rate_hz > 0.0) {
             let wanted = "positive";
-            return Err(VideoError::Option { field: "rate_hz", value: rate_hz, wanted });
+            return Err(ReviewVideoError::Option { field: "rate_hz", value: rate_hz, wanted });
         }
         if options.frames == 0 {
-            return Err(VideoError::Option { field: "frames", value: 0.0, wanted: "1 or more" });
+            return Err(ReviewVideoError::Option {
+                field: "frames",
+                value: 0.0,
+                wanted: "1 or more",
+            });
         }
         let shots = match truth.and_then(|t| Some((t, t.video.as_ref()?))) {
             Some((truth, video)) => Shots::of_truth(renderer.capture(), truth, video)?,
@@ -106,7 +110,7 @@ impl<'a> Plan<'a> {
         encoder: &Encoder,
         out: &Path,
         reporter: &Reporter,
-    ) -> Result<Written, VideoError> {
+    ) -> Result<Written, ReviewVideoError> {
         let path = out.join("review").with_extension(encoder.codec.suffix());
         let create = |path: &Path, like: &Image, depth, codec| {
             let format = VideoFormat { depth, rate_hz: self.rate_hz, codec };
@@ -148,7 +152,7 @@ impl<'a> Plan<'a> {
     }
 
     /// The true image, if there is one, and the methods' images at one time.
-    fn panels(&self, k: usize) -> Result<Vec<Panel>, VideoError> {
+    fn panels(&self, k: usize) -> Result<Vec<VideoPanel>, ReviewVideoError> {
         let (renderer, shots) = (self.renderer, &self.shots);
         let time_s = shots.times_s[k];
         let size = (shots.target.width, shots.target.height);
@@ -166,9 +170,9 @@ impl<'a> Plan<'a> {
                     size.0,
                     size.1
                 );
-                return Err(VideoError::Field { reason });
+                return Err(ReviewVideoError::Field { reason });
             }
-            panels.push(Panel { slug: "truth", title: "Truth".into(), image: image.to_rgb() });
+            panels.push(VideoPanel { slug: "truth", title: "Truth".into(), image: image.to_rgb() });
         }
         let (target, proxy) = (&shots.target, renderer.options().proxy.method);
         let shape = Images::By(self.sync);
@@ -179,7 +183,7 @@ impl<'a> Plan<'a> {
             let view = renderer.view(&ComparedView { target, time_s, proxy, images, shape });
             let view = view.ok().map(|v| v.image.to_rgb()).filter(fits);
             let none = if view.is_some() { "" } else { ": no image" };
-            panels.push(Panel {
+            panels.push(VideoPanel {
                 slug: method.slug(),
                 title: format!("{}{none}", method.title()),
                 image: view.unwrap_or_else(dark),
@@ -188,7 +192,7 @@ impl<'a> Plan<'a> {
         Ok(panels)
     }
 
-    fn strip(&self, k: usize, panels: &[Panel]) -> Image {
+    fn strip(&self, k: usize, panels: &[VideoPanel]) -> Image {
         let origin_s = self.renderer.capture().time_origin_s;
         let time_s = self.shots.times_s[k] + origin_s;
         let heading = format!("{}   {time_s:8.4} s", self.shots.view);
@@ -200,8 +204,12 @@ impl<'a> Plan<'a> {
 
 impl Shots {
     /// The times and the images of the truth's own video.
-    fn of_truth(capture: &Capture, truth: &Truth, video: &TruthVideo) -> Result<Self, VideoError> {
-        let wrong = |reason: String| VideoError::Field { reason };
+    fn of_truth(
+        capture: &Capture,
+        truth: &Truth,
+        video: &TruthVideo,
+    ) -> Result<Self, ReviewVideoError> {
+        let wrong = |reason: String| ReviewVideoError::Field { reason };
         if video.times_s.is_empty() || video.times_s.iter().any(|t| !t.is_finite()) {
             return Err(wrong("times_s must hold finite times, at least one".to_owned()));
         }
@@ -214,7 +222,7 @@ impl Shots {
         Ok(Self {
             target: video.camera.camera().map_err(|e| wrong(format!("camera.{e}")))?,
             times_s: video.times_s.iter().map(|t| t - capture.time_origin_s).collect(),
-            truth: (0..video.times_s.len()).map(file).collect::<Result<_, VideoError>>()?,
+            truth: (0..video.times_s.len()).map(file).collect::<Result<_, ReviewVideoError>>()?,
             view: video.view.clone(),
         })
     }
@@ -224,9 +232,9 @@ impl Shots {
         renderer: &dyn Renderer,
         truth: Option<&Truth>,
         frames: usize,
-    ) -> Result<Self, VideoError> {
+    ) -> Result<Self, ReviewVideoError> {
         let capture = renderer.capture();
-        let (first_s, last_s) = renderer.covered_span_s().ok_or(VideoError::NoSpan)?;
+        let (first_s, last_s) = renderer.covered_span_s().ok_or(ReviewVideoError::NoSpan)?;
         let step_s = (last_s - first_s) / frames.saturating_sub(1).max(1) as f64;
         let free = truth.and_then(|t| t.views.iter().find(|v| v.like.is_none()));
         let camera = free.and_then(|v| Some((v.camera().ok()?, v.id.clone())));
@@ -239,7 +247,7 @@ impl Shots {
 }
 
 /// One method's image of one time.
-struct Panel {
+struct VideoPanel {
     slug: &'static str,
     title: String,
     image: Image,

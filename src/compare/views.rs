@@ -1,6 +1,8 @@
 //! One view at an instant: blended by every method through every proxy, then measured.
 
-use super::instant::{Comparison, ImageOrReason, Shown, SynchronizedOrReason, Target, figure};
+use super::instant::{
+    ComparedTarget, Comparison, ImageOrReason, Shown, SynchronizedOrReason, figure,
+};
 use super::report::Figure;
 use super::results::{ExcludedCamera, ViewMethod, ViewResult};
 use super::truths::TrueImage;
@@ -29,7 +31,7 @@ impl Comparison<'_> {
     /// Blends a view by every method with every proxy.
     pub(super) fn blend(
         &self,
-        target: &Target,
+        target: &ComparedTarget,
         truths: &[TrueImage],
         images: &[Vec<SynchronizedOrReason>],
     ) -> Vec<Blend> {
@@ -87,11 +89,11 @@ impl Comparison<'_> {
     /// pictures if it is `in_report`.
     pub(super) fn measure_view(
         &self,
-        target: &Target,
+        target: &ComparedTarget,
         blends: &[Blend],
         in_report: bool,
     ) -> Result<(Vec<ViewResult>, Option<Figure>), CompareError> {
-        let Target { instant, view, truth } = target;
+        let ComparedTarget { instant, view, truth } = target;
         let images: Vec<ImageOrReason> = blends
             .iter()
             .map(|b| self.checked(b.rendered.as_ref().map(|r| &r.image), &truth.image))
@@ -124,11 +126,11 @@ impl Comparison<'_> {
     /// Results of all blends; writes their images.
     fn view_results(
         &self,
-        target: &Target,
+        target: &ComparedTarget,
         blends: &[Blend],
         images: &[ImageOrReason],
     ) -> Result<Vec<ViewResult>, CompareError> {
-        let Target { instant, view, truth } = target;
+        let ComparedTarget { instant, view, truth } = target;
         let covered = common_coverage(blends, images, truth.moving.len());
         let fraction = covered.iter().filter(|c| **c).count() as f64 / covered.len() as f64;
         let reference = ReferenceImage::new(truth.image.clone(), self.options.pixels_per_degree);

@@ -1,7 +1,7 @@
 //! §5.2: the edge set. Real edges are split where they cross; a constrained Delaunay triangulation adds the
 //! virtual edges.
 
-use super::edges::{Feature, RealEdge};
+use super::edges::{EdgeFeature, RealEdge};
 use super::segment_cells::SegmentCells;
 use nalgebra::{Point2, Vector2};
 use spade::handles::FixedVertexHandle;
@@ -11,7 +11,7 @@ use std::collections::HashMap;
 /// An edge of the edge set (§5.2), by which the morph warps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Edge {
-    pub ends: [Feature; 2],
+    pub ends: [EdgeFeature; 2],
     /// f̄ of a real edge, eq. (8); `None` for a virtual one.
     pub mean_fitness: Option<f64>,
 }
@@ -22,12 +22,17 @@ pub struct Edge {
 /// The triangulation's vertices are all features (in the paper, the real edges' ends alone), the crossings and
 /// the image's corners. Of coincident features the first is a vertex. Without features the edges are the
 /// image's border and a diagonal.
-pub fn edge_set(features: &[Feature], real: &[RealEdge], width: usize, height: usize) -> Vec<Edge> {
+pub fn edge_set(
+    features: &[EdgeFeature],
+    real: &[RealEdge],
+    width: usize,
+    height: usize,
+) -> Vec<Edge> {
     let mut vertices = features.to_vec();
     let pieces = without_crossings(&mut vertices, real);
     for (x, y) in [(0, 0), (width, 0), (0, height), (width, height)] {
         let p = Point2::new(x as f64, y as f64);
-        vertices.push(Feature { source: p, other: p, target: p });
+        vertices.push(EdgeFeature { source: p, other: p, target: p });
     }
 
     let mut edges: Vec<Edge> = pieces
@@ -119,7 +124,7 @@ fn accepted(v: f64) -> f64 {
 
 /// Splits real edges where they cross (§5.2). The new vertex, appended to `vertices`, lies on the fitter edge
 /// in all images, so that the fitter edge stays straight.
-fn without_crossings(vertices: &mut Vec<Feature>, real: &[RealEdge]) -> Vec<RealEdge> {
+fn without_crossings(vertices: &mut Vec<EdgeFeature>, real: &[RealEdge]) -> Vec<RealEdge> {
     let mut order: Vec<usize> = (0..real.len()).collect();
     order.sort_by(|&a, &b| real[b].mean_fitness.total_cmp(&real[a].mean_fitness).then(a.cmp(&b)));
     let segments: Vec<_> =
@@ -180,10 +185,10 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    fn feature(x: f64, y: f64, dx: f64) -> Feature {
+    fn feature(x: f64, y: f64, dx: f64) -> EdgeFeature {
         let p = Point2::new(x, y);
         let q = Point2::new(x + dx, y);
-        Feature { source: p, other: q, target: q }
+        EdgeFeature { source: p, other: q, target: q }
     }
 
     #[test]

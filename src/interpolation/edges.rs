@@ -21,7 +21,7 @@ const DUPLICATE_DISTANCE_PX: f64 = 2.0;
 
 /// A feature's positions, pixels, in the two frames and at the instant: a vertex of the morph's edges.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Feature {
+pub struct EdgeFeature {
     /// Position in the frame that is warped.
     pub source: Point2<f64>,
     /// Position in the other frame.
@@ -30,7 +30,7 @@ pub struct Feature {
     pub target: Point2<f64>,
 }
 
-impl Feature {
+impl EdgeFeature {
     /// The point at a fraction (0..=1) of the segment to another feature, in all three images.
     pub fn lerp(&self, to: &Self, fraction: f64) -> Self {
         let interpolate = |a: Point2<f64>, b: Point2<f64>| a + (b - a) * fraction;
@@ -58,7 +58,7 @@ pub struct RealEdge {
 /// `source` and `other` are the full-sized pyramid levels of the two frames. The order does not depend on
 /// the number of threads. Coincident features make no edge.
 pub fn real_edges(
-    features: &[Feature],
+    features: &[EdgeFeature],
     source: &PyramidLevel,
     other: &PyramidLevel,
     max_length_px: f64,
@@ -82,7 +82,7 @@ pub fn real_edges(
 
 fn real_edge(
     ends: [usize; 2],
-    [a, b]: [&Feature; 2],
+    [a, b]: [&EdgeFeature; 2],
     source: &PyramidLevel,
     other: &PyramidLevel,
 ) -> Option<RealEdge> {
@@ -126,7 +126,7 @@ fn mean_fitness(level: &PyramidLevel, a: Point2<f64>, b: Point2<f64>) -> Option<
 }
 
 /// Removes edges that lie near-parallel on a longer one (§5.2, Fig. 8).
-fn without_duplicates(mut edges: Vec<RealEdge>, features: &[Feature]) -> Vec<RealEdge> {
+fn without_duplicates(mut edges: Vec<RealEdge>, features: &[EdgeFeature]) -> Vec<RealEdge> {
     let ends = |e: &RealEdge| e.ends.map(|k| features[k].source);
     let length = |e: &RealEdge| {
         let [a, b] = ends(e);
@@ -172,12 +172,12 @@ mod tests {
         Pyramid::new(&Image::from_data(60, 50, 1, data), 1, 4)
     }
 
-    fn at_rest(x: f64, y: f64) -> Feature {
+    fn at_rest(x: f64, y: f64) -> EdgeFeature {
         let p = Point2::new(x, y);
-        Feature { source: p, other: p, target: p }
+        EdgeFeature { source: p, other: p, target: p }
     }
 
-    fn edge_ends(features: &[Feature]) -> Vec<[usize; 2]> {
+    fn edge_ends(features: &[EdgeFeature]) -> Vec<[usize; 2]> {
         let pyramid = step();
         let level = &pyramid.levels()[0];
         let edges = real_edges(features, level, level, 24.0);

@@ -33,7 +33,7 @@ mod warp;
 pub use block_change::largest_change;
 pub(crate) use block_change::{changed_fraction, changed_pixels};
 pub use edge_set::{Edge, edge_set};
-pub use edges::{Feature, RealEdge, real_edges};
+pub use edges::{EdgeFeature, RealEdge, real_edges};
 pub use frame_pair::{FramePair, PairMethod, Synchronized};
 pub use morph::{EDGE_BOOST, morph_warp};
 pub use options::{InterpolationOptions, SyncMethod};

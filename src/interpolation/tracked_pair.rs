@@ -1,6 +1,6 @@
 //! Tracks between two frames of a camera, as the methods of interpolation use them.
 
-use super::edges::Feature;
+use super::edges::EdgeFeature;
 use crate::registration::{Track, Trajectory};
 use nalgebra::{Matrix2, Point2, Vector2};
 
@@ -41,12 +41,12 @@ impl TrackedPair<'_> {
     }
 
     /// The features of the forward or the backward flow, with their positions at an instant.
-    pub(super) fn features(&self, time_s: f64, forward: bool, curved: bool) -> Vec<Feature> {
+    pub(super) fn features(&self, time_s: f64, forward: bool, curved: bool) -> Vec<EdgeFeature> {
         let feature = |t: &Track| {
             let (source, other) = if forward { (t.earlier, t.later) } else { (t.later, t.earlier) };
             // Times ascend strictly, so that every track has a trajectory.
             let target = self.trajectory(t, curved).map_or(source, |t| t.at(time_s));
-            Feature { source, other, target }
+            EdgeFeature { source, other, target }
         };
         flow_tracks(self.tracks, forward).map(feature).collect()
     }

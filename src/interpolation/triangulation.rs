@@ -2,7 +2,7 @@
 
 use super::Warp;
 use super::edge_set::delaunay;
-use super::edges::Feature;
+use super::edges::EdgeFeature;
 use super::tracked_pair::flow_tracks;
 use crate::registration::Track;
 use nalgebra::{Matrix3, Point2, RowVector3, Vector2, Vector3};
@@ -46,7 +46,7 @@ fn triangulated(
 ///
 /// Triangles that flip between the two, or have no area, are skipped. The warp is the identity at pixels
 /// that no triangle covers.
-pub fn triangulation_warp(features: &[Feature], width: usize, height: usize) -> Warp {
+pub fn triangulation_warp(features: &[EdgeFeature], width: usize, height: usize) -> Warp {
     let triangles = triangulated(features.iter().map(|f| f.source), width, height);
     warp_triangles(&triangles, features, width, height)
 }
@@ -54,11 +54,11 @@ pub fn triangulation_warp(features: &[Feature], width: usize, height: usize) -> 
 /// [`triangulation_warp`] by triangles of the features and the image's corners.
 pub(super) fn warp_triangles(
     triangles: &[[usize; 3]],
-    features: &[Feature],
+    features: &[EdgeFeature],
     width: usize,
     height: usize,
 ) -> Warp {
-    let still = corners(width, height).map(|p| Feature { source: p, other: p, target: p });
+    let still = corners(width, height).map(|p| EdgeFeature { source: p, other: p, target: p });
     let vertex = |k: usize| features.get(k).copied().unwrap_or_else(|| still[k - features.len()]);
     let mut warp = Warp::identity(width, height);
     for triangle in triangles {
@@ -75,7 +75,7 @@ fn corners(width: usize, height: usize) -> [Point2<f64>; 4] {
 const OUTSIDE: f64 = 1e-9;
 
 /// Sets the warp at the pixels of one triangle, by scanlines.
-fn fill_triangle(warp: &mut Warp, corners: [Feature; 3]) {
+fn fill_triangle(warp: &mut Warp, corners: [EdgeFeature; 3]) {
     let column = |k: usize| {
         let p = corners[k].target;
         Vector3::new(p.x, p.y, 1.0)
@@ -92,9 +92,9 @@ fn fill_triangle(warp: &mut Warp, corners: [Feature; 3]) {
     }
     let Some(barycentric) = target.try_inverse() else { return };
     // From (x, y, 1) to the source.
-    let [to_x, to_y] = [|f: &Feature| f.source.x, |f: &Feature| f.source.y]
+    let [to_x, to_y] = [|f: &EdgeFeature| f.source.x, |f: &EdgeFeature| f.source.y]
         .map(|of| RowVector3::from_iterator(corners.iter().map(of)) * barycentric);
-    let bounds = |of: fn(&Feature) -> f64, size: usize| {
+    let bounds = |of: fn(&EdgeFeature) -> f64, size: usize| {
         let low = corners.iter().map(of).fold(f64::INFINITY, f64::min);
         let high = corners.iter().map(of).fold(f64::NEG_INFINITY, f64::max);
         // The pixels whose centres are inside.
@@ -147,12 +147,12 @@ mod tests {
     #[test]
     fn inside_the_features_an_affine_motion_is_reproduced() {
         let move_by = |p: Point2<f64>| Point2::new(1.05 * p.x + 0.1 * p.y + 1.0, 0.97 * p.y - 2.0);
-        let features: Vec<Feature> = (0..30)
+        let features: Vec<EdgeFeature> = (0..30)
             .map(|k| {
                 let k = f64::from(k);
                 let source =
                     Point2::new(20.0 + 12.0 * (k * 1.3).sin(), 20.0 + 12.0 * (k * 2.1).cos());
-                Feature { source, other: source, target: move_by(source) }
+                EdgeFeature { source, other: source, target: move_by(source) }
             })
             .collect();
         let warp = triangulation_warp(&features, 50, 40);
@@ -171,10 +171,10 @@ mod tests {
 
     #[test]
     fn flipped_triangles_are_skipped() {
-        let features: Vec<Feature> = [(10.0, 10.0), (20.0, 10.0), (15.0, 20.0)]
+        let features: Vec<EdgeFeature> = [(10.0, 10.0), (20.0, 10.0), (15.0, 20.0)]
             .map(|(x, y)| {
                 let source = Point2::new(x, y);
-                Feature { source, other: source, target: Point2::new(30.0 - x, y) }
+                EdgeFeature { source, other: source, target: Point2::new(30.0 - x, y) }
             })
             .into();
         let warp = triangulation_warp(&features, 30, 30);

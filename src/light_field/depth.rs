@@ -10,7 +10,7 @@ use crate::interpolation::Synchronized;
 use crate::lumigraph::DepthMap;
 use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
 use crate::registration::RegistrationOptions;
-use crate::stereo::{CameraImage as StereoImage, InverseDepths, Matcher, Surface, fuse};
+use crate::stereo::{InverseDepths, Matcher, StereoImage, Surface, fuse};
 use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 use std::sync::Arc;

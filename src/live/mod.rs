@@ -46,8 +46,8 @@ mod workers;
 
 pub use places::Places;
 pub use queue::Queue;
-pub use request::{Level, Method, PictureRequest, Place};
-pub use rig_frame::{RigFrame, Viewpoint};
+pub use request::{Level, PictureMethod, PictureRequest, Place};
+pub use rig_frame::{RigFrame, ViewDirection};
 pub use server::Server;
 pub use studio::{Picture, Studio};
 

@@ -14,11 +14,11 @@
 //!
 //! Names and values are letters, digits and `.+-`: nothing is escaped.
 
-use super::{LiveError, Viewpoint};
+use super::{LiveError, ViewDirection};
 
 /// The source of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Method {
+pub enum PictureMethod {
     /// The light field, with the chosen options.
     SpaceTime,
     /// Each camera's nearest frame.
@@ -54,12 +54,12 @@ pub enum Place {
 /// A requested picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PictureRequest {
-    pub method: Method,
+    pub method: PictureMethod,
     pub level: Level,
     /// Seconds on the reference's clock, as in the capture's file.
     pub time_s: f64,
     pub place: Place,
-    pub view: Viewpoint,
+    pub view: ViewDirection,
     /// Viewer and slot of the page. A request replaces an earlier one with the same name, unless it is empty.
     pub viewer: String,
 }
@@ -74,10 +74,10 @@ impl PictureRequest {
         let method = fields.choice(
             "method",
             &[
-                ("st", Method::SpaceTime),
-                ("lfr", Method::Traditional),
-                ("truth", Method::Truth),
-                ("sources", Method::Sources),
+                ("st", PictureMethod::SpaceTime),
+                ("lfr", PictureMethod::Traditional),
+                ("truth", PictureMethod::Truth),
+                ("sources", PictureMethod::Sources),
             ],
         )?;
         let levels = [("full", Level::Full), ("quick", Level::Quick), ("saved", Level::Saved)];
@@ -90,7 +90,7 @@ impl PictureRequest {
                 fields.number("z", 0.0)?,
             ]),
         };
-        let view = Viewpoint {
+        let view = ViewDirection {
             turn_deg: [fields.number("yaw", 0.0)?, fields.number("pitch", 0.0)?],
             zoom: fields.number("zoom", 1.0)?,
             size: [fields.size("w")?, fields.size("h")?],
@@ -183,16 +183,16 @@ mod tests {
     fn an_address_is_read_whole() {
         let query = "method=lfr&level=quick&t=-1.5e-1&x=0.1&y=-.2&z=3&yaw=1&pitch=-2&zoom=2&w=64&h=48&viewer=a1&slot=b";
         let wanted = PictureRequest {
-            method: Method::Traditional,
+            method: PictureMethod::Traditional,
             level: Level::Quick,
             time_s: -0.15,
             place: Place::Free([0.1, -0.2, 3.0]),
-            view: Viewpoint { turn_deg: [1.0, -2.0], zoom: 2.0, size: [64, 48] },
+            view: ViewDirection { turn_deg: [1.0, -2.0], zoom: 2.0, size: [64, 48] },
             viewer: "a1.b".into(),
         };
         assert_eq!(PictureRequest::parse(query).unwrap(), wanted);
         let short = PictureRequest::parse("w=64&h=48").unwrap();
-        assert_eq!((short.method, short.level), (Method::SpaceTime, Level::Full));
+        assert_eq!((short.method, short.level), (PictureMethod::SpaceTime, Level::Full));
         let at = |at: &str| PictureRequest::parse(&format!("w=64&h=48&at={at}")).unwrap().place;
         assert_eq!((at("c3"), at("t12")), (Place::Camera(3), Place::Truth(12)));
     }

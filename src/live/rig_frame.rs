@@ -52,7 +52,7 @@ pub struct Lens {
 
 /// Direction, zoom and size of a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Viewpoint {
+pub struct ViewDirection {
     /// To the right and up, degrees.
     pub turn_deg: [f64; 2],
     /// Focal length over the reference's.
@@ -137,7 +137,7 @@ impl RigFrame {
     ///
     /// # Errors
     /// If the place is out of bounds, or as [`Self::from_camera`].
-    pub fn from_place(&self, place: [f64; 3], view: &Viewpoint) -> Result<Camera, LiveError> {
+    pub fn from_place(&self, place: [f64; 3], view: &ViewDirection) -> Result<Camera, LiveError> {
         let [low, high] = self.bounds();
         // Half a millionth of the extent is rounding of what the page was told.
         let is_inside = (0..3).all(|k| {
@@ -159,7 +159,7 @@ impl RigFrame {
     ///
     /// # Errors
     /// If the size, the zoom or the turn is out of bounds.
-    pub fn from_camera(&self, camera: &Camera, view: &Viewpoint) -> Result<Camera, LiveError> {
+    pub fn from_camera(&self, camera: &Camera, view: &ViewDirection) -> Result<Camera, LiveError> {
         self.camera(camera.center(), camera.cam_from_world.rotation.inverse(), view)
     }
 
@@ -180,7 +180,7 @@ impl RigFrame {
         &self,
         center: Point3<f64>,
         world_from_cam: UnitQuaternion<f64>,
-        view: &Viewpoint,
+        view: &ViewDirection,
     ) -> Result<Camera, LiveError> {
         self.check(view)?;
         let [right, up] = view.turn_deg.map(f64::to_radians);
@@ -203,7 +203,7 @@ impl RigFrame {
         Ok(Camera { width, height, model, cam_from_world })
     }
 
-    fn check(&self, view: &Viewpoint) -> Result<(), LiveError> {
+    fn check(&self, view: &ViewDirection) -> Result<(), LiveError> {
         let wrong = |what: String| Err(LiveError::Request(what));
         if !ZOOMS.contains(&view.zoom) {
             let (low, high) = (ZOOMS.start(), ZOOMS.end());
@@ -251,8 +251,8 @@ mod tests {
         rig([-0.1, 0.0, 0.1].map(|x| pinhole_at([x + 5.0, 2.0, -3.0])).to_vec())
     }
 
-    fn plain(size: [u32; 2]) -> Viewpoint {
-        Viewpoint { turn_deg: [0.0; 2], zoom: 1.0, size }
+    fn plain(size: [u32; 2]) -> ViewDirection {
+        ViewDirection { turn_deg: [0.0; 2], zoom: 1.0, size }
     }
 
     #[test]
@@ -290,7 +290,7 @@ mod tests {
     fn turning_right_moves_the_picture_left_and_turning_up_moves_it_down() {
         let rig = line();
         let at = |turn_deg| {
-            let view = Viewpoint { turn_deg, ..plain([640, 480]) };
+            let view = ViewDirection { turn_deg, ..plain([640, 480]) };
             rig.from_place([0.0; 3], &view).unwrap().project(&Point3::new(5.0, 2.0, 0.0)).unwrap()
         };
         assert!(at([5.0, 0.0]).x < 300.0 && at([0.0, 5.0]).y > 260.0);
@@ -314,14 +314,14 @@ mod tests {
     fn what_is_out_of_bounds_is_refused_in_a_sentence() {
         let rig = line();
         let refused =
-            |place, view: Viewpoint| rig.from_place(place, &view).unwrap_err().to_string();
+            |place, view: ViewDirection| rig.from_place(place, &view).unwrap_err().to_string();
         assert!(refused([9.0, 0.0, 0.0], plain([640, 480])).contains("too far"));
         assert!(refused([f64::NAN; 3], plain([640, 480])).contains("too far"));
         assert!(refused([0.0; 3], plain([641, 480])).starts_with("size"));
         assert!(refused([0.0; 3], plain([0, 480])).starts_with("size"));
-        let zoomed = |zoom| Viewpoint { zoom, ..plain([640, 480]) };
+        let zoomed = |zoom| ViewDirection { zoom, ..plain([640, 480]) };
         assert!(refused([0.0; 3], zoomed(f64::NAN)).starts_with("zoom"));
-        let turned = Viewpoint { turn_deg: [0.0, 99.0], ..plain([640, 480]) };
+        let turned = ViewDirection { turn_deg: [0.0, 99.0], ..plain([640, 480]) };
         assert!(refused([0.0; 3], turned).starts_with("turn"));
         let [low, high] = rig.bounds();
         assert!(rig.from_place(low, &plain([640, 480])).is_ok());

@@ -7,7 +7,7 @@ use serde::Serialize;
 /// The page's `scene.json`. Places are in the rig's axes ([`super::RigFrame`]), metres; times are on the reference's
 /// clock, as in the capture's file.
 #[derive(Serialize)]
-pub(super) struct Scene {
+pub(super) struct PageScene {
     name: String,
     folder: String,
     /// The words of a command line that choose the options.
@@ -43,7 +43,7 @@ struct SceneTruth {
     time_s: f64,
 }
 
-impl Scene {
+impl PageScene {
     pub fn of(studio: &Studio) -> Self {
         let (capture, rig) = (studio.capture(), studio.places().rig());
         let field = studio.field();
@@ -53,7 +53,7 @@ impl Scene {
             at,
             color: studio.colors().hex(index),
         };
-        let truth = |view: &super::true_views::TrueView| SceneTruth {
+        let truth = |view: &super::true_views::LiveTruth| SceneTruth {
             id: view.id.clone(),
             at: rig.place(&view.camera.center()),
             time_s: view.time_s,

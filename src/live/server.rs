@@ -3,7 +3,7 @@
 use super::answer::{Reply, failed, picture, respond, sentence};
 use super::guard::{Guard, NOT_FOUND};
 use super::patient::Patient;
-use super::scene::Scene;
+use super::scene::PageScene;
 use super::token::Token;
 use super::{LiveError, PictureRequest, Places, Queue, Studio, workers};
 use crate::camera::CameraFormat;
@@ -59,7 +59,7 @@ pub struct Server {
 }
 
 /// State that all connections share.
-struct Site {
+struct ServedSite {
     guard: Guard,
     queue: Arc<Queue>,
     scene: String,
@@ -89,10 +89,10 @@ impl Server {
     /// If the system gives no threads, or takes the port away.
     pub fn serve(self, studio: &Studio) -> Result<()> {
         let queue = Arc::new(Queue::default());
-        let site = Site {
+        let site = ServedSite {
             guard: self.guard,
             queue: queue.clone(),
-            scene: serde_json::to_string(&Scene::of(studio))?,
+            scene: serde_json::to_string(&PageScene::of(studio))?,
             places: studio.places().clone(),
         };
         self.listener.set_nonblocking(true)?;
@@ -108,7 +108,7 @@ impl Server {
 }
 
 /// Accepts connections, up to [`MAX_CONNECTIONS`].
-async fn accept(listener: TcpListener, site: Arc<Site>) -> Result<()> {
+async fn accept(listener: TcpListener, site: Arc<ServedSite>) -> Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let free = Arc::new(Semaphore::new(MAX_CONNECTIONS));
     loop {
@@ -128,7 +128,7 @@ async fn accept(listener: TcpListener, site: Arc<Site>) -> Result<()> {
 }
 
 /// Answers the requests of a connection until it ends.
-async fn converse(stream: TcpStream, site: Arc<Site>) {
+async fn converse(stream: TcpStream, site: Arc<ServedSite>) {
     // Without it, the last part of a picture may wait for the browser's word that it has the others.
     let _ = stream.set_nodelay(true);
     let service = service_fn(move |request| {
@@ -146,7 +146,7 @@ async fn converse(stream: TcpStream, site: Arc<Site>) {
     drop(served);
 }
 
-async fn reply(site: &Site, request: Request<Incoming>) -> Reply {
+async fn reply(site: &ServedSite, request: Request<Incoming>) -> Reply {
     let (parts, _) = request.into_parts();
     let name = match site.guard.admit(&parts) {
         Ok(name) => name,
@@ -164,7 +164,7 @@ async fn reply(site: &Site, request: Request<Incoming>) -> Reply {
     }
 }
 
-async fn asked_picture(site: &Site, query: &str) -> Reply {
+async fn asked_picture(site: &ServedSite, query: &str) -> Reply {
     let answer = match PictureRequest::parse(query).and_then(|asked| site.queue.submit(asked)) {
         // If the browser goes, so does this future, and nobody waits any more.
         Ok(answer) => answer.await.unwrap_or(Err(LiveError::Superseded)),
@@ -174,7 +174,7 @@ async fn asked_picture(site: &Site, query: &str) -> Reply {
 }
 
 /// The camera of a picture, as `stlfr render --camera` reads it.
-fn view_file(site: &Site, query: &str) -> Reply {
+fn view_file(site: &ServedSite, query: &str) -> Reply {
     let camera = PictureRequest::parse(query).and_then(|asked| site.places.camera(&asked));
     match camera.map(|camera| serde_json::to_string_pretty(&CameraFormat::from(&camera))) {
         Ok(Ok(text)) => respond(StatusCode::OK, JSON, text + "\n"),

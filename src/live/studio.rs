@@ -2,7 +2,7 @@
 
 use super::encode::{Colors, encode, encode_saved};
 use super::true_views::TrueViews;
-use super::{Level, LiveError, Method, PictureRequest, Places};
+use super::{Level, LiveError, PictureMethod, PictureRequest, Places};
 use crate::camera::Camera;
 use crate::capture::Capture;
 use crate::compare::TRADITIONAL;
@@ -149,10 +149,10 @@ impl<'a> Studio<'a> {
         let context = Context::new(&proceed);
         let asked = Asked { target, time_s, level: request.level, context };
         let (rendered, sync) = match request.method {
-            Method::Truth => return Ok((self.truth.view(request, target)?, None)),
-            Method::SpaceTime => self.view(&asked)?,
-            Method::Traditional => (self.traditional(&asked)?, TRADITIONAL),
-            Method::Sources => self.tinted(&asked)?,
+            PictureMethod::Truth => return Ok((self.truth.view(request, target)?, None)),
+            PictureMethod::SpaceTime => self.view(&asked)?,
+            PictureMethod::Traditional => (self.traditional(&asked)?, TRADITIONAL),
+            PictureMethod::Sources => self.tinted(&asked)?,
         };
         Ok((rendered, Some(sync)))
     }
@@ -161,9 +161,9 @@ impl<'a> Studio<'a> {
     /// returns true. An error shows when the picture is asked for.
     pub fn prepare(&self, request: &PictureRequest, proceed: Proceed) {
         let sync = match request.method {
-            Method::Truth => return,
-            Method::SpaceTime | Method::Sources => self.full.sync,
-            Method::Traditional => TRADITIONAL,
+            PictureMethod::Truth => return,
+            PictureMethod::SpaceTime | PictureMethod::Sources => self.full.sync,
+            PictureMethod::Traditional => TRADITIONAL,
         };
         let time_s = request.time_s - self.capture().time_origin_s;
         let options = RenderOptions { sync, ..self.full.clone() };

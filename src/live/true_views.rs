@@ -17,7 +17,7 @@ const SAME_INSTANT_S: f64 = 1e-6;
 
 /// An image of the truth.
 #[derive(Clone, Debug)]
-pub(super) struct TrueView {
+pub(super) struct LiveTruth {
     pub id: String,
     /// Seconds on the reference's clock, as in the capture's file.
     pub time_s: f64,
@@ -27,7 +27,7 @@ pub(super) struct TrueView {
 
 /// All images of a capture's truth; none without one.
 pub(super) struct TrueViews {
-    views: Vec<TrueView>,
+    views: Vec<LiveTruth>,
     images: Memo,
 }
 
@@ -52,17 +52,17 @@ impl TrueViews {
             let camera =
                 view.camera().map_err(|source| TruthError::Camera { path, index, source })?;
             let file = truth.file(&view.image)?;
-            Ok(TrueView { id: view.id.clone(), time_s: view.time_s, camera, file })
+            Ok(LiveTruth { id: view.id.clone(), time_s: view.time_s, camera, file })
         };
         let views = truth.views.iter().enumerate().map(view).collect::<Result<_, TruthError>>()?;
         Ok(Self { views, ..Self::default() })
     }
 
-    pub fn all(&self) -> &[TrueView] {
+    pub fn all(&self) -> &[LiveTruth] {
         &self.views
     }
 
-    pub fn get(&self, index: usize) -> Option<&TrueView> {
+    pub fn get(&self, index: usize) -> Option<&LiveTruth> {
         self.views.get(index)
     }
 
@@ -88,7 +88,7 @@ impl TrueViews {
         Ok(blend(&[Source::new(&own, &image)], &no_depth, &target, &options))
     }
 
-    fn image(&self, index: usize, view: &TrueView) -> Result<Arc<Image>, LiveError> {
+    fn image(&self, index: usize, view: &LiveTruth) -> Result<Arc<Image>, LiveError> {
         let bytes = |image: &Image| size_of_val(image.data());
         self.images.get_or("true image", &index, bytes, || {
             let (image, _) = read_image(&view.file)?;

@@ -8,7 +8,7 @@ use serde::ser::{Serialize, SerializeStruct, Serializer};
 
 /// The stages that a plan decides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
+pub enum PlanStage {
     Offsets,
     Sync,
     StillPairs,
@@ -64,7 +64,7 @@ pub struct Decision {
     pub because: String,
 }
 
-impl Stage {
+impl PlanStage {
     /// The stage as people write it.
     pub fn name(self) -> &'static str {
         match self {
@@ -83,17 +83,17 @@ impl Stage {
 
 impl Choice {
     /// The stage that it is a choice of.
-    pub fn stage(self) -> Stage {
+    pub fn stage(self) -> PlanStage {
         match self {
-            Self::NoOffsets | Self::KnownClocks | Self::EstimatedOffsets => Stage::Offsets,
-            Self::Sync(_) => Stage::Sync,
-            Self::NoPairs | Self::PairsRegistered | Self::PairsCrossFaded => Stage::StillPairs,
-            Self::Straight | Self::Curved => Stage::Trajectory,
-            Self::Proxy(_) | Self::ProxyAsGiven => Stage::Proxy,
-            Self::Blend(_) | Self::BlendAsGiven => Stage::Blend,
-            Self::EqualGains | Self::CorrectedGains => Stage::Gains,
-            Self::PinholeLenses | Self::DistortedLenses => Stage::Lenses,
-            Self::OneDirection | Self::TwoDirections => Stage::References,
+            Self::NoOffsets | Self::KnownClocks | Self::EstimatedOffsets => PlanStage::Offsets,
+            Self::Sync(_) => PlanStage::Sync,
+            Self::NoPairs | Self::PairsRegistered | Self::PairsCrossFaded => PlanStage::StillPairs,
+            Self::Straight | Self::Curved => PlanStage::Trajectory,
+            Self::Proxy(_) | Self::ProxyAsGiven => PlanStage::Proxy,
+            Self::Blend(_) | Self::BlendAsGiven => PlanStage::Blend,
+            Self::EqualGains | Self::CorrectedGains => PlanStage::Gains,
+            Self::PinholeLenses | Self::DistortedLenses => PlanStage::Lenses,
+            Self::OneDirection | Self::TwoDirections => PlanStage::References,
         }
     }
 

@@ -32,7 +32,7 @@ mod rig;
 mod shape;
 
 pub(crate) use cached::{Methods, load_plan, save_plan};
-pub use decision::{Choice, Decision, Stage};
+pub use decision::{Choice, Decision, PlanStage};
 pub use motion::Motion;
 pub use probe::Probe;
 pub use rig::{ClockSummary, extent_ratio, largest_distortion_px};
@@ -59,7 +59,7 @@ pub struct Plan {
 
 impl Plan {
     /// The decision of a stage; every stage has one.
-    pub fn decision(&self, stage: Stage) -> Option<&Decision> {
+    pub fn decision(&self, stage: PlanStage) -> Option<&Decision> {
         self.decisions.iter().find(|d| d.choice.stage() == stage)
     }
 }

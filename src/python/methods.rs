@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 
 /// One stage's methods, cheapest first.
 #[derive(Serialize)]
-struct Stage {
+struct MethodList {
     default: &'static str,
     methods: Vec<Named>,
 }
@@ -39,7 +39,7 @@ pub fn options(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
     to_python(py, &RenderOptions::default().declared())
 }
 
-fn stage<M: Method>() -> Stage {
+fn stage<M: Method>() -> MethodList {
     let methods = M::ALL.iter().map(|m| Named { name: m.name(), help: m.help() }).collect();
-    Stage { default: M::default().name(), methods }
+    MethodList { default: M::default().name(), methods }
 }

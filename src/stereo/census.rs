@@ -1,7 +1,7 @@
 //! Descriptors of pixels in eight bytes: the census transform (Zabih and Woodfill 1994), and the range of grey
 //! values within half a pixel (Birchfield and Tomasi 1998).
 
-use super::CameraImage;
+use super::StereoImage;
 use crate::camera::Camera;
 use crate::raster::Image;
 
@@ -83,7 +83,7 @@ pub(super) struct CensusPyramid {
 
 impl CensusPyramid {
     /// Halves the image `halvings` times, or until it is too small.
-    pub fn new(view: &CameraImage, halvings: usize) -> Self {
+    pub fn new(view: &StereoImage, halvings: usize) -> Self {
         let full = CensusImage::new(view.camera.clone(), view.image.to_gray());
         let levels = std::iter::successors(Some(full), CensusImage::halved);
         Self { levels: levels.take(halvings + 1).collect() }

@@ -4,7 +4,7 @@ use super::census::{CensusPyramid, halved};
 use super::cost_volume::{DepthLevels, StereoSet, cost_volume, upsampled};
 use super::refine::refine;
 use super::semi_global::{aggregate, winner_takes_all};
-use super::{CameraImage, StereoOptions};
+use super::{StereoImage, StereoOptions};
 use crate::camera::Camera;
 use crate::lumigraph::DepthMap;
 use rayon::prelude::*;
@@ -43,7 +43,7 @@ pub struct Matcher {
 
 impl Matcher {
     /// Computes the images' descriptors. `range` holds the inverse depths of all cameras, 1/m.
-    pub fn new(views: &[CameraImage], range: [f64; 2], options: &StereoOptions) -> Self {
+    pub fn new(views: &[StereoImage], range: [f64; 2], options: &StereoOptions) -> Self {
         let cameras: Vec<&Camera> = views.iter().map(|v| v.camera).collect();
         let partners: Vec<Vec<usize>> =
             (0..views.len()).map(|k| partners(&cameras, k, options.partners)).collect();

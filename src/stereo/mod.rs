@@ -51,7 +51,7 @@ options! {
 
 /// A camera and its image at the instant.
 #[derive(Clone, Copy, Debug)]
-pub struct CameraImage<'a> {
+pub struct StereoImage<'a> {
     /// Lens and pose.
     pub camera: &'a Camera,
     /// Image of the camera's size.

@@ -65,8 +65,8 @@ fn depths_of_all(options: &StereoOptions) -> (Vec<Camera>, Vec<InverseDepths>) {
     let cameras = cameras();
     let images: Vec<Image> = cameras.iter().map(film).collect();
     let pairs = cameras.iter().zip(&images);
-    let views: Vec<CameraImage> =
-        pairs.map(|(camera, image)| CameraImage { camera, image }).collect();
+    let views: Vec<StereoImage> =
+        pairs.map(|(camera, image)| StereoImage { camera, image }).collect();
     let matcher = Matcher::new(&views, range(), options);
     let depths = (0..5).map(|k| matcher.depths(k, range()).unwrap()).collect();
     drop(views);
@@ -151,7 +151,7 @@ fn the_fused_surface_has_no_holes_where_the_view_enlarges() {
 fn without_a_camera_at_another_place_there_is_no_depth() {
     let camera = camera_at([0.0; 3]);
     let image = film(&camera);
-    let view = CameraImage { camera: &camera, image: &image };
+    let view = StereoImage { camera: &camera, image: &image };
     let options = StereoOptions::default();
     for views in [vec![view], vec![view; 3]] {
         let matcher = Matcher::new(&views, range(), &options);
@@ -168,7 +168,7 @@ fn whatever_the_images_depths_are_within_the_range() {
                 let small = |x: f64| Camera { width: w, height: h, ..camera_at([x, 0.0, 0.0]) };
                 let cameras = [0.0, 0.06, 0.12].map(small);
                 let image = Image::filled(w, h, 1, value);
-                let views = cameras.each_ref().map(|camera| CameraImage { camera, image: &image });
+                let views = cameras.each_ref().map(|camera| StereoImage { camera, image: &image });
                 let options = StereoOptions::default();
                 let matcher = Matcher::new(&views, range, &options);
                 let depths = matcher.depths(1, range).unwrap();

@@ -21,7 +21,7 @@ pub struct Check {
 
 /// The decision, among the measured values.
 #[derive(Deserialize)]
-struct Decision {
+struct CheckDecision {
     ok: bool,
     reason: Option<String>,
 }
@@ -43,7 +43,7 @@ pub fn check(
     drop(phase);
     let ended = ended.map_err(|e| ScriptError::Failure(format!("check.py: {e}")))?;
     let values = serde_json::from_str::<Value>(&stdout);
-    let decided = values.and_then(|v| Ok((Decision::deserialize(&v)?, v)));
+    let decided = values.and_then(|v| Ok((CheckDecision::deserialize(&v)?, v)));
     let Ok((decision, values)) = decided else {
         script::verdict("check.py", &ended)?;
         return Err(ScriptError::Failure("check.py: printed no result".into()));

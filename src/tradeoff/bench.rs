@@ -2,7 +2,7 @@
 
 use super::store::{CachedPoint, PLANS, POINTS, PREPARATIONS, Planned, Prepared, Store};
 use super::targets::{Against, Target, TargetView};
-use super::{Clock, TradeoffError};
+use super::{TimingClock, TradeoffError};
 use crate::capture::Capture;
 use crate::host::{Elapsed, Stopwatch};
 use crate::light_field::LightField;
@@ -22,7 +22,7 @@ pub(super) struct Bench<'a> {
     /// The view that is timed.
     pub timed: TargetView,
     pub runs: usize,
-    pub clock: Clock,
+    pub clock: TimingClock,
     pub reporter: &'a Reporter,
 }
 

@@ -3,7 +3,7 @@
 use super::TradeoffError;
 use super::bench::Bench;
 use super::store::{CachedPoint, POINTS};
-use super::targets::{Scene, Target};
+use super::targets::{Target, TargetScene};
 use crate::light_field::{LightField, RenderError};
 use crate::method::Method;
 use crate::options::RenderOptions;
@@ -60,7 +60,7 @@ impl Bench<'_> {
         }
         let prepared = self.prepared(&group.options)?;
         let scene =
-            Scene { capture: self.capture, offsets: &prepared.offsets, base: &group.options };
+            TargetScene { capture: self.capture, offsets: &prepared.offsets, base: &group.options };
         let mut open: Option<(Option<usize>, LightField)> = None;
         for target in &self.targets {
             let lacking = self.lacking(group, points, target);

@@ -46,7 +46,7 @@ mod timing;
 pub use combination::{Variable, methods, most_accurate, name, variations};
 pub use pareto::{Trade, fastest_within, pareto_front};
 pub use store::FILES;
-pub use summary::{MeanScores, Point, Preparation, Spread};
+pub use summary::{MeanScores, Point, PreparationTime, Spread};
 pub use targets::Against;
 
 use crate::capture::{CAPTURE_FILE, Capture, CaptureError, Truth, TruthError};
@@ -63,7 +63,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use store::{CachedPoint, Store, refuse_foreign, write_json};
 use summary::Summarized;
-use targets::Scene;
+use targets::TargetScene;
 
 /// Options of a trade-off.
 #[derive(Clone, Debug)]
@@ -77,13 +77,13 @@ pub struct TradeoffOptions {
     pub base: RenderOptions,
     /// Further combinations to measure.
     pub also: Vec<RenderOptions>,
-    pub clock: Clock,
+    pub clock: TimingClock,
 }
 
 /// Which clock the Pareto front is computed from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-pub enum Clock {
+pub enum TimingClock {
     /// Wall-clock time: what a user waits for.
     #[default]
     Wall,
@@ -91,7 +91,7 @@ pub enum Clock {
     Cpu,
 }
 
-methods!(Clock {
+methods!(TimingClock {
     Wall = "wall": "Wall-clock time: what a user waits for",
     Cpu = "cpu": "Processor time over all threads: where the machine does other work too",
 });
@@ -99,7 +99,7 @@ methods!(Clock {
 impl Default for TradeoffOptions {
     fn default() -> Self {
         let (base, also) = (RenderOptions::default(), Vec::new());
-        Self { runs: 3, rounds: 1, base, also, clock: Clock::Wall }
+        Self { runs: 3, rounds: 1, base, also, clock: TimingClock::Wall }
     }
 }
 
@@ -146,7 +146,7 @@ pub struct Tradeoff {
     pub threads: usize,
     pub against: Against,
     /// The clock that the Pareto front is computed from.
-    pub clock: Clock,
+    pub clock: TimingClock,
     /// Number of views over which quality is averaged.
     pub views: usize,
     /// Planning time of `auto`, seconds.
@@ -192,7 +192,7 @@ pub fn tradeoff(
     let store = Store::open(capture, truth.as_ref(), reporter)?;
     let base = &options.base;
     let prepared = bench::prepared(capture, &store, base, reporter)?;
-    let scene = Scene { capture, offsets: &prepared.offsets, base };
+    let scene = TargetScene { capture, offsets: &prepared.offsets, base };
     let looking = reporter.phase("views to measure against");
     let (targets, timed) = scene.targets(truth.as_ref())?;
     drop(looking);

@@ -1,6 +1,6 @@
 //! The plot of time against quality.
 
-use super::{Against, Clock, Point, Spread, Tradeoff};
+use super::{Against, Point, Spread, TimingClock, Tradeoff};
 use crate::chart::{self, Chart, ChartPoint, Label, Series};
 
 /// Label of the y axis.
@@ -17,8 +17,8 @@ fn quality(tradeoff: &Tradeoff) -> &'static str {
 
 fn time(tradeoff: &Tradeoff, point: &Point) -> Option<Spread> {
     match tradeoff.clock {
-        Clock::Wall => point.wall_s,
-        Clock::Cpu => point.cpu_s,
+        TimingClock::Wall => point.wall_s,
+        TimingClock::Cpu => point.cpu_s,
     }
 }
 
@@ -63,8 +63,8 @@ pub(super) fn svg(tradeoff: &Tradeoff) -> String {
     labels.extend(numbers.filter_map(|(k, p)| label(p, (k + 1).to_string(), false)));
     let (w, h) = tradeoff.size_px;
     let seconds = match tradeoff.clock {
-        Clock::Wall => "seconds",
-        Clock::Cpu => "processor seconds",
+        TimingClock::Wall => "seconds",
+        TimingClock::Cpu => "processor seconds",
     };
     let chart = Chart {
         title: format!("{}: {} cameras, a view of {w}×{h}", tradeoff.capture, tradeoff.cameras),

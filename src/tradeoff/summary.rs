@@ -4,7 +4,7 @@ use super::bench::Bench;
 use super::pareto::{Trade, fastest_within, pareto_front};
 use super::store::CachedPoint;
 use super::targets::{Against, Target};
-use super::{Clock, TradeoffError, name};
+use super::{TimingClock, TradeoffError, name};
 use crate::host::Elapsed;
 use crate::metrics::{RegionScores, Scores, median};
 use crate::options::RenderOptions;
@@ -36,7 +36,7 @@ pub struct Point {
     /// One view at a new instant, seconds: on the wall, and of the processor over all threads.
     pub wall_s: Option<Spread>,
     pub cpu_s: Option<Spread>,
-    pub preparation: Option<Preparation>,
+    pub preparation: Option<PreparationTime>,
 }
 
 /// Means over all views with such pixels.
@@ -61,14 +61,14 @@ pub struct Spread {
 /// Wall-clock times of preparation, done once for all views between two frames of each camera, seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Preparation {
+pub struct PreparationTime {
     /// Of the whole capture; `None` where clocks are known.
     pub offsets_s: Option<f64>,
     /// Decoding and registering one pair of frames of every camera.
     pub registration_s: f64,
 }
 
-impl Preparation {
+impl PreparationTime {
     pub fn sum_s(&self) -> f64 {
         self.offsets_s.unwrap_or(0.0) + self.registration_s
     }
@@ -93,8 +93,8 @@ impl<'a> Summarized<'a> {
             .iter()
             .map(|point| {
                 let seconds = match bench.clock {
-                    Clock::Wall => view(bench, point, |r| r.wall_s),
-                    Clock::Cpu => view(bench, point, |r| r.cpu_s),
+                    TimingClock::Wall => view(bench, point, |r| r.wall_s),
+                    TimingClock::Cpu => view(bench, point, |r| r.cpu_s),
                 };
                 let seconds = seconds.map_or(f64::NAN, |s| s.median);
                 let quality = quality_db(bench, point).unwrap_or(f64::NAN);
@@ -134,7 +134,7 @@ impl<'a> Summarized<'a> {
             Some(_) => None,
             None => {
                 let prepared = bench.prepared(&cached.options)?;
-                Some(Preparation {
+                Some(PreparationTime {
                     offsets_s: prepared.offsets_took.map(|t| t.wall_s),
                     registration_s: prepared.registration_took.wall_s,
                 })

@@ -61,7 +61,7 @@ pub(super) struct TargetView {
 const HELD_OUT: usize = 2;
 
 /// A capture with its truth, from which targets are made.
-pub(super) struct Scene<'a> {
+pub(super) struct TargetScene<'a> {
     pub capture: &'a Arc<Capture>,
     pub offsets: &'a Offsets,
     pub base: &'a RenderOptions,
@@ -83,7 +83,7 @@ impl Target {
     }
 }
 
-impl Scene<'_> {
+impl TargetScene<'_> {
     /// The light field without a camera.
     pub fn field(&self, held_out: Option<usize>) -> LightField {
         let Some(index) = held_out else {

@@ -21,7 +21,7 @@ use stlfr::metrics::median;
 use stlfr::options::{AutoOptions, Preset, ProxyMethod, RenderOptions};
 use stlfr::progress::Reporter;
 use stlfr::tradeoff::{
-    AUTO, Clock, Point, SLACK_DB, Tradeoff, TradeoffOptions, Variable, methods, tradeoff,
+    AUTO, Point, SLACK_DB, TimingClock, Tradeoff, TradeoffOptions, Variable, methods, tradeoff,
     variations,
 };
 
@@ -44,8 +44,8 @@ struct Row<'a> {
 
 fn row<'a>(found: &Tradeoff, point: &'a Point) -> Option<Row<'a>> {
     let spread = match found.clock {
-        Clock::Wall => point.wall_s?,
-        Clock::Cpu => point.cpu_s?,
+        TimingClock::Wall => point.wall_s?,
+        TimingClock::Cpu => point.cpu_s?,
     };
     Some(Row { point, seconds: spread.median, db: point.quality_db? })
 }
@@ -191,7 +191,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     stlfr::host::reuse_freed_memory();
     let mut options = TradeoffOptions {
         rounds: 0,
-        clock: Clock::Cpu,
+        clock: TimingClock::Cpu,
         also: around_presets(),
         ..TradeoffOptions::default()
     };
@@ -201,7 +201,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             Some(("--runs", n)) => options.runs = n.parse()?,
             Some(("--rounds", n)) => options.rounds = n.parse()?,
             Some(("--clock", name)) => {
-                options.clock = Clock::from_name(name).ok_or("--clock: wall or cpu")?
+                options.clock = TimingClock::from_name(name).ok_or("--clock: wall or cpu")?
             }
             _ => folders.push(argument),
         }

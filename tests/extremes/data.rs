@@ -10,7 +10,7 @@ use crate::naive;
 use nalgebra::{Matrix2, Point2, Point3, Vector2};
 use stlfr::camera::Camera;
 use stlfr::interpolation::{
-    Edge, Feature, SyncMethod, edge_set, morph_warp, real_edges, triangulation_warp,
+    Edge, EdgeFeature, SyncMethod, edge_set, morph_warp, real_edges, triangulation_warp,
 };
 use stlfr::light_field::{LightField, RenderError};
 use stlfr::lumigraph::{DepthEdges, Mesh, Plane, Proxy};
@@ -25,13 +25,13 @@ use stlfr::registration::{FlowDirection, Pyramid, RegistrationOptions, Track, ne
 const STEP: f32 = 1.0 / 255.0;
 
 /// A feature that is at a place at the instant, and came from `moved` beside it.
-fn feature(at: [f64; 2], moved: [f64; 2]) -> Feature {
+fn feature(at: [f64; 2], moved: [f64; 2]) -> EdgeFeature {
     let target = Point2::from(at);
     let source = target + Vector2::from(moved);
-    Feature { source, other: target - Vector2::from(moved), target }
+    EdgeFeature { source, other: target - Vector2::from(moved), target }
 }
 
-fn edge(a: Feature, b: Feature, mean_fitness: Option<f64>) -> Edge {
+fn edge(a: EdgeFeature, b: EdgeFeature, mean_fitness: Option<f64>) -> Edge {
     Edge { ends: [a, b], mean_fitness }
 }
 
@@ -122,7 +122,7 @@ fn one_and_two_features_show_no_offset_and_no_shape() {
 
 #[test]
 fn all_features_on_one_line() {
-    let line: Vec<Feature> =
+    let line: Vec<EdgeFeature> =
         (0..9).map(|k| feature([8.5 + 10.0 * f64::from(k), 36.5], [0.0, 2.0])).collect();
     let edges = edge_set(&line, &[], W, H);
     assert!(edges.len() >= 8 + 4, "between neighbours, and around the image: {}", edges.len());
@@ -159,7 +159,7 @@ fn assert_depth(points: &[Point3<f64>], camera: &Camera, depth_m: f32) {
 fn all_features_in_one_place() {
     let one = feature([40.5, 30.5], [2.0, 1.0]);
     let (single, many) = (vec![one], vec![one; 50]);
-    let of = |features: &[Feature]| edge_set(features, &[], W, H);
+    let of = |features: &[EdgeFeature]| edge_set(features, &[], W, H);
     assert_eq!(of(&single), of(&many), "of vertices at one place the first stays");
     morphed(&of(&many), 4.0, 1e-3);
     assert_eq!(triangulation_warp(&single, W, H), triangulation_warp(&many, W, H));
@@ -301,7 +301,7 @@ fn zero_gradient_in_equation_6() {
             if (q - p).norm() < 1.0 || (q - p).norm() > max_length_px {
                 continue;
             }
-            let ends = [p, q].map(|p| Feature { source: p, other: p, target: p });
+            let ends = [p, q].map(|p| EdgeFeature { source: p, other: p, target: p });
             let found = real_edges(&ends, level, level, max_length_px);
             let (min, mean) = naive::fitness(image, p, q);
             if (min - naive::MIN_FITNESS).abs() > 1e-6 {
@@ -375,7 +375,7 @@ fn edges_of_zero_length_and_of_the_images() {
     let mut with_points = some.clone();
     with_points.extend([edge(point, point, Some(0.2)); 20]);
     // No length in the source frame alone is none either.
-    let collapsed = Feature { source: point.source, ..feature([60.0, 50.0], [0.0; 2]) };
+    let collapsed = EdgeFeature { source: point.source, ..feature([60.0, 50.0], [0.0; 2]) };
     with_points.push(edge(point, collapsed, None));
     let (w, h) = (W as f64, H as f64);
     let still = |x: f64, y: f64| feature([x, y], [0.0; 2]);

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use stlfr::camera::Camera;
 use stlfr::interpolation::SyncMethod;
 use stlfr::interpolation::Synchronized;
-use stlfr::interpolation::{Edge, Feature, Warp, cross_dissolve, morph_warp};
+use stlfr::interpolation::{Edge, EdgeFeature, Warp, cross_dissolve, morph_warp};
 use stlfr::light_field::{Context, GivenImages, Images, LightField, Request, Viewpoint, render};
 use stlfr::lumigraph::BlendMethod;
 use stlfr::lumigraph::Rendered;
@@ -106,7 +106,7 @@ fn the_morphs_field_to_a_hundredth_of_a_pixel() {
         let place = |r: &mut Random| {
             let target = Point2::new(r.in_range(0.0, w as f64), r.in_range(0.0, h as f64));
             let moved = Vector2::new(5.0 * (0.01 * target.x).sin(), 3.0 * (0.02 * target.x).cos());
-            Feature { source: target + moved, other: target, target }
+            EdgeFeature { source: target + moved, other: target, target }
         };
         let edges: Vec<Edge> = (0..60)
             .map(|k| {

@@ -10,7 +10,7 @@ use crate::naive;
 use nalgebra::{Point2, Vector2};
 use std::sync::Arc;
 use stlfr::capture::Capture;
-use stlfr::interpolation::{Feature, SyncMethod, edge_set, morph_warp};
+use stlfr::interpolation::{EdgeFeature, SyncMethod, edge_set, morph_warp};
 use stlfr::lumigraph::{BlendOptions, Plane, Proxy, Source, blend};
 use stlfr::offset::{self, Offsets};
 use stlfr::options::RenderOptions;
@@ -247,11 +247,11 @@ fn a_hundred_thousand_edges() {
     let mut random = Random::new(1);
     // A turn, of which every edge shows its own part.
     let moved = |p: Point2<f64>| Vector2::new(-0.002 * (p.y - 1080.0), 0.002 * (p.x - 2048.0));
-    let features: Vec<Feature> = (0..34_000)
+    let features: Vec<EdgeFeature> = (0..34_000)
         .map(|_| {
             let at = [random.in_range(1.0, w as f64 - 1.0), random.in_range(1.0, h as f64 - 1.0)];
             let target = Point2::from(at);
-            Feature { source: target + moved(target), other: target - moved(target), target }
+            EdgeFeature { source: target + moved(target), other: target - moved(target), target }
         })
         .collect();
     let edges = edge_set(&features, &[], w, h);

@@ -213,7 +213,7 @@ fn line_sums_by(lines: &[Line], xs: &[f32; LANES], y: f32) -> WarpSums {
 
 #[cfg(test)]
 mod tests {
-    use super::super::edges::Feature;
+    use super::super::edges::EdgeFeature;
     use super::*;
     use crate::random::Random;
     use nalgebra::{Point2, Rotation2, Vector2};
@@ -227,7 +227,7 @@ mod tests {
         let feature = |p: [f64; 2]| {
             let target = Point2::from(p);
             let source = move_by(target);
-            Feature { source, other: source, target }
+            EdgeFeature { source, other: source, target }
         };
         Edge { ends: [feature(a), feature(b)], mean_fitness: fitness }
     }
@@ -305,7 +305,7 @@ mod tests {
     fn many(size: f64, spacing: f64, noise: f64) -> Vec<Edge> {
         let count = (size / spacing) as usize;
         let mut random = Random::new(5);
-        let features: Vec<Feature> = (0..count * count)
+        let features: Vec<EdgeFeature> = (0..count * count)
             .map(|k| {
                 let mut jitter = |by: f64| by * (random.unit() - 0.5);
                 let (x, y) = ((k % count) as f64, (k / count) as f64);
@@ -315,7 +315,7 @@ mod tests {
                     if at.x < size / 2.0 { 9.0 } else { -9.0 },
                 );
                 let source = at + moved + Vector2::new(jitter(noise), jitter(noise));
-                Feature { source, other: source, target: at }
+                EdgeFeature { source, other: source, target: at }
             })
             .collect();
         let neighbors = |k: usize| [k + 1, k + count, k + count + 1];

@@ -6,7 +6,7 @@ use crate::page::{Page, Panel};
 use crate::scene::{Clocks, Scene, TrueView};
 use std::sync::Arc;
 use stlfr::interpolation::{
-    EDGE_BOOST, Edge, Feature, InterpolationOptions, SyncMethod, cross_dissolve, edge_set,
+    EDGE_BOOST, Edge, EdgeFeature, InterpolationOptions, SyncMethod, cross_dissolve, edge_set,
     morph_warp, real_edges,
 };
 use stlfr::options::RenderOptions;
@@ -70,7 +70,7 @@ impl Pair {
     }
 
     /// The features of the forward or the backward flow.
-    fn features(&self, forward: bool) -> Result<Vec<Feature>, Error> {
+    fn features(&self, forward: bool) -> Result<Vec<EdgeFeature>, Error> {
         let times_s = self.times_s()?;
         let tracks = self.tracks()?;
         let of_set = |t: &&Track| if forward { t.in_forward_set() } else { t.in_backward_set() };
@@ -78,7 +78,7 @@ impl Pair {
             let straight = Track { before: None, after: None, ..t.clone() };
             let target = straight.trajectory(&times_s, self.k)?.at(self.time_s);
             let (source, other) = if forward { (t.earlier, t.later) } else { (t.later, t.earlier) };
-            Some(Feature { source, other, target })
+            Some(EdgeFeature { source, other, target })
         };
         Ok(tracks.iter().filter(of_set).filter_map(feature).collect())
     }
@@ -145,7 +145,7 @@ pub fn figure_5() -> Result<Page, Error> {
             Panel::new(magnified(&gradients, MAGAZINE, 2), "(a) Gradient magnitude", ""),
             Panel::new(drawn, "(b) Real feature edges (blue)", format!("{count} in the frame")),
         ]],
-        caption: "Fig. 5. Real feature edges. (a) The gradient magnitude map. (b) Feature edges detected by \
+        caption: "Fig. 5. Real feature edges. (a) The gradient magnitude map. (b) EdgeFeature edges detected by \
                   testing feature points pairwise, one a contour."
             .to_owned(),
     })

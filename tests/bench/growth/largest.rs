@@ -7,7 +7,7 @@ use crate::swing::{RATE_HZ, Swing};
 use nalgebra::{Point2, Vector2};
 use std::process::Command;
 use stlfr::host::process_cpu_s;
-use stlfr::interpolation::{Feature, edge_set, morph_warp};
+use stlfr::interpolation::{EdgeFeature, edge_set, morph_warp};
 use stlfr::json;
 use stlfr::offset::Offsets;
 use stlfr::random::Random;
@@ -101,11 +101,11 @@ fn edges(count: usize) -> Done<()> {
     let (w, h) = (4096, 2160);
     let mut random = Random::new(1);
     let moved = Vector2::new(3.0, -2.0);
-    let features: Vec<Feature> = (0..count / 3)
+    let features: Vec<EdgeFeature> = (0..count / 3)
         .map(|_| {
             let at = [random.in_range(1.0, w as f64 - 1.0), random.in_range(1.0, h as f64 - 1.0)];
             let target = Point2::from(at);
-            Feature { source: target + moved, other: target - moved, target }
+            EdgeFeature { source: target + moved, other: target - moved, target }
         })
         .collect();
     let start = process_cpu_s();

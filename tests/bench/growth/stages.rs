@@ -7,7 +7,7 @@ use std::sync::Arc;
 use stlfr::capture::Capture;
 use stlfr::chart::{Chart, Series};
 use stlfr::host::process_cpu_s;
-use stlfr::interpolation::{Feature, SyncMethod, edge_set, real_edges};
+use stlfr::interpolation::{EdgeFeature, SyncMethod, edge_set, real_edges};
 use stlfr::light_field::{Context, LightField, Request, Viewpoint};
 use stlfr::offset::{self, Offsets};
 use stlfr::options::RenderOptions;
@@ -89,10 +89,10 @@ fn edges(
     options: &RenderOptions,
 ) -> Done<[usize; 2]> {
     let tracks = field.tracks(camera, k, &options.registration)?;
-    let features: Vec<Feature> = (tracks.iter().filter(|track| track.in_forward_set()))
+    let features: Vec<EdgeFeature> = (tracks.iter().filter(|track| track.in_forward_set()))
         .map(|track| {
             let (source, other) = (track.earlier, track.later);
-            Feature { source, other, target: nalgebra::center(&source, &other) }
+            EdgeFeature { source, other, target: nalgebra::center(&source, &other) }
         })
         .collect();
     let [source, other] = [k, k + 1].map(|k| field.frames(&options.registration).get(camera, k));
