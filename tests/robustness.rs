@@ -395,16 +395,13 @@ fn a_read_only_capture_is_processed() {
     serde_json::from_slice::<Offsets>(&output.stdout).unwrap();
 }
 
-/// Sets every offset but the reference's in a file of offsets.
-fn set_offsets(file: &Path, inside: &[&str], offset_s: f64) {
-    let mut json = read_json(file);
-    let offsets = inside.iter().fold(&mut json, |json, field| &mut json[field]);
+/// Sets every offset but the reference's.
+fn set_offsets(offsets: &mut Value, offset_s: f64) {
     for camera in offsets["cameras"].as_array_mut().unwrap() {
         if camera["id"] != "cam1" {
             camera["offset_s"] = json!(offset_s);
         }
     }
-    std::fs::write(file, json.to_string()).unwrap();
 }
 
 #[test]
@@ -415,7 +412,9 @@ fn offsets_in_which_frames_vanish_are_refused() {
     let file = folder.path().join("offsets.json");
     let out = folder.path().join("out.png");
     for offset_s in [1e16, 1e300] {
-        set_offsets(&file, &[], offset_s);
+        let mut offsets = read_json(&file);
+        set_offsets(&mut offsets, offset_s);
+        std::fs::write(&file, offsets.to_string()).unwrap();
         let view = ["-q", "render", capture, "--like", "cam1", "-o", text(&out), "--time"];
         let refused = run(&[&view[..], &["0.08"]].concat());
         assert_refused(&refused, 2, "offsets.json: cameras[0] (cam0).offset_s: is 1e");
@@ -430,10 +429,14 @@ fn offsets_in_which_frames_vanish_are_refused() {
 fn cached_points_in_which_frames_vanish_are_measured_anew() {
     let folder = Scene::default().film();
     let out = folder.path().join("out");
+    let cache = folder.path().join(".stlfr/cache/tradeoff-preparations");
     let prepared = || {
-        let points = std::fs::read_dir(out.join("points")).into_iter().flatten().flatten();
-        let name = |e: &std::fs::DirEntry| e.file_name().to_string_lossy().into_owned();
-        points.filter(|e| name(e).starts_with("prepared")).map(|e| e.path()).next()
+        let entries = std::fs::read_dir(&cache).into_iter().flatten().flatten();
+        entries.map(|e| e.path()).find(|path| path.is_file())
+    };
+    // A checksum, then JSON.
+    let content = |path: &Path| -> Value {
+        serde_json::from_slice(&std::fs::read(path).unwrap()[32..]).unwrap()
     };
     let mut offset_s = 1e16;
     for _ in 0..2 {
@@ -443,7 +446,7 @@ fn cached_points_in_which_frames_vanish_are_measured_anew() {
             .unwrap();
         let has_measured = || {
             prepared().is_some_and(|p| {
-                let found = read_json(&p)["content"]["offsets"]["cameras"][0]["offset_s"].as_f64();
+                let found = content(&p)["offsets"]["cameras"][0]["offset_s"].as_f64();
                 found.is_some_and(|s| s < 1.0)
             })
         };
@@ -453,7 +456,11 @@ fn cached_points_in_which_frames_vanish_are_measured_anew() {
         }
         tradeoff.kill().unwrap();
         tradeoff.wait().unwrap();
-        set_offsets(&prepared().unwrap(), &["content", "offsets"], offset_s);
+        let path = prepared().unwrap();
+        let mut changed = content(&path);
+        set_offsets(&mut changed["offsets"], offset_s);
+        let checksum = &std::fs::read(&path).unwrap()[..32];
+        std::fs::write(&path, [checksum, changed.to_string().as_bytes()].concat()).unwrap();
         offset_s = 1e300;
     }
 }
