@@ -10,17 +10,17 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// A value must depend on its key alone, so that the bound changes the time of a computation and never its result.
 pub struct BoundedCache<K, V> {
     max_cost: usize,
-    entries: Mutex<Entries<K, V>>,
+    entries: Mutex<CacheEntries<K, V>>,
 }
 
-struct Entries<K, V> {
-    by_key: HashMap<K, Entry<V>>,
+struct CacheEntries<K, V> {
+    by_key: HashMap<K, CacheEntry<V>>,
     cost: usize,
     /// Number of uses so far.
     clock: u64,
 }
 
-struct Entry<V> {
+struct CacheEntry<V> {
     value: V,
     cost: usize,
     last_use: u64,
@@ -29,7 +29,7 @@ struct Entry<V> {
 impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
     /// An empty cache with a bound on the sum of the costs, in the unit of [`Self::insert`].
     pub fn new(max_cost: usize) -> Self {
-        let entries = Entries { by_key: HashMap::new(), cost: 0, clock: 0 };
+        let entries = CacheEntries { by_key: HashMap::new(), cost: 0, clock: 0 };
         Self { max_cost, entries: Mutex::new(entries) }
     }
 
@@ -49,7 +49,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
         entries.clock += 1;
         let last_use = entries.clock;
         entries.cost += cost;
-        if let Some(replaced) = entries.by_key.insert(key, Entry { value, cost, last_use }) {
+        if let Some(replaced) = entries.by_key.insert(key, CacheEntry { value, cost, last_use }) {
             entries.cost -= replaced.cost;
         }
         while entries.cost > self.max_cost && entries.by_key.len() > 1 {
@@ -73,7 +73,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
         self.lock().cost
     }
 
-    fn lock(&self) -> MutexGuard<'_, Entries<K, V>> {
+    fn lock(&self) -> MutexGuard<'_, CacheEntries<K, V>> {
         // No operation panics half-way, so that a poisoned lock still guards a whole cache.
         self.entries.lock().unwrap_or_else(PoisonError::into_inner)
     }
