@@ -282,7 +282,7 @@ mod tests {
         Camera { model, ..small() }
     }
 
-    /// As simple as possible: every pixel tries every triangle, by Möller and Trumbore.
+    /// Reference implementation: every pixel tries every triangle (Möller and Trumbore).
     fn naive(points: &[Vector3<f64>], triangles: &[[u32; 3]], camera: &Camera) -> Vec<f32> {
         let mut out = vec![f32::NAN; camera.width * camera.height];
         for (at, depth) in out.iter_mut().enumerate() {

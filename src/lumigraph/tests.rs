@@ -65,7 +65,7 @@ pub(super) fn turned(mut camera: Camera, angles: [f64; 3]) -> Camera {
     camera
 }
 
-/// As simple as possible: Buehler's rules, pixel by pixel, from the camera's own functions.
+/// Reference implementation: Buehler's rules, pixel by pixel, from the camera's own functions.
 fn naive(sources: &[Source], depth: &DepthMap, target: &Camera, o: &BlendOptions) -> Vec<[f32; 3]> {
     let mut out = Vec::new();
     for y in 0..target.height {

@@ -127,7 +127,7 @@ fn points(view: &View, cameras: &[&View], count: usize) -> Vec<Point3<f64>> {
     out
 }
 
-/// Of the pixels that any camera sees.
+/// PSNR of the pixels that any camera sees, dB.
 fn psnr(rendered: &Rendered, truth: &Image) -> f64 {
     let pixels = rendered.image.data().chunks(3).zip(truth.data().chunks(3));
     let (mut sum, mut count) = (0.0, 0);
@@ -151,7 +151,7 @@ fn cpu_ms() -> f64 {
     (ticks(11) + ticks(12)) * 10.0
 }
 
-/// What a view's depths come from.
+/// Origin of a view's depths.
 enum Shape {
     Proxy(Proxy),
     /// The true depths of the view.
@@ -187,7 +187,7 @@ impl Occlusion {
     }
 }
 
-/// One line of the table.
+/// One line of the table: what is rendered, and how.
 struct Line<'a> {
     name: &'a str,
     /// Name of its pictures, if they are written.
