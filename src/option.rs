@@ -1,4 +1,4 @@
-//! Options, each declared once: type, default, range, unit and help stand together ([`options!`]).
+//! Options, each declared once: type, default, range, unit and help stand together (`options!`).
 //! Checks, the list of all options, the JSON Schema and the help on the command line follow from that.
 
 use crate::method::Method;

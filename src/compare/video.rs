@@ -253,7 +253,7 @@ struct VideoPanel {
     image: Image,
 }
 
-/// The files that [`Plan::write`] wrote.
+/// The files that [`VideoPlan::write`] wrote.
 pub struct Written {
     /// All side by side.
     pub path: PathBuf,

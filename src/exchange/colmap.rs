@@ -28,8 +28,8 @@ struct ModelImage {
 /// Reads the cameras of a COLMAP model's folder, one for each image, sorted by image number and named
 /// after the images. Binary files are preferred to text files, as in COLMAP.
 ///
-/// Errors: no images, more than [`MAX_ENTRIES`] images or cameras, a file that is not regular or larger
-/// than [`MAX_MODEL_BYTES`], an unknown camera model, a camera that a capture would refuse.
+/// Errors: no images, too many images or cameras, a file that is not regular or larger
+/// than `MAX_MODEL_BYTES`, an unknown camera model, a camera that a capture would refuse.
 pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
     let binary = folder.join("cameras.bin");
     let (images_path, lenses, mut images) = if binary.exists() {

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! [`render`] is the one way to a view. It asks for the results of stages, which ask for others. A stage depends on its
-//! inputs ([`stages`]) and on the capture's frames and clocks, and on nothing else. One memo caches results by their
+//! inputs (`stages.rs`) and on the capture's frames and clocks, and on nothing else. One memo caches results by their
 //! serialized inputs, so that views of one instant share what they have in common.
 //!
 //! | file | what |
