@@ -32,7 +32,7 @@
 //!
 //! let mut view = capture.cameras[1].camera.clone(); // any pinhole, anywhere:
 //! view.cam_from_world.translation.x -= 0.02; // 2 cm to the right of that camera,
-//! let rendered = field.view(&view, 0.05, &options.view())?; // halfway between two frames
+//! let rendered = field.view(&view, 0.05, &options)?; // halfway between two frames
 //! assert_eq!((rendered.image.width(), rendered.image.height()), (64, 48));
 //! # assert!(rendered.coverage.iter().filter(|c| **c).count() > 2000);
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -86,7 +86,6 @@ pub(super) fn image_in(
     parts: Option<&Tiles>,
     context: &Context,
 ) -> Result<Synchronized, RenderError> {
-    context.check()?;
     let &CameraImage { camera, time_s, method } = image;
     let timeline = field.timeline();
     let (frame, later) = timeline.bracket(camera, time_s)?;
@@ -176,7 +175,10 @@ impl LightField {
         let usable = self.usable(time_s);
         on_workers(|| {
             share(self, usable.iter().map(|&c| image(c)), context)?;
-            let images = usable.par_iter().map(|&c| Ok((c, self.get(&image(c), context)?)));
+            let images = usable.par_iter().map(|&c| {
+                context.check()?;
+                Ok((c, self.get(&image(c), context)?))
+            });
             let mut all = vec![None; self.capture().cameras.len()];
             for (camera, image) in images.collect::<Result<Vec<_>, RenderError>>()? {
                 all[camera] = Some(image);

@@ -195,7 +195,10 @@ pub(super) fn images_of(
         ImageSource::Synchronized(method) => {
             let image = |camera: usize| CameraImage { camera, time_s, method };
             share(field, cameras.iter().map(|&c| image(c)), context)?;
-            let of = |&c: &usize| corrected(field, image(c), registration, context);
+            let of = |&c: &usize| {
+                context.check()?;
+                corrected(field, image(c), registration, context)
+            };
             cameras.par_iter().map(of).collect()
         }
         ImageSource::Given(given) => {

@@ -100,7 +100,7 @@ def broken_rigs(schema: dict[str, Any]) -> Iterator[tuple[str, Any]]:
         "cameras.1.": camera_schema,
         "views.0.": view_schema,
         "cameras.1.cam_from_rig.": schema["$defs"]["PoseFormat"],
-        "cameras.1.distortion.": schema["$defs"]["Distortion"],
+        "cameras.1.distortion.": schema["$defs"]["RigDistortion"],
     }
     for prefix, part in places.items():
         assert part["additionalProperties"] is False
