@@ -31,9 +31,11 @@ pub(super) struct Comparison<'a> {
 pub(super) struct Results {
     pub sync: Vec<SyncResult>,
     pub views: Vec<ViewResult>,
-    /// The pictures of the report, and how many of them are of filming cameras and of views.
+    /// The pictures of the report.
     pub figures: Vec<Figure>,
+    /// Number of figures that show a filming camera's synchronized image.
     pub sync_figures: usize,
+    /// Number of figures that show a blended view.
     pub view_figures: usize,
 }
 

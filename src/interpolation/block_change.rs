@@ -33,7 +33,8 @@ pub(crate) fn changed_fraction(a: &Image, b: &Image) -> f64 {
     if count == 0 { 0.0 } else { count as f64 / all as f64 }
 }
 
-/// Which pixels lie in a whole block that changes by more than noise, row by row.
+/// For each pixel, row by row: whether the block that it lies in changes by more than noise. `false` in blocks that
+/// the image's border cuts.
 ///
 /// # Panics
 /// If the images differ in size or in channels.

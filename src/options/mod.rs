@@ -43,7 +43,7 @@ options! {
         blend: BlendOptions,
         /// Temporal integration; for `render` only.
         trail: TrailOptions,
-        /// Methods that the capture decides, in place of those above.
+        /// Which methods are chosen from measurements of the capture; the options above are ignored for these.
         auto: AutoOptions,
     }
 }

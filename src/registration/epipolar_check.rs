@@ -150,7 +150,8 @@ fn test_with(
 const MIN_TEST_MOTION_PX: f64 = 1.0;
 /// Minimum motion across the epipolar lines of a testable feature, as a fraction of its motion.
 const MIN_ACROSS_FRACTION: f64 = 0.1;
-/// Pyramid levels of the second attempt, whose initial guess is by the motion prior.
+/// Pyramid levels for tracking a feature into the reference camera again, from the displacement that the motion prior
+/// predicts.
 const RETRY_LEVELS: usize = 1;
 
 /// The tested camera i and a reference camera j.

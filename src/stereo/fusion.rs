@@ -148,7 +148,7 @@ fn fill_from_background(values: &mut [f32], width: usize) {
 
 /// A camera's pixel, projected into the view.
 struct Splat {
-    /// Position in the view, pixels; NaN where the view doesn't see it.
+    /// Projection of the surface point into the view, pixels; NaN if the view doesn't see the point.
     x: f32,
     y: f32,
     /// Size of a pixel of the view in pixels of the camera; at most 1.

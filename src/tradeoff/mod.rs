@@ -177,7 +177,7 @@ impl Tradeoff {
 /// Label of the planned combination.
 pub const AUTO: &str = "auto";
 
-/// Measures a capture's trade-off into the folder `out`.
+/// Measures time and quality of views by many combinations of options, and writes the results into the folder `out`.
 pub fn tradeoff(
     capture: &Arc<Capture>,
     options: &TradeoffOptions,

@@ -191,7 +191,8 @@ impl Clusters {
         }
     }
 
-    /// A cluster's terms of the bound, if the mean displacement is within `farthest` of the reference.
+    /// A cluster's contribution to the bound on the error of a tile's displacements, assuming that their weighted mean is
+    /// within `farthest` of `reference`.
     fn far_cluster(&self, k: usize, tile: &Tile, reference: [f32; 2], farthest: f64) -> FarCluster {
         let cluster = &self.clusters[k];
         let line = &cluster.line;

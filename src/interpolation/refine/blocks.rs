@@ -132,7 +132,8 @@ impl BlockArea {
         inside(1).map(move |y| (index(y), columns.clone(), y))
     }
 
-    /// The values inside the image, row by row, of a plane of the image's size.
+    /// This block's values, row by row, without its part outside of the image. `values` holds one value for each pixel of
+    /// the image.
     pub fn rows_of<T>(self, values: &[T]) -> impl Iterator<Item = &[T]> {
         let width = self.image[0];
         self.rows().map(move |(_, columns, y)| &values[y * width..][columns])

@@ -279,7 +279,8 @@ impl<'a> CoordinateDescent<'a> {
         self.members(component).into_iter().flat_map(as_second).copied().collect()
     }
 
-    /// The objective over all observations and losses of a component; each observation counts once.
+    /// The objective of a connected component of cameras: the cost of its observations and of its lost frames. An
+    /// observation between two cameras is added once, not once a camera.
     fn total_cost(&self, component: usize) -> f64 {
         let camera_cost = |c: usize| {
             let line = self.models[c].as_ref().map_or_else(Vector2::zeros, |model| {

@@ -34,7 +34,7 @@ pub struct PairEstimate {
     pub agreement: f64,
     /// The standard deviation of the inliers' distances from their epipolar lines, pixels.
     pub sigma_px: f64,
-    /// The estimates of single frame triples.
+    /// One estimate for each frame triple: two successive frames of camera i and a frame of camera j.
     pub frames: Vec<FrameEstimate>,
     /// The factor on standard errors for the few independent windows that the candidates come from, at
     /// least 1. Its square is a variance inflation factor.

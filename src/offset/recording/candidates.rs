@@ -71,11 +71,12 @@ pub struct ThreeFrames<'a> {
 }
 
 impl ThreeFrames<'_> {
-    /// The candidates of all features; `in_j` holds each track's correspondence in camera j, pixels.
+    /// Offset candidates of all features: where a trajectory in camera i crosses the epipolar line of the feature's
+    /// correspondence in camera j. `in_j` holds these correspondences, pixels.
     ///
-    /// A feature has none without a correspondence, at the epipole, with too little motion across its
-    /// epipolar line, or if its trajectory does not cross the line near the two frames. Cameras with a
-    /// common centre have no epipolar lines, and give no candidates.
+    /// A feature gives no candidate if it has no correspondence, lies at the epipole, moves too little across its
+    /// epipolar line, or crosses that line far from the track's two frames. Cameras with a common centre have no
+    /// epipolar lines, and give no candidates.
     pub fn candidates(&self, tracks: &[&Track], in_j: &[Option<Point2<f64>>]) -> Vec<Candidate> {
         self.crossings(tracks, in_j).into_iter().filter_map(|(_, c)| c).collect()
     }
