@@ -18,12 +18,12 @@ pub struct FrameStore {
     pub(crate) decoded: Arc<std::sync::Mutex<Vec<(usize, usize)>>>,
 }
 
-/// Default bound of the memo, bytes: 32 colour frames of 640×480, four for each of eight cameras at an instant,
-/// and as much again for what is computed from them.
-const MAX_BYTES: usize = 256 << 20;
+/// Bounds of the default memory, bytes. Within them it grows with the cameras' images.
+const MIN_BYTES: usize = 208 << 20;
+const MAX_BYTES: usize = 512 << 20;
 
-/// Fraction of that bound for frames.
-const FRAME_BYTES: usize = 192 << 20;
+/// Number of frames of each camera that take as much memory as everything that a view at an instant is made from.
+const FRAMES_OF_INSTANT: usize = 3;
 
 /// Maximum number of cached frames per camera, so that a long recording of small images takes no more
 /// memory than a short one.
@@ -38,7 +38,10 @@ const GAINS_STAGE: &str = "gains";
 impl FrameStore {
     /// A store with a memo of its own, of the default bound.
     pub fn new(capture: Arc<Capture>, options: &RegistrationOptions) -> Self {
-        Self::with_memo(capture, options, Arc::new(Memo::new(MAX_BYTES)))
+        let cameras = 0..capture.cameras.len();
+        let instant: usize = cameras.map(|c| bytes_of(&capture, c, options)).sum();
+        let max_bytes = instant.saturating_mul(FRAMES_OF_INSTANT).clamp(MIN_BYTES, MAX_BYTES);
+        Self::with_memo(capture, options, Arc::new(Memo::new(max_bytes)))
     }
 
     /// A store whose frames are cached in a memo, which must not hold those of another capture.
@@ -96,21 +99,15 @@ impl FrameStore {
     /// Whether this many frames of each camera fit the memo together.
     pub fn fits(&self, cameras: impl Iterator<Item = usize>, frames_each: usize) -> bool {
         let bytes: usize = cameras.map(|c| self.bytes_of(c)).sum();
-        bytes.saturating_mul(frames_each) <= self.memo.max_bytes().min(FRAME_BYTES)
+        bytes.saturating_mul(frames_each) <= self.memo.max_bytes()
     }
 
     /// The cost of a camera's frame in the memo, bytes: at least 1/[`MAX_FRAMES`] of its camera's part of the
     /// bound.
     fn bytes_of(&self, camera: usize) -> usize {
-        let filmed = &self.capture.cameras[camera];
-        let size = [filmed.camera.width, filmed.camera.height];
-        let channels = match filmed.color {
-            Color::Rgb => 3,
-            Color::Gray => 1,
-        };
         let max_frames = MAX_FRAMES * self.capture.cameras.len();
-        let min_bytes = self.memo.max_bytes().min(FRAME_BYTES).div_ceil(max_frames);
-        Frame::bytes_of(size, channels, &self.options).max(min_bytes)
+        let min_bytes = self.memo.max_bytes().div_ceil(max_frames);
+        bytes_of(&self.capture, camera, &self.options).max(min_bytes)
     }
 
     /// Builds a frame whose pyramid is as bright as the reference camera's.
@@ -149,4 +146,14 @@ impl FrameStore {
         let gains = || Ok::<_, CaptureError>(self.gains());
         Ok(self.capture.store(Gains::KIND, &self.options, gains)?.bytes)
     }
+}
+
+/// The size of a camera's frame, bytes.
+fn bytes_of(capture: &Capture, camera: usize, options: &RegistrationOptions) -> usize {
+    let filmed = &capture.cameras[camera];
+    let channels = match filmed.color {
+        Color::Rgb => 3,
+        Color::Gray => 1,
+    };
+    Frame::bytes_of([filmed.camera.width, filmed.camera.height], channels, options)
 }
