@@ -1,4 +1,4 @@
-//! A view as it is asked for.
+//! Request of a view: viewpoint, time, options and images.
 
 use super::RenderError;
 use super::graph::LightField;
@@ -6,22 +6,22 @@ use super::stages::Images;
 use crate::camera::Camera;
 use crate::options::RenderOptions;
 
-/// From where an image with a trail is seen.
+/// The viewpoint of a request.
 #[derive(Clone, Copy, Debug)]
 pub enum Viewpoint<'a> {
-    /// Any camera
+    /// A camera that need not have filmed.
     View(&'a Camera),
-    /// A filming camera, by its index
+    /// A filming camera, by its index: its own image at the instant.
     Like(usize),
 }
 
-/// What is rendered.
+/// A view to render.
 #[derive(Clone, Copy, Debug)]
 pub struct Request<'a> {
     pub from: Viewpoint<'a>,
     /// Seconds on the reference's clock, from the capture's start.
     pub time_s: f64,
-    /// With nothing left to the capture.
+    /// Options in which `auto` leaves nothing to be chosen.
     pub options: &'a RenderOptions,
     /// The images that are blended.
     pub images: Images<'a>,
