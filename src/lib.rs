@@ -47,6 +47,7 @@
 //! | §4 image registration | [`registration`] |
 //! | §5 temporal interpolation | [`interpolation`] |
 //! | §6 view synthesis | [`lumigraph`], and beyond it [`stereo`] |
+//! | beyond the paper: motion and geometry together | [`scene_flow`] |
 //! | §7 temporal offsets | [`offset`] |
 //! | Fig. 2, the whole pipeline | [`light_field`], opened by [`pipeline`] |
 //! | §8 results, beside the truth | [`compare`] |
@@ -65,7 +66,7 @@
 //! capture
 //! exchange registration rig
 //! offset interpolation lumigraph
-//! stereo
+//! stereo scene_flow
 //! options
 //! light_field
 //! plan
@@ -203,6 +204,7 @@ pub mod random;
 pub mod raster;
 pub mod registration;
 pub mod rig;
+pub mod scene_flow;
 mod simd;
 pub mod stereo;
 pub mod text;

@@ -209,7 +209,7 @@ pub(super) fn images_of(
 }
 
 /// Points of a depth map, world, metres.
-fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
+pub(super) fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
     let mut points = Vec::new();
     for y in (0..camera.height).step_by(RANGE_STEP_PX) {
         for x in (0..camera.width).step_by(RANGE_STEP_PX) {
@@ -224,7 +224,7 @@ fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
 }
 
 /// The range of the points' inverse depths in a camera, 1/m, with a margin. `None` if none is in front.
-fn range(points: &[Point3<f64>], camera: &Camera) -> Option<[f64; 2]> {
+pub(super) fn range(points: &[Point3<f64>], camera: &Camera) -> Option<[f64; 2]> {
     let depths = points.iter().map(|p| (camera.cam_from_world * p).z).filter(|z| *z > 0.0);
     let [low, high] = depths
         .fold([f64::INFINITY, 0.0_f64], |[low, high], z| [low.min(1.0 / z), high.max(1.0 / z)]);

@@ -4,6 +4,7 @@
 use super::depth::surfaces;
 use super::graph::LightField;
 use super::points::nearest;
+use super::scene_flow::flow_depths;
 use super::stages::{ImageSource, Images, OcclusionDepths, Stereo};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
@@ -29,13 +30,17 @@ pub(super) fn nearest_cameras(
     time_s: f64,
     options: &RenderOptions,
 ) -> Vec<usize> {
-    if options.proxy.method != ProxyMethod::Depth && options.blend.method != BlendMethod::SpaceTime
-    {
+    if !has_pixel_depths(options) && options.blend.method != BlendMethod::SpaceTime {
         return Vec::new();
     }
     let mut cameras = nearest(&field.capture().cameras, &field.usable(time_s), target);
     cameras.truncate(options.proxy.depth.cameras + FURTHER_CAMERAS);
     cameras
+}
+
+/// Whether depths are estimated per pixel, and not taken from features.
+fn has_pixel_depths(options: &RenderOptions) -> bool {
+    matches!(options.proxy.method, ProxyMethod::Depth | ProxyMethod::SceneFlow)
 }
 
 /// The geometry of a view from `target`.
@@ -46,13 +51,18 @@ pub(super) fn geometry(
     context: &Context,
 ) -> Result<Geometry, RenderError> {
     let &Request { time_s, options, .. } = request;
-    if options.proxy.method == ProxyMethod::Depth
+    let cameras = field.capture().cameras.len();
+    if request.uses_scene_flow()
+        && let Some(view) = flow_depths(field, target, request, context)?
+    {
+        return Ok(Geometry { view, sources: vec![None; cameras] });
+    }
+    if has_pixel_depths(options)
         && let Some(geometry) = by_stereo(field, target, request, context)?
     {
         return Ok(geometry);
     }
     let proxy = field.proxy(target, time_s, options)?;
-    let cameras = field.capture().cameras.len();
     Ok(Geometry { view: proxy.depth_map(target), sources: vec![None; cameras] })
 }
 

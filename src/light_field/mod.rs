@@ -21,6 +21,7 @@
 //! | `depth.rs` | depth per pixel of cameras |
 //! | `geometry.rs` | the depths of a view, and what is occluded in the cameras |
 //! | `view.rs` | §6: the blended view |
+//! | `scene_flow.rs` | depth and motion of frames, and views from them |
 //! | `all_cameras.rs` | a camera's image from all cameras |
 //! | `request.rs` | a view as it is asked for |
 //! | `render.rs`, `trail.rs` | a view, and Fig. 1: temporal integration |
@@ -41,6 +42,7 @@ mod points;
 mod prepare;
 mod render;
 mod request;
+mod scene_flow;
 mod stages;
 mod timeline;
 mod trail;

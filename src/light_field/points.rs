@@ -81,7 +81,7 @@ impl LightField {
         Ok(all.iter().flat_map(|points| points.iter().copied()).collect())
     }
 
-    /// The proxy of a view at a time; a mesh for [`ProxyMethod::Depth`].
+    /// The proxy of a view at a time; a mesh for the proxies that have a depth per pixel.
     ///
     /// # Errors
     /// [`RenderError::NoPoints`] if there are no points around the view, [`RenderError::NothingSeen`] if there are
@@ -104,7 +104,7 @@ impl LightField {
                 let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
                 Plane::fit(&weighted, target).map(Proxy::Plane)
             }
-            ProxyMethod::Mesh | ProxyMethod::Depth => {
+            ProxyMethod::Mesh | ProxyMethod::Depth | ProxyMethod::SceneFlow => {
                 Mesh::build(points, target, options.proxy.depth_edges).map(Proxy::Mesh)
             }
         };

@@ -4,7 +4,7 @@ use super::RenderError;
 use super::graph::LightField;
 use super::stages::Images;
 use crate::camera::Camera;
-use crate::options::RenderOptions;
+use crate::options::{ProxyMethod, RenderOptions};
 
 /// The viewpoint of a request.
 #[derive(Clone, Copy, Debug)]
@@ -34,6 +34,15 @@ impl<'a> Request<'a> {
     pub fn new(from: Viewpoint<'a>, time_s: f64, options: &'a RenderOptions) -> Self {
         let images = Images::By(options.sync);
         Self { from, time_s, options, images, shape: images }
+    }
+}
+
+impl Request<'_> {
+    /// Whether the view is made of the points of frames, which needs no synchronized images. Images that are given are
+    /// blended over depths of their own.
+    pub(super) fn uses_scene_flow(&self) -> bool {
+        self.options.proxy.method == ProxyMethod::SceneFlow
+            && matches!((self.images, self.shape), (Images::By(_), Images::By(_)))
     }
 }
 

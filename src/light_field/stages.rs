@@ -257,6 +257,23 @@ pub(super) struct OcclusionDepths<'a> {
     pub estimated: &'a [usize],
 }
 
+/// A frame without lens distortion, as bright as the reference camera records it.
+#[derive(Serialize)]
+pub(super) struct Undistorted<'a> {
+    pub camera: usize,
+    pub frame: usize,
+    pub registration: &'a RegistrationOptions,
+}
+
+/// Depth and motion of all frames in a slot of time (`Timeline::slot`), which are found together.
+#[derive(Serialize)]
+pub(super) struct FlowSlot<'a> {
+    pub slot: i64,
+    pub registration: &'a RegistrationOptions,
+    pub still_change: f32,
+    pub proxy: &'a ProxyOptions,
+}
+
 /// Stages whose results belong to an instant.
 const OF_INSTANTS: [&str; 7] = [
     Correspondences::NAME,

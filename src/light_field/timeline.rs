@@ -33,6 +33,8 @@ pub fn check_times_before_offsets(
 pub(super) struct Timeline {
     /// Each camera's frame times; `None` if they are unknown.
     times_s: Vec<Option<Vec<f64>>>,
+    /// The reference's median frame interval, seconds; 1 s if it has one frame.
+    frame_s: f64,
     ids: Vec<String>,
     /// Why a camera's times are unknown.
     reasons: Vec<String>,
@@ -56,6 +58,7 @@ impl Timeline {
             ids: capture.cameras.iter().map(|c| c.id.clone()).collect(),
             reasons: offsets.cameras.iter().map(reason).collect(),
             time_origin_s: capture.time_origin_s,
+            frame_s: if capture.frame_s() > 0.0 { capture.frame_s() } else { 1.0 },
             is_static: capture.is_static(),
         }
     }
@@ -73,6 +76,30 @@ impl Timeline {
     /// The camera's frame times; empty if they are unknown.
     pub fn times_s(&self, camera: usize) -> &[f64] {
         self.times_s[camera].as_deref().unwrap_or_default()
+    }
+
+    /// A time in frames of the reference. All times of a static light field are 0.
+    pub fn in_frames(&self, time_s: f64) -> f64 {
+        if self.is_static { 0.0 } else { time_s / self.frame_s }
+    }
+
+    /// The slot of a frame: slots are as long as a frame of the reference, and the first one begins with the capture.
+    pub fn slot(&self, camera: usize, frame: usize) -> i64 {
+        self.in_frames(self.times_s(camera)[frame]).floor() as i64
+    }
+
+    /// The frames of all cameras in a slot: camera and frame, ascending.
+    pub fn frames_of_slot(&self, slot: i64) -> Vec<(usize, usize)> {
+        let frames = |c: usize| (0..self.times_s(c).len()).map(move |k| (c, k));
+        let all = (0..self.times_s.len()).flat_map(frames);
+        all.filter(|&(c, k)| self.slot(c, k) == slot).collect()
+    }
+
+    /// The camera's frame nearest to a time, the earlier of two. `None` if its times are unknown.
+    pub fn nearest_frame(&self, camera: usize, time_s: f64) -> Option<usize> {
+        let times_s = self.times_s(camera);
+        let distance = |k: &usize| (times_s[*k] - time_s).abs();
+        (0..times_s.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))
     }
 
     /// The cameras that can give an image at a time, by index, ascending.

@@ -4,6 +4,7 @@ use super::camera_image::image_in;
 use super::depth::images_of;
 use super::geometry::{Geometry, geometry, nearest_cameras};
 use super::graph::LightField;
+use super::scene_flow::flow_view;
 use super::stages::{CameraImage, ImageMethod, ImageSource};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
@@ -11,6 +12,7 @@ use crate::capture::{Color, FilmedCamera};
 use crate::interpolation::Synchronized;
 use crate::lumigraph::{BlendMethod, BlendOptions, Rendered, Source, blend, contributing};
 use crate::raster::{Image, Tiles};
+use crate::scene_flow::FlowView;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -29,6 +31,12 @@ pub(super) fn view(
         return Err(field.timeline().no_camera_at(time_s));
     }
     context.check()?;
+    if request.uses_scene_flow()
+        && let Some(FlowView { rendered, .. }) = flow_view(field, target, request, context)?
+    {
+        let is_seen = rendered.coverage.contains(&true);
+        return if is_seen { Ok(rendered) } else { Err(RenderError::NothingSeen) };
+    }
     let geometry = geometry(field, target, request, context)?;
     context.check()?;
     let images = images(field, target, request, &geometry, context)?;

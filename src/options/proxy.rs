@@ -17,12 +17,16 @@ pub enum ProxyMethod {
     Mesh,
     /// Depth per pixel from the images of several cameras, with occlusion.
     Depth,
+    /// Depth and motion of every frame, from all cameras at their own times: the points of the frames nearest to the
+    /// instant are moved there. Needs no synchronized images.
+    SceneFlow,
 }
 
 methods!(ProxyMethod {
     Plane = "plane": "One plane, fitted or at a set depth",
     Mesh = "mesh": "The paper's: triangulated correspondences, meshed, with a plane behind",
     Depth = "depth": "Depth per pixel that all cameras agree on, and what hides what",
+    SceneFlow = "scene-flow": "Depth and motion of every frame, from all cameras at their own times; ignores --sync",
 });
 
 options! {

@@ -1,0 +1,196 @@
+//! Beyond the paper: views from the depth and motion of frames, each at its own time.
+
+use super::depth::{range, sampled};
+use super::graph::{LightField, Stage};
+use super::points::nearest;
+use super::stages::{FlowSlot, Undistorted};
+use super::{Context, RenderError, Request};
+use crate::camera::Camera;
+use crate::lumigraph::DepthMap;
+use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
+use crate::scene_flow::{Estimation, FlowFrame, FlowMap, FlowView, Limits, MappedFrame, blend};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// Most cameras from whose frames a view is blended, and with whose frames a frame is matched.
+const MAX_CAMERAS: usize = 8;
+const MAX_PARTNERS: usize = 7;
+/// Largest motion that is searched, as a fraction of the longer side, a frame.
+const MAX_SPEED: f64 = 0.125;
+/// How much nearer and farther than all triangulated features surfaces are searched.
+const DEPTH_MARGIN: f64 = 1.5;
+
+/// A frame of the capture.
+type FrameId = (usize, usize);
+
+/// The frames of a slot and their maps.
+pub(super) struct SlotMaps(BTreeMap<FrameId, FlowMap>);
+
+impl Stage for Undistorted<'_> {
+    type Output = FlowFrame;
+    const NAME: &'static str = "undistorted frame";
+
+    fn bytes(frame: &FlowFrame) -> usize {
+        frame.bytes()
+    }
+
+    fn compute(&self, field: &LightField, _: &Context) -> Result<FlowFrame, RenderError> {
+        let &Self { camera, frame, registration } = self;
+        let image = field.capture().read_frame(camera, frame)?;
+        let gains = field.gains(registration);
+        let image = gains.corrected(camera, &image).unwrap_or(image);
+        let timeline = field.timeline();
+        let time = timeline.in_frames(timeline.times_s(camera)[frame]);
+        Ok(FlowFrame::new(&field.capture().cameras[camera].camera, &image, time))
+    }
+}
+
+impl Stage for FlowSlot<'_> {
+    /// `None` if nothing is known of the scene's depths.
+    type Output = Option<SlotMaps>;
+    const NAME: &'static str = "scene flow";
+
+    fn bytes(maps: &Option<SlotMaps>) -> usize {
+        maps.as_ref().map_or(1, |maps| maps.0.values().map(FlowMap::bytes).sum())
+    }
+
+    fn compute(
+        &self,
+        field: &LightField,
+        context: &Context,
+    ) -> Result<Option<SlotMaps>, RenderError> {
+        let timeline = field.timeline();
+        let mapped: Vec<FrameId> = timeline.frames_of_slot(self.slot);
+        let others: Vec<Vec<FrameId>> = mapped.iter().map(|&id| matched_with(field, id)).collect();
+        let Some(limits) = self.limits(field, &mapped)? else { return Ok(None) };
+        let needed: BTreeSet<FrameId> =
+            mapped.iter().chain(others.iter().flatten()).copied().collect();
+        let load = |&(camera, frame): &FrameId| {
+            context.check()?;
+            let stage = Undistorted { camera, frame, registration: self.registration };
+            Ok(((camera, frame), field.get(&stage, context)?))
+        };
+        let needed: Vec<FrameId> = needed.into_iter().collect();
+        let frames: BTreeMap<FrameId, Arc<FlowFrame>> =
+            needed.par_iter().map(load).collect::<Result<_, RenderError>>()?;
+        let list: Vec<(&FlowFrame, Vec<&FlowFrame>)> = mapped
+            .iter()
+            .zip(&others)
+            .map(|(id, others)| (&*frames[id], others.iter().map(|o| &*frames[o]).collect()))
+            .collect();
+        let baseline_m = 2.0 * field.spacing_m();
+        let proceed = || context.check().is_ok();
+        let maps = Estimation { frames: &list, limits, baseline_m }.run(&proceed);
+        context.check()?;
+        Ok(Some(SlotMaps(mapped.into_iter().zip(maps).collect())))
+    }
+}
+
+impl FlowSlot<'_> {
+    /// The ranges of the search, from the features of the slot's middle frame's instant. `None` if there are none, or
+    /// if all cameras stand at one place.
+    fn limits(
+        &self,
+        field: &LightField,
+        mapped: &[FrameId],
+    ) -> Result<Option<Limits>, RenderError> {
+        let timeline = field.timeline();
+        let Some(&(camera, frame)) = mapped.get(mapped.len() / 2) else { return Ok(None) };
+        let time_s = timeline.times_s(camera)[frame];
+        if field.spacing_m() == 0.0 {
+            return Ok(None);
+        }
+        let mut options = RenderOptions {
+            registration: self.registration.clone(),
+            proxy: ProxyOptions { method: ProxyMethod::Mesh, ..self.proxy.clone() },
+            ..RenderOptions::default()
+        };
+        options.interpolation.still_change = self.still_change;
+        let filmed = &field.capture().cameras;
+        let middle = &filmed[camera].camera;
+        let points = match field.proxy(middle, time_s, &options) {
+            Ok(proxy) => sampled(&proxy.depth_map(middle), middle),
+            Err(RenderError::NoPoints | RenderError::NothingSeen) => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        let cameras: BTreeSet<usize> = mapped.iter().map(|id| id.0).collect();
+        let ranges = cameras.iter().filter_map(|&c| range(&points, &filmed[c].camera));
+        let both = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+        let side = cameras.iter().map(|&c| filmed[c].camera.width.max(filmed[c].camera.height));
+        let max_speed = (MAX_SPEED * side.max().unwrap_or(0) as f64) as f32;
+        Ok(both.map(|[min, max]| Limits {
+            inverse_depth: [(min / DEPTH_MARGIN) as f32, (max * DEPTH_MARGIN) as f32],
+            max_speed,
+        }))
+    }
+}
+
+/// The frames that a frame is matched with: its own camera's before and after, and of the nearest other cameras the one
+/// nearest in time.
+fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
+    let timeline = field.timeline();
+    let count = timeline.times_s(camera).len();
+    let own = [frame.checked_sub(1), Some(frame + 1).filter(|&k| k < count)];
+    let mut matched: Vec<FrameId> = own.into_iter().flatten().map(|k| (camera, k)).collect();
+    let filmed = &field.capture().cameras;
+    let others: Vec<usize> =
+        (0..filmed.len()).filter(|&c| c != camera && !timeline.times_s(c).is_empty()).collect();
+    let time_s = timeline.times_s(camera)[frame];
+    for other in nearest(filmed, &others, &filmed[camera].camera).into_iter().take(MAX_PARTNERS) {
+        matched.extend(timeline.nearest_frame(other, time_s).map(|k| (other, k)));
+    }
+    matched
+}
+
+/// The view from `target` by the maps of the frames nearest in time. `None` if nothing is known of the scene's depths.
+pub(super) fn flow_view(
+    field: &LightField,
+    target: &Camera,
+    request: &Request,
+    context: &Context,
+) -> Result<Option<FlowView>, RenderError> {
+    let &Request { time_s, options, .. } = request;
+    let timeline = field.timeline();
+    let mut cameras = nearest(&field.capture().cameras, &field.usable(time_s), target);
+    cameras.truncate(MAX_CAMERAS);
+    let frame = |c: usize| timeline.nearest_frame(c, time_s).map(|k| (c, k));
+    let ids: Vec<FrameId> = cameras.into_iter().filter_map(frame).collect();
+    let slots: BTreeSet<i64> = ids.iter().map(|&(c, k)| timeline.slot(c, k)).collect();
+    let registration = &options.registration;
+    let mut maps = Vec::new();
+    for slot in slots {
+        context.check()?;
+        let stage = FlowSlot {
+            slot,
+            registration,
+            still_change: options.interpolation.still_change,
+            proxy: &options.proxy,
+        };
+        maps.push(field.get(&stage, context)?);
+    }
+    let map = |id: &FrameId| maps.iter().find_map(|m| (**m).as_ref()?.0.get(id));
+    let found: Vec<(FrameId, &FlowMap)> =
+        ids.iter().filter_map(|id| Some((*id, map(id)?))).collect();
+    let mut frames: Vec<(Arc<FlowFrame>, &FlowMap)> = Vec::with_capacity(found.len());
+    for ((camera, frame), map) in found {
+        frames.push((field.get(&Undistorted { camera, frame, registration }, context)?, map));
+    }
+    if frames.is_empty() {
+        return Ok(None);
+    }
+    context.check()?;
+    let mapped: Vec<MappedFrame> =
+        frames.iter().map(|(frame, map)| MappedFrame { frame, map }).collect();
+    Ok(Some(blend(&mapped, target, timeline.in_frames(time_s))))
+}
+
+/// The depths of [`flow_view`].
+pub(super) fn flow_depths(
+    field: &LightField,
+    target: &Camera,
+    request: &Request,
+    context: &Context,
+) -> Result<Option<DepthMap>, RenderError> {
+    Ok(flow_view(field, target, request, context)?.map(|view| view.depths))
+}

@@ -1,0 +1,246 @@
+//! The view that maps of several frames give together.
+
+use super::frame::FlowFrame;
+use super::geometry::Projection;
+use super::map::MappedFrame;
+use super::splat::{Candidate, splat};
+use crate::camera::Camera;
+use crate::lumigraph::{DepthMap, Rendered};
+use crate::raster::Image;
+use rayon::prelude::*;
+
+/// Standard deviation of a frame's error: of its own, per hundredth of a pixel of baseline in disparity, and per frame
+/// of time at rest and per pixel of motion.
+const ERROR_PX: f32 = 0.2;
+const ERROR_BY_BASELINE: f32 = 0.005;
+const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
+/// Half-width of a cluster of candidates, pixels of disparity.
+const CLUSTER_PX: f32 = 1.5;
+/// Fraction of all weights that a cluster in front of the heaviest needs to hide it.
+const FRONT: f32 = 0.12;
+/// Fraction of all weights from which a cluster hides all that is behind it.
+const OPAQUE: f32 = 0.25;
+/// Fraction of all weights that a cluster behind needs to show through.
+const BEHIND: f32 = 0.05;
+/// Difference of a colour from the mean at which it counts a quarter.
+const COLOR: f32 = 0.06;
+
+/// The surface that a pixel of the view shows.
+#[derive(Clone, Copy, Default)]
+struct Pixel {
+    color: [f32; 3],
+    /// 1/m; 0 where nothing is known.
+    inverse_depth: f32,
+    /// Whether some map has it.
+    is_mapped: bool,
+}
+
+struct Weighted<'a> {
+    frame: &'a FlowFrame,
+    candidate: Candidate,
+    weight: f32,
+}
+
+/// A view, and its depths.
+pub struct FlowView {
+    pub rendered: Rendered,
+    pub depths: DepthMap,
+}
+
+/// The view at an instant, frames of the reference since the capture's start.
+///
+/// Pixels that no map has, but some camera filmed, get the colour of what is behind; others are not covered.
+pub fn blend(mapped: &[MappedFrame], view: &Camera, time: f64) -> FlowView {
+    let splats: Vec<(MappedFrame, Vec<Candidate>)> =
+        mapped.par_iter().filter_map(|m| Some((*m, splat(*m, view, time)?))).collect();
+    let baseline = |m: &MappedFrame| (m.frame.view.center() - view.center()).norm() as f32;
+    let baselines: Vec<f32> = splats.iter().map(|(m, _)| baseline(m)).collect();
+    let focal = view.focal_px() as f32;
+    let (width, height) = (view.width, view.height);
+    let disparity_px = mapped.iter().map(|m| m.map.disparity_px).fold(0.0, f32::max);
+    let reach = CLUSTER_PX / disparity_px.max(f32::MIN_POSITIVE);
+    let mut pixels = vec![Pixel::default(); width * height];
+    pixels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+        let mut candidates = Vec::with_capacity(splats.len());
+        for (x, pixel) in row.iter_mut().enumerate() {
+            candidates.clear();
+            for ((mapped, splat), baseline) in splats.iter().zip(&baselines) {
+                let candidate = splat[y * width + x];
+                if candidate.confidence > 0.0 {
+                    let frame = mapped.frame;
+                    let place = ERROR_BY_BASELINE * focal * baseline * candidate.inverse_depth;
+                    let dt = (time - frame.time).abs() as f32;
+                    let motion = dt * (ERROR_BY_TIME[0] + ERROR_BY_TIME[1] * candidate.speed);
+                    let variance = ERROR_PX * ERROR_PX + place * place + motion * motion;
+                    let weight = candidate.confidence * candidate.confidence / variance;
+                    candidates.push(Weighted { frame, candidate, weight });
+                }
+            }
+            if let Some(found) = pixel_of(&candidates, reach) {
+                *pixel = found;
+            }
+        }
+    });
+    fill(&mut pixels, width);
+    let behind = Behind::new(mapped, view);
+    pixels.par_iter_mut().enumerate().filter(|(_, p)| !p.is_mapped).for_each(|(k, pixel)| {
+        behind.fill(pixel, [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5]);
+    });
+    let depths = pixels.iter().map(|p| 1.0 / p.inverse_depth).collect();
+    let coverage = pixels.iter().map(|p| p.inverse_depth > 0.0).collect();
+    let is_gray = mapped.iter().all(|m| !m.frame.is_color);
+    let channels = if is_gray { 1 } else { 3 };
+    let data = pixels.iter().flat_map(|p| p.color.into_iter().take(channels)).collect();
+    FlowView {
+        rendered: Rendered { image: Image::from_data(width, height, channels, data), coverage },
+        depths: DepthMap::from_data(width, height, depths),
+    }
+}
+
+/// Frames that may show what no map has in the view.
+struct Behind<'a> {
+    /// Nearest first.
+    frames: Vec<(MappedFrame<'a>, Projection)>,
+}
+
+impl<'a> Behind<'a> {
+    fn new(mapped: &[MappedFrame<'a>], view: &Camera) -> Self {
+        let mut frames: Vec<_> = mapped
+            .iter()
+            .filter_map(|m| Some((*m, Projection::new(view, &m.frame.view)?)))
+            .collect();
+        let distance = |m: &MappedFrame| (m.frame.view.center() - view.center()).norm();
+        frames.sort_by(|a, b| distance(&a.0).total_cmp(&distance(&b.0)));
+        Self { frames }
+    }
+
+    /// Gives a pixel at `place` the colour of the nearest frame that shows its depth, at rest. Keeps its colour if
+    /// something is in front in all of them, and removes its depth if it is outside of all.
+    fn fill(&self, pixel: &mut Pixel, [x, y]: [f32; 2]) {
+        let mut is_filmed = false;
+        for (MappedFrame { frame, map }, projection) in &self.frames {
+            let [u, v, q] = projection.project(x, y, pixel.inverse_depth);
+            let (width, height) = (map.width, map.height);
+            if !(u >= 0.0 && v >= 0.0 && u < width as f32 && v < height as f32) {
+                continue;
+            }
+            let k = v as usize * width + u as usize;
+            if frame.is_filmed.as_ref().is_some_and(|is_filmed| !is_filmed[k]) {
+                continue;
+            }
+            is_filmed = true;
+            let in_front = map.pixels()[k].inverse_depth - q;
+            if in_front * map.disparity_px < CLUSTER_PX {
+                frame.image.sample_cubic(u, v, &mut pixel.color);
+                pixel.color = pixel.color.map(|c| c.clamp(0.0, 1.0));
+                return;
+            }
+        }
+        if !is_filmed {
+            *pixel = Pixel::default();
+        }
+    }
+}
+
+/// The pixel of the nearest cluster with enough weight, and what shows through it. `None` without candidates.
+fn pixel_of(candidates: &[Weighted], reach: f32) -> Option<Pixel> {
+    let total: f32 = candidates.iter().map(|c| c.weight).sum();
+    let support = |q: f32| -> f32 {
+        let near = candidates.iter().filter(|c| (c.candidate.inverse_depth - q).abs() < reach);
+        near.map(|c| c.weight).sum()
+    };
+    let heaviest = |min: f32, max: f32| {
+        let within = candidates.iter().map(|c| c.candidate.inverse_depth);
+        let supports = within.filter(|q| *q > min && *q < max).map(|q| (q, support(q)));
+        supports.fold((0.0, 0.0), |best, new| if new.1 > best.1 { new } else { best })
+    };
+    let (mut q, mut weight) = heaviest(f32::NEG_INFINITY, f32::INFINITY);
+    let in_front = candidates.iter().map(|c| c.candidate.inverse_depth);
+    let front = in_front.filter(|f| *f > q && support(*f) > FRONT * total).fold(q, f32::max);
+    if front > q {
+        (q, weight) = heaviest(front - reach, front + reach);
+    }
+    let mut pixel = mean_of(candidates, q, reach)?;
+    let (behind, weight_behind) = heaviest(f32::NEG_INFINITY, q - 2.0 * reach);
+    if weight_behind > BEHIND * total {
+        let opacity = ((weight / total - FRONT) / (OPAQUE - FRONT)).clamp(0.0, 1.0);
+        if opacity < 1.0
+            && let Some(back) = mean_of(candidates, behind, reach)
+        {
+            for (color, back) in pixel.color.iter_mut().zip(back.color) {
+                *color = opacity * *color + (1.0 - opacity) * back;
+            }
+        }
+    }
+    Some(pixel)
+}
+
+/// The mean of a cluster; colours that differ count less.
+fn mean_of(candidates: &[Weighted], q: f32, reach: f32) -> Option<Pixel> {
+    let mut colors: Vec<([f32; 3], f32)> = Vec::with_capacity(candidates.len());
+    let (mut depths, mut weights) = (0.0, 0.0);
+    let cluster = || candidates.iter().filter(|c| (c.candidate.inverse_depth - q).abs() < reach);
+    // Grey cameras say nothing of colour.
+    let has_color = cluster().any(|c| c.frame.is_color);
+    for c in cluster().filter(|c| c.frame.is_color == has_color) {
+        let [x, y] = c.candidate.source;
+        let mut color = [0.0; 3];
+        c.frame.image.sample_cubic(x, y, &mut color);
+        colors.push((color, c.weight));
+        depths += c.weight * c.candidate.inverse_depth;
+        weights += c.weight;
+    }
+    if colors.is_empty() {
+        return None;
+    }
+    let mean = |factor: &dyn Fn(&[f32; 3]) -> f32| {
+        let (mut sum, mut weights) = ([0.0f32; 3], 0.0f32);
+        for (color, weight) in &colors {
+            let weight = weight * factor(color);
+            (0..3).for_each(|c| sum[c] += weight * color[c]);
+            weights += weight;
+        }
+        sum.map(|v| v / weights)
+    };
+    let mut color = mean(&|_| 1.0);
+    for _ in 0..2 {
+        color = mean(&|c| {
+            let difference: f32 = (0..3).map(|k| (c[k] - color[k]).powi(2)).sum();
+            1.0 / (1.0 + difference / (COLOR * COLOR)).powi(2)
+        });
+    }
+    let color = color.map(|c| c.clamp(0.0, 1.0));
+    Some(Pixel { color, inverse_depth: depths / weights, is_mapped: true })
+}
+
+/// Fills what no map has from what is behind it, ring by ring.
+fn fill(pixels: &mut [Pixel], width: usize) {
+    let height = pixels.len() / width;
+    let mut open: Vec<usize> = (0..pixels.len()).filter(|&k| !pixels[k].is_mapped).collect();
+    let mut filled: Vec<bool> = pixels.iter().map(|p| p.is_mapped).collect();
+    loop {
+        let mut ring = Vec::new();
+        for &k in &open {
+            let (x, y) = (k % width, k / width);
+            let around = [
+                (x > 0).then(|| k - 1),
+                (x + 1 < width).then_some(k + 1),
+                (y > 0).then(|| k - width),
+                (y + 1 < height).then_some(k + width),
+            ];
+            let neighbors = around.into_iter().flatten().filter(|&n| filled[n]);
+            let depth = |n: &usize| pixels[*n].inverse_depth;
+            if let Some(n) = neighbors.min_by(|a, b| depth(a).total_cmp(&depth(b))) {
+                ring.push((k, n));
+            }
+        }
+        if ring.is_empty() {
+            return;
+        }
+        for &(k, n) in &ring {
+            pixels[k] = Pixel { is_mapped: false, ..pixels[n] };
+        }
+        ring.iter().for_each(|(k, _)| filled[*k] = true);
+        open.retain(|k| !filled[*k]);
+    }
+}

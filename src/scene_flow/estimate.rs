@@ -1,0 +1,122 @@
+//! Maps of several frames together, from coarse to fine.
+
+use super::element::Element;
+use super::frame::FlowFrame;
+use super::map::{ElementMap, FlowMap};
+use super::matching::{Matcher, Observation};
+use super::sweep::Pass;
+use super::transfer::{Proposals, confidence};
+use crate::random::Random;
+use rayon::prelude::*;
+
+/// Passes a level, finest first, and chances a pixel in each of them.
+const PASSES: [usize; 4] = [2, 2, 3, 4];
+const CHANCES: [usize; 4] = [1, 2, 10, 50];
+
+/// Ranges of the search.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// 1/m.
+    pub inverse_depth: [f32; 2],
+    /// Pixels a frame.
+    pub max_speed: f32,
+}
+
+/// Maps to estimate together, so that each proposes to the others.
+pub struct Estimation<'a> {
+    /// The frames that get a map, and for each of them the frames that it is matched with.
+    pub frames: &'a [(&'a FlowFrame, Vec<&'a FlowFrame>)],
+    pub limits: Limits,
+    /// Twice the distance of neighbouring cameras, metres: that of the cameras between which disparities are stated.
+    pub baseline_m: f64,
+}
+
+impl Estimation<'_> {
+    /// The frames' maps, the same for any number of threads. None if `proceed`, which is asked before every pass, says
+    /// no.
+    pub fn run(&self, proceed: &(dyn Fn() -> bool + Sync)) -> Vec<FlowMap> {
+        let disparity_px = |f: &FlowFrame| (f.view.focal_px() * self.baseline_m) as f32;
+        let frames: Vec<&FlowFrame> = self.frames.iter().map(|(f, _)| *f).collect();
+        let disparities_px: Vec<f32> = frames.iter().map(|f| disparity_px(f)).collect();
+        let observations: Vec<Vec<Observation>> = self
+            .frames
+            .iter()
+            .map(|(f, others)| others.iter().filter_map(|o| Observation::new(f, o)).collect())
+            .collect();
+        // Cameras of different sizes have their finest levels in common.
+        let levels = self.frames.iter().flat_map(|(f, others)| others.iter().chain([f]));
+        let levels = levels.map(|f| f.levels.len()).min().unwrap_or(0);
+        let mut maps: Vec<ElementMap> = Vec::new();
+        for level in (0..levels).rev() {
+            maps = (0..frames.len()).map(|f| self.begin(f, level, maps.get(f))).collect();
+            let [passes, chances] = [PASSES, CHANCES].map(|of| of[level.min(of.len() - 1)]);
+            for turn in 0..passes {
+                if !proceed() {
+                    return Vec::new();
+                }
+                let is_first = turn == 0 && level + 1 == levels;
+                let proposals: Vec<Option<Proposals>> = (0..maps.len())
+                    .into_par_iter()
+                    .map(|f| (!is_first).then(|| Proposals::new(&frames, &maps, f)))
+                    .collect();
+                maps.par_iter_mut().zip(&proposals).enumerate().for_each(
+                    |(f, (map, proposals))| {
+                        let matcher = Matcher {
+                            own: &frames[f].levels[level],
+                            observations: &observations[f],
+                            level,
+                            scale: map.scale,
+                            disparity_px: disparities_px[f],
+                        };
+                        let is_last = turn + 1 == passes;
+                        matcher.pass(
+                            map,
+                            &Pass {
+                                limits: self.limits,
+                                turn,
+                                is_last,
+                                chances: if is_last { chances / 3 } else { chances },
+                                proposals: proposals.as_ref(),
+                                seed: (f * 1000 + turn * 17 + level) as u64,
+                            },
+                        );
+                    },
+                );
+            }
+        }
+        let packed = |f: usize| {
+            let disparity_px = disparities_px[f];
+            let confidence = confidence(&frames, &maps, f, disparity_px);
+            FlowMap::new(&maps[f], &confidence, disparity_px)
+        };
+        (0..maps.len()).into_par_iter().map(packed).collect()
+    }
+
+    /// The map that a level begins with: the coarser one's elements, or random depths at rest.
+    fn begin(&self, f: usize, level: usize, coarser: Option<&ElementMap>) -> ElementMap {
+        let image = &self.frames[f].0.levels[level];
+        let (width, height) = (image.width, image.height);
+        let scale = (1 << level) as f32;
+        let mut random = Random::new(f as u64);
+        let [min, max] = self.limits.inverse_depth;
+        let element = |k: usize| {
+            let Some(coarser) = coarser else {
+                let inverse_depth = min + (max - min) * random.unit() as f32;
+                return Element { inverse_depth, ..Element::default() };
+            };
+            let (x, y) = (k % width, k / width);
+            let at = parent(coarser, x, y);
+            coarser.element_at(at, [(x as f32 + 0.5) * scale, (y as f32 + 0.5) * scale])
+        };
+        let elements: Vec<Element> = (0..width * height).map(element).collect();
+        // The coarser level's costs say what is settled.
+        let cost = |k: usize| coarser.map_or(0.0, |c| c.costs[parent(c, k % width, k / width)]);
+        let costs = (0..width * height).map(cost).collect();
+        ElementMap { width, height, scale, elements, costs }
+    }
+}
+
+/// The pixel of a coarser map that holds a pixel of the next finer one.
+fn parent(coarser: &ElementMap, x: usize, y: usize) -> usize {
+    (y / 2).min(coarser.height - 1) * coarser.width + (x / 2).min(coarser.width - 1)
+}

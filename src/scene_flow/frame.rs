@@ -1,0 +1,163 @@
+//! Frames as they are matched: a pyramid of brightness, colour and gradients.
+
+use crate::camera::{Camera, CameraModel};
+use crate::raster::Image;
+use nalgebra::Point2;
+
+/// Weights of a sample's channels: brightness, red minus blue, and the gradients of brightness. Gradients find
+/// outlines and survive what is left of differences in exposure.
+pub const WEIGHTS: [f32; 4] = [1.0, 0.5, 1.5, 1.5];
+/// Brightness of red, green and blue.
+const LUMA: [f32; 3] = [0.3, 0.59, 0.11];
+
+/// What is compared at a pixel: brightness, red minus blue, horizontal and vertical gradient of brightness, each times
+/// its weight.
+pub type Sample = [f32; 4];
+
+/// An image of samples.
+pub struct MatchingImage {
+    pub width: usize,
+    pub height: usize,
+    samples: Vec<Sample>,
+}
+
+impl MatchingImage {
+    /// The pyramid of an image, finest first: every level has half of the size of the one before.
+    pub fn pyramid(image: &Image, levels: usize) -> Vec<Self> {
+        let (mut width, mut height) = (image.width(), image.height());
+        let rgb = image.to_rgb();
+        let mut pixels: Vec<[f32; 3]> =
+            rgb.data().chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+        let mut pyramid = vec![Self::new(width, height, &pixels)];
+        for _ in 1..levels {
+            pixels = halved(width, height, &pixels);
+            (width, height) = (width / 2, height / 2);
+            pyramid.push(Self::new(width, height, &pixels));
+        }
+        pyramid
+    }
+
+    fn new(width: usize, height: usize, pixels: &[[f32; 3]]) -> Self {
+        let luma = |p: &[f32; 3]| LUMA[0] * p[0] + LUMA[1] * p[1] + LUMA[2] * p[2];
+        let brightness: Vec<f32> = pixels.iter().map(luma).collect();
+        let mut samples = Vec::with_capacity(width * height);
+        for y in 0..height {
+            let [above, below] = [y.saturating_sub(1), (y + 1).min(height - 1)];
+            for x in 0..width {
+                let [left, right] = [x.saturating_sub(1), (x + 1).min(width - 1)];
+                let at = |x: usize, y: usize| brightness[y * width + x];
+                let color = pixels[y * width + x];
+                samples.push([
+                    WEIGHTS[0] * at(x, y),
+                    WEIGHTS[1] * (color[0] - color[2]),
+                    WEIGHTS[2] * 0.5 * (at(right, y) - at(left, y)),
+                    WEIGHTS[3] * 0.5 * (at(x, below) - at(x, above)),
+                ]);
+            }
+        }
+        Self { width, height, samples }
+    }
+
+    #[inline(always)]
+    pub fn pixel(&self, x: usize, y: usize) -> Sample {
+        self.samples[y * self.width + x]
+    }
+
+    /// Bilinear sample at a position whose pixel centres are whole numbers, in `[0, width − 1) × [0, height − 1)`.
+    #[inline(always)]
+    pub fn sample(&self, x: f32, y: f32) -> Sample {
+        let (column, row) = (x as usize, y as usize);
+        let (fx, fy) = (x - column as f32, y - row as f32);
+        let k = row * self.width + column;
+        let upper = &self.samples[k..k + 2];
+        let lower = &self.samples[k + self.width..k + self.width + 2];
+        let mut sample = [0.0; 4];
+        for c in 0..4 {
+            let top = upper[0][c] + fx * (upper[1][c] - upper[0][c]);
+            let bottom = lower[0][c] + fx * (lower[1][c] - lower[0][c]);
+            sample[c] = top + fy * (bottom - top);
+        }
+        sample
+    }
+}
+
+/// Means of 2×2 pixels; an odd row or column is dropped.
+fn halved(width: usize, height: usize, pixels: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let (columns, rows) = (width / 2, height / 2);
+    let mean = |k: usize| {
+        let (x, y) = (2 * (k % columns), 2 * (k / columns));
+        let at = |dx: usize, dy: usize| pixels[(y + dy) * width + x + dx];
+        let four = [at(0, 0), at(1, 0), at(0, 1), at(1, 1)];
+        [0, 1, 2].map(|c| 0.25 * four.iter().map(|p| p[c]).sum::<f32>())
+    };
+    (0..columns * rows).map(mean).collect()
+}
+
+/// A frame of a camera, at its own time, without lens distortion.
+pub struct FlowFrame {
+    /// A pinhole camera.
+    pub view: Camera,
+    /// Frames of the reference camera, since the capture's start.
+    pub time: f64,
+    pub is_color: bool,
+    /// As bright as the reference camera records it; 3 channels.
+    pub image: Image,
+    /// Whether the camera filmed the pixel; `None`: it filmed all of them.
+    pub is_filmed: Option<Vec<bool>>,
+    /// Finest first.
+    pub levels: Vec<MatchingImage>,
+}
+
+/// Images are halved until their shorter side would be less than this, pixels.
+const MIN_SIDE_PX: usize = 48;
+/// Most levels.
+const MAX_LEVELS: usize = 5;
+
+/// The number of levels of images of this size.
+pub fn levels(width: usize, height: usize) -> usize {
+    let halvings = (width.min(height) / MIN_SIDE_PX).max(1).ilog2() as usize;
+    (halvings + 1).min(MAX_LEVELS)
+}
+
+impl FlowFrame {
+    /// A frame, from a camera's image as the reference camera would record it.
+    pub fn new(camera: &Camera, image: &Image, time: f64) -> Self {
+        let (fx, fy, cx, cy) = camera.model.intrinsics();
+        let view = Camera { model: CameraModel::Pinhole { fx, fy, cx, cy }, ..camera.clone() };
+        let is_color = image.channels() > 1;
+        let image = image.to_rgb();
+        let (image, is_filmed) = if camera.model.is_pinhole() {
+            (image, None)
+        } else {
+            let (image, is_filmed) = undistorted(camera, &view, &image);
+            (image, Some(is_filmed))
+        };
+        let levels = MatchingImage::pyramid(&image, levels(camera.width, camera.height));
+        Self { view, time, is_color, image, is_filmed, levels }
+    }
+
+    /// Its size in memory, bytes.
+    pub fn bytes(&self) -> usize {
+        let pixels: usize = self.levels.iter().map(|l| l.width * l.height).sum();
+        size_of_val(self.image.data()) + pixels * size_of::<Sample>()
+    }
+}
+
+/// An image as a pinhole camera would film it, and which of its pixels the camera filmed.
+fn undistorted(camera: &Camera, pinhole: &Camera, image: &Image) -> (Image, Vec<bool>) {
+    let (width, height) = (camera.width, camera.height);
+    let mut out = Image::filled(width, height, 3, 0.0);
+    let mut is_filmed = vec![false; width * height];
+    for (k, (color, is_filmed)) in
+        out.data_mut().chunks_exact_mut(3).zip(&mut is_filmed).enumerate()
+    {
+        let pixel = Point2::new((k % width) as f64 + 0.5, (k / width) as f64 + 0.5);
+        let Some(ray) = pinhole.ray(&pixel) else { continue };
+        let Some(filmed) = camera.project_cam(&ray.into()) else { continue };
+        *is_filmed = camera.contains(&filmed);
+        if *is_filmed {
+            image.sample_cubic(filmed.x as f32, filmed.y as f32, color);
+        }
+    }
+    (out, is_filmed)
+}

@@ -1,0 +1,97 @@
+//! One Gauss–Newton step on depth and motion, from the gradients of all frames that see the element.
+
+use super::element::Element;
+use super::matching::{Costs, Matcher, Patch};
+use nalgebra::{Matrix6, Vector6};
+
+/// Weight of the prior, as a fraction of a patch whose gradients are all 1 a pixel.
+const PRIOR: f64 = 1e-6;
+/// How many times stiffer the rate of the inverse depth is: it is least visible.
+const RATE_STIFFNESS: f64 = 16.0;
+/// How many times stronger it is pulled to 0.
+const RATE_PULL: f64 = 10.0;
+/// Largest step, pixels of the level.
+const MAX_STEP_PX: f32 = 3.0;
+/// Largest acceleration, pixels a frame squared, and largest rate of inverse depth, pixels of disparity a frame.
+const MAX_ACCELERATION: f32 = 40.0;
+const MAX_RATE_PX: f32 = 12.0;
+/// Step of disparity by which a derivative is taken, pixels.
+const DISPARITY_STEP_PX: f32 = 1.0;
+
+impl Matcher<'_> {
+    /// The element after a step; `None` if the equations have no solution. `costs` and `cost` are the element's.
+    pub fn step(
+        &self,
+        e: &Element,
+        (x, y): (usize, usize),
+        patch: &Patch,
+        costs: &Costs,
+        cost: f32,
+    ) -> Option<Element> {
+        let mut normal = Matrix6::<f64>::zeros();
+        let mut gradient = Vector6::<f64>::zeros();
+        let s = self.scale;
+        let (px, py) = ((x as f32 + 0.5) * s, (y as f32 + 0.5) * s);
+        // Frames that see something else have no say.
+        let max_cost = 2.0 * cost + 0.02;
+        self.for_each_gradient(e, (x, y), patch, costs, max_cost, |o, [xx, xy, yy], [rx, ry]| {
+            let [mx, my, q] = e.moved(px, py, o.dt);
+            let step = DISPARITY_STEP_PX / self.disparity_px;
+            let [u, v, _] = o.projection.project(mx, my, q);
+            let [u1, v1, _] = o.projection.project(mx, my, q + step);
+            let by_depth = [(u1 - u) / step / s, (v1 - v) / step / s];
+            let (by_velocity, by_acceleration) = (o.dt / s, 0.5 * o.dt * o.dt / s);
+            // Pixels of the level in the observation, by each unknown.
+            let columns = [
+                by_depth,
+                [by_velocity, 0.0],
+                [0.0, by_velocity],
+                by_depth.map(|d| d * o.dt),
+                [by_acceleration, 0.0],
+                [0.0, by_acceleration],
+            ];
+            for (i, [a, b]) in columns.into_iter().enumerate() {
+                gradient[i] += f64::from(a * rx + b * ry);
+                for (j, [c, d]) in columns.into_iter().enumerate().take(i + 1) {
+                    normal[(i, j)] += f64::from(a * c * xx + (a * d + b * c) * xy + b * d * yy);
+                }
+            }
+        });
+        let weight = PRIOR * f64::from(patch.weight());
+        let depth = (f64::from(self.disparity_px / s)).powi(2);
+        let motion = f64::from(1.0 / s).powi(2);
+        let prior = [depth, motion, motion, RATE_STIFFNESS * depth, motion, motion];
+        for (i, p) in prior.into_iter().enumerate() {
+            normal[(i, i)] += weight * p;
+        }
+        let pulled = [
+            (3, RATE_PULL, e.inverse_depth_rate),
+            (4, 1.0, e.acceleration[0]),
+            (5, 1.0, e.acceleration[1]),
+        ];
+        for (i, pull, value) in pulled {
+            normal[(i, i)] += pull * weight * prior[i];
+            gradient[i] += pull * weight * prior[i] * f64::from(value);
+        }
+        // The prior makes the matrix positive definite; Cholesky reads its lower half alone.
+        let step = normal.cholesky()?.solve(&-gradient);
+        let step: [f32; 6] = std::array::from_fn(|i| step[i] as f32);
+        if !step.iter().all(|v| v.is_finite()) {
+            return None;
+        }
+        let length = step[1].hypot(step[2]).max(step[0].abs() * self.disparity_px);
+        let k = (MAX_STEP_PX * s / length.max(f32::MIN_POSITIVE)).min(1.0);
+        let max_rate = MAX_RATE_PX / self.disparity_px;
+        let clamped = |v: f32, max: f32| v.clamp(-max, max);
+        Some(Element {
+            inverse_depth: e.inverse_depth + k * step[0],
+            velocity: [e.velocity[0] + k * step[1], e.velocity[1] + k * step[2]],
+            inverse_depth_rate: clamped(e.inverse_depth_rate + k * step[3], max_rate),
+            acceleration: [
+                clamped(e.acceleration[0] + k * step[4], MAX_ACCELERATION),
+                clamped(e.acceleration[1] + k * step[5], MAX_ACCELERATION),
+            ],
+            ..*e
+        })
+    }
+}

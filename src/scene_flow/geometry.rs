@@ -1,0 +1,48 @@
+//! Where one camera's surface elements are in another camera.
+
+use crate::camera::Camera;
+use nalgebra::Matrix3;
+
+/// From pixels and inverse depths of one pinhole camera to those of another: `h = A (x, y, 1) + q b`. Computed in f64;
+/// f32 holds a pixel of an image 4,000 wide to 0.0005.
+#[derive(Clone, Copy, Debug)]
+pub struct Projection {
+    a: [[f32; 3]; 3],
+    b: [f32; 3],
+}
+
+/// Smallest third coordinate that is divided by: what is nearer to the camera's plane, or behind it, is far outside of
+/// every image.
+const MIN_RATIO: f32 = 1e-6;
+
+impl Projection {
+    /// The projection between two cameras, whose lens distortion is left out. `None` if the first has no inverse.
+    pub fn new(from: &Camera, to: &Camera) -> Option<Self> {
+        let to_from = to.cam_from_world * from.cam_from_world.inverse();
+        let rotation = to_from.rotation.to_rotation_matrix();
+        let a = intrinsic_matrix(to) * rotation.matrix() * intrinsic_matrix(from).try_inverse()?;
+        let b = intrinsic_matrix(to) * to_from.translation.vector;
+        let a = [0, 1, 2].map(|i| [0, 1, 2].map(|j| a[(i, j)] as f32));
+        Some(Self { a, b: [b.x as f32, b.y as f32, b.z as f32] })
+    }
+
+    /// The pixel in the other camera, and the inverse depth there; outside of every image if the point is behind it.
+    #[inline(always)]
+    pub fn project(&self, x: f32, y: f32, q: f32) -> [f32; 3] {
+        let row = |i: usize| {
+            let [a, b, c] = self.a[i];
+            a * x + b * y + c + q * self.b[i]
+        };
+        let [u, v, w] = [row(0), row(1), row(2)];
+        if w < MIN_RATIO {
+            return [-1e9, -1e9, 0.0];
+        }
+        let inverse = 1.0 / w;
+        [u * inverse, v * inverse, q * inverse]
+    }
+}
+
+fn intrinsic_matrix(camera: &Camera) -> Matrix3<f64> {
+    let (fx, fy, cx, cy) = camera.model.intrinsics();
+    Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
+}

@@ -1,0 +1,277 @@
+//! How well the frames of all cameras, each at its own time, agree on a surface element.
+
+use super::element::Element;
+use super::frame::{FlowFrame, MatchingImage, Sample, WEIGHTS};
+use super::geometry::Projection;
+
+/// Largest difference of a channel that counts: what differs more is something else.
+const TRUNCATION: Sample = [0.12, 0.084, 0.084, 0.084];
+/// Difference of two pixels' colours at which the second counts for 1/e in the first one's patch.
+const PATCH_COLOR: f32 = 0.08;
+/// Half-width of a patch at the finest level and at all others, pixels of the level, and the step between its pixels
+/// there.
+const PATCH_FINEST: (i32, i32) = (4, 2);
+const PATCH_COARSE: (i32, i32) = (2, 1);
+/// Residual of brightness at which a pixel of a patch counts half in a Gauss–Newton step.
+const RESIDUAL: f32 = 0.05;
+/// Largest number of pixels of a patch.
+const PATCH_PIXELS: usize = 25;
+/// Fraction of the observations that count, those that agree best: others may not see the element.
+const BEST_FRACTION: f32 = 0.55;
+/// Least number of observations that count.
+const MIN_BEST: usize = 4;
+/// No cost of an observation inside of its image is as large.
+const OUTSIDE: f32 = 1.0;
+/// Cost of an observation outside of its image, if it has to count: worse than a match, better than a mismatch.
+const OUTSIDE_COST: f32 = 0.19;
+/// What it costs if all observations are outside of their images, so that none is left out for nothing.
+const OUTSIDE_PENALTY: f32 = 0.05;
+/// Most frames that a frame is matched with.
+pub const MAX_OBSERVATIONS: usize = 16;
+
+/// A frame that may see what another frame sees.
+pub struct Observation<'a> {
+    /// Frames of the reference camera after the frame that is matched.
+    pub dt: f32,
+    pub projection: Projection,
+    pub levels: &'a [MatchingImage],
+    truncation: Sample,
+}
+
+impl<'a> Observation<'a> {
+    /// `None` if a camera has no inverse.
+    pub fn new(of: &FlowFrame, by: &'a FlowFrame) -> Option<Self> {
+        let mut truncation = TRUNCATION;
+        if !(of.is_color && by.is_color) {
+            truncation[1] = 0.0;
+        }
+        Some(Self {
+            dt: (by.time - of.time) as f32,
+            projection: Projection::new(&of.view, &by.view)?,
+            levels: &by.levels,
+            truncation,
+        })
+    }
+}
+
+/// The pixels around a pixel that are likely on its surface.
+pub struct Patch {
+    pixels: [PatchPixel; PATCH_PIXELS],
+    count: usize,
+    /// One over the sum of all weights.
+    normalization: f32,
+}
+
+#[derive(Clone, Copy, Default)]
+struct PatchPixel {
+    offset: [f32; 2],
+    weight: f32,
+    sample: Sample,
+}
+
+impl Patch {
+    pub fn empty() -> Self {
+        Self { pixels: [PatchPixel::default(); PATCH_PIXELS], count: 0, normalization: 0.0 }
+    }
+
+    fn pixels(&self) -> &[PatchPixel] {
+        &self.pixels[..self.count]
+    }
+
+    /// Sum of all weights.
+    pub fn weight(&self) -> f32 {
+        1.0 / self.normalization
+    }
+}
+
+/// One cost an observation.
+pub type Costs = [f32; MAX_OBSERVATIONS];
+
+/// Matches one frame with others, at one level.
+pub struct Matcher<'a> {
+    pub own: &'a MatchingImage,
+    pub observations: &'a [Observation<'a>],
+    pub level: usize,
+    /// Pixels of the full image a pixel of the level.
+    pub scale: f32,
+    /// Pixels of disparity of an inverse depth of 1/m, for two cameras as far apart as the rig's are.
+    pub disparity_px: f32,
+}
+
+/// The place of a patch in an observation, pixels of the level, from the first pixel's centre: that of its own
+/// centre, and its change for a step of a pixel of the level to the right and down.
+struct Footprint {
+    center: [f32; 2],
+    right: [f32; 2],
+    down: [f32; 2],
+}
+
+impl Footprint {
+    #[inline(always)]
+    fn at(&self, [dx, dy]: [f32; 2]) -> [f32; 2] {
+        [
+            self.center[0] + dx * self.right[0] + dy * self.down[0],
+            self.center[1] + dx * self.right[1] + dy * self.down[1],
+        ]
+    }
+
+    /// How far a patch of this half-width extends from its centre, horizontally and vertically.
+    #[inline(always)]
+    fn extent(&self, radius: f32) -> [f32; 2] {
+        [0, 1].map(|c| radius * (self.right[c].abs() + self.down[c].abs()))
+    }
+}
+
+/// Difference of two pixels' brightnesses and colours.
+#[inline(always)]
+pub fn color_difference(a: &Sample, b: &Sample) -> f32 {
+    (a[0] - b[0]).abs() + (a[1] - b[1]).abs()
+}
+
+impl Matcher<'_> {
+    fn patch_shape(&self) -> (i32, i32) {
+        if self.level == 0 { PATCH_FINEST } else { PATCH_COARSE }
+    }
+
+    /// The patch around a pixel.
+    pub fn fill_patch(&self, x: usize, y: usize, patch: &mut Patch) {
+        let (radius, step) = self.patch_shape();
+        let (width, height) = (self.own.width as i32, self.own.height as i32);
+        let center = self.own.pixel(x, y);
+        let (mut count, mut sum) = (0, 0.0);
+        for dy in (-radius..=radius).step_by(step as usize) {
+            for dx in (-radius..=radius).step_by(step as usize) {
+                let (u, v) = (x as i32 + dx, y as i32 + dy);
+                if u < 0 || v < 0 || u >= width || v >= height {
+                    continue;
+                }
+                let sample = self.own.pixel(u as usize, v as usize);
+                let distance = (dx * dx + dy * dy) as f32 / (radius * radius) as f32;
+                let difference = color_difference(&sample, &center) / PATCH_COLOR;
+                let weight = (-difference - 0.5 * distance).exp();
+                let offset = [dx as f32, dy as f32];
+                patch.pixels[count] = PatchPixel { offset, weight, sample };
+                count += 1;
+                sum += weight;
+            }
+        }
+        patch.count = count;
+        // The centre's weight is 1.
+        patch.normalization = 1.0 / sum;
+    }
+
+    #[inline(always)]
+    fn footprint(&self, o: &Observation, e: &Element, x: usize, y: usize) -> Footprint {
+        let s = self.scale;
+        let (cx, cy) = ((x as f32 + 0.5) * s, (y as f32 + 0.5) * s);
+        let place = |dx: f32, dy: f32| {
+            let [mx, my, q] = e.at(dx, dy).moved(cx + dx, cy + dy, o.dt);
+            let [u, v, _] = o.projection.project(mx, my, q);
+            [u / s - 0.5, v / s - 0.5]
+        };
+        let (center, right, down) = (place(0.0, 0.0), place(s, 0.0), place(0.0, s));
+        let from_center = |p: [f32; 2]| [p[0] - center[0], p[1] - center[1]];
+        Footprint { center, right: from_center(right), down: from_center(down) }
+    }
+
+    /// The cost of an element: the mean of those observations that agree best. `costs` gets that of each.
+    #[inline(always)]
+    pub fn cost(&self, e: &Element, x: usize, y: usize, patch: &Patch, costs: &mut Costs) -> f32 {
+        let radius = self.patch_shape().0 as f32;
+        for (o, cost) in self.observations.iter().zip(costs.iter_mut()) {
+            let image = &o.levels[self.level];
+            let footprint = self.footprint(o, e, x, y);
+            let [u, v] = footprint.center;
+            let limit = [image.width as f32 - 1.001, image.height as f32 - 1.001];
+            if !(u > 0.0 && v > 0.0 && u < limit[0] && v < limit[1]) {
+                *cost = 2.0 * OUTSIDE;
+                continue;
+            }
+            let [ex, ey] = footprint.extent(radius);
+            let is_inside = u - ex > 0.0 && v - ey > 0.0 && u + ex < limit[0] && v + ey < limit[1];
+            let mut sum = [0.0; 4];
+            for p in patch.pixels() {
+                let [mut u, mut v] = footprint.at(p.offset);
+                if !is_inside {
+                    (u, v) = (u.max(0.0).min(limit[0]), v.max(0.0).min(limit[1]));
+                }
+                let sample = image.sample(u, v);
+                for c in 0..4 {
+                    let difference = (sample[c] - p.sample[c]).abs();
+                    sum[c] += p.weight * difference.min(o.truncation[c]);
+                }
+            }
+            *cost = (sum[0] + sum[1] + sum[2] + sum[3]) * patch.normalization;
+        }
+        self.best(costs)
+    }
+
+    /// The mean of the smallest costs: of a fraction of the frames in which the element is inside.
+    #[inline(always)]
+    fn best(&self, costs: &Costs) -> f32 {
+        let n = self.observations.len();
+        let inside = costs[..n].iter().filter(|c| **c < OUTSIDE).count();
+        let count = ((inside as f32 * BEST_FRACTION).round() as usize).max(MIN_BEST).min(n);
+        let mut sorted = [f32::MAX; MAX_OBSERVATIONS];
+        for (k, &cost) in costs[..n].iter().enumerate() {
+            let mut j = k;
+            while j > 0 && sorted[j - 1] > cost {
+                sorted[j] = sorted[j - 1];
+                j -= 1;
+            }
+            sorted[j] = cost;
+        }
+        let cost = |c: &f32| if *c < OUTSIDE { *c } else { OUTSIDE_COST };
+        let outside = (n - inside) as f32 / n.max(1) as f32;
+        sorted[..count].iter().map(cost).sum::<f32>() / count.max(1) as f32
+            + OUTSIDE_PENALTY * outside
+    }
+
+    /// Calls `f` for every observation that sees the element, with its part of the normal equations: sums over the
+    /// patch of the products of image gradients, `[xx, xy, yy]`, and of gradients and residuals, `[x, y]`, per pixel of
+    /// the level.
+    pub fn for_each_gradient(
+        &self,
+        e: &Element,
+        (x, y): (usize, usize),
+        patch: &Patch,
+        costs: &Costs,
+        max_cost: f32,
+        mut f: impl FnMut(&Observation, [f32; 3], [f32; 2]),
+    ) {
+        for (o, _) in self.observations.iter().zip(costs).filter(|(_, c)| **c <= max_cost) {
+            let image = &o.levels[self.level];
+            let footprint = self.footprint(o, e, x, y);
+            let limit = [image.width as f32 - 1.001, image.height as f32 - 1.001];
+            let (mut products, mut residuals) = ([0.0f32; 3], [0.0f32; 2]);
+            for p in patch.pixels() {
+                let [u, v] = footprint.at(p.offset);
+                if !(u > 0.0 && v > 0.0 && u < limit[0] && v < limit[1]) {
+                    continue;
+                }
+                let s = image.sample(u, v);
+                let residual = (s[0] - p.sample[0]) / WEIGHTS[0];
+                let gx = 0.5 * (s[2] + p.sample[2]) / WEIGHTS[2];
+                let gy = 0.5 * (s[3] + p.sample[3]) / WEIGHTS[3];
+                let weight = p.weight / (1.0 + (residual / RESIDUAL).powi(2));
+                products[0] += weight * gx * gx;
+                products[1] += weight * gx * gy;
+                products[2] += weight * gy * gy;
+                residuals[0] += weight * gx * residual;
+                residuals[1] += weight * gy * residual;
+            }
+            f(o, products, residuals);
+        }
+    }
+
+    /// How different two elements of one pixel are, pixels of the level.
+    #[inline(always)]
+    pub fn distance(&self, a: &Element, b: &Element) -> f32 {
+        let change = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs() + (a[1] - b[1]).abs();
+        ((a.inverse_depth - b.inverse_depth).abs() * self.disparity_px
+            + 0.5 * change(a.velocity, b.velocity)
+            + 0.5 * (a.inverse_depth_rate - b.inverse_depth_rate).abs() * self.disparity_px
+            + 0.1 * change(a.acceleration, b.acceleration))
+            / self.scale
+    }
+}

@@ -1,0 +1,240 @@
+//! PatchMatch (Barnes et al. 2009; Bleyer et al. 2011): a pass over a map's pixels, in which each takes what its
+//! neighbours, other frames' maps, chance, and a step of Gauss–Newton propose, if the frames agree on it better.
+
+use super::element::Element;
+use super::estimate::Limits;
+use super::map::ElementMap;
+use super::matching::{Costs, MAX_OBSERVATIONS, Matcher, Patch, color_difference};
+use super::transfer::Proposals;
+use crate::random::Random;
+
+/// Cost of a pixel of disparity, or two of motion, between neighbours.
+const SMOOTHNESS: f32 = 0.004;
+/// Distance of neighbours above which it costs no more, pixels of the level.
+const MAX_ROUGHNESS_PX: f32 = 2.0;
+/// Difference of colours at which smoothness counts for 1/e, and how much it counts at least.
+const COLOR: f32 = 0.08;
+const MIN_COLOR_WEIGHT: f32 = 0.1;
+/// Cost below which nothing is left to chance.
+const MATCHED: f32 = 0.012;
+/// Distance below which two elements are the same, pixels of the level.
+const SAME_PX: f32 = 0.08;
+/// Speed below which a pixel is at rest, pixels a frame.
+const STILL_PX: f32 = 0.3;
+/// At the finest levels, elements faster than this are not tried at rest, pixels a frame.
+const MAX_SPEED_TO_REST_PX: f32 = 4.0;
+/// At the coarsest levels, the fraction of chances that are anywhere; of these, those at rest, and those that keep their depth.
+const ANYWHERE: f32 = 0.7;
+const AT_REST: f32 = 0.15;
+const KEEP_DEPTH: f32 = 0.3;
+/// Largest chance beside an element, pixels of the level.
+const MAX_CHANCE_PX: f32 = 4.0;
+/// Levels above which a pass searches everywhere.
+const COARSE_LEVEL: usize = 2;
+
+impl Limits {
+    fn contain(&self, e: &Element) -> bool {
+        let [min, max] = self.inverse_depth;
+        (min..=max).contains(&e.inverse_depth) && e.speed() <= 1.2 * self.max_speed
+    }
+}
+
+/// What one pass does.
+pub struct Pass<'a> {
+    pub limits: Limits,
+    /// Number of passes before this one at this level.
+    pub turn: usize,
+    pub is_last: bool,
+    /// Chances a pixel.
+    pub chances: usize,
+    pub proposals: Option<&'a Proposals>,
+    pub seed: u64,
+}
+
+/// A pixel's best element so far.
+struct Best<'a, 'b> {
+    matcher: &'a Matcher<'b>,
+    map: &'a ElementMap,
+    limits: Limits,
+    pixel: (usize, usize),
+    patch: &'a Patch,
+    element: Element,
+    match_cost: f32,
+    cost: f32,
+    costs: Costs,
+}
+
+impl Best<'_, '_> {
+    /// Takes a proposal if it costs less.
+    #[inline(always)]
+    fn consider(&mut self, proposal: Element) {
+        if !self.limits.contain(&proposal) {
+            return;
+        }
+        let (x, y) = self.pixel;
+        let roughness = self.matcher.roughness(self.map, &proposal, x, y);
+        if roughness >= self.cost {
+            return;
+        }
+        let mut costs = [0.0; MAX_OBSERVATIONS];
+        let match_cost = self.matcher.cost(&proposal, x, y, self.patch, &mut costs);
+        if match_cost + roughness < self.cost {
+            self.element = proposal;
+            (self.match_cost, self.cost) = (match_cost, match_cost + roughness);
+            self.costs = costs;
+        }
+    }
+
+    fn differs(&self, proposal: &Element) -> bool {
+        self.matcher.distance(proposal, &self.element) > SAME_PX
+    }
+}
+
+impl Matcher<'_> {
+    /// The cost of an element that differs from its four neighbours'.
+    #[inline(always)]
+    fn roughness(&self, map: &ElementMap, e: &Element, x: usize, y: usize) -> f32 {
+        let center = self.own.pixel(x, y);
+        let mut sum = 0.0;
+        for (dx, dy) in [(-1, 0), (1, 0), (0, -1), (0, 1)] {
+            let Some((u, v)) = self.neighbor(x, y, (dx, dy)) else { continue };
+            let difference = color_difference(&self.own.pixel(u, v), &center);
+            let weight = (-difference / COLOR).exp() + MIN_COLOR_WEIGHT;
+            let here = self.continued(map, (u, v), (dx, dy));
+            sum += weight * self.distance(e, &here).min(MAX_ROUGHNESS_PX);
+        }
+        SMOOTHNESS * sum
+    }
+
+    #[inline(always)]
+    fn neighbor(&self, x: usize, y: usize, (dx, dy): (i32, i32)) -> Option<(usize, usize)> {
+        let (u, v) = (x.checked_add_signed(dx as isize)?, y.checked_add_signed(dy as isize)?);
+        (u < self.own.width && v < self.own.height).then_some((u, v))
+    }
+
+    /// The element of a neighbour, `(dx, dy)` away, continued to the pixel.
+    #[inline(always)]
+    fn continued(&self, map: &ElementMap, (u, v): (usize, usize), (dx, dy): (i32, i32)) -> Element {
+        let element = &map.elements[v * self.own.width + u];
+        element.at(-dx as f32 * self.scale, -dy as f32 * self.scale)
+    }
+
+    /// Whether a pixel is matched and at rest, and so are those around it.
+    fn is_settled(&self, map: &ElementMap, x: usize, y: usize) -> bool {
+        let k = y * self.own.width + x;
+        let own = &map.elements[k];
+        map.costs[k] < MATCHED
+            && own.speed() < STILL_PX
+            && [(-1, 0), (1, 0), (0, -1), (0, 1)].iter().all(|&step| {
+                let neighbor = self.neighbor(x, y, step);
+                neighbor.is_none_or(|(u, v)| {
+                    self.distance(&map.elements[v * self.own.width + u], own) < STILL_PX
+                })
+            })
+    }
+
+    fn chance(&self, own: &Element, limits: Limits, random: &mut Random) -> Element {
+        if self.level >= COARSE_LEVEL && (random.unit() as f32) < ANYWHERE {
+            let speed = limits.max_speed * (random.unit() as f32).sqrt();
+            let angle = std::f32::consts::TAU * random.unit() as f32;
+            let [min, max] = limits.inverse_depth;
+            let inverse_depth = min + (max - min) * random.unit() as f32;
+            let is_still = (random.unit() as f32) < AT_REST;
+            let keeps_depth = (random.unit() as f32) < KEEP_DEPTH;
+            return Element {
+                inverse_depth: if keeps_depth { own.inverse_depth } else { inverse_depth },
+                velocity: if is_still {
+                    [0.0; 2]
+                } else {
+                    [speed * angle.cos(), speed * angle.sin()]
+                },
+                ..Element::default()
+            };
+        }
+        let size = self.scale * MAX_CHANCE_PX * 0.5f32.powf(4.0 * random.unit() as f32);
+        Element {
+            inverse_depth: own.inverse_depth + random.signed() as f32 * size / self.disparity_px,
+            velocity: own.velocity.map(|v| v + 2.0 * random.signed() as f32 * size),
+            ..*own
+        }
+    }
+
+    /// One pass over a map. Odd turns go from the last pixel to the first.
+    pub fn pass(&self, map: &mut ElementMap, pass: &Pass) {
+        let (width, pixels) = (map.width, map.elements.len());
+        let mut random = Random::new(pass.seed);
+        let mut patch = Patch::empty();
+        let is_backward = pass.turn % 2 == 1;
+        let sign = if is_backward { 1 } else { -1 };
+        let steps = [(sign, 0), (0, sign), (3 * sign, 2 * sign), (-2 * sign, 3 * sign)];
+        let steps = if self.level == 0 { &steps[..2] } else { &steps[..] };
+        for k in 0..pixels {
+            let k = if is_backward { pixels - 1 - k } else { k };
+            let (x, y) = (k % width, k / width);
+            let is_settled = self.level <= 1 && self.is_settled(map, x, y);
+            if pass.turn > 0 && is_settled {
+                continue;
+            }
+            self.fill_patch(x, y, &mut patch);
+            let element = map.elements[k];
+            let mut costs = [0.0; MAX_OBSERVATIONS];
+            let match_cost = self.cost(&element, x, y, &patch, &mut costs);
+            let cost = match_cost + self.roughness(map, &element, x, y);
+            let mut best = Best {
+                matcher: self,
+                map,
+                limits: pass.limits,
+                pixel: (x, y),
+                patch: &patch,
+                element,
+                match_cost,
+                cost,
+                costs,
+            };
+            for &step in steps.iter().filter(|_| !is_settled) {
+                if let Some(at) = self.neighbor(x, y, step) {
+                    let proposal = self.continued(map, at, step);
+                    if best.differs(&proposal) {
+                        best.consider(proposal);
+                    }
+                }
+            }
+            let speed = best.element.speed();
+            if speed > 0.0 && (self.level > 0 || speed < MAX_SPEED_TO_REST_PX) {
+                best.consider(best.element.still());
+            }
+            for proposal in pass.proposals.iter().flat_map(|p| p.at(k)).filter(|_| !is_settled) {
+                if best.differs(&proposal) {
+                    best.consider(proposal);
+                }
+            }
+            let chances = if best.match_cost < MATCHED { 0 } else { pass.chances };
+            for _ in 0..chances {
+                best.consider(self.chance(&best.element, pass.limits, &mut random));
+            }
+            if pass.turn > 0
+                && let Some(fit) = self.affine_fit(map, x, y)
+                && self.changes_patch(&fit, &best.element)
+            {
+                best.consider(fit);
+            }
+            let has_changed = self.distance(&element, &best.element) > 0.0;
+            if (pass.turn == 0 || has_changed || pass.is_last)
+                && let Some(step) =
+                    self.step(&best.element, (x, y), &patch, &best.costs, best.match_cost)
+                && self.distance(&step, &best.element) > 0.1 * SAME_PX
+            {
+                best.consider(step);
+            }
+            (map.elements[k], map.costs[k]) = (best.element, best.match_cost);
+        }
+    }
+
+    /// Whether a patch of one element is elsewhere than that of another.
+    fn changes_patch(&self, a: &Element, b: &Element) -> bool {
+        let r = 3.0 * self.scale;
+        self.distance(a, b) > 0.4 * SAME_PX
+            || self.distance(&a.at(r, r), &b.at(r, r)) > SAME_PX
+            || self.distance(&a.at(r, -r), &b.at(r, -r)) > SAME_PX
+    }
+}
