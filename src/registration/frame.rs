@@ -1,6 +1,6 @@
 //! A frame with its pyramid, corners and gradients.
 
-use super::polar_gradients::PolarGradients;
+use super::polar_gradients::{PolarGradients, polar_gradients};
 use super::pyramid::PyramidLevel;
 use super::{Pyramid, RegistrationOptions, corners};
 use crate::raster::Image;
@@ -43,7 +43,7 @@ impl Frame {
 
     /// Gradients for the descriptors of rotating patches. Computed by the first call.
     pub(super) fn gradients(&self) -> &PolarGradients {
-        self.gradients.get_or_init(|| PolarGradients::new(&self.pyramid))
+        self.gradients.get_or_init(|| polar_gradients(&self.pyramid))
     }
 
     /// Bytes of a frame of this width and height, pixels: image, pyramid and gradients.

@@ -10,7 +10,7 @@
 use super::RegistrationOptions;
 use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::{Pyramid, PyramidLevel};
-use super::window::{Window, corner, fraction_inside};
+use super::window::{Window, fraction_inside};
 use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::{Point2, Vector2};
 
@@ -78,33 +78,26 @@ struct TemplateSums {
     value_gradient: [f64; 2],
 }
 
-/// The outcome of the steps on a level.
-enum Outcome {
-    /// They converged, or reached the maximum number.
-    Converged,
-    /// The template has too little texture.
-    Flat,
-    /// The window left the image.
-    Outside,
-}
-
-/// A window to track.
-struct TrackRequest<'a> {
-    source: &'a Pyramid,
-    target: &'a Pyramid,
-    from: Point2<f64>,
-    guess: Point2<f64>,
-    levels: usize,
-}
-
 multiversion! {
-    fn track(tracker: &mut Tracker, request: &TrackRequest) -> Option<Tracked> = track_by::<V>
+    fn track(
+        tracker: &mut Tracker,
+        source: &Pyramid,
+        target: &Pyramid,
+        from: Point2<f64>,
+        guess: Point2<f64>,
+    ) -> Option<Tracked> = track_by::<V>
 }
 
 #[inline(always)]
-fn track_by<V: F32x8>(tracker: &mut Tracker, request: &TrackRequest) -> Option<Tracked> {
-    let &TrackRequest { source, target, from, guess, levels } = request;
-    let levels = levels.min(source.levels().len()).min(target.levels().len()).max(1);
+fn track_by<V: F32x8>(
+    tracker: &mut Tracker,
+    source: &Pyramid,
+    target: &Pyramid,
+    from: Point2<f64>,
+    guess: Point2<f64>,
+) -> Option<Tracked> {
+    let available = source.levels().len().min(target.levels().len());
+    let levels = tracker.parameters.levels.clamp(1, available);
     let mut flow = (guess - from) / f64::from(1_u32 << (levels - 1));
     let mut residual = 0.0;
     for k in (0..levels).rev() {
@@ -115,15 +108,12 @@ fn track_by<V: F32x8>(tracker: &mut Tracker, request: &TrackRequest) -> Option<T
         let template = tracker.load_template::<V>(level, &p);
         let epsilon_px = if k > 0 { COARSE_EPSILON_PX } else { 0.0 };
         let epsilon_px = tracker.parameters.epsilon_px.max(epsilon_px);
-        match tracker.iterate::<V>(other, &p, &mut flow, &template, epsilon_px) {
-            Outcome::Converged => {}
-            // A coarse window may be flat or half outside where the fine one is good.
-            Outcome::Flat | Outcome::Outside if k > 0 => {}
-            Outcome::Flat | Outcome::Outside => return None,
-        }
+        let converged = tracker.iterate::<V>(other, &p, flow, &template, epsilon_px);
         if k > 0 {
-            flow *= 2.0;
+            // A coarse window may be flat or half outside where the fine one is good.
+            flow = 2.0 * converged.unwrap_or(flow);
         } else {
+            flow = converged?;
             residual = tracker.residual::<V>(other, &(p + flow))?;
         }
     }
@@ -150,7 +140,8 @@ impl Tracker {
     /// top-left pixel's centre at (0.5, 0.5).
     ///
     /// `None` if the window has too little texture or leaves the image. Both pyramids need a border of
-    /// [`RegistrationOptions::pad_px`].
+    /// [`RegistrationOptions::pad_px`]. Of [`KltParameters::levels`], 0 counts as 1, and a number beyond the
+    /// pyramids' as theirs.
     pub fn track(
         &mut self,
         source: &Pyramid,
@@ -158,20 +149,7 @@ impl Tracker {
         from: Point2<f64>,
         guess: Point2<f64>,
     ) -> Option<Tracked> {
-        self.track_over(source, target, from, guess, self.parameters.levels)
-    }
-
-    /// As [`Self::track`], on the `levels` finest levels only, for a guess that is near. 0 counts as
-    /// 1, and a number beyond the pyramids' as theirs.
-    pub fn track_over(
-        &mut self,
-        source: &Pyramid,
-        target: &Pyramid,
-        from: Point2<f64>,
-        guess: Point2<f64>,
-        levels: usize,
-    ) -> Option<Tracked> {
-        track(self, &TrackRequest { source, target, from, guess, levels })
+        track(self, source, target, from, guess)
     }
 
     /// Reads the template around `p` (the first pixel's centre at 0), and computes its derivatives
@@ -180,10 +158,10 @@ impl Tracker {
     fn load_template<V: F32x8>(&mut self, level: &PyramidLevel, p: &Vector2<f64>) -> TemplateSums {
         let (side, row, wide) = (self.side, self.row, self.wide);
         // The sums of a window outside the image are 0, which the caller finds to have no texture.
-        let Some((base, within)) = corner(level, p, self.parameters.window_radius_px + 1) else {
+        let radius = self.parameters.window_radius_px + 1;
+        let Some(window) = Window::around(level, p, radius, [wide, side + 2]) else {
             return TemplateSums { tensor: [0.0; 3], value_gradient: [0.0; 2] };
         };
-        let window = Window::new(&level.value, base, level.stride, [wide, side + 2], within);
         for x in (0..wide).step_by(LANES) {
             let mut columns = window.columns::<V, 1>(x);
             for y in 0..side + 2 {
@@ -221,36 +199,32 @@ impl Tracker {
         TemplateSums { tensor: [xx, xy, yy], value_gradient: [x, y] }
     }
 
-    /// Newton steps on one level, from `flow` on: the displacement of the window at `p`, pixels of
-    /// the level. On [`Outcome::Outside`] `flow` is as it was.
+    /// The displacement of the window at `p`, pixels of the level, by Newton steps from `flow` on. `None` if the
+    /// template has too little texture, or if the window leaves the image.
     #[inline(always)]
     fn iterate<V: F32x8>(
         &self,
         target: &PyramidLevel,
         p: &Vector2<f64>,
-        flow: &mut Vector2<f64>,
+        mut flow: Vector2<f64>,
         template: &TemplateSums,
         epsilon_px: f64,
-    ) -> Outcome {
+    ) -> Option<Vector2<f64>> {
         let [xx, xy, yy] = template.tensor;
         let area = (self.side * self.side) as f64;
         let smaller = 0.5 * ((xx + yy) - ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt());
         let determinant = xx * yy - xy * xy;
         // λ_min is positive, and so is the determinant that is divided by.
         if !(smaller >= MIN_EIGENVALUE * area && determinant > 0.0) {
-            return Outcome::Flat;
+            return None;
         }
         let [ixx, ixy, iyy] = [yy, -xy, xx].map(|v| v / determinant);
-        let start = *flow;
         let mut previous = Vector2::zeros();
         for step in 0..self.parameters.iterations {
-            let Some([x, y]) = self.correlate::<V>(target, &(p + *flow)) else {
-                *flow = start;
-                return Outcome::Outside;
-            };
+            let [x, y] = self.correlate::<V>(target, &(p + flow))?;
             let (bx, by) = (template.value_gradient[0] - x, template.value_gradient[1] - y);
             let delta = Vector2::new(ixx * bx + ixy * by, ixy * bx + iyy * by);
-            *flow += delta;
+            flow += delta;
             let length_px = delta.norm();
             if length_px < epsilon_px {
                 break;
@@ -258,28 +232,27 @@ impl Tracker {
             if step > 0 {
                 // The steps alternate around the solution, which is in the middle.
                 if (delta + previous).norm() < epsilon_px {
-                    *flow -= 0.5 * delta;
+                    flow -= 0.5 * delta;
                     break;
                 }
                 // Steps that shrink by a constant ratio: the sum of those to come.
                 let ratio = length_px / previous.norm();
                 if ratio < MAX_RATIO && length_px * ratio < MAX_EXTRAPOLATED * epsilon_px {
-                    *flow += delta * (delta.dot(&previous).signum() * ratio);
+                    flow += delta * (delta.dot(&previous).signum() * ratio);
                     break;
                 }
             }
             previous = delta;
         }
-        Outcome::Converged
+        Some(flow)
     }
 
     /// Σ J·∇I over the window, with J the target's values around `q`. `None` if the window is more
     /// than a pixel outside the image.
     #[inline(always)]
     fn correlate<V: F32x8>(&self, target: &PyramidLevel, q: &Vector2<f64>) -> Option<[f64; 2]> {
-        let (base, within) = corner(target, q, self.parameters.window_radius_px)?;
         let size = [self.row, self.side];
-        let window = Window::new(&target.value, base, target.stride, size, within);
+        let window = Window::around(target, q, self.parameters.window_radius_px, size)?;
         let mut sums = [V::zero(); 2];
         let mut x = 0;
         // Sixteen columns at once where possible: their two sums are computed in parallel.
@@ -325,9 +298,8 @@ impl Tracker {
     /// is more than a pixel outside the image.
     #[inline(always)]
     fn residual<V: F32x8>(&self, target: &PyramidLevel, q: &Vector2<f64>) -> Option<f64> {
-        let (base, within) = corner(target, q, self.parameters.window_radius_px)?;
         let size = [self.row, self.side];
-        let window = Window::new(&target.value, base, target.stride, size, within);
+        let window = Window::around(target, q, self.parameters.window_radius_px, size)?;
         let mut sum = V::zero();
         for x in (0..self.row).step_by(LANES) {
             let mut weights = [0.0; LANES];

@@ -25,7 +25,8 @@ pub(super) struct PolarGradients {
 }
 
 multiversion! {
-    fn gradients(pyramid: &Pyramid) -> PolarGradients = gradients_by::<V>
+    /// The gradients that describe the features of a frame with this pyramid.
+    pub(super) fn polar_gradients(pyramid: &Pyramid) -> PolarGradients = gradients_by::<V>
 }
 
 #[inline(always)]
@@ -52,10 +53,6 @@ fn gradients_by<V: F32x8>(pyramid: &Pyramid) -> PolarGradients {
 }
 
 impl PolarGradients {
-    pub fn new(pyramid: &Pyramid) -> Self {
-        gradients(pyramid)
-    }
-
     #[cfg(test)]
     pub fn bytes(&self) -> usize {
         size_of::<f32>() * (self.strength.len() + self.direction.len())
@@ -114,7 +111,7 @@ mod tests {
             let data = (0..w * h).map(|_| (4.0 * random.unit()).floor() as f32 / 4.0).collect();
             let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 1, 16);
             let level = &pyramid.levels()[0];
-            for gradients in [PolarGradients::new(&pyramid), gradients_by::<Scalar>(&pyramid)] {
+            for gradients in [polar_gradients(&pyramid), gradients_by::<Scalar>(&pyramid)] {
                 for k in 0..w * h {
                     let at = |dx: isize, dy: isize| {
                         let at = level.index((k % w) as isize + dx, (k / w) as isize + dy);

@@ -184,20 +184,12 @@ const ONE_DIRECTION: [[f32; LANES]; DIRECTIONS] = {
     all
 };
 
-impl SiftDescriptor {
-    /// The descriptor of a point of the frame, pixels. `None` where there is no gradient.
-    pub fn new(gradients: &PolarGradients, at: &Point2<f64>) -> Option<Self> {
-        descriptor(gradients, at)
-    }
-
-    /// The squared distance of two descriptors, 0 to 2.
-    pub fn distance(&self, other: &Self) -> f32 {
-        squared_distance(&self.entries, &other.entries)
-    }
-}
-
 multiversion! {
-    fn descriptor(gradients: &PolarGradients, at: &Point2<f64>) -> Option<SiftDescriptor> = descriptor_by::<V>
+    /// The descriptor of a point of the frame, pixels. `None` where there is no gradient.
+    pub(super) fn descriptor(
+        gradients: &PolarGradients,
+        at: &Point2<f64>,
+    ) -> Option<SiftDescriptor> = descriptor_by::<V>
 }
 
 #[inline(always)]
@@ -220,16 +212,17 @@ fn descriptor_by<V: F32x8>(gradients: &PolarGradients, at: &Point2<f64>) -> Opti
 }
 
 multiversion! {
-    fn squared_distance(a: &[f32; SIZE], b: &[f32; SIZE]) -> f32 = squared_distance_by::<V>
+    /// The squared distance of two descriptors, 0 to 2.
+    pub(super) fn squared_distance(a: &SiftDescriptor, b: &SiftDescriptor) -> f32 = squared_distance_by::<V>
 }
 
 #[inline(always)]
-fn squared_distance_by<V: F32x8>(a: &[f32; SIZE], b: &[f32; SIZE]) -> f32 {
+fn squared_distance_by<V: F32x8>(a: &SiftDescriptor, b: &SiftDescriptor) -> f32 {
     let mut sums = [V::zero(); 2];
     for at in (0..SIZE).step_by(2 * LANES) {
         for (k, sum) in sums.iter_mut().enumerate() {
             let at = at + k * LANES;
-            let apart = V::load(a, at) - V::load(b, at);
+            let apart = V::load(&a.entries, at) - V::load(&b.entries, at);
             *sum = apart.mul_add(apart, *sum);
         }
     }
@@ -270,6 +263,7 @@ fn normalize<V: F32x8>(cells: &mut [V; CELLS * CELLS]) -> Option<()> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::polar_gradients::polar_gradients;
     use super::*;
     use crate::random::Random;
     use crate::raster::Image;
@@ -290,7 +284,7 @@ mod tests {
 
     /// The descriptor written as simply as possible: sample by sample, and entry by entry.
     fn naive(pyramid: &Pyramid, at: &Point2<f64>) -> Option<(f32, Vec<f32>)> {
-        let gradients = PolarGradients::new(pyramid);
+        let gradients = polar_gradients(pyramid);
         let at = (at.coords - Vector2::repeat(0.5)) * gradients.scale;
         let (cx, cy) = (at.x as f32, at.y as f32);
         let mut samples = Vec::new();
@@ -339,7 +333,7 @@ mod tests {
         for (w, h) in [(64, 64), (71, 40), (23, 37), (9, 5)] {
             let data = (0..w * h).map(|_| random.unit() as f32).collect();
             let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 2, 16);
-            let gradients = PolarGradients::new(&pyramid);
+            let gradients = polar_gradients(&pyramid);
             let mut described = Vec::new();
             for k in 0..60 {
                 let mut along = |size: usize| random.unit() * size as f64;
@@ -347,7 +341,7 @@ mod tests {
                 let at = if k % 3 == 0 { at.map(f64::round) } else { at };
                 let (angle, entries) = naive(&pyramid, &at).unwrap();
                 let mut all = vec![descriptor_by::<Scalar>(&gradients, &at).unwrap()];
-                all.push(SiftDescriptor::new(&gradients, &at).unwrap());
+                all.push(descriptor(&gradients, &at).unwrap());
                 for own in &all {
                     assert!((own.angle - angle).abs() < 1e-4, "{at}: {} {angle}", own.angle);
                     for (a, b) in own.entries.iter().zip(&entries) {
@@ -359,10 +353,9 @@ mod tests {
             for (a, b) in described.iter().zip(&described[1..]) {
                 let pairs = a.entries.iter().zip(&b.entries);
                 let expected: f32 = pairs.map(|(a, b)| (a - b) * (a - b)).sum();
-                assert!((a.distance(b) - expected).abs() < 1e-5);
+                assert!((squared_distance(a, b) - expected).abs() < 1e-5);
                 assert!(
-                    (squared_distance_by::<Scalar>(&a.entries, &b.entries) - a.distance(b)).abs()
-                        < 1e-6
+                    (squared_distance_by::<Scalar>(a, b) - squared_distance(a, b)).abs() < 1e-6
                 );
             }
         }
@@ -371,9 +364,8 @@ mod tests {
     #[test]
     fn a_turned_feature_has_the_same_descriptor_and_its_angle_turns() {
         let middle = Point2::new(32.5, 32.5);
-        let of = |pyramid: &Pyramid, p: &Point2<f64>| {
-            SiftDescriptor::new(&PolarGradients::new(pyramid), p).unwrap()
-        };
+        let of =
+            |pyramid: &Pyramid, p: &Point2<f64>| descriptor(&polar_gradients(pyramid), p).unwrap();
         let upright = of(&turned(0.0), &middle);
         let other = of(&turned(0.0), &Point2::new(24.5, 38.5));
         for angle in [0.3, 0.9, 2.0, -1.4] {
@@ -381,7 +373,8 @@ mod tests {
             let turn =
                 (found.angle - upright.angle - angle + 0.5 * TAU).rem_euclid(TAU) - 0.5 * TAU;
             assert!(turn.abs() < 0.06, "{angle}: {turn}");
-            let (same, differs) = (found.distance(&upright), found.distance(&other));
+            let (same, differs) =
+                (squared_distance(&found, &upright), squared_distance(&found, &other));
             assert!(same < 0.05 && same < 0.2 * differs, "{angle}: {same} {differs}");
         }
     }
@@ -389,9 +382,7 @@ mod tests {
     #[test]
     fn a_flat_image_has_no_direction() {
         let flat = Pyramid::new(&Image::filled(40, 40, 1, 0.5), 1, 16);
-        assert!(
-            SiftDescriptor::new(&PolarGradients::new(&flat), &Point2::new(3.0, 38.0)).is_none()
-        );
+        assert!(descriptor(&polar_gradients(&flat), &Point2::new(3.0, 38.0)).is_none());
     }
     #[test]
     fn values_that_are_not_finite_have_no_descriptor() {
@@ -400,9 +391,9 @@ mod tests {
             let mut data: Vec<_> = (0..64 * 64).map(|_| random.unit() as f32).collect();
             (data[32 * 64 + 32], data[33 * 64 + 32]) = (bad, bad);
             let pyramid = Pyramid::new(&Image::from_data(64, 64, 1, data), 1, 16);
-            let gradients = PolarGradients::new(&pyramid);
+            let gradients = polar_gradients(&pyramid);
             for at in [Point2::new(32.5, 32.5), Point2::new(36.0, 30.0)] {
-                assert!(SiftDescriptor::new(&gradients, &at).is_none());
+                assert!(descriptor(&gradients, &at).is_none());
                 assert!(descriptor_by::<Scalar>(&gradients, &at).is_none());
             }
         }
