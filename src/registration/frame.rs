@@ -26,16 +26,6 @@ impl Frame {
         Self { image, pyramid, corners, gradients }
     }
 
-    /// A frame whose pyramid is of another image of the same size: `image` as bright as the reference
-    /// camera records it.
-    pub(super) fn with_corrected(
-        image: Image,
-        corrected: Image,
-        options: &RegistrationOptions,
-    ) -> Self {
-        Self { image, ..Self::new(corrected, options) }
-    }
-
     /// The frame's corners (§4.1), pixels. They are computed by the first call, whose options count.
     pub fn corners(&self, options: &RegistrationOptions) -> &[Point2<f64>] {
         self.corners.get_or_init(|| corners(&self.pyramid.levels()[0], options.max_corners))

@@ -9,7 +9,7 @@
 //! Known limits: one gain per channel and camera for the whole recording (no automatic exposure, no
 //! vignetting). A rig whose frames have no features in common is taken as equal.
 
-use super::{Frame, RegistrationOptions, flow};
+use super::{Frame, Match, RegistrationOptions, flow};
 use crate::capture::Capture;
 use crate::host::CacheKind;
 use crate::raster::{Image, LUMINANCE, encoded_from_linear, linear_from_encoded};
@@ -103,60 +103,62 @@ impl Gains {
     /// The gains by one frame of each camera, in the middle of the recording. A frame that cannot be
     /// read is not compared; the error shows when the frame is used.
     pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {
-        let images: Vec<Option<Image>> = (0..capture.cameras.len())
-            .into_par_iter()
-            .map(|c| capture.read_frame(c, capture.cameras[c].frames.len() / 2).ok())
-            .map(|image| image.as_ref().map(small))
-            .collect();
+        let count = capture.cameras.len();
+        let small_image = |c: usize| {
+            Some(small(capture.read_frame(c, capture.cameras[c].frames.len() / 2).ok()?))
+        };
+        let images: Vec<Option<Image>> = (0..count).into_par_iter().map(small_image).collect();
         let level = |image: &Image| {
-            let mut values = image.to_gray().data().to_vec();
-            values.sort_by(f32::total_cmp);
+            let levels = image.to_gray().data().iter().map(|v| f64::from(*v)).collect();
             // A black image has no features: any level serves.
-            linear_from_encoded(f64::from(values[values.len() / 2])).max(1e-4)
+            linear_from_encoded(median(levels)).max(1e-4)
         };
         let reference = images[capture.reference].as_ref().map_or(1.0, level);
-        let frames: Vec<Option<Frame>> = images
-            .par_iter()
-            .map(|image| {
-                let image = image.as_ref()?;
-                Some(Frame::new(scaled(image, [reference / level(image); 3]), options))
-            })
-            .collect();
-        let mut ratios = Vec::new();
-        for (a, b) in neighbors(capture) {
-            let (Some(of_a), Some(of_b)) = (&frames[a], &frames[b]) else { continue };
-            let starts: Vec<_> = of_a.corners(options).iter().map(|&p| (p, p)).collect();
-            let matches: Vec<(Point2<f64>, Point2<f64>)> = flow(of_a, of_b, &starts, options)
-                .into_iter()
-                .flatten()
-                .map(|m| (m.source, m.target))
-                .collect();
-            if let (Some(a_image), Some(b_image)) = (&images[a], &images[b]) {
-                ratios.extend(Ratio::between([a, b], [a_image, b_image], &matches));
-            }
-        }
-        let mut gains = solve_gains(capture.cameras.len(), capture.reference, &ratios);
+        let frame = |image: &Option<Image>| {
+            let image = image.as_ref()?;
+            Some(Frame::new(scaled(image, [reference / level(image); 3]), options))
+        };
+        let frames: Vec<Option<Frame>> = images.par_iter().map(frame).collect();
+        let ratio = |cameras: [usize; 2]| {
+            let [Some(from), Some(to)] = cameras.map(|c| frames[c].as_ref()) else { return None };
+            let [Some(a), Some(b)] = cameras.map(|c| images[c].as_ref()) else { return None };
+            let starts: Vec<_> = from.corners(options).iter().map(|&p| (p, p)).collect();
+            Ratio::between(cameras, [a, b], &flow(from, to, &starts, options))
+        };
+        let ratios: Vec<Ratio> = neighbors(capture).into_iter().filter_map(ratio).collect();
+        let mut gains = solve_gains(count, capture.reference, &ratios);
         // The solution of a grey camera beside colour cameras differs by channel: it has one gain.
         for (factors, image) in gains.factors.iter_mut().zip(&images) {
             let is_gray = image.as_ref().is_some_and(|i| i.channels() == 1);
             if is_gray && *factors != [1.0; 3] {
-                let [r, g, b] = LUMINANCE;
-                *factors = [r * factors[0] + g * factors[1] + b * factors[2]; 3];
+                *factors = luminance(*factors);
             }
         }
         gains
     }
 }
 
+/// The upper median; there is at least one value.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// The luminance of linear light, in all channels.
+fn luminance([r, g, b]: [f64; 3]) -> [f64; 3] {
+    let [x, y, z] = LUMINANCE;
+    [x * r + y * g + z * b; 3]
+}
+
 /// The pairs of each camera and its nearest neighbours, every pair once.
-fn neighbors(capture: &Capture) -> Vec<(usize, usize)> {
+fn neighbors(capture: &Capture) -> Vec<[usize; 2]> {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
     let mut pairs = Vec::new();
     for a in 0..centers.len() {
         let mut others: Vec<usize> = (0..centers.len()).filter(|&b| b != a).collect();
         let distance = |b: usize| (centers[b] - centers[a]).norm();
         others.sort_by(|&b, &c| distance(b).total_cmp(&distance(c)).then(b.cmp(&c)));
-        pairs.extend(others.into_iter().take(NEIGHBORS).map(|b| (a.min(b), a.max(b))));
+        pairs.extend(others.into_iter().take(NEIGHBORS).map(|b| [a.min(b), a.max(b)]));
     }
     pairs.sort_unstable();
     pairs.dedup();
@@ -164,8 +166,7 @@ fn neighbors(capture: &Capture) -> Vec<(usize, usize)> {
 }
 
 /// The image, halved until it is no wider than [`WIDTH_PX`].
-fn small(image: &Image) -> Image {
-    let mut image = image.clone();
+fn small(mut image: Image) -> Image {
     while image.width() > WIDTH_PX && image.height() > 1 {
         let (w, h, channels) = (image.width() / 2, image.height() / 2, image.channels());
         let value = |k: usize| {
@@ -226,29 +227,19 @@ impl Ratio {
     fn between(
         cameras: [usize; 2],
         images: [&Image; 2],
-        matches: &[(Point2<f64>, Point2<f64>)],
+        matches: &[Option<Match>],
     ) -> Option<Self> {
-        let gray = images.iter().any(|i| i.channels() == 1);
-        let luminance = |[r, g, b]: [f64; 3]| {
-            let [x, y, z] = LUMINANCE;
-            [x * r + y * g + z * b; 3]
+        let is_gray = images.iter().any(|i| i.channels() == 1);
+        let log = |m: &Match| {
+            let both = [light(images[0], &m.source)?, light(images[1], &m.target)?];
+            let [a, b] = if is_gray { both.map(luminance) } else { both };
+            // Usable light is positive.
+            Some([0, 1, 2].map(|c| (b[c] / a[c]).ln()))
         };
-        let logs: Vec<[f64; 3]> = matches
-            .iter()
-            .filter_map(|(p, q)| {
-                let both = [light(images[0], p)?, light(images[1], q)?];
-                let [a, b] = if gray { both.map(luminance) } else { both };
-                // Usable light is positive.
-                Some([0, 1, 2].map(|c| (b[c] / a[c]).ln()))
-            })
-            .collect();
+        let logs: Vec<[f64; 3]> = matches.iter().flatten().filter_map(log).collect();
         if logs.len() < MIN_FEATURES {
             return None;
         }
-        let median = |mut values: Vec<f64>| {
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
-        };
         let log = [0, 1, 2].map(|c| median(logs.iter().map(|l| l[c]).collect()));
         let variance = [0, 1, 2].map(|c| {
             let deviation = median(logs.iter().map(|l| (l[c] - log[c]).abs()).collect());

@@ -54,8 +54,7 @@ impl<'a> Disc<'a> {
             let c = c.round() as isize;
             at(c - RADIUS_PX)..at(c + RADIUS_PX + 1)
         };
-        let [columns, rows] = [(center[0], gradients.width), (center[1], gradients.height)]
-            .map(|(c, size)| span(c, size));
+        let (columns, rows) = (span(center[0], gradients.width), span(center[1], gradients.height));
         Self { gradients, center, columns, rows }
     }
 
@@ -122,7 +121,10 @@ impl<'a> Disc<'a> {
         const CENTER: f32 = 0.5 * CELLS as f32 + 0.5;
         // Two grids, of odd and even columns, so that their sums are computed in parallel.
         let mut grids = [[V::zero(); GRID * GRID]; 2];
-        let columns = V::from_array(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+        let columns = V::from_array(&std::array::from_fn(|lane| lane as f32));
+        // One-hot vectors, by direction.
+        let one_hot = |d: usize| std::array::from_fn(|k| f32::from(u8::from(k == d)));
+        let directions: [[f32; LANES]; DIRECTIONS] = std::array::from_fn(one_hot);
         let (lowest, highest) = (V::zero(), V::splat((CELLS + 1) as f32));
         for y in self.rows.clone() {
             let dy = y as f32 - self.center[1];
@@ -151,8 +153,8 @@ impl<'a> Disc<'a> {
                 for l in 0..LANES.min(row_columns.end - x) {
                     // Right for negative ones too: the range of usize is a multiple of the power of two.
                     let d = direction[l] as usize % DIRECTIONS;
-                    let own = V::from_array(&ONE_DIRECTION[d]);
-                    let next = V::from_array(&ONE_DIRECTION[(d + 1) % DIRECTIONS]);
+                    let own = V::from_array(&directions[d]);
+                    let next = V::from_array(&directions[(d + 1) % DIRECTIONS]);
                     let direction_weights = (next - own).mul_add(V::splat(fd[l]), own);
                     let cell = row[l] as usize * GRID + column[l] as usize;
                     // One check for all four.
@@ -171,18 +173,6 @@ impl<'a> Disc<'a> {
         cells
     }
 }
-
-/// One-hot vectors, by direction.
-const ONE_DIRECTION: [[f32; LANES]; DIRECTIONS] = {
-    assert!(LANES == DIRECTIONS);
-    let mut all = [[0.0; LANES]; DIRECTIONS];
-    let mut d = 0;
-    while d < DIRECTIONS {
-        all[d][d] = 1.0;
-        d += 1;
-    }
-    all
-};
 
 multiversion! {
     /// The descriptor of a point of the frame, pixels. `None` where there is no gradient.
