@@ -56,7 +56,7 @@ impl Stage for PairTriangles<'_> {
     const NAME: &'static str = "triangles";
 
     fn bytes(triangles: &Triangles) -> usize {
-        triangles.count() * size_of::<[usize; 3]>()
+        triangles.0.iter().map(|triangles| size_of_val(&triangles[..])).sum()
     }
 
     fn compute(&self, field: &LightField, context: &Context) -> Result<Triangles, RenderError> {

@@ -35,6 +35,7 @@ mod trajectory;
 mod window;
 
 pub use affine_tracker::{AffineStart, AffineTracker, Deformed};
+pub(crate) use consensus::Moved;
 pub use corners::corners;
 pub use epipolar_check::{Verdict, epipolar_check};
 pub use flow::{Match, Start, flow};

@@ -9,10 +9,6 @@ use rayon::prelude::*;
 
 /// Largest number of levels.
 const MAX_LEVELS: usize = 1024;
-/// Largest cost of a difference of grey values, of 255.
-const MAX_GRAY_COST: i32 = 24;
-/// Cost of one differing census bit, in grey values.
-const BIT_COST: u32 = 2;
 /// Cost where no partner sees the point: that of a poor match.
 const UNSEEN_COST: u8 = 40;
 
@@ -197,7 +193,7 @@ impl MatchScratch {
         // Apart from the loads, so that it is vectorized.
         let n = self.at.len();
         for (cost, other) in self.costs[k * n..(k + 1) * n].iter_mut().zip(&self.descriptors) {
-            *cost = own.cost(*other, BIT_COST, MAX_GRAY_COST);
+            *cost = own.cost(*other);
         }
     }
 

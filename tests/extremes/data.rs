@@ -10,7 +10,7 @@ use crate::naive;
 use nalgebra::{Matrix2, Point2, Point3, Vector2};
 use stlfr::camera::Camera;
 use stlfr::interpolation::{
-    Edge, EdgeFeature, SyncMethod, edge_set, morph_warp, real_edges, triangulation_warp,
+    Edge, EdgeFeature, SyncMethod, Warp, edge_set, morph_warp, real_edges, triangulated,
 };
 use stlfr::light_field::{LightField, RenderError};
 use stlfr::lumigraph::{DepthEdges, Mesh, Plane, Proxy};
@@ -60,6 +60,11 @@ fn morphed(edges: &[Edge], boost: f64, bound_px: f64) -> Vec<Point2<f64>> {
 
 fn at_pixel(warp: &[Point2<f64>], x: usize, y: usize) -> Vector2<f64> {
     warp[y * W + x] - Point2::new(x as f64 + 0.5, y as f64 + 0.5)
+}
+
+fn triangulation_warp(features: &[EdgeFeature], width: usize, height: usize) -> Warp {
+    let triangles = triangulated(features.iter().map(|f| f.source), width, height);
+    stlfr::interpolation::triangulation_warp(&triangles, features, width, height)
 }
 
 #[test]

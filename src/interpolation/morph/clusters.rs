@@ -19,7 +19,6 @@
 //! Known limit: the bound leaves out the rounding of f32, about 1e-4 px.
 
 use super::{A_PX, LANES, Line, WarpSums, line_sums};
-use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::ops::Range;
 
@@ -74,6 +73,7 @@ impl Tile {
 }
 
 /// A cluster that approximates its edges at a tile.
+#[derive(Clone, Copy)]
 struct FarCluster {
     cluster: usize,
     /// Its terms of P and Q, and its minimum weight.
@@ -82,26 +82,6 @@ struct FarCluster {
     weight: f64,
     /// Its term of the bound's numerator, at the expected distance of the mean from D₀.
     bound: f64,
-}
-
-impl PartialEq for FarCluster {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for FarCluster {}
-
-impl PartialOrd for FarCluster {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for FarCluster {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.bound.total_cmp(&other.bound).then(self.cluster.cmp(&other.cluster))
-    }
 }
 
 impl Clusters {
@@ -133,19 +113,24 @@ impl Clusters {
         let first = NodeBounds::of(&by_near, tile, reference);
         let far_cluster =
             |cluster: usize| self.far_cluster(cluster, tile, reference, first.farthest);
-        let mut far: BinaryHeap<FarCluster> = far.into_iter().map(far_cluster).collect();
+        let mut terms: Vec<FarCluster> = far.into_iter().map(far_cluster).collect();
+        // Bounds are not negative, so that their bits are in their order.
+        let by_bound = |(n, term): (usize, &FarCluster)| (term.bound.to_bits(), term.cluster, n);
+        let mut far: BinaryHeap<(u64, usize, usize)> =
+            terms.iter().enumerate().map(by_bound).collect();
 
         let mut opened = Vec::new();
         let mut budget = TOLERANCE_PX;
         loop {
             let (mut bound, mut weight) = (0.0, first.weight);
-            for cluster in &far {
-                bound += cluster.bound;
-                weight += cluster.weight - cluster.q;
+            for &(.., n) in &far {
+                bound += terms[n].bound;
+                weight += terms[n].weight - terms[n].q;
             }
             // Negated, so that NaN opens clusters too.
             while !(bound <= budget * weight) {
-                let Some(open) = far.pop() else { break };
+                let Some((.., n)) = far.pop() else { break };
+                let open = terms[n];
                 bound -= open.bound;
                 weight -= open.weight - open.q;
                 let cluster = &self.clusters[open.cluster];
@@ -154,7 +139,8 @@ impl Clusters {
                         for child in children.map(far_cluster) {
                             bound += child.bound;
                             weight += child.weight - child.q;
-                            far.push(child);
+                            far.push(by_bound((terms.len(), &child)));
+                            terms.push(child);
                         }
                     }
                     None => {
@@ -164,10 +150,11 @@ impl Clusters {
                 }
             }
             let mut others = opened.clone();
-            others.extend(far.iter().map(|c| self.clusters[c.cluster].line));
+            others.extend(far.iter().map(|&(_, cluster, _)| self.clusters[cluster].line));
             let all: Vec<WarpSums> =
                 by_near.iter().zip(at(&others)).map(|(near, other)| near.plus(&other)).collect();
-            let (p, q) = far.iter().fold((0.0, 0.0), |(p, q), c| (p + c.p, q + c.q));
+            let (p, q) =
+                far.iter().fold((0.0, 0.0), |(p, q), &(.., n)| (p + terms[n].p, q + terms[n].q));
             let nodes = NodeBounds::of(&all, tile, reference);
             let is_within = p + q * nodes.farthest <= TOLERANCE_PX * (nodes.weight - q);
             if far.is_empty() || is_within {
