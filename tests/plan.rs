@@ -176,7 +176,7 @@ fn a_camera_that_records_more_light_is_corrected() {
             Choice::Proxy(ProxyMethod::Plane),
         ],
     );
-    let [r, g, b] = field.gains(&plan.options.registration).of(2);
+    let [r, g, b] = field.gains(&plan.options.registration).factors[2];
     assert!([r, g, b].iter().all(|gain| (gain - 1.25).abs() < 0.02), "{r} {g} {b}");
     // Seen from there, the view is as bright as the reference records it.
     let camera = field.capture().cameras[2].camera.clone();

@@ -208,7 +208,7 @@ mod tests {
 
     fn edge_ends(features: &[EdgeFeature]) -> Vec<[usize; 2]> {
         let pyramid = step();
-        let level = &pyramid.levels()[0];
+        let level = &pyramid.levels[0];
         let edges = real_edges(features, level, level, 24.0);
         edges.iter().map(|e| e.ends).collect()
     }
@@ -242,11 +242,11 @@ mod tests {
     #[test]
     fn zero_gradients_have_no_direction_and_coincident_features_no_length() {
         let flat = Pyramid::new(&Image::filled(60, 50, 1, 0.5), 1, 4);
-        let level = &flat.levels()[0];
+        let level = &flat.levels[0];
         let (a, b) = (Point2::new(10.0, 10.0), Point2::new(20.0, 10.0));
         assert_eq!(mean_fitness(level, a, b), None);
         assert_eq!(
-            mean_fitness(&step().levels()[0], Point2::new(30.0, 10.0), Point2::new(30.0, 10.0)),
+            mean_fitness(&step().levels[0], Point2::new(30.0, 10.0), Point2::new(30.0, 10.0)),
             None
         );
         assert!(edge_ends(&[at_rest(30.0, 10.0), at_rest(30.0, 10.0)]).is_empty());

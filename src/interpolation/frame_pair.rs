@@ -108,7 +108,7 @@ impl FramePair<'_> {
             PairMethod::Morph { boosted } => self.warps(time_s, options, |n, features, [w, h]| {
                 let frames = [self.earlier, self.later];
                 let [source, other] =
-                    [frames[n], frames[1 - n]].map(|frame| &frame.pyramid.levels()[0]);
+                    [frames[n], frames[1 - n]].map(|frame| &frame.pyramid.levels[0]);
                 let real = real_edges(features, source, other, options.max_edge_length_px);
                 let edges = edge_set(features, &real, w, h);
                 let boost = if boosted { EDGE_BOOST } else { 0.0 };

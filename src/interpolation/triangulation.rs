@@ -70,18 +70,18 @@ fn fill_triangle(warp: &mut Warp, corners: [EdgeFeature; 3]) {
     }
     let Some(barycentric) = target.try_inverse() else { return };
     // From (x, y, 1) to the source.
-    let [to_x, to_y] = [|f: &EdgeFeature| f.source.x, |f: &EdgeFeature| f.source.y]
-        .map(|of| RowVector3::from_iterator(corners.iter().map(of)) * barycentric);
-    let bounds = |of: fn(&EdgeFeature) -> f64, size: usize| {
-        let low = corners.iter().map(of).fold(f64::INFINITY, f64::min);
-        let high = corners.iter().map(of).fold(f64::NEG_INFINITY, f64::max);
-        // The pixels whose centres are inside.
-        let first = (low - 0.5).ceil().max(0.0) as usize;
-        let end = ((high - 0.5).floor() + 1.0).max(0.0) as usize;
+    let [to_x, to_y] = [0, 1].map(|axis| {
+        RowVector3::from_iterator(corners.iter().map(|f| f.source[axis])) * barycentric
+    });
+    let [a, b, c] = corners.map(|f| f.target);
+    let (low, high) = (a.inf(&b).inf(&c), a.sup(&b).sup(&c));
+    // The pixels whose centres are inside.
+    let bounds = |axis: usize, size: usize| {
+        let first = (low[axis] - 0.5).ceil().max(0.0) as usize;
+        let end = ((high[axis] - 0.5).floor() + 1.0).max(0.0) as usize;
         [first, end.min(size)]
     };
-    let [left, right] = bounds(|f| f.target.x, warp.width);
-    let [top, bottom] = bounds(|f| f.target.y, warp.height);
+    let ([left, right], [top, bottom]) = (bounds(0, warp.width), bounds(1, warp.height));
     for y in top..bottom {
         let center_y = y as f64 + 0.5;
         let Some([from, to]) = span(&barycentric, center_y) else { continue };

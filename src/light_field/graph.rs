@@ -54,7 +54,7 @@ impl LightField {
     pub fn with_frames(frames: &FrameStore, offsets: Offsets) -> Self {
         let capture = frames.capture().clone();
         let timeline = Timeline::new(&capture, &offsets);
-        Self { capture, offsets, timeline, memo: frames.memo().clone() }
+        Self { capture, offsets, timeline, memo: frames.memo.clone() }
     }
 
     pub fn capture(&self) -> &Capture {

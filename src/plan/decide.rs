@@ -184,7 +184,7 @@ pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Dec
 
 /// Whether gains are corrected; [`Gains`] says what counts as a difference.
 pub fn gains(gains: &Gains) -> Decision {
-    let (difference, std_err) = gains.largest_difference();
+    let (difference, std_err) = gains.largest;
     let numbers = format!(
         "The light that cameras record differs by {:.1} % at most (standard error {:.1} %)",
         100.0 * difference,

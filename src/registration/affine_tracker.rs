@@ -188,7 +188,7 @@ impl AffineTracker {
         target: &Pyramid,
         start: &AffineStart,
     ) -> Option<Deformed> {
-        track(self, &source.levels()[0], &target.levels()[0], start)
+        track(self, &source.levels[0], &target.levels[0], start)
     }
 
     /// The weighted mean absolute difference of the warped target and the template, values 0..=1, and its ratio

@@ -102,24 +102,21 @@ fn min_eigenvalues_by<V: F32x8>(level: &PyramidLevel, radius: usize) -> Vec<f32>
         .chain((1..side).rev())
         .map(|k| k as f32 / (side * side) as f32 / SCHARR_SCALE)
         .collect();
-    // A ring buffer of the window's rows, smoothed horizontally: row y is at y modulo their number.
-    let mut rows: Vec<Tensor> = vec![Tensor::zeros(w); taps.len()];
     let mut products = Tensor::zeros(w + 4 * radius);
-    let mut next = 0;
-    let mut out = Vec::with_capacity(w * h);
-    let mut sums = Tensor::zeros(w);
+    let mut rows = Vec::with_capacity(h);
     for y in 0..h {
-        while next <= (y + 2 * radius).min(h - 1) {
-            products.load::<V>(level, next, 2 * radius);
-            let row = &mut rows[next % taps.len()];
-            row.clear();
-            taps.iter().enumerate().for_each(|(k, tap)| row.add(&products, k, *tap));
-            next += 1;
-        }
-        sums.clear();
+        products.load::<V>(level, y, 2 * radius);
+        let mut row = Tensor::zeros(w);
         for (k, &tap) in taps.iter().enumerate() {
-            let from = (y + k).saturating_sub(2 * radius).min(h - 1);
-            sums.add(&rows[from % taps.len()], 0, tap);
+            row.add(&products, k, tap);
+        }
+        rows.push(row);
+    }
+    let mut out = Vec::with_capacity(w * h);
+    for y in 0..h {
+        let mut sums = Tensor::zeros(w);
+        for (k, &tap) in taps.iter().enumerate() {
+            sums.add(&rows[(y + k).saturating_sub(2 * radius).min(h - 1)], 0, tap);
         }
         let [xx, xy, yy] = &sums.planes;
         out.extend(xx.iter().zip(xy).zip(yy).map(|((a, b), c)| {
@@ -132,7 +129,6 @@ fn min_eigenvalues_by<V: F32x8>(level: &PyramidLevel, radius: usize) -> Vec<f32>
 }
 
 /// A row of structure tensors, as planes xx, xy, yy.
-#[derive(Clone)]
 struct Tensor {
     planes: [Vec<f32>; 3],
 }
@@ -140,11 +136,6 @@ struct Tensor {
 impl Tensor {
     fn zeros(width: usize) -> Self {
         Self { planes: std::array::from_fn(|_| vec![0.0; width]) }
-    }
-
-    #[inline(always)]
-    fn clear(&mut self) {
-        self.planes.iter_mut().for_each(|plane| plane.fill(0.0));
     }
 
     /// Adds `factor` times another row's values from index `shift` on.
@@ -187,7 +178,7 @@ mod tests {
     use crate::raster::Image;
 
     fn detected(image: &Image, max_corners: usize) -> Vec<Point2<f64>> {
-        corners(&Pyramid::new(image, 1, 8).levels()[0], max_corners)
+        corners(&Pyramid::new(image, 1, 8).levels[0], max_corners)
     }
 
     #[test]
@@ -278,7 +269,7 @@ mod tests {
             let image =
                 Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect());
             let radius = case % 3;
-            let strengths = min_eigenvalues(&Pyramid::new(&image, 1, 4).levels()[0], radius);
+            let strengths = min_eigenvalues(&Pyramid::new(&image, 1, 4).levels[0], radius);
             for (k, strength) in strengths.iter().enumerate() {
                 let expected = naive_strength(&image.to_gray(), k % w, k / w, radius as i64);
                 let error = (f64::from(*strength) - expected).abs();

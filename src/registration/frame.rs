@@ -28,7 +28,7 @@ impl Frame {
 
     /// The frame's corners (§4.1), pixels. They are computed by the first call, whose options count.
     pub fn corners(&self, options: &RegistrationOptions) -> &[Point2<f64>] {
-        self.corners.get_or_init(|| corners(&self.pyramid.levels()[0], options.max_corners))
+        self.corners.get_or_init(|| corners(&self.pyramid.levels[0], options.max_corners))
     }
 
     /// Gradients for the descriptors of rotating patches. Computed by the first call.
@@ -59,7 +59,7 @@ mod tests {
         let options = RegistrationOptions::default();
         for (w, h, channels) in [(1, 1, 3), (31, 70, 1), (65, 64, 3), (320, 240, 1)] {
             let frame = Frame::new(Image::filled(w, h, channels, 0.5), &options);
-            let levels: usize = frame.pyramid.levels().iter().map(|l| l.value.len()).sum();
+            let levels: usize = frame.pyramid.levels.iter().map(|l| l.value.len()).sum();
             let samples = w * h * channels + levels;
             let expected = size_of::<f32>() * samples + frame.gradients().bytes();
             assert_eq!(Frame::bytes_of([w, h], channels, &options), expected);

@@ -11,7 +11,8 @@ use std::sync::Arc;
 pub struct FrameStore {
     capture: Arc<Capture>,
     options: RegistrationOptions,
-    memo: Arc<Memo>,
+    /// The memo that caches the frames.
+    pub memo: Arc<Memo>,
     /// Camera and index of every frame that was decoded, in order.
     #[cfg(test)]
     pub(crate) decoded: Arc<std::sync::Mutex<Vec<(usize, usize)>>>,
@@ -56,11 +57,6 @@ impl FrameStore {
             #[cfg(test)]
             decoded: Arc::default(),
         }
-    }
-
-    /// The memo that caches the frames.
-    pub fn memo(&self) -> &Arc<Memo> {
-        &self.memo
     }
 
     /// The capture that the frames are of.

@@ -21,9 +21,11 @@ use serde::{Deserialize, Serialize};
 /// records of the same surface, by channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
-    factors: Vec<[f64; 3]>,
-    /// The largest measured difference of a factor from 1, and its standard error.
-    largest: (f64, f64),
+    /// Each camera's gains: red, green, blue; three equal ones for a grey camera.
+    pub factors: Vec<[f64; 3]>,
+    /// The largest measured difference of a gain from 1, significant or not, and its standard error;
+    /// (0, 0) if nothing was compared.
+    pub largest: (f64, f64),
 }
 
 /// Minimum difference of a gain from 1 that is corrected. Moving objects and specular surfaces make up to 0.019
@@ -66,20 +68,6 @@ impl Gains {
         self.factors.iter().all(|f| *f == [1.0; 3])
     }
 
-    /// A camera's gains: red, green, blue; three equal ones for a grey camera.
-    ///
-    /// # Panics
-    /// If there is no such camera.
-    pub fn of(&self, camera: usize) -> [f64; 3] {
-        self.factors[camera]
-    }
-
-    /// The largest measured difference of a gain from 1, significant or not, and its standard error;
-    /// (0, 0) if nothing was compared.
-    pub fn largest_difference(&self) -> (f64, f64) {
-        self.largest
-    }
-
     /// The camera's image (encoded values) as the reference camera would have recorded it; `None` if the
     /// camera's gains are 1. Values may leave 0..=1.
     ///
@@ -105,7 +93,12 @@ impl Gains {
     pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {
         let count = capture.cameras.len();
         let small_image = |c: usize| {
-            Some(small(capture.read_frame(c, capture.cameras[c].frames.len() / 2).ok()?))
+            let middle = capture.cameras[c].frames.len() / 2;
+            let mut image = capture.read_frame(c, middle).ok()?;
+            while image.width() > WIDTH_PX && image.height() > 1 {
+                image = halved(&image);
+            }
+            Some(image)
         };
         let images: Vec<Option<Image>> = (0..count).into_par_iter().map(small_image).collect();
         let level = |image: &Image| {
@@ -165,18 +158,15 @@ fn neighbors(capture: &Capture) -> Vec<[usize; 2]> {
     pairs
 }
 
-/// The image, halved until it is no wider than [`WIDTH_PX`].
-fn small(mut image: Image) -> Image {
-    while image.width() > WIDTH_PX && image.height() > 1 {
-        let (w, h, channels) = (image.width() / 2, image.height() / 2, image.channels());
-        let value = |k: usize| {
-            let (x, y, c) = (k / channels % w, k / channels / w, k % channels);
-            let at = |dx, dy| image.pixel(2 * x + dx, 2 * y + dy)[c];
-            0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1))
-        };
-        image = Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect());
-    }
-    image
+/// The image at half the size, by means of 2×2 pixels; the last row or column of an odd number is dropped.
+pub(crate) fn halved(image: &Image) -> Image {
+    let (w, h, channels) = (image.width() / 2, image.height() / 2, image.channels());
+    let value = |k: usize| {
+        let (x, y, c) = (k / channels % w, k / channels / w, k % channels);
+        let at = |dx, dy| image.pixel(2 * x + dx, 2 * y + dy)[c];
+        0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1))
+    };
+    Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect())
 }
 
 /// The image with its linear light multiplied by a factor per channel; a grey image by the first.
@@ -310,7 +300,7 @@ mod tests {
         let gains =
             solve_gains(4, 2, &[between(0, 1), between(1, 2), between(2, 3), between(0, 3)]);
         for (camera, log) in logs.iter().enumerate() {
-            let [r, g, b] = gains.of(camera);
+            let [r, g, b] = gains.factors[camera];
             assert!((r - log.exp()).abs() < 1e-4 && g == 1.0, "{camera}: {r} {g}");
             assert!((b - (0.5 * log).exp()).abs() < 1e-4, "{camera}: {b}");
         }
@@ -321,7 +311,7 @@ mod tests {
     fn small_differences_and_unknown_cameras_are_not_corrected() {
         let gains = solve_gains(4, 0, &[ratio([0, 1], 0.01)]);
         assert!(gains.are_equal());
-        let (largest, std_err) = gains.largest_difference();
+        let (largest, std_err) = gains.largest;
         assert!((largest - 0.01).abs() < 2e-3 && std_err < 0.01, "{largest} {std_err}");
         assert!(solve_gains(1, 0, &[]).are_equal());
     }

@@ -67,11 +67,7 @@ pub struct Tracker {
     value: Vec<f32>,
     dx: Vec<f32>,
     dy: Vec<f32>,
-}
-
-/// Sums over the template's window.
-struct TemplateSums {
-    /// The structure tensor: xx, xy, yy.
+    /// The template's structure tensor: xx, xy, yy.
     tensor: [f64; 3],
     /// Σ I·∇I, I the template's values. Newton steps are by its difference to Σ J·∇I, J the
     /// target's values.
@@ -96,7 +92,7 @@ fn track_by<V: F32x8>(
     from: Point2<f64>,
     guess: Point2<f64>,
 ) -> Option<Tracked> {
-    let available = source.levels().len().min(target.levels().len());
+    let available = source.levels.len().min(target.levels.len());
     let levels = tracker.parameters.levels.clamp(1, available);
     let mut flow = (guess - from) / f64::from(1_u32 << (levels - 1));
     let mut residual = 0.0;
@@ -104,11 +100,11 @@ fn track_by<V: F32x8>(
         let scale = f64::from(1_u32 << k);
         // Levels are centred on even pixels, so positions relative to pixel centres scale.
         let p = (from.coords - Vector2::repeat(0.5)) / scale;
-        let (level, other) = (&source.levels()[k], &target.levels()[k]);
-        let template = tracker.load_template::<V>(level, &p);
+        let (level, other) = (&source.levels[k], &target.levels[k]);
+        tracker.load_template::<V>(level, &p);
         let epsilon_px = if k > 0 { COARSE_EPSILON_PX } else { 0.0 };
         let epsilon_px = tracker.parameters.epsilon_px.max(epsilon_px);
-        let converged = tracker.iterate::<V>(other, &p, flow, &template, epsilon_px);
+        let converged = tracker.iterate::<V>(other, &p, flow, epsilon_px);
         if k > 0 {
             // A coarse window may be flat or half outside where the fine one is good.
             flow = 2.0 * converged.unwrap_or(flow);
@@ -132,8 +128,9 @@ impl Tracker {
         let side = 2 * parameters.window_radius_px + 1;
         let (row, wide) = (side.next_multiple_of(LANES), (side + 2).next_multiple_of(LANES));
         let value = vec![0.0; wide * (side + 2) + LANES];
-        let zeros = vec![0.0; row * side];
-        Self { parameters, side, row, wide, value, dx: zeros.clone(), dy: zeros }
+        let [dx, dy] = [vec![0.0; row * side], vec![0.0; row * side]];
+        let (tensor, value_gradient) = ([0.0; 3], [0.0; 2]);
+        Self { parameters, side, row, wide, value, dx, dy, tensor, value_gradient }
     }
 
     /// Finds the window around `from` of the source in the target, starting at `guess`; pixels, the
@@ -155,12 +152,13 @@ impl Tracker {
     /// Reads the template around `p` (the first pixel's centre at 0), and computes its derivatives
     /// and sums.
     #[inline(always)]
-    fn load_template<V: F32x8>(&mut self, level: &PyramidLevel, p: &Vector2<f64>) -> TemplateSums {
+    fn load_template<V: F32x8>(&mut self, level: &PyramidLevel, p: &Vector2<f64>) {
         let (side, row, wide) = (self.side, self.row, self.wide);
         // The sums of a window outside the image are 0, which the caller finds to have no texture.
         let radius = self.parameters.window_radius_px + 1;
         let Some(window) = Window::around(level, p, radius, [wide, side + 2]) else {
-            return TemplateSums { tensor: [0.0; 3], value_gradient: [0.0; 2] };
+            (self.tensor, self.value_gradient) = ([0.0; 3], [0.0; 2]);
+            return;
         };
         for x in (0..wide).step_by(LANES) {
             let mut columns = window.columns::<V, 1>(x);
@@ -196,7 +194,7 @@ impl Tracker {
             }
         }
         let [xx, xy, yy, x, y] = V::sums(&sums);
-        TemplateSums { tensor: [xx, xy, yy], value_gradient: [x, y] }
+        (self.tensor, self.value_gradient) = ([xx, xy, yy], [x, y]);
     }
 
     /// The displacement of the window at `p`, pixels of the level, by Newton steps from `flow` on. `None` if the
@@ -207,10 +205,9 @@ impl Tracker {
         target: &PyramidLevel,
         p: &Vector2<f64>,
         mut flow: Vector2<f64>,
-        template: &TemplateSums,
         epsilon_px: f64,
     ) -> Option<Vector2<f64>> {
-        let [xx, xy, yy] = template.tensor;
+        let [xx, xy, yy] = self.tensor;
         let area = (self.side * self.side) as f64;
         let smaller = 0.5 * ((xx + yy) - ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt());
         let determinant = xx * yy - xy * xy;
@@ -222,7 +219,7 @@ impl Tracker {
         let mut previous = Vector2::zeros();
         for step in 0..self.parameters.iterations {
             let [x, y] = self.correlate::<V>(target, &(p + flow))?;
-            let (bx, by) = (template.value_gradient[0] - x, template.value_gradient[1] - y);
+            let (bx, by) = (self.value_gradient[0] - x, self.value_gradient[1] - y);
             let delta = Vector2::new(ixx * bx + ixy * by, ixy * bx + iyy * by);
             flow += delta;
             let length_px = delta.norm();
@@ -392,7 +389,7 @@ mod tests {
     fn sums_agree_with_a_naive_reference() {
         let options = RegistrationOptions::default();
         let (a, b) = pyramids(&options, 0.4, -0.3);
-        let (level, other) = (&a.levels()[0], &b.levels()[0]);
+        let (level, other) = (&a.levels[0], &b.levels[0]);
         let at =
             |l: &PyramidLevel, x: f64, y: f64| f64::from(l.value[l.index(x as isize, y as isize)]);
         let sample = |l: &PyramidLevel, x: f64, y: f64| {
@@ -411,9 +408,9 @@ mod tests {
         let mut tracker = Tracker::new(&options);
         for (px, py) in [(70.3, 40.8), (0.1, 0.2), (159.4, 119.3)] {
             let (p, q) = (Vector2::new(px, py), Vector2::new(px - 0.3, py + 0.2));
-            let template = tracker.load_template::<Scalar>(level, &p);
+            tracker.load_template::<Scalar>(level, &p);
             let sums = tracker.correlate::<Scalar>(other, &q).unwrap();
-            let b = [sums[0] - template.value_gradient[0], sums[1] - template.value_gradient[1]];
+            let b = [0, 1].map(|k| sums[k] - tracker.value_gradient[k]);
             let mut expected = [0.0; 5];
             let r = options.window_radius_px as i32;
             for y in -r..=r {
@@ -433,7 +430,7 @@ mod tests {
                     }
                 }
             }
-            for (got, want) in template.tensor.iter().chain(&b).zip(expected) {
+            for (got, want) in tracker.tensor.iter().chain(&b).zip(expected) {
                 assert!((got - want).abs() < 1e-5 * (1.0 + want.abs()), "{got} {want}");
             }
         }

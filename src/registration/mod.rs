@@ -42,6 +42,7 @@ pub use flow::{Match, Start, flow};
 pub use frame::Frame;
 pub use frame_store::FrameStore;
 pub use gains::Gains;
+pub(crate) use gains::halved;
 pub use klt::{KltParameters, Tracked, Tracker};
 pub use neighbors::Neighbors;
 pub use options::{ConsistencyThresholds, GainMethod, RegistrationOptions};

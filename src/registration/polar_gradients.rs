@@ -31,7 +31,7 @@ multiversion! {
 
 #[inline(always)]
 fn gradients_by<V: F32x8>(pyramid: &Pyramid) -> PolarGradients {
-    let levels = pyramid.levels();
+    let levels = &pyramid.levels;
     let n = LEVEL.min(levels.len() - 1);
     let level = &levels[n];
     let size = level.width * level.height;
@@ -110,7 +110,7 @@ mod tests {
             // Few values, so that some gradients are 0 and others along an axis.
             let data = (0..w * h).map(|_| (4.0 * random.unit()).floor() as f32 / 4.0).collect();
             let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 1, 16);
-            let level = &pyramid.levels()[0];
+            let level = &pyramid.levels[0];
             for gradients in [polar_gradients(&pyramid), gradients_by::<Scalar>(&pyramid)] {
                 for k in 0..w * h {
                     let at = |dx: isize, dy: isize| {

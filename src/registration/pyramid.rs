@@ -10,7 +10,8 @@ use std::iter::repeat_n;
 /// before.
 #[derive(Clone, Debug)]
 pub struct Pyramid {
-    levels: Vec<PyramidLevel>,
+    /// The levels, full-sized first. There is at least one.
+    pub levels: Vec<PyramidLevel>,
 }
 
 /// One level of a [`Pyramid`]: luma in 0..=1, its border repeated outwards.
@@ -48,11 +49,6 @@ impl Pyramid {
             (size[0].min(size[1]) >= 2 * MIN_LEVEL_PX).then(|| size.map(|v| v.div_ceil(2)))
         };
         std::iter::successors(Some(full), halved).take(levels.max(1)).collect()
-    }
-
-    /// The levels, full-sized first. There is at least one.
-    pub fn levels(&self) -> &[PyramidLevel] {
-        &self.levels
     }
 
     /// Width of the full-sized level, pixels.
@@ -155,14 +151,14 @@ mod tests {
     #[test]
     fn gradients_are_per_pixel() {
         let pyramid = Pyramid::new(&ramp(40, 33), 1, 4);
-        let (dx, dy) = pyramid.levels()[0].gradient(7, 9);
+        let (dx, dy) = pyramid.levels[0].gradient(7, 9);
         assert!((dx - 0.01).abs() < 1e-6 && (dy - 0.02).abs() < 1e-6);
     }
 
     #[test]
     fn half_sized_pixels_are_centred_on_even_ones() {
         let pyramid = Pyramid::new(&ramp(65, 64), 2, 4);
-        let half = &pyramid.levels()[1];
+        let half = &pyramid.levels[1];
         assert_eq!((half.width, half.height), (33, 32));
         let v = half.value[half.index(10, 12)];
         assert!((v - (20.0 * 0.01 + 24.0 * 0.02)).abs() < 1e-5);
@@ -172,8 +168,8 @@ mod tests {
     fn tiny_images_have_one_level() {
         for (w, h) in [(1, 1), (1, 50), (31, 31), (3, 2)] {
             let pyramid = Pyramid::new(&ramp(w, h), 5, 9);
-            assert_eq!(pyramid.levels().len(), 1);
+            assert_eq!(pyramid.levels.len(), 1);
         }
-        assert_eq!(Pyramid::new(&ramp(640, 480), 9, 9).levels().len(), 5);
+        assert_eq!(Pyramid::new(&ramp(640, 480), 9, 9).levels.len(), 5);
     }
 }

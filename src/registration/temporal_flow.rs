@@ -79,24 +79,17 @@ impl Track {
     /// next. `times_s` are the frames' times.
     fn drop_kink(&mut self, times_s: &[f64]) {
         let (Some(before), Some(after)) = (self.before, self.after) else { return };
+        let positions = [before, self.earlier, self.later, after];
         // Times ascend strictly, so that no interval is 0.
-        let velocity = |from: Point2<f64>, to: Point2<f64>, n: usize| {
-            (to - from) * ((times_s[2] - times_s[1]) / (times_s[n + 1] - times_s[n]))
-        };
-        let [first, middle, last] = [
-            velocity(before, self.earlier, 0),
-            velocity(self.earlier, self.later, 1),
-            velocity(self.later, after, 2),
-        ];
+        let [first, middle, last] = [0, 1, 2].map(|n| {
+            let scale = (times_s[2] - times_s[1]) / (times_s[n + 1] - times_s[n]);
+            (positions[n + 1] - positions[n]) * scale
+        });
         let [at_earlier, at_later] = [middle - first, last - middle];
         let limit = MAX_JERK_PX + JERK_FRACTION * at_earlier.norm().min(at_later.norm());
         if (at_later - at_earlier).norm() > limit {
-            let dropped = if at_earlier.norm() > at_later.norm() {
-                &mut self.before
-            } else {
-                &mut self.after
-            };
-            *dropped = None;
+            let is_earlier = at_earlier.norm() > at_later.norm();
+            *(if is_earlier { &mut self.before } else { &mut self.after }) = None;
         }
     }
 

@@ -61,15 +61,7 @@ impl CensusImage {
 
     /// The image at half the size; the last row or column of an odd number is dropped.
     fn halved(&self) -> Option<Self> {
-        let camera = halved(&self.camera)?;
-        let at = |x: usize, y: usize| self.gray.pixel(x, y)[0];
-        let mean = |k: usize| {
-            let (x, y) = (2 * (k % camera.width), 2 * (k / camera.width));
-            0.25 * (at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1))
-        };
-        let (w, h) = (camera.width, camera.height);
-        let gray = Image::from_data(w, h, 1, (0..w * h).map(mean).collect());
-        Some(Self::new(camera, gray))
+        Some(Self::new(halved(&self.camera)?, crate::registration::halved(&self.gray)))
     }
 }
 

@@ -292,7 +292,7 @@ fn zero_gradient_in_equation_6() {
     let mut random = Random::new(10);
     for image in [&flat, &step, &noise] {
         let pyramid = Pyramid::new(image, 1, 9);
-        let level = &pyramid.levels()[0];
+        let level = &pyramid.levels[0];
         for n in 0..300 {
             let place = |r: &mut Random| {
                 Point2::new(r.in_range(1.0, W as f64 - 1.0), r.in_range(1.0, H as f64 - 1.0))

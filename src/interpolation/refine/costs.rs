@@ -30,37 +30,28 @@ pub struct PointGrid {
 }
 
 impl PointGrid {
-    /// The positions of a row of points in frame 0 to 3, by a motion.
-    fn row(
-        &self,
-        motion: &AffineMotion,
-        frame: usize,
-        row: usize,
-    ) -> impl Iterator<Item = [f32; 2]> {
-        let y = (row * self.step) as f64 + 0.5;
-        let from_center = |x: f64| self.corner - self.center + Vector2::new(x, y);
-        let position = |x: f64| self.center + from_center(x) + motion.at(frame, from_center(x));
-        // The motion is affine, so that positions along a row are equidistant.
-        let (first, per_px) = (position(0.5), position(1.5) - position(0.5));
-        (0..self.side).map(move |k| {
-            let position = first + per_px * (k * self.step) as f64;
-            [position.x as f32, position.y as f32]
-        })
-    }
-
-    /// The positions of all points in frame 0 to 3, row by row.
+    /// The positions of the points in frame 0 to 3 by a motion, row by row.
     pub fn positions(&self, motion: &AffineMotion, frame: usize) -> Vec<[f32; 2]> {
-        (0..self.side).flat_map(|row| self.row(motion, frame, row)).collect()
+        let mut positions = Vec::with_capacity(self.side * self.side);
+        for row in 0..self.side {
+            let y = (row * self.step) as f64 + 0.5;
+            let from_center = |x: f64| self.corner - self.center + Vector2::new(x, y);
+            let position = |x: f64| self.center + from_center(x) + motion.at(frame, from_center(x));
+            // The motion is affine, so that positions along a row are equidistant.
+            let (first, per_px) = (position(0.5), position(1.5) - position(0.5));
+            positions.extend((0..self.side).map(|k| {
+                let position = first + per_px * (k * self.step) as f64;
+                [position.x as f32, position.y as f32]
+            }));
+        }
+        positions
     }
 
     /// Samples frame 0 to 3 at those positions: one pixel a point.
     pub fn sample(&self, image: &Image, motion: &AffineMotion, frame: usize) -> Image {
-        let channels = image.channels();
-        let mut samples = vec![0.0; self.side * self.side * channels];
-        for (row, out) in samples.chunks_exact_mut(self.side * channels).enumerate() {
-            sample_all(image, self.row(motion, frame, row), out);
-        }
-        Image::from_data(self.side, self.side, channels, samples)
+        let mut samples = vec![0.0; self.side * self.side * image.channels()];
+        sample_all(image, self.positions(motion, frame).into_iter(), &mut samples);
+        Image::from_data(self.side, self.side, image.channels(), samples)
     }
 }
 
