@@ -67,13 +67,6 @@ impl Trajectory {
         }
         sum
     }
-
-    /// The variance of [`Self::at`] over the variance of a single sample's position: the sum of the
-    /// samples' squared weights at a time in seconds. It is 0.5 to 1 between the two samples of a
-    /// straight line, and grows without bound outside the samples' times.
-    pub fn noise_gain(&self, time_s: f64) -> f64 {
-        (0..self.len).map(|i| self.weight(time_s, i, i).powi(2)).sum()
-    }
 }
 
 #[cfg(test)]
@@ -97,7 +90,6 @@ mod tests {
             Trajectory::new([(1.0, Point2::new(0.0, 8.0)), (3.0, Point2::new(4.0, 0.0))]).unwrap();
         assert_eq!(trajectory.at(1.5), Point2::new(1.0, 6.0));
         assert_eq!(trajectory.velocity(9.0), Vector2::new(2.0, -4.0));
-        assert_eq!(trajectory.noise_gain(2.0), 0.5);
     }
 
     #[test]

@@ -39,7 +39,7 @@ impl Descriptor {
     pub fn cost(&self, Self { code, grays }: Self) -> u8 {
         let [min, max] = [8, 16].map(|shift| (grays >> shift & 255) as i32);
         let value = (self.grays & 255) as i32;
-        let beyond = (value - max).max(min - value).max(0).min(MAX_GRAY_COST);
+        let beyond = (value - max).max(min - value).clamp(0, MAX_GRAY_COST);
         let cost = BIT_COST * (self.code ^ code).count_ones() + beyond as u32;
         (cost | grays >> 24) as u8
     }
