@@ -5,19 +5,17 @@ mod cache;
 mod disk_cache;
 mod file_hashes;
 mod machine;
-mod memo;
 mod obstacle;
 pub(crate) mod process;
 mod read;
 pub(crate) mod temporary;
 
-pub use cache::BoundedCache;
+pub use cache::{BoundedCache, Memo};
 pub use disk_cache::{CacheKind, CacheUse, DiskCache};
 pub(crate) use file_hashes::file_hashes;
 pub use machine::{
     Elapsed, Stopwatch, bound_arenas, on_workers, process_cpu_s, reuse_freed_memory,
 };
-pub use memo::Memo;
 pub use obstacle::obstacle;
 pub(crate) use obstacle::remove_special;
 pub(crate) use read::hash_file;
