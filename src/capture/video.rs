@@ -73,8 +73,9 @@ pub(super) fn open(
     wrong: impl Fn(String) -> CaptureError,
 ) -> Result<(VideoFile, Vec<PathBuf>), CaptureError> {
     let cache = source.cache;
-    if let Some(path) = cache.link(DECODED_VIDEOS) {
-        return Err(CaptureError::CacheLink { path });
+    if let Some(link) = cache.link(DECODED_VIDEOS) {
+        let reason = "is a link, and the cache of a capture must lie inside of it";
+        return Err(CaptureError::content(&link, reason));
     }
     let hash = hash(cache, path)?;
     let failed = |source| CaptureError::Write { path: path.to_owned(), source };
@@ -139,44 +140,30 @@ impl SourceVideo<'_> {
         let temporary = Temporary::inside(parent).map_err(failed)?;
         let partial = temporary.path().join(FRAMES);
         std::fs::create_dir(&partial).map_err(failed)?;
-        let decoded = self.decode_into(ffmpeg, &partial, wrong).map_err(|error| match error {
+        let decoded = video::decode(ffmpeg, self.path, &partial, MAX_FRAMES);
+        let times_s = decoded.map_err(|error| match error {
             // The temporary folder is gone by then.
-            CaptureError::Write { path, source } if path.starts_with(&partial) => failed(source),
-            error => error,
+            VideoError::File { path, source } if path.starts_with(&partial) => failed(source),
+            VideoError::File { path, source } => CaptureError::Write { path, source },
+            error => wrong(format!("'{}' {error}", self.name)),
         })?;
+        let frames = (0..).take_while(|k| partial.join(frame_name(*k)).exists()).count();
+        if frames == 0 || frames != times_s.len() {
+            let reason = "has no frames, or some without a time stamp";
+            return Err(wrong(format!("'{}' {reason}", self.name)));
+        }
+        let hashes = hash_frames(cache, &partial, frames).map_err(failed)?;
+        let stamps = serde_json::json!({ "times_s": times_s });
+        write_json(&partial.join(STAMPS_FILE), &stamps).map_err(failed)?;
         temporary.place(FRAMES, &self.folder).map_err(failed)?;
         // What was decoded may be what the video became meanwhile.
         if hash(cache, self.path)? != self.hash {
             return Err(CaptureError::Changed { path: self.path.to_owned() });
         }
-        let (hashes, times_s) = decoded;
         let frames = hashes.iter().map(|hash| hash.to_hex().to_string()).collect();
         let entry = DecodedVideo { times_s, frames };
         cache.save_json(DECODED_VIDEOS, self.hash.as_bytes(), &entry).map_err(failed)?;
         Ok((hashes, entry.times_s))
-    }
-
-    fn decode_into(
-        &self,
-        ffmpeg: &Path,
-        folder: &Path,
-        wrong: &impl Fn(String) -> CaptureError,
-    ) -> Result<DecodedFrames, CaptureError> {
-        let name = &self.name;
-        let decoded = video::decode(ffmpeg, self.path, folder, MAX_FRAMES);
-        let times_s = decoded.map_err(|error| match error {
-            VideoError::File { path, source } => CaptureError::Write { path, source },
-            error => wrong(format!("'{name}' {error}")),
-        })?;
-        let frames = (0..).take_while(|k| folder.join(frame_name(*k)).exists()).count();
-        if frames == 0 || frames != times_s.len() {
-            return Err(wrong(format!("'{name}' has no frames, or some without a time stamp")));
-        }
-        let failed = |source| CaptureError::Write { path: folder.join(STAMPS_FILE), source };
-        let hashes = hash_frames(self.source.cache, folder, frames).map_err(failed)?;
-        let stamps = serde_json::json!({ "times_s": times_s });
-        write_json(&folder.join(STAMPS_FILE), &stamps).map_err(failed)?;
-        Ok((hashes, times_s))
     }
 }
 
@@ -228,21 +215,18 @@ impl VideoFile {
             gaps.clone().position(|gap| !((gap - frame_s).abs() <= 0.5 * frame_s + ROUNDING_S));
         let all_s = gaps.clone().sum::<f64>();
         let expected_s = gaps.count() as f64 * frame_s;
-        let off = !((all_s - expected_s).abs() <= 0.01 * expected_s + ROUNDING_S);
-        match (uneven, off) {
-            (None, false) => Ok(()),
-            (Some(k), _) => Err(format!(
-                "rate_hz is {rate_hz}, but the video's own time stamps of frames {k} and {} are {:.4} s apart; {}",
-                k + 1,
-                self.stamps_s[k + 1] - self.stamps_s[k],
-                self.offer()
-            )),
-            (None, true) => Err(format!(
-                "rate_hz is {rate_hz}, but the video's own time stamps say {:.4}; {}",
-                (self.stamps_s.len() - 1) as f64 / all_s,
-                self.offer()
-            )),
-        }
+        let contradiction = if let Some(k) = uneven {
+            let gap_s = self.stamps_s[k + 1] - self.stamps_s[k];
+            format!("of frames {k} and {} are {gap_s:.4} s apart", k + 1)
+        } else if !((all_s - expected_s).abs() <= 0.01 * expected_s + ROUNDING_S) {
+            format!("say {:.4}", (self.stamps_s.len() - 1) as f64 / all_s)
+        } else {
+            return Ok(());
+        };
+        let offer = self.offer();
+        Err(format!(
+            "rate_hz is {rate_hz}, but the video's own time stamps {contradiction}; {offer}"
+        ))
     }
 
     /// Advice for a clock that contradicts the file.

@@ -6,7 +6,7 @@ use std::error::Error;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 use std::process::ExitCode;
-use stlfr::capture::{CaptureError, TruthError};
+use stlfr::capture::CaptureError;
 use stlfr::compare::CompareError;
 use stlfr::exchange::ExchangeError;
 use stlfr::json::JsonError;
@@ -92,7 +92,7 @@ macro_rules! classified_by_cause {
         })+
     };
 }
-classified_by_cause!(ImageFileError, RigError, TruthError, ExchangeError);
+classified_by_cause!(ImageFileError, RigError, ExchangeError);
 
 impl From<CaptureError> for CliError {
     fn from(error: CaptureError) -> Self {

@@ -11,6 +11,7 @@ mod read;
 pub(crate) mod temporary;
 
 pub use cache::{BoundedCache, Memo};
+pub(crate) use disk_cache::ENTRY_OVERHEAD_BYTES;
 pub use disk_cache::{CacheKind, CacheUse, DiskCache};
 pub(crate) use file_hashes::file_hashes;
 pub use machine::{

@@ -51,7 +51,7 @@ pub use rig_frame::{RigFrame, ViewDirection};
 pub use server::Server;
 pub use studio::{Picture, Studio};
 
-use crate::capture::TruthError;
+use crate::capture::CaptureError;
 use crate::light_field::RenderError;
 use crate::raster::ImageFileError;
 
@@ -64,7 +64,7 @@ pub enum LiveError {
     #[error(transparent)]
     Render(#[from] RenderError),
     #[error(transparent)]
-    Truth(#[from] TruthError),
+    Capture(#[from] CaptureError),
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
     /// A newer request of the same viewer replaced this one.
