@@ -14,7 +14,7 @@ use stlfr::light_field::RenderError;
 use stlfr::raster::ImageFileError;
 use stlfr::rig::RigError;
 use stlfr::text::printable;
-use stlfr::toolchain::{ExtensionError, ScriptError, SetupError};
+use stlfr::toolchain::ToolchainError;
 use stlfr::tradeoff::TradeoffError;
 use stlfr::video::VideoError;
 
@@ -29,26 +29,11 @@ pub enum CliError {
     Failure(String),
 }
 
-impl From<SetupError> for CliError {
-    fn from(error: SetupError) -> Self {
-        Self::Failure(error.to_string())
-    }
-}
-
-impl From<ScriptError> for CliError {
-    fn from(error: ScriptError) -> Self {
+impl From<ToolchainError> for CliError {
+    fn from(error: ToolchainError) -> Self {
         match error {
-            ScriptError::BadInput(sentence) => Self::BadInput(sentence),
-            ScriptError::Failure(sentence) => Self::Failure(sentence),
-        }
-    }
-}
-
-impl From<ExtensionError> for CliError {
-    fn from(error: ExtensionError) -> Self {
-        match error {
-            ExtensionError::Wheel(error) => error.into(),
-            ExtensionError::Package(error) => error.into(),
+            ToolchainError::BadInput(sentence) => Self::BadInput(sentence),
+            ToolchainError::Failure(sentence) => Self::Failure(sentence),
         }
     }
 }

@@ -12,7 +12,7 @@
 //! Known limits: a checksum detects damage, not a forger. Entries that were used within [`RECENT`] are not removed, so
 //! that the cache may exceed its bound for that long.
 
-use super::obstacle::{link_within, remove_special};
+use super::obstacle::{ignore_absent, link_within, remove_special};
 use super::read::read_bytes;
 use super::temporary::{remove_abandoned, write_atomically};
 use serde::Serialize;
@@ -406,13 +406,6 @@ fn remove(path: &Path) -> Result<()> {
         Ok(found) if !found.is_dir() => std::fs::remove_file(files),
         _ => std::fs::remove_dir_all(files),
     })
-}
-
-fn ignore_absent(result: Result<()>) -> Result<()> {
-    match result {
-        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
-        _ => Ok(()),
-    }
 }
 
 #[cfg(test)]

@@ -18,7 +18,7 @@ pub use machine::{
     Elapsed, Stopwatch, bound_arenas, on_workers, process_cpu_s, reuse_freed_memory,
 };
 pub use obstacle::obstacle;
-pub(crate) use obstacle::remove_special;
+pub(crate) use obstacle::{ignore_absent, remove_special};
 pub(crate) use read::hash_file;
 pub use read::{open_bounded, open_file, read_bytes, read_text};
 pub use temporary::{remove_unfinished_on_signals, try_folder, write_atomically, write_json};

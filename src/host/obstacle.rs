@@ -1,7 +1,7 @@
 //! What a path may already stand for.
 
 use std::fs::FileType;
-use std::io::Result;
+use std::io::{ErrorKind, Result};
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
@@ -31,6 +31,14 @@ pub(super) fn file_kind(found: FileType) -> &'static str {
 pub(crate) fn remove_special(path: &Path) -> Result<()> {
     match path.symlink_metadata() {
         Ok(found) if !found.is_file() && !found.is_dir() => std::fs::remove_file(path),
+        _ => Ok(()),
+    }
+}
+
+/// The result of a removal, with nothing to remove as success.
+pub(crate) fn ignore_absent(removal: Result<()>) -> Result<()> {
+    match removal {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
         _ => Ok(()),
     }
 }

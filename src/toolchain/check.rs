@@ -1,10 +1,9 @@
 //! Checks a calibration against pycolmap and Blender.
 
-use super::script::{self, ScriptError};
+use super::script::{self, ToolchainError};
 use super::setup::Environment;
 use crate::host::process;
 use crate::progress::Reporter;
-use serde::Deserialize;
 use serde_json::Value;
 use std::path::Path;
 
@@ -19,19 +18,12 @@ pub struct Check {
     pub table: Vec<String>,
 }
 
-/// The decision, among the measured values.
-#[derive(Deserialize)]
-struct CheckDecision {
-    ok: bool,
-    reason: Option<String>,
-}
-
 /// Checks a capture's calibration. A wrong calibration is a result, not an error.
 pub fn check(
     environment: &Environment,
     capture: &Path,
     reporter: &Reporter,
-) -> Result<Check, ScriptError> {
+) -> Result<Check, ToolchainError> {
     let mut command = script::command(environment, "check.py");
     command.arg(capture);
     let phase = reporter.phase("checking the calibration");
@@ -41,14 +33,14 @@ pub fn check(
         stdout.push('\n');
     });
     drop(phase);
-    let ended = ended.map_err(|e| ScriptError::Failure(format!("check.py: {e}")))?;
+    let ended = ended.map_err(|e| ToolchainError::Failure(format!("check.py: {e}")))?;
     let values = serde_json::from_str::<Value>(&stdout);
-    let decided = values.and_then(|v| Ok((CheckDecision::deserialize(&v)?, v)));
-    let Ok((decision, values)) = decided else {
+    let decided = values.ok().and_then(|values| Some((values["ok"].as_bool()?, values)));
+    let Some((is_right, values)) = decided else {
         script::verdict("check.py", &ended)?;
-        return Err(ScriptError::Failure("check.py: printed no result".into()));
+        return Err(ToolchainError::Failure("check.py: printed no result".into()));
     };
-    let failure = (!decision.ok).then(|| decision.reason.unwrap_or_default());
+    let failure = (!is_right).then(|| values["reason"].as_str().unwrap_or_default().to_owned());
     let table: Vec<String> = ended
         .stderr
         .lines()

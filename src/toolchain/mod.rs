@@ -3,17 +3,12 @@
 //!
 //! Known limits: Linux and macOS only. Children of a killed parent are ended on Linux only.
 
+mod blender;
 mod check;
-mod extension;
-mod film;
-
-mod review;
 mod script;
 mod setup;
 
+pub use blender::{FilmOptions, FilmedScene, build_extension, film, review};
 pub use check::{Check, check};
-pub use extension::{ExtensionError, build_extension};
-pub use film::{FilmOptions, FilmedScene, film};
-pub use review::review;
-pub use script::ScriptError;
-pub use setup::{Environment, SetupError, ensure_environment, find_ffmpeg, project_root};
+pub use script::ToolchainError;
+pub use setup::{Environment, ensure_environment, find_ffmpeg, project_root};

@@ -1,9 +1,11 @@
-//! Films a capture in Blender.
+//! What Blender makes: captures, a review of a comparison, and the extension as one file to install.
 
-use super::script::{self, ScriptError};
-use super::setup::Environment;
+use super::script::{self, ToolchainError};
+use super::setup::{self, Environment};
+use crate::host::process;
+use crate::host::temporary::Temporary;
 use crate::progress::Reporter;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What to film, and how. `None` is the filming script's default.
 #[derive(Clone, Debug)]
@@ -49,7 +51,7 @@ pub fn film(
     environment: &Environment,
     options: &FilmOptions,
     reporter: &Reporter,
-) -> Result<(), ScriptError> {
+) -> Result<(), ToolchainError> {
     let mut command = script::command(environment, "capture.py");
     command.arg(&options.rig).arg("-o").arg(&options.capture);
     match &options.scene {
@@ -85,4 +87,47 @@ pub fn film(
         command.arg("--video");
     }
     script::run(&mut command, "filming", reporter, |line| reporter.note(line))
+}
+
+/// Writes `review.blend` beside the `review.json` of a comparison.
+pub fn review(
+    environment: &Environment,
+    layout: &Path,
+    reporter: &Reporter,
+) -> Result<PathBuf, ToolchainError> {
+    let mut command = script::command(environment, "review.py");
+    command.arg(layout);
+    script::run(&mut command, "review.blend", reporter, |_| ())?;
+    Ok(layout.with_file_name("review.blend"))
+}
+
+/// Name of the extension's zip inside its temporary folder.
+const EXTENSION_FILE: &str = "extension.zip";
+
+/// Writes the extension's zip for this platform, with the wheel of the Python module inside, validated
+/// by Blender's own tool.
+pub fn build_extension(
+    environment: &Environment,
+    zip: &Path,
+    reporter: &Reporter,
+) -> Result<(), ToolchainError> {
+    let failed =
+        |error| ToolchainError::Failure(format!("{}: can't be written ({error})", zip.display()));
+    setup::with_wheel(environment, reporter, |wheel| {
+        let temporary = Temporary::for_file(zip).map_err(failed)?;
+        let whole = temporary.path().join(EXTENSION_FILE);
+        let mut command = script::command(environment, "package.py");
+        command.arg(wheel).arg("-o").arg(&whole);
+        let _phase = reporter.phase("packing the extension");
+        let ended = process::run(&mut command, |_| {});
+        let ended = ended.map_err(|e| ToolchainError::Failure(format!("package.py: {e}")))?;
+        script::verdict("package.py", &ended).map_err(|error| match error {
+            // It knows the extension by its temporary name.
+            ToolchainError::Failure(sentence) => ToolchainError::Failure(
+                sentence.replace(&*whole.to_string_lossy(), &zip.to_string_lossy()),
+            ),
+            error => error,
+        })?;
+        temporary.place(EXTENSION_FILE, zip).map_err(failed)
+    })
 }
