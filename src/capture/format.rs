@@ -2,7 +2,7 @@
 
 use super::clock::MAX_TIME_S;
 use super::video::VideoFile;
-use super::{CaptureError, CaptureSource, Clock, FilmedCamera, frames, require_size, video};
+use super::{CaptureError, CaptureSource, Clock, FilmedCamera, frames, require_size};
 use crate::camera::{CameraFormat, PoseFormat};
 use crate::raster::{BitDepth, read_header};
 use crate::text::{ID_PATTERN, MAX_ID_LENGTH, check_id, printable, short};
@@ -139,13 +139,12 @@ impl FilmedCameraFormat {
         }
         .camera()
         .map_err(|error| refused(format!("{name}.{error}")))?;
-        let (video, files) = match frames::video(root, &self.frames) {
-            Some(path) => {
-                let path = path.map_err(|e| wrong("frames", e))?;
-                let (video, files) = video::open(source, &path, |e| wrong("frames", e))?;
-                (Some(video), files)
-            }
-            None => (None, frames::find(root, &self.frames).map_err(|e| wrong("frames", e))?),
+        let video = frames::video(root, &self.frames).map_err(|e| wrong("frames", e))?;
+        let video = video.map(|path| VideoFile::open(source, path, |e| wrong("frames", e)));
+        let video = video.transpose()?;
+        let files = match &video {
+            Some(video) => video.files(),
+            None => frames::find(root, &self.frames).map_err(|e| wrong("frames", e))?,
         };
         let mut bit_depth = BitDepth::Eight;
         for frame in &files {

@@ -74,17 +74,18 @@ pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
 }
 
 /// Finds the video that a camera's `frames` names; `None` if it names a sequence. The error is a reason.
-pub(super) fn video(root: &Path, name: &str) -> Option<Result<PathBuf, String>> {
-    (!name.contains('%')).then(|| {
-        must_be_relative(name)?;
-        let real = file(root, name)?.ok_or_else(|| format!("'{name}' does not exist"))?;
-        if image::ImageFormat::from_path(&real).is_ok() {
-            return Err(format!(
-                "'{name}' is one image; a sequence is named like cam0/%04d.png, from 0 on"
-            ));
-        }
-        Ok(real)
-    })
+pub(super) fn video(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
+    if name.contains('%') {
+        return Ok(None);
+    }
+    must_be_relative(name)?;
+    let real = file(root, name)?.ok_or_else(|| format!("'{name}' does not exist"))?;
+    if image::ImageFormat::from_path(&real).is_ok() {
+        return Err(format!(
+            "'{name}' is one image; a sequence is named like cam0/%04d.png, from 0 on"
+        ));
+    }
+    Ok(Some(real))
 }
 
 /// A file in `root`, links followed; `None` if it doesn't exist. The error is a reason.

@@ -15,7 +15,7 @@ mod video;
 pub use clock::{Clock, MAX_DRIFT_PPM, are_frame_times, bracket};
 pub(crate) use content::Stored;
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
-pub use output_guard::{OutputError, OutputGuard};
+pub use output_guard::OutputGuard;
 pub use truth::{Truth, TruthOffset, TruthVideo, TruthView, read_array};
 pub use video::{MAX_FRAMES, VideoFile};
 

@@ -4,20 +4,12 @@
 //! the offsets and the cache, also where links lead to them. Other files in the capture's folder, and its `review/`, may
 //! be replaced. A folder into which a simulated rig films is protected as a whole.
 
-use super::{CAPTURE_FILE, frames};
+use super::{CAPTURE_FILE, CaptureError, frames};
 use crate::host::obstacle;
 use crate::json;
 use serde_json::Value;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
-
-/// A refused output: one sentence with its path.
-#[derive(Debug, thiserror::Error)]
-#[error("{path}: {reason}")]
-pub struct OutputError {
-    pub path: PathBuf,
-    pub reason: String,
-}
 
 /// Protected paths in a capture's folder, besides its description and frames.
 const PARTS: [&str; 6] = ["truth", "colmap", ".stlfr", FILM, "offsets.json", "offsets.svg"];
@@ -58,28 +50,28 @@ impl OutputGuard {
     }
 
     /// Refuses an output file that isn't allowed.
-    pub fn check_file(&mut self, path: &Path) -> Result<(), OutputError> {
+    pub fn check_file(&mut self, path: &Path) -> Result<(), CaptureError> {
         let name = path.as_os_str().as_encoded_bytes();
         if path.file_name().is_none() || name.ends_with(b"/") || name.ends_with(b"/.") {
-            return refuse(path, "names no file");
+            return Err(CaptureError::content(path, "names no file"));
         }
         if let Some(obstacle) = obstacle(path) {
-            return refuse(path, obstacle);
+            return Err(CaptureError::content(path, obstacle));
         }
         self.check(path, ProtectedPaths::against_file)
     }
 
     /// Refuses an output folder that isn't allowed. It will hold files with these names, which it may hold already.
-    pub fn check_folder(&mut self, path: &Path, files: &[&str]) -> Result<(), OutputError> {
+    pub fn check_folder(&mut self, path: &Path, files: &[&str]) -> Result<(), CaptureError> {
         self.check_capture(path)?;
         self.check(path, ProtectedPaths::against_folder)?;
         files.iter().try_for_each(|file| self.check_file(&path.join(file)))
     }
 
     /// Refuses a folder for a new or unfinished capture that isn't allowed.
-    pub fn check_capture(&mut self, path: &Path) -> Result<(), OutputError> {
+    pub fn check_capture(&mut self, path: &Path) -> Result<(), CaptureError> {
         if path.symlink_metadata().is_ok() && !path.is_dir() {
-            return refuse(path, "is no folder");
+            return Err(CaptureError::content(path, "is no folder"));
         }
         self.check(path, ProtectedPaths::against_capture)
     }
@@ -89,7 +81,7 @@ impl OutputGuard {
         &mut self,
         path: &Path,
         against: fn(&ProtectedPaths, &Path) -> Option<&'static str>,
-    ) -> Result<(), OutputError> {
+    ) -> Result<(), CaptureError> {
         let Ok(absolute) = std::path::absolute(path) else { return Ok(()) };
         let real = real(&absolute);
         let around = absolute.ancestors().chain(real.ancestors()).map(Path::to_owned);
@@ -97,15 +89,11 @@ impl OutputGuard {
             let known = self.known.entry(folder);
             let known = known.or_insert_with_key(|folder| ProtectedPaths::of(folder));
             if let Some(reason) = known.as_ref().and_then(|protected| against(protected, &real)) {
-                return refuse(path, reason);
+                return Err(CaptureError::content(path, reason));
             }
         }
         Ok(())
     }
-}
-
-fn refuse(path: &Path, reason: impl Into<String>) -> Result<(), OutputError> {
-    Err(OutputError { path: path.to_owned(), reason: reason.into() })
 }
 
 /// Follows the links among a path's existing folders, but not the path itself.
@@ -303,7 +291,7 @@ mod tests {
         std::fs::create_dir(folder.path().join(FILM)).unwrap();
         let mut guard = OutputGuard::new(None);
         let message = guard.check_file(&folder.path().join("cam0/0000.png")).unwrap_err();
-        assert!(message.reason.contains("not filmed to its end"), "{message}");
+        assert!(message.to_string().contains("not filmed to its end"), "{message}");
         guard.check_capture(folder.path()).unwrap();
     }
 }
