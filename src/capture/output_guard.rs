@@ -126,11 +126,15 @@ impl ProtectedPaths {
         let cameras = read["cameras"].as_array().into_iter().flatten();
         let names: Vec<&str> = cameras.filter_map(|camera| camera["frames"].as_str()).collect();
         let root = folder.canonicalize().ok()?;
+        let pattern = |frames: &&str| {
+            let (folder, name) = frames.rsplit_once('/').unwrap_or((".", frames));
+            FramePattern { folder: followed(root.join(folder)), name: name.to_owned() }
+        };
         Some(Self {
             is_filming: !is_described,
             description: followed(root.join(CAPTURE_FILE)),
             parts: PARTS.map(|name| followed(root.join(name))).to_vec(),
-            patterns: names.iter().map(|name| FramePattern::new(&root, name)).collect(),
+            patterns: names.iter().map(pattern).collect(),
             frames: names.iter().flat_map(|name| frames::find(&root, name)).flatten().collect(),
             root,
         })
@@ -165,11 +169,6 @@ impl ProtectedPaths {
 }
 
 impl FramePattern {
-    fn new(root: &Path, frames: &str) -> Self {
-        let (folder, name) = frames.rsplit_once('/').unwrap_or((".", frames));
-        Self { folder: followed(root.join(folder)), name: name.to_owned() }
-    }
-
     fn names(&self, real: &Path) -> bool {
         let name = real.file_name().and_then(|name| name.to_str());
         real.parent() == Some(&self.folder)

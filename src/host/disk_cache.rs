@@ -12,8 +12,7 @@
 //! Known limits: a checksum detects damage, not a forger. Entries that were used within [`RECENT`] are not removed, so
 //! that the cache may exceed its bound for that long.
 
-use super::obstacle::{ignore_absent, link_within, remove_special};
-use super::read::read_bytes;
+use super::files::{ignore_absent, link_within, read_bytes, remove_special};
 use super::temporary::{remove_abandoned, write_atomically};
 use serde::Serialize;
 use serde::de::DeserializeOwned;

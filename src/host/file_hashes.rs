@@ -1,7 +1,7 @@
 //! Hashes of files' content, read again only after a file has changed.
 
 use super::disk_cache::{CacheKind, DiskCache};
-use super::read::open_file;
+use super::files::open_file;
 use rayon::prelude::*;
 use std::io::Result;
 use std::os::unix::fs::MetadataExt;

@@ -6,7 +6,7 @@
 //!
 //! Known limit: where the file system has no locks, folders of killed processes stay.
 
-use super::obstacle::obstacle;
+use super::files::obstacle;
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;

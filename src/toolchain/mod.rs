@@ -3,12 +3,10 @@
 //!
 //! Known limits: Linux and macOS only. Children of a killed parent are ended on Linux only.
 
-mod blender;
-mod check;
+mod programs;
 mod script;
 mod setup;
 
-pub use blender::{FilmOptions, FilmedScene, build_extension, film, review};
-pub use check::{Check, check};
+pub use programs::{Check, FilmOptions, FilmedScene, build_extension, check, film, review};
 pub use script::ToolchainError;
 pub use setup::{Environment, ensure_environment, find_ffmpeg, project_root};

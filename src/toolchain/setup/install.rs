@@ -15,7 +15,7 @@ const IMPORTS: &str = "import bpy, pycolmap, numpy, stlfr";
 const BUILDING: &str = "building the Python module stlfr";
 
 /// An installation in progress. The caller holds the lock.
-struct Installer<'a> {
+pub(super) struct Installer<'a> {
     root: &'a Path,
     python: &'a Path,
     venv: PathBuf,
@@ -24,45 +24,31 @@ struct Installer<'a> {
     reporter: &'a Reporter,
 }
 
-/// Completes the environment. The caller holds the lock.
-pub(super) fn install(
-    environment: &Environment,
-    stamps: &Stamps,
-    reporter: &Reporter,
-) -> Result<(), ToolchainError> {
-    let installer = Installer::new(environment, reporter);
-    let wheel = if stamps.packages.found {
-        reporter.note("Building the Python module stlfr: its sources have changed.");
-        stamps.module.remove()?;
-        installer.build_module()?
-    } else {
-        reporter.note(
-            "Setting up Python in .venv, once: Blender, COLMAP and what else it needs, 1 GB or so.",
-        );
-        installer.make_venv()?;
-        installer.install_packages_and_build()?
-    };
-    installer.install_module(&wheel)?;
-    installer.try_imports()?;
-    stamps.module.write()?;
-    reporter.note("The Python environment is ready.");
-    Ok(())
-}
-
-/// Builds the wheel of the Python module into a folder of the environment, which the caller removes. The
-/// caller holds the lock.
-pub(super) fn build_wheel(
-    environment: &Environment,
-    reporter: &Reporter,
-) -> Result<PathBuf, ToolchainError> {
-    Installer::new(environment, reporter).build_module()
-}
-
 impl<'a> Installer<'a> {
-    fn new(environment: &'a Environment, reporter: &'a Reporter) -> Self {
+    pub fn new(environment: &'a Environment, reporter: &'a Reporter) -> Self {
         let Environment { project_root: root, python } = environment;
         let venv = root.join(".venv");
         Self { root, python, wheels: venv.join("wheels"), venv, reporter }
+    }
+
+    /// Completes the environment.
+    pub fn install(&self, stamps: &Stamps) -> Result<(), ToolchainError> {
+        let wheel = if stamps.packages.found {
+            self.reporter.note("Building the Python module stlfr: its sources have changed.");
+            stamps.module.remove()?;
+            self.build_module()?
+        } else {
+            self.reporter.note(
+                "Setting up Python in .venv, once: Blender, COLMAP and what else it needs, 1 GB or so.",
+            );
+            self.make_venv()?;
+            self.install_packages_and_build()?
+        };
+        self.install_module(&wheel)?;
+        self.try_imports()?;
+        stamps.module.write()?;
+        self.reporter.note("The Python environment is ready.");
+        Ok(())
     }
 
     /// Creates an empty environment in place of an earlier one.
@@ -93,8 +79,8 @@ impl<'a> Installer<'a> {
         })
     }
 
-    /// Builds the wheel of the Python module from this tree.
-    fn build_module(&self) -> Result<PathBuf, ToolchainError> {
+    /// Builds the wheel of the Python module from this tree, into a folder of the environment that the caller removes.
+    pub fn build_module(&self) -> Result<PathBuf, ToolchainError> {
         ignore_absent(std::fs::remove_dir_all(&self.wheels))
             .map_err(|e| file_error(&self.wheels, e))?;
         let mut command = Command::new(self.venv.join("bin/maturin"));

@@ -12,6 +12,7 @@ mod system;
 use super::ToolchainError;
 use crate::progress::Reporter;
 use crate::video::ffmpeg_on_path;
+use install::Installer;
 use stamp::Stamps;
 use std::fs::File;
 use std::io::{Error, ErrorKind};
@@ -73,13 +74,10 @@ pub fn project_root() -> Result<PathBuf, ToolchainError> {
 
 /// The system's ffmpeg, else that of the project's environment.
 pub fn find_ffmpeg() -> Option<PathBuf> {
-    ffmpeg_on_path().or_else(|| environment_ffmpeg(&project_root().ok()?))
-}
-
-/// The ffmpeg of the package `imageio-ffmpeg`.
-fn environment_ffmpeg(project_root: &Path) -> Option<PathBuf> {
-    let folder = project_root.join(".venv/lib/python3.11/site-packages/imageio_ffmpeg/binaries");
-    entry(&folder, |name| name.starts_with("ffmpeg-"))
+    ffmpeg_on_path().or_else(|| {
+        let binaries = ".venv/lib/python3.11/site-packages/imageio_ffmpeg/binaries";
+        entry(&project_root().ok()?.join(binaries), |name| name.starts_with("ffmpeg-"))
+    })
 }
 
 /// Creates the environment, or its missing parts. If it is complete, this takes milliseconds and starts
@@ -95,7 +93,7 @@ pub fn ensure_environment(
     let _lock = lock(project_root, reporter)?;
     let stamps = Stamps::read(project_root)?; // the one who held the lock may have done it
     if !stamps.is_whole() {
-        install::install(&environment, &stamps, reporter)?;
+        Installer::new(&environment, reporter).install(&stamps)?;
     }
     Ok(environment)
 }
@@ -107,7 +105,7 @@ pub(super) fn with_wheel<T>(
     call: impl FnOnce(&Path) -> Result<T, ToolchainError>,
 ) -> Result<T, ToolchainError> {
     let _lock = lock(&environment.project_root, reporter)?;
-    let wheel = install::build_wheel(environment, reporter)?;
+    let wheel = Installer::new(environment, reporter).build_module()?;
     let result = call(&wheel);
     // What is left is made anew by the next build.
     let _ = wheel.parent().map(std::fs::remove_dir_all);

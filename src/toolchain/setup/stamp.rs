@@ -23,7 +23,8 @@ pub(super) struct Stamp {
 }
 
 impl Stamp {
-    fn new(path: PathBuf, expected: String) -> Self {
+    fn new(path: PathBuf, hasher: &blake3::Hasher) -> Self {
+        let expected = hasher.finalize().to_string();
         let found = read_text(&path, MAX_STAMP_BYTES).is_ok_and(|text| text == expected);
         Self { path, expected, found }
     }
@@ -48,7 +49,6 @@ impl Stamps {
         add(&mut packages, root.as_os_str().as_encoded_bytes());
         add(&mut packages, &python);
         add_file(&mut packages, &root.join("blender/requirements.txt"))?;
-        let packages = packages.finalize();
 
         // Packages made anew are a new folder, without this stamp.
         let mut module = blake3::Hasher::new();
@@ -57,8 +57,8 @@ impl Stamps {
             add_file(&mut module, &file)?;
         }
         let mut stamps = Self {
-            packages: Stamp::new(venv.join(".stlfr-packages"), packages.to_hex().to_string()),
-            module: Stamp::new(venv.join(".stlfr-module"), module.finalize().to_hex().to_string()),
+            packages: Stamp::new(venv.join(".stlfr-packages"), &packages),
+            module: Stamp::new(venv.join(".stlfr-module"), &module),
         };
         // The interpreter is a link to the system's, which may be gone.
         stamps.packages.found &= venv.join("bin/python").exists();
