@@ -62,7 +62,10 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         if matches!(self.child.try_wait(), Ok(None)) {
-            ask_to_end(&self.child);
+            if let Ok(pid) = i32::try_from(self.child.id()) {
+                // SAFETY: the child has not been waited for, so its id is still its own.
+                unsafe { libc::kill(pid, libc::SIGTERM) };
+            }
             // It ended or can't be reached; in neither case is there anything left to do.
             let _ = self.child.wait();
         }
@@ -74,13 +77,6 @@ pub(crate) fn run(command: &mut Command, on_line: impl FnMut(&str)) -> std::io::
     let mut process = Process::start(command, Stdio::null())?;
     process.read_lines(on_line)?;
     process.wait()
-}
-
-fn ask_to_end(child: &Child) {
-    if let Ok(pid) = i32::try_from(child.id()) {
-        // SAFETY: the child has not been waited for, so its id is still its own.
-        unsafe { libc::kill(pid, libc::SIGTERM) };
-    }
 }
 
 /// Lets the kernel end the child with the thread that starts it. In all uses, that thread waits for the child.

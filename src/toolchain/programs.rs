@@ -60,33 +60,27 @@ pub fn film(
         FilmedScene::Named(name) => command.arg("--scene").arg(name),
         FilmedScene::Blend(file) => command.arg("--blend").arg(file),
     };
-    if let Some((width, height)) = options.size_px {
-        command.arg("--size").arg(format!("{width}x{height}"));
-    }
+    let text = |number: Option<u32>| number.map(|number| number.to_string());
+    let times: Vec<String> = options.instants_s.iter().map(f64::to_string).collect();
     for (flag, value) in [
-        ("--frames", options.frames),
-        ("--samples", options.samples),
-        ("--instants", options.instants),
-        ("--truth-video", options.truth_video),
-        ("--tracks", options.tracks),
+        ("--size", options.size_px.map(|(width, height)| format!("{width}x{height}"))),
+        ("--frames", text(options.frames)),
+        ("--samples", text(options.samples)),
+        ("--instants", text(options.instants)),
+        ("--truth-video", text(options.truth_video)),
+        ("--tracks", text(options.tracks)),
+        ("--engine", options.engine.clone()),
+        ("--instants-s", (!times.is_empty()).then(|| times.join(","))),
     ] {
         if let Some(value) = value {
-            command.arg(flag).arg(value.to_string());
+            // One argument: a leading minus is a number's.
+            command.arg(format!("{flag}={value}"));
         }
     }
-    if let Some(engine) = &options.engine {
-        command.arg("--engine").arg(engine);
-    }
-    if !options.instants_s.is_empty() {
-        let times: Vec<String> = options.instants_s.iter().map(f64::to_string).collect();
-        // One argument: a leading minus is a number's.
-        command.arg(format!("--instants-s={}", times.join(",")));
-    }
-    if !options.truth {
-        command.arg("--no-truth");
-    }
-    if options.video {
-        command.arg("--video");
+    for (flag, is_given) in [("--no-truth", !options.truth), ("--video", options.video)] {
+        if is_given {
+            command.arg(flag);
+        }
     }
     script::run(&mut command, "filming", reporter, |line| reporter.note(line))
 }
