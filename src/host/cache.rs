@@ -1,10 +1,11 @@
 //! Caches in memory with a bound: values that were unused for longest are dropped first.
 
+use super::machine::lock;
 use serde::Serialize;
 use std::any::Any;
 use std::collections::HashMap;
 use std::hash::Hash;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// A cache that threads share. It holds the most recently used values whose costs sum to at most a bound, and always the
 /// value that was inserted last.
@@ -37,7 +38,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
 
     /// The value of a key, if it is held. It counts as used.
     pub fn get(&self, key: &K) -> Option<V> {
-        let mut entries = self.lock();
+        let mut entries = lock(&self.entries);
         entries.clock += 1;
         let now = entries.clock;
         let entry = entries.by_key.get_mut(key)?;
@@ -47,7 +48,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
 
     /// Inserts a value, and drops the values that were unused for longest until the bound holds.
     pub fn insert(&self, key: K, value: V, cost: usize) {
-        let mut entries = self.lock();
+        let mut entries = lock(&self.entries);
         entries.clock += 1;
         let last_use = entries.clock;
         entries.cost += cost;
@@ -65,19 +66,14 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
 
     /// Drops the values whose keys don't pass a test.
     pub fn retain(&self, passes: impl Fn(&K) -> bool) {
-        let mut entries = self.lock();
+        let mut entries = lock(&self.entries);
         entries.by_key.retain(|key, _| passes(key));
         entries.cost = entries.by_key.values().map(|entry| entry.cost).sum();
     }
 
     /// The sum of the costs of all values held.
     pub fn cost(&self) -> usize {
-        self.lock().cost
-    }
-
-    fn lock(&self) -> MutexGuard<'_, CacheEntries<K, V>> {
-        // No operation panics half-way, so that a poisoned lock still guards a whole cache.
-        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.entries).cost
     }
 }
 

@@ -13,6 +13,7 @@
 //! that the cache may exceed its bound for that long.
 
 use super::files::{ignore_absent, link_within, read_bytes, remove_special};
+use super::machine::lock;
 use super::temporary::{remove_abandoned, write_atomically};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -20,7 +21,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, Metadata};
 use std::io::{Error, ErrorKind, Result};
 use std::path::{Component, Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 /// The cache's folder inside a capture.
@@ -130,11 +131,6 @@ impl DiskCache {
         Ok(hasher.finalize())
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
-        // It is whole at any time.
-        self.shared.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn folder(&self) -> PathBuf {
         self.capture.join(FOLDER)
     }
@@ -150,7 +146,7 @@ impl DiskCache {
             return Err(Error::other(format!("{} is a link", link.display())));
         }
         let folder = self.folder().join(kind.name);
-        if self.state().cleared.insert(kind.name) {
+        if lock(&self.shared.state).cleared.insert(kind.name) {
             remove_abandoned(&folder);
         }
         let key = self.key(kind, inputs)?;
@@ -238,7 +234,7 @@ impl DiskCache {
 
     /// Notes that an entry is damaged, once.
     pub fn note_damage(&self, path: &Path) {
-        if self.state().noted.insert(path.to_owned()) {
+        if lock(&self.shared.state).noted.insert(path.to_owned()) {
             let path = path.display();
             (self.shared.note)(&format!(
                 "{path}: is damaged or of another version, and is made anew."
@@ -248,7 +244,7 @@ impl DiskCache {
 
     /// Protects an entry whose files are in use from being removed by this process.
     pub fn pin(&self, path: &Path) {
-        self.state().pinned.insert(path.to_owned());
+        lock(&self.shared.state).pinned.insert(path.to_owned());
     }
 
     /// Records the time of use as the file's modification time.
@@ -263,7 +259,7 @@ impl DiskCache {
 
     /// Adds to the bytes of all entries, and removes entries beyond the bound.
     fn add(&self, bytes: u64) {
-        let mut state = self.state();
+        let mut state = lock(&self.shared.state);
         let all = || self.found().values().flatten().map(|entry| entry.bytes).sum();
         let mut total = state.bytes.map_or_else(all, |total| total + bytes);
         if total > state.limit {
@@ -341,7 +337,7 @@ impl DiskCache {
             deleted.entries += found.entries;
             deleted.bytes += found.bytes;
         }
-        self.state().bytes = None;
+        lock(&self.shared.state).bytes = None;
         ignore_absent(std::fs::remove_dir_all(&folder))?;
         Ok(deleted)
     }

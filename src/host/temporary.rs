@@ -7,6 +7,7 @@
 //! Known limit: where the file system has no locks, folders of killed processes stay.
 
 use super::files::obstacle;
+use super::machine::lock;
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -17,7 +18,7 @@ use std::fs::{File, TryLockError};
 use std::io::{Error, ErrorKind, Result};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 
 const PREFIX: &str = ".stlfr-";
 const SUFFIX: &str = ".tmp";
@@ -37,11 +38,6 @@ struct Begun {
 static BEGUN: Mutex<Begun> =
     Mutex::new(Begun { folders: BTreeSet::new(), count: 0, cleared: BTreeSet::new() });
 
-fn begun() -> MutexGuard<'static, Begun> {
-    // Sets of paths are whole at any time.
-    BEGUN.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// A temporary folder. It is removed with its contents when it is dropped, or when a signal ends the program.
 pub(crate) struct Temporary {
     path: PathBuf,
@@ -59,7 +55,8 @@ impl Temporary {
         if target.file_name().is_none() {
             return Err(Error::new(ErrorKind::InvalidInput, "names no file"));
         }
-        Self::inside(parent(target))
+        let parent = target.parent().filter(|parent| !parent.as_os_str().is_empty());
+        Self::inside(parent.unwrap_or(Path::new(".")))
     }
 
     /// Creates a temporary folder inside `folder`, which is created if it is missing.
@@ -67,11 +64,11 @@ impl Temporary {
         std::fs::create_dir_all(folder)?;
         // The current folder may change; the folder's own path is what a signal removes.
         let folder = folder.canonicalize()?;
-        if begun().cleared.insert(folder.clone()) {
+        if lock(&BEGUN).cleared.insert(folder.clone()) {
             remove_abandoned(&folder);
         }
         // Under the mutex, so that a signal finds either no folder or one that is listed.
-        let mut begun = begun();
+        let mut begun = lock(&BEGUN);
         loop {
             let name = format!("{PREFIX}{}-{}{SUFFIX}", std::process::id(), begun.count);
             begun.count += 1;
@@ -112,14 +109,10 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        let mut begun = begun();
+        let mut begun = lock(&BEGUN);
         remove(&self.path);
         begun.folders.remove(&self.path);
     }
-}
-
-fn parent(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Locks a new folder; `None` if another process has locked or replaced it.
@@ -168,14 +161,14 @@ pub(crate) fn remove_abandoned(folder: &Path) {
 ///
 /// For a program's main function: a library leaves signals to its program.
 pub fn remove_unfinished_on_signals() -> Result<()> {
-    let heeded = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| !is_ignored(signal));
-    let mut signals = Signals::new(heeded)?;
+    let handled = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| !is_ignored(signal));
+    let mut signals = Signals::new(handled)?;
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         if let Some(signal) = signals.forever().next() {
             // No folder is created or finished while they are locked.
-            let begun = begun();
+            let begun = lock(&BEGUN);
             begun.folders.iter().for_each(|path| remove(path));
-            // It ends the process as if nobody had heeded the signal, which the shell can tell.
+            // It ends the process as if nothing had handled the signal, which the shell can tell.
             let _ = emulate_default_handler(signal);
         }
     })?;
