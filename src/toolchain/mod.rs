@@ -8,5 +8,15 @@ mod script;
 mod setup;
 
 pub use programs::{Check, FilmOptions, FilmedScene, build_extension, check, film, review};
-pub use script::ToolchainError;
 pub use setup::{Environment, ensure_environment, find_ffmpeg, project_root};
+
+/// Why a script or the set-up failed: one sentence, with the command that helps if there is one.
+#[derive(Debug, thiserror::Error)]
+pub enum ToolchainError {
+    /// An input is wrong.
+    #[error("{0}")]
+    BadInput(String),
+    /// The work failed.
+    #[error("{0}")]
+    Failure(String),
+}

@@ -1,8 +1,8 @@
 //! What the Python programs make: a capture, the check of a calibration, the review of a comparison, and the Blender
 //! extension as one file to install.
 
-use super::script::{self, ToolchainError};
 use super::setup::{self, Environment};
+use super::{ToolchainError, script};
 use crate::host::process;
 use crate::host::temporary::Temporary;
 use crate::progress::Reporter;

@@ -1,22 +1,12 @@
 //! Runs a script of `blender/`. Its JSON lines `{"done", "total", "what"}` on stdout are progress, other
 //! lines are output. An error is one sentence on stderr, with exit code 2 for bad input.
 
+use super::ToolchainError;
 use super::setup::Environment;
 use crate::host::process::{self, Ended};
 use crate::progress::{Reporter, Task};
 use serde::Deserialize;
 use std::process::Command;
-
-/// Why a script or the set-up failed: one sentence, with the command that helps if there is one.
-#[derive(Debug, thiserror::Error)]
-pub enum ToolchainError {
-    /// An input is wrong.
-    #[error("{0}")]
-    BadInput(String),
-    /// The work failed.
-    #[error("{0}")]
-    Failure(String),
-}
 
 #[derive(Deserialize)]
 struct Progress {
