@@ -6,7 +6,7 @@ use std::error::Error;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 use std::process::ExitCode;
-use stlfr::capture::{CaptureError, TruthError};
+use stlfr::capture::CaptureError;
 use stlfr::compare::CompareError;
 use stlfr::exchange::ExchangeError;
 use stlfr::json::JsonError;
@@ -14,7 +14,7 @@ use stlfr::light_field::RenderError;
 use stlfr::raster::ImageFileError;
 use stlfr::rig::RigError;
 use stlfr::text::printable;
-use stlfr::toolchain::{ExtensionError, ScriptError, SetupError};
+use stlfr::toolchain::ToolchainError;
 use stlfr::tradeoff::TradeoffError;
 use stlfr::video::VideoError;
 
@@ -29,26 +29,11 @@ pub enum CliError {
     Failure(String),
 }
 
-impl From<SetupError> for CliError {
-    fn from(error: SetupError) -> Self {
-        Self::Failure(error.to_string())
-    }
-}
-
-impl From<ScriptError> for CliError {
-    fn from(error: ScriptError) -> Self {
+impl From<ToolchainError> for CliError {
+    fn from(error: ToolchainError) -> Self {
         match error {
-            ScriptError::BadInput(sentence) => Self::BadInput(sentence),
-            ScriptError::Failure(sentence) => Self::Failure(sentence),
-        }
-    }
-}
-
-impl From<ExtensionError> for CliError {
-    fn from(error: ExtensionError) -> Self {
-        match error {
-            ExtensionError::Wheel(error) => error.into(),
-            ExtensionError::Package(error) => error.into(),
+            ToolchainError::BadInput(sentence) => Self::BadInput(sentence),
+            ToolchainError::Failure(sentence) => Self::Failure(sentence),
         }
     }
 }
@@ -92,7 +77,7 @@ macro_rules! classified_by_cause {
         })+
     };
 }
-classified_by_cause!(ImageFileError, RigError, TruthError, ExchangeError);
+classified_by_cause!(ImageFileError, RigError, ExchangeError);
 
 impl From<CaptureError> for CliError {
     fn from(error: CaptureError) -> Self {

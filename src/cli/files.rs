@@ -5,7 +5,7 @@ use super::error::of_io;
 use super::values::method;
 use std::path::{Path, PathBuf};
 use stlfr::camera::{Camera, CameraFormat};
-use stlfr::capture::{Capture, Opening, OutputError, OutputGuard};
+use stlfr::capture::{Capture, Opening, OutputGuard};
 use stlfr::host::{open_file, read_text, try_folder};
 use stlfr::json;
 use stlfr::method::Method;
@@ -91,12 +91,6 @@ pub enum CommandOutput<'a> {
     Folder(&'a Path, &'a [&'a str]),
     /// A folder that is a capture or becomes one.
     Capture(&'a Path),
-}
-
-impl From<OutputError> for CliError {
-    fn from(error: OutputError) -> Self {
-        Self::BadInput(error.to_string())
-    }
 }
 
 impl CommandOutput<'_> {

@@ -35,6 +35,19 @@ pub struct InfoArgs {
     delete_cache: Option<Option<String>>,
 }
 
+/// All kinds of results that commands cache.
+const KINDS: [&str; 9] = [
+    "gains",
+    "hashes",
+    "plans",
+    "tracks",
+    "tradeoff-plans",
+    "tradeoff-points",
+    "tradeoff-preparations",
+    "tradeoff-times",
+    "video",
+];
+
 pub fn run(args: &InfoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     if let Some(kind) = &args.delete_cache {
         return delete(&args.capture, kind.as_deref(), page);
@@ -52,12 +65,15 @@ pub fn run(args: &InfoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
 fn delete(capture: &Path, kind: Option<&str>, page: &mut Page) -> Result<(), CliError> {
     must_be_a_file(&capture.join(CAPTURE_FILE))?;
     let cache = DiskCache::new(capture, |_| ());
-    let kinds: Vec<String> = cache.listing().into_iter().map(|found| found.kind).collect();
-    if let Some(kind) = kind.filter(|kind| !kinds.iter().any(|k| k == kind) && !kinds.is_empty()) {
-        let kinds = kinds.join(", ");
-        return Err(CliError::BadInput(format!(
-            "--delete-cache: no '{kind}' is cached, but {kinds}"
-        )));
+    let cached: Vec<String> = cache.listing().into_iter().map(|found| found.kind).collect();
+    if let Some(kind) = kind.filter(|kind| !cached.iter().any(|k| k == kind)) {
+        let refused = |reason| Err(CliError::BadInput(format!("--delete-cache: {reason}")));
+        if !cached.is_empty() {
+            return refused(format!("no '{kind}' is cached, but {}", cached.join(", ")));
+        }
+        if !KINDS.contains(&kind) {
+            return refused(format!("there is no kind '{kind}', only {}", KINDS.join(", ")));
+        }
     }
     let deleted = cache.delete(kind).map_err(|error| {
         let folder = capture.display();

@@ -48,7 +48,7 @@ pub use light_field::ComparedLightField;
 pub use offset_score::{OffsetScore, ScoredOffset};
 
 use crate::camera::Camera;
-use crate::capture::{Capture, CaptureError, TruthError};
+use crate::capture::{Capture, CaptureError};
 use crate::interpolation::{SyncMethod, Synchronized};
 use crate::light_field::Images;
 use crate::lumigraph::Rendered;
@@ -155,8 +155,6 @@ impl Default for CompareOptions {
 pub enum CompareError {
     #[error("{folder} has no truth/truth.json to compare with")]
     NoTruth { folder: PathBuf },
-    #[error(transparent)]
-    Truth(#[from] TruthError),
     #[error(transparent)]
     Capture(#[from] CaptureError),
     #[error(transparent)]

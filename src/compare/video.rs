@@ -5,7 +5,7 @@ use super::results::ViewMethod;
 use super::sheet::strip;
 use super::{ComparedView, Renderer, TRADITIONAL};
 use crate::camera::Camera;
-use crate::capture::{Capture, Truth, TruthError, TruthVideo};
+use crate::capture::{Capture, CaptureError, Truth, TruthVideo};
 use crate::interpolation::SyncMethod;
 use crate::light_field::Images;
 use crate::progress::Reporter;
@@ -46,7 +46,7 @@ pub enum ReviewVideoError {
     #[error("there is no time at which all cameras can give an image, so there is no video")]
     NoSpan,
     #[error(transparent)]
-    Truth(#[from] TruthError),
+    Capture(#[from] CaptureError),
     #[error(transparent)]
     Image(#[from] ImageFileError),
 }
@@ -237,7 +237,7 @@ impl Shots {
         let (first_s, last_s) = renderer.covered_span_s().ok_or(ReviewVideoError::NoSpan)?;
         let step_s = (last_s - first_s) / frames.saturating_sub(1).max(1) as f64;
         let free = truth.and_then(|t| t.views.iter().find(|v| v.like.is_none()));
-        let camera = free.and_then(|v| Some((v.camera().ok()?, v.id.clone())));
+        let camera = free.and_then(|v| Some((v.camera.camera().ok()?, v.id.clone())));
         let reference = &capture.cameras[capture.reference];
         let (target, view) =
             camera.unwrap_or_else(|| (reference.camera.clone(), reference.id.clone()));

@@ -16,8 +16,8 @@
 //! | `encode.rs` | pictures as files |
 //! | `queue.rs`, `workers.rs` | each viewer's latest request, and the threads that answer it |
 //! | `scene.rs` | what the page knows of the capture |
-//! | `token.rs`, `guard.rs` | who may ask |
-//! | `server.rs`, `answer.rs`, `patient.rs` | HTTP, within bounds of size, number and time |
+//! | `guard.rs` | who may ask |
+//! | `server.rs`, `answer.rs` | HTTP, within bounds of size, number and time |
 //! | `page/` | the page |
 //!
 //! # Who may ask
@@ -32,7 +32,6 @@
 mod answer;
 mod encode;
 mod guard;
-mod patient;
 mod places;
 mod queue;
 mod request;
@@ -40,7 +39,6 @@ mod rig_frame;
 mod scene;
 mod server;
 mod studio;
-mod token;
 mod true_views;
 mod workers;
 
@@ -51,7 +49,7 @@ pub use rig_frame::{RigFrame, ViewDirection};
 pub use server::Server;
 pub use studio::{Picture, Studio};
 
-use crate::capture::TruthError;
+use crate::capture::CaptureError;
 use crate::light_field::RenderError;
 use crate::raster::ImageFileError;
 
@@ -64,7 +62,7 @@ pub enum LiveError {
     #[error(transparent)]
     Render(#[from] RenderError),
     #[error(transparent)]
-    Truth(#[from] TruthError),
+    Capture(#[from] CaptureError),
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
     /// A newer request of the same viewer replaced this one.

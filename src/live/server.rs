@@ -2,9 +2,7 @@
 
 use super::answer::{Reply, failed, picture, respond, sentence};
 use super::guard::{Guard, NOT_FOUND};
-use super::patient::Patient;
 use super::scene::PageScene;
-use super::token::Token;
 use super::{LiveError, PictureRequest, Places, Queue, Studio, workers};
 use crate::camera::CameraFormat;
 use hyper::body::Incoming;
@@ -14,11 +12,12 @@ use hyper::{Request, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use std::convert::Infallible;
 use std::io::Result;
-use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::net::{Ipv4Addr, TcpListener};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio::sync::Semaphore;
+use tokio_io_timeout::TimeoutStream;
 
 /// Largest number of open connections; a browser opens six.
 const MAX_CONNECTIONS: usize = 48;
@@ -55,7 +54,6 @@ const PAGE: [(&str, &str, &str); 9] = [
 pub struct Server {
     listener: TcpListener,
     guard: Guard,
-    address: SocketAddr,
 }
 
 /// State that all connections share.
@@ -73,14 +71,13 @@ impl Server {
     /// If another program has it, or the system gives no randomness.
     pub fn bind(port: u16) -> Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
-        let address = listener.local_addr()?;
-        let guard = Guard::new(Token::new()?, address.port());
-        Ok(Self { listener, guard, address })
+        let guard = Guard::new(listener.local_addr()?.port())?;
+        Ok(Self { listener, guard })
     }
 
     /// The page's address, which holds the secret.
     pub fn address(&self) -> String {
-        format!("http://{}/{}/", self.address, self.guard.token())
+        self.guard.address()
     }
 
     /// Serves pictures of a light field until the process ends.
@@ -135,12 +132,14 @@ async fn converse(stream: TcpStream, site: Arc<ServedSite>) {
         let site = site.clone();
         async move { Ok::<Reply, Infallible>(reply(&site, request).await) }
     });
+    let mut stream = TimeoutStream::new(stream);
+    stream.set_write_timeout(Some(WRITE_TIMEOUT));
     let served = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEADER_TIMEOUT)
         .max_buf_size(MAX_REQUEST_BYTES)
         .max_headers(MAX_HEADERS)
-        .serve_connection(TokioIo::new(Patient::new(stream, WRITE_TIMEOUT)), service)
+        .serve_connection(TokioIo::new(Box::pin(stream)), service)
         .await;
     // Whatever ended it, the browser opens another.
     drop(served);

@@ -2,10 +2,10 @@
 
 use super::{LiveError, PictureRequest, Place};
 use crate::camera::Camera;
-use crate::capture::{Capture, Truth, TruthError};
+use crate::capture::{Capture, CaptureError, Truth, require_size};
 use crate::host::Memo;
 use crate::lumigraph::{BlendOptions, DepthMap, Rendered, Source, blend};
-use crate::raster::{Image, ImageFileError, read_image};
+use crate::raster::{Image, read_image};
 use nalgebra::{Isometry3, Translation3};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -45,16 +45,16 @@ impl Default for TrueViews {
 }
 
 impl TrueViews {
-    pub fn open(capture: &Capture) -> Result<Self, TruthError> {
+    pub fn open(capture: &Capture) -> Result<Self, CaptureError> {
         let Some(truth) = Truth::open(&capture.folder)? else { return Ok(Self::default()) };
-        let view = |(index, view): (usize, &crate::capture::TruthView)| {
+        let view = |view: &crate::capture::TruthView| {
             let path = capture.folder.join("truth/truth.json");
-            let camera =
-                view.camera().map_err(|source| TruthError::Camera { path, index, source })?;
+            let camera = view.camera.camera();
+            let camera = camera.map_err(|error| CaptureError::content(&path, error.to_string()))?;
             let file = truth.file(&view.image)?;
             Ok(LiveTruth { id: view.id.clone(), time_s: view.time_s, camera, file })
         };
-        let views = truth.views.iter().enumerate().map(view).collect::<Result<_, TruthError>>()?;
+        let views = truth.views.iter().map(view).collect::<Result<_, CaptureError>>()?;
         Ok(Self { views, ..Self::default() })
     }
 
@@ -92,15 +92,7 @@ impl TrueViews {
         let bytes = |image: &Image| size_of_val(image.data());
         self.images.get_or("true image", &index, bytes, || {
             let (image, _) = read_image(&view.file)?;
-            let (width, height) = (image.width(), image.height());
-            if (width, height) != (view.camera.width, view.camera.height) {
-                let (path, camera) = (view.file.clone(), &view.camera);
-                let reason = format!(
-                    "is {width}×{height} pixels, its camera {}×{}",
-                    camera.width, camera.height
-                );
-                return Err(ImageFileError::Content { path, reason }.into());
-            }
+            require_size(&view.file, [image.width(), image.height()], &view.camera)?;
             Ok(image)
         })
     }

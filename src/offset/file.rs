@@ -99,7 +99,8 @@ impl Offsets {
     pub fn hash(capture: &Capture, options: &impl Serialize) -> Result<String, CaptureError> {
         // The options as the file has them, which cannot fail to be written.
         let options = serde_json::to_value(options).unwrap_or_default();
-        Ok(capture.cache()?.key(ESTIMATED_OFFSETS, &options).unwrap_or_default())
+        let key = capture.cache()?.key(ESTIMATED_OFFSETS, &options);
+        Ok(key.map(|key| key.to_string()).unwrap_or_default())
     }
 
     /// Reads `offsets.json` from the capture's folder. The error is that of a file that cannot be read,
@@ -130,8 +131,8 @@ impl Offsets {
             _ => match validated(offsets, capture) {
                 Ok(offsets) => Ok(SavedOffsets::Edited(offsets)),
                 Err(InvalidField { field, reason }) => {
-                    let reason = format!("{reason} ({REMEDY})");
-                    Err(CaptureError::Field { path, field, reason })
+                    let reason = format!("{field}: {reason} ({REMEDY})");
+                    Err(CaptureError::Content { path, reason })
                 }
             },
         }

@@ -49,7 +49,7 @@ pub use store::FILES;
 pub use summary::{MeanScores, Point, PreparationTime, Spread};
 pub use targets::Against;
 
-use crate::capture::{CAPTURE_FILE, Capture, CaptureError, Truth, TruthError};
+use crate::capture::{CAPTURE_FILE, Capture, CaptureError, Truth};
 use crate::compare::CompareError;
 use crate::host::write_atomically;
 use crate::light_field::RenderError;
@@ -111,8 +111,6 @@ pub const SLACK_DB: f64 = 0.2;
 pub enum TradeoffError {
     #[error(transparent)]
     Capture(#[from] CaptureError),
-    #[error(transparent)]
-    Truth(#[from] TruthError),
     #[error(transparent)]
     Compare(#[from] CompareError),
     #[error(transparent)]

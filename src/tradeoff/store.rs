@@ -79,7 +79,7 @@ impl Store {
         let cache = capture.cache()?;
         // Views can't fail to be serialized.
         let conditions = cache.key(POINTS, &(rayon::current_num_threads(), views, hashes));
-        let cache = cache.for_content(&conditions.unwrap_or_default());
+        let cache = cache.for_content(&conditions.map(|key| key.to_string()).unwrap_or_default());
         Ok(Self { cache, reporter: *reporter, noted: AtomicBool::new(false) })
     }
 

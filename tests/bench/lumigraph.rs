@@ -40,7 +40,7 @@ fn load(truth: &Truth, view: &TruthView) -> View {
     View {
         id: view.id.clone(),
         like: view.like.clone(),
-        camera: view.camera().expect("camera"),
+        camera: view.camera.camera().expect("camera"),
         image: read_image(&path(&view.image)).expect("image").0,
         depth: DepthMap::from_data(width, height, depths),
     }
