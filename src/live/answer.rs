@@ -60,10 +60,9 @@ pub(super) fn failed(error: &LiveError) -> Reply {
         LiveError::Request(_) => StatusCode::BAD_REQUEST,
         LiveError::Superseded => StatusCode::CONFLICT,
         LiveError::Busy => StatusCode::SERVICE_UNAVAILABLE,
-        LiveError::Panicked | LiveError::Truth(_) | LiveError::ImageFile(_) => {
-            StatusCode::INTERNAL_SERVER_ERROR
-        }
-        LiveError::Render(RenderError::Capture(_)) => StatusCode::INTERNAL_SERVER_ERROR,
+        LiveError::Panicked
+        | LiveError::ImageFile(_)
+        | LiveError::Render(RenderError::Capture(_)) => StatusCode::INTERNAL_SERVER_ERROR,
         LiveError::Render(_) => StatusCode::UNPROCESSABLE_ENTITY,
     };
     sentence(status, error.to_string())

@@ -1,8 +1,12 @@
 //! Checks which requests may be answered.
 
-use super::token::Token;
 use hyper::http::request::Parts;
 use hyper::{Method, StatusCode, header};
+use std::fs::File;
+use std::io::Read;
+
+/// Length of the random token, bytes.
+const TOKEN_BYTES: usize = 24;
 
 /// Longest accepted address, bytes.
 const MAX_ADDRESS: usize = 1024;
@@ -12,18 +16,30 @@ pub(super) type Refusal = (StatusCode, &'static str);
 
 /// The host names and the token that a request must have.
 pub(super) struct Guard {
-    token: Token,
+    /// Random, in hexadecimal digits.
+    token: String,
     /// `127.0.0.1:PORT` and `localhost:PORT`.
     hosts: [String; 2],
 }
 
 impl Guard {
-    pub fn new(token: Token, port: u16) -> Self {
-        Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")] }
+    /// A guard with a new token from the operating system's random generator.
+    pub fn new(port: u16) -> std::io::Result<Self> {
+        let mut bytes = [0; TOKEN_BYTES];
+        File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+        let token = bytes.iter().map(|b| format!("{b:02x}")).collect();
+        Ok(Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")] })
     }
 
-    pub fn token(&self) -> &str {
-        self.token.text()
+    /// The page's address, which holds the token.
+    pub fn address(&self) -> String {
+        format!("http://{}/{}/", self.hosts[0], self.token)
+    }
+
+    /// Compares with the token in constant time.
+    fn is_token(&self, given: &str) -> bool {
+        let pairs = self.token.bytes().zip(given.bytes());
+        given.len() == self.token.len() && pairs.fold(0, |wrong, (a, b)| wrong | (a ^ b)) == 0
     }
 
     /// Checks a request, and returns the part of its address after the token: `""` for the page.
@@ -56,7 +72,7 @@ impl Guard {
         }
         let path = request.uri.path().strip_prefix('/').and_then(|path| path.split_once('/'));
         match path {
-            Some((token, rest)) if self.token.is(token) => {
+            Some((token, rest)) if self.is_token(token) => {
                 let site = request.headers.get("sec-fetch-site").map(|v| v.as_bytes());
                 let is_own = matches!(site, None | Some(b"same-origin" | b"none"));
                 // A link to the page may stand anywhere; what it shows is its own.
@@ -73,3 +89,22 @@ impl Guard {
 
 /// Refusal of both wrong tokens and wrong names, so that an answer reveals neither.
 pub(super) const NOT_FOUND: Refusal = (StatusCode::NOT_FOUND, "there is nothing at this address");
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_token_is_known_or_not() {
+        let [guard, other] = [(); 2].map(|()| Guard::new(80).unwrap());
+        let token = guard.token.as_str();
+        assert_eq!(token.len(), 2 * TOKEN_BYTES);
+        assert!(guard.is_token(token));
+        let mut last = token.to_owned();
+        let digit = if last.ends_with('0') { "1" } else { "0" };
+        last.replace_range(last.len() - 1.., digit);
+        for wrong in ["", &other.token, &token[1..], &last, &format!("{token}0")] {
+            assert!(!guard.is_token(wrong), "{wrong}");
+        }
+    }
+}

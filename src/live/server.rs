@@ -2,10 +2,8 @@
 
 use super::answer::{Reply, failed, picture, respond, sentence};
 use super::guard::{Guard, NOT_FOUND};
-use super::patient::Patient;
-use super::scene::PageScene;
-use super::token::Token;
-use super::{LiveError, PictureRequest, Places, Queue, Studio, workers};
+use super::scene::scene;
+use super::{LiveError, PictureRequest, Queue, RigFrame, Studio, workers};
 use crate::camera::CameraFormat;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
@@ -14,11 +12,12 @@ use hyper::{Request, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use std::convert::Infallible;
 use std::io::Result;
-use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::net::{Ipv4Addr, TcpListener};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio::sync::Semaphore;
+use tokio_io_timeout::TimeoutStream;
 
 /// Largest number of open connections; a browser opens six.
 const MAX_CONNECTIONS: usize = 48;
@@ -55,7 +54,6 @@ const PAGE: [(&str, &str, &str); 9] = [
 pub struct Server {
     listener: TcpListener,
     guard: Guard,
-    address: SocketAddr,
 }
 
 /// State that all connections share.
@@ -63,7 +61,7 @@ struct ServedSite {
     guard: Guard,
     queue: Arc<Queue>,
     scene: String,
-    places: Arc<Places>,
+    rig: Arc<RigFrame>,
 }
 
 impl Server {
@@ -73,14 +71,13 @@ impl Server {
     /// If another program has it, or the system gives no randomness.
     pub fn bind(port: u16) -> Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
-        let address = listener.local_addr()?;
-        let guard = Guard::new(Token::new()?, address.port());
-        Ok(Self { listener, guard, address })
+        let guard = Guard::new(listener.local_addr()?.port())?;
+        Ok(Self { listener, guard })
     }
 
     /// The page's address, which holds the secret.
     pub fn address(&self) -> String {
-        format!("http://{}/{}/", self.address, self.guard.token())
+        self.guard.address()
     }
 
     /// Serves pictures of a light field until the process ends.
@@ -92,8 +89,8 @@ impl Server {
         let site = ServedSite {
             guard: self.guard,
             queue: queue.clone(),
-            scene: serde_json::to_string(&PageScene::of(studio))?,
-            places: studio.places().clone(),
+            scene: scene(studio).to_string(),
+            rig: studio.rig.clone(),
         };
         self.listener.set_nonblocking(true)?;
         std::thread::scope(|scope| {
@@ -131,6 +128,8 @@ async fn accept(listener: TcpListener, site: Arc<ServedSite>) -> Result<()> {
 async fn converse(stream: TcpStream, site: Arc<ServedSite>) {
     // Without it, the last part of a picture may wait for the browser's word that it has the others.
     let _ = stream.set_nodelay(true);
+    let mut stream = TimeoutStream::new(stream);
+    stream.set_write_timeout(Some(WRITE_TIMEOUT));
     let service = service_fn(move |request| {
         let site = site.clone();
         async move { Ok::<Reply, Infallible>(reply(&site, request).await) }
@@ -140,7 +139,7 @@ async fn converse(stream: TcpStream, site: Arc<ServedSite>) {
         .header_read_timeout(HEADER_TIMEOUT)
         .max_buf_size(MAX_REQUEST_BYTES)
         .max_headers(MAX_HEADERS)
-        .serve_connection(TokioIo::new(Patient::new(stream, WRITE_TIMEOUT)), service)
+        .serve_connection(TokioIo::new(Box::pin(stream)), service)
         .await;
     // Whatever ended it, the browser opens another.
     drop(served);
@@ -175,7 +174,7 @@ async fn asked_picture(site: &ServedSite, query: &str) -> Reply {
 
 /// The camera of a picture, as `stlfr render --camera` reads it.
 fn view_file(site: &ServedSite, query: &str) -> Reply {
-    let camera = PictureRequest::parse(query).and_then(|asked| site.places.camera(&asked));
+    let camera = PictureRequest::parse(query).and_then(|asked| site.rig.camera(&asked));
     match camera.map(|camera| serde_json::to_string_pretty(&CameraFormat::from(&camera))) {
         Ok(Ok(text)) => respond(StatusCode::OK, JSON, text + "\n"),
         Ok(Err(error)) => sentence(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()),
