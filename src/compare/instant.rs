@@ -2,15 +2,14 @@
 //! that are blended from them are in `views.rs`.
 
 use super::report::{Figure, ReportPicture};
-use super::results::{SyncResult, ViewResult};
-use super::sheet::{Panel, Sheet};
-use super::stage_times::StageTimes;
+use super::results::{StageTimes, SyncResult, ViewResult};
+use super::sheet::{Panel, sheet};
 use super::truths::{TrueImage, TrueInstant, TrueView, as_written};
 use super::{CompareError, CompareOptions, Renderer, TRADITIONAL};
 use crate::capture::Truth;
 use crate::interpolation::{SyncMethod, Synchronized};
 use crate::method::Method;
-use crate::metrics::{ReferenceImage, RegionScores};
+use crate::metrics::ReferenceImage;
 use crate::raster::{BitDepth, Image, write_image};
 use rayon::prelude::*;
 use std::path::Path;
@@ -33,10 +32,14 @@ pub(super) struct Results {
     pub views: Vec<ViewResult>,
     /// The pictures of the report.
     pub figures: Vec<Figure>,
-    /// Number of figures that show a filming camera's synchronized image.
-    pub sync_figures: usize,
-    /// Number of figures that show a blended view.
-    pub view_figures: usize,
+}
+
+impl Results {
+    /// Whether the report takes another figure of a new view, or of a filming camera's image.
+    fn has_room(&self, is_view: bool, options: &CompareOptions) -> bool {
+        let alike = self.figures.iter().filter(|figure| figure.is_view == is_view);
+        alike.count() < options.report_views
+    }
 }
 
 /// A true image, with everything that measures images against it.
@@ -80,7 +83,7 @@ impl Comparison<'_> {
         let in_report = filmed
             .iter()
             .position(|t| Some(t.truth.moving_pixels()) == most_moving)
-            .filter(|_| results.sync_figures < self.options.report_views);
+            .filter(|_| results.has_room(false, self.options));
         let measured: Vec<_> = stages.time(MEASURING, || {
             filmed
                 .par_iter()
@@ -90,17 +93,15 @@ impl Comparison<'_> {
         })?;
         for (rows, figure) in measured {
             results.sync.extend(rows);
-            results.sync_figures += usize::from(figure.is_some());
             results.figures.extend(figure);
         }
 
         for target in free {
             let blends = stages.time(BLENDING, || self.blend(&target, &truths, &images));
-            let in_report = results.view_figures < self.options.report_views;
+            let in_report = results.has_room(true, self.options);
             let (rows, figure) =
-                stages.time(MEASURING, || self.measure_view(&target, &blends, in_report))?;
+                stages.time(MEASURING, || self.measure_view(&target, blends, in_report))?;
             results.views.extend(rows);
-            results.view_figures += usize::from(figure.is_some());
             results.figures.extend(figure);
         }
         Ok(())
@@ -127,7 +128,7 @@ impl Comparison<'_> {
     fn measure_sync(
         &self,
         target: &ComparedTarget,
-        images: &[Vec<SynchronizedOrReason>],
+        synchronized: &[Vec<SynchronizedOrReason>],
         in_report: bool,
     ) -> Result<(Vec<SyncResult>, Option<Figure>), CompareError> {
         let ComparedTarget { instant, view, truth } = target;
@@ -136,14 +137,12 @@ impl Comparison<'_> {
         let id = &capture.cameras[camera].id;
         let reference = ReferenceImage::new(truth.image.clone(), self.options.pixels_per_degree);
         let mut rows = Vec::new();
-        let mut as_written = Vec::new();
-        for (&method, by_method) in self.methods.iter().zip(images) {
+        let mut images = Vec::new();
+        for (&method, by_method) in self.methods.iter().zip(synchronized) {
             let image = by_method[camera].as_ref().map(|s| &s.image);
             let image = self.checked(image, &truth.image);
-            let file = match &image {
-                Ok(image) => Some(self.write(target, method.name(), image, None)?),
-                Err(_) => None,
-            };
+            let file =
+                image.as_ref().ok().map(|image| self.write(target, method.name(), image, None));
             let scores = |image: &Image| reference.compare(image).regions(None, &truth.moving);
             rows.push(SyncResult {
                 view: self.truth.views[view.index].id.clone(),
@@ -151,25 +150,25 @@ impl Comparison<'_> {
                 time_s: instant.time_s,
                 method,
                 scores: image.as_ref().ok().map(scores),
-                image: file,
+                image: file.transpose()?,
                 reason: image.as_ref().err().cloned(),
             });
-            as_written.push(image);
+            images.push(image);
         }
         self.write(target, "truth", &truth.image, None)?;
-        let shown: Vec<Shown> = as_written
+        let panels: Vec<Panel> = images
             .iter()
             .zip(&rows)
-            .map(|(image, row)| Shown {
+            .map(|(image, row)| Panel {
                 title: row.method.name().to_owned(),
                 image: image.as_ref(),
                 scores: row.scores,
             })
             .collect();
         let title = format!("{}: {id} at {:.4} s, synchronized", capture.name, instant.time_s);
-        self.write_sheet(&title, &view.stem, truth, &shown)?;
+        self.write_sheet(&title, &view.stem, truth, &panels)?;
         let title = format!("Camera {id} at {:.4} s", instant.time_s);
-        let figure = in_report.then(|| figure(title, false, truth, &shown));
+        let figure = in_report.then(|| figure(title, false, truth, &panels));
         Ok((rows, figure))
     }
 
@@ -192,26 +191,11 @@ impl Comparison<'_> {
         title: &str,
         stem: &str,
         truth: &TrueImage,
-        shown: &[Shown],
+        panels: &[Panel],
     ) -> Result<(), CompareError> {
-        let panels: Vec<Panel> = shown
-            .iter()
-            .map(|s| Panel {
-                title: &s.title,
-                image: s.image.ok(),
-                scores: s.scores.as_ref(),
-                note: s.image.err().map_or("", String::as_str),
-            })
-            .collect();
-        let sheet = Sheet {
-            title,
-            truth: &truth.image,
-            moving: &truth.moving,
-            panels: &panels,
-            gain: self.options.difference_gain,
-        };
+        let sheet = sheet(title, truth, panels, self.options.difference_gain);
         let path = self.out.join(format!("sheets/{stem}.png"));
-        Ok(write_image(&path, &sheet.draw(), None, BitDepth::Eight)?)
+        Ok(write_image(&path, &sheet, None, BitDepth::Eight)?)
     }
 
     /// An image as its file holds it; an error if its size differs from the truth's.
@@ -230,18 +214,10 @@ impl Comparison<'_> {
     }
 }
 
-/// A result for sheets and figures.
-pub(super) struct Shown<'a> {
-    pub title: String,
-    pub image: Result<&'a Image, &'a String>,
-    pub scores: Option<RegionScores>,
-}
-
 /// The truth and the methods' images, for the report.
-pub(super) fn figure(title: String, is_view: bool, truth: &TrueImage, shown: &[Shown]) -> Figure {
+pub(super) fn figure(title: String, is_view: bool, truth: &TrueImage, panels: &[Panel]) -> Figure {
     let mut pictures = vec![ReportPicture::new("Truth", &truth.image, None)];
-    pictures.extend(
-        shown.iter().filter_map(|s| Some(ReportPicture::new(&s.title, s.image.ok()?, s.scores))),
-    );
+    let shown = panels.iter().filter_map(|p| Some((p, p.image.ok()?)));
+    pictures.extend(shown.map(|(p, image)| ReportPicture::new(&p.title, image, p.scores)));
     Figure { title, is_view, pictures }
 }
