@@ -72,7 +72,7 @@ impl Bench<'_> {
             if lacking.is_empty() {
                 continue;
             }
-            // Those that may share synchronized images, one after the other.
+            // Combinations of one sync method share synchronized images: one after the other.
             lacking.sort_by_key(|&k| points[k].options.sync.name());
             if open.as_ref().is_none_or(|(held_out, _)| *held_out != target.held_out) {
                 open = Some((target.held_out, scene.field(target.held_out)));
@@ -119,7 +119,7 @@ impl Bench<'_> {
         task: &Task,
     ) -> Result<(), TradeoffError> {
         let View { camera, time_s } = &self.timed;
-        // What views between two frames share isn't timed: everything once before.
+        // Results that all views between two frames share aren't timed: they are computed before.
         for &k in untimed {
             field.register(*time_s, &points[k].options)?;
             field.view(camera, *time_s, &points[k].options)?;

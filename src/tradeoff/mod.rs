@@ -127,12 +127,8 @@ pub enum TradeoffError {
     Compare(#[from] CompareError),
     #[error(transparent)]
     Render(#[from] RenderError),
-    #[error("{folder}: is a capture, and a trade-off needs a folder of its own")]
-    IsCapture { folder: PathBuf },
-    #[error("{folder}: is no folder")]
-    NoFolder { folder: PathBuf },
-    #[error("{folder}: holds {name}, which is no part of a trade-off: give a folder of its own")]
-    Foreign { folder: PathBuf, name: String },
+    #[error("{folder}: {reason}")]
+    Folder { folder: PathBuf, reason: String },
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
     #[error("no combination can render this capture: {reason}")]
@@ -194,11 +190,8 @@ pub fn tradeoff(
     out: &Path,
     reporter: &Reporter,
 ) -> Result<Tradeoff, TradeoffError> {
-    if out.join(CAPTURE_FILE).exists() {
-        return Err(TradeoffError::IsCapture { folder: out.to_owned() });
-    }
-    let truth = Truth::open(&capture.folder)?;
     refuse_foreign(out)?;
+    let truth = Truth::open(&capture.folder)?;
     let store = Store::open(capture, truth.as_ref(), reporter)?;
     let base = &options.base;
     let prepared = store.prepared(base)?;
@@ -295,16 +288,22 @@ fn write_json(path: &Path, value: &impl Serialize) -> Result<(), TradeoffError> 
 
 /// Only a folder that isn't there, that is empty, or that holds a trade-off is written to.
 fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
+    let refused = |reason: String| Err(TradeoffError::Folder { folder: folder.to_owned(), reason });
+    if folder.join(CAPTURE_FILE).exists() {
+        return refused("is a capture, and a trade-off needs a folder of its own".into());
+    }
     remove_abandoned(folder);
     if folder.exists() && !folder.is_dir() {
-        return Err(TradeoffError::NoFolder { folder: folder.to_owned() });
+        return refused("is no folder".into());
     }
-    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
-    for entry in entries.flatten() {
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let is_of_a_run_at_work = is_temporary(&entry.file_name());
-        if !FILES.contains(&name.as_str()) && !is_of_a_run_at_work {
-            return Err(TradeoffError::Foreign { folder: folder.to_owned(), name });
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    for name in entries.map(|entry| entry.file_name()) {
+        // Temporary ones are of a run at work.
+        let name_text = name.to_string_lossy();
+        if !FILES.contains(&&*name_text) && !is_temporary(&name) {
+            return refused(format!(
+                "holds {name_text}, which is no part of a trade-off: give a folder of its own"
+            ));
         }
     }
     Ok(())

@@ -129,7 +129,7 @@ impl Store {
         let watch = Stopwatch::start();
         let field = LightField::new(self.capture.clone(), prepared.offsets);
         let plan = plan(&field, asked, &self.reporter)?;
-        // What was left to the capture is decided.
+        // The plan has decided all that the options left to the capture.
         let options = RenderOptions { auto: AutoOptions::default(), ..plan.options };
         let planned = Planned { options, took: watch.elapsed() };
         self.save(PLANS, asked, &planned);
