@@ -40,8 +40,7 @@ pub fn compare(
     let mut stages = StageTimes(renderer.timings());
     let task = reporter.task("Comparing with the truth", truth.views.len());
     let mut results = instant::Results::default();
-    let methods = &options.methods();
-    let comparison = instant::Comparison { renderer, truth, options, out, methods };
+    let comparison = instant::Comparison { renderer, truth, options, out };
     for instant in &instants {
         comparison.compare(instant, &mut results, &mut stages)?;
         task.advance(instant.views.len());

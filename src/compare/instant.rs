@@ -21,8 +21,6 @@ pub(super) struct Comparison<'a> {
     pub truth: &'a Truth,
     pub options: &'a CompareOptions,
     pub out: &'a Path,
-    /// The sync methods to measure, cheapest first.
-    pub methods: &'a [SyncMethod],
 }
 
 /// The results of the instants so far.
@@ -52,8 +50,8 @@ pub(super) struct ComparedTarget<'a> {
 /// An image, or a sentence why there is none.
 pub(super) type ImageOrReason = Result<Image, String>;
 
-/// A camera's synchronized image, or a sentence why there is none.
-pub(super) type SynchronizedOrReason = Result<Arc<Synchronized>, String>;
+/// The cameras' images by one sync method, or sentences why there are none.
+pub(super) type SynchronizedBy = (SyncMethod, Vec<Result<Arc<Synchronized>, String>>);
 
 const RENDERING: &str = "synchronized images";
 const BLENDING: &str = "views";
@@ -73,11 +71,8 @@ impl Comparison<'_> {
             .time(MEASURING, || instant.views.par_iter().map(read).collect::<Result<_, _>>())?;
         let images = stages.time(RENDERING, || self.synchronize(instant));
 
-        let targets = instant.views.iter().zip(&truths).map(|(view, truth)| ComparedTarget {
-            instant,
-            view,
-            truth,
-        });
+        let target = |(view, truth)| ComparedTarget { instant, view, truth };
+        let targets = instant.views.iter().zip(&truths).map(target);
         let (filmed, free): (Vec<_>, Vec<_>) = targets.partition(|t| t.view.like.is_some());
         let most_moving = filmed.iter().map(|t| t.truth.moving_pixels()).max();
         let in_report = filmed
@@ -109,7 +104,7 @@ impl Comparison<'_> {
 
     /// Synchronized images by method and camera: of all cameras if there is a view to blend, else of those with
     /// a true image.
-    fn synchronize(&self, instant: &TrueInstant) -> Vec<Vec<SynchronizedOrReason>> {
+    fn synchronize(&self, instant: &TrueInstant) -> Vec<SynchronizedBy> {
         let blends = instant.views.iter().any(|v| v.like.is_none());
         let cameras = self.renderer.capture().cameras.len();
         let one = |method: SyncMethod, camera: usize| {
@@ -121,14 +116,15 @@ impl Comparison<'_> {
                 Err("was not asked for".into())
             }
         };
-        self.methods.iter().map(|&m| (0..cameras).map(|c| one(m, c)).collect()).collect()
+        let all = |method| (method, (0..cameras).map(|camera| one(method, camera)).collect());
+        self.options.methods().into_iter().map(all).collect()
     }
 
     /// Measures all sync methods on a filming camera; adds its pictures to the report if `in_report`.
     fn measure_sync(
         &self,
         target: &ComparedTarget,
-        synchronized: &[Vec<SynchronizedOrReason>],
+        synchronized: &[SynchronizedBy],
         in_report: bool,
     ) -> Result<(Vec<SyncResult>, Option<Figure>), CompareError> {
         let ComparedTarget { instant, view, truth } = target;
@@ -138,8 +134,8 @@ impl Comparison<'_> {
         let reference = ReferenceImage::new(truth.image.clone(), self.options.pixels_per_degree);
         let mut rows = Vec::new();
         let mut images = Vec::new();
-        for (&method, by_method) in self.methods.iter().zip(synchronized) {
-            let image = by_method[camera].as_ref().map(|s| &s.image);
+        for (method, cameras) in synchronized {
+            let image = cameras[camera].as_ref().map(|s| &s.image);
             let image = self.checked(image, &truth.image);
             let file =
                 image.as_ref().ok().map(|image| self.write(target, method.name(), image, None));
@@ -148,7 +144,7 @@ impl Comparison<'_> {
                 view: self.truth.views[view.index].id.clone(),
                 camera: id.clone(),
                 time_s: instant.time_s,
-                method,
+                method: *method,
                 scores: image.as_ref().ok().map(scores),
                 image: file.transpose()?,
                 reason: image.as_ref().err().cloned(),
@@ -156,12 +152,11 @@ impl Comparison<'_> {
             images.push(image);
         }
         self.write(target, "truth", &truth.image, None)?;
-        let panels: Vec<Panel> = images
-            .iter()
-            .zip(&rows)
+        let shown = images.iter().map(Result::as_ref).zip(&rows);
+        let panels: Vec<Panel> = shown
             .map(|(image, row)| Panel {
                 title: row.method.name().to_owned(),
-                image: image.as_ref(),
+                image,
                 scores: row.scores,
             })
             .collect();
@@ -202,13 +197,8 @@ impl Comparison<'_> {
     pub(super) fn checked(&self, image: Result<&Image, &String>, truth: &Image) -> ImageOrReason {
         let image = image.map_err(Clone::clone)?;
         if (image.width(), image.height()) != (truth.width(), truth.height()) {
-            return Err(format!(
-                "is {}×{} pixels, the truth {}×{}",
-                image.width(),
-                image.height(),
-                truth.width(),
-                truth.height()
-            ));
+            let [is, wanted] = [image, truth].map(|i| format!("{}×{}", i.width(), i.height()));
+            return Err(format!("is {is} pixels, the truth {wanted}"));
         }
         Ok(as_written(image, truth.channels(), self.renderer.capture().bit_depth()))
     }

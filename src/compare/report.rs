@@ -7,11 +7,10 @@ use super::results::{Metrics, StageTime, ViewMethod, used};
 use crate::chart::{Dot, DotPlot, DotRow};
 use crate::method::Method;
 use crate::metrics::RegionScores;
-use crate::raster::Image;
+use crate::raster::{Image, encode_png_8};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
+use image::codecs::png::CompressionType;
 use minijinja::value::{Serde, Value};
 use minijinja::{Environment, UndefinedBehavior, context};
 use serde::Serialize;
@@ -40,26 +39,15 @@ pub(super) struct ReportPicture {
 
 impl ReportPicture {
     pub fn new(label: &str, image: &Image, scores: Option<RegionScores>) -> Self {
-        let (width, height) = (image.width(), image.height());
+        let png = encode_png_8(image, CompressionType::Best);
         Self {
             label: label.to_owned(),
-            width,
-            height,
-            png_base64: BASE64.encode(png(image)),
+            width: image.width(),
+            height: image.height(),
+            png_base64: BASE64.encode(png.expect("a buffer takes any image of 1 or 3 channels")),
             scores,
         }
     }
-}
-
-/// The image as PNG of 8 bits a channel, with the strongest compression.
-fn png(image: &Image) -> Vec<u8> {
-    let raw: Vec<u8> = image.data().iter().map(|v| (v * 255.0 + 0.5) as u8).collect();
-    let color = if image.channels() == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
-    let mut bytes = Vec::new();
-    PngEncoder::new_with_quality(&mut bytes, CompressionType::Best, FilterType::Adaptive)
-        .write_image(&raw, image.width() as u32, image.height() as u32, color)
-        .expect("a buffer takes any image of 1 or 3 channels");
-    bytes
 }
 
 /// The whole page.
@@ -231,7 +219,8 @@ mod tests {
     #[test]
     fn pictures_decode_to_their_pixels() {
         let image = Image::from_data(2, 1, 3, vec![0.0, 0.2, 0.4, 0.6, 0.8, 1.0]);
-        let decoded = image::load_from_memory(&png(&image)).unwrap().into_rgb8();
+        let png = BASE64.decode(ReportPicture::new("a", &image, None).png_base64).unwrap();
+        let decoded = image::load_from_memory(&png).unwrap().into_rgb8();
         assert_eq!(decoded.into_raw(), [0, 51, 102, 153, 204, 255]);
     }
 }

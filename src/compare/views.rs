@@ -1,6 +1,6 @@
 //! One view at an instant: blended by every method through every proxy, then measured.
 
-use super::instant::{ComparedTarget, Comparison, ImageOrReason, SynchronizedOrReason, figure};
+use super::instant::{ComparedTarget, Comparison, ImageOrReason, SynchronizedBy, figure};
 use super::report::Figure;
 use super::results::{ExcludedCamera, ViewMethod, ViewResult};
 use super::sheet::Panel;
@@ -28,12 +28,12 @@ impl Comparison<'_> {
         &self,
         target: &ComparedTarget,
         truths: &[TrueImage],
-        images: &[Vec<SynchronizedOrReason>],
+        images: &[SynchronizedBy],
     ) -> Vec<Blend> {
         let capture = self.renderer.capture();
         let by = |method: SyncMethod| {
-            let row = self.methods.iter().position(|m| *m == method);
-            row.map_or_else(Vec::new, |k| images[k].clone())
+            let found = images.iter().find(|(m, _)| *m == method);
+            found.map_or_else(Vec::new, |(_, images)| images.clone())
         };
         let true_image = |camera: usize| {
             let at = target.instant.views.iter().position(|v| v.like == Some(camera));
@@ -104,13 +104,11 @@ impl Comparison<'_> {
         let rows = self.view_results(target, blends, &images)?;
         self.write(target, "truth", &truth.image, None)?;
 
-        let panels: Vec<Panel> = images
-            .iter()
-            .zip(&rows)
-            .map(|(image, row)| Panel {
-                title: format!("{}, {}", row.method.help(), row.proxy.name()),
-                image: image.as_ref(),
-                scores: row.scores,
+        let shown = images.iter().map(Result::as_ref).zip(&rows);
+        let panels: Vec<Panel> = shown
+            .map(|(image, row)| {
+                let title = format!("{}, {}", row.method.help(), row.proxy.name());
+                Panel { title, image, scores: row.scores }
             })
             .collect();
         let (capture, id) = (&self.renderer.capture().name, &self.truth.views[view.index].id);

@@ -45,6 +45,7 @@ pub use studio::Studio;
 
 use crate::light_field::RenderError;
 use crate::raster::ImageFileError;
+use hyper::StatusCode;
 use queue::Queue;
 use request::{Level, PictureMethod, PictureRequest, Place, ViewDirection};
 use rig_frame::RigFrame;
@@ -69,4 +70,7 @@ pub enum LiveError {
     /// The program failed unexpectedly.
     #[error("rendering failed by an error of the program; its output in the terminal says more")]
     Panicked,
+    /// The request is none that is answered.
+    #[error("{1}")]
+    Refused(StatusCode, &'static str),
 }

@@ -51,7 +51,7 @@ impl Job {
 
     /// Answers. The request counts as running, and may be outdated, until what is returned is dropped.
     pub fn answer(self, answer: Answer) -> Arc<Asked> {
-        // Whoever waited may have gone.
+        // The viewer may have gone.
         let _ = self.reply.send(answer);
         self.asked
     }
@@ -83,7 +83,7 @@ impl Queue {
         let replaces = request.level != Level::Saved && !request.viewer.is_empty();
         let is_replaced = |asked: &Asked| replaces && asked.is_replaceable_by(&request.viewer);
         state.waiting.retain(Job::is_wanted);
-        // Whoever is refused keeps the picture that is worked on.
+        // A refused viewer keeps the picture that is being rendered.
         if state.waiting.iter().filter(|job| !is_replaced(&job.asked)).count() >= MAX_WAITING {
             return Err(LiveError::Busy);
         }

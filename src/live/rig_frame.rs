@@ -1,4 +1,5 @@
-//! Viewpoints of pictures, at cameras, at true images, and in the rig's own axes: x to the right, y up, z ahead, metres from the mean of the cameras.
+//! Viewpoints of pictures: at cameras, at true images, and in the rig's own axes, x to the right, y up, z ahead, metres
+//! from the mean of the cameras.
 
 use super::{LiveError, PictureRequest, Place, ViewDirection};
 use crate::camera::{Camera, CameraModel};

@@ -15,7 +15,6 @@ use crate::options::{Preset, RenderOptions, TrailOptions};
 use crate::progress::Reporter;
 use crate::raster::luma;
 use std::sync::Arc;
-use std::time::Instant;
 
 /// Opacity of the cameras' colours over the picture, in 0..=1.
 const TINT: f32 = 0.5;
@@ -29,8 +28,6 @@ pub struct Picture {
     pub bytes: Vec<u8>,
     /// The methods that made it, such as `refined, mesh`; empty for the truth.
     pub made_by: String,
-    /// Rendering time, seconds.
-    pub seconds: f64,
 }
 
 /// Renders pictures of a light field and of its truth.
@@ -79,13 +76,12 @@ impl<'a> Studio<'a> {
     /// Renders and encodes a picture, as long as `proceed` returns true.
     ///
     /// # Errors
-    /// Those of [`RigFrame::camera`], those of rendering, and [`LiveError::Superseded`].
+    /// The errors of [`RigFrame::camera`] and of rendering, and [`LiveError::Superseded`].
     pub(super) fn picture(
         &self,
         request: &PictureRequest,
         proceed: Proceed,
     ) -> Result<Picture, LiveError> {
-        let start = Instant::now();
         let target = self.rig.camera(request)?;
         let (rendered, made_by) = match request.method {
             PictureMethod::Truth => (self.truth.view(request, &target)?, String::new()),
@@ -104,8 +100,7 @@ impl<'a> Studio<'a> {
             Level::Quick | Level::Full => encode(&rendered),
             Level::Saved => encode_saved(&rendered, self.field.capture().bit_depth()),
         };
-        let bytes = bytes.map_err(LiveError::Request)?;
-        Ok(Picture { bytes, made_by, seconds: start.elapsed().as_secs_f64() })
+        Ok(Picture { bytes: bytes.map_err(LiveError::Request)?, made_by })
     }
 
     /// A picture of the light field, and the sync method of its images. A quick one takes the images of full quality

@@ -29,22 +29,19 @@ pub(super) fn start<'scope, 'env>(
     queue: &'env Queue,
 ) -> std::io::Result<()> {
     for (is_quick, workers) in [(true, QUICK_WORKERS), (false, 1)] {
-        let pool = Arc::new(pool(is_quick)?);
+        let on_start = move |_| {
+            if !is_quick {
+                stand_back();
+            }
+        };
+        let pool = ThreadPoolBuilder::new().start_handler(on_start).build();
+        let pool = Arc::new(pool.map_err(std::io::Error::other)?);
         for _ in 0..workers {
             let pool = pool.clone();
             scope.spawn(move || work(studio, queue, is_quick, &pool));
         }
     }
     Ok(())
-}
-
-fn pool(is_quick: bool) -> std::io::Result<ThreadPool> {
-    let builder = ThreadPoolBuilder::new().start_handler(move |_| {
-        if !is_quick {
-            stand_back();
-        }
-    });
-    builder.build().map_err(std::io::Error::other)
 }
 
 /// Lowers the priority of the calling thread.
