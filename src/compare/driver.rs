@@ -29,7 +29,7 @@ pub fn compare(
     reporter: &Reporter,
 ) -> Result<Summary, CompareError> {
     let start = Instant::now();
-    let capture = renderer.capture();
+    let capture = renderer.field().capture();
     let truth = truth.ok_or_else(|| CompareError::NoTruth { folder: capture.folder.clone() })?;
     options.check()?;
     let instants = truths::instants(truth, capture)?;
@@ -83,10 +83,10 @@ pub fn compare(
 }
 
 fn offset_results(renderer: &dyn Renderer, truth: &Truth) -> Vec<OffsetResult> {
-    let capture = renderer.capture();
+    let capture = renderer.field().capture();
     let frame_s = Some(capture.frame_s()).filter(|f| *f > 0.0);
     let result = |(index, filmed): (usize, &FilmedCamera)| {
-        let given = renderer.offsets().cameras.iter().find(|o| o.id == filmed.id);
+        let given = renderer.field().offsets().cameras.iter().find(|o| o.id == filmed.id);
         let shares_clock = filmed.clock.shared || index == capture.reference;
         let truth_s = truth.offset_s(&filmed.id);
         OffsetResult { shares_clock, ..OffsetResult::new(&filmed.id, given, truth_s, frame_s) }

@@ -65,7 +65,7 @@ impl Comparison<'_> {
         results: &mut Results,
         stages: &mut StageTimes,
     ) -> Result<(), CompareError> {
-        let capture = self.renderer.capture();
+        let capture = self.renderer.field().capture();
         let read = |view: &TrueView| view.read(self.truth, capture, self.options);
         let truths: Vec<TrueImage> = stages
             .time(MEASURING, || instant.views.par_iter().map(read).collect::<Result<_, _>>())?;
@@ -106,7 +106,7 @@ impl Comparison<'_> {
     /// a true image.
     fn synchronize(&self, instant: &TrueInstant) -> Vec<SynchronizedBy> {
         let blends = instant.views.iter().any(|v| v.like.is_none());
-        let cameras = self.renderer.capture().cameras.len();
+        let cameras = self.renderer.field().capture().cameras.len();
         let one = |method: SyncMethod, camera: usize| {
             let like = instant.views.iter().any(|v| v.like == Some(camera));
             let feeds_views = blends && [TRADITIONAL, self.options.sync].contains(&method);
@@ -128,7 +128,7 @@ impl Comparison<'_> {
         in_report: bool,
     ) -> Result<(Vec<SyncResult>, Option<Figure>), CompareError> {
         let ComparedTarget { instant, view, truth } = target;
-        let capture = self.renderer.capture();
+        let capture = self.renderer.field().capture();
         let camera = view.like.unwrap_or_default();
         let id = &capture.cameras[camera].id;
         let reference = ReferenceImage::new(truth.image.clone(), self.options.pixels_per_degree);
@@ -176,7 +176,7 @@ impl Comparison<'_> {
         coverage: Option<&[bool]>,
     ) -> Result<String, CompareError> {
         let name = format!("images/{}/{name}.png", target.view.stem);
-        let depth = self.renderer.capture().bit_depth();
+        let depth = self.renderer.field().capture().bit_depth();
         write_image(&self.out.join(&name), image, coverage, depth)?;
         Ok(name)
     }
@@ -200,7 +200,7 @@ impl Comparison<'_> {
             let [is, wanted] = [image, truth].map(|i| format!("{}×{}", i.width(), i.height()));
             return Err(format!("is {is} pixels, the truth {wanted}"));
         }
-        Ok(as_written(image, truth.channels(), self.renderer.capture().bit_depth()))
+        Ok(as_written(image, truth.channels(), self.renderer.field().capture().bit_depth()))
     }
 }
 

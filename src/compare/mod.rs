@@ -46,13 +46,12 @@ pub use light_field::ComparedLightField;
 pub use offset_score::{errors_frames, score_offsets};
 
 use crate::camera::Camera;
-use crate::capture::{Capture, CaptureError, TruthError};
+use crate::capture::{CaptureError, TruthError};
 use crate::interpolation::{SyncMethod, Synchronized};
-use crate::light_field::Images;
+use crate::light_field::{Images, LightField};
 use crate::lumigraph::Rendered;
 use crate::method::Method;
 use crate::metrics::flip;
-use crate::offset::Offsets;
 use crate::options::{ProxyMethod, RenderOptions};
 use crate::raster::ImageFileError;
 use results::{Headline, StageTime};
@@ -71,12 +70,11 @@ pub const TRADITIONAL: SyncMethod = SyncMethod::Nearest;
 /// sequential, so that an implementation may use all cores and a cache.
 ///
 /// Times are seconds on the reference's clock, from the capture's start
-/// ([`Capture::time_origin_s`] subtracted). An `Err` is one sentence for the report: why this
+/// ([`Capture::time_origin_s`](crate::capture::Capture::time_origin_s) subtracted). An `Err` is one sentence for the report: why this
 /// image can't be made. It excludes the camera or the view, and ends nothing.
 pub trait Renderer: Sync {
-    fn capture(&self) -> &Capture;
-
-    fn offsets(&self) -> &Offsets;
+    /// The light field, with the capture and its offsets.
+    fn field(&self) -> &LightField;
 
     /// A filming camera's image at a time.
     fn synchronized(
@@ -88,9 +86,6 @@ pub trait Renderer: Sync {
 
     /// A view that is blended from images of the filming cameras.
     fn view(&self, view: &ComparedView) -> Result<Rendered, String>;
-
-    /// The first and the last time at which all cameras can give an image.
-    fn covered_span_s(&self) -> Option<(f64, f64)>;
 
     /// The options of all stages, to be written beside the numbers.
     fn options(&self) -> &RenderOptions;

@@ -125,6 +125,18 @@ impl TrueView {
     }
 }
 
+/// Fills unmeasured pixels with the truth, so that windows of metrics see no black.
+pub(crate) fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
+    let n = image.channels();
+    let mut filled = image.clone();
+    for (k, pixel) in filled.data_mut().chunks_exact_mut(n).enumerate() {
+        if !covered[k] {
+            pixel.copy_from_slice(&truth.data()[k * n..(k + 1) * n]);
+        }
+    }
+    filled
+}
+
 /// The image as a file of this bit depth holds it: clamped and rounded, grey or RGB.
 pub(crate) fn as_written(image: &Image, channels: usize, depth: BitDepth) -> Image {
     let mut image = if channels == 1 { image.to_gray() } else { image.to_rgb() };

@@ -87,7 +87,7 @@ impl ReviewVideo {
         let (mut movies, mut writers) = (Vec::new(), Vec::new());
         for k in 0..frames {
             let panels = shots.panels(comparison, k)?;
-            let origin_s = renderer.capture().time_origin_s;
+            let origin_s = renderer.field().capture().time_origin_s;
             let heading = format!("{}   {:8.4} s", shots.view, shots.times_s[k] + origin_s);
             let titled: Vec<(&str, &Image)> =
                 panels.iter().map(|p| (p.title.as_str(), &p.image)).collect();
@@ -95,7 +95,7 @@ impl ReviewVideo {
             if k == 0 {
                 for panel in &panels {
                     let file = format!("video/{}.mkv", panel.name);
-                    let depth = renderer.capture().bit_depth();
+                    let depth = renderer.field().capture().bit_depth();
                     writers.push(create(&out.join(&file), &panel.image, depth, Codec::Ffv1)?);
                     movies.push((panel.name, file));
                 }
@@ -134,7 +134,7 @@ impl Shots {
                 .ok_or_else(|| wrong("images is not a sequence such as video/%04d.png"))?;
             Ok(comparison.truth.file(&name)?)
         };
-        let origin_s = comparison.renderer.capture().time_origin_s;
+        let origin_s = comparison.renderer.field().capture().time_origin_s;
         Ok(Self {
             target: video.camera.camera().map_err(|e| wrong(&format!("camera.{e}")))?,
             times_s: video.times_s.iter().map(|t| t - origin_s).collect(),
@@ -145,8 +145,8 @@ impl Shots {
 
     /// Times spread evenly over the span that all cameras cover, without true images.
     fn spanning(comparison: &Comparison, frames: usize) -> Result<Self, ReviewVideoError> {
-        let capture = comparison.renderer.capture();
-        let span_s = comparison.renderer.covered_span_s();
+        let capture = comparison.renderer.field().capture();
+        let span_s = comparison.renderer.field().common_span_s();
         let (first_s, last_s) = span_s.ok_or(ReviewVideoError::NoSpan)?;
         let step_s = (last_s - first_s) / frames.saturating_sub(1).max(1) as f64;
         let free = comparison.truth.views.iter().find(|v| v.like.is_none());

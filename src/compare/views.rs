@@ -4,7 +4,7 @@ use super::instant::{ComparedTarget, Comparison, ImageOrReason, SynchronizedBy, 
 use super::report::Figure;
 use super::results::{ExcludedCamera, ViewMethod, ViewResult};
 use super::sheet::Panel;
-use super::truths::TrueImage;
+use super::truths::{TrueImage, filled_with};
 use super::{CompareError, ComparedView, TRADITIONAL};
 use crate::interpolation::{SyncMethod, Synchronized};
 use crate::light_field::{GivenImages, Images};
@@ -12,7 +12,6 @@ use crate::lumigraph::Rendered;
 use crate::method::Method;
 use crate::metrics::ReferenceImage;
 use crate::options::ProxyMethod;
-use crate::raster::Image;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -30,7 +29,7 @@ impl Comparison<'_> {
         truths: &[TrueImage],
         images: &[SynchronizedBy],
     ) -> Vec<Blend> {
-        let capture = self.renderer.capture();
+        let capture = self.renderer.field().capture();
         let by = |method: SyncMethod| {
             let found = images.iter().find(|(m, _)| *m == method);
             found.map_or_else(Vec::new, |(_, images)| images.clone())
@@ -111,7 +110,8 @@ impl Comparison<'_> {
                 Panel { title, image, scores: row.scores }
             })
             .collect();
-        let (capture, id) = (&self.renderer.capture().name, &self.truth.views[view.index].id);
+        let (capture, id) =
+            (&self.renderer.field().capture().name, &self.truth.views[view.index].id);
         // The rows are sorted by proxy.
         for (proxy, panels) in ProxyMethod::ALL.iter().zip(panels.chunks(ViewMethod::ALL.len())) {
             let name = proxy.name();
@@ -159,16 +159,4 @@ fn common_coverage(blends: &[Blend], images: &[ImageOrReason], pixels: usize) ->
         covered.iter_mut().zip(&view.coverage).for_each(|(c, own)| *c &= own);
     }
     covered
-}
-
-/// Fills unmeasured pixels with the truth, so that windows of metrics see no black.
-fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
-    let n = image.channels();
-    let mut filled = image.clone();
-    for (k, pixel) in filled.data_mut().chunks_exact_mut(n).enumerate() {
-        if !covered[k] {
-            pixel.copy_from_slice(&truth.data()[k * n..(k + 1) * n]);
-        }
-    }
-    filled
 }

@@ -6,7 +6,7 @@ use super::store::middle_s;
 use crate::camera::Camera;
 use crate::capture::{Capture, Truth};
 use crate::compare::CompareOptions;
-use crate::compare::truths::{self, TrueImage, as_written};
+use crate::compare::truths::{self, TrueImage, as_written, filled_with};
 use crate::light_field::held_out::{
     halfway_to_neighbor, inner_cameras, only, recorded, well_covered_frames,
 };
@@ -68,13 +68,8 @@ impl Target {
     /// measured; pixels that only this view doesn't cover are black.
     pub fn score(&self, rendered: &Rendered) -> RegionScores {
         let truth = self.reference.image();
-        let n = truth.channels();
-        let mut image = as_written(&rendered.image, n, self.depth);
-        for (k, pixel) in image.data_mut().chunks_exact_mut(n).enumerate() {
-            if !self.covered[k] {
-                pixel.copy_from_slice(&truth.data()[k * n..(k + 1) * n]);
-            }
-        }
+        let image = as_written(&rendered.image, truth.channels(), self.depth);
+        let image = filled_with(truth, &image, &self.covered);
         self.reference.compare(&image).regions(Some(&self.covered), &self.moving)
     }
 }
