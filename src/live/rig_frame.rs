@@ -81,11 +81,11 @@ impl RigFrame {
     /// If its place or its size is out of bounds, or no camera or image of the truth is there.
     pub fn camera(&self, request: &PictureRequest) -> Result<Camera, LiveError> {
         let found = |all: &[Camera], index: usize, what: &str| match all.get(index) {
-            Some(camera) => self.from_camera(camera, &request.view),
+            Some(camera) => self.at_camera(camera, &request.view),
             None => Err(LiveError::Request(format!("at: there is no such {what}"))),
         };
         match request.place {
-            Place::Free(place) => self.from_place(place, &request.view),
+            Place::Free(place) => self.at_place(place, &request.view),
             Place::Camera(index) => found(&self.cameras, index, "camera"),
             Place::Truth(index) => found(&self.truths, index, "image of the truth"),
         }
@@ -120,8 +120,8 @@ impl RigFrame {
     /// The view from a position in the rig's axes, in the mean direction of the cameras nearby.
     ///
     /// # Errors
-    /// If the place is out of bounds, or as [`Self::from_camera`].
-    fn from_place(&self, place: [f64; 3], view: &ViewDirection) -> Result<Camera, LiveError> {
+    /// If the place is out of bounds, or as [`Self::at_camera`].
+    fn at_place(&self, place: [f64; 3], view: &ViewDirection) -> Result<Camera, LiveError> {
         let [low, high] = self.bounds();
         // Half a millionth of the extent is rounding of what the page was told.
         let is_inside = (0..3).all(|k| {
@@ -143,7 +143,7 @@ impl RigFrame {
     ///
     /// # Errors
     /// If the size, the zoom or the turn is out of bounds.
-    fn from_camera(&self, camera: &Camera, view: &ViewDirection) -> Result<Camera, LiveError> {
+    fn at_camera(&self, camera: &Camera, view: &ViewDirection) -> Result<Camera, LiveError> {
         self.pinhole(camera.center(), camera.cam_from_world.rotation.inverse(), view)
     }
 
@@ -239,12 +239,12 @@ mod tests {
     fn at_a_cameras_place_it_is_that_camera() {
         let wanted = pinhole_at([5.1, 2.0, -3.0]);
         let rig = line();
-        let view = rig.from_place(rig.place(&wanted.center()), &plain([640, 480])).unwrap();
+        let view = rig.at_place(rig.place(&wanted.center()), &plain([640, 480])).unwrap();
         assert_eq!(view.model, wanted.model);
         assert!(
             (view.cam_from_world.to_matrix() - wanted.cam_from_world.to_matrix()).norm() < 1e-12
         );
-        let like = rig.from_camera(&wanted, &plain([640, 480])).unwrap();
+        let like = rig.at_camera(&wanted, &plain([640, 480])).unwrap();
         assert!(
             (like.cam_from_world.to_matrix() - wanted.cam_from_world.to_matrix()).norm() < 1e-12
         );
@@ -252,15 +252,15 @@ mod tests {
 
     #[test]
     fn axes_are_right_up_and_ahead() {
-        let view = line().from_place([0.05, 0.04, 0.03], &plain([640, 480])).unwrap();
+        let view = line().at_place([0.05, 0.04, 0.03], &plain([640, 480])).unwrap();
         assert!((view.center() - Point3::new(5.05, 1.96, -2.97)).norm() < 1e-12);
     }
 
     #[test]
     fn a_narrow_picture_is_a_part_of_the_whole_one() {
         let rig = line();
-        let whole = rig.from_place([0.0; 3], &plain([640, 480])).unwrap();
-        let narrow = rig.from_place([0.0; 3], &plain([222, 480])).unwrap();
+        let whole = rig.at_place([0.0; 3], &plain([640, 480])).unwrap();
+        let narrow = rig.at_place([0.0; 3], &plain([222, 480])).unwrap();
         let point = Point3::new(5.1, 2.1, -1.0);
         let (a, b) = (whole.project(&point).unwrap(), narrow.project(&point).unwrap());
         assert!((a.x - 320.0 - (b.x - 111.0)).abs() < 1e-9 && (a.y - b.y).abs() < 1e-9);
@@ -271,7 +271,7 @@ mod tests {
         let rig = line();
         let at = |turn_deg| {
             let view = ViewDirection { turn_deg, ..plain([640, 480]) };
-            rig.from_place([0.0; 3], &view).unwrap().project(&Point3::new(5.0, 2.0, 0.0)).unwrap()
+            rig.at_place([0.0; 3], &view).unwrap().project(&Point3::new(5.0, 2.0, 0.0)).unwrap()
         };
         assert!(at([5.0, 0.0]).x < 300.0 && at([0.0, 5.0]).y > 260.0);
     }
@@ -286,7 +286,7 @@ mod tests {
             camera
         };
         let rig = rig(vec![turned(-1.0, 0.3), turned(0.0, 0.0), turned(1.0, -0.3)]);
-        let ahead = |x: f64| rig.from_place([x, 0.0, 0.0], &plain([640, 480])).unwrap().axis();
+        let ahead = |x: f64| rig.at_place([x, 0.0, 0.0], &plain([640, 480])).unwrap().axis();
         assert!(ahead(-1.0).x > 0.2 && ahead(0.0).x.abs() < 1e-9 && ahead(1.0).x < -0.2);
     }
 
@@ -294,7 +294,7 @@ mod tests {
     fn what_is_out_of_bounds_is_refused_in_a_sentence() {
         let rig = line();
         let refused =
-            |place, view: ViewDirection| rig.from_place(place, &view).unwrap_err().to_string();
+            |place, view: ViewDirection| rig.at_place(place, &view).unwrap_err().to_string();
         assert!(refused([9.0, 0.0, 0.0], plain([640, 480])).contains("too far"));
         assert!(refused([f64::NAN; 3], plain([640, 480])).contains("too far"));
         assert!(refused([0.0; 3], plain([641, 480])).starts_with("size"));
@@ -304,8 +304,8 @@ mod tests {
         let turned = ViewDirection { turn_deg: [0.0, 99.0], ..plain([640, 480]) };
         assert!(refused([0.0; 3], turned).starts_with("turn"));
         let [low, high] = rig.bounds();
-        assert!(rig.from_place(low, &plain([640, 480])).is_ok());
-        assert!(rig.from_place(high, &plain([640, 480])).is_ok());
+        assert!(rig.at_place(low, &plain([640, 480])).is_ok());
+        assert!(rig.at_place(high, &plain([640, 480])).is_ok());
         assert!(self::rig(vec![pinhole_at([0.0; 3])]).bounds()[1][0] > 0.0);
     }
 }
