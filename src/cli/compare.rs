@@ -9,7 +9,8 @@ use stlfr::capture::{Capture, Truth};
 use stlfr::compare::results::Headline;
 use stlfr::compare::video::VideoOptions;
 use stlfr::compare::{
-    CompareOptions, ComparedLightField, FILES, OffsetScore, Renderer, Summary, compare,
+    CompareOptions, ComparedLightField, FILES, Renderer, Summary, compare, errors_frames,
+    score_offsets,
 };
 use stlfr::json;
 use stlfr::method::Method;
@@ -43,7 +44,7 @@ pub struct CompareArgs {
 
 pub fn run(args: &CompareArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     if let Some(file) = &args.offsets {
-        return score_offsets(&args.capture, file, page, reporter);
+        return print_scores(&args.capture, file, page, reporter);
     }
     let options = args.options.read()?;
     let capture = open_capture(&args.capture, reporter)?;
@@ -54,7 +55,7 @@ pub fn run(args: &CompareArgs, page: &mut Page, reporter: &Reporter) -> Result<(
 }
 
 /// Scores the offsets in a file against the truth.
-fn score_offsets(
+fn print_scores(
     folder: &Path,
     file: &Path,
     page: &mut Page,
@@ -68,33 +69,33 @@ fn score_offsets(
     let offsets: Offsets =
         json::read_within(file, MAX_OFFSETS_BYTES).map_err(|e| wrong(e.to_string()))?;
     let reference = &capture.cameras[capture.reference].id;
-    let score = OffsetScore::new(&offsets, &truth, reference, capture.frame_s()).map_err(wrong)?;
+    let cameras = score_offsets(&offsets, &truth, reference, capture.frame_s()).map_err(wrong)?;
     page.line(format_args!(
         "{:<12} {:>12} {:>12} {:>14} {:>8}",
         "camera", "true", "given", "error", "z"
     ));
-    for camera in &score.cameras {
-        let error = camera.error_s().map_or("unknown".to_owned(), |error_s| {
-            format!("{:+.5} frame", error_s / score.frame_s)
-        });
+    for camera in &cameras {
+        let error = camera
+            .error_frames
+            .map_or("unknown".to_owned(), |error_frames| format!("{error_frames:+.5} frame"));
         page.line(format_args!(
             "{:<12} {:>9.4} ms {:>12} {:>14} {:>8}",
-            camera.id,
-            1e3 * camera.true_s,
+            camera.camera,
+            1e3 * camera.truth_s.unwrap_or(f64::NAN),
             camera.offset_s.map_or("-".to_owned(), |s| format!("{:.4} ms", 1e3 * s)),
             error,
-            camera.z().map_or("-".to_owned(), |z| format!("{z:+.2}")),
+            camera.z.map_or("-".to_owned(), |z| format!("{z:+.2}")),
         ));
     }
-    let errors = score.errors_frames();
+    let errors = errors_frames(&cameras);
     match errors.last() {
         Some(worst) => page.line(format_args!(
             "{} of {} cameras: median error {:.5} frame, worst {worst:.5}",
             errors.len(),
-            score.cameras.len(),
+            cameras.len(),
             errors[(errors.len() - 1) / 2],
         )),
-        None => page.line(format_args!("0 of {} cameras", score.cameras.len())),
+        None => page.line(format_args!("0 of {} cameras", cameras.len())),
     }
     Ok(())
 }

@@ -43,7 +43,7 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     let field = pipeline::open_field(capture, &options, reporter)?;
     warn_of_unknown_clocks(&field, reporter);
     let options = pipeline::resolved(&field, &options, reporter)?;
-    let studio = Studio::new(&field, &options, reporter).with_words(args.options.words());
+    let studio = Studio::new(&field, &options, args.options.words(), reporter);
     let address = server.address();
     let mut stdout = std::io::stdout().lock();
     heard(writeln!(stdout, "{address}").and_then(|()| stdout.flush()))?;

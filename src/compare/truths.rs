@@ -4,8 +4,7 @@ use super::{CompareError, CompareOptions};
 use crate::camera::Camera;
 use crate::capture::{Capture, Color, Truth, read_array, require_size};
 use crate::metrics::moving_part;
-use crate::raster::Image;
-use crate::raster::{BitDepth, read_image};
+use crate::raster::{BitDepth, Image, read_image};
 
 /// True times that differ by less than this are one instant, seconds.
 const SAME_INSTANT_S: f64 = 1e-6;
@@ -51,14 +50,9 @@ pub(crate) fn instants(truth: &Truth, capture: &Capture) -> Result<Vec<TrueInsta
         for file in [&view.image, &view.motion] {
             truth.file(file)?;
         }
-        let like = match &view.like {
-            None => None,
-            Some(id) => Some(
-                capture
-                    .camera_index(id)
-                    .ok_or_else(|| wrong(format!("like: no camera has the id '{id}'")))?,
-            ),
-        };
+        let unknown = |id: &str| wrong(format!("like: no camera has the id '{id}'"));
+        let index_of = |id: &String| capture.camera_index(id).ok_or_else(|| unknown(id));
+        let like = view.like.as_ref().map(index_of).transpose()?;
         let camera = view.camera.camera().map_err(|e| wrong(format!("camera.{e}")))?;
         let entry = TrueView { index, like, camera, stem: stem(truth, index) };
         let time_s = view.time_s;
@@ -122,6 +116,18 @@ impl TrueView {
             ),
         })
     }
+}
+
+/// Fills unmeasured pixels with the truth, so that windows of metrics see no black.
+pub(crate) fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
+    let n = image.channels();
+    let mut filled = image.clone();
+    for (k, pixel) in filled.data_mut().chunks_exact_mut(n).enumerate() {
+        if !covered[k] {
+            pixel.copy_from_slice(&truth.data()[k * n..(k + 1) * n]);
+        }
+    }
+    filled
 }
 
 /// The image as a file of this bit depth holds it: clamped and rounded, grey or RGB.

@@ -27,7 +27,7 @@ pub(super) struct LiveTruth {
 
 /// All images of a capture's truth; none without one.
 pub(super) struct TrueViews {
-    views: Vec<LiveTruth>,
+    pub views: Vec<LiveTruth>,
     images: Memo,
 }
 
@@ -58,14 +58,6 @@ impl TrueViews {
         Ok(Self { views, ..Self::default() })
     }
 
-    pub fn all(&self) -> &[LiveTruth] {
-        &self.views
-    }
-
-    pub fn get(&self, index: usize) -> Option<&LiveTruth> {
-        self.views.get(index)
-    }
-
     /// The true image at the requested viewpoint, resampled with the view's rotation and zoom.
     pub fn view(&self, request: &PictureRequest, target: &Camera) -> Result<Rendered, LiveError> {
         let Place::Truth(index) = request.place else {
@@ -73,7 +65,8 @@ impl TrueViews {
                 if self.views.is_empty() { "none of this capture" } else { "at its places only" };
             return Err(LiveError::Request(format!("there is truth {there}")));
         };
-        let view = self.get(index).ok_or_else(|| LiveError::Request("at: no such truth".into()))?;
+        let view =
+            self.views.get(index).ok_or_else(|| LiveError::Request("at: no such truth".into()))?;
         if !((view.time_s - request.time_s).abs() <= SAME_INSTANT_S) {
             return Err(LiveError::Request(format!(
                 "the truth at this place is of {:.4} s, not of {:.4} s",

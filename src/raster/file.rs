@@ -3,7 +3,11 @@
 use super::png::{self, PngFile};
 use super::{BitDepth, Image};
 use crate::host::{open_bounded, read_bytes, write_atomically};
-use image::{ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{
+    ColorType, DynamicImage, ExtendedColorType, ImageBuffer, ImageDecoder, ImageEncoder,
+    ImageReader, Limits,
+};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::{Path, PathBuf};
@@ -203,6 +207,23 @@ pub fn quantize(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> (u
         }
     };
     (channels, samples)
+}
+
+/// Encodes an image, grey or RGB, as PNG of 8 bits a channel with a compression.
+pub(crate) fn encode_png_8(
+    image: &Image,
+    compression: CompressionType,
+) -> image::ImageResult<Vec<u8>> {
+    let raw: Vec<u8> = image.data().iter().map(|v| (v * 255.0 + 0.5) as u8).collect();
+    let color = if image.channels() == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
+    let mut bytes = Vec::with_capacity(raw.len());
+    PngEncoder::new_with_quality(&mut bytes, compression, FilterType::Adaptive).write_image(
+        &raw,
+        image.width() as u32,
+        image.height() as u32,
+        color,
+    )?;
+    Ok(bytes)
 }
 
 /// Encodes the file of [`write_image`].
