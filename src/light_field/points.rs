@@ -88,10 +88,7 @@ impl LightField {
         }
         let points = &self.points(target, time_s, options)?;
         let proxy = match options.proxy.method {
-            ProxyMethod::Plane => {
-                let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
-                Plane::fit(&weighted, target).map(Proxy::Plane)
-            }
+            ProxyMethod::Plane => Plane::fit(points, target).map(Proxy::Plane),
             ProxyMethod::Mesh | ProxyMethod::Depth => {
                 Mesh::build(points, target, options.proxy.depth_edges).map(Proxy::Mesh)
             }
