@@ -132,12 +132,6 @@ impl CameraModel {
         Self::from_params(self.name(), &params).unwrap_or(*self)
     }
 
-    /// Mean of fx and fy, pixels.
-    pub fn focal_px(&self) -> f64 {
-        let (fx, fy, ..) = self.intrinsics();
-        0.5 * (fx + fy)
-    }
-
     /// Whether the model has no distortion.
     pub fn is_pinhole(&self) -> bool {
         self.distortion() == Distortion::None

@@ -45,11 +45,11 @@ impl LightField {
             Err(RenderError::NoPoints | RenderError::NothingSeen) => return Ok((*own).clone()),
             geometry => geometry?,
         };
-        if geometry.sources.iter().all(Option::is_none) {
-            return Ok((*own).clone());
-        }
         let cameras: Vec<usize> =
             (0..geometry.sources.len()).filter(|&c| geometry.sources[c].is_some()).collect();
+        if cameras.is_empty() {
+            return Ok((*own).clone());
+        }
         let source = ImageSource::new(Images::By(options.sync), &options);
         let instant = Instant::new(time_s, &options);
         let images = images_of(self, &source, &cameras, instant, context)?;

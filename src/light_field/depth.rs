@@ -95,21 +95,17 @@ impl Stereo<'_> {
         // Once, before threads ask for it in parallel.
         field.get(self, context)?;
         let depth = |&camera: &usize| {
-            let depths = field.get(&CameraDepth { stereo: *self, camera }, context)?;
-            Ok(EstimatedDepth { camera, depths })
+            Ok((camera, field.get(&CameraDepth { stereo: *self, camera }, context)?))
         };
         let mut depths: Vec<EstimatedDepth> =
             cameras.par_iter().map(depth).collect::<Result<_, RenderError>>()?;
-        depths.retain(|d| d.depths.is_some());
+        depths.retain(|(_, depths)| depths.is_some());
         Ok(depths)
     }
 }
 
-/// The depths of a camera, by its index.
-pub(super) struct EstimatedDepth {
-    pub camera: usize,
-    pub depths: Arc<Option<InverseDepths>>,
-}
+/// A camera, and its depths.
+pub(super) type EstimatedDepth = (usize, Arc<Option<InverseDepths>>);
 
 impl Stage for CameraDepth<'_> {
     /// `None` without a camera at another place, or without a range of depths.
@@ -153,8 +149,8 @@ impl Stage for OcclusionDepths<'_> {
         let mut maps = vec![None; filmed.len()];
         for &c in self.stereo.cameras {
             let camera = &filmed[c].camera;
-            let own = surfaces.iter().zip(&depths).find(|(_, own)| own.camera == c);
-            let map = own.map(|(surface, _)| surface.depths.depth_map(camera));
+            let own = depths.iter().find(|(own, _)| *own == c);
+            let map = own.and_then(|(_, depths)| Some(Option::as_ref(depths)?.depth_map(camera)));
             maps[c] = Some(Arc::new(map.unwrap_or_else(|| fuse(camera, &surfaces))));
         }
         Ok(maps)
@@ -167,9 +163,8 @@ pub(super) fn surfaces<'a>(
     depths: &'a [EstimatedDepth],
 ) -> Vec<Surface<'a>> {
     let filmed = &field.capture().cameras;
-    let surface = |d: &'a EstimatedDepth| {
-        let depths = Option::as_ref(&d.depths)?;
-        Some(Surface { camera: &filmed[d.camera].camera, depths })
+    let surface = |(camera, depths): &'a EstimatedDepth| {
+        Some(Surface { camera: &filmed[*camera].camera, depths: Option::as_ref(depths)? })
     };
     depths.iter().filter_map(surface).collect()
 }
