@@ -51,7 +51,8 @@ pub(crate) fn has_avx2_and_fma() -> bool {
 /// Number of values of a vector.
 pub const LANES: usize = 8;
 
-/// A SIMD vector of eight `f32` values; operators work element by element. The given methods are [`Scalar`]'s.
+/// A SIMD vector of eight `f32` values; operators work element by element. The given methods are [`Scalar`]'s;
+/// [`Avx2`] has its own where the compiler finds no vector instruction, or the rounding differs.
 ///
 /// Closures must not use it: they are not compiled for the instructions of the function around them.
 pub trait F32x8:
@@ -289,27 +290,6 @@ mod avx2 {
         #[inline(always)]
         fn mul_add(self, factor: Self, term: Self) -> Self {
             unsafe { Self(_mm256_fmadd_ps(self.0, factor.0, term.0)) }
-        }
-
-        #[inline(always)]
-        fn sum(self) -> f64 {
-            unsafe {
-                let fours =
-                    _mm_add_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
-                let twos = _mm_add_ps(fours, _mm_movehl_ps(fours, fours));
-                let one = _mm_add_ss(twos, _mm_shuffle_ps::<1>(twos, twos));
-                f64::from(_mm_cvtss_f32(one))
-            }
-        }
-
-        #[inline(always)]
-        fn abs(self) -> Self {
-            unsafe { Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0)) }
-        }
-
-        #[inline(always)]
-        fn sqrt(self) -> Self {
-            unsafe { Self(_mm256_sqrt_ps(self.0)) }
         }
 
         #[inline(always)]

@@ -93,7 +93,7 @@ impl Stage for Correspondences<'_> {
             let query =
                 Query { frame: &frame, features: &features, disparities: &disparities, time_s };
             let matched = self.matched(field, partner, &query)?;
-            observe(field, (partner, &matched), time_s, &mut seen);
+            observe(field, partner, &matched, time_s, &mut seen);
             partners.push((partner, matched));
         }
         Ok(MatchedFeatures { own: self.around[0], features, partners })
@@ -110,7 +110,7 @@ pub(super) fn observations<'a>(
     let mut seen: Vec<Observations> =
         matched.features.iter().map(|f| vec![(own, f.at(time_s))]).collect();
     for (around, positions) in &matched.partners {
-        observe(field, (*around, positions), time_s, &mut seen);
+        observe(field, *around, positions, time_s, &mut seen);
     }
     seen
 }
@@ -118,7 +118,8 @@ pub(super) fn observations<'a>(
 /// Adds where a partner sees features at a time, if they are near enough to their epipolar lines.
 fn observe<'a>(
     field: &'a LightField,
-    (around, matched): (FramesAround, &[Option<Matched>]),
+    around: FramesAround,
+    matched: &[Option<Matched>],
     time_s: f64,
     seen: &mut [Observations<'a>],
 ) {

@@ -38,7 +38,7 @@ impl Stage for PairTracks<'_> {
         let frames = field.frames(self.registration);
         let mut tracks = temporal_flow(&frames, self.camera, self.frame)?;
         if self.registration.epipolar_test {
-            let times_s = field.all_times_s();
+            let times_s = &field.all_times_s;
             let verdicts = epipolar_check(&frames, times_s, self.camera, self.frame, &tracks)?;
             let mut verdicts = verdicts.into_iter();
             tracks.retain(|_| verdicts.next() != Some(Verdict::Rejected));
@@ -79,19 +79,7 @@ impl LightField {
     ) -> Result<Arc<Vec<Track>>, RenderError> {
         self.get_stored(&PairTracks { camera, frame, registration }, &Context::unattended())
     }
-}
 
-/// Whether the pair of `frame` and `frame + 1` goes without registration, because none of its blocks changes by more
-/// than `still_change` ([`crate::interpolation::InterpolationOptions`]).
-pub(super) fn is_still(
-    field: &LightField,
-    tracks: PairTracks,
-    still_change: f32,
-) -> Result<bool, RenderError> {
-    Ok(*field.get(&FrameChange(tracks), &Context::unattended())? <= still_change)
-}
-
-impl LightField {
     /// Registers the frames around a time, of all cameras that have some.
     ///
     /// # Errors
@@ -106,4 +94,14 @@ impl LightField {
             Ok(())
         })
     }
+}
+
+/// Whether the pair of `frame` and `frame + 1` goes without registration, because none of its blocks changes by more
+/// than `still_change` ([`crate::interpolation::InterpolationOptions`]).
+pub(super) fn is_still(
+    field: &LightField,
+    tracks: PairTracks,
+    still_change: f32,
+) -> Result<bool, RenderError> {
+    Ok(*field.get(&FrameChange(tracks), &Context::unattended())? <= still_change)
 }

@@ -67,7 +67,7 @@ fn by_stereo(
     let &Request { time_s, options, shape, .. } = request;
     let mut cameras = nearest_cameras(field, target, time_s, options);
     if let Images::Given(given) = shape {
-        cameras.retain(|&c| given.of(c).is_some());
+        cameras.retain(|&c| given.all().get(c).is_some_and(Option::is_some));
     }
     if cameras.len() < 2 {
         return Ok(None);

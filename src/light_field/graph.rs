@@ -39,10 +39,10 @@ pub(super) trait StoredStage: Stage<Output: Serialize + DeserializeOwned> {
 pub struct LightField {
     capture: Arc<Capture>,
     offsets: Offsets,
-    /// Every camera's frame times.
-    times_s: Vec<Option<Vec<f64>>>,
+    /// Every camera's frame times, seconds on the reference's clock from the capture's start; `None` if they are unknown.
+    pub(super) all_times_s: Vec<Option<Vec<f64>>>,
     times_hash: String,
-    memo: Arc<Memo>,
+    pub(super) memo: Arc<Memo>,
 }
 
 impl LightField {
@@ -54,13 +54,13 @@ impl LightField {
     /// The light field of a capture, with the frames that are cached already.
     pub fn with_frames(frames: &FrameStore, offsets: Offsets) -> Self {
         let capture = frames.capture().clone();
-        let times_s = offsets.common_times_s(&capture);
+        let all_times_s = offsets.common_times_s(&capture);
         let mut hasher = blake3::Hasher::new();
         // The hasher takes all bytes, and times are plain numbers.
-        let written = serde_json::to_writer(&mut hasher, &times_s);
+        let written = serde_json::to_writer(&mut hasher, &all_times_s);
         debug_assert!(written.is_ok());
         let times_hash = hasher.finalize().to_hex().to_string();
-        Self { capture, offsets, times_s, times_hash, memo: frames.memo().clone() }
+        Self { capture, offsets, all_times_s, times_hash, memo: frames.memo().clone() }
     }
 
     pub fn capture(&self) -> &Capture {
@@ -119,16 +119,6 @@ impl LightField {
     /// The result of a stage, if it is cached.
     pub(super) fn cached<S: Stage>(&self, stage: &S) -> Option<Arc<S::Output>> {
         self.memo.get(S::NAME, stage)
-    }
-
-    /// Drops the results of the stages that pass.
-    pub(super) fn forget(&self, passes: impl Fn(&str) -> bool) {
-        self.memo.forget(passes);
-    }
-
-    /// Every camera's frame times, seconds on the reference's clock from the capture's start; `None` if they are unknown.
-    pub(super) fn all_times_s(&self) -> &[Option<Vec<f64>>] {
-        &self.times_s
     }
 
     /// The median distance of a camera from its nearest neighbour at another place, metres; 0 without one.

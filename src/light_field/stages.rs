@@ -150,14 +150,9 @@ impl GivenImages {
         &self.images
     }
 
-    /// A camera's image, as it was given.
-    pub(crate) fn of(&self, camera: usize) -> Option<&Arc<Synchronized>> {
-        self.images.get(camera)?.as_ref()
-    }
-
     /// A camera's image, as bright as the reference records it.
     pub(super) fn corrected_of(&self, camera: usize, gains: &Gains) -> Option<Arc<Synchronized>> {
-        let given = self.of(camera)?;
+        let given = self.images.get(camera)?.as_ref()?;
         let image = gains.corrected(camera, &given.image).filter(|_| !self.are_corrected);
         Some(image.map_or_else(|| given.clone(), |image| Arc::new(with_image(given, image))))
     }
@@ -268,6 +263,6 @@ impl LightField {
     /// Drops the results that belong to an instant, so that the next view takes as long as the first of an instant
     /// between registered frames.
     pub(crate) fn forget_instants(&self) {
-        self.forget(|stage| OF_INSTANTS.contains(&stage));
+        self.memo.forget(|stage| OF_INSTANTS.contains(&stage));
     }
 }

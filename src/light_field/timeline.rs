@@ -32,7 +32,7 @@ pub fn check_times_before_offsets(
 impl LightField {
     /// The camera's frame times, seconds from the capture's start; empty if they are unknown.
     pub(super) fn times_s(&self, camera: usize) -> &[f64] {
-        self.all_times_s()[camera].as_deref().unwrap_or_default()
+        self.all_times_s[camera].as_deref().unwrap_or_default()
     }
 
     /// The cameras that can give an image at a time, by index, ascending.
@@ -83,7 +83,7 @@ impl LightField {
             return Ok((0, 0));
         }
         let id = || capture.cameras[camera].id.clone();
-        let Some(times_s) = &self.all_times_s()[camera] else {
+        let Some(times_s) = &self.all_times_s[camera] else {
             let reason = self.offsets().cameras[camera].reason.clone().unwrap_or_default();
             return Err(RenderError::CameraClock { camera: id(), reason });
         };

@@ -331,7 +331,7 @@ impl Reprojection {
         span: &mut SourceSpan,
         visible: &mut [bool; SPAN_PX],
     ) {
-        for k in 0..row.x.len() {
+        for (k, visible) in visible.iter_mut().enumerate().take(row.x.len()) {
             if span.confidence[k] > 0.0 {
                 let inverse = row.inverse_depth[k];
                 let depth = self.direction(row.x[k], row.y[k], inverse).z / inverse;
@@ -340,12 +340,12 @@ impl Reprojection {
                 let behind = beyond(map.farthest_around(span.x[k], span.y[k]));
                 if behind > 0.0 {
                     let factor = (1.0 - behind).max(OCCLUDED_CONFIDENCE);
-                    visible[k] |= factor > OCCLUDED_CONFIDENCE;
+                    *visible |= factor > OCCLUDED_CONFIDENCE;
                     span.confidence[k] *= factor;
                     span.penalty[k] /= factor;
                     continue;
                 }
-                visible[k] = true;
+                *visible = true;
                 if beyond(map.nearest_around(span.x[k], span.y[k])) > 0.0 {
                     span.confidence[k] *= OUTLINE_CONFIDENCE;
                     span.penalty[k] /= OUTLINE_CONFIDENCE;

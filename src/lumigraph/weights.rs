@@ -261,9 +261,9 @@ mod tests {
                 span
             });
             assert_eq!(weights_of(&all), weights_of(&plain));
-            for k in 0..count {
+            for (k, trust) in trust.iter().enumerate().take(count) {
                 let (cell, t) = (k / step, (k % step) as f32 / step as f32);
-                let expected = (nodes[cell] * (1.0 - t) + nodes[cell + 1] * t) * trust[k];
+                let expected = (nodes[cell] * (1.0 - t) + nodes[cell + 1] * t) * trust;
                 assert!((all.of_source[0].weight[k] - expected).abs() < 1e-6);
             }
             let mut divided = plain;

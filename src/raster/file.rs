@@ -43,6 +43,10 @@ fn image_error(path: &Path, reason: impl std::fmt::Display) -> ImageFileError {
     ImageFileError::Content { path: path.to_owned(), reason: reason.to_string() }
 }
 
+fn read_error(path: &Path) -> impl Fn(std::io::Error) -> ImageFileError {
+    |source| ImageFileError::Read { path: path.to_owned(), source }
+}
+
 /// An image file whose header is read: its pixels are at most [`MAX_PIXELS`].
 struct OpenedImage<R: BufRead + Seek> {
     header: Header,
@@ -56,21 +60,20 @@ enum Decoder<R: BufRead + Seek> {
 }
 
 fn open(path: &Path) -> Result<OpenedImage<BufReader<File>>, ImageFileError> {
-    let failed = |source| ImageFileError::Read { path: path.to_owned(), source };
-    let (file, _) = open_bounded(path, MAX_FILE_BYTES).map_err(failed)?;
+    let (file, _) = open_bounded(path, MAX_FILE_BYTES).map_err(read_error(path))?;
     OpenedImage::new(path, BufReader::new(file))
 }
 
 impl<R: BufRead + Seek + 'static> OpenedImage<R> {
     fn new(path: &Path, mut file: R) -> Result<Self, ImageFileError> {
-        let failed = |source| ImageFileError::Read { path: path.to_owned(), source };
-        let is_png = file.fill_buf().map_err(failed)?.starts_with(&png::SIGNATURE);
+        let is_png = file.fill_buf().map_err(read_error(path))?.starts_with(&png::SIGNATURE);
         let (decoder, (width, height), bytes_per_sample) = if is_png {
             let reader = png::open(file).map_err(|e| image_error(path, e))?;
             let (size, bytes) = (reader.info().size(), png::bytes_per_sample(&reader));
             (Decoder::Png(Box::new(reader)), size, bytes)
         } else {
-            let mut reader = ImageReader::new(file).with_guessed_format().map_err(failed)?;
+            let mut reader =
+                ImageReader::new(file).with_guessed_format().map_err(read_error(path))?;
             let mut limits = Limits::default();
             limits.max_alloc = Some(MAX_DECODE_BYTES);
             reader.limits(limits);
@@ -120,8 +123,7 @@ pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
 
 /// As [`read_image`], with the BLAKE3 hash of the bytes that the image was decoded from.
 pub(crate) fn read_hashed_image(path: &Path) -> Result<(Image, blake3::Hash), ImageFileError> {
-    let bytes = read_bytes(path, MAX_FILE_BYTES)
-        .map_err(|source| ImageFileError::Read { path: path.to_owned(), source })?;
+    let bytes = read_bytes(path, MAX_FILE_BYTES).map_err(read_error(path))?;
     let hash = blake3::hash(&bytes);
     Ok((OpenedImage::new(path, Cursor::new(bytes))?.decode(path)?, hash))
 }
