@@ -148,7 +148,7 @@ impl Renderer for Fake {
         let &ComparedView { target, time_s, .. } = view;
         let of = |camera: usize| match view.images {
             Images::By(sync) => self.synchronized(sync, camera, time_s).ok(),
-            Images::Given(given) => given.of(camera).cloned(),
+            Images::Given(given) => given.all()[camera].clone(),
         };
         let images: Vec<Arc<Synchronized>> = (0..2).filter_map(of).collect();
         let images: Vec<&Image> = images.iter().map(|s| &s.image).collect();

@@ -7,8 +7,8 @@ use super::morph::{EDGE_BOOST, morph_warp};
 use super::refine::{FourFrames, MOTION_CHANNELS, PairCosts, refined, warp_motions};
 use super::tracked_pair::TrackedPair;
 use super::triangulation::{Triangles, triangulation_warp};
-use super::warp::{Warp, cross_dissolve, cross_fade, difference, max_filter, warped};
-use crate::raster::{Image, Tiles, box_filter};
+use super::warp::{Warp, cross_dissolve, cross_fade, difference, warped};
+use crate::raster::{Image, Tiles, box_filter, max_filter};
 use crate::registration::Frame;
 
 /// Half-width of the outline neighbourhood, pixels: a pixel may belong to any surface within it.

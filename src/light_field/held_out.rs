@@ -1,11 +1,13 @@
 //! Cameras that are held out, so that their own frames are the truth of what the others render.
 
 use super::LightField;
+use super::points::nearest;
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError};
 use crate::interpolation::changed_pixels;
 use crate::offset::Offsets;
 use crate::raster::Image;
+use nalgebra::Vector3;
 use std::sync::Arc;
 
 /// A capture and its offsets with some of its cameras only, in that order.
@@ -21,26 +23,20 @@ pub(crate) fn only(
 
 /// All other cameras, the nearest first.
 pub(crate) fn by_distance_from(capture: &Capture, camera: usize) -> Vec<usize> {
-    let center = capture.cameras[camera].camera.center();
-    by_distance(capture, &center.coords).into_iter().filter(|&c| c != camera).collect()
+    let others: Vec<usize> = (0..capture.cameras.len()).filter(|&c| c != camera).collect();
+    nearest(capture, &others, capture.cameras[camera].camera.center())
 }
 
 /// All cameras, those nearest to the rig's middle first: like views, they are between others. None of
 /// fewer than three.
 pub(crate) fn inner_cameras(capture: &Capture) -> Vec<usize> {
-    let cameras = &capture.cameras;
-    if cameras.len() < 3 {
+    let count = capture.cameras.len();
+    if count < 3 {
         return Vec::new();
     }
-    let centers = cameras.iter().map(|c| c.camera.center().coords);
-    by_distance(capture, &(centers.sum::<nalgebra::Vector3<f64>>() / cameras.len() as f64))
-}
-
-fn by_distance(capture: &Capture, from: &nalgebra::Vector3<f64>) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..capture.cameras.len()).collect();
-    let distance = |c: usize| (capture.cameras[c].camera.center().coords - from).norm();
-    order.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
-    order
+    let centers = capture.cameras.iter().map(|c| c.camera.center().coords);
+    let middle = centers.sum::<Vector3<f64>>() / count as f64;
+    nearest(capture, &(0..count).collect::<Vec<_>>(), middle.into())
 }
 
 /// A view like a camera's, but halfway to its nearest neighbour at another place, if there is one.

@@ -1,8 +1,8 @@
 //! When each camera filmed, on one clock: which frames lie around an instant, and which instants there are.
 
-use super::RenderError;
+use super::{LightField, RenderError};
 use crate::capture::Capture;
-use crate::offset::{CameraOffset, Offsets, clocks};
+use crate::offset::clocks;
 
 /// What can be said of times before offsets are known, which may take long to estimate: an error for
 /// the first of them at which no camera, or not this one, can have a frame whatever the offsets. Seconds
@@ -29,74 +29,38 @@ pub fn check_times_before_offsets(
     })
 }
 
-/// When each camera filmed, on the reference's clock. Seconds from the capture's start.
-pub(super) struct Timeline {
-    /// Each camera's frame times; `None` if they are unknown.
-    times_s: Vec<Option<Vec<f64>>>,
-    ids: Vec<String>,
-    /// Why a camera's times are unknown.
-    reasons: Vec<String>,
-    time_origin_s: f64,
-    /// Whether every camera has one frame, which is the same at any time.
-    is_static: bool,
-    hash: String,
-}
-
-impl Timeline {
-    pub fn new(capture: &Capture, offsets: &Offsets) -> Self {
-        let times_s = offsets.common_times_s(capture);
-        let mut hasher = blake3::Hasher::new();
-        // The hasher takes all bytes, and times are plain numbers.
-        let written = serde_json::to_writer(&mut hasher, &times_s);
-        debug_assert!(written.is_ok());
-        let reason = |c: &CameraOffset| c.reason.clone().unwrap_or_default();
-        Self {
-            times_s,
-            hash: hasher.finalize().to_hex().to_string(),
-            ids: capture.cameras.iter().map(|c| c.id.clone()).collect(),
-            reasons: offsets.cameras.iter().map(reason).collect(),
-            time_origin_s: capture.time_origin_s,
-            is_static: capture.is_static(),
-        }
-    }
-
-    /// A hash of all frame times.
-    pub fn hash(&self) -> &str {
-        &self.hash
-    }
-
-    /// Every camera's frame times; `None` if they are unknown.
-    pub fn all_times_s(&self) -> &[Option<Vec<f64>>] {
-        &self.times_s
-    }
-
-    /// The camera's frame times; empty if they are unknown.
-    pub fn times_s(&self, camera: usize) -> &[f64] {
-        self.times_s[camera].as_deref().unwrap_or_default()
+impl LightField {
+    /// The camera's frame times, seconds from the capture's start; empty if they are unknown.
+    pub(super) fn times_s(&self, camera: usize) -> &[f64] {
+        self.all_times_s[camera].as_deref().unwrap_or_default()
     }
 
     /// The cameras that can give an image at a time, by index, ascending.
     pub fn usable(&self, time_s: f64) -> Vec<usize> {
-        (0..self.times_s.len()).filter(|&c| self.bracket(c, time_s).is_ok()).collect()
+        let is_usable = |&c: &usize| self.bracket(c, time_s).is_ok();
+        (0..self.capture().cameras.len()).filter(is_usable).collect()
     }
 
-    /// The first and the last time at which a camera can give an image; `None` if its clock is unknown.
+    /// The first and the last time at which a camera can give an image, seconds; `None` if its clock is unknown.
     pub fn span_s(&self, camera: usize) -> Option<(f64, f64)> {
         let times_s = self.times_s(camera);
         Some((*times_s.first()?, *times_s.last()?))
     }
 
-    /// The first and the last time at which every camera with a known clock can give an image; `None` if
+    /// The first and the last time at which every camera with a known clock can give an image, seconds; `None` if
     /// there is none.
     pub fn common_span_s(&self) -> Option<(f64, f64)> {
-        let spans = || (0..self.times_s.len()).filter_map(|c| self.span_s(c));
-        let first = spans().map(|s| s.0).fold(f64::NEG_INFINITY, f64::max);
-        let last = spans().map(|s| s.1).fold(f64::INFINITY, f64::min);
+        let first = self.spans_s().map(|s| s.0).fold(f64::NEG_INFINITY, f64::max);
+        let last = self.spans_s().map(|s| s.1).fold(f64::INFINITY, f64::min);
         (first.is_finite() && first <= last).then_some((first, last))
     }
 
+    fn spans_s(&self) -> impl Iterator<Item = (f64, f64)> {
+        (0..self.capture().cameras.len()).filter_map(|c| self.span_s(c))
+    }
+
     /// How many cameras have a time between two frames, at least this fraction of the interval away from both.
-    pub fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
+    pub(crate) fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
         let is_between = |&camera: &usize| {
             let times = self.times_s(camera);
             self.bracket(camera, time_s).is_ok_and(|(k, later)| {
@@ -104,44 +68,41 @@ impl Timeline {
                 k != later && (fraction..=1.0 - fraction).contains(&passed)
             })
         };
-        (0..self.times_s.len()).filter(is_between).count()
+        (0..self.capture().cameras.len()).filter(is_between).count()
     }
 
     /// The frames on both sides of a time; one frame twice if it is of that very time. A static light field has its
     /// frames at any time, whatever its clocks.
-    pub fn bracket(&self, camera: usize, time_s: f64) -> Result<(usize, usize), RenderError> {
-        if self.is_static {
+    pub(super) fn bracket(
+        &self,
+        camera: usize,
+        time_s: f64,
+    ) -> Result<(usize, usize), RenderError> {
+        let capture = self.capture();
+        if capture.is_static() {
             return Ok((0, 0));
         }
-        let id = || self.ids[camera].clone();
-        let Some(times_s) = &self.times_s[camera] else {
-            let reason = self.reasons[camera].clone();
+        let id = || capture.cameras[camera].id.clone();
+        let Some(times_s) = &self.all_times_s[camera] else {
+            let reason = self.offsets().cameras[camera].reason.clone().unwrap_or_default();
             return Err(RenderError::CameraClock { camera: id(), reason });
         };
         crate::capture::bracket(times_s, time_s).ok_or_else(|| {
-            let origin_s = self.time_origin_s;
-            RenderError::CameraTime {
-                camera: id(),
-                time_s: time_s + origin_s,
-                first_s: times_s[0] + origin_s,
-                last_s: times_s[times_s.len() - 1] + origin_s,
-            }
+            let times_s = [time_s, times_s[0], times_s[times_s.len() - 1]];
+            let [time_s, first_s, last_s] = times_s.map(|t| t + capture.time_origin_s);
+            RenderError::CameraTime { camera: id(), time_s, first_s, last_s }
         })
     }
 
     /// Why no camera has an image at a time.
-    pub fn no_camera_at(&self, time_s: f64) -> RenderError {
-        let origin_s = self.time_origin_s;
-        let spans = || (0..self.times_s.len()).filter_map(|c| self.span_s(c));
-        let first_s = spans().map(|s| s.0).fold(f64::INFINITY, f64::min);
-        let last_s = spans().map(|s| s.1).fold(f64::NEG_INFINITY, f64::max);
+    pub(super) fn no_camera_at(&self, time_s: f64) -> RenderError {
+        let first_s = self.spans_s().map(|s| s.0).fold(f64::INFINITY, f64::min);
+        let last_s = self.spans_s().map(|s| s.1).fold(f64::NEG_INFINITY, f64::max);
         if first_s > last_s {
             return RenderError::NoClock;
         }
-        RenderError::Time {
-            time_s: time_s + origin_s,
-            first_s: first_s + origin_s,
-            last_s: last_s + origin_s,
-        }
+        let [time_s, first_s, last_s] =
+            [time_s, first_s, last_s].map(|t| t + self.capture().time_origin_s);
+        RenderError::Time { time_s, first_s, last_s }
     }
 }

@@ -31,8 +31,7 @@ impl Shape {
         let mut found: Option<Self> = None;
         for time_s in instants_s(field) {
             let points = field.points(target, time_s, options)?;
-            let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
-            let Some(plane) = Plane::fit(&weighted, target) else { continue };
+            let Some(plane) = Plane::fit(&points, target) else { continue };
             let depths = Proxy::Plane(plane).depth_map(target);
             let errors_px: Vec<f64> = points
                 .iter()

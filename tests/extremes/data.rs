@@ -146,8 +146,7 @@ fn all_features_on_one_line() {
 /// Both proxies of points at one depth are there at that depth, all over the view.
 #[track_caller]
 fn assert_depth(points: &[Point3<f64>], camera: &Camera, depth_m: f32) {
-    let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
-    let plane = Plane::fit(&weighted, camera).map(Proxy::Plane);
+    let plane = Plane::fit(points, camera).map(Proxy::Plane);
     let mesh = Mesh::build(points, camera, DepthEdges::default()).map(Proxy::Mesh);
     assert!(plane.is_some());
     // A mesh may want more support than a degenerate set has; an invented one is worse than none.

@@ -5,8 +5,8 @@ use super::costs::PointGrid;
 use super::four_frames::{CompensatedFrames, MiddleFrames, NEGLIGIBLE_WEIGHT, fuse};
 use super::motions::AffineMotion;
 use super::{MOTION_CHANNELS, RefinedBlock, SharedInputs};
-use crate::interpolation::warp::{cross_fade, difference, max_filter};
-use crate::raster::Image;
+use crate::interpolation::warp::{cross_fade, difference};
+use crate::raster::{Image, max_filter};
 use nalgebra::{Point2, Vector2};
 use std::borrow::Cow;
 
