@@ -2,12 +2,13 @@
 
 use super::{ExchangeError, NamedCamera, content};
 use crate::camera::CameraFormat;
-use crate::capture::FilmedCameraFormat;
-use crate::capture::{CAPTURE_FILE, Capture, CaptureFormat, ClockFormat, Color};
+use crate::capture::{
+    CAPTURE_FILE, Capture, CaptureFormat, ClockFormat, Color, FilmedCameraFormat,
+};
 use crate::host::temporary::Temporary;
 use crate::host::{open_file, write_json};
 use crate::text::check_id;
-use std::fs::File;
+use std::fs::{DirEntry, File};
 use std::path::{Path, PathBuf};
 
 /// The clock of every imported camera, which no calibration contains.
@@ -43,7 +44,7 @@ pub fn import(
     target: &Path,
 ) -> Result<(), ExchangeError> {
     let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
-    if target.symlink_metadata().is_ok() && !is_empty(target)? {
+    if target.symlink_metadata().is_ok() && !all_entries(target)?.is_empty() {
         return Err(content(target, "holds files already, which are not written over"));
     }
     let cameras = one_each(cameras).map_err(|reason| content(target, reason))?;
@@ -215,40 +216,30 @@ fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
 
 /// The last number in a file's stem, 0 without one; the error is a reason.
 fn number(file: &Path) -> Result<u64, String> {
-    let name = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-    let end = name.rfind(|c: char| c.is_ascii_digit()).map_or(0, |at| at + 1);
-    let start = name[..end]
-        .rfind(|c: char| !c.is_ascii_digit())
-        .map_or(0, |at| at + name[at..].chars().next().map_or(0, char::len_utf8));
-    match &name[start..end] {
-        "" => Ok(0),
-        digits => {
-            digits.parse().ok().filter(|n| *n < u64::MAX).ok_or_else(|| {
-                format!("the number {digits} in its name is too large to count frames")
-            })
-        }
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    let is_other = |c: char| !c.is_ascii_digit();
+    let digits = stem.trim_end_matches(is_other).rsplit(is_other).next().unwrap_or_default();
+    if digits.is_empty() {
+        return Ok(0);
     }
+    let number = digits.parse().ok().filter(|n| *n < u64::MAX);
+    number.ok_or_else(|| format!("the number {digits} in its name is too large to count frames"))
 }
 
 fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_str()?.to_ascii_lowercase())
 }
 
-fn is_empty(folder: &Path) -> Result<bool, ExchangeError> {
-    let entries = std::fs::read_dir(folder);
-    let wrong = |source| ExchangeError::Read { path: folder.to_owned(), source };
-    Ok(entries.map_err(wrong)?.next().is_none())
+/// Entries of a folder.
+fn all_entries(folder: &Path) -> Result<Vec<DirEntry>, ExchangeError> {
+    std::fs::read_dir(folder)
+        .and_then(Iterator::collect)
+        .map_err(|source| ExchangeError::Read { path: folder.to_owned(), source })
 }
 
-/// Entries of a folder, without hidden files.
+/// Paths of a folder's entries, without hidden files.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
-    let wrong = |source| ExchangeError::Read { path: folder.to_owned(), source };
-    let mut entries = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(wrong)? {
-        let entry = entry.map_err(wrong)?;
-        if !entry.file_name().as_encoded_bytes().starts_with(b".") {
-            entries.push(entry.path());
-        }
-    }
-    Ok(entries)
+    let mut entries = all_entries(folder)?;
+    entries.retain(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."));
+    Ok(entries.iter().map(DirEntry::path).collect())
 }
