@@ -58,11 +58,7 @@ pub fn import(
     let whole = temporary.path().join(WHOLE);
     let mut filmed = Vec::new();
     for (camera, files) in cameras.iter().zip(&sequences) {
-        copy(files, &whole.join(&camera.name)).map_err(|(path, source)| ExchangeError::Copy {
-            path,
-            to: target.to_owned(),
-            source,
-        })?;
+        copy(files, &whole.join(&camera.name), target)?;
         filmed.push(described(camera, files, clock));
     }
     let format = CaptureFormat {
@@ -85,18 +81,17 @@ pub fn import(
 /// Name of the capture inside its temporary folder.
 const WHOLE: &str = "capture";
 
-/// Copies the files of a sequence into a new folder, numbered from 0; the error has the failed file.
-fn copy(files: &[PathBuf], folder: &Path) -> Result<(), (PathBuf, std::io::Error)> {
+/// Copies the files of a sequence into a new folder, numbered from 0, for the capture `target`.
+fn copy(files: &[PathBuf], folder: &Path, target: &Path) -> Result<(), ExchangeError> {
     let extension = extension(&files[0]).unwrap_or_default();
-    for (k, file) in files.iter().enumerate() {
-        let to = folder.join(format!("{k:04}.{extension}"));
-        std::fs::create_dir_all(folder)
-            .and_then(|()| {
-                let mut to = File::create(to)?;
-                std::io::copy(&mut open_file(file)?, &mut to)?;
-                to.sync_all()
-            })
-            .map_err(|error| (file.clone(), error))?;
+    for (k, path) in files.iter().enumerate() {
+        let copied = std::fs::create_dir_all(folder).and_then(|()| {
+            let mut to = File::create(folder.join(format!("{k:04}.{extension}")))?;
+            std::io::copy(&mut open_file(path)?, &mut to)?;
+            to.sync_all()
+        });
+        let to = target.to_owned();
+        copied.map_err(|source| ExchangeError::Copy { path: path.clone(), to, source })?;
     }
     Ok(())
 }
@@ -169,10 +164,10 @@ fn sequence_folders(cameras: &[NamedCamera], images: &Path) -> Result<Vec<PathBu
     if let Some(present) = by_name.iter().position(|p| p.is_dir()) {
         return match by_name.iter().position(|p| !p.is_dir()) {
             None => Ok(by_name),
-            Some(k) => Err(content(
-                images,
-                format!("has a folder {}, and none {}", cameras[present].name, cameras[k].name),
-            )),
+            Some(k) => {
+                let [present, missing] = [present, k].map(|k| &cameras[k].name);
+                Err(content(images, format!("has a folder {present}, and none {missing}")))
+            }
         };
     }
     let mut folders: Vec<PathBuf> = entries(images)?;
@@ -199,17 +194,13 @@ fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     numbered.sort();
     let Some((_, first)) = numbered.first() else { return Err(content(folder, "holds no images")) };
     if let Some((_, other)) = numbered.iter().find(|(_, p)| extension(p) != extension(first)) {
-        return Err(content(
-            folder,
-            format!("holds images of two kinds, like {}", other.display()),
-        ));
+        let reason = format!("holds images of two kinds, like {}", other.display());
+        return Err(content(folder, reason));
     }
     if let Some(k) = numbered.windows(2).position(|w| w[0].0 + 1 != w[1].0) {
         let [a, b] = [k, k + 1].map(|k| numbered[k].1.file_name().unwrap_or_default().display());
-        return Err(content(
-            folder,
-            format!("the numbers of {a} and {b} must follow each other, for every frame counts"),
-        ));
+        let rule = "must follow each other, for every frame counts";
+        return Err(content(folder, format!("the numbers of {a} and {b} {rule}")));
     }
     Ok(numbered.into_iter().map(|(_, file)| file).collect())
 }

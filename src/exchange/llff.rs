@@ -87,10 +87,8 @@ pub fn write_llff(
         let (width, height) = (camera.width as f64, camera.height as f64);
         let off = [fx - fy, cx - 0.5 * width, cy - 0.5 * height];
         if !camera.model.is_pinhole() || off.iter().any(|d| d.abs() > MAX_OFF_PX) {
-            return Err(content(
-                path,
-                format!("can't describe {name}: it knows one focal length and a centred image"),
-            ));
+            let reason = "it knows one focal length and a centred image";
+            return Err(content(path, format!("can't describe {name}: {reason}")));
         }
         let (axes, center) = axes_and_center(camera);
         for (row, size) in [height, width, fx].into_iter().enumerate() {

@@ -9,6 +9,7 @@ use crate::raster::MAX_PIXELS;
 use crate::text::MAX_ID_LENGTH;
 use nalgebra::Point2;
 use std::fmt::Display;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// An error of a rig file: one sentence with the file and the field.
@@ -55,7 +56,7 @@ impl Rig {
             return wrong("version", format!("must be {VERSION}, not {}", self.version));
         }
         identifier("name", &self.name)?;
-        within("seed", self.seed, &Limits { min: 0, max: MAX_SEED })?;
+        within("seed", self.seed, &(0..=MAX_SEED))?;
         if self.cameras.is_empty() {
             return wrong("cameras", "must hold at least one camera");
         }
@@ -83,12 +84,13 @@ pub(super) fn wrong(field: impl Into<String>, reason: impl Into<String>) -> Fiel
     Err(FieldError { field: field.into(), reason: reason.into() })
 }
 
-fn within<T: PartialOrd + Display>(field: &str, value: T, range: &Limits<T>) -> FieldCheck {
+fn within<T: PartialOrd + Display>(field: &str, value: T, range: &RangeInclusive<T>) -> FieldCheck {
     // A NaN is in no range.
-    if value >= range.min && value <= range.max {
+    if range.contains(&value) {
         return Ok(());
     }
-    wrong(field, format!("must be a number from {} to {}, not {value}", range.min, range.max))
+    let (min, max) = (range.start(), range.end());
+    wrong(field, format!("must be a number from {min} to {max}, not {value}"))
 }
 
 fn identifier(field: &str, value: &str) -> FieldCheck {
@@ -111,10 +113,10 @@ fn camera(at: &str, camera: &RigCamera, reference: &str) -> FieldCheck {
     within(&field("rate_hz"), camera.rate_hz, &RATE_HZ)?;
     within(&field("delay_s"), camera.delay_s, &TIME_S)?;
     let max = MAX_JITTER_FRAMES / camera.rate_hz;
-    within(&field("jitter_s"), camera.jitter_s, &Limits { min: 0.0, max })?;
+    within(&field("jitter_s"), camera.jitter_s, &(0.0..=max))?;
     within(&field("drift_ppm"), camera.drift_ppm, &DRIFT_PPM)?;
     let max = 1.0 / camera.rate_hz;
-    within(&field("exposure_s"), camera.exposure_s, &Limits { min: 0.0, max })?;
+    within(&field("exposure_s"), camera.exposure_s, &(0.0..=max))?;
     within(&field("gain"), camera.gain, &GAIN)?;
     within(&field("noise"), camera.noise, &NOISE)?;
     if camera.bit_depth != 8 && camera.bit_depth != 16 {
