@@ -24,10 +24,8 @@ pub struct CheckArgs {
 }
 
 pub fn run(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    open_capture(&args.capture, reporter)?; // an error before a set-up that may take minutes
-    if let Some(json) = &args.json {
-        CommandOutput::File(json).check(Some(&args.capture))?;
-    }
+    // An error before a set-up that may take minutes.
+    open_capture(&args.capture, args.json.as_deref().map(CommandOutput::File), reporter)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     let check = check(&environment, &args.capture, reporter)?;
     if let Some(json) = &args.json {
@@ -41,6 +39,8 @@ pub fn run(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Result<(),
 
 /// An error if the calibration is off.
 pub fn verdict(check: Check) -> Result<(), CliError> {
-    let failure = check.failure.map(|reason| format!("the calibration is off: {reason}"));
-    failure.map_or(Ok(()), |sentence| Err(CliError::Failure(sentence)))
+    match check.failure {
+        Some(reason) => Err(CliError::Failure(format!("the calibration is off: {reason}"))),
+        None => Ok(()),
+    }
 }

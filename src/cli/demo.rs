@@ -6,7 +6,9 @@ use super::print::Page;
 use super::values::ImageSize;
 use super::{CliError, compare};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use stlfr::capture::Capture;
+use stlfr::compare::FILES;
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
 use stlfr::toolchain::{FilmOptions, FilmedScene, check, ensure_environment, film, project_root};
@@ -46,17 +48,17 @@ const VIDEO_FRAMES: u32 = 48;
 pub fn run(args: &DemoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let capture = args.film(reporter)?;
     reporter.note("Reconstructing, and comparing with the truth.");
-    let ffmpeg = args.video.then(compare::ffmpeg).transpose()?;
     let review = capture.folder.join("review");
+    CommandOutput::Folder(&review, &FILES).check(Some(&capture.folder))?;
     let options = RenderOptions::default();
-    let summary = compare::with_truth(capture, &options, &review, ffmpeg, reporter)?;
+    let summary = compare::with_truth(capture, &options, &review, args.video, reporter)?;
     compare::print(&summary, page);
     Ok(())
 }
 
 impl DemoArgs {
     /// Sets up, films, and checks the calibration.
-    fn film(&self, reporter: &Reporter) -> Result<Capture, CliError> {
+    fn film(&self, reporter: &Reporter) -> Result<Arc<Capture>, CliError> {
         let root = project_root()?;
         let folder =
             self.output.clone().unwrap_or_else(|| root.join(".captures").join(self.name()));
@@ -64,7 +66,7 @@ impl DemoArgs {
         let environment = ensure_environment(&root, reporter)?;
         reporter.note(&format!("Filming the scene magazine into {}.", folder.display()));
         film(&environment, &self.options(&root, folder.clone()), reporter)?;
-        let capture = open_capture(&folder, reporter)?;
+        let capture = open_capture(&folder, None, reporter)?;
         reporter.note("Checking the calibration with COLMAP.");
         let check = check(&environment, &folder, reporter)?;
         for line in &check.table {

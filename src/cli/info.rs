@@ -59,10 +59,7 @@ fn delete(capture: &Path, kind: Option<&str>, page: &mut Page) -> Result<(), Cli
             "--delete-cache: no '{kind}' is cached, but {kinds}"
         )));
     }
-    let deleted = cache.delete(kind).map_err(|error| {
-        let folder = capture.display();
-        of_io(format!("{folder}: the cache can't be deleted ({error})"), &error)
-    })?;
+    let deleted = of_io(capture, "the cache can't be deleted", cache.delete(kind))?;
     page.line(match deleted.entries {
         0 => "Nothing was cached.".to_owned(),
         n => format!("Deleted {n} {}, {}.", entries(n), size(deleted.bytes)),

@@ -172,7 +172,7 @@ pub fn run(args: &RigArgs, page: &mut Page) -> Result<(), CliError> {
         page.line(format_args!("{}: {cameras} cameras, {views} views", file.display()));
         return Ok(());
     }
-    let rig = args.options().generate().map_err(|e| CliError::BadInput(e.to_string()))?;
+    let rig = args.options().generate()?;
     let text = rig.to_json();
     match &args.output {
         None => page.text(text),

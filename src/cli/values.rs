@@ -5,45 +5,24 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use stlfr::method::Method;
 
-/// A method, or `auto`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MethodChoice<T> {
-    Auto,
-    Method(T),
-}
-
-impl<T: Copy> MethodChoice<T> {
-    /// The method, `None` for `auto`.
-    pub fn method(&self) -> Option<T> {
-        match self {
-            Self::Auto => None,
-            Self::Method(method) => Some(*method),
-        }
-    }
-}
-
-const AUTO: &str = "auto";
+/// The name that leaves a method to the capture.
+pub const AUTO: &str = "auto";
 
 fn possible<T: Method>() -> impl Iterator<Item = PossibleValue> {
     T::ALL.iter().map(|m| PossibleValue::new(m.name()).help(m.help()))
 }
 
-fn named<T: Method>(name: &str) -> Result<T, String> {
-    T::from_name(name).ok_or_else(|| format!("'{name}' is none of {}", T::names().join(", ")))
-}
-
 /// Parses a method of a stage.
 pub fn method<T: Method>() -> impl TypedValueParser<Value = T> {
-    PossibleValuesParser::new(possible::<T>()).try_map(|name| named(&name))
+    // No other name passes.
+    PossibleValuesParser::new(possible::<T>()).map(|name| T::from_name(&name).unwrap_or_default())
 }
 
-/// Parses a method of a stage, or `auto`.
-pub fn method_or_auto<T: Method>() -> impl TypedValueParser<Value = MethodChoice<T>> {
+/// Parses the name of a stage's method, or `auto`.
+pub fn method_or_auto<T: Method>() -> PossibleValuesParser {
     let auto =
         PossibleValue::new(AUTO).help("The cheapest that this capture requires: see stlfr plan");
-    PossibleValuesParser::new(std::iter::once(auto).chain(possible::<T>())).try_map(|name| {
-        if name == AUTO { Ok(MethodChoice::Auto) } else { named(&name).map(MethodChoice::Method) }
-    })
+    PossibleValuesParser::new(std::iter::once(auto).chain(possible::<T>()))
 }
 
 /// `320x240`: width and height in pixels.
@@ -179,10 +158,10 @@ mod tests {
             || Command::new("c").arg(Arg::new("p").value_parser(method_or_auto::<ProxyMethod>()));
         let parsed = |text: &str| {
             let found = command().try_get_matches_from(["c", text]).ok()?;
-            found.get_one::<MethodChoice<ProxyMethod>>("p").copied()
+            found.get_one::<String>("p").cloned()
         };
-        assert_eq!(parsed("auto"), Some(MethodChoice::Auto));
-        assert_eq!(parsed("plane"), Some(MethodChoice::Method(ProxyMethod::Plane)));
+        assert_eq!(parsed("auto"), Some("auto".into()));
+        assert_eq!(parsed("plane"), Some("plane".into()));
         assert_eq!(parsed("sphere"), None);
     }
 

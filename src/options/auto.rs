@@ -25,8 +25,9 @@ impl AutoOptions {
         Self { sync: true, proxy: true, blend: true, ..Self::default() }
     }
 
-    /// Whether any method is left to the capture.
-    pub fn any(&self) -> bool {
-        self.sync || self.proxy || self.blend
+    /// The stages whose methods are left to the capture, as plans name them.
+    pub fn stages(&self) -> Vec<&'static str> {
+        let all = [(self.sync, "sync"), (self.proxy, "proxy"), (self.blend, "blend")];
+        all.into_iter().filter(|(is_left, _)| *is_left).map(|(_, stage)| stage).collect()
     }
 }

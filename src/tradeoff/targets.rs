@@ -6,14 +6,14 @@ use crate::camera::Camera;
 use crate::capture::{Capture, Truth};
 use crate::compare::CompareOptions;
 use crate::compare::truths::{self, TrueImage, as_written};
-use crate::light_field::held_out::{
-    halfway_to_neighbor, inner_cameras, only, recorded, well_covered_frames,
-};
-use crate::light_field::{LightField, RenderError};
+use crate::light_field::LightField;
 use crate::lumigraph::Rendered;
 use crate::metrics::{ReferenceImage, RegionScores};
 use crate::offset::Offsets;
 use crate::options::RenderOptions;
+use crate::plan::held_out::{
+    field_of, halfway_to_neighbor, inner_cameras, recorded, rendered, well_covered_frames,
+};
 use crate::raster::BitDepth;
 use crate::raster::Image;
 use schemars::JsonSchema;
@@ -90,8 +90,7 @@ impl TargetScene<'_> {
             return LightField::new(self.capture.clone(), self.offsets.clone());
         };
         let others: Vec<usize> = (0..self.capture.cameras.len()).filter(|&c| c != index).collect();
-        let (capture, offsets) = only(self.capture, self.offsets, &others);
-        LightField::new(capture, offsets)
+        field_of(self.capture, self.offsets, &others)
     }
 
     /// The targets, and the view to time.
@@ -139,11 +138,8 @@ impl TargetScene<'_> {
         truth: TrueImage,
         held_out: Option<usize>,
     ) -> Result<Option<Target>, TradeoffError> {
-        let rendered = match field.view(&camera, time_s, &most_accurate(self.base)) {
-            Ok(rendered) => rendered,
-            Err(RenderError::Capture(error)) => return Err(error.into()),
-            Err(_) => return Ok(None),
-        };
+        let rendered = rendered(field, &camera, time_s, &most_accurate(self.base))?;
+        let Some(rendered) = rendered else { return Ok(None) };
         let against = if held_out.is_some() { Against::HeldOut } else { Against::Truth };
         Ok(Some(Target {
             id,
