@@ -3,7 +3,7 @@
 use super::CliError;
 use super::files::{CommandOutput, must_be_a_file};
 use super::print::Page;
-use super::values::ImageSize;
+use super::values::image_size;
 use std::path::PathBuf;
 use stlfr::capture::MAX_FRAMES;
 use stlfr::progress::Reporter;
@@ -30,9 +30,9 @@ pub struct CaptureArgs {
     /// The capture's folder.
     #[arg(short, long = "output", value_name = "CAPTURE")]
     output: PathBuf,
-    /// ImageSize at which all cameras film, of the same aspect as in the rig.
-    #[arg(long, value_name = "WxH")]
-    size: Option<ImageSize>,
+    /// Size at which all cameras film, of the same aspect as in the rig.
+    #[arg(long, value_name = "WxH", value_parser = image_size)]
+    size: Option<(u32, u32)>,
     /// Frames of the reference camera; the others film as long [default: 9].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: Option<u32>,
@@ -90,7 +90,7 @@ impl CaptureArgs {
                 (name, None) => FilmedScene::Named(name.clone().unwrap_or_default()),
             },
             capture: self.output.clone(),
-            size_px: self.size.map(|s| (s.width, s.height)),
+            size_px: self.size,
             frames: self.frames,
             samples: self.samples,
             engine: self.engine.clone(),

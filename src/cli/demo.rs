@@ -3,7 +3,7 @@
 use super::check::verdict;
 use super::files::{CommandOutput, open_capture};
 use super::print::Page;
-use super::values::ImageSize;
+use super::values::image_size;
 use super::{CliError, compare};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -22,9 +22,9 @@ use stlfr::toolchain::{FilmOptions, FilmedScene, check, ensure_environment, film
     stlfr demo\n  \
     stlfr demo --size 640x480 --video -o .captures/demo-large")]
 pub struct DemoArgs {
-    /// ImageSize of the images.
-    #[arg(long, value_name = "WxH", default_value_t = DEFAULT_SIZE)]
-    size: ImageSize,
+    /// Size of the images.
+    #[arg(long, value_name = "WxH", default_value = "320x240", value_parser = image_size)]
+    size: (u32, u32),
     /// Frames a camera [default: 9]; 3 instants between them are compared.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(5..=100_000))]
     frames: Option<u32>,
@@ -39,8 +39,6 @@ pub struct DemoArgs {
     #[arg(short, long, value_name = "CAPTURE")]
     output: Option<PathBuf>,
 }
-
-const DEFAULT_SIZE: ImageSize = ImageSize { width: 320, height: 240 };
 
 /// Frames of the true slow motion that `--video` shows.
 const VIDEO_FRAMES: u32 = 48;
@@ -79,8 +77,8 @@ impl DemoArgs {
     /// The capture's folder name, which differs for other options.
     fn name(&self) -> String {
         let mut name = "demo".to_owned();
-        if self.size != DEFAULT_SIZE {
-            name += &format!("-{}x{}", self.size.width, self.size.height);
+        if self.size != (320, 240) {
+            name += &format!("-{}x{}", self.size.0, self.size.1);
         }
         name += &self.frames.map_or(String::new(), |n| format!("-{n}frames"));
         name += &self.samples.map_or(String::new(), |n| format!("-{n}samples"));
@@ -95,7 +93,7 @@ impl DemoArgs {
             rig: root.join("rigs/linear8.json"),
             scene: FilmedScene::Named("magazine".into()),
             capture,
-            size_px: Some((self.size.width, self.size.height)),
+            size_px: Some(self.size),
             frames: self.frames,
             samples: self.samples,
             engine: None,

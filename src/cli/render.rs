@@ -125,7 +125,7 @@ impl RenderArgs {
             (None, Some(_), ImageOutput::Image(_)) => {
                 return wrong("--times gives many images: -o must be like out/%04d.png or out.mkv");
             }
-            (None, Some(times), _) => times.instants_s(),
+            (None, Some(Times(times_s)), _) => times_s.clone(),
             (None, None, _) => return wrong("--time or --times must be given"),
         };
         let camera = self.camera.as_deref().map(read_view).transpose()?;

@@ -126,7 +126,8 @@ pub(super) fn blend_images(
     target: &Camera,
     options: &BlendOptions,
 ) -> Rendered {
-    blend(&sources(field, images, geometry, options.method), &geometry.view, target, options)
+    let sources = sources(field, images, geometry, options.method);
+    blend(&sources, &geometry.view, target, options)
 }
 
 /// A black image of a camera's kind.

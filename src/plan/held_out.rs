@@ -11,7 +11,7 @@ use crate::metrics::moving_part;
 use crate::offset::Offsets;
 use crate::options::RenderOptions;
 use crate::raster::Image;
-use crate::registration::RegistrationOptions;
+use crate::registration::{FrameStore, RegistrationOptions};
 use nalgebra::Vector3;
 use std::cmp::Reverse;
 use std::f64::consts::LN_10;
@@ -189,7 +189,7 @@ impl HeldOutFrame {
             return Ok(None);
         };
         let time_s = times_s[frame];
-        let (truth, changing) = recorded(capture, camera, frame)?;
+        let (truth, changing) = recorded(&whole.frames(registration), camera, frame)?;
         let count = changing.iter().filter(|c| **c).count();
         if 2 * neighbors.between_frames(time_s, MIN_FRACTION) < order.len() || count < MIN_PIXELS {
             return Ok(None);
@@ -310,15 +310,15 @@ pub(crate) fn well_covered_frames(field: &LightField, times_s: &[f64]) -> Vec<us
 
 /// A frame, and where it differs from the frames beside it by more than noise, row by row.
 pub(crate) fn recorded(
-    capture: &Capture,
+    frames: &FrameStore,
     camera: usize,
     frame: usize,
 ) -> Result<(Image, Vec<bool>), CaptureError> {
-    let image = capture.read_frame(camera, frame)?;
+    let image = frames.get(camera, frame)?.image.clone();
     let mut moving = vec![false; image.width() * image.height()];
     for other in [frame.checked_sub(1), Some(frame + 1)].into_iter().flatten() {
-        if other < capture.cameras[camera].frames.len() {
-            let changed = changed_pixels(&image, &capture.read_frame(camera, other)?);
+        if other < frames.capture().cameras[camera].frames.len() {
+            let changed = changed_pixels(&image, &frames.get(camera, other)?.image);
             moving.iter_mut().zip(changed).for_each(|(m, c)| *m |= c);
         }
     }

@@ -56,13 +56,6 @@ pub struct Plan {
     pub options: RenderOptions,
 }
 
-impl Plan {
-    /// The decision of a stage; every stage has one.
-    pub fn decision(&self, stage: &str) -> Option<&Decision> {
-        self.decisions.iter().find(|d| d.stage == stage)
-    }
-}
-
 /// Plans the views of a light field. Only the stages that `options.auto` names are changed in the
 /// options. All are decided, as far as they can be without views; views are rendered to decide the sync method and
 /// the blend if those are left to the capture.

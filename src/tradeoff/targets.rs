@@ -16,6 +16,7 @@ use crate::plan::held_out::{
 };
 use crate::raster::BitDepth;
 use crate::raster::Image;
+use crate::registration::FrameStore;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -176,13 +177,14 @@ impl TargetScene<'_> {
     /// Middle frames of inner cameras, as held-out targets.
     fn held_out_frames(&self) -> Result<Vec<Target>, TradeoffError> {
         let times_s = self.offsets.common_times_s(self.capture);
+        let frames = FrameStore::new(self.capture.clone(), &self.base.registration);
         let mut found: Vec<Target> = Vec::new();
         for camera in inner_cameras(self.capture) {
             let Some(times_s) = &times_s[camera] else { continue };
             let field = self.field(Some(camera));
             let shown = well_covered_frames(&field, times_s);
             let Some(&frame) = shown.get(shown.len() / 2) else { continue };
-            let (image, moving) = recorded(self.capture, camera, frame)?;
+            let (image, moving) = recorded(&frames, camera, frame)?;
             let truth = TrueImage { image, moving };
             let filmed = &self.capture.cameras[camera];
             let at = TargetView {
