@@ -70,7 +70,10 @@ impl OptionsArgs {
     /// Reads and checks the options.
     pub fn read(&self) -> Result<RenderOptions, CliError> {
         let mut options = match &self.options {
-            Some(path) => read_options(path, self.preset)?,
+            Some(path) => {
+                let text = read_text(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
+                RenderOptions::parse(&text, self.preset).map_err(|error| wrong(path, error))?
+            }
             None => self.preset.map_or_else(RenderOptions::default, Preset::options),
         };
         for set in &self.set {
@@ -80,13 +83,6 @@ impl OptionsArgs {
         }
         Ok(options)
     }
-}
-
-fn read_options(path: &Path, preset: Option<Preset>) -> Result<RenderOptions, CliError> {
-    let text = read_text(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
-    let options = RenderOptions::parse(&text, preset).map_err(|error| wrong(path, error))?;
-    options.check().map_err(|error| wrong(path, error))?;
-    Ok(options)
 }
 
 /// Reads the camera of a view.

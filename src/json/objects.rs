@@ -40,18 +40,28 @@ impl<'de, D: Deserializer<'de>> Deserializer<'de> for Objects<D> {
 
     forward_deserialize! {
         deserialize_any() Objects;
-        // Rounded once, not by way of f64.
+        deserialize_bool() Objects;
+        deserialize_i64() Objects;
+        deserialize_u32() Objects;
+        deserialize_u64() Objects;
         deserialize_f32() Objects;
+        deserialize_f64() Objects;
+        deserialize_str() Objects;
+        deserialize_string() Objects;
         deserialize_option() Objects;
         deserialize_newtype_struct(name: &'static str) Objects;
+        deserialize_seq() Objects;
+        deserialize_tuple(len: usize) Objects;
+        deserialize_map() Objects;
         deserialize_struct(name: &'static str, fields: &'static [&'static str]) StructVisitor;
         deserialize_enum(name: &'static str, variants: &'static [&'static str]) Objects;
+        deserialize_identifier() Objects;
+        deserialize_ignored_any() Objects;
     }
 
-    // JSON says itself what it holds.
+    // No format has these types.
     serde::forward_to_deserialize_any! {
-        bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f64 char str string bytes byte_buf unit
-        unit_struct seq tuple tuple_struct map identifier ignored_any
+        i8 i16 i32 i128 u8 u16 u128 char bytes byte_buf unit unit_struct tuple_struct
     }
 }
 

@@ -11,7 +11,7 @@ use crate::metrics::moving_part;
 use crate::offset::Offsets;
 use crate::options::RenderOptions;
 use crate::raster::Image;
-use crate::registration::{FrameStore, RegistrationOptions};
+use crate::registration::{FrameStore, Gains, RegistrationOptions};
 use nalgebra::Vector3;
 use std::cmp::Reverse;
 use std::f64::consts::LN_10;
@@ -56,7 +56,7 @@ struct HeldOutFrame {
     truth: Image,
     /// The camera whose brightness `neighbors` renders.
     bright_as: usize,
-    registration: RegistrationOptions,
+    gains: Arc<Gains>,
     /// Where the frame differs from those before and after it, row by row; and what is near that.
     changing: Vec<bool>,
     near_changing: Vec<bool>,
@@ -87,9 +87,11 @@ impl Probe {
         whole: &LightField,
         registration: &RegistrationOptions,
     ) -> Result<Option<Self>, RenderError> {
+        let times_s = whole.offsets().common_times_s(whole.capture());
         let mut frames = Vec::new();
         for camera in inner_cameras(whole.capture()) {
-            frames.extend(HeldOutFrame::open(whole, camera, frames.len(), registration)?);
+            let Some(times_s) = &times_s[camera] else { continue };
+            frames.extend(HeldOutFrame::open(whole, camera, times_s, frames.len(), registration)?);
             if frames.len() == FRAMES {
                 break;
             }
@@ -126,7 +128,7 @@ impl Probe {
             let (Some(cheap), Some(dear), Some(again)) = (cheap, dear, again) else { continue };
             let counts = both(&both(&cheap.coverage, &dear.coverage), &frame.near_changing);
             difference += squared(&cheap.image, &dear.image, &counts);
-            error += frame.squared_error(field, &again, &both(&again.coverage, &frame.changing));
+            error += frame.squared_error(&again, &both(&again.coverage, &frame.changing));
         }
         // Nothing seen, or no error at all: 0/0, or more than any budget.
         let gain_db = 10.0 * (difference / error).ln_1p() / LN_10;
@@ -139,7 +141,6 @@ impl Probe {
     /// All are equally sharp, so that an outline in the wrong place costs all alike.
     pub fn errors(
         &self,
-        field: &LightField,
         candidates: &[RenderOptions],
     ) -> Result<Option<Vec<HeldOutErrors>>, RenderError> {
         let mut sums = vec![HeldOutErrors::default(); candidates.len()];
@@ -158,8 +159,8 @@ impl Probe {
             }
             is_any |= counts.contains(&true);
             for (sum, [in_space, in_time]) in sums.iter_mut().zip(&views) {
-                sum.in_space += frame.squared_error(field, in_space, &counts);
-                sum.in_space_and_time += frame.squared_error(field, in_time, &counts);
+                sum.in_space += frame.squared_error(in_space, &counts);
+                sum.in_space_and_time += frame.squared_error(in_time, &counts);
             }
         }
         Ok(is_any.then_some(sums))
@@ -171,14 +172,12 @@ impl HeldOutFrame {
     fn open(
         whole: &LightField,
         camera: usize,
+        times_s: &[f64],
         number: usize,
         registration: &RegistrationOptions,
     ) -> Result<Option<Self>, RenderError> {
         let capture = whole.capture();
         let filmed = &capture.cameras[camera];
-        let Some(times_s) = &whole.offsets().common_times_s(capture)[camera] else {
-            return Ok(None);
-        };
         let view = halfway_to_neighbor(capture, camera);
         let mut order = by_distance(capture, &filmed.camera.center().coords);
         order.retain(|&c| c != camera);
@@ -199,6 +198,7 @@ impl HeldOutFrame {
         // The first of those that most cameras have between frames.
         let between = |s: &f64| Reverse(whole.between_frames(*s, MIN_FRACTION));
         let Some(view_s) = instants.into_iter().min_by_key(between) else { return Ok(None) };
+        let gains = whole.gains(registration);
         let changing_px: Vec<f32> = changing.iter().map(|c| f32::from(u8::from(*c))).collect();
         Ok(Some(Self {
             camera: filmed.camera.clone(),
@@ -207,8 +207,8 @@ impl HeldOutFrame {
             view,
             view_s,
             near_changing: moving_part(&changing_px, truth.width(), 0.5, PARALLAX_PX),
-            truth: whole.gains(registration).corrected(camera, &truth).unwrap_or(truth),
-            registration: registration.clone(),
+            truth: gains.corrected(camera, &truth).unwrap_or(truth),
+            gains,
             bright_as: order[neighbors.capture().reference],
             changing,
             neighbors,
@@ -231,9 +231,8 @@ impl HeldOutFrame {
     }
 
     /// Squared error of a view against this frame, over the pixels where `counts` is true.
-    fn squared_error(&self, field: &LightField, view: &Rendered, counts: &[bool]) -> f64 {
-        let gains = field.gains(&self.registration);
-        let image = gains.corrected(self.bright_as, &view.image);
+    fn squared_error(&self, view: &Rendered, counts: &[bool]) -> f64 {
+        let image = self.gains.corrected(self.bright_as, &view.image);
         squared(image.as_ref().unwrap_or(&view.image), &self.truth, counts)
     }
 }

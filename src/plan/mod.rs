@@ -145,7 +145,7 @@ fn by_views(
         _ => &[],
     };
     let options_of: Vec<RenderOptions> = candidates.iter().map(by).collect();
-    let errors = probe.errors(field, &options_of)?.unwrap_or_default();
+    let errors = probe.errors(&options_of)?.unwrap_or_default();
     if let [refined, all] = errors.as_slice() {
         let compared = [refined, all].map(|e| e.by(options.blend.method, options.auto.blend));
         if let Some(gain_db) = gain_db(compared) {

@@ -22,10 +22,7 @@ pub fn from_python<T: DeserializeOwned>(value: &Bound<'_, PyAny>, what: &str) ->
 /// The options of a call, checked as the command line checks its file.
 pub fn checked(options: Option<&Bound<'_, PyAny>>) -> PyResult<RenderOptions> {
     let Some(options) = options else { return Ok(RenderOptions::default()) };
-    let wrong = |error: String| value_error(format!("options: {error}"));
-    let options = RenderOptions::parse(&json_of(options)?, None).map_err(wrong)?;
-    options.check().map_err(|e| wrong(e.to_string()))?;
-    Ok(options)
+    RenderOptions::parse(&json_of(options)?, None).map_err(|e| value_error(format!("options: {e}")))
 }
 
 /// The JSON text of a value.
