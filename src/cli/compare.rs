@@ -1,7 +1,7 @@
 //! `stlfr compare`
 
 use super::CliError;
-use super::files::{CommandOutput, OptionsArgs, open_capture};
+use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};
 use super::print::Page;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -17,7 +17,7 @@ use stlfr::method::Method;
 use stlfr::offset::{MAX_OFFSETS_BYTES, Offsets};
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
-use stlfr::toolchain::{Environment, find_ffmpeg, project_root, review};
+use stlfr::toolchain::{Environment, project_root, review};
 
 /// Render what the capture has truth of, and set it beside the truth and beside traditional light
 /// field rendering: pictures, metrics.json and report.html.
@@ -47,10 +47,11 @@ pub fn run(args: &CompareArgs, page: &mut Page, reporter: &Reporter) -> Result<(
         return print_scores(&args.capture, file, page, reporter);
     }
     let options = args.options.read()?;
-    let capture = open_capture(&args.capture, reporter)?;
     let out = args.output.clone().unwrap_or_else(|| args.capture.join("review"));
-    let ffmpeg = args.video.then(ffmpeg).transpose()?;
-    print(&with_truth(capture, &options, &out, ffmpeg, reporter)?, page);
+    let output = CommandOutput::Folder(&out, &FILES);
+    let capture = open_capture(&args.capture, Some(output), reporter)?;
+    let summary = with_truth(capture, &options, &out, args.video, reporter)?;
+    print(&summary, page);
     Ok(())
 }
 
@@ -61,7 +62,7 @@ fn print_scores(
     page: &mut Page,
     reporter: &Reporter,
 ) -> Result<(), CliError> {
-    let capture = open_capture(folder, reporter)?;
+    let capture = open_capture(folder, None, reporter)?;
     let truth = Truth::open(folder)?.ok_or_else(|| {
         CliError::BadInput(format!("{}: has no truth to score against", folder.display()))
     })?;
@@ -100,24 +101,17 @@ fn print_scores(
     Ok(())
 }
 
-/// Finds ffmpeg; the error says how to install it.
-pub fn ffmpeg() -> Result<PathBuf, CliError> {
-    find_ffmpeg().ok_or_else(|| {
-        CliError::Failure("--video needs ffmpeg: install it, or run stlfr setup".into())
-    })
-}
-
-/// Renders and compares; with a video if `ffmpeg` is given.
+/// Renders and compares, with a video too if it is asked for.
 pub fn with_truth(
-    capture: Capture,
+    capture: Arc<Capture>,
     options: &RenderOptions,
     out: &Path,
-    ffmpeg: Option<PathBuf>,
+    video: bool,
     reporter: &Reporter,
 ) -> Result<Summary, CliError> {
-    CommandOutput::Folder(out, &FILES).check(Some(&capture.folder))?;
+    let ffmpeg = video.then(|| ffmpeg_for("--video")).transpose()?;
     let truth = Truth::open(&capture.folder)?;
-    let field = ComparedLightField::open(Arc::new(capture), options, reporter)?;
+    let field = ComparedLightField::open(capture, options, reporter)?;
     let compare_options = CompareOptions {
         sync: field.options().sync,
         video: ffmpeg.map(|ffmpeg| VideoOptions { ffmpeg, ..VideoOptions::default() }),

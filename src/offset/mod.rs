@@ -144,8 +144,9 @@ fn resolve(
         reporter.note("offsets.json is of other frames, options or another version: made anew.");
     }
     let estimate = estimate(frames, options, reporter)?;
+    let saved = save(&estimate, capture, &all_options, &hash);
     // A read-only capture can be used all the same.
-    reporter.note(&match save(&estimate, capture, &all_options, &hash) {
+    reporter.note(&match saved {
         Ok(()) => {
             "Offsets were estimated from the images and saved in offsets.json, their plot in \
                    offsets.svg."

@@ -8,7 +8,7 @@ use crate::light_field::LightField;
 use crate::metrics::RegionScores;
 use crate::offset::{self, Offsets};
 use crate::options::{AutoOptions, RenderOptions};
-use crate::plan::{ClockSummary, plan};
+use crate::plan::plan;
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use serde::de::DeserializeOwned;
@@ -95,8 +95,7 @@ impl Store {
         {
             return Ok(cached);
         }
-        let clocks = ClockSummary::of(capture);
-        let estimates = clocks.unknown > 0 && !clocks.one_frame;
+        let estimates = offset::clocks(capture).1 > 1 && !capture.is_static();
         let watch = Stopwatch::start();
         let offsets = if estimates {
             let frames = FrameStore::new(capture.clone(), &options.registration);
@@ -118,7 +117,7 @@ impl Store {
 
     /// The planned methods for options with `auto`, and the planning time.
     pub fn planned(&self, asked: &RenderOptions) -> Result<Planned, TradeoffError> {
-        if !asked.auto.any() {
+        if asked.auto.stages().is_empty() {
             let took = Elapsed { wall_s: 0.0, cpu_s: 0.0 };
             return Ok(Planned { options: asked.clone(), took });
         }

@@ -7,15 +7,16 @@ use crate::camera::Camera;
 use crate::capture::{Capture, Truth};
 use crate::compare::CompareOptions;
 use crate::compare::truths::{self, TrueImage, as_written, filled_with};
-use crate::light_field::held_out::{
-    halfway_to_neighbor, inner_cameras, only, recorded, well_covered_frames,
-};
-use crate::light_field::{LightField, RenderError};
+use crate::light_field::LightField;
 use crate::lumigraph::Rendered;
 use crate::metrics::{ReferenceImage, RegionScores};
 use crate::offset::Offsets;
 use crate::options::RenderOptions;
+use crate::plan::held_out::{
+    field_of, halfway_to_neighbor, inner_cameras, recorded, rendered, well_covered_frames,
+};
 use crate::raster::BitDepth;
+use crate::registration::FrameStore;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -81,8 +82,7 @@ impl TargetScene<'_> {
             return LightField::new(self.capture.clone(), self.offsets.clone());
         };
         let others: Vec<usize> = (0..self.capture.cameras.len()).filter(|&c| c != index).collect();
-        let (capture, offsets) = only(self.capture, self.offsets, &others);
-        LightField::new(capture, offsets)
+        field_of(self.capture, self.offsets, &others)
     }
 
     /// The targets, and the view to time.
@@ -123,11 +123,7 @@ impl TargetScene<'_> {
 
     /// A view by the most accurate methods; `None` if they can't render it.
     fn rendered(&self, field: &LightField, view: &View) -> Result<Option<Rendered>, TradeoffError> {
-        match field.view(&view.camera, view.time_s, &most_accurate(self.base)) {
-            Ok(rendered) => Ok(Some(rendered)),
-            Err(RenderError::Capture(error)) => Err(error.into()),
-            Err(_) => Ok(None),
-        }
+        Ok(rendered(field, &view.camera, view.time_s, &most_accurate(self.base))?)
     }
 
     /// Views of the truth that no camera filmed; where it has none, the filming cameras'.
@@ -149,13 +145,14 @@ impl TargetScene<'_> {
     /// Middle frames of inner cameras, as held-out targets.
     fn held_out_frames(&self) -> Result<Vec<Target>, TradeoffError> {
         let times_s = self.offsets.common_times_s(self.capture);
+        let frames = FrameStore::new(self.capture.clone(), &self.base.registration);
         let mut found: Vec<Target> = Vec::new();
         for camera in inner_cameras(self.capture) {
             let Some(times_s) = &times_s[camera] else { continue };
             let field = self.field(Some(camera));
             let shown = well_covered_frames(&field, times_s);
             let Some(&frame) = shown.get(shown.len() / 2) else { continue };
-            let (image, moving) = recorded(self.capture, camera, frame)?;
+            let (image, moving) = recorded(&frames, camera, frame)?;
             let filmed = &self.capture.cameras[camera];
             let at = View { camera: filmed.camera.clone(), time_s: times_s[frame] };
             let Some(rendered) = self.rendered(&field, &at)? else { continue };
