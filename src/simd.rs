@@ -105,14 +105,14 @@ pub trait F32x8:
     /// Element-wise minimum. Where `self` is NaN: `other`. Where `other` is NaN: `self` by [`Scalar`], NaN by
     /// AVX2.
     #[inline(always)]
-    fn min(self, other: Self) -> Self {
+    fn simd_min(self, other: Self) -> Self {
         let [a, b] = [self, other].map(Self::to_array);
         Self::from_array(&std::array::from_fn(|l| a[l].min(b[l])))
     }
 
     /// Element-wise maximum. NaN as for [`Self::min`].
     #[inline(always)]
-    fn max(self, other: Self) -> Self {
+    fn simd_max(self, other: Self) -> Self {
         let [a, b] = [self, other].map(Self::to_array);
         Self::from_array(&std::array::from_fn(|l| a[l].max(b[l])))
     }
@@ -301,12 +301,12 @@ mod avx2 {
         }
 
         #[inline(always)]
-        fn min(self, other: Self) -> Self {
+        fn simd_min(self, other: Self) -> Self {
             unsafe { Self(_mm256_min_ps(self.0, other.0)) }
         }
 
         #[inline(always)]
-        fn max(self, other: Self) -> Self {
+        fn simd_max(self, other: Self) -> Self {
             unsafe { Self(_mm256_max_ps(self.0, other.0)) }
         }
 
@@ -386,7 +386,7 @@ mod tests {
     fn exact_by<V: F32x8>(a: &[f32; LANES], b: &[f32; LANES]) -> [[f32; LANES]; 5] {
         let (a, b) = (V::from_array(a), V::from_array(b));
         let choice = a.if_below(b, V::splat(1.0), V::splat(2.0));
-        [a / b, a.abs().sqrt(), choice, a.min(b), a.max(b)].map(V::to_array)
+        [a / b, a.abs().sqrt(), choice, a.simd_min(b), a.simd_max(b)].map(V::to_array)
     }
 
     multiversion! {

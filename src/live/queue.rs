@@ -60,12 +60,12 @@ impl Job {
 /// Waiting requests in order of arrival, and running ones.
 #[derive(Default)]
 pub(super) struct Queue {
-    state: Mutex<State>,
+    state: Mutex<QueueState>,
     changed: Condvar,
 }
 
 #[derive(Default)]
-struct State {
+struct QueueState {
     waiting: VecDeque<Job>,
     running: Vec<Weak<Asked>>,
     is_closed: bool,
@@ -134,7 +134,7 @@ impl Queue {
         self.changed.notify_all();
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, QueueState> {
         // No operation panics half-way.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }

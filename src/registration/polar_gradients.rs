@@ -83,8 +83,8 @@ const ARCTANGENT: [f32; 9] = [
 #[inline(always)]
 fn directions<V: F32x8>(x: V, y: V) -> V {
     let (along, across) = (x.abs(), y.abs());
-    let longer = along.max(across).max(V::splat(f32::MIN_POSITIVE));
-    let slope = along.min(across) / longer;
+    let longer = along.simd_max(across).simd_max(V::splat(f32::MIN_POSITIVE));
+    let slope = along.simd_min(across) / longer;
     let squared = slope * slope;
     let mut sum = V::zero();
     for coefficient in ARCTANGENT.into_iter().rev() {

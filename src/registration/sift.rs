@@ -97,7 +97,8 @@ impl<'a> Disc<'a> {
                 let direction = V::load(&self.gradients.direction, at);
                 let bins = direction * V::splat(BINS_PER_DIRECTION);
                 // NaN, the direction of a gradient that is not finite, becomes 0.
-                let (bins, _) = bins.max(V::zero()).min(V::splat(BINS as f32)).floor_and_fraction();
+                let (bins, _) =
+                    bins.simd_max(V::zero()).simd_min(V::splat(BINS as f32)).floor_and_fraction();
                 let fade = V::load(&fade_x, x - self.columns.start) * fade_y;
                 let weights = (V::load(&self.gradients.strength, at) * fade).to_array();
                 for l in 0..LANES.min(columns.end - x) {
@@ -136,8 +137,8 @@ impl<'a> Disc<'a> {
                 let dx = columns + V::splat(x as f32 - self.center[0]);
                 let u = dx.mul_add(V::splat(cos / CELL_PX), V::splat(sin * dy / CELL_PX + CENTER));
                 let v = dx.mul_add(V::splat(-sin / CELL_PX), V::splat(cos * dy / CELL_PX + CENTER));
-                let (column, fu) = u.max(lowest).min(highest).floor_and_fraction();
-                let (row, fv) = v.max(lowest).min(highest).floor_and_fraction();
+                let (column, fu) = u.simd_max(lowest).simd_min(highest).floor_and_fraction();
+                let (row, fv) = v.simd_max(lowest).simd_min(highest).floor_and_fraction();
                 let turn = V::load(&self.gradients.direction, at) - V::splat(angle);
                 let (direction, fd) = turn.floor_and_fraction();
                 let fade = V::load(&fade_x, x - self.columns.start) * fade_y;
@@ -191,7 +192,7 @@ fn descriptor_by<V: F32x8>(gradients: &PolarGradients, at: &Point2<f64>) -> Opti
     let mut cells = disc.cells::<V>(angle);
     normalize(&mut cells)?;
     for cell in &mut cells {
-        *cell = cell.min(V::splat(MAX_ENTRY));
+        *cell = cell.simd_min(V::splat(MAX_ENTRY));
     }
     normalize(&mut cells)?;
     let mut entries = [0.0; SIZE];
