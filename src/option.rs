@@ -18,9 +18,10 @@ pub struct OptionError {
 }
 
 /// The type of an option's value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OptionKind {
+    #[default]
     Number,
     Integer,
     Boolean,
@@ -36,7 +37,7 @@ pub struct OptionChoice {
 }
 
 /// An option's declaration, and its value in some set of options.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct DeclaredOption {
     /// Its path in an options file, such as `blend.cameras`.
     pub name: String,
@@ -58,6 +59,12 @@ pub struct DeclaredOption {
 }
 
 impl DeclaredOption {
+    /// An option without kind, default and value; `help` may have line breaks.
+    pub fn new(name: String, help: &str) -> Self {
+        let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
+        Self { name, help, ..Self::default() }
+    }
+
     /// Refuses a number outside of its range, or NaN.
     pub fn check(&self) -> Result<(), OptionError> {
         let (Some(value), Some([min, max])) = (self.number, self.range) else { return Ok(()) };
@@ -70,10 +77,8 @@ impl DeclaredOption {
     /// The JSON Schema of the value.
     fn schema(&self) -> Value {
         let kind = match self.kind {
-            OptionKind::Number => "number",
-            OptionKind::Integer => "integer",
-            OptionKind::Boolean => "boolean",
-            OptionKind::Choice => "string",
+            OptionKind::Choice => json!("string"),
+            kind => json!(kind),
         };
         let mut schema = json!({"description": self.help, "type": kind, "default": self.default});
         if self.default.is_null() {
@@ -108,30 +113,10 @@ pub fn options_schema(options: &[DeclaredOption]) -> Value {
     root
 }
 
-/// The declaration of one field of an options struct.
-#[derive(Clone, Debug, Default)]
-pub struct OptionField {
-    /// Its path from the options file's root.
-    pub name: String,
-    pub help: &'static str,
-    pub range: Option<[f64; 2]>,
-    pub unit: Option<&'static str>,
-}
-
-impl OptionField {
-    fn declare(self, kind: OptionKind, [value, default]: [Value; 2]) -> DeclaredOption {
-        // Comment markers leave a space before every line.
-        let help = self.help.split_whitespace().collect::<Vec<_>>().join(" ");
-        let Self { name, range, unit, .. } = self;
-        let (choices, number) = (Vec::new(), None);
-        DeclaredOption { name, help, kind, default, value, range, unit, choices, number }
-    }
-}
-
 /// A type that an option, or a group of options, can have.
 pub trait OptionValue {
-    /// Appends the option, or all options of the group.
-    fn declare(&self, default: &Self, field: OptionField, options: &mut Vec<DeclaredOption>);
+    /// Appends the option with its kind, default and value, or all options of the group.
+    fn declare(&self, default: &Self, option: DeclaredOption, options: &mut Vec<DeclaredOption>);
 }
 
 /// A value as an options file has it: `f32` with its shortest digits.
@@ -142,10 +127,12 @@ fn in_json(value: &impl Serialize) -> Value {
 macro_rules! option_values {
     ($($type:ty: $kind:ident, $number:expr;)*) => { $(
         impl OptionValue for $type {
-            fn declare(&self, default: &Self, field: OptionField, options: &mut Vec<DeclaredOption>) {
+            fn declare(&self, default: &Self, option: DeclaredOption, options: &mut Vec<DeclaredOption>) {
+                let kind = OptionKind::$kind;
+                let [value, default] = [self, default].map(in_json);
                 let number: fn(&Self) -> Option<f64> = $number;
-                let option = field.declare(OptionKind::$kind, [self, default].map(in_json));
-                options.push(DeclaredOption { number: number(self), ..option });
+                let number = number(self);
+                options.push(DeclaredOption { kind, default, value, number, ..option });
             }
         }
     )* };
@@ -159,13 +146,16 @@ option_values! {
 }
 
 impl<M: Method> OptionValue for M {
-    fn declare(&self, default: &Self, field: OptionField, options: &mut Vec<DeclaredOption>) {
-        let values = [self, default].map(|method| Value::from(method.name()));
-        let choice = |m: &M| OptionChoice { name: m.name(), help: m.help() };
-        let choices = M::ALL.iter().map(choice).collect();
-        let option = field.declare(OptionKind::Choice, values);
-        options.push(DeclaredOption { choices, ..option });
+    fn declare(&self, default: &Self, option: DeclaredOption, options: &mut Vec<DeclaredOption>) {
+        let [value, default] = [self, default].map(|method| method.name().into());
+        let (kind, choices) = (OptionKind::Choice, choices::<M>());
+        options.push(DeclaredOption { kind, default, value, choices, ..option });
     }
+}
+
+/// The names of all methods, cheapest first.
+pub fn choices<M: Method>() -> Vec<OptionChoice> {
+    M::ALL.iter().map(|m| OptionChoice { name: m.name(), help: m.help() }).collect()
 }
 
 /// The limits of a range, both included.
@@ -203,22 +193,21 @@ macro_rules! options {
             fn declare(
                 &self,
                 default: &Self,
-                group: $crate::option::OptionField,
+                group: $crate::option::DeclaredOption,
                 options: &mut Vec<$crate::option::DeclaredOption>,
             ) {
                 let dot = if group.name.is_empty() { "" } else { "." };
                 $(
                     #[allow(unused_mut)]
-                    let mut field = $crate::option::OptionField {
-                        name: format!("{}{dot}{}", group.name, stringify!($field)),
-                        help: concat!($($help, "\n"),*),
-                        ..Default::default()
-                    };
+                    let mut option = $crate::option::DeclaredOption::new(
+                        format!("{}{dot}{}", group.name, stringify!($field)),
+                        concat!($($help, "\n"),*),
+                    );
                     $(
-                        field.range = Some($crate::option::limits($range));
-                        field.unit = Some($unit);
+                        option.range = Some($crate::option::limits($range));
+                        option.unit = Some($unit);
                     )?
-                    $crate::option::OptionValue::declare(&self.$field, &default.$field, field, options);
+                    $crate::option::OptionValue::declare(&self.$field, &default.$field, option, options);
                 )*
             }
         }

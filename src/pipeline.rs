@@ -2,16 +2,22 @@
 //! methods that the capture requires.
 
 use crate::capture::Capture;
+use crate::host::CacheKind;
 use crate::light_field::{LightField, RenderError};
+use crate::method::Method;
 use crate::offset::resolve_offsets;
 use crate::options::RenderOptions;
-use crate::plan::{Choice, Methods, PlanStage, load_plan, plan, save_plan};
+use crate::plan::{Decision, plan};
 use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::sync::Arc;
 
+/// Cached plans, for the next command: planning renders dozens of views. The version changes with every change of
+/// views, because they decide plans.
+const PLANS: CacheKind = CacheKind { name: "plans", version: 2 };
+
 /// Opens a capture's light field, with the offsets that it needs: known clocks, else those cached in
-/// its folder, else estimated now and cached. Says which on the reporter.
+/// its folder, else estimated now and cached. Notes on the reporter say which, and which cameras no view can use.
 ///
 /// Frames are decoded, and gains estimated, once for offsets and views together.
 pub fn open_field(
@@ -21,7 +27,14 @@ pub fn open_field(
 ) -> Result<LightField, RenderError> {
     let frames = FrameStore::new(capture, &options.registration);
     let offsets = resolve_offsets(&frames, &options.offset, reporter)?;
-    Ok(LightField::with_frames(&frames, offsets))
+    let field = LightField::with_frames(&frames, offsets);
+    let cameras = field.offsets().cameras.iter().enumerate();
+    let unknown = cameras.filter(|(index, _)| field.span_s(*index).is_none());
+    let unknown: Vec<&str> = unknown.map(|(_, camera)| camera.id.as_str()).collect();
+    if !unknown.is_empty() && !field.capture().is_static() {
+        reporter.note(&format!("Left out, their clocks being unknown: {}.", unknown.join(", ")));
+    }
+    Ok(field)
 }
 
 /// The options with nothing left to the capture: where `options.auto` leaves methods to it, those
@@ -32,33 +45,36 @@ pub fn resolved(
     options: &RenderOptions,
     reporter: &Reporter,
 ) -> Result<RenderOptions, RenderError> {
-    if !options.auto.any() {
+    let stages = options.auto.stages();
+    if stages.is_empty() {
         return Ok(options.clone());
     }
-    let auto = &options.auto;
-    type OfMethods = fn(&Methods) -> Choice;
-    let stages: [(bool, PlanStage, OfMethods); 3] = [
-        (auto.sync, PlanStage::Sync, |methods| Choice::Sync(methods.sync)),
-        (auto.proxy, PlanStage::Proxy, |methods| Choice::Proxy(methods.proxy)),
-        (auto.blend, PlanStage::Blend, |methods| Choice::Blend(methods.blend)),
-    ];
-    let left = stages.into_iter().filter(|(is_auto, ..)| *is_auto);
-    if let Some(methods) = load_plan(field, options) {
-        let choices =
-            left.map(|(_, stage, of)| format!("{} {}", stage.name(), of(&methods).name()));
-        let choices: Vec<String> = choices.collect();
-        reporter.note(&format!("Auto: {}, as planned before.", choices.join(", ")));
-        return Ok(methods.put_into(options.clone()));
+    let inputs = (field.offsets(), options);
+    let cache = field.capture().cache().map_err(|error| error.to_string());
+    let cached = cache.as_ref().ok().and_then(|cache| cache.load_json(PLANS, &inputs));
+    if let Some(planned) = cached.filter(|planned: &RenderOptions| planned.check().is_ok()) {
+        let methods = [
+            ("sync", planned.sync.name()),
+            ("proxy", planned.proxy.method.name()),
+            ("blend", planned.blend.method.name()),
+        ];
+        let decided = methods.iter().filter(|(stage, _)| stages.contains(stage));
+        let decided: Vec<String> = decided.map(|(stage, name)| format!("{stage} {name}")).collect();
+        reporter.note(&format!("Auto: {}, as planned before.", decided.join(", ")));
+        return Ok(planned);
     }
     let plan = plan(field, options, reporter)?;
+    let saved = cache.and_then(|cache| {
+        cache.save_json(PLANS, &inputs, &plan.options).map_err(|error| error.to_string())
+    });
     // A read-only capture can be used all the same.
-    if let Err(error) = save_plan(field, options, &Methods::of(&plan.options)) {
+    if let Err(error) = saved {
         reporter.note(&format!("The plan can't be cached for the next command: {error}."));
     }
-    for (_, stage, _) in left {
-        let Some(decision) = plan.decision(stage) else { continue };
-        let (method, because) = (decision.choice.name(), &decision.because);
-        reporter.note(&format!("Auto: {} {method}. {because}", stage.name()));
+    for Decision { stage, method, because, .. } in &plan.decisions {
+        if stages.contains(stage) {
+            reporter.note(&format!("Auto: {stage} {method}. {because}"));
+        }
     }
     Ok(plan.options)
 }

@@ -43,41 +43,32 @@ impl Reporter {
         Self { to: Listener::Lines }
     }
 
-    pub fn is_quiet(&self) -> bool {
-        self.to == Listener::Nobody
-    }
-
     /// Starts a bar of `total` steps.
     pub fn task(&self, label: &str, total: usize) -> Task {
-        let bar = match self.to {
-            Listener::Nobody => ProgressBar::hidden(),
-            Listener::Lines => {
-                ProgressBar::with_draw_target(Some(total as u64), ProgressDrawTarget::hidden())
-            }
-            Listener::Terminal => {
-                let style =
-                    ProgressStyle::with_template("{msg:28} {bar:30} {pos}/{len}  {eta} left")
-                        .expect("the template is a constant")
-                        .progress_chars("━╸ ");
-                ProgressBar::new(total as u64).with_style(style)
-            }
-        };
-        let task =
-            Task { bar: bar.with_message(label.to_owned()), in_lines: self.to == Listener::Lines };
+        let template = "{msg:28} {bar:30} {pos}/{len}  {eta} left";
+        let bar = self.bar(label, Some(total as u64), template);
+        let task = Task { bar, in_lines: self.to == Listener::Lines };
         task.say();
         task
     }
 
     /// Starts a task without counted steps, which shows its elapsed time.
     pub fn phase(&self, label: &str) -> Task {
-        if self.to != Listener::Terminal {
-            return Task { bar: ProgressBar::hidden(), in_lines: false };
+        let bar = self.bar(label, None, "{spinner} {msg}  {elapsed}");
+        if self.to == Listener::Terminal {
+            bar.enable_steady_tick(TICK);
         }
-        let style = ProgressStyle::with_template("{spinner} {msg}  {elapsed}")
-            .expect("the template is a constant");
-        let bar = ProgressBar::new_spinner().with_style(style).with_message(label.to_owned());
-        bar.enable_steady_tick(TICK);
         Task { bar, in_lines: false }
+    }
+
+    fn bar(&self, label: &str, total: Option<u64>, template: &str) -> ProgressBar {
+        let target = match self.to {
+            Listener::Terminal => ProgressDrawTarget::stderr(),
+            Listener::Nobody | Listener::Lines => ProgressDrawTarget::hidden(),
+        };
+        let style = ProgressStyle::with_template(template).expect("the template is a constant");
+        let bar = ProgressBar::with_draw_target(total, target).with_message(label.to_owned());
+        bar.with_style(style.progress_chars("━╸ "))
     }
 
     /// Shows one sentence to the user.

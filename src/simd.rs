@@ -51,57 +51,115 @@ pub(crate) fn has_avx2_and_fma() -> bool {
 /// Number of values of a vector.
 pub const LANES: usize = 8;
 
-/// A SIMD vector of eight `f32` values; operators work element by element.
+/// A SIMD vector of eight `f32` values; operators work element by element. The given methods are [`Scalar`]'s;
+/// [`Avx2`] has its own where the compiler finds no vector instruction, or the rounding differs.
 ///
 /// Closures must not use it: they are not compiled for the instructions of the function around them.
 pub trait F32x8:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
-    /// The vector whose eight values are all `value`.
-    fn splat(value: f32) -> Self;
     /// The vector with these values, in order.
     fn from_array(lanes: &[f32; LANES]) -> Self;
+
     /// The eight values, in order.
     fn to_array(self) -> [f32; LANES];
+
+    /// The vector whose eight values are all `value`.
+    #[inline(always)]
+    fn splat(value: f32) -> Self {
+        Self::from_array(&[value; LANES])
+    }
+
+    /// The vector of eight zeros.
+    #[inline(always)]
+    fn zero() -> Self {
+        Self::splat(0.0)
+    }
+
     /// `self·factor + term`, element-wise. [`Scalar`] rounds the product and the sum, AVX2 the sum only.
-    fn mul_add(self, factor: Self, term: Self) -> Self;
+    #[inline(always)]
+    fn mul_add(self, factor: Self, term: Self) -> Self {
+        self * factor + term
+    }
+
     /// Square roots.
-    fn sqrt(self) -> Self;
-    /// Element-wise: `then` where `self` is below `other`, and `otherwise` elsewhere.
-    fn if_below(self, other: Self, then: Self, otherwise: Self) -> Self;
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        Self::from_array(&self.to_array().map(f32::sqrt))
+    }
+
     /// Absolute values.
-    fn abs(self) -> Self;
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Self::from_array(&self.to_array().map(f32::abs))
+    }
+
+    /// Element-wise: `then` where `self` is below `other`, and `otherwise` elsewhere.
+    #[inline(always)]
+    fn if_below(self, other: Self, then: Self, otherwise: Self) -> Self {
+        let [a, b, then, otherwise] = [self, other, then, otherwise].map(Self::to_array);
+        let choice = |l: usize| if a[l] < b[l] { then[l] } else { otherwise[l] };
+        Self::from_array(&std::array::from_fn(choice))
+    }
+
     /// Element-wise minimum. Where `self` is NaN: `other`. Where `other` is NaN: `self` by [`Scalar`], NaN by
     /// AVX2.
-    fn min(self, other: Self) -> Self;
+    #[inline(always)]
+    fn simd_min(self, other: Self) -> Self {
+        let [a, b] = [self, other].map(Self::to_array);
+        Self::from_array(&std::array::from_fn(|l| a[l].min(b[l])))
+    }
+
     /// Element-wise maximum. NaN as for [`Self::min`].
-    fn max(self, other: Self) -> Self;
+    #[inline(always)]
+    fn simd_max(self, other: Self) -> Self {
+        let [a, b] = [self, other].map(Self::to_array);
+        Self::from_array(&std::array::from_fn(|l| a[l].max(b[l])))
+    }
+
     /// Element-wise floor and fractional part, in 0..1, of values below 2²³ in magnitude. The floor of NaN is 0
     /// by [`Scalar`], `i32::MIN` by AVX2.
-    fn floor_and_fraction(self) -> ([i32; LANES], Self);
-    /// As [`Self::load`], without a bounds check.
-    ///
-    /// # Safety
-    /// `row` has at least eight values from index `at` on.
-    unsafe fn load_unchecked(row: &[f32], at: usize) -> Self;
+    #[inline(always)]
+    fn floor_and_fraction(self) -> ([i32; LANES], Self) {
+        let whole = self.to_array().map(|v| {
+            let truncated = v as i32;
+            truncated - i32::from(truncated as f32 > v)
+        });
+        (whole, self - Self::from_array(&whole.map(|v| v as f32)))
+    }
+
+    /// The sum of the eight values, added pairwise in `f32`.
+    #[inline(always)]
+    fn sum(self) -> f64 {
+        let [a, b, c, d, e, f, g, h] = self.to_array();
+        f64::from(((a + e) + (c + g)) + ((b + f) + (d + h)))
+    }
+
     /// Separable filtering of eight 4×4 neighbourhoods: value l of the result is
     /// `Σ_r Σ_c y[r]·x[c]·plane[first[l] + r·stride + c]`, with r and c from 0 to 3 and value l of
     /// the weights `x` and `y`.
     ///
     /// # Panics
     /// If a neighbourhood is not inside the plane.
+    #[inline(always)]
     fn gather_4x4(
         plane: &[f32],
         first: &[usize; LANES],
         stride: usize,
         x: [Self; 4],
         y: [Self; 4],
-    ) -> Self;
-
-    /// The vector of eight zeros.
-    #[inline(always)]
-    fn zero() -> Self {
-        Self::splat(0.0)
+    ) -> Self {
+        let [x, y] = [x, y].map(|weights| weights.map(Self::to_array));
+        let four = |at: usize| -> &[f32; 4] {
+            plane[at..].first_chunk().expect("the border is wide enough")
+        };
+        Self::from_array(&std::array::from_fn(|l| {
+            let row = |r: usize| four(first[l] + r * stride).map(|v| y[r][l] * v);
+            let [a, b, c, d] = [row(0), row(1), row(2), row(3)];
+            let column = |k: usize| ((a[k] + b[k]) + c[k]) + d[k];
+            (column(0) * x[0][l] + column(1) * x[1][l])
+                + (column(2) * x[2][l] + column(3) * x[3][l])
+        }))
     }
 
     /// The eight values of `row` from index `at` on.
@@ -113,6 +171,17 @@ pub trait F32x8:
         Self::from_array(row[at..].first_chunk().expect("rows are padded to whole vectors"))
     }
 
+    /// As [`Self::load`], without a bounds check.
+    ///
+    /// # Safety
+    /// `row` has at least eight values from index `at` on.
+    #[inline(always)]
+    unsafe fn load_unchecked(row: &[f32], at: usize) -> Self {
+        debug_assert!(at + LANES <= row.len());
+        // SAFETY: the caller's.
+        Self::from_array(unsafe { &*row.as_ptr().add(at).cast() })
+    }
+
     /// Writes the eight values to `row` from index `at` on.
     ///
     /// # Panics
@@ -120,13 +189,6 @@ pub trait F32x8:
     #[inline(always)]
     fn store(self, row: &mut [f32], at: usize) {
         row[at..at + LANES].copy_from_slice(&self.to_array());
-    }
-
-    /// The sum of the eight values, added pairwise in `f32`.
-    #[inline(always)]
-    fn sum(self) -> f64 {
-        let [a, b, c, d, e, f, g, h] = self.to_array();
-        f64::from(((a + e) + (c + g)) + ((b + f) + (d + h)))
     }
 
     /// [`Self::splat`] of each.
@@ -163,6 +225,7 @@ macro_rules! operator {
         }
     };
 }
+
 /// [`F32x8`] as an array, for every processor.
 #[derive(Clone, Copy)]
 pub struct Scalar([f32; LANES]);
@@ -181,89 +244,14 @@ operator!(Scalar, Div div, |a, b| a.zip_map(b, |a, b| a / b));
 
 impl F32x8 for Scalar {
     #[inline(always)]
-    fn splat(value: f32) -> Self {
-        Self([value; LANES])
-    }
-
-    #[inline(always)]
     fn from_array(lanes: &[f32; LANES]) -> Self {
         Self(*lanes)
-    }
-
-    #[inline(always)]
-    unsafe fn load_unchecked(row: &[f32], at: usize) -> Self {
-        // SAFETY: the caller's.
-        Self(unsafe { *row.as_ptr().add(at).cast() })
     }
 
     #[inline(always)]
     fn to_array(self) -> [f32; LANES] {
         self.0
     }
-
-    #[inline(always)]
-    fn mul_add(self, factor: Self, term: Self) -> Self {
-        self * factor + term
-    }
-
-    #[inline(always)]
-    fn sqrt(self) -> Self {
-        Self(self.0.map(f32::sqrt))
-    }
-
-    #[inline(always)]
-    fn if_below(self, other: Self, then: Self, otherwise: Self) -> Self {
-        let choice = |l: usize| if self.0[l] < other.0[l] { then.0[l] } else { otherwise.0[l] };
-        Self(std::array::from_fn(choice))
-    }
-
-    #[inline(always)]
-    fn abs(self) -> Self {
-        Self(self.0.map(f32::abs))
-    }
-
-    #[inline(always)]
-    fn min(self, other: Self) -> Self {
-        self.zip_map(other, f32::min)
-    }
-
-    #[inline(always)]
-    fn max(self, other: Self) -> Self {
-        self.zip_map(other, f32::max)
-    }
-
-    #[inline(always)]
-    fn floor_and_fraction(self) -> ([i32; LANES], Self) {
-        let whole = self.0.map(|v| {
-            let truncated = v as i32;
-            truncated - i32::from(truncated as f32 > v)
-        });
-        (whole, Self(std::array::from_fn(|l| self.0[l] - whole[l] as f32)))
-    }
-
-    #[inline(always)]
-    fn gather_4x4(
-        plane: &[f32],
-        first: &[usize; LANES],
-        stride: usize,
-        x: [Self; 4],
-        y: [Self; 4],
-    ) -> Self {
-        let mut out = [0.0; LANES];
-        for (l, out) in out.iter_mut().enumerate() {
-            let row = |r: usize| four(plane, first[l] + r * stride).map(|v| y[r].0[l] * v);
-            let [a, b, c, d] = [row(0), row(1), row(2), row(3)];
-            let column = |k: usize| ((a[k] + b[k]) + c[k]) + d[k];
-            *out = (column(0) * x[0].0[l] + column(1) * x[1].0[l])
-                + (column(2) * x[2].0[l] + column(3) * x[3].0[l]);
-        }
-        Self(out)
-    }
-}
-
-#[inline(always)]
-fn four(plane: &[f32], at: usize) -> &[f32; 4] {
-    plane[at..].first_chunk().expect("the border is wide enough")
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -288,19 +276,8 @@ mod avx2 {
 
     impl F32x8 for Avx2 {
         #[inline(always)]
-        fn splat(value: f32) -> Self {
-            unsafe { Self(_mm256_set1_ps(value)) }
-        }
-
-        #[inline(always)]
         fn from_array(lanes: &[f32; LANES]) -> Self {
             unsafe { Self(_mm256_loadu_ps(lanes.as_ptr())) }
-        }
-
-        #[inline(always)]
-        unsafe fn load_unchecked(row: &[f32], at: usize) -> Self {
-            debug_assert!(at + LANES <= row.len());
-            unsafe { Self(_mm256_loadu_ps(row.as_ptr().add(at))) }
         }
 
         #[inline(always)]
@@ -316,27 +293,6 @@ mod avx2 {
         }
 
         #[inline(always)]
-        fn sum(self) -> f64 {
-            unsafe {
-                let fours =
-                    _mm_add_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
-                let twos = _mm_add_ps(fours, _mm_movehl_ps(fours, fours));
-                let one = _mm_add_ss(twos, _mm_shuffle_ps::<1>(twos, twos));
-                f64::from(_mm_cvtss_f32(one))
-            }
-        }
-
-        #[inline(always)]
-        fn abs(self) -> Self {
-            unsafe { Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0)) }
-        }
-
-        #[inline(always)]
-        fn sqrt(self) -> Self {
-            unsafe { Self(_mm256_sqrt_ps(self.0)) }
-        }
-
-        #[inline(always)]
         fn if_below(self, other: Self, then: Self, otherwise: Self) -> Self {
             unsafe {
                 let below = _mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0);
@@ -345,12 +301,12 @@ mod avx2 {
         }
 
         #[inline(always)]
-        fn min(self, other: Self) -> Self {
+        fn simd_min(self, other: Self) -> Self {
             unsafe { Self(_mm256_min_ps(self.0, other.0)) }
         }
 
         #[inline(always)]
-        fn max(self, other: Self) -> Self {
+        fn simd_max(self, other: Self) -> Self {
             unsafe { Self(_mm256_max_ps(self.0, other.0)) }
         }
 
@@ -430,7 +386,7 @@ mod tests {
     fn exact_by<V: F32x8>(a: &[f32; LANES], b: &[f32; LANES]) -> [[f32; LANES]; 5] {
         let (a, b) = (V::from_array(a), V::from_array(b));
         let choice = a.if_below(b, V::splat(1.0), V::splat(2.0));
-        [a / b, a.abs().sqrt(), choice, a.min(b), a.max(b)].map(V::to_array)
+        [a / b, a.abs().sqrt(), choice, a.simd_min(b), a.simd_max(b)].map(V::to_array)
     }
 
     multiversion! {

@@ -400,7 +400,7 @@ fn damaged_measurements_are_made_anew() {
         Ok(found) => same(quality(&found) == whole),
         Err(error) => one_sentence(error),
     };
-    for kind in ["preparations", "plans", "points", "times"] {
+    for kind in ["preparations", "plans", "points"] {
         let files = names(kind);
         assert!(!files.is_empty(), "{kind}");
         let any = |random: &mut Random| files[below(random, files.len())].clone();

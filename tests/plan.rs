@@ -8,9 +8,10 @@ use serde_json::{Value, json};
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::LightField;
 use stlfr::lumigraph::BlendMethod;
+use stlfr::method::Method;
 use stlfr::options::{AutoOptions, ProxyMethod, RenderOptions};
 use stlfr::pipeline::{open_field, resolved};
-use stlfr::plan::{Choice, Plan, PlanStage, plan};
+use stlfr::plan::{Decision, Plan, plan};
 use stlfr::progress::Reporter;
 use stlfr::raster::{Image, read_image, write_image};
 use stlfr::raster::{encoded_from_linear, linear_from_encoded};
@@ -33,11 +34,17 @@ fn planned(scene: &Scene, change: impl FnOnce(&mut Value)) -> Plan {
     plan_of(&folder, &auto()).0
 }
 
+/// The decision of a stage; every stage has one.
 #[track_caller]
-fn assert_choices(plan: &Plan, choices: &[Choice]) {
-    for choice in choices {
-        let decision = plan.decision(choice.stage()).expect("the stage is decided");
-        assert_eq!(decision.choice, *choice, "{decision:?}");
+fn decision<'a>(plan: &'a Plan, stage: &str) -> &'a Decision {
+    plan.decisions.iter().find(|d| d.stage == stage).expect("the stage is decided")
+}
+
+#[track_caller]
+fn assert_choices(plan: &Plan, choices: &[(&str, &str)]) {
+    for (stage, method) in choices {
+        let decision = decision(plan, stage);
+        assert_eq!(decision.method, *method, "{decision:?}");
     }
 }
 
@@ -50,13 +57,13 @@ fn still() -> Scene {
 fn a_still_synchronized_wall_requires_nothing_but_a_blend() {
     let plan = planned(&still(), |_| ());
     let stages = [
-        Choice::KnownClocks,
-        Choice::Sync(SyncMethod::Nearest),
-        Choice::Straight,
-        Choice::Proxy(ProxyMethod::Plane),
-        Choice::EqualGains,
-        Choice::PinholeLenses,
-        Choice::OneDirection,
+        ("offsets", "known clocks"),
+        ("sync", "nearest"),
+        ("trajectory", "straight"),
+        ("proxy", "plane"),
+        ("gains", "equal"),
+        ("lenses", "pinhole"),
+        ("references", "one direction"),
     ];
     assert_choices(&plan, &stages);
     assert_eq!(
@@ -70,17 +77,10 @@ fn a_still_synchronized_wall_requires_nothing_but_a_blend() {
 fn what_moves_alike_is_triangulated_and_what_moves_apart_refined() {
     assert_choices(
         &planned(&Scene::default(), |_| ()),
-        &[
-            Choice::EstimatedOffsets,
-            Choice::Sync(SyncMethod::Triangulation),
-            Choice::Proxy(ProxyMethod::Plane),
-        ],
+        &[("offsets", "estimated"), ("sync", "triangulation"), ("proxy", "plane")],
     );
     let scene = Scene { board: Some([-1.5, -0.8]), ..Scene::default() };
-    assert_choices(
-        &planned(&scene, |_| ()),
-        &[Choice::Sync(SyncMethod::Refined), Choice::Proxy(ProxyMethod::Depth)],
-    );
+    assert_choices(&planned(&scene, |_| ()), &[("sync", "refined"), ("proxy", "depth")]);
     // A tenth of a pixel a frame is less than a budget, but more than nothing.
     let scene = Scene { velocity: [0.02, 0.05], ..still() };
     let plan = planned(&scene, |_| ());
@@ -103,7 +103,7 @@ fn where_nothing_changes_nothing_is_registered() {
     }
     let options = auto();
     let (plan, field) = plan_of(&folder, &options);
-    assert_choices(&plan, &[Choice::Sync(SyncMethod::Refined), Choice::PairsCrossFaded]);
+    assert_choices(&plan, &[("sync", "refined"), ("still pairs", "cross-faded")]);
     let time_s = 1.6 * FRAME_S;
     let synchronized = |camera: usize, sync: SyncMethod| {
         field
@@ -122,7 +122,7 @@ fn where_nothing_changes_nothing_is_registered() {
     assert_ne!(crossfaded, refined, "a board passes");
 
     let plan = planned(&scene, |_| ());
-    assert_choices(&plan, &[Choice::Sync(SyncMethod::Refined), Choice::PairsRegistered]);
+    assert_choices(&plan, &[("sync", "refined"), ("still pairs", "registered")]);
     assert_eq!(plan.options.interpolation.still_change, 0.0);
 }
 
@@ -140,7 +140,7 @@ fn flicker_is_not_taken_for_noise() {
     let mut options = RenderOptions::default();
     options.auto.sync = true;
     let (plan, _) = plan_of(&folder, &options);
-    assert_choices(&plan, &[Choice::PairsCrossFaded]);
+    assert_choices(&plan, &[("still pairs", "cross-faded")]);
     assert!(plan.options.interpolation.still_change < 0.001, "{plan:?}");
 }
 
@@ -150,7 +150,7 @@ fn a_smaller_budget_asks_for_more() {
     let mut options = auto();
     options.auto.budget_px = 1e-9;
     let (plan, _) = plan_of(&folder, &options);
-    assert_choices(&plan, &[Choice::Proxy(ProxyMethod::Depth)]);
+    assert_choices(&plan, &[("proxy", "depth")]);
     assert_eq!(plan.options.interpolation.still_change, 0.0);
 }
 
@@ -168,15 +168,8 @@ fn a_camera_that_records_more_light_is_corrected() {
     }
     let options = auto();
     let (plan, field) = plan_of(&folder, &options);
-    assert_choices(
-        &plan,
-        &[
-            Choice::CorrectedGains,
-            Choice::Sync(SyncMethod::Nearest),
-            Choice::Proxy(ProxyMethod::Plane),
-        ],
-    );
-    let [r, g, b] = field.gains(&plan.options.registration).of(2);
+    assert_choices(&plan, &[("gains", "corrected"), ("sync", "nearest"), ("proxy", "plane")]);
+    let [r, g, b] = field.gains(&plan.options.registration).factors[2];
     assert!([r, g, b].iter().all(|gain| (gain - 1.25).abs() < 0.02), "{r} {g} {b}");
     // Seen from there, the view is as bright as the reference records it.
     let camera = field.capture().cameras[2].camera.clone();
@@ -195,11 +188,11 @@ fn lenses_and_a_second_direction_are_seen() {
             camera["params"] = json!([p[0], p[1], p[2], p[3], -0.05, 0.0, 0.0, 0.0]);
         }
     });
-    assert_choices(&plan, &[Choice::DistortedLenses]);
-    assert!(plan.decision(PlanStage::Lenses).unwrap().measured.unwrap() > 0.1);
+    assert_choices(&plan, &[("lenses", "distorted")]);
+    assert!(decision(&plan, "lenses").measured.unwrap() > 0.1);
     let centers_m = [[-0.06, 0.0, 0.0], [0.0; 3], [0.0, 0.06, 0.0]];
     let plan = planned(&Scene { centers_m, ..still() }, |_| ());
-    assert_choices(&plan, &[Choice::TwoDirections]);
+    assert_choices(&plan, &[("references", "two directions")]);
 }
 
 #[test]
@@ -215,7 +208,7 @@ fn only_the_methods_that_are_auto_are_decided() {
     assert_eq!(planned.sync, SyncMethod::Refined);
     assert_eq!(planned.proxy.method, ProxyMethod::Plane);
     assert_eq!(planned.blend.method, BlendMethod::Uniform);
-    assert!(!planned.auto.any());
+    assert!(planned.auto.stages().is_empty());
     assert_eq!(kept, planned);
 }
 
@@ -263,20 +256,20 @@ fn held_out_frames_decide_the_weights_if_asked() {
     };
     let all = by(true, true);
     assert!([SyncMethod::Refined, SyncMethod::AllCameras].contains(&all.options.sync), "{all:?}");
-    let decision = all.decision(PlanStage::Blend).unwrap();
+    let decision = decision(&all, "blend");
     let is_better = decision.measured.expect("held-out frames were compared") > 0.0;
     let chosen = if is_better { BlendMethod::SpaceTime } else { BlendMethod::Lumigraph };
-    assert_eq!((decision.choice, all.options.blend.method), (Choice::Blend(chosen), chosen));
+    assert_eq!((decision.method, all.options.blend.method), (chosen.name(), chosen));
     let sync_only = by(true, false);
     assert_eq!(sync_only.options.blend.method, BlendMethod::Uniform);
     // Nothing is rendered for what isn't asked for.
-    assert_choices(&by(false, false), &[Choice::BlendAsGiven]);
+    assert_choices(&by(false, false), &[("blend", "as given")]);
 }
 
 #[test]
 fn without_a_frame_between_others_the_weights_are_as_given() {
     let scene = Scene { board: Some([-1.5, -0.8]), shared: [true; 3], ..Scene::default() };
-    assert_choices(&planned(&scene, |_| ()), &[Choice::BlendAsGiven]);
+    assert_choices(&planned(&scene, |_| ()), &[("blend", "as given")]);
 }
 
 #[test]

@@ -97,7 +97,7 @@ fn views_are_the_same_bytes_and_what_is_there_is_kept() {
 fn gains_are_kept_and_their_damage_is_noticed() {
     let folder = filmed();
     let expected = gains(folder.path());
-    assert!(expected.largest_difference().1 > 0.0, "measured");
+    assert!(expected.largest.1 > 0.0, "measured");
     prepared(&opened(folder.path()));
     assert_eq!(gains(folder.path()), expected);
     let file = files(folder.path()).pop().expect("the gains, the last kind");

@@ -33,7 +33,8 @@ impl Distortion {
             Self::Brown { k, p: [p1, p2] } => {
                 let (x, y) = (n.x, n.y);
                 let r2 = x * x + y * y;
-                let radial = numerator(k, r2) / denominator(k, r2);
+                let [above, below] = radial_quotient(k).map(|part| polynomial(&part, r2));
+                let radial = above / below;
                 Point2::new(
                     x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
                     y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
@@ -57,7 +58,7 @@ impl Distortion {
             Self::None => true,
             Self::Brown { k, .. } => {
                 let r2 = n.coords.norm_squared();
-                is_positive_up_to(&denominator_coefficients(k), r2)
+                is_positive_up_to(&radial_quotient(k)[1], r2)
                     && is_positive_up_to(&radial_slope(k), r2)
                     && self.derivative(n).determinant() > MIN_SLOPE
             }
@@ -116,7 +117,7 @@ impl Distortion {
         let Self::Brown { k, p: [p1, p2] } = self else { return Matrix2::identity() };
         let (x, y) = (n.x, n.y);
         let r2 = x * x + y * y;
-        let (above, below) = (numerator(k, r2), denominator(k, r2));
+        let [above, below] = radial_quotient(k).map(|part| polynomial(&part, r2));
         let above_r2 = k[0] + r2 * (2.0 * k[1] + 3.0 * k[2] * r2);
         let below_r2 = k[3] + r2 * (2.0 * k[4] + 3.0 * k[5] * r2);
         let radial = above / below;
@@ -174,22 +175,14 @@ fn polynomial<const N: usize>(coefficients: &[f64; N], s: f64) -> f64 {
     coefficients.iter().rev().fold(0.0, |sum, c| sum * s + c)
 }
 
-fn numerator(k: &[f64; 6], s: f64) -> f64 {
-    1.0 + s * (k[0] + s * (k[1] + s * k[2]))
-}
-
-fn denominator(k: &[f64; 6], s: f64) -> f64 {
-    1.0 + s * (k[3] + s * (k[4] + s * k[5]))
-}
-
-fn denominator_coefficients(k: &[f64; 6]) -> [f64; 4] {
-    [1.0, k[3], k[4], k[5]]
+/// Coefficients of the numerator and the denominator of Brown's radial part, in powers of s = r².
+fn radial_quotient(k: &[f64; 6]) -> [[f64; 4]; 2] {
+    [[1.0, k[0], k[1], k[2]], [1.0, k[3], k[4], k[5]]]
 }
 
 /// Slope of the radial distortion r N/D, times D²: N D + 2 s (N′ D − N D′), in powers of s = r².
 fn radial_slope(k: &[f64; 6]) -> [f64; 7] {
-    let above = [1.0, k[0], k[1], k[2]];
-    let below = denominator_coefficients(k);
+    let [above, below] = radial_quotient(k);
     let mut slope = [0.0; 7];
     for (i, a) in above.iter().enumerate() {
         for (j, b) in below.iter().enumerate() {
@@ -286,10 +279,11 @@ mod tests {
     #[test]
     fn the_radial_slope_is_the_derivative() {
         let k = [-0.3, 0.1, 0.02, 0.2, -0.05, 0.01];
-        let radial = |r: f64| r * numerator(&k, r * r) / denominator(&k, r * r);
+        let [above, below] = radial_quotient(&k);
+        let radial = |r: f64| r * polynomial(&above, r * r) / polynomial(&below, r * r);
         for r in [0.1, 0.5, 1.1] {
             let by_difference = (radial(r + 1e-5) - radial(r - 1e-5)) / 2e-5;
-            let d = denominator(&k, r * r);
+            let d = polynomial(&below, r * r);
             assert!((polynomial(&radial_slope(&k), r * r) / (d * d) - by_difference).abs() < 1e-9);
         }
     }

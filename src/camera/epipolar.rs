@@ -61,17 +61,8 @@ impl EpipolarGeometry {
         let essential = t.cross_matrix() * rotation.matrix();
         let k_inv = |camera: &Camera| {
             let (fx, fy, cx, cy) = camera.model.intrinsics();
-            Matrix3::new(
-                1.0 / fx,
-                0.0,
-                -cx / fx, //
-                0.0,
-                1.0 / fy,
-                -cy / fy, //
-                0.0,
-                0.0,
-                1.0,
-            )
+            // Columns.
+            Matrix3::from([[1.0 / fx, 0.0, 0.0], [0.0, 1.0 / fy, 0.0], [-cx / fx, -cy / fy, 1.0]])
         };
         Some(Self { j_from_i: k_inv(camera_j).transpose() * essential * k_inv(camera_i) })
     }

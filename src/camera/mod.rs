@@ -98,7 +98,8 @@ impl Camera {
 
     /// Mean of the two focal lengths, pixels: the extent of one radian near the axis.
     pub fn focal_px(&self) -> f64 {
-        self.model.focal_px()
+        let (fx, fy, ..) = self.model.intrinsics();
+        0.5 * (fx + fy)
     }
 }
 

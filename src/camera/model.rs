@@ -123,24 +123,13 @@ impl CameraModel {
 
     /// The model for pixels of twice the size.
     pub fn halved(&self) -> Self {
-        let intrinsics = match self {
-            Self::SimplePinhole { .. }
-            | Self::SimpleRadial { .. }
-            | Self::Radial { .. }
-            | Self::SimpleRadialFisheye { .. }
-            | Self::RadialFisheye { .. } => 3,
-            _ => 4,
-        };
+        let has_two_focals =
+            ["PINHOLE", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV"].contains(&self.name());
+        let intrinsics = if has_two_focals { 4 } else { 3 };
         let mut params = self.params();
         params[..intrinsics].iter_mut().for_each(|v| *v *= 0.5);
         // These are the name and the number of parameters of this very model.
         Self::from_params(self.name(), &params).unwrap_or(*self)
-    }
-
-    /// Mean of fx and fy, pixels.
-    pub fn focal_px(&self) -> f64 {
-        let (fx, fy, ..) = self.intrinsics();
-        0.5 * (fx + fy)
     }
 
     /// Whether the model has no distortion.

@@ -25,13 +25,6 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Subtracts the capture's start, which keeps the precision of f64: 2.4e-7 s at Unix times, 1e-16 s near 0.
-    pub(super) fn rebase(&mut self, origin_s: f64) {
-        for t in &mut self.times_s {
-            *t -= origin_s;
-        }
-    }
-
     /// Refuses times that don't ascend. The error is a reason.
     pub(super) fn ascends(&self) -> Result<(), String> {
         match self.times_s.windows(2).position(|w| !(w[1] - w[0] >= MIN_FRAME_S)) {

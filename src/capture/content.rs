@@ -1,13 +1,16 @@
-//! The identity of a capture's content: hashes of the bytes that were read.
+//! The identity of a capture's content, hashes of the bytes that were read; and the results that the capture's cache on
+//! disk holds for this content, in postcard's binary form.
 //!
-//! Results cached on disk are keyed with it. A frame that changes after it was first read is an error, so that no result
+//! Cached results are keyed with the content. A frame that changes after it was first read is an error, so that no result
 //! gets the key of another content.
 
 use super::{Capture, CaptureError, FilmedCamera};
-use crate::host::{DiskCache, file_hashes};
+use crate::host::{CacheKind, DiskCache, ENTRY_OVERHEAD_BYTES, file_hashes};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// Hashes of the files of an opened capture. Hashes of images are set when the images are first read.
 #[derive(Debug)]
@@ -107,4 +110,47 @@ impl Capture {
     pub fn cache(&self) -> Result<DiskCache, CaptureError> {
         Ok(self.cache.for_content(self.content_hash()?))
     }
+
+    /// Loads the result for these inputs, if it is stored. If there can't be one, the capture's content isn't hashed.
+    pub(crate) fn load_stored<T: DeserializeOwned>(
+        &self,
+        kind: CacheKind,
+        inputs: &impl Serialize,
+    ) -> Option<T> {
+        let cache = self.cache.has(kind).then(|| self.cache().ok()).flatten()?;
+        postcard::from_bytes(&cache.load(kind, inputs)?).ok()
+    }
+
+    /// Computes and stores the result for these inputs, unless it is stored already.
+    ///
+    /// # Errors
+    /// Those of [`Self::cache`] and of `compute`, and [`CaptureError::Write`] if it can't be written.
+    pub(crate) fn store<T: Serialize, E: From<CaptureError>>(
+        &self,
+        kind: CacheKind,
+        inputs: &impl Serialize,
+        compute: impl FnOnce() -> Result<Arc<T>, E>,
+    ) -> Result<Stored, E> {
+        let cache = self.cache()?;
+        if let Some(content) = cache.load(kind, inputs) {
+            let bytes = content.len() as u64 + ENTRY_OVERHEAD_BYTES;
+            return Ok(Stored { bytes, was_there: true });
+        }
+        let content = postcard::to_allocvec(&*compute()?).map_err(std::io::Error::other);
+        let saved = content.and_then(|content| cache.save(kind, inputs, &content));
+        let bytes = saved.map_err(|source| {
+            let path = cache.path(kind, inputs).unwrap_or_else(|_| self.folder.clone());
+            CaptureError::Write { path, source }
+        })?;
+        Ok(Stored { bytes, was_there: false })
+    }
+}
+
+/// A result on disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stored {
+    /// Size of its file, bytes.
+    pub bytes: u64,
+    /// Whether it was stored before.
+    pub was_there: bool,
 }

@@ -2,14 +2,13 @@
 
 use super::clock::MAX_TIME_S;
 use super::video::VideoFile;
-use super::{CaptureError, CaptureSource, Clock, FilmedCamera, frames, video};
+use super::{CaptureError, CaptureSource, Clock, FilmedCamera, frames, require_size};
 use crate::camera::{CameraFormat, PoseFormat};
-use crate::raster::{BitDepth, ImageFileError, read_header};
+use crate::raster::{BitDepth, read_header};
 use crate::text::{ID_PATTERN, MAX_ID_LENGTH, check_id, printable, short};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
-use std::path::Path;
 
 /// The contents of `capture.json`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -92,44 +91,32 @@ pub struct ClockFormat {
 const MAX_NAME_LENGTH: usize = 1000;
 
 impl CaptureFormat {
-    pub(super) fn check(&self, path: &Path) -> Result<(), CaptureError> {
-        let wrong = |field: &str, reason: String| {
-            Err(CaptureError::Field { path: path.to_owned(), field: field.into(), reason })
-        };
+    /// Checks everything but what the frames decide; returns the index of the reference camera. The error is a reason.
+    pub(super) fn check(&self) -> Result<usize, String> {
         if self.format != "stlfr-capture" {
-            let reason = format!("is '{}', must be 'stlfr-capture'", short(&self.format));
-            return wrong("format", reason);
+            return Err(format!("format: is '{}', must be 'stlfr-capture'", short(&self.format)));
         }
         if self.version != 1 {
-            return wrong("version", format!("is {}, this program reads version 1", self.version));
+            return Err(format!("version: is {}, this program reads version 1", self.version));
         }
         if self.cameras.is_empty() {
-            return wrong("cameras", "a capture has at least one camera".into());
+            return Err("cameras: a capture has at least one camera".into());
         }
         if self.name.chars().count() > MAX_NAME_LENGTH || printable(&self.name) != self.name {
-            let reason =
-                format!("must be a line of at most {MAX_NAME_LENGTH} printable characters");
-            return wrong("name", reason);
+            return Err(format!(
+                "name: must be a line of at most {MAX_NAME_LENGTH} printable characters"
+            ));
         }
         let mut ids = HashSet::new();
         for (index, camera) in self.cameras.iter().enumerate() {
-            if let Err(reason) = check_id(&camera.id) {
-                return wrong(&format!("cameras[{index}].id"), reason);
-            }
+            check_id(&camera.id).map_err(|reason| format!("cameras[{index}].id: {reason}"))?;
             if !ids.insert(&camera.id) {
-                return wrong("cameras", format!("two cameras have the id '{}'", camera.id));
+                return Err(format!("cameras: two cameras have the id '{}'", camera.id));
             }
         }
-        Ok(())
-    }
-
-    pub(super) fn reference_index(&self, path: &Path) -> Result<usize, CaptureError> {
         let Some(id) = &self.reference else { return Ok((self.cameras.len() - 1) / 2) };
-        self.cameras.iter().position(|c| &c.id == id).ok_or_else(|| CaptureError::Field {
-            path: path.to_owned(),
-            field: "reference".into(),
-            reason: format!("no camera has the id '{}'", short(id)),
-        })
+        let index = self.cameras.iter().position(|camera| camera.id == *id);
+        index.ok_or_else(|| format!("reference: no camera has the id '{}'", short(id)))
     }
 }
 
@@ -139,12 +126,10 @@ impl FilmedCameraFormat {
         index: usize,
         source: &CaptureSource,
     ) -> Result<FilmedCamera, CaptureError> {
-        let (description, root) = (source.description, source.root);
-        let wrong = |field: &str, reason: String| CaptureError::Field {
-            path: description.to_owned(),
-            field: format!("cameras[{index}] ({}).{field}", self.id),
-            reason,
-        };
+        let root = source.root;
+        let name = format!("cameras[{index}] ({})", self.id);
+        let refused = |reason: String| CaptureError::content(source.description, reason);
+        let wrong = |field: &str, reason: String| refused(format!("{name}.{field}: {reason}"));
         let camera = CameraFormat {
             width: self.width,
             height: self.height,
@@ -153,30 +138,19 @@ impl FilmedCameraFormat {
             cam_from_world: self.cam_from_world.clone(),
         }
         .camera()
-        .map_err(|source| CaptureError::Camera {
-            path: description.to_owned(),
-            camera: format!("cameras[{index}] ({})", self.id),
-            source,
-        })?;
-        let (video, files) = match frames::video(root, &self.frames) {
-            Some(path) => {
-                let path = path.map_err(|e| wrong("frames", e))?;
-                let (video, files) = video::open(source, &path, |e| wrong("frames", e))?;
-                (Some(video), files)
-            }
-            None => (None, frames::find(root, &self.frames).map_err(|e| wrong("frames", e))?),
+        .map_err(|error| refused(format!("{name}.{error}")))?;
+        let video = frames::video(root, &self.frames).map_err(|e| wrong("frames", e))?;
+        let video = video.map(|path| VideoFile::open(source, path, |e| wrong("frames", e)));
+        let video = video.transpose()?;
+        let files = match &video {
+            Some(video) => video.files(),
+            None => frames::find(root, &self.frames).map_err(|e| wrong("frames", e))?,
         };
         let mut bit_depth = BitDepth::Eight;
         for frame in &files {
             let header = read_header(frame)?;
-            if (header.width, header.height) != (self.width, self.height) {
-                let path = video.as_ref().map_or(frame, |v| &v.path).clone();
-                let reason = format!(
-                    "is {}×{} pixels, its camera {}×{}",
-                    header.width, header.height, self.width, self.height
-                );
-                return Err(ImageFileError::Content { path, reason }.into());
-            }
+            let path = video.as_ref().map_or(frame, |v| &v.path);
+            require_size(path, [header.width, header.height].map(|n| n as usize), &camera)?;
             bit_depth = bit_depth.max(header.bit_depth);
         }
         let clock = self.clock.open(files.len(), video.as_ref()).map_err(|e| wrong("clock", e))?;

@@ -10,21 +10,40 @@ struct Pattern<'a> {
     after: &'a str,
 }
 
+/// Splits a pattern at its integer field: the text before it, its width, and the text after it.
+fn split(pattern: &str) -> Option<(&str, &str, &str)> {
+    let (before, rest) = pattern.split_once('%')?;
+    let (width, after) = rest.split_once('d')?;
+    Some((before, width, after))
+}
+
+/// The number of a file in a sequence, from the text of the names before and after it; `None` for other files.
+fn number<'a>(name: &'a str, before: &str, after: &str) -> Option<&'a str> {
+    let number = name.strip_prefix(before)?.strip_suffix(after)?;
+    (!number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())).then_some(number)
+}
+
+/// Whether a file name is one that a pattern gives, or that of a video.
+pub(super) fn is_named(pattern: &str, name: &str) -> bool {
+    match split(pattern) {
+        Some((before, _, after)) => number(name, before, after).is_some(),
+        None => name == pattern,
+    }
+}
+
 impl<'a> Pattern<'a> {
     fn parse(text: &'a str) -> Result<Self, String> {
-        let wrong = || {
+        let parsed = split(text).and_then(|(before, width, after)| {
+            let padded = width.is_empty() || width.starts_with('0');
+            let digits = if width.is_empty() { 0 } else { width.parse().ok()? };
+            let is_legal = padded && digits <= 18 && !after.contains('%');
+            is_legal.then_some(Self { before, digits, after })
+        });
+        parsed.ok_or_else(|| {
             format!(
                 "'{text}' is neither an image sequence such as cam0/%04d.png nor a video such as cam0.mkv"
             )
-        };
-        let (before, rest) = text.split_once('%').ok_or_else(wrong)?;
-        let (width, after) = rest.split_once('d').ok_or_else(wrong)?;
-        let padded = width.is_empty() || width.starts_with('0');
-        let digits = if width.is_empty() { 0 } else { width.parse().map_err(|_| wrong())? };
-        if !padded || digits > 18 || after.contains('%') {
-            return Err(wrong());
-        }
-        Ok(Self { before, digits, after })
+        })
     }
 
     fn name(&self, index: usize) -> String {
@@ -38,16 +57,8 @@ pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
     let parsed = Pattern::parse(pattern)?;
     must_be_relative(pattern)?;
     let mut files = Vec::new();
-    loop {
-        let path = root.join(parsed.name(files.len()));
-        let Ok(real) = path.canonicalize() else { break };
-        if !real.starts_with(root) {
-            return Err(format!("'{}' leads out of the capture", parsed.name(files.len())));
-        }
-        if !real.is_file() {
-            return Err(format!("'{}' is not a file", parsed.name(files.len())));
-        }
-        files.push(real);
+    while let Some(file) = file(root, &parsed.name(files.len()))? {
+        files.push(file);
     }
     if files.is_empty() {
         return Err(format!("'{}' does not exist", parsed.name(0)));
@@ -63,24 +74,30 @@ pub(super) fn find(root: &Path, pattern: &str) -> Result<Vec<PathBuf>, String> {
 }
 
 /// Finds the video that a camera's `frames` names; `None` if it names a sequence. The error is a reason.
-pub(super) fn video(root: &Path, name: &str) -> Option<Result<PathBuf, String>> {
-    (!name.contains('%')).then(|| {
-        must_be_relative(name)?;
-        let real =
-            root.join(name).canonicalize().map_err(|_| format!("'{name}' does not exist"))?;
-        if !real.starts_with(root) {
-            return Err(format!("'{name}' leads out of the capture"));
-        }
-        if !real.is_file() {
-            return Err(format!("'{name}' is not a file"));
-        }
-        if image::ImageFormat::from_path(&real).is_ok() {
-            return Err(format!(
-                "'{name}' is one image; a sequence is named like cam0/%04d.png, from 0 on"
-            ));
-        }
-        Ok(real)
-    })
+pub(super) fn video(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
+    if name.contains('%') {
+        return Ok(None);
+    }
+    must_be_relative(name)?;
+    let real = file(root, name)?.ok_or_else(|| format!("'{name}' does not exist"))?;
+    if image::ImageFormat::from_path(&real).is_ok() {
+        return Err(format!(
+            "'{name}' is one image; a sequence is named like cam0/%04d.png, from 0 on"
+        ));
+    }
+    Ok(Some(real))
+}
+
+/// A file in `root`, links followed; `None` if it doesn't exist. The error is a reason.
+fn file(root: &Path, name: &str) -> Result<Option<PathBuf>, String> {
+    let Ok(real) = root.join(name).canonicalize() else { return Ok(None) };
+    if !real.starts_with(root) {
+        return Err(format!("'{name}' leads out of the capture"));
+    }
+    if !real.is_file() {
+        return Err(format!("'{name}' is not a file"));
+    }
+    Ok(Some(real))
 }
 
 fn must_be_relative(name: &str) -> Result<(), String> {
@@ -94,16 +111,12 @@ fn must_be_relative(name: &str) -> Result<(), String> {
 /// The number of the first file after a gap that begins at `missing`; `None` if there is no such file.
 fn number_beyond(root: &Path, pattern: &Pattern, missing: usize) -> Option<usize> {
     let sample = root.join(pattern.name(0));
-    let file_before = Path::new(pattern.before)
-        .file_name()
-        .map_or("", |_| pattern.before.rsplit('/').next().unwrap_or(""));
-    let file_before = if pattern.before.ends_with('/') { "" } else { file_before };
+    let before = pattern.before.rsplit('/').next().unwrap_or_default();
     std::fs::read_dir(sample.parent()?)
         .ok()?
         .filter_map(|entry| {
             let name = entry.ok()?.file_name().into_string().ok()?;
-            let number: usize =
-                name.strip_prefix(file_before)?.strip_suffix(pattern.after)?.parse().ok()?;
+            let number: usize = number(&name, before, pattern.after)?.parse().ok()?;
             (number > missing && root.join(pattern.name(number)).exists()).then_some(number)
         })
         .min()

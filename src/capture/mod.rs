@@ -9,18 +9,17 @@ mod content;
 mod format;
 mod frames;
 mod output_guard;
-mod stored;
 mod truth;
 mod video;
 
 pub use clock::{Clock, MAX_DRIFT_PPM, are_frame_times, bracket};
+pub(crate) use content::Stored;
 pub use format::{CaptureFormat, ClockFormat, Color, FilmedCameraFormat};
-pub use output_guard::{OutputError, OutputGuard};
-pub(crate) use stored::Stored;
-pub use truth::{Truth, TruthError, TruthOffset, TruthVideo, TruthView, read_array};
+pub use output_guard::OutputGuard;
+pub use truth::{Truth, TruthOffset, TruthVideo, TruthView, read_array};
 pub use video::{MAX_FRAMES, VideoFile};
 
-use crate::camera::{Camera, CameraFormatError};
+use crate::camera::Camera;
 use crate::host::{DiskCache, read_text};
 use crate::json::{self, JsonError};
 use crate::progress::Reporter;
@@ -91,27 +90,21 @@ struct CaptureSource<'a> {
     opening: &'a Opening<'a>,
 }
 
-/// An error of a capture's folder. Every message is one sentence with the file and the field.
+/// An error of a capture's folder, its `truth/` included. Every message is one sentence with the file.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// A file or folder can't be read.
     #[error("{path}: {source}")]
     Read { path: PathBuf, source: std::io::Error },
-    /// `capture.json` is not JSON, or has missing or wrong fields.
+    /// A file is not JSON, or has missing or wrong fields.
     #[error("{path}: {source}")]
     Json { path: PathBuf, source: JsonError },
-    /// The cache of decoded videos can't be written.
+    /// A file or the cache of decoded videos can't be written.
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
-    /// The cache would lie outside of the capture, behind a link.
-    #[error("{path}: is a link, and the cache of a capture must lie inside of it")]
-    CacheLink { path: PathBuf },
-    /// A field's value is refused.
-    #[error("{path}: {field}: {reason}")]
-    Field { path: PathBuf, field: String, reason: String },
-    /// A camera's calibration is refused.
-    #[error("{path}: {camera}.{source}")]
-    Camera { path: PathBuf, camera: String, source: CameraFormatError },
+    /// A file's contents are refused; the reason starts with the field, if it is known.
+    #[error("{path}: {reason}")]
+    Content { path: PathBuf, reason: String },
     /// A frame can't be read, or has another size than its camera.
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
@@ -121,6 +114,12 @@ pub enum CaptureError {
     /// A video isn't decoded yet, and there is no ffmpeg.
     #[error("{path}: is a video, and reading one needs ffmpeg: install it, or run stlfr setup")]
     NoFfmpeg { path: PathBuf },
+}
+
+impl CaptureError {
+    pub(crate) fn content(path: &Path, reason: impl Into<String>) -> Self {
+        Self::Content { path: path.to_owned(), reason: reason.into() }
+    }
 }
 
 /// The JSON Schema of `capture.json`.
@@ -142,27 +141,23 @@ impl Capture {
         let text = read_text(&path, json::MAX_BYTES).map_err(JsonError::Read).map_err(failed)?;
         let format: CaptureFormat =
             json::parse(&text).map_err(JsonError::Content).map_err(failed)?;
-        format.check(&path)?;
-
+        let refused = |reason: String| CaptureError::content(&path, reason);
+        let reference = format.check().map_err(refused)?;
         let root = folder
             .canonicalize()
             .map_err(|source| CaptureError::Read { path: folder.to_owned(), source })?;
-        let reference = format.reference_index(&path)?;
         let reporter = *opening.reporter;
         let cache = DiskCache::new(&root, move |sentence| reporter.note(sentence));
         let source = CaptureSource { description: &path, root: &root, cache: &cache, opening };
-        let mut cameras = Vec::with_capacity(format.cameras.len());
-        for (index, filmed) in format.cameras.iter().enumerate() {
-            cameras.push(filmed.open(index, &source)?);
-        }
+        let filmed = format.cameras.iter().enumerate();
+        let mut cameras =
+            filmed.map(|(k, camera)| camera.open(k, &source)).collect::<Result<Vec<_>, _>>()?;
         let time_origin_s = cameras[reference].clock.times_s[0];
         for (index, camera) in cameras.iter_mut().enumerate() {
-            camera.clock.rebase(time_origin_s);
-            camera.clock.ascends().map_err(|reason| CaptureError::Field {
-                path: path.clone(),
-                field: format!("cameras[{index}] ({}).clock", camera.id),
-                reason,
-            })?;
+            // This keeps the precision of f64: 2.4e-7 s at Unix times, 1e-16 s near 0.
+            camera.clock.times_s.iter_mut().for_each(|t| *t -= time_origin_s);
+            let ascends = camera.clock.ascends();
+            ascends.map_err(|e| refused(format!("cameras[{index}] ({}).clock: {e}", camera.id)))?;
         }
         let hashes = Arc::new(ContentHashes::new(&text, &cameras));
         Ok(Self {
@@ -212,11 +207,8 @@ impl Capture {
         if self.cameras.len() > 1 {
             return Ok(());
         }
-        Err(CaptureError::Field {
-            path: self.folder.join(CAPTURE_FILE),
-            field: "cameras".into(),
-            reason: "there is one, and an offset is between two".into(),
-        })
+        let reason = "cameras: there is one, and an offset is between two";
+        Err(CaptureError::content(&self.folder.join(CAPTURE_FILE), reason))
     }
 
     /// Decodes one frame and converts it to RGB or grey, as [`FilmedCamera::color`] says.
@@ -229,18 +221,7 @@ impl Capture {
         let path = &filmed.frames[frame];
         let (image, hash) = read_hashed_image(path)?;
         self.hashes.require_unchanged(path, hash)?;
-        let (w, h) = (filmed.camera.width, filmed.camera.height);
-        if (image.width(), image.height()) != (w, h) {
-            return Err(ImageFileError::Content {
-                path: path.clone(),
-                reason: format!(
-                    "is {}×{} pixels, its camera {w}×{h}",
-                    image.width(),
-                    image.height()
-                ),
-            }
-            .into());
-        }
+        require_size(path, [image.width(), image.height()], &filmed.camera)?;
         Ok(match (filmed.color, image.channels()) {
             (Color::Rgb, 1) => image.to_rgb(),
             (Color::Gray, 3) => image.to_gray(),
@@ -258,6 +239,20 @@ impl Capture {
     pub fn bit_depth(&self) -> BitDepth {
         self.cameras.iter().map(|c| c.bit_depth).max().unwrap_or(BitDepth::Eight)
     }
+}
+
+/// Refuses an image of another size, width and height in pixels, than its camera's.
+pub(crate) fn require_size(
+    path: &Path,
+    [width, height]: [usize; 2],
+    camera: &Camera,
+) -> Result<(), ImageFileError> {
+    if [width, height] == [camera.width, camera.height] {
+        return Ok(());
+    }
+    let reason =
+        format!("is {width}×{height} pixels, its camera {}×{}", camera.width, camera.height);
+    Err(ImageFileError::Content { path: path.to_owned(), reason })
 }
 
 #[cfg(test)]

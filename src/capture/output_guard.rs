@@ -4,20 +4,12 @@
 //! the offsets and the cache, also where links lead to them. Other files in the capture's folder, and its `review/`, may
 //! be replaced. A folder into which a simulated rig films is protected as a whole.
 
-use super::{CAPTURE_FILE, frames};
+use super::{CAPTURE_FILE, CaptureError, frames};
 use crate::host::obstacle;
 use crate::json;
-use serde::Deserialize;
+use serde_json::Value;
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
-
-/// A refused output: one sentence with its path.
-#[derive(Debug, thiserror::Error)]
-#[error("{path}: {reason}")]
-pub struct OutputError {
-    pub path: PathBuf,
-    pub reason: String,
-}
 
 /// Protected paths in a capture's folder, besides its description and frames.
 const PARTS: [&str; 6] = ["truth", "colmap", ".stlfr", FILM, "offsets.json", "offsets.svg"];
@@ -44,26 +36,11 @@ struct ProtectedPaths {
     frames: HashSet<PathBuf>,
 }
 
-/// The names that a camera's frames may have: their folder, and the text before and after the number. A video has no
-/// number.
+/// The names that a camera's frames may have.
 struct FramePattern {
     folder: PathBuf,
-    before: String,
-    after: Option<String>,
-}
-
-/// The fields of `capture.json` that name frames. Other fields may be wrong.
-#[derive(Default, Deserialize)]
-struct Description {
-    format: Option<String>,
-    #[serde(default)]
-    cameras: Vec<DescribedCamera>,
-}
-
-#[derive(Deserialize)]
-struct DescribedCamera {
-    #[serde(default)]
-    frames: String,
+    /// A file name with an integer field, or a video's name.
+    name: String,
 }
 
 impl OutputGuard {
@@ -73,55 +50,50 @@ impl OutputGuard {
     }
 
     /// Refuses an output file that isn't allowed.
-    pub fn check_file(&mut self, path: &Path) -> Result<(), OutputError> {
+    pub fn check_file(&mut self, path: &Path) -> Result<(), CaptureError> {
         let name = path.as_os_str().as_encoded_bytes();
         if path.file_name().is_none() || name.ends_with(b"/") || name.ends_with(b"/.") {
-            return refuse(path, "names no file");
+            return Err(CaptureError::content(path, "names no file"));
         }
         if let Some(obstacle) = obstacle(path) {
-            return refuse(path, obstacle);
+            return Err(CaptureError::content(path, obstacle));
         }
-        self.refusal(path, ProtectedPaths::against_file)
-            .map_or(Ok(()), |reason| refuse(path, reason))
+        self.check(path, ProtectedPaths::against_file)
     }
 
     /// Refuses an output folder that isn't allowed. It will hold files with these names, which it may hold already.
-    pub fn check_folder(&mut self, path: &Path, files: &[&str]) -> Result<(), OutputError> {
+    pub fn check_folder(&mut self, path: &Path, files: &[&str]) -> Result<(), CaptureError> {
         self.check_capture(path)?;
-        if let Some(reason) = self.refusal(path, ProtectedPaths::against_folder) {
-            return refuse(path, reason);
-        }
+        self.check(path, ProtectedPaths::against_folder)?;
         files.iter().try_for_each(|file| self.check_file(&path.join(file)))
     }
 
     /// Refuses a folder for a new or unfinished capture that isn't allowed.
-    pub fn check_capture(&mut self, path: &Path) -> Result<(), OutputError> {
+    pub fn check_capture(&mut self, path: &Path) -> Result<(), CaptureError> {
         if path.symlink_metadata().is_ok() && !path.is_dir() {
-            return refuse(path, "is no folder");
+            return Err(CaptureError::content(path, "is no folder"));
         }
-        self.refusal(path, ProtectedPaths::against_capture)
-            .map_or(Ok(()), |reason| refuse(path, reason))
+        self.check(path, ProtectedPaths::against_capture)
     }
 
-    /// The reason why a capture around a path, or the command's own, refuses it.
-    fn refusal(
+    /// Refuses a path that a capture around it, or the command's own, refuses.
+    fn check(
         &mut self,
         path: &Path,
         against: fn(&ProtectedPaths, &Path) -> Option<&'static str>,
-    ) -> Option<&'static str> {
-        let absolute = std::path::absolute(path).ok()?;
+    ) -> Result<(), CaptureError> {
+        let Ok(absolute) = std::path::absolute(path) else { return Ok(()) };
         let real = real(&absolute);
         let around = absolute.ancestors().chain(real.ancestors()).map(Path::to_owned);
-        around.chain(self.own.clone()).find_map(|folder| {
+        for folder in around.chain(self.own.clone()) {
             let known = self.known.entry(folder);
             let known = known.or_insert_with_key(|folder| ProtectedPaths::of(folder));
-            known.as_ref().and_then(|protected| against(protected, &real))
-        })
+            if let Some(reason) = known.as_ref().and_then(|protected| against(protected, &real)) {
+                return Err(CaptureError::content(path, reason));
+            }
+        }
+        Ok(())
     }
-}
-
-fn refuse(path: &Path, reason: impl Into<String>) -> Result<(), OutputError> {
-    Err(OutputError { path: path.to_owned(), reason: reason.into() })
 }
 
 /// Follows the links among a path's existing folders, but not the path itself.
@@ -133,6 +105,11 @@ fn real(absolute: &Path) -> PathBuf {
     found.unwrap_or_else(|| absolute.to_owned())
 }
 
+/// Follows links; a path that doesn't exist stays as it is.
+fn followed(path: PathBuf) -> PathBuf {
+    path.canonicalize().unwrap_or(path)
+}
+
 impl ProtectedPaths {
     /// `None` for a folder that is no capture.
     fn of(folder: &Path) -> Option<Self> {
@@ -142,20 +119,23 @@ impl ProtectedPaths {
             return None;
         }
         // One that can't be read is protected all the same, as far as it can be known.
-        let read: Description = json::read(&description).unwrap_or_default();
-        if read.format.is_some_and(|format| format != "stlfr-capture") {
+        let read: Value = json::read(&description).unwrap_or_default();
+        if read["format"].as_str().is_some_and(|format| format != "stlfr-capture") {
             return None;
         }
+        let cameras = read["cameras"].as_array().into_iter().flatten();
+        let names: Vec<&str> = cameras.filter_map(|camera| camera["frames"].as_str()).collect();
         let root = folder.canonicalize().ok()?;
-        let own = |name: &str| root.join(name).canonicalize().unwrap_or_else(|_| root.join(name));
-        let frames = read.cameras.iter().map(|camera| frames::find(&root, &camera.frames));
-        let frames = frames.flatten().flatten().collect();
+        let pattern = |frames: &&str| {
+            let (folder, name) = frames.rsplit_once('/').unwrap_or((".", frames));
+            FramePattern { folder: followed(root.join(folder)), name: name.to_owned() }
+        };
         Some(Self {
             is_filming: !is_described,
-            description: own(CAPTURE_FILE),
-            parts: PARTS.map(own).to_vec(),
-            patterns: read.cameras.iter().map(|c| FramePattern::new(&root, &c.frames)).collect(),
-            frames,
+            description: followed(root.join(CAPTURE_FILE)),
+            parts: PARTS.map(|name| followed(root.join(name))).to_vec(),
+            patterns: names.iter().map(pattern).collect(),
+            frames: names.iter().flat_map(|name| frames::find(&root, name)).flatten().collect(),
             root,
         })
     }
@@ -189,26 +169,10 @@ impl ProtectedPaths {
 }
 
 impl FramePattern {
-    fn new(root: &Path, frames: &str) -> Self {
-        let (folder, name) = frames.rsplit_once('/').unwrap_or((".", frames));
-        let folder = root.join(folder);
-        let number = name.split_once('%').and_then(|(before, rest)| {
-            rest.split_once('d').map(|(_, after)| (before.to_owned(), Some(after.to_owned())))
-        });
-        let (before, after) = number.unwrap_or_else(|| (name.to_owned(), None));
-        Self { folder: folder.canonicalize().unwrap_or(folder), before, after }
-    }
-
     fn names(&self, real: &Path) -> bool {
-        let Some(name) = real.file_name().and_then(|name| name.to_str()) else { return false };
-        let is_name = match &self.after {
-            None => name == self.before,
-            Some(after) => name
-                .strip_prefix(self.before.as_str())
-                .and_then(|rest| rest.strip_suffix(after.as_str()))
-                .is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit())),
-        };
-        is_name && real.parent() == Some(&self.folder)
+        let name = real.file_name().and_then(|name| name.to_str());
+        real.parent() == Some(&self.folder)
+            && name.is_some_and(|name| frames::is_named(&self.name, name))
     }
 }
 
@@ -326,7 +290,7 @@ mod tests {
         std::fs::create_dir(folder.path().join(FILM)).unwrap();
         let mut guard = OutputGuard::new(None);
         let message = guard.check_file(&folder.path().join("cam0/0000.png")).unwrap_err();
-        assert!(message.reason.contains("not filmed to its end"), "{message}");
+        assert!(message.to_string().contains("not filmed to its end"), "{message}");
         guard.check_capture(folder.path()).unwrap();
     }
 }

@@ -40,7 +40,8 @@
 //! `stlfr compare CAPTURE --offsets FILE` prints each camera's error in frames, its error in
 //! standard errors, the median and the maximum.
 
-use crate::camera::{Camera, CameraFormat, CameraFormatError};
+use super::CaptureError;
+use crate::camera::CameraFormat;
 use crate::host::read_bytes;
 use crate::json::{self, JsonError};
 use crate::text::check_id;
@@ -140,68 +141,43 @@ pub struct TruthVideo {
     pub images: String,
 }
 
-/// An error of `truth/`. Every message is one sentence with the file.
-#[derive(Debug, thiserror::Error)]
-pub enum TruthError {
-    /// A file can't be read.
-    #[error("{path}: {source}")]
-    Read { path: PathBuf, source: std::io::Error },
-    /// A file is not JSON, or has missing or wrong fields.
-    #[error("{path}: {source}")]
-    Json { path: PathBuf, source: JsonError },
-    /// A file's contents are refused.
-    #[error("{path}: {reason}")]
-    Content { path: PathBuf, reason: String },
-    /// A view's calibration is refused.
-    #[error("{path}: views[{index}].camera.{source}")]
-    Camera { path: PathBuf, index: usize, source: CameraFormatError },
-}
-
 impl Truth {
     /// Reads `CAPTURE/truth/truth.json`; `None` if the capture has no truth.
-    pub fn open(capture: &Path) -> Result<Option<Self>, TruthError> {
+    pub fn open(capture: &Path) -> Result<Option<Self>, CaptureError> {
         let folder = capture.join("truth");
         let path = folder.join("truth.json");
         let mut truth: Self = match json::read(&path) {
             Err(JsonError::Read(e)) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(source) => return Err(TruthError::Json { path, source }),
+            Err(source) => return Err(CaptureError::Json { path, source }),
             Ok(truth) => truth,
         };
-        if truth.format != "stlfr-truth" || truth.version != 1 {
-            return Err(TruthError::Content {
-                path,
-                reason: "format and version must be 'stlfr-truth' and 1".into(),
-            });
-        }
-        if truth.views.len() > MAX_VIEWS {
-            let reason = format!("views: are {}, at most {MAX_VIEWS} are read", truth.views.len());
-            return Err(TruthError::Content { path, reason });
-        }
-        truth.check_ids().map_err(|reason| TruthError::Content { path: path.clone(), reason })?;
-        for (index, view) in truth.views.iter().enumerate() {
-            view.camera().map_err(|source| TruthError::Camera {
-                path: path.clone(),
-                index,
-                source,
-            })?;
-        }
+        truth.check().map_err(|reason| CaptureError::Content { path, reason })?;
         truth.folder = folder;
         Ok(Some(truth))
     }
 
-    /// Refuses ids that `capture.json` couldn't have. The error is a reason.
-    fn check_ids(&self) -> Result<(), String> {
-        let checked = |list: &str, index: usize, field: &str, id: &str| {
-            check_id(id).map_err(|reason| format!("{list}[{index}].{field}: {reason}"))
-        };
-        let mut offsets = self.offsets.iter().enumerate();
-        offsets.try_for_each(|(n, o)| checked("offsets", n, "id", &o.id))?;
-        let mut shutter = self.shutter.iter().enumerate();
-        shutter.try_for_each(|(n, s)| checked("shutter", n, "id", &s.id))?;
-        let mut views = self.views.iter().enumerate();
-        views.try_for_each(|(n, v)| checked("views", n, "id", &v.id))?;
-        let video = self.video.iter().map(|v| check_id(&v.view));
-        video.collect::<Result<(), _>>().map_err(|reason| format!("video.view: {reason}"))
+    /// Refuses another format, ids that `capture.json` couldn't have, and wrong cameras. The error is a reason.
+    fn check(&self) -> Result<(), String> {
+        if self.format != "stlfr-truth" || self.version != 1 {
+            return Err("format and version must be 'stlfr-truth' and 1".into());
+        }
+        if self.views.len() > MAX_VIEWS {
+            return Err(format!("views: are {}, at most {MAX_VIEWS} are read", self.views.len()));
+        }
+        let offsets = self.offsets.iter().map(|o| &o.id).enumerate();
+        let shutter = self.shutter.iter().map(|s| &s.id).enumerate();
+        let views = self.views.iter().map(|v| &v.id).enumerate();
+        let ids = offsets.map(|(n, id)| (format!("offsets[{n}].id"), id));
+        let ids = ids.chain(shutter.map(|(n, id)| (format!("shutter[{n}].id"), id)));
+        let ids = ids.chain(views.map(|(n, id)| (format!("views[{n}].id"), id)));
+        let video = self.video.iter().map(|video| ("video.view".into(), &video.view));
+        for (field, id) in ids.chain(video) {
+            check_id(id).map_err(|reason| format!("{field}: {reason}"))?;
+        }
+        for (index, view) in self.views.iter().enumerate() {
+            view.camera.camera().map_err(|error| format!("views[{index}].camera.{error}"))?;
+        }
+        Ok(())
     }
 
     /// A camera's true offset, seconds; `None` for an unknown id.
@@ -214,29 +190,17 @@ impl Truth {
         self.offsets.iter().find(|o| o.id == id)
     }
 
-    /// A camera's true exposure times, seconds on the reference's clock; `None` for an unknown id.
-    pub fn shutter_s(&self, id: &str) -> Option<&[f64]> {
-        self.shutter.iter().find(|s| s.id == id).map(|s| s.times_s.as_slice())
-    }
-
     /// The path of a file. An error if it doesn't exist, or lies outside of `truth/`.
-    pub fn file(&self, relative: &str) -> Result<PathBuf, TruthError> {
+    pub fn file(&self, relative: &str) -> Result<PathBuf, CaptureError> {
         let path = self.folder.join(relative);
         let inside = Path::new(relative).components().all(|c| matches!(c, Component::Normal(_)));
         let root = self.folder.canonicalize();
         let real = path.canonicalize();
         match (inside, root, real) {
             (true, Ok(root), Ok(real)) if real.starts_with(&root) => Ok(real),
-            (true, _, Err(source)) => Err(TruthError::Read { path, source }),
-            _ => Err(TruthError::Content { path, reason: "must stay inside truth/".into() }),
+            (true, _, Err(source)) => Err(CaptureError::Read { path, source }),
+            _ => Err(CaptureError::content(&path, "must stay inside truth/")),
         }
-    }
-}
-
-impl TruthView {
-    /// The view's camera, which [`Truth::open`] has checked.
-    pub fn camera(&self) -> Result<Camera, CameraFormatError> {
-        self.camera.camera()
     }
 }
 
@@ -247,10 +211,10 @@ const MAX_ARRAY_BYTES: u64 = (256 << 20) + 10 + 0xffff;
 ///
 /// # Errors
 /// For another type, Fortran's order, another number of axes, or a size that the header contradicts.
-pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), TruthError> {
+pub fn read_array(path: &Path) -> Result<(usize, usize, Vec<f32>), CaptureError> {
     let bytes = read_bytes(path, MAX_ARRAY_BYTES)
-        .map_err(|source| TruthError::Read { path: path.to_owned(), source })?;
-    parse_array(&bytes).map_err(|reason| TruthError::Content { path: path.to_owned(), reason })
+        .map_err(|source| CaptureError::Read { path: path.to_owned(), source })?;
+    parse_array(&bytes).map_err(|reason| CaptureError::content(path, reason))
 }
 
 /// Parses an array of little-endian float32. The error is a reason.

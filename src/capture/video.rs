@@ -28,19 +28,19 @@ const STAMPS_FILE: &str = "frames.json";
 /// Rounding of time stamps, seconds: Matroska's are whole milliseconds.
 const ROUNDING_S: f64 = 2e-3;
 
-/// A camera's video file.
+/// A camera's video file, decoded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VideoFile {
     /// The video, links followed.
     pub path: PathBuf,
     /// Hash of its bytes.
     pub(super) hash: blake3::Hash,
+    /// The cache's folder of decoded frames.
+    folder: PathBuf,
     /// Hashes of the decoded frames' files.
     pub(super) frames: Vec<blake3::Hash>,
     /// The video's own time stamps, seconds.
-    pub(super) stamps_s: Vec<f64>,
-    /// The file that lists the time stamps.
-    pub(super) stamps_file: PathBuf,
+    stamps_s: Vec<f64>,
 }
 
 /// The cache entry of a decoded video.
@@ -52,131 +52,136 @@ struct DecodedVideo {
     frames: Vec<String>,
 }
 
-/// A video of a capture, with its cache entry.
-struct SourceVideo<'a> {
-    source: &'a CaptureSource<'a>,
-    path: &'a Path,
-    /// Its file name.
-    name: String,
-    hash: blake3::Hash,
-    /// The cache entry.
-    entry: PathBuf,
-    /// The folder of decoded frames.
-    folder: PathBuf,
-}
-
-/// Opens a video and decodes it unless its frames are cached; returns it with its frame files. `wrong` makes an error of a
-/// reason.
-pub(super) fn open(
-    source: &CaptureSource,
-    path: &Path,
-    wrong: impl Fn(String) -> CaptureError,
-) -> Result<(VideoFile, Vec<PathBuf>), CaptureError> {
-    let cache = source.cache;
-    if let Some(path) = cache.link(DECODED_VIDEOS) {
-        return Err(CaptureError::CacheLink { path });
-    }
-    let hash = hash(cache, path)?;
-    let failed = |source| CaptureError::Write { path: path.to_owned(), source };
-    let video = SourceVideo {
-        source,
-        path,
-        name: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
-        hash,
-        entry: cache.path(DECODED_VIDEOS, hash.as_bytes()).map_err(failed)?,
-        folder: cache.files(DECODED_VIDEOS, hash.as_bytes()).map_err(failed)?,
-    };
-    cache.pin(&video.entry);
-    let (frames, stamps_s) = match video.cached() {
-        Some(cached) => cached,
-        None => video.decode(&wrong)?,
-    };
-    let files = (0..frames.len()).map(|k| video.folder.join(frame_name(k))).collect();
-    let stamps_file = video.folder.join(STAMPS_FILE);
-    Ok((VideoFile { path: path.to_owned(), hash, frames, stamps_s, stamps_file }, files))
-}
-
 fn hash(cache: &DiskCache, path: &Path) -> Result<blake3::Hash, CaptureError> {
     let found = file_hashes(cache, &[path])
         .map_err(|(_, source)| CaptureError::Read { path: path.to_owned(), source })?;
     Ok(found[0])
 }
 
-/// Hashes of decoded frames, and their time stamps in seconds.
-type DecodedFrames = (Vec<blake3::Hash>, Vec<f64>);
-
-impl SourceVideo<'_> {
-    /// The cached frames, if they are complete and match their hashes.
-    fn cached(&self) -> Option<DecodedFrames> {
-        let cache = self.source.cache;
-        let found: DecodedVideo = cache.load_json(DECODED_VIDEOS, self.hash.as_bytes())?;
-        let hashes = matching_hashes(cache, &self.folder, &found);
-        if hashes.is_none() {
-            cache.note_damage(&self.entry);
+impl VideoFile {
+    /// Opens a video, and decodes it unless its frames are cached. `wrong` makes an error of a reason.
+    pub(super) fn open(
+        source: &CaptureSource,
+        path: PathBuf,
+        wrong: impl Fn(String) -> CaptureError,
+    ) -> Result<Self, CaptureError> {
+        let cache = source.cache;
+        if let Some(link) = cache.link(DECODED_VIDEOS) {
+            let reason = "is a link, and the cache of a capture must lie inside of it";
+            return Err(CaptureError::content(&link, reason));
         }
-        Some((hashes?, found.times_s))
+        let hash = hash(cache, &path)?;
+        let folder = match cache.files(DECODED_VIDEOS, hash.as_bytes()) {
+            Ok(folder) => folder,
+            Err(source) => return Err(CaptureError::Write { path, source }),
+        };
+        let mut video = Self { path, hash, folder, frames: Vec::new(), stamps_s: Vec::new() };
+        cache.pin(&video.entry());
+        if !video.load(cache) {
+            video.decode(source, &wrong)?;
+        }
+        Ok(video)
+    }
+
+    /// The file of the cache entry.
+    fn entry(&self) -> PathBuf {
+        self.folder.with_extension("")
+    }
+
+    /// The files of the decoded frames.
+    pub(super) fn files(&self) -> Vec<PathBuf> {
+        (0..self.frames.len()).map(|k| self.folder.join(frame_name(k))).collect()
+    }
+
+    /// Loads the cache entry; `false` unless the frames are complete and match their hashes.
+    fn load(&mut self, cache: &DiskCache) -> bool {
+        let entry = cache.load_json::<DecodedVideo>(DECODED_VIDEOS, self.hash.as_bytes());
+        let Some(entry) = entry else { return false };
+        let Some(frames) = matching_hashes(cache, &self.folder, &entry) else {
+            cache.note_damage(&self.entry());
+            return false;
+        };
+        (self.frames, self.stamps_s) = (frames, entry.times_s);
+        true
     }
 
     fn decode(
-        &self,
+        &mut self,
+        source: &CaptureSource,
         wrong: &impl Fn(String) -> CaptureError,
-    ) -> Result<DecodedFrames, CaptureError> {
-        let failed = |source| CaptureError::Write { path: self.folder.clone(), source };
-        let Some(ffmpeg) = self.source.opening.ffmpeg else {
-            return Err(CaptureError::NoFfmpeg { path: self.path.to_owned() });
+    ) -> Result<(), CaptureError> {
+        let (cache, folder) = (source.cache, self.folder.clone());
+        let failed = |source| CaptureError::Write { path: folder.clone(), source };
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let Some(ffmpeg) = source.opening.ffmpeg else {
+            return Err(CaptureError::NoFfmpeg { path: self.path.clone() });
         };
-        let parent = self.folder.parent().unwrap_or(&self.folder);
+        let parent = folder.parent().unwrap_or(&folder);
         std::fs::create_dir_all(parent).map_err(failed)?;
-        let lock = lock_file(&self.folder).map_err(failed)?;
-        let _phase = self.source.opening.reporter.phase(&format!("decoding {}", self.name));
+        let lock = lock_file(&folder).map_err(failed)?;
+        let _phase = source.opening.reporter.phase(&format!("decoding {name}"));
         lock.lock().map_err(failed)?;
-        if let Some(decoded) = self.cached() {
-            return Ok(decoded); // the process that held the lock has decoded it
+        if self.load(cache) {
+            return Ok(()); // the process that held the lock has decoded it
         }
         // Under the lock: no other process touches the folder.
-        let cache = self.source.cache;
         cache.remove(DECODED_VIDEOS, self.hash.as_bytes()).map_err(failed)?;
         let temporary = Temporary::inside(parent).map_err(failed)?;
         let partial = temporary.path().join(FRAMES);
         std::fs::create_dir(&partial).map_err(failed)?;
-        let decoded = self.decode_into(ffmpeg, &partial, wrong).map_err(|error| match error {
-            // The temporary folder is gone by then.
-            CaptureError::Write { path, source } if path.starts_with(&partial) => failed(source),
-            error => error,
-        })?;
-        temporary.place(FRAMES, &self.folder).map_err(failed)?;
-        // What was decoded may be what the video became meanwhile.
-        if hash(cache, self.path)? != self.hash {
-            return Err(CaptureError::Changed { path: self.path.to_owned() });
-        }
-        let (hashes, times_s) = decoded;
-        let frames = hashes.iter().map(|hash| hash.to_hex().to_string()).collect();
-        let entry = DecodedVideo { times_s, frames };
-        cache.save_json(DECODED_VIDEOS, self.hash.as_bytes(), &entry).map_err(failed)?;
-        Ok((hashes, entry.times_s))
-    }
-
-    fn decode_into(
-        &self,
-        ffmpeg: &Path,
-        folder: &Path,
-        wrong: &impl Fn(String) -> CaptureError,
-    ) -> Result<DecodedFrames, CaptureError> {
-        let name = &self.name;
-        let decoded = video::decode(ffmpeg, self.path, folder, MAX_FRAMES);
+        let decoded = video::decode(ffmpeg, &self.path, &partial, MAX_FRAMES);
         let times_s = decoded.map_err(|error| match error {
+            // The temporary folder is gone by then.
+            VideoError::File { path, source } if path.starts_with(&partial) => failed(source),
             VideoError::File { path, source } => CaptureError::Write { path, source },
             error => wrong(format!("'{name}' {error}")),
         })?;
-        let frames = (0..).take_while(|k| folder.join(frame_name(*k)).exists()).count();
+        let frames = (0..).take_while(|k| partial.join(frame_name(*k)).exists()).count();
         if frames == 0 || frames != times_s.len() {
             return Err(wrong(format!("'{name}' has no frames, or some without a time stamp")));
         }
-        let failed = |source| CaptureError::Write { path: folder.join(STAMPS_FILE), source };
-        let hashes = hash_frames(self.source.cache, folder, frames).map_err(failed)?;
+        self.frames = hash_frames(cache, &partial, frames).map_err(failed)?;
         let stamps = serde_json::json!({ "times_s": times_s });
-        write_json(&folder.join(STAMPS_FILE), &stamps).map_err(failed)?;
-        Ok((hashes, times_s))
+        write_json(&partial.join(STAMPS_FILE), &stamps).map_err(failed)?;
+        temporary.place(FRAMES, &folder).map_err(failed)?;
+        // What was decoded may be what the video became meanwhile.
+        if hash(cache, &self.path)? != self.hash {
+            return Err(CaptureError::Changed { path: self.path.clone() });
+        }
+        let frames = self.frames.iter().map(|hash| hash.to_string()).collect();
+        let entry = DecodedVideo { times_s, frames };
+        cache.save_json(DECODED_VIDEOS, self.hash.as_bytes(), &entry).map_err(failed)?;
+        self.stamps_s = entry.times_s;
+        Ok(())
+    }
+
+    /// Refuses a constant rate that the video's own time stamps contradict: by half a frame between two frames, or by 1 %
+    /// over all frames. Stamps may be rounded by [`ROUNDING_S`]. The error is a reason.
+    pub(super) fn agrees_with_rate(&self, rate_hz: f64) -> Result<(), String> {
+        let frame_s = 1.0 / rate_hz;
+        let gaps = self.stamps_s.windows(2).map(|w| w[1] - w[0]);
+        let uneven =
+            gaps.clone().position(|gap| !((gap - frame_s).abs() <= 0.5 * frame_s + ROUNDING_S));
+        let all_s = gaps.clone().sum::<f64>();
+        let expected_s = gaps.count() as f64 * frame_s;
+        let contradiction = if let Some(k) = uneven {
+            let gap_s = self.stamps_s[k + 1] - self.stamps_s[k];
+            format!("of frames {k} and {} are {gap_s:.4} s apart", k + 1)
+        } else if !((all_s - expected_s).abs() <= 0.01 * expected_s + ROUNDING_S) {
+            format!("say {:.4}", (self.stamps_s.len() - 1) as f64 / all_s)
+        } else {
+            return Ok(());
+        };
+        let offer = self.offer();
+        Err(format!(
+            "rate_hz is {rate_hz}, but the video's own time stamps {contradiction}; {offer}"
+        ))
+    }
+
+    /// Advice for a clock that contradicts the file.
+    pub(super) fn offer(&self) -> String {
+        let stamps = self.folder.join(STAMPS_FILE);
+        format!("give times_s (the video's own are in {})", stamps.display())
     }
 }
 
@@ -218,39 +223,6 @@ fn lock_file(folder: &Path) -> io::Result<File> {
 /// The name of the frames' folder in a temporary folder.
 const FRAMES: &str = "frames";
 
-impl VideoFile {
-    /// Refuses a constant rate that the video's own time stamps contradict: by half a frame between two frames, or by 1 %
-    /// over all frames. Stamps may be rounded by [`ROUNDING_S`]. The error is a reason.
-    pub(super) fn agrees_with_rate(&self, rate_hz: f64) -> Result<(), String> {
-        let frame_s = 1.0 / rate_hz;
-        let gaps = self.stamps_s.windows(2).map(|w| w[1] - w[0]);
-        let uneven =
-            gaps.clone().position(|gap| !((gap - frame_s).abs() <= 0.5 * frame_s + ROUNDING_S));
-        let all_s = gaps.clone().sum::<f64>();
-        let expected_s = gaps.count() as f64 * frame_s;
-        let off = !((all_s - expected_s).abs() <= 0.01 * expected_s + ROUNDING_S);
-        match (uneven, off) {
-            (None, false) => Ok(()),
-            (Some(k), _) => Err(format!(
-                "rate_hz is {rate_hz}, but the video's own time stamps of frames {k} and {} are {:.4} s apart; {}",
-                k + 1,
-                self.stamps_s[k + 1] - self.stamps_s[k],
-                self.offer()
-            )),
-            (None, true) => Err(format!(
-                "rate_hz is {rate_hz}, but the video's own time stamps say {:.4}; {}",
-                (self.stamps_s.len() - 1) as f64 / all_s,
-                self.offer()
-            )),
-        }
-    }
-
-    /// Advice for a clock that contradicts the file.
-    pub(super) fn offer(&self) -> String {
-        format!("give times_s (the video's own are in {})", self.stamps_file.display())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -261,7 +233,7 @@ mod tests {
             hash: blake3::hash(b""),
             frames: Vec::new(),
             stamps_s: stamps_s.to_vec(),
-            stamps_file: "frames.json".into(),
+            folder: PathBuf::new(),
         }
     }
 

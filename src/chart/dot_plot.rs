@@ -3,8 +3,8 @@
 //! Every element has a CSS class of the page, so that its colours follow a light or a dark scheme.
 
 use super::axis::{Axis, tick_text};
-use super::drawing::Drawing;
-use minijinja::HtmlEscape;
+use super::template::filled;
+use minijinja::{Value, context};
 
 /// Rows of dots on a common axis.
 #[derive(Clone, Debug, Default)]
@@ -33,54 +33,12 @@ pub struct Dot {
     pub bar: Option<f64>,
     /// Its colour: the page's class `s0` to `s5`, modulo 6.
     pub series: usize,
-    /// The text that hovering shows.
+    /// The text that appears under the pointer.
     pub title: String,
 }
 
 /// CSS classes of colours that a page has.
 const SERIES_CLASSES: usize = 6;
-
-/// Distances in a plot, pixels.
-struct PlotLayout {
-    /// CSS class.
-    class: &'static str,
-    width: f64,
-    /// Left end of the axis.
-    left: f64,
-    row_height: f64,
-    /// The dots' distance below the top of their row.
-    dots_below: f64,
-    /// The label's position from the left top of its row.
-    label_at: [f64; 2],
-    label_anchor: &'static str,
-}
-
-/// Labels beside the dots.
-const WIDE: PlotLayout = PlotLayout {
-    class: "wide",
-    width: 720.0,
-    left: 150.0,
-    row_height: 24.0,
-    dots_below: 12.0,
-    label_at: [138.0, 16.0],
-    label_anchor: "end",
-};
-
-/// Labels above the dots, for a telephone.
-const NARROW: PlotLayout = PlotLayout {
-    class: "narrow",
-    width: 340.0,
-    left: 12.0,
-    row_height: 38.4,
-    dots_below: 26.4,
-    label_at: [0.0, 14.4],
-    label_anchor: "start",
-};
-
-const RIGHT_MARGIN: f64 = 16.0;
-const TOP: f64 = 8.0;
-/// Room for ticks and the axis's label below the rows.
-const FOOT: f64 = 44.0;
 
 impl Dot {
     fn is_finite(&self) -> bool {
@@ -106,48 +64,28 @@ impl DotPlot {
         if self.symmetric {
             ends.extend(ends.iter().map(|v| -v).collect::<Vec<_>>());
         }
-        let drawn = |layout: &PlotLayout| {
-            let right = layout.width - RIGHT_MARGIN;
-            self.drawn(&Axis::around(ends.iter().copied(), false, layout.left, right), layout)
+        // Positions are fractions of the plot's width.
+        let axis = Axis::around(ends.into_iter(), false, 0.0, 1.0);
+        let tick = |tick: f64| {
+            let is_zero = self.symmetric && tick == 0.0;
+            Some(context! { at => axis.at(tick)?, text => tick_text(tick), is_zero })
         };
-        drawn(&WIDE) + &drawn(&NARROW)
-    }
-
-    fn drawn(&self, axis: &Axis, layout: &PlotLayout) -> String {
-        let mut drawing = Drawing::default();
-        let bottom = TOP + layout.row_height * self.rows.len() as f64;
-        for tick in axis.ticks() {
-            let Some(at) = axis.at(tick) else { continue };
-            let is_zero_line = self.symmetric && tick == 0.0;
-            let style = if is_zero_line { "class=\"zero\"" } else { "class=\"grid\"" };
-            drawing.path(&[[at, TOP], [at, bottom]], style);
-            drawing.text([at, bottom + 16.0], &tick_text(tick), "middle", "class=\"tick\"");
-        }
-        let middle = (layout.left + layout.width - RIGHT_MARGIN) / 2.0;
-        drawing.text([middle, bottom + 36.0], &self.x_label, "middle", "class=\"tick\"");
-        for (k, row) in self.rows.iter().enumerate() {
-            drawing.origin = [0.0, TOP + layout.row_height * k as f64];
-            drawing.text(layout.label_at, &row.label, layout.label_anchor, "class=\"label\"");
-            for dot in row.dots.iter().filter(|d| d.is_finite()) {
-                dot.draw(&mut drawing, axis, layout.dots_below);
-            }
-        }
-        let label = HtmlEscape(self.x_label.as_str());
-        let attributes =
-            format!("class=\"plot {}\" role=\"img\" aria-label=\"{label}\"", layout.class);
-        drawing.svg(&attributes, [layout.width, bottom + FOOT], "")
-    }
-}
-
-impl Dot {
-    fn draw(&self, drawing: &mut Drawing, axis: &Axis, y: f64) {
-        let class = format!("s{}", self.series % SERIES_CLASSES);
-        if let ([Some(low), Some(high)], Some(_)) = (self.ends().map(|v| axis.at(v)), self.bar) {
-            drawing.path(&[[low, y], [high, y]], &format!("class=\"bar {class}\""));
-        }
-        if let Some(x) = axis.at(self.value) {
-            drawing.disc([x, y], 4.5, &format!("class=\"{class}\""), &self.title);
-        }
+        let dot = |dot: &Dot| {
+            let [low, high] = dot.ends().map(|v| axis.at(v));
+            Some(context! {
+                at => axis.at(dot.value).filter(|_| dot.is_finite())?,
+                bar => dot.bar.and(low.zip(high)),
+                series => dot.series % SERIES_CLASSES,
+                title => &dot.title,
+            })
+        };
+        let row = |row: &DotRow| {
+            let dots: Vec<Value> = row.dots.iter().filter_map(dot).collect();
+            context! { label => &row.label, dots }
+        };
+        let ticks: Vec<Value> = axis.ticks().into_iter().filter_map(tick).collect();
+        let rows: Vec<Value> = self.rows.iter().map(row).collect();
+        filled(include_str!("dot_plot.svg"), context! { x_label => &self.x_label, ticks, rows })
     }
 }
 

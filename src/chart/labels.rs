@@ -1,6 +1,6 @@
 //! Placement of texts beside points, without overlaps.
 
-use super::drawing::{ADVANCE, TEXT_SIZE};
+use super::template::{ADVANCE, TEXT_SIZE};
 
 /// A box on the page: left, top, right and bottom.
 pub(super) type Box4 = [f64; 4];

@@ -1,8 +1,9 @@
 //! Line and scatter charts, with ticks, error bars, labels and a key.
 
 use super::axis::{Axis, tick_text};
-use super::drawing::{ADVANCE, Drawing, TEXT_SIZE};
 use super::labels::{self, Box4};
+use super::template::{ADVANCE, TEXT_SIZE, filled};
+use minijinja::{Value, context};
 
 /// A line or scatter chart. The default is empty, with linear axes.
 #[derive(Clone, Debug, Default)]
@@ -80,13 +81,6 @@ const KEYED: f64 = 1.4;
 const COLORS: [&str; 8] =
     ["#0b62a4", "#d1495b", "#2a9d5c", "#8a5fbf", "#c77d00", "#00868b", "#6b4c3b", "#555555"];
 const FAINT: &str = "#b4b4b4";
-const FRAME: &str = "#888888";
-const GRID: &str = "#e4e4e4";
-/// Standalone files need it; elements inside HTML do not.
-const NAMESPACE: &str = "xmlns=\"http://www.w3.org/2000/svg\"";
-const RULE: &str = "stroke=\"#333333\" stroke-width=\"1\" stroke-dasharray=\"5 4\"";
-const PLAIN: &str = "fill=\"#000000\"";
-const BOLD: &str = "font-weight=\"bold\" fill=\"#000000\"";
 
 /// Charts side by side, `columns` a row, as one standalone SVG file.
 ///
@@ -96,26 +90,17 @@ pub fn svg(charts: &[Chart], columns: usize) -> String {
     let rows = charts.len().div_ceil(columns);
     let sizes = charts.iter().map(Chart::size);
     let [w, h] = sizes.fold([WIDTH, HEIGHT], |a, b| [a[0].max(b[0]), a[1].max(b[1])]);
-    let size @ [width, height] = [w * columns as f64, h * rows as f64];
-    let mut page = Drawing::on_white(size);
-    for (k, chart) in charts.iter().enumerate() {
-        page.origin = [w * (k % columns) as f64, h * (k / columns) as f64];
-        chart.draw(&mut page);
-    }
-    let attributes = format!(
-        "width=\"{width}\" height=\"{height}\" font-family=\"'Noto Sans Mono', monospace\" \
-         font-size=\"{TEXT_SIZE}\""
-    );
-    page.svg(NAMESPACE, size, &attributes)
-}
-
-/// The style of a line.
-fn stroke(color: &str, width: f64) -> String {
-    format!("stroke=\"{color}\" stroke-width=\"{width}\"")
-}
-
-fn fill(color: &str) -> String {
-    format!("fill=\"{color}\"")
+    let chart = |(k, chart): (usize, &Chart)| {
+        context! { origin => [w * (k % columns) as f64, h * (k / columns) as f64], ..chart.drawn() }
+    };
+    let page = context! {
+        width => (w * columns as f64).to_string(),
+        height => (h * rows as f64).to_string(),
+        text_size => TEXT_SIZE,
+        row => ROW,
+        charts => charts.iter().enumerate().map(chart).collect::<Vec<_>>(),
+    };
+    filled(include_str!("line_chart.svg"), page)
 }
 
 /// A chart's axes, and the frame that they span.
@@ -164,60 +149,32 @@ impl Chart {
         Axes { x, y, frame }
     }
 
-    fn draw(&self, page: &mut Drawing) {
+    /// The values that the template draws, in pixels from the chart's top left corner.
+    fn drawn(&self) -> Value {
         let axes = self.axes();
-        let [left, top, right, bottom] = axes.frame;
-        self.draw_grid(page, &axes);
-        for (value, label) in &self.rules {
-            let Some(at) = axes.y.at(*value) else { continue };
-            page.path(&[[left, at], [right, at]], RULE);
-            page.text([right - 4.0, at - 4.0], label, "end", PLAIN);
-        }
-        for (k, series) in self.series.iter().enumerate() {
-            series.draw(page, &axes, self.color(k));
-        }
-        self.draw_labels(page, &axes);
-        self.draw_legend(page, &axes);
-        let corners = [[left, top], [right, top], [right, bottom], [left, bottom], [left, top]];
-        page.path(&corners, &stroke(FRAME, 1.0));
-        for (row, line) in self.key.iter().enumerate() {
-            let at = [right + 16.0, top + 10.0 + ROW * (self.key_from() + row) as f64];
-            page.text(at, line, "start", PLAIN);
-        }
-    }
-
-    fn color(&self, series: usize) -> &'static str {
-        if self.series[series].faint { FAINT } else { COLORS[series % COLORS.len()] }
-    }
-
-    /// Draws ticks with their grid lines, the title and the axes' labels.
-    fn draw_grid(&self, page: &mut Drawing, axes: &Axes) {
-        let [left, top, right, bottom] = axes.frame;
-        for tick in axes.x.ticks() {
-            let Some(at) = axes.x.at(tick) else { continue };
-            page.path(&[[at, top], [at, bottom]], &stroke(GRID, 1.0));
-            page.text([at, bottom + 15.0], &tick_text(tick), "middle", PLAIN);
-        }
-        for tick in axes.y.ticks() {
-            let Some(at) = axes.y.at(tick) else { continue };
-            page.path(&[[left, at], [right, at]], &stroke(GRID, 1.0));
-            page.text([left - 6.0, at + 4.0], &tick_text(tick), "end", PLAIN);
-        }
-        let middle = 0.5 * (left + right);
-        page.text([middle, 20.0], &self.title, "middle", BOLD);
-        page.text([middle, bottom + 36.0], &self.x_label, "middle", PLAIN);
-        page.upward_text([14.0, 0.5 * (top + bottom)], &self.y_label, PLAIN);
-    }
-
-    /// Draws the series' colours and labels: above the key, or inside the frame if there is no key.
-    fn draw_legend(&self, page: &mut Drawing, axes: &Axes) {
-        let [left, top, right, _] = axes.frame;
-        let labelled = self.series.iter().enumerate().filter(|(_, s)| !s.label.is_empty());
-        let beside = if self.key.is_empty() { left + 8.0 } else { right + 16.0 };
-        for (row, (k, series)) in labelled.enumerate() {
-            let at = top + 14.0 + ROW * row as f64;
-            page.square([beside, at - 9.0], 10.0, &fill(self.color(k)));
-            page.text([beside + 14.0, at], &series.label, "start", PLAIN);
+        let ticks = |axis: &Axis| -> Vec<Value> {
+            let tick = |tick| Some(context! { at => axis.at(tick)?, text => tick_text(tick) });
+            axis.ticks().into_iter().filter_map(tick).collect()
+        };
+        let rule =
+            |(value, label): &(f64, String)| Some(context! { at => axes.y.at(*value)?, label });
+        let series = |(k, series): (usize, &Series)| {
+            let color = if series.faint { FAINT } else { COLORS[k % COLORS.len()] };
+            let Series { label, line, dots, .. } = series;
+            context! { label, line, dots, color, points => series.drawn(&axes) }
+        };
+        context! {
+            frame => axes.frame,
+            title => &self.title,
+            x_label => &self.x_label,
+            y_label => &self.y_label,
+            x_ticks => ticks(&axes.x),
+            y_ticks => ticks(&axes.y),
+            rules => self.rules.iter().filter_map(rule).collect::<Vec<_>>(),
+            series => self.series.iter().enumerate().map(series).collect::<Vec<_>>(),
+            labels => self.drawn_labels(&axes),
+            key => self.key.clone(),
+            key_from => self.key_from(),
         }
     }
 
@@ -230,8 +187,8 @@ impl Chart {
         [left, top, left + 26.0 + ADVANCE * longest, top + ROW * rows + 4.0]
     }
 
-    /// Draws texts beside points, clear of dots, of lines, of the legend and of each other.
-    fn draw_labels(&self, page: &mut Drawing, axes: &Axes) {
+    /// Texts beside points, clear of dots, of lines, of the legend and of each other; those that are far have a line.
+    fn drawn_labels(&self, axes: &Axes) -> Vec<Value> {
         let placed: Vec<([f64; 2], &Label)> = self
             .labels
             .iter()
@@ -247,16 +204,13 @@ impl Chart {
         if self.key.is_empty() {
             obstacles.push(self.legend_box(axes));
         }
-        for (spot, (at, label)) in
-            labels::place(&texts, &obstacles, &axes.frame).iter().zip(&placed)
-        {
+        let spots = labels::place(&texts, &obstacles, &axes.frame);
+        let drawn = |(spot, (at, label)): (&Box4, &([f64; 2], &Label))| {
             let near = [at[0].clamp(spot[0], spot[2]), at[1].clamp(spot[1], spot[3])];
-            if (near[0] - at[0]).hypot(near[1] - at[1]) > 10.0 {
-                page.path(&[*at, near], &stroke(FRAME, 0.8));
-            }
-            let style = if label.bold { BOLD } else { PLAIN };
-            page.text([spot[0], spot[3] - 2.0], &label.text, "start", style);
-        }
+            let is_far = (near[0] - at[0]).hypot(near[1] - at[1]) > 10.0;
+            context! { at, near, is_far, spot, text => &label.text, bold => label.bold }
+        };
+        spots.iter().zip(&placed).map(drawn).collect()
     }
 }
 
@@ -282,25 +236,13 @@ impl Series {
         positions
     }
 
-    fn draw(&self, page: &mut Drawing, axes: &Axes, color: &str) {
-        let placed = self.placed(axes);
-        if self.line && placed.len() > 1 {
-            let points: Vec<_> = placed.iter().map(|(at, _)| *at).collect();
-            page.path(&points, &stroke(color, 1.8));
-        }
-        for (at, point) in placed {
-            let ends = axes.y.at(point.y - point.bar).zip(axes.y.at(point.y + point.bar));
-            if let Some((low, high)) = ends.filter(|_| point.bar > 0.0) {
-                page.path(&[[at[0], low], [at[0], high]], &stroke(color, 1.0));
-            }
-            let ends = point.x_range.and_then(|(a, b)| axes.x.at(a).zip(axes.x.at(b)));
-            if let Some((low, high)) = ends {
-                page.path(&[[low, at[1]], [high, at[1]]], &stroke(color, 1.0));
-            }
-            if self.dots {
-                page.disc(at, 2.8, &fill(color), "");
-            }
-        }
+    fn drawn(&self, axes: &Axes) -> Vec<Value> {
+        let drawn = |(at, point): ([f64; 2], ChartPoint)| {
+            let y_bar = axes.y.at(point.y - point.bar).zip(axes.y.at(point.y + point.bar));
+            let x_bar = point.x_range.and_then(|(a, b)| axes.x.at(a).zip(axes.x.at(b)));
+            context! { at, y_bar => y_bar.filter(|_| point.bar > 0.0), x_bar }
+        };
+        self.placed(axes).into_iter().map(drawn).collect()
     }
 }
 
@@ -349,6 +291,25 @@ mod tests {
             }
         }
         assert!(svg(&[], 2).ends_with("</svg>\n"));
+    }
+
+    #[test]
+    fn elements_are_where_they_belong() {
+        let mut chart = chart(&[(0.0, 0.0), (1.0, 1.0)], false);
+        chart.rules = vec![(0.5, "a<b".into())];
+        let svg = svg(&[chart.clone(), chart], 2);
+        assert!(svg.contains("viewBox=\"0 0 1120 340\"") && svg.ends_with("</svg>\n"));
+        // Left, in the middle and right of the frame, of either chart.
+        for line in ["74.0,163.0 544.0,163.0", "634.0,163.0 1104.0,163.0"] {
+            assert!(svg.contains(&format!("points=\"{line}\"")), "{line}");
+        }
+        assert!(
+            svg.contains("x=\"540.0\" y=\"159.0\" text-anchor=\"end\"") && svg.contains("a&lt;b")
+        );
+        assert!(svg.contains(
+            "<rect x=\"642.0\" y=\"39.0\" width=\"10.0\" height=\"10.0\" fill=\"#0b62a4\"/>\n"
+        ));
+        assert!(svg.contains("translate(14.0 163.0) rotate(-90)"));
     }
 
     #[test]

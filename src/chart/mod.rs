@@ -6,15 +6,15 @@
 //! | `dot_plot.rs` | rows of labelled dots on one axis: inline, in the colours of an HTML page |
 //! | `axis.rs` | values to positions, and ticks |
 //! | `labels.rs` | placement of texts beside points |
-//! | `drawing.rs` | lines, dots and texts as SVG |
+//! | `template.rs`, `*.svg` | templates of SVG |
 //!
 //! Known limits: no legend avoids the points, and labels assume a monospaced font.
 
 mod axis;
 mod dot_plot;
-mod drawing;
 mod labels;
 mod line_chart;
+mod template;
 
 pub use dot_plot::{Dot, DotPlot, DotRow};
 pub use line_chart::{Chart, ChartPoint, Label, Series, svg};

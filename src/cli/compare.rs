@@ -1,7 +1,7 @@
 //! `stlfr compare`
 
 use super::CliError;
-use super::files::{CommandOutput, OptionsArgs, open_capture};
+use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture};
 use super::print::Page;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -9,14 +9,15 @@ use stlfr::capture::{Capture, Truth};
 use stlfr::compare::results::Headline;
 use stlfr::compare::video::VideoOptions;
 use stlfr::compare::{
-    CompareOptions, ComparedLightField, FILES, OffsetScore, Renderer, Summary, compare,
+    CompareOptions, ComparedLightField, FILES, Renderer, Summary, compare, errors_frames,
+    score_offsets,
 };
 use stlfr::json;
 use stlfr::method::Method;
 use stlfr::offset::{MAX_OFFSETS_BYTES, Offsets};
 use stlfr::options::RenderOptions;
 use stlfr::progress::Reporter;
-use stlfr::toolchain::{Environment, find_ffmpeg, project_root, review};
+use stlfr::toolchain::{Environment, project_root, review};
 
 /// Render what the capture has truth of, and set it beside the truth and beside traditional light
 /// field rendering: pictures, metrics.json and report.html.
@@ -43,24 +44,25 @@ pub struct CompareArgs {
 
 pub fn run(args: &CompareArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     if let Some(file) = &args.offsets {
-        return score_offsets(&args.capture, file, page, reporter);
+        return print_scores(&args.capture, file, page, reporter);
     }
     let options = args.options.read()?;
-    let capture = open_capture(&args.capture, reporter)?;
     let out = args.output.clone().unwrap_or_else(|| args.capture.join("review"));
-    let ffmpeg = args.video.then(ffmpeg).transpose()?;
-    print(&with_truth(capture, &options, &out, ffmpeg, reporter)?, page);
+    let output = CommandOutput::Folder(&out, &FILES);
+    let capture = open_capture(&args.capture, Some(output), reporter)?;
+    let summary = with_truth(capture, &options, &out, args.video, reporter)?;
+    print(&summary, page);
     Ok(())
 }
 
 /// Scores the offsets in a file against the truth.
-fn score_offsets(
+fn print_scores(
     folder: &Path,
     file: &Path,
     page: &mut Page,
     reporter: &Reporter,
 ) -> Result<(), CliError> {
-    let capture = open_capture(folder, reporter)?;
+    let capture = open_capture(folder, None, reporter)?;
     let truth = Truth::open(folder)?.ok_or_else(|| {
         CliError::BadInput(format!("{}: has no truth to score against", folder.display()))
     })?;
@@ -68,55 +70,48 @@ fn score_offsets(
     let offsets: Offsets =
         json::read_within(file, MAX_OFFSETS_BYTES).map_err(|e| wrong(e.to_string()))?;
     let reference = &capture.cameras[capture.reference].id;
-    let score = OffsetScore::new(&offsets, &truth, reference, capture.frame_s()).map_err(wrong)?;
+    let cameras = score_offsets(&offsets, &truth, reference, capture.frame_s()).map_err(wrong)?;
     page.line(format_args!(
         "{:<12} {:>12} {:>12} {:>14} {:>8}",
         "camera", "true", "given", "error", "z"
     ));
-    for camera in &score.cameras {
-        let error = camera.error_s().map_or("unknown".to_owned(), |error_s| {
-            format!("{:+.5} frame", error_s / score.frame_s)
-        });
+    for camera in &cameras {
+        let error = camera
+            .error_frames
+            .map_or("unknown".to_owned(), |error_frames| format!("{error_frames:+.5} frame"));
         page.line(format_args!(
             "{:<12} {:>9.4} ms {:>12} {:>14} {:>8}",
-            camera.id,
-            1e3 * camera.true_s,
+            camera.camera,
+            1e3 * camera.truth_s.unwrap_or(f64::NAN),
             camera.offset_s.map_or("-".to_owned(), |s| format!("{:.4} ms", 1e3 * s)),
             error,
-            camera.z().map_or("-".to_owned(), |z| format!("{z:+.2}")),
+            camera.z.map_or("-".to_owned(), |z| format!("{z:+.2}")),
         ));
     }
-    let errors = score.errors_frames();
+    let errors = errors_frames(&cameras);
     match errors.last() {
         Some(worst) => page.line(format_args!(
             "{} of {} cameras: median error {:.5} frame, worst {worst:.5}",
             errors.len(),
-            score.cameras.len(),
+            cameras.len(),
             errors[(errors.len() - 1) / 2],
         )),
-        None => page.line(format_args!("0 of {} cameras", score.cameras.len())),
+        None => page.line(format_args!("0 of {} cameras", cameras.len())),
     }
     Ok(())
 }
 
-/// Finds ffmpeg; the error says how to install it.
-pub fn ffmpeg() -> Result<PathBuf, CliError> {
-    find_ffmpeg().ok_or_else(|| {
-        CliError::Failure("--video needs ffmpeg: install it, or run stlfr setup".into())
-    })
-}
-
-/// Renders and compares; with a video if `ffmpeg` is given.
+/// Renders and compares, with a video too if it is asked for.
 pub fn with_truth(
-    capture: Capture,
+    capture: Arc<Capture>,
     options: &RenderOptions,
     out: &Path,
-    ffmpeg: Option<PathBuf>,
+    video: bool,
     reporter: &Reporter,
 ) -> Result<Summary, CliError> {
-    CommandOutput::Folder(out, &FILES).check(Some(&capture.folder))?;
+    let ffmpeg = video.then(|| ffmpeg_for("--video")).transpose()?;
     let truth = Truth::open(&capture.folder)?;
-    let field = ComparedLightField::open(Arc::new(capture), options, reporter)?;
+    let field = ComparedLightField::open(capture, options, reporter)?;
     let compare_options = CompareOptions {
         sync: field.options().sync,
         video: ffmpeg.map(|ffmpeg| VideoOptions { ffmpeg, ..VideoOptions::default() }),

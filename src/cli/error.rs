@@ -3,144 +3,107 @@
 use super::print::heard;
 use clap::error::ErrorKind as UsageKind;
 use std::error::Error;
+use std::fmt::{Display, Formatter};
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 use std::process::ExitCode;
-use stlfr::capture::{CaptureError, TruthError};
+use stlfr::capture::CaptureError;
 use stlfr::compare::CompareError;
-use stlfr::exchange::ExchangeError;
 use stlfr::json::JsonError;
 use stlfr::light_field::RenderError;
-use stlfr::raster::ImageFileError;
-use stlfr::rig::RigError;
 use stlfr::text::printable;
-use stlfr::toolchain::{ExtensionError, ScriptError, SetupError};
+use stlfr::toolchain::ToolchainError;
 use stlfr::tradeoff::TradeoffError;
 use stlfr::video::VideoError;
 
-/// Why a command failed.
-#[derive(Debug, thiserror::Error)]
+/// Why a command failed. It is no [`Error`] itself, so that all errors of the library convert to it.
+#[derive(Debug)]
 pub enum CliError {
     /// An input is wrong: exit code 2.
-    #[error("{0}")]
     BadInput(String),
     /// The work failed: exit code 1.
-    #[error("{0}")]
     Failure(String),
 }
 
-impl From<SetupError> for CliError {
-    fn from(error: SetupError) -> Self {
-        Self::Failure(error.to_string())
+impl Display for CliError {
+    fn fmt(&self, f: &mut Formatter) -> std::fmt::Result {
+        let (Self::BadInput(sentence) | Self::Failure(sentence)) = self;
+        f.write_str(sentence)
     }
 }
 
-impl From<ScriptError> for CliError {
-    fn from(error: ScriptError) -> Self {
-        match error {
-            ScriptError::BadInput(sentence) => Self::BadInput(sentence),
-            ScriptError::Failure(sentence) => Self::Failure(sentence),
-        }
+impl<E: Error + 'static> From<E> for CliError {
+    fn from(error: E) -> Self {
+        let sentence = error.to_string();
+        if is_failure(&error) { Self::Failure(sentence) } else { Self::BadInput(sentence) }
     }
 }
 
-impl From<ExtensionError> for CliError {
-    fn from(error: ExtensionError) -> Self {
-        match error {
-            ExtensionError::Wheel(error) => error.into(),
-            ExtensionError::Package(error) => error.into(),
-        }
+/// Whether the work failed, though its inputs are right. A view that can't be rendered is bad input: a time outside the
+/// recording, a view of nothing. So is a file that is missing or must not be read.
+fn is_failure(error: &(dyn Error + 'static)) -> bool {
+    match error.downcast_ref() {
+        Some(TradeoffError::Capture(error)) => return is_failure(error),
+        Some(TradeoffError::Compare(error)) => return is_failure(error),
+        Some(TradeoffError::Render(error)) => return is_failure(error),
+        _ => {}
     }
-}
-
-/// Classifies a failed read or write: missing files, permissions and wrong kinds of files are bad input.
-pub(super) fn of_io(sentence: String, source: &std::io::Error) -> CliError {
-    match source.kind() {
-        ErrorKind::NotFound
-        | ErrorKind::PermissionDenied
-        | ErrorKind::NotADirectory
-        | ErrorKind::IsADirectory
-        | ErrorKind::InvalidFilename
-        | ErrorKind::ReadOnlyFilesystem
-        | ErrorKind::InvalidData
-        | ErrorKind::InvalidInput => CliError::BadInput(sentence),
-        _ => CliError::Failure(sentence),
+    match error.downcast_ref() {
+        Some(CompareError::Capture(error)) => return is_failure(error),
+        Some(CompareError::Report(_) | CompareError::Video(_)) => return true,
+        _ => {}
     }
-}
-
-/// The result of writing a file.
-pub(super) fn written(path: &Path, result: std::io::Result<()>) -> Result<(), CliError> {
-    result.map_err(|error| of_io(format!("{}: can't be written ({error})", path.display()), &error))
-}
-
-/// Classifies an error by its cause: by [`of_io`] if it is a failed read or write, else as bad input.
-fn by_cause(error: &dyn Error) -> CliError {
+    match error.downcast_ref() {
+        Some(RenderError::Capture(error)) => return is_failure(error),
+        Some(other) => return matches!(other, RenderError::Stopped),
+        None => {}
+    }
+    match error.downcast_ref() {
+        Some(CaptureError::NoFfmpeg { .. } | CaptureError::Changed { .. }) => return true,
+        _ if error.is::<VideoError>() => return true,
+        _ => {}
+    }
+    if let Some(error) = error.downcast_ref() {
+        return matches!(error, ToolchainError::Failure(_));
+    }
     let cause = error.source();
     let io = cause.and_then(|cause| match cause.downcast_ref() {
         Some(JsonError::Read(io)) => Some(io),
         _ => cause.downcast_ref(),
     });
-    io.map_or_else(|| CliError::BadInput(error.to_string()), |io| of_io(error.to_string(), io))
+    io.is_some_and(|io| !is_bad_input(io))
 }
 
-macro_rules! classified_by_cause {
-    ($($error:ty),+) => {
-        $(impl From<$error> for CliError {
-            fn from(error: $error) -> Self {
-                by_cause(&error)
-            }
-        })+
-    };
+/// Whether a read or write failed by a missing file, a permission or a wrong kind of file.
+fn is_bad_input(error: &std::io::Error) -> bool {
+    matches!(
+        error.kind(),
+        ErrorKind::NotFound
+            | ErrorKind::PermissionDenied
+            | ErrorKind::NotADirectory
+            | ErrorKind::IsADirectory
+            | ErrorKind::InvalidFilename
+            | ErrorKind::ReadOnlyFilesystem
+            | ErrorKind::InvalidData
+            | ErrorKind::InvalidInput
+    )
 }
-classified_by_cause!(ImageFileError, RigError, TruthError, ExchangeError);
 
-impl From<CaptureError> for CliError {
-    fn from(error: CaptureError) -> Self {
-        match error {
-            CaptureError::NoFfmpeg { .. } | CaptureError::Changed { .. } => {
-                Self::Failure(error.to_string())
-            }
-            _ => by_cause(&error),
+/// The result of writing or deleting a file or folder; `failed` is the sentence's verb, such as `can't be written`.
+pub fn of_io<T>(path: &Path, failed: &str, result: std::io::Result<T>) -> Result<T, CliError> {
+    result.map_err(|error| {
+        let sentence = format!("{}: {failed} ({error})", path.display());
+        if is_bad_input(&error) {
+            CliError::BadInput(sentence)
+        } else {
+            CliError::Failure(sentence)
         }
-    }
+    })
 }
 
-/// A view that can't be rendered is bad input: a time outside the recording, a view of nothing.
-impl From<RenderError> for CliError {
-    fn from(error: RenderError) -> Self {
-        match error {
-            RenderError::Capture(error) => error.into(),
-            RenderError::Stopped => Self::Failure(error.to_string()),
-            _ => Self::BadInput(error.to_string()),
-        }
-    }
-}
-
-impl From<VideoError> for CliError {
-    fn from(error: VideoError) -> Self {
-        Self::Failure(error.to_string())
-    }
-}
-
-impl From<CompareError> for CliError {
-    fn from(error: CompareError) -> Self {
-        match error {
-            CompareError::Capture(error) => error.into(),
-            CompareError::Report(_) | CompareError::Video(_) => Self::Failure(error.to_string()),
-            _ => by_cause(&error),
-        }
-    }
-}
-
-impl From<TradeoffError> for CliError {
-    fn from(error: TradeoffError) -> Self {
-        match error {
-            TradeoffError::Capture(error) => error.into(),
-            TradeoffError::Compare(error) => error.into(),
-            TradeoffError::Render(error) => error.into(),
-            _ => by_cause(&error),
-        }
-    }
+/// The result of writing a file.
+pub fn written<T>(path: &Path, result: std::io::Result<T>) -> Result<T, CliError> {
+    of_io(path, "can't be written", result)
 }
 
 /// Prints the error, if any, and returns the exit code.
@@ -180,6 +143,7 @@ fn sentence(message: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use stlfr::exchange::ExchangeError;
 
     #[test]
     fn what_fails_in_mid_work_is_no_bad_input() {

@@ -92,14 +92,13 @@ pub fn run_export(args: &ExportArgs, reporter: &Reporter) -> Result<(), CliError
     {
         return Err(CliError::BadInput("--near must be positive and --far larger".into()));
     }
-    let capture = open_capture(&args.capture, reporter)?;
     let output = &args.output;
     let written = match args.format {
         Format::Colmap => CommandOutput::Folder(output, &exchange::COLMAP_BINARY_FILES),
         Format::ColmapText => CommandOutput::Folder(output, &exchange::COLMAP_TEXT_FILES),
         Format::Llff | Format::Nerf => CommandOutput::File(output),
     };
-    written.check(Some(&args.capture))?;
+    let capture = open_capture(&args.capture, Some(written), reporter)?;
     let cameras: Vec<NamedCamera> = capture
         .cameras
         .iter()

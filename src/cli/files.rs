@@ -1,11 +1,12 @@
 //! Files that the command line names. They are checked before long work, with one-sentence errors.
 
 use super::CliError;
-use super::error::of_io;
-use super::values::method;
+use super::error::written;
+use super::values::{ImageOutput, method};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use stlfr::camera::{Camera, CameraFormat};
-use stlfr::capture::{Capture, Opening, OutputError, OutputGuard};
+use stlfr::capture::{Capture, Opening, OutputGuard};
 use stlfr::host::{open_file, read_text, try_folder};
 use stlfr::json;
 use stlfr::method::Method;
@@ -21,10 +22,26 @@ pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
     open_file(path).map(drop).map_err(|error| wrong(path, error))
 }
 
-/// Opens a capture; videos are decoded by the ffmpeg that is found.
-pub fn open_capture(folder: &Path, reporter: &Reporter) -> Result<Capture, CliError> {
+/// Opens a capture after it has checked the command's output, if there is one: opening may take minutes, because it
+/// decodes videos with the ffmpeg that is found.
+pub fn open_capture(
+    folder: &Path,
+    output: Option<CommandOutput>,
+    reporter: &Reporter,
+) -> Result<Arc<Capture>, CliError> {
+    if let Some(output) = output {
+        output.check(Some(folder))?;
+    }
     let ffmpeg = find_ffmpeg();
-    Ok(Capture::open_with(folder, &Opening { ffmpeg: ffmpeg.as_deref(), reporter })?)
+    let opening = Opening { ffmpeg: ffmpeg.as_deref(), reporter };
+    Ok(Arc::new(Capture::open_with(folder, &opening)?))
+}
+
+/// Finds the ffmpeg that `what` needs; the error says how to install it.
+pub fn ffmpeg_for(what: &str) -> Result<PathBuf, CliError> {
+    find_ffmpeg().ok_or_else(|| {
+        CliError::Failure(format!("{what} needs ffmpeg: install it, or run stlfr setup"))
+    })
 }
 
 /// Options of all stages: those of a preset, overridden by a file, overridden by single options.
@@ -53,7 +70,10 @@ impl OptionsArgs {
     /// Reads and checks the options.
     pub fn read(&self) -> Result<RenderOptions, CliError> {
         let mut options = match &self.options {
-            Some(path) => read_options(path, self.preset)?,
+            Some(path) => {
+                let text = read_text(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
+                RenderOptions::parse(&text, self.preset).map_err(|error| wrong(path, error))?
+            }
             None => self.preset.map_or_else(RenderOptions::default, Preset::options),
         };
         for set in &self.set {
@@ -63,13 +83,6 @@ impl OptionsArgs {
         }
         Ok(options)
     }
-}
-
-fn read_options(path: &Path, preset: Option<Preset>) -> Result<RenderOptions, CliError> {
-    let text = read_text(path, MAX_BYTES).map_err(|error| wrong(path, error))?;
-    let options = RenderOptions::parse(&text, preset).map_err(|error| wrong(path, error))?;
-    options.check().map_err(|error| wrong(path, error))?;
-    Ok(options)
 }
 
 /// Reads the camera of a view.
@@ -87,16 +100,12 @@ fn wrong(path: &Path, error: impl std::fmt::Display) -> CliError {
 #[derive(Clone, Copy)]
 pub enum CommandOutput<'a> {
     File(&'a Path),
+    /// The files of this many images.
+    Images(&'a ImageOutput, usize),
     /// A folder, and the files that the command writes into it.
     Folder(&'a Path, &'a [&'a str]),
     /// A folder that is a capture or becomes one.
     Capture(&'a Path),
-}
-
-impl From<OutputError> for CliError {
-    fn from(error: OutputError) -> Self {
-        Self::BadInput(error.to_string())
-    }
 }
 
 impl CommandOutput<'_> {
@@ -104,46 +113,36 @@ impl CommandOutput<'_> {
     /// regular file. `own` is the folder of the capture that the command reads.
     pub fn check(self, own: Option<&Path>) -> Result<(), CliError> {
         let mut guard = OutputGuard::new(own);
-        match self {
-            Self::File(path) => guard.check_file(path)?,
-            Self::Folder(path, files) => guard.check_folder(path, files)?,
-            Self::Capture(path) => guard.check_capture(path)?,
-        }
-        let (Self::File(path) | Self::Folder(path, _) | Self::Capture(path)) = self;
+        let path = match self {
+            Self::File(path) => guard.check_file(path).map(|()| path)?,
+            Self::Folder(path, files) => guard.check_folder(path, files).map(|()| path)?,
+            Self::Capture(path) => guard.check_capture(path).map(|()| path)?,
+            Self::Images(output, images) => {
+                let mut tried = None;
+                for file in output.files(images) {
+                    guard.check_file(&file)?;
+                    let folder = file.parent().map(Path::to_owned);
+                    if folder != tried {
+                        must_be_writable(&file)?;
+                        tried = folder;
+                    }
+                }
+                return Ok(());
+            }
+        };
         must_be_writable(path)
     }
 }
 
-/// [`CommandOutput::check`] for many files.
-pub fn check_files(
-    files: impl Iterator<Item = PathBuf>,
-    own: Option<&Path>,
-) -> Result<(), CliError> {
-    let mut guard = OutputGuard::new(own);
-    let mut tried = None;
-    for file in files {
-        guard.check_file(&file)?;
-        let folder = file.parent().map(Path::to_owned);
-        if folder != tried {
-            must_be_writable(&file)?;
-            tried = folder;
-        }
-    }
-    Ok(())
-}
-
 /// An error if the nearest existing folder of the output can't be written to.
 fn must_be_writable(output: &Path) -> Result<(), CliError> {
-    let failed = |error: std::io::Error| {
-        of_io(format!("{}: can't be written ({error})", output.display()), &error)
-    };
-    let absolute = std::path::absolute(output).map_err(failed)?;
+    let absolute = written(output, std::path::absolute(output))?;
     // The output may be a folder itself. An existing file above it can't contain it.
     let nearest = absolute.ancestors().find(|p| p.is_dir() || (p.exists() && *p != absolute));
     let Some(folder) = nearest.filter(|p| p.is_dir()) else {
         return Err(CliError::BadInput(format!("{}: has no folder to be in", output.display())));
     };
-    try_folder(folder).map_err(failed)
+    written(output, try_folder(folder))
 }
 
 #[cfg(test)]
@@ -183,7 +182,7 @@ mod tests {
         check(&folder.path().join("file")).unwrap();
         assert!(check(&folder.path().join("file/c.png")).is_err());
         assert!(CommandOutput::Folder(&folder.path().join("file"), &[]).check(None).is_err());
-        let many = ["0.png", "1.png"].map(|name| folder.path().join("many").join(name));
-        check_files(many.into_iter(), None).unwrap();
+        let many = ImageOutput::Sequence(folder.path().join("many/%d.png"));
+        CommandOutput::Images(&many, 2).check(None).unwrap();
     }
 }

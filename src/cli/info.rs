@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use stlfr::capture::{CAPTURE_FILE, Capture, CaptureError, CaptureFormat, Opening, Truth};
 use stlfr::host::{CacheUse, DiskCache};
 use stlfr::json;
-use stlfr::offset::{CameraOffset, Offsets, SavedOffsets};
+use stlfr::offset::{Offsets, SavedOffsets};
 use stlfr::progress::Reporter;
 
 /// Show what a capture holds, and what is estimated and cached beside it.
@@ -35,6 +35,19 @@ pub struct InfoArgs {
     delete_cache: Option<Option<String>>,
 }
 
+/// All kinds of results that commands cache.
+const KINDS: [&str; 9] = [
+    "gains",
+    "hashes",
+    "plans",
+    "tracks",
+    "tradeoff-plans",
+    "tradeoff-points",
+    "tradeoff-preparations",
+    "tradeoff-times",
+    "video",
+];
+
 pub fn run(args: &InfoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     if let Some(kind) = &args.delete_cache {
         return delete(&args.capture, kind.as_deref(), page);
@@ -52,17 +65,17 @@ pub fn run(args: &InfoArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
 fn delete(capture: &Path, kind: Option<&str>, page: &mut Page) -> Result<(), CliError> {
     must_be_a_file(&capture.join(CAPTURE_FILE))?;
     let cache = DiskCache::new(capture, |_| ());
-    let kinds: Vec<String> = cache.listing().into_iter().map(|found| found.kind).collect();
-    if let Some(kind) = kind.filter(|kind| !kinds.iter().any(|k| k == kind) && !kinds.is_empty()) {
-        let kinds = kinds.join(", ");
-        return Err(CliError::BadInput(format!(
-            "--delete-cache: no '{kind}' is cached, but {kinds}"
-        )));
+    let cached: Vec<String> = cache.listing().into_iter().map(|found| found.kind).collect();
+    if let Some(kind) = kind.filter(|kind| !cached.iter().any(|k| k == kind)) {
+        let refused = |reason| Err(CliError::BadInput(format!("--delete-cache: {reason}")));
+        if !cached.is_empty() {
+            return refused(format!("no '{kind}' is cached, but {}", cached.join(", ")));
+        }
+        if !KINDS.contains(&kind) {
+            return refused(format!("there is no kind '{kind}', only {}", KINDS.join(", ")));
+        }
     }
-    let deleted = cache.delete(kind).map_err(|error| {
-        let folder = capture.display();
-        of_io(format!("{folder}: the cache can't be deleted ({error})"), &error)
-    })?;
+    let deleted = of_io(capture, "the cache can't be deleted", cache.delete(kind))?;
     page.line(match deleted.entries {
         0 => "Nothing was cached.".to_owned(),
         n => format!("Deleted {n} {}, {}.", entries(n), size(deleted.bytes)),
@@ -224,29 +237,29 @@ impl Info {
             page.line(format_args!("         without {unknown} of unknown clock"));
         }
         page.line(format_args!("Offsets  {}", self.offsets.sentence()));
-        if self.truth.is_empty() {
-            page.line("Truth    none");
-        }
-        for (k, (id, times)) in self.truth.iter().enumerate() {
-            let head = if k == 0 { "Truth" } else { "" };
-            page.line(format_args!("{head:<8} {id} at {}", times_of(times)));
-        }
-        if self.cache.is_empty() {
-            page.line("Cache    empty");
-        }
-        for (k, CacheUse { kind, entries: n, bytes }) in self.cache.iter().enumerate() {
-            let (head, entries) = (if k == 0 { "Cache" } else { "" }, entries(*n));
-            page.line(format_args!(
-                "{head:<8} {kind:<22} {n:>6} {entries:<7} {:>10}",
-                size(*bytes)
-            ));
-        }
+        let views = self.truth.iter().map(|(id, times)| format!("{id} at {}", times_of(times)));
+        list(page, "Truth", "none", views.collect());
+        let cached = self.cache.iter().map(|CacheUse { kind, entries: n, bytes }| {
+            format!("{kind:<22} {n:>6} {:<7} {:>10}", entries(*n), size(*bytes))
+        });
+        list(page, "Cache", "empty", cached.collect());
         if !self.cache.is_empty() {
             page.line(format_args!(
                 "         deleted by: stlfr info {} --delete-cache [KIND]",
                 folder.display()
             ));
         }
+    }
+}
+
+/// Prints rows under a head, or the word for none.
+fn list(page: &mut Page, mut head: &str, none: &str, rows: Vec<String>) {
+    if rows.is_empty() {
+        page.line(format_args!("{head:<8} {none}"));
+    }
+    for row in rows {
+        page.line(format_args!("{head:<8} {row}"));
+        head = "";
     }
 }
 
@@ -292,9 +305,8 @@ fn offsets(capture: &Capture) -> Result<(OffsetsState, Option<Offsets>), CliErro
     if capture.is_static() || (0..capture.cameras.len()).all(is_known) {
         return Ok((OffsetsState::Unneeded, Some(known)));
     }
-    for (camera, offset) in known.cameras.iter_mut().enumerate().filter(|(k, _)| !is_known(*k)) {
-        let id = capture.cameras[camera].id.clone();
-        *offset = CameraOffset { id, ..CameraOffset::default() };
+    for (_, offset) in known.cameras.iter_mut().enumerate().filter(|(k, _)| !is_known(*k)) {
+        (offset.offset_s, offset.std_err_s) = (None, None);
     }
     Ok(match Offsets::saved(capture)? {
         SavedOffsets::Missing => (OffsetsState::Missing, Some(known)),

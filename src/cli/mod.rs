@@ -1,9 +1,6 @@
-//! The command line: one file for each command, with its arguments and its call of the library.
+//! The command line: the commands, each with its arguments and its call of the library.
 
-mod capture;
-mod check;
 mod compare;
-mod demo;
 mod error;
 mod exchange;
 mod files;
@@ -15,7 +12,7 @@ mod prepare;
 mod print;
 mod render;
 mod rig;
-mod setup;
+mod toolchain;
 mod tradeoff;
 mod values;
 mod view;
@@ -47,12 +44,12 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Demo(demo::DemoArgs),
-    Setup(setup::SetupArgs),
+    Demo(toolchain::DemoArgs),
+    Setup(toolchain::SetupArgs),
     Rig(Box<rig::RigArgs>),
-    Capture(capture::CaptureArgs),
+    Capture(toolchain::CaptureArgs),
     Info(info::InfoArgs),
-    Check(check::CheckArgs),
+    Check(toolchain::CheckArgs),
     Plan(plan::PlanArgs),
     Offsets(offsets::OffsetsArgs),
     Prepare(prepare::PrepareArgs),
@@ -76,12 +73,12 @@ impl Cli {
     fn run_on(&self, page: &mut Page) -> Result<(), CliError> {
         let reporter = Reporter::new(self.quiet);
         match &self.command {
-            Command::Demo(args) => demo::run(args, page, &reporter),
-            Command::Setup(args) => setup::run(args, page, &reporter),
+            Command::Demo(args) => toolchain::run_demo(args, page, &reporter),
+            Command::Setup(args) => toolchain::run_setup(args, page, &reporter),
             Command::Rig(args) => rig::run(args, page),
-            Command::Capture(args) => capture::run(args, page, &reporter),
+            Command::Capture(args) => toolchain::run_capture(args, page, &reporter),
             Command::Info(args) => info::run(args, page, &reporter),
-            Command::Check(args) => check::run(args, page, &reporter),
+            Command::Check(args) => toolchain::run_check(args, page, &reporter),
             Command::Plan(args) => plan::run(args, page, &reporter),
             Command::Offsets(args) => offsets::run(args, page, &reporter),
             Command::Prepare(args) => prepare::run(args, page, &reporter),

@@ -4,7 +4,6 @@ use super::CliError;
 use super::files::{OptionsArgs, open_capture};
 use super::print::Page;
 use std::path::PathBuf;
-use std::sync::Arc;
 use stlfr::offset::{Offsets, offsets_from_images};
 use stlfr::progress::Reporter;
 use stlfr::registration::FrameStore;
@@ -35,7 +34,7 @@ pub struct OffsetsArgs {
 
 pub fn run(args: &OffsetsArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let options = args.options.read()?;
-    let capture = Arc::new(open_capture(&args.capture, reporter)?);
+    let capture = open_capture(&args.capture, None, reporter)?;
     capture.require_two_cameras()?;
     let frames = FrameStore::new(capture.clone(), &options.registration);
     let offsets = offsets_from_images(&frames, &options.offset, reporter)?;

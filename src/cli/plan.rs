@@ -5,11 +5,10 @@ use super::error::written;
 use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
 use std::path::PathBuf;
-use std::sync::Arc;
 use stlfr::host::write_json;
 use stlfr::options::AutoOptions;
 use stlfr::pipeline;
-use stlfr::plan::{Plan, plan};
+use stlfr::plan::{Decision, Plan, plan};
 use stlfr::progress::Reporter;
 
 /// What this capture requires, and why: for every stage the cheapest method that keeps its error
@@ -40,15 +39,12 @@ pub struct PlanArgs {
 pub fn run(args: &PlanArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let mut options = args.options.read()?;
     options.auto.budget_px = args.budget_px.unwrap_or(options.auto.budget_px);
-    let given = &options.auto;
-    let (budget_px, budget_db) = (given.budget_px, given.budget_db);
+    let AutoOptions { budget_px, budget_db, .. } = options.auto;
     options.auto = AutoOptions { budget_px, budget_db, ..AutoOptions::all() };
-    options.check().map_err(|error| CliError::BadInput(error.to_string()))?;
-    let capture = Arc::new(open_capture(&args.capture, reporter)?);
-    if let Some(output) = &args.output {
-        CommandOutput::File(output).check(Some(&args.capture))?;
-    }
-    let field = pipeline::open_field(capture.clone(), &options, reporter)?;
+    options.check()?;
+    let output = args.output.as_deref().map(CommandOutput::File);
+    let capture = open_capture(&args.capture, output, reporter)?;
+    let field = pipeline::open_field(capture, &options, reporter)?;
     let plan = plan(&field, &options, reporter)?;
     if let Some(output) = &args.output {
         written(output, write_json(output, &plan.options))?;
@@ -62,9 +58,8 @@ pub fn run(args: &PlanArgs, page: &mut Page, reporter: &Reporter) -> Result<(), 
 }
 
 fn print_table(plan: &Plan, page: &mut Page) {
-    for decision in &plan.decisions {
-        let (stage, method) = (decision.choice.stage().name(), decision.choice.name());
-        page.line(format_args!("{stage:<11} {method:<15} {}", decision.because));
+    for Decision { stage, method, because, .. } in &plan.decisions {
+        page.line(format_args!("{stage:<11} {method:<15} {because}"));
     }
     page.line(format_args!("Budget: {} px.", plan.budget_px));
 }

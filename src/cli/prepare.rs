@@ -5,7 +5,6 @@ use super::error::of_io;
 use super::files::{OptionsArgs, must_be_a_file, open_capture};
 use super::print::Page;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
 use stlfr::capture::CAPTURE_FILE;
 use stlfr::host::DiskCache;
@@ -39,11 +38,8 @@ fn delete(capture: &Path, page: &mut Page) -> Result<(), CliError> {
     let cache = DiskCache::new(capture, |_| ());
     let mut entries = 0;
     for kind in PREPARED {
-        let deleted = cache.delete(Some(kind)).map_err(|error| {
-            let folder = capture.join(".stlfr/cache").join(kind);
-            of_io(format!("{}: can't be deleted ({error})", folder.display()), &error)
-        })?;
-        entries += deleted.entries;
+        let folder = capture.join(".stlfr/cache").join(kind);
+        entries += of_io(&folder, "can't be deleted", cache.delete(Some(kind)))?.entries;
     }
     page.line(if entries > 0 { "Deleted." } else { "Nothing was prepared." });
     Ok(())
@@ -57,7 +53,7 @@ pub fn run(args: &PrepareArgs, page: &mut Page, reporter: &Reporter) -> Result<(
         return delete(&args.capture, page);
     }
     let options = args.options.read()?;
-    let capture = Arc::new(open_capture(&args.capture, reporter)?);
+    let capture = open_capture(&args.capture, None, reporter)?;
     let field = pipeline::open_field(capture, &options, reporter)?;
     let (pairs, bytes) = field.preparation_size(&options);
     reporter.note(&format!(

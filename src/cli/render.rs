@@ -1,26 +1,22 @@
 //! `stlfr render`
 
 use super::CliError;
-use super::files::{OptionsArgs, check_files, open_capture, read_view};
-use super::values::{ImageOutput, MethodChoice, Times, method, method_or_auto};
+use super::files::{CommandOutput, OptionsArgs, ffmpeg_for, open_capture, read_view};
+use super::values::{AUTO, ImageOutput, Times, method, method_or_auto};
 use std::panic::resume_unwind;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use stlfr::camera::Camera;
 use stlfr::capture::Capture;
 use stlfr::interpolation::SyncMethod;
 use stlfr::light_field::{
-    Context, LightField, RenderError, Request as ViewRequest, Viewpoint,
-    check_times_before_offsets, render,
+    Context, RenderError, Request, Viewpoint, check_times_before_offsets, render,
 };
 use stlfr::lumigraph::{BlendMethod, Rendered};
 use stlfr::options::{ProxyMethod, RenderOptions, TrailMode};
 use stlfr::pipeline;
 use stlfr::progress::Reporter;
-use stlfr::raster::Image;
-use stlfr::raster::{BitDepth, write_image};
-use stlfr::toolchain::find_ffmpeg;
+use stlfr::raster::write_image;
 use stlfr::video::{Codec, VideoFormat, VideoWriter};
 
 /// Render the view of any camera at any instant, or over a span of time.
@@ -67,13 +63,13 @@ pub struct RenderArgs {
     output: ImageOutput,
     /// How each camera's image is synchronized to the instant.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<SyncMethod>())]
-    sync: Option<MethodChoice<SyncMethod>>,
+    sync: Option<String>,
     /// What stands for the scene's shape.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<ProxyMethod>())]
-    proxy: Option<MethodChoice<ProxyMethod>>,
+    proxy: Option<String>,
     /// How cameras are weighted where they see the same point.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<BlendMethod>())]
-    blend: Option<MethodChoice<BlendMethod>>,
+    blend: Option<String>,
     /// Overlay what moved in this many seconds before the instant: temporal integration.
     #[arg(long, value_name = "SECONDS")]
     trail: Option<f64>,
@@ -89,52 +85,38 @@ pub struct RenderArgs {
 
 /// What is to be rendered, checked as far as it can be without the capture.
 #[derive(Debug)]
-pub struct RenderRequest {
-    pub view: View,
+struct RenderRequest {
+    /// `None` for the place of a camera that filmed.
+    camera: Option<Camera>,
     /// Seconds on the reference's clock as its file has it: subtract the capture's origin.
-    pub times_s: Vec<f64>,
-}
-
-/// Where finished images go.
-enum Writer<'a> {
-    Files(&'a ImageOutput),
-    Video { path: PathBuf, ffmpeg: PathBuf, rate_hz: f64, video: Option<VideoWriter> },
-}
-
-/// From where.
-#[derive(Debug)]
-pub enum View {
-    Camera(Box<Camera>),
-    Like(String),
+    times_s: Vec<f64>,
 }
 
 impl RenderArgs {
     /// The preset's options, the file's before them, and the command line's before those.
     fn render_options(&self) -> Result<RenderOptions, CliError> {
         let mut options = self.options.read()?;
-        if let Some(sync) = self.sync {
-            options.sync = sync.method().unwrap_or(options.sync);
-            options.auto.sync = sync == MethodChoice::Auto;
-        }
-        if let Some(proxy) = self.proxy {
-            options.proxy.method = proxy.method().unwrap_or(options.proxy.method);
-            options.auto.proxy = proxy == MethodChoice::Auto;
-        }
-        if let Some(blend) = self.blend {
-            options.blend.method = blend.method().unwrap_or(options.blend.method);
-            options.auto.blend = blend == MethodChoice::Auto;
+        for (method, auto, option) in [
+            (&self.sync, "auto.sync", "sync"),
+            (&self.proxy, "auto.proxy", "proxy.method"),
+            (&self.blend, "auto.blend", "blend.method"),
+        ] {
+            let Some(method) = method else { continue };
+            let (name, value) = if method == AUTO { (auto, "true") } else { (option, &**method) };
+            options.set(auto, "false").map_err(CliError::BadInput)?;
+            options.set(name, value).map_err(CliError::BadInput)?;
         }
         let trail = &mut options.trail;
         trail.duration_s = self.trail.unwrap_or(trail.duration_s);
         trail.instants = self.trail_instants.unwrap_or(trail.instants);
         trail.mode = self.trail_mode.unwrap_or(trail.mode);
         // A file was checked; what the command line says is yet to be.
-        options.check().map_err(|error| CliError::BadInput(error.to_string()))?;
+        options.check()?;
         Ok(options)
     }
 
     /// The views to render, checked.
-    pub fn request(&self) -> Result<RenderRequest, CliError> {
+    fn request(&self) -> Result<RenderRequest, CliError> {
         let wrong = |sentence: &str| Err(CliError::BadInput(sentence.to_owned()));
         let times_s = match (self.time, &self.times, &self.output) {
             (Some(time_s), _, _) if !time_s.is_finite() => return wrong("--time: must be finite"),
@@ -143,143 +125,108 @@ impl RenderArgs {
             (None, Some(_), ImageOutput::Image(_)) => {
                 return wrong("--times gives many images: -o must be like out/%04d.png or out.mkv");
             }
-            (None, Some(times), _) => times.instants_s(),
+            (None, Some(Times(times_s)), _) => times_s.clone(),
             (None, None, _) => return wrong("--time or --times must be given"),
         };
-        let view = match (&self.camera, &self.like) {
-            (Some(file), _) => View::Camera(Box::new(read_view(file)?)),
-            (None, Some(id)) => View::Like(id.clone()),
-            (None, None) => return wrong("--camera or --like must be given"),
-        };
-        Ok(RenderRequest { view, times_s })
+        let camera = self.camera.as_deref().map(read_view).transpose()?;
+        Ok(RenderRequest { camera, times_s })
     }
 }
 
 pub fn run(args: &RenderArgs, reporter: &Reporter) -> Result<(), CliError> {
     let request = args.request()?;
     let options = args.render_options()?;
-    let capture = Arc::new(open_capture(&args.capture, reporter)?);
-    let like = match &request.view {
-        View::Like(id) => Some(capture.camera_index(id).ok_or_else(|| {
+    let output = CommandOutput::Images(&args.output, request.times_s.len());
+    let capture = open_capture(&args.capture, Some(output), reporter)?;
+    let like = args.like.as_ref().map(|id| {
+        capture.camera_index(id).ok_or_else(|| {
             CliError::BadInput(format!("--like: no camera of this capture has the id '{id}'"))
-        })?),
-        View::Camera(_) => None,
-    };
+        })
+    });
+    let like = like.transpose()?;
     let times_s: Vec<f64> = request.times_s.iter().map(|t| t - capture.time_origin_s).collect();
     check_times_before_offsets(&capture, like, &times_s)?;
-    check_files(args.output.files(times_s.len()), Some(&args.capture))?;
     let writer = Writer::new(&args.output, &capture)?;
-    let depth = capture.bit_depth();
 
-    let field = pipeline::open_field(capture.clone(), &options, reporter)?;
-    warn_of_unknown_clocks(&field, reporter);
-    let from = match &request.view {
-        View::Camera(camera) => Viewpoint::View(camera),
-        View::Like(_) => Viewpoint::Like(like.unwrap_or_default()),
+    let field = pipeline::open_field(capture, &options, reporter)?;
+    let from = match &request.camera {
+        Some(camera) => Viewpoint::View(camera),
+        None => Viewpoint::Like(like.unwrap_or_default()),
     };
     field.check_times(from, &times_s)?;
     let options = pipeline::resolved(&field, &options, reporter)?;
     let instants = options.trail.count();
     let task = reporter.task("rendering", times_s.len() * instants);
-    let views = times_s.iter().enumerate().map(|(index, &time_s)| {
+    writer.write_all(times_s.iter().enumerate().map(|(index, &time_s)| {
         let proceed = |done, _| {
             task.set(index * instants + done);
             true
         };
-        render(&field, &ViewRequest::new(from, time_s, &options), &Context::new(&proceed))
-    });
-    write_all(views, writer, depth)
+        render(&field, &Request::new(from, time_s, &options), &Context::new(&proceed))
+    }))
 }
 
 /// Finished views that may wait to be written. More: memory; fewer: rendering waits for a file that takes longer
 /// than others.
 const WAITING_VIEWS: usize = 2;
 
-/// Writes views while the next ones are rendered. Views before an error are written, but no video is finished then.
-fn write_all(
-    views: impl Iterator<Item = Result<Rendered, RenderError>>,
-    mut writer: Writer,
-    depth: BitDepth,
-) -> Result<(), CliError> {
-    let (send, received) = sync_channel(WAITING_VIEWS);
-    std::thread::scope(|scope| {
-        // ffmpeg ends with the thread that started it, which therefore finishes the video.
-        let writing = scope.spawn(move || {
-            for (index, view) in received.into_iter().enumerate() {
-                let Rendered { image, coverage, .. } = view?;
-                writer.write(index, &image, Some(&coverage), depth)?;
-            }
-            writer.finish()
-        });
-        for view in views {
-            let failed = view.is_err();
-            // Without a receiver, writing has failed, and says why.
-            if send.send(view).is_err() || failed {
-                break;
-            }
-        }
-        drop(send);
-        writing.join().unwrap_or_else(|panic| resume_unwind(panic))
-    })
-}
-
-/// Names the cameras that no view can use.
-pub fn warn_of_unknown_clocks(field: &LightField, reporter: &Reporter) {
-    let unknown: Vec<&str> = field
-        .offsets()
-        .cameras
-        .iter()
-        .enumerate()
-        .filter(|(index, _)| field.span_s(*index).is_none())
-        .map(|(_, c)| c.id.as_str())
-        .collect();
-    if !unknown.is_empty() && !field.capture().is_static() {
-        reporter.note(&format!("Left out, their clocks being unknown: {}.", unknown.join(", ")));
-    }
+/// Where finished images go.
+struct Writer<'a> {
+    output: &'a ImageOutput,
+    format: VideoFormat,
+    /// For a video.
+    ffmpeg: Option<PathBuf>,
+    /// A video that is begun.
+    video: Option<VideoWriter>,
 }
 
 impl<'a> Writer<'a> {
     fn new(output: &'a ImageOutput, capture: &Capture) -> Result<Self, CliError> {
-        let ImageOutput::Video(path) = output else { return Ok(Self::Files(output)) };
-        let ffmpeg = find_ffmpeg().ok_or_else(|| {
-            CliError::Failure("a video needs ffmpeg: install it, or run stlfr setup".into())
-        })?;
+        let is_video = matches!(output, ImageOutput::Video(_));
+        let ffmpeg = is_video.then(|| ffmpeg_for("a video")).transpose()?;
         let frame_s = capture.frame_s();
         let rate_hz = if frame_s > 0.0 { 1.0 / frame_s } else { 30.0 };
-        Ok(Self::Video { path: path.clone(), ffmpeg, rate_hz, video: None })
+        let format = VideoFormat { depth: capture.bit_depth(), rate_hz, codec: Codec::Ffv1 };
+        Ok(Self { output, format, ffmpeg, video: None })
     }
 
-    fn write(
-        &mut self,
-        index: usize,
-        image: &Image,
-        coverage: Option<&[bool]>,
-        depth: BitDepth,
+    /// Writes views while the next ones are rendered. Views before an error are written, but no video is finished then.
+    fn write_all(
+        mut self,
+        views: impl Iterator<Item = Result<Rendered, RenderError>>,
     ) -> Result<(), CliError> {
-        match self {
-            Self::Files(output) => {
-                let path = output.file(index).unwrap_or_default();
-                let coverage = coverage.filter(|c| c.contains(&false));
-                Ok(write_image(&path, image, coverage, depth)?)
+        let (send, received) = sync_channel(WAITING_VIEWS);
+        std::thread::scope(|scope| {
+            // ffmpeg ends with the thread that started it, which therefore finishes the video.
+            let writing = scope.spawn(move || {
+                for (index, view) in received.into_iter().enumerate() {
+                    self.write(index, &view?)?;
+                }
+                self.video.map_or(Ok(()), |video| Ok(video.finish()?))
+            });
+            for view in views {
+                let failed = view.is_err();
+                // Without a receiver, writing has failed, and says why.
+                if send.send(view).is_err() || failed {
+                    break;
+                }
             }
-            Self::Video { path, ffmpeg, rate_hz, video } => {
-                let video = match video {
-                    Some(video) => video,
-                    None => {
-                        let format = VideoFormat { depth, rate_hz: *rate_hz, codec: Codec::Ffv1 };
-                        video.insert(VideoWriter::create(ffmpeg, path, image, format)?)
-                    }
-                };
-                Ok(video.push(image)?)
-            }
-        }
+            drop(send);
+            writing.join().unwrap_or_else(|panic| resume_unwind(panic))
+        })
     }
 
-    fn finish(self) -> Result<(), CliError> {
-        match self {
-            Self::Video { video: Some(video), .. } => Ok(video.finish()?),
-            _ => Ok(()),
-        }
+    fn write(&mut self, index: usize, view: &Rendered) -> Result<(), CliError> {
+        let path = self.output.file(index).unwrap_or_default();
+        let Some(ffmpeg) = &self.ffmpeg else {
+            let coverage = view.coverage.contains(&false).then_some(view.coverage.as_slice());
+            return Ok(write_image(&path, &view.image, coverage, self.format.depth)?);
+        };
+        let video = match &mut self.video {
+            Some(video) => video,
+            video => video.insert(VideoWriter::create(ffmpeg, &path, &view.image, self.format)?),
+        };
+        Ok(video.push(&view.image)?)
     }
 }
 
@@ -294,17 +241,22 @@ mod tests {
         args: RenderArgs,
     }
 
-    fn request(line: &str) -> Result<RenderRequest, String> {
+    fn parsed(line: &str) -> Result<RenderArgs, String> {
         let words = std::iter::once("render").chain(line.split(' '));
-        let program = Program::try_parse_from(words).map_err(|e| e.to_string())?;
-        program.args.request().map_err(|e| e.to_string())
+        Ok(Program::try_parse_from(words).map_err(|e| e.to_string())?.args)
+    }
+
+    fn request(line: &str) -> Result<RenderRequest, String> {
+        parsed(line)?.request().map_err(|e| e.to_string())
     }
 
     #[test]
     fn one_image_or_many() {
-        let one = request("c --like cam3 --time -0.1 -o a.png").unwrap();
+        let line = "c --like cam3 --time -0.1 -o a.png";
+        assert_eq!(parsed(line).unwrap().like.as_deref(), Some("cam3"));
+        let one = request(line).unwrap();
         assert_eq!(one.times_s, [-0.1]);
-        assert!(matches!(one.view, View::Like(id) if id == "cam3"));
+        assert!(one.camera.is_none());
         assert_eq!(
             request("c --like a --times -1:1:3 -o o/%d.png").unwrap().times_s,
             [-1.0, 0.0, 1.0]

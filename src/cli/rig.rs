@@ -4,7 +4,7 @@ use super::CliError;
 use super::error::written;
 use super::files::CommandOutput;
 use super::print::Page;
-use super::values::{ImageSize, method};
+use super::values::{image_size, method};
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use stlfr::capture::{self, MAX_FRAMES};
@@ -88,8 +88,9 @@ struct PlaceArgs {
     #[arg(long, value_name = "M", default_value_t = 1.8)]
     distance: f64,
     /// Image sizes.
-    #[arg(long, value_name = "WxH,…", default_value = "640x480", value_delimiter = ',')]
-    size: Vec<ImageSize>,
+    #[arg(long, value_name = "WxH,…", default_value = "640x480", value_delimiter = ',',
+        value_parser = image_size)]
+    size: Vec<(u32, u32)>,
     /// Focal lengths.
     #[arg(long, value_name = "MM,…", default_value = "38.6", value_delimiter = ',')]
     lens: Vec<f64>,
@@ -172,7 +173,7 @@ pub fn run(args: &RigArgs, page: &mut Page) -> Result<(), CliError> {
         page.line(format_args!("{}: {cameras} cameras, {views} views", file.display()));
         return Ok(());
     }
-    let rig = args.options().generate().map_err(|e| CliError::BadInput(e.to_string()))?;
+    let rig = args.options().generate()?;
     let text = rig.to_json();
     match &args.output {
         None => page.text(text),
@@ -199,7 +200,7 @@ impl RigArgs {
                 Some(LayoutName::Line) | None => RigLayout::Line { count: place.count },
             },
             spacing_m: place.spacing,
-            sizes_px: place.size.iter().map(|s| (s.width, s.height)).collect(),
+            sizes_px: place.size.clone(),
             lenses_mm: place.lens.clone(),
             sensor_width_mm: place.sensor,
             distortion: place.distortion.unwrap_or_default(),

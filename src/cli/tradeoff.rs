@@ -5,7 +5,6 @@ use super::files::{CommandOutput, OptionsArgs, open_capture};
 use super::print::Page;
 use super::values::method;
 use std::path::PathBuf;
-use std::sync::Arc;
 use stlfr::progress::Reporter;
 use stlfr::tradeoff::{FILES, Point, TimingClock, Tradeoff, TradeoffOptions, methods, tradeoff};
 
@@ -53,8 +52,8 @@ fn parsed(min: usize, max: usize) -> impl Fn(&str) -> Result<usize, String> + Cl
 
 pub fn run(args: &TradeoffArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
     let base = args.options.read()?;
-    let capture = Arc::new(open_capture(&args.capture, reporter)?);
-    CommandOutput::Folder(&args.output, &FILES).check(Some(&args.capture))?;
+    let output = CommandOutput::Folder(&args.output, &FILES);
+    let capture = open_capture(&args.capture, Some(output), reporter)?;
     let options = TradeoffOptions {
         runs: args.runs,
         rounds: args.rounds,

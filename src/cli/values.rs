@@ -5,79 +5,36 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use stlfr::method::Method;
 
-/// A method, or `auto`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MethodChoice<T> {
-    Auto,
-    Method(T),
-}
-
-impl<T: Copy> MethodChoice<T> {
-    /// The method, `None` for `auto`.
-    pub fn method(&self) -> Option<T> {
-        match self {
-            Self::Auto => None,
-            Self::Method(method) => Some(*method),
-        }
-    }
-}
-
-const AUTO: &str = "auto";
+/// The name that leaves a method to the capture.
+pub const AUTO: &str = "auto";
 
 fn possible<T: Method>() -> impl Iterator<Item = PossibleValue> {
     T::ALL.iter().map(|m| PossibleValue::new(m.name()).help(m.help()))
 }
 
-fn named<T: Method>(name: &str) -> Result<T, String> {
-    T::from_name(name).ok_or_else(|| format!("'{name}' is none of {}", T::names().join(", ")))
-}
-
 /// Parses a method of a stage.
 pub fn method<T: Method>() -> impl TypedValueParser<Value = T> {
-    PossibleValuesParser::new(possible::<T>()).try_map(|name| named(&name))
+    // No other name passes.
+    PossibleValuesParser::new(possible::<T>()).map(|name| T::from_name(&name).unwrap_or_default())
 }
 
-/// Parses a method of a stage, or `auto`.
-pub fn method_or_auto<T: Method>() -> impl TypedValueParser<Value = MethodChoice<T>> {
+/// Parses the name of a stage's method, or `auto`.
+pub fn method_or_auto<T: Method>() -> PossibleValuesParser {
     let auto =
         PossibleValue::new(AUTO).help("The cheapest that this capture requires: see stlfr plan");
-    PossibleValuesParser::new(std::iter::once(auto).chain(possible::<T>())).try_map(|name| {
-        if name == AUTO { Ok(MethodChoice::Auto) } else { named(&name).map(MethodChoice::Method) }
-    })
+    PossibleValuesParser::new(std::iter::once(auto).chain(possible::<T>()))
 }
 
-/// `320x240`: width and height in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ImageSize {
-    pub width: u32,
-    pub height: u32,
-}
-
-impl std::fmt::Display for ImageSize {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{}x{}", self.width, self.height)
-    }
-}
-
-impl FromStr for ImageSize {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let size = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
-        match size {
-            Some((width @ 8..=99_999, height @ 8..=99_999)) => Ok(Self { width, height }),
-            _ => Err("is no size like 320x240, at least 8x8".into()),
-        }
-    }
+/// Parses a size such as `320x240`: width and height in pixels.
+pub fn image_size(text: &str) -> Result<(u32, u32), String> {
+    let size = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    size.filter(|(width, height)| [width, height].iter().all(|n| (8..=99_999).contains(*n)))
+        .ok_or_else(|| "is no size like 320x240, at least 8x8".into())
 }
 
 /// `START:END:N`: N instants evenly from START to END, both included, in seconds.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Times {
-    pub start_s: f64,
-    pub end_s: f64,
-    pub count: usize,
-}
+#[derive(Clone, Debug, PartialEq)]
+pub struct Times(pub Vec<f64>);
 
 /// Bounds the images that a typing error asks for.
 const MAX_TIMES: usize = 1_000_000;
@@ -89,30 +46,19 @@ impl FromStr for Times {
         let parts: Vec<&str> = text.split(':').collect();
         let wrong = || "is no span of times like 0.1:0.4:30".to_owned();
         let &[start, end, count] = parts.as_slice() else { return Err(wrong()) };
-        let times = Self {
-            start_s: start.parse().map_err(|_| wrong())?,
-            end_s: end.parse().map_err(|_| wrong())?,
-            count: count.parse().map_err(|_| wrong())?,
-        };
-        if !times.start_s.is_finite() || !times.end_s.is_finite() {
+        let start_s: f64 = start.parse().map_err(|_| wrong())?;
+        let end_s: f64 = end.parse().map_err(|_| wrong())?;
+        let count: usize = count.parse().map_err(|_| wrong())?;
+        if !start_s.is_finite() || !end_s.is_finite() {
             return Err(wrong());
         }
-        if times.count == 0 || times.count > MAX_TIMES {
-            return Err(format!("asks for {} images, must be from 1 to {MAX_TIMES}", times.count));
+        if count == 0 || count > MAX_TIMES {
+            return Err(format!("asks for {count} images, must be from 1 to {MAX_TIMES}"));
         }
-        Ok(times)
-    }
-}
-
-impl Times {
-    /// The instants, seconds.
-    pub fn instants_s(&self) -> Vec<f64> {
-        let last = self.count - 1;
         // The fraction of END is exactly 1, so that rounding can't exceed it. END − START could overflow.
-        let fraction = |k: usize| if last == 0 { 0.0 } else { k as f64 / last as f64 };
-        (0..self.count)
-            .map(|k| self.start_s * (1.0 - fraction(k)) + self.end_s * fraction(k))
-            .collect()
+        let fraction = |k: usize| if count == 1 { 0.0 } else { k as f64 / (count - 1) as f64 };
+        let instant_s = |k: usize| start_s * (1.0 - fraction(k)) + end_s * fraction(k);
+        Ok(Self((0..count).map(instant_s).collect()))
     }
 }
 
@@ -179,31 +125,29 @@ mod tests {
             || Command::new("c").arg(Arg::new("p").value_parser(method_or_auto::<ProxyMethod>()));
         let parsed = |text: &str| {
             let found = command().try_get_matches_from(["c", text]).ok()?;
-            found.get_one::<MethodChoice<ProxyMethod>>("p").copied()
+            found.get_one::<String>("p").cloned()
         };
-        assert_eq!(parsed("auto"), Some(MethodChoice::Auto));
-        assert_eq!(parsed("plane"), Some(MethodChoice::Method(ProxyMethod::Plane)));
+        assert_eq!(parsed("auto"), Some("auto".into()));
+        assert_eq!(parsed("plane"), Some("plane".into()));
         assert_eq!(parsed("sphere"), None);
     }
 
     #[test]
     fn sizes() {
-        assert_eq!("320x240".parse(), Ok(ImageSize { width: 320, height: 240 }));
+        assert_eq!(image_size("320x240"), Ok((320, 240)));
         for wrong in ["320", "0x240", "320x", "320X240", "-1x5", "4x4", "320x240x3"] {
-            assert!(wrong.parse::<ImageSize>().is_err(), "{wrong}");
+            assert!(image_size(wrong).is_err(), "{wrong}");
         }
     }
 
     #[test]
     fn spans_of_times() {
-        let times: Times = "0.1:0.4:4".parse().unwrap();
-        let instants = times.instants_s();
+        let Times(instants) = "0.1:0.4:4".parse().unwrap();
         assert_eq!((instants.len(), instants[0], instants[3]), (4, 0.1, 0.4));
         assert!((instants[1] - 0.2).abs() < 1e-12);
-        assert_eq!("-1:1:1".parse::<Times>().unwrap().instants_s(), [-1.0]);
-        let far: Times = "-1e308:1e308:3".parse().unwrap();
-        assert_eq!(far.instants_s(), [-1e308, 0.0, 1e308]);
-        assert_eq!("1:0:2".parse::<Times>().unwrap().instants_s(), [1.0, 0.0]);
+        assert_eq!("-1:1:1".parse(), Ok(Times(vec![-1.0])));
+        assert_eq!("-1e308:1e308:3".parse(), Ok(Times(vec![-1e308, 0.0, 1e308])));
+        assert_eq!("1:0:2".parse(), Ok(Times(vec![1.0, 0.0])));
         for wrong in ["", "1:2", "1:2:0", "nan:1:2", "0:inf:2", "0:1:2:3", "0:1:-4", "0:1:9999999"]
         {
             assert!(wrong.parse::<Times>().is_err(), "{wrong}");

@@ -3,11 +3,9 @@
 use super::CliError;
 use super::files::{OptionsArgs, open_capture};
 use super::print::heard;
-use super::render::warn_of_unknown_clocks;
 use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
-use std::sync::Arc;
 use stlfr::host;
 use stlfr::live::{Server, Studio};
 use stlfr::pipeline;
@@ -37,13 +35,12 @@ pub struct ViewArgs {
 pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     host::bound_arenas();
     let options = args.options.read()?;
-    let capture = Arc::new(open_capture(&args.capture, reporter)?);
+    let capture = open_capture(&args.capture, None, reporter)?;
     // Before long work, which would be in vain without it.
     let server = Server::bind(args.port).map_err(|error| refused(args.port, &error))?;
     let field = pipeline::open_field(capture, &options, reporter)?;
-    warn_of_unknown_clocks(&field, reporter);
     let options = pipeline::resolved(&field, &options, reporter)?;
-    let studio = Studio::new(&field, &options, reporter).with_words(args.options.words());
+    let studio = Studio::new(&field, &options, args.options.words(), reporter);
     let address = server.address();
     let mut stdout = std::io::stdout().lock();
     heard(writeln!(stdout, "{address}").and_then(|()| stdout.flush()))?;

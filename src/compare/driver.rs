@@ -1,11 +1,10 @@
 //! Compares every instant of the truth, then writes the folder's files.
 
-use super::results::{CaptureFacts, Metrics, OffsetResult, headline};
-use super::stage_times::StageTimes;
+use super::results::{CaptureFacts, Metrics, OffsetResult, StageTimes, headline};
 use super::{
     CompareError, CompareOptions, Renderer, Summary, instant, report, review, truths, video,
 };
-use crate::capture::{Capture, Truth};
+use crate::capture::{Capture, FilmedCamera, Truth};
 use crate::host::{write_atomically, write_json};
 use crate::progress::Reporter;
 use crate::video::Codec;
@@ -30,17 +29,18 @@ pub fn compare(
     reporter: &Reporter,
 ) -> Result<Summary, CompareError> {
     let start = Instant::now();
-    let capture = renderer.capture();
+    let capture = renderer.field().capture();
     let truth = truth.ok_or_else(|| CompareError::NoTruth { folder: capture.folder.clone() })?;
     options.check()?;
     let instants = truths::instants(truth, capture)?;
-    let encoder = options.video.as_ref().map(encoder).transpose()?;
+    // Tried before anything is rendered.
+    let codec = options.video.as_ref().map(|video| Codec::for_browsers(&video.ffmpeg)).transpose();
+    let codec = codec.map_err(video::ReviewVideoError::from)?;
 
     let mut stages = StageTimes(renderer.timings());
     let task = reporter.task("Comparing with the truth", truth.views.len());
     let mut results = instant::Results::default();
-    let methods = &options.methods();
-    let comparison = instant::Comparison { renderer, truth, options, out, methods };
+    let comparison = instant::Comparison { renderer, truth, options, out };
     for instant in &instants {
         comparison.compare(instant, &mut results, &mut stages)?;
         task.advance(instant.views.len());
@@ -60,69 +60,38 @@ pub fn compare(
         sync: results.sync,
         views: results.views,
     };
-    let write_failed = |path: &Path| {
-        let path = path.to_owned();
-        |source| CompareError::Write { path, source }
+    let written = |path: &Path, result: std::io::Result<()>| {
+        result.map_err(|source| CompareError::Write { path: path.to_owned(), source })
     };
     let path = out.join("metrics.json");
-    write_json(&path, &metrics).map_err(write_failed(&path))?;
-    let video = match (encoder, &options.video) {
-        (Some(encoder), Some(video_options)) => stages
-            .time("video", || {
-                let plan =
-                    video::VideoPlan::new(renderer, options.sync, Some(truth), video_options)?;
-                plan.write(&encoder, out, reporter)
-            })
-            .map(Some),
-        _ => Ok(None),
-    };
+    written(&path, write_json(&path, &metrics))?;
+    let video = codec.map(|codec| {
+        stages.time("video", || video::ReviewVideo::write(&comparison, codec, reporter))
+    });
     stages.add("comparison in all", start);
     let path = out.join("timings.json");
-    write_json(&path, &json!({ "stages": stages.0 })).map_err(write_failed(&path))?;
-    let written = video.as_ref().ok().and_then(Option::as_ref);
-    let video_path = written.map(|m| m.path.as_path());
+    written(&path, write_json(&path, &json!({ "stages": stages.0 })))?;
+    let whole_video = video.as_ref().and_then(|video| video.as_ref().ok());
+    let video_path = whole_video.map(|video| video.path.as_path());
     let html = report::html(&metrics, &stages.0, &results.figures, video_path)?;
     let report = out.join("report.html");
-    write_atomically(&report, html.as_bytes()).map_err(write_failed(&report))?;
+    written(&report, write_atomically(&report, html.as_bytes()))?;
     let review = out.join(review::FILE);
-    write_json(&review, &review::layout(&metrics, written)).map_err(write_failed(&review))?;
-    Ok(Summary { headline: metrics.headline, report, review, video: video?.map(|v| v.path) })
-}
-
-/// The video's encoder, tested before anything is rendered.
-fn encoder(options: &video::VideoOptions) -> Result<video::Encoder, CompareError> {
-    let codec = Codec::for_browsers(&options.ffmpeg).map_err(video::ReviewVideoError::from)?;
-    Ok(video::Encoder { ffmpeg: options.ffmpeg.clone(), codec })
+    written(&review, write_json(&review, &review::layout(&metrics, whole_video)))?;
+    let video = video.transpose()?.map(|video| video.path);
+    Ok(Summary { headline: metrics.headline, report, review, video })
 }
 
 fn offset_results(renderer: &dyn Renderer, truth: &Truth) -> Vec<OffsetResult> {
-    let capture = renderer.capture();
+    let capture = renderer.field().capture();
     let frame_s = Some(capture.frame_s()).filter(|f| *f > 0.0);
-    let finite = |v: Option<f64>| v.filter(|v| v.is_finite());
-    capture
-        .cameras
-        .iter()
-        .enumerate()
-        .map(|(index, filmed)| {
-            let row = renderer.offsets().cameras.iter().find(|o| o.id == filmed.id);
-            let offset_s = finite(row.and_then(|r| r.offset_s));
-            let std_err_s = finite(row.and_then(|r| r.std_err_s));
-            let truth_s = finite(truth.offset_s(&filmed.id));
-            let error_s = offset_s.zip(truth_s).map(|(o, t)| o - t);
-            let frames = |s: Option<f64>| s.zip(frame_s).map(|(s, f)| s / f);
-            OffsetResult {
-                camera: filmed.id.clone(),
-                shares_clock: filmed.clock.shared || index == capture.reference,
-                offset_s,
-                std_err_s,
-                truth_s,
-                error_frames: frames(error_s),
-                std_err_frames: frames(std_err_s),
-                z: error_s.zip(std_err_s).filter(|(_, s)| *s > 0.0).map(|(e, s)| e / s),
-                reason: row.and_then(|r| r.reason.clone()),
-            }
-        })
-        .collect()
+    let result = |(index, filmed): (usize, &FilmedCamera)| {
+        let given = renderer.field().offsets().cameras.iter().find(|o| o.id == filmed.id);
+        let shares_clock = filmed.clock.shared || index == capture.reference;
+        let truth_s = truth.offset_s(&filmed.id);
+        OffsetResult { shares_clock, ..OffsetResult::new(&filmed.id, given, truth_s, frame_s) }
+    };
+    capture.cameras.iter().enumerate().map(result).collect()
 }
 
 fn facts(capture: &Capture, truth: &Truth) -> CaptureFacts {

@@ -2,15 +2,14 @@
 //! that are blended from them are in `views.rs`.
 
 use super::report::{Figure, ReportPicture};
-use super::results::{SyncResult, ViewResult};
-use super::sheet::{Panel, Sheet};
-use super::stage_times::StageTimes;
+use super::results::{StageTimes, SyncResult, ViewResult};
+use super::sheet::{Panel, sheet};
 use super::truths::{TrueImage, TrueInstant, TrueView, as_written};
 use super::{CompareError, CompareOptions, Renderer, TRADITIONAL};
 use crate::capture::Truth;
 use crate::interpolation::{SyncMethod, Synchronized};
 use crate::method::Method;
-use crate::metrics::{ReferenceImage, RegionScores};
+use crate::metrics::ReferenceImage;
 use crate::raster::{BitDepth, Image, write_image};
 use rayon::prelude::*;
 use std::path::Path;
@@ -22,8 +21,6 @@ pub(super) struct Comparison<'a> {
     pub truth: &'a Truth,
     pub options: &'a CompareOptions,
     pub out: &'a Path,
-    /// The sync methods to measure, cheapest first.
-    pub methods: &'a [SyncMethod],
 }
 
 /// The results of the instants so far.
@@ -33,10 +30,14 @@ pub(super) struct Results {
     pub views: Vec<ViewResult>,
     /// The pictures of the report.
     pub figures: Vec<Figure>,
-    /// Number of figures that show a filming camera's synchronized image.
-    pub sync_figures: usize,
-    /// Number of figures that show a blended view.
-    pub view_figures: usize,
+}
+
+impl Results {
+    /// Whether the report takes another figure of a new view, or of a filming camera's image.
+    fn has_room(&self, is_view: bool, options: &CompareOptions) -> bool {
+        let alike = self.figures.iter().filter(|figure| figure.is_view == is_view);
+        alike.count() < options.report_views
+    }
 }
 
 /// A true image, with everything that measures images against it.
@@ -49,8 +50,8 @@ pub(super) struct ComparedTarget<'a> {
 /// An image, or a sentence why there is none.
 pub(super) type ImageOrReason = Result<Image, String>;
 
-/// A camera's synchronized image, or a sentence why there is none.
-pub(super) type SynchronizedOrReason = Result<Arc<Synchronized>, String>;
+/// The cameras' images by one sync method, or sentences why there are none.
+pub(super) type SynchronizedBy = (SyncMethod, Vec<Result<Arc<Synchronized>, String>>);
 
 const RENDERING: &str = "synchronized images";
 const BLENDING: &str = "views";
@@ -64,23 +65,20 @@ impl Comparison<'_> {
         results: &mut Results,
         stages: &mut StageTimes,
     ) -> Result<(), CompareError> {
-        let capture = self.renderer.capture();
+        let capture = self.renderer.field().capture();
         let read = |view: &TrueView| view.read(self.truth, capture, self.options);
         let truths: Vec<TrueImage> = stages
             .time(MEASURING, || instant.views.par_iter().map(read).collect::<Result<_, _>>())?;
         let images = stages.time(RENDERING, || self.synchronize(instant));
 
-        let targets = instant.views.iter().zip(&truths).map(|(view, truth)| ComparedTarget {
-            instant,
-            view,
-            truth,
-        });
+        let target = |(view, truth)| ComparedTarget { instant, view, truth };
+        let targets = instant.views.iter().zip(&truths).map(target);
         let (filmed, free): (Vec<_>, Vec<_>) = targets.partition(|t| t.view.like.is_some());
         let most_moving = filmed.iter().map(|t| t.truth.moving_pixels()).max();
         let in_report = filmed
             .iter()
             .position(|t| Some(t.truth.moving_pixels()) == most_moving)
-            .filter(|_| results.sync_figures < self.options.report_views);
+            .filter(|_| results.has_room(false, self.options));
         let measured: Vec<_> = stages.time(MEASURING, || {
             filmed
                 .par_iter()
@@ -90,17 +88,15 @@ impl Comparison<'_> {
         })?;
         for (rows, figure) in measured {
             results.sync.extend(rows);
-            results.sync_figures += usize::from(figure.is_some());
             results.figures.extend(figure);
         }
 
         for target in free {
             let blends = stages.time(BLENDING, || self.blend(&target, &truths, &images));
-            let in_report = results.view_figures < self.options.report_views;
+            let in_report = results.has_room(true, self.options);
             let (rows, figure) =
-                stages.time(MEASURING, || self.measure_view(&target, &blends, in_report))?;
+                stages.time(MEASURING, || self.measure_view(&target, blends, in_report))?;
             results.views.extend(rows);
-            results.view_figures += usize::from(figure.is_some());
             results.figures.extend(figure);
         }
         Ok(())
@@ -108,9 +104,9 @@ impl Comparison<'_> {
 
     /// Synchronized images by method and camera: of all cameras if there is a view to blend, else of those with
     /// a true image.
-    fn synchronize(&self, instant: &TrueInstant) -> Vec<Vec<SynchronizedOrReason>> {
+    fn synchronize(&self, instant: &TrueInstant) -> Vec<SynchronizedBy> {
         let blends = instant.views.iter().any(|v| v.like.is_none());
-        let cameras = self.renderer.capture().cameras.len();
+        let cameras = self.renderer.field().capture().cameras.len();
         let one = |method: SyncMethod, camera: usize| {
             let like = instant.views.iter().any(|v| v.like == Some(camera));
             let feeds_views = blends && [TRADITIONAL, self.options.sync].contains(&method);
@@ -120,56 +116,54 @@ impl Comparison<'_> {
                 Err("was not asked for".into())
             }
         };
-        self.methods.iter().map(|&m| (0..cameras).map(|c| one(m, c)).collect()).collect()
+        let all = |method| (method, (0..cameras).map(|camera| one(method, camera)).collect());
+        self.options.methods().into_iter().map(all).collect()
     }
 
     /// Measures all sync methods on a filming camera; adds its pictures to the report if `in_report`.
     fn measure_sync(
         &self,
         target: &ComparedTarget,
-        images: &[Vec<SynchronizedOrReason>],
+        synchronized: &[SynchronizedBy],
         in_report: bool,
     ) -> Result<(Vec<SyncResult>, Option<Figure>), CompareError> {
         let ComparedTarget { instant, view, truth } = target;
-        let capture = self.renderer.capture();
+        let capture = self.renderer.field().capture();
         let camera = view.like.unwrap_or_default();
         let id = &capture.cameras[camera].id;
         let reference = ReferenceImage::new(truth.image.clone(), self.options.pixels_per_degree);
         let mut rows = Vec::new();
-        let mut as_written = Vec::new();
-        for (&method, by_method) in self.methods.iter().zip(images) {
-            let image = by_method[camera].as_ref().map(|s| &s.image);
+        let mut images = Vec::new();
+        for (method, cameras) in synchronized {
+            let image = cameras[camera].as_ref().map(|s| &s.image);
             let image = self.checked(image, &truth.image);
-            let file = match &image {
-                Ok(image) => Some(self.write(target, method.name(), image, None)?),
-                Err(_) => None,
-            };
+            let file =
+                image.as_ref().ok().map(|image| self.write(target, method.name(), image, None));
             let scores = |image: &Image| reference.compare(image).regions(None, &truth.moving);
             rows.push(SyncResult {
                 view: self.truth.views[view.index].id.clone(),
                 camera: id.clone(),
                 time_s: instant.time_s,
-                method,
+                method: *method,
                 scores: image.as_ref().ok().map(scores),
-                image: file,
+                image: file.transpose()?,
                 reason: image.as_ref().err().cloned(),
             });
-            as_written.push(image);
+            images.push(image);
         }
         self.write(target, "truth", &truth.image, None)?;
-        let shown: Vec<Shown> = as_written
-            .iter()
-            .zip(&rows)
-            .map(|(image, row)| Shown {
+        let shown = images.iter().map(Result::as_ref).zip(&rows);
+        let panels: Vec<Panel> = shown
+            .map(|(image, row)| Panel {
                 title: row.method.name().to_owned(),
-                image: image.as_ref(),
+                image,
                 scores: row.scores,
             })
             .collect();
         let title = format!("{}: {id} at {:.4} s, synchronized", capture.name, instant.time_s);
-        self.write_sheet(&title, &view.stem, truth, &shown)?;
+        self.write_sheet(&title, &view.stem, truth, &panels)?;
         let title = format!("Camera {id} at {:.4} s", instant.time_s);
-        let figure = in_report.then(|| figure(title, false, truth, &shown));
+        let figure = in_report.then(|| figure(title, false, truth, &panels));
         Ok((rows, figure))
     }
 
@@ -182,7 +176,7 @@ impl Comparison<'_> {
         coverage: Option<&[bool]>,
     ) -> Result<String, CompareError> {
         let name = format!("images/{}/{name}.png", target.view.stem);
-        let depth = self.renderer.capture().bit_depth();
+        let depth = self.renderer.field().capture().bit_depth();
         write_image(&self.out.join(&name), image, coverage, depth)?;
         Ok(name)
     }
@@ -192,56 +186,28 @@ impl Comparison<'_> {
         title: &str,
         stem: &str,
         truth: &TrueImage,
-        shown: &[Shown],
+        panels: &[Panel],
     ) -> Result<(), CompareError> {
-        let panels: Vec<Panel> = shown
-            .iter()
-            .map(|s| Panel {
-                title: &s.title,
-                image: s.image.ok(),
-                scores: s.scores.as_ref(),
-                note: s.image.err().map_or("", String::as_str),
-            })
-            .collect();
-        let sheet = Sheet {
-            title,
-            truth: &truth.image,
-            moving: &truth.moving,
-            panels: &panels,
-            gain: self.options.difference_gain,
-        };
+        let sheet = sheet(title, truth, panels, self.options.difference_gain);
         let path = self.out.join(format!("sheets/{stem}.png"));
-        Ok(write_image(&path, &sheet.draw(), None, BitDepth::Eight)?)
+        Ok(write_image(&path, &sheet, None, BitDepth::Eight)?)
     }
 
     /// An image as its file holds it; an error if its size differs from the truth's.
     pub(super) fn checked(&self, image: Result<&Image, &String>, truth: &Image) -> ImageOrReason {
         let image = image.map_err(Clone::clone)?;
         if (image.width(), image.height()) != (truth.width(), truth.height()) {
-            return Err(format!(
-                "is {}×{} pixels, the truth {}×{}",
-                image.width(),
-                image.height(),
-                truth.width(),
-                truth.height()
-            ));
+            let [is, wanted] = [image, truth].map(|i| format!("{}×{}", i.width(), i.height()));
+            return Err(format!("is {is} pixels, the truth {wanted}"));
         }
-        Ok(as_written(image, truth.channels(), self.renderer.capture().bit_depth()))
+        Ok(as_written(image, truth.channels(), self.renderer.field().capture().bit_depth()))
     }
 }
 
-/// A result for sheets and figures.
-pub(super) struct Shown<'a> {
-    pub title: String,
-    pub image: Result<&'a Image, &'a String>,
-    pub scores: Option<RegionScores>,
-}
-
 /// The truth and the methods' images, for the report.
-pub(super) fn figure(title: String, is_view: bool, truth: &TrueImage, shown: &[Shown]) -> Figure {
+pub(super) fn figure(title: String, is_view: bool, truth: &TrueImage, panels: &[Panel]) -> Figure {
     let mut pictures = vec![ReportPicture::new("Truth", &truth.image, None)];
-    pictures.extend(
-        shown.iter().filter_map(|s| Some(ReportPicture::new(&s.title, s.image.ok()?, s.scores))),
-    );
+    let shown = panels.iter().filter_map(|p| Some((p, p.image.ok()?)));
+    pictures.extend(shown.map(|(p, image)| ReportPicture::new(&p.title, image, p.scores)));
     Figure { title, is_view, pictures }
 }

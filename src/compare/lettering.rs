@@ -16,12 +16,6 @@ pub struct TextStyle {
     pub color: [f32; 3],
 }
 
-impl TextStyle {
-    fn font(self) -> FontWeight {
-        if self.bold { FontWeight::Bold } else { FontWeight::Regular }
-    }
-}
-
 /// Advance of every letter, pixels.
 fn advance_px() -> usize {
     get_raster_width(FontWeight::Regular, RasterHeight::Size16)
@@ -44,16 +38,19 @@ pub fn write(
     text: &str,
     style: TextStyle,
 ) {
+    let font = if style.bold { FontWeight::Bold } else { FontWeight::Regular };
     for (k, letter) in fitted(text, room_px / advance_px()).into_iter().enumerate() {
         // The font has no minus sign.
         let letter = if letter == '−' { '-' } else { letter };
-        let raster = get_raster(letter, style.font(), RasterHeight::Size16)
-            .or_else(|| get_raster('?', style.font(), RasterHeight::Size16));
-        let Some(raster) = raster else { continue };
+        let [raster, unknown] = [letter, '?'].map(|c| get_raster(c, font, RasterHeight::Size16));
+        let Some(raster) = raster.or(unknown) else { continue };
         let left = x + k * advance_px();
-        for (dy, row) in raster.rows().enumerate() {
-            for (dx, ink) in row.iter().enumerate() {
-                blend(image, (left + dx, y + dy), f32::from(*ink) / 255.0, style.color);
+        for (dy, row) in raster.rows().enumerate().take(image.height().saturating_sub(y)) {
+            for (dx, ink) in row.iter().enumerate().take(image.width().saturating_sub(left)) {
+                let at = ((y + dy) * image.width() + left + dx) * 3;
+                for (v, c) in image.data_mut()[at..at + 3].iter_mut().zip(style.color) {
+                    *v += (c - *v) * (f32::from(*ink) / 255.0);
+                }
             }
         }
     }
@@ -62,21 +59,9 @@ pub fn write(
 /// The letters of a text, the end replaced by an ellipsis where there are more than `max`.
 fn fitted(text: &str, max: usize) -> Vec<char> {
     if text.chars().count() <= max {
-        text.chars().collect()
-    } else {
-        text.chars().take(max.saturating_sub(2)).chain("..".chars().take(max)).collect()
+        return text.chars().collect();
     }
-}
-
-/// Mixes a colour into one pixel of an RGB image, by `ink` of 0 to 1.
-fn blend(image: &mut Image, (x, y): (usize, usize), ink: f32, color: [f32; 3]) {
-    if x >= image.width() || y >= image.height() {
-        return;
-    }
-    let at = (y * image.width() + x) * 3;
-    for (v, c) in image.data_mut()[at..at + 3].iter_mut().zip(color) {
-        *v += (c - *v) * ink;
-    }
+    text.chars().take(max.saturating_sub(2)).chain("..".chars().take(max)).collect()
 }
 
 #[cfg(test)]

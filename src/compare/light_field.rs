@@ -6,7 +6,6 @@ use crate::capture::Capture;
 use crate::interpolation::{SyncMethod, Synchronized};
 use crate::light_field::{Context, LightField, RenderError, Request, Viewpoint, render};
 use crate::lumigraph::Rendered;
-use crate::offset::Offsets;
 use crate::options::{RenderOptions, TrailOptions};
 use crate::pipeline;
 use crate::progress::Reporter;
@@ -35,12 +34,8 @@ impl ComparedLightField {
 }
 
 impl Renderer for ComparedLightField {
-    fn capture(&self) -> &Capture {
-        self.field.capture()
-    }
-
-    fn offsets(&self) -> &Offsets {
-        self.field.offsets()
+    fn field(&self) -> &LightField {
+        &self.field
     }
 
     fn synchronized(
@@ -65,10 +60,6 @@ impl Renderer for ComparedLightField {
             shape: view.shape,
         };
         render(&self.field, &request, &Context::unattended()).map_err(|e| e.to_string())
-    }
-
-    fn covered_span_s(&self) -> Option<(f64, f64)> {
-        self.field.common_span_s()
     }
 
     fn options(&self) -> &RenderOptions {

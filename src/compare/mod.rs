@@ -15,11 +15,10 @@
 //! | `mod.rs` | the interface to the renderer, options, errors, the summary |
 //! | `driver.rs` | all instants, then the folder's files |
 //! | `light_field.rs` | the light field that is compared |
-//! | `stage_times.rs` | how long the stages took |
 //! | `instant.rs` | one instant: synchronize the cameras and measure them |
 //! | `views.rs` | one view at an instant: blend it by every method and measure that |
 //! | `truths.rs` | the truth's images and moving parts |
-//! | `results.rs` | the results as they are written; the headline |
+//! | `results.rs` | the results as they are written, and how long the stages took; the headline |
 //! | `sheet.rs`, `lettering.rs` | pictures with labels |
 //! | `report.rs`, `report.html` | the report |
 //! | `video.rs` | the review video |
@@ -37,7 +36,6 @@ mod report;
 pub mod results;
 mod review;
 pub mod sheet;
-mod stage_times;
 pub(crate) mod truths;
 pub mod video;
 mod views;
@@ -45,16 +43,15 @@ mod views;
 pub use driver::compare;
 
 pub use light_field::ComparedLightField;
-pub use offset_score::{OffsetScore, ScoredOffset};
+pub use offset_score::{errors_frames, score_offsets};
 
 use crate::camera::Camera;
-use crate::capture::{Capture, CaptureError, TruthError};
+use crate::capture::CaptureError;
 use crate::interpolation::{SyncMethod, Synchronized};
-use crate::light_field::Images;
+use crate::light_field::{Images, LightField};
 use crate::lumigraph::Rendered;
 use crate::method::Method;
 use crate::metrics::flip;
-use crate::offset::Offsets;
 use crate::options::{ProxyMethod, RenderOptions};
 use crate::raster::ImageFileError;
 use results::{Headline, StageTime};
@@ -73,12 +70,11 @@ pub const TRADITIONAL: SyncMethod = SyncMethod::Nearest;
 /// sequential, so that an implementation may use all cores and a cache.
 ///
 /// Times are seconds on the reference's clock, from the capture's start
-/// ([`Capture::time_origin_s`] subtracted). An `Err` is one sentence for the report: why this
+/// ([`Capture::time_origin_s`](crate::capture::Capture::time_origin_s) subtracted). An `Err` is one sentence for the report: why this
 /// image can't be made. It excludes the camera or the view, and ends nothing.
 pub trait Renderer: Sync {
-    fn capture(&self) -> &Capture;
-
-    fn offsets(&self) -> &Offsets;
+    /// The light field, with the capture and its offsets.
+    fn field(&self) -> &LightField;
 
     /// A filming camera's image at a time.
     fn synchronized(
@@ -90,9 +86,6 @@ pub trait Renderer: Sync {
 
     /// A view that is blended from images of the filming cameras.
     fn view(&self, view: &ComparedView) -> Result<Rendered, String>;
-
-    /// The first and the last time at which all cameras can give an image.
-    fn covered_span_s(&self) -> Option<(f64, f64)>;
 
     /// The options of all stages, to be written beside the numbers.
     fn options(&self) -> &RenderOptions;
@@ -156,8 +149,6 @@ pub enum CompareError {
     #[error("{folder} has no truth/truth.json to compare with")]
     NoTruth { folder: PathBuf },
     #[error(transparent)]
-    Truth(#[from] TruthError),
-    #[error(transparent)]
     Capture(#[from] CaptureError),
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
@@ -185,21 +176,19 @@ pub struct Summary {
 
 impl CompareOptions {
     fn check(&self) -> Result<(), CompareError> {
-        let positive = [
-            ("pixels_per_degree", self.pixels_per_degree),
-            ("difference_gain", f64::from(self.difference_gain)),
+        let video = self.video.clone().unwrap_or_default();
+        let (gain, threshold) = (self.difference_gain.into(), self.moving_threshold_px.into());
+        let fields = [
+            ("pixels_per_degree", self.pixels_per_degree, self.pixels_per_degree > 0.0, "positive"),
+            ("difference_gain", gain, gain > 0.0, "positive"),
+            ("moving_threshold_px", threshold, threshold >= 0.0, "0 or more"),
+            ("video.rate_hz", video.rate_hz, video.rate_hz > 0.0, "positive"),
+            ("video.frames", video.frames as f64, video.frames > 0, "1 or more"),
         ];
-        for (field, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(CompareError::Option { field, value, wanted: "positive" });
-            }
+        match fields.into_iter().find(|(_, value, is_valid, _)| !(value.is_finite() && *is_valid)) {
+            Some((field, value, _, wanted)) => Err(CompareError::Option { field, value, wanted }),
+            None => Ok(()),
         }
-        let threshold = f64::from(self.moving_threshold_px);
-        if !(threshold.is_finite() && threshold >= 0.0) {
-            let field = "moving_threshold_px";
-            return Err(CompareError::Option { field, value: threshold, wanted: "0 or more" });
-        }
-        Ok(())
     }
 
     /// The sync methods to measure, cheapest first.

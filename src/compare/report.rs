@@ -3,17 +3,14 @@
 //! The page is the template `report.html` beside this file, filled in by minijinja, which escapes
 //! all text from files. Pictures are inlined as 8-bit PNG, and plots as SVG.
 
-use super::results::{Metrics, StageTime, ViewMethod};
+use super::results::{Metrics, StageTime, ViewMethod, used};
 use crate::chart::{Dot, DotPlot, DotRow};
-use crate::interpolation::SyncMethod;
 use crate::method::Method;
 use crate::metrics::RegionScores;
-use crate::options::ProxyMethod;
-use crate::raster::Image;
+use crate::raster::{Image, encode_png_8};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
+use image::codecs::png::CompressionType;
 use minijinja::value::{Serde, Value};
 use minijinja::{Environment, UndefinedBehavior, context};
 use serde::Serialize;
@@ -42,26 +39,15 @@ pub(super) struct ReportPicture {
 
 impl ReportPicture {
     pub fn new(label: &str, image: &Image, scores: Option<RegionScores>) -> Self {
-        let (width, height) = (image.width(), image.height());
+        let png = encode_png_8(image, CompressionType::Best);
         Self {
             label: label.to_owned(),
-            width,
-            height,
-            png_base64: BASE64.encode(png(image)),
+            width: image.width(),
+            height: image.height(),
+            png_base64: BASE64.encode(png.expect("a buffer takes any image of 1 or 3 channels")),
             scores,
         }
     }
-}
-
-/// The image as PNG of 8 bits a channel, with the strongest compression.
-fn png(image: &Image) -> Vec<u8> {
-    let raw: Vec<u8> = image.data().iter().map(|v| (v * 255.0 + 0.5) as u8).collect();
-    let color = if image.channels() == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
-    let mut bytes = Vec::new();
-    PngEncoder::new_with_quality(&mut bytes, CompressionType::Best, FilterType::Adaptive)
-        .write_image(&raw, image.width() as u32, image.height() as u32, color)
-        .expect("a buffer takes any image of 1 or 3 channels");
-    bytes
 }
 
 /// The whole page.
@@ -88,8 +74,8 @@ pub(super) fn html(
         offset_plot => Value::from_safe_string(offset_plot(metrics)),
         sync_plot => Value::from_safe_string(sync_plot(metrics)),
         view_plot => Value::from_safe_string(view_plot(metrics)),
-        methods => explained(sync_methods(metrics)),
-        proxies => explained(proxies(metrics)),
+        methods => explained(metrics.sync.iter().map(|row| row.method)),
+        proxies => explained(metrics.views.iter().map(|row| row.proxy)),
         measured => measured_percent(metrics),
     })
 }
@@ -130,42 +116,15 @@ fn measured_percent(metrics: &Metrics) -> Option<[String; 2]> {
     Some([min, max].map(|fraction| format!("{:.1}", 100.0 * fraction)))
 }
 
-/// A method's name and help, for the report.
-#[derive(Serialize)]
-struct Explained {
-    name: &'static str,
-    help: String,
-}
-
-impl Explained {
-    /// The help text for the middle of a sentence.
-    fn of<M: Method>(method: M) -> Self {
+/// Names and helps of the methods that occur, for the report; helps are for the middle of a sentence.
+fn explained<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<Value> {
+    let explain = |method: M| {
         let mut letters = method.help().chars();
         let first = letters.next().map(|c| c.to_lowercase().collect::<String>());
-        Self { name: method.name(), help: first.unwrap_or_default() + letters.as_str() }
-    }
-}
-
-fn explained<M: Method>(methods: Vec<M>) -> Value {
-    let all: Vec<Explained> = methods.into_iter().map(Explained::of).collect();
-    Value::from(Serde(all))
-}
-
-/// The sync methods that were measured, in their order.
-fn sync_methods(metrics: &Metrics) -> Vec<SyncMethod> {
-    let mut methods = Vec::new();
-    for row in &metrics.sync {
-        if !methods.contains(&row.method) {
-            methods.push(row.method);
-        }
-    }
-    methods
-}
-
-/// The proxies that views were blended through, in their order.
-fn proxies(metrics: &Metrics) -> Vec<ProxyMethod> {
-    let is_used = |p: &ProxyMethod| metrics.views.iter().any(|v| v.proxy == *p);
-    ProxyMethod::ALL.iter().copied().filter(is_used).collect()
+        let help = first.unwrap_or_default() + letters.as_str();
+        context! { name => method.name(), help }
+    };
+    used(occurring).into_iter().map(explain).collect()
 }
 
 /// Offset errors in thousandths of a frame, with two standard errors to either side.
@@ -190,48 +149,51 @@ fn offset_plot(metrics: &Metrics) -> String {
 
 /// PSNR of the moving part of each camera's image, one row a camera, one colour a method.
 fn sync_plot(metrics: &Metrics) -> String {
-    let methods = sync_methods(metrics);
-    let dots = metrics.sync.iter().filter_map(|result| {
-        let db = result.scores?.moving.psnr_db?;
-        let dot = Dot {
-            value: db,
-            bar: None,
-            series: methods.iter().position(|m| *m == result.method).unwrap_or(0),
-            title: format!("{}, {}: {db:.2} dB", result.view, result.method.name()),
-        };
-        Some((result.camera.clone(), dot))
+    let methods = used(metrics.sync.iter().map(|row| row.method));
+    let dots = metrics.sync.iter().map(|row| ScoredDot {
+        label: row.camera.clone(),
+        title: format!("{}, {}", row.view, row.method.name()),
+        series: methods.iter().position(|m| *m == row.method).unwrap_or(0),
+        scores: row.scores,
     });
-    let x_label = "PSNR on the moving part, dB (a dot per instant)".into();
-    DotPlot { rows: by_label(dots), x_label, symmetric: false }.svg()
+    psnr_plot(dots, "PSNR on the moving part, dB (a dot per instant)")
 }
 
 /// PSNR of the moving part of each view, one row a view and proxy, one colour a method.
 fn view_plot(metrics: &Metrics) -> String {
-    let dots = metrics.views.iter().filter_map(|result| {
-        let db = result.scores?.moving.psnr_db?;
-        let label = format!("{}, {}", result.view, result.proxy.name());
-        let dot = Dot {
-            value: db,
-            bar: None,
-            series: ViewMethod::ALL.iter().position(|m| *m == result.method).unwrap_or(0),
-            title: format!("{label}, {}: {db:.2} dB", result.method.title()),
-        };
-        Some((label, dot))
+    let dots = metrics.views.iter().map(|row| {
+        let label = format!("{}, {}", row.view, row.proxy.name());
+        ScoredDot {
+            title: format!("{label}, {}", row.method.help()),
+            label,
+            series: ViewMethod::ALL.iter().position(|m| *m == row.method).unwrap_or(0),
+            scores: row.scores,
+        }
     });
-    let x_label = "PSNR on the moving part, dB".into();
-    DotPlot { rows: by_label(dots), x_label, symmetric: false }.svg()
+    psnr_plot(dots, "PSNR on the moving part, dB")
 }
 
-/// Groups dots into rows by label, in order of first appearance.
-fn by_label(dots: impl Iterator<Item = (String, Dot)>) -> Vec<DotRow> {
+/// An image's dot in a plot of PSNR.
+struct ScoredDot {
+    /// The label of its row.
+    label: String,
+    title: String,
+    series: usize,
+    scores: Option<RegionScores>,
+}
+
+/// PSNR of the moving part, in rows by label, in order of first appearance.
+fn psnr_plot(dots: impl Iterator<Item = ScoredDot>, x_label: &str) -> String {
     let mut rows: Vec<DotRow> = Vec::new();
-    for (label, dot) in dots {
+    for ScoredDot { label, title, series, scores } in dots {
+        let Some(db) = scores.and_then(|s| s.moving.psnr_db) else { continue };
+        let dot = Dot { value: db, bar: None, series, title: format!("{title}: {db:.2} dB") };
         match rows.iter_mut().find(|r| r.label == label) {
             Some(row) => row.dots.push(dot),
             None => rows.push(DotRow { label, dots: vec![dot] }),
         }
     }
-    rows
+    DotPlot { rows, x_label: x_label.into(), symmetric: false }.svg()
 }
 
 #[cfg(test)]
@@ -257,7 +219,8 @@ mod tests {
     #[test]
     fn pictures_decode_to_their_pixels() {
         let image = Image::from_data(2, 1, 3, vec![0.0, 0.2, 0.4, 0.6, 0.8, 1.0]);
-        let decoded = image::load_from_memory(&png(&image)).unwrap().into_rgb8();
+        let png = BASE64.decode(ReportPicture::new("a", &image, None).png_base64).unwrap();
+        let decoded = image::load_from_memory(&png).unwrap().into_rgb8();
         assert_eq!(decoded.into_raw(), [0, 51, 102, 153, 204, 255]);
     }
 }

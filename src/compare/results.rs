@@ -2,9 +2,11 @@
 
 use super::CompareOptions;
 use crate::interpolation::SyncMethod;
+use crate::method::{Method, methods};
 use crate::metrics::{RegionScores, median};
 use crate::options::ProxyMethod;
 use serde::Serialize;
+use std::time::Instant;
 
 /// `metrics.json`: all results but run times, so that two runs write the same bytes.
 #[derive(Clone, Debug, Serialize)]
@@ -111,11 +113,12 @@ pub struct SyncResult {
     pub reason: Option<String>,
 }
 
-/// The source of the images that a view is blended from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+/// The source of the images that a view is blended from. Its help is its name for readers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ViewMethod {
     /// Each camera's nearest frame.
+    #[default]
     TraditionalLfr,
     /// The chosen sync method.
     StLfr,
@@ -123,26 +126,11 @@ pub enum ViewMethod {
     PerfectSync,
 }
 
-impl ViewMethod {
-    pub const ALL: [Self; 3] = [Self::TraditionalLfr, Self::StLfr, Self::PerfectSync];
-
-    /// The name for readers.
-    pub fn title(self) -> &'static str {
-        match self {
-            Self::TraditionalLfr => "Traditional LFR",
-            Self::StLfr => "ST-LFR",
-            Self::PerfectSync => "Perfect sync",
-        }
-    }
-
-    pub(super) fn slug(self) -> &'static str {
-        match self {
-            Self::TraditionalLfr => "traditional-lfr",
-            Self::StLfr => "st-lfr",
-            Self::PerfectSync => "perfect-sync",
-        }
-    }
-}
+methods!(ViewMethod {
+    TraditionalLfr = "traditional-lfr": "Traditional LFR",
+    StLfr = "st-lfr": "ST-LFR",
+    PerfectSync = "perfect-sync": "Perfect sync",
+});
 
 /// A new view at an instant, by one method through one proxy.
 #[derive(Clone, Debug, Serialize)]
@@ -175,6 +163,34 @@ pub struct StageTime {
     pub seconds: f64,
 }
 
+/// Times of the stages, each the sum of its parts.
+pub(super) struct StageTimes(pub Vec<StageTime>);
+
+impl StageTimes {
+    /// Runs one part of a stage.
+    pub fn time<T>(&mut self, stage: &str, work: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = work();
+        self.add(stage, start);
+        result
+    }
+
+    /// Adds the time since `start` to a stage's.
+    pub fn add(&mut self, stage: &str, start: Instant) {
+        let seconds = start.elapsed().as_secs_f64();
+        match self.0.iter_mut().find(|s| s.stage == stage) {
+            Some(known) => known.seconds += seconds,
+            None => self.0.push(StageTime { stage: stage.to_owned(), seconds }),
+        }
+    }
+}
+
+/// The methods that occur, cheapest first.
+pub(super) fn used<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<M> {
+    let occurring: Vec<M> = occurring.collect();
+    M::ALL.iter().copied().filter(|method| occurring.contains(method)).collect()
+}
+
 /// Summarizes the results.
 pub(super) fn headline(
     options: &CompareOptions,
@@ -201,7 +217,10 @@ pub(super) fn headline(
             least_gain_db: gains.iter().copied().min_by(f64::total_cmp),
             median_gain_db: median(gains),
         },
-        views: view_headlines(views),
+        views: used(views.iter().map(|v| v.proxy))
+            .into_iter()
+            .map(|p| view_headline(views, p))
+            .collect(),
         missing_images: cameras_out + images_out,
     }
 }
@@ -218,43 +237,25 @@ fn sync_gains(options: &CompareOptions, sync: &[SyncResult]) -> Vec<f64> {
         .collect()
 }
 
-/// The PSNR of one region.
-type Psnr = fn(&RegionScores) -> Option<f64>;
-
-fn view_headlines(views: &[ViewResult]) -> Vec<ViewHeadline> {
-    let mut proxies: Vec<ProxyMethod> = Vec::new();
-    for view in views {
-        if !proxies.contains(&view.proxy) {
-            proxies.push(view.proxy);
-        }
-    }
-    let scores = |view: &str, proxy: ProxyMethod, method: ViewMethod| {
-        let found = views.iter().find(|v| v.view == view && v.proxy == proxy && v.method == method);
-        found.and_then(|v| v.scores)
+fn view_headline(all: &[ViewResult], proxy: ProxyMethod) -> ViewHeadline {
+    let by =
+        |method: ViewMethod| all.iter().filter(move |v| v.proxy == proxy && v.method == method);
+    let ours = || by(ViewMethod::StLfr);
+    // The median of ST-LFR's gains over another method.
+    let over = |other: ViewMethod, psnr: fn(&RegionScores) -> Option<f64>| {
+        let gain = |v: &ViewResult| {
+            let same = by(other).find(|o| o.view == v.view)?;
+            Some(psnr(&v.scores?)? - psnr(&same.scores?)?)
+        };
+        median(ours().filter_map(gain).collect())
     };
-    proxies
-        .into_iter()
-        .map(|proxy| {
-            let ours: Vec<&ViewResult> = views
-                .iter()
-                .filter(|v| v.proxy == proxy && v.method == ViewMethod::StLfr)
-                .collect();
-            let over = |other: ViewMethod, psnr: Psnr| {
-                let difference = |v: &&ViewResult| {
-                    Some(psnr(&v.scores?)? - psnr(&scores(&v.view, proxy, other)?)?)
-                };
-                median(ours.iter().filter_map(difference).collect())
-            };
-            let whole: Psnr = |s| s.whole.psnr_db;
-            let moving: Psnr = |s| s.moving.psnr_db;
-            ViewHeadline {
-                proxy,
-                gain_whole_db: over(ViewMethod::TraditionalLfr, whole),
-                gain_moving_db: over(ViewMethod::TraditionalLfr, moving),
-                gap_whole_db: over(ViewMethod::PerfectSync, whole).map(|v| 0.0 - v),
-                gap_moving_db: over(ViewMethod::PerfectSync, moving).map(|v| 0.0 - v),
-                views: ours.iter().filter(|v| v.scores.is_some()).count(),
-            }
-        })
-        .collect()
+    let (traditional, perfect) = (ViewMethod::TraditionalLfr, ViewMethod::PerfectSync);
+    ViewHeadline {
+        proxy,
+        gain_whole_db: over(traditional, |s| s.whole.psnr_db),
+        gain_moving_db: over(traditional, |s| s.moving.psnr_db),
+        gap_whole_db: over(perfect, |s| s.whole.psnr_db).map(|v| 0.0 - v),
+        gap_moving_db: over(perfect, |s| s.moving.psnr_db).map(|v| 0.0 - v),
+        views: ours().filter(|v| v.scores.is_some()).count(),
+    }
 }

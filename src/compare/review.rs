@@ -1,7 +1,8 @@
 //! `review.json`: the layout of `review.blend`.
 
-use super::results::{Metrics, ViewMethod};
-use super::{TRADITIONAL, video};
+use super::TRADITIONAL;
+use super::results::{Metrics, SyncResult, ViewMethod, ViewResult};
+use super::video::ReviewVideo;
 use crate::interpolation::SyncMethod;
 use crate::method::Method;
 use serde::Serialize;
@@ -52,7 +53,7 @@ struct ReviewPanel {
 }
 
 /// New views, the filming cameras' images, and the video.
-pub(super) fn layout(metrics: &Metrics, video: Option<&video::Written>) -> Layout {
+pub(super) fn layout(metrics: &Metrics, video: Option<&ReviewVideo>) -> Layout {
     let mut reels: Vec<Reel> = video.map(movie_reel).into_iter().collect();
     for (name, shots) in [("Views", view_shots(metrics)), ("Cameras", camera_shots(metrics))] {
         if !shots.is_empty() {
@@ -68,10 +69,10 @@ pub(super) fn layout(metrics: &Metrics, video: Option<&video::Written>) -> Layou
     }
 }
 
-fn movie_reel(video: &video::Written) -> Reel {
-    let file = |slug: &str| video.movies.iter().find(|m| m.slug == slug).map(|m| m.file.clone());
+fn movie_reel(video: &ReviewVideo) -> Reel {
+    let file = |name: &str| Some(video.movies.iter().find(|(n, _)| *n == name)?.1.clone());
     let panel = |method: ViewMethod| {
-        Some(ReviewPanel { title: method.title().into(), file: file(method.slug())? })
+        Some(ReviewPanel { title: method.help().into(), file: file(method.name())? })
     };
     let shot = Shot {
         label: video.view.clone(),
@@ -84,62 +85,41 @@ fn movie_reel(video: &video::Written) -> Reel {
     Reel { name: "Video", rate_hz: video.rate_hz, shots: vec![shot] }
 }
 
-/// Path of the true picture, in the folder of the methods' pictures.
-fn truth_beside(file: &str) -> Option<String> {
-    Some(format!("{}/truth.png", file.rsplit_once('/')?.0))
-}
-
-fn still(
-    label: String,
-    traditional: Option<ReviewPanel>,
-    space_time: Option<ReviewPanel>,
-) -> Option<Shot> {
-    let any = traditional.as_ref().or(space_time.as_ref())?;
-    Some(Shot {
-        label,
-        frames: (STILL_S * STILL_RATE_HZ) as usize,
-        is_movie: false,
-        truth: truth_beside(&any.file),
-        traditional,
-        space_time,
-    })
+/// A shot of stills, by traditional LFR and by ST-LFR. The true picture is in their folder. `None` without a picture.
+fn still(label: String, panels: [Option<ReviewPanel>; 2]) -> Option<Shot> {
+    let (folder, _) = panels.iter().flatten().next()?.file.rsplit_once('/')?;
+    let truth = Some(format!("{folder}/truth.png"));
+    let [traditional, space_time] = panels;
+    let frames = (STILL_S * STILL_RATE_HZ) as usize;
+    Some(Shot { label, frames, is_movie: false, truth, traditional, space_time })
 }
 
 fn view_shots(metrics: &Metrics) -> Vec<Shot> {
-    let rows = || metrics.views.iter();
-    rows()
-        .filter(|row| row.method == ViewMethod::StLfr)
-        .filter_map(|row| {
-            let panel = |method: ViewMethod| {
-                let same = |r: &&super::results::ViewResult| {
-                    r.view == row.view && r.proxy == row.proxy && r.method == method
-                };
-                let file = rows().find(same)?.image.clone()?;
-                Some(ReviewPanel {
-                    title: format!("{}, {}", method.title(), row.proxy.name()),
-                    file,
-                })
-            };
-            let label = format!("{} at {:.4} s, {}", row.view, row.time_s, row.proxy.name());
-            still(label, panel(ViewMethod::TraditionalLfr), panel(ViewMethod::StLfr))
-        })
-        .collect()
+    let ours = metrics.views.iter().filter(|row| row.method == ViewMethod::StLfr);
+    let shot = |row: &ViewResult| {
+        let proxy = row.proxy.name();
+        let panel = |method: ViewMethod| {
+            let same =
+                |r: &&ViewResult| r.view == row.view && r.proxy == row.proxy && r.method == method;
+            let file = metrics.views.iter().find(same)?.image.clone()?;
+            Some(ReviewPanel { title: format!("{}, {proxy}", method.help()), file })
+        };
+        let label = format!("{} at {:.4} s, {proxy}", row.view, row.time_s);
+        still(label, [ViewMethod::TraditionalLfr, ViewMethod::StLfr].map(panel))
+    };
+    ours.filter_map(shot).collect()
 }
 
 fn camera_shots(metrics: &Metrics) -> Vec<Shot> {
-    let rows = || metrics.sync.iter();
-    rows()
-        .filter(|row| row.method == metrics.options.sync)
-        .filter_map(|row| {
-            let panel = |method: SyncMethod| {
-                let found = rows().find(|r| r.view == row.view && r.method == method)?;
-                Some(ReviewPanel {
-                    title: format!("{}, {}", row.camera, method.name()),
-                    file: found.image.clone()?,
-                })
-            };
-            let label = format!("{} at {:.4} s", row.view, row.time_s);
-            still(label, panel(TRADITIONAL), panel(row.method))
-        })
-        .collect()
+    let ours = metrics.sync.iter().filter(|row| row.method == metrics.options.sync);
+    let shot = |row: &SyncResult| {
+        let panel = |method: SyncMethod| {
+            let same = |r: &&SyncResult| r.view == row.view && r.method == method;
+            let file = metrics.sync.iter().find(same)?.image.clone()?;
+            Some(ReviewPanel { title: format!("{}, {}", row.camera, method.name()), file })
+        };
+        let label = format!("{} at {:.4} s", row.view, row.time_s);
+        still(label, [TRADITIONAL, row.method].map(panel))
+    };
+    ours.filter_map(shot).collect()
 }

@@ -2,6 +2,7 @@
 //! differences beneath.
 
 use super::lettering::{LINE_PX, TextStyle, width_px, write};
+use super::truths::TrueImage;
 use crate::metrics::{RegionScores, Scores};
 use crate::raster::Image;
 
@@ -18,96 +19,74 @@ const MARGIN_PX: usize = 12;
 const MIN_PANEL_PX: usize = 300;
 
 /// One method's image beside the truth.
-pub struct Panel<'a> {
+pub(super) struct Panel<'a> {
     /// The method's name.
-    pub title: &'a str,
-    /// `None` where the method has no image.
-    pub image: Option<&'a Image>,
+    pub title: String,
+    /// An error is the reason why there is no image.
+    pub image: Result<&'a Image, &'a String>,
     /// Scores against the truth, if there is an image.
-    pub scores: Option<&'a RegionScores>,
-    /// The reason why there are no scores.
-    pub note: &'a str,
+    pub scores: Option<RegionScores>,
 }
 
-/// A sheet's truth and its panels, with images of one size.
-pub struct Sheet<'a> {
-    /// First line of the sheet.
-    pub title: &'a str,
-    /// The true image.
-    pub truth: &'a Image,
-    /// Whether each pixel belongs to the moving part, row by row; it is drawn beneath the truth.
-    pub moving: &'a [bool],
-    /// The methods, from left to right.
-    pub panels: &'a [Panel<'a>],
-    /// Factor of the differences.
-    pub gain: f32,
-}
+/// Draws a sheet as an RGB image: the truth with its moving part, and the methods from left to right with their
+/// differences times `gain`.
+///
+/// # Panics
+/// If an image differs from the truth in size or channels.
+pub(super) fn sheet(title: &str, truth: &TrueImage, panels: &[Panel], gain: f32) -> Image {
+    let scale = MIN_PANEL_PX.div_ceil(truth.image.width());
+    let (w, h) = (truth.image.width() * scale, truth.image.height() * scale);
+    let columns = 1 + panels.len();
+    let head = MARGIN_PX + LINE_PX;
+    let pictures = head + MARGIN_PX + 4 * LINE_PX + 4;
+    let labels = pictures + h + 6;
+    let differences = labels + LINE_PX;
+    let width = (MARGIN_PX + w) * columns + MARGIN_PX;
+    let mut sheet = Image::filled(width, differences + h + MARGIN_PX, 3, BACKGROUND);
+    write(&mut sheet, (MARGIN_PX, MARGIN_PX), width, title, TITLE);
 
-impl Sheet<'_> {
-    /// Draws the sheet as an RGB image.
-    ///
-    /// # Panics
-    /// If an image differs from the truth in size or channels.
-    pub fn draw(&self) -> Image {
-        let scale = MIN_PANEL_PX.div_ceil(self.truth.width());
-        let (w, h) = (self.truth.width() * scale, self.truth.height() * scale);
-        let columns = 1 + self.panels.len();
-        let head = MARGIN_PX + LINE_PX;
-        let pictures = head + MARGIN_PX + 4 * LINE_PX + 4;
-        let labels = pictures + h + 6;
-        let differences = labels + LINE_PX;
-        let width = (MARGIN_PX + w) * columns + MARGIN_PX;
-        let mut sheet = Image::filled(width, differences + h + MARGIN_PX, 3, BACKGROUND);
-        write(&mut sheet, (MARGIN_PX, MARGIN_PX), width, self.title, TITLE);
-
-        let label = |sheet: &mut Image, x: usize, title: &str, lines: &[String], below: &str| {
-            let y = head + MARGIN_PX;
-            write(sheet, (x, y), w, title, TITLE);
-            for (k, line) in lines.iter().enumerate() {
-                write(sheet, (x, y + (k + 1) * LINE_PX), w, line, CAPTION);
-            }
-            write(sheet, (x, labels), w, below, CAPTION);
-        };
-        label(&mut sheet, MARGIN_PX, "Truth", &[], "Moving part (measured apart)");
-        paste(&mut sheet, (MARGIN_PX, pictures), self.truth, scale);
-        paste(&mut sheet, (MARGIN_PX, differences), &self.marked(), scale);
-        for (k, panel) in self.panels.iter().enumerate() {
-            let x = MARGIN_PX + (k + 1) * (w + MARGIN_PX);
-            let lines = match panel.scores {
-                Some(scores) => score_lines(scores).to_vec(),
-                None => vec![panel.note.to_owned()],
-            };
-            let below = format!("|difference from truth| × {}", self.gain);
-            label(&mut sheet, x, panel.title, &lines, &below);
-            if let Some(image) = panel.image {
-                paste(&mut sheet, (x, pictures), image, scale);
-                paste(
-                    &mut sheet,
-                    (x, differences),
-                    &difference(self.truth, image, self.gain),
-                    scale,
-                );
-            }
+    let label = |sheet: &mut Image, x: usize, title: &str, lines: &[String], below: &str| {
+        let y = head + MARGIN_PX;
+        write(sheet, (x, y), w, title, TITLE);
+        for (k, line) in lines.iter().enumerate() {
+            write(sheet, (x, y + (k + 1) * LINE_PX), w, line, CAPTION);
         }
-        sheet
+        write(sheet, (x, labels), w, below, CAPTION);
+    };
+    label(&mut sheet, MARGIN_PX, "Truth", &[], "Moving part (measured apart)");
+    paste(&mut sheet, (MARGIN_PX, pictures), &truth.image, scale);
+    paste(&mut sheet, (MARGIN_PX, differences), &marked(truth), scale);
+    for (k, panel) in panels.iter().enumerate() {
+        let x = MARGIN_PX + (k + 1) * (w + MARGIN_PX);
+        let lines = match (&panel.scores, panel.image) {
+            (Some(scores), _) => score_lines(scores).to_vec(),
+            (None, image) => vec![image.err().cloned().unwrap_or_default()],
+        };
+        label(&mut sheet, x, &panel.title, &lines, &format!("|difference from truth| × {gain}"));
+        if let Ok(image) = panel.image {
+            let difference = difference(&truth.image, image, gain);
+            paste(&mut sheet, (x, pictures), image, scale);
+            paste(&mut sheet, (x, differences), &difference, scale);
+        }
     }
+    sheet
+}
 
-    /// The truth, grey and dark, with its moving part tinted.
-    fn marked(&self) -> Image {
-        let gray = self.truth.to_gray();
-        let pixels = gray.data().iter().zip(self.moving).flat_map(|(v, moves)| {
-            let tint = if *moves { MOVING_TINT } else { STILL_TINT };
-            tint.map(|t| (0.15 + 0.85 * v) * t)
-        });
-        Image::from_data(gray.width(), gray.height(), 3, pixels.collect())
-    }
+/// The truth, grey and dark, with its moving part tinted.
+fn marked(truth: &TrueImage) -> Image {
+    let gray = truth.image.to_gray();
+    let pixels = gray.data().iter().zip(&truth.moving).flat_map(|(v, moves)| {
+        let tint = if *moves { MOVING_TINT } else { STILL_TINT };
+        tint.map(|t| (0.15 + 0.85 * v) * t)
+    });
+    Image::from_data(gray.width(), gray.height(), 3, pixels.collect())
 }
 
 /// |a − b| times `gain`, at most 1.
 ///
 /// # Panics
 /// If the images differ in size or channels.
-pub fn difference(a: &Image, b: &Image, gain: f32) -> Image {
+fn difference(a: &Image, b: &Image, gain: f32) -> Image {
     assert_eq!((a.width(), a.channels()), (b.width(), b.channels()), "images of one kind");
     let data = a.data().iter().zip(b.data()).map(|(a, b)| ((a - b).abs() * gain).min(1.0));
     Image::from_data(a.width(), a.height(), a.channels(), data.collect())
@@ -184,17 +163,11 @@ mod tests {
 
     #[test]
     fn a_sheet_holds_truth_panels_and_their_differences() {
-        let (truth, result) = (Image::filled(200, 100, 3, 0.5), Image::filled(200, 100, 3, 0.6));
-        let panel =
-            |image| Panel { title: "method", image, scores: None, note: "no camera has a frame" };
-        let sheet = Sheet {
-            title: "a sheet",
-            truth: &truth,
-            moving: &vec![false; 200 * 100],
-            panels: &[panel(Some(&result)), panel(None)],
-            gain: 4.0,
-        };
-        let drawn = sheet.draw();
+        let (image, result) = (Image::filled(200, 100, 3, 0.5), Image::filled(200, 100, 3, 0.6));
+        let truth = TrueImage { image, moving: vec![false; 200 * 100] };
+        let reason = "no camera has a frame".to_owned();
+        let panel = |image| Panel { title: "method".into(), image, scores: None };
+        let drawn = sheet("a sheet", &truth, &[panel(Ok(&result)), panel(Err(&reason))], 4.0);
         assert_eq!(drawn.width(), 3 * 400 + 4 * 12);
         let count = |v: f32| {
             drawn.data().chunks(3).filter(|p| p.iter().all(|c| (c - v).abs() < 1e-6)).count()

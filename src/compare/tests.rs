@@ -1,8 +1,8 @@
 //! The driver on a tiny capture, with a renderer whose errors are known.
 
 use super::*;
-use crate::capture::{CAPTURE_FILE, Truth};
-use crate::offset::CameraOffset;
+use crate::capture::{CAPTURE_FILE, Capture, Truth};
+use crate::offset::{CameraOffset, Offsets};
 use crate::progress::Reporter;
 use crate::raster::{BitDepth, Image, read_image, write_image};
 use serde_json::{Value, json};
@@ -77,11 +77,10 @@ impl Set {
         std::fs::write(folder.path().join(CAPTURE_FILE), capture.to_string()).unwrap();
         std::fs::write(folder.path().join("truth/truth.json"), truth.to_string()).unwrap();
         let fake = Fake {
-            capture: Capture::open(folder.path()).unwrap(),
+            field: LightField::new(Arc::new(Capture::open(folder.path()).unwrap()), offsets()),
             truth: read_image(&path).unwrap().0,
             broken: None,
             covered: W * H,
-            offsets: offsets(),
             options: RenderOptions::default(),
         };
         Self { folder, fake }
@@ -114,23 +113,18 @@ fn offsets() -> Offsets {
 
 /// `nearest` is off by 0.1, `refined` by 0.01; a view is the mean of its images.
 struct Fake {
-    capture: Capture,
+    field: LightField,
     truth: Image,
     /// A camera that can't give an image by `refined`.
     broken: Option<usize>,
     /// How many pixels of a view are covered.
     covered: usize,
-    offsets: Offsets,
     options: RenderOptions,
 }
 
 impl Renderer for Fake {
-    fn capture(&self) -> &Capture {
-        &self.capture
-    }
-
-    fn offsets(&self) -> &Offsets {
-        &self.offsets
+    fn field(&self) -> &LightField {
+        &self.field
     }
 
     fn synchronized(
@@ -154,7 +148,7 @@ impl Renderer for Fake {
         let &ComparedView { target, time_s, .. } = view;
         let of = |camera: usize| match view.images {
             Images::By(sync) => self.synchronized(sync, camera, time_s).ok(),
-            Images::Given(given) => given.of(camera).cloned(),
+            Images::Given(given) => given.all()[camera].clone(),
         };
         let images: Vec<Arc<Synchronized>> = (0..2).filter_map(of).collect();
         let images: Vec<&Image> = images.iter().map(|s| &s.image).collect();
@@ -162,10 +156,6 @@ impl Renderer for Fake {
         let coverage: Vec<bool> = (0..W * H).map(|k| k < self.covered).collect();
         let data = (0..W * H * 3).map(|k| if coverage[k / 3] { mean(k) } else { 0.0 }).collect();
         Ok(Rendered { image: Image::from_data(target.width, target.height, 3, data), coverage })
-    }
-
-    fn covered_span_s(&self) -> Option<(f64, f64)> {
-        Some((0.0, 0.25))
     }
 
     fn options(&self) -> &RenderOptions {

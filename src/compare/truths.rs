@@ -2,10 +2,9 @@
 
 use super::{CompareError, CompareOptions};
 use crate::camera::Camera;
-use crate::capture::{Capture, Color, Truth, TruthError, read_array};
+use crate::capture::{Capture, Color, Truth, read_array, require_size};
 use crate::metrics::moving_part;
-use crate::raster::Image;
-use crate::raster::{BitDepth, read_image};
+use crate::raster::{BitDepth, Image, read_image};
 
 /// True times that differ by less than this are one instant, seconds.
 const SAME_INSTANT_S: f64 = 1e-6;
@@ -51,15 +50,10 @@ pub(crate) fn instants(truth: &Truth, capture: &Capture) -> Result<Vec<TrueInsta
         for file in [&view.image, &view.motion] {
             truth.file(file)?;
         }
-        let like = match &view.like {
-            None => None,
-            Some(id) => Some(
-                capture
-                    .camera_index(id)
-                    .ok_or_else(|| wrong(format!("like: no camera has the id '{id}'")))?,
-            ),
-        };
-        let camera = view.camera().map_err(|e| wrong(format!("camera.{e}")))?;
+        let unknown = |id: &str| wrong(format!("like: no camera has the id '{id}'"));
+        let index_of = |id: &String| capture.camera_index(id).ok_or_else(|| unknown(id));
+        let like = view.like.as_ref().map(index_of).transpose()?;
+        let camera = view.camera.camera().map_err(|e| wrong(format!("camera.{e}")))?;
         let entry = TrueView { index, like, camera, stem: stem(truth, index) };
         let time_s = view.time_s;
         match instants.iter_mut().find(|i| (i.time_s - time_s).abs() < SAME_INSTANT_S) {
@@ -102,20 +96,12 @@ impl TrueView {
         options: &CompareOptions,
     ) -> Result<TrueImage, CompareError> {
         let view = &truth.views[self.index];
-        let size = (self.camera.width, self.camera.height);
         let path = truth.file(&view.image)?;
         let (image, _) = read_image(&path)?;
-        if (image.width(), image.height()) != size {
-            let reason = other_size((image.width(), image.height()), size);
-            return Err(TruthError::Content { path, reason }.into());
-        }
+        require_size(&path, [image.width(), image.height()], &self.camera)?;
         let path = truth.file(&view.motion)?;
         let (width, height, motion) = read_array(&path)?;
-        if (width, height) != size {
-            return Err(
-                TruthError::Content { path, reason: other_size((width, height), size) }.into()
-            );
-        }
+        require_size(&path, [width, height], &self.camera)?;
         let gray = match self.like {
             Some(camera) => capture.cameras[camera].color == Color::Gray,
             None => capture.cameras.iter().all(|c| c.color == Color::Gray),
@@ -132,8 +118,16 @@ impl TrueView {
     }
 }
 
-fn other_size(is: (usize, usize), wanted: (usize, usize)) -> String {
-    format!("is {}×{} pixels, its camera {}×{}", is.0, is.1, wanted.0, wanted.1)
+/// Fills unmeasured pixels with the truth, so that windows of metrics see no black.
+pub(crate) fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
+    let n = image.channels();
+    let mut filled = image.clone();
+    for (k, pixel) in filled.data_mut().chunks_exact_mut(n).enumerate() {
+        if !covered[k] {
+            pixel.copy_from_slice(&truth.data()[k * n..(k + 1) * n]);
+        }
+    }
+    filled
 }
 
 /// The image as a file of this bit depth holds it: clamped and rounded, grey or RGB.

@@ -1,11 +1,10 @@
 //! One view at an instant: blended by every method through every proxy, then measured.
 
-use super::instant::{
-    ComparedTarget, Comparison, ImageOrReason, Shown, SynchronizedOrReason, figure,
-};
+use super::instant::{ComparedTarget, Comparison, ImageOrReason, SynchronizedBy, figure};
 use super::report::Figure;
 use super::results::{ExcludedCamera, ViewMethod, ViewResult};
-use super::truths::TrueImage;
+use super::sheet::Panel;
+use super::truths::{TrueImage, filled_with};
 use super::{CompareError, ComparedView, TRADITIONAL};
 use crate::interpolation::{SyncMethod, Synchronized};
 use crate::light_field::{GivenImages, Images};
@@ -13,17 +12,12 @@ use crate::lumigraph::Rendered;
 use crate::method::Method;
 use crate::metrics::ReferenceImage;
 use crate::options::ProxyMethod;
-use crate::raster::Image;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// A blended view for one proxy and one method, before it is measured.
+/// A blended view for one proxy and one method, with its result before it is measured.
 pub(super) struct Blend {
-    proxy: ProxyMethod,
-    method: ViewMethod,
-    /// How many cameras gave an image.
-    cameras: usize,
-    excluded: Vec<ExcludedCamera>,
+    result: ViewResult,
     rendered: Result<Rendered, String>,
 }
 
@@ -33,12 +27,12 @@ impl Comparison<'_> {
         &self,
         target: &ComparedTarget,
         truths: &[TrueImage],
-        images: &[Vec<SynchronizedOrReason>],
+        images: &[SynchronizedBy],
     ) -> Vec<Blend> {
-        let capture = self.renderer.capture();
+        let capture = self.renderer.field().capture();
         let by = |method: SyncMethod| {
-            let row = self.methods.iter().position(|m| *m == method);
-            row.map_or_else(Vec::new, |k| images[k].clone())
+            let found = images.iter().find(|(m, _)| *m == method);
+            found.map_or_else(Vec::new, |(_, images)| images.clone())
         };
         let true_image = |camera: usize| {
             let at = target.instant.views.iter().position(|v| v.like == Some(camera));
@@ -50,7 +44,7 @@ impl Comparison<'_> {
         let given = GivenImages::filmed(given);
         let synchronized = Images::By(self.options.sync);
         let mut blends = Vec::new();
-        for method in ViewMethod::ALL {
+        for &method in ViewMethod::ALL {
             // Images of other instants than the view's show no shape.
             let (made, images, shape) = match method {
                 ViewMethod::TraditionalLfr => {
@@ -62,26 +56,34 @@ impl Comparison<'_> {
                 }
             };
             let cameras = made.iter().flatten().count();
-            let excluded: Vec<ExcludedCamera> = made
-                .iter()
-                .zip(&capture.cameras)
-                .filter_map(|(image, camera)| {
-                    let reason = image.as_ref().err()?.clone();
-                    Some(ExcludedCamera { camera: camera.id.clone(), reason })
-                })
-                .collect();
+            let failed = made.iter().zip(&capture.cameras).filter_map(|(image, camera)| {
+                let reason = image.as_ref().err()?.clone();
+                Some(ExcludedCamera { camera: camera.id.clone(), reason })
+            });
+            let excluded: Vec<ExcludedCamera> = failed.collect();
             for &proxy in ProxyMethod::ALL {
-                let rendered = if cameras == 0 {
-                    Err("no camera has an image at this instant".to_owned())
-                } else {
-                    let (target, time_s) = (&target.view.camera, target.instant.inner_s);
-                    self.renderer.view(&ComparedView { target, time_s, proxy, images, shape })
+                let (camera, time_s) = (&target.view.camera, target.instant.inner_s);
+                let view = ComparedView { target: camera, time_s, proxy, images, shape };
+                let rendered = match cameras {
+                    0 => Err("no camera has an image at this instant".to_owned()),
+                    _ => self.renderer.view(&view),
                 };
-                let excluded = excluded.clone();
-                blends.push(Blend { proxy, method, cameras, excluded, rendered });
+                let result = ViewResult {
+                    view: self.truth.views[target.view.index].id.clone(),
+                    time_s: target.instant.time_s,
+                    proxy,
+                    method,
+                    cameras,
+                    excluded: excluded.clone(),
+                    measured: None,
+                    scores: None,
+                    image: None,
+                    reason: None,
+                };
+                blends.push(Blend { result, rendered });
             }
         }
-        blends.sort_by_key(|b| ProxyMethod::ALL.iter().position(|p| *p == b.proxy));
+        blends.sort_by_key(|b| ProxyMethod::ALL.iter().position(|p| *p == b.result.proxy));
         blends
     }
 
@@ -90,7 +92,7 @@ impl Comparison<'_> {
     pub(super) fn measure_view(
         &self,
         target: &ComparedTarget,
-        blends: &[Blend],
+        blends: Vec<Blend>,
         in_report: bool,
     ) -> Result<(Vec<ViewResult>, Option<Figure>), CompareError> {
         let ComparedTarget { instant, view, truth } = target;
@@ -101,25 +103,23 @@ impl Comparison<'_> {
         let rows = self.view_results(target, blends, &images)?;
         self.write(target, "truth", &truth.image, None)?;
 
-        let shown = |proxy: Option<ProxyMethod>| -> Vec<Shown> {
-            let all = blends.iter().zip(&images).zip(&rows);
-            all.filter(|((b, _), _)| proxy.is_none_or(|p| b.proxy == p))
-                .map(|((b, image), row)| Shown {
-                    title: format!("{}, {}", b.method.title(), b.proxy.name()),
-                    image: image.as_ref(),
-                    scores: row.scores,
-                })
-                .collect()
-        };
-        let (capture, id) = (&self.renderer.capture().name, &self.truth.views[view.index].id);
-        for &proxy in ProxyMethod::ALL {
+        let shown = images.iter().map(Result::as_ref).zip(&rows);
+        let panels: Vec<Panel> = shown
+            .map(|(image, row)| {
+                let title = format!("{}, {}", row.method.help(), row.proxy.name());
+                Panel { title, image, scores: row.scores }
+            })
+            .collect();
+        let (capture, id) =
+            (&self.renderer.field().capture().name, &self.truth.views[view.index].id);
+        // The rows are sorted by proxy.
+        for (proxy, panels) in ProxyMethod::ALL.iter().zip(panels.chunks(ViewMethod::ALL.len())) {
             let name = proxy.name();
             let title = format!("{capture}: view {id} at {:.4} s, proxy {name}", instant.time_s);
-            let stem = format!("{}-{name}", view.stem);
-            self.write_sheet(&title, &stem, truth, &shown(Some(proxy)))?;
+            self.write_sheet(&title, &format!("{}-{name}", view.stem), truth, panels)?;
         }
         let title = format!("View {id} at {:.4} s", instant.time_s);
-        let figure = in_report.then(|| figure(title, true, truth, &shown(None)));
+        let figure = in_report.then(|| figure(title, true, truth, &panels));
         Ok((rows, figure))
     }
 
@@ -127,63 +127,36 @@ impl Comparison<'_> {
     fn view_results(
         &self,
         target: &ComparedTarget,
-        blends: &[Blend],
+        blends: Vec<Blend>,
         images: &[ImageOrReason],
     ) -> Result<Vec<ViewResult>, CompareError> {
-        let ComparedTarget { instant, view, truth } = target;
-        let covered = common_coverage(blends, images, truth.moving.len());
+        let truth = target.truth;
+        let covered = common_coverage(&blends, images, truth.moving.len());
         let fraction = covered.iter().filter(|c| **c).count() as f64 / covered.len() as f64;
         let reference = ReferenceImage::new(truth.image.clone(), self.options.pixels_per_degree);
-        let result = |(blend, image): (&Blend, &ImageOrReason)| {
-            let mut row = ViewResult {
-                view: self.truth.views[view.index].id.clone(),
-                time_s: instant.time_s,
-                proxy: blend.proxy,
-                method: blend.method,
-                cameras: blend.cameras,
-                excluded: blend.excluded.clone(),
-                measured: None,
-                scores: None,
-                image: None,
-                reason: image.as_ref().err().cloned(),
-            };
-            if let (Ok(image), Ok(rendered)) = (image, &blend.rendered) {
-                let filled = filled_with(&truth.image, image, &covered);
-                let maps = reference.compare(&filled);
-                row.scores = Some(maps.regions(Some(&covered), &truth.moving));
-                row.measured = Some(fraction);
-                let name = format!("{}-{}", blend.proxy.name(), blend.method.slug());
+        let result = |(Blend { mut result, rendered }, image): (Blend, &ImageOrReason)| {
+            result.reason = image.as_ref().err().cloned();
+            if let (Ok(image), Ok(rendered)) = (image, rendered) {
+                let maps = reference.compare(&filled_with(&truth.image, image, &covered));
+                result.scores = Some(maps.regions(Some(&covered), &truth.moving));
+                result.measured = Some(fraction);
+                let name = format!("{}-{}", result.proxy.name(), result.method.name());
                 let is_whole = rendered.coverage.iter().all(|c| *c);
                 let alpha = (!is_whole).then_some(rendered.coverage.as_slice());
-                row.image = Some(self.write(target, &name, image, alpha)?);
+                result.image = Some(self.write(target, &name, image, alpha)?);
             }
-            Ok(row)
+            Ok(result)
         };
-        blends.par_iter().zip(images).map(result).collect()
+        blends.into_par_iter().zip(images).map(result).collect()
     }
 }
 
 /// Pixels that all methods cover with all proxies, on which all are measured.
 fn common_coverage(blends: &[Blend], images: &[ImageOrReason], pixels: usize) -> Vec<bool> {
     let mut covered = vec![true; pixels];
-    for blend in blends.iter().zip(images).filter(|(_, image)| image.is_ok()).map(|(b, _)| b) {
-        if let Ok(view) = &blend.rendered {
-            for (c, own) in covered.iter_mut().zip(&view.coverage) {
-                *c &= own;
-            }
-        }
+    let with_image = blends.iter().zip(images).filter(|(_, image)| image.is_ok());
+    for view in with_image.filter_map(|(blend, _)| blend.rendered.as_ref().ok()) {
+        covered.iter_mut().zip(&view.coverage).for_each(|(c, own)| *c &= own);
     }
     covered
-}
-
-/// Fills unmeasured pixels with the truth, so that windows of metrics see no black.
-fn filled_with(truth: &Image, image: &Image, covered: &[bool]) -> Image {
-    let n = image.channels();
-    let mut filled = image.clone();
-    for (k, pixel) in filled.data_mut().chunks_exact_mut(n).enumerate() {
-        if !covered[k] {
-            pixel.copy_from_slice(&truth.data()[k * n..(k + 1) * n]);
-        }
-    }
-    filled
 }

@@ -13,17 +13,19 @@ pub const COLMAP_TEXT_FILES: [&str; 3] = ["cameras.txt", "images.txt", "points3D
 /// Files of a binary model: cameras, images, points.
 pub const COLMAP_BINARY_FILES: [&str; 3] = ["cameras.bin", "images.bin", "points3D.bin"];
 
-struct ModelLens {
-    size: (u64, u64),
-    model: CameraModel,
-}
+/// Image sizes and lenses by camera number.
+type Lenses = HashMap<u32, ((u64, u64), CameraModel)>;
 
 struct ModelImage {
+    number: u32,
     name: String,
     camera_id: u32,
     rotation_wxyz: [f64; 4],
     translation: [f64; 3],
 }
+
+/// The readers of a model's first two files; an error is a reason.
+type Readers = (fn(&[u8]) -> Result<Lenses, String>, fn(&[u8]) -> Result<Vec<ModelImage>, String>);
 
 /// Reads the cameras of a COLMAP model's folder, one for each image, sorted by image number and named
 /// after the images. Binary files are preferred to text files, as in COLMAP.
@@ -31,33 +33,27 @@ struct ModelImage {
 /// Errors: no images, too many images or cameras, a file that is not regular or larger
 /// than `MAX_MODEL_BYTES`, an unknown camera model, a camera that a capture would refuse.
 pub fn read_colmap(folder: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
-    let binary = folder.join("cameras.bin");
-    let (images_path, lenses, mut images) = if binary.exists() {
-        let images_path = folder.join("images.bin");
-        let lenses = binary_lenses(&bytes(&binary)?).map_err(|e| content(&binary, e))?;
-        let images = binary_images(&bytes(&images_path)?).map_err(|e| content(&images_path, e))?;
-        (images_path, lenses, images)
-    } else {
-        let (path, images_path) = (folder.join("cameras.txt"), folder.join("images.txt"));
-        let lenses = text_lenses(&text(&path)?).map_err(|e| content(&path, e))?;
-        let images = text_images(&text(&images_path)?).map_err(|e| content(&images_path, e))?;
-        (images_path, lenses, images)
-    };
+    let is_binary = folder.join(COLMAP_BINARY_FILES[0]).exists();
+    let files = if is_binary { COLMAP_BINARY_FILES } else { COLMAP_TEXT_FILES };
+    let [cameras_path, images_path, _] = files.map(|file| folder.join(file));
+    let (read_lenses, read_images): Readers =
+        if is_binary { (binary_lenses, binary_images) } else { (text_lenses, text_images) };
+    let lenses = read_lenses(&bytes(&cameras_path)?).map_err(|e| content(&cameras_path, e))?;
+    let mut images = read_images(&bytes(&images_path)?).map_err(|e| content(&images_path, e))?;
     if images.is_empty() {
         return Err(content(&images_path, "holds no image"));
     }
-    images.sort_by_key(|(number, _)| *number);
-    images
-        .into_iter()
-        .map(|(number, image)| {
-            named(&lenses, image)
-                .map_err(|reason| content(&images_path, format!("image {number}: {reason}")))
-        })
-        .collect()
+    images.sort_by_key(|image| image.number);
+    let cameras = images.into_iter().map(|image| {
+        let number = image.number;
+        named(&lenses, image)
+            .map_err(|reason| content(&images_path, format!("image {number}: {reason}")))
+    });
+    cameras.collect()
 }
 
-fn named(lenses: &HashMap<u32, ModelLens>, image: ModelImage) -> Result<NamedCamera, String> {
-    let lens = lenses
+fn named(lenses: &Lenses, image: ModelImage) -> Result<NamedCamera, String> {
+    let (size, model) = lenses
         .get(&image.camera_id)
         .ok_or_else(|| format!("there is no camera {}", image.camera_id))?;
     let [w, x, y, z] = image.rotation_wxyz;
@@ -65,21 +61,17 @@ fn named(lenses: &HashMap<u32, ModelLens>, image: ModelImage) -> Result<NamedCam
     if !((rotation.norm() - 1.0).abs() <= MAX_QUATERNION_ERROR) {
         return Err(format!("its quaternion has length {}, must be of 1", rotation.norm()));
     }
-    let [x, y, z] = image.translation;
-    let pose = Isometry3::from_parts(
-        Translation3::new(x, y, z),
-        UnitQuaternion::from_quaternion(rotation),
-    );
-    let camera = checked(lens.size, &lens.model, &pose).map_err(|e| e.to_string())?;
-    Ok(NamedCamera { name: image.name, camera })
+    let translation = Translation3::from(image.translation);
+    let pose = Isometry3::from_parts(translation, UnitQuaternion::from_quaternion(rotation));
+    Ok(NamedCamera { name: image.name, camera: checked(*size, model, &pose)? })
 }
 
 fn bytes(path: &Path) -> Result<Vec<u8>, ExchangeError> {
     super::read_bytes(path, MAX_MODEL_BYTES)
 }
 
-fn text(path: &Path) -> Result<String, ExchangeError> {
-    String::from_utf8(bytes(path)?).map_err(|_| content(path, "is no text"))
+fn text(bytes: &[u8]) -> Result<&str, String> {
+    std::str::from_utf8(bytes).map_err(|_| "is no text".into())
 }
 
 /// Parses the next value of a line; `what` names it in the error.
@@ -88,15 +80,11 @@ fn value<T: FromStr>(fields: &mut SplitWhitespace, what: &str) -> Result<T, Stri
     field.parse().map_err(|_| format!("{what} can't be '{field}'"))
 }
 
-fn text_lenses(text: &str) -> Result<HashMap<u32, ModelLens>, String> {
+fn text_lenses(bytes: &[u8]) -> Result<Lenses, String> {
     let mut lenses = HashMap::new();
-    for (k, line) in text.lines().enumerate() {
-        let line = line.trim();
-        if line.is_empty() || line.starts_with('#') {
-            continue;
-        }
-        let (id, lens) = text_lens(line).map_err(|e| format!("line {}: {e}", k + 1))?;
-        if lenses.insert(id, lens).is_some() {
+    for (k, line) in text(bytes)?.lines().enumerate().filter(|(_, line)| has_values(line)) {
+        let (id, size, model) = text_lens(line).map_err(|e| format!("line {}: {e}", k + 1))?;
+        if lenses.insert(id, (size, model)).is_some() {
             return Err(format!("line {}: there are two cameras {id}", k + 1));
         }
         check_count(lenses.len(), "cameras")?;
@@ -104,7 +92,13 @@ fn text_lenses(text: &str) -> Result<HashMap<u32, ModelLens>, String> {
     Ok(lenses)
 }
 
-fn text_lens(line: &str) -> Result<(u32, ModelLens), String> {
+/// Whether a line of a text file is neither empty nor a comment.
+fn has_values(line: &str) -> bool {
+    let line = line.trim();
+    !line.is_empty() && !line.starts_with('#')
+}
+
+fn text_lens(line: &str) -> Result<(u32, (u64, u64), CameraModel), String> {
     let fields = &mut line.split_whitespace();
     let id = value(fields, "CAMERA_ID")?;
     let name: String = value(fields, "MODEL")?;
@@ -112,7 +106,7 @@ fn text_lens(line: &str) -> Result<(u32, ModelLens), String> {
     let params: Vec<f64> = fields
         .map(|p| p.parse().map_err(|_| format!("PARAMS can't be '{p}'")))
         .collect::<Result<_, _>>()?;
-    Ok((id, ModelLens { size, model: model(&name, &params)? }))
+    Ok((id, size, model(&name, &params)?))
 }
 
 fn model(name: &str, params: &[f64]) -> Result<CameraModel, String> {
@@ -121,15 +115,11 @@ fn model(name: &str, params: &[f64]) -> Result<CameraModel, String> {
 }
 
 /// Each image has two lines. The second lists its points, and may be empty.
-fn text_images(text: &str) -> Result<Vec<(u32, ModelImage)>, String> {
+fn text_images(bytes: &[u8]) -> Result<Vec<ModelImage>, String> {
     let mut images = Vec::new();
-    let mut lines = text.lines().enumerate();
-    while let Some((k, line)) = lines.next() {
-        let line = line.trim();
-        if line.is_empty() || line.starts_with('#') {
-            continue;
-        }
-        images.push(text_image(line).map_err(|e| format!("line {}: {e}", k + 1))?);
+    let mut lines = text(bytes)?.lines().enumerate();
+    while let Some((k, line)) = lines.find(|(_, line)| has_values(line)) {
+        images.push(text_image(line.trim()).map_err(|e| format!("line {}: {e}", k + 1))?);
         check_count(images.len(), "images")?;
         lines.next();
     }
@@ -146,23 +136,19 @@ fn after_fields(line: &str, count: usize) -> &str {
     })
 }
 
-fn text_image(line: &str) -> Result<(u32, ModelImage), String> {
+fn text_image(line: &str) -> Result<ModelImage, String> {
     let fields = &mut line.split_whitespace();
     let number = value(fields, "IMAGE_ID")?;
-    let (mut rotation_wxyz, mut translation) = ([0.0; 4], [0.0; 3]);
-    for (v, what) in rotation_wxyz.iter_mut().zip(["QW", "QX", "QY", "QZ"]) {
-        *v = value(fields, what)?;
-    }
-    for (v, what) in translation.iter_mut().zip(["TX", "TY", "TZ"]) {
-        *v = value(fields, what)?;
-    }
+    let mut next = |what| value(fields, what);
+    let rotation_wxyz = [next("QW")?, next("QX")?, next("QY")?, next("QZ")?];
+    let translation = [next("TX")?, next("TY")?, next("TZ")?];
     let camera_id = value(fields, "CAMERA_ID")?;
     // COLMAP ends a name at its first space; files of other programs may hold some.
-    let name = after_fields(line, IMAGE_FIELDS);
+    let name = after_fields(line, IMAGE_FIELDS).to_owned();
     if name.is_empty() {
         return Err("NAME is missing".into());
     }
-    Ok((number, ModelImage { name: name.to_owned(), camera_id, rotation_wxyz, translation }))
+    Ok(ModelImage { number, name, camera_id, rotation_wxyz, translation })
 }
 
 /// Reads little-endian values from the front of a file.
@@ -183,12 +169,8 @@ impl Bytes<'_> {
         Ok(u64::from_le_bytes(self.take()?))
     }
 
-    fn f64s<const N: usize>(&mut self) -> Result<[f64; N], String> {
-        let mut values = [0.0; N];
-        for v in &mut values {
-            *v = f64::from_le_bytes(self.take()?);
-        }
-        Ok(values)
+    fn f64(&mut self) -> Result<f64, String> {
+        Ok(f64::from_le_bytes(self.take()?))
     }
 
     fn name(&mut self) -> Result<String, String> {
@@ -210,7 +192,7 @@ impl Bytes<'_> {
     }
 }
 
-fn binary_lenses(bytes: &[u8]) -> Result<HashMap<u32, ModelLens>, String> {
+fn binary_lenses(bytes: &[u8]) -> Result<Lenses, String> {
     let mut bytes = Bytes(bytes);
     let mut lenses = HashMap::new();
     for _ in 0..bytes.u64()? {
@@ -221,12 +203,8 @@ fn binary_lenses(bytes: &[u8]) -> Result<HashMap<u32, ModelLens>, String> {
             .find(|(_, known, _)| u32::try_from(*known) == Ok(number))
             .ok_or_else(|| format!("camera {id}: the model number {number} isn't known"))?;
         let size = (bytes.u64()?, bytes.u64()?);
-        let mut params = Vec::with_capacity(count);
-        for _ in 0..count {
-            params.extend(bytes.f64s::<1>()?);
-        }
-        let lens = ModelLens { size, model: model(name, &params)? };
-        if lenses.insert(id, lens).is_some() {
+        let params = (0..count).map(|_| bytes.f64()).collect::<Result<Vec<_>, _>>()?;
+        if lenses.insert(id, (size, model(name, &params)?)).is_some() {
             return Err(format!("there are two cameras {id}"));
         }
         check_count(lenses.len(), "cameras")?;
@@ -235,17 +213,18 @@ fn binary_lenses(bytes: &[u8]) -> Result<HashMap<u32, ModelLens>, String> {
     Ok(lenses)
 }
 
-fn binary_images(bytes: &[u8]) -> Result<Vec<(u32, ModelImage)>, String> {
+fn binary_images(bytes: &[u8]) -> Result<Vec<ModelImage>, String> {
     let mut bytes = Bytes(bytes);
     let mut images = Vec::new();
     for _ in 0..bytes.u64()? {
         let number = bytes.u32()?;
-        let (rotation_wxyz, translation) = (bytes.f64s()?, bytes.f64s()?);
+        let rotation_wxyz = [bytes.f64()?, bytes.f64()?, bytes.f64()?, bytes.f64()?];
+        let translation = [bytes.f64()?, bytes.f64()?, bytes.f64()?];
         let camera_id = bytes.u32()?;
         let name = bytes.name()?;
         let points = bytes.u64()?;
         bytes.skip(points, 24)?; // x, y, and the point's number
-        images.push((number, ModelImage { name, camera_id, rotation_wxyz, translation }));
+        images.push(ModelImage { number, name, camera_id, rotation_wxyz, translation });
         check_count(images.len(), "images")?;
     }
     bytes.is_at_end()?;

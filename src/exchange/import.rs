@@ -2,12 +2,13 @@
 
 use super::{ExchangeError, NamedCamera, content};
 use crate::camera::CameraFormat;
-use crate::capture::FilmedCameraFormat;
-use crate::capture::{CAPTURE_FILE, Capture, CaptureFormat, ClockFormat, Color};
+use crate::capture::{
+    CAPTURE_FILE, Capture, CaptureFormat, ClockFormat, Color, FilmedCameraFormat,
+};
 use crate::host::temporary::Temporary;
 use crate::host::{open_file, write_json};
 use crate::text::check_id;
-use std::fs::File;
+use std::fs::{DirEntry, File};
 use std::path::{Path, PathBuf};
 
 /// The clock of every imported camera, which no calibration contains.
@@ -43,7 +44,7 @@ pub fn import(
     target: &Path,
 ) -> Result<(), ExchangeError> {
     let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
-    if target.symlink_metadata().is_ok() && !is_empty(target)? {
+    if target.symlink_metadata().is_ok() && !all_entries(target)?.is_empty() {
         return Err(content(target, "holds files already, which are not written over"));
     }
     let cameras = one_each(cameras).map_err(|reason| content(target, reason))?;
@@ -57,11 +58,7 @@ pub fn import(
     let whole = temporary.path().join(WHOLE);
     let mut filmed = Vec::new();
     for (camera, files) in cameras.iter().zip(&sequences) {
-        copy(files, &whole.join(&camera.name)).map_err(|(path, source)| ExchangeError::Copy {
-            path,
-            to: target.to_owned(),
-            source,
-        })?;
+        copy(files, &whole.join(&camera.name), target)?;
         filmed.push(described(camera, files, clock));
     }
     let format = CaptureFormat {
@@ -84,18 +81,17 @@ pub fn import(
 /// Name of the capture inside its temporary folder.
 const WHOLE: &str = "capture";
 
-/// Copies the files of a sequence into a new folder, numbered from 0; the error has the failed file.
-fn copy(files: &[PathBuf], folder: &Path) -> Result<(), (PathBuf, std::io::Error)> {
+/// Copies the files of a sequence into a new folder, numbered from 0, for the capture `target`.
+fn copy(files: &[PathBuf], folder: &Path, target: &Path) -> Result<(), ExchangeError> {
     let extension = extension(&files[0]).unwrap_or_default();
-    for (k, file) in files.iter().enumerate() {
-        let to = folder.join(format!("{k:04}.{extension}"));
-        std::fs::create_dir_all(folder)
-            .and_then(|()| {
-                let mut to = File::create(to)?;
-                std::io::copy(&mut open_file(file)?, &mut to)?;
-                to.sync_all()
-            })
-            .map_err(|error| (file.clone(), error))?;
+    for (k, path) in files.iter().enumerate() {
+        let copied = std::fs::create_dir_all(folder).and_then(|()| {
+            let mut to = File::create(folder.join(format!("{k:04}.{extension}")))?;
+            std::io::copy(&mut open_file(path)?, &mut to)?;
+            to.sync_all()
+        });
+        let to = target.to_owned();
+        copied.map_err(|source| ExchangeError::Copy { path: path.clone(), to, source })?;
     }
     Ok(())
 }
@@ -168,10 +164,10 @@ fn sequence_folders(cameras: &[NamedCamera], images: &Path) -> Result<Vec<PathBu
     if let Some(present) = by_name.iter().position(|p| p.is_dir()) {
         return match by_name.iter().position(|p| !p.is_dir()) {
             None => Ok(by_name),
-            Some(k) => Err(content(
-                images,
-                format!("has a folder {}, and none {}", cameras[present].name, cameras[k].name),
-            )),
+            Some(k) => {
+                let [present, missing] = [present, k].map(|k| &cameras[k].name);
+                Err(content(images, format!("has a folder {present}, and none {missing}")))
+            }
         };
     }
     let mut folders: Vec<PathBuf> = entries(images)?;
@@ -198,57 +194,43 @@ fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     numbered.sort();
     let Some((_, first)) = numbered.first() else { return Err(content(folder, "holds no images")) };
     if let Some((_, other)) = numbered.iter().find(|(_, p)| extension(p) != extension(first)) {
-        return Err(content(
-            folder,
-            format!("holds images of two kinds, like {}", other.display()),
-        ));
+        let reason = format!("holds images of two kinds, like {}", other.display());
+        return Err(content(folder, reason));
     }
     if let Some(k) = numbered.windows(2).position(|w| w[0].0 + 1 != w[1].0) {
         let [a, b] = [k, k + 1].map(|k| numbered[k].1.file_name().unwrap_or_default().display());
-        return Err(content(
-            folder,
-            format!("the numbers of {a} and {b} must follow each other, for every frame counts"),
-        ));
+        let rule = "must follow each other, for every frame counts";
+        return Err(content(folder, format!("the numbers of {a} and {b} {rule}")));
     }
     Ok(numbered.into_iter().map(|(_, file)| file).collect())
 }
 
 /// The last number in a file's stem, 0 without one; the error is a reason.
 fn number(file: &Path) -> Result<u64, String> {
-    let name = file.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-    let end = name.rfind(|c: char| c.is_ascii_digit()).map_or(0, |at| at + 1);
-    let start = name[..end]
-        .rfind(|c: char| !c.is_ascii_digit())
-        .map_or(0, |at| at + name[at..].chars().next().map_or(0, char::len_utf8));
-    match &name[start..end] {
-        "" => Ok(0),
-        digits => {
-            digits.parse().ok().filter(|n| *n < u64::MAX).ok_or_else(|| {
-                format!("the number {digits} in its name is too large to count frames")
-            })
-        }
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    let is_other = |c: char| !c.is_ascii_digit();
+    let digits = stem.trim_end_matches(is_other).rsplit(is_other).next().unwrap_or_default();
+    if digits.is_empty() {
+        return Ok(0);
     }
+    let number = digits.parse().ok().filter(|n| *n < u64::MAX);
+    number.ok_or_else(|| format!("the number {digits} in its name is too large to count frames"))
 }
 
 fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_str()?.to_ascii_lowercase())
 }
 
-fn is_empty(folder: &Path) -> Result<bool, ExchangeError> {
-    let entries = std::fs::read_dir(folder);
-    let wrong = |source| ExchangeError::Read { path: folder.to_owned(), source };
-    Ok(entries.map_err(wrong)?.next().is_none())
+/// Entries of a folder.
+fn all_entries(folder: &Path) -> Result<Vec<DirEntry>, ExchangeError> {
+    std::fs::read_dir(folder)
+        .and_then(Iterator::collect)
+        .map_err(|source| ExchangeError::Read { path: folder.to_owned(), source })
 }
 
-/// Entries of a folder, without hidden files.
+/// Paths of a folder's entries, without hidden files.
 fn entries(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
-    let wrong = |source| ExchangeError::Read { path: folder.to_owned(), source };
-    let mut entries = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(wrong)? {
-        let entry = entry.map_err(wrong)?;
-        if !entry.file_name().as_encoded_bytes().starts_with(b".") {
-            entries.push(entry.path());
-        }
-    }
-    Ok(entries)
+    let mut entries = all_entries(folder)?;
+    entries.retain(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."));
+    Ok(entries.iter().map(DirEntry::path).collect())
 }

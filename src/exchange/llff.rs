@@ -5,7 +5,7 @@
 //! farthest depth. Cameras have no names, only their order.
 
 use super::{ExchangeError, NamedCamera, axes_and_center, checked, content, pose_from_axes};
-use super::{read_bytes, write};
+use super::{read_bytes, whole_size, write};
 use crate::camera::CameraModel;
 use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
@@ -33,14 +33,10 @@ fn camera(row: &[f64; COLUMNS]) -> Result<crate::camera::Camera, String> {
     let column = |c: usize| Vector3::new(row[c], row[5 + c], row[10 + c]);
     let (down, right, back, center) = (column(0), column(1), column(2), column(3));
     let [height, width, f] = [row[4], row[9], row[14]];
-    for side in [height, width] {
-        if !(side >= 1.0 && side <= f64::from(u32::MAX) && side.fract() == 0.0) {
-            return Err(format!("an image can't be {width}×{height} pixels"));
-        }
-    }
+    let size = whole_size(width, height)?;
     let pose = pose_from_axes(&Matrix3::from_columns(&[right, down, -back]), center)?;
     let model = CameraModel::Pinhole { fx: f, fy: f, cx: 0.5 * width, cy: 0.5 * height };
-    checked((width as u64, height as u64), &model, &pose).map_err(|e| e.to_string())
+    checked(size, &model, &pose)
 }
 
 /// The rows of an npy file of float32 or float64.
@@ -49,25 +45,19 @@ fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
         [0x93, b'N', b'U', b'M', b'P', b'Y', version @ 1..=3, _, rest @ ..] => (rest, *version),
         _ => return Err("is no npy file".into()),
     };
-    let (length, rest) = if version == 1 {
-        let (length, rest) = rest.split_first_chunk().ok_or("is cut short")?;
-        (usize::from(u16::from_le_bytes(*length)), rest)
-    } else {
-        let (length, rest) = rest.split_first_chunk().ok_or("is cut short")?;
-        (u32::from_le_bytes(*length) as usize, rest)
-    };
+    let length_bytes = if version == 1 { 2 } else { 4 };
+    let (length, rest) = rest.split_at_checked(length_bytes).ok_or("is cut short")?;
+    let length = length.iter().rev().fold(0, |length, byte| length << 8 | usize::from(*byte));
     let (header, data) = rest.split_at_checked(length).ok_or("is cut short")?;
     let header = std::str::from_utf8(header).map_err(|_| "has no readable header")?;
     if !header.contains("'fortran_order': False") {
         return Err("must be in C order".into());
     }
     let values: Vec<f64> = if header.contains("'<f8'") {
-        let (values, rest) = data.as_chunks();
-        whole(rest)?;
+        let (values, []) = data.as_chunks() else { return Err("is cut short".into()) };
         values.iter().map(|b| f64::from_le_bytes(*b)).collect()
     } else if header.contains("'<f4'") {
-        let (values, rest) = data.as_chunks();
-        whole(rest)?;
+        let (values, []) = data.as_chunks() else { return Err("is cut short".into()) };
         values.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect()
     } else {
         return Err("must hold little-endian floats".into());
@@ -81,10 +71,6 @@ fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
         return Err(format!("has the shape {shape:?}, must be (cameras, {COLUMNS})"));
     }
     Ok(rows.to_vec())
-}
-
-fn whole(rest: &[u8]) -> Result<(), String> {
-    if rest.is_empty() { Ok(()) } else { Err("is cut short".into()) }
 }
 
 /// Writes the cameras, all with the same nearest and farthest depth, in metres.
@@ -101,10 +87,8 @@ pub fn write_llff(
         let (width, height) = (camera.width as f64, camera.height as f64);
         let off = [fx - fy, cx - 0.5 * width, cy - 0.5 * height];
         if !camera.model.is_pinhole() || off.iter().any(|d| d.abs() > MAX_OFF_PX) {
-            return Err(content(
-                path,
-                format!("can't describe {name}: it knows one focal length and a centred image"),
-            ));
+            let reason = "it knows one focal length and a centred image";
+            return Err(content(path, format!("can't describe {name}: {reason}")));
         }
         let (axes, center) = axes_and_center(camera);
         for (row, size) in [height, width, fx].into_iter().enumerate() {
@@ -112,15 +96,11 @@ pub fn write_llff(
         }
         data.extend([near_m, far_m]);
     }
-    let mut header = format!(
-        "{{'descr': '<f8', 'fortran_order': False, 'shape': ({}, {COLUMNS}), }}",
-        cameras.len()
-    );
+    let count = cameras.len();
+    let fields = format!("'descr': '<f8', 'fortran_order': False, 'shape': ({count}, {COLUMNS}), ");
     // Magic, version and length take 10 bytes; the data starts at a multiple of 64.
-    while !(10 + header.len() + 1).is_multiple_of(64) {
-        header.push(' ');
-    }
-    header.push('\n');
+    let width = (10 + fields.len() + 3).next_multiple_of(64) - 11;
+    let header = format!("{:width$}\n", format!("{{{fields}}}"));
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
     bytes.extend((header.len() as u16).to_le_bytes()); // some 80 characters and the padding
     bytes.extend(header.as_bytes());

@@ -23,7 +23,7 @@ pub use import::{ImportClock, import};
 pub use llff::{read_llff, write_llff};
 pub use nerf::{read_nerf, write_nerf};
 
-use crate::camera::{Camera, CameraFormat, CameraFormatError, CameraModel, PoseFormat};
+use crate::camera::{Camera, CameraFormat, CameraModel, PoseFormat};
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use std::path::{Path, PathBuf};
 
@@ -81,15 +81,25 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), ExchangeError> {
         .map_err(|source| ExchangeError::Write { path: path.to_owned(), source })
 }
 
-/// A camera from the numbers of a file, with the checks of a capture's cameras.
+/// The size of an image in a file that holds it as two floats; the error is a reason.
+fn whole_size(width: f64, height: f64) -> Result<(u64, u64), String> {
+    for side in [width, height] {
+        if !(side >= 1.0 && side <= f64::from(u32::MAX) && side.fract() == 0.0) {
+            return Err(format!("an image can't be {width}×{height} pixels"));
+        }
+    }
+    Ok((width as u64, height as u64))
+}
+
+/// A camera from the numbers of a file, with the checks of a capture's cameras; the error is a reason.
 fn checked(
     (width, height): (u64, u64),
     model: &CameraModel,
     cam_from_world: &Isometry3<f64>,
-) -> Result<Camera, CameraFormatError> {
+) -> Result<Camera, String> {
     let (q, t) = (cam_from_world.rotation, cam_from_world.translation);
     let size = |v: u64| u32::try_from(v).unwrap_or(u32::MAX); // refused as too large
-    CameraFormat {
+    let format = CameraFormat {
         width: size(width),
         height: size(height),
         model: model.name().to_owned(),
@@ -98,8 +108,8 @@ fn checked(
             rotation_wxyz: [q.w, q.i, q.j, q.k],
             translation: [t.x, t.y, t.z],
         },
-    }
-    .camera()
+    };
+    format.camera().map_err(|e| e.to_string())
 }
 
 /// `cam_from_world` of a camera at `center`. Columns of `axes` are its right, down and forward axes in

@@ -2,17 +2,18 @@
 //! frame, with OpenGL's axes (x right, y up, z back), and the lens for all frames or each its own.
 
 use super::{ExchangeError, NamedCamera, axes_and_center, check_count, checked, content};
-use super::{pose_from_axes, write};
+use super::{pose_from_axes, whole_size, write};
 use crate::camera::CameraModel;
 use crate::host::read_text;
 use crate::json;
 use nalgebra::Matrix3;
 use serde::de::{Deserializer, Error as _, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// The frames of the file.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Deserialize)]
 struct Frames {
     #[serde(deserialize_with = "bounded")]
     frames: Vec<FrameEntry>,
@@ -21,40 +22,40 @@ struct Frames {
 /// Fields of a frame, or of the file as a whole: both may have a lens. Other fields are skipped.
 ///
 /// Serde's `flatten` would hold the skipped fields in memory, at 16 times their length in the file.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[derive(Debug, Deserialize)]
 struct FrameEntry {
-    #[serde(skip_serializing_if = "Option::is_none")]
     file_path: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     transform_matrix: Option<[[f64; 4]; 4]>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     camera_model: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     w: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     h: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     camera_angle_x: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     fl_x: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     fl_y: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     cx: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     cy: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     k1: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     k2: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     k3: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     k4: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     p1: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
     p2: Option<f64>,
+}
+
+/// A frame as it is written, with its own lens.
+#[derive(Debug, Serialize)]
+struct WrittenFrame<'a> {
+    file_path: &'a str,
+    transform_matrix: [[f64; 4]; 4],
+    camera_model: &'static str,
+    w: f64,
+    h: f64,
+    fl_x: f64,
+    fl_y: f64,
+    cx: f64,
+    cy: f64,
+    #[serde(flatten)]
+    distortion: BTreeMap<&'static str, f64>,
 }
 
 /// Reads a list, and stops with an error at more than [`MAX_ENTRIES`].
@@ -79,108 +80,58 @@ fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>
     deserializer.deserialize_seq(EntryList)
 }
 
-impl FrameEntry {
-    /// The frame's lens; fields that it lacks are those of the file.
-    fn lens_or(&self, all: &Self) -> Self {
-        Self {
-            camera_model: self.camera_model.clone().or_else(|| all.camera_model.clone()),
-            w: self.w.or(all.w),
-            h: self.h.or(all.h),
-            camera_angle_x: self.camera_angle_x.or(all.camera_angle_x),
-            fl_x: self.fl_x.or(all.fl_x),
-            fl_y: self.fl_y.or(all.fl_y),
-            cx: self.cx.or(all.cx),
-            cy: self.cy.or(all.cy),
-            k1: self.k1.or(all.k1),
-            k2: self.k2.or(all.k2),
-            k3: self.k3.or(all.k3),
-            k4: self.k4.or(all.k4),
-            p1: self.p1.or(all.p1),
-            p2: self.p2.or(all.p2),
-            ..Self::default()
+/// Image size in pixels, and lens of a frame; fields that it lacks are those of the file. The error is a
+/// reason.
+fn lens(frame: &FrameEntry, all: &FrameEntry) -> Result<((u64, u64), CameraModel), String> {
+    let either = |field: fn(&FrameEntry) -> Option<f64>| field(frame).or(field(all));
+    let (Some(w), Some(h)) = (either(|f| f.w), either(|f| f.h)) else {
+        return Err("w and h, the images' size, are missing".into());
+    };
+    let size = whole_size(w, h)?;
+    let by_angle = either(|f| f.camera_angle_x).map(|angle| 0.5 * w / (0.5 * angle).tan());
+    let fx = either(|f| f.fl_x).or(by_angle).ok_or("fl_x (or camera_angle_x) is missing")?;
+    let fy = either(|f| f.fl_y).unwrap_or(fx);
+    let cx = either(|f| f.cx).unwrap_or(0.5 * w);
+    let cy = either(|f| f.cy).unwrap_or(0.5 * h);
+    let k = [either(|f| f.k1), either(|f| f.k2), either(|f| f.k3), either(|f| f.k4)];
+    let k @ [k1, k2, k3, k4] = k.map(Option::unwrap_or_default);
+    let p @ [p1, p2] = [either(|f| f.p1), either(|f| f.p2)].map(Option::unwrap_or_default);
+    let name = frame.camera_model.as_deref().or(all.camera_model.as_deref()).unwrap_or("OPENCV");
+    let model = match name {
+        "OPENCV_FISHEYE" => CameraModel::OpenCvFisheye { fx, fy, cx, cy, k },
+        "PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" | "RADIAL" | "SIMPLE_RADIAL" => {
+            if k == [0.0; 4] && p == [0.0; 2] {
+                CameraModel::Pinhole { fx, fy, cx, cy }
+            } else if [k3, k4] == [0.0; 2] {
+                CameraModel::OpenCv { fx, fy, cx, cy, k1, k2, p1, p2 }
+            } else {
+                CameraModel::FullOpenCv { fx, fy, cx, cy, k: [k1, k2, k3, k4, 0.0, 0.0], p }
+            }
         }
-    }
+        _ => return Err(format!("camera_model can't be '{name}'")),
+    };
+    Ok((size, model))
+}
 
-    /// Image size in pixels, and lens; the error is a reason.
-    fn model(&self) -> Result<((u64, u64), CameraModel), String> {
-        let (Some(w), Some(h)) = (self.w, self.h) else {
-            return Err("w and h, the images' size, are missing".into());
-        };
-        for side in [w, h] {
-            if !(side >= 1.0 && side <= f64::from(u32::MAX) && side.fract() == 0.0) {
-                return Err(format!("an image can't be {w}×{h} pixels"));
-            }
+/// A lens's name and distortion as the format has them; `None` for a lens that the format can't hold.
+fn name_and_distortion(model: &CameraModel) -> Option<(&'static str, BTreeMap<&'static str, f64>)> {
+    let brown = |k1, k2, p1, p2| {
+        Some(("OPENCV", BTreeMap::from([("k1", k1), ("k2", k2), ("p1", p1), ("p2", p2)])))
+    };
+    let fisheye = |[k1, k2, k3, k4]: [f64; 4]| {
+        Some(("OPENCV_FISHEYE", BTreeMap::from([("k1", k1), ("k2", k2), ("k3", k3), ("k4", k4)])))
+    };
+    match *model {
+        CameraModel::SimplePinhole { .. } | CameraModel::Pinhole { .. } => {
+            Some(("PINHOLE", BTreeMap::new()))
         }
-        let by_angle = self.camera_angle_x.map(|angle| 0.5 * w / (0.5 * angle).tan());
-        let fx = self.fl_x.or(by_angle).ok_or("fl_x (or camera_angle_x) is missing")?;
-        let fy = self.fl_y.unwrap_or(fx);
-        let (cx, cy) = (self.cx.unwrap_or(0.5 * w), self.cy.unwrap_or(0.5 * h));
-        let [k1, k2, k3, k4, p1, p2] =
-            [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2].map(|v| v.unwrap_or(0.0));
-        let name = self.camera_model.as_deref().unwrap_or("OPENCV");
-        let model = match name {
-            "OPENCV_FISHEYE" => CameraModel::OpenCvFisheye { fx, fy, cx, cy, k: [k1, k2, k3, k4] },
-            "PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" | "RADIAL" | "SIMPLE_RADIAL" => {
-                if [k1, k2, k3, k4, p1, p2] == [0.0; 6] {
-                    CameraModel::Pinhole { fx, fy, cx, cy }
-                } else if [k3, k4] == [0.0; 2] {
-                    CameraModel::OpenCv { fx, fy, cx, cy, k1, k2, p1, p2 }
-                } else {
-                    CameraModel::FullOpenCv {
-                        fx,
-                        fy,
-                        cx,
-                        cy,
-                        k: [k1, k2, k3, k4, 0.0, 0.0],
-                        p: [p1, p2],
-                    }
-                }
-            }
-            _ => return Err(format!("camera_model can't be '{name}'")),
-        };
-        Ok(((w as u64, h as u64), model))
-    }
-
-    /// The inverse of [`Self::model`]; `None` for a lens that the format can't hold.
-    fn of(camera: &crate::camera::Camera) -> Option<Self> {
-        let (fx, fy, cx, cy) = camera.model.intrinsics();
-        let lens = Self {
-            w: Some(camera.width as f64),
-            h: Some(camera.height as f64),
-            fl_x: Some(fx),
-            fl_y: Some(fy),
-            cx: Some(cx),
-            cy: Some(cy),
-            ..Self::default()
-        };
-        let brown = |k1, k2, p1, p2| Self {
-            camera_model: Some("OPENCV".into()),
-            k1: Some(k1),
-            k2: Some(k2),
-            p1: Some(p1),
-            p2: Some(p2),
-            ..lens.clone()
-        };
-        let fisheye = |[k1, k2, k3, k4]: [f64; 4]| Self {
-            camera_model: Some("OPENCV_FISHEYE".into()),
-            k1: Some(k1),
-            k2: Some(k2),
-            k3: Some(k3),
-            k4: Some(k4),
-            ..lens.clone()
-        };
-        match camera.model {
-            CameraModel::SimplePinhole { .. } | CameraModel::Pinhole { .. } => {
-                Some(Self { camera_model: Some("PINHOLE".into()), ..lens })
-            }
-            CameraModel::SimpleRadial { k, .. } => Some(brown(k, 0.0, 0.0, 0.0)),
-            CameraModel::Radial { k, .. } => Some(brown(k[0], k[1], 0.0, 0.0)),
-            CameraModel::OpenCv { k1, k2, p1, p2, .. } => Some(brown(k1, k2, p1, p2)),
-            CameraModel::FullOpenCv { .. } => None,
-            CameraModel::SimpleRadialFisheye { k, .. } => Some(fisheye([k, 0.0, 0.0, 0.0])),
-            CameraModel::RadialFisheye { k, .. } => Some(fisheye([k[0], k[1], 0.0, 0.0])),
-            CameraModel::OpenCvFisheye { k, .. } => Some(fisheye(k)),
-        }
+        CameraModel::SimpleRadial { k, .. } => brown(k, 0.0, 0.0, 0.0),
+        CameraModel::Radial { k, .. } => brown(k[0], k[1], 0.0, 0.0),
+        CameraModel::OpenCv { k1, k2, p1, p2, .. } => brown(k1, k2, p1, p2),
+        CameraModel::FullOpenCv { .. } => None,
+        CameraModel::SimpleRadialFisheye { k, .. } => fisheye([k, 0.0, 0.0, 0.0]),
+        CameraModel::RadialFisheye { k, .. } => fisheye([k[0], k[1], 0.0, 0.0]),
+        CameraModel::OpenCvFisheye { k, .. } => fisheye(k),
     }
 }
 
@@ -202,7 +153,7 @@ pub fn read_nerf(path: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {
 }
 
 fn camera(frame: FrameEntry, all: &FrameEntry) -> Result<NamedCamera, String> {
-    let (size, model) = frame.lens_or(all).model()?;
+    let (size, model) = lens(&frame, all)?;
     let name = frame.file_path.ok_or("file_path is missing")?;
     let m = frame.transform_matrix.ok_or("transform_matrix is missing")?;
     if m[3] != [0.0, 0.0, 0.0, 1.0] {
@@ -210,25 +161,36 @@ fn camera(frame: FrameEntry, all: &FrameEntry) -> Result<NamedCamera, String> {
     }
     let axes = Matrix3::from_fn(|r, c| if c == 0 { m[r][c] } else { -m[r][c] });
     let pose = pose_from_axes(&axes, [m[0][3], m[1][3], m[2][3]].into())?;
-    let camera = checked(size, &model, &pose).map_err(|e| e.to_string())?;
-    Ok(NamedCamera { name, camera })
+    Ok(NamedCamera { name, camera: checked(size, &model, &pose)? })
 }
 
 /// Writes the cameras, each frame with its own lens. `FULL_OPENCV` is an error: the format can't hold it.
 pub fn write_nerf(path: &Path, cameras: &[NamedCamera]) -> Result<(), ExchangeError> {
-    let mut transforms = Frames { frames: Vec::new() };
+    let mut frames = Vec::new();
     for NamedCamera { name, camera } in cameras {
-        let lens = FrameEntry::of(camera).ok_or_else(|| {
+        let (camera_model, distortion) = name_and_distortion(&camera.model).ok_or_else(|| {
             content(path, format!("can't describe {name}, a {}", camera.model.name()))
         })?;
+        let (fl_x, fl_y, cx, cy) = camera.model.intrinsics();
         let (axes, center) = axes_and_center(camera);
-        let mut m = [[0.0, 0.0, 0.0, 1.0]; 4];
-        for (r, row) in m.iter_mut().enumerate().take(3) {
+        let mut transform_matrix = [[0.0, 0.0, 0.0, 1.0]; 4];
+        for (r, row) in transform_matrix.iter_mut().enumerate().take(3) {
             *row = [axes[(r, 0)], -axes[(r, 1)], -axes[(r, 2)], center[r]];
         }
-        let (file_path, transform_matrix) = (Some(name.clone()), Some(m));
-        transforms.frames.push(FrameEntry { file_path, transform_matrix, ..lens });
+        frames.push(WrittenFrame {
+            file_path: name,
+            transform_matrix,
+            camera_model,
+            w: camera.width as f64,
+            h: camera.height as f64,
+            fl_x,
+            fl_y,
+            cx,
+            cy,
+            distortion,
+        });
     }
+    let transforms = BTreeMap::from([("frames", frames)]);
     let mut text = serde_json::to_string_pretty(&transforms).map_err(|e| content(path, e))?;
     text.push('\n');
     write(path, text.as_bytes())

@@ -1,8 +1,11 @@
-//! A cache in memory with a bound: values that were unused for longest are dropped first.
+//! Caches in memory with a bound: values that were unused for longest are dropped first.
 
+use super::machine::lock;
+use serde::Serialize;
+use std::any::Any;
 use std::collections::HashMap;
 use std::hash::Hash;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// A cache that threads share. It holds the most recently used values whose costs sum to at most a bound, and always the
 /// value that was inserted last.
@@ -35,7 +38,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
 
     /// The value of a key, if it is held. It counts as used.
     pub fn get(&self, key: &K) -> Option<V> {
-        let mut entries = self.lock();
+        let mut entries = lock(&self.entries);
         entries.clock += 1;
         let now = entries.clock;
         let entry = entries.by_key.get_mut(key)?;
@@ -45,7 +48,7 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
 
     /// Inserts a value, and drops the values that were unused for longest until the bound holds.
     pub fn insert(&self, key: K, value: V, cost: usize) {
-        let mut entries = self.lock();
+        let mut entries = lock(&self.entries);
         entries.clock += 1;
         let last_use = entries.clock;
         entries.cost += cost;
@@ -63,20 +66,82 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
 
     /// Drops the values whose keys don't pass a test.
     pub fn retain(&self, passes: impl Fn(&K) -> bool) {
-        let mut entries = self.lock();
+        let mut entries = lock(&self.entries);
         entries.by_key.retain(|key, _| passes(key));
         entries.cost = entries.by_key.values().map(|entry| entry.cost).sum();
     }
 
     /// The sum of the costs of all values held.
     pub fn cost(&self) -> usize {
-        self.lock().cost
+        lock(&self.entries).cost
+    }
+}
+
+/// A cache of the results of stages, whose costs are their sizes in bytes.
+///
+/// A key is derived by serializing a stage's inputs. Inputs that are constant for the life of the memo (the capture, its
+/// clocks) need not be among them.
+///
+/// Threads that ask for one result at once may all compute it, with equal results. They don't wait for each other:
+/// the thread that computes may run, and wait for, the one that would have to wait.
+pub struct Memo(BoundedCache<MemoKey, Arc<dyn Any + Send + Sync>>);
+
+/// A stage's name, and the BLAKE3 hash of the name and the serialized inputs.
+type MemoKey = (&'static str, [u8; blake3::OUT_LEN]);
+
+impl Memo {
+    /// An empty memo for at most `max_bytes` of results.
+    pub fn new(max_bytes: usize) -> Self {
+        Self(BoundedCache::new(max_bytes))
     }
 
-    fn lock(&self) -> MutexGuard<'_, CacheEntries<K, V>> {
-        // No operation panics half-way, so that a poisoned lock still guards a whole cache.
-        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    /// The bound, bytes.
+    pub fn max_bytes(&self) -> usize {
+        self.0.max_cost
     }
+
+    /// The size of all cached results, bytes.
+    pub fn bytes(&self) -> usize {
+        self.0.cost()
+    }
+
+    /// The result of a stage for these inputs, if it is cached.
+    pub fn get<T: Any + Send + Sync>(
+        &self,
+        stage: &'static str,
+        inputs: &impl Serialize,
+    ) -> Option<Arc<T>> {
+        self.0.get(&memo_key(stage, inputs))?.downcast().ok()
+    }
+
+    /// The cached result of a stage for these inputs, else a new one. `bytes` gives its size.
+    pub fn get_or<T: Any + Send + Sync, E>(
+        &self,
+        stage: &'static str,
+        inputs: &impl Serialize,
+        bytes: impl FnOnce(&T) -> usize,
+        compute: impl FnOnce() -> Result<T, E>,
+    ) -> Result<Arc<T>, E> {
+        if let Some(value) = self.get(stage, inputs) {
+            return Ok(value);
+        }
+        let value = Arc::new(compute()?);
+        self.0.insert(memo_key(stage, inputs), value.clone(), bytes(&value));
+        Ok(value)
+    }
+
+    /// Drops the results of the stages that pass.
+    pub fn forget(&self, passes: impl Fn(&str) -> bool) {
+        self.0.retain(|(stage, _)| !passes(stage));
+    }
+}
+
+fn memo_key(stage: &'static str, inputs: &impl Serialize) -> MemoKey {
+    let mut hasher = blake3::Hasher::new();
+    // Neither fails: the hasher takes all bytes, and inputs are plain data.
+    let written = serde_json::to_writer(&mut hasher, &(stage, inputs));
+    debug_assert!(written.is_ok());
+    (stage, hasher.finalize().into())
 }
 
 #[cfg(test)]
@@ -121,5 +186,67 @@ mod tests {
         cache.insert(1, 'a', 4);
         cache.insert(1, 'b', 5);
         assert_eq!((cache.get(&1), cache.cost()), (Some('b'), 5));
+    }
+
+    fn insert(memo: &Memo, key: u32, bytes: usize) {
+        memo.0.insert(memo_key("stage", &key), Arc::new(key), bytes);
+    }
+
+    fn cached(memo: &Memo, key: u32) -> bool {
+        memo.get::<u32>("stage", &key).is_some_and(|value| *value == key)
+    }
+
+    #[test]
+    fn the_result_used_longest_ago_is_dropped_first() {
+        let memo = Memo::new(3);
+        (0..3).for_each(|key| insert(&memo, key, 1));
+        assert!(cached(&memo, 0));
+        insert(&memo, 3, 1);
+        assert_eq!([0, 1, 2, 3].map(|k| cached(&memo, k)), [true, false, true, true]);
+        assert_eq!(memo.bytes(), 3);
+    }
+
+    #[test]
+    fn the_last_result_is_cached_however_large() {
+        let memo = Memo::new(3);
+        insert(&memo, 1, 2);
+        insert(&memo, 2, 100);
+        assert_eq!([1, 2].map(|k| cached(&memo, k)), [false, true]);
+        insert(&memo, 1, 2);
+        assert_eq!((cached(&memo, 2), memo.bytes()), (false, 2));
+    }
+
+    #[test]
+    fn a_replaced_result_has_no_size() {
+        let memo = Memo::new(10);
+        insert(&memo, 1, 4);
+        insert(&memo, 1, 5);
+        assert_eq!((cached(&memo, 1), memo.bytes()), (true, 5));
+    }
+
+    #[test]
+    fn a_forgotten_stage_is_computed_again() {
+        let memo = Memo::new(10);
+        let computed = |stage| {
+            let mut is_computed = false;
+            let compute = || -> Result<u32, ()> {
+                is_computed = true;
+                Ok(7)
+            };
+            assert_eq!(memo.get_or(stage, &0.1, |_| 1, compute), Ok(Arc::new(7)));
+            is_computed
+        };
+        assert!(computed("a") && computed("b") && !computed("a"));
+        memo.forget(|stage| stage == "a");
+        assert_eq!(memo.bytes(), 1);
+        assert!(computed("a") && !computed("b"));
+    }
+
+    #[test]
+    fn every_input_and_every_bit_of_a_time_tells_keys_apart() {
+        let next = f64::from_bits(0.1_f64.to_bits() + 1);
+        assert_ne!(memo_key("a", &(1, 0.1)), memo_key("a", &(1, next)));
+        assert_ne!(memo_key("a", &(1, 0.1)), memo_key("b", &(1, 0.1)));
+        assert_eq!(memo_key("a", &(1, 0.1)), memo_key("a", &(1, 0.1)));
     }
 }

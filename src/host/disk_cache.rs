@@ -12,8 +12,8 @@
 //! Known limits: a checksum detects damage, not a forger. Entries that were used within [`RECENT`] are not removed, so
 //! that the cache may exceed its bound for that long.
 
-use super::obstacle::{link_within, remove_special};
-use super::read::read_bytes;
+use super::files::{ignore_absent, link_within, read_bytes, remove_special};
+use super::machine::lock;
 use super::temporary::{remove_abandoned, write_atomically};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -21,7 +21,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, Metadata};
 use std::io::{Error, ErrorKind, Result};
 use std::path::{Component, Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 /// The cache's folder inside a capture.
@@ -32,6 +32,9 @@ const MAX_BYTES: u64 = 32 << 30;
 
 /// Largest entry that is read, bytes.
 const MAX_ENTRY_BYTES: u64 = 64 << 20;
+
+/// Bytes of an entry's file besides its content: the checksum.
+pub(crate) const ENTRY_OVERHEAD_BYTES: u64 = blake3::OUT_LEN as u64;
 
 /// Entries used more recently than this are in use. The time of use is kept to this precision.
 const RECENT: Duration = Duration::from_secs(3600);
@@ -67,22 +70,21 @@ pub struct DiskCache {
     shared: Arc<Shared>,
 }
 
-/// State that the clones of a cache share.
+/// What the clones of a cache share.
 struct Shared {
     max_bytes: u64,
-    recent: Duration,
     note: Box<dyn Fn(&str) + Send + Sync>,
-    /// Kinds in whose folders the temporary files of killed processes were looked for.
-    cleared: Mutex<BTreeSet<&'static str>>,
-    /// The damaged entries that were noted.
-    noted: Mutex<BTreeSet<PathBuf>>,
-    /// Entries whose files this process uses; they are not removed.
-    pinned: Mutex<BTreeSet<PathBuf>>,
-    size: Mutex<Size>,
+    state: Mutex<State>,
 }
 
 #[derive(Default)]
-struct Size {
+struct State {
+    /// Kinds in whose folders the temporary files of killed processes were looked for.
+    cleared: BTreeSet<&'static str>,
+    /// The damaged entries that were noted.
+    noted: BTreeSet<PathBuf>,
+    /// Entries whose files this process uses; they are not removed.
+    pinned: BTreeSet<PathBuf>,
     /// Bytes of all entries, once they were counted.
     bytes: Option<u64>,
     /// Bytes at which entries are removed next.
@@ -100,26 +102,17 @@ impl DiskCache {
     /// The cache of the capture in a folder, with keys that don't depend on the capture's content
     /// ([`Self::for_content`]). `note` is called with a sentence for each damaged entry.
     pub fn new(capture: &Path, note: impl Fn(&str) + Send + Sync + 'static) -> Self {
-        Self::bounded(capture, MAX_BYTES, RECENT, note)
+        Self::bounded(capture, MAX_BYTES, note)
     }
 
     fn bounded(
         capture: &Path,
         max_bytes: u64,
-        recent: Duration,
         note: impl Fn(&str) + Send + Sync + 'static,
     ) -> Self {
-        let size = Mutex::new(Size { bytes: None, limit: max_bytes });
-        let shared = Shared {
-            max_bytes,
-            recent,
-            note: Box::new(note),
-            cleared: Mutex::default(),
-            noted: Mutex::default(),
-            pinned: Mutex::default(),
-            size,
-        };
-        Self { capture: capture.to_owned(), content: String::new(), shared: Arc::new(shared) }
+        let state = Mutex::new(State { limit: max_bytes, ..State::default() });
+        let shared = Arc::new(Shared { max_bytes, note: Box::new(note), state });
+        Self { capture: capture.to_owned(), content: String::new(), shared }
     }
 
     /// This cache with keys that depend on the capture's content, here its hash.
@@ -127,15 +120,11 @@ impl DiskCache {
         Self { content: content.to_owned(), ..self.clone() }
     }
 
-    /// The full key of inputs, 64 hexadecimal digits.
+    /// The key of inputs.
     ///
     /// # Errors
     /// If the inputs can't be serialized as JSON.
-    pub fn key(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<String> {
-        Ok(self.hash(kind, inputs)?.to_hex().to_string())
-    }
-
-    fn hash(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<blake3::Hash> {
+    pub(crate) fn key(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<blake3::Hash> {
         let mut hasher = blake3::Hasher::new();
         let all = (env!("CARGO_PKG_VERSION"), kind.name, kind.version, &self.content, inputs);
         serde_json::to_writer(&mut hasher, &all)?;
@@ -151,16 +140,16 @@ impl DiskCache {
         link_within(&self.capture, &self.folder().join(kind.name))
     }
 
-    /// The file of an entry, and its full key.
+    /// The file of an entry, and its key.
     fn entry(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<(PathBuf, blake3::Hash)> {
         if let Some(link) = self.link(kind) {
             return Err(Error::other(format!("{} is a link", link.display())));
         }
         let folder = self.folder().join(kind.name);
-        if lock(&self.shared.cleared).insert(kind.name) {
+        if lock(&self.shared.state).cleared.insert(kind.name) {
             remove_abandoned(&folder);
         }
-        let key = self.hash(kind, inputs)?;
+        let key = self.key(kind, inputs)?;
         Ok((folder.join(&key.to_hex()[..KEY_DIGITS]), key))
     }
 
@@ -170,12 +159,6 @@ impl DiskCache {
     /// If the cache is reached through a link.
     pub fn path(&self, kind: CacheKind, inputs: &impl Serialize) -> Result<PathBuf> {
         Ok(self.entry(kind, inputs)?.0)
-    }
-
-    /// The size of an entry's file, bytes; `None` if it is absent.
-    pub fn size(&self, kind: CacheKind, inputs: &impl Serialize) -> Option<u64> {
-        let found = self.path(kind, inputs).ok()?.symlink_metadata().ok()?;
-        found.is_file().then_some(found.len())
     }
 
     /// The folder of the files that belong to an entry. The caller creates it before the entry is saved, and checks what is
@@ -217,7 +200,7 @@ impl DiskCache {
         remove_special(&path)?;
         write_atomically(&path, &bytes)?;
         let size = bytes.len() as u64;
-        self.add(size + files_of(&path).map_or(0, |files| folder_bytes(&files)));
+        self.add(size + folder_bytes(&path.with_extension(FILES_EXTENSION)));
         Ok(size)
     }
 
@@ -251,7 +234,7 @@ impl DiskCache {
 
     /// Notes that an entry is damaged, once.
     pub fn note_damage(&self, path: &Path) {
-        if lock(&self.shared.noted).insert(path.to_owned()) {
+        if lock(&self.shared.state).noted.insert(path.to_owned()) {
             let path = path.display();
             (self.shared.note)(&format!(
                 "{path}: is damaged or of another version, and is made anew."
@@ -261,13 +244,13 @@ impl DiskCache {
 
     /// Protects an entry whose files are in use from being removed by this process.
     pub fn pin(&self, path: &Path) {
-        lock(&self.shared.pinned).insert(path.to_owned());
+        lock(&self.shared.state).pinned.insert(path.to_owned());
     }
 
     /// Records the time of use as the file's modification time.
     fn mark_used(&self, path: &Path, found: &Metadata) {
         let now = SystemTime::now();
-        let is_recent = |t| now.duration_since(t).is_ok_and(|age| age < self.shared.recent);
+        let is_recent = |t| now.duration_since(t).is_ok_and(|age| age < RECENT);
         if !found.modified().is_ok_and(is_recent) {
             // In a read-only capture the time stays.
             let _ = File::open(path).and_then(|file| file.set_modified(now));
@@ -276,34 +259,30 @@ impl DiskCache {
 
     /// Adds to the bytes of all entries, and removes entries beyond the bound.
     fn add(&self, bytes: u64) {
-        let mut size = lock(&self.shared.size);
-        let total = size
-            .bytes
-            .map(|total| total + bytes)
-            .unwrap_or_else(|| self.found().values().flatten().map(|entry| entry.bytes).sum());
-        size.bytes = Some(total);
-        if total > size.limit {
-            let left = self.shrink();
+        let mut state = lock(&self.shared.state);
+        let all = || self.found().values().flatten().map(|entry| entry.bytes).sum();
+        let mut total = state.bytes.map_or_else(all, |total| total + bytes);
+        if total > state.limit {
+            total = self.shrink(&state.pinned);
             // What is in use can't be removed: the next attempt waits until it is worth a look at all entries.
-            *size = Size {
-                bytes: Some(left),
-                limit: self.shared.max_bytes.max(left + self.shared.max_bytes / 16),
-            };
+            let max_bytes = self.shared.max_bytes;
+            state.limit = max_bytes.max(total + max_bytes / 16);
         }
+        state.bytes = Some(total);
     }
 
     /// Removes the entries that were unused for longest; returns the bytes that are left.
-    fn shrink(&self) -> u64 {
+    fn shrink(&self, pinned: &BTreeSet<PathBuf>) -> u64 {
         let mut entries: Vec<Found> = self.found().into_values().flatten().collect();
         entries.sort_by_key(|entry| entry.used);
         let now = SystemTime::now();
         let mut left: u64 = entries.iter().map(|entry| entry.bytes).sum();
         for entry in entries {
             let age = now.duration_since(entry.used).unwrap_or_default();
-            if left <= self.shared.max_bytes || age < self.shared.recent {
+            if left <= self.shared.max_bytes || age < RECENT {
                 break;
             }
-            if !lock(&self.shared.pinned).contains(&entry.path) && remove(&entry.path).is_ok() {
+            if !pinned.contains(&entry.path) && remove(&entry.path).is_ok() {
                 left -= entry.bytes;
             }
         }
@@ -358,7 +337,7 @@ impl DiskCache {
             deleted.entries += found.entries;
             deleted.bytes += found.bytes;
         }
-        lock(&self.shared.size).bytes = None;
+        lock(&self.shared.state).bytes = None;
         ignore_absent(std::fs::remove_dir_all(&folder))?;
         Ok(deleted)
     }
@@ -366,16 +345,8 @@ impl DiskCache {
 
 impl std::fmt::Debug for DiskCache {
     fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
-        f.debug_struct("DiskCache")
-            .field("capture", &self.capture)
-            .field("content", &self.content)
-            .finish_non_exhaustive()
+        write!(f, "DiskCache({:?}, {:?})", self.capture, self.content)
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Each holds whole values at any time.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn checksum(key: &blake3::Hash, content: &[u8]) -> blake3::Hash {
@@ -394,12 +365,6 @@ fn is_name(text: &str) -> bool {
     matches!(Path::new(text).components().collect::<Vec<_>>()[..], [Component::Normal(name)] if name == text)
 }
 
-/// The folder of an entry's files, if there is one.
-fn files_of(path: &Path) -> Option<PathBuf> {
-    let files = path.with_extension(FILES_EXTENSION);
-    files.symlink_metadata().is_ok_and(|found| found.is_dir()).then_some(files)
-}
-
 fn folder_bytes(folder: &Path) -> u64 {
     let files = std::fs::read_dir(folder).into_iter().flatten().flatten();
     files.filter_map(|file| file.metadata().ok()).map(|found| found.len()).sum()
@@ -410,18 +375,15 @@ fn entries(folder: &Path) -> Vec<Found> {
     let mut found: BTreeMap<PathBuf, Found> = BTreeMap::new();
     for item in std::fs::read_dir(folder).into_iter().flatten().flatten() {
         let (path, Ok(metadata)) = (item.path(), item.metadata()) else { continue };
-        let extension = path.extension().map(|e| e == FILES_EXTENSION);
-        let stem = path.file_stem().unwrap_or_default();
-        let is_key = stem.len() == KEY_DIGITS
-            && stem.as_encoded_bytes().iter().all(|digit| digit.is_ascii_hexdigit());
-        let bytes = match extension {
+        let stem = path.file_stem().unwrap_or_default().as_encoded_bytes();
+        if stem.len() != KEY_DIGITS || !stem.iter().all(u8::is_ascii_hexdigit) {
+            continue;
+        }
+        let bytes = match path.extension().map(|e| e == FILES_EXTENSION) {
             None if metadata.is_file() => metadata.len(),
             Some(true) if metadata.is_dir() => folder_bytes(&path),
             _ => continue,
         };
-        if !is_key {
-            continue;
-        }
         let path = path.with_extension("");
         let used = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
         let entry = found.entry(path.clone()).or_insert(Found { path, bytes: 0, used });
@@ -439,13 +401,6 @@ fn remove(path: &Path) -> Result<()> {
         Ok(found) if !found.is_dir() => std::fs::remove_file(files),
         _ => std::fs::remove_dir_all(files),
     })
-}
-
-fn ignore_absent(result: Result<()>) -> Result<()> {
-    match result {
-        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
-        _ => Ok(()),
-    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Hashes of files' content, read again only after a file has changed.
 
 use super::disk_cache::{CacheKind, DiskCache};
-use super::read::open_file;
+use super::files::open_file;
 use rayon::prelude::*;
 use std::io::Result;
 use std::os::unix::fs::MetadataExt;
@@ -11,7 +11,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 const HASHES: CacheKind = CacheKind { name: "hashes", version: 1 };
 
 /// A file that changed less than this ago may change again within the resolution of its times, which is 2 s on FAT.
-const SETTLED: Duration = Duration::from_secs(3);
+const SETTLED: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 3000 });
 
 /// Metadata that changes with a file's content, as in Git's index: device, inode, size, and the times of the last change
 /// of content and of metadata.
@@ -24,9 +24,9 @@ fn trace(file: &Path) -> Result<Trace> {
 }
 
 /// Whether every later change of the file will change its trace.
-fn is_settled((_, times): &Trace, settled: Duration) -> bool {
+fn is_settled((_, times): &Trace) -> bool {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let latest = now.as_nanos() as i128 - settled.as_nanos() as i128;
+    let latest = now.as_nanos() as i128 - SETTLED.as_nanos() as i128;
     let (times, _) = times.as_chunks::<2>();
     times.iter().all(|[s, ns]| 1_000_000_000 * i128::from(*s) + i128::from(*ns) < latest)
 }
@@ -39,16 +39,8 @@ pub(crate) fn file_hashes(
     cache: &DiskCache,
     files: &[&Path],
 ) -> std::result::Result<Vec<blake3::Hash>, (usize, std::io::Error)> {
-    file_hashes_after(SETTLED, cache, files)
-}
-
-fn file_hashes_after(
-    settled: Duration,
-    cache: &DiskCache,
-    files: &[&Path],
-) -> std::result::Result<Vec<blake3::Hash>, (usize, std::io::Error)> {
     let traces = || files.iter().map(|file| trace(file)).collect::<Result<Vec<Trace>>>().ok();
-    let before = traces().filter(|t| !t.is_empty() && t.iter().all(|t| is_settled(t, settled)));
+    let before = traces().filter(|t| !t.is_empty() && t.iter().all(is_settled));
     if let Some(known) = before.as_ref().and_then(|traces| cache.load(HASHES, traces)) {
         let (hashes, _) = known.as_chunks();
         if hashes.len() == files.len() {
@@ -78,16 +70,13 @@ mod tests {
     use std::fs::{File, FileTimes};
     use std::path::PathBuf;
 
-    /// Longer than a clock's tick.
-    const SETTLED: Duration = Duration::from_millis(200);
-
     #[test]
     fn files_are_read_again_when_any_changed() {
         let folder = tempfile::tempdir().unwrap();
         let files: Vec<PathBuf> = ["a", "b"].map(|name| folder.path().join(name)).into();
         let cache = DiskCache::new(folder.path(), |_| ());
         let paths: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
-        let found = || file_hashes_after(SETTLED, &cache, &paths);
+        let found = || file_hashes(&cache, &paths);
         let hashes = |texts: [&str; 2]| texts.map(|text| blake3::hash(text.as_bytes())).to_vec();
         let cached = || cache.listing().iter().map(|of| of.entries).sum::<usize>();
         let write = |file: &Path, text: &str| std::fs::write(file, text).unwrap();

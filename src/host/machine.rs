@@ -1,6 +1,7 @@
-//! The machine: its worker threads, its clocks, and glibc's allocator.
+//! The machine: its worker threads, locks, its clocks, and glibc's allocator.
 
 use serde::{Deserialize, Serialize};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 /// Runs `work` on one of rayon's threads.
@@ -9,6 +10,11 @@ use std::time::Instant;
 /// while the caller is still about to sleep. With no core free, the scheduler lets two of them share one for milliseconds.
 pub fn on_workers<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     rayon::scope(|_| work())
+}
+
+/// Locks a mutex whose value is whole at any time, so that a thread that panicked with the lock has harmed nothing.
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Time that a computation took.

@@ -4,22 +4,18 @@
 mod cache;
 mod disk_cache;
 mod file_hashes;
+mod files;
 mod machine;
-mod memo;
-mod obstacle;
 pub(crate) mod process;
-mod read;
 pub(crate) mod temporary;
 
-pub use cache::BoundedCache;
+pub use cache::{BoundedCache, Memo};
+pub(crate) use disk_cache::ENTRY_OVERHEAD_BYTES;
 pub use disk_cache::{CacheKind, CacheUse, DiskCache};
 pub(crate) use file_hashes::file_hashes;
+pub(crate) use files::{hash_file, ignore_absent, remove_special};
+pub use files::{obstacle, open_bounded, open_file, read_bytes, read_text};
 pub use machine::{
     Elapsed, Stopwatch, bound_arenas, on_workers, process_cpu_s, reuse_freed_memory,
 };
-pub use memo::Memo;
-pub use obstacle::obstacle;
-pub(crate) use obstacle::remove_special;
-pub(crate) use read::hash_file;
-pub use read::{open_bounded, open_file, read_bytes, read_text};
 pub use temporary::{remove_unfinished_on_signals, try_folder, write_atomically, write_json};

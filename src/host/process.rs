@@ -1,6 +1,6 @@
 //! Child processes that end with the value that stands for them.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Result};
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
 use std::thread::JoinHandle;
 
@@ -19,7 +19,7 @@ pub(crate) struct Ended {
 
 impl Process {
     /// Starts a command with stdout to read from; stderr is collected.
-    pub fn start(command: &mut Command, stdin: Stdio) -> std::io::Result<Self> {
+    pub fn start(command: &mut Command, stdin: Stdio) -> Result<Self> {
         end_with_parent(command);
         let mut child =
             command.stdin(stdin).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
@@ -34,25 +34,13 @@ impl Process {
         Ok(Self { child, stderr })
     }
 
-    /// Calls `on_line` with every line of stdout until it ends.
-    pub fn read_lines(&mut self, mut on_line: impl FnMut(&str)) -> std::io::Result<()> {
-        let Some(stdout) = self.child.stdout.take() else { return Ok(()) };
-        let mut reader = BufReader::new(stdout);
-        let mut line = Vec::new();
-        while reader.read_until(b'\n', &mut line)? > 0 {
-            on_line(String::from_utf8_lossy(&line).trim_end());
-            line.clear();
-        }
-        Ok(())
-    }
-
     /// The child's standard input, if it was piped and not taken before.
     pub fn take_stdin(&mut self) -> Option<ChildStdin> {
         self.child.stdin.take()
     }
 
     /// Waits until the child has ended.
-    pub fn wait(mut self) -> std::io::Result<Ended> {
+    pub fn wait(mut self) -> Result<Ended> {
         let status = self.child.wait()?;
         let stderr = self.stderr.take().and_then(|t| t.join().ok()).unwrap_or_default();
         Ok(Ended { status, stderr })
@@ -62,25 +50,28 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         if matches!(self.child.try_wait(), Ok(None)) {
-            ask_to_end(&self.child);
+            if let Ok(pid) = i32::try_from(self.child.id()) {
+                // SAFETY: the child has not been waited for, so its id is still its own.
+                unsafe { libc::kill(pid, libc::SIGTERM) };
+            }
             // It ended or can't be reached; in neither case is there anything left to do.
             let _ = self.child.wait();
         }
     }
 }
 
-/// Runs a command to its end, with nothing on stdin.
-pub(crate) fn run(command: &mut Command, on_line: impl FnMut(&str)) -> std::io::Result<Ended> {
+/// Runs a command to its end, with nothing on stdin; calls `on_line` with every line of its stdout.
+pub(crate) fn run(command: &mut Command, mut on_line: impl FnMut(&str)) -> Result<Ended> {
     let mut process = Process::start(command, Stdio::null())?;
-    process.read_lines(on_line)?;
-    process.wait()
-}
-
-fn ask_to_end(child: &Child) {
-    if let Ok(pid) = i32::try_from(child.id()) {
-        // SAFETY: the child has not been waited for, so its id is still its own.
-        unsafe { libc::kill(pid, libc::SIGTERM) };
+    if let Some(stdout) = process.child.stdout.take() {
+        let mut reader = BufReader::new(stdout);
+        let mut line = Vec::new();
+        while reader.read_until(b'\n', &mut line)? > 0 {
+            on_line(String::from_utf8_lossy(&line).trim_end());
+            line.clear();
+        }
     }
+    process.wait()
 }
 
 /// Lets the kernel end the child with the thread that starts it. In all uses, that thread waits for the child.

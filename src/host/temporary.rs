@@ -6,7 +6,8 @@
 //!
 //! Known limit: where the file system has no locks, folders of killed processes stay.
 
-use super::obstacle::obstacle;
+use super::files::obstacle;
+use super::machine::lock;
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -17,8 +18,7 @@ use std::fs::{File, TryLockError};
 use std::io::{Error, ErrorKind, Result};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 
 const PREFIX: &str = ".stlfr-";
 const SUFFIX: &str = ".tmp";
@@ -29,20 +29,14 @@ const REMOVALS: usize = 100;
 /// The temporary folders of this process.
 struct Begun {
     folders: BTreeSet<PathBuf>,
+    /// Number of folders so far, which tells their names apart.
+    count: u64,
     /// Folders in which those of killed processes were looked for.
     cleared: BTreeSet<PathBuf>,
 }
 
 static BEGUN: Mutex<Begun> =
-    Mutex::new(Begun { folders: BTreeSet::new(), cleared: BTreeSet::new() });
-
-/// Distinguishes the folders of one process.
-static COUNT: AtomicU64 = AtomicU64::new(0);
-
-fn begun() -> MutexGuard<'static, Begun> {
-    // Sets of paths are whole at any time.
-    BEGUN.lock().unwrap_or_else(PoisonError::into_inner)
-}
+    Mutex::new(Begun { folders: BTreeSet::new(), count: 0, cleared: BTreeSet::new() });
 
 /// A temporary folder. It is removed with its contents when it is dropped, or when a signal ends the program.
 pub(crate) struct Temporary {
@@ -61,7 +55,8 @@ impl Temporary {
         if target.file_name().is_none() {
             return Err(Error::new(ErrorKind::InvalidInput, "names no file"));
         }
-        Self::inside(parent(target))
+        let parent = target.parent().filter(|parent| !parent.as_os_str().is_empty());
+        Self::inside(parent.unwrap_or(Path::new(".")))
     }
 
     /// Creates a temporary folder inside `folder`, which is created if it is missing.
@@ -69,31 +64,33 @@ impl Temporary {
         std::fs::create_dir_all(folder)?;
         // The current folder may change; the folder's own path is what a signal removes.
         let folder = folder.canonicalize()?;
-        if begun().cleared.insert(folder.clone()) {
+        if lock(&BEGUN).cleared.insert(folder.clone()) {
             remove_abandoned(&folder);
         }
+        // Under the mutex, so that a signal finds either no folder or one that is listed.
+        let mut begun = lock(&BEGUN);
         loop {
-            let number = COUNT.fetch_add(1, Ordering::Relaxed);
-            let name = format!("{PREFIX}{}-{number}{SUFFIX}", std::process::id());
+            let name = format!("{PREFIX}{}-{}{SUFFIX}", std::process::id(), begun.count);
+            begun.count += 1;
             let path = folder.join(name);
-            // Under the mutex, so that a signal finds either no folder or one that is listed.
-            let mut begun = begun();
             match std::fs::create_dir(&path) {
-                Ok(()) => begun.folders.insert(path.clone()),
                 // A process of that number in another container, or one that was killed.
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
-                Err(error) => return Err(error),
-            };
+                created => created?,
+            }
             match locked(&path) {
-                Ok(Some(lock)) => return Ok(Self { path, _lock: lock }),
+                Ok(Some(lock)) => {
+                    begun.folders.insert(path.clone());
+                    return Ok(Self { path, _lock: lock });
+                }
                 // Another process has taken it for abandoned before it was locked.
-                Ok(None) => begun.folders.remove(&path),
+                Ok(None) => {}
+                Err(error) if error.kind() == ErrorKind::NotFound => {}
                 Err(error) => {
                     remove(&path);
-                    begun.folders.remove(&path);
                     return Err(error);
                 }
-            };
+            }
         }
     }
 
@@ -112,33 +109,20 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        let mut begun = begun();
+        let mut begun = lock(&BEGUN);
         remove(&self.path);
         begun.folders.remove(&self.path);
     }
 }
 
-fn parent(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
-}
-
-/// Locks a new folder; `None` if another process has locked or removed it.
+/// Locks a new folder; `None` if another process has locked or replaced it.
 fn locked(path: &Path) -> Result<Option<File>> {
-    let found = |error: Error| match error.kind() {
-        ErrorKind::NotFound => Ok(None),
-        _ => Err(error),
-    };
-    let folder = match File::open(path) {
-        Ok(folder) => folder,
-        Err(error) => return found(error),
-    };
+    let folder = File::open(path)?;
     if matches!(folder.try_lock(), Err(TryLockError::WouldBlock)) {
         return Ok(None);
     }
-    match std::fs::metadata(path) {
-        Ok(there) => Ok((there.ino() == folder.metadata()?.ino()).then_some(folder)),
-        Err(error) => found(error),
-    }
+    let is_own = std::fs::metadata(path)?.ino() == folder.metadata()?.ino();
+    Ok(is_own.then_some(folder))
 }
 
 /// Removes a folder with its contents, also while a child process writes into it.
@@ -162,35 +146,29 @@ pub(crate) fn is_temporary(name: &OsStr) -> bool {
 pub(crate) fn remove_abandoned(folder: &Path) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for entry in entries.flatten().filter(|e| is_temporary(&e.file_name())) {
-        let is_folder = entry.file_type().is_ok_and(|t| t.is_dir());
-        let Some(folder) = is_folder.then(|| File::open(entry.path()).ok()).flatten() else {
-            continue;
-        };
-        if folder.try_lock().is_ok() {
+        // Opening a pipe would wait for a writer.
+        if entry.file_type().is_ok_and(|found| found.is_dir())
+            && let Ok(folder) = File::open(entry.path())
+            && folder.try_lock().is_ok()
+        {
             remove(&entry.path());
         }
     }
-}
-
-/// Removes this process's temporary folders. None can be created or finished while the result lives: the caller ends
-/// the process.
-fn abandon() -> impl Sized {
-    let begun = begun();
-    begun.folders.iter().for_each(|path| remove(path));
-    begun
 }
 
 /// Lets Ctrl-C, SIGTERM and SIGHUP remove unfinished files before they end the program. Signals that the process was
 /// started to ignore stay ignored.
 ///
 /// For a program's main function: a library leaves signals to its program.
-pub fn remove_unfinished_on_signals() -> std::io::Result<()> {
-    let heeded = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| !is_ignored(signal));
-    let mut signals = Signals::new(heeded)?;
+pub fn remove_unfinished_on_signals() -> Result<()> {
+    let handled = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|&signal| !is_ignored(signal));
+    let mut signals = Signals::new(handled)?;
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         if let Some(signal) = signals.forever().next() {
-            let _no_folder_is_created_from_now_on = abandon();
-            // It ends the process as if nobody had heeded the signal, which the shell can tell.
+            // No folder is created or finished while they are locked.
+            let begun = lock(&BEGUN);
+            begun.folders.iter().for_each(|path| remove(path));
+            // It ends the process as if nothing had handled the signal, which the shell can tell.
             let _ = emulate_default_handler(signal);
         }
     })?;

@@ -1,12 +1,11 @@
 //! §5.2: the edge set. Real edges are split where they cross; a constrained Delaunay triangulation adds the
 //! virtual edges.
 
-use super::edges::{EdgeFeature, RealEdge};
-use super::segment_cells::SegmentCells;
+use super::edges::{EdgeFeature, NearSegments, RealEdge, Segment};
 use nalgebra::{Point2, Vector2};
 use spade::handles::FixedVertexHandle;
 use spade::{ConstrainedDelaunayTriangulation, HasPosition, Triangulation};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 /// An edge of the edge set (§5.2), by which the morph warps.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,23 +38,21 @@ pub fn edge_set(
         .iter()
         .map(|p| Edge { ends: p.ends.map(|k| vertices[k]), mean_fitness: Some(p.mean_fitness) })
         .collect();
-    let constraints: Vec<[usize; 2]> = pieces.iter().map(|p| p.ends).collect();
     let sources: Vec<_> = vertices.iter().map(|v| v.source).collect();
-    let mesh = Delaunay::new(&sources, &constraints);
-    edges.extend(
-        mesh.virtual_edges()
-            .map(|ends| Edge { ends: ends.map(|k| vertices[k]), mean_fitness: None }),
-    );
+    let mesh = triangulation(&sources, pieces.iter().map(|p| p.ends));
+    let added = mesh.undirected_edges().filter(|e| !e.is_constraint_edge());
+    edges.extend(added.map(|e| Edge {
+        ends: e.vertices().map(|v| vertices[v.data().index]),
+        mean_fitness: None,
+    }));
     edges
 }
 
 /// The Delaunay triangles of these positions, by index.
 pub(super) fn delaunay(positions: &[Point2<f64>]) -> Vec<[usize; 3]> {
-    Delaunay::new(positions, &[]).triangles().collect()
+    let mesh = triangulation(positions, std::iter::empty());
+    mesh.inner_faces().map(|f| f.vertices().map(|v| v.data().index)).collect()
 }
-
-/// A constrained Delaunay triangulation of indexed vertices.
-struct Delaunay(ConstrainedDelaunayTriangulation<Site>);
 
 /// A vertex of the triangulation.
 struct Site {
@@ -71,50 +68,36 @@ impl HasPosition for Site {
     }
 }
 
-impl Delaunay {
-    fn new(positions: &[Point2<f64>], constraints: &[[usize; 2]]) -> Self {
-        // Coincident vertices are merged into the first.
-        let mut first_at = HashMap::with_capacity(positions.len());
-        let mut sites = Vec::with_capacity(positions.len());
-        let mut site_of = vec![None; positions.len()];
-        for (index, position) in positions.iter().enumerate() {
-            let position = [position.x, position.y].map(accepted);
-            if position.iter().any(|v| spade::validate_coordinate(*v).is_err()) {
-                continue;
-            }
-            let first = *first_at.entry(position.map(f64::to_bits)).or_insert(index);
-            site_of[index] = Some(first);
-            if first == index {
-                sites.push(Site { position: position.into(), index });
-            }
+/// The constrained Delaunay triangulation of these positions, without those that are not finite.
+fn triangulation(
+    positions: &[Point2<f64>],
+    constraints: impl Iterator<Item = [usize; 2]>,
+) -> ConstrainedDelaunayTriangulation<Site> {
+    let position = |k: usize| [positions[k].x, positions[k].y].map(accepted);
+    // Coincident vertices are merged into the first.
+    let mut seen = HashSet::with_capacity(positions.len());
+    let is_vertex = |k: &usize| {
+        let position = position(*k);
+        let is_valid = position.iter().all(|v| spade::validate_coordinate(*v).is_ok());
+        is_valid && seen.insert(position.map(f64::to_bits))
+    };
+    let vertices = (0..positions.len()).filter(is_vertex);
+    let sites = vertices.map(|index| Site { position: position(index).into(), index }).collect();
+    // Only invalid coordinates are refused, and there are none.
+    let mut cdt = ConstrainedDelaunayTriangulation::bulk_load(sites).unwrap_or_default();
+    let handles: HashMap<[u64; 2], FixedVertexHandle> =
+        cdt.vertices().map(|v| (position(v.data().index).map(f64::to_bits), v.fix())).collect();
+    for ends in constraints {
+        let [a, b] = ends.map(|k| handles.get(&position(k).map(f64::to_bits)));
+        if let (Some(a), Some(b)) = (a, b)
+            && a != b
+        {
+            // A constraint that still crosses another, by rounding, is not added; its edge guides the
+            // morph nevertheless.
+            let _ = cdt.try_add_constraint(*a, *b);
         }
-        // Only invalid coordinates are refused, and there are none.
-        let mut cdt = ConstrainedDelaunayTriangulation::bulk_load(sites).unwrap_or_default();
-        let mut handles: Vec<Option<FixedVertexHandle>> = vec![None; positions.len()];
-        for site in cdt.vertices() {
-            handles[site.data().index] = Some(site.fix());
-        }
-        let handle = |k: usize| site_of[k].and_then(|first| handles[first]);
-        for &[a, b] in constraints {
-            if let (Some(a), Some(b)) = (handle(a), handle(b))
-                && a != b
-            {
-                // A constraint that still crosses another, by rounding, is not added; its edge
-                // guides the morph nevertheless.
-                let _ = cdt.try_add_constraint(a, b);
-            }
-        }
-        Self(cdt)
     }
-
-    fn virtual_edges(&self) -> impl Iterator<Item = [usize; 2]> {
-        let edges = self.0.undirected_edges().filter(|e| !e.is_constraint_edge());
-        edges.map(|e| e.vertices().map(|v| v.data().index))
-    }
-
-    fn triangles(&self) -> impl Iterator<Item = [usize; 3]> {
-        self.0.inner_faces().map(|f| f.vertices().map(|v| v.data().index))
-    }
+    cdt
 }
 
 /// A coordinate that spade accepts: 0, or a magnitude of at least 2⁻¹⁴².
@@ -127,30 +110,24 @@ fn accepted(v: f64) -> f64 {
 fn without_crossings(vertices: &mut Vec<EdgeFeature>, real: &[RealEdge]) -> Vec<RealEdge> {
     let mut order: Vec<usize> = (0..real.len()).collect();
     order.sort_by(|&a, &b| real[b].mean_fitness.total_cmp(&real[a].mean_fitness).then(a.cmp(&b)));
-    let segments: Vec<_> =
+    let segments: Vec<Segment> =
         order.iter().map(|&k| real[k].ends.map(|v| vertices[v].source)).collect();
-    let mut cells = SegmentCells::new(&segments);
-    let mut fitter = Vec::new();
+    let near = NearSegments::new(&segments);
     // Where each edge is split: fractions along it, and the vertex there.
     let mut splits: Vec<Vec<(f64, usize)>> = vec![Vec::new(); order.len()];
     for k in 0..order.len() {
-        let [a, b] = real[order[k]].ends;
-        let segment = segments[k];
-        cells.near(&segment, &mut fitter);
-        for &fitter in &fitter {
+        for fitter in near.before(k, 0.0) {
             let [c, d] = real[order[fitter]].ends;
-            if [c, d].contains(&a) || [c, d].contains(&b) {
+            if real[order[k]].ends.iter().any(|end| [c, d].contains(end)) {
                 continue;
             }
-            let Some((along, along_fitter)) = crossing(segment, segments[fitter]) else {
+            let Some((along, along_fitter)) = crossing(segments[k], segments[fitter]) else {
                 continue;
             };
-            let vertex = vertices[c].lerp(&vertices[d], along_fitter);
             splits[k].push((along, vertices.len()));
             splits[fitter].push((along_fitter, vertices.len()));
-            vertices.push(vertex);
+            vertices.push(vertices[c].lerp(&vertices[d], along_fitter));
         }
-        cells.insert(&segment, k);
     }
     let mut pieces = Vec::with_capacity(real.len());
     for (k, mut cuts) in splits.into_iter().enumerate() {
@@ -167,7 +144,7 @@ fn without_crossings(vertices: &mut Vec<EdgeFeature>, real: &[RealEdge]) -> Vec<
 
 /// The crossing of two segments, as fractions along each; `None` if they are parallel, do not cross, or
 /// touch at an end.
-fn crossing([a, b]: [Point2<f64>; 2], [c, d]: [Point2<f64>; 2]) -> Option<(f64, f64)> {
+fn crossing([a, b]: Segment, [c, d]: Segment) -> Option<(f64, f64)> {
     let (u, v) = (b - a, d - c);
     let cross = |p: Vector2<f64>, q: Vector2<f64>| p.x * q.y - p.y * q.x;
     let determinant = cross(u, v);

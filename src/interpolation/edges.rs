@@ -1,6 +1,5 @@
 //! §5.1: real edges, which are segments between two features that follow an image edge in both frames.
 
-use super::segment_cells::SegmentCells;
 use crate::registration::{Neighbors, PyramidLevel};
 use nalgebra::{Point2, Vector2, center};
 use rayon::prelude::*;
@@ -145,19 +144,49 @@ fn without_duplicates(mut edges: Vec<RealEdge>, features: &[EdgeFeature]) -> Vec
         };
         parallel && near(c) && near(d)
     };
-    let mut cells = SegmentCells::new(&edges.iter().map(ends).collect::<Vec<_>>());
-    let (mut unique, mut near) = (Vec::<RealEdge>::new(), Vec::new());
-    for edge in edges {
-        let [a, b] = ends(&edge);
-        // A duplicate's middle is as near to the longer edge as its ends.
-        let (middle, reach) = (center(&a, &b), Vector2::repeat(DUPLICATE_DISTANCE_PX));
-        cells.near(&[middle - reach, middle + reach], &mut near);
-        if !near.iter().any(|&longer| is_duplicate(&edge, &unique[longer])) {
-            cells.insert(&[a, b], unique.len());
-            unique.push(edge);
-        }
+    let segments: Vec<Segment> = edges.iter().map(ends).collect();
+    let near = NearSegments::new(&segments);
+    let mut is_unique = vec![false; edges.len()];
+    for (k, edge) in edges.iter().enumerate() {
+        let mut longer = near.before(k, DUPLICATE_DISTANCE_PX).into_iter();
+        is_unique[k] = !longer.any(|n| is_unique[n] && is_duplicate(edge, &edges[n]));
     }
-    unique
+    let mut is_unique = is_unique.into_iter();
+    edges.retain(|_| is_unique.next() == Some(true));
+    edges
+}
+
+/// The ends of a segment, pixels.
+pub(super) type Segment = [Point2<f64>; 2];
+
+/// Segments by their midpoints, which finds those that may meet.
+pub(super) struct NearSegments<'a> {
+    segments: &'a [Segment],
+    midpoints: Neighbors,
+    longest_px: f64,
+}
+
+impl<'a> NearSegments<'a> {
+    /// Segments whose ends are finite.
+    pub fn new(segments: &'a [Segment]) -> Self {
+        let midpoints = Neighbors::new(segments.iter().map(|[a, b]| center(a, b)));
+        let longest_px = segments.iter().map(|[a, b]| (b - a).norm()).fold(0.0, f64::max);
+        Self { segments, midpoints, longest_px }
+    }
+
+    /// Of the segments before segment `k`, the indices, ascending, of at least those within `distance_px` of it.
+    pub fn before(&self, k: usize, distance_px: f64) -> Vec<usize> {
+        let [a, b] = &self.segments[k];
+        let reach = 0.5 * ((b - a).norm() + self.longest_px) + distance_px;
+        let mut found = Vec::new();
+        self.midpoints.each_within(&center(a, b), reach, |n| {
+            if n < k {
+                found.push(n);
+            }
+        });
+        found.sort_unstable();
+        found
+    }
 }
 
 #[cfg(test)]
@@ -179,7 +208,7 @@ mod tests {
 
     fn edge_ends(features: &[EdgeFeature]) -> Vec<[usize; 2]> {
         let pyramid = step();
-        let level = &pyramid.levels()[0];
+        let level = &pyramid.levels[0];
         let edges = real_edges(features, level, level, 24.0);
         edges.iter().map(|e| e.ends).collect()
     }
@@ -213,11 +242,11 @@ mod tests {
     #[test]
     fn zero_gradients_have_no_direction_and_coincident_features_no_length() {
         let flat = Pyramid::new(&Image::filled(60, 50, 1, 0.5), 1, 4);
-        let level = &flat.levels()[0];
+        let level = &flat.levels[0];
         let (a, b) = (Point2::new(10.0, 10.0), Point2::new(20.0, 10.0));
         assert_eq!(mean_fitness(level, a, b), None);
         assert_eq!(
-            mean_fitness(&step().levels()[0], Point2::new(30.0, 10.0), Point2::new(30.0, 10.0)),
+            mean_fitness(&step().levels[0], Point2::new(30.0, 10.0), Point2::new(30.0, 10.0)),
             None
         );
         assert!(edge_ends(&[at_rest(30.0, 10.0), at_rest(30.0, 10.0)]).is_empty());

@@ -2,13 +2,13 @@
 
 use super::InterpolationOptions;
 use super::edge_set::edge_set;
-use super::edges::real_edges;
+use super::edges::{EdgeFeature, real_edges};
 use super::morph::{EDGE_BOOST, morph_warp};
-use super::refine::{FourFrames, PairCosts, PixelMotion, motion_px, refined};
+use super::refine::{FourFrames, MOTION_CHANNELS, PairCosts, refined, warp_motions};
 use super::tracked_pair::TrackedPair;
-use super::triangulation::{Triangles, warp_triangles};
-use super::warp::{Warp, cross_dissolve, cross_fade, difference, max_filter, warped};
-use crate::raster::{Image, Tiles, box_filter};
+use super::triangulation::{Triangles, triangulation_warp};
+use super::warp::{Warp, cross_dissolve, cross_fade, difference, warped};
+use crate::raster::{Image, Tiles, box_filter, max_filter};
 use crate::registration::Frame;
 
 /// Half-width of the outline neighbourhood, pixels: a pixel may belong to any surface within it.
@@ -101,15 +101,24 @@ impl FramePair<'_> {
             PairMethod::Crossfade => {
                 return Synchronized::filmed(cross_fade(images[0], images[1], fraction as f32));
             }
-            PairMethod::Triangulation(triangles) | PairMethod::Refined { triangles, .. } => {
-                self.triangulation_warps(triangles, time_s, options.curved)
-            }
-            PairMethod::Morph { boosted } => self.morph_warps(time_s, boosted, options),
+            PairMethod::Triangulation(triangles) | PairMethod::Refined { triangles, .. } => self
+                .warps(time_s, options, |n, features, [w, h]| {
+                    triangulation_warp(&triangles.0[n], features, w, h)
+                }),
+            PairMethod::Morph { boosted } => self.warps(time_s, options, |n, features, [w, h]| {
+                let frames = [self.earlier, self.later];
+                let [source, other] =
+                    [frames[n], frames[1 - n]].map(|frame| &frame.pyramid.levels[0]);
+                let real = real_edges(features, source, other, options.max_edge_length_px);
+                let edges = edge_set(features, &real, w, h);
+                let boost = if boosted { EDGE_BOOST } else { 0.0 };
+                morph_warp(&edges, [w, h], boost, options.grid_px)
+            }),
         };
         let warps = [&warps[0], &warps[1]];
         let PairMethod::Refined { costs, around, .. } = method else {
-            let error_px = || error_px(&motions_of(images, warps), images[0].width(), fraction);
             let image = cross_dissolve(images, warps, fraction as f32, self.parts);
+            let error_px = || error_px(&motions_of(images, warps), fraction);
             let interpolation_error_px = self.with_interpolation_error.then(error_px);
             return Synchronized { image, interpolation_error_px };
         };
@@ -123,60 +132,44 @@ impl FramePair<'_> {
             after: around[1].map(|f| &f.image),
             fraction: fraction as f32,
             parts: grown.as_ref().or(self.parts),
-            with_motions: self.with_interpolation_error,
         };
         let motions = self.tracked.motions(options.curved, |trajectory, _| trajectory.at(time_s));
         let (image, motions) = refined(&frames, warps, motions, costs, options);
         let interpolation_error_px =
-            motions.map(|motions| error_px(&motions, image.width(), fraction));
+            self.with_interpolation_error.then(|| error_px(&motions, fraction));
         Synchronized { image, interpolation_error_px }
     }
 
-    /// The warps of the earlier and the later frame to an instant, by direct triangulation.
-    fn triangulation_warps(&self, triangles: &Triangles, time_s: f64, curved: bool) -> [Warp; 2] {
-        [true, false].map(|forward| {
-            let features = self.tracked.features(time_s, forward, curved);
-            let source = if forward { self.earlier } else { self.later };
-            let (w, h) = (source.image.width(), source.image.height());
-            warp_triangles(triangles.of(forward), &features, w, h)
-        })
-    }
-
-    /// The warps of the earlier and the later frame to an instant, by the morph of §5.3.
-    fn morph_warps(&self, time_s: f64, boosted: bool, options: &InterpolationOptions) -> [Warp; 2] {
-        [true, false].map(|forward| {
-            let features = self.tracked.features(time_s, forward, options.curved);
-            let (source, other) =
-                if forward { (self.earlier, self.later) } else { (self.later, self.earlier) };
-            let (w, h) = (source.image.width(), source.image.height());
-            let [source, other] = [source, other].map(|f| &f.pyramid.levels()[0]);
-            let real = real_edges(&features, source, other, options.max_edge_length_px);
-            let edges = edge_set(&features, &real, w, h);
-            let boost = if boosted { EDGE_BOOST } else { 0.0 };
-            morph_warp(&edges, [w, h], boost, options.grid_px)
-        })
+    /// The warps of the earlier and the later frame to an instant, each by the frame's number (0, 1), its
+    /// features and its size.
+    fn warps(
+        &self,
+        time_s: f64,
+        options: &InterpolationOptions,
+        warp: impl Fn(usize, &[EdgeFeature], [usize; 2]) -> Warp,
+    ) -> [Warp; 2] {
+        let size = [self.earlier.image.width(), self.earlier.image.height()];
+        [0, 1].map(|n| warp(n, &self.tracked.features(time_s, n == 0, options.curved), size))
     }
 }
 
-/// The motion of each pixel by two warps, row by row.
-fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Vec<PixelMotion> {
+/// The motions of pixels by two warps.
+fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
     let (w, h) = (warps[0].width, warps[0].height);
     let differences =
         difference(&warped(images[0], warps[0], None), &warped(images[1], warps[1], None));
-    let costs = box_filter(&differences, w, h, DISAGREEMENT_RADIUS_PX);
-    let pixel_motion = |(motion_px, cost)| PixelMotion { motion_px, change_px: 0.0, cost };
-    motion_px(warps).into_iter().zip(costs).map(pixel_motion).collect()
+    warp_motions(warps, &box_filter(&differences, w, h, DISAGREEMENT_RADIUS_PX))
 }
 
-/// [`Synchronized::interpolation_error_px`] of an image of this width.
-fn error_px(motions: &[PixelMotion], width: usize, fraction: f64) -> Vec<f32> {
+/// [`Synchronized::interpolation_error_px`] by the pixels' motions.
+fn error_px(motions: &Image, fraction: f64) -> Vec<f32> {
     let weight = (4.0 * fraction * (1.0 - fraction)) as f32;
-    let of_pixel = |motion: &PixelMotion| {
-        let unknown = DISAGREEMENT_PX * (motion.cost - MIN_DISAGREEMENT).max(0.0);
-        weight * (motion.motion_px + CHANGE_WEIGHT * motion.change_px + unknown)
+    let of_pixel = |&[motion_px, change_px, cost]: &[f32; MOTION_CHANNELS]| {
+        let unknown = DISAGREEMENT_PX * (cost - MIN_DISAGREEMENT).max(0.0);
+        weight * (motion_px + CHANGE_WEIGHT * change_px + unknown)
     };
-    let errors: Vec<f32> = motions.iter().map(of_pixel).collect();
-    max_filter(&errors, width, OUTLINE_PX)
+    let errors: Vec<f32> = motions.data().as_chunks().0.iter().map(of_pixel).collect();
+    max_filter(&errors, motions.width(), OUTLINE_PX)
 }
 
 #[cfg(test)]
@@ -192,7 +185,7 @@ mod tests {
         warps[0].source[at][0] -= 3.0;
         warps[1].source[at][0] += 5.0;
         let flat = Image::filled(w, h, 1, 0.5);
-        let found = error_px(&motions_of([&flat, &flat], [&warps[0], &warps[1]]), w, 0.25);
+        let found = error_px(&motions_of([&flat, &flat], [&warps[0], &warps[1]]), 0.25);
         for (k, px) in found.iter().enumerate() {
             let near = (k % w).abs_diff(15) <= OUTLINE_PX && (k / w).abs_diff(10) <= OUTLINE_PX;
             assert!((px - if near { 6.0 } else { 0.0 }).abs() < 1e-5, "{k}: {px}");
@@ -203,7 +196,7 @@ mod tests {
     fn where_the_frames_disagree_motion_is_unknown() {
         let still = Warp::identity(30, 20);
         let images = [0.2, 0.6].map(|value| Image::filled(30, 20, 1, value));
-        let found = error_px(&motions_of(images.each_ref(), [&still, &still]), 30, 0.5);
+        let found = error_px(&motions_of(images.each_ref(), [&still, &still]), 0.5);
         assert!(found.iter().all(|px| (px - 200.0 * 0.37).abs() < 1e-3), "{found:?}");
     }
 }

@@ -1,7 +1,7 @@
 //! Tracks between two frames of a camera, as the methods of interpolation use them.
 
 use super::edges::EdgeFeature;
-use crate::registration::{Track, Trajectory};
+use crate::registration::{Moved, Track, Trajectory};
 use nalgebra::{Matrix2, Point2, Vector2};
 
 /// The tracks between two consecutive frames of a camera.
@@ -95,12 +95,11 @@ impl TrackMotion {
     /// Difference, pixels, of two tracks' motions between the middle frames, after one of them is continued
     /// affinely to the other's position.
     pub fn difference_px(&self, other: &Self) -> f64 {
-        let from = |m: &Self| m.at + m.to[1];
-        let by = |deformation: &Matrix2<f64>| {
-            let apart = from(other) - from(self);
-            let change = (other.to[2] - other.to[1]) - (self.to[2] - self.to[1]);
-            (change - (deformation * apart - apart)).norm()
-        };
-        by(&self.deformation).min(by(&other.deformation))
+        let [own, other] = [self, other].map(|m| Moved {
+            at: m.at + m.to[1],
+            motion: m.to[2] - m.to[1],
+            deformation: m.deformation,
+        });
+        own.distance(&other)
     }
 }

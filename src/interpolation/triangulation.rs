@@ -5,12 +5,12 @@ use super::edge_set::delaunay;
 use super::edges::EdgeFeature;
 use super::tracked_pair::flow_tracks;
 use crate::registration::Track;
-use nalgebra::{Matrix3, Point2, RowVector3, Vector2, Vector3};
+use nalgebra::{Matrix3, Point2, RowVector3, Vector2};
 
-/// The Delaunay triangles of a pair's tracks in the earlier and the later frame, which are the same at all
+/// The Delaunay triangles of a pair's tracks in the earlier and in the later frame, which are the same at all
 /// instants. Vertices are the tracks of one flow by index, then the image's corners row by row.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Triangles([Vec<[usize; 3]>; 2]);
+pub struct Triangles(pub [Vec<[usize; 3]>; 2]);
 
 impl Triangles {
     /// Triangulates the tracks of a frame pair of this size in pixels.
@@ -20,20 +20,10 @@ impl Triangles {
             triangulated(flow_tracks(tracks, forward).map(source), width, height)
         }))
     }
-
-    /// The triangles in the earlier frame (`forward`) or the later one.
-    pub(super) fn of(&self, forward: bool) -> &[[usize; 3]] {
-        &self.0[usize::from(!forward)]
-    }
-
-    /// Number of triangles in both frames.
-    pub fn count(&self) -> usize {
-        self.0.iter().map(Vec::len).sum()
-    }
 }
 
-/// The Delaunay triangles of positions and of the image's corners.
-fn triangulated(
+/// The Delaunay triangles of positions and of the image's corners, by index.
+pub fn triangulated(
     positions: impl Iterator<Item = Point2<f64>>,
     width: usize,
     height: usize,
@@ -41,18 +31,12 @@ fn triangulated(
     delaunay(&positions.chain(corners(width, height)).collect::<Vec<_>>())
 }
 
-/// The piecewise affine warp that takes every Delaunay triangle of the features and of the image's corners
-/// from a source frame of `width`×`height` pixels to the instant.
+/// The piecewise affine warp that takes triangles of the features and of the image's corners from a source
+/// frame of `width`×`height` pixels to the instant.
 ///
 /// Triangles that flip between the two, or have no area, are skipped. The warp is the identity at pixels
 /// that no triangle covers.
-pub fn triangulation_warp(features: &[EdgeFeature], width: usize, height: usize) -> Warp {
-    let triangles = triangulated(features.iter().map(|f| f.source), width, height);
-    warp_triangles(&triangles, features, width, height)
-}
-
-/// [`triangulation_warp`] by triangles of the features and the image's corners.
-pub(super) fn warp_triangles(
+pub fn triangulation_warp(
     triangles: &[[usize; 3]],
     features: &[EdgeFeature],
     width: usize,
@@ -76,15 +60,9 @@ const OUTSIDE: f64 = 1e-9;
 
 /// Sets the warp at the pixels of one triangle, by scanlines.
 fn fill_triangle(warp: &mut Warp, corners: [EdgeFeature; 3]) {
-    let column = |k: usize| {
-        let p = corners[k].target;
-        Vector3::new(p.x, p.y, 1.0)
-    };
-    let target = Matrix3::from_columns(&[column(0), column(1), column(2)]);
-    let source_area = {
-        let (u, v) = (corners[1].source - corners[0].source, corners[2].source - corners[0].source);
-        u.x * v.y - u.y * v.x
-    };
+    let target = Matrix3::from_columns(&corners.map(|f| f.target.to_homogeneous()));
+    let source_area =
+        (corners[1].source - corners[0].source).perp(&(corners[2].source - corners[0].source));
     // Twice the area, square pixels. A triangle below a thousandth covers no pixel's centre.
     let area = target.determinant();
     if area.abs() < 1e-3 || area.signum() != source_area.signum() {
@@ -92,18 +70,18 @@ fn fill_triangle(warp: &mut Warp, corners: [EdgeFeature; 3]) {
     }
     let Some(barycentric) = target.try_inverse() else { return };
     // From (x, y, 1) to the source.
-    let [to_x, to_y] = [|f: &EdgeFeature| f.source.x, |f: &EdgeFeature| f.source.y]
-        .map(|of| RowVector3::from_iterator(corners.iter().map(of)) * barycentric);
-    let bounds = |of: fn(&EdgeFeature) -> f64, size: usize| {
-        let low = corners.iter().map(of).fold(f64::INFINITY, f64::min);
-        let high = corners.iter().map(of).fold(f64::NEG_INFINITY, f64::max);
-        // The pixels whose centres are inside.
-        let first = (low - 0.5).ceil().max(0.0) as usize;
-        let end = ((high - 0.5).floor() + 1.0).max(0.0) as usize;
+    let [to_x, to_y] = [0, 1].map(|axis| {
+        RowVector3::from_iterator(corners.iter().map(|f| f.source[axis])) * barycentric
+    });
+    let [a, b, c] = corners.map(|f| f.target);
+    let (low, high) = (a.inf(&b).inf(&c), a.sup(&b).sup(&c));
+    // The pixels whose centres are inside.
+    let bounds = |axis: usize, size: usize| {
+        let first = (low[axis] - 0.5).ceil().max(0.0) as usize;
+        let end = ((high[axis] - 0.5).floor() + 1.0).max(0.0) as usize;
         [first, end.min(size)]
     };
-    let [left, right] = bounds(|f| f.target.x, warp.width);
-    let [top, bottom] = bounds(|f| f.target.y, warp.height);
+    let ([left, right], [top, bottom]) = (bounds(0, warp.width), bounds(1, warp.height));
     for y in top..bottom {
         let center_y = y as f64 + 0.5;
         let Some([from, to]) = span(&barycentric, center_y) else { continue };
@@ -143,6 +121,11 @@ fn span(barycentric: &Matrix3<f64>, y: f64) -> Option<[f64; 2]> {
 mod tests {
     use super::*;
     use nalgebra::Point2;
+
+    fn triangulation_warp(features: &[EdgeFeature], width: usize, height: usize) -> Warp {
+        let triangles = triangulated(features.iter().map(|f| f.source), width, height);
+        super::triangulation_warp(&triangles, features, width, height)
+    }
 
     #[test]
     fn inside_the_features_an_affine_motion_is_reproduced() {

@@ -1,6 +1,6 @@
 //! Backward warps, the cross dissolve of two warped frames, eq. (9), and per-pixel operations on images.
 
-use crate::raster::{Image, Tiles, padded, sample_all, sliding};
+use crate::raster::{Image, Tiles, sample_all};
 use rayon::prelude::*;
 
 /// A backward warp: the source position of every pixel of an image.
@@ -81,35 +81,5 @@ pub(super) fn difference(a: &Image, b: &Image) -> Vec<f32> {
         n => (a_data.chunks_exact(n).zip(b_data.chunks_exact(n)))
             .map(|(a, b)| of_pixel(a, b))
             .collect(),
-    }
-}
-
-/// The maximum filter of a plane of width `w` over a (2·radius + 1)² window, clipped at the borders.
-pub(super) fn max_filter(values: &[f32], w: usize, radius: usize) -> Vec<f32> {
-    let side = 2 * radius + 1;
-    let along_rows = sliding(&padded(values, w, radius, f32::NEG_INFINITY), side, 1, f32::max);
-    let mut padded_rows = vec![f32::NEG_INFINITY; values.len() + 2 * radius * w];
-    let rows = padded_rows[radius * w..].chunks_exact_mut(w);
-    for (row, out) in along_rows.chunks(w + 2 * radius).zip(rows) {
-        out.copy_from_slice(&row[..w]);
-    }
-    sliding(&padded_rows, side, w, f32::max)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_maximum_filter_equals_a_search() {
-        for (w, h, radius) in [(1, 1, 0), (1, 1, 3), (7, 5, 1), (16, 9, 2), (5, 12, 20)] {
-            let values: Vec<f32> = (0..w * h).map(|k| ((k * 37) % 101) as f32).collect();
-            for (k, largest) in max_filter(&values, w, radius).iter().enumerate() {
-                let near = |a: usize, b: usize| a.abs_diff(b) <= radius;
-                let inside = (0..w * h).filter(|n| near(n % w, k % w) && near(n / w, k / w));
-                let direct = inside.map(|n| values[n]).fold(0.0, f32::max);
-                assert!(*largest == direct, "{w}×{h}, {radius}: {largest} {direct}");
-            }
-        }
     }
 }

@@ -38,42 +38,30 @@ macro_rules! forward_deserialize {
 impl<'de, D: Deserializer<'de>> Deserializer<'de> for Objects<D> {
     type Error = D::Error;
 
-    fn is_human_readable(&self) -> bool {
-        self.0.is_human_readable()
-    }
-
     forward_deserialize! {
         deserialize_any() Objects;
         deserialize_bool() Objects;
-        deserialize_i8() Objects;
-        deserialize_i16() Objects;
-        deserialize_i32() Objects;
         deserialize_i64() Objects;
-        deserialize_i128() Objects;
-        deserialize_u8() Objects;
-        deserialize_u16() Objects;
         deserialize_u32() Objects;
         deserialize_u64() Objects;
-        deserialize_u128() Objects;
         deserialize_f32() Objects;
         deserialize_f64() Objects;
-        deserialize_char() Objects;
         deserialize_str() Objects;
         deserialize_string() Objects;
-        deserialize_bytes() Objects;
-        deserialize_byte_buf() Objects;
         deserialize_option() Objects;
-        deserialize_unit() Objects;
-        deserialize_unit_struct(name: &'static str) Objects;
         deserialize_newtype_struct(name: &'static str) Objects;
         deserialize_seq() Objects;
         deserialize_tuple(len: usize) Objects;
-        deserialize_tuple_struct(name: &'static str, len: usize) Objects;
         deserialize_map() Objects;
         deserialize_struct(name: &'static str, fields: &'static [&'static str]) StructVisitor;
         deserialize_enum(name: &'static str, variants: &'static [&'static str]) Objects;
         deserialize_identifier() Objects;
         deserialize_ignored_any() Objects;
+    }
+
+    // No format has these types.
+    serde::forward_to_deserialize_any! {
+        i8 i16 i32 i128 u8 u16 u128 char bytes byte_buf unit unit_struct tuple_struct
     }
 }
 
@@ -93,9 +81,8 @@ impl<'de, V: Visitor<'de>> Visitor<'de> for Objects<V> {
     }
 
     forward_visit! {
-        visit_bool(bool) visit_i64(i64) visit_i128(i128) visit_u64(u64) visit_u128(u128)
-        visit_f64(f64) visit_str(&str) visit_borrowed_str(&'de str) visit_string(String)
-        visit_bytes(&[u8]) visit_borrowed_bytes(&'de [u8]) visit_byte_buf(Vec<u8>)
+        visit_bool(bool) visit_i64(i64) visit_u64(u64) visit_f64(f64) visit_str(&str)
+        visit_borrowed_str(&'de str) visit_string(String)
     }
 
     fn visit_none<E: serde::de::Error>(self) -> Result<Self::Value, E> {
@@ -144,10 +131,6 @@ impl<'de, A: SeqAccess<'de>> SeqAccess<'de> for Objects<A> {
     ) -> Result<Option<T::Value>, Self::Error> {
         self.0.next_element_seed(Objects(seed))
     }
-
-    fn size_hint(&self) -> Option<usize> {
-        self.0.size_hint()
-    }
 }
 
 impl<'de, A: MapAccess<'de>> MapAccess<'de> for Objects<A> {
@@ -165,10 +148,6 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for Objects<A> {
         seed: T,
     ) -> Result<T::Value, Self::Error> {
         self.0.next_value_seed(Objects(seed))
-    }
-
-    fn size_hint(&self) -> Option<usize> {
-        self.0.size_hint()
     }
 }
 

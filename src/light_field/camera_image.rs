@@ -3,8 +3,8 @@
 use super::frame_pair::is_still;
 use super::graph::{LightField, Stage};
 use super::stages::{
-    AllCamerasImage, CameraImage, CorrectedImage, GivenImages, ImageMethod, PairTracks,
-    PairTriangles, RefinementCosts,
+    CameraImage, CameraImages, CorrectedImage, GivenImages, ImageMethod, ImageSource, Images,
+    Instant, PairTracks, PairTriangles, RefinementCosts, with_image,
 };
 use super::{Context, RenderError};
 use crate::host::on_workers;
@@ -43,8 +43,7 @@ impl Stage for CorrectedImage<'_> {
         let filmed = field.get(&self.image, context)?;
         let gains = field.gains(self.registration);
         let image = gains.corrected(self.image.camera, &filmed.image);
-        let image = image.unwrap_or_else(|| filmed.image.clone());
-        Ok(Synchronized { image, interpolation_error_px: filmed.interpolation_error_px.clone() })
+        Ok(image.map_or_else(|| (*filmed).clone(), |image| with_image(&filmed, image)))
     }
 }
 
@@ -59,7 +58,7 @@ impl Stage for RefinementCosts<'_> {
     fn compute(&self, field: &LightField, context: &Context) -> Result<PairCosts, RenderError> {
         let PairTracks { camera, frame: index, .. } = self.tracks;
         let tracks = field.get_stored(&self.tracks, context)?;
-        let times_s = field.timeline().times_s(camera);
+        let times_s = field.times_s(camera);
         let tracked = TrackedPair { tracks: &tracks, times_s, index };
         let camera = &field.capture().cameras[camera].camera;
         Ok(PairCosts::new(&tracked, [camera.width, camera.height], self.interpolation))
@@ -87,8 +86,7 @@ pub(super) fn image_in(
     context: &Context,
 ) -> Result<Synchronized, RenderError> {
     let &CameraImage { camera, time_s, method } = image;
-    let timeline = field.timeline();
-    let (frame, later) = timeline.bracket(camera, time_s)?;
+    let (frame, later) = field.bracket(camera, time_s)?;
     let registration = &method.registration;
     let frames = field.frames(registration);
     let earlier_frame = frames.get(camera, frame)?;
@@ -97,8 +95,7 @@ pub(super) fn image_in(
     }
     let interpolation = method.interpolation.clone().unwrap_or_default();
     if let Some(options) = &method.all_cameras {
-        let all = AllCamerasImage { image: *image, interpolation: &interpolation, options };
-        return all.compute(field, context);
+        return field.image_from_all_cameras(image, &interpolation, options, context);
     }
     let later_frame = frames.get(camera, later)?;
     let pair_tracks = PairTracks { camera, frame, registration };
@@ -110,7 +107,7 @@ pub(super) fn image_in(
     };
     let tracks =
         if follows_motion { field.get_stored(&pair_tracks, context)? } else { Arc::default() };
-    let times_s = timeline.times_s(camera);
+    let times_s = field.times_s(camera);
     let pair = FramePair {
         earlier: &earlier_frame,
         later: &later_frame,
@@ -172,23 +169,11 @@ impl LightField {
     ) -> Result<Vec<Option<Arc<Synchronized>>>, RenderError> {
         let method = ImageMethod::new(options.sync, options);
         let image = |camera: usize| CameraImage { camera, time_s, method: &method };
+        let get = |camera: usize| self.get(&image(camera), context);
         let usable = self.usable(time_s);
-        on_workers(|| {
-            share(self, usable.iter().map(|&c| image(c)), context)?;
-            let images = usable.par_iter().map(|&c| {
-                context.check()?;
-                Ok((c, self.get(&image(c), context)?))
-            });
-            let mut all = vec![None; self.capture().cameras.len()];
-            for (camera, image) in images.collect::<Result<Vec<_>, RenderError>>()? {
-                all[camera] = Some(image);
-            }
-            Ok(all)
-        })
+        on_workers(|| side_by_side(self, &usable, method.all_cameras.is_some(), context, get))
     }
-}
 
-impl LightField {
     /// The images of all cameras at a time, as bright as the reference camera records them.
     ///
     /// # Errors
@@ -200,20 +185,12 @@ impl LightField {
         context: &Context,
     ) -> Result<GivenImages, RenderError> {
         if self.usable(time_s).is_empty() {
-            return Err(self.timeline().no_camera_at(time_s));
+            return Err(self.no_camera_at(time_s));
         }
-        self.synchronized_all(time_s, options, context)?;
-        let method = ImageMethod::new(options.sync, options);
-        let image = |camera| {
-            let image = CameraImage { camera, time_s, method: &method };
-            Ok((camera, corrected(self, image, &options.registration, context)?))
-        };
-        let found: Vec<_> = on_workers(|| {
-            self.usable(time_s).into_par_iter().map(image).collect::<Result<_, RenderError>>()
-        })?;
-        let mut all = vec![None; self.capture().cameras.len()];
-        found.into_iter().for_each(|(camera, image)| all[camera] = Some(image));
-        Ok(GivenImages::corrected(all))
+        let source = ImageSource::new(Images::By(options.sync), options);
+        let (usable, instant) = (self.usable(time_s), Instant::new(time_s, options));
+        let images = on_workers(|| images_of(self, &source, &usable, instant, context))?;
+        Ok(GivenImages::corrected(images))
     }
 
     /// [`Self::corrected_all`], if all of them are cached.
@@ -233,14 +210,47 @@ impl LightField {
     }
 }
 
-/// Computes what the images of all cameras share before threads ask for it in parallel.
-pub(super) fn share<'a>(
+/// The images of these cameras at an instant, as bright as the reference records them.
+pub(super) fn images_of(
     field: &LightField,
-    mut images: impl Iterator<Item = CameraImage<'a>>,
+    source: &ImageSource,
+    cameras: &[usize],
+    Instant { time_s, registration, .. }: Instant,
     context: &Context,
-) -> Result<(), RenderError> {
-    match images.next() {
-        Some(image) if image.method.all_cameras.is_some() => field.get(&image, context).map(drop),
-        _ => Ok(()),
+) -> Result<CameraImages, RenderError> {
+    match source {
+        ImageSource::Synchronized(method) => {
+            let image = |camera: usize| CameraImage { camera, time_s, method };
+            let get = |camera: usize| corrected(field, image(camera), registration, context);
+            side_by_side(field, cameras, method.all_cameras.is_some(), context, get)
+        }
+        ImageSource::Given(given) => {
+            let gains = field.gains(registration);
+            let mut all = vec![None; field.capture().cameras.len()];
+            cameras.iter().for_each(|&c| all[c] = given.corrected_of(c, &gains));
+            Ok(all)
+        }
     }
+}
+
+/// Gets the images of these cameras in parallel. If they share inputs, the first alone is got before the others.
+fn side_by_side(
+    field: &LightField,
+    cameras: &[usize],
+    share_inputs: bool,
+    context: &Context,
+    get: impl Fn(usize) -> Result<Arc<Synchronized>, RenderError> + Sync,
+) -> Result<CameraImages, RenderError> {
+    if let Some(&first) = cameras.first().filter(|_| share_inputs) {
+        get(first)?;
+    }
+    let images = cameras.par_iter().map(|&camera| {
+        context.check()?;
+        Ok((camera, get(camera)?))
+    });
+    let mut all = vec![None; field.capture().cameras.len()];
+    for (camera, image) in images.collect::<Result<Vec<_>, RenderError>>()? {
+        all[camera] = Some(image);
+    }
+    Ok(all)
 }

@@ -2,11 +2,11 @@
 
 use super::frame_pair::is_still;
 use super::graph::{LightField, Stage};
-use super::stages::{Correspondences, FramesAround, PairTracks};
+use super::stages::{Correspondences, FramesAround, Instant, PairTracks};
 use super::{Context, RenderError};
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::lumigraph::triangulate;
-use crate::registration::{Frame, Match, RegistrationOptions, Trajectory, flow};
+use crate::registration::{Frame, Match, Trajectory, flow};
 use nalgebra::{Point2, Vector2};
 use std::sync::Arc;
 
@@ -47,14 +47,6 @@ pub(super) struct MatchedFeatures {
 
 /// Two or more cameras that see a point, and where.
 pub(super) type Observations<'a> = Vec<(&'a Camera, Point2<f64>)>;
-
-/// An instant, and the options that tell whether features move around it.
-#[derive(Clone, Copy)]
-pub(super) struct Instant<'a> {
-    pub time_s: f64,
-    pub registration: &'a RegistrationOptions,
-    pub still_change: f32,
-}
 
 /// Features of a frame that are searched in another camera.
 struct Query<'a> {
@@ -101,7 +93,7 @@ impl Stage for Correspondences<'_> {
             let query =
                 Query { frame: &frame, features: &features, disparities: &disparities, time_s };
             let matched = self.matched(field, partner, &query)?;
-            observe(field, (partner, &matched), time_s, &mut seen);
+            observe(field, partner, &matched, time_s, &mut seen);
             partners.push((partner, matched));
         }
         Ok(MatchedFeatures { own: self.around[0], features, partners })
@@ -118,7 +110,7 @@ pub(super) fn observations<'a>(
     let mut seen: Vec<Observations> =
         matched.features.iter().map(|f| vec![(own, f.at(time_s))]).collect();
     for (around, positions) in &matched.partners {
-        observe(field, (*around, positions), time_s, &mut seen);
+        observe(field, *around, positions, time_s, &mut seen);
     }
     seen
 }
@@ -126,14 +118,15 @@ pub(super) fn observations<'a>(
 /// Adds where a partner sees features at a time, if they are near enough to their epipolar lines.
 fn observe<'a>(
     field: &'a LightField,
-    (around, matched): (FramesAround, &[Option<Matched>]),
+    around: FramesAround,
+    matched: &[Option<Matched>],
     time_s: f64,
     seen: &mut [Observations<'a>],
 ) {
     let other = &field.capture().cameras[around.camera].camera;
     let Some((own, _)) = seen.first().map(|s| s[0]) else { return };
     let Some(geometry) = EpipolarGeometry::new(own, other) else { return };
-    let times = field.timeline().times_s(around.camera);
+    let times = field.times_s(around.camera);
     let fraction = if around.near == around.far {
         0.0
     } else {
@@ -157,7 +150,7 @@ fn observe<'a>(
 fn middle_s(field: &LightField, around: &[FramesAround]) -> f64 {
     let moving = around.iter().filter(|a| a.near != a.far);
     let span = moving.map(|a| {
-        let times = field.timeline().times_s(a.camera);
+        let times = field.times_s(a.camera);
         let (near, middle) = (times[a.near], 0.5 * (times[a.near] + times[a.far]));
         [near.min(middle), near.max(middle)]
     });
@@ -171,8 +164,8 @@ pub(super) fn frames_around(
     camera: usize,
     Instant { time_s, registration, still_change }: Instant,
 ) -> Result<FramesAround, RenderError> {
-    let (frame, later) = field.timeline().bracket(camera, time_s)?;
-    let times = field.timeline().times_s(camera);
+    let (frame, later) = field.bracket(camera, time_s)?;
+    let times = field.times_s(camera);
     // A static light field may have no times.
     let use_later = frame != later && times[later] - time_s < time_s - times[frame];
     let (near, far) = if use_later { (later, frame) } else { (frame, later) };
@@ -197,7 +190,7 @@ impl Correspondences<'_> {
             return Ok((frame, features));
         }
         let (earlier, use_later) = (near.min(far), near > far);
-        let times = field.timeline().times_s(camera);
+        let times = field.times_s(camera);
         let pair = PairTracks { camera, frame: earlier, registration: self.registration };
         let features = field
             .get_stored(&pair, context)?
@@ -233,7 +226,7 @@ impl Correspondences<'_> {
         if near == far {
             return Ok(matches.iter().map(|m| m.as_ref().map(|m| [target(m); 2])).collect());
         }
-        let times = field.timeline().times_s(camera);
+        let times = field.times_s(camera);
         // Times ascend strictly, so the interval is not 0.
         let interval_s = times[far] - times[near];
         let elapsed_s = time_s - times[near];

@@ -1,15 +1,13 @@
 //! Depth per pixel of cameras at an instant, from their images.
 
-use super::camera_image::{corrected, share};
+use super::camera_image::images_of;
 use super::graph::{LightField, Stage};
 use super::points::nearest;
-use super::stages::{CameraDepth, CameraImage, ImageSource, OcclusionDepths, Stereo};
+use super::stages::{CameraDepth, OcclusionDepths, Stereo};
 use super::{Context, RenderError};
 use crate::camera::Camera;
-use crate::interpolation::Synchronized;
 use crate::lumigraph::DepthMap;
 use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
-use crate::registration::RegistrationOptions;
 use crate::stereo::{InverseDepths, Matcher, StereoImage, Surface, fuse};
 use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
@@ -48,8 +46,9 @@ impl Stage for Stereo<'_> {
     ) -> Result<Option<PreparedStereo>, RenderError> {
         let filmed = &field.capture().cameras;
         let reference = &filmed[field.capture().reference].camera;
-        let middle = &filmed[nearest(filmed, self.cameras, reference)[0]].camera;
-        let points = match field.proxy(middle, self.time_s, &self.proxy_options()) {
+        let middle = nearest(field.capture(), self.cameras, reference.center())[0];
+        let middle = &filmed[middle].camera;
+        let points = match field.proxy(middle, self.instant.time_s, &self.proxy_options()) {
             Ok(proxy) => sampled(&proxy.depth_map(middle), middle),
             Err(RenderError::NoPoints | RenderError::NothingSeen) => return Ok(None),
             Err(error) => return Err(error),
@@ -62,11 +61,12 @@ impl Stage for Stereo<'_> {
         if of_all[1] <= 0.0 {
             return Ok(None);
         }
-        let images = self.images(field, context)?;
-        let views: Vec<StereoImage> = cameras()
-            .zip(&images)
-            .map(|(camera, image)| StereoImage { camera, image: &image.image })
-            .collect();
+        let images = images_of(field, self.images, self.cameras, self.instant, context)?;
+        let view = |&c: &usize| {
+            let image = &images[c].as_deref()?.image;
+            Some(StereoImage { camera: &filmed[c].camera, image })
+        };
+        let views: Vec<StereoImage> = self.cameras.iter().filter_map(view).collect();
         let matcher = Matcher::new(&views, of_all, &self.proxy.depth);
         let pixels: usize = cameras().map(|c| c.width * c.height).sum();
         Ok(Some(PreparedStereo { matcher, ranges, bytes: MATCHER_BYTES * pixels }))
@@ -74,23 +74,14 @@ impl Stage for Stereo<'_> {
 }
 
 impl Stereo<'_> {
-    /// The cameras' images, as bright as the reference records them.
-    fn images(
-        &self,
-        field: &LightField,
-        context: &Context,
-    ) -> Result<Vec<Arc<Synchronized>>, RenderError> {
-        images_of(field, self.images, self.cameras, (self.time_s, self.registration), context)
-    }
-
     /// Options of the proxy that the range of depths is taken from.
     fn proxy_options(&self) -> RenderOptions {
         let mut options = RenderOptions {
-            registration: self.registration.clone(),
+            registration: self.instant.registration.clone(),
             proxy: ProxyOptions { method: ProxyMethod::Mesh, ..self.proxy.clone() },
             ..RenderOptions::default()
         };
-        options.interpolation.still_change = self.still_change;
+        options.interpolation.still_change = self.instant.still_change;
         options
     }
 
@@ -104,21 +95,17 @@ impl Stereo<'_> {
         // Once, before threads ask for it in parallel.
         field.get(self, context)?;
         let depth = |&camera: &usize| {
-            let depths = field.get(&CameraDepth { stereo: *self, camera }, context)?;
-            Ok(EstimatedDepth { camera, depths })
+            Ok((camera, field.get(&CameraDepth { stereo: *self, camera }, context)?))
         };
         let mut depths: Vec<EstimatedDepth> =
             cameras.par_iter().map(depth).collect::<Result<_, RenderError>>()?;
-        depths.retain(|d| d.depths.is_some());
+        depths.retain(|(_, depths)| depths.is_some());
         Ok(depths)
     }
 }
 
-/// The depths of a camera, by its index.
-pub(super) struct EstimatedDepth {
-    pub camera: usize,
-    pub depths: Arc<Option<InverseDepths>>,
-}
+/// A camera, and its depths.
+pub(super) type EstimatedDepth = (usize, Arc<Option<InverseDepths>>);
 
 impl Stage for CameraDepth<'_> {
     /// `None` without a camera at another place, or without a range of depths.
@@ -162,8 +149,8 @@ impl Stage for OcclusionDepths<'_> {
         let mut maps = vec![None; filmed.len()];
         for &c in self.stereo.cameras {
             let camera = &filmed[c].camera;
-            let own = surfaces.iter().zip(&depths).find(|(_, own)| own.camera == c);
-            let map = own.map(|(surface, _)| surface.depths.depth_map(camera));
+            let own = depths.iter().find(|(own, _)| *own == c);
+            let map = own.and_then(|(_, depths)| Some(Option::as_ref(depths)?.depth_map(camera)));
             maps[c] = Some(Arc::new(map.unwrap_or_else(|| fuse(camera, &surfaces))));
         }
         Ok(maps)
@@ -176,36 +163,10 @@ pub(super) fn surfaces<'a>(
     depths: &'a [EstimatedDepth],
 ) -> Vec<Surface<'a>> {
     let filmed = &field.capture().cameras;
-    let surface = |d: &'a EstimatedDepth| {
-        let depths = Option::as_ref(&d.depths)?;
-        Some(Surface { camera: &filmed[d.camera].camera, depths })
+    let surface = |(camera, depths): &'a EstimatedDepth| {
+        Some(Surface { camera: &filmed[*camera].camera, depths: Option::as_ref(depths)? })
     };
     depths.iter().filter_map(surface).collect()
-}
-
-/// The images of these cameras at a time, as bright as the reference records them; all of them have one.
-pub(super) fn images_of(
-    field: &LightField,
-    source: &ImageSource,
-    cameras: &[usize],
-    (time_s, registration): (f64, &RegistrationOptions),
-    context: &Context,
-) -> Result<Vec<Arc<Synchronized>>, RenderError> {
-    match source {
-        ImageSource::Synchronized(method) => {
-            let image = |camera: usize| CameraImage { camera, time_s, method };
-            share(field, cameras.iter().map(|&c| image(c)), context)?;
-            let of = |&c: &usize| {
-                context.check()?;
-                corrected(field, image(c), registration, context)
-            };
-            cameras.par_iter().map(of).collect()
-        }
-        ImageSource::Given(given) => {
-            let gains = field.gains(registration);
-            Ok(cameras.iter().filter_map(|&c| given.corrected_of(c, &gains)).collect())
-        }
-    }
 }
 
 /// Points of a depth map, world, metres.

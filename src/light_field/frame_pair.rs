@@ -19,9 +19,9 @@ impl Stage for FrameChange<'_> {
     }
 
     fn compute(&self, field: &LightField, _: &Context) -> Result<f32, RenderError> {
-        let frames = field.frames(self.registration);
-        let earlier = frames.get(self.camera, self.frame)?;
-        let later = frames.get(self.camera, self.frame + 1)?;
+        let PairTracks { camera, frame, registration } = self.0;
+        let frames = field.frames(registration);
+        let (earlier, later) = (frames.get(camera, frame)?, frames.get(camera, frame + 1)?);
         Ok(largest_change(&earlier.image, &later.image))
     }
 }
@@ -38,7 +38,7 @@ impl Stage for PairTracks<'_> {
         let frames = field.frames(self.registration);
         let mut tracks = temporal_flow(&frames, self.camera, self.frame)?;
         if self.registration.epipolar_test {
-            let times_s = field.timeline().all_times_s();
+            let times_s = &field.all_times_s;
             let verdicts = epipolar_check(&frames, times_s, self.camera, self.frame, &tracks)?;
             let mut verdicts = verdicts.into_iter();
             tracks.retain(|_| verdicts.next() != Some(Verdict::Rejected));
@@ -56,7 +56,7 @@ impl Stage for PairTriangles<'_> {
     const NAME: &'static str = "triangles";
 
     fn bytes(triangles: &Triangles) -> usize {
-        triangles.count() * size_of::<[usize; 3]>()
+        triangles.0.iter().map(|triangles| size_of_val(&triangles[..])).sum()
     }
 
     fn compute(&self, field: &LightField, context: &Context) -> Result<Triangles, RenderError> {
@@ -79,6 +79,21 @@ impl LightField {
     ) -> Result<Arc<Vec<Track>>, RenderError> {
         self.get_stored(&PairTracks { camera, frame, registration }, &Context::unattended())
     }
+
+    /// Registers the frames around a time, of all cameras that have some.
+    ///
+    /// # Errors
+    /// [`RenderError::Capture`] if a frame can't be read.
+    pub fn register(&self, time_s: f64, options: &RenderOptions) -> Result<(), RenderError> {
+        self.usable(time_s).into_par_iter().try_for_each(|camera| {
+            let (frame, later) = self.bracket(camera, time_s)?;
+            let tracks = PairTracks { camera, frame, registration: &options.registration };
+            if frame != later && !is_still(self, tracks, options.interpolation.still_change)? {
+                self.get_stored(&tracks, &Context::unattended())?;
+            }
+            Ok(())
+        })
+    }
 }
 
 /// Whether the pair of `frame` and `frame + 1` goes without registration, because none of its blocks changes by more
@@ -88,24 +103,5 @@ pub(super) fn is_still(
     tracks: PairTracks,
     still_change: f32,
 ) -> Result<bool, RenderError> {
-    let PairTracks { camera, frame, registration } = tracks;
-    let change = field.get(&FrameChange { camera, frame, registration }, &Context::unattended())?;
-    Ok(*change <= still_change)
-}
-
-impl LightField {
-    /// Registers the frames around a time, of all cameras that have some.
-    ///
-    /// # Errors
-    /// [`RenderError::Capture`] if a frame can't be read.
-    pub fn register(&self, time_s: f64, options: &RenderOptions) -> Result<(), RenderError> {
-        self.usable(time_s).into_par_iter().try_for_each(|camera| {
-            let (frame, later) = self.timeline().bracket(camera, time_s)?;
-            let tracks = PairTracks { camera, frame, registration: &options.registration };
-            if frame != later && !is_still(self, tracks, options.interpolation.still_change)? {
-                self.get_stored(&tracks, &Context::unattended())?;
-            }
-            Ok(())
-        })
-    }
+    Ok(*field.get(&FrameChange(tracks), &Context::unattended())? <= still_change)
 }

@@ -5,7 +5,7 @@ use super::depth::surfaces;
 use super::graph::LightField;
 use super::points::nearest;
 use super::scene_flow::flow_depths;
-use super::stages::{ImageSource, Images, OcclusionDepths, Stereo};
+use super::stages::{ImageSource, Images, Instant, OcclusionDepths, Stereo};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::lumigraph::{BlendMethod, DepthMap};
@@ -33,7 +33,7 @@ pub(super) fn nearest_cameras(
     if !has_pixel_depths(options) && options.blend.method != BlendMethod::SpaceTime {
         return Vec::new();
     }
-    let mut cameras = nearest(&field.capture().cameras, &field.usable(time_s), target);
+    let mut cameras = nearest(field.capture(), &field.usable(time_s), target.center());
     cameras.truncate(options.proxy.depth.cameras + FURTHER_CAMERAS);
     cameras
 }
@@ -77,7 +77,7 @@ fn by_stereo(
     let &Request { time_s, options, shape, .. } = request;
     let mut cameras = nearest_cameras(field, target, time_s, options);
     if let Images::Given(given) = shape {
-        cameras.retain(|&c| given.of(c).is_some());
+        cameras.retain(|&c| given.all().get(c).is_some_and(Option::is_some));
     }
     if cameras.len() < 2 {
         return Ok(None);
@@ -90,10 +90,8 @@ fn by_stereo(
     let images = ImageSource::new(shape, options);
     let stereo = Stereo {
         cameras: &cameras,
-        time_s,
+        instant: Instant::new(time_s, options),
         images: &images,
-        registration: &options.registration,
-        still_change: options.interpolation.still_change,
         proxy: &options.proxy,
     };
     let depths = stereo.surfaces(field, &estimated, context)?;

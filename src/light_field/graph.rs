@@ -2,7 +2,6 @@
 
 use super::context::Context;
 use super::error::RenderError;
-use super::timeline::Timeline;
 use crate::capture::{Capture, Stored};
 use crate::host::{CacheKind, Memo};
 use crate::offset::Offsets;
@@ -40,8 +39,10 @@ pub(super) trait StoredStage: Stage<Output: Serialize + DeserializeOwned> {
 pub struct LightField {
     capture: Arc<Capture>,
     offsets: Offsets,
-    timeline: Timeline,
-    memo: Arc<Memo>,
+    /// Every camera's frame times, seconds on the reference's clock from the capture's start; `None` if they are unknown.
+    pub(super) all_times_s: Vec<Option<Vec<f64>>>,
+    times_hash: String,
+    pub(super) memo: Arc<Memo>,
 }
 
 impl LightField {
@@ -53,8 +54,13 @@ impl LightField {
     /// The light field of a capture, with the frames that are cached already.
     pub fn with_frames(frames: &FrameStore, offsets: Offsets) -> Self {
         let capture = frames.capture().clone();
-        let timeline = Timeline::new(&capture, &offsets);
-        Self { capture, offsets, timeline, memo: frames.memo().clone() }
+        let all_times_s = offsets.common_times_s(&capture);
+        let mut hasher = blake3::Hasher::new();
+        // The hasher takes all bytes, and times are plain numbers.
+        let written = serde_json::to_writer(&mut hasher, &all_times_s);
+        debug_assert!(written.is_ok());
+        let times_hash = hasher.finalize().to_hex().to_string();
+        Self { capture, offsets, all_times_s, times_hash, memo: frames.memo.clone() }
     }
 
     pub fn capture(&self) -> &Capture {
@@ -107,42 +113,12 @@ impl LightField {
 
     /// A stage's inputs and the clocks, which on disk may be those of another light field.
     fn stored_inputs<'a, S: StoredStage>(&'a self, stage: &'a S) -> (&'a S, &'a str) {
-        (stage, self.timeline.hash())
+        (stage, &self.times_hash)
     }
 
     /// The result of a stage, if it is cached.
     pub(super) fn cached<S: Stage>(&self, stage: &S) -> Option<Arc<S::Output>> {
         self.memo.get(S::NAME, stage)
-    }
-
-    /// Drops the results of the stages that pass.
-    pub(super) fn forget(&self, passes: impl Fn(&str) -> bool) {
-        self.memo.forget(passes);
-    }
-
-    pub(super) fn timeline(&self) -> &Timeline {
-        &self.timeline
-    }
-
-    /// The cameras that can give an image at a time, by index, ascending.
-    pub fn usable(&self, time_s: f64) -> Vec<usize> {
-        self.timeline.usable(time_s)
-    }
-
-    /// The first and the last time at which a camera can give an image, seconds; `None` if its clock is unknown.
-    pub fn span_s(&self, camera: usize) -> Option<(f64, f64)> {
-        self.timeline.span_s(camera)
-    }
-
-    /// The first and the last time at which every camera with a known clock can give an image, seconds; `None` if
-    /// there is none.
-    pub fn common_span_s(&self) -> Option<(f64, f64)> {
-        self.timeline.common_span_s()
-    }
-
-    /// How many cameras have a time between two frames, at least this fraction of the interval away from both.
-    pub(crate) fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
-        self.timeline.between_frames(time_s, fraction)
     }
 
     /// The median distance of a camera from its nearest neighbour at another place, metres; 0 without one.

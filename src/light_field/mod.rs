@@ -26,7 +26,6 @@
 //! | `request.rs` | a view as it is asked for |
 //! | `render.rs`, `trail.rs` | a view, and Fig. 1: temporal integration |
 //! | `prepare.rs` | what is stored on disk for later views |
-//! | `held_out.rs` | cameras that are held out, so that their frames are the truth |
 
 mod all_cameras;
 mod camera_image;
@@ -37,7 +36,6 @@ mod error;
 mod frame_pair;
 mod geometry;
 mod graph;
-pub(crate) mod held_out;
 mod points;
 mod prepare;
 mod render;

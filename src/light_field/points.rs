@@ -1,12 +1,12 @@
 //! §6: points of the scene at one instant, from spatial correspondences that are "interpolated to the same instant"
 //! and triangulated, and the proxy through them.
 
-use super::correspondences::{Instant, frames_around, observations};
+use super::correspondences::{frames_around, observations};
 use super::graph::{LightField, Stage};
-use super::stages::{CameraPoints, Correspondences};
+use super::stages::{CameraPoints, Correspondences, Instant};
 use super::{Context, RenderError};
 use crate::camera::Camera;
-use crate::capture::FilmedCamera;
+use crate::capture::Capture;
 use crate::lumigraph::{Mesh, Plane, Proxy, triangulate};
 use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
 use nalgebra::Point3;
@@ -30,24 +30,17 @@ impl Stage for CameraPoints<'_> {
         context: &Context,
     ) -> Result<Vec<Point3<f64>>, RenderError> {
         let cameras = std::iter::once(self.camera).chain(self.partners.iter().copied());
-        let instant = self.instant();
-        let around = cameras.map(|c| frames_around(field, c, instant)).collect::<Result<_, _>>()?;
-        let stage = Correspondences { around, registration: self.registration };
-        let matched = field.get(&stage, context)?;
-        Ok(observations(field, &matched, self.time_s)
+        let Instant { time_s, registration, .. } = self.instant;
+        let around =
+            cameras.map(|c| frames_around(field, c, self.instant)).collect::<Result<_, _>>()?;
+        let matched = field.get(&Correspondences { around, registration }, context)?;
+        Ok(observations(field, &matched, time_s)
             .iter()
             .filter(|observations| observations.len() > 1)
             .filter_map(|observations| triangulate(observations))
             .filter(|t| t.rms_px <= MAX_ERROR_PX)
             .map(|t| t.point)
             .collect())
-    }
-}
-
-impl CameraPoints<'_> {
-    fn instant(&self) -> Instant<'_> {
-        let Self { time_s, registration, still_change, .. } = *self;
-        Instant { time_s, registration, still_change }
     }
 }
 
@@ -63,15 +56,10 @@ impl LightField {
         options: &RenderOptions,
     ) -> Result<Vec<Point3<f64>>, RenderError> {
         let cameras = with_partners(self, target, time_s, &options.proxy);
+        let instant = Instant::new(time_s, options);
         let stages: Vec<CameraPoints> = cameras
             .iter()
-            .map(|(camera, partners)| CameraPoints {
-                camera: *camera,
-                partners,
-                time_s,
-                registration: &options.registration,
-                still_change: options.interpolation.still_change,
-            })
+            .map(|(camera, partners)| CameraPoints { camera: *camera, partners, instant })
             .collect();
         let unknown = stages.iter().filter(|stage| self.cached(*stage).is_none());
         load_frames(self, unknown)?;
@@ -100,10 +88,7 @@ impl LightField {
         }
         let points = &self.points(target, time_s, options)?;
         let proxy = match options.proxy.method {
-            ProxyMethod::Plane => {
-                let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
-                Plane::fit(&weighted, target).map(Proxy::Plane)
-            }
+            ProxyMethod::Plane => Plane::fit(points, target).map(Proxy::Plane),
             ProxyMethod::Mesh | ProxyMethod::Depth | ProxyMethod::SceneFlow => {
                 Mesh::build(points, target, options.proxy.depth_edges).map(Proxy::Mesh)
             }
@@ -129,7 +114,7 @@ fn load_frames<'a>(
 ) -> Result<(), RenderError> {
     let stages: Vec<&CameraPoints> = stages.collect();
     let Some(first) = stages.first() else { return Ok(()) };
-    let frames = field.frames(first.registration);
+    let frames = field.frames(first.instant.registration);
     // Estimated once, before threads ask for them in parallel.
     frames.gains();
     let cameras: BTreeSet<usize> =
@@ -139,7 +124,7 @@ fn load_frames<'a>(
     }
     let mut indices = Vec::new();
     for camera in cameras {
-        let (k, later) = field.timeline().bracket(camera, first.time_s)?;
+        let (k, later) = field.bracket(camera, first.instant.time_s)?;
         indices.push((camera, k));
         indices.extend((later != k).then_some((camera, later)));
     }
@@ -157,20 +142,20 @@ fn with_partners(
     options: &ProxyOptions,
 ) -> Vec<(usize, Vec<usize>)> {
     let usable = field.usable(time_s);
-    let cameras = &field.capture().cameras;
+    let capture = field.capture();
     let with = |camera: usize| {
-        let mut partners = nearest(cameras, &usable, &cameras[camera].camera);
+        let mut partners = nearest(capture, &usable, capture.cameras[camera].camera.center());
         partners.retain(|&j| j != camera);
         partners.truncate(options.partners);
         (camera, partners)
     };
-    nearest(cameras, &usable, target).into_iter().take(options.cameras).map(with).collect()
+    nearest(capture, &usable, target.center()).into_iter().take(options.cameras).map(with).collect()
 }
 
-/// Cameras by the distance of their centres from a view's; ties by index.
-pub(super) fn nearest(cameras: &[FilmedCamera], usable: &[usize], target: &Camera) -> Vec<usize> {
-    let mut order = usable.to_vec();
-    let distance = |c: usize| (cameras[c].camera.center() - target.center()).norm();
+/// Cameras by the distance of their centres from a point; ties by index.
+pub(super) fn nearest(capture: &Capture, among: &[usize], from: Point3<f64>) -> Vec<usize> {
+    let mut order = among.to_vec();
+    let distance = |c: usize| (capture.cameras[c].camera.center() - from).norm();
     order.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
     order
 }

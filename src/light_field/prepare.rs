@@ -31,8 +31,7 @@ impl LightField {
     /// The number of frame pairs, and the largest size that they take on disk, bytes.
     pub fn preparation_size(&self, options: &RenderOptions) -> (usize, u64) {
         let cameras = self.capture().cameras.len();
-        let pairs: usize =
-            (0..cameras).map(|c| self.timeline().times_s(c).len().saturating_sub(1)).sum();
+        let pairs: usize = (0..cameras).map(|c| self.times_s(c).len().saturating_sub(1)).sum();
         let tracks = 2 * options.registration.max_corners;
         let gains = cameras * size_of::<[f64; 3]>();
         (pairs, (pairs * (tracks * size_of::<Track>() + ENTRY_BYTES) + gains + ENTRY_BYTES) as u64)
@@ -51,7 +50,7 @@ impl LightField {
         let registration = &options.registration;
         let cameras = self.capture().cameras.len();
         let gains_bytes = self.frames(registration).store_gains()?;
-        let times = |camera: usize| self.timeline().times_s(camera);
+        let times = |camera: usize| self.times_s(camera);
         let frames = (0..cameras).map(|c| times(c).len()).max().unwrap_or(0);
         let (done, found) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let (pairs, bytes) = (AtomicUsize::new(0), AtomicU64::new(gains_bytes));

@@ -3,14 +3,12 @@
 use super::graph::LightField;
 use super::stages::{CameraImage, ImageMethod};
 use super::trail::Overlay;
-use super::view::{blend_images, view};
+use super::view::view;
 use super::{Context, Geometry, RenderError, Request, Viewpoint};
 use crate::camera::Camera;
 use crate::host::on_workers;
-use crate::interpolation::Synchronized;
-use crate::lumigraph::{BlendOptions, Rendered};
+use crate::lumigraph::Rendered;
 use crate::options::RenderOptions;
-use std::sync::Arc;
 
 /// A view, or a filming camera's image, integrated over the trail of the options.
 ///
@@ -86,17 +84,5 @@ impl LightField {
     /// Those of [`Self::proxy`].
     pub fn geometry(&self, target: &Camera, request: &Request) -> Result<Geometry, RenderError> {
         on_workers(|| super::geometry::geometry(self, target, request, &Context::unattended()))
-    }
-
-    /// Blends one image a camera, in the capture's order, as bright as the reference records it. `None`: the camera
-    /// has none.
-    pub fn blend(
-        &self,
-        images: &[Option<Arc<Synchronized>>],
-        geometry: &Geometry,
-        target: &Camera,
-        options: &BlendOptions,
-    ) -> Rendered {
-        blend_images(self, images, geometry, target, options)
     }
 }

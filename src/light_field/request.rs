@@ -53,10 +53,8 @@ impl LightField {
     /// The error of rendering the first time at which the cameras had not begun or had ended.
     pub fn check_times(&self, from: Viewpoint, times_s: &[f64]) -> Result<(), RenderError> {
         times_s.iter().try_for_each(|&time_s| match from {
-            Viewpoint::Like(camera) => self.timeline().bracket(camera, time_s).map(drop),
-            Viewpoint::View(_) if self.usable(time_s).is_empty() => {
-                Err(self.timeline().no_camera_at(time_s))
-            }
+            Viewpoint::Like(camera) => self.bracket(camera, time_s).map(drop),
+            Viewpoint::View(_) if self.usable(time_s).is_empty() => Err(self.no_camera_at(time_s)),
             Viewpoint::View(_) => Ok(()),
         })
     }

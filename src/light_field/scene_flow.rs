@@ -40,8 +40,7 @@ impl Stage for Undistorted<'_> {
         let image = field.capture().read_frame(camera, frame)?;
         let gains = field.gains(registration);
         let image = gains.corrected(camera, &image).unwrap_or(image);
-        let timeline = field.timeline();
-        let time = timeline.in_frames(timeline.times_s(camera)[frame]);
+        let time = field.in_frames(field.times_s(camera)[frame]);
         Ok(FlowFrame::new(&field.capture().cameras[camera].camera, &image, time))
     }
 }
@@ -60,8 +59,7 @@ impl Stage for FlowSlot<'_> {
         field: &LightField,
         context: &Context,
     ) -> Result<Option<SlotMaps>, RenderError> {
-        let timeline = field.timeline();
-        let mapped: Vec<FrameId> = timeline.frames_of_slot(self.slot);
+        let mapped: Vec<FrameId> = field.frames_of_slot(self.slot);
         let others: Vec<Vec<FrameId>> = mapped.iter().map(|&id| matched_with(field, id)).collect();
         let Some(limits) = self.limits(field, &mapped)? else { return Ok(None) };
         let needed: BTreeSet<FrameId> =
@@ -95,9 +93,8 @@ impl FlowSlot<'_> {
         field: &LightField,
         mapped: &[FrameId],
     ) -> Result<Option<Limits>, RenderError> {
-        let timeline = field.timeline();
         let Some(&(camera, frame)) = mapped.get(mapped.len() / 2) else { return Ok(None) };
-        let time_s = timeline.times_s(camera)[frame];
+        let time_s = field.times_s(camera)[frame];
         if field.spacing_m() == 0.0 {
             return Ok(None);
         }
@@ -129,16 +126,18 @@ impl FlowSlot<'_> {
 /// The frames that a frame is matched with: its own camera's before and after, and of the nearest other cameras the one
 /// nearest in time.
 fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
-    let timeline = field.timeline();
-    let count = timeline.times_s(camera).len();
+    let count = field.times_s(camera).len();
     let own = [frame.checked_sub(1), Some(frame + 1).filter(|&k| k < count)];
     let mut matched: Vec<FrameId> = own.into_iter().flatten().map(|k| (camera, k)).collect();
     let filmed = &field.capture().cameras;
     let others: Vec<usize> =
-        (0..filmed.len()).filter(|&c| c != camera && !timeline.times_s(c).is_empty()).collect();
-    let time_s = timeline.times_s(camera)[frame];
-    for other in nearest(filmed, &others, &filmed[camera].camera).into_iter().take(MAX_PARTNERS) {
-        matched.extend(timeline.nearest_frame(other, time_s).map(|k| (other, k)));
+        (0..filmed.len()).filter(|&c| c != camera && !field.times_s(c).is_empty()).collect();
+    let time_s = field.times_s(camera)[frame];
+    for other in nearest(field.capture(), &others, filmed[camera].camera.center())
+        .into_iter()
+        .take(MAX_PARTNERS)
+    {
+        matched.extend(field.nearest_frame(other, time_s).map(|k| (other, k)));
     }
     matched
 }
@@ -151,12 +150,11 @@ pub(super) fn flow_view(
     context: &Context,
 ) -> Result<Option<FlowView>, RenderError> {
     let &Request { time_s, options, .. } = request;
-    let timeline = field.timeline();
-    let mut cameras = nearest(&field.capture().cameras, &field.usable(time_s), target);
+    let mut cameras = nearest(field.capture(), &field.usable(time_s), target.center());
     cameras.truncate(MAX_CAMERAS);
-    let frame = |c: usize| timeline.nearest_frame(c, time_s).map(|k| (c, k));
+    let frame = |c: usize| field.nearest_frame(c, time_s).map(|k| (c, k));
     let ids: Vec<FrameId> = cameras.into_iter().filter_map(frame).collect();
-    let slots: BTreeSet<i64> = ids.iter().map(|&(c, k)| timeline.slot(c, k)).collect();
+    let slots: BTreeSet<i64> = ids.iter().map(|&(c, k)| field.slot(c, k)).collect();
     let registration = &options.registration;
     let mut maps = Vec::new();
     for slot in slots {
@@ -182,7 +180,7 @@ pub(super) fn flow_view(
     context.check()?;
     let mapped: Vec<MappedFrame> =
         frames.iter().map(|(frame, map)| MappedFrame { frame, map }).collect();
-    Ok(Some(blend(&mapped, target, timeline.in_frames(time_s))))
+    Ok(Some(blend(&mapped, target, field.in_frames(time_s))))
 }
 
 /// The depths of [`flow_view`].

@@ -10,14 +10,6 @@ use crate::registration::{Gains, RegistrationOptions};
 use serde::{Serialize, Serializer};
 use std::sync::{Arc, OnceLock};
 
-/// The largest change of a block between the frames `frame` and `frame + 1` of a camera.
-#[derive(Serialize)]
-pub(super) struct FrameChange<'a> {
-    pub camera: usize,
-    pub frame: usize,
-    pub registration: &'a RegistrationOptions,
-}
-
 /// The tracks between the frames `frame` and `frame + 1` of a camera that pass the epipolar test.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct PairTracks<'a> {
@@ -25,6 +17,10 @@ pub(super) struct PairTracks<'a> {
     pub frame: usize,
     pub registration: &'a RegistrationOptions,
 }
+
+/// The largest change of a block between the frames of a pair.
+#[derive(Serialize)]
+pub(super) struct FrameChange<'a>(pub PairTracks<'a>);
 
 /// The triangulation of a pair's tracks.
 #[derive(Serialize)]
@@ -72,12 +68,19 @@ pub(super) struct AllCamerasOptions {
     pub blend: BlendOptions,
 }
 
-/// A camera's image between its frames, from all cameras.
-#[derive(Serialize)]
-pub(super) struct AllCamerasImage<'a> {
-    pub image: CameraImage<'a>,
-    pub interpolation: &'a InterpolationOptions,
-    pub options: &'a AllCamerasOptions,
+/// An instant, and the options that tell whether features move around it.
+#[derive(Clone, Copy, Serialize)]
+pub(super) struct Instant<'a> {
+    pub time_s: f64,
+    pub registration: &'a RegistrationOptions,
+    pub still_change: f32,
+}
+
+impl<'a> Instant<'a> {
+    pub fn new(time_s: f64, options: &'a RenderOptions) -> Self {
+        let still_change = options.interpolation.still_change;
+        Self { time_s, registration: &options.registration, still_change }
+    }
 }
 
 impl ImageMethod {
@@ -103,10 +106,13 @@ pub enum Images<'a> {
     Given(&'a GivenImages),
 }
 
+/// One image a camera, in the capture's order. `None`: the camera has none.
+pub(super) type CameraImages = Vec<Option<Arc<Synchronized>>>;
+
 /// Images of the cameras that are not synchronized from the capture, such as the truth's.
 #[derive(Debug)]
 pub struct GivenImages {
-    images: Vec<Option<Arc<Synchronized>>>,
+    images: CameraImages,
     /// Whether they are as bright as the reference records them; else as filmed.
     are_corrected: bool,
     hash: OnceLock<String>,
@@ -131,13 +137,10 @@ impl GivenImages {
     pub fn with_colors(&self, colors: &[[f32; 3]]) -> Self {
         assert!(colors.len() >= self.images.len(), "a colour for each camera");
         let tinted = |(image, color): (&Option<Arc<Synchronized>>, &[f32; 3])| {
-            let Synchronized { image, interpolation_error_px } = image.as_deref()?;
-            let (width, height) = (image.width(), image.height());
+            let given = image.as_deref()?;
+            let (width, height) = (given.image.width(), given.image.height());
             let image = Image::from_data(width, height, 3, color.repeat(width * height));
-            Some(Arc::new(Synchronized {
-                image,
-                interpolation_error_px: interpolation_error_px.clone(),
-            }))
+            Some(Arc::new(with_image(given, image)))
         };
         Self::corrected(self.images.iter().zip(colors).map(tinted).collect())
     }
@@ -147,24 +150,11 @@ impl GivenImages {
         &self.images
     }
 
-    /// A camera's image, as it was given.
-    pub(crate) fn of(&self, camera: usize) -> Option<&Arc<Synchronized>> {
-        self.images.get(camera)?.as_ref()
-    }
-
     /// A camera's image, as bright as the reference records it.
     pub(super) fn corrected_of(&self, camera: usize, gains: &Gains) -> Option<Arc<Synchronized>> {
-        let given = self.of(camera)?;
+        let given = self.images.get(camera)?.as_ref()?;
         let image = gains.corrected(camera, &given.image).filter(|_| !self.are_corrected);
-        Some(image.map_or_else(
-            || given.clone(),
-            |image| {
-                Arc::new(Synchronized {
-                    image,
-                    interpolation_error_px: given.interpolation_error_px.clone(),
-                })
-            },
-        ))
+        Some(image.map_or_else(|| given.clone(), |image| Arc::new(with_image(given, image))))
     }
 
     fn hash(&self) -> &str {
@@ -185,6 +175,11 @@ impl Serialize for GivenImages {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.serialize_str(self.hash())
     }
+}
+
+/// Another image, with this one's error of interpolation.
+pub(super) fn with_image(of: &Synchronized, image: Image) -> Synchronized {
+    Synchronized { image, interpolation_error_px: of.interpolation_error_px.clone() }
 }
 
 /// Where the cameras' images come from, with the options that they depend on.
@@ -225,9 +220,7 @@ pub(super) struct Correspondences<'a> {
 pub(super) struct CameraPoints<'a> {
     pub camera: usize,
     pub partners: &'a [usize],
-    pub time_s: f64,
-    pub registration: &'a RegistrationOptions,
-    pub still_change: f32,
+    pub instant: Instant<'a>,
 }
 
 /// The images of cameras at an instant, prepared for stereo, and the ranges of their depths.
@@ -235,10 +228,8 @@ pub(super) struct CameraPoints<'a> {
 pub(super) struct Stereo<'a> {
     /// Ascending.
     pub cameras: &'a [usize],
-    pub time_s: f64,
+    pub instant: Instant<'a>,
     pub images: &'a ImageSource<'a>,
-    pub registration: &'a RegistrationOptions,
-    pub still_change: f32,
     pub proxy: &'a ProxyOptions,
 }
 
@@ -289,6 +280,6 @@ impl LightField {
     /// Drops the results that belong to an instant, so that the next view takes as long as the first of an instant
     /// between registered frames.
     pub(crate) fn forget_instants(&self) {
-        self.forget(|stage| OF_INSTANTS.contains(&stage));
+        self.memo.forget(|stage| OF_INSTANTS.contains(&stage));
     }
 }

@@ -1,8 +1,8 @@
 //! When each camera filmed, on one clock: which frames lie around an instant, and which instants there are.
 
-use super::RenderError;
+use super::{LightField, RenderError};
 use crate::capture::Capture;
-use crate::offset::{CameraOffset, Offsets, clocks};
+use crate::offset::clocks;
 
 /// What can be said of times before offsets are known, which may take long to estimate: an error for
 /// the first of them at which no camera, or not this one, can have a frame whatever the offsets. Seconds
@@ -29,74 +29,34 @@ pub fn check_times_before_offsets(
     })
 }
 
-/// When each camera filmed, on the reference's clock. Seconds from the capture's start.
-pub(super) struct Timeline {
-    /// Each camera's frame times; `None` if they are unknown.
-    times_s: Vec<Option<Vec<f64>>>,
-    /// The reference's median frame interval, seconds; 1 s if it has one frame.
-    frame_s: f64,
-    ids: Vec<String>,
-    /// Why a camera's times are unknown.
-    reasons: Vec<String>,
-    time_origin_s: f64,
-    /// Whether every camera has one frame, which is the same at any time.
-    is_static: bool,
-    hash: String,
-}
-
-impl Timeline {
-    pub fn new(capture: &Capture, offsets: &Offsets) -> Self {
-        let times_s = offsets.common_times_s(capture);
-        let mut hasher = blake3::Hasher::new();
-        // The hasher takes all bytes, and times are plain numbers.
-        let written = serde_json::to_writer(&mut hasher, &times_s);
-        debug_assert!(written.is_ok());
-        let reason = |c: &CameraOffset| c.reason.clone().unwrap_or_default();
-        Self {
-            times_s,
-            hash: hasher.finalize().to_hex().to_string(),
-            ids: capture.cameras.iter().map(|c| c.id.clone()).collect(),
-            reasons: offsets.cameras.iter().map(reason).collect(),
-            time_origin_s: capture.time_origin_s,
-            frame_s: if capture.frame_s() > 0.0 { capture.frame_s() } else { 1.0 },
-            is_static: capture.is_static(),
-        }
-    }
-
-    /// A hash of all frame times.
-    pub fn hash(&self) -> &str {
-        &self.hash
-    }
-
-    /// Every camera's frame times; `None` if they are unknown.
-    pub fn all_times_s(&self) -> &[Option<Vec<f64>>] {
-        &self.times_s
-    }
-
-    /// The camera's frame times; empty if they are unknown.
-    pub fn times_s(&self, camera: usize) -> &[f64] {
-        self.times_s[camera].as_deref().unwrap_or_default()
+impl LightField {
+    /// The camera's frame times, seconds from the capture's start; empty if they are unknown.
+    pub(super) fn times_s(&self, camera: usize) -> &[f64] {
+        self.all_times_s[camera].as_deref().unwrap_or_default()
     }
 
     /// A time in frames of the reference. All times of a static light field are 0.
-    pub fn in_frames(&self, time_s: f64) -> f64 {
-        if self.is_static { 0.0 } else { time_s / self.frame_s }
+    pub(super) fn in_frames(&self, time_s: f64) -> f64 {
+        let frame_s = self.capture().frame_s();
+        // A reference with one frame has no interval: seconds do then.
+        let frame_s = if frame_s > 0.0 { frame_s } else { 1.0 };
+        if self.capture().is_static() { 0.0 } else { time_s / frame_s }
     }
 
     /// The slot of a frame: slots are as long as a frame of the reference, and the first one begins with the capture.
-    pub fn slot(&self, camera: usize, frame: usize) -> i64 {
+    pub(super) fn slot(&self, camera: usize, frame: usize) -> i64 {
         self.in_frames(self.times_s(camera)[frame]).floor() as i64
     }
 
     /// The frames of all cameras in a slot: camera and frame, ascending.
-    pub fn frames_of_slot(&self, slot: i64) -> Vec<(usize, usize)> {
+    pub(super) fn frames_of_slot(&self, slot: i64) -> Vec<(usize, usize)> {
         let frames = |c: usize| (0..self.times_s(c).len()).map(move |k| (c, k));
-        let all = (0..self.times_s.len()).flat_map(frames);
+        let all = (0..self.all_times_s.len()).flat_map(frames);
         all.filter(|&(c, k)| self.slot(c, k) == slot).collect()
     }
 
     /// The camera's frame nearest to a time, the earlier of two. `None` if its times are unknown.
-    pub fn nearest_frame(&self, camera: usize, time_s: f64) -> Option<usize> {
+    pub(super) fn nearest_frame(&self, camera: usize, time_s: f64) -> Option<usize> {
         let times_s = self.times_s(camera);
         let distance = |k: &usize| (times_s[*k] - time_s).abs();
         (0..times_s.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))
@@ -104,26 +64,30 @@ impl Timeline {
 
     /// The cameras that can give an image at a time, by index, ascending.
     pub fn usable(&self, time_s: f64) -> Vec<usize> {
-        (0..self.times_s.len()).filter(|&c| self.bracket(c, time_s).is_ok()).collect()
+        let is_usable = |&c: &usize| self.bracket(c, time_s).is_ok();
+        (0..self.capture().cameras.len()).filter(is_usable).collect()
     }
 
-    /// The first and the last time at which a camera can give an image; `None` if its clock is unknown.
+    /// The first and the last time at which a camera can give an image, seconds; `None` if its clock is unknown.
     pub fn span_s(&self, camera: usize) -> Option<(f64, f64)> {
         let times_s = self.times_s(camera);
         Some((*times_s.first()?, *times_s.last()?))
     }
 
-    /// The first and the last time at which every camera with a known clock can give an image; `None` if
+    /// The first and the last time at which every camera with a known clock can give an image, seconds; `None` if
     /// there is none.
     pub fn common_span_s(&self) -> Option<(f64, f64)> {
-        let spans = || (0..self.times_s.len()).filter_map(|c| self.span_s(c));
-        let first = spans().map(|s| s.0).fold(f64::NEG_INFINITY, f64::max);
-        let last = spans().map(|s| s.1).fold(f64::INFINITY, f64::min);
+        let first = self.spans_s().map(|s| s.0).fold(f64::NEG_INFINITY, f64::max);
+        let last = self.spans_s().map(|s| s.1).fold(f64::INFINITY, f64::min);
         (first.is_finite() && first <= last).then_some((first, last))
     }
 
+    fn spans_s(&self) -> impl Iterator<Item = (f64, f64)> {
+        (0..self.capture().cameras.len()).filter_map(|c| self.span_s(c))
+    }
+
     /// How many cameras have a time between two frames, at least this fraction of the interval away from both.
-    pub fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
+    pub(crate) fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
         let is_between = |&camera: &usize| {
             let times = self.times_s(camera);
             self.bracket(camera, time_s).is_ok_and(|(k, later)| {
@@ -131,44 +95,41 @@ impl Timeline {
                 k != later && (fraction..=1.0 - fraction).contains(&passed)
             })
         };
-        (0..self.times_s.len()).filter(is_between).count()
+        (0..self.capture().cameras.len()).filter(is_between).count()
     }
 
     /// The frames on both sides of a time; one frame twice if it is of that very time. A static light field has its
     /// frames at any time, whatever its clocks.
-    pub fn bracket(&self, camera: usize, time_s: f64) -> Result<(usize, usize), RenderError> {
-        if self.is_static {
+    pub(super) fn bracket(
+        &self,
+        camera: usize,
+        time_s: f64,
+    ) -> Result<(usize, usize), RenderError> {
+        let capture = self.capture();
+        if capture.is_static() {
             return Ok((0, 0));
         }
-        let id = || self.ids[camera].clone();
-        let Some(times_s) = &self.times_s[camera] else {
-            let reason = self.reasons[camera].clone();
+        let id = || capture.cameras[camera].id.clone();
+        let Some(times_s) = &self.all_times_s[camera] else {
+            let reason = self.offsets().cameras[camera].reason.clone().unwrap_or_default();
             return Err(RenderError::CameraClock { camera: id(), reason });
         };
         crate::capture::bracket(times_s, time_s).ok_or_else(|| {
-            let origin_s = self.time_origin_s;
-            RenderError::CameraTime {
-                camera: id(),
-                time_s: time_s + origin_s,
-                first_s: times_s[0] + origin_s,
-                last_s: times_s[times_s.len() - 1] + origin_s,
-            }
+            let times_s = [time_s, times_s[0], times_s[times_s.len() - 1]];
+            let [time_s, first_s, last_s] = times_s.map(|t| t + capture.time_origin_s);
+            RenderError::CameraTime { camera: id(), time_s, first_s, last_s }
         })
     }
 
     /// Why no camera has an image at a time.
-    pub fn no_camera_at(&self, time_s: f64) -> RenderError {
-        let origin_s = self.time_origin_s;
-        let spans = || (0..self.times_s.len()).filter_map(|c| self.span_s(c));
-        let first_s = spans().map(|s| s.0).fold(f64::INFINITY, f64::min);
-        let last_s = spans().map(|s| s.1).fold(f64::NEG_INFINITY, f64::max);
+    pub(super) fn no_camera_at(&self, time_s: f64) -> RenderError {
+        let first_s = self.spans_s().map(|s| s.0).fold(f64::INFINITY, f64::min);
+        let last_s = self.spans_s().map(|s| s.1).fold(f64::NEG_INFINITY, f64::max);
         if first_s > last_s {
             return RenderError::NoClock;
         }
-        RenderError::Time {
-            time_s: time_s + origin_s,
-            first_s: first_s + origin_s,
-            last_s: last_s + origin_s,
-        }
+        let [time_s, first_s, last_s] =
+            [time_s, first_s, last_s].map(|t| t + self.capture().time_origin_s);
+        RenderError::Time { time_s, first_s, last_s }
     }
 }

@@ -1,11 +1,10 @@
 //! A view (Fig. 2): the images that it is blended from, the scene's shape, the blend.
 
-use super::camera_image::image_in;
-use super::depth::images_of;
+use super::camera_image::{image_in, images_of};
 use super::geometry::{Geometry, geometry, nearest_cameras};
 use super::graph::LightField;
 use super::scene_flow::flow_view;
-use super::stages::{CameraImage, ImageMethod, ImageSource};
+use super::stages::{CameraImage, CameraImages, ImageMethod, ImageSource, Instant};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::capture::{Color, FilmedCamera};
@@ -16,9 +15,6 @@ use crate::scene_flow::FlowView;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// One image a camera, in the capture's order. `None`: the camera has none.
-type CameraImages = Vec<Option<Arc<Synchronized>>>;
-
 /// The view from a camera at an instant.
 pub(super) fn view(
     field: &LightField,
@@ -28,7 +24,7 @@ pub(super) fn view(
 ) -> Result<Rendered, RenderError> {
     let &Request { time_s, options, .. } = request;
     if field.usable(time_s).is_empty() {
-        return Err(field.timeline().no_camera_at(time_s));
+        return Err(field.no_camera_at(time_s));
     }
     context.check()?;
     if request.uses_scene_flow()
@@ -41,7 +37,7 @@ pub(super) fn view(
     context.check()?;
     let images = images(field, target, request, &geometry, context)?;
     context.check()?;
-    let rendered = blend_images(field, &images, &geometry, target, &options.blend);
+    let rendered = field.blend(&images, &geometry, target, &options.blend);
     let is_seen = rendered.coverage.contains(&true);
     if is_seen { Ok(rendered) } else { Err(RenderError::NothingSeen) }
 }
@@ -55,7 +51,7 @@ fn images(
     context: &Context,
 ) -> Result<CameraImages, RenderError> {
     let &Request { time_s, options, images, .. } = request;
-    let mut all: CameraImages = vec![None; field.capture().cameras.len()];
+    let instant = Instant::new(time_s, options);
     let near = nearest_cameras(field, target, time_s, options);
     let candidates = match options.blend.method {
         BlendMethod::SpaceTime => near.clone(),
@@ -64,14 +60,11 @@ fn images(
     let source = ImageSource::new(images, options);
     let method = match &source {
         ImageSource::Synchronized(method) => &**method,
-        ImageSource::Given(given) => {
-            let gains = field.gains(&options.registration);
+        ImageSource::Given(_) => {
             let in_time = options.blend.method == BlendMethod::SpaceTime;
-            let candidates = if in_time { near } else { (0..all.len()).collect() };
-            for c in candidates {
-                all[c] = given.corrected_of(c, &gains);
-            }
-            return Ok(all);
+            let all = || (0..field.capture().cameras.len()).collect();
+            let candidates: Vec<usize> = if in_time { near } else { all() };
+            return images_of(field, &source, &candidates, instant, context);
         }
     };
     // The nearest cameras' whole images decide depths or weights; the others' may be cached.
@@ -81,10 +74,7 @@ fn images(
     whole.retain(|c| candidates.contains(c));
     whole.sort_unstable();
     whole.dedup();
-    let found = images_of(field, &source, &whole, (time_s, &options.registration), context)?;
-    for (&c, image) in whole.iter().zip(found) {
-        all[c] = Some(image);
-    }
+    let mut all = images_of(field, &source, &whole, instant, context)?;
     let missing: Vec<usize> = candidates.into_iter().filter(|&c| all[c].is_none()).collect();
     if missing.is_empty() {
         return Ok(all);
@@ -126,15 +116,18 @@ fn needed(
     cameras.zip(needed).filter(|(_, parts)| parts.any()).collect()
 }
 
-/// Blends images that are as bright as the reference records them.
-pub(super) fn blend_images(
-    field: &LightField,
-    images: &[Option<Arc<Synchronized>>],
-    geometry: &Geometry,
-    target: &Camera,
-    options: &BlendOptions,
-) -> Rendered {
-    blend(&sources(field, images, geometry, options.method), &geometry.view, target, options)
+impl LightField {
+    /// Blends one image a camera, in the capture's order, as bright as the reference records it. `None`: the camera
+    /// has none.
+    pub fn blend(
+        &self,
+        images: &[Option<Arc<Synchronized>>],
+        geometry: &Geometry,
+        target: &Camera,
+        options: &BlendOptions,
+    ) -> Rendered {
+        blend(&sources(self, images, geometry, options.method), &geometry.view, target, options)
+    }
 }
 
 /// A black image of a camera's kind.

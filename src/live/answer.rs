@@ -1,6 +1,5 @@
 //! Responses, all with the same headers.
 
-use super::queue::Answer;
 use super::{LiveError, Picture};
 use crate::light_field::RenderError;
 use http_body_util::Full;
@@ -30,18 +29,11 @@ const HEADERS: [(header::HeaderName, &str); 8] = [
     ),
 ];
 
-/// Header: rendering time of a picture, milliseconds.
-const MILLISECONDS: header::HeaderName = header::HeaderName::from_static("x-milliseconds");
 /// Header: the methods of a picture.
 const MADE_BY: header::HeaderName = header::HeaderName::from_static("x-made-by");
 
-pub(super) fn respond(
-    status: StatusCode,
-    media_type: &'static str,
-    body: impl Into<Bytes>,
-) -> Reply {
+pub(super) fn respond(media_type: &'static str, body: impl Into<Bytes>) -> Reply {
     let mut response = Response::new(Full::new(body.into()));
-    *response.status_mut() = status;
     let headers = response.headers_mut();
     for (name, value) in HEADERS {
         headers.insert(name, HeaderValue::from_static(value));
@@ -50,35 +42,26 @@ pub(super) fn respond(
     response
 }
 
-/// A response of one sentence.
-pub(super) fn sentence(status: StatusCode, sentence: impl Into<String>) -> Reply {
-    respond(status, "text/plain; charset=utf-8", sentence.into())
-}
-
+/// A response of the error's sentence.
 pub(super) fn failed(error: &LiveError) -> Reply {
-    let status = match error {
+    let mut response = respond("text/plain; charset=utf-8", error.to_string());
+    *response.status_mut() = match error {
         LiveError::Request(_) => StatusCode::BAD_REQUEST,
         LiveError::Superseded => StatusCode::CONFLICT,
         LiveError::Busy => StatusCode::SERVICE_UNAVAILABLE,
-        LiveError::Panicked | LiveError::Truth(_) | LiveError::ImageFile(_) => {
-            StatusCode::INTERNAL_SERVER_ERROR
-        }
-        LiveError::Render(RenderError::Capture(_)) => StatusCode::INTERNAL_SERVER_ERROR,
+        LiveError::Panicked
+        | LiveError::ImageFile(_)
+        | LiveError::Render(RenderError::Capture(_)) => StatusCode::INTERNAL_SERVER_ERROR,
         LiveError::Render(_) => StatusCode::UNPROCESSABLE_ENTITY,
+        LiveError::Refused(status, _) => *status,
     };
-    sentence(status, error.to_string())
+    response
 }
 
-pub(super) fn picture(answer: Answer) -> Reply {
-    let Picture { bytes, made_by, seconds } = match answer {
-        Ok(picture) => picture,
-        Err(error) => return failed(&error),
-    };
-    let mut response = respond(StatusCode::OK, "image/png", bytes);
-    for (name, value) in [(MILLISECONDS, format!("{:.1}", 1e3 * seconds)), (MADE_BY, made_by)] {
-        if let Ok(value) = HeaderValue::from_str(&value) {
-            response.headers_mut().insert(name, value);
-        }
+pub(super) fn picture(Picture { bytes, made_by }: Picture) -> Reply {
+    let mut response = respond("image/png", bytes);
+    if let Ok(made_by) = HeaderValue::from_str(&made_by) {
+        response.headers_mut().insert(MADE_BY, made_by);
     }
     response
 }

@@ -1,75 +1,109 @@
 //! Checks which requests may be answered.
 
-use super::token::Token;
+use super::LiveError;
 use hyper::http::request::Parts;
 use hyper::{Method, StatusCode, header};
+use std::fs::File;
+use std::io::Read;
+
+/// Length of the random token, bytes.
+const TOKEN_BYTES: usize = 24;
 
 /// Longest accepted address, bytes.
 const MAX_ADDRESS: usize = 1024;
 
-/// Status and reason of a refused request.
-pub(super) type Refusal = (StatusCode, &'static str);
-
 /// The host names and the token that a request must have.
 pub(super) struct Guard {
-    token: Token,
+    /// Random, in hexadecimal digits.
+    token: String,
     /// `127.0.0.1:PORT` and `localhost:PORT`.
     hosts: [String; 2],
 }
 
 impl Guard {
-    pub fn new(token: Token, port: u16) -> Self {
-        Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")] }
+    /// A guard with a new token from the operating system's random generator.
+    pub fn new(port: u16) -> std::io::Result<Self> {
+        let mut bytes = [0; TOKEN_BYTES];
+        File::open("/dev/urandom")?.read_exact(&mut bytes)?;
+        let token = bytes.iter().map(|b| format!("{b:02x}")).collect();
+        Ok(Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")] })
     }
 
-    pub fn token(&self) -> &str {
-        self.token.text()
+    /// The page's address, which holds the token.
+    pub fn address(&self) -> String {
+        format!("http://{}/{}/", self.hosts[0], self.token)
+    }
+
+    /// Compares with the token in constant time.
+    fn is_token(&self, given: &str) -> bool {
+        let pairs = self.token.bytes().zip(given.bytes());
+        given.len() == self.token.len() && pairs.fold(0, |wrong, (a, b)| wrong | (a ^ b)) == 0
     }
 
     /// Checks a request, and returns the part of its address after the token: `""` for the page.
-    pub fn admit<'a>(&self, request: &'a Parts) -> Result<&'a str, Refusal> {
-        let field = |name: header::HeaderName| -> Option<Result<&str, Refusal>> {
+    pub fn admit<'a>(&self, request: &'a Parts) -> Result<&'a str, LiveError> {
+        let refused = |status, reason| Err(LiveError::Refused(status, reason));
+        let field = |name: header::HeaderName| -> Result<Option<&str>, LiveError> {
             let mut all = request.headers.get_all(name).iter();
-            let first = all.next()?;
-            let one = all.next().is_none().then(|| first.to_str().ok()).flatten();
-            Some(one.ok_or((StatusCode::BAD_REQUEST, "a header is wrong")))
+            match (all.next().map(|value| value.to_str()), all.next()) {
+                (None, _) => Ok(None),
+                (Some(Ok(value)), None) => Ok(Some(value)),
+                _ => refused(StatusCode::BAD_REQUEST, "a header is wrong").map(Some),
+            }
         };
-        let host = field(header::HOST).transpose()?.unwrap_or_default();
+        let host = field(header::HOST)?.unwrap_or_default();
         if !self.hosts.iter().any(|own| own == host) {
-            return Err((StatusCode::MISDIRECTED_REQUEST, "this is another host's address"));
+            return refused(StatusCode::MISDIRECTED_REQUEST, "this is another host's address");
         }
-        if let Some(origin) = field(header::ORIGIN).transpose()?
+        if let Some(origin) = field(header::ORIGIN)?
             && origin.strip_prefix("http://") != Some(host)
         {
-            return Err((StatusCode::FORBIDDEN, "another page may not ask"));
+            return refused(StatusCode::FORBIDDEN, "another page may not ask");
         }
         if request.method != Method::GET {
-            return Err((StatusCode::METHOD_NOT_ALLOWED, "only GET is answered"));
+            return refused(StatusCode::METHOD_NOT_ALLOWED, "only GET is answered");
         }
         let has_body = request.headers.contains_key(header::TRANSFER_ENCODING)
-            || field(header::CONTENT_LENGTH).transpose()?.is_some_and(|length| length != "0");
+            || field(header::CONTENT_LENGTH)?.is_some_and(|length| length != "0");
         if has_body {
-            return Err((StatusCode::PAYLOAD_TOO_LARGE, "a request has no body"));
+            return refused(StatusCode::PAYLOAD_TOO_LARGE, "a request has no body");
         }
         if request.uri.to_string().len() > MAX_ADDRESS {
-            return Err((StatusCode::URI_TOO_LONG, "the address is too long"));
+            return refused(StatusCode::URI_TOO_LONG, "the address is too long");
         }
         let path = request.uri.path().strip_prefix('/').and_then(|path| path.split_once('/'));
-        match path {
-            Some((token, rest)) if self.token.is(token) => {
-                let site = request.headers.get("sec-fetch-site").map(|v| v.as_bytes());
-                let is_own = matches!(site, None | Some(b"same-origin" | b"none"));
-                // A link to the page may stand anywhere; what it shows is its own.
-                if is_own || rest.is_empty() {
-                    Ok(rest)
-                } else {
-                    Err((StatusCode::FORBIDDEN, "another page may not ask"))
-                }
-            }
-            _ => Err(NOT_FOUND),
+        let Some((_, rest)) = path.filter(|(token, _)| self.is_token(token)) else {
+            return Err(NOT_FOUND);
+        };
+        let site = request.headers.get("sec-fetch-site").map(|v| v.as_bytes());
+        let is_own = matches!(site, None | Some(b"same-origin" | b"none"));
+        // A link to the page may stand anywhere; what it shows is its own.
+        if !is_own && !rest.is_empty() {
+            return refused(StatusCode::FORBIDDEN, "another page may not ask");
         }
+        Ok(rest)
     }
 }
 
 /// Refusal of both wrong tokens and wrong names, so that an answer reveals neither.
-pub(super) const NOT_FOUND: Refusal = (StatusCode::NOT_FOUND, "there is nothing at this address");
+pub(super) const NOT_FOUND: LiveError =
+    LiveError::Refused(StatusCode::NOT_FOUND, "there is nothing at this address");
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_token_is_known_or_not() {
+        let [guard, other] = [(); 2].map(|()| Guard::new(80).unwrap());
+        let token = guard.token.as_str();
+        assert_eq!(token.len(), 2 * TOKEN_BYTES);
+        assert!(guard.is_token(token));
+        let mut last = token.to_owned();
+        let digit = if last.ends_with('0') { "1" } else { "0" };
+        last.replace_range(last.len() - 1.., digit);
+        for wrong in ["", &other.token, &token[1..], &last, &format!("{token}0")] {
+            assert!(!guard.is_token(wrong), "{wrong}");
+        }
+    }
+}

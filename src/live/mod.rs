@@ -8,16 +8,15 @@
 //! | file | what |
 //! |---|---|
 //! | `mod.rs` | what is served, and what refuses a request |
-//! | `rig_frame.rs` | viewpoints in the rig's own axes |
-//! | `places.rs` | the cameras of pictures |
+//! | `rig_frame.rs` | viewpoints, and the rig's own axes |
 //! | `request.rs` | a picture as an address asks for it |
 //! | `studio.rs` | pictures of the light field, of traditional LFR, and of the cameras that pixels come from |
 //! | `true_views.rs` | pictures of the truth |
 //! | `encode.rs` | pictures as files |
 //! | `queue.rs`, `workers.rs` | each viewer's latest request, and the threads that answer it |
 //! | `scene.rs` | what the page knows of the capture |
-//! | `token.rs`, `guard.rs` | who may ask |
-//! | `server.rs`, `answer.rs`, `patient.rs` | HTTP, within bounds of size, number and time |
+//! | `guard.rs` | who may ask |
+//! | `server.rs`, `answer.rs` | HTTP, within bounds of size, number and time |
 //! | `page/` | the page |
 //!
 //! # Who may ask
@@ -32,28 +31,25 @@
 mod answer;
 mod encode;
 mod guard;
-mod patient;
-mod places;
 mod queue;
 mod request;
 mod rig_frame;
 mod scene;
 mod server;
 mod studio;
-mod token;
 mod true_views;
 mod workers;
 
-pub use places::Places;
-pub use queue::Queue;
-pub use request::{Level, PictureMethod, PictureRequest, Place};
-pub use rig_frame::{RigFrame, ViewDirection};
 pub use server::Server;
-pub use studio::{Picture, Studio};
+pub use studio::Studio;
 
-use crate::capture::TruthError;
 use crate::light_field::RenderError;
 use crate::raster::ImageFileError;
+use hyper::StatusCode;
+use queue::Queue;
+use request::{Level, PictureMethod, PictureRequest, Place, ViewDirection};
+use rig_frame::RigFrame;
+use studio::Picture;
 
 /// Why a picture can't be made: one sentence, which the page shows.
 #[derive(Debug, thiserror::Error)]
@@ -63,8 +59,6 @@ pub enum LiveError {
     Request(String),
     #[error(transparent)]
     Render(#[from] RenderError),
-    #[error(transparent)]
-    Truth(#[from] TruthError),
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
     /// A newer request of the same viewer replaced this one.
@@ -76,4 +70,7 @@ pub enum LiveError {
     /// The program failed unexpectedly.
     #[error("rendering failed by an error of the program; its output in the terminal says more")]
     Panicked,
+    /// The request is none that is answered.
+    #[error("{1}")]
+    Refused(StatusCode, &'static str),
 }

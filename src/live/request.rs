@@ -14,7 +14,7 @@
 //!
 //! Names and values are letters, digits and `.+-`: nothing is escaped.
 
-use super::{LiveError, ViewDirection};
+use super::LiveError;
 
 /// The source of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -51,6 +51,17 @@ pub enum Place {
     Truth(usize),
 }
 
+/// Direction, zoom and size of a view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ViewDirection {
+    /// To the right and up, degrees.
+    pub turn_deg: [f64; 2],
+    /// Focal length over the reference's.
+    pub zoom: f64,
+    /// Width and height of the picture, pixels.
+    pub size: [u32; 2],
+}
+
 /// A requested picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PictureRequest {
@@ -68,6 +79,11 @@ pub struct PictureRequest {
 const MAX_VIEWER_LENGTH: usize = 40;
 
 impl PictureRequest {
+    /// Whether its level is [`Level::Quick`].
+    pub fn is_quick(&self) -> bool {
+        self.level == Level::Quick
+    }
+
     /// Parses the part of an address after `?`. Repeated and unknown names are errors.
     pub fn parse(query: &str) -> Result<Self, LiveError> {
         let mut fields = Fields::new(query)?;

@@ -1,6 +1,7 @@
-//! Viewpoints in the rig's own axes: x to the right, y up, z ahead, metres from the mean of the cameras.
+//! Viewpoints of pictures: at cameras, at true images, and in the rig's own axes, x to the right, y up, z ahead, metres
+//! from the mean of the cameras.
 
-use super::LiveError;
+use super::{LiveError, PictureRequest, Place, ViewDirection};
 use crate::camera::{Camera, CameraModel};
 use crate::capture::Capture;
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
@@ -20,52 +21,28 @@ pub(super) const MAX_TURN_DEG: f64 = 20.0;
 /// Smallest width and height of a picture, pixels.
 const MIN_SIZE_PX: u32 = 16;
 
-/// The axes, the extent and the lens of a rig.
+/// The axes of a rig, its cameras, and the viewpoints of true images.
 #[derive(Clone, Debug)]
 pub struct RigFrame {
     /// From the rig's axes (x right, y down, z ahead) to the world.
     world_from_rig: Isometry3<f64>,
-    /// The cameras' poses, in the capture's order.
-    poses: Vec<Pose>,
-    spacing_m: f64,
-    lens: Lens,
+    /// In the capture's order.
+    cameras: Vec<Camera>,
+    reference: usize,
+    truths: Vec<Camera>,
+    /// The median distance of neighbouring cameras, metres; 0 for one camera.
+    pub(super) spacing_m: f64,
 }
 
-/// A camera's centre and viewing direction in the world.
-#[derive(Clone, Debug)]
-struct Pose {
-    center: Point3<f64>,
-    ahead: Vector3<f64>,
-    down: Vector3<f64>,
-}
-
-/// The reference's lens, without its distortion, pixels.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Lens {
-    pub width: u32,
-    pub height: u32,
-    pub fx: f64,
-    pub fy: f64,
-    pub cx: f64,
-    pub cy: f64,
-}
-
-/// Direction, zoom and size of a view.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ViewDirection {
-    /// To the right and up, degrees.
-    pub turn_deg: [f64; 2],
-    /// Focal length over the reference's.
-    pub zoom: f64,
-    /// Width and height of the picture, pixels.
-    pub size: [u32; 2],
-}
-
-impl Pose {
-    fn of(camera: &Camera) -> Self {
-        let world = camera.cam_from_world.rotation.inverse();
-        Self { center: camera.center(), ahead: world * Vector3::z(), down: world * Vector3::y() }
+/// The weighted sums of the cameras' viewing directions and of their downward axes.
+fn axis_sums(cameras: &[Camera], weight: impl Fn(&Camera) -> f64) -> [Vector3<f64>; 2] {
+    let mut sums = [Vector3::zeros(); 2];
+    for camera in cameras {
+        let down = camera.cam_from_world.rotation.inverse() * Vector3::y();
+        sums[0] += camera.axis() * weight(camera);
+        sums[1] += down * weight(camera);
     }
+    sums
 }
 
 /// The rotation to the world whose z axis is `ahead` and whose y axis is nearest to `down`. `None` if they are
@@ -80,31 +57,38 @@ fn looking(ahead: Vector3<f64>, down: Vector3<f64>) -> Option<UnitQuaternion<f64
 
 impl RigFrame {
     /// The frame of a capture's cameras. If their mean direction is undefined, the axes are the reference's.
-    pub fn new(capture: &Capture, spacing_m: f64) -> Self {
-        let poses: Vec<Pose> = capture.cameras.iter().map(|c| Pose::of(&c.camera)).collect();
-        let sum = |of: fn(&Pose) -> Vector3<f64>| poses.iter().map(of).sum::<Vector3<f64>>();
-        let count = poses.len() as f64;
-        let reference = &capture.cameras[capture.reference].camera;
-        let rotation = looking(sum(|p| p.ahead) / count, sum(|p| p.down) / count)
-            .unwrap_or_else(|| reference.cam_from_world.rotation.inverse());
-        let middle = sum(|p| p.center.coords) / count;
-        let (fx, fy, cx, cy) = reference.model.intrinsics();
-        let (width, height) = (reference.width as u32, reference.height as u32);
-        Self {
-            world_from_rig: Isometry3::from_parts(middle.into(), rotation),
-            poses,
-            spacing_m,
-            lens: Lens { width, height, fx, fy, cx, cy },
+    pub fn new(capture: &Capture, spacing_m: f64, truths: Vec<Camera>) -> Self {
+        let cameras: Vec<Camera> = capture.cameras.iter().map(|c| c.camera.clone()).collect();
+        let count = cameras.len() as f64;
+        let [ahead, down] = axis_sums(&cameras, |_| 1.0);
+        let reference = capture.reference;
+        let rotation = looking(ahead / count, down / count)
+            .unwrap_or_else(|| cameras[reference].cam_from_world.rotation.inverse());
+        let middle = cameras.iter().map(|c| c.center().coords).sum::<Vector3<f64>>() / count;
+        let world_from_rig = Isometry3::from_parts(middle.into(), rotation);
+        Self { world_from_rig, cameras, reference, truths, spacing_m }
+    }
+
+    /// Width and height of the reference camera's images: the largest of pictures, pixels.
+    pub fn largest_size(&self) -> [usize; 2] {
+        let reference = &self.cameras[self.reference];
+        [reference.width, reference.height]
+    }
+
+    /// The camera of a picture.
+    ///
+    /// # Errors
+    /// If its place or its size is out of bounds, or no camera or image of the truth is there.
+    pub fn camera(&self, request: &PictureRequest) -> Result<Camera, LiveError> {
+        let found = |all: &[Camera], index: usize, what: &str| match all.get(index) {
+            Some(camera) => self.at_camera(camera, &request.view),
+            None => Err(LiveError::Request(format!("at: there is no such {what}"))),
+        };
+        match request.place {
+            Place::Free(place) => self.at_place(place, &request.view),
+            Place::Camera(index) => found(&self.cameras, index, "camera"),
+            Place::Truth(index) => found(&self.truths, index, "image of the truth"),
         }
-    }
-
-    pub fn lens(&self) -> Lens {
-        self.lens
-    }
-
-    /// The median distance of neighbouring cameras, metres; 0 for one camera.
-    pub fn spacing_m(&self) -> f64 {
-        self.spacing_m
     }
 
     /// A point of the world in the rig's axes: right, up, ahead, metres.
@@ -115,7 +99,7 @@ impl RigFrame {
 
     /// The cameras' places, in the capture's order.
     pub fn places(&self) -> Vec<[f64; 3]> {
-        self.poses.iter().map(|p| self.place(&p.center)).collect()
+        self.cameras.iter().map(|c| self.place(&c.center())).collect()
     }
 
     /// Bounds of viewpoints, by axis.
@@ -136,8 +120,8 @@ impl RigFrame {
     /// The view from a position in the rig's axes, in the mean direction of the cameras nearby.
     ///
     /// # Errors
-    /// If the place is out of bounds, or as [`Self::from_camera`].
-    pub fn from_place(&self, place: [f64; 3], view: &ViewDirection) -> Result<Camera, LiveError> {
+    /// If the place is out of bounds, or as [`Self::at_camera`].
+    fn at_place(&self, place: [f64; 3], view: &ViewDirection) -> Result<Camera, LiveError> {
         let [low, high] = self.bounds();
         // Half a millionth of the extent is rounding of what the page was told.
         let is_inside = (0..3).all(|k| {
@@ -152,31 +136,28 @@ impl RigFrame {
             )));
         }
         let center = self.world_from_rig * Point3::new(place[0], -place[1], place[2]);
-        self.camera(center, self.direction(&center), view)
+        self.pinhole(center, self.direction(&center), view)
     }
 
     /// The view from a camera's place, along its axis.
     ///
     /// # Errors
     /// If the size, the zoom or the turn is out of bounds.
-    pub fn from_camera(&self, camera: &Camera, view: &ViewDirection) -> Result<Camera, LiveError> {
-        self.camera(camera.center(), camera.cam_from_world.rotation.inverse(), view)
+    fn at_camera(&self, camera: &Camera, view: &ViewDirection) -> Result<Camera, LiveError> {
+        self.pinhole(camera.center(), camera.cam_from_world.rotation.inverse(), view)
     }
 
     /// The mean viewing direction of the cameras, weighted by proximity.
     fn direction(&self, center: &Point3<f64>) -> UnitQuaternion<f64> {
         let soft_m = (SOFT_SPACINGS * self.spacing_m).max(1e-9);
-        let (mut ahead, mut down) = (Vector3::zeros(), Vector3::zeros());
-        for pose in &self.poses {
-            let weight = 1.0 / ((pose.center - center).norm_squared() / soft_m.powi(2) + 1.0);
-            ahead += pose.ahead * weight;
-            down += pose.down * weight;
-        }
+        let [ahead, down] = axis_sums(&self.cameras, |camera| {
+            1.0 / ((camera.center() - center).norm_squared() / soft_m.powi(2) + 1.0)
+        });
         looking(ahead, down).unwrap_or(self.world_from_rig.rotation)
     }
 
     /// A pinhole that shows the middle of the reference's field of view, filling the picture at zoom 1.
-    fn camera(
+    fn pinhole(
         &self,
         center: Point3<f64>,
         world_from_cam: UnitQuaternion<f64>,
@@ -187,9 +168,9 @@ impl RigFrame {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), right)
             * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), up);
         let cam_from_world = (world_from_cam * turn).inverse();
-        let Lens { width, height, fx, fy, cx, cy } = self.lens;
+        let (fx, fy, cx, cy) = self.cameras[self.reference].model.intrinsics();
+        let [width, height] = self.largest_size().map(|v| v as f64);
         let [w, h] = view.size.map(f64::from);
-        let (width, height) = (f64::from(width), f64::from(height));
         let scale = (w / width).max(h / height) * view.zoom;
         let model = CameraModel::Pinhole {
             fx: scale * fx,
@@ -212,8 +193,7 @@ impl RigFrame {
         if !view.turn_deg.iter().all(|t| t.abs() <= MAX_TURN_DEG) {
             return wrong(format!("turn: must be at most {MAX_TURN_DEG} degrees"));
         }
-        let Lens { width, height, .. } = self.lens;
-        let largest = [width, height].map(|v| v.max(MIN_SIZE_PX));
+        let largest = self.largest_size().map(|v| (v as u32).max(MIN_SIZE_PX));
         if view.size.iter().zip(largest).any(|(&s, max)| s < MIN_SIZE_PX || s > max) {
             let [w, h] = view.size;
             return wrong(format!(
@@ -244,7 +224,7 @@ mod tests {
             bit_depth: BitDepth::Eight,
         };
         let cameras = cameras.into_iter().enumerate().map(filmed).collect();
-        RigFrame::new(&Capture::without_files(cameras), 0.1)
+        RigFrame::new(&Capture::without_files(cameras), 0.1, Vec::new())
     }
 
     fn line() -> RigFrame {
@@ -259,12 +239,12 @@ mod tests {
     fn at_a_cameras_place_it_is_that_camera() {
         let wanted = pinhole_at([5.1, 2.0, -3.0]);
         let rig = line();
-        let view = rig.from_place(rig.place(&wanted.center()), &plain([640, 480])).unwrap();
+        let view = rig.at_place(rig.place(&wanted.center()), &plain([640, 480])).unwrap();
         assert_eq!(view.model, wanted.model);
         assert!(
             (view.cam_from_world.to_matrix() - wanted.cam_from_world.to_matrix()).norm() < 1e-12
         );
-        let like = rig.from_camera(&wanted, &plain([640, 480])).unwrap();
+        let like = rig.at_camera(&wanted, &plain([640, 480])).unwrap();
         assert!(
             (like.cam_from_world.to_matrix() - wanted.cam_from_world.to_matrix()).norm() < 1e-12
         );
@@ -272,15 +252,15 @@ mod tests {
 
     #[test]
     fn axes_are_right_up_and_ahead() {
-        let view = line().from_place([0.05, 0.04, 0.03], &plain([640, 480])).unwrap();
+        let view = line().at_place([0.05, 0.04, 0.03], &plain([640, 480])).unwrap();
         assert!((view.center() - Point3::new(5.05, 1.96, -2.97)).norm() < 1e-12);
     }
 
     #[test]
     fn a_narrow_picture_is_a_part_of_the_whole_one() {
         let rig = line();
-        let whole = rig.from_place([0.0; 3], &plain([640, 480])).unwrap();
-        let narrow = rig.from_place([0.0; 3], &plain([222, 480])).unwrap();
+        let whole = rig.at_place([0.0; 3], &plain([640, 480])).unwrap();
+        let narrow = rig.at_place([0.0; 3], &plain([222, 480])).unwrap();
         let point = Point3::new(5.1, 2.1, -1.0);
         let (a, b) = (whole.project(&point).unwrap(), narrow.project(&point).unwrap());
         assert!((a.x - 320.0 - (b.x - 111.0)).abs() < 1e-9 && (a.y - b.y).abs() < 1e-9);
@@ -291,7 +271,7 @@ mod tests {
         let rig = line();
         let at = |turn_deg| {
             let view = ViewDirection { turn_deg, ..plain([640, 480]) };
-            rig.from_place([0.0; 3], &view).unwrap().project(&Point3::new(5.0, 2.0, 0.0)).unwrap()
+            rig.at_place([0.0; 3], &view).unwrap().project(&Point3::new(5.0, 2.0, 0.0)).unwrap()
         };
         assert!(at([5.0, 0.0]).x < 300.0 && at([0.0, 5.0]).y > 260.0);
     }
@@ -306,7 +286,7 @@ mod tests {
             camera
         };
         let rig = rig(vec![turned(-1.0, 0.3), turned(0.0, 0.0), turned(1.0, -0.3)]);
-        let ahead = |x: f64| rig.from_place([x, 0.0, 0.0], &plain([640, 480])).unwrap().axis();
+        let ahead = |x: f64| rig.at_place([x, 0.0, 0.0], &plain([640, 480])).unwrap().axis();
         assert!(ahead(-1.0).x > 0.2 && ahead(0.0).x.abs() < 1e-9 && ahead(1.0).x < -0.2);
     }
 
@@ -314,7 +294,7 @@ mod tests {
     fn what_is_out_of_bounds_is_refused_in_a_sentence() {
         let rig = line();
         let refused =
-            |place, view: ViewDirection| rig.from_place(place, &view).unwrap_err().to_string();
+            |place, view: ViewDirection| rig.at_place(place, &view).unwrap_err().to_string();
         assert!(refused([9.0, 0.0, 0.0], plain([640, 480])).contains("too far"));
         assert!(refused([f64::NAN; 3], plain([640, 480])).contains("too far"));
         assert!(refused([0.0; 3], plain([641, 480])).starts_with("size"));
@@ -324,8 +304,8 @@ mod tests {
         let turned = ViewDirection { turn_deg: [0.0, 99.0], ..plain([640, 480]) };
         assert!(refused([0.0; 3], turned).starts_with("turn"));
         let [low, high] = rig.bounds();
-        assert!(rig.from_place(low, &plain([640, 480])).is_ok());
-        assert!(rig.from_place(high, &plain([640, 480])).is_ok());
+        assert!(rig.at_place(low, &plain([640, 480])).is_ok());
+        assert!(rig.at_place(high, &plain([640, 480])).is_ok());
         assert!(self::rig(vec![pinhole_at([0.0; 3])]).bounds()[1][0] > 0.0);
     }
 }

@@ -1,24 +1,23 @@
 //! The server: connections, and responses by address.
 
-use super::answer::{Reply, failed, picture, respond, sentence};
+use super::answer::{Reply, failed, picture, respond};
 use super::guard::{Guard, NOT_FOUND};
-use super::patient::Patient;
-use super::scene::PageScene;
-use super::token::Token;
-use super::{LiveError, PictureRequest, Places, Queue, Studio, workers};
+use super::scene::scene;
+use super::{LiveError, PictureRequest, Queue, RigFrame, Studio, workers};
 use crate::camera::CameraFormat;
+use hyper::Request;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
-use hyper::{Request, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use std::convert::Infallible;
-use std::io::Result;
-use std::net::{Ipv4Addr, SocketAddr, TcpListener};
+use std::io;
+use std::net::{Ipv4Addr, TcpListener};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpStream;
 use tokio::sync::Semaphore;
+use tokio_io_timeout::TimeoutStream;
 
 /// Largest number of open connections; a browser opens six.
 const MAX_CONNECTIONS: usize = 48;
@@ -55,7 +54,6 @@ const PAGE: [(&str, &str, &str); 9] = [
 pub struct Server {
     listener: TcpListener,
     guard: Guard,
-    address: SocketAddr,
 }
 
 /// State that all connections share.
@@ -63,7 +61,7 @@ struct ServedSite {
     guard: Guard,
     queue: Arc<Queue>,
     scene: String,
-    places: Arc<Places>,
+    rig: Arc<RigFrame>,
 }
 
 impl Server {
@@ -71,29 +69,28 @@ impl Server {
     ///
     /// # Errors
     /// If another program has it, or the system gives no randomness.
-    pub fn bind(port: u16) -> Result<Self> {
+    pub fn bind(port: u16) -> io::Result<Self> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
-        let address = listener.local_addr()?;
-        let guard = Guard::new(Token::new()?, address.port());
-        Ok(Self { listener, guard, address })
+        let guard = Guard::new(listener.local_addr()?.port())?;
+        Ok(Self { listener, guard })
     }
 
     /// The page's address, which holds the secret.
     pub fn address(&self) -> String {
-        format!("http://{}/{}/", self.address, self.guard.token())
+        self.guard.address()
     }
 
     /// Serves pictures of a light field until the process ends.
     ///
     /// # Errors
     /// If the system gives no threads, or takes the port away.
-    pub fn serve(self, studio: &Studio) -> Result<()> {
+    pub fn serve(self, studio: &Studio) -> io::Result<()> {
         let queue = Arc::new(Queue::default());
         let site = ServedSite {
             guard: self.guard,
             queue: queue.clone(),
-            scene: serde_json::to_string(&PageScene::of(studio))?,
-            places: studio.places().clone(),
+            scene: scene(studio).to_string(),
+            rig: studio.rig.clone(),
         };
         self.listener.set_nonblocking(true)?;
         std::thread::scope(|scope| {
@@ -108,7 +105,7 @@ impl Server {
 }
 
 /// Accepts connections, up to [`MAX_CONNECTIONS`].
-async fn accept(listener: TcpListener, site: Arc<ServedSite>) -> Result<()> {
+async fn accept(listener: TcpListener, site: Arc<ServedSite>) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
     let free = Arc::new(Semaphore::new(MAX_CONNECTIONS));
     loop {
@@ -131,54 +128,46 @@ async fn accept(listener: TcpListener, site: Arc<ServedSite>) -> Result<()> {
 async fn converse(stream: TcpStream, site: Arc<ServedSite>) {
     // Without it, the last part of a picture may wait for the browser's word that it has the others.
     let _ = stream.set_nodelay(true);
+    let mut stream = TimeoutStream::new(stream);
+    stream.set_write_timeout(Some(WRITE_TIMEOUT));
     let service = service_fn(move |request| {
         let site = site.clone();
-        async move { Ok::<Reply, Infallible>(reply(&site, request).await) }
+        async move {
+            let reply = reply(&site, request).await;
+            Ok::<Reply, Infallible>(reply.unwrap_or_else(|error| failed(&error)))
+        }
     });
     let served = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEADER_TIMEOUT)
         .max_buf_size(MAX_REQUEST_BYTES)
         .max_headers(MAX_HEADERS)
-        .serve_connection(TokioIo::new(Patient::new(stream, WRITE_TIMEOUT)), service)
+        .serve_connection(TokioIo::new(Box::pin(stream)), service)
         .await;
     // Whatever ended it, the browser opens another.
     drop(served);
 }
 
-async fn reply(site: &ServedSite, request: Request<Incoming>) -> Reply {
+async fn reply(site: &ServedSite, request: Request<Incoming>) -> Result<Reply, LiveError> {
     let (parts, _) = request.into_parts();
-    let name = match site.guard.admit(&parts) {
-        Ok(name) => name,
-        Err((status, reason)) => return sentence(status, reason),
-    };
     let query = parts.uri.query().unwrap_or_default();
-    match name {
-        "picture" => asked_picture(site, query).await,
-        "view.json" => view_file(site, query),
-        "scene.json" => respond(StatusCode::OK, JSON, site.scene.clone()),
-        _ => match PAGE.iter().find(|(file, ..)| *file == name) {
-            Some((_, media_type, content)) => respond(StatusCode::OK, media_type, *content),
-            None => sentence(NOT_FOUND.0, NOT_FOUND.1),
-        },
-    }
-}
-
-async fn asked_picture(site: &ServedSite, query: &str) -> Reply {
-    let answer = match PictureRequest::parse(query).and_then(|asked| site.queue.submit(asked)) {
-        // If the browser goes, so does this future, and nobody waits any more.
-        Ok(answer) => answer.await.unwrap_or(Err(LiveError::Superseded)),
-        Err(error) => Err(error),
-    };
-    picture(answer)
-}
-
-/// The camera of a picture, as `stlfr render --camera` reads it.
-fn view_file(site: &ServedSite, query: &str) -> Reply {
-    let camera = PictureRequest::parse(query).and_then(|asked| site.places.camera(&asked));
-    match camera.map(|camera| serde_json::to_string_pretty(&CameraFormat::from(&camera))) {
-        Ok(Ok(text)) => respond(StatusCode::OK, JSON, text + "\n"),
-        Ok(Err(error)) => sentence(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()),
-        Err(error) => failed(&error),
+    match site.guard.admit(&parts)? {
+        "picture" => {
+            let answer = site.queue.submit(PictureRequest::parse(query)?)?;
+            // If the browser goes, so does this future, and nobody waits any more.
+            Ok(picture(answer.await.unwrap_or(Err(LiveError::Superseded))?))
+        }
+        // The camera of a picture, as `stlfr render --camera` reads it.
+        "view.json" => {
+            let camera = site.rig.camera(&PictureRequest::parse(query)?)?;
+            let text = serde_json::to_string_pretty(&CameraFormat::from(&camera));
+            Ok(respond(JSON, text.map_err(|_| LiveError::Panicked)? + "\n"))
+        }
+        "scene.json" => Ok(respond(JSON, site.scene.clone())),
+        name => {
+            let file = PAGE.iter().find(|(file, ..)| *file == name);
+            let (_, media_type, content) = file.ok_or(NOT_FOUND)?;
+            Ok(respond(media_type, *content))
+        }
     }
 }

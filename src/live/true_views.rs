@@ -2,10 +2,10 @@
 
 use super::{LiveError, PictureRequest, Place};
 use crate::camera::Camera;
-use crate::capture::{Capture, Truth, TruthError};
+use crate::capture::{Capture, CaptureError, Truth, require_size};
 use crate::host::Memo;
 use crate::lumigraph::{BlendOptions, DepthMap, Rendered, Source, blend};
-use crate::raster::{Image, ImageFileError, read_image};
+use crate::raster::{Image, read_image};
 use nalgebra::{Isometry3, Translation3};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -27,7 +27,7 @@ pub(super) struct LiveTruth {
 
 /// All images of a capture's truth; none without one.
 pub(super) struct TrueViews {
-    views: Vec<LiveTruth>,
+    pub views: Vec<LiveTruth>,
     images: Memo,
 }
 
@@ -45,25 +45,17 @@ impl Default for TrueViews {
 }
 
 impl TrueViews {
-    pub fn open(capture: &Capture) -> Result<Self, TruthError> {
+    pub fn open(capture: &Capture) -> Result<Self, CaptureError> {
         let Some(truth) = Truth::open(&capture.folder)? else { return Ok(Self::default()) };
-        let view = |(index, view): (usize, &crate::capture::TruthView)| {
+        let view = |view: &crate::capture::TruthView| {
             let path = capture.folder.join("truth/truth.json");
-            let camera =
-                view.camera().map_err(|source| TruthError::Camera { path, index, source })?;
+            let camera = view.camera.camera();
+            let camera = camera.map_err(|error| CaptureError::content(&path, error.to_string()))?;
             let file = truth.file(&view.image)?;
             Ok(LiveTruth { id: view.id.clone(), time_s: view.time_s, camera, file })
         };
-        let views = truth.views.iter().enumerate().map(view).collect::<Result<_, TruthError>>()?;
+        let views = truth.views.iter().map(view).collect::<Result<_, CaptureError>>()?;
         Ok(Self { views, ..Self::default() })
-    }
-
-    pub fn all(&self) -> &[LiveTruth] {
-        &self.views
-    }
-
-    pub fn get(&self, index: usize) -> Option<&LiveTruth> {
-        self.views.get(index)
     }
 
     /// The true image at the requested viewpoint, resampled with the view's rotation and zoom.
@@ -73,7 +65,8 @@ impl TrueViews {
                 if self.views.is_empty() { "none of this capture" } else { "at its places only" };
             return Err(LiveError::Request(format!("there is truth {there}")));
         };
-        let view = self.get(index).ok_or_else(|| LiveError::Request("at: no such truth".into()))?;
+        let view =
+            self.views.get(index).ok_or_else(|| LiveError::Request("at: no such truth".into()))?;
         if !((view.time_s - request.time_s).abs() <= SAME_INSTANT_S) {
             return Err(LiveError::Request(format!(
                 "the truth at this place is of {:.4} s, not of {:.4} s",
@@ -92,15 +85,7 @@ impl TrueViews {
         let bytes = |image: &Image| size_of_val(image.data());
         self.images.get_or("true image", &index, bytes, || {
             let (image, _) = read_image(&view.file)?;
-            let (width, height) = (image.width(), image.height());
-            if (width, height) != (view.camera.width, view.camera.height) {
-                let (path, camera) = (view.file.clone(), &view.camera);
-                let reason = format!(
-                    "is {width}×{height} pixels, its camera {}×{}",
-                    camera.width, camera.height
-                );
-                return Err(ImageFileError::Content { path, reason }.into());
-            }
+            require_size(&view.file, [image.width(), image.height()], &view.camera)?;
             Ok(image)
         })
     }

@@ -1,7 +1,7 @@
 //! The threads that answer requests.
 
-use super::queue::{Answer, Job, Lane, Stale};
-use super::{Level, LiveError, PictureRequest, Queue, Studio};
+use super::queue::{Answer, Asked, Job};
+use super::{Level, LiveError, Queue, Studio};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -16,7 +16,7 @@ const FULL_NICENESS: i32 = 5;
 const MAX_AHEAD: usize = 8;
 
 /// Requests whose instants are to be prepared in advance.
-type Ahead = VecDeque<(PictureRequest, Arc<Stale>)>;
+type Ahead = VecDeque<Arc<Asked>>;
 
 /// Starts the threads, which end when the queue is closed. Quick and full pictures have threads of their own, so
 /// that what is quick never waits in a full picture's line.
@@ -28,23 +28,20 @@ pub(super) fn start<'scope, 'env>(
     studio: &'env Studio<'_>,
     queue: &'env Queue,
 ) -> std::io::Result<()> {
-    for (lane, workers) in [(Lane::Quick, QUICK_WORKERS), (Lane::Full, 1)] {
-        let pool = Arc::new(pool(lane)?);
+    for (is_quick, workers) in [(true, QUICK_WORKERS), (false, 1)] {
+        let on_start = move |_| {
+            if !is_quick {
+                stand_back();
+            }
+        };
+        let pool = ThreadPoolBuilder::new().start_handler(on_start).build();
+        let pool = Arc::new(pool.map_err(std::io::Error::other)?);
         for _ in 0..workers {
             let pool = pool.clone();
-            scope.spawn(move || work(studio, queue, lane, &pool));
+            scope.spawn(move || work(studio, queue, is_quick, &pool));
         }
     }
     Ok(())
-}
-
-fn pool(lane: Lane) -> std::io::Result<ThreadPool> {
-    let builder = ThreadPoolBuilder::new().start_handler(move |_| {
-        if lane == Lane::Full {
-            stand_back();
-        }
-    });
-    builder.build().map_err(std::io::Error::other)
 }
 
 /// Lowers the priority of the calling thread.
@@ -63,45 +60,40 @@ fn stand_back() {
     let _ = FULL_NICENESS;
 }
 
-fn work(studio: &Studio, queue: &Queue, lane: Lane, pool: &ThreadPool) {
+fn work(studio: &Studio, queue: &Queue, is_quick: bool, pool: &ThreadPool) {
     let mut ahead = Ahead::new();
     loop {
         prepare(studio, queue, &mut ahead, pool);
-        let Some(job) = queue.take(lane) else { return };
-        let request = job.request.clone();
+        let Some(job) = queue.take(is_quick) else { return };
         let answer = answer(studio, &job, pool);
-        let is_shown = answer.is_ok() && request.level == Level::Full && !request.viewer.is_empty();
-        let stale = queue.answer(job, answer);
-        if is_shown {
+        let is_shown = answer.is_ok();
+        let asked = job.answer(answer);
+        let request = &asked.request;
+        if is_shown && request.level == Level::Full && !request.viewer.is_empty() {
             // The viewer looks at the picture now, and may look around from there.
-            plan(queue, &mut ahead, (request, stale));
-        } else {
-            queue.finish(&stale);
+            plan(&mut ahead, asked);
         }
     }
 }
 
 /// Appends a request; the oldest is dropped beyond [`MAX_AHEAD`].
-fn plan(queue: &Queue, ahead: &mut Ahead, shown: (PictureRequest, Arc<Stale>)) {
+fn plan(ahead: &mut Ahead, shown: Arc<Asked>) {
     ahead.push_back(shown);
-    if ahead.len() > MAX_AHEAD
-        && let Some((_, oldest)) = ahead.pop_front()
-    {
-        queue.finish(&oldest);
+    if ahead.len() > MAX_AHEAD {
+        ahead.pop_front();
     }
 }
 
 /// Prepares the viewers' instants until a full picture of another instant is requested.
 fn prepare(studio: &Studio, queue: &Queue, ahead: &mut Ahead, pool: &ThreadPool) {
-    while let Some((request, stale)) = ahead.pop_front() {
-        let is_free = || !queue.has_apart(Lane::Full, &request);
-        let proceed = || stale.is_instant_wanted() && is_free();
-        unwound(|| pool.install(|| studio.prepare(&request, &proceed)));
-        if stale.is_instant_wanted() && !is_free() {
-            ahead.push_front((request, stale));
+    while let Some(asked) = ahead.pop_front() {
+        let is_free = || !queue.has_apart(&asked);
+        let proceed = || asked.is_instant_wanted() && is_free();
+        unwound(|| pool.install(|| studio.prepare(&asked.request, &proceed)));
+        if asked.is_instant_wanted() && !is_free() {
+            ahead.push_front(asked);
             return;
         }
-        queue.finish(&stale);
     }
 }
 
@@ -109,7 +101,7 @@ fn answer(studio: &Studio, job: &Job, pool: &ThreadPool) -> Answer {
     if !job.is_wanted() {
         return Err(LiveError::Superseded);
     }
-    let picture = || pool.install(|| studio.picture(&job.request, &|| job.is_wanted()));
+    let picture = || pool.install(|| studio.picture(&job.asked.request, &|| job.is_wanted()));
     unwound(picture).unwrap_or(Err(LiveError::Panicked))
 }
 
@@ -121,6 +113,7 @@ fn unwound<T>(of: impl FnOnce() -> T) -> Option<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::live::PictureRequest;
 
     #[test]
     fn what_is_planned_is_bounded_and_the_oldest_is_forgotten() {
@@ -129,15 +122,17 @@ mod tests {
             let query = format!("w=64&h=48&viewer=v{viewer}&t={time_s}");
             queue.submit(PictureRequest::parse(&query).unwrap()).unwrap()
         };
+        let mut asked_of = Vec::new();
         for viewer in 0..=MAX_AHEAD {
             let _receiver = ask(viewer, 0.0);
-            let job = queue.take(Lane::Full).unwrap();
-            let request = job.request.clone();
-            let stale = queue.answer(job, Err(LiveError::Superseded));
-            plan(&queue, &mut ahead, (request, stale.clone()));
+            let job = queue.take(false).unwrap();
+            let asked = job.answer(Err(LiveError::Superseded));
+            asked_of.push(Arc::downgrade(&asked));
+            plan(&mut ahead, asked);
         }
-        let viewers: Vec<&str> = ahead.iter().map(|(r, _)| r.viewer.as_str()).collect();
+        let viewers: Vec<&str> = ahead.iter().map(|a| a.request.viewer.as_str()).collect();
         assert_eq!((viewers.len(), viewers[0]), (MAX_AHEAD, "v1."));
-        assert_eq!(queue.running(), MAX_AHEAD);
+        let running = asked_of.iter().filter(|asked| asked.strong_count() > 0);
+        assert_eq!(running.count(), MAX_AHEAD);
     }
 }

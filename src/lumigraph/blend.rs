@@ -48,31 +48,28 @@ pub fn blend(
     let colored = sources.iter().filter(|s| s.image.channels() == 3).count();
     let channels = if colored > 0 { 3 } else { 1 };
     let mut image = Image::filled(w, h, channels, 0.0);
-    let mut coverage = vec![false; w * h];
     let mut visibility = vec![PointVisibility::OutOfView; w * h];
     image
         .data_mut()
         .par_chunks_mut(BAND_ROWS * w * channels)
-        .zip(coverage.par_chunks_mut(BAND_ROWS * w))
         .zip(visibility.par_chunks_mut(BAND_ROWS * w))
         .enumerate()
         .for_each_init(
             || SpanBlender::new(sources, &reprojections, target, options),
-            |span, (band, ((pixels, covered), visibility))| {
+            |span, (band, (pixels, visibility))| {
                 let rows = pixels.chunks_exact_mut(w * channels);
-                let rows = rows.zip(covered.chunks_exact_mut(w));
                 let rows = rows.zip(visibility.chunks_exact_mut(w));
-                for (row, ((pixels, covered), visibility)) in rows.enumerate() {
+                for (row, (pixels, visibility)) in rows.enumerate() {
                     span.set_row(band * BAND_ROWS + row, depth);
                     for columns in span.columns() {
                         span.weigh(columns.clone());
+                        span.set_visibility(&mut visibility[columns.clone()]);
                         let pixels = &mut pixels[channels * columns.start..channels * columns.end];
                         match (channels, colored == sources.len()) {
                             (1, _) => span.blend::<1>(pixels),
                             (_, true) => span.blend::<3>(pixels),
                             (_, false) => span.blend_mixed(pixels),
                         }
-                        span.cover(&mut covered[columns.clone()], &mut visibility[columns]);
                     }
                 }
             },
@@ -81,6 +78,7 @@ pub fn blend(
     if sources.iter().any(|s| s.depth.is_some()) {
         inpaint(&mut image, &visibility, depth, OCCLUSION_FRACTION);
     }
+    let coverage = visibility.iter().map(|v| *v != PointVisibility::OutOfView).collect();
     Rendered { image, coverage }
 }
 

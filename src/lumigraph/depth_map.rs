@@ -1,58 +1,45 @@
 //! The scene's geometry in one view: a depth for every pixel.
 
+use crate::raster::Image;
+use std::ops::Deref;
+
 /// Depths at a view's pixel centres along the camera's +z, metres: positive, infinite for the sky, and NaN where
 /// there is no proxy.
 #[derive(Clone, Debug, PartialEq)]
-pub struct DepthMap {
-    width: usize,
-    height: usize,
-    data: Vec<f32>,
+pub struct DepthMap(Image);
+
+/// The depths as a grey image.
+impl Deref for DepthMap {
+    type Target = Image;
+
+    fn deref(&self) -> &Image {
+        &self.0
+    }
 }
 
 impl DepthMap {
     /// A map of these depths, row by row. Depths that aren't positive become NaN.
     ///
     /// # Panics
-    /// If the number of depths is not `width * height`.
+    /// If a dimension is 0, or the number of depths is not `width * height`.
     pub fn from_data(width: usize, height: usize, mut data: Vec<f32>) -> Self {
-        assert_eq!(data.len(), width * height, "depths of a {width}×{height} view");
         for z in &mut data {
             if !(*z > 0.0) {
                 *z = f32::NAN;
             }
         }
-        Self { width, height, data }
+        Self(Image::from_data(width, height, 1, data))
     }
 
     /// A map of depths that are known to be positive or NaN.
     pub(super) fn from_depths(width: usize, height: usize, data: Vec<f32>) -> Self {
-        debug_assert!(data.len() == width * height && data.iter().all(|z| !(*z <= 0.0)));
-        Self { width, height, data }
+        debug_assert!(data.iter().all(|z| !(*z <= 0.0)));
+        Self(Image::from_data(width, height, 1, data))
     }
 
     /// A map without depths.
     pub fn empty(width: usize, height: usize) -> Self {
         Self::from_data(width, height, vec![f32::NAN; width * height])
-    }
-
-    /// Width, pixels.
-    pub fn width(&self) -> usize {
-        self.width
-    }
-
-    /// Height, pixels.
-    pub fn height(&self) -> usize {
-        self.height
-    }
-
-    /// All depths, row by row.
-    pub fn data(&self) -> &[f32] {
-        &self.data
-    }
-
-    /// The depths of one row. Panics outside of the view.
-    pub fn row(&self, y: usize) -> &[f32] {
-        &self.data[y * self.width..(y + 1) * self.width]
     }
 
     /// Smallest depth of the 3×3 pixels around a position in pixels, which is clamped to the image. NaN if none of
@@ -63,10 +50,10 @@ impl DepthMap {
             at.saturating_sub(1)..(at + 2).min(size)
         };
         let mut nearest = f32::NAN;
-        for row in span(y, self.height) {
-            for column in span(x, self.width) {
+        for row in span(y, self.height()) {
+            for column in span(x, self.width()) {
                 // `min` ignores NaN.
-                nearest = nearest.min(self.data[row * self.width + column]);
+                nearest = nearest.min(self.data()[row * self.width() + column]);
             }
         }
         nearest
@@ -79,9 +66,9 @@ impl DepthMap {
             let floor = (v - 0.5).max(0.0).min((size - 1) as f32) as usize;
             (floor, (floor + 1).min(size - 1))
         };
-        let (x0, x1) = cell(x, self.width);
-        let (y0, y1) = cell(y, self.height);
-        let at = |x: usize, y: usize| self.data[y * self.width + x];
+        let (x0, x1) = cell(x, self.width());
+        let (y0, y1) = cell(y, self.height());
+        let at = |x: usize, y: usize| self.data()[y * self.width() + x];
         let (a, b, c, d) = (at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1));
         // The sum is NaN exactly if one of four positive depths is.
         if (a + b + c + d).is_nan() { f32::NAN } else { a.max(b).max(c).max(d) }

@@ -98,7 +98,6 @@ impl Mesh {
         all.extend(corners.map(|at| ProjectedPoint {
             at,
             inverse_depth: plane.dot(&Vector3::new(at.x, at.y, 1.0)),
-            weight: 1.0,
         }));
         let mut builder = MeshBuilder { vertices: all, triangles: Vec::new() };
         for face in sites.inner_faces() {
@@ -129,13 +128,10 @@ fn projected(
     let mut projections: Vec<((i64, i64), ProjectedPoint)> = points
         .iter()
         .filter_map(|point| {
-            let p = target.cam_from_world * point;
-            let at = Point2::new(p.x / p.z, p.y / p.z);
-            let inverse_depth = 1.0 / p.z;
+            let projection = ProjectedPoint::new(point, target, bounds)?;
             // At a corner, the corner itself is the vertex.
-            let is_seen = bounds.contains(&at) && !bounds.corners().contains(&at);
-            let counts = inverse_depth > 0.0 && inverse_depth.is_finite() && is_seen;
-            counts.then(|| (cell(&at), ProjectedPoint { at, inverse_depth, weight: 1.0 }))
+            let is_corner = bounds.corners().contains(&projection.at);
+            (!is_corner).then(|| (cell(&projection.at), projection))
         })
         .collect();
     projections.sort_unstable_by(|(a_cell, a), (b_cell, b)| {
@@ -247,7 +243,7 @@ struct MeshBuilder {
 impl MeshBuilder {
     /// Appends a vertex; returns its index.
     fn vertex(&mut self, at: Point2<f64>, inverse_depth: f64) -> u32 {
-        self.vertices.push(ProjectedPoint { at, inverse_depth, weight: 1.0 });
+        self.vertices.push(ProjectedPoint { at, inverse_depth });
         (self.vertices.len() - 1) as u32
     }
 

@@ -7,7 +7,7 @@
 use super::depth_map::DepthMap;
 use super::rays::ViewBounds;
 use super::source::{BlendOptions, Source};
-use super::weights::BlendMethod;
+use super::weights::{BlendMethod, SPAN_PX, SourceSpan};
 use crate::camera::{Camera, CameraModel};
 use crate::simd::multiversion;
 use nalgebra::{Matrix3, Point2, Vector3};
@@ -39,19 +39,6 @@ pub(super) struct TargetRow<'a> {
     pub length: &'a [f32],
     /// Inverse depths, 1/m; 0 without proxy.
     pub inverse_depth: &'a [f32],
-}
-
-/// The points of a row in one source.
-pub(super) struct SourceHits<'a> {
-    /// Positions in the source's image, pixels.
-    pub x: &'a mut [f32],
-    pub y: &'a mut [f32],
-    /// Penalties; infinite where the source has no pixel of the point.
-    pub penalty: &'a mut [f32],
-    /// Product of `border` and `visible`: 1 inside the image, 0 outside, less at its border and for occluded points.
-    pub confidence: &'a mut [f32],
-    /// Whether the point is visible in any source so far.
-    pub visible: &'a mut [bool],
 }
 
 /// A cone around the rays of some pixels of a row.
@@ -90,7 +77,7 @@ multiversion! {
     fn measure_row[P: Fn(f32, f32) -> (f32, f32)](
         reprojection: &Reprojection,
         row: &TargetRow,
-        hits: &mut SourceHits,
+        span: &mut SourceSpan,
         pixel: P,
     ) = measure_row_by
 }
@@ -99,15 +86,15 @@ multiversion! {
 fn measure_row_by(
     reprojection: &Reprojection,
     row: &TargetRow,
-    hits: &mut SourceHits,
+    span: &mut SourceSpan,
     pixel: impl Fn(f32, f32) -> (f32, f32),
 ) {
     let n = row.x.len();
     // One length for all slices lets the loop run without bounds checks.
     let (xs, ys, lengths, inverse) =
         (&row.x[..n], &row.y[..n], &row.length[..n], &row.inverse_depth[..n]);
-    let (out_x, out_y) = (&mut hits.x[..n], &mut hits.y[..n]);
-    let (penalty, confidence) = (&mut hits.penalty[..n], &mut hits.confidence[..n]);
+    let (out_x, out_y) = (&mut span.x[..n], &mut span.y[..n]);
+    let (penalty, confidence) = (&mut span.penalty[..n], &mut span.confidence[..n]);
     let at_center = reprojection.at_center();
     let d = reprojection.shift_target;
     for k in 0..n {
@@ -140,7 +127,7 @@ multiversion! {
     fn place_row[P: Fn(f32, f32) -> (f32, f32)](
         reprojection: &Reprojection,
         row: &TargetRow,
-        hits: &mut SourceHits,
+        span: &mut SourceSpan,
         pixel: P,
     ) = place_row_by
 }
@@ -149,13 +136,13 @@ multiversion! {
 fn place_row_by(
     reprojection: &Reprojection,
     row: &TargetRow,
-    hits: &mut SourceHits,
+    span: &mut SourceSpan,
     pixel: impl Fn(f32, f32) -> (f32, f32),
 ) {
     let n = row.x.len();
     let (xs, ys, inverse) = (&row.x[..n], &row.y[..n], &row.inverse_depth[..n]);
-    let (out_x, out_y) = (&mut hits.x[..n], &mut hits.y[..n]);
-    let confidence = &mut hits.confidence[..n];
+    let (out_x, out_y) = (&mut span.x[..n], &mut span.y[..n]);
+    let confidence = &mut span.confidence[..n];
     let at_center = reprojection.at_center();
     for k in 0..n {
         let q = reprojection.direction(xs[k], ys[k], inverse[k]);
@@ -259,29 +246,36 @@ impl Reprojection {
     }
 
     /// Computes positions and confidences, but for occlusion.
-    pub fn place(&self, row: &TargetRow, hits: &mut SourceHits) {
+    pub fn place(&self, row: &TargetRow, span: &mut SourceSpan) {
         if self.model.is_pinhole() {
-            place_row(self, row, hits, self.pinhole());
+            place_row(self, row, span, self.pinhole());
         } else {
-            place_row_by(self, row, hits, |nx, ny| self.distorted(nx, ny));
+            place_row_by(self, row, span, |nx, ny| self.distorted(nx, ny));
         }
     }
 
-    /// Computes `hits` in `source`, which this reprojection is of.
-    pub fn measure(&self, row: &TargetRow, source: &Source, hits: &mut SourceHits) {
+    /// Computes a row's points in `source`, which this reprojection is of. `visible`: whether the points are visible in
+    /// any source so far.
+    pub fn measure(
+        &self,
+        row: &TargetRow,
+        source: &Source,
+        span: &mut SourceSpan,
+        visible: &mut [bool; SPAN_PX],
+    ) {
         if self.model.is_pinhole() {
-            measure_row(self, row, hits, self.pinhole());
+            measure_row(self, row, span, self.pinhole());
         } else {
-            measure_row_by(self, row, hits, |nx, ny| self.distorted(nx, ny));
+            measure_row_by(self, row, span, |nx, ny| self.distorted(nx, ny));
         }
         if self.error_angle_rad > 0.0 {
-            self.add_interpolation_error(source, hits);
+            self.add_interpolation_error(source, row.x.len(), span);
         }
         // A source at the view's centre looks along the same rays: nothing is occluded in it.
         match source.depth {
-            Some(map) if !self.at_center() => self.occlude(row, map, hits),
+            Some(map) if !self.at_center() => self.occlude(row, map, span, visible),
             _ => {
-                let visible = hits.visible.iter_mut().zip(&*hits.confidence);
+                let visible = visible.iter_mut().zip(&span.confidence);
                 visible.for_each(|(visible, c)| *visible |= *c > 0.0);
             }
         }
@@ -315,40 +309,46 @@ impl Reprojection {
 
     /// Adds the expected error of interpolation to that of the proxy. The two are independent, so that
     /// their squares add.
-    fn add_interpolation_error(&self, source: &Source, hits: &mut SourceHits) {
+    fn add_interpolation_error(&self, source: &Source, count: usize, span: &mut SourceSpan) {
         let Some(error_px) = source.interpolation_error_px else { return };
         let (w, h) = (source.camera.width, source.camera.height);
-        for k in 0..hits.confidence.len() {
-            if hits.confidence[k] > 0.0 {
+        for k in 0..count {
+            if span.confidence[k] > 0.0 {
                 // Where there is confidence, the position is inside the image.
-                let (x, y) = (hits.x[k] as usize, hits.y[k] as usize);
+                let (x, y) = (span.x[k] as usize, span.y[k] as usize);
                 let angle = self.error_angle_rad * error_px[y.min(h - 1) * w + x.min(w - 1)];
-                hits.penalty[k] = hits.penalty[k].hypot(angle / hits.confidence[k]);
+                span.penalty[k] = span.penalty[k].hypot(angle / span.confidence[k]);
             }
         }
     }
 
     /// Lowers the confidence in points behind the source's surface: from 1 at [`OCCLUSION_FRACTION`] to
     /// [`OCCLUDED_CONFIDENCE`] at twice that.
-    fn occlude(&self, row: &TargetRow, map: &DepthMap, hits: &mut SourceHits) {
-        for k in 0..row.x.len() {
-            if hits.confidence[k] > 0.0 {
+    fn occlude(
+        &self,
+        row: &TargetRow,
+        map: &DepthMap,
+        span: &mut SourceSpan,
+        visible: &mut [bool; SPAN_PX],
+    ) {
+        for (k, visible) in visible.iter_mut().enumerate().take(row.x.len()) {
+            if span.confidence[k] > 0.0 {
                 let inverse = row.inverse_depth[k];
                 let depth = self.direction(row.x[k], row.y[k], inverse).z / inverse;
                 let beyond = |surface: f32| (depth / surface - 1.0) / OCCLUSION_FRACTION - 1.0;
                 // NaN, where the source has no depth, occludes nothing.
-                let behind = beyond(map.farthest_around(hits.x[k], hits.y[k]));
+                let behind = beyond(map.farthest_around(span.x[k], span.y[k]));
                 if behind > 0.0 {
-                    let visible = (1.0 - behind).max(OCCLUDED_CONFIDENCE);
-                    hits.visible[k] |= visible > OCCLUDED_CONFIDENCE;
-                    hits.confidence[k] *= visible;
-                    hits.penalty[k] /= visible;
+                    let factor = (1.0 - behind).max(OCCLUDED_CONFIDENCE);
+                    *visible |= factor > OCCLUDED_CONFIDENCE;
+                    span.confidence[k] *= factor;
+                    span.penalty[k] /= factor;
                     continue;
                 }
-                hits.visible[k] = true;
-                if beyond(map.nearest_around(hits.x[k], hits.y[k])) > 0.0 {
-                    hits.confidence[k] *= OUTLINE_CONFIDENCE;
-                    hits.penalty[k] /= OUTLINE_CONFIDENCE;
+                *visible = true;
+                if beyond(map.nearest_around(span.x[k], span.y[k])) > 0.0 {
+                    span.confidence[k] *= OUTLINE_CONFIDENCE;
+                    span.penalty[k] /= OUTLINE_CONFIDENCE;
                 }
             }
         }
@@ -375,17 +375,11 @@ mod tests {
     fn measured(
         reprojection: &Reprojection,
         part: &RowPart,
-        measure: impl Fn(&Reprojection, &TargetRow, &mut SourceHits),
+        measure: impl Fn(&Reprojection, &TargetRow, &mut SourceSpan),
     ) -> [Vec<f32>; 4] {
-        let n = part[0].len();
-        let mut out = [(); 4].map(|()| vec![0.0; n]);
-        let [x, y, penalty, confidence] = &mut out;
-        measure(
-            reprojection,
-            &row(part),
-            &mut SourceHits { x, y, penalty, confidence, visible: &mut vec![false; n] },
-        );
-        out
+        let mut span = SourceSpan::ZERO;
+        measure(reprojection, &row(part), &mut span);
+        [span.x, span.y, span.penalty, span.confidence].map(|v| v[..part[0].len()].to_vec())
     }
 
     fn bent(mut camera: Camera) -> Camera {
@@ -424,8 +418,8 @@ mod tests {
         problems(|target, part, reprojection| {
             let cone = RayCone::around(&row(part), target.model.is_pinhole());
             let bound = reprojection.min_angle(&cone);
-            let [_, _, penalty, _] = measured(reprojection, part, |r, row, hits| {
-                measure_row(r, row, hits, |x, y| (500.0 * x + 320.0, 500.0 * y + 240.0));
+            let [_, _, penalty, _] = measured(reprojection, part, |r, row, span| {
+                measure_row(r, row, span, |x, y| (500.0 * x + 320.0, 500.0 * y + 240.0));
             });
             assert!(penalty.iter().all(|p| *p >= bound), "{bound} {penalty:?}");
             positive += usize::from(bound > 0.0);
@@ -436,12 +430,12 @@ mod tests {
     #[test]
     fn points_are_placed_where_they_are_measured() {
         problems(|_, part, reprojection| {
-            let [x, y, _, confidence] = measured(reprojection, part, |r, row, hits| {
-                measure_row(r, row, hits, r.pinhole());
+            let [x, y, _, confidence] = measured(reprojection, part, |r, row, span| {
+                measure_row(r, row, span, r.pinhole());
             });
             for place in [place_row, place_row_by] {
-                let [px, py, _, border] = measured(reprojection, part, |r, row, hits| {
-                    place(r, row, hits, r.pinhole());
+                let [px, py, _, border] = measured(reprojection, part, |r, row, span| {
+                    place(r, row, span, r.pinhole());
                 });
                 assert_eq!([px, py, border], [x.clone(), y.clone(), confidence.clone()]);
             }
@@ -452,7 +446,7 @@ mod tests {
     fn points_are_measured_alike_with_and_without_avx2() {
         problems(|_, part, reprojection| {
             let [a, b] = [measure_row, measure_row_by]
-                .map(|f| measured(reprojection, part, |r, row, hits| f(r, row, hits, r.pinhole())));
+                .map(|f| measured(reprojection, part, |r, row, span| f(r, row, span, r.pinhole())));
             let bits =
                 |all: [Vec<f32>; 4]| all.map(|v| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>());
             assert_eq!(bits(a), bits(b));

@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
 /// Margin around the camera's image, as a fraction of its size, in which points still count.
 const MARGIN: f64 = 0.5;
-/// Weight of a prior of no tilt, as a fraction of the points' weight.
+/// Weight of a prior of no tilt, as a fraction of the points' weights.
 const TILT_PRIOR: f64 = 1e-6;
 /// Largest number of reweightings; about ten are needed.
 const ROUNDS: usize = 20;
@@ -34,28 +34,16 @@ impl Plane {
         Self { normal, d: normal.dot(&camera.center().coords) + depth_m }
     }
 
-    /// Fits a plane to weighted points by robust least squares of inverse depths in a camera.
+    /// Fits a plane to points by robust least squares of inverse depths in a camera.
     ///
-    /// Points behind the camera, far outside its image, not finite or without positive weight are ignored. One
-    /// point, or points on a line, give the plane through them that faces the camera most. Every ray of the view
-    /// meets the plane. `None` if no point remains.
-    pub fn fit(points: &[(Point3<f64>, f64)], camera: &Camera) -> Option<Self> {
+    /// Points behind the camera, far outside its image, or not finite are ignored. One point, or points on a line,
+    /// give the plane through them that faces the camera most. Every ray of the view meets the plane. `None` if no
+    /// point remains.
+    pub fn fit(points: &[Point3<f64>], camera: &Camera) -> Option<Self> {
         let bounds = ViewBounds::of(camera)?;
         let counted = bounds.enlarged(MARGIN);
-        let projections: Vec<ProjectedPoint> = points
-            .iter()
-            .filter_map(|(point, weight)| {
-                let p = camera.cam_from_world * point;
-                let at = Point2::new(p.x / p.z, p.y / p.z);
-                let counts = p.z > 0.0
-                    && (1.0 / p.z) > 0.0
-                    && (1.0 / p.z).is_finite()
-                    && counted.contains(&at)
-                    && *weight > 0.0
-                    && weight.is_finite();
-                counts.then_some(ProjectedPoint { at, inverse_depth: 1.0 / p.z, weight: *weight })
-            })
-            .collect();
+        let project = |point| ProjectedPoint::new(point, camera, &counted);
+        let projections: Vec<ProjectedPoint> = points.iter().filter_map(project).collect();
         let g = fit_plane(&projections, PlaneLoss::Robust, &bounds)?;
         // g · (R x + t) = 1. |g| is at least its inverse depth amid the view, which is positive.
         let length = g.norm();
@@ -89,11 +77,18 @@ pub(super) struct ProjectedPoint {
     pub at: Point2<f64>,
     /// 1/m, positive.
     pub inverse_depth: f64,
-    /// Weight in a fit, positive.
-    pub weight: f64,
 }
 
 impl ProjectedPoint {
+    /// `None` for a point behind the camera, outside the bounds, or not finite.
+    pub fn new(point: &Point3<f64>, camera: &Camera, bounds: &ViewBounds) -> Option<Self> {
+        let p = camera.cam_from_world * point;
+        let at = Point2::new(p.x / p.z, p.y / p.z);
+        let inverse_depth = 1.0 / p.z;
+        let counts = inverse_depth > 0.0 && inverse_depth.is_finite() && bounds.contains(&at);
+        counts.then_some(Self { at, inverse_depth })
+    }
+
     pub fn ray(&self) -> Vector3<f64> {
         Vector3::new(self.at.x, self.at.y, 1.0)
     }
@@ -108,21 +103,16 @@ pub(super) enum PlaneLoss {
     Behind(f64),
 }
 
-/// Fits a plane's g to points by iteratively reweighted least squares, in front of the whole view. `None` if the
-/// weights don't sum to a positive number.
+/// Fits a plane's g to points by iteratively reweighted least squares, in front of the whole view. `None` without points.
 pub(super) fn fit_plane(
     points: &[ProjectedPoint],
     loss: PlaneLoss,
     bounds: &ViewBounds,
 ) -> Option<Vector3<f64>> {
-    let total: f64 = points.iter().map(|p| p.weight).sum();
-    if !(total > 0.0 && total.is_finite()) {
-        return None;
-    }
-    let mut g = Vector3::new(0.0, 0.0, weighted_median(points, |p| p.inverse_depth));
+    let mut g = Vector3::new(0.0, 0.0, median(points, |p| p.inverse_depth)?);
     for _ in 0..ROUNDS {
         let scale = match loss {
-            PlaneLoss::Robust => weighted_median(points, |p| residual(p, &g).abs()),
+            PlaneLoss::Robust => median(points, |p| residual(p, &g).abs())?,
             PlaneLoss::Behind(_) => 0.0,
         };
         let next = least_squares(points, |p| {
@@ -146,14 +136,14 @@ fn residual(p: &ProjectedPoint, g: &Vector3<f64>) -> f64 {
     p.inverse_depth - g.dot(&p.ray())
 }
 
-/// Least squares with the points' weights times a factor.
+/// Least squares with these weights.
 fn least_squares(
     points: &[ProjectedPoint],
-    factor: impl Fn(&ProjectedPoint) -> f64,
+    weight: impl Fn(&ProjectedPoint) -> f64,
 ) -> Option<Vector3<f64>> {
     let (mut normal, mut right, mut total) = (Matrix3::zeros(), Vector3::zeros(), 0.0);
     for p in points {
-        let (w, ray) = (p.weight * factor(p), p.ray());
+        let (w, ray) = (weight(p), p.ray());
         normal += ray * ray.transpose() * w;
         right += ray * (p.inverse_depth * w);
         total += w;
@@ -165,11 +155,8 @@ fn least_squares(
 
 /// Reduces a plane's tilt about the points' mean until it lies in front of the whole view.
 fn flattened(g: Vector3<f64>, points: &[ProjectedPoint], bounds: &ViewBounds) -> Vector3<f64> {
-    let total: f64 = points.iter().map(|p| p.weight).sum();
-    let mean_of = |f: &dyn Fn(&ProjectedPoint) -> f64| {
-        points.iter().map(|p| p.weight * f(p)).sum::<f64>() / total
-    };
-    let ray = Vector3::new(mean_of(&|p| p.at.x), mean_of(&|p| p.at.y), 1.0);
+    let mean = |axis: usize| points.iter().map(|p| p.at[axis]).sum::<f64>() / points.len() as f64;
+    let ray = Vector3::new(mean(0), mean(1), 1.0);
     let nearest = points.iter().map(|p| p.inverse_depth).fold(f64::INFINITY, f64::min);
     // A fit to positive inverse depths is positive at their middle but for rounding.
     let middle = g.dot(&ray).max(nearest);
@@ -184,19 +171,11 @@ fn flattened(g: Vector3<f64>, points: &[ProjectedPoint], bounds: &ViewBounds) ->
     Vector3::new(tilt.x, tilt.y, middle - tilt.dot(&ray.xy()))
 }
 
-/// The lower weighted median.
-fn weighted_median(points: &[ProjectedPoint], value: impl Fn(&ProjectedPoint) -> f64) -> f64 {
-    let mut sorted: Vec<(f64, f64)> = points.iter().map(|p| (value(p), p.weight)).collect();
-    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * sorted.iter().map(|p| p.1).sum::<f64>();
-    let mut sum = 0.0;
-    for &(value, weight) in &sorted {
-        sum += weight;
-        if sum >= half {
-            return value;
-        }
-    }
-    sorted.last().map_or(f64::NAN, |p| p.0)
+/// The lower median. `None` without points.
+fn median(points: &[ProjectedPoint], value: impl Fn(&ProjectedPoint) -> f64) -> Option<f64> {
+    let mut values: Vec<f64> = points.iter().map(value).collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len().saturating_sub(1) / 2).copied()
 }
 
 #[cfg(test)]
@@ -227,7 +206,7 @@ mod tests {
                 let center = camera.center().coords;
                 let on_plane = (truth.d - truth.normal.dot(&center)) / truth.normal.dot(&ray);
                 let z = if k % 5 == 0 { random.in_range(1.0, 9.0) } else { on_plane };
-                (Point3::from(center + ray * z), 1.0)
+                Point3::from(center + ray * z)
             })
             .collect();
         let got = Plane::fit(&points, &camera).unwrap();
@@ -239,14 +218,13 @@ mod tests {
     fn few_points_give_a_plane_that_faces_the_camera() {
         let camera = pinhole_at([0.0; 3]);
         let one = Point3::new(0.1, 0.2, 2.0);
-        let plane = Plane::fit(&[(one, 1.0)], &camera).unwrap();
+        let plane = Plane::fit(&[one], &camera).unwrap();
         assert!(distance(&plane, &one) < 1e-9 && (plane.normal - Vector3::z()).norm() < 1e-9);
 
-        let line: Vec<_> =
-            (0..9).map(|k| (Point3::new(0.05 * f64::from(k), 0.0, 2.0), 1.0)).collect();
+        let line: Vec<_> = (0..9).map(|k| Point3::new(0.05 * f64::from(k), 0.0, 2.0)).collect();
         let plane = Plane::fit(&line, &camera).unwrap();
         assert!((plane.normal - Vector3::z()).norm() < 1e-6, "collinear: {plane:?}");
-        let plane = Plane::fit(&[(one, 1.0); 5], &camera).unwrap();
+        let plane = Plane::fit(&[one; 5], &camera).unwrap();
         assert!(distance(&plane, &one) < 1e-9, "duplicates: {plane:?}");
     }
 
@@ -267,9 +245,8 @@ mod tests {
         let camera = pinhole_at([0.0; 3]);
         assert_eq!(Plane::fit(&[], &camera), None);
         for p in [[0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [f64::NAN, 0.0, 1.0], [9.0, 0.0, 1.0]] {
-            assert_eq!(Plane::fit(&[(Point3::from(p), 1.0)], &camera), None, "{p:?}");
+            assert_eq!(Plane::fit(&[Point3::from(p)], &camera), None, "{p:?}");
         }
-        assert_eq!(Plane::fit(&[(Point3::new(0.0, 0.0, 1.0), 0.0)], &camera), None);
     }
 
     #[test]
@@ -277,7 +254,7 @@ mod tests {
         let camera = pinhole_at([0.0; 3]);
         // A floor 0.3 m below the camera: it fills only the lower half of the image.
         let floor: Vec<_> = (0..50)
-            .map(|k| (Point3::new(0.1 * f64::from(k % 5), 0.3, 1.0 + 0.1 * f64::from(k)), 1.0))
+            .map(|k| Point3::new(0.1 * f64::from(k % 5), 0.3, 1.0 + 0.1 * f64::from(k)))
             .collect();
         let g = Plane::fit(&floor, &camera).unwrap().inverse_depth(&camera).unwrap();
         for corner in ViewBounds::of(&camera).unwrap().corners() {

@@ -2,18 +2,16 @@
 
 use super::depth_map::DepthMap;
 use super::inpaint::PointVisibility;
-use super::penalties::{RayCone, Reprojection, SourceHits, TargetRow};
+use super::penalties::{RayCone, Reprojection, TargetRow};
 use super::rays::RayRow;
 use super::source::{BlendOptions, Source};
 use super::weight_grid::WeightGrid;
-use super::weights::{BlendMethod, Penalties, THRESHOLD_MARGIN, Weights, divide, weigh_between};
+use super::weights::{BlendMethod, SPAN_PX, WeighedSpan, normalize, weigh_between};
 use crate::camera::Camera;
 use crate::raster::{Sampling, Tiles, gray_from_rgb, sample, sample_each};
 use crate::simd::multiversion;
 use std::ops::Range;
 
-/// Largest number of pixels of a span.
-const SPAN_PX: usize = 64;
 /// Number of neighbouring pixels whose tiles are marked together.
 const MARKED_PX: usize = 8;
 /// Largest side of their bounding box in a source, pixels; beyond it, every pixel is marked alone.
@@ -26,7 +24,7 @@ fn ranges(count: usize, width: usize) -> impl Iterator<Item = Range<usize>> {
     (0..count).step_by(width).map(move |from| from..(from + width).min(count))
 }
 
-/// Blends one span of a row at a time. Values of every pixel in every source are stored source by source.
+/// Blends one span of a row at a time.
 pub(super) struct SpanBlender<'a> {
     sources: &'a [Source<'a>],
     reprojections: &'a [Reprojection],
@@ -34,46 +32,15 @@ pub(super) struct SpanBlender<'a> {
     row: RowRays<'a>,
     /// Nodes between which weights are interpolated. `None`: every pixel is weighed.
     grid: Option<WeightGrid>,
-    /// Number of pixels of the span.
-    count: usize,
-    /// Sources that may have weight, ascending; the others have no values.
-    active: Vec<usize>,
-    values: SpanValues,
-    weights: Weights,
+    span: WeighedSpan,
+    /// Whether the span's points are visible in any source.
+    visible: [bool; SPAN_PX],
     /// All sources, nearest to the view first.
     order: Vec<usize>,
     /// Whether some sources are grey and others coloured.
     is_mixed: bool,
     /// Whether the view has a pinhole.
     is_pinhole: bool,
-}
-
-/// The points of a span in all sources, as in [`SourceHits`].
-struct SpanValues {
-    x: Vec<f32>,
-    y: Vec<f32>,
-    penalty: Vec<f32>,
-    confidence: Vec<f32>,
-    visible: [bool; SPAN_PX],
-}
-
-impl SpanValues {
-    fn new(sources: usize) -> Self {
-        let zeros = || vec![0.0; sources * SPAN_PX];
-        let (x, y, penalty, confidence) = (zeros(), zeros(), zeros(), zeros());
-        Self { x, y, penalty, confidence, visible: [false; SPAN_PX] }
-    }
-
-    /// The values of one source, which are at these indices.
-    fn hits(&mut self, own: Range<usize>) -> SourceHits<'_> {
-        SourceHits {
-            visible: &mut self.visible[..own.len()],
-            x: &mut self.x[own.clone()],
-            y: &mut self.y[own.clone()],
-            penalty: &mut self.penalty[own.clone()],
-            confidence: &mut self.confidence[own],
-        }
-    }
 }
 
 /// Rays of a row of the view, their lengths, and inverse depths.
@@ -99,8 +66,8 @@ impl<'a> RowRays<'a> {
     }
 
     /// Moves the values of some columns, given in ascending order, to the front.
-    fn keep(&mut self, columns: impl Iterator<Item = usize>) {
-        for (k, column) in columns.enumerate() {
+    fn keep(&mut self, columns: &[usize]) {
+        for (k, &column) in columns.iter().enumerate() {
             for values in [&mut self.x, &mut self.y, &mut self.length, &mut self.inverse_depth] {
                 values[k] = values[column];
             }
@@ -140,20 +107,6 @@ fn set_rays_by(row: &mut RowRays, depths: &[f32]) {
     }
 }
 
-/// The largest threshold of the weights ([`super::weights`]) over a span, from the penalties of k+1 sources.
-fn max_threshold<'a>(penalties: impl Iterator<Item = &'a [f32]>, count: usize) -> f32 {
-    let (mut best, mut worst) = ([f32::INFINITY; SPAN_PX], [0.0_f32; SPAN_PX]);
-    for row in penalties {
-        for ((best, worst), &p) in best.iter_mut().zip(&mut worst).zip(row) {
-            *best = best.min(p);
-            *worst = worst.max(p);
-        }
-    }
-    let thresholds =
-        best.iter().zip(&worst).map(|(best, worst)| worst.max(best * (1.0 + THRESHOLD_MARGIN)));
-    thresholds.take(count).fold(0.0, f32::max)
-}
-
 impl<'a> SpanBlender<'a> {
     pub fn new(
         sources: &'a [Source],
@@ -175,10 +128,8 @@ impl<'a> SpanBlender<'a> {
             options,
             row: RowRays::new(target),
             grid: grid.filter(|_| is_smooth),
-            count: 0,
-            active: Vec::new(),
-            values: SpanValues::new(sources.len()),
-            weights: Weights::with_room(sources.len() * SPAN_PX),
+            span: WeighedSpan::new(sources.len()),
+            visible: [false; SPAN_PX],
             order,
             is_mixed,
             is_pinhole: target.model.is_pinhole(),
@@ -188,27 +139,28 @@ impl<'a> SpanBlender<'a> {
     /// Moves to a row of the view.
     pub fn set_row(&mut self, y: usize, depth: &DepthMap) {
         if let Some(mut grid) = self.grid.take() {
-            for row in grid.missing(y) {
-                self.weigh_nodes(&mut grid, row, depth);
-            }
-            grid.set_row(y);
+            let step = grid.step;
+            grid.set_row(y, |row, columns, weights| {
+                // The last row of nodes is the view's last row.
+                let y = (row * step).min(depth.height() - 1);
+                self.row.set(y, depth.row(y));
+                self.weigh_nodes(columns, weights);
+            });
             self.grid = Some(grid);
         }
         self.row.set(y, depth.row(y));
     }
 
-    /// Fills a row of nodes.
-    fn weigh_nodes(&mut self, grid: &mut WeightGrid, row: usize, depth: &DepthMap) {
-        let y = grid.pixel_row(row);
-        self.row.set(y, depth.row(y));
-        self.row.keep(grid.pixel_columns());
-        for columns in ranges(grid.columns, SPAN_PX) {
-            self.measure(columns.clone());
+    /// Computes the weights at some of the row's columns, source by source.
+    fn weigh_nodes(&mut self, columns: &[usize], weights: &mut [f32]) {
+        self.row.keep(columns);
+        for nodes in ranges(columns.len(), SPAN_PX) {
+            self.measure(nodes.clone());
             self.weigh_measured();
-            for i in 0..self.sources.len() {
-                let own = grid.weights_mut(row, i, columns.clone());
-                match self.active.contains(&i) {
-                    true => own.copy_from_slice(&self.weights.weights[self.indices(i)]),
+            for (i, weights) in weights.chunks_exact_mut(columns.len()).enumerate() {
+                let own = &mut weights[nodes.clone()];
+                match self.span.active.contains(&i) {
+                    true => own.copy_from_slice(&self.span.of_source[i].weight[..nodes.len()]),
                     false => own.fill(0.0),
                 }
             }
@@ -234,41 +186,26 @@ impl<'a> SpanBlender<'a> {
     /// node around it.
     fn weigh_between_nodes(&mut self, columns: Range<usize>) -> bool {
         let Some(grid) = &self.grid else { return false };
-        self.count = columns.len();
-        self.active.clear();
+        self.span.count = columns.len();
+        self.span.active.clear();
+        self.visible.fill(true);
         let row = self.row.of(columns.clone());
-        let sum = &mut [0.0; SPAN_PX][..columns.len()];
-        for i in 0..self.sources.len() {
-            let Some(at_nodes) = grid.around(i, columns.clone()) else { continue };
-            self.active.push(i);
-            let own = i * SPAN_PX..i * SPAN_PX + self.count;
-            let mut hits = self.values.hits(own.clone());
-            self.reprojections[i].place(&row, &mut hits);
-            let weights = &mut self.weights.weights[own];
-            weigh_between(at_nodes, grid.step, hits.confidence, weights, sum);
+        for (i, own) in self.span.of_source.iter_mut().enumerate() {
+            if let Some(at_nodes) = grid.around(i, columns.clone()) {
+                self.span.active.push(i);
+                self.reprojections[i].place(&row, own);
+                weigh_between(at_nodes, grid.step, own);
+            }
         }
-        if sum.iter().any(|sum| !(*sum > 0.0)) {
-            return false;
-        }
-        self.values.visible.fill(true);
-        for &i in &self.active {
-            let own = i * SPAN_PX..i * SPAN_PX + self.count;
-            divide(&mut self.weights.weights[own], sum);
-        }
-        true
-    }
-
-    /// The indices of the span's values in a source.
-    fn indices(&self, source: usize) -> Range<usize> {
-        source * SPAN_PX..source * SPAN_PX + self.count
+        normalize(&mut self.span)
     }
 
     /// Reprojects the points of some of the row's pixels, first into the nearest sources. A further source is culled if
     /// the lower bound of its penalties is not below the largest threshold of the weights.
     fn measure(&mut self, columns: Range<usize>) {
-        self.count = columns.len();
-        self.values.visible.fill(false);
-        self.active.clear();
+        self.span.count = columns.len();
+        self.span.active.clear();
+        self.visible.fill(false);
         let first = match self.options.method {
             BlendMethod::Uniform => self.order.len(),
             BlendMethod::Lumigraph | BlendMethod::SpaceTime => self.options.cameras.max(1) + 1,
@@ -277,8 +214,7 @@ impl<'a> SpanBlender<'a> {
         let mut cone_and_limit = None;
         for (rank, &i) in self.order.iter().enumerate() {
             if rank == first && !self.is_mixed {
-                let penalties = |&i: &usize| &self.values.penalty[self.indices(i)];
-                let limit = max_threshold(self.order[..first].iter().map(penalties), self.count);
+                let limit = self.span.max_threshold(&self.order[..first]);
                 // At 0, sources at the view's own centre tie.
                 let may_cull = limit > 0.0 && limit < f32::INFINITY;
                 cone_and_limit = may_cull.then(|| (RayCone::around(&row, self.is_pinhole), limit));
@@ -290,38 +226,30 @@ impl<'a> SpanBlender<'a> {
             {
                 continue;
             }
-            self.active.push(i);
-            let own = self.indices(i);
-            reprojection.measure(&row, &self.sources[i], &mut self.values.hits(own));
+            self.span.active.push(i);
+            let own = &mut self.span.of_source[i];
+            reprojection.measure(&row, &self.sources[i], own, &mut self.visible);
         }
         // Sums over sources don't depend on which were culled.
-        self.active.sort_unstable();
+        self.span.active.sort_unstable();
     }
 
     /// Computes weights from the penalties.
     fn weigh_measured(&mut self) {
-        let penalties = Penalties {
-            sources: &self.active,
-            penalty: &self.values.penalty,
-            confidence: &self.values.confidence,
-            width: SPAN_PX,
-            count: self.count,
-        };
         match self.options.method {
-            BlendMethod::Uniform => self.weights.uniform(&penalties),
+            BlendMethod::Uniform => self.span.weigh_uniformly(),
             BlendMethod::Lumigraph | BlendMethod::SpaceTime => {
-                self.weights.lumigraph(&penalties, self.options.cameras);
+                self.span.weigh_best(self.options.cameras);
             }
         }
     }
 
     /// Computes weights of the coloured sources alone.
     fn weigh_colored(&mut self) {
-        for (i, source) in self.sources.iter().enumerate() {
+        for (source, own) in self.sources.iter().zip(&mut self.span.of_source) {
             if source.image.channels() == 1 {
-                let own = self.indices(i);
-                self.values.penalty[own.clone()].fill(f32::INFINITY);
-                self.values.confidence[own].fill(0.0);
+                own.penalty.fill(f32::INFINITY);
+                own.confidence.fill(0.0);
             }
         }
         self.weigh_measured();
@@ -338,14 +266,11 @@ impl<'a> SpanBlender<'a> {
 
     /// Marks the tiles that have weight.
     fn mark_weighed(&self, tiles: &mut [Tiles]) {
-        for &i in &self.active {
-            let own = self.indices(i);
-            let xs = self.values.x[own.clone()].chunks(MARKED_PX);
-            let ys = self.values.y[own.clone()].chunks(MARKED_PX);
-            let weights = self.weights.weights[own].chunks(MARKED_PX);
-            for ((x, y), weights) in xs.zip(ys).zip(weights) {
-                let positions = x.iter().zip(y).zip(weights).filter(|(_, weight)| **weight > 0.0);
-                let positions = positions.map(|((&x, &y), _)| [x, y]);
+        for &i in &self.span.active {
+            let own = &self.span.of_source[i];
+            for pixels in ranges(self.span.count, MARKED_PX) {
+                let weighed = pixels.filter(|x| own.weight[*x] > 0.0);
+                let positions = weighed.map(|x| [own.x[x], own.y[x]]);
                 let (mut low, mut high) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
                 for position in positions.clone() {
                     for ((low, high), v) in low.iter_mut().zip(&mut high).zip(position) {
@@ -366,11 +291,10 @@ impl<'a> SpanBlender<'a> {
 
     /// Blends the span from sources that all have C channels.
     pub fn blend<const C: usize>(&mut self, pixels: &mut [f32]) {
-        for &i in &self.active {
-            let own = self.indices(i);
-            let at = self.values.x[own.clone()].iter().zip(&self.values.y[own.clone()]);
-            let weighted = at.zip(&self.weights.weights[own]).zip(pixels.chunks_exact_mut(C));
-            let samples = weighted
+        for &i in &self.span.active {
+            let own = &self.span.of_source[i];
+            let weighed = own.x.iter().zip(&own.y).zip(&own.weight).zip(pixels.chunks_exact_mut(C));
+            let samples = weighed
                 .filter(|((_, weight), _)| **weight > 0.0)
                 .map(|(((&x, &y), &weight), pixel)| ([x, y], (weight, pixel)));
             let image = self.sources[i].image;
@@ -385,57 +309,57 @@ impl<'a> SpanBlender<'a> {
     }
 
     /// Blends the span where some sources are grey: luminance from all sources, chrominance from the coloured ones.
+    /// Afterwards, grey sources have no confidence.
     pub fn blend_mixed(&mut self, pixels: &mut [f32]) {
         let sources = self.sources;
         let is_colored = |i: usize| sources[i].image.channels() == 3;
         let mut colored_weight = [0.0; SPAN_PX];
-        for &i in &self.active {
-            for (x, k) in self.indices(i).enumerate() {
-                let weight = self.weights.weights[k];
+        for &i in &self.span.active {
+            for (x, pixel) in pixels.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                let weight = self.span.of_source[i].weight[x];
                 if weight > 0.0 {
-                    let gray = gray_from_rgb(self.sample_rgb(k, i));
-                    pixels[3 * x..3 * x + 3].iter_mut().for_each(|v| *v += weight * gray);
+                    let gray = gray_from_rgb(self.sample_rgb(i, x));
+                    pixel.iter_mut().for_each(|v| *v += weight * gray);
                     colored_weight[x] += if is_colored(i) { weight } else { 0.0 };
                 }
             }
         }
         let best_of_any = self.best_confidence();
-        let confidence = self.values.confidence.clone();
         self.weigh_colored();
         let best_of_colored = self.best_confidence();
-        for &i in self.active.iter().filter(|&&i| is_colored(i)) {
-            for (x, k) in self.indices(i).enumerate() {
+        for &i in self.span.active.iter().filter(|&&i| is_colored(i)) {
+            for (x, pixel) in pixels.as_chunks_mut::<3>().0.iter_mut().enumerate() {
                 // Chrominance fades as the last coloured camera loses a point that others see, unless
                 // the luminance is that camera's too. Where a weight is positive, a confidence is.
                 let fade = colored_weight[x].max(best_of_colored[x] / best_of_any[x]);
-                let weight = self.weights.weights[k];
+                let weight = self.span.of_source[i].weight[x];
                 if weight > 0.0 {
-                    let value = self.sample_rgb(k, i);
+                    let value = self.sample_rgb(i, x);
                     let gray = gray_from_rgb(value);
-                    for (out, v) in pixels[3 * x..3 * x + 3].iter_mut().zip(value) {
+                    for (out, v) in pixel.iter_mut().zip(value) {
                         *out += weight * fade * (v - gray);
                     }
                 }
             }
         }
-        self.values.confidence = confidence;
         pixels.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
     }
 
     /// The largest confidence of any source, pixel by pixel.
     fn best_confidence(&self) -> [f32; SPAN_PX] {
         let mut best = [0.0_f32; SPAN_PX];
-        for &i in &self.active {
-            for (best, c) in best.iter_mut().zip(&self.values.confidence[self.indices(i)]) {
+        for &i in &self.span.active {
+            for (best, c) in best.iter_mut().zip(&self.span.of_source[i].confidence) {
                 *best = best.max(*c);
             }
         }
         best
     }
 
-    /// Samples a source, grey or coloured, at value `k`.
-    fn sample_rgb(&self, k: usize, source: usize) -> [f32; 3] {
-        let (image, x, y) = (self.sources[source].image, self.values.x[k], self.values.y[k]);
+    /// Samples a source, grey or coloured, at a pixel of the span.
+    fn sample_rgb(&self, source: usize, pixel: usize) -> [f32; 3] {
+        let (image, own) = (self.sources[source].image, &self.span.of_source[source]);
+        let (x, y) = (own.x[pixel], own.y[pixel]);
         if image.channels() == 3 {
             return sample(image, x, y, Sampling::Cubic);
         }
@@ -443,17 +367,11 @@ impl<'a> SpanBlender<'a> {
         [gray; 3]
     }
 
-    /// Adds which pixels some camera has in its image, and sets the visibility of their points.
-    pub fn cover(&self, covered: &mut [bool], visibility: &mut [PointVisibility]) {
-        for &i in &self.active {
-            for (covered, &c) in covered.iter_mut().zip(&self.values.confidence[self.indices(i)]) {
-                *covered |= c > 0.0;
-            }
-        }
-        for ((visibility, covered), visible) in
-            visibility.iter_mut().zip(covered).zip(&self.values.visible)
-        {
-            *visibility = match (*covered, visible) {
+    /// Sets the visibility of the span's points; before [`Self::blend_mixed`].
+    pub fn set_visibility(&self, visibility: &mut [PointVisibility]) {
+        let best = self.best_confidence();
+        for ((visibility, best), is_visible) in visibility.iter_mut().zip(best).zip(self.visible) {
+            *visibility = match (best > 0.0, is_visible) {
                 (false, _) => PointVisibility::OutOfView,
                 (true, false) => PointVisibility::Occluded,
                 (true, true) => PointVisibility::Visible,

@@ -8,12 +8,12 @@ use std::ops::Range;
 pub(super) struct WeightGrid {
     /// Distance of the nodes, pixels.
     pub step: usize,
-    width: usize,
-    height: usize,
-    /// Number of nodes in a row.
-    pub columns: usize,
-    /// Two neighbouring rows of nodes.
-    rows: [NodeRow; 2],
+    /// Columns of the view that have nodes; the last is the view's last column.
+    pub columns: Vec<usize>,
+    /// Index of the first row of nodes; `None` before it is filled.
+    above: Option<usize>,
+    /// Weights of both rows.
+    rows: [Vec<f32>; 2],
     /// Weights at the nodes' columns, interpolated to the row of the view.
     between: Vec<f32>,
 }
@@ -21,59 +21,28 @@ pub(super) struct WeightGrid {
 impl WeightGrid {
     /// Nodes every `step` pixels of a view. `None` if each pixel would be one, or the view has a single column.
     pub fn new(target: &Camera, sources: usize, step: usize) -> Option<Self> {
-        let columns = target.width.div_ceil(step) + 1;
-        let row = || NodeRow { index: None, weights: vec![0.0; sources * columns] };
-        (step > 1 && target.width > 1).then(|| Self {
-            step,
-            width: target.width,
-            height: target.height,
-            columns,
-            rows: [row(), row()],
-            between: vec![0.0; sources * columns],
-        })
+        let column = |k: usize| (k * step).min(target.width - 1);
+        let columns: Vec<usize> = (0..=target.width.div_ceil(step)).map(column).collect();
+        let row = || vec![0.0; sources * columns.len()];
+        let (rows, between) = ([row(), row()], row());
+        (step > 1 && target.width > 1).then_some(Self { step, columns, above: None, rows, between })
     }
 
-    /// Columns of the view that have nodes; the last is the view's last column.
-    pub fn pixel_columns(&self) -> impl Iterator<Item = usize> + use<> {
-        let (step, last) = (self.step, self.width - 1);
-        (0..self.columns).map(move |column| (column * step).min(last))
-    }
-
-    /// Row of the view that a row of nodes lies in; the last is the view's last row.
-    pub fn pixel_row(&self, row: usize) -> usize {
-        (row * self.step).min(self.height - 1)
-    }
-
-    /// Moves to row `y` of the view; returns the indices of the node rows that must be filled.
-    pub fn missing(&mut self, y: usize) -> Vec<usize> {
+    /// Interpolates weights to row `y` of the view. `fill` computes the weights of a row of nodes, given its index and
+    /// the nodes' columns.
+    pub fn set_row(&mut self, y: usize, mut fill: impl FnMut(usize, &[usize], &mut [f32])) {
         let above = y / self.step;
-        if self.rows[1].index == Some(above) {
+        if self.above != Some(above) {
+            let is_next = self.above.is_some_and(|last| last + 1 == above);
             self.rows.swap(0, 1);
+            for k in usize::from(is_next)..2 {
+                fill(above + k, &self.columns, &mut self.rows[k]);
+            }
+            self.above = Some(above);
         }
-        let needed = [above, above + 1].into_iter().zip(self.rows.each_mut());
-        let missing = needed.filter_map(|(index, row)| {
-            let is_missing = row.index != Some(index);
-            row.index = Some(index);
-            is_missing.then_some(index)
-        });
-        missing.collect()
-    }
-
-    /// Weights of a source in a row of nodes that must be filled.
-    ///
-    /// # Panics
-    /// If the row is neither of the two.
-    pub fn weights_mut(&mut self, row: usize, source: usize, columns: Range<usize>) -> &mut [f32] {
-        let own = self.indices(source, columns);
-        let row = self.rows.iter_mut().find(|known| known.index == Some(row));
-        &mut row.expect("one of the two rows of nodes").weights[own]
-    }
-
-    /// Interpolates weights to row `y` of the view; its node rows must be filled.
-    pub fn set_row(&mut self, y: usize) {
         let fraction = (y % self.step) as f32 / self.step as f32;
         let [above, below] = &self.rows;
-        for ((between, a), b) in self.between.iter_mut().zip(&above.weights).zip(&below.weights) {
+        for ((between, a), b) in self.between.iter_mut().zip(above).zip(below) {
             *between = a + (b - a) * fraction;
         }
     }
@@ -82,22 +51,10 @@ impl WeightGrid {
     /// last. `None` if all are 0.
     pub fn around(&self, source: usize, columns: Range<usize>) -> Option<&[f32]> {
         let (from, last) = (columns.start / self.step, columns.end.div_ceil(self.step));
-        let weights = &self.between[self.indices(source, from..last + 1)];
+        let first = source * self.columns.len();
+        let weights = &self.between[first + from..=first + last];
         weights.iter().any(|w| *w > 0.0).then_some(weights)
     }
-
-    /// Indices of a source's weights in a row.
-    fn indices(&self, source: usize, columns: Range<usize>) -> Range<usize> {
-        let first = source * self.columns;
-        first + columns.start..first + columns.end
-    }
-}
-
-/// Weights of one row of nodes.
-struct NodeRow {
-    /// The row's index; `None` before it is filled.
-    index: Option<usize>,
-    weights: Vec<f32>,
 }
 
 #[cfg(test)]

@@ -7,7 +7,6 @@
 use crate::method::methods;
 use crate::simd::multiversion;
 use serde::{Deserialize, Serialize};
-use std::ops::Range;
 
 /// Methods to weigh the cameras that see a point, the cheapest first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -29,78 +28,76 @@ methods!(BlendMethod {
 });
 
 /// Smallest distance of the threshold above the best penalty, as a fraction of it.
-pub(super) const THRESHOLD_MARGIN: f32 = 0.05;
+const THRESHOLD_MARGIN: f32 = 0.05;
 
-/// Penalties and confidences of some sources at `count` neighbouring pixels.
-///
-/// A penalty is infinite where the camera doesn't see the point, and 0 where the camera stands at the view's centre:
-/// then only such cameras count, in proportion to their confidence.
-pub(super) struct Penalties<'a> {
-    /// Indices of the sources, ascending.
-    pub sources: &'a [usize],
-    /// Penalties; those of a source start at `width` times its index.
-    pub penalty: &'a [f32],
-    /// Confidences, likewise.
-    pub confidence: &'a [f32],
-    pub width: usize,
+/// Largest number of neighbouring pixels that are weighed together.
+pub(super) const SPAN_PX: usize = 64;
+
+/// The points of a span of neighbouring pixels in one source.
+pub(super) struct SourceSpan {
+    /// Positions in the source's image, pixels.
+    pub x: [f32; SPAN_PX],
+    pub y: [f32; SPAN_PX],
+    /// Penalties: infinite where the source has no pixel of the point, and 0 where it stands at the view's centre. Then
+    /// only such sources count, in proportion to their confidence.
+    pub penalty: [f32; SPAN_PX],
+    /// 1 inside the image, 0 outside, less at its border and for occluded points.
+    pub confidence: [f32; SPAN_PX],
+    /// Weights. Those of all sources sum to 1, or to 0 where no source sees the point.
+    pub weight: [f32; SPAN_PX],
+}
+
+impl SourceSpan {
+    pub const ZERO: Self = Self {
+        x: [0.0; SPAN_PX],
+        y: [0.0; SPAN_PX],
+        penalty: [0.0; SPAN_PX],
+        confidence: [0.0; SPAN_PX],
+        weight: [0.0; SPAN_PX],
+    };
+}
+
+/// A span in all sources. Values beyond its last pixel are undefined.
+pub(super) struct WeighedSpan {
+    /// Number of pixels, at most [`SPAN_PX`].
     pub count: usize,
+    /// Sources that may have weight, ascending; the values of the others are undefined.
+    pub active: Vec<usize>,
+    pub of_source: Vec<SourceSpan>,
+    /// The k+1 smallest penalties of every pixel, ascending.
+    ranks: Vec<[f32; SPAN_PX]>,
 }
 
-impl Penalties<'_> {
-    /// Indices of a source's values.
-    #[inline(always)]
-    fn indices(&self, source: usize) -> Range<usize> {
-        source * self.width..source * self.width + self.count
-    }
-}
-
-/// The weights that follow from [`Penalties`].
-#[derive(Default)]
-pub(super) struct Weights {
-    /// Weights, at the indices of the penalties. They sum to 1, or to 0 where no camera sees the point. Sources without
-    /// penalties have undefined weights.
-    pub weights: Vec<f32>,
-    /// The k+1 smallest penalties of every pixel, ascending, rank by rank.
-    ranks: Vec<f32>,
-    /// Scratch: sums of every pixel.
-    sum: Vec<f32>,
-    /// Scratch: penalties of one source.
-    inserted: Vec<f32>,
-}
-
-impl Weights {
-    /// Room for this many weights.
-    pub fn with_room(count: usize) -> Self {
-        Self { weights: vec![0.0; count], ..Self::default() }
+impl WeighedSpan {
+    pub fn new(sources: usize) -> Self {
+        let of_source = (0..sources).map(|_| SourceSpan::ZERO).collect();
+        Self { count: 0, active: Vec::new(), of_source, ranks: Vec::new() }
     }
 
     /// Computes the weights of the k best cameras; `k` = 0 counts as 1.
-    pub fn lumigraph(&mut self, penalties: &Penalties, k: usize) {
-        self.weights.resize(penalties.penalty.len(), 0.0);
-        lumigraph(penalties, k.clamp(1, penalties.sources.len().max(1)), self);
+    pub fn weigh_best(&mut self, k: usize) {
+        lumigraph(self, k.clamp(1, self.active.len().max(1)));
     }
 
     /// Computes weights in proportion to the confidences.
-    pub fn uniform(&mut self, penalties: &Penalties) {
-        self.weights.resize(penalties.penalty.len(), 0.0);
-        for &source in penalties.sources {
-            let own = penalties.indices(source);
-            self.weights[own.clone()].copy_from_slice(&penalties.confidence[own]);
+    pub fn weigh_uniformly(&mut self) {
+        for &i in &self.active {
+            let own = &mut self.of_source[i];
+            own.weight = own.confidence;
         }
-        self.normalize(penalties);
+        normalize(self);
     }
 
     /// Sorts the smallest penalties of every pixel.
     #[inline(always)]
-    fn rank(&mut self, penalties: &Penalties, count: usize) {
+    fn rank(&mut self, count: usize) {
         self.ranks.clear();
-        self.ranks.resize(count * penalties.count, f32::INFINITY);
+        self.ranks.resize(count, [f32::INFINITY; SPAN_PX]);
         // Insertion by exchanges, side by side for all pixels.
-        for &source in penalties.sources {
-            self.inserted.clear();
-            self.inserted.extend_from_slice(&penalties.penalty[penalties.indices(source)]);
-            for rank in self.ranks.chunks_exact_mut(penalties.count) {
-                for (rank, inserted) in rank.iter_mut().zip(&mut self.inserted) {
+        for &i in &self.active {
+            let mut inserted = self.of_source[i].penalty;
+            for rank in &mut self.ranks {
+                for (rank, inserted) in rank.iter_mut().zip(&mut inserted) {
                     let (a, b) = (*rank, *inserted);
                     *rank = if b < a { b } else { a };
                     *inserted = if b < a { a } else { b };
@@ -109,101 +106,98 @@ impl Weights {
         }
     }
 
-    /// Divides weights by their sums.
-    #[inline(always)]
-    fn normalize(&mut self, penalties: &Penalties) {
-        self.sum.clear();
-        self.sum.resize(penalties.count, 0.0);
-        for &source in penalties.sources {
-            for (sum, w) in self.sum.iter_mut().zip(&self.weights[penalties.indices(source)]) {
-                *sum += w;
+    /// The largest threshold of the weights over the span, from the penalties of k+1 sources.
+    pub fn max_threshold(&self, sources: &[usize]) -> f32 {
+        let (mut best, mut worst) = ([f32::INFINITY; SPAN_PX], [0.0_f32; SPAN_PX]);
+        for &i in sources {
+            for ((best, worst), &p) in
+                best.iter_mut().zip(&mut worst).zip(&self.of_source[i].penalty)
+            {
+                *best = best.min(p);
+                *worst = worst.max(p);
             }
         }
-        for &source in penalties.sources {
-            for (w, &sum) in self.weights[penalties.indices(source)].iter_mut().zip(&self.sum) {
-                let fraction = *w / sum;
-                *w = if sum > 0.0 { fraction } else { 0.0 };
-            }
+        let thresholds = best.iter().zip(&worst).map(|(best, worst)| threshold(*worst, *best));
+        thresholds.take(self.count).fold(0.0, f32::max)
+    }
+}
+
+/// The threshold of a pixel's weights, from the penalties of the camera k+1 and of the best.
+#[inline(always)]
+fn threshold(next: f32, best: f32) -> f32 {
+    next.max(best * (1.0 + THRESHOLD_MARGIN))
+}
+
+multiversion! {
+    /// Divides weights by their sums. False if a pixel has none.
+    pub(super) fn normalize(span: &mut WeighedSpan) -> bool = normalize_by
+}
+
+#[inline(always)]
+fn normalize_by(span: &mut WeighedSpan) -> bool {
+    let mut sum = [0.0; SPAN_PX];
+    for &i in &span.active {
+        for (sum, w) in sum.iter_mut().zip(&span.of_source[i].weight) {
+            *sum += w;
         }
     }
+    for &i in &span.active {
+        for (w, &sum) in span.of_source[i].weight.iter_mut().zip(&sum) {
+            let fraction = *w / sum;
+            *w = if sum > 0.0 { fraction } else { 0.0 };
+        }
+    }
+    sum[..span.count].iter().all(|sum| *sum > 0.0)
 }
 
 multiversion! {
     /// Weights of the k best cameras (module head).
-    fn lumigraph(penalties: &Penalties, k: usize, out: &mut Weights) = lumigraph_by
+    fn lumigraph(span: &mut WeighedSpan, k: usize) = lumigraph_by
 }
 
 #[inline(always)]
-fn lumigraph_by(penalties: &Penalties, k: usize, out: &mut Weights) {
-    let count = penalties.count;
-    out.rank(penalties, k + 1);
-    let (best, next) = out.ranks.split_at_mut(count);
-    let threshold = &mut next[(k - 1) * count..];
-    for (threshold, &best) in threshold.iter_mut().zip(&*best) {
+fn lumigraph_by(span: &mut WeighedSpan, k: usize) {
+    span.rank(k + 1);
+    let (best, mut limit) = (span.ranks[0], span.ranks[k]);
+    for (limit, &best) in limit.iter_mut().zip(&best) {
         // Infinite where k cameras or fewer see the point: none has to fade out.
-        *threshold = threshold.max(best * (1.0 + THRESHOLD_MARGIN));
+        *limit = threshold(*limit, best);
     }
-    out.sum.clear();
-    // Not sums yet: the decrease of the weights at the threshold.
-    out.sum.extend(best.iter().zip(&*threshold).map(|(best, threshold)| best / threshold));
-    for &source in penalties.sources {
-        let own = penalties.indices(source);
-        let pixels = out.weights[own.clone()].iter_mut().zip(&penalties.penalty[own.clone()]);
-        let pixels = pixels.zip(&penalties.confidence[own]);
-        let limits = best.iter().zip(&*threshold).zip(&out.sum);
-        for (((w, &p), &confidence), ((&best, &threshold), &fall)) in pixels.zip(limits) {
+    // The decrease of the weights at the threshold.
+    let mut fall = best;
+    fall.iter_mut().zip(&limit).for_each(|(fall, limit)| *fall /= limit);
+    for &i in &span.active {
+        let own = &mut span.of_source[i];
+        for x in 0..SPAN_PX {
+            let p = own.penalty[x];
             // (1 − p / threshold) / p, times the best p: at most 1, and never an overflow.
             // Where no camera sees the point it is NaN, which is below no threshold.
-            let blended = best / p - fall;
-            let alone = if p == 0.0 { confidence } else { 0.0 };
-            let counted = if p < threshold { blended } else { 0.0 };
-            *w = if best == 0.0 { alone } else { counted };
+            let blended = best[x] / p - fall[x];
+            let alone = if p == 0.0 { own.confidence[x] } else { 0.0 };
+            let counted = if p < limit[x] { blended } else { 0.0 };
+            own.weight[x] = if best[x] == 0.0 { alone } else { counted };
         }
     }
-    out.normalize(penalties);
+    normalize_by(span);
 }
 
 multiversion! {
-    /// Interpolates weights between nodes every `step` pixels, from the first pixel on, multiplies them by the
-    /// confidence, and adds them to `sum`.
-    pub(super) fn weigh_between(
-        nodes: &[f32],
-        step: usize,
-        confidence: &[f32],
-        weights: &mut [f32],
-        sum: &mut [f32],
-    ) = weigh_between_by
+    /// Interpolates weights between nodes every `step` pixels, from the first pixel on, and multiplies them by the
+    /// confidence.
+    pub(super) fn weigh_between(nodes: &[f32], step: usize, span: &mut SourceSpan) = weigh_between_by
 }
 
 #[inline(always)]
-fn weigh_between_by(
-    nodes: &[f32],
-    step: usize,
-    confidence: &[f32],
-    weights: &mut [f32],
-    sum: &mut [f32],
-) {
-    let cells = weights.chunks_mut(step).zip(nodes.windows(2));
-    for (weights, ends) in cells {
+fn weigh_between_by(nodes: &[f32], step: usize, span: &mut SourceSpan) {
+    for (weights, ends) in span.weight.chunks_mut(step).zip(nodes.windows(2)) {
         let slope = (ends[1] - ends[0]) / step as f32;
         for (k, weight) in weights.iter_mut().enumerate() {
             *weight = ends[0] + slope * k as f32;
         }
     }
-    for ((weight, confidence), sum) in weights.iter_mut().zip(confidence).zip(sum) {
+    for (weight, confidence) in span.weight.iter_mut().zip(&span.confidence) {
         *weight *= confidence;
-        *sum += *weight;
     }
-}
-
-multiversion! {
-    /// Divides weights by their sum.
-    pub(super) fn divide(weights: &mut [f32], sum: &[f32]) = divide_by
-}
-
-#[inline(always)]
-fn divide_by(weights: &mut [f32], sum: &[f32]) {
-    weights.iter_mut().zip(sum).for_each(|(weight, sum)| *weight /= sum);
 }
 
 #[cfg(test)]
@@ -215,14 +209,29 @@ mod tests {
         of_pixels(penalties, penalties.len(), k)
     }
 
+    /// A span of `n` sources with these penalties, source by source, and confidences of 1.
+    fn span_of(penalty: &[f32], n: usize) -> WeighedSpan {
+        let mut span = WeighedSpan::new(n);
+        span.count = penalty.len() / n.max(1);
+        span.active = (0..n).collect();
+        for (own, penalty) in span.of_source.iter_mut().zip(penalty.chunks(span.count.max(1))) {
+            own.penalty[..span.count].copy_from_slice(penalty);
+            own.confidence = [1.0; SPAN_PX];
+        }
+        span
+    }
+
+    /// The weights of the active sources, source by source.
+    fn weights_of(span: &WeighedSpan) -> Vec<f32> {
+        let of = |&i: &usize| &span.of_source[i].weight[..span.count];
+        span.active.iter().flat_map(of).copied().collect()
+    }
+
     /// The weights of these pixels' penalties by `n` sources.
     fn of_pixels(penalty: &[f32], n: usize, k: usize) -> Vec<f32> {
-        let width = penalty.len() / n.max(1);
-        let confidence = &vec![1.0; penalty.len()];
-        let sources = &(0..n).collect::<Vec<_>>();
-        let mut weights = Weights::default();
-        weights.lumigraph(&Penalties { sources, penalty, confidence, width, count: width }, k);
-        weights.weights
+        let mut span = span_of(penalty, n);
+        span.weigh_best(k);
+        weights_of(&span)
     }
 
     /// The formula, one pixel, with a sort.
@@ -241,26 +250,28 @@ mod tests {
         let mut random = Random::new(21);
         for (step, count) in [(2, 64_usize), (4, 64), (4, 61), (5, 60), (7, 3), (64, 64)] {
             let mut some = |n: usize| (0..n).map(|_| random.unit() as f32).collect::<Vec<_>>();
-            let (nodes, trust, before) = (some(count.div_ceil(step) + 1), some(count), some(count));
-            let all = [weigh_between, weigh_between_by].map(|weigh| {
-                let (mut weights, mut sum) = (vec![f32::NAN; count], before.clone());
-                weigh(&nodes, step, &trust, &mut weights, &mut sum);
-                [weights, sum]
+            let (nodes, trust) = (some(count.div_ceil(step) + 1), some(SPAN_PX));
+            let [mut all, plain] = [weigh_between, weigh_between_by].map(|weigh| {
+                let mut span = WeighedSpan::new(2);
+                (span.count, span.active) = (count, vec![0, 1]);
+                for own in &mut span.of_source {
+                    own.confidence.copy_from_slice(&trust);
+                    weigh(&nodes, step, own);
+                }
+                span
             });
-            assert_eq!(all[0], all[1]);
-            let [weights, sum] = &all[0];
-            for k in 0..count {
+            assert_eq!(weights_of(&all), weights_of(&plain));
+            for (k, trust) in trust.iter().enumerate().take(count) {
                 let (cell, t) = (k / step, (k % step) as f32 / step as f32);
-                let expected = (nodes[cell] * (1.0 - t) + nodes[cell + 1] * t) * trust[k];
-                assert!((weights[k] - expected).abs() < 1e-6);
-                assert_eq!(sum[k], before[k] + weights[k]);
+                let expected = (nodes[cell] * (1.0 - t) + nodes[cell + 1] * t) * trust;
+                assert!((all.of_source[0].weight[k] - expected).abs() < 1e-6);
             }
-            let divided = [divide, divide_by].map(|divide| {
-                let mut weights = weights.clone();
-                divide(&mut weights, sum);
-                weights
-            });
-            assert_eq!(divided[0], divided[1]);
+            let mut divided = plain;
+            assert!(normalize(&mut all) && normalize_by(&mut divided));
+            assert_eq!(weights_of(&all), weights_of(&divided));
+            assert!(weights_of(&all).iter().all(|w| *w == 0.5));
+            all.of_source.iter_mut().for_each(|own| own.weight[count - 1] = 0.0);
+            assert!(!normalize(&mut all));
         }
     }
 
@@ -338,21 +349,15 @@ mod tests {
         let (width, n) = (61, 5);
         let level = |r: &mut Random| if r.unit() < 0.2 { INF } else { r.unit() as f32 };
         let penalty: Vec<f32> = (0..width * n).map(|_| level(&mut random)).collect();
-        let (trust, sources) = (vec![1.0; width * n], [0, 1, 3, 4]);
-        let penalties = Penalties {
-            sources: &sources,
-            penalty: &penalty,
-            confidence: &trust,
-            width,
-            count: width - 3,
-        };
         for k in 1..4 {
-            let zeros = || Weights { weights: vec![0.0; width * n], ..Weights::default() };
-            let [mut a, mut b] = [zeros(), zeros()];
-            lumigraph(&penalties, k, &mut a);
-            lumigraph_by(&penalties, k, &mut b);
-            assert_eq!(a.weights, b.weights);
-            assert!(a.weights.iter().any(|w| *w > 0.0));
+            let [mut a, mut b] = [(); 2].map(|()| span_of(&penalty, n));
+            for span in [&mut a, &mut b] {
+                (span.count, span.active) = (width - 3, vec![0, 1, 3, 4]);
+            }
+            lumigraph(&mut a, k);
+            lumigraph_by(&mut b, k);
+            assert_eq!(weights_of(&a), weights_of(&b));
+            assert!(weights_of(&a).iter().any(|w| *w > 0.0));
         }
     }
 }

@@ -1,25 +1,18 @@
 //! Separable filters over one plane of samples, borders replicated.
 
+use nalgebra::RealField;
 use rayon::prelude::*;
-use std::ops::{AddAssign, Mul};
-
-/// Type of samples: f32, or f64 where results are subtracted from each other.
-pub(super) trait FilterSample:
-    Copy + Default + Send + Sync + AddAssign + Mul<Output = Self>
-{
-}
-impl FilterSample for f32 {}
-impl FilterSample for f64 {}
 
 /// Correlates a row-major plane with `horizontal` along the rows and `vertical` along the columns. Both
 /// kernels have odd lengths. Borders are replicated.
-pub(super) fn separable<T: FilterSample>(
+/// `T` is `f32`, or `f64` where results are subtracted from each other.
+pub(super) fn separable<T: RealField + Copy>(
     plane: &[T],
     width: usize,
     horizontal: &[T],
     vertical: &[T],
 ) -> Vec<T> {
-    let mut rows = vec![T::default(); plane.len()];
+    let mut rows = vec![T::zero(); plane.len()];
     let radius = horizontal.len() / 2;
     rows.par_chunks_mut(width).zip(plane.par_chunks(width)).for_each(|(out, row)| {
         let padded = padded(row, radius);
@@ -29,7 +22,7 @@ pub(super) fn separable<T: FilterSample>(
             }
         }
     });
-    let mut filtered = vec![T::default(); plane.len()];
+    let mut filtered = vec![T::zero(); plane.len()];
     let (radius, last) = ((vertical.len() / 2) as isize, (plane.len() / width) as isize - 1);
     filtered.par_chunks_mut(width).enumerate().for_each(|(y, out)| {
         for (k, weight) in vertical.iter().enumerate() {
@@ -42,7 +35,7 @@ pub(super) fn separable<T: FilterSample>(
     filtered
 }
 
-fn padded<T: FilterSample>(row: &[T], radius: usize) -> Vec<T> {
+fn padded<T: Copy>(row: &[T], radius: usize) -> Vec<T> {
     let mut padded = Vec::with_capacity(row.len() + 2 * radius);
     padded.resize(radius, row[0]);
     padded.extend_from_slice(row);

@@ -20,11 +20,10 @@ const PIVOT: f32 = 0.4;
 const PIVOT_VALUE: f32 = 0.95;
 /// Peak-to-trough width of the edge detector w, degrees.
 const FEATURE_WIDTH_DEG: f64 = 0.082;
-/// Gaussians of the contrast sensitivity functions, amplitude and spread: one achromatic, one red-green,
-/// two blue-yellow.
-const CSF_ACHROMATIC: (f64, f64) = (1.0, 0.0047);
-const CSF_RED_GREEN: (f64, f64) = (1.0, 0.0053);
-const CSF_BLUE_YELLOW: [(f64, f64); 2] = [(34.1, 0.04), (13.5, 0.025)];
+/// The contrast sensitivity functions, achromatic, red-green, and blue-yellow: sums of Gaussians of these amplitudes and
+/// spreads.
+const CSF: [&[(f64, f64)]; 3] =
+    [&[(1.0, 0.0047)], &[(1.0, 0.0053)], &[(34.1, CSF_LARGEST_SPREAD), (13.5, 0.025)]];
 const CSF_LARGEST_SPREAD: f64 = 0.04;
 
 /// Linear RGB to CIE XYZ, D65.
@@ -60,17 +59,12 @@ impl FlipImage {
             .par_chunks(3)
             .map(|p| ycxcz([p[0], p[1], p[2]].map(linear_from_encoded)))
             .collect();
-        let plane = |c: usize| -> Vec<f32> { opponent.iter().map(|p| p[c]).collect() };
         let luminance: Vec<f32> = opponent.iter().map(|p| (p[0] + 16.0) / 116.0).collect();
         let (edges, points) = features(&luminance, image.width(), pixels_per_degree);
-        let blurred = |c: usize, csf: &[(f64, f64)]| {
-            sensitivity(&plane(c), image.width(), csf, pixels_per_degree)
-        };
-        let (y, cx, cz) = (
-            blurred(0, &[CSF_ACHROMATIC]),
-            blurred(1, &[CSF_RED_GREEN]),
-            blurred(2, &CSF_BLUE_YELLOW),
-        );
+        let [y, cx, cz] = [0, 1, 2].map(|c| {
+            let plane: Vec<f32> = opponent.iter().map(|p| p[c]).collect();
+            sensitivity(&plane, image.width(), CSF[c], pixels_per_degree)
+        });
         let color = (0..y.len())
             .into_par_iter()
             .map(|k| hunt_lab(rgb_of_ycxcz([y[k], cx[k], cz[k]]).map(|v| v.clamp(0.0, 1.0))))

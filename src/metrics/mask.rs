@@ -1,5 +1,7 @@
 //! The moving part: pixels at which an unsynchronized camera differs from the truth.
 
+use crate::raster::max_filter;
+
 /// Row-major mask of pixels whose surface point moves by more than `threshold_px` within ±1 frame,
 /// dilated by a square of radius `dilation_px`.
 ///
@@ -10,27 +12,12 @@ pub fn moving_part(
     threshold_px: f32,
     dilation_px: usize,
 ) -> Vec<bool> {
-    let moves: Vec<bool> = motion_px.iter().map(|m| m.is_finite() && *m > threshold_px).collect();
     if width == 0 {
-        return moves;
+        return Vec::new();
     }
-    let along_rows: Vec<bool> = moves
-        .chunks(width)
-        .flat_map(|row| {
-            (0..row.len()).map(|x| {
-                let end = (x + dilation_px + 1).min(row.len());
-                row[x.saturating_sub(dilation_px)..end].contains(&true)
-            })
-        })
-        .collect();
-    let height = moves.len() / width;
-    (0..moves.len())
-        .map(|k| {
-            let (x, y) = (k % width, k / width);
-            let end = (y + dilation_px + 1).min(height);
-            (y.saturating_sub(dilation_px)..end).any(|y| along_rows[y * width + x])
-        })
-        .collect()
+    let moves = |m: &f32| f32::from(m.is_finite() && *m > threshold_px);
+    let moving: Vec<f32> = motion_px.iter().map(moves).collect();
+    max_filter(&moving, width, dilation_px).into_iter().map(|m| m > 0.0).collect()
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! Offsets from recordings: the stages of the estimation in their order.
 
-use super::alignment::{Activities, rough_offset};
+use super::alignment::{activities, rough_offset};
 use super::clock::{ClockEstimate, ClockModel, clocks, with_lost_frames};
 use super::joint::{ClockLayout, solve_clocks};
-use super::lost_frames::{LostFrames, detect_lost_frames};
+use super::lost_frames::{FittedClock, detect_lost_frames};
 use super::pair::{
     MAX_STD_ERR_FRAMES, MIN_AGREEMENT, PairEstimate, PairFailure, PairRounds, estimate_pairs, pairs,
 };
@@ -53,11 +53,12 @@ pub fn estimate(
     let nominal = capture.cameras.iter().map(|c| c.clock.clone()).collect();
     let mut recording = Recording::new(frames, nominal, &track_cache, options);
     let mut starts = initial_offsets(&recording, &pairs, reporter)?;
-    let mut lost = vec![LostFrames::default(); capture.cameras.len()];
+    let mut lost = vec![FittedClock::default(); capture.cameras.len()];
     if capture.cameras.iter().any(|c| c.clock.lost) {
         lost = detect_lost_frames(&recording, &pairs, &mut starts, reporter)?;
-        let clock =
-            |(c, lost): (usize, &LostFrames)| with_lost_frames(capture, c, &lost.lost_before);
+        let clock = |(c, lost): (usize, &FittedClock)| {
+            with_lost_frames(capture, c, &lost.clock.lost_before)
+        };
         let clocks = lost.iter().enumerate().map(clock).collect();
         recording = Recording::new(frames, clocks, &track_cache, options);
     }
@@ -73,8 +74,8 @@ pub fn estimate(
     let results = estimate_pairs(&recording, rounds.collect(), reporter)?;
     let first_s = recording.clocks.iter().map(|c| c.times_s[0]).collect();
     let layout = ClockLayout { of_camera: clock, first_s, drifts, frame_s: capture.frame_s() };
-    let results = PairResults { pairs: &pairs, results };
-    Ok(JointSolution::new(capture, results, layout, lost).into_estimate())
+    let solution = JointSolution::new(capture, pairs.into_iter().zip(results), layout, lost);
+    Ok(solution.into_estimate())
 }
 
 /// Every pair's offset to about a frame, or the failure of its alignment. A camera with a single frame
@@ -84,15 +85,15 @@ fn initial_offsets(
     pairs: &[[usize; 2]],
     reporter: &Reporter,
 ) -> Result<Vec<Result<ClockModel, PairFailure>>, CaptureError> {
-    let activities = Activities::new(recording, pairs)?;
+    let activities = activities(recording, pairs)?;
     let task = reporter.task("Rough alignment", pairs.len());
     pairs
         .par_iter()
         .enumerate()
-        .map(|(n, pair)| {
+        .map(|(n, &pair)| {
             let has_motion = pair.iter().all(|&c| recording.clocks[c].times_s.len() > 1);
             let initial = if has_motion {
-                rough_offset(recording, pairs, n, &activities)
+                rough_offset(recording, pair, pair.map(|c| &activities[c]), n)
             } else {
                 Ok(Err(PairFailure::NoMotion))
             };
@@ -102,63 +103,17 @@ fn initial_offsets(
         .collect()
 }
 
-/// All pairs, and their estimates in the same order.
-struct PairResults<'a> {
-    pairs: &'a [[usize; 2]],
-    results: Vec<Result<PairEstimate, PairFailure>>,
-}
-
-impl PairResults<'_> {
-    /// Whether a pair may have locked onto the wrong period of a motion: less than [`MIN_AGREEMENT`] of
-    /// the moving features agree with it, and another pair of one of its cameras contradicts the nominal
-    /// clocks.
-    fn contradict(&self, pair: &PairEstimate) -> bool {
-        let shares_camera = |other: &[usize; 2]| other.iter().any(|c| pair.cameras.contains(c));
-        let mut others =
-            self.pairs.iter().zip(&self.results).filter(|(other, _)| shares_camera(other));
-        pair.agreement < MIN_AGREEMENT
-            && others.any(|(_, result)| matches!(result, Err(PairFailure::ContradictsClocks)))
-    }
-
-    /// Whether any pair of a camera has an estimate.
-    fn has_estimate(&self, camera: usize) -> bool {
-        self.results.iter().flatten().any(|p| p.cameras.contains(&camera))
-    }
-
-    /// The failure of the camera's pair that passed the most stages, as a sentence.
-    fn failure_reason(&self, camera: usize) -> &'static str {
-        let own = self.pairs.iter().zip(&self.results).filter(|(pair, _)| pair.contains(&camera));
-        let failures = own
-            .map(|(_, result)| result.as_ref().err().copied().unwrap_or(PairFailure::NoConsensus));
-        match failures.max() {
-            None => "no other camera stands at another place",
-            Some(PairFailure::NoOverlap) => {
-                "its neighbours filmed at other times, by its clock and theirs"
-            }
-            Some(PairFailure::TooFewFeatures) => {
-                "too few features can be followed from frame to frame"
-            }
-            Some(PairFailure::NoMotion) => "too few features move",
-            Some(PairFailure::MotionAlongEpipolarLines) => {
-                "too few features move across the epipolar lines of its neighbours: the motion runs along them"
-            }
-            Some(PairFailure::NoConsensus | PairFailure::ContradictsClocks) => {
-                "too few features agree on one offset"
-            }
-            Some(PairFailure::PeriodicMotion) => {
-                "several offsets, frames apart, fit the motion equally well: it repeats itself"
-            }
-        }
-    }
-}
+/// A pair of cameras, and its estimate.
+type PairResult = ([usize; 2], Result<PairEstimate, PairFailure>);
 
 /// All clocks solved together from the usable pairs.
 struct JointSolution<'a> {
     capture: &'a Capture,
-    results: PairResults<'a>,
-    layout: ClockLayout,
+    results: Vec<PairResult>,
+    /// By camera: the index of its clock.
+    clock: Vec<usize>,
     /// By camera.
-    lost: Vec<LostFrames>,
+    lost: Vec<FittedClock>,
     used: Vec<PairEstimate>,
     /// By clock; `None` if it is not determined to [`MAX_STD_ERR_FRAMES`].
     solved: Vec<Option<ClockEstimate>>,
@@ -167,16 +122,26 @@ struct JointSolution<'a> {
 impl<'a> JointSolution<'a> {
     fn new(
         capture: &'a Capture,
-        results: PairResults<'a>,
+        results: impl Iterator<Item = PairResult>,
         layout: ClockLayout,
-        lost: Vec<LostFrames>,
+        lost: Vec<FittedClock>,
     ) -> Self {
+        let results: Vec<PairResult> = results.collect();
+        // Whether a pair may have locked onto the wrong period of a motion: less than MIN_AGREEMENT of
+        // the moving features agree with it, and another pair of one of its cameras contradicts the
+        // nominal clocks.
+        let is_contradicted = |pair: &PairEstimate| {
+            let contradicts = |(other, result): &PairResult| {
+                other.iter().any(|c| pair.cameras.contains(c))
+                    && matches!(result, Err(PairFailure::ContradictsClocks))
+            };
+            pair.agreement < MIN_AGREEMENT && results.iter().any(contradicts)
+        };
         let max_std_err_s = MAX_STD_ERR_FRAMES * layout.frame_s;
         let used: Vec<PairEstimate> = results
-            .results
             .iter()
-            .flatten()
-            .filter(|p| p.std_err_s <= max_std_err_s && !results.contradict(p))
+            .filter_map(|(_, result)| result.as_ref().ok())
+            .filter(|p| p.std_err_s <= max_std_err_s && !is_contradicted(p))
             .filter(|p| p.cameras.iter().all(|&c| !lost[c].ambiguous))
             .cloned()
             .collect();
@@ -184,7 +149,7 @@ impl<'a> JointSolution<'a> {
             .into_iter()
             .map(|clock| clock.filter(|s| s.std_err_s <= max_std_err_s))
             .collect();
-        Self { capture, results, layout, lost, used, solved }
+        Self { capture, results, clock: layout.of_camera, lost, used, solved }
     }
 
     fn into_estimate(self) -> Estimate {
@@ -198,7 +163,7 @@ impl<'a> JointSolution<'a> {
         let is_reference = c == self.capture.reference;
         // The offsets of other cameras are the same whatever an undecided camera lost.
         let decided = !self.lost[c].undecided || is_reference;
-        let solved = self.solved[self.layout.of_camera[c]].as_ref().filter(|_| decided);
+        let solved = self.solved[self.clock[c]].as_ref().filter(|_| decided);
         let drifting = solved.filter(|_| camera.clock.drift && !is_reference);
         CameraOffset {
             id: camera.id.clone(),
@@ -206,30 +171,34 @@ impl<'a> JointSolution<'a> {
             std_err_s: solved.map(|s| s.std_err_s),
             rate_ppm: drifting.map(|s| 1e6 * s.clock.rate),
             rate_std_err_ppm: drifting.map(|s| 1e6 * s.rate_std_err),
-            lost_before: camera.clock.lost.then(|| self.lost[c].lost_before.clone()),
-            reason: solved.is_none().then(|| self.reason(c).into()),
+            lost_before: camera.clock.lost.then(|| self.lost[c].clock.lost_before.clone()),
+            reason: solved.is_none().then(|| self.reason(c)),
         }
     }
 
     /// Why a camera has no offset.
-    fn reason(&self, camera: usize) -> &'static str {
-        if self.results.has_estimate(camera) {
-            if self.lost[camera].undecided {
-                return UNDECIDED_LOSSES;
-            }
-            if self.lost[camera].ambiguous {
-                return AMBIGUOUS_LOSSES;
-            }
-            if self.lost[self.capture.reference].ambiguous {
-                return AMBIGUOUS_REFERENCE;
-            }
-        }
-        if self.capture.cameras[camera].frames.len() == 1 {
-            return ONE_FRAME;
-        }
-        if self.used.iter().any(|p| p.cameras.contains(&camera)) {
-            return "its pairs are not connected to the reference camera, or disagree";
-        }
-        self.results.failure_reason(camera)
+    fn reason(&self, camera: usize) -> String {
+        let results = || self.results.iter().filter(|(pair, _)| pair.contains(&camera));
+        let has_estimate = results().any(|(_, result)| result.is_ok());
+        let reason = if has_estimate && self.lost[camera].undecided {
+            UNDECIDED_LOSSES
+        } else if has_estimate && self.lost[camera].ambiguous {
+            AMBIGUOUS_LOSSES
+        } else if has_estimate && self.lost[self.capture.reference].ambiguous {
+            AMBIGUOUS_REFERENCE
+        } else if self.capture.cameras[camera].frames.len() == 1 {
+            ONE_FRAME
+        } else if self.used.iter().any(|p| p.cameras.contains(&camera)) {
+            "its pairs are not connected to the reference camera, or disagree"
+        } else {
+            // That of the pair that passed the most stages.
+            let failure = |(_, result): &PairResult| {
+                result.as_ref().err().copied().unwrap_or(PairFailure::NoConsensus)
+            };
+            let furthest = results().map(failure).max();
+            let alone = || "no other camera stands at another place".into();
+            return furthest.map_or_else(alone, |failure| failure.to_string());
+        };
+        reason.into()
     }
 }

@@ -99,7 +99,8 @@ impl Offsets {
     pub fn hash(capture: &Capture, options: &impl Serialize) -> Result<String, CaptureError> {
         // The options as the file has them, which cannot fail to be written.
         let options = serde_json::to_value(options).unwrap_or_default();
-        Ok(capture.cache()?.key(ESTIMATED_OFFSETS, &options).unwrap_or_default())
+        let key = capture.cache()?.key(ESTIMATED_OFFSETS, &options);
+        Ok(key.map(|key| key.to_string()).unwrap_or_default())
     }
 
     /// Reads `offsets.json` from the capture's folder. The error is that of a file that cannot be read,
@@ -111,13 +112,10 @@ impl Offsets {
             Err(source) => return Err(CaptureError::Read { path, source }),
             Ok(text) => text,
         };
-        let file: OffsetsFile = match json::parse(&text) {
-            Ok(file) => file,
-            Err(reason) => {
-                let reason = format!("{reason} ({REMEDY})");
-                return Err(CaptureError::Json { path, source: JsonError::Content(reason) });
-            }
-        };
+        let file: OffsetsFile = json::parse(&text).map_err(|reason| {
+            let source = JsonError::Content(format!("{reason} ({REMEDY})"));
+            CaptureError::Json { path, source }
+        })?;
         let is_own = file.checksum.as_deref() == Some(&file.checksum());
         let OffsetsFile { reference, cameras, options, hash, checksum } = file;
         let offsets = Self { reference, cameras };
@@ -127,13 +125,7 @@ impl Offsets {
                 Ok(SavedOffsets::Estimated { offsets, options, hash })
             }
             (Some(_), checksum) if is_own || checksum.is_none() => Ok(SavedOffsets::Missing),
-            _ => match validated(offsets, capture) {
-                Ok(offsets) => Ok(SavedOffsets::Edited(offsets)),
-                Err(InvalidField { field, reason }) => {
-                    let reason = format!("{reason} ({REMEDY})");
-                    Err(CaptureError::Field { path, field, reason })
-                }
-            },
+            _ => Ok(SavedOffsets::Edited(validated(offsets, capture)?)),
         }
     }
 
@@ -158,21 +150,22 @@ impl Offsets {
     }
 }
 
+type FieldResult = Result<(), CaptureError>;
+
 /// An invalid field, and the predicate of the sentence about it.
-struct InvalidField {
-    field: String,
-    reason: String,
-}
-
-type FieldResult = Result<(), InvalidField>;
-
-fn refuse<T>(field: impl Into<String>, reason: impl Into<String>) -> Result<T, InvalidField> {
-    Err(InvalidField { field: field.into(), reason: reason.into() })
+fn invalid(
+    capture: &Capture,
+    field: impl Into<String>,
+    reason: impl std::fmt::Display,
+) -> CaptureError {
+    let reason = format!("{}: {reason} ({REMEDY})", field.into());
+    CaptureError::Content { path: Offsets::path(capture), reason }
 }
 
 /// Validates edited offsets by the table in the module's head, and puts the cameras in the capture's
 /// order.
-fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, InvalidField> {
+fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, CaptureError> {
+    let refuse = |field: &str, reason: String| Err(invalid(capture, field, reason));
     let reference = &capture.cameras[capture.reference].id;
     if given.reference != *reference {
         let reason = format!("is '{}', the capture's is '{reference}'", given.reference);
@@ -182,10 +175,10 @@ fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, InvalidField>
     for (k, camera) in given.cameras.into_iter().enumerate() {
         let field = format!("cameras[{k}].id");
         let Some(index) = capture.camera_index(&camera.id) else {
-            return refuse(field, format!("no camera of the capture has the id '{}'", camera.id));
+            return refuse(&field, format!("no camera of the capture has the id '{}'", camera.id));
         };
         if in_order[index].is_some() {
-            return refuse(field, format!("'{}' is there twice", camera.id));
+            return refuse(&field, format!("'{}' is there twice", camera.id));
         }
         in_order[index] = Some((k, camera));
     }
@@ -194,7 +187,7 @@ fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, InvalidField>
         let Some((k, camera)) = entry else {
             return refuse("cameras", format!("'{}' is missing", capture.cameras[index].id));
         };
-        let fields = CameraFields { k, camera: &camera };
+        let fields = CameraFields { k, camera: &camera, capture };
         let filmed = &capture.cameras[index];
         fields.offset(capture.reach_s(), capture.has_reference_clock(index))?;
         fields.rate(filmed.clock.drift && index != capture.reference)?;
@@ -212,15 +205,14 @@ fn validated(given: Offsets, capture: &Capture) -> Result<Offsets, InvalidField>
 struct CameraFields<'a> {
     k: usize,
     camera: &'a CameraOffset,
+    capture: &'a Capture,
 }
 
 impl CameraFields<'_> {
     /// Refuses a field for a reason unless it is valid.
-    fn require(&self, valid: bool, field: &str, reason: impl Into<String>) -> FieldResult {
-        if valid {
-            return Ok(());
-        }
-        refuse(format!("cameras[{}] ({}).{field}", self.k, self.camera.id), reason)
+    fn require(&self, valid: bool, field: &str, reason: impl std::fmt::Display) -> FieldResult {
+        let field = format!("cameras[{}] ({}).{field}", self.k, self.camera.id);
+        if valid { Ok(()) } else { Err(invalid(self.capture, field, reason)) }
     }
 
     fn offset(&self, reach_s: f64, is_on_reference: bool) -> FieldResult {
@@ -296,7 +288,7 @@ fn validate_times(offsets: &Offsets, indices: &[usize], capture: &Capture) -> Fi
     let reach_s = capture.reach_s();
     for (index, (times, camera)) in all.iter().zip(&offsets.cameras).enumerate() {
         let (Some(times), Some(offset_s)) = (times, camera.offset_s) else { continue };
-        let fields = CameraFields { k: indices[index], camera };
+        let fields = CameraFields { k: indices[index], camera, capture };
         let (first_s, last_s) = capture.widest_span_s(Some(index));
         let is_within = first_s <= times[0] && times[times.len() - 1] <= last_s;
         let reason = format!(

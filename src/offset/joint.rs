@@ -52,22 +52,22 @@ const SIGMA_OVER_MAD: f64 = 1.4826;
 /// result is by clock; `None` for a clock that no chain of pairs connects to the reference. Pairs of
 /// cameras that share a clock are ignored. An offset is that at the first frame of a clock's camera.
 pub fn solve_clocks(pairs: &[PairEstimate], clocks: &ClockLayout) -> Vec<Option<ClockEstimate>> {
-    let count = clocks.drifts.len();
-    let connects_clocks = |p: &&PairEstimate| {
-        let [a, b] = p.cameras.map(|c| clocks.of_camera[c]);
-        a != b
-    };
-    let pairs: Vec<&PairEstimate> = pairs.iter().filter(connects_clocks).collect();
+    let mut pairs: Vec<&PairEstimate> = pairs.iter().collect();
+    pairs.retain(|p| clocks.of_camera[p.cameras[0]] != clocks.of_camera[p.cameras[1]]);
     let connected = connected_to_reference(&pairs, clocks);
-    let used: Vec<&PairEstimate> =
-        pairs.into_iter().filter(|p| connected[clocks.of_camera[p.cameras[0]]]).collect();
-    let mut solved = vec![None; count];
+    let mut used = pairs;
+    used.retain(|p| connected[clocks.of_camera[p.cameras[0]]]);
+    let mut solved = vec![None; clocks.drifts.len()];
     solved[0] = Some(ClockEstimate::default());
     let unknowns = Unknowns::new(clocks, &connected);
     if used.is_empty() {
         return solved;
     }
-    let systems = systems(&used, &unknowns);
+    let mut errors: Vec<f64> = used.iter().map(|p| p.std_err_s).collect();
+    errors.sort_by(f64::total_cmp);
+    let min_sigma_s = MIN_STD_ERR_FRACTION * errors[errors.len() / 2];
+    let systems: Vec<PairSystem> =
+        used.iter().map(|p| PairSystem::new(p, &unknowns, min_sigma_s)).collect();
     let Some(solution) = solve_robustly(&systems, &unknowns) else { return solved };
     let variances = solution.variances(&used, &systems, &unknowns);
     for (clock, solved) in solved.iter_mut().enumerate().skip(1) {
@@ -99,20 +99,11 @@ struct Unknowns<'a> {
     count: usize,
 }
 
-/// The row of one equation: up to four columns with their coefficients.
-struct EquationRow {
-    entries: [(usize, f64); 4],
-    len: usize,
-}
+/// The row of one equation: its nonzero entries as (column, coefficient).
+type EquationRow = Vec<(usize, f64)>;
 
-impl EquationRow {
-    fn entries(&self) -> &[(usize, f64)] {
-        &self.entries[..self.len]
-    }
-
-    fn dot(&self, x: &DVector<f64>) -> f64 {
-        self.entries().iter().map(|&(c, f)| f * x[c]).sum()
-    }
+fn dot(row: &EquationRow, x: &DVector<f64>) -> f64 {
+    row.iter().map(|&(c, f)| f * x[c]).sum()
 }
 
 impl<'a> Unknowns<'a> {
@@ -132,16 +123,12 @@ impl<'a> Unknowns<'a> {
 
     /// The row of `offset_b − offset_a` at times on the two cameras' own clocks, seconds.
     fn row(&self, [a, b]: [usize; 2], time_a_s: f64, time_b_s: f64) -> EquationRow {
-        let mut row = EquationRow { entries: [(0, 0.0); 4], len: 0 };
+        let mut row = Vec::with_capacity(4);
         for (camera, sign, time_s) in [(b, 1.0, time_b_s), (a, -1.0, time_a_s)] {
             let clock = self.clocks.of_camera[camera];
             let elapsed_s = time_s - self.clocks.first_s[camera];
-            for (column, factor) in [(self.offset[clock], 1.0), (self.rate[clock], elapsed_s)] {
-                if let Some(column) = column {
-                    row.entries[row.len] = (column, sign * factor);
-                    row.len += 1;
-                }
-            }
+            row.extend(self.offset[clock].map(|column| (column, sign)));
+            row.extend(self.rate[clock].map(|column| (column, sign * elapsed_s)));
         }
         row
     }
@@ -159,53 +146,6 @@ struct PairSystem {
     sigma_s: f64,
     /// The factor on the candidates' information that makes their sum `1 / sigma_s²`.
     factor: f64,
-}
-
-fn systems(used: &[&PairEstimate], unknowns: &Unknowns) -> Vec<PairSystem> {
-    let mut errors: Vec<f64> = used.iter().map(|p| p.std_err_s).collect();
-    errors.sort_by(f64::total_cmp);
-    let min_sigma_s = MIN_STD_ERR_FRACTION * errors[errors.len() / 2];
-    used.iter().map(|p| system(p, unknowns, min_sigma_s)).collect()
-}
-
-fn system(pair: &PairEstimate, unknowns: &Unknowns, min_sigma_s: f64) -> PairSystem {
-    let n = unknowns.count;
-    let (mut normal, mut mean_row) = (BTreeMap::new(), DVector::zeros(n));
-    let (mut total, mut mean_value, mut right) = (0.0, 0.0, DVector::zeros(n));
-    let mut add = |row: &EquationRow, value: f64, sign: f64, weight: f64| {
-        for &(i, x) in row.entries() {
-            mean_row[i] += weight * sign * x;
-            right[i] += weight * x * value;
-            for &(j, y) in row.entries() {
-                *normal.entry((i, j)).or_default() += weight * x * y;
-            }
-        }
-        mean_value += weight * sign * value;
-        total += weight;
-    };
-    // Without rates a pair's estimate is its only equation.
-    let is_one_equation = pair.samples.is_empty() || unknowns.rate.iter().all(Option::is_none);
-    if is_one_equation {
-        let (time_i_s, offset_s) = (pair.clock.reference_s, pair.clock.offset_s);
-        add(&unknowns.row(pair.cameras, time_i_s, time_i_s - offset_s), offset_s, 1.0, 1.0);
-    } else {
-        for (s, weight) in pair.samples.iter() {
-            let sign = if s.cameras == pair.cameras { 1.0 } else { -1.0 };
-            let row = unknowns.row(s.cameras, s.time_a_s, s.time_b_s);
-            add(&row, s.offset_s(), sign, weight * s.across_px_s * s.across_px_s);
-        }
-    }
-    let sigma_s = pair.std_err_s.max(min_sigma_s).max(f64::MIN_POSITIVE.sqrt());
-    // The total is positive: a pair without information has no estimate.
-    let factor = 1.0 / (sigma_s * sigma_s * total);
-    normal.values_mut().for_each(|v: &mut f64| *v *= factor);
-    PairSystem {
-        normal,
-        right: right * factor,
-        mean: (mean_row / total, mean_value / total),
-        sigma_s,
-        factor,
-    }
 }
 
 /// The state of the IRLS iterations.
@@ -267,6 +207,46 @@ fn solve_robustly(systems: &[PairSystem], unknowns: &Unknowns) -> Option<RobustS
 }
 
 impl PairSystem {
+    fn new(pair: &PairEstimate, unknowns: &Unknowns, min_sigma_s: f64) -> Self {
+        let n = unknowns.count;
+        let (mut normal, mut mean_row) = (BTreeMap::new(), DVector::zeros(n));
+        let (mut total, mut mean_value, mut right) = (0.0, 0.0, DVector::zeros(n));
+        let mut add = |row: &EquationRow, value: f64, sign: f64, weight: f64| {
+            for &(i, x) in row {
+                mean_row[i] += weight * sign * x;
+                right[i] += weight * x * value;
+                for &(j, y) in row {
+                    *normal.entry((i, j)).or_default() += weight * x * y;
+                }
+            }
+            mean_value += weight * sign * value;
+            total += weight;
+        };
+        // Without rates a pair's estimate is its only equation.
+        let is_one_equation = pair.samples.is_empty() || unknowns.rate.iter().all(Option::is_none);
+        if is_one_equation {
+            let (time_i_s, offset_s) = (pair.clock.reference_s, pair.clock.offset_s);
+            add(&unknowns.row(pair.cameras, time_i_s, time_i_s - offset_s), offset_s, 1.0, 1.0);
+        } else {
+            for (s, weight) in pair.samples.iter() {
+                let sign = if s.cameras == pair.cameras { 1.0 } else { -1.0 };
+                let row = unknowns.row(s.cameras, s.time_a_s, s.time_b_s);
+                add(&row, s.offset_s(), sign, weight * s.across_px_s * s.across_px_s);
+            }
+        }
+        let sigma_s = pair.std_err_s.max(min_sigma_s).max(f64::MIN_POSITIVE.sqrt());
+        // The total is positive: a pair without information has no estimate.
+        let factor = 1.0 / (sigma_s * sigma_s * total);
+        normal.values_mut().for_each(|v: &mut f64| *v *= factor);
+        Self {
+            normal,
+            right: right * factor,
+            mean: (mean_row / total, mean_value / total),
+            sigma_s,
+            factor,
+        }
+    }
+
     /// The absolute residual of the pair's mean equation, in its standard errors.
     fn deviation(&self, x: &DVector<f64>) -> f64 {
         (self.mean.1 - self.mean.0.dot(x)).abs() / self.sigma_s
@@ -298,8 +278,8 @@ impl RobustSolution {
                 let clock = unknowns.clocks.of_camera[s.cameras[0]];
                 let common_s = s.time_a_s + unknowns.offset[clock].map_or(0.0, |c| self.x[c]);
                 let bin = (common_s / frame_s).round() as i64;
-                let residual = pair.std_err_inflation * (s.offset_s() - row.dot(&self.x));
-                sandwich.add(row.entries(), scale * information(sample), residual, bin, s.cell);
+                let residual = pair.std_err_inflation * (s.offset_s() - dot(&row, &self.x));
+                sandwich.add(&row, scale * information(sample), residual, bin, s.cell);
             }
         }
         let clustered = sandwich.variances();
@@ -316,18 +296,17 @@ impl RobustSolution {
 fn connected_to_reference(pairs: &[&PairEstimate], clocks: &ClockLayout) -> Vec<bool> {
     let mut connected = vec![false; clocks.drifts.len()];
     connected[0] = true;
-    loop {
-        let count_before = connected.iter().filter(|c| **c).count();
+    let mut changed = true;
+    while changed {
+        changed = false;
         for pair in pairs {
             let [a, b] = pair.cameras.map(|c| clocks.of_camera[c]);
-            let either = connected[a] || connected[b];
-            connected[a] = either;
-            connected[b] = either;
-        }
-        if connected.iter().filter(|c| **c).count() == count_before {
-            return connected;
+            changed |= connected[a] != connected[b];
+            connected[a] |= connected[b];
+            connected[b] = connected[a];
         }
     }
+    connected
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@
 //! | Fig. 23, the distances from the epipolar lines | [`plot`] |
 //!
 //! Beyond the paper: an information-weighted mixture model instead of RANSAC and WLS
-//! ([`ResidualModel`]), curved trajectories, rough alignment of recordings that start seconds apart,
+//! ([`Mixture`]), curved trajectories, rough alignment of recordings that start seconds apart,
 //! lost frames, and all clocks solved together with rates and standard errors.
 //!
 //! | file | content |
@@ -61,7 +61,7 @@ pub use file::{MAX_OFFSETS_BYTES, SavedOffsets};
 pub use offsets::{CameraOffset, Offsets};
 pub use options::{OffsetMethod, OffsetOptions};
 pub use pair::{
-    FrameEstimate, Mixture, Observation, PairEstimate, ResidualModel, ransac,
+    FrameEstimate, Mixture, Observation, PairEstimate, consensus_value, ransac,
     weighted_least_squares,
 };
 pub use plot::plot;
@@ -88,11 +88,7 @@ pub fn resolve_offsets(
     options: &OffsetOptions,
     reporter: &Reporter,
 ) -> Result<Offsets, CaptureError> {
-    resolve(frames, options, reporter, |offsets| {
-        reporter
-            .note("offsets.json was edited by hand: its offsets are used as given, not estimated.");
-        Ok(offsets)
-    })
+    resolve(frames, options, reporter, true)
 }
 
 /// The offsets of a capture by its images: as [`resolve_offsets`], but an edited `offsets.json` is
@@ -102,22 +98,14 @@ pub fn offsets_from_images(
     options: &OffsetOptions,
     reporter: &Reporter,
 ) -> Result<Offsets, CaptureError> {
-    resolve(frames, options, reporter, |_| {
-        let estimate = estimate(frames, options, reporter)?;
-        reporter.note(
-            "Offsets were estimated from the images and not saved: offsets.json was edited by \
-             hand, and is what other commands use until it is deleted.",
-        );
-        Ok(estimate.offsets)
-    })
+    resolve(frames, options, reporter, false)
 }
 
-/// The offsets of a capture; `edited` handles those of an edited `offsets.json`.
 fn resolve(
     frames: &FrameStore,
     options: &OffsetOptions,
     reporter: &Reporter,
-    edited: impl FnOnce(Offsets) -> Result<Offsets, CaptureError>,
+    use_edited: bool,
 ) -> Result<Offsets, CaptureError> {
     let capture = frames.capture();
     if clocks(capture).1 == 1 {
@@ -129,7 +117,20 @@ fn resolve(
         return Ok(Offsets::unknown(capture, ONE_FRAME));
     }
     let saved = match Offsets::saved(capture)? {
-        SavedOffsets::Edited(offsets) => return edited(offsets),
+        SavedOffsets::Edited(offsets) if use_edited => {
+            reporter.note(
+                "offsets.json was edited by hand: its offsets are used as given, not estimated.",
+            );
+            return Ok(offsets);
+        }
+        SavedOffsets::Edited(_) => {
+            let estimate = estimate(frames, options, reporter)?;
+            reporter.note(
+                "Offsets were estimated from the images and not saved: offsets.json was edited by \
+                 hand, and is what other commands use until it is deleted.",
+            );
+            return Ok(estimate.offsets);
+        }
         SavedOffsets::Missing => None,
         SavedOffsets::Estimated { offsets, hash, .. } => Some((offsets, hash)),
     };
@@ -143,8 +144,9 @@ fn resolve(
         reporter.note("offsets.json is of other frames, options or another version: made anew.");
     }
     let estimate = estimate(frames, options, reporter)?;
+    let saved = save(&estimate, capture, &all_options, &hash);
     // A read-only capture can be used all the same.
-    reporter.note(&match save(&estimate, capture, &all_options, &hash) {
+    reporter.note(&match saved {
         Ok(()) => {
             "Offsets were estimated from the images and saved in offsets.json, their plot in \
                    offsets.svg."

@@ -12,7 +12,7 @@ use crate::chart::{Chart, ChartPoint, Series, svg};
 /// by the nominal and by the estimated clocks (Fig. 23). The first and the third omit pairs of cameras
 /// without an offset.
 pub fn plot(estimate: &Estimate, capture: &Capture) -> String {
-    let joint = JointClocks(estimate.offsets.clocks(capture));
+    let joint = estimate.offsets.clocks(capture);
     let pair_axis = pair_axis(estimate, capture);
     let charts = [
         pairs(estimate, &joint, &pair_axis),
@@ -26,15 +26,11 @@ pub fn plot(estimate: &Estimate, capture: &Capture) -> String {
 /// Milliseconds in a second.
 const MS: f64 = 1e3;
 
-/// By camera: the jointly estimated clock; `None` if its offset is unknown.
-struct JointClocks(Vec<Option<ClockModel>>);
-
-impl JointClocks {
-    /// `offset_j − offset_i` at a time, seconds; `None` if either camera's offset is unknown.
-    fn offset_s(&self, cameras: [usize; 2], time_s: f64) -> Option<f64> {
-        let [i, j] = cameras.map(|c| self.0[c].as_ref().map(|clock| clock.offset_at(time_s)));
-        Some(j? - i?)
-    }
+/// `offset_j − offset_i` at a time by the jointly estimated clocks, seconds; `None` if either camera's
+/// offset is unknown.
+fn joint_offset_s(joint: &[Option<ClockModel>], cameras: [usize; 2], time_s: f64) -> Option<f64> {
+    let [i, j] = cameras.map(|c| joint[c].as_ref().map(|clock| clock.offset_at(time_s)));
+    Some(j? - i?)
 }
 
 /// The label of an axis of pairs, with the names of the first and the last one.
@@ -53,9 +49,9 @@ fn pair_axis(estimate: &Estimate, capture: &Capture) -> String {
 }
 
 /// The estimate of each pair minus the joint one.
-fn pairs(estimate: &Estimate, joint: &JointClocks, pair_axis: &str) -> Chart {
+fn pairs(estimate: &Estimate, joint: &[Option<ClockModel>], pair_axis: &str) -> Chart {
     let points = estimate.pairs.iter().enumerate().filter_map(|(k, pair)| {
-        let joint_s = joint.offset_s(pair.cameras, pair.clock.reference_s)?;
+        let joint_s = joint_offset_s(joint, pair.cameras, pair.clock.reference_s)?;
         Some(ChartPoint {
             x: k as f64,
             y: MS * (pair.clock.offset_s - joint_s),
@@ -88,7 +84,7 @@ fn inlier_fractions(estimate: &Estimate, pair_axis: &str) -> Chart {
 }
 
 /// The estimates of single frame triples minus the joint one.
-fn over_time(estimate: &Estimate, capture: &Capture, joint: &JointClocks) -> Chart {
+fn over_time(estimate: &Estimate, capture: &Capture, joint: &[Option<ClockModel>]) -> Chart {
     let mut series = [
         Series { label: "RANSAC and WLS (the paper's)".into(), dots: true, ..Series::default() },
         Series { label: "weighted by information".into(), dots: true, ..Series::default() },
@@ -96,7 +92,7 @@ fn over_time(estimate: &Estimate, capture: &Capture, joint: &JointClocks) -> Cha
     for pair in &estimate.pairs {
         for frame in &pair.frames {
             let time_s = capture.cameras[frame.camera].clock.times_s[frame.frame];
-            let Some(joint_s) = joint.offset_s(pair.cameras, time_s) else { continue };
+            let Some(joint_s) = joint_offset_s(joint, pair.cameras, time_s) else { continue };
             for (series, value) in series.iter_mut().zip([frame.offset_s, frame.by_information_s]) {
                 series.points.push((time_s, MS * (value - joint_s)).into());
             }

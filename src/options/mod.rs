@@ -5,23 +5,19 @@
 //! | [`RenderOptions`] | all of it: what an option file holds | the programs' entry points, [`crate::light_field::render()`] |
 //! | [`AutoOptions`] | which methods the capture itself decides | [`crate::plan`] |
 
-mod auto;
+mod groups;
 mod parse;
 mod presets;
-mod proxy;
-mod trail;
 
 pub use crate::option::OptionError;
-pub use auto::AutoOptions;
+pub use groups::{AutoOptions, ProxyMethod, ProxyOptions, TrailMode, TrailOptions};
 pub use presets::Preset;
-pub use proxy::{ProxyMethod, ProxyOptions};
-pub use trail::{TrailMode, TrailOptions};
 
 use crate::interpolation::{InterpolationOptions, SyncMethod};
 use crate::lumigraph::BlendOptions;
 use crate::method::Method;
 use crate::offset::OffsetOptions;
-use crate::option::{DeclaredOption, OptionField, OptionValue, options, options_schema};
+use crate::option::{DeclaredOption, OptionValue, options, options_schema};
 use crate::registration::RegistrationOptions;
 use serde_json::{Value, json};
 
@@ -58,7 +54,7 @@ impl RenderOptions {
     /// All options, with their declarations and their values here.
     pub fn declared(&self) -> Vec<DeclaredOption> {
         let mut options = Vec::new();
-        self.declare(&Self::default(), OptionField::default(), &mut options);
+        self.declare(&Self::default(), DeclaredOption::default(), &mut options);
         options
     }
 

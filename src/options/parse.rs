@@ -9,21 +9,27 @@ impl RenderOptions {
     /// Reads an options file: a JSON object. Missing options are the preset's: the given one, or else
     /// that of the file's field `preset`, or else the defaults.
     ///
-    /// An error is a sentence that starts with the field.
+    /// An error is a sentence that starts with the field, also of a value out of its range.
     pub fn parse(text: &str, preset: Option<Preset>) -> Result<Self, String> {
         let Value::Object(mut file) = json::parse(text)? else {
             return Err("must be an object".into());
         };
         let named = file.remove("preset");
         if preset.is_none() && named.is_none() {
-            return json::parse(text);
+            return Self::parse_whole(text);
         }
         let named = named.map(|name| json::parse(&format!("{{\"preset\": {name}}}")));
         let named: Option<NamedPreset> = named.transpose()?;
         let start = preset.or(named.map(|n| n.preset)).map_or_else(Self::default, Preset::options);
         let mut merged = serde_json::to_value(start).map_err(|e| e.to_string())?;
         merge(&mut merged, &Value::Object(file));
-        json::parse(&merged.to_string())
+        Self::parse_whole(&merged.to_string())
+    }
+
+    fn parse_whole(text: &str) -> Result<Self, String> {
+        let options: Self = json::parse(text)?;
+        options.check().map_err(|error| error.to_string())?;
+        Ok(options)
     }
 
     /// Sets one option by its path, such as `blend.cameras`, to a value as a file would have it; names
@@ -36,9 +42,7 @@ impl RenderOptions {
         let option = option.filter(|option| !option.is_object());
         let option = option.ok_or_else(|| format!("{name}: no such option"))?;
         *option = serde_json::from_str(value).unwrap_or_else(|_| Value::from(value));
-        let changed: Self = json::parse(&options.to_string())?;
-        changed.check().map_err(|error| error.to_string())?;
-        *self = changed;
+        *self = Self::parse_whole(&options.to_string())?;
         Ok(())
     }
 }

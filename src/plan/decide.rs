@@ -1,34 +1,55 @@
 //! Decisions by measurements: a method and a sentence.
 
 use super::motion::MAX_NOISE;
-use super::{Choice, ClockSummary, Decision, Motion, Shape};
+use super::{Motion, Shape};
 use crate::interpolation::SyncMethod;
 use crate::lumigraph::BlendMethod;
+use crate::method::Method;
 use crate::options::ProxyMethod;
 use crate::registration::Gains;
+use serde::Serialize;
 
-/// A decision by a number and its limit.
-fn by_number(choice: Choice, measured: f64, limit: f64, because: String) -> Decision {
-    Decision { choice, measured: Some(measured), limit: Some(limit), because }
+/// One stage's choice, and why.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Decision {
+    /// The stage, such as `still pairs`.
+    pub stage: &'static str,
+    /// The stage's method by its name in options files, or what is known of the stage's input.
+    pub method: &'static str,
+    /// The measured number, and the limit that it was compared with; pixels unless `because` says
+    /// otherwise. `None` where the capture's description decides.
+    pub measured: Option<f64>,
+    pub limit: Option<f64>,
+    /// One sentence with the number.
+    pub because: String,
 }
 
-/// A decision by what the capture's description says.
-fn by_description(choice: Choice, because: impl Into<String>) -> Decision {
-    Decision { choice, measured: None, limit: None, because: because.into() }
-}
-
-pub fn offsets(clocks: &ClockSummary) -> Decision {
-    let ClockSummary { cameras, unknown, one_frame } = clocks;
-    if *one_frame {
-        let because = "Every camera took one frame, which is the same at any time.";
-        return by_description(Choice::NoOffsets, because);
+impl Decision {
+    /// A decision by what the capture's description says.
+    fn new(stage: &'static str, method: &'static str, because: impl Into<String>) -> Self {
+        Self { stage, method, measured: None, limit: None, because: because.into() }
     }
-    if *unknown == 0 {
+
+    /// The decision, made by a number and its limit.
+    fn by(self, measured: f64, limit: f64) -> Self {
+        Self { measured: Some(measured), limit: Some(limit), ..self }
+    }
+}
+
+/// By each camera's clock, 0 being the reference's.
+pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
+    if is_static {
+        let because = "Every camera took one frame, which is the same at any time.";
+        return Decision::new("offsets", "none", because);
+    }
+    let cameras = clocks.len();
+    let unknown = clocks.iter().filter(|clock| **clock != 0).count();
+    if unknown == 0 {
         let because = format!("All {cameras} cameras share the reference's clock.");
-        return by_description(Choice::KnownClocks, because);
+        return Decision::new("offsets", "known clocks", because);
     }
     let because = format!("{unknown} of {cameras} cameras have clocks of their own.");
-    by_description(Choice::EstimatedOffsets, because)
+    Decision::new("offsets", "estimated", because)
 }
 
 /// Largest motion that is cross-faded, in budgets: halfway, each image is off by half the motion.
@@ -36,12 +57,12 @@ const CROSSFADE_BUDGETS: f64 = 2.0;
 
 pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
     let Motion { largest_px, residual_px, changed_fraction, .. } = *motion;
-    let by = |method, measured, limit, because| {
-        (method, by_number(Choice::Sync(method), measured, limit, because))
+    let by = |method: SyncMethod, measured, limit, because: String| {
+        (method, Decision::new("sync", method.name(), because).by(measured, limit))
     };
     if motion.pairs == 0 {
         let method = SyncMethod::Nearest;
-        return (method, by_description(Choice::Sync(method), "There is one frame a camera."));
+        return (method, Decision::new("sync", method.name(), "There is one frame a camera."));
     }
     // The nearest frame is at most half a frame away.
     let nearest_px = 0.5 * largest_px;
@@ -79,12 +100,12 @@ const NOISE_MARGIN: f32 = 1.25;
 pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     let Motion { still_pairs, still_change, still_px, pairs, .. } = *motion;
     if pairs == 0 {
-        return (0.0, by_description(Choice::NoPairs, "There is one frame a camera."));
+        return (0.0, Decision::new("still pairs", "none", "There is one frame a camera."));
     }
     if still_pairs == 0 {
         let because =
             format!("In each of the {pairs} frame pairs that were examined something moves.");
-        return (0.0, by_description(Choice::PairsRegistered, because));
+        return (0.0, Decision::new("still pairs", "registered", because));
     }
     let limit_px = CROSSFADE_BUDGETS * budget_px;
     let still = format!(
@@ -93,14 +114,15 @@ pub fn still_pairs(motion: &Motion, budget_px: f64) -> (f32, Decision) {
     );
     if still_px > limit_px {
         let because = format!("{still}.");
-        return (0.0, by_number(Choice::PairsRegistered, still_px, limit_px, because));
+        let decision = Decision::new("still pairs", "registered", because);
+        return (0.0, decision.by(still_px, limit_px));
     }
     let limit = (NOISE_MARGIN * still_change).min(MAX_NOISE);
     let because = format!(
         "{still}; pairs whose blocks change by up to {:.2}/255 count as still.",
         255.0 * limit
     );
-    (limit, by_number(Choice::PairsCrossFaded, still_px, limit_px, because))
+    (limit, Decision::new("still pairs", "cross-faded", because).by(still_px, limit_px))
 }
 
 /// Decides on refinement by its possible gain over triangulation.
@@ -111,7 +133,7 @@ pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, De
         "Where frames change, refinement can make views {gain_db:.2} dB better than triangulation, if \
          all that it changes is for the better (held-out frames: {frames})."
     );
-    (method, by_number(Choice::Sync(method), gain_db, budget_db, because))
+    (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
 /// Whether images from all cameras pay, which take twice as long as refined ones; `gain_db` is how much better
@@ -124,7 +146,7 @@ pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, D
          {frames}).",
         better_or_worse(gain_db)
     );
-    (method, by_number(Choice::Sync(method), gain_db, budget_db, because))
+    (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
 fn better_or_worse(gain_db: f64) -> String {
@@ -138,7 +160,7 @@ pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decisi
     let Some(gain_db) = gain_db else {
         let because = "No held-out frames were compared: that needs refined motion, depth per pixel and a frame \
                        between other cameras' frames.";
-        return (None, by_description(Choice::BlendAsGiven, because));
+        return (None, Decision::new("blend", "as given", because));
     };
     let method = if gain_db > 0.0 { BlendMethod::SpaceTime } else { BlendMethod::default() };
     let because = format!(
@@ -146,7 +168,7 @@ pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decisi
          (held-out frames: {frames}).",
         better_or_worse(gain_db)
     );
-    (Some(method), by_number(Choice::Blend(method), gain_db, 0.0, because))
+    (Some(method), Decision::new("blend", method.name(), because).by(gain_db, 0.0))
 }
 
 /// The fraction of the budget that a trajectory's curvature may displace a feature by. Larger:
@@ -162,15 +184,16 @@ pub fn trajectory(motion: &Motion, budget_px: f64) -> (bool, Decision) {
         "Halfway between two frames, trajectories are {:.2} px off their chords.",
         motion.curvature_px
     );
-    let choice = if is_curved { Choice::Curved } else { Choice::Straight };
-    (is_curved, by_number(choice, motion.curvature_px, limit_px, because))
+    let method = if is_curved { "curved" } else { "straight" };
+    let decision = Decision::new("trajectory", method, because);
+    (is_curved, decision.by(motion.curvature_px, limit_px))
 }
 
 /// `None` leaves the proxy as it is.
 pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Decision) {
     let Some(shape) = shape else {
         let because = "No point of the scene could be triangulated to tell.";
-        return (None, by_description(Choice::ProxyAsGiven, because));
+        return (None, Decision::new("proxy", "as given", because));
     };
     let is_plane = shape.off_plane_px <= budget_px;
     let method = if is_plane { ProxyMethod::Plane } else { ProxyMethod::Depth };
@@ -179,12 +202,13 @@ pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Dec
          of {}).",
         shape.off_plane_px, shape.points
     );
-    (Some(method), by_number(Choice::Proxy(method), shape.off_plane_px, budget_px, because))
+    let decision = Decision::new("proxy", method.name(), because);
+    (Some(method), decision.by(shape.off_plane_px, budget_px))
 }
 
 /// Whether gains are corrected; [`Gains`] says what counts as a difference.
 pub fn gains(gains: &Gains) -> Decision {
-    let (difference, std_err) = gains.largest_difference();
+    let (difference, std_err) = gains.largest;
     let numbers = format!(
         "The light that cameras record differs by {:.1} % at most (standard error {:.1} %)",
         100.0 * difference,
@@ -192,17 +216,17 @@ pub fn gains(gains: &Gains) -> Decision {
     );
     if gains.are_equal() {
         let because = format!("{numbers}, which counts as none.");
-        return by_description(Choice::EqualGains, because);
+        return Decision::new("gains", "equal", because);
     }
-    by_description(Choice::CorrectedGains, format!("{numbers}, which is corrected."))
+    Decision::new("gains", "corrected", format!("{numbers}, which is corrected."))
 }
 
 pub fn lenses(distortion_px: f64) -> Decision {
     if distortion_px == 0.0 {
-        return by_number(Choice::PinholeLenses, 0.0, 0.0, "No lens distorts.".to_owned());
+        return Decision::new("lenses", "pinhole", "No lens distorts.").by(0.0, 0.0);
     }
     let because = format!("Lenses move pixels by up to {distortion_px:.2} px, which is undone.");
-    by_number(Choice::DistortedLenses, distortion_px, 0.0, because)
+    Decision::new("lenses", "distorted", because).by(distortion_px, 0.0)
 }
 
 /// A rig whose extent across is less than this fraction of its length counts as a line. Larger: a
@@ -215,8 +239,8 @@ pub fn references(extent_ratio: f64) -> Decision {
         "Across their main direction the cameras spread {extent_ratio:.2} times as far as along it."
     );
     let is_line = extent_ratio <= LINE;
-    let choice = if is_line { Choice::OneDirection } else { Choice::TwoDirections };
-    by_number(choice, extent_ratio, LINE, because)
+    let method = if is_line { "one direction" } else { "two directions" };
+    Decision::new("references", method, because).by(extent_ratio, LINE)
 }
 
 #[cfg(test)]
@@ -231,13 +255,11 @@ mod tests {
 
     #[test]
     fn clocks_decide_whether_offsets_are_estimated() {
-        let clocks = ClockSummary { cameras: 8, unknown: 0, one_frame: false };
-        assert_eq!(offsets(&clocks).choice, Choice::KnownClocks);
-        assert_eq!(
-            offsets(&ClockSummary { unknown: 3, ..clocks }).choice,
-            Choice::EstimatedOffsets
-        );
-        assert_eq!(offsets(&ClockSummary { one_frame: true, ..clocks }).choice, Choice::NoOffsets);
+        let method = |clocks: &[usize], is_static| offsets(clocks, is_static).method;
+        assert_eq!(method(&[0; 8], false), "known clocks");
+        assert_eq!(method(&[0, 0, 1, 2, 3], false), "estimated");
+        assert_eq!(method(&[0; 8], true), "none");
+        assert!(offsets(&[0, 0, 1, 2, 3], false).because.contains("3 of 5"));
     }
 
     #[test]
@@ -260,15 +282,15 @@ mod tests {
         let motion = Motion { pairs: 6, ..Motion::default() };
         let of = |motion: &Motion| {
             let (limit, decision) = still_pairs(motion, BUDGET_PX);
-            (limit, decision.choice)
+            (limit, decision.method)
         };
-        assert_eq!(of(&Motion::default()), (0.0, Choice::NoPairs));
-        assert_eq!(of(&motion), (0.0, Choice::PairsRegistered));
+        assert_eq!(of(&Motion::default()), (0.0, "none"));
+        assert_eq!(of(&motion), (0.0, "registered"));
         let still = Motion { still_pairs: 2, still_change: 0.0078125, still_px: 0.1, ..motion };
-        assert_eq!(of(&still), (0.009765625, Choice::PairsCrossFaded));
+        assert_eq!(of(&still), (0.009765625, "cross-faded"));
         assert!(still_pairs(&still, BUDGET_PX).1.because.contains("2 of the 6"));
         assert_eq!(of(&Motion { still_change: 0.9, ..still }).0, MAX_NOISE);
-        assert_eq!(of(&Motion { still_px: 0.6, ..still }), (0.0, Choice::PairsRegistered));
+        assert_eq!(of(&Motion { still_px: 0.6, ..still }), (0.0, "registered"));
         assert_eq!(still_pairs(&still, 0.0).0, 0.0);
     }
 
@@ -291,7 +313,7 @@ mod tests {
         assert_eq!(weights(Some(0.01)).0, Some(BlendMethod::SpaceTime));
         assert_eq!(weights(Some(-0.01)).0, Some(BlendMethod::default()));
         assert_eq!(weights(None).0, None);
-        assert_eq!(weights(None).1.choice, Choice::BlendAsGiven);
+        assert_eq!(weights(None).1.method, "as given");
     }
 
     #[test]
@@ -312,10 +334,10 @@ mod tests {
 
     #[test]
     fn lenses_and_the_rig_are_described() {
-        assert_eq!(lenses(0.0).choice, Choice::PinholeLenses);
-        assert_eq!(lenses(0.4).choice, Choice::DistortedLenses);
-        assert_eq!(references(0.0).choice, Choice::OneDirection);
-        assert_eq!(references(0.3).choice, Choice::TwoDirections);
+        assert_eq!(lenses(0.0).method, "pinhole");
+        assert_eq!(lenses(0.4).method, "distorted");
+        assert_eq!(references(0.0).method, "one direction");
+        assert_eq!(references(0.3).method, "two directions");
     }
 
     #[test]

@@ -23,27 +23,26 @@
 //! end stand for all; a body that shows fewer than a handful of corners and no changing block is not
 //! seen to move.
 
-mod cached;
 mod decide;
-mod decision;
+pub(crate) mod held_out;
 mod motion;
-mod probe;
 mod rig;
 mod shape;
 
-pub(crate) use cached::{Methods, load_plan, save_plan};
-pub use decision::{Choice, Decision, PlanStage};
+pub use decide::Decision;
+pub use held_out::Probe;
 pub use motion::Motion;
-pub use probe::Probe;
-pub use rig::{ClockSummary, extent_ratio, largest_distortion_px};
 pub use shape::Shape;
 
 use crate::interpolation::SyncMethod;
 use crate::light_field::{LightField, RenderError};
 use crate::lumigraph::BlendMethod;
-use crate::options::{ProxyMethod, RenderOptions};
+use crate::offset::clocks;
+use crate::options::{AutoOptions, ProxyMethod, RenderOptions};
 use crate::progress::Reporter;
+use rig::{extent_ratio, largest_distortion_px};
 use serde::Serialize;
+use std::slice;
 
 /// The methods that a capture requires.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -57,13 +56,6 @@ pub struct Plan {
     pub options: RenderOptions,
 }
 
-impl Plan {
-    /// The decision of a stage; every stage has one.
-    pub fn decision(&self, stage: PlanStage) -> Option<&Decision> {
-        self.decisions.iter().find(|d| d.choice.stage() == stage)
-    }
-}
-
 /// Plans the views of a light field. Only the stages that `options.auto` names are changed in the
 /// options. All are decided, as far as they can be without views; views are rendered to decide the sync method and
 /// the blend if those are left to the capture.
@@ -73,48 +65,50 @@ pub fn plan(
     reporter: &Reporter,
 ) -> Result<Plan, RenderError> {
     let capture = field.capture();
-    let budget_px = options.auto.budget_px;
+    let AutoOptions { budget_px, budget_db, .. } = options.auto;
     let motion = Motion::survey(&field.frames(&options.registration), reporter)?;
-    let mut decided = options.clone();
-    let mut decisions = vec![decide::offsets(&ClockSummary::of(capture))];
-
     let (sync, of_sync) = decide::sync(&motion, budget_px);
     let (curved, of_trajectory) = decide::trajectory(&motion, budget_px);
-    decided.interpolation.curved &= curved || !options.auto.sync;
     let (still_change, of_still) = decide::still_pairs(&motion, budget_px);
+    let mut decided = options.clone();
     if options.auto.sync {
-        let given = decided.interpolation.still_change;
-        decided.interpolation.still_change = given.max(still_change);
+        let interpolation = &mut decided.interpolation;
+        interpolation.curved &= curved;
+        interpolation.still_change = interpolation.still_change.max(still_change);
     }
-
     let shape = Shape::survey(field, &decided)?;
     let (proxy, of_proxy) = decide::proxy(shape.as_ref(), budget_px);
     if options.auto.proxy {
         decided.proxy.method = proxy.unwrap_or(decided.proxy.method);
     }
-    let ByViews { sync, of_sync, blend, of_blend } =
-        by_views(field, options, &decided, (sync, of_sync))?;
+    let ByViews { sync: (sync, of_sync), blend: (blend, of_blend) } =
+        by_views(field, &decided, (sync, of_sync))?;
     if options.auto.sync {
         decided.sync = sync;
     }
     if options.auto.blend {
         decided.blend.method = blend.unwrap_or(decided.blend.method);
     }
-    decisions.extend([of_sync, of_still, of_trajectory, of_proxy, of_blend]);
-    decisions.push(decide::gains(&field.gains(&options.registration)));
-    decisions.push(decide::lenses(largest_distortion_px(capture)));
-    decisions.push(decide::references(extent_ratio(capture)));
-    let options = Methods::of(&decided).put_into(decided);
-    Ok(Plan { budget_px, decisions, options })
+    decided.auto = AutoOptions { budget_px, budget_db, ..AutoOptions::default() };
+    let decisions = vec![
+        decide::offsets(&clocks(capture).0, capture.is_static()),
+        of_sync,
+        of_still,
+        of_trajectory,
+        of_proxy,
+        of_blend,
+        decide::gains(&field.gains(&options.registration)),
+        decide::lenses(largest_distortion_px(capture)),
+        decide::references(extent_ratio(capture)),
+    ];
+    Ok(Plan { budget_px, decisions, options: decided })
 }
 
 /// Decisions that need rendered views.
 struct ByViews {
-    sync: SyncMethod,
-    of_sync: Decision,
-    /// `None` leaves the blend as it is.
-    blend: Option<BlendMethod>,
-    of_blend: Decision,
+    sync: (SyncMethod, Decision),
+    /// Without a method, the blend stays as it is.
+    blend: (Option<BlendMethod>, Decision),
 }
 
 /// The sync method and the blend, where something moves and they are left to the capture; else the sync method stays as
@@ -122,42 +116,47 @@ struct ByViews {
 fn by_views(
     field: &LightField,
     options: &RenderOptions,
-    decided: &RenderOptions,
-    (mut sync, mut of_sync): (SyncMethod, Decision),
+    mut sync: (SyncMethod, Decision),
 ) -> Result<ByViews, RenderError> {
-    let is_probed = sync == SyncMethod::Refined && (options.auto.sync || options.auto.blend);
+    let AutoOptions { budget_db, .. } = options.auto;
+    let is_probed = sync.0 == SyncMethod::Refined && (options.auto.sync || options.auto.blend);
     let probe = if is_probed { Probe::open(field, &options.registration)? } else { None };
-    let frames = probe.as_ref().map_or_else(String::new, Probe::names);
-    let by = |sync| RenderOptions { sync, ..decided.clone() };
-    if let Some(probe) = probe.as_ref().filter(|_| options.auto.sync) {
+    let Some(probe) = probe else {
+        return Ok(ByViews { sync, blend: decide::blend(None, "") });
+    };
+    let frames = probe.names();
+    let by = |sync: &SyncMethod| RenderOptions { sync: *sync, ..options.clone() };
+    if options.auto.sync {
         let [cheaper, dearer] =
-            [SyncMethod::Triangulation, SyncMethod::Refined].map(|sync| probing(by(sync)));
+            [SyncMethod::Triangulation, SyncMethod::Refined].map(|sync| probing(by(&sync)));
         if let Some(gain_db) = probe.possible_gain_db(field, &cheaper, &dearer)? {
-            (sync, of_sync) = decide::refinement(gain_db, &frames, options.auto.budget_db);
+            sync = decide::refinement(gain_db, &frames, budget_db);
         }
     }
-    // All cameras' images come from their depths.
-    let is_depth = decided.proxy.method == ProxyMethod::Depth;
-    let mut errors = None;
-    if let Some(probe) = probe.as_ref().filter(|_| is_depth) {
-        if options.auto.sync && sync == SyncMethod::Refined {
-            let candidates = [SyncMethod::Refined, SyncMethod::AllCameras];
-            let [refined, all] = candidates.map(by);
-            if let Some([of_refined, of_all]) = probe.errors(field, [&refined, &all])? {
-                let errors_of = [of_refined, of_all];
-                let compared = errors_of.map(|e| e.by(decided.blend.method, options.auto.blend));
-                if let Some(gain_db) = gain_db(compared) {
-                    (sync, of_sync) = decide::all_cameras(gain_db, &frames, options.auto.budget_db);
-                }
-                errors = candidates.iter().position(|s| *s == sync).map(|k| errors_of[k]);
-            }
-        } else if !options.auto.sync && options.sync.of_one_camera() == SyncMethod::Refined {
-            errors = probe.errors(field, [&by(options.sync)])?.map(|[of_given]| of_given);
+    let candidates = match options.auto.sync {
+        // All cameras' images come from their depths.
+        _ if options.proxy.method != ProxyMethod::Depth => &[],
+        true if sync.0 == SyncMethod::Refined => {
+            [SyncMethod::Refined, SyncMethod::AllCameras].as_slice()
+        }
+        false if options.sync.of_one_camera() == SyncMethod::Refined => {
+            slice::from_ref(&options.sync)
+        }
+        _ => &[],
+    };
+    let options_of: Vec<RenderOptions> = candidates.iter().map(by).collect();
+    let errors = probe.errors(&options_of)?.unwrap_or_default();
+    if let [refined, all] = errors.as_slice() {
+        let compared = [refined, all].map(|e| e.by(options.blend.method, options.auto.blend));
+        if let Some(gain_db) = gain_db(compared) {
+            sync = decide::all_cameras(gain_db, &frames, budget_db);
         }
     }
-    let space_time_gain_db = errors.and_then(|e| gain_db([e.in_space, e.in_space_and_time]));
-    let (blend, of_blend) = decide::blend(space_time_gain_db, &frames);
-    Ok(ByViews { sync, of_sync, blend, of_blend })
+    let chosen = if options.auto.sync { sync.0 } else { options.sync };
+    let of_chosen = candidates.iter().zip(&errors).find(|(method, _)| **method == chosen);
+    let space_time_gain_db =
+        of_chosen.and_then(|(_, e)| gain_db([e.in_space, e.in_space_and_time]));
+    Ok(ByViews { sync, blend: decide::blend(space_time_gain_db, &frames) })
 }
 
 /// Gain of the second squared error over the first, decibels; `None` if an error is 0.

@@ -75,12 +75,9 @@ impl Motion {
     }
 
     fn of_pair(frames: &FrameStore, camera: usize, k: usize) -> Result<Self, CaptureError> {
-        let options = frames.options();
-        let tracks = temporal_flow(frames, camera, k)?;
-        let agrees = neighbor_consensus(&tracks, options);
-        let mut agrees = agrees.into_iter();
-        let tracks: Vec<Track> =
-            tracks.into_iter().filter(|_| agrees.next().unwrap_or(false)).collect();
+        let mut tracks = temporal_flow(frames, camera, k)?;
+        let mut agrees = neighbor_consensus(&tracks, frames.options()).into_iter();
+        tracks.retain(|_| agrees.next() == Some(true));
         let times_s = &frames.capture().cameras[camera].clock.times_s;
         let (earlier, later) = (frames.get(camera, k)?, frames.get(camera, k + 1)?);
         let largest_px = largest(&tracks);

@@ -1,29 +1,7 @@
 //! Decisions by the rig's description alone.
 
 use crate::capture::Capture;
-use crate::offset::clocks;
-use nalgebra::{DMatrix, Point2};
-
-/// Which clocks are known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ClockSummary {
-    pub cameras: usize,
-    /// Cameras with a clock of their own, which is unknown.
-    pub unknown: usize,
-    /// Every camera took one frame.
-    pub one_frame: bool,
-}
-
-impl ClockSummary {
-    pub fn of(capture: &Capture) -> Self {
-        let (clock, _) = clocks(capture);
-        Self {
-            cameras: clock.len(),
-            unknown: clock.iter().filter(|c| **c != 0).count(),
-            one_frame: capture.is_static(),
-        }
-    }
-}
+use nalgebra::{DMatrix, Point2, Vector3};
 
 /// Number of points along each side of an image at which lens distortion is evaluated.
 const SIDE: usize = 17;
@@ -51,7 +29,7 @@ pub fn largest_distortion_px(capture: &Capture) -> f64 {
 /// line, 1 on a square grid. 0 where all stand in one place.
 pub fn extent_ratio(capture: &Capture) -> f64 {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center().coords).collect();
-    let mean = centers.iter().sum::<nalgebra::Vector3<f64>>() / centers.len() as f64;
+    let mean = centers.iter().sum::<Vector3<f64>>() / centers.len() as f64;
     let offsets = DMatrix::from_fn(centers.len(), 3, |row, column| (centers[row] - mean)[column]);
     let mut extents: Vec<f64> = offsets.singular_values().iter().copied().collect();
     extents.sort_by(|a, b| b.total_cmp(a));

@@ -28,11 +28,10 @@ impl Shape {
         let reference = capture.reference;
         let target = &capture.cameras[reference].camera;
         let half_baseline_m = 0.5 * field.spacing_m();
-        let mut found: Option<Self> = None;
+        let mut found = Vec::new();
         for time_s in instants_s(field) {
             let points = field.points(target, time_s, options)?;
-            let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
-            let Some(plane) = Plane::fit(&weighted, target) else { continue };
+            let Some(plane) = Plane::fit(&points, target) else { continue };
             let depths = Proxy::Plane(plane).depth_map(target);
             let errors_px: Vec<f64> = points
                 .iter()
@@ -47,17 +46,14 @@ impl Shape {
                     Some(apart * target.focal_px() * half_baseline_m)
                 })
                 .collect();
-            let count = errors_px.len();
-            let Some(off) = percentile(errors_px, 0.95) else { continue };
-            found = Some(match found {
-                None => Self { off_plane_px: off, points: count },
-                Some(other) => Self {
-                    off_plane_px: off.max(other.off_plane_px),
-                    points: count.min(other.points),
-                },
-            });
+            let points = errors_px.len();
+            let off_plane_px = percentile(errors_px, 0.95);
+            found.extend(off_plane_px.map(|off_plane_px| Self { off_plane_px, points }));
         }
-        Ok(found)
+        Ok(found.into_iter().reduce(|a, b| Self {
+            off_plane_px: a.off_plane_px.max(b.off_plane_px),
+            points: a.points.min(b.points),
+        }))
     }
 }
 

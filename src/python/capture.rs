@@ -1,6 +1,8 @@
 //! `stlfr.open`, `stlfr.Capture` and `stlfr.Moment`.
 
-use super::convert::{from_python, image_to_python, json_of, to_python, value_error};
+use super::convert::{
+    checked, from_python, image_to_python, to_python, value_error, view_to_python,
+};
 use crate::camera::{Camera, CameraFormat};
 use crate::capture::{Capture, Opening};
 use crate::light_field::{Context, LightField, RenderError, Request, Viewpoint, render};
@@ -160,8 +162,7 @@ impl PyCapture {
             }
             (None, rendered) => rendered.map_err(value_error)?,
         };
-        let coverage = rendered.coverage.contains(&false).then_some(rendered.coverage.as_slice());
-        image_to_python(py, &rendered.image, coverage, this.capture.bit_depth())
+        view_to_python(py, &rendered, this.capture.bit_depth())
     }
 
     /// The instant, for many views of it.
@@ -210,17 +211,14 @@ impl PyMoment {
         let camera = camera_of(camera)?;
         let request = Request::new(Viewpoint::View(&camera), self.time_s, &self.options);
         let rendered = py.detach(|| render(&self.field, &request, &Context::unattended()));
-        let rendered = rendered.map_err(value_error)?;
-        let coverage = rendered.coverage.contains(&false).then_some(rendered.coverage.as_slice());
-        image_to_python(py, &rendered.image, coverage, self.depth)
+        view_to_python(py, &rendered.map_err(value_error)?, self.depth)
     }
 }
 
 /// A camera object's camera.
 fn camera_of(object: &Bound<'_, PyAny>) -> PyResult<Camera> {
-    let format: Option<CameraFormat> = from_python(Some(object), "camera")?;
-    let camera = format.ok_or_else(|| value_error("camera: is missing"))?.camera();
-    camera.map_err(|e| value_error(format!("camera: {e}")))
+    let format: CameraFormat = from_python(object, "camera")?;
+    format.camera().map_err(|e| value_error(format!("camera: {e}")))
 }
 
 /// Pixels of world points through a camera object; NaN where a point has no image.
@@ -255,17 +253,6 @@ fn projected<'py>(
         pixels
     });
     Ok(pixels.into_pyarray(py))
-}
-
-/// The options of a call, checked as the command line checks its file.
-pub(super) fn checked(options: Option<&Bound<'_, PyAny>>) -> PyResult<RenderOptions> {
-    let options = match options {
-        Some(options) => RenderOptions::parse(&json_of(options)?, None),
-        None => Ok(RenderOptions::default()),
-    };
-    let options = options.map_err(|e| value_error(format!("options: {e}")))?;
-    options.check().map_err(|e| value_error(format!("options: {e}")))?;
-    Ok(options)
 }
 
 /// Whether rendering goes on: what the caller's function returns, true where there is none.

@@ -1,7 +1,8 @@
 //! Between Rust's values and Python's.
 
-use crate::raster::Image;
-use crate::raster::{BitDepth, Samples, quantize};
+use crate::lumigraph::Rendered;
+use crate::options::RenderOptions;
+use crate::raster::{BitDepth, Image, Samples, quantize};
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -14,13 +15,14 @@ pub fn value_error(error: impl std::fmt::Display) -> PyErr {
 }
 
 /// A value of Python's dicts, lists, numbers and strings, as its JSON is read.
-pub fn from_python<T: DeserializeOwned>(
-    value: Option<&Bound<'_, PyAny>>,
-    what: &str,
-) -> PyResult<Option<T>> {
-    let Some(value) = value else { return Ok(None) };
-    let parsed = crate::json::parse(&json_of(value)?);
-    parsed.map(Some).map_err(|e| value_error(format!("{what}: {e}")))
+pub fn from_python<T: DeserializeOwned>(value: &Bound<'_, PyAny>, what: &str) -> PyResult<T> {
+    crate::json::parse(&json_of(value)?).map_err(|e| value_error(format!("{what}: {e}")))
+}
+
+/// The options of a call, checked as the command line checks its file.
+pub fn checked(options: Option<&Bound<'_, PyAny>>) -> PyResult<RenderOptions> {
+    let Some(options) = options else { return Ok(RenderOptions::default()) };
+    RenderOptions::parse(&json_of(options)?, None).map_err(|e| value_error(format!("options: {e}")))
 }
 
 /// The JSON text of a value.
@@ -32,6 +34,16 @@ pub fn json_of(value: &Bound<'_, PyAny>) -> PyResult<String> {
 pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound<'py, PyAny>> {
     let json = serde_json::to_string(value).map_err(value_error)?;
     py.import("json")?.call_method1("loads", (json,))
+}
+
+/// An array (H, W, channels) of the samples that a PNG of this view would hold.
+pub fn view_to_python<'py>(
+    py: Python<'py>,
+    view: &Rendered,
+    depth: BitDepth,
+) -> PyResult<Bound<'py, PyAny>> {
+    let coverage = view.coverage.contains(&false).then_some(view.coverage.as_slice());
+    image_to_python(py, &view.image, coverage, depth)
 }
 
 /// An array (H, W, channels) of the samples that a PNG of this image would hold.

@@ -2,11 +2,8 @@
 //! converts back. Bad input is a `ValueError` with the sentence that the command line prints.
 
 mod capture;
-mod compare;
 mod convert;
-mod exchange;
-mod methods;
-mod rig;
+mod functions;
 
 use pyo3::prelude::*;
 
@@ -16,13 +13,9 @@ mod native {
     #[pymodule_export]
     use super::capture::{PyCapture, PyMoment, open, project};
     #[pymodule_export]
-    use super::compare::compare;
-    #[pymodule_export]
-    use super::exchange::colmap_text;
-    #[pymodule_export]
-    use super::methods::{methods, options};
-    #[pymodule_export]
-    use super::rig::{check_rig, generate_rig, read_rig};
+    use super::functions::{
+        check_rig, colmap_text, compare, generate_rig, methods, options, read_rig,
+    };
     use pyo3::prelude::*;
 
     #[pymodule_init]

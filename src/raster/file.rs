@@ -1,9 +1,10 @@
 //! Reading and writing image files.
 
-use super::png::{self, PngFile};
+use super::png;
 use super::{BitDepth, Image};
 use crate::host::{open_bounded, read_bytes, write_atomically};
-use image::{ColorType, DynamicImage, ImageBuffer, ImageDecoder, ImageReader, Limits};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageReader, Limits};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Seek};
 use std::path::{Path, PathBuf};
@@ -42,80 +43,72 @@ fn image_error(path: &Path, reason: impl std::fmt::Display) -> ImageFileError {
     ImageFileError::Content { path: path.to_owned(), reason: reason.to_string() }
 }
 
+fn read_error(path: &Path) -> impl Fn(std::io::Error) -> ImageFileError {
+    |source| ImageFileError::Read { path: path.to_owned(), source }
+}
+
 /// An image file whose header is read: its pixels are at most [`MAX_PIXELS`].
-enum OpenedImage<R: BufRead + Seek> {
-    Png(Box<PngFile<R>>),
+struct OpenedImage<R: BufRead + Seek> {
+    header: Header,
+    decoder: Decoder<R>,
+}
+
+/// The decoder of a file's pixels.
+enum Decoder<R: BufRead + Seek> {
+    Png(Box<::png::Reader<R>>),
     Other(Box<dyn ImageDecoder>),
 }
 
-impl OpenedImage<BufReader<File>> {
-    fn open(path: &Path) -> Result<Self, ImageFileError> {
-        let failed = |source| ImageFileError::Read { path: path.to_owned(), source };
-        let (file, _) = open_bounded(path, MAX_FILE_BYTES).map_err(failed)?;
-        Self::new(path, BufReader::new(file))
-    }
+fn open(path: &Path) -> Result<OpenedImage<BufReader<File>>, ImageFileError> {
+    let (file, _) = open_bounded(path, MAX_FILE_BYTES).map_err(read_error(path))?;
+    OpenedImage::new(path, BufReader::new(file))
 }
 
 impl<R: BufRead + Seek + 'static> OpenedImage<R> {
     fn new(path: &Path, mut file: R) -> Result<Self, ImageFileError> {
-        let failed = |source| ImageFileError::Read { path: path.to_owned(), source };
-        let is_png = file.fill_buf().map_err(failed)?.starts_with(&png::SIGNATURE);
-        let opened = if is_png {
-            let png = PngFile::open(file).map_err(|e| image_error(path, e))?;
-            Self::Png(Box::new(png))
+        let is_png = file.fill_buf().map_err(read_error(path))?.starts_with(&png::SIGNATURE);
+        let (decoder, (width, height), bytes_per_sample) = if is_png {
+            let reader = png::open(file).map_err(|e| image_error(path, e))?;
+            let (size, bytes) = (reader.info().size(), png::bytes_per_sample(&reader));
+            (Decoder::Png(Box::new(reader)), size, bytes)
         } else {
-            let mut reader = ImageReader::new(file).with_guessed_format().map_err(failed)?;
+            let mut reader =
+                ImageReader::new(file).with_guessed_format().map_err(read_error(path))?;
             let mut limits = Limits::default();
             limits.max_alloc = Some(MAX_DECODE_BYTES);
             reader.limits(limits);
-            Self::Other(Box::new(reader.into_decoder().map_err(|e| image_error(path, e))?))
+            let decoder = reader.into_decoder().map_err(|e| image_error(path, e))?;
+            let (size, color) = (decoder.dimensions(), decoder.color_type());
+            let bytes = color.bytes_per_pixel() / color.channel_count();
+            (Decoder::Other(Box::new(decoder)), size, usize::from(bytes))
         };
-        let Header { width, height, .. } = opened.header();
         match u64::from(width) * u64::from(height) {
             0 => Err(image_error(path, "has no pixels")),
             pixels if pixels > MAX_PIXELS => Err(image_error(
                 path,
                 format!("is {width}×{height} pixels, at most {MAX_PIXELS} are read"),
             )),
-            _ => Ok(opened),
-        }
-    }
-
-    fn header(&self) -> Header {
-        match self {
-            Self::Png(file) => {
-                let (width, height) = file.size_px();
-                Header { width, height, bit_depth: file.bit_depth() }
-            }
-            Self::Other(decoder) => {
-                let (width, height) = decoder.dimensions();
-                Header { width, height, bit_depth: bit_depth(decoder.color_type()) }
+            _ => {
+                let is_deep = bytes_per_sample > 1;
+                let bit_depth = if is_deep { BitDepth::Sixteen } else { BitDepth::Eight };
+                Ok(Self { header: Header { width, height, bit_depth }, decoder })
             }
         }
     }
 
     fn decode(self, path: &Path) -> Result<Image, ImageFileError> {
-        let depth = self.header().bit_depth;
-        match self {
-            Self::Png(file) => file.decode().map_err(|e| image_error(path, e)),
-            Self::Other(decoder) => {
+        match self.decoder {
+            Decoder::Png(reader) => png::decode(*reader).map_err(|e| image_error(path, e)),
+            Decoder::Other(decoder) => {
                 let decoded = DynamicImage::from_decoder(decoder);
-                Ok(unpacked(decoded.map_err(|e| image_error(path, e))?, depth))
+                Ok(unpacked(decoded.map_err(|e| image_error(path, e))?))
             }
         }
     }
 }
 
 pub(crate) fn read_header(path: &Path) -> Result<Header, ImageFileError> {
-    OpenedImage::open(path).map(|opened| opened.header())
-}
-
-fn bit_depth(color: ColorType) -> BitDepth {
-    if color.bytes_per_pixel() / color.channel_count() > 1 {
-        BitDepth::Sixteen
-    } else {
-        BitDepth::Eight
-    }
+    open(path).map(|opened| opened.header)
 }
 
 /// Reads an image file, and its bit depth. Grey images have one channel, all others three; alpha is ignored.
@@ -123,37 +116,25 @@ fn bit_depth(color: ColorType) -> BitDepth {
 ///
 /// Errors are found before pixels are read: no regular file, more than 448 MiB, more than [`MAX_PIXELS`].
 pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
-    let opened = OpenedImage::open(path)?;
-    let depth = opened.header().bit_depth;
+    let opened = open(path)?;
+    let depth = opened.header.bit_depth;
     Ok((opened.decode(path)?, depth))
 }
 
 /// As [`read_image`], with the BLAKE3 hash of the bytes that the image was decoded from.
 pub(crate) fn read_hashed_image(path: &Path) -> Result<(Image, blake3::Hash), ImageFileError> {
-    let bytes = read_bytes(path, MAX_FILE_BYTES)
-        .map_err(|source| ImageFileError::Read { path: path.to_owned(), source })?;
+    let bytes = read_bytes(path, MAX_FILE_BYTES).map_err(read_error(path))?;
     let hash = blake3::hash(&bytes);
     Ok((OpenedImage::new(path, Cursor::new(bytes))?.decode(path)?, hash))
 }
 
-fn unpacked(decoded: DynamicImage, depth: BitDepth) -> Image {
+fn unpacked(decoded: DynamicImage) -> Image {
     let (w, h) = (decoded.width() as usize, decoded.height() as usize);
-    let gray = decoded.color().channel_count() <= 2;
-    let data: Vec<f32> = match (gray, depth) {
-        (true, BitDepth::Eight) => unit(decoded.into_luma8().into_raw()),
-        (true, BitDepth::Sixteen) => unit16(decoded.into_luma16().into_raw()),
-        (false, BitDepth::Eight) => unit(decoded.into_rgb8().into_raw()),
-        (false, BitDepth::Sixteen) => unit16(decoded.into_rgb16().into_raw()),
-    };
-    Image::from_data(w, h, if gray { 1 } else { 3 }, data)
-}
-
-fn unit(raw: Vec<u8>) -> Vec<f32> {
-    raw.into_iter().map(|v| f32::from(v) / 255.0).collect()
-}
-
-fn unit16(raw: Vec<u16>) -> Vec<f32> {
-    raw.into_iter().map(|v| f32::from(v) / 65535.0).collect()
+    if decoded.color().channel_count() <= 2 {
+        Image::from_data(w, h, 1, decoded.to_luma32f().into_raw())
+    } else {
+        Image::from_data(w, h, 3, decoded.into_rgb32f().into_raw())
+    }
 }
 
 /// Writes an image of 1 or 3 channels as PNG, creating its folder if there is none.
@@ -205,35 +186,41 @@ pub fn quantize(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> (u
     (channels, samples)
 }
 
+/// Encodes an image, grey or RGB, as PNG of 8 bits a channel with a compression.
+pub(crate) fn encode_png_8(
+    image: &Image,
+    compression: CompressionType,
+) -> image::ImageResult<Vec<u8>> {
+    let raw: Vec<u8> = image.data().iter().map(|v| (v * 255.0 + 0.5) as u8).collect();
+    let color = if image.channels() == 1 { ExtendedColorType::L8 } else { ExtendedColorType::Rgb8 };
+    let mut bytes = Vec::with_capacity(raw.len());
+    PngEncoder::new_with_quality(&mut bytes, compression, FilterType::Adaptive).write_image(
+        &raw,
+        image.width() as u32,
+        image.height() as u32,
+        color,
+    )?;
+    Ok(bytes)
+}
+
 /// Encodes the file of [`write_image`].
 pub(crate) fn encode_png(
     image: &Image,
     coverage: Option<&[bool]>,
     depth: BitDepth,
 ) -> image::ImageResult<Vec<u8>> {
+    use ExtendedColorType::{L8, L16, La8, La16, Rgb8, Rgb16, Rgba8, Rgba16};
+    let (channels, samples) = quantize(image, coverage, depth);
+    let (bytes, colors) = match samples {
+        Samples::Eight(raw) => (raw, [L8, La8, Rgb8, Rgba8]),
+        Samples::Sixteen(raw) => {
+            (raw.into_iter().flat_map(u16::to_ne_bytes).collect(), [L16, La16, Rgb16, Rgba16])
+        }
+    };
+    let mut png = Vec::new();
     let (w, h) = (image.width() as u32, image.height() as u32);
-    let dynamic = match quantize(image, coverage, depth) {
-        (1, Samples::Eight(raw)) => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLuma8),
-        (2, Samples::Eight(raw)) => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLumaA8),
-        (3, Samples::Eight(raw)) => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgb8),
-        (_, Samples::Eight(raw)) => ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgba8),
-        (1, Samples::Sixteen(raw)) => {
-            ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLuma16)
-        }
-        (2, Samples::Sixteen(raw)) => {
-            ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageLumaA16)
-        }
-        (3, Samples::Sixteen(raw)) => {
-            ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgb16)
-        }
-        (_, Samples::Sixteen(raw)) => {
-            ImageBuffer::from_raw(w, h, raw).map(DynamicImage::ImageRgba16)
-        }
-    }
-    .expect("the buffer has these dimensions");
-    let mut bytes = std::io::Cursor::new(Vec::new());
-    dynamic.write_to(&mut bytes, image::ImageFormat::Png)?;
-    Ok(bytes.into_inner())
+    PngEncoder::new(&mut png).write_image(&bytes, w, h, colors[channels - 1])?;
+    Ok(png)
 }
 
 #[cfg(test)]

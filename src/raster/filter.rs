@@ -5,7 +5,7 @@
 ///
 /// # Panics
 /// If the count is 0, or there are fewer values.
-pub(crate) fn sliding(
+fn sliding(
     values: &[f32],
     count: usize,
     stride: usize,
@@ -38,6 +38,18 @@ pub(crate) fn padded(values: &[f32], w: usize, count: usize, value: f32) -> Vec<
         out[count..count + w].copy_from_slice(row);
     }
     out
+}
+
+/// The maximum filter of a plane of width `w` over a (2·radius + 1)² window, clipped at the borders.
+pub(crate) fn max_filter(values: &[f32], w: usize, radius: usize) -> Vec<f32> {
+    let side = 2 * radius + 1;
+    let along_rows = sliding(&padded(values, w, radius, f32::NEG_INFINITY), side, 1, f32::max);
+    let mut padded_rows = vec![f32::NEG_INFINITY; values.len() + 2 * radius * w];
+    let rows = padded_rows[radius * w..].chunks_exact_mut(w);
+    for (row, out) in along_rows.chunks(w + 2 * radius).zip(rows) {
+        out.copy_from_slice(&row[..w]);
+    }
+    sliding(&padded_rows, side, w, f32::max)
 }
 
 /// Box filter of a `w`×`h` plane: the mean of a (2·radius + 1)² window's part inside the plane.
@@ -78,6 +90,19 @@ pub(crate) fn box_filter(values: &[f32], w: usize, h: usize, radius: usize) -> V
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_maximum_filter_equals_a_search() {
+        for (w, h, radius) in [(1, 1, 0), (1, 1, 3), (7, 5, 1), (16, 9, 2), (5, 12, 20)] {
+            let values: Vec<f32> = (0..w * h).map(|k| ((k * 37) % 101) as f32).collect();
+            for (k, largest) in max_filter(&values, w, radius).iter().enumerate() {
+                let near = |a: usize, b: usize| a.abs_diff(b) <= radius;
+                let inside = (0..w * h).filter(|n| near(n % w, k % w) && near(n / w, k / w));
+                let direct = inside.map(|n| values[n]).fold(0.0, f32::max);
+                assert!(*largest == direct, "{w}×{h}, {radius}: {largest} {direct}");
+            }
+        }
+    }
 
     #[test]
     fn sliding_combines_successive_values() {

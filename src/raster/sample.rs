@@ -166,12 +166,7 @@ pub(crate) fn sample_all(
     }
     match image.channels() {
         1 => into_out::<1>(image, positions, out),
-        3 => into_out::<3>(image, positions, out),
-        n => {
-            for ([x, y], out) in positions.zip(out.chunks_exact_mut(n)) {
-                image.sample_cubic(x, y, out);
-            }
-        }
+        _ => into_out::<3>(image, positions, out),
     }
 }
 

@@ -35,6 +35,10 @@ const MAX_SHIFT_PX: f64 = 5.0;
 const N: usize = 8;
 /// Standard deviation of the noise of values in 0..=1, which the prior is weighted by.
 const NOISE: f64 = 0.012;
+/// The prior's part of the normal matrix's diagonal, at the parameters [`DEFORMED`].
+const PRIOR: f64 = (NOISE / DEFORMATION) * (NOISE / DEFORMATION);
+/// The parameters that have a prior: the matrix's entries and the gain.
+const DEFORMED: std::ops::Range<usize> = 2..7;
 /// Maximum gain between two windows; the minimum is its inverse.
 const MAX_GAIN: f64 = 4.0;
 
@@ -91,13 +95,6 @@ struct AffineWarp {
     bias: f64,
 }
 
-/// The normal equations of the template, factorized.
-struct NormalEquations {
-    solver: Cholesky<f64, Const<N>>,
-    /// The prior's part of the diagonal.
-    prior: [f64; N],
-}
-
 multiversion! {
     fn track(
         tracker: &mut AffineTracker,
@@ -127,15 +124,14 @@ fn track_by<V: F32x8>(
         bias: 0.0,
     };
     let from_given = deformation.try_inverse()?;
-    let NormalEquations { solver, prior } =
-        tracker.load_template::<V>(source, pixel.x as usize, pixel.y as usize)?;
+    let solver = tracker.load_template::<V>(source, pixel.x as isize, pixel.y as isize)?;
     for _ in 0..ITERATIONS {
         let mut right = tracker.right_hand_side::<V>(target, &warp)?;
         // The prior pulls the whole deformation, not the step, to the given one. A step deforms
         // the template, which is the inverse of deforming the target; the gain's is not inverted.
         let a = from_given * warp.matrix - Matrix2::identity();
-        for (k, v) in [(2, a.m11), (3, a.m12), (4, a.m21), (5, a.m22), (6, 1.0 - warp.gain)] {
-            right[k] += prior[k] * v;
+        for (k, v) in DEFORMED.zip([a.m11, a.m12, a.m21, a.m22, 1.0 - warp.gain]) {
+            right[k] += PRIOR * v;
         }
         let step = solver.solve(&right);
         let step_matrix = Matrix2::new(1.0 + step[2], step[3], step[4], 1.0 + step[5]);
@@ -192,17 +188,16 @@ impl AffineTracker {
         target: &Pyramid,
         start: &AffineStart,
     ) -> Option<Deformed> {
-        track(self, &source.levels()[0], &target.levels()[0], start)
+        track(self, &source.levels[0], &target.levels[0], start)
     }
 
     /// The weighted mean absolute difference of the warped target and the template, values 0..=1, and its ratio
     /// to the template's contrast. `None` if the warped window leaves the padded image.
     #[inline(always)]
     fn residual<V: F32x8>(&self, target: &PyramidLevel, warp: &AffineWarp) -> Option<[f64; 2]> {
-        let (gain, bias) = (V::splat(1.0 / warp.gain as f32), V::splat(warp.bias as f32));
         let sampler = Sampler::new(target, warp)?;
         let mut mean = [V::zero(); 2];
-        for at in (0..self.value.len()).step_by(LANES) {
+        for at in (0..AREA).step_by(LANES) {
             let w = V::load(&self.weight, at);
             accumulate(&mut mean, [V::load(&self.value, at) * w, w]);
         }
@@ -212,15 +207,12 @@ impl AffineTracker {
         }
         let mean = V::splat((sum / weight) as f32);
         let mut sums = [V::zero(); 2];
-        for y in 0..SIDE {
-            let at = y * ROW;
-            for x in (0..ROW).step_by(LANES) {
-                let sampled = sampler.sample(V::load(&self.column, x), y as f32 - RADIUS_PX as f32);
-                let value = V::load(&self.value, at + x);
-                let e = (sampled - bias) * gain - value;
-                let w = V::load(&self.weight, at + x);
-                accumulate(&mut sums, [e.abs() * w, (value - mean).abs() * w]);
-            }
+        for at in (0..AREA).step_by(LANES) {
+            let row_from_middle = (at / ROW) as f32 - RADIUS_PX as f32;
+            let sampled = sampler.sample(V::load(&self.column, at % ROW), row_from_middle);
+            let (value, w) = (V::load(&self.value, at), V::load(&self.weight, at));
+            let e = sampled - value;
+            accumulate(&mut sums, [e.abs() * w, (value - mean).abs() * w]);
         }
         let [difference, contrast] = V::sums(&sums);
         // A template that determined the shift has contrast.
@@ -233,17 +225,16 @@ impl AffineTracker {
     fn load_template<V: F32x8>(
         &mut self,
         source: &PyramidLevel,
-        cx: usize,
-        cy: usize,
-    ) -> Option<NormalEquations> {
+        cx: isize,
+        cy: isize,
+    ) -> Option<Cholesky<f64, Const<N>>> {
         let r = RADIUS_PX as isize;
-        let (cx, cy) = (cx as isize, cy as isize);
         // Samples outside the image are copies of its border, and have weight 0.
         let columns = (r - cx).max(0)..(source.width as isize - cx + r).min(2 * r + 1);
         let rows = (r - cy).max(0)..(source.height as isize - cy + r).min(2 * r + 1);
         self.center_value = source.value[source.index(cx, cy)];
         let (center, scale) = (V::splat(self.center_value), V::splat(1.0 / SCHARR_SCALE));
-        let mut moments = Moments::<V>::new();
+        let mut moments = Moments::<V, 6, 3>::new();
         for y in 0..2 * r + 1 {
             let out = y as usize * ROW;
             let all = out..out + ROW;
@@ -254,7 +245,7 @@ impl AffineTracker {
             }
             let at = source.index(cx - r, cy + y - r);
             self.value[all].copy_from_slice(&source.value[at..at + ROW]);
-            let mut of_row = RowMoments::new();
+            let mut of_row = Moments::<V, 3, 2>::new();
             for x in (0..ROW).step_by(LANES) {
                 let [gx, gy] = scharr::<V>(&source.value, at + x, source.stride);
                 let (gx, gy) = (gx * scale, gy * scale);
@@ -266,15 +257,13 @@ impl AffineTracker {
                 wy.store(&mut self.weighted_dy, out + x);
                 wv.store(&mut self.weighted_value, out + x);
             }
-            moments.add(&of_row, V::splat((y - r) as f32));
+            moments.add_row(&of_row, V::splat((y - r) as f32));
         }
         let mut matrix = moments.matrix();
-        let d = (NOISE / DEFORMATION).powi(2);
-        let prior = [0.0, 0.0, d, d, d, d, d, 0.0];
-        for (k, p) in prior.iter().enumerate() {
-            matrix[(k, k)] += p;
+        for k in DEFORMED {
+            matrix[(k, k)] += PRIOR;
         }
-        Some(NormalEquations { solver: Cholesky::new(matrix)?, prior })
+        Cholesky::new(matrix)
     }
 
     /// The right-hand side of the normal equations: Σ w·e·(derivatives by the parameters), e the difference of
@@ -285,7 +274,6 @@ impl AffineTracker {
         target: &PyramidLevel,
         warp: &AffineWarp,
     ) -> Option<SVector<f64, N>> {
-        let (gain, bias) = (V::splat(1.0 / warp.gain as f32), V::splat(warp.bias as f32));
         let sampler = Sampler::new(target, warp)?;
         let mut sums = [V::zero(); N];
         for y in 0..SIDE {
@@ -296,7 +284,7 @@ impl AffineTracker {
             for x in (0..ROW).step_by(LANES) {
                 let column = V::load(&self.column, x);
                 let sampled = sampler.sample(column, row_from_middle);
-                let e = (sampled - bias) * gain - V::load(&self.value, at + x);
+                let e = sampled - V::load(&self.value, at + x);
                 let ex = e * V::load(&self.weighted_dx, at + x);
                 let ey = e * V::load(&self.weighted_dy, at + x);
                 let ev = e * V::load(&self.weighted_value, at + x);
@@ -311,40 +299,6 @@ impl AffineTracker {
     }
 }
 
-/// Sums over a row of the weighted products of two derivatives, and their moments along the row.
-struct RowMoments<V> {
-    /// dx·dx, dx·dy, dy·dy, each times 1, x, x².
-    tensor: [[V; 3]; 3],
-    /// dx·v, dy·v, dx, dy, each times 1, x.
-    shift_light: [[V; 2]; 4],
-    /// v·v, v, 1.
-    light: [V; 3],
-}
-
-impl<V: F32x8> RowMoments<V> {
-    #[inline(always)]
-    fn new() -> Self {
-        let zero = V::zero();
-        Self { tensor: [[zero; 3]; 3], shift_light: [[zero; 2]; 4], light: [zero; 3] }
-    }
-
-    /// Adds eight samples at columns `x`: the derivatives by position and gain, these times the weights,
-    /// and the weights.
-    #[inline(always)]
-    fn add(&mut self, [gx, gy, v]: [V; 3], [wx, wy, wv, w]: [V; 4], x: V) {
-        let products = [wx * gx, wx * gy, wy * gy];
-        for (sums, p) in self.tensor.iter_mut().zip(products) {
-            let px = p * x;
-            accumulate(sums, [p, px, px * x]);
-        }
-        let products = [wx * v, wy * v, wx, wy];
-        for (sums, p) in self.shift_light.iter_mut().zip(products) {
-            accumulate(sums, [p, p * x]);
-        }
-        accumulate(&mut self.light, [wv * v, wv, w]);
-    }
-}
-
 #[inline(always)]
 fn accumulate<V: F32x8, const M: usize>(sums: &mut [V; M], terms: [V; M]) {
     for (sum, term) in sums.iter_mut().zip(terms) {
@@ -352,24 +306,43 @@ fn accumulate<V: F32x8, const M: usize>(sums: &mut [V; M], terms: [V; M]) {
     }
 }
 
-/// Sums over the window of the weighted products of two derivatives times x^i·y^j.
-struct Moments<V> {
-    /// dx·dx, dx·dy, dy·dy, each times 1, x, y, x², xy, y².
-    tensor: [[V; 6]; 3],
-    /// dx·v, dy·v, dx, dy, each times 1, x, y.
-    shift_light: [[V; 3]; 4],
+/// Sums over a row or a window of the weighted products of two derivatives, and their moments.
+struct Moments<V, const T: usize, const S: usize> {
+    /// dx·dx, dx·dy, dy·dy, each times 1, x, x² over a row, and times 1, x, y, x², xy, y² over a window.
+    tensor: [[V; T]; 3],
+    /// dx·v, dy·v, dx, dy, each times 1, x over a row, and times 1, x, y over a window.
+    shift_light: [[V; S]; 4],
+    /// v·v, v, 1.
     light: [V; 3],
 }
 
-impl<V: F32x8> Moments<V> {
+impl<V: F32x8, const T: usize, const S: usize> Moments<V, T, S> {
     #[inline(always)]
     fn new() -> Self {
         let zero = V::zero();
-        Self { tensor: [[zero; 6]; 3], shift_light: [[zero; 3]; 4], light: [zero; 3] }
+        Self { tensor: [[zero; T]; 3], shift_light: [[zero; S]; 4], light: [zero; 3] }
     }
+}
 
+impl<V: F32x8> Moments<V, 3, 2> {
+    /// Adds eight samples at columns `x`: the derivatives by position and gain, these times the weights,
+    /// and the weights.
     #[inline(always)]
-    fn add(&mut self, row: &RowMoments<V>, y: V) {
+    fn add(&mut self, [gx, gy, v]: [V; 3], [wx, wy, wv, w]: [V; 4], x: V) {
+        for (sums, p) in self.tensor.iter_mut().zip([wx * gx, wx * gy, wy * gy]) {
+            let px = p * x;
+            accumulate(sums, [p, px, px * x]);
+        }
+        for (sums, p) in self.shift_light.iter_mut().zip([wx * v, wy * v, wx, wy]) {
+            accumulate(sums, [p, p * x]);
+        }
+        accumulate(&mut self.light, [wv * v, wv, w]);
+    }
+}
+
+impl<V: F32x8> Moments<V, 6, 3> {
+    #[inline(always)]
+    fn add_row(&mut self, row: &Moments<V, 3, 2>, y: V) {
         for (sums, &[p, px, pxx]) in self.tensor.iter_mut().zip(&row.tensor) {
             let py = p * y;
             accumulate(sums, [p, px, py, pxx, px * y, py * y]);
@@ -423,12 +396,13 @@ struct Sampler<'a> {
     target: &'a PyramidLevel,
     /// Index of the top-left of the 4×4 samples around the middle's pixel.
     corner: isize,
-    /// The first column of the matrix: the step in the target per column of the window.
+    /// The columns of the matrix: the steps in the target per column and per row of the window.
     per_column: [f32; 2],
-    /// The second column of the matrix: the step in the target per row of the window.
     per_row: [f32; 2],
     /// The middle's fractional position within its pixel.
     middle: [f32; 2],
+    inverse_gain: f32,
+    bias: f32,
 }
 
 impl<'a> Sampler<'a> {
@@ -455,28 +429,27 @@ impl<'a> Sampler<'a> {
             per_column: [m.m11 as f32, m.m21 as f32],
             per_row: [m.m12 as f32, m.m22 as f32],
             middle: [within.x as f32, within.y as f32],
+            inverse_gain: 1.0 / warp.gain as f32,
+            bias: warp.bias as f32,
         })
     }
 
-    /// Target coordinates of eight samples along one axis, from the middle's pixel: whole and fractional parts.
-    #[inline(always)]
-    fn coordinates<V: F32x8>(&self, axis: usize, column: V, row: f32) -> ([i32; LANES], V) {
-        let start = self.middle[axis] + self.per_row[axis] * row;
-        (V::splat(start) + V::splat(self.per_column[axis]) * column).floor_and_fraction()
-    }
-
-    /// Eight samples of a row of the window, by cubic convolution.
+    /// Eight samples of a row of the window, by cubic convolution, without gain and bias.
     #[inline(always)]
     fn sample<V: F32x8>(&self, column: V, row: f32) -> V {
-        let [(ix, fx), (iy, fy)] =
-            [self.coordinates(0, column, row), self.coordinates(1, column, row)];
+        // Target coordinates from the middle's pixel: whole and fractional parts.
+        let [x0, y0] = [0, 1].map(|axis| self.middle[axis] + self.per_row[axis] * row);
+        let [x_step, y_step] = self.per_column;
+        let (ix, fx) = (V::splat(x0) + V::splat(x_step) * column).floor_and_fraction();
+        let (iy, fy) = (V::splat(y0) + V::splat(y_step) * column).floor_and_fraction();
         let stride = self.target.stride as isize;
         let mut first = [0; LANES];
         for (l, first) in first.iter_mut().enumerate() {
             *first = (self.corner + iy[l] as isize * stride + ix[l] as isize) as usize;
         }
         let (x, y) = (catmull_rom(fx), catmull_rom(fy));
-        V::gather_4x4(&self.target.value, &first, self.target.stride, x, y)
+        let value = V::gather_4x4(&self.target.value, &first, self.target.stride, x, y);
+        (value - V::splat(self.bias)) * V::splat(self.inverse_gain)
     }
 }
 

@@ -3,6 +3,7 @@
 
 use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::PyramidLevel;
+use crate::raster::padded;
 use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::Point2;
 
@@ -24,54 +25,48 @@ pub fn corners(level: &PyramidLevel, max_corners: usize) -> Vec<Point2<f64>> {
     let mut peaks = peaks(&strength, w, h, MIN_QUALITY);
     peaks.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
 
-    let mut selected = MinDistanceSet::new(w, h);
+    // The selected corners, in cells as wide as the minimum distance, so that near ones are in adjacent cells.
+    let [columns, rows] = [w, h].map(|size| (size as f64 / MIN_DISTANCE_PX) as usize + 1);
+    let mut cells: Vec<Vec<Point2<f64>>> = vec![Vec::new(); columns * rows];
+    let mut selected = Vec::new();
     for (_, at) in peaks {
-        if selected.points.len() >= max_corners {
+        if selected.len() >= max_corners {
             break;
         }
-        selected.insert(refined(&strength, w, h, at % w, at / w));
+        let p = refined(&strength, w, h, at % w, at / w);
+        let [cx, cy] = [p.x, p.y].map(|v| (v / MIN_DISTANCE_PX) as usize);
+        let around = |c: usize, n: usize| c.saturating_sub(1)..=(c + 1).min(n - 1);
+        let is_free = |cell: usize| cells[cell].iter().all(|q| (q - p).norm() >= MIN_DISTANCE_PX);
+        if around(cy, rows).all(|y| around(cx, columns).all(|x| is_free(y * columns + x))) {
+            cells[cy * columns + cx].push(p);
+            selected.push(p);
+        }
     }
-    selected.points
-}
-
-multiversion! {
-    fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> = peaks_by_rows
+    selected
 }
 
 /// The local maxima above a fraction of the largest strength, and their indices; of equal neighbours the
 /// first in reading order.
-#[inline(always)]
-fn peaks_by_rows(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
-    let mut largest = [0.0_f32; LANES];
-    for word in strength.chunks(LANES) {
-        for (largest, s) in largest.iter_mut().zip(word) {
-            *largest = largest.max(*s);
-        }
-    }
-    let largest = largest.into_iter().fold(0.0, f32::max);
+fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
+    let largest = strength.iter().copied().fold(0.0, f32::max);
     let floor = (largest * min_quality).max(MIN_EIGENVALUE);
-    // Three rows with a lowest value on both sides; row y is at y + 1 modulo 3.
-    let lowest = vec![f32::NEG_INFINITY; w + 2];
-    let mut rows = [lowest.clone(), lowest.clone(), lowest.clone()];
-    rows[1][1..=w].copy_from_slice(&strength[..w]);
-    let mut is_peak = vec![false; w];
+    // A lowest value around the plane.
+    let wide = w + 2;
+    let mut bordered = vec![f32::NEG_INFINITY; wide];
+    bordered.extend(padded(strength, w, 1, f32::NEG_INFINITY));
+    bordered.extend(vec![f32::NEG_INFINITY; wide]);
     let mut peaks = Vec::new();
     for y in 0..h {
-        let next = &mut rows[(y + 2) % 3];
-        match strength.get((y + 1) * w..(y + 2) * w) {
-            Some(row) => next[1..=w].copy_from_slice(row),
-            None => next.copy_from_slice(&lowest),
-        }
-        let [above, row, below] = [y, y + 1, y + 2].map(|y| &rows[y % 3][..]);
+        let [above, row, below] = [y, y + 1, y + 2].map(|y| &bordered[y * wide..][..wide]);
         for x in 0..w {
             let s = row[x + 1];
             // Of the neighbours before, none is as large; of those after, none is larger.
             let before = above[x].max(above[x + 1]).max(above[x + 2]).max(row[x]);
             let after = below[x].max(below[x + 1]).max(below[x + 2]).max(row[x + 2]);
-            is_peak[x] = (s >= floor) & (s > before) & (s >= after);
+            if (s >= floor) & (s > before) & (s >= after) {
+                peaks.push((s, y * w + x));
+            }
         }
-        let columns = is_peak.iter().enumerate().filter(|(_, is_peak)| **is_peak);
-        peaks.extend(columns.map(|(x, _)| (row[x + 1], y * w + x)));
     }
     peaks
 }
@@ -107,22 +102,21 @@ fn min_eigenvalues_by<V: F32x8>(level: &PyramidLevel, radius: usize) -> Vec<f32>
         .chain((1..side).rev())
         .map(|k| k as f32 / (side * side) as f32 / SCHARR_SCALE)
         .collect();
-    // A ring buffer of the window's rows, smoothed horizontally: row y is at y modulo their number.
-    let mut rows: Vec<Tensor> = vec![Tensor::zeros(w); taps.len()];
     let mut products = Tensor::zeros(w + 4 * radius);
-    let mut next = 0;
-    let mut out = Vec::with_capacity(w * h);
-    let mut sums = Tensor::zeros(w);
+    let mut rows = Vec::with_capacity(h);
     for y in 0..h {
-        while next <= (y + 2 * radius).min(h - 1) {
-            products.load::<V>(level, next, 2 * radius);
-            rows[next % taps.len()].smooth_horizontally(&products, &taps);
-            next += 1;
-        }
-        sums.clear();
+        products.load::<V>(level, y, 2 * radius);
+        let mut row = Tensor::zeros(w);
         for (k, &tap) in taps.iter().enumerate() {
-            let from = (y + k).saturating_sub(2 * radius).min(h - 1);
-            sums.add(&rows[from % taps.len()], 0, tap);
+            row.add(&products, k, tap);
+        }
+        rows.push(row);
+    }
+    let mut out = Vec::with_capacity(w * h);
+    for y in 0..h {
+        let mut sums = Tensor::zeros(w);
+        for (k, &tap) in taps.iter().enumerate() {
+            sums.add(&rows[(y + k).saturating_sub(2 * radius).min(h - 1)], 0, tap);
         }
         let [xx, xy, yy] = &sums.planes;
         out.extend(xx.iter().zip(xy).zip(yy).map(|((a, b), c)| {
@@ -135,7 +129,6 @@ fn min_eigenvalues_by<V: F32x8>(level: &PyramidLevel, radius: usize) -> Vec<f32>
 }
 
 /// A row of structure tensors, as planes xx, xy, yy.
-#[derive(Clone)]
 struct Tensor {
     planes: [Vec<f32>; 3],
 }
@@ -145,11 +138,6 @@ impl Tensor {
         Self { planes: std::array::from_fn(|_| vec![0.0; width]) }
     }
 
-    #[inline(always)]
-    fn clear(&mut self) {
-        self.planes.iter_mut().for_each(|plane| plane.fill(0.0));
-    }
-
     /// Adds `factor` times another row's values from index `shift` on.
     #[inline(always)]
     fn add(&mut self, other: &Self, shift: usize, factor: f32) {
@@ -157,14 +145,6 @@ impl Tensor {
             for (sum, v) in plane.iter_mut().zip(&other[shift..]) {
                 *sum += factor * v;
             }
-        }
-    }
-
-    #[inline(always)]
-    fn smooth_horizontally(&mut self, products: &Self, taps: &[f32]) {
-        self.clear();
-        for (k, &tap) in taps.iter().enumerate() {
-            self.add(products, k, tap);
         }
     }
 
@@ -190,55 +170,6 @@ impl Tensor {
     }
 }
 
-/// A set of points at least [`MIN_DISTANCE_PX`] apart, in a grid of cells of that size.
-struct MinDistanceSet {
-    points: Vec<Point2<f64>>,
-    columns: usize,
-    rows: usize,
-    /// The last point of each cell, or [`NONE`].
-    last: Vec<u32>,
-    /// For each point, the point before it in the same cell, or [`NONE`].
-    before: Vec<u32>,
-}
-
-/// Marks the end of a list of points.
-const NONE: u32 = u32::MAX;
-
-impl MinDistanceSet {
-    /// An empty set of points of an image of this size, pixels.
-    fn new(width: usize, height: usize) -> Self {
-        let columns = (width as f64 / MIN_DISTANCE_PX) as usize + 1;
-        let rows = (height as f64 / MIN_DISTANCE_PX) as usize + 1;
-        Self {
-            points: Vec::new(),
-            columns,
-            rows,
-            last: vec![NONE; columns * rows],
-            before: Vec::new(),
-        }
-    }
-
-    /// Adds a point of the image unless another is nearer than the minimum distance.
-    fn insert(&mut self, p: Point2<f64>) {
-        let (cx, cy) = ((p.x / MIN_DISTANCE_PX) as usize, (p.y / MIN_DISTANCE_PX) as usize);
-        let around = |c: usize, n: usize| c.saturating_sub(1)..=(c + 1).min(n - 1);
-        let too_near = around(cy, self.rows).any(|y| {
-            around(cx, self.columns).any(|x| {
-                let before = |k: &u32| Some(self.before[*k as usize]).filter(|&k| k != NONE);
-                let last = Some(self.last[y * self.columns + x]).filter(|&k| k != NONE);
-                std::iter::successors(last, before)
-                    .any(|k| (self.points[k as usize] - p).norm() < MIN_DISTANCE_PX)
-            })
-        });
-        if !too_near {
-            let last = &mut self.last[cy * self.columns + cx];
-            self.before.push(*last);
-            *last = self.points.len() as u32;
-            self.points.push(p);
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::pyramid::Pyramid;
@@ -247,7 +178,7 @@ mod tests {
     use crate::raster::Image;
 
     fn detected(image: &Image, max_corners: usize) -> Vec<Point2<f64>> {
-        corners(&Pyramid::new(image, 1, 8).levels()[0], max_corners)
+        corners(&Pyramid::new(image, 1, 8).levels[0], max_corners)
     }
 
     #[test]
@@ -305,7 +236,6 @@ mod tests {
                     .map(|k| (strength[k], k))
                     .collect();
                 assert_eq!(peaks(&strength, w, h, 0.4), expected, "{w}×{h}");
-                assert_eq!(peaks_by_rows(&strength, w, h, 0.4), expected, "{w}×{h}");
             }
         }
     }
@@ -339,7 +269,7 @@ mod tests {
             let image =
                 Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect());
             let radius = case % 3;
-            let strengths = min_eigenvalues(&Pyramid::new(&image, 1, 4).levels()[0], radius);
+            let strengths = min_eigenvalues(&Pyramid::new(&image, 1, 4).levels[0], radius);
             for (k, strength) in strengths.iter().enumerate() {
                 let expected = naive_strength(&image.to_gray(), k % w, k / w, radius as i64);
                 let error = (f64::from(*strength) - expected).abs();

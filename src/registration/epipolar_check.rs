@@ -1,24 +1,24 @@
 //! §4.2: the epipolar test, which finds mismatches by eqs. (1) to (3).
 
-use super::flow::{flow_over, is_new};
+use super::guided_flow::{MotionPrior, Retries};
 use super::{
-    FlowDirection, Frame, FrameStore, Match, MotionPrior, Reference, ReferenceQuery, References,
-    RegistrationOptions, Start, Track, Trajectory, flow, select_references,
+    FlowDirection, Frame, FrameStore, Match, Reference, ReferenceQuery, RegistrationOptions, Start,
+    Track, Trajectory, flow, select_references,
 };
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::CaptureError;
 use nalgebra::Point2;
 
-/// The result of the epipolar test of a track.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The result of the epipolar test of a track. Of several references' results, the last in this order counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
+    /// No reference can test it: none sees the feature, or the feature moves along its epipolar line.
+    Untestable,
     /// Its spatial correspondence lies on the epipolar line, eq. (3).
     Passed,
     /// Its spatial correspondence does not lie on the line: the temporal or the spatial one is wrong, and
     /// neither is used.
     Rejected,
-    /// No reference can test it: none sees the feature, or the feature moves along its epipolar line.
-    Untestable,
 }
 
 /// A track to be tested.
@@ -55,95 +55,47 @@ pub fn epipolar_check(
     let Some(own_times) = &times_s[i] else { return Ok(verdicts) };
     let interval_s = [own_times[k], own_times[k + 1]];
     // The forward flow's errors show at its far end, t + Δt; the backward flow's at t.
-    let directed = |backward: bool, source: usize, time_s: f64| {
-        let source = frames.get(i, source)?;
-        let of_direction =
-            |(_, track): &(usize, &Track)| (track.direction == FlowDirection::Backward) == backward;
-        let features: Vec<TestedTrack> = tracks
-            .iter()
-            .enumerate()
-            .filter(of_direction)
-            .filter_map(|(index, track)| {
-                let start = if backward { track.later } else { track.earlier };
-                let trajectory = track.trajectory(own_times, k)?;
-                Some(TestedTrack { index, track, trajectory, start })
-            })
-            .collect();
+    let directed = |is_backward: bool| {
+        let (frame, time_s) = if is_backward { (k + 1, interval_s[0]) } else { (k, interval_s[1]) };
+        let is_own = |track: &Track| is_backward == (track.direction == FlowDirection::Backward);
+        let own = tracks.iter().enumerate().filter(|(_, track)| is_own(track));
+        let tested = own.filter_map(|(index, track)| {
+            let start = if is_backward { track.later } else { track.earlier };
+            let trajectory = track.trajectory(own_times, k)?;
+            Some((TestedTrack { index, track, trajectory, start }, Verdict::Untestable))
+        });
+        let mut features: Vec<_> = tested.collect();
         let query = ReferenceQuery { camera: i, interval_s, time_s };
         let references = select_references(frames.capture(), times_s, &query);
-        tested(frames, i, &source, &features, &references)
-    };
-    let (forward, backward) =
-        rayon::join(|| directed(false, k, interval_s[1]), || directed(true, k + 1, interval_s[0]));
-    for (index, verdict) in forward?.into_iter().chain(backward?) {
-        verdicts[index] = verdict;
-    }
-    Ok(verdicts)
-}
-
-/// Tests tracks of camera `i` that start in frame `source`: verdicts by index of the track.
-fn tested(
-    frames: &FrameStore,
-    i: usize,
-    source: &Frame,
-    features: &[TestedTrack],
-    references: &References,
-) -> Result<Vec<(usize, Verdict)>, CaptureError> {
-    let all: Vec<&TestedTrack> = features.iter().collect();
-    let mut verdicts: Vec<_> = all.iter().map(|f| (f.index, Verdict::Untestable)).collect();
-    for reference in &references.first {
-        let found = test_with(frames, i, source, reference, &all)?;
-        for ((_, known), verdict) in verdicts.iter_mut().zip(found) {
-            *known = match (*known, verdict) {
-                (Verdict::Rejected, _) | (_, Verdict::Rejected) => Verdict::Rejected,
-                (Verdict::Passed, _) | (_, Verdict::Passed) => Verdict::Passed,
-                _ => Verdict::Untestable,
+        let source = frames.get(i, frame)?;
+        let cameras = &frames.capture().cameras;
+        let first = references.first.iter().map(|reference| (reference, true));
+        let further = references.further.iter().map(|reference| (reference, false));
+        for (reference, is_first) in first.chain(further) {
+            let pair = Pair {
+                camera_i: &cameras[i].camera,
+                camera_j: &cameras[reference.camera].camera,
+                time_s: reference.time_s,
+                options: frames.options(),
             };
+            let is_tested = |(_, verdict): &&mut _| is_first || *verdict == Verdict::Untestable;
+            let (tested, verdicts): (Vec<_>, Vec<_>) = features
+                .iter_mut()
+                .filter(is_tested)
+                .map(|(feature, verdict)| (&*feature, verdict))
+                .unzip();
+            let found = pair.verdicts(frames, &source, reference, &tested)?;
+            for (verdict, found) in verdicts.into_iter().zip(found) {
+                *verdict = found.max(*verdict);
+            }
         }
-    }
-    for reference in &references.further {
-        let is_untested = |k: &usize| verdicts[*k].1 == Verdict::Untestable;
-        let untested: Vec<usize> = (0..all.len()).filter(is_untested).collect();
-        let features: Vec<&TestedTrack> = untested.iter().map(|&k| all[k]).collect();
-        for (k, verdict) in
-            untested.into_iter().zip(test_with(frames, i, source, reference, &features)?)
-        {
-            verdicts[k].1 = verdict;
-        }
+        Ok::<_, CaptureError>(features)
+    };
+    let (forward, backward) = rayon::join(|| directed(false), || directed(true));
+    for (feature, verdict) in forward?.into_iter().chain(backward?) {
+        verdicts[feature.index] = verdict;
     }
     Ok(verdicts)
-}
-
-/// Tests tracks of camera `i` that start in frame `source` with one reference: verdicts in their order.
-fn test_with(
-    frames: &FrameStore,
-    i: usize,
-    source: &Frame,
-    reference: &Reference,
-    features: &[&TestedTrack],
-) -> Result<Vec<Verdict>, CaptureError> {
-    if features.is_empty() {
-        return Ok(Vec::new());
-    }
-    let target = frames.get(reference.camera, reference.frame)?;
-    let cameras = &frames.capture().cameras;
-    let pair = Pair {
-        camera_i: &cameras[i].camera,
-        camera_j: &cameras[reference.camera].camera,
-        time_s: reference.time_s,
-        options: frames.options(),
-    };
-    let target_s = reference.between.map_or(reference.time_s, |[first, _]| first);
-    let mut matched = pair.match_features(source, &target, target_s, features);
-    if let Some(between) = reference.between {
-        let next = frames.get(reference.camera, reference.frame + 1)?;
-        pair.interpolate([&target, &next], between, features, &mut matched);
-    }
-    let verdicts = features
-        .iter()
-        .zip(&matched)
-        .map(|(feature, p_j)| pair.verdict(feature, p_j.as_ref()).unwrap_or(Verdict::Untestable));
-    Ok(verdicts.collect())
 }
 
 /// Minimum motion of features that must move across their epipolar lines to be testable, pixels.
@@ -164,20 +116,32 @@ struct Pair<'a> {
 }
 
 impl Pair<'_> {
-    /// Spatial flow of the features from `source` to the reference's frame `target`, of time `target_s`: their
-    /// positions there, pixels.
-    fn match_features(
+    /// Tests features that start in frame `source` with the reference: verdicts in their order.
+    fn verdicts(
         &self,
+        frames: &FrameStore,
         source: &Frame,
-        target: &Frame,
-        target_s: f64,
+        reference: &Reference,
         features: &[&TestedTrack],
-    ) -> Vec<Option<Point2<f64>>> {
+    ) -> Result<Vec<Verdict>, CaptureError> {
+        if features.is_empty() {
+            return Ok(Vec::new());
+        }
+        let target = frames.get(reference.camera, reference.frame)?;
+        let target_s = reference.between.map_or(reference.time_s, |[first, _]| first);
         let starts: Vec<Start> =
             features.iter().map(|f| (f.start, f.trajectory.at(target_s))).collect();
-        let mut matches = flow(source, target, &starts, self.options);
-        self.retry(source, target, &starts, &mut matches);
-        matches.into_iter().map(|matched| matched.map(|m| m.target)).collect()
+        let mut matches = flow(source, &target, &starts, self.options);
+        self.retry([source, &target], &starts, &mut matches);
+        let mut matched: Vec<_> = matches.into_iter().map(|m| m.map(|m| m.target)).collect();
+        if let Some(between) = reference.between {
+            let next = frames.get(reference.camera, reference.frame + 1)?;
+            self.interpolate([&target, &next], between, features, &mut matched);
+        }
+        let verdict = |(feature, p_j): (&&TestedTrack, Option<Point2<f64>>)| {
+            self.verdict(feature, p_j.as_ref()).unwrap_or(Verdict::Untestable)
+        };
+        Ok(features.iter().zip(matched).map(verdict).collect())
     }
 
     /// Tracks the features matched in a frame of the reference camera to its next frame, and replaces
@@ -207,55 +171,24 @@ impl Pair<'_> {
     /// A second attempt at features that were not matched, or not on their epipolar line. The initial guess is
     /// first the predicted position plus the neighbours' disparity, then the start plus the neighbours'
     /// displacement. The match of the smaller residual is used.
-    fn retry(
-        &self,
-        source: &Frame,
-        target: &Frame,
-        starts: &[Start],
-        matches: &mut [Option<Match>],
-    ) {
+    fn retry(&self, frames: [&Frame; 2], starts: &[Start], matches: &mut [Option<Match>]) {
         let Some(geometry) = EpipolarGeometry::new(self.camera_i, self.camera_j) else { return };
-        let line_distance = |p_i: &Point2<f64>, p_j: &Point2<f64>| {
+        let is_on_line = |p_i: &Point2<f64>, p_j: &Point2<f64>| {
             let line = geometry.line_in_j(&self.camera_i.model.ideal_from_pixel(p_i)?)?;
-            Some(line.distance(&self.camera_j.model.ideal_from_pixel(p_j)?).abs())
+            let distance_px = line.distance(&self.camera_j.model.ideal_from_pixel(p_j)?).abs();
+            Some(!(distance_px > self.options.epipolar_tolerance_px))
         };
-        let is_off = |p_i: &Point2<f64>, matched: &Option<Match>| {
-            matched.as_ref().is_none_or(|m| {
-                line_distance(p_i, &m.target).is_none_or(|d| d > self.options.epipolar_tolerance_px)
-            })
-        };
-        let mut tried = vec![None; starts.len()];
+        let mut retries = Retries::new(frames, starts, [RETRY_LEVELS, 1], self.options);
         for from_prediction in [true, false] {
-            let base =
-                |(start, predicted): &Start| if from_prediction { *predicted } else { *start };
-            let trusted: Vec<_> = starts
-                .iter()
-                .zip(matches.iter())
-                .filter(|((_, predicted), matched)| !is_off(predicted, matched))
-                .filter_map(|(start, matched)| {
-                    let base = base(start);
-                    Some((base, matched.as_ref()?.target - base))
-                })
-                .collect();
-            let prior = MotionPrior::new(&trusted);
-            let again: Vec<(usize, Start)> = (0..starts.len())
-                .filter(|&k| is_off(&starts[k].1, &matches[k]))
-                .filter_map(|k| {
-                    let base = base(&starts[k]);
-                    let displacement = prior.predict(&base, MotionPrior::RADIUS_PX)?;
-                    let guess = base + displacement;
-                    is_new(&mut tried[k], guess).then_some((k, (starts[k].0, guess)))
-                })
-                .collect();
-            let sought: Vec<_> = again.iter().map(|(_, start)| *start).collect();
-            let levels = [RETRY_LEVELS, 1];
-            let retried = flow_over(source, target, &sought, levels, self.options);
-            for ((k, _), retried) in again.iter().zip(retried) {
-                let Some(retried) = retried else { continue };
-                if matches[*k].as_ref().is_none_or(|first| retried.residual < first.residual) {
-                    matches[*k] = Some(retried);
-                }
-            }
+            let base = |k: usize| if from_prediction { starts[k].1 } else { starts[k].0 };
+            let is_trusted = |k: &usize| {
+                matches[*k].is_some_and(|m| is_on_line(&starts[*k].1, &m.target) == Some(true))
+            };
+            let (trusted, others): (Vec<_>, Vec<_>) = (0..starts.len()).partition(is_trusted);
+            let displacement = |k: usize| Some((base(k), matches[k]?.target - base(k)));
+            let prior = MotionPrior::new(trusted.into_iter().filter_map(displacement));
+            let guess = |k: usize| Some((k, base(k) + prior.predict(&base(k))?));
+            retries.track(others.into_iter().filter_map(guess), matches);
         }
     }
 

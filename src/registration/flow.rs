@@ -1,17 +1,15 @@
 //! §4.1: sparse optical flow between two frames, of one camera (temporal flow) or of two (spatial
 //! flow).
 
-use super::{Frame, RegistrationOptions, Tracker};
+use super::{Frame, KltParameters, RegistrationOptions, Tracked, Tracker};
 use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;
 
 /// Pyramid levels of the backward tracking, whose result is near its start.
 const BACKWARD_LEVELS: usize = 2;
-/// Two initial guesses nearer than this, pixels, lead to the same result.
-const SAME_GUESS_PX: f64 = 1.0;
 /// Points are tracked in horizontal bands of this height, pixels, whose windows fit the processor's cache.
 const BAND_PX: f64 = 24.0;
-/// Points that a thread tracks at a time.
+/// Minimum number of points that a thread tracks at a time.
 const CHUNK: usize = 128;
 
 /// A correspondence between two frames.
@@ -44,62 +42,42 @@ pub fn flow(
     starts: &[Start],
     options: &RegistrationOptions,
 ) -> Vec<Option<Match>> {
-    flow_over(source, target, starts, [options.levels, BACKWARD_LEVELS], options)
+    flow_over([source, target], starts, [options.levels, BACKWARD_LEVELS], options)
 }
 
-/// As [`flow`], on the given numbers of finest levels, forward and backward.
+/// As [`flow`], on the given numbers of finest pyramid levels, forward and backward.
 pub(super) fn flow_over(
-    source: &Frame,
-    target: &Frame,
+    frames: [&Frame; 2],
     starts: &[Start],
-    [levels, backward_levels]: [usize; 2],
+    levels: [usize; 2],
     options: &RegistrationOptions,
 ) -> Vec<Option<Match>> {
+    let [source, target] = frames.map(|frame| &frame.pyramid);
     let thresholds = options.consistency();
-    let mut order: Vec<u32> = (0..starts.len() as u32).collect();
-    order.sort_by_cached_key(|&k| {
-        let p = starts[k as usize].0;
-        ((p.y / BAND_PX) as i32, p.x as i32)
-    });
-    let matches: Vec<Option<Match>> = order
-        .par_chunks(CHUNK)
-        .flat_map_iter(|chunk| {
-            let mut tracker = Tracker::new(options);
-            chunk
-                .iter()
-                .map(|&k| {
-                    let (from, guess) = starts[k as usize];
-                    let [source, target] = [&source.pyramid, &target.pyramid];
-                    let tracked = tracker
-                        .track_over(source, target, from, guess, levels)
-                        .filter(|t| t.residual <= thresholds.residual)?;
-                    let to = tracked.position;
-                    let back = tracker
-                        .track_over(target, source, to, from, backward_levels)
-                        .filter(|t| t.residual <= thresholds.residual)?;
-                    let forward_backward_error_px = (back.position - from).norm();
-                    (forward_backward_error_px <= thresholds.forward_backward_error_px).then_some(
-                        Match {
-                            source: from,
-                            target: to,
-                            deformation: Matrix2::identity(),
-                            residual: tracked.residual,
-                            forward_backward_error_px,
-                        },
-                    )
-                })
-                .collect::<Vec<_>>()
+    let mut order: Vec<usize> = (0..starts.len()).collect();
+    order.sort_by_cached_key(|&k| ((starts[k].0.y / BAND_PX) as i32, starts[k].0.x as i32));
+    let track = |[there, back]: &mut [Tracker; 2], (from, guess): Start| {
+        let is_alike = |tracked: &Tracked| tracked.residual <= thresholds.residual;
+        let found = there.track(source, target, from, guess).filter(is_alike)?;
+        let returned = back.track(target, source, found.position, from).filter(is_alike)?;
+        let forward_backward_error_px = (returned.position - from).norm();
+        (forward_backward_error_px <= thresholds.forward_backward_error_px).then_some(Match {
+            source: from,
+            target: found.position,
+            deformation: Matrix2::identity(),
+            residual: found.residual,
+            forward_backward_error_px,
         })
+    };
+    let trackers = || levels.map(|levels| Tracker::new(KltParameters { levels, ..options.into() }));
+    let matches: Vec<Option<Match>> = order
+        .par_iter()
+        .with_min_len(CHUNK)
+        .map_init(trackers, |trackers, &k| track(trackers, starts[k]))
         .collect();
     let mut in_order = vec![None; starts.len()];
     for (k, matched) in order.into_iter().zip(matches) {
-        in_order[k as usize] = matched;
+        in_order[k] = matched;
     }
     in_order
-}
-
-/// Whether a guess differs from the last one tried, which would give the same result; records it.
-pub(super) fn is_new(tried: &mut Option<Point2<f64>>, guess: Point2<f64>) -> bool {
-    let before = tried.replace(guess);
-    before.is_none_or(|before| (guess - before).norm() > SAME_GUESS_PX)
 }

@@ -1,6 +1,6 @@
 //! A frame with its pyramid, corners and gradients.
 
-use super::polar_gradients::PolarGradients;
+use super::polar_gradients::{PolarGradients, polar_gradients};
 use super::pyramid::PyramidLevel;
 use super::{Pyramid, RegistrationOptions, corners};
 use crate::raster::Image;
@@ -26,24 +26,14 @@ impl Frame {
         Self { image, pyramid, corners, gradients }
     }
 
-    /// A frame whose pyramid is of another image of the same size: `image` as bright as the reference
-    /// camera records it.
-    pub(super) fn with_corrected(
-        image: Image,
-        corrected: Image,
-        options: &RegistrationOptions,
-    ) -> Self {
-        Self { image, ..Self::new(corrected, options) }
-    }
-
     /// The frame's corners (§4.1), pixels. They are computed by the first call, whose options count.
     pub fn corners(&self, options: &RegistrationOptions) -> &[Point2<f64>] {
-        self.corners.get_or_init(|| corners(&self.pyramid.levels()[0], options.max_corners))
+        self.corners.get_or_init(|| corners(&self.pyramid.levels[0], options.max_corners))
     }
 
     /// Gradients for the descriptors of rotating patches. Computed by the first call.
     pub(super) fn gradients(&self) -> &PolarGradients {
-        self.gradients.get_or_init(|| PolarGradients::new(&self.pyramid))
+        self.gradients.get_or_init(|| polar_gradients(&self.pyramid))
     }
 
     /// Bytes of a frame of this width and height, pixels: image, pyramid and gradients.
@@ -69,7 +59,7 @@ mod tests {
         let options = RegistrationOptions::default();
         for (w, h, channels) in [(1, 1, 3), (31, 70, 1), (65, 64, 3), (320, 240, 1)] {
             let frame = Frame::new(Image::filled(w, h, channels, 0.5), &options);
-            let levels: usize = frame.pyramid.levels().iter().map(|l| l.value.len()).sum();
+            let levels: usize = frame.pyramid.levels.iter().map(|l| l.value.len()).sum();
             let samples = w * h * channels + levels;
             let expected = size_of::<f32>() * samples + frame.gradients().bytes();
             assert_eq!(Frame::bytes_of([w, h], channels, &options), expected);

@@ -3,7 +3,6 @@
 use super::{Frame, GainMethod, Gains, RegistrationOptions};
 use crate::capture::{Capture, CaptureError, Color};
 use crate::host::Memo;
-use crate::raster::Image;
 use std::convert::Infallible;
 use std::sync::Arc;
 
@@ -12,7 +11,8 @@ use std::sync::Arc;
 pub struct FrameStore {
     capture: Arc<Capture>,
     options: RegistrationOptions,
-    memo: Arc<Memo>,
+    /// The memo that caches the frames.
+    pub memo: Arc<Memo>,
     /// Camera and index of every frame that was decoded, in order.
     #[cfg(test)]
     pub(crate) decoded: Arc<std::sync::Mutex<Vec<(usize, usize)>>>,
@@ -59,11 +59,6 @@ impl FrameStore {
         }
     }
 
-    /// The memo that caches the frames.
-    pub fn memo(&self) -> &Arc<Memo> {
-        &self.memo
-    }
-
     /// The capture that the frames are of.
     pub fn capture(&self) -> &Arc<Capture> {
         &self.capture
@@ -91,7 +86,13 @@ impl FrameStore {
                 let image = self.capture.read_frame(camera, index)?;
                 #[cfg(test)]
                 self.decoded.lock().unwrap().push((camera, index));
-                Ok(self.prepared(camera, image))
+                // The pyramid is as bright as the reference camera's.
+                let Some(corrected) = self.gains().corrected(camera, &image) else {
+                    return Ok(Frame::new(image, &self.options));
+                };
+                let mut frame = Frame::new(corrected, &self.options);
+                frame.image = image;
+                Ok(frame)
             },
         )
     }
@@ -110,14 +111,6 @@ impl FrameStore {
         bytes_of(&self.capture, camera, &self.options).max(min_bytes)
     }
 
-    /// Builds a frame whose pyramid is as bright as the reference camera's.
-    fn prepared(&self, camera: usize, image: Image) -> Frame {
-        match self.gains().corrected(camera, &image) {
-            Some(corrected) => Frame::with_corrected(image, corrected, &self.options),
-            None => Frame::new(image, &self.options),
-        }
-    }
-
     /// The cameras' gains, estimated from the images. All 1 for a single camera, or if
     /// [`RegistrationOptions::gains`] is [`GainMethod::Equal`].
     pub fn gains(&self) -> Arc<Gains> {
@@ -125,13 +118,10 @@ impl FrameStore {
         let compute = || -> Result<Gains, Infallible> {
             let stored = self.capture.load_stored(Gains::KIND, &self.options);
             let stored = stored.filter(|gains: &Gains| gains.are_plausible(cameras));
-            Ok(match self.options.gains {
-                GainMethod::Equal => Gains::equal(cameras),
-                GainMethod::Estimated if cameras == 1 => Gains::equal(cameras),
-                GainMethod::Estimated => {
-                    stored.unwrap_or_else(|| Gains::estimate(&self.capture, &self.options))
-                }
-            })
+            if self.options.gains == GainMethod::Equal || cameras == 1 {
+                return Ok(Gains::equal(cameras));
+            }
+            Ok(stored.unwrap_or_else(|| Gains::estimate(&self.capture, &self.options)))
         };
         let bytes = |_: &Gains| cameras * size_of::<[f64; 3]>();
         let Ok(gains) = self.memo.get_or(GAINS_STAGE, &self.options, bytes, compute);

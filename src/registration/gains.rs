@@ -9,7 +9,7 @@
 //! Known limits: one gain per channel and camera for the whole recording (no automatic exposure, no
 //! vignetting). A rig whose frames have no features in common is taken as equal.
 
-use super::{Frame, RegistrationOptions, flow};
+use super::{Frame, Match, RegistrationOptions, flow};
 use crate::capture::Capture;
 use crate::host::CacheKind;
 use crate::raster::{Image, LUMINANCE, encoded_from_linear, linear_from_encoded};
@@ -21,9 +21,11 @@ use serde::{Deserialize, Serialize};
 /// records of the same surface, by channel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
-    factors: Vec<[f64; 3]>,
-    /// The largest measured difference of a factor from 1, and its standard error.
-    largest: (f64, f64),
+    /// Each camera's gains: red, green, blue; three equal ones for a grey camera.
+    pub factors: Vec<[f64; 3]>,
+    /// The largest measured difference of a gain from 1, significant or not, and its standard error;
+    /// (0, 0) if nothing was compared.
+    pub largest: (f64, f64),
 }
 
 /// Minimum difference of a gain from 1 that is corrected. Moving objects and specular surfaces make up to 0.019
@@ -66,20 +68,6 @@ impl Gains {
         self.factors.iter().all(|f| *f == [1.0; 3])
     }
 
-    /// A camera's gains: red, green, blue; three equal ones for a grey camera.
-    ///
-    /// # Panics
-    /// If there is no such camera.
-    pub fn of(&self, camera: usize) -> [f64; 3] {
-        self.factors[camera]
-    }
-
-    /// The largest measured difference of a gain from 1, significant or not, and its standard error;
-    /// (0, 0) if nothing was compared.
-    pub fn largest_difference(&self) -> (f64, f64) {
-        self.largest
-    }
-
     /// The camera's image (encoded values) as the reference camera would have recorded it; `None` if the
     /// camera's gains are 1. Values may leave 0..=1.
     ///
@@ -103,79 +91,82 @@ impl Gains {
     /// The gains by one frame of each camera, in the middle of the recording. A frame that cannot be
     /// read is not compared; the error shows when the frame is used.
     pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {
-        let images: Vec<Option<Image>> = (0..capture.cameras.len())
-            .into_par_iter()
-            .map(|c| capture.read_frame(c, capture.cameras[c].frames.len() / 2).ok())
-            .map(|image| image.as_ref().map(small))
-            .collect();
+        let count = capture.cameras.len();
+        let small_image = |c: usize| {
+            let middle = capture.cameras[c].frames.len() / 2;
+            let mut image = capture.read_frame(c, middle).ok()?;
+            while image.width() > WIDTH_PX && image.height() > 1 {
+                image = halved(&image);
+            }
+            Some(image)
+        };
+        let images: Vec<Option<Image>> = (0..count).into_par_iter().map(small_image).collect();
         let level = |image: &Image| {
-            let mut values = image.to_gray().data().to_vec();
-            values.sort_by(f32::total_cmp);
+            let levels = image.to_gray().data().iter().map(|v| f64::from(*v)).collect();
             // A black image has no features: any level serves.
-            linear_from_encoded(f64::from(values[values.len() / 2])).max(1e-4)
+            linear_from_encoded(median(levels)).max(1e-4)
         };
         let reference = images[capture.reference].as_ref().map_or(1.0, level);
-        let frames: Vec<Option<Frame>> = images
-            .par_iter()
-            .map(|image| {
-                let image = image.as_ref()?;
-                Some(Frame::new(scaled(image, [reference / level(image); 3]), options))
-            })
-            .collect();
-        let mut ratios = Vec::new();
-        for (a, b) in neighbors(capture) {
-            let (Some(of_a), Some(of_b)) = (&frames[a], &frames[b]) else { continue };
-            let starts: Vec<_> = of_a.corners(options).iter().map(|&p| (p, p)).collect();
-            let matches: Vec<(Point2<f64>, Point2<f64>)> = flow(of_a, of_b, &starts, options)
-                .into_iter()
-                .flatten()
-                .map(|m| (m.source, m.target))
-                .collect();
-            if let (Some(a_image), Some(b_image)) = (&images[a], &images[b]) {
-                ratios.extend(Ratio::between([a, b], [a_image, b_image], &matches));
-            }
-        }
-        let mut gains = solve_gains(capture.cameras.len(), capture.reference, &ratios);
+        let frame = |image: &Option<Image>| {
+            let image = image.as_ref()?;
+            Some(Frame::new(scaled(image, [reference / level(image); 3]), options))
+        };
+        let frames: Vec<Option<Frame>> = images.par_iter().map(frame).collect();
+        let ratio = |cameras: [usize; 2]| {
+            let [Some(from), Some(to)] = cameras.map(|c| frames[c].as_ref()) else { return None };
+            let [Some(a), Some(b)] = cameras.map(|c| images[c].as_ref()) else { return None };
+            let starts: Vec<_> = from.corners(options).iter().map(|&p| (p, p)).collect();
+            Ratio::between(cameras, [a, b], &flow(from, to, &starts, options))
+        };
+        let ratios: Vec<Ratio> = neighbors(capture).into_iter().filter_map(ratio).collect();
+        let mut gains = solve_gains(count, capture.reference, &ratios);
         // The solution of a grey camera beside colour cameras differs by channel: it has one gain.
         for (factors, image) in gains.factors.iter_mut().zip(&images) {
             let is_gray = image.as_ref().is_some_and(|i| i.channels() == 1);
             if is_gray && *factors != [1.0; 3] {
-                let [r, g, b] = LUMINANCE;
-                *factors = [r * factors[0] + g * factors[1] + b * factors[2]; 3];
+                *factors = luminance(*factors);
             }
         }
         gains
     }
 }
 
+/// The upper median; there is at least one value.
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+/// The luminance of linear light, in all channels.
+fn luminance([r, g, b]: [f64; 3]) -> [f64; 3] {
+    let [x, y, z] = LUMINANCE;
+    [x * r + y * g + z * b; 3]
+}
+
 /// The pairs of each camera and its nearest neighbours, every pair once.
-fn neighbors(capture: &Capture) -> Vec<(usize, usize)> {
+fn neighbors(capture: &Capture) -> Vec<[usize; 2]> {
     let centers: Vec<_> = capture.cameras.iter().map(|c| c.camera.center()).collect();
     let mut pairs = Vec::new();
     for a in 0..centers.len() {
         let mut others: Vec<usize> = (0..centers.len()).filter(|&b| b != a).collect();
         let distance = |b: usize| (centers[b] - centers[a]).norm();
         others.sort_by(|&b, &c| distance(b).total_cmp(&distance(c)).then(b.cmp(&c)));
-        pairs.extend(others.into_iter().take(NEIGHBORS).map(|b| (a.min(b), a.max(b))));
+        pairs.extend(others.into_iter().take(NEIGHBORS).map(|b| [a.min(b), a.max(b)]));
     }
     pairs.sort_unstable();
     pairs.dedup();
     pairs
 }
 
-/// The image, halved until it is no wider than [`WIDTH_PX`].
-fn small(image: &Image) -> Image {
-    let mut image = image.clone();
-    while image.width() > WIDTH_PX && image.height() > 1 {
-        let (w, h, channels) = (image.width() / 2, image.height() / 2, image.channels());
-        let value = |k: usize| {
-            let (x, y, c) = (k / channels % w, k / channels / w, k % channels);
-            let at = |dx, dy| image.pixel(2 * x + dx, 2 * y + dy)[c];
-            0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1))
-        };
-        image = Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect());
-    }
-    image
+/// The image at half the size, by means of 2×2 pixels; the last row or column of an odd number is dropped.
+pub(crate) fn halved(image: &Image) -> Image {
+    let (w, h, channels) = (image.width() / 2, image.height() / 2, image.channels());
+    let value = |k: usize| {
+        let (x, y, c) = (k / channels % w, k / channels / w, k % channels);
+        let at = |dx, dy| image.pixel(2 * x + dx, 2 * y + dy)[c];
+        0.25 * (at(0, 0) + at(1, 0) + at(0, 1) + at(1, 1))
+    };
+    Image::from_data(w, h, channels, (0..w * h * channels).map(value).collect())
 }
 
 /// The image with its linear light multiplied by a factor per channel; a grey image by the first.
@@ -226,29 +217,19 @@ impl Ratio {
     fn between(
         cameras: [usize; 2],
         images: [&Image; 2],
-        matches: &[(Point2<f64>, Point2<f64>)],
+        matches: &[Option<Match>],
     ) -> Option<Self> {
-        let gray = images.iter().any(|i| i.channels() == 1);
-        let luminance = |[r, g, b]: [f64; 3]| {
-            let [x, y, z] = LUMINANCE;
-            [x * r + y * g + z * b; 3]
+        let is_gray = images.iter().any(|i| i.channels() == 1);
+        let log = |m: &Match| {
+            let both = [light(images[0], &m.source)?, light(images[1], &m.target)?];
+            let [a, b] = if is_gray { both.map(luminance) } else { both };
+            // Usable light is positive.
+            Some([0, 1, 2].map(|c| (b[c] / a[c]).ln()))
         };
-        let logs: Vec<[f64; 3]> = matches
-            .iter()
-            .filter_map(|(p, q)| {
-                let both = [light(images[0], p)?, light(images[1], q)?];
-                let [a, b] = if gray { both.map(luminance) } else { both };
-                // Usable light is positive.
-                Some([0, 1, 2].map(|c| (b[c] / a[c]).ln()))
-            })
-            .collect();
+        let logs: Vec<[f64; 3]> = matches.iter().flatten().filter_map(log).collect();
         if logs.len() < MIN_FEATURES {
             return None;
         }
-        let median = |mut values: Vec<f64>| {
-            values.sort_by(f64::total_cmp);
-            values[values.len() / 2]
-        };
         let log = [0, 1, 2].map(|c| median(logs.iter().map(|l| l[c]).collect()));
         let variance = [0, 1, 2].map(|c| {
             let deviation = median(logs.iter().map(|l| (l[c] - log[c]).abs()).collect());
@@ -319,7 +300,7 @@ mod tests {
         let gains =
             solve_gains(4, 2, &[between(0, 1), between(1, 2), between(2, 3), between(0, 3)]);
         for (camera, log) in logs.iter().enumerate() {
-            let [r, g, b] = gains.of(camera);
+            let [r, g, b] = gains.factors[camera];
             assert!((r - log.exp()).abs() < 1e-4 && g == 1.0, "{camera}: {r} {g}");
             assert!((b - (0.5 * log).exp()).abs() < 1e-4, "{camera}: {b}");
         }
@@ -330,7 +311,7 @@ mod tests {
     fn small_differences_and_unknown_cameras_are_not_corrected() {
         let gains = solve_gains(4, 0, &[ratio([0, 1], 0.01)]);
         assert!(gains.are_equal());
-        let (largest, std_err) = gains.largest_difference();
+        let (largest, std_err) = gains.largest;
         assert!((largest - 0.01).abs() < 2e-3 && std_err < 0.01, "{largest} {std_err}");
         assert!(solve_gains(1, 0, &[]).are_equal());
     }

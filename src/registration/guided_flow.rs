@@ -1,16 +1,22 @@
-//! Second attempts at lost points and at outliers, from initial guesses by a motion prior; and the extension
-//! of tracks by a frame.
+//! Second attempts at lost points and at outliers, from initial guesses by their neighbours' motion; and the
+//! extension of tracks by a frame.
 
-use super::consensus::{Consensus, Support, innovations};
-use super::flow::{Start, flow_over, is_new};
+use super::consensus::{Support, consensus, innovations};
+use super::flow::{Start, flow_over};
 use super::rotating_patches::affine_matches;
-use super::{AffineStart, Frame, Match, MotionPrior, RegistrationOptions};
-use nalgebra::{Matrix2, Point2};
+use super::{AffineStart, Frame, Match, Neighbors, RegistrationOptions};
+use nalgebra::{Matrix2, Point2, Vector2};
 
 /// Pyramid levels, forward and backward, where the motion prior gives the initial guess.
 const PRIOR_LEVELS: [usize; 2] = [2, 2];
-/// Maximum number of attempts with the motion prior, which each attempt's matches improve.
+/// Number of attempts with the motion prior, which each attempt's matches improve.
 const PRIOR_ROUNDS: usize = 2;
+/// Number of nearest neighbours whose median is the motion prior. Up to two of five may be wrong.
+const MEDIAN_OF: usize = 5;
+/// Radius within which the motion prior has neighbours, pixels.
+const PRIOR_RADIUS_PX: f64 = 40.0;
+/// Two initial guesses nearer than this, pixels, lead to the same result.
+const SAME_GUESS_PX: f64 = 1.0;
 /// Pyramid levels, forward and backward, where a track is extended by constant motion.
 const EXTENSION_LEVELS: [usize; 2] = [2, 1];
 /// Maximum change of a track's motion from one frame to the next, pixels, in addition to
@@ -19,55 +25,101 @@ const MAX_MOTION_CHANGE_PX: f64 = 2.0;
 /// Maximum change of a track's motion as a fraction of the motion.
 const MAX_MOTION_CHANGE_FRACTION: f64 = 0.5;
 
-/// Tracks lost points and outliers again, from initial guesses that their neighbours predict. `matches` and the
-/// consensus are in the order of `starts`.
-pub(super) fn guided_flow(
-    [source, target]: [&Frame; 2],
-    starts: &[Start],
-    mut matches: Vec<Option<Match>>,
-    consensus: &mut Consensus,
-) -> Vec<Option<Match>> {
-    let mut tried = vec![None; starts.len()];
-    for _ in 0..PRIOR_ROUNDS {
-        let mut again = predicted_by_neighbors(starts, &matches, consensus);
-        again.retain(|(k, start)| is_new(&mut tried[*k], start.1));
-        if again.is_empty() {
-            break;
-        }
-        let starts: Vec<_> = again.iter().map(|(_, start)| *start).collect();
-        let retried = flow_over(source, target, &starts, PRIOR_LEVELS, consensus.options());
-        for ((k, _), retried) in again.iter().zip(retried) {
-            let Some(retried) = retried else { continue };
-            if matches[*k].is_none_or(|first| retried.residual < first.residual) {
-                matches[*k] = Some(retried);
+/// Displacements (motion or disparity, pixels) of tracked features, which predict those of features nearby.
+pub(super) struct MotionPrior {
+    neighbors: Neighbors,
+    displacements: Vec<(Point2<f64>, Vector2<f64>)>,
+}
+
+impl MotionPrior {
+    /// The prior of `(position, displacement)` pairs, pixels; of none, it predicts nothing.
+    pub fn new(displacements: impl Iterator<Item = (Point2<f64>, Vector2<f64>)>) -> Self {
+        let displacements: Vec<_> = displacements.collect();
+        Self { neighbors: Neighbors::new(displacements.iter().map(|(p, _)| *p)), displacements }
+    }
+
+    /// The component-wise median displacement, pixels, of the five nearest positions within
+    /// [`PRIOR_RADIUS_PX`], fewer where there are fewer. `None` if there is none.
+    pub fn predict(&self, p: &Point2<f64>) -> Option<Vector2<f64>> {
+        let near = self.neighbors.nearest(p, MEDIAN_OF, PRIOR_RADIUS_PX);
+        let median = |axis: usize| {
+            let mut values: Vec<f64> =
+                near.iter().map(|&k| self.displacements[k].1[axis]).collect();
+            values.sort_by(f64::total_cmp);
+            values.get(values.len() / 2).copied()
+        };
+        Some(Vector2::new(median(0)?, median(1)?))
+    }
+}
+
+/// Points that are tracked again from other initial guesses.
+pub(super) struct Retries<'a> {
+    pub frames: [&'a Frame; 2],
+    /// The points with their first guesses.
+    pub starts: &'a [Start],
+    /// Pyramid levels, forward and backward.
+    pub levels: [usize; 2],
+    pub options: &'a RegistrationOptions,
+    /// The last guess tried for each point.
+    tried: Vec<Option<Point2<f64>>>,
+}
+
+impl<'a> Retries<'a> {
+    pub fn new(
+        frames: [&'a Frame; 2],
+        starts: &'a [Start],
+        levels: [usize; 2],
+        options: &'a RegistrationOptions,
+    ) -> Self {
+        Self { frames, starts, levels, options, tried: vec![None; starts.len()] }
+    }
+
+    /// Tracks points, given by index, again from new guesses. A match of a smaller residual replaces that in
+    /// `matches`.
+    pub fn track(
+        &mut self,
+        guesses: impl Iterator<Item = (usize, Point2<f64>)>,
+        matches: &mut [Option<Match>],
+    ) {
+        let is_new = |(k, guess): &(usize, Point2<f64>)| {
+            let before = self.tried[*k].replace(*guess);
+            before.is_none_or(|before| (guess - before).norm() > SAME_GUESS_PX)
+        };
+        let guesses: Vec<(usize, Point2<f64>)> = guesses.filter(is_new).collect();
+        let starts: Vec<Start> = guesses.iter().map(|&(k, p)| (self.starts[k].0, p)).collect();
+        let found = flow_over(self.frames, &starts, self.levels, self.options);
+        for ((k, _), found) in guesses.into_iter().zip(found) {
+            if let Some(found) = found
+                && matches[k].is_none_or(|first| found.residual < first.residual)
+            {
+                matches[k] = Some(found);
             }
         }
     }
-    matches
 }
 
-/// New initial guesses, by index, of lost points and of outliers, as far as they have neighbours.
-fn predicted_by_neighbors(
+/// Tracks lost points and outliers again, from initial guesses that their neighbours predict. `matches` are in
+/// the order of `starts`.
+pub(super) fn guided_flow(
+    frames: [&Frame; 2],
     starts: &[Start],
-    matches: &[Option<Match>],
-    consensus: &mut Consensus,
-) -> Vec<(usize, Start)> {
-    let innovations = innovations(starts, matches);
-    let support = consensus.update(innovations.clone());
-    let is_consistent = |support: &Option<Support>| support.is_some_and(Support::is_consistent);
-    let trusted: Vec<_> = innovations
-        .iter()
-        .zip(support)
-        .filter(|(_, support)| is_consistent(support))
-        .filter_map(|(moved, _)| moved.map(|moved| (moved.at, moved.motion)))
-        .collect();
-    let prior = MotionPrior::new(&trusted);
-    let unlike = starts.iter().zip(support).enumerate().filter(|(_, (_, s))| !is_consistent(s));
-    unlike
-        .filter_map(|(k, (&(from, guess), _))| {
-            Some((k, (from, guess + prior.predict(&from, MotionPrior::RADIUS_PX)?)))
-        })
-        .collect()
+    matches: &mut [Option<Match>],
+    options: &RegistrationOptions,
+) {
+    let mut retries = Retries::new(frames, starts, PRIOR_LEVELS, options);
+    for _ in 0..PRIOR_ROUNDS {
+        let innovations = innovations(starts, matches);
+        let support = consensus(&innovations, options);
+        let is_consistent = |k: &usize| support[*k].is_some_and(|s| s != Support::Differs);
+        let (trusted, others): (Vec<_>, Vec<_>) = (0..starts.len()).partition(is_consistent);
+        let trusted = trusted.into_iter().filter_map(|k| innovations[k]);
+        let prior = MotionPrior::new(trusted.map(|moved| (moved.at, moved.motion)));
+        let predicted = |k: usize| {
+            let (from, guess) = starts[k];
+            Some((k, guess + prior.predict(&from)?))
+        };
+        retries.track(others.into_iter().filter_map(predicted), matches);
+    }
 }
 
 /// Extends tracks by a frame: their positions in the target, `None` if lost, or if their motion changes much
@@ -76,57 +128,48 @@ fn predicted_by_neighbors(
 /// Near the end of a swing, motion changes by 20 px from frame to frame, which no fixed bound tells from a
 /// mismatch.
 pub(super) fn extensions(
-    [source, target]: [&Frame; 2],
+    frames: [&Frame; 2],
     tracks: &[AffineStart],
     options: &RegistrationOptions,
 ) -> Vec<Option<Point2<f64>>> {
     let starts: Vec<Start> = tracks.iter().map(|t| (t.from, t.guess)).collect();
-    let starts = &starts[..];
-    let mut matches = flow_over(source, target, starts, EXTENSION_LEVELS, options);
-    track_lost([source, target], starts, &mut matches, options);
-    let mut consensus = Consensus::new(starts.iter().map(|start| start.0), options);
-    let mut matches = guided_flow([source, target], starts, matches, &mut consensus);
-    rotating_extensions([source, target], tracks, &mut matches, options);
-    let support = consensus.update(innovations(starts, &matches));
-    let judge = |((start, m), support): ((&Start, &Option<Match>), &Option<Support>)| {
-        let (matched, support) = ((*m)?, (*support)?);
-        let motion = (start.1 - start.0).norm();
-        let limit = MAX_MOTION_CHANGE_PX + MAX_MOTION_CHANGE_FRACTION * motion;
-        let agrees =
-            options.consistency().support > 0 && support == Support::Neighbors { agree: true };
-        let change = (matched.target - start.1).norm();
-        (agrees || change <= limit).then_some(matched.target)
-    };
-    starts.iter().zip(&matches).zip(support).map(judge).collect()
-}
-
-/// Extends the tracks of rotating patches.
-fn rotating_extensions(
-    frames: [&Frame; 2],
-    tracks: &[AffineStart],
-    matches: &mut [Option<Match>],
-    options: &RegistrationOptions,
-) {
-    let rotating: Vec<usize> =
-        (0..tracks.len()).filter(|&k| tracks[k].deformation != Matrix2::identity()).collect();
-    let starts: Vec<AffineStart> = rotating.iter().map(|&k| tracks[k]).collect();
-    for (k, found) in rotating.into_iter().zip(affine_matches(frames, &starts, options)) {
+    let mut matches = flow_over(frames, &starts, EXTENSION_LEVELS, options);
+    // Over all levels, for large changes of motion.
+    let levels = [options.levels, PRIOR_LEVELS[1]];
+    let lost: Vec<usize> = (0..starts.len()).filter(|&k| matches[k].is_none()).collect();
+    let guesses = lost.into_iter().map(|k| (k, starts[k].1));
+    Retries::new(frames, &starts, levels, options).track(guesses, &mut matches);
+    guided_flow(frames, &starts, &mut matches, options);
+    let is_rotating = |k: &usize| tracks[*k].deformation != Matrix2::identity();
+    let rotating: Vec<usize> = (0..tracks.len()).filter(is_rotating).collect();
+    let rotating_tracks: Vec<AffineStart> = rotating.iter().map(|&k| tracks[k]).collect();
+    for (k, found) in rotating.into_iter().zip(affine_matches(frames, &rotating_tracks, options)) {
         matches[k] = found;
     }
+    let support = consensus(&innovations(&starts, &matches), options);
+    let is_checked = options.consistency().support > 0;
+    let position = |k: usize| {
+        let ((from, guess), matched) = (starts[k], matches[k]?);
+        let limit = MAX_MOTION_CHANGE_PX + MAX_MOTION_CHANGE_FRACTION * (guess - from).norm();
+        let agrees = is_checked && support[k] == Some(Support::Agrees);
+        (agrees || (matched.target - guess).norm() <= limit).then_some(matched.target)
+    };
+    (0..starts.len()).map(position).collect()
 }
 
-/// Tracks lost points again over all levels, for large changes of motion.
-fn track_lost(
-    [source, target]: [&Frame; 2],
-    starts: &[Start],
-    matches: &mut [Option<Match>],
-    options: &RegistrationOptions,
-) {
-    let lost: Vec<usize> = (0..starts.len()).filter(|&k| matches[k].is_none()).collect();
-    let again: Vec<Start> = lost.iter().map(|&k| starts[k]).collect();
-    let levels = [options.levels, PRIOR_LEVELS[1]];
-    let found = flow_over(source, target, &again, levels, options);
-    for (k, found) in lost.into_iter().zip(found) {
-        matches[k] = found;
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_median_of_the_nearest_is_not_moved_by_a_wrong_one() {
+        let mut displacements: Vec<_> = (0..6)
+            .map(|k| (Point2::new(f64::from(k), 0.0), Vector2::new(7.0, f64::from(k))))
+            .collect();
+        displacements[1].1 = Vector2::new(-90.0, 400.0);
+        let prior = MotionPrior::new(displacements.into_iter());
+        assert_eq!(prior.predict(&Point2::new(0.4, 0.0)), Some(Vector2::new(7.0, 3.0)));
+        assert_eq!(prior.predict(&Point2::new(0.0, 50.0)), None);
+        assert_eq!(MotionPrior::new(std::iter::empty()).predict(&Point2::origin()), None);
     }
 }

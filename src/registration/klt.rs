@@ -10,7 +10,7 @@
 use super::RegistrationOptions;
 use super::gradient::{SCHARR_SCALE, scharr};
 use super::pyramid::{Pyramid, PyramidLevel};
-use super::window::{Window, corner, fraction_inside};
+use super::window::{Window, fraction_inside};
 use crate::simd::{F32x8, LANES, multiversion};
 use nalgebra::{Point2, Vector2};
 
@@ -67,63 +67,49 @@ pub struct Tracker {
     value: Vec<f32>,
     dx: Vec<f32>,
     dy: Vec<f32>,
-}
-
-/// Sums over the template's window.
-struct TemplateSums {
-    /// The structure tensor: xx, xy, yy.
+    /// The template's structure tensor: xx, xy, yy.
     tensor: [f64; 3],
     /// Σ I·∇I, I the template's values. Newton steps are by its difference to Σ J·∇I, J the
     /// target's values.
     value_gradient: [f64; 2],
 }
 
-/// The outcome of the steps on a level.
-enum Outcome {
-    /// They converged, or reached the maximum number.
-    Converged,
-    /// The template has too little texture.
-    Flat,
-    /// The window left the image.
-    Outside,
-}
-
-/// A window to track.
-struct TrackRequest<'a> {
-    source: &'a Pyramid,
-    target: &'a Pyramid,
-    from: Point2<f64>,
-    guess: Point2<f64>,
-    levels: usize,
-}
-
 multiversion! {
-    fn track(tracker: &mut Tracker, request: &TrackRequest) -> Option<Tracked> = track_by::<V>
+    fn track(
+        tracker: &mut Tracker,
+        source: &Pyramid,
+        target: &Pyramid,
+        from: Point2<f64>,
+        guess: Point2<f64>,
+    ) -> Option<Tracked> = track_by::<V>
 }
 
 #[inline(always)]
-fn track_by<V: F32x8>(tracker: &mut Tracker, request: &TrackRequest) -> Option<Tracked> {
-    let &TrackRequest { source, target, from, guess, levels } = request;
-    let levels = levels.min(source.levels().len()).min(target.levels().len()).max(1);
+fn track_by<V: F32x8>(
+    tracker: &mut Tracker,
+    source: &Pyramid,
+    target: &Pyramid,
+    from: Point2<f64>,
+    guess: Point2<f64>,
+) -> Option<Tracked> {
+    let available = source.levels.len().min(target.levels.len());
+    let levels = tracker.parameters.levels.clamp(1, available);
     let mut flow = (guess - from) / f64::from(1_u32 << (levels - 1));
     let mut residual = 0.0;
     for k in (0..levels).rev() {
         let scale = f64::from(1_u32 << k);
         // Levels are centred on even pixels, so positions relative to pixel centres scale.
         let p = (from.coords - Vector2::repeat(0.5)) / scale;
-        let (level, other) = (&source.levels()[k], &target.levels()[k]);
-        let template = tracker.load_template::<V>(level, &p);
+        let (level, other) = (&source.levels[k], &target.levels[k]);
+        tracker.load_template::<V>(level, &p);
         let epsilon_px = if k > 0 { COARSE_EPSILON_PX } else { 0.0 };
         let epsilon_px = tracker.parameters.epsilon_px.max(epsilon_px);
-        match tracker.iterate::<V>(other, &p, &mut flow, &template, epsilon_px) {
-            Outcome::Converged => {}
-            // A coarse window may be flat or half outside where the fine one is good.
-            Outcome::Flat | Outcome::Outside if k > 0 => {}
-            Outcome::Flat | Outcome::Outside => return None,
-        }
+        let converged = tracker.iterate::<V>(other, &p, flow, epsilon_px);
         if k > 0 {
-            flow *= 2.0;
+            // A coarse window may be flat or half outside where the fine one is good.
+            flow = 2.0 * converged.unwrap_or(flow);
         } else {
+            flow = converged?;
             residual = tracker.residual::<V>(other, &(p + flow))?;
         }
     }
@@ -142,15 +128,17 @@ impl Tracker {
         let side = 2 * parameters.window_radius_px + 1;
         let (row, wide) = (side.next_multiple_of(LANES), (side + 2).next_multiple_of(LANES));
         let value = vec![0.0; wide * (side + 2) + LANES];
-        let zeros = vec![0.0; row * side];
-        Self { parameters, side, row, wide, value, dx: zeros.clone(), dy: zeros }
+        let [dx, dy] = [vec![0.0; row * side], vec![0.0; row * side]];
+        let (tensor, value_gradient) = ([0.0; 3], [0.0; 2]);
+        Self { parameters, side, row, wide, value, dx, dy, tensor, value_gradient }
     }
 
     /// Finds the window around `from` of the source in the target, starting at `guess`; pixels, the
     /// top-left pixel's centre at (0.5, 0.5).
     ///
     /// `None` if the window has too little texture or leaves the image. Both pyramids need a border of
-    /// [`RegistrationOptions::pad_px`].
+    /// [`RegistrationOptions::pad_px`]. Of [`KltParameters::levels`], 0 counts as 1, and a number beyond the
+    /// pyramids' as theirs.
     pub fn track(
         &mut self,
         source: &Pyramid,
@@ -158,32 +146,20 @@ impl Tracker {
         from: Point2<f64>,
         guess: Point2<f64>,
     ) -> Option<Tracked> {
-        self.track_over(source, target, from, guess, self.parameters.levels)
-    }
-
-    /// As [`Self::track`], on the `levels` finest levels only, for a guess that is near. 0 counts as
-    /// 1, and a number beyond the pyramids' as theirs.
-    pub fn track_over(
-        &mut self,
-        source: &Pyramid,
-        target: &Pyramid,
-        from: Point2<f64>,
-        guess: Point2<f64>,
-        levels: usize,
-    ) -> Option<Tracked> {
-        track(self, &TrackRequest { source, target, from, guess, levels })
+        track(self, source, target, from, guess)
     }
 
     /// Reads the template around `p` (the first pixel's centre at 0), and computes its derivatives
     /// and sums.
     #[inline(always)]
-    fn load_template<V: F32x8>(&mut self, level: &PyramidLevel, p: &Vector2<f64>) -> TemplateSums {
+    fn load_template<V: F32x8>(&mut self, level: &PyramidLevel, p: &Vector2<f64>) {
         let (side, row, wide) = (self.side, self.row, self.wide);
         // The sums of a window outside the image are 0, which the caller finds to have no texture.
-        let Some((base, within)) = corner(level, p, self.parameters.window_radius_px + 1) else {
-            return TemplateSums { tensor: [0.0; 3], value_gradient: [0.0; 2] };
+        let radius = self.parameters.window_radius_px + 1;
+        let Some(window) = Window::around(level, p, radius, [wide, side + 2]) else {
+            (self.tensor, self.value_gradient) = ([0.0; 3], [0.0; 2]);
+            return;
         };
-        let window = Window::new(&level.value, base, level.stride, [wide, side + 2], within);
         for x in (0..wide).step_by(LANES) {
             let mut columns = window.columns::<V, 1>(x);
             for y in 0..side + 2 {
@@ -218,39 +194,34 @@ impl Tracker {
             }
         }
         let [xx, xy, yy, x, y] = V::sums(&sums);
-        TemplateSums { tensor: [xx, xy, yy], value_gradient: [x, y] }
+        (self.tensor, self.value_gradient) = ([xx, xy, yy], [x, y]);
     }
 
-    /// Newton steps on one level, from `flow` on: the displacement of the window at `p`, pixels of
-    /// the level. On [`Outcome::Outside`] `flow` is as it was.
+    /// The displacement of the window at `p`, pixels of the level, by Newton steps from `flow` on. `None` if the
+    /// template has too little texture, or if the window leaves the image.
     #[inline(always)]
     fn iterate<V: F32x8>(
         &self,
         target: &PyramidLevel,
         p: &Vector2<f64>,
-        flow: &mut Vector2<f64>,
-        template: &TemplateSums,
+        mut flow: Vector2<f64>,
         epsilon_px: f64,
-    ) -> Outcome {
-        let [xx, xy, yy] = template.tensor;
+    ) -> Option<Vector2<f64>> {
+        let [xx, xy, yy] = self.tensor;
         let area = (self.side * self.side) as f64;
         let smaller = 0.5 * ((xx + yy) - ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt());
         let determinant = xx * yy - xy * xy;
         // λ_min is positive, and so is the determinant that is divided by.
         if !(smaller >= MIN_EIGENVALUE * area && determinant > 0.0) {
-            return Outcome::Flat;
+            return None;
         }
         let [ixx, ixy, iyy] = [yy, -xy, xx].map(|v| v / determinant);
-        let start = *flow;
         let mut previous = Vector2::zeros();
         for step in 0..self.parameters.iterations {
-            let Some([x, y]) = self.correlate::<V>(target, &(p + *flow)) else {
-                *flow = start;
-                return Outcome::Outside;
-            };
-            let (bx, by) = (template.value_gradient[0] - x, template.value_gradient[1] - y);
+            let [x, y] = self.correlate::<V>(target, &(p + flow))?;
+            let (bx, by) = (self.value_gradient[0] - x, self.value_gradient[1] - y);
             let delta = Vector2::new(ixx * bx + ixy * by, ixy * bx + iyy * by);
-            *flow += delta;
+            flow += delta;
             let length_px = delta.norm();
             if length_px < epsilon_px {
                 break;
@@ -258,28 +229,27 @@ impl Tracker {
             if step > 0 {
                 // The steps alternate around the solution, which is in the middle.
                 if (delta + previous).norm() < epsilon_px {
-                    *flow -= 0.5 * delta;
+                    flow -= 0.5 * delta;
                     break;
                 }
                 // Steps that shrink by a constant ratio: the sum of those to come.
                 let ratio = length_px / previous.norm();
                 if ratio < MAX_RATIO && length_px * ratio < MAX_EXTRAPOLATED * epsilon_px {
-                    *flow += delta * (delta.dot(&previous).signum() * ratio);
+                    flow += delta * (delta.dot(&previous).signum() * ratio);
                     break;
                 }
             }
             previous = delta;
         }
-        Outcome::Converged
+        Some(flow)
     }
 
     /// Σ J·∇I over the window, with J the target's values around `q`. `None` if the window is more
     /// than a pixel outside the image.
     #[inline(always)]
     fn correlate<V: F32x8>(&self, target: &PyramidLevel, q: &Vector2<f64>) -> Option<[f64; 2]> {
-        let (base, within) = corner(target, q, self.parameters.window_radius_px)?;
         let size = [self.row, self.side];
-        let window = Window::new(&target.value, base, target.stride, size, within);
+        let window = Window::around(target, q, self.parameters.window_radius_px, size)?;
         let mut sums = [V::zero(); 2];
         let mut x = 0;
         // Sixteen columns at once where possible: their two sums are computed in parallel.
@@ -325,9 +295,8 @@ impl Tracker {
     /// is more than a pixel outside the image.
     #[inline(always)]
     fn residual<V: F32x8>(&self, target: &PyramidLevel, q: &Vector2<f64>) -> Option<f64> {
-        let (base, within) = corner(target, q, self.parameters.window_radius_px)?;
         let size = [self.row, self.side];
-        let window = Window::new(&target.value, base, target.stride, size, within);
+        let window = Window::around(target, q, self.parameters.window_radius_px, size)?;
         let mut sum = V::zero();
         for x in (0..self.row).step_by(LANES) {
             let mut weights = [0.0; LANES];
@@ -420,7 +389,7 @@ mod tests {
     fn sums_agree_with_a_naive_reference() {
         let options = RegistrationOptions::default();
         let (a, b) = pyramids(&options, 0.4, -0.3);
-        let (level, other) = (&a.levels()[0], &b.levels()[0]);
+        let (level, other) = (&a.levels[0], &b.levels[0]);
         let at =
             |l: &PyramidLevel, x: f64, y: f64| f64::from(l.value[l.index(x as isize, y as isize)]);
         let sample = |l: &PyramidLevel, x: f64, y: f64| {
@@ -439,9 +408,9 @@ mod tests {
         let mut tracker = Tracker::new(&options);
         for (px, py) in [(70.3, 40.8), (0.1, 0.2), (159.4, 119.3)] {
             let (p, q) = (Vector2::new(px, py), Vector2::new(px - 0.3, py + 0.2));
-            let template = tracker.load_template::<Scalar>(level, &p);
+            tracker.load_template::<Scalar>(level, &p);
             let sums = tracker.correlate::<Scalar>(other, &q).unwrap();
-            let b = [sums[0] - template.value_gradient[0], sums[1] - template.value_gradient[1]];
+            let b = [0, 1].map(|k| sums[k] - tracker.value_gradient[k]);
             let mut expected = [0.0; 5];
             let r = options.window_radius_px as i32;
             for y in -r..=r {
@@ -461,7 +430,7 @@ mod tests {
                     }
                 }
             }
-            for (got, want) in template.tensor.iter().chain(&b).zip(expected) {
+            for (got, want) in tracker.tensor.iter().chain(&b).zip(expected) {
                 assert!((got - want).abs() < 1e-5 * (1.0 + want.abs()), "{got} {want}");
             }
         }

@@ -6,7 +6,7 @@
 //! | 4.1 corners | [`corners`] |
 //! | 4.1 pyramidal KLT | [`Tracker`], on [`Pyramid`]s |
 //! | 4.1 bidirectional flow, merging | [`temporal_flow`], [`flow`] |
-//! | beyond: motion predicted by neighbours | [`MotionPrior`] |
+//! | beyond: motion predicted by neighbours | `guided_flow` |
 //! | beyond: rotating patches | [`AffineTracker`] |
 //! | beyond: photometric calibration | [`Gains`] |
 //! | 4.2 eq. (2), and curves beyond it | [`Trajectory`] |
@@ -23,7 +23,6 @@ mod gains;
 mod gradient;
 mod guided_flow;
 mod klt;
-mod motion_prior;
 mod neighbors;
 mod options;
 mod polar_gradients;
@@ -36,14 +35,15 @@ mod trajectory;
 mod window;
 
 pub use affine_tracker::{AffineStart, AffineTracker, Deformed};
+pub(crate) use consensus::Moved;
 pub use corners::corners;
 pub use epipolar_check::{Verdict, epipolar_check};
 pub use flow::{Match, Start, flow};
 pub use frame::Frame;
 pub use frame_store::FrameStore;
 pub use gains::Gains;
+pub(crate) use gains::halved;
 pub use klt::{KltParameters, Tracked, Tracker};
-pub use motion_prior::MotionPrior;
 pub use neighbors::Neighbors;
 pub use options::{ConsistencyThresholds, GainMethod, RegistrationOptions};
 pub use pyramid::{Pyramid, PyramidLevel};

@@ -24,18 +24,12 @@ impl Neighbors {
 
     /// Calls `act` with the index of each point within `radius` of `p`, bound included, in no particular order.
     pub fn each_within(&self, p: &Point2<f64>, radius: f64, mut act: impl FnMut(usize)) {
-        let Some(tree) = &self.tree else { return };
-        let at = [p.x, p.y];
-        let within = tree.query(&at).within::<SquaredEuclidean<f64>>(radius * radius).unsorted();
-        within.iter().for_each(|near| act(near.item as usize));
+        self.with_distances(p, radius).into_iter().for_each(|(_, k)| act(k));
     }
 
     /// Whether any point is within `radius` of `p`, bound included.
     pub fn any_within(&self, p: &Point2<f64>, radius: f64) -> bool {
-        self.tree.as_ref().is_some_and(|tree| {
-            let nearest = tree.query(&[p.x, p.y]).nearest_one::<SquaredEuclidean<f64>>().execute();
-            nearest.distance <= radius * radius
-        })
+        self.at_least_within(p, radius, 1, |_| true)
     }
 
     /// The indices of the `count` points nearest to `p` within `radius`, nearest first; of equally near ones

@@ -25,12 +25,13 @@ pub(super) struct PolarGradients {
 }
 
 multiversion! {
-    fn gradients(pyramid: &Pyramid) -> PolarGradients = gradients_by::<V>
+    /// The gradients that describe the features of a frame with this pyramid.
+    pub(super) fn polar_gradients(pyramid: &Pyramid) -> PolarGradients = gradients_by::<V>
 }
 
 #[inline(always)]
 fn gradients_by<V: F32x8>(pyramid: &Pyramid) -> PolarGradients {
-    let levels = pyramid.levels();
+    let levels = &pyramid.levels;
     let n = LEVEL.min(levels.len() - 1);
     let level = &levels[n];
     let size = level.width * level.height;
@@ -52,10 +53,6 @@ fn gradients_by<V: F32x8>(pyramid: &Pyramid) -> PolarGradients {
 }
 
 impl PolarGradients {
-    pub fn new(pyramid: &Pyramid) -> Self {
-        gradients(pyramid)
-    }
-
     #[cfg(test)]
     pub fn bytes(&self) -> usize {
         size_of::<f32>() * (self.strength.len() + self.direction.len())
@@ -86,8 +83,8 @@ const ARCTANGENT: [f32; 9] = [
 #[inline(always)]
 fn directions<V: F32x8>(x: V, y: V) -> V {
     let (along, across) = (x.abs(), y.abs());
-    let longer = along.max(across).max(V::splat(f32::MIN_POSITIVE));
-    let slope = along.min(across) / longer;
+    let longer = along.simd_max(across).simd_max(V::splat(f32::MIN_POSITIVE));
+    let slope = along.simd_min(across) / longer;
     let squared = slope * slope;
     let mut sum = V::zero();
     for coefficient in ARCTANGENT.into_iter().rev() {
@@ -113,8 +110,8 @@ mod tests {
             // Few values, so that some gradients are 0 and others along an axis.
             let data = (0..w * h).map(|_| (4.0 * random.unit()).floor() as f32 / 4.0).collect();
             let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 1, 16);
-            let level = &pyramid.levels()[0];
-            for gradients in [PolarGradients::new(&pyramid), gradients_by::<Scalar>(&pyramid)] {
+            let level = &pyramid.levels[0];
+            for gradients in [polar_gradients(&pyramid), gradients_by::<Scalar>(&pyramid)] {
                 for k in 0..w * h {
                     let at = |dx: isize, dy: isize| {
                         let at = level.index((k % w) as isize + dx, (k / w) as isize + dy);

@@ -2,14 +2,16 @@
 //! processor's cache, which is faster than reading stored planes.
 
 use super::gradient::{SCHARR_SCALE, scharr};
-use crate::raster::{Image, luma};
+use crate::raster::Image;
 use crate::simd::{F32x8, LANES, Scalar};
+use std::iter::repeat_n;
 
 /// A grey image pyramid (§4.1): the full-sized level first, each level half as large as the one
 /// before.
 #[derive(Clone, Debug)]
 pub struct Pyramid {
-    levels: Vec<PyramidLevel>,
+    /// The levels, full-sized first. There is at least one.
+    pub levels: Vec<PyramidLevel>,
 }
 
 /// One level of a [`Pyramid`]: luma in 0..=1, its border repeated outwards.
@@ -35,11 +37,10 @@ impl Pyramid {
     /// would be below 16 pixels, and at least one. `pad` is the width of the border, pixels, that the largest
     /// window needs ([`super::RegistrationOptions::pad_px`]).
     pub fn new(image: &Image, levels: usize, pad: usize) -> Self {
-        let mut all = vec![PyramidLevel::of_image(image, pad)];
-        for _ in 1..Self::sizes([image.width(), image.height()], levels).len() {
-            all.push(all[all.len() - 1].halved());
-        }
-        Self { levels: all }
+        let size = [image.width(), image.height()];
+        let full = PyramidLevel::new(size, image.to_gray().data(), pad);
+        let all = std::iter::successors(Some(full), |level| Some(level.halved()));
+        Self { levels: all.take(Self::sizes(size, levels).len()).collect() }
     }
 
     /// The width and height of every level of the pyramid of an image of this size, pixels.
@@ -48,11 +49,6 @@ impl Pyramid {
             (size[0].min(size[1]) >= 2 * MIN_LEVEL_PX).then(|| size.map(|v| v.div_ceil(2)))
         };
         std::iter::successors(Some(full), halved).take(levels.max(1)).collect()
-    }
-
-    /// The levels, full-sized first. There is at least one.
-    pub fn levels(&self) -> &[PyramidLevel] {
-        &self.levels
     }
 
     /// Width of the full-sized level, pixels.
@@ -67,49 +63,18 @@ impl Pyramid {
 }
 
 impl PyramidLevel {
-    fn of_image(image: &Image, pad: usize) -> Self {
-        let mut level = Self::empty(image.width(), image.height(), pad);
-        for y in 0..image.height() {
-            level.push_row(|row| match image.channels() {
-                1 => row.extend_from_slice(image.row(y)),
-                _ => row.extend(image.row(y).chunks_exact(image.channels()).map(luma)),
-            });
-        }
-        level.with_vertical_border()
-    }
-
-    /// A level without rows, to be filled by [`Self::push_row`] and [`Self::with_vertical_border`].
-    /// The padding is at least [`LANES`] wide, which gradients at the border read.
-    fn empty(width: usize, height: usize, pad: usize) -> Self {
-        let pad = pad.max(LANES);
-        let stride = width + 2 * pad;
+    /// A level of these values, row by row, whose border is repeated outwards. The padding is at least
+    /// [`LANES`] wide, which gradients at the border read.
+    fn new([width, height]: [usize; 2], values: &[f32], pad: usize) -> Self {
         let mut value = Vec::with_capacity(Self::samples([width, height], pad));
-        value.resize(pad * stride, 0.0);
-        Self { width, height, pad, stride, value }
-    }
-
-    /// Appends a row, which `write` extends the plane by, and repeats its ends sideways.
-    fn push_row(&mut self, write: impl FnOnce(&mut Vec<f32>)) {
-        let left = self.value.len();
-        self.value.resize(left + self.pad, 0.0);
-        write(&mut self.value);
-        let last = self.value[self.value.len() - 1];
-        self.value.resize(left + self.stride, last);
-        let first = self.value[left + self.pad];
-        self.value[left..left + self.pad].fill(first);
-    }
-
-    /// Repeats the first row upwards and the last one downwards, after all rows were pushed.
-    fn with_vertical_border(mut self) -> Self {
-        let (pad, stride) = (self.pad, self.stride);
-        for y in 0..pad {
-            self.value.copy_within(pad * stride..(pad + 1) * stride, y * stride);
+        let pad = pad.max(LANES);
+        for y in 0..height + 2 * pad {
+            let row = &values[y.saturating_sub(pad).min(height - 1) * width..][..width];
+            value.extend(repeat_n(row[0], pad));
+            value.extend_from_slice(row);
+            value.extend(repeat_n(row[width - 1], pad));
         }
-        let last = (pad + self.height - 1) * stride;
-        for _ in 0..pad {
-            self.value.extend_from_within(last..last + stride);
-        }
-        self
+        Self { width, height, pad, stride: width + 2 * pad, value }
     }
 
     /// Number of samples of a level of this size, its padding included.
@@ -121,33 +86,28 @@ impl PyramidLevel {
     /// The level smoothed by [1 4 6 4 1]/16 both ways and subsampled by two: the centre of pixel i of
     /// the half-sized level is that of pixel 2i of this one. Borders are mirrored, as in OpenCV.
     fn halved(&self) -> Self {
-        let mut half = Self::empty(self.width.div_ceil(2), self.height.div_ceil(2), self.pad);
         let width = self.width;
+        let half = [width.div_ceil(2), self.height.div_ceil(2)];
+        let mut values = Vec::with_capacity(half[0] * half[1]);
         // A vertically smoothed row, with two more columns on the left and up to three on the right.
-        let mut smooth = vec![0.0; 2 * half.width + 4];
-        for y in 0..half.height {
-            let row = |k: isize| {
-                let y = mirrored(2 * y as isize + k, self.height);
-                &self.value[self.index(0, y as isize)..][..width]
-            };
-            smooth_vertically(
-                [row(-2), row(-1), row(0), row(1), row(2)],
-                &mut smooth[2..width + 2],
-            );
+        let mut smooth = vec![0.0; 2 * half[0] + 4];
+        for y in 0..half[1] {
+            let [a, b, c, d, e] =
+                [-2, -1, 0, 1, 2].map(|k| self.row(mirrored(2 * y as isize + k, self.height)));
+            for (x, out) in smooth[2..width + 2].iter_mut().enumerate() {
+                *out = 6.0 * c[x] + 4.0 * (b[x] + d[x]) + (a[x] + e[x]);
+            }
             for k in [-2, -1, width as isize, width as isize + 1] {
                 smooth[(k + 2) as usize] = smooth[mirrored(k, width) + 2];
             }
-            half.push_row(|row| {
-                let (pairs, _) = smooth.as_chunks::<2>();
-                let triples = pairs.iter().zip(&pairs[1..]).zip(&pairs[2..]);
-                row.extend(
-                    triples.map(|(([a, b], [c, d]), [e, _])| {
-                        (6.0 * c + 4.0 * (b + d) + (a + e)) / 256.0
-                    }),
-                );
-            });
+            let (pairs, _) = smooth.as_chunks::<2>();
+            let triples = pairs.iter().zip(&pairs[1..]).zip(&pairs[2..]);
+            values.extend(
+                triples
+                    .map(|(([a, b], [c, d]), [e, _])| (6.0 * c + 4.0 * (b + d) + (a + e)) / 256.0),
+            );
         }
-        half.with_vertical_border()
+        Self::new(half, &values, self.pad)
     }
 
     /// Index of a pixel in the padded plane. The pixel may be up to `pad` pixels outside the image.
@@ -177,13 +137,6 @@ fn mirrored(v: isize, size: usize) -> usize {
     (if v > last { (2 * last - v).max(0) } else { v }) as usize
 }
 
-/// The sum of five rows, weighted by 1 4 6 4 1.
-fn smooth_vertically([a, b, c, d, e]: [&[f32]; 5], out: &mut [f32]) {
-    for (x, out) in out.iter_mut().enumerate() {
-        *out = 6.0 * c[x] + 4.0 * (b[x] + d[x]) + (a[x] + e[x]);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -198,14 +151,14 @@ mod tests {
     #[test]
     fn gradients_are_per_pixel() {
         let pyramid = Pyramid::new(&ramp(40, 33), 1, 4);
-        let (dx, dy) = pyramid.levels()[0].gradient(7, 9);
+        let (dx, dy) = pyramid.levels[0].gradient(7, 9);
         assert!((dx - 0.01).abs() < 1e-6 && (dy - 0.02).abs() < 1e-6);
     }
 
     #[test]
     fn half_sized_pixels_are_centred_on_even_ones() {
         let pyramid = Pyramid::new(&ramp(65, 64), 2, 4);
-        let half = &pyramid.levels()[1];
+        let half = &pyramid.levels[1];
         assert_eq!((half.width, half.height), (33, 32));
         let v = half.value[half.index(10, 12)];
         assert!((v - (20.0 * 0.01 + 24.0 * 0.02)).abs() < 1e-5);
@@ -215,8 +168,8 @@ mod tests {
     fn tiny_images_have_one_level() {
         for (w, h) in [(1, 1), (1, 50), (31, 31), (3, 2)] {
             let pyramid = Pyramid::new(&ramp(w, h), 5, 9);
-            assert_eq!(pyramid.levels().len(), 1);
+            assert_eq!(pyramid.levels.len(), 1);
         }
-        assert_eq!(Pyramid::new(&ramp(640, 480), 9, 9).levels().len(), 5);
+        assert_eq!(Pyramid::new(&ramp(640, 480), 9, 9).levels.len(), 5);
     }
 }

@@ -98,17 +98,14 @@ pub fn select_references(
     if !(nearest.is_finite() && frame_s > 0.0) {
         return References::default();
     }
-    let mut candidates: Vec<(f64, Reference)> = Vec::new();
-    for (j, times) in times_s.iter().enumerate() {
-        let Some(times) = times.as_ref().filter(|_| j != i && baselines[j].norm() > 0.0) else {
-            continue;
-        };
-        let Some((distance_s, reference)) = Reference::nearest(j, times, query) else {
-            continue;
-        };
+    let candidate = |(j, times): (usize, &Option<Vec<f64>>)| {
+        let times = times.as_ref().filter(|_| j != i && baselines[j].norm() > 0.0)?;
+        let (distance_s, reference) = Reference::nearest(j, times, query)?;
         let w = baselines[j].norm() / nearest + TIME_WEIGHT * distance_s / frame_s;
-        candidates.push((w, reference));
-    }
+        Some((w, reference))
+    };
+    let mut candidates: Vec<(f64, Reference)> =
+        times_s.iter().enumerate().filter_map(candidate).collect();
     candidates.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.camera.cmp(&b.1.camera)));
     let mut references = References::default();
     for (_, candidate) in candidates {

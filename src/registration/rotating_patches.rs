@@ -6,9 +6,9 @@
 //! that agree on one motion seed the tracking of the corners around them by affinely deforming windows.
 
 use super::corners::MIN_DISTANCE_PX;
-use super::sift::SiftDescriptor;
+use super::sift::{SiftDescriptor, descriptor, squared_distance};
 use super::{AffineStart, AffineTracker, Frame, Match, Neighbors, RegistrationOptions};
-use nalgebra::{Matrix2, Point2, Rotation2};
+use nalgebra::{Point2, Rotation2};
 use rayon::prelude::*;
 
 /// Maximum motion, as a fraction of the image's longer side.
@@ -31,42 +31,39 @@ const MAX_AREA_RATIO: f64 = 2.0;
 /// Maximum difference of the two windows relative to their contrast.
 const MAX_UNEXPLAINED: f64 = 0.35;
 
-/// An affine motion of a patch: its middle in the source and in the target, and its deformation.
-#[derive(Clone, Copy)]
-struct PatchMotion {
-    source: Point2<f64>,
-    target: Point2<f64>,
-    deformation: Matrix2<f64>,
-}
-
-impl PatchMotion {
-    /// The target position of another point that moves with the patch.
-    fn apply(&self, p: &Point2<f64>) -> Point2<f64> {
-        self.target + self.deformation * (p - self.source)
+impl AffineStart {
+    /// The start of another window of the same source, which moves with this one.
+    fn moving_along(&self, from: &Point2<f64>) -> Self {
+        let guess = self.guess + self.deformation * (from - self.from);
+        Self { from: *from, guess, ..*self }
     }
 }
 
 /// Matches the corners that have no match yet, as patches that may rotate. `corners` are the source's, in the
 /// order of `matches`.
 pub(super) fn match_rotating_patches(
-    [source, target]: [&Frame; 2],
+    frames: [&Frame; 2],
     corners: &[Point2<f64>],
     matches: &mut [Option<Match>],
     options: &RegistrationOptions,
 ) {
     let mut lost: Vec<usize> = (0..corners.len()).filter(|&k| matches[k].is_none()).collect();
-    let mut motions = agreeing(&seeds([source, target], corners, &lost, matches, options));
+    let lost_corners: Vec<Point2<f64>> = lost.iter().map(|&k| corners[k]).collect();
+    let mut motions = agreeing(&seeds(frames, &lost_corners, matches, options));
     for _ in 0..ROUNDS {
         if motions.is_empty() || lost.is_empty() {
             break;
         }
-        let near = Neighbors::new(motions.iter().map(|t| t.source));
-        let found: Vec<Option<Match>> = lost
-            .par_iter()
-            .map_init(AffineTracker::default, |tracker, &k| {
-                tracked([source, target], &corners[k], (&motions, &near), tracker, options)
-            })
-            .collect();
+        let near = Neighbors::new(motions.iter().map(|m| m.from));
+        // Of the motions of the nearest rotating patches, the match of least residual.
+        let track = |tracker: &mut AffineTracker, k: &usize| {
+            let around = near.nearest(&corners[*k], GUESSES, SUPPORT_RADIUS_PX).into_iter();
+            let starts = around.map(|n| motions[n].moving_along(&corners[*k]));
+            let found = starts.filter_map(|start| affine_match(frames, &start, tracker, options));
+            found.min_by(|a, b| a.residual.total_cmp(&b.residual))
+        };
+        let found: Vec<Option<Match>> =
+            lost.par_iter().map_init(AffineTracker::default, track).collect();
         motions = found.iter().flatten().map(motion_of).collect();
         for (k, found) in lost.iter().zip(found) {
             matches[*k] = found;
@@ -75,37 +72,48 @@ pub(super) fn match_rotating_patches(
     }
 }
 
-fn motion_of(m: &Match) -> PatchMotion {
-    PatchMotion { source: m.source, target: m.target, deformation: m.deformation }
+fn motion_of(m: &Match) -> AffineStart {
+    AffineStart { from: m.source, guess: m.target, deformation: m.deformation }
 }
 
 /// Mutual best matches, by descriptor, of the lost corners and the target's corners that have no match.
 fn seeds(
     [source, target]: [&Frame; 2],
-    corners: &[Point2<f64>],
-    lost: &[usize],
+    lost: &[Point2<f64>],
     matches: &[Option<Match>],
     options: &RegistrationOptions,
-) -> Vec<PatchMotion> {
+) -> Vec<AffineStart> {
     let size = source.pyramid.width().max(source.pyramid.height());
     let reach = MAX_MOTION * size as f64;
     let taken = Neighbors::new(matches.iter().flatten().map(|m| m.target));
-    let lost_at = Neighbors::new(lost.iter().map(|&k| corners[k]));
+    let lost_at = Neighbors::new(lost.iter().copied());
     let free: Vec<Point2<f64>> = (target.corners(options).iter())
         .filter(|p| !taken.any_within(p, MIN_DISTANCE_PX))
         .filter(|p| lost_at.any_within(p, reach))
         .copied()
         .collect();
-    let lost: Vec<Point2<f64>> = lost.iter().map(|&k| corners[k]).collect();
-    let [from, to] =
-        [(source, &lost), (target, &free)].map(|(frame, points)| descriptors(frame, points));
+    let describe = |frame: &Frame, points: &[Point2<f64>]| -> Vec<Option<SiftDescriptor>> {
+        points.par_iter().map(|p| descriptor(frame.gradients(), p)).collect()
+    };
+    let (from, to) = (describe(source, lost), describe(target, &free));
     let near = Neighbors::new(free.iter().copied());
-    // The best of each lost corner, and the best of those for each free corner.
-    let best: Vec<Option<(usize, f32)>> = lost
-        .par_iter()
-        .zip(&from)
-        .map(|(p, d)| best_of(p, d.as_ref()?, (&to, &near), reach))
-        .collect();
+    // The free corner of the nearest descriptor, with the squared distance, if it passes the ratio test.
+    let best_of = |(p, own): (&Point2<f64>, &Option<SiftDescriptor>)| {
+        let own = own.as_ref()?;
+        let [mut best, mut second] = [(usize::MAX, f32::INFINITY); 2];
+        near.each_within(p, reach, |n| {
+            let Some(other) = &to[n] else { return };
+            let distance = squared_distance(own, other);
+            if distance < best.1 {
+                [best, second] = [(n, distance), best];
+            } else if distance < second.1 {
+                second = (n, distance);
+            }
+        });
+        (best.1 < MAX_RATIO * second.1).then_some(best)
+    };
+    let best: Vec<Option<(usize, f32)>> = lost.par_iter().zip(&from).map(best_of).collect();
+    // The best of the lost corners for each free one.
     let mut best_of_free = vec![(f32::INFINITY, 0); free.len()];
     for (k, best) in best.iter().enumerate() {
         if let Some((n, distance)) = *best
@@ -114,80 +122,29 @@ fn seeds(
             best_of_free[n] = (distance, k);
         }
     }
-    let mutual = |(k, best): (usize, &Option<(usize, f32)>)| {
-        let (n, _) = (*best)?;
+    let mutual = |k: usize| {
+        let (n, _) = best[k]?;
         let angle = to[n].as_ref()?.angle - from[k].as_ref()?.angle;
         let deformation = *Rotation2::new(f64::from(angle)).matrix();
-        (best_of_free[n].1 == k).then(|| PatchMotion {
-            source: lost[k],
-            target: free[n],
-            deformation,
-        })
+        let motion = AffineStart { from: lost[k], guess: free[n], deformation };
+        (best_of_free[n].1 == k).then_some(motion)
     };
-    best.iter().enumerate().filter_map(mutual).collect()
-}
-
-/// The descriptors of points of a frame.
-fn descriptors(frame: &Frame, points: &[Point2<f64>]) -> Vec<Option<SiftDescriptor>> {
-    if points.is_empty() {
-        return Vec::new();
-    }
-    let gradients = frame.gradients();
-    points.par_iter().map(|p| SiftDescriptor::new(gradients, p)).collect()
-}
-
-/// The candidate of the nearest descriptor, with the squared distance, if it passes the ratio test.
-fn best_of(
-    p: &Point2<f64>,
-    own: &SiftDescriptor,
-    (candidates, near): (&[Option<SiftDescriptor>], &Neighbors),
-    reach: f64,
-) -> Option<(usize, f32)> {
-    let [mut best, mut second] = [(usize::MAX, f32::INFINITY); 2];
-    near.each_within(p, reach, |n| {
-        let Some(other) = &candidates[n] else { return };
-        let distance = own.distance(other);
-        if distance < best.1 {
-            [best, second] = [(n, distance), best];
-        } else if distance < second.1 {
-            second = (n, distance);
-        }
-    });
-    (best.1 < MAX_RATIO * second.1).then_some(best)
+    (0..lost.len()).filter_map(mutual).collect()
 }
 
 /// The motions that agree with enough others.
-fn agreeing(motions: &[PatchMotion]) -> Vec<PatchMotion> {
-    let near = Neighbors::new(motions.iter().map(|t| t.source));
-    let agrees = |a: &PatchMotion, b: &PatchMotion| {
-        let apart = (b.source - a.source).norm();
-        (a.apply(&b.source) - b.target).norm() <= SUPPORT_PX + SUPPORT_FRACTION * apart
-    };
+fn agreeing(motions: &[AffineStart]) -> Vec<AffineStart> {
+    let near = Neighbors::new(motions.iter().map(|m| m.from));
     let supported = |k: &usize| {
         let own = &motions[*k];
-        let alike = |n: usize| n != *k && agrees(own, &motions[n]);
-        near.at_least_within(&own.source, SUPPORT_RADIUS_PX, MIN_SUPPORT, alike)
+        let is_alike = |n: usize| {
+            let (other, apart) = (&motions[n], (motions[n].from - own.from).norm());
+            let difference = (own.moving_along(&other.from).guess - other.guess).norm();
+            n != *k && difference <= SUPPORT_PX + SUPPORT_FRACTION * apart
+        };
+        near.at_least_within(&own.from, SUPPORT_RADIUS_PX, MIN_SUPPORT, is_alike)
     };
     (0..motions.len()).filter(supported).map(|k| motions[k]).collect()
-}
-
-/// A lost corner tracked from the motions of the nearest rotating patches: the match of least residual.
-fn tracked(
-    frames: [&Frame; 2],
-    corner: &Point2<f64>,
-    (motions, near): (&[PatchMotion], &Neighbors),
-    tracker: &mut AffineTracker,
-    options: &RegistrationOptions,
-) -> Option<Match> {
-    let around = near.nearest(corner, GUESSES, SUPPORT_RADIUS_PX);
-    let starts = around.iter().map(|&k| AffineStart {
-        from: *corner,
-        guess: motions[k].apply(corner),
-        deformation: motions[k].deformation,
-    });
-    starts
-        .filter_map(|start| affine_match(frames, &start, tracker, options))
-        .min_by(|a, b| a.residual.total_cmp(&b.residual))
 }
 
 /// Tracks deforming windows from initial guesses, and back.

@@ -54,8 +54,7 @@ impl<'a> Disc<'a> {
             let c = c.round() as isize;
             at(c - RADIUS_PX)..at(c + RADIUS_PX + 1)
         };
-        let [columns, rows] = [(center[0], gradients.width), (center[1], gradients.height)]
-            .map(|(c, size)| span(c, size));
+        let (columns, rows) = (span(center[0], gradients.width), span(center[1], gradients.height));
         Self { gradients, center, columns, rows }
     }
 
@@ -98,7 +97,8 @@ impl<'a> Disc<'a> {
                 let direction = V::load(&self.gradients.direction, at);
                 let bins = direction * V::splat(BINS_PER_DIRECTION);
                 // NaN, the direction of a gradient that is not finite, becomes 0.
-                let (bins, _) = bins.max(V::zero()).min(V::splat(BINS as f32)).floor_and_fraction();
+                let (bins, _) =
+                    bins.simd_max(V::zero()).simd_min(V::splat(BINS as f32)).floor_and_fraction();
                 let fade = V::load(&fade_x, x - self.columns.start) * fade_y;
                 let weights = (V::load(&self.gradients.strength, at) * fade).to_array();
                 for l in 0..LANES.min(columns.end - x) {
@@ -122,7 +122,10 @@ impl<'a> Disc<'a> {
         const CENTER: f32 = 0.5 * CELLS as f32 + 0.5;
         // Two grids, of odd and even columns, so that their sums are computed in parallel.
         let mut grids = [[V::zero(); GRID * GRID]; 2];
-        let columns = V::from_array(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]);
+        let columns = V::from_array(&std::array::from_fn(|lane| lane as f32));
+        // One-hot vectors, by direction.
+        let one_hot = |d: usize| std::array::from_fn(|k| f32::from(u8::from(k == d)));
+        let directions: [[f32; LANES]; DIRECTIONS] = std::array::from_fn(one_hot);
         let (lowest, highest) = (V::zero(), V::splat((CELLS + 1) as f32));
         for y in self.rows.clone() {
             let dy = y as f32 - self.center[1];
@@ -134,8 +137,8 @@ impl<'a> Disc<'a> {
                 let dx = columns + V::splat(x as f32 - self.center[0]);
                 let u = dx.mul_add(V::splat(cos / CELL_PX), V::splat(sin * dy / CELL_PX + CENTER));
                 let v = dx.mul_add(V::splat(-sin / CELL_PX), V::splat(cos * dy / CELL_PX + CENTER));
-                let (column, fu) = u.max(lowest).min(highest).floor_and_fraction();
-                let (row, fv) = v.max(lowest).min(highest).floor_and_fraction();
+                let (column, fu) = u.simd_max(lowest).simd_min(highest).floor_and_fraction();
+                let (row, fv) = v.simd_max(lowest).simd_min(highest).floor_and_fraction();
                 let turn = V::load(&self.gradients.direction, at) - V::splat(angle);
                 let (direction, fd) = turn.floor_and_fraction();
                 let fade = V::load(&fade_x, x - self.columns.start) * fade_y;
@@ -151,8 +154,8 @@ impl<'a> Disc<'a> {
                 for l in 0..LANES.min(row_columns.end - x) {
                     // Right for negative ones too: the range of usize is a multiple of the power of two.
                     let d = direction[l] as usize % DIRECTIONS;
-                    let own = V::from_array(&ONE_DIRECTION[d]);
-                    let next = V::from_array(&ONE_DIRECTION[(d + 1) % DIRECTIONS]);
+                    let own = V::from_array(&directions[d]);
+                    let next = V::from_array(&directions[(d + 1) % DIRECTIONS]);
                     let direction_weights = (next - own).mul_add(V::splat(fd[l]), own);
                     let cell = row[l] as usize * GRID + column[l] as usize;
                     // One check for all four.
@@ -172,32 +175,12 @@ impl<'a> Disc<'a> {
     }
 }
 
-/// One-hot vectors, by direction.
-const ONE_DIRECTION: [[f32; LANES]; DIRECTIONS] = {
-    assert!(LANES == DIRECTIONS);
-    let mut all = [[0.0; LANES]; DIRECTIONS];
-    let mut d = 0;
-    while d < DIRECTIONS {
-        all[d][d] = 1.0;
-        d += 1;
-    }
-    all
-};
-
-impl SiftDescriptor {
-    /// The descriptor of a point of the frame, pixels. `None` where there is no gradient.
-    pub fn new(gradients: &PolarGradients, at: &Point2<f64>) -> Option<Self> {
-        descriptor(gradients, at)
-    }
-
-    /// The squared distance of two descriptors, 0 to 2.
-    pub fn distance(&self, other: &Self) -> f32 {
-        squared_distance(&self.entries, &other.entries)
-    }
-}
-
 multiversion! {
-    fn descriptor(gradients: &PolarGradients, at: &Point2<f64>) -> Option<SiftDescriptor> = descriptor_by::<V>
+    /// The descriptor of a point of the frame, pixels. `None` where there is no gradient.
+    pub(super) fn descriptor(
+        gradients: &PolarGradients,
+        at: &Point2<f64>,
+    ) -> Option<SiftDescriptor> = descriptor_by::<V>
 }
 
 #[inline(always)]
@@ -209,7 +192,7 @@ fn descriptor_by<V: F32x8>(gradients: &PolarGradients, at: &Point2<f64>) -> Opti
     let mut cells = disc.cells::<V>(angle);
     normalize(&mut cells)?;
     for cell in &mut cells {
-        *cell = cell.min(V::splat(MAX_ENTRY));
+        *cell = cell.simd_min(V::splat(MAX_ENTRY));
     }
     normalize(&mut cells)?;
     let mut entries = [0.0; SIZE];
@@ -220,16 +203,17 @@ fn descriptor_by<V: F32x8>(gradients: &PolarGradients, at: &Point2<f64>) -> Opti
 }
 
 multiversion! {
-    fn squared_distance(a: &[f32; SIZE], b: &[f32; SIZE]) -> f32 = squared_distance_by::<V>
+    /// The squared distance of two descriptors, 0 to 2.
+    pub(super) fn squared_distance(a: &SiftDescriptor, b: &SiftDescriptor) -> f32 = squared_distance_by::<V>
 }
 
 #[inline(always)]
-fn squared_distance_by<V: F32x8>(a: &[f32; SIZE], b: &[f32; SIZE]) -> f32 {
+fn squared_distance_by<V: F32x8>(a: &SiftDescriptor, b: &SiftDescriptor) -> f32 {
     let mut sums = [V::zero(); 2];
     for at in (0..SIZE).step_by(2 * LANES) {
         for (k, sum) in sums.iter_mut().enumerate() {
             let at = at + k * LANES;
-            let apart = V::load(a, at) - V::load(b, at);
+            let apart = V::load(&a.entries, at) - V::load(&b.entries, at);
             *sum = apart.mul_add(apart, *sum);
         }
     }
@@ -270,6 +254,7 @@ fn normalize<V: F32x8>(cells: &mut [V; CELLS * CELLS]) -> Option<()> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::polar_gradients::polar_gradients;
     use super::*;
     use crate::random::Random;
     use crate::raster::Image;
@@ -290,7 +275,7 @@ mod tests {
 
     /// The descriptor written as simply as possible: sample by sample, and entry by entry.
     fn naive(pyramid: &Pyramid, at: &Point2<f64>) -> Option<(f32, Vec<f32>)> {
-        let gradients = PolarGradients::new(pyramid);
+        let gradients = polar_gradients(pyramid);
         let at = (at.coords - Vector2::repeat(0.5)) * gradients.scale;
         let (cx, cy) = (at.x as f32, at.y as f32);
         let mut samples = Vec::new();
@@ -339,7 +324,7 @@ mod tests {
         for (w, h) in [(64, 64), (71, 40), (23, 37), (9, 5)] {
             let data = (0..w * h).map(|_| random.unit() as f32).collect();
             let pyramid = Pyramid::new(&Image::from_data(w, h, 1, data), 2, 16);
-            let gradients = PolarGradients::new(&pyramid);
+            let gradients = polar_gradients(&pyramid);
             let mut described = Vec::new();
             for k in 0..60 {
                 let mut along = |size: usize| random.unit() * size as f64;
@@ -347,7 +332,7 @@ mod tests {
                 let at = if k % 3 == 0 { at.map(f64::round) } else { at };
                 let (angle, entries) = naive(&pyramid, &at).unwrap();
                 let mut all = vec![descriptor_by::<Scalar>(&gradients, &at).unwrap()];
-                all.push(SiftDescriptor::new(&gradients, &at).unwrap());
+                all.push(descriptor(&gradients, &at).unwrap());
                 for own in &all {
                     assert!((own.angle - angle).abs() < 1e-4, "{at}: {} {angle}", own.angle);
                     for (a, b) in own.entries.iter().zip(&entries) {
@@ -359,10 +344,9 @@ mod tests {
             for (a, b) in described.iter().zip(&described[1..]) {
                 let pairs = a.entries.iter().zip(&b.entries);
                 let expected: f32 = pairs.map(|(a, b)| (a - b) * (a - b)).sum();
-                assert!((a.distance(b) - expected).abs() < 1e-5);
+                assert!((squared_distance(a, b) - expected).abs() < 1e-5);
                 assert!(
-                    (squared_distance_by::<Scalar>(&a.entries, &b.entries) - a.distance(b)).abs()
-                        < 1e-6
+                    (squared_distance_by::<Scalar>(a, b) - squared_distance(a, b)).abs() < 1e-6
                 );
             }
         }
@@ -371,9 +355,8 @@ mod tests {
     #[test]
     fn a_turned_feature_has_the_same_descriptor_and_its_angle_turns() {
         let middle = Point2::new(32.5, 32.5);
-        let of = |pyramid: &Pyramid, p: &Point2<f64>| {
-            SiftDescriptor::new(&PolarGradients::new(pyramid), p).unwrap()
-        };
+        let of =
+            |pyramid: &Pyramid, p: &Point2<f64>| descriptor(&polar_gradients(pyramid), p).unwrap();
         let upright = of(&turned(0.0), &middle);
         let other = of(&turned(0.0), &Point2::new(24.5, 38.5));
         for angle in [0.3, 0.9, 2.0, -1.4] {
@@ -381,7 +364,8 @@ mod tests {
             let turn =
                 (found.angle - upright.angle - angle + 0.5 * TAU).rem_euclid(TAU) - 0.5 * TAU;
             assert!(turn.abs() < 0.06, "{angle}: {turn}");
-            let (same, differs) = (found.distance(&upright), found.distance(&other));
+            let (same, differs) =
+                (squared_distance(&found, &upright), squared_distance(&found, &other));
             assert!(same < 0.05 && same < 0.2 * differs, "{angle}: {same} {differs}");
         }
     }
@@ -389,9 +373,7 @@ mod tests {
     #[test]
     fn a_flat_image_has_no_direction() {
         let flat = Pyramid::new(&Image::filled(40, 40, 1, 0.5), 1, 16);
-        assert!(
-            SiftDescriptor::new(&PolarGradients::new(&flat), &Point2::new(3.0, 38.0)).is_none()
-        );
+        assert!(descriptor(&polar_gradients(&flat), &Point2::new(3.0, 38.0)).is_none());
     }
     #[test]
     fn values_that_are_not_finite_have_no_descriptor() {
@@ -400,9 +382,9 @@ mod tests {
             let mut data: Vec<_> = (0..64 * 64).map(|_| random.unit() as f32).collect();
             (data[32 * 64 + 32], data[33 * 64 + 32]) = (bad, bad);
             let pyramid = Pyramid::new(&Image::from_data(64, 64, 1, data), 1, 16);
-            let gradients = PolarGradients::new(&pyramid);
+            let gradients = polar_gradients(&pyramid);
             for at in [Point2::new(32.5, 32.5), Point2::new(36.0, 30.0)] {
-                assert!(SiftDescriptor::new(&gradients, &at).is_none());
+                assert!(descriptor(&gradients, &at).is_none());
                 assert!(descriptor_by::<Scalar>(&gradients, &at).is_none());
             }
         }

@@ -1,6 +1,6 @@
 //! §4.1: the bidirectional temporal flow of a camera, with its two labelled sets of correspondences.
 
-use super::consensus::{Consensus, Moved};
+use super::consensus::{Moved, Support, consensus};
 use super::guided_flow::{extensions, guided_flow};
 use super::rotating_patches::match_rotating_patches;
 use super::{
@@ -79,24 +79,17 @@ impl Track {
     /// next. `times_s` are the frames' times.
     fn drop_kink(&mut self, times_s: &[f64]) {
         let (Some(before), Some(after)) = (self.before, self.after) else { return };
+        let positions = [before, self.earlier, self.later, after];
         // Times ascend strictly, so that no interval is 0.
-        let velocity = |from: Point2<f64>, to: Point2<f64>, n: usize| {
-            (to - from) * ((times_s[2] - times_s[1]) / (times_s[n + 1] - times_s[n]))
-        };
-        let [first, middle, last] = [
-            velocity(before, self.earlier, 0),
-            velocity(self.earlier, self.later, 1),
-            velocity(self.later, after, 2),
-        ];
+        let [first, middle, last] = [0, 1, 2].map(|n| {
+            let scale = (times_s[2] - times_s[1]) / (times_s[n + 1] - times_s[n]);
+            (positions[n + 1] - positions[n]) * scale
+        });
         let [at_earlier, at_later] = [middle - first, last - middle];
         let limit = MAX_JERK_PX + JERK_FRACTION * at_earlier.norm().min(at_later.norm());
         if (at_later - at_earlier).norm() > limit {
-            let dropped = if at_earlier.norm() > at_later.norm() {
-                &mut self.before
-            } else {
-                &mut self.after
-            };
-            *dropped = None;
+            let is_earlier = at_earlier.norm() > at_later.norm();
+            *(if is_earlier { &mut self.before } else { &mut self.after }) = None;
         }
     }
 
@@ -170,7 +163,7 @@ pub fn temporal_flow_of(
         || directed_flow(&earlier, &later, of_earlier, options),
         || directed_flow(&later, &earlier, of_later, options),
     );
-    let mut tracks = merged(&forward, &backward, MERGE_DISTANCE_PX);
+    let mut tracks = merged(&forward, &backward);
     let mut consensus = neighbor_consensus(&tracks, options).into_iter();
     tracks.retain(|_| consensus.next().unwrap_or(true));
 
@@ -202,15 +195,14 @@ fn directed_flow(
     options: &RegistrationOptions,
 ) -> Vec<Match> {
     let starts: Vec<_> = corners.iter().map(|&p| (p, p)).collect();
-    let matches = flow(source, target, &starts, options);
-    let mut consensus = Consensus::new(corners.iter().copied(), options);
-    let mut matches = guided_flow([source, target], &starts, matches, &mut consensus);
+    let mut matches = flow(source, target, &starts, options);
+    guided_flow([source, target], &starts, &mut matches, options);
     match_rotating_patches([source, target], corners, &mut matches, options);
     matches.into_iter().flatten().collect()
 }
 
-/// The correspondences of both directions, with those within `distance_px` at both ends merged.
-fn merged(forward: &[Match], backward: &[Match], distance_px: f64) -> Vec<Track> {
+/// The correspondences of both directions, with those within [`MERGE_DISTANCE_PX`] at both ends merged.
+fn merged(forward: &[Match], backward: &[Match]) -> Vec<Track> {
     let track = |direction, m: &Match| {
         let (earlier, later, deformation) = if direction == FlowDirection::Backward {
             // A match's change of area is bounded, so that its inverse exists.
@@ -233,18 +225,11 @@ fn merged(forward: &[Match], backward: &[Match], distance_px: f64) -> Vec<Track>
     let mut tracks: Vec<Track> = forward.iter().map(|m| track(FlowDirection::Forward, m)).collect();
     let at_earlier = Neighbors::new(forward.iter().map(|m| m.source));
     for m in backward {
-        let mut twin: Option<(f64, usize)> = None;
-        at_earlier.each_within(&m.target, distance_px, |k| {
-            if (forward[k].target - m.source).norm() <= distance_px {
-                let gap = (forward[k].source - m.target).norm();
-                // Of equally near ones the first.
-                if twin.is_none_or(|known| (gap, k) < known) {
-                    twin = Some((gap, k));
-                }
-            }
-        });
-        match twin {
-            Some((_, k)) => tracks[k].direction = FlowDirection::Both,
+        // Nearest first; of equally near ones the first.
+        let near = at_earlier.nearest(&m.target, usize::MAX, MERGE_DISTANCE_PX);
+        let is_twin = |k: &usize| (forward[*k].target - m.source).norm() <= MERGE_DISTANCE_PX;
+        match near.into_iter().find(is_twin) {
+            Some(k) => tracks[k].direction = FlowDirection::Both,
             None => tracks.push(track(FlowDirection::Backward, m)),
         }
     }
@@ -254,8 +239,10 @@ fn merged(forward: &[Match], backward: &[Match], distance_px: f64) -> Vec<Track>
 /// For each track, whether it moves like enough of its neighbours, or has too few neighbours. A surface has
 /// more than one feature, so that a track unlike its neighbours is a mismatch.
 pub fn neighbor_consensus(tracks: &[Track], options: &RegistrationOptions) -> Vec<bool> {
-    let moved = |t: &Track| Moved { at: t.earlier, motion: t.motion(), deformation: t.deformation };
-    Consensus::of(&tracks.iter().map(moved).collect::<Vec<_>>(), options)
+    let moved =
+        |t: &Track| Some(Moved { at: t.earlier, motion: t.motion(), deformation: t.deformation });
+    let support = consensus(&tracks.iter().map(moved).collect::<Vec<_>>(), options);
+    support.into_iter().map(|support| support != Some(Support::Differs)).collect()
 }
 
 #[cfg(test)]
@@ -277,7 +264,7 @@ mod tests {
         let forward = [a_match(10.0, 3.0), a_match(20.0, 3.0)];
         // The first is the forward one reversed; the second starts there but goes elsewhere.
         let backward = [a_match(13.2, -3.1), a_match(23.1, -9.0)];
-        let tracks = merged(&forward, &backward, 1.0);
+        let tracks = merged(&forward, &backward);
         let directions: Vec<_> = tracks.iter().map(|t| t.direction).collect();
         let expected = [FlowDirection::Both, FlowDirection::Forward, FlowDirection::Backward];
         assert_eq!(directions, expected);
@@ -289,7 +276,7 @@ mod tests {
     fn a_track_unlike_its_neighbours_is_dropped() {
         let matches: Vec<Match> =
             (0..9).map(|k| a_match(f64::from(k) * 4.0, if k == 4 { 30.0 } else { 5.0 })).collect();
-        let mut tracks = merged(&matches, &[], 1.0);
+        let mut tracks = merged(&matches, &[]);
         let mut consensus =
             neighbor_consensus(&tracks, &RegistrationOptions::default()).into_iter();
         tracks.retain(|_| consensus.next().unwrap());
@@ -302,7 +289,7 @@ mod tests {
     fn a_kink_drops_the_position_beyond_it() {
         let track = |xs: [f64; 4]| {
             let [before, earlier, later, after] = xs.map(|x| Point2::new(x, 10.0));
-            let mut track = merged(&[a_match(earlier.x, later.x - earlier.x)], &[], 1.0).remove(0);
+            let mut track = merged(&[a_match(earlier.x, later.x - earlier.x)], &[]).remove(0);
             (track.before, track.after) = (Some(before), Some(after));
             track
         };
@@ -323,7 +310,7 @@ mod tests {
 
     #[test]
     fn trajectories_use_the_positions_that_exist() {
-        let mut track = merged(&[a_match(10.0, 3.0)], &[], 1.0).remove(0);
+        let mut track = merged(&[a_match(10.0, 3.0)], &[]).remove(0);
         track.before = Some(Point2::new(8.0, 10.0));
         let times = [0.0, 1.0, 2.0];
         let curved = track.trajectory(&times, 1).unwrap();

@@ -39,18 +39,19 @@ impl Trajectory {
         (trajectory.len >= 2).then_some(trajectory)
     }
 
+    /// Lagrange's weight of sample `i`, without the factor of sample `skipped`: a product over the others.
+    fn weight(&self, time_s: f64, i: usize, skipped: usize) -> f64 {
+        (0..self.len)
+            .filter(|&j| j != i && j != skipped)
+            .map(|j| (time_s - self.times_s[j]) / (self.times_s[i] - self.times_s[j]))
+            .product()
+    }
+
     /// The position at a time in seconds, pixels; eq. (2) if there are two samples. Outside the samples'
     /// times it is an extrapolation.
     pub fn at(&self, time_s: f64) -> Point2<f64> {
-        let mut sum = Vector2::zeros();
-        for i in 0..self.len {
-            let weight: f64 = (0..self.len)
-                .filter(|&j| j != i)
-                .map(|j| (time_s - self.times_s[j]) / (self.times_s[i] - self.times_s[j]))
-                .product();
-            sum += self.positions[i].coords * weight;
-        }
-        Point2::from(sum)
+        let terms = (0..self.len).map(|i| self.positions[i].coords * self.weight(time_s, i, i));
+        Point2::from(terms.fold(Vector2::zeros(), |sum, term| sum + term))
     }
 
     /// The velocity at a time in seconds, pixels per second.
@@ -59,30 +60,12 @@ impl Trajectory {
         for i in 0..self.len {
             let mut weight = 0.0;
             for skipped in (0..self.len).filter(|&k| k != i) {
-                let product: f64 = (0..self.len)
-                    .filter(|&j| j != i && j != skipped)
-                    .map(|j| (time_s - self.times_s[j]) / (self.times_s[i] - self.times_s[j]))
-                    .product();
-                weight += product / (self.times_s[i] - self.times_s[skipped]);
+                let interval_s = self.times_s[i] - self.times_s[skipped];
+                weight += self.weight(time_s, i, skipped) / interval_s;
             }
             sum += self.positions[i].coords * weight;
         }
         sum
-    }
-
-    /// The variance of [`Self::at`] over the variance of a single sample's position: the sum of the
-    /// samples' squared weights at a time in seconds. It is 0.5 to 1 between the two samples of a
-    /// straight line, and grows without bound outside the samples' times.
-    pub fn noise_gain(&self, time_s: f64) -> f64 {
-        (0..self.len)
-            .map(|i| {
-                (0..self.len)
-                    .filter(|&j| j != i)
-                    .map(|j| (time_s - self.times_s[j]) / (self.times_s[i] - self.times_s[j]))
-                    .product::<f64>()
-                    .powi(2)
-            })
-            .sum()
     }
 }
 
@@ -107,7 +90,6 @@ mod tests {
             Trajectory::new([(1.0, Point2::new(0.0, 8.0)), (3.0, Point2::new(4.0, 0.0))]).unwrap();
         assert_eq!(trajectory.at(1.5), Point2::new(1.0, 6.0));
         assert_eq!(trajectory.velocity(9.0), Vector2::new(2.0, -4.0));
-        assert_eq!(trajectory.noise_gain(2.0), 0.5);
     }
 
     #[test]

@@ -4,22 +4,6 @@ use super::pyramid::PyramidLevel;
 use crate::simd::{F32x8, LANES};
 use nalgebra::Vector2;
 
-/// Top-left corner of the window of the given radius around `p` in a level's padded plane: the index of its
-/// first sample, and the fractional position `[x, y]` after it, in 0..1.
-///
-/// `p` is in pixels with the first pixel's centre at (0, 0). `None` if it is more than a pixel outside the
-/// image.
-#[inline(always)]
-pub fn corner(level: &PyramidLevel, p: &Vector2<f64>, radius: usize) -> Option<(usize, [f32; 2])> {
-    let inside = |v: f64, size: usize| v >= -1.0 && v <= size as f64;
-    if !(inside(p.x, level.width) && inside(p.y, level.height)) {
-        return None;
-    }
-    let (x, y) = (p.x.floor(), p.y.floor());
-    let base = level.index(x as isize - radius as isize, y as isize - radius as isize);
-    Some((base, [(p.x - x) as f32, (p.y - y) as f32]))
-}
-
 /// Fraction, 0..=1, of a linearly interpolated sample that comes from inside the image, along one axis of
 /// `size` pixels. `v` is in pixels with the first pixel's centre at 0. The padding carries no information.
 #[inline(always)]
@@ -54,21 +38,27 @@ pub struct Columns<'a, V, const B: usize> {
 }
 
 impl<'a> Window<'a> {
-    /// The window of `rows` rows of `row` samples each, that begins the fractional position
-    /// `within` (x, y; 0..1) after the sample of index `base`. `stride` is the plane's.
+    /// The window of the given radius around `p` in a level, pixels with the first pixel's centre at (0, 0). It
+    /// has `rows` rows of `row` samples. `None` if `p` is more than a pixel outside the image.
     ///
     /// # Panics
-    /// If the window and its bilinear neighbours are not inside the plane.
+    /// If the window and its bilinear neighbours are not inside the padded level.
     #[inline(always)]
-    pub fn new(
-        plane: &'a [f32],
-        base: usize,
-        stride: usize,
+    pub fn around(
+        level: &'a PyramidLevel,
+        p: &Vector2<f64>,
+        radius: usize,
         [row, rows]: [usize; 2],
-        within: [f32; 2],
-    ) -> Self {
+    ) -> Option<Self> {
+        let inside = |v: f64, size: usize| v >= -1.0 && v <= size as f64;
+        if !(inside(p.x, level.width) && inside(p.y, level.height)) {
+            return None;
+        }
+        let (x, y) = (p.x.floor(), p.y.floor());
+        let base = level.index(x as isize - radius as isize, y as isize - radius as isize);
+        let (plane, stride) = (&level.value[..], level.stride);
         assert!(base + rows * stride + row < plane.len(), "the border is wide enough");
-        Self { plane, base, stride, row, rows, within }
+        Some(Self { plane, base, stride, row, rows, within: [(p.x - x) as f32, (p.y - y) as f32] })
     }
 
     /// The strip of 8·B columns from column `x` on, from the top row down.
@@ -99,7 +89,7 @@ impl<V: F32x8, const B: usize> Columns<'_, V, B> {
         let mut row = [V::zero(); B];
         for (b, out) in row.iter_mut().enumerate() {
             let at = self.next + b * LANES;
-            // SAFETY: `end` is the last row, and `Window::new` and `Window::columns` checked that
+            // SAFETY: `end` is the last row, and `Window::around` and `Window::columns` checked that
             // it and the columns are inside.
             let [left, right] = unsafe {
                 [V::load_unchecked(self.plane, at), V::load_unchecked(self.plane, at + 1)]
@@ -126,7 +116,8 @@ impl<V: F32x8, const B: usize> Columns<'_, V, B> {
     }
 }
 
-#[cfg(all(test, target_arch = "x86_64"))]
+#[cfg(test)]
+#[cfg(target_arch = "x86_64")]
 mod tests {
     use super::super::affine_tracker::catmull_rom;
     use super::super::gradient::scharr;
@@ -149,7 +140,8 @@ mod tests {
             let v = V::from_array(values);
             let (floor, fraction) = v.floor_and_fraction();
             let weights = catmull_rom(fraction);
-            let window = Window::new(plane, 5, 30, [2 * LANES, 3], [0.3, 0.8]);
+            let (row, rows, within) = (2 * LANES, 3, [0.3, 0.8]);
+            let window = Window { plane, base: 5, stride: 30, row, rows, within };
             let mut columns = window.columns::<V, 2>(0);
             let [first_row, _] = columns.row();
             let [_, second_row] = columns.row();

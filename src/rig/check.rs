@@ -9,33 +9,22 @@ use crate::raster::MAX_PIXELS;
 use crate::text::MAX_ID_LENGTH;
 use nalgebra::Point2;
 use std::fmt::Display;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// An error of a rig file: one sentence with the file and the field.
 #[derive(Debug, thiserror::Error)]
-pub enum RigError {
-    #[error("{path}: {source}")]
-    Json { path: PathBuf, source: JsonError },
-    #[error("{path}: {wrong}")]
-    Field { path: PathBuf, wrong: FieldError },
+#[error("{path}: {source}")]
+pub struct RigError {
+    path: PathBuf,
+    source: JsonError,
 }
 
-/// An error of a rig's text: one sentence, which starts with the field if it is known.
-#[derive(Debug, PartialEq, thiserror::Error)]
-pub enum RigTextError {
-    /// The text is not JSON, or lacks the structure of a rig.
-    #[error("{0}")]
-    Json(String),
-    /// A field has an invalid value.
-    #[error(transparent)]
-    Field(#[from] FieldError),
-}
-
-/// A field with an invalid value, and the reason; together one sentence.
+/// A field or an option with an invalid value, and the reason; together one sentence.
 #[derive(Debug, PartialEq, thiserror::Error)]
 #[error("{field} {reason}")]
 pub struct FieldError {
-    /// Path of the field, such as `cameras[1].rate_hz`.
+    /// Path of the field, such as `cameras[1].rate_hz`, or the option's name in words.
     pub field: String,
     /// The sentence's end, such as "must be a number from …".
     pub reason: String,
@@ -44,40 +33,64 @@ pub struct FieldError {
 impl Rig {
     /// Reads and checks a rig file.
     pub fn read(path: &Path) -> Result<Self, RigError> {
-        let json = |source| RigError::Json { path: path.to_owned(), source };
-        let text = read_text(path, json::MAX_BYTES).map_err(|e| json(e.into()))?;
-        Self::parse(&text).map_err(|error| match error {
-            RigTextError::Json(reason) => json(JsonError::Content(reason)),
-            RigTextError::Field(wrong) => RigError::Field { path: path.to_owned(), wrong },
-        })
+        let text = read_text(path, json::MAX_BYTES).map_err(JsonError::from);
+        text.and_then(|text| Self::parse(&text).map_err(JsonError::Content))
+            .map_err(|source| RigError { path: path.to_owned(), source })
     }
 
-    /// Parses and checks the text of a rig file.
-    pub fn parse(text: &str) -> Result<Self, RigTextError> {
-        let rig: Self = json::parse(text).map_err(RigTextError::Json)?;
-        rig.check()?;
+    /// Parses and checks the text of a rig file. The error is one sentence, which starts with the field
+    /// if it is known.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let rig: Self = json::parse(text)?;
+        rig.check().map_err(|wrong| wrong.to_string())?;
         Ok(rig)
     }
 
     /// Checks every field against [`super::limits`], and fields against each other. The error has the
     /// first wrong field, in the file's order.
-    pub fn check(&self) -> Result<(), FieldError> {
-        rig(self)
+    pub fn check(&self) -> FieldCheck {
+        if self.format != FORMAT {
+            return wrong("format", format!("must be {FORMAT:?}, not {:?}", self.format));
+        }
+        if self.version != VERSION {
+            return wrong("version", format!("must be {VERSION}, not {}", self.version));
+        }
+        identifier("name", &self.name)?;
+        within("seed", self.seed, &(0..=MAX_SEED))?;
+        if self.cameras.is_empty() {
+            return wrong("cameras", "must hold at least one camera");
+        }
+        for (index, camera) in self.cameras.iter().enumerate() {
+            self::camera(&format!("cameras[{index}]"), camera, &self.reference)?;
+        }
+        for (index, view) in self.views.iter().enumerate() {
+            self::view(&format!("views[{index}]"), view)?;
+        }
+        let ids = || self.cameras.iter().map(|c| &c.id).chain(self.views.iter().map(|v| &v.id));
+        if let Some((_, twice)) = ids().enumerate().find(|(k, id)| ids().take(*k).any(|i| i == *id))
+        {
+            return wrong("cameras and views", format!("have two entries with id {twice:?}"));
+        }
+        if !self.cameras.iter().any(|c| c.id == self.reference) {
+            return wrong("reference", format!("names no camera of the rig: {:?}", self.reference));
+        }
+        Ok(())
     }
 }
 
-type FieldCheck = Result<(), FieldError>;
+pub(super) type FieldCheck = Result<(), FieldError>;
 
-fn wrong(field: impl Into<String>, reason: impl Into<String>) -> FieldCheck {
+pub(super) fn wrong(field: impl Into<String>, reason: impl Into<String>) -> FieldCheck {
     Err(FieldError { field: field.into(), reason: reason.into() })
 }
 
-fn within<T: PartialOrd + Display>(field: &str, value: T, range: &Limits<T>) -> FieldCheck {
+fn within<T: PartialOrd + Display>(field: &str, value: T, range: &RangeInclusive<T>) -> FieldCheck {
     // A NaN is in no range.
-    if value >= range.min && value <= range.max {
+    if range.contains(&value) {
         return Ok(());
     }
-    wrong(field, format!("must be a number from {} to {}, not {value}", range.min, range.max))
+    let (min, max) = (range.start(), range.end());
+    wrong(field, format!("must be a number from {min} to {max}, not {value}"))
 }
 
 fn identifier(field: &str, value: &str) -> FieldCheck {
@@ -94,44 +107,16 @@ fn identifier(field: &str, value: &str) -> FieldCheck {
     wrong(field, format!("can't be {value:?}: it names a folder or file of the capture"))
 }
 
-pub(super) fn rig(rig: &Rig) -> FieldCheck {
-    if rig.format != FORMAT {
-        return wrong("format", format!("must be {FORMAT:?}, not {:?}", rig.format));
-    }
-    if rig.version != VERSION {
-        return wrong("version", format!("must be {VERSION}, not {}", rig.version));
-    }
-    identifier("name", &rig.name)?;
-    within("seed", rig.seed, &Limits { min: 0, max: MAX_SEED })?;
-    if rig.cameras.is_empty() {
-        return wrong("cameras", "must hold at least one camera");
-    }
-    for (index, camera) in rig.cameras.iter().enumerate() {
-        self::camera(&format!("cameras[{index}]"), camera, rig)?;
-    }
-    for (index, view) in rig.views.iter().enumerate() {
-        self::view(&format!("views[{index}]"), view)?;
-    }
-    let ids = || rig.cameras.iter().map(|c| &c.id).chain(rig.views.iter().map(|v| &v.id));
-    if let Some((_, twice)) = ids().enumerate().find(|(k, id)| ids().take(*k).any(|i| i == *id)) {
-        return wrong("cameras and views", format!("have two entries with id {twice:?}"));
-    }
-    if !rig.cameras.iter().any(|c| c.id == rig.reference) {
-        return wrong("reference", format!("names no camera of the rig: {:?}", rig.reference));
-    }
-    Ok(())
-}
-
-fn camera(at: &str, camera: &RigCamera, rig: &Rig) -> FieldCheck {
+fn camera(at: &str, camera: &RigCamera, reference: &str) -> FieldCheck {
     let field = |name: &str| format!("{at}.{name}");
     view(at, &camera.view())?;
     within(&field("rate_hz"), camera.rate_hz, &RATE_HZ)?;
     within(&field("delay_s"), camera.delay_s, &TIME_S)?;
     let max = MAX_JITTER_FRAMES / camera.rate_hz;
-    within(&field("jitter_s"), camera.jitter_s, &Limits { min: 0.0, max })?;
+    within(&field("jitter_s"), camera.jitter_s, &(0.0..=max))?;
     within(&field("drift_ppm"), camera.drift_ppm, &DRIFT_PPM)?;
     let max = 1.0 / camera.rate_hz;
-    within(&field("exposure_s"), camera.exposure_s, &Limits { min: 0.0, max })?;
+    within(&field("exposure_s"), camera.exposure_s, &(0.0..=max))?;
     within(&field("gain"), camera.gain, &GAIN)?;
     within(&field("noise"), camera.noise, &NOISE)?;
     if camera.bit_depth != 8 && camera.bit_depth != 16 {
@@ -143,13 +128,12 @@ fn camera(at: &str, camera: &RigCamera, rig: &Rig) -> FieldCheck {
     if camera.lost_frames.windows(2).any(|w| w[0] >= w[1]) {
         return wrong(field("lost_frames"), "must ascend");
     }
-    clock(at, camera, rig)?;
+    clock(at, camera, camera.id == reference)?;
     distortion(at, camera)
 }
 
 /// Checks that the fields of a clock don't contradict each other.
-fn clock(at: &str, camera: &RigCamera, rig: &Rig) -> FieldCheck {
-    let is_reference = camera.id == rig.reference;
+fn clock(at: &str, camera: &RigCamera, is_reference: bool) -> FieldCheck {
     let known = if is_reference { "the reference camera" } else { "a camera with a shared clock" };
     if is_reference || camera.clock_shared {
         if camera.drift_ppm != 0.0 {

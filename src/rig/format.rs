@@ -51,33 +51,33 @@ pub struct RigCamera {
     /// Names the camera's folder in a capture.
     #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub id: String,
-    #[schemars(range(min = SIZE_PX.min, max = SIZE_PX.max))]
+    #[schemars(range(min = *SIZE_PX.start(), max = *SIZE_PX.end()))]
     pub width: u32,
-    #[schemars(range(min = SIZE_PX.min, max = SIZE_PX.max))]
+    #[schemars(range(min = *SIZE_PX.start(), max = *SIZE_PX.end()))]
     pub height: u32,
-    #[schemars(range(min = LENS_MM.min, max = LENS_MM.max))]
+    #[schemars(range(min = *LENS_MM.start(), max = *LENS_MM.end()))]
     pub lens_mm: f64,
     /// Size of the sensor along the image's longer side.
-    #[schemars(range(min = SENSOR_MM.min, max = SENSOR_MM.max))]
+    #[schemars(range(min = *SENSOR_MM.start(), max = *SENSOR_MM.end()))]
     pub sensor_width_mm: f64,
     /// Shift of the image's window over the image plane, to the right, as a fraction of the image's
     /// longer side.
     #[serde(default, skip_serializing_if = "is_zero")]
-    #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
+    #[schemars(range(min = *SHIFT.start(), max = *SHIFT.end()))]
     pub shift_x: f64,
     /// Shift of the window upwards, as a fraction of the image's longer side.
     #[serde(default, skip_serializing_if = "is_zero")]
-    #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
+    #[schemars(range(min = *SHIFT.start(), max = *SHIFT.end()))]
     pub shift_y: f64,
     /// COLMAP's OPENCV model, about the pinhole that the lens amounts to. It must be invertible all
     /// along the image's border.
     #[serde(default, skip_serializing_if = "RigDistortion::is_none")]
     pub distortion: RigDistortion,
     pub cam_from_rig: PoseFormat,
-    #[schemars(range(min = RATE_HZ.min, max = RATE_HZ.max))]
+    #[schemars(range(min = *RATE_HZ.start(), max = *RATE_HZ.end()))]
     pub rate_hz: f64,
     /// Time of the first frame after the scene's start.
-    #[schemars(range(min = TIME_S.min, max = TIME_S.max))]
+    #[schemars(range(min = *TIME_S.start(), max = *TIME_S.end()))]
     pub delay_s: f64,
     /// Standard deviation of every exposure's time, at most [`MAX_JITTER_FRAMES`] of a frame's
     /// duration.
@@ -91,11 +91,11 @@ pub struct RigCamera {
     /// Rate of the reference's clock beyond this camera's, in millionths: positive if this camera's
     /// clock is slow.
     #[serde(default, skip_serializing_if = "is_zero")]
-    #[schemars(range(min = DRIFT_PPM.min, max = DRIFT_PPM.max))]
+    #[schemars(range(min = *DRIFT_PPM.start(), max = *DRIFT_PPM.end()))]
     pub drift_ppm: f64,
     /// Nominal numbers, ascending and from 1, of the frames that are never recorded.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    #[schemars(inner(range(min = LOST_FRAME.min, max = LOST_FRAME.max)))]
+    #[schemars(inner(range(min = *LOST_FRAME.start(), max = *LOST_FRAME.end())))]
     pub lost_frames: Vec<u32>,
     /// Whether a lost frame leaves a gap in the camera's times. Otherwise it leaves no trace.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
@@ -110,11 +110,11 @@ pub struct RigCamera {
     pub exposure_s: f64,
     /// Factor of light before it is encoded for display.
     #[serde(default = "one", skip_serializing_if = "is_one")]
-    #[schemars(range(min = GAIN.min, max = GAIN.max))]
+    #[schemars(range(min = *GAIN.start(), max = *GAIN.end()))]
     pub gain: f64,
     /// Standard deviation of the sensor's Gaussian noise, in display-encoded units of 0 to 1.
     #[serde(default, skip_serializing_if = "is_zero")]
-    #[schemars(range(min = NOISE.min, max = NOISE.max))]
+    #[schemars(range(min = *NOISE.start(), max = *NOISE.end()))]
     pub noise: f64,
     /// Whether the camera records colours.
     #[serde(default, skip_serializing_if = "RigColor::is_rgb")]
@@ -131,19 +131,19 @@ pub struct RigCamera {
 pub struct RigView {
     #[schemars(regex(pattern = IDENTIFIER), length(max = MAX_ID_LENGTH))]
     pub id: String,
-    #[schemars(range(min = SIZE_PX.min, max = SIZE_PX.max))]
+    #[schemars(range(min = *SIZE_PX.start(), max = *SIZE_PX.end()))]
     pub width: u32,
-    #[schemars(range(min = SIZE_PX.min, max = SIZE_PX.max))]
+    #[schemars(range(min = *SIZE_PX.start(), max = *SIZE_PX.end()))]
     pub height: u32,
-    #[schemars(range(min = LENS_MM.min, max = LENS_MM.max))]
+    #[schemars(range(min = *LENS_MM.start(), max = *LENS_MM.end()))]
     pub lens_mm: f64,
-    #[schemars(range(min = SENSOR_MM.min, max = SENSOR_MM.max))]
+    #[schemars(range(min = *SENSOR_MM.start(), max = *SENSOR_MM.end()))]
     pub sensor_width_mm: f64,
     #[serde(default, skip_serializing_if = "is_zero")]
-    #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
+    #[schemars(range(min = *SHIFT.start(), max = *SHIFT.end()))]
     pub shift_x: f64,
     #[serde(default, skip_serializing_if = "is_zero")]
-    #[schemars(range(min = SHIFT.min, max = SHIFT.max))]
+    #[schemars(range(min = *SHIFT.start(), max = *SHIFT.end()))]
     pub shift_y: f64,
     pub cam_from_rig: PoseFormat,
 }
@@ -152,13 +152,13 @@ pub struct RigView {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RigDistortion {
-    #[schemars(range(min = DISTORTION.min, max = DISTORTION.max))]
+    #[schemars(range(min = *DISTORTION.start(), max = *DISTORTION.end()))]
     pub k1: f64,
-    #[schemars(range(min = DISTORTION.min, max = DISTORTION.max))]
+    #[schemars(range(min = *DISTORTION.start(), max = *DISTORTION.end()))]
     pub k2: f64,
-    #[schemars(range(min = DISTORTION.min, max = DISTORTION.max))]
+    #[schemars(range(min = *DISTORTION.start(), max = *DISTORTION.end()))]
     pub p1: f64,
-    #[schemars(range(min = DISTORTION.min, max = DISTORTION.max))]
+    #[schemars(range(min = *DISTORTION.start(), max = *DISTORTION.end()))]
     pub p2: f64,
 }
 

@@ -1,13 +1,13 @@
 //! Generates rigs from a few numbers. The same options give the same rig, to the byte.
 
-use super::check::FieldError;
+use super::check::{FieldCheck, FieldError, wrong};
 use super::format::{Rig, RigCamera, RigColor, RigDistortion, RigView};
 use super::limits::{FORMAT, MAX_CAMERAS, MAX_LOSS_WITHIN, VERSION};
 use crate::camera::PoseFormat;
 use crate::capture::MAX_DRIFT_PPM;
 use crate::method::methods;
 use crate::random::Random;
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::num::NonZeroUsize;
 
@@ -151,32 +151,6 @@ impl Default for RigOptions {
     }
 }
 
-/// An error of [`RigOptions`]: one sentence.
-#[derive(Debug, PartialEq, thiserror::Error)]
-pub enum GenerateError {
-    /// One of the lists has no entry.
-    #[error("the {0} must not be empty")]
-    Empty(&'static str),
-    /// More cameras than [`MAX_CAMERAS`].
-    #[error("a rig has from 1 to {MAX_CAMERAS} cameras, not {count}")]
-    Cameras { count: usize },
-    /// The largest drift is beyond the limit.
-    #[error("the largest drift must be from 0 to {MAX_DRIFT_PPM} ppm, not {drift_ppm}")]
-    Drift { drift_ppm: f64 },
-    /// `Loss::within` is over [`MAX_LOSS_WITHIN`].
-    #[error("lost frames must be among the first {MAX_LOSS_WITHIN}, not {within}")]
-    LossWithin { within: usize },
-    /// The cameras of the arc don't fit on a half circle.
-    #[error("an arc needs a distance over half the array's width, not {distance_m} m")]
-    Arc { distance_m: f64 },
-    /// More lost frames than there are to lose.
-    #[error("{count} lost frames don't fit among the frames 1 to {}", within.saturating_sub(1))]
-    Loss { count: usize, within: usize },
-    /// A value is outside its limits.
-    #[error(transparent)]
-    Field(#[from] FieldError),
-}
-
 /// A camera's centre, and rotation about the vertical, in the rig's frame.
 #[derive(Clone, Copy)]
 struct Stand {
@@ -193,8 +167,9 @@ const TIME_STEPS: f64 = 1e6;
 const DRIFT_STEPS: f64 = 1e3;
 
 impl RigOptions {
-    /// Generates and checks the rig.
-    pub fn generate(&self) -> Result<Rig, GenerateError> {
+    /// Generates and checks the rig. The error has the first wrong option, or the first wrong field of the
+    /// rig.
+    pub fn generate(&self) -> Result<Rig, FieldError> {
         self.check()?;
         let stands = self.stands();
         let reference = reference(&stands);
@@ -237,7 +212,7 @@ impl RigOptions {
         Ok(rig)
     }
 
-    fn check(&self) -> Result<(), GenerateError> {
+    fn check(&self) -> FieldCheck {
         let empty = [
             ("list of sizes", self.sizes_px.is_empty()),
             ("list of lenses", self.lenses_mm.is_empty()),
@@ -250,43 +225,48 @@ impl RigOptions {
             ("list of colours", self.colors.is_empty()),
         ];
         if let Some((name, _)) = empty.into_iter().find(|(_, empty)| *empty) {
-            return Err(GenerateError::Empty(name));
+            return wrong(format!("the {name}"), "must not be empty");
         }
         let count = self.layout.count();
         if count > MAX_CAMERAS {
-            return Err(GenerateError::Cameras { count });
+            return wrong("a rig", format!("has from 1 to {MAX_CAMERAS} cameras, not {count}"));
         }
         let drift_ppm = self.max_drift_ppm;
         if !(0.0..=MAX_DRIFT_PPM).contains(&drift_ppm) {
-            return Err(GenerateError::Drift { drift_ppm });
+            let reason = format!("must be from 0 to {MAX_DRIFT_PPM} ppm, not {drift_ppm}");
+            return wrong("the largest drift", reason);
         }
         if let RigLayout::Arc { count, distance_m } = self.layout {
             let half_width_m = 0.5 * self.spacing_m.abs() * (count.get() - 1) as f64;
             if !(distance_m > half_width_m && distance_m.is_finite()) {
-                return Err(GenerateError::Arc { distance_m });
+                let reason =
+                    format!("needs a distance over half the array's width, not {distance_m} m");
+                return wrong("an arc", reason);
             }
         }
-        match self.loss {
-            Some(Loss { count, within, .. }) if count >= within => {
-                Err(GenerateError::Loss { count, within })
-            }
-            Some(Loss { within, .. }) if within > MAX_LOSS_WITHIN => {
-                Err(GenerateError::LossWithin { within })
-            }
-            _ => Ok(()),
+        let Some(Loss { count, within, .. }) = self.loss else { return Ok(()) };
+        if count >= within {
+            let reason = format!("don't fit among the frames 1 to {}", within.saturating_sub(1));
+            return wrong(format!("{count} lost frames"), reason);
         }
+        if within > MAX_LOSS_WITHIN {
+            let reason = format!("must be among the first {MAX_LOSS_WITHIN}, not {within}");
+            return wrong("lost frames", reason);
+        }
+        Ok(())
     }
 
     fn stands(&self) -> Vec<Stand> {
         let along = |k: usize, n: usize| (k as f64 - 0.5 * (n - 1) as f64) * self.spacing_m;
-        let ahead = |x: f64, y: f64| Stand { center: Vector3::new(x, y, 0.0), yaw_rad: 0.0 };
         match self.layout {
             RigLayout::Line { count } => {
-                (0..count.get()).map(|k| ahead(along(k, count.get()), 0.0)).collect()
+                (0..count.get()).map(|k| Stand::ahead(along(k, count.get()), 0.0)).collect()
             }
             RigLayout::Grid { rows, columns } => (0..rows.get() * columns.get())
                 .map(|k| (k / columns.get(), k % columns.get()))
-                .map(|(row, column)| ahead(along(column, columns.get()), along(row, rows.get())))
+                .map(|(row, column)| {
+                    Stand::ahead(along(column, columns.get()), along(row, rows.get()))
+                })
                 .collect(),
             RigLayout::Arc { count, distance_m } => (0..count.get())
                 .map(|k| along(k, count.get()) / distance_m)
@@ -329,18 +309,15 @@ impl RigOptions {
         let beside = 0.5 * self.spacing_m;
         let between = match self.layout {
             // Where a camera stands in the middle: half-way to the next.
-            RigLayout::Line { count } if count.get() % 2 == 1 => {
-                Stand { center: Vector3::new(beside, 0.0, 0.0), yaw_rad: 0.0 }
-            }
+            RigLayout::Line { count } if count.get() % 2 == 1 => Stand::ahead(beside, 0.0),
             RigLayout::Grid { rows, columns } => {
                 let aside = |n: usize| if n % 2 == 1 { beside } else { 0.0 };
-                let center = Vector3::new(aside(columns.get()), aside(rows.get()), 0.0);
-                Stand { center, yaw_rad: 0.0 }
+                Stand::ahead(aside(columns.get()), aside(rows.get()))
             }
             RigLayout::Arc { count, distance_m } if count.get() % 2 == 1 => {
                 on_arc(beside / distance_m, distance_m)
             }
-            _ => Stand { center: Vector3::zeros(), yaw_rad: 0.0 },
+            _ => Stand::ahead(0.0, 0.0),
         };
         // Left of the middle, above and before it.
         let off = Vector3::new(-1.0, -0.4, 0.5) * self.spacing_m;
@@ -366,6 +343,11 @@ impl Loss {
 }
 
 impl Stand {
+    /// A camera at z = 0 that looks along +z.
+    fn ahead(x: f64, y: f64) -> Self {
+        Self { center: Vector3::new(x, y, 0.0), yaw_rad: 0.0 }
+    }
+
     fn cam_from_rig(&self) -> PoseFormat {
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), self.yaw_rad);
         let translation = rotation * -self.center;
@@ -385,7 +367,7 @@ fn on_arc(angle: f64, distance_m: f64) -> Stand {
 
 /// Index of the camera nearest to the rig's centre; the first in a tie.
 fn reference(stands: &[Stand]) -> usize {
-    let distance = |s: &Stand| (Point3::from(s.center) - Point3::origin()).norm();
+    let distance = |s: &Stand| s.center.norm();
     let nearest = stands.iter().map(distance).fold(f64::INFINITY, f64::min);
     // Ties up to rounding.
     stands.iter().position(|s| distance(s) <= nearest * (1.0 + 1e-9)).unwrap_or(0)

@@ -6,15 +6,7 @@
 //! [`MAX_QUATERNION_ERROR`](crate::camera::MAX_QUATERNION_ERROR).
 
 use crate::capture::MAX_DRIFT_PPM;
-
-/// A closed range of values.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits<T> {
-    /// The smallest value allowed.
-    pub min: T,
-    /// The largest value allowed.
-    pub max: T,
-}
+use std::ops::RangeInclusive;
 
 /// The value of a rig file's field `format`.
 pub const FORMAT: &str = "stlfr-rig";
@@ -31,29 +23,29 @@ pub const MAX_CAMERAS: usize = 1000;
 
 /// Width and height of an image, pixels; their product is limited by
 /// [`MAX_PIXELS`](crate::raster::MAX_PIXELS).
-pub const SIZE_PX: Limits<u32> = Limits { min: 8, max: 16_384 };
+pub const SIZE_PX: RangeInclusive<u32> = 8..=16_384;
 /// Focal length, millimetres.
-pub const LENS_MM: Limits<f64> = Limits { min: 1.0, max: 5000.0 };
+pub const LENS_MM: RangeInclusive<f64> = 1.0..=5000.0;
 /// Longer side of the sensor, millimetres.
-pub const SENSOR_MM: Limits<f64> = Limits { min: 1.0, max: 500.0 };
+pub const SENSOR_MM: RangeInclusive<f64> = 1.0..=500.0;
 /// Lens shift, as a fraction of the image's longer side.
-pub const SHIFT: Limits<f64> = Limits { min: -10.0, max: 10.0 };
+pub const SHIFT: RangeInclusive<f64> = -10.0..=10.0;
 /// Each coordinate of a translation, metres.
-pub const LENGTH_M: Limits<f64> = Limits { min: -1e6, max: 1e6 };
+pub const LENGTH_M: RangeInclusive<f64> = -1e6..=1e6;
 /// Frame rate, hertz.
-pub const RATE_HZ: Limits<f64> = Limits { min: 1e-3, max: 1e5 };
+pub const RATE_HZ: RangeInclusive<f64> = 1e-3..=1e5;
 /// Delay of a camera's first frame, seconds after the scene's start.
-pub const TIME_S: Limits<f64> = Limits { min: -1e6, max: 1e6 };
+pub const TIME_S: RangeInclusive<f64> = -1e6..=1e6;
 /// Drift of a clock, ppm: as much as can be estimated.
-pub const DRIFT_PPM: Limits<f64> = Limits { min: -MAX_DRIFT_PPM, max: MAX_DRIFT_PPM };
+pub const DRIFT_PPM: RangeInclusive<f64> = -MAX_DRIFT_PPM..=MAX_DRIFT_PPM;
 /// Nominal number of a lost frame.
-pub const LOST_FRAME: Limits<u32> = Limits { min: 1, max: 1_000_000_000 };
+pub const LOST_FRAME: RangeInclusive<u32> = 1..=1_000_000_000;
 /// Factor of light before it is encoded for display.
-pub const GAIN: Limits<f64> = Limits { min: 0.01, max: 100.0 };
+pub const GAIN: RangeInclusive<f64> = 0.01..=100.0;
 /// Standard deviation of the sensor's noise in display-encoded values, for a full scale of 1.
-pub const NOISE: Limits<f64> = Limits { min: 0.0, max: 0.5 };
+pub const NOISE: RangeInclusive<f64> = 0.0..=0.5;
 /// Each coefficient of the distortion.
-pub const DISTORTION: Limits<f64> = Limits { min: -10.0, max: 10.0 };
+pub const DISTORTION: RangeInclusive<f64> = -10.0..=10.0;
 
 /// Largest standard deviation of the jitter, frames; with more, two frames of a camera could swap.
 pub const MAX_JITTER_FRAMES: f64 = 0.1;

@@ -13,9 +13,9 @@ mod generate;
 pub mod limits;
 mod write;
 
-pub use check::{FieldError, RigError, RigTextError};
+pub use check::{FieldError, RigError};
 pub use format::{Rig, RigCamera, RigColor, RigDistortion, RigView};
-pub use generate::{Delays, GenerateError, Loss, LossStamps, RigLayout, RigOptions};
+pub use generate::{Delays, Loss, LossStamps, RigLayout, RigOptions};
 
 /// The JSON Schema of a rig file.
 pub fn schema() -> serde_json::Value {

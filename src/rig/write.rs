@@ -46,16 +46,10 @@ fn entries(list: &[impl Serialize]) -> String {
 impl Rig {
     /// The text of the rig's file.
     pub fn to_json(&self) -> String {
-        let head = [
-            ("format", spaced(&self.format)),
-            ("version", spaced(&self.version)),
-            ("name", spaced(&self.name)),
-            ("reference", spaced(&self.reference)),
-            ("seed", spaced(&self.seed)),
-        ]
-        .map(|(name, value)| format!("\"{name}\": {value}"))
-        .join(", ");
-        let mut text = format!("{{\n  {head},\n  \"cameras\": [\n{}\n  ]", entries(&self.cameras));
+        // The text of a rig without cameras and views, up to where the cameras begin.
+        let bare = Self { cameras: Vec::new(), views: Vec::new(), ..self.clone() };
+        let head = spaced(&bare).replace(r#" "cameras": []}"#, "").split_off(1);
+        let mut text = format!("{{\n  {head}\n  \"cameras\": [\n{}\n  ]", entries(&self.cameras));
         if !self.views.is_empty() {
             text += &format!(",\n  \"views\": [\n{}\n  ]", entries(&self.views));
         }

@@ -9,6 +9,10 @@ use crate::raster::Image;
 const RADIUS: isize = 2;
 /// Smallest difference of grey values, 0..=1, that sets a census bit: half a step of 8 bits.
 const MIN_DIFFERENCE: f32 = 0.5 / 255.0;
+/// Largest cost of a difference of grey values, of 255.
+const MAX_GRAY_COST: i32 = 24;
+/// Cost of one differing census bit, in grey values.
+const BIT_COST: u32 = 2;
 
 /// A pixel's descriptor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,16 +31,16 @@ impl Descriptor {
         Self { code, grays: u32::from_le_bytes([value, min, max, 0]) }
     }
 
-    /// Matching cost: `bit_cost` for every differing census bit, plus the distance of the grey value from the
-    /// other pixel's range, at most `max_gray_cost`.
+    /// Matching cost: [`BIT_COST`] for every differing census bit, plus the distance of the grey value from the
+    /// other pixel's range, at most [`MAX_GRAY_COST`].
     ///
     /// Only 32-bit integers and no branches, so that eight pixels are compared at a time.
     #[inline(always)]
-    pub fn cost(&self, Self { code, grays }: Self, bit_cost: u32, max_gray_cost: i32) -> u8 {
+    pub fn cost(&self, Self { code, grays }: Self) -> u8 {
         let [min, max] = [8, 16].map(|shift| (grays >> shift & 255) as i32);
         let value = (self.grays & 255) as i32;
-        let beyond = (value - max).max(min - value).max(0).min(max_gray_cost);
-        let cost = bit_cost * (self.code ^ code).count_ones() + beyond as u32;
+        let beyond = (value - max).max(min - value).clamp(0, MAX_GRAY_COST);
+        let cost = BIT_COST * (self.code ^ code).count_ones() + beyond as u32;
         (cost | grays >> 24) as u8
     }
 }
@@ -57,15 +61,7 @@ impl CensusImage {
 
     /// The image at half the size; the last row or column of an odd number is dropped.
     fn halved(&self) -> Option<Self> {
-        let camera = halved(&self.camera)?;
-        let at = |x: usize, y: usize| self.gray.pixel(x, y)[0];
-        let mean = |k: usize| {
-            let (x, y) = (2 * (k % camera.width), 2 * (k / camera.width));
-            0.25 * (at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1))
-        };
-        let (w, h) = (camera.width, camera.height);
-        let gray = Image::from_data(w, h, 1, (0..w * h).map(mean).collect());
-        Some(Self::new(camera, gray))
+        Some(Self::new(halved(&self.camera)?, crate::registration::halved(&self.gray)))
     }
 }
 
@@ -74,20 +70,11 @@ pub(super) fn halved(camera: &Camera) -> Option<Camera> {
     camera.halved().filter(|c| c.width > 1 && c.height > 1)
 }
 
-/// An image with descriptors at full and at halved resolutions.
-#[derive(Clone, Debug)]
-pub(super) struct CensusPyramid {
-    /// Images from fine to coarse, at least one.
-    pub levels: Vec<CensusImage>,
-}
-
-impl CensusPyramid {
-    /// Halves the image `halvings` times, or until it is too small.
-    pub fn new(view: &StereoImage, halvings: usize) -> Self {
-        let full = CensusImage::new(view.camera.clone(), view.image.to_gray());
-        let levels = std::iter::successors(Some(full), CensusImage::halved);
-        Self { levels: levels.take(halvings + 1).collect() }
-    }
+/// An image with descriptors, halved `halvings` times, or until it is too small: from fine to coarse, at least
+/// one.
+pub(super) fn census_pyramid(view: &StereoImage, halvings: usize) -> Vec<CensusImage> {
+    let full = CensusImage::new(view.camera.clone(), view.image.to_gray());
+    std::iter::successors(Some(full), CensusImage::halved).take(halvings + 1).collect()
 }
 
 /// Descriptors of all pixels, row by row; the border is repeated outwards.
@@ -130,9 +117,9 @@ mod tests {
         for (code, min, max, expected) in
             [(0b1011, 95, 105, 0), (0b0010, 95, 105, 4), (0, 107, 120, 13), (0b1011, 0, 10, 24)]
         {
-            assert_eq!(own.cost(Descriptor::new(code, [min, min, max]), 2, 24), expected);
+            assert_eq!(own.cost(Descriptor::new(code, [min, min, max])), expected);
         }
-        assert_eq!(own.cost(Descriptor::OUTSIDE, 2, 24), 255);
+        assert_eq!(own.cost(Descriptor::OUTSIDE), 255);
     }
 
     /// An interpolated image is plain but for rounding where the filmed one is plain.

@@ -9,10 +9,6 @@ use rayon::prelude::*;
 
 /// Largest number of levels.
 const MAX_LEVELS: usize = 1024;
-/// Largest cost of a difference of grey values, of 255.
-const MAX_GRAY_COST: i32 = 24;
-/// Cost of one differing census bit, in grey values.
-const BIT_COST: u32 = 2;
 /// Cost where no partner sees the point: that of a poor match.
 const UNSEEN_COST: u8 = 40;
 
@@ -71,11 +67,10 @@ pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
     let inverses: Vec<f32> = (0..n).map(|level| levels.at(level as f32)).collect();
     let mut out = vec![UNSEEN_COST; w * camera.height * n];
     out.par_chunks_mut(w * n).enumerate().for_each_init(
-        || (RayRow::new(camera), MatchScratch::new(n, set.partners.len())),
-        |(rays, scratch), (y, out)| {
-            rays.set(y);
-            let own = &set.image.descriptors[y * w..(y + 1) * w];
-            row_costs(&CostRow { own, set, inverses: &inverses, rays }, scratch, out);
+        || MatchScratch::new(set, n),
+        |scratch, (y, out)| {
+            scratch.rays.set(y);
+            row_costs(set, y, &inverses, scratch, out);
         },
     );
     out
@@ -94,15 +89,15 @@ pub(super) fn upsampled(values: &[f32], coarse: &Camera, set: &StereoSet) -> Vec
         [near, other]
     };
     out.par_chunks_mut(w).enumerate().for_each_init(
-        || (RayRow::new(camera), MatchScratch::new(4, set.partners.len()), [0; 4]),
-        |(rays, scratch, costs), (y, out)| {
-            rays.set(y);
+        || (MatchScratch::new(set, 4), [0; 4]),
+        |(scratch, costs), (y, out)| {
+            scratch.rays.set(y);
             for (x, out) in out.iter_mut().enumerate() {
                 let (columns, rows) = (around(x, coarse.width), around(y, coarse.height));
                 let candidate = |k: usize| values[rows[k / 2] * coarse.width + columns[k % 2]];
                 let candidates = [0, 1, 2, 3].map(candidate);
                 for (k, Partner { image, pose }) in set.partners.iter().enumerate() {
-                    let rotated = pose.rotated(rays.x[x] as f32, rays.y[x] as f32);
+                    let rotated = pose.rotated(scratch.rays.x[x] as f32, scratch.rays.y[x] as f32);
                     for (n, candidate) in candidates.iter().enumerate() {
                         let point = pose.point(&rotated, *candidate);
                         [scratch.x[n], scratch.y[n]] = pose.pixel(&point);
@@ -119,34 +114,40 @@ pub(super) fn upsampled(values: &[f32], coarse: &Camera, set: &StereoSet) -> Vec
     out
 }
 
-/// One row of the reference.
-struct CostRow<'a> {
-    own: &'a [Descriptor],
-    set: &'a StereoSet<'a>,
-    /// Inverse depths of the levels, 1/m.
-    inverses: &'a [f32],
-    rays: &'a RayRow<'a>,
-}
-
 multiversion! {
-    /// Costs of all levels at every pixel of a row.
-    fn row_costs(row: &CostRow, scratch: &mut MatchScratch, out: &mut [u8]) = row_costs_by
+    /// Costs of all levels, given by their inverse depths, 1/m, at every pixel of row `y` of the reference.
+    fn row_costs(
+        set: &StereoSet,
+        y: usize,
+        inverses: &[f32],
+        scratch: &mut MatchScratch,
+        out: &mut [u8],
+    ) = row_costs_by
 }
 
 #[inline(always)]
-fn row_costs_by(row: &CostRow, scratch: &mut MatchScratch, out: &mut [u8]) {
-    for (x, out) in out.chunks_exact_mut(row.inverses.len()).enumerate() {
-        let ray = [row.rays.x[x] as f32, row.rays.y[x] as f32];
-        for (k, Partner { image, pose }) in row.set.partners.iter().enumerate() {
-            pose.path(ray, row.inverses, &mut scratch.x, &mut scratch.y);
-            scratch.compare(&row.own[x], image, k);
+fn row_costs_by(
+    set: &StereoSet,
+    y: usize,
+    inverses: &[f32],
+    scratch: &mut MatchScratch,
+    out: &mut [u8],
+) {
+    let own = &set.image.descriptors[y * set.image.camera.width..];
+    for ((x, out), own) in out.chunks_exact_mut(inverses.len()).enumerate().zip(own) {
+        let ray = [scratch.rays.x[x] as f32, scratch.rays.y[x] as f32];
+        for (k, Partner { image, pose }) in set.partners.iter().enumerate() {
+            pose.path(ray, inverses, &mut scratch.x, &mut scratch.y);
+            scratch.compare(own, image, k);
         }
         scratch.better_half(out);
     }
 }
 
-/// Buffers for matching one pixel at several inverse depths.
-struct MatchScratch {
+/// Buffers for matching the pixels of a row at several inverse depths.
+struct MatchScratch<'a> {
+    /// The row's rays.
+    rays: RayRow<'a>,
     /// Positions in a partner's image, by level.
     x: Vec<f32>,
     y: Vec<f32>,
@@ -163,10 +164,12 @@ struct MatchScratch {
 /// Index of a pixel outside any image.
 const OUTSIDE: u32 = u32::MAX;
 
-impl MatchScratch {
-    fn new(levels: usize, partners: usize) -> Self {
+impl<'a> MatchScratch<'a> {
+    fn new(set: &StereoSet<'a>, levels: usize) -> Self {
+        let partners = set.partners.len();
         let rows = if partners == 3 { 4 } else { partners };
         Self {
+            rays: RayRow::new(&set.image.camera),
             x: vec![0.0; levels],
             y: vec![0.0; levels],
             at: vec![0; levels],
@@ -197,7 +200,7 @@ impl MatchScratch {
         // Apart from the loads, so that it is vectorized.
         let n = self.at.len();
         for (cost, other) in self.costs[k * n..(k + 1) * n].iter_mut().zip(&self.descriptors) {
-            *cost = own.cost(*other, BIT_COST, MAX_GRAY_COST);
+            *cost = own.cost(*other);
         }
     }
 
@@ -260,14 +263,11 @@ mod tests {
             let set = StereoSet::new(&all[0], all[1..=count].iter());
             let found = cost_volume(&set, &levels);
             let inverses: Vec<f32> = (0..levels.count).map(|l| levels.at(l as f32)).collect();
-            let mut rays = RayRow::new(&all[0].camera);
-            let mut scratch = MatchScratch::new(levels.count, count);
+            let mut scratch = MatchScratch::new(&set, levels.count);
             let mut costs = vec![0; 41 * levels.count];
             for (y, found) in found.chunks_exact(41 * levels.count).enumerate() {
-                rays.set(y);
-                let own = &all[0].descriptors[y * 41..(y + 1) * 41];
-                let row = CostRow { own, set: &set, inverses: &inverses, rays: &rays };
-                row_costs_by(&row, &mut scratch, &mut costs);
+                scratch.rays.set(y);
+                row_costs_by(&set, y, &inverses, &mut scratch, &mut costs);
                 assert!(costs == found);
             }
         }
@@ -286,8 +286,10 @@ mod tests {
             (&[255, 70, 255], 70),
             (&[255; 3], UNSEEN_COST),
         ];
+        let image = noise(0.0, &mut Random::new(1));
         for (costs, expected) in cases {
-            let mut scratch = MatchScratch::new(1, costs.len());
+            let set = StereoSet::new(&image, std::iter::repeat_n(&image, costs.len()));
+            let mut scratch = MatchScratch::new(&set, 1);
             scratch.costs[..costs.len()].copy_from_slice(costs);
             let mut out = [0];
             scratch.better_half(&mut out);

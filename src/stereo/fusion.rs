@@ -22,20 +22,11 @@ const RADIUS_PX: f32 = 0.8;
 const MAX_VOTE_RATIO: i32 = 2;
 /// Smallest number of votes of a surface; mismatches beside outlines have fewer.
 const MIN_VOTES: i32 = 1;
-/// The cameras' surfaces relative to a view.
-struct SurfacesInView<'a> {
-    surfaces: &'a [Surface<'a>],
-    /// Poses of the cameras relative to the view.
-    poses: Vec<RelativePose>,
-    /// Largest difference of two measurements of one surface, 1/m.
-    tolerance: f32,
-}
 
 /// Fuses the depths of a view, metres. Pixels that no camera sees have the depth of the background around them.
 pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
     let tolerance = surfaces.iter().map(|s| s.depths.tolerance).fold(0.0, f32::max);
-    let poses = surfaces.iter().map(|s| RelativePose::new(target, s.camera)).collect();
-    let in_view = SurfacesInView { surfaces, poses, tolerance };
+    let poses: Vec<_> = surfaces.iter().map(|s| RelativePose::new(target, s.camera)).collect();
     let (w, h) = (target.width, target.height);
     let splats: Vec<Vec<f32>> = surfaces.par_iter().map(|s| splat(target, s, tolerance)).collect();
     let mut fused = vec![f32::NAN; w * h];
@@ -48,43 +39,44 @@ pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
                 let splats = splats.iter().map(|s| s[y * w + x]);
                 candidates.extend(splats.filter(|c| *c > 0.0));
                 if are_one_surface(candidates, surfaces.len(), tolerance) {
-                    *fused = mean_of(candidates, candidates.first(), tolerance);
+                    *fused = mean_of(candidates, candidates[0], tolerance);
                     continue;
                 }
                 // The nearest first.
                 candidates.sort_by(|a, b| b.total_cmp(a));
                 let ray = [rays.x[x] as f32, rays.y[x] as f32];
                 votes.clear();
-                votes.extend(candidates.iter().map(|c| in_view.votes(ray, *c)));
+                let own = candidates.iter().map(|c| votes_of(surfaces, &poses, tolerance, ray, *c));
+                votes.extend(own);
                 *fused = elect(candidates, votes, tolerance);
             }
         },
     );
-    fill_from_background(&mut fused, w);
-    DepthMap::from_data(w, h, fused.iter().map(|v| 1.0 / v).collect())
+    let filled = filled_from_background(&fused, w);
+    DepthMap::from_data(w, h, filled.iter().map(|v| 1.0 / v).collect())
 }
 
-impl SurfacesInView<'_> {
-    /// Number of cameras that see a surface at a point, less that of those that see through it.
-    fn votes(&self, [x, y]: [f32; 2], inverse: f32) -> i32 {
-        let mut votes = 0;
-        for (surface, pose) in self.surfaces.iter().zip(&self.poses) {
-            let q = pose.point(&pose.rotated(x, y), inverse);
-            let [px, py] = pose.pixel(&q);
-            let (w, h) = (surface.camera.width, surface.camera.height);
-            if !(px >= 0.0 && py >= 0.0 && px < w as f32 && py < h as f32) {
-                continue;
-            }
-            let seen = surface.depths.values[py as usize * w + px as usize];
-            let difference = inverse / q.z - seen;
-            if difference.abs() <= self.tolerance {
-                votes += 1;
-            } else if difference > self.tolerance {
-                votes -= 1;
-            }
+/// Number of cameras that see a surface at the point of a ray (x, y, 1) at an inverse depth, less that of those
+/// that see through it. `poses` are those of the surfaces' cameras relative to the view.
+fn votes_of(
+    surfaces: &[Surface],
+    poses: &[RelativePose],
+    tolerance: f32,
+    [x, y]: [f32; 2],
+    inverse: f32,
+) -> i32 {
+    let vote = |(surface, pose): (&Surface, &RelativePose)| {
+        let q = pose.point(&pose.rotated(x, y), inverse);
+        let [px, py] = pose.pixel(&q);
+        let (w, h) = (surface.camera.width, surface.camera.height);
+        if !(px >= 0.0 && py >= 0.0 && px < w as f32 && py < h as f32) {
+            return 0;
         }
-        votes
-    }
+        let seen = surface.depths.values[py as usize * w + px as usize];
+        let difference = inverse / q.z - seen;
+        i32::from(difference.abs() <= tolerance) - i32::from(difference > tolerance)
+    };
+    surfaces.iter().zip(poses).map(vote).sum()
 }
 
 /// Whether more than half of the cameras have candidates, and all candidates are one surface: then no vote is
@@ -98,29 +90,24 @@ fn are_one_surface(candidates: &[f32], cameras: usize, tolerance: f32) -> bool {
 /// Fuses candidate inverse depths, the nearest first, on the nearest surface with enough votes. NaN without votes.
 fn elect(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     let most = votes.iter().copied().max().unwrap_or(0);
-    if most < MIN_VOTES {
-        return f32::NAN;
+    match votes.iter().position(|&v| v * MAX_VOTE_RATIO >= most) {
+        Some(first) if most >= MIN_VOTES => mean_of(candidates, candidates[first], tolerance),
+        _ => f32::NAN,
     }
-    let first = votes.iter().position(|&v| v * MAX_VOTE_RATIO >= most);
-    mean_of(candidates, first.map(|first| &candidates[first]), tolerance)
 }
 
 /// The mean of the candidates on the surface of `first`, which is one of them.
-fn mean_of(candidates: &[f32], first: Option<&f32>, tolerance: f32) -> f32 {
-    let Some(first) = first else { return f32::NAN };
+fn mean_of(candidates: &[f32], first: f32, tolerance: f32) -> f32 {
     let (mut sum, mut count) = (0.0, 0.0);
-    for c in candidates {
-        if (c - first).abs() <= tolerance {
-            (sum, count) = (sum + (c - first), count + 1.0);
-        }
+    for c in candidates.iter().filter(|c| (*c - first).abs() <= tolerance) {
+        (sum, count) = (sum + (c - first), count + 1.0);
     }
     first + sum / count
 }
 
 /// Fills NaN with the farthest of the nearest values to the left, to the right, above and below: what the cameras
 /// don't see lies behind.
-fn fill_from_background(values: &mut [f32], width: usize) {
-    let height = values.len() / width;
+fn filled_from_background(values: &[f32], width: usize) -> Vec<f32> {
     let mut filled = values.to_vec();
     let mut fill_along = |line: &mut dyn Iterator<Item = usize>| {
         let mut last = f32::NAN;
@@ -133,17 +120,15 @@ fn fill_from_background(values: &mut [f32], width: usize) {
             }
         }
     };
-    for y in 0..height {
-        let row = y * width..(y + 1) * width;
-        fill_along(&mut row.clone());
-        fill_along(&mut row.rev());
+    for row in 0..values.len() / width {
+        fill_along(&mut (row * width..(row + 1) * width));
+        fill_along(&mut (row * width..(row + 1) * width).rev());
     }
-    for x in 0..width {
-        let column = (x..x + height * width).step_by(width);
-        fill_along(&mut column.clone());
-        fill_along(&mut column.rev());
+    for column in 0..width {
+        fill_along(&mut (column..values.len()).step_by(width));
+        fill_along(&mut (column..values.len()).step_by(width).rev());
     }
-    values.copy_from_slice(&filled);
+    filled
 }
 
 /// A camera's pixel, projected into the view.
@@ -221,8 +206,8 @@ mod tests {
         assert!(elect(&[], &[], 0.1).is_nan());
         assert_eq!(elect(&[near], &[1], 0.1), 1.0);
         assert_eq!(elect(&[near, far], &[-1, 2], 0.1), 0.5);
-        let mut values = vec![0.5, f32::NAN, 1.0];
-        fill_from_background(&mut values, 3);
+        let values = vec![0.5, f32::NAN, 1.0];
+        let values = filled_from_background(&values, 3);
         assert_eq!(values, [0.5, 0.5, 1.0]);
     }
 }

@@ -1,6 +1,6 @@
 //! Inverse depths of one camera, from its own image and those of its partners.
 
-use super::census::{CensusPyramid, halved};
+use super::census::{CensusImage, census_pyramid, halved};
 use super::cost_volume::{DepthLevels, StereoSet, cost_volume, upsampled};
 use super::refine::refine;
 use super::semi_global::{aggregate, winner_takes_all};
@@ -35,7 +35,8 @@ impl InverseDepths {
 
 /// The images of several cameras at one instant, ready to be matched.
 pub struct Matcher {
-    pyramids: Vec<CensusPyramid>,
+    /// Each image from fine to coarse.
+    pyramids: Vec<Vec<CensusImage>>,
     /// Indices of each camera's partners, nearest first.
     partners: Vec<Vec<usize>>,
     step_px: f64,
@@ -48,7 +49,7 @@ impl Matcher {
         let partners: Vec<Vec<usize>> =
             (0..views.len()).map(|k| partners(&cameras, k, options.partners)).collect();
         let halvings = halvings(&cameras, &partners, range, options);
-        let pyramids = views.par_iter().map(|v| CensusPyramid::new(v, halvings)).collect();
+        let pyramids = views.par_iter().map(|v| census_pyramid(v, halvings)).collect();
         Self { pyramids, partners, step_px: options.step_px }
     }
 
@@ -56,10 +57,10 @@ impl Matcher {
     pub fn depths(&self, index: usize, range: [f64; 2]) -> Option<InverseDepths> {
         let (reference, partners) = (&self.pyramids[index], &self.partners[index]);
         let set = |k: usize| {
-            let partners = partners.iter().map(move |&p| &self.pyramids[p].levels[k]);
-            StereoSet::new(&reference.levels[k], partners)
+            let partners = partners.iter().map(move |&p| &self.pyramids[p][k]);
+            StereoSet::new(&reference[k], partners)
         };
-        let coarsest = reference.levels.len() - 1;
+        let coarsest = reference.len() - 1;
         let coarse = set(coarsest);
         let farthest = &coarse.partners.last()?.image.camera;
         let levels = depth_levels(&coarse.image.camera, farthest, range, self.step_px);
@@ -70,7 +71,7 @@ impl Matcher {
         refine(&mut values, &coarse, step);
         for k in (0..coarsest).rev() {
             let fine = set(k);
-            values = upsampled(&values, &reference.levels[k + 1].camera, &fine);
+            values = upsampled(&values, &reference[k + 1].camera, &fine);
             step *= 0.5;
             refine(&mut values, &fine, step);
         }

@@ -34,18 +34,17 @@ multiversion! {
 fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) {
     let (w, h) = (gray.width(), gray.height());
     let back = if backward { 1 } else { -1 };
-    // A path has a padding level at both ends, and a row of paths a zero path at both ends: paths start there.
-    let pad = n + 2;
-    let mut zero = vec![0; pad];
+    // A path has a padding level at both ends and then its minimum; a row of paths has a zero path at both
+    // ends. Paths start there.
+    let len = n + 3;
+    let mut zero = vec![0; len];
     (zero[0], zero[n + 1]) = (UNREACHABLE, UNREACHABLE);
     let mut above = [0; 3].map(|_| zero.repeat(w + 2));
-    let mut above_min = [0; 3].map(|_| vec![0_i16; w + 2]);
-    let (mut here, mut here_min) = (above.clone(), above_min.clone());
+    let mut here = above.clone();
     let (mut left, mut next) = (zero.clone(), zero.clone());
     for row in 0..h {
         let y = if backward { h - 1 - row } else { row };
         left.copy_from_slice(&zero);
-        let mut left_min = 0;
         for column in 0..w {
             let x = if backward { w - 1 - column } else { column };
             let levels = (y * w + x) * n..(y * w + x + 1) * n;
@@ -54,18 +53,16 @@ fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bo
                 let from = [x.wrapping_add_signed(dx), y.wrapping_add_signed(dy)];
                 jump_penalty(gray, [x, y], from)
             };
-            left_min = extend((&left, left_min), jump(back, 0), cost, &mut next, sum);
+            extend(&left, jump(back, 0), cost, &mut next, sum);
             std::mem::swap(&mut left, &mut next);
             for (direction, dx) in [-1_isize, 0, 1].into_iter().enumerate() {
                 let at = (x + 1).wrapping_add_signed(dx);
-                let before = &above[direction][at * pad..(at + 1) * pad];
-                let before = (before, above_min[direction][at]);
-                let out = &mut here[direction][(x + 1) * pad..(x + 2) * pad];
-                here_min[direction][x + 1] = extend(before, jump(dx, back), cost, out, sum);
+                let before = &above[direction][at * len..(at + 1) * len];
+                let out = &mut here[direction][(x + 1) * len..(x + 2) * len];
+                extend(before, jump(dx, back), cost, out, sum);
             }
         }
         std::mem::swap(&mut above, &mut here);
-        std::mem::swap(&mut above_min, &mut here_min);
     }
 }
 
@@ -79,19 +76,12 @@ fn jump_penalty(gray: &Image, [x, y]: [usize; 2], from: [usize; 2]) -> i16 {
     ((f32::from(JUMP_PENALTY) / (1.0 + difference / EDGE_DIFFERENCE)) as i16).max(MIN_JUMP_PENALTY)
 }
 
-/// Extends a path, given with its minimum, by one pixel: writes its costs, adds them to the sums, and returns
-/// their minimum.
+/// Extends a path by one pixel: writes its costs and their minimum, and adds the costs to the sums.
 #[inline(always)]
-fn extend(
-    (before, before_min): (&[i16], i16),
-    jump: i16,
-    cost: &[u8],
-    out: &mut [i16],
-    sum: &mut [i16],
-) -> i16 {
+fn extend(before: &[i16], jump: i16, cost: &[u8], out: &mut [i16], sum: &mut [i16]) {
     let n = cost.len();
-    let (before, out) = (&before[..n + 2], &mut out[..n + 2]);
-    let paths = before[..n].iter().zip(&before[1..=n]).zip(&before[2..]);
+    let before_min = before[n + 2];
+    let paths = before[..n].iter().zip(&before[1..=n]).zip(&before[2..n + 2]);
     let bound = before_min + jump;
     let mut min = UNREACHABLE;
     for (((out, sum), &cost), ((&low, &same), &high)) in
@@ -102,7 +92,7 @@ fn extend(
         *sum += *out;
         min = min.min(*out);
     }
-    min
+    out[n + 2] = min;
 }
 
 /// The inverse depth of the minimum at every pixel, interpolated between levels by a parabola.

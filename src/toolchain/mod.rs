@@ -3,17 +3,20 @@
 //!
 //! Known limits: Linux and macOS only. Children of a killed parent are ended on Linux only.
 
-mod check;
-mod extension;
-mod film;
-
-mod review;
+mod programs;
 mod script;
 mod setup;
 
-pub use check::{Check, check};
-pub use extension::{ExtensionError, build_extension};
-pub use film::{FilmOptions, FilmedScene, film};
-pub use review::review;
-pub use script::ScriptError;
-pub use setup::{Environment, SetupError, ensure_environment, find_ffmpeg, project_root};
+pub use programs::{Check, FilmOptions, FilmedScene, build_extension, check, film, review};
+pub use setup::{Environment, ensure_environment, find_ffmpeg, project_root};
+
+/// Why a script or the set-up failed: one sentence, with the command that helps if there is one.
+#[derive(Debug, thiserror::Error)]
+pub enum ToolchainError {
+    /// An input is wrong.
+    #[error("{0}")]
+    BadInput(String),
+    /// The work failed.
+    #[error("{0}")]
+    Failure(String),
+}

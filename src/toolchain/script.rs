@@ -1,22 +1,12 @@
 //! Runs a script of `blender/`. Its JSON lines `{"done", "total", "what"}` on stdout are progress, other
 //! lines are output. An error is one sentence on stderr, with exit code 2 for bad input.
 
+use super::ToolchainError;
 use super::setup::Environment;
 use crate::host::process::{self, Ended};
 use crate::progress::{Reporter, Task};
 use serde::Deserialize;
 use std::process::Command;
-
-/// Why a script failed.
-#[derive(Debug, thiserror::Error)]
-pub enum ScriptError {
-    /// An input is wrong.
-    #[error("{0}")]
-    BadInput(String),
-    /// The work failed.
-    #[error("{0}")]
-    Failure(String),
-}
 
 #[derive(Deserialize)]
 struct Progress {
@@ -38,7 +28,7 @@ pub(super) fn run(
     label: &str,
     reporter: &Reporter,
     mut on_text: impl FnMut(&str),
-) -> Result<(), ScriptError> {
+) -> Result<(), ToolchainError> {
     let waiting = reporter.phase(label);
     let mut bar: Option<Task> = None;
     let ended = process::run(command, |line| match serde_json::from_str::<Progress>(line) {
@@ -57,22 +47,22 @@ pub(super) fn run(
     drop(bar);
     drop(waiting);
     let name = command.get_args().nth(1).unwrap_or_default().to_string_lossy().into_owned();
-    let ended = ended.map_err(|e| ScriptError::Failure(format!("{name}: {e}")))?;
+    let ended = ended.map_err(|e| ToolchainError::Failure(format!("{name}: {e}")))?;
     verdict(&name, &ended)
 }
 
 /// Success, or the error that the script ended with.
-pub(super) fn verdict(name: &str, ended: &Ended) -> Result<(), ScriptError> {
+pub(super) fn verdict(name: &str, ended: &Ended) -> Result<(), ToolchainError> {
     let sentence = || ended.stderr.lines().rev().find(|l| !l.trim().is_empty()).map(str::to_owned);
     match ended.status.code() {
         Some(0) => Ok(()),
-        Some(2) => {
-            Err(ScriptError::BadInput(sentence().unwrap_or_else(|| format!("{name}: bad input"))))
-        }
-        Some(code) => Err(ScriptError::Failure(
+        Some(2) => Err(ToolchainError::BadInput(
+            sentence().unwrap_or_else(|| format!("{name}: bad input")),
+        )),
+        Some(code) => Err(ToolchainError::Failure(
             sentence().unwrap_or_else(|| format!("{name}: ended with status {code}")),
         )),
-        None => Err(ScriptError::Failure(format!("{name}: was stopped ({})", ended.status))),
+        None => Err(ToolchainError::Failure(format!("{name}: was stopped ({})", ended.status))),
     }
 }
 
@@ -80,7 +70,7 @@ pub(super) fn verdict(name: &str, ended: &Ended) -> Result<(), ScriptError> {
 mod tests {
     use super::*;
 
-    fn of(script: &str) -> (Result<(), ScriptError>, Vec<String>) {
+    fn of(script: &str) -> (Result<(), ToolchainError>, Vec<String>) {
         let mut text = Vec::new();
         let result =
             run(Command::new("sh").arg("-c").arg(script), "test", &Reporter::silent(), |l| {
@@ -100,9 +90,12 @@ mod tests {
     #[test]
     fn errors_are_the_scripts_sentence_and_kind() {
         let bad = of("echo traceback >&2; echo 'rig.json: no cameras' >&2; exit 2").0.unwrap_err();
-        assert!(matches!(&bad, ScriptError::BadInput(s) if s == "rig.json: no cameras"), "{bad}");
+        assert!(
+            matches!(&bad, ToolchainError::BadInput(s) if s == "rig.json: no cameras"),
+            "{bad}"
+        );
         let failed = of("echo 'disk is full' >&2; exit 1").0.unwrap_err();
-        assert!(matches!(&failed, ScriptError::Failure(s) if s == "disk is full"), "{failed}");
+        assert!(matches!(&failed, ToolchainError::Failure(s) if s == "disk is full"), "{failed}");
         assert!(of("exit 7").0.unwrap_err().to_string().contains("status 7"));
         assert!(of("kill -9 $$").0.unwrap_err().to_string().contains("was stopped"));
     }

@@ -4,7 +4,7 @@ use crate::interpolation::SyncMethod;
 use crate::lumigraph::BlendMethod;
 use crate::method::Method;
 use crate::offset::OffsetMethod;
-use crate::options::{ProxyMethod, RenderOptions};
+use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
 
 /// Every method with every other: sync, proxy and blend, the other options as given.
 ///
@@ -46,88 +46,82 @@ pub struct Variable {
     pub cameras: usize,
 }
 
-type Change = Box<dyn Fn(&mut RenderOptions)>;
-
 /// The options with one parameter changed, for every value of every main parameter that their
 /// methods use.
 pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOptions> {
-    let mut changes: Vec<Change> = Vec::new();
-    let mut add = |change: Change| changes.push(change);
+    let mut found = Vec::new();
+    let mut add = |change: &dyn Fn(&mut RenderOptions)| {
+        let mut varied = options.clone();
+        change(&mut varied);
+        found.extend(Some(varied).filter(|varied| varied != options));
+    };
     if variable.offsets {
         for &method in OffsetMethod::ALL {
-            add(Box::new(move |o| o.offset.method = method));
+            add(&|o| o.offset.method = method);
         }
     }
     for count in [500, 1000, 2000, 4000] {
-        add(Box::new(move |o| o.registration.max_corners = count));
+        add(&|o| o.registration.max_corners = count);
     }
     if options.sync.needs_tracks() {
         for curved in [false, true] {
-            add(Box::new(move |o| o.interpolation.curved = curved));
+            add(&|o| o.interpolation.curved = curved);
         }
     }
     if matches!(options.sync, SyncMethod::Morph | SyncMethod::EdgeMorph) {
         for grid_px in [4, 8] {
-            add(Box::new(move |o| o.interpolation.grid_px = grid_px));
+            add(&|o| o.interpolation.grid_px = grid_px);
         }
         for max_length_px in [12.0, 24.0, 48.0] {
-            add(Box::new(move |o| o.interpolation.max_edge_length_px = max_length_px));
+            add(&|o| o.interpolation.max_edge_length_px = max_length_px);
         }
     }
     // A plane at a set depth needs no points.
     if options.proxy.method == ProxyMethod::Depth {
         for (cameras, halvings) in [(4, 1), (4, 0), (6, 1), (6, 0)] {
-            add(Box::new(move |o| {
-                (o.proxy.depth.cameras, o.proxy.depth.halvings) = (cameras, halvings);
-            }));
+            add(&|o| (o.proxy.depth.cameras, o.proxy.depth.halvings) = (cameras, halvings));
         }
     }
     if options.proxy.method != ProxyMethod::Plane || options.proxy.plane_depth_m.is_none() {
         for (cameras, partners) in [(1, 2), (2, 2), (3, 4)] {
-            add(Box::new(move |o| (o.proxy.cameras, o.proxy.partners) = (cameras, partners)));
+            add(&|o| (o.proxy.cameras, o.proxy.partners) = (cameras, partners));
         }
     }
     if options.blend.method != BlendMethod::Uniform {
         for cameras in [1, 2, 3, 4].into_iter().filter(|k| *k <= variable.cameras) {
-            add(Box::new(move |o| o.blend.cameras = cameras));
+            add(&|o| o.blend.cameras = cameras);
         }
     }
-    let changed = |change: Change| {
-        let mut varied = options.clone();
-        change(&mut varied);
-        varied
-    };
-    changes.into_iter().map(changed).filter(|varied| varied != options).collect()
+    found
 }
 
 /// The methods, and the main parameters that differ from their defaults.
 pub fn name(options: &RenderOptions) -> String {
     let default = RenderOptions::default();
-    let mut words = vec![options.sync.name().to_owned(), options.proxy.method.name().to_owned()];
-    let blend = options.blend.method;
-    if blend != default.blend.method {
-        words.push(blend.name().into());
-    }
-    let mut say = |differs: bool, word: String| words.extend(differs.then_some(word));
-    let offsets = options.offset.method.name();
-    say(options.offset.method != default.offset.method, format!("{offsets} offsets"));
-    let features = options.registration.max_corners;
-    say(features != default.registration.max_corners, format!("{features} features"));
-    say(!options.interpolation.curved, "straight".into());
-    say(options.interpolation.still_change > 0.0, "still cross-faded".into());
-    let grid = options.interpolation.grid_px;
-    say(grid != default.interpolation.grid_px, format!("grid {grid}"));
-    let longest = options.interpolation.max_edge_length_px;
-    say(longest != default.interpolation.max_edge_length_px, format!("L {longest}"));
-    let points = (options.proxy.cameras, options.proxy.partners);
-    let differ = points != (default.proxy.cameras, default.proxy.partners);
-    say(differ, format!("points {}x{}", points.0, points.1));
-    let k = options.blend.cameras;
-    let depth = (options.proxy.depth.cameras, options.proxy.depth.halvings);
-    let differ = depth != (default.proxy.depth.cameras, default.proxy.depth.halvings);
-    say(differ, format!("depth {}/{}", depth.0, depth.1));
-    say(blend != BlendMethod::Uniform && k != default.blend.cameras, format!("k {k}"));
-    words.join(", ")
+    let (sync, proxy, blend) = (options.sync, &options.proxy, &options.blend);
+    let (interpolation, offset) = (&options.interpolation, options.offset.method);
+    let (features, grid_px) = (options.registration.max_corners, interpolation.grid_px);
+    let longest_px = interpolation.max_edge_length_px;
+    let points = |o: &ProxyOptions| (o.cameras, o.partners);
+    let depth = |o: &ProxyOptions| (o.depth.cameras, o.depth.halvings);
+    let ((cameras, partners), (depths, halvings)) = (points(proxy), depth(proxy));
+    let has_k = blend.method != BlendMethod::Uniform && blend.cameras != default.blend.cameras;
+    let words = [
+        (true, sync.name().to_owned()),
+        (true, proxy.method.name().to_owned()),
+        (blend.method != default.blend.method, blend.method.name().to_owned()),
+        (offset != default.offset.method, format!("{} offsets", offset.name())),
+        (features != default.registration.max_corners, format!("{features} features")),
+        (!interpolation.curved, "straight".to_owned()),
+        (interpolation.still_change > 0.0, "still cross-faded".to_owned()),
+        (grid_px != default.interpolation.grid_px, format!("grid {grid_px}")),
+        (longest_px != default.interpolation.max_edge_length_px, format!("L {longest_px}")),
+        (points(proxy) != points(&default.proxy), format!("points {cameras}x{partners}")),
+        (depth(proxy) != depth(&default.proxy), format!("depth {depths}/{halvings}")),
+        (has_k, format!("k {}", blend.cameras)),
+    ];
+    let said = words.into_iter().filter(|(is_said, _)| *is_said);
+    said.map(|(_, word)| word).collect::<Vec<_>>().join(", ")
 }
 
 #[cfg(test)]

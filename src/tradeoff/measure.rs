@@ -1,72 +1,79 @@
 //! Measuring combinations: quality once, time several times, in turns.
 
-use super::TradeoffError;
-use super::bench::Bench;
-use super::store::{CachedPoint, POINTS};
-use super::targets::{Target, TargetScene};
+use super::store::{CachedPoint, Store};
+use super::targets::{Against, Target, TargetScene, View};
+use super::{TimingClock, TradeoffError};
+use crate::host::Stopwatch;
 use crate::light_field::{LightField, RenderError};
 use crate::method::Method;
 use crate::options::RenderOptions;
-use crate::progress::Task;
+use crate::progress::{Reporter, Task};
 
-/// Combinations that share registered frames and offsets.
-struct Group {
-    options: RenderOptions,
-    /// Indices of the combinations.
-    members: Vec<usize>,
+/// The bench that combinations are measured on.
+pub(super) struct Bench<'a> {
+    pub store: Store,
+    pub targets: Vec<Target>,
+    /// The view that is timed.
+    pub timed: View,
+    pub runs: usize,
+    pub clock: TimingClock,
+    pub reporter: &'a Reporter,
 }
 
 impl Bench<'_> {
+    /// The kind of reference images that quality is measured against.
+    pub fn against(&self) -> Against {
+        let order = [Against::Truth, Against::HeldOut, Against::MostAccurate];
+        let there = |a: &Against| self.targets.iter().any(|t| t.against == *a);
+        order.into_iter().find(there).unwrap_or(Against::MostAccurate)
+    }
+
     /// Measures combinations as far as they aren't stored, and returns all measurements.
     pub fn measure(
         &self,
         label: &str,
         combinations: &[RenderOptions],
     ) -> Result<Vec<CachedPoint>, TradeoffError> {
-        let mut points: Vec<CachedPoint> = combinations.iter().map(|o| self.cached(o)).collect();
-        let unscored: usize = points.iter().map(|p| self.unscored(p).count()).sum();
-        let untimed = self.untimed(points.iter()).len() * self.runs;
-        let task = self.reporter.task(label, unscored + untimed);
+        let mut points: Vec<CachedPoint> =
+            combinations.iter().map(|o| self.store.point(o)).collect();
+        let unscored = |p: &CachedPoint| self.targets.iter().filter(|t| p.lacks(t)).count();
+        let untimed = points.iter().filter(|p| self.is_untimed(p)).count() * self.runs;
+        let steps = points.iter().map(unscored).sum::<usize>() + untimed;
+        let task = self.reporter.task(label, steps);
         for group in groups(&points) {
             self.measure_group(&group, &mut points, &task)?;
         }
         Ok(points)
     }
 
-    /// Targets without a score of this point.
-    fn unscored<'p>(&'p self, point: &'p CachedPoint) -> impl Iterator<Item = &'p Target> {
-        let lacks = |t: &&Target| point.reason.is_none() && !point.scores.contains_key(&t.id);
-        self.targets.iter().filter(lacks)
-    }
-
-    /// The members of a group that lack a target, those that may share synchronized images one after the other.
-    fn lacking(&self, group: &Group, points: &[CachedPoint], target: &Target) -> Vec<usize> {
-        let lacks = |k: &usize| self.unscored(&points[*k]).any(|t| t.id == target.id);
-        let mut found: Vec<usize> = group.members.iter().copied().filter(lacks).collect();
-        found.sort_by_key(|&k| points[k].options.sync.name());
-        found
+    /// Whether a combination can be rendered and lacks runs.
+    fn is_untimed(&self, point: &CachedPoint) -> bool {
+        point.reason.is_none() && point.runs.len() < self.runs
     }
 
     fn measure_group(
         &self,
-        group: &Group,
+        group: &[usize],
         points: &mut [CachedPoint],
         task: &Task,
     ) -> Result<(), TradeoffError> {
-        let untimed = self.untimed(group.members.iter().map(|&k| &points[k]));
-        let is_scored = |t: &Target| self.lacking(group, points, t).is_empty();
-        if untimed.is_empty() && self.targets.iter().all(is_scored) {
+        let is_measured =
+            |p: &CachedPoint| !self.is_untimed(p) && !self.targets.iter().any(|t| p.lacks(t));
+        if group.iter().all(|&k| is_measured(&points[k])) {
             return Ok(());
         }
-        let prepared = self.prepared(&group.options)?;
-        let scene =
-            TargetScene { capture: self.capture, offsets: &prepared.offsets, base: &group.options };
+        let base = &points[group[0]].options.clone();
+        let prepared = self.store.prepared(base)?;
+        let scene = TargetScene { capture: &self.store.capture, offsets: &prepared.offsets, base };
         let mut open: Option<(Option<usize>, LightField)> = None;
         for target in &self.targets {
-            let lacking = self.lacking(group, points, target);
+            let lacks = |k: &usize| points[*k].lacks(target);
+            let mut lacking: Vec<usize> = group.iter().copied().filter(lacks).collect();
             if lacking.is_empty() {
                 continue;
             }
+            // Combinations of one sync method share synchronized images: one after the other.
+            lacking.sort_by_key(|&k| points[k].options.sync.name());
             if open.as_ref().is_none_or(|(held_out, _)| *held_out != target.held_out) {
                 open = Some((target.held_out, scene.field(target.held_out)));
             }
@@ -76,12 +83,13 @@ impl Bench<'_> {
                 task.advance(1);
             }
         }
-        let untimed = self.untimed(group.members.iter().map(|&k| &points[k]));
+        let untimed: Vec<usize> =
+            group.iter().copied().filter(|&k| self.is_untimed(&points[k])).collect();
         if untimed.is_empty() {
             return Ok(());
         }
         let whole = open.filter(|(held_out, _)| held_out.is_none()).map(|(_, field)| field);
-        self.time(&whole.unwrap_or_else(|| scene.field(None)), &untimed, task)
+        self.time(&whole.unwrap_or_else(|| scene.field(None)), &untimed, points, task)
     }
 
     fn score(
@@ -90,28 +98,68 @@ impl Bench<'_> {
         target: &Target,
         point: &mut CachedPoint,
     ) -> Result<(), TradeoffError> {
-        match field.view(&target.camera, target.time_s, &point.options) {
+        match field.view(&target.view.camera, target.view.time_s, &point.options) {
             Ok(rendered) => {
                 point.scores.insert(target.id.clone(), target.score(&rendered));
             }
             Err(RenderError::Capture(error)) => return Err(error.into()),
             Err(error) => point.reason = Some(error.to_string()),
         }
-        self.store.save(POINTS, &point.options, point);
+        self.store.save_point(point);
+        Ok(())
+    }
+
+    /// Times a view of each combination in turns, so that what else the machine does affects all alike. Frames are
+    /// registered before, nothing of the instant is cached.
+    fn time(
+        &self,
+        field: &LightField,
+        untimed: &[usize],
+        points: &mut [CachedPoint],
+        task: &Task,
+    ) -> Result<(), TradeoffError> {
+        let View { camera, time_s } = &self.timed;
+        // Results that all views between two frames share aren't timed: they are computed before.
+        for &k in untimed {
+            field.register(*time_s, &points[k].options)?;
+            field.view(camera, *time_s, &points[k].options)?;
+        }
+        for run in 0..self.runs {
+            for &k in untimed {
+                let point = &mut points[k];
+                if point.runs.len() > run {
+                    continue;
+                }
+                field.forget_instants();
+                let watch = Stopwatch::start();
+                field.view(camera, *time_s, &point.options)?;
+                point.runs.push(watch.elapsed());
+                self.store.save_point(point);
+                task.advance(1);
+            }
+        }
         Ok(())
     }
 }
 
-fn groups(points: &[CachedPoint]) -> Vec<Group> {
-    let mut groups: Vec<Group> = Vec::new();
+impl CachedPoint {
+    /// Whether it can be rendered and has no score of this target.
+    fn lacks(&self, target: &Target) -> bool {
+        self.reason.is_none() && !self.scores.contains_key(&target.id)
+    }
+}
+
+/// Indices of combinations that share registered frames and offsets.
+fn groups(points: &[CachedPoint]) -> Vec<Vec<usize>> {
+    let mut groups: Vec<Vec<usize>> = Vec::new();
     for (k, CachedPoint { options, .. }) in points.iter().enumerate() {
-        let of = groups.iter_mut().find(|g| {
-            let other = &g.options;
+        let of = groups.iter_mut().find(|group| {
+            let other = &points[group[0]].options;
             other.registration == options.registration && other.offset == options.offset
         });
         match of {
-            Some(group) => group.members.push(k),
-            None => groups.push(Group { options: options.clone(), members: vec![k] }),
+            Some(group) => group.push(k),
+            None => groups.push(vec![k]),
         }
     }
     groups

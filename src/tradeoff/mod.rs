@@ -22,10 +22,10 @@
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod.rs` | the order of things, `tradeoff.json` |
+//! | `mod.rs` | the order of things, `tradeoff.json`, the folder of results |
 //! | `combination.rs` | what is measured |
 //! | `targets.rs` | what it is compared with |
-//! | `bench.rs`, `timing.rs`, `measure.rs`, `store.rs` | measuring, and not twice |
+//! | `measure.rs`, `store.rs` | measuring, and not twice |
 //! | `pareto.rs` | the Pareto front |
 //! | `summary.rs` | from measurements to points |
 //! | `plot.rs` | the drawing |
@@ -33,7 +33,6 @@
 //! Known limits: where clocks are shared, a held-out camera's frame is at the others' times, and
 //! only proxy and blend are seen in it. Preparation is timed once.
 
-mod bench;
 mod combination;
 mod measure;
 mod pareto;
@@ -41,29 +40,31 @@ mod plot;
 mod store;
 mod summary;
 mod targets;
-mod timing;
 
 pub use combination::{Variable, methods, most_accurate, name, variations};
-pub use pareto::{Trade, fastest_within, pareto_front};
-pub use store::FILES;
 pub use summary::{MeanScores, Point, PreparationTime, Spread};
 pub use targets::Against;
 
-use crate::capture::{CAPTURE_FILE, Capture, CaptureError, Truth, TruthError};
+use crate::capture::{CAPTURE_FILE, Capture, CaptureError, Truth};
 use crate::compare::CompareError;
-use crate::host::write_atomically;
+use crate::host::temporary::{is_temporary, remove_abandoned};
+use crate::host::{Elapsed, write_atomically};
 use crate::light_field::RenderError;
 use crate::method::{Method, methods};
 use crate::options::{AutoOptions, Preset, RenderOptions};
 use crate::progress::Reporter;
-use bench::Bench;
+use measure::Bench;
+use pareto::{Trade, fastest_within, pareto_front};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use store::{CachedPoint, Store, refuse_foreign, write_json};
-use summary::Summarized;
+use store::{CachedPoint, Store};
+use summary::{summarized, trade};
 use targets::TargetScene;
+
+/// The files that a trade-off's folder holds.
+pub const FILES: [&str; 3] = ["tradeoff.json", "tradeoff.svg", "recommended.json"];
 
 /// Options of a trade-off.
 #[derive(Clone, Debug)]
@@ -96,6 +97,15 @@ methods!(TimingClock {
     Cpu = "cpu": "Processor time over all threads: where the machine does other work too",
 });
 
+impl TimingClock {
+    fn of(self, elapsed: &Elapsed) -> f64 {
+        match self {
+            Self::Wall => elapsed.wall_s,
+            Self::Cpu => elapsed.cpu_s,
+        }
+    }
+}
+
 impl Default for TradeoffOptions {
     fn default() -> Self {
         let (base, also) = (RenderOptions::default(), Vec::new());
@@ -112,17 +122,11 @@ pub enum TradeoffError {
     #[error(transparent)]
     Capture(#[from] CaptureError),
     #[error(transparent)]
-    Truth(#[from] TruthError),
-    #[error(transparent)]
     Compare(#[from] CompareError),
     #[error(transparent)]
     Render(#[from] RenderError),
-    #[error("{folder}: is a capture, and a trade-off needs a folder of its own")]
-    IsCapture { folder: PathBuf },
-    #[error("{folder}: is no folder")]
-    NoFolder { folder: PathBuf },
-    #[error("{folder}: holds {name}, which is no part of a trade-off: give a folder of its own")]
-    Foreign { folder: PathBuf, name: String },
+    #[error("{folder}: {reason}")]
+    Folder { folder: PathBuf, reason: String },
     #[error("{path}: can't be written ({source})")]
     Write { path: PathBuf, source: std::io::Error },
     #[error("no combination can render this capture: {reason}")]
@@ -184,32 +188,22 @@ pub fn tradeoff(
     out: &Path,
     reporter: &Reporter,
 ) -> Result<Tradeoff, TradeoffError> {
-    if out.join(CAPTURE_FILE).exists() {
-        return Err(TradeoffError::IsCapture { folder: out.to_owned() });
-    }
-    let truth = Truth::open(&capture.folder)?;
     refuse_foreign(out)?;
+    let truth = Truth::open(&capture.folder)?;
     let store = Store::open(capture, truth.as_ref(), reporter)?;
     let base = &options.base;
-    let prepared = bench::prepared(capture, &store, base, reporter)?;
+    let prepared = store.prepared(base)?;
     let scene = TargetScene { capture, offsets: &prepared.offsets, base };
     let looking = reporter.phase("views to measure against");
     let (targets, timed) = scene.targets(truth.as_ref())?;
     drop(looking);
-    let bench = Bench {
-        capture,
-        store,
-        targets,
-        timed,
-        runs: options.runs,
-        clock: options.clock,
-        reporter,
-    };
+    let (runs, clock) = (options.runs, options.clock);
+    let bench = Bench { store, targets, timed, runs, clock, reporter };
     let auto = RenderOptions { auto: AutoOptions::all(), ..base.clone() };
-    let planned = bench.planned(&auto)?;
+    let planned = bench.store.planned(&auto)?;
     let mut labels = vec![(AUTO, planned.options.clone())];
     for preset in Preset::ALL {
-        labels.push((preset.name(), bench.planned(&preset.options())?.options));
+        labels.push((preset.name(), bench.store.planned(&preset.options())?.options));
     }
 
     let mut wanted = methods(base);
@@ -219,8 +213,8 @@ pub fn tradeoff(
     let variable =
         Variable { offsets: prepared.offsets_took.is_some(), cameras: capture.cameras.len() };
     for round in 1..=options.rounds {
-        let summary = Summarized::new(&bench, &points);
-        for k in summary.pareto_front() {
+        let trades: Vec<Trade> = points.iter().map(|point| trade(&bench, point)).collect();
+        for k in pareto_front(&trades) {
             add(&mut wanted, variations(&points[k].options, variable));
         }
         points = bench.measure(&format!("around the Pareto front, {round}"), &wanted)?;
@@ -245,21 +239,26 @@ fn gathered(
     labels: &[(&str, RenderOptions)],
     planning_s: f64,
 ) -> Result<Tradeoff, TradeoffError> {
-    let summary = Summarized::new(bench, points);
-    let recommended = summary.fastest_within(SLACK_DB).ok_or_else(|| TradeoffError::Nothing {
+    let trades: Vec<Trade> = points.iter().map(|point| trade(bench, point)).collect();
+    let best = fastest_within(&trades, SLACK_DB).ok_or_else(|| TradeoffError::Nothing {
         reason: points.iter().find_map(|p| p.reason.clone()).unwrap_or_default(),
     })?;
-    let best = points[recommended].options.clone();
-    let points = summary.points(labels)?;
-    let recommended = points.iter().position(|p| p.options == best).unwrap_or_default();
+    let front = pareto_front(&trades);
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    // NaN, of what can't be rendered, comes last.
+    order.sort_by(|&a, &b| trades[a].seconds.total_cmp(&trades[b].seconds));
+    let recommended = order.iter().position(|&k| k == best).unwrap_or_default();
+    let points =
+        order.into_iter().map(|k| summarized(bench, &points[k], front.contains(&k), labels));
+    let points = points.collect::<Result<_, _>>()?;
     let camera = &bench.timed.camera;
     let against = bench.against();
     Ok(Tradeoff {
         format: "stlfr-tradeoff".into(),
         version: 1,
         stlfr: env!("CARGO_PKG_VERSION").into(),
-        capture: bench.capture.name.clone(),
-        cameras: bench.capture.cameras.len(),
+        capture: bench.store.capture.name.clone(),
+        cameras: bench.store.capture.cameras.len(),
         size_px: (camera.width, camera.height),
         threads: rayon::current_num_threads(),
         against,
@@ -277,4 +276,52 @@ fn write(tradeoff: &Tradeoff, out: &Path) -> Result<(), TradeoffError> {
     write_atomically(&path, plot::svg(tradeoff).as_bytes())
         .map_err(|source| TradeoffError::Write { path, source })?;
     write_json(&out.join("tradeoff.json"), tradeoff)
+}
+
+/// Writes a value as a JSON file, whole or not at all.
+fn write_json(path: &Path, value: &impl Serialize) -> Result<(), TradeoffError> {
+    let failed = |source| TradeoffError::Write { path: path.to_owned(), source };
+    crate::host::write_json(path, value).map_err(failed)
+}
+
+/// Only a folder that isn't there, that is empty, or that holds a trade-off is written to.
+fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
+    let refused = |reason: String| Err(TradeoffError::Folder { folder: folder.to_owned(), reason });
+    if folder.join(CAPTURE_FILE).exists() {
+        return refused("is a capture, and a trade-off needs a folder of its own".into());
+    }
+    remove_abandoned(folder);
+    if folder.exists() && !folder.is_dir() {
+        return refused("is no folder".into());
+    }
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    for name in entries.map(|entry| entry.file_name()) {
+        // Temporary ones are of a run at work.
+        let name_text = name.to_string_lossy();
+        if !FILES.contains(&&*name_text) && !is_temporary(&name) {
+            return refused(format!(
+                "holds {name_text}, which is no part of a trade-off: give a folder of its own"
+            ));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_with_something_else_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let missing = folder.path().join("new");
+        assert!(refuse_foreign(&missing).is_ok() && refuse_foreign(folder.path()).is_ok());
+        std::fs::write(folder.path().join("tradeoff.json"), "{}").unwrap();
+        assert!(refuse_foreign(folder.path()).is_ok());
+        std::fs::write(folder.path().join("thesis.tex"), "").unwrap();
+        let error = refuse_foreign(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("thesis.tex"), "{error}");
+        let error = refuse_foreign(&folder.path().join("thesis.tex")).unwrap_err().to_string();
+        assert!(error.contains("is no folder"), "{error}");
+    }
 }

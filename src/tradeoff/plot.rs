@@ -22,43 +22,32 @@ fn time(tradeoff: &Tradeoff, point: &Point) -> Option<Spread> {
     }
 }
 
-fn placed(tradeoff: &Tradeoff, point: &Point) -> Option<ChartPoint> {
-    let (time, y) = (time(tradeoff, point)?, point.quality_db?);
-    Some(ChartPoint { x: time.median, y, bar: 0.0, x_range: Some((time.min, time.max)) })
-}
-
 /// The chart as SVG: all points, the Pareto front with its numbers, presets and `auto` by name, and
 /// a key to the numbers.
 pub(super) fn svg(tradeoff: &Tradeoff) -> String {
-    let place = |p: &Point| placed(tradeoff, p);
-    let label = |p: &Point, text: String, bold: bool| {
-        let at = place(p)?;
-        Some(Label { x: at.x, y: at.y, text, bold })
+    let place = |point: &Point| {
+        let (time, y) = (time(tradeoff, point)?, point.quality_db?);
+        Some(ChartPoint { x: time.median, y, bar: 0.0, x_range: Some((time.min, time.max)) })
+    };
+    let label = |point: &Point, text: String, bold: bool| {
+        let ChartPoint { x, y, .. } = place(point)?;
+        Some(Label { x, y, text, bold })
     };
     let front: Vec<&Point> = tradeoff.pareto_front().collect();
-    let named = |p: &&Point| !p.labels.is_empty();
-    let points = |of: &dyn Fn(&&Point) -> bool| -> Vec<ChartPoint> {
-        tradeoff.points.iter().filter(of).filter_map(place).collect()
+    let series = |label: &str, has: fn(&Point) -> bool, line, faint| {
+        let points = tradeoff.points.iter().filter(|p| has(p)).filter_map(place).collect();
+        Series { label: label.into(), points, line, dots: true, faint }
     };
-    let dots = |label: &str, points, line, faint| Series {
-        label: label.into(),
-        points,
-        line,
-        dots: true,
-        faint,
-    };
+    let is_named = |p: &Point| !p.labels.is_empty();
     let series = vec![
-        dots("other combinations", points(&|p| !p.on_front && p.labels.is_empty()), false, true),
-        dots("Pareto front", points(&|p| p.on_front), true, false),
-        // What is drawn last is seen.
-        dots("presets and auto", points(&named), false, false),
+        series("other combinations", |p| !p.on_front && p.labels.is_empty(), false, true),
+        series("Pareto front", |p| p.on_front, true, false),
+        // The last series covers the others.
+        series("presets and auto", is_named, false, false),
     ];
-    let mut labels: Vec<Label> = tradeoff
-        .points
-        .iter()
-        .filter(named)
-        .filter_map(|p| label(p, p.labels.join(", "), true))
-        .collect();
+    let named = tradeoff.points.iter().filter(|p| is_named(p));
+    let mut labels: Vec<Label> =
+        named.filter_map(|p| label(p, p.labels.join(", "), true)).collect();
     let numbers = front.iter().enumerate();
     labels.extend(numbers.filter_map(|(k, p)| label(p, (k + 1).to_string(), false)));
     let (w, h) = tradeoff.size_px;

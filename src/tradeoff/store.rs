@@ -1,27 +1,25 @@
 //! Measurements in the capture's cache, one entry a combination, so that an interrupted run is resumed and a larger run
-//! adds to a smaller one; and the folder of results.
+//! adds to a smaller one.
 
 use super::TradeoffError;
 use crate::capture::{Capture, CaptureError, Truth};
-use crate::host::temporary::{is_temporary, remove_abandoned};
-use crate::host::{CacheKind, DiskCache, Elapsed, hash_file};
+use crate::host::{CacheKind, DiskCache, Elapsed, Stopwatch, hash_file};
+use crate::light_field::LightField;
 use crate::metrics::RegionScores;
-use crate::offset::Offsets;
-use crate::options::RenderOptions;
+use crate::offset::{self, Offsets};
+use crate::options::{AutoOptions, RenderOptions};
+use crate::plan::plan;
 use crate::progress::Reporter;
+use crate::registration::FrameStore;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// The files that a trade-off's folder holds.
-pub const FILES: [&str; 3] = ["tradeoff.json", "tradeoff.svg", "recommended.json"];
-
-pub(super) const PREPARATIONS: CacheKind = CacheKind { name: "tradeoff-preparations", version: 1 };
-pub(super) const PLANS: CacheKind = CacheKind { name: "tradeoff-plans", version: 1 };
-pub(super) const POINTS: CacheKind = CacheKind { name: "tradeoff-points", version: 1 };
-pub(super) const TIMES: CacheKind = CacheKind { name: "tradeoff-times", version: 1 };
+const PREPARATIONS: CacheKind = CacheKind { name: "tradeoff-preparations", version: 1 };
+const PLANS: CacheKind = CacheKind { name: "tradeoff-plans", version: 1 };
+const POINTS: CacheKind = CacheKind { name: "tradeoff-points", version: 2 };
 
 /// Stored measurements of one combination.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -32,6 +30,8 @@ pub(super) struct CachedPoint {
     pub scores: BTreeMap<String, RegionScores>,
     /// Why a view can't be rendered; there are no scores then.
     pub reason: Option<String>,
+    /// The times of the timed view.
+    pub runs: Vec<Elapsed>,
 }
 
 /// A light field for one registration and offset method, with its preparation times.
@@ -52,8 +52,9 @@ pub(super) struct Planned {
     pub took: Elapsed,
 }
 
-/// The capture's cache, keyed with everything that measurements depend on besides their options.
+/// A capture, and its cache, keyed with everything that measurements depend on besides their options.
 pub(super) struct Store {
+    pub capture: Arc<Capture>,
     cache: DiskCache,
     reporter: Reporter,
     /// Whether it was noted that nothing can be written.
@@ -64,7 +65,7 @@ impl Store {
     /// # Errors
     /// If a file of the capture or of the truth can't be read.
     pub fn open(
-        capture: &Capture,
+        capture: &Arc<Capture>,
         truth: Option<&Truth>,
         reporter: &Reporter,
     ) -> Result<Self, TradeoffError> {
@@ -79,21 +80,83 @@ impl Store {
         let cache = capture.cache()?;
         // Views can't fail to be serialized.
         let conditions = cache.key(POINTS, &(rayon::current_num_threads(), views, hashes));
-        let cache = cache.for_content(&conditions.unwrap_or_default());
-        Ok(Self { cache, reporter: *reporter, noted: AtomicBool::new(false) })
+        let cache = cache.for_content(&conditions.map(|key| key.to_string()).unwrap_or_default());
+        let noted = AtomicBool::new(false);
+        Ok(Self { capture: capture.clone(), cache, reporter: *reporter, noted })
+    }
+
+    /// Offsets and registered frames for these options: cached from before, or computed now.
+    pub fn prepared(&self, options: &RenderOptions) -> Result<Prepared, TradeoffError> {
+        let capture = &self.capture;
+        let still_change = options.interpolation.still_change;
+        let inputs = (&options.registration, &options.offset, still_change);
+        if let Some(cached) = self.load::<Prepared>(PREPARATIONS, &inputs)
+            && cached.offsets.fits(capture)
+        {
+            return Ok(cached);
+        }
+        let estimates = offset::clocks(capture).1 > 1 && !capture.is_static();
+        let watch = Stopwatch::start();
+        let offsets = if estimates {
+            let frames = FrameStore::new(capture.clone(), &options.registration);
+            offset::estimate(&frames, &options.offset, &self.reporter)?.offsets
+        } else {
+            Offsets::known(capture)
+        };
+        let offsets_took = estimates.then(|| watch.elapsed());
+        // Its frames are its own, so that decoding is in the time of registration.
+        let field = LightField::new(capture.clone(), offsets.clone());
+        let middle_s = middle_s(&field);
+        let watch = Stopwatch::start();
+        field.register(middle_s, options)?;
+        let registration_took = watch.elapsed();
+        let prepared = Prepared { offsets, offsets_took, registration_took };
+        self.save(PREPARATIONS, &inputs, &prepared);
+        Ok(prepared)
+    }
+
+    /// The planned methods for options with `auto`, and the planning time.
+    pub fn planned(&self, asked: &RenderOptions) -> Result<Planned, TradeoffError> {
+        if asked.auto.stages().is_empty() {
+            let took = Elapsed { wall_s: 0.0, cpu_s: 0.0 };
+            return Ok(Planned { options: asked.clone(), took });
+        }
+        if let Some(cached) = self.load(PLANS, asked) {
+            return Ok(cached);
+        }
+        let prepared = self.prepared(asked)?;
+        let watch = Stopwatch::start();
+        let field = LightField::new(self.capture.clone(), prepared.offsets);
+        let plan = plan(&field, asked, &self.reporter)?;
+        // The plan has decided all that the options left to the capture.
+        let options = RenderOptions { auto: AutoOptions::default(), ..plan.options };
+        let planned = Planned { options, took: watch.elapsed() };
+        self.save(PLANS, asked, &planned);
+        Ok(planned)
+    }
+
+    /// Cached measurements of a combination.
+    pub fn point(&self, options: &RenderOptions) -> CachedPoint {
+        let cached = self.load::<CachedPoint>(POINTS, options);
+        cached.filter(|cached| cached.options == *options).unwrap_or_else(|| CachedPoint {
+            options: options.clone(),
+            scores: BTreeMap::new(),
+            reason: None,
+            runs: Vec::new(),
+        })
+    }
+
+    pub fn save_point(&self, point: &CachedPoint) {
+        self.save(POINTS, &point.options, point);
     }
 
     /// A measurement of this kind with these options, if it is cached.
-    pub fn load<T: DeserializeOwned>(
-        &self,
-        kind: CacheKind,
-        options: &impl Serialize,
-    ) -> Option<T> {
+    fn load<T: DeserializeOwned>(&self, kind: CacheKind, options: &impl Serialize) -> Option<T> {
         self.cache.load_json(kind, options)
     }
 
     /// Caches a measurement. Notes once if that can't be, as in a read-only capture.
-    pub fn save(&self, kind: CacheKind, options: &impl Serialize, value: &impl Serialize) {
+    fn save(&self, kind: CacheKind, options: &impl Serialize, value: &impl Serialize) {
         let saved = self.cache.save_json(kind, options, value);
         if let Err(error) = saved
             && !self.noted.swap(true, Ordering::Relaxed)
@@ -104,44 +167,9 @@ impl Store {
     }
 }
 
-/// Writes a value as a JSON file, whole or not at all.
-pub(super) fn write_json(path: &Path, value: &impl Serialize) -> Result<(), TradeoffError> {
-    let failed = |source| TradeoffError::Write { path: path.to_owned(), source };
-    crate::host::write_json(path, value).map_err(failed)
-}
-
-/// Only a folder that isn't there, that is empty, or that holds a trade-off is written to.
-pub(super) fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
-    remove_abandoned(folder);
-    if folder.exists() && !folder.is_dir() {
-        return Err(TradeoffError::NoFolder { folder: folder.to_owned() });
-    }
-    let Ok(entries) = std::fs::read_dir(folder) else { return Ok(()) };
-    for entry in entries.flatten() {
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let is_of_a_run_at_work = is_temporary(&entry.file_name());
-        if !FILES.contains(&name.as_str()) && !is_of_a_run_at_work {
-            return Err(TradeoffError::Foreign { folder: folder.to_owned(), name });
-        }
-    }
-    Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_folder_with_something_else_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let missing = folder.path().join("new");
-        assert!(refuse_foreign(&missing).is_ok() && refuse_foreign(folder.path()).is_ok());
-        std::fs::write(folder.path().join("tradeoff.json"), "{}").unwrap();
-        assert!(refuse_foreign(folder.path()).is_ok());
-        std::fs::write(folder.path().join("thesis.tex"), "").unwrap();
-        let error = refuse_foreign(folder.path()).unwrap_err().to_string();
-        assert!(error.contains("thesis.tex"), "{error}");
-        let error = refuse_foreign(&folder.path().join("thesis.tex")).unwrap_err().to_string();
-        assert!(error.contains("is no folder"), "{error}");
-    }
+/// The middle of the time that all cameras cover, or else the reference camera.
+pub(super) fn middle_s(field: &LightField) -> f64 {
+    let own_span = || field.span_s(field.capture().reference);
+    let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();
+    0.5 * (first + last)
 }

@@ -1,10 +1,10 @@
 //! Turns measurements into points of the trade-off.
 
-use super::bench::Bench;
-use super::pareto::{Trade, fastest_within, pareto_front};
+use super::measure::Bench;
+use super::pareto::Trade;
 use super::store::CachedPoint;
 use super::targets::{Against, Target};
-use super::{TimingClock, TradeoffError, name};
+use super::{TradeoffError, name};
 use crate::host::Elapsed;
 use crate::metrics::{RegionScores, Scores, median};
 use crate::options::RenderOptions;
@@ -80,82 +80,43 @@ const IDENTICAL_DB: f64 = 99.0;
 /// Qualities are rounded to this before points are compared, decibels.
 const STEP_DB: f64 = 0.01;
 
-/// All measurements, ready to become points.
-pub(super) struct Summarized<'a> {
-    bench: &'a Bench<'a>,
-    cached: &'a [CachedPoint],
-    trades: Vec<Trade>,
+/// Time and quality of a combination; not finite where it can't be rendered.
+pub(super) fn trade(bench: &Bench, point: &CachedPoint) -> Trade {
+    let seconds = spread(point, |elapsed| bench.clock.of(elapsed)).map_or(f64::NAN, |s| s.median);
+    let quality = quality_db(bench, point).unwrap_or(f64::NAN);
+    Trade { seconds, quality: (quality / STEP_DB).round() * STEP_DB }
 }
 
-impl<'a> Summarized<'a> {
-    pub fn new(bench: &'a Bench<'a>, cached: &'a [CachedPoint]) -> Self {
-        let trades = cached
-            .iter()
-            .map(|point| {
-                let seconds = match bench.clock {
-                    TimingClock::Wall => view(bench, point, |r| r.wall_s),
-                    TimingClock::Cpu => view(bench, point, |r| r.cpu_s),
-                };
-                let seconds = seconds.map_or(f64::NAN, |s| s.median);
-                let quality = quality_db(bench, point).unwrap_or(f64::NAN);
-                Trade { seconds, quality: (quality / STEP_DB).round() * STEP_DB }
-            })
-            .collect();
-        Self { bench, cached, trades }
-    }
-
-    pub fn pareto_front(&self) -> Vec<usize> {
-        pareto_front(&self.trades)
-    }
-
-    pub fn fastest_within(&self, slack_db: f64) -> Option<usize> {
-        fastest_within(&self.trades, slack_db)
-    }
-
-    /// All points, fastest first.
-    pub fn points(&self, labels: &[(&str, RenderOptions)]) -> Result<Vec<Point>, TradeoffError> {
-        let front = self.pareto_front();
-        let mut order: Vec<usize> = (0..self.cached.len()).collect();
-        // NaN, of what can't be rendered, comes last.
-        order.sort_by(|&a, &b| self.trades[a].seconds.total_cmp(&self.trades[b].seconds));
-        order.into_iter().map(|k| self.point(k, front.contains(&k), labels)).collect()
-    }
-
-    fn point(
-        &self,
-        k: usize,
-        on_front: bool,
-        labels: &[(&str, RenderOptions)],
-    ) -> Result<Point, TradeoffError> {
-        let (cached, bench) = (&self.cached[k], self.bench);
-        let own = labels.iter().filter(|(_, options)| *options == cached.options);
-        let labels = own.map(|(label, _)| (*label).to_owned()).collect();
-        let preparation = match cached.reason {
-            Some(_) => None,
-            None => {
-                let prepared = bench.prepared(&cached.options)?;
-                Some(PreparationTime {
-                    offsets_s: prepared.offsets_took.map(|t| t.wall_s),
-                    registration_s: prepared.registration_took.wall_s,
-                })
-            }
-        };
-        let against = bench.against();
-        Ok(Point {
-            name: name(&cached.options),
-            labels,
-            options: cached.options.clone(),
-            on_front,
-            reason: cached.reason.clone(),
-            quality_db: quality_db(bench, cached),
-            moving: mean(bench, cached, against, |s| &s.moving),
-            whole: mean(bench, cached, against, |s| &s.whole),
-            most_accurate_db: mean(bench, cached, Against::MostAccurate, |s| &s.whole).psnr_db,
-            wall_s: view(bench, cached, |r| r.wall_s),
-            cpu_s: view(bench, cached, |r| r.cpu_s),
-            preparation,
-        })
-    }
+/// A measured combination; `on_front` is for all of them together.
+pub(super) fn summarized(
+    bench: &Bench,
+    cached: &CachedPoint,
+    on_front: bool,
+    labels: &[(&str, RenderOptions)],
+) -> Result<Point, TradeoffError> {
+    let own = labels.iter().filter(|(_, options)| *options == cached.options);
+    let prepared = match cached.reason {
+        Some(_) => None,
+        None => Some(bench.store.prepared(&cached.options)?),
+    };
+    let against = bench.against();
+    Ok(Point {
+        name: name(&cached.options),
+        labels: own.map(|(label, _)| (*label).to_owned()).collect(),
+        options: cached.options.clone(),
+        on_front,
+        reason: cached.reason.clone(),
+        quality_db: quality_db(bench, cached),
+        moving: mean(bench, cached, against, |s| &s.moving),
+        whole: mean(bench, cached, against, |s| &s.whole),
+        most_accurate_db: mean(bench, cached, Against::MostAccurate, |s| &s.whole).psnr_db,
+        wall_s: spread(cached, |elapsed| elapsed.wall_s),
+        cpu_s: spread(cached, |elapsed| elapsed.cpu_s),
+        preparation: prepared.map(|prepared| PreparationTime {
+            offsets_s: prepared.offsets_took.map(|t| t.wall_s),
+            registration_s: prepared.registration_took.wall_s,
+        }),
+    })
 }
 
 fn quality_db(bench: &Bench, point: &CachedPoint) -> Option<f64> {
@@ -186,15 +147,12 @@ fn mean(
     }
 }
 
-/// The times of whole views.
-fn view(bench: &Bench, point: &CachedPoint, of: fn(&Elapsed) -> f64) -> Option<Spread> {
+/// The times of a view; `None` if it can't be rendered or wasn't timed.
+fn spread(point: &CachedPoint, seconds: impl Fn(&Elapsed) -> f64) -> Option<Spread> {
     if point.reason.is_some() {
         return None;
     }
-    spread(bench.runs(point).iter().map(of).collect())
-}
-
-fn spread(values: Vec<f64>) -> Option<Spread> {
+    let values: Vec<f64> = point.runs.iter().map(seconds).collect();
     let min = values.iter().copied().fold(f64::INFINITY, f64::min);
     let max = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let runs = values.len();

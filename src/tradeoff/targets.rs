@@ -2,20 +2,21 @@
 
 use super::TradeoffError;
 use super::combination::most_accurate;
+use super::store::middle_s;
 use crate::camera::Camera;
 use crate::capture::{Capture, Truth};
 use crate::compare::CompareOptions;
-use crate::compare::truths::{self, TrueImage, as_written};
-use crate::light_field::held_out::{
-    halfway_to_neighbor, inner_cameras, only, recorded, well_covered_frames,
-};
-use crate::light_field::{LightField, RenderError};
+use crate::compare::truths::{self, TrueImage, as_written, filled_with};
+use crate::light_field::LightField;
 use crate::lumigraph::Rendered;
 use crate::metrics::{ReferenceImage, RegionScores};
 use crate::offset::Offsets;
 use crate::options::RenderOptions;
+use crate::plan::held_out::{
+    field_of, halfway_to_neighbor, inner_cameras, recorded, rendered, well_covered_frames,
+};
 use crate::raster::BitDepth;
-use crate::raster::Image;
+use crate::registration::FrameStore;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -35,9 +36,7 @@ pub enum Against {
 /// A view with a reference image.
 pub(super) struct Target {
     pub id: String,
-    pub camera: Camera,
-    /// From the capture's start.
-    pub time_s: f64,
+    pub view: View,
     pub against: Against,
     /// The camera of the frame, which must not be used to render it.
     pub held_out: Option<usize>,
@@ -48,11 +47,9 @@ pub(super) struct Target {
     depth: BitDepth,
 }
 
-/// A target's view: its id, its place and its time.
+/// A place and a time, seconds from the capture's start.
 #[derive(Clone, Debug)]
-pub(super) struct TargetView {
-    /// The target's id.
-    pub target: String,
+pub(super) struct View {
     pub camera: Camera,
     pub time_s: f64,
 }
@@ -72,13 +69,8 @@ impl Target {
     /// measured; pixels that only this view doesn't cover are black.
     pub fn score(&self, rendered: &Rendered) -> RegionScores {
         let truth = self.reference.image();
-        let n = truth.channels();
-        let mut image = as_written(&rendered.image, n, self.depth);
-        for (k, pixel) in image.data_mut().chunks_exact_mut(n).enumerate() {
-            if !self.covered[k] {
-                pixel.copy_from_slice(&truth.data()[k * n..(k + 1) * n]);
-            }
-        }
+        let image = as_written(&rendered.image, truth.channels(), self.depth);
+        let image = filled_with(truth, &image, &self.covered);
         self.reference.compare(&image).regions(Some(&self.covered), &self.moving)
     }
 }
@@ -90,72 +82,48 @@ impl TargetScene<'_> {
             return LightField::new(self.capture.clone(), self.offsets.clone());
         };
         let others: Vec<usize> = (0..self.capture.cameras.len()).filter(|&c| c != index).collect();
-        let (capture, offsets) = only(self.capture, self.offsets, &others);
-        LightField::new(capture, offsets)
+        field_of(self.capture, self.offsets, &others)
     }
 
     /// The targets, and the view to time.
-    pub fn targets(
-        &self,
-        truth: Option<&Truth>,
-    ) -> Result<(Vec<Target>, TargetView), TradeoffError> {
-        let found = match truth {
-            Some(truth) => self.true_views(truth)?,
-            None => Vec::new(),
-        };
-        if let Some(Target { id, camera, time_s, .. }) = found.first() {
-            let timed = TargetView { target: id.clone(), camera: camera.clone(), time_s: *time_s };
+    pub fn targets(&self, truth: Option<&Truth>) -> Result<(Vec<Target>, View), TradeoffError> {
+        let mut found = truth.map_or(Ok(Vec::new()), |truth| self.true_views(truth))?;
+        if let Some(first) = found.first() {
+            let timed = first.view.clone();
             return Ok((found, timed));
         }
-        let timed = self.between();
-        let mut found = self.held_out_frames()?;
+        found = self.held_out_frames()?;
+        // Halfway from the reference to its nearest neighbour, in the middle of the recording.
         let field = self.field(None);
+        let camera = halfway_to_neighbor(self.capture, self.capture.reference);
+        let timed = View { camera, time_s: middle_s(&field) };
         let rendered = field.view(&timed.camera, timed.time_s, &most_accurate(self.base))?;
-        let image =
-            as_written(&rendered.image, rendered.image.channels(), self.capture.bit_depth());
-        found.push(Target {
-            id: timed.target.clone(),
-            camera: timed.camera.clone(),
-            time_s: timed.time_s,
-            against: Against::MostAccurate,
-            held_out: None,
-            moving: vec![false; rendered.coverage.len()],
-            covered: rendered.coverage,
-            reference: self.reference(image),
-            depth: self.capture.bit_depth(),
-        });
+        let channels = rendered.image.channels();
+        let image = as_written(&rendered.image, channels, self.capture.bit_depth());
+        let truth = TrueImage { image, moving: vec![false; rendered.coverage.len()] };
+        let target = self.target("most-accurate".into(), timed.clone(), truth, rendered);
+        found.push(Target { against: Against::MostAccurate, ..target });
         Ok((found, timed))
     }
 
-    fn reference(&self, image: Image) -> ReferenceImage {
-        ReferenceImage::new(image, CompareOptions::default().pixels_per_degree)
-    }
-
-    /// A target, with the pixels that the most accurate methods cover; `None` if they can't render it.
-    fn target(
-        &self,
-        field: &LightField,
-        TargetView { target: id, camera, time_s }: TargetView,
-        truth: TrueImage,
-        held_out: Option<usize>,
-    ) -> Result<Option<Target>, TradeoffError> {
-        let rendered = match field.view(&camera, time_s, &most_accurate(self.base)) {
-            Ok(rendered) => rendered,
-            Err(RenderError::Capture(error)) => return Err(error.into()),
-            Err(_) => return Ok(None),
-        };
-        let against = if held_out.is_some() { Against::HeldOut } else { Against::Truth };
-        Ok(Some(Target {
+    /// A target of true views.
+    fn target(&self, id: String, view: View, truth: TrueImage, rendered: Rendered) -> Target {
+        let pixels_per_degree = CompareOptions::default().pixels_per_degree;
+        Target {
             id,
-            camera,
-            time_s,
-            against,
-            held_out,
-            reference: self.reference(truth.image),
+            view,
+            against: Against::Truth,
+            held_out: None,
+            reference: ReferenceImage::new(truth.image, pixels_per_degree),
             moving: truth.moving,
             covered: rendered.coverage,
             depth: self.capture.bit_depth(),
-        }))
+        }
+    }
+
+    /// A view by the most accurate methods; `None` if they can't render it.
+    fn rendered(&self, field: &LightField, view: &View) -> Result<Option<Rendered>, TradeoffError> {
+        Ok(rendered(field, &view.camera, view.time_s, &most_accurate(self.base))?)
     }
 
     /// Views of the truth that no camera filmed; where it has none, the filming cameras'.
@@ -167,12 +135,9 @@ impl TargetScene<'_> {
         let mut found = Vec::new();
         for (instant, view) in views().filter(|(_, v)| !has_free || v.like.is_none()) {
             let image = view.read(truth, self.capture, &CompareOptions::default())?;
-            let at = TargetView {
-                target: view.stem.clone(),
-                camera: view.camera.clone(),
-                time_s: instant.inner_s,
-            };
-            found.extend(self.target(&field, at, image, None)?);
+            let at = View { camera: view.camera.clone(), time_s: instant.inner_s };
+            let Some(rendered) = self.rendered(&field, &at)? else { continue };
+            found.push(self.target(view.stem.clone(), at, image, rendered));
         }
         Ok(found)
     }
@@ -180,34 +145,24 @@ impl TargetScene<'_> {
     /// Middle frames of inner cameras, as held-out targets.
     fn held_out_frames(&self) -> Result<Vec<Target>, TradeoffError> {
         let times_s = self.offsets.common_times_s(self.capture);
+        let frames = FrameStore::new(self.capture.clone(), &self.base.registration);
         let mut found: Vec<Target> = Vec::new();
         for camera in inner_cameras(self.capture) {
             let Some(times_s) = &times_s[camera] else { continue };
             let field = self.field(Some(camera));
             let shown = well_covered_frames(&field, times_s);
             let Some(&frame) = shown.get(shown.len() / 2) else { continue };
-            let (image, moving) = recorded(self.capture, camera, frame)?;
-            let truth = TrueImage { image, moving };
+            let (image, moving) = recorded(&frames, camera, frame)?;
             let filmed = &self.capture.cameras[camera];
-            let at = TargetView {
-                target: format!("{}-{frame}", filmed.id),
-                camera: filmed.camera.clone(),
-                time_s: times_s[frame],
-            };
-            found.extend(self.target(&field, at, truth, Some(camera))?);
+            let at = View { camera: filmed.camera.clone(), time_s: times_s[frame] };
+            let Some(rendered) = self.rendered(&field, &at)? else { continue };
+            let truth = TrueImage { image, moving };
+            let target = self.target(format!("{}-{frame}", filmed.id), at, truth, rendered);
+            found.push(Target { against: Against::HeldOut, held_out: Some(camera), ..target });
             if found.len() == HELD_OUT {
                 break;
             }
         }
         Ok(found)
-    }
-
-    /// A view halfway from the reference to its nearest neighbour, in the middle of the recording.
-    fn between(&self) -> TargetView {
-        let camera = halfway_to_neighbor(self.capture, self.capture.reference);
-        let field = self.field(None);
-        let own_span = || field.span_s(self.capture.reference);
-        let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();
-        TargetView { target: "most-accurate".into(), camera, time_s: 0.5 * (first + last) }
     }
 }

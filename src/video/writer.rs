@@ -3,8 +3,7 @@
 use super::{VideoError, without_address};
 use crate::host::process::{Ended, Process};
 use crate::host::temporary::Temporary;
-use crate::raster::BitDepth;
-use crate::raster::Image;
+use crate::raster::{BitDepth, Image, Samples, quantize};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
@@ -62,8 +61,9 @@ impl Codec {
 /// A video file that is being written. It appears at its path when it is finished; dropped before, it leaves no file.
 pub struct VideoWriter {
     path: PathBuf,
-    process: Option<Process>,
+    /// Declared before ffmpeg, which ends when it is closed.
     stdin: Option<ChildStdin>,
+    process: Option<Process>,
     size: (usize, usize, usize),
     depth: BitDepth,
     /// Declared last, so that it is removed after ffmpeg, which writes into it, has ended.
@@ -100,7 +100,7 @@ impl VideoWriter {
             .args(["-video_size", &format!("{}x{}", like.width(), like.height())])
             .args(["-framerate", &format!("{rate_hz}"), "-i", "pipe:0"])
             .args(codec.arguments())
-            // The same frames give the same bytes, whatever the machine.
+            // Equal frames give equal bytes on every machine.
             .args(["-fflags", "+bitexact", "-flags:v", "+bitexact", "-threads", "1"])
             .arg(output);
         let mut process = Process::start(&mut command, Stdio::piped())
@@ -125,13 +125,9 @@ impl VideoWriter {
             self.size,
             "one size a video"
         );
-        let bytes: Vec<u8> = match self.depth {
-            BitDepth::Eight => image.data().iter().map(|v| (v * 255.0 + 0.5) as u8).collect(),
-            BitDepth::Sixteen => image
-                .data()
-                .iter()
-                .flat_map(|v| ((v * 65535.0 + 0.5) as u16).to_le_bytes())
-                .collect(),
+        let bytes = match quantize(image, None, self.depth).1 {
+            Samples::Eight(samples) => samples,
+            Samples::Sixteen(samples) => samples.into_iter().flat_map(u16::to_le_bytes).collect(),
         };
         match self.stdin.as_mut().map(|pipe| pipe.write_all(&bytes)) {
             Some(Ok(())) => Ok(()),
@@ -163,12 +159,5 @@ impl VideoWriter {
 
     fn broken(&self, reason: &str) -> VideoError {
         VideoError::Encode { path: self.path.clone(), reason: reason.to_owned() }
-    }
-}
-
-impl Drop for VideoWriter {
-    fn drop(&mut self) {
-        drop(self.stdin.take());
-        drop(self.process.take());
     }
 }

@@ -196,7 +196,7 @@ fn main() {
 
 /// The corners of an image, as OpenCV gets them: in single precision.
 fn rounded_corners(image: &Image, pad_px: usize) -> Vec<Point2<f64>> {
-    corners(&Pyramid::new(image, 1, pad_px).levels()[0], 2000)
+    corners(&Pyramid::new(image, 1, pad_px).levels[0], 2000)
         .iter()
         .map(|p| p.map(|v| f64::from((v - 0.5) as f32) + 0.5))
         .collect()

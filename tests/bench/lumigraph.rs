@@ -40,7 +40,7 @@ fn load(truth: &Truth, view: &TruthView) -> View {
     View {
         id: view.id.clone(),
         like: view.like.clone(),
-        camera: view.camera().expect("camera"),
+        camera: view.camera.camera().expect("camera"),
         image: read_image(&path(&view.image)).expect("image").0,
         depth: DepthMap::from_data(width, height, depths),
     }
@@ -284,9 +284,8 @@ fn sweep(name: &str, problems: &[Problem], out: Option<PathBuf>) {
     let bench = Bench { problems, out };
     let base = BlendOptions::default();
     let depth = |p: &Problem| Shape::True(p.view.depth.clone());
-    let weighted = |p: &Problem| p.points.iter().map(|p| (*p, 1.0)).collect::<Vec<_>>();
     let plane = |p: &Problem| {
-        let plane = Plane::fit(&weighted(p), &p.view.camera).expect("points");
+        let plane = Plane::fit(&p.points, &p.view.camera).expect("points");
         Shape::Proxy(Proxy::Plane(plane))
     };
     let mesh_of = |p: &Problem, depth_edges: DepthEdges| {

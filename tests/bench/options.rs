@@ -135,7 +135,7 @@ impl Target {
         let (width, _, motion_px) = read_array(&truth.file(&view.motion)?)?;
         Ok(Self {
             filmed: view.like.as_ref().and_then(|id| capture.camera_index(id)),
-            camera: view.camera()?,
+            camera: view.camera.camera()?,
             time_s: view.time_s - capture.time_origin_s,
             image: read_image(&truth.file(&view.image)?)?.0,
             moving: moving_part(&motion_px, width, 0.5, 2),

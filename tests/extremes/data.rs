@@ -10,7 +10,7 @@ use crate::naive;
 use nalgebra::{Matrix2, Point2, Point3, Vector2};
 use stlfr::camera::Camera;
 use stlfr::interpolation::{
-    Edge, EdgeFeature, SyncMethod, edge_set, morph_warp, real_edges, triangulation_warp,
+    Edge, EdgeFeature, SyncMethod, Warp, edge_set, morph_warp, real_edges, triangulated,
 };
 use stlfr::light_field::{LightField, RenderError};
 use stlfr::lumigraph::{DepthEdges, Mesh, Plane, Proxy};
@@ -60,6 +60,11 @@ fn morphed(edges: &[Edge], boost: f64, bound_px: f64) -> Vec<Point2<f64>> {
 
 fn at_pixel(warp: &[Point2<f64>], x: usize, y: usize) -> Vector2<f64> {
     warp[y * W + x] - Point2::new(x as f64 + 0.5, y as f64 + 0.5)
+}
+
+fn triangulation_warp(features: &[EdgeFeature], width: usize, height: usize) -> Warp {
+    let triangles = triangulated(features.iter().map(|f| f.source), width, height);
+    stlfr::interpolation::triangulation_warp(&triangles, features, width, height)
 }
 
 #[test]
@@ -141,8 +146,7 @@ fn all_features_on_one_line() {
 /// Both proxies of points at one depth are there at that depth, all over the view.
 #[track_caller]
 fn assert_depth(points: &[Point3<f64>], camera: &Camera, depth_m: f32) {
-    let weighted: Vec<_> = points.iter().map(|p| (*p, 1.0)).collect();
-    let plane = Plane::fit(&weighted, camera).map(Proxy::Plane);
+    let plane = Plane::fit(points, camera).map(Proxy::Plane);
     let mesh = Mesh::build(points, camera, DepthEdges::default()).map(Proxy::Mesh);
     assert!(plane.is_some());
     // A mesh may want more support than a degenerate set has; an invented one is worse than none.
@@ -287,7 +291,7 @@ fn zero_gradient_in_equation_6() {
     let mut random = Random::new(10);
     for image in [&flat, &step, &noise] {
         let pyramid = Pyramid::new(image, 1, 9);
-        let level = &pyramid.levels()[0];
+        let level = &pyramid.levels[0];
         for n in 0..300 {
             let place = |r: &mut Random| {
                 Point2::new(r.in_range(1.0, W as f64 - 1.0), r.in_range(1.0, H as f64 - 1.0))

@@ -69,7 +69,7 @@ fn constant_images_lose_every_point() {
             let at = Point2::new(at.0, at.1);
             assert_eq!(tracker.track(&pyramid, &pyramid, at, at), None);
         }
-        assert!(corners(&pyramid.levels()[0], 100).is_empty());
+        assert!(corners(&pyramid.levels[0], 100).is_empty());
     }
 }
 

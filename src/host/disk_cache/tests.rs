@@ -80,7 +80,7 @@ fn entries_unused_for_longest_are_removed_first() {
         let file = File::open(cache.path(NUMBERS, &n).unwrap()).unwrap();
         file.set_modified(used).unwrap();
     };
-    let cache = DiskCache::bounded(folder.path(), 350, RECENT, |_| ());
+    let cache = DiskCache::bounded(folder.path(), 350, |_| ());
     for n in 0..3 {
         cache.save(NUMBERS, &n, &content).unwrap();
         age(&cache, n, 10 - u64::from(n));

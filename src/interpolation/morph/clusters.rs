@@ -19,7 +19,6 @@
 //! Known limit: the bound leaves out the rounding of f32, about 1e-4 px.
 
 use super::{A_PX, LANES, Line, WarpSums, line_sums};
-use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 use std::ops::Range;
 
@@ -74,6 +73,7 @@ impl Tile {
 }
 
 /// A cluster that approximates its edges at a tile.
+#[derive(Clone, Copy)]
 struct FarCluster {
     cluster: usize,
     /// Its terms of P and Q, and its minimum weight.
@@ -84,38 +84,13 @@ struct FarCluster {
     bound: f64,
 }
 
-impl PartialEq for FarCluster {
-    fn eq(&self, other: &Self) -> bool {
-        self.cmp(other) == Ordering::Equal
-    }
-}
-
-impl Eq for FarCluster {}
-
-impl PartialOrd for FarCluster {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for FarCluster {
-    fn cmp(&self, other: &Self) -> Ordering {
-        self.bound.total_cmp(&other.bound).then(self.cluster.cmp(&other.cluster))
-    }
-}
-
 impl Clusters {
     pub fn new(lines: &[Line]) -> Self {
-        let midpoint = |(line, l): (usize, &Line)| Midpoint { at: midpoint(l), line };
-        let mut midpoints: Vec<Midpoint> = lines.iter().enumerate().map(midpoint).collect();
-        let mut nodes = Vec::with_capacity(lines.len() / 2);
-        split(&mut midpoints, 0, &mut nodes);
-        let lines: Vec<Line> = midpoints.iter().map(|m| lines[m.line]).collect();
-        let cluster = |(range, children): (Range<usize>, _)| {
-            Cluster::new(&lines[range.clone()], &midpoints[range.clone()], range, children)
-        };
-        let clusters = nodes.into_iter().map(cluster).collect();
-        Self { lines, clusters }
+        let midpoint = |&line: &Line| Midpoint { at: midpoint(&line), line };
+        let mut midpoints: Vec<Midpoint> = lines.iter().map(midpoint).collect();
+        let mut clusters = Vec::with_capacity(lines.len() / 2);
+        split(&mut midpoints, 0, &mut clusters);
+        Self { lines: midpoints.into_iter().map(|m| m.line).collect(), clusters }
     }
 
     /// The sums of eq. (7) at the nodes of a tile, row by row.
@@ -130,22 +105,27 @@ impl Clusters {
         let central = by_near[tile.ys.len() / 2].means()[tile.lanes / 2];
         let is_near = central.iter().all(|v| v.is_finite());
         let reference = if is_near { central } else { self.clusters[root].line.shift };
-        let first = NodeBounds::of(&by_near, tile, reference);
+        let (near_weight, near_farthest) = node_bounds(&by_near, tile, reference);
         let far_cluster =
-            |cluster: usize| self.far_cluster(cluster, tile, reference, first.farthest);
-        let mut far: BinaryHeap<FarCluster> = far.into_iter().map(far_cluster).collect();
+            |cluster: usize| self.far_cluster(cluster, tile, reference, near_farthest);
+        let mut terms: Vec<FarCluster> = far.into_iter().map(far_cluster).collect();
+        // Bounds are not negative, so that their bits are in their order.
+        let by_bound = |(n, term): (usize, &FarCluster)| (term.bound.to_bits(), term.cluster, n);
+        let mut far: BinaryHeap<(u64, usize, usize)> =
+            terms.iter().enumerate().map(by_bound).collect();
 
         let mut opened = Vec::new();
         let mut budget = TOLERANCE_PX;
         loop {
-            let (mut bound, mut weight) = (0.0, first.weight);
-            for cluster in &far {
-                bound += cluster.bound;
-                weight += cluster.weight - cluster.q;
+            let (mut bound, mut weight) = (0.0, near_weight);
+            for &(.., n) in &far {
+                bound += terms[n].bound;
+                weight += terms[n].weight - terms[n].q;
             }
             // Negated, so that NaN opens clusters too.
             while !(bound <= budget * weight) {
-                let Some(open) = far.pop() else { break };
+                let Some((.., n)) = far.pop() else { break };
+                let open = terms[n];
                 bound -= open.bound;
                 weight -= open.weight - open.q;
                 let cluster = &self.clusters[open.cluster];
@@ -154,7 +134,8 @@ impl Clusters {
                         for child in children.map(far_cluster) {
                             bound += child.bound;
                             weight += child.weight - child.q;
-                            far.push(child);
+                            far.push(by_bound((terms.len(), &child)));
+                            terms.push(child);
                         }
                     }
                     None => {
@@ -164,12 +145,13 @@ impl Clusters {
                 }
             }
             let mut others = opened.clone();
-            others.extend(far.iter().map(|c| self.clusters[c.cluster].line));
+            others.extend(far.iter().map(|&(_, cluster, _)| self.clusters[cluster].line));
             let all: Vec<WarpSums> =
                 by_near.iter().zip(at(&others)).map(|(near, other)| near.plus(&other)).collect();
-            let (p, q) = far.iter().fold((0.0, 0.0), |(p, q), c| (p + c.p, q + c.q));
-            let nodes = NodeBounds::of(&all, tile, reference);
-            let is_within = p + q * nodes.farthest <= TOLERANCE_PX * (nodes.weight - q);
+            let (p, q) =
+                far.iter().fold((0.0, 0.0), |(p, q), &(.., n)| (p + terms[n].p, q + terms[n].q));
+            let (weight, farthest) = node_bounds(&all, tile, reference);
+            let is_within = p + q * farthest <= TOLERANCE_PX * (weight - q);
             if far.is_empty() || is_within {
                 return all;
             }
@@ -209,57 +191,42 @@ impl Clusters {
     }
 }
 
-/// Extremes of the sums over the nodes of a tile.
-struct NodeBounds {
-    /// The minimum sum of weights.
-    weight: f64,
-    /// The maximum distance of a displacement from the reference, pixels.
-    farthest: f64,
-}
-
-impl NodeBounds {
-    fn of(rows: &[WarpSums], tile: &Tile, reference: [f32; 2]) -> Self {
-        let (mut weight, mut farthest) = (f64::INFINITY, 0.0_f64);
-        for row in rows {
-            for (d, w) in row.means().iter().zip(row.weights).take(tile.lanes) {
-                weight = weight.min(f64::from(w));
-                farthest = farthest.max(if w > 0.0 { distance(*d, reference) } else { 0.0 });
-            }
+/// Over the nodes of a tile, the minimum sum of weights, and the maximum distance of a displacement from the
+/// reference, pixels.
+fn node_bounds(rows: &[WarpSums], tile: &Tile, reference: [f32; 2]) -> (f64, f64) {
+    let (mut weight, mut farthest) = (f64::INFINITY, 0.0_f64);
+    for row in rows {
+        for (d, w) in row.means().iter().zip(row.weights).take(tile.lanes) {
+            weight = weight.min(f64::from(w));
+            farthest = farthest.max(if w > 0.0 { distance(*d, reference) } else { 0.0 });
         }
-        Self { weight, farthest }
     }
+    (weight, farthest)
 }
 
-/// An edge's midpoint, pixels, and its index among the lines.
+/// An edge with its midpoint, pixels.
 struct Midpoint {
     at: [f64; 2],
-    line: usize,
+    line: Line,
 }
 
 /// Builds the tree over these edges by median splits. It orders them so that those of each cluster are
-/// contiguous, and appends each cluster's range, which starts at `first`, and children. Returns the root.
-fn split(
-    midpoints: &mut [Midpoint],
-    first: usize,
-    nodes: &mut Vec<(Range<usize>, Option<[usize; 2]>)>,
-) -> usize {
+/// contiguous, and appends the clusters, whose ranges start at `first`. Returns the root.
+fn split(midpoints: &mut [Midpoint], first: usize, clusters: &mut Vec<Cluster>) -> usize {
     let range = first..first + midpoints.len();
     let children = (midpoints.len() > LEAF_SIZE).then(|| {
-        let (mut min, mut max) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        for axis in [0, 1] {
-            for midpoint in midpoints.iter() {
-                min[axis] = min[axis].min(midpoint.at[axis]);
-                max[axis] = max[axis].max(midpoint.at[axis]);
-            }
-        }
-        let axis = usize::from(max[1] - min[1] > max[0] - min[0]);
+        let extent = |axis: usize| {
+            let at = || midpoints.iter().map(|m| m.at[axis]);
+            at().fold(f64::NEG_INFINITY, f64::max) - at().fold(f64::INFINITY, f64::min)
+        };
+        let axis = usize::from(extent(1) > extent(0));
         let half = midpoints.len() / 2;
         midpoints.select_nth_unstable_by(half, |a, b| a.at[axis].total_cmp(&b.at[axis]));
         let (before, after) = midpoints.split_at_mut(half);
-        [split(before, first, nodes), split(after, first + half, nodes)]
+        [split(before, first, clusters), split(after, first + half, clusters)]
     });
-    nodes.push((range, children));
-    nodes.len() - 1
+    clusters.push(Cluster::new(midpoints, range, children));
+    clusters.len() - 1
 }
 
 fn midpoint(line: &Line) -> [f64; 2] {
@@ -278,52 +245,41 @@ fn distance(a: [f32; 2], b: [f32; 2]) -> f64 {
 }
 
 impl Cluster {
-    fn new(
-        lines: &[Line],
-        midpoints: &[Midpoint],
-        range: Range<usize>,
-        children: Option<[usize; 2]>,
-    ) -> Self {
-        let strengths = || lines.iter().map(|line| f64::from(line.strength));
+    fn new(edges: &[Midpoint], range: Range<usize>, children: Option<[usize; 2]>) -> Self {
+        let with_strengths = || edges.iter().map(|edge| (f64::from(edge.line.strength), edge));
         // Strengths are at least 1, so that their sum isn't 0.
-        let strength: f64 = strengths().sum();
+        let strength: f64 = with_strengths().map(|(strength, _)| strength).sum();
         let mut centre = [0.0; 2];
-        for (strength, midpoint) in strengths().zip(midpoints) {
-            centre = [0, 1].map(|k| centre[k] + strength * midpoint.at[k]);
+        for (strength, edge) in with_strengths() {
+            centre = [0, 1].map(|k| centre[k] + strength * edge.at[k]);
         }
         // Rounded to f32 as in the sums, so that the radius is about the same point.
         let centre = centre.map(|sum| f64::from((sum / strength) as f32));
         let (mut maps, mut shifts) = ([0.0; 4], [0.0; 2]);
         let (mut slope, mut radius) = (0.0, 0.0_f64);
-        for ((strength, line), midpoint) in strengths().zip(lines).zip(midpoints) {
-            let map = line.map.map(f64::from);
+        for (strength, edge) in with_strengths() {
+            let map = edge.line.map.map(f64::from);
             maps = [0, 1, 2, 3].map(|k| maps[k] + strength * map[k]);
-            let shift = displacement(line, centre);
+            let shift = displacement(&edge.line, centre);
             shifts = [0, 1].map(|k| shifts[k] + strength * shift[k]);
             slope += strength * map.iter().map(|m| m * m).sum::<f64>().sqrt();
-            let half = 0.5 * f64::from(line.length);
-            radius = radius.max(norm([0, 1].map(|k| midpoint.at[k] - centre[k])) + half);
+            let half = 0.5 * f64::from(edge.line.length);
+            radius = radius.max(norm([0, 1].map(|k| edge.at[k] - centre[k])) + half);
         }
         let shift = shifts.map(|sum| sum / strength);
-        let deviation = strengths().zip(lines).map(|(strength, line)| {
-            let d = displacement(line, centre);
+        let deviation = with_strengths().map(|(strength, edge)| {
+            let d = displacement(&edge.line, centre);
             strength * norm([d[0] - shift[0], d[1] - shift[1]])
         });
-        Self {
-            radius,
-            deviation: deviation.sum(),
-            slope,
-            line: Line {
-                p: centre.map(|v| v as f32),
-                direction: [1.0, 0.0],
-                length: 0.0,
-                map: maps.map(|sum| (sum / strength) as f32),
-                shift: shift.map(|v| v as f32),
-                strength: strength as f32,
-            },
-            range,
-            children,
-        }
+        let line = Line {
+            p: centre.map(|v| v as f32),
+            direction: [1.0, 0.0],
+            length: 0.0,
+            map: maps.map(|sum| (sum / strength) as f32),
+            shift: shift.map(|v| v as f32),
+            strength: strength as f32,
+        };
+        Self { line, radius, deviation: deviation.sum(), slope, range, children }
     }
 }
 

@@ -169,12 +169,9 @@ struct WarpSums {
 
 impl WarpSums {
     fn plus(&self, other: &Self) -> Self {
-        let add = |a: &[f32; LANES], b: &[f32; LANES]| std::array::from_fn(|l| a[l] + b[l]);
-        Self {
-            weights: add(&self.weights, &other.weights),
-            x: add(&self.x, &other.x),
-            y: add(&self.y, &other.y),
-        }
+        let add = |a: [f32; LANES], b: [f32; LANES]| std::array::from_fn(|l| a[l] + b[l]);
+        let (x, y) = (add(self.x, other.x), add(self.y, other.y));
+        Self { weights: add(self.weights, other.weights), x, y }
     }
 
     /// The weighted mean displacements. A line's weight is at least 1/(2^16)^4 ≥ 5e-20, so that the divisor

@@ -20,20 +20,6 @@ pub struct BlockGrid {
     overlap: usize,
 }
 
-/// The intersection of a block with a row of the image.
-pub struct BlockRow {
-    /// Index of the block.
-    pub block: usize,
-    /// Row in the block.
-    pub row: usize,
-    /// First column in the block that is inside the image.
-    pub first: usize,
-    /// Columns in the image; may be empty.
-    pub columns: Range<usize>,
-    /// Weight of the row. The product with a column's weight is a pixel's weight.
-    pub weight: f32,
-}
-
 impl BlockGrid {
     /// The grid for an image of this width and height, and for windows of this radius.
     pub fn new(image: [usize; 2], window_radius_px: usize) -> Self {
@@ -64,23 +50,9 @@ impl BlockGrid {
         BlockArea { origin, side: self.side, image: self.image }
     }
 
-    /// The blocks in row `y` of the image. The weights of overlapping blocks sum to 1.
-    pub fn row(&self, y: usize) -> impl Iterator<Item = BlockRow> {
-        let Self { image: [width, _], side, overlap } = *self;
-        let (across, step) = (self.along_axis(0), self.step());
-        let rows = self.blocks_at(y).into_iter().filter(|(.., weight)| *weight > 0.0);
-        rows.flat_map(move |(block_row, row, weight)| {
-            (0..across).map(move |k| {
-                let first = if k == 0 { overlap } else { 0 };
-                let start = (k * step + first - overlap).min(width);
-                let end = (k * step + side - overlap).min(width);
-                BlockRow { block: block_row * across + k, row, first, columns: start..end, weight }
-            })
-        })
-    }
-
-    /// The weights of a block's columns.
-    pub fn column_weights(&self) -> Vec<f32> {
+    /// The weights of a block's columns, which are those of its rows too. The product is a pixel's weight; the
+    /// weights of overlapping blocks sum to 1.
+    pub fn weights(&self) -> Vec<f32> {
         let ramp = |k: usize| (k as f32 + 0.5) / self.overlap as f32;
         let weight = |k: usize| match k.checked_sub(self.step()) {
             Some(shared) => 1.0 - ramp(shared),
@@ -88,16 +60,6 @@ impl BlockGrid {
             None => 1.0,
         };
         (0..self.side).map(weight).collect()
-    }
-
-    /// The two rows of blocks at row `y` of the image: index, row in the block, and weight, which may be 0
-    /// for the second.
-    fn blocks_at(&self, y: usize) -> [(usize, usize, f32); 2] {
-        let step = self.step();
-        let (block, within) = (y / step, y % step);
-        let shared = (within + self.overlap).checked_sub(step);
-        let next = shared.map_or(0.0, |shared| (shared as f32 + 0.5) / self.overlap as f32);
-        [(block, within + self.overlap, 1.0 - next), (block + 1, shared.unwrap_or(0), next)]
     }
 }
 
@@ -139,11 +101,13 @@ impl BlockArea {
         self.rows().map(move |(_, columns, y)| &values[y * width..][columns])
     }
 
-    /// The block of a plane of the image's size; 0 outside the image.
-    pub fn crop(self, values: &[f32]) -> Vec<f32> {
-        let mut all = vec![0.0; self.side * self.side];
-        for ((first, ..), row) in self.rows().zip(self.rows_of(values)) {
-            all[first..first + row.len()].copy_from_slice(row);
+    /// The block of interleaved values of the image's pixels; 0 outside the image.
+    pub fn crop(self, values: &[f32], channels: usize) -> Vec<f32> {
+        let mut all = vec![0.0; self.side * self.side * channels];
+        for (first, columns, y) in self.rows() {
+            let at = (y * self.image[0] + columns.start) * channels;
+            let row = &values[at..][..columns.len() * channels];
+            all[first * channels..][..row.len()].copy_from_slice(row);
         }
         all
     }
@@ -157,27 +121,26 @@ mod tests {
     fn blocks_cover_every_pixel_with_weights_that_sum_to_one() {
         for (image, radius) in [([1, 1], 0), ([64, 47], 2), ([37, 90], 5), ([13, 400], 50)] {
             let grid = BlockGrid::new(image, radius);
-            let weights = grid.column_weights();
-            for y in 0..image[1] {
-                let mut sums = vec![0.0_f32; image[0]];
-                for BlockRow { block, row, first, columns, weight } in grid.row(y) {
+            let weights = grid.weights();
+            let mut sums = vec![0.0_f32; image[0] * image[1]];
+            for area in (0..grid.count()).map(|block| grid.area(block)) {
+                for (first, columns, y) in area.rows() {
                     for (k, x) in columns.enumerate() {
-                        let [left, top] = grid.area(block).origin;
-                        let at = [left + (first + k) as isize, top + row as isize];
+                        let [column, row] = [first % grid.side + k, first / grid.side];
+                        let at = [area.origin[0] + column as isize, area.origin[1] + row as isize];
                         assert_eq!(at, [x as isize, y as isize]);
-                        assert!(block < grid.count() && row < grid.side);
-                        sums[x] += weight * weights[first + k];
+                        sums[y * image[0] + x] += weights[column] * weights[row];
                     }
                 }
-                assert!(sums.iter().all(|sum| (sum - 1.0).abs() < 1e-6), "{y}: {sums:?}");
             }
+            assert!(sums.iter().all(|sum| (sum - 1.0).abs() < 1e-6), "{sums:?}");
         }
     }
 
     #[test]
     fn a_block_fades_evenly_into_the_next() {
         let grid = BlockGrid::new([100, 100], 4);
-        let weights = grid.column_weights();
+        let weights = grid.weights();
         assert_eq!(weights[..5], [0.125, 0.375, 0.625, 0.875, 1.0]);
         assert_eq!(weights[11..], [1.0, 0.875, 0.625, 0.375, 0.125]);
     }
@@ -186,9 +149,9 @@ mod tests {
     fn outside_the_image_is_nothing() {
         let image: Vec<f32> = (1..=12).map(|v| v as f32).collect();
         let of = |x, y| BlockArea { origin: [x, y], side: 3, image: [4, 3] };
-        assert_eq!(of(-1, -2).crop(&image), [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0]);
-        assert_eq!(of(1, 0).crop(&image), [2.0, 3.0, 4.0, 6.0, 7.0, 8.0, 10.0, 11.0, 12.0]);
-        assert_eq!(of(3, 2).crop(&image), [12.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(of(-1, -2).crop(&image, 1), [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0]);
+        assert_eq!(of(1, 0).crop(&image, 1), [2.0, 3.0, 4.0, 6.0, 7.0, 8.0, 10.0, 11.0, 12.0]);
+        assert_eq!(of(3, 2).crop(&image, 1), [12.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!(of(9, 9).rows_of(&image).count(), 0);
     }
 }

@@ -30,41 +30,28 @@ pub struct PointGrid {
 }
 
 impl PointGrid {
-    /// The positions of a row of points in frame 0 to 3, by a motion.
-    fn row(
-        &self,
-        motion: &AffineMotion,
-        frame: usize,
-        row: usize,
-    ) -> impl Iterator<Item = [f32; 2]> {
-        let y = (row * self.step) as f64 + 0.5;
-        let from_center = |x: f64| self.corner - self.center + Vector2::new(x, y);
-        let position = |x: f64| self.center + from_center(x) + motion.at(frame, from_center(x));
-        // The motion is affine, so that positions along a row are equidistant.
-        let (first, per_px) = (position(0.5), position(1.5) - position(0.5));
-        (0..self.side).map(move |k| {
-            let position = first + per_px * (k * self.step) as f64;
-            [position.x as f32, position.y as f32]
-        })
-    }
-
-    /// The positions of all points in frame 0 to 3, row by row.
+    /// The positions of the points in frame 0 to 3 by a motion, row by row.
     pub fn positions(&self, motion: &AffineMotion, frame: usize) -> Vec<[f32; 2]> {
         let mut positions = Vec::with_capacity(self.side * self.side);
         for row in 0..self.side {
-            positions.extend(self.row(motion, frame, row));
+            let y = (row * self.step) as f64 + 0.5;
+            let from_center = |x: f64| self.corner - self.center + Vector2::new(x, y);
+            let position = |x: f64| self.center + from_center(x) + motion.at(frame, from_center(x));
+            // The motion is affine, so that positions along a row are equidistant.
+            let (first, per_px) = (position(0.5), position(1.5) - position(0.5));
+            positions.extend((0..self.side).map(|k| {
+                let position = first + per_px * (k * self.step) as f64;
+                [position.x as f32, position.y as f32]
+            }));
         }
         positions
     }
 
     /// Samples frame 0 to 3 at those positions: one pixel a point.
     pub fn sample(&self, image: &Image, motion: &AffineMotion, frame: usize) -> Image {
-        let channels = image.channels();
-        let mut samples = vec![0.0; self.side * self.side * channels];
-        for (row, out) in samples.chunks_exact_mut(self.side * channels).enumerate() {
-            sample_all(image, self.row(motion, frame, row), out);
-        }
-        Image::from_data(self.side, self.side, channels, samples)
+        let mut samples = vec![0.0; self.side * self.side * image.channels()];
+        sample_all(image, self.positions(motion, frame).into_iter(), &mut samples);
+        Image::from_data(self.side, self.side, image.channels(), samples)
     }
 }
 
@@ -148,8 +135,16 @@ impl PairCosts {
         [earlier, later]: [Vec<TrackMotion>; 2],
         options: &InterpolationOptions,
     ) -> Self {
-        let options = &options.scaled_to(size);
-        Self([(1, earlier), (2, later)].map(|(frame, m)| FrameCosts::new(frame, size, m, options)))
+        let options = options.scaled_to(size);
+        let side = MIN_CELL_PX.max(4 * options.window_radius_px);
+        let cells = size.map(|length| length.div_ceil(side)).iter().product();
+        Self([(1, earlier), (2, later)].map(|(frame, motions)| FrameCosts {
+            frame,
+            size,
+            motions: MotionHypotheses::new(motions, options.search_radius_px),
+            points: CostPoints::new(options.window_radius_px, side),
+            cells: (0..cells).map(|_| OnceLock::new()).collect(),
+        }))
     }
 
     /// The costs of the earlier frame (0) or the later one (1).
@@ -162,7 +157,7 @@ impl PairCosts {
         let of_frame = |costs: &FrameCosts| {
             let cell =
                 size_of::<OnceLock<Vec<f32>>>() + costs.points_per_side().pow(2) * size_of::<f32>();
-            costs.cells.len() * cell + costs.motions.tracks() * size_of::<TrackMotion>()
+            costs.cells.len() * cell + costs.motions.motions.len() * size_of::<TrackMotion>()
         };
         self.0.iter().map(of_frame).sum()
     }
@@ -177,46 +172,30 @@ pub(super) struct FrameCosts {
     size: [usize; 2],
     /// Motions from positions in the frame.
     motions: MotionHypotheses,
+    /// The points of a cell, which share their motions.
     points: CostPoints,
-    /// Side of a cell, whose points share their motions, pixels.
-    side: usize,
+    /// Cells of the frame, row by row.
     cells: Vec<OnceLock<Vec<f32>>>,
-    across: usize,
 }
 
 impl FrameCosts {
-    /// `options` have lengths scaled to the image's size.
-    fn new(
-        frame: usize,
-        size: [usize; 2],
-        motions: Vec<TrackMotion>,
-        options: &InterpolationOptions,
-    ) -> Self {
-        let side = MIN_CELL_PX.max(4 * options.window_radius_px);
-        let points = CostPoints::new(options.window_radius_px, side);
-        let [across, down] = size.map(|length| length.div_ceil(side));
-        let motions = MotionHypotheses::new(motions, options.search_radius_px);
-        let cells = (0..across * down).map(|_| OnceLock::new()).collect();
-        Self { frame, size, motions, points, side, cells, across }
-    }
-
     fn points_per_side(&self) -> usize {
-        self.side.div_ceil(self.points.step)
+        self.points.block.div_ceil(self.points.step)
     }
 
     /// The cost at the point nearest to a position; infinite where no motion is near. `frames` are those of the
     /// pair.
     pub fn at(&self, frames: &FourFrames, [x, y]: [f32; 2]) -> f32 {
         let pixel = |v: f32, size: usize| (v.max(0.0) as usize).min(size - 1);
-        let (x, y) = (pixel(x, self.size[0]), pixel(y, self.size[1]));
-        let ([column, row], [x, y]) =
-            ([x, y].map(|v| v / self.side), [x, y].map(|v| v % self.side));
-        let cell = self.cells[row * self.across + column].get_or_init(|| {
-            let corner = Point2::from([column, row].map(|v| (v * self.side) as f64));
+        let at = [pixel(x, self.size[0]), pixel(y, self.size[1])];
+        let (step, side) = (self.points.step, self.points.block);
+        let [column, row] = at.map(|v| v / side);
+        let cell = self.cells[row * self.size[0].div_ceil(side) + column].get_or_init(|| {
+            let corner = Point2::from([column, row].map(|v| (v * side) as f64));
             self.cell(frames, corner)
         });
-        let step = self.points.step;
-        cell[y / step * self.points_per_side() + x / step]
+        let [x, y] = at.map(|v| v % side / step);
+        cell[y * self.points_per_side() + x]
     }
 
     /// The costs of the cell with this top-left corner, row by row. Each point is in the middle of the pixels
@@ -231,7 +210,7 @@ impl FrameCosts {
         let first = (step / 2) as f64 - (radius * step) as f64;
         let grid = PointGrid {
             corner: corner + Vector2::repeat(first),
-            center: corner + Vector2::repeat(self.side as f64 / 2.0),
+            center: corner + Vector2::repeat(self.points.block as f64 / 2.0),
             side,
             step,
         };
@@ -272,8 +251,7 @@ mod tests {
     }
 
     fn pair<'a>(earlier: &'a Image, later: &'a Image, before: Option<&'a Image>) -> FourFrames<'a> {
-        let (after, fraction, parts, with_motions) = (None, 0.5, None, false);
-        FourFrames { before, earlier, later, after, fraction, parts, with_motions }
+        FourFrames { before, earlier, later, after: None, fraction: 0.5, parts: None }
     }
 
     #[test]

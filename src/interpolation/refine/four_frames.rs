@@ -45,10 +45,7 @@ impl<'a> CompensatedFrames<'a> {
         pixels: PointGrid,
         points: PointGrid,
     ) -> Self {
-        let mut at_points = [None, None, None, None];
-        for (n, (frame, out)) in frames.iter().zip(&mut at_points).enumerate() {
-            *out = frame.map(|image| points.sample(image, &motion, n));
-        }
+        let at_points = std::array::from_fn(|n| Some(points.sample(frames[n]?, &motion, n)));
         Self { motion, frames, pixels, at_points, at_pixels: Default::default() }
     }
 
@@ -66,27 +63,26 @@ impl<'a> CompensatedFrames<'a> {
 }
 
 /// A composite of the two middle frames in a block.
-pub struct MiddleFrames {
+pub struct MiddleFrames<'a> {
     pub at_pixels: Image,
     pub at_points: Image,
     /// The cost of these two frames at the pixels.
-    pub costs: Vec<f32>,
+    pub costs: &'a [f32],
 }
 
 /// Averages the outer frames into the middle ones, with at most `outer_weight` each. Each pixel takes the
 /// motion of the smallest cost.
 pub fn fuse(
-    middle: MiddleFrames,
+    MiddleFrames { at_pixels: middle, at_points, costs }: MiddleFrames,
     compensated: &[CompensatedFrames],
     points: &CostPoints,
     outer_weight: f32,
 ) -> Image {
-    let MiddleFrames { at_pixels: mut fused, at_points, costs } = middle;
     if outer_weight <= 0.0 {
-        return fused;
+        return middle;
     }
+    let mut fused = middle.clone();
     let channels = fused.channels();
-    let middle = fused.clone();
     for frame in [0, 3] {
         // Each pixel's motion of the smallest cost, and this cost.
         let mut best = vec![(0, f32::INFINITY); costs.len()];
@@ -103,7 +99,7 @@ pub fn fuse(
             let excess = (cost - own - OUTER_SLACK).max(0.0);
             outer_weight * (-excess / OUTER_SOFTNESS).exp()
         };
-        let weights: Vec<f32> = best.iter().zip(&costs).map(weight).collect();
+        let weights: Vec<f32> = best.iter().zip(costs).map(weight).collect();
         for (index, frames) in compensated.iter().enumerate() {
             let takes = |k: usize| best[k].0 == index && weights[k] > NEGLIGIBLE_WEIGHT;
             if !(0..costs.len()).any(takes) {
@@ -144,18 +140,12 @@ pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: Block
 /// The mean of the four frames in a static block, without resampling; black outside the image.
 pub fn static_mean(frames: &FourFrames, cross_faded: &Image, area: BlockArea) -> Vec<f32> {
     let weight = frames.outer_weight();
-    let channels = cross_faded.channels();
-    let mut colors = vec![0.0; area.side * area.side * channels];
-    for (first, columns, y) in area.rows() {
-        let columns = columns.start * channels..columns.end * channels;
-        let middle = &cross_faded.row(y)[columns.clone()];
-        let out = &mut colors[first * channels..][..middle.len()];
-        out.copy_from_slice(middle);
-        for image in [frames.before, frames.after].into_iter().flatten() {
-            let outer = &image.row(y)[columns.clone()];
-            for ((out, outer), middle) in out.iter_mut().zip(outer).zip(middle) {
-                *out += weight * (outer - middle);
-            }
+    let crop = |image: &Image| area.crop(image.data(), image.channels());
+    let middle = crop(cross_faded);
+    let mut colors = middle.clone();
+    for outer in [frames.before, frames.after].into_iter().flatten().map(crop) {
+        for ((out, outer), middle) in colors.iter_mut().zip(outer).zip(&middle) {
+            *out += weight * (outer - middle);
         }
     }
     colors

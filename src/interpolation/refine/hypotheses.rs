@@ -4,9 +4,9 @@ use super::blocks::BlockArea;
 use super::costs::PointGrid;
 use super::four_frames::{CompensatedFrames, MiddleFrames, NEGLIGIBLE_WEIGHT, fuse};
 use super::motions::AffineMotion;
-use super::{PixelMotion, RefinedBlock, SharedInputs};
-use crate::interpolation::warp::{cross_fade, difference, max_filter};
-use crate::raster::Image;
+use super::{MOTION_CHANNELS, RefinedBlock, SharedInputs};
+use crate::interpolation::warp::{cross_fade, difference};
+use crate::raster::{Image, max_filter};
 use nalgebra::{Point2, Vector2};
 use std::borrow::Cow;
 
@@ -82,54 +82,42 @@ impl<'a> BlockHypotheses<'a> {
         let frames = [before, earlier, later, after];
         let compensate = |motion| CompensatedFrames::new(motion, frames, pixels, points);
         let compensated = motions.into_iter().map(compensate).collect();
-        Self { shared, area, compensated, points, costs: area.crop(shared.costs), agree }
+        Self { shared, area, compensated, points, costs: area.crop(shared.costs, 1), agree }
     }
 
     /// The mean of all hypotheses, by their weights at each pixel.
     pub fn mean(&self) -> RefinedBlock {
-        let hypotheses = self.hypotheses();
+        let mut hypotheses = vec![Hypothesis::new(Visibility::CrossFade, self.costs.clone())];
+        for index in (0..self.compensated.len()).filter(|_| !self.agree) {
+            self.add_hypotheses(index, &mut hypotheses);
+        }
         let mut best = vec![0.0_f32; self.costs.len()];
         for hypothesis in &hypotheses {
             best.iter_mut().zip(&hypothesis.weights).for_each(|(best, w)| *best = best.max(*w));
         }
-        let channels = self.shared.cross_faded.channels();
-        let pixels = self.costs.len();
+        let (channels, pixels) = (self.shared.cross_faded.channels(), self.costs.len());
         let (mut sums, mut colors) = (vec![0.0; pixels], vec![0.0; pixels * channels]);
-        let with_motions = !self.agree && self.shared.motion_px.is_some();
-        let mut motions = with_motions.then(|| vec![PixelMotion::default(); pixels]);
+        let mut motions = (!self.agree).then(|| vec![0.0; pixels * MOTION_CHANNELS]);
         for hypothesis in &hypotheses {
             let weights = &hypothesis.weights;
             if weights.iter().zip(&best).all(|(w, best)| *w <= NEGLIGIBLE_WEIGHT * best) {
                 continue;
             }
             sums.iter_mut().zip(weights).for_each(|(sum, w)| *sum += w);
-            let own = self.colors(hypothesis);
-            let own = own.data().chunks_exact(channels).zip(weights);
-            for (color, (own, w)) in colors.chunks_exact_mut(channels).zip(own) {
-                color.iter_mut().zip(own).for_each(|(color, own)| *color += w * own);
-            }
+            add_weighted(&mut colors, weights, self.colors(hypothesis).data());
             if let Some(motions) = &mut motions {
-                let own = self.motions(hypothesis).into_iter().zip(weights);
-                motions.iter_mut().zip(own).for_each(|(motion, (own, w))| motion.add(*w, own));
+                add_weighted(motions, weights, &self.motions(hypothesis));
             }
         }
         for (color, sum) in colors.chunks_exact_mut(channels).zip(&sums) {
             color.iter_mut().for_each(|color| *color /= sum);
         }
-        for (motion, sum) in motions.iter_mut().flatten().zip(&sums) {
-            *motion = motion.times(1.0 / sum);
+        let all_motions = motions.iter_mut().flat_map(|m| m.chunks_exact_mut(MOTION_CHANNELS));
+        for (motion, sum) in all_motions.zip(&sums) {
+            let inverse = 1.0 / sum;
+            motion.iter_mut().for_each(|v| *v *= inverse);
         }
         RefinedBlock { colors, motions }
-    }
-
-    fn hypotheses(&self) -> Vec<Hypothesis> {
-        let mut all = vec![Hypothesis::new(Visibility::CrossFade, self.costs.clone())];
-        if !self.agree {
-            for index in 0..self.compensated.len() {
-                self.add_hypotheses(index, &mut all);
-            }
-        }
-        all
     }
 
     /// Adds the hypotheses of a motion: both middle frames see the surface, and agree; or only the earlier does,
@@ -186,38 +174,33 @@ impl<'a> BlockHypotheses<'a> {
     /// The block's colours if a hypothesis is right.
     fn colors(&self, hypothesis: &Hypothesis) -> Cow<'_, Image> {
         let given = "the middle frames are compensated unless they agree";
-        let outer_weight = self.shared.frames.outer_weight();
-        let fused = |middle: MiddleFrames, compensated: &[CompensatedFrames]| {
-            Cow::Owned(fuse(middle, compensated, &self.shared.points, outer_weight))
-        };
-        match &hypothesis.visibility {
+        let (middle, compensated) = match &hypothesis.visibility {
             Visibility::CrossFade => {
                 let margin = self.shared.points.margin_px() as isize;
                 let first = self.area.origin.map(|v| v - margin);
                 let middle = MiddleFrames {
                     at_pixels: self.cross_faded(self.area.origin, self.area.side, 1),
                     at_points: self.cross_faded(first, self.points.side, self.points.step),
-                    costs: hypothesis.costs.clone(),
+                    costs: &hypothesis.costs,
                 };
-                fused(middle, &self.compensated)
+                (middle, &self.compensated[..])
             }
             Visibility::BothFrames(index, costs) => {
                 let frames = &self.compensated[*index];
-                let faded = |earlier: Option<&Image>, later: Option<&Image>| {
-                    let [earlier, later] = [earlier.expect(given), later.expect(given)];
+                let faded = |middle: [Option<&Image>; 2]| {
+                    let [earlier, later] = middle.map(|image| image.expect(given));
                     cross_fade(earlier, later, self.shared.frames.fraction)
                 };
-                let middle = MiddleFrames {
-                    at_pixels: faded(frames.at_pixels(1), frames.at_pixels(2)),
-                    at_points: faded(frames.at_points(1), frames.at_points(2)),
-                    costs: costs.clone(),
-                };
-                fused(middle, std::slice::from_ref(frames))
+                let at_pixels = faded([1, 2].map(|n| frames.at_pixels(n)));
+                let at_points = faded([1, 2].map(|n| frames.at_points(n)));
+                (MiddleFrames { at_pixels, at_points, costs }, std::slice::from_ref(frames))
             }
             Visibility::OneFrame(index, frame) => {
-                Cow::Borrowed(self.compensated[*index].at_pixels(*frame).expect(given))
+                return Cow::Borrowed(self.compensated[*index].at_pixels(*frame).expect(given));
             }
-        }
+        };
+        let outer_weight = self.shared.frames.outer_weight();
+        Cow::Owned(fuse(middle, compensated, &self.shared.points, outer_weight))
     }
 
     /// The cross-fade of the two warped frames at a square of pixels, `step` apart. Outside the image its border
@@ -234,15 +217,12 @@ impl<'a> BlockHypotheses<'a> {
         Image::from_data(side, side, image.channels(), data)
     }
 
-    /// The motions of the block's pixels if a hypothesis is right.
-    fn motions(&self, hypothesis: &Hypothesis) -> Vec<PixelMotion> {
-        let costs = hypothesis.costs.iter();
+    /// The motions of the block's pixels if a hypothesis is right, [`MOTION_CHANNELS`] a pixel.
+    fn motions(&self, hypothesis: &Hypothesis) -> Vec<f32> {
         let (Visibility::BothFrames(index, _) | Visibility::OneFrame(index, _)) =
             hypothesis.visibility
         else {
-            let motion_px = self.area.crop(self.shared.motion_px.unwrap_or_default());
-            let of_pixel = |(motion_px, &cost)| PixelMotion { motion_px, change_px: 0.0, cost };
-            return motion_px.into_iter().zip(costs).map(of_pixel).collect();
+            return self.area.crop(self.shared.warp_motions.data(), MOTION_CHANNELS);
         };
         let compensated = &self.compensated[index];
         let at = |n: usize| compensated.motion.at(n, Vector2::zeros());
@@ -256,8 +236,17 @@ impl<'a> BlockHypotheses<'a> {
         let of_pixel = |(&cost, &of_warps): (&f32, &f32)| {
             // At rest, frames may agree although something passes between them.
             let cost = if motion_px < AT_REST_PX { cost.max(of_warps) } else { cost };
-            PixelMotion { motion_px, change_px, cost }
+            [motion_px, change_px, cost]
         };
-        costs.zip(&self.costs).map(of_pixel).collect()
+        hypothesis.costs.iter().zip(&self.costs).flat_map(of_pixel).collect()
+    }
+}
+
+/// Adds the interleaved values of pixels, times the pixels' weights.
+fn add_weighted(sums: &mut [f32], weights: &[f32], values: &[f32]) {
+    let channels = sums.len() / weights.len();
+    let values = values.chunks_exact(channels);
+    for ((sums, values), w) in sums.chunks_exact_mut(channels).zip(values).zip(weights) {
+        sums.iter_mut().zip(values).for_each(|(sum, v)| *sum += w * v);
     }
 }

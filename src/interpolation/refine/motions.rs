@@ -58,7 +58,7 @@ impl AffineMotion {
 
 /// Tracks by position, which give the hypotheses of motion around any point.
 pub struct MotionHypotheses {
-    motions: Vec<TrackMotion>,
+    pub motions: Vec<TrackMotion>,
     positions: Neighbors,
     search_radius_px: f64,
 }
@@ -68,11 +68,6 @@ impl MotionHypotheses {
     pub fn new(motions: Vec<TrackMotion>, search_radius_px: f64) -> Self {
         let positions = Neighbors::new(motions.iter().map(|m| m.at));
         Self { motions, positions, search_radius_px }
-    }
-
-    /// Number of tracks.
-    pub fn tracks(&self) -> usize {
-        self.motions.len()
     }
 
     /// The hypotheses of motion around a point, by the distance of their nearest tracks. Tracks are clustered

@@ -5,15 +5,25 @@ use crate::random::Random;
 use crate::raster::Tiles;
 use nalgebra::{Matrix2, Point2, Vector2};
 
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct PixelMotion {
+    motion_px: f32,
+    change_px: f32,
+    cost: f32,
+}
+
 /// Refines with the costs of the pair by the same motions.
 fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
     motions: &[TrackMotion],
     options: &InterpolationOptions,
-) -> (Image, Option<Vec<PixelMotion>>) {
+) -> (Image, Vec<PixelMotion>) {
     let costs = pair_costs(frames, motions, options);
-    super::refined(frames, warps, motions.to_vec(), &costs, options)
+    let (image, motions) = super::refined(frames, warps, motions.to_vec(), &costs, options);
+    let of_pixel =
+        |&[motion_px, change_px, cost]: &[f32; 3]| PixelMotion { motion_px, change_px, cost };
+    (image, motions.data().as_chunks().0.iter().map(of_pixel).collect())
 }
 
 pub(super) fn pair_costs(
@@ -76,17 +86,7 @@ fn at_rest() -> Vec<TrackMotion> {
 
 fn around(frames: &[Image; 4], fraction: f32) -> FourFrames<'_> {
     let [before, earlier, later, after] = frames;
-    let parts = None;
-    let with_motions = true;
-    FourFrames {
-        before: Some(before),
-        earlier,
-        later,
-        after: Some(after),
-        fraction,
-        parts,
-        with_motions,
-    }
+    FourFrames { before: Some(before), earlier, later, after: Some(after), fraction, parts: None }
 }
 
 fn psnr(image: &Image, truth: &Image) -> f64 {
@@ -178,9 +178,7 @@ fn pixels_move_as_their_tracks_and_cost_more_without() {
     let options = InterpolationOptions::default();
     let (_, followed) = refined(&four, [&still, &still], &motions(), &options);
     let (_, lost) = refined(&four, [&still, &still], &at_rest(), &options);
-    let at = |motions: &Option<Vec<PixelMotion>>, x: usize, y: usize| {
-        motions.as_ref().unwrap()[y * W + x]
-    };
+    let at = |motions: &[PixelMotion], x: usize, y: usize| motions[y * W + x];
     for (x, y) in [(40, 25), (48, 32), (55, 38)] {
         let (followed, lost) = (at(&followed, x, y), at(&lost, x, y));
         assert!((followed.motion_px - 6.0).abs() < 0.5, "{followed:?}");
@@ -203,7 +201,7 @@ fn the_change_of_a_bouncing_bodys_motion_is_known() {
     let of = |motions: &[TrackMotion]| {
         let (_, motions) =
             refined(&four, [&still, &still], motions, &InterpolationOptions::default());
-        motions.unwrap()[32 * W + 48]
+        motions[32 * W + 48]
     };
     let (steady, bouncing) = (of(&motions()), of(&bouncing));
     assert!(steady.change_px < 0.5, "{steady:?}");
@@ -260,16 +258,9 @@ fn near_a_frame_what_only_the_other_shows_does_not_appear() {
 #[test]
 fn where_the_frames_agree_nothing_changes() {
     let frame = scene(0.0);
-    let (before, after, parts, with_motions) = (None, None, None, false);
-    let four = FourFrames {
-        before,
-        earlier: &frame,
-        later: &frame,
-        after,
-        fraction: 0.3,
-        parts,
-        with_motions,
-    };
+    let (before, after) = (None, None);
+    let four =
+        FourFrames { before, earlier: &frame, later: &frame, after, fraction: 0.3, parts: None };
     let still = Warp::identity(W, H);
     let (result, _) =
         refined(&four, [&still, &still], &motions(), &InterpolationOptions::default());
@@ -310,8 +301,6 @@ fn needed_tiles_equal_those_of_the_whole_image() {
     parts.mark_sample(29.0, 20.0);
     parts.mark_sample(70.0, 46.0);
     let (some, motions_of_some) = of(Some(&parts));
-    let [motions_of_whole, motions_of_some] =
-        [motions_of_whole, motions_of_some].map(Option::unwrap);
     let same =
         |k: usize| some.data()[k] == whole.data()[k] && motions_of_some[k] == motions_of_whole[k];
     let needed = |k: usize| parts.touches([(k % W) as isize, (k / W) as isize], 1);
@@ -330,7 +319,6 @@ fn tiny_images_stay_finite() {
             after: Some(&b),
             fraction: 0.5,
             parts: None,
-            with_motions: true,
         };
         let still = Warp::identity(w, h);
         let (result, _) =

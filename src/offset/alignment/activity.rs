@@ -12,6 +12,7 @@
 use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::{Capture, CaptureError};
 use nalgebra::{Point2, Vector2};
+use std::collections::BTreeMap;
 
 /// The grid's cells across.
 const COLUMNS: usize = 16;
@@ -29,19 +30,23 @@ pub struct Activity {
     pub times_s: Vec<f64>,
     /// The total energy of each interval.
     pub energies: Vec<f64>,
-    /// By pair and interval: the root of each band's energy, followed by the signed root of each band's
+    /// By the index of a pair, for each interval: the root of each band's energy, followed by the signed root of each band's
     /// motion across the epipolar lines.
-    pub signals: Vec<Vec<[f32; 2 * BANDS]>>,
+    pub signals: BTreeMap<usize, Vec<[f32; 2 * BANDS]>>,
 }
 
 /// By cell: the energy, and the correlation with the gradient in x and in y, per second.
 type Cells = [[f32; 3]; COLUMNS * ROWS];
 
 impl Activity {
-    /// The activity of a camera, from all its frames; `bands` are those of its pairs.
-    pub fn new(capture: &Capture, camera: usize, bands: &[&Bands]) -> Result<Self, CaptureError> {
+    /// The activity of a camera, from all its frames; `bands` are those of its pairs, by their indices.
+    pub fn new(
+        capture: &Capture,
+        camera: usize,
+        bands: &[(usize, &Bands)],
+    ) -> Result<Self, CaptureError> {
         let times = &capture.cameras[camera].clock.times_s;
-        let mut activity = Self { signals: vec![Vec::new(); bands.len()], ..Self::default() };
+        let mut activity = Self::default();
         let mut before: Option<Downsampled> = None;
         for (k, &time_s) in times.iter().enumerate() {
             let current = Downsampled::new(&capture.read_frame(camera, k)?.to_gray());
@@ -51,8 +56,8 @@ impl Activity {
                 activity.times_s.push(time_s - 0.5 * interval);
                 let cells = cells(&before, &current, interval as f32);
                 activity.energies.push(cells.iter().map(|c| f64::from(c[0])).sum());
-                for (signal, bands) in activity.signals.iter_mut().zip(bands) {
-                    signal.push(bands.signal(&cells));
+                for (pair, bands) in bands {
+                    activity.signals.entry(*pair).or_default().push(bands.signal(&cells));
                 }
             }
             before = Some(current);

@@ -12,7 +12,7 @@ mod activity;
 
 use super::clock::ClockModel;
 use super::pair::{
-    MIN_AGREEMENT, MIN_INLIERS, NOMINAL_CLOCK_FRAMES, Observation, PairFailure, ResidualModel,
+    MIN_AGREEMENT, MIN_INLIERS, NOMINAL_CLOCK_FRAMES, Observation, PairFailure, consensus_value,
 };
 use super::recording::Recording;
 use crate::capture::CaptureError;
@@ -28,54 +28,32 @@ const TESTED_FRAMES: usize = 6;
 /// The agreement from which on an offset rivals the best one, as a fraction of the best one's.
 const RIVAL_FRACTION: f64 = 0.8;
 
-/// The correlation of two signals at an offset `offset_b − offset_a`, seconds.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Shift {
-    offset_s: f64,
-    /// The normalized cross-correlation, −1 to 1.
-    correlation: f64,
-}
-
-/// The activity of every camera that needs alignment. Pairs of short recordings and pairs of cameras
-/// with a common centre have no signals.
-pub struct Activities {
-    of_camera: Vec<Activity>,
-    /// By pair: the index of its signal in each of its cameras' activities.
-    signals: Vec<Option<[usize; 2]>>,
-}
-
-impl Activities {
-    /// Computes the activity of the cameras that need alignment, from all their frames.
-    pub fn new(recording: &Recording, pairs: &[[usize; 2]]) -> Result<Self, CaptureError> {
-        let capture = recording.frames.capture();
-        let bands: Vec<Option<[Bands; 2]>> = pairs
-            .iter()
-            .map(|&pair| {
-                let [a, b] = pair.map(|c| &capture.cameras[c].camera);
-                is_long(recording, pair).then(|| Bands::of_pair(a, b)).flatten()
-            })
-            .collect();
-        let mut of_cameras: Vec<Vec<&Bands>> = vec![Vec::new(); capture.cameras.len()];
-        let mut signals = Vec::with_capacity(pairs.len());
-        for (pair, bands) in pairs.iter().zip(&bands) {
-            signals.push(bands.as_ref().map(|bands| {
-                [0, 1].map(|n| {
-                    let own = &mut of_cameras[pair[n]];
-                    own.push(&bands[n]);
-                    own.len() - 1
-                })
-            }));
+/// By camera: its activity, from all its frames; empty for a camera of which no pair needs alignment.
+/// Pairs of short recordings and pairs of cameras with a common centre have no signals.
+pub fn activities(
+    recording: &Recording,
+    pairs: &[[usize; 2]],
+) -> Result<Vec<Activity>, CaptureError> {
+    let capture = recording.frames.capture();
+    let bands: Vec<Option<[Bands; 2]>> = pairs
+        .iter()
+        .map(|&pair| {
+            let [a, b] = pair.map(|c| &capture.cameras[c].camera);
+            is_long(recording, pair).then(|| Bands::of_pair(a, b)).flatten()
+        })
+        .collect();
+    let activity = |camera: usize| {
+        let own = (0..pairs.len()).filter_map(|n| {
+            let side = pairs[n].iter().position(|&c| c == camera)?;
+            Some((n, &bands[n].as_ref()?[side]))
+        });
+        let own: Vec<(usize, &Bands)> = own.collect();
+        match own.is_empty() {
+            true => Ok(Activity::default()),
+            false => Activity::new(capture, camera, &own),
         }
-        let of_camera = of_cameras
-            .par_iter()
-            .enumerate()
-            .map(|(c, bands)| match bands.is_empty() {
-                true => Ok(Activity::default()),
-                false => Activity::new(capture, c, bands),
-            })
-            .collect::<Result<_, CaptureError>>()?;
-        Ok(Self { of_camera, signals })
-    }
+    };
+    (0..capture.cameras.len()).into_par_iter().map(activity).collect()
 }
 
 /// Whether both recordings of a pair are longer than the minimum overlap.
@@ -87,30 +65,29 @@ fn is_long(recording: &Recording, pair: [usize; 2]) -> bool {
     recording.options.search_s > 0.0 && pair.iter().all(|&c| duration_s(c) > MIN_OVERLAP_S)
 }
 
-/// The offset of the pair with index `n` to about a frame; 0, by the nominal clocks, for short recordings.
+/// The offset of a pair to about a frame; 0, by the nominal clocks, for short recordings. `n` is the index
+/// of its signals in its cameras' activities.
 pub fn rough_offset(
     recording: &Recording,
-    pairs: &[[usize; 2]],
+    [a, b]: [usize; 2],
+    activities: [&Activity; 2],
     n: usize,
-    activities: &Activities,
 ) -> Result<Result<ClockModel, PairFailure>, CaptureError> {
-    let Some(indices) = activities.signals[n] else { return Ok(Ok(ClockModel::default())) };
-    let [a, b] = pairs[n];
+    let signals =
+        activities.map(|of| Some(Signal { times_s: &of.times_s, values: of.signals.get(&n)? }));
+    let [Some(of_a), Some(of_b)] = signals else { return Ok(Ok(ClockModel::default())) };
     let frame_s = recording.clocks[a].frame_s().max(recording.clocks[b].frame_s());
-    let [of_a, of_b] = [a, b].map(|c| &activities.of_camera[c]);
-    let signals = [(of_a, indices[0]), (of_b, indices[1])]
-        .map(|(of, n)| Signal { times_s: &of.times_s, values: &of.signals[n] });
-    let mut shifts = peaks(&signals, recording.options.search_s, frame_s);
-    if shifts.is_empty() {
+    let mut offsets_s = peaks(&[of_a, of_b], recording.options.search_s, frame_s);
+    if offsets_s.is_empty() {
         return Ok(Err(PairFailure::NoOverlap));
     }
     // The nominal clocks' offset of 0 is always verified.
-    if shifts.iter().all(|s| s.offset_s.abs() > frame_s) {
-        shifts.push(Shift { offset_s: 0.0, correlation: 0.0 });
+    if offsets_s.iter().all(|offset_s| offset_s.abs() > frame_s) {
+        offsets_s.push(0.0);
     }
     let mut agreements = Vec::new();
-    for shift in &shifts {
-        agreements.push((shift.offset_s, agreement(recording, [a, b], shift.offset_s, of_a)?));
+    for offset_s in offsets_s {
+        agreements.push((offset_s, agreement(recording, [a, b], offset_s, activities[0])?));
     }
     Ok(choose(&agreements, frame_s))
 }
@@ -166,8 +143,7 @@ fn agreement(
         across += triple.across;
         observations.extend(triple.samples.iter().map(Observation::from));
     }
-    let model = ResidualModel::new(recording.clocks[a].frame_s());
-    let score = model.consensus_value(&observations).map_or(0.0, |(_, score)| score);
+    let score = consensus_value(&observations).map_or(0.0, |(_, score)| score);
     let enough = score >= MIN_INLIERS as f64;
     Ok(if enough { score / across.max(1) as f64 } else { 0.0 })
 }
@@ -195,8 +171,9 @@ impl Signal<'_> {
     }
 }
 
-/// The highest local maxima of the correlation within the search range, highest first.
-fn peaks(signals: &[Signal; 2], search_s: f64, frame_s: f64) -> Vec<Shift> {
+/// The offsets `offset_b − offset_a` of the highest local maxima of the correlation within the search
+/// range, seconds, highest first.
+fn peaks(signals: &[Signal; 2], search_s: f64, frame_s: f64) -> Vec<f64> {
     // A peak is about a frame wide.
     let step = 0.5 * frame_s;
     let max_steps = (search_s / step).ceil();
@@ -205,22 +182,16 @@ fn peaks(signals: &[Signal; 2], search_s: f64, frame_s: f64) -> Vec<Shift> {
     let [Some(a), Some(b)] = signals.each_ref().map(ends) else { return Vec::new() };
     let first = ((a.0 - b.1) / step).floor().max(-max_steps) as i64;
     let last = ((a.1 - b.0) / step).ceil().min(max_steps) as i64;
-    let all: Vec<Option<Shift>> = (first..=last)
-        .into_par_iter()
-        .map(|k| {
-            let offset_s = k as f64 * step;
-            let correlation = correlation(signals, offset_s)?;
-            Some(Shift { offset_s, correlation })
-        })
+    let correlations: Vec<Option<f64>> =
+        (first..=last).into_par_iter().map(|k| correlation(signals, k as f64 * step)).collect();
+    let at = |k: usize| correlations.get(k).copied().flatten().unwrap_or(f64::NEG_INFINITY);
+    let mut peaks: Vec<(f64, i64)> = (first..=last)
+        .zip(0..)
+        .filter(|&(_, n)| at(n) >= at(n.wrapping_sub(1)) && at(n) > at(n + 1))
+        .filter_map(|(k, n)| Some((correlations[n]?, k)))
         .collect();
-    let at = |k: usize| all[k].map_or(f64::NEG_INFINITY, |s| s.correlation);
-    let mut peaks: Vec<Shift> = (0..all.len())
-        .filter(|&k| (k == 0 || at(k) >= at(k - 1)) && (k + 1 == all.len() || at(k) > at(k + 1)))
-        .filter_map(|k| all[k])
-        .collect();
-    peaks.sort_by(|x, y| y.correlation.total_cmp(&x.correlation));
-    peaks.truncate(MAX_CANDIDATES);
-    peaks
+    peaks.sort_by(|x, y| y.0.total_cmp(&x.0));
+    peaks.into_iter().take(MAX_CANDIDATES).map(|(_, k)| k as f64 * step).collect()
 }
 
 /// The mean of the normalized cross-correlations of energy and motion, each over all bands, every band
@@ -308,7 +279,7 @@ mod tests {
             let signals = signals.each_ref().map(|(times_s, values)| Signal { times_s, values });
             let frame_s = 1.0 / rates[1];
             let best = peaks(&signals, 5.0, frame_s)[0];
-            assert!((best.offset_s - offset_s).abs() <= frame_s, "{seed}: {best:?} {offset_s}");
+            assert!((best - offset_s).abs() <= frame_s, "{seed}: {best} {offset_s}");
         }
     }
 

@@ -17,10 +17,10 @@
 //! contradict each other, a cheap move may be missed. The camera of the common clock keeps its offset
 //! of 0 even if it is undecided.
 
-use super::fit::{ClockFit, FitOptions, LagObservation, fit_clock_model, gap_penalty};
-use super::jumps::{Jumps, Move, MoveProblem};
+use super::fit::{ClockFit, LagObservation, LagProblem, gap_penalty};
+use super::jumps::{Component, Jumps};
 use super::{FittedClock, TimingObservation};
-use crate::offset::clock::NominalClock;
+use crate::offset::clock::{ClockModel, NominalClock};
 use nalgebra::Vector2;
 
 /// The penalty of one lost frame while cameras are added one after the other, in outliers. It is higher
@@ -52,48 +52,44 @@ pub fn fit_clock_models(
     reference: usize,
     observations: &[TimingObservation],
 ) -> Vec<Option<FittedClock>> {
-    let mut descent = CoordinateDescent::new(clocks, observations);
+    let mut of_camera = vec![Vec::new(); clocks.len()];
+    for observation in observations {
+        for c in observation.cameras {
+            of_camera[c].push(*observation);
+        }
+    }
+    let mut fitted: Vec<Option<FittedClock>> = vec![None; clocks.len()];
     let mut component = 0;
     for root in std::iter::once(reference).chain(0..clocks.len()) {
-        if descent.models[root].is_some() || descent.observations[root].is_empty() {
+        if fitted[root].is_some() || of_camera[root].is_empty() {
             continue;
         }
-        descent.loss_penalty = START_LOSS_PENALTY;
-        let clock = ClockFit::nominal(&clocks[root]).clock;
-        descent.models[root] = Some(FittedClock::new(clock, component));
-        while let Some(camera) = descent.next_camera() {
-            descent.add_camera(camera, component);
+        let mut fitting = Component::new(clocks, &of_camera, root);
+        while let Some(camera) = fitting.next_camera() {
+            fitting.add_camera(camera);
         }
-        descent.converge(component);
-        descent.improve_by_jumps(root, component);
-        descent.flag_ambiguous(component);
-        descent.flag_undecided(root, component);
-        descent.rebase(root, component);
+        fitting.converge();
+        fitting.improve_by_jumps();
+        let undecided = fitting.undecided();
+        for c in fitting.members() {
+            let (clock, ambiguous) = (fitting.rebased(c), fitting.is_ambiguous(c));
+            fitted[c] = Some(FittedClock { clock, ambiguous, undecided: undecided[c], component });
+        }
         component += 1;
     }
-    descent.models
+    fitted
 }
 
-/// Block-coordinate descent over the cameras' clock models.
-struct CoordinateDescent<'a> {
-    clocks: &'a [NominalClock<'a>],
-    /// By camera: the observations that it takes part in.
-    observations: Vec<Vec<TimingObservation>>,
-    models: Vec<Option<FittedClock>>,
-    /// The penalty of one lost frame, in outliers.
-    loss_penalty: f64,
-}
-
-impl<'a> CoordinateDescent<'a> {
-    fn new(clocks: &'a [NominalClock<'a>], observations: &[TimingObservation]) -> Self {
-        let mut of_camera = vec![Vec::new(); clocks.len()];
-        for observation in observations {
-            for c in observation.cameras {
-                of_camera[c].push(*observation);
-            }
-        }
-        let models = vec![None; clocks.len()];
-        Self { clocks, observations: of_camera, models, loss_penalty: START_LOSS_PENALTY }
+/// Block-coordinate descent over the clock models of a component.
+impl<'a> Component<'a> {
+    fn new(
+        clocks: &'a [NominalClock<'a>],
+        observations: &'a [Vec<TimingObservation>],
+        root: usize,
+    ) -> Self {
+        let mut models = vec![None; clocks.len()];
+        models[root] = Some(ClockFit::nominal(&clocks[root]).clock);
+        Self { clocks, observations, root, models, loss_penalty: START_LOSS_PENALTY }
     }
 
     /// The next camera to fit: among the cameras without a model that are observed together with a
@@ -118,27 +114,27 @@ impl<'a> CoordinateDescent<'a> {
     ///
     /// If an unconstrained fit steps back by a frame, all cameras fitted so far may have lost a frame
     /// there. This alternative replaces the constrained fit if its total cost is lower.
-    fn add_camera(&mut self, camera: usize, component: usize) {
+    fn add_camera(&mut self, camera: usize) {
         let unconstrained = self.fit(camera, true);
         let before = self.models.clone();
-        self.models[camera] = Some(FittedClock::new(self.fit(camera, false).clock, component));
+        self.models[camera] = Some(self.fit(camera, false).clock);
         if unconstrained.steps_back.is_empty() {
             return;
         }
-        self.converge(component);
-        let (constrained_cost, constrained_models) =
-            (self.total_cost(component), std::mem::replace(&mut self.models, before));
-        self.attribute_steps_back(camera, &unconstrained, component);
-        self.models[camera] = Some(FittedClock::new(unconstrained.clock, component));
-        self.converge(component);
-        if self.total_cost(component) >= constrained_cost {
+        self.converge();
+        let constrained_cost = self.total_cost();
+        let constrained_models = std::mem::replace(&mut self.models, before);
+        self.attribute_steps_back(camera, &unconstrained);
+        self.models[camera] = Some(unconstrained.clock);
+        self.converge();
+        if self.total_cost() >= constrained_cost {
             self.models = constrained_models;
         }
     }
 
-    /// Adds a lost frame to every fitted camera of the component that may lose frames, at each of the
-    /// times at which the fit of `camera` steps back.
-    fn attribute_steps_back(&mut self, camera: usize, fit: &ClockFit, component: usize) {
+    /// Adds a lost frame to every fitted camera that may lose frames, at each of the times at which the
+    /// fit of `camera` steps back.
+    fn attribute_steps_back(&mut self, camera: usize, fit: &ClockFit) {
         let clock = &self.clocks[camera];
         // The other cameras are one frame late there, and one more after each further step.
         let step_time_s = |(n, image): (usize, &usize)| {
@@ -146,37 +142,25 @@ impl<'a> CoordinateDescent<'a> {
         };
         let step_times_s: Vec<f64> =
             fit.steps_back.iter().enumerate().filter_map(step_time_s).collect();
-        for c in self.members(component) {
-            let may_lose_frames = self.clocks[c].may_lose_frames;
-            let Some(model) = self.models[c].as_mut().filter(|_| may_lose_frames) else {
-                continue;
-            };
-            let times = model.clock.image_times_s(&self.clocks[c]);
+        for (model, clock) in self.models.iter_mut().zip(self.clocks) {
+            let Some(model) = model.as_mut().filter(|_| clock.may_lose_frames) else { continue };
+            let times = model.image_times_s(clock);
             let first_after = |t: &f64| times.partition_point(|own| own < t).min(times.len() - 1);
-            model.clock.lost_before.extend(step_times_s.iter().map(first_after));
-            model.clock.lost_before.sort_unstable();
+            model.lost_before.extend(step_times_s.iter().map(first_after));
+            model.lost_before.sort_unstable();
         }
     }
 
-    /// The cameras of a component, ascending.
-    fn members(&self, component: usize) -> Vec<usize> {
-        let is_member =
-            |c: &usize| self.models[*c].as_ref().is_some_and(|m| m.component == component);
-        (0..self.clocks.len()).filter(is_member).collect()
-    }
-
-    /// Sweeps over the component's cameras, fitting each to all others, until no model changes.
-    fn converge(&mut self, component: usize) {
-        let members = self.members(component);
+    /// Sweeps over all cameras, fitting each to all others, until no model changes.
+    fn converge(&mut self) {
         for _ in 0..MAX_SWEEPS {
             let mut converged = true;
-            for &c in &members {
+            for c in self.members() {
                 let clock = self.fit(c, false).clock;
-                let before = self.models[c].take().unwrap_or_default().clock;
+                let before = self.models[c].replace(clock.clone()).unwrap_or_default();
                 converged &= clock.lost_before == before.lost_before
                     && (clock.offset_s - before.offset_s).abs()
                         < OFFSET_TOLERANCE_FRAMES * self.clocks[c].frame_s;
-                self.models[c] = Some(FittedClock::new(clock, component));
             }
             if converged {
                 break;
@@ -184,140 +168,92 @@ impl<'a> CoordinateDescent<'a> {
         }
     }
 
-    /// Flags the models that explain too few observations.
-    fn flag_ambiguous(&mut self, component: usize) {
-        for c in self.members(component) {
-            let fitted = self.fit(c, false);
-            let count = self.observations[c].len() as f64;
-            if let Some(model) = &mut self.models[c] {
-                let losses = self.loss_penalty * model.clock.lost_before.len() as f64;
-                model.ambiguous = fitted.cost - losses > MAX_OUTLIER_FRACTION * count;
-            }
-        }
-    }
-
-    /// The models of a component's cameras; `None` for all other cameras.
-    fn models_of(&self, component: usize) -> Vec<Option<FittedClock>> {
-        let of = |m: &Option<FittedClock>| m.clone().filter(|m| m.component == component);
-        self.models.iter().map(of).collect()
+    /// Whether a camera's model explains too few observations.
+    fn is_ambiguous(&self, camera: usize) -> bool {
+        let lost = self.models[camera].as_ref().map_or(0, |model| model.lost_before.len());
+        let losses = self.loss_penalty * lost as f64;
+        let count = self.observations[camera].len() as f64;
+        self.fit(camera, false).cost - losses > MAX_OUTLIER_FRACTION * count
     }
 
     /// Moves images of several cameras at once by a frame, as long as that lowers the objective.
-    fn improve_by_jumps(&mut self, origin: usize, component: usize) {
-        let observations = self.component_observations(component);
+    fn improve_by_jumps(&mut self) {
         self.loss_penalty = LOSS_PENALTY;
-        self.converge(component);
+        self.converge();
         for _ in 0..MAX_SWEEPS {
-            let cost = self.total_cost(component);
-            let models = self.models_of(component);
+            let cost = self.total_cost();
             let improved = JUMPS.into_iter().find_map(|frames| {
-                let problem = self.problem(&models, &observations, origin);
-                let jumps = Jumps::new(problem, frames);
+                let jumps = Jumps::new(self, frames);
                 let improvement = jumps.cheapest(None).filter(|m| m.cost < -MIN_IMPROVEMENT)?;
                 Some(jumps.apply(&improvement))
             });
             let Some(improved) = improved else { return };
-            let before = self.models.clone();
-            for (model, improved) in self.models.iter_mut().zip(improved) {
-                *model = improved.or(model.take());
-            }
-            self.converge(component);
-            if self.total_cost(component) > cost - MIN_IMPROVEMENT {
+            let before = std::mem::replace(&mut self.models, improved);
+            self.converge();
+            if self.total_cost() > cost - MIN_IMPROVEMENT {
                 self.models = before;
                 return;
             }
         }
     }
 
-    /// Flags the cameras with images that could move by whole frames, alone or together with others, at
-    /// nearly the same objective.
-    fn flag_undecided(&mut self, origin: usize, component: usize) {
-        let observations = self.component_observations(component);
-        let models = self.models_of(component);
-        let mut undecided = vec![false; self.models.len()];
+    /// By camera: whether it has images that could move by whole frames, alone or together with others,
+    /// at nearly the same objective.
+    fn undecided(&self) -> Vec<bool> {
+        let mut undecided = vec![false; self.clocks.len()];
         for frames in JUMPS {
-            let problem = self.problem(&models, &observations, origin);
-            let jumps = Jumps::new(problem, frames);
-            let best = jumps.cheapest(None);
-            let lowest = best.as_ref().map_or(0.0, |m| m.cost.min(0.0));
-            let mut flag = |of: Option<Move>| {
-                let moved = of.map(|m| jumps.moved_cameras(&m)).unwrap_or_default();
-                moved.into_iter().for_each(|c| undecided[c] = true);
-                undecided.clone()
-            };
-            let mut flagged = flag(best);
-            for camera in self.members(component) {
+            let jumps = Jumps::new(self, frames);
+            let mut lowest: f64 = 0.0;
+            if let Some(best) = jumps.cheapest(None) {
+                lowest = lowest.min(best.cost);
+                jumps.mark_moved(&best, &mut undecided);
+            }
+            for camera in self.members() {
                 for node in jumps.decisive_nodes(camera) {
-                    if flagged[camera] {
+                    if undecided[camera] {
                         break;
                     }
                     let cheapest = jumps.cheapest(Some(node));
-                    flagged = flag(cheapest.filter(|m| m.cost - lowest < DECISIVE_OUTLIERS));
+                    if let Some(rival) = cheapest.filter(|m| m.cost - lowest < DECISIVE_OUTLIERS) {
+                        jumps.mark_moved(&rival, &mut undecided);
+                    }
                 }
             }
         }
-        for (model, undecided) in self.models.iter_mut().zip(undecided) {
-            if let Some(model) = model.as_mut().filter(|m| m.component == component) {
-                model.undecided = undecided;
-            }
-        }
+        undecided
     }
 
-    fn problem<'b>(
-        &'b self,
-        models: &'b [Option<FittedClock>],
-        observations: &'b [TimingObservation],
-        origin: usize,
-    ) -> MoveProblem<'b> {
-        let loss_penalty = self.loss_penalty;
-        MoveProblem { clocks: self.clocks, models, observations, origin, loss_penalty }
-    }
-
-    /// The observations of a component, each once.
-    fn component_observations(&self, component: usize) -> Vec<TimingObservation> {
-        let as_second = |c: usize| self.observations[c].iter().filter(move |o| o.cameras[1] == c);
-        self.members(component).into_iter().flat_map(as_second).copied().collect()
-    }
-
-    /// The objective of a connected component of cameras: the cost of its observations and of its lost frames. An
-    /// observation between two cameras is added once, not once a camera.
-    fn total_cost(&self, component: usize) -> f64 {
-        let camera_cost = |c: usize| {
-            let line = self.models[c].as_ref().map_or_else(Vector2::zeros, |model| {
-                Vector2::new(model.clock.offset_s / self.clocks[c].frame_s, model.clock.rate)
-            });
+    /// The objective: the cost of all observations and of the lost frames. An observation between two
+    /// cameras is added once, not once a camera.
+    fn total_cost(&self) -> f64 {
+        let camera_cost = |(c, model): (usize, &ClockModel)| {
+            let line = Vector2::new(model.offset_s / self.clocks[c].frame_s, model.rate);
             let loss_count = |o: &LagObservation| {
-                let before = self.models[c].iter().flat_map(|m| &m.clock.lost_before);
-                before.filter(|n| **n <= o.image).count() as i32
+                model.lost_before.iter().filter(|n| **n <= o.image).count() as i32
             };
             let as_second = self.observations[c].iter().filter(|o| o.cameras[1] == c);
             let lags = as_second.filter_map(|o| self.lag(c, o));
-            let lost_before =
-                self.models[c].iter().flat_map(|m| m.clock.lost_before.chunk_by(usize::eq));
-            let penalty = |gap: &[usize]| gap_penalty(gap.len() as u32, self.loss_penalty);
             let sum: f64 = lags.map(|o| o.cost(&line, [loss_count(&o); 2])).sum();
-            sum + lost_before.map(penalty).sum::<f64>()
+            let gaps = model.lost_before.chunk_by(usize::eq);
+            sum + gaps.map(|gap| gap_penalty(gap.len() as u32, self.loss_penalty)).sum::<f64>()
         };
-        self.members(component).into_iter().map(camera_cost).sum()
+        let models = self.models.iter().enumerate();
+        models.filter_map(|(c, model)| Some((c, model.as_ref()?))).map(camera_cost).sum()
     }
 
-    /// Makes the clock of the camera `root` the common clock of its component.
-    fn rebase(&mut self, root: usize, component: usize) {
-        let Some(origin) = self.models[root].clone() else { return };
-        for c in self.members(component) {
-            if let Some(model) = &mut self.models[c] {
-                model.clock.offset_s -= origin.clock.offset_s;
-                model.clock.rate -= origin.clock.rate;
-            }
-        }
+    /// A camera's model on the clock of the root.
+    fn rebased(&self, camera: usize) -> ClockModel {
+        let [model, root] = [camera, self.root].map(|c| self.models[c].clone().unwrap_or_default());
+        let (offset_s, rate) = (model.offset_s - root.offset_s, model.rate - root.rate);
+        ClockModel { offset_s, rate, ..model }
     }
 
     /// Fits a camera's clock model, given the models of all others.
     fn fit(&self, camera: usize, allow_steps_back: bool) -> ClockFit {
         let lags: Vec<LagObservation> =
             self.observations[camera].iter().filter_map(|o| self.lag(camera, o)).collect();
-        let options = FitOptions { loss_penalty: self.loss_penalty, allow_steps_back };
-        fit_clock_model(&lags, &self.clocks[camera], options)
+        let (clock, loss_penalty) = (&self.clocks[camera], self.loss_penalty);
+        LagProblem { lags: &lags, clock, loss_penalty, allow_steps_back }.fit()
     }
 
     /// Converts a timing observation to the lag of one of its cameras behind the common clock, given the
@@ -351,6 +287,6 @@ impl<'a> CoordinateDescent<'a> {
 
     /// The time of a camera's image on the common clock, seconds; `None` without a model.
     fn time_s(&self, camera: usize, image: usize) -> Option<f64> {
-        self.models[camera].as_ref()?.clock.image_time_s(&self.clocks[camera], image)
+        self.models[camera].as_ref()?.image_time_s(&self.clocks[camera], image)
     }
 }

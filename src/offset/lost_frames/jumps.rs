@@ -10,11 +10,37 @@
 //! Known limits: offsets within a frame and rates stay as they are. Observations that contradict each
 //! other give terms that are not submodular ([`super::min_cut`]), and a move through them may be missed.
 
+use super::TimingObservation;
 use super::fit::{gap_penalty, robust_loss};
-use super::min_cut::{Energy, TripleCosts};
-use super::{FittedClock, TimingObservation};
-use crate::offset::clock::NominalClock;
+use super::min_cut::{Energy, FORBIDDEN, TripleCosts};
+use crate::offset::clock::{ClockModel, NominalClock};
 use std::ops::Range;
+
+/// The cameras of one connected component, and their clock models.
+pub struct Component<'a> {
+    pub clocks: &'a [NominalClock<'a>],
+    /// By camera: the observations that it takes part in.
+    pub observations: &'a [Vec<TimingObservation>],
+    /// The camera whose first image keeps its time.
+    pub root: usize,
+    /// By camera; `None` for cameras of other components, and for those that are not added yet.
+    pub models: Vec<Option<ClockModel>>,
+    /// The penalty of one lost frame, in outliers.
+    pub loss_penalty: f64,
+}
+
+impl Component<'_> {
+    /// The cameras that have a model, ascending.
+    pub fn members(&self) -> Vec<usize> {
+        (0..self.clocks.len()).filter(|&c| self.models[c].is_some()).collect()
+    }
+
+    /// The observations of all fitted cameras, each once: at its second camera.
+    pub fn fitted_observations(&self) -> impl Iterator<Item = &TimingObservation> {
+        let as_second = |c: usize| self.observations[c].iter().filter(move |o| o.cameras[1] == c);
+        self.members().into_iter().flat_map(as_second)
+    }
+}
 
 /// Images of a camera that move together: from `image` up to the image of the camera's next node.
 struct MoveNode {
@@ -32,23 +58,9 @@ pub struct Move {
     pub cost: f64,
 }
 
-/// The models and observations of a component, whose images move.
-#[derive(Clone, Copy)]
-pub struct MoveProblem<'a> {
-    pub clocks: &'a [NominalClock<'a>],
-    /// By camera; `None` for cameras of other components.
-    pub models: &'a [Option<FittedClock>],
-    /// The component's observations, each once.
-    pub observations: &'a [TimingObservation],
-    /// The camera whose first image keeps its time.
-    pub origin: usize,
-    /// The penalty of one lost frame, in outliers.
-    pub loss_penalty: f64,
-}
-
 /// All moves of a component's images by a given number of frames.
 pub struct Jumps<'a> {
-    problem: MoveProblem<'a>,
+    component: &'a Component<'a>,
     nodes: Vec<MoveNode>,
     /// By camera: its nodes, ascending by image.
     of_camera: Vec<Range<usize>>,
@@ -59,10 +71,10 @@ pub struct Jumps<'a> {
 }
 
 impl<'a> Jumps<'a> {
-    pub fn new(problem: MoveProblem<'a>, frames: i32) -> Self {
-        let (nodes, of_camera) = nodes(&problem);
-        let mut jumps = Self { problem, nodes, of_camera, terms: Vec::new(), frames };
-        jumps.terms = problem.observations.iter().filter_map(|o| jumps.term(o)).collect();
+    pub fn new(component: &'a Component<'a>, frames: i32) -> Self {
+        let (nodes, of_camera) = nodes(component);
+        let mut jumps = Self { component, nodes, of_camera, terms: Vec::new(), frames };
+        jumps.terms = component.fitted_observations().filter_map(|o| jumps.term(o)).collect();
         jumps
     }
 
@@ -76,9 +88,8 @@ impl<'a> Jumps<'a> {
     /// An observation's nodes and costs.
     fn term(&self, o: &TimingObservation) -> Option<([usize; 3], TripleCosts)> {
         let ([a, b], [k, m]) = (o.cameras, o.images);
-        let [clock_a, clock_b] = o.cameras.map(|c| &self.problem.clocks[c]);
-        let [model_a, model_b] =
-            o.cameras.map(|c| self.problem.models[c].as_ref().map(|m| &m.clock));
+        let [clock_a, clock_b] = o.cameras.map(|c| &self.component.clocks[c]);
+        let [model_a, model_b] = o.cameras.map(|c| self.component.models[c].as_ref());
         let start_s = model_a?.image_time_s(clock_a, k)?;
         let end_s = model_a?.image_time_s(clock_a, k + 1)?;
         let image_s = model_b?.image_time_s(clock_b, m)?;
@@ -113,9 +124,10 @@ impl<'a> Jumps<'a> {
     /// `None` if nothing moves, or all such moves are impossible.
     pub fn cheapest(&self, containing: Option<usize>) -> Option<Move> {
         let mut energy = Energy::new(self.nodes.len());
-        energy.fix(self.of_camera[self.problem.origin].start, false);
+        let origin = self.of_camera[self.component.root].start;
+        energy.add_unary(origin, FORBIDDEN);
         if let Some(node) = containing {
-            energy.fix(node, true);
+            energy.add_unary(node, -FORBIDDEN);
         }
         for (nodes, costs) in &self.terms {
             energy.add_triple(*nodes, costs);
@@ -130,14 +142,14 @@ impl<'a> Jumps<'a> {
                 energy.add_unary(down, -penalty);
             } else {
                 energy.add_edge(up, down, self.penalty(lost + frames) - self.penalty(lost));
-                energy.forbid(down, up);
+                energy.add_edge(down, up, FORBIDDEN);
             }
         }
         let moves = energy.minimize(self.nodes.len());
         let cost = self.cost(&moves)?;
         let contains = containing.is_none_or(|node| moves[node]);
-        let origin = moves[self.of_camera[self.problem.origin].start];
-        (moves.contains(&true) && contains && !origin).then_some(Move { moves, cost })
+        let is_move = moves.contains(&true) && contains && !moves[origin];
+        is_move.then_some(Move { moves, cost })
     }
 
     /// The pairs of successive nodes of one camera.
@@ -162,7 +174,7 @@ impl<'a> Jumps<'a> {
     }
 
     fn penalty(&self, lost: u32) -> f64 {
-        gap_penalty(lost, self.problem.loss_penalty)
+        gap_penalty(lost, self.component.loss_penalty)
     }
 
     /// The change of the number of frames lost between two neighbouring nodes by a move.
@@ -170,26 +182,26 @@ impl<'a> Jumps<'a> {
         self.frames * (i32::from(moves[after]) - i32::from(moves[before]))
     }
 
-    /// The cameras with images that move, ascending.
-    pub fn moved_cameras(&self, of: &Move) -> Vec<usize> {
-        let moves = |range: &Range<usize>| of.moves[range.clone()].contains(&true);
-        let cameras = self.of_camera.iter().enumerate();
-        cameras.filter(|(_, range)| moves(range)).map(|(c, _)| c).collect()
+    /// Marks the cameras with images that move.
+    pub fn mark_moved(&self, of: &Move, marked: &mut [bool]) {
+        for (range, marked) in self.of_camera.iter().zip(marked) {
+            *marked |= of.moves[range.clone()].contains(&true);
+        }
     }
 
     /// The models after a move.
-    pub fn apply(&self, of: &Move) -> Vec<Option<FittedClock>> {
-        let mut models = self.problem.models.to_vec();
+    pub fn apply(&self, of: &Move) -> Vec<Option<ClockModel>> {
+        let mut models = self.component.models.clone();
         for (c, range) in self.of_camera.iter().enumerate() {
             let Some(model) = models[c].as_mut() else { continue };
             if of.moves[range.clone()].first() == Some(&true) {
-                model.clock.offset_s += f64::from(self.frames) * self.problem.clocks[c].frame_s;
+                model.offset_s += f64::from(self.frames) * self.component.clocks[c].frame_s;
             }
         }
         for pair in self.neighbours() {
             let (before, after) = (&self.nodes[pair.0], &self.nodes[pair.1]);
             let Some(model) = models[after.camera].as_mut() else { continue };
-            let lost_before = &mut model.clock.lost_before;
+            let lost_before = &mut model.lost_before;
             let further = self.further_losses(&of.moves, pair);
             for _ in 0..further {
                 lost_before.push(after.image);
@@ -210,32 +222,32 @@ impl<'a> Jumps<'a> {
 ///
 /// A camera that loses no frames moves as a whole. For another camera, each image with an observation
 /// starts a node, and so do the first and the last image that other cameras could observe.
-fn nodes(problem: &MoveProblem) -> (Vec<MoveNode>, Vec<Range<usize>>) {
-    let mut images: Vec<Vec<usize>> = vec![Vec::new(); problem.models.len()];
-    for o in problem.observations {
+fn nodes(component: &Component) -> (Vec<MoveNode>, Vec<Range<usize>>) {
+    let mut images: Vec<Vec<usize>> = vec![Vec::new(); component.models.len()];
+    for o in component.fitted_observations() {
         let ([a, b], [k, m]) = (o.cameras, o.images);
         images[a].extend([k, k + 1]);
         images[b].push(m);
     }
-    for (images, model) in images.iter_mut().zip(problem.models) {
+    for (images, model) in images.iter_mut().zip(&component.models) {
         // No image without a node may lie between the two images around a loss.
-        let lost_before = model.iter().flat_map(|m| &m.clock.lost_before);
+        let lost_before = model.iter().flat_map(|m| &m.lost_before);
         images.extend(lost_before.flat_map(|n| [n.saturating_sub(1), *n]));
     }
-    let ends = observable_ends(problem);
+    let ends = observable_ends(component);
     let (mut nodes, mut of_camera) = (Vec::new(), Vec::new());
     for (camera, images) in images.iter_mut().enumerate() {
         let start = nodes.len();
-        images.extend(&ends[camera]);
+        images.extend(ends[camera].into_iter().flatten());
         images.sort_unstable();
         images.dedup();
-        if !problem.clocks[camera].may_lose_frames {
+        if !component.clocks[camera].may_lose_frames {
             images.truncate(1);
         }
-        if let Some(model) = &problem.models[camera] {
+        if let Some(model) = &component.models[camera] {
             for (n, &image) in images.iter().enumerate() {
                 let between = |lost: &&usize| n > 0 && **lost > images[n - 1] && **lost <= image;
-                let lost = model.clock.lost_before.iter().filter(between).count();
+                let lost = model.lost_before.iter().filter(between).count();
                 nodes.push(MoveNode { camera, image, lost: lost as u32 });
             }
         }
@@ -245,30 +257,27 @@ fn nodes(problem: &MoveProblem) -> (Vec<MoveNode>, Vec<Range<usize>>) {
 }
 
 /// By camera: the first and the last image within a frame of an image of the cameras that observations
-/// connect it with; empty if there are none.
-fn observable_ends(problem: &MoveProblem) -> Vec<Vec<usize>> {
-    let image_times_s = |(model, clock): (&Option<FittedClock>, &NominalClock)| {
-        model.as_ref().map_or_else(Vec::new, |m| m.clock.image_times_s(clock))
+/// connect it with; `None` if there are none.
+fn observable_ends(component: &Component) -> Vec<Option<[usize; 2]>> {
+    let image_times_s = |(model, clock): (&Option<ClockModel>, &NominalClock)| {
+        model.as_ref().map_or_else(Vec::new, |m| m.image_times_s(clock))
     };
     let times: Vec<Vec<f64>> =
-        problem.models.iter().zip(problem.clocks).map(image_times_s).collect();
-    let mut spans_s: Vec<Option<[f64; 2]>> = vec![None; times.len()];
-    for o in problem.observations {
+        component.models.iter().zip(component.clocks).map(image_times_s).collect();
+    let mut spans_s = vec![[f64::INFINITY, f64::NEG_INFINITY]; times.len()];
+    for o in component.fitted_observations() {
         let [a, b] = o.cameras;
         for (c, other) in [(a, b), (b, a)] {
-            let [Some(first), Some(last)] = [times[other].first(), times[other].last()] else {
-                continue;
-            };
-            let [start_s, end_s] = spans_s[c].unwrap_or([f64::INFINITY, f64::NEG_INFINITY]);
-            spans_s[c] = Some([start_s.min(*first), end_s.max(*last)]);
+            for time_s in times[other].first().into_iter().chain(times[other].last()) {
+                spans_s[c] = [spans_s[c][0].min(*time_s), spans_s[c][1].max(*time_s)];
+            }
         }
     }
-    let end = |c: usize| {
-        let [start_s, end_s] = spans_s[c]?;
-        let frame_s = problem.clocks[c].frame_s;
+    let end = |(c, [start_s, end_s]): (usize, [f64; 2])| {
+        let frame_s = component.clocks[c].frame_s;
         let first = times[c].partition_point(|t| *t <= start_s - frame_s);
         let last = times[c].partition_point(|t| *t < end_s + frame_s).checked_sub(1)?;
-        (first <= last).then(|| vec![first, last])
+        (first <= last).then_some([first, last])
     };
-    (0..times.len()).map(|c| end(c).unwrap_or_default()).collect()
+    spans_s.into_iter().enumerate().map(end).collect()
 }

@@ -4,8 +4,12 @@
 //! Known limit: terms that are not submodular are replaced by upper bounds. The labels then have a low
 //! energy, not always the minimum.
 
+use petgraph::Direction;
+use petgraph::algo::dinics;
+use petgraph::graph::{DiGraph, NodeIndex};
+use petgraph::visit::EdgeRef;
+
 /// An energy of binary variables: a sum of terms of one, two and three variables.
-#[derive(Clone)]
 pub struct Energy {
     /// By variable: the cost of the label 1.
     unary: Vec<f64>,
@@ -16,19 +20,14 @@ pub struct Energy {
 /// The energies of three variables' labels: `[x][y][z]`.
 pub type TripleCosts = [[[f64; 2]; 2]; 2];
 
-/// The cost of a forbidden label: more than the sum of all other terms.
-const FORBIDDEN: f64 = 1e7;
-/// The capacity up to which an edge counts as saturated; above rounding errors.
-const SATURATED: f64 = 1e-9;
+/// The cost of a forbidden label, or of a forbidden pair of labels: more than the sum of all other terms.
+pub const FORBIDDEN: f64 = 1e7;
+/// The units of a capacity of 1. Capacities are integers, so that flows are exact.
+const UNITS: f64 = (1_u64 << 30) as f64;
 
 impl Energy {
     pub fn new(variables: usize) -> Self {
         Self { unary: vec![0.0; variables], edges: Vec::new() }
-    }
-
-    /// Fixes the label of a variable.
-    pub fn fix(&mut self, variable: usize, label: bool) {
-        self.unary[variable] += if label { -FORBIDDEN } else { FORBIDDEN };
     }
 
     /// Adds a cost of the label 1 for a variable.
@@ -39,11 +38,6 @@ impl Energy {
     /// Adds a cost of the label 1 for x and 0 for y; it must not be negative.
     pub fn add_edge(&mut self, x: usize, y: usize, cost: f64) {
         self.edges.push((x, y, cost));
-    }
-
-    /// Forbids the label 1 for x and 0 for y.
-    pub fn forbid(&mut self, x: usize, y: usize) {
-        self.edges.push((x, y, FORBIDDEN));
     }
 
     /// Adds the term `coefficient · x · y`; the coefficient must not be positive.
@@ -71,7 +65,7 @@ impl Energy {
         }
         // The cubic term is a minimum over an auxiliary variable w: of −2cw + cw (x + y + z) if it is
         // negative, otherwise of cw − cw (x + y + z) + c (xy + xz + yz).
-        if cubic.abs() > SATURATED {
+        if cubic.abs() > 1.0 / UNITS {
             let further = self.unary.len();
             self.unary.push(if cubic < 0.0 { -2.0 * cubic } else { cubic });
             for variable in variables {
@@ -94,107 +88,31 @@ impl Energy {
     /// it is the one with the fewest labels of 1.
     pub fn minimize(&self, count: usize) -> Vec<bool> {
         let (source, sink) = (self.unary.len(), self.unary.len() + 1);
-        let mut network = Network::new(sink + 1);
-        for (variable, &cost) in self.unary.iter().enumerate() {
-            if cost > 0.0 {
-                network.add_edge(variable, sink, cost);
-            } else if cost < 0.0 {
-                network.add_edge(source, variable, -cost);
+        let terminal = |(variable, &cost): (usize, &f64)| match cost > 0.0 {
+            true => (variable, sink, cost),
+            false => (source, variable, -cost),
+        };
+        // The first edge makes sure that there are both terminals.
+        let edges = std::iter::once((source, sink, 0.0))
+            .chain(self.unary.iter().enumerate().map(terminal))
+            .chain(self.edges.iter().copied())
+            .map(|(x, y, cost)| (x as u32, y as u32, (UNITS * cost).round() as u64));
+        let network = DiGraph::<(), u64>::from_edges(edges);
+        let (_, flow) = dinics(&network, NodeIndex::new(source), NodeIndex::new(sink));
+        // Variables that the source still reaches have the label 1.
+        let mut reached = vec![false; network.node_count()];
+        let mut open = vec![NodeIndex::new(source)];
+        while let Some(node) = open.pop() {
+            if !std::mem::replace(&mut reached[node.index()], true) {
+                let onward = network.edges_directed(node, Direction::Outgoing);
+                let onward = onward.filter(|e| flow[e.id().index()] < *e.weight());
+                let back = network.edges_directed(node, Direction::Incoming);
+                let back = back.filter(|e| flow[e.id().index()] > 0);
+                open.extend(onward.map(|e| e.target()).chain(back.map(|e| e.source())));
             }
         }
-        for &(x, y, cost) in &self.edges {
-            network.add_edge(x, y, cost);
-        }
-        let levels = network.saturate(source, sink);
-        levels[..count].iter().map(Option::is_some).collect()
-    }
-}
-
-/// A flow network in which edge `2n + 1` is the reverse of edge `2n`.
-struct Network {
-    /// By node: its edges.
-    leaving: Vec<Vec<usize>>,
-    /// By edge: the node that it leads to.
-    to: Vec<usize>,
-    /// By edge: its residual capacity.
-    capacity: Vec<f64>,
-}
-
-impl Network {
-    fn new(nodes: usize) -> Self {
-        Self { leaving: vec![Vec::new(); nodes], to: Vec::new(), capacity: Vec::new() }
-    }
-
-    fn add_edge(&mut self, from: usize, to: usize, capacity: f64) {
-        for (from, to, capacity) in [(from, to, capacity), (to, from, 0.0)] {
-            self.leaving[from].push(self.to.len());
-            self.to.push(to);
-            self.capacity.push(capacity);
-        }
-    }
-
-    /// Sends the maximum flow, and returns the levels of the nodes that the source still reaches.
-    fn saturate(&mut self, source: usize, sink: usize) -> Vec<Option<usize>> {
-        loop {
-            let levels = self.levels(source);
-            if levels[sink].is_none() {
-                return levels;
-            }
-            let mut next = vec![0; self.leaving.len()];
-            while self.augment(&levels, &mut next, source, sink) {}
-        }
-    }
-
-    /// By node: its distance from the source along edges with capacity.
-    fn levels(&self, source: usize) -> Vec<Option<usize>> {
-        let mut levels = vec![None; self.leaving.len()];
-        levels[source] = Some(0);
-        let mut queue = std::collections::VecDeque::from([(source, 0)]);
-        while let Some((node, level)) = queue.pop_front() {
-            for &edge in &self.leaving[node] {
-                let to = self.to[edge];
-                if self.capacity[edge] > SATURATED && levels[to].is_none() {
-                    levels[to] = Some(level + 1);
-                    queue.push_back((to, level + 1));
-                }
-            }
-        }
-        levels
-    }
-
-    /// Sends flow along one path of ascending levels, and returns whether there was one. `next` holds each
-    /// node's first edge that may still lead to the sink.
-    fn augment(
-        &mut self,
-        levels: &[Option<usize>],
-        next: &mut [usize],
-        source: usize,
-        sink: usize,
-    ) -> bool {
-        let mut path: Vec<usize> = Vec::new();
-        let mut node = source;
-        while node != sink {
-            let Some(&edge) = self.leaving[node].get(next[node]) else {
-                // A dead end: one step back.
-                let Some(edge) = path.pop() else { return false };
-                node = self.to[edge ^ 1];
-                next[node] += 1;
-                continue;
-            };
-            let to = self.to[edge];
-            if self.capacity[edge] > SATURATED && levels[to] == levels[node].map(|l| l + 1) {
-                path.push(edge);
-                node = to;
-            } else {
-                next[node] += 1;
-            }
-        }
-        let flow = path.iter().map(|e| self.capacity[*e]).fold(f64::INFINITY, f64::min);
-        for edge in path {
-            self.capacity[edge] -= flow;
-            self.capacity[edge ^ 1] += flow;
-        }
-        true
+        reached.truncate(count);
+        reached
     }
 }
 
@@ -247,9 +165,9 @@ mod tests {
     #[test]
     fn fixed_variables_and_forbidden_pairs_hold() {
         let mut energy = Energy::new(4);
-        energy.fix(0, true);
-        energy.fix(3, false);
-        energy.forbid(0, 1);
+        energy.add_unary(0, -FORBIDDEN);
+        energy.add_unary(3, FORBIDDEN);
+        energy.add_edge(0, 1, FORBIDDEN);
         energy.add_edge(1, 2, 0.5);
         energy.add_unary(2, 0.4);
         assert_eq!(energy.minimize(4), [true, true, true, false]);

@@ -18,7 +18,7 @@ mod jumps;
 mod min_cut;
 
 use super::clock::{ClockModel, NominalClock};
-use super::pair::{MIN_AGREEMENT, MIN_INLIERS, Observation, PairFailure, ResidualModel};
+use super::pair::{MIN_AGREEMENT, MIN_INLIERS, Observation, PairFailure, consensus_value};
 use super::recording::{Recording, spread};
 use crate::capture::CaptureError;
 use crate::progress::Reporter;
@@ -49,19 +49,10 @@ pub struct FittedClock {
     pub component: usize,
 }
 
-impl FittedClock {
-    fn new(clock: ClockModel, component: usize) -> Self {
-        Self { clock, ambiguous: false, undecided: false, component }
-    }
-}
-
-/// A pair's offset observed at one triple of frames.
+/// A pair's offset observed at one triple of frames: two successive images of camera a, one of camera b.
 #[derive(Clone, Copy, Debug)]
 struct TripleOffset {
-    /// The earlier one of camera a's two images.
-    k: usize,
-    /// Camera b's image.
-    m: usize,
+    timing: TimingObservation,
     /// `offset_b − offset_a`, seconds.
     offset_s: f64,
     /// The MSAC score: about the number of inliers.
@@ -94,17 +85,6 @@ const IMAGES_AROUND_LOSS: usize = 2;
 /// The maximum number of rounds of observing again by the fitted clock models.
 const MAX_ROUNDS: usize = 3;
 
-/// The lost frames of a camera, and whether the observations determine them.
-#[derive(Clone, Debug, Default)]
-pub struct LostFrames {
-    /// The images before which a frame is missing, ascending, one entry for each frame.
-    pub lost_before: Vec<usize>,
-    /// Whether too few observations agree on the lost frames.
-    pub ambiguous: bool,
-    /// Whether other lost frames explain the observations nearly as well.
-    pub undecided: bool,
-}
-
 /// Detects the lost frames of all cameras; the result is by camera.
 ///
 /// `starts` holds each pair's initial offset. Offsets of pairs with fitted clock models are replaced by
@@ -114,7 +94,7 @@ pub fn detect_lost_frames(
     pairs: &[[usize; 2]],
     starts: &mut [Result<ClockModel, PairFailure>],
     reporter: &Reporter,
-) -> Result<Vec<LostFrames>, CaptureError> {
+) -> Result<Vec<FittedClock>, CaptureError> {
     let capture = recording.frames.capture();
     let count = capture.cameras.len();
     let clocks: Vec<_> = (0..count).map(|c| NominalClock::of_camera(capture, c)).collect();
@@ -125,13 +105,12 @@ pub fn detect_lost_frames(
             *start = Ok(j.clock.relative_to(&i.clock));
         }
     }
-    let lost_frames = |(model, nominal): (Option<FittedClock>, &NominalClock)| match model {
-        Some(FittedClock { clock, ambiguous, undecided, .. }) => {
-            LostFrames { lost_before: clock.lost_before, ambiguous, undecided }
-        }
-        None => LostFrames { ambiguous: nominal.may_lose_frames, ..LostFrames::default() },
+    let unobserved = |clock: &NominalClock| FittedClock {
+        ambiguous: clock.may_lose_frames,
+        ..FittedClock::default()
     };
-    Ok(models.into_iter().zip(&clocks).map(lost_frames).collect())
+    let models = models.into_iter().zip(&clocks);
+    Ok(models.map(|(model, clock)| model.unwrap_or_else(|| unobserved(clock))).collect())
 }
 
 /// Fits the clock models of all cameras to the observations of every pair in both directions.
@@ -149,142 +128,109 @@ fn joint_models(
         .flat_map(|(&[i, j], offset_s)| [([i, j], offset_s), ([j, i], -offset_s)])
         .collect();
     let task = reporter.task("Lost frames", directions.len());
-    let mut offsets = directions
-        .par_iter()
-        .map(|&(pair, offset_s)| {
-            let offsets = track_offset(recording, pair, offset_s);
-            task.advance(1);
-            offsets
-        })
-        .collect::<Result<Vec<_>, _>>()?;
-    let fit = |offsets: &[Vec<TripleOffset>]| {
-        let observations: Vec<TimingObservation> = directions
-            .iter()
-            .zip(offsets)
-            .flat_map(|((pair, _), offsets)| timing_observations(recording, *pair, offsets))
-            .collect();
+    let scan = |&(cameras, offset_s): &([usize; 2], f64)| {
+        let mut scan = PairScan::new(recording, cameras);
+        scan.track_offset(offset_s)?;
+        task.advance(1);
+        Ok(scan)
+    };
+    let mut scans = directions.par_iter().map(scan).collect::<Result<Vec<_>, CaptureError>>()?;
+    let fit = |scans: &[PairScan]| {
+        let offsets = scans.iter().flat_map(|scan| &scan.offsets);
+        let observations: Vec<TimingObservation> = offsets.map(|o| o.timing).collect();
         fit_clock_models(clocks, recording.frames.capture().reference, &observations)
     };
-    let mut models = fit(&offsets);
+    let mut models = fit(&scans);
     for _ in 0..MAX_ROUNDS {
-        let changed = directions
-            .par_iter()
-            .zip(&mut offsets)
-            .map(|((pair, _), offsets)| observe_again(recording, *pair, clocks, &models, offsets))
+        let changed = scans
+            .par_iter_mut()
+            .map(|scan| scan.observe_again(clocks, &models))
             .collect::<Result<Vec<bool>, _>>()?;
         if !changed.contains(&true) {
             break;
         }
-        models = fit(&offsets);
+        models = fit(&scans);
     }
     Ok(models)
 }
 
-/// Tracks the offset of the pair (a, b) along the recording, from the initial offset of its main part,
-/// and brackets its jumps.
-fn track_offset(
-    recording: &Recording,
-    cameras: [usize; 2],
-    initial_offset_s: f64,
-) -> Result<Vec<TripleOffset>, CaptureError> {
-    let scan = PairScan::new(recording, cameras);
-    let mut offsets: Vec<TripleOffset> = Vec::new();
-    let mut expected_s = initial_offset_s;
-    for k in scan.sampled_images() {
-        let steps: &[f64] = if offsets.is_empty() { &FIRST_STEPS } else { &STEPS };
-        if let Some(observed) = scan.search_near(k, expected_s, steps)? {
-            // An offset of low agreement is an observation, but does not move the search.
-            if offsets.is_empty() || observed.agreement >= MIN_AGREEMENT {
-                expected_s = observed.offset_s;
-            }
-            offsets.push(observed);
-        }
-    }
-    let mut bracketing = Vec::new();
-    for pair in offsets.windows(2) {
-        scan.bisect_jump(pair[0], pair[1], &mut bracketing)?;
-    }
-    offsets.extend(bracketing);
-    Ok(offsets)
-}
-
-/// Adds observations of the triples that the fitted clock models predict, and returns whether there are
-/// any new ones. At the recordings' ends and on either side of lost frames, each image of camera a is
-/// observed with every plausible image of camera b.
-fn observe_again(
-    recording: &Recording,
-    cameras: [usize; 2],
-    clocks: &[NominalClock],
-    models: &[Option<FittedClock>],
-    offsets: &mut Vec<TripleOffset>,
-) -> Result<bool, CaptureError> {
-    let [Some(model_a), Some(model_b)] = cameras.map(|c| models[c].as_ref()) else {
-        return Ok(false);
-    };
-    let scan = PairScan::new(recording, cameras);
-    let times_a = model_a.clock.image_times_s(&clocks[cameras[0]]);
-    let times_b = model_b.clock.image_times_s(&clocks[cameras[1]]);
-    // Few images show a loss next to a recording's end: all of them are observed.
-    let decisive_times: Vec<f64> = [(model_a, &times_a), (model_b, &times_b)]
-        .into_iter()
-        .flat_map(|(model, times)| model.clock.lost_before.iter().chain([&0]).map(|n| times[*n]))
-        .chain([times_a[times_a.len() - 1], times_b[times_b.len() - 1]])
-        .collect();
-    let reach_s = (IMAGES_AROUND_LOSS as f64 + 0.5) * scan.frame_s;
-    let is_near_decisive =
-        |k: usize| decisive_times.iter().any(|t| (times_a[k] - t).abs() < reach_s);
-    let mut changed = false;
-    let sampled = scan.sampled_images();
-    for k in 0..times_a.len() - 1 {
-        let near_decisive = is_near_decisive(k);
-        if !near_decisive && sampled.binary_search(&k).is_err() {
-            continue;
-        }
-        let middle_s = 0.5 * (times_a[k] + times_a[k + 1]);
-        let m = times_b.partition_point(|t| *t < middle_s - 0.5 * scan.frame_s);
-        let images = if near_decisive { m.saturating_sub(1)..m + 2 } else { m..m + 1 };
-        for m in images.filter(|m| *m < times_b.len()) {
-            if offsets.iter().any(|o| (o.k, o.m) == (k, m)) {
-                continue;
-            }
-            if let Some(observed) = scan.observe(k, m)? {
-                offsets.push(observed);
-                changed = true;
-            }
-        }
-    }
-    Ok(changed)
-}
-
-/// Converts offsets to fractions of camera a's intervals.
-fn timing_observations(
-    recording: &Recording,
-    cameras: [usize; 2],
-    offsets: &[TripleOffset],
-) -> Vec<TimingObservation> {
-    let [a, b] = cameras.map(|c| &recording.clocks[c].times_s);
-    let fraction = |o: &TripleOffset| {
-        let (start_s, end_s) = (a[o.k], a[o.k + 1]);
-        // Times ascend strictly, so the interval is positive.
-        (b[o.m] + o.offset_s - start_s) / (end_s - start_s)
-    };
-    offsets
-        .iter()
-        .map(|o| TimingObservation { cameras, images: [o.k, o.m], fraction: fraction(o) })
-        .collect()
-}
-
-/// Observations of the offset of an ordered pair (a, b) at chosen triples: two images of a, one of b.
+/// Observations of the offset of an ordered pair of cameras (a, b).
 struct PairScan<'a, 'b> {
     recording: &'a Recording<'b>,
     cameras: [usize; 2],
     /// The frame period of camera b, seconds.
     frame_s: f64,
+    offsets: Vec<TripleOffset>,
 }
 
 impl<'a, 'b> PairScan<'a, 'b> {
     fn new(recording: &'a Recording<'b>, cameras: [usize; 2]) -> Self {
-        Self { recording, cameras, frame_s: recording.clocks[cameras[1]].frame_s() }
+        let frame_s = recording.clocks[cameras[1]].frame_s();
+        Self { recording, cameras, frame_s, offsets: Vec::new() }
+    }
+
+    /// Tracks the offset along the recording, from the initial offset of its main part, and brackets its
+    /// jumps.
+    fn track_offset(&mut self, initial_offset_s: f64) -> Result<(), CaptureError> {
+        let mut expected_s = initial_offset_s;
+        for k in self.sampled_images() {
+            let steps: &[f64] = if self.offsets.is_empty() { &FIRST_STEPS } else { &STEPS };
+            let tried_s = steps.iter().map(|frames| expected_s + frames * self.frame_s);
+            let is_expected = |o: &TripleOffset| {
+                o.agreement >= MIN_AGREEMENT
+                    && (o.offset_s - expected_s).abs() < EXPECTED_WITHIN_FRAMES * self.frame_s
+            };
+            if let Some(observed) = self.best_observation(k, tried_s, is_expected)? {
+                // An offset of low agreement is an observation, but does not move the search.
+                if self.offsets.is_empty() || observed.agreement >= MIN_AGREEMENT {
+                    expected_s = observed.offset_s;
+                }
+                self.offsets.push(observed);
+            }
+        }
+        for n in 1..self.offsets.len() {
+            self.bisect_jump(self.offsets[n - 1], self.offsets[n])?;
+        }
+        Ok(())
+    }
+
+    /// Adds observations of the triples that the fitted clock models predict, and returns whether there
+    /// are any new ones. At the recordings' ends and on either side of lost frames, each image of camera
+    /// a is observed with every plausible image of camera b.
+    fn observe_again(
+        &mut self,
+        clocks: &[NominalClock],
+        models: &[Option<FittedClock>],
+    ) -> Result<bool, CaptureError> {
+        let [Some(model_a), Some(model_b)] = self.cameras.map(|c| models[c].as_ref()) else {
+            return Ok(false);
+        };
+        let times_a = model_a.clock.image_times_s(&clocks[self.cameras[0]]);
+        let times_b = model_b.clock.image_times_s(&clocks[self.cameras[1]]);
+        // Few images show a loss next to a recording's end: all of them are observed.
+        let mut decisive_times = Vec::new();
+        for (model, times) in [(model_a, &times_a), (model_b, &times_b)] {
+            decisive_times.extend([times[0], times[times.len() - 1]]);
+            decisive_times.extend(model.clock.lost_before.iter().map(|n| times[*n]));
+        }
+        let reach_s = (IMAGES_AROUND_LOSS as f64 + 0.5) * self.frame_s;
+        let count_before = self.offsets.len();
+        let sampled = self.sampled_images();
+        for k in 0..times_a.len() - 1 {
+            let near_decisive = decisive_times.iter().any(|t| (times_a[k] - t).abs() < reach_s);
+            if !near_decisive && sampled.binary_search(&k).is_err() {
+                continue;
+            }
+            let middle_s = 0.5 * (times_a[k] + times_a[k + 1]);
+            let m = times_b.partition_point(|t| *t < middle_s - 0.5 * self.frame_s);
+            let images = if near_decisive { m.saturating_sub(1)..m + 2 } else { m..m + 1 };
+            for m in images.filter(|m| *m < times_b.len()) {
+                if !self.offsets.iter().any(|o| o.timing.images == [k, m]) {
+                    self.offsets.extend(self.observe(k, m)?);
+                }
+            }
+        }
+        Ok(self.offsets.len() > count_before)
     }
 
     /// The images of camera a that are observed first, evenly spread.
@@ -293,40 +239,27 @@ impl<'a, 'b> PairScan<'a, 'b> {
         spread(count, self.recording.options.max_frames)
     }
 
-    /// The offset at image k of camera a with the highest score, searched for at `steps` frames from
-    /// the expected one. `None` if none has enough inliers.
-    fn search_near(
+    /// The observation of the highest score at image k of camera a, among the images of camera b that lie
+    /// between images k and k + 1 by one of the offsets; the first of two with equal scores. No further
+    /// offsets are tried after an observation that is enough.
+    fn best_observation(
         &self,
         k: usize,
-        expected_s: f64,
-        steps: &[f64],
+        offsets_s: impl IntoIterator<Item = f64>,
+        is_enough: impl Fn(&TripleOffset) -> bool,
     ) -> Result<Option<TripleOffset>, CaptureError> {
         let mut best: Option<TripleOffset> = None;
-        for &frames in steps {
-            let is_expected = |o: &TripleOffset| {
-                o.agreement >= MIN_AGREEMENT
-                    && (o.offset_s - expected_s).abs() < EXPECTED_WITHIN_FRAMES * self.frame_s
-            };
-            if frames != 0.0 && best.as_ref().is_some_and(is_expected) {
+        for offset_s in offsets_s {
+            if best.as_ref().is_some_and(&is_enough) {
                 break;
             }
-            let observed = self.observe_at_offset(k, expected_s + frames * self.frame_s)?;
-            best = higher_score(best, observed);
+            let Some(m) = self.recording.image_between(self.cameras, k, offset_s) else { continue };
+            let Some(observed) = self.observe(k, m)? else { continue };
+            if best.is_none_or(|best| observed.score > best.score) {
+                best = Some(observed);
+            }
         }
         Ok(best)
-    }
-
-    /// The offset observed from images k and k + 1 of camera a and the image of camera b that lies
-    /// between them if the offset is about `offset_s`.
-    fn observe_at_offset(
-        &self,
-        k: usize,
-        offset_s: f64,
-    ) -> Result<Option<TripleOffset>, CaptureError> {
-        match self.recording.image_between(self.cameras, k, offset_s) {
-            Some(m) => self.observe(k, m),
-            None => Ok(None),
-        }
     }
 
     /// The offset observed from images k and k + 1 of camera a and image m of camera b. `None` if
@@ -337,38 +270,32 @@ impl<'a, 'b> PairScan<'a, 'b> {
         let (start, end) = (times[k], times[k + 1]);
         let slack = MAX_OUTSIDE * (end - start);
         let observations: Vec<Observation> = triple.samples.iter().map(Observation::from).collect();
-        let model = ResidualModel::new(end - start);
-        let Some((offset_s, score)) = model.consensus_value(&observations) else {
-            return Ok(None);
-        };
+        let Some((offset_s, score)) = consensus_value(&observations) else { return Ok(None) };
         let time_s = times_b[m] + offset_s;
         let inside = time_s >= start - slack && time_s <= end + slack;
         let enough = score >= MIN_SCORE_FRACTION * MIN_INLIERS as f64
             && score >= MIN_INLIER_FRACTION * observations.len() as f64;
         let agreement = score / triple.across.max(1) as f64;
+        // Times ascend strictly, so the interval is positive.
         let fraction = (time_s - start) / (end - start);
         let certain =
             agreement >= MIN_AGREEMENT || (fraction - fraction.round()).abs() > NEAR_FRAME;
+        let timing = TimingObservation { cameras: self.cameras, images: [k, m], fraction };
         let valid = inside && enough && certain;
-        Ok(valid.then_some(TripleOffset { k, m, offset_s, score, agreement }))
+        Ok(valid.then_some(TripleOffset { timing, offset_s, score, agreement }))
     }
 
     /// Bisects the images between two observations that are a jump apart, until the observations on both
     /// sides of the jump are neighbours.
-    fn bisect_jump(
-        &self,
-        from: TripleOffset,
-        to: TripleOffset,
-        bracketing: &mut Vec<TripleOffset>,
-    ) -> Result<(), CaptureError> {
+    fn bisect_jump(&mut self, from: TripleOffset, to: TripleOffset) -> Result<(), CaptureError> {
         let jump = (to.offset_s - from.offset_s) / self.frame_s;
-        if jump.abs() < MIN_JUMP_FRAMES || to.m <= from.m {
+        if jump.abs() < MIN_JUMP_FRAMES || to.timing.images[1] <= from.timing.images[1] {
             return Ok(());
         }
         let Some(between) = self.observe_between(from, to)? else { return Ok(()) };
-        bracketing.push(between);
-        self.bisect_jump(from, between, bracketing)?;
-        self.bisect_jump(between, to, bracketing)
+        self.offsets.push(between);
+        self.bisect_jump(from, between)?;
+        self.bisect_jump(between, to)
     }
 
     /// An observation of an image between two others, as near to their middle as possible.
@@ -377,29 +304,19 @@ impl<'a, 'b> PairScan<'a, 'b> {
         from: TripleOffset,
         to: TripleOffset,
     ) -> Result<Option<TripleOffset>, CaptureError> {
-        let middle = usize::midpoint(from.k, to.k);
-        for away in 0..(to.k - from.k) {
+        let ([first, m_from], [last, m_to]) = (from.timing.images, to.timing.images);
+        let middle = usize::midpoint(first, last);
+        for away in 0..(last - first) {
             let candidates = [middle.checked_sub(away), Some(middle + away)];
-            for k in candidates.into_iter().flatten().filter(|k| (from.k + 1..to.k).contains(k)) {
-                let mut best = None;
-                for offset_s in [from.offset_s, to.offset_s, from.offset_s + self.frame_s] {
-                    best = higher_score(best, self.observe_at_offset(k, offset_s)?);
-                }
-                if let Some(best) = best.filter(|o: &TripleOffset| o.m > from.m && o.m < to.m) {
-                    return Ok(Some(best));
+            for k in candidates.into_iter().flatten().filter(|k| (first + 1..last).contains(k)) {
+                let tried_s = [from.offset_s, to.offset_s, from.offset_s + self.frame_s];
+                let best = self.best_observation(k, tried_s, |_| false)?;
+                if best.is_some_and(|o| (m_from + 1..m_to).contains(&o.timing.images[1])) {
+                    return Ok(best);
                 }
             }
         }
         Ok(None)
-    }
-}
-
-/// The observation of the higher score; the first of two with equal scores.
-fn higher_score(one: Option<TripleOffset>, other: Option<TripleOffset>) -> Option<TripleOffset> {
-    match (one, other) {
-        (Some(x), Some(y)) if y.score > x.score => Some(y),
-        (Some(x), _) => Some(x),
-        (None, y) => y,
     }
 }
 

@@ -1,6 +1,6 @@
 //! A pair's offset, rate and standard error from the candidates of its frame triples.
 
-use super::mixture::{Mixture, Observation, ResidualModel};
+use super::mixture::{Mixture, Observation, consensus_value};
 use super::ransac::{ransac, weighted_least_squares};
 use super::{
     FrameEstimate, MIN_AGREEMENT, MIN_INLIERS, NOMINAL_CLOCK_FRAMES, PairEstimate, PairFailure,
@@ -119,6 +119,10 @@ pub fn fit_pair(
         reference_s: center_s,
         ..ClockModel::default()
     };
+    let frames = pair
+        .triples
+        .iter()
+        .filter_map(|(frames, triple)| frame_estimate(recording, pair, *frames, &triple.samples));
     let mut estimate = PairEstimate {
         cameras: pair.cameras,
         clock,
@@ -127,7 +131,7 @@ pub fn fit_pair(
         candidates: observations.len(),
         agreement: mixture.inliers / pair.total(|t| t.across).max(1) as f64,
         sigma_px: mixture.sigma_px,
-        frames: frame_estimates(recording, pair),
+        frames: frames.collect(),
         std_err_inflation: std_err_inflation(windows),
         samples: samples.into_iter().zip(mixture.weights.iter().copied()).collect(),
     };
@@ -154,8 +158,7 @@ fn checked_mixture(
     if count < MIN_INLIERS || (count as f64) < min_across {
         return Err(pair.too_few_candidates());
     }
-    let model = ResidualModel::new(data.frame_s);
-    let mixture = fit_line(&data.observations, &model, initial, with_rate)
+    let mixture = fit_line(data, initial, with_rate)
         .filter(|m| m.inliers >= MIN_INLIERS as f64 && m.inlier_fraction >= MIN_INLIER_FRACTION)
         .ok_or(PairFailure::NoConsensus)?;
     if mixture.inliers < min_across {
@@ -171,43 +174,26 @@ fn checked_mixture(
 
 /// Fits the mixture from the value of highest consensus. With a rate, the initial rate is first
 /// subtracted: no single value has a consensus while the offset changes.
-fn fit_line(
-    observations: &[Observation],
-    model: &ResidualModel,
-    initial: &ClockModel,
-    with_rate: bool,
-) -> Option<Mixture> {
-    if !with_rate {
-        return model.fit(observations, model.consensus_value(observations)?.0, false);
-    }
-    let relative: Vec<Observation> = observations
-        .iter()
-        .map(|o| Observation { value_s: o.value_s - initial.rate * o.at_s, ..*o })
-        .collect();
-    let start_s = model.consensus_value(&relative)?.0;
-    let mixture = model.fit(&relative, start_s, true)?;
-    Some(Mixture { rate: mixture.rate + initial.rate, ..mixture })
+fn fit_line(data: &PairObservations, initial: &ClockModel, with_rate: bool) -> Option<Mixture> {
+    let rate = if with_rate { initial.rate } else { 0.0 };
+    let relative = |o: &Observation| Observation { value_s: o.value_s - rate * o.at_s, ..*o };
+    let observations: Vec<Observation> = data.observations.iter().map(relative).collect();
+    let (start_s, _) = consensus_value(&observations)?;
+    let mixture = Mixture::fit(&observations, data.frame_s, start_s, with_rate)?;
+    Some(Mixture { rate: mixture.rate + rate, ..mixture })
 }
 
-/// The estimates of all single triples that have enough inliers.
-fn frame_estimates(recording: &Recording, pair: &PairTriples) -> Vec<FrameEstimate> {
-    let estimate = |((cameras, [k, _]), triple): &(TripleFrames, Arc<FrameTriple>)| {
-        frame_estimate(recording, [cameras[0], *k], &triple.samples, cameras[0] == pair.cameras[0])
-    };
-    pair.triples.iter().filter_map(estimate).collect()
-}
-
-/// RANSAC and WLS, eqs. (11) to (13), on one frame triple, and the mixture's estimate. `forward` tells
-/// that the camera with two frames is camera i.
+/// RANSAC and WLS, eqs. (11) to (13), on one frame triple, and the mixture's estimate; `None` for too few
+/// inliers.
 fn frame_estimate(
     recording: &Recording,
-    [camera, frame]: [usize; 2],
+    pair: &PairTriples,
+    ([camera, other], [frame, _]): TripleFrames,
     samples: &[Sample],
-    forward: bool,
 ) -> Option<FrameEstimate> {
     let times = &recording.clocks[camera].times_s;
     let interval = times[frame + 1] - times[frame];
-    let sign = if forward { 1.0 } else { -1.0 };
+    let sign = if [camera, other] == pair.cameras { 1.0 } else { -1.0 };
     let observations: Vec<Observation> = samples
         .iter()
         .map(|s| Observation { value_s: sign * s.offset_s(), ..Observation::from(s) })
@@ -221,8 +207,8 @@ fn frame_estimate(
         return None;
     }
     let offset_s = weighted_least_squares(&values[inliers], GAMMA / interval)?;
-    let model = ResidualModel::new(interval);
-    let mixture = model.fit(&observations, model.consensus_value(&observations)?.0, false)?;
+    let (start_s, _) = consensus_value(&observations)?;
+    let mixture = Mixture::fit(&observations, interval, start_s, false)?;
     Some(FrameEstimate { camera, frame, offset_s, by_information_s: mixture.value_s })
 }
 
@@ -263,14 +249,13 @@ fn std_err(
 /// The effective number of tracker windows that determine the offset at one instant, averaged over
 /// instants by their information. `weights` are those of all triples' samples, in their order.
 fn independent_windows(pair: &PairTriples, weights: &[f64]) -> f64 {
-    let (mut sum, mut total, mut first) = (0.0, 0.0, 0);
+    let (mut sum, mut total) = (0.0, 0.0);
+    let mut weights = weights.iter();
     for (_, triple) in &pair.triples {
-        let triple_weights = &weights[first..first + triple.samples.len()];
-        first += triple.samples.len();
         let windows: Vec<(usize, f64)> = triple
             .samples
             .iter()
-            .zip(triple_weights)
+            .zip(&mut weights)
             .map(|(s, w)| (s.window, w * s.across_px_s * s.across_px_s))
             .collect();
         let information: f64 = windows.iter().map(|i| i.1).sum();

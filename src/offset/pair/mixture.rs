@@ -49,20 +49,6 @@ pub struct Mixture {
     pub weights: Vec<f64>,
 }
 
-/// The prior on the residuals' distribution.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ResidualModel {
-    /// The initial standard deviation of the narrowest component, and the scale of the MSAC score,
-    /// pixels.
-    pub start_px: f64,
-    /// The smallest standard deviation of the narrowest component, pixels: the tracker's precision.
-    pub min_px: f64,
-    /// The largest standard deviation of the narrowest component, pixels.
-    pub max_px: f64,
-    /// The range of times that outliers are uniform over, seconds.
-    pub range_s: f64,
-}
-
 /// The standard deviations of the inliers' components, over that of the narrowest one. Features on
 /// depth edges and under changing light have several times the error of others, those of thin
 /// structures many times.
@@ -72,11 +58,10 @@ const SCALE_RATIO: f64 = 4.0;
 /// The expected standard deviation of features' distances from their epipolar lines, at which the fit
 /// starts, pixels.
 const START_PX: f64 = 0.5;
-/// The smallest standard deviation of the narrowest component, over [`START_PX`]: no tracker resolves
-/// less.
-const MIN_SIGMA: f64 = 0.02;
-/// The largest standard deviation of the narrowest component, over [`START_PX`].
-const MAX_SIGMA: f64 = 4.0;
+/// The smallest standard deviation of the narrowest component, pixels: no tracker resolves less.
+const MIN_PX: f64 = 0.01;
+/// The largest standard deviation of the narrowest component, pixels.
+const MAX_PX: f64 = 2.0;
 /// The range of times that outliers are uniform over, frames. Only its order of magnitude matters.
 const OUTLIER_RANGE_FRAMES: f64 = 3.0;
 /// The initial fractions of the three components and of the outliers.
@@ -85,129 +70,113 @@ const INITIAL_FRACTIONS: Fractions = [0.5, 0.15, 0.05, 0.3];
 const MIN_FRACTION: f64 = 1e-3;
 /// The maximum number of EM iterations.
 const MAX_ITERATIONS: usize = 60;
-/// The change of the line, over `range_s`, below which EM may have converged.
+/// The change of the line, over the range of outliers, below which EM may have converged.
 const LINE_TOLERANCE: f64 = 1e-9;
 /// The relative change of the standard deviation below which EM may have converged.
 const SIGMA_TOLERANCE: f64 = 1e-4;
 /// The maximum number of observed values that are scored as starts.
 const MAX_STARTS: usize = 400;
-/// The bound of MSAC's truncated squares, in `start_px`.
-const MSAC_BOUND: f64 = 3.0;
+/// The bound of MSAC's truncated squares, pixels.
+const MSAC_BOUND_PX: f64 = 3.0 * START_PX;
 
-impl ResidualModel {
-    /// The default model for cameras whose frames are `frame_s` seconds apart.
-    pub fn new(frame_s: f64) -> Self {
-        Self {
-            start_px: START_PX,
-            min_px: MIN_SIGMA * START_PX,
-            max_px: MAX_SIGMA * START_PX,
-            range_s: OUTLIER_RANGE_FRAMES * frame_s,
-        }
-    }
+/// The MSAC score of a constant line: 1 for each observation without residual, 0 for each beyond the
+/// bound.
+fn score(observations: &[Observation], value_s: f64) -> f64 {
+    let squares = observations.iter().map(|o| {
+        let r = (o.value_s - value_s) * o.across_px_s / MSAC_BOUND_PX;
+        (1.0 - r * r).max(0.0)
+    });
+    squares.sum()
+}
 
-    /// The MSAC score of a constant line: 1 for each observation without residual, 0 for each beyond
-    /// the bound.
-    fn score(&self, observations: &[Observation], value_s: f64) -> f64 {
-        let bound_px = MSAC_BOUND * self.start_px;
-        observations
-            .iter()
-            .map(|o| {
-                let r = (o.value_s - value_s) * o.across_px_s / bound_px;
-                (1.0 - r * r).max(0.0)
-            })
-            .sum()
-    }
+/// The observed value of the highest MSAC score, seconds, and that score. `None` without observations.
+/// Of more than 400 observations, evenly spread quantiles are scored.
+pub fn consensus_value(observations: &[Observation]) -> Option<(f64, f64)> {
+    let mut values: Vec<f64> = observations.iter().map(|o| o.value_s).collect();
+    values.sort_by(f64::total_cmp);
+    let count = values.len().min(MAX_STARTS);
+    (0..count)
+        .map(|k| values[(2 * k + 1) * values.len() / (2 * count)])
+        .map(|value| (value, score(observations, value)))
+        .reduce(|best, other| if other.1 > best.1 { other } else { best })
+}
 
-    /// The observed value of the highest MSAC score, seconds, and that score. `None` without
-    /// observations. Of more than 400 observations, evenly spread quantiles are scored.
-    pub fn consensus_value(&self, observations: &[Observation]) -> Option<(f64, f64)> {
-        let mut values: Vec<f64> = observations.iter().map(|o| o.value_s).collect();
-        values.sort_by(f64::total_cmp);
-        let count = values.len().min(MAX_STARTS);
-        (0..count)
-            .map(|k| values[(2 * k + 1) * values.len() / (2 * count)])
-            .map(|value| (value, self.score(observations, value)))
-            .fold(None, |best: Option<(f64, f64)>, (value, score)| match best {
-                Some((_, max)) if score <= max => best,
-                _ => Some((value, score)),
-            })
-    }
-
-    /// Fits the mixture by EM from a constant line, with a slope if `with_rate`.
+impl Mixture {
+    /// Fits the mixture by EM from a constant line, with a slope if `with_rate`, for cameras whose frames
+    /// are `frame_s` seconds apart.
     ///
     /// `None` if the observations do not determine the line: there are none, all have a speed of 0, or
     /// all have the same position although a slope is fitted.
     pub fn fit(
-        &self,
         observations: &[Observation],
+        frame_s: f64,
         start_s: f64,
         with_rate: bool,
-    ) -> Option<Mixture> {
+    ) -> Option<Self> {
+        let range_s = OUTLIER_RANGE_FRAMES * frame_s;
         let mut line = Vector2::new(start_s, 0.0);
-        let mut sigma = self.start_px;
+        let mut sigma = START_PX;
         let mut fractions = INITIAL_FRACTIONS;
-        let mut weights = vec![0.0; observations.len()];
         for _ in 0..MAX_ITERATIONS {
-            let sums = self.expect(observations, &line, sigma, fractions, &mut weights);
-            let next = weighted_line(observations, &weights, with_rate)?;
+            let sums = expect(observations, &line, sigma, fractions, range_s);
+            let next = weighted_line(observations, &sums.weights, with_rate)?;
             let n = observations.len() as f64;
             fractions = sums.counts.map(|c| (c / n).max(MIN_FRACTION));
             let total: f64 = fractions.iter().sum();
             fractions = fractions.map(|f| f / total);
             let variance = sums.squares / sums.inliers().max(1e-12);
-            let next_sigma = variance.sqrt().clamp(self.min_px, self.max_px);
-            let converged = (next - line).amax() < LINE_TOLERANCE * self.range_s
+            let next_sigma = variance.sqrt().clamp(MIN_PX, MAX_PX);
+            let converged = (next - line).amax() < LINE_TOLERANCE * range_s
                 && (next_sigma - sigma).abs() < SIGMA_TOLERANCE * sigma;
             (line, sigma) = (next, next_sigma);
             if converged {
                 break;
             }
         }
-        let sums = self.expect(observations, &line, sigma, fractions, &mut weights);
+        let sums = expect(observations, &line, sigma, fractions, range_s);
         let inliers = sums.inliers();
-        Some(Mixture {
+        Some(Self {
             value_s: line.x,
             rate: line.y,
             sigma_px: sigma,
             inlier_fraction: inliers / observations.len() as f64,
             inliers,
-            weights,
+            weights: sums.weights,
         })
     }
+}
 
-    /// The expectation step: the weight of each observation under the current mixture, and the sums
-    /// that the maximization step needs.
-    fn expect(
-        &self,
-        observations: &[Observation],
-        line: &Vector2<f64>,
-        sigma: f64,
-        fractions: Fractions,
-        weights: &mut [f64],
-    ) -> MixtureSums {
-        let mut sums = MixtureSums::default();
-        let outlier = fractions[SCALES.len()] / self.range_s;
-        for (o, weight) in observations.iter().zip(weights) {
-            let r = (o.value_s - line.x - line.y * o.at_s) * o.across_px_s;
-            // Densities in time: those in pixels times the speed.
-            let peak = o.across_px_s.abs() / (sigma * std::f64::consts::TAU.sqrt());
-            let gaussians = gaussians(r / sigma);
-            let densities: [f64; SCALES.len()] =
-                std::array::from_fn(|k| fractions[k] * peak / SCALES[k] * gaussians[k]);
-            // Positive, since the outliers' fraction is.
-            let total = outlier + densities.iter().sum::<f64>();
-            // The expected precision, in units of the narrowest component's.
-            let mut precision = 0.0;
-            for (k, density) in densities.iter().enumerate() {
-                sums.counts[k] += density / total;
-                precision += density / total / (SCALES[k] * SCALES[k]);
-            }
-            sums.counts[SCALES.len()] += outlier / total;
-            sums.squares += precision * r * r;
-            *weight = precision / (sigma * sigma);
+/// The expectation step: the weight of each observation under the current mixture, and the sums
+/// that the maximization step needs.
+fn expect(
+    observations: &[Observation],
+    line: &Vector2<f64>,
+    sigma: f64,
+    fractions: Fractions,
+    range_s: f64,
+) -> MixtureSums {
+    let mut sums = MixtureSums::default();
+    let outlier = fractions[SCALES.len()] / range_s;
+    for o in observations {
+        let r = (o.value_s - line.x - line.y * o.at_s) * o.across_px_s;
+        // Densities in time: those in pixels times the speed.
+        let peak = o.across_px_s.abs() / (sigma * std::f64::consts::TAU.sqrt());
+        let gaussians = gaussians(r / sigma);
+        let densities: [f64; SCALES.len()] =
+            std::array::from_fn(|k| fractions[k] * peak / SCALES[k] * gaussians[k]);
+        // Positive, since the outliers' fraction is.
+        let total = outlier + densities.iter().sum::<f64>();
+        // The expected precision, in units of the narrowest component's.
+        let mut precision = 0.0;
+        for (k, density) in densities.iter().enumerate() {
+            sums.counts[k] += density / total;
+            precision += density / total / (SCALES[k] * SCALES[k]);
         }
-        sums
+        sums.counts[SCALES.len()] += outlier / total;
+        sums.squares += precision * r * r;
+        sums.weights.push(precision / (sigma * sigma));
     }
+    sums
 }
 
 /// The components' Gaussians, each with a peak of 1, at `z` standard deviations of the narrowest one.
@@ -231,6 +200,8 @@ struct MixtureSums {
     /// The sum of squared residuals, px², each over its component's variance relative to the narrowest
     /// one's.
     squares: f64,
+    /// By observation: its weight, 1 / px².
+    weights: Vec<f64>,
 }
 
 impl MixtureSums {
@@ -265,9 +236,6 @@ mod tests {
     use super::*;
     use crate::random::Random;
 
-    const MODEL: ResidualModel =
-        ResidualModel { start_px: 0.5, min_px: 1e-3, max_px: 2.0, range_s: 3.0 };
-
     fn problem(
         random: &mut Random,
         inliers: usize,
@@ -296,8 +264,8 @@ mod tests {
         let (mut squares, mut wrong) = (0.0, 0);
         for _ in 0..3000 {
             let observations = problem(random, 60, 60, 0.0);
-            let start = MODEL.consensus_value(&observations).unwrap().0;
-            let mixture = MODEL.fit(&observations, start, false).unwrap();
+            let start = consensus_value(&observations).unwrap().0;
+            let mixture = Mixture::fit(&observations, 1.0, start, false).unwrap();
             let information: f64 =
                 observations[..60].iter().map(|o| o.across_px_s.powi(2)).sum::<f64>() / 0.09;
             let z = (mixture.value_s - 0.3) * information.sqrt();
@@ -314,8 +282,8 @@ mod tests {
         let random = &mut Random::new(2);
         for _ in 0..1000 {
             let observations = problem(random, 100, 40, 0.01);
-            let start = MODEL.consensus_value(&observations).unwrap().0;
-            let mixture = MODEL.fit(&observations, start, true).unwrap();
+            let start = consensus_value(&observations).unwrap().0;
+            let mixture = Mixture::fit(&observations, 1.0, start, true).unwrap();
             assert!((mixture.rate - 0.01).abs() < 0.008, "{mixture:?}");
             assert!((mixture.value_s - 0.3).abs() < 0.04);
         }
@@ -334,14 +302,14 @@ mod tests {
 
     #[test]
     fn degenerate_observations() {
-        assert_eq!(MODEL.consensus_value(&[]), None);
-        assert_eq!(MODEL.fit(&[], 0.0, false), None);
+        assert_eq!(consensus_value(&[]), None);
+        assert_eq!(Mixture::fit(&[], 1.0, 0.0, false), None);
         let one = Observation { value_s: 0.4, at_s: 1.0, across_px_s: 5.0 };
-        let mixture = MODEL.fit(&[one; 3], 0.4, false).unwrap();
-        assert!((mixture.value_s - 0.4).abs() < 1e-12 && mixture.sigma_px == MODEL.min_px);
+        let mixture = Mixture::fit(&[one; 3], 1.0, 0.4, false).unwrap();
+        assert!((mixture.value_s - 0.4).abs() < 1e-12 && mixture.sigma_px == MIN_PX);
         // All at one position: the slope is undetermined.
-        assert_eq!(MODEL.fit(&[one; 3], 0.4, true), None);
+        assert_eq!(Mixture::fit(&[one; 3], 1.0, 0.4, true), None);
         let still = Observation { across_px_s: 0.0, ..one };
-        assert_eq!(MODEL.fit(&[still; 3], 0.4, false), None);
+        assert_eq!(Mixture::fit(&[still; 3], 1.0, 0.4, false), None);
     }
 }

@@ -6,7 +6,7 @@ mod ransac;
 mod rounds;
 mod time_order;
 
-pub use mixture::{Mixture, Observation, ResidualModel};
+pub use mixture::{Mixture, Observation, consensus_value};
 pub use ransac::{ransac, weighted_least_squares};
 pub use rounds::{PairRounds, estimate_pairs};
 
@@ -57,22 +57,32 @@ pub struct FrameEstimate {
     pub by_information_s: f64,
 }
 
-/// Why a pair has no estimate, in the order of the stages that fail.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+/// Why a pair has no estimate, in the order of the stages that fail; as a sentence, the reason why a
+/// camera of such pairs has no offset.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
 pub enum PairFailure {
     /// By the clocks, no frame of one camera lies between two frames of the other.
+    #[error("its neighbours filmed at other times, by its clock and theirs")]
     NoOverlap,
     /// Too few features can be tracked.
+    #[error("too few features can be followed from frame to frame")]
     TooFewFeatures,
     /// Too few of the tracked features move.
+    #[error("too few features move")]
     NoMotion,
     /// Too few of the moving features move across their epipolar lines.
+    #[error(
+        "too few features move across the epipolar lines of its neighbours: the motion runs along them"
+    )]
     MotionAlongEpipolarLines,
     /// Too few candidates agree on one offset.
+    #[error("too few features agree on one offset")]
     NoConsensus,
     /// The offset contradicts the nominal clocks, and too few candidates agree on it to overrule them.
+    #[error("too few features agree on one offset")]
     ContradictsClocks,
     /// Several offsets, frames apart, have equally many inliers: the motion is periodic.
+    #[error("several offsets, frames apart, fit the motion equally well: it repeats itself")]
     PeriodicMotion,
 }
 

@@ -27,8 +27,8 @@ const FIRST_TRIPLES: usize = 4;
 /// against camera j's frames, and the reverse.
 pub struct PairRounds {
     cameras: [usize; 2],
-    /// The offset to about a frame; `None` if the pair has none.
-    start: Option<ClockModel>,
+    /// The offset to about a frame, or the reason why there is none.
+    start: Result<ClockModel, PairFailure>,
     /// The offset that the next round starts from.
     initial: ClockModel,
     with_rate: bool,
@@ -53,25 +53,20 @@ enum RoundStage {
 }
 
 impl PairRounds {
-    /// `start` is the offset to about a frame, or the reason why there is none.
     pub fn new(
         cameras: [usize; 2],
         start: Result<ClockModel, PairFailure>,
         with_rate: bool,
     ) -> Self {
-        let (start, failure) = match start {
-            Ok(start) => (Some(start), PairFailure::NoOverlap),
-            Err(failure) => (None, failure),
-        };
         Self {
             cameras,
             initial: start.clone().unwrap_or_default(),
-            stage: if start.is_some() { RoundStage::Middle } else { RoundStage::Finished },
-            start,
+            stage: if start.is_ok() { RoundStage::Middle } else { RoundStage::Finished },
             with_rate,
             rounds: MAX_ROUNDS,
             frames: Vec::new(),
-            estimate: Err(failure),
+            estimate: Err(start.as_ref().err().copied().unwrap_or(PairFailure::NoOverlap)),
+            start,
         }
     }
 
@@ -98,9 +93,10 @@ impl PairRounds {
 
     /// Estimates the offset from the chosen triples.
     fn fit(&mut self, recording: &Recording) -> Result<(), CaptureError> {
-        let Some(start) = self.start.clone().filter(|_| self.stage != RoundStage::Finished) else {
+        let Ok(start) = self.start.clone() else { return Ok(()) };
+        if self.stage == RoundStage::Finished {
             return Ok(());
-        };
+        }
         let triples = PairTriples::new(recording, self.cameras, &self.frames)?;
         if self.stage == RoundStage::Middle {
             let estimate = fit_pair(recording, &triples, &self.initial, false);
@@ -128,7 +124,7 @@ impl PairRounds {
     fn expected_triples(&self, recording: &Recording) -> usize {
         let max_frames = recording.options.max_frames;
         let count = |c: usize| (recording.clocks[c].times_s.len() - 1).min(max_frames);
-        if self.start.is_some() { self.cameras.map(count).iter().sum() } else { 0 }
+        if self.start.is_ok() { self.cameras.map(count).iter().sum() } else { 0 }
     }
 }
 
@@ -214,7 +210,7 @@ fn group_size(recording: &Recording, pairs: &[PairRounds]) -> usize {
 /// By camera: its clock's offset relative to that of another camera of the group, seconds. It is 0 for
 /// cameras that no pair with an initial offset connects to others.
 fn clocks_s(cameras: usize, group: &[PairRounds]) -> Vec<f64> {
-    let connected: Vec<_> = group.iter().filter(|pair| pair.start.is_some()).collect();
+    let connected: Vec<_> = group.iter().filter(|pair| pair.start.is_ok()).collect();
     let mut clocks_s: Vec<Option<f64>> = vec![None; cameras];
     for root in connected.iter().map(|pair| pair.cameras[0]) {
         clocks_s[root].get_or_insert(0.0);

@@ -120,8 +120,9 @@ impl ThreeFrames<'_> {
             && self.samples(track).is_some()
     }
 
-    /// A feature's candidate for a given epipolar line. The outer `None` means too little motion across
-    /// the line, the inner one no crossing near the two frames.
+    /// A feature's candidate for a given epipolar line: the crossing of trajectory and line by Newton's
+    /// method. The outer `None` means too little motion across the line, the inner one no crossing near
+    /// the two frames.
     fn crossing(&self, line: &EpipolarLine, track: &Track) -> Option<Option<Candidate>> {
         let samples = self.samples(track)?;
         let trajectory = Trajectory::new(samples.iter().copied())?;
@@ -132,32 +133,17 @@ impl ThreeFrames<'_> {
             return None;
         }
         // The crossing of the chord; its slope is bounded from below by the check above.
-        let initial_s = interval * near / (near - far);
-        Some(self.candidate(line, &trajectory, &samples, initial_s))
-    }
-
-    /// The crossing of trajectory and line by Newton's method, from an initial time since the earlier
-    /// frame.
-    fn candidate(
-        &self,
-        line: &EpipolarLine,
-        trajectory: &Trajectory,
-        samples: &[(f64, Point2<f64>)],
-        initial_s: f64,
-    ) -> Option<Candidate> {
-        let start = self.times_i[self.index_i];
-        let interval = self.times_i[self.index_i + 1] - start;
+        let mut time_s = interval * near / (near - far);
         // The span of the four frames: outside, the trajectory is an extrapolation.
         let span = -interval..=2.0 * interval;
-        let mut time_s = initial_s;
         if !span.contains(&time_s) {
-            return None;
+            return Some(None);
         }
         for _ in 0..MAX_NEWTON_STEPS {
             let slope = line.normal.dot(&trajectory.velocity(start + time_s));
             // The trajectory turns back at the line: Newton's method would diverge.
             if slope.abs() * interval < MIN_SLOPE_FRACTION * self.min_across_px {
-                return None;
+                return Some(None);
             }
             let step = line.distance(&trajectory.at(start + time_s)) / slope;
             time_s -= step;
@@ -166,15 +152,15 @@ impl ThreeFrames<'_> {
             }
         }
         if !span.contains(&time_s) {
-            return None;
+            return Some(None);
         }
         let across_px_s = line.normal.dot(&trajectory.velocity(start + time_s));
-        let lower_order = without_farthest(samples, start + time_s).filter(|_| self.curved);
+        let lower_order = without_farthest(&samples, start + time_s).filter(|_| self.curved);
         let trajectory_error_px = lower_order.map_or(0.0, |lower_order| {
             let change = trajectory.at(start + time_s) - lower_order.at(start + time_s);
             NEXT_ORDER_FRACTION * line.normal.dot(&change).abs()
         });
-        Some(Candidate { time_s, across_px_s, trajectory_error_px })
+        Some(Some(Candidate { time_s, across_px_s, trajectory_error_px }))
     }
 
     /// The trajectory's samples as (time, position), seconds and distortion-free pixels.

@@ -24,7 +24,7 @@ pub fn changing(
     corners: &[Point2<f64>],
     count: usize,
 ) -> Vec<Point2<f64>> {
-    let [current, next] = [frame, next].map(|frame| &frame.pyramid.levels()[0]);
+    let [current, next] = [frame, next].map(|frame| &frame.pyramid.levels[0]);
     let (mut selected, mut static_corners) = (Vec::new(), Vec::new());
     for p in corners {
         if selected.len() == count {

@@ -1,143 +1,113 @@
 //! Installs the missing parts of the environment, with progress.
 
-use super::{Environment, SetupError, Stamps, interpreter, module, system};
+use super::{Environment, Stamps, entry, file_error, system};
 use crate::host::process::{self, Ended};
-use crate::host::write_atomically;
+use crate::host::{ignore_absent, write_atomically};
 use crate::progress::Reporter;
+use crate::toolchain::ToolchainError;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// All packages in one process: the module must load beside Blender.
 const IMPORTS: &str = "import bpy, pycolmap, numpy, stlfr";
 
+/// The step that builds the Python module.
+const BUILDING: &str = "building the Python module stlfr";
+
 /// An installation in progress. The caller holds the lock.
-struct Installer<'a> {
+pub(super) struct Installer<'a> {
     root: &'a Path,
     python: &'a Path,
     venv: PathBuf,
-    requirements: PathBuf,
     /// Temporary folder of the built wheel.
     wheels: PathBuf,
     reporter: &'a Reporter,
 }
 
-/// Completes the environment. The caller holds the lock.
-pub(super) fn install(
-    environment: &Environment,
-    stamps: &Stamps,
-    reporter: &Reporter,
-) -> Result<(), SetupError> {
-    let installer = Installer::new(environment, reporter);
-    if stamps.has_packages() {
-        reporter.note("Building the Python module stlfr: its sources have changed.");
-        stamps.remove_module()?;
-        installer.build_module()?;
-    } else {
-        reporter.note(
-            "Setting up Python in .venv, once: Blender, COLMAP and what else it needs, 1 GB or so.",
-        );
-        installer.make_venv()?;
-        installer.install_packages_and_build()?;
-    }
-    installer.install_module()?;
-    installer.try_imports()?;
-    stamps.write_module()?;
-    reporter.note("The Python environment is ready.");
-    Ok(())
-}
-
-/// Builds the wheel of the Python module into a folder of the environment, which the caller removes. The
-/// caller holds the lock.
-pub(super) fn build_wheel(
-    environment: &Environment,
-    reporter: &Reporter,
-) -> Result<PathBuf, SetupError> {
-    let installer = Installer::new(environment, reporter);
-    installer.build_module()?;
-    installer.wheel()
-}
-
 impl<'a> Installer<'a> {
-    fn new(environment: &'a Environment, reporter: &'a Reporter) -> Self {
-        let root = environment.project_root.as_path();
+    pub fn new(environment: &'a Environment, reporter: &'a Reporter) -> Self {
+        let Environment { project_root: root, python } = environment;
         let venv = root.join(".venv");
-        Self {
-            root,
-            python: &environment.python,
-            wheels: venv.join("wheels"),
-            venv,
-            requirements: root.join("blender/requirements.txt"),
-            reporter,
-        }
+        Self { root, python, wheels: venv.join("wheels"), venv, reporter }
     }
 
-    /// The wheel that was built.
-    fn wheel(&self) -> Result<PathBuf, SetupError> {
-        module::wheel_in(&self.wheels).ok_or_else(|| SetupError::Step {
-            what: "building the Python module stlfr",
-            reason: "it made no wheel".into(),
-            log: self.wheels.clone(),
-        })
+    /// Completes the environment.
+    pub fn install(&self, stamps: &Stamps) -> Result<(), ToolchainError> {
+        let wheel = if stamps.packages.found {
+            self.reporter.note("Building the Python module stlfr: its sources have changed.");
+            stamps.module.remove()?;
+            self.build_module()?
+        } else {
+            self.reporter.note(
+                "Setting up Python in .venv, once: Blender, COLMAP and what else it needs, 1 GB or so.",
+            );
+            self.make_venv()?;
+            self.install_packages_and_build()?
+        };
+        self.install_module(&wheel)?;
+        self.try_imports()?;
+        stamps.module.write()?;
+        self.reporter.note("The Python environment is ready.");
+        Ok(())
     }
 
     /// Creates an empty environment in place of an earlier one.
-    fn make_venv(&self) -> Result<(), SetupError> {
-        let base_python = interpreter::find()?;
-        match std::fs::remove_dir_all(&self.venv) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                return Err(SetupError::file(&self.venv, e));
-            }
-            _ => {}
-        }
+    fn make_venv(&self) -> Result<(), ToolchainError> {
+        let base_python = system::find_python()?;
         // By hand, so that the right to write is told from a Python that fails.
-        std::fs::create_dir(&self.venv).map_err(|e| SetupError::file(&self.venv, e))?;
+        ignore_absent(std::fs::remove_dir_all(&self.venv))
+            .and_then(|()| std::fs::create_dir(&self.venv))
+            .map_err(|e| file_error(&self.venv, e))?;
         let mut command = Command::new(base_python);
         command.args(["-I", "-m", "venv"]).arg(&self.venv);
-        self.step("making the Python environment", &mut command).map(drop)
+        self.step("making the Python environment", &mut command)
     }
 
-    /// Installs the build tool, then the other packages while the module compiles.
-    fn install_packages_and_build(&self) -> Result<(), SetupError> {
+    /// Installs the build tool, then the other packages while the module compiles; returns the module's wheel.
+    fn install_packages_and_build(&self) -> Result<PathBuf, ToolchainError> {
+        let requirements = self.root.join("blender/requirements.txt");
         let mut tool = self.pip();
-        tool.arg("--constraint").arg(&self.requirements).arg("maturin");
+        tool.arg("--constraint").arg(&requirements).arg("maturin");
         self.step("installing maturin", &mut tool)?;
         std::thread::scope(|scope| {
             let build = scope.spawn(|| self.build_module());
             let mut packages = self.pip();
-            packages.arg("--requirement").arg(&self.requirements);
+            packages.arg("--requirement").arg(&requirements);
             self.step("installing the Python packages", &mut packages)?;
-            Stamps::read(self.root)?.write_packages()?;
+            Stamps::read(self.root)?.packages.write()?;
             build.join().expect("building does not panic")
         })
     }
 
-    fn build_module(&self) -> Result<(), SetupError> {
-        let mut command = module::build_command(self.root, self.python, &self.wheels);
-        if self.wheels.exists() {
-            std::fs::remove_dir_all(&self.wheels).map_err(|e| SetupError::file(&self.wheels, e))?;
-        }
-        self.step("building the Python module stlfr", &mut command).map(drop)
+    /// Builds the wheel of the Python module from this tree, into a folder of the environment that the caller removes.
+    pub fn build_module(&self) -> Result<PathBuf, ToolchainError> {
+        ignore_absent(std::fs::remove_dir_all(&self.wheels))
+            .map_err(|e| file_error(&self.wheels, e))?;
+        let mut command = Command::new(self.venv.join("bin/maturin"));
+        command.args(["build", "--release", "--locked", "--quiet", "--interpreter"]);
+        // A target folder of its own: in the program's, builds with and without the Python feature would replace each
+        // other.
+        let target = self.root.join("target/python");
+        command.arg(self.python).arg("--out").arg(&self.wheels).arg("--target-dir").arg(target);
+        self.step(BUILDING, command.current_dir(self.root.join("blender")))?;
+        let wheel = entry(&self.wheels, |name| name.ends_with(".whl"));
+        wheel.ok_or_else(|| step_failed(BUILDING, "it made no wheel", &self.wheels))
     }
 
-    fn install_module(&self) -> Result<(), SetupError> {
-        let wheel = self.wheel()?;
+    fn install_module(&self, wheel: &Path) -> Result<(), ToolchainError> {
         let mut command = self.pip();
         command.args(["--no-deps", "--force-reinstall"]).arg(wheel);
         self.step("installing the Python module stlfr", &mut command)?;
-        std::fs::remove_dir_all(&self.wheels).map_err(|e| SetupError::file(&self.wheels, e))
+        std::fs::remove_dir_all(&self.wheels).map_err(|e| file_error(&self.wheels, e))
     }
 
     /// Imports all packages in one process, which finds missing system libraries.
-    fn try_imports(&self) -> Result<(), SetupError> {
+    fn try_imports(&self) -> Result<(), ToolchainError> {
         let mut command = Command::new(self.python);
         command.args(["-I", "-c", IMPORTS]);
-        let what = "importing the Python packages";
-        let (ended, output) = self.run(what, &mut command)?;
-        if ended.status.success() {
-            return Ok(());
-        }
-        Err(system::missing_library(self.root, &ended.stderr)
-            .unwrap_or_else(|| self.failed(what, &command, &ended, &output)))
+        self.explained_step("importing the Python packages", &mut command, |stderr| {
+            system::missing_library(self.root, stderr)
+        })
     }
 
     fn pip(&self) -> Command {
@@ -149,22 +119,18 @@ impl<'a> Installer<'a> {
         command
     }
 
-    /// Runs a command; its failure is an error.
-    fn step(&self, what: &'static str, command: &mut Command) -> Result<Ended, SetupError> {
-        let (ended, output) = self.run(what, command)?;
-        if ended.status.success() {
-            Ok(ended)
-        } else {
-            Err(self.failed(what, command, &ended, &output))
-        }
+    fn step(&self, what: &str, command: &mut Command) -> Result<(), ToolchainError> {
+        self.explained_step(what, command, |_| None)
     }
 
-    /// Runs a command, with its last line of output shown as progress.
-    fn run(
+    /// Runs a command, with its last line of output shown as progress. A failure is the error that `explain` finds in
+    /// stderr, else one that names a log.
+    fn explained_step(
         &self,
-        what: &'static str,
+        what: &str,
         command: &mut Command,
-    ) -> Result<(Ended, String), SetupError> {
+        explain: impl Fn(&str) -> Option<ToolchainError>,
+    ) -> Result<(), ToolchainError> {
         let phase = self.reporter.phase(what);
         let mut output = String::new();
         let ended = process::run(command, |line| {
@@ -176,27 +142,25 @@ impl<'a> Installer<'a> {
             output.push_str(line);
             output.push('\n');
         });
-        match ended {
-            Ok(ended) => Ok((ended, output)),
-            Err(source) => {
-                Err(SetupError::File { path: PathBuf::from(command.get_program()), source })
-            }
+        let ended = ended.map_err(|e| {
+            ToolchainError::Failure(format!("{}: {e}", Path::new(command.get_program()).display()))
+        })?;
+        if ended.status.success() {
+            return Ok(());
         }
+        Err(explain(&ended.stderr).unwrap_or_else(|| {
+            let log = self.root.join(".venv.log");
+            let text = format!("{command:?}\n{}\n{output}\n{}", ended.status, ended.stderr);
+            // The log only adds to the sentence that is returned.
+            let _ = write_atomically(&log, text.as_bytes());
+            step_failed(what, &reason(&ended), &log)
+        }))
     }
+}
 
-    fn failed(
-        &self,
-        what: &'static str,
-        command: &Command,
-        ended: &Ended,
-        output: &str,
-    ) -> SetupError {
-        let log = self.root.join(".venv.log");
-        let text = format!("{command:?}\n{}\n{output}\n{}", ended.status, ended.stderr);
-        // The log only adds to the sentence that is returned.
-        let _ = write_atomically(&log, text.as_bytes());
-        SetupError::Step { what, reason: reason(ended), log }
-    }
+fn step_failed(what: &str, reason: &str, log: &Path) -> ToolchainError {
+    let log = log.display();
+    ToolchainError::Failure(format!("{what} failed: {reason} (all of its output is in {log})"))
 }
 
 /// The most informative line of stderr: the last that names an error, else the last. Without output,

@@ -6,15 +6,16 @@
 //! was interrupted has no stamp, and is done again. A file lock makes a second set-up wait.
 
 mod install;
-mod interpreter;
-mod module;
 mod stamp;
 mod system;
 
+use super::ToolchainError;
 use crate::progress::Reporter;
 use crate::video::ffmpeg_on_path;
+use install::Installer;
 use stamp::Stamps;
 use std::fs::File;
+use std::io::{Error, ErrorKind};
 use std::path::{Path, PathBuf};
 
 /// A complete environment.
@@ -25,69 +26,57 @@ pub struct Environment {
     pub python: PathBuf,
 }
 
-/// Why the set-up failed: one sentence, with the command that helps if there is one.
-#[derive(Debug, thiserror::Error)]
-pub enum SetupError {
-    #[error("{0} is not stlfr's source folder; set STLFR_HOME to where it is")]
-    NoProject(PathBuf),
-    #[error("Python 3.11 is not installed; on Debian: {0}")]
-    NoPython(String),
-    #[error("{python} can't make environments; on Debian: {line}")]
-    NoVenv { python: String, line: String },
-    #[error("{0} can't be written to; make it yours with: sudo chown -R \"$USER\" '{0}'")]
-    NotWritable(PathBuf),
-    #[error("{path}: {source}")]
-    File { path: PathBuf, source: std::io::Error },
-    #[error("Blender needs {library}, which this system lacks; on Debian: {line}")]
-    NoLibrary { library: String, line: String },
-    #[error("{what} failed: {reason} (all of its output is in {log})")]
-    Step { what: &'static str, reason: String, log: PathBuf },
+/// A failed file operation. Missing write permission has a sentence of its own.
+fn file_error(path: &Path, source: Error) -> ToolchainError {
+    ToolchainError::Failure(match source.kind() {
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => {
+            let folder = path.parent().unwrap_or(path).display();
+            format!(
+                "{folder} can't be written to; make it yours with: sudo chown -R \"$USER\" '{folder}'"
+            )
+        }
+        _ => format!("{}: {source}", path.display()),
+    })
 }
 
-impl SetupError {
-    /// A failed file operation; missing write permission is a variant of its own.
-    fn file(path: &Path, source: std::io::Error) -> Self {
-        use std::io::ErrorKind::{PermissionDenied, ReadOnlyFilesystem};
-        match source.kind() {
-            PermissionDenied | ReadOnlyFilesystem => {
-                Self::NotWritable(path.parent().unwrap_or(path).to_owned())
-            }
-            _ => Self::File { path: path.to_owned(), source },
-        }
-    }
+/// The path of an entry of a folder whose name passes a test.
+fn entry(folder: &Path, passes: impl Fn(&str) -> bool) -> Option<PathBuf> {
+    let mut paths = std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path()));
+    paths.find(|path| path.file_name().is_some_and(|name| passes(&name.to_string_lossy())))
 }
 
 impl Environment {
     /// The environment if its packages are installed. This installs nothing.
     pub fn find(project_root: &Path) -> Option<Self> {
         let stamps = Stamps::read(project_root).ok()?;
-        stamps.has_packages().then(|| Self {
-            project_root: project_root.to_owned(),
-            python: project_root.join(".venv/bin/python"),
-        })
+        stamps.packages.found.then(|| Self::inside(project_root))
+    }
+
+    /// The environment, complete or not.
+    fn inside(project_root: &Path) -> Self {
+        let python = project_root.join(".venv/bin/python");
+        Self { project_root: project_root.to_owned(), python }
     }
 }
 
 /// The folder of stlfr's sources: `STLFR_HOME`, or where this program was built.
-pub fn project_root() -> Result<PathBuf, SetupError> {
+pub fn project_root() -> Result<PathBuf, ToolchainError> {
     let root = std::env::var_os("STLFR_HOME")
         .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")), PathBuf::from);
     match root.canonicalize() {
         Ok(real) if real.join("blender/requirements.txt").is_file() => Ok(real),
-        _ => Err(SetupError::NoProject(root)),
+        _ => Err(ToolchainError::Failure(format!(
+            "{} is not stlfr's source folder; set STLFR_HOME to where it is",
+            root.display()
+        ))),
     }
 }
 
 /// The system's ffmpeg, else that of the project's environment.
 pub fn find_ffmpeg() -> Option<PathBuf> {
-    ffmpeg_on_path().or_else(|| environment_ffmpeg(&project_root().ok()?))
-}
-
-/// The ffmpeg of the package `imageio-ffmpeg`.
-fn environment_ffmpeg(project_root: &Path) -> Option<PathBuf> {
-    let folder = project_root.join(".venv/lib/python3.11/site-packages/imageio_ffmpeg/binaries");
-    std::fs::read_dir(folder).ok()?.filter_map(|entry| Some(entry.ok()?.path())).find(|path| {
-        path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("ffmpeg-"))
+    ffmpeg_on_path().or_else(|| {
+        let binaries = ".venv/lib/python3.11/site-packages/imageio_ffmpeg/binaries";
+        entry(&project_root().ok()?.join(binaries), |name| name.starts_with("ffmpeg-"))
     })
 }
 
@@ -96,49 +85,40 @@ fn environment_ffmpeg(project_root: &Path) -> Option<PathBuf> {
 pub fn ensure_environment(
     project_root: &Path,
     reporter: &Reporter,
-) -> Result<Environment, SetupError> {
-    let environment = Environment {
-        project_root: project_root.to_owned(),
-        python: project_root.join(".venv/bin/python"),
-    };
+) -> Result<Environment, ToolchainError> {
+    let environment = Environment::inside(project_root);
     if Stamps::read(project_root)?.is_whole() {
         return Ok(environment);
     }
     let _lock = lock(project_root, reporter)?;
     let stamps = Stamps::read(project_root)?; // the one who held the lock may have done it
     if !stamps.is_whole() {
-        install::install(&environment, &stamps, reporter)?;
+        Installer::new(&environment, reporter).install(&stamps)?;
     }
     Ok(environment)
 }
 
-/// A built wheel of the Python module; dropping it removes the file.
-pub(super) struct Wheel {
-    pub path: PathBuf,
-    _lock: File,
-}
-
-impl Wheel {
-    pub fn build(environment: &Environment, reporter: &Reporter) -> Result<Self, SetupError> {
-        let lock = lock(&environment.project_root, reporter)?;
-        Ok(Self { path: install::build_wheel(environment, reporter)?, _lock: lock })
-    }
-}
-
-impl Drop for Wheel {
-    fn drop(&mut self) {
-        // What is left is made anew by the next build.
-        let _ = self.path.parent().map(std::fs::remove_dir_all);
-    }
+/// Calls a function with a built wheel of the Python module, and removes the wheel.
+pub(super) fn with_wheel<T>(
+    environment: &Environment,
+    reporter: &Reporter,
+    call: impl FnOnce(&Path) -> Result<T, ToolchainError>,
+) -> Result<T, ToolchainError> {
+    let _lock = lock(&environment.project_root, reporter)?;
+    let wheel = Installer::new(environment, reporter).build_module()?;
+    let result = call(&wheel);
+    // What is left is made anew by the next build.
+    let _ = wheel.parent().map(std::fs::remove_dir_all);
+    result
 }
 
 /// Locks the environment for one process, until the file is dropped.
-fn lock(project_root: &Path, reporter: &Reporter) -> Result<File, SetupError> {
+fn lock(project_root: &Path, reporter: &Reporter) -> Result<File, ToolchainError> {
     let path = project_root.join(".venv.lock");
-    let file = File::create(&path).map_err(|e| SetupError::file(&path, e))?;
+    let file = File::create(&path).map_err(|e| file_error(&path, e))?;
     if file.try_lock().is_err() {
         let _phase = reporter.phase("waiting for another set-up");
-        file.lock().map_err(|e| SetupError::file(&path, e))?;
+        file.lock().map_err(|e| file_error(&path, e))?;
     }
     Ok(file)
 }

@@ -1,7 +1,8 @@
 //! Stamps: hashes of everything that the environment was built from.
 
-use super::SetupError;
-use crate::host::{hash_file, read_bytes, read_text, write_atomically};
+use super::file_error;
+use crate::host::{hash_file, ignore_absent, read_bytes, read_text, write_atomically};
+use crate::toolchain::ToolchainError;
 use std::path::{Path, PathBuf};
 
 /// Largest stamp or `pyvenv.cfg` that is read, bytes.
@@ -9,30 +10,38 @@ const MAX_STAMP_BYTES: u64 = 64 << 10;
 
 /// The expected stamps of a source tree.
 pub(super) struct Stamps {
-    packages: Stamp,
-    module: Stamp,
+    pub packages: Stamp,
+    pub module: Stamp,
 }
 
-struct Stamp {
+/// A file that holds a hash.
+pub(super) struct Stamp {
     path: PathBuf,
     expected: String,
-    found: bool,
+    /// Whether the file holds the expected hash.
+    pub found: bool,
 }
 
 impl Stamp {
-    fn new(path: PathBuf, expected: String) -> Self {
+    fn new(path: PathBuf, hasher: &blake3::Hasher) -> Self {
+        let expected = hasher.finalize().to_string();
         let found = read_text(&path, MAX_STAMP_BYTES).is_ok_and(|text| text == expected);
         Self { path, expected, found }
     }
 
-    fn write(&self) -> Result<(), SetupError> {
+    pub fn write(&self) -> Result<(), ToolchainError> {
         write_atomically(&self.path, self.expected.as_bytes())
-            .map_err(|e| SetupError::file(&self.path, e))
+            .map_err(|e| file_error(&self.path, e))
+    }
+
+    /// Removes the file; call it before replacing what it stands for.
+    pub fn remove(&self) -> Result<(), ToolchainError> {
+        ignore_absent(std::fs::remove_file(&self.path)).map_err(|e| file_error(&self.path, e))
     }
 }
 
 impl Stamps {
-    pub fn read(root: &Path) -> Result<Self, SetupError> {
+    pub fn read(root: &Path) -> Result<Self, ToolchainError> {
         let venv = root.join(".venv");
         // A venv names the Python it was made with, and its scripts the folder they lie in.
         let python = read_bytes(&venv.join("pyvenv.cfg"), MAX_STAMP_BYTES).unwrap_or_default();
@@ -40,7 +49,6 @@ impl Stamps {
         add(&mut packages, root.as_os_str().as_encoded_bytes());
         add(&mut packages, &python);
         add_file(&mut packages, &root.join("blender/requirements.txt"))?;
-        let packages = packages.finalize();
 
         // Packages made anew are a new folder, without this stamp.
         let mut module = blake3::Hasher::new();
@@ -49,43 +57,21 @@ impl Stamps {
             add_file(&mut module, &file)?;
         }
         let mut stamps = Self {
-            packages: Stamp::new(venv.join(".stlfr-packages"), packages.to_hex().to_string()),
-            module: Stamp::new(venv.join(".stlfr-module"), module.finalize().to_hex().to_string()),
+            packages: Stamp::new(venv.join(".stlfr-packages"), &packages),
+            module: Stamp::new(venv.join(".stlfr-module"), &module),
         };
         // The interpreter is a link to the system's, which may be gone.
         stamps.packages.found &= venv.join("bin/python").exists();
         Ok(stamps)
     }
 
-    pub fn has_packages(&self) -> bool {
-        self.packages.found
-    }
-
     pub fn is_whole(&self) -> bool {
         self.packages.found && self.module.found
-    }
-
-    pub fn write_packages(&self) -> Result<(), SetupError> {
-        self.packages.write()
-    }
-
-    pub fn write_module(&self) -> Result<(), SetupError> {
-        self.module.write()
-    }
-
-    /// Removes the module's stamp; call it before replacing the module.
-    pub fn remove_module(&self) -> Result<(), SetupError> {
-        match std::fs::remove_file(&self.module.path) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                Err(SetupError::file(&self.module.path, e))
-            }
-            _ => Ok(()),
-        }
     }
 }
 
 /// Source files of the Python module, in a fixed order: all but those of the command line.
-fn module_sources(root: &Path) -> Result<Vec<PathBuf>, SetupError> {
+fn module_sources(root: &Path) -> Result<Vec<PathBuf>, ToolchainError> {
     let mut files: Vec<PathBuf> =
         ["Cargo.toml", "Cargo.lock", "blender/pyproject.toml"].map(|f| root.join(f)).into();
     walk(&root.join("src"), &mut files)?;
@@ -96,8 +82,8 @@ fn module_sources(root: &Path) -> Result<Vec<PathBuf>, SetupError> {
     Ok(files)
 }
 
-fn walk(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), SetupError> {
-    let failed = |e| SetupError::file(folder, e);
+fn walk(folder: &Path, files: &mut Vec<PathBuf>) -> Result<(), ToolchainError> {
+    let failed = |e| file_error(folder, e);
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
         if path.is_dir() {
@@ -116,8 +102,8 @@ fn add(hasher: &mut blake3::Hasher, bytes: &[u8]) {
     hasher.update(bytes);
 }
 
-fn add_file(hasher: &mut blake3::Hasher, path: &Path) -> Result<(), SetupError> {
-    hash_file(hasher, path).map_err(|e| SetupError::file(path, e))
+fn add_file(hasher: &mut blake3::Hasher, path: &Path) -> Result<(), ToolchainError> {
+    hash_file(hasher, path).map_err(|e| file_error(path, e))
 }
 
 #[cfg(test)]
@@ -142,9 +128,9 @@ mod tests {
             write_atomically(&folder.path().join(file), file.as_bytes()).unwrap();
         }
         let stamps = Stamps::read(folder.path()).unwrap();
-        assert!(!stamps.has_packages() && !stamps.is_whole());
-        stamps.write_packages().unwrap();
-        stamps.write_module().unwrap();
+        assert!(!stamps.packages.found && !stamps.is_whole());
+        stamps.packages.write().unwrap();
+        stamps.module.write().unwrap();
         folder
     }
 
@@ -153,7 +139,7 @@ mod tests {
         let folder = finished();
         std::fs::write(folder.path().join(file), "changed").unwrap();
         let stamps = Stamps::read(folder.path()).unwrap();
-        (stamps.has_packages(), stamps.is_whole())
+        (stamps.packages.found, stamps.is_whole())
     }
 
     #[test]

@@ -1,35 +1,66 @@
-//! Required system packages, and the command that installs them.
+//! What the system must have: a Python 3.11 that can create environments, and Blender's libraries. An error names the
+//! command that installs what is missing.
 
-use super::SetupError;
+use crate::toolchain::ToolchainError;
 use std::path::Path;
+use std::process::{Command, Stdio};
+
+/// The version that `bpy` is built for.
+const VERSION: &str = "3.11";
+
+/// Prints the version, and whether `venv` is there: Debian packages it separately.
+const PROBE: &str = "import sys
+try:
+    import ensurepip, venv
+    able = 'able'
+except ImportError:
+    able = 'unable'
+print('%d.%d' % sys.version_info[:2], able)";
+
+/// The command that starts a Python that can create environments.
+pub(super) fn find_python() -> Result<&'static str, ToolchainError> {
+    let mut unable = None;
+    for python in ["python3.11", "python3", "python"] {
+        let output = Command::new(python).args(["-I", "-c", PROBE]).stdin(Stdio::null()).output();
+        let answer = output.map(|o| String::from_utf8_lossy(&o.stdout).trim().to_owned());
+        match answer.as_deref().ok().and_then(|a| a.split_once(' ')) {
+            Some((VERSION, "able")) => return Ok(python),
+            Some((VERSION, _)) => unable = unable.or(Some(python)),
+            _ => {}
+        }
+    }
+    Err(ToolchainError::Failure(match unable {
+        Some(python) => {
+            let line = install_line(&["python3.11-venv"]);
+            format!("{python} can't make environments; on Debian: {line}")
+        }
+        None => {
+            let line = install_line(&["python3.11", "python3.11-venv"]);
+            format!("Python 3.11 is not installed; on Debian: {line}")
+        }
+    }))
+}
 
 /// The command that installs Debian packages.
-pub(super) fn install_line(packages: &[impl AsRef<str>]) -> String {
+fn install_line(packages: &[&str]) -> String {
     // SAFETY: geteuid has no preconditions and can't fail.
     let sudo = if unsafe { libc::geteuid() } == 0 { "" } else { "sudo " };
-    let packages: Vec<&str> = packages.iter().map(AsRef::as_ref).collect();
     format!("{sudo}apt-get install -y {}", packages.join(" "))
 }
 
 /// The error for a missing shared library, if an import's output names one.
-pub(super) fn missing_library(root: &Path, stderr: &str) -> Option<SetupError> {
-    let library = library_in(stderr)?.to_owned();
-    let list = std::fs::read_to_string(root.join("blender/system-packages.txt")).ok()?;
-    Some(SetupError::NoLibrary { library, line: install_line(&packages(&list)) })
-}
-
-/// Finds `libX.so.1` in "ImportError: libX.so.1: cannot open shared object file: …".
-fn library_in(stderr: &str) -> Option<&str> {
+pub(super) fn missing_library(root: &Path, stderr: &str) -> Option<ToolchainError> {
+    // "ImportError: libX.so.1: cannot open shared object file: …"
     let line = stderr.lines().find(|l| l.contains("cannot open shared object file"))?;
-    line.split(": ").find(|part| part.contains(".so") && !part.contains(' '))
-}
-
-/// Parses a list with one package a line; `#` starts a comment.
-fn packages(list: &str) -> Vec<&str> {
-    list.lines()
-        .map(|line| line.split('#').next().unwrap_or_default().trim())
-        .filter(|name| !name.is_empty())
-        .collect()
+    let library = line.split(": ").find(|part| part.contains(".so") && !part.contains(' '))?;
+    // One package a line; `#` starts a comment.
+    let list = std::fs::read_to_string(root.join("blender/system-packages.txt")).ok()?;
+    let packages = list.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
+    let packages: Vec<&str> = packages.filter(|name| !name.is_empty()).collect();
+    let line = install_line(&packages);
+    Some(ToolchainError::Failure(format!(
+        "Blender needs {library}, which this system lacks; on Debian: {line}"
+    )))
 }
 
 #[cfg(test)]

@@ -89,7 +89,7 @@ impl Pair {
         let (source, other) = if forward { (&earlier, &later) } else { (&later, &earlier) };
         let (w, h) = (source.image.width(), source.image.height());
         let features = self.features(forward)?;
-        let [source, other] = [source, other].map(|f| &f.pyramid.levels()[0]);
+        let [source, other] = [source, other].map(|f| &f.pyramid.levels[0]);
         let real = real_edges(&features, source, other, papers_interpolation().max_edge_length_px);
         Ok(edge_set(&features, &real, w, h))
     }
@@ -128,7 +128,7 @@ impl Pair {
 pub fn figure_5() -> Result<Page, Error> {
     let pair = Pair::open(true)?;
     let [frame, _] = pair.frames()?;
-    let level = &frame.pyramid.levels()[0];
+    let level = &frame.pyramid.levels[0];
     let magnitude = (0..level.width * level.height).map(|k| {
         let (gx, gy) = level.gradient(k % level.width, k / level.width);
         (4.0 * gx.hypot(gy)).min(1.0)

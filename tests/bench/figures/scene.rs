@@ -153,7 +153,7 @@ impl Scene {
         let (width, height, depths) = read_array(&self.truth.file(&view.depth)?)?;
         let (w, _, motion) = read_array(&self.truth.file(&view.motion)?)?;
         Ok(TrueView {
-            camera: view.camera()?,
+            camera: view.camera.camera()?,
             image: read_image(&self.truth.file(&view.image)?)?.0.to_rgb(),
             depth: DepthMap::from_data(width, height, depths),
             moving: moving_part(&motion, w, 0.5, 2),

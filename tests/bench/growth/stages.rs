@@ -97,7 +97,7 @@ fn edges(
         .collect();
     let [source, other] = [k, k + 1].map(|k| field.frames(&options.registration).get(camera, k));
     let (source, other) = (source?, other?);
-    let [a, b] = [&source, &other].map(|frame| &frame.pyramid.levels()[0]);
+    let [a, b] = [&source, &other].map(|frame| &frame.pyramid.levels[0]);
     let real = real_edges(&features, a, b, options.interpolation.max_edge_length_px);
     let (w, h) = (source.image.width(), source.image.height());
     let all = edge_set(&features, &real, w, h);

@@ -128,7 +128,7 @@ fn clocks(capture: &Capture, offsets: &Offsets, truth: &Truth) {
 fn images_off(capture: &Capture, offsets: &Offsets, truth: &Truth) -> (usize, usize) {
     let times = offsets.common_times_s(capture);
     let errors = times.iter().zip(&capture.cameras).flat_map(|(times, camera)| {
-        let shutter = truth.shutter_s(&camera.id).unwrap_or_default();
+        let shutter = truth.shutter.iter().filter(|s| s.id == camera.id).flat_map(|s| &s.times_s);
         times.iter().flatten().zip(shutter).map(|(estimated, true_s)| estimated - true_s)
     });
     let errors: Vec<f64> = errors.collect();

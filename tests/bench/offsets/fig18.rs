@@ -9,7 +9,7 @@ use std::path::Path;
 use stlfr::camera::{Camera, CameraModel};
 use stlfr::chart::{Chart, Series};
 use stlfr::offset::{
-    Candidate, Observation, ResidualModel, ThreeFrames, ransac, weighted_least_squares,
+    Candidate, Mixture, Observation, ThreeFrames, consensus_value, ransac, weighted_least_squares,
 };
 use stlfr::random::Random;
 use stlfr::registration::{FlowDirection, Track};
@@ -89,10 +89,8 @@ fn errors(candidates: &[Candidate]) -> [f64; 4] {
         .iter()
         .map(|c| Observation { value_s: c.time_s, at_s: 0.0, across_px_s: c.across_px_s })
         .collect();
-    let model = ResidualModel { start_px: 0.5, min_px: 0.01, max_px: 2.0, range_s: 3.0 };
-    let mixture = model
-        .consensus_value(&observations)
-        .and_then(|(start, _)| model.fit(&observations, start, false));
+    let mixture = consensus_value(&observations)
+        .and_then(|(start, _)| Mixture::fit(&observations, 1.0, start, false));
     let estimates = [
         (!inliers.is_empty()).then(|| inliers.iter().sum::<f64>() / inliers.len() as f64),
         weighted_least_squares(&values, GAMMA),

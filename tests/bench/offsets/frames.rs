@@ -313,7 +313,10 @@ fn recorded_figures(folder: &Path, figures: &[(&str, f64, bool)]) -> Result<Vec<
     let mut charts = Vec::new();
     for &(name, wanted, loses) in figures {
         let [i, j] = nearest(wanted).ok_or("the truth lacks cameras")?;
-        let shutter = |c: usize| truth.shutter_s(&capture.cameras[c].id).map(<[f64]>::to_vec);
+        let shutter = |c: usize| {
+            let found = truth.shutter.iter().find(|s| s.id == capture.cameras[c].id);
+            found.map(|s| s.times_s.clone())
+        };
         let both = shutter(i).zip(shutter(j));
         let (shutter_i_s, mut shutter_j_s) = both.ok_or("the truth lacks shutter times")?;
         let mut part = (*capture).clone();

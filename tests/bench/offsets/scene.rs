@@ -8,7 +8,7 @@ use std::path::Path;
 use stlfr::random::Random;
 use stlfr::raster::Image;
 use stlfr::raster::{BitDepth, write_image};
-use stlfr::rig::{GenerateError, Loss, LossStamps, RigCamera, RigOptions};
+use stlfr::rig::{FieldError, Loss, LossStamps, RigCamera, RigOptions};
 
 /// A textured rectangle in motion; metres, seconds and radians.
 #[derive(Clone, Debug)]
@@ -120,7 +120,7 @@ impl SyntheticCapture {
         frames: usize,
         [count, within]: [usize; 2],
         seed: u64,
-    ) -> Result<Self, GenerateError> {
+    ) -> Result<Self, FieldError> {
         let rig = RigOptions {
             jitters_s: vec![0.0],
             loss: (count > 0).then_some(Loss { count, within, stamps: LossStamps::Hidden }),

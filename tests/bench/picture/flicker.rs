@@ -88,7 +88,7 @@ fn pan(field: &LightField, truth: &Truth) -> Result<Sequence, Error> {
     let mut images = Vec::new();
     let mut cameras = Vec::new();
     for view in &filmed {
-        cameras.push(view.camera()?);
+        cameras.push(view.camera.camera()?);
         images.push(read_image(&truth.file(&view.image)?)?.0);
     }
     if filmed.is_empty() {
@@ -136,7 +136,7 @@ fn scrub(field: &LightField, truth: &Truth) -> Result<Sequence, Error> {
     let time = |k: usize| first + (last - first) * (k as f64 + 0.5) / STEPS as f64;
     Ok(Sequence {
         name: "scrub",
-        cameras: vec![view.camera()?; STEPS],
+        cameras: vec![view.camera.camera()?; STEPS],
         times_s: (0..STEPS).map(time).collect(),
         truth: None,
     })

@@ -39,7 +39,7 @@ impl True {
         let (w, _, motion_px) = read_array(&truth.file(&view.motion)?)?;
         Ok(Self {
             id: view.id.clone(),
-            camera: view.camera()?,
+            camera: view.camera.camera()?,
             image: read_image(&truth.file(&view.image)?)?.0,
             depth: DepthMap::from_data(width, height, depths),
             moving: moving_part(&motion_px, w, 0.5, 2),

@@ -1,11 +1,10 @@
-//! Reading files from an unknown source: regular files only, up to a stated size. A device, a pipe or a file of gigabytes
-//! neither fills the memory nor blocks.
+//! Paths from an unknown source: what stands in an output's way, and reading regular files up to a stated size. A device,
+//! a pipe or a file of gigabytes neither fills the memory nor blocks.
 
-use super::obstacle::file_kind;
-use std::fs::{File, Metadata, OpenOptions};
+use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{Error, ErrorKind, Read, Result};
-use std::os::unix::fs::OpenOptionsExt;
-use std::path::Path;
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::path::{Path, PathBuf};
 
 /// Opens a regular file for reading; links are followed. Anything else is an error that names its kind. Opening never
 /// blocks.
@@ -63,6 +62,51 @@ fn too_large(max_bytes: u64) -> Error {
         (mib, _) => format!("{mib} MiB"),
     };
     Error::new(ErrorKind::InvalidData, format!("is larger than {limit}, the maximum"))
+}
+
+/// The reason why a file can't be written here: the path exists and is no regular file.
+pub fn obstacle(path: &Path) -> Option<String> {
+    let found = path.symlink_metadata().ok()?.file_type();
+    let reason = if found.is_dir() { "" } else { ", which is not written over" };
+    (!found.is_file()).then(|| format!("is {}{reason}", file_kind(found)))
+}
+
+/// The kind of a file that is not regular, with its article.
+fn file_kind(found: FileType) -> &'static str {
+    if found.is_symlink() {
+        "a link"
+    } else if found.is_dir() {
+        "a folder"
+    } else if found.is_fifo() {
+        "a pipe"
+    } else if found.is_socket() {
+        "a socket"
+    } else {
+        "a device"
+    }
+}
+
+/// Removes a link, a pipe, a socket or a device, without following the link. A regular file and a folder stay.
+pub(crate) fn remove_special(path: &Path) -> Result<()> {
+    match path.symlink_metadata() {
+        Ok(found) if !found.is_file() && !found.is_dir() => std::fs::remove_file(path),
+        _ => Ok(()),
+    }
+}
+
+/// The result of a removal, with nothing to remove as success.
+pub(crate) fn ignore_absent(removal: Result<()>) -> Result<()> {
+    match removal {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// The innermost link among `path` and its folders inside `root`. Writing and deleting through it would reach files
+/// elsewhere.
+pub(crate) fn link_within(root: &Path, path: &Path) -> Option<PathBuf> {
+    let is_link = |path: &&Path| path.symlink_metadata().is_ok_and(|m| m.is_symlink());
+    path.ancestors().take_while(|p| *p != root).find(is_link).map(Path::to_owned)
 }
 
 #[cfg(test)]

@@ -1,0 +1,38 @@
+//! Charts are templates of SVG, filled in by minijinja, which escapes all texts.
+
+use minijinja::syntax::SyntaxConfig;
+use minijinja::{Environment, Value};
+
+/// Width of a letter, pixels.
+pub(super) const ADVANCE: f64 = 7.0;
+
+/// Font size, pixels. Letters of monospaced fonts are 0.6 of it wide, which is [`ADVANCE`].
+pub(super) const TEXT_SIZE: f64 = 11.7;
+
+/// Fills in a template. Its filters are `px`, a position with one decimal, and `number`, all digits without an empty
+/// fraction.
+///
+/// # Panics
+/// If the template is wrong, whatever the values.
+pub(super) fn filled(template: &'static str, values: Value) -> String {
+    let mut env = Environment::new();
+    let mut syntax = SyntaxConfig::builder();
+    syntax.trim_blocks(true).lstrip_blocks(true).keep_trailing_newline(true);
+    env.set_syntax(syntax.build().expect("delimiters are the default ones"));
+    env.add_filter("px", |position: f64| format!("{position:.1}"));
+    env.add_filter("number", |value: f64| value.to_string());
+    // Texts are escaped as in HTML.
+    env.add_template("chart.html", template).expect("the template has no wrong syntax");
+    let chart = env.get_template("chart.html").expect("it was added");
+    chart.render(values).expect("the template uses what it is given")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn letters_advance_as_labels_assume() {
+        assert!((0.6 * TEXT_SIZE - ADVANCE).abs() < 0.05);
+    }
+}

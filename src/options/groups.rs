@@ -1,0 +1,141 @@
+//! Groups of options that belong to no single stage's module: what the capture decides ([`crate::plan`]), the geometry
+//! proxy (§6), and temporal integration (Fig. 1), which makes an image of a span of time before an instant.
+
+use crate::lumigraph::DepthEdges;
+use crate::method::methods;
+use crate::option::options;
+use crate::stereo::StereoOptions;
+use serde::{Deserialize, Serialize};
+
+options! {
+    /// Which methods are left to the capture, and how large an error they may make.
+    pub struct AutoOptions {
+        /// Whether the capture decides the sync method, whether trajectories are curved, and
+        /// whether still frame pairs are registered.
+        sync: bool = false,
+        /// Whether the capture decides the proxy's method.
+        proxy: bool = false,
+        /// Whether the capture decides the blend's method.
+        blend: bool = false,
+        /// How far a cheaper method may displace a surface in the image.
+        budget_px: f64 [0.0..=1000.0, "px"] = 0.25,
+        /// How much PSNR views may lose that a dearer sync method would gain.
+        budget_db: f64 [0.0..=100.0, "dB"] = 0.07,
+    }
+}
+
+impl AutoOptions {
+    /// Every method is left to the capture.
+    pub fn all() -> Self {
+        Self { sync: true, proxy: true, blend: true, ..Self::default() }
+    }
+
+    /// The stages whose methods are left to the capture, as plans name them.
+    pub fn stages(&self) -> Vec<&'static str> {
+        let all = [(self.sync, "sync"), (self.proxy, "proxy"), (self.blend, "blend")];
+        all.into_iter().filter(|(is_left, _)| *is_left).map(|(_, stage)| stage).collect()
+    }
+}
+
+/// The proxies, cheapest first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ProxyMethod {
+    /// One plane, fitted to the scene's points or at a set depth.
+    Plane,
+    /// The paper's: triangulated correspondences, meshed, with a plane behind.
+    #[default]
+    Mesh,
+    /// Depth per pixel from the images of several cameras, with occlusion.
+    Depth,
+    /// Depth and motion of every frame, from all cameras at their own times: the points of the frames nearest to the
+    /// instant are moved there. Needs no synchronized images.
+    SceneFlow,
+}
+
+methods!(ProxyMethod {
+    Plane = "plane": "One plane, fitted or at a set depth",
+    Mesh = "mesh": "The paper's: triangulated correspondences, meshed, with a plane behind",
+    Depth = "depth": "Depth per pixel that all cameras agree on, and what hides what",
+    SceneFlow = "scene-flow": "Depth and motion of every frame, from all cameras at their own times; ignores --sync",
+});
+
+options! {
+    /// The geometry proxy (§6): an estimate of the scene's shape.
+    pub struct ProxyOptions {
+        /// The kind of proxy.
+        method: ProxyMethod = ProxyMethod::Mesh,
+        /// Depth of the plane in the view: what is in focus; null: fitted to the scene's points.
+        plane_depth_m: Option<f64> [1e-9..=1e12, "m"] = None,
+        /// How the mesh treats triangles between two surfaces.
+        depth_edges: DepthEdges = DepthEdges::Front,
+        /// Options of depth per pixel.
+        depth: StereoOptions,
+        /// Cameras nearest to the view whose features are triangulated.
+        cameras: usize [1..=1_000_000, "cameras"] = 3,
+        /// Nearest cameras with which each of these is matched.
+        partners: usize [1..=1_000_000, "cameras"] = 4,
+    }
+}
+
+/// How the instants of a trail make one image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TrailMode {
+    /// The mean of the instants' light, as in a long exposure.
+    #[default]
+    Mean,
+    /// The brightest of the instants' values, so that highlights leave full streaks.
+    Lighten,
+}
+
+methods!(TrailMode {
+    Mean = "mean": "The mean of the light, as a long exposure has it",
+    Lighten = "lighten": "The brightest value: highlights leave full streaks",
+});
+
+options! {
+    /// Temporal integration: a view is made of several instants that end at its own.
+    pub struct TrailOptions {
+        /// Length of the trail before the instant; 0: no trail.
+        duration_s: f64 [0.0..=1e6, "s"] = 0.0,
+        /// Evenly spaced instants that are overlaid, the first and the last included.
+        instants: usize [1..=10_000, "instants"] = 16,
+        /// How the instants make one image.
+        mode: TrailMode = TrailMode::Mean,
+    }
+}
+
+impl TrailOptions {
+    /// The instants of a trail that ends at `time_s`, latest first. Without a trail, `time_s` alone.
+    pub(crate) fn instants_s(&self, time_s: f64) -> Vec<f64> {
+        if self.duration_s <= 0.0 || self.instants < 2 {
+            return vec![time_s];
+        }
+        let step_s = self.duration_s / (self.instants - 1) as f64;
+        (0..self.instants).map(|k| time_s - step_s * k as f64).collect()
+    }
+
+    /// Number of instants that make one view.
+    pub fn count(&self) -> usize {
+        self.instants_s(0.0).len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn instants_reach_back_from_the_last() {
+        let trail = TrailOptions { duration_s: 0.3, instants: 4, mode: TrailMode::Mean };
+        let instants = trail.instants_s(1.0);
+        assert_eq!(instants[0], 1.0);
+        for (found, expected) in instants.iter().zip([1.0, 0.9, 0.8, 0.7]) {
+            assert!((found - expected).abs() < 1e-12);
+        }
+        assert_eq!(TrailOptions { duration_s: 0.0, ..trail.clone() }.instants_s(1.0), [1.0]);
+        assert_eq!(TrailOptions { instants: 1, ..trail.clone() }.instants_s(1.0), [1.0]);
+        assert_eq!(TrailOptions { instants: 0, ..trail }.count(), 1);
+    }
+}

@@ -1,0 +1,325 @@
+//! Held-out frames: the truth of what other cameras render. By them, [`Probe`] measures what dearer methods gain on
+//! views of this capture. Refinement, beside triangulation: how much it changes views between its cameras, beside the
+//! error of held-out frames. All cameras' images and weights in time: the errors of held-out frames alone.
+
+use crate::camera::Camera;
+use crate::capture::{Capture, CaptureError};
+use crate::interpolation::changed_pixels;
+use crate::light_field::{LightField, RenderError};
+use crate::lumigraph::{BlendMethod, Rendered};
+use crate::metrics::moving_part;
+use crate::offset::Offsets;
+use crate::options::RenderOptions;
+use crate::raster::Image;
+use crate::registration::{FrameStore, Gains, RegistrationOptions};
+use nalgebra::Vector3;
+use std::cmp::Reverse;
+use std::f64::consts::LN_10;
+use std::sync::Arc;
+
+/// Number of held-out frames, each of another camera, spread over the recording. Gains differ by half a decibel
+/// between instants.
+const FRAMES: usize = 4;
+
+/// Number of nearest cameras from which a held-out frame is rendered.
+const NEIGHBORS: usize = 4;
+
+/// Fractions of the frame interval at which views may be rendered, the preferred one first.
+const FRACTIONS: [f64; 3] = [0.5, 0.25, 0.75];
+
+/// Dilation of the changing part for its parallax in a neighbouring view, pixels.
+const PARALLAX_PX: usize = 16;
+
+/// Smallest distance of an instant from a frame, as a fraction of the interval; nearer, synchronization has no error.
+const MIN_FRACTION: f64 = 0.1;
+
+/// Smallest changing part that is measured, pixels.
+const MIN_PIXELS: usize = 64;
+
+/// Frames that are held out, to be rendered from their cameras' neighbours.
+pub struct Probe {
+    frames: Vec<HeldOutFrame>,
+}
+
+struct HeldOutFrame {
+    /// The light field of the neighbours alone.
+    neighbors: LightField,
+    camera: Camera,
+    /// The camera's id and the frame's number.
+    name: String,
+    time_s: f64,
+    /// Where and when views are rendered: halfway to the nearest neighbour, between this frame and the
+    /// next.
+    view: Camera,
+    view_s: f64,
+    /// The frame, corrected to the reference's gains.
+    truth: Image,
+    /// The camera whose brightness `neighbors` renders.
+    bright_as: usize,
+    gains: Arc<Gains>,
+    /// Where the frame differs from those before and after it, row by row; and what is near that.
+    changing: Vec<bool>,
+    near_changing: Vec<bool>,
+}
+
+/// Squared errors of held-out frames, summed up, by the weights that they are blended with.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct HeldOutErrors {
+    pub in_space: f64,
+    pub in_space_and_time: f64,
+}
+
+impl HeldOutErrors {
+    /// The error by this blend; by the better of both if the blend is to be decided, too.
+    pub fn by(&self, blend: BlendMethod, is_decided_later: bool) -> f64 {
+        match blend {
+            _ if is_decided_later => self.in_space.min(self.in_space_and_time),
+            BlendMethod::SpaceTime => self.in_space_and_time,
+            BlendMethod::Lumigraph | BlendMethod::Uniform => self.in_space,
+        }
+    }
+}
+
+impl Probe {
+    /// `None` where no frame lies between its neighbours' frames, as with one clock for all, or
+    /// hardly anything changes.
+    pub fn open(
+        whole: &LightField,
+        registration: &RegistrationOptions,
+    ) -> Result<Option<Self>, RenderError> {
+        let times_s = whole.offsets().common_times_s(whole.capture());
+        let mut frames = Vec::new();
+        for camera in inner_cameras(whole.capture()) {
+            let Some(times_s) = &times_s[camera] else { continue };
+            frames.extend(HeldOutFrame::open(whole, camera, times_s, frames.len(), registration)?);
+            if frames.len() == FRAMES {
+                break;
+            }
+        }
+        Ok((!frames.is_empty()).then_some(Self { frames }))
+    }
+
+    /// The held-out frames, as people write them.
+    pub fn names(&self) -> String {
+        let names: Vec<&str> = self.frames.iter().map(|f| f.name.as_str()).collect();
+        names.join(", ")
+    }
+
+    /// How much better, decibels, views by dearer options can be than by cheaper ones where things
+    /// change: 10·log₁₀(1 + D/E), D the squared difference of the two halfway between the cameras,
+    /// and E the squared error of the dearer ones on the held-out frames, each summed up. That is
+    /// the gain if all that the dearer options change is for the better, and views are as wrong as
+    /// those of held-out cameras. `None` where none can be rendered, or nothing is seen.
+    ///
+    /// What held-out frames gain is no guide here: they stand twice as far from their neighbours as
+    /// views do, the proxy is off by twice as much there, and an outline in the wrong place costs a
+    /// sharp view more than a blurred one.
+    pub fn possible_gain_db(
+        &self,
+        field: &LightField,
+        cheaper: &RenderOptions,
+        dearer: &RenderOptions,
+    ) -> Result<Option<f64>, RenderError> {
+        let (mut difference, mut error) = (0.0, 0.0);
+        for frame in &self.frames {
+            let cheap = rendered(field, &frame.view, frame.view_s, cheaper)?;
+            let dear = rendered(field, &frame.view, frame.view_s, dearer)?;
+            let again = rendered(&frame.neighbors, &frame.camera, frame.time_s, dearer)?;
+            let (Some(cheap), Some(dear), Some(again)) = (cheap, dear, again) else { continue };
+            let counts = both(&both(&cheap.coverage, &dear.coverage), &frame.near_changing);
+            difference += squared(&cheap.image, &dear.image, &counts);
+            error += frame.squared_error(&again, &both(&again.coverage, &frame.changing));
+        }
+        // Nothing seen, or no error at all: 0/0, or more than any budget.
+        let gain_db = 10.0 * (difference / error).ln_1p() / LN_10;
+        Ok(gain_db.is_finite().then_some(gain_db))
+    }
+
+    /// The errors of the held-out frames where things change, by each of these options with both kinds of
+    /// weights. Frames count that all can render, and pixels that all cover; `None` if there is none.
+    ///
+    /// All are equally sharp, so that an outline in the wrong place costs all alike.
+    pub fn errors(
+        &self,
+        candidates: &[RenderOptions],
+    ) -> Result<Option<Vec<HeldOutErrors>>, RenderError> {
+        let mut sums = vec![HeldOutErrors::default(); candidates.len()];
+        let mut is_any = false;
+        for frame in &self.frames {
+            let mut views = Vec::with_capacity(candidates.len());
+            for options in candidates {
+                views.extend(frame.by_both_weights(options)?);
+            }
+            if views.len() < candidates.len() {
+                continue;
+            }
+            let mut counts = frame.changing.clone();
+            for view in views.iter().flatten() {
+                counts = both(&counts, &view.coverage);
+            }
+            is_any |= counts.contains(&true);
+            for (sum, [in_space, in_time]) in sums.iter_mut().zip(&views) {
+                sum.in_space += frame.squared_error(in_space, &counts);
+                sum.in_space_and_time += frame.squared_error(in_time, &counts);
+            }
+        }
+        Ok(is_any.then_some(sums))
+    }
+}
+
+impl HeldOutFrame {
+    /// The `number`-th of [`FRAMES`] frames, of this camera; `None` if it shows nothing.
+    fn open(
+        whole: &LightField,
+        camera: usize,
+        times_s: &[f64],
+        number: usize,
+        registration: &RegistrationOptions,
+    ) -> Result<Option<Self>, RenderError> {
+        let capture = whole.capture();
+        let filmed = &capture.cameras[camera];
+        let view = halfway_to_neighbor(capture, camera);
+        let mut order = by_distance(capture, &filmed.camera.center().coords);
+        order.retain(|&c| c != camera);
+        order.truncate(NEIGHBORS);
+        let neighbors = field_of(capture, whole.offsets(), &order);
+        let covered = well_covered_frames(&neighbors, times_s);
+        let Some(&frame) = covered.get((2 * number + 1) * covered.len() / (2 * FRAMES)) else {
+            return Ok(None);
+        };
+        let time_s = times_s[frame];
+        let (truth, changing) = recorded(&whole.frames(registration), camera, frame)?;
+        let count = changing.iter().filter(|c| **c).count();
+        if 2 * neighbors.between_frames(time_s, MIN_FRACTION) < order.len() || count < MIN_PIXELS {
+            return Ok(None);
+        }
+        let next_s = times_s[if frame + 1 < times_s.len() { frame + 1 } else { frame - 1 }];
+        let instants = FRACTIONS.map(|fraction| time_s + fraction * (next_s - time_s));
+        // The first of those that most cameras have between frames.
+        let between = |s: &f64| Reverse(whole.between_frames(*s, MIN_FRACTION));
+        let Some(view_s) = instants.into_iter().min_by_key(between) else { return Ok(None) };
+        let gains = whole.gains(registration);
+        let changing_px: Vec<f32> = changing.iter().map(|c| f32::from(u8::from(*c))).collect();
+        Ok(Some(Self {
+            camera: filmed.camera.clone(),
+            name: format!("{}'s {frame}", filmed.id),
+            time_s,
+            view,
+            view_s,
+            near_changing: moving_part(&changing_px, truth.width(), 0.5, PARALLAX_PX),
+            truth: gains.corrected(camera, &truth).unwrap_or(truth),
+            gains,
+            bright_as: order[neighbors.capture().reference],
+            changing,
+            neighbors,
+        }))
+    }
+
+    /// The view in this frame's place with weights in space, and with those in space and time; `None` where it
+    /// can't be rendered.
+    fn by_both_weights(
+        &self,
+        options: &RenderOptions,
+    ) -> Result<Option<[Rendered; 2]>, RenderError> {
+        let by = |method: BlendMethod| {
+            let mut options = options.clone();
+            options.blend.method = method;
+            rendered(&self.neighbors, &self.camera, self.time_s, &options)
+        };
+        let (in_space, in_time) = (by(BlendMethod::default())?, by(BlendMethod::SpaceTime)?);
+        Ok(in_space.zip(in_time).map(<[Rendered; 2]>::from))
+    }
+
+    /// Squared error of a view against this frame, over the pixels where `counts` is true.
+    fn squared_error(&self, view: &Rendered, counts: &[bool]) -> f64 {
+        let image = self.gains.corrected(self.bright_as, &view.image);
+        squared(image.as_ref().unwrap_or(&view.image), &self.truth, counts)
+    }
+}
+
+/// A view; `None` where it can't be rendered. A frame that can't be read is an error.
+pub(crate) fn rendered(
+    field: &LightField,
+    at: &Camera,
+    time_s: f64,
+    options: &RenderOptions,
+) -> Result<Option<Rendered>, RenderError> {
+    match field.view(at, time_s, options) {
+        Ok(view) => Ok(Some(view)),
+        Err(RenderError::Capture(error)) => Err(error.into()),
+        Err(_) => Ok(None),
+    }
+}
+
+/// Where both are true.
+fn both(a: &[bool], b: &[bool]) -> Vec<bool> {
+    a.iter().zip(b).map(|(a, b)| *a && *b).collect()
+}
+
+/// The squared difference of the pixels that count, in grey.
+fn squared(a: &Image, b: &Image, counts: &[bool]) -> f64 {
+    let (a, b) = (a.to_gray(), b.to_gray());
+    let pixels = a.data().iter().zip(b.data()).zip(counts);
+    pixels.filter(|(_, counts)| **counts).map(|((a, b), _)| f64::from(a - b).powi(2)).sum()
+}
+
+/// The light field of some cameras only, in this order.
+pub(crate) fn field_of(capture: &Capture, offsets: &Offsets, cameras: &[usize]) -> LightField {
+    let mut known = offsets.clone();
+    known.cameras = cameras.iter().map(|&c| offsets.cameras[c].clone()).collect();
+    LightField::new(Arc::new(capture.with_cameras(cameras)), known)
+}
+
+/// All cameras, those nearest to the rig's middle first: like views, they are between others. None of
+/// fewer than three.
+pub(crate) fn inner_cameras(capture: &Capture) -> Vec<usize> {
+    let cameras = &capture.cameras;
+    if cameras.len() < 3 {
+        return Vec::new();
+    }
+    let centers = cameras.iter().map(|c| c.camera.center().coords);
+    by_distance(capture, &(centers.sum::<Vector3<f64>>() / cameras.len() as f64))
+}
+
+fn by_distance(capture: &Capture, from: &Vector3<f64>) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..capture.cameras.len()).collect();
+    let distance = |c: usize| (capture.cameras[c].camera.center().coords - from).norm();
+    order.sort_by(|&a, &b| distance(a).total_cmp(&distance(b)).then(a.cmp(&b)));
+    order
+}
+
+/// A view like a camera's, but halfway to its nearest neighbour at another place, if there is one.
+pub(crate) fn halfway_to_neighbor(capture: &Capture, camera: usize) -> Camera {
+    let mut view = capture.cameras[camera].camera.clone();
+    let from_own = capture.cameras.iter().map(|c| c.camera.center() - view.center());
+    let elsewhere = from_own.filter(|d| d.norm() > 0.0);
+    if let Some(aside) = elsewhere.min_by(|a, b| a.norm().total_cmp(&b.norm())) {
+        let shift = view.cam_from_world.rotation * (0.5 * aside);
+        view.cam_from_world.translation.vector -= shift;
+    }
+    view
+}
+
+/// Of frames at these times, those at which the largest number of the field's cameras can give an image.
+pub(crate) fn well_covered_frames(field: &LightField, times_s: &[f64]) -> Vec<usize> {
+    let usable: Vec<usize> = times_s.iter().map(|t| field.usable(*t).len()).collect();
+    let most = usable.iter().max().copied().unwrap_or(0).max(1);
+    (0..usable.len()).filter(|&k| usable[k] == most).collect()
+}
+
+/// A frame, and where it differs from the frames beside it by more than noise, row by row.
+pub(crate) fn recorded(
+    frames: &FrameStore,
+    camera: usize,
+    frame: usize,
+) -> Result<(Image, Vec<bool>), CaptureError> {
+    let image = frames.get(camera, frame)?.image.clone();
+    let mut moving = vec![false; image.width() * image.height()];
+    for other in [frame.checked_sub(1), Some(frame + 1)].into_iter().flatten() {
+        if other < frames.capture().cameras[camera].frames.len() {
+            let changed = changed_pixels(&image, &frames.get(camera, other)?.image);
+            moving.iter_mut().zip(changed).for_each(|(m, c)| *m |= c);
+        }
+    }
+    Ok((image, moving))
+}

@@ -1,0 +1,111 @@
+//! The functions of the module that need no opened capture.
+
+use super::convert::{checked, from_python, json_of, to_python, value_error};
+use crate::camera::CameraFormat;
+use crate::capture::{Capture, Opening, OutputGuard, Truth};
+use crate::compare::{CompareOptions, ComparedLightField, FILES, Renderer, compare as compared};
+use crate::exchange;
+use crate::interpolation::SyncMethod;
+use crate::method::Method;
+use crate::option::choices;
+use crate::options::{Preset, ProxyMethod, RenderOptions, TrailMode};
+use crate::progress::Reporter;
+use crate::rig::{Rig, RigOptions};
+use crate::toolchain::find_ffmpeg;
+use pyo3::prelude::*;
+use serde_json::{Value, json};
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Every stage's methods by the name of its option.
+#[pyfunction]
+pub fn methods(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    let stages = json!({
+        "sync": stage::<SyncMethod>(),
+        "proxy": stage::<ProxyMethod>(),
+        "trail": stage::<TrailMode>(),
+        "preset": stage::<Preset>(),
+    });
+    to_python(py, &stages)
+}
+
+/// Every option with its default, range, unit and help.
+#[pyfunction]
+pub fn options(py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    to_python(py, &RenderOptions::default().declared())
+}
+
+fn stage<M: Method>() -> Value {
+    json!({ "default": M::default().name(), "methods": choices::<M>() })
+}
+
+/// The content of a rig file, checked; fields that have their default values are left out.
+#[pyfunction]
+pub fn read_rig(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
+    let rig = py.detach(|| Rig::read(&path)).map_err(value_error)?;
+    to_python(py, &rig)
+}
+
+/// Refuses a rig that `stlfr rig --check` would refuse.
+#[pyfunction]
+pub fn check_rig(py: Python<'_>, rig: &Bound<'_, PyAny>) -> PyResult<()> {
+    let text = json_of(rig)?;
+    py.detach(|| Rig::parse(&text)).map(drop).map_err(value_error)
+}
+
+/// The rig that `stlfr rig` writes for the same options and seed.
+#[pyfunction]
+#[pyo3(signature = (options=None))]
+pub fn generate_rig<'py>(
+    py: Python<'py>,
+    options: Option<&Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let options = options.map(|options| from_python::<RigOptions>(options, "options"));
+    let options = options.transpose()?.unwrap_or_default();
+    to_python(py, &py.detach(|| options.generate()).map_err(value_error)?)
+}
+
+/// The files of COLMAP's text model by their names, from each image's name and camera.
+#[pyfunction]
+pub fn colmap_text<'py>(
+    py: Python<'py>,
+    images: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let images: Vec<(String, CameraFormat)> = from_python(images, "images")?;
+    for (k, (name, _)) in images.iter().enumerate() {
+        if name.is_empty() || name.contains(char::is_control) {
+            return Err(value_error(format!("images[{k}]: {name:?} is no name of an image")));
+        }
+    }
+    to_python(py, &py.detach(|| exchange::colmap_text(&images)))
+}
+
+/// Compares a capture with its truth, as `stlfr compare` does, into its folder `review`; gives the report's file
+/// and the layout's. With `lines`, progress goes to standard output, one JSON object a line.
+#[pyfunction]
+#[pyo3(signature = (path, *, options=None, lines=false))]
+pub fn compare<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+    options: Option<&Bound<'py, PyAny>>,
+    lines: bool,
+) -> PyResult<Bound<'py, PyAny>> {
+    let options = checked(options)?;
+    let reporter = if lines { Reporter::lines() } else { Reporter::silent() };
+    let work = || -> Result<_, Box<dyn Error + Send + Sync>> {
+        let ffmpeg = find_ffmpeg();
+        let opening = Opening { ffmpeg: ffmpeg.as_deref(), reporter: &reporter };
+        let capture = Capture::open_with(&path, &opening)?;
+        let out = capture.folder.join("review");
+        OutputGuard::new(Some(&capture.folder)).check_folder(&out, &FILES)?;
+        let truth = Truth::open(&capture.folder)?;
+        let field = ComparedLightField::open(Arc::new(capture), &options, &reporter)?;
+        let sync = Renderer::options(&field).sync;
+        let compare_options = CompareOptions { sync, ..CompareOptions::default() };
+        Ok(compared(&field, truth.as_ref(), &out, &compare_options, &reporter)?)
+    };
+    let summary = py.detach(work).map_err(value_error)?;
+    let shown = |path: &Path| path.to_string_lossy().into_owned();
+    to_python(py, &json!({ "report": shown(&summary.report), "review": shown(&summary.review) }))
+}

@@ -1,0 +1,172 @@
+//! What the Python programs make: a capture, the check of a calibration, the review of a comparison, and the Blender
+//! extension as one file to install.
+
+use super::setup::{self, Environment};
+use super::{ToolchainError, script};
+use crate::host::process;
+use crate::host::temporary::Temporary;
+use crate::progress::Reporter;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+/// What to film, and how. `None` is the filming script's default.
+#[derive(Clone, Debug)]
+pub struct FilmOptions {
+    /// The rig's file.
+    pub rig: PathBuf,
+    pub scene: FilmedScene,
+    /// The capture's folder. An interrupted recording with the same options is resumed there.
+    pub capture: PathBuf,
+    /// Width and height in pixels, for all cameras.
+    pub size_px: Option<(u32, u32)>,
+    /// Frames of the reference camera.
+    pub frames: Option<u32>,
+    /// Samples a pixel.
+    pub samples: Option<u32>,
+    /// `cycles` or `workbench`.
+    pub engine: Option<String>,
+    /// Number of instants with truth.
+    pub instants: Option<u32>,
+    /// Instants with truth, seconds on the reference's clock; empty for `instants` evenly spaced ones.
+    pub instants_s: Vec<f64>,
+    /// Number of points with true tracks.
+    pub tracks: Option<u32>,
+    /// Number of frames of the true slow motion.
+    pub truth_video: Option<u32>,
+    /// Whether to write `truth/`.
+    pub truth: bool,
+    /// Whether to store each camera's frames as one lossless video.
+    pub video: bool,
+}
+
+/// The source of a scene.
+#[derive(Clone, Debug)]
+pub enum FilmedScene {
+    /// A scene of `blender/scenes`.
+    Named(String),
+    /// A `.blend` file.
+    Blend(PathBuf),
+}
+
+/// Films the frames that are missing; a finished capture is not changed.
+pub fn film(
+    environment: &Environment,
+    options: &FilmOptions,
+    reporter: &Reporter,
+) -> Result<(), ToolchainError> {
+    let mut command = script::command(environment, "capture.py");
+    command.arg(&options.rig).arg("-o").arg(&options.capture);
+    match &options.scene {
+        FilmedScene::Named(name) => command.arg("--scene").arg(name),
+        FilmedScene::Blend(file) => command.arg("--blend").arg(file),
+    };
+    let text = |number: Option<u32>| number.map(|number| number.to_string());
+    let times: Vec<String> = options.instants_s.iter().map(f64::to_string).collect();
+    for (flag, value) in [
+        ("--size", options.size_px.map(|(width, height)| format!("{width}x{height}"))),
+        ("--frames", text(options.frames)),
+        ("--samples", text(options.samples)),
+        ("--instants", text(options.instants)),
+        ("--truth-video", text(options.truth_video)),
+        ("--tracks", text(options.tracks)),
+        ("--engine", options.engine.clone()),
+        ("--instants-s", (!times.is_empty()).then(|| times.join(","))),
+    ] {
+        if let Some(value) = value {
+            // One argument: a leading minus is a number's.
+            command.arg(format!("{flag}={value}"));
+        }
+    }
+    for (flag, is_given) in [("--no-truth", !options.truth), ("--video", options.video)] {
+        if is_given {
+            command.arg(flag);
+        }
+    }
+    script::run(&mut command, "filming", reporter, |line| reporter.note(line))
+}
+
+/// The result of a check.
+#[derive(Clone, Debug)]
+pub struct Check {
+    /// Measured values: the JSON object that `blender/check.py` prints.
+    pub values: Value,
+    /// Why the calibration is off; `None` if it is right.
+    pub failure: Option<String>,
+    /// A table of the values, line by line.
+    pub table: Vec<String>,
+}
+
+/// Checks a capture's calibration. A wrong calibration is a result, not an error.
+pub fn check(
+    environment: &Environment,
+    capture: &Path,
+    reporter: &Reporter,
+) -> Result<Check, ToolchainError> {
+    let mut command = script::command(environment, "check.py");
+    command.arg(capture);
+    let phase = reporter.phase("checking the calibration");
+    let mut stdout = String::new();
+    let ended = process::run(&mut command, |line| {
+        stdout.push_str(line);
+        stdout.push('\n');
+    });
+    drop(phase);
+    let ended = ended.map_err(|e| ToolchainError::Failure(format!("check.py: {e}")))?;
+    let values = serde_json::from_str::<Value>(&stdout);
+    let decided = values.ok().and_then(|values| Some((values["ok"].as_bool()?, values)));
+    let Some((is_right, values)) = decided else {
+        script::verdict("check.py", &ended)?;
+        return Err(ToolchainError::Failure("check.py: printed no result".into()));
+    };
+    let failure = (!is_right).then(|| values["reason"].as_str().unwrap_or_default().to_owned());
+    let table: Vec<String> = ended
+        .stderr
+        .lines()
+        .filter(|line| !line.starts_with("calibration check failed"))
+        .map(str::to_owned)
+        .collect();
+    Ok(Check { values, failure, table })
+}
+
+/// Writes `review.blend` beside the `review.json` of a comparison.
+pub fn review(
+    environment: &Environment,
+    layout: &Path,
+    reporter: &Reporter,
+) -> Result<PathBuf, ToolchainError> {
+    let mut command = script::command(environment, "review.py");
+    command.arg(layout);
+    script::run(&mut command, "review.blend", reporter, |_| ())?;
+    Ok(layout.with_file_name("review.blend"))
+}
+
+/// Name of the extension's zip inside its temporary folder.
+const EXTENSION_FILE: &str = "extension.zip";
+
+/// Writes the extension's zip for this platform, with the wheel of the Python module inside, validated
+/// by Blender's own tool.
+pub fn build_extension(
+    environment: &Environment,
+    zip: &Path,
+    reporter: &Reporter,
+) -> Result<(), ToolchainError> {
+    let failed =
+        |error| ToolchainError::Failure(format!("{}: can't be written ({error})", zip.display()));
+    setup::with_wheel(environment, reporter, |wheel| {
+        let temporary = Temporary::for_file(zip).map_err(failed)?;
+        let whole = temporary.path().join(EXTENSION_FILE);
+        let mut command = script::command(environment, "package.py");
+        command.arg(wheel).arg("-o").arg(&whole);
+        let _phase = reporter.phase("packing the extension");
+        let ended = process::run(&mut command, |_| {});
+        let ended = ended.map_err(|e| ToolchainError::Failure(format!("package.py: {e}")))?;
+        script::verdict("package.py", &ended).map_err(|error| match error {
+            // It knows the extension by its temporary name.
+            ToolchainError::Failure(sentence) => ToolchainError::Failure(
+                sentence.replace(&*whole.to_string_lossy(), &zip.to_string_lossy()),
+            ),
+            error => error,
+        })?;
+        temporary.place(EXTENSION_FILE, zip).map_err(failed)
+    })
+}
