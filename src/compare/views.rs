@@ -61,7 +61,7 @@ impl Comparison<'_> {
                 Some(ExcludedCamera { camera: camera.id.clone(), reason })
             });
             let excluded: Vec<ExcludedCamera> = failed.collect();
-            for &proxy in ProxyMethod::ALL {
+            for proxy in self.proxies() {
                 let (camera, time_s) = (&target.view.camera, target.instant.inner_s);
                 let view = ComparedView { target: camera, time_s, proxy, images, shape };
                 let rendered = match cameras {
@@ -85,6 +85,13 @@ impl Comparison<'_> {
         }
         blends.sort_by_key(|b| ProxyMethod::ALL.iter().position(|p| *p == b.result.proxy));
         blends
+    }
+
+    /// The proxies that are compared, cheapest first: scene flow, which takes minutes, if the options ask for it.
+    fn proxies(&self) -> impl Iterator<Item = ProxyMethod> + use<> {
+        let asked = self.renderer.options().proxy.method;
+        let is_compared = move |p: &ProxyMethod| *p != ProxyMethod::SceneFlow || *p == asked;
+        ProxyMethod::ALL.iter().copied().filter(is_compared)
     }
 
     /// Measures all blends of one view on the pixels that all of them cover; with the report's
@@ -113,7 +120,7 @@ impl Comparison<'_> {
         let (capture, id) =
             (&self.renderer.field().capture().name, &self.truth.views[view.index].id);
         // The rows are sorted by proxy.
-        for (proxy, panels) in ProxyMethod::ALL.iter().zip(panels.chunks(ViewMethod::ALL.len())) {
+        for (proxy, panels) in self.proxies().zip(panels.chunks(ViewMethod::ALL.len())) {
             let name = proxy.name();
             let title = format!("{capture}: view {id} at {:.4} s, proxy {name}", instant.time_s);
             self.write_sheet(&title, &format!("{}-{name}", view.stem), truth, panels)?;

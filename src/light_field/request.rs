@@ -38,11 +38,13 @@ impl<'a> Request<'a> {
 }
 
 impl Request<'_> {
-    /// Whether the view is made of the points of frames, which needs no synchronized images. Images that are given are
-    /// blended over depths of their own.
+    /// Whether the view is made of the points of frames, which needs no synchronized images. Images by another method than
+    /// the options', or given ones, are blended over depths of their own.
     pub(super) fn uses_scene_flow(&self) -> bool {
         self.options.proxy.method == ProxyMethod::SceneFlow
-            && matches!((self.images, self.shape), (Images::By(_), Images::By(_)))
+            && [self.images, self.shape]
+                .iter()
+                .all(|i| matches!(i, Images::By(sync) if *sync == self.options.sync))
     }
 }
 

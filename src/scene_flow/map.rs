@@ -46,7 +46,7 @@ const JUMP_FRAMES: f32 = 0.5;
 /// A frame's depth and motion as views need them: 16 bytes a pixel.
 ///
 /// Disparities, velocities and accelerations are rounded to 1/64 pixel, and depths to 1/1000 pixel of disparity or less.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FlowMap {
     pub width: usize,
     pub height: usize,
@@ -56,7 +56,7 @@ pub struct FlowMap {
 }
 
 /// The element of a pixel.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FlowPixel {
     /// 1/m.
     pub inverse_depth: f32,

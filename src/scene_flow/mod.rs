@@ -38,6 +38,9 @@ mod splat;
 mod sweep;
 mod transfer;
 
+#[cfg(test)]
+mod tests;
+
 pub use blend::{FlowView, blend};
 pub use estimate::{Estimation, Limits};
 pub use frame::{FlowFrame, levels};

@@ -1,0 +1,221 @@
+//! Scenes in closed form: textured walls that move, filmed by cameras that are not synchronized.
+
+use super::geometry::Projection;
+use super::*;
+use crate::camera::{Camera, CameraModel};
+use crate::raster::Image;
+use nalgebra::{Isometry3, Point2, Translation3, UnitQuaternion};
+
+const SIZE: [usize; 2] = [96, 72];
+const FOCAL_PX: f64 = 100.0;
+const SPACING_M: f64 = 0.1;
+
+fn camera_at(x: f64, y: f64) -> Camera {
+    Camera {
+        width: SIZE[0],
+        height: SIZE[1],
+        model: CameraModel::Pinhole { fx: FOCAL_PX, fy: FOCAL_PX, cx: 48.0, cy: 36.0 },
+        cam_from_world: Isometry3::from_parts(
+            Translation3::new(-x, -y, 0.0),
+            UnitQuaternion::identity(),
+        ),
+    }
+}
+
+/// A wall parallel to the image planes.
+#[derive(Clone, Copy)]
+struct Wall {
+    depth_m: f64,
+    /// Metres a frame.
+    velocity: [f64; 2],
+    /// Half of its width and height, metres.
+    half_m: f64,
+}
+
+/// Fills the image behind everything else.
+const STILL: Wall = Wall { depth_m: 3.0, velocity: [0.0; 2], half_m: f64::INFINITY };
+const MOVING: Wall = Wall { depth_m: 2.0, velocity: [0.06, -0.03], half_m: 0.3 };
+
+impl Wall {
+    /// Where a ray of a camera meets the wall, in the wall's own coordinates. `None` beside it.
+    fn hit(&self, camera: &Camera, pixel: [f64; 2], time: f64) -> Option<[f64; 2]> {
+        let ray = camera.ray_world(&Point2::from(pixel)).unwrap();
+        let point = camera.center() + ray * self.depth_m;
+        let place = [point.x - self.velocity[0] * time, point.y - self.velocity[1] * time];
+        place.iter().all(|v| v.abs() <= self.half_m).then_some(place)
+    }
+
+    fn color(&self, [x, y]: [f64; 2]) -> [f32; 3] {
+        let seed = self.depth_m;
+        let wave = |a: f64, b: f64, c: f64| (a * x + b * y + c * seed).sin();
+        let bright =
+            0.5 + 0.15 * (wave(31.0, 7.0, 1.0) + wave(-11.0, 37.0, 2.0) + wave(19.0, -23.0, 3.0));
+        let tint = 0.1 * wave(13.0, 17.0, 5.0);
+        [bright + tint, bright, bright - tint].map(|v| v as f32)
+    }
+}
+
+fn filmed(camera: &Camera, walls: &[Wall], time: f64) -> Image {
+    let color = |k: usize| {
+        let pixel = [(k % SIZE[0]) as f64 + 0.5, (k / SIZE[0]) as f64 + 0.5];
+        let seen = walls.iter().find_map(|w| Some((w, w.hit(camera, pixel, time)?)));
+        seen.map_or([0.0; 3], |(wall, place)| wall.color(place))
+    };
+    let data = (0..SIZE[0] * SIZE[1]).flat_map(color).collect();
+    Image::from_data(SIZE[0], SIZE[1], 3, data)
+}
+
+/// Four cameras in a line that film three frames each, a quarter of a frame apart.
+fn recording(walls: &[Wall]) -> Vec<[FlowFrame; 3]> {
+    let frames = |c: usize| {
+        let camera = camera_at(SPACING_M * c as f64, 0.0);
+        [0, 1, 2].map(|k| {
+            let time = k as f64 + 0.25 * [0.0, 2.0, 1.0, 3.0][c];
+            FlowFrame::new(&camera, &filmed(&camera, walls, time), time)
+        })
+    };
+    (0..4).map(frames).collect()
+}
+
+/// The maps of all cameras' middle frames.
+fn maps(recording: &[[FlowFrame; 3]]) -> Vec<FlowMap> {
+    let matched = |c: usize| {
+        let own = &recording[c];
+        let others = recording.iter().enumerate().filter(|(other, _)| *other != c);
+        let nearest = others.map(|(_, frames)| {
+            let distance = |f: &&FlowFrame| (f.time - own[1].time).abs();
+            frames.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap()
+        });
+        (&own[1], [&own[0], &own[2]].into_iter().chain(nearest).collect())
+    };
+    let frames: Vec<(&FlowFrame, Vec<&FlowFrame>)> = (0..recording.len()).map(matched).collect();
+    let limits = Limits { inverse_depth: [0.2, 1.0], max_speed: 12.0 };
+    Estimation { frames: &frames, limits, baseline_m: 2.0 * SPACING_M }.run(&|| true)
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+#[test]
+fn depth_and_motion_of_two_walls_are_found() {
+    let walls = [MOVING, STILL];
+    let recording = recording(&walls);
+    let maps = maps(&recording);
+    for (frames, map) in recording.iter().zip(&maps) {
+        let (camera, time) = (&frames[1].view, frames[1].time);
+        for (of, wall) in walls.iter().enumerate() {
+            let (mut disparity, mut motion) = (Vec::new(), Vec::new());
+            for (k, pixel) in map.pixels().iter().enumerate() {
+                let place = [(k % SIZE[0]) as f64 + 0.5, (k / SIZE[0]) as f64 + 0.5];
+                let seen = walls.iter().position(|w| w.hit(camera, place, time).is_some());
+                if seen != Some(of) {
+                    continue;
+                }
+                let element = map.element(pixel);
+                let error = f64::from(element.inverse_depth) - 1.0 / wall.depth_m;
+                disparity.push((error * f64::from(map.disparity_px)).abs());
+                let true_px = wall.velocity.map(|v| v * FOCAL_PX / wall.depth_m);
+                let [du, dv] = [0, 1].map(|c| f64::from(element.velocity[c]) - true_px[c]);
+                motion.push(du.hypot(dv));
+            }
+            let (disparity, motion) = (median(disparity), median(motion));
+            assert!(disparity < 0.05, "wall {of}: {disparity} px of disparity");
+            assert!(motion < 0.1, "wall {of}: {motion} px a frame");
+        }
+    }
+}
+
+#[test]
+fn a_view_between_cameras_and_frames_is_the_true_one() {
+    let walls = [MOVING, STILL];
+    let recording = recording(&walls);
+    let maps = maps(&recording);
+    let mapped: Vec<MappedFrame> =
+        recording.iter().zip(&maps).map(|(f, map)| MappedFrame { frame: &f[1], map }).collect();
+    let (view, time) = (camera_at(0.15, 0.02), 1.4);
+    let FlowView { rendered, depths } = blend(&mapped, &view, time);
+    let truth = filmed(&view, &walls, time);
+    let (mut error, mut count) = (0.0, 0.0);
+    for y in 8..SIZE[1] - 8 {
+        for x in 8..SIZE[0] - 8 {
+            assert!(rendered.coverage[y * SIZE[0] + x]);
+            assert!(depths.row(y)[x] > 0.0);
+            for (a, b) in rendered.image.pixel(x, y).iter().zip(truth.pixel(x, y)) {
+                error += f64::from(a - b).powi(2);
+                count += 1.0;
+            }
+        }
+    }
+    let psnr_db = -10.0 * (error / count as f64).log10();
+    // Outlines are off by up to a pixel.
+    assert!(psnr_db > 29.0, "{psnr_db} dB");
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_maps() {
+    let recording = recording(&[MOVING, STILL]);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| maps(&recording))
+    };
+    assert!(on(1) == on(3));
+}
+
+#[test]
+fn an_estimation_that_may_not_go_on_has_no_maps() {
+    let recording = recording(&[STILL]);
+    let frames = [(&recording[0][1], vec![&recording[1][1]])];
+    let limits = Limits { inverse_depth: [0.2, 1.0], max_speed: 12.0 };
+    let estimation = Estimation { frames: &frames, limits, baseline_m: 0.2 };
+    assert!(estimation.run(&|| false).is_empty());
+}
+
+#[test]
+fn projections_are_those_of_the_cameras() {
+    let from = camera_at(0.0, 0.0);
+    let mut to = camera_at(0.3, -0.1);
+    to.cam_from_world.rotation = UnitQuaternion::from_euler_angles(0.05, -0.1, 0.2);
+    let projection = Projection::new(&from, &to).unwrap();
+    for (x, y, depth_m) in [(10.5, 20.5, 1.0), (60.0, 3.0, 2.5), (95.0, 71.0, 40.0)] {
+        let point = from.center() + from.ray_world(&Point2::new(x, y)).unwrap() * depth_m;
+        let expected = to.project(&point).unwrap();
+        let [u, v, q] = projection.project(x as f32, y as f32, (1.0 / depth_m) as f32);
+        assert!(
+            (f64::from(u) - expected.x).abs() < 1e-3 && (f64::from(v) - expected.y).abs() < 1e-3
+        );
+        let z = (to.cam_from_world * point).z;
+        assert!((f64::from(q) - 1.0 / z).abs() < 1e-5 / z);
+    }
+    // Behind the camera, which is outside of every image.
+    assert!(projection.project(48.0, 36.0, -1e3)[0] < -1e6);
+}
+
+#[test]
+fn a_distorted_camera_is_undistorted_and_its_view_distorted_again() {
+    let mut camera = camera_at(0.0, 0.0);
+    camera.model = CameraModel::SimpleRadial { f: FOCAL_PX, cx: 48.0, cy: 36.0, k: -0.15 };
+    let pinhole = camera_at(0.0, 0.0);
+    let image = filmed(&camera, &[STILL], 0.0);
+    let frame = FlowFrame::new(&camera, &image, 0.0);
+    let truth = filmed(&pinhole, &[STILL], 0.0);
+    let is_filmed = frame.is_filmed.as_ref().unwrap();
+    for (k, is_filmed) in is_filmed.iter().enumerate() {
+        let (x, y) = (k % SIZE[0], k / SIZE[0]);
+        let is_inside = (4..SIZE[0] - 4).contains(&x) && (4..SIZE[1] - 4).contains(&y);
+        if *is_filmed && is_inside {
+            let difference = frame.image.pixel(x, y)[1] - truth.pixel(x, y)[1];
+            assert!(difference.abs() < 0.03, "{x}, {y}: {difference}");
+        }
+    }
+}
+
+#[test]
+fn images_of_any_size_have_levels() {
+    for (width, height, expected) in
+        [(1, 1, 1), (47, 300, 1), (96, 96, 2), (640, 480, 4), (8192, 8192, 5)]
+    {
+        assert_eq!(levels(width, height), expected, "{width}×{height}");
+    }
+}
