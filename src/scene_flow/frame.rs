@@ -63,21 +63,30 @@ impl MatchingImage {
         self.samples[y * self.width + x]
     }
 
-    /// Bilinear sample at a position whose pixel centres are whole numbers, in `[0, width − 1) × [0, height − 1)`.
+    /// Largest position at which there is a bilinear sample, from the first pixel's centre.
     #[inline(always)]
+    pub fn limit(&self) -> [f32; 2] {
+        // Less than one pixel from the last, by more than the rounding of a position.
+        [self.width, self.height].map(|size| (size as f32 - 1.001).max(0.0))
+    }
+
+    /// A pixel and its right neighbour, and the two below.
+    #[inline(always)]
+    pub fn quad(&self, x: usize, y: usize) -> [&[Sample]; 2] {
+        let k = y * self.width + x;
+        [&self.samples[k..k + 2], &self.samples[k + self.width..][..2]]
+    }
+
+    /// Bilinear sample at a position from the first pixel's centre, from 0 to [`Self::limit`].
     pub fn sample(&self, x: f32, y: f32) -> Sample {
         let (column, row) = (x as usize, y as usize);
         let (fx, fy) = (x - column as f32, y - row as f32);
-        let k = row * self.width + column;
-        let upper = &self.samples[k..k + 2];
-        let lower = &self.samples[k + self.width..k + self.width + 2];
-        let mut sample = [0.0; 4];
-        for c in 0..4 {
+        let [upper, lower] = self.quad(column, row);
+        std::array::from_fn(|c| {
             let top = upper[0][c] + fx * (upper[1][c] - upper[0][c]);
             let bottom = lower[0][c] + fx * (lower[1][c] - lower[0][c]);
-            sample[c] = top + fy * (bottom - top);
-        }
-        sample
+            top + fy * (bottom - top)
+        })
     }
 }
 

@@ -3,6 +3,7 @@
 use super::element::Element;
 use super::frame::{FlowFrame, MatchingImage, Sample, WEIGHTS};
 use super::geometry::Projection;
+use crate::simd::{F32x8, LANES, multiversion};
 
 /// Largest difference of a channel that counts: what differs more is something else.
 const TRUNCATION: Sample = [0.12, 0.084, 0.084, 0.084];
@@ -16,6 +17,8 @@ const PATCH_COARSE: (i32, i32) = (2, 1);
 const RESIDUAL: f32 = 0.05;
 /// Largest number of pixels of a patch.
 const PATCH_PIXELS: usize = 25;
+/// The next multiple of the vectors' length.
+const PADDED_PIXELS: usize = PATCH_PIXELS.next_multiple_of(LANES);
 /// Fraction of the observations that count, those that agree best: others may not see the element.
 const BEST_FRACTION: f32 = 0.55;
 /// Least number of observations that count.
@@ -54,28 +57,28 @@ impl<'a> Observation<'a> {
     }
 }
 
-/// The pixels around a pixel that are likely on its surface.
+/// The pixels around a pixel that are likely on its surface. Beyond `count`, weights are 0.
 pub struct Patch {
-    pixels: [PatchPixel; PATCH_PIXELS],
+    offset_x: [f32; PADDED_PIXELS],
+    offset_y: [f32; PADDED_PIXELS],
+    samples: [Sample; PADDED_PIXELS],
+    /// Each pixel's weight, once a channel.
+    weights: [Sample; PADDED_PIXELS],
     count: usize,
     /// One over the sum of all weights.
     normalization: f32,
 }
 
-#[derive(Clone, Copy, Default)]
-struct PatchPixel {
-    offset: [f32; 2],
-    weight: f32,
-    sample: Sample,
-}
-
 impl Patch {
     pub fn empty() -> Self {
-        Self { pixels: [PatchPixel::default(); PATCH_PIXELS], count: 0, normalization: 0.0 }
-    }
-
-    fn pixels(&self) -> &[PatchPixel] {
-        &self.pixels[..self.count]
+        Self {
+            offset_x: [0.0; PADDED_PIXELS],
+            offset_y: [0.0; PADDED_PIXELS],
+            samples: [[0.0; 4]; PADDED_PIXELS],
+            weights: [[0.0; 4]; PADDED_PIXELS],
+            count: 0,
+            normalization: 0.0,
+        }
     }
 
     /// Sum of all weights.
@@ -114,18 +117,76 @@ impl Footprint {
             self.center[1] + dx * self.right[1] + dy * self.down[1],
         ]
     }
-
-    /// How far a patch of this half-width extends from its centre, horizontally and vertically.
-    #[inline(always)]
-    fn extent(&self, radius: f32) -> [f32; 2] {
-        [0, 1].map(|c| radius * (self.right[c].abs() + self.down[c].abs()))
-    }
 }
 
 /// Difference of two pixels' brightnesses and colours.
 #[inline(always)]
 pub fn color_difference(a: &Sample, b: &Sample) -> f32 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).abs()
+}
+
+/// Sum of the weighted, truncated differences of a patch's pixels from an image at its footprint there. Places outside
+/// of the image are moved to its border.
+#[inline(always)]
+fn differences<V: F32x8>(
+    image: &MatchingImage,
+    footprint: &Footprint,
+    patch: &Patch,
+    truncation: &Sample,
+) -> f32 {
+    let [max_u, max_v] = image.limit().map(V::splat);
+    let [center_u, center_v] = footprint.center.map(V::splat);
+    let [right_u, right_v] = footprint.right.map(V::splat);
+    let [down_u, down_v] = footprint.down.map(V::splat);
+    let truncation = V::from_array(&eight(&[*truncation, *truncation], 0));
+    let mut sum = V::zero();
+    for first in (0..patch.count).step_by(LANES) {
+        let dx = V::from_array(&std::array::from_fn(|l| patch.offset_x[first + l]));
+        let dy = V::from_array(&std::array::from_fn(|l| patch.offset_y[first + l]));
+        let u = center_u + dx * right_u + dy * down_u;
+        let v = center_v + dx * right_v + dy * down_v;
+        let (columns, fx) = u.simd_max(V::zero()).simd_min(max_u).floor_and_fraction();
+        let (rows, fy) = v.simd_max(V::zero()).simd_min(max_v).floor_and_fraction();
+        let (fx, fy) = (fx.to_array(), fy.to_array());
+        // Two pixels of four channels at a time.
+        for l in (0..LANES.min(patch.count - first)).step_by(2) {
+            let a = between_rows::<V>(image, [columns[l], rows[l]], fy[l]);
+            let b = between_rows::<V>(image, [columns[l + 1], rows[l + 1]], fy[l + 1]);
+            let left = V::from_array(&[a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]]);
+            let right = V::from_array(&[a[4], a[5], a[6], a[7], b[4], b[5], b[6], b[7]]);
+            let (fa, fb) = (fx[l], fx[l + 1]);
+            let fraction = V::from_array(&[fa, fa, fa, fa, fb, fb, fb, fb]);
+            let sampled = left + (right - left) * fraction;
+            let own = V::from_array(&eight(&patch.samples, first + l));
+            let weights = V::from_array(&eight(&patch.weights, first + l));
+            sum = sum + (sampled - own).abs().simd_min(truncation) * weights;
+        }
+    }
+    sum.sum() as f32
+}
+
+/// Two horizontal neighbours, from this pixel on, at a fraction of the way to the row below.
+#[inline(always)]
+fn between_rows<V: F32x8>(image: &MatchingImage, [x, y]: [i32; 2], fraction: f32) -> [f32; LANES] {
+    let [upper, lower] = image.quad(x as usize, y as usize);
+    let (upper, lower) = (V::from_array(&eight(upper, 0)), V::from_array(&eight(lower, 0)));
+    (upper + (lower - upper) * V::splat(fraction)).to_array()
+}
+
+/// Two samples, from the first on.
+#[inline(always)]
+fn eight(samples: &[Sample], first: usize) -> [f32; LANES] {
+    let [a, b] = [samples[first], samples[first + 1]];
+    [a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]]
+}
+
+multiversion! {
+    fn patch_difference(
+        image: &MatchingImage,
+        footprint: &Footprint,
+        patch: &Patch,
+        truncation: &Sample,
+    ) -> f32 = differences::<V>
 }
 
 impl Matcher<'_> {
@@ -149,12 +210,13 @@ impl Matcher<'_> {
                 let distance = (dx * dx + dy * dy) as f32 / (radius * radius) as f32;
                 let difference = color_difference(&sample, &center) / PATCH_COLOR;
                 let weight = (-difference - 0.5 * distance).exp();
-                let offset = [dx as f32, dy as f32];
-                patch.pixels[count] = PatchPixel { offset, weight, sample };
+                (patch.offset_x[count], patch.offset_y[count]) = (dx as f32, dy as f32);
+                (patch.samples[count], patch.weights[count]) = (sample, [weight; 4]);
                 count += 1;
                 sum += weight;
             }
         }
+        patch.weights[count..].fill([0.0; 4]);
         patch.count = count;
         // The centre's weight is 1.
         patch.normalization = 1.0 / sum;
@@ -177,31 +239,16 @@ impl Matcher<'_> {
     /// The cost of an element: the mean of those observations that agree best. `costs` gets that of each.
     #[inline(always)]
     pub fn cost(&self, e: &Element, x: usize, y: usize, patch: &Patch, costs: &mut Costs) -> f32 {
-        let radius = self.patch_shape().0 as f32;
         for (o, cost) in self.observations.iter().zip(costs.iter_mut()) {
             let image = &o.levels[self.level];
             let footprint = self.footprint(o, e, x, y);
             let [u, v] = footprint.center;
-            let limit = [image.width as f32 - 1.001, image.height as f32 - 1.001];
-            if !(u > 0.0 && v > 0.0 && u < limit[0] && v < limit[1]) {
+            let [max_u, max_v] = image.limit();
+            if !(u > 0.0 && v > 0.0 && u < max_u && v < max_v) {
                 *cost = 2.0 * OUTSIDE;
                 continue;
             }
-            let [ex, ey] = footprint.extent(radius);
-            let is_inside = u - ex > 0.0 && v - ey > 0.0 && u + ex < limit[0] && v + ey < limit[1];
-            let mut sum = [0.0; 4];
-            for p in patch.pixels() {
-                let [mut u, mut v] = footprint.at(p.offset);
-                if !is_inside {
-                    (u, v) = (u.max(0.0).min(limit[0]), v.max(0.0).min(limit[1]));
-                }
-                let sample = image.sample(u, v);
-                for c in 0..4 {
-                    let difference = (sample[c] - p.sample[c]).abs();
-                    sum[c] += p.weight * difference.min(o.truncation[c]);
-                }
-            }
-            *cost = (sum[0] + sum[1] + sum[2] + sum[3]) * patch.normalization;
+            *cost = patch_difference(image, &footprint, patch, &o.truncation) * patch.normalization;
         }
         self.best(costs)
     }
@@ -242,18 +289,19 @@ impl Matcher<'_> {
         for (o, _) in self.observations.iter().zip(costs).filter(|(_, c)| **c <= max_cost) {
             let image = &o.levels[self.level];
             let footprint = self.footprint(o, e, x, y);
-            let limit = [image.width as f32 - 1.001, image.height as f32 - 1.001];
+            let limit = image.limit();
             let (mut products, mut residuals) = ([0.0f32; 3], [0.0f32; 2]);
-            for p in patch.pixels() {
-                let [u, v] = footprint.at(p.offset);
+            for k in 0..patch.count {
+                let own = patch.samples[k];
+                let [u, v] = footprint.at([patch.offset_x[k], patch.offset_y[k]]);
                 if !(u > 0.0 && v > 0.0 && u < limit[0] && v < limit[1]) {
                     continue;
                 }
                 let s = image.sample(u, v);
-                let residual = (s[0] - p.sample[0]) / WEIGHTS[0];
-                let gx = 0.5 * (s[2] + p.sample[2]) / WEIGHTS[2];
-                let gy = 0.5 * (s[3] + p.sample[3]) / WEIGHTS[3];
-                let weight = p.weight / (1.0 + (residual / RESIDUAL).powi(2));
+                let residual = (s[0] - own[0]) / WEIGHTS[0];
+                let gx = 0.5 * (s[2] + own[2]) / WEIGHTS[2];
+                let gy = 0.5 * (s[3] + own[3]) / WEIGHTS[3];
+                let weight = patch.weights[k][0] / (1.0 + (residual / RESIDUAL).powi(2));
                 products[0] += weight * gx * gx;
                 products[1] += weight * gx * gy;
                 products[2] += weight * gy * gy;
