@@ -110,7 +110,7 @@ pub trait F32x8:
         Self::from_array(&std::array::from_fn(|l| a[l].min(b[l])))
     }
 
-    /// Element-wise maximum. NaN as for [`Self::min`].
+    /// Element-wise maximum. NaN as for [`Self::simd_min`].
     #[inline(always)]
     fn simd_max(self, other: Self) -> Self {
         let [a, b] = [self, other].map(Self::to_array);

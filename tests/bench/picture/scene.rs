@@ -8,7 +8,9 @@ use std::path::Path;
 use std::sync::Arc;
 use stlfr::camera::Camera;
 use stlfr::interpolation::{SyncMethod, Synchronized};
-use stlfr::light_field::{Context, Geometry, GivenImages, Images, LightField, Request, Viewpoint};
+use stlfr::light_field::{
+    Context, Geometry, GivenImages, Images, LightField, Request, Viewpoint, render,
+};
 use stlfr::lumigraph::BlendMethod::{self, Lumigraph, SpaceTime};
 use stlfr::options::{ProxyMethod, RenderOptions};
 
@@ -159,7 +161,31 @@ impl<'a> Scene<'a> {
             Row::new("true images, depth", &self.filmed, &of_true, Lumigraph),
             Row::new("true images, true depth", &self.filmed, &exact, Lumigraph),
         ]);
-        self.print_rows(t, &rows, out, summary)
+        self.print_rows(t, &rows, out, summary)?;
+        self.print_scene_flow(t, out, summary)
+    }
+
+    /// The view by depth and motion of the frames, which needs no synchronized images.
+    fn print_scene_flow(
+        &self,
+        t: &True,
+        out: Option<&Path>,
+        summary: &mut Summary,
+    ) -> Result<(), Error> {
+        const NAME: &str = "scene flow";
+        let mut options = self.options.clone();
+        options.proxy.method = ProxyMethod::SceneFlow;
+        let request = Request::new(Viewpoint::View(&t.camera), self.time_s, &options);
+        let depths = self.field.geometry(&t.camera, &request)?.view;
+        println!("    {NAME:34} {}", depth_errors(&depths, t));
+        let image = render(self.field, &request, &Context::unattended())?.image;
+        let scores = Judge::new(t, t.seen(&self.cameras)).scores(&image);
+        println!("    {NAME:34} {scores}");
+        summary.add_view(t.name(), NAME, scores);
+        match out {
+            Some(out) => write(&out.join(format!("{}-scene-flow.png", t.id)), &image),
+            None => Ok(()),
+        }
     }
 
     fn print_rows(
