@@ -51,8 +51,8 @@ pub(crate) fn has_avx2_and_fma() -> bool {
 /// Number of values of a vector.
 pub const LANES: usize = 8;
 
-/// A SIMD vector of eight `f32` values; operators work element by element. The given methods are [`Scalar`]'s;
-/// [`Avx2`] has its own where the compiler finds no vector instruction, or the rounding differs.
+/// A SIMD vector of eight `f32` values; operators work element by element. The default methods are [`Scalar`]'s;
+/// [`Avx2`] overrides those that the compiler doesn't vectorize or that round differently.
 ///
 /// Closures must not use it: they are not compiled for the instructions of the function around them.
 pub trait F32x8:
@@ -178,7 +178,7 @@ pub trait F32x8:
     #[inline(always)]
     unsafe fn load_unchecked(row: &[f32], at: usize) -> Self {
         debug_assert!(at + LANES <= row.len());
-        // SAFETY: the caller's.
+        // SAFETY: the caller ensures the length.
         Self::from_array(unsafe { &*row.as_ptr().add(at).cast() })
     }
 
@@ -191,7 +191,7 @@ pub trait F32x8:
         row[at..at + LANES].copy_from_slice(&self.to_array());
     }
 
-    /// [`Self::splat`] of each.
+    /// [`Self::splat`] of each value.
     #[inline(always)]
     fn splats<const N: usize>(values: [f32; N]) -> [Self; N] {
         let mut all = [Self::zero(); N];
@@ -201,7 +201,7 @@ pub trait F32x8:
         all
     }
 
-    /// [`Self::sum`] of each.
+    /// [`Self::sum`] of each vector.
     #[inline(always)]
     fn sums<const N: usize>(vectors: &[Self; N]) -> [f64; N] {
         let mut all = [0.0; N];
@@ -267,8 +267,8 @@ mod avx2 {
     #[derive(Clone, Copy)]
     pub struct Avx2(__m256);
 
-    // SAFETY of all blocks below: the processor has both, as the type demands; loads and stores are of arrays that
-    // have the values.
+    // SAFETY of all blocks below: the processor has AVX2 and FMA, as the type demands; loads and stores are within
+    // their arrays.
     operator!(Avx2, Add add, |a, b| unsafe { Avx2(_mm256_add_ps(a.0, b.0)) });
     operator!(Avx2, Sub sub, |a, b| unsafe { Avx2(_mm256_sub_ps(a.0, b.0)) });
     operator!(Avx2, Mul mul, |a, b| unsafe { Avx2(_mm256_mul_ps(a.0, b.0)) });

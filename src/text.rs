@@ -1,7 +1,7 @@
 //! Makes text from files safe for a terminal, a chart or another program's file.
 
-/// Regular expression of an id in JSON Schemas (ECMAScript, with Unicode). It excludes Hangul fillers,
-/// which are invisible letters.
+/// Regular expression of the id of a camera or a view in JSON Schemas (ECMAScript, with Unicode). It excludes Hangul
+/// fillers, which are invisible letters.
 pub const ID_PATTERN: &str =
     r"^(?! )(?!\.{1,2}$)(?!.*[\u115F\u1160\u3164\uFFA0])[\p{Alphabetic}\p{N}_. -]+(?<! )$";
 /// Largest number of characters of an id.

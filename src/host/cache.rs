@@ -82,8 +82,8 @@ impl<K: Hash + Eq + Clone, V: Clone> BoundedCache<K, V> {
 /// A key is derived by serializing a stage's inputs. Inputs that are constant for the life of the memo (the capture, its
 /// clocks) need not be among them.
 ///
-/// Threads that ask for one result at once may all compute it, with equal results. They don't wait for each other:
-/// the thread that computes may run, and wait for, the one that would have to wait.
+/// Threads that request the same result at once may all compute it, with equal results. They don't wait for each other,
+/// which could deadlock: a computing thread may, within a parallel loop, run the task that would wait for it.
 pub struct Memo(BoundedCache<MemoKey, Arc<dyn Any + Send + Sync>>);
 
 /// A stage's name, and the BLAKE3 hash of the name and the serialized inputs.
@@ -114,7 +114,8 @@ impl Memo {
         self.0.get(&memo_key(stage, inputs))?.downcast().ok()
     }
 
-    /// The cached result of a stage for these inputs, else a new one. `bytes` gives its size.
+    /// The cached result of a stage for these inputs. Without one, the result is computed and cached; `bytes` gives its
+    /// size.
     pub fn get_or<T: Any + Send + Sync, E>(
         &self,
         stage: &'static str,
@@ -130,7 +131,7 @@ impl Memo {
         Ok(value)
     }
 
-    /// Drops the results of the stages that pass.
+    /// Drops the results of the stages whose names pass a test.
     pub fn forget(&self, passes: impl Fn(&str) -> bool) {
         self.0.retain(|(stage, _)| !passes(stage));
     }

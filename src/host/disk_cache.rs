@@ -36,10 +36,10 @@ const MAX_ENTRY_BYTES: u64 = 64 << 20;
 /// Bytes of an entry's file besides its content: the checksum.
 pub(crate) const ENTRY_OVERHEAD_BYTES: u64 = blake3::OUT_LEN as u64;
 
-/// Entries used more recently than this are in use. The time of use is kept to this precision.
+/// Entries used more recently than this are in use. The time of use is recorded to this precision.
 const RECENT: Duration = Duration::from_secs(3600);
 
-/// Digits of KEY in names.
+/// Number of hexadecimal digits of KEY in file names.
 const KEY_DIGITS: usize = 32;
 
 /// Extension of the folder of files that belong to an entry.
@@ -79,7 +79,7 @@ struct Shared {
 
 #[derive(Default)]
 struct State {
-    /// Kinds in whose folders the temporary files of killed processes were looked for.
+    /// Kinds from whose folders the temporary files of killed processes were removed.
     cleared: BTreeSet<&'static str>,
     /// The damaged entries that were noted.
     noted: BTreeSet<PathBuf>,
@@ -87,7 +87,7 @@ struct State {
     pinned: BTreeSet<PathBuf>,
     /// Bytes of all entries, once they were counted.
     bytes: Option<u64>,
-    /// Bytes at which entries are removed next.
+    /// Total of bytes beyond which entries are removed next.
     limit: u64,
 }
 
@@ -99,8 +99,8 @@ struct Found {
 }
 
 impl DiskCache {
-    /// The cache of the capture in a folder, with keys that don't depend on the capture's content
-    /// ([`Self::for_content`]). `note` is called with a sentence for each damaged entry.
+    /// The cache of the capture in a folder, with keys that don't depend on the capture's content (see
+    /// [`Self::for_content`]). `note` is called with a sentence for each damaged entry.
     pub fn new(capture: &Path, note: impl Fn(&str) + Send + Sync + 'static) -> Self {
         Self::bounded(capture, MAX_BYTES, note)
     }
@@ -115,12 +115,12 @@ impl DiskCache {
         Self { capture: capture.to_owned(), content: String::new(), shared }
     }
 
-    /// This cache with keys that depend on the capture's content, here its hash.
+    /// This cache with keys that depend on the capture's content, whose hash is `content`.
     pub fn for_content(&self, content: &str) -> Self {
         Self { content: content.to_owned(), ..self.clone() }
     }
 
-    /// The key of inputs.
+    /// The key of an entry, from its kind and inputs.
     ///
     /// # Errors
     /// If the inputs can't be serialized as JSON.
@@ -135,7 +135,7 @@ impl DiskCache {
         self.capture.join(FOLDER)
     }
 
-    /// The link on the way to a kind's entries, if there is one. Nothing is read or written through it.
+    /// The symbolic link among the folders of a kind's entries, if there is one. Nothing is read or written through it.
     pub fn link(&self, kind: CacheKind) -> Option<PathBuf> {
         link_within(&self.capture, &self.folder().join(kind.name))
     }
@@ -193,7 +193,7 @@ impl DiskCache {
     /// Writes the bytes of an entry; returns the file's size.
     ///
     /// # Errors
-    /// If it can't be written. Callers go on: a capture may be read-only.
+    /// If it can't be written. Callers go on without the entry: a capture may be read-only.
     pub fn save(&self, kind: CacheKind, inputs: &impl Serialize, content: &[u8]) -> Result<u64> {
         let (path, key) = self.entry(kind, inputs)?;
         let bytes = [checksum(&key, content).as_bytes(), content].concat();
@@ -257,21 +257,22 @@ impl DiskCache {
         }
     }
 
-    /// Adds to the bytes of all entries, and removes entries beyond the bound.
+    /// Adds to the total of bytes, and removes entries if it exceeds the limit.
     fn add(&self, bytes: u64) {
         let mut state = lock(&self.shared.state);
         let all = || self.found().values().flatten().map(|entry| entry.bytes).sum();
         let mut total = state.bytes.map_or_else(all, |total| total + bytes);
         if total > state.limit {
             total = self.shrink(&state.pinned);
-            // What is in use can't be removed: the next attempt waits until it is worth a look at all entries.
+            // Entries in use can't be removed. The next attempt waits until the total has grown enough to be worth a
+            // search.
             let max_bytes = self.shared.max_bytes;
             state.limit = max_bytes.max(total + max_bytes / 16);
         }
         state.bytes = Some(total);
     }
 
-    /// Removes the entries that were unused for longest; returns the bytes that are left.
+    /// Removes the entries that were unused for longest until the bound holds; returns the bytes that are left.
     fn shrink(&self, pinned: &BTreeSet<PathBuf>) -> u64 {
         let mut entries: Vec<Found> = self.found().into_values().flatten().collect();
         entries.sort_by_key(|entry| entry.used);
@@ -320,7 +321,7 @@ impl DiskCache {
         self.found().into_iter().map(of_kind).collect()
     }
 
-    /// Deletes the entries of a kind, or all; returns how many there were and their bytes.
+    /// Deletes the entries of a kind, or of all kinds; returns their number and bytes.
     ///
     /// # Errors
     /// If they can't be deleted, or are reached through a link.

@@ -10,7 +10,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 const HASHES: CacheKind = CacheKind { name: "hashes", version: 1 };
 
-/// A file that changed less than this ago may change again within the resolution of its times, which is 2 s on FAT.
+/// Age from which a file's times are relied on. A younger file may change again without a change of its times, whose
+/// resolution is 2 s on FAT.
 const SETTLED: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 3000 });
 
 /// Metadata that changes with a file's content, as in Git's index: device, inode, size, and the times of the last change
@@ -31,7 +32,7 @@ fn is_settled((_, times): &Trace) -> bool {
     times.iter().all(|[s, ns]| 1_000_000_000 * i128::from(*s) + i128::from(*ns) < latest)
 }
 
-/// The hash of every file's bytes: from the cache if no file has changed since.
+/// The hash of every file's bytes: from the cache if no file has changed since it was read.
 ///
 /// # Errors
 /// The first file that can't be read, by its index.
@@ -55,7 +56,7 @@ pub(crate) fn file_hashes(
     // In order, so that the error is the first file's.
     let found: Vec<_> = files.par_iter().enumerate().map(hash).collect();
     let found: Vec<blake3::Hash> = found.into_iter().collect::<std::result::Result<_, _>>()?;
-    // A file that changed meanwhile was perhaps read before.
+    // A file that changed meanwhile may have been read before the change.
     if let Some(before) = before.filter(|before| traces().as_ref() == Some(before)) {
         let bytes: Vec<u8> = found.iter().flat_map(|hash| *hash.as_bytes()).collect();
         // A read-only capture is read again next time.

@@ -1,5 +1,5 @@
-//! Paths from an unknown source: what stands in an output's way, and reading regular files up to a stated size. A device,
-//! a pipe or a file of gigabytes neither fills the memory nor blocks.
+//! Files at paths from an untrusted source. Regular files are read up to a stated size, so that a device, a pipe or a
+//! file of gigabytes neither fills the memory nor blocks. Outputs replace nothing but regular files.
 
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{Error, ErrorKind, Read, Result};
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 /// blocks.
 pub fn open_file(path: &Path) -> Result<File> {
     must_be_regular(&std::fs::metadata(path)?)?;
-    // Between the two it may become a pipe, at which opening would wait for a writer.
+    // Between this check and opening, the file may be replaced by a pipe, where opening would wait for a writer.
     let flags = libc::O_NONBLOCK | libc::O_NOCTTY;
     let file = OpenOptions::new().read(true).custom_flags(flags).open(path)?;
     must_be_regular(&file.metadata()?)?;
@@ -28,7 +28,7 @@ pub fn open_bounded(path: &Path, max_bytes: u64) -> Result<(File, u64)> {
 pub fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
     let (file, length) = open_bounded(path, max_bytes)?;
     let mut bytes = Vec::with_capacity(length as usize);
-    // A file may grow while it is read, and those of the kernel say that they are empty.
+    // A file may grow while it is read, and the kernel's files (in /proc) have a length of 0.
     file.take(max_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > max_bytes { Err(too_large(max_bytes)) } else { Ok(bytes) }
 }
@@ -102,8 +102,8 @@ pub(crate) fn ignore_absent(removal: Result<()>) -> Result<()> {
     }
 }
 
-/// The innermost link among `path` and its folders inside `root`. Writing and deleting through it would reach files
-/// elsewhere.
+/// The innermost symbolic link among `path` and its folders inside `root`. Writing and deleting through it would reach
+/// files outside `root`.
 pub(crate) fn link_within(root: &Path, path: &Path) -> Option<PathBuf> {
     let is_link = |path: &&Path| path.symlink_metadata().is_ok_and(|m| m.is_symlink());
     path.ancestors().take_while(|p| *p != root).find(is_link).map(Path::to_owned)

@@ -6,13 +6,13 @@ use std::time::Instant;
 
 /// Runs `work` on one of rayon's threads.
 ///
-/// Called from another thread, each parallel loop in `work` would wake one of rayon's threads, and that one the next,
-/// while the caller is still about to sleep. With no core free, the scheduler lets two of them share one for milliseconds.
+/// On any other thread, each parallel loop in `work` would wake a thread of rayon's before the calling thread sleeps.
+/// If no core is free, the scheduler lets two threads share one for milliseconds.
 pub fn on_workers<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     rayon::scope(|_| work())
 }
 
-/// Locks a mutex whose value is whole at any time, so that a thread that panicked with the lock has harmed nothing.
+/// Locks a mutex, even if a thread panicked while it held the lock. The value must be consistent at any time.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -22,7 +22,7 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[serde(deny_unknown_fields)]
 pub struct Elapsed {
     pub wall_s: f64,
-    /// Processor time of all threads: other programs on the machine add little to it.
+    /// Processor time of all threads of this process: other programs on the machine add little to it.
     pub cpu_s: f64,
 }
 

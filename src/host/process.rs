@@ -1,4 +1,4 @@
-//! Child processes that end with the value that stands for them.
+//! Child processes, each of which is ended when its [`Process`] is dropped.
 
 use std::io::{BufRead, BufReader, Read, Result};
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
@@ -18,7 +18,7 @@ pub(crate) struct Ended {
 }
 
 impl Process {
-    /// Starts a command with stdout to read from; stderr is collected.
+    /// Starts a command. Its stdout is piped to this process; its stderr is collected.
     pub fn start(command: &mut Command, stdin: Stdio) -> Result<Self> {
         end_with_parent(command);
         let mut child =
@@ -74,7 +74,7 @@ pub(crate) fn run(command: &mut Command, mut on_line: impl FnMut(&str)) -> Resul
     process.wait()
 }
 
-/// Lets the kernel end the child with the thread that starts it. In all uses, that thread waits for the child.
+/// Lets the kernel end the child when the thread that starts it ends. In all uses, this thread waits for the child.
 #[cfg(target_os = "linux")]
 fn end_with_parent(command: &mut Command) {
     use std::os::unix::process::CommandExt;

@@ -1,8 +1,8 @@
 //! Files and folders that are written whole or not at all: into a temporary folder beside their place, then renamed.
 //!
 //! A process holds a lock on its temporary folders. Those of a killed process are not locked, whatever container or
-//! machine it ran on: the next process that writes into the same folder removes them. A signal that ends the program
-//! removes its own.
+//! machine it ran on: the next process that writes into the same folder removes them. If a signal ends the program, it
+//! removes its own first ([`remove_unfinished_on_signals`]).
 //!
 //! Known limit: where the file system has no locks, folders of killed processes stay.
 
@@ -23,15 +23,15 @@ use std::sync::Mutex;
 const PREFIX: &str = ".stlfr-";
 const SUFFIX: &str = ".tmp";
 
-/// Most attempts to remove a folder that a child process still writes into.
+/// Maximum number of attempts to remove a folder that a child process still writes into.
 const REMOVALS: usize = 100;
 
 /// The temporary folders of this process.
 struct Begun {
     folders: BTreeSet<PathBuf>,
-    /// Number of folders so far, which tells their names apart.
+    /// Number of folders created so far, which tells their names apart.
     count: u64,
-    /// Folders in which those of killed processes were looked for.
+    /// Folders from which the temporary folders of killed processes were removed.
     cleared: BTreeSet<PathBuf>,
 }
 
@@ -62,7 +62,7 @@ impl Temporary {
     /// Creates a temporary folder inside `folder`, which is created if it is missing.
     pub fn inside(folder: &Path) -> Result<Self> {
         std::fs::create_dir_all(folder)?;
-        // The current folder may change; the folder's own path is what a signal removes.
+        // An absolute path, which stays valid for the removal by a signal if the working directory changes.
         let folder = folder.canonicalize()?;
         if lock(&BEGUN).cleared.insert(folder.clone()) {
             remove_abandoned(&folder);
@@ -74,7 +74,7 @@ impl Temporary {
             begun.count += 1;
             let path = folder.join(name);
             match std::fs::create_dir(&path) {
-                // A process of that number in another container, or one that was killed.
+                // The folder of a process with the same id in another container, or of one that was killed.
                 Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
                 created => created?,
             }
@@ -98,8 +98,8 @@ impl Temporary {
         &self.path
     }
 
-    /// Flushes one of its files or folders to the disk and moves it to `target`. A file replaces a file, a folder an empty
-    /// folder.
+    /// Flushes a file or folder of the temporary folder to the disk and moves it to `target`. A file replaces a file, a
+    /// folder an empty folder.
     pub fn place(&self, name: &str, target: &Path) -> Result<()> {
         let whole = self.path.join(name);
         File::open(&whole)?.sync_all()?;
@@ -165,10 +165,10 @@ pub fn remove_unfinished_on_signals() -> Result<()> {
     let mut signals = Signals::new(handled)?;
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         if let Some(signal) = signals.forever().next() {
-            // No folder is created or finished while they are locked.
+            // No temporary folder is created or removed while the mutex is locked.
             let begun = lock(&BEGUN);
             begun.folders.iter().for_each(|path| remove(path));
-            // It ends the process as if nothing had handled the signal, which the shell can tell.
+            // The signal's default action ends the process, so that the shell sees which signal it was.
             let _ = emulate_default_handler(signal);
         }
     })?;
@@ -202,7 +202,7 @@ pub fn write_json(path: &Path, value: &impl Serialize) -> Result<()> {
     write_atomically(path, text.as_bytes())
 }
 
-/// An error if nothing can be written into an existing folder.
+/// Creates a folder if it is missing, and tries to write into it. An error if it can't be written into.
 pub fn try_folder(folder: &Path) -> Result<()> {
     Temporary::inside(folder).map(drop)
 }

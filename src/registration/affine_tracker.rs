@@ -52,11 +52,13 @@ pub struct AffineTracker {
     weight: [f32; AREA],
     /// The template's values.
     value: [f32; AREA],
-    /// The weights times the template's derivatives, and times its value minus `center_value`.
+    /// The template's derivatives by x, times the weights.
     weighted_dx: [f32; AREA],
+    /// The template's derivatives by y, times the weights.
     weighted_dy: [f32; AREA],
+    /// The template's values minus `center_value`, times the weights.
     weighted_value: [f32; AREA],
-    /// The value at the window's middle; values are taken relative to it for their precision.
+    /// The template's value at its middle, which is subtracted from its other values for numerical precision.
     center_value: f32,
 }
 
@@ -79,7 +81,7 @@ pub struct Deformed {
     pub position: Point2<f64>,
     /// The matrix from the window's coordinates in the source to those in the target.
     pub deformation: Matrix2<f64>,
-    /// Weighted mean absolute difference of the two windows' values, 0..=1, without gain and bias.
+    /// Weighted mean absolute difference of the two windows' values, 0..=1, after correction of gain and bias.
     pub residual: f64,
     /// The residual over the contrast of the source's window: 0 for equal windows, near 1 for unlike ones.
     pub unexplained: f64,
@@ -266,8 +268,8 @@ impl AffineTracker {
         Cholesky::new(matrix)
     }
 
-    /// The right-hand side of the normal equations: Σ w·e·(derivatives by the parameters), e the difference of
-    /// the target to the template without gain and bias. `None` if the warped window leaves the padded image.
+    /// The right-hand side of the normal equations: Σ w·e·(derivatives by the parameters), e the difference of the
+    /// target, corrected for gain and bias, from the template. `None` if the warped window leaves the padded image.
     #[inline(always)]
     fn right_hand_side<V: F32x8>(
         &self,
@@ -396,8 +398,9 @@ struct Sampler<'a> {
     target: &'a PyramidLevel,
     /// Index of the top-left of the 4×4 samples around the middle's pixel.
     corner: isize,
-    /// The columns of the matrix: the steps in the target per column and per row of the window.
+    /// The step in the target per column of the window, pixels: the matrix's first column.
     per_column: [f32; 2],
+    /// The step in the target per row of the window, pixels: the matrix's second column.
     per_row: [f32; 2],
     /// The middle's fractional position within its pixel.
     middle: [f32; 2],
@@ -434,7 +437,7 @@ impl<'a> Sampler<'a> {
         })
     }
 
-    /// Eight samples of a row of the window, by cubic convolution, without gain and bias.
+    /// Eight samples of a row of the window, by cubic convolution, corrected for gain and bias.
     #[inline(always)]
     fn sample<V: F32x8>(&self, column: V, row: f32) -> V {
         // Target coordinates from the middle's pixel: whole and fractional parts.

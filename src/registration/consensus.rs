@@ -18,12 +18,13 @@ pub(crate) struct Moved {
     pub at: Point2<f64>,
     /// The point's motion, pixels.
     pub motion: Vector2<f64>,
-    /// The motion's linear part: the identity where its surroundings move alike.
+    /// Linear part of the affine motion around the point: the identity where the motion is a translation.
     pub deformation: Matrix2<f64>,
 }
 
 impl Moved {
-    /// How far two motions are from one affine motion, pixels: the smaller value of both deformations.
+    /// How far the two motions deviate from a common affine motion, pixels: by the deformation of the one or of the
+    /// other, whichever deviates less.
     pub fn distance(&self, other: &Self) -> f64 {
         let (apart, change) = (other.at - self.at, other.motion - self.motion);
         let by = |deformation: &Matrix2<f64>| (change - (deformation * apart - apart)).norm();
@@ -31,8 +32,8 @@ impl Moved {
     }
 }
 
-/// The differences of matches from their initial guesses; `None` without a match. The guesses contain the
-/// deformation.
+/// The differences of matched positions from their initial guesses; `None` without a match. Their deformation is the
+/// identity, because the guesses already account for it.
 pub(super) fn innovations(starts: &[Start], matches: &[Option<Match>]) -> Vec<Option<Moved>> {
     let of = |(start, m): (&Start, &Option<Match>)| {
         let deformation = Matrix2::identity();

@@ -50,7 +50,7 @@ pub fn corners(level: &PyramidLevel, max_corners: usize) -> Vec<Point2<f64>> {
 fn peaks(strength: &[f32], w: usize, h: usize, min_quality: f32) -> Vec<(f32, usize)> {
     let largest = strength.iter().copied().fold(0.0, f32::max);
     let floor = (largest * min_quality).max(MIN_EIGENVALUE);
-    // A lowest value around the plane.
+    // A border of −∞ around the plane.
     let wide = w + 2;
     let mut bordered = vec![f32::NEG_INFINITY; wide];
     bordered.extend(padded(strength, w, 1, f32::NEG_INFINITY));

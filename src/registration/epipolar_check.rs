@@ -1,4 +1,8 @@
-//! §4.2: the epipolar test, which finds mismatches by eqs. (1) to (3).
+//! §4.2: the epipolar test, which finds wrong temporal tracks by eqs. (1) to (3).
+//!
+//! A track of camera i is interpolated at the time of a frame of another camera j, the reference. Its feature is
+//! matched in that frame. If the match is off the epipolar line of the interpolated position, the track or the match is
+//! wrong.
 
 use super::guided_flow::{MotionPrior, Retries};
 use super::{
@@ -9,15 +13,15 @@ use crate::camera::{Camera, EpipolarGeometry};
 use crate::capture::CaptureError;
 use nalgebra::Point2;
 
-/// The result of the epipolar test of a track. Of several references' results, the last in this order counts.
+/// The result of the epipolar test of a track. Of the results by several references, the last in this order counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Verdict {
-    /// No reference can test it: none sees the feature, or the feature moves along its epipolar line.
+    /// No reference can test the track: its feature is matched in none, or moves along the epipolar line.
     Untestable,
-    /// Its spatial correspondence lies on the epipolar line, eq. (3).
+    /// The feature's match in the reference (spatial correspondence) is on the epipolar line, eq. (3).
     Passed,
-    /// Its spatial correspondence does not lie on the line: the temporal or the spatial one is wrong, and
-    /// neither is used.
+    /// The feature's match in the reference is off the epipolar line: the track or the match is wrong, and neither is
+    /// used.
     Rejected,
 }
 
@@ -27,17 +31,20 @@ struct TestedTrack<'a> {
     index: usize,
     track: &'a Track,
     trajectory: Trajectory,
-    /// The end of the track where its flow started, pixels.
+    /// The end of the track that it was tracked from, pixels.
     start: Point2<f64>,
 }
 
 /// The epipolar test (§4.2) of the tracks of camera `i` between its frames `k` and `k + 1`: a verdict per
 /// track, in order.
 ///
-/// A track is rejected if one of the first references rejects it, and passed if one passes it and none
-/// rejects it. Further references test, in turn, those that are neither. `times_s[j]` are camera j's
-/// frame times in seconds on the common clock, `None` if its clock is unknown. All tracks are
-/// untestable if camera `i`'s is.
+/// References are frames of other cameras, which [`select_references`] chooses for each direction of the flow. The
+/// first references ([`References::first`](super::References::first)) test all tracks. The further references test the
+/// tracks that no reference before could test. A track is rejected if one reference rejects it, and passed if one
+/// passes it and none rejects it.
+///
+/// `times_s[j]` are camera j's frame times in seconds on the common clock, `None` if its clock is unknown. All tracks
+/// are untestable if camera `i`'s clock is unknown.
 ///
 /// # Errors
 /// If a frame of the camera or of a reference cannot be read.
@@ -98,9 +105,9 @@ pub fn epipolar_check(
     Ok(verdicts)
 }
 
-/// Minimum motion of features that must move across their epipolar lines to be testable, pixels.
+/// A feature that moves by more than this, pixels, is testable only if it moves across its epipolar line.
 const MIN_TEST_MOTION_PX: f64 = 1.0;
-/// Minimum motion across the epipolar lines of a testable feature, as a fraction of its motion.
+/// Minimum part of a testable feature's motion that is across its epipolar line, as a fraction of the motion.
 const MIN_ACROSS_FRACTION: f64 = 0.1;
 /// Pyramid levels for tracking a feature into the reference camera again, from the displacement that the motion prior
 /// predicts.
@@ -116,7 +123,7 @@ struct Pair<'a> {
 }
 
 impl Pair<'_> {
-    /// Tests features that start in frame `source` with the reference: verdicts in their order.
+    /// Tests features, tracked from frame `source`, by a reference. Returns their verdicts in order.
     fn verdicts(
         &self,
         frames: &FrameStore,
@@ -144,8 +151,8 @@ impl Pair<'_> {
         Ok(features.iter().zip(matched).map(verdict).collect())
     }
 
-    /// Tracks the features matched in a frame of the reference camera to its next frame, and replaces
-    /// their positions by those at the time of the test, on a straight line; `None` if lost.
+    /// Tracks the features matched in a frame of the reference camera to its next frame, and replaces their positions
+    /// by those at the time of the test, linearly interpolated; `None` if lost.
     fn interpolate(
         &self,
         [frame, next]: [&Frame; 2],
@@ -206,8 +213,7 @@ impl Pair<'_> {
         if line.distance(&p_j).abs() > self.options.epipolar_tolerance_px {
             return Some(Verdict::Rejected);
         }
-        // An error along the line does not show. The motion is tested as far as the line moves with
-        // the feature.
+        // An error along the epipolar line can't be detected. A motion is tested only if it moves the line enough.
         let motion = feature.track.motion();
         let start = geometry.line_in_j(&ideal_i(&feature.track.earlier)?)?;
         let end = geometry.line_in_j(&ideal_i(&feature.track.later)?)?;

@@ -5,7 +5,7 @@ use super::{Frame, KltParameters, RegistrationOptions, Tracked, Tracker};
 use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;
 
-/// Pyramid levels of the backward tracking, whose result is near its start.
+/// Number of pyramid levels for tracking backward, where the initial guess is near the result.
 const BACKWARD_LEVELS: usize = 2;
 /// Points are tracked in horizontal bands of this height, pixels, whose windows fit the processor's cache.
 const BAND_PX: f64 = 24.0;

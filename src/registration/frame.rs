@@ -12,14 +12,14 @@ use std::sync::OnceLock;
 pub struct Frame {
     /// The image as filmed.
     pub image: Image,
-    /// The pyramid to track in, of the image as bright as the reference camera records it.
+    /// The pyramid to track in, of the image corrected to the reference camera's brightness.
     pub pyramid: Pyramid,
     corners: OnceLock<Vec<Point2<f64>>>,
     gradients: OnceLock<PolarGradients>,
 }
 
 impl Frame {
-    /// A frame whose pyramid is of the image itself: that of a camera as bright as the reference.
+    /// A frame whose pyramid is of the image as filmed, without a correction of brightness.
     pub fn new(image: Image, options: &RegistrationOptions) -> Self {
         let pyramid = Pyramid::new(&image, options.levels, options.pad_px());
         let (corners, gradients) = (OnceLock::new(), OnceLock::new());

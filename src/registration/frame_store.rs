@@ -18,11 +18,12 @@ pub struct FrameStore {
     pub(crate) decoded: Arc<std::sync::Mutex<Vec<(usize, usize)>>>,
 }
 
-/// Bounds of the default memory, bytes. Within them it grows with the cameras' images.
+/// Minimum size of the default memo, bytes. From here to [`MAX_BYTES`], it grows with the cameras' images.
 const MIN_BYTES: usize = 208 << 20;
+/// Maximum size of the default memo, bytes.
 const MAX_BYTES: usize = 512 << 20;
 
-/// Number of frames of each camera that take as much memory as everything that a view at an instant is made from.
+/// Size of the default memo, in frames of each camera: enough for all data that views at one instant are rendered from.
 const FRAMES_OF_INSTANT: usize = 3;
 
 /// Maximum number of cached frames per camera, so that a long recording of small images takes no more
@@ -36,7 +37,7 @@ const FRAME_STAGE: &str = "frame";
 const GAINS_STAGE: &str = "gains";
 
 impl FrameStore {
-    /// A store with a memo of its own, of the default bound.
+    /// A store with a memo of its own, of the default size.
     pub fn new(capture: Arc<Capture>, options: &RegistrationOptions) -> Self {
         let cameras = 0..capture.cameras.len();
         let instant: usize = cameras.map(|c| bytes_of(&capture, c, options)).sum();
@@ -44,7 +45,7 @@ impl FrameStore {
         Self::with_memo(capture, options, Arc::new(Memo::new(max_bytes)))
     }
 
-    /// A store whose frames are cached in a memo, which must not hold those of another capture.
+    /// A store whose frames are cached in a memo, which must not hold frames of another capture.
     pub fn with_memo(
         capture: Arc<Capture>,
         options: &RegistrationOptions,
@@ -103,8 +104,8 @@ impl FrameStore {
         bytes.saturating_mul(frames_each) <= self.memo.max_bytes()
     }
 
-    /// The cost of a camera's frame in the memo, bytes: at least 1/[`MAX_FRAMES`] of its camera's part of the
-    /// bound.
+    /// The cost of a camera's frame in the memo, bytes: at least 1/[`MAX_FRAMES`] of the camera's equal part of the
+    /// memo.
     fn bytes_of(&self, camera: usize) -> usize {
         let max_frames = MAX_FRAMES * self.capture.cameras.len();
         let min_bytes = self.memo.max_bytes().div_ceil(max_frames);
@@ -128,7 +129,7 @@ impl FrameStore {
         gains
     }
 
-    /// Stores the gains on disk, unless they are there; returns their size in bytes.
+    /// Stores the gains on disk, unless they are already stored; returns their size in bytes.
     ///
     /// # Errors
     /// If they can't be written.

@@ -6,8 +6,8 @@
 //! for all cameras' gains by weighted least squares. Cameras whose gains do not differ significantly
 //! are not corrected.
 //!
-//! Known limits: one gain per channel and camera for the whole recording (no automatic exposure, no
-//! vignetting). A rig whose frames have no features in common is taken as equal.
+//! Known limits: one gain per channel and camera for the whole recording (no automatic exposure, no vignetting).
+//! Cameras whose frames have no features in common are taken as equally bright.
 
 use super::{Frame, Match, RegistrationOptions, flow};
 use crate::capture::Capture;
@@ -17,8 +17,8 @@ use nalgebra::{DMatrix, DVector, Point2};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-/// The gains of a capture's cameras: the linear light that each records over what the reference camera
-/// records of the same surface, by channel.
+/// The gains of a capture's cameras, by channel: the ratio of the linear light that a camera records to that which the
+/// reference camera records of the same surface.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
     /// Each camera's gains: red, green, blue; three equal ones for a grey camera.
@@ -28,8 +28,8 @@ pub struct Gains {
     pub largest: (f64, f64),
 }
 
-/// Minimum difference of a gain from 1 that is corrected. Moving objects and specular surfaces make up to 0.019
-/// between equal cameras; 0.03 is 3 of 255 in the brightest parts.
+/// Minimum difference of a gain from 1 that is corrected. Between equal cameras, moving objects and specular surfaces
+/// cause measured differences of up to 0.019. A difference of 0.03 changes the brightest 8-bit values by 3.
 const MIN_DIFFERENCE: f64 = 0.03;
 /// Minimum difference of a gain from 1 that is corrected, in standard errors.
 const MIN_STD_ERRORS: f64 = 4.0;
@@ -37,7 +37,7 @@ const MIN_STD_ERRORS: f64 = 4.0;
 const NEIGHBORS: usize = 2;
 /// Images are halved until they are no wider than this, pixels.
 const WIDTH_PX: usize = 250;
-/// Minimum number of features of a pair of cameras.
+/// Minimum number of matched features by which two cameras are compared.
 const MIN_FEATURES: usize = 12;
 /// Range of gains that are accepted from the disk cache.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
@@ -47,10 +47,10 @@ const RADIUS_PX: isize = 2;
 const USABLE: std::ops::RangeInclusive<f32> = 0.08..=0.96;
 
 impl Gains {
-    /// Gains that are stored on disk.
+    /// Gains as a kind of entries of the disk cache.
     pub(crate) const KIND: CacheKind = CacheKind { name: "gains", version: 1 };
 
-    /// Gains of 1 of `cameras` cameras.
+    /// Gains of 1 for this many cameras.
     pub fn equal(cameras: usize) -> Self {
         Self { factors: vec![[1.0; 3]; cameras], largest: (0.0, 0.0) }
     }
@@ -88,8 +88,8 @@ impl Gains {
         (factors != [1.0; 3]).then(|| scaled(image, factors))
     }
 
-    /// The gains by one frame of each camera, in the middle of the recording. A frame that cannot be
-    /// read is not compared; the error shows when the frame is used.
+    /// Estimates the gains from one frame of each camera, in the middle of its recording. A camera whose frame cannot
+    /// be read is not compared; the error is reported when the frame is used.
     pub(super) fn estimate(capture: &Capture, options: &RegistrationOptions) -> Self {
         let count = capture.cameras.len();
         let small_image = |c: usize| {
@@ -204,8 +204,8 @@ fn light(image: &Image, at: &Point2<f64>) -> Option<[f64; 3]> {
     Some(sums.map(|sum| sum / area))
 }
 
-/// Ratio of the light that camera `cameras[1]` records of the same surfaces to that of `cameras[0]`, by
-/// channel: its logarithm and the logarithm's variance.
+/// Ratio of the linear light that camera `cameras[1]` records to that which camera `cameras[0]` records of the same
+/// surfaces, by channel: its logarithm and the logarithm's variance.
 struct Ratio {
     cameras: [usize; 2],
     log: [f64; 3],
@@ -213,7 +213,7 @@ struct Ratio {
 }
 
 impl Ratio {
-    /// The median over matched features; `None` of fewer than [`MIN_FEATURES`].
+    /// The median ratio over matched features; `None` for fewer than [`MIN_FEATURES`].
     fn between(
         cameras: [usize; 2],
         images: [&Image; 2],
@@ -244,8 +244,8 @@ impl Ratio {
 
 /// Minimum standard error of a log ratio: specular reflection differs between two views.
 const MIN_STD_ERR: f64 = 0.002;
-/// Standard deviation of the prior of a camera's log gain, around 0. It regularizes cameras that were compared
-/// with none.
+/// Standard deviation of the prior of a camera's log gain, around 0. It regularizes cameras that were not compared with
+/// any other.
 const PRIOR_STD_ERR: f64 = 10.0;
 
 /// The weighted least-squares solution of all cameras' gains, the reference camera's 1.
@@ -270,7 +270,7 @@ fn solve_gains(cameras: usize, reference: usize, ratios: &[Ratio]) -> Gains {
         for (camera, factors) in gains.factors.iter_mut().enumerate() {
             let std_err = covariance[(camera, camera)].max(0.0).sqrt();
             let difference = logs[camera].exp() - 1.0;
-            // A standard error near the prior's means that the camera was compared with none.
+            // A standard error near the prior's means that the camera was not compared with any other.
             if camera == reference || !difference.is_finite() || std_err > 0.1 * PRIOR_STD_ERR {
                 continue;
             }

@@ -15,7 +15,7 @@ pub const SCHARR_SCALE: f32 = 32.0;
 pub fn scharr<V: F32x8>(plane: &[f32], at: usize, stride: usize) -> [V; 2] {
     assert!(at > stride && at + stride + LANES < plane.len(), "the border is wide enough");
     let [up, down] = [at - stride, at + stride];
-    // SAFETY: the first index is − stride − 1, the last before at + stride + 1 + LANES.
+    // SAFETY: the first index is at − stride − 1, the last before at + stride + 1 + LANES.
     let [a, b, c, d, e, f, g, h] = unsafe {
         [
             V::load_unchecked(plane, up - 1),

@@ -7,7 +7,7 @@ use super::rotating_patches::affine_matches;
 use super::{AffineStart, Frame, Match, Neighbors, RegistrationOptions};
 use nalgebra::{Matrix2, Point2, Vector2};
 
-/// Pyramid levels, forward and backward, where the motion prior gives the initial guess.
+/// Numbers of finest pyramid levels, forward and backward, where the motion prior gives the initial guess.
 const PRIOR_LEVELS: [usize; 2] = [2, 2];
 /// Number of attempts with the motion prior, which each attempt's matches improve.
 const PRIOR_ROUNDS: usize = 2;
@@ -17,10 +17,10 @@ const MEDIAN_OF: usize = 5;
 const PRIOR_RADIUS_PX: f64 = 40.0;
 /// Two initial guesses nearer than this, pixels, lead to the same result.
 const SAME_GUESS_PX: f64 = 1.0;
-/// Pyramid levels, forward and backward, where a track is extended by constant motion.
+/// Numbers of finest pyramid levels, forward and backward, where a track is extended by constant motion.
 const EXTENSION_LEVELS: [usize; 2] = [2, 1];
-/// Maximum change of a track's motion from one frame to the next, pixels, in addition to
-/// [`MAX_MOTION_CHANGE_FRACTION`], where its neighbours' motion doesn't change alike.
+/// Maximum change of a track's motion from one frame to the next, pixels, plus [`MAX_MOTION_CHANGE_FRACTION`] of the
+/// motion. No bound applies where the neighbours' motion changes alike.
 const MAX_MOTION_CHANGE_PX: f64 = 2.0;
 /// Maximum change of a track's motion as a fraction of the motion.
 const MAX_MOTION_CHANGE_FRACTION: f64 = 0.5;
@@ -32,7 +32,7 @@ pub(super) struct MotionPrior {
 }
 
 impl MotionPrior {
-    /// The prior of `(position, displacement)` pairs, pixels; of none, it predicts nothing.
+    /// The prior from `(position, displacement)` pairs, pixels. Without pairs, it predicts nothing.
     pub fn new(displacements: impl Iterator<Item = (Point2<f64>, Vector2<f64>)>) -> Self {
         let displacements: Vec<_> = displacements.collect();
         Self { neighbors: Neighbors::new(displacements.iter().map(|(p, _)| *p)), displacements }
@@ -57,7 +57,7 @@ pub(super) struct Retries<'a> {
     pub frames: [&'a Frame; 2],
     /// The points with their first guesses.
     pub starts: &'a [Start],
-    /// Pyramid levels, forward and backward.
+    /// Numbers of finest pyramid levels, forward and backward.
     pub levels: [usize; 2],
     pub options: &'a RegistrationOptions,
     /// The last guess tried for each point.
@@ -74,8 +74,8 @@ impl<'a> Retries<'a> {
         Self { frames, starts, levels, options, tried: vec![None; starts.len()] }
     }
 
-    /// Tracks points, given by index, again from new guesses. A match of a smaller residual replaces that in
-    /// `matches`.
+    /// Tracks points, given by index, again from new guesses. A match of a smaller residual replaces the point's match
+    /// in `matches`.
     pub fn track(
         &mut self,
         guesses: impl Iterator<Item = (usize, Point2<f64>)>,
@@ -125,7 +125,7 @@ pub(super) fn guided_flow(
 /// Extends tracks by a frame: their positions in the target, `None` if lost, or if their motion changes much
 /// and unlike their neighbours'. `tracks` has initial guesses at constant motion.
 ///
-/// Near the end of a swing, motion changes by 20 px from frame to frame, which no fixed bound tells from a
+/// Where a swinging body turns, its motion changes by 20 px from frame to frame, which no fixed bound tells from a
 /// mismatch.
 pub(super) fn extensions(
     frames: [&Frame; 2],

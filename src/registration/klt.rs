@@ -63,14 +63,15 @@ pub struct Tracker {
     row: usize,
     /// Samples of a row of `value`, which is one sample wider on every side.
     wide: usize,
-    /// The template's values, and its derivatives weighted by the fraction inside the image.
+    /// The template's values.
     value: Vec<f32>,
+    /// The template's derivatives by x, weighted by the fraction inside the image.
     dx: Vec<f32>,
+    /// The template's derivatives by y, weighted likewise.
     dy: Vec<f32>,
     /// The template's structure tensor: xx, xy, yy.
     tensor: [f64; 3],
-    /// Σ I·∇I, I the template's values. Newton steps are by its difference to Σ J·∇I, J the
-    /// target's values.
+    /// Σ I·∇I, I the template's values. A Newton step is computed from its difference to Σ J·∇I, J the target's values.
     value_gradient: [f64; 2],
 }
 
@@ -263,7 +264,7 @@ impl Tracker {
         Some(V::sums(&sums))
     }
 
-    /// Adds the sums of 8·B columns from column `x` on.
+    /// Adds the part of Σ J·∇I from 8·B columns, from column `x` on, to `sums`.
     #[inline(always)]
     fn correlate_columns<V: F32x8, const B: usize>(
         &self,

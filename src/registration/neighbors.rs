@@ -43,7 +43,8 @@ impl Neighbors {
         near.into_iter().take(count).map(|(_, k)| k).collect()
     }
 
-    /// Whether at least `wanted` of the points within `radius` of `p` pass a test. Not every point is tested.
+    /// Whether at least `wanted` of the points within `radius` of `p` pass a test. No point is tested after that many
+    /// passed.
     pub fn at_least_within(
         &self,
         p: &Point2<f64>,

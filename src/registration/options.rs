@@ -50,7 +50,8 @@ pub struct ConsistencyThresholds {
     pub residual: f64,
     /// Maximum forward–backward error, pixels.
     pub forward_backward_error_px: f64,
-    /// Minimum number of neighbours that move alike, of points that have as many neighbours; 0: no check.
+    /// Minimum number of neighbours that must move like a point. A point with fewer neighbours is not checked. 0: no
+    /// check.
     pub support: usize,
 }
 

@@ -1,12 +1,12 @@
-//! Gradients in polar form, of which descriptors are histograms.
+//! Image gradients in polar form (magnitude and direction), whose histograms are the SIFT descriptors.
 
 use super::Pyramid;
 use crate::simd::{F32x8, LANES, multiversion};
 use std::f32::consts::TAU;
 
-/// Directions of a descriptor's cell.
+/// Number of direction bins of a descriptor's cell.
 pub const DIRECTIONS: usize = 8;
-/// A full turn, in directions: the unit of angles in gradients and descriptors.
+/// A full turn (360°) in the unit of angles of gradients and descriptors, which is one direction bin.
 pub const TURN: f32 = DIRECTIONS as f32;
 /// The pyramid level whose gradients describe a feature.
 const LEVEL: usize = 1;
@@ -18,14 +18,15 @@ pub(super) struct PolarGradients {
     pub height: usize,
     /// Size of the level relative to the frame.
     pub scale: f64,
-    /// Magnitudes, row by row, and [`LANES`] more.
+    /// Magnitudes, row by row, followed by [`LANES`] values of padding.
     pub strength: Vec<f32>,
-    /// Angles from x towards y, 0 to [`TURN`], row by row, and [`LANES`] more.
+    /// Directions: angles from the x axis towards the y axis, 0 to [`TURN`], row by row, followed by [`LANES`] values
+    /// of padding.
     pub direction: Vec<f32>,
 }
 
 multiversion! {
-    /// The gradients that describe the features of a frame with this pyramid.
+    /// Computes the gradients that descriptors of a frame's features are made from, given the frame's pyramid.
     pub(super) fn polar_gradients(pyramid: &Pyramid) -> PolarGradients = gradients_by::<V>
 }
 
@@ -37,7 +38,7 @@ fn gradients_by<V: F32x8>(pyramid: &Pyramid) -> PolarGradients {
     let size = level.width * level.height;
     let [mut strength, mut direction] = [vec![0.0; size + LANES], vec![0.0; size + LANES]];
     for y in 0..level.height {
-        // A row's last eight run into the next row, which is written later, or into the padding.
+        // A row's last vector runs into the next row, which is written later, or into the padding.
         for x in (0..level.width).step_by(LANES) {
             let k = level.index(x as isize, y as isize);
             let gx = V::load(&level.value, k + 1) - V::load(&level.value, k - 1);
@@ -58,15 +59,16 @@ impl PolarGradients {
         size_of::<f32>() * (self.strength.len() + self.direction.len())
     }
 
-    /// Bytes of the gradients of a pyramid with levels of these sizes, the full-sized first.
+    /// Size of the gradients in memory, bytes, for a pyramid with levels of these widths and heights, the full-sized
+    /// first.
     pub fn bytes_of(sizes: &[[usize; 2]]) -> usize {
         let [width, height] = sizes[LEVEL.min(sizes.len() - 1)];
         2 * (width * height + LANES) * size_of::<f32>()
     }
 }
 
-/// Coefficients of the arctangent's odd polynomial on 0..=1, from the linear one on, to 2e-8 (Abramowitz and
-/// Stegun 4.4.49).
+/// Coefficients of an odd polynomial, the linear term's first, that equals the arctangent on 0..=1 to 2e-8 (Abramowitz
+/// and Stegun 4.4.49).
 const ARCTANGENT: [f32; 9] = [
     1.0,
     -0.333_331_45,
@@ -79,7 +81,7 @@ const ARCTANGENT: [f32; 9] = [
     0.002_866_225_7,
 ];
 
-/// Angles of vectors from x towards y, 0 to [`TURN`]; 0 for the zero vector.
+/// Angles of the vectors (`x`, `y`), from the x axis towards the y axis, 0 to [`TURN`]; 0 for the zero vector.
 #[inline(always)]
 fn directions<V: F32x8>(x: V, y: V) -> V {
     let (along, across) = (x.abs(), y.abs());

@@ -1,28 +1,29 @@
-//! §4.3: the reference cameras that the epipolar test is made with, eqs. (4) and (5).
+//! §4.3: selects the reference cameras for the epipolar test of a camera's tracks, eqs. (4) and (5).
 
 use crate::capture::Capture;
 
-/// A reference camera and its frame, chosen by eqs. (4) and (5).
+/// A frame of another camera, by which a camera's tracks are tested (§4.2), chosen by eqs. (4) and (5).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reference {
     /// Index of the camera.
     pub camera: usize,
-    /// Index of the frame: the one of eq. (5), or the earlier one of `between`.
+    /// Index of the camera's frame: that of eq. (5), or the last one before the interval if `between` is set.
     pub frame: usize,
-    /// Time of the test, seconds on the common clock: the frame's, or the queried one if `between` is
-    /// set.
+    /// Time at which tracks are tested, seconds on the common clock: the frame's, or [`ReferenceQuery::time_s`] if
+    /// `between` is set.
     pub time_s: f64,
-    /// Set for a camera of a lower rate without a frame in the interval: the times, seconds, of `frame` and of
-    /// the next one, around the interval. The camera's own track between them is interpolated.
+    /// Set for a camera of a lower rate without a frame in the interval: the times, seconds, of the last frame before
+    /// it (`frame`) and the first after it. Features are tracked from the one to the other, and their positions are
+    /// interpolated at `time_s`.
     pub between: Option<[f64; 2]>,
 }
 
 /// The references for a camera's flow between two frames, by ascending weight of eq. (4).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct References {
-    /// Every track is tested with each of these.
+    /// At most two, with baselines at least 45° apart. Each of them tests every track.
     pub first: Vec<Reference>,
-    /// Tracks that the first references cannot test are tested with these, one after another.
+    /// At most one other. It tests the tracks that the first references cannot test.
     pub further: Vec<Reference>,
 }
 
@@ -37,23 +38,22 @@ pub struct ReferenceQuery {
     pub time_s: f64,
 }
 
-/// σ of eq. (4): the weight of a frame of time, relative to the distance of the nearest camera.
+/// σ of eq. (4): the weight of a time difference of one frame interval, where the nearest camera's distance weighs 1.
 const TIME_WEIGHT: f64 = 1.0;
 /// Maximum number of first references: on a grid, one along the row and one along the column.
 const MAX_FIRST: usize = 2;
 /// Maximum number of further references.
 const MAX_FURTHER: usize = 1;
-/// Maximum time between two frames of a slower reference that are interpolated between, in frames of the
-/// tested camera.
+/// Maximum time between the two frames of [`Reference::between`], in frame intervals of the tested camera.
 const MAX_GAP_FRAMES: f64 = 4.0;
 
 /// Maximum cosine of the angle between the baselines of two first references: 45°.
 const MAX_BASELINE_COSINE: f64 = 0.707;
 
 impl Reference {
-    /// Eq. (5): of the camera with these frame times, the frame within the interval that is nearest to
-    /// the queried time, or the two frames around the interval; and its distance to that time, seconds.
-    /// `None` if the camera has neither.
+    /// Eq. (5): the frame within the interval that is nearest to the queried time, or else the two frames around the
+    /// interval. Returned with the nearest frame's distance to the queried time, seconds. `None` if the camera has
+    /// neither, or if the two are farther apart than [`MAX_GAP_FRAMES`].
     fn nearest(camera: usize, times: &[f64], query: &ReferenceQuery) -> Option<(f64, Self)> {
         let ([t1, t2], t) = (query.interval_s, query.time_s);
         let within = times.iter().enumerate().filter(|&(_, &tj)| tj >= t1 && tj <= t2);
@@ -69,14 +69,12 @@ impl Reference {
     }
 }
 
-/// Selects the references for a flow (§4.3): those of the smallest weight `w_j = D(j) + σ|t_j − t|`, eq.
-/// (4), with D the distance of the cameras' centres over that of the nearest camera, and the time in
-/// frames.
+/// Selects the references for a flow (§4.3): those of the smallest weight `w_j = D(j) + σ|t_j − t|`, eq. (4), with D
+/// the distance of the cameras' centres, divided by that of the nearest camera, and times in frame intervals.
 ///
-/// A grid gives two references with baselines across each other, a line of cameras one. The cameras of
-/// the next larger weights follow, for the tracks that these cannot test. Only frames within the
-/// interval can test eq. (2). A camera that has none there, but one before and one after it, is weighed
-/// by the nearer one.
+/// A grid of cameras gives two first references, with baselines across each other; a line of cameras gives one. The
+/// further reference is the remaining camera of the smallest weight. A camera without a frame within the interval is
+/// tested between the frames before and after it, and the nearer one gives its weight.
 ///
 /// `times_s[j]` are camera j's frame times in seconds on the common clock, `None` if its clock is unknown;
 /// such a camera is no reference. There are no references if the interval is empty, or if no other

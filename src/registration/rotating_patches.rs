@@ -17,10 +17,11 @@ const MAX_MOTION: f64 = 0.1;
 const MAX_RATIO: f32 = 0.7;
 /// Radius within which matches must agree, pixels.
 const SUPPORT_RADIUS_PX: f64 = 40.0;
-/// Maximum difference of two matches of one motion, pixels, and in addition as a fraction of their distance.
+/// Two matches agree if one's target differs from the other's prediction by at most this, pixels, plus
+/// [`SUPPORT_FRACTION`] of their distance.
 const SUPPORT_PX: f64 = 2.0;
 const SUPPORT_FRACTION: f64 = 0.2;
-/// Minimum number of other matches that agree with one.
+/// Minimum number of matches that must agree with a match.
 const MIN_SUPPORT: usize = 3;
 /// Number of nearest rotating patches whose motion is tried for a lost corner.
 const GUESSES: usize = 3;
@@ -32,7 +33,7 @@ const MAX_AREA_RATIO: f64 = 2.0;
 const MAX_UNEXPLAINED: f64 = 0.35;
 
 impl AffineStart {
-    /// The start of another window of the same source, which moves with this one.
+    /// The start for another window around `from`, with the initial guess that this window's affine motion predicts.
     fn moving_along(&self, from: &Point2<f64>) -> Self {
         let guess = self.guess + self.deformation * (from - self.from);
         Self { from: *from, guess, ..*self }
@@ -55,7 +56,7 @@ pub(super) fn match_rotating_patches(
             break;
         }
         let near = Neighbors::new(motions.iter().map(|m| m.from));
-        // Of the motions of the nearest rotating patches, the match of least residual.
+        // Tries the motions of the nearest rotating patches. The match of the smallest residual counts.
         let track = |tracker: &mut AffineTracker, k: &usize| {
             let around = near.nearest(&corners[*k], GUESSES, SUPPORT_RADIUS_PX).into_iter();
             let starts = around.map(|n| motions[n].moving_along(&corners[*k]));
@@ -76,7 +77,7 @@ fn motion_of(m: &Match) -> AffineStart {
     AffineStart { from: m.source, guess: m.target, deformation: m.deformation }
 }
 
-/// Mutual best matches, by descriptor, of the lost corners and the target's corners that have no match.
+/// Mutual best matches, by descriptor, between the lost corners and those corners of the target that have no match.
 fn seeds(
     [source, target]: [&Frame; 2],
     lost: &[Point2<f64>],
@@ -147,7 +148,7 @@ fn agreeing(motions: &[AffineStart]) -> Vec<AffineStart> {
     (0..motions.len()).filter(supported).map(|k| motions[k]).collect()
 }
 
-/// Tracks deforming windows from initial guesses, and back.
+/// Tracks deforming windows from initial guesses, forward and backward. `None` as for [`affine_match`].
 pub(super) fn affine_matches(
     frames: [&Frame; 2],
     starts: &[AffineStart],
@@ -159,7 +160,7 @@ pub(super) fn affine_matches(
     starts.par_iter().map_init(AffineTracker::default, tracked).collect()
 }
 
-/// Tracks a deforming window, and back.
+/// Tracks a deforming window forward and backward. `None` if it is lost or exceeds a threshold.
 fn affine_match(
     [source, target]: [&Frame; 2],
     start: &AffineStart,
@@ -219,7 +220,7 @@ mod tests {
         top * (1.0 - v) + (n(0, 1) * (1.0 - u) + n(1, 1) * u) * v
     }
 
-    /// A disc of radius 45 px before a still wall, turned by an angle and shifted.
+    /// A disc of radius 45 px, rotated by an angle and shifted, before a still wall.
     fn frame(angle: f64, shift: Vector2<f64>, options: &RegistrationOptions) -> Frame {
         let value = |k: usize| {
             let p = Vector2::new((k % SIDE) as f64 + 0.5, (k / SIDE) as f64 + 0.5);
@@ -230,7 +231,8 @@ mod tests {
         Frame::new(Image::from_data(SIDE, SIDE, 1, (0..SIDE * SIDE).map(value).collect()), options)
     }
 
-    /// Of the disc's corners that all are lost: how many are found, and the median error in pixels.
+    /// Matches the disc's corners, all of which are lost. Returns their number, the number that is found, and the
+    /// median error in pixels.
     fn found(angle: f64, shift: Vector2<f64>) -> (usize, usize, f64) {
         let options = RegistrationOptions::default();
         let frames = [frame(0.0, Vector2::zeros(), &options), frame(angle, shift, &options)];

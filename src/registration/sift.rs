@@ -13,13 +13,13 @@ const CELLS: usize = 4;
 const SIZE: usize = CELLS * CELLS * DIRECTIONS;
 /// A cell's side, pixels of the level.
 const CELL_PX: f32 = 4.0;
-/// Radius of the window, pixels: the cells' half diagonal, with half a cell around for the interpolation.
+/// Radius of the window, pixels of the level: the cells' half diagonal, with half a cell around for the interpolation.
 const RADIUS_PX: isize = 14;
-/// Bins of the histogram whose largest is the main direction.
+/// Number of bins of the histogram of directions whose peak is the main direction.
 const BINS: usize = 36;
-/// Standard deviation of the descriptor's window, pixels of the level.
+/// Standard deviation of the Gaussian weights of the descriptor's samples, pixels of the level.
 const WINDOW_SIGMA_PX: f32 = 8.0;
-/// Standard deviation of the main direction's window, pixels of the level.
+/// Standard deviation of the Gaussian weights of the main direction's samples, pixels of the level.
 const DIRECTION_SIGMA_PX: f32 = 5.0;
 /// Maximum entry of a normalized descriptor: SIFT's clipping of strong edges.
 const MAX_ENTRY: f32 = 0.2;
@@ -31,7 +31,7 @@ pub(super) struct SiftDescriptor {
     entries: [f32; SIZE],
 }
 
-/// Columns and rows of a window, padded so that [`LANES`] samples can be read from any of them on.
+/// Maximum number of columns or rows of a window, padded so that [`LANES`] values can be read from any of them on.
 const SPAN: usize = (2 * RADIUS_PX as usize + 1).next_multiple_of(LANES) + LANES;
 /// Cells along a side of the histogram grid: one more on the left and two on the right, for samples
 /// outside of the descriptor.
@@ -58,7 +58,7 @@ impl<'a> Disc<'a> {
         Self { gradients, center, columns, rows }
     }
 
-    /// The columns of a row that are inside the disc, beyond which no cell reaches at any rotation.
+    /// The columns of a row that are inside the disc. No cell reaches beyond the disc at any rotation.
     #[inline(always)]
     fn columns_of(&self, y: usize) -> Range<usize> {
         let dy = y as f32 - self.center[1];
@@ -68,7 +68,7 @@ impl<'a> Disc<'a> {
         first.max(self.columns.start)..(end as usize).min(self.columns.end)
     }
 
-    /// A Gaussian along both axes; a sample's weight is the product of its two values.
+    /// Gaussian weights along x and along y; a sample's weight is the product of its column's and its row's.
     #[inline(always)]
     fn fades(&self, sigma_px: f32) -> [[f32; SPAN]; 2] {
         let mut fades = [[0.0; SPAN]; 2];
@@ -152,13 +152,13 @@ impl<'a> Disc<'a> {
                 ];
                 let fd = fd.to_array();
                 for l in 0..LANES.min(row_columns.end - x) {
-                    // Right for negative ones too: the range of usize is a multiple of the power of two.
+                    // Correct for negative directions too: DIRECTIONS is a power of two and divides the range of usize.
                     let d = direction[l] as usize % DIRECTIONS;
                     let own = V::from_array(&directions[d]);
                     let next = V::from_array(&directions[(d + 1) % DIRECTIONS]);
                     let direction_weights = (next - own).mul_add(V::splat(fd[l]), own);
                     let cell = row[l] as usize * GRID + column[l] as usize;
-                    // One check for all four.
+                    // One bounds check for all four cells.
                     let grid = &mut grids[l % 2][cell..cell + GRID + 2];
                     for (k, to) in [0, 1, GRID, GRID + 1].into_iter().enumerate() {
                         grid[to] = direction_weights.mul_add(V::splat(corners[k][l]), grid[to]);

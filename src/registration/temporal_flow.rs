@@ -1,4 +1,5 @@
-//! §4.1: the bidirectional temporal flow of a camera, with its two labelled sets of correspondences.
+//! §4.1: the bidirectional temporal flow of a camera. Each correspondence is labelled by its direction: forward,
+//! backward or both.
 
 use super::consensus::{Moved, Support, consensus};
 use super::guided_flow::{extensions, guided_flow};
@@ -10,15 +11,15 @@ use crate::capture::CaptureError;
 use nalgebra::{Matrix2, Point2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// The direction of the bidirectional flow (§4.1) that a correspondence is of. Eq. (9) warps the earlier
-/// frame with the forward flow, and the later frame with the backward flow.
+/// The direction of the bidirectional flow (§4.1) in which a correspondence was found. Eq. (9) warps the earlier frame
+/// with the forward flow, and the later frame with the backward flow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum FlowDirection {
     /// A corner of the earlier frame, tracked to the later one.
     Forward,
     /// A corner of the later frame, tracked to the earlier one.
     Backward,
-    /// Both: two correspondences near each other at both ends, of which the forward one is used.
+    /// Found in both directions: the two correspondences are near each other at both ends, and the forward one is used.
     Both,
 }
 
@@ -26,7 +27,7 @@ pub enum FlowDirection {
 /// at both ends where the feature could be tracked. Positions in pixels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Track {
-    /// The flow that the track is of.
+    /// The direction in which the track was found.
     pub direction: FlowDirection,
     /// Position in frame k − 1; `None` if the feature was lost or there is no such frame.
     pub before: Option<Point2<f64>>,
@@ -61,22 +62,22 @@ impl Track {
         self.later - self.earlier
     }
 
-    /// The track's extension to frame k − 1 at constant affine motion.
+    /// The start for tracking to frame k − 1, with the initial guess of constant affine motion.
     fn backward(&self) -> AffineStart {
         let inverse = self.deformation.try_inverse().unwrap_or_else(Matrix2::identity);
         let guess = self.earlier - inverse * self.motion();
         AffineStart { from: self.earlier, guess, deformation: inverse }
     }
 
-    /// The track's extension to frame k + 2 at constant affine motion.
+    /// The start for tracking to frame k + 2, with the initial guess of constant affine motion.
     fn forward(&self) -> AffineStart {
         let guess = self.later + self.deformation * self.motion();
         AffineStart { from: self.later, guess, deformation: self.deformation }
     }
 
-    /// Drops the extension beyond a kink of the motion, as where a body bounces: a curve through a kink leaves the
-    /// trajectory in the middle interval. Smooth motion changes its acceleration little from one frame to the
-    /// next. `times_s` are the frames' times.
+    /// Drops the extension beyond a kink of the motion, as where a body bounces: a polynomial through a kink deviates
+    /// from the trajectory between frames k and k + 1. The acceleration of smooth motion changes little from one frame
+    /// to the next. `times_s` are the times of frames k − 1 to k + 2, seconds.
     fn drop_kink(&mut self, times_s: &[f64]) {
         let (Some(before), Some(after)) = (self.before, self.after) else { return };
         let positions = [before, self.earlier, self.later, after];
@@ -112,8 +113,8 @@ impl Track {
     }
 }
 
-/// Maximum change of a smooth motion's acceleration from one frame to the next, pixels, in addition to
-/// [`JERK_FRACTION`] of the smaller acceleration.
+/// Maximum change of a smooth motion's acceleration from one frame to the next, pixels, plus [`JERK_FRACTION`] of the
+/// smaller acceleration.
 const MAX_JERK_PX: f64 = 12.0;
 const JERK_FRACTION: f64 = 0.5;
 /// Correspondences of the forward and the backward flow within this distance of each other at both ends are
@@ -144,7 +145,7 @@ pub fn temporal_flow(
     temporal_flow_of(frames, camera, k, [of_earlier, of_later])
 }
 
-/// As [`temporal_flow`], of the given points of frame `k` and of frame `k + 1` instead of corners, pixels.
+/// As [`temporal_flow`], from given points of frame `k` and of frame `k + 1` instead of the frames' corners, pixels.
 ///
 /// # Errors
 /// If one of the frames cannot be read.
@@ -236,7 +237,7 @@ fn merged(forward: &[Match], backward: &[Match]) -> Vec<Track> {
     tracks
 }
 
-/// For each track, whether it moves like enough of its neighbours, or has too few neighbours. A surface has
+/// For each track, whether enough of its neighbours move alike, or it has too few neighbours to tell. A surface has
 /// more than one feature, so that a track unlike its neighbours is a mismatch.
 pub fn neighbor_consensus(tracks: &[Track], options: &RegistrationOptions) -> Vec<bool> {
     let moved =
@@ -262,7 +263,7 @@ mod tests {
     #[test]
     fn a_correspondence_of_both_directions_is_merged_and_labelled() {
         let forward = [a_match(10.0, 3.0), a_match(20.0, 3.0)];
-        // The first is the forward one reversed; the second starts there but goes elsewhere.
+        // The first is a forward match reversed; the second starts where a forward match ends, but goes elsewhere.
         let backward = [a_match(13.2, -3.1), a_match(23.1, -9.0)];
         let tracks = merged(&forward, &backward);
         let directions: Vec<_> = tracks.iter().map(|t| t.direction).collect();
@@ -301,7 +302,7 @@ mod tests {
         let even = [0.0, 1.0, 2.0, 3.0];
         // 20 px a frame less with every frame.
         assert_eq!(kept([0.0, 30.0, 40.0, 30.0], even), (true, true));
-        // 30 px a frame, then back; in the frame before, or after.
+        // A bounce in frame k, and one in frame k + 1.
         assert_eq!(kept([0.0, 10.0, -20.0, -50.0], even), (false, true));
         assert_eq!(kept([-50.0, -20.0, 10.0, 0.0], even), (true, false));
         // A frame is missing: as fast as ever.

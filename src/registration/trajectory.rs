@@ -39,7 +39,8 @@ impl Trajectory {
         (trajectory.len >= 2).then_some(trajectory)
     }
 
-    /// Lagrange's weight of sample `i`, without the factor of sample `skipped`: a product over the others.
+    /// Lagrange basis polynomial of sample `i` at a time in seconds, without the factor of sample `skipped`. The
+    /// polynomial is whole if `skipped` is `i`.
     fn weight(&self, time_s: f64, i: usize, skipped: usize) -> f64 {
         (0..self.len)
             .filter(|&j| j != i && j != skipped)

@@ -9,9 +9,9 @@ use crate::raster::Image;
 const RADIUS: isize = 2;
 /// Smallest difference of grey values, 0..=1, that sets a census bit: half a step of 8 bits.
 const MIN_DIFFERENCE: f32 = 0.5 / 255.0;
-/// Largest cost of a difference of grey values, of 255.
+/// Largest cost of a difference of grey values, in 8-bit steps.
 const MAX_GRAY_COST: i32 = 24;
-/// Cost of one differing census bit, in grey values.
+/// Cost of one differing census bit, in 8-bit steps of grey values.
 const BIT_COST: u32 = 2;
 
 /// A pixel's descriptor.
@@ -19,7 +19,8 @@ const BIT_COST: u32 = 2;
 pub(super) struct Descriptor {
     /// Census code, 24 bits.
     code: u32,
-    /// Four bytes: the pixel's grey value, the minimum and maximum around it, and 0.
+    /// Four bytes: the pixel's grey value, the minimum and maximum within half a pixel around it, and 0 (255 outside
+    /// the image).
     grays: u32,
 }
 
@@ -59,7 +60,7 @@ impl CensusImage {
         Self { camera, gray, descriptors }
     }
 
-    /// The image at half the size; the last row or column of an odd number is dropped.
+    /// The image at half the size; the last row or column is dropped if their number is odd.
     fn halved(&self) -> Option<Self> {
         Some(Self::new(halved(&self.camera)?, crate::registration::halved(&self.gray)))
     }
@@ -122,7 +123,7 @@ mod tests {
         assert_eq!(own.cost(Descriptor::OUTSIDE), 255);
     }
 
-    /// An interpolated image is plain but for rounding where the filmed one is plain.
+    /// Where a filmed image is constant, an interpolated image is constant but for rounding.
     #[test]
     fn rounding_is_no_texture() {
         let filmed = Image::filled(9, 7, 1, 0.8);

@@ -1,4 +1,5 @@
-//! Matching cost of every pixel of a camera at every inverse depth, from its partners' images.
+//! Matching cost of every pixel of a camera at every inverse depth, from the images of its partners: the cameras that
+//! it is matched with.
 
 use super::census::{CensusImage, Descriptor};
 use super::relative_pose::RelativePose;
@@ -12,7 +13,7 @@ const MAX_LEVELS: usize = 1024;
 /// Cost where no partner sees the point: that of a poor match.
 const UNSEEN_COST: u8 = 40;
 
-/// Inverse depths at even distances, 1/m, which are even steps of disparity.
+/// Depth hypotheses: evenly spaced inverse depths, 1/m, which are even steps of disparity.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct DepthLevels {
     /// Smallest inverse depth: the farthest surface.
@@ -76,8 +77,8 @@ pub(super) fn cost_volume(set: &StereoSet, levels: &DepthLevels) -> Vec<u8> {
     out
 }
 
-/// Inverse depths at twice the resolution of `coarse`: every pixel takes that of the four coarse pixels
-/// around it with the smallest cost.
+/// Inverse depths at twice the resolution of `coarse`: each pixel's candidates are those of the four coarse pixels
+/// around it, and the one of the smallest cost is taken.
 pub(super) fn upsampled(values: &[f32], coarse: &Camera, set: &StereoSet) -> Vec<f32> {
     let camera = &set.image.camera;
     let w = camera.width;
@@ -148,15 +149,16 @@ fn row_costs_by(
 struct MatchScratch<'a> {
     /// The row's rays.
     rays: RayRow<'a>,
-    /// Positions in a partner's image, by level.
+    /// Horizontal positions in a partner's image, by level, pixels.
     x: Vec<f32>,
+    /// Vertical positions in a partner's image, by level, pixels.
     y: Vec<f32>,
-    /// Indices of the pixels there; [`OUTSIDE`] beyond the image.
+    /// Indices of the partner's pixels at these positions, by level; [`OUTSIDE`] beyond its image.
     at: Vec<u32>,
     descriptors: Vec<Descriptor>,
     partners: usize,
-    /// Costs, partner by partner; 255 where a partner doesn't see the point. Of three partners, there is an
-    /// unseen fourth.
+    /// Costs, partner by partner; 255 where a partner doesn't see the point. With three partners, a fourth row stays
+    /// 255, so that the code for four serves.
     costs: Vec<u8>,
     sorted: Vec<u8>,
 }
@@ -180,7 +182,7 @@ impl<'a> MatchScratch<'a> {
         }
     }
 
-    /// Computes the costs of partner `k` at the positions.
+    /// Computes the costs of partner `k`, whose image is `partner`, at the positions `x`, `y`.
     #[inline(always)]
     fn compare(&mut self, own: &Descriptor, partner: &CensusImage, k: usize) {
         let (w, h) = (partner.gray.width(), partner.gray.height());
@@ -204,7 +206,7 @@ impl<'a> MatchScratch<'a> {
         }
     }
 
-    /// The mean over the better half of the partners, level by level.
+    /// Writes, level by level, the mean cost over the better half of the partners that see the point.
     #[inline(always)]
     fn better_half(&mut self, out: &mut [u8]) {
         let n = out.len();

@@ -18,12 +18,13 @@ pub struct Surface<'a> {
 
 /// Radius of a splat, pixels of the view, or of the camera where those are larger.
 const RADIUS_PX: f32 = 0.8;
-/// Largest ratio of the most votes to those of the nearest candidate at which that candidate is taken.
+/// Of the candidate depths whose votes, times this, reach the maximum of all candidates' votes, the nearest is taken.
 const MAX_VOTE_RATIO: i32 = 2;
-/// Smallest number of votes of a surface; mismatches beside outlines have fewer.
+/// Number of votes that at least one candidate must have. Mismatches beside outlines have fewer.
 const MIN_VOTES: i32 = 1;
 
-/// Fuses the depths of a view, metres. Pixels that no camera sees have the depth of the background around them.
+/// Computes the depths of a view, metres, from those of several cameras. Pixels that no camera sees have the depth of
+/// the background around them.
 pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
     let tolerance = surfaces.iter().map(|s| s.depths.tolerance).fold(0.0, f32::max);
     let poses: Vec<_> = surfaces.iter().map(|s| RelativePose::new(target, s.camera)).collect();
@@ -56,8 +57,9 @@ pub fn fuse(target: &Camera, surfaces: &[Surface]) -> DepthMap {
     DepthMap::from_data(w, h, filled.iter().map(|v| 1.0 / v).collect())
 }
 
-/// Number of cameras that see a surface at the point of a ray (x, y, 1) at an inverse depth, less that of those
-/// that see through it. `poses` are those of the surfaces' cameras relative to the view.
+/// Votes for a surface at the point on the view's ray (x, y, 1) at an inverse depth: the number of cameras that see a
+/// surface there, minus the number of cameras that see through it. `poses` are the poses of the surfaces' cameras
+/// relative to the view.
 fn votes_of(
     surfaces: &[Surface],
     poses: &[RelativePose],
@@ -79,15 +81,16 @@ fn votes_of(
     surfaces.iter().zip(poses).map(vote).sum()
 }
 
-/// Whether more than half of the cameras have candidates, and all candidates are one surface: then no vote is
-/// needed.
+/// Whether more than half of the cameras have candidates, and all candidates agree within the tolerance: then no vote
+/// is needed.
 fn are_one_surface(candidates: &[f32], cameras: usize, tolerance: f32) -> bool {
     let (low, high) =
         candidates.iter().fold((f32::INFINITY, 0.0_f32), |(l, h), v| (l.min(*v), h.max(*v)));
     2 * candidates.len() > cameras && high - low <= tolerance
 }
 
-/// Fuses candidate inverse depths, the nearest first, on the nearest surface with enough votes. NaN without votes.
+/// Fuses a pixel's candidate inverse depths, sorted with the nearest first: the mean on the nearest surface with enough
+/// votes. NaN if no candidate has [`MIN_VOTES`].
 fn elect(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     let most = votes.iter().copied().max().unwrap_or(0);
     match votes.iter().position(|&v| v * MAX_VOTE_RATIO >= most) {
@@ -96,7 +99,7 @@ fn elect(candidates: &[f32], votes: &[i32], tolerance: f32) -> f32 {
     }
 }
 
-/// The mean of the candidates on the surface of `first`, which is one of them.
+/// The mean of the candidates within the tolerance of `first`, which is one of them.
 fn mean_of(candidates: &[f32], first: f32, tolerance: f32) -> f32 {
     let (mut sum, mut count) = (0.0, 0.0);
     for c in candidates.iter().filter(|c| (*c - first).abs() <= tolerance) {

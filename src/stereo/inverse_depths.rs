@@ -1,4 +1,4 @@
-//! Inverse depths of one camera, from its own image and those of its partners.
+//! Inverse depths of one camera, from its own image and those of its partners: the cameras that it is matched with.
 
 use super::census::{CensusImage, census_pyramid, halved};
 use super::cost_volume::{DepthLevels, StereoSet, cost_volume, upsampled};
@@ -9,7 +9,7 @@ use crate::camera::Camera;
 use crate::lumigraph::DepthMap;
 use rayon::prelude::*;
 
-/// Largest difference of two measurements of one surface, levels.
+/// Largest difference of two cameras' measurements of one surface point, depth levels.
 const TOLERANCE_LEVELS: f32 = 1.5;
 /// Largest distance of a partner, as a multiple of the nearest partner's distance.
 const MAX_PARTNER_DISTANCE: f64 = 2.5;
@@ -21,7 +21,7 @@ const MAX_COSTS: usize = 1 << 26;
 pub struct InverseDepths {
     /// Inverse depths, 1/m.
     pub values: Vec<f32>,
-    /// Largest difference of two measurements of one surface, 1/m.
+    /// Largest difference of two cameras' measurements of one surface point, 1/m.
     pub tolerance: f32,
 }
 
@@ -43,7 +43,7 @@ pub struct Matcher {
 }
 
 impl Matcher {
-    /// Computes the images' descriptors. `range` holds the inverse depths of all cameras, 1/m.
+    /// Computes the images' descriptors. `range` is the minimum and maximum inverse depth over all cameras, 1/m.
     pub fn new(views: &[StereoImage], range: [f64; 2], options: &StereoOptions) -> Self {
         let cameras: Vec<&Camera> = views.iter().map(|v| v.camera).collect();
         let partners: Vec<Vec<usize>> =
@@ -53,7 +53,8 @@ impl Matcher {
         Self { pyramids, partners, step_px: options.step_px }
     }
 
-    /// Estimates the inverse depths of camera `index` within a range, 1/m. `None` without a camera at another place.
+    /// Estimates the inverse depths of camera `index`, between the minimum and maximum in `range`, 1/m. `None` without
+    /// a camera at another place.
     pub fn depths(&self, index: usize, range: [f64; 2]) -> Option<InverseDepths> {
         let (reference, partners) = (&self.pyramids[index], &self.partners[index]);
         let set = |k: usize| {
@@ -79,8 +80,8 @@ impl Matcher {
     }
 }
 
-/// Selects at most `count` cameras that camera `index` is matched with: the nearest ones at another place, without those
-/// that stand much farther than the first.
+/// Selects at most `count` cameras that camera `index` is matched with: the nearest ones at another place, without
+/// those that are much farther than the nearest.
 fn partners(cameras: &[&Camera], index: usize, count: usize) -> Vec<usize> {
     let center = cameras[index].center();
     let distance = |k: &usize| (cameras[*k].center() - center).norm();
@@ -118,7 +119,7 @@ fn halvings(
     }
 }
 
-/// Depth hypotheses of a camera, at even disparities to its farthest partner.
+/// Depth hypotheses of a camera, at even steps of the disparity in its farthest partner.
 fn depth_levels(own: &Camera, farthest: &Camera, range: [f64; 2], step_px: f64) -> DepthLevels {
     let baseline = (farthest.center() - own.center()).norm();
     DepthLevels::new(range, step_px / (own.focal_px() * baseline))

@@ -32,7 +32,8 @@ use crate::camera::Camera;
 use crate::option::options;
 use crate::raster::Image;
 
-/// Number of cameras beyond [`StereoOptions::cameras`] that only serve as partners.
+/// Number of cameras beyond [`StereoOptions::cameras`] that others are only matched with; their own depths are not
+/// estimated.
 pub const FURTHER_CAMERAS: usize = 2;
 
 options! {
@@ -40,9 +41,9 @@ options! {
     pub struct StereoOptions {
         /// Cameras nearest to the view whose depths are estimated and fused.
         cameras: usize [1..=1_000_000, "cameras"] = 6,
-        /// Neighbours with which each of these is matched, at most.
+        /// Maximum number of neighbours that each camera is matched with.
         partners: usize [1..=1_000_000, "cameras"] = 4,
-        /// Disparity between two depth hypotheses, to the farthest partner.
+        /// Disparity between two successive depth hypotheses, in the farthest camera that is matched.
         step_px: f64 [0.25..=16.0, "px"] = 1.0,
         /// How many times images are halved before matching.
         halvings: usize [0..=8, "halvings"] = 0,

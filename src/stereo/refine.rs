@@ -6,11 +6,11 @@ use crate::lumigraph::RayRow;
 use crate::raster::{Image, Sampling, box_filter, sample};
 use rayon::prelude::*;
 
-/// Half the side of the window of a step, pixels.
+/// Half the side of the window whose pixels determine a step, pixels.
 const RADIUS: usize = 2;
 /// Number of pixels of the window.
 const WINDOW: f32 = ((2 * RADIUS + 1) * (2 * RADIUS + 1)) as f32;
-/// Number of steps.
+/// Number of Gauss–Newton steps.
 const STEPS: usize = 2;
 /// Longest step, levels.
 const MAX_STEP: f32 = 0.75;

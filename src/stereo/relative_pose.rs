@@ -5,8 +5,8 @@ use nalgebra::{Matrix3, Point2, Vector3};
 
 /// Pose of a camera relative to a reference camera.
 ///
-/// A point is `r / ρ`, with r = (x, y, 1) the reference camera's ray and ρ the inverse depth. All is computed
-/// times ρ, which is finite for points at infinity too.
+/// A point is `r / ρ` in the reference camera's axes, with r = (x, y, 1) its ray and ρ its inverse depth. Points are
+/// computed times ρ, which is finite for points at infinity too.
 pub(super) struct RelativePose {
     rotation: Matrix3<f32>,
     shift: Vector3<f32>,
@@ -41,7 +41,8 @@ impl RelativePose {
         rotated + self.shift * inverse
     }
 
-    /// Projects such a point; NaN or infinite if it has no pixel.
+    /// Projects a point times its inverse depth ([`Self::point`]) into the other camera, pixels; NaN or infinite if it
+    /// has no pixel.
     #[inline(always)]
     pub fn pixel(&self, q: &Vector3<f32>) -> [f32; 2] {
         if !(q.z > 0.0) {

@@ -4,9 +4,9 @@ use super::cost_volume::DepthLevels;
 use crate::raster::Image;
 use crate::simd::multiversion;
 
-/// Penalty of a change by one level, in units of the costs.
+/// Penalty of a change by one level between neighbouring pixels (Hirschmüller's P1), in units of the costs.
 const STEP_PENALTY: i16 = 6;
-/// Penalty of a larger change where the image is flat.
+/// Penalty of a change by more levels (P2) where the image is flat.
 const JUMP_PENALTY: i16 = 70;
 /// Smallest penalty of a larger change, at strong image edges.
 const MIN_JUMP_PENALTY: i16 = 14;
@@ -16,7 +16,7 @@ const EDGE_DIFFERENCE: f32 = 0.03;
 /// Cost beyond that of any path.
 const UNREACHABLE: i16 = i16::MAX / 4;
 
-/// Aggregated costs of eight directions, pixel by pixel, level by level.
+/// Costs aggregated along eight directions and summed over them, pixel by pixel, level by level.
 pub(super) fn aggregate(costs: &[u8], gray: &Image, levels: usize) -> Vec<i16> {
     let mut sums = vec![0_i16; costs.len()];
     for backward in [false, true] {
@@ -34,8 +34,8 @@ multiversion! {
 fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bool) {
     let (w, h) = (gray.width(), gray.height());
     let back = if backward { 1 } else { -1 };
-    // A path has a padding level at both ends and then its minimum; a row of paths has a zero path at both
-    // ends. Paths start there.
+    // A path holds its costs by level, a padding level before and after them, and then their minimum. A row of paths
+    // has a zero path at both ends, where paths start.
     let len = n + 3;
     let mut zero = vec![0; len];
     (zero[0], zero[n + 1]) = (UNREACHABLE, UNREACHABLE);
@@ -66,7 +66,7 @@ fn sweep_by(costs: &[u8], gray: &Image, n: usize, sums: &mut [i16], backward: bo
     }
 }
 
-/// Penalty of a larger change between two neighbouring pixels.
+/// Penalty of a change by more than one level between two neighbouring pixels.
 #[inline(always)]
 fn jump_penalty(gray: &Image, [x, y]: [usize; 2], from: [usize; 2]) -> i16 {
     if from[0] >= gray.width() || from[1] >= gray.height() {
@@ -95,11 +95,11 @@ fn extend(before: &[i16], jump: i16, cost: &[u8], out: &mut [i16], sum: &mut [i1
     out[n + 2] = min;
 }
 
-/// The inverse depth of the minimum at every pixel, interpolated between levels by a parabola.
+/// The inverse depth of the minimum cost at every pixel, interpolated between levels by a parabola.
 pub(super) fn winner_takes_all(sums: &[i16], levels: &DepthLevels) -> Vec<f32> {
     let n = levels.count;
     let of = |sums: &[i16]| {
-        // The value first, then its first place: either search takes many levels at a time.
+        // The minimum first, then its first index: both searches are vectorized.
         let min = sums.iter().copied().min();
         let best = sums.iter().position(|sum| Some(*sum) == min).unwrap_or(0);
         let mut level = best as f32;

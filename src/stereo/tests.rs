@@ -73,8 +73,8 @@ fn depths_of_all(options: &StereoOptions) -> (Vec<Camera>, Vec<InverseDepths>) {
     (cameras, depths)
 }
 
-/// Errors of a camera's inverse depths, sorted, pixels of disparity at 6 cm: of pixels at least `margin` from the
-/// image's border and from the board's outline.
+/// Errors of a camera's inverse depths, sorted, in pixels of disparity at a baseline of 6 cm: of pixels at least
+/// `margin` from the image's border and from the board's outline.
 fn errors(camera: &Camera, inverse: impl Fn(usize) -> f64, margin: usize) -> Vec<f64> {
     let truth = |x: usize, y: usize| 1.0 / seen(camera, x, y).0;
     let mut px = Vec::new();
@@ -114,7 +114,7 @@ fn outlines_are_right_to_two_pixels() {
     }
 }
 
-/// From a place where no camera stands, and behind the board where none sees.
+/// Views from places where no camera stands, also of the wall behind the board, which no camera sees.
 #[test]
 fn the_fused_surface_is_that_of_the_scene_in_any_view() {
     let (cameras, depths) = depths_of_all(&StereoOptions::default());
@@ -130,7 +130,7 @@ fn the_fused_surface_is_that_of_the_scene_in_any_view() {
     }
 }
 
-/// Where a camera's pixel is several of the view's: the wall doesn't show between those of the board.
+/// Where a camera's pixel covers several of the view's, the wall doesn't show through between the board's splats.
 #[test]
 fn the_fused_surface_has_no_holes_where_the_view_enlarges() {
     let (cameras, depths) = depths_of_all(&StereoOptions::default());
@@ -159,7 +159,7 @@ fn without_a_camera_at_another_place_there_is_no_depth() {
     }
 }
 
-/// Flat, tiny, not numbers; and a range from the sky to the lens.
+/// Flat images, tiny images, and images of NaN; also a range from the sky to the lens.
 #[test]
 fn whatever_the_images_depths_are_within_the_range() {
     for (w, h) in [(1, 1), (2, 3), (17, 1), (40, 30)] {

@@ -86,7 +86,7 @@ fn entries_unused_for_longest_are_removed_first() {
         age(&cache, n, 10 - u64::from(n));
     }
     cache.load(NUMBERS, &0).unwrap();
-    // Its files count with it, and go with it.
+    // An entry's files count with it, and are removed with it.
     let files = cache.files(NUMBERS, &1).unwrap();
     std::fs::create_dir(&files).unwrap();
     std::fs::write(files.join("0.png"), [0; 20]).unwrap();
