@@ -39,7 +39,7 @@ pub struct OptionChoice {
 /// An option's declaration, and its value in some set of options.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct DeclaredOption {
-    /// Its path in an options file, such as `blend.cameras`.
+    /// The option's path in an options file, such as `blend.cameras`.
     pub name: String,
     /// One or two sentences of help.
     pub help: String,

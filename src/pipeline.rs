@@ -1,5 +1,5 @@
-//! From a capture to a light field that views are taken from (Fig. 2): frames, offsets, and the
-//! methods that the capture requires.
+//! The whole pipeline (Fig. 2): opens a capture as a light field, from which views are rendered, and
+//! chooses methods automatically.
 
 use crate::capture::Capture;
 use crate::host::CacheKind;
@@ -12,12 +12,13 @@ use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use std::sync::Arc;
 
-/// Cached plans, for the next command: planning renders dozens of views. The version changes with every change of
-/// views, because they decide plans.
+/// The cache of plans: planning renders dozens of views, which later commands need not repeat. Every change of rendered
+/// views requires a new version, because plans are decided by them.
 const PLANS: CacheKind = CacheKind { name: "plans", version: 2 };
 
-/// Opens a capture's light field, with the offsets that it needs: known clocks, else those cached in
-/// its folder, else estimated now and cached. Notes on the reporter say which, and which cameras no view can use.
+/// Opens a capture's light field. Its offsets are known, stored in the capture's folder, or estimated now and stored
+/// there ([`resolve_offsets`]). Notes on the reporter say which, and name the cameras of unknown offset, which no view
+/// uses.
 ///
 /// Frames are decoded, and gains estimated, once for offsets and views together.
 pub fn open_field(
@@ -37,9 +38,9 @@ pub fn open_field(
     Ok(field)
 }
 
-/// The options with nothing left to the capture: where `options.auto` leaves methods to it, those
-/// that it requires ([`plan`]), or those that an earlier plan decided for the same capture and options. Says
-/// which on the reporter, and why if it plans.
+/// The options after the automatic choice of methods. The stages that `options.auto` names get the options that
+/// [`plan`] chooses; the plan is cached for the same offsets and options. Other stages stay as they are. Notes on the
+/// reporter state the chosen methods, and the reasons if the plan is new.
 pub fn resolved(
     field: &LightField,
     options: &RenderOptions,

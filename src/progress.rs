@@ -74,7 +74,7 @@ impl Reporter {
     /// Shows one sentence to the user.
     pub fn note(&self, sentence: &str) {
         if self.to == Listener::Terminal {
-            // A note that nobody can read is none.
+            // A note is lost if standard error can't be written.
             let _ = writeln!(std::io::stderr(), "{}", printable(sentence));
         }
     }

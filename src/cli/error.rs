@@ -89,7 +89,8 @@ fn is_bad_input(error: &std::io::Error) -> bool {
     )
 }
 
-/// The result of writing or deleting a file or folder; `failed` is the sentence's verb, such as `can't be written`.
+/// Converts the result of writing or deleting a file or folder. `failed` is the predicate of the error's sentence, such
+/// as `can't be written`.
 pub fn of_io<T>(path: &Path, failed: &str, result: std::io::Result<T>) -> Result<T, CliError> {
     result.map_err(|error| {
         let sentence = format!("{}: {failed} ({error})", path.display());
@@ -101,7 +102,7 @@ pub fn of_io<T>(path: &Path, failed: &str, result: std::io::Result<T>) -> Result
     })
 }
 
-/// The result of writing a file.
+/// Converts the result of writing a file; the error names the path.
 pub fn written<T>(path: &Path, result: std::io::Result<T>) -> Result<T, CliError> {
     of_io(path, "can't be written", result)
 }

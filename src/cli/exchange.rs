@@ -50,7 +50,7 @@ pub struct ExportArgs {
     /// The farthest depth, metres (llff).
     #[arg(long, value_name = "METRES", required_if_eq("format", "llff"))]
     far: Option<f64>,
-    /// A folder for COLMAP's files, else the file.
+    /// The folder for COLMAP's files, or the file of another format.
     #[arg(short, long, value_name = "PATH")]
     output: PathBuf,
 }

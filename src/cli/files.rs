@@ -22,8 +22,8 @@ pub fn must_be_a_file(path: &Path) -> Result<(), CliError> {
     open_file(path).map(drop).map_err(|error| wrong(path, error))
 }
 
-/// Opens a capture after it has checked the command's output, if there is one: opening may take minutes, because it
-/// decodes videos with the ffmpeg that is found.
+/// Opens a capture. The command's output, if there is one, is checked first: opening may take minutes, because it
+/// decodes videos.
 pub fn open_capture(
     folder: &Path,
     output: Option<CommandOutput>,
@@ -47,7 +47,7 @@ pub fn ffmpeg_for(what: &str) -> Result<PathBuf, CliError> {
 /// Options of all stages: those of a preset, overridden by a file, overridden by single options.
 #[derive(Debug, clap::Args)]
 pub struct OptionsArgs {
-    /// Named options of all stages: a point of the trade of speed for accuracy.
+    /// Named options of all stages, from fast to accurate.
     #[arg(long, value_name = "NAME", value_parser = method::<Preset>())]
     preset: Option<Preset>,
     /// Options of all stages, a JSON file; it overrides the preset.
@@ -85,7 +85,7 @@ impl OptionsArgs {
     }
 }
 
-/// Reads the camera of a view.
+/// Reads the camera of a view from a JSON file.
 pub fn read_view(path: &Path) -> Result<Camera, CliError> {
     let format: CameraFormat =
         json::read_within(path, MAX_BYTES).map_err(|error| wrong(path, error))?;

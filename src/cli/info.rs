@@ -78,7 +78,7 @@ struct Info {
     cameras: Vec<CameraInfo>,
     /// First and last time covered by every camera whose clock is known, seconds.
     times_of_all_s: Option<(f64, f64)>,
-    /// First and last time covered by any of them, seconds.
+    /// First and last time covered by any camera whose clock is known, seconds.
     times_of_any_s: Option<(f64, f64)>,
     /// Times of true images by view, seconds.
     truth: BTreeMap<String, Vec<f64>>,
@@ -94,9 +94,9 @@ struct CameraInfo {
     model: String,
     /// The frames in capture.json: a pattern, or a video.
     source: String,
-    /// `None` for a video that isn't decoded yet.
+    /// Number of frames; `None` for a video that isn't decoded yet.
     frames: Option<usize>,
-    /// `None` for one frame.
+    /// Frame rate; `None` for a camera with one frame.
     rate_hz: Option<f64>,
     clock: ClockState,
     /// Time on the reference's clock less that on the camera's; `None` if unknown.
@@ -238,7 +238,7 @@ impl Info {
     }
 }
 
-/// Prints rows under a head, or the word for none.
+/// Prints rows, the first one after `head`; `none` if there are no rows.
 fn list(page: &mut Page, mut head: &str, none: &str, rows: Vec<String>) {
     if rows.is_empty() {
         page.line(format_args!("{head:<8} {none}"));
@@ -284,7 +284,8 @@ impl OffsetsState {
     }
 }
 
-/// The offsets in offsets.json if they are of these frames, else those that need no estimate.
+/// The state of offsets.json, and the offsets: those of the file if it is of these frames or edited, else those that
+/// are known without an estimate.
 fn offsets(capture: &Capture) -> Result<(OffsetsState, Option<Offsets>), CliError> {
     let is_known = |camera| capture.has_reference_clock(camera);
     let mut known = Offsets::known(capture);

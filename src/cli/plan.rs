@@ -14,7 +14,8 @@ use stlfr::progress::Reporter;
 /// What this capture requires, and why: for every stage the cheapest method that keeps its error
 /// within a budget.
 ///
-/// `--sync auto`, `--proxy auto` and `--blend auto` of `render`, and `auto` in an options file, choose by it.
+/// `--sync auto`, `--proxy auto` and `--blend auto` of `render`, and `auto` in an options file, choose
+/// methods by this plan.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr plan .captures/demo\n  \
@@ -23,7 +24,7 @@ use stlfr::progress::Reporter;
 pub struct PlanArgs {
     /// The capture's folder.
     capture: PathBuf,
-    /// How far a cheaper method may move what is seen, pixels [default: 0.25].
+    /// How far a cheaper method may displace a surface in the image, pixels [default: 0.25].
     #[arg(long, value_name = "PX")]
     budget_px: Option<f64>,
     /// Print JSON and nothing else.

@@ -32,7 +32,7 @@ pub struct PrepareArgs {
     options: OptionsArgs,
 }
 
-/// Also of a capture that can't be opened.
+/// Deletes the registered frame pairs of a capture, even if the capture can't be opened.
 fn delete(capture: &Path, page: &mut Page) -> Result<(), CliError> {
     must_be_a_file(&capture.join(CAPTURE_FILE))?;
     let cache = DiskCache::new(capture, |_| ());

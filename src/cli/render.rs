@@ -43,7 +43,7 @@ pub struct RenderArgs {
         conflicts_with = "like"
     )]
     camera: Option<PathBuf>,
-    /// The place of a camera that filmed: its image at an instant at which it took none.
+    /// A camera of the capture whose view is rendered, also at an instant at which it took no frame.
     #[arg(long, value_name = "CAMERA")]
     like: Option<String>,
     /// The instant, seconds on the reference camera's clock.
@@ -64,7 +64,7 @@ pub struct RenderArgs {
     /// How each camera's image is synchronized to the instant.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<SyncMethod>())]
     sync: Option<String>,
-    /// What stands for the scene's shape.
+    /// The geometry proxy, an estimate of the scene's shape.
     #[arg(long, value_name = "METHOD", value_parser = method_or_auto::<ProxyMethod>())]
     proxy: Option<String>,
     /// How cameras are weighted where they see the same point.
@@ -76,7 +76,7 @@ pub struct RenderArgs {
     /// Instants that a trail overlays [default: 16].
     #[arg(long, value_name = "N")]
     trail_instants: Option<usize>,
-    /// How a trail overlays them [default: mean].
+    /// How a trail overlays its instants [default: mean].
     #[arg(long, value_name = "MODE", value_parser = method::<TrailMode>())]
     trail_mode: Option<TrailMode>,
     #[command(flatten)]
@@ -86,14 +86,14 @@ pub struct RenderArgs {
 /// What is to be rendered, checked as far as it can be without the capture.
 #[derive(Debug)]
 struct RenderRequest {
-    /// `None` for the place of a camera that filmed.
+    /// The camera of the view; `None` if it is a camera of the capture.
     camera: Option<Camera>,
     /// Seconds on the reference's clock as its file has it: subtract the capture's origin.
     times_s: Vec<f64>,
 }
 
 impl RenderArgs {
-    /// The preset's options, the file's before them, and the command line's before those.
+    /// The preset's options, overridden by the file's, overridden by the command line's.
     fn render_options(&self) -> Result<RenderOptions, CliError> {
         let mut options = self.options.read()?;
         for (method, auto, option) in [
@@ -110,7 +110,7 @@ impl RenderArgs {
         trail.duration_s = self.trail.unwrap_or(trail.duration_s);
         trail.instants = self.trail_instants.unwrap_or(trail.instants);
         trail.mode = self.trail_mode.unwrap_or(trail.mode);
-        // A file was checked; what the command line says is yet to be.
+        // The file's options were checked when they were read; those of the command line are not yet.
         options.check()?;
         Ok(options)
     }
@@ -174,9 +174,9 @@ const WAITING_VIEWS: usize = 2;
 struct Writer<'a> {
     output: &'a ImageOutput,
     format: VideoFormat,
-    /// For a video.
+    /// The encoder; `None` if the output is no video.
     ffmpeg: Option<PathBuf>,
-    /// A video that is begun.
+    /// The video, from its first frame on.
     video: Option<VideoWriter>,
 }
 

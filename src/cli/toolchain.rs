@@ -1,4 +1,4 @@
-//! `stlfr setup`, `stlfr capture`, `stlfr check` and `stlfr demo`: what needs the Python environment.
+//! `stlfr setup`, `stlfr capture`, `stlfr check` and `stlfr demo`: the commands that need the Python environment.
 
 use super::error::written;
 use super::files::{CommandOutput, must_be_a_file, open_capture};
@@ -158,7 +158,7 @@ pub struct CheckArgs {
 }
 
 pub fn run_check(args: &CheckArgs, page: &mut Page, reporter: &Reporter) -> Result<(), CliError> {
-    // An error before a set-up that may take minutes.
+    // A wrong capture or output is an error before a set-up that may take minutes.
     open_capture(&args.capture, args.json.as_deref().map(CommandOutput::File), reporter)?;
     let environment = ensure_environment(&project_root()?, reporter)?;
     let check = check(&environment, &args.capture, reporter)?;

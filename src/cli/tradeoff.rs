@@ -8,8 +8,8 @@ use std::path::PathBuf;
 use stlfr::progress::Reporter;
 use stlfr::tradeoff::{FILES, Point, TimingClock, Tradeoff, TradeoffOptions, methods, tradeoff};
 
-/// Speed for accuracy on this capture: what every sensible combination of methods and main
-/// parameters costs and gives.
+/// Measure the trade of speed for accuracy on this capture: time and quality of every sensible combination of methods
+/// and main parameters.
 ///
 /// Quality is measured against the truth; without truth, against held-out cameras. The output is
 /// tradeoff.json, a plot (tradeoff.svg), and recommended.json, the options of the fastest

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use stlfr::method::Method;
 
-/// The name that leaves a method to the capture.
+/// The value, in place of a method's name, that has the method chosen by measurements of the capture.
 pub const AUTO: &str = "auto";
 
 fn possible<T: Method>() -> impl Iterator<Item = PossibleValue> {
@@ -14,7 +14,7 @@ fn possible<T: Method>() -> impl Iterator<Item = PossibleValue> {
 
 /// Parses a method of a stage.
 pub fn method<T: Method>() -> impl TypedValueParser<Value = T> {
-    // No other name passes.
+    // The parser passes only names of methods.
     PossibleValuesParser::new(possible::<T>()).map(|name| T::from_name(&name).unwrap_or_default())
 }
 
@@ -36,7 +36,7 @@ pub fn image_size(text: &str) -> Result<(u32, u32), String> {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Times(pub Vec<f64>);
 
-/// Bounds the images that a typing error asks for.
+/// Maximum number of instants, so that a typing error does not ask for billions of images.
 const MAX_TIMES: usize = 1_000_000;
 
 impl FromStr for Times {
@@ -95,8 +95,8 @@ impl ImageOutput {
         (0..files).filter_map(|index| self.file(index))
     }
 
-    /// Path of the `index`-th image: of a sequence, `None` if its pattern has no number field; else the
-    /// one file.
+    /// Path of the `index`-th image. An image or a video has one path for all. `None` for a sequence
+    /// whose pattern has no number field.
     pub fn file(&self, index: usize) -> Option<PathBuf> {
         let (Self::Image(path) | Self::Sequence(path) | Self::Video(path)) = self;
         if !matches!(self, Self::Sequence(_)) {

@@ -36,7 +36,7 @@ pub fn run(args: &ViewArgs, reporter: &Reporter) -> Result<(), CliError> {
     host::bound_arenas();
     let options = args.options.read()?;
     let capture = open_capture(&args.capture, None, reporter)?;
-    // Before long work, which would be in vain without it.
+    // The port is bound before long work, which would be in vain without it.
     let server = Server::bind(args.port).map_err(|error| refused(args.port, &error))?;
     let field = pipeline::open_field(capture, &options, reporter)?;
     let options = pipeline::resolved(&field, &options, reporter)?;
@@ -60,7 +60,7 @@ fn refused(port: u16, error: &std::io::Error) -> CliError {
     }
 }
 
-/// Opens an address in the user's browser; whether there is a program that does.
+/// Opens an address in the user's browser. Returns whether there is a program that opens addresses.
 fn open(address: &str) -> bool {
     use std::os::unix::process::CommandExt;
     let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
@@ -69,7 +69,7 @@ fn open(address: &str) -> bool {
     // In a group of its own: Ctrl+C ends the server, not the browser.
     match command.process_group(0).spawn() {
         Ok(mut child) => {
-            // The browser may be this very process, which lives on.
+            // The child may be the browser itself, which runs on: a thread waits for it.
             std::thread::spawn(move || child.wait());
             true
         }

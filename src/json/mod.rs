@@ -7,8 +7,8 @@ use objects::Objects;
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
-/// Largest file that is read, bytes: time stamps of a hundred cameras over twenty minutes. Parsed, it takes
-/// up to a gigabyte of memory.
+/// Largest file that is read, bytes: it holds the time stamps of a hundred cameras over twenty minutes. Parsed, it
+/// takes up to a gigabyte of memory.
 pub const MAX_BYTES: u64 = 64 << 20;
 
 /// Why a file could not be read as JSON. The caller's message names the file.

@@ -59,7 +59,7 @@ impl<'de, D: Deserializer<'de>> Deserializer<'de> for Objects<D> {
         deserialize_ignored_any() Objects;
     }
 
-    // No format has these types.
+    // No file of the program has fields of these types.
     serde::forward_to_deserialize_any! {
         i8 i16 i32 i128 u8 u16 u128 char bytes byte_buf unit unit_struct tuple_struct
     }

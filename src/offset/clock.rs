@@ -60,12 +60,12 @@ impl ClockModel {
         Self { offset_s, ..Self::default() }
     }
 
-    /// Target time minus own time at an own time, seconds.
+    /// Target time minus own time at a time on the own clock, seconds.
     pub fn offset_at(&self, time_s: f64) -> f64 {
         self.offset_s + self.rate * (time_s - self.reference_s)
     }
 
-    /// The target time at an own time, seconds.
+    /// The target time at a time on the own clock, seconds.
     pub fn apply(&self, time_s: f64) -> f64 {
         time_s + (time_s - self.reference_s) * self.rate + self.offset_s
     }

@@ -14,12 +14,12 @@ use crate::progress::Reporter;
 use crate::registration::FrameStore;
 use rayon::prelude::*;
 
-/// The reason of a camera of which too few observations show its lost frames.
+/// The reason of an unknown offset if too few observations show the camera's lost frames.
 const AMBIGUOUS_LOSSES: &str = "frames may be missing, and too few of its images show where";
-/// The reason of a camera of which other lost frames explain the observations nearly as well.
+/// The reason of an unknown offset if other lost frames explain the observations nearly as well.
 const UNDECIDED_LOSSES: &str =
     "frames are missing, or may be, and the images fit several places where they could be";
-/// The reason of a camera if the reference's lost frames are ambiguous.
+/// The reason of an unknown offset if the reference camera's lost frames are ambiguous.
 const AMBIGUOUS_REFERENCE: &str =
     "the reference camera may miss frames, and too few of its images show where";
 
@@ -112,10 +112,10 @@ struct JointSolution<'a> {
     results: Vec<PairResult>,
     /// By camera: the index of its clock.
     clock: Vec<usize>,
-    /// By camera.
+    /// By camera: its clock model with lost frames.
     lost: Vec<FittedClock>,
     used: Vec<PairEstimate>,
-    /// By clock; `None` if it is not determined to [`MAX_STD_ERR_FRAMES`].
+    /// By clock: its estimate; `None` if its standard error exceeds [`MAX_STD_ERR_FRAMES`].
     solved: Vec<Option<ClockEstimate>>,
 }
 
@@ -191,7 +191,7 @@ impl<'a> JointSolution<'a> {
         } else if self.used.iter().any(|p| p.cameras.contains(&camera)) {
             "its pairs are not connected to the reference camera, or disagree"
         } else {
-            // That of the pair that passed the most stages.
+            // The failure of the pair that passed the most stages.
             let failure = |(_, result): &PairResult| {
                 result.as_ref().err().copied().unwrap_or(PairFailure::NoConsensus)
             };

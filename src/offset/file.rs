@@ -25,8 +25,8 @@
 //! | `reference` | the capture's reference camera |
 //! | `id` | that of a camera of the capture; each once, none missing, in any order |
 //! | `offset_s` | a number, or null; 0 for the reference. It puts the camera's images no further from the reference's than all recordings last, one after the other ([`Capture::reach_s`]) |
-//! | `std_err_s` | null where `offset_s` is; else from 0 to that length; 0 for the reference |
-//! | `rate_ppm` | from −1000 to 1000; only where there is an offset; 0, if anything, for the reference |
+//! | `std_err_s` | null where `offset_s` is; else from 0 to [`Capture::reach_s`]; 0 for the reference |
+//! | `rate_ppm` | from −1000 to 1000; only where there is an offset; 0 or absent for the reference |
 //! | `rate_std_err_ppm` | from 0 to 1000, exactly where there is a rate |
 //! | `lost_before` | numbers of the camera's images, ascending, at most as many as it has images |
 //! | `reason` | a line of text exactly where `offset_s` is null |
@@ -47,7 +47,7 @@ const MAX_REASON_CHARS: usize = 500;
 /// The remedy for a refused file.
 const REMEDY: &str = "without the file, offsets are estimated";
 
-/// The kind of the key that identifies an estimate.
+/// The cache kind that the hash of an estimate is computed with.
 const ESTIMATED_OFFSETS: CacheKind = CacheKind { name: "offsets", version: 1 };
 
 /// The content of a capture's `offsets.json`.
@@ -152,7 +152,7 @@ impl Offsets {
 
 type FieldResult = Result<(), CaptureError>;
 
-/// An invalid field, and the predicate of the sentence about it.
+/// The error of an invalid field; `reason` is the predicate of the sentence about the field.
 fn invalid(
     capture: &Capture,
     field: impl Into<String>,
@@ -282,7 +282,7 @@ impl CameraFields<'_> {
 }
 
 /// Checks that all images have ascending times on the reference's clock, within the capture's reach.
-/// `indices` are the cameras' in the file.
+/// `indices` holds the index of each camera in the file.
 fn validate_times(offsets: &Offsets, indices: &[usize], capture: &Capture) -> FieldResult {
     let all = offsets.common_times_s(capture);
     let reach_s = capture.reach_s();

@@ -94,7 +94,7 @@ struct Unknowns<'a> {
     clocks: &'a ClockLayout,
     /// By clock: the column of its offset; `None` for the reference and unconnected clocks.
     offset: Vec<Option<usize>>,
-    /// By clock: the column of its rate; `None` for the same clocks and those that do not drift.
+    /// By clock: the column of its rate; `None` for the reference, unconnected clocks and clocks that do not drift.
     rate: Vec<Option<usize>>,
     count: usize,
 }

@@ -79,8 +79,8 @@ const ONE_FRAME: &str = "it has one frame, which shows no motion";
 /// reporter says which.
 ///
 /// They are known, all 0, if all cameras share one clock. In a static capture, of one frame per camera,
-/// all but the reference's are unknown. [`mod@file`] says when those of `offsets.json` are used. New
-/// estimates are stored there, with their plot in `offsets.svg`; a folder that cannot be written is
+/// all but the reference's are unknown. [`mod@file`] says when the offsets in `offsets.json` are used. New
+/// estimates are stored in that file, with their plot in `offsets.svg`; a folder that cannot be written is
 /// noted and is no error. The error is that of a frame that cannot be read, or of an `offsets.json` that
 /// is refused.
 pub fn resolve_offsets(

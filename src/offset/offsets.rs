@@ -28,14 +28,15 @@ pub struct CameraOffset {
     pub offset_s: Option<f64>,
     /// The standard error of the offset, seconds; 0 where nothing is estimated.
     pub std_err_s: Option<f64>,
-    /// The change of the offset, parts per million; only for cameras whose clock drifts by the capture.
+    /// The change of the offset, parts per million; only for cameras whose clock may drift, according to
+    /// the capture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_ppm: Option<f64>,
     /// The standard error of the rate, parts per million.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rate_std_err_ppm: Option<f64>,
     /// The images before which a frame is missing, ascending, one entry for each frame; only for cameras
-    /// that may lose frames by the capture.
+    /// that may lose frames, according to the capture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lost_before: Option<Vec<usize>>,
     /// Why the offset is unknown, as a sentence.

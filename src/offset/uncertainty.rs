@@ -14,7 +14,7 @@
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
-/// The smallest number of degrees of freedom.
+/// The smallest number of degrees of freedom of Student's distribution in [`std_err_inflation`].
 const MIN_DEGREES: f64 = 0.5;
 /// The fraction of a column that the others must leave unexplained; below it, the normal matrix counts
 /// as singular.

@@ -1,5 +1,5 @@
-//! Groups of options that belong to no single stage's module: what the capture decides ([`crate::plan`]), the geometry
-//! proxy (§6), and temporal integration (Fig. 1), which makes an image of a span of time before an instant.
+//! Groups of options that belong to no single stage's module: the automatic choice of methods ([`crate::plan`]), the
+//! geometry proxy (§6), and temporal integration (Fig. 1), which combines several instants into one image.
 
 use crate::lumigraph::DepthEdges;
 use crate::method::methods;
@@ -8,29 +8,30 @@ use crate::stereo::StereoOptions;
 use serde::{Deserialize, Serialize};
 
 options! {
-    /// Which methods are left to the capture, and how large an error they may make.
+    /// Automatic choice of methods by measurements of the capture ([`crate::plan`]): the stages that it applies to, and
+    /// the budgets within which a cheaper method is preferred.
     pub struct AutoOptions {
-        /// Whether the capture decides the sync method, whether trajectories are curved, and
-        /// whether still frame pairs are registered.
+        /// Choose the sync method by measurements of the capture, and with it whether trajectories are curved and
+        /// still frame pairs registered.
         sync: bool = false,
-        /// Whether the capture decides the proxy's method.
+        /// Choose the proxy's method by measurements of the capture.
         proxy: bool = false,
-        /// Whether the capture decides the blend's method.
+        /// Choose the blend's method by measurements of the capture.
         blend: bool = false,
-        /// How far a cheaper method may displace a surface in the image.
+        /// Automatic choice: the largest displacement of a surface in the image that a cheaper method may cause.
         budget_px: f64 [0.0..=1000.0, "px"] = 0.25,
-        /// How much PSNR views may lose that a dearer sync method would gain.
+        /// Automatic choice: the gain in PSNR of a dearer sync method up to which the cheaper one is chosen.
         budget_db: f64 [0.0..=100.0, "dB"] = 0.07,
     }
 }
 
 impl AutoOptions {
-    /// Every method is left to the capture.
+    /// Automatic choice of the methods of all stages, with the default budgets.
     pub fn all() -> Self {
         Self { sync: true, proxy: true, blend: true, ..Self::default() }
     }
 
-    /// The stages whose methods are left to the capture, as plans name them.
+    /// The stages whose methods are chosen automatically, by their names in [`crate::plan::Decision`].
     pub fn stages(&self) -> Vec<&'static str> {
         let all = [(self.sync, "sync"), (self.proxy, "proxy"), (self.blend, "blend")];
         all.into_iter().filter(|(is_left, _)| *is_left).map(|(_, stage)| stage).collect()
@@ -65,7 +66,7 @@ options! {
     pub struct ProxyOptions {
         /// The kind of proxy.
         method: ProxyMethod = ProxyMethod::Mesh,
-        /// Depth of the plane in the view: what is in focus; null: fitted to the scene's points.
+        /// Depth of the plane in the view, at which surfaces are in focus; null: fitted to the scene's points.
         plane_depth_m: Option<f64> [1e-9..=1e12, "m"] = None,
         /// How the mesh treats triangles between two surfaces.
         depth_edges: DepthEdges = DepthEdges::Front,
@@ -73,12 +74,12 @@ options! {
         depth: StereoOptions,
         /// Cameras nearest to the view whose features are triangulated.
         cameras: usize [1..=1_000_000, "cameras"] = 3,
-        /// Nearest cameras with which each of these is matched.
+        /// Nearest cameras with which each camera is matched to triangulate its features.
         partners: usize [1..=1_000_000, "cameras"] = 4,
     }
 }
 
-/// How the instants of a trail make one image.
+/// How the images of a trail's instants are combined into one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TrailMode {
@@ -95,13 +96,13 @@ methods!(TrailMode {
 });
 
 options! {
-    /// Temporal integration: a view is made of several instants that end at its own.
+    /// Temporal integration: a view combines several instants, the last of which is its own.
     pub struct TrailOptions {
         /// Length of the trail before the instant; 0: no trail.
         duration_s: f64 [0.0..=1e6, "s"] = 0.0,
         /// Evenly spaced instants that are overlaid, the first and the last included.
         instants: usize [1..=10_000, "instants"] = 16,
-        /// How the instants make one image.
+        /// How the images of the instants are combined into one.
         mode: TrailMode = TrailMode::Mean,
     }
 }

@@ -1,9 +1,9 @@
 //! Everything that decides an image besides the capture: each stage's method and its options.
 //!
-//! | options | decide | given to |
+//! | options | content | read by |
 //! |---|---|---|
-//! | [`RenderOptions`] | all of it: what an option file holds | the programs' entry points, [`crate::light_field::render()`] |
-//! | [`AutoOptions`] | which methods the capture itself decides | [`crate::plan`] |
+//! | [`RenderOptions`] | the options of all stages, as an options file holds them | the programs' entry points, [`crate::light_field::render()`] |
+//! | [`AutoOptions`] | which methods are chosen by measurements of the capture | [`crate::plan`] |
 
 mod groups;
 mod parse;

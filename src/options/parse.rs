@@ -1,4 +1,4 @@
-//! Options as files and command lines give them: in part, over a preset.
+//! Options from files and command lines: those that are given override a preset's.
 
 use super::{Preset, RenderOptions};
 use crate::json;
@@ -53,7 +53,7 @@ struct NamedPreset {
     preset: Preset,
 }
 
-/// Merges objects field by field; any other value replaces what was there.
+/// Merges `over` into `into`: objects field by field; any other value replaces that of `into`.
 fn merge(into: &mut Value, over: &Value) {
     match (into, over) {
         (Value::Object(into), Value::Object(over)) => {

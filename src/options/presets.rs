@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Preset {
-    /// The fastest that still synchronizes: for looking around.
+    /// The fastest methods that still synchronize the cameras' images, for looking around.
     Draft,
-    /// Most of the accuracy in a fraction of the time.
+    /// Most of the accuracy of `Best` in a fraction of its time.
     Balanced,
-    /// The most accurate methods that the capture profits from.
+    /// Methods chosen by measurements of the capture ([`AutoOptions::all`]): accurate ones where they gain.
     #[default]
     Best,
 }

@@ -16,27 +16,27 @@ pub struct Decision {
     pub stage: &'static str,
     /// The stage's method by its name in options files, or what is known of the stage's input.
     pub method: &'static str,
-    /// The measured number, and the limit that it was compared with; pixels unless `because` says
-    /// otherwise. `None` where the capture's description decides.
+    /// The measured number, in pixels unless `because` says otherwise; `None` if the capture's description decides.
     pub measured: Option<f64>,
+    /// The limit that the measured number was compared with, in its unit.
     pub limit: Option<f64>,
     /// One sentence with the number.
     pub because: String,
 }
 
 impl Decision {
-    /// A decision by what the capture's description says.
+    /// A decision by the capture's description, without a measured number.
     fn new(stage: &'static str, method: &'static str, because: impl Into<String>) -> Self {
         Self { stage, method, measured: None, limit: None, because: because.into() }
     }
 
-    /// The decision, made by a number and its limit.
+    /// The decision with the measured number that made it, and the limit of that number.
     fn by(self, measured: f64, limit: f64) -> Self {
         Self { measured: Some(measured), limit: Some(limit), ..self }
     }
 }
 
-/// By each camera's clock, 0 being the reference's.
+/// Whether offsets are estimated. `clocks` holds the index of each camera's clock, 0 being the reference's.
 pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
     if is_static {
         let because = "Every camera took one frame, which is the same at any time.";
@@ -52,7 +52,8 @@ pub fn offsets(clocks: &[usize], is_static: bool) -> Decision {
     Decision::new("offsets", "estimated", because)
 }
 
-/// Largest motion that is cross-faded, in budgets: halfway, each image is off by half the motion.
+/// Largest motion that is cross-faded, as a multiple of the budget in pixels: halfway between two frames, each image is
+/// off by half the motion.
 const CROSSFADE_BUDGETS: f64 = 2.0;
 
 pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
@@ -93,7 +94,7 @@ pub fn sync(motion: &Motion, budget_px: f64) -> (SyncMethod, Decision) {
     by(SyncMethod::Refined, residual_px, budget_px, because)
 }
 
-/// Factor of noise by which other pairs may exceed the examined ones.
+/// Factor by which the noise of other still pairs may exceed that of the examined ones.
 const NOISE_MARGIN: f32 = 1.25;
 
 /// Largest change of a block, in 0..=1, up to which a frame pair is static and not registered.
@@ -136,8 +137,8 @@ pub fn refinement(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, De
     (method, Decision::new("sync", method.name(), because).by(gain_db, budget_db))
 }
 
-/// Whether images from all cameras pay, which take twice as long as refined ones; `gain_db` is how much better
-/// held-out frames are by them.
+/// Decides between refined images and images from all cameras, which take twice as long. `gain_db` is the gain of the
+/// latter on held-out frames.
 pub fn all_cameras(gain_db: f64, frames: &str, budget_db: f64) -> (SyncMethod, Decision) {
     let pays = gain_db > budget_db;
     let method = if pays { SyncMethod::AllCameras } else { SyncMethod::Refined };
@@ -154,8 +155,8 @@ fn better_or_worse(gain_db: f64) -> String {
     format!("{:.2} dB {word}", gain_db.abs())
 }
 
-/// Which weights are better on held-out frames: `gain_db` is how much better those in space and time are than
-/// those in space alone. They take hardly longer, so that any gain decides. `None` where none was measured.
+/// Decides between blending weights in space alone and in space and time. `gain_db` is the gain of the latter on
+/// held-out frames. They take hardly longer, so that any gain suffices. Without a measured gain, no method is chosen.
 pub fn blend(gain_db: Option<f64>, frames: &str) -> (Option<BlendMethod>, Decision) {
     let Some(gain_db) = gain_db else {
         let because = "No held-out frames were compared: that needs refined motion, depth per pixel and a frame \
@@ -189,7 +190,7 @@ pub fn trajectory(motion: &Motion, budget_px: f64) -> (bool, Decision) {
     (is_curved, decision.by(motion.curvature_px, limit_px))
 }
 
-/// `None` leaves the proxy as it is.
+/// Decides between a plane and depth per pixel. Without a measured shape, no method is chosen.
 pub fn proxy(shape: Option<&Shape>, budget_px: f64) -> (Option<ProxyMethod>, Decision) {
     let Some(shape) = shape else {
         let because = "No point of the scene could be triangulated to tell.";

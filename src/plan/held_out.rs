@@ -1,6 +1,8 @@
-//! Held-out frames: the truth of what other cameras render. By them, [`Probe`] measures what dearer methods gain on
-//! views of this capture. Refinement, beside triangulation: how much it changes views between its cameras, beside the
-//! error of held-out frames. All cameras' images and weights in time: the errors of held-out frames alone.
+//! Held-out frames: recorded frames that are rendered again from other cameras alone, to measure the error of a method
+//! on this capture ([`Probe`]).
+//!
+//! Images from all cameras and weights in time are judged by the errors of held-out frames. The gain of refinement over
+//! triangulation is judged by how much it changes views between the cameras, relative to the error of held-out frames.
 
 use crate::camera::Camera;
 use crate::capture::{Capture, CaptureError};
@@ -17,8 +19,8 @@ use std::cmp::Reverse;
 use std::f64::consts::LN_10;
 use std::sync::Arc;
 
-/// Number of held-out frames, each of another camera, spread over the recording. Gains differ by half a decibel
-/// between instants.
+/// Number of held-out frames, each of a different camera, spread over the recording. Gains in PSNR differ by half a
+/// decibel between instants.
 const FRAMES: usize = 4;
 
 /// Number of nearest cameras from which a held-out frame is rendered.
@@ -48,21 +50,22 @@ struct HeldOutFrame {
     /// The camera's id and the frame's number.
     name: String,
     time_s: f64,
-    /// Where and when views are rendered: halfway to the nearest neighbour, between this frame and the
-    /// next.
+    /// The view that sync methods are compared in: halfway to the nearest neighbour.
     view: Camera,
+    /// The time of that view: between this frame and the next one, or the one before if this is the last, seconds.
     view_s: f64,
     /// The frame, corrected to the reference's gains.
     truth: Image,
-    /// The camera whose brightness `neighbors` renders.
+    /// The index, in the whole capture, of the camera whose gains the views of `neighbors` have.
     bright_as: usize,
     gains: Arc<Gains>,
-    /// Where the frame differs from those before and after it, row by row; and what is near that.
+    /// Row-major mask of the pixels at which the frame differs from the one before or after it.
     changing: Vec<bool>,
+    /// The mask `changing`, dilated by [`PARALLAX_PX`].
     near_changing: Vec<bool>,
 }
 
-/// Squared errors of held-out frames, summed up, by the weights that they are blended with.
+/// Sums of squared errors of held-out frames, by the blending weights that they are rendered with.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HeldOutErrors {
     pub in_space: f64,
@@ -70,7 +73,7 @@ pub struct HeldOutErrors {
 }
 
 impl HeldOutErrors {
-    /// The error by this blend; by the better of both if the blend is to be decided, too.
+    /// The error with this blend; the smaller error of the two if the blend is decided later.
     pub fn by(&self, blend: BlendMethod, is_decided_later: bool) -> f64 {
         match blend {
             _ if is_decided_later => self.in_space.min(self.in_space_and_time),
@@ -81,8 +84,8 @@ impl HeldOutErrors {
 }
 
 impl Probe {
-    /// `None` where no frame lies between its neighbours' frames, as with one clock for all, or
-    /// hardly anything changes.
+    /// Chooses the held-out frames. `None` if no camera has a frame that lies between its neighbours' frames in time,
+    /// as with one clock for all, or if hardly anything changes.
     pub fn open(
         whole: &LightField,
         registration: &RegistrationOptions,
@@ -99,21 +102,22 @@ impl Probe {
         Ok((!frames.is_empty()).then_some(Self { frames }))
     }
 
-    /// The held-out frames, as people write them.
+    /// The held-out frames as text, such as `cam1's 3, cam2's 8`.
     pub fn names(&self) -> String {
         let names: Vec<&str> = self.frames.iter().map(|f| f.name.as_str()).collect();
         names.join(", ")
     }
 
-    /// How much better, decibels, views by dearer options can be than by cheaper ones where things
-    /// change: 10·log₁₀(1 + D/E), D the squared difference of the two halfway between the cameras,
-    /// and E the squared error of the dearer ones on the held-out frames, each summed up. That is
-    /// the gain if all that the dearer options change is for the better, and views are as wrong as
-    /// those of held-out cameras. `None` where none can be rendered, or nothing is seen.
+    /// The gain that dearer options can have over cheaper ones, in the changing part of views between the cameras,
+    /// decibels: 10·log₁₀(1 + D/E).
     ///
-    /// What held-out frames gain is no guide here: they stand twice as far from their neighbours as
-    /// views do, the proxy is off by twice as much there, and an outline in the wrong place costs a
-    /// sharp view more than a blurred one.
+    /// D is the sum of squared differences between views by the two options. E is the sum of squared errors of the
+    /// dearer options on the held-out frames. The gain is reached if every change by the dearer options is an
+    /// improvement, and if views have the error of held-out frames. `None` if no frame can be rendered, or none shows
+    /// a changing part.
+    ///
+    /// The gain on the held-out frames themselves is misleading here. They are twice as far from their neighbours as
+    /// views are, so that the proxy's error doubles. A misplaced outline costs a sharp view more than a blurred one.
     pub fn possible_gain_db(
         &self,
         field: &LightField,
@@ -130,15 +134,15 @@ impl Probe {
             difference += squared(&cheap.image, &dear.image, &counts);
             error += frame.squared_error(&again, &both(&again.coverage, &frame.changing));
         }
-        // Nothing seen, or no error at all: 0/0, or more than any budget.
+        // Without visible pixels or without error the quotient is not finite.
         let gain_db = 10.0 * (difference / error).ln_1p() / LN_10;
         Ok(gain_db.is_finite().then_some(gain_db))
     }
 
-    /// The errors of the held-out frames where things change, by each of these options with both kinds of
-    /// weights. Frames count that all can render, and pixels that all cover; `None` if there is none.
+    /// The errors of each candidate in the changing part of the held-out frames, with both kinds of blending weights.
+    /// Only frames that all candidates can render count, and only pixels that all cover; `None` if there are none.
     ///
-    /// All are equally sharp, so that an outline in the wrong place costs all alike.
+    /// Candidates must be equally sharp: a misplaced outline costs a sharp view more than a blurred one.
     pub fn errors(
         &self,
         candidates: &[RenderOptions],
@@ -168,7 +172,8 @@ impl Probe {
 }
 
 impl HeldOutFrame {
-    /// The `number`-th of [`FRAMES`] frames, of this camera; `None` if it shows nothing.
+    /// Chooses a frame of this camera as the `number`-th of [`FRAMES`] held-out frames. `None` if its neighbours cover
+    /// no frame, if too few of them are between two frames then, or if too little changes.
     fn open(
         whole: &LightField,
         camera: usize,
@@ -195,7 +200,7 @@ impl HeldOutFrame {
         }
         let next_s = times_s[if frame + 1 < times_s.len() { frame + 1 } else { frame - 1 }];
         let instants = FRACTIONS.map(|fraction| time_s + fraction * (next_s - time_s));
-        // The first of those that most cameras have between frames.
+        // The first instant at which the most cameras are between two frames.
         let between = |s: &f64| Reverse(whole.between_frames(*s, MIN_FRACTION));
         let Some(view_s) = instants.into_iter().min_by_key(between) else { return Ok(None) };
         let gains = whole.gains(registration);
@@ -215,7 +220,7 @@ impl HeldOutFrame {
         }))
     }
 
-    /// The view in this frame's place with weights in space, and with those in space and time; `None` where it
+    /// This frame rendered from its neighbours, with weights in space and with weights in space and time; `None` if it
     /// can't be rendered.
     fn by_both_weights(
         &self,
@@ -256,7 +261,7 @@ fn both(a: &[bool], b: &[bool]) -> Vec<bool> {
     a.iter().zip(b).map(|(a, b)| *a && *b).collect()
 }
 
-/// The squared difference of the pixels that count, in grey.
+/// The sum of squared grey differences over the pixels where `counts` is true.
 fn squared(a: &Image, b: &Image, counts: &[bool]) -> f64 {
     let (a, b) = (a.to_gray(), b.to_gray());
     let pixels = a.data().iter().zip(b.data()).zip(counts);
@@ -270,8 +275,8 @@ pub(crate) fn field_of(capture: &Capture, offsets: &Offsets, cameras: &[usize]) 
     LightField::new(Arc::new(capture.with_cameras(cameras)), known)
 }
 
-/// All cameras, those nearest to the rig's middle first: like views, they are between others. None of
-/// fewer than three.
+/// All cameras, nearest to the rig's middle first: like views, the first ones are between other cameras. Empty for
+/// fewer than three cameras.
 pub(crate) fn inner_cameras(capture: &Capture) -> Vec<usize> {
     let cameras = &capture.cameras;
     if cameras.len() < 3 {
@@ -300,14 +305,15 @@ pub(crate) fn halfway_to_neighbor(capture: &Capture, camera: usize) -> Camera {
     view
 }
 
-/// Of frames at these times, those at which the largest number of the field's cameras can give an image.
+/// The indices of the times at which the largest number of the field's cameras can give an image.
 pub(crate) fn well_covered_frames(field: &LightField, times_s: &[f64]) -> Vec<usize> {
     let usable: Vec<usize> = times_s.iter().map(|t| field.usable(*t).len()).collect();
     let most = usable.iter().max().copied().unwrap_or(0).max(1);
     (0..usable.len()).filter(|&k| usable[k] == most).collect()
 }
 
-/// A frame, and where it differs from the frames beside it by more than noise, row by row.
+/// A frame, and a row-major mask of the pixels at which it differs from the frame before or after it by more than
+/// noise.
 pub(crate) fn recorded(
     frames: &FrameStore,
     camera: usize,

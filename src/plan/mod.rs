@@ -1,27 +1,28 @@
-//! What a scene requires: for every stage, the cheapest method that holds an error budget, with the
-//! number that decided it.
+//! Automatic choice of methods: for every stage, the cheapest method that keeps to an error budget on
+//! this capture, with the number that decided it.
 //!
 //! | question | measured | decided |
 //! |---|---|---|
 //! | whose clocks are known? | clocks in `capture.json` | whether offsets are estimated |
 //! | does anything move? | features' motion, blocks that change ([`Motion`]) | the sync method |
-//! | can refinement pay? | views between cameras by both methods, held-out frames ([`Probe`]) | the sync method |
-//! | do other cameras' images pay? | held-out frames by both methods ([`Probe`]) | the sync method |
-//! | do weights in time pay? | the same | the blend's method |
-//! | does it move all the time, in all cameras? | frame pairs of which no block changes | whether still pairs are registered |
-//! | on straight lines? | curvature of trajectories through four frames | curved trajectories |
+//! | can refinement gain enough? | views between cameras by both methods, held-out frames ([`Probe`]) | the sync method |
+//! | do images from all cameras gain enough? | held-out frames by both methods ([`Probe`]) | the sync method |
+//! | do blending weights in time gain? | held-out frames with and without them ([`Probe`]) | the blend's method |
+//! | does something move in every frame pair? | frame pairs of which no block changes | whether still pairs are registered |
+//! | are trajectories straight? | curvature of trajectories through four frames | curved trajectories |
 //! | is a plane enough? | points' parallax against it ([`Shape`]) | the proxy method |
-//! | do cameras record alike? | the light of features in neighbouring cameras ([`crate::registration::Gains`]) | correction |
+//! | do cameras have equal gains? | the light of features in neighbouring cameras ([`crate::registration::Gains`]) | correction |
 //! | do lenses distort? | the largest shift of a pixel | resampling |
-//! | does the rig spread in two directions? | the camera centres' extent | references |
+//! | does the rig spread in two directions? | the camera centres' extent | reference cameras of the epipolar test |
 //!
-//! The budget is a position error in pixels that a simplification may make; where views by two
-//! methods can be compared, it is what the dearer one can gain in decibels. All that is measured is
-//! in the capture; its truth is never read. A plan reads a light field and changes nothing.
+//! There are two budgets. One is the position error, in pixels, that a cheaper method may make. Where
+//! views by two methods are compared, the other applies: the gain of the dearer method, in decibels, up
+//! to which the cheaper one is chosen. A capture's truth is never read. Planning changes neither the
+//! capture nor the light field.
 //!
-//! Known limits: one method holds for all that changes in a capture; frames at its start, middle and
-//! end stand for all; a body that shows fewer than a handful of corners and no changing block is not
-//! seen to move.
+//! Known limits: one method is chosen for everything that moves in a capture. Motion is measured only in
+//! frames at its start, middle and end. A body with fewer than five corners and no changing block is
+//! not detected as moving.
 
 mod decide;
 pub(crate) mod held_out;
@@ -47,18 +48,19 @@ use std::slice;
 /// The methods that a capture requires.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Plan {
-    /// The error that a simplification may make, pixels.
+    /// The position error that a cheaper method may make, pixels.
     pub budget_px: f64,
     /// One decision a stage, in the stages' order.
     pub decisions: Vec<Decision>,
-    /// The options that were given, with the methods that were decided; nothing is left to the
-    /// capture in them.
+    /// The given options with the chosen methods, and without any further automatic choice.
     pub options: RenderOptions,
 }
 
-/// Plans the views of a light field. Only the stages that `options.auto` names are changed in the
-/// options. All are decided, as far as they can be without views; views are rendered to decide the sync method and
-/// the blend if those are left to the capture.
+/// Chooses the methods of all stages by measurements of a light field's capture. The plan's options adopt the choice
+/// for the stages that `options.auto` names.
+///
+/// Views are rendered only if `options.auto` names the sync method or the blend, and motion requires refinement.
+/// Otherwise the sync method is chosen by motion alone, and the blend stays as it is.
 pub fn plan(
     field: &LightField,
     options: &RenderOptions,
@@ -107,12 +109,12 @@ pub fn plan(
 /// Decisions that need rendered views.
 struct ByViews {
     sync: (SyncMethod, Decision),
-    /// Without a method, the blend stays as it is.
+    /// The blend's method; `None` if the blend stays as it is.
     blend: (Option<BlendMethod>, Decision),
 }
 
-/// The sync method and the blend, where something moves and they are left to the capture; else the sync method stays as
-/// motion decided it.
+/// Chooses the sync method and the blend by rendered views, where `options.auto` names them and `sync`, the choice by
+/// motion, is refinement. Otherwise `sync` is returned as it is.
 fn by_views(
     field: &LightField,
     options: &RenderOptions,
@@ -134,7 +136,7 @@ fn by_views(
         }
     }
     let candidates = match options.auto.sync {
-        // All cameras' images come from their depths.
+        // `AllCameras` blends images by depth per pixel.
         _ if options.proxy.method != ProxyMethod::Depth => &[],
         true if sync.0 == SyncMethod::Refined => {
             [SyncMethod::Refined, SyncMethod::AllCameras].as_slice()
@@ -159,20 +161,20 @@ fn by_views(
     Ok(ByViews { sync, blend: decide::blend(space_time_gain_db, &frames) })
 }
 
-/// Gain of the second squared error over the first, decibels; `None` if an error is 0.
+/// The gain in PSNR from the first of two squared errors to the second, decibels; `None` if an error is 0.
 fn gain_db([error, other]: [f64; 2]) -> Option<f64> {
     (error > 0.0 && other > 0.0).then(|| 10.0 * (error / other).log10())
 }
 
-/// The value that this fraction of them does not exceed; `None` of none.
+/// The value that this fraction of the values does not exceed; `None` without values.
 fn percentile(mut values: Vec<f64>, fraction: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let last = values.len().saturating_sub(1);
     values.get((fraction * last as f64).round() as usize).copied()
 }
 
-/// A view's options as a probe takes them: many views are rendered to see what synchronization changes, and depth
-/// per pixel takes several times as long as the mesh.
+/// Options for the views that compare sync methods: a mesh in place of depth per pixel, which takes several times as
+/// long.
 fn probing(mut options: RenderOptions) -> RenderOptions {
     if options.proxy.method == ProxyMethod::Depth {
         options.proxy.method = ProxyMethod::Mesh;

@@ -10,10 +10,10 @@ use crate::registration::{
 use nalgebra::Vector2;
 use rayon::prelude::*;
 
-/// Number of examined frame pairs of a camera: the first, the last, and between.
+/// Number of examined frame pairs of a camera: the first, the last, and one between.
 const PAIRS: usize = 3;
 
-/// Number of tracks of a pair that must move at least as far for a motion to count.
+/// Minimum number of tracks of a pair that must reach a motion for it to count as the largest.
 const WITNESSES: usize = 5;
 
 /// Features that move by less than this from frame to frame are static, pixels.
@@ -22,36 +22,37 @@ const STILL_PX: f64 = 0.5;
 /// Largest noise of a static pair, in 0..=1. With more, the light changes or the whole image moves.
 pub(super) const MAX_NOISE: f32 = 4.0 / 255.0;
 
-/// How far around a track its neighbours predict its motion, pixels, and how many of them. Larger:
-/// every motion that is not constant counts as residual; smaller: outlines of bodies are missed.
+/// Radius of the neighbourhood whose tracks predict a track's motion, pixels. Larger: every motion that
+/// is not constant counts as residual; smaller: outlines of bodies are missed.
 const NEIGHBORHOOD_PX: f64 = 40.0;
+/// Number of nearest tracks in the neighbourhood that predict a track's motion.
 const PREDICTING: usize = 6;
 
-/// Motion measures, each the maximum over all pairs of all cameras, pixels.
+/// Measures of motion: counts of frame pairs, and maxima over the examined frame pairs of all cameras.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
-    /// Largest motion of features from frame to frame.
+    /// Largest motion of features from frame to frame, pixels.
     pub largest_px: f64,
-    /// How far trajectories through four frames are, halfway between the middle two, from the chord
-    /// through these: the 95th percentile of what moves.
+    /// Distance of a trajectory through four frames from the chord between the middle two, at the instant halfway,
+    /// pixels: the 95th percentile of the moving features.
     pub curvature_px: f64,
-    /// How far a feature is, halfway, from where its neighbours' motion puts it: the 99th percentile.
-    /// Outlines of bodies that move apart show in it.
+    /// Distance of a feature, halfway between two frames, from the position that its neighbours' motion predicts,
+    /// pixels: the 99th percentile. It is large at the outlines of bodies that move differently.
     pub residual_px: f64,
-    /// The fraction of blocks that change by more than noise.
+    /// Fraction of blocks that change by more than noise, 0..=1.
     pub changed_fraction: f64,
-    /// Frame pairs in which no block changes by more than noise, nor any feature moves,
+    /// Number of still pairs: frame pairs in which no block changes by more than noise, and no feature moves.
     pub still_pairs: usize,
-    /// how much their blocks change all the same, mean of values 0..=1,
+    /// Largest change of a block in the still pairs: its mean absolute difference, 0..=1.
     pub still_change: f32,
-    /// and how far their features seem to move, pixels.
+    /// Largest motion of features in the still pairs, pixels.
     pub still_px: f64,
-    /// Frame pairs that were examined; 0 where every camera took one frame.
+    /// Number of examined frame pairs; 0 if every camera took one frame.
     pub pairs: usize,
 }
 
 impl Motion {
-    /// Examines the store's capture.
+    /// Measures motion in a few frame pairs of every camera of the store's capture.
     pub fn survey(frames: &FrameStore, reporter: &Reporter) -> Result<Self, CaptureError> {
         let capture = frames.capture();
         let pairs: Vec<(usize, usize)> = (0..capture.cameras.len())
@@ -97,7 +98,7 @@ impl Motion {
     }
 }
 
-/// First frames of pairs, spread over a recording.
+/// The first frame of each examined pair, spread over a recording of this many frames.
 fn spread(frames: usize) -> Vec<usize> {
     let pairs = frames.saturating_sub(1);
     let mut found: Vec<usize> = match pairs {
@@ -126,7 +127,7 @@ fn curvature(tracks: &[Track], times_s: &[f64], k: usize) -> f64 {
     percentile(offsets_px.collect(), 0.95).unwrap_or(0.0)
 }
 
-/// Half of the motion that a track's neighbours don't predict: the 99th percentile.
+/// [`Motion::residual_px`]: half of the difference between a track's motion and its neighbours' weighted mean.
 fn residual(tracks: &[Track]) -> f64 {
     let neighbors = Neighbors::new(tracks.iter().map(|t| t.earlier));
     let missed: Vec<f64> = tracks
@@ -143,7 +144,7 @@ fn residual(tracks: &[Track]) -> f64 {
             if near.len() < PREDICTING {
                 return None;
             }
-            // Features stand apart, so no distance is 0; the pixel keeps one from deciding alone.
+            // The added pixel keeps one very near neighbour from deciding alone.
             let weight = |m: usize| 1.0 / (distance(m) + 1.0);
             let sum: f64 = near.iter().map(|&m| weight(m)).sum();
             let mean: Vector2<f64> = near.iter().map(|&m| tracks[m].motion() * weight(m)).sum();

@@ -1,4 +1,4 @@
-//! Decisions by the rig's description alone.
+//! Measures of the rig that need no images: its lens distortion and its layout.
 
 use crate::capture::Capture;
 use nalgebra::{DMatrix, Point2, Vector3};
@@ -16,7 +16,7 @@ pub fn largest_distortion_px(capture: &Capture) -> f64 {
         let at = |k: usize, size: usize| size as f64 * k as f64 / (SIDE - 1) as f64;
         for k in 0..SIDE * SIDE {
             let pixel = Point2::new(at(k % SIDE, camera.width), at(k / SIDE, camera.height));
-            // Beyond what the lens can show there is nothing to move.
+            // A pixel outside the lens's field of view has no undistorted position.
             if let Some(ideal) = camera.model.ideal_from_pixel(&pixel) {
                 largest = largest.max((ideal - pixel).norm());
             }

@@ -14,12 +14,13 @@ pub struct Shape {
     /// How far the best plane displaces a point in a view halfway between two neighbouring cameras,
     /// pixels: the 95th percentile of the points, at the worst instant.
     pub off_plane_px: f64,
-    /// Points that were triangulated, at the instant that has the fewest.
+    /// Number of triangulated points in the view, at the instant with the fewest.
     pub points: usize,
 }
 
 impl Shape {
-    /// `None` where no point could be triangulated, or no instant is covered.
+    /// Measures the shape at a few instants; `None` if no point can be triangulated, or if no time is common to all
+    /// cameras with a known clock.
     pub fn survey(
         field: &LightField,
         options: &RenderOptions,
@@ -57,7 +58,7 @@ impl Shape {
     }
 }
 
-/// Instants within what the cameras have in common.
+/// Evenly spread instants within the time that is common to all cameras with a known clock, seconds.
 fn instants_s(field: &LightField) -> Vec<f64> {
     if field.capture().is_static() {
         return vec![0.0];

@@ -35,19 +35,19 @@ pub fn open(py: Python<'_>, path: PathBuf) -> PyResult<PyCapture> {
 #[pyclass(name = "Capture", module = "stlfr", frozen)]
 pub struct PyCapture {
     capture: Arc<Capture>,
-    /// The light fields of the last views: their registered frames serve the next ones.
+    /// The light fields used last, most recent first. Their registered frames are cached for further views.
     opened: Mutex<Vec<Opened>>,
 }
 
-/// How many options' light fields stay open, the last used ones. More: memory. Fewer: a viewer that renders by a
-/// fast method and then by an accurate one registers its frames anew each time.
+/// Maximum number of light fields that stay open, one for each set of options. More: more memory. Fewer: a viewer that
+/// alternates between a fast method and an accurate one registers its frames anew each time.
 const MAX_OPENED: usize = 2;
 
 /// A light field, and the options that it was opened with.
 #[derive(Clone)]
 struct Opened {
     options: RenderOptions,
-    /// The options with nothing left to the capture.
+    /// The options after the automatic choice of methods ([`pipeline::resolved`]).
     resolved: RenderOptions,
     field: Arc<LightField>,
 }
@@ -85,7 +85,7 @@ impl PyCapture {
         Ok(self.capture.times_in_file_s(self.index(camera_id)?).into_pyarray(py))
     }
 
-    /// One frame as the stages see it, (H, W, channels).
+    /// One frame, decoded to RGB or grey, (H, W, channels).
     fn frame<'py>(
         &self,
         py: Python<'py>,
@@ -122,8 +122,8 @@ impl PyCapture {
 
     /// The image that `stlfr render` writes, (H, W, channels).
     ///
-    /// `proceed(done, total)` is called before every step of every instant of a trail (of one without
-    /// a trail); rendering stops with an `InterruptedError` where it returns something false.
+    /// `proceed(done, total)` is called before every step of every instant of a trail, or of the one instant without a
+    /// trail. If it returns something false, rendering stops with an `InterruptedError`.
     #[pyo3(signature = (time_s, *, camera=None, like=None, options=None, proceed=None))]
     fn render<'py>(
         slf: &Bound<'py, Self>,
@@ -165,7 +165,7 @@ impl PyCapture {
         view_to_python(py, &rendered, this.capture.bit_depth())
     }
 
-    /// The instant, for many views of it.
+    /// Opens one instant, for many views of it.
     #[pyo3(signature = (time_s, *, options=None))]
     fn moment(
         &self,
@@ -215,7 +215,7 @@ impl PyMoment {
     }
 }
 
-/// A camera object's camera.
+/// Converts a camera object, a dict as in `capture.json`, to a camera.
 fn camera_of(object: &Bound<'_, PyAny>) -> PyResult<Camera> {
     let format: CameraFormat = from_python(object, "camera")?;
     format.camera().map_err(|e| value_error(format!("camera: {e}")))
@@ -262,7 +262,8 @@ fn goes_on(proceed: Option<&Py<PyAny>>, done: usize, total: usize) -> PyResult<b
 }
 
 impl PyCapture {
-    /// The light field and its options of a view, cached for the next call.
+    /// The light field for these options, and the options after the automatic choice of methods; cached for further
+    /// calls.
     fn opened(&self, options: RenderOptions) -> Result<Opened, RenderError> {
         let mut cached = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(k) = cached.iter().position(|opened| opened.options == options) {

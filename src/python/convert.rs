@@ -1,4 +1,4 @@
-//! Between Rust's values and Python's.
+//! Conversions between Rust's values and Python's.
 
 use crate::lumigraph::Rendered;
 use crate::options::RenderOptions;
@@ -9,17 +9,17 @@ use pyo3::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// Bad input, with the sentence that the command line prints.
+/// A `ValueError` about bad input, with the sentence that the command line prints.
 pub fn value_error(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
-/// A value of Python's dicts, lists, numbers and strings, as its JSON is read.
+/// Converts a Python value of dicts, lists, numbers and strings by way of its JSON. Errors start with `what`.
 pub fn from_python<T: DeserializeOwned>(value: &Bound<'_, PyAny>, what: &str) -> PyResult<T> {
     crate::json::parse(&json_of(value)?).map_err(|e| value_error(format!("{what}: {e}")))
 }
 
-/// The options of a call, checked as the command line checks its file.
+/// The options of a call, checked as the command line checks an options file; the defaults if none are given.
 pub fn checked(options: Option<&Bound<'_, PyAny>>) -> PyResult<RenderOptions> {
     let Some(options) = options else { return Ok(RenderOptions::default()) };
     RenderOptions::parse(&json_of(options)?, None).map_err(|e| value_error(format!("options: {e}")))
@@ -30,7 +30,7 @@ pub fn json_of(value: &Bound<'_, PyAny>) -> PyResult<String> {
     value.py().import("json")?.call_method1("dumps", (value,))?.extract()
 }
 
-/// A value as Python reads its JSON.
+/// Converts a value to Python's dicts, lists, numbers and strings by way of its JSON.
 pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound<'py, PyAny>> {
     let json = serde_json::to_string(value).map_err(value_error)?;
     py.import("json")?.call_method1("loads", (json,))

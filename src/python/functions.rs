@@ -81,8 +81,8 @@ pub fn colmap_text<'py>(
     to_python(py, &py.detach(|| exchange::colmap_text(&images)))
 }
 
-/// Compares a capture with its truth, as `stlfr compare` does, into its folder `review`; gives the report's file
-/// and the layout's. With `lines`, progress goes to standard output, one JSON object a line.
+/// Compares a capture with its truth, as `stlfr compare` does, and writes into its folder `review`. Returns the paths
+/// of the report and of `review.json`. With `lines`, progress goes to standard output, one JSON object a line.
 #[pyfunction]
 #[pyo3(signature = (path, *, options=None, lines=false))]
 pub fn compare<'py>(

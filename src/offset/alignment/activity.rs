@@ -39,7 +39,8 @@ pub struct Activity {
 type Cells = [[f32; 3]; COLUMNS * ROWS];
 
 impl Activity {
-    /// The activity of a camera, from all its frames; `bands` are those of its pairs, by their indices.
+    /// The activity of a camera, from all its frames. `bands` holds the index of each of its pairs, with the camera's
+    /// bands in that pair.
     pub fn new(
         capture: &Capture,
         camera: usize,

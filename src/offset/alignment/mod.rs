@@ -66,7 +66,7 @@ fn is_long(recording: &Recording, pair: [usize; 2]) -> bool {
 }
 
 /// The offset of a pair to about a frame; 0, by the nominal clocks, for short recordings. `n` is the index
-/// of its signals in its cameras' activities.
+/// of the pair, by which `activities` hold its signals.
 pub fn rough_offset(
     recording: &Recording,
     [a, b]: [usize; 2],

@@ -32,7 +32,7 @@ const LOSS_PENALTY: f64 = 0.75;
 /// The outliers by which a model must be better than any other with images a frame off: a single
 /// outlier must not decide.
 const DECISIVE_OUTLIERS: f64 = 1.0;
-/// The frames by which images move at once.
+/// The numbers of frames by which jump moves shift images in time.
 const JUMPS: [i32; 4] = [1, -1, 2, -2];
 /// The minimum decrease of the objective by a move, in outliers.
 const MIN_IMPROVEMENT: f64 = 1e-6;

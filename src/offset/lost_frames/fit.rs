@@ -4,6 +4,8 @@
 //!
 //! A lag, in frames, is modelled as `offset + rate · elapsed + lost(image)`, where `lost` counts the
 //! frames missing up to an image. It is a step function of the image that only ascends.
+//!
+//! Costs and penalties are counted in outliers: an outlier costs 1.
 
 use crate::capture::MAX_DRIFT_PPM;
 use crate::offset::clock::{ClockModel, NominalClock};
@@ -31,7 +33,7 @@ const MAX_RATE_STEPS: f64 = 1e3;
 const OFFSET_PRIOR_WEIGHT: f64 = 1e-3;
 /// The penalty of each further frame lost at the same image, in outliers.
 const FURTHER_LOSS_PENALTY: f64 = 0.3;
-/// The largest loss count relative to the line. Time grows with its square.
+/// The largest loss count relative to the line. Computing time grows with its square.
 const MAX_LOST: i32 = 40;
 /// The maximum number of observed lags that are tried as initial offsets.
 const MAX_STARTS: usize = 64;

@@ -22,7 +22,7 @@ pub type TripleCosts = [[[f64; 2]; 2]; 2];
 
 /// The cost of a forbidden label, or of a forbidden pair of labels: more than the sum of all other terms.
 pub const FORBIDDEN: f64 = 1e7;
-/// The units of a capacity of 1. Capacities are integers, so that flows are exact.
+/// The capacity that represents a cost of 1. Capacities are integers, so that flows are exact.
 const UNITS: f64 = (1_u64 << 30) as f64;
 
 impl Energy {

@@ -25,8 +25,9 @@ const MIN_MOVING_FRACTION: f64 = 0.01;
 /// epipolar lines, T-junctions and occluded features seem to cross them, and agree on wrong times.
 const MIN_ACROSS_FRACTION: f64 = 0.05;
 /// The standard deviation of the correspondences' common error across the epipolar lines, as a
-/// fraction of the residuals' one. It biases the offset by the mean of the features' signed speeds,
-/// and does not average out. Filmed scenes have 0.001 to 0.006 px at residuals of 0.03 px.
+/// fraction of the residuals' standard deviation. The common error biases the offset in proportion to
+/// the mean signed speed of the features, and does not average out. Filmed scenes have 0.001 to
+/// 0.006 px at residuals of 0.03 px.
 const COMMON_ERROR_FRACTION: f64 = 0.2;
 
 /// A pair's frame triples, with their candidates.

@@ -57,8 +57,8 @@ pub struct FrameEstimate {
     pub by_information_s: f64,
 }
 
-/// Why a pair has no estimate, in the order of the stages that fail; as a sentence, the reason why a
-/// camera of such pairs has no offset.
+/// Why a pair has no estimate, in the order of the stages that fail. Its text is the reason of an unknown
+/// offset, for a camera without any estimated pair.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
 pub enum PairFailure {
     /// By the clocks, no frame of one camera lies between two frames of the other.

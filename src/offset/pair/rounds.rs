@@ -2,7 +2,8 @@
 //!
 //! §7 requires camera j's frame to lie between two of camera i. Which frame does depends on the offset,
 //! so triples and offset are determined in turn. The first round of a longer recording has only the
-//! triples in its middle: by the nominal clocks, about every other triple would be wrong.
+//! triples in its middle: the initial offset is right to about a frame, so that about half of the triples
+//! chosen by it are wrong.
 //!
 //! A round computes the candidates of a group of pairs together. Large rigs are split into groups whose
 //! frames fit the cache. Results do not depend on the groups.
@@ -43,11 +44,11 @@ pub struct PairRounds {
 /// The triples of the next round, and the offset that they were first chosen by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum RoundStage {
-    /// The triples in the recording's middle, by the start.
+    /// The triples in the recording's middle, chosen by [`PairRounds::start`].
     Middle,
-    /// All triples, by the middle's estimate.
+    /// All triples, first chosen by the estimate from the middle.
     FromMiddle,
-    /// All triples, by the start.
+    /// All triples, first chosen by [`PairRounds::start`].
     FromStart,
     Finished,
 }
@@ -110,7 +111,7 @@ impl PairRounds {
         self.estimate = fit_pair(recording, &triples, &self.initial, self.with_rate);
         match &self.estimate {
             Ok(pair) => self.initial = pair.clock.clone(),
-            // The middle may have been wrong.
+            // The estimate from the middle may have been wrong.
             Err(_) if self.stage == RoundStage::FromMiddle => {
                 (self.stage, self.initial) = (RoundStage::FromStart, start);
                 (self.rounds, self.frames) = (MAX_ROUNDS, Vec::new());

@@ -16,9 +16,9 @@ use nalgebra::Point2;
 pub struct Candidate {
     /// `t̃`: from camera i's earlier frame to camera j's frame, seconds.
     pub time_s: f64,
-    /// The feature's signed speed across the epipolar line at the crossing, pixels a second. An error
-    /// of one pixel across the line is an error of its inverse in time. Negative towards the line's
-    /// negative side.
+    /// The feature's signed speed across the epipolar line at the crossing, pixels a second; negative
+    /// towards the line's negative side. An error of one pixel across the line is an error of
+    /// `1 / across_px_s` seconds in time.
     pub across_px_s: f64,
     /// The expected error of the trajectory across the line, because motion is not polynomial, pixels;
     /// 0 for straight trajectories.
@@ -39,11 +39,11 @@ const TRAJECTORY_SIGMA_PX: f64 = 0.03;
 /// The expected error of a trajectory, as a fraction of the change that its highest order makes. At
 /// video rates each order of motion is about this fraction of the one before.
 const NEXT_ORDER_FRACTION: f64 = 0.2;
-/// The constant part of the largest distance of a trajectory's last sample from its extrapolation,
-/// pixels.
+/// The largest distance of a trajectory's last sample from the extrapolation of the others, pixels, without the part
+/// by [`MAX_PREDICTION_ERROR_FRACTION`].
 const MAX_PREDICTION_ERROR_PX: f64 = 1.0;
-/// The part of that distance that grows with the trajectory's largest step, as a fraction of it. It
-/// rejects background features that a moving body occludes, whose candidates agree on a wrong time.
+/// The fraction of a trajectory's largest step that is added to [`MAX_PREDICTION_ERROR_PX`]. The sum rejects background
+/// features that a moving body occludes, whose candidates agree on a wrong time.
 const MAX_PREDICTION_ERROR_FRACTION: f64 = 0.3;
 /// The maximum number of Newton steps.
 const MAX_NEWTON_STEPS: usize = 4;
@@ -64,7 +64,7 @@ pub struct ThreeFrames<'a> {
     pub times_i: &'a [f64],
     /// The index of the earlier one of camera i's two frames; it must not be the last frame.
     pub index_i: usize,
-    /// Whether trajectories are curves through the frames before and after, if they exist, too.
+    /// Whether trajectories are curves, which also pass through the frames before and after the two, if these exist.
     pub curved: bool,
     /// The smallest motion across the epipolar line between the two frames, pixels.
     pub min_across_px: f64,

@@ -27,8 +27,8 @@ pub struct Sample {
     pub across_px_s: f64,
     /// The cell of a coarse grid over camera a's image. Errors of features in one cell are correlated.
     pub cell: usize,
-    /// The tile of a fine grid over camera a's image, as large as the tracker's windows. Features in
-    /// one tile are tracked by the same pixels.
+    /// The tile of a fine grid over camera a's image, about two of the tracker's windows wide. Features in
+    /// one tile are tracked by nearly the same pixels.
     pub window: usize,
 }
 
@@ -59,7 +59,7 @@ pub type TripleFrames = ([usize; 2], [usize; 2]);
 const MIN_ACROSS_PX: f64 = 1.0;
 /// The coarse grid's cells across and down.
 const CELLS: [f64; 2] = [8.0, 6.0];
-/// The size of the fine grid's tiles, pixels: two of the tracker's windows.
+/// The size of the fine grid's tiles, pixels: about two of the tracker's windows.
 const WINDOW_PX: f64 = 24.0;
 /// The distance of camera b's frame from camera a's interval, as a fraction of the interval, up to
 /// which a trajectory is extrapolated.
