@@ -96,6 +96,15 @@
 //! | [`live`] | a light field in a browser: the server and its page |
 //! | [`toolchain`] | the Python side: its environment, filming, the calibration check |
 //!
+//! # Adding to it
+//!
+//! | what | where |
+//! |---|---|
+//! | a method of a stage | its enum beside the stage's options, such as [`interpolation::SyncMethod`], with a line in `methods!`; then what the compiler asks for |
+//! | an option | a line in the `options!` of the stage, such as [`lumigraph::BlendOptions`]; command line, schema and Python follow |
+//! | a cached result | its inputs in `light_field/stages.rs`, and a `Stage` for them; on disk a `StoredStage`, which `light_field/prepare.rs` writes |
+//! | a format of `import` or `export` | a file in [`exchange`], and a line in `cli/exchange.rs` |
+//!
 //! # The command line
 //!
 //! `stlfr COMMAND --help` has the options and examples. Exit codes: 0 done, 2 something given is wrong,
@@ -165,6 +174,8 @@
 //! - Thin things that move further than they are thick, as a pendulum's rod, vanish between two frames.
 //! - In narrow gaps between bodies that move along the line of cameras, what is behind them gets their
 //!   motion. There, OpenCV's DIS interpolates up to 0.5 dB better.
+//! - `--proxy scene-flow` takes one to two minutes of two cores for the first view of an instant at 640×480, and 0.2 s
+//!   for the next. `--like` and `prepare` don't use it yet.
 //! - A body that bounces between two frames is misplaced in a camera's image. `--sync all-cameras` takes it
 //!   from cameras that filmed it then.
 //! - `capture --engine workbench` films instants. A camera with an exposure time needs Cycles.
