@@ -45,7 +45,7 @@ impl Comparison<'_> {
         let synchronized = Images::By(self.options.sync);
         let mut blends = Vec::new();
         for &method in ViewMethod::ALL {
-            // Images of other instants than the view's show no shape.
+            // Nearest frames are of different instants, so that no depth can be estimated from them.
             let (made, images, shape) = match method {
                 ViewMethod::TraditionalLfr => {
                     (by(TRADITIONAL), Images::By(TRADITIONAL), synchronized)
@@ -87,8 +87,8 @@ impl Comparison<'_> {
         blends
     }
 
-    /// Measures all blends of one view on the pixels that all of them cover; with the report's
-    /// pictures if it is `in_report`.
+    /// Measures all blends of one view on the pixels that all of them cover. If `in_report`, also makes the report's
+    /// figure.
     pub(super) fn measure_view(
         &self,
         target: &ComparedTarget,
