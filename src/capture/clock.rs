@@ -4,7 +4,7 @@ use super::{Capture, FilmedCamera};
 
 /// Shortest time between two frames, seconds. Offsets and trajectories divide by it.
 const MIN_FRAME_S: f64 = 1e-9;
-/// Largest absolute time, seconds (3000 years): seconds since 1970 pass, microseconds don't.
+/// Largest absolute time, seconds (3000 years). Unix times in seconds pass; those in milliseconds don't.
 pub(super) const MAX_TIME_S: f64 = 1e11;
 
 /// Largest drift of a clock against the reference's, parts per million, simulated or estimated. Quartz drifts by at most
@@ -16,9 +16,9 @@ pub const MAX_DRIFT_PPM: f64 = 1000.0;
 pub struct Clock {
     /// The middle of each frame's exposure: seconds from the capture's start, strictly ascending.
     pub times_s: Vec<f64>,
-    /// Whether it is the clock that all cameras with this flag share.
+    /// Whether this is the one clock that all cameras with this flag share.
     pub shared: bool,
-    /// Whether its rate may differ from the reference's.
+    /// Whether the clock's rate may differ from that of the reference's clock.
     pub drift: bool,
     /// Whether frames may be missing although the times show no gap.
     pub lost: bool,

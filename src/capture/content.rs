@@ -15,7 +15,7 @@ use std::sync::{Arc, OnceLock};
 /// Hashes of the files of an opened capture. Hashes of images are set when the images are first read.
 #[derive(Debug)]
 pub(super) struct ContentHashes {
-    /// Of `capture.json`.
+    /// Hash of `capture.json`.
     description: blake3::Hash,
     frames: HashMap<PathBuf, OnceLock<blake3::Hash>>,
 }
@@ -32,7 +32,7 @@ impl ContentHashes {
         Self { description: blake3::hash(description.as_bytes()), frames }
     }
 
-    /// `None` for a file that wasn't read yet.
+    /// The hash of a frame's file; `None` if the file wasn't read yet.
     fn get(&self, frame: &Path) -> Option<blake3::Hash> {
         self.frames.get(frame).and_then(OnceLock::get).copied()
     }
@@ -111,7 +111,8 @@ impl Capture {
         Ok(self.cache.for_content(self.content_hash()?))
     }
 
-    /// Loads the result for these inputs, if it is stored. If there can't be one, the capture's content isn't hashed.
+    /// Loads the result for these inputs, if it is stored. If the cache has no results of this kind, the capture's
+    /// content isn't hashed.
     pub(crate) fn load_stored<T: DeserializeOwned>(
         &self,
         kind: CacheKind,
@@ -149,8 +150,8 @@ impl Capture {
 /// A result on disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stored {
-    /// Size of its file, bytes.
+    /// Size of the result's file, bytes.
     pub bytes: u64,
-    /// Whether it was stored before.
+    /// Whether the result had been stored before.
     pub was_there: bool,
 }

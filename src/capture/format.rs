@@ -32,8 +32,8 @@ pub struct CaptureFormat {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FilmedCameraFormat {
-    /// A name, unique among the cameras: letters, digits, `_`, `-`, `.` and spaces, none first or last, at
-    /// most 100 characters, and neither `.` nor `..`.
+    /// A name, unique among the cameras: letters, digits, `_`, `-`, `.` and spaces, but no space first or
+    /// last. At most 100 characters, and neither `.` nor `..`.
     #[schemars(regex(pattern = ID_PATTERN), length(max = MAX_ID_LENGTH))]
     pub id: String,
     /// An image sequence such as `cam0/%04d.png`, or a video such as `cam0.mkv`.
@@ -77,12 +77,12 @@ pub struct ClockFormat {
     /// The middle of each frame's exposure: seconds, ascending, one a frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub times_s: Option<Vec<f64>>,
-    /// Whether it is the clock that all such cameras share.
+    /// Whether this is the one clock that all cameras with this flag share.
     pub shared: bool,
-    /// Whether its rate may differ from the reference's.
+    /// Whether the clock's rate may differ from that of the reference's clock.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub drift: bool,
-    /// Whether frames may be missing without a trace.
+    /// Whether frames may be missing although the times show no gap.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub lost: bool,
 }
@@ -91,7 +91,7 @@ pub struct ClockFormat {
 const MAX_NAME_LENGTH: usize = 1000;
 
 impl CaptureFormat {
-    /// Checks everything but what the frames decide; returns the index of the reference camera. The error is a reason.
+    /// Checks everything that needs no frames; returns the index of the reference camera. The error is a reason.
     pub(super) fn check(&self) -> Result<usize, String> {
         if self.format != "stlfr-capture" {
             return Err(format!("format: is '{}', must be 'stlfr-capture'", short(&self.format)));

@@ -23,7 +23,7 @@ fn number<'a>(name: &'a str, before: &str, after: &str) -> Option<&'a str> {
     (!number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())).then_some(number)
 }
 
-/// Whether a file name is one that a pattern gives, or that of a video.
+/// Whether a file name matches a pattern. A pattern without an integer field is the name of a video.
 pub(super) fn is_named(pattern: &str, name: &str) -> bool {
     match split(pattern) {
         Some((before, _, after)) => number(name, before, after).is_some(),

@@ -46,7 +46,7 @@ pub struct Capture {
     /// The reference's first time stamp in `capture.json`, seconds. It is subtracted from all times, so that the
     /// reference's first frame is at 0.
     pub time_origin_s: f64,
-    /// Its cache on disk, with keys that don't depend on the content.
+    /// The capture's cache on disk, with keys that don't depend on the content.
     cache: DiskCache,
     hashes: Arc<ContentHashes>,
     content: ContentHash,
@@ -63,7 +63,7 @@ pub struct FilmedCamera {
     pub color: Color,
     /// Times of the frames on the camera's own clock.
     pub clock: Clock,
-    /// Frame files in order, inside the capture's folder. Decoded frames of a video lie in its cache.
+    /// Frame files in order, inside the capture's folder. Decoded frames of a video lie in the capture's cache.
     pub frames: Vec<PathBuf>,
     /// The video that the frames were decoded from; `None` for an image sequence.
     pub video: Option<VideoFile>,
@@ -154,7 +154,7 @@ impl Capture {
             filmed.map(|(k, camera)| camera.open(k, &source)).collect::<Result<Vec<_>, _>>()?;
         let time_origin_s = cameras[reference].clock.times_s[0];
         for (index, camera) in cameras.iter_mut().enumerate() {
-            // This keeps the precision of f64: 2.4e-7 s at Unix times, 1e-16 s near 0.
+            // For precision: an f64 resolves 1e-16 s near 0, but only 2.4e-7 s at Unix times.
             camera.clock.times_s.iter_mut().for_each(|t| *t -= time_origin_s);
             let ascends = camera.clock.ascends();
             ascends.map_err(|e| refused(format!("cameras[{index}] ({}).clock: {e}", camera.id)))?;

@@ -1,8 +1,9 @@
 //! Checks of output paths, so that no output replaces a part of a capture.
 //!
-//! Protected are `capture.json`, the frames (also names that the patterns of frames could take), `truth/`, `colmap/`,
-//! the offsets and the cache, also where links lead to them. Other files in the capture's folder, and its `review/`, may
-//! be replaced. A folder into which a simulated rig films is protected as a whole.
+//! Protected are `capture.json`, the frames, all names that match the patterns of frames, `truth/`, `colmap/`, the
+//! offsets and the cache. They are also protected against paths that lead to them through links. Other files in the
+//! capture's folder, and its `review/`, may be replaced. A folder into which a simulated rig films is protected as a
+//! whole.
 
 use super::{CAPTURE_FILE, CaptureError, frames};
 use crate::host::obstacle;
@@ -61,7 +62,8 @@ impl OutputGuard {
         self.check(path, ProtectedPaths::against_file)
     }
 
-    /// Refuses an output folder that isn't allowed. It will hold files with these names, which it may hold already.
+    /// Refuses an output folder that isn't allowed. `files` are the names of the files to be written into it; they may
+    /// exist.
     pub fn check_folder(&mut self, path: &Path, files: &[&str]) -> Result<(), CaptureError> {
         self.check_capture(path)?;
         self.check(path, ProtectedPaths::against_folder)?;
@@ -76,7 +78,7 @@ impl OutputGuard {
         self.check(path, ProtectedPaths::against_capture)
     }
 
-    /// Refuses a path that a capture around it, or the command's own, refuses.
+    /// Checks a path against the protected paths of the captures around it and of the command's own capture.
     fn check(
         &mut self,
         path: &Path,
@@ -111,14 +113,14 @@ fn followed(path: PathBuf) -> PathBuf {
 }
 
 impl ProtectedPaths {
-    /// `None` for a folder that is no capture.
+    /// The protected paths of a capture's folder; `None` for a folder that is no capture.
     fn of(folder: &Path) -> Option<Self> {
         let description = folder.join(CAPTURE_FILE);
         let is_described = description.is_file();
         if !is_described && !folder.join(FILM).is_dir() {
             return None;
         }
-        // One that can't be read is protected all the same, as far as it can be known.
+        // A capture whose description can't be read is protected as far as its parts are known.
         let read: Value = json::read(&description).unwrap_or_default();
         if read["format"].as_str().is_some_and(|format| format != "stlfr-capture") {
             return None;

@@ -58,7 +58,7 @@ fn every_wrong_field_is_named() {
             "(b).clock: the times must be within",
         ),
         (|j| j["cameras"][1]["clock"]["rate_hz"] = json!(1e300), "ascend by at least"),
-        // Apart in the file, but not any more after the reference's start is subtracted.
+        // Different times in the file, which rounding makes equal when the reference's start is subtracted.
         (
             |j| {
                 j["cameras"][0]["clock"]["first_s"] = json!(-1e11);

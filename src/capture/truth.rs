@@ -89,7 +89,7 @@ pub struct TruthOffset {
     /// Drift, parts per million.
     #[serde(default)]
     pub rate_ppm: f64,
-    /// The images before which a frame is missing, once for each missing frame.
+    /// For each missing frame, the index of the next recorded image.
     #[serde(default)]
     pub lost_before: Vec<u32>,
 }

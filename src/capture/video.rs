@@ -17,7 +17,7 @@ use std::io;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
-/// Most frames of one camera that a simulated rig films, and that a video is decoded to: an hour at 24 Hz.
+/// Largest number of frames of one camera, filmed by a simulated rig or decoded from a video: an hour at 24 Hz.
 pub const MAX_FRAMES: usize = 100_000;
 
 const DECODED_VIDEOS: CacheKind = CacheKind { name: "video", version: 1 };
@@ -59,7 +59,7 @@ fn hash(cache: &DiskCache, path: &Path) -> Result<blake3::Hash, CaptureError> {
 }
 
 impl VideoFile {
-    /// Opens a video, and decodes it unless its frames are cached. `wrong` makes an error of a reason.
+    /// Opens a video, and decodes it unless its frames are cached. `wrong` converts a reason into an error.
     pub(super) fn open(
         source: &CaptureSource,
         path: PathBuf,
@@ -131,7 +131,7 @@ impl VideoFile {
         std::fs::create_dir(&partial).map_err(failed)?;
         let decoded = video::decode(ffmpeg, &self.path, &partial, MAX_FRAMES);
         let times_s = decoded.map_err(|error| match error {
-            // The temporary folder is gone by then.
+            // Names the cache's folder: the temporary one is removed before the message is read.
             VideoError::File { path, source } if path.starts_with(&partial) => failed(source),
             VideoError::File { path, source } => CaptureError::Write { path, source },
             error => wrong(format!("'{name}' {error}")),
@@ -144,7 +144,7 @@ impl VideoFile {
         let stamps = serde_json::json!({ "times_s": times_s });
         write_json(&partial.join(STAMPS_FILE), &stamps).map_err(failed)?;
         temporary.place(FRAMES, &folder).map_err(failed)?;
-        // What was decoded may be what the video became meanwhile.
+        // The video may have changed between hashing and decoding.
         if hash(cache, &self.path)? != self.hash {
             return Err(CaptureError::Changed { path: self.path.clone() });
         }
@@ -215,7 +215,7 @@ fn hash_frames(cache: &DiskCache, folder: &Path, frames: usize) -> io::Result<Ve
 fn lock_file(folder: &Path) -> io::Result<File> {
     let path = folder.with_extension("lock");
     remove_special(&path)?;
-    // Between the two it may become one again.
+    // Another process may put a pipe or a link there before the file is opened.
     let flags = libc::O_NOFOLLOW | libc::O_NONBLOCK;
     File::options().write(true).create(true).truncate(false).custom_flags(flags).open(path)
 }

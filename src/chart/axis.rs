@@ -2,11 +2,13 @@
 
 /// Maps values to positions on the page, linearly or logarithmically.
 pub(super) struct Axis {
-    /// The range of values, or of their decimal logarithms.
+    /// The smallest value of the axis, or its decimal logarithm.
     low: f64,
+    /// The largest value of the axis, or its decimal logarithm.
     high: f64,
-    /// Positions of `low` and `high`.
+    /// Position of `low` on the page.
     from: f64,
+    /// Position of `high` on the page.
     to: f64,
     log: bool,
 }
@@ -17,7 +19,7 @@ const MARGIN: f64 = 0.05;
 /// Number of ticks aimed at.
 const TICKS: f64 = 6.0;
 
-/// Bounds the ticks where rounding near a huge value gives thousands.
+/// Largest number of ticks: near a huge value, rounding would give thousands.
 const MAX_TICKS: usize = 20;
 
 impl Axis {

@@ -77,7 +77,7 @@ const MARGINS: [f64; 4] = [74.0, 16.0, 34.0, 48.0];
 const ROW: f64 = 15.0;
 /// Enlargement of a chart with a key beside it.
 const KEYED: f64 = 1.4;
-/// Distinct in colour and in lightness.
+/// Colours of the series, distinct in hue and in lightness.
 const COLORS: [&str; 8] =
     ["#0b62a4", "#d1495b", "#2a9d5c", "#8a5fbf", "#c77d00", "#00868b", "#6b4c3b", "#555555"];
 const FAINT: &str = "#b4b4b4";
@@ -187,7 +187,8 @@ impl Chart {
         [left, top, left + 26.0 + ADVANCE * longest, top + ROW * rows + 4.0]
     }
 
-    /// Texts beside points, clear of dots, of lines, of the legend and of each other; those that are far have a line.
+    /// Texts beside points, clear of dots, of lines, of the legend and of each other. A line joins a distant text to
+    /// its point.
     fn drawn_labels(&self, axes: &Axes) -> Vec<Value> {
         let placed: Vec<([f64; 2], &Label)> = self
             .labels
@@ -221,7 +222,7 @@ impl Series {
         self.points.iter().filter_map(place).collect()
     }
 
-    /// Positions that labels avoid: the dots, and the line every 6 pixels.
+    /// Positions that labels avoid: the dots, and points on the line, 6 pixels apart.
     fn obstacles(&self, axes: &Axes) -> Vec<[f64; 2]> {
         let mut positions: Vec<[f64; 2]> = self.placed(axes).iter().map(|(at, _)| *at).collect();
         if self.line {
@@ -299,7 +300,7 @@ mod tests {
         chart.rules = vec![(0.5, "a<b".into())];
         let svg = svg(&[chart.clone(), chart], 2);
         assert!(svg.contains("viewBox=\"0 0 1120 340\"") && svg.ends_with("</svg>\n"));
-        // Left, in the middle and right of the frame, of either chart.
+        // The rule's ends, at the left and the right of the frame, in either chart.
         for line in ["74.0,163.0 544.0,163.0", "634.0,163.0 1104.0,163.0"] {
             assert!(svg.contains(&format!("points=\"{line}\"")), "{line}");
         }

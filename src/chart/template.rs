@@ -21,7 +21,7 @@ pub(super) fn filled(template: &'static str, values: Value) -> String {
     env.set_syntax(syntax.build().expect("delimiters are the default ones"));
     env.add_filter("px", |position: f64| format!("{position:.1}"));
     env.add_filter("number", |value: f64| value.to_string());
-    // Texts are escaped as in HTML.
+    // The name's suffix makes minijinja escape texts as in HTML.
     env.add_template("chart.html", template).expect("the template has no wrong syntax");
     let chart = env.get_template("chart.html").expect("it was added");
     chart.render(values).expect("the template uses what it is given")

@@ -14,13 +14,13 @@ use std::time::Instant;
 
 /// Compares the renderer's images with the truth, and writes the folder `out`.
 ///
-/// Views of the truth that stand where a filming camera does measure its synchronized image; the
-/// others are blended from each camera's nearest frame (traditional LFR), from the synchronized
-/// images (ST-LFR), and from the true ones (perfect sync).
+/// A true view at a filming camera's place is compared with that camera's synchronized image. Any other true view is
+/// compared with three blended views: from each camera's nearest frame (traditional LFR), from the synchronized images
+/// (ST-LFR), and from the true images of all cameras (perfect sync).
 ///
 /// # Errors
-/// [`CompareError::NoTruth`] without truth; whatever is wrong with the truth or the options, before
-/// anything is rendered; what can't be written. A video's error is returned after all else is written.
+/// [`CompareError::NoTruth`] without truth. The truth and the options are checked before anything is rendered. Files
+/// that can't be written are errors. An error of the video is returned after all other files are written.
 pub fn compare(
     renderer: &dyn Renderer,
     truth: Option<&Truth>,
@@ -33,7 +33,7 @@ pub fn compare(
     let truth = truth.ok_or_else(|| CompareError::NoTruth { folder: capture.folder.clone() })?;
     options.check()?;
     let instants = truths::instants(truth, capture)?;
-    // Tried before anything is rendered.
+    // Started once before anything is rendered, so that a broken ffmpeg is found early.
     let codec = options.video.as_ref().map(|video| Codec::for_browsers(&video.ffmpeg)).transpose();
     let codec = codec.map_err(video::ReviewVideoError::from)?;
 

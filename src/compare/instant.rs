@@ -1,5 +1,5 @@
-//! One instant of the truth: synchronize the cameras, measure them, write the pictures. The views
-//! that are blended from them are in `views.rs`.
+//! One instant of the truth: synchronizes the cameras, measures their images, and writes the pictures. Views that are
+//! blended from these images are in `views.rs`.
 
 use super::report::{Figure, ReportPicture};
 use super::results::{StageTimes, SyncResult, ViewResult};
@@ -33,14 +33,14 @@ pub(super) struct Results {
 }
 
 impl Results {
-    /// Whether the report takes another figure of a new view, or of a filming camera's image.
+    /// Whether the report has room for another figure: of a new view if `is_view`, else of a filming camera's image.
     fn has_room(&self, is_view: bool, options: &CompareOptions) -> bool {
         let alike = self.figures.iter().filter(|figure| figure.is_view == is_view);
         alike.count() < options.report_views
     }
 }
 
-/// A true image, with everything that measures images against it.
+/// A true image, with its view and instant, that images are measured against.
 pub(super) struct ComparedTarget<'a> {
     pub instant: &'a TrueInstant,
     pub view: &'a TrueView,
@@ -193,7 +193,7 @@ impl Comparison<'_> {
         Ok(write_image(&path, &sheet, None, BitDepth::Eight)?)
     }
 
-    /// An image as its file holds it; an error if its size differs from the truth's.
+    /// An image, clamped and rounded as its file holds it; an error if its size differs from the truth's.
     pub(super) fn checked(&self, image: Result<&Image, &String>, truth: &Image) -> ImageOrReason {
         let image = image.map_err(Clone::clone)?;
         if (image.width(), image.height()) != (truth.width(), truth.height()) {

@@ -1,13 +1,13 @@
 //! §8: comparison of results with the truth.
 //!
-//! [`compare`] renders what the truth has images of, measures it, and writes into one folder
+//! [`compare`] renders every view that the truth has an image of, measures the results, and writes into one folder:
 //!
 //! - `metrics.json`: every number; the same bytes from run to run, whatever the thread count
 //! - `timings.json`: how long the stages took
-//! - `report.html`: all of it for a reader, in one file
+//! - `report.html`: numbers, plots and pictures for a reader, in one file
 //! - `sheets/`: truth, methods and their differences side by side
 //! - `images/`: the rendered images, in the input's bit depth
-//! - `review.json`: what stands beside what, for `review.blend`
+//! - `review.json`: the layout of `review.blend`
 //! - `review.mp4` and the lossless movies in `video/`, if asked for
 //!
 //! | file | what |
@@ -18,14 +18,14 @@
 //! | `instant.rs` | one instant: synchronize the cameras and measure them |
 //! | `views.rs` | one view at an instant: blend it by every method and measure that |
 //! | `truths.rs` | the truth's images and moving parts |
-//! | `results.rs` | the results as they are written, and how long the stages took; the headline |
+//! | `results.rs` | the contents of `metrics.json` and `timings.json`, and the headline |
 //! | `sheet.rs`, `lettering.rs` | pictures with labels |
 //! | `report.rs`, `report.html` | the report |
 //! | `video.rs` | the review video |
-//! | `review.rs` | what `review.blend` is laid out from |
+//! | `review.rs` | the layout of `review.blend` |
 //!
-//! Known limits: what is measured is what the files hold, after rounding to their bit depth. The
-//! noise of the truth itself, which bounds every PSNR, is not known here.
+//! Known limits: images are measured as their files hold them, rounded to the bit depth. The noise of
+//! the truth itself, which bounds every PSNR, is not known here.
 
 mod driver;
 mod instant;
@@ -70,8 +70,8 @@ pub const TRADITIONAL: SyncMethod = SyncMethod::Nearest;
 /// sequential, so that an implementation may use all cores and a cache.
 ///
 /// Times are seconds on the reference's clock, from the capture's start
-/// ([`Capture::time_origin_s`](crate::capture::Capture::time_origin_s) subtracted). An `Err` is one sentence for the report: why this
-/// image can't be made. It excludes the camera or the view, and ends nothing.
+/// ([`Capture::time_origin_s`](crate::capture::Capture::time_origin_s) subtracted). An `Err` is one sentence for the
+/// report that says why this image can't be made. It excludes the camera or the view, and the comparison goes on.
 pub trait Renderer: Sync {
     /// The light field, with the capture and its offsets.
     fn field(&self) -> &LightField;

@@ -5,7 +5,8 @@ use crate::capture::Truth;
 use crate::offset::{CameraOffset, Offsets};
 
 impl OffsetResult {
-    /// A camera's offset beside the true one. Without an interval of frames there are no errors in frames.
+    /// Compares a camera's offset with the true one. `frame_s` is the frame interval; without it, errors in frames are
+    /// `None`.
     pub(super) fn new(
         camera: &str,
         given: Option<&CameraOffset>,

@@ -16,7 +16,7 @@ use minijinja::{Environment, UndefinedBehavior, context};
 use serde::Serialize;
 use std::path::Path;
 
-/// Pictures of one view and instant, which the report compares by a slider.
+/// The pictures of one view at one instant, which the reader compares by a slider.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Figure {
     /// The view and the instant.
@@ -27,7 +27,7 @@ pub(super) struct Figure {
     pub pictures: Vec<ReportPicture>,
 }
 
-/// A picture as inlined data.
+/// A picture, inlined in the page.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct ReportPicture {
     label: String,
@@ -102,7 +102,7 @@ fn rounded(v: f64, digits: usize) -> String {
     if zero { text.trim_start_matches('-').to_owned() } else { text }
 }
 
-/// The PSNR of [`crate::metrics::Scores`]; identical pixels have a word instead.
+/// Formats the PSNR of [`crate::metrics::Scores`]; identical pixels give a word.
 fn psnr(scores: Value) -> Result<String, minijinja::Error> {
     let (pixels, psnr_db) = (scores.get_attr("pixels")?, scores.get_attr("psnr_db")?);
     let same = psnr_db.is_none() && u64::try_from(pixels).unwrap_or(0) > 0;
@@ -116,7 +116,7 @@ fn measured_percent(metrics: &Metrics) -> Option<[String; 2]> {
     Some([min, max].map(|fraction| format!("{:.1}", 100.0 * fraction)))
 }
 
-/// Names and helps of the methods that occur, for the report; helps are for the middle of a sentence.
+/// Names and help texts of the methods that occur. The help texts start in lower case, for the middle of a sentence.
 fn explained<M: Method>(occurring: impl Iterator<Item = M>) -> Vec<Value> {
     let explain = |method: M| {
         let mut letters = method.help().chars();

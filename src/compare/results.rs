@@ -48,7 +48,7 @@ pub struct Headline {
     pub offset: OffsetHeadline,
     pub sync: SyncHeadline,
     pub views: Vec<ViewHeadline>,
-    /// Number of missing images: a camera's synchronized image of a view, or a view.
+    /// Number of images that couldn't be rendered: synchronized images of cameras, and blended views.
     pub missing_images: usize,
 }
 
@@ -57,8 +57,9 @@ pub struct Headline {
 pub struct OffsetHeadline {
     pub median_frames: Option<f64>,
     pub worst_frames: Option<f64>,
-    /// Cameras whose clock is not the reference's, and how many of them have an offset.
+    /// Number of cameras whose clock is not the reference's.
     pub unknown_clocks: usize,
+    /// Number of these cameras whose offset was estimated.
     pub estimated: usize,
 }
 
@@ -95,7 +96,7 @@ pub struct OffsetResult {
     pub std_err_frames: Option<f64>,
     /// The error in standard errors.
     pub z: Option<f64>,
-    /// Why there is no result.
+    /// Why there is no offset.
     pub reason: Option<String>,
 }
 
@@ -104,7 +105,7 @@ pub struct OffsetResult {
 pub struct SyncResult {
     pub view: String,
     pub camera: String,
-    /// On the capture's clock, as the truth states it.
+    /// Seconds on the reference's clock, as in the truth's file.
     pub time_s: f64,
     pub method: SyncMethod,
     pub scores: Option<RegionScores>,
@@ -113,7 +114,7 @@ pub struct SyncResult {
     pub reason: Option<String>,
 }
 
-/// The source of the images that a view is blended from. Its help is its name for readers.
+/// The source of the images that a view is blended from. Its help text is the name that readers see.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ViewMethod {
@@ -139,10 +140,11 @@ pub struct ViewResult {
     pub time_s: f64,
     pub proxy: ProxyMethod,
     pub method: ViewMethod,
-    /// How many cameras gave an image, and which did not.
+    /// Number of cameras with an image.
     pub cameras: usize,
+    /// The cameras without one.
     pub excluded: Vec<ExcludedCamera>,
-    /// Fraction of the view's pixels that were measured: those that every method covers.
+    /// Fraction of the view's pixels that are measured: those that all methods cover with all proxies.
     pub measured: Option<f64>,
     pub scores: Option<RegionScores>,
     pub image: Option<String>,
@@ -175,7 +177,7 @@ impl StageTimes {
         result
     }
 
-    /// Adds the time since `start` to a stage's.
+    /// Adds the time since `start` to a stage's time.
     pub fn add(&mut self, stage: &str, start: Instant) {
         let seconds = start.elapsed().as_secs_f64();
         match self.0.iter_mut().find(|s| s.stage == stage) {

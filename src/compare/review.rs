@@ -52,7 +52,7 @@ struct ReviewPanel {
     file: String,
 }
 
-/// New views, the filming cameras' images, and the video.
+/// The layout of the review: reels of the video, of the new views, and of the filming cameras' images.
 pub(super) fn layout(metrics: &Metrics, video: Option<&ReviewVideo>) -> Layout {
     let mut reels: Vec<Reel> = video.map(movie_reel).into_iter().collect();
     for (name, shots) in [("Views", view_shots(metrics)), ("Cameras", camera_shots(metrics))] {
@@ -85,7 +85,8 @@ fn movie_reel(video: &ReviewVideo) -> Reel {
     Reel { name: "Video", rate_hz: video.rate_hz, shots: vec![shot] }
 }
 
-/// A shot of stills, by traditional LFR and by ST-LFR. The true picture is in their folder. `None` without a picture.
+/// A shot of stills, by traditional LFR and by ST-LFR, and of the true picture, which lies in the same folder. `None`
+/// if both methods have no picture.
 fn still(label: String, panels: [Option<ReviewPanel>; 2]) -> Option<Shot> {
     let (folder, _) = panels.iter().flatten().next()?.file.rsplit_once('/')?;
     let truth = Some(format!("{folder}/truth.png"));

@@ -10,10 +10,11 @@ use crate::raster::Image;
 const BACKGROUND: f32 = 0.09;
 const TITLE: TextStyle = TextStyle { bold: true, color: [0.93; 3] };
 const CAPTION: TextStyle = TextStyle { bold: false, color: [0.65; 3] };
-/// Tint of the moving part, and of what stands still.
+/// Tint of the moving part.
 const MOVING_TINT: [f32; 3] = [1.0, 0.62, 0.18];
+/// Tint of all other pixels.
 const STILL_TINT: [f32; 3] = [0.45; 3];
-/// Between panels, and around them.
+/// Margin between the panels, and around them.
 const MARGIN_PX: usize = 12;
 /// Panels narrower than this are enlarged by whole factors, pixels.
 const MIN_PANEL_PX: usize = 300;

@@ -9,9 +9,9 @@ use serde_json::{Value, json};
 
 const W: usize = 24;
 const H: usize = 20;
-/// What the file states for the capture's first instant; inside it is 0.
+/// The time of the capture's first instant in the file; in the program it is 0.
 const ORIGIN_S: f64 = 100.0;
-/// An id of a legal name that is none of a file.
+/// A legal camera id that is no safe file name.
 const EVIL: &str = "an odd id";
 
 /// Frames of 1/8 s, so that their times are exact.
@@ -46,8 +46,8 @@ struct Set {
 }
 
 impl Set {
-    /// A capture of cameras `a` and one with an evil id; truth at one instant from both places and
-    /// from between.
+    /// A capture of two cameras, `a` and one with an evil id. Its truth has images of one instant, from both cameras'
+    /// places and from between them.
     fn new(change: impl FnOnce(&mut Value)) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let capture = json!({"format": "stlfr-capture", "version": 1, "name": "<b>tiny</b>",
@@ -111,7 +111,8 @@ fn offsets() -> Offsets {
     Offsets { reference: "a".into(), cameras }
 }
 
-/// `nearest` is off by 0.1, `refined` by 0.01; a view is the mean of its images.
+/// A renderer of known errors: images by `nearest` are off by 0.1, by `refined` by 0.01. A view is the mean of its
+/// images.
 struct Fake {
     field: LightField,
     truth: Image,
@@ -311,7 +312,7 @@ fn a_video_is_written_whole_or_not_at_all() {
     use std::os::unix::fs::PermissionsExt;
     let set = Set::new(|_| ());
     let program = set.folder.path().join("fake-ffmpeg");
-    // Lists no encoder; else keeps what it is fed in the file named last.
+    // A fake ffmpeg that lists no encoders, and writes its input to the file named last.
     let script = "#!/bin/sh\ncase \"$*\" in *-encoders*) exit 0;; esac\n\
         for last; do :; done\ncat > \"${last#file:}\"\nexit ${FAIL:-0}\n";
     std::fs::write(&program, script).unwrap();

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VideoOptions {
-    /// Number of frames, unless the truth has a video, whose times are used.
+    /// Number of frames, if the truth has no video. Otherwise the times of the truth's video are used.
     pub frames: usize,
     /// Frames shown a second.
     pub rate_hz: f64,
@@ -51,21 +51,21 @@ pub enum ReviewVideoError {
 
 /// The files of a review video.
 pub(super) struct ReviewVideo {
-    /// All side by side.
+    /// The video of the truth and the methods side by side.
     pub path: PathBuf,
     /// The view's id.
     pub view: String,
     pub frames: usize,
     pub rate_hz: f64,
-    /// One file for each method and the truth, without loss: the name of `truth` or of the method, and the path
-    /// relative to the review's folder.
+    /// One lossless file for the truth and for each method: `truth` or the method's name, and the path relative to the
+    /// review's folder.
     pub movies: Vec<(&'static str, String)>,
 }
 
 impl ReviewVideo {
-    /// Renders the truth's video if it has one; else its first new view, or the reference camera's place, over the
-    /// span that all cameras cover. Views go through the most accurate proxy. `codec` is that of the file with all
-    /// side by side.
+    /// Renders the view of the truth's video, if there is one. Otherwise renders the truth's first new view, or the
+    /// view from the reference camera's place, over the span that all cameras cover. The proxy is the most accurate
+    /// one. `codec` is for the side-by-side file.
     pub fn write(
         comparison: &Comparison,
         codec: Codec,

@@ -45,7 +45,7 @@ impl Comparison<'_> {
         let synchronized = Images::By(self.options.sync);
         let mut blends = Vec::new();
         for &method in ViewMethod::ALL {
-            // Images of other instants than the view's show no shape.
+            // Nearest frames are of different instants, so that no depth can be estimated from them.
             let (made, images, shape) = match method {
                 ViewMethod::TraditionalLfr => {
                     (by(TRADITIONAL), Images::By(TRADITIONAL), synchronized)
@@ -87,15 +87,16 @@ impl Comparison<'_> {
         blends
     }
 
-    /// The proxies that are compared, cheapest first: scene flow, which takes minutes, if the options ask for it.
+    /// The proxies that are compared, cheapest first. Scene flow takes minutes, and is compared only if the options ask
+    /// for it.
     fn proxies(&self) -> impl Iterator<Item = ProxyMethod> + use<> {
         let asked = self.renderer.options().proxy.method;
         let is_compared = move |p: &ProxyMethod| *p != ProxyMethod::SceneFlow || *p == asked;
         ProxyMethod::ALL.iter().copied().filter(is_compared)
     }
 
-    /// Measures all blends of one view on the pixels that all of them cover; with the report's
-    /// pictures if it is `in_report`.
+    /// Measures all blends of one view on the pixels that all of them cover. If `in_report`, also makes the report's
+    /// figure.
     pub(super) fn measure_view(
         &self,
         target: &ComparedTarget,

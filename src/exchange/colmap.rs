@@ -24,7 +24,7 @@ struct ModelImage {
     translation: [f64; 3],
 }
 
-/// The readers of a model's first two files; an error is a reason.
+/// The parsers of a model's cameras file and images file. An error is a reason.
 type Readers = (fn(&[u8]) -> Result<Lenses, String>, fn(&[u8]) -> Result<Vec<ModelImage>, String>);
 
 /// Reads the cameras of a COLMAP model's folder, one for each image, sorted by image number and named
@@ -143,7 +143,7 @@ fn text_image(line: &str) -> Result<ModelImage, String> {
     let rotation_wxyz = [next("QW")?, next("QX")?, next("QY")?, next("QZ")?];
     let translation = [next("TX")?, next("TY")?, next("TZ")?];
     let camera_id = value(fields, "CAMERA_ID")?;
-    // COLMAP ends a name at its first space; files of other programs may hold some.
+    // COLMAP ends a name at its first space, but other programs write names with spaces.
     let name = after_fields(line, IMAGE_FIELDS).to_owned();
     if name.is_empty() {
         return Err("NAME is missing".into());

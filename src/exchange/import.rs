@@ -69,7 +69,7 @@ pub fn import(
         cameras: filmed,
     };
     write_json(&whole.join(CAPTURE_FILE), &format).map_err(failed)?;
-    // A capture that can't be opened is this command's error, not the next one's.
+    // Opened here, so that an invalid capture fails the import and not a later command.
     Capture::open(&whole).map_err(|error| {
         let message = error.to_string();
         let path = format!("{}/", whole.display());
@@ -121,7 +121,8 @@ fn described(
     }
 }
 
-/// Merges images of one camera: cameras by id, in the order of their first image. The error is a reason.
+/// Merges all images of a camera into one entry, named by the camera's id, in the order of the first images. The error
+/// is a reason.
 fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
     let mut distinct: Vec<NamedCamera> = Vec::new();
     for NamedCamera { name, camera } in cameras {

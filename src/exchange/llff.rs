@@ -98,7 +98,7 @@ pub fn write_llff(
     }
     let count = cameras.len();
     let fields = format!("'descr': '<f8', 'fortran_order': False, 'shape': ({count}, {COLUMNS}), ");
-    // Magic, version and length take 10 bytes; the data starts at a multiple of 64.
+    // Magic number, version and header length take 10 bytes; the data starts at a multiple of 64.
     let width = (10 + fields.len() + 3).next_multiple_of(64) - 11;
     let header = format!("{:width$}\n", format!("{{{fields}}}"));
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();

@@ -133,7 +133,8 @@ fn pose_from_axes(axes: &Matrix3<f64>, center: Vector3<f64>) -> Result<Isometry3
     Ok(Isometry3::from_parts(Translation3::from(-(cam_from_world * center)), cam_from_world))
 }
 
-/// The inverse of [`pose_from_axes`].
+/// A camera's right, down and forward axes in the world, as columns, and its centre: the inverse of
+/// [`pose_from_axes`].
 fn axes_and_center(camera: &Camera) -> (Matrix3<f64>, Vector3<f64>) {
     let world_from_cam = camera.cam_from_world.rotation.inverse().to_rotation_matrix();
     (world_from_cam.into_inner(), camera.center().coords)

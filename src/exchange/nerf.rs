@@ -1,5 +1,5 @@
-//! NeRF's `transforms.json`, as instant-ngp and nerfstudio read it: a world-from-camera matrix a
-//! frame, with OpenGL's axes (x right, y up, z back), and the lens for all frames or each its own.
+//! NeRF's `transforms.json`, as instant-ngp and nerfstudio read it. Each frame has a world-from-camera matrix, with
+//! OpenGL's axes (x right, y up, z back). The lens is given once for all frames, or for each frame.
 
 use super::{ExchangeError, NamedCamera, axes_and_center, check_count, checked, content};
 use super::{pose_from_axes, whole_size, write};
@@ -19,7 +19,7 @@ struct Frames {
     frames: Vec<FrameEntry>,
 }
 
-/// Fields of a frame, or of the file as a whole: both may have a lens. Other fields are skipped.
+/// The fields of a frame, or those of the whole file, which may also have a lens. Other fields are skipped.
 ///
 /// Serde's `flatten` would hold the skipped fields in memory, at 16 times their length in the file.
 #[derive(Debug, Deserialize)]
@@ -80,8 +80,8 @@ fn bounded<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<FrameEntry>
     deserializer.deserialize_seq(EntryList)
 }
 
-/// Image size in pixels, and lens of a frame; fields that it lacks are those of the file. The error is a
-/// reason.
+/// Image size in pixels, and lens of a frame. Fields that the frame lacks are taken from the whole file's. The error
+/// is a reason.
 fn lens(frame: &FrameEntry, all: &FrameEntry) -> Result<((u64, u64), CameraModel), String> {
     let either = |field: fn(&FrameEntry) -> Option<f64>| field(frame).or(field(all));
     let (Some(w), Some(h)) = (either(|f| f.w), either(|f| f.h)) else {

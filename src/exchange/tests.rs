@@ -287,13 +287,13 @@ fn an_import_is_whole_or_not_there() {
     let folder = tempfile::tempdir().unwrap();
     let images = folder.path().join("images");
     let camera = std::slice::from_ref(&sequence_of(&images, &["7", "8"])).to_vec();
-    // The originals are no target, nor is any folder with something in it.
+    // The originals and folders that aren't empty are refused as targets.
     let before = std::fs::read(images.join("a/7.png")).unwrap();
     for target in [&images, &images.join("a"), &images.join("a/7.png")] {
         assert!(import(&camera, &images, CLOCK, target).is_err());
     }
     assert_eq!(std::fs::read(images.join("a/7.png")).unwrap(), before);
-    // What fails leaves nothing, so that it can be mended and done again.
+    // A failed import leaves no files, so that it can be repeated.
     let target = folder.path().join("capture");
     let fast = ImportClock { rate_hz: 1e12, ..CLOCK };
     let error = import(&camera, &images, fast, &target).unwrap_err().to_string();

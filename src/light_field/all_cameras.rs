@@ -1,7 +1,8 @@
-//! Beyond the paper: a camera's image at an instant from all cameras: its own frames, and what other cameras filmed
-//! nearer to the instant, seen from its place.
+//! Beyond the paper: a camera's image at an instant, blended from its own frames and from other cameras' images, which
+//! are warped to its viewpoint by depth per pixel.
 //!
-//! A body that bounces between two frames leaves no trace of it in them. Another camera has a frame just then.
+//! This recovers motion that a camera misses: a body that bounces between two of its frames is filmed by another camera
+//! nearer to the instant.
 
 use super::camera_image::images_of;
 use super::geometry::geometry;
@@ -11,12 +12,13 @@ use crate::interpolation::{InterpolationOptions, SyncMethod, Synchronized};
 use crate::lumigraph::BlendMethod;
 use crate::options::{ProxyMethod, RenderOptions};
 
-/// Fraction of [`crate::lumigraph::BlendOptions::error_angle_rad`] that counts where a camera's own image is one of
-/// those blended, since that one has no error of depth.
+/// Factor on [`crate::lumigraph::BlendOptions::error_angle_rad`], smaller than 1 since the camera's own image is among
+/// the blended ones and has no depth error. Smaller: its own interpolated image dominates. Larger: other cameras' do.
 const OWN_FRACTION: f64 = 0.25;
 
 impl LightField {
-    /// A camera's image between its frames, from all cameras. `all` are the options of views that it is taken from.
+    /// A camera's image between its frames, blended from all cameras' images with the options `all`. Pixels that the
+    /// blend doesn't cover are interpolated from the camera's own frames.
     pub(super) fn image_from_all_cameras(
         &self,
         image: &CameraImage,
@@ -41,7 +43,7 @@ impl LightField {
         let filmed = &self.capture().cameras[camera].camera;
         let request = Request::new(Viewpoint::View(filmed), time_s, &options);
         let geometry = match geometry(self, filmed, &request, context) {
-            // Without a shape, other cameras can't help.
+            // Without depth, other cameras' images can't be warped.
             Err(RenderError::NoPoints | RenderError::NothingSeen) => return Ok((*own).clone()),
             geometry => geometry?,
         };

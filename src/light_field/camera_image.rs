@@ -78,7 +78,7 @@ pub(super) fn corrected(
     field.get(&CorrectedImage { image, registration }, context)
 }
 
-/// A camera's image. Where `parts` are given, its other tiles may be less accurate.
+/// Computes a camera's image at an instant. If `parts` are given, pixels outside these tiles may be wrong or black.
 pub(super) fn image_in(
     field: &LightField,
     image: &CameraImage,
@@ -141,7 +141,7 @@ pub(super) fn image_in(
 }
 
 impl LightField {
-    /// A camera's image at a time: its own frame where it has one at that very time.
+    /// A camera's synchronized image at a time: its own frame if one has exactly this time, else interpolated.
     ///
     /// # Errors
     /// [`RenderError::CameraTime`] outside the camera's frames, [`RenderError::CameraClock`] if its clock is
@@ -193,7 +193,7 @@ impl LightField {
         Ok(GivenImages::corrected(images))
     }
 
-    /// [`Self::corrected_all`], if all of them are cached.
+    /// The images of [`Self::corrected_all`], if the synchronized images of all usable cameras are cached.
     pub(crate) fn cached_instant(
         &self,
         time_s: f64,
@@ -233,7 +233,8 @@ pub(super) fn images_of(
     }
 }
 
-/// Gets the images of these cameras in parallel. If they share inputs, the first alone is got before the others.
+/// Gets the images of these cameras in parallel. If they share inputs, the first image is computed alone, so that the
+/// shared inputs are computed once.
 fn side_by_side(
     field: &LightField,
     cameras: &[usize],

@@ -2,7 +2,7 @@
 
 use super::RenderError;
 
-/// What rendering is asked to tell, and whether it may go on.
+/// The callback that rendering reports its progress to, and that may stop it.
 #[derive(Clone, Copy)]
 pub struct Context<'a> {
     proceed: &'a (dyn Fn(usize, usize) -> bool + Sync),
@@ -11,13 +11,14 @@ pub struct Context<'a> {
 }
 
 impl<'a> Context<'a> {
-    /// Calls `proceed(done, total)` before every step, with the number of finished instants and of all; rendering
-    /// ends with [`RenderError::Stopped`] where it returns false. Calls may come from several threads.
+    /// A context with the callback `proceed(done, total)`, which is called before every step with the number of
+    /// finished instants and of all instants. If it returns false, rendering ends with [`RenderError::Stopped`]. It may
+    /// be called from several threads.
     pub fn new(proceed: &'a (dyn Fn(usize, usize) -> bool + Sync)) -> Self {
         Self { proceed, done: 0, total: 1 }
     }
 
-    /// Tells nobody, and is never stopped.
+    /// A context that reports to nobody and never stops rendering.
     pub fn unattended() -> Self {
         Self::new(&|_, _| true)
     }
@@ -27,8 +28,10 @@ impl<'a> Context<'a> {
         Self { done, total, ..self }
     }
 
+    /// Reports progress to the callback.
+    ///
     /// # Errors
-    /// [`RenderError::Stopped`] if rendering may not go on.
+    /// [`RenderError::Stopped`] if the callback stops rendering.
     pub fn check(&self) -> Result<(), RenderError> {
         if (self.proceed)(self.done, self.total) { Ok(()) } else { Err(RenderError::Stopped) }
     }

@@ -1,4 +1,5 @@
-//! §6: which features of several cameras show the same point, at all instants between the same frames.
+//! §6: spatial correspondences, features of several cameras that show the same point. They are computed once for all
+//! instants between the same frames.
 
 use super::frame_pair::is_still;
 use super::graph::{LightField, Stage};
@@ -13,8 +14,8 @@ use std::sync::Arc;
 /// Longest predicted motion to the other frame, pixels; a longer one comes from a wrong disparity.
 const MAX_PREDICTED_MOTION_PX: f64 = 30.0;
 
-/// Nearer to a frame than this fraction of the interval, motion is not predicted: the disparity's error would be
-/// divided by the fraction.
+/// Smallest distance of the instant from a frame, as a fraction of the frame interval, at which motion is predicted
+/// from the disparity. The prediction divides the disparity's error by this fraction.
 const MIN_PREDICTED_FRACTION: f64 = 0.25;
 
 /// Largest distance of a match from its epipolar line at the instant, pixels.
@@ -27,7 +28,7 @@ type Matched = [Point2<f64>; 2];
 #[derive(Clone, Copy, Debug)]
 struct Feature {
     in_frame: Point2<f64>,
-    /// `None` where nothing moves.
+    /// `None` for a still pair of frames.
     trajectory: Option<Trajectory>,
 }
 
@@ -37,22 +38,22 @@ impl Feature {
     }
 }
 
-/// The features of a camera, and where each of its partners sees them.
+/// The features of a camera's nearer frame, and their matches in its partner cameras.
 pub(super) struct MatchedFeatures {
     own: FramesAround,
     features: Vec<Feature>,
-    /// By partner, then by feature.
+    /// Each partner's frames, and one match for each feature; `None` if the feature isn't found there.
     partners: Vec<(FramesAround, Vec<Option<Matched>>)>,
 }
 
-/// Two or more cameras that see a point, and where.
+/// The cameras that see a point, each with the point's position in its image, pixels.
 pub(super) type Observations<'a> = Vec<(&'a Camera, Point2<f64>)>;
 
-/// Features of a frame that are searched in another camera.
+/// Features of a frame that are to be found in another camera.
 struct Query<'a> {
     frame: &'a Frame,
     features: &'a [Feature],
-    /// The features' expected displacements between the cameras; 0 where nothing is known.
+    /// The features' expected displacements from this camera to the other, pixels; 0 where unknown.
     disparities: &'a [Vector2<f64>],
     time_s: f64,
 }
@@ -83,7 +84,7 @@ impl Stage for Correspondences<'_> {
             if EpipolarGeometry::new(own, other).is_none() {
                 continue;
             }
-            // Where the nearer partners put the point already, look there.
+            // The search starts at the point that is triangulated from nearer partners.
             let disparity = |seen: &Observations| -> Vector2<f64> {
                 triangulate(seen)
                     .and_then(|t| Some(other.project(&t.point)? - own.project(&t.point)?))
@@ -100,7 +101,7 @@ impl Stage for Correspondences<'_> {
     }
 }
 
-/// Where cameras see each feature at a time; the camera itself alone for features that no partner sees.
+/// The observations of each feature at a time. The first is the camera's own; partners that see the feature follow.
 pub(super) fn observations<'a>(
     field: &'a LightField,
     matched: &MatchedFeatures,
@@ -115,7 +116,7 @@ pub(super) fn observations<'a>(
     seen
 }
 
-/// Adds where a partner sees features at a time, if they are near enough to their epipolar lines.
+/// Adds a partner's observations at a time, without those further than [`MAX_EPIPOLAR_PX`] from their epipolar lines.
 fn observe<'a>(
     field: &'a LightField,
     around: FramesAround,
@@ -146,7 +147,7 @@ fn observe<'a>(
     }
 }
 
-/// The middle of the times that are between these frames, and nearer to the nearer ones. 0 if nothing moves.
+/// The middle of the times at which these are every camera's nearer and farther frames. 0 if nothing moves.
 fn middle_s(field: &LightField, around: &[FramesAround]) -> f64 {
     let moving = around.iter().filter(|a| a.near != a.far);
     let span = moving.map(|a| {
@@ -158,7 +159,7 @@ fn middle_s(field: &LightField, around: &[FramesAround]) -> f64 {
     both.map_or(0.0, |[from, to]| 0.5 * (from + to))
 }
 
-/// The frame of a camera that is nearer to the instant, and the other one around it.
+/// The frames of a camera around an instant: the nearer one in time, and the farther one.
 pub(super) fn frames_around(
     field: &LightField,
     camera: usize,
@@ -206,8 +207,7 @@ impl Correspondences<'_> {
         Ok((frame, features))
     }
 
-    /// Matches features of another camera's frame in this camera's nearer frame, and follows them to its farther
-    /// one.
+    /// Finds the query's features in this camera's nearer frame, and tracks them from there to its farther frame.
     fn matched(
         &self,
         field: &LightField,
@@ -234,7 +234,7 @@ impl Correspondences<'_> {
         let found: Vec<(usize, Point2<f64>)> = (matches.iter().enumerate())
             .filter_map(|(n, m)| Some((n, m.as_ref().map(target)?)))
             .collect();
-        // The other camera's feature moves much as this one does.
+        // The motion to the farther frame is predicted from the feature's motion in the query's camera.
         let starts: Vec<_> = found
             .iter()
             .map(|&(n, p)| {

@@ -15,17 +15,17 @@ use std::sync::Arc;
 
 /// Fraction of the range of inverse depths that is added at both ends, for what is nearer or farther than all features.
 const RANGE_MARGIN: f64 = 0.1;
-/// Distance between the samples of the proxy that give the range, pixels.
+/// Step between the pixels of the proxy's depth map that the range of depths is computed from.
 const RANGE_STEP_PX: usize = 8;
 /// Smallest inverse depth, 1/m.
 const MIN_INVERSE_DEPTH: f64 = 1e-5;
-/// Bytes of a matcher, per pixel of its cameras.
+/// Size of a matcher, bytes per pixel of its cameras' images.
 const MATCHER_BYTES: usize = 16;
 
-/// Images that are prepared for stereo, and the ranges of their depths.
+/// A stereo matcher with its prepared images, and the range of depths of each camera.
 pub(super) struct PreparedStereo {
     matcher: Matcher,
-    /// By camera of the stereo: inverse depths, 1/m; `None` if no point of the scene is in front of it.
+    /// The range of inverse depths in each camera of the stereo, 1/m; `None` if no scene point is in front of it.
     ranges: Vec<Option<[f64; 2]>>,
     bytes: usize,
 }
@@ -85,7 +85,8 @@ impl Stereo<'_> {
         options
     }
 
-    /// The depths of these cameras, which are among the stereo's; without those whose depths can't be estimated.
+    /// Estimates the depths of `cameras`, a subset of the stereo's. Cameras whose depths can't be estimated are not in
+    /// the result.
     pub fn surfaces(
         &self,
         field: &LightField,
@@ -104,11 +105,11 @@ impl Stereo<'_> {
     }
 }
 
-/// A camera, and its depths.
+/// A camera's index, and its estimated depths.
 pub(super) type EstimatedDepth = (usize, Arc<Option<InverseDepths>>);
 
 impl Stage for CameraDepth<'_> {
-    /// `None` without a camera at another place, or without a range of depths.
+    /// `None` if no other camera stands at another place, or if the range of depths is unknown.
     type Output = Option<InverseDepths>;
     const NAME: &'static str = "depth";
 
@@ -133,7 +134,7 @@ impl Stage for CameraDepth<'_> {
 }
 
 impl Stage for OcclusionDepths<'_> {
-    /// By camera, in the capture's order; `None` for cameras that are not of the stereo.
+    /// One depth map a camera, in the capture's order; `None` for cameras that don't take part in the stereo.
     type Output = Vec<Option<Arc<DepthMap>>>;
     const NAME: &'static str = "occlusion depths";
 

@@ -1,5 +1,5 @@
-//! The scene's shape at an instant as a view needs it: its own depths, and what is occluded in the cameras that it is
-//! blended from.
+//! The scene's shape at an instant, for one view: the depth map of the view, and those of the cameras that it is
+//! blended from, for occlusion.
 
 use super::depth::surfaces;
 use super::graph::LightField;
@@ -13,16 +13,16 @@ use crate::options::{ProxyMethod, RenderOptions};
 use crate::stereo::{FURTHER_CAMERAS, fuse};
 use std::sync::Arc;
 
-/// The depths of a view, and of the cameras that it is blended from.
+/// The depth maps of a view, and of the cameras that it is blended from.
 #[derive(Clone, Debug)]
 pub struct Geometry {
-    /// Of the view.
+    /// The view's depth map.
     pub view: DepthMap,
-    /// Of every camera, in the capture's order. `None`: nothing is occluded in it.
+    /// Every camera's depth map, in the capture's order. `None`: no occlusion in the camera is assumed.
     pub sources: Vec<Option<Arc<DepthMap>>>,
 }
 
-/// The cameras whose images decide a view's depths or the weights of time, nearest first. None, if the proxy is built
+/// The cameras whose images decide a view's depths or the weights of time, nearest first. Empty if the proxy is built
 /// from features and time has no weight.
 pub(super) fn nearest_cameras(
     field: &LightField,
@@ -66,8 +66,8 @@ pub(super) fn geometry(
     Ok(Geometry { view: proxy.depth_map(target), sources: vec![None; cameras] })
 }
 
-/// The depths that the cameras nearest to the view agree on. `None` with fewer than two cameras, or if nothing is
-/// known of the scene's depths.
+/// The geometry from depth per pixel of the cameras nearest to the view. `None` with fewer than two cameras, or if no
+/// camera's depths can be estimated.
 fn by_stereo(
     field: &LightField,
     target: &Camera,
@@ -84,7 +84,7 @@ fn by_stereo(
     }
     let mut estimated = cameras.clone();
     estimated.truncate(options.proxy.depth.cameras.max(1));
-    // Sorted, so that views from other places share them.
+    // Sorted, so that all views with these nearest cameras share the cached depths.
     cameras.sort_unstable();
     estimated.sort_unstable();
     let images = ImageSource::new(shape, options);

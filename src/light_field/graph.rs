@@ -15,7 +15,7 @@ use std::sync::Arc;
 /// A stage of the graph, with its inputs.
 pub(super) trait Stage: Serialize {
     type Output: Any + Send + Sync;
-    /// Tells the stage's results from those of others.
+    /// The stage's name, by which the cache separates its results from those of other stages.
     const NAME: &'static str;
 
     /// The size of a result, bytes.
@@ -51,12 +51,12 @@ impl LightField {
         Self::with_frames(&FrameStore::new(capture, &RegistrationOptions::default()), offsets)
     }
 
-    /// The light field of a capture, with the frames that are cached already.
+    /// The light field of a store's capture, which shares the store's cached frames.
     pub fn with_frames(frames: &FrameStore, offsets: Offsets) -> Self {
         let capture = frames.capture().clone();
         let all_times_s = offsets.common_times_s(&capture);
         let mut hasher = blake3::Hasher::new();
-        // The hasher takes all bytes, and times are plain numbers.
+        // This can't fail: a hasher accepts all bytes, and lists of numbers can be serialized.
         let written = serde_json::to_writer(&mut hasher, &all_times_s);
         debug_assert!(written.is_ok());
         let times_hash = hasher.finalize().to_hex().to_string();
@@ -90,7 +90,7 @@ impl LightField {
         self.memo.get_or(S::NAME, stage, S::bytes, || stage.compute(self, context))
     }
 
-    /// The result of a stage: cached in memory, stored on disk, else computed.
+    /// The result of a stage: from memory, else from disk, else computed.
     pub(super) fn get_stored<S: StoredStage>(
         &self,
         stage: &S,
@@ -111,7 +111,8 @@ impl LightField {
         self.capture.store(S::KIND, &self.stored_inputs(stage), || self.get(stage, context))
     }
 
-    /// A stage's inputs and the clocks, which on disk may be those of another light field.
+    /// The key of a stage's result on disk: its inputs and a hash of the clocks, since a capture's cache may hold
+    /// results for several offsets.
     fn stored_inputs<'a, S: StoredStage>(&'a self, stage: &'a S) -> (&'a S, &'a str) {
         (stage, &self.times_hash)
     }

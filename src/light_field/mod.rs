@@ -5,9 +5,10 @@
 //!   §4             §4                            §5                            §6                  §6
 //! ```
 //!
-//! [`render`] is the one way to a view. It asks for the results of stages, which ask for others. A stage depends on its
-//! inputs (`stages.rs`) and on the capture's frames and clocks, and on nothing else. One memo caches results by their
-//! serialized inputs, so that views of one instant share what they have in common.
+//! [`render`] is the only entry point. It requests results of stages, and stages request results of earlier stages. A
+//! result depends on the stage's inputs (`stages.rs`) and on the capture's frames and clocks, and on nothing else. One
+//! cache in memory, the memo, holds results by their serialized inputs. So views of one instant share all results that
+//! don't depend on the viewpoint.
 //!
 //! | file | what |
 //! |---|---|
@@ -18,14 +19,14 @@
 //! | `camera_image.rs` | §5: a camera's image at an instant |
 //! | `correspondences.rs` | §6: features that show the same point |
 //! | `points.rs` | §6: points of the scene, and the proxy through them |
-//! | `depth.rs` | depth per pixel of cameras |
+//! | `depth.rs` | depth per pixel, for the cameras |
 //! | `geometry.rs` | the depths of a view, and what is occluded in the cameras |
 //! | `view.rs` | §6: the blended view |
 //! | `scene_flow.rs` | depth and motion of frames, and views from them |
 //! | `all_cameras.rs` | a camera's image from all cameras |
-//! | `request.rs` | a view as it is asked for |
+//! | `request.rs` | the request of a view |
 //! | `render.rs`, `trail.rs` | a view, and Fig. 1: temporal integration |
-//! | `prepare.rs` | what is stored on disk for later views |
+//! | `prepare.rs` | tracks and gains, stored on disk for later views |
 
 mod all_cameras;
 mod camera_image;

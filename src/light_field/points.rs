@@ -93,7 +93,7 @@ impl LightField {
                 Mesh::build(points, target, options.proxy.depth_edges).map(Proxy::Mesh)
             }
         };
-        // A view of a bare spot, or of a single pixel, has no feature in it, but a depth.
+        // A view without features, such as of a textureless spot or of one pixel, gets the depth of the points around.
         let around = || Plane::amid(points, target).map(Proxy::Plane);
         let is_seen = |p| target.project(p).is_some_and(|pixel| target.contains(&pixel));
         proxy.or_else(around).ok_or_else(|| {
@@ -106,8 +106,8 @@ impl LightField {
     }
 }
 
-/// Decodes the frames around an instant that these stages need: side by side, and each once. Decodes nothing if the
-/// memo doesn't hold all of them.
+/// Decodes the frames around an instant that these stages need, in parallel and each once. Does nothing if the cache
+/// can't hold all of them together.
 fn load_frames<'a>(
     field: &LightField,
     stages: impl Iterator<Item = &'a CameraPoints<'a>>,
@@ -134,7 +134,7 @@ fn load_frames<'a>(
     })
 }
 
-/// The cameras nearest to a view, each with those that its features are matched with.
+/// The cameras nearest to a view, each with its partners: the cameras that its features are matched with.
 fn with_partners(
     field: &LightField,
     target: &Camera,

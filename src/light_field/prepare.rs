@@ -1,5 +1,4 @@
-//! What is computed beforehand and stored on disk, so that later views need not: the tracks of frame pairs, and the
-//! cameras' gains.
+//! Computes the tracks of all frame pairs and the cameras' gains beforehand, and stores them on disk for later views.
 
 use super::frame_pair::is_still;
 use super::graph::{LightField, StoredStage};
@@ -10,7 +9,7 @@ use crate::registration::{Gains, Track};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
-/// Largest size of an entry beside its result, bytes.
+/// Largest overhead of a stored result, bytes.
 const ENTRY_BYTES: usize = 64;
 
 /// The kinds of entries in a capture's cache that [`LightField::prepare`] stores.
@@ -21,14 +20,14 @@ pub const PREPARED: [&str; 2] = [PairTracks::KIND.name, Gains::KIND.name];
 pub struct Preparation {
     /// Number of frame pairs in which something moves.
     pub pairs: usize,
-    /// Number of those that were stored already.
+    /// Number of these frame pairs whose tracks had been stored before.
     pub found: usize,
-    /// Size of all of them, and of the gains, bytes.
+    /// Size of all stored tracks and gains, bytes.
     pub bytes: u64,
 }
 
 impl LightField {
-    /// The number of frame pairs, and the largest size that they take on disk, bytes.
+    /// The number of frame pairs, and an upper bound on the size that [`Self::prepare`] takes on disk, bytes.
     pub fn preparation_size(&self, options: &RenderOptions) -> (usize, u64) {
         let cameras = self.capture().cameras.len();
         let pairs: usize = (0..cameras).map(|c| self.times_s(c).len().saturating_sub(1)).sum();
@@ -37,8 +36,8 @@ impl LightField {
         (pairs, (pairs * (tracks * size_of::<Track>() + ENTRY_BYTES) + gains + ENTRY_BYTES) as u64)
     }
 
-    /// Registers all frame pairs in which something moves, and stores them on disk; those that are stored stay as they
-    /// are. `progress` is called with the number of finished pairs.
+    /// Registers all frame pairs in which something moves, and stores their tracks on disk. Pairs that are stored
+    /// already are skipped. `progress` is called with the number of finished pairs.
     ///
     /// # Errors
     /// [`RenderError::Capture`] if a frame can't be read, [`RenderError::Prepare`] if nothing can be written.
@@ -54,7 +53,7 @@ impl LightField {
         let frames = (0..cameras).map(|c| times(c).len()).max().unwrap_or(0);
         let (done, found) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let (pairs, bytes) = (AtomicUsize::new(0), AtomicU64::new(gains_bytes));
-        // By time, so that pairs share the frames that are decoded.
+        // In order of time, so that successive pairs share a decoded frame.
         for frame in 0..frames.saturating_sub(1) {
             (0..cameras).into_par_iter().try_for_each(|camera| {
                 if frame + 1 >= times(camera).len() {

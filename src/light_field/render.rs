@@ -1,4 +1,4 @@
-//! The one way to a view.
+//! Renders a view, with or without a motion trail: the entry point of the module.
 
 use super::graph::LightField;
 use super::stages::{CameraImage, ImageMethod};
@@ -10,11 +10,11 @@ use crate::host::on_workers;
 use crate::lumigraph::Rendered;
 use crate::options::RenderOptions;
 
-/// A view, or a filming camera's image, integrated over the trail of the options.
+/// Renders a view, or a filming camera's image. If the options have a motion trail, integrates over its instants.
 ///
-/// A trail ends where the recording starts: instants before it are skipped, and so are those at which no camera sees
-/// anything or the shape can't be triangulated. The last instant is never skipped: its error is the result. A pixel is
-/// covered if it is covered at any of the instants, and integrates over those.
+/// Instants of a trail are skipped before the recording starts, where no camera sees anything, and where the proxy
+/// can't be triangulated. The request's own instant is never skipped: its error is returned. A pixel integrates over
+/// the instants that cover it, and is covered if any does.
 ///
 /// # Errors
 /// [`RenderError::Time`], [`RenderError::CameraTime`] or [`RenderError::NoClock`] if there is no image at that time,

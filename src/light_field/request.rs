@@ -9,7 +9,7 @@ use crate::options::{ProxyMethod, RenderOptions};
 /// The viewpoint of a request.
 #[derive(Clone, Copy, Debug)]
 pub enum Viewpoint<'a> {
-    /// A camera that need not have filmed.
+    /// Any camera, also one that doesn't film.
     View(&'a Camera),
     /// A filming camera, by its index: its own image at the instant.
     Like(usize),
@@ -21,7 +21,7 @@ pub struct Request<'a> {
     pub from: Viewpoint<'a>,
     /// Seconds on the reference's clock, from the capture's start.
     pub time_s: f64,
-    /// Options in which `auto` leaves nothing to be chosen.
+    /// Options of all stages; every `auto` is already replaced by a method.
     pub options: &'a RenderOptions,
     /// The images that are blended.
     pub images: Images<'a>,
@@ -52,7 +52,7 @@ impl LightField {
     /// Checks that there are images from a viewpoint at all of these times.
     ///
     /// # Errors
-    /// The error of rendering the first time at which the cameras had not begun or had ended.
+    /// The error of [`super::render()`] for the first of the times that lies outside the recordings.
     pub fn check_times(&self, from: Viewpoint, times_s: &[f64]) -> Result<(), RenderError> {
         times_s.iter().try_for_each(|&time_s| match from {
             Viewpoint::Like(camera) => self.bracket(camera, time_s).map(drop),

@@ -26,7 +26,7 @@ pub(super) struct FrameChange<'a>(pub PairTracks<'a>);
 #[derive(Serialize)]
 pub(super) struct PairTriangles<'a>(pub PairTracks<'a>);
 
-/// Costs of the refinement that depend on a pair alone.
+/// The refinement's costs that depend on a frame pair alone, not on the instant.
 #[derive(Serialize)]
 pub(super) struct RefinementCosts<'a> {
     pub tracks: PairTracks<'a>,
@@ -57,7 +57,7 @@ pub(super) struct ImageMethod {
     pub interpolation: Option<InterpolationOptions>,
     /// Whether the error of interpolation is wanted beside the image.
     pub with_error: bool,
-    /// Options of [`SyncMethod::AllCameras`] alone.
+    /// Options of [`SyncMethod::AllCameras`]; `None` for other methods.
     pub all_cameras: Option<AllCamerasOptions>,
 }
 
@@ -68,7 +68,7 @@ pub(super) struct AllCamerasOptions {
     pub blend: BlendOptions,
 }
 
-/// An instant, and the options that tell whether features move around it.
+/// An instant, and the options by which the frames around it are registered or recognized as still.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct Instant<'a> {
     pub time_s: f64,
@@ -87,7 +87,7 @@ impl ImageMethod {
     pub fn new(sync: SyncMethod, options: &RenderOptions) -> Self {
         let RenderOptions { registration, interpolation, proxy, blend, .. } = options.clone();
         let follows_motion = sync.needs_tracks();
-        // Refinement finds the error on its way, so that views with and without weights of time share images.
+        // Refinement computes the error in any case. So views with and without weights of time share images.
         let with_error =
             sync == SyncMethod::Refined || follows_motion && blend.method == BlendMethod::SpaceTime;
         let all_cameras =
@@ -100,9 +100,9 @@ impl ImageMethod {
 /// Where the cameras' images at an instant come from.
 #[derive(Clone, Copy, Debug)]
 pub enum Images<'a> {
-    /// They are synchronized by this method.
+    /// Synchronized from the capture's frames, by this method.
     By(SyncMethod),
-    /// They are these.
+    /// The images themselves, such as the truth's.
     Given(&'a GivenImages),
 }
 
@@ -113,7 +113,7 @@ pub(super) type CameraImages = Vec<Option<Arc<Synchronized>>>;
 #[derive(Debug)]
 pub struct GivenImages {
     images: CameraImages,
-    /// Whether they are as bright as the reference records them; else as filmed.
+    /// Whether the images are as bright as the reference camera records them; else as their own camera does.
     are_corrected: bool,
     hash: OnceLock<String>,
 }
@@ -129,8 +129,8 @@ impl GivenImages {
         Self { images, are_corrected: true, hash: OnceLock::new() }
     }
 
-    /// These images' errors of interpolation, with a colour in place of each camera's image: RGB of 0 to 1, in the
-    /// capture's order. A pixel of a view of them is the mean of the colours by the cameras' weights.
+    /// Replaces each camera's image by a uniform colour: RGB of 0 to 1, in the capture's order. Interpolation errors
+    /// stay. A view of the result shows the blending weights: a pixel is the weighted mean of the cameras' colours.
     ///
     /// # Panics
     /// If there are fewer colours than cameras.
@@ -177,7 +177,7 @@ impl Serialize for GivenImages {
     }
 }
 
-/// Another image, with this one's error of interpolation.
+/// `image` with the interpolation error of `of`.
 pub(super) fn with_image(of: &Synchronized, image: Image) -> Synchronized {
     Synchronized { image, interpolation_error_px: of.interpolation_error_px.clone() }
 }
@@ -226,7 +226,7 @@ pub(super) struct CameraPoints<'a> {
 /// The images of cameras at an instant, prepared for stereo, and the ranges of their depths.
 #[derive(Clone, Copy, Serialize)]
 pub(super) struct Stereo<'a> {
-    /// Ascending.
+    /// Camera indices, ascending.
     pub cameras: &'a [usize],
     pub instant: Instant<'a>,
     pub images: &'a ImageSource<'a>,
@@ -240,7 +240,8 @@ pub(super) struct CameraDepth<'a> {
     pub camera: usize,
 }
 
-/// The depths of all cameras of a stereo, those of some of them estimated and the others' projected from these.
+/// Depth maps of all cameras of a stereo, for occlusion. Those of `estimated` are estimated by matching; the others are
+/// fused from these.
 #[derive(Serialize)]
 pub(super) struct OcclusionDepths<'a> {
     pub stereo: Stereo<'a>,
@@ -277,7 +278,7 @@ const OF_INSTANTS: [&str; 7] = [
 ];
 
 impl LightField {
-    /// Drops the results that belong to an instant, so that the next view takes as long as the first of an instant
+    /// Drops the cached results of all instants. The next view then takes as long as the first view of a new instant
     /// between registered frames.
     pub(crate) fn forget_instants(&self) {
         self.memo.forget(|stage| OF_INSTANTS.contains(&stage));

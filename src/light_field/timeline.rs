@@ -4,9 +4,11 @@ use super::{LightField, RenderError};
 use crate::capture::Capture;
 use crate::offset::clocks;
 
-/// What can be said of times before offsets are known, which may take long to estimate: an error for
-/// the first of them at which no camera, or not this one, can have a frame whatever the offsets. Seconds
-/// from the capture's start.
+/// Checks times, seconds from the capture's start, before the offsets are estimated, which may take long.
+///
+/// # Errors
+/// For the first time that lies outside the recording of the camera, or for `None` of all cameras, whatever the
+/// offsets.
 pub fn check_times_before_offsets(
     capture: &Capture,
     camera: Option<usize>,
@@ -86,7 +88,8 @@ impl LightField {
         (0..self.capture().cameras.len()).filter_map(|c| self.span_s(c))
     }
 
-    /// How many cameras have a time between two frames, at least this fraction of the interval away from both.
+    /// The number of cameras for which a time lies between two frames, at least this fraction of the frame interval
+    /// from both.
     pub(crate) fn between_frames(&self, time_s: f64, fraction: f64) -> usize {
         let is_between = |&camera: &usize| {
             let times = self.times_s(camera);
@@ -98,8 +101,8 @@ impl LightField {
         (0..self.capture().cameras.len()).filter(is_between).count()
     }
 
-    /// The frames on both sides of a time; one frame twice if it is of that very time. A static light field has its
-    /// frames at any time, whatever its clocks.
+    /// The indices of the frames before and after a time; one index twice if a frame has exactly this time. In a static
+    /// light field, every camera's only frame is valid at any time, whatever its clock.
     pub(super) fn bracket(
         &self,
         camera: usize,
@@ -121,7 +124,7 @@ impl LightField {
         })
     }
 
-    /// Why no camera has an image at a time.
+    /// The error for a time at which no camera has an image.
     pub(super) fn no_camera_at(&self, time_s: f64) -> RenderError {
         let first_s = self.spans_s().map(|s| s.0).fold(f64::INFINITY, f64::min);
         let last_s = self.spans_s().map(|s| s.1).fold(f64::NEG_INFINITY, f64::max);

@@ -1,20 +1,20 @@
-//! Temporal integration (Fig. 1): the paths of what moves, in one picture.
+//! Temporal integration (Fig. 1): a motion trail, which shows the paths of moving objects in one picture.
 //!
-//! The paper overlays the images of every camera's sequence and blends the overlays. Here the
-//! finished views of the instants are overlaid, each with the proxy of its own instant: equal
-//! for a plane that stays where it is, and right for shapes that move with time as well.
+//! The paper overlays the images of every camera's sequence and blends the overlays. Here the finished views of the
+//! instants are overlaid, each rendered with the proxy of its own instant. With a static plane as proxy the results are
+//! equal. With a proxy that changes over time, only the overlay of views is right.
 
 use crate::lumigraph::Rendered;
 use crate::options::TrailMode;
 use crate::raster::{Image, encoded_from_linear, linear_from_encoded};
 
-/// Instants of one trail, added up.
+/// Accumulates the views at the instants of a trail.
 pub(super) struct Overlay {
     mode: TrailMode,
     size: (usize, usize, usize),
-    /// Sums of linear light, or the largest encoded values.
+    /// For each pixel and channel, the sum of linear light or the largest display-encoded value, depending on the mode.
     values: Vec<f64>,
-    /// How many instants cover a pixel.
+    /// The number of instants that cover each pixel.
     counts: Vec<u32>,
 }
 
@@ -29,7 +29,7 @@ impl Overlay {
         }
     }
 
-    /// Adds an instant; all instants of a view have its size and channels.
+    /// Adds the view at one instant. All views must have the same size and channels.
     pub fn add(&mut self, rendered: &Rendered) {
         let channels = self.size.2;
         let pixels = rendered.image.data().chunks_exact(channels);

@@ -67,7 +67,8 @@ fn images(
             return images_of(field, &source, &candidates, instant, context);
         }
     };
-    // The nearest cameras' whole images decide depths or weights; the others' may be cached.
+    // Whole images are needed of the nearest cameras, and cost nothing where they are cached. Of other cameras, only
+    // tiles that contribute are computed.
     let mut whole = near;
     let is_cached = |&c: &usize| field.cached(&CameraImage { camera: c, time_s, method }).is_some();
     whole.extend(candidates.iter().copied().filter(is_cached));
@@ -101,8 +102,8 @@ fn images(
     Ok(all)
 }
 
-/// The cameras, of those with an image, that a view is blended from, and which parts of their images: most of a large
-/// rig are nowhere among the best.
+/// The cameras that contribute to a view, and the tiles of their images that do. In a large rig, most cameras have no
+/// weight anywhere.
 fn needed(
     field: &LightField,
     images: &CameraImages,
@@ -130,13 +131,14 @@ impl LightField {
     }
 }
 
-/// A black image of a camera's kind.
+/// A black image with a camera's size and channels.
 fn blank(filmed: &FilmedCamera) -> Image {
     let channels = if filmed.color == Color::Gray { 1 } else { 3 };
     Image::filled(filmed.camera.width, filmed.camera.height, channels, 0.0)
 }
 
-/// The cameras that have an image. Errors of interpolation count in weights of time alone.
+/// The sources of a blend: all cameras with an image. They have interpolation errors only for
+/// [`BlendMethod::SpaceTime`].
 fn sources<'a>(
     field: &'a LightField,
     images: &'a [Option<Arc<Synchronized>>],

@@ -29,7 +29,7 @@ const HEADERS: [(header::HeaderName, &str); 8] = [
     ),
 ];
 
-/// Header: the methods of a picture.
+/// Name of the header that tells by which methods a picture was rendered.
 const MADE_BY: header::HeaderName = header::HeaderName::from_static("x-made-by");
 
 pub(super) fn respond(media_type: &'static str, body: impl Into<Bytes>) -> Reply {

@@ -29,7 +29,7 @@ pub(super) fn encode_saved(view: &Rendered, depth: BitDepth) -> Result<Vec<u8>, 
     encode_png(&view.image, coverage, depth).map_err(failed)
 }
 
-/// Colours of cameras by position, so that a blend of neighbours has a colour between theirs.
+/// Colours of cameras by position. Neighbours have similar colours, so that the mean of two colours lies between them.
 pub(super) struct Colors(Vec<[f32; 3]>);
 
 /// Hues of the leftmost and the rightmost camera, as fractions of the colour circle.
@@ -55,7 +55,7 @@ impl Colors {
         &self.0
     }
 
-    /// `#rrggbb`.
+    /// A camera's colour as `#rrggbb`.
     pub fn hex(&self, camera: usize) -> String {
         let [r, g, b] = self.0[camera].map(|v| (v * 255.0).round() as u8);
         format!("#{r:02x}{g:02x}{b:02x}")

@@ -1,4 +1,4 @@
-//! Checks which requests may be answered.
+//! Checks whether a request may be answered.
 
 use super::LiveError;
 use hyper::http::request::Parts;
@@ -77,7 +77,7 @@ impl Guard {
         };
         let site = request.headers.get("sec-fetch-site").map(|v| v.as_bytes());
         let is_own = matches!(site, None | Some(b"same-origin" | b"none"));
-        // A link to the page may stand anywhere; what it shows is its own.
+        // Any site may link to the page, but only the page itself may request its contents.
         if !is_own && !rest.is_empty() {
             return refused(StatusCode::FORBIDDEN, "another page may not ask");
         }

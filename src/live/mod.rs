@@ -9,13 +9,13 @@
 //! |---|---|
 //! | `mod.rs` | what is served, and what refuses a request |
 //! | `rig_frame.rs` | viewpoints, and the rig's own axes |
-//! | `request.rs` | a picture as an address asks for it |
+//! | `request.rs` | the picture that an address requests |
 //! | `studio.rs` | pictures of the light field, of traditional LFR, and of the cameras that pixels come from |
 //! | `true_views.rs` | pictures of the truth |
 //! | `encode.rs` | pictures as files |
 //! | `queue.rs`, `workers.rs` | each viewer's latest request, and the threads that answer it |
-//! | `scene.rs` | what the page knows of the capture |
-//! | `guard.rs` | who may ask |
+//! | `scene.rs` | the description of the capture for the page |
+//! | `guard.rs` | the check whether a request may be answered |
 //! | `server.rs`, `answer.rs` | HTTP, within bounds of size, number and time |
 //! | `page/` | the page |
 //!
@@ -70,7 +70,7 @@ pub enum LiveError {
     /// The program failed unexpectedly.
     #[error("rendering failed by an error of the program; its output in the terminal says more")]
     Panicked,
-    /// The request is none that is answered.
+    /// The request is not allowed: the HTTP status, and why.
     #[error("{1}")]
     Refused(StatusCode, &'static str),
 }

@@ -12,7 +12,7 @@ const MAX_WAITING: usize = 32;
 /// A picture, or why it can't be made.
 pub(super) type Answer = Result<Picture, LiveError>;
 
-/// A request, and which parts of it are outdated by its viewer's next one.
+/// A request, and which parts of it are outdated by a later request of its viewer.
 pub(super) struct Asked {
     pub request: PictureRequest,
     is_outdated: AtomicBool,
@@ -27,7 +27,7 @@ pub(super) struct Job {
 }
 
 impl Asked {
-    /// Whether the viewer is still at the instant, from any viewpoint.
+    /// Whether the viewer still looks at this instant by this method, from whatever viewpoint.
     pub fn is_instant_wanted(&self) -> bool {
         !self.is_instant_outdated.load(Ordering::Relaxed)
     }
@@ -37,7 +37,7 @@ impl Asked {
         (self.request.time_s, self.request.method) != (other.time_s, other.method)
     }
 
-    /// Whether the viewer's next request replaces it.
+    /// Whether a later request of this viewer replaces this one.
     fn is_replaceable_by(&self, viewer: &str) -> bool {
         self.request.level != Level::Saved && self.request.viewer == viewer
     }
@@ -49,7 +49,7 @@ impl Job {
         !self.asked.is_outdated.load(Ordering::Relaxed) && !self.reply.is_closed()
     }
 
-    /// Answers. The request counts as running, and may be outdated, until what is returned is dropped.
+    /// Sends the answer. Until the returned value is dropped, the request counts as running, and may become outdated.
     pub fn answer(self, answer: Answer) -> Arc<Asked> {
         // The viewer may have gone.
         let _ = self.reply.send(answer);
@@ -72,8 +72,8 @@ struct QueueState {
 }
 
 impl Queue {
-    /// Replaces the viewer's earlier request: the receiver of a waiting one is closed, a running one is stopped. A
-    /// request to save replaces none.
+    /// Adds a request, which replaces the viewer's earlier one: the receiver of a waiting one is closed, a running one
+    /// is stopped. A request to save replaces none.
     ///
     /// # Errors
     /// [`LiveError::Busy`] if too many wait.
@@ -83,7 +83,7 @@ impl Queue {
         let replaces = request.level != Level::Saved && !request.viewer.is_empty();
         let is_replaced = |asked: &Asked| replaces && asked.is_replaceable_by(&request.viewer);
         state.waiting.retain(Job::is_wanted);
-        // A refused viewer keeps the picture that is being rendered.
+        // Before anything is replaced, so that a refused viewer still gets the picture that is being rendered.
         if state.waiting.iter().filter(|job| !is_replaced(&job.asked)).count() >= MAX_WAITING {
             return Err(LiveError::Busy);
         }
@@ -102,8 +102,8 @@ impl Queue {
         Ok(receiver)
     }
 
-    /// Waits for the next quick request, or for the next other one: each kind has its own workers, so that quick ones
-    /// never wait for slow ones. `None` once the queue is closed.
+    /// Waits for the next request that is quick, or for the next that is not. Each kind has its own workers, so that
+    /// quick requests never wait for slow ones. `None` once the queue is closed.
     pub fn take(&self, is_quick: bool) -> Option<Job> {
         let mut state = self.lock();
         loop {
@@ -120,7 +120,7 @@ impl Queue {
         }
     }
 
-    /// Whether a request of full quality with another instant or method waits.
+    /// Whether a request of full quality for another instant or method is waiting.
     pub fn has_apart(&self, asked: &Asked) -> bool {
         let mut state = self.lock();
         state.waiting.retain(Job::is_wanted);

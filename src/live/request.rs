@@ -6,11 +6,11 @@
 //! | `level` | `quick`; `full`: the chosen options; `saved`: the same without loss, as `stlfr render` writes it |
 //! | `t` | seconds on the reference's clock, as in the capture's file |
 //! | `x`, `y`, `z` | to the right, up, ahead, metres: see [`super::RigFrame`] |
-//! | `at` | in their place, `cN` for a camera's, `tN` for that of an image of the truth |
+//! | `at` | instead of `x`, `y` and `z`: `cN` for the place of camera N, `tN` for that of the truth's image N |
 //! | `yaw`, `pitch` | turn to the right and up, degrees |
 //! | `zoom` | focal length over the reference's |
 //! | `w`, `h` | pixels |
-//! | `viewer`, `slot` | who asks, and for which part of the page: a request takes the place of the one before. Without them, it takes none's |
+//! | `viewer`, `slot` | viewer, and part of the page: a request replaces the last one with the same two. Optional |
 //!
 //! Names and values are letters, digits and `.+-`: nothing is escaped.
 
@@ -43,7 +43,7 @@ pub enum Level {
 /// A viewpoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Place {
-    /// In the rig's axes, metres.
+    /// A position in the rig's axes, metres.
     Free([f64; 3]),
     /// A camera's, by its index.
     Camera(usize),
@@ -54,7 +54,7 @@ pub enum Place {
 /// Direction, zoom and size of a view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewDirection {
-    /// To the right and up, degrees.
+    /// Rotation to the right and up, degrees.
     pub turn_deg: [f64; 2],
     /// Focal length over the reference's.
     pub zoom: f64,

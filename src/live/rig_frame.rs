@@ -45,8 +45,8 @@ fn axis_sums(cameras: &[Camera], weight: impl Fn(&Camera) -> f64) -> [Vector3<f6
     sums
 }
 
-/// The rotation to the world whose z axis is `ahead` and whose y axis is nearest to `down`. `None` if they are
-/// parallel.
+/// The rotation to the world from axes whose z axis is `ahead` and whose y axis is as near to `down` as possible.
+/// `None` if the two are parallel or almost 0.
 fn looking(ahead: Vector3<f64>, down: Vector3<f64>) -> Option<UnitQuaternion<f64>> {
     let ahead = ahead.try_normalize(1e-6)?;
     let right = down.cross(&ahead).try_normalize(1e-6)?;
@@ -69,7 +69,7 @@ impl RigFrame {
         Self { world_from_rig, cameras, reference, truths, spacing_m }
     }
 
-    /// Width and height of the reference camera's images: the largest of pictures, pixels.
+    /// Largest width and height of a picture, pixels: those of the reference camera's images.
     pub fn largest_size(&self) -> [usize; 2] {
         let reference = &self.cameras[self.reference];
         [reference.width, reference.height]
@@ -78,7 +78,7 @@ impl RigFrame {
     /// The camera of a picture.
     ///
     /// # Errors
-    /// If its place or its size is out of bounds, or no camera or image of the truth is there.
+    /// If the viewpoint or the size is out of bounds, or if there is no camera or true image with the given index.
     pub fn camera(&self, request: &PictureRequest) -> Result<Camera, LiveError> {
         let found = |all: &[Camera], index: usize, what: &str| match all.get(index) {
             Some(camera) => self.at_camera(camera, &request.view),
@@ -123,7 +123,7 @@ impl RigFrame {
     /// If the place is out of bounds, or as [`Self::at_camera`].
     fn at_place(&self, place: [f64; 3], view: &ViewDirection) -> Result<Camera, LiveError> {
         let [low, high] = self.bounds();
-        // Half a millionth of the extent is rounding of what the page was told.
+        // The tolerance covers the rounding of bounds and coordinates by the page.
         let is_inside = (0..3).all(|k| {
             let slack = 1e-6 * (high[k] - low[k]);
             (low[k] - slack..=high[k] + slack).contains(&place[k])

@@ -22,7 +22,7 @@ pub(super) fn scene(studio: &Studio) -> Value {
     json!({
         "name": capture.name,
         "folder": capture.folder.display().to_string(),
-        // The words of a command line that choose the options.
+        // The command-line arguments that give these options.
         "options": studio.words,
         "cameras": cameras,
         "lens": { "width": width, "height": height },

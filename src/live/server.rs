@@ -110,7 +110,7 @@ async fn accept(listener: TcpListener, site: Arc<ServedSite>) -> io::Result<()> 
     let free = Arc::new(Semaphore::new(MAX_CONNECTIONS));
     loop {
         let Ok((stream, _)) = listener.accept().await else {
-            // The one who connected has gone, or there are too many open files for now.
+            // The browser has disconnected already, or there are too many open files for now.
             tokio::time::sleep(RETRY).await;
             continue;
         };
@@ -126,7 +126,7 @@ async fn accept(listener: TcpListener, site: Arc<ServedSite>) -> io::Result<()> 
 
 /// Answers the requests of a connection until it ends.
 async fn converse(stream: TcpStream, site: Arc<ServedSite>) {
-    // Without it, the last part of a picture may wait for the browser's word that it has the others.
+    // Without this, the last part of a picture may be held back until the browser acknowledges the others.
     let _ = stream.set_nodelay(true);
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(WRITE_TIMEOUT));
@@ -144,7 +144,7 @@ async fn converse(stream: TcpStream, site: Arc<ServedSite>) {
         .max_headers(MAX_HEADERS)
         .serve_connection(TokioIo::new(Box::pin(stream)), service)
         .await;
-    // Whatever ended it, the browser opens another.
+    // Errors need no handling: the browser opens another connection.
     drop(served);
 }
 
@@ -154,7 +154,7 @@ async fn reply(site: &ServedSite, request: Request<Incoming>) -> Result<Reply, L
     match site.guard.admit(&parts)? {
         "picture" => {
             let answer = site.queue.submit(PictureRequest::parse(query)?)?;
-            // If the browser goes, so does this future, and nobody waits any more.
+            // If the browser disconnects, this future is dropped, and the job counts as no longer wanted.
             Ok(picture(answer.await.unwrap_or(Err(LiveError::Superseded))?))
         }
         // The camera of a picture, as `stlfr render --camera` reads it.

@@ -36,15 +36,16 @@ pub struct Studio<'a> {
     pub(super) rig: Arc<RigFrame>,
     pub(super) truth: TrueViews,
     pub(super) colors: Colors,
-    /// The command-line words of the options, which the page shows.
+    /// The command-line arguments that give the options, which the page shows.
     pub(super) words: Vec<String>,
     full: RenderOptions,
     quick: RenderOptions,
 }
 
 impl<'a> Studio<'a> {
-    /// Of a light field, with the options of pictures at rest, in which nothing is left to the capture, and with the
-    /// command-line words of these options. A truth that can't be read is noted, and left out. Trails are not shown.
+    /// A studio for a light field. `options` are for pictures at rest; every `auto` is already replaced by a method.
+    /// `words` are the command-line arguments that give these options. If the truth can't be read, a note is shown, and
+    /// there are no true pictures. Trails are not shown.
     pub fn new(
         field: &'a LightField,
         options: &RenderOptions,
@@ -103,8 +104,8 @@ impl<'a> Studio<'a> {
         Ok(Picture { bytes: bytes.map_err(LiveError::Request)?, made_by })
     }
 
-    /// A picture of the light field, and the sync method of its images. A quick one takes the images of full quality
-    /// if they are cached.
+    /// A picture of the light field, and the sync method of the images that it is blended from. A quick picture is
+    /// blended from the images of full quality if they are cached.
     fn rendered(
         &self,
         request: &PictureRequest,
@@ -116,8 +117,8 @@ impl<'a> Studio<'a> {
         let options = self.options(level);
         let view = Request::new(Viewpoint::View(target), time_s, options);
         if method == PictureMethod::Traditional {
-            // Frames of other instants than the view's show no shape: it is that of ST-LFR. A saved picture is as
-            // `stlfr render --sync nearest` makes it.
+            // No depth can be estimated from frames of different instants, so that the depth is that of ST-LFR. A
+            // saved picture is as `stlfr render --sync nearest` renders it.
             let shape = if level == Level::Saved { TRADITIONAL } else { options.sync };
             let nearest = RenderOptions { sync: TRADITIONAL, ..options.clone() };
             let [images, shape] = [TRADITIONAL, shape].map(Images::By);
@@ -131,7 +132,7 @@ impl<'a> Studio<'a> {
                 Ok((self.tinted(&view, &images, context)?, self.full.sync))
             }
             (PictureMethod::Sources, None) => {
-                // Weights hardly depend on the images, and what shines through may be a frame.
+                // Weights hardly depend on the images, so that the nearest frames will do beneath the colours.
                 let sync = if is_quick { TRADITIONAL } else { self.full.sync };
                 let options = RenderOptions { sync, ..self.full.clone() };
                 let images = self.field.corrected_all(time_s, &options, context)?;
@@ -145,7 +146,7 @@ impl<'a> Studio<'a> {
         }
     }
 
-    /// A view of these images with the cameras' colours.
+    /// A grey view of these images, tinted with the colours of the cameras that each pixel is blended from.
     fn tinted(
         &self,
         view: &Request,
@@ -168,8 +169,8 @@ impl<'a> Studio<'a> {
         Ok(view)
     }
 
-    /// Computes the cameras' images at the instant of a picture, so that views of it are quick, as long as `proceed`
-    /// returns true. An error shows when the picture is asked for.
+    /// Computes the cameras' images at the instant of a picture beforehand, so that views of this instant are quick.
+    /// Stops when `proceed` returns false. Errors are ignored: they show when a picture is requested.
     pub(super) fn prepare(&self, request: &PictureRequest, proceed: Proceed) {
         let sync = match request.method {
             PictureMethod::Truth => return,

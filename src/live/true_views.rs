@@ -74,7 +74,7 @@ impl TrueViews {
             )));
         }
         let image = self.image(index, view)?;
-        // From one place, a picture is another's whatever the depths.
+        // Views from one place are related by a homography, whatever the depths.
         let [own, target] = [&view.camera, target].map(at_origin);
         let no_depth = DepthMap::empty(target.width, target.height);
         let options = BlendOptions { cameras: 1, ..BlendOptions::default() };

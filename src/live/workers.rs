@@ -15,11 +15,11 @@ const FULL_NICENESS: i32 = 5;
 /// Largest number of instants that wait to be prepared.
 const MAX_AHEAD: usize = 8;
 
-/// Requests whose instants are to be prepared in advance.
+/// Answered requests, whose instants are still to be prepared for other viewpoints.
 type Ahead = VecDeque<Arc<Asked>>;
 
-/// Starts the threads, which end when the queue is closed. Quick and full pictures have threads of their own, so
-/// that what is quick never waits in a full picture's line.
+/// Starts the threads, which end when the queue is closed. Quick and full pictures have separate threads, so that a
+/// quick picture never waits for a full one.
 ///
 /// # Errors
 /// If the system gives no threads.
@@ -105,7 +105,7 @@ fn answer(studio: &Studio, job: &Job, pool: &ThreadPool) -> Answer {
     unwound(picture).unwrap_or(Err(LiveError::Panicked))
 }
 
-/// The result, `None` after a panic. Caches hold complete values only, so that a panic can't damage them.
+/// Calls a function; `None` if it panics. Caches hold complete values only, so that a panic can't damage them.
 fn unwound<T>(of: impl FnOnce() -> T) -> Option<T> {
     catch_unwind(AssertUnwindSafe(of)).ok()
 }

@@ -69,8 +69,8 @@ pub struct RigCamera {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = *SHIFT.start(), max = *SHIFT.end()))]
     pub shift_y: f64,
-    /// COLMAP's OPENCV model, about the pinhole that the lens amounts to. It must be invertible all
-    /// along the image's border.
+    /// Distortion of the pinhole image, by COLMAP's OPENCV model. It must be invertible all along the
+    /// image's border.
     #[serde(default, skip_serializing_if = "RigDistortion::is_none")]
     pub distortion: RigDistortion,
     pub cam_from_rig: PoseFormat,
@@ -88,8 +88,8 @@ pub struct RigCamera {
     /// known.
     #[serde(default = "yes", skip_serializing_if = "is_yes")]
     pub jitter_stamped: bool,
-    /// Rate of the reference's clock beyond this camera's, in millionths: positive if this camera's
-    /// clock is slow.
+    /// Excess of the reference clock's rate over that of this camera's clock, parts per million: positive if this
+    /// camera's clock is slow.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = *DRIFT_PPM.start(), max = *DRIFT_PPM.end()))]
     pub drift_ppm: f64,
@@ -108,7 +108,7 @@ pub struct RigCamera {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[schemars(range(min = 0.0))]
     pub exposure_s: f64,
-    /// Factor of light before it is encoded for display.
+    /// Factor on the light, before display encoding.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     #[schemars(range(min = *GAIN.start(), max = *GAIN.end()))]
     pub gain: f64,

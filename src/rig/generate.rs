@@ -275,7 +275,7 @@ impl RigOptions {
         }
     }
 
-    /// The camera without delay, drift and losses.
+    /// Camera `i` of the rig, still without delay, drift and losses.
     fn camera(&self, i: usize, stand: &Stand) -> RigCamera {
         let (width, height) = turn(&self.sizes_px, i);
         RigCamera {
@@ -308,7 +308,7 @@ impl RigOptions {
     fn views(&self, like: &RigCamera, stands: &[Stand], reference: usize) -> Vec<RigView> {
         let beside = 0.5 * self.spacing_m;
         let between = match self.layout {
-            // Where a camera stands in the middle: half-way to the next.
+            // If a camera stands in the middle, the view is half-way to its neighbour.
             RigLayout::Line { count } if count.get() % 2 == 1 => Stand::ahead(beside, 0.0),
             RigLayout::Grid { rows, columns } => {
                 let aside = |n: usize| if n % 2 == 1 { beside } else { 0.0 };
@@ -319,7 +319,7 @@ impl RigOptions {
             }
             _ => Stand::ahead(0.0, 0.0),
         };
-        // Left of the middle, above and before it.
+        // To the left of the view `between`, above and in front of it.
         let off = Vector3::new(-1.0, -0.4, 0.5) * self.spacing_m;
         let above = Stand { center: between.center + off, yaw_rad: stands[reference].yaw_rad };
         [("between", between), ("above", above)]

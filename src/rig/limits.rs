@@ -1,6 +1,6 @@
 //! Limits of a rig's fields, for the JSON Schema and the checks.
 //!
-//! They keep typing errors from asking for terabytes, and divisors from 0. Further limits are those of
+//! They prevent divisions by 0, and terabytes of memory because of a typing error. Further limits are those of
 //! captures and cameras: [`MAX_DRIFT_PPM`],
 //! [`MAX_FRAMES`](crate::capture::MAX_FRAMES), [`MAX_PIXELS`](crate::raster::MAX_PIXELS),
 //! [`MAX_QUATERNION_ERROR`](crate::camera::MAX_QUATERNION_ERROR).
@@ -40,7 +40,7 @@ pub const TIME_S: RangeInclusive<f64> = -1e6..=1e6;
 pub const DRIFT_PPM: RangeInclusive<f64> = -MAX_DRIFT_PPM..=MAX_DRIFT_PPM;
 /// Nominal number of a lost frame.
 pub const LOST_FRAME: RangeInclusive<u32> = 1..=1_000_000_000;
-/// Factor of light before it is encoded for display.
+/// Factor on the light, before display encoding.
 pub const GAIN: RangeInclusive<f64> = 0.01..=100.0;
 /// Standard deviation of the sensor's noise in display-encoded values, for a full scale of 1.
 pub const NOISE: RangeInclusive<f64> = 0.0..=0.5;

@@ -22,7 +22,7 @@ impl Formatter for Spaced {
 
 fn spaced(value: &impl Serialize) -> String {
     let mut bytes = Vec::new();
-    // Neither numbers, texts nor lists of them can fail to be written to memory.
+    // Writing numbers, texts and lists to memory can't fail.
     let _ = value.serialize(&mut Serializer::with_formatter(&mut bytes, Spaced));
     String::from_utf8_lossy(&bytes).into_owned()
 }
@@ -32,7 +32,7 @@ fn entries(list: &[impl Serialize]) -> String {
         .iter()
         .map(|entry| {
             let mut text = spaced(entry);
-            // Where its place, and what comes after it, begin.
+            // Each of these fields starts a new line.
             for field in ["distortion", "cam_from_rig", "rate_hz"] {
                 let name = format!("\"{field}\": ");
                 text = text.replacen(&format!(", {name}"), &format!(",\n      {name}"), 1);

@@ -1,5 +1,5 @@
-//! What the Python programs make: a capture, the check of a calibration, the review of a comparison, and the Blender
-//! extension as one file to install.
+//! Calls the Python programs: they film a capture, check a calibration, lay out the review of a comparison in Blender,
+//! and pack the Blender extension into one file to install.
 
 use super::setup::{self, Environment};
 use super::{ToolchainError, script};
@@ -73,7 +73,7 @@ pub fn film(
         ("--instants-s", (!times.is_empty()).then(|| times.join(","))),
     ] {
         if let Some(value) = value {
-            // One argument: a leading minus is a number's.
+            // Flag and value are one argument, so that a negative value isn't read as a flag.
             command.arg(format!("{flag}={value}"));
         }
     }
@@ -85,7 +85,7 @@ pub fn film(
     script::run(&mut command, "filming", reporter, |line| reporter.note(line))
 }
 
-/// The result of a check.
+/// The result of a calibration check.
 #[derive(Clone, Debug)]
 pub struct Check {
     /// Measured values: the JSON object that `blender/check.py` prints.
@@ -161,7 +161,7 @@ pub fn build_extension(
         let ended = process::run(&mut command, |_| {});
         let ended = ended.map_err(|e| ToolchainError::Failure(format!("package.py: {e}")))?;
         script::verdict("package.py", &ended).map_err(|error| match error {
-            // It knows the extension by its temporary name.
+            // Blender's message has the extension's temporary path.
             ToolchainError::Failure(sentence) => ToolchainError::Failure(
                 sentence.replace(&*whole.to_string_lossy(), &zip.to_string_lossy()),
             ),

@@ -9,12 +9,12 @@ use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
 /// The proxies that are combined.
 const PROXIES: &[ProxyMethod] = &[ProxyMethod::Plane, ProxyMethod::Mesh, ProxyMethod::Depth];
 
-/// Every method with every other: sync, proxy and blend, the other options as given.
+/// All combinations of sync, proxy and blend methods. Other options are those of `base`.
 ///
-/// The offsets' methods are not among them: they cost nothing once they are estimated, so that the
-/// Pareto front is varied by them ([`variations`]) like by a parameter. Images from all cameras come from
-/// depth, so that they are combined with it alone. Scene flow is not among them: it belongs to frames, and views
-/// of an instant don't pay for it.
+/// The offset method is not varied here but in [`variations`], like a parameter: offsets are estimated once, and then
+/// take no time. [`SyncMethod::AllCameras`] computes depth per pixel in any case, so that it is combined with
+/// [`ProxyMethod::Depth`] alone. [`ProxyMethod::SceneFlow`] is left out: most of its time belongs to frames, which views
+/// of several instants share.
 pub fn methods(base: &RenderOptions) -> Vec<RenderOptions> {
     let mut found = Vec::new();
     for &sync in SyncMethod::ALL {
@@ -32,7 +32,7 @@ pub fn methods(base: &RenderOptions) -> Vec<RenderOptions> {
     found
 }
 
-/// The dearest method of every stage, the other options as given.
+/// The most accurate method of every stage. Other options are those of `base`.
 pub fn most_accurate(base: &RenderOptions) -> RenderOptions {
     let mut options = base.clone();
     (options.sync, options.proxy.method) = (SyncMethod::Refined, ProxyMethod::Depth);
@@ -50,8 +50,8 @@ pub struct Variable {
     pub cameras: usize,
 }
 
-/// The options with one parameter changed, for every value of every main parameter that their
-/// methods use.
+/// Copies of the options with one main parameter changed, for every value of every main parameter that the
+/// options' methods use.
 pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOptions> {
     let mut found = Vec::new();
     let mut add = |change: &dyn Fn(&mut RenderOptions)| {
@@ -99,7 +99,7 @@ pub fn variations(options: &RenderOptions, variable: Variable) -> Vec<RenderOpti
     found
 }
 
-/// The methods, and the main parameters that differ from their defaults.
+/// The name of a combination: its methods, and the main parameters that differ from their defaults.
 pub fn name(options: &RenderOptions) -> String {
     let default = RenderOptions::default();
     let (sync, proxy, blend) = (options.sync, &options.proxy, &options.blend);
@@ -148,7 +148,7 @@ mod tests {
         for options in &all {
             assert_eq!(options.check(), Ok(()));
         }
-        // What differs has another name.
+        // Different combinations have different names.
         let texts: HashSet<String> =
             all.iter().map(|o| serde_json::to_string(o).unwrap()).collect();
         let names: HashSet<String> = all.iter().map(name).collect();

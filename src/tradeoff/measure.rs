@@ -1,4 +1,4 @@
-//! Measuring combinations: quality once, time several times, in turns.
+//! Measures combinations: the quality once, the time in several runs, which alternate between combinations.
 
 use super::store::{CachedPoint, Store};
 use super::targets::{Against, Target, TargetScene, View};
@@ -28,7 +28,7 @@ impl Bench<'_> {
         order.into_iter().find(there).unwrap_or(Against::MostAccurate)
     }
 
-    /// Measures combinations as far as they aren't stored, and returns all measurements.
+    /// Measures whatever isn't stored of the combinations, and returns all their measurements.
     pub fn measure(
         &self,
         label: &str,
@@ -72,7 +72,7 @@ impl Bench<'_> {
             if lacking.is_empty() {
                 continue;
             }
-            // Combinations of one sync method share synchronized images: one after the other.
+            // Sorted, since successive combinations with one sync method share cached synchronized images.
             lacking.sort_by_key(|&k| points[k].options.sync.name());
             if open.as_ref().is_none_or(|(held_out, _)| *held_out != target.held_out) {
                 open = Some((target.held_out, scene.field(target.held_out)));
@@ -109,8 +109,8 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// Times a view of each combination in turns, so that what else the machine does affects all alike. Frames are
-    /// registered before, nothing of the instant is cached.
+    /// Times a view of each combination in turns, so that other load on the machine affects all alike. Frames are
+    /// registered beforehand, and no result of the instant is cached.
     fn time(
         &self,
         field: &LightField,
@@ -119,7 +119,7 @@ impl Bench<'_> {
         task: &Task,
     ) -> Result<(), TradeoffError> {
         let View { camera, time_s } = &self.timed;
-        // Results that all views between two frames share aren't timed: they are computed before.
+        // Results that all views between two frames share are computed here, and not timed.
         for &k in untimed {
             field.register(*time_s, &points[k].options)?;
             field.view(camera, *time_s, &points[k].options)?;
@@ -143,7 +143,7 @@ impl Bench<'_> {
 }
 
 impl CachedPoint {
-    /// Whether it can be rendered and has no score of this target.
+    /// Whether the combination can be rendered and has no score for this target.
     fn lacks(&self, target: &Target) -> bool {
         self.reason.is_none() && !self.scores.contains_key(&target.id)
     }

@@ -13,25 +13,25 @@
 //! presets and what `auto` chooses; then around the Pareto front every main parameter, and the offsets'
 //! method where clocks are unknown, one at a time, as many rounds as asked for.
 //!
-//! **Quality**: the moving part's PSNR of views against the truth, their mean; without truth, of
-//! cameras that are held out, rendered from the others at the times of their own frames. PSNR of
-//! all pixels and FLIP stand beside it. It is the same from run to run.
+//! **Quality**: the mean PSNR of the moving part over views of the truth. Without truth: over frames of
+//! held-out cameras, rendered from the other cameras at the frames' own times. PSNR of all pixels and
+//! FLIP are also written. Quality is the same from run to run.
 //!
-//! **Time**: seconds of one view at a new instant between frames that are registered already, the
-//! median of the runs, which take turns. Registration and offsets are preparation, timed apart.
+//! **Time**: seconds for one view at a new instant between frames that are registered already: the
+//! median of several runs. Registration and offsets are preparation, and timed separately.
 //!
 //! | file | what |
 //! |---|---|
-//! | `mod.rs` | the order of things, `tradeoff.json`, the folder of results |
-//! | `combination.rs` | what is measured |
-//! | `targets.rs` | what it is compared with |
-//! | `measure.rs`, `store.rs` | measuring, and not twice |
+//! | `mod.rs` | the sequence of steps, `tradeoff.json`, the folder of results |
+//! | `combination.rs` | the combinations to measure |
+//! | `targets.rs` | the reference images |
+//! | `measure.rs`, `store.rs` | measuring, and the cache of measurements |
 //! | `pareto.rs` | the Pareto front |
 //! | `summary.rs` | from measurements to points |
 //! | `plot.rs` | the drawing |
 //!
-//! Known limits: where clocks are shared, a held-out camera's frame is at the others' times, and
-//! only proxy and blend are seen in it. Preparation is timed once.
+//! Known limits: where clocks are shared, a held-out camera's frame has the time of the others' frames,
+//! and measures proxy and blend but not synchronization. Preparation is timed once.
 
 mod combination;
 mod measure;
@@ -88,7 +88,7 @@ pub enum TimingClock {
     /// Wall-clock time: what a user waits for.
     #[default]
     Wall,
-    /// Processor time over all threads: where the machine does other work too.
+    /// Processor time over all threads: for machines that do other work at the same time.
     Cpu,
 }
 
@@ -113,7 +113,7 @@ impl Default for TradeoffOptions {
     }
 }
 
-/// The fastest point within this quality of the best is recommended, decibels: an invisible difference.
+/// Largest loss of quality of the recommended point against the best one, decibels: an invisible difference.
 pub const SLACK_DB: f64 = 0.2;
 
 /// Why a trade-off can't be measured: one sentence.
@@ -245,7 +245,7 @@ fn gathered(
     })?;
     let front = pareto_front(&trades);
     let mut order: Vec<usize> = (0..points.len()).collect();
-    // NaN, of what can't be rendered, comes last.
+    // Points that can't be rendered have NaN, and come last.
     order.sort_by(|&a, &b| trades[a].seconds.total_cmp(&trades[b].seconds));
     let recommended = order.iter().position(|&k| k == best).unwrap_or_default();
     let points =
@@ -284,7 +284,7 @@ fn write_json(path: &Path, value: &impl Serialize) -> Result<(), TradeoffError> 
     crate::host::write_json(path, value).map_err(failed)
 }
 
-/// Only a folder that isn't there, that is empty, or that holds a trade-off is written to.
+/// Refuses a folder that exists and holds anything but a trade-off.
 fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
     let refused = |reason: String| Err(TradeoffError::Folder { folder: folder.to_owned(), reason });
     if folder.join(CAPTURE_FILE).exists() {
@@ -296,7 +296,7 @@ fn refuse_foreign(folder: &Path) -> Result<(), TradeoffError> {
     }
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     for name in entries.map(|entry| entry.file_name()) {
-        // Temporary ones are of a run at work.
+        // Temporary files belong to a trade-off that is running.
         let name_text = name.to_string_lossy();
         if !FILES.contains(&&*name_text) && !is_temporary(&name) {
             return refused(format!(

@@ -27,7 +27,7 @@ pub fn pareto_front(points: &[Trade]) -> Vec<usize> {
     order
 }
 
-/// The fastest point whose quality is within `slack` of the best; `None` of none.
+/// The fastest point whose quality is within `slack` of the best; `None` if no point is finite.
 pub fn fastest_within(points: &[Trade], slack: f64) -> Option<usize> {
     let front = pareto_front(points);
     let best = points[*front.last()?].quality;

@@ -26,20 +26,20 @@ const POINTS: CacheKind = CacheKind { name: "tradeoff-points", version: 2 };
 #[serde(deny_unknown_fields)]
 pub(super) struct CachedPoint {
     pub options: RenderOptions,
-    /// By the target's id.
+    /// Scores by the target's id.
     pub scores: BTreeMap<String, RegionScores>,
     /// Why a view can't be rendered; there are no scores then.
     pub reason: Option<String>,
-    /// The times of the timed view.
+    /// One time for each run of the timed view.
     pub runs: Vec<Elapsed>,
 }
 
-/// A light field for one registration and offset method, with its preparation times.
+/// The offsets by one registration and offset method, with the preparation times.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Prepared {
     pub offsets: Offsets,
-    /// `None` where the clocks are known.
+    /// Time of the estimation; `None` where the clocks are known.
     pub offsets_took: Option<Elapsed>,
     pub registration_took: Elapsed,
 }
@@ -52,12 +52,12 @@ pub(super) struct Planned {
     pub took: Elapsed,
 }
 
-/// A capture, and its cache, keyed with everything that measurements depend on besides their options.
+/// A capture, and its cache of measurements. Keys hold the options and everything else that measurements depend on.
 pub(super) struct Store {
     pub capture: Arc<Capture>,
     cache: DiskCache,
     reporter: Reporter,
-    /// Whether it was noted that nothing can be written.
+    /// Whether a note was shown that the cache can't be written.
     noted: AtomicBool,
 }
 
@@ -104,7 +104,7 @@ impl Store {
             Offsets::known(capture)
         };
         let offsets_took = estimates.then(|| watch.elapsed());
-        // Its frames are its own, so that decoding is in the time of registration.
+        // A light field without decoded frames, so that the time of registration includes decoding.
         let field = LightField::new(capture.clone(), offsets.clone());
         let middle_s = middle_s(&field);
         let watch = Stopwatch::start();
@@ -128,7 +128,7 @@ impl Store {
         let watch = Stopwatch::start();
         let field = LightField::new(self.capture.clone(), prepared.offsets);
         let plan = plan(&field, asked, &self.reporter)?;
-        // The plan has decided all that the options left to the capture.
+        // The plan has replaced every `auto` by a method.
         let options = RenderOptions { auto: AutoOptions::default(), ..plan.options };
         let planned = Planned { options, took: watch.elapsed() };
         self.save(PLANS, asked, &planned);
@@ -167,7 +167,7 @@ impl Store {
     }
 }
 
-/// The middle of the time that all cameras cover, or else the reference camera.
+/// The middle of the span that all cameras cover; if there is none, of the reference camera's span.
 pub(super) fn middle_s(field: &LightField) -> f64 {
     let own_span = || field.span_s(field.capture().reference);
     let (first, last) = field.common_span_s().or_else(own_span).unwrap_or_default();

@@ -15,16 +15,16 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Point {
-    /// Its methods, and the parameters that differ from their defaults.
+    /// The combination's methods, and the parameters that differ from their defaults.
     pub name: String,
-    /// Names of equal presets, and `auto` if the plan chose it.
+    /// Names of the presets that equal these options, and `auto` if the plan chose them.
     pub labels: Vec<String>,
     /// Options of all stages, as an options file has them.
     #[schemars(with = "serde_json::Value")]
     pub options: RenderOptions,
-    /// Whether it is on the Pareto front.
+    /// Whether the combination is on the Pareto front.
     pub on_front: bool,
-    /// Why it can't be rendered; there are no numbers then.
+    /// Why the combination can't be rendered; there are no numbers then.
     pub reason: Option<String>,
     /// The quality that the Pareto front is computed from: the moving part's PSNR, all pixels' where
     /// nothing moves.
@@ -33,13 +33,14 @@ pub struct Point {
     pub whole: MeanScores,
     /// PSNR against the view by the most accurate methods, where there is no truth.
     pub most_accurate_db: Option<f64>,
-    /// One view at a new instant, seconds: on the wall, and of the processor over all threads.
+    /// Wall-clock time of one view at a new instant, seconds.
     pub wall_s: Option<Spread>,
+    /// Processor time of this view over all threads, seconds.
     pub cpu_s: Option<Spread>,
     pub preparation: Option<PreparationTime>,
 }
 
-/// Means over all views with such pixels.
+/// Mean scores over all views that have pixels of the measured region.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeanScores {
@@ -62,7 +63,7 @@ pub struct Spread {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PreparationTime {
-    /// Of the whole capture; `None` where clocks are known.
+    /// Estimation of the whole capture's offsets; `None` where clocks are known.
     pub offsets_s: Option<f64>,
     /// Decoding and registering one pair of frames of every camera.
     pub registration_s: f64,
@@ -87,7 +88,7 @@ pub(super) fn trade(bench: &Bench, point: &CachedPoint) -> Trade {
     Trade { seconds, quality: (quality / STEP_DB).round() * STEP_DB }
 }
 
-/// A measured combination; `on_front` is for all of them together.
+/// Summarizes a measured combination. `on_front` says whether it is on the Pareto front of all combinations.
 pub(super) fn summarized(
     bench: &Bench,
     cached: &CachedPoint,

@@ -29,7 +29,7 @@ pub enum Against {
     Truth,
     /// A camera's own frame, at its own time, rendered from the other cameras.
     HeldOut,
-    /// The view by the slowest method of every stage: this measures loss, not accuracy.
+    /// The view by the most accurate method of every stage. This measures loss against that method, not accuracy.
     MostAccurate,
 }
 
@@ -38,11 +38,12 @@ pub(super) struct Target {
     pub id: String,
     pub view: View,
     pub against: Against,
-    /// The camera of the frame, which must not be used to render it.
+    /// If the reference image is a frame of a held-out camera: this camera, which isn't used for rendering.
     pub held_out: Option<usize>,
     reference: ReferenceImage,
-    /// The moving pixels, and those that the most accurate methods cover, row by row.
+    /// The moving pixels, row by row.
     moving: Vec<bool>,
+    /// The pixels that the most accurate methods cover, row by row.
     covered: Vec<bool>,
     depth: BitDepth,
 }
@@ -54,7 +55,7 @@ pub(super) struct View {
     pub time_s: f64,
 }
 
-/// Number of cameras that are held out, one at a time, without truth.
+/// Number of cameras that are held out in turn if there is no truth.
 const HELD_OUT: usize = 2;
 
 /// A capture with its truth, from which targets are made.
@@ -76,7 +77,7 @@ impl Target {
 }
 
 impl TargetScene<'_> {
-    /// The light field without a camera.
+    /// The light field of all cameras but the held-out one, if any.
     pub fn field(&self, held_out: Option<usize>) -> LightField {
         let Some(index) = held_out else {
             return LightField::new(self.capture.clone(), self.offsets.clone());
@@ -106,7 +107,7 @@ impl TargetScene<'_> {
         Ok((found, timed))
     }
 
-    /// A target of true views.
+    /// A target with a true image. `rendered` is the view by the most accurate methods.
     fn target(&self, id: String, view: View, truth: TrueImage, rendered: Rendered) -> Target {
         let pixels_per_degree = CompareOptions::default().pixels_per_degree;
         Target {
@@ -126,7 +127,7 @@ impl TargetScene<'_> {
         Ok(rendered(field, &view.camera, view.time_s, &most_accurate(self.base))?)
     }
 
-    /// Views of the truth that no camera filmed; where it has none, the filming cameras'.
+    /// Targets from the truth: views that no camera filmed or, if there are none, the filming cameras' views.
     fn true_views(&self, truth: &Truth) -> Result<Vec<Target>, TradeoffError> {
         let field = self.field(None);
         let instants = truths::instants(truth, self.capture)?;

@@ -26,7 +26,7 @@ pub(crate) fn frame_name(index: usize) -> String {
 /// file's time stamp of every frame, seconds. `path` must be absolute.
 ///
 /// # Errors
-/// For more than `max_frames` frames, and for any error in the file, so that no frame is concealed or repeated.
+/// If there are more than `max_frames` frames, and for any error in the file: ffmpeg would conceal damaged frames.
 pub fn decode(
     ffmpeg: &Path,
     path: &Path,

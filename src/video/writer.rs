@@ -61,7 +61,7 @@ impl Codec {
 /// A video file that is being written. It appears at its path when it is finished; dropped before, it leaves no file.
 pub struct VideoWriter {
     path: PathBuf,
-    /// Declared before ffmpeg, which ends when it is closed.
+    /// The pipe to ffmpeg. Declared before the process, which ends when the pipe is closed.
     stdin: Option<ChildStdin>,
     process: Option<Process>,
     size: (usize, usize, usize),

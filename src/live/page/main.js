@@ -1,4 +1,4 @@
-// The page: what its controls, its keys and its link do.
+// The page: connects controls, keys and the link to the state, and the state to the pictures.
 
 import { RigMap } from "./map.js";
 import { command, copy, saveCamera, savePicture } from "./save.js";
@@ -9,9 +9,9 @@ import { Stream, fullSize } from "./stream.js";
 const byId = (id) => document.getElementById(id);
 /** How long a note is shown, milliseconds. */
 const TOAST_MS = 6000;
-/** How often the link and the count of frames are brought up to date, milliseconds. */
+/** Delay of updates of the link after a change, and interval of updates of the frame rate, milliseconds. */
 const SETTLE_MS = 400;
-/** A way along the cameras and back while time stands still, seconds. */
+/** Duration of one movement along the cameras and back while time stands still, seconds. */
 const ORBIT_S = 7;
 /** A recording plays at the fastest speed at which it lasts this long, seconds. */
 const MIN_LOOP_S = 3;
@@ -49,7 +49,7 @@ function failed(pane, sentence) {
   pane.fail(sentence, action);
 }
 
-/** Frames a second and the method, beneath the name. */
+/** Shows the methods, the size and the frame rate of the pictures, beneath the capture's name. */
 function describe() {
   const now = performance.now();
   arrivals = arrivals.filter((time) => now - time < 1000);
@@ -66,12 +66,12 @@ function describe() {
   byId("status").replaceChildren([methods.join(" | "), how].filter(Boolean).join(" · "), pixels, ` · ${rate}`);
 }
 
-/** Asks for what the state is. */
+/** Requests pictures of the current state. */
 function request() {
   const fields = state.query();
   const methods = [state.left, state.right];
   streams.forEach((stream, k) => {
-    // What there is truth of is known here, and a drag over the rest needs no server.
+    // The page knows where there is truth; elsewhere no request is needed.
     if (methods[k] === "truth" && !state.isTrue()) {
       stream.want(null);
       failed(panes[k], scene.truths.length ? "There is truth at some places and times only" : "This capture has no truth");
@@ -114,7 +114,7 @@ function reflect() {
 let isDue = false;
 let settling = 0;
 
-/** After a change: controls and requests once a frame, the link when it settles. */
+/** Called after a change. Updates controls and requests once a frame, and the link when nothing changes any more. */
 function changed(names) {
   if (!isDue) {
     isDue = true;
@@ -146,7 +146,7 @@ function play(on) {
   run();
 }
 
-/** Time stands still while the viewpoint goes along the cameras. */
+/** Starts or ends the orbit, in which time stands still while the viewpoint moves along the cameras. */
 function stopTime(on) {
   orbit = on ? { since: performance.now(), path: orbitPath() } : null;
   if (on && isPlaying) play(false);
@@ -156,7 +156,10 @@ function stopTime(on) {
 
 const press = (id, on) => byId(id).setAttribute("aria-pressed", String(on));
 
-/** The way along the cameras, from -1 to 1: their line, or around their middle where they fill a plane. */
+/**
+ * The path of the orbit: a function from an angle, radians, to a place. It goes along a line of cameras and back, or
+ * around the middle of cameras that fill a plane.
+ */
 function orbitPath() {
   const places = scene.cameras.map((camera) => camera.at).sort((a, b) => a[0] - b[0]);
   const extent = [0, 1].map((k) => [Math.min(...places.map((p) => p[k])), Math.max(...places.map((p) => p[k]))]);
@@ -177,7 +180,7 @@ function orbitPath() {
 
 let last = null;
 
-/** A step of what runs by itself. */
+/** Advances the playback or the orbit by one animation frame. */
 function step(now) {
   const passed = last === null ? 0 : Math.min(0.2, (now - last) / 1000);
   last = now;
@@ -242,7 +245,7 @@ const KEYS = {
   "?": () => byId("keys").showModal(),
 };
 
-/** What a control takes for itself: arrows move a slider, space presses a button, letters choose in a list. */
+/** Whether the focused control uses the key: arrows move a slider, space presses a button, letters choose in a list. */
 function isTaken({ key, target }) {
   if (target.closest("dialog, #save-menu")) return true;
   if (target.matches("select")) return key.length === 1 || key.startsWith("Arrow") || key === "Home";
@@ -265,7 +268,7 @@ function key(event) {
 
 // Controls
 
-/** Shows the truth, at the nearest place that has some. */
+/** Shows the truth on one side. If there is none of the current view, goes to the nearest place that has some. */
 function truthAt(side) {
   if (!state.isTrue() && scene.truths.length) state.goTo(state.nearestTruth());
   play(false);
@@ -360,7 +363,7 @@ function listen() {
   byId("copy-command").addEventListener("click", async () => toast((await copy(command(state))) ? "Copied." : "Not copied: mark it by hand."));
   document.addEventListener("keydown", key);
   addEventListener("resize", () => changed(["size"]));
-  // The link may be brought up to date before this is told; where it led to is in the event.
+  // The page may have replaced the link before this event arrives, so that its target is read from the event.
   addEventListener("hashchange", (event) => state.follow(new URL(event.newURL).hash.slice(1)));
   setInterval(describe, SETTLE_MS);
 }

@@ -1,7 +1,7 @@
 // The rig and the viewpoint, seen from behind the cameras: a small map, on which the viewpoint can be dragged.
 
 const SVG = "http://www.w3.org/2000/svg";
-/** A tap this near to a camera goes to its place, pixels. */
+/** Distance within which a tap selects a camera, pixels. */
 const SNAP_PX = 9;
 
 function shape(name, parent, attributes) {
@@ -38,7 +38,7 @@ export class RigMap {
     new ResizeObserver(() => this.draw()).observe(svg);
   }
 
-  /** Pixels of a place, and metres of a pixel. */
+  /** The map's size and scale, and the conversions between places (metres) and pixels. */
   frame() {
     const [width, height] = [this.svg.clientWidth || 1, this.svg.clientHeight || 1];
     const scale = Math.min(width / this.size[0], height / this.size[1]);
@@ -62,7 +62,7 @@ export class RigMap {
     this.state.set({ x, y });
   }
 
-  /** Goes to the camera under the pointer, if there is one. */
+  /** Goes to the camera under the pointer; returns whether there is one. */
   snap(event) {
     const [px, py] = this.local(event);
     const { px: pixels } = this.frame();
@@ -74,7 +74,7 @@ export class RigMap {
     return true;
   }
 
-  /** All of it, where its size has changed; then where the viewpoint is. */
+  /** Draws the whole map if its size has changed. Then moves the mark of the viewpoint. */
   draw() {
     const { scene } = this.state;
     const frame = this.frame();

@@ -1,4 +1,4 @@
-// What is taken away from the page: a picture, its camera, a command, a link.
+// Exports of the page: a picture, its camera, the command that renders it, and the copying of texts.
 
 import { address } from "./stream.js";
 
@@ -17,22 +17,22 @@ async function file(name, fields) {
   return response.blob();
 }
 
-/** What of a name may stand in a file's name. */
+/** Replaces characters of a name that are unsafe in a file name. */
 const slug = (name) => name.replace(/[^\p{L}\p{N}._-]+/gu, "-").slice(0, 60) || "view";
 
-/** The picture that the command renders for this view, without loss. */
+/** Saves the picture of this view, without loss, as `stlfr render` renders it. */
 export async function savePicture(state, size, method) {
   const [w, h] = size;
   const blob = await file("picture", { ...state.query(), w, h, method, level: "saved" });
   download(blob, `${slug(state.scene.name)}-${state.t.toFixed(4)}s-${method}.png`);
 }
 
-/** Its camera, as `stlfr render --camera` reads it. */
+/** Saves the camera of this view, as `stlfr render --camera` reads it. */
 export async function saveCamera(state, [w, h]) {
   download(await file("view.json", { ...state.query(), w, h }), "view.json");
 }
 
-/** A word as a shell reads it back. */
+/** Quotes a word for a shell. */
 const quoted = (word) => (/^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", "'\\''")}'`);
 
 /** The command that renders the same picture. */
@@ -43,7 +43,7 @@ export function command(state) {
   return words.map(quoted).join(" ");
 }
 
-/** Copies a text; whether the browser let it. */
+/** Copies a text to the clipboard; returns whether the browser allowed it. */
 export async function copy(text) {
   try {
     await navigator.clipboard.writeText(text);

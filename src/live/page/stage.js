@@ -1,6 +1,6 @@
 // The pictures that fill the window, and the gestures on them.
 
-/** A pane shows one method's pictures, or a sentence that says why there is none. It tells of each by an event. */
+/** A pane shows one method's pictures, or a sentence that says why there is none. A picture dispatches an event. */
 export class Pane {
   constructor(element) {
     this.element = element;
@@ -25,13 +25,13 @@ export class Pane {
     this.element.dispatchEvent(new CustomEvent("picture", { detail: picture.level }));
   }
 
-  /** Puts its sentences in the middle of what is seen of it: percent of the window's width. */
+  /** Centres the pane's sentence in its visible part: `percent` of the window's width. */
   center(percent) {
     this.problem.style.left = `${percent}%`;
     this.problem.style.maxWidth = `min(30rem, ${2 * Math.min(percent, 100 - percent)}vw - 32px)`;
   }
 
-  /** Says why there is no picture; the last one stands behind it, grey. An `action` is a label and what it does. */
+  /** Says why there is no picture, over the last picture, greyed. `action` is a button's label and its function. */
   fail(sentence, action) {
     this.problem.hidden = !sentence;
     this.problem.firstElementChild.textContent = sentence && sentence[0].toUpperCase() + sentence.slice(1) + (/[.!?…]$/.test(sentence) ? "" : ".");
@@ -41,12 +41,12 @@ export class Pane {
   }
 }
 
-/** Zoom of a wheel's step, per pixel of it. */
+/** Change of the zoom's natural logarithm per pixel that the wheel scrolls. */
 const WHEEL = 0.0015;
-/** Turn of a drag over the window's width, degrees at zoom 1. */
+/** Rotation by a drag over the window's width, degrees at zoom 1. */
 const DRAG_TURN_DEG = 40;
 
-/** Drags, pinches and the wheel on an element move the state. */
+/** Makes drags, pinches and the wheel on an element change the viewpoint, the rotation and the zoom. */
 export function gestures(element, state) {
   const pointers = new Map();
   const range = () => {

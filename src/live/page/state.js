@@ -1,4 +1,4 @@
-// Where one looks from, when, and how: the state of the page, its bounds, and the link that keeps it.
+// The state of the page: viewpoint, time, zoom and methods, with their bounds, and the link that holds the state.
 
 /** The methods: their names in addresses, in links and on the page. */
 export const METHODS = {
@@ -8,12 +8,12 @@ export const METHODS = {
   sources: "Which cameras",
 };
 
-/** Times that are nearer are one instant, seconds. */
+/** Times that differ by less than this are one instant, seconds. */
 const SAME_INSTANT_S = 1e-6;
 
 const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
 
-/** What is shown. `on` is called after every change with the names of what changed. */
+/** The state of the page. `on` is called after every change, with the names of the changed fields. */
 export class State {
   constructor(scene, on) {
     this.scene = scene;
@@ -23,7 +23,7 @@ export class State {
     Object.assign(this, this.home, { t: (first + last) / 2, left: "st", right: "", split: 50 });
   }
 
-  /** Changes some values, within their bounds. Moving leaves a named place. */
+  /** Changes some fields, clamped to their bounds. A new position clears `at`, the named place. */
   set(values) {
     const next = { ...values };
     if (["x", "y", "z"].some((axis) => axis in next) && !("at" in next)) next.at = "";
@@ -40,14 +40,14 @@ export class State {
     this.assign(next);
   }
 
-  /** The same without bounds: the server says what is wrong with a link. */
+  /** Changes some fields without clamping, so that the server can report a link's invalid values. */
   assign(next) {
     const changed = Object.keys(next).filter((name) => this[name] !== next[name]);
     Object.assign(this, next);
     if (changed.length) this.on(changed);
   }
 
-  /** Goes to a camera, `c3`, or to an image of the truth, `t0`, and to its time. */
+  /** Goes to the place of a camera, such as `c3`, or to the place and time of an image of the truth, such as `t0`. */
   goTo(at) {
     const index = Number(at.slice(1));
     const place = (at[0] === "t" ? this.scene.truths : this.scene.cameras)[index];
@@ -57,7 +57,7 @@ export class State {
     this.assign({ x, y, z, yaw: 0, pitch: 0, at, ...time });
   }
 
-  /** Whether there is an image of the truth of this place and time. */
+  /** Whether there is an image of the truth at the current place and time. */
   isTrue() {
     const truth = this.at[0] === "t" ? this.scene.truths[Number(this.at.slice(1))] : undefined;
     return Boolean(truth) && Math.abs(truth.time_s - this.t) < SAME_INSTANT_S;
@@ -68,13 +68,13 @@ export class State {
     const { truths, spacing_m: spacing } = this.scene;
     const far = ({ at }) => Math.hypot(at[0] - this.x, at[1] - this.y, at[2] - this.z);
     const [first, last] = this.scene.span_s ?? [0, 1];
-    // A place as far as the next camera counts as much as all of the recording.
+    // A distance of one camera spacing counts as much as the whole duration of the recording.
     const badness = (truth) => far(truth) / (spacing || 1) + Math.abs(truth.time_s - this.t) / (last - first);
     const best = truths.reduce((a, truth, k) => (a < 0 || badness(truth) < badness(truths[a]) ? k : a), -1);
     return best < 0 ? "" : `t${best}`;
   }
 
-  /** Number of the reference's frame at the time, with decimals. */
+  /** The current time as a frame number of the reference camera, with decimals. */
   frame() {
     const times = this.scene.frames_s;
     const after = times.findIndex((time) => time > this.t);
@@ -83,7 +83,7 @@ export class State {
     return after - 1 + (this.t - times[after - 1]) / (times[after] - times[after - 1]);
   }
 
-  /** The time of a frame of the reference, whose number may have decimals. */
+  /** The time of a frame number of the reference camera, which may have decimals. */
   timeOf(frame) {
     const times = this.scene.frames_s;
     const k = clamp(Math.floor(frame), 0, times.length - 1);
@@ -91,7 +91,7 @@ export class State {
     return times[k] + (times[next] - times[k]) * clamp(frame - k, 0, 1);
   }
 
-  /** The part of the picture's address that says from where and when. */
+  /** The fields of a picture's address that give the viewpoint, the zoom and the time. */
   query() {
     const place = this.at ? { at: this.at } : { x: this.x.toFixed(6), y: this.y.toFixed(6), z: this.z.toFixed(6) };
     const turn = { yaw: this.yaw.toFixed(3), pitch: this.pitch.toFixed(3) };
@@ -109,12 +109,15 @@ export class State {
     return new URLSearchParams(fields).toString();
   }
 
-  /** Goes to where a link leads. What it doesn't say stays, but turn and zoom of a place; what is no number is passed over. */
+  /**
+   * Takes over the fields of a link. Missing and invalid fields keep their values; but if the link has a place, missing
+   * rotation and zoom are reset.
+   */
   follow(link) {
     const fields = new URLSearchParams(link);
     const at = fields.get("at") ?? "";
     const isNamed = /^[ct]\d{1,6}$/.test(at);
-    // A link leaves out the turn and the zoom that are plain.
+    // A link omits rotation and zoom that have their default values.
     const next = isNamed || ["x", "y", "z"].some((axis) => fields.has(axis)) ? { yaw: 0, pitch: 0, zoom: 1 } : {};
     for (const name of ["x", "y", "z", "yaw", "pitch", "zoom", "t", "split"]) {
       const value = Number(fields.get(name) || NaN);

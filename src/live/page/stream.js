@@ -1,14 +1,15 @@
-// Pictures from the server: while something changes what keeps up, at rest the chosen quality. Each pane has one
-// request under way at a time; what nobody waits for any more is cancelled, here and there.
+// Pictures from the server: quick ones while something changes, and one of the chosen quality at rest. Each pane has
+// one running request at a time. Requests for outdated pictures are cancelled, in the page and in the server.
 
-/** How long nothing changes before the chosen quality is asked for, milliseconds. */
+/** Time without changes after which a picture of the chosen quality is requested, milliseconds. */
 const REST_MS = 140;
 /** Sizes of quick pictures, as fractions of the full one. */
 const SCALES = [1, 0.75, 0.5, 0.35];
-/** Beyond this a quick picture takes too long and the next is smaller; below the other, larger. Milliseconds. */
+/** Median time of quick pictures above which the next ones are smaller, milliseconds. */
 const SLOW_MS = 70;
+/** Median time of quick pictures below which the next ones are larger, milliseconds. */
 const FAST_MS = 24;
-/** How many quick pictures decide on the size. */
+/** Number of quick pictures over which this median is taken. */
 const DECIDING = 4;
 
 const viewer = Array.from(crypto.getRandomValues(new Uint8Array(8)), (b) => b.toString(16).padStart(2, "0")).join("");
@@ -18,7 +19,7 @@ export function address(name, fields) {
   return `${name}?${new URLSearchParams({ ...fields, viewer })}`;
 }
 
-/** The size that fills a window, in pixels: what the cameras resolve, and no more than the screen shows. */
+/** Size of a full picture, pixels: the window's shape, with at most the resolution of the lens and of the screen. */
 export function fullSize(lens, [width, height]) {
   const cover = Math.min(lens.width / width, lens.height / height);
   const scale = Math.min(cover, window.devicePixelRatio || 1);
@@ -26,7 +27,7 @@ export function fullSize(lens, [width, height]) {
   return [fit(width, lens.width), fit(height, lens.height)];
 }
 
-/** Asks for a picture; the sentence of the server if there is none. */
+/** Requests and decodes a picture. Without a picture, throws an error with the server's sentence. */
 async function load(fields, signal) {
   const start = performance.now();
   const response = await fetch(address("picture", fields), { signal, cache: "no-store" });
@@ -40,7 +41,7 @@ async function load(fields, signal) {
 }
 
 export class Stream {
-  /** `show(picture)` and `fail(sentence)` are called for what arrives; `size()` is that of a full picture. */
+  /** Calls `show(picture)` or `fail(sentence)` for every answer. `size()` returns the size of a full picture. */
   constructor(slot, size, show, fail) {
     Object.assign(this, { slot, size, show, fail });
     this.wanted = null;
@@ -50,7 +51,7 @@ export class Stream {
     this.times = [];
   }
 
-  /** What is to be shown from now on: fields of an address, or nothing. */
+  /** Sets the wanted picture: the fields of its address, or null for none. */
   want(fields) {
     clearTimeout(this.timer);
     this.wanted = fields;
@@ -62,7 +63,7 @@ export class Stream {
     if (fields && !this.abort) this.next("quick");
   }
 
-  /** Asks for a picture of what is wanted now, and after it for the next. */
+  /** Requests the wanted picture, and when it has arrived, the next one. */
   async next(level) {
     const { version, slot } = this;
     const [width, height] = this.size();
@@ -88,7 +89,7 @@ export class Stream {
     else if ((level === "quick" && !problem) || problem?.isSuperseded) this.timer = setTimeout(() => this.next("full"), REST_MS);
   }
 
-  /** Chooses the size of the next quick pictures. */
+  /** Adapts the size of quick pictures to the time that the last ones took. */
   adapt(took_ms) {
     this.times.push(took_ms);
     if (this.times.length < DECIDING) return;

@@ -54,7 +54,7 @@ impl<'a> Installer<'a> {
     /// Creates an empty environment in place of an earlier one.
     fn make_venv(&self) -> Result<(), ToolchainError> {
         let base_python = system::find_python()?;
-        // By hand, so that the right to write is told from a Python that fails.
+        // The folder isn't left to Python, so that missing write permission has its own error.
         ignore_absent(std::fs::remove_dir_all(&self.venv))
             .and_then(|()| std::fs::create_dir(&self.venv))
             .map_err(|e| file_error(&self.venv, e))?;
@@ -114,7 +114,7 @@ impl<'a> Installer<'a> {
         let mut command = Command::new(self.python);
         command
             .args(["-I", "-m", "pip", "install", "--disable-pip-version-check", "--no-input"])
-            // Compiled when first imported; all at once takes longer than all that is ever used.
+            // Python compiles a module when it is first imported. Compiling all of them takes longer.
             .args(["--no-compile", "--progress-bar", "off"]);
         command
     }
@@ -123,8 +123,8 @@ impl<'a> Installer<'a> {
         self.explained_step(what, command, |_| None)
     }
 
-    /// Runs a command, with its last line of output shown as progress. A failure is the error that `explain` finds in
-    /// stderr, else one that names a log.
+    /// Runs a command, and shows its last line of output as progress. If it fails, the error is what `explain` makes of
+    /// stderr, else a sentence that names a log.
     fn explained_step(
         &self,
         what: &str,

@@ -107,7 +107,7 @@ pub(super) fn with_wheel<T>(
     let _lock = lock(&environment.project_root, reporter)?;
     let wheel = Installer::new(environment, reporter).build_module()?;
     let result = call(&wheel);
-    // What is left is made anew by the next build.
+    // If files are left, the next build replaces them.
     let _ = wheel.parent().map(std::fs::remove_dir_all);
     result
 }

@@ -34,7 +34,7 @@ impl Stamp {
             .map_err(|e| file_error(&self.path, e))
     }
 
-    /// Removes the file; call it before replacing what it stands for.
+    /// Removes the stamp's file. Must be called before the stamped part of the environment is replaced.
     pub fn remove(&self) -> Result<(), ToolchainError> {
         ignore_absent(std::fs::remove_file(&self.path)).map_err(|e| file_error(&self.path, e))
     }
@@ -43,14 +43,14 @@ impl Stamp {
 impl Stamps {
     pub fn read(root: &Path) -> Result<Self, ToolchainError> {
         let venv = root.join(".venv");
-        // A venv names the Python it was made with, and its scripts the folder they lie in.
+        // `pyvenv.cfg` names the Python of the environment; the environment's scripts contain the path of its folder.
         let python = read_bytes(&venv.join("pyvenv.cfg"), MAX_STAMP_BYTES).unwrap_or_default();
         let mut packages = blake3::Hasher::new();
         add(&mut packages, root.as_os_str().as_encoded_bytes());
         add(&mut packages, &python);
         add_file(&mut packages, &root.join("blender/requirements.txt"))?;
 
-        // Packages made anew are a new folder, without this stamp.
+        // Packages aren't hashed: installing them again replaces the folder, and so removes this stamp.
         let mut module = blake3::Hasher::new();
         for file in module_sources(root)? {
             add(&mut module, file.as_os_str().as_encoded_bytes());
@@ -134,7 +134,7 @@ mod tests {
         folder
     }
 
-    /// Whether the packages, and all, are still good after a change to a file.
+    /// Whether the packages and the whole environment still count as complete after a change to a file.
     fn after(file: &str) -> (bool, bool) {
         let folder = finished();
         std::fs::write(folder.path().join(file), "changed").unwrap();

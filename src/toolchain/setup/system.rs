@@ -5,10 +5,10 @@ use crate::toolchain::ToolchainError;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-/// The version that `bpy` is built for.
+/// The Python version that `bpy` is built for.
 const VERSION: &str = "3.11";
 
-/// Prints the version, and whether `venv` is there: Debian packages it separately.
+/// A program that prints Python's version, and whether there is `venv`, which Debian packages separately.
 const PROBE: &str = "import sys
 try:
     import ensurepip, venv
