@@ -84,7 +84,8 @@ impl Distortion {
 
     /// Inverts Brown's model by Newton's method; steps that would cross the fold are halved.
     fn undistorted_brown(&self, d: &Point2<f64>) -> Option<Point2<f64>> {
-        // A pincushion's own point may be beyond its fold; nearer to the axis is always short of it.
+        // Starts at the distorted point. With pincushion distortion it may lie beyond the fold; points near
+        // the axis never do.
         let mut n = *d;
         for _ in 0..ITERATIONS {
             if self.is_short_of_fold(&n) {

@@ -278,7 +278,7 @@ mod tests {
         assert!(!folding.is_short_of_fold(&Point2::new(f64::NAN, 0.0)));
     }
 
-    /// The slope is positive again further out, but what lies there is imaged twice already.
+    /// The slope is positive again further out, but the pixels there are images of points nearer to the axis too.
     #[test]
     fn a_lens_that_folds_twice_ends_at_the_first() {
         let model = CameraModel::Radial { f: 1.0, cx: 0.0, cy: 0.0, k: [-1.0, 0.3] };
@@ -291,7 +291,7 @@ mod tests {
         assert!(inverse.is_none_or(|n| n.coords.norm() < 0.65), "{inverse:?}");
     }
 
-    /// Right up to the fold, and with a pincushion whose own point is beyond its fold.
+    /// Up to the fold, and with pincushion distortion that takes points beyond the fold's radius.
     #[test]
     fn strong_distortion_is_inverted_up_to_its_fold() {
         let barrel = CameraModel::SimpleRadial { f: 1.0, cx: 0.0, cy: 0.0, k: -0.5 };

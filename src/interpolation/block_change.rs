@@ -6,8 +6,8 @@ use crate::raster::Image;
 /// Side of a block, pixels.
 const BLOCK: usize = 8;
 
-/// Minimum ratio of a changed block's difference to the lower quartile of all blocks'. (Noise varies by 2 to 4
-/// times between light and dark, flat and textured parts.)
+/// Minimum ratio of a changed block's difference to the lower quartile of all blocks' differences. (Noise varies by 2
+/// to 4 times between light and dark, flat and textured parts.)
 const MIN_NOISE_RATIO: f32 = 6.0;
 
 /// Minimum mean difference of a changed block, values 0..=1: 1.5 steps of 8 bits.

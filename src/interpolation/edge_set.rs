@@ -68,7 +68,8 @@ impl HasPosition for Site {
     }
 }
 
-/// The constrained Delaunay triangulation of these positions, without those that are not finite.
+/// The Delaunay triangulation of the finite positions, constrained to contain the segments of `constraints`, which
+/// are pairs of indices.
 fn triangulation(
     positions: &[Point2<f64>],
     constraints: impl Iterator<Item = [usize; 2]>,
@@ -105,8 +106,9 @@ fn accepted(v: f64) -> f64 {
     if v.abs() < 1e-30 { 0.0 } else { v }
 }
 
-/// Splits real edges where they cross (§5.2). The new vertex, appended to `vertices`, lies on the fitter edge
-/// in all images, so that the fitter edge stays straight.
+/// Splits real edges where they cross (§5.2), and returns the pieces. The vertex of a crossing is appended to
+/// `vertices`. It lies on the edge with the larger fitness in both frames and at the instant, so that this edge stays
+/// straight.
 fn without_crossings(vertices: &mut Vec<EdgeFeature>, real: &[RealEdge]) -> Vec<RealEdge> {
     let mut order: Vec<usize> = (0..real.len()).collect();
     order.sort_by(|&a, &b| real[b].mean_fitness.total_cmp(&real[a].mean_fitness).then(a.cmp(&b)));

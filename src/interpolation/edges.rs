@@ -10,8 +10,10 @@ const BETA: f64 = 0.05;
 const MIN_FITNESS: f64 = 0.08;
 /// Distance between the samples s_k of eq. (6), pixels.
 const SAMPLE_STEP_PX: f64 = 2.0;
-/// Maximum change of an edge's length between the frames: this fraction of it plus [`MAX_LENGTH_CHANGE_PX`].
+/// Maximum change of an edge's length between the frames, as a fraction of the length; [`MAX_LENGTH_CHANGE_PX`] is
+/// added.
 const MAX_LENGTH_CHANGE_FRACTION: f64 = 0.05;
+/// Part of the maximum change of an edge's length that does not depend on the length, pixels.
 const MAX_LENGTH_CHANGE_PX: f64 = 0.5;
 /// Maximum angle between duplicate edges, degrees.
 const DUPLICATE_ANGLE_DEG: f64 = 10.0;
@@ -159,7 +161,7 @@ fn without_duplicates(mut edges: Vec<RealEdge>, features: &[EdgeFeature]) -> Vec
 /// The ends of a segment, pixels.
 pub(super) type Segment = [Point2<f64>; 2];
 
-/// Segments by their midpoints, which finds those that may meet.
+/// Spatial index of segments, by their midpoints.
 pub(super) struct NearSegments<'a> {
     segments: &'a [Segment],
     midpoints: Neighbors,
@@ -167,14 +169,15 @@ pub(super) struct NearSegments<'a> {
 }
 
 impl<'a> NearSegments<'a> {
-    /// Segments whose ends are finite.
+    /// Indexes segments, whose ends must be finite.
     pub fn new(segments: &'a [Segment]) -> Self {
         let midpoints = Neighbors::new(segments.iter().map(|[a, b]| center(a, b)));
         let longest_px = segments.iter().map(|[a, b]| (b - a).norm()).fold(0.0, f64::max);
         Self { segments, midpoints, longest_px }
     }
 
-    /// Of the segments before segment `k`, the indices, ascending, of at least those within `distance_px` of it.
+    /// Candidates for the segments within `distance_px` of segment `k`, among the segments before `k`: their indices,
+    /// ascending. No segment within the distance is missing; some may be farther.
     pub fn before(&self, k: usize, distance_px: f64) -> Vec<usize> {
         let [a, b] = &self.segments[k];
         let reach = 0.5 * ((b - a).norm() + self.longest_px) + distance_px;

@@ -17,11 +17,11 @@ const OUTLINE_PX: usize = 4;
 const DISAGREEMENT_PX: f32 = 200.0;
 /// Mean difference of the warped frames, 0..=1, up to which they agree.
 const MIN_DISAGREEMENT: f32 = 0.03;
-/// Half-width of the window of that mean, pixels; refined images have
+/// Half-width of the window over which the warped frames' difference is averaged, pixels. Refined images use
 /// [`InterpolationOptions::window_radius_px`] instead.
 const DISAGREEMENT_RADIUS_PX: usize = 2;
-/// Weight of a motion's change per frame beside the motion: bodies that rotate or bounce leave the
-/// interpolated trajectory.
+/// Weight of the motion's change per frame in the interpolation error; the motion itself has weight 1. Bodies that
+/// rotate or bounce leave the interpolated trajectory.
 const CHANGE_WEIGHT: f32 = 4.0;
 
 /// A camera's image at an instant between its frames.
@@ -29,8 +29,8 @@ const CHANGE_WEIGHT: f32 = 4.0;
 pub struct Synchronized {
     /// The image.
     pub image: Image,
-    /// Expected error of interpolation per pixel, pixels of motion, row by row; `None` for images that are not
-    /// interpolated along motion, or on request.
+    /// Expected error of interpolation per pixel, pixels of motion, row by row. `None` for images that are not
+    /// interpolated along motion, and if [`FramePair::with_interpolation_error`] is false.
     ///
     /// It is 4s(1 − s) times the motion between the two frames, with s the instant's fraction of the
     /// interval. The motion counts for more where it changes or where the warped frames differ.
@@ -72,9 +72,9 @@ pub struct FramePair<'a> {
     pub later: &'a Frame,
     /// The tracks between the two.
     pub tracked: TrackedPair<'a>,
-    /// The tiles of the image that are needed, `None` for all. Others may be black.
+    /// The tiles of the image that are needed, `None` for all. Other tiles may be black.
     pub parts: Option<&'a Tiles>,
-    /// Whether [`Synchronized::interpolation_error_px`] is wanted. It takes as long as a warp, except in
+    /// Whether [`Synchronized::interpolation_error_px`] is wanted. Computing it takes as long as a warp, except for
     /// refined images.
     pub with_interpolation_error: bool,
 }
@@ -140,8 +140,8 @@ impl FramePair<'_> {
         Synchronized { image, interpolation_error_px }
     }
 
-    /// The warps of the earlier and the later frame to an instant, each by the frame's number (0, 1), its
-    /// features and its size.
+    /// The warps of the earlier and the later frame to an instant. `warp` computes one from the frame's number
+    /// (0 or 1), its features, and its width and height.
     fn warps(
         &self,
         time_s: f64,
@@ -153,7 +153,7 @@ impl FramePair<'_> {
     }
 }
 
-/// The motions of pixels by two warps.
+/// Each pixel's motion between two frames by their warps. Its cost is the mean difference of the warped frames.
 fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
     let (w, h) = (warps[0].width, warps[0].height);
     let differences =
@@ -161,7 +161,7 @@ fn motions_of(images: [&Image; 2], warps: [&Warp; 2]) -> Image {
     warp_motions(warps, &box_filter(&differences, w, h, DISAGREEMENT_RADIUS_PX))
 }
 
-/// [`Synchronized::interpolation_error_px`] by the pixels' motions.
+/// [`Synchronized::interpolation_error_px`] from an image of the pixels' motions ([`MOTION_CHANNELS`]).
 fn error_px(motions: &Image, fraction: f64) -> Vec<f32> {
     let weight = (4.0 * fraction * (1.0 - fraction)) as f32;
     let of_pixel = |&[motion_px, change_px, cost]: &[f32; MOTION_CHANNELS]| {

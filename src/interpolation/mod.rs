@@ -8,7 +8,7 @@
 //! | 5.3 cross dissolve, eq. (9) | [`cross_dissolve`] |
 //! | Fig. 10 (b), direct triangulation | [`triangulation_warp`] |
 //! | beyond: motion and visibility at outlines | [`PairMethod::Refined`] |
-//! | all of them | [`FramePair::interpolate`] |
+//! | every method | [`FramePair::interpolate`] |
 //!
 //! `crossfade` has no warp. `triangulation`, `morph` and `edge-morph` differ in the warp alone; `morph` is
 //! `edge-morph` with equal weights of all edges. `refined` starts from `triangulation` (from `edge-morph` it

@@ -36,7 +36,7 @@ methods!(SyncMethod {
 });
 
 impl SyncMethod {
-    /// The method of the images that this one starts from, each of one camera's frames.
+    /// The single-camera method that this method starts from: `Refined` for `AllCameras`; every other method itself.
     pub fn of_one_camera(self) -> Self {
         if self == Self::AllCameras { Self::Refined } else { self }
     }

@@ -7,7 +7,7 @@ use nalgebra::{Matrix2, Point2, Vector2};
 /// The tracks between two consecutive frames of a camera.
 #[derive(Clone, Copy)]
 pub struct TrackedPair<'a> {
-    /// Without any, interpolation is a cross-fade.
+    /// The pair's tracks. Without any, interpolation is a cross-fade.
     pub tracks: &'a [Track],
     /// The times of all frames of the camera, seconds, strictly ascending.
     pub times_s: &'a [f64],
@@ -51,7 +51,8 @@ impl TrackedPair<'_> {
         flow_tracks(self.tracks, forward).map(feature).collect()
     }
 
-    /// The motions of all tracks to the four frames, from their positions `at` some instant.
+    /// The displacements of all tracks to the frames before, earlier, later and after, from the tracks' positions at
+    /// some instant. `at` gives a track's position at this instant.
     pub(super) fn motions(
         &self,
         curved: bool,
@@ -92,8 +93,8 @@ pub(super) struct TrackMotion {
 }
 
 impl TrackMotion {
-    /// Difference, pixels, of two tracks' motions between the middle frames, after one of them is continued
-    /// affinely to the other's position.
+    /// Difference, pixels, of two tracks' motions between the middle frames, after one motion is extrapolated
+    /// affinely to the other track's position: the smaller difference of the two ways to do so.
     pub fn difference_px(&self, other: &Self) -> f64 {
         let [own, other] = [self, other].map(|m| Moved {
             at: m.at + m.to[1],

@@ -22,7 +22,7 @@ impl Triangles {
     }
 }
 
-/// The Delaunay triangles of positions and of the image's corners, by index.
+/// The Delaunay triangles of these positions and the image's corners, by index. The corners follow the positions.
 pub fn triangulated(
     positions: impl Iterator<Item = Point2<f64>>,
     width: usize,
@@ -34,8 +34,8 @@ pub fn triangulated(
 /// The piecewise affine warp that takes triangles of the features and of the image's corners from a source
 /// frame of `width`×`height` pixels to the instant.
 ///
-/// Triangles that flip between the two, or have no area, are skipped. The warp is the identity at pixels
-/// that no triangle covers.
+/// Triangles that flip between the frame and the instant, or have no area, are skipped. The warp is the identity at
+/// pixels that no triangle covers.
 pub fn triangulation_warp(
     triangles: &[[usize; 3]],
     features: &[EdgeFeature],
@@ -100,7 +100,8 @@ fn fill_triangle(warp: &mut Warp, corners: [EdgeFeature; 3]) {
     }
 }
 
-/// The interval of x that row `y` has inside a triangle, given the matrix to its barycentric coordinates.
+/// The interval of x inside a triangle at this y, given the matrix from (x, y, 1) to barycentric coordinates. `None` if
+/// the row misses the triangle.
 fn span(barycentric: &Matrix3<f64>, y: f64) -> Option<[f64; 2]> {
     let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
     for corner in barycentric.row_iter() {

@@ -5,9 +5,11 @@
 //!
 //! `p_i = 2 tan(θ_i / 2) · (1 + coarseness_i) / (border_i · visible_i)`
 //!
-//! with θ_i the angle at X between C and C_i, and coarseness_i the loss of resolution. Buehler adds the three parts.
-//! Multiplied, the penalty is 0 where the camera stands at the view's centre, so that its image is reproduced exactly;
-//! it is infinite outside the image. [`super::weights`] turns penalties into weights.
+//! with θ_i the angle at X between C and C_i, and coarseness_i the loss of resolution. border_i falls from 1 to 0 at
+//! the image's border, and visible_i from 1 to 1e-3 behind the surface that the camera sees. Buehler adds the parts
+//! for angle, resolution and field of view. In the product, the penalty is 0 where the camera stands at the view's
+//! centre, so that its image is reproduced exactly; it is infinite outside the image. [`super::weights`] turns
+//! penalties into weights.
 //!
 //! With [`BlendMethod::SpaceTime`] the penalty is `√(p_i² + (λ·m_i)²)`, with m_i the expected interpolation error of the
 //! camera's pixel and λ [`BlendOptions::error_angle_rad`]: the errors of the proxy and of interpolation are independent.

@@ -9,7 +9,7 @@ use std::f32::consts::TAU;
 const DIRECTIONS: usize = 16;
 /// Largest distance of the search, pixels.
 const REACH_PX: usize = 128;
-/// Number of pixels in a row that are averaged in each direction: outlines have mixed colours.
+/// Number of consecutive pixels that are averaged in each direction: a single one at an outline has mixed colours.
 const AVERAGED_PX: usize = 6;
 
 /// Visibility of a pixel's point in the cameras.
@@ -25,8 +25,8 @@ pub(super) enum PointVisibility {
 
 /// Fills the occluded pixels of an image with the mean of the visible pixels around them, weighted by inverse distance.
 ///
-/// A direction ends at a surface that is nearer by more than a fraction of the depth: it is the occluder. Pixels
-/// without visible surroundings stay as they are.
+/// The search in a direction ends at a surface that is nearer than the occluded point by more than `fraction` of the
+/// point's depth: it is the occluder. Pixels without visible surroundings stay as they are.
 pub(super) fn inpaint(
     image: &mut Image,
     visibility: &[PointVisibility],
@@ -88,7 +88,7 @@ impl Surroundings<'_> {
                 }
                 continue;
             }
-            // Also where one of them has no depth.
+            // Also where one of the two pixels has no depth.
             if !(self.depth.data()[k] >= min_depth) {
                 break;
             }

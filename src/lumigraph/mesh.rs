@@ -53,7 +53,7 @@ const EDGE_FRACTION: f64 = 0.1;
 const MAX_EDGE_PX: f64 = 24.0;
 /// Largest difference of the inverse depths of two points that support each other, as a fraction.
 const SUPPORT_FRACTION: f64 = 0.05;
-/// Smallest number of neighbours, at one or two edges of the triangulation, that must support a point.
+/// Smallest number of vertices that must support a point, at most two edges of the triangulation away.
 const MIN_SUPPORT: usize = 2;
 /// Distance of the mesh's corners outside the image, as a fraction of its size.
 const MARGIN: f64 = 0.05;
@@ -144,7 +144,7 @@ fn projected(
 }
 
 /// Delaunay triangulation of the points, followed by the corners, in pixels. Of several points at one position,
-/// one is in it.
+/// only one is a vertex.
 fn triangulated(projections: &[ProjectedPoint], corners: &[Point2<f64>], focal: f64) -> MeshSites {
     // spade takes coordinates that are 0 or in [2⁻¹⁴², 2²⁰¹]; a millionth of a pixel is 0.
     let coordinate = |v: f64| if (v * focal).abs() < 1e-6 { 0.0 } else { v * focal };
@@ -198,12 +198,12 @@ fn drop_unsupported(projections: &mut Vec<ProjectedPoint>, sites: &mut MeshSites
     *projections = kept;
 }
 
-/// The vertices at one edge from another.
+/// The vertices that share an edge with a vertex.
 fn neighbors(site: Handle<MeshSite>) -> impl Iterator<Item = Handle<MeshSite>> {
     site.out_edges().map(|edge| edge.to())
 }
 
-/// Whether enough vertices at one or two edges have a similar inverse depth.
+/// Whether enough vertices, at most two edges away, have a similar inverse depth.
 fn has_support(projections: &[ProjectedPoint], site: &Handle<MeshSite>) -> bool {
     let index = |s: &Handle<MeshSite>| s.data().index as usize;
     let own = projections[index(site)].inverse_depth;
@@ -229,7 +229,7 @@ fn has_support(projections: &[ProjectedPoint], site: &Handle<MeshSite>) -> bool 
 /// points.
 fn back_plane(projections: &[ProjectedPoint], bounds: &ViewBounds) -> Option<Vector3<f64>> {
     let g = fit_plane(projections, PlaneLoss::Behind(FRONT_WEIGHT), bounds)?;
-    // The plane is positive in all the bounds, so the ratio is.
+    // The plane's inverse depth is positive in all the bounds, and so is the ratio.
     let behind = projections.iter().map(|s| s.inverse_depth / g.dot(&s.ray())).fold(1.0, f64::min);
     Some(g * (behind * BACK_FACTOR))
 }

@@ -14,7 +14,8 @@ use nalgebra::{Matrix3, Point2, Vector3};
 
 /// Width over which a camera fades out towards its image's border, pixels.
 const FEATHER_PX: f32 = 4.0;
-/// Smallest depth of an occluded point beyond the surface, as a fraction of the surface's depth.
+/// Smallest distance in depth of an occluded point from the surface in front of it, as a fraction of the surface's
+/// depth.
 pub(super) const OCCLUSION_FRACTION: f32 = 0.03;
 /// Cameras nearer to the view's centre than this fraction of the farthest camera's distance count as at the centre.
 const SAME_CENTER_FRACTION: f64 = 1e-6;
@@ -32,8 +33,9 @@ const SINE_ROUNDING: f32 = 1e-6;
 
 /// Some neighbouring pixels of a row of the view.
 pub(super) struct TargetRow<'a> {
-    /// Rays (x, y, 1).
+    /// The x of the rays (x, y, 1).
     pub x: &'a [f32],
+    /// The y of the rays (x, y, 1).
     pub y: &'a [f32],
     /// Lengths of the rays.
     pub length: &'a [f32],
@@ -44,12 +46,13 @@ pub(super) struct TargetRow<'a> {
 /// A cone around the rays of some pixels of a row.
 pub(super) struct RayCone {
     axis: Vector3<f32>,
-    /// Sine and cosine of the largest angle between a ray and the axis.
+    /// Sine of the largest angle between a ray and the axis.
     sine: f32,
+    /// Cosine of the largest angle between a ray and the axis.
     cosine: f32,
     /// Length of the longest ray.
     longest: f32,
-    /// Smallest inverse depth.
+    /// Smallest inverse depth of the pixels.
     farthest: f32,
 }
 
@@ -108,8 +111,8 @@ fn measure_row_by(
         let cross = (cross.x * cross.x + cross.y * cross.y + cross.z * cross.z).sqrt();
         let dot = length * length + inverse * (x * d.x + y * d.y + d.z);
         let q_length = (q.x * q.x + q.y * q.y + q.z * q.z).sqrt();
-        // The sum is 0 only where θ is 180° or the point is the source's centre: then ∞ or
-        // NaN, and the camera doesn't count.
+        // The denominator is 0 only where θ is 180° or the point is the source's centre. Then the
+        // angle is ∞ or NaN, and the camera doesn't count.
         let angle = 2.0 * inverse * cross / (length * q_length + dot);
         let coarseness = (q_length * reprojection.focal_ratio / length - 1.0).max(0.0);
 
@@ -158,7 +161,7 @@ pub(super) struct Reprojection {
     rotation: Matrix3<f32>,
     /// The view's centre minus the source's, in the source's axes.
     shift: Vector3<f32>,
-    /// This vector in the view's axes.
+    /// The view's centre minus the source's, in the view's axes.
     shift_target: Vector3<f32>,
     model: CameraModel,
     width: f32,
@@ -205,7 +208,8 @@ impl Reprojection {
         }
     }
 
-    /// Whether the source stands at the view's centre: its pixels don't depend on depth.
+    /// Whether the source stands at the view's centre. If so, the positions of points in the source don't depend on
+    /// depth.
     pub fn at_center(&self) -> bool {
         self.shift_target == Vector3::zeros()
     }
@@ -245,7 +249,7 @@ impl Reprojection {
         (pixel.x as f32, pixel.y as f32)
     }
 
-    /// Computes positions and confidences, but for occlusion.
+    /// Computes positions in the source, and confidences without regard to occlusion.
     pub fn place(&self, row: &TargetRow, span: &mut SourceSpan) {
         if self.model.is_pinhole() {
             place_row(self, row, span, self.pinhole());
@@ -254,8 +258,8 @@ impl Reprojection {
         }
     }
 
-    /// Computes a row's points in `source`, which this reprojection is of. `visible`: whether the points are visible in
-    /// any source so far.
+    /// Computes the positions, penalties and confidences of a row's points in `source`, whose reprojection this is.
+    /// Sets `visible` at points that the source sees, and leaves it at the others.
     pub fn measure(
         &self,
         row: &TargetRow,
@@ -371,7 +375,7 @@ mod tests {
         TargetRow { x, y, length, inverse_depth }
     }
 
-    /// Where a source shows a part's points, their penalties and the trust in them.
+    /// The positions of a part's points in a source (x and y), their penalties, and their confidences.
     fn measured(
         reprojection: &Reprojection,
         part: &RowPart,

@@ -45,15 +45,15 @@ impl Plane {
         let project = |point| ProjectedPoint::new(point, camera, &counted);
         let projections: Vec<ProjectedPoint> = points.iter().filter_map(project).collect();
         let g = fit_plane(&projections, PlaneLoss::Robust, &bounds)?;
-        // g · (R x + t) = 1. |g| is at least its inverse depth amid the view, which is positive.
+        // g · (R x + t) = 1. |g| is at least the plane's inverse depth amid the view, which is positive.
         let length = g.norm();
         let normal = camera.cam_from_world.rotation.inverse_transform_vector(&g) / length;
         let d = (1.0 - g.dot(&camera.cam_from_world.translation.vector)) / length;
         (normal.iter().all(|v| v.is_finite()) && d.is_finite()).then_some(Self { normal, d })
     }
 
-    /// The plane that faces the camera at the median inverse depth of all points in front of it, also of those
-    /// outside its image. `None` if there is none.
+    /// The fronto-parallel plane at the median inverse depth of all points in front of the camera, including points
+    /// outside its image. `None` if no point is in front.
     pub fn amid(points: &[Point3<f64>], camera: &Camera) -> Option<Self> {
         let mut inverse: Vec<f64> =
             points.iter().map(|p| 1.0 / (camera.cam_from_world * p).z).collect();
@@ -80,7 +80,7 @@ pub(super) struct ProjectedPoint {
 }
 
 impl ProjectedPoint {
-    /// `None` for a point behind the camera, outside the bounds, or not finite.
+    /// Projects a point. `None` if it is behind the camera, outside the bounds, or not finite.
     pub fn new(point: &Point3<f64>, camera: &Camera, bounds: &ViewBounds) -> Option<Self> {
         let p = camera.cam_from_world * point;
         let at = Point2::new(p.x / p.z, p.y / p.z);
@@ -103,7 +103,8 @@ pub(super) enum PlaneLoss {
     Behind(f64),
 }
 
-/// Fits a plane's g to points by iteratively reweighted least squares, in front of the whole view. `None` without points.
+/// Fits a plane's g to points by iteratively reweighted least squares. The plane lies in front of the camera in the
+/// whole view. `None` without points.
 pub(super) fn fit_plane(
     points: &[ProjectedPoint],
     loss: PlaneLoss,
@@ -131,12 +132,12 @@ pub(super) fn fit_plane(
     Some(flattened(g, points, bounds))
 }
 
-/// Inverse depth of a point beyond the plane's; positive in front of it.
+/// Inverse depth of a point minus the plane's on the same ray; positive in front of the plane.
 fn residual(p: &ProjectedPoint, g: &Vector3<f64>) -> f64 {
     p.inverse_depth - g.dot(&p.ray())
 }
 
-/// Least squares with these weights.
+/// A plane's g by least squares of inverse depths, with these weights and a prior of no tilt.
 fn least_squares(
     points: &[ProjectedPoint],
     weight: impl Fn(&ProjectedPoint) -> f64,
@@ -153,7 +154,7 @@ fn least_squares(
     normal.cholesky().map(|c| c.solve(&right))
 }
 
-/// Reduces a plane's tilt about the points' mean until it lies in front of the whole view.
+/// Reduces a plane's tilt about the points' mean until the plane lies in front of the camera in the whole view.
 fn flattened(g: Vector3<f64>, points: &[ProjectedPoint], bounds: &ViewBounds) -> Vector3<f64> {
     let mean = |axis: usize| points.iter().map(|p| p.at[axis]).sum::<f64>() / points.len() as f64;
     let ray = Vector3::new(mean(0), mean(1), 1.0);

@@ -34,8 +34,9 @@ struct ProjectedTriangle {
     edges: [Vector3<f64>; 3],
     /// Inverse depth by the ray: 1/z = g · r.
     g: Vector3<f64>,
-    /// Columns and rows of the bounding box.
+    /// Columns of the bounding box.
     columns: Range<usize>,
+    /// Rows of the bounding box.
     rows: Range<usize>,
 }
 
@@ -51,7 +52,7 @@ pub(super) fn rasterize(
         triangles.par_iter().filter_map(|t| project(points, t, camera)).collect();
     let mut in_bands = vec![Vec::new(); camera.height.div_ceil(BAND_ROWS)];
     for t in &projected {
-        // There is a row.
+        // `rows` is not empty.
         let bands = t.rows.start / BAND_ROWS..=(t.rows.end - 1) / BAND_ROWS;
         in_bands[bands].iter_mut().for_each(|band| band.push(t));
     }
@@ -320,7 +321,7 @@ mod tests {
                 let triangles = [[0, 1, 2], [3, 4, 5], [6, 7, 8]];
                 let got = rasterize(&points, &triangles, &camera);
                 for (a, b) in got.data().iter().zip(naive(&points, &triangles, &camera)) {
-                    // Nearer than NEAR_FRACTION of the triangle's far end is clipped.
+                    // Points nearer than NEAR_FRACTION of the triangle's far end are clipped.
                     let same = (a - b).abs() <= 1e-4 * b || (a.is_nan() && b.is_nan());
                     assert!(same || !(b > 1e-3), "{a} {b}");
                 }

@@ -14,7 +14,7 @@ impl<'a> RayRow<'a> {
     /// Allocates a row; [`Self::set`] computes the rays.
     pub fn new(camera: &'a Camera) -> Self {
         let (fx, _, cx, _) = camera.model.intrinsics();
-        // Every row of a pinhole has the same.
+        // Every row of a pinhole has the same x.
         let x = (0..camera.width).map(|column| (column as f64 + 0.5 - cx) / fx).collect();
         Self { camera, x, y: vec![0.0; camera.width] }
     }
@@ -43,7 +43,7 @@ pub(super) struct ViewBounds {
     pub max: Point2<f64>,
 }
 
-/// Number of positions along each side of the border.
+/// Number of steps in which each side of the border is sampled.
 const STEPS: usize = 32;
 
 impl ViewBounds {

@@ -1,4 +1,4 @@
-//! Sources of a view, how they are blended, and the view.
+//! Sources of a view, the options of blending, and the rendered view.
 
 use super::depth_map::DepthMap;
 use super::weights::BlendMethod;

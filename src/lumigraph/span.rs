@@ -14,7 +14,8 @@ use std::ops::Range;
 
 /// Number of neighbouring pixels whose tiles are marked together.
 const MARKED_PX: usize = 8;
-/// Largest side of their bounding box in a source, pixels; beyond it, every pixel is marked alone.
+/// Neighbouring pixels' tiles are marked together if the bounding box of their positions in a source has sides below
+/// this, pixels; otherwise one by one.
 const MARKED_SIDE_PX: f32 = 12.0;
 /// Smallest inverse depth, 1/m: the sky's. At 0, the angles to all cameras would be 0, and all would tie.
 const MIN_INVERSE_DEPTH: f32 = 1e-8;
@@ -39,11 +40,11 @@ pub(super) struct SpanBlender<'a> {
     order: Vec<usize>,
     /// Whether some sources are grey and others coloured.
     is_mixed: bool,
-    /// Whether the view has a pinhole.
+    /// Whether the view's camera is a pinhole.
     is_pinhole: bool,
 }
 
-/// Rays of a row of the view, their lengths, and inverse depths.
+/// Rays of a row of the view, their lengths, and the inverse depths along them.
 struct RowRays<'a> {
     rays: RayRow<'a>,
     x: Vec<f32>,
@@ -169,7 +170,7 @@ impl<'a> SpanBlender<'a> {
 
     /// The columns of the row's spans.
     pub fn columns(&self) -> impl Iterator<Item = Range<usize>> + use<> {
-        // Whole cells between nodes.
+        // A span is a whole number of cells between nodes.
         let step = self.grid.as_ref().map_or(1, |grid| grid.step);
         ranges(self.row.x.len(), SPAN_PX / step * step)
     }
@@ -182,8 +183,8 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Interpolates weights between nodes, times the confidence. False if a pixel has none: a source may see it but no
-    /// node around it.
+    /// Interpolates weights between nodes, and multiplies them by the confidences. False if a pixel has no weight: a
+    /// source may see the pixel's point, but not those of the nodes around it.
     fn weigh_between_nodes(&mut self, columns: Range<usize>) -> bool {
         let Some(grid) = &self.grid else { return false };
         self.span.count = columns.len();
@@ -215,7 +216,7 @@ impl<'a> SpanBlender<'a> {
         for (rank, &i) in self.order.iter().enumerate() {
             if rank == first && !self.is_mixed {
                 let limit = self.span.max_threshold(&self.order[..first]);
-                // At 0, sources at the view's own centre tie.
+                // At a threshold of 0, sources at the view's own centre tie.
                 let may_cull = limit > 0.0 && limit < f32::INFINITY;
                 cone_and_limit = may_cull.then(|| (RayCone::around(&row, self.is_pinhole), limit));
             }
@@ -264,7 +265,7 @@ impl<'a> SpanBlender<'a> {
         }
     }
 
-    /// Marks the tiles that have weight.
+    /// Marks the tiles that sources are sampled from at pixels in which they have weight.
     fn mark_weighed(&self, tiles: &mut [Tiles]) {
         for &i in &self.span.active {
             let own = &self.span.of_source[i];
@@ -330,7 +331,7 @@ impl<'a> SpanBlender<'a> {
         for &i in self.span.active.iter().filter(|&&i| is_colored(i)) {
             for (x, pixel) in pixels.as_chunks_mut::<3>().0.iter_mut().enumerate() {
                 // Chrominance fades as the last coloured camera loses a point that others see, unless
-                // the luminance is that camera's too. Where a weight is positive, a confidence is.
+                // the luminance is that camera's too. Where a weight is positive, a confidence is positive.
                 let fade = colored_weight[x].max(best_of_colored[x] / best_of_any[x]);
                 let weight = self.span.of_source[i].weight[x];
                 if weight > 0.0 {
@@ -367,7 +368,8 @@ impl<'a> SpanBlender<'a> {
         [gray; 3]
     }
 
-    /// Sets the visibility of the span's points; before [`Self::blend_mixed`].
+    /// Sets the visibility of the span's points. It must be called before [`Self::blend_mixed`], which changes
+    /// confidences.
     pub fn set_visibility(&self, visibility: &mut [PointVisibility]) {
         let best = self.best_confidence();
         for ((visibility, best), is_visible) in visibility.iter_mut().zip(best).zip(self.visible) {

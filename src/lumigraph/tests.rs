@@ -12,18 +12,18 @@ pub(super) fn assert_covered(map: &DepthMap) {
     assert_eq!(missing, 0, "pixels without depth");
 }
 
-/// 96×72 pixels, 46° wide.
+/// A camera of 96×72 pixels, 46° wide, that looks along +z.
 pub(super) fn camera_at(center: [f64; 3]) -> Camera {
     let model = CameraModel::Pinhole { fx: 112.0, fy: 112.0, cx: 48.0, cy: 36.0 };
     Camera { width: 96, height: 72, model, ..pinhole_at(center) }
 }
 
-/// A rig of eight on a line, as the paper's, 60 mm apart.
+/// A rig of eight cameras on a line, as the paper's, 60 mm apart.
 pub(super) fn rig() -> Vec<Camera> {
     (0..8).map(|k| camera_at([0.06 * (f64::from(k) - 3.5), 0.0, 0.0])).collect()
 }
 
-/// A smooth texture, metres in.
+/// The colour of a smooth texture at a position in the world, metres.
 fn texture(p: &Point3<f64>) -> [f32; 3] {
     let wave = |a: f64, b: f64, c: f64| (0.5 + 0.4 * (a * p.x + b * p.y + c).sin()) as f32;
     [wave(7.0, 3.0, 0.3), wave(-4.0, 8.0, 1.0), wave(5.0, 5.0, 2.0)]

@@ -1,9 +1,10 @@
 //! A 3D point from its images in several cameras at one instant.
 //!
 //! The unknowns are a direction (u, v) from the first camera and an inverse distance ρ:
-//! `X = C_0 + s (r + u e_1 + v e_2) / ρ`, where s is the farthest camera's distance from the first. Camera i sees
-//! X along `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`, which is linear in (u, v, ρ) and finite at infinity,
-//! ρ = 0. The linear solution is well conditioned, and independent of the world's origin and scale.
+//! `X = C_0 + s (r + u e_1 + v e_2) / ρ`. Here C_i are the cameras' centres, r is the first camera's unit ray, e_1 and
+//! e_2 complete r to an orthonormal basis, and s is the farthest camera's distance from the first. Camera i, of
+//! rotation R_i, sees X along `R_i (r + u e_1 + v e_2 + ρ (C_0 − C_i) / s)`, which is linear in (u, v, ρ) and finite at
+//! infinity, ρ = 0. The linear solution is well conditioned, and independent of the world's origin and scale.
 
 use crate::camera::Camera;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
@@ -19,7 +20,8 @@ pub struct Triangulated {
     pub max_angle_rad: f64,
 }
 
-/// Smallest parallax of two rays, pixels of the longest lens among them: about what trackers resolve.
+/// Smallest parallax of two rays, pixels at the longest of the cameras' focal lengths: about the resolution of
+/// trackers.
 const MIN_PARALLAX_PX: f64 = 0.07;
 /// Largest number of Levenberg–Marquardt steps; 2 to 5 are needed.
 const MAX_ITERATIONS: usize = 20;
@@ -34,7 +36,7 @@ struct ObservationEquation {
     shift: Vector3<f64>,
     /// Observed point of the plane z = 1.
     observed: Point2<f64>,
-    /// Pixels per unit of that plane, x and y.
+    /// Focal lengths in x and y: pixels per unit of the plane z = 1.
     focal: (f64, f64),
 }
 

@@ -10,7 +10,7 @@ pub(super) struct WeightGrid {
     pub step: usize,
     /// Columns of the view that have nodes; the last is the view's last column.
     pub columns: Vec<usize>,
-    /// Index of the first row of nodes; `None` before it is filled.
+    /// Index of the upper of the two rows of nodes; `None` before the rows are filled.
     above: Option<usize>,
     /// Weights of both rows.
     rows: [Vec<f32>; 2],
@@ -19,7 +19,7 @@ pub(super) struct WeightGrid {
 }
 
 impl WeightGrid {
-    /// Nodes every `step` pixels of a view. `None` if each pixel would be one, or the view has a single column.
+    /// Nodes every `step` pixels of a view. `None` if each pixel would be a node, or the view has a single column.
     pub fn new(target: &Camera, sources: usize, step: usize) -> Option<Self> {
         let column = |k: usize| (k * step).min(target.width - 1);
         let columns: Vec<usize> = (0..=target.width.div_ceil(step)).map(column).collect();
@@ -47,8 +47,8 @@ impl WeightGrid {
         }
     }
 
-    /// Weights of a source at the nodes from the first of these columns, which has a node, to the first at or after the
-    /// last. `None` if all are 0.
+    /// Weights of a source at the nodes that enclose these columns of the view, of which the first must have a node.
+    /// `None` if all of them are 0.
     pub fn around(&self, source: usize, columns: Range<usize>) -> Option<&[f32]> {
         let (from, last) = (columns.start / self.step, columns.end.div_ceil(self.step));
         let first = source * self.columns.len();

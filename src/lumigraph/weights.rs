@@ -35,11 +35,12 @@ pub(super) const SPAN_PX: usize = 64;
 
 /// The points of a span of neighbouring pixels in one source.
 pub(super) struct SourceSpan {
-    /// Positions in the source's image, pixels.
+    /// The x of the points' positions in the source's image, pixels.
     pub x: [f32; SPAN_PX],
+    /// The y of the points' positions in the source's image, pixels.
     pub y: [f32; SPAN_PX],
-    /// Penalties: infinite where the source has no pixel of the point, and 0 where it stands at the view's centre. Then
-    /// only such sources count, in proportion to their confidence.
+    /// Penalties: infinite where the source has no pixel of the point, and 0 if the source stands at the view's centre.
+    /// Where any penalty is 0, only sources of penalty 0 count, in proportion to their confidence.
     pub penalty: [f32; SPAN_PX],
     /// 1 inside the image, 0 outside, less at its border and for occluded points.
     pub confidence: [f32; SPAN_PX],
@@ -88,7 +89,7 @@ impl WeighedSpan {
         normalize(self);
     }
 
-    /// Sorts the smallest penalties of every pixel.
+    /// Sorts the `count` smallest penalties of every pixel into `ranks`.
     #[inline(always)]
     fn rank(&mut self, count: usize) {
         self.ranks.clear();
@@ -106,7 +107,7 @@ impl WeighedSpan {
         }
     }
 
-    /// The largest threshold of the weights over the span, from the penalties of k+1 sources.
+    /// The largest threshold of the weights at any pixel of the span, from the penalties of these k+1 sources alone.
     pub fn max_threshold(&self, sources: &[usize]) -> f32 {
         let (mut best, mut worst) = ([f32::INFINITY; SPAN_PX], [0.0_f32; SPAN_PX]);
         for &i in sources {
@@ -129,7 +130,7 @@ fn threshold(next: f32, best: f32) -> f32 {
 }
 
 multiversion! {
-    /// Divides weights by their sums. False if a pixel has none.
+    /// Divides each pixel's weights by their sum over the sources. False if a pixel's sum is 0.
     pub(super) fn normalize(span: &mut WeighedSpan) -> bool = normalize_by
 }
 
@@ -163,7 +164,7 @@ fn lumigraph_by(span: &mut WeighedSpan, k: usize) {
         // Infinite where k cameras or fewer see the point: none has to fade out.
         *limit = threshold(*limit, best);
     }
-    // The decrease of the weights at the threshold.
+    // Subtracted from best / p, so that weights are 0 at the threshold.
     let mut fall = best;
     fall.iter_mut().zip(&limit).for_each(|(fall, limit)| *fall /= limit);
     for &i in &span.active {
@@ -227,14 +228,14 @@ mod tests {
         span.active.iter().flat_map(of).copied().collect()
     }
 
-    /// The weights of these pixels' penalties by `n` sources.
+    /// The weights of pixels that have these penalties in `n` sources.
     fn of_pixels(penalty: &[f32], n: usize, k: usize) -> Vec<f32> {
         let mut span = span_of(penalty, n);
         span.weigh_best(k);
         weights_of(&span)
     }
 
-    /// The formula, one pixel, with a sort.
+    /// Reference implementation: the formula of the module head for one pixel, with a sort.
     fn naive(penalties: &[f32], k: usize) -> Vec<f32> {
         let mut sorted = penalties.to_vec();
         sorted.sort_by(f32::total_cmp);

@@ -12,11 +12,13 @@ use rayon::prelude::*;
 /// Pixels per degree of visual angle, the authors' default: a 0.7 m wide 4K monitor seen from 0.7 m.
 pub const DEFAULT_PIXELS_PER_DEGREE: f64 = 67.020_643_276_582_25;
 
-/// Exponents of the colour and the feature difference, q_c and q_f.
+/// q_c: exponent of the colour difference.
 const COLOR_EXPONENT: f32 = 0.7;
+/// q_f: exponent of the feature difference.
 const FEATURE_EXPONENT: f32 = 0.5;
-/// p_c and p_t: colour differences up to p_c of the largest are mapped to 0..p_t.
+/// p_c: colour differences up to this fraction of the largest are mapped to 0..[`PIVOT_VALUE`].
 const PIVOT: f32 = 0.4;
+/// p_t: the value that a colour difference of [`PIVOT`] of the largest is mapped to.
 const PIVOT_VALUE: f32 = 0.95;
 /// Peak-to-trough width of the edge detector w, degrees.
 const FEATURE_WIDTH_DEG: f64 = 0.082;
@@ -47,6 +49,7 @@ pub struct FlipImage {
     color: Vec<[f32; 3]>,
     /// Edge magnitude at every pixel.
     edges: Vec<f32>,
+    /// Point magnitude at every pixel.
     points: Vec<f32>,
 }
 
@@ -150,7 +153,7 @@ fn hyab(a: [f32; 3], b: [f32; 3]) -> f32 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).hypot(a[2] - b[2])
 }
 
-/// Maps a colour difference to 0..=1.
+/// Maps a colour difference to 0..=1; `most` is the largest difference of two colours.
 fn redistributed(difference: f32, most: f32) -> f32 {
     let pivot = PIVOT * most;
     if difference < pivot {

@@ -47,7 +47,8 @@ pub struct ErrorMaps {
 }
 
 impl ReferenceImage {
-    /// `pixels_per_degree` is FLIP's viewing condition.
+    /// Computes the luma and FLIP's filters of a true image. `pixels_per_degree`, of visual angle, is FLIP's viewing
+    /// condition.
     pub fn new(image: Image, pixels_per_degree: f64) -> Self {
         let (gray, flip) = (image.to_gray(), FlipImage::new(&image, pixels_per_degree));
         Self { image, gray, flip, pixels_per_degree }
@@ -111,7 +112,7 @@ impl ErrorMaps {
         }
     }
 
-    /// Scores over the covered pixels, and over those of them that move.
+    /// Scores over the covered pixels (all, if `covered` is `None`), and over the moving ones among them.
     pub fn regions(&self, covered: Option<&[bool]>, moving: &[bool]) -> RegionScores {
         let both: Option<Vec<bool>> =
             covered.map(|c| c.iter().zip(moving).map(|(c, m)| *c && *m).collect());

@@ -47,7 +47,7 @@ fn read_error(path: &Path) -> impl Fn(std::io::Error) -> ImageFileError {
     |source| ImageFileError::Read { path: path.to_owned(), source }
 }
 
-/// An image file whose header is read: its pixels are at most [`MAX_PIXELS`].
+/// An image file whose header is read and checked: it has at most [`MAX_PIXELS`] pixels.
 struct OpenedImage<R: BufRead + Seek> {
     header: Header,
     decoder: Decoder<R>,
@@ -114,7 +114,8 @@ pub(crate) fn read_header(path: &Path) -> Result<Header, ImageFileError> {
 /// Reads an image file, and its bit depth. Grey images have one channel, all others three; alpha is ignored.
 /// Samples are divided by their largest value.
 ///
-/// Errors are found before pixels are read: no regular file, more than 448 MiB, more than [`MAX_PIXELS`].
+/// Refused before pixels are read: anything but a regular file, a file of more than 448 MiB, and an image of more than
+/// [`MAX_PIXELS`] pixels.
 pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
     let opened = open(path)?;
     let depth = opened.header.bit_depth;
@@ -159,8 +160,8 @@ pub enum Samples {
     Sixteen(Vec<u16>),
 }
 
-/// Rounds an image to a file's depth: the number of channels, and the samples. Values beyond 0 to 1
-/// are clamped, and NaN is 0.
+/// Rounds an image to the samples of a file of this bit depth. Returns the number of channels, and the samples. Values
+/// beyond 0 to 1 are clamped, and NaN becomes 0.
 ///
 /// `coverage` has one value a pixel, row by row. It adds an alpha channel; where it is false, all
 /// samples of the pixel are 0.
@@ -186,7 +187,7 @@ pub fn quantize(image: &Image, coverage: Option<&[bool]>, depth: BitDepth) -> (u
     (channels, samples)
 }
 
-/// Encodes an image, grey or RGB, as PNG of 8 bits a channel with a compression.
+/// Encodes an image, grey or RGB, as PNG of 8 bits a channel, with this compression.
 pub(crate) fn encode_png_8(
     image: &Image,
     compression: CompressionType,
@@ -203,7 +204,7 @@ pub(crate) fn encode_png_8(
     Ok(bytes)
 }
 
-/// Encodes the file of [`write_image`].
+/// Encodes an image as the PNG file that [`write_image`] writes.
 pub(crate) fn encode_png(
     image: &Image,
     coverage: Option<&[bool]>,

@@ -1,7 +1,7 @@
 //! Sliding-window filters.
 
-/// Combines every `count` values that are `stride` apart, by a commutative and associative operation: one
-/// result per window. By doubling, in time logarithmic in the count.
+/// Combines each window of `count` values that are `stride` apart, by a commutative and associative operation: one
+/// result per window. Windows are combined from windows of half the length, in time logarithmic in the count.
 ///
 /// # Panics
 /// If the count is 0, or there are fewer values.
@@ -13,7 +13,7 @@ fn sliding(
 ) -> Vec<f32> {
     let out_len = values.len() - (count - 1) * stride;
     let pairs = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| combine(*a, *b)).collect();
-    // Each combines `power` values.
+    // Each element combines `power` values.
     let mut doubled = values.to_vec();
     let (mut power, mut done) = (1, 0);
     let mut out: Option<Vec<f32>> = None;
@@ -61,14 +61,14 @@ pub(crate) fn box_filter(values: &[f32], w: usize, h: usize, radius: usize) -> V
             1.0 / (to - from) as f32
         })
         .collect();
-    // All rows at once: what reaches from one into the next is not read.
+    // All rows at once: sums that reach from one row into the next are not read.
     let sums = sliding(&padded(values, w, radius, 0.0), 2 * radius + 1, 1, |a, b| a + b);
     let mut across = Vec::with_capacity(values.len());
     for row in sums.chunks(w + 2 * radius) {
         across.extend(row.iter().zip(&shares).map(|(sum, share)| sum * share));
     }
     let mut out = vec![0.0; values.len()];
-    // In f64, what is added and taken away again leaves nothing in f32.
+    // In f64, so that values that are added and subtracted again leave no trace in f32.
     let mut column = vec![0.0_f64; w];
     let (mut from, mut to) = (0, 0);
     for y in 0..h {

@@ -53,12 +53,12 @@ impl Image {
         Self { width, height, channels, data }
     }
 
-    /// Pixels.
+    /// Width, pixels.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// Pixels.
+    /// Height, pixels.
     pub fn height(&self) -> usize {
         self.height
     }

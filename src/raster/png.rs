@@ -1,5 +1,5 @@
-//! Reading PNG files, row by row into samples: what else such a file holds (colour profiles, texts,
-//! metadata, further frames) is passed over, however large it is once it is expanded.
+//! Reading PNG files, row by row into samples. All else in a file (colour profiles, texts, metadata, further frames)
+//! is skipped, however large it is when decompressed.
 
 use super::Image;
 use png::{BitDepth, ColorType, DecodingError, Limits, Reader, Transformations};
@@ -55,7 +55,7 @@ pub(super) fn decode<R: BufRead + Seek>(mut reader: Reader<R>) -> Result<Image, 
         }
     };
     if reader.info().interlaced {
-        // Its rows are known when all of it is.
+        // The pixels of an interlaced image's rows are spread over several passes.
         let bytes = reader.output_buffer_size().ok_or(DecodingError::LimitsExceeded)?;
         let mut whole = vec![0; bytes];
         reader.next_frame(&mut whole)?;

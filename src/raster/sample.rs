@@ -43,7 +43,7 @@ pub(crate) fn sample<const C: usize>(
         }
         #[cfg(target_arch = "x86_64")]
         (Sampling::Cubic, Some((left, top))) if C == 3 && has_avx2_and_fma() => {
-            // Safe: the processor has both.
+            // Safe: the processor has AVX2 and FMA.
             let rgb = unsafe { cubic_rgb_avx2(image.data(), w, left, top) };
             out.copy_from_slice(&rgb[..C]);
         }
@@ -171,7 +171,8 @@ pub(crate) fn sample_all(
 }
 
 multiversion! {
-    /// Interpolates an image at many positions: calls `put` with each place's second value and the sample.
+    /// Interpolates an image at many places, each a position and a value of the caller. Calls `put` with this value and
+    /// the sample.
     pub(crate) fn sample_each[const C: usize, T](
         image: &Image,
         places: impl Iterator<Item = ([f32; 2], T)>,

@@ -24,7 +24,7 @@ use std::ops::Range;
 
 /// Maximum error of a displacement, pixels.
 pub(super) const TOLERANCE_PX: f64 = 0.02;
-/// Distance, in radii, from which a cluster may stand for its edges.
+/// Distance from a tile, in the cluster's radii, beyond which a cluster may approximate its edges.
 const FAR_RADII: f64 = 2.0;
 /// Maximum number of edges of a leaf.
 const LEAF_SIZE: usize = 8;
@@ -76,11 +76,13 @@ impl Tile {
 #[derive(Clone, Copy)]
 struct FarCluster {
     cluster: usize,
-    /// Its terms of P and Q, and its minimum weight.
+    /// The cluster's term of P (module head).
     p: f64,
+    /// The cluster's term of Q.
     q: f64,
+    /// Lower bound of the cluster's weight at the tile's nodes.
     weight: f64,
-    /// Its term of the bound's numerator, at the expected distance of the mean from D₀.
+    /// The cluster's term of the bound's numerator, at the expected distance of the mean from D₀.
     bound: f64,
 }
 
@@ -210,8 +212,9 @@ struct Midpoint {
     line: Line,
 }
 
-/// Builds the tree over these edges by median splits. It orders them so that those of each cluster are
-/// contiguous, and appends the clusters, whose ranges start at `first`. Returns the root.
+/// Builds a tree over edges by median splits, appends its clusters to `clusters`, and returns the root's index. The
+/// edges are reordered so that each cluster's are contiguous. `first` is the index of the first edge in
+/// [`Clusters::lines`].
 fn split(midpoints: &mut [Midpoint], first: usize, clusters: &mut Vec<Cluster>) -> usize {
     let range = first..first + midpoints.len();
     let children = (midpoints.len() > LEAF_SIZE).then(|| {
@@ -234,7 +237,7 @@ fn midpoint(line: &Line) -> [f64; 2] {
         .map(|k| f64::from(line.p[k]) + 0.5 * f64::from(line.length) * f64::from(line.direction[k]))
 }
 
-/// Length of a vector of the images' size, whose squares do not overflow.
+/// Length of a vector in an image, whose squares do not overflow.
 fn norm([x, y]: [f64; 2]) -> f64 {
     (x * x + y * y).sqrt()
 }

@@ -159,7 +159,7 @@ fn lines(edges: &[Edge], boost: f64) -> Vec<Line> {
     edges.iter().filter_map(line).collect()
 }
 
-/// The sums of eq. (7) at eight positions of a row: the weights, and the displacements times them.
+/// The sums of eq. (7) at eight positions of a row: of the weights, and of the weighted displacements.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct WarpSums {
     weights: [f32; LANES],
@@ -329,7 +329,7 @@ mod tests {
     fn clusters_are_within_their_tolerance_and_are_used() {
         for (size, spacing, noise) in [(200.0, 8.0, 0.0), (200.0, 6.0, 2.0), (90.0, 30.0, 5.0)] {
             let mut edges = many(size, spacing, noise);
-            // One that outweighs its cluster, at its side.
+            // An edge that outweighs the rest of its cluster, away from the cluster's centre.
             edges[0].mean_fitness = Some(9.0);
             for (boost, grid_px) in [(4.0, 4), (0.0, 1), (10.0, 7)] {
                 let warp = morph_warp(&edges, [150, 130], boost, grid_px);

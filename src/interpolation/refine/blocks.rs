@@ -5,7 +5,7 @@ use std::ops::Range;
 
 /// Minimum side of a block, pixels. It is at least four times a window's radius.
 const MIN_SIDE_PX: usize = 16;
-/// A block's side over its overlap with a neighbour. (With 2, images of six scenes are 0.03 dB better in the
+/// Ratio of a block's side to its overlap with a neighbour. (With 2, images of six scenes are 0.03 dB better in the
 /// mean, and take twice as long to refine.)
 const SIDES_PER_OVERLAP: usize = 4;
 
@@ -50,8 +50,8 @@ impl BlockGrid {
         BlockArea { origin, side: self.side, image: self.image }
     }
 
-    /// The weights of a block's columns, which are those of its rows too. The product is a pixel's weight; the
-    /// weights of overlapping blocks sum to 1.
+    /// The weights of a block's columns; its rows have the same. A pixel's weight is that of its column times that of
+    /// its row. At each pixel, the weights of the overlapping blocks sum to 1.
     pub fn weights(&self) -> Vec<f32> {
         let ramp = |k: usize| (k as f32 + 0.5) / self.overlap as f32;
         let weight = |k: usize| match k.checked_sub(self.step()) {
@@ -80,8 +80,8 @@ impl BlockArea {
         Point2::from(self.origin.map(|v| (v + self.side as isize / 2) as f64))
     }
 
-    /// The rows inside the image: the index of their first pixel in the block, and the image's columns and
-    /// row.
+    /// The part of each of the block's rows that is inside the image: the index in the block of its first pixel, its
+    /// columns of the image, and its row of the image.
     pub fn rows(self) -> impl Iterator<Item = (usize, Range<usize>, usize)> {
         let Self { origin, side, image } = self;
         let inside = move |n: usize| {
@@ -101,7 +101,7 @@ impl BlockArea {
         self.rows().map(move |(_, columns, y)| &values[y * width..][columns])
     }
 
-    /// The block of interleaved values of the image's pixels; 0 outside the image.
+    /// The interleaved values of the block's pixels, from those of all pixels of the image; 0 outside the image.
     pub fn crop(self, values: &[f32], channels: usize) -> Vec<f32> {
         let mut all = vec![0.0; self.side * self.side * channels];
         for (first, columns, y) in self.rows() {

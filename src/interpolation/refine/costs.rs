@@ -1,5 +1,5 @@
-//! Costs of motions: differences of frames, averaged over a window. A window's mean hardly changes from a pixel
-//! to the next, so that costs are computed at a few points and interpolated between them.
+//! Costs of motions: differences of motion-compensated frames, averaged over a window. A window's mean hardly changes
+//! from a pixel to the next, so that costs are computed at a few points and interpolated between them.
 
 use super::FourFrames;
 use super::motions::{AffineMotion, MotionHypotheses};
@@ -10,7 +10,7 @@ use crate::raster::{Image, box_filter, sample_all};
 use nalgebra::{Point2, Vector2};
 use std::sync::OnceLock;
 
-/// Minimum number of points in a window's radius. (At 640×480, with costs at every pixel, images of six scenes
+/// Minimum number of points along a window's radius. (At 640×480, with costs at every pixel, images of six scenes
 /// are 0.02 dB better in the mean, −0.12 to +0.14, and take twice as long to refine.)
 const MIN_POINTS_IN_RADIUS: usize = 2;
 /// Minimum side of the cells of [`FrameCosts`], pixels. It is at least four times a window's radius.
@@ -21,7 +21,7 @@ const MIN_CELL_PX: usize = 16;
 pub struct PointGrid {
     /// The top-left corner of the first point's pixel.
     pub corner: Point2<f64>,
-    /// The centre of affine motions.
+    /// The position that affine motions are relative to, pixels.
     pub center: Point2<f64>,
     /// Points along a side.
     pub side: usize,
@@ -30,7 +30,7 @@ pub struct PointGrid {
 }
 
 impl PointGrid {
-    /// The positions of the points in frame 0 to 3 by a motion, row by row.
+    /// The positions that a motion takes the points to in a frame (0 to 3: before, earlier, later, after), row by row.
     pub fn positions(&self, motion: &AffineMotion, frame: usize) -> Vec<[f32; 2]> {
         let mut positions = Vec::with_capacity(self.side * self.side);
         for row in 0..self.side {
@@ -47,7 +47,7 @@ impl PointGrid {
         positions
     }
 
-    /// Samples frame 0 to 3 at those positions: one pixel a point.
+    /// Samples the image of a frame (0 to 3) at [`Self::positions`]: one pixel a point.
     pub fn sample(&self, image: &Image, motion: &AffineMotion, frame: usize) -> Image {
         let mut samples = vec![0.0; self.side * self.side * image.channels()];
         sample_all(image, self.positions(motion, frame).into_iter(), &mut samples);
@@ -55,12 +55,12 @@ impl PointGrid {
     }
 }
 
-/// The points of a block and of the windows around it, at which costs are computed.
+/// The points at which costs are computed: those in a block, and those in the windows around its pixels.
 #[derive(Clone, Copy, Debug)]
 pub struct CostPoints {
     /// Distance of neighbouring points, pixels.
     pub step: usize,
-    /// Points in a window's radius.
+    /// Number of points along a window's radius.
     pub radius: usize,
     /// Side of the block, pixels.
     block: usize,
@@ -83,12 +83,12 @@ impl CostPoints {
         (self.block - 1).div_ceil(self.step) + 1 + 2 * self.radius
     }
 
-    /// The mean over the window around each point.
+    /// The mean of the points' values over the window around each point.
     pub fn window_means(&self, values: &[f32]) -> Vec<f32> {
         box_filter(values, self.side(), self.side(), self.radius)
     }
 
-    /// Interpolates values at the points bilinearly to the block's pixels.
+    /// Interpolates the points' values bilinearly to the block's pixels.
     pub fn at_pixels(&self, values: &[f32]) -> Vec<f32> {
         let (side, step, radius) = (self.side(), self.step, self.radius);
         let mut out = Vec::with_capacity(self.block * self.block);
@@ -115,21 +115,24 @@ impl CostPoints {
     }
 }
 
-/// The minimum costs of motions in the earlier and the later frame of a pair, the same at all instants.
+/// How well motion explains the two frames of a pair: for each point of the earlier and of the later frame, the
+/// smallest difference from an adjacent frame, over the motions of nearby tracks.
 ///
-/// They depend on the inputs of [`Self::new`] and on the pair's frames. Only parts of the frames are ever
-/// needed, so that each cell is computed when it is first read.
+/// The costs are the same at all instants. They depend on the inputs of [`Self::new`], on the pair's images, and on
+/// those of the frames before and after the pair. Only parts of the frames are needed, so that the costs are computed
+/// in square cells, each when it is first read.
 pub struct PairCosts([FrameCosts; 2]);
 
 impl PairCosts {
-    /// The costs of a pair of frames of this width and height, by the motions of its tracks.
+    /// The costs of a frame pair of this width and height, by the motions of its tracks, not computed yet.
     pub fn new(tracked: &TrackedPair, size: [usize; 2], options: &InterpolationOptions) -> Self {
         let earlier = tracked.motions(options.curved, |_, track| track.earlier);
         let later = tracked.motions(options.curved, |_, track| track.later);
         Self::of_motions(size, [earlier, later], options)
     }
 
-    /// The costs by motions from the positions in the earlier frame, and from those in the later one.
+    /// As [`Self::new`], by two sets of motions: from the tracks' positions in the earlier frame, and from those in the
+    /// later frame.
     pub(super) fn of_motions(
         size: [usize; 2],
         [earlier, later]: [Vec<TrackMotion>; 2],
@@ -163,18 +166,19 @@ impl PairCosts {
     }
 }
 
-/// The minimum cost of any nearby motion at each point of a frame: the difference from the motion-compensated
-/// neighbouring frames. Where it is small, that motion explains the point, and others don't.
+/// The minimum cost at each point of a frame. A cost is the mean difference, over the window around the point, between
+/// this frame and one of the two adjacent frames, compensated by the motion of nearby tracks. The minimum is over the
+/// motions and both adjacent frames. Where it is small, one of the motions explains the point.
 pub(super) struct FrameCosts {
     /// The frame: 1 the earlier, 2 the later.
     frame: usize,
     /// Width and height of the frame.
     size: [usize; 2],
-    /// Motions from positions in the frame.
+    /// The tracks' motions from their positions in the frame.
     motions: MotionHypotheses,
-    /// The points of a cell, which share their motions.
+    /// The points of a cell: a square of pixels, for all of which the same motions are tried.
     points: CostPoints,
-    /// Cells of the frame, row by row.
+    /// The cells of the frame, row by row. Each holds the minimum costs at its points, row by row.
     cells: Vec<OnceLock<Vec<f32>>>,
 }
 
@@ -183,8 +187,9 @@ impl FrameCosts {
         self.points.block.div_ceil(self.points.step)
     }
 
-    /// The cost at the point nearest to a position; infinite where no motion is near. `frames` are those of the
-    /// pair.
+    /// The minimum cost, over all motions of nearby tracks, at the point nearest to the pixel position `[x, y]` of this
+    /// frame. Infinite where no track is near. `frames` are the pair that the costs were created for, and the frames
+    /// before and after it.
     pub fn at(&self, frames: &FourFrames, [x, y]: [f32; 2]) -> f32 {
         let pixel = |v: f32, size: usize| (v.max(0.0) as usize).min(size - 1);
         let at = [pixel(x, self.size[0]), pixel(y, self.size[1])];
@@ -198,11 +203,11 @@ impl FrameCosts {
         cell[y * self.points_per_side() + x]
     }
 
-    /// The costs of the cell with this top-left corner, row by row. Each point is in the middle of the pixels
-    /// that it represents.
+    /// The minimum costs at the points of the cell with this top-left corner, row by row. Each point is in the middle
+    /// of the pixels that it represents.
     fn cell(&self, frames: &FourFrames, corner: Point2<f64>) -> Vec<f32> {
         let images = frames.images();
-        // The middle frame beside it, and the outer one.
+        // The two adjacent frames: one outer frame, and the other middle frame.
         let neighbors = if self.frame == 1 { [0, 2] } else { [1, 3] };
         let CostPoints { radius, step, .. } = self.points;
         let points = self.points_per_side();
@@ -271,15 +276,15 @@ mod tests {
         };
         let [alone, with_before] = [None, Some(&before)].map(of);
         assert!(alone(10.5, 10.5) < 1e-3 && alone(50.5, 30.5) < 1e-3);
-        // The later frame hides it; the frame before shows it.
+        // The later frame hides this point; the frame before shows it.
         assert!(alone(27.5, 30.5) > 0.1);
         assert!(with_before(27.5, 30.5) < 1e-3);
-        // Outside, that of the nearest pixel.
+        // Outside the image, the cost of the nearest pixel.
         assert!(alone(-5.0, 10.5) == alone(0.5, 10.5));
     }
 
-    /// In an image of several cells whose size is no multiple of theirs. With the larger window, every second pixel of
-    /// it counts.
+    /// The image has several cells, and its size is no multiple of a cell's. The larger window is sampled at every
+    /// second pixel.
     #[test]
     fn costs_equal_direct_ones() {
         let (w, h) = (41, 37);

@@ -9,7 +9,7 @@ use crate::interpolation::warp::difference;
 use crate::raster::Image;
 use std::cell::OnceCell;
 
-/// Excess of an outer frame's cost over the middle frames' at which it has full weight, values 0..=1.
+/// Excess of an outer frame's cost over the middle frames' up to which the outer frame has full weight, values 0..=1.
 const OUTER_SLACK: f32 = 0.01;
 /// Further excess by which an outer frame's weight falls to 1/e.
 const OUTER_SOFTNESS: f32 = 0.01;
@@ -62,16 +62,17 @@ impl<'a> CompensatedFrames<'a> {
     }
 }
 
-/// A composite of the two middle frames in a block.
+/// A block's composite of the two middle frames, warped or motion-compensated, at the pixels and at the points of
+/// costs.
 pub struct MiddleFrames<'a> {
     pub at_pixels: Image,
     pub at_points: Image,
-    /// The cost of these two frames at the pixels.
+    /// Mean difference of the two middle frames over the window around each pixel.
     pub costs: &'a [f32],
 }
 
-/// Averages the outer frames into the middle ones, with at most `outer_weight` each. Each pixel takes the
-/// motion of the smallest cost.
+/// Averages the outer frames into the composite of the middle ones, with a weight of at most `outer_weight` each. At
+/// each pixel, an outer frame is compensated by the motion with which it differs least from the composite.
 pub fn fuse(
     MiddleFrames { at_pixels: middle, at_points, costs }: MiddleFrames,
     compensated: &[CompensatedFrames],
@@ -119,8 +120,9 @@ pub fn fuse(
     fused
 }
 
-/// Whether nothing moves in a block: the outer frames differ from the middle ones by at most the slack at each
-/// pixel, and by less in the mean. `outer_costs` and `costs` are those of the image's pixels.
+/// Whether nothing moves in a block: the outer frames' costs exceed those of the middle frames by at most
+/// [`OUTER_SLACK`] at each pixel, and by at most [`STATIC_EXCESS_FRACTION`] of that in the mean. Both kinds of costs
+/// are given for all pixels of the image.
 pub fn is_static(outer_costs: &[Option<Vec<f32>>; 2], costs: &[f32], area: BlockArea) -> bool {
     outer_costs.iter().flatten().all(|outer| {
         let (mut sum, mut count) = (0.0, 0.0);

@@ -10,7 +10,7 @@ use crate::raster::{Image, max_filter};
 use nalgebra::{Point2, Vector2};
 use std::borrow::Cow;
 
-/// Difference, values 0..=1, by which a hypothesis's weight falls to 1/e.
+/// Increase of a hypothesis's cost, values 0..=1, by which its weight falls to 1/e.
 const SOFTNESS: f32 = 0.02;
 /// Minimum weight of a hypothesis, so that their sum is positive.
 const MIN_WEIGHT: f32 = 1e-30;
@@ -18,7 +18,7 @@ const MIN_WEIGHT: f32 = 1e-30;
 const ONE_FRAME_COST: f32 = 0.1;
 /// Minimum of twice the fraction that divides [`ONE_FRAME_COST`]: at a frame, the cost would be infinite.
 const MIN_DOUBLE_FRACTION: f32 = 1e-3;
-/// Weight of the cost by which another motion explains a frame's pixels better.
+/// Weight of the difference in cost by which another motion explains a frame's pixels better.
 const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;
 /// Motion, pixels per frame, below which a surface is at rest.
 const AT_REST_PX: f32 = 1.0;
@@ -55,9 +55,9 @@ pub struct BlockHypotheses<'a> {
     compensated: Vec<CompensatedFrames<'a>>,
     /// The points at which costs are computed.
     points: PointGrid,
-    /// The costs of the two warped frames, at the pixels.
+    /// Mean difference of the two warped frames over the window around each of the block's pixels.
     costs: Vec<f32>,
-    /// Whether the warped frames agree. Then the motions serve to average the outer frames alone.
+    /// Whether the warped frames agree. Then only the outer frames are motion-compensated, to average them in.
     agree: bool,
 }
 
@@ -153,9 +153,10 @@ impl<'a> BlockHypotheses<'a> {
         }
     }
 
-    /// How much better another motion explains the pixels of middle frame `n` (0 or 1) than this one, whose
-    /// costs are given; at the points. The minimum over the window, because windows at a surface's outline
-    /// contain its background.
+    /// How much better another motion explains the middle frame `n` (0 earlier, 1 later) than `motion`: the
+    /// difference in cost at each of the block's points, 0 where none is better. `costs` are the costs of `motion` by
+    /// the point's index. Each difference is the minimum over a window, because windows at a surface's outline
+    /// contain background.
     fn better_explained(
         &self,
         n: usize,
@@ -242,7 +243,7 @@ impl<'a> BlockHypotheses<'a> {
     }
 }
 
-/// Adds the interleaved values of pixels, times the pixels' weights.
+/// Adds the interleaved values of pixels, times the pixels' weights, to `sums`.
 fn add_weighted(sums: &mut [f32], weights: &[f32], values: &[f32]) {
     let channels = sums.len() / weights.len();
     let values = values.chunks_exact(channels);

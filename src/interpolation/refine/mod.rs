@@ -12,17 +12,17 @@
 //! 4. [`hypotheses`]: each motion has three hypotheses of visibility. Either both middle frames see the
 //!    surface, and agree. Or only the earlier does, and agrees with the frame before it. Or only the later
 //!    does, and agrees with the frame after it. The latter two have a prior cost, which grows towards the
-//!    frame that misses the surface. All cost more where another motion explains their pixels better:
-//!    otherwise two similar bodies, at one position in successive frames, are matched to each other. A pixel
-//!    is the mean of all hypotheses and of the warped frames' cross-fade, with weights that fall
+//!    frame that misses the surface. Every hypothesis costs more where another motion explains its pixels
+//!    better: otherwise two similar bodies, at one position in successive frames, are matched to each other. A
+//!    pixel is the mean of all hypotheses and of the warped frames' cross-fade, with weights that fall
 //!    exponentially with cost.
 //! 5. [`four_frames`]: the outer frames are averaged in where they agree with the middle ones. Static blocks
 //!    are the mean of the four frames.
 //!
-//! Each pixel's motion and its cost are weighted means with these weights too.
+//! Each pixel's motion and its cost are means of all hypotheses too, with the weights of step 4.
 //!
 //! Known limits: a surface that none of the four frames shows is not found. One that a single frame shows
-//! can't be verified. Outlines are accurate to about two pixels, because a window of a few pixels decides.
+//! can't be verified. Outlines are accurate to about two pixels, because costs are means over windows.
 
 mod blocks;
 mod costs;
@@ -44,9 +44,10 @@ use hypotheses::BlockHypotheses;
 use motions::MotionHypotheses;
 use rayon::prelude::*;
 
-/// Maximum mean difference of the warped frames, values 0..=1, over the windows of a block that agrees.
+/// Maximum cost of the two warped frames at the pixels of a block in which they agree: their mean difference over the
+/// window around a pixel, values 0..=1.
 const MAX_AGREEING_COST: f32 = 0.03;
-/// Maximum number of motions by which the outer frames are compensated in a block that agrees.
+/// Maximum number of motions by which the outer frames are compensated in a block in which the warped frames agree.
 const MAX_AGREEING_MOTIONS: usize = 2;
 /// Channels of an image of motions, each the weighted mean of a pixel's hypotheses:
 ///
@@ -89,10 +90,10 @@ struct SharedInputs<'a> {
     cross_faded: &'a Image,
     /// Mean difference of the two warped frames over the window around each pixel.
     costs: &'a [f32],
-    /// The pixels' motions by the warps.
+    /// The pixels' motions by the warps, [`MOTION_CHANNELS`] a pixel.
     warp_motions: &'a Image,
-    /// Mean differences of the frames before and after, not compensated, from the cross-fade. `None` if the frame
-    /// does not exist or has no weight.
+    /// Mean differences of the frame before and of the frame after, without motion compensation, from the cross-fade,
+    /// over the window around each pixel. `None` if the frame does not exist or has no weight.
     outer_costs: [Option<Vec<f32>>; 2],
     grid: BlockGrid,
     points: CostPoints,
@@ -101,15 +102,16 @@ struct SharedInputs<'a> {
 /// A refined block, row by row. Pixels outside the image are undefined.
 struct RefinedBlock {
     colors: Vec<f32>,
-    /// [`MOTION_CHANNELS`] a pixel; `None` where the warps' motion holds.
+    /// [`MOTION_CHANNELS`] values a pixel; `None` if the pixels' motions are those by the warps.
     motions: Option<Vec<f32>>,
 }
 
 /// The image at the instant: the cross dissolve of the two warped frames, refined where they disagree, and
-/// averaged with the outer frames where these agree. Values are in 0..=1. And the pixels' motions.
+/// averaged with the outer frames where these agree. Values are in 0..=1. The second image holds the pixels' motions,
+/// [`MOTION_CHANNELS`] a pixel.
 ///
-/// `warps` take the earlier and the later frame to the instant. `motions` are those of the tracks at the
-/// instant; without any, only static blocks are averaged.
+/// `warps` take the earlier and the later frame to the instant. `motions` are the tracks' motions from their positions
+/// at the instant; without any, only static blocks are averaged.
 pub(super) fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
@@ -121,7 +123,8 @@ pub(super) fn refined(
     let options = options.scaled_to([w, h]);
     let radius = options.window_radius_px;
     let grid = BlockGrid::new([w, h], radius);
-    // Blocks that touch needed tiles, with the windows around their pixels and around these windows.
+    // Needed tiles, grown by the blocks that touch them, the windows around the blocks' pixels, and the windows around
+    // the pixels of these windows.
     let near = frames.parts.map(|parts| parts.grown(grid.side + 2 * radius));
     let warped = [(frames.earlier, warps[0]), (frames.later, warps[1])]
         .map(|(image, warp)| warped(image, warp, near.as_ref()));
@@ -154,8 +157,8 @@ pub(super) fn refined(
     (image, motions)
 }
 
-/// The motions of pixels by two warps, with their costs: the motion is the distance between a pixel's sources in
-/// the two frames, and its change is unknown.
+/// The pixels' motions by two warps, [`MOTION_CHANNELS`] a pixel, with these costs. A motion is the distance between a
+/// pixel's sources in the two frames, and its change is unknown.
 pub(super) fn warp_motions(warps: [&Warp; 2], costs: &[f32]) -> Image {
     let sources = warps[0].source.iter().zip(&warps[1].source);
     let motions = sources.map(|([ax, ay], [bx, by])| (ax - bx).hypot(ay - by));
@@ -189,7 +192,8 @@ fn refined_block(shared: &SharedInputs, block: usize) -> Option<RefinedBlock> {
     Some(BlockHypotheses::new(shared, area, motions, agree).mean())
 }
 
-/// Blends blocks, given by index, into an image. Where there is no block, `image` stays.
+/// Blends overlapping blocks into a copy of an image, by the weights of the grid. `block` gives the values of the block
+/// with an index; where it gives `None`, the image's own values count.
 fn blended<'a>(
     image: &Image,
     block: impl Fn(usize) -> Option<&'a [f32]>,

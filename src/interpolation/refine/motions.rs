@@ -15,7 +15,8 @@ const DISTANCE_POWER: i32 = 3;
 /// Ridge regularization of the fitted gradient: an extra spread of the tracks, pixels.
 const RIDGE_PX: f64 = 2.0;
 
-/// An affine motion around a centre: the displacements there, and their derivatives by position.
+/// An affine motion around a centre, to each of four frames: the displacement of the centre, and its derivative by
+/// position.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct AffineMotion {
     to: [Vector2<f64>; 4],
@@ -64,7 +65,7 @@ pub struct MotionHypotheses {
 }
 
 impl MotionHypotheses {
-    /// Indexes tracks; those within `search_radius_px` of a point count there.
+    /// Indexes tracks. Those within `search_radius_px` of a point give the hypotheses around it.
     pub fn new(motions: Vec<TrackMotion>, search_radius_px: f64) -> Self {
         let positions = Neighbors::new(motions.iter().map(|m| m.at));
         Self { motions, positions, search_radius_px }

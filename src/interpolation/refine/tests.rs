@@ -12,7 +12,7 @@ struct PixelMotion {
     cost: f32,
 }
 
-/// Refines with the costs of the pair by the same motions.
+/// Refines with pair costs by the same motions.
 fn refined(
     frames: &FourFrames,
     warps: [&Warp; 2],
@@ -158,7 +158,7 @@ fn motions_of_train() -> Vec<TrackMotion> {
     still.chain(moving).collect()
 }
 
-/// At rest, the gap's place is dark in both frames: another wagon in each.
+/// Without motion, the gap's place is dark in both frames, in each by another wagon.
 #[test]
 fn what_other_motions_explain_does_not_fill_a_gap() {
     let frames = [-1.0, 0.0, 1.0, 2.0].map(train);
@@ -188,7 +188,7 @@ fn pixels_move_as_their_tracks_and_cost_more_without() {
     assert!(at(&followed, 5, 5) == PixelMotion::default(), "{:?}", at(&followed, 5, 5));
 }
 
-/// Before the earlier frame it moved the other way.
+/// Before the earlier frame, the square moved the other way.
 #[test]
 fn the_change_of_a_bouncing_bodys_motion_is_known() {
     let frames = [1.0, 0.0, 1.0, 2.0].map(scene);
@@ -287,7 +287,7 @@ fn four_frames_have_less_noise_than_two_and_a_frame_stays_as_filmed() {
     }
 }
 
-/// To the bit.
+/// Equal to the bit.
 #[test]
 fn needed_tiles_equal_those_of_the_whole_image() {
     let frames = [-1.0, 0.0, 1.0, 2.0].map(scene);
