@@ -14,8 +14,8 @@ use std::ops::Range;
 
 /// Number of neighbouring pixels whose tiles are marked together.
 const MARKED_PX: usize = 8;
-/// Neighbouring pixels' tiles are marked together if the bounding box of their positions in a source has sides below
-/// this, pixels; otherwise one by one.
+/// Largest side, pixels, of the box in a source image that holds the positions of neighbouring pixels of the view, up to
+/// which all tiles of the box are marked as needed at once. Above it, the tiles of each pixel are marked alone.
 const MARKED_SIDE_PX: f32 = 12.0;
 /// Smallest inverse depth, 1/m: the sky's. At 0, the angles to all cameras would be 0, and all would tie.
 const MIN_INVERSE_DEPTH: f32 = 1e-8;

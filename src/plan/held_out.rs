@@ -172,8 +172,9 @@ impl Probe {
 }
 
 impl HeldOutFrame {
-    /// Chooses a frame of this camera as the `number`-th of [`FRAMES`] held-out frames. `None` if its neighbours cover
-    /// no frame, if too few of them are between two frames then, or if too little changes.
+    /// Chooses a frame of this camera as the `number`-th of [`FRAMES`] held-out frames. `None` if no frame lies in the
+    /// time span of the neighbouring cameras, if at its time too few of these cameras are between two of their own frames,
+    /// or if too little changes in the images.
     fn open(
         whole: &LightField,
         camera: usize,

@@ -12,7 +12,8 @@ const MAX_DISTANCE_PX: f32 = 2.0;
 /// Difference of colours at which a neighbour counts for 1/e, and what the most different one counts.
 const COLOR: f32 = 0.16;
 const MIN_COLOR_WEIGHT: f32 = 0.05;
-/// Weight of the prior that a surface is flat, pixels of the level squared.
+/// Weight of the prior that all gradients are 0, as of a surface that is parallel to the image and moves as a whole.
+/// Squared pixels of the pyramid level.
 const FLATNESS: f64 = 0.3;
 /// Largest gradients: of disparity and of motion, pixels a pixel.
 const MAX_DISPARITY_GRADIENT: f32 = 1.6;

@@ -42,8 +42,9 @@ const NEXT_ORDER_FRACTION: f64 = 0.2;
 /// The largest distance of a trajectory's last sample from the extrapolation of the others, pixels, without the part
 /// by [`MAX_PREDICTION_ERROR_FRACTION`].
 const MAX_PREDICTION_ERROR_PX: f64 = 1.0;
-/// The fraction of a trajectory's largest step that is added to [`MAX_PREDICTION_ERROR_PX`]. The sum rejects background
-/// features that a moving body occludes, whose candidates agree on a wrong time.
+/// The part of the largest prediction error that grows with motion, as a fraction of a trajectory's largest step. Features
+/// with larger errors are rejected: features of the background that a moving body occludes, which would vote for a
+/// wrong time.
 const MAX_PREDICTION_ERROR_FRACTION: f64 = 0.3;
 /// The maximum number of Newton steps.
 const MAX_NEWTON_STEPS: usize = 4;
