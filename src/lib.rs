@@ -175,7 +175,7 @@
 //! - In narrow gaps between bodies that move along the line of cameras, what is behind them gets their
 //!   motion. There, OpenCV's DIS interpolates up to 0.5 dB better.
 //! - `--proxy scene-flow` takes one to two minutes of two cores for the first view of an instant at 640×480, and 0.2 s
-//!   for the next. `--like` and `prepare` don't use it yet.
+//!   for the next. `prepare` doesn't compute it yet.
 //! - A body that bounces between two frames is misplaced in a camera's image. `--sync all-cameras` takes it
 //!   from cameras that filmed it then.
 //! - `capture --engine workbench` films instants. A camera with an exposure time needs Cycles.

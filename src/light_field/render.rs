@@ -1,6 +1,7 @@
 //! Renders a view, with or without a motion trail: the entry point of the module.
 
 use super::graph::LightField;
+use super::scene_flow::flow_image;
 use super::stages::{CameraImage, ImageMethod};
 use super::trail::Overlay;
 use super::view::view;
@@ -54,9 +55,18 @@ fn instant(
     match request.from {
         Viewpoint::View(target) => view(field, target, request, context),
         Viewpoint::Like(camera) => {
-            let method = ImageMethod::new(request.options.sync, request.options);
-            let image = CameraImage { camera, time_s: request.time_s, method: &method };
-            let image = field.get(&image, context)?.image.clone();
+            let by_flow = match request.uses_scene_flow() {
+                true => flow_image(field, camera, request, context)?,
+                false => None,
+            };
+            let image = match by_flow {
+                Some(image) => image,
+                None => {
+                    let method = ImageMethod::new(request.options.sync, request.options);
+                    let image = CameraImage { camera, time_s: request.time_s, method: &method };
+                    field.get(&image, context)?.image.clone()
+                }
+            };
             let coverage = vec![true; image.width() * image.height()];
             Ok(Rendered { image, coverage })
         }

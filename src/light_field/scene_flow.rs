@@ -8,6 +8,7 @@ use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::lumigraph::DepthMap;
 use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
+use crate::raster::Image;
 use crate::scene_flow::{Estimation, FlowFrame, FlowMap, FlowView, Limits, MappedFrame, blend};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -181,6 +182,39 @@ pub(super) fn flow_view(
     let mapped: Vec<MappedFrame> =
         frames.iter().map(|(frame, map)| MappedFrame { frame, map }).collect();
     Ok(Some(blend(&mapped, target, field.in_frames(time_s))))
+}
+
+/// A filming camera's image: its own frame where it has one at that very time, else the view from its place. Pixels that no
+/// camera sees are those of its nearest frame. `None` if nothing is known of the scene's depths.
+pub(super) fn flow_image(
+    field: &LightField,
+    camera: usize,
+    request: &Request,
+    context: &Context,
+) -> Result<Option<Image>, RenderError> {
+    let (frame, later) = field.bracket(camera, request.time_s)?;
+    let nearest = field.nearest_frame(camera, request.time_s).unwrap_or(frame);
+    let mut image = field.capture().read_frame(camera, nearest)?;
+    if frame == later {
+        return Ok(Some(image));
+    }
+    let target = &field.capture().cameras[camera].camera;
+    let Some(FlowView { rendered, .. }) = flow_view(field, target, request, context)? else {
+        return Ok(None);
+    };
+    let gains = field.gains(&request.options.registration);
+    let is_gray = image.channels() == 1;
+    let view = if is_gray { rendered.image.to_gray() } else { rendered.image.to_rgb() };
+    let view = gains.as_filmed(camera, &view).unwrap_or(view);
+    let channels = image.channels();
+    let pixels = image.data_mut().chunks_exact_mut(channels);
+    let views = view.data().chunks_exact(channels).zip(&rendered.coverage);
+    for (pixel, (color, _)) in pixels.zip(views).filter(|(_, (_, is_covered))| **is_covered) {
+        for (value, color) in pixel.iter_mut().zip(color) {
+            *value = color.clamp(0.0, 1.0);
+        }
+    }
+    Ok(Some(image))
 }
 
 /// The depths of [`flow_view`].
