@@ -14,6 +14,9 @@ use rayon::prelude::*;
 const ERROR_PX: f32 = 0.2;
 const ERROR_BY_BASELINE: f32 = 0.005;
 const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
+/// Error by place and time below which a frame outweighs all others, so that a view from a camera's own place at a frame's
+/// own time is that frame.
+const EXACT_PX: f32 = 0.01;
 /// Half-width of a cluster of candidates, pixels of disparity.
 const CLUSTER_PX: f32 = 1.5;
 /// Fraction of all weights that a cluster in front of the heaviest needs to hide it.
@@ -71,8 +74,10 @@ pub fn blend(mapped: &[MappedFrame], view: &Camera, time: f64) -> FlowView {
                     let place = ERROR_BY_BASELINE * focal * baseline * candidate.inverse_depth;
                     let dt = (time - frame.time).abs() as f32;
                     let motion = dt * (ERROR_BY_TIME[0] + ERROR_BY_TIME[1] * candidate.speed);
-                    let variance = ERROR_PX * ERROR_PX + place * place + motion * motion;
-                    let weight = candidate.confidence * candidate.confidence / variance;
+                    let own = (place * place + motion * motion).max(f32::EPSILON);
+                    let exact = 1.0 + EXACT_PX * EXACT_PX / own;
+                    let confidence = candidate.confidence * candidate.confidence;
+                    let weight = confidence * exact / (ERROR_PX * ERROR_PX + own);
                     candidates.push(Weighted { frame, candidate, weight });
                 }
             }

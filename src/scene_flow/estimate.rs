@@ -4,7 +4,7 @@ use super::element::Element;
 use super::frame::FlowFrame;
 use super::map::{ElementMap, FlowMap};
 use super::matching::{Matcher, Observation};
-use super::sweep::Pass;
+use super::sweep::{Limits, Pass};
 use super::transfer::{Proposals, confidence};
 use crate::random::Random;
 use rayon::prelude::*;
@@ -12,15 +12,6 @@ use rayon::prelude::*;
 /// Passes a level, finest first, and chances a pixel in each of them.
 const PASSES: [usize; 4] = [2, 2, 3, 4];
 const CHANCES: [usize; 4] = [1, 2, 10, 50];
-
-/// Ranges of the search.
-#[derive(Clone, Copy, Debug)]
-pub struct Limits {
-    /// 1/m.
-    pub inverse_depth: [f32; 2],
-    /// Pixels a frame.
-    pub max_speed: f32,
-}
 
 /// Maps to estimate together, so that each proposes to the others.
 pub struct Estimation<'a> {

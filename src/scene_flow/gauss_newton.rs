@@ -1,7 +1,7 @@
 //! One Gauss–Newton step on depth and motion, from the gradients of all frames that see the element.
 
 use super::element::Element;
-use super::matching::{Costs, Matcher, Patch};
+use super::matching::{Matched, Matcher};
 use nalgebra::{Matrix6, Vector6};
 
 /// Weight of the prior, as a fraction of a patch whose gradients are all 1 a pixel.
@@ -19,22 +19,16 @@ const MAX_RATE_PX: f32 = 12.0;
 const DISPARITY_STEP_PX: f32 = 1.0;
 
 impl Matcher<'_> {
-    /// The element after a step; `None` if the equations have no solution. `costs` and `cost` are the element's.
-    pub fn step(
-        &self,
-        e: &Element,
-        (x, y): (usize, usize),
-        patch: &Patch,
-        costs: &Costs,
-        cost: f32,
-    ) -> Option<Element> {
+    /// The element after a step; `None` if the equations have no solution.
+    pub fn step(&self, matched: &Matched) -> Option<Element> {
+        let &Matched { element: e, pixel: (x, y), patch, cost, .. } = matched;
         let mut normal = Matrix6::<f64>::zeros();
         let mut gradient = Vector6::<f64>::zeros();
         let s = self.scale;
         let (px, py) = ((x as f32 + 0.5) * s, (y as f32 + 0.5) * s);
         // Frames that see something else have no say.
         let max_cost = 2.0 * cost + 0.02;
-        self.for_each_gradient(e, (x, y), patch, costs, max_cost, |o, [xx, xy, yy], [rx, ry]| {
+        self.for_each_gradient(matched, max_cost, |o, [xx, xy, yy], [rx, ry]| {
             let [mx, my, q] = e.moved(px, py, o.dt);
             let step = DISPARITY_STEP_PX / self.disparity_px;
             let [u, v, _] = o.projection.project(mx, my, q);

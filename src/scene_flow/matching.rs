@@ -22,13 +22,13 @@ const PADDED_PIXELS: usize = PATCH_PIXELS.next_multiple_of(LANES);
 /// Fraction of the observations that count, those that agree best: others may not see the element.
 const BEST_FRACTION: f32 = 0.55;
 /// Least number of observations that count.
-const MIN_BEST: usize = 4;
+const MIN_BEST: usize = 3;
 /// No cost of an observation inside of its image is as large.
 const OUTSIDE: f32 = 1.0;
 /// Cost of an observation outside of its image, if it has to count: worse than a match, better than a mismatch.
 const OUTSIDE_COST: f32 = 0.19;
 /// What it costs if all observations are outside of their images, so that none is left out for nothing.
-const OUTSIDE_PENALTY: f32 = 0.05;
+const OUTSIDE_PENALTY: f32 = 0.02;
 /// Most frames that a frame is matched with.
 pub const MAX_OBSERVATIONS: usize = 16;
 
@@ -89,6 +89,16 @@ impl Patch {
 
 /// One cost an observation.
 pub type Costs = [f32; MAX_OBSERVATIONS];
+
+/// An element of a pixel, with its match.
+pub struct Matched<'a> {
+    pub element: &'a Element,
+    pub pixel: (usize, usize),
+    pub patch: &'a Patch,
+    /// The cost by each observation, and by those that count.
+    pub costs: &'a Costs,
+    pub cost: f32,
+}
 
 /// Matches one frame with others, at one level.
 pub struct Matcher<'a> {
@@ -268,7 +278,9 @@ impl Matcher<'_> {
             }
             sorted[j] = cost;
         }
-        let cost = |c: &f32| if *c < OUTSIDE { *c } else { OUTSIDE_COST };
+        // At the finest level what matches so badly is as good as outside; at coarser ones it may still improve.
+        let is_finest = self.level == 0;
+        let cost = |c: &f32| if *c < OUTSIDE && !is_finest { *c } else { c.min(OUTSIDE_COST) };
         let outside = (n - inside) as f32 / n.max(1) as f32;
         sorted[..count].iter().map(cost).sum::<f32>() / count.max(1) as f32
             + OUTSIDE_PENALTY * outside
@@ -279,16 +291,14 @@ impl Matcher<'_> {
     /// the level.
     pub fn for_each_gradient(
         &self,
-        e: &Element,
-        (x, y): (usize, usize),
-        patch: &Patch,
-        costs: &Costs,
+        matched: &Matched,
         max_cost: f32,
         mut f: impl FnMut(&Observation, [f32; 3], [f32; 2]),
     ) {
+        let &Matched { element, pixel: (x, y), patch, costs, .. } = matched;
         for (o, _) in self.observations.iter().zip(costs).filter(|(_, c)| **c <= max_cost) {
             let image = &o.levels[self.level];
-            let footprint = self.footprint(o, e, x, y);
+            let footprint = self.footprint(o, element, x, y);
             let limit = image.limit();
             let (mut products, mut residuals) = ([0.0f32; 3], [0.0f32; 2]);
             for k in 0..patch.count {

@@ -42,6 +42,7 @@ mod transfer;
 mod tests;
 
 pub use blend::{FlowView, blend};
-pub use estimate::{Estimation, Limits};
+pub use estimate::Estimation;
 pub use frame::{FlowFrame, levels};
 pub use map::{FlowMap, MappedFrame};
+pub use sweep::Limits;

@@ -2,9 +2,8 @@
 //! neighbours, other frames' maps, chance, and a step of Gauss–Newton propose, if the frames agree on it better.
 
 use super::element::Element;
-use super::estimate::Limits;
 use super::map::ElementMap;
-use super::matching::{Costs, MAX_OBSERVATIONS, Matcher, Patch, color_difference};
+use super::matching::{Costs, MAX_OBSERVATIONS, Matched, Matcher, Patch, color_difference};
 use super::transfer::Proposals;
 use crate::random::Random;
 
@@ -31,6 +30,15 @@ const KEEP_DEPTH: f32 = 0.3;
 const MAX_CHANCE_PX: f32 = 4.0;
 /// Levels above which a pass searches everywhere.
 const COARSE_LEVEL: usize = 2;
+
+/// Ranges of the search.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// 1/m.
+    pub inverse_depth: [f32; 2],
+    /// Pixels a frame.
+    pub max_speed: f32,
+}
 
 impl Limits {
     fn contain(&self, e: &Element) -> bool {
@@ -83,6 +91,11 @@ impl Best<'_, '_> {
             (self.match_cost, self.cost) = (match_cost, match_cost + roughness);
             self.costs = costs;
         }
+    }
+
+    fn matched(&self) -> Matched<'_> {
+        let Self { element, pixel, patch, costs, match_cost, .. } = self;
+        Matched { element, pixel: *pixel, patch, costs, cost: *match_cost }
     }
 
     fn differs(&self, proposal: &Element) -> bool {
@@ -220,8 +233,7 @@ impl Matcher<'_> {
             }
             let has_changed = self.distance(&element, &best.element) > 0.0;
             if (pass.turn == 0 || has_changed || pass.is_last)
-                && let Some(step) =
-                    self.step(&best.element, (x, y), &patch, &best.costs, best.match_cost)
+                && let Some(step) = self.step(&best.matched())
                 && self.distance(&step, &best.element) > 0.1 * SAME_PX
             {
                 best.consider(step);

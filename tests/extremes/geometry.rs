@@ -9,7 +9,7 @@ use nalgebra::{Point2, Point3, Vector3};
 use serde_json::{Value, json};
 use stlfr::camera::Camera;
 use stlfr::interpolation::SyncMethod;
-use stlfr::light_field::RenderError;
+use stlfr::light_field::{Context, RenderError, Request, Viewpoint, render};
 use stlfr::lumigraph::{BlendOptions, Plane, Proxy, Source, blend, triangulate};
 use stlfr::method::Method;
 use stlfr::offset::Offsets;
@@ -59,10 +59,12 @@ fn a_view_at_an_input_camera_is_its_image() {
     let capture = open(&folder);
     let field = field_of(&capture, estimate(&capture));
     let time_s = 1.5 * FRAME_S;
-    let own = field.synchronized(1, time_s, &RenderOptions::default()).unwrap().image.clone();
     for &method in ProxyMethod::ALL {
+        let options = by_proxy(method);
+        let request = Request::new(Viewpoint::Like(1), time_s, &options);
+        let own = render(&field, &request, &Context::unattended()).unwrap().image;
         let target = view(&scene.camera([0.0; 3]));
-        let rendered = field.view(&target, time_s, &by_proxy(method)).unwrap();
+        let rendered = field.view(&target, time_s, &options).unwrap();
         let apart = rendered.image.data().iter().zip(own.data()).map(|(a, b)| (a - b).abs());
         // A zero angle: that camera alone answers.
         assert!(apart.fold(0.0, f32::max) < 1e-5);
