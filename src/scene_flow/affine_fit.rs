@@ -2,7 +2,7 @@
 
 use super::element::Element;
 use super::map::ElementMap;
-use super::matching::{Matcher, color_difference};
+use super::matching::{PatchMatcher, color_difference};
 use nalgebra::{Matrix3, Vector3};
 
 /// Half-width of the fit, pixels of the level.
@@ -19,7 +19,7 @@ const FLATNESS: f64 = 0.3;
 const MAX_DISPARITY_GRADIENT: f32 = 1.6;
 const MAX_MOTION_GRADIENT: f32 = 1.0;
 
-impl Matcher<'_> {
+impl PatchMatcher<'_> {
     /// The fit at a pixel of the map; `None` if it has no solution.
     pub fn affine_fit(&self, map: &ElementMap, x: usize, y: usize) -> Option<Element> {
         let (width, height) = (self.own.width as i32, self.own.height as i32);

@@ -3,7 +3,7 @@
 use super::frame::FlowFrame;
 use super::geometry::Projection;
 use super::map::MappedFrame;
-use super::splat::{Candidate, splat};
+use super::splat::{SplatPixel, splat};
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::raster::Image;
@@ -40,7 +40,7 @@ struct Pixel {
 
 struct Weighted<'a> {
     frame: &'a FlowFrame,
-    candidate: Candidate,
+    candidate: SplatPixel,
     weight: f32,
 }
 
@@ -54,7 +54,7 @@ pub struct FlowView {
 ///
 /// Pixels that no map has, but some camera filmed, get the colour of what is behind; others are not covered.
 pub fn blend(mapped: &[MappedFrame], view: &Camera, time: f64) -> FlowView {
-    let splats: Vec<(MappedFrame, Vec<Candidate>)> =
+    let splats: Vec<(MappedFrame, Vec<SplatPixel>)> =
         mapped.par_iter().filter_map(|m| Some((*m, splat(*m, view, time)?))).collect();
     let baseline = |m: &MappedFrame| (m.frame.view.center() - view.center()).norm() as f32;
     let baselines: Vec<f32> = splats.iter().map(|(m, _)| baseline(m)).collect();

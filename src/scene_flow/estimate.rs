@@ -3,7 +3,7 @@
 use super::element::Element;
 use super::frame::FlowFrame;
 use super::map::{ElementMap, FlowMap};
-use super::matching::{Matcher, Observation};
+use super::matching::{ObservingFrame, PatchMatcher};
 use super::sweep::{Limits, Pass};
 use super::transfer::{Proposals, confidence};
 use crate::random::Random;
@@ -29,10 +29,10 @@ impl Estimation<'_> {
         let disparity_px = |f: &FlowFrame| (f.view.focal_px() * self.baseline_m) as f32;
         let frames: Vec<&FlowFrame> = self.frames.iter().map(|(f, _)| *f).collect();
         let disparities_px: Vec<f32> = frames.iter().map(|f| disparity_px(f)).collect();
-        let observations: Vec<Vec<Observation>> = self
+        let observations: Vec<Vec<ObservingFrame>> = self
             .frames
             .iter()
-            .map(|(f, others)| others.iter().filter_map(|o| Observation::new(f, o)).collect())
+            .map(|(f, others)| others.iter().filter_map(|o| ObservingFrame::new(f, o)).collect())
             .collect();
         // Cameras of different sizes have their finest levels in common.
         let levels = self.frames.iter().flat_map(|(f, others)| others.iter().chain([f]));
@@ -52,7 +52,7 @@ impl Estimation<'_> {
                     .collect();
                 maps.par_iter_mut().zip(&proposals).enumerate().for_each(
                     |(f, (map, proposals))| {
-                        let matcher = Matcher {
+                        let matcher = PatchMatcher {
                             own: &frames[f].levels[level],
                             observations: &observations[f],
                             level,

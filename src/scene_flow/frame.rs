@@ -12,13 +12,13 @@ const LUMA: [f32; 3] = [0.3, 0.59, 0.11];
 
 /// What is compared at a pixel: brightness, red minus blue, horizontal and vertical gradient of brightness, each times
 /// its weight.
-pub type Sample = [f32; 4];
+pub type MatchingSample = [f32; 4];
 
 /// An image of samples.
 pub struct MatchingImage {
     pub width: usize,
     pub height: usize,
-    samples: Vec<Sample>,
+    samples: Vec<MatchingSample>,
 }
 
 impl MatchingImage {
@@ -59,7 +59,7 @@ impl MatchingImage {
     }
 
     #[inline(always)]
-    pub fn pixel(&self, x: usize, y: usize) -> Sample {
+    pub fn pixel(&self, x: usize, y: usize) -> MatchingSample {
         self.samples[y * self.width + x]
     }
 
@@ -72,13 +72,13 @@ impl MatchingImage {
 
     /// A pixel and its right neighbour, and the two below.
     #[inline(always)]
-    pub fn quad(&self, x: usize, y: usize) -> [&[Sample]; 2] {
+    pub fn quad(&self, x: usize, y: usize) -> [&[MatchingSample]; 2] {
         let k = y * self.width + x;
         [&self.samples[k..k + 2], &self.samples[k + self.width..][..2]]
     }
 
     /// Bilinear sample at a position from the first pixel's centre, from 0 to [`Self::limit`].
-    pub fn sample(&self, x: f32, y: f32) -> Sample {
+    pub fn sample(&self, x: f32, y: f32) -> MatchingSample {
         let (column, row) = (x as usize, y as usize);
         let (fx, fy) = (x - column as f32, y - row as f32);
         let [upper, lower] = self.quad(column, row);
@@ -148,7 +148,7 @@ impl FlowFrame {
     /// Its size in memory, bytes.
     pub fn bytes(&self) -> usize {
         let pixels: usize = self.levels.iter().map(|l| l.width * l.height).sum();
-        size_of_val(self.image.data()) + pixels * size_of::<Sample>()
+        size_of_val(self.image.data()) + pixels * size_of::<MatchingSample>()
     }
 }
 

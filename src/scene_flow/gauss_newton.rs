@@ -1,7 +1,7 @@
 //! One Gauss–Newton step on depth and motion, from the gradients of all frames that see the element.
 
 use super::element::Element;
-use super::matching::{Matched, Matcher};
+use super::matching::{MatchedElement, PatchMatcher};
 use nalgebra::{Matrix6, Vector6};
 
 /// Weight of the prior, as a fraction of a patch whose gradients are all 1 a pixel.
@@ -18,10 +18,10 @@ const MAX_RATE_PX: f32 = 12.0;
 /// Step of disparity by which a derivative is taken, pixels.
 const DISPARITY_STEP_PX: f32 = 1.0;
 
-impl Matcher<'_> {
+impl PatchMatcher<'_> {
     /// The element after a step; `None` if the equations have no solution.
-    pub fn step(&self, matched: &Matched) -> Option<Element> {
-        let &Matched { element: e, pixel: (x, y), patch, cost, .. } = matched;
+    pub fn step(&self, matched: &MatchedElement) -> Option<Element> {
+        let &MatchedElement { element: e, pixel: (x, y), patch, cost, .. } = matched;
         let mut normal = Matrix6::<f64>::zeros();
         let mut gradient = Vector6::<f64>::zeros();
         let s = self.scale;

@@ -1,12 +1,12 @@
 //! How well the frames of all cameras, each at its own time, agree on a surface element.
 
 use super::element::Element;
-use super::frame::{FlowFrame, MatchingImage, Sample, WEIGHTS};
+use super::frame::{FlowFrame, MatchingImage, MatchingSample, WEIGHTS};
 use super::geometry::Projection;
 use crate::simd::{F32x8, LANES, multiversion};
 
 /// Largest difference of a channel that counts: what differs more is something else.
-const TRUNCATION: Sample = [0.12, 0.084, 0.084, 0.084];
+const TRUNCATION: MatchingSample = [0.12, 0.084, 0.084, 0.084];
 /// Difference of two pixels' colours at which the second counts for 1/e in the first one's patch.
 const PATCH_COLOR: f32 = 0.08;
 /// Half-width of a patch at the finest level and at all others, pixels of the level, and the step between its pixels
@@ -33,15 +33,15 @@ const OUTSIDE_PENALTY: f32 = 0.02;
 pub const MAX_OBSERVATIONS: usize = 16;
 
 /// A frame that may see what another frame sees.
-pub struct Observation<'a> {
+pub struct ObservingFrame<'a> {
     /// Frames of the reference camera after the frame that is matched.
     pub dt: f32,
     pub projection: Projection,
     pub levels: &'a [MatchingImage],
-    truncation: Sample,
+    truncation: MatchingSample,
 }
 
-impl<'a> Observation<'a> {
+impl<'a> ObservingFrame<'a> {
     /// `None` if a camera has no inverse.
     pub fn new(of: &FlowFrame, by: &'a FlowFrame) -> Option<Self> {
         let mut truncation = TRUNCATION;
@@ -61,9 +61,9 @@ impl<'a> Observation<'a> {
 pub struct Patch {
     offset_x: [f32; PADDED_PIXELS],
     offset_y: [f32; PADDED_PIXELS],
-    samples: [Sample; PADDED_PIXELS],
+    samples: [MatchingSample; PADDED_PIXELS],
     /// Each pixel's weight, once a channel.
-    weights: [Sample; PADDED_PIXELS],
+    weights: [MatchingSample; PADDED_PIXELS],
     count: usize,
     /// One over the sum of all weights.
     normalization: f32,
@@ -91,7 +91,7 @@ impl Patch {
 pub type Costs = [f32; MAX_OBSERVATIONS];
 
 /// An element of a pixel, with its match.
-pub struct Matched<'a> {
+pub struct MatchedElement<'a> {
     pub element: &'a Element,
     pub pixel: (usize, usize),
     pub patch: &'a Patch,
@@ -101,9 +101,9 @@ pub struct Matched<'a> {
 }
 
 /// Matches one frame with others, at one level.
-pub struct Matcher<'a> {
+pub struct PatchMatcher<'a> {
     pub own: &'a MatchingImage,
-    pub observations: &'a [Observation<'a>],
+    pub observations: &'a [ObservingFrame<'a>],
     pub level: usize,
     /// Pixels of the full image a pixel of the level.
     pub scale: f32,
@@ -131,7 +131,7 @@ impl Footprint {
 
 /// Difference of two pixels' brightnesses and colours.
 #[inline(always)]
-pub fn color_difference(a: &Sample, b: &Sample) -> f32 {
+pub fn color_difference(a: &MatchingSample, b: &MatchingSample) -> f32 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).abs()
 }
 
@@ -142,7 +142,7 @@ fn differences<V: F32x8>(
     image: &MatchingImage,
     footprint: &Footprint,
     patch: &Patch,
-    truncation: &Sample,
+    truncation: &MatchingSample,
 ) -> f32 {
     let [max_u, max_v] = image.limit().map(V::splat);
     let [center_u, center_v] = footprint.center.map(V::splat);
@@ -185,7 +185,7 @@ fn between_rows<V: F32x8>(image: &MatchingImage, [x, y]: [i32; 2], fraction: f32
 
 /// Two samples, from the first on.
 #[inline(always)]
-fn eight(samples: &[Sample], first: usize) -> [f32; LANES] {
+fn eight(samples: &[MatchingSample], first: usize) -> [f32; LANES] {
     let [a, b] = [samples[first], samples[first + 1]];
     [a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]]
 }
@@ -195,11 +195,11 @@ multiversion! {
         image: &MatchingImage,
         footprint: &Footprint,
         patch: &Patch,
-        truncation: &Sample,
+        truncation: &MatchingSample,
     ) -> f32 = differences::<V>
 }
 
-impl Matcher<'_> {
+impl PatchMatcher<'_> {
     fn patch_shape(&self) -> (i32, i32) {
         if self.level == 0 { PATCH_FINEST } else { PATCH_COARSE }
     }
@@ -233,7 +233,7 @@ impl Matcher<'_> {
     }
 
     #[inline(always)]
-    fn footprint(&self, o: &Observation, e: &Element, x: usize, y: usize) -> Footprint {
+    fn footprint(&self, o: &ObservingFrame, e: &Element, x: usize, y: usize) -> Footprint {
         let s = self.scale;
         let (cx, cy) = ((x as f32 + 0.5) * s, (y as f32 + 0.5) * s);
         let place = |dx: f32, dy: f32| {
@@ -291,11 +291,11 @@ impl Matcher<'_> {
     /// the level.
     pub fn for_each_gradient(
         &self,
-        matched: &Matched,
+        matched: &MatchedElement,
         max_cost: f32,
-        mut f: impl FnMut(&Observation, [f32; 3], [f32; 2]),
+        mut f: impl FnMut(&ObservingFrame, [f32; 3], [f32; 2]),
     ) {
-        let &Matched { element, pixel: (x, y), patch, costs, .. } = matched;
+        let &MatchedElement { element, pixel: (x, y), patch, costs, .. } = matched;
         for (o, _) in self.observations.iter().zip(costs).filter(|(_, c)| **c <= max_cost) {
             let image = &o.levels[self.level];
             let footprint = self.footprint(o, element, x, y);

@@ -16,7 +16,7 @@ const HIDING_PX: f32 = 0.5;
 
 /// What a map has at a pixel of the view.
 #[derive(Clone, Copy, Default)]
-pub struct Candidate {
+pub struct SplatPixel {
     /// In the view, 1/m.
     pub inverse_depth: f32,
     /// Where the frame shows it, pixels.
@@ -31,11 +31,11 @@ pub struct Candidate {
 
 /// A map in a view at an instant, frames of the reference since the capture's start: one candidate a pixel of the view.
 /// `None` if the frame's camera has no inverse.
-pub fn splat(mapped: MappedFrame, view: &Camera, time: f64) -> Option<Vec<Candidate>> {
+pub fn splat(mapped: MappedFrame, view: &Camera, time: f64) -> Option<Vec<SplatPixel>> {
     let MappedFrame { frame, map } = mapped;
     let projection = Projection::new(&frame.view, view)?;
     let (width, height) = (view.width, view.height);
-    let mut candidates = vec![Candidate::default(); width * height];
+    let mut candidates = vec![SplatPixel::default(); width * height];
     let dt = (time - frame.time) as f32;
     let zoom = (view.focal_px() / frame.view.focal_px()) as f32;
     let hiding = HIDING_PX / map.disparity_px;
@@ -71,7 +71,7 @@ pub fn splat(mapped: MappedFrame, view: &Camera, time: f64) -> Option<Vec<Candid
                 let old = &mut candidates[v * width + u];
                 let is_same = inverse_depth > old.inverse_depth - hiding && distance < old.distance;
                 if old.confidence == 0.0 || inverse_depth > old.inverse_depth + hiding || is_same {
-                    *old = Candidate {
+                    *old = SplatPixel {
                         inverse_depth,
                         source: [px + dx / scale, py + dy / scale],
                         confidence: pixel.confidence(),

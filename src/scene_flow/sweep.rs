@@ -3,7 +3,9 @@
 
 use super::element::Element;
 use super::map::ElementMap;
-use super::matching::{Costs, MAX_OBSERVATIONS, Matched, Matcher, Patch, color_difference};
+use super::matching::{
+    Costs, MAX_OBSERVATIONS, MatchedElement, Patch, PatchMatcher, color_difference,
+};
 use super::transfer::Proposals;
 use crate::random::Random;
 
@@ -61,7 +63,7 @@ pub struct Pass<'a> {
 
 /// A pixel's best element so far.
 struct Best<'a, 'b> {
-    matcher: &'a Matcher<'b>,
+    matcher: &'a PatchMatcher<'b>,
     map: &'a ElementMap,
     limits: Limits,
     pixel: (usize, usize),
@@ -93,9 +95,9 @@ impl Best<'_, '_> {
         }
     }
 
-    fn matched(&self) -> Matched<'_> {
+    fn matched(&self) -> MatchedElement<'_> {
         let Self { element, pixel, patch, costs, match_cost, .. } = self;
-        Matched { element, pixel: *pixel, patch, costs, cost: *match_cost }
+        MatchedElement { element, pixel: *pixel, patch, costs, cost: *match_cost }
     }
 
     fn differs(&self, proposal: &Element) -> bool {
@@ -103,7 +105,7 @@ impl Best<'_, '_> {
     }
 }
 
-impl Matcher<'_> {
+impl PatchMatcher<'_> {
     /// The cost of an element that differs from its four neighbours'.
     #[inline(always)]
     fn roughness(&self, map: &ElementMap, e: &Element, x: usize, y: usize) -> f32 {
