@@ -51,22 +51,7 @@ impl PatchMatcher<'_> {
                 }
             }
         });
-        let weight = PRIOR * f64::from(patch.weight());
-        let depth = (f64::from(self.disparity_px / s)).powi(2);
-        let motion = f64::from(1.0 / s).powi(2);
-        let prior = [depth, motion, motion, RATE_STIFFNESS * depth, motion, motion];
-        for (i, p) in prior.into_iter().enumerate() {
-            normal[(i, i)] += weight * p;
-        }
-        let pulled = [
-            (3, RATE_PULL, e.inverse_depth_rate),
-            (4, 1.0, e.acceleration[0]),
-            (5, 1.0, e.acceleration[1]),
-        ];
-        for (i, pull, value) in pulled {
-            normal[(i, i)] += pull * weight * prior[i];
-            gradient[i] += pull * weight * prior[i] * f64::from(value);
-        }
+        self.add_prior(e, patch.weight(), &mut normal, &mut gradient);
         // The prior makes the matrix positive definite; Cholesky reads its lower half alone.
         let step = normal.cholesky()?.solve(&-gradient);
         let step: [f32; 6] = std::array::from_fn(|i| step[i] as f32);
@@ -87,5 +72,32 @@ impl PatchMatcher<'_> {
             ],
             ..*e
         })
+    }
+
+    /// Adds the prior: every unknown stays near its value, and the rate and the acceleration near 0.
+    fn add_prior(
+        &self,
+        e: &Element,
+        patch_weight: f32,
+        normal: &mut Matrix6<f64>,
+        gradient: &mut Vector6<f64>,
+    ) {
+        let s = self.scale;
+        let weight = PRIOR * f64::from(patch_weight);
+        let depth = (f64::from(self.disparity_px / s)).powi(2);
+        let motion = f64::from(1.0 / s).powi(2);
+        let prior = [depth, motion, motion, RATE_STIFFNESS * depth, motion, motion];
+        for (i, p) in prior.into_iter().enumerate() {
+            normal[(i, i)] += weight * p;
+        }
+        let pulled = [
+            (3, RATE_PULL, e.inverse_depth_rate),
+            (4, 1.0, e.acceleration[0]),
+            (5, 1.0, e.acceleration[1]),
+        ];
+        for (i, pull, value) in pulled {
+            normal[(i, i)] += pull * weight * prior[i];
+            gradient[i] += pull * weight * prior[i] * f64::from(value);
+        }
     }
 }

@@ -61,6 +61,12 @@ pub struct Pass<'a> {
     pub seed: u64,
 }
 
+impl Pass<'_> {
+    fn is_backward(&self) -> bool {
+        self.turn % 2 == 1
+    }
+}
+
 /// A pixel's best element so far.
 struct Best<'a, 'b> {
     matcher: &'a PatchMatcher<'b>,
@@ -92,6 +98,50 @@ impl Best<'_, '_> {
             self.element = proposal;
             (self.match_cost, self.cost) = (match_cost, match_cost + roughness);
             self.costs = costs;
+        }
+    }
+
+    /// Considers the elements of the neighbours that the pass has visited, and of two farther ones at coarse levels.
+    fn consider_neighbors(&mut self, pass: &Pass) {
+        let (x, y) = self.pixel;
+        let sign = if pass.is_backward() { 1 } else { -1 };
+        let steps = [(sign, 0), (0, sign), (3 * sign, 2 * sign), (-2 * sign, 3 * sign)];
+        let count = if self.matcher.level == 0 { 2 } else { 4 };
+        for &step in &steps[..count] {
+            let Some(at) = self.matcher.neighbor(x, y, step) else { continue };
+            let proposal = self.matcher.continued(self.map, at, step);
+            if self.differs(&proposal) {
+                self.consider(proposal);
+            }
+        }
+    }
+
+    /// Considers what other maps propose for pixel `k`.
+    fn consider_proposals(&mut self, pass: &Pass, k: usize) {
+        for proposal in pass.proposals.iter().flat_map(|p| p.at(k)) {
+            if self.differs(&proposal) {
+                self.consider(proposal);
+            }
+        }
+    }
+
+    /// Considers the affine fit to the neighbours, once there is one.
+    fn consider_fit(&mut self, pass: &Pass) {
+        let (x, y) = self.pixel;
+        if pass.turn > 0
+            && let Some(fit) = self.matcher.affine_fit(self.map, x, y)
+            && self.matcher.changes_patch(&fit, &self.element)
+        {
+            self.consider(fit);
+        }
+    }
+
+    /// Considers a step of Gauss–Newton.
+    fn consider_step(&mut self) {
+        if let Some(step) = self.matcher.step(&self.matched())
+            && self.matcher.distance(&step, &self.element) > 0.1 * SAME_PX
+        {
+            self.consider(step);
         }
     }
 
@@ -179,12 +229,8 @@ impl PatchMatcher<'_> {
         let (width, pixels) = (map.width, map.elements.len());
         let mut random = Random::new(pass.seed);
         let mut patch = Patch::empty();
-        let is_backward = pass.turn % 2 == 1;
-        let sign = if is_backward { 1 } else { -1 };
-        let steps = [(sign, 0), (0, sign), (3 * sign, 2 * sign), (-2 * sign, 3 * sign)];
-        let steps = if self.level == 0 { &steps[..2] } else { &steps[..] };
         for k in 0..pixels {
-            let k = if is_backward { pixels - 1 - k } else { k };
+            let k = if pass.is_backward() { pixels - 1 - k } else { k };
             let (x, y) = (k % width, k / width);
             let is_settled = self.level <= 1 && self.is_settled(map, x, y);
             if pass.turn > 0 && is_settled {
@@ -206,39 +252,24 @@ impl PatchMatcher<'_> {
                 cost,
                 costs,
             };
-            for &step in steps.iter().filter(|_| !is_settled) {
-                if let Some(at) = self.neighbor(x, y, step) {
-                    let proposal = self.continued(map, at, step);
-                    if best.differs(&proposal) {
-                        best.consider(proposal);
-                    }
-                }
+            if !is_settled {
+                best.consider_neighbors(pass);
             }
             let speed = best.element.speed();
             if speed > 0.0 && (self.level > 0 || speed < MAX_SPEED_TO_REST_PX) {
                 best.consider(best.element.still());
             }
-            for proposal in pass.proposals.iter().flat_map(|p| p.at(k)).filter(|_| !is_settled) {
-                if best.differs(&proposal) {
-                    best.consider(proposal);
-                }
+            if !is_settled {
+                best.consider_proposals(pass, k);
             }
             let chances = if best.match_cost < MATCHED { 0 } else { pass.chances };
             for _ in 0..chances {
                 best.consider(self.chance(&best.element, pass.limits, &mut random));
             }
-            if pass.turn > 0
-                && let Some(fit) = self.affine_fit(map, x, y)
-                && self.changes_patch(&fit, &best.element)
-            {
-                best.consider(fit);
-            }
+            best.consider_fit(pass);
             let has_changed = self.distance(&element, &best.element) > 0.0;
-            if (pass.turn == 0 || has_changed || pass.is_last)
-                && let Some(step) = self.step(&best.matched())
-                && self.distance(&step, &best.element) > 0.1 * SAME_PX
-            {
-                best.consider(step);
+            if pass.turn == 0 || has_changed || pass.is_last {
+                best.consider_step();
             }
             (map.elements[k], map.costs[k]) = (best.element, best.match_cost);
         }

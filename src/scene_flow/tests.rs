@@ -148,7 +148,7 @@ fn a_view_between_cameras_and_frames_is_the_true_one() {
             }
         }
     }
-    let psnr_db = -10.0 * (error / count as f64).log10();
+    let psnr_db = -10.0 * (error / count).log10();
     // Outlines are off by up to a pixel.
     assert!(psnr_db > 29.0, "{psnr_db} dB");
 }
