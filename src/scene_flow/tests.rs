@@ -188,8 +188,11 @@ fn projections_are_those_of_the_cameras() {
         let z = (to.cam_from_world * point).z;
         assert!((f64::from(q) - 1.0 / z).abs() < 1e-5 / z);
     }
-    // Behind the camera, which is outside of every image.
-    assert!(projection.project(48.0, 36.0, -1e3)[0] < -1e6);
+    let mut backward = camera_at(0.0, 0.0);
+    backward.cam_from_world.rotation =
+        UnitQuaternion::from_euler_angles(0.0, std::f64::consts::PI, 0.0);
+    let behind = Projection::new(&from, &backward).unwrap();
+    assert!(behind.project(48.0, 36.0, 0.5)[0] < -1e6);
 }
 
 #[test]
