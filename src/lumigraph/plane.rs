@@ -62,7 +62,8 @@ impl Plane {
         Some(Self::fronto_parallel(camera, 1.0 / inverse.get(inverse.len() / 2)?))
     }
 
-    /// The plane's g in the camera's view (module head). `None` if the plane passes through the camera's centre.
+    /// The vector g = normal / distance in the camera's axes: the plane's inverse depth at the normalized point (x, y) is
+    /// g · (x, y, 1). `None` if the plane passes through the camera's centre.
     pub(super) fn inverse_depth(&self, camera: &Camera) -> Option<Vector3<f64>> {
         let distance = self.d - self.normal.dot(&camera.center().coords);
         let g = camera.cam_from_world.rotation * self.normal / distance;

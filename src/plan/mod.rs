@@ -113,8 +113,8 @@ struct ByViews {
     blend: (Option<BlendMethod>, Decision),
 }
 
-/// Chooses the sync method and the blend by rendered views, where `options.auto` names them and `sync`, the choice by
-/// motion, is refinement. Otherwise `sync` is returned as it is.
+/// Chooses the sync method and the blend by rendered test views, each only if `options.auto` leaves it open. Methods other
+/// than refinement, which the motion has chosen as `sync`, are returned as they are.
 fn by_views(
     field: &LightField,
     options: &RenderOptions,

@@ -17,7 +17,8 @@ const MEDIAN_OF: usize = 5;
 const PRIOR_RADIUS_PX: f64 = 40.0;
 /// Two initial guesses nearer than this, pixels, lead to the same result.
 const SAME_GUESS_PX: f64 = 1.0;
-/// Numbers of finest pyramid levels, forward and backward, where a track is extended by constant motion.
+/// Numbers of pyramid levels, from the finest, that are searched forward and backward when a track is extended: its last
+/// motion is a near initial guess, which needs no coarse levels.
 const EXTENSION_LEVELS: [usize; 2] = [2, 1];
 /// Maximum change of a track's motion from one frame to the next, pixels, plus [`MAX_MOTION_CHANGE_FRACTION`] of the
 /// motion. No bound applies where the neighbours' motion changes alike.

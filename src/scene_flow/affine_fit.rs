@@ -9,14 +9,16 @@ use nalgebra::{Matrix3, Vector3};
 const RADIUS: i32 = 3;
 /// Distance above which a neighbour is of another surface, pixels of the level.
 const MAX_DISTANCE_PX: f32 = 2.0;
-/// Difference of colours at which a neighbour counts for 1/e, and what the most different one counts.
+/// Difference of colours at which a neighbour's weight falls to 1/e.
 const COLOR: f32 = 0.16;
+/// Part of a neighbour's weight that no difference of colour takes away.
 const MIN_COLOR_WEIGHT: f32 = 0.05;
 /// Weight of the prior that all gradients are 0, as of a surface that is parallel to the image and moves as a whole.
 /// Squared pixels of the pyramid level.
 const FLATNESS: f64 = 0.3;
-/// Largest gradients: of disparity and of motion, pixels a pixel.
+/// Largest gradient of the disparity, pixels a pixel.
 const MAX_DISPARITY_GRADIENT: f32 = 1.6;
+/// Largest gradient of the velocity, pixels a frame a pixel.
 const MAX_MOTION_GRADIENT: f32 = 1.0;
 
 impl PatchMatcher<'_> {

@@ -3,19 +3,20 @@
 use super::element::Element;
 use super::frame::FlowFrame;
 use super::map::{ElementMap, FlowMap};
-use super::matching::{ObservingFrame, PatchMatcher};
+use super::matching::{MAX_OBSERVATIONS, ObservingFrame, PatchMatcher};
 use super::sweep::{Limits, Pass};
 use super::transfer::{Proposals, confidence};
 use crate::random::Random;
 use rayon::prelude::*;
 
-/// Passes a level, finest first, and chances a pixel in each of them.
+/// Number of passes at each level, finest first. Coarser levels have that of the last.
 const PASSES: [usize; 4] = [2, 2, 3, 4];
+/// Number of random elements a pixel in each pass, finest level first.
 const CHANCES: [usize; 4] = [1, 2, 10, 50];
 
 /// Maps to estimate together, so that each proposes to the others.
 pub struct Estimation<'a> {
-    /// The frames that get a map, and for each of them the frames that it is matched with.
+    /// The frames that get a map, and for each of them the frames that it is matched with: the first 16 count.
     pub frames: &'a [(&'a FlowFrame, Vec<&'a FlowFrame>)],
     pub limits: Limits,
     /// Twice the distance of neighbouring cameras, metres: that of the cameras between which disparities are stated.
@@ -32,7 +33,13 @@ impl Estimation<'_> {
         let observations: Vec<Vec<ObservingFrame>> = self
             .frames
             .iter()
-            .map(|(f, others)| others.iter().filter_map(|o| ObservingFrame::new(f, o)).collect())
+            .map(|(f, others)| {
+                others
+                    .iter()
+                    .filter_map(|o| ObservingFrame::new(f, o))
+                    .take(MAX_OBSERVATIONS)
+                    .collect()
+            })
             .collect();
         // Cameras of different sizes have their finest levels in common.
         let levels = self.frames.iter().flat_map(|(f, others)| others.iter().chain([f]));

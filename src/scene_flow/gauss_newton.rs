@@ -6,16 +6,17 @@ use nalgebra::{Matrix6, Vector6};
 
 /// Weight of the prior, as a fraction of a patch whose gradients are all 1 a pixel.
 const PRIOR: f64 = 1e-6;
-/// How many times stiffer the rate of the inverse depth is: it is least visible.
+/// Factor by which the prior holds the rate of the inverse depth more strongly than the inverse depth.
 const RATE_STIFFNESS: f64 = 16.0;
-/// How many times stronger it is pulled to 0.
+/// Factor by which the prior draws the rate to 0 more strongly than it draws the acceleration to 0.
 const RATE_PULL: f64 = 10.0;
 /// Largest step, pixels of the level.
 const MAX_STEP_PX: f32 = 3.0;
-/// Largest acceleration, pixels a frame squared, and largest rate of inverse depth, pixels of disparity a frame.
+/// Largest acceleration, pixels a frame squared.
 const MAX_ACCELERATION: f32 = 40.0;
+/// Largest rate of the inverse depth, pixels of disparity a frame.
 const MAX_RATE_PX: f32 = 12.0;
-/// Step of disparity by which a derivative is taken, pixels.
+/// Step of the finite difference by which positions are derived by the inverse depth, pixels of disparity.
 const DISPARITY_STEP_PX: f32 = 1.0;
 
 impl PatchMatcher<'_> {

@@ -36,11 +36,11 @@ impl ElementMap {
     }
 }
 
-/// Steps a pixel of disparity, velocity and acceleration, and the steps of a rate of inverse depth.
+/// Quantization steps a pixel: of velocity, acceleration, and the rate of the inverse depth as disparity.
 const STEPS: f32 = 64.0;
-/// Change between neighbours, beyond that of a slanted surface, above which they are on different surfaces: pixels of
-/// disparity, and of motion in half a frame.
+/// Sum of the differences in disparity and in motion above which two neighbours are on different surfaces, pixels.
 const MAX_JUMP_PX: f32 = 1.0;
+/// Time over which their motions are compared, frames.
 const JUMP_FRAMES: f32 = 0.5;
 
 /// A frame's depth and motion as views need them: 16 bytes a pixel.

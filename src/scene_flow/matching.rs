@@ -7,29 +7,29 @@ use crate::simd::{F32x8, LANES, multiversion};
 
 /// Largest difference of a channel that counts: what differs more is something else.
 const TRUNCATION: MatchingSample = [0.12, 0.084, 0.084, 0.084];
-/// Difference of two pixels' colours at which the second counts for 1/e in the first one's patch.
+/// Difference of a pixel's colour from that of the patch's centre at which its weight falls to 1/e.
 const PATCH_COLOR: f32 = 0.08;
-/// Half-width of a patch at the finest level and at all others, pixels of the level, and the step between its pixels
-/// there.
+/// Half-width of a patch at the finest level, and the step between its pixels; pixels.
 const PATCH_FINEST: (i32, i32) = (4, 2);
+/// Half-width of a patch at all other levels, and the step between its pixels; pixels of the level.
 const PATCH_COARSE: (i32, i32) = (2, 1);
 /// Residual of brightness at which a pixel of a patch counts half in a Gauss–Newton step.
 const RESIDUAL: f32 = 0.05;
 /// Largest number of pixels of a patch.
 const PATCH_PIXELS: usize = 25;
-/// The next multiple of the vectors' length.
+/// Length of a patch's arrays: a multiple of the vectors' length.
 const PADDED_PIXELS: usize = PATCH_PIXELS.next_multiple_of(LANES);
-/// Fraction of the observations that count, those that agree best: others may not see the element.
+/// Fraction of the observing frames whose costs count, the smallest ones: the element may be occluded in the others.
 const BEST_FRACTION: f32 = 0.55;
-/// Least number of observations that count.
+/// Minimum number of observing frames whose costs count.
 const MIN_BEST: usize = 3;
-/// No cost of an observation inside of its image is as large.
+/// A cost above that of every element inside an image, which marks elements outside.
 const OUTSIDE: f32 = 1.0;
-/// Cost of an observation outside of its image, if it has to count: worse than a match, better than a mismatch.
+/// Cost of a frame in which the element is outside the image, where it counts: between a match and a mismatch.
 const OUTSIDE_COST: f32 = 0.19;
-/// What it costs if all observations are outside of their images, so that none is left out for nothing.
+/// Cost of an element that is outside all images. Elements that are outside some of them cost a part of it.
 const OUTSIDE_PENALTY: f32 = 0.02;
-/// Most frames that a frame is matched with.
+/// Maximum number of frames that a frame is matched with.
 pub const MAX_OBSERVATIONS: usize = 16;
 
 /// A frame that may see what another frame sees.

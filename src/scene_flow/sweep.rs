@@ -1,5 +1,6 @@
-//! PatchMatch (Barnes et al. 2009; Bleyer et al. 2011): a pass over a map's pixels, in which each takes what its
-//! neighbours, other frames' maps, chance, and a step of Gauss–Newton propose, if the frames agree on it better.
+//! One pass of PatchMatch (Barnes et al. 2009; Bleyer et al. 2011) over a map. Its neighbours, the maps of other frames,
+//! random sampling, an affine fit and a Gauss–Newton step propose elements to every pixel. It takes the one that costs
+//! least.
 
 use super::element::Element;
 use super::map::ElementMap;
@@ -9,28 +10,31 @@ use super::matching::{
 use super::transfer::Proposals;
 use crate::random::Random;
 
-/// Cost of a pixel of disparity, or two of motion, between neighbours.
+/// Cost of a pixel of distance ([`PatchMatcher::distance`]) between the elements of two neighbours.
 const SMOOTHNESS: f32 = 0.004;
-/// Distance of neighbours above which it costs no more, pixels of the level.
+/// Distance between neighbours above which the cost grows no more, pixels of the level.
 const MAX_ROUGHNESS_PX: f32 = 2.0;
-/// Difference of colours at which smoothness counts for 1/e, and how much it counts at least.
+/// Difference of two neighbours' colours at which smoothness between them counts for 1/e.
 const COLOR: f32 = 0.08;
+/// Part of the smoothness that no difference of colour takes away.
 const MIN_COLOR_WEIGHT: f32 = 0.1;
-/// Cost below which nothing is left to chance.
+/// Cost of a match below which no random elements are tried.
 const MATCHED: f32 = 0.012;
 /// Distance below which two elements are the same, pixels of the level.
 const SAME_PX: f32 = 0.08;
 /// Speed below which a pixel is at rest, pixels a frame.
 const STILL_PX: f32 = 0.3;
-/// At the finest levels, elements faster than this are not tried at rest, pixels a frame.
+/// Speed above which the element at rest is not tried at the finest level, pixels a frame.
 const MAX_SPEED_TO_REST_PX: f32 = 4.0;
-/// At the coarsest levels, the fraction of chances that are anywhere; of these, those at rest, and those that keep their depth.
+/// Fraction of the random elements that are drawn from the whole range of the search, at coarse levels.
 const ANYWHERE: f32 = 0.7;
+/// Fraction of these that are at rest.
 const AT_REST: f32 = 0.15;
+/// Fraction of these that keep the pixel's depth.
 const KEEP_DEPTH: f32 = 0.3;
-/// Largest chance beside an element, pixels of the level.
+/// Largest random change of an element, pixels of the level.
 const MAX_CHANCE_PX: f32 = 4.0;
-/// Levels above which a pass searches everywhere.
+/// Finest level at which random elements are drawn from the whole range.
 const COARSE_LEVEL: usize = 2;
 
 /// Ranges of the search.
@@ -55,7 +59,7 @@ pub struct Pass<'a> {
     /// Number of passes before this one at this level.
     pub turn: usize,
     pub is_last: bool,
-    /// Chances a pixel.
+    /// Number of random elements a pixel.
     pub chances: usize,
     pub proposals: Option<&'a Proposals>,
     pub seed: u64,

@@ -13,15 +13,17 @@ const COST_PER_FRAME: f32 = 0.01;
 const MAX_NEAR_COST: f32 = 0.1;
 /// Frames farther away in time confirm nothing.
 const MAX_CONFIRMING_DT: f32 = 0.8;
-/// Largest difference of confirmed elements, pixels of disparity, and pixels a frame: a constant, and a fraction of the
-/// speed.
+/// Largest difference in disparity between an element and the one that confirms it, pixels.
 const MAX_DISPARITY_ERROR_PX: f32 = 1.5;
+/// Largest difference of their velocities, pixels a frame, without the part by [`MAX_MOTION_ERROR`].
 const MAX_MOTION_ERROR_PX: f32 = 2.0;
+/// The part of the largest difference of velocities that grows with the speed, as a fraction of it.
 const MAX_MOTION_ERROR: f32 = 0.15;
-/// What counts against an element that another frame's map has something in front of, where a contradiction counts 1.
+/// Weight of a map in which something is in front of the element, where a map that contradicts the element has weight 1.
 const HIDDEN: f32 = 0.3;
-/// Prior observations: so many confirm, of so many.
+/// Number of confirming maps that is added to those found, so that an element that no map could confirm has a confidence.
 const PRIOR_CONFIRMED: f32 = 0.1;
+/// Number of all maps that is added to those found.
 const PRIOR_ALL: f32 = 0.5;
 
 /// Elements that other frames' maps propose for a map's pixels: the cheapest, and the nearest.

@@ -16,7 +16,8 @@ const SOFTNESS: f32 = 0.02;
 const MIN_WEIGHT: f32 = 1e-30;
 /// Prior cost of visibility in one frame alone, halfway between the frames.
 const ONE_FRAME_COST: f32 = 0.1;
-/// Minimum of twice the fraction that divides [`ONE_FRAME_COST`]: at a frame, the cost would be infinite.
+/// Lower bound of 2f, by which [`ONE_FRAME_COST`] is divided. f is the distance in time from a frame as a fraction of
+/// the interval, and 0 at the frame.
 const MIN_DOUBLE_FRACTION: f32 = 1e-3;
 /// Weight of the difference in cost by which another motion explains a frame's pixels better.
 const BETTER_EXPLAINED_WEIGHT: f32 = 2.0;

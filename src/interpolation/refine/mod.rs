@@ -166,8 +166,8 @@ pub(super) fn warp_motions(warps: [&Warp; 2], costs: &[f32]) -> Image {
     Image::from_data(warps[0].width, warps[0].height, MOTION_CHANNELS, data)
 }
 
-/// Refines one block. `None` where the cross-fade holds: no track is near, the block is not needed, or there is
-/// no outer frame to average.
+/// Refines one block. `None` if the block keeps the cross-fade of the two warped frames: no track is near, its pixels are
+/// not needed, or there is no frame before or after the pair.
 fn refined_block(shared: &SharedInputs, block: usize) -> Option<RefinedBlock> {
     let area = shared.grid.area(block);
     if shared.frames.parts.is_some_and(|parts| !parts.touches(area.origin, area.side)) {

@@ -53,7 +53,8 @@ pub struct FrameEstimate {
     pub frame: usize,
     /// `offset_j − offset_i` by RANSAC and WLS, eqs. (11) to (13), seconds.
     pub offset_s: f64,
-    /// `offset_j − offset_i` by the information-weighted mixture, seconds.
+    /// `offset_j − offset_i` by a mixture model of inliers and outliers, seconds. Every candidate counts by its information:
+    /// the squared speed across the epipolar line over the residual's variance.
     pub by_information_s: f64,
 }
 
