@@ -143,7 +143,8 @@ fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
     matched
 }
 
-/// The view from `target` by the maps of the frames nearest in time. `None` if nothing is known of the scene's depths.
+/// The view from `target` by the maps of the instant's slot: of each of the nearest cameras, that of the frame nearest in
+/// time. `None` if nothing is known of the scene's depths.
 pub(super) fn flow_view(
     field: &LightField,
     target: &Camera,
@@ -151,29 +152,25 @@ pub(super) fn flow_view(
     context: &Context,
 ) -> Result<Option<FlowView>, RenderError> {
     let &Request { time_s, options, .. } = request;
+    let registration = &options.registration;
+    let stage = FlowSlot {
+        slot: field.slot(time_s),
+        registration,
+        still_change: options.interpolation.still_change,
+        proxy: &options.proxy,
+    };
+    let maps = field.get(&stage, context)?;
+    let Some(SlotMaps(maps)) = maps.as_ref() else { return Ok(None) };
     let mut cameras = nearest(field.capture(), &field.usable(time_s), target.center());
     cameras.truncate(MAX_CAMERAS);
-    let frame = |c: usize| field.nearest_frame(c, time_s).map(|k| (c, k));
-    let ids: Vec<FrameId> = cameras.into_iter().filter_map(frame).collect();
-    let slots: BTreeSet<i64> = ids.iter().map(|&(c, k)| field.slot(c, k)).collect();
-    let registration = &options.registration;
-    let mut maps = Vec::new();
-    for slot in slots {
-        context.check()?;
-        let stage = FlowSlot {
-            slot,
-            registration,
-            still_change: options.interpolation.still_change,
-            proxy: &options.proxy,
-        };
-        maps.push(field.get(&stage, context)?);
-    }
-    let map = |id: &FrameId| maps.iter().find_map(|m| (**m).as_ref()?.0.get(id));
-    let found: Vec<(FrameId, &FlowMap)> =
-        ids.iter().filter_map(|id| Some((*id, map(id)?))).collect();
-    let mut frames: Vec<(Arc<FlowFrame>, &FlowMap)> = Vec::with_capacity(found.len());
-    for ((camera, frame), map) in found {
-        frames.push((field.get(&Undistorted { camera, frame, registration }, context)?, map));
+    let mut frames: Vec<(Arc<FlowFrame>, &FlowMap)> = Vec::with_capacity(cameras.len());
+    for camera in cameras {
+        let distance = |id: &FrameId| (field.times_s(camera)[id.1] - time_s).abs();
+        let of_camera = maps.range((camera, 0)..(camera + 1, 0));
+        let found = of_camera.min_by(|(a, _), (b, _)| distance(a).total_cmp(&distance(b)));
+        if let Some((&(camera, frame), map)) = found {
+            frames.push((field.get(&Undistorted { camera, frame, registration }, context)?, map));
+        }
     }
     if frames.is_empty() {
         return Ok(None);

@@ -257,7 +257,7 @@ pub(super) struct Undistorted<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// Depth and motion of all frames in a slot of time (`Timeline::slot`), which are found together.
+/// Depth and motion of all frames in a slot of time ([`LightField::slot`]), which are found together.
 #[derive(Serialize)]
 pub(super) struct FlowSlot<'a> {
     pub slot: i64,
