@@ -3,7 +3,7 @@
 use super::depth::{range, sampled};
 use super::graph::{LightField, Stage};
 use super::points::nearest;
-use super::stages::{FlowSlot, Undistorted};
+use super::stages::{SceneFlow, Undistorted};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::lumigraph::DepthMap;
@@ -25,9 +25,6 @@ const DEPTH_MARGIN: f64 = 1.5;
 /// A frame of the capture.
 type FrameId = (usize, usize);
 
-/// The frames of a slot and their maps.
-pub(super) struct SlotMaps(BTreeMap<FrameId, FlowMap>);
-
 impl Stage for Undistorted<'_> {
     type Output = FlowFrame;
     const NAME: &'static str = "undistorted frame";
@@ -46,23 +43,19 @@ impl Stage for Undistorted<'_> {
     }
 }
 
-impl Stage for FlowSlot<'_> {
-    /// `None` if nothing is known of the scene's depths.
-    type Output = Option<SlotMaps>;
+impl Stage for SceneFlow<'_> {
+    /// One map a frame; `None` if nothing is known of the scene's depths.
+    type Output = Option<Vec<FlowMap>>;
     const NAME: &'static str = "scene flow";
 
-    fn bytes(maps: &Option<SlotMaps>) -> usize {
-        maps.as_ref().map_or(1, |maps| maps.0.values().map(FlowMap::bytes).sum())
+    fn bytes(maps: &Self::Output) -> usize {
+        maps.as_ref().map_or(1, |maps| maps.iter().map(FlowMap::bytes).sum())
     }
 
-    fn compute(
-        &self,
-        field: &LightField,
-        context: &Context,
-    ) -> Result<Option<SlotMaps>, RenderError> {
-        let mapped: Vec<FrameId> = field.frames_of_slot(self.slot);
+    fn compute(&self, field: &LightField, context: &Context) -> Result<Self::Output, RenderError> {
+        let mapped = self.frames;
         let others: Vec<Vec<FrameId>> = mapped.iter().map(|&id| matched_with(field, id)).collect();
-        let Some(limits) = self.limits(field, &mapped)? else { return Ok(None) };
+        let Some(limits) = self.limits(field)? else { return Ok(None) };
         let needed: BTreeSet<FrameId> =
             mapped.iter().chain(others.iter().flatten()).copied().collect();
         let load = |&(camera, frame): &FrameId| {
@@ -82,19 +75,17 @@ impl Stage for FlowSlot<'_> {
         let proceed = || context.check().is_ok();
         let maps = Estimation { frames: &list, limits, baseline_m }.run(&proceed);
         context.check()?;
-        Ok(Some(SlotMaps(mapped.into_iter().zip(maps).collect())))
+        Ok(Some(maps))
     }
 }
 
-impl FlowSlot<'_> {
-    /// The ranges of the search, from the features of the slot's middle frame's instant. `None` if there are none, or
-    /// if all cameras stand at one place.
-    fn limits(
-        &self,
-        field: &LightField,
-        mapped: &[FrameId],
-    ) -> Result<Option<Limits>, RenderError> {
-        let Some(&(camera, frame)) = mapped.get(mapped.len() / 2) else { return Ok(None) };
+impl SceneFlow<'_> {
+    /// The ranges of the search, from the features at the time of one of the frames. `None` if there are none, or if all
+    /// cameras stand at one place.
+    fn limits(&self, field: &LightField) -> Result<Option<Limits>, RenderError> {
+        let Some(&(camera, frame)) = self.frames.get(self.frames.len() / 2) else {
+            return Ok(None);
+        };
         let time_s = field.times_s(camera)[frame];
         if field.spacing_m() == 0.0 {
             return Ok(None);
@@ -112,7 +103,7 @@ impl FlowSlot<'_> {
             Err(RenderError::NoPoints | RenderError::NothingSeen) => return Ok(None),
             Err(error) => return Err(error),
         };
-        let cameras: BTreeSet<usize> = mapped.iter().map(|id| id.0).collect();
+        let cameras: BTreeSet<usize> = self.frames.iter().map(|id| id.0).collect();
         let ranges = cameras.iter().filter_map(|&c| range(&points, &filmed[c].camera));
         let both = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
         let side = cameras.iter().map(|&c| filmed[c].camera.width.max(filmed[c].camera.height));
@@ -143,8 +134,8 @@ fn matched_with(field: &LightField, (camera, frame): FrameId) -> Vec<FrameId> {
     matched
 }
 
-/// The view from `target` by the maps of the instant's slot: of each of the nearest cameras, that of the frame nearest in
-/// time. `None` if nothing is known of the scene's depths.
+/// The view from `target` by the maps of the frames nearest in time, one of each of the nearest cameras. `None` if nothing
+/// is known of the scene's depths.
 pub(super) fn flow_view(
     field: &LightField,
     target: &Camera,
@@ -153,31 +144,28 @@ pub(super) fn flow_view(
 ) -> Result<Option<FlowView>, RenderError> {
     let &Request { time_s, options, .. } = request;
     let registration = &options.registration;
-    let stage = FlowSlot {
-        slot: field.slot(time_s),
+    let mut cameras = nearest(field.capture(), &field.usable(time_s), target.center());
+    cameras.truncate(MAX_CAMERAS);
+    let frame = |c: usize| field.nearest_frame(c, time_s).map(|k| (c, k));
+    let mut frames: Vec<FrameId> = cameras.into_iter().filter_map(frame).collect();
+    // Sorted, so that views from other places share them.
+    frames.sort_unstable();
+    let stage = SceneFlow {
+        frames: &frames,
         registration,
         still_change: options.interpolation.still_change,
         proxy: &options.proxy,
     };
     let maps = field.get(&stage, context)?;
-    let Some(SlotMaps(maps)) = maps.as_ref() else { return Ok(None) };
-    let mut cameras = nearest(field.capture(), &field.usable(time_s), target.center());
-    cameras.truncate(MAX_CAMERAS);
-    let mut frames: Vec<(Arc<FlowFrame>, &FlowMap)> = Vec::with_capacity(cameras.len());
-    for camera in cameras {
-        let distance = |id: &FrameId| (field.times_s(camera)[id.1] - time_s).abs();
-        let of_camera = maps.range((camera, 0)..(camera + 1, 0));
-        let found = of_camera.min_by(|(a, _), (b, _)| distance(a).total_cmp(&distance(b)));
-        if let Some((&(camera, frame), map)) = found {
-            frames.push((field.get(&Undistorted { camera, frame, registration }, context)?, map));
-        }
-    }
-    if frames.is_empty() {
-        return Ok(None);
-    }
+    let Some(maps) = maps.as_ref() else { return Ok(None) };
+    let undistorted = |&(camera, frame): &FrameId| {
+        field.get(&Undistorted { camera, frame, registration }, context)
+    };
+    let frames: Vec<Arc<FlowFrame>> =
+        frames.iter().map(undistorted).collect::<Result<_, RenderError>>()?;
     context.check()?;
     let mapped: Vec<MappedFrame> =
-        frames.iter().map(|(frame, map)| MappedFrame { frame, map }).collect();
+        frames.iter().zip(maps).map(|(frame, map)| MappedFrame { frame, map }).collect();
     Ok(Some(blend(&mapped, target, field.in_frames(time_s))))
 }
 

@@ -257,10 +257,11 @@ pub(super) struct Undistorted<'a> {
     pub registration: &'a RegistrationOptions,
 }
 
-/// Depth and motion of all frames in a slot of time ([`LightField::slot`]), which are found together.
+/// Depth and motion of frames of several cameras, which are found together.
 #[derive(Serialize)]
-pub(super) struct FlowSlot<'a> {
-    pub slot: i64,
+pub(super) struct SceneFlow<'a> {
+    /// Cameras and frames, ascending.
+    pub frames: &'a [(usize, usize)],
     pub registration: &'a RegistrationOptions,
     pub still_change: f32,
     pub proxy: &'a ProxyOptions,

@@ -45,30 +45,6 @@ impl LightField {
         if self.capture().is_static() { 0.0 } else { time_s / frame_s }
     }
 
-    /// The slot of an instant: the one whose middle is nearest. Slots are a frame of the reference long, and begin half a
-    /// frame after one another.
-    pub(super) fn slot(&self, time_s: f64) -> i64 {
-        (2.0 * self.in_frames(time_s)).round() as i64
-    }
-
-    /// The frames of all cameras in a slot, camera and frame, ascending; of a camera without one, the frame nearest to its
-    /// middle.
-    pub(super) fn frames_of_slot(&self, slot: i64) -> Vec<(usize, usize)> {
-        let from_middle =
-            |c: usize, k: usize| self.in_frames(self.times_s(c)[k]) - 0.5 * slot as f64;
-        let of_camera = |c: usize| {
-            let count = self.times_s(c).len();
-            let is_within = |k: &usize| (-0.5..0.5).contains(&from_middle(c, *k));
-            let mut frames: Vec<usize> = (0..count).filter(is_within).collect();
-            if frames.is_empty() {
-                let distance = |k: &usize| from_middle(c, *k).abs();
-                frames.extend((0..count).min_by(|a, b| distance(a).total_cmp(&distance(b))));
-            }
-            frames.into_iter().map(move |k| (c, k)).collect::<Vec<_>>()
-        };
-        (0..self.all_times_s.len()).flat_map(of_camera).collect()
-    }
-
     /// The camera's frame nearest to a time, the earlier of two. `None` if its times are unknown.
     pub(super) fn nearest_frame(&self, camera: usize, time_s: f64) -> Option<usize> {
         let times_s = self.times_s(camera);
