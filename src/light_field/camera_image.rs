@@ -189,6 +189,8 @@ impl LightField {
         }
         let source = ImageSource::new(Images::By(options.sync), options);
         let (usable, instant) = (self.usable(time_s), Instant::new(time_s, options));
+        // Twice: frames of the last cameras may have displaced images of the first ones from the memo.
+        on_workers(|| images_of(self, &source, &usable, instant, context))?;
         let images = on_workers(|| images_of(self, &source, &usable, instant, context))?;
         Ok(GivenImages::corrected(images))
     }
