@@ -3,7 +3,7 @@
 use super::camera_image::images_of;
 use super::graph::{LightField, Stage};
 use super::points::nearest;
-use super::stages::{CameraDepth, OcclusionDepths, Stereo};
+use super::stages::{CameraDepth, Instant, OcclusionDepths, Stereo};
 use super::{Context, RenderError};
 use crate::camera::Camera;
 use crate::lumigraph::DepthMap;
@@ -48,10 +48,8 @@ impl Stage for Stereo<'_> {
         let reference = &filmed[field.capture().reference].camera;
         let middle = nearest(field.capture(), self.cameras, reference.center())[0];
         let middle = &filmed[middle].camera;
-        let points = match field.proxy(middle, self.instant.time_s, &self.proxy_options()) {
-            Ok(proxy) => sampled(&proxy.depth_map(middle), middle),
-            Err(RenderError::NoPoints | RenderError::NothingSeen) => return Ok(None),
-            Err(error) => return Err(error),
+        let Some(points) = scene_points(field, middle, self.instant, self.proxy)? else {
+            return Ok(None);
         };
         let cameras = || self.cameras.iter().map(|&c| &filmed[c].camera);
         let ranges: Vec<_> = cameras().map(|camera| range(&points, camera)).collect();
@@ -74,17 +72,6 @@ impl Stage for Stereo<'_> {
 }
 
 impl Stereo<'_> {
-    /// Options of the proxy that the range of depths is taken from.
-    fn proxy_options(&self) -> RenderOptions {
-        let mut options = RenderOptions {
-            registration: self.instant.registration.clone(),
-            proxy: ProxyOptions { method: ProxyMethod::Mesh, ..self.proxy.clone() },
-            ..RenderOptions::default()
-        };
-        options.interpolation.still_change = self.instant.still_change;
-        options
-    }
-
     /// Estimates the depths of `cameras`, a subset of the stereo's. Cameras whose depths can't be estimated are not in
     /// the result.
     pub fn surfaces(
@@ -170,8 +157,28 @@ pub(super) fn surfaces<'a>(
     depths.iter().filter_map(surface).collect()
 }
 
+/// Points of the scene at an instant, world, metres: samples of the mesh that `middle` sees. `None` without features.
+pub(super) fn scene_points(
+    field: &LightField,
+    middle: &Camera,
+    instant: Instant,
+    proxy: &ProxyOptions,
+) -> Result<Option<Vec<Point3<f64>>>, RenderError> {
+    let mut options = RenderOptions {
+        registration: instant.registration.clone(),
+        proxy: ProxyOptions { method: ProxyMethod::Mesh, ..proxy.clone() },
+        ..RenderOptions::default()
+    };
+    options.interpolation.still_change = instant.still_change;
+    match field.proxy(middle, instant.time_s, &options) {
+        Ok(proxy) => Ok(Some(sampled(&proxy.depth_map(middle), middle))),
+        Err(RenderError::NoPoints | RenderError::NothingSeen) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
 /// Points of a depth map, world, metres.
-pub(super) fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
+fn sampled(depths: &DepthMap, camera: &Camera) -> Vec<Point3<f64>> {
     let mut points = Vec::new();
     for y in (0..camera.height).step_by(RANGE_STEP_PX) {
         for x in (0..camera.width).step_by(RANGE_STEP_PX) {

@@ -1,25 +1,25 @@
 //! Beyond the paper: views from the depth and motion of frames, each at its own time.
 
-use super::depth::{range, sampled};
+use super::depth::{range, scene_points};
 use super::graph::{LightField, Stage};
 use super::points::nearest;
-use super::stages::{SceneFlow, Undistorted};
+use super::stages::{Instant, SceneFlow, Undistorted};
 use super::{Context, RenderError, Request};
 use crate::camera::Camera;
 use crate::lumigraph::DepthMap;
-use crate::options::{ProxyMethod, ProxyOptions, RenderOptions};
 use crate::raster::Image;
 use crate::scene_flow::{Estimation, FlowFrame, FlowMap, FlowView, Limits, MappedFrame, blend};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-/// Most cameras from whose frames a view is blended, and with whose frames a frame is matched.
+/// Maximum number of cameras from whose frames a view is blended.
 const MAX_CAMERAS: usize = 8;
+/// Maximum number of other cameras with whose frames a frame is matched.
 const MAX_PARTNERS: usize = 7;
-/// Largest motion that is searched, as a fraction of the longer side, a frame.
+/// Maximum motion a frame of the search, as a fraction of the image's longer side.
 const MAX_SPEED: f64 = 0.125;
-/// How much nearer and farther than all triangulated features surfaces are searched.
+/// Factor by which the search extends the range of the features' inverse depths, at both ends.
 const DEPTH_MARGIN: f64 = 1.5;
 
 /// A frame of the capture.
@@ -90,19 +90,11 @@ impl SceneFlow<'_> {
         if field.spacing_m() == 0.0 {
             return Ok(None);
         }
-        let mut options = RenderOptions {
-            registration: self.registration.clone(),
-            proxy: ProxyOptions { method: ProxyMethod::Mesh, ..self.proxy.clone() },
-            ..RenderOptions::default()
-        };
-        options.interpolation.still_change = self.still_change;
+        let Self { registration, still_change, .. } = *self;
+        let instant = Instant { time_s, registration, still_change };
         let filmed = &field.capture().cameras;
-        let middle = &filmed[camera].camera;
-        let points = match field.proxy(middle, time_s, &options) {
-            Ok(proxy) => sampled(&proxy.depth_map(middle), middle),
-            Err(RenderError::NoPoints | RenderError::NothingSeen) => return Ok(None),
-            Err(error) => return Err(error),
-        };
+        let points = scene_points(field, &filmed[camera].camera, instant, self.proxy)?;
+        let Some(points) = points else { return Ok(None) };
         let cameras: BTreeSet<usize> = self.frames.iter().map(|id| id.0).collect();
         let ranges = cameras.iter().filter_map(|&c| range(&points, &filmed[c].camera));
         let both = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);

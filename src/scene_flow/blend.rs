@@ -7,12 +7,14 @@ use super::splat::{SplatPixel, splat};
 use crate::camera::Camera;
 use crate::lumigraph::{DepthMap, Rendered};
 use crate::raster::Image;
+use nalgebra::Point2;
 use rayon::prelude::*;
 
-/// Standard deviation of a frame's error: of its own, per hundredth of a pixel of baseline in disparity, and per frame
-/// of time at rest and per pixel of motion.
+/// Expected error of a frame's point that grows with nothing, pixels.
 const ERROR_PX: f32 = 0.2;
+/// Expected error per pixel of disparity between the frame's place and the view's.
 const ERROR_BY_BASELINE: f32 = 0.005;
+/// Expected errors per frame of time between the two: of a point at rest, pixels, and per pixel a frame of its speed.
 const ERROR_BY_TIME: [f32; 2] = [0.03, 0.009];
 /// Error by place and time below which a frame outweighs all others, so that a view from a camera's own place at a frame's
 /// own time is that frame.
@@ -89,7 +91,11 @@ pub fn blend(mapped: &[MappedFrame], view: &Camera, time: f64) -> FlowView {
     fill(&mut pixels, width);
     let behind = Behind::new(mapped, view);
     pixels.par_iter_mut().enumerate().filter(|(_, p)| !p.is_mapped).for_each(|(k, pixel)| {
-        behind.fill(pixel, [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5]);
+        let place = [(k % width) as f32 + 0.5, (k / width) as f32 + 0.5];
+        match undistorted(view, place) {
+            Some(place) => behind.fill(pixel, place),
+            None => *pixel = Pixel::default(),
+        }
     });
     let depths = pixels.iter().map(|p| 1.0 / p.inverse_depth).collect();
     let coverage = pixels.iter().map(|p| p.inverse_depth > 0.0).collect();
@@ -100,6 +106,16 @@ pub fn blend(mapped: &[MappedFrame], view: &Camera, time: f64) -> FlowView {
         rendered: Rendered { image: Image::from_data(width, height, channels, data), coverage },
         depths: DepthMap::from_data(width, height, depths),
     }
+}
+
+/// A pixel of the view as a pinhole camera of the same intrinsics has it. `None` where the lens model can't be inverted.
+fn undistorted(view: &Camera, [x, y]: [f32; 2]) -> Option<[f32; 2]> {
+    if view.model.is_pinhole() {
+        return Some([x, y]);
+    }
+    let (fx, fy, cx, cy) = view.model.intrinsics();
+    let ray = view.ray(&Point2::new(f64::from(x), f64::from(y)))?;
+    Some([(cx + fx * ray.x) as f32, (cy + fy * ray.y) as f32])
 }
 
 /// Frames that may show what no map has in the view.
