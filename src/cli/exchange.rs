@@ -9,7 +9,8 @@ use stlfr::progress::Reporter;
 /// Make a capture from another program's calibration and from image sequences.
 ///
 /// The calibration is a folder with a COLMAP model, or a file `transforms.json` or
-/// `poses_bounds.npy`. Images are copied.
+/// `poses_bounds.npy`, which has no names: its rows are the folders in the order of the numbers in their
+/// names. Images are copied.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     stlfr import sparse/0 --images frames --rate 30 -o .captures/mine\n  \
@@ -67,14 +68,17 @@ enum Format {
     Nerf,
 }
 
-pub fn run_import(args: &ImportArgs) -> Result<(), CliError> {
+pub fn run_import(args: &ImportArgs, reporter: &Reporter) -> Result<(), CliError> {
     if !(args.rate.is_finite() && args.rate > 0.0 && args.first.is_finite()) {
         return Err(CliError::BadInput("--rate must be positive and --first finite".into()));
     }
     CommandOutput::Capture(&args.output).check(None)?;
     let cameras = read(&args.calibration)?;
     let clock = ImportClock { rate_hz: args.rate, first_s: args.first, shared: args.shared };
-    Ok(exchange::import(&cameras, &args.images, clock, &args.output)?)
+    if let Some(note) = exchange::import(&cameras, &args.images, clock, &args.output)? {
+        reporter.note(&note);
+    }
+    Ok(())
 }
 
 fn read(calibration: &Path) -> Result<Vec<NamedCamera>, ExchangeError> {

@@ -87,7 +87,7 @@ impl Cli {
             Command::Compare(args) => compare::run(args, page, &reporter),
             Command::Tradeoff(args) => tradeoff::run(args, page, &reporter),
             Command::Options(args) => options::run(args, page),
-            Command::Import(args) => exchange::run_import(args),
+            Command::Import(args) => exchange::run_import(args, &reporter),
             Command::Export(args) => exchange::run_export(args, &reporter),
         }
     }

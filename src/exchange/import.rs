@@ -1,5 +1,6 @@
 //! Makes a capture from a calibration and a folder of image sequences.
 
+use super::pairing::{Pairs, all_entries, entries, pair};
 use super::{ExchangeError, NamedCamera, content};
 use crate::camera::CameraFormat;
 use crate::capture::{
@@ -7,8 +8,7 @@ use crate::capture::{
 };
 use crate::host::temporary::Temporary;
 use crate::host::{open_file, write_json};
-use crate::text::check_id;
-use std::fs::{DirEntry, File};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// The clock of every imported camera, which no calibration contains.
@@ -24,31 +24,30 @@ pub struct ImportClock {
 
 /// File extensions of images.
 const EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "pgm", "ppm", "pnm", "pbm"];
-/// Pose difference between two images of a camera above which it counts as moving, metres and radians.
-const MAX_MOTION: f64 = 1e-6;
 
 /// Makes the capture `target` from a calibration, and copies the sequences in `images` into it. The
 /// target appears only once it is complete and can be opened.
 ///
 /// A camera's id is the first folder of its name, or its name without extension. Its sequence is the
 /// sub-folder of `images` with that id, sorted by the numbers in the file names. If no sub-folder has a
-/// camera's id, sub-folders are assigned to cameras in order. All images of one folder belong to one
-/// camera.
+/// camera's id, the numbers in the names pair cameras and folders. A calibration without names has the
+/// folders' names as ids, in the order of their numbers. All images of one folder belong to one camera.
 ///
-/// Errors: a target that is not empty, a moving camera, a sequence of mixed image types or with a gap, a
-/// capture that can't be opened.
+/// Returns a sentence that says how cameras were paired, unless by name.
+///
+/// Errors: a target that is not empty, a moving camera, folders whose pairing is ambiguous, a sequence of mixed
+/// image types or with a gap, a capture that can't be opened.
 pub fn import(
     cameras: &[NamedCamera],
     images: &Path,
     clock: ImportClock,
     target: &Path,
-) -> Result<(), ExchangeError> {
+) -> Result<Option<String>, ExchangeError> {
     let failed = |source| ExchangeError::Write { path: target.to_owned(), source };
     if target.symlink_metadata().is_ok() && !all_entries(target)?.is_empty() {
         return Err(content(target, "holds files already, which are not written over"));
     }
-    let cameras = one_each(cameras).map_err(|reason| content(target, reason))?;
-    let folders = sequence_folders(&cameras, images)?;
+    let Pairs { cameras, folders, note } = pair(cameras, images)?;
     let sequences: Vec<Vec<PathBuf>> =
         folders.iter().map(|folder| sequence(folder)).collect::<Result<_, _>>()?;
 
@@ -75,7 +74,8 @@ pub fn import(
         let path = format!("{}/", whole.display());
         content(target, message.strip_prefix(&path).unwrap_or(&message))
     })?;
-    temporary.place(WHOLE, target).map_err(failed)
+    temporary.place(WHOLE, target).map_err(failed)?;
+    Ok(note)
 }
 
 /// Name of the capture inside its temporary folder.
@@ -121,66 +121,6 @@ fn described(
     }
 }
 
-/// Merges all images of a camera into one entry, named by the camera's id, in the order of the first images. The error
-/// is a reason.
-fn one_each(cameras: &[NamedCamera]) -> Result<Vec<NamedCamera>, String> {
-    let mut distinct: Vec<NamedCamera> = Vec::new();
-    for NamedCamera { name, camera } in cameras {
-        let id = id_of(name)?;
-        let Some(known) = distinct.iter().find(|c| c.name == id) else {
-            distinct.push(NamedCamera { name: id, camera: camera.clone() });
-            continue;
-        };
-        let (a, b) = (&known.camera.cam_from_world, &camera.cam_from_world);
-        let moved = (a.translation.vector - b.translation.vector).norm();
-        let turned = a.rotation.angle_to(&b.rotation);
-        if !(moved.max(turned) <= MAX_MOTION) || known.camera.model != camera.model {
-            return Err(format!("{id} is not the same camera in all its images: it must not move"));
-        }
-    }
-    Ok(distinct)
-}
-
-/// The camera id in an image name: `cam0` in `cam0/0000.png`, `images/cam0.png` and `cam0.png`.
-fn id_of(name: &str) -> Result<String, String> {
-    let mut parts: Vec<&str> = name.split('/').filter(|p| !matches!(*p, "" | ".")).collect();
-    if parts.len() > 1 && parts[0] == "images" {
-        parts.remove(0);
-    }
-    let id = match parts.as_slice() {
-        [file] => Path::new(file).file_stem().and_then(|s| s.to_str()).unwrap_or_default(),
-        [folder, ..] => folder,
-        [] => "",
-    };
-    if id.starts_with('.') {
-        return Err(format!("'{name}' can't name a camera: '{id}' is a hidden folder"));
-    }
-    check_id(id).map_err(|reason| format!("'{name}' can't name a camera: {reason}"))?;
-    Ok(id.to_owned())
-}
-
-/// The folder of each camera's images.
-fn sequence_folders(cameras: &[NamedCamera], images: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
-    let by_name: Vec<PathBuf> = cameras.iter().map(|c| images.join(&c.name)).collect();
-    if let Some(present) = by_name.iter().position(|p| p.is_dir()) {
-        return match by_name.iter().position(|p| !p.is_dir()) {
-            None => Ok(by_name),
-            Some(k) => {
-                let [present, missing] = [present, k].map(|k| &cameras[k].name);
-                Err(content(images, format!("has a folder {present}, and none {missing}")))
-            }
-        };
-    }
-    let mut folders: Vec<PathBuf> = entries(images)?;
-    folders.retain(|p| p.is_dir());
-    folders.sort();
-    if folders.len() == cameras.len() {
-        return Ok(folders);
-    }
-    let (present, wanted) = (folders.len(), cameras.len());
-    Err(content(images, format!("has {present} folders for {wanted} cameras, none of their names")))
-}
-
 /// Images of a folder, sorted by the numbers in their names, which must be consecutive.
 fn sequence(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
     let mut files = entries(folder)?;
@@ -220,18 +160,4 @@ fn number(file: &Path) -> Result<u64, String> {
 
 fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_str()?.to_ascii_lowercase())
-}
-
-/// Entries of a folder.
-fn all_entries(folder: &Path) -> Result<Vec<DirEntry>, ExchangeError> {
-    std::fs::read_dir(folder)
-        .and_then(Iterator::collect)
-        .map_err(|source| ExchangeError::Read { path: folder.to_owned(), source })
-}
-
-/// Paths of a folder's entries, without hidden files.
-fn entries(folder: &Path) -> Result<Vec<PathBuf>, ExchangeError> {
-    let mut entries = all_entries(folder)?;
-    entries.retain(|entry| !entry.file_name().as_encoded_bytes().starts_with(b"."));
-    Ok(entries.iter().map(DirEntry::path).collect())
 }

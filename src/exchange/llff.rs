@@ -2,8 +2,9 @@
 //!
 //! First a 3×5 matrix, row by row. Its columns are the camera's axes down, right and back in the
 //! world, its centre, and height, width and focal length in pixels. Then the nearest and the
-//! farthest depth. Cameras have no names, only their order.
+//! farthest depth. Cameras have no names, only their order: that of the numbers in the names of their images.
 
+use super::pairing::numbered_order;
 use super::{ExchangeError, NamedCamera, axes_and_center, checked, content, pose_from_axes};
 use super::{read_bytes, whole_size, write};
 use crate::camera::CameraModel;
@@ -73,7 +74,8 @@ fn rows(bytes: &[u8]) -> Result<Vec<[f64; COLUMNS]>, String> {
     Ok(rows.to_vec())
 }
 
-/// Writes the cameras, all with the same nearest and farthest depth, in metres.
+/// Writes the cameras, all with the same nearest and farthest depth, in metres. Rows have the order of the numbers in
+/// the names, for the format has no names; names that differ in more than numbers keep the given order.
 ///
 /// A lens is an error if it is distorted, off centre, or has two focal lengths: the format can't hold it.
 pub fn write_llff(
@@ -82,7 +84,9 @@ pub fn write_llff(
     (near_m, far_m): (f64, f64),
 ) -> Result<(), ExchangeError> {
     let mut data = Vec::new();
-    for NamedCamera { name, camera } in cameras {
+    let names: Vec<String> = cameras.iter().map(|camera| camera.name.clone()).collect();
+    let order = numbered_order(&names).unwrap_or_else(|| (0..cameras.len()).collect());
+    for NamedCamera { name, camera } in order.iter().map(|&k| &cameras[k]) {
         let (fx, fy, cx, cy) = camera.model.intrinsics();
         let (width, height) = (camera.width as f64, camera.height as f64);
         let off = [fx - fy, cx - 0.5 * width, cy - 0.5 * height];

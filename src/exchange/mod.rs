@@ -16,6 +16,7 @@ mod colmap;
 mod import;
 mod llff;
 mod nerf;
+mod pairing;
 
 pub use colmap::{COLMAP_BINARY_FILES, COLMAP_TEXT_FILES, colmap_text, read_colmap};
 pub use colmap::{write_colmap_binary, write_colmap_text};

@@ -320,3 +320,80 @@ fn names_that_lead_elsewhere_are_refused() {
         assert!(message.to_string().contains("can't name a camera"), "{name}: {message}");
     }
 }
+
+/// Names of cameras and folders in ten styles, by index.
+const STYLES: [fn(usize) -> String; 10] = [
+    |k| format!("cam{k}"),
+    |k| format!("cam{k:03}"),
+    |k| format!("{}", k + 1),
+    |k| format!("{}", 40 - k),
+    |k| format!("Kamera süd {}", 8 + k),
+    |k| format!("r{}c{}", k % 4, k / 4),
+    |k| format!("rig2.2024-01-{k}"),
+    |k| format!("{}{}", (b'a' + (k % 26) as u8) as char, (k / 26) as u8),
+    |k| format!("{:x}", 7 + k),
+    |k| format!("{}7{}", "0".repeat(k % 3), k / 3),
+];
+
+#[test]
+fn every_camera_keeps_its_pose_through_export_and_import() {
+    let folder = tempfile::tempdir().unwrap();
+    let (model, npy) = (folder.path().join("model"), folder.path().join("poses_bounds.npy"));
+    let json = folder.path().join("transforms.json");
+    for (style, name) in STYLES.iter().enumerate() {
+        let images = folder.path().join(format!("images{style}"));
+        let mut paired_without_names = 0;
+        for count in 1..=40 {
+            let last = name(count - 1);
+            std::fs::create_dir_all(images.join(&last)).unwrap();
+            let at = |k: usize| pinhole_at([0.5 + k as f64, 0.0, 0.0]);
+            let named = |k| NamedCamera { name: format!("{}/0000.png", name(k)), camera: at(k) };
+            let cameras: Vec<NamedCamera> = (0..count).map(named).collect();
+            let of_its_name = |pairs: &pairing::Pairs| {
+                assert_eq!(pairs.folders.len(), count);
+                for (camera, folder) in pairs.cameras.iter().zip(&pairs.folders) {
+                    let k = camera.camera.center().x.floor() as usize;
+                    assert_eq!(folder, &images.join(name(k)), "{} of {count}", camera.name);
+                    assert_eq!(camera.name, name(k));
+                }
+            };
+            write_colmap_binary(&model, &cameras).unwrap();
+            of_its_name(&pairing::pair(&read_colmap(&model).unwrap(), &images).unwrap());
+            write_nerf(&json, &cameras).unwrap();
+            of_its_name(&pairing::pair(&read_nerf(&json).unwrap(), &images).unwrap());
+            write_llff(&npy, &cameras, (1.0, 2.0)).unwrap();
+            match pairing::pair(&read_llff(&npy).unwrap(), &images) {
+                Ok(pairs) => {
+                    of_its_name(&pairs);
+                    let note = pairs.note.unwrap();
+                    assert!(note.contains("has no names; its rows are the folders"), "{note}");
+                    paired_without_names += 1;
+                }
+                Err(error) => {
+                    assert!(error.to_string().contains("leave their order open"), "{error}");
+                }
+            }
+        }
+        let wanted = if style < 7 { 40 } else { 1 };
+        assert!(paired_without_names >= wanted, "{style}: {paired_without_names}");
+    }
+}
+
+#[test]
+fn names_that_differ_pair_by_number_or_not_at_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let camera =
+        |name: &str, x| NamedCamera { name: name.into(), camera: pinhole_at([x, 0.0, 0.0]) };
+    let cameras = [camera("view10.png", 10.0), camera("view9.png", 9.0)];
+    for name in ["cam9", "cam10"] {
+        std::fs::create_dir(folder.path().join(name)).unwrap();
+    }
+    let pairs = pairing::pair(&cameras, folder.path()).unwrap();
+    assert_eq!(pairs.folders, ["cam9", "cam10"].map(|name| folder.path().join(name)));
+    assert_eq!(pairs.cameras[0].camera.center().x, 9.0);
+    for other in [["view8.png", "view9.png"], ["left.png", "right.png"]] {
+        let cameras = [camera(other[0], 10.0), camera(other[1], 9.0)];
+        let error = pairing::pair(&cameras, folder.path()).err().unwrap().to_string();
+        assert!(error.contains("has folders like cam9, and none"), "{error}");
+    }
+}
