@@ -16,9 +16,12 @@ const MAX_ADDRESS: usize = 1024;
 pub(super) struct Guard {
     /// Random, in hexadecimal digits.
     token: String,
-    /// `127.0.0.1:PORT` and `localhost:PORT`.
-    hosts: [String; 2],
+    /// `127.0.0.1:PORT` and `localhost:PORT`; at HTTP's own port also the names alone, as browsers send them.
+    hosts: Vec<String>,
 }
+
+/// The port that browsers leave out.
+const HTTP_PORT: u16 = 80;
 
 impl Guard {
     /// A guard with a new token from the operating system's random generator.
@@ -26,7 +29,12 @@ impl Guard {
         let mut bytes = [0; TOKEN_BYTES];
         File::open("/dev/urandom")?.read_exact(&mut bytes)?;
         let token = bytes.iter().map(|b| format!("{b:02x}")).collect();
-        Ok(Self { token, hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")] })
+        let names = ["127.0.0.1", "localhost"];
+        let mut hosts = names.map(|name| format!("{name}:{port}")).to_vec();
+        if port == HTTP_PORT {
+            hosts.extend(names.map(String::from));
+        }
+        Ok(Self { token, hosts })
     }
 
     /// The page's address, which holds the token.
@@ -104,6 +112,29 @@ mod tests {
         last.replace_range(last.len() - 1.., digit);
         for wrong in ["", &other.token, &token[1..], &last, &format!("{token}0")] {
             assert!(!guard.is_token(wrong), "{wrong}");
+        }
+    }
+
+    /// Whether the page is served to a request with this `Host` and `Origin`.
+    fn is_admitted(guard: &Guard, host: &str, origin: Option<&str>) -> bool {
+        let mut request = hyper::Request::get(format!("/{}/", guard.token)).header("host", host);
+        if let Some(origin) = origin {
+            request = request.header("origin", origin);
+        }
+        guard.admit(&request.body(()).unwrap().into_parts().0).is_ok()
+    }
+
+    #[test]
+    fn a_browser_leaves_out_port_80_and_no_other() {
+        let [http, other] = [80, 8080].map(|port| Guard::new(port).unwrap());
+        for name in ["127.0.0.1", "localhost"] {
+            for host in [name.to_owned(), format!("{name}:80")] {
+                assert!(is_admitted(&http, &host, None), "{host}");
+                assert!(is_admitted(&http, &host, Some(&format!("http://{host}"))), "{host}");
+                assert!(!is_admitted(&http, &host, Some("http://elsewhere")), "{host}");
+            }
+            assert!(is_admitted(&other, &format!("{name}:8080"), None));
+            assert!(!is_admitted(&other, name, None) && !is_admitted(&http, "elsewhere", None));
         }
     }
 }
