@@ -2,10 +2,13 @@
 
 mod common;
 
-use common::{assert_refused, describe, edit, ffmpeg, stderr, stlfr, synthetic};
+use common::{assert_refused, describe, edit, ffmpeg, interruptible, stderr, stlfr, synthetic};
 use serde_json::{Value, json};
-use std::path::Path;
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::{Duration, Instant};
 use stlfr::capture::{Capture, CaptureError, Opening};
 use stlfr::progress::Reporter;
 use stlfr::raster::{BitDepth, Image, read_image, write_image};
@@ -239,4 +242,94 @@ fn without_an_ffmpeg_the_sentence_says_what_to_do() {
         .output()
         .unwrap();
     assert_refused(&output, 1, "install it, or run stlfr setup");
+}
+
+/// A program in ffmpeg's place: `before`, then ffmpeg itself, then `after`, in the capture's folder.
+fn around_ffmpeg(folder: &Path, before: &str, after: &str) -> PathBuf {
+    let path = folder.join("ffmpeg.sh");
+    let script = format!(
+        "#!/bin/sh\ncapture='{}'\n{before}\n'{}' \"$@\"\ncode=$?\n{after}\nexit $code\n",
+        folder.display(),
+        ffmpeg().display()
+    );
+    std::fs::write(&path, script).unwrap();
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+    path
+}
+
+/// Pixels of the first frame by the program in ffmpeg's place.
+fn first_pixel(folder: &Path, ffmpeg: &Path) -> Result<f32, CaptureError> {
+    let reporter = &Reporter::silent();
+    let capture = Capture::open_with(folder, &Opening { ffmpeg: Some(ffmpeg), reporter })?;
+    Ok(capture.read_frame(0, 0)?.pixel(0, 0)[0])
+}
+
+#[test]
+fn a_video_that_is_another_while_it_is_decoded_is_never_cached_as_itself() {
+    let moves = [
+        // Another file at the path, then the first one again.
+        (
+            "mv $capture/video.mkv $capture/kept; mv $capture/other.mkv $capture/video.mkv",
+            "mv $capture/video.mkv $capture/other.mkv; mv $capture/kept $capture/video.mkv",
+        ),
+        // Other bytes in the file, then the first ones again.
+        (
+            "cp $capture/video.mkv $capture/kept; cat $capture/other.mkv > $capture/video.mkv",
+            "cat $capture/kept > $capture/video.mkv",
+        ),
+    ];
+    for (k, (before, after)) in moves.into_iter().enumerate() {
+        let folder = one_camera();
+        for (name, value) in [("video.mkv", 0.25), ("other.mkv", 0.75)] {
+            let images = [Image::filled(64, 48, 1, value), Image::filled(64, 48, 1, value)];
+            encode(&folder.path().join(name), &images, BitDepth::Eight, 30.0);
+        }
+        let swapping = around_ffmpeg(folder.path(), before, after);
+        match first_pixel(folder.path(), &swapping) {
+            Ok(value) => assert!(k == 0 && (value - 0.25).abs() < 0.01, "{k}: {value}"),
+            Err(error) => {
+                let error = error.to_string();
+                assert!(error.ends_with("video.mkv: changed while it was being used"), "{error}");
+            }
+        }
+        let value = first_pixel(folder.path(), &ffmpeg()).unwrap();
+        assert!((value - 0.25).abs() < 0.01, "{k}: {value}");
+    }
+}
+
+#[test]
+fn a_video_of_larger_images_than_its_cameras_is_refused_before_it_is_decoded() {
+    let folder = one_camera();
+    let path = folder.path().join("video.mkv");
+    encode_by("-f lavfi -i testsrc=size=4096x2048:rate=30:duration=1 -c:v ffv1", &path);
+    let start = Instant::now();
+    let message = error(folder.path());
+    let words = "frames: 'video.mkv' has images of 4096x2048 pixels, its camera 64x48";
+    assert!(message.ends_with(words), "{message}");
+    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
+}
+
+#[test]
+fn a_signal_ends_a_decoder_that_ignores_it() {
+    let folder = one_camera();
+    std::fs::write(folder.path().join("video.mkv"), "anything").unwrap();
+    let bin = folder.path().join("bin");
+    std::fs::create_dir(&bin).unwrap();
+    let script =
+        format!("#!/bin/sh\ntrap '' TERM\necho $$ > {}/id\nsleep 60\nsleep 60\n", bin.display());
+    let program = bin.join("ffmpeg");
+    std::fs::write(&program, script).unwrap();
+    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let path = std::env::join_paths([bin.as_path(), Path::new("/usr/bin"), Path::new("/bin")]);
+    let mut child = interruptible(stlfr().arg("offsets").arg(folder.path()))
+        .env("PATH", path.unwrap())
+        .spawn()
+        .unwrap();
+    let id = || std::fs::read_to_string(bin.join("id")).ok().filter(|id| id.ends_with('\n'));
+    let id = std::iter::repeat_with(id).flatten().next().unwrap();
+    // SAFETY: the child has not been waited for, so its id is still its own.
+    unsafe { libc::kill(child.id() as i32, libc::SIGTERM) };
+    assert_eq!(child.wait().unwrap().signal(), Some(libc::SIGTERM));
+    let state = std::fs::read_to_string(format!("/proc/{}/stat", id.trim()));
+    assert!(state.is_err() || state.unwrap().contains(") Z "), "the decoder lives on");
 }

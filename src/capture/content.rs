@@ -1,11 +1,12 @@
 //! The identity of a capture's content, hashes of the bytes that were read; and the results that the capture's cache on
 //! disk holds for this content, in postcard's binary form.
 //!
-//! Cached results are keyed with the content. A frame that changes after it was first read is an error, so that no result
-//! gets the key of another content.
+//! Cached results are keyed with the content. A frame that changes after the capture was opened is an error, so that no
+//! result mixes two contents or gets the key of another.
 
 use super::{Capture, CaptureError, FilmedCamera};
-use crate::host::{CacheKind, DiskCache, ENTRY_OVERHEAD_BYTES, file_hashes};
+use crate::host::{CacheKind, DiskCache, ENTRY_OVERHEAD_BYTES};
+use crate::host::{FileRead, FileState, file_hashes};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::collections::HashMap;
@@ -17,31 +18,49 @@ use std::sync::{Arc, OnceLock};
 pub(super) struct ContentHashes {
     /// Hash of `capture.json`.
     description: blake3::Hash,
-    frames: HashMap<PathBuf, OnceLock<blake3::Hash>>,
+    frames: HashMap<PathBuf, FrameContent>,
+}
+
+#[derive(Debug)]
+struct FrameContent {
+    /// The file's state when the capture was opened.
+    state: Option<FileState>,
+    hash: OnceLock<blake3::Hash>,
 }
 
 impl ContentHashes {
     pub fn new(description: &str, cameras: &[FilmedCamera]) -> Self {
         let mut frames = HashMap::new();
         for camera in cameras {
-            let known = camera.video.iter().flat_map(|video| &video.frames);
-            let known =
-                known.copied().map(OnceLock::from).chain(std::iter::repeat(OnceLock::new()));
-            frames.extend(camera.frames.iter().cloned().zip(known));
+            let mut known = camera.video.iter().flat_map(|video| video.frames.iter().copied());
+            for frame in &camera.frames {
+                let state = std::fs::metadata(frame).ok().map(|found| FileState::of(&found));
+                let hash = known.next().map_or_else(OnceLock::new, OnceLock::from);
+                frames.insert(frame.clone(), FrameContent { state, hash });
+            }
         }
         Self { description: blake3::hash(description.as_bytes()), frames }
     }
 
     /// The hash of a frame's file; `None` if the file wasn't read yet.
     fn get(&self, frame: &Path) -> Option<blake3::Hash> {
-        self.frames.get(frame).and_then(OnceLock::get).copied()
+        self.frames.get(frame).and_then(|known| known.hash.get()).copied()
     }
 
-    /// Refuses a frame whose bytes aren't those that were read before.
-    pub fn require_unchanged(&self, frame: &Path, found: blake3::Hash) -> Result<(), CaptureError> {
-        match self.frames.get(frame).map(|known| known.get_or_init(|| found)) {
-            Some(known) if *known != found => Err(CaptureError::Changed { path: frame.to_owned() }),
-            _ => Ok(()),
+    /// Refuses a frame whose bytes aren't those that were read before; before the first reading, a file that isn't the
+    /// one that was opened, or has changed since.
+    pub fn require_unchanged(&self, frame: &Path, read: &FileRead) -> Result<(), CaptureError> {
+        let Some(known) = self.frames.get(frame) else { return Ok(()) };
+        let is_opened = known.state.is_none_or(|state| read.state.has_content_of(&state));
+        let hash = match known.hash.get() {
+            None if is_opened => *known.hash.get_or_init(|| read.hash),
+            Some(hash) => *hash,
+            None => return Err(CaptureError::Changed { path: frame.to_owned() }),
+        };
+        if hash == read.hash {
+            Ok(())
+        } else {
+            Err(CaptureError::Changed { path: frame.to_owned() })
         }
     }
 }
@@ -72,7 +91,7 @@ impl Capture {
     /// Computed once. Hashes of files that haven't changed since an earlier command come from the cache.
     ///
     /// # Errors
-    /// [`CaptureError::Read`], or [`CaptureError::Changed`] for a frame that was read before, with other bytes.
+    /// [`CaptureError::Read`], or [`CaptureError::Changed`] for a frame that changed since the capture was opened.
     pub fn content_hash(&self) -> Result<&str, CaptureError> {
         if let Some(content) = self.content.0.get() {
             return Ok(content);
@@ -85,7 +104,7 @@ impl Capture {
                 CaptureError::Read { path: files[file].to_owned(), source }
             })?;
             let mut found = files.iter().zip(found);
-            found.try_for_each(|(file, hash)| self.hashes.require_unchanged(file, hash))?;
+            found.try_for_each(|(file, read)| self.hashes.require_unchanged(file, &read))?;
         }
         let mut hasher = blake3::Hasher::new();
         hasher.update(self.hashes.description.as_bytes());

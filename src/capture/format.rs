@@ -140,7 +140,8 @@ impl FilmedCameraFormat {
         .camera()
         .map_err(|error| refused(format!("{name}.{error}")))?;
         let video = frames::video(root, &self.frames).map_err(|e| wrong("frames", e))?;
-        let video = video.map(|path| VideoFile::open(source, path, |e| wrong("frames", e)));
+        let size = [camera.width, camera.height];
+        let video = video.map(|path| VideoFile::open(source, path, size, |e| wrong("frames", e)));
         let video = video.transpose()?;
         let files = match &video {
             Some(video) => video.files(),

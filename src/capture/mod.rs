@@ -108,7 +108,7 @@ pub enum CaptureError {
     /// A frame can't be read, or has another size than its camera.
     #[error(transparent)]
     ImageFile(#[from] ImageFileError),
-    /// A frame has other bytes than when it was first read.
+    /// A frame has changed since the capture was opened, or a video while it was decoded.
     #[error("{path}: changed while it was being used")]
     Changed { path: PathBuf },
     /// A video isn't decoded yet, and there is no ffmpeg.
@@ -214,13 +214,12 @@ impl Capture {
     /// Decodes one frame and converts it to RGB or grey, as [`FilmedCamera::color`] says.
     ///
     /// # Errors
-    /// If the file can't be read, has another size than its camera, or has changed since the capture's content
-    /// was first read.
+    /// If the file can't be read, has another size than its camera, or has changed since the capture was opened.
     pub fn read_frame(&self, camera: usize, frame: usize) -> Result<Image, CaptureError> {
         let filmed = &self.cameras[camera];
         let path = &filmed.frames[frame];
-        let (image, hash) = read_hashed_image(path)?;
-        self.hashes.require_unchanged(path, hash)?;
+        let (image, read) = read_hashed_image(path)?;
+        self.hashes.require_unchanged(path, &read)?;
         require_size(path, [image.width(), image.height()], &filmed.camera)?;
         Ok(match (filmed.color, image.channels()) {
             (Color::Rgb, 1) => image.to_rgb(),

@@ -135,3 +135,45 @@ fn fewer_cameras_are_another_content_with_the_same_frames() {
     write_image(&frame, &Image::filled(8, 6, 3, 0.4), None, BitDepth::Eight).unwrap();
     assert!(capture.read_frame(1, 1).is_err());
 }
+
+#[test]
+fn a_frame_that_changes_before_it_is_read_is_told() {
+    let (folder, capture) = written(|_| ());
+    let (capture, path) = (capture.unwrap(), folder.path().join("b/01.png"));
+    let other = folder.path().join("other.png");
+    write_image(&other, &Image::filled(8, 6, 3, 0.25), None, BitDepth::Eight).unwrap();
+    let kept = folder.path().join("kept.png");
+    std::fs::rename(&path, &kept).unwrap();
+    std::fs::rename(&other, &path).unwrap();
+    let changed = |result: Result<String, CaptureError>| {
+        let message = result.unwrap_err().to_string();
+        assert!(message.ends_with("b/01.png: changed while it was being used"), "{message}");
+    };
+    changed(capture.read_frame(1, 1).map(|_| String::new()));
+    changed(capture.content_hash().map(str::to_owned));
+    // Put back, it is the file that was opened.
+    std::fs::rename(&kept, &path).unwrap();
+    capture.read_frame(1, 1).unwrap();
+    capture.content_hash().unwrap();
+}
+
+#[test]
+fn a_true_image_that_changes_after_it_was_hashed_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let truth = serde_json::json!({"format": "stlfr-truth", "version": 1, "scene": "a", "rig": "b",
+        "offsets": [], "shutter": [], "views": []});
+    std::fs::create_dir(folder.path().join("truth")).unwrap();
+    std::fs::write(folder.path().join("truth/truth.json"), truth.to_string()).unwrap();
+    let image = |value| {
+        let path = folder.path().join("truth/a.png");
+        write_image(&path, &Image::filled(8, 6, 3, value), None, BitDepth::Eight).unwrap();
+    };
+    image(0.5);
+    let camera = written(|_| ()).1.unwrap().cameras[0].camera.clone();
+    let truth = Truth::open(folder.path()).unwrap().unwrap();
+    truth.hash("a.png").unwrap();
+    truth.image("a.png", &camera).unwrap();
+    image(0.25);
+    let message = truth.image("a.png", &camera).unwrap_err().to_string();
+    assert!(message.ends_with("a.png: changed while it was being used"), "{message}");
+}

@@ -40,13 +40,16 @@
 //! `stlfr compare CAPTURE --offsets FILE` prints each camera's error in frames, its error in
 //! standard errors, the median and the maximum.
 
-use super::CaptureError;
-use crate::camera::CameraFormat;
-use crate::host::read_bytes;
+use super::{CaptureError, require_size};
+use crate::camera::{Camera, CameraFormat};
+use crate::host::{file_hash, lock, read_bytes, read_hashed};
 use crate::json::{self, JsonError};
+use crate::raster::{Image, read_hashed_image};
 use crate::text::check_id;
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 use std::path::{Component, Path, PathBuf};
+use std::sync::{Arc, Mutex};
 
 /// The contents of `truth/truth.json`. Paths are relative to `truth/`; times are on the reference
 /// camera's clock.
@@ -75,6 +78,9 @@ pub struct Truth {
     pub tracks: Option<String>,
     #[serde(skip)]
     folder: PathBuf,
+    /// Hashes of the files that were read.
+    #[serde(skip)]
+    hashes: Arc<Mutex<HashMap<PathBuf, blake3::Hash>>>,
 }
 
 /// The truth of one camera's clock: time_ref = time_cam + (time_cam − first_cam) · `rate_ppm` · 1e-6
@@ -201,6 +207,43 @@ impl Truth {
             (true, _, Err(source)) => Err(CaptureError::Read { path, source }),
             _ => Err(CaptureError::content(&path, "must stay inside truth/")),
         }
+    }
+
+    /// Refuses a file whose bytes aren't those that were read before.
+    fn require_unchanged(&self, path: &Path, hash: blake3::Hash) -> Result<(), CaptureError> {
+        match *lock(&self.hashes).entry(path.to_owned()).or_insert(hash) == hash {
+            true => Ok(()),
+            false => Err(CaptureError::Changed { path: path.to_owned() }),
+        }
+    }
+
+    /// The hash of a file; later the file must have the same bytes.
+    pub(crate) fn hash(&self, relative: &str) -> Result<blake3::Hash, CaptureError> {
+        let path = self.file(relative)?;
+        let hash =
+            file_hash(&path).map_err(|source| CaptureError::Read { path: path.clone(), source })?;
+        self.require_unchanged(&path, hash).map(|()| hash)
+    }
+
+    /// Reads an image of a camera.
+    pub(crate) fn image(&self, relative: &str, camera: &Camera) -> Result<Image, CaptureError> {
+        let path = self.file(relative)?;
+        let (image, read) = read_hashed_image(&path)?;
+        self.require_unchanged(&path, read.hash)?;
+        require_size(&path, [image.width(), image.height()], camera)?;
+        Ok(image)
+    }
+
+    /// Reads the values of a depth or motion image of a camera, row by row.
+    pub(crate) fn array(&self, relative: &str, camera: &Camera) -> Result<Vec<f32>, CaptureError> {
+        let path = self.file(relative)?;
+        let (bytes, read) = read_hashed(&path, MAX_ARRAY_BYTES)
+            .map_err(|source| CaptureError::Read { path: path.clone(), source })?;
+        self.require_unchanged(&path, read.hash)?;
+        let (width, height, values) =
+            parse_array(&bytes).map_err(|reason| CaptureError::content(&path, reason))?;
+        require_size(&path, [width, height], camera)?;
+        Ok(values)
     }
 }
 

@@ -9,8 +9,8 @@
 
 use super::{CaptureError, CaptureSource};
 use crate::host::temporary::Temporary;
-use crate::host::{CacheKind, DiskCache, file_hashes, remove_special, write_json};
-use crate::video::{self, VideoError, frame_name};
+use crate::host::{CacheKind, DiskCache, HeldFile, file_hashes, remove_special, write_json};
+use crate::video::{self, VideoError, VideoLimits, frame_name};
 use serde::{Deserialize, Serialize};
 use std::fs::File;
 use std::io;
@@ -55,14 +55,16 @@ struct DecodedVideo {
 fn hash(cache: &DiskCache, path: &Path) -> Result<blake3::Hash, CaptureError> {
     let found = file_hashes(cache, &[path])
         .map_err(|(_, source)| CaptureError::Read { path: path.to_owned(), source })?;
-    Ok(found[0])
+    Ok(found[0].hash)
 }
 
 impl VideoFile {
-    /// Opens a video, and decodes it unless its frames are cached. `wrong` converts a reason into an error.
+    /// Opens a video of images of a size, and decodes it unless its frames are cached. `wrong` converts a reason into an
+    /// error.
     pub(super) fn open(
         source: &CaptureSource,
         path: PathBuf,
+        size: [usize; 2],
         wrong: impl Fn(String) -> CaptureError,
     ) -> Result<Self, CaptureError> {
         let cache = source.cache;
@@ -78,7 +80,7 @@ impl VideoFile {
         let mut video = Self { path, hash, folder, frames: Vec::new(), stamps_s: Vec::new() };
         cache.pin(&video.entry());
         if !video.load(cache) {
-            video.decode(source, &wrong)?;
+            video.decode(source, size, &wrong)?;
         }
         Ok(video)
     }
@@ -108,6 +110,7 @@ impl VideoFile {
     fn decode(
         &mut self,
         source: &CaptureSource,
+        size: [usize; 2],
         wrong: &impl Fn(String) -> CaptureError,
     ) -> Result<(), CaptureError> {
         let (cache, folder) = (source.cache, self.folder.clone());
@@ -129,7 +132,14 @@ impl VideoFile {
         let temporary = Temporary::inside(parent).map_err(failed)?;
         let partial = temporary.path().join(FRAMES);
         std::fs::create_dir(&partial).map_err(failed)?;
-        let decoded = video::decode(ffmpeg, &self.path, &partial, MAX_FRAMES);
+        let changed = || CaptureError::Changed { path: self.path.clone() };
+        let unread = |source| CaptureError::Read { path: self.path.clone(), source };
+        let held = HeldFile::open(&self.path, self.hash).map_err(unread)?.ok_or_else(changed)?;
+        let limits = VideoLimits { max_frames: MAX_FRAMES, size };
+        let decoded = video::decode(ffmpeg, &held.file, &partial, limits);
+        if !held.is_unchanged().map_err(unread)? {
+            return Err(changed());
+        }
         let times_s = decoded.map_err(|error| match error {
             // Names the cache's folder: the temporary one is removed before the message is read.
             VideoError::File { path, source } if path.starts_with(&partial) => failed(source),
@@ -144,10 +154,6 @@ impl VideoFile {
         let stamps = serde_json::json!({ "times_s": times_s });
         write_json(&partial.join(STAMPS_FILE), &stamps).map_err(failed)?;
         temporary.place(FRAMES, &folder).map_err(failed)?;
-        // The video may have changed between hashing and decoding.
-        if hash(cache, &self.path)? != self.hash {
-            return Err(CaptureError::Changed { path: self.path.clone() });
-        }
         let frames = self.frames.iter().map(|hash| hash.to_string()).collect();
         let entry = DecodedVideo { times_s, frames };
         cache.save_json(DECODED_VIDEOS, self.hash.as_bytes(), &entry).map_err(failed)?;
@@ -208,7 +214,8 @@ fn matching_hashes(
 fn hash_frames(cache: &DiskCache, folder: &Path, frames: usize) -> io::Result<Vec<blake3::Hash>> {
     let files: Vec<PathBuf> = (0..frames).map(|k| folder.join(frame_name(k))).collect();
     let files: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
-    file_hashes(cache, &files).map_err(|(_, error)| error)
+    let found = file_hashes(cache, &files).map_err(|(_, error)| error)?;
+    Ok(found.iter().map(|read| read.hash).collect())
 }
 
 /// Opens the file that is locked while a video is decoded into `folder`. A pipe or a link in its place is removed.

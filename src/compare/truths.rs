@@ -2,9 +2,9 @@
 
 use super::{CompareError, CompareOptions};
 use crate::camera::Camera;
-use crate::capture::{Capture, Color, Truth, read_array, require_size};
+use crate::capture::{Capture, Color, Truth};
 use crate::metrics::moving_part;
-use crate::raster::{BitDepth, Image, read_image};
+use crate::raster::{BitDepth, Image};
 
 /// True times that differ by less than this are one instant, seconds.
 const SAME_INSTANT_S: f64 = 1e-6;
@@ -96,12 +96,8 @@ impl TrueView {
         options: &CompareOptions,
     ) -> Result<TrueImage, CompareError> {
         let view = &truth.views[self.index];
-        let path = truth.file(&view.image)?;
-        let (image, _) = read_image(&path)?;
-        require_size(&path, [image.width(), image.height()], &self.camera)?;
-        let path = truth.file(&view.motion)?;
-        let (width, height, motion) = read_array(&path)?;
-        require_size(&path, [width, height], &self.camera)?;
+        let image = truth.image(&view.image, &self.camera)?;
+        let motion = truth.array(&view.motion, &self.camera)?;
         let gray = match self.like {
             Some(camera) => capture.cameras[camera].color == Color::Gray,
             None => capture.cameras.iter().all(|c| c.color == Color::Gray),
@@ -110,7 +106,7 @@ impl TrueView {
             image: if gray { image.to_gray() } else { image.to_rgb() },
             moving: moving_part(
                 &motion,
-                width,
+                self.camera.width,
                 options.moving_threshold_px,
                 options.moving_dilation_px,
             ),
@@ -151,6 +147,7 @@ pub(crate) fn bits(depth: BitDepth) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::raster::read_image;
 
     #[test]
     fn what_is_measured_is_what_is_written() {

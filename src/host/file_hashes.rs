@@ -1,64 +1,100 @@
 //! Hashes of files' content, read again only after a file has changed.
 
 use super::disk_cache::{CacheKind, DiskCache};
-use super::files::open_file;
+use super::files::{FileRead, FileState, open_file};
 use rayon::prelude::*;
-use std::io::Result;
-use std::os::unix::fs::MetadataExt;
+use std::fs::File;
+use std::io::{Error, Result, Seek};
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-const HASHES: CacheKind = CacheKind { name: "hashes", version: 1 };
+const HASHES: CacheKind = CacheKind { name: "hashes", version: 2 };
 
 /// Age from which a file's times are relied on. A younger file may change again without a change of its times, whose
 /// resolution is 2 s on FAT.
 const SETTLED: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 3000 });
 
-/// Metadata that changes with a file's content, as in Git's index: device, inode, size, and the times of the last change
-/// of content and of metadata.
-type Trace = ([u64; 3], [i64; 4]);
-
-fn trace(file: &Path) -> Result<Trace> {
-    let found = std::fs::metadata(file)?;
-    let times = [found.mtime(), found.mtime_nsec(), found.ctime(), found.ctime_nsec()];
-    Ok(([found.dev(), found.ino(), found.size()], times))
-}
-
-/// Whether every later change of the file will change its trace.
-fn is_settled((_, times): &Trace) -> bool {
+/// Whether every later change of a file will change its state.
+fn is_settled(state: &FileState) -> bool {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let latest = now.as_nanos() as i128 - SETTLED.as_nanos() as i128;
-    let (times, _) = times.as_chunks::<2>();
-    times.iter().all(|[s, ns]| 1_000_000_000 * i128::from(*s) + i128::from(*ns) < latest)
+    let [s, ns] = state.changed();
+    1_000_000_000 * i128::from(s) + i128::from(ns) < latest
 }
 
-/// The hash of every file's bytes: from the cache if no file has changed since it was read.
+/// Hashes an open file's bytes from its start. `None` instead of the state if the file changed meanwhile.
+fn hash_open(mut file: &File) -> Result<(blake3::Hash, Option<FileState>)> {
+    file.rewind()?;
+    let before = FileState::of(&file.metadata()?);
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(file)?;
+    let after = FileState::of(&file.metadata()?);
+    Ok((hasher.finalize(), Some(after).filter(|after| *after == before)))
+}
+
+/// The hash of a file's bytes.
+pub(crate) fn file_hash(path: &Path) -> Result<blake3::Hash> {
+    Ok(hash_open(&open_file(path)?)?.0)
+}
+
+/// A file that must stay as it is while another program reads it.
+pub(crate) struct HeldFile {
+    pub file: File,
+    read: FileRead,
+}
+
+impl HeldFile {
+    /// Opens a file; `None` unless its bytes have this hash.
+    pub fn open(path: &Path, hash: blake3::Hash) -> Result<Option<Self>> {
+        let file = open_file(path)?;
+        let (found, state) = hash_open(&file)?;
+        let is_same = |state: FileState| (found == hash).then_some(FileRead { hash, state });
+        Ok(state.and_then(is_same).map(|read| Self { file, read }))
+    }
+
+    /// Whether the open file still has the bytes that it was opened with, and had them all the time.
+    pub fn is_unchanged(&self) -> Result<bool> {
+        let (hash, state) = hash_open(&self.file)?;
+        Ok(hash == self.read.hash && state == Some(self.read.state))
+    }
+}
+
+/// Every file's hash and state: the hash is from the cache if no file has changed since it was read.
 ///
 /// # Errors
 /// The first file that can't be read, by its index.
 pub(crate) fn file_hashes(
     cache: &DiskCache,
     files: &[&Path],
-) -> std::result::Result<Vec<blake3::Hash>, (usize, std::io::Error)> {
-    let traces = || files.iter().map(|file| trace(file)).collect::<Result<Vec<Trace>>>().ok();
-    let before = traces().filter(|t| !t.is_empty() && t.iter().all(is_settled));
-    if let Some(known) = before.as_ref().and_then(|traces| cache.load(HASHES, traces)) {
+) -> std::result::Result<Vec<FileRead>, (usize, std::io::Error)> {
+    let state = |file: &&Path| Ok(FileState::of(&std::fs::metadata(file)?));
+    let before = files.iter().map(state).collect::<Result<Vec<FileState>>>().ok();
+    let before = before.filter(|states| !states.is_empty() && states.iter().all(is_settled));
+    if let Some((states, known)) =
+        before.as_ref().and_then(|states| Some((states, cache.load(HASHES, states)?)))
+    {
         let (hashes, _) = known.as_chunks();
         if hashes.len() == files.len() {
-            return Ok(hashes.iter().copied().map(blake3::Hash::from_bytes).collect());
+            let hashes = hashes.iter().copied().map(blake3::Hash::from_bytes);
+            return Ok(hashes.zip(states).map(|(hash, &state)| FileRead { hash, state }).collect());
         }
     }
     let hash = |(k, file): (usize, &&Path)| {
-        let mut hasher = blake3::Hasher::new();
-        let read = open_file(file).and_then(|file| hasher.update_reader(file).map(drop));
-        read.map(|()| hasher.finalize()).map_err(|error| (k, error))
+        let read = open_file(file).and_then(|file| {
+            let (hash, unchanged) = hash_open(&file)?;
+            let state =
+                unchanged.map_or_else(|| Ok(FileState::of(&file.metadata()?)), Ok::<_, Error>)?;
+            Ok((FileRead { hash, state }, unchanged))
+        });
+        read.map_err(|error| (k, error))
     };
     // In order, so that the error is the first file's.
     let found: Vec<_> = files.par_iter().enumerate().map(hash).collect();
-    let found: Vec<blake3::Hash> = found.into_iter().collect::<std::result::Result<_, _>>()?;
-    // A file that changed meanwhile may have been read before the change.
-    if let Some(before) = before.filter(|before| traces().as_ref() == Some(before)) {
-        let bytes: Vec<u8> = found.iter().flat_map(|hash| *hash.as_bytes()).collect();
+    let found = found.into_iter().collect::<std::result::Result<Vec<_>, _>>()?;
+    let (found, unchanged): (Vec<FileRead>, Vec<Option<FileState>>) = found.into_iter().unzip();
+    // A file that changed meanwhile, or was another for a while, is not the one whose state is known.
+    if let Some(before) = before.filter(|before| before.iter().copied().map(Some).eq(unchanged)) {
+        let bytes: Vec<u8> = found.iter().flat_map(|read| *read.hash.as_bytes()).collect();
         // A read-only capture is read again next time.
         let _ = cache.save(HASHES, &before, &bytes);
     }
@@ -68,7 +104,7 @@ pub(crate) fn file_hashes(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::fs::{File, FileTimes};
+    use std::fs::FileTimes;
     use std::path::PathBuf;
 
     #[test]
@@ -77,7 +113,10 @@ mod tests {
         let files: Vec<PathBuf> = ["a", "b"].map(|name| folder.path().join(name)).into();
         let cache = DiskCache::new(folder.path(), |_| ());
         let paths: Vec<&Path> = files.iter().map(PathBuf::as_path).collect();
-        let found = || file_hashes(&cache, &paths);
+        let found = || {
+            let found = file_hashes(&cache, &paths);
+            found.map(|read| read.iter().map(|read| read.hash).collect::<Vec<_>>())
+        };
         let hashes = |texts: [&str; 2]| texts.map(|text| blake3::hash(text.as_bytes())).to_vec();
         let cached = || cache.listing().iter().map(|of| of.entries).sum::<usize>();
         let write = |file: &Path, text: &str| std::fs::write(file, text).unwrap();
@@ -91,12 +130,13 @@ mod tests {
             assert!(found().unwrap() == hashes(["1", "1"]) && cached() == 1);
         }
         // What the cache says is believed.
-        let traces: Vec<Trace> = files.iter().map(|file| trace(file).unwrap()).collect();
+        let state = |file: &PathBuf| FileState::of(&file.metadata().unwrap());
+        let states: Vec<FileState> = files.iter().map(state).collect();
         let said = hashes(["x", "y"]);
         let bytes: Vec<u8> = said.iter().flat_map(|hash| *hash.as_bytes()).collect();
-        cache.save(HASHES, &traces, &bytes).unwrap();
+        cache.save(HASHES, &states, &bytes).unwrap();
         assert_eq!(found().unwrap(), said);
-        cache.save(HASHES, &traces, &bytes[1..]).unwrap();
+        cache.save(HASHES, &states, &bytes[1..]).unwrap();
         assert_eq!(found().unwrap(), hashes(["1", "1"]), "too few");
         // As many bytes, and the old time put back.
         let before = files[1].metadata().unwrap().modified().unwrap();

@@ -1,9 +1,10 @@
 //! Files at paths from an untrusted source. Regular files are read up to a stated size, so that a device, a pipe or a
 //! file of gigabytes neither fills the memory nor blocks. Outputs replace nothing but regular files.
 
+use serde::Serialize;
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{Error, ErrorKind, Read, Result};
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::os::unix::fs::{FileTypeExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 /// Opens a regular file for reading; links are followed. Anything else is an error that names its kind. Opening never
@@ -26,11 +27,52 @@ pub fn open_bounded(path: &Path, max_bytes: u64) -> Result<(File, u64)> {
 
 /// Reads a regular file of at most `max_bytes`. The size is checked before bytes are read.
 pub fn read_bytes(path: &Path, max_bytes: u64) -> Result<Vec<u8>> {
-    let (file, length) = open_bounded(path, max_bytes)?;
+    let (mut file, length) = open_bounded(path, max_bytes)?;
+    read_open(&mut file, length, max_bytes)
+}
+
+fn read_open(file: &mut File, length: u64, max_bytes: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(length as usize);
     // A file may grow while it is read, and the kernel's files (in /proc) have a length of 0.
     file.take(max_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > max_bytes { Err(too_large(max_bytes)) } else { Ok(bytes) }
+}
+
+/// The identity of a file and of its content, as in Git's index: device, inode and size, and the times of the last
+/// change of content and of metadata. It changes with the content, unless the clock that stamps files is coarse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub(crate) struct FileState([u64; 3], [i64; 2], [i64; 2]);
+
+impl FileState {
+    pub fn of(found: &Metadata) -> Self {
+        let identity = [found.dev(), found.ino(), found.size()];
+        Self(identity, [found.mtime(), found.mtime_nsec()], [found.ctime(), found.ctime_nsec()])
+    }
+
+    /// Whether all is the same but the time of the last change of metadata, such as permissions.
+    pub fn has_content_of(&self, other: &Self) -> bool {
+        (self.0, self.1) == (other.0, other.1)
+    }
+
+    /// The later of the two times: seconds and nanoseconds.
+    pub fn changed(&self) -> [i64; 2] {
+        self.1.max(self.2)
+    }
+}
+
+/// The hash of the bytes of a file that were read, and the file's state afterwards.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FileRead {
+    pub hash: blake3::Hash,
+    pub state: FileState,
+}
+
+/// Reads a regular file of at most `max_bytes`, with the hash of what was read.
+pub(crate) fn read_hashed(path: &Path, max_bytes: u64) -> Result<(Vec<u8>, FileRead)> {
+    let (mut file, length) = open_bounded(path, max_bytes)?;
+    let bytes = read_open(&mut file, length, max_bytes)?;
+    let read = FileRead { hash: blake3::hash(&bytes), state: FileState::of(&file.metadata()?) };
+    Ok((bytes, read))
 }
 
 /// Reads a regular file of at most `max_bytes` as UTF-8.

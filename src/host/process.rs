@@ -1,13 +1,26 @@
-//! Child processes, each of which is ended when its [`Process`] is dropped.
+//! Child processes, each with a process group of its own. A group is ended when its [`Process`] is dropped, or when a
+//! signal ends the program: by SIGTERM, and after a grace period by SIGKILL.
 
+use super::machine::lock;
+use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read, Result};
+use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::Mutex;
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
-/// A running child process. Dropping it sends SIGTERM and waits for its end. If this process is killed,
+/// Time that a child has to end after SIGTERM.
+const GRACE: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 5 });
+
+/// The children that run, whose ids are those of their groups.
+static RUNNING: Mutex<BTreeSet<i32>> = Mutex::new(BTreeSet::new());
+
+/// A running child process. Dropping it ends its group, and waits for its end. If this process is killed,
 /// the child gets a SIGTERM too (Linux only).
 pub(crate) struct Process {
     child: Child,
+    id: i32,
     stderr: Option<JoinHandle<String>>,
 }
 
@@ -21,8 +34,13 @@ impl Process {
     /// Starts a command. Its stdout is piped to this process; its stderr is collected.
     pub fn start(command: &mut Command, stdin: Stdio) -> Result<Self> {
         end_with_parent(command);
-        let mut child =
-            command.stdin(stdin).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
+        command.process_group(0).stdin(stdin).stdout(Stdio::piped()).stderr(Stdio::piped());
+        // Under the mutex, so that a signal finds either no child or one that is listed.
+        let mut running = lock(&RUNNING);
+        let mut child = command.spawn()?;
+        let id = child.id().cast_signed();
+        running.insert(id);
+        drop(running);
         let stderr = child.stderr.take().map(|mut pipe| {
             std::thread::spawn(move || {
                 let mut bytes = Vec::new();
@@ -31,7 +49,7 @@ impl Process {
                 String::from_utf8_lossy(&bytes).into_owned()
             })
         });
-        Ok(Self { child, stderr })
+        Ok(Self { child, id, stderr })
     }
 
     /// The child's standard input, if it was piped and not taken before.
@@ -50,13 +68,42 @@ impl Process {
 impl Drop for Process {
     fn drop(&mut self) {
         if matches!(self.child.try_wait(), Ok(None)) {
-            if let Ok(pid) = i32::try_from(self.child.id()) {
-                // SAFETY: the child has not been waited for, so its id is still its own.
-                unsafe { libc::kill(pid, libc::SIGTERM) };
-            }
+            end_groups([self.id]);
             // It ended or can't be reached; in neither case is there anything left to do.
             let _ = self.child.wait();
         }
+        lock(&RUNNING).remove(&self.id);
+    }
+}
+
+/// Ends all children of this process. No child starts afterwards: the caller ends the process.
+pub(super) fn end_all() {
+    let running = lock(&RUNNING);
+    end_groups(running.iter().copied());
+    std::mem::forget(running);
+}
+
+/// Ends the groups of children that haven't been waited for: by SIGTERM, then by SIGKILL.
+fn end_groups(ids: impl IntoIterator<Item = i32> + Clone) {
+    let signal = |id: i32, signal| {
+        // SAFETY: plain numbers; a group that is gone is an error without effect.
+        unsafe { libc::kill(-id, signal) };
+    };
+    ids.clone().into_iter().for_each(|id| signal(id, libc::SIGTERM));
+    let start = Instant::now();
+    while ids.clone().into_iter().any(is_running) && start.elapsed() < GRACE {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    ids.into_iter().for_each(|id| signal(id, libc::SIGKILL));
+}
+
+/// Whether a child of this process runs. Its exit status stays for the one who waits for it.
+fn is_running(id: i32) -> bool {
+    let flags = libc::WEXITED | libc::WNOHANG | libc::WNOWAIT;
+    // SAFETY: zeros are a valid value, which the call fills in.
+    unsafe {
+        let mut state: libc::siginfo_t = std::mem::zeroed();
+        libc::waitid(libc::P_PID, id.cast_unsigned(), &mut state, flags) == 0 && state.si_pid() == 0
     }
 }
 
@@ -77,7 +124,6 @@ pub(crate) fn run(command: &mut Command, mut on_line: impl FnMut(&str)) -> Resul
 /// Lets the kernel end the child when the thread that starts it ends. In all uses, this thread waits for the child.
 #[cfg(target_os = "linux")]
 fn end_with_parent(command: &mut Command) {
-    use std::os::unix::process::CommandExt;
     // SAFETY: between fork and exec only async-signal-safe functions may run; prctl is one.
     unsafe {
         command.pre_exec(|| match libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGTERM) {
@@ -112,5 +158,23 @@ mod tests {
         let start = Instant::now();
         drop(Process::start(Command::new("sleep").arg("60"), Stdio::null()).unwrap());
         assert!(start.elapsed() < Duration::from_secs(10));
+    }
+
+    #[test]
+    fn a_child_that_ignores_sigterm_is_killed_with_its_own_children() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("id");
+        let script = "trap '' TERM; sleep 60 & echo $! > id; wait; sleep 60";
+        let mut command = Command::new("sh");
+        command.args(["-c", script]).current_dir(&folder);
+        let process = Process::start(&mut command, Stdio::null()).unwrap();
+        let id = || std::fs::read_to_string(&file).ok().filter(|text| text.ends_with('\n'));
+        let grandchild = std::iter::repeat_with(id).flatten().next().unwrap();
+        let start = Instant::now();
+        drop(process);
+        assert!(start.elapsed() < Duration::from_secs(10));
+        // It is gone, or waits for its new parent to take notice.
+        let state = std::fs::read_to_string(format!("/proc/{}/stat", grandchild.trim()));
+        assert!(state.is_err() || state.unwrap().contains(") Z "), "the grandchild runs");
     }
 }

@@ -8,6 +8,7 @@
 
 use super::files::obstacle;
 use super::machine::lock;
+use super::process;
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -156,7 +157,7 @@ pub(crate) fn remove_abandoned(folder: &Path) {
     }
 }
 
-/// Lets Ctrl-C, SIGTERM and SIGHUP remove unfinished files before they end the program. Signals that the process was
+/// Lets Ctrl-C, SIGTERM and SIGHUP end child processes and remove unfinished files before they end the program. Signals that the process was
 /// started to ignore stay ignored.
 ///
 /// For a program's main function: a library leaves signals to its program.
@@ -165,6 +166,8 @@ pub fn remove_unfinished_on_signals() -> Result<()> {
     let mut signals = Signals::new(handled)?;
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         if let Some(signal) = signals.forever().next() {
+            // First, because they write into the folders.
+            process::end_all();
             // No temporary folder is created or removed while the mutex is locked.
             let begun = lock(&BEGUN);
             begun.folders.iter().for_each(|path| remove(path));

@@ -2,7 +2,7 @@
 
 use super::png;
 use super::{BitDepth, Image};
-use crate::host::{open_bounded, read_bytes, write_atomically};
+use crate::host::{FileRead, open_bounded, read_hashed, write_atomically};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageReader, Limits};
 use std::fs::File;
@@ -122,11 +122,10 @@ pub fn read_image(path: &Path) -> Result<(Image, BitDepth), ImageFileError> {
     Ok((opened.decode(path)?, depth))
 }
 
-/// As [`read_image`], with the BLAKE3 hash of the bytes that the image was decoded from.
-pub(crate) fn read_hashed_image(path: &Path) -> Result<(Image, blake3::Hash), ImageFileError> {
-    let bytes = read_bytes(path, MAX_FILE_BYTES).map_err(read_error(path))?;
-    let hash = blake3::hash(&bytes);
-    Ok((OpenedImage::new(path, Cursor::new(bytes))?.decode(path)?, hash))
+/// As [`read_image`], with the hash of the bytes that the image was decoded from.
+pub(crate) fn read_hashed_image(path: &Path) -> Result<(Image, FileRead), ImageFileError> {
+    let (bytes, read) = read_hashed(path, MAX_FILE_BYTES).map_err(read_error(path))?;
+    Ok((OpenedImage::new(path, Cursor::new(bytes))?.decode(path)?, read))
 }
 
 fn unpacked(decoded: DynamicImage) -> Image {

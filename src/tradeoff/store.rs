@@ -2,8 +2,8 @@
 //! adds to a smaller one.
 
 use super::TradeoffError;
-use crate::capture::{Capture, CaptureError, Truth};
-use crate::host::{CacheKind, DiskCache, Elapsed, Stopwatch, hash_file};
+use crate::capture::{Capture, Truth};
+use crate::host::{CacheKind, DiskCache, Elapsed, Stopwatch};
 use crate::light_field::LightField;
 use crate::metrics::RegionScores;
 use crate::offset::{self, Offsets};
@@ -70,11 +70,10 @@ impl Store {
         reporter: &Reporter,
     ) -> Result<Self, TradeoffError> {
         let mut hashes = Vec::new();
-        for file in truth.iter().flat_map(|t| t.views.iter().flat_map(|v| [&v.image, &v.motion])) {
-            let path = truth.map(|t| t.file(file)).transpose()?.unwrap_or_default();
-            let mut hasher = blake3::Hasher::new();
-            hash_file(&mut hasher, &path).map_err(|source| CaptureError::Read { path, source })?;
-            hashes.push(hasher.finalize().to_hex().to_string());
+        for (truth, view) in truth.iter().flat_map(|t| t.views.iter().map(move |v| (t, v))) {
+            for file in [&view.image, &view.motion] {
+                hashes.push(truth.hash(file)?.to_hex().to_string());
+            }
         }
         let views = truth.map(|truth| &truth.views);
         let cache = capture.cache()?;

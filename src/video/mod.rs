@@ -3,8 +3,8 @@
 mod reader;
 mod writer;
 
-pub use reader::decode;
 pub(crate) use reader::frame_name;
+pub use reader::{VideoLimits, decode};
 pub use writer::{Codec, VideoFormat, VideoWriter};
 
 use std::path::PathBuf;

@@ -4,11 +4,11 @@
 //! rotation in the file's metadata is applied, as by a player.
 
 use super::{VideoError, without_address};
-use crate::host::process;
-use std::ffi::OsString;
+use crate::host::process::{Ended, Process};
+use std::fs::File;
 use std::io;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 /// Containers that are read. A playlist or a script would make ffmpeg open other files.
 const CONTAINERS: &str =
@@ -22,20 +22,35 @@ pub(crate) fn frame_name(index: usize) -> String {
     format!("{index:06}.png")
 }
 
+/// Codecs store images in blocks, of at most so many pixels a side.
+const BLOCK_PX: usize = 128;
+
+/// What a video may hold; more is refused before it is decoded.
+#[derive(Clone, Copy, Debug)]
+pub struct VideoLimits {
+    pub max_frames: usize,
+    /// Width and height of the images, pixels.
+    pub size: [usize; 2],
+}
+
+/// The open file on the child's standard input: the child reads it wherever its path leads meanwhile.
+const INPUT: &str = "file:/proc/self/fd/0";
+
 /// Decodes the first video stream into `folder` as 000000.png, 000001.png and so on, in constant memory. Returns the
-/// file's time stamp of every frame, seconds. `path` must be absolute.
+/// file's time stamp of every frame, seconds.
 ///
 /// # Errors
-/// If there are more than `max_frames` frames, and for any error in the file: ffmpeg would conceal damaged frames.
+/// If there are more frames or larger images than `limits` has, and for any error in the file: ffmpeg would conceal
+/// damaged frames.
 pub fn decode(
     ffmpeg: &Path,
-    path: &Path,
+    video: &File,
     folder: &Path,
-    max_frames: usize,
+    limits: VideoLimits,
 ) -> Result<Vec<f64>, VideoError> {
-    let mut input = OsString::from("file:");
-    input.push(path);
+    let VideoLimits { max_frames, size } = limits;
     let frames = (max_frames + 1).to_string();
+    let max_pixels: usize = size.iter().map(|side| side.next_multiple_of(BLOCK_PX)).product();
     let mut command = Command::new(ffmpeg);
     command
         // Names of the outputs are relative, so that a `%` in the folder's own isn't a pattern.
@@ -43,8 +58,8 @@ pub fn decode(
         .env_remove("FFREPORT")
         .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y", "-xerror"])
         .args(["-protocol_whitelist", "file", "-format_whitelist", CONTAINERS])
-        .args(["-err_detect", "explode", "-i"])
-        .arg(input)
+        .args(["-max_pixels", &max_pixels.to_string()])
+        .args(["-err_detect", "explode", "-i", INPUT])
         .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-noautoscale"])
         .args(["-frames:v", &frames])
         .args(["-sws_flags", "accurate_rnd+full_chroma_int+bitexact"])
@@ -53,16 +68,12 @@ pub fn decode(
         .args(["-start_number", "0", "-f", "image2", "%06d.png"])
         .args(["-map", "0:V:0", "-fps_mode", "passthrough", "-enc_time_base", "1/1000000"])
         .args(["-frames:v", &frames, "-c:v", "rawvideo", "-f", "framecrc", STAMPS_FILE]);
-    let ended = process::run(&mut command, |_| ())
+    let started =
+        video.try_clone().and_then(|file| Process::start(&mut command, Stdio::from(file)));
+    let ended = started
+        .and_then(Process::wait)
         .map_err(|source| VideoError::File { path: ffmpeg.to_owned(), source })?;
-    let message = ended.stderr.lines().map(without_address).find(|line| !line.is_empty());
-    if let Some(source) = full_disk(&ended.stderr) {
-        return Err(VideoError::File { path: folder.to_owned(), source });
-    }
-    if !ended.status.success() || message.is_some() {
-        let message = message.unwrap_or("it was stopped").trim_end_matches('.');
-        return Err(wrong(format!("is not a whole video that ffmpeg can read ({message})")));
-    }
+    succeeded(&ended, folder, size)?;
     let stamps = folder.join(STAMPS_FILE);
     let text = std::fs::read_to_string(&stamps)
         .map_err(|source| VideoError::File { path: stamps, source })?;
@@ -71,6 +82,29 @@ pub fn decode(
         return Err(wrong(format!("has more than {max_frames} frames")));
     }
     Ok(times_s)
+}
+
+/// The error that ffmpeg ended with, or any that it reports.
+fn succeeded(ended: &Ended, folder: &Path, size: [usize; 2]) -> Result<(), VideoError> {
+    if let Some(found) = too_large(&ended.stderr) {
+        let [width, height] = size;
+        return Err(wrong(format!("has images of {found} pixels, its camera {width}x{height}")));
+    }
+    let message = ended.stderr.lines().map(without_address).find(|line| !line.is_empty());
+    if let Some(source) = full_disk(&ended.stderr) {
+        return Err(VideoError::File { path: folder.to_owned(), source });
+    }
+    if !ended.status.success() || message.is_some() {
+        let message = message.unwrap_or("it was stopped").trim_end_matches('.');
+        return Err(wrong(format!("is not a whole video that ffmpeg can read ({message})")));
+    }
+    Ok(())
+}
+
+/// The size of the images, as ffmpeg reports it for larger ones than are allowed.
+fn too_large(messages: &str) -> Option<&str> {
+    let before = &messages[..messages.find(" exceeds specified max pixel count")?];
+    Some(before.rsplit_once("Picture size ")?.1)
 }
 
 /// The disk's error that ffmpeg reports, if any.
@@ -109,6 +143,13 @@ mod tests {
         let said = "[vost#0:0/png @ 0x5] Error submitting a packet to the muxer: No space left on device\n";
         assert_eq!(full_disk(said).unwrap().kind(), io::ErrorKind::StorageFull);
         assert!(full_disk("Invalid data found when processing input").is_none());
+    }
+
+    #[test]
+    fn the_size_of_images_that_are_too_large_is_told() {
+        let said = "[ffv1 @ 0x5] [IMGUTILS @ 0x7] Picture size 8192x4096 exceeds specified max pixel count 16384, see the documentation\n";
+        assert_eq!(too_large(said), Some("8192x4096"));
+        assert_eq!(too_large("Picture size 0x0 is invalid"), None);
     }
 
     #[test]

@@ -1,0 +1,209 @@
+//! Frames, videos and `capture.json` that change, or change and are put back, at random moments while a command runs.
+//! The command gives the result of the capture as it was before or after the change, or one sentence. What it has stored
+//! changes no later result. By hand, `STLFR_CHANGES=1000 cargo test --release --test changes` tries so many.
+
+mod common;
+
+use common::random::below;
+use common::wall::{FRAME_S, Scene};
+use common::{copy_folder, edit, ffmpeg, stlfr};
+use serde_json::json;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+use stlfr::random::Random;
+use stlfr::raster::{BitDepth, Image, read_image};
+use stlfr::video::{Codec, VideoFormat, VideoWriter};
+use tempfile::TempDir;
+
+/// Changes of each command by default.
+const CHANGES: usize = 6;
+
+const FRAMES: usize = 4;
+
+fn changes() -> usize {
+    std::env::var("STLFR_CHANGES").ok().and_then(|n| n.parse().ok()).unwrap_or(CHANGES)
+}
+
+/// Commands that store results in the capture, and where their own result is: in `out`, else on stdout.
+const COMMANDS: [&str; 4] = [
+    "offsets capture --json",
+    "prepare capture",
+    "render capture --like cam1 --time 0.07 -o out",
+    "render capture --like cam1 --time 0.07 --sync auto --proxy auto --blend auto -o out",
+];
+
+/// The command whose result depends on all that is stored.
+const LATER: &str = COMMANDS[3];
+
+/// The wall with one motion or another, as image sequences or as videos.
+fn film(velocity: [f64; 2], as_videos: bool) -> TempDir {
+    let folder = Scene { frames: FRAMES, velocity, ..Scene::default() }.film();
+    for c in (0..3).filter(|_| as_videos) {
+        let frames = folder.path().join(format!("cam{c}"));
+        let read = |k| read_image(&frames.join(format!("{k}.png"))).unwrap().0;
+        let images: Vec<Image> = (0..FRAMES).map(read).collect();
+        let format =
+            VideoFormat { depth: BitDepth::Sixteen, rate_hz: 1.0 / FRAME_S, codec: Codec::Ffv1 };
+        let path = folder.path().join(format!("cam{c}.mkv"));
+        let mut video = VideoWriter::create(&ffmpeg(), &path, &images[0], format).unwrap();
+        images.iter().for_each(|image| video.push(image).unwrap());
+        video.finish().unwrap();
+        std::fs::remove_dir_all(frames).unwrap();
+    }
+    edit(folder.path(), |capture| {
+        for c in (0..3).filter(|_| as_videos) {
+            capture["cameras"][c]["frames"] = json!(format!("cam{c}.mkv"));
+        }
+        // So that the two descriptions differ too.
+        capture["cameras"][0]["params"][0] = json!(100.0 + velocity[1]);
+    });
+    folder
+}
+
+fn command(folder: &Path, words: &str) -> Command {
+    let mut command = stlfr();
+    command.current_dir(folder).arg("-q").args(words.split(' ').map(|word| match word {
+        "out" => "out.png",
+        word => word,
+    }));
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+/// The result of a command, or its sentence.
+fn result(folder: &Path, words: &str, output: std::process::Output) -> Result<Vec<u8>, String> {
+    if output.status.success() {
+        let of_file = words.ends_with("out");
+        let printed = if words.starts_with("prepare") { Vec::new() } else { output.stdout };
+        return Ok(if of_file { std::fs::read(folder.join("out.png")).unwrap() } else { printed });
+    }
+    let sentence = String::from_utf8(output.stderr).unwrap();
+    assert!(matches!(output.status.code(), Some(1 | 2)), "{words}: {:?}", output.status);
+    assert_eq!(sentence.lines().count(), 1, "{words}: {sentence}");
+    Err(sentence)
+}
+
+/// The result of a command on a copy of the capture in which nothing is stored.
+fn from_nothing(capture: &Path, words: &str) -> Result<Vec<u8>, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let copy = folder.path().join("capture");
+    std::fs::create_dir(&copy).unwrap();
+    copy_folder(capture, &copy);
+    for stored in ["offsets.json", "offsets.svg"] {
+        let _ = std::fs::remove_file(copy.join(stored));
+    }
+    let _ = std::fs::remove_dir_all(copy.join(".stlfr"));
+    let output = command(folder.path(), words).output().unwrap();
+    result(folder.path(), words, output)
+}
+
+/// A way to change a file or a folder.
+#[derive(Clone, Copy, Debug)]
+enum Way {
+    /// Another takes its place.
+    Renamed,
+    /// A file gets other bytes.
+    Written,
+}
+
+/// What a capture's path becomes, and the moments as fractions of the command's duration.
+#[derive(Debug)]
+struct Change {
+    path: PathBuf,
+    way: Way,
+    at: f64,
+    /// When all is put back, if it is.
+    back: Option<f64>,
+}
+
+impl Change {
+    fn any(random: &mut Random, as_videos: bool) -> Self {
+        let camera = below(random, 3);
+        let path = match below(random, 4) {
+            0 => "capture.json".into(),
+            _ if as_videos => format!("cam{camera}.mkv"),
+            1 => format!("cam{camera}"),
+            _ => format!("cam{camera}/{}.png", below(random, FRAMES)),
+        };
+        let is_folder = !path.contains('.');
+        let way = if is_folder || random.unit() < 0.5 { Way::Renamed } else { Way::Written };
+        let at = random.unit();
+        let back = (random.unit() < 0.6).then(|| at + (1.2 - at) * random.unit());
+        Self { path: path.into(), way, at, back }
+    }
+
+    /// Exchanges what is at the path with what is in the other capture.
+    fn apply(&self, capture: &Path, other: &Path) {
+        let (own, other) = (capture.join(&self.path), other.join(&self.path));
+        let kept = capture.with_extension("kept");
+        match self.way {
+            Way::Renamed => {
+                std::fs::rename(&own, &kept).unwrap();
+                std::fs::rename(&other, &own).unwrap();
+                std::fs::rename(&kept, &other).unwrap();
+            }
+            Way::Written => {
+                let bytes = [&own, &other].map(|path| std::fs::read(path).unwrap());
+                std::fs::write(own, &bytes[1]).unwrap();
+                std::fs::write(other, &bytes[0]).unwrap();
+            }
+        }
+    }
+}
+
+/// Runs a command on a fresh copy of the first capture, while it changes.
+fn try_change(words: &str, captures: &[TempDir; 2], took: Duration, change: &Change) {
+    let folder = tempfile::tempdir().unwrap();
+    let [capture, other] = ["capture", "other"].map(|name| folder.path().join(name));
+    for (from, to) in captures.iter().zip([&capture, &other]) {
+        std::fs::create_dir(to).unwrap();
+        copy_folder(from.path(), to);
+    }
+    let mut allowed = vec![from_nothing(&capture, words)];
+    change.apply(&capture, &other);
+    allowed.push(from_nothing(&capture, words));
+    change.apply(&capture, &other);
+
+    let start = Instant::now();
+    let wait = |fraction: f64| {
+        std::thread::sleep(took.mul_f64(fraction).saturating_sub(start.elapsed()));
+    };
+    let child = command(folder.path(), words).spawn().unwrap();
+    wait(change.at);
+    change.apply(&capture, &other);
+    if let Some(back) = change.back {
+        wait(back);
+        change.apply(&capture, &other);
+    }
+    let found = result(folder.path(), words, child.wait_with_output().unwrap());
+    assert!(found.is_err() || allowed.contains(&found), "{words}: another result, {change:?}");
+    let output = command(folder.path(), LATER).output().unwrap();
+    let later = result(folder.path(), LATER, output);
+    assert_eq!(later, from_nothing(&capture, LATER), "{words}: stored wrongly, {change:?}");
+}
+
+fn try_changes(as_videos: bool) {
+    let captures = [[0.3, 1.0], [-0.4, 0.7]].map(|velocity| film(velocity, as_videos));
+    let mut random = Random::new(36 + u64::from(as_videos));
+    for words in COMMANDS {
+        let start = Instant::now();
+        let first = from_nothing(captures[0].path(), words);
+        let took = start.elapsed();
+        assert!(first.is_ok(), "{first:?}");
+        for _ in 0..changes() {
+            let change = Change::any(&mut random, as_videos);
+            try_change(words, &captures, took, &change);
+        }
+    }
+}
+
+#[test]
+fn images_that_change_under_a_command_are_told_or_change_nothing() {
+    try_changes(false);
+}
+
+#[test]
+fn videos_that_change_under_a_command_are_told_or_change_nothing() {
+    try_changes(true);
+}
