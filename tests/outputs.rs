@@ -138,6 +138,70 @@ fn only_regular_files_are_written_over() {
     }
 }
 
+/// Every command with an output folder, and its arguments before the folder.
+fn folder_outputs(capture: &str) -> Vec<Vec<&str>> {
+    vec![
+        vec!["compare", capture, "-o"],
+        vec!["tradeoff", capture, "--rounds", "0", "--runs", "1", "-o"],
+        vec!["export", capture, "--format", "colmap", "-o"],
+        vec!["export", capture, "--format", "colmap-text", "-o"],
+        vec!["import", capture, "--images", capture, "--rate", "25", "-o"],
+        vec!["capture", "rigs/linear8.json", "--scene", "magazine", "-o"],
+        vec!["demo", "-o"],
+    ]
+}
+
+#[test]
+fn a_link_as_output_folder_leads_into_no_capture() {
+    let (folder, out) = (capture(), tempfile::tempdir().unwrap());
+    let (root, link) = (folder.path(), out.path().join("link"));
+    let before = contents(root);
+    for target in ["", "cam0", "truth", "truth/new", ".stlfr/cache/video", "offsets.json"] {
+        let _ = std::fs::remove_file(&link);
+        symlink(root.join(target), &link).unwrap();
+        for arguments in folder_outputs(text(root)) {
+            let makes_a_capture = ["import", "capture", "demo"].contains(&arguments[0]);
+            if makes_a_capture && ["", "cam0"].contains(&target) {
+                continue; // these refuse what holds other files
+            }
+            let output = run_into(&arguments, &link);
+            assert_eq!(output.status.code(), Some(2), "{target}: {arguments:?}");
+            let message = stderr(&output);
+            assert_eq!(message.lines().count(), 1, "{target}: {arguments:?}: {message}");
+            assert_eq!(contents(root), before, "{target}: {arguments:?}");
+        }
+    }
+}
+
+#[test]
+fn no_folder_in_an_output_is_written_through_a_link() {
+    let folder = capture();
+    let root = folder.path();
+    for name in ["images", "sheets", "video"] {
+        for target in ["truth", "cam0", "."] {
+            let review = root.join("review");
+            std::fs::create_dir(&review).unwrap();
+            symlink(root.join(target), review.join(name)).unwrap();
+            let before = contents(root);
+            for arguments in [vec!["compare"], vec!["compare", "-o", text(&review)]] {
+                let arguments = [&["-q"], &arguments[..], &[text(root)]].concat();
+                assert_refused(&run(&arguments), 2, "is a link, which is not written through");
+            }
+            assert_eq!(contents(root), before, "{name} to {target}");
+            std::fs::remove_dir_all(&review).unwrap();
+        }
+    }
+    let film = ["capture", "rigs/linear8.json", "--scene", "magazine", "-o"];
+    for name in ["cam0", "truth", ".film", ".stlfr", "truth/views"] {
+        let unfinished = tempfile::tempdir().unwrap();
+        let link = unfinished.path().join(name);
+        std::fs::create_dir_all(link.parent().unwrap()).unwrap();
+        symlink(root.join("cam0"), &link).unwrap();
+        let output = run_into(&film, unfinished.path());
+        assert_refused(&output, 2, "is a link, which is not written through");
+    }
+}
+
 #[test]
 fn the_longest_names_are_written() {
     let folder = capture();

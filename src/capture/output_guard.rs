@@ -59,33 +59,43 @@ impl OutputGuard {
         if let Some(obstacle) = obstacle(path) {
             return Err(CaptureError::content(path, obstacle));
         }
-        self.check(path, ProtectedPaths::against_file)
+        self.check(path, false, ProtectedPaths::against_file)
     }
 
-    /// Refuses an output folder that isn't allowed. `files` are the names of the files to be written into it; they may
-    /// exist.
-    pub fn check_folder(&mut self, path: &Path, files: &[&str]) -> Result<(), CaptureError> {
-        self.check_capture(path)?;
-        self.check(path, ProtectedPaths::against_folder)?;
-        files.iter().try_for_each(|file| self.check_file(&path.join(file)))
+    /// Refuses an output folder that isn't allowed. `names` are those of the files to be written into it, and of its
+    /// folders, which end with `/`; they may exist.
+    pub fn check_folder(&mut self, path: &Path, names: &[&str]) -> Result<(), CaptureError> {
+        must_be_a_folder(path)?;
+        self.check(path, true, ProtectedPaths::against_capture)?;
+        self.check(path, true, ProtectedPaths::against_folder)?;
+        names.iter().try_for_each(|name| match name.strip_suffix('/') {
+            Some(folder) => must_be_no_link(&path.join(folder)),
+            None => self.check_file(&path.join(name)),
+        })
     }
 
-    /// Refuses a folder for a new or unfinished capture that isn't allowed.
+    /// Refuses a folder for a new or unfinished capture that isn't allowed. An unfinished one holds no links to folders,
+    /// through which filming would write elsewhere.
     pub fn check_capture(&mut self, path: &Path) -> Result<(), CaptureError> {
-        if path.symlink_metadata().is_ok() && !path.is_dir() {
-            return Err(CaptureError::content(path, "is no folder"));
+        must_be_a_folder(path)?;
+        if !path.join(CAPTURE_FILE).exists() {
+            let children = std::fs::read_dir(path).into_iter().flatten().flatten();
+            let truth = std::fs::read_dir(path.join("truth")).into_iter().flatten().flatten();
+            children.chain(truth).try_for_each(|child| must_be_no_link(&child.path()))?;
         }
-        self.check(path, ProtectedPaths::against_capture)
+        self.check(path, true, ProtectedPaths::against_capture)
     }
 
-    /// Checks a path against the protected paths of the captures around it and of the command's own capture.
+    /// Checks a path against the protected paths of the captures around it and of the command's own capture. Links on the
+    /// way are followed; a link that is the path itself is followed if it `is_folder`.
     fn check(
         &mut self,
         path: &Path,
+        is_folder: bool,
         against: fn(&ProtectedPaths, &Path) -> Option<&'static str>,
     ) -> Result<(), CaptureError> {
         let Ok(absolute) = std::path::absolute(path) else { return Ok(()) };
-        let real = real(&absolute);
+        let real = if is_folder { followed(real(&absolute)) } else { real(&absolute) };
         let around = absolute.ancestors().chain(real.ancestors()).map(Path::to_owned);
         for folder in around.chain(self.own.clone()) {
             let known = self.known.entry(folder);
@@ -96,6 +106,21 @@ impl OutputGuard {
         }
         Ok(())
     }
+}
+
+fn must_be_a_folder(path: &Path) -> Result<(), CaptureError> {
+    if path.symlink_metadata().is_err() || path.is_dir() {
+        return Ok(());
+    }
+    Err(CaptureError::content(path, "is no folder"))
+}
+
+/// Refuses a link to a folder, through which outputs would reach another place.
+fn must_be_no_link(path: &Path) -> Result<(), CaptureError> {
+    if path.is_dir() && path.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
+        return Err(CaptureError::content(path, "is a link, which is not written through"));
+    }
+    Ok(())
 }
 
 /// Follows the links among a path's existing folders, but not the path itself.

@@ -7,12 +7,13 @@ use super::sheet::{Panel, sheet};
 use super::truths::{TrueImage, TrueInstant, TrueView, as_written};
 use super::{CompareError, CompareOptions, Renderer, TRADITIONAL};
 use crate::capture::Truth;
+use crate::host::beneath;
 use crate::interpolation::{SyncMethod, Synchronized};
 use crate::method::Method;
 use crate::metrics::ReferenceImage;
 use crate::raster::{BitDepth, Image, write_image};
 use rayon::prelude::*;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Inputs of the comparison that all instants share.
@@ -167,6 +168,12 @@ impl Comparison<'_> {
         Ok((rows, figure))
     }
 
+    /// The path of a file in the comparison's folder; an error if a link is on the way.
+    pub(super) fn file(&self, name: &str) -> Result<PathBuf, CompareError> {
+        let failed = |source| CompareError::Write { path: self.out.join(name), source };
+        beneath(self.out, name).map_err(failed)
+    }
+
     /// Writes an image in the input's bit depth; returns its path relative to the folder.
     pub(super) fn write(
         &self,
@@ -177,7 +184,7 @@ impl Comparison<'_> {
     ) -> Result<String, CompareError> {
         let name = format!("images/{}/{name}.png", target.view.stem);
         let depth = self.renderer.field().capture().bit_depth();
-        write_image(&self.out.join(&name), image, coverage, depth)?;
+        write_image(&self.file(&name)?, image, coverage, depth)?;
         Ok(name)
     }
 
@@ -189,7 +196,7 @@ impl Comparison<'_> {
         panels: &[Panel],
     ) -> Result<(), CompareError> {
         let sheet = sheet(title, truth, panels, self.options.difference_gain);
-        let path = self.out.join(format!("sheets/{stem}.png"));
+        let path = self.file(&format!("sheets/{stem}.png"))?;
         Ok(write_image(&path, &sheet, None, BitDepth::Eight)?)
     }
 

@@ -59,9 +59,17 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// The files of a comparison's folder that always have the same names.
-pub const FILES: [&str; 5] =
-    ["report.html", "metrics.json", "timings.json", "review.json", "review.blend"];
+/// The files of a comparison's folder that always have the same names, and its folders, whose names end with `/`.
+pub const FILES: [&str; 8] = [
+    "report.html",
+    "metrics.json",
+    "timings.json",
+    "review.json",
+    "review.blend",
+    "images/",
+    "sheets/",
+    "video/",
+];
 
 /// The sync method of traditional light field rendering, which everything is compared with.
 pub const TRADITIONAL: SyncMethod = SyncMethod::Nearest;

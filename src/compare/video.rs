@@ -7,11 +7,12 @@ use super::sheet::strip;
 use super::{ComparedView, TRADITIONAL};
 use crate::camera::Camera;
 use crate::capture::{CaptureError, TruthVideo};
+use crate::host::beneath;
 use crate::light_field::Images;
 use crate::method::Method;
 use crate::progress::Reporter;
 use crate::raster::{BitDepth, Image, ImageFileError, read_image};
-use crate::video::{Codec, VideoFormat, VideoWriter};
+use crate::video::{Codec, VideoError, VideoFormat, VideoWriter};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -96,7 +97,9 @@ impl ReviewVideo {
                 for panel in &panels {
                     let file = format!("video/{}.mkv", panel.name);
                     let depth = renderer.field().capture().bit_depth();
-                    writers.push(create(&out.join(&file), &panel.image, depth, Codec::Ffv1)?);
+                    let failed = |source| VideoError::File { path: out.join(&file), source };
+                    let movie = beneath(out, &file).map_err(failed)?;
+                    writers.push(create(&movie, &panel.image, depth, Codec::Ffv1)?);
                     movies.push((panel.name, file));
                 }
                 writers.push(create(&path, &strip, BitDepth::Eight, codec)?);

@@ -151,6 +151,20 @@ pub(crate) fn link_within(root: &Path, path: &Path) -> Option<PathBuf> {
     path.ancestors().take_while(|p| *p != root).find(is_link).map(Path::to_owned)
 }
 
+/// The path of a file in an output folder. An error if the file, or a folder on the way to it, is a link: writing would
+/// reach files elsewhere. The output folder itself may be one.
+pub(crate) fn beneath(root: &Path, name: &str) -> Result<PathBuf> {
+    let path = root.join(name);
+    match link_within(root, &path) {
+        None => Ok(path),
+        Some(link) => {
+            let link = link.strip_prefix(root).unwrap_or(&link).display().to_string();
+            let sentence = format!("{link} is a link, which is not written through");
+            Err(Error::new(ErrorKind::InvalidInput, sentence))
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -14,7 +14,7 @@ pub(crate) use disk_cache::ENTRY_OVERHEAD_BYTES;
 pub use disk_cache::{CacheKind, CacheUse, DiskCache};
 pub(crate) use file_hashes::{HeldFile, file_hash, file_hashes};
 pub(crate) use files::{FileRead, FileState, read_hashed};
-pub(crate) use files::{hash_file, ignore_absent, remove_special};
+pub(crate) use files::{beneath, hash_file, ignore_absent, remove_special};
 pub use files::{obstacle, open_bounded, open_file, read_bytes, read_text};
 pub(crate) use machine::lock;
 pub use machine::{
