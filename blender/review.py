@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import os
 import sys
 from pathlib import Path
 
@@ -47,16 +48,20 @@ def build(layout_file: Path) -> Path:
     for scene in others:
         bpy.data.scenes.remove(scene)
     target = layout_file.resolve().parent / "review.blend"
-    partial = target.with_name(f".{target.name}.partial.blend")
+    # A name of its own, for another process may lay out the same comparison.
+    partial = target.with_name(f".{target.name}.{os.getpid()}.partial.blend")
     bpy.context.preferences.filepaths.save_version = 0
-    bpy.ops.wm.save_as_mainfile(
-        filepath=str(partial), compress=True, relative_remap=False
-    )
-    bpy.ops.file.make_paths_relative()
-    bpy.ops.wm.save_as_mainfile(
-        filepath=str(partial), compress=True, relative_remap=False
-    )
-    partial.replace(target)
+    try:
+        bpy.ops.wm.save_as_mainfile(
+            filepath=str(partial), compress=True, relative_remap=False
+        )
+        bpy.ops.file.make_paths_relative()
+        bpy.ops.wm.save_as_mainfile(
+            filepath=str(partial), compress=True, relative_remap=False
+        )
+        partial.replace(target)
+    finally:
+        partial.unlink(missing_ok=True)
     return target
 
 

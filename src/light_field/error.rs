@@ -1,7 +1,6 @@
 //! Why there is no image.
 
 use crate::capture::CaptureError;
-use std::path::PathBuf;
 
 /// Why an image can't be rendered. Every message is one sentence.
 #[derive(Debug, thiserror::Error)]
@@ -27,8 +26,6 @@ pub enum RenderError {
     NoPoints,
     #[error("no camera sees any pixel of this view")]
     NothingSeen,
-    #[error("{path}: prepared frames can't be written ({source})")]
-    Prepare { path: PathBuf, source: std::io::Error },
     #[error("rendering was stopped")]
     Stopped,
 }

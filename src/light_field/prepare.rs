@@ -40,7 +40,7 @@ impl LightField {
     /// already are skipped. `progress` is called with the number of finished pairs.
     ///
     /// # Errors
-    /// [`RenderError::Capture`] if a frame can't be read, [`RenderError::Prepare`] if nothing can be written.
+    /// [`RenderError::Capture`] if a frame can't be read, or nothing can be written.
     pub fn prepare(
         &self,
         options: &RenderOptions,

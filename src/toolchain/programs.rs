@@ -3,7 +3,6 @@
 
 use super::setup::{self, Environment};
 use super::{ToolchainError, script};
-use crate::host::process;
 use crate::host::temporary::Temporary;
 use crate::progress::Reporter;
 use serde_json::Value;
@@ -106,7 +105,7 @@ pub fn check(
     command.arg(capture);
     let phase = reporter.phase("checking the calibration");
     let mut stdout = String::new();
-    let ended = process::run(&mut command, |line| {
+    let ended = script::ended(&mut command, |line| {
         stdout.push_str(line);
         stdout.push('\n');
     });
@@ -158,7 +157,7 @@ pub fn build_extension(
         let mut command = script::command(environment, "package.py");
         command.arg(wheel).arg("-o").arg(&whole);
         let _phase = reporter.phase("packing the extension");
-        let ended = process::run(&mut command, |_| {});
+        let ended = script::ended(&mut command, |_| {});
         let ended = ended.map_err(|e| ToolchainError::Failure(format!("package.py: {e}")))?;
         script::verdict("package.py", &ended).map_err(|error| match error {
             // Blender's message has the extension's temporary path.

@@ -4,6 +4,7 @@
 use super::ToolchainError;
 use super::setup::Environment;
 use crate::host::process::{self, Ended};
+use crate::host::temporary::Temporary;
 use crate::progress::{Reporter, Task};
 use serde::Deserialize;
 use std::process::Command;
@@ -31,7 +32,7 @@ pub(super) fn run(
 ) -> Result<(), ToolchainError> {
     let waiting = reporter.phase(label);
     let mut bar: Option<Task> = None;
-    let ended = process::run(command, |line| match serde_json::from_str::<Progress>(line) {
+    let ended = ended(command, |line| match serde_json::from_str::<Progress>(line) {
         Ok(progress) => {
             let bar = bar.get_or_insert_with(|| {
                 waiting.hide();
@@ -49,6 +50,13 @@ pub(super) fn run(
     let name = command.get_args().nth(1).unwrap_or_default().to_string_lossy().into_owned();
     let ended = ended.map_err(|e| ToolchainError::Failure(format!("{name}: {e}")))?;
     verdict(&name, &ended)
+}
+
+/// Runs a script to its end; calls `on_line` with every line of its stdout. Blender's temporary folders, which it leaves
+/// where it is killed, are removed.
+pub(super) fn ended(command: &mut Command, on_line: impl FnMut(&str)) -> std::io::Result<Ended> {
+    let temporary = Temporary::inside(&std::env::temp_dir())?;
+    process::run(command.env("TMPDIR", temporary.path()), on_line)
 }
 
 /// Success, or the error that the script ended with.
@@ -98,5 +106,11 @@ mod tests {
         assert!(matches!(&failed, ToolchainError::Failure(s) if s == "disk is full"), "{failed}");
         assert!(of("exit 7").0.unwrap_err().to_string().contains("status 7"));
         assert!(of("kill -9 $$").0.unwrap_err().to_string().contains("was stopped"));
+    }
+
+    #[test]
+    fn a_killed_script_leaves_no_temporary_folder() {
+        let (_, text) = of("echo $TMPDIR; mkdir $TMPDIR/blender_a; kill -9 $$");
+        assert!(text[0].ends_with(".tmp") && !std::path::Path::new(&text[0]).exists(), "{text:?}");
     }
 }
